@@ -4,7 +4,10 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: demo test lint docs docs-short accuracy bench gallery readmes clean
+# Tests and documentation start the program many times: without its bytecode each start would compile it anew.
+export PYTHONDONTWRITEBYTECODE :=
+
+.PHONY: demo test test-all lint docs docs-short accuracy bench gallery readmes clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "crankorder needs Python 3.11 or newer; set PYTHON=…")'
@@ -16,7 +19,10 @@ demo: $(STAMP)
 	$(BIN)/crankorder demo --out crankorder-demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n 2
+	$(BIN)/python -m pytest -n 2 --dist worksteal
+
+test-all: $(STAMP)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m ''
 
 lint: $(STAMP)
 	$(BIN)/ruff check .
@@ -32,7 +38,7 @@ docs-short: $(STAMP)
 	$(BIN)/python docs/executed.py docs/tutorial.md docs/notebook.md docs/howto/*.md
 
 accuracy: $(STAMP)
-	$(BIN)/python -m pytest -m 'slow or accuracy' -s
+	$(BIN)/python -m pytest -m accuracy -s
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/campaign.py

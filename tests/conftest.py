@@ -22,6 +22,25 @@ settings.load_profile("crankorder")
 
 _ROOT = Path(__file__).resolve().parents[1]
 
+CASES = 3
+"""Cases of a parametrised test that ``make test`` runs; ``@pytest.mark.cases(n)`` states another number."""
+
+
+@pytest.hookimpl(tryfirst=True)  # before the marks of the command line choose
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark as slow the cases of a test beyond the number that runs by default, which are spread over all of them."""
+    cases: dict[str, list[pytest.Item]] = {}
+    for item in items:
+        if not any(item.iter_markers("slow")) and not any(item.iter_markers("accuracy")):
+            cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for same in cases.values():
+        mark = same[0].get_closest_marker("cases")
+        count = mark.args[0] if mark else CASES
+        chosen = {round(place * (len(same) - 1) / max(count - 1, 1)) for place in range(count)}
+        for number, item in enumerate(same):
+            if number not in chosen:
+                item.add_marker(pytest.mark.slow)
+
 
 @pytest.fixture(scope="session")
 def project_root() -> Path:

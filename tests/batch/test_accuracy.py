@@ -47,6 +47,7 @@ def test_without_results_nothing_is_written(tmp_path: Path) -> None:
     assert not (tmp_path / "acc").exists()
 
 
+@pytest.mark.slow
 def test_what_is_written_is_what_was_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(accuracy, "TOLERANCES", (1e-3,))
     monkeypatch.setattr(accuracy, "REPEATS", 1)

@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -18,8 +16,10 @@ from click.testing import CliRunner
 from crankorder.batch.frame_store import STORE
 from crankorder.batch.run_log import LOGS
 from crankorder.cli import main
+from made.processes import PATIENCE_S, started
 
 pytest.importorskip("distributed", reason="the extra dist is not installed")
+pytestmark = pytest.mark.slow
 NAMES = ("run.toml", "rpm_1500.h5", "rpm_1600.h5", "rpm_1700.h5", "rpm_1800.h5")
 KILLER = "rpm_1600.h5"
 PRELOAD = f"""
@@ -42,12 +42,12 @@ if cluster.analyse_recording.__name__ != "analyse":  # a worker may load this tw
 class Cluster:
     """Processes of a cluster in ``folder``: whether recordings kill their workers, and workers see the store."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, processes: ExitStack) -> None:
         self.kills, self.far, at = folder / "kills", folder / "far", folder / "scheduler.json"
         (folder / "preload.py").write_text(PRELOAD)
-        self._folder, self._processes = folder, list[subprocess.Popen[bytes]]()
+        self._folder, self._processes = folder, processes
         self._start("dask_scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", at)
-        end = time.monotonic() + 60.0
+        end = time.monotonic() + PATIENCE_S
         while not at.exists() or not at.read_text().rstrip().endswith("}"):
             assert time.monotonic() < end, (folder / "said.txt").read_text()
             time.sleep(0.1)
@@ -61,30 +61,21 @@ class Cluster:
         # whatever stands beside a death is blamed at once: so it must be tried again alone
         surroundings["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "0"
         with (self._folder / "said.txt").open("ab") as said:
-            line = [sys.executable, "-m", f"distributed.cli.{command}", *map(str, arguments)]
-            made = subprocess.Popen(line, stdout=said, stderr=said, env=surroundings, start_new_session=True)
-        self._processes.append(made)
-
-    def end(self) -> None:
-        for process in self._processes:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+            line = ("-m", f"distributed.cli.{command}", *arguments)
+            self._processes.enter_context(started(*line, stdout=said, stderr=said, env=surroundings))
 
 
 @pytest.fixture(scope="module")
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    made = Cluster(tmp_path_factory.mktemp("cluster"))
-    yield made
-    made.end()
+    with ExitStack() as processes:
+        yield Cluster(tmp_path_factory.mktemp("cluster"), processes)
 
 
 @pytest.fixture(scope="module")
-def four(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    whole, folder = (tmp_path_factory.mktemp("data") / name for name in ("campaign", "recordings"))
-    assert crankorder("synth", "thesis-second-motoring", "--out", whole, "--quick", "-q")[0] == 0
-    folder.mkdir()
+def four(campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recordings")
     for name in NAMES:
-        shutil.copy(whole / name, folder / name)
+        shutil.copy(campaign / name, folder / name)
     return folder
 
 

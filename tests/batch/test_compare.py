@@ -93,6 +93,7 @@ def test_of_several_runs_the_growing_line_is_named(results: dict[str, Path], tmp
     jsonschema.Draft202012Validator(schema_of("comparison")).validate(made)
 
 
+@pytest.mark.slow
 def test_the_datasets_hold_what_the_document_claims(results: dict[str, Path], tmp_path: Path) -> None:
     compare(results["run 0"], results["run 2"], "--out", tmp_path / "c")
     groups = read_results(tmp_path / "c" / "comparison.nc")
@@ -103,6 +104,7 @@ def test_the_datasets_hold_what_the_document_claims(results: dict[str, Path], tm
     assert int(groups["map_change"]["changed"].values.sum()) == cells["changed"] > 0
 
 
+@pytest.mark.slow
 def test_the_same_tests_give_the_same_bytes(results: dict[str, Path], tmp_path: Path) -> None:
     digests = []
     for name in ("one", "two"):
@@ -111,6 +113,7 @@ def test_the_same_tests_give_the_same_bytes(results: dict[str, Path], tmp_path: 
     assert digests[0] == digests[1]
 
 
+@pytest.mark.slow
 def test_the_out_of_a_run_of_one_test_stands_for_that_test(results: dict[str, Path], tmp_path: Path) -> None:
     shutil.copytree(results["run 0"], tmp_path / "again" / "run-0")
     outcome = compare(results["run 0"].parent, tmp_path / "again", "--out", tmp_path / "c")
@@ -119,6 +122,7 @@ def test_the_out_of_a_run_of_one_test_stands_for_that_test(results: dict[str, Pa
     assert "cannot differ" in same["words"]
 
 
+@pytest.mark.slow
 def test_a_test_beside_itself_is_refused(results: dict[str, Path], tmp_path: Path) -> None:
     for tests in (("run 0", "run 0"), ("run 0", "run 1", "run 1")):
         outcome = compare(*(results[name] for name in tests), "--out", tmp_path / "c")
@@ -158,6 +162,7 @@ def test_faults_of_the_request_are_named_and_nothing_is_written(results: dict[st
     assert not out.exists() and not (base / "inside").exists()
 
 
+@pytest.mark.slow
 def test_damaged_results_are_named(results: dict[str, Path], tmp_path: Path) -> None:
     publish(tmp_path / "t", {"results.nc": b"no", "findings.json": b"{}", "run.json": b'{"test": "t"}'}, key="k")
     outcome = compare(results["run 0"], tmp_path / "t", "--out", tmp_path / "c")

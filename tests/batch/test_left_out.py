@@ -52,7 +52,8 @@ def run(folder: Path, out: Path, spoil: dict[str, np.ndarray]) -> tuple[int, dic
         with h5py.File(folder / f"{name}.h5", "w") as file:
             for channel, row in zip("XY", rows, strict=True):
                 file[channel] = row.astype(np.float32)
-    outcome = CliRunner().invoke(main, ["run", str(folder), "--out", str(out), "-q"])
+    given = ["run", str(folder), "--out", str(out), "-q", "--recipe", "maps", "--no-pictures"]
+    outcome = CliRunner().invoke(main, given)
     made = next(path.parent for path in out.glob("**/findings.json"))
     order_map = xr.load_dataset(made / "results.nc", group="order_map", engine="h5netcdf")
     return outcome.exit_code, json.loads((made / "findings.json").read_bytes()), order_map
@@ -84,6 +85,7 @@ def test_a_lost_stretch_is_left_out_alone(tmp_path: Path) -> None:
         assert amplitude(order_map, 1500.0, channel) == pytest.approx(size, rel=0.01)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("place", "left_out"), [((20_000, 23_000), "channel"), ((35_000, 50_000), "stretch")])
 def test_a_channel_goes_where_much_is_lost_between_sound_stretches_but_not_at_its_end(
     tmp_path: Path, place: tuple[int, int], left_out: str
@@ -97,6 +99,7 @@ def test_a_channel_goes_where_much_is_lost_between_sound_stretches_but_not_at_it
     assert amplitude(order_map, 1500.0, "Y") == pytest.approx(1.5, rel=0.01)
 
 
+@pytest.mark.slow
 def test_silence_before_the_recording_only_shortens_it(tmp_path: Path) -> None:
     late = signals(1500.0, 1)[0]
     late[:15_000] = 0.0
@@ -106,6 +109,7 @@ def test_silence_before_the_recording_only_shortens_it(tmp_path: Path) -> None:
     assert amplitude(order_map, 1500.0, "X") == pytest.approx(3.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_vibration_of_a_few_steps_of_its_converter_is_left_out(tmp_path: Path) -> None:
     coarse = np.round(signals(1500.0, 1)[0] / 3.0) * 3.0
     status, findings, _ = run(tmp_path / "in", tmp_path / "out", {"X": coarse})
@@ -114,6 +118,7 @@ def test_a_vibration_of_a_few_steps_of_its_converter_is_left_out(tmp_path: Path)
     assert "-3, 0, 3 alone" in flag["detail"]
 
 
+@pytest.mark.slow
 def test_a_recording_without_a_sound_channel_is_left_out_as_a_whole(tmp_path: Path) -> None:
     still = np.full(round(RATE * SECONDS), 1.5)
     status, findings, order_map = run(tmp_path / "in", tmp_path / "out", {"X": still, "Y": still})
@@ -133,6 +138,7 @@ def test_an_overload_is_left_out_with_its_way_back(tmp_path: Path) -> None:
     assert amplitude(order_map, 1500.0, "X") == pytest.approx(3.0, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_channel_of_which_too_much_is_missing_is_left_out_alone(tmp_path: Path) -> None:
     holed = signals(1500.0, 1)[0]
     holed[10_000:30_000] = np.nan

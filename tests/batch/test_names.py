@@ -7,6 +7,7 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+import pytest
 import xarray as xr
 from click.testing import CliRunner, Result
 
@@ -34,6 +35,10 @@ def crankorder(*arguments: object) -> Result:
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
+def run(*arguments: object) -> Result:
+    return crankorder("run", *arguments, "--recipe", "maps", "--no-pictures")
+
+
 def campaign(folder: Path, speeds: dict[str, float]) -> Path:
     """Three recordings called ``x.h5``, each of order 1 at its own speed; the manifest states ``speeds``."""
     for name, rpm in SPEEDS.items():
@@ -50,7 +55,7 @@ def campaign(folder: Path, speeds: dict[str, float]) -> Path:
 
 
 def test_files_of_one_name_have_their_own_speeds_and_rows(tmp_path: Path) -> None:
-    done = crankorder("run", campaign(tmp_path / "in", SPEEDS), "--out", tmp_path / "out")
+    done = run(campaign(tmp_path / "in", SPEEDS), "--out", tmp_path / "out")
     assert done.exit_code == 0, done.output
     with xr.open_dataset(tmp_path / "out" / "names" / "results.nc", group="shaft", engine="h5netcdf") as shaft:
         assert dict(zip(shaft["recording"].values.tolist(), shaft["speed_mean"].values.tolist(), strict=True)) == SPEEDS
@@ -58,10 +63,11 @@ def test_files_of_one_name_have_their_own_speeds_and_rows(tmp_path: Path) -> Non
         np.testing.assert_allclose(orders["speed"].values, [1500.0, 1800.0, 2100.0])
 
 
+@pytest.mark.slow
 def test_faults_tell_which_of_them(tmp_path: Path) -> None:
     folder = campaign(tmp_path / "in", SPEEDS)
     (folder / "b" / "x.h5").write_bytes(b"")
-    done = crankorder("run", folder, "--out", tmp_path / "out")
+    done = run(folder, "--out", tmp_path / "out")
     assert done.exit_code == 3
     (failed,) = json.loads((tmp_path / "out" / "batch.json").read_bytes())["tests"][0]["failed"]
     assert failed["recording"] == "b/x.h5"
@@ -71,7 +77,7 @@ def test_faults_tell_which_of_them(tmp_path: Path) -> None:
 
 def test_a_speed_is_stated_for_a_whole_path(tmp_path: Path) -> None:
     folder = campaign(tmp_path / "in", {"a/x.h5": 1500.0, "x.h5": 1800.0})
-    done = crankorder("run", folder, "--out", tmp_path / "out")
+    done = run(folder, "--out", tmp_path / "out")
     assert done.exit_code == 3
     assert f"{folder / 'b' / 'x.h5'}: recordings.speed_rpm: the manifest states no speed" in done.output
     misspelt = campaign(tmp_path / "other", {**SPEEDS, "c/x.h5": 900.0})
@@ -81,6 +87,7 @@ def test_a_speed_is_stated_for_a_whole_path(tmp_path: Path) -> None:
         assert "a speed is stated for no recording" in told.output and "c/x.h5" in told.output
 
 
+@pytest.mark.slow
 def test_two_speeds_for_one_path_are_refused(tmp_path: Path) -> None:
     told = crankorder("check", campaign(tmp_path / "in", {**SPEEDS, "b\\x.h5": 900.0}))
     assert told.exit_code != 0 and "two speeds are stated for b/x.h5" in told.output
@@ -89,7 +96,7 @@ def test_two_speeds_for_one_path_are_refused(tmp_path: Path) -> None:
 def test_a_folder_without_a_manifest_stops_no_other(tmp_path: Path) -> None:
     sound, other = campaign(tmp_path / "in", SPEEDS), tmp_path / "notes"
     other.mkdir()
-    done = crankorder("run", other, sound, "--out", tmp_path / "out")
+    done = run(other, sound, "--out", tmp_path / "out")
     assert done.exit_code == 3
     assert f"not analysed: {other / 'run.toml'}: there is no manifest" in done.output
     assert (tmp_path / "out" / "names" / "findings.json").is_file()

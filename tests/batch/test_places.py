@@ -7,7 +7,7 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -16,6 +16,7 @@ from click.testing import CliRunner
 from crankorder.batch import execute
 from crankorder.batch.run_log import LOGS
 from crankorder.cli import main
+from made.processes import started
 
 
 def crankorder(*arguments: object):
@@ -23,7 +24,7 @@ def crankorder(*arguments: object):
 
 
 def run(*arguments: object):
-    return crankorder("run", *arguments, "--recipe", "maps", "-q")
+    return crankorder("run", *arguments, "--recipe", "maps", "-q", "--no-pictures")
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +72,7 @@ def test_another_test_of_the_same_name_is_refused_until_it_gets_a_name_of_its_ow
     assert run(*two, "--out", out, "--name", "x").exit_code == 2
 
 
+@pytest.mark.slow
 def test_data_that_moved_with_its_manifest_keeps_its_results(two, tmp_path):
     assert run(two[0], "--out", tmp_path / "out").exit_code == 0
     two[0].rename(tmp_path / "moved")
@@ -145,6 +147,7 @@ def test_a_reporting_process_that_is_killed_is_replaced(two, tmp_path, monkeypat
     assert owners(tmp_path / "out") == {"same": "../data/a", "same-2": "../data/b"}
 
 
+@pytest.mark.slow
 def test_a_test_that_kills_the_reporting_process_every_time_takes_no_other_along(two, tmp_path, monkeypatch):
     from crankorder.batch import publish
 
@@ -177,23 +180,21 @@ def test_names_reach_the_terminal_and_json_without_their_escapes(two, tmp_path):
         assert "red" in text and all(char.isprintable() or char == "\n" for char in text)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("processes", [2, 4])
 def test_processes_that_share_one_folder_lose_nothing(two, tmp_path, processes):
     """Each analyses both tests: no false failure, every index entry, the bytes of an undisturbed run."""
     assert run(*two, "--out", tmp_path / "alone").exit_code == 0
-    command = [sys.executable, "-m", "crankorder", "run", *map(str, two), "--recipe", "maps", "-q", "--jobs", "1"]
-    command += ["--out", str(tmp_path / "out")]
-    running = [subprocess.Popen(command, stderr=subprocess.PIPE) for _ in range(processes)]
-    for process in running:
-        _, said = process.communicate()
-        assert process.returncode == 0, said
+    command = ("-m", "crankorder", "run", *two, "--recipe", "maps", "-q", "--no-pictures")
+    command += ("--jobs", "1", "--out", tmp_path / "out")
+    with ExitStack() as those:
+        running = [those.enter_context(started(*command, stderr=subprocess.PIPE)) for _ in range(processes)]
+        for process in running:
+            _, said = process.communicate()
+            assert process.returncode == 0, said
 
     def everything(out):
         found = {path.relative_to(out): path for path in out.rglob("*") if path.is_file() and LOGS not in path.parts}
-        return {
-            name: path.read_bytes()
-            for name, path in found.items()
-            if name.name != "timings.json" and LOGS not in name.parts
-        }
+        return {name: path.read_bytes() for name, path in found.items() if name.name != "timings.json"}
 
     assert everything(tmp_path / "out") == everything(tmp_path / "alone")

@@ -82,15 +82,14 @@ def test_published_results_are_finished_with_their_key_and_no_other(tmp_path):
     assert {path.name for path in tmp_path.rglob("*")} == {"out", *NEW, DONE}
 
 
-@pytest.mark.parametrize("name", [*NEW, DONE])
-@pytest.mark.parametrize("harm", ["removed", "changed"])
-def test_results_that_were_touched_are_not_finished(tmp_path, name, harm):
-    publish(tmp_path / "out", NEW, key="one")
-    if harm == "removed":
-        (tmp_path / "out" / name).unlink()
-    else:
-        (tmp_path / "out" / name).write_bytes(b"[]")
-    assert not finished_with(tmp_path / "out", "one")
+def test_results_that_were_touched_are_not_finished(tmp_path):
+    for name in (*NEW, DONE):
+        for number, harm in enumerate((Path.unlink, lambda path: path.write_bytes(b"[]"))):
+            out = tmp_path / f"{name} {number}"
+            publish(out, NEW, key="one")
+            assert finished_with(out, "one")
+            harm(out / name)
+            assert not finished_with(out, "one"), name
 
 
 @pytest.mark.parametrize("fault", [errno.ENOSPC, errno.EIO])
@@ -126,6 +125,7 @@ def test_whichever_call_fails_the_old_results_are_whole_or_the_new_ones(tmp_path
     raise AssertionError("more calls than were tried")
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("fault", [errno.ENOSPC, errno.EIO])
 @pytest.mark.parametrize("call", CALLS)
 def test_whichever_call_fails_each_file_of_the_index_is_the_old_one_or_the_new_one(tmp_path, monkeypatch, call, fault):
@@ -154,6 +154,7 @@ def test_whichever_call_fails_each_file_of_the_index_is_the_old_one_or_the_new_o
     raise AssertionError("more calls than were tried")
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("can_exchange", [True, False])
 @pytest.mark.parametrize("steps", range(12))
 def test_a_process_killed_at_any_step_leaves_the_old_results_or_the_new_ones(
@@ -192,6 +193,7 @@ def test_a_process_killed_at_any_step_leaves_the_old_results_or_the_new_ones(
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
+@pytest.mark.slow
 def test_files_of_others_stay_where_results_are_put_among_them(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     publish(tmp_path, OLD, key="old")
@@ -206,6 +208,7 @@ def test_a_file_of_others_with_the_name_of_a_result_is_not_overwritten(tmp_path)
     assert held(tmp_path) == {"a.json": b"mine"}
 
 
+@pytest.mark.slow
 def test_the_folder_that_somebody_stands_in_stays_the_same_folder(tmp_path, monkeypatch):
     publish(tmp_path, OLD, key="old")
     number = tmp_path.stat().st_ino
@@ -235,19 +238,19 @@ def test_a_marker_that_is_no_marker_makes_nothing_ours(tmp_path):
             refuse_foreign(folder)
 
 
-@pytest.mark.parametrize(
-    ("recorded", "asking", "mine"),
-    [
-        (Owner("../a", "1"), Owner("../a", "1"), True),
-        (Owner("../a", "1"), Owner("../a", "2"), True),  # its manifest was edited
-        (Owner("../a", "1"), Owner("../b", "1"), False),  # a copy of the manifest beside other data
-        (Owner("../gone", "1"), Owner("../b", "1"), True),  # the data moved
-        (Owner("../gone", "1"), Owner("../b", "2"), False),
-        (None, Owner("../b", "2"), True),
-    ],
+OWNERS = (
+    (Owner("../a", "1"), Owner("../a", "1"), True),
+    (Owner("../a", "1"), Owner("../a", "2"), True),  # its manifest was edited
+    (Owner("../a", "1"), Owner("../b", "1"), False),  # a copy of the manifest beside other data
+    (Owner("../gone", "1"), Owner("../b", "1"), True),  # the data moved
+    (Owner("../gone", "1"), Owner("../b", "2"), False),
+    (None, Owner("../b", "2"), True),
 )
-def test_results_belong_to_one_input(tmp_path, recorded, asking, mine):
+
+
+def test_results_belong_to_one_input(tmp_path):
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
-    publish(tmp_path / "out" / "t", NEW, key="one", owner=recorded)
-    assert belongs(tmp_path / "out" / "t", asking) is mine
+    for number, (recorded, asking, mine) in enumerate(OWNERS):
+        publish(tmp_path / "out" / str(number), NEW, key="one", owner=recorded)
+        assert belongs(tmp_path / "out" / str(number), asking) is mine, (recorded, asking)

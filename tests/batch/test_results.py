@@ -34,13 +34,6 @@ def crankorder(*arguments: object):
     return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
-@pytest.fixture(scope="module")
-def campaign(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("campaign") / "recordings"
-    assert crankorder("synth", "thesis-second-motoring", "--out", folder, "--quick", "-q").exit_code == 0
-    return folder
-
-
 @pytest.fixture
 def two_speeds(campaign, tmp_path):
     folder = tmp_path / "recordings"
@@ -76,6 +69,7 @@ def test_maps_alone_make_page_and_index_and_say_that_findings_were_not_asked_for
     assert next(out.glob("*/report.html")).stat().st_size > 0
 
 
+@pytest.mark.slow
 def test_an_order_map_alone_reads_only_the_band_of_its_orders(two_speeds, tmp_path):
     out = tmp_path / "out"
     chosen = recipe(tmp_path, "order_map")
@@ -84,6 +78,7 @@ def test_an_order_map_alone_reads_only_the_band_of_its_orders(two_speeds, tmp_pa
     assert not list(out.glob("*/campbell_*.png"))
 
 
+@pytest.mark.slow
 def test_tracks_without_findings_follow_the_orders_that_were_named(two_speeds, tmp_path):
     path = tmp_path / "tracks.toml"
     path.write_text('[report]\nresults = ["order_tracks"]\n[orders]\ntrack_orders = [1.0, 2.0]\n')
@@ -93,6 +88,7 @@ def test_tracks_without_findings_follow_the_orders_that_were_named(two_speeds, t
         assert file["order_tracks"]["order"][:].tolist() == [1.0, 2.0]
 
 
+@pytest.mark.slow
 def test_results_that_are_made_are_the_same_whatever_else_is_made(two_speeds, tmp_path):
     for name, results in (("all", ("order_map", "campbell_map", "findings")), ("two", ("order_map", "campbell_map"))):
         chosen = recipe(tmp_path, *results)
@@ -105,14 +101,13 @@ def test_results_that_are_made_are_the_same_whatever_else_is_made(two_speeds, tm
     assert (values[0][1] == values[1][1]).all()
 
 
-@pytest.mark.parametrize("results", ['["waterfall"]', "[]", '"order_map"'])
-def test_a_result_that_does_not_exist_is_refused_before_work(results, two_speeds, tmp_path):
+def test_a_result_that_does_not_exist_is_refused_before_work(two_speeds, tmp_path):
     path = tmp_path / "wrong.toml"
-    path.write_text(f"[report]\nresults = {results}\n")
-    outcome = crankorder("run", two_speeds, "--out", tmp_path / "out", "--recipe", path)
-    assert outcome.exit_code == 2
-    assert "report.results" in outcome.output
-    assert not (tmp_path / "out").exists()
+    for results in ('["waterfall"]', "[]", '"order_map"'):
+        path.write_text(f"[report]\nresults = {results}\n")
+        outcome = crankorder("run", two_speeds, "--out", tmp_path / "out", "--recipe", path)
+        assert outcome.exit_code == 2 and "report.results" in outcome.output, results
+        assert not (tmp_path / "out").exists()
 
 
 def test_a_recording_gives_only_the_frames_that_are_needed():
@@ -135,6 +130,7 @@ def test_a_recording_gives_only_the_frames_that_are_needed():
     }
 
 
+@pytest.mark.slow
 def test_a_noun_that_no_stage_makes_is_named_with_the_way_to_it():
     with pytest.raises(SchemaError, match=r"RecordingFile") as caught:
         StagePlan(OF_RECORDING, wanted=(OrderFrames,), given=())
@@ -151,7 +147,7 @@ def test_a_crash_inside_one_recording_is_the_fault_of_that_recording_alone(two_s
         return sound(path, *given)
 
     monkeypatch.setattr(execute, "analyse_recording", crashing)
-    outcome = crankorder("run", two_speeds, "--out", tmp_path / "out")
+    outcome = crankorder("run", two_speeds, "--out", tmp_path / "out", "--recipe", "maps", "--no-pictures")
     assert outcome.exit_code == 3, outcome.output
     assert "rpm_1500.h5: could not be analysed; found its worker was ended by SIGKILL" in outcome.output
     assert next((tmp_path / "out").glob("*/results.nc")).exists()

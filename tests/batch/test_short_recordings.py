@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import xarray as xr
 
 from crankorder.batch.short_recordings import short_recordings
@@ -27,6 +26,6 @@ def test_a2_a_recording_that_is_shorter_than_all_others_is_told() -> None:
     assert "3.1 s" in flag["detail"] and "5 s" in flag["detail"]
 
 
-@pytest.mark.parametrize("lengths", [(5.0, 5.0, 3.0), (5.0, 7.0, 3.0, 9.0), (5.0, 5.05, 4.95, 4.9), (0.0,) * 5, ()])
-def test_lengths_that_differ_anyway_say_nothing(lengths: tuple[float, ...]) -> None:
-    assert short_recordings(lasting(*lengths)) == []
+def test_lengths_that_differ_anyway_say_nothing() -> None:
+    for lengths in ((5.0, 5.0, 3.0), (5.0, 7.0, 3.0, 9.0), (5.0, 5.05, 4.95, 4.9), (0.0,) * 5, ()):
+        assert short_recordings(lasting(*lengths)) == [], lengths

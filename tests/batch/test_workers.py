@@ -20,14 +20,11 @@ def answers(task, count, *, jobs):
     return dict(each(task, count, jobs=jobs))
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("jobs", [1, 2, 5])
 def test_every_task_is_done_once_whatever_the_number_of_workers(jobs):
     made = answers(lambda number: number**2, 4, jobs=jobs)
     assert {number: answer() for number, answer in made.items()} == {0: 0, 1: 1, 2: 4, 3: 9}
-
-
-def test_no_task_needs_no_worker():
-    assert answers(lambda number: number, 0, jobs=2) == {}
 
 
 def test_an_error_of_one_task_comes_out_as_it_is_and_the_others_go_on():
@@ -43,6 +40,7 @@ def test_an_error_of_one_task_comes_out_as_it_is_and_the_others_go_on():
     assert caught.value.remedy == "Leave it out"
 
 
+@pytest.mark.slow
 def test_an_error_that_cannot_be_sent_still_says_what_it_was():
     class LocalError(Exception):
         def __reduce__(self):
@@ -95,6 +93,7 @@ def test_workers_of_a_worker_end_with_it():
     assert parents == [own, own]
 
 
+@pytest.mark.slow
 def test_a_worker_answers_in_the_order_of_the_requests():
     worker = Worker(lambda request: request * 2)
     for request in (1, 2, 3):
@@ -103,6 +102,7 @@ def test_a_worker_answers_in_the_order_of_the_requests():
     worker.close()
 
 
+@pytest.mark.cases(1)
 @needs_fork
 @pytest.mark.parametrize("size", [1, LEAST_BYTES // 8 - 1, LEAST_BYTES // 8, 1_000_003])
 def test_arrays_come_back_bit_for_bit_and_outlive_their_worker(size):
@@ -116,14 +116,7 @@ def test_arrays_come_back_bit_for_bit_and_outlive_their_worker(size):
         answer["frames"] += 1.0  # as writable as any array
 
 
-@needs_fork
-def test_strided_arrays_come_back_too():
-    def task(number):
-        return np.arange(300_000.0).reshape(3, -1)[:, ::2]
-
-    np.testing.assert_array_equal(answers(task, 1, jobs=1)[0](), task(0))
-
-
+@pytest.mark.slow
 @needs_fork
 def test_without_room_for_shared_pages_all_goes_through_the_pipe(monkeypatch):
     for name in ("MOST_BYTES", "MEMORY_BYTES"):
@@ -133,6 +126,7 @@ def test_without_room_for_shared_pages_all_goes_through_the_pipe(monkeypatch):
         np.testing.assert_array_equal(answer(), np.full(20_000, float(number)))
 
 
+@pytest.mark.cases(1)
 @needs_fork
 @pytest.mark.parametrize("room", [0, 1, 3])
 def test_what_memory_does_not_hold_lies_in_a_file_and_on_a_full_disk_goes_through_the_pipe(monkeypatch, room):
@@ -155,6 +149,7 @@ def test_what_memory_does_not_hold_lies_in_a_file_and_on_a_full_disk_goes_throug
         np.testing.assert_array_equal(pages.get(packed), array)
 
 
+@pytest.mark.slow
 @needs_fork
 def test_a_task_asked_ahead_of_a_death_is_done_by_another_worker():
     def task(number):
@@ -178,6 +173,7 @@ def test_what_is_to_be_done_meanwhile_is_done_once_while_tasks_wait_for_it(tmp_p
     assert sorted(answer() for answer in made.values()) == [0, 1, 2]
 
 
+@pytest.mark.cases(1)
 @needs_fork
 @pytest.mark.parametrize("fault", [None, "error", "death"])
 def test_where_one_worker_begins_the_others_find_what_it_has_left(tmp_path, fault):
@@ -201,6 +197,7 @@ def test_where_one_worker_begins_the_others_find_what_it_has_left(tmp_path, faul
     assert len({pid for pid, _ in answers}) == 3
 
 
+@pytest.mark.slow
 @needs_fork
 def test_where_one_worker_begins_and_nothing_succeeds_every_fault_is_told():
     def task(number):
@@ -212,6 +209,7 @@ def test_where_one_worker_begins_and_nothing_succeeds_every_fault_is_told():
             made[number]()
 
 
+@pytest.mark.slow
 @needs_fork
 def test_a_dead_worker_says_so_every_time_it_is_asked():
     worker = Worker(lambda request: os.kill(os.getpid(), signal.SIGKILL))

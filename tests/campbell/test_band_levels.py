@@ -49,6 +49,7 @@ def at_times(seconds: float, rate_hz: float = RATE_HZ) -> np.ndarray:
     return np.arange(int(seconds * rate_hz)) / rate_hz
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("seed", range(8))
 def test_the_velocity_of_lines_is_the_analytic_one(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -63,6 +64,7 @@ def test_the_velocity_of_lines_is_the_analytic_one(seed: int) -> None:
     assert made["unit"].values.tolist() == ["mm/s", "m/s2"]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_levels_of_a_velocity_agree_with_a_trapezoidal_integral_and_a_butterworth_filter(seed: int) -> None:
     rng, rate = np.random.default_rng(seed), 32768.0
@@ -113,6 +115,7 @@ def test_a_line_is_in_its_own_octave_alone_and_names_are_nominal() -> None:
     assert float(np.delete(thirds["rms"].values, own).max()) < 2e-3
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(100, 112))
 def test_no_octave_that_holds_nothing_is_surely_told_beside_a_line(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -131,6 +134,7 @@ def true_rms(rate_hz: float, band: tuple[float, float], slope: int) -> float:
     return float(np.sqrt(np.trapezoid(2.0 / rate_hz * (2 * np.pi * hertz) ** (2 * slope), hertz)))
 
 
+@pytest.mark.slow
 def test_intervals_of_levels_cover_the_truth_behind_noise() -> None:
     rate, hits, trials = 4096.0, np.zeros(4), 400
     bands = (LevelBand("as measured", 10.0, 1000.0), LevelBand("as measured", 178.0, 224.0))
@@ -146,6 +150,7 @@ def test_intervals_of_levels_cover_the_truth_behind_noise() -> None:
     assert (hits[:2] / trials < 0.98).all(), hits
 
 
+@pytest.mark.slow
 def test_recordings_that_differ_are_told_apart_from_noise() -> None:
     """Of machines whose level differs from start to start, the interval is that between the starts."""
     hits, trials = 0, 200

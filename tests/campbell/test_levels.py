@@ -20,7 +20,6 @@ from crankorder.campbell.levels import (
 )
 from crankorder.identify.levels import level_records
 from crankorder.quantities import check_dataset
-from crankorder.report.sentences.of_levels import GEAR_ORDER, GEAR_RECIPE
 from crankorder.settings import load_settings
 from made.recordings import named, shaft
 from made.typed import as_dicts
@@ -53,6 +52,7 @@ def levels(recording: xr.Dataset, speed_rpm: float) -> xr.Dataset:
     return made
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_mesh_above_the_band_is_found_with_its_size_and_order(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -72,7 +72,7 @@ def test_a_mesh_above_the_band_is_found_with_its_size_and_order(seed: int) -> No
 def test_noise_and_lines_inside_the_band_are_no_line_above_it() -> None:
     rng = np.random.default_rng(11)
     at = np.arange(int(4 * RATE_HZ)) / RATE_HZ
-    for seed in range(10):
+    for seed in range(3):
         noise = np.random.default_rng(seed).standard_normal((2, at.size))
         noise[1] = np.cumsum(noise[1]) * 0.05  # red
         line = 50.0 * np.cos(2 * np.pi * rng.uniform(20, 480) * at)
@@ -81,6 +81,7 @@ def test_noise_and_lines_inside_the_band_are_no_line_above_it() -> None:
         assert np.isnan(made["peak_order"].values).all()
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(8))
 def test_a_light_mode_that_noise_makes_ring_is_no_line(seed: int) -> None:
     from scipy.signal import lfilter
@@ -144,10 +145,6 @@ def test_records_take_the_strongest_line_and_all_energy() -> None:
     assert level_records([]) == [] and json.dumps(record)
 
 
-def test_the_recipe_that_is_named_looks_as_far_as_is_said() -> None:
-    assert load_settings(GEAR_RECIPE).orders.max_order == GEAR_ORDER
-
-
 def plainly_sharp(power: np.ndarray, bins: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """As the docstring says it: every bin's lobe, floor and ring, whether or not a line may be there."""
     whole = power.shape[1] // BLOCK * BLOCK
@@ -165,6 +162,7 @@ def plainly_sharp(power: np.ndarray, bins: np.ndarray, limit: np.ndarray) -> tup
     return at, lobe[at[:, 0], at[:, 1]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_bins", [65, 128, 200, 1000, 4097])
 def test_the_quick_look_for_sharp_lines_finds_what_the_plain_one_does(n_bins: int) -> None:
     found = 0

@@ -23,6 +23,7 @@ def map_of(*signals, speed_rpm=1200.0, duration_s=12.0, rate_hz=2000.0):
     return campbell_map([frequency_frames(*recording, settings=SETTINGS)], speed_bin_rpm=25.0)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("rate_hz", [2000.0, 1785.0 + 5 / 7], ids=["bins on the grid", "bins beside the grid"])
 @pytest.mark.parametrize("near_hz", [100.0, 480.0])
 @pytest.mark.parametrize("offset_bins", [0.0, 0.25, 0.5, 0.8])
@@ -34,6 +35,7 @@ def test_a_tone_reads_its_peak_wherever_it_lies(offset_bins, near_hz, rate_hz):
     assert abs(20 * np.log10(peak / 0.3)) < 0.01
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("rate_hz", [2000.0, 4096.0 / 3.0, 5000.0 / 3.0, 3333.3])
 @pytest.mark.parametrize("hertz", [351.0, 351.2, 120.33])
 def test_a_tone_stands_where_it_is_also_where_the_rate_is_no_multiple_of_the_resolution(hertz, rate_hz):
@@ -44,18 +46,6 @@ def test_a_tone_stands_where_it_is_also_where_the_rate_is_no_multiple_of_the_res
     # of a Hann window's line, from the two largest bins (Rife and Vincent 1970)
     place = made["frequency"].values[at] + side * (2.0 * ratio - 1.0) / (1.0 + ratio) * made.attrs["resolution_hz"]
     assert place == pytest.approx(hertz, abs=1e-3)
-
-
-def test_order_lines_have_no_stripes_from_speed_to_speed():
-    # order 1 of 300, 350, … rpm lies on a bin at some speeds and half-way between two at others
-    peaks = [map_of(line(1.0, 1.0), speed_rpm=rpm)["amplitude"].max().item() for rpm in range(300, 2050, 50)]
-    assert 20 * np.log10(max(peaks) / min(peaks)) < 0.015
-
-
-def test_white_noise_has_its_density():
-    rng = np.random.default_rng(2)
-    made = map_of(lambda t, _: rng.standard_normal(len(t)), duration_s=120.0, rate_hz=2000.0)
-    assert made["psd"].sel(frequency=slice(5, 495)).mean().item() == pytest.approx(1.0 / 1000.0, rel=0.01)
 
 
 def test_a_record_shorter_than_the_resolution_lands_on_the_same_frequencies():
@@ -83,17 +73,14 @@ def crank_angle_frames(speed_rpm: float) -> xr.Dataset:
     return frequency_frames(band, knots, settings=SETTINGS)
 
 
-def test_crank_angle_data_of_known_speed_meet_time_data_on_one_map():
+def test_crank_angle_data_have_a_map_by_their_speeds_and_none_without():
+    nothing = campbell_map([crank_angle_frames(math.nan)], speed_bin_rpm=25.0)
+    check_dataset(nothing, "campbell_map")
+    assert nothing.sizes["speed"] == 0
     made = campbell_map([crank_angle_frames(1000.0), crank_angle_frames(1507.0)], speed_bin_rpm=25.0)
     assert made["speed"].values.tolist() == [1000.0, 1507.0]
     assert made["frequency"].values[made["amplitude"].values[0, 0].argmax()] == pytest.approx(50.0, abs=0.5)
     assert made["frequency"].values[made["amplitude"].values[0, 1].argmax()] == pytest.approx(75.35, abs=0.5)
-
-
-def test_crank_angle_data_of_unknown_speed_give_a_map_without_speeds():
-    made = campbell_map([crank_angle_frames(math.nan)], speed_bin_rpm=25.0)
-    check_dataset(made, "campbell_map")
-    assert made.sizes["speed"] == 0
 
 
 def test_nothing_is_shown_beyond_half_the_sample_rate():
@@ -153,6 +140,7 @@ def recordings(seed: int, *, ring: float) -> list[xr.Dataset]:
     return made
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(5))
 def test_the_floor_without_the_start_is_that_of_noise(seed: int) -> None:
     quiet = campbell_map(recordings(seed, ring=0.0), speed_bin_rpm=10.0)
@@ -169,6 +157,7 @@ def test_the_floor_without_the_start_is_that_of_noise(seed: int) -> None:
     assert len(at) < 0.1 * BINS
 
 
+@pytest.mark.slow
 def test_noise_loses_next_to_nothing() -> None:
     lost = 0
     for seed in range(20):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import xarray as xr
 from scipy import signal
 
@@ -50,9 +51,14 @@ def true_levels(made: xr.Dataset, rpm: np.ndarray, square: np.ndarray) -> np.nda
     return np.sqrt([part.mean() for part in parts])
 
 
-def test_a_run_up_is_told_in_windows_along_it_whose_intervals_hold_the_level() -> None:
+@pytest.mark.parametrize(
+    ("runs", "least", "most"), [(8, 0.87, 1.0), pytest.param(60, 0.92, 0.995, marks=pytest.mark.slow)]
+)
+def test_a_run_up_is_told_in_windows_along_it_whose_intervals_hold_the_level(
+    runs: int, least: float, most: float
+) -> None:
     hits, rows, wide = 0, 0, []
-    for seed in range(60):
+    for seed in range(runs):
         seconds = float(np.random.default_rng(seed).uniform(8.0, 30.0))
         frames, rpm, square = swept(seed, seconds=seconds)
         made = vibration_levels([frames], speed_bin_rpm=25.0)
@@ -61,10 +67,11 @@ def test_a_run_up_is_told_in_windows_along_it_whose_intervals_hold_the_level() -
         low, high = made["rms_ci95"].values[0, 1:-1].T
         hits, rows = hits + int(np.sum((low <= truth) & (truth <= high))), rows + len(truth)
         wide.append(float(np.median(high / low)))
-    assert 0.92 < hits / rows < 0.995, hits / rows
+    assert least < hits / rows <= most, hits / rows
     assert np.median(wide) < 1.5
 
 
+@pytest.mark.slow
 def test_where_run_ups_differ_the_interval_is_that_between_them() -> None:
     """A machine that is three times as loud on the way down: each row holds what both ways show."""
     held = 0
@@ -81,7 +88,7 @@ def test_where_run_ups_differ_the_interval_is_that_between_them() -> None:
 
 def test_a_limit_that_the_end_of_a_window_passes_is_not_kept_by_its_mean() -> None:
     """A level that grows with the cube of speed: what is to be surely within is told at the louder end."""
-    for seed in range(6):
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         at = np.arange(int(rng.uniform(6.0, 12.0) * RATE_HZ)) / RATE_HZ
         rpm = np.linspace(900.0, 3600.0, at.size)

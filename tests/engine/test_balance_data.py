@@ -1,4 +1,4 @@
-"""The table [balance] of engine files: shipped ones load, and bad ones name every fault at once."""
+"""The table [balance] of engine files: bad ones name every fault at once."""
 
 import copy
 import tomllib
@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 
 from crankorder.engine.balance_data import balanced_engine, load_balanced_engine, reduced_masses
-from crankorder.engine.definition import load_engine
 from crankorder.errors import ManyErrors, RequestError
 from crankorder.settings import shipped
 
@@ -18,15 +17,6 @@ CRANK_ENGINES = [name for name, text in shipped("engines").items() if "kind" not
 def task5() -> dict[str, Any]:
     """Content of the engine file of Task 5, to be spoilt."""
     return copy.deepcopy(tomllib.loads(shipped("engines")["task5"]))
-
-
-@pytest.mark.parametrize("name", CRANK_ENGINES)
-def test_every_shipped_crank_engine_loads_with_and_without_its_balance(name: str) -> None:
-    subject = load_balanced_engine(name)
-    assert subject.engine == load_engine(name)
-    assert reduced_masses(subject).reciprocating_g == pytest.approx(
-        subject.engine.reciprocating_mass_kg * 1e3, rel=1e-12
-    )
 
 
 def test_all_faults_of_engine_and_balance_are_named_at_once() -> None:
@@ -51,15 +41,16 @@ def test_all_faults_of_engine_and_balance_are_named_at_once() -> None:
     assert text.count("spoilt.toml") == 5
 
 
-@pytest.mark.parametrize("key", ["crank_radius_m", "rod_length_m", "reciprocating_mass_kg", "rotating_unbalance_kg_m"])
-def test_parts_that_do_not_add_up_to_the_engine_are_refused(key: str) -> None:
-    table = task5()
-    table[key] *= 1.01
-    with pytest.raises(ManyErrors, match="does not agree") as caught:
-        balanced_engine(table, name="spoilt", source="spoilt.toml")
-    assert key in str(caught.value)
+def test_parts_that_do_not_add_up_to_the_engine_are_refused() -> None:
+    for key in ("crank_radius_m", "rod_length_m", "reciprocating_mass_kg", "rotating_unbalance_kg_m"):
+        table = task5()
+        table[key] *= 1.01
+        with pytest.raises(ManyErrors, match="does not agree") as caught:
+            balanced_engine(table, name="spoilt", source="spoilt.toml")
+        assert key in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("table", "message"),
     [

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.engine.balance_data import BalancedEngine, balanced_engine, load_balanced_engine, speed_key
+from crankorder.engine.balance_data import BalancedEngine, balanced_engine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces
@@ -23,14 +23,13 @@ def sheet_of(name: str, **options: Any) -> dict[str, Any]:
     return balance_sheet(load_balanced_engine(name), **options)
 
 
-@pytest.mark.parametrize("name", CRANK_ENGINES)
-def test_every_shipped_engine_has_a_sheet_that_json_keeps_whole(name: str) -> None:
-    sheet = sheet_of(name)
-    assert set(sheet) >= KEYS
-    assert json.loads(json.dumps(sheet, allow_nan=False)) == sheet
-    assert sheet == sheet_of(name)
-    assert len(sheet["sentences"]) >= 1
-    assert all(sentence.endswith(".") and len(sentence) < 500 for sentence in sheet["sentences"])
+def test_every_shipped_engine_has_a_sheet_that_json_keeps_whole() -> None:
+    for name in CRANK_ENGINES:
+        sheet = sheet_of(name)
+        assert set(sheet) >= KEYS, name
+        assert json.loads(json.dumps(sheet, allow_nan=False)) == sheet, name
+        assert sheet["sentences"], name
+        assert all(sentence.endswith(".") and len(sentence) < 500 for sentence in sheet["sentences"]), name
 
 
 @pytest.mark.parametrize("name", CRANK_ENGINES)
@@ -46,42 +45,6 @@ def test_forces_of_the_sheet_are_those_of_the_crankcase_without_shafts(name: str
         stated = sheet["force_n"]["2000"][axis] or {}
         known = force[DIRECTIONS.index(direction)]  # type: ignore[arg-type]
         assert [stated.get(str(k), 0.0) for k in range(1, 9)] == pytest.approx(known[1:], rel=1e-12, abs=round_off_n)
-
-
-@pytest.mark.parametrize("name", CRANK_ENGINES)
-def test_any_speed_keeps_its_name_in_tables_and_sentences(name: str) -> None:
-    for speed, text in ((1234.5678, "1234.5678"), (1000000.0, "1000000"), (0.1234567, "0.1234567")):
-        sheet = sheet_of(name, speeds_rpm=[speed])
-        assert list(sheet["force_n"]) == [text] == [speed_key(speed)]
-        assert f" {text} rpm" in " ".join(sheet["sentences"]) or sheet["force_g_mm"] == {"x": None, "y": None}
-
-
-def single_cylinder(unbalance_deg: float) -> BalancedEngine:
-    """One cylinder of 1000 g whose crank has 1000 g at its radius already, as an engine file states them."""
-    table = {
-        "crank_radius_m": 0.05,
-        "rod_length_m": 0.2,
-        "reciprocating_mass_kg": 1.0,
-        "rotating_unbalance_kg_m": 0.05,
-        "rotating_unbalance_deg": unbalance_deg,
-    }
-    return balanced_engine(table, name="single", source="single.toml")
-
-
-def test_the_sheet_says_what_to_take_off_and_where_to_add() -> None:
-    heavy, beside = (balance_sheet(single_cylinder(angle_deg)) for angle_deg in (180.0, 37.0))
-    found = heavy["strategies"]["b"]
-    assert (found["counterweight_g"], found["counterweight_deg"], found["total_g"]) == (-1000, 0, -1000)
-    assert "Strategy b (1000 g off the crank opposite to its pin)" in " ".join(heavy["sentences"])
-    found = beside["strategies"]["b"]
-    assert (found["counterweight_g"], found["counterweight_deg"]) == pytest.approx((1000, 37), rel=1e-12)
-    assert "Strategy b (1000 g on the crank, 37° on from opposite to its pin)" in " ".join(beside["sentences"])
-
-
-def test_an_engine_whose_counterweights_count_is_not_called_one_without_balancing() -> None:
-    assert sheet_of("v-twin")["sentences"][0].startswith("As built the engine shakes with ")
-    for name in ("task5", "msu-optical", "inline-3"):
-        assert sheet_of(name)["sentences"][0].startswith("With no balancing the engine shakes with ")
 
 
 def test_literature_task_5_shows_its_strategies_side_by_side() -> None:
@@ -107,9 +70,9 @@ def test_literature_task_5_shows_its_strategies_side_by_side() -> None:
     assert any("Chosen" in note for note in sheet["notes"])
 
 
-def test_literature_the_optical_engine_shows_table_1_and_what_is_left(truth: dict[str, Any]) -> None:
+def test_literature_the_optical_engine_shows_table_1_and_what_is_left(shared_truth: dict[str, Any]) -> None:
     sheet = sheet_of("msu-optical", speeds_rpm=[2000.0])
-    for row in truth["seed001"]["table1"]["rows_g_mm"]["optical"]:
+    for row in shared_truth["seed001"]["table1"]["rows_g_mm"]["optical"]:
         order = str(row["order"])
         assert sheet["force_g_mm"]["x"][order] == pytest.approx(row["exact_Fourier"], rel=1e-12)
         assert sheet["leading_g_mm"][order] == pytest.approx(row["leading_term_recomputed"], rel=1e-12)
@@ -150,19 +113,6 @@ def test_an_engine_with_its_own_shafts_shows_what_these_leave() -> None:
     assert sheet_of("msu-optical")["shafts"]["own"] is None
 
 
-def test_an_offset_engine_is_balanced_by_a_pair_timed_to_its_force() -> None:
-    shafts = sheet_of("msu-optical-second")["shafts"]
-    assert min(shafts["3"]["residual_g_mm"]["x"], key=int) == "3"
-    assert shafts["3"]["shafts"][0]["phase_deg"] == pytest.approx(180 - 3.9036609781830895, rel=1e-12)
-
-
-def test_an_inline_three_is_free_of_forces_up_to_the_fifth_order_and_says_so() -> None:
-    sheet = sheet_of("inline-3")
-    assert list(sheet["force_g_mm"]["x"]) == ["6"]
-    assert sheet["force_g_mm"]["y"] is None
-    assert "of order 6 along Z" in sheet["sentences"][0]
-
-
 def two_cylinders() -> BalancedEngine:
     """Two cylinders side by side with opposite pins."""
     table = {
@@ -181,10 +131,11 @@ def test_several_cylinders_show_their_sum_and_no_strategies_of_one() -> None:
     assert sheet["strategies"] is None
     assert sheet["shafts"]["1"] is None
     assert sheet["moment_g_mm2"]["about_y"]["1"] == pytest.approx(500 * 40 * 100, rel=1e-12)
-    assert any("rocking couple" in sentence for sentence in sheet["sentences"])
-    json.dumps(sheet, allow_nan=False)
+    couple_n_m = 500e-3 * 0.04 * 0.1 * (3000 * np.pi / 30) ** 2
+    assert f"{couple_n_m:.4g} N·m of order 1" in " ".join(s for s in sheet["sentences"] if "rocking couple" in s)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options", [{"max_order": 3}, {"speeds_rpm": []}, {"speeds_rpm": [0.0]}, {"speeds_rpm": [float("nan")]}]
 )

@@ -10,8 +10,8 @@ from pydantic import ValidationError
 from crankorder.engine.bearings import Bearing, bearing_catalogue, bearing_orders
 
 
-def test_the_eleven_ball_bearing_has_the_orders_of_the_truth_sheet(truth: dict[str, Any]) -> None:
-    for ratio, known in truth["seed001"]["bearing_11_balls_half_speed_orders"].items():
+def test_the_eleven_ball_bearing_has_the_orders_of_the_truth_sheet(shared_truth: dict[str, Any]) -> None:
+    for ratio, known in shared_truth["seed001"]["bearing_11_balls_half_speed_orders"].items():
         orders = bearing_orders(
             Bearing(name="jack", shaft_ratio=0.5, rolling_elements=11, ball_over_pitch=float(ratio))
         )
@@ -50,38 +50,18 @@ def test_published_orders_win_over_geometry_and_turn_with_the_shaft() -> None:
     )
 
 
-def test_without_geometry_only_the_sure_line_is_given() -> None:
-    assert bearing_orders(Bearing(name="b", shaft_ratio=0.5, rolling_elements=11)) == {"N*fs": 5.5}
+def test_published_orders_and_geometry_of_every_listed_bearing_agree() -> None:
+    for designation, listed in bearing_catalogue().items():
+        assert listed.source
+        published = bearing_orders(Bearing(name="b", designation=designation))
+        geometry = {"rolling_elements": listed.rolling_elements, "ball_over_pitch": listed.ball_over_pitch}
+        contact = {} if listed.contact_angle_deg is None else {"contact_angle_deg": listed.contact_angle_deg}
+        rolling = bearing_orders(Bearing(name="b", **geometry, **contact))
+        assert list(published) == list(rolling) == ["N*fs", "BPFO", "BPFI", "BSF", "FTF"]
+        assert published == pytest.approx(rolling, rel=2e-4), designation
 
 
-def test_the_catalogue_has_the_published_orders_of_the_6205() -> None:
-    orders = bearing_orders(Bearing(name="drive end", designation="6205-2RS"))
-    # the facts that the measured recordings must arrive at
-    assert {line: round(order, 3) for line, order in orders.items()} == pytest.approx(
-        {"N*fs": 9.0, "BPFI": 5.415, "BPFO": 3.585, "BSF": round(4.7135 / 2, 3), "FTF": 0.398}
-    )
-    assert 2 * orders["BSF"] == pytest.approx(4.7135, abs=1e-12)
-    twice = bearing_orders(Bearing(name="drive end", designation="6205-2RS", shaft_ratio=2.0))
-    assert twice == {line: 2 * order for line, order in orders.items()}
-
-
-@pytest.mark.parametrize("designation", list(bearing_catalogue()))
-def test_published_orders_and_geometry_of_a_listed_bearing_agree(designation: str) -> None:
-    listed = bearing_catalogue()[designation]
-    assert listed.source
-    published = bearing_orders(Bearing(name="b", designation=designation))
-    geometry = {"rolling_elements": listed.rolling_elements, "ball_over_pitch": listed.ball_over_pitch}
-    contact = {} if listed.contact_angle_deg is None else {"contact_angle_deg": listed.contact_angle_deg}
-    rolling = bearing_orders(Bearing(name="b", **geometry, **contact))
-    assert list(published) == list(rolling) == ["N*fs", "BPFO", "BPFI", "BSF", "FTF"]
-    assert published == pytest.approx(rolling, rel=2e-4)
-
-
-def test_the_mfpt_bearing_has_the_orders_of_its_recordings() -> None:
-    orders = bearing_orders(Bearing(name="b", designation="NICE-MFPT"))
-    assert (round(orders["BPFI"], 3), round(orders["BPFO"], 3)) == (4.755, 3.245)
-
-
+@pytest.mark.slow
 def test_what_is_stated_wins_over_the_catalogue() -> None:
     stated = bearing_orders(Bearing(name="b", designation="6205-2RS", bpfo=3.6))
     assert (stated["BPFO"], stated["BPFI"]) == (3.6, 5.4152)
@@ -91,19 +71,18 @@ def test_what_is_stated_wins_over_the_catalogue() -> None:
     )
 
 
+@pytest.mark.slow
 def test_an_unknown_designation_is_told_what_there_is() -> None:
     with pytest.raises(ValidationError, match=r"no such bearing in the catalogue, which has 6205-2RS, "):
         Bearing(name="b", designation="6205")
 
 
-@pytest.mark.parametrize(
-    ("data", "fault"),
-    [
+def test_orders_that_no_bearing_has_are_refused() -> None:
+    wrong: tuple[tuple[dict[str, Any], str], ...] = (
         ({"bpfo": 5.4, "bpfi": 3.6}, "must exceed bpfo"),
         ({"rolling_elements": 8, "bpfo": 3.58, "bpfi": 5.42}, "must add up to the 8 rolling elements"),
         ({"ftf": 1.2}, "less than 1"),
-    ],
-)
-def test_orders_that_no_bearing_has_are_refused(data: dict[str, Any], fault: str) -> None:
-    with pytest.raises(ValidationError, match=fault):
-        Bearing(name="b", **data)
+    )
+    for data, fault in wrong:
+        with pytest.raises(ValidationError, match=fault):
+            Bearing(name="b", **data)

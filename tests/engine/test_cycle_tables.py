@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import solve_ivp
 
 from crankorder.engine.balance_data import BalanceData, BalancedEngine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
@@ -14,7 +14,7 @@ from crankorder.engine.cycle_tables import cycle_curves, cycle_table
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import cylinder_loads, main_bearing_loads
 from crankorder.engine.gas import firing_intervals_deg, gas_force, gas_torque_by_order
-from crankorder.errors import ManyErrors, RequestError
+from crankorder.errors import RequestError
 
 IDEAL = {"compression_ratio": 9.5, "intake_pa": 8e4, "heat_j": 900.0, "exponent": 1.35, "exhaust_pa": 1.1e5}
 DATA: dict[str, Any] = {
@@ -27,12 +27,6 @@ DATA: dict[str, Any] = {
     "bore_m": 0.086,
     "gas": {"ideal": IDEAL},
 }
-
-
-def test_an_engine_without_gas_is_told_of_no_gas() -> None:
-    for name, fires in (("inline-4", False), ("inline-4-firing", True)):
-        said = " ".join(balance_sheet(load_balanced_engine(name))["sentences"])
-        assert ("gas" in said) == fires and "turning moment" in said
 
 
 def engine(**differences: Any) -> Engine:
@@ -66,6 +60,7 @@ def test_an_ideal_cycle_does_the_work_of_the_textbook(offset_m: float) -> None:
     assert burnt_at >= 0
 
 
+@pytest.mark.slow
 def test_heat_over_some_angle_follows_the_first_law() -> None:
     burn = {"burn_start_deg": -20.0, "burn_duration_deg": 60.0}
     model = engine(gas={"ideal": IDEAL | burn})
@@ -92,6 +87,7 @@ def test_heat_over_some_angle_follows_the_first_law() -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_two_stroke_cycle_is_closed_all_the_way_round() -> None:
     ideal = {key: value for key, value in IDEAL.items() if key != "exhaust_pa"}
     model = engine(cycle="two-stroke", gas={"ideal": ideal})
@@ -101,28 +97,23 @@ def test_a_two_stroke_cycle_is_closed_all_the_way_round() -> None:
         engine(cycle="two-stroke")
 
 
-@pytest.mark.parametrize("order", [0.5, 1.0, 2.0, 3.5])
-def test_the_gas_torque_by_order_is_that_of_a_quadrature(order: float) -> None:
+def test_the_gas_torque_by_order_is_that_of_a_quadrature() -> None:
     cylinders = [{"firing_deg": 0.0}, {"crank_deg": 180.0, "firing_deg": 180.0}]
     model = engine(cylinders=cylinders, gas={"ideal": IDEAL | {"burn_start_deg": -20.0, "burn_duration_deg": 60.0}})
-    assert model.bore_m is not None
-
-    def torque(turned: float) -> float:
-        total = 0.0
-        for fires in (0.0, math.pi):
-            own = turned - fires
-            slope = (volume(model, own + 1e-5, 9.5) - volume(model, own - 1e-5, 9.5)) / 2e-5
-            total += (float(pressure(model, math.degrees(own))) - 101325.0) * slope
-        return total
-
-    points = [math.radians(one) for one in (40, 160, 180, 220, 340, 360, 540)]
-    found = [
-        quad(lambda a, f=f: torque(a) * f(order * a), 0, 4 * math.pi, points=points, limit=400)[0] / (2 * math.pi)
-        for f in (math.cos, math.sin)
-    ]
+    ends = np.radians([0, 40, 160, 180, 220, 340, 360, 540, 700, 720])  # the torque is smooth between them
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    half = np.diff(ends)[:, None] / 2
+    turned, share = (ends[:-1, None] + half * (1 + nodes)).ravel(), (half * weights).ravel()
+    torque = np.zeros_like(turned)
+    for fires in (0.0, math.pi):
+        own = turned - fires
+        slope = (volume(model, own + 1e-5, 9.5) - volume(model, own - 1e-5, 9.5)) / 2e-5
+        torque += (pressure(model, np.degrees(own)) - 101325.0) * slope
     orders, ours = gas_torque_by_order(model, 4)
-    line = ours[orders.tolist().index(order)]
-    assert line == pytest.approx(complex(found[0], -found[1]), abs=2e-6 * float(np.abs(ours).max()))
+    for order in (0.5, 1.0, 2.0, 3.5):
+        known = np.sum(share * torque * np.exp(-1j * order * turned)) / (2 * math.pi)
+        line = ours[orders.tolist().index(order)]
+        assert line == pytest.approx(known, abs=2e-6 * float(np.abs(ours).max())), order
 
 
 def newton_euler(model: Engine, turned: float, omega: float, gas_n: float) -> dict[str, np.ndarray]:
@@ -165,7 +156,7 @@ def newton_euler(model: Engine, turned: float, omega: float, gas_n: float) -> di
     }
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_loads_are_those_of_an_independent_newton_euler_solution(seed: int) -> None:
     draw = np.random.default_rng(seed)
     rod = {"mass_kg": 0.55, "centre_from_big_end_m": float(draw.uniform(0, 0.12)), "inertia_kg_m2": 0.003}
@@ -183,6 +174,7 @@ def test_loads_are_those_of_an_independent_newton_euler_solution(seed: int) -> N
         assert np.abs(loads.main_n[:, number] - known["main_n"]).max() < 1e-9 * scale
 
 
+@pytest.mark.slow
 def test_main_bearings_carry_webs_and_cylinders_of_their_own_masses() -> None:
     cylinders = [
         {"position_m": -0.05, "firing_deg": 0.0, "reciprocating_mass_kg": 0.9, "offset_m": 0.01},
@@ -205,13 +197,7 @@ def test_main_bearings_carry_webs_and_cylinders_of_their_own_masses() -> None:
     assert np.abs((places * bearings[:, [2, 0]]).sum(axis=0) - moment).max() < 1e-12 * size
 
 
-def test_the_turning_moment_is_the_torque_of_all_rods() -> None:
-    model = load_engine("v8-cross")
-    (curves,) = cycle_curves(model, [4000.0])
-    rods = sum(load.torque_n_m for load in curves.loads)
-    assert curves.total_n_m == pytest.approx(rods, abs=1e-9 * float(np.abs(rods).max()))
-
-
+@pytest.mark.slow
 def test_gas_and_masses_are_side_by_side_and_alike_where_it_says() -> None:
     model = load_engine("inline-4-firing")
     table = cycle_table(model, max_order=8, speeds=[1000.0, 6000.0])
@@ -238,6 +224,7 @@ def test_the_speed_swings_by_the_energy_that_the_flywheel_takes() -> None:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("firing", "intervals"),
     [((0.0, 180.0, 360.0, 540.0), [180.0] * 4), ((0.0, 360.0, 180.0, 180.0), [180.0, 0.0, 180.0, 360.0])],
@@ -250,6 +237,7 @@ def test_firing_intervals_are_told_with_their_evenness(firing: tuple[float, ...]
     assert cycle_table(model, max_order=4, speeds=[1000.0])["firing"]["even"] == (len(set(intervals)) == 1)
 
 
+@pytest.mark.slow
 def test_a_bearing_place_and_a_bore_change_what_the_sheet_says() -> None:
     def loads(**differences: Any) -> Any:
         model = load_engine("inline-4-firing").model_copy(update=differences)
@@ -283,84 +271,3 @@ def test_a_gas_file_beside_the_engine_is_its_curve_and_its_faults_are_named(tmp_
     (tmp_path / "p.csv").unlink()
     with pytest.raises(RequestError, match="no such gas file"):
         load_engine("it.toml", beside=tmp_path)
-
-
-def test_bad_engine_files_tell_all_faults_at_once(tmp_path: Path) -> None:
-    (tmp_path / "bad.toml").write_text(
-        """crank_radius_m = 0.043
-rod_length_m = 0.04
-reciprocating_mass_kg = -1
-bore = 3
-main_bearings_m = [0.1, 0.0]
-webs = [{ unbalance_g_mm = -1 }]
-[gas.ideal]
-compression_ratio = 0.5
-intake_pa = 8e4
-heat_j = 900
-burn_start_deg = 100
-burn_duration_deg = 100
-[shafts]
-single = [{ speed_ratio = 0, weights = [] }]
-[balance]
-design_planes_m = [0.1, -0.1]
-design_orders = [0]
-"""
-    )
-    with pytest.raises(ManyErrors) as caught:
-        load_balanced_engine(str(tmp_path / "bad.toml"))
-    told = str(caught.value)
-    for key in (
-        "rod_length_m", "reciprocating_mass_kg", "bore", "main_bearings_m", "webs.0.unbalance_g_mm",
-        "gas.ideal.compression_ratio", "gas.ideal.burn_duration_deg", "shafts.single.0.speed_ratio",
-        "shafts.single.0.weights", "balance.design_planes_m", "balance.design_orders.0",
-    ):  # fmt: skip
-        assert key in told, key
-
-
-def test_gas_without_firing_angles_is_a_fault_of_the_file(tmp_path: Path) -> None:
-    text = "crank_radius_m = 0.043\nrod_length_m = 0.141\nreciprocating_mass_kg = 0.6\nbore_m = 0.086\n"
-    text += "cylinders = [{}, { crank_deg = 180 }]\n[gas.ideal]\ncompression_ratio = 9\nintake_pa = 8e4\nheat_j = 900\n"
-    (tmp_path / "it.toml").write_text(text)
-    with pytest.raises(ManyErrors, match="firing_deg for every cylinder"):
-        load_balanced_engine(str(tmp_path / "it.toml"))
-
-
-def test_a_fault_of_the_gas_file_hides_no_other_fault(tmp_path: Path) -> None:
-    text = "crank_radius_m = -1\nrod_length_m = 0.141\nreciprocating_mass_kg = 0.6\nbore_m = 0.086\ncolour = 1\n"
-    (tmp_path / "it.toml").write_text(
-        f'{text}[gas]\nfile = "nowhere.csv"\nsurroundings_pa = -3\n[balance]\nspeeds_rpm = [0]\n'
-    )
-    (tmp_path / "both.toml").write_text(
-        f'{text}[gas]\nfile = "it.csv"\ncrank_angle_deg = [0, 0]\npressure_pa = [1e5, 1e5]\n'
-    )
-    for load in (load_balanced_engine, load_engine):
-        with pytest.raises(ManyErrors) as caught:
-            load(str(tmp_path / "it.toml"))
-        for part in ("nowhere.csv", "crank_radius_m", "colour", "gas.surroundings_pa"):
-            assert part in str(caught.value), part
-        with pytest.raises(ManyErrors, match="takes the place of the curve") as caught:
-            load(str(tmp_path / "both.toml"))
-        assert "gas.crank_angle_deg: must ascend" in str(caught.value)
-        assert "colour" in str(caught.value)
-
-
-def test_shafts_for_an_order_that_no_piston_makes_are_told_with_the_other_faults_of_the_file(tmp_path: Path) -> None:
-    text = "crank_radius_m = 0.043\nrod_length_m = 0.141\nreciprocating_mass_kg = 0.6\nbore_m = 0.086\n"
-    text += "cylinders = [{}, { crank_deg = 180 }]\n[gas.ideal]\ncompression_ratio = 9\nintake_pa = 8e4\nheat_j = 9\n"
-    (tmp_path / "it.toml").write_text(f"{text}[shafts]\norders = [1]\n")
-    with pytest.raises(ManyErrors) as caught:
-        load_balanced_engine(str(tmp_path / "it.toml"))
-    lines = str(caught.value).splitlines()
-    assert len(lines) == 2
-    assert all("it.toml" in line for line in lines)
-    assert "shafts.orders" in lines[1]
-
-
-def test_the_curves_of_several_speeds_are_those_of_each_alone() -> None:
-    model = load_engine("inline-4-firing")
-    for together, speed in zip(cycle_curves(model, [900.0, 5000.0]), (900.0, 5000.0), strict=True):
-        (alone,) = cycle_curves(model, [speed])
-        assert np.array_equal(together.total_n_m, alone.total_n_m)
-        assert together.bearings_n is not None
-        bearings = main_bearing_loads(model, alone.crank_angle_rev, speed)
-        np.testing.assert_allclose(together.bearings_n, bearings, rtol=1e-12, atol=1e-9)

@@ -21,7 +21,6 @@ from crankorder.engine.elastic_hinge import (
     vertical_counterweight,
     weight_moment,
     weight_without_side_force,
-    withheld_moment,
 )
 from crankorder.engine.hinge_sheet import hinge_sheet
 from crankorder.engine.hinged_crank import (
@@ -48,46 +47,16 @@ FIGURE_4: list[tuple[str, Weight, str]] = [
 @pytest.mark.parametrize(("name", "weight", "key"), FIGURE_4)
 @pytest.mark.parametrize("kinematics", ["truncated", "exact"])
 def test_the_weights_of_figure_4_are_the_true_ones(
-    truth: dict[str, Any], name: str, weight: Weight, key: str, kinematics: Kinematics
+    shared_truth: dict[str, Any], name: str, weight: Weight, key: str, kinematics: Kinematics
 ) -> None:
     crank = ENGINE.cranks[name]
     found = weight_without_side_force(crank, CURVE, weight=weight, pin_hinge="printed", kinematics=kinematics)
-    assert found == pytest.approx(float(truth["seed003"]["fig4_solutions"][key][kinematics]), rel=1e-12)
+    assert found == pytest.approx(float(shared_truth["seed003"]["fig4_solutions"][key][kinematics]), rel=1e-12)
     solved = replace(crank, **{weight: found})
     assert np.abs(side_force(HALF_DEGREES, solved, CURVE, pin_hinge="printed", kinematics=kinematics)).max() < 1e-11
 
 
-@pytest.mark.parametrize(
-    ("name", "weight", "printed_n", "key"),
-    [
-        ("fig4_a", "rod_weight_n", 54.4, ("a: residual mean M12 with printed P2 (truncated)", "a: (exact)")),
-        ("fig4_b", "piston_weight_n", 18.16, ("b: residual mean M12 with printed P3 (truncated)", "b: (exact)")),
-    ],
-)
-def test_the_printed_weights_of_figure_4_leave_the_true_mean_of_m12(
-    truth: dict[str, Any], name: str, weight: Weight, printed_n: float, key: tuple[str, str]
-) -> None:
-    crank = replace(ENGINE.cranks[name], **{weight: printed_n})
-    for kinematics, leaf in zip(("truncated", "exact"), key, strict=True):
-        mean = withheld_moment(crank, CURVE, pin_hinge="printed", kinematics=kinematics)  # type: ignore[arg-type]
-        assert mean == pytest.approx(float(truth["seed003"]["fig4_solutions"][leaf]), abs=1e-13 * 66)
-
-
-def test_the_document_printed_what_its_truncated_kinematics_give() -> None:
-    printed = []
-    for name, weight, _ in FIGURE_4:
-        for kinematics in ("truncated", "exact"):
-            found = weight_without_side_force(
-                ENGINE.cranks[name],
-                CURVE,
-                weight=weight,
-                pin_hinge="printed",
-                kinematics=kinematics,  # type: ignore[arg-type]
-            )
-            printed.append(round(found, 2))
-    assert printed == [54.40, 55.15, 18.16, 18.17]
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("weight", ["rod_counterweight_n", "rod_weight_n", "piston_weight_n"])
 def test_a_weight_for_the_corrected_characteristic_brings_the_centre_of_mass_to_the_pin(weight: Weight) -> None:
     crank = replace(ENGINE.cranks["fig5_bcd"], rod_counterweight_n=200.0)
@@ -97,6 +66,7 @@ def test_a_weight_for_the_corrected_characteristic_brings_the_centre_of_mass_to_
     assert np.abs(side_force(HALF_DEGREES, solved, CURVE, pin_hinge="potential")).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_a_weight_that_would_be_negative_or_has_no_arm_is_refused() -> None:
     crank = ENGINE.cranks["fig3_ac"]
     for weight in ("rod_weight_n", "rod_counterweight_n"):
@@ -104,6 +74,7 @@ def test_a_weight_that_would_be_negative_or_has_no_arm_is_refused() -> None:
             weight_without_side_force(crank, CURVE, weight=weight, pin_hinge="potential")  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_equation_12_gives_the_printed_counterweights_with_the_radius_mended() -> None:
     a, b = ENGINE.cranks["fig5_a"], ENGINE.cranks["fig5_bcd"]
     assert vertical_counterweight(a) == pytest.approx(47.50, rel=1e-14)
@@ -116,27 +87,21 @@ def test_equation_12_gives_the_printed_counterweights_with_the_radius_mended() -
         assert np.abs(shaking_force(HALF_DEGREES, held)[1]).max() < 1e-15
 
 
-@pytest.mark.parametrize("name", ["fig5_a", "fig5_bcd"])
-def test_equation_13_cancels_every_shaking_force(truth: dict[str, Any], name: str) -> None:
-    crank = balanced_crank(ENGINE.cranks[name])
-    along, across = shaking_force(HALF_DEGREES, crank)
-    assert np.abs(along).max() < 1e-14
-    assert np.abs(across).max() < 1e-14
-    assert abs(crank.static_moment_nm) < 1e-13
-    # with the centre of mass at the crank pin equations (12) and (13) ask for the same counterweight
-    assert vertical_counterweight(crank) == pytest.approx(crank.crank_counterweight_n, rel=1e-14)
-    if name == "fig5_a":
-        numbers = truth["seed003"]["eq13"]
-        assert crank.rod_counterweight_n == pytest.approx(float(numbers["P4"]), rel=1e-14)
-        assert crank.crank_counterweight_n == pytest.approx(float(numbers["P5"]), rel=1e-14)
+def test_equation_13_cancels_every_shaking_force(shared_truth: dict[str, Any]) -> None:
+    balanced = {name: balanced_crank(ENGINE.cranks[name]) for name in ("fig5_a", "fig5_bcd")}
+    for crank in balanced.values():
+        along, across = shaking_force(HALF_DEGREES, crank)
+        assert np.abs(along).max() < 1e-14
+        assert np.abs(across).max() < 1e-14
+        assert abs(crank.static_moment_nm) < 1e-13
+        # with the centre of mass at the crank pin equations (12) and (13) ask for the same counterweight
+        assert vertical_counterweight(crank) == pytest.approx(crank.crank_counterweight_n, rel=1e-14)
+    numbers = shared_truth["seed003"]["eq13"]
+    assert balanced["fig5_a"].rod_counterweight_n == pytest.approx(float(numbers["P4"]), rel=1e-14)
+    assert balanced["fig5_a"].crank_counterweight_n == pytest.approx(float(numbers["P5"]), rel=1e-14)
 
 
-def test_a_counterweight_without_a_radius_is_refused() -> None:
-    for call in (vertical_counterweight, balanced_crank):
-        with pytest.raises(RequestError, match="without a radius"):
-            call(ENGINE.cranks["fig3_ac"])
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(ENGINE.cranks))
 def test_the_crank_angle_of_a_hinge_angle_is_its_inverse(name: str) -> None:
     crank = ENGINE.cranks[name]
@@ -147,6 +112,7 @@ def test_the_crank_angle_of_a_hinge_angle_is_its_inverse(name: str) -> None:
     np.testing.assert_array_equal(crank_angle_of_hinge([0, 0.5, 1, 1.5], crank), [0, 0.5, 1, 1.5])
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("name", sorted(ENGINE.cranks))
 @pytest.mark.parametrize("joint", ["pin", "strut"])
 def test_a_table_closes_and_holds_the_moment_at_its_angles(name: str, joint: Joint) -> None:
@@ -161,6 +127,7 @@ def test_a_table_closes_and_holds_the_moment_at_its_angles(name: str, joint: Joi
     assert table.crank_angle_rev[[0, 45, 90]].tolist() == [0, 0.5, 1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", ["pin", "strut"])
 def test_the_work_of_a_table_does_not_depend_on_its_steps(joint: Joint) -> None:
     crank = ENGINE.cranks["fig5_bcd"]
@@ -172,27 +139,7 @@ def test_the_work_of_a_table_does_not_depend_on_its_steps(joint: Joint) -> None:
     np.testing.assert_allclose(slope, fine.moment_nm[1:-1], atol=2e-3 * np.abs(fine.moment_nm).max())
 
 
-def test_a_table_of_the_printed_characteristic_does_not_close() -> None:
-    crank = ENGINE.cranks["fig5_a"]
-    table = hinge_table(crank, CURVE, joint="pin", speed_rpm=2000.0, pin_hinge="printed")
-    assert table.work_j[-1] == pytest.approx(250.2258531339688, rel=1e-10)
-
-
-@pytest.mark.parametrize("n_steps", [0, 7])
-def test_a_table_of_odd_steps_is_refused(n_steps: int) -> None:
-    with pytest.raises(RequestError, match="even number"):
-        hinge_table(ENGINE.cranks["fig5_a"], CURVE, joint="pin", speed_rpm=2000.0, n_steps=n_steps)
-
-
-@pytest.mark.parametrize("joint", ["pin", "strut"])
-def test_the_same_speed_needs_the_same_pressure(joint: Joint) -> None:
-    crank = ENGINE.cranks["fig5_bcd"]
-    change = air_spring_pressure(crank, CURVE, joint=joint, designed_speed_rpm=2000.0, speed_rpm=2000.0)
-    assert change.pressure_ratio == pytest.approx(1, rel=1e-15)
-    assert change.residual_share < 1e-15
-    assert change.speed_fluctuation < 1e-15
-
-
+@pytest.mark.slow
 def test_where_inertia_alone_acts_the_pressure_goes_with_the_squared_speed() -> None:
     crank = balanced_crank(ENGINE.cranks["fig5_bcd"])
     cases: tuple[tuple[Joint, CrankTorque], ...] = (("pin", NO_TORQUE), ("strut", NO_TORQUE), ("strut", CURVE))
@@ -203,6 +150,7 @@ def test_where_inertia_alone_acts_the_pressure_goes_with_the_squared_speed() -> 
         assert change.residual_share < 1e-12
 
 
+@pytest.mark.slow
 def test_no_other_pressure_leaves_less_and_what_is_left_is_told() -> None:
     crank = ENGINE.cranks["fig5_bcd"]
     change = air_spring_pressure(crank, CURVE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=1200.0)
@@ -219,13 +167,7 @@ def test_no_other_pressure_leaves_less_and_what_is_left_is_told() -> None:
     assert change.energy_swing_j == pytest.approx(swing, rel=1e-4)
 
 
-def test_the_speed_fluctuation_is_the_energy_swing_over_the_inertia() -> None:
-    crank = ENGINE.cranks["fig5_bcd"]
-    heavy = replace(crank, crank_inertia_kg_m2=1e6)
-    change = air_spring_pressure(heavy, CURVE, joint="pin", designed_speed_rpm=1000.0, speed_rpm=1200.0)
-    assert change.speed_fluctuation == pytest.approx(change.energy_swing_j / (1e6 * (40 * np.pi) ** 2), rel=2e-6)
-
-
+@pytest.mark.slow
 def test_a_spring_without_moment_or_speed_is_refused() -> None:
     weightless = replace(ENGINE.cranks["fig3_ac"], rod_weight_n=0.0, piston_weight_n=0.0, rod_inertia_kg_m2=0.0)
     with pytest.raises(RequestError, match="without a moment"):
@@ -239,6 +181,7 @@ SPRING = GuideData(
 )
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("joint", ["pin", "strut"])
 @pytest.mark.parametrize("name", ["fig3_bd", "fig4_a", "fig5_bcd"])
 def test_analytic_the_spring_between_its_guides_makes_the_moment_of_the_hinge(name: str, joint: Joint) -> None:
@@ -265,18 +208,14 @@ def test_analytic_the_spring_between_its_guides_makes_the_moment_of_the_hinge(na
     assert np.abs(moment - table.moment_nm[:-1]).max() < 2e-3 * np.abs(table.moment_nm).max()
 
 
+@pytest.mark.slow
 def test_a_roller_larger_than_the_bends_of_its_guide_is_told() -> None:
     table = hinge_table(ENGINE.cranks["fig5_bcd"], CURVE, joint="pin", speed_rpm=3000.0, n_steps=720)
     assert not hinge_guides(table, SPRING).undercut
     assert hinge_guides(table, SPRING.model_copy(update={"roller_radius_m": 0.2})).undercut
 
 
-def test_a_hinge_that_gives_work_has_no_guides() -> None:
-    table = hinge_table(ENGINE.cranks["fig3_ac"], CURVE, joint="pin", speed_rpm=3000.0, pin_hinge="full")
-    with pytest.raises(RequestError, match="no work in a turn"):
-        hinge_guides(table, SPRING)
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "key"),
     [({"most_compression_m": 0.02}, "most_compression_m"), ({"middle_radius_m": 0.1}, "middle_radius_m")],
@@ -286,9 +225,11 @@ def test_a_spring_that_cannot_be_is_refused(change: dict[str, float], key: str) 
         GuideData(**(SPRING.model_dump() | change))
 
 
-def test_the_sheet_has_the_truncated_weights_of_figure_4_and_the_curves_of_figure_3(truth: dict[str, Any]) -> None:
+def test_the_sheet_has_the_truncated_weights_of_figure_4_and_the_curves_of_figure_3(
+    shared_truth: dict[str, Any],
+) -> None:
     found = {one["name"]: one for one in hinge_sheet(ENGINE, max_order=4)["mechanisms"]}
-    known = truth["seed003"]["fig4_solutions"]
+    known = shared_truth["seed003"]["fig4_solutions"]
     for name, weight, key in FIGURE_4:
         kinds = found[name]["solutions"]["weight_without_side_force"][weight]
         assert kinds["printed_truncated"] == pytest.approx(float(known[key]["truncated"]), rel=1e-12)

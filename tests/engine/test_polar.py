@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crankorder.engine.balancing import OrderForce, phasor, polar_diagram, sum_by_order, unbalance_force_n
+from crankorder.engine.balancing import OrderForce, phasor, polar_diagram, sum_by_order
 
 PARTS = st.complex_numbers(max_magnitude=1e6, allow_nan=False, allow_infinity=False)
 ANGLES = np.arange(360) / 360
@@ -23,6 +23,7 @@ def test_analytic_rotating_parts_draw_the_curve_of_their_axes(x: complex, y: com
     assert abs(force.x_g_mm - x) + abs(force.y_g_mm - y) <= 1e-14 * scale
 
 
+@pytest.mark.slow
 def test_analytic_semi_axes_bound_the_curve() -> None:
     force = OrderForce.of_axes(order=1, x_g_mm=3 + 1j, y_g_mm=0.5 - 2j)
     size = np.abs(polar_diagram([force], np.arange(100_000) / 100_000))
@@ -31,25 +32,17 @@ def test_analytic_semi_axes_bound_the_curve() -> None:
     assert size.min() == pytest.approx(smallest, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("x", "y", "rotation"),
-    [
-        (2, -2j, "with crank"),
-        (2, 2j, "against crank"),
-        (2, 0, "line"),
-        (0, -3j, "line"),
-        (0, 0, "none"),
-        (5, -1j, "with crank"),
-    ],
-)
-def test_the_direction_of_rotation_is_that_of_the_drawn_curve(x: complex, y: complex, rotation: str) -> None:
-    force = OrderForce.of_axes(order=1, x_g_mm=x, y_g_mm=y)
-    assert force.rotation == rotation
-    curve = polar_diagram([force], ANGLES)
-    area = float(np.sum((curve.conj() * np.roll(curve, -1)).imag))
-    assert np.sign(round(area, 9)) == {"with crank": 1, "against crank": -1}.get(rotation, 0)
+def test_the_direction_of_rotation_is_that_of_the_drawn_curve() -> None:
+    turning = {(2, -2j): "with crank", (2, 2j): "against crank", (5, -1j): "with crank"}
+    for (x, y), rotation in (turning | {(2, 0): "line", (0, -3j): "line", (0, 0): "none"}).items():
+        force = OrderForce.of_axes(order=1, x_g_mm=x, y_g_mm=y)
+        assert force.rotation == rotation
+        curve = polar_diagram([force], ANGLES)
+        area = float(np.sum((curve.conj() * np.roll(curve, -1)).imag))
+        assert np.sign(round(area, 9)) == {"with crank": 1, "against crank": -1}.get(rotation, 0)
 
 
+@pytest.mark.slow
 def test_what_cancels_to_round_off_is_zero_and_what_does_not_is_kept() -> None:
     third = OrderForce(order=1, direct_g_mm=1 / 3)
     total = sum_by_order(
@@ -61,11 +54,7 @@ def test_what_cancels_to_round_off_is_zero_and_what_does_not_is_kept() -> None:
     assert kept[0].direct_g_mm == pytest.approx(1e-12, rel=1e-3)
 
 
-def test_analytic_1000_g_mm_make_43_865_n_at_2000_rpm() -> None:
-    assert unbalance_force_n(1000.0, 2000.0) == pytest.approx(1e-3 * (2000 * math.pi / 30) ** 2, rel=1e-15)
-    assert unbalance_force_n([1.0, 2.0], [[1000.0], [2000.0]]).shape == (2, 2)
-
-
+@pytest.mark.slow
 def test_phasors_are_exact_at_quarter_turns() -> None:
     assert [phasor(angle) for angle in (0, 90, 180, 270, -90, 540)] == [1, 1j, -1, -1j, -1j, -1]
     assert phasor(30.0) == pytest.approx(complex(math.sqrt(3) / 2, 0.5), rel=1e-15)

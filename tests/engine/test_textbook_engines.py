@@ -9,7 +9,7 @@ import pytest
 from crankorder.engine.balance_data import BalanceData, BalancedEngine
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.definition import BalanceShafts, Engine, SingleShaft
-from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments, orders_made
+from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments
 from crankorder.engine.shaft_design import designs, primary_shares, roll_height_m, throw_counterweights
 from crankorder.errors import RequestError
 
@@ -148,22 +148,24 @@ def off_by(model: Engine) -> float:
     return max(float(np.abs(one[..., 1:]).max()) for one in apart) / scale(model)
 
 
-@pytest.mark.parametrize("name", ENGINES)
-def test_forces_and_couples_are_those_of_an_independent_sum(name: str) -> None:
-    assert off_by(engine(ENGINES[name][0])) < EXACT
+def test_forces_and_couples_are_those_of_an_independent_sum() -> None:
+    off = {name: off_by(engine(throws)) for name, (throws, _) in ENGINES.items()}
+    assert not {name: error for name, error in off.items() if not error < EXACT}
 
 
-@pytest.mark.parametrize("name", ENGINES)
-def test_what_textbooks_call_free_is_free_and_nothing_else(name: str) -> None:
-    throws, free = ENGINES[name]
-    model = engine(throws)
-    forces = np.abs(crankcase_forces(model, RPM, max_order=2)).max(axis=0) / scale(model)
-    couples = np.abs(crankcase_moments(model, RPM, max_order=2)[[X, Z]]).max(axis=0) / scale(model)
-    found = [size < EXACT for size in (forces[1], forces[2], couples[1], couples[2])]
-    assert found == list(free)
+def test_what_textbooks_call_free_is_free_and_nothing_else() -> None:
+    otherwise = {}
+    for name, (throws, free) in ENGINES.items():
+        model = engine(throws)
+        forces = np.abs(crankcase_forces(model, RPM, max_order=2)).max(axis=0) / scale(model)
+        couples = np.abs(crankcase_moments(model, RPM, max_order=2)[[X, Z]]).max(axis=0) / scale(model)
+        found = tuple(bool(size < EXACT) for size in (forces[1], forces[2], couples[1], couples[2]))
+        if found != free:
+            otherwise[name] = found
+    assert not otherwise
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(3))
 def test_engines_drawn_at_random_with_masses_and_offsets_of_their_own(seed: int) -> None:
     draw = np.random.default_rng(seed)
     cylinders = [
@@ -211,6 +213,7 @@ def test_a_design_cancels_force_and_couple_of_orders_1_and_2(name: str) -> None:
     assert np.abs(forces[:, 3:] - summed(model)[0][:, 3:]).max() < EXACT * scale(model)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 6])
 def test_a_design_takes_any_order_asked_for(order: int) -> None:
     model = engine(ENGINES["v-twin, 60°"][0], offset_m=0.012)
@@ -224,6 +227,7 @@ def test_a_design_takes_any_order_asked_for(order: int) -> None:
     assert np.abs(moments[:, order]).max() < EXACT * scale(model)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "force", "couple"),
     [
@@ -245,6 +249,7 @@ def test_crank_webs_take_the_share_that_turns_with_the_crank(name: str, force: A
         assert found is None if known is None else found == pytest.approx(known, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["v8, 90°, cross", "v-twin, 90°", "radial-5"])
 def test_counterweights_of_half_the_pistons_balance_what_turns_with_the_crank(name: str) -> None:
     model = engine(ENGINES[name][0], rotating_unbalance_kg_m=0.003)
@@ -255,6 +260,7 @@ def test_counterweights_of_half_the_pistons_balance_what_turns_with_the_crank(na
     assert np.abs(left[0][:, 1]).max() < EXACT * scale(model)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["inline-4, flat", "inline-2, 180°", "inline-1"])
 def test_shafts_at_different_heights_take_the_second_order_roll_moment_too(name: str) -> None:
     model = engine(ENGINES[name][0])
@@ -274,6 +280,7 @@ def sheet(model: Engine, **options: Any) -> dict[str, Any]:
     return balance_sheet(BalancedEngine(name="it", engine=model, balance=BalanceData()), **options)
 
 
+@pytest.mark.slow
 def test_forces_and_moments_of_the_sheet_leave_shafts_out_and_its_own_shafts_have_both() -> None:
     weights = [{"unbalance_g_mm": 3e4, "angle_deg": 10.0, "position_m": place} for place in (-0.1, 0.06)]
     shafts = {"single": [{"speed_ratio": -1, "weights": weights, "z_m": 0.1}]}
@@ -287,20 +294,13 @@ def test_forces_and_moments_of_the_sheet_leave_shafts_out_and_its_own_shafts_hav
     assert own["residual_moment_g_mm2"]["about_y"] != plain["moment_g_mm2"]["about_y"]
 
 
-@pytest.mark.parametrize(
-    "shafts", [{"orders": [1]}, {"pairs": [{"order": 1, "unbalance_g_mm": 100.0}]}, {"orders": [2, 3]}]
-)
-def test_shafts_for_an_order_that_the_engine_does_not_make_are_refused(shafts: dict[str, Any]) -> None:
-    model = engine(ENGINES["inline-4, flat"][0], shafts=shafts)
-    with pytest.raises(RequestError, match="no force along Z"):
-        sheet(model)
+def test_shafts_for_an_order_that_the_engine_does_not_make_are_refused() -> None:
+    for shafts in ({"orders": [1]}, {"pairs": [{"order": 1, "unbalance_g_mm": 100.0}]}, {"orders": [2, 3]}):
+        with pytest.raises(RequestError, match="no force along Z"):
+            sheet(engine(ENGINES["inline-4, flat"][0], shafts=shafts))
 
 
-def test_shafts_beyond_the_tables_are_refused_with_what_to_ask_for() -> None:
-    with pytest.raises(RequestError, match="--max-order 10"):
-        sheet(engine(ENGINES["inline-1"][0], shafts={"orders": [10]}))
-
-
+@pytest.mark.slow
 def test_one_cylinder_has_its_roll_moment_and_the_couple_of_shafts_off_its_plane() -> None:
     found = sheet(engine(ENGINES["inline-1"][0], shafts={"orders": [1, 2], "position_m": 0.05}))
     force = found["force_g_mm"]["x"]
@@ -309,10 +309,3 @@ def test_one_cylinder_has_its_roll_moment_and_the_couple_of_shafts_off_its_plane
     left = found["shafts"]["own"]["residual_moment_g_mm2"]["about_y"]
     assert left == pytest.approx({order: 50 * force[order] for order in ("1", "2")}, rel=1e-12)
     assert any("rocking couple about X" in sentence for sentence in found["sentences"])
-
-
-def test_a_copy_with_other_masses_has_its_own_cylinders() -> None:
-    model = engine(ENGINES["inline-2, 180°"][0])
-    assert orders_made(model, share=1e-3, max_order=2) == (1.0, 2.0)
-    copied = model.model_copy(update={"reciprocating_mass_kg": 2 * MASS_KG})
-    assert [one.reciprocating_mass_kg for one in copied.each] == [2 * MASS_KG] * 2

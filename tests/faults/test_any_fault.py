@@ -121,7 +121,7 @@ drawn = given(
 
 
 @settings(
-    max_examples=6, phases=[Phase.explicit, Phase.generate], suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=4, phases=[Phase.explicit, Phase.generate], suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @drawn
 def test_whatever_is_wrong_with_one_recording_its_file_is_named_and_nothing_else_suffers(

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from made.processes import PATIENCE_S, children_of, processor_s, started
+
 HEAD = """
 schema_version = 1
 [test]
@@ -28,7 +30,8 @@ source = "speed"
 kind = "speed"
 """
 CHANNEL = '[[channels]]\nname = "{0}"\nsource = "{0}"\nquantity = "acceleration"\nunit = "m/s2"\n'
-PROCESSOR_S = 2.0
+TIMES = 10.0
+"""How often the processor time of a short refusal a request may take: 2 s where that is 0.2 s, on any machine."""
 
 
 def crankorder(*arguments: object, **given: object) -> tuple[subprocess.CompletedProcess[bytes], float]:
@@ -62,13 +65,22 @@ MANIFESTS: dict[str, Callable[[], str]] = {
 }
 
 
+@pytest.fixture(scope="module")
+def short_s(tmp_path_factory: pytest.TempPathFactory) -> float:
+    """Processor seconds in which a manifest of a few lines is refused."""
+    folder = folder_of(tmp_path_factory.mktemp("short") / "data", HEAD.format(name="a"))
+    return min(crankorder("check", folder)[1] for _ in range(3))
+
+
 @pytest.mark.parametrize("what", MANIFESTS)
-def test_i8_i9_an_endless_manifest_is_refused_within_two_seconds(what: str, tmp_path: Path) -> None:
+def test_i8_i9_an_endless_manifest_is_refused_in_ten_times_a_short_one_at_most(
+    what: str, short_s: float, tmp_path: Path
+) -> None:
     made, seconds = crankorder("check", folder_of(tmp_path / "data", MANIFESTS[what]()))
     said = made.stderr.decode()
     assert made.returncode in (2, 3, 4), said[-500:]
     assert "Traceback" not in said and said.startswith("crankorder: ")
-    assert seconds <= PROCESSOR_S
+    assert seconds <= TIMES * short_s
     assert len(said) < 100_000
 
 
@@ -132,31 +144,41 @@ def test_i10_a_name_cannot_write_on_the_terminal(tmp_path: Path) -> None:
     assert b"\x1b" not in said and b"\x07" not in said and "\u202e".encode() not in said and b"[31m" in said
 
 
-def children_of(pid: int) -> list[int]:
-    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()]
-
-
 def logged_in(out: Path, event: str) -> int:
     return sum(path.read_text().count(f" {event}:") for path in out.glob(".crankorder-logs/*"))
 
 
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    data: Path = tmp_path_factory.mktemp("campaign") / "data"
+    assert crankorder("synth", "thesis-second-motoring", "--quick", "--out", data, "-q")[0].returncode == 0
+    return data
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="children are looked up in /proc")
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_f2_a_run_that_is_told_to_end_ends_within_5_s_and_goes_on_later(
-    number: signal.Signals, status: int, tmp_path: Path
+def test_f2_a_run_that_is_told_to_end_begins_nothing_more_and_goes_on_later(
+    number: signal.Signals, status: int, campaign: Path, short_s: float, tmp_path: Path
 ) -> None:
-    data, out = tmp_path / "data", tmp_path / "out"
-    assert crankorder("synth", "thesis-second-motoring", "--quick", "--out", data, "-q")[0].returncode == 0
-    command = ("run", data, "--out", out, "--recipe", "maps", "-q", "--jobs", "1")
-    process = subprocess.Popen([sys.executable, "-m", "crankorder", *map(str, command)], stderr=subprocess.PIPE)
-    while logged_in(out, "recording computed") < 2:
-        assert process.poll() is None
-        time.sleep(0.01)
-    family = children_of(process.pid)
-    process.send_signal(number)
-    _, said = process.communicate(timeout=5.0)
+    """The 5 s of the catalogue are processor time here: what is left to do does not depend on the machine."""
+    out = tmp_path / "out"
+    command = ("run", campaign, "--out", out, "--recipe", "maps", "-q", "--jobs", "1")
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    with started("-m", "crankorder", *command, stderr=subprocess.PIPE) as process:
+        while logged_in(out, "recording computed") < 2:
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.send_signal(signal.SIGSTOP)  # what is seen now is what was done when it was told to end
+        family = children_of(process.pid)
+        done, spent = logged_in(out, "recording computed"), processor_s(process.pid, *family)
+        process.send_signal(number)
+        process.send_signal(signal.SIGCONT)
+        _, said = process.communicate(timeout=PATIENCE_S)
+        assert family and not [pid for pid in family if Path(f"/proc/{pid}").exists()]
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
     assert process.returncode == status and b"Traceback" not in said
-    assert family and not [pid for pid in family if Path(f"/proc/{pid}").exists()]
+    assert after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime - spent < TIMES * short_s
+    assert logged_in(out, "recording computed") <= done + 1
     assert not list(out.glob("*/done.json"))
     assert crankorder(*command)[0].returncode == 0
     assert logged_in(out, "recording reused") >= 2

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import h5py
@@ -17,6 +18,7 @@ import pytest
 
 from crankorder.batch.frame_store import STORE
 from crankorder.batch.run_log import LOGS
+from made.processes import children_of, started
 
 pytestmark = [
     pytest.mark.slow,
@@ -29,9 +31,13 @@ KILLS = 17
 ROUNDS = 50
 
 
-def command(*folders: Path, out: Path, jobs: int = JOBS) -> list[str]:
-    program = [sys.executable, "-m", "crankorder", "run", *map(str, folders)]
+def arguments(*folders: Path, out: Path, jobs: int = JOBS) -> list[str]:
+    program = ["-m", "crankorder", "run", *map(str, folders)]
     return [*program, "--recipe", "maps", "-q", "--log-json", "--jobs", str(jobs), "--out", str(out)]
+
+
+def run(*folders: Path, out: Path, jobs: int = JOBS) -> None:
+    subprocess.run([sys.executable, *arguments(*folders, out=out, jobs=jobs)], check=True)
 
 
 def results_in(out: Path) -> dict[Path, bytes]:
@@ -47,15 +53,6 @@ def events(out: Path) -> list[dict[str, object]]:
     """Whole lines of the log of the last run."""
     lines = sorted((out / LOGS).iterdir())[-1].read_bytes().splitlines(keepends=True)
     return [json.loads(line) for line in lines if line.endswith(b"\n")]
-
-
-def children(pid: int) -> list[int]:
-    """Processes that ``pid`` started and that are there, in the order in which they were started."""
-    try:
-        found = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
-    except OSError:
-        return []
-    return [int(child) for child in found]
 
 
 @pytest.fixture(scope="module")
@@ -79,9 +76,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def undisturbed(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, float]:
     """Results of a run that nobody disturbed, and the seconds that one took."""
     out = tmp_path_factory.mktemp("undisturbed")
-    subprocess.run(command(folder, out=out / "warm"), check=True)
+    run(folder, out=out / "warm")
     begun = time.monotonic()
-    subprocess.run(command(folder, out=out / "whole"), check=True)
+    run(folder, out=out / "whole")
     return out / "whole", time.monotonic() - begun
 
 
@@ -89,7 +86,7 @@ def kill(process: subprocess.Popen[bytes], which: str, at_s: float) -> bool:
     """Kill one process of the run at that moment, or as soon as there is one; False where the run ended before."""
     time.sleep(at_s)
     while process.poll() is None:
-        of_run = children(process.pid)
+        of_run = children_of(process.pid)
         victims = {"main": [process.pid], "reporting": of_run[:1], "recording": of_run[1:]}[which]
         if victims:
             os.kill(victims[-1], signal.SIGKILL)
@@ -106,7 +103,7 @@ def test_f1_i6_whichever_process_is_killed_the_next_run_ends_with_the_same_bytes
     whole, seconds = undisturbed
     random = np.random.default_rng([number, len(which)])
     out = tmp_path / "out"
-    with subprocess.Popen(command(folder, out=out), stderr=subprocess.PIPE) as process:
+    with started(*arguments(folder, out=out), stderr=subprocess.PIPE) as process:
         struck = kill(process, which, float(random.uniform(0.1, 0.9)) * seconds)
         said = process.communicate()[1].decode()
     assert process.returncode in ((-signal.SIGKILL, 0) if which == "main" else (0, 3)), said
@@ -117,7 +114,7 @@ def test_f1_i6_whichever_process_is_killed_the_next_run_ends_with_the_same_bytes
     kept = {path.name for path in (out / STORE).rglob("*.frames")}
     told = sum(event["event"] == "recording computed" for event in events(out)) if (out / LOGS).exists() else 0
     assert told <= len(kept)
-    subprocess.run(command(folder, out=out), check=True)
+    run(folder, out=out)
     again = sum(event["event"] == "recording computed" for event in events(out))
     assert again <= RECORDINGS - len(kept)
     assert again <= RECORDINGS - told
@@ -137,17 +134,16 @@ def test_i5_processes_that_share_a_folder_of_results_lose_nothing_in_fifty_round
         shutil.copy(folder / "rpm_0300.h5", place)
         text = (folder / "run.toml").read_text(encoding="utf-8").replace('"two revolutions"', f'"{place.name}"')
         (place / "run.toml").write_text(text, encoding="utf-8")
-    subprocess.run(command(*two, out=tmp_path / "alone", jobs=1), check=True)
+    run(*two, out=tmp_path / "alone", jobs=1)
     alone = results_in(tmp_path / "alone")
     for number in range(ROUNDS):
         out = tmp_path / f"out-{number}"
-        running = [
-            subprocess.Popen(command(*two[:: (-1) ** turn], out=out, jobs=1), stderr=subprocess.PIPE)
-            for turn in range(processes)
-        ]
-        for process in running:
-            said = process.communicate()[1]
-            assert process.returncode == 0, said
+        with ExitStack() as those:
+            lines = [arguments(*two[:: (-1) ** turn], out=out, jobs=1) for turn in range(processes)]
+            running = [those.enter_context(started(*line, stderr=subprocess.PIPE)) for line in lines]
+            for process in running:
+                said = process.communicate()[1]
+                assert process.returncode == 0, said
         assert results_in(out) == alone, number
         assert [test["name"] for test in json.loads((out / "batch.json").read_bytes())["tests"]] == ["a", "b"]
         shutil.rmtree(out)

@@ -21,17 +21,17 @@ def recording(dtype: type = np.float64) -> xr.Dataset:
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
-def test_precision_is_kept_and_the_predicted_error_stated(dtype, tolerance):
-    band = band_limited(recording(dtype), band_hz=500.0, grid_hz=0.5, tolerance=tolerance)
+def test_precision_is_kept_and_the_predicted_error_stated(dtype):
     factor = decimation_factor(RATE_HZ, 500.0, grid_hz=0.5)
-    assert band["signal"].dtype == dtype
-    assert band.attrs["rate_hz"] == RATE_HZ / factor
-    assert band.attrs["decimation_error"] == decimation_error(RATE_HZ, 500.0, factor, tolerance) <= tolerance
-    assert "usable" not in band
-    at = band.attrs["start_s"] + np.arange(band.sizes["time"]) / band.attrs["rate_hz"]
-    expected = np.cos(2 * np.pi * 3.0 * (-0.3 + 20.0 * at))
-    assert np.abs(band["signal"].values[0] - expected).max() < tolerance + (1e-6 if dtype == np.float32 else 0.0)
+    for tolerance in (1e-3, 1e-6):
+        band = band_limited(recording(dtype), band_hz=500.0, grid_hz=0.5, tolerance=tolerance)
+        assert band["signal"].dtype == dtype
+        assert band.attrs["rate_hz"] == RATE_HZ / factor
+        assert band.attrs["decimation_error"] == decimation_error(RATE_HZ, 500.0, factor, tolerance) <= tolerance
+        assert "usable" not in band
+        at = band.attrs["start_s"] + np.arange(band.sizes["time"]) / band.attrs["rate_hz"]
+        expected = np.cos(2 * np.pi * 3.0 * (-0.3 + 20.0 * at))
+        assert np.abs(band["signal"].values[0] - expected).max() < tolerance + (1e-6 if dtype == np.float32 else 0.0)
 
 
 def test_a_gap_is_bridged_and_marked_as_far_as_the_filters_reach():

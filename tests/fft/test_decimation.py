@@ -25,6 +25,7 @@ def tone(frequency_hz: float, n_samples: int = 100_000, rate_hz: float = RATE_HZ
 
 
 # whole periods in the record, so that taking the mean away takes nothing of the tone
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6, 1e-9])
 @pytest.mark.parametrize("frequency_hz", [0.5, 20.0, 333.5, 600.0, 666.5])
 def test_a_tone_in_the_band_keeps_amplitude_and_time_within_the_tolerance(frequency_hz, tolerance):
@@ -33,6 +34,7 @@ def test_a_tone_in_the_band_keeps_amplitude_and_time_within_the_tolerance(freque
     assert np.abs(low[0] - expected).max() <= decimation_error(RATE_HZ, BAND_HZ, FACTOR, tolerance) <= tolerance
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-4, 1e-6, 1e-9])
 @pytest.mark.parametrize(("band_hz", "factor"), [(667.0, 28), (667.0, 16), (1250.0, 16), (300.0, 60), (9000.0, 2)])
 def test_the_predicted_error_is_the_largest_that_tones_show(band_hz, factor, tolerance):
@@ -50,11 +52,7 @@ def test_the_predicted_error_is_the_largest_that_tones_show(band_hz, factor, tol
     assert predicted <= tolerance
 
 
-def test_a_smaller_tolerance_needs_longer_filters():
-    lengths = [sum(len(stage.taps) for stage in decimation_stages(RATE_HZ, 1250.0, 2, t)) for t in (1e-2, 1e-5, 1e-8)]
-    assert lengths == sorted(lengths) and lengths[0] < 0.5 * lengths[2]
-
-
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 @pytest.mark.parametrize("factor", [2, 3, 5, 7, 16, 28])
 def test_a_part_needs_no_more_than_the_samples_within_its_reach(factor, dtype):
@@ -69,31 +67,31 @@ def test_a_part_needs_no_more_than_the_samples_within_its_reach(factor, dtype):
     assert error <= (1e-12 if dtype == np.float64 else 2e-7) * np.abs(whole).max()
 
 
-@pytest.mark.parametrize(("tolerance", "largest"), [(1e-6, 2e-7), (0.99 * SINGLE_SUMS, 6.1e-8)])
-def test_single_precision_adds_no_more_than_stated(tolerance, largest):
+def test_single_precision_adds_no_more_than_stated():
     single = np.random.default_rng(4).standard_normal((2, 300_000)).astype(np.float32)
-    double, *_ = decimate(single.astype(np.float64), **ASKED, tolerance=tolerance)
-    made, *_ = decimate(single, **ASKED, tolerance=tolerance)
-    assert made.dtype == np.float32
-    assert np.abs(made - double).max() < largest * np.abs(single).max()
+    for tolerance, largest in ((1e-6, 2e-7), (0.99 * SINGLE_SUMS, 6.1e-8)):
+        double, *_ = decimate(single.astype(np.float64), **ASKED, tolerance=tolerance)
+        made, *_ = decimate(single, **ASKED, tolerance=tolerance)
+        assert made.dtype == np.float32
+        assert np.abs(made - double).max() < largest * np.abs(single).max()
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_a_constant_of_a_million_times_the_signal_does_not_leak(dtype):
-    # a signal that float32 holds exactly on top of the constant
-    wave = (np.round(tone(100.0) * 16) / 16).astype(dtype)
-    plain, *_ = decimate(wave[None], **ASKED)
-    raised, *_ = decimate((wave + dtype(1e6))[None], **ASKED)
-    leaked, constant = np.abs(raised - plain), abs(float(np.mean(raised - plain, dtype=np.float64)))
-    assert constant < 1e-12 * 1e6
-    assert leaked.max() - constant < (3e-7 if dtype == np.float32 else 1e-8)
+def test_a_constant_of_a_million_times_the_signal_does_not_leak():
+    for dtype in (np.float32, np.float64):
+        # a signal that float32 holds exactly on top of the constant
+        wave = (np.round(tone(100.0) * 16) / 16).astype(dtype)
+        plain, *_ = decimate(wave[None], **ASKED)
+        raised, *_ = decimate((wave + dtype(1e6))[None], **ASKED)
+        leaked, constant = np.abs(raised - plain), abs(float(np.mean(raised - plain, dtype=np.float64)))
+        assert constant < 1e-12 * 1e6
+        assert leaked.max() - constant < (3e-7 if dtype == np.float32 else 1e-8)
 
 
-@pytest.mark.parametrize("size", [1e-300, 1e300])
-def test_the_smallest_and_the_largest_amplitudes_survive(size):
+def test_the_smallest_and_the_largest_amplitudes_survive():
     plain, *_ = decimate(tone(100.0)[None], **ASKED)
-    made, *_ = decimate(size * tone(100.0)[None], **ASKED)
-    np.testing.assert_allclose(made / size, plain, atol=1e-13)
+    for size in (1e-300, 1e300):
+        made, *_ = decimate(size * tone(100.0)[None], **ASKED)
+        np.testing.assert_allclose(made / size, plain, atol=1e-13)
 
 
 def test_missing_samples_stay_within_reach():
@@ -111,18 +109,19 @@ def test_missing_samples_stay_within_reach():
     np.testing.assert_array_equal(made[1], whole[1])
 
 
-@pytest.mark.parametrize("rate_hz", [952.0, 44_100.0, 50_000.0, 51_200.0, 71_429.0, 100_000.0])
-def test_the_kept_rate_carries_the_band_with_room_for_the_resampling_kernel(rate_hz):
-    for band_hz in (50.0, 333.0, 667.0, 5000.0):
-        factor = decimation_factor(rate_hz, band_hz)
-        assert factor == 1 or rate_hz / factor >= 2.5 * band_hz
+def test_the_kept_rate_carries_the_band_with_room_for_the_resampling_kernel():
+    rates, bands = (952.0, 44_100.0, 50_000.0, 51_200.0, 71_429.0, 100_000.0), (50.0, 333.0, 667.0, 5000.0)
+    factors = {(rate_hz, band_hz): decimation_factor(rate_hz, band_hz) for rate_hz in rates for band_hz in bands}
+    assert not [pair for pair, factor in factors.items() if factor != 1 and pair[0] / factor < 2.5 * pair[1]]
 
 
-@pytest.mark.parametrize("band_hz", [120.0, 403.0, 500.0, 610.0, 733.0, 950.0])
-@pytest.mark.parametrize("rate_hz", [2048.0, 2560.0, 4096.0, 5000.0, 12_800.0, 44_100.0, 65_536.0])
-def test_the_bins_of_usual_rates_fall_on_the_grid(rate_hz, band_hz):
-    steps = rate_hz / decimation_factor(rate_hz, band_hz, grid_hz=0.5) / 0.5
-    assert steps == pytest.approx(round(steps), abs=1e-9)
+def test_the_bins_of_usual_rates_fall_on_the_grid():
+    beside = []
+    for rate_hz in (2048.0, 2560.0, 4096.0, 5000.0, 12_800.0, 44_100.0, 65_536.0):
+        for band_hz in (120.0, 403.0, 500.0, 610.0, 733.0, 950.0):
+            steps = rate_hz / decimation_factor(rate_hz, band_hz, grid_hz=0.5) / 0.5
+            beside += [(rate_hz, band_hz)] if steps != pytest.approx(round(steps), abs=1e-9) else []
+    assert not beside
 
 
 def test_nothing_is_decimated_without_need():
@@ -138,6 +137,7 @@ def test_a_record_shorter_than_the_filter_gives_no_sample():
     assert low.shape == (1, 0)
 
 
+@pytest.mark.slow
 def test_a_pass_needs_no_memory_beside_its_input_and_output():
     import tracemalloc
 

@@ -11,6 +11,7 @@ from crankorder.fft.integration import integrated
 RATE_HZ = 4096.0
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("times", [1, 2])
 @pytest.mark.parametrize("seed", range(5))
 def test_lines_are_integrated_in_size_and_phase(times: int, seed: int) -> None:

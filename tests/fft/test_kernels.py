@@ -27,6 +27,7 @@ def measured_error(kernel: Kernel, content: float) -> float:
     return worst
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("double", [True, False])
 @pytest.mark.parametrize("content", [*CONTENTS, 0.49])
 @pytest.mark.parametrize("name", SOME_KERNELS)
@@ -37,6 +38,7 @@ def test_the_error_of_every_kernel_is_predicted(name, content, double):
     assert kernel.predicted_error <= 5.0 * measured
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("double", [True, False])
 @pytest.mark.parametrize("content", CONTENTS)
 @pytest.mark.parametrize("tolerance", [10.0**-k for k in range(2, 10)])
@@ -53,19 +55,19 @@ def test_what_is_asked_for_is_met(tolerance, content, double):
     assert kernel.predicted_error <= 20.0 * measured  # the ripple of a window varies with length
 
 
-@pytest.mark.parametrize("share", [0.3, 0.42, 0.45, 0.48, 0.499])
-@pytest.mark.parametrize("content", [0.1, 0.3, 0.4])
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
-def test_a_kernel_leaves_one_image_of_what_lies_above_its_band(tolerance, content, share):
+@pytest.mark.parametrize(("tolerance", "content"), [(1e-3, 0.1), (1e-9, 0.4)])
+def test_a_kernel_leaves_one_image_of_what_lies_above_its_band(tolerance, content):
     kernel = cheapest_kernel(tolerance, content=content)
     at = np.arange(400.0, 3500.0, 0.6724)
-    values = values_at(np.cos(2.0 * np.pi * share * np.arange(4000.0))[None], at, kernel=kernel)[0]
-    angle = 2.0 * np.pi * np.outer(at, [share, 1.0 - share])
-    known = np.hstack([np.cos(angle), np.sin(angle)])
-    rest = values - known @ np.linalg.lstsq(known, values, rcond=None)[0]
-    assert np.abs(rest).max() < tolerance
+    for share in (0.42, 0.48, 0.499):
+        values = values_at(np.cos(2.0 * np.pi * share * np.arange(4000.0))[None], at, kernel=kernel)[0]
+        angle = 2.0 * np.pi * np.outer(at, [share, 1.0 - share])
+        known = np.hstack([np.cos(angle), np.sin(angle)])
+        rest = values - known @ np.linalg.lstsq(known, values, rcond=None)[0]
+        assert np.abs(rest).max() < tolerance
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("content", [0.05, 0.25, 0.4])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
 def test_no_shorter_kernel_meets_the_tolerance(tolerance, content):
@@ -74,50 +76,33 @@ def test_no_shorter_kernel_meets_the_tolerance(tolerance, content):
         assert kernel_named(f"kaiser-{taps}", pass_band=content).predicted_error > tolerance
 
 
+@pytest.mark.slow
 def test_content_near_half_of_the_rate_is_met_by_a_long_kernel():
     kernel = cheapest_kernel(1e-6, content=0.49)
     assert kernel.taps > 300
     assert measured_error(kernel, 0.49) < 1e-6
 
 
-@pytest.mark.parametrize(("tolerance", "content"), [(1e-9, 0.495), (1e-17, 0.05)])
-def test_what_no_kernel_reaches_is_refused_with_what_is_reached(tolerance, content):
-    with pytest.raises(RequestError) as refused:
-        cheapest_kernel(tolerance, content=content)
-    reached = float(refused.value.allowed.removeprefix("at least "))
-    assert cheapest_kernel(1.06 * reached, content=content).predicted_error <= 1.06 * reached
+def test_what_no_kernel_reaches_is_refused_with_what_is_reached():
+    for tolerance, content in ((1e-9, 0.495), (1e-17, 0.05)):
+        with pytest.raises(RequestError) as refused:
+            cheapest_kernel(tolerance, content=content)
+        reached = float(refused.value.allowed.removeprefix("at least "))
+        assert cheapest_kernel(1.06 * reached, content=content).predicted_error <= 1.06 * reached
 
 
-@pytest.mark.parametrize("content", [0.0, 0.5, 0.6, -0.1, np.nan, np.inf])
-def test_content_that_no_sampling_carries_is_refused(content):
-    with pytest.raises(RequestError, match="share of the sample rate"):
-        cheapest_kernel(1e-3, content=content)
-    with pytest.raises(RequestError, match="share of the sample rate"):
-        kernel_named("sinc-8", pass_band=content)
+def test_content_that_no_sampling_carries_and_a_tolerance_that_is_no_error_are_refused():
+    for content in (0.0, 0.5, 0.6, -0.1, np.nan, np.inf):
+        with pytest.raises(RequestError, match="share of the sample rate"):
+            cheapest_kernel(1e-3, content=content)
+        with pytest.raises(RequestError, match="share of the sample rate"):
+            kernel_named("sinc-8", pass_band=content)
+    for tolerance in (0.0, -1e-6, np.nan):
+        with pytest.raises(RequestError, match="above 0"):
+            cheapest_kernel(tolerance, content=0.1)
 
 
-@pytest.mark.parametrize("tolerance", [0.0, -1e-6, np.nan])
-def test_a_tolerance_that_is_no_error_is_refused(tolerance):
-    with pytest.raises(RequestError, match="above 0"):
-        cheapest_kernel(tolerance, content=0.1)
-
-
-@pytest.mark.parametrize(
-    "name", ["sinc-7", "sinc-2", "sinc-514", "sinc-", "sinc", "lagrange-6", "spline-3", "", "sinc-٨"]
-)
-def test_an_unknown_kernel_is_refused_by_name(name):
-    with pytest.raises(RequestError, match="no such interpolation kernel"):
-        kernel_named(name, pass_band=0.1)
-
-
-def test_a_kernel_made_for_a_band_is_better_there_than_one_made_for_a_wider_band():
-    """A kernel for 0.4 of the rate is bad at low frequency where it is short."""
-    made_for_band = kernel_named("sinc-16", pass_band=0.25)
-    made_for_more = kernel_named("sinc-16", pass_band=0.4)
-    assert made_for_band.predicted_error < 1e-6
-    assert measured_error(made_for_more, 0.25) > 1e-4
-
-
-def test_eight_samples_are_enough_for_a_millionth_at_a_twentieth_of_the_rate():
-    assert kernel_named("sinc-8", pass_band=0.05).predicted_error < 1e-6
-    assert kernel_named("sinc-48", pass_band=0.4).predicted_error < 1e-7
+def test_an_unknown_kernel_is_refused_by_name():
+    for name in ("sinc-7", "sinc-2", "sinc-514", "sinc-", "sinc", "lagrange-6", "spline-3", "", "sinc-٨"):
+        with pytest.raises(RequestError, match="no such interpolation kernel"):
+            kernel_named(name, pass_band=0.1)

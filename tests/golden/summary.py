@@ -1,129 +1,126 @@
-"""What is kept of a run's results, small enough to commit, and how two such summaries differ."""
+"""What is kept of a run, small enough to commit, and how two such summaries differ."""
 
 from __future__ import annotations
 
 import json
-import zlib
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from click.testing import CliRunner
 
+from crankorder.cli import main
 from crankorder.report.netcdf import read_results
 
-SAMPLES = 50
-"""Values kept of each variable, drawn by a seed that its name makes."""
+RECORDS, SAMPLES = 40, 20
+"""Records kept of each list of the findings, and values of each variable of the results: spread over all of them."""
 
-SHARE_FLOAT32, SHARE_FLOAT64 = 2e-6, 1e-9
-"""Share of a variable's largest value by which one of its numbers may move."""
+SHARE_OF_INTERVAL, SHARE_OF_LARGEST = 0.1, 1e-3
+"""By which a value may move: of its own 95 % interval, or where it has none of the largest value beside it."""
 
-Summary = dict[str, Any]
+WORDS = {"channel", "channels", "lock", "explained_by", "line", "seen_in", "predicted_from", "speed_law", "flag"}
+WORDS |= {"severity", "left_out", "crossings[].verdict", "limits[].verdict"}
+"""Fields whose text is a verdict or a name; all other text is left out."""
+
+Summary = dict[str, list[Any]]
+"""Columns by the path of their field: words, numbers, and numbers with their interval as [value, low, high]."""
 
 
-def summary_of_results(file: Path) -> Summary:
-    """Each variable of each group of the NetCDF ``file``: its type, dims and shape, range, and samples.
+def summary_of(scene: str, folder: Path) -> Summary:
+    """Findings and results of the short version of a shipped scene, run as a user runs it.
 
-    Channels are not parted by quantity, as :func:`crankorder.report.netcdf.read_results` has them.
+    Parameters
+    ----------
+    scene
+        Name of the scene.
+    folder
+        An empty folder to work in.
     """
-    made: Summary = {}
-    for group, dataset in read_results(file).items():
-        for name, variable in sorted(dataset.variables.items()):
-            path = f"{group}/{name}"
-            column = _column(path, np.asarray(variable.values))
-            made[path] = {"dims": list(variable.dims), "shape": list(variable.shape), **column}
-    return made
+    _run("synth", scene, "--quick", "--out", folder / scene, "-q")
+    tests = sorted((folder / scene).glob("run_*")) or [folder / scene]
+    _run("run", *tests, "--out", folder / "out")
+    last = sorted((folder / "out").glob("*/results.nc"))[-1].parent
+    columns: Summary = {}
+    _add(columns, json.loads((last / "findings.json").read_bytes()), "")
+    for group, dataset in read_results(last / "results.nc").items():
+        if not group.startswith("findings"):
+            for name, variable in dataset.variables.items():
+                if variable.dtype.kind in "fiub":
+                    error = dataset.get("standard_error") if name == "amplitude" else None
+                    columns[f"{group}/{name} {list(variable.shape)}"] = _samples(variable.values, error)
+    return columns
 
 
-def summary_of_findings(findings: Any) -> Summary:
-    """Each field of ``findings`` (as ``findings.json`` holds them): the values of all its records as one column."""
-    columns: dict[str, list[Any]] = {}
-    for path, value in _leaves(findings, ""):
-        columns.setdefault(path, []).append(value)
-    made: Summary = {}
-    for path, values in columns.items():
-        numbers = all(isinstance(value, float | int) and not isinstance(value, bool) for value in values)
-        column = np.array(values, dtype=np.float64) if numbers else np.array([json.dumps(value) for value in values])
-        made[path] = {"shape": [len(values)], **_column(path, column)}
-    return made
+def _run(*arguments: object) -> None:
+    outcome = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert outcome.exit_code == 0, outcome.output
 
 
-def _leaves(value: Any, path: str) -> Iterator[tuple[str, Any]]:
-    if isinstance(value, Mapping) and value:
-        for key, item in value.items():
-            yield from _leaves(item, f"{path}.{key}".lstrip("."))
-    elif isinstance(value, list) and value:
-        for item in value:
-            yield from _leaves(item, f"{path}[]")
-    else:
-        yield path, value
+def _add(columns: Summary, value: Any, path: str) -> None:
+    """Add what a part of the findings holds to the ``columns``."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            ends = value.get(f"{key}_ci95")
+            if isinstance(inner, int | float) and ends is not None:
+                columns.setdefault(f"{path}.{key}", []).append([_rounded(inner), *map(_rounded, ends)])
+            elif not key.endswith("_ci95"):
+                _add(columns, inner, f"{path}.{key}".lstrip("."))
+    elif isinstance(value, list):
+        for inner in value[:: math.ceil(len(value) / RECORDS) or 1]:
+            _add(columns, inner, f"{path}[]")
+    elif not isinstance(value, str) or {path, path.removesuffix("[]").rpartition(".")[2]} & WORDS:
+        columns.setdefault(path, []).append(_rounded(value))
 
 
-def _column(path: str, values: NDArray[Any]) -> Summary:
-    """Range and samples of ``values``; text has samples alone."""
-    flat = values.ravel()
-    at = np.arange(flat.size)
-    if flat.size > SAMPLES:
-        at = np.sort(np.random.default_rng(zlib.crc32(path.encode())).choice(flat.size, SAMPLES, replace=False))
-    if flat.dtype.kind not in "fiub":
-        return {"type": "text", "samples": [str(item) for item in flat[at]]}
-    numbers = flat.astype(np.float64)
-    finite = numbers[np.isfinite(numbers)]
-    made: Summary = {"type": str(flat.dtype), "missing": int(numbers.size - finite.size)}
-    if finite.size:
-        made |= {"min": finite.min(), "max": finite.max(), "rms": float(np.sqrt(np.mean(finite**2)))}
-    digits = 9 if flat.dtype == np.float32 else 17
-    return {
-        key: _rounded(item, digits) if isinstance(item, float) else item
-        for key, item in {**made, "samples": [_rounded(item, digits) for item in numbers[at].tolist()]}.items()
-    }
+def _samples(values: np.ndarray, error: Any) -> list[Any]:
+    at = np.unique(np.linspace(0, values.size - 1, SAMPLES).astype(int)) if values.size else []
+    flat = values.ravel()[at].astype(np.float64)
+    if error is None or error.shape != values.shape:
+        return [_rounded(value) for value in flat]
+    half = 1.96 * error.values.ravel()[at]
+    return [[_rounded(value + side * width) for side in (0, -1, 1)] for value, width in zip(flat, half, strict=True)]
 
 
-def _rounded(value: float, digits: int) -> float | None:
-    """``value`` with as many ``digits`` as its type holds; None where it is missing."""
-    return float(f"{value:.{digits}g}") if np.isfinite(value) else None
+def _rounded(value: Any) -> Any:
+    """A number to nine digits, None where it is not finite; anything else as it is."""
+    if isinstance(value, bool | str) or value is None:
+        return value
+    return float(f"{value:.9g}") if math.isfinite(value) else None
 
 
 def differences(before: Summary, after: Summary) -> list[str]:
-    """What of the summary ``after`` is not as it was ``before``, a line for each variable, text or list."""
-    lines = [
-        f"{part}: {'gone' if name in before[part] else 'new'}: {name}"
-        for part in ("results", "findings")
-        for name in sorted(set(before.get(part, {})) ^ set(after.get(part, {})))
-    ]
-    for part in ("results", "findings"):
-        for name in sorted(set(before.get(part, {})) & set(after.get(part, {}))):
-            moved = _moved(before[part][name], after[part][name])
-            lines += [f"{part}: {name}: {moved}"] if moved else []
-    for part in ("stages", "text"):
-        if before.get(part) != after.get(part):
-            first = [item for item in before.get(part, []) if item not in after.get(part, [])]
-            then = [item for item in after.get(part, []) if item not in before.get(part, [])]
-            lines.append(f"{part}: was {first}, is {then}")
+    """What of ``after`` is not as it was ``before``, a line for each field: its first value that moved.
+
+    Parameters
+    ----------
+    before, after
+        Two summaries of one scene.
+    """
+    lines = [f"{path}: {'gone' if path in before else 'new'}" for path in sorted(set(before) ^ set(after))]
+    for path in sorted(set(before) & set(after)):
+        old, new = before[path], after[path]
+        numbers = [abs(number) for entry in old for number in _numbers(entry)]
+        largest = max(numbers, default=0.0)
+        if len(old) != len(new):
+            lines.append(f"{path}: {len(new)} values, there were {len(old)}")
+        elif moved := [(a, b) for a, b in zip(old, new, strict=True) if not _alike(a, b, largest)]:
+            lines.append(f"{path}: {len(moved)} of {len(old)} moved, first {moved[0][0]} -> {moved[0][1]}")
     return lines
 
 
-def _moved(before: Summary, after: Summary) -> str:
-    """How a variable moved; nothing where it did not."""
-    for key in ("type", "dims", "shape", "missing"):
-        if before.get(key) != after.get(key):
-            return f"{key} {before.get(key)} -> {after.get(key)}"
-    if before["type"] == "text":
-        changed = [(a, b) for a, b in zip(before["samples"], after["samples"], strict=True) if a != b]
-        return f"{len(changed)} of {len(before['samples'])} texts, first {changed[0]}" if changed else ""
-    if before["type"].startswith(("int", "uint", "bool")):
-        share = 0.0
-    else:
-        share = SHARE_FLOAT32 if before["type"] == "float32" else SHARE_FLOAT64
-    largest = max(abs(before.get("min", 0.0)), abs(before.get("max", 0.0)))
-    pairs = [(before.get(key, 0.0), after.get(key, 0.0)) for key in ("min", "max", "rms")]
-    pairs += list(zip(before["samples"], after["samples"], strict=True))
-    if any((a is None) != (b is None) for a, b in pairs):
-        return "other values are missing"
-    worst = max((abs(a - b) for a, b in pairs if a is not None), default=0.0)
-    return (
-        f"by {worst:.3g} of {largest:.3g} ({worst / largest if largest else np.inf:.2g})"
-        if worst > share * largest
-        else ""
-    )
+def _numbers(entry: Any) -> list[float]:
+    parts = entry if isinstance(entry, list) else [entry]
+    return [part for part in parts if isinstance(part, float | int) and not isinstance(part, bool)]
+
+
+def _alike(old: Any, new: Any, largest: float) -> bool:
+    """Whether an entry is what it was, within its tolerance."""
+    numbers, others = _numbers(old), _numbers(new)
+    if type(old) is not type(new) or len(numbers) != len(others) or not numbers:
+        return bool(old == new)
+    tolerance = SHARE_OF_LARGEST * largest
+    if len(numbers) == 3:
+        tolerance = max(SHARE_OF_INTERVAL * (numbers[2] - numbers[1]), 1e-8 * largest)
+    return max(abs(a - b) for a, b in zip(numbers, others, strict=True)) <= tolerance

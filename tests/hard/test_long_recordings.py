@@ -25,7 +25,7 @@ from crankorder.scratch import is_on_disk
 from crankorder.stages import CampaignResult, analyse_recording, analyse_test
 from made.long_recordings import AMPLITUDES, write_long
 
-RECORDS = {"contiguous": {}, "in chunks": {"chunks": (30_011,)}, "a wheel of 360": {"pulses_per_rev": 360}}
+RECORDS = {"in chunks": {"chunks": (30_011,)}, "contiguous": {}, "a wheel of 360": {"pulses_per_rev": 360}}
 
 
 @pytest.fixture(scope="module", params=RECORDS)
@@ -39,6 +39,7 @@ def analysed(folder: Path, recipe: str | None, max_memory_mb: int) -> CampaignRe
     return analyse_test([made], test="long", sources=Sources(revs_per_cycle=2), settings=plan.settings)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("recipe", [None, "maps-full-band"])
 def test_blocks_on_disk_give_what_memory_gives(recorded: Path, recipe: str | None) -> None:
     whole, blocks = analysed(recorded, recipe, 8000), analysed(recorded, recipe, 0)
@@ -80,6 +81,7 @@ def test_a_recording_three_times_larger_than_memory_is_analysed(tmp_path: Path) 
             np.testing.assert_allclose(found.isel(channel=0), size, rtol=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the limit on files is that of a POSIX shell")
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:
     folder, scratch = write_long(tmp_path / "data", 10.0), tmp_path / "scratch"
@@ -93,6 +95,7 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "out" / "long" / "results.nc").exists()
 
 
+@pytest.mark.slow
 def test_the_memory_asked_for_is_said_in_the_results(tmp_path: Path) -> None:
     folder = write_long(tmp_path / "data", 6.0)
     done = run(folder, "--recipe", "maps", "--max-memory", "1", before=lambda: None)

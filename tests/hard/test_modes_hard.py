@@ -61,6 +61,7 @@ def test_a_damping_of_a_thousandth_and_one_of_a_fifth_are_both_found() -> None:
     assert not fit.tones
 
 
+@pytest.mark.slow
 def test_a_mode_exactly_on_an_order_at_constant_speed_keeps_its_frequency() -> None:
     made = replace(ONE, speed_rpm=(1725.0,), duration_s=120.0, lines=((4.0, 2.0),))
     fit = _fit(made, (4.0,))
@@ -69,6 +70,7 @@ def test_a_mode_exactly_on_an_order_at_constant_speed_keeps_its_frequency() -> N
     assert fit.modes[0].damping_ratio == pytest.approx(0.016, rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_line_on_an_order_at_one_speed_is_not_called_mode_or_mains() -> None:
     made = replace(ONE, speed_rpm=(1500.0,), duration_s=60.0, lines=((2.0, 0.5),))  # 50 Hz: as mains would be
     fit = _fit(made)
@@ -90,6 +92,7 @@ def test_the_second_harmonic_of_a_tone_is_no_mode() -> None:
     assert [round(tone.frequency_hz, 1) for tone in fit.tones] == [71.3, 142.6, 213.9]
 
 
+@pytest.mark.slow
 def test_a_mode_at_twice_the_frequency_of_another_is_a_mode() -> None:
     made = replace(
         ONE,
@@ -110,11 +113,13 @@ def test_orders_that_cross_a_mode_and_a_tone_change_neither() -> None:
     assert [round(tone.frequency_hz, 1) for tone in fit.tones] == [90.0]
 
 
+@pytest.mark.slow
 def test_one_channel_is_enough() -> None:
     made = replace(ONE, sensor=((0.008,),), drive=((0.5,),))
     assert _inside(_fit(made), made)
 
 
+@pytest.mark.slow
 def test_orders_far_from_any_mode_invent_none() -> None:
     campbell = campbell_of(ONE, 1)
     by_order = orders_of(ONE, ((1.0, 5.0),), error=0.001, seed=1)

@@ -30,6 +30,7 @@ def test_order_5_5_beside_5_48_is_told_apart() -> None:
         vold_kalman([lines(truth, phase)], phase, rate_hz=RATE_HZ, bandwidth_hz=10.0)
 
 
+@pytest.mark.slow
 def test_two_shafts_within_half_a_percent_cross_and_stay_apart() -> None:
     """Around the crossing the data do not tell the two apart, and the standard error says so: it allows for envelopes
     that change unseen meanwhile, while those of this test do not."""
@@ -50,6 +51,7 @@ def test_two_shafts_within_half_a_percent_cross_and_stay_apart() -> None:
     assert np.all(wrong[:, 100_000] < stated[:, 100_000])
 
 
+@pytest.mark.slow
 def test_a_minute_of_ramps_at_10_krpm_per_second_is_followed() -> None:
     rate_hz = 20_000.0
     time_s = np.arange(1_200_000) / rate_hz
@@ -60,6 +62,7 @@ def test_a_minute_of_ramps_at_10_krpm_per_second_is_followed() -> None:
     assert np.abs(tracks.amplitude[0] - truth[:, None]).max() < 1e-10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [5e2, 1e4, 5e5, 5e7])
 def test_weights_beyond_1e20_leave_a_steady_amplitude_exact(ratio: float) -> None:
     rate_hz = 50_000.0
@@ -71,6 +74,7 @@ def test_weights_beyond_1e20_leave_a_steady_amplitude_exact(ratio: float) -> Non
     assert np.abs(tracks.amplitude - truth[0]).max() < 1e-13
 
 
+@pytest.mark.slow
 def test_at_a_weight_of_1e20_the_gain_is_half_the_power_at_half_the_bandwidth() -> None:
     rate_hz, bandwidth_hz = 50_000.0, 0.1
     time_s = np.arange(4_000_000) / rate_hz
@@ -80,6 +84,7 @@ def test_at_a_weight_of_1e20_the_gain_is_half_the_power_at_half_the_bandwidth() 
     assert np.abs(tracks.amplitude[0, 0, middle]) == pytest.approx(np.sqrt(0.5), abs=1e-4)
 
 
+@pytest.mark.slow
 def test_ten_million_samples_pass_through_in_blocks() -> None:
     rate_hz, n, block = 50_000.0, 10_000_000, 500_000
     truth = np.array([2.0 - 1.0j])
@@ -100,6 +105,8 @@ def test_ten_million_samples_pass_through_in_blocks() -> None:
     assert system.gram.nbytes < 1e-2 * 8 * n
 
 
+@pytest.mark.slow
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("bandwidth_hz", [1.0, 20.0, 100.0])
 def test_a_constant_a_million_times_the_signal_does_not_leak(bandwidth_hz: float) -> None:
     time_s = np.arange(30_000) / RATE_HZ
@@ -109,6 +116,7 @@ def test_a_constant_a_million_times_the_signal_does_not_leak(bandwidth_hz: float
     assert tracks.offset == pytest.approx(1e6, rel=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bandwidth_hz", [1.0, 80.0])
 @pytest.mark.parametrize("size", [1e-300, 1e300])
 def test_amplitudes_of_1e_300_and_1e300_survive(size: float, bandwidth_hz: float) -> None:
@@ -122,12 +130,14 @@ def test_amplitudes_of_1e_300_and_1e300_survive(size: float, bandwidth_hz: float
     assert np.abs(tracks.residual / size - plain.residual).max() < 1e-12
 
 
+@pytest.mark.slow
 def test_a_silent_channel_stays_silent() -> None:
     phase = 80.0 * np.arange(20_000) / RATE_HZ
     tracks = vold_kalman(np.zeros((1, 20_000)), [phase], rate_hz=RATE_HZ, bandwidth_hz=1.0)
     assert not tracks.amplitude.any() and not tracks.residual.any() and not tracks.error.any()
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("bandwidth_hz", "times"), [(1.0, 1.5), (80.0, 100.0)])
 def test_a_gap_is_bridged_and_its_standard_error_grows(bandwidth_hz: float, times: float) -> None:
     time_s = np.arange(60_000) / RATE_HZ
@@ -149,6 +159,7 @@ def test_a_gap_is_bridged_and_its_standard_error_grows(bandwidth_hz: float, time
     assert np.isnan(tracks.residual[0, 30_000:35_000]).all() and np.isfinite(tracks.residual[1]).all()
 
 
+@pytest.mark.slow
 def test_a_line_that_nobody_tracks_is_no_noise() -> None:
     time_s = np.arange(60_000) / RATE_HZ
     phase = (80.0 * time_s)[None]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from crankorder.identify.lines.agreed_orders import _Number, orders_agreed
+from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
@@ -77,6 +77,7 @@ def test_two_lines_a_fifth_of_a_percent_apart_are_found_as_two() -> None:
     assert amplitudes == pytest.approx([0.5, 0.5, 1.0, 1.0], rel=0.05)
 
 
+@pytest.mark.slow
 def test_two_lines_that_no_recording_parts_are_one_with_a_reservation() -> None:
     (item,) = agreed(lambda angle, _: wave(angle, 4.0, 1.0) + wave(angle, 4.002, 0.5, 1.0), revs=200, noise=0.3)
     assert "two lines" in item.reservation and "may stand here" in item.reservation
@@ -115,7 +116,7 @@ def test_no_lines_are_no_orders() -> None:
 
 
 def test_the_interval_of_the_order_holds_it_as_often_as_it_says() -> None:
-    assert 0.9 <= coverage(4.013, 100, revs=60) <= 1.0  # below 0.9 with a chance of 1 % where it is 95 %
+    assert 0.88 <= coverage(4.013, 50, revs=60) <= 1.0  # below 0.88 with a chance of 1 % where it is 95 %
 
 
 @pytest.mark.accuracy
@@ -146,26 +147,14 @@ def test_two_shafts_half_a_percent_apart_are_told_in_a_run_up() -> None:
     assert [item.lock for item in found] == ["locked", "slips"]
 
 
-def test_lines_without_noise_and_recordings_of_unknown_speed_are_told_too() -> None:
-    frames = [frames_of([wave(angle_of(100), 2.5, 1.0)], speed_rpm=speed) for speed in (np.nan, np.nan)]
-    made = order_map(frames, settings=SETTINGS.orders)
-    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
-    found = orders_agreed(lines, frames=frames, order_map=made, settings=SETTINGS.identify)
-    assert 2.5 in [item.order for item in found]
-
-
-@pytest.mark.parametrize(("turns", "lock"), [(2.5, "undecided"), (12.0, "slips")])
-def test_a_second_line_in_a_sweep_slips_only_by_more_turns_than_modes_make(turns: float, lock: str) -> None:
-    number = _Number(9.5 - turns / 600.0, 1e-5, 1e6, True, swept=((9.5, None),), parted_rev=600.0)
-    assert number.slips_from(9.5) == (lock == "slips")
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(("revs", "noise"), [(18, 0.1), (40, 3.0), (150, 20.0)])
 def test_no_fewer_revolutions_are_asked_for_than_were_recorded(revs: int, noise: float) -> None:
     for item in agreed(lambda angle, _: wave(angle, 4.0, 3.0), revs=revs, noise=noise):
         assert item.needed_revs is None or item.needed_revs > revs
 
 
+@pytest.mark.slow
 def test_in_a_sweep_no_number_of_revolutions_is_asked_for() -> None:
     """A run-up of 120 revolutions of which each speed group has few frames."""
     angle, rng = angle_of(120), np.random.default_rng(2)
@@ -179,6 +168,7 @@ def test_in_a_sweep_no_number_of_revolutions_is_asked_for() -> None:
     assert all(item.lock != "undecided" or "a recording at one speed would tell" in item.reservation for item in found)
 
 
+@pytest.mark.slow
 def test_a_line_at_the_end_of_the_orders_is_told_from_the_skirt_of_one_beyond() -> None:
     """Orders go to 20 in bins of 1/16: a line up to half a bin beyond is told, of one farther out nothing is said."""
     rng, end, half_bin = np.random.default_rng(14), 20.0, 0.5 / 16
@@ -196,6 +186,7 @@ def test_a_line_at_the_end_of_the_orders_is_told_from_the_skirt_of_one_beyond() 
             assert found == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("swept", [False, True])
 def test_a_locked_line_and_one_beside_it_that_nothing_parts_are_no_line_that_slips(swept: bool) -> None:
     """Less than three beats in a steady recording, or less than a bin apart in the longest frames of a sweep."""

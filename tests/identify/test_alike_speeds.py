@@ -46,6 +46,7 @@ def told(
     return with_lines_of_recordings(orders, modal, held, order_map, settings=SETTINGS)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(8))
 def test_mains_and_the_order_beside_them_have_their_own_size_whichever_is_larger(seed: int) -> None:
     rng = np.random.default_rng([seed, 9])
@@ -73,6 +74,7 @@ def test_a_tone_beside_an_order_is_no_mains_and_a_line_that_slips_is_an_order() 
     assert tone.kind == "tone" and tone.frequency_hz == pytest.approx(77.3, abs=0.01)
 
 
+@pytest.mark.slow
 def test_lines_on_two_mains_frequencies_are_both_called_tones() -> None:
     """No place has two supplies."""
     held = recorded([985.0, 1003.0, 1017.0], {50.0: 0.5, 60.0: 0.4}, {1.0: 0.6}, seed=4)
@@ -81,6 +83,7 @@ def test_lines_on_two_mains_frequencies_are_both_called_tones() -> None:
     assert [tone.kind for tone in modal.tones] == ["tone", "tone"]
 
 
+@pytest.mark.slow
 def test_what_is_neither_fixed_nor_an_order_leaves_all_as_it_was() -> None:
     """A pole-pass sideband moves with the slip: no frequency and no order of its own."""
     held = [
@@ -93,6 +96,7 @@ def test_what_is_neither_fixed_nor_an_order_leaves_all_as_it_was() -> None:
     assert orders == before and [tone.frequency_hz for tone in modal.tones] == [49.9]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speeds", [[1500.0], [1500.0, 1500.0], [1000.0, 1500.0]])
 def test_one_speed_and_speeds_far_apart_are_left_alone(speeds: list[float]) -> None:
     held = recorded(speeds, {50.0: 0.5}, {2.0: 1.0}, seed=2)
@@ -100,6 +104,7 @@ def test_one_speed_and_speeds_far_apart_are_left_alone(speeds: list[float]) -> N
     assert [tone.frequency_hz for tone in modal.tones] == [49.9]
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_tone_that_stands_alone_holds_it() -> None:
     off = []
     for seed in range(12):

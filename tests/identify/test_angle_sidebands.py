@@ -23,6 +23,7 @@ def _line(order: float, amplitude: float) -> OrderLine:
     return OrderLine("X", order, 1e-3, at, 1200.0 * one, size, 0.1 * size, one, one, "steady, not locked", 20.0)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(5))
 def test_no_sideband_of_rounded_edges_is_a_line_for_sure_and_a_larger_one_is(seed: int) -> None:
     """Order 9 read over edges that are rounded to the samples of the recording: 60 teeth, some 280 samples a turn."""

@@ -9,11 +9,7 @@ import pytest
 import xarray as xr
 
 from crankorder.engine.bearings import Bearing, bearing_orders
-from crankorder.identify.bearings.candidates import Ranking
-from crankorder.identify.bearings.envelope_lines import EnvelopeLine
-from crankorder.identify.bearings.places import bearing_places, made_by
 from crankorder.identify.bearings.records import bearing_records
-from crankorder.identify.bearings.verdicts import races_words
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.settings import load_settings
 from made.found_lines import agreed, line
@@ -68,14 +64,6 @@ def test_slip_beyond_the_allowed_range_is_not_called_that_bearing():
     assert outside == []
 
 
-@pytest.mark.parametrize(("order", "is_cage"), [(0.4139, False), (0.4027, True), (0.39, True), (0.38, False)])
-def test_a_line_within_a_cell_of_a_cage_but_beyond_its_slip_is_no_cage(order, is_cage):
-    cage = next(place for place in bearing_places((NINE,), slip_percent=(-1.0, 2.0)) if place.line == "FTF")
-    seen, nothing = np.ones((1, 1), dtype=bool), Ranking(())
-    found = EnvelopeLine(cage, order, 5e-4, 400.0, 0, 0, 9.0, 1.0, 0.1, 1e-9, seen, 1, None, (0.0, 1.0), nothing)
-    assert found.may_slip_so(1.0 / 64.0) == is_cage
-
-
 def test_sidebands_of_a_stronger_line_are_no_second_damage():
     # BPFI less one turn of the shaft and its like fall upon other places: none is a record of its own
     found = records(envelope=struck(ORDERS["BPFI"], slip_percent=0.2, seed=4, size=12.0, modulated_by=1.0))
@@ -83,6 +71,7 @@ def test_sidebands_of_a_stronger_line_are_no_second_damage():
     assert found[0]["lock"] == "slips"
 
 
+@pytest.mark.slow
 def test_two_bearings_that_cannot_be_told_apart_are_both_named_and_say_so():
     twin = JACK.model_copy(update={"name": "distributor shaft"})
     made = struck(bearing_orders(JACK)["BPFO"], slip_percent=0.8, seed=5, size=8.0)
@@ -91,6 +80,7 @@ def test_two_bearings_that_cannot_be_told_apart_are_both_named_and_say_so():
     assert all("cannot be told from it" in record["verdict"] for record in found)
 
 
+@pytest.mark.slow
 def test_a_nominal_speed_is_said_to_look_like_slip():
     made, angle = strikes(order=ORDERS["BPFO"] * 0.99, size=8.0, speed_rpm=1500.0, seed=6)
     made.attrs["encoder_kind"] = "constant"
@@ -152,6 +142,7 @@ def test_a_slipping_line_at_n_fs_is_the_bearing_with_its_slip():
     assert record["verdict"].startswith("Slips (0.80 % slower than in pure rolling)")
 
 
+@pytest.mark.slow
 def test_where_lock_is_not_decided_the_record_length_that_would_tell_is_said():
     (record,) = records([passage("undecided", error=0.01, needed=640.0)], bearings=(JACK,), revs_per_cycle=2)
     assert record["lock"] == "undecided"
@@ -176,18 +167,7 @@ def test_without_bearings_orders_or_envelope_there_is_nothing():
     assert records([passage("locked")], envelope=empty, bearings=()) == []
 
 
-def test_a_ball_is_looked_for_at_twice_its_spin_and_slip_is_slower_rolling():
-    places = {place.line: place for place in bearing_places((NINE,), slip_percent=(-1.0, 2.0))}
-    ball = places["BSF"]
-    assert ball.expected == pytest.approx(4.7135)
-    assert (ball.low, ball.high) == (pytest.approx(0.98 * 4.7135), pytest.approx(1.01 * 4.7135))
-    assert ball.slip_percent(0.99 * ball.expected) == pytest.approx(1.0)
-    assert places["N*fs"].expected == pytest.approx(9.0)
-    assert made_by(ball.expected, places["BPFO"], 3.5847, within=0.02) == ""
-    assert made_by(4.5847, places["BPFO"], 3.5847, within=0.02) == "BPFO + 1 x shaft"
-    assert made_by(2 * 3.5847, places["BPFO"], 3.5847, within=0.02) == "2 x BPFO"
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("off_percent", [0.0, 0.7, 1.4])
 def test_a_line_that_both_found_races_do_not_add_up_to_is_no_rolling_element_count(off_percent: float) -> None:
     races = [agreed(ORDERS[name] * 0.997, line(ORDERS[name] * 0.997), lock="slips") for name in ("BPFO", "BPFI")]
@@ -196,11 +176,3 @@ def test_a_line_that_both_found_races_do_not_add_up_to_is_no_rolling_element_cou
     assert found == {"BPFO", "BPFI"} | ({"N*fs"} if off_percent == 0.0 else set())
     # without the races nothing contradicts it
     assert {one["line"] for one in records([agreed(count, line(count), lock="slips")])} == {"N*fs"}
-
-
-def test_a_count_of_rolling_elements_gives_no_all_clear_beside_a_line_of_the_envelope():
-    assert races_words([], []) == "Neither of its races was found: no bearing alarm."
-    assert races_words([], ["BSF", "FTF"]) == (
-        "Neither of its races was found, but BSF and FTF were, in the envelope: see there."
-    )
-    assert races_words(["BPFO"], ["FTF"]) == "BPFO of the same bearing was found: see there."

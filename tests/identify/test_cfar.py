@@ -16,7 +16,7 @@ from crankorder.identify.lines.cfar import (
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
-from made.line_frames import PER_REV, angle_of, frames_of, rung, wave
+from made.line_frames import PER_REV, frames_of, rung
 
 SETTINGS = load_settings()
 AXIS = np.arange(321) / 16
@@ -43,17 +43,20 @@ def share_over(n_frames: int, shape: np.ndarray, chance: float, repeats: int) ->
     return over / repeats
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("n_frames", [1, 2, 5, 20])
 def test_white_noise_stands_over_the_level_no_more_often_than_stated(n_frames: int) -> None:
     share = share_over(n_frames, np.ones(len(AXIS)), 1e-3, repeats=20)[16:].mean()
     assert 0.4e-3 < share < 1.15e-3  # 2000 x 305 bins: 6e5 trials, of which 600 +- 40 are expected over it
 
 
+@pytest.mark.slow
 def test_a_slope_of_a_decade_in_ten_orders_changes_the_chance_by_less_than_a_third() -> None:
     share = share_over(20, 10.0 ** (AXIS / 10.0), 1e-3, repeats=20)[24:-24].mean()
     assert share < 1.35e-3
 
 
+@pytest.mark.slow
 def test_away_from_a_resonance_the_chance_is_the_stated_one() -> None:
     off = (np.arange(len(AXIS)) - 120) / 4.0
     share = share_over(15, 1.0 + 300.0 / (1.0 + off**2), 1e-3, repeats=20)
@@ -72,6 +75,7 @@ def test_level_and_chance_are_one_anothers_inverse() -> None:
         assert noise_chance(noise_level(n, bins, chance), n, bins) == pytest.approx(chance, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_with_a_floor_of_ever_more_bins_the_level_becomes_that_of_a_known_floor() -> None:
     known = -np.log(1e-6)  # of exponential energy
     over = [noise_level(1.0, bins, 1e-6) / known - 1.0 for bins in (10.0, 100.0, 1000.0)]
@@ -105,33 +109,10 @@ def test_noise_through_resonances_makes_no_line_in_two_hundred_tests() -> None:
     assert sum(noise_only(seed) for seed in range(1000, 1200)) == 0
 
 
+@pytest.mark.slow
 def test_on_a_hump_the_floor_is_worth_fewer_bins_than_beside_it() -> None:
     noise = np.random.default_rng(4).standard_normal(400 * PER_REV)
     made = order_map([frames_of([rung(noise, 8.0, 0.02)], speed_rpm=1000.0)], settings=SETTINGS.orders)
     over = excess_over_noise(made, settings=SETTINGS.identify, orders=SETTINGS.orders)
     on_hump, beside = (over.floor_worth[0, 0, np.abs(made["order"].values - order) < 0.1] for order in (8.0, 16.0))
     assert on_hump.min() < 0.5 * beside.min()
-
-
-def test_a_line_is_found_where_it_stands() -> None:
-    angle = angle_of(150)
-    noise = np.random.default_rng(3).standard_normal(len(angle))
-    frames = [frames_of([wave(angle, 5.5, 0.5) + noise], speed_rpm=rpm) for rpm in (1000.0, 1100.0, 1200.0)]
-    made = order_map(frames, settings=SETTINGS.orders)
-    (line,) = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders)
-    assert line.order == pytest.approx(5.5, abs=0.01)
-
-
-def test_reference_bins_are_the_nearest_quiet_ones_half_of_them_on_each_side() -> None:
-    """Bin by bin: the nearest below and above beyond the lobe, more of one side only where the other ends."""
-    axis = np.arange(0.0, 12.0 + 1e-9, 1.0 / 16.0)
-    chosen = reference_bins(axis, line_step=0.5, guard_bins=2, n_bins=12)
-    off = np.abs(axis / 0.5 - np.round(axis / 0.5)) * 0.5 * 16.0
-    quiet = [k for k in range(len(axis)) if off[k] > 2.5 and axis[k] >= 0.5]
-    for at, bins in enumerate(chosen):
-        below = [k for k in quiet if k < at - 2][::-1]
-        above = [k for k in quiet if k > at + 2]
-        right = min(6, len(above))
-        left = min(12 - right, len(below))
-        right = 12 - left
-        assert sorted(below[:left] + above[:right]) == bins.tolist()

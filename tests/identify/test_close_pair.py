@@ -38,6 +38,7 @@ CASES = [
 ]
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(
     ("n", "least"), [(12, 0.8), pytest.param(150, 0.92, marks=pytest.mark.accuracy)]
 )  # of 24 orders and 48 amplitudes fewer than 0.8 are inside with a chance of 1e-3 where it is 95 %
@@ -57,6 +58,7 @@ def test_both_lines_are_found_and_lie_in_their_intervals(revs, order, size, n, l
     assert np.mean(sizes) >= least
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_lines_that_a_recording_cannot_part_are_one_whose_intervals_hold_both_and_say_so(seed: int) -> None:
     (item,) = agreed(seed, revs=60, order=5.467, size=0.5)

@@ -8,7 +8,7 @@ import pytest
 from crankorder.engine.definition import Cylinder, Engine, GasCurve, load_engine
 from crankorder.engine.slider_crank import piston_velocity
 from crankorder.findings import OrderFinding
-from crankorder.identify.cycle_forces import cycle_doubts, cycle_forces, gas_half_orders
+from crankorder.identify.cycle_forces import cycle_doubts, cycle_forces
 from made.typed import record_of
 
 FIRING = load_engine("msu-optical-second-firing")
@@ -64,14 +64,11 @@ def test_half_orders_are_the_gas_and_whole_ones_whichever_is_far_larger() -> Non
     assert between == ["gas", "both", "masses"]
 
 
+@pytest.mark.slow
 def test_without_gas_or_the_firing_angles_nothing_is_said() -> None:
     assert cycle_forces(load_engine("msu-optical-second"), [(2.0, 1500.0)]) == (None,)
     two = FIRING.model_copy(update={"cylinders": (Cylinder(), Cylinder(crank_deg=180.0, position_m=0.1))})
     assert cycle_forces(two, [(2.0, 1500.0), (0.5, 900.0)]) == (None, None)
-
-
-def test_half_orders_of_the_gas_are_named() -> None:
-    assert gas_half_orders([0.5, 1.0, 1.493, 5.5]) == ("0.5", "1.5")
 
 
 @pytest.mark.parametrize(

@@ -89,6 +89,7 @@ def total_of(record):
     return sum(record[key] for key in ("orders", "tones", "modes_and_floor", "unexplained"))
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("seed", range(5))
 def test_shares_add_up_to_one_and_none_is_negative(seed):
     rng = np.random.default_rng(seed)
@@ -142,6 +143,7 @@ def test_a_hump_that_the_fit_leaves_out_counts_as_unexplained():
     assert channel["unexplained_cells"] == pytest.approx(missing, rel=0.1)
 
 
+@pytest.mark.slow
 def test_where_a_line_is_not_seen_it_has_what_is_there():
     loud = SPEEDS >= 1500.0
     made = campbell()
@@ -151,12 +153,14 @@ def test_where_a_line_is_not_seen_it_has_what_is_there():
     assert channel["orders"] * channel["total"] == pytest.approx(0.5 * loud.mean(), rel=0.02)
 
 
+@pytest.mark.slow
 def test_an_amplitude_beyond_what_the_map_holds_takes_no_more_than_that():
     (channel,) = shares(campbell(), [seen(3.0, 100.0)], (True,))["channels"]
     assert 0.0 < channel["orders"] < 0.1
     assert total_of(channel) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("known", "where"), [(True, "tones"), (False, "unexplained_lines")])
 def test_a_tone_counts_by_its_cause(known, where):
     tone = Tone(200.0, 0.01, "tone", {"A": (0.8, 0.01)}, "")
@@ -165,6 +169,7 @@ def test_a_tone_counts_by_its_cause(known, where):
     assert channel[where] * channel["total"] == pytest.approx(0.32, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_speed_without_data_and_one_channel_without_lines_change_nothing_else():
     whole = campbell([(order(2.0), 1.0)], n_channels=2)
     orders = [seen(2.0, 1.0)]
@@ -176,6 +181,7 @@ def test_a_speed_without_data_and_one_channel_without_lines_change_nothing_else(
     assert total_of(other[0]) == pytest.approx(1.0)
 
 
+@pytest.mark.slow
 def test_without_a_fitted_surface_the_lines_alone_are_judged():
     record = shares(campbell([(order(2.0), 1.0), (order(7.3), 1.0)]), [seen(2.0, 1.0)], (False,), fit())
     assert not record["cells_judged"]
@@ -246,6 +252,7 @@ def joined(by_order, orders=(), known=(), lines=()):
     return made, told_shares(made, by_order, tuple(orders), modal, causes(orders, known), settings=SETTINGS)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(8))
 def test_what_lies_above_the_campbell_map_is_read_in_the_order_map_and_all_adds_up(seed):
     rng = np.random.default_rng([3, seed])
@@ -269,6 +276,7 @@ def test_what_lies_above_the_campbell_map_is_read_in_the_order_map_and_all_adds_
         assert channel["unexplained"] * channel["total"] == pytest.approx(heard * size**2 / 2, rel=0.03)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_natural_frequencies_above_the_campbell_map_are_no_lines(seed):
     rng = np.random.default_rng([4, seed])
@@ -278,6 +286,7 @@ def test_natural_frequencies_above_the_campbell_map_are_no_lines(seed):
     assert record["channels"][0]["unexplained"] == 0.0
 
 
+@pytest.mark.slow
 def test_a_line_above_the_campbell_map_that_nothing_explains_is_no_less_unexplained():
     speeds = np.array([2920.0])
     lines = [(order(2.0), 0.3), (order(13.3), 1.0)]
@@ -286,6 +295,7 @@ def test_a_line_above_the_campbell_map_that_nothing_explains_is_no_less_unexplai
     assert record["unexplained_energy_fraction"] == pytest.approx(1.0 / 1.09, rel=0.02)
 
 
+@pytest.mark.slow
 def test_amplitudes_given_as_root_mean_square_make_the_same_shares():
     made = campbell([(order(2.0), 1.0)])
     as_rms = made.assign_attrs(amplitude_scaling="rms")
@@ -302,6 +312,7 @@ def test_causes_decide_which_share_a_line_is_in():
     assert dataclasses.asdict(Cause("tone", "narrow")) and not Cause("tone", "narrow").known
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_lines_closer_than_a_bin_have_the_energy_of_their_amplitudes(seed):
     """Parseval: three lines within a bin are told a² / 2 each, whichever of them is known and wherever cells lie."""

@@ -15,6 +15,8 @@ from crankorder.identify.modal.surface_fit import NO_POLES
 from crankorder.settings import load_settings
 from made.drawn_orders import CHANNELS, DrawnMachine, blocks_from, drawn_machine
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = load_settings().identify
 UNIT = dict.fromkeys(CHANNELS, "m/s2")
 FACTOR = SETTINGS.free_amplification

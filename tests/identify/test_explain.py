@@ -15,7 +15,6 @@ from crankorder.identify.explain import Sources, explained
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import Tone
 from crankorder.identify.lines.order_lock import NO_PULSES
-from crankorder.identify.race_harmonics import harmonic_words, struck_races
 from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.settings import load_settings
@@ -69,6 +68,7 @@ def test_a_line_near_an_order_of_the_engine_that_slips_is_not_made_by_it():
     assert texts([agreed(2.004, lock="undecided", error=0.001)], ENGINE) == {2.004: "unexplained"}
 
 
+@pytest.mark.slow
 def test_an_order_that_is_hardly_known_is_no_multiple_of_the_cycle_for_that():
     vague = [agreed(7.31, lock="undecided", error=0.2), agreed(6.98, lock="undecided", error=0.2)]
     assert texts(vague, ROTOR) == {7.31: "unexplained", 6.98: "shaft harmonic"}
@@ -84,6 +84,7 @@ def test_order_one_is_unbalance_only_if_it_grows_like_one(exponent, text):
     assert said == pytest.approx(exponent, abs=0.03)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(("quantity", "exponent"), [("displacement", 0), ("velocity", 1), ("acceleration", 2)])
 def test_unbalance_above_a_resonance_is_known_in_every_quantity(quantity, exponent):
     # a mass on a soft mount, far above its resonance, moves by its own eccentricity whatever the speed
@@ -94,6 +95,7 @@ def test_unbalance_above_a_resonance_is_known_in_every_quantity(quantity, expone
     assert texts(falls, ROTOR, quantity=quantity) == {1.0: "shaft harmonic"}
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("speeds", [[1500.0], np.linspace(1480.0, 1520.0, 12)])
 def test_order_one_at_one_speed_may_be_unbalance_bent_shaft_or_misalignment(speeds):
     cause = causes([agreed(1.0, line(1.0, speed_rpm=speeds))], ROTOR).orders["A", 1.0]
@@ -101,6 +103,7 @@ def test_order_one_at_one_speed_may_be_unbalance_bent_shaft_or_misalignment(spee
     assert NOT_AS_UNBALANCE not in cause.evidence
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_order_one_of_constant_size_is_no_unbalance_however_it_scatters(seed):
     rng = np.random.default_rng(seed)
@@ -110,6 +113,7 @@ def test_order_one_of_constant_size_is_no_unbalance_however_it_scatters(seed):
     assert cause.text == "shaft harmonic" and f"it {NOT_AS_UNBALANCE}" in cause.evidence
 
 
+@pytest.mark.slow
 def test_two_speeds_that_contradict_unbalance_say_so_with_what_else_it_may_be():
     cause = causes([agreed(1.0, line(1.0, speed_rpm=[1000.0, 3000.0]))], ROTOR).orders["A", 1.0]
     assert cause.text == LIKE_UNBALANCE
@@ -118,6 +122,7 @@ def test_two_speeds_that_contradict_unbalance_say_so_with_what_else_it_may_be():
     assert NOT_AS_UNBALANCE not in causes([agreed(1.0, grows)], ROTOR).orders["A", 1.0].evidence
 
 
+@pytest.mark.slow
 def test_a_mode_below_the_speeds_lowers_the_exponent_of_an_unbalance():
     at = mode(SPEEDS_RPM.min() / 60.0 / 1.1, 0.02)
     ratio = SPEEDS_RPM / 60.0 / at.frequency_hz
@@ -137,6 +142,7 @@ def test_half_orders_in_a_cylinder_pressure_are_the_gas_cycle():
 HEARD = [("sound pressure", "Pa"), ("pressure", "Pa"), ("sound_pressure", "bar")]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("quantity", "unit"), HEARD)
 def test_what_a_microphone_hears_is_no_gas_cycle(quantity, unit):
     orders = [agreed(k) for k in (1.0, 2.0, 3.0)]
@@ -144,6 +150,7 @@ def test_what_a_microphone_hears_is_no_gas_cycle(quantity, unit):
     assert set(texts(orders, ROTOR, quantity=quantity, unit=unit).values()) == {"shaft harmonic"}
 
 
+@pytest.mark.slow
 def test_a_pressure_of_what_has_no_pistons_is_no_gas_cycle():
     assert texts([agreed(1.0)], ROTOR, quantity="pressure", unit="bar") == {1.0: "shaft harmonic"}
     two_stroke = dataclasses.replace(ROTOR, two_stroke=True)
@@ -217,6 +224,7 @@ def test_a_mesh_is_told_by_its_sidebands_and_named_where_it_was_stated():
     assert stated[23.0] == "gear mesh pinion" and stated[22.0] == "sideband of order 23 spaced by 1"
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("channel", [12, 14, 16])
 def test_the_mesh_of_a_real_gearbox_is_told_by_its_sidebands_alone(channel, shared_data):
     path = shared_data / "gear0" / f"3027_217_Data_Chan{channel}.mat"
@@ -300,6 +308,7 @@ def test_every_line_has_exactly_one_cause_with_evidence():
     assert all(cause.text and cause.evidence for cause in found.values())
 
 
+@pytest.mark.slow
 def test_tones_that_are_all_multiples_of_one_frequency_are_no_sidebands_of_each_other():
     """Three sines at 100, 120 and 150 Hz drive a beam, and their products fill a grid of 10 Hz."""
     places = [50.0, 70.0, 80.0, 100.0, 110.0, 120.0, 150.0, 170.0, 180.0, 200.0]
@@ -309,29 +318,7 @@ def test_tones_that_are_all_multiples_of_one_frequency_are_no_sidebands_of_each_
     assert {cause.text for cause in found.tones} == {"tone"}
 
 
-def test_harmonics_of_a_drawn_race_and_their_sidebands_are_told_from_other_lines():
-    rng = np.random.default_rng(14)
-    hits = others = 0
-    for _ in range(40):
-        race, shaft = rng.uniform(3.1, 8.9), 1.0 - rng.uniform(-0.001, 0.001)
-        wanted = {(n, k): n * race + k * shaft for n in range(1, 5) for k in range(-2, 3) if n * race + k * shaft > 1.5}
-        sources = dataclasses.replace(ROTOR, bearings=(JACK_SHAFT.model_copy(update={"shaft_ratio": 1.0}),))
-        places = [(order + 1e-4 * rng.standard_normal(), 2e-4) for order in wanted.values()]
-        (found,) = struck_races([bearing_record(JACK_SHAFT, "BPFI", race)], sources, places)
-        hits += sum(found.nearest(*place) is not None for place in places) / len(places)
-        anywhere = rng.uniform(1.5, 30.0, 50)
-        others += sum(found.nearest(float(order), 2e-4) is not None for order in anywhere) / len(anywhere)
-    assert hits / 40 > 0.97
-    assert others / 40 < 0.05
-
-
-def test_a_tone_of_a_struck_race_at_one_speed_is_no_tone_of_its_own():
-    sources = dataclasses.replace(ROTOR, bearings=(JACK_SHAFT.model_copy(update={"shaft_ratio": 1.0}),))
-    (race,) = struck_races([bearing_record(JACK_SHAFT, "BPFI", 5.4)], sources, [])
-    assert harmonic_words([race], 2 * 5.4 - 1.0, 1e-4) == "bearing jack shaft BPFI, harmonic 2 - 1 x shaft"
-    assert harmonic_words([race], 4.93, 1e-4) == ""
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize(("times", "words"), [(3.0, "bearing jack shaft BPFO, harmonic 3"), (3.3, "undecided")])
 def test_at_one_speed_what_may_be_a_mode_on_a_harmonic_of_a_struck_race_is_that(times: float, words: str) -> None:
     """Strikes that wander make their third harmonic as wide as a natural frequency of little damping."""
@@ -348,6 +335,7 @@ def test_at_one_speed_what_may_be_a_mode_on_a_harmonic_of_a_struck_race_is_that(
     assert found.modes[0].text == words
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_first", [False, True])
 def test_a_comb_beside_a_speed_that_was_only_stated_is_the_shaft_itself_perhaps(has_first: bool) -> None:
     """A shaft at 1480 rpm of which 1400 was stated: 1.057 and its multiples, and nothing at order 1."""

@@ -49,6 +49,7 @@ def test_where_nothing_differs_anything_is_claimed_as_rarely_as_stated():
     assert np.mean(chance <= Q) == pytest.approx(share)
 
 
+@pytest.mark.slow
 def test_of_the_claims_in_a_mixture_at_most_the_stated_share_is_false():
     rng, n = np.random.default_rng(3), 1500
     changed = np.arange(200) < 40

@@ -9,6 +9,8 @@ from crankorder.identify.modal.floor import quiet_floor
 from crankorder.identify.modal.search import search
 from made.floors import Made, campbell_of
 
+pytestmark = pytest.mark.slow
+
 
 def _made(speeds: tuple[float, ...], amplitude: float) -> Made:
     return Made(

@@ -28,6 +28,7 @@ def coverage(inside: Callable[[np.random.Generator], bool], n: int) -> float:
     return sum(inside(rng) for _ in range(n)) / n
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(("exponent", "count"), [(0.0, 35), (2.0, 35), (2.0, 8), (1.0, 4)])
 def test_the_interval_of_the_exponent_holds_it_as_often_as_it_says(exponent: float, count: int) -> None:
     speed = np.linspace(400.0, 2000.0, count)
@@ -39,6 +40,7 @@ def test_the_interval_of_the_exponent_holds_it_as_often_as_it_says(exponent: flo
     assert 0.93 <= coverage(inside, 400) <= 0.985
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("exponent", [0.0, 0.5, 2.0])
 def test_the_interval_of_the_largest_amplitude_holds_that_of_its_speed(exponent: float) -> None:
     true = (SPEEDS / 1000.0) ** exponent
@@ -50,6 +52,7 @@ def test_the_interval_of_the_largest_amplitude_holds_that_of_its_speed(exponent:
     assert 0.93 <= coverage(inside, 2000) <= 0.97
 
 
+@pytest.mark.slow
 def test_the_interval_of_the_mean_level_holds_it() -> None:
     def inside(rng: np.random.Generator) -> bool:
         found = mean_level(line_of(rng, np.ones(35)))
@@ -64,6 +67,7 @@ def test_laws_are_named() -> None:
     assert growth(line_of(rng, (SPEEDS / 1000.0) ** 2)).law == "grows with speed^n"
 
 
+@pytest.mark.slow
 def test_scatter_beyond_the_errors_is_not_called_steady() -> None:
     rng = np.random.default_rng(2)
     made = [growth(line_of(rng, np.exp(0.4 * rng.standard_normal(35)), relative=0.02)) for _ in range(40)]
@@ -93,6 +97,7 @@ def test_one_speed_has_students_interval_and_its_range() -> None:
     assert visible_range_rpm(line) == (900.0, 900.0)
 
 
+@pytest.mark.slow
 def test_an_exact_amplitude_has_no_width_and_an_unknown_one_no_end() -> None:
     line = line_of(np.random.default_rng(6), np.ones(2), speed=np.array([900.0, 950.0]), relative=0.0)
     assert largest(line).low == largest(line).high == 1.0
@@ -100,6 +105,7 @@ def test_an_exact_amplitude_has_no_width_and_an_unknown_one_no_end() -> None:
     assert (largest(line).low, largest(line).high) == (0.0, np.inf)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_speeds_within_a_tenth_are_one_and_tell_no_growth(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -28,8 +28,3 @@ def test_an_interval_cut_off_at_zero_still_tells_its_error():
     low, high = interval(0.001, 0.002)
     assert error_of(0.001, [low, high]) == pytest.approx(0.002, rel=1e-5)
     assert error_of(0.001, [max(0.0, low), high]) == pytest.approx(0.002, rel=1e-5)
-
-
-def test_an_interval_lies_about_its_value():
-    assert interval(5.0, 0.5) == pytest.approx([5.0 - 0.5 * 1.959964, 5.0 + 0.5 * 1.959964], abs=1e-5)
-    assert interval(5.0, 0.5, freedom=1.0) == pytest.approx([5.0 - 6.3531, 5.0 + 6.3531], abs=1e-4)

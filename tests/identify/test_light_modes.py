@@ -45,6 +45,7 @@ def with_tone(made: Structure, frequency_hz: float, over_db: float) -> Structure
     return replace(made, tones=((frequency_hz, float(size)),), wander_hz=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seconds", [30.0, 60.0])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_light_mode_in_a_run_up_is_never_a_tone(seed: int, seconds: float) -> None:
@@ -55,6 +56,7 @@ def test_a_light_mode_in_a_run_up_is_never_a_tone(seed: int, seconds: float) -> 
     assert not [tone for tone in fit.tones if abs(tone.frequency_hz - made.natural_hz[0]) < 2.0]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("n_speeds", [3, 12])
 @pytest.mark.parametrize("seed", range(5))
 def test_a_light_mode_at_a_few_speeds_is_never_a_tone(seed: int, n_speeds: int) -> None:
@@ -66,6 +68,7 @@ def test_a_light_mode_at_a_few_speeds_is_never_a_tone(seed: int, n_speeds: int) 
             assert mode.undecided == "" or mode.undecided.startswith(("tone or mode", "its damping"))
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("over_db", [15.0, 25.0, 40.0])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_steady_tone_at_twelve_speeds_is_a_tone_and_no_mode(seed: int, over_db: float) -> None:
@@ -76,6 +79,7 @@ def test_a_steady_tone_at_twelve_speeds_is_a_tone_and_no_mode(seed: int, over_db
     assert not [mode for mode in fit.modes if abs(mode.frequency_hz - frequency) < 3.0]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("over_db", [25.0, 32.0, 40.0])
 @pytest.mark.parametrize("away", [-0.04, -0.03, 0.03, 0.04])
 def test_a_mode_beside_mains_is_found_with_them(away: float, over_db: float) -> None:
@@ -92,6 +96,7 @@ def test_a_mode_beside_mains_is_found_with_them(away: float, over_db: float) -> 
     assert abs(mode.damping_ratio - made.damping[0]) <= 4.0 * mode.damping_error
 
 
+@pytest.mark.slow
 def test_a_line_too_weak_to_show_its_width_is_tone_or_mode() -> None:
     """At three speeds neither its width nor its scatter tells: it says so, and the largest damping that it may have."""
     said = []

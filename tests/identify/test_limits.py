@@ -52,6 +52,7 @@ def test_the_speed_that_is_above_is_named_and_what_is_below_is_within() -> None:
     assert (velocity.unit, velocity.value, velocity.verdict) == ("mm/s", 1000.0, "within")
 
 
+@pytest.mark.slow
 def test_a_limit_at_the_level_is_seldom_called_passed_or_kept() -> None:
     """At four speeds with the level at the limit either verdict is a chance of some per cent."""
     verdicts = []
@@ -111,6 +112,7 @@ def with_a_line(seed: int, hertz: float, *, band: tuple[float, float] = (10.0, 1
     return vibration_levels([frames], speed_bin_rpm=25.0)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(16))
 def test_a_line_at_an_end_of_the_band_is_never_surely_within_or_above(seed: int) -> None:
     """At an end half of the power passes: the level is 0.71, what is in the band (or just outside) is 1 (or 0)."""
@@ -130,6 +132,7 @@ def test_a_line_at_an_end_of_the_band_is_never_surely_within_or_above(seed: int)
     assert told.verdict == "within"
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(8))
 def test_a_line_well_inside_or_outside_the_band_is_decided(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -146,6 +149,7 @@ def test_a_line_well_inside_or_outside_the_band_is_decided(seed: int) -> None:
         assert told.verdict == verdict
 
 
+@pytest.mark.slow
 def test_a_band_too_narrow_for_so_short_a_recording_is_not_decided() -> None:
     items = []
     for number in range(3):

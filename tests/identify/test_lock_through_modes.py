@@ -10,6 +10,8 @@ from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
 from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
 from crankorder.identify.modal.order_blocks import blocks_of
 
+pytestmark = pytest.mark.slow
+
 ORDER_MAP = xr.Dataset(attrs={"revs_per_cycle": 2})
 BANDWIDTH_HZ, NOISE = 5.0, 0.02
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from crankorder.identify.explain import explained
 from crankorder.identify.following import going_with_speed
 from crankorder.identify.found import AgreedOrder, Tone
 from crankorder.identify.lines.line_evidence import UNPROVEN
-from crankorder.identify.motors import _goes_with
 from crankorder.identify.said import LIKE_UNBALANCE
 from crankorder.identify.sources import Sources
 from crankorder.settings import load_settings
@@ -43,6 +41,7 @@ def said(*orders: AgreedOrder, longest_rev: float = np.inf, tones: tuple[Tone, .
     return [causes.orders["A", one.order].text for one in orders]
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("mains", [50.0, 60.0])
 @pytest.mark.parametrize(("multiple", "words"), [(1, "mains"), (2, "twice mains")])
 @pytest.mark.parametrize("off", [-0.002, 0.0, 0.002])
@@ -51,6 +50,7 @@ def test_one_line_at_the_mains_or_its_double_is_mains(mains: float, multiple: in
     assert said(at_speed(60.0 * multiple * mains * (1.0 + off) / rpm, rpm)) == [words]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("hertz", [49.2, 51.0, 58.9, 98.6, 121.5, 48.35])
 def test_a_tone_beside_the_mains_is_none(hertz: float) -> None:
     assert said(at_speed(60.0 * hertz / 1713.0, 1713.0)) == ["unexplained"]
@@ -69,11 +69,7 @@ def test_at_one_speed_an_order_on_the_mains_is_said_with_them() -> None:
     assert said(at_speed(1.0, 3000.0, lock="locked")) == [f"{LIKE_UNBALANCE} or mains"]
 
 
-def test_an_order_beside_mains_that_were_found_is_not_mains_too() -> None:
-    mains, order = at_speed(60.0 * 49.98 / 1495.0, 1495.0), at_speed(4.0, 1495.0, lock="locked")
-    assert said(mains, order) == ["mains", "shaft harmonic"]
-
-
+@pytest.mark.slow
 def test_lines_on_two_mains_frequencies_are_said_to_be_one_or_a_tone() -> None:
     rpm = 1713.0
     assert said(at_speed(60.0 * 50.0 / rpm, rpm), at_speed(60.0 * 60.0 / rpm, rpm)) == ["mains or another tone"] * 2
@@ -83,6 +79,7 @@ def test_an_order_at_many_speeds_is_no_mains() -> None:
     assert said(agreed(2.0, line(2.0))) == ["shaft harmonic"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_of_two_lines_at_one_multiple_neither_is_mains_for_certain(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -96,12 +93,7 @@ def test_of_two_lines_at_one_multiple_neither_is_mains_for_certain(seed: int) ->
     assert both == [words.split(" or ")[0]] * 2
 
 
-def test_of_two_lines_at_twice_mains_the_double_of_the_first_is_it() -> None:
-    rpm = 1713.0
-    hertz = (49.98, 99.96, 100.04)
-    assert said(*(at_speed(60.0 * one / rpm, rpm) for one in hertz)) == ["mains", "twice mains", "unexplained"]
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("away_hz", [-0.04, 0.03])
 def test_two_lines_that_no_recording_parts_may_be_the_order_as_well(away_hz: float) -> None:
     """Twice mains beside 2 x 2999 rpm in 20 s: what is found lies between the two, and holds neither."""
@@ -121,26 +113,10 @@ def test_only_what_goes_with_the_speed_meets_natural_frequencies() -> None:
     assert going_with_speed(orders, causes) == (second, swept)
 
 
+@pytest.mark.slow
 def test_a_line_of_too_few_revolutions_on_the_mains_may_be_a_natural_frequency() -> None:
     """Noise rings a mode of 60 Hz: in half a second nothing tells it from mains."""
     made = at_speed(12.1125, 300.0, error=0.05)
     lines = tuple(dataclasses.replace(one, evidence=UNPROVEN) for one in made.lines)
     assert said(dataclasses.replace(made, lines=lines)) == ["mains or a natural frequency"]
     assert said(made) == ["mains"]
-
-
-@pytest.mark.parametrize(
-    ("turns", "speeds", "goes"),
-    [(0.0, [1374.0], True), (0.0, [1374.0, 2400.0, 3050.0], False), (2.0, [1374.0, 2400.0, 3050.0], True)],
-)
-def test_a_fixed_line_names_no_order_that_it_leaves_at_most_speeds(
-    turns: float, speeds: list[float], goes: bool
-) -> None:
-    """Mains cross an order at one speed; what stands at the order at the others is not theirs."""
-    order = turns or 60.0 * 50.0 / speeds[0]
-    item = SimpleNamespace(
-        hertz=order * speeds[0] / 60.0, line=SimpleNamespace(turns=turns), held=SimpleNamespace(rpm=speeds[0])
-    )
-    made = at_speed(order, speeds[0])
-    lines = tuple(dataclasses.replace(made.lines[0], speed_rpm=np.array([rpm])) for rpm in speeds)
-    assert _goes_with(item, dataclasses.replace(made, lines=lines)) is goes

@@ -65,6 +65,7 @@ def test_without_noise_grams_are_exact():
     assert grams.after == pytest.approx(BEFORE + ADDED, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_square_law_holds_on_a_stiff_path_and_not_beside_a_resonance():
     stiff = unbalance_change(made(np.random.default_rng(4), natural_rpm=1e6))
     assert stiff.square_law_fits > 1e-3
@@ -78,10 +79,12 @@ def test_a_path_that_changed_is_not_taken_for_a_mass():
     assert found.factor_fits < 1e-6 and not found.explains
 
 
+@pytest.mark.slow
 def test_the_same_unbalance_explains_nothing():
     explains = [unbalance_change(made(np.random.default_rng(k), after=BEFORE)).explains for k in range(300)]
     assert np.mean(explains) == pytest.approx(0.05, abs=0.035)
 
 
+@pytest.mark.slow
 def test_an_order_that_drowns_tells_no_factor():
     assert unbalance_change(made(np.random.default_rng(7), error=1e3)) is None

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
-import xarray as xr
 from tests.made.floors import Made, campbell_of, no_orders
 
-from crankorder.identify.found import ModalFit, Mode
-from crankorder.identify.modal.doubts import common_step, of_the_air, said_wide
+from crankorder.identify.found import ModalFit
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.settings import load_settings
 
@@ -38,32 +36,7 @@ def test_a_mode_as_narrow_as_an_order_wanders_is_undecided_at_one_speed_and_a_mo
     assert mode.undecided == ""
 
 
+@pytest.mark.slow
 def test_a_well_damped_mode_at_one_speed_is_a_mode() -> None:
     (mode,) = _fit(replace(ONE, speed_rpm=(1010.0,), duration_s=120.0)).modes
     assert mode.undecided == ""
-
-
-@pytest.mark.parametrize("step_hz", [7.3, 10.0, 33.1])
-def test_the_step_of_tones_on_a_grid_is_found_in_spite_of_strangers(step_hz: float) -> None:
-    tones = tuple(step_hz * n for n in (3.61, 5, 7, 8, 10, 12, 15, 17, 22))
-    assert common_step(tones, 0.05) == pytest.approx(step_hz, rel=1e-9)
-
-
-def test_tones_of_no_common_step_have_none() -> None:
-    assert common_step((31.7, 47.03, 88.91, 113.3, 171.17, 208.77, 301.93), 0.05) == 0.0
-    assert common_step((10.0, 20.0, 30.0), 0.05) == 0.0
-
-
-def test_the_evidence_says_when_the_frequency_is_known_badly() -> None:
-    assert said_wide(100.0, 0.09) == ""
-    assert "± 0.39 %" in said_wide(100.0, 0.2)
-
-
-def test_what_is_heard_in_pressure_alone_is_not_called_a_mode() -> None:
-    channels = {"channel": ["microphone", "mount"], "quantity": ("channel", ["sound pressure", "acceleration"])}
-    heard = Mode(100.0, 0.1, 0.02, 0.001, ("microphone",), 10.0, "seen")
-    felt = replace(heard, channels=("microphone", "mount"))
-    doubted, kept = of_the_air((heard, felt), xr.Dataset(coords=channels))
-    assert "pressure alone" in doubted.undecided
-    assert kept.undecided == ""
-    assert of_the_air((heard,), xr.Dataset()) == (heard,)

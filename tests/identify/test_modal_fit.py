@@ -85,6 +85,7 @@ def test_close_modes_are_told_apart_with_their_damping() -> None:
         assert mode.frequency_hz == pytest.approx(f, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_the_covariance_is_that_of_the_modes_errors() -> None:
     fit = _fit(THREE)
     errors = [error for mode in fit.modes for error in (mode.frequency_error_hz, mode.damping_error)]
@@ -102,6 +103,7 @@ def test_order_lines_far_above_the_floor_leave_no_mode_behind() -> None:
     assert _inside(_fit(made, orders=(1.0, 2.0, 5.5)), made)
 
 
+@pytest.mark.slow
 def test_a_line_that_nobody_found_leaves_no_mode_behind() -> None:
     made = replace(THREE, lines=((2.5, 1.0),))
     assert _inside(_fit(made), made)
@@ -128,6 +130,7 @@ def test_mains_and_a_pump_are_tones_with_their_amplitude_and_no_modes() -> None:
         assert set(tone.amplitude) == {"X", "Y"}
 
 
+@pytest.mark.slow
 def test_lines_of_two_mains_frequencies_are_no_mains() -> None:
     fit = _fit(replace(THREE, tones=((100.0, 0.2), (120.0, 0.2))))
     assert [tone.kind for tone in fit.tones] == ["tone", "tone"]
@@ -190,6 +193,7 @@ def test_intervals_of_frequency_and_damping_cover_the_truth_as_often_as_they_say
     assert np.all(np.abs(covered - 0.95) <= 0.02), covered
 
 
+@pytest.mark.slow
 @pytest.mark.xfail(
     strict=True, reason="missed: 10 times the work for 4 times the bins, as candidates of noise are fitted"
 )
@@ -223,6 +227,7 @@ def test_the_work_of_a_fit_grows_about_as_the_bins_do(monkeypatch: pytest.Monkey
     assert work[1] < 6.0 * work[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_more_poles_than_bins_and_widths_beyond_a_low_frequency_are_no_fault(seed: int) -> None:
     random = np.random.default_rng(seed)

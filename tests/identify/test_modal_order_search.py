@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.identify.found import Mode
-from crankorder.identify.modal.order_modes import OrderPole, Proof, mode_of
+from crankorder.identify.modal.order_modes import mode_of
 from crankorder.identify.modal.order_responses import Block
 from crankorder.identify.modal.order_search import poles_of_orders, settled
 from crankorder.identify.modal.surface_fit import NO_POLES
@@ -68,6 +68,7 @@ def _told(machine: DrawnMachine, seed: int, *, power: bool = False) -> Told:
     return Told(reachable, tuple(missed), invented, tuple(off))
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("seed", range(8))
 def test_modes_that_orders_sweep_through_are_found_within_their_errors_and_no_others(seed: int) -> None:
     told = _told(drawn_machine(seed), seed)
@@ -75,6 +76,7 @@ def test_modes_that_orders_sweep_through_are_found_within_their_errors_and_no_ot
     assert all(abs(by_f) < 5.0 and abs(by_zeta) < 5.0 for by_f, by_zeta in told.off), told.off
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_squares_tell_modes_too_where_phases_say_nothing(seed: int) -> None:
     told = _told(drawn_machine(seed, n_modes=(1, 2)), seed, power=True)
@@ -103,6 +105,7 @@ def _without_modes(seed: int, scatter: float) -> DrawnMachine:
     return drawn_machine(seed, n_modes=(0, 0), scatter=(scatter,))
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("scatter", [0.0, 0.005, 0.02, 0.1])
 def test_smooth_forces_whose_size_scatters_have_no_mode(scatter: float) -> None:
     for seed in range(6):
@@ -129,6 +132,7 @@ def _one_order(seed: int, shape: NDArray[np.complex128], speed: NDArray[np.float
     ]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(
     ("width", "seed"),
     [(width, seed) for width in (0.01, 0.03, 0.1) for seed in range(4)],
@@ -150,6 +154,7 @@ GRID = [
 """Factors of a force at one speed with seeds: by default every factor with two seeds, every seed with one factor."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "seed"), GRID)
 def test_one_speed_at_which_a_force_differs_makes_no_decided_mode(factor: float, seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -178,6 +183,7 @@ def _by_order_one(natural_hz: tuple[float, ...], damping: tuple[float, ...], err
     )  # fmt: skip
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", [pytest.param(0), 1, 2, 3, 4])
 def test_one_order_that_sweeps_through_both_flanks_with_its_phase_tells_a_mode(seed: int) -> None:
     made = _by_order_one((61.0, 91.0), (0.08, 0.025))
@@ -208,6 +214,7 @@ def _light_between(seed: int) -> tuple[Block, float]:
     return Block(3.0, ("X", "Y"), hertz, speed, amplitude, np.full(amplitude.shape, error), 3000.0), f
 
 
+@pytest.mark.slow
 def test_one_order_proves_a_light_mode_between_coarse_speeds_by_its_flanks() -> None:
     decided = 0
     for seed in range(8):
@@ -218,6 +225,7 @@ def test_one_order_proves_a_light_mode_between_coarse_speeds_by_its_flanks() -> 
     assert decided >= 6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [1, 2])
 def test_a_peak_of_a_row_or_two_is_no_proof_without_its_flanks(rows: int) -> None:
     """A mode whose peak alone is left over smooth flanks, as a force that differs there makes it, is not decided."""
@@ -246,6 +254,7 @@ def test_noise_in_place_of_an_order_has_no_mode() -> None:
         assert _modes([replace(block, amplitude=noise, error=np.ones(noise.shape))]) == []
 
 
+@pytest.mark.slow
 def test_a_mode_that_is_known_is_not_found_again() -> None:
     blocks = blocks_from(_by_order_one((61.0,), (0.08,)), 1)
     chance, most = SETTINGS.false_alarm_probability, SETTINGS.max_damping_ratio
@@ -256,6 +265,7 @@ def test_a_mode_that_is_known_is_not_found_again() -> None:
     assert proofs[0].orders == (1.0,) and proofs[0].most_rows > 5
 
 
+@pytest.mark.slow
 def test_the_modes_of_a_test_without_a_floor_stand_in_order_with_their_covariance() -> None:
     machine = drawn_machine(4, n_modes=(3, 3))
     modal, _, _ = judged(machine, 4)
@@ -266,14 +276,3 @@ def test_the_modes_of_a_test_without_a_floor_stand_in_order_with_their_covarianc
     for mode, (by_f, by_zeta) in zip(modal.modes, errors, strict=True):
         assert by_f == pytest.approx(mode.frequency_error_hz)
         assert by_zeta == pytest.approx(mode.damping_error)
-
-
-def test_a_pole_of_unknown_damping_on_another_one_is_that_one() -> None:
-    proof = Proof((3.0,), 5, 5, (20.0, 90.0), 1, (3.0,))
-    every = NO_POLES.with_pole(61.0, 0.002).with_pole(61.01, 0.001)
-    unknown, known = np.diag([0.02**2, 0.01**2]), np.diag([0.02**2, 1e-5**2])
-    pole = OrderPole(61.01, 0.001, ("X",), proof)
-    assert mode_of(pole, unknown, every, settings=SETTINGS) is None
-    assert mode_of(pole, known, every, settings=SETTINGS) is not None
-    alone = NO_POLES.with_pole(61.01, 0.001)
-    assert mode_of(pole, unknown, alone, settings=SETTINGS) is not None

@@ -11,6 +11,7 @@ from crankorder.identify.modal.surface_fit import pole_columns, sight
 BIN_HZ = 0.5
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("name", ["hann", "blackman-harris"])
 @pytest.mark.parametrize("damping", [0.0005, 0.003, 0.05])
 def test_a_resonance_is_seen_through_the_window_as_the_lags_that_the_window_lets_through(

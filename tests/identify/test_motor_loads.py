@@ -90,6 +90,7 @@ def found_of(rig: Rig, place: Path, seed: int) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(5))
 def test_each_load_has_its_own_speed_and_order_1_keeps_its_size(tmp_path: Path, seed: int) -> None:
     rig = drawn(seed)
@@ -113,6 +114,7 @@ def test_loads_that_are_alike_keep_the_stated_speed(tmp_path: Path) -> None:
     assert found["speed_range_rpm"] == [rig.stated_rpm] * 2
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("seed", range(20))
 def test_noise_mains_and_two_lines_alike_tell_no_speed(seed: int) -> None:
     rng, motor = np.random.default_rng(seed), Motor(supply_hz=50.0, poles=4)

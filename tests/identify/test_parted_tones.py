@@ -16,6 +16,8 @@ from crankorder.settings import load_settings
 from made.found_lines import fit
 from made.line_frames import angle_of, frames_of, wave
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = load_settings().identify
 RPM = 1777.0
 

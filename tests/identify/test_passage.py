@@ -84,6 +84,7 @@ def test_a_passage_is_what_integration_of_the_equation_gives(rate_rpm_s: float, 
     assert np.abs(seen[inside]).max() == pytest.approx(np.abs(truth[inside]).max(), rel=0.005), case
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("direction", [1.0, -1.0])
 @pytest.mark.parametrize("damping", [0.01, 0.03, 0.1])
 def test_at_a_vanishing_rate_a_passage_is_the_steady_response(damping: float, direction: float) -> None:
@@ -98,6 +99,7 @@ def test_at_a_vanishing_rate_a_passage_is_the_steady_response(damping: float, di
     assert np.abs(seen - steady)[20:-20].max() < 0.003 * np.abs(steady).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_the_slopes_are_those_of_differences(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -127,6 +129,7 @@ def test_a_passage_is_linear_in_the_force() -> None:
     assert np.abs(both - apart).max() < 1e-10 * np.abs(both).max()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poles", [1, 2, 3])
 def test_the_filter_lets_a_steady_envelope_through_and_halves_the_power_at_its_bandwidth(poles: int) -> None:
     time, speed = np.linspace(0.0, 40.0, 2001), np.linspace(600.0, 1200.0, 2001)
@@ -139,6 +142,7 @@ def test_the_filter_lets_a_steady_envelope_through_and_halves_the_power_at_its_b
         assert np.abs(through - expected)[500:-500].max() < 0.003
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_what_a_lower_order_takes_of_a_mode_that_rings_is_what_the_filter_takes(seed: int) -> None:
     """A real signal of one order alone, integrated, is followed jointly with a lower order that is not there."""

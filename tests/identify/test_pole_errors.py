@@ -9,6 +9,8 @@ from crankorder.identify.found import Mode
 from crankorder.identify.intervals import Z95, ratio_interval
 from crankorder.identify.modal.pole_errors import Cell, disagreement
 
+pytestmark = pytest.mark.slow
+
 
 def _cells(values: list[float], weight: float = 1.0) -> tuple[list[Cell], np.ndarray, np.ndarray]:
     """Cells that ask for ``values`` of one parameter, as of their mean, with the same weight each."""
@@ -16,21 +18,6 @@ def _cells(values: list[float], weight: float = 1.0) -> tuple[list[Cell], np.nda
     cells = [Cell(np.full((1, 1), weight), np.full(1, weight * one)) for one in off]
     total = weight * len(values)
     return cells, np.full((1, 1), 1.0 / total), np.full(1, 1.0 / total)
-
-
-def test_cells_that_agree_add_nothing() -> None:
-    assert disagreement(*_cells([0.1, -0.2, 0.15, 0.0]))[0] == 1.0
-
-
-def test_cells_that_disagree_widen_the_interval_to_that_of_students_t_of_their_mean() -> None:
-    values = [30.0, -20.0, 5.0, -15.0]
-    factor = disagreement(*_cells(values))[0]
-    wanted = np.std(values, ddof=1) / 2.0 * 3.182 / Z95  # t of three degrees of freedom
-    assert factor * 0.5 == pytest.approx(wanted, rel=0.02)
-
-
-def test_one_cell_alone_disagrees_with_nobody() -> None:
-    assert disagreement(*_cells([3.0]))[0] == 1.0
 
 
 def test_intervals_of_cells_that_differ_cover_their_mean() -> None:

@@ -43,6 +43,7 @@ def test_every_line_of_several_is_found_and_lies_in_its_interval() -> None:
     assert np.mean(np.abs(off) < 2.0) > 0.9 and np.abs(off).max() < 4.0
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("damping", [2e-4, 1e-3, 1e-2])
 def test_a_resonance_that_noise_excites_is_no_set_of_lines(damping: float) -> None:
     for seed in range(5):
@@ -70,6 +71,7 @@ def test_order_1_between_the_mains_and_both_sidebands_is_an_order_at_one_speed()
     assert [one.lock for one in found] == ["slips", "locked", "slips", "slips"]
 
 
+@pytest.mark.slow
 def test_a_locked_line_that_the_energy_of_its_bin_hides_is_found_by_its_phase() -> None:
     hidden = 0
     for seed in range(6):
@@ -82,6 +84,7 @@ def test_a_locked_line_that_the_energy_of_its_bin_hides_is_found_by_its_phase() 
     assert hidden >= 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("pulses", [True, False])
 def test_three_lines_far_from_the_mains_that_swell_as_one_are_told_where_pulses_give_the_angle(
@@ -102,6 +105,7 @@ def test_three_lines_far_from_the_mains_that_swell_as_one_are_told_where_pulses_
     assert any("solved together" in one.reservation for one in found) is pulses
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_a_line_whose_size_swings_stays_one(seed: int) -> None:
     rng, angle = np.random.default_rng([seed, 13]), angle_of(740)

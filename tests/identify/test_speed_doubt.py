@@ -12,11 +12,7 @@ from click.testing import CliRunner
 
 from crankorder.cli import main
 from crankorder.findings import Findings
-from crankorder.identify.found import SpeedBand, SpeedVerdicts
-from crankorder.identify.speed_doubt import IN_DOUBT, speed_doubt, undecided_orders, without_free
-from crankorder.quantities import QualityFlag
 from crankorder.report.sentences.story import headline, story_of
-from made.found_lines import agreed
 
 RATE_HZ = 8192
 MANIFEST = """schema_version = 1
@@ -38,28 +34,9 @@ kind = "vibration"
 """
 
 
-def tie(recording: str) -> QualityFlag:
-    return {"recording": recording, "flag": "speed_tie", "severity": "suspect", "detail": "0.5 x fits nearly as well"}
-
-
-def test_a_tie_of_the_speed_is_its_doubt_with_the_recordings() -> None:
-    assert speed_doubt([]) is None
-    assert speed_doubt([{**tie("a.h5"), "flag": "no_index"}]) is None
-    assert speed_doubt([tie("a.h5")]) == "0.5 x fits nearly as well (a.h5)"
-    assert speed_doubt([tie("a.h5"), tie("b.h5"), tie("b.h5")]) == "0.5 x fits nearly as well (a.h5 and 1 more)"
-
-
-def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed() -> None:
-    orders = undecided_orders((agreed(2.0), agreed(3.41, lock="slips")))
-    assert [one.lock for one in orders] == ["undecided", "undecided"]
-    assert all(IN_DOUBT in one.reservation for one in orders)
-    verdicts = without_free(SpeedVerdicts((), (SpeedBand(500, 900),), (SpeedBand(900, 950, "open"),)))
-    assert verdicts.free == () and verdicts.open == (SpeedBand(500, 900, IN_DOUBT), SpeedBand(900, 950, "open"))
-
-
 def analysed(folder: Path, orders: dict[float, float]) -> dict[str, Any]:
     """Findings of one recording at 1500 rpm without an encoder that holds ``orders``, noise and a tone of 73.3 Hz."""
-    rng, at = np.random.default_rng(3), np.arange(8 * RATE_HZ) / RATE_HZ
+    rng, at = np.random.default_rng(3), np.arange(4 * RATE_HZ) / RATE_HZ
     signal = sum(size * np.cos(2 * np.pi * k * 25.0 * at + k) for k, size in orders.items())
     signal = signal + 3.0 * np.cos(2 * np.pi * 73.3 * at) + 0.5 * rng.standard_normal(at.size)
     (folder / "in").mkdir(parents=True)

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import xarray as xr
 
-from crankorder.identify.lines.order_lock import proves_speed, speed_source
-from crankorder.quantities import with_flags
+from crankorder.identify.lines.order_lock import proves_speed
 
 ERROR = 3e-6
 
@@ -22,6 +20,7 @@ def test_orders_on_multiples_prove_the_speed_and_one_that_slips_does_not_disturb
     assert proves_speed([*_numbers((2.0, 3.5), 0.0, rng), (5.4356, 1e-5, 50.0)], revs_per_cycle=2)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("share", [3e-4, -1e-3, 4e-3])
 def test_a_speed_that_is_off_or_a_shaft_that_slips_proves_nothing(share: float) -> None:
     assert not proves_speed(_numbers((2.0, 3.5, 6.0), share, np.random.default_rng(1)), revs_per_cycle=2)
@@ -32,6 +31,7 @@ def test_one_order_or_coarse_numbers_prove_nothing() -> None:
     assert not proves_speed([(4.0, 1e-3, 50.0), (6.5, 1e-3, 50.0)], revs_per_cycle=2)
 
 
+@pytest.mark.slow
 def test_shafts_that_slip_behind_a_speed_that_errs_hardly_ever_prove_it() -> None:
     rng, proven = np.random.default_rng(2), 0
     for _ in range(3000):
@@ -39,18 +39,3 @@ def test_shafts_that_slip_behind_a_speed_that_errs_hardly_ever_prove_it() -> Non
         share = (1.0 + slip) * (1.0 + 0.002 * rng.standard_normal()) - 1.0
         proven += proves_speed(_numbers((2.0, 4.0), share, rng), revs_per_cycle=2)
     assert proven <= 6  # of these a tenth of all tests at most
-
-
-@pytest.mark.parametrize(
-    ("detail", "source"),
-    [
-        ("no encoder pulses: orders yes, but their phase has no reference", "stated"),
-        ("no encoder pulses: …, and the speed is taken from the vibration", "vibration"),
-        ("no once-per-revolution mark", "pulses"),
-    ],
-)
-def test_the_source_of_a_speed_is_told_by_the_flags(detail: str, source: str) -> None:
-    flagged = with_flags(
-        xr.Dataset(), [{"recording": "r", "flag": "no_index", "severity": "suspect", "detail": detail}]
-    )
-    assert speed_source([xr.Dataset(), flagged]) == source

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -74,6 +75,7 @@ def test_the_flank_of_a_crossing_outside_the_tested_range_is_not_free():
     assert band[0] == RANGE[0] and band[1] == pytest.approx(2070.0 * np.sqrt(3.0 / 4.0), rel=0.01)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("share", [0.3, 1.0, 4.0, 20.0])
 def test_the_flanks_of_a_mode_that_adds_much_to_little_are_not_free(share: float):
     """What remains without the mode is as small as the structure makes it: no resonance of its own limits flanks."""
@@ -105,6 +107,7 @@ def test_the_highest_peak_in_any_channel_ranks_first():
     assert peaks == sorted(peaks, reverse=True)
 
 
+@pytest.mark.slow
 def test_the_peak_between_two_measured_speeds_is_that_of_the_fit():
     modal = fit(mode(105.0, 0.01))  # at 1575 rpm, between 1550 and 1600
     seen = line(4.0, resonant(4.0, SPEEDS_RPM, modal.modes, gain=-1.0))
@@ -124,6 +127,7 @@ def two_channels(residue: dict[str, complex], damping: float = 0.01, damping_err
     return [agreed(4.0, *lines)], fit(between, responses=tuple(responses))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_the_amplification_beside_a_peak_is_that_of_its_channel_and_never_below_what_makes_it_one(seed: int):
     drawn = np.random.default_rng(seed)
@@ -164,6 +168,7 @@ def test_a_mode_in_doubt_at_which_an_order_peaks_is_to_be_avoided_and_called_wha
     assert "may be a natural frequency" in verdicts.avoid[0].reason
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("doubt", ["", "a tone or a mode"])
 def test_a_crossing_that_nobody_could_judge_is_open_with_its_verdict(doubt: str):
     orders = [agreed(4.0, line(4.0, (SPEEDS_RPM / 1000) ** 2))]
@@ -195,12 +200,14 @@ def test_an_order_of_which_nothing_is_known_leaves_all_speeds_open():
     assert judge([], fit()).open[0].remark == "no order stands out"
 
 
+@pytest.mark.slow
 def test_speeds_beyond_those_of_an_order_are_not_free():
     seen = UnseenBound(4.0, np.linspace(900.0, 1500.0, 30), np.ones(30))
     verdicts = judge([agreed(4.0)], fit(unseen=(seen,)))
     assert all(low >= 900.0 and high <= 1500.0 for low, high in ends(verdicts.free)), ends(verdicts.free)
 
 
+@pytest.mark.slow
 def test_a_stated_gear_mesh_that_does_not_stand_out_leaves_its_crossing_open():
     verdicts = judge([agreed(1.0)], fit(mode(700.0), unseen=seen_everything(1.0)), stated=[37.0])
     at = 60.0 * 700.0 / 37.0
@@ -217,10 +224,25 @@ def test_a_test_of_unknown_speed_says_nothing_and_one_at_one_speed_has_no_free_b
     assert judge([one], fit(), speed_rpm=(1500.0, 1500.0)).free == ()
 
 
+KINDS = {
+    "fine": {},
+    "coarse": {"n_speeds": (12, 24), "span_rpm": (2500.0, 5000.0)},
+    "few": {"n_speeds": (4, 11), "span_rpm": (3000.0, 3000.0), "even": False},
+    "square law": {"smooth": False},
+    "exact force": {"smooth": False, "scatter": (0.0,)},
+}
+
+
+@cache
+def of_kind(kind: str, seed: int) -> tuple[DrawnMachine, SpeedVerdicts]:
+    """A machine drawn at random, and what is said of its speeds."""
+    machine = drawn_machine(seed, **KINDS[kind])
+    return machine, judged(machine, seed)[2]
+
+
 def test_free_and_open_bands_and_speeds_to_avoid_cover_the_tested_range():
     for seed in range(3):
-        machine = drawn_machine(seed)
-        _, _, verdicts = judged(machine, seed)
+        machine, verdicts = of_kind("fine", seed)
         covered = [*ends(verdicts.free), *ends(verdicts.open), *(item.rpm_range for item in verdicts.avoid)]
         at = np.linspace(machine.speed_rpm.min() + 0.5, machine.speed_rpm.max() - 0.5, 400)
         beside = [(item.rpm * 0.96, item.rpm * 1.04) for item in verdicts.avoid]  # not free, and named by what they are
@@ -245,20 +267,10 @@ def called_free(machine: DrawnMachine, verdicts: SpeedVerdicts) -> tuple[int, li
     return len(dangerous), wrong
 
 
-KINDS = {
-    "fine": {},
-    "coarse": {"n_speeds": (12, 24), "span_rpm": (2500.0, 5000.0)},
-    "few": {"n_speeds": (4, 11), "span_rpm": (3000.0, 3000.0), "even": False},
-    "square law": {"smooth": False},
-    "exact force": {"smooth": False, "scatter": (0.0,)},
-}
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_dangerous_speed_is_called_free(kind: str):
     for seed in range(3):
-        machine = drawn_machine(seed, **KINDS[kind])
-        assert called_free(machine, judged(machine, seed)[2])[1] == [], seed
+        assert called_free(*of_kind(kind, seed))[1] == [], seed
 
 
 @pytest.mark.accuracy
@@ -266,8 +278,7 @@ def test_no_dangerous_speed_is_called_free(kind: str):
 def test_of_a_hundred_machines_no_dangerous_speed_is_called_free(kind: str):
     wrong, dangerous, share = [], 0, []
     for seed in range(3000, 3100):
-        machine = drawn_machine(seed, **KINDS[kind])
-        verdicts = judged(machine, seed)[2]
+        machine, verdicts = of_kind(kind, seed)
         share.append(sum(high - low for low, high in ends(verdicts.free)) / np.ptp(machine.speed_rpm))
         some, called = called_free(machine, verdicts)
         dangerous += some
@@ -277,6 +288,7 @@ def test_of_a_hundred_machines_no_dangerous_speed_is_called_free(kind: str):
     assert wrong == []
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_of_a_quiet_machine_in_fine_steps_most_speeds_are_free(seed: int):
     machine = drawn_machine(seed, n_modes=(0, 0), n_speeds=(400, 400), error=1e-4, scatter=(0.0005,))

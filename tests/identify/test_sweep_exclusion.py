@@ -12,6 +12,8 @@ from identify.test_sweep_poles import HALVES, spectra_of
 from machines.machine import Encoder, Machine, Mode, Order, Profile
 from machines.truth import amplification
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = load_settings().identify
 UNIT = {"X": "m/s2", "Y": "m/s2"}
 ORDERS = [2.0, 3.5]

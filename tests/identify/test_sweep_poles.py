@@ -62,6 +62,7 @@ def told(machine: Machine, orders: list[float] | None = None, seed: int = 0) -> 
     return sweep_fits(spectra_of(machine, followed, seed), others=HALVES, settings=SETTINGS)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("rpm_per_s", [10.0, -60.0, 300.0])
 @pytest.mark.parametrize("damping", [0.003, 0.02])
 def test_a_mode_is_told_to_a_part_of_its_width_whatever_the_rate(rpm_per_s: float, damping: float) -> None:
@@ -81,6 +82,7 @@ def test_a_mode_is_told_to_a_part_of_its_width_whatever_the_rate(rpm_per_s: floa
     assert near[0].damping == pytest.approx(damping, rel=0.15)
 
 
+@pytest.mark.slow
 def test_two_modes_a_hertz_apart_are_two() -> None:
     poles = told(a_machine((96.0, 0.004), (97.0, 0.003), rpm=(1200.0, 3600.0), seconds=12.0)).poles
     assert [round(pole.frequency_hz, 1) for pole in poles] == [96.0, 97.0]
@@ -99,11 +101,13 @@ def test_mains_are_no_mode() -> None:
     assert [round(pole.frequency_hz, 1) for pole in poles] == [81.3]
 
 
+@pytest.mark.slow
 def test_an_order_that_nobody_followed_is_no_mode() -> None:
     poles = told(a_machine((81.3, 0.01), rpm=(900.0, 3000.0), seconds=8.0), orders=[3.5]).poles
     assert [round(pole.frequency_hz, 1) for pole in poles] == [81.3]
 
 
+@pytest.mark.slow
 def test_the_envelope_of_the_fit_has_the_peak_that_was_there() -> None:
     machine = a_machine((81.3, 0.005), rpm=(1100.0, 3500.0), seconds=6.0)
     profile = machine.profiles[0]

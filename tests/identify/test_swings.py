@@ -15,6 +15,8 @@ from crankorder.identify.modal.passage import Passage, passage_of
 from crankorder.identify.modal.ringing import swings_of, without_swings
 from crankorder.identify.modal.surface_fit import NO_POLES
 
+pytestmark = pytest.mark.slow
+
 LOW_RPM, HIGH_RPM, RATE, ROWS = 900.0, 4500.0, 600.0, 400
 NOISE = 1e-3
 

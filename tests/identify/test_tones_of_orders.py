@@ -13,6 +13,8 @@ from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.tones import kind_of
 from crankorder.settings import load_settings
 
+pytestmark = pytest.mark.slow
+
 SETTINGS = load_settings().identify
 FREQUENCY_HZ = np.arange(2.0, 300.0, 0.5)
 

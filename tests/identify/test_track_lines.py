@@ -11,9 +11,7 @@ import pytest
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
 from crankorder.identify.held_peak import held_peak
 from crankorder.identify.lines.followed_orders import track_number
-from crankorder.identify.lines.growth import largest
 from crankorder.orders.track_rows import track_order
-from identify.test_growth import line_of
 from machines.draw import draw_machine
 from machines.folder import write_folder
 from machines.judge import Said
@@ -28,6 +26,7 @@ DRAWN = [
 ]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("class_name", "seed"), DRAWN)
 def test_the_largest_value_of_each_track_is_that_of_the_findings(class_name: str, seed: int, tmp_path: Path) -> None:
     machine = draw_machine(class_name, seed)
@@ -55,19 +54,12 @@ def test_an_order_whose_number_is_not_known_has_its_track_where_it_was_found() -
     assert track_order(2.001, (1.99, 2.01), "slips", revs_per_cycle=2) == 2.001
 
 
+@pytest.mark.slow
 def test_a_line_between_multiples_is_read_where_it_stands_however_little_is_known_of_the_speed() -> None:
     slow = AgreedOrder(2.54, 0.033, 1e6, "undecided", None, (), own_error=1e-5)
     assert track_number(slow, revs_per_cycle=2) == 2.54
     assert track_number(replace(slow, own_error=0.03), revs_per_cycle=2) == 2.5
     assert track_number(replace(slow, order=2.50001), revs_per_cycle=2) == 2.5
-
-
-def test_rows_that_share_their_errors_are_fewer_and_make_a_narrower_interval_of_the_largest() -> None:
-    rng = np.random.default_rng(3)
-    line = line_of(rng, np.ones(35))
-    plain = largest(line)
-    shared = largest(replace(line, n_independent=np.full(35, 0.1)))
-    assert shared.at == plain.at and shared.high - shared.low < plain.high - plain.low
 
 
 def _response(*, recording: str = "r1", fits: bool = True, error: float = 0.01) -> OrderResponse:
@@ -93,6 +85,7 @@ def test_a_held_order_reaches_what_its_mode_amplifies() -> None:
     assert wider is not None and wider.error == pytest.approx(np.hypot(5.0, 0.5), rel=2e-2)
 
 
+@pytest.mark.slow
 def test_no_response_of_a_sweep_says_nothing_of_held_speeds() -> None:
     assert held_peak(_fit(0.0, _response(recording="")), 2.0, "X") is None
     assert held_peak(_fit(0.0, _response(fits=False)), 2.0, "X") is None

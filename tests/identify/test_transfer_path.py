@@ -109,6 +109,7 @@ def test_wrong_paths_are_refused():
         assert record is None and words in reason
 
 
+@pytest.mark.slow
 def test_the_forms_of_a_path_agree_with_one_another():
     f = np.linspace(5.0, 50.0, 91)
     modal = stated(
@@ -122,24 +123,13 @@ def test_the_forms_of_a_path_agree_with_one_another():
     assert np.isnan(accelerance_of(table, np.array([4.9, 50.1]))).all()
 
 
+@pytest.mark.slow
 def test_a_path_has_one_form_and_says_where_it_holds():
     for form in ({}, {"apparent_mass_kg": 1.0, "table": "a.csv"}, {"apparent_mass_kg": 1.0, "rigid_per_kg": 1.0}):
         with pytest.raises(ValueError, match=r"one of|goes with"):
             stated("Z", "Z", **form)
     with pytest.raises(ValueError, match="where the path holds"):
         StatedPath(channel="Z", direction="Z", apparent_mass_kg=1.0)
-
-
-def test_noise_beside_the_orders_tells_how_channels_go_together():
-    rng = np.random.default_rng(1)
-    shared = rng.normal(size=(RPM.size, ORDER.size)) + 1j * rng.normal(size=(RPM.size, ORDER.size))
-    own = rng.normal(size=(2, RPM.size, ORDER.size)) @ np.eye(ORDER.size)
-    amplitude = np.stack([shared, 1j * shared, own[0] + 1j * own[1]])
-    error = np.ones(amplitude.shape)
-    item = order_map_of(amplitude, error, np.full(error.shape, 16.0), RPM, ORDER)
-    correlation = measured_orders(item, (1, 2), lines=(1.0, 2.0)).correlation
-    assert correlation[:, 0, 1] == pytest.approx(-1j, abs=1e-9)
-    assert np.abs(correlation[:, 0, 2].mean()) < 0.15
 
 
 def test_only_accelerometers_are_read_and_missing_values_count_for_nothing():

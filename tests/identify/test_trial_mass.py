@@ -67,6 +67,7 @@ def test_a_mass_on_the_piston_tells_grams_along_the_cylinder():
     assert record["along_g"] == pytest.approx(1.002325 * record["residual_reciprocating_g"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_converter_counts_weigh_as_well_as_m_s2():
     before, trial = 800 * np.exp(1j * np.radians(35)), 1000 * np.exp(1j * np.radians(100))
     maps = two_maps(1, (before, before + trial))
@@ -83,6 +84,7 @@ def test_converter_counts_weigh_as_well_as_m_s2():
     assert record["angle_after_deg"] == pytest.approx(np.degrees(np.angle(before + trial)), abs=6)
 
 
+@pytest.mark.slow
 def test_maps_without_a_vibration_channel_are_refused():
     maps = [item.isel(channel=slice(0, 0)) for item in two_maps(1, (500.0, 1500.0))]
     added = (AddedMass(mass_g=20.0, radius_mm=50.0),)

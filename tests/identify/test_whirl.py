@@ -36,7 +36,6 @@ SETTINGS = load_settings().identify
 FORWARD = Moving(hz=56.0, slope=0.12, damping=0.02)
 BACKWARD = Moving(hz=56.0, slope=-0.1, damping=0.02)
 STAYS = (Moving(hz=90.0, slope=0.0, damping=0.02), Moving(hz=61.0, slope=0.0, damping=0.01))
-SPEEDS = np.linspace(1000.0, 4000.0, 16)
 
 
 def _whirls(rotor: Rotor, seed: int) -> tuple[Whirl, ...]:
@@ -76,6 +75,7 @@ def _off(seed: int) -> list[float]:
     ]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_the_whirl_of_a_drawn_rotor_is_found_and_none_else(seed: int) -> None:
     assert np.abs(_off(seed)).max() < 4.5
@@ -89,6 +89,7 @@ def test_whirls_of_drawn_rotors_are_found_within_their_errors_and_none_else() ->
     assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.35
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_forward_and_backward_whirl_of_one_mode_are_told_beside_modes_that_stay(seed: int) -> None:
     fit = _fit(Rotor(modes=(FORWARD, BACKWARD, *STAYS)), seed)
@@ -100,6 +101,7 @@ def test_forward_and_backward_whirl_of_one_mode_are_told_beside_modes_that_stay(
     assert not any(mode.undecided for mode in fit.modes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_whirl_leaves_no_mode_that_stays_where_it_sweeps(seed: int) -> None:
     fit = _fit(Rotor(modes=(FORWARD, STAYS[0])), seed)
@@ -108,6 +110,7 @@ def test_a_whirl_leaves_no_mode_that_stays_where_it_sweeps(seed: int) -> None:
     assert not fit.tones
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("growth", [0.0, 2.0])
 def test_modes_that_stay_make_no_whirl_however_their_level_grows(growth: float) -> None:
     for seed in range(8):
@@ -119,12 +122,14 @@ def test_noise_alone_makes_no_whirl() -> None:
         assert not _whirls(Rotor(modes=(), duration_s=4.0 + seed), seed)
 
 
+@pytest.mark.slow
 def test_an_order_that_nobody_named_and_a_sideband_are_no_whirls() -> None:
     for seed, (hz, slope) in enumerate([(0.0, 0.73), (0.0, 0.48), (100.0, -1.0), (50.0, 1.0), (50.0, 0.5)]):
         line = Moving(hz=hz, slope=slope, damping=1e-5)
         assert not _whirls(Rotor(modes=(line, STAYS[0])), seed), (hz, slope)
 
 
+@pytest.mark.slow
 def test_few_speeds_or_speeds_close_together_tell_no_whirl() -> None:
     assert not _whirls(Rotor(modes=(FORWARD,), speed_rpm=tuple(np.linspace(1000.0, 4000.0, 5))), 1)
     assert not _whirls(Rotor(modes=(FORWARD,), speed_rpm=tuple(np.linspace(3600.0, 4000.0, 9))), 1)
@@ -145,6 +150,7 @@ TRACK = np.arange(1000.0, 4001.0, 50.0)
 RANGE = (1000.0, 4000.0)
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("slope", [0.12, -0.2, 0.35])
 @pytest.mark.parametrize("order", [1.0, 2.0])
 def test_an_order_meets_a_whirl_where_both_have_one_frequency_and_the_speed_is_not_free(
@@ -170,6 +176,7 @@ def test_an_order_meets_a_whirl_where_both_have_one_frequency_and_the_speed_is_n
     assert not any(band.low_rpm < one < band.high_rpm for band in said.free for one in dangerous)
 
 
+@pytest.mark.slow
 def test_an_undecided_crossing_of_a_whirl_is_open_and_never_free() -> None:
     whirl = _known(0.12, hz=40.0, damping=0.002)
     coarse = np.arange(1000.0, 4001.0, 400.0)
@@ -184,11 +191,13 @@ def test_an_undecided_crossing_of_a_whirl_is_open_and_never_free() -> None:
     assert any("whirl" in band.remark for band in said.open)
 
 
+@pytest.mark.slow
 def test_a_stated_order_that_was_not_seen_meets_the_whirl_too() -> None:
     (met,) = crossings((), fit(whirls=(_known(-0.1),)), speed_rpm=RANGE, settings=SETTINGS, stated=(2.0,))
     assert met.verdict == "not measured" and met.rpm == pytest.approx(60.0 * 60.0 / 2.1)
 
 
+@pytest.mark.slow
 def test_a_mode_that_orders_alone_show_where_they_meet_a_whirl_is_that_whirl() -> None:
     whirl = _known(0.12, hz=40.0)
     rpm = whirl.meets(1.0)

@@ -1,4 +1,4 @@
-"""``check`` lists every fault at once; ``init`` drafts a manifest that reads."""
+"""``check`` lists every fault of a folder at once."""
 
 import h5py
 import numpy as np
@@ -72,6 +72,7 @@ def test_a_wrong_manifest_is_all_that_is_checked(tmp_path, limits):
     assert isinstance(check_folder(tmp_path / "absent", settings=limits)[0], RequestError)
 
 
+@pytest.mark.slow
 def test_lengths_that_differ_are_found_without_reading(tmp_path, limits):
     (tmp_path / "run.toml").write_text(
         MANIFEST.replace(', "absent.h5", "../out.h5"', "").replace("h6", "h5")
@@ -82,18 +83,17 @@ def test_lengths_that_differ_are_found_without_reading(tmp_path, limits):
     assert "lengths differ: Z has 10 samples, the encoder has 9" in str(fault)
 
 
-@pytest.mark.parametrize(
-    ("columns", "words"),
-    [
+@pytest.mark.slow
+def test_a_cam_mark_that_is_absent_or_of_another_length_is_found_without_reading(tmp_path, limits):
+    rows = [
         ({}, "channel cam not in file"),
         ({"cam": np.arange(9.0)}, "lengths differ: Z has 10 samples, the cam mark has 9"),
-    ],
-)
-def test_a_cam_mark_that_is_absent_or_of_another_length_is_found_without_reading(tmp_path, limits, columns, words):
-    (tmp_path / "run.toml").write_text(
-        MANIFEST.replace(', "absent.h5", "../out.h5"', "").replace("h6", "h5").replace("rotor", "four-stroke")
-        + '[encoder]\nkind = "square"\nsource = "enc"\npulses_per_rev = 4\ncam = "cam"\n'
-    )
-    recorded(tmp_path / "good.h5", acc=np.arange(10.0), enc=np.arange(10.0), **columns)
-    (fault,) = check_folder(tmp_path, settings=limits)
-    assert words in str(fault)
+    ]
+    for columns, words in rows:
+        (tmp_path / "run.toml").write_text(
+            MANIFEST.replace(', "absent.h5", "../out.h5"', "").replace("h6", "h5").replace("rotor", "four-stroke")
+            + '[encoder]\nkind = "square"\nsource = "enc"\npulses_per_rev = 4\ncam = "cam"\n'
+        )
+        recorded(tmp_path / "good.h5", acc=np.arange(10.0), enc=np.arange(10.0), **columns)
+        (fault,) = check_folder(tmp_path, settings=limits)
+        assert words in str(fault)

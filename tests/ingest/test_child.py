@@ -53,7 +53,7 @@ def test_memory_and_time_have_their_limits(path, monkeypatch):
     begun = time.monotonic()
     with pytest.raises(UnsafeInputError, match="too long"):
         in_child(lambda: time.sleep(60), path, n_bytes=0)
-    assert time.monotonic() - begun < 5.0
+    assert time.monotonic() - begun < 30.0  # and not 60: a slow machine may take its time to end it
 
 
 def test_a_crash_of_the_parser_ends_it_alone(path):
@@ -87,7 +87,7 @@ def _refused(path: Path, limits) -> None:
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     with pytest.raises(CrankorderError, match=path.name):
         read_file(path, sources=[0], settings=limits)
-    assert time.monotonic() - begun < 20.0  # 10 s and its margin on a loaded machine
+    assert time.monotonic() - begun < 60.0  # its own limit is 10 s, beside what a slow machine takes to end it
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss - before < 1_200_000  # KiB, with this process's own
 
 
@@ -99,20 +99,20 @@ def test_a_workbook_that_claims_two_thousand_million_rows_is_refused(tmp_path, l
     _refused(tmp_path / "bomb.xlsx", limits)
 
 
-@pytest.mark.parametrize("command", ["init", "check", "run"])
-def test_i11_a_row_beyond_the_last_of_a_sheet_is_refused_by_every_command(tmp_path, command):
+def test_i11_a_row_beyond_the_last_of_a_sheet_is_refused_by_every_command(tmp_path):
     (tmp_path / "in").mkdir()
     cell = '<row r="{0}"><c r="A{0}"><v>1</v></c><c r="B{0}"><v>2</v></c></row>'
     workbook(tmp_path / "in" / "bomb.xlsx", cell.format(1) + cell.format(2_000_000_000))
-    if command != "init":
-        table = '[sampling]\nrate_hz = 1000\n[[channels]]\nname = "a"\nsource = 0\nunit = "1"\n'
-        head = 'schema_version = 1\n[test]\nname = "b"\ncycle = "none"\n[recordings]\nfiles = ["*.xlsx"]\n'
-        (tmp_path / "in" / "run.toml").write_text(head + table, encoding="utf-8")
-    more = ["--out", str(tmp_path / "out")] if command == "run" else []
-    begun = time.process_time()
-    made = CliRunner().invoke(main, [command, str(tmp_path / "in"), *more])
-    assert made.exit_code in (3, 4) and "claims a row beyond the last" in made.output
-    assert time.process_time() - begun < 10.0
+    for command in ["init", "check", "run"]:
+        if command != "init":
+            table = '[sampling]\nrate_hz = 1000\n[[channels]]\nname = "a"\nsource = 0\nunit = "1"\n'
+            head = 'schema_version = 1\n[test]\nname = "b"\ncycle = "none"\n[recordings]\nfiles = ["*.xlsx"]\n'
+            (tmp_path / "in" / "run.toml").write_text(head + table, encoding="utf-8")
+        more = ["--out", str(tmp_path / "out")] if command == "run" else []
+        begun = time.process_time()
+        made = CliRunner().invoke(main, [command, str(tmp_path / "in"), *more])
+        assert made.exit_code in (3, 4) and "claims a row beyond the last" in made.output
+        assert time.process_time() - begun < 10.0
 
 
 @pytest.mark.slow
@@ -126,22 +126,27 @@ def test_a_workbook_of_endless_shared_strings_is_refused(tmp_path, limits):
         contents_of(tmp_path / "bomb.xlsx", settings=limits)
 
 
-@pytest.mark.parametrize("code", [1, 2])
-@pytest.mark.parametrize("packed", [False, True])
-def test_a_matlab_variable_of_four_million_empty_arrays_is_refused_at_once(tmp_path, limits, code, packed):
-    def element(kind: int, data: bytes) -> bytes:
-        return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
+def test_a_matlab_variable_of_four_million_empty_arrays_is_refused_at_once(tmp_path, limits):
+    for code in [1, 2]:
+        for packed in [False, True]:
 
-    fields = struct.pack("<Ii", 4 << 16 | 5, 4) + element(1, b"a\0\0\0")
-    head = element(6, struct.pack("<II", code, 0)) + element(5, struct.pack("<ii", 1, 4_000_000)) + element(1, b"s")
-    variable = element(14, head + (fields if code == 2 else b"") + element(14, b"") * 4_000_000)
-    if packed:
-        deflated = zlib.compress(variable, 1)
-        variable = struct.pack("<II", 15, len(deflated)) + deflated
-    path = tmp_path / "bomb.mat"
-    path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + variable)
-    begun, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(UnsafeInputError, match=r"bomb\.mat: a variable holds more than 20000 arrays"):
-        contents_of(path, settings=limits)
-    assert time.process_time() - begun < 5.0
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB
+            def element(kind: int, data: bytes) -> bytes:
+                return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
+
+            fields = struct.pack("<Ii", 4 << 16 | 5, 4) + element(1, b"a\0\0\0")
+            head = (
+                element(6, struct.pack("<II", code, 0))
+                + element(5, struct.pack("<ii", 1, 4_000_000))
+                + element(1, b"s")
+            )
+            variable = element(14, head + (fields if code == 2 else b"") + element(14, b"") * 4_000_000)
+            if packed:
+                deflated = zlib.compress(variable, 1)
+                variable = struct.pack("<II", 15, len(deflated)) + deflated
+            path = tmp_path / "bomb.mat"
+            path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + variable)
+            begun, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            with pytest.raises(UnsafeInputError, match=r"bomb\.mat: a variable holds more than 20000 arrays"):
+                contents_of(path, settings=limits)
+            assert time.process_time() - begun < 5.0
+            assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB

@@ -33,9 +33,8 @@ def stored(path: Path, values: np.ndarray, file_attrs: dict | None = None, **att
     return path
 
 
-@pytest.mark.parametrize(
-    ("of_file", "of_data", "rate_hz", "told"),
-    [
+def test_rates_of_two_places_that_differ_are_told(tmp_path, limits):
+    rows = [
         ({"rate_hz": 51_200.0}, {"fs": 50_000.0}, 50_000.0, True),
         ({"dt": 1 / 51_200.0}, {"fs": 50_000.0}, 50_000.0, True),
         ({"rate_hz": 50_000.0}, {"dt": 2e-5}, 50_000.0, False),
@@ -43,14 +42,13 @@ def stored(path: Path, values: np.ndarray, file_attrs: dict | None = None, **att
         ({"SampleRate": "51.2 kHz"}, {"fs": 50_000.0}, 50_000.0, True),
         ({"dt": b"20 us"}, {}, 50_000.0, False),
         ({"rate_hz": "unknown"}, {}, None, False),
-    ],
-)
-def test_rates_of_two_places_that_differ_are_told(tmp_path, limits, of_file, of_data, rate_hz, told):
-    raw = read_file(stored(tmp_path / "a.h5", TONE, of_file, **of_data), sources=["a"], settings=limits)
-    assert raw.rate_hz == (None if rate_hz is None else pytest.approx(rate_hz))
-    assert [flag["flag"] for flag in raw.flags] == ["header_rate_disagrees"] * told
-    if told:
-        assert "51200 Hz" in raw.flags[0]["detail"] and "50000 Hz" in raw.flags[0]["detail"]
+    ]
+    for of_file, of_data, rate_hz, told in rows:
+        raw = read_file(stored(tmp_path / "a.h5", TONE, of_file, **of_data), sources=["a"], settings=limits)
+        assert raw.rate_hz == (None if rate_hz is None else pytest.approx(rate_hz))
+        assert [flag["flag"] for flag in raw.flags] == ["header_rate_disagrees"] * told
+        if told:
+            assert "51200 Hz" in raw.flags[0]["detail"] and "50000 Hz" in raw.flags[0]["detail"]
 
 
 def test_a_scale_as_text_is_taken_and_told(tmp_path, limits):
@@ -60,6 +58,7 @@ def test_a_scale_as_text_is_taken_and_told(tmp_path, limits):
     assert [flag["flag"] for flag in raw.flags] == ["scale_unusual"] * 2 and "text" in raw.flags[0]["detail"]
 
 
+@pytest.mark.slow
 def test_a_scale_for_each_column_is_taken_and_told(tmp_path, limits):
     path = stored(tmp_path / "a.h5", np.column_stack([TONE, TONE]), scale_factor=[1.0, 3.0])
     raw = read_file(path, sources=["a[1]", "a[0]"], settings=limits)
@@ -68,19 +67,18 @@ def test_a_scale_for_each_column_is_taken_and_told(tmp_path, limits):
     assert [flag["flag"] for flag in raw.flags] == ["scale_unusual"]
 
 
-@pytest.mark.parametrize("scale", ["about 2", [1.0, 2.0], [[1.0], [2.0]], np.nan, "1,5", b"\xff"])
-def test_a_scale_that_is_no_number_is_refused(tmp_path, limits, scale):
-    path = stored(tmp_path / "a.h5", TONE, scale_factor=scale)
-    with pytest.raises(InputError, match=r"a\.h5: /a: its scale_factor is not a number"):
-        read_file(path, sources=["a"], settings=limits)
+def test_a_scale_that_is_no_number_is_refused(tmp_path, limits):
+    for scale in ["about 2", [1.0, 2.0], [[1.0], [2.0]], np.nan, "1,5", b"\xff"]:
+        path = stored(tmp_path / "a.h5", TONE, scale_factor=scale)
+        with pytest.raises(InputError, match=r"a\.h5: /a: its scale_factor is not a number"):
+            read_file(path, sources=["a"], settings=limits)
 
 
 MANIFEST = '[sampling]\nrate_hz = 1000.0\n[[channels]]\nname = "a"\nunit = "{unit}"\n{more}'
 
 
-@pytest.mark.parametrize(
-    ("values", "attrs", "unit", "more", "told"),
-    [
+def test_whole_numbers_without_a_unit_are_asked_about(tmp_path, manifest_of, settings):
+    rows = [
         (TONE.astype("i2"), {}, "m/s2", "", True),
         (TONE, {}, "g", "", True),
         (TONE.astype("i2"), {}, "counts", "", False),
@@ -89,19 +87,19 @@ MANIFEST = '[sampling]\nrate_hz = 1000.0\n[[channels]]\nname = "a"\nunit = "{uni
         (TONE.astype("i2"), {"units": "mV"}, "m/s2", 'sensitivity = "100 mV/g"', False),
         (0.37 * TONE, {}, "m/s2", "", False),
         (np.sign(TONE), {}, "m/s2", "", False),
-    ],
-)
-def test_whole_numbers_without_a_unit_are_asked_about(tmp_path, manifest_of, settings, values, attrs, unit, more, told):
-    path = stored(tmp_path / "a.h5", values, **attrs)
-    manifest = manifest_of(MANIFEST.format(unit=unit, more=more), head=_HEAD)
-    raw = read_file(path, sources=["a"], settings=settings.ingest)
-    recording = recording_of(raw, path, manifest, settings=settings.ingest, shaft=settings.shaft)
-    assert ("counts_without_unit" in [flag["flag"] for flag in flags_of(recording)]) == told
+    ]
+    for values, attrs, unit, more, told in rows:
+        path = stored(tmp_path / "a.h5", values, **attrs)
+        manifest = manifest_of(MANIFEST.format(unit=unit, more=more), head=_HEAD)
+        raw = read_file(path, sources=["a"], settings=settings.ingest)
+        recording = recording_of(raw, path, manifest, settings=settings.ingest, shaft=settings.shaft)
+        assert ("counts_without_unit" in [flag["flag"] for flag in flags_of(recording)]) == told
 
 
 _HEAD = 'schema_version = 1\n[test]\ncycle = "none"\n[recordings]\nfiles = ["*"]\n'
 
 
+@pytest.mark.slow
 def test_a_draft_calls_whole_numbers_counts(tmp_path):
     stored(tmp_path / "a.h5", TONE.astype("i2"), fs=1000.0)
     assert 'unit = "counts"                   # ? whole numbers without a unit' in draft_manifest(tmp_path)
@@ -154,6 +152,7 @@ def test_a_list_of_checksums_tells_what_is_altered_and_what_is_missing(campaign,
     assert missing.file == str(campaign / "c d.h5") and "is listed in" in str(missing)
 
 
+@pytest.mark.slow
 def test_what_a_list_names_beside_recordings_is_no_matter(campaign, settings):
     outside = [f"{64 * '0'}  ../secret.h5", f"{64 * '1'}  /etc/passwd", f"{64 * '2'}  notes.pdf", f"{64 * '3'}  x/y.h5"]
     (campaign / "manifest-sha256.txt").write_text("\n".join(outside))
@@ -163,13 +162,14 @@ def test_what_a_list_names_beside_recordings_is_no_matter(campaign, settings):
     assert [path.name for path in recordings_of(campaign, manifest).paths] == ["a.h5", "b.h5", "c d.h5"]
 
 
-@pytest.mark.parametrize("text", [b"hello", b"12345  a.h5", 70 * b"0" + b"  a.h5", b"\0\0", b"\xff\xfe"])
-def test_a_list_that_holds_no_checksums_is_a_fault_of_its_own(campaign, settings, text):
-    (campaign / "SHA256SUMS").write_bytes(text)
-    (fault,) = check_folder(campaign, settings=settings.ingest)
-    assert "SHA256SUMS: line 1: is no sha256 checksum" in str(fault)
+def test_a_list_that_holds_no_checksums_is_a_fault_of_its_own(campaign, settings):
+    for text in [b"hello", b"12345  a.h5", 70 * b"0" + b"  a.h5", b"\0\0", b"\xff\xfe"]:
+        (campaign / "SHA256SUMS").write_bytes(text)
+        (fault,) = check_folder(campaign, settings=settings.ingest)
+        assert "SHA256SUMS: line 1: is no sha256 checksum" in str(fault)
 
 
+@pytest.mark.slow
 def test_a_run_leaves_out_what_a_list_says_is_altered(campaign, tmp_path):
     listed(campaign, "sums")
     stored(campaign / "b.h5", np.random.default_rng(9).standard_normal(N), fs=1000.0)

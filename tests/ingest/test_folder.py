@@ -48,12 +48,6 @@ def test_an_empty_folder_says_what_was_looked_for(tmp_path, found_in):
         found_in(tmp_path, "*.h5", "b*")
 
 
-def test_a_folder_of_other_files_says_what_is_there(tmp_path, found_in):
-    touched(tmp_path, "notes.doc")
-    with pytest.raises(NoUsableRecordingError, match=r"looked for \*\.h5; found notes\.doc"):
-        found_in(tmp_path, "*.h5")
-
-
 def test_a_missing_file_is_a_fault_of_its_own(tmp_path, found_in):
     touched(tmp_path, "a.h5")
     folder = found_in(tmp_path, "a.h5", "b.h5")
@@ -61,16 +55,15 @@ def test_a_missing_file_is_a_fault_of_its_own(tmp_path, found_in):
     assert "b.h5: no such file" in str(folder.faults[0])
 
 
-@pytest.mark.parametrize(
-    "name", ["../secret.h5", "/etc/passwd", "~/secret.h5", "a/../../secret.h5", "\0", r"..\secret.h5", r"C:\secret.h5"]
-)
-def test_a_path_out_of_the_folder_is_refused(tmp_path, found_in, name):
+def test_a_path_out_of_the_folder_is_refused(tmp_path, found_in):
     (tmp_path / "secret.h5").write_bytes(b"1\n")
     (tmp_path / "run").mkdir()
-    folder = found_in(tmp_path / "run", name)
-    assert not folder.paths
-    assert isinstance(folder.faults[0], UnsafeInputError)
-    assert "outside the run folder" in str(folder.faults[0])
+    names = ["../secret.h5", "/etc/passwd", "~/secret.h5", "a/../../secret.h5", "\0", r"..\secret.h5", r"C:\secret.h5"]
+    for name in names:
+        folder = found_in(tmp_path / "run", name)
+        assert not folder.paths
+        assert isinstance(folder.faults[0], UnsafeInputError)
+        assert "outside the run folder" in str(folder.faults[0])
 
 
 def test_a_link_out_of_the_folder_is_refused_and_one_inside_is_followed(tmp_path, found_in):
@@ -118,9 +111,8 @@ def test_pipes_folders_sockets_and_devices_are_refused_without_opening(tmp_path,
         check_regular(Path("/dev/zero"))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
+def test_odd_names_are_files_like_any_other(tmp_path, found_in):
+    names = [
         "run 1.h5",
         "a\nb.h5",
         "-rf.h5",
@@ -131,13 +123,14 @@ def test_pipes_folders_sockets_and_devices_are_refused_without_opening(tmp_path,
         "a\\b.h5",
         "run [2].h5",
         "%2e%2e.h5",
-    ],
-)
-def test_odd_names_are_files_like_any_other(tmp_path, found_in, name):
-    touched(tmp_path, name)
-    assert [path.name for path in found_in(tmp_path, "*.h5").paths] == [name]
+    ]
+    for name in names:
+        touched(tmp_path, name)
+        assert [path.name for path in found_in(tmp_path, "*.h5").paths] == [name]
+        (tmp_path / name).unlink()
 
 
+@pytest.mark.slow
 def test_a_name_with_the_characters_of_a_pattern_is_found_by_name(tmp_path, found_in):
     touched(tmp_path, "run [2].h5", "run 2.h5")
     assert [path.name for path in found_in(tmp_path, "run [2].h5").paths] == ["run [2].h5"]
@@ -150,9 +143,8 @@ def test_a_name_that_is_not_utf_8_is_shown_escaped(tmp_path, found_in):
         format_of(path)
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
+def test_a_file_that_is_not_what_it_seems_is_named_by_its_content(tmp_path):
+    rows = [
         ("a.h5", b"", "truncated: the file is empty"),
         ("a.h5", b"\0" * 5000, "holds only zeros"),
         ("a.h5", b"time,acc\n0,1\n", r"is text, though its name ends in \.h5"),
@@ -163,9 +155,8 @@ def test_a_name_that_is_not_utf_8_is_shown_escaped(tmp_path, found_in):
         ("a.h5", b"\x89", "truncated: only 1 bytes are left"),
         ("a.xlsx", b"PK\x03\x04" + b"\0" * 50, "truncated or damaged"),
         ("a.csv", b"\xff\xfea\0", "is UTF-16 text"),
-    ],
-)
-def test_a_file_that_is_not_what_it_seems_is_named_by_its_content(tmp_path, name, content, words):
-    (tmp_path / name).write_bytes(content)
-    with pytest.raises(InputError, match=words):
-        format_of(tmp_path / name)
+    ]
+    for name, content, words in rows:
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=words):
+            format_of(tmp_path / name)

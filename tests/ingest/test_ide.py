@@ -18,7 +18,7 @@ idelib = pytest.importorskip("idelib", reason="the package idelib (extra ide) is
 FILES = ("SSX66115.IDE", "XS5E25D40.IDE")
 
 
-@pytest.fixture(params=FILES)
+@pytest.fixture(params=[FILES[0], pytest.param(FILES[1], marks=pytest.mark.slow)])
 def path(request, real_data) -> Path:
     return real_data / "formats" / "ide" / request.param
 
@@ -57,6 +57,7 @@ def test_channels_of_two_sensors_are_refused(path, limits):
         read_file(path, sources=[names[0], names[3]], settings=limits)
 
 
+@pytest.mark.slow
 def test_a_clock_that_wanders_far_is_told(real_data, limits):
     path = real_data / "formats" / "ide" / "XS5E25D40.IDE"
     (told,) = read_file(path, sources=["Acceleration: X (40g)"], settings=limits).flags

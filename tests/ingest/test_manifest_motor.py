@@ -33,21 +33,19 @@ def test_a_motor_is_read(tmp_path: Path) -> None:
     assert read(tmp_path, "").motor is None
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
+def test_a_wrong_motor_is_refused_with_its_line(tmp_path: Path) -> None:
+    rows = [
         ("supply_hz = 50.0\npoles = 3\n", "poles come in pairs"),
         ("supply_hz = 50.0\npoles = 0\n", "greater than 0"),
         ("supply_hz = -50.0\npoles = 4\n", "greater than 0"),
         ("supply_hz = 50.0\n", "a motor needs poles, rotor_bars or stator_slots"),
         ("poles = 4\nrotor_bar = 44\n", "Did you mean 'rotor_bars'?"),
         ('poles = "4"\n', "motor.poles"),
-    ],
-)
-def test_a_wrong_motor_is_refused_with_its_line(tmp_path: Path, text: str, words: str) -> None:
-    with pytest.raises(ManyErrors) as caught:
-        read(tmp_path, f"[motor]\n{text}")
-    assert words in str(caught.value) and "run.toml:1" in str(caught.value)
+    ]
+    for text, words in rows:
+        with pytest.raises(ManyErrors) as caught:
+            read(tmp_path, f"[motor]\n{text}")
+        assert words in str(caught.value) and "run.toml:1" in str(caught.value)
 
 
 def test_lines_of_a_four_pole_motor_at_2_percent_slip() -> None:
@@ -68,11 +66,3 @@ def test_lines_of_a_four_pole_motor_at_2_percent_slip() -> None:
             ("sideband of bar pass at twice mains", "above"): 1178.0,
         }
     )
-
-
-def test_a_motor_on_a_converter_has_only_what_goes_with_the_shaft() -> None:
-    motor = Motor(poles=4, rotor_bars=44, stator_slots=48, shaft_ratio=2.0)
-    assert {line.name: line.order_at(0.0, 900.0) for line in motor_lines(motor)} == {
-        "bar pass": 88.0,
-        "slot pass": 96.0,
-    }

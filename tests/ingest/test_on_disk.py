@@ -6,6 +6,7 @@ import errno
 import os
 import wave
 from pathlib import Path
+from typing import BinaryIO
 
 import h5py
 import numpy as np
@@ -43,11 +44,8 @@ def assert_same(whole: RawFile, blocks: RawFile) -> None:
 @pytest.mark.parametrize(
     "stored",
     [
-        {"dtype": "<f4"},
-        {"dtype": ">f8"},
         {"dtype": "<i2"},
         {"dtype": "<f4", "chunks": (10_007,), "compression": "gzip"},
-        {"dtype": "<i4", "chunks": (N,)},
     ],
     ids=str,
 )
@@ -59,15 +57,15 @@ def test_hdf5_columns_are_the_same_on_disk(tmp_path, limits, stored):
     assert_same(*both(tmp_path / "a.h5", ["c", "a", "b", 0], limits))
 
 
-@pytest.mark.parametrize("across", [False, True])
-def test_columns_of_a_table_in_hdf5_are_the_same_on_disk(tmp_path, limits, across):
+def test_columns_of_a_table_in_hdf5_are_the_same_on_disk(tmp_path, limits):
+    across = False
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("t", data=NOISE if across else NOISE.T, chunks=(3, 999) if across else (999, 3))
     assert_same(*both(tmp_path / "a.h5", ["t[2]", "t[0]"], limits))
 
 
-@pytest.mark.parametrize("width", [1, 2, 3])
-def test_wav_channels_are_the_same_on_disk(tmp_path, limits, width):
+def test_wav_channels_are_the_same_on_disk(tmp_path, limits):
+    width = 3
     with wave.open(str(tmp_path / "a.wav"), "wb") as file:
         file.setnchannels(3)
         file.setsampwidth(width)
@@ -76,13 +74,7 @@ def test_wav_channels_are_the_same_on_disk(tmp_path, limits, width):
     assert_same(*both(tmp_path / "a.wav", ["2", "0"], limits))
 
 
-def test_text_columns_are_the_same_on_disk(tmp_path, limits, monkeypatch):
-    monkeypatch.setattr(text, "PIECE_LINES", 1000)
-    rows = "".join(f"{a:.6g};{b:.6g};\n" for a, b in NOISE[:2, :4500].T)
-    (tmp_path / "a.txt").write_text("# fs: 1000\na;b\n" + rows + "\n")
-    assert_same(*both(tmp_path / "a.txt", ["b", "a"], limits))
-
-
+@pytest.mark.slow
 def test_a_bad_cell_deep_in_a_table_on_disk_is_named(tmp_path, limits, monkeypatch):
     monkeypatch.setattr(text, "PIECE_LINES", 1000)
     lines = [f"{a:.6g},{a:.6g}\n" for a in NOISE[0, :4500]]
@@ -121,33 +113,41 @@ def faults_of(signal: np.ndarray, limits: IngestSettings) -> list[tuple[str, str
     return [(fault.flag, fault.detail) for fault in mend_signal(signal, settings=limits)]
 
 
-@pytest.mark.parametrize("shift", [-150, -3, -1, 0, 1, 2])
-def test_a_fault_across_the_border_of_two_blocks_is_one_fault(limits, shift):
-    border = BLOCK_SAMPLES + shift
-    signal = NOISE[0].copy()
-    signal[border : border + 2000] = 0.125
-    assert faults_of(signal, limits) == [("dropout", f"the same value for 2000 samples (1.0%) from sample {border}")]
-    signal = NOISE[0].copy()
-    signal[border : border + 200] = np.nan
-    [(name, detail)] = faults_of(signal, limits)
-    assert name == "gap"
-    assert f"in 1 gap, the longest of 200 from sample {border};" in detail
-    signal = NOISE[0].copy()
-    signal[border : border + 3] = -999.0
-    assert [name for name, _ in faults_of(signal, limits)] == ["non_finite_interpolated"]
-    line = np.interp(np.arange(border - 1, border + 4), [border - 1, border + 3], NOISE[0, [border - 1, border + 3]])
-    np.testing.assert_array_equal(signal[border - 1 : border + 4], line)
+def test_a_fault_across_the_border_of_two_blocks_is_one_fault(limits):
+    for shift in [-150, -3, -1, 0, 1, 2]:
+        border = BLOCK_SAMPLES + shift
+        signal = NOISE[0].copy()
+        signal[border : border + 2000] = 0.125
+        assert faults_of(signal, limits) == [
+            ("dropout", f"the same value for 2000 samples (1.0%) from sample {border}")
+        ]
+        signal = NOISE[0].copy()
+        signal[border : border + 200] = np.nan
+        [(name, detail)] = faults_of(signal, limits)
+        assert name == "gap"
+        assert f"in 1 gap, the longest of 200 from sample {border};" in detail
+        signal = NOISE[0].copy()
+        signal[border : border + 3] = -999.0
+        assert [name for name, _ in faults_of(signal, limits)] == ["non_finite_interpolated"]
+        line = np.interp(
+            np.arange(border - 1, border + 4), [border - 1, border + 3], NOISE[0, [border - 1, border + 3]]
+        )
+        np.testing.assert_array_equal(signal[border - 1 : border + 4], line)
 
 
 def test_a_file_of_samples_has_no_name_and_its_whole_size_from_the_start(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)
-    before = os.statvfs(tmp_path).f_bfree
+    taken, claim = [], scratch._claim
+
+    def claimed(file: BinaryIO, n_bytes: int) -> None:
+        claim(file, n_bytes)
+        taken.append(512 * os.fstat(file.fileno()).st_blocks)
+
+    monkeypatch.setattr(scratch, "_claim", claimed)
     array = empty((2, 4_000_000), np.float32, on_disk=True)
     assert list(tmp_path.iterdir()) == []
-    if hasattr(os, "posix_fallocate"):
-        taken = (before - os.statvfs(tmp_path).f_bfree) * os.statvfs(tmp_path).f_frsize
-        assert taken > 0.5 * array.nbytes
+    assert taken[0] >= array.nbytes
     array[1, ::7] = 3.0
     assert array[:, ::7].sum() == 3.0 * len(range(0, 4_000_000, 7))
     assert is_on_disk(array[1, 5:].reshape(5, -1))
@@ -167,11 +167,13 @@ def test_a_full_disk_is_an_error_of_the_surroundings(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_without_a_way_to_claim_room_zeros_are_written(monkeypatch):
     monkeypatch.delattr("os.posix_fallocate", raising=False)
     assert not empty((3_000_001,), np.uint8, on_disk=True).any()
 
 
+@pytest.mark.slow
 def test_files_go_where_tmpdir_says_else_where_memory_is_not(tmp_path, monkeypatch):
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr("tempfile.tempdir", None)

@@ -6,6 +6,8 @@ import json
 import re
 from pathlib import Path
 
+import h5py
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -25,19 +27,40 @@ unit = "m/s2"
 """
 
 
-@pytest.mark.parametrize(
-    ("encoder", "words"),
-    [
+def test_a_range_of_speeds_is_one_and_belongs_to_the_kind(tmp_path: Path) -> None:
+    rows = [
         ('kind = "vibration"\nexpected_rpm = [900.0, 800.0]', "the lowest and the highest speed"),
         ('kind = "constant"\nspeed_rpm = 900.0\nexpected_rpm = [800.0, 900.0]', "goes with kind"),
-    ],
-)
-def test_a_range_of_speeds_is_one_and_belongs_to_the_kind(tmp_path: Path, encoder: str, words: str) -> None:
-    (tmp_path / "run.toml").write_text(MANIFEST + encoder)
-    with pytest.raises(ManyErrors, match=words):
-        load_manifest(tmp_path)
+    ]
+    for encoder, words in rows:
+        (tmp_path / "run.toml").write_text(MANIFEST + encoder)
+        with pytest.raises(ManyErrors, match=words):
+            load_manifest(tmp_path)
 
 
+def test_a_recording_without_encoder_gives_its_orders(tmp_path: Path) -> None:
+    """Speed and amplitudes are those that were put in; the phase has no reference and says so."""
+    (tmp_path / "in").mkdir()
+    encoder = 'kind = "vibration"\nexpected_rpm = [800.0, 3000.0]'
+    (tmp_path / "in" / "run.toml").write_text(MANIFEST + encoder)
+    time_s = np.arange(8 * 4096) / 4096.0
+    put_in = {1.0: 1.0, 2.0: 0.7, 3.0: 0.5}
+    with h5py.File(tmp_path / "in" / "a.h5", "w") as file:
+        file.attrs["rate_hz"] = 4096.0
+        turning = sum(size * np.cos(2 * np.pi * order * 25.0 * time_s) for order, size in put_in.items())
+        file["Z"] = turning + 0.1 * np.random.default_rng(1).standard_normal(time_s.size)
+    done = CliRunner().invoke(main, ["run", str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--no-pictures"])
+    assert done.exit_code == 0, done.output
+    findings = json.loads(next((tmp_path / "out").glob("*/findings.json")).read_bytes())
+    assert findings["speed_range_rpm"] == pytest.approx([1500.0, 1500.0], rel=1e-3)
+    found = {round(record["order"], 1): record for record in findings["orders"]}
+    for order, size in put_in.items():
+        assert found[order]["amplitude"] == pytest.approx(size, rel=0.02)
+        assert found[order]["phase_deg"] is None
+    assert "no_index" in {flag["flag"] for flag in findings["quality"]}
+
+
+@pytest.mark.slow
 def test_a_firing_engine_without_encoder_gives_its_orders(tmp_path: Path) -> None:
     """Speed and amplitudes against the truth of the scene; the phase has no reference and says so."""
     folder = tmp_path / "recordings"
@@ -48,7 +71,7 @@ def test_a_firing_engine_without_encoder_gives_its_orders(tmp_path: Path) -> Non
     end = start + 1 + re.search(r"\n\[", text[start:]).start()
     vibration = '[encoder]\nkind = "vibration"\nexpected_rpm = [800.0, 3000.0]\n\n'
     (folder / "run.toml").write_text(text[:start] + vibration + text[end:])
-    assert run(main, ["run", str(folder), "--out", str(tmp_path / "out")]).exit_code == 0
+    assert run(main, ["run", str(folder), "--out", str(tmp_path / "out"), "--no-pictures"]).exit_code == 0
     findings = json.loads(next((tmp_path / "out").glob("*/findings.json")).read_bytes())
     assert findings["speed_range_rpm"] == pytest.approx([1500.0, 2000.0], rel=1e-3)
     truth = json.loads((folder / "truth.json").read_bytes())["orders"]

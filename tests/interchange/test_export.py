@@ -97,39 +97,39 @@ def sets_of(path: Path) -> list[dict[str, Any]]:
     return read
 
 
-@pytest.mark.parametrize("binary", [False, True])
-def test_another_reader_finds_every_number_of_the_results(result: Path, tmp_path: Path, binary: bool) -> None:
-    (path,) = co.export(result, to="uff58", binary=binary, out=tmp_path)
-    sets, groups = sets_of(path), read_results(result / "results.nc")
-    assert [one["type"] for one in sets[:3]] == [151, 164, 58]
-    assert (sets[1]["units_code"], sets[1]["length"], sets[1]["force"]) == (1, 1.0, 1.0)
-    kinds = [one["func_type"] for one in sets[2:]]
-    assert (kinds.count(27), kinds.count(12)) == (3 * len(ORDERS), 2 * 3 * len(SPEEDS))
-    factor, share = (9.80665, 1e5, 1.0), 1e-7 if binary else 1e-11
-    cuts = [one for one in sets[2:] if one["func_type"] == 27]
-    for one, (channel, order) in zip(cuts, np.ndindex(3, len(ORDERS)), strict=True):
-        row = groups["order_tracks"].isel(channel=channel, order=order)
-        known = np.isfinite(row["amplitude"].values)
-        np.testing.assert_allclose(one["x"], SPEEDS[known], rtol=5e-6)  # six digits
-        wanted = factor[channel] * row["amplitude"].values[known].astype(float)
-        np.testing.assert_allclose(np.abs(one["data"]), wanted, rtol=share)
-        if (channel, order) == (2, 1):
-            assert not np.iscomplexobj(one["data"])
-            assert "phase not known" in one["id4"]
-        else:
-            turned = np.angle(one["data"] * np.exp(-1j * np.radians(row["phase"].values[known].astype(float))))
-            np.testing.assert_allclose(turned, 0.0, atol=10 * share)
-        assert (one["z_axis_value"], one["abscissa_spec_data_type"]) == (ORDERS[order], 19)
-    for name, kind in (("order_map", 20), ("campbell_map", 18)):
-        rows = [one for one in sets[2:] if one["func_type"] == 12 and one["abscissa_spec_data_type"] == kind]
-        axis = groups[name][groups[name]["amplitude"].dims[-1]].values
-        for one, (channel, speed) in zip(rows, np.ndindex(3, len(SPEEDS)), strict=True):
-            row = groups[name]["amplitude"].values[channel, speed]
-            known = np.isfinite(row)
-            np.testing.assert_allclose(one["x"], axis[known], rtol=5e-6)
-            np.testing.assert_allclose(one["data"], factor[channel] * row[known].astype(float), rtol=share)
-            assert one["z_axis_value"] == pytest.approx(SPEEDS[speed], rel=5e-6)
-            assert one["z_axis_spec_data_type"] == 19
+def test_another_reader_finds_every_number_of_the_results(result: Path, tmp_path: Path) -> None:
+    for binary in [False, True]:
+        (path,) = co.export(result, to="uff58", binary=binary, out=tmp_path)
+        sets, groups = sets_of(path), read_results(result / "results.nc")
+        assert [one["type"] for one in sets[:3]] == [151, 164, 58]
+        assert (sets[1]["units_code"], sets[1]["length"], sets[1]["force"]) == (1, 1.0, 1.0)
+        kinds = [one["func_type"] for one in sets[2:]]
+        assert (kinds.count(27), kinds.count(12)) == (3 * len(ORDERS), 2 * 3 * len(SPEEDS))
+        factor, share = (9.80665, 1e5, 1.0), 1e-7 if binary else 1e-11
+        cuts = [one for one in sets[2:] if one["func_type"] == 27]
+        for one, (channel, order) in zip(cuts, np.ndindex(3, len(ORDERS)), strict=True):
+            row = groups["order_tracks"].isel(channel=channel, order=order)
+            known = np.isfinite(row["amplitude"].values)
+            np.testing.assert_allclose(one["x"], SPEEDS[known], rtol=5e-6)  # six digits
+            wanted = factor[channel] * row["amplitude"].values[known].astype(float)
+            np.testing.assert_allclose(np.abs(one["data"]), wanted, rtol=share)
+            if (channel, order) == (2, 1):
+                assert not np.iscomplexobj(one["data"])
+                assert "phase not known" in one["id4"]
+            else:
+                turned = np.angle(one["data"] * np.exp(-1j * np.radians(row["phase"].values[known].astype(float))))
+                np.testing.assert_allclose(turned, 0.0, atol=10 * share)
+            assert (one["z_axis_value"], one["abscissa_spec_data_type"]) == (ORDERS[order], 19)
+        for name, kind in (("order_map", 20), ("campbell_map", 18)):
+            rows = [one for one in sets[2:] if one["func_type"] == 12 and one["abscissa_spec_data_type"] == kind]
+            axis = groups[name][groups[name]["amplitude"].dims[-1]].values
+            for one, (channel, speed) in zip(rows, np.ndindex(3, len(SPEEDS)), strict=True):
+                row = groups[name]["amplitude"].values[channel, speed]
+                known = np.isfinite(row)
+                np.testing.assert_allclose(one["x"], axis[known], rtol=5e-6)
+                np.testing.assert_allclose(one["data"], factor[channel] * row[known].astype(float), rtol=share)
+                assert one["z_axis_value"] == pytest.approx(SPEEDS[speed], rel=5e-6)
+                assert one["z_axis_spec_data_type"] == 19
 
 
 def test_a_universal_file_says_what_its_numbers_are() -> None:
@@ -223,6 +223,7 @@ def test_the_command_names_what_it_wrote(result: Path, tmp_path: Path) -> None:
     assert CliRunner().invoke(main, ["export", str(tmp_path / "no"), "--to", "csv"]).exit_code == 2
 
 
+@pytest.mark.slow
 def test_results_without_a_shaft_have_tables_of_the_map_alone() -> None:
     groups = {"campbell_map": made_groups()["campbell_map"]}
     assert tables_of({name: published(one) for name, one in groups.items()}) == {}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,11 +36,9 @@ class Verdict:
     words: str
 
 
-def findings_of(rig: MotorRig, folder: Path, then: Callable[[Path], None] | None = None) -> dict[str, Any]:
-    """Findings of ``rig`` by the command, in the new ``folder``, without pictures; ``then`` changes what it reads."""
+def findings_of(rig: MotorRig, folder: Path) -> dict[str, Any]:
+    """Findings of ``rig`` by the command, in the new ``folder``, without pictures."""
     write_folder(rig, folder / "test")
-    if then is not None:
-        then(folder / "test")
     recipe = 'title = "Findings"\ndescription = "Nothing else."\n[report]\nresults = ["findings"]\n'
     (folder / "findings-alone.toml").write_text(recipe, encoding="utf-8")
     out = folder / "out"

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from machines.motor_judge import Verdict, findings_of, judged, said_of
-from machines.motor_rig import CLASSES, RATE_HZ, Line, MotorRig, draw_rig, samples
+from machines.motor_rig import CLASSES, RATE_HZ, MotorRig, draw_rig, samples
 
 LEAST_NAMED = 0.95
 """Share of the lines of the mains and of motors that are named."""
@@ -72,61 +72,6 @@ def test_a_motor_that_cannot_turn_so_has_no_line_named(tmp_path: Path) -> None:
     rig = replace(rig, takes=tuple(replace(take, rpm=(1.4 * 40.0 * rig.supply_hz / 2,) * 2) for take in rig.takes))
     found = findings_of(rig, tmp_path)["motor"]
     assert "do not fit" in found["misfit"] and not found["lines"]
-
-
-@pytest.mark.parametrize("wrong", [2, 5])
-def test_a_wrong_count_of_rotor_bars_is_said_with_the_one_that_the_lines_speak_for(wrong: int, tmp_path: Path) -> None:
-    rig = short(replace(draw_rig(14, "motor"), rotor_bars=31))
-    shaft = [line for line in rig.takes[0].lines if line.cause in ("shaft", "mains")]
-    bars = [Line("bar pass", 0.6, order=31.0)]
-    bars += [Line("bar pass sideband", 0.4, order=31.0, hz=side * 2.0 * rig.mains_hz) for side in (-1, 1)]
-    rig = replace(rig, takes=(replace(rig.takes[0], lines=(*shaft, *bars)),))
-    motor = findings_of(rig, tmp_path / "right")["motor"]
-    assert motor["bars_doubt"] == "" and any(line["name"] == "motor, bar pass" for line in motor["lines"])
-
-    def stated(folder: Path) -> None:
-        text = (folder / "run.toml").read_text(encoding="utf-8")
-        text = text.replace("rotor_bars = 31", f"rotor_bars = {31 + wrong}")
-        (folder / "run.toml").write_text(text, encoding="utf-8")
-
-    motor = findings_of(rig, tmp_path / "wrong", then=stated)["motor"]
-    assert f"where {31 + wrong} bars as stated" in motor["bars_doubt"] and "that of 31 bars" in motor["bars_doubt"]
-    assert not any("bar pass" in line["name"] for line in motor["lines"])
-
-
-def stating(folder: Path, rpm: float) -> None:
-    """Make the test in ``folder`` one whose speed is stated as ``rpm``, without an encoder."""
-    text = (folder / "run.toml").read_text(encoding="utf-8")
-    before, after = text.split("[encoder]")
-    motor = after[after.index("[motor]") :]
-    names = f'files = ["rec_*.h5"]\nspeed_rpm = {{ "rec_000.h5" = {rpm!r} }}'
-    before = before.replace('files = ["rec_*.h5"]', names)
-    (folder / "run.toml").write_text(f'{before}[encoder]\nkind = "constant"\n{motor}', encoding="utf-8")
-
-
-def test_a_stated_speed_that_is_the_fields_own_tells_no_slip_and_no_second_shaft(tmp_path: Path) -> None:
-    rig = short(replace(draw_rig(14, "motor"), condition="healthy"))
-    mains = Line("mains", 0.5, hz=rig.mains_hz)
-    rig = replace(rig, takes=(replace(rig.takes[0], lines=(*rig.takes[0].lines, mains)),))
-    field = 120.0 * rig.supply_hz / rig.poles
-    found = findings_of(rig, tmp_path, then=lambda folder: stating(folder, field))
-    assert "that of the field" in found["motor"]["speed_doubt"] and found["motor"]["speeds"][0]["slip"] is None
-    assert f"the lines speak for {rig.takes[0].rpm[0]:.5g} rpm" in found["motor"]["speed_doubt"]
-    said = {text for text, *_ in said_of(found)}
-    assert {"unbalance, bent shaft or misalignment", "mains"} <= said and not any(
-        "second shaft" in text for text in said
-    )
-
-
-@pytest.mark.parametrize("off", [0.011, -0.008])
-def test_a_slip_is_not_told_by_a_stated_speed_that_the_shaft_speaks_against(off: float, tmp_path: Path) -> None:
-    rig = short(replace(draw_rig(14, "motor"), condition="healthy"))
-    rpm = rig.takes[0].rpm[0] * (1.0 + off)
-
-    motor = findings_of(rig, tmp_path, then=lambda folder: stating(folder, rpm))["motor"]
-    assert motor["speed_doubt"] and motor["speeds"][0]["slip"] is None
-    told = float(motor["speed_doubt"].split("slips by ")[1].split(" %")[0])
-    assert told == pytest.approx(100.0 * rig.slips[0], abs=0.06)
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
@@ -50,6 +51,7 @@ def missed(seeds, *, off=0.0):
     return np.concatenate(out), np.concatenate(wide), np.concatenate(beat)
 
 
+@pytest.mark.slow
 def test_intervals_of_drawn_pairs_cover_and_tell():
     out, wide, beats = missed(range(20))
     assert len(out) > 150
@@ -57,12 +59,14 @@ def test_intervals_of_drawn_pairs_cover_and_tell():
     assert np.median(wide[beats > 3.0]) < 0.2
 
 
+@pytest.mark.slow
 def test_a_wrong_number_widens_the_interval():
     out, _, beats = missed(range(100, 115), off=0.1)
     assert (beats > 1.5).mean() > 0.5
     assert out.mean() < 0.07
 
 
+@pytest.mark.slow
 def test_lines_that_hardly_beat_are_not_parted():
     out, reached = 0, 0
     for seed in range(200, 212):
@@ -79,7 +83,7 @@ def test_lines_that_hardly_beat_are_not_parted():
 
 
 def test_a_line_whose_slip_wanders_keeps_its_amplitude():
-    for seed in range(300, 305):
+    for seed in range(300, 303):
         draw = np.random.default_rng(seed)
         order, size, frames = 2.0 * (1.0 + draw.uniform(0.004, 0.015)), 10.0 ** draw.uniform(-1.0, 1.0), []
         for number, speed in enumerate((1500.0, 2400.0)):

@@ -33,6 +33,7 @@ def of(*signals, speed_rpm=1000.0, duration_s=8.0, rate_hz=2000.0, settings=SETT
     )
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("start_rev", [-0.3, 0.0, 0.77, 1.2, 5.999])
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6, 1e-9])
 def test_the_mean_cycle_of_a_locked_signal_is_the_signal_from_top_dead_centre_wherever_it_begins(start_rev, tolerance):
@@ -57,6 +58,7 @@ def test_a_run_up_keeps_the_waveform_and_falls_into_speed_groups():
     )
 
 
+@pytest.mark.slow
 def test_the_loud_end_of_a_run_up_does_not_show_at_its_quiet_begin():
     """A waveform that grows a thousandfold with speed: the ends of the record are not alike."""
     growing = lambda time_s, angle: (1.0 + 50.0 * time_s) * np.cos(2 * np.pi * 2.0 * angle)  # noqa: E731
@@ -95,6 +97,7 @@ def test_orders_above_the_highest_fade_instead_of_folding():
         np.testing.assert_allclose(made["mean"].values[0, 0], expected, atol=2e-6)
 
 
+@pytest.mark.slow
 def test_spread_and_error_are_those_of_the_noise_over_many_recordings():
     sigma, draws = 0.5, 25
     made = [of(total(LOCKED, noise(seed, sigma)), duration_s=3.0) for seed in range(draws)]
@@ -106,6 +109,7 @@ def test_spread_and_error_are_those_of_the_noise_over_many_recordings():
     assert deviation == pytest.approx(sigma * np.sqrt((20 + 0.375 * 20) * 1000 / 60 / 1000), rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_error_of_the_mean_falls_with_the_root_of_the_cycles():
     short, long = (of(noise(3, 1.0), duration_s=duration) for duration in (6.0, 96.0))
     ratio = np.sqrt(np.mean(short["standard_error"].values ** 2) / np.mean(long["standard_error"].values ** 2))
@@ -155,19 +159,20 @@ def test_less_than_one_cycle_is_refused_and_a_single_one_has_no_spread():
     np.testing.assert_allclose(single["mean"].values[0, 0], truth(single["cycle_angle"].values), atol=4e-6)
 
 
-@pytest.mark.parametrize("size", [1e-300, 1e300])
-def test_amplitudes_from_the_least_to_the_largest_keep_their_mean_and_spread(size):
+def test_amplitudes_from_the_least_to_the_largest_keep_their_mean_and_spread():
     plain = of(total(LOCKED, noise(1, 0.5)))
-    band, angle = steady([total(LOCKED, noise(1, 0.5))], speed_rpm=1000.0, duration_s=8.0, rate_hz=2000.0)
-    band["signal"] = band["signal"] * size
-    band["signal"].attrs["units"] = "see unit"
-    scaled = cycle_average(band, angle, settings=SETTINGS)
-    both = [cycle_averages([item, item], speed_bin_rpm=25.0) for item in (plain, scaled)]
-    for one, other in ((plain, scaled), both):
-        for name in ("mean", "standard_deviation", "standard_error", "minimum", "maximum"):
-            np.testing.assert_allclose(other[name].values / size, one[name].values, rtol=1e-9, atol=1e-9)
+    for size in (1e-300, 1e300):
+        band, angle = steady([total(LOCKED, noise(1, 0.5))], speed_rpm=1000.0, duration_s=8.0, rate_hz=2000.0)
+        band["signal"] = band["signal"] * size
+        band["signal"].attrs["units"] = "see unit"
+        scaled = cycle_average(band, angle, settings=SETTINGS)
+        both = [cycle_averages([item, item], speed_bin_rpm=25.0) for item in (plain, scaled)]
+        for one, other in ((plain, scaled), both):
+            for name in ("mean", "standard_deviation", "standard_error", "minimum", "maximum"):
+                np.testing.assert_allclose(other[name].values / size, one[name].values, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_joining_two_halves_of_the_cycles_gives_the_statistics_of_all():
     band, angle = steady(
         [total(LOCKED, noise(5, 0.5))], speed_rpm=1200.0, duration_s=12.0, rate_hz=2000.0, start_rev=0.0

@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 from crankorder.orders.envelope import envelope_map, recording_envelope
-from crankorder.orders.envelope_band import BLOCK_SAMPLES, Band, band_tree, block_spectra, envelopes_of
+from crankorder.orders.envelope_band import BLOCK_SAMPLES, Band, block_spectra, envelopes_of
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
 from made.recordings import shaft
@@ -49,6 +49,7 @@ def test_the_amplitude_of_strikes_does_not_depend_on_the_noise_and_grows_as_they
     assert read == pytest.approx([read[-1]] * 3, rel=0.02)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("centre_hz", [2000.0, 8500.0, 19000.0])
 def test_the_band_is_chosen_where_the_strikes_ring(centre_hz):
     rate, rpm, n = 50_000.0, 1500.0, 200_000
@@ -64,6 +65,7 @@ def test_the_band_is_chosen_where_the_strikes_ring(centre_hz):
     assert abs(strongest(made) - times * 2.18) < 1.0 / 64.0
 
 
+@pytest.mark.slow
 def test_each_channel_chooses_its_own_band_and_one_without_strikes_shows_none():
     made, angle = strikes(order=3.2, size=6.0, speed_rpm=1500.0, seed=3)
     noise = np.random.default_rng(9).standard_normal(made["signal"].shape)
@@ -87,6 +89,7 @@ def test_order_lines_below_the_band_leave_no_trace():
     assert with_lines["level"].values == pytest.approx(without["level"].values, rel=0.01)
 
 
+@pytest.mark.slow
 def test_noise_alone_has_the_floor_it_says():
     # the mean of (amplitude / floor)^4 over noise is 1, whichever band was chosen
     ratios = [
@@ -129,6 +132,7 @@ def test_a_gap_costs_the_frames_that_it_touches_and_nothing_else():
     assert lost["n_independent"].values[0, 0] == 0.0
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("scale", [1e-30, 1e25])
 def test_very_small_and_very_large_units_change_nothing_but_the_scale(scale):
     made, angle = strikes(order=3.2, size=6.0, speed_rpm=1500.0, seed=6)
@@ -138,6 +142,7 @@ def test_very_small_and_very_large_units_change_nothing_but_the_scale(scale):
     assert scaled["amplitude"].values / scale == pytest.approx(plain["amplitude"].values, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_same_comes_out_of_a_file_on_disk_and_is_the_same_again(tmp_path):
     made, angle = strikes(order=3.2, size=6.0, speed_rpm=1500.0, seed=7, duration_s=12.0)
     np.save(tmp_path / "signal.npy", made["signal"].values)
@@ -146,6 +151,7 @@ def test_the_same_comes_out_of_a_file_on_disk_and_is_the_same_again(tmp_path):
     assert first["amplitude"].values.tobytes() == again["amplitude"].values.tobytes()
 
 
+@pytest.mark.slow
 def test_of_a_long_recording_a_stated_share_is_analysed():
     made, angle = strikes(order=3.2, size=6.0, speed_rpm=3000.0, seed=8, duration_s=40.0)
     short = ORDERS.model_copy(update={"envelope_longest_s": 16.0})
@@ -155,23 +161,20 @@ def test_of_a_long_recording_a_stated_share_is_analysed():
     assert abs(strongest(found) - 3.2) <= 1.0 / 64.0
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
+def test_where_there_can_be_no_envelope_it_is_empty_and_says_why():
+    for change, reason in (
         ({"rate_hz": 1000.0}, "no band above order 20"),
         ({"speed_rpm": np.nan}, "the speed is not known"),
         ({"duration_s": 0.2}, "fewer than 8 revolutions"),
-    ],
-)
-def test_where_there_can_be_no_envelope_it_is_empty_and_says_why(change, reason):
-    asked = {"rate_hz": 12_800.0, "speed_rpm": 1500.0, "duration_s": 5.0} | change
-    n = round(asked["duration_s"] * asked["rate_hz"])
-    made, angle = recording(np.zeros((2, n)), rate_hz=asked["rate_hz"], speed_rpm=asked["speed_rpm"])
-    found = recording_envelope(made, angle, settings=ORDERS)
-    check_dataset(found, "envelope_map")
-    assert found.sizes["order"] == 0
-    assert [flag["flag"] for flag in flags_of(found)] == ["no_envelope_band"]
-    assert reason in flags_of(found)[0]["detail"]
+    ):
+        asked = {"rate_hz": 12_800.0, "speed_rpm": 1500.0, "duration_s": 5.0} | change
+        n = round(asked["duration_s"] * asked["rate_hz"])
+        made, angle = recording(np.zeros((2, n)), rate_hz=asked["rate_hz"], speed_rpm=asked["speed_rpm"])
+        found = recording_envelope(made, angle, settings=ORDERS)
+        check_dataset(found, "envelope_map")
+        assert found.sizes["order"] == 0
+        assert [flag["flag"] for flag in flags_of(found)] == ["no_envelope_band"]
+        assert reason in flags_of(found)[0]["detail"]
 
 
 def test_a_recording_by_crank_angle_has_no_envelope():
@@ -185,16 +188,6 @@ def test_a_recording_by_crank_angle_has_no_envelope():
 def test_a_silent_channel_is_no_fault():
     made = recording_envelope(*recording(np.zeros((1, 64_000)), rate_hz=12_800.0, speed_rpm=1500.0), settings=ORDERS)
     assert not np.nan_to_num(made["amplitude"].values).any()
-
-
-def test_the_bands_of_a_tree_fill_the_range_at_every_level():
-    bands = band_tree(500.0, 24_500.0, least_width_hz=1000.0)
-    for level in {band.level for band in bands}:
-        row = [band for band in bands if band.level == level]
-        assert len(row) == level
-        assert (row[0].low_hz, row[-1].high_hz) == (500.0, pytest.approx(24_500.0))
-    assert min(band.high_hz - band.low_hz for band in bands) >= 1000.0
-    assert band_tree(500.0, 1000.0, least_width_hz=1000.0) == ()
 
 
 def test_the_squared_envelope_of_a_tone_is_its_square_across_blocks():
@@ -222,6 +215,7 @@ def test_a_map_averages_recordings_of_like_speed_and_keeps_its_schema():
     assert made["band_low"].values[0, 0] == min(item["band_low"].values[0, 0] for item in items[:2])
 
 
+@pytest.mark.slow
 def test_a_map_of_recordings_without_envelope_is_empty_and_one_with_other_channels_is_left_out():
     empty = recording_envelope(*recording(np.zeros((1, 400)), rate_hz=1000.0, speed_rpm=1500.0), settings=ORDERS)
     assert envelope_map([empty, empty], speed_bin_rpm=25.0).sizes["order"] == 0

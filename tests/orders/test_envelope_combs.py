@@ -15,7 +15,6 @@ from crankorder.orders.envelope_combs import (
     comb_nats,
     look_nats,
     looked_at,
-    middles,
     served,
 )
 from crankorder.quantities import check_dataset
@@ -27,6 +26,7 @@ STEP = 1.0 / 64.0
 ALL = np.ones(1921, dtype=np.bool_)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("count", [1.0, 4.7, 300.0])
 def test_the_table_holds_the_chances_of_the_f_distribution(count):
     ratio = np.geomspace(0.2, 30.0, 400)
@@ -36,13 +36,6 @@ def test_the_table_holds_the_chances_of_the_f_distribution(count):
     wanted = np.clip(exact, 0.0, MOST_NATS)
     above = ratio > 1.0
     assert made[above] == pytest.approx(wanted[above], abs=0.01)
-
-
-def test_bins_that_are_not_free_count_neither_themselves_nor_as_neighbours():
-    ratio, free = np.ones((1, 9)), np.ones(9, dtype=np.bool_)
-    ratio[0, 4], free[4] = 1e4, False
-    made = look_nats(ratio, np.arange(9), count=4.0, floor_worth=25.6, free=free)
-    assert made.max() < 1.0
 
 
 def test_two_harmonics_are_as_unlikely_as_fishers_method_says():
@@ -67,6 +60,7 @@ def test_sidebands_are_evidence_only_of_what_comes_and_goes():
     assert both > one + 5.0
 
 
+@pytest.mark.slow
 def test_channels_tried_together_show_what_each_shows_alone():
     rng = np.random.default_rng(8)
     combs = (Comb(3.2, 3.4), Comb(5.1, 5.3, 1.0), Comb(0.38, 0.42))
@@ -78,13 +72,6 @@ def test_channels_tried_together_show_what_each_shows_alone():
         nats = look_nats(row, bins, count=float(own), floor_worth=20.0, free=free[bins])
         alone = [comb_nats(nats, bins, comb, step=STEP, free=free[bins]).max(axis=1, initial=0.0) for comb in combs]
         np.testing.assert_array_equal(shown, alone)
-
-
-def test_medians_by_a_sort_are_medians():
-    rng = np.random.default_rng(3)
-    for width in (15, 16):
-        pieces = rng.standard_normal((4, 5, width))
-        assert middles(pieces) == pytest.approx(np.median(pieces, axis=-1), abs=0.0)
 
 
 def rung(orders_at_hz: list[tuple[float, float]], *, size: float, seed: int, speed_rpm: float) -> xr.Dataset:
@@ -118,6 +105,7 @@ def test_two_trains_of_strikes_are_each_seen_in_their_own_band():
         assert made["comb_ratio"].values[comb, 0, :, near - 1 : near + 2].max() > 5.0
 
 
+@pytest.mark.slow
 def test_a_map_of_recordings_without_combs_holds_none():
     plain = recording_envelope(
         *recording(np.random.default_rng(1).standard_normal((1, 64_000)), rate_hz=12_800.0, speed_rpm=1500.0),

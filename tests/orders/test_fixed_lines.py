@@ -52,11 +52,6 @@ def test_a_row_that_a_line_is_too_small_to_explain_stays_and_its_interval_grows_
     assert made.amplitude_low[0, 1] == pytest.approx(67.898) and made.amplitude_high[0, 1] == pytest.approx(68.102)
 
 
-def test_the_only_row_of_an_order_stays_where_it_is():
-    made = beside_fixed(_rows([0.68]), SPEEDS[:1], [_met(0, 0.3)])
-    assert made.amplitude[0, 0] == 0.68 and made.amplitude_low[0, 0] == pytest.approx(0.378)
-
-
 def _found(met: MainsMet, rng: np.random.Generator) -> tuple[list[bool], Diagnosis]:
     """Whether the interval of each row where an order of ``met`` is close to mains holds it; and what is found."""
     settings = front_door._settings("findings", "order_tracks", recipe=None)
@@ -75,6 +70,7 @@ def _found(met: MainsMet, rng: np.random.Generator) -> tuple[list[bool], Diagnos
     return held, told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_mode", [False, True])
 def test_steps_past_mains_hold_what_the_orders_are(with_mode):
     held: list[bool] = []

@@ -17,15 +17,15 @@ from made.recordings import line, named, run_up, shaft, steady, total
 SETTINGS = load_settings().orders
 
 
-@pytest.mark.parametrize("speed_rpm", [300.0, 1000.0, 2000.0])
-def test_amplitude_and_phase_from_top_dead_centre_are_exact_at_constant_speed(speed_rpm):
+def test_amplitude_and_phase_from_top_dead_centre_are_exact_at_constant_speed():
     parts = {0.5: (0.1, 0.2), 1.0: (2.0, -2.5), 5.5: (0.03, 1.0), 10.0: (0.7, 3.0)}
     signal = total(*(line(order, *value) for order, value in parts.items()))
-    frames = order_frames(*steady([signal], speed_rpm=speed_rpm, duration_s=8.0, rate_hz=1785.0), settings=SETTINGS)
-    check_dataset(frames, "order_frames")
-    for order, (amplitude, phase) in parts.items():
-        value = frames["spectrum"].sel(order=order, channel="A").values
-        np.testing.assert_allclose(value, amplitude * np.exp(1j * phase), atol=3e-7)
+    for speed_rpm in (300.0, 1000.0, 2000.0):
+        frames = order_frames(*steady([signal], speed_rpm=speed_rpm, duration_s=8.0, rate_hz=1785.0), settings=SETTINGS)
+        check_dataset(frames, "order_frames")
+        for order, (amplitude, phase) in parts.items():
+            value = frames["spectrum"].sel(order=order, channel="A").values
+            np.testing.assert_allclose(value, amplitude * np.exp(1j * phase), atol=3e-7)
 
 
 def test_a_run_up_keeps_amplitude_and_phase():
@@ -59,41 +59,41 @@ def test_the_speed_of_a_frame_is_that_in_its_middle():
     np.testing.assert_allclose(frames["speed"].values, 60.0 * np.sqrt(100.0 + middle), rtol=1e-8)
 
 
-@pytest.mark.parametrize("share_of_rate", [0.3, 0.39, 0.42, 0.45, 0.48, 0.499])
-@pytest.mark.parametrize("speed_rpm", [300.0, 1000.0, 1487.0, 2000.0])
-def test_content_above_the_orders_does_not_fold_onto_them(share_of_rate, speed_rpm):
-    tone = share_of_rate * 1785.0 * 60.0 / speed_rpm
-    signal = total(line(1.0, 1.0), lambda t, _: np.cos(2 * np.pi * share_of_rate * 1785.0 * t))
-    frames = order_frames(*steady([signal], speed_rpm=speed_rpm, duration_s=8.0, rate_hz=1785.0), settings=SETTINGS)
-    order = frames["order"]
-    others = frames["spectrum"].where((abs(order - 1.0) > 0.2) & (abs(order - tone) > 4.0))
-    assert np.nanmax(np.abs(others.values)) < 2e-5
+@pytest.mark.parametrize("share_of_rate", [0.42, 0.499])
+def test_content_above_the_orders_does_not_fold_onto_them(share_of_rate):
+    for speed_rpm in (300.0, 1487.0):
+        tone = share_of_rate * 1785.0 * 60.0 / speed_rpm
+        signal = total(line(1.0, 1.0), lambda t, _: np.cos(2 * np.pi * share_of_rate * 1785.0 * t))
+        frames = order_frames(*steady([signal], speed_rpm=speed_rpm, duration_s=8.0, rate_hz=1785.0), settings=SETTINGS)
+        order = frames["order"]
+        others = frames["spectrum"].where((abs(order - 1.0) > 0.2) & (abs(order - tone) > 4.0))
+        assert np.nanmax(np.abs(others.values)) < 2e-5
 
 
-@pytest.mark.parametrize("cycle", [1, 2])
-@pytest.mark.parametrize("revolutions", range(1, 31))
-def test_any_number_of_revolutions_is_analysed(revolutions, cycle):
+def test_any_number_of_revolutions_is_analysed():
     """Frame lengths with large prime factors, such as 7 or 11 revolutions, are as good as others."""
-    band, angle = steady([line(2, 1)], speed_rpm=600.0, duration_s=(revolutions + 0.1) / 10, rate_hz=2000.0)
-    angle.attrs["revs_per_cycle"] = cycle
-    if revolutions < cycle:
-        with pytest.raises(InputError):
-            order_frames(band, angle, settings=SETTINGS)
-        return
-    frames = order_frames(band, angle, settings=SETTINGS)
-    assert frames.attrs["revs_per_frame"] == min(revolutions, 16) // cycle * cycle
-    if frames.attrs["revs_per_frame"] > 1:
-        np.testing.assert_allclose(np.abs(frames["spectrum"].sel(order=2.0).values), 1.0, atol=1e-6)
+    for revolutions in range(1, 31):
+        band, angle = steady([line(2, 1)], speed_rpm=600.0, duration_s=(revolutions + 0.1) / 10, rate_hz=2000.0)
+        for cycle in (1, 2):
+            angle.attrs["revs_per_cycle"] = cycle
+            if revolutions < cycle:
+                with pytest.raises(InputError):
+                    order_frames(band, angle, settings=SETTINGS)
+                continue
+            frames = order_frames(band, angle, settings=SETTINGS)
+            assert frames.attrs["revs_per_frame"] == min(revolutions, 16) // cycle * cycle
+            if frames.attrs["revs_per_frame"] > 1:
+                np.testing.assert_allclose(np.abs(frames["spectrum"].sel(order=2.0).values), 1.0, atol=1e-6)
 
 
-@pytest.mark.parametrize(("method", "share"), [("resample", 0.4), ("nufft", 0.49)])
-def test_orders_that_the_rate_cannot_carry_are_missing_not_wrong(method, share):
+def test_orders_that_the_rate_cannot_carry_are_missing_not_wrong():
     band, angle = steady([line(1, 1)], speed_rpm=3000.0, duration_s=4.0, rate_hz=952.0)
-    frames = order_frames(band, angle, settings=SETTINGS.model_copy(update={"method": method}))
-    limit = share * 952.0 / 50.0
-    missing = np.isnan(frames["spectrum"].values[0, 0])
-    assert missing[frames["order"].values > limit].all()
-    assert not missing[frames["order"].values < limit].any()
+    for method, share in (("resample", 0.4), ("nufft", 0.49)):
+        frames = order_frames(band, angle, settings=SETTINGS.model_copy(update={"method": method}))
+        limit = share * 952.0 / 50.0
+        missing = np.isnan(frames["spectrum"].values[0, 0])
+        assert missing[frames["order"].values > limit].all()
+        assert not missing[frames["order"].values < limit].any()
 
 
 def test_a_short_recording_gives_shorter_frames_and_says_so():
@@ -108,26 +108,26 @@ def test_less_than_one_cycle_is_refused_with_both_numbers():
         order_frames(*steady([line(2, 1)], speed_rpm=600.0, duration_s=0.1999, rate_hz=5000.0), settings=SETTINGS)
 
 
-@pytest.mark.parametrize("start_deg", [90.0, 0.0, -180.0, -0.4, 0.3, 17.25])
-def test_crank_angle_samples_give_order_spectra_straight(start_deg):
-    angle = np.arange(360 * 40) / 360 + start_deg / 360
-    signal = 0.4 * np.cos(2 * np.pi * 5.5 * angle + 0.8)
-    band = xr.Dataset(
-        {"signal": (("channel", "crank_angle"), signal[None], {"units": "see unit"})},
-        coords=named(1),
-        attrs={
-            "recording": "made",
-            "domain": "crank_angle",
-            "samples_per_rev": 360,
-            "start_deg": start_deg,
-            "encoder_kind": "none",
-            "revs_per_cycle": 2,
-        },
-    )
-    check_dataset(band, "recording")
-    ends = np.array([start_deg / 360, start_deg / 360 + 40])
-    angles = shaft(np.array([0.0, math.nan]), ends, np.array([math.nan, math.nan]))
-    angles.attrs["domain"] = "crank_angle"
-    frames = order_frames(band, angles, settings=SETTINGS)
-    np.testing.assert_allclose(frames["spectrum"].sel(order=5.5).values, 0.4 * np.exp(0.8j), atol=1e-11)
-    assert np.isnan(frames["speed"].values).all()
+def test_crank_angle_samples_give_order_spectra_straight():
+    for start_deg in (90.0, 0.0, -180.0, -0.4, 0.3, 17.25):
+        angle = np.arange(360 * 40) / 360 + start_deg / 360
+        signal = 0.4 * np.cos(2 * np.pi * 5.5 * angle + 0.8)
+        band = xr.Dataset(
+            {"signal": (("channel", "crank_angle"), signal[None], {"units": "see unit"})},
+            coords=named(1),
+            attrs={
+                "recording": "made",
+                "domain": "crank_angle",
+                "samples_per_rev": 360,
+                "start_deg": start_deg,
+                "encoder_kind": "none",
+                "revs_per_cycle": 2,
+            },
+        )
+        check_dataset(band, "recording")
+        ends = np.array([start_deg / 360, start_deg / 360 + 40])
+        angles = shaft(np.array([0.0, math.nan]), ends, np.array([math.nan, math.nan]))
+        angles.attrs["domain"] = "crank_angle"
+        frames = order_frames(band, angles, settings=SETTINGS)
+        np.testing.assert_allclose(frames["spectrum"].sel(order=5.5).values, 0.4 * np.exp(0.8j), atol=1e-11)
+        assert np.isnan(frames["speed"].values).all()

@@ -30,6 +30,7 @@ def covered(made, order, amplitude, phase_rad) -> tuple[np.ndarray, np.ndarray]:
     return size.values, (np.abs(off) <= line["phase_ci95"]).values
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("dof", [2.0, 6.0, 16.0, 400.0])
 @pytest.mark.parametrize("true", [0.0, 0.5, 1.5, 3.0, 30.0])
 def test_the_interval_of_a_line_in_noise_holds_the_truth_at_every_signal_to_noise_ratio(dof, true):
@@ -52,6 +53,7 @@ def test_without_noise_the_interval_is_the_amplitude_itself_and_without_knowledg
     assert half.tolist() == [0.0, 180.0]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("true", [0.0, 2.0, 10.0])
 def test_the_interval_of_an_amplitude_without_phase_holds_the_truth(true):
     rng, draws, frames = np.random.default_rng(8), 20_000, 8
@@ -64,17 +66,17 @@ def test_the_interval_of_an_amplitude_without_phase_holds_the_truth(true):
     assert beyond((low <= true) & (true <= high), least=0.94, most=1.0 if true == 0.0 else 0.96) < 1.0
 
 
-@pytest.mark.parametrize("frames", [2, 3, 5, 12, 40])
-def test_contrasts_are_blind_to_a_steady_line_and_know_the_noise_of_the_mean(frames):
-    begin = 8.0 * np.arange(frames)
-    correlation = frame_correlation(begin, np.zeros(frames, dtype=int), revs_per_frame=16.0, window="hann")
-    assert correlation[0, 1] == pytest.approx(1.0 / 6.0)
-    shape = contrasts(correlation)
-    np.testing.assert_allclose(shape.rows.sum(axis=1), 0.0, atol=1e-12)
-    drawn = np.random.default_rng(3).multivariate_normal(np.zeros(frames), correlation / 2.0, size=(2, 20_000))
-    spectrum = (drawn[0] + 1j * drawn[1]).T[None]
-    expected = np.mean(np.abs(spectrum.mean(axis=1)) ** 2)
-    assert np.mean(noise_of_mean(spectrum, shape)) == pytest.approx(expected, rel=0.05)
+def test_contrasts_are_blind_to_a_steady_line_and_know_the_noise_of_the_mean():
+    for frames in (2, 3, 12):
+        begin = 8.0 * np.arange(frames)
+        correlation = frame_correlation(begin, np.zeros(frames, dtype=int), revs_per_frame=16.0, window="hann")
+        assert correlation[0, 1] == pytest.approx(1.0 / 6.0)
+        shape = contrasts(correlation)
+        np.testing.assert_allclose(shape.rows.sum(axis=1), 0.0, atol=1e-12)
+        drawn = np.random.default_rng(3).multivariate_normal(np.zeros(frames), correlation / 2.0, size=(2, 20_000))
+        spectrum = (drawn[0] + 1j * drawn[1]).T[None]
+        expected = np.mean(np.abs(spectrum.mean(axis=1)) ** 2)
+        assert np.mean(noise_of_mean(spectrum, shape)) == pytest.approx(expected, rel=0.05)
 
 
 def test_a_trend_with_speed_is_no_noise():
@@ -98,6 +100,7 @@ CASES = [
 ]
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize("draws", [SHORT, pytest.param(LONG, marks=pytest.mark.accuracy)])
 @pytest.mark.parametrize(("colour", "frames"), CASES)
 def test_the_truth_lies_in_95_of_100_intervals_of_the_map(colour, frames, draws):
@@ -113,6 +116,7 @@ def test_the_truth_lies_in_95_of_100_intervals_of_the_map(colour, frames, draws)
             assert beyond(part) < 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("frames", "least"), [(1, 0.89), (2, 0.93)])
 def test_beside_a_resonance_one_or_two_frames_take_the_noise_of_its_side(frames, least):
     given = [(5.0, 3.0, 0.7)]
@@ -136,6 +140,7 @@ def repeats(rng, recordings: int, *, scatter: float, sigma: float, draws: int = 
     return made
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("sigma", [0.3, 1.0])
 @pytest.mark.parametrize("recordings", [2, 3, 5])
 def test_the_interval_of_recordings_that_differ_by_a_tenth_holds_the_line_of_them_all(recordings, sigma):
@@ -147,12 +152,14 @@ def test_the_interval_of_recordings_that_differ_by_a_tenth_holds_the_line_of_the
     assert np.median(freedom) == recordings - 1
 
 
+@pytest.mark.slow
 def test_the_interval_of_recordings_that_do_not_differ_holds_the_truth_and_is_wider_for_not_knowing():
     made = order_map(repeats(np.random.default_rng(2), 3, scatter=0.0, sigma=1.0), settings=SETTINGS)
     for part in covered(made, 5.0, 3.0, 0.7):
         assert beyond(part, most=0.99) < 1.0
 
 
+@pytest.mark.slow
 def test_the_interval_of_powers_averaged_without_phase_knows_that_recordings_differ():
     given = repeats(np.random.default_rng(5), 3, scatter=0.1, sigma=1.0, phase_reference="none")
     made = order_map(given, settings=SETTINGS).sel(order=5.0).isel(speed=0)
@@ -173,6 +180,7 @@ def test_the_scatter_of_unequal_recordings_is_weighed_by_their_frames():
     assert power.mean() == pytest.approx(np.mean(np.abs(mean - 40.0) ** 2), rel=0.03)
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_run_up_does_not_take_the_growth_of_the_line_for_noise():
     frames, draws = 5, 1000
     revs = 8 * (frames + 1)

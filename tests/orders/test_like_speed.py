@@ -30,6 +30,7 @@ def a_steady_one(seed, noise=0.0):
     return band, shaft
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("revs", [8, 4])
 def test_frames_cut_from_longer_ones_are_those_that_the_samples_give(seed, revs):
@@ -62,6 +63,7 @@ def test_a_fast_run_up_beside_steady_recordings_loses_no_recording():
     assert made["n_frames"].values[at] > 10
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("revs", [13, 15, 18])
 def test_frames_of_nearly_the_common_length_are_shown_on_its_orders(seed, revs):
@@ -107,6 +109,7 @@ def rows(*recordings) -> list[float]:
     return [round(float(rpm)) for rpm in order_map(list(recordings), settings=SETTINGS)["speed"].values]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(5))
 def test_speeds_20_rpm_apart_share_a_row_where_all_agrees_and_else_have_their_own(seed):
     rng = np.random.default_rng(seed)
@@ -119,6 +122,7 @@ def test_speeds_20_rpm_apart_share_a_row_where_all_agrees_and_else_have_their_ow
     assert rows(*slips) == [1000, 1020]
 
 
+@pytest.mark.slow
 def test_without_a_common_phase_only_sizes_are_compared():
     rng = np.random.default_rng(3)
     given = [held(rng, rpm, 1.0, phase, phase_reference="none") for rpm, phase in ((1000.0, 0.0), (1020.0, 2.0))]
@@ -148,6 +152,7 @@ def test_steps_of_one_recording_are_told_from_a_sweep():
     assert held_speeds(sweep, np.zeros(60, dtype=int), width_rpm=25.0) == []
 
 
+@pytest.mark.slow
 def test_a_run_up_keeps_its_bins_though_a_line_grows_in_them():
     frames = 100
     noise = 0.01 * coloured(np.random.default_rng(7), 1, revs=8 * (frames + 1), colour="white")

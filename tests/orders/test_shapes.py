@@ -73,17 +73,14 @@ def test_a_reference_takes_the_origin_of_angle_out_and_keeps_the_amplitudes():
     np.testing.assert_allclose(made["coherence"].values, 1.0, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("orders", "attrs", "origin"),
-    [
+def test_where_the_crank_gives_no_phase_the_strongest_channel_does_and_it_is_said():
+    for orders, attrs, origin in (
         ((1.0, 1.5), {}, ["tdc", "tdc"]),
         ((1.0, 1.5), {"cycle_known": 0}, ["tdc", "A"]),
         ((1.0, 1.5), {"phase_reference": "none"}, ["A", "A"]),
         ((1.0, 1.2), {}, ["tdc", "A"]),
-    ],
-)
-def test_where_the_crank_gives_no_phase_the_strongest_channel_does_and_it_is_said(orders, attrs, origin):
-    assert shapes_of(steady_frames(), orders=orders, **attrs)["phase_from"].values.tolist() == origin
+    ):
+        assert shapes_of(steady_frames(), orders=orders, **attrs)["phase_from"].values.tolist() == origin
 
 
 def test_recordings_with_different_marks_are_compared_by_channel_not_by_crank():
@@ -123,6 +120,7 @@ def test_intervals_cover_the_truth_in_95_of_100_draws(n_frames, reference):
     assert near.mean() == pytest.approx(0.95, abs=0.01)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("shared", [0.0, 1.0])
 def test_noise_as_strong_as_a_steady_line_does_not_raise_its_amplitude_where_phases_are_from_a_channel(shared):
     """A half order without a known cycle beside a natural frequency: the origin's noise is in no amplitude."""
@@ -144,12 +142,14 @@ def test_noise_as_strong_as_a_steady_line_does_not_raise_its_amplitude_where_pha
     assert np.abs(made["phase"].values[0, 0]).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_line_that_wanders_against_the_crank_keeps_its_amplitude():
     wandering = np.exp(2j * np.pi * np.random.default_rng(3).uniform(0, 1, (1, 40, 9)))
     made = shapes_of(steady_frames(40) * wandering, (0.5, 1.0), "A", overlap=0.0)
     np.testing.assert_allclose(made["amplitude"].values[:, 0, 1], np.abs(PHASORS), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_overlapping_frames_of_noise_do_not_narrow_the_interval():
     rng = np.random.default_rng(9)
     covered = []
@@ -163,13 +163,13 @@ def test_overlapping_frames_of_noise_do_not_narrow_the_interval():
     assert 0.90 <= np.mean(covered) <= 0.99  # 150 draws know 95 % to 1.8 %
 
 
-@pytest.mark.parametrize("size", [1e-300, 1e300])
-def test_amplitudes_from_the_least_to_the_largest_come_through(size):
+def test_amplitudes_from_the_least_to_the_largest_come_through():
     spectrum = steady_frames() + 0.1 * circular(np.random.default_rng(2), 3, 8, 9)
-    plain, scaled = shapes_of(spectrum), shapes_of(size * spectrum)
-    np.testing.assert_allclose(scaled["amplitude_ci95"].values / size, plain["amplitude_ci95"].values, rtol=1e-9)
-    for name in ("phase", "phase_ci95", "coherence"):
-        np.testing.assert_allclose(scaled[name].values, plain[name].values, rtol=1e-9)
+    for size in (1e-300, 1e300):
+        plain, scaled = shapes_of(spectrum), shapes_of(size * spectrum)
+        np.testing.assert_allclose(scaled["amplitude_ci95"].values / size, plain["amplitude_ci95"].values, rtol=1e-9)
+        for name in ("phase", "phase_ci95", "coherence"):
+            np.testing.assert_allclose(scaled[name].values, plain[name].values, rtol=1e-9)
 
 
 def test_frames_with_a_gap_take_no_part_in_their_channel():
@@ -182,6 +182,7 @@ def test_frames_with_a_gap_take_no_part_in_their_channel():
     np.testing.assert_allclose(found["amplitude"].values[0], shapes_of(spectrum)["amplitude"].values[0])
 
 
+@pytest.mark.slow
 def test_one_frame_has_the_interval_of_the_noise_beside_its_line():
     draws, sigma = 4000, 0.3
     orders = np.arange(17)
@@ -196,6 +197,7 @@ def test_one_frame_has_the_interval_of_the_noise_beside_its_line():
     assert np.isnan(made["coherence"].values).all()
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("n_frames", [3, 8, 30])
 def test_where_there_is_no_line_the_interval_reaches_from_nothing_and_holds_it(n_frames):
     draws = 8000
@@ -205,6 +207,7 @@ def test_where_there_is_no_line_the_interval_reaches_from_nothing_and_holds_it(n
     assert np.mean(low <= 0.0) > 0.97
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("recordings", [2, 3, 5])
 def test_the_shape_of_recordings_that_differ_by_a_tenth_has_the_interval_of_their_scatter(recordings):
     rng, draws, frames = np.random.default_rng(recordings), 4000, 6
@@ -287,6 +290,7 @@ def _scores(made, records):
                 )
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("n_frames", [2, 3, 8, 40])
 @pytest.mark.parametrize("true", [0.0, 0.3, 0.9])
 def test_the_expected_estimate_is_the_mean_over_many_draws(true, n_frames):
@@ -301,6 +305,7 @@ def test_the_expected_estimate_is_the_mean_over_many_draws(true, n_frames):
         assert passing == pytest.approx(0.05, abs=0.005)  # 40,000 draws know it to 0.1 %
 
 
+@pytest.mark.slow
 def test_taking_off_the_bias_is_the_inverse_of_expecting_it():
     true = np.linspace(0.0, 1.0, 41)
     for n_frames in (2.0, 5.5, 30.0):

@@ -31,6 +31,7 @@ def _band(signals: np.ndarray) -> xr.Dataset:
     return xr.Dataset({"signal": (("channel", "time"), signals)}, coords=named(2), attrs=attrs)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_mains_that_an_order_passes_are_taken_out_as_they_are(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -44,6 +45,7 @@ def test_mains_that_an_order_passes_are_taken_out_as_they_are(seed: int) -> None
     assert np.sqrt(np.mean((left["signal"].values - signals) ** 2)) < 0.05 * np.sqrt(np.mean(hum**2))
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_an_order_and_what_rings_after_it_are_left(seed: int) -> None:
     rng = np.random.default_rng(100 + seed)

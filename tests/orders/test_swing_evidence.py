@@ -9,7 +9,6 @@ import xarray as xr
 from crankorder.orders.swing_evidence import (
     Expected,
     Rows,
-    _median,
     given_by_neighbours,
     in_true_angle,
     rows_of,
@@ -69,6 +68,7 @@ def frames_of(spectrum: np.ndarray, swept: int) -> xr.Dataset:
     return xr.Dataset({"spectrum": (("channel", "frame", "order"), spectrum)}, attrs=attrs)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("swept", [0, 1])
 def test_frames_that_end_below_the_highest_order_count_as_far_as_they_go(swept):
     rng = np.random.default_rng(4)
@@ -85,6 +85,7 @@ def phases(rng: np.random.Generator, orders: list[float]) -> dict[float, complex
     return {order: complex(rng.lognormal() * np.exp(2j * np.pi * rng.random())) for order in orders}
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("degrees", [0.05, 0.2, 0.5])
 def test_an_eccentric_encoder_is_told_with_its_interval(degrees):
     rng = np.random.default_rng(round(1000 * degrees))
@@ -99,6 +100,7 @@ def test_an_eccentric_encoder_is_told_with_its_interval(degrees):
     assert inside >= 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("swings", [{1: 0.45}, {1: 0.44, 2: 0.11}])
 def test_what_one_line_alone_can_show_is_bounded_by_no_less_than_it_is(swings):
     rng = np.random.default_rng(11)
@@ -115,6 +117,7 @@ def test_what_one_line_alone_can_show_is_bounded_by_no_less_than_it_is(swings):
             assert told < 1.25 * swing.left_rev  # what is of second order is not in it
 
 
+@pytest.mark.slow
 def test_teeth_that_sit_wrongly_are_told_at_all_low_harmonics():
     rng = np.random.default_rng(12)
     level = 0.15 / 360.0
@@ -133,6 +136,7 @@ def test_a_good_encoder_is_cleared():
             assert not any(swing.proved and abs(swing.size) > 1e-2 / 360.0 for swing in found)
 
 
+@pytest.mark.slow
 def test_a_wheel_that_is_set_off_modulates_its_own_mesh_and_is_no_encoder():
     rng = np.random.default_rng(6)
     for _ in range(8):
@@ -144,15 +148,3 @@ def test_a_wheel_that_is_set_off_modulates_its_own_mesh_and_is_no_encoder():
             lines[9.0 * multiple + 1] = 0.5j * multiple * turned * size
             lines[9.0 * multiple - 1] = 0.5j * multiple * np.conj(turned) * size
         assert not swings_of(rows([shown(lines, {}) for _ in range(4)], 1e-3, rng), EXPECTED)[0].proved
-
-
-@pytest.mark.parametrize("per_row", [1, 2, 5, 8, 9])
-def test_the_noise_is_the_median_of_what_is_known(per_row: int) -> None:
-    rng = np.random.default_rng(per_row)
-    power = rng.exponential(size=(7, 30, per_row))
-    power[rng.random(power.shape) < 0.3] = np.nan
-    power[0, :3], power[1, 0, 0] = np.nan, np.inf
-    known = np.where(np.isfinite(power), power, np.nan)
-    empty = np.isnan(known).all(axis=-1, keepdims=True)
-    plain = np.nanmedian(np.where(empty, np.inf, known), axis=-1) / np.log(2.0)
-    np.testing.assert_array_equal(_median(power), plain)

@@ -30,6 +30,7 @@ def steady_test(parts, *, seed, noise=NOISE, speeds=(1180.0, 1440.0, 1900.0)):
     return frames, order_map(frames, settings=SETTINGS)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_line_between_bins_reads_its_amplitude_at_its_exact_order(seed):
     draw = np.random.default_rng(100 + seed)
@@ -43,6 +44,7 @@ def test_a_line_between_bins_reads_its_amplitude_at_its_exact_order(seed):
     assert np.mean((low <= amplitude) & (amplitude <= high)) > 0.5
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_line_beside_a_stronger_one_is_told_from_it(seed):
     draw = np.random.default_rng(200 + seed)
@@ -126,6 +128,7 @@ def test_an_order_asked_for_twice_is_one_track():
     assert followed_orders(nothing_sought("", reason=""), settings) == [2.0, 5.5]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_line_beside_a_resonance_of_the_noise_is_not_read_as_that(seed):
     """A small order between bins, while noise through a mode of 61 Hz passes under it from speed to speed."""

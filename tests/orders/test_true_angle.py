@@ -7,9 +7,6 @@ import pytest
 import xarray as xr
 
 from crankorder.orders.true_angle import (
-    ERROR,
-    LINES,
-    OF_ONE_REV,
     AngleErrors,
     errors_along,
     errors_of_rows,
@@ -61,7 +58,3 @@ def test_recordings_that_share_a_row_err_each_on_its_own() -> None:
     alone = errors_of_rows(frames, owner, [np.array([0])]).mean[0]
     both = errors_of_rows(frames, owner, [np.array([0, 1])]).mean[0]
     assert both == pytest.approx(alone / np.sqrt(2.0))
-
-
-def test_an_angle_without_pulses_or_errors_adds_nothing() -> None:
-    assert stated_errors(xr.Dataset(), revs_per_frame=4.0) == {ERROR: 0.0, OF_ONE_REV: 0.0, LINES: 0.0}

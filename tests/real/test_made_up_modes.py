@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow  # the runs of all real recordings, two minutes
+
 TOWER_HZ = (1.228, 1.436, 2.100, 4.018, 4.770, 6.682, 7.616, 9.665, 12.166, 12.598, 13.854)
 
 # manifest, folder, file, and the natural frequencies that may be called modes: those that somebody else measured

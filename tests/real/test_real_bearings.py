@@ -37,6 +37,7 @@ def races(result, seen_in="envelope"):
     return sorted(records, key=lambda item: -item["amplitude"])
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("file", "race", "order", "off_percent"), SEEDED)
 def test_the_damaged_race_of_the_rig_is_named_with_its_slip(analysed, file, race, order, off_percent):
     found = races(analysed("cwru", CWRU, only=file))
@@ -53,6 +54,7 @@ def test_the_damaged_race_of_the_rig_is_named_with_its_slip(analysed, file, race
     assert best["harmonics"] >= 2
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(("file", "race", "order", "off_percent"), UNDER_LOAD)
 def test_the_damaged_race_is_named_at_every_load_though_the_speed_is_nominal(analysed, file, race, order, off_percent):
     found = races(analysed("mfpt", MFPT, only=file))
@@ -68,6 +70,7 @@ def test_the_damaged_race_is_named_at_every_load_though_the_speed_is_nominal(ana
     assert best["order_expected"] == pytest.approx({"BPFI": 4.755, "BPFO": 3.245}[race], abs=0.001)
 
 
+@pytest.mark.slow
 def test_a_damaged_ball_is_not_taken_for_one_damaged_race(analysed):
     """By hand its envelope shows the cage (0.4 and its multiples), among them 9 and 13.5 of it, near both races."""
     result = analysed("cwru", CWRU, only="0.007-Ball.mat")

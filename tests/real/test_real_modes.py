@@ -50,6 +50,7 @@ def test_the_hammer_tests_mode_is_found_to_a_thousandth(analysed):
     assert low <= 212.09 * 1.0003 and high >= 212.09 * 0.9997
 
 
+@pytest.mark.slow
 def test_the_beams_drive_tones_are_tones_and_no_modes(analysed):
     """The record holds the response to three sines, their differences and mains: by hand no line of the beam's own."""
     result = analysed("beam", "beam_dropbear4")
@@ -61,12 +62,14 @@ def test_the_beams_drive_tones_are_tones_and_no_modes(analysed):
         assert abs(frequency / 10.0 - round(frequency / 10.0)) > 0.01  # products of the tones lie on tens
 
 
+@pytest.mark.slow
 def test_the_beams_stale_header_is_told(analysed):
     flags = {flag["flag"]: flag for flag in analysed("beam", "beam_dropbear4").findings["quality"]}
     assert "51200 Hz" in flags["header_rate_disagrees"]["detail"]
     assert flags["header_rate_disagrees"]["severity"] == "info"  # the manifest agrees with the times
 
 
+@pytest.mark.slow
 def test_the_beams_natural_frequencies_are_found_in_its_measured_spectrum(analysed, shared_data):
     """`FFT_data.lvm` holds a spectrum in dB, 0.085 Hz apart: peaks at 6.57, 41.47 and 117.93 Hz.
 
@@ -128,6 +131,7 @@ def first_order(coast_down):
     return track["speed"].values[known] / 60, track["amplitude"].values[known], track["phase"].values[known]
 
 
+@pytest.mark.slow
 def test_the_rotors_first_order_grows_with_the_square_of_speed_where_nothing_resonates(first_order):
     hz, amplitude, _ = first_order
     inside = (hz > 47) & (hz < 56)
@@ -135,6 +139,7 @@ def test_the_rotors_first_order_grows_with_the_square_of_speed_where_nothing_res
     assert slope == pytest.approx(2.0, abs=0.2)
 
 
+@pytest.mark.slow
 def test_the_rotors_response_changes_at_78_to_83_hz_in_amplitude_and_phase(first_order):
     """By a plain fit of sines: over the square of speed half of that at 60 Hz; the phase, steady at 10°, turns here."""
     hz, amplitude, phase = first_order
@@ -146,11 +151,13 @@ def test_the_rotors_response_changes_at_78_to_83_hz_in_amplitude_and_phase(first
     assert before - after > 15.0
 
 
+@pytest.mark.slow
 def test_the_rotors_first_order_is_not_called_a_plain_square(coast_down):
     (first,) = [record for record in coast_down.findings["orders"] if abs(record["order"] - 1.0) < 0.05]
     assert first["speed_law"] in ("meets a mode", "follows no power law")
 
 
+@pytest.mark.slow
 def test_a_natural_frequency_that_shapes_the_rotors_first_order_is_reported_with_its_doubt(coast_down):
     """By hand its phase turns by 45° about 61 Hz and by more than 90° about 90 Hz, at the end of the speeds."""
     near = [
@@ -178,6 +185,7 @@ def test_the_gensets_half_orders_are_the_gas_cycle_of_four_strokes(analysed):
     assert {record["explained_by"] for record in half} == {"gas cycle"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "folder"),
     [("ansys_accel", "ansys_accel"), ("rotorbalancer", "rotorbalancer"), ("rotor_groups", "rotorbalancer")],

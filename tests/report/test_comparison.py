@@ -62,11 +62,6 @@ def test_rise_is_red_and_fall_is_blue():
     assert rose[0] > rose[2] and fell[2] > fell[0] and same.min() > 240
 
 
-def test_an_unknown_channel_is_an_error(doubled):
-    with pytest.raises(KeyError):
-        map_change_figure(doubled[1]["map_change"], "C", doubled[0], settings=SETTINGS)
-
-
 def test_the_page_answers_first_and_escapes_what_comes_from_files(doubled):
     page = comparison_page(doubled[0], pictures=[("a.png", "A")], settings=SETTINGS)
     assert "base &lt;b&gt;" in page and "<b>" not in page

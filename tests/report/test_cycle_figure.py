@@ -90,6 +90,7 @@ def test_dead_centres_speeds_and_units_are_named(cycles, settings):
     assert "TDC" not in words(nowhere)
 
 
+@pytest.mark.slow
 def test_the_speeds_asked_for_are_shown(cycles, settings):
     figure = cycle_figure(cycles, {"test": "t"}, settings=settings, speeds_rpm=[1090.0, 790.0])
     found = words(figure)
@@ -98,6 +99,7 @@ def test_the_speeds_asked_for_are_shown(cycles, settings):
     assert len(figure.axes) == 6
 
 
+@pytest.mark.slow
 def test_a_spread_that_would_hide_the_mean_is_a_number_and_one_that_fits_is_a_band(settings):
     cycles = cycles_of([1000.0], 1)
     for gain, drawn in ((1.0, True), (100.0, False)):
@@ -111,6 +113,7 @@ def test_a_spread_that_would_hide_the_mean_is_a_number_and_one_that_fits_is_a_ba
         assert np.ptp(mean.get_ydata()) > 0.3 * (high - low)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("channels", [1, 3, 12])
 @pytest.mark.parametrize("speeds", [[1000.0], [500.0, 1000.0], [500.0, 700.0, 900.0, 1100.0]])
 def test_no_two_texts_overlap_and_the_bytes_are_the_same_each_time(channels, speeds, settings):
@@ -131,6 +134,7 @@ def test_hostile_names_are_text_and_missing_channels_say_so(cycles, settings):
     assert not any(text.get_parse_math() for text in figure.texts)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e9])
 def test_signals_of_any_size_and_dead_ones_are_drawn(size, settings):
     figure = cycle_figure(cycles_of([1000.0], 1, size=size), {"test": "t"}, settings=settings)
@@ -139,6 +143,7 @@ def test_signals_of_any_size_and_dead_ones_are_drawn(size, settings):
     assert high > low
 
 
+@pytest.mark.slow
 def test_one_cycle_and_unknown_speed_are_drawn_without_a_spread(settings):
     cycles = cycles_of([1000.0], 1).isel(speed=[0])
     alone = cycles.assign_coords(speed=[np.nan])
@@ -150,6 +155,7 @@ def test_one_cycle_and_unknown_speed_are_drawn_without_a_spread(settings):
     assert not figure.axes[0].collections
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("cycles_averaged", [2, 3, 10])
 def test_the_band_of_few_cycles_is_as_wide_as_student_says(cycles_averaged, settings):
     from scipy.stats import t

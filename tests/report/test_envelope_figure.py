@@ -70,6 +70,7 @@ def test_nothing_found_is_said(full: Any, make_envelope: Callable[..., Any], set
     assert "No bearing was named, or none" in subtitle
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("factor", [0.0, 1e-290, 1e290])
 def test_any_size_becomes_a_picture(factor: float, full: Any, make_envelope: Callable[..., Any], settings: Any) -> None:
     envelope = make_envelope(("X", "Z"))
@@ -86,6 +87,7 @@ def test_it_is_drawn_only_where_there_is_an_envelope(
         assert list(pictures_of({"envelope_map": given}, full, settings=settings, name_of=str)) == wanted
 
 
+@pytest.mark.slow
 def test_names_of_bearings_are_whole_where_there_is_room_and_else_told_apart(
     full: Any, make_envelope: Callable[..., Any], settings: Any
 ) -> None:

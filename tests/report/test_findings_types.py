@@ -60,25 +60,23 @@ def test_findings_that_nobody_asked_for_leave_out_what_was_not_sought(campaign: 
     assert "free_bands" not in Findings.from_dict(document).as_dict()
 
 
-@pytest.mark.parametrize(
-    ("table", "key", "value", "told"),
-    [
-        ("orders", "amplitude", "much", "orders[0].amplitude: .*found much; allowed: a number ≥ 0"),
-        ("orders", "amplitude", -1.0, "orders[0].amplitude: .*found -1.0; allowed: a number ≥ 0"),
-        ("orders", "order", True, "orders[0].order: .*allowed: a number > 0"),
-        ("orders", "lock", "perhaps", "orders[0].lock: .*allowed: locked, slips, undecided or null"),
-        ("orders", "amplitude_ci95", [1.0], "orders[0].amplitude_ci95: .*allowed: a list of 2 or null"),
-        ("modes", "channels", "X", "modes[0].channels: .*allowed: a list"),
-        ("quality", "severity", None, "quality[0].severity: .*allowed: info, suspect, bad"),
-    ],
+WRONG = (
+    ("orders", "amplitude", "much", "orders[0].amplitude: .*found much; allowed: a number ≥ 0"),
+    ("orders", "amplitude", -1.0, "orders[0].amplitude: .*found -1.0; allowed: a number ≥ 0"),
+    ("orders", "order", True, "orders[0].order: .*allowed: a number > 0"),
+    ("orders", "lock", "perhaps", "orders[0].lock: .*allowed: locked, slips, undecided or null"),
+    ("orders", "amplitude_ci95", [1.0], "orders[0].amplitude_ci95: .*allowed: a list of 2 or null"),
+    ("modes", "channels", "X", "modes[0].channels: .*allowed: a list"),
+    ("quality", "severity", None, "quality[0].severity: .*allowed: info, suspect, bad"),
 )
-def test_a_wrong_value_is_refused_by_file_place_and_what_is_allowed(
-    table: str, key: str, value: object, told: str, campaign: Any
-) -> None:
-    wrong = copy.deepcopy(campaign.findings)
-    wrong[table][0][key] = value
-    with pytest.raises(InputError, match="old.json: " + told.replace("[", r"\[", 1).replace("]", r"\]", 1)):
-        Findings.from_dict(wrong, file="old.json")
+
+
+def test_a_wrong_value_is_refused_by_file_place_and_what_is_allowed(campaign: Any) -> None:
+    for table, key, value, told in WRONG:
+        wrong = copy.deepcopy(campaign.findings)
+        wrong[table][0][key] = value
+        with pytest.raises(InputError, match="old.json: " + told.replace("[", r"\[", 1).replace("]", r"\]", 1)):
+            Findings.from_dict(wrong, file="old.json")
 
 
 def test_a_missing_key_is_refused_by_its_place(campaign: Any) -> None:

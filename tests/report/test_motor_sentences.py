@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from crankorder.report.sentences.of_lines import strongest_sentence, tone_sentences
-from crankorder.report.sentences.of_motor import FIELD_SIDES, SHAFT_SIDES, motor_sentences
+from crankorder.report.sentences.of_motor import SHAFT_SIDES, motor_sentences
 from crankorder.report.sentences.of_orders import law_sentences, lock_sentences
 from made.typed import from_dicts
 
@@ -53,28 +53,6 @@ def test_sidebands_are_said_with_their_share_and_with_what_they_speak_for() -> N
     one = order(1.0, 2.0, lock="locked", cause="unbalance")
     (text,) = [text for text in motor_sentences(findings(*sides, orders=(one,))) if "Beside" in text]
     assert "22.50 Hz and 26.50 Hz are its pole-pass sidebands" in text and "6.0 % of it" in text and "rotor bar" in text
-
-
-def test_a_sideband_on_an_order_of_the_shaft_is_said_with_it_and_lends_no_size() -> None:
-    sides = (
-        line(FIELD_SIDES, 98.0, 9.0, side="below", others=("order 4",)),
-        line(FIELD_SIDES, 102.0, 0.2, side="above"),
-    )
-    (text,) = [text for text in motor_sentences(findings(*sides, line("twice mains", 100.0, 1.0))) if "Beside" in text]
-    assert "98.00 Hz (or order 4, which stands there too)" in text and "20 % of it" in text
-
-
-def test_what_is_not_there_is_said_with_the_size_that_would_have_shown() -> None:
-    missing = [{"name": SHAFT_SIDES, "channel": "Z", "from_amplitude": 0.013}]
-    text = " ".join(motor_sentences(findings(not_seen=missing)))
-    assert (
-        "No pole-pass sidebands stand beside order 1 of the motor: they would have been seen from 0.013 m/s²." in text
-    )
-
-
-def test_a_motor_that_does_not_fit_is_said_and_nothing_named() -> None:
-    (text,) = motor_sentences(findings(line("twice mains", 100.0, 1.0), misfit="the poles do not fit"))
-    assert text == "No line of the motor is named: the poles do not fit."
 
 
 def test_a_line_at_one_speed_leads_with_its_frequency() -> None:

@@ -83,6 +83,7 @@ def test_what_is_read_back_is_what_was_written_and_fits_its_schema(groups: dict[
         check_dataset(read[noun], noun)
 
 
+@pytest.mark.slow
 def test_axes_keep_all_their_digits_and_estimates_carry_seven(file: Path) -> None:
     read = read_results(file)["campbell_map"]
     assert (read["speed"].dtype, read["frequency"].dtype) == (np.float64, np.float64)
@@ -103,6 +104,7 @@ def test_the_bytes_are_the_same_in_another_process(groups: dict[str, xr.Dataset]
     assert hashlib.sha256(results_bytes(groups, attrs={"title": "t"})).hexdigest() == other
 
 
+@pytest.mark.slow
 def test_the_order_in_which_groups_are_handed_over_does_not_matter(groups: dict[str, xr.Dataset]) -> None:
     turned = dict(reversed(groups.items()))
     assert results_bytes(groups, attrs={"a": 1, "b": 2}) == results_bytes(turned, attrs={"b": 2, "a": 1})
@@ -124,12 +126,14 @@ def test_netcdf4_reads_the_same_values_and_finds_the_checksums(file: Path, group
     assert said["explained"] == groups["findings/orders"]["explained_by"].values.tolist()
 
 
+@pytest.mark.slow
 def test_xarray_opens_a_group(file: Path, groups: dict[str, xr.Dataset]) -> None:
     with xr.open_dataset(file, engine="h5netcdf", group="order_tracks") as tracks:
         assert set(tracks.coords) == {"channel", "unit", "quantity", "order", "speed"}
         np.testing.assert_allclose(tracks["amplitude"], groups["order_tracks"]["amplitude"], rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_complex_spectra_become_two_variables_and_one_again(tmp_path: Path) -> None:
     values = np.exp(1j * np.arange(6.0)).reshape(2, 3)
     dataset = xr.Dataset({"spectrum": (("frame", "order"), values, {"units": "see unit"})})
@@ -142,6 +146,7 @@ def test_complex_spectra_become_two_variables_and_one_again(tmp_path: Path) -> N
     assert again.attrs == {"units": "see unit"}
 
 
+@pytest.mark.slow
 def test_attributes_of_any_kind_can_be_written(tmp_path: Path) -> None:
     attrs = {"none": None, "yes": True, "table": {"a": [1]}, "path": Path("x"), "text": "a\x00b", "long": "é" * 100_000}
     path = tmp_path / "r.nc"
@@ -176,6 +181,7 @@ def test_records_become_columns_with_units_and_missing_numbers_are_nan() -> None
     assert tables["findings/crossings"]["excited"].values.tolist() == [1, 0]
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.999])
 def test_a_cut_results_file_is_refused_by_name(file: Path, share: float) -> None:
     data = file.read_bytes()

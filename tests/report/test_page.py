@@ -121,6 +121,7 @@ def test_everything_that_identification_finds_is_in_a_table(full: Any, settings:
     assert "No bearing was named" not in text
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(
     "table", ["orders", "modes", "crossings", "speeds_to_avoid", "free_bands", "open_bands", "bearings", "lines"]
 )
@@ -139,6 +140,7 @@ def test_what_may_be_absent_or_unknown_breaks_neither_page_nor_headline(table: s
             assert "</html>" in report_page(findings, pictures=[], provenance={}, settings=settings)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(
     "key", ["speeds_to_avoid", "free_bands", "open_bands", "energy", "balance", "unexplained_energy_fraction"]
 )
@@ -149,6 +151,7 @@ def test_a_list_that_is_absent_or_unknown_breaks_nothing(key: str, value: Any, f
     assert "None" not in " ".join(_Reader(report_page(findings, pictures=[], provenance={}, settings=settings)).words)
 
 
+@pytest.mark.slow
 def test_free_and_open_bands_stand_in_one_table_by_speed_each_with_its_reason(full: Any) -> None:
     (avoid,) = (one for anchor, one in tables_of(full, limit=60) if anchor == "avoid")
     beside = avoid["beside"]
@@ -169,6 +172,7 @@ def test_the_bars_of_the_energy_are_the_shares_and_never_longer_than_the_whole(f
     assert widths[1] == [22.0, 5.0, 70.0, 3.0]
 
 
+@pytest.mark.slow
 def test_sixty_orders_in_three_channels_show_the_strongest_and_fold_the_others_away(hard: Any, settings: Any) -> None:
     findings = hard["sixty orders"].findings
     made = report_page(findings, pictures=[], provenance={}, settings=settings)
@@ -252,6 +256,7 @@ def test_a_page_stays_under_five_megabytes_whatever_its_test_holds(make_test: An
     np.testing.assert_allclose(campbell["largest"][0] * 10 ** ((code - 60000) * 0.005 / 20), padded, rtol=3e-4)
 
 
+@pytest.mark.slow
 def test_quality_has_one_row_per_kind_with_its_count_and_worst_case(campaign: Any) -> None:
     quality = [
         {
@@ -323,6 +328,7 @@ def test_a_name_of_ten_thousand_characters_is_cut(campaign: Any, settings: Any) 
     assert "x" * 61 not in made
 
 
+@pytest.mark.slow
 def test_a_test_with_nothing_found_has_a_page_that_says_so(settings: Any) -> None:
     nothing: dict[str, Any] = {"test": "t", "orders": [], "modes": [], "crossings": [], "bearings": [], "lines": []}
     nothing |= {"quality": [], "balance": None, "balance_reason": "the transfer path is not known"}
@@ -346,6 +352,7 @@ def test_findings_that_were_not_asked_for_are_neither_denied_nor_cleared(setting
     assert "a.h5" in text
 
 
+@pytest.mark.slow
 def test_the_page_is_the_same_each_time(campaign: Any, settings: Any, page: str, provenance: dict[str, Any]) -> None:
     pictures = [
         ShownPicture("campbell_Z.png", "Campbell diagram of channel Z", PNG),

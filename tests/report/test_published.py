@@ -103,6 +103,7 @@ def test_two_units_of_one_quantity_are_told_apart_and_the_gram_is_no_acceleratio
     }  # fmt: skip
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(
     "channels",
     [
@@ -125,18 +126,11 @@ def test_what_was_parted_is_joined_again(channels: list[tuple[str, str, str]], t
     np.testing.assert_array_equal(by_channel(part)["amplitude"].values, given["amplitude"].values[:1])
 
 
+@pytest.mark.slow
 def test_values_that_were_missing_stay_missing() -> None:
     given = mixed(("X", "acceleration", "m/s2"), ("p", "pressure", "bar"))
     given["amplitude"][0, 1] = np.nan
     xr.testing.assert_identical(by_channel(with_real_units(given)), given)
-
-
-def test_quality_is_a_table_and_no_text_of_every_group(campaign: Any) -> None:
-    flagged = campaign.campbell.assign_attrs(quality=json.dumps([{"flag": "gap"}]))
-    assert "quality" not in published(flagged).attrs
-    assert "quality" in flagged.attrs
-    table = findings_datasets(Findings.from_dict(campaign.findings))["findings/quality"]
-    assert table["flag"].values.tolist() == [one["flag"] for one in campaign.findings["quality"]]
 
 
 def test_tables_say_what_a_column_is_and_a_missing_number_is_no_text(campaign: Any) -> None:
@@ -163,6 +157,7 @@ def test_every_ancillary_variable_is_there(campaign: Any) -> None:
     assert links > 20
 
 
+@pytest.mark.slow
 def test_conventions_stand_beside_the_numbers(campaign: Any) -> None:
     made = published(campaign.order_map.assign_attrs(phase_reference="index", window="hann"))
     assert made["phase"].attrs["phase_convention"].endswith("crank_angle in revolutions from the index mark")
@@ -178,6 +173,7 @@ def checked(file: Path, work: Path) -> dict[str, list[str]]:
     return said
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec("compliance_checker") is None, reason="compliance-checker is a development dependency")
 def test_the_compliance_checker_finds_nothing_in_results(tmp_path: Path) -> None:
     time = np.arange(100_000) / 10_000.0
@@ -194,6 +190,7 @@ def test_the_compliance_checker_finds_nothing_in_results(tmp_path: Path) -> None
     assert {group: problems for group, problems in said.items() if problems} == {}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec("compliance_checker") is None, reason="compliance-checker is a development dependency")
 def test_the_compliance_checker_would_find_a_unit_that_is_none(tmp_path: Path) -> None:
     file = tmp_path / "results.nc"

@@ -47,23 +47,26 @@ def test_everything_that_identification_may_give_is_accepted_and_wrong_values_ar
     assert _faults({**full, "energy": {"channels": [{"channel": "X", "orders": 1.5}]}}, "findings") != []
 
 
-@pytest.mark.parametrize(
-    ("table", "key"),
-    [
-        ("orders", "amplitude_ci95"),
-        ("orders", "explained_by"),
-        ("modes", "frequency_hz_ci95"),
-        ("modes", "evidence"),
-        ("crossings", "excited"),
-        ("bearings", "order_expected"),
-        ("lines", "explained_by"),
-        ("quality", "severity"),
-    ],
+NEEDED = (
+    ("orders", "amplitude_ci95"),
+    ("orders", "explained_by"),
+    ("modes", "frequency_hz_ci95"),
+    ("modes", "evidence"),
+    ("crossings", "excited"),
+    ("bearings", "order_expected"),
+    ("lines", "explained_by"),
+    ("quality", "severity"),
 )
-def test_a_record_without_a_key_of_the_design_is_refused(table: str, key: str, campaign: Any) -> None:
-    lacking = copy.deepcopy(campaign.findings)
-    del lacking[table][0][key]
-    assert any(key in fault for fault in _faults(lacking, "findings"))
+
+
+def test_a_record_without_a_key_of_the_design_is_refused(campaign: Any) -> None:
+    taken = []
+    for table, key in NEEDED:
+        lacking = copy.deepcopy(campaign.findings)
+        del lacking[table][0][key]
+        if not any(key in fault for fault in _faults(lacking, "findings")):
+            taken.append((table, key))
+    assert taken == []
 
 
 def test_no_balance_needs_a_reason(campaign: Any) -> None:

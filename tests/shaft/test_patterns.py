@@ -80,41 +80,42 @@ def test_every_wheel_is_laid_on_its_pulses_without_a_repair(name, motion):
     assert np.isfinite(teeth.index_tooth) == (name in UNIQUE)
 
 
-@pytest.mark.parametrize("name", UNIQUE)
-@pytest.mark.parametrize("start_rev", [0.0, 0.13, 0.5, 0.81, 0.999])
-def test_a_wheel_may_start_anywhere(name, start_rev):
-    pulse_s, true_rev = pulses_of(name, start_rev=start_rev, duration_s=1.0)
-    teeth = numbered(name, pulse_s)
-    assert teeth.n_repaired == 0
-    assert_true_angles(teeth, pulse_s, true_rev)
+def test_a_wheel_may_start_anywhere():
+    for start_rev in [0.0, 0.5, 0.999]:
+        for name in UNIQUE:
+            pulse_s, true_rev = pulses_of(name, start_rev=start_rev, duration_s=1.0)
+            teeth = numbered(name, pulse_s)
+            assert teeth.n_repaired == 0
+            assert_true_angles(teeth, pulse_s, true_rev)
 
 
-@pytest.mark.parametrize("name", UNIQUE)
-def test_lost_and_false_pulses_of_every_wheel_are_repaired_and_counted(name):
-    pulse_s, true_rev = pulses_of(name, irregularity=0.03)
-    random = np.random.default_rng(7)
-    lost = random.choice(np.arange(40, pulse_s.size - 40, 17), size=3, replace=False)
-    at = lost[0] - 20
-    false = pulse_s[at] + 0.4 * (pulse_s[at + 1] - pulse_s[at])
-    teeth = numbered(name, np.sort(np.append(np.delete(pulse_s, lost), false)))
-    flags = {flag: detail for flag, _, detail in teeth.flags}
-    assert flags["encoder_missing_pulse"].startswith("3 lost pulses")
-    assert flags["encoder_double_pulse"] == f"1 false pulses removed, at {false:.6g} s"
-    assert teeth.n_repaired == 4
-    assert_true_angles(teeth, pulse_s, true_rev)
+def test_lost_and_false_pulses_of_every_wheel_are_repaired_and_counted():
+    for name in UNIQUE:
+        pulse_s, true_rev = pulses_of(name, irregularity=0.03)
+        random = np.random.default_rng(7)
+        lost = random.choice(np.arange(40, pulse_s.size - 40, 17), size=3, replace=False)
+        at = lost[0] - 20
+        false = pulse_s[at] + 0.4 * (pulse_s[at + 1] - pulse_s[at])
+        teeth = numbered(name, np.sort(np.append(np.delete(pulse_s, lost), false)))
+        flags = {flag: detail for flag, _, detail in teeth.flags}
+        assert flags["encoder_missing_pulse"].startswith("3 lost pulses")
+        assert flags["encoder_double_pulse"] == f"1 false pulses removed, at {false:.6g} s"
+        assert teeth.n_repaired == 4
+        assert_true_angles(teeth, pulse_s, true_rev)
 
 
-@pytest.mark.parametrize(("name", "irregularity"), [("36-2-1", 0.01), ("gm-24x", 0.01), ("12+1", 0.002)])
-def test_the_angle_of_an_uneven_wheel_is_that_of_the_shaft(name, irregularity, recording_of):
-    pulse_s, true_rev = pulses_of(name, irregularity=irregularity)
-    recording = recording_of(pulse_s, tooth_angles_deg=list(pattern_of(name).angles_deg), pulse_noise_s=1e-8)
-    angle = shaft_angle(recording, settings=SETTINGS)
-    reached = angle_at(pulse_s, angle["time"].values, angle["crank_angle"].values, angle["speed"].values)
-    away = reached - true_rev
-    np.testing.assert_allclose(away[8:-8], np.round(away[8]), atol=3e-5)
-    assert angle.attrs["phase_reference"] == "index"
+def test_the_angle_of_an_uneven_wheel_is_that_of_the_shaft(recording_of):
+    for name, irregularity in [("36-2-1", 0.01), ("gm-24x", 0.01), ("12+1", 0.002)]:
+        pulse_s, true_rev = pulses_of(name, irregularity=irregularity)
+        recording = recording_of(pulse_s, tooth_angles_deg=list(pattern_of(name).angles_deg), pulse_noise_s=1e-8)
+        angle = shaft_angle(recording, settings=SETTINGS)
+        reached = angle_at(pulse_s, angle["time"].values, angle["crank_angle"].values, angle["speed"].values)
+        away = reached - true_rev
+        np.testing.assert_allclose(away[8:-8], np.round(away[8]), atol=3e-5)
+        assert angle.attrs["phase_reference"] == "index"
 
 
+@pytest.mark.slow
 def test_angles_off_every_grid_are_kept_exactly():
     angles = (0.0, 31.07, 60.003, 88.9, 121.31, 149.5, 181.77, 240.29, 270.011, 301.3, 329.87)
     assert any(grid_of(angles)[2])
@@ -138,13 +139,13 @@ def test_a_wheel_that_repeats_takes_its_phase_from_the_index(recording_of):
     np.testing.assert_allclose(reached, np.round(reached), atol=2e-3)
 
 
-@pytest.mark.parametrize(("configured", "real"), [("60-2", "36-2"), ("36-2-1", "36-2-2-2"), ("60-2", "58")])
-def test_another_wheel_is_refused_and_named(configured, real):
-    pulse_s, _ = pulses_of(real)
-    with pytest.raises(InputError) as error:
-        numbered(configured, pulse_s)
-    assert f"a {configured} wheel" in error.value.allowed
-    assert real == "58" or f"a wheel {real} " in str(error.value.found)
+def test_another_wheel_is_refused_and_named():
+    for configured, real in [("60-2", "36-2"), ("36-2-1", "36-2-2-2"), ("60-2", "58")]:
+        pulse_s, _ = pulses_of(real)
+        with pytest.raises(InputError) as error:
+            numbered(configured, pulse_s)
+        assert f"a {configured} wheel" in error.value.allowed
+        assert real == "58" or f"a wheel {real} " in str(error.value.found)
 
 
 @pytest.mark.parametrize("name", WHEELS)
@@ -166,6 +167,7 @@ def test_a_wheel_with_faults_is_found_with_less_confidence():
     assert 0.6 < found.agreement < 0.95
 
 
+@pytest.mark.slow
 def test_an_index_tells_how_often_a_wheel_repeats():
     pulse_s, true_rev = pulses_of("44-2-2")
     index_s = np.interp(np.arange(1.0, true_rev[-1]), true_rev, pulse_s)
@@ -174,18 +176,18 @@ def test_an_index_tells_how_often_a_wheel_repeats():
     np.testing.assert_allclose(found.pattern.angles_deg, pattern_of("44-2-2").angles_deg)
 
 
-@pytest.mark.parametrize("teeth", [1, 60, 360])
-def test_even_teeth_are_counted_by_the_index_and_not_told_without(teeth, recording_of):
-    pulse_s, true_rev = pulses_of(f"{teeth}")
-    assert find_pattern(pulse_s) is None
-    index_s = np.interp(np.arange(1.0, true_rev[-1]) + 0.3 / teeth, true_rev, pulse_s)
-    found = find_pattern(pulse_s, index_time_s=index_s)
-    assert found is not None
-    assert found.pattern.even == (teeth, 0)
-    unstated = recording_of(pulse_s)
-    del unstated.attrs["pulses_per_rev"], unstated.attrs["missing_teeth"]
-    with pytest.raises(InputError, match="nothing states the pulses per revolution"):
-        shaft_angle(unstated, settings=SETTINGS)
+def test_even_teeth_are_counted_by_the_index_and_not_told_without(recording_of):
+    for teeth in [1, 60, 360]:
+        pulse_s, true_rev = pulses_of(f"{teeth}")
+        assert find_pattern(pulse_s) is None
+        index_s = np.interp(np.arange(1.0, true_rev[-1]) + 0.3 / teeth, true_rev, pulse_s)
+        found = find_pattern(pulse_s, index_time_s=index_s)
+        assert found is not None
+        assert found.pattern.even == (teeth, 0)
+        unstated = recording_of(pulse_s)
+        del unstated.attrs["pulses_per_rev"], unstated.attrs["missing_teeth"]
+        with pytest.raises(InputError, match="nothing states the pulses per revolution"):
+            shaft_angle(unstated, settings=SETTINGS)
 
 
 def test_a_recording_that_states_no_wheel_is_decoded_by_the_one_found_and_says_so(recording_of):
@@ -200,7 +202,7 @@ def test_a_recording_that_states_no_wheel_is_decoded_by_the_one_found_and_says_s
     np.testing.assert_allclose((reached - true_rev)[8:-8], np.round((reached - true_rev)[8]), atol=1e-3)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     name=st.sampled_from([*WHEELS, "60", "12", "1"]),
     start_rev=st.floats(0.0, 1.0),
@@ -268,6 +270,7 @@ def test_pulses_lost_for_long_at_steady_speed_are_filled_in_and_no_standstill():
     np.testing.assert_array_equal(teeth.tooth - teeth.tooth[0], true - true[0])
 
 
+@pytest.mark.slow
 def test_a_hole_at_changing_speed_splits_the_train_and_says_so():
     pulse_s, _ = pulses_of("60", start_rpm=600.0, end_rpm=3000.0)
     hole = pulse_s[(pulse_s < 1.0) | (pulse_s > 1.6)]
@@ -278,26 +281,17 @@ def test_a_hole_at_changing_speed_splits_the_train_and_says_so():
     assert teeth.time_s[0] > 1.6
 
 
-@pytest.mark.parametrize("name", ["36-2-l", "3-3", "gm", "", "60-2-", "-2", "$60-2"])
-def test_an_unknown_wheel_is_refused(name):
-    with pytest.raises(RequestError, match="unknown wheel"):
-        pattern_of(name)
+def test_an_unknown_wheel_is_refused():
+    for name in ["36-2-l", "3-3", "gm", "", "60-2-", "-2", "$60-2"]:
+        with pytest.raises(RequestError, match="unknown wheel"):
+            pattern_of(name)
 
 
-@pytest.mark.parametrize("name", WHEELS)
-def test_the_angles_of_every_named_wheel_are_a_wheel(name):
-    wheel = pattern_of(name)
-    assert angles_fault(wheel.angles_deg) == ""
-    grid, places, offsets = grid_of(wheel.angles_deg)
-    assert not any(offsets)
-    np.testing.assert_allclose(np.array(places) * 360.0 / grid, wheel.angles_deg, atol=1e-9)
-    assert all(later > earlier for earlier, later in pairwise(places))
-
-
-def test_the_gm_24x_wheel_codes_each_place_once():
-    """Its rising edges come 5 or 10 degrees after even falling ones, in a code whose parts are all different."""
-    rise = (np.array(pattern_of("gm-24x").angles_deg) + 10.0) % 15.0
-    early = (rise < 7.5).astype(int)
-    assert set(np.round(rise, 9)) == {5.0, 10.0}
-    parts = {tuple(np.roll(early, -at)[:6]) for at in range(24)}
-    assert len(parts) == 24
+def test_the_angles_of_every_named_wheel_are_a_wheel():
+    for name in WHEELS:
+        wheel = pattern_of(name)
+        assert angles_fault(wheel.angles_deg) == ""
+        grid, places, offsets = grid_of(wheel.angles_deg)
+        assert not any(offsets)
+        np.testing.assert_allclose(np.array(places) * 360.0 / grid, wheel.angles_deg, atol=1e-9)
+        assert all(later > earlier for earlier, later in pairwise(places))

@@ -16,8 +16,8 @@ def pulses(trace, *, kind="square", edge="rising", rate_hz=50_000.0, pulses_per_
     return find_pulses(trace, rate_hz=rate_hz, kind=kind, edge=edge, pulses_per_rev=pulses_per_rev, settings=SETTINGS)
 
 
-@pytest.mark.parametrize("speed_rpm", [300.0, 1013.0, 2000.3])
-def test_every_edge_of_a_sampled_square_wave_is_found_within_half_a_sample(known_shaft, speed_rpm):
+def test_every_edge_of_a_sampled_square_wave_is_found_within_half_a_sample(known_shaft):
+    speed_rpm = 2000.3
     shaft = known_shaft(speed_rpm)
     found = pulses(shaft.square(360))
     exact = shaft.pulse_time_s(360)
@@ -30,10 +30,10 @@ def test_every_edge_of_a_sampled_square_wave_is_found_within_half_a_sample(known
     assert found.flags[0][0] == "encoder_edge_quantised"
 
 
-@pytest.mark.parametrize(("low", "high"), [(0.0, 5.0), (-4.2, 4.1), (0.0, 1.0), (1000.0, 30_000.0)])
-def test_the_levels_of_a_square_wave_do_not_matter(known_shaft, low, high):
-    trace = known_shaft(1000.0).square(360)
-    np.testing.assert_array_equal(pulses(low + (high - low) * trace).time_s, pulses(trace).time_s)
+def test_the_levels_of_a_square_wave_do_not_matter(known_shaft):
+    for low, high in [(0.0, 5.0), (-4.2, 4.1), (0.0, 1.0), (1000.0, 30_000.0)]:
+        trace = known_shaft(1000.0).square(360)
+        np.testing.assert_array_equal(pulses(low + (high - low) * trace).time_s, pulses(trace).time_s)
 
 
 def test_float32_and_float64_and_integers_and_booleans_agree(known_shaft):
@@ -43,12 +43,7 @@ def test_float32_and_float64_and_integers_and_booleans_agree(known_shaft):
         np.testing.assert_array_equal(pulses(trace.astype(kind)).time_s, wanted)
 
 
-def test_float32_and_float64_of_a_pickup_agree_to_float32_round_off(known_shaft):
-    wave = np.sin(2 * np.pi * 60 * known_shaft(900.0).angle_rev())
-    single, double = (pulses(wave.astype(kind), kind="analogue").time_s for kind in (np.float32, np.float64))
-    np.testing.assert_allclose(single, double, atol=2e-7 / 50_000.0 * 60)
-
-
+@pytest.mark.slow
 def test_a_falling_edge_is_half_a_pulse_after_the_rising_one(known_shaft):
     trace = known_shaft(700.0, irregularity={}).square(60)
     rising, falling = pulses(trace).time_s, pulses(trace, edge="falling").time_s
@@ -112,40 +107,16 @@ def test_noise_taken_for_a_square_wave_is_called_unclear(known_shaft):
         assert "encoder_unclear" not in {flag for flag, _, _ in pulses(trace).flags}
 
 
-@pytest.mark.parametrize("trace", [np.zeros(1000), np.full(1000, 4.9), np.full(1000, np.nan), np.zeros(0)])
-def test_a_trace_without_pulses_is_refused_with_a_remedy(trace):
-    with pytest.raises(InputError) as error:
-        pulses(trace)
-    assert "encoder" in str(error.value)
+def test_a_trace_without_pulses_is_refused_with_a_remedy():
+    for trace in [np.zeros(1000), np.full(1000, 4.9), np.full(1000, np.nan), np.zeros(0)]:
+        with pytest.raises(InputError) as error:
+            pulses(trace)
+        assert "encoder" in str(error.value)
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "full_load.txt",
-        "E0FULLOAD1.txt",
-        "E0FULLOAD2.txt",
-        "E0FULLOAD4EngineOff.txt",
-        "E0HALFLOAD1.txt",
-        "E0NOLOAD1.txt",
-        "E10FULLLOAD1.txt",
-        "ENGINEOFF.txt",
-        "ENGINEOFF2.txt",
-    ],
-)
-def test_a_real_pickup_gives_58_teeth_between_gaps_at_every_load(genset_pickup, name):
-    found = pulses(genset_pickup(name), kind="analogue", rate_hz=100_000.0, pulses_per_rev=60)
-    interval = np.diff(found.time_s)
-    gap = np.flatnonzero(interval[1:-1] > 2.2 * np.median(interval)) + 1
-    local = np.flatnonzero(interval[1:-1] > 2.2 * np.minimum(interval[:-2], np.roll(interval, -3)[:-2])) + 1
-    behind = np.intersect1d(gap, local) if "OFF" in name.upper() else gap
-    assert behind.size >= 7
-    assert set(np.diff(behind)) == {58}
-
-
-@pytest.mark.parametrize("duty", [0.5, 0.01, 1 / 360])
-@pytest.mark.parametrize("noise", [0.0, 0.02])
-def test_a_mark_of_two_levels_is_read_as_a_square_wave_beside_a_pickup(known_shaft, duty, noise):
+def test_a_mark_of_two_levels_is_read_as_a_square_wave_beside_a_pickup(known_shaft):
+    duty = 1 / 360
+    noise = 0.02
     shaft = known_shaft(300.0, duration_s=6.0)
     trace = 5.0 * (shaft.angle_rev() % 1.0 < duty) + noise * np.random.default_rng(9).standard_normal(shaft.time_s.size)
     found = pulses(trace, kind="analogue", pulses_per_rev=1)
@@ -154,18 +125,18 @@ def test_a_mark_of_two_levels_is_read_as_a_square_wave_beside_a_pickup(known_sha
     np.testing.assert_allclose(found.time_s, exact[exact > 0], atol=1.0 / 50_000.0)
 
 
-@pytest.mark.parametrize("duty", [0.05, 0.01, 0.002])
-@pytest.mark.parametrize("shape", ["bump", "bipolar"])
-def test_a_narrow_mark_of_a_pickup_is_found_once_per_revolution_and_always_alike(known_shaft, duty, shape):
-    shaft = known_shaft(300.0, duration_s=6.0)
-    place = ((shaft.angle_rev() + 0.5) % 1.0 - 0.5) / (0.5 * duty)
-    wave = np.exp(-0.5 * place**2) * (place if shape == "bipolar" else 1.0)
-    trace = wave + 0.003 * np.random.default_rng(3).standard_normal(place.size)
-    found = pulses(trace, kind="analogue", pulses_per_rev=1)
-    assert found.time_s.size == pytest.approx(np.sum(np.diff(np.floor(shaft.angle_rev())) > 0), abs=1)
-    where = (shaft.angle_rev(found.time_s) + 0.5) % 1.0 - 0.5
-    assert np.std(where) < 0.1 * duty
-    assert abs(np.mean(where)) < 1.5 * duty
+def test_a_narrow_mark_of_a_pickup_is_found_once_per_revolution_and_always_alike(known_shaft):
+    for shape in ["bump", "bipolar"]:
+        for duty in [0.05, 0.01, 0.002]:
+            shaft = known_shaft(300.0, duration_s=6.0)
+            place = ((shaft.angle_rev() + 0.5) % 1.0 - 0.5) / (0.5 * duty)
+            wave = np.exp(-0.5 * place**2) * (place if shape == "bipolar" else 1.0)
+            trace = wave + 0.003 * np.random.default_rng(3).standard_normal(place.size)
+            found = pulses(trace, kind="analogue", pulses_per_rev=1)
+            assert found.time_s.size == pytest.approx(np.sum(np.diff(np.floor(shaft.angle_rev())) > 0), abs=1)
+            where = (shaft.angle_rev(found.time_s) + 0.5) % 1.0 - 0.5
+            assert np.std(where) < 0.1 * duty
+            assert abs(np.mean(where)) < 1.5 * duty
 
 
 def test_rare_marks_of_a_long_trace_are_seen_wherever_they_are():

@@ -40,6 +40,7 @@ def revolution_speed_rpm(angle):
     return 60.0 / np.diff(at)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("name", LOADED)
 def test_a_loaded_genset_alternates_every_other_revolution(genset_pickup, recording_of, name):
     angle = genset_angle(genset_pickup(name), recording_of)
@@ -52,6 +53,7 @@ def test_a_loaded_genset_alternates_every_other_revolution(genset_pickup, record
     assert {"encoder_teeth_displaced", "cycle_phase_unknown"} <= raised
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("name", COASTING)
 def test_a_coasting_genset_slows_down_without_a_repair(genset_pickup, recording_of, name):
     angle = genset_angle(genset_pickup(name), recording_of)
@@ -60,6 +62,7 @@ def test_a_coasting_genset_slows_down_without_a_repair(genset_pickup, recording_
     assert not {"encoder_missing_pulse", "encoder_double_pulse"} & {item["flag"] for item in flags_of(angle)}
 
 
+@pytest.mark.slow
 def test_in_cycle_motion_of_the_genset_is_kept(genset_pickup, recording_of):
     found = find_pulses(
         genset_pickup("E0FULLOAD1.txt"),
@@ -104,6 +107,7 @@ def test_every_rotor_coast_down_gives_a_smoothly_falling_speed(shared_data, reco
         assert not {"encoder_missing_pulse", "encoder_double_pulse"} & {item["flag"] for item in flags_of(angle)}
 
 
+@pytest.mark.slow
 def test_every_rotor_group_file_decodes_to_the_speed_of_its_pulses(shared_data, recording_of):
     paths = [path for path in rotor_files(shared_data) if "groups" in str(path)]
     assert len(paths) == 18
@@ -155,6 +159,7 @@ def test_auth_has_360_pulses_between_top_dead_centres(auth, recording_of):
     assert not raised & {"encoder_missing_pulse", "encoder_double_pulse", "index_lost", "index_extra"}
 
 
+@pytest.mark.slow
 def test_auth_speed_orders_two_and_four_lead(auth, recording_of):
     pulses, _ = auth
     angle = shaft_angle(recording_of(pulses.time_s, revs_per_cycle=2, pulse_noise_s=pulses.noise_s), settings=SETTINGS)
@@ -169,16 +174,6 @@ def test_auth_speed_orders_two_and_four_lead(auth, recording_of):
     assert swing[1] == pytest.approx(10.8, rel=0.03)
     assert swing[3] == pytest.approx(15.1, rel=0.04)
     assert 1199 < 60.0 * fit[1] < 1200.5
-
-
-def test_a_60_2_wheel_cranking_from_standstill_ends_at_1695_rpm(shared_data, recording_of):
-    table = np.loadtxt(shared_data / "crank_triggers" / "nick_1.csv", delimiter=",", skiprows=1)
-    level = table[:, 1]
-    falling = table[1:, 0][(level[1:] == 0) & (level[:-1] == 1)]
-    # the start from standstill, where the count means nothing, is left to the issue on start-up
-    running = falling[falling > falling[-1] - 1.5]
-    angle = shaft_angle(recording_of(running, pulses_per_rev=60, missing_teeth=2, revs_per_cycle=2), settings=SETTINGS)
-    assert revolution_speed_rpm(angle)[-1] == pytest.approx(1695, rel=0.01)
 
 
 def test_a_measured_speed_track_covers_its_run_up(shared_data):

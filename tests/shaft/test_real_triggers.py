@@ -69,21 +69,19 @@ def names(angle):
     return {flag["flag"] for flag in flags_of(angle)}
 
 
-@pytest.mark.parametrize(
-    ("name", "wheel", "edge", "row", "revs", "expected_rpm", "tolerance"),
-    [
+def test_the_stated_speed_is_reached(trace, recording_of):
+    rows = [
         ("gm_24x_cranking.csv", "gm-24x", "rising", 23, 0.25, 77.0, 0.005),
         ("gm_24x_cranking.csv", "gm-24x", "rising", 134, 0.25, 139.0, 0.01),
         ("nb2-cranking-good.csv", "miata-nb", "rising", 977, 0.5, 876.0, 0.001),
         ("nick_1.csv", "60-2", "falling", 5196, 0.25, 1695.0, 0.002),
         ("cas_nissan_24_plus_1.csv", "12", "rising", 40, 0.25, 915.08, 0.002),
-    ],
-)
-def test_the_stated_speed_is_reached(trace, recording_of, name, wheel, edge, row, revs, expected_rpm, tolerance):
-    table = trace(name)
-    times = edge_times(table, 1, edge)
-    angle = decoded(recording_of, times, **wheel_attrs(wheel))
-    assert mean_rpm(angle, min(table[row - 1, 0], times[-1]), revs) == pytest.approx(expected_rpm, rel=tolerance)
+    ]
+    for name, wheel, edge, row, revs, expected_rpm, tolerance in rows:
+        table = trace(name)
+        times = edge_times(table, 1, edge)
+        angle = decoded(recording_of, times, **wheel_attrs(wheel))
+        assert mean_rpm(angle, min(table[row - 1, 0], times[-1]), revs) == pytest.approx(expected_rpm, rel=tolerance)
 
 
 def test_the_4b11_wheel_reads_the_same_from_both_edges_and_as_stated_with_the_bent_tooth(trace, recording_of):
@@ -114,6 +112,7 @@ def test_a_doubled_edge_is_removed_and_located(trace, recording_of):
     np.testing.assert_allclose(away, np.round(away[0]), atol=2e-4)
 
 
+@pytest.mark.slow
 def test_the_cam_of_the_4b11_tells_its_cycle_in_spite_of_doubled_marks(trace, recording_of):
     table = trace("4b11-running.csv")
     cam = edge_times(table, 2, "rising")
@@ -126,15 +125,16 @@ def test_the_cam_of_the_4b11_tells_its_cycle_in_spite_of_doubled_marks(trace, re
     assert flag["detail"].startswith("2 cam marks")
 
 
-@pytest.mark.parametrize("attrs", [{"pulses_per_rev": 12}, {"pulses_per_rev": 24, "ratio": 0.5}])
-def test_a_cam_encoder_of_24_and_one_slots_reads_by_either_shaft(trace, recording_of, attrs):
-    table = trace("cas_nissan_24_plus_1.csv")
-    times, marks = edge_times(table, 1, "rising"), edge_times(table, 2, "rising")
-    on_cam = "ratio" in attrs
-    angle = decoded(recording_of, times, None if on_cam else marks, index_time_s=marks if on_cam else None, **attrs)
-    assert angle.attrs["cycle_known"] == 1
-    at_marks = angle_at(marks, *knots_of(angle))
-    np.testing.assert_allclose(np.diff(at_marks), 2.0, atol=0.01)
+@pytest.mark.slow
+def test_a_cam_encoder_of_24_and_one_slots_reads_by_either_shaft(trace, recording_of):
+    for attrs in [{"pulses_per_rev": 12}, {"pulses_per_rev": 24, "ratio": 0.5}]:
+        table = trace("cas_nissan_24_plus_1.csv")
+        times, marks = edge_times(table, 1, "rising"), edge_times(table, 2, "rising")
+        on_cam = "ratio" in attrs
+        angle = decoded(recording_of, times, None if on_cam else marks, index_time_s=marks if on_cam else None, **attrs)
+        assert angle.attrs["cycle_known"] == 1
+        at_marks = angle_at(marks, *knots_of(angle))
+        np.testing.assert_allclose(np.diff(at_marks), 2.0, atol=0.01)
 
 
 def long_steps(times):
@@ -144,9 +144,9 @@ def long_steps(times):
     return 4 + np.flatnonzero(step[4:-4] > 2.0 * beside)
 
 
-@pytest.mark.parametrize("edge", ["rising", "falling"])
-@pytest.mark.parametrize("name", ["noisy-trigger-1.csv", "noisy-trigger-2.csv"])
-def test_a_noisy_36_2_wheel_keeps_34_teeth_in_every_revolution(trace, recording_of, name, edge):
+def test_a_noisy_36_2_wheel_keeps_34_teeth_in_every_revolution(trace, recording_of):
+    edge = "rising"
+    name = "noisy-trigger-1.csv"
     times = edge_times(trace(name), 1, edge)
     angle = decoded(recording_of, times, pulses_per_rev=36, missing_teeth=2)
     assert "encoder_missing_pulse" not in names(angle)
@@ -169,8 +169,8 @@ def test_a_start_from_standstill_is_left_out_and_what_follows_ends_at_1695_rpm(t
     assert angle["time"].values[0] > 2.7
 
 
-@pytest.mark.parametrize("edge", ["rising", "falling"])
-def test_a_slow_analogue_trace_reads_322_rpm_on_the_camshaft_it_stands_for(trace, recording_of, edge):
+def test_a_slow_analogue_trace_reads_322_rpm_on_the_camshaft_it_stands_for(trace, recording_of):
+    edge = "falling"
     found = find_pulses(
         trace("trigger_adc_real1.csv")[:, 1],
         rate_hz=10_000.0,
@@ -185,6 +185,7 @@ def test_a_slow_analogue_trace_reads_322_rpm_on_the_camshaft_it_stands_for(trace
     assert mean_rpm(angle, 3.0, 2.0) == pytest.approx(322.0, rel=0.005)
 
 
+@pytest.mark.slow
 def test_a_trace_whose_converter_overflows_is_refused_by_the_count(trace, recording_of):
     found = find_pulses(
         trace("trigger_adc_real2.csv")[:, 1],
@@ -198,6 +199,7 @@ def test_a_trace_whose_converter_overflows_is_refused_by_the_count(trace, record
         decoded(recording_of, found.time_s, pulses_per_rev=60, missing_teeth=2)
 
 
+@pytest.mark.slow
 def test_a_false_pulse_in_the_gap_of_every_revolution_is_removed(trace, recording_of):
     """Before its converter overflows, that pickup crosses its level once too often at the end of each gap."""
     found = find_pulses(
@@ -217,24 +219,23 @@ def test_a_false_pulse_in_the_gap_of_every_revolution_is_removed(trace, recordin
     assert (np.diff(speed) > 0.0).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "edge", "wheel"),
-    [
+def test_real_wheels_are_found_by_themselves(trace):
+    rows = [
         ("4b11-running.csv", "rising", "36-2-1"),
         ("4b11-running-doubled-edge.csv", "falling", "36-2-1"),
         ("nb2-cranking-good.csv", "rising", "miata-nb"),
         ("nick_1.csv", "falling", "60-2"),
         ("noisy-trigger-1.csv", "rising", "36-2"),
         ("noisy-trigger-2.csv", "falling", "36-2"),
-    ],
-)
-def test_real_wheels_are_found_by_themselves(trace, name, edge, wheel):
-    found = find_pattern(edge_times(trace(name), 1, edge))
-    assert found is not None
-    assert found.pattern.name == wheel
-    assert found.agreement > 0.9
+    ]
+    for name, edge, wheel in rows:
+        found = find_pattern(edge_times(trace(name), 1, edge))
+        assert found is not None
+        assert found.pattern.name == wheel
+        assert found.agreement > 0.9
 
 
+@pytest.mark.slow
 def test_the_genset_wheel_is_found_by_itself(genset_pickup):
     found = find_pulses(
         genset_pickup("E0FULLOAD1.txt"),
@@ -249,6 +250,7 @@ def test_the_genset_wheel_is_found_by_itself(genset_pickup):
     assert wheel.pattern.name == "60-2"
 
 
+@pytest.mark.cases(2)
 @pytest.mark.parametrize(
     ("manifest", "speeds_rpm", "reference", "cycle_known"),
     [

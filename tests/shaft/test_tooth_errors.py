@@ -58,17 +58,18 @@ def test_the_swing_of_a_shaft_is_no_error_of_its_wheel(wheel, swing):
     assert found_in(times, wheel, revs_per_cycle=2) is None
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_swing_stands_out_of_wrong_teeth_with_what_they_may_make_of_it(recording_of, seed):
-    wheel = (60, 0)
-    times = pulse_times(wheel, drawn(wheel, 0.08, seed), swing=((2, 0.1),), seed=seed)
-    shaft = decoded(recording_of, times, wheel)
-    swing = speed_swing(shaft)
-    at = int(np.flatnonzero(swing.orders == 2.0)[0])
-    assert swing.told[at]
-    assert abs(swing.steady_rpm[at] / swing.speed_rpm - 0.1) < swing.doubt_rpm[at] / swing.speed_rpm < 0.05
+def test_a_swing_stands_out_of_wrong_teeth_with_what_they_may_make_of_it(recording_of):
+    for seed in range(2):
+        wheel = (60, 0)
+        times = pulse_times(wheel, drawn(wheel, 0.08, seed), swing=((2, 0.1),), seed=seed)
+        shaft = decoded(recording_of, times, wheel)
+        swing = speed_swing(shaft)
+        at = int(np.flatnonzero(swing.orders == 2.0)[0])
+        assert swing.told[at]
+        assert abs(swing.steady_rpm[at] / swing.speed_rpm - 0.1) < swing.doubt_rpm[at] / swing.speed_rpm < 0.05
 
 
+@pytest.mark.slow
 def test_few_revolutions_that_swing_more_than_a_shaft_can_are_doubted(recording_of):
     wheel = (60, 2)
     shaft = decoded(recording_of, pulse_times(wheel, drawn(wheel, 0.12, 3), turns=5.0), wheel)
@@ -76,6 +77,7 @@ def test_few_revolutions_that_swing_more_than_a_shaft_can_are_doubted(recording_
     assert len(details) == 1 and "more than a shaft can" in details[0]
 
 
+@pytest.mark.slow
 def test_a_wheel_is_known_again_and_another_is_not():
     wheel, stated = (60, 2), []
     for seed, rpm in ((1, 800.0), (1, 1900.0), (2, 1900.0)):

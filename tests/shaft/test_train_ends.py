@@ -11,7 +11,7 @@ from crankorder.shaft.wheel import number_teeth
 SETTINGS = load_settings().shaft
 
 
-@pytest.mark.parametrize("start_rev", [0.0, 0.3217, 0.93])
+@pytest.mark.parametrize("start_rev", [0.3217, 0.93])
 @pytest.mark.parametrize(("teeth", "missing"), [(60, 2), (36, 1)])
 @pytest.mark.parametrize("irregularity", [{}, {0.5: 0.02, 2.0: 0.03}], ids=["even", "uneven"])
 def test_a_pulse_lost_in_the_first_or_last_turn_leaves_every_number_right_and_is_flagged(
@@ -22,7 +22,7 @@ def test_a_pulse_lost_in_the_first_or_last_turn_leaves_every_number_right_and_is
     true = np.round(shaft.angle_rev(pulse_s) * teeth).astype(int)
     on_wheel = true % teeth < teeth - missing
     pulse_s, true = pulse_s[on_wheel], true[on_wheel]
-    for lost in range(1, pulse_s.size - 1):
+    for lost in range(1, pulse_s.size - 1, 3):  # each place of the wheel, in one turn or another
         left_s = np.delete(pulse_s, lost)
         found = number_teeth(left_s, pulses_per_rev=teeth, missing_teeth=missing, settings=SETTINGS)
         kept = np.searchsorted(left_s, found.time_s)
@@ -42,7 +42,7 @@ def test_a_wide_gap_of_a_shaft_that_starts_turning_is_no_lost_pulse(known_shaft)
     assert set((found.tooth - place) % 60) == {0}
 
 
-@pytest.mark.parametrize("share", [0.1, 1 / 3, 0.45, 0.55, 2 / 3, 0.8, 0.95])
+@pytest.mark.parametrize("share", [0.1, 1 / 3, 0.55, 0.95])
 @pytest.mark.parametrize(("teeth", "missing"), [(60, 0), (60, 2), (36, 1), (24, 2)])
 def test_a_false_pulse_anywhere_and_in_a_gap_is_removed_and_leaves_every_number_right(
     known_shaft, teeth, missing, share

@@ -60,9 +60,9 @@ def test_between_the_teeth_of_any_wheel_the_angle_is_as_good_as_a_spline_and_its
     assert np.median(stated) < 2.0 * noise_s * REVS_PER_S + 1e-4
 
 
-@pytest.mark.parametrize("name", ["12+1", "gm-7x", "gm-24x", "36-2-1"])
-def test_exact_pulses_of_any_wheel_are_passed_through(name):
-    exact, place = pulses_of(name)
-    _, error, _ = knots_and_error(name, 0.0, exact[10:-10])
-    assert place.size > 300
-    np.testing.assert_allclose(error, 0.0, atol=2e-9)
+def test_exact_pulses_of_any_wheel_are_passed_through():
+    for name in ["12+1", "gm-7x", "gm-24x", "36-2-1"]:
+        exact, place = pulses_of(name)
+        _, error, _ = knots_and_error(name, 0.0, exact[10:-10])
+        assert place.size > 300
+        np.testing.assert_allclose(error, 0.0, atol=2e-9)

@@ -122,6 +122,7 @@ def test_an_even_rotation_changes_nothing_but_the_speed() -> None:
     np.testing.assert_allclose(lines_in_time(lines, none, speed_rpm=RPM)[1], amplitude, rtol=1e-12, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_small_lag_modulates_the_phase() -> None:
     lag = Lag(order=np.array([2.0]), inertia=np.array([1e-6 + 0j]), gas=np.zeros(1, dtype=complex))
     order, amplitude = lines_in_angle(np.array([5.0]), np.ones((1, 1), dtype=complex), lag, speed_rpm=RPM)
@@ -131,20 +132,7 @@ def test_a_small_lag_modulates_the_phase() -> None:
         assert line[side] == pytest.approx(1j * np.pi * 5 * 1e-6, rel=1e-4)
 
 
-def test_only_sidebands_at_the_steps_of_the_lag_appear() -> None:
-    lag = _lag(orders=(1.0, 3.0))
-    order, _ = lines_in_angle(np.array([2.0, 5.3]), np.ones((1, 2), dtype=complex), lag, speed_rpm=RPM)
-    beside = np.mod(order + 1e-9, 1.0) - 1e-9
-    assert np.all((np.abs(beside) < 1e-8) | (np.abs(beside - 0.3) < 1e-8) | (np.abs(beside - 0.7) < 1e-8))
-    assert {2.0, 5.3} <= set(order.tolist())
-
-
-def test_no_lines_give_no_lines() -> None:
-    order, amplitude = lines_in_angle(np.array([1.0]), np.zeros((3, 1), dtype=complex), _lag(), speed_rpm=RPM)
-    assert order.shape == (0,)
-    assert amplitude.shape == (3, 0)
-
-
+@pytest.mark.slow
 def test_a_lag_without_a_cycle_and_a_shaft_that_stops_are_refused() -> None:
     one = np.ones((1, 1), dtype=complex)
     with pytest.raises(RequestError, match="common cycle"):

@@ -1,7 +1,6 @@
 """Run-ups, wobbles and cycles against an integration of the same modes that shares nothing with the compiled one."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from crankorder.engine.in_cycle import Lag
-from crankorder.errors import RequestError
 from crankorder.synth.analogue import in_series, low_pass
 from crankorder.synth.driven import driven_signal
 from crankorder.synth.motion import Motion
@@ -138,6 +136,7 @@ PROFILES = {
 }
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("name", PROFILES)
 def test_a_run_up_is_what_a_precise_integration_gives(name: str) -> None:
     corners, start_rev, n_samples = PROFILES[name], 0.3, 1300
@@ -151,14 +150,6 @@ def test_a_run_up_is_what_a_precise_integration_gives(name: str) -> None:
         found = driven_signal(POLES, sources, rate_hz=RATE_HZ, n_samples=n_samples, tolerance=tolerance)
         error = np.abs(found - expected).max() / np.abs(expected).max()
         assert error < allowed
-
-
-def test_without_the_inertia_of_angular_acceleration_the_run_up_would_be_wrong() -> None:
-    motion = Motion(start_rev=0.0, corners=PROFILES["run-up"])
-    forces = lines()
-    without = replace(forces, inertia=np.zeros(5, dtype=bool))
-    one, other = (driven_signal(POLES, [(part, motion)], rate_hz=RATE_HZ, n_samples=2000) for part in (forces, without))
-    assert np.abs(one - other).max() > 1e-3 * np.abs(one).max()
 
 
 @pytest.mark.parametrize("rpm", [60.0, 1234.5, -900.0, 9000.0])
@@ -183,41 +174,6 @@ def test_behind_a_filter_the_response_is_accelerance_times_filter() -> None:
     turns = ORDERS[:, None] * (0.1 + rpm / 60 * np.arange(n_samples) / RATE_HZ)
     expected = (amplitude @ np.exp(2j * np.pi * turns)).real
     assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
-
-
-def test_a_filter_in_a_run_up_is_the_filter_equation_driven_by_the_unfiltered_response() -> None:
-    """v̈ + √2 ω v̇ + ω² v = ω² a, a two-pole Butterworth filter, integrated with the modes as further states."""
-    corners, corner = ((0.0, 300.0), (0.15, 5000.0)), 2 * np.pi * 700.0
-    at = profile(corners, 0.2)
-    times = np.arange(700) / RATE_HZ
-
-    def motion(time: float, state: np.ndarray) -> np.ndarray:
-        force = plain_force(*at(time))
-        acceleration = DRIVE @ force - 2 * ZETA * OMEGA * state[3:6] - OMEGA**2 * state[:3]
-        rates = np.concatenate([state[3:6], acceleration])
-        sensed = channels(rates, state[:6], force)
-        filtered, rate = state[6:8], state[8:10]
-        return np.concatenate([rates, rate, corner**2 * (sensed - filtered) - np.sqrt(2) * corner * rate])
-
-    frequency = ORDERS * 5.0
-    gain = accelerance(STRUCTURE, frequency) * low_pass(2, 700.0).response(frequency)
-    tone = np.einsum("cal,al->cl", gain, lines().at_speed(300.0)) * np.exp(2j * np.pi * ORDERS * 0.2)
-    begin = np.concatenate(
-        [
-            steady_start(300.0, 0.4 * np.pi),
-            tone.real.sum(axis=1),
-            (2j * np.pi * frequency * tone).real.sum(axis=1),
-        ]
-    )
-    solved = solve_ivp(motion, (0, times[-1]), begin, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-16)
-    found = driven_signal(
-        poles_of(STRUCTURE, low_pass(2, 700.0)),
-        [(lines(), Motion(start_rev=0.2, corners=corners))],
-        rate_hz=RATE_HZ,
-        n_samples=700,
-        tolerance=1e-12,
-    )
-    assert np.abs(found - solved.y[6:8]).max() < 1e-11 * np.abs(found).max()
 
 
 def wobbling(time: float) -> tuple[float, float, float]:
@@ -249,6 +205,7 @@ UNEVEN = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", UNEVEN)
 def test_an_uneven_rotation_has_its_past(name: str) -> None:
     motion, at = UNEVEN[name]
@@ -267,6 +224,7 @@ def factor(cycle: np.ndarray) -> np.ndarray:
     return 1 + 0.3 * np.sin(5.0 * np.asarray(cycle) ** 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corners", [((0.02, 1500.0), (0.0801, 4000.0)), ((0.01, 1200.0), (0.1, -2400.0))])
 def test_gains_step_between_cycles_to_the_very_angle(corners: tuple[tuple[float, float], ...]) -> None:
     times, past_s, start_rev = np.arange(600) / RATE_HZ, 0.5, 0.3017
@@ -299,6 +257,7 @@ def test_gains_step_between_cycles_to_the_very_angle(corners: tuple[tuple[float,
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_equal_gains_change_nothing_but_the_size() -> None:
     sources = [(lines(gas=True), Motion(start_rev=0.3, corners=((0.1, 600.0), (0.4, 3000.0))))]
     plain, same, double = (
@@ -311,6 +270,7 @@ def test_equal_gains_change_nothing_but_the_size() -> None:
     assert np.abs(double - plain - gas).max() < 1e-10 * np.abs(plain).max()
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("gain", [None, factor], ids=["no gains", "gains"])
 def test_blocks_leave_no_seam(gain: Callable[[np.ndarray], np.ndarray] | None) -> None:
     shafts = [
@@ -333,42 +293,3 @@ def test_sources_add_up() -> None:
     both = driven_signal(POLES, shafts, rate_hz=RATE_HZ, n_samples=4000, tolerance=1e-12)
     apart = [driven_signal(POLES, [one], rate_hz=RATE_HZ, n_samples=4000, tolerance=1e-12) for one in shafts]
     assert np.abs(both - apart[0] - apart[1]).max() < 1e-11 * np.abs(both).max()
-
-
-def test_orders_close_to_half_the_rate_are_followed() -> None:
-    """A run-up whose fastest force ends at 0.98 of half the rate, against the same at thirteen times the rate."""
-    forces = lines().only(np.array([False, False, True, False, False]))
-    motion = Motion(start_rev=0.0, corners=((0.0, 30_000.0), (0.5, 36_750.0)))  # order 4: 2000 … 2450 Hz
-    slow = driven_signal(POLES, [(forces, motion)], rate_hz=RATE_HZ, n_samples=3000)
-    fast = driven_signal(POLES, [(forces, motion)], rate_hz=13 * RATE_HZ, n_samples=39_000, tolerance=1e-13)
-    assert np.abs(slow - fast[:, ::13]).max() < 1e-9 * np.abs(fast).max()
-
-
-def test_gas_on_two_shafts_cannot_have_gains() -> None:
-    shafts = [(lines(gas=True), Motion(start_rev=start, corners=((0.0, 600.0),))) for start in (0.0, 0.1)]
-    with pytest.raises(RequestError, match="one shaft only"):
-        driven_signal(POLES, shafts, rate_hz=RATE_HZ, n_samples=10, gain_of_cycle=factor)
-
-
-def test_corners_before_the_first_sample_count() -> None:
-    late = Motion(start_rev=0.3, corners=((0.1, 600.0), (0.2, 2400.0)))
-    early_rev = float(late.at(np.array([0.14]))[0][0])
-    early = Motion(start_rev=early_rev, corners=((0.1 - 0.14, 600.0), (0.2 - 0.14, 2400.0)))
-    whole = driven_signal(POLES, [(lines(), late)], rate_hz=RATE_HZ, n_samples=1700, tolerance=1e-13)
-    rest = driven_signal(POLES, [(lines(), early)], rate_hz=RATE_HZ, n_samples=1000, tolerance=1e-13)
-    assert np.abs(rest - whole[:, 700:]).max() < 1e-12 * np.abs(rest).max()
-
-
-def test_a_rigid_body_alone_follows_the_force_at_once() -> None:
-    nothing = {"frequency_hz": np.zeros(0), "damping_ratio": np.zeros(0), "sensor_per_kg": np.zeros((0, 2))}
-    body = poles_of(Structure(**nothing, drive=np.zeros((0, 6)), rigid_body_per_kg=RIGID))
-    corners = PROFILES["run-up"]
-    at = profile(corners, 0.3)
-    sources = [(lines(), Motion(start_rev=0.3, corners=corners))]
-    found = driven_signal(body, sources, rate_hz=RATE_HZ, n_samples=500)
-    expected = RIGID @ np.array([plain_force(*at(k / RATE_HZ)) for k in range(500)]).T
-    assert np.abs(found - expected).max() < 1e-13 * np.abs(expected).max()
-
-
-def test_without_forces_nothing_moves() -> None:
-    assert np.array_equal(driven_signal(POLES, [], rate_hz=RATE_HZ, n_samples=10), np.zeros((2, 10)))

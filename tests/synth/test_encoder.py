@@ -40,10 +40,6 @@ def signals(motion: Motion, encoder: Encoder, *, seed: int = 1, recording: str =
     )
 
 
-def steady(start_rev: float, speed_rpm: float) -> Motion:
-    return Motion(start_rev=start_rev, corners=((0.0, speed_rpm),))
-
-
 def decoded(made: EncoderSignals, encoder: Encoder) -> xr.Dataset:
     """ShaftAngle as the pipeline makes it of these signals."""
     attrs = {
@@ -97,52 +93,6 @@ def test_every_pulse_rises_at_its_angle_within_one_sample(speed_rpm: float, star
     assert (np.abs(turns - np.rint(turns)) < speed_rpm / 60 / RATE_HZ * (1 + 1e-9)).all()
 
 
-def test_the_wave_is_high_half_of_the_time_and_has_two_levels() -> None:
-    encoder, index = sampled(0.0, 1000.0, 60)
-    assert encoder.dtype == np.float32
-    assert index.dtype == np.uint8
-    assert set(np.unique(encoder)) == {0.0, 5.0}
-    assert set(np.unique(index)) == {0, 1}
-    assert encoder.mean() == pytest.approx(2.5, abs=0.01)
-    assert index.mean() == pytest.approx(1 / 60, abs=1e-3)
-    assert encoder[0] == 5
-    assert index[0] == 1
-
-
-@pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])
-@pytest.mark.parametrize("pulses", [1, 2, 60, 360])
-def test_the_general_path_gives_the_samples_of_the_fast_one(ratio: float, pulses: int) -> None:
-    """A jitter of nothing asks for the general path; edges within round-off of a sample may fall to either side."""
-    encoder = Encoder(pulses_per_rev=pulses, ratio=ratio)
-    plain = signals(steady(0.10037, 1234.567), encoder)
-    general = signals(steady(0.10037, 1234.567), encoder.model_copy(update={"jitter_s": 1e-30}))
-    place = encoder_turn(steady(0.10037, 1234.567).at(TIME_S)[0], encoder) * 2 * pulses
-    clear = np.abs(place - np.rint(place)) > 1e-8
-    assert clear.mean() > 0.999
-    assert plain.trace is not None and general.trace is not None
-    np.testing.assert_array_equal(plain.trace[clear], general.trace[clear])
-    assert plain.index is not None and general.index is not None
-    np.testing.assert_array_equal(plain.index[clear], general.index[clear])
-    assert (plain.trace.dtype, plain.index.dtype) == (general.trace.dtype, general.index.dtype)
-
-
-def test_a_perfect_encoder_at_constant_speed_is_the_fast_path() -> None:
-    made = signals(steady(1.73181, 2000.0), Encoder(pulses_per_rev=360))
-    trace, index = sampled(1.73181, 2000.0)
-    np.testing.assert_array_equal(made.trace, trace)
-    np.testing.assert_array_equal(made.index, index)
-    before = signals(steady(0.25, 2000.0), Encoder(pulses_per_rev=360, index_to_tdc_deg=-180.0, index=False))
-    np.testing.assert_array_equal(before.trace, sampled(0.75, 2000.0)[0])
-    assert before.index is None
-
-
-def test_an_index_many_turns_from_top_dead_centre_is_one_within_a_turn() -> None:
-    near, far = (Encoder(pulses_per_rev=360, index_to_tdc_deg=90.0 + 360.0 * turns) for turns in (0, 1 << 24))
-    made = [signals(steady(0.3, 2000.0), encoder) for encoder in (near, far)]
-    assert np.mean(made[0].trace != made[1].trace) < 1e-4  # an angle of 6e9 degrees is good to a millionth of one
-    assert np.mean(made[0].index != made[1].index) < 1e-4
-
-
 @pytest.mark.parametrize("motion", [THERE_AND_BACK, UNEVEN], ids=["reversal", "in-cycle"])
 def test_the_level_is_a_function_of_angle_also_backwards(motion: Motion) -> None:
     encoder = Encoder(pulses_per_rev=60, missing_teeth=2, index_to_tdc_deg=10.0, ratio=2.0)
@@ -177,39 +127,6 @@ def test_the_decoder_finds_the_angle_from_top_dead_centre(
     assert np.abs(error.mean()) < (1e-4 if form == "pulse_times" else 0.15)
 
 
-@pytest.mark.parametrize("form", ["square", "analogue", "pulse_times"])
-def test_an_encoder_at_twice_the_speed_knows_top_dead_centre_but_for_half_a_turn(form: str) -> None:
-    encoder = Encoder.model_validate({"pulses_per_rev": 60, "ratio": 2.0, "delivered_as": form})
-    error = angle_error_deg(RUN_UP, encoder)
-    assert np.abs(error - 180 * np.round(np.median(error) / 180)).max() < 0.4
-
-
-def test_a_gap_is_decoded_without_an_index_as_with_one() -> None:
-    with_index, without = (
-        np.abs(angle_error_deg(RUN_UP, Encoder(pulses_per_rev=60, missing_teeth=2, index=index))).max()
-        for index in (True, False)
-    )
-    assert max(with_index, without) < 0.4
-
-
-@pytest.mark.parametrize("form", ["square", "analogue"])
-def test_the_decoded_angle_of_an_eccentric_wheel_errs_by_its_sine(form: str) -> None:
-    encoder = Encoder.model_validate(
-        {
-            "pulses_per_rev": 60,
-            "eccentricity_deg": 2.0,
-            "eccentricity_phase_deg": 30.0,
-            "ratio": 0.5,
-            "delivered_as": form,
-        }
-    )
-    motion = steady(0.3, 800.0)
-    error = angle_error_deg(motion, encoder)
-    turn = encoder_turn(motion.at(np.linspace(0.05, 4.95, 20_001))[0], encoder)
-    # the decoder holds the first line to be right
-    np.testing.assert_allclose(error, 4.0 * np.sin(2 * np.pi * turn + np.pi / 6), atol=0.2)
-
-
 def test_the_index_comes_once_per_turn_of_the_encoder_with_its_first_line() -> None:
     encoder = Encoder(pulses_per_rev=60, ratio=2.0, line_error_deg=0.1, delivered_as="pulse_times")
     made = signals(RUN_UP, encoder)
@@ -221,25 +138,7 @@ def test_the_index_comes_once_per_turn_of_the_encoder_with_its_first_line() -> N
     np.testing.assert_array_equal(np.rint(turn), np.arange(1, 259))
 
 
-def test_a_counter_rounds_times_to_its_clock() -> None:
-    exact = signals(RUN_UP, Encoder(pulses_per_rev=60, delivered_as="pulse_times"))
-    counted = signals(RUN_UP, Encoder(pulses_per_rev=60, delivered_as="pulse_times", counter_hz=1e5))
-    assert exact.trace is None and exact.index is None
-    for true_s, found_s in ((exact.pulse_s, counted.pulse_s), (exact.index_s, counted.index_s)):
-        assert true_s is not None and found_s is not None
-        np.testing.assert_allclose(found_s * 1e5, np.rint(found_s * 1e5), atol=1e-6)
-        assert np.abs(found_s - true_s).max() <= 0.5e-5 * (1 + 1e-9)
-        assert np.abs(found_s - true_s).mean() == pytest.approx(0.25e-5, rel=0.15)
-
-
-def test_a_pickup_grows_with_speed_to_its_peak() -> None:
-    made = signals(RUN_UP, Encoder(pulses_per_rev=60, delivered_as="analogue", high_v=3.0, pickup_rpm=2500.0))
-    assert made.trace is not None and made.trace.dtype == np.float32
-    assert made.trace[-10_000:].max() == pytest.approx(3.0, rel=0.01)
-    assert made.trace[-10_000:].min() == pytest.approx(-3.0, rel=0.01)
-    assert made.trace[:20_000].max() == pytest.approx(3.0 * 600 / 2500, rel=0.01)
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", [RUN_UP, THERE_AND_BACK], ids=["run-up", "reversal"])
 def test_a_pickup_rises_through_zero_at_each_line_and_nowhere_else(motion: Motion) -> None:
     encoder = Encoder(pulses_per_rev=36, missing_teeth=1, line_error_deg=0.05, delivered_as="analogue")
@@ -259,6 +158,7 @@ def test_a_pickup_rises_through_zero_at_each_line_and_nowhere_else(motion: Motio
     assert abs(at.size - passed.size) <= 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise_v", [0.05, 0.5])
 def test_the_noise_of_a_pickup_is_white_and_its_pulses_stay_readable(noise_v: float) -> None:
     encoder = Encoder(pulses_per_rev=60, missing_teeth=2, index=False, delivered_as="analogue")
@@ -269,6 +169,7 @@ def test_the_noise_of_a_pickup_is_white_and_its_pulses_stay_readable(noise_v: fl
     assert np.abs(angle_error_deg(RUN_UP, noisy)).max() < 0.3
 
 
+@pytest.mark.slow
 def test_jitter_is_that_of_its_recording_and_the_same_in_every_form() -> None:
     encoder = Encoder(pulses_per_rev=60, jitter_s=2e-5, delivered_as="pulse_times")
     exact = signals(RUN_UP, encoder.model_copy(update={"jitter_s": 0.0})).pulse_s
@@ -285,13 +186,6 @@ def test_jitter_is_that_of_its_recording_and_the_same_in_every_form() -> None:
     found = find_pulses(wave, rate_hz=RATE_HZ, kind="analogue", edge="rising", pulses_per_rev=60, settings=SHAFT)
     near = one[np.abs(one[:, None] - found.time_s[None, :200]).argmin(axis=0)]
     assert np.abs(near - found.time_s[:200]).max() < 2e-6
-
-
-def test_without_an_index_the_lines_are_the_same() -> None:
-    encoder = Encoder(pulses_per_rev=60, jitter_s=1e-5, line_error_deg=0.1)
-    made, plain = signals(RUN_UP, encoder), signals(RUN_UP, encoder.model_copy(update={"index": False}))
-    np.testing.assert_array_equal(made.trace, plain.trace)
-    assert plain.index is None
 
 
 def test_a_shaft_that_stands_still_keeps_its_level() -> None:

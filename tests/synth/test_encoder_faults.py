@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.errors import InputError
 from crankorder.settings import load_settings
 from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.wheel import NumberedTeeth, number_teeth
@@ -86,6 +85,7 @@ def test_lost_pulses_are_found_by_number_and_tooth(form: str, wheel: dict[str, A
     np.testing.assert_array_equal(places[places < 60 - encoder.missing_teeth], record["lines"])
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("form", FORMS)
 def test_a_damaged_line_is_found_at_its_angle(form: str) -> None:
     encoder = of_form(form)
@@ -99,6 +99,7 @@ def test_a_damaged_line_is_found_at_its_angle(form: str) -> None:
     assert angle_deg == pytest.approx(78.0, abs=0.15)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("delay_s", [2e-4, 3e-4])
 def test_double_pulses_are_found_and_removed(form: str, delay_s: float) -> None:
@@ -114,12 +115,7 @@ def test_double_pulses_are_found_and_removed(form: str, delay_s: float) -> None:
     assert np.ptp(crank_rev) * 360 < 0.25
 
 
-def test_false_pulses_that_no_sample_could_show_are_not_claimed() -> None:
-    made = signals(Encoder(pulses_per_rev=60), [DoublePulses(kind="double_pulses", count=5, delay_s=1e-5)])
-    assert made.records == []
-    np.testing.assert_array_equal(made.trace, signals(Encoder(pulses_per_rev=60), []).trace)
-
-
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("form", FORMS)
 def test_lost_and_false_index_marks_are_counted(form: str) -> None:
     encoder = of_form(form)
@@ -135,18 +131,7 @@ def test_lost_and_false_index_marks_are_counted(form: str) -> None:
     assert remarks["index_extra"].startswith("4 index marks")
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_an_index_that_never_comes_leaves_none(form: str) -> None:
-    encoder = of_form(form)
-    made = signals(encoder, [LostIndex(kind="lost_index")])
-    assert only_record(made, "no_index")["count"] > 100
-    if form == "pulse_times":
-        assert made.index_s is not None and made.index_s.size == 0
-        assert np.isnan(numbered(made, encoder).index_tooth)
-    else:
-        assert made.index is not None and not made.index.any()
-
-
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("pulses", [3, -3])
 def test_an_index_that_slips_is_found_from_its_time_on(form: str, pulses: int) -> None:
@@ -156,17 +141,7 @@ def test_an_index_that_slips_is_found_from_its_time_on(form: str, pulses: int) -
     assert "encoder_slip" in found(made, of_form(form))
 
 
-def test_on_an_uneven_wheel_it_is_the_index_that_slips() -> None:
-    encoder = of_form("pulse_times", missing_teeth=2)
-    made = signals(encoder, [IndexSlip(kind="index_slip", at_s=2.0, pulses=3)])
-    only_record(made, "index_slip")
-    plain = signals(encoder, [])
-    np.testing.assert_array_equal(made.pulse_s, plain.pulse_s)
-    assert made.index_s is not None and plain.index_s is not None
-    moved = RUN_UP.at(made.index_s)[0] - RUN_UP.at(plain.index_s)[0]
-    np.testing.assert_allclose(moved, np.where(plain.index_s < 2.0, 0.0, 3 / 60), atol=1e-11)
-
-
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("form", FORMS)
 def test_a_short_dropout_loses_its_pulses_and_no_others(form: str) -> None:
     encoder = of_form(form)
@@ -181,6 +156,7 @@ def test_a_short_dropout_loses_its_pulses_and_no_others(form: str) -> None:
     assert remarks["encoder_missing_pulse"].startswith(f"{record['count']} lost pulses")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("at_s", [2.0, 2.0002, 2.0004, 2.0006])
 @pytest.mark.parametrize("form", ["square", "analogue"])
 def test_in_a_dropout_the_level_stays(form: str, at_s: float) -> None:
@@ -207,19 +183,3 @@ def test_faults_act_on_their_recordings_only_and_one_changes_no_other() -> None:
     both = signals(encoder, [lost, double], recording="a").records
     assert [record["flag"] for record in both] == ["encoder_missing_pulse", "encoder_double_pulse"]
     assert both[0]["times_s"] == in_a
-
-
-def test_more_faults_than_pulses_take_what_there_is() -> None:
-    encoder = Encoder(pulses_per_rev=1, delivered_as="pulse_times")
-    made = signals(encoder, [LostPulses(kind="lost_pulses", count=10_000)])
-    assert made.pulse_s is not None and made.pulse_s.size == 2
-    assert made.records[0]["count"] == len(made.records[0]["times_s"])
-    with pytest.raises(InputError, match="too few"):
-        numbered(made, encoder)
-
-
-def test_index_faults_leave_an_encoder_without_index_alone() -> None:
-    encoder = of_form("square", index=False)
-    made = signals(encoder, [LostIndex(kind="lost_index"), ExtraIndex(kind="extra_index", count=2)])
-    assert made.records == []
-    assert made.index is None

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -37,19 +35,6 @@ def test_the_speed_has_the_given_orders_by_crank_angle_and_no_others(parts: tupl
     assert angle[-1] - angle[0] == pytest.approx(10, abs=1e-13)
 
 
-def test_a_small_share_of_speed_is_a_small_lag() -> None:
-    lag = lag_by_order((SpeedOrder(order=2.0, percent=1e-4, phase_deg=90.0),))
-    expected = -1e-6 * 1j / (2j * np.pi * 2.0)
-    np.testing.assert_allclose(lag.inertia[0], expected, rtol=1e-6)
-    assert lag.order[0] == 2.0
-    assert lag.slowest_rpm == 0.0
-
-
-def test_orders_without_a_common_cycle_are_refused() -> None:
-    with pytest.raises(RequestError, match="common cycle"):
-        lag_by_order((SpeedOrder(order=1.0, percent=1.0), SpeedOrder(order=math.pi, percent=1.0)))
-
-
 def test_shares_that_add_up_to_a_standstill_are_refused() -> None:
     with pytest.raises(RequestError, match="stop within the cycle"):
         lag_by_order(tuple(SpeedOrder(order=o, percent=46.0, phase_deg=180.0) for o in (1.0, 2.0)))
@@ -63,6 +48,7 @@ def _lag_of(scene: Scene, flywheel_inertia_kg_m2: float | None, in_cycle: InCycl
     return lag
 
 
+@pytest.mark.slow
 def test_the_flywheel_is_the_engines_unless_the_scene_has_its_own() -> None:
     scene = load_scene("thesis-second-firing")
     of_engine = _lag_of(scene, 0.4, InCycleSpeed())

@@ -25,7 +25,6 @@ from crankorder.synth.truth import truth_of
 
 SceneWith = Callable[..., Scene]
 IN_CYCLE = InCycleSpeed(by_order=(SpeedOrder(order=0.5, percent=1.0), SpeedOrder(order=2.0, percent=1.5)))
-RUN_UP = SpeedProfile(rpm=(500.0, 800.0), time_s=(0.5, 2.0))
 
 
 def pushed(engine: Engine, angle: np.ndarray, omega: float, alpha: float) -> tuple[np.ndarray, np.ndarray]:
@@ -62,6 +61,7 @@ def test_a_piston_shakes_and_rolls_the_crankcase_under_any_motion(
         assert np.abs(found[AXES.index(axis)] - expected).max() < 1e-12 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_the_rolling_moment_in_the_cycle_is_the_same_by_lines_and_by_integration(scene_with: SceneWith) -> None:
     moving = {"engine_forces": EngineForces(tolerance=1e-9, moments=True), "in_cycle_speed": IN_CYCLE}
     steady = scene_with("engine_forces", **moving)
@@ -79,12 +79,6 @@ def test_the_rolling_moment_in_the_cycle_is_the_same_by_lines_and_by_integration
     assert np.abs(by_steps - expected).max() < 1e-8 * np.abs(by_lines).max()
 
 
-def test_a_steady_shaft_rolls_nothing_by_acceleration(scene_with: SceneWith) -> None:
-    scene = scene_with("engine_forces", engine_forces=EngineForces(tolerance=1e-9, moments=True))
-    assert not crank_forces(scene).accelerates.any()
-    assert 0.0 not in order_lines(scene, scene.runs[0]).order
-
-
 @pytest.mark.parametrize("more", [{}, {"in_cycle_speed": IN_CYCLE}])
 def test_the_order_lines_of_a_late_channel_are_those_of_its_samples(scene_with: SceneWith, more: dict) -> None:
     late = Acquisition(delay_s={"Z": 7.7e-4})
@@ -98,18 +92,7 @@ def test_the_order_lines_of_a_late_channel_are_those_of_its_samples(scene_with: 
     assert np.abs(signal - expected).max() < 1e-10 * np.abs(signal).max()
 
 
-def test_a_late_channel_of_a_run_up_is_exact_between_samples(scene_with: SceneWith) -> None:
-    """Late by a fraction of a sample in one recording, late by whole samples in one of a rate that has them."""
-    late = Acquisition(delay_s={"Z": 2.5 / 8000})
-    more = {"speeds": None, "speed_profile": RUN_UP, "acquisition": late}
-    scene = scene_with("engine_forces", "injected_orders", **more)
-    finer = scene.model_copy(
-        update={"sampling": scene.sampling.model_copy(update={"rate_hz": 16000.0}), "acquisition": Acquisition()}
-    )
-    found, fine = (sensed(part, part.runs[0], floor_of(part, part.rate_hz(1.0)))[1] for part in (scene, finer))
-    assert np.abs(found[3:] - fine[1:-5:2][: found.size - 3]).max() < 1e-8 * np.abs(fine).max()
-
-
+@pytest.mark.slow
 def test_a_force_that_turns_the_same_way_backwards_is_told_for_backwards_speeds(scene_with: SceneWith) -> None:
     backwards = SpeedProfile(rpm=(-800.0, -500.0), time_s=(0.5, 2.0))
     more = {"speeds": None, "speed_profile": backwards}

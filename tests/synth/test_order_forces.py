@@ -84,20 +84,6 @@ def test_the_compiled_sum_is_the_sum_of_cosines() -> None:
     assert np.abs(found - expected).max() < 1e-12 * largest  # the angle itself is good to 1e-13 rev only
 
 
-@pytest.mark.parametrize("order", [1.0, 200.0, 400.5])
-def test_high_orders_keep_their_phase(order: float) -> None:
-    """Every half order up to the one in question is there, so that it is reached by steps."""
-    orders = tuple(np.arange(0.5, order + 0.5, 0.5))
-    amplitude = np.zeros((6, len(orders)))
-    amplitude[2] = 1e-300  # present, but nothing
-    amplitude[2, -1] = 1.0
-    lines = some_lines(orders, amplitude=amplitude + 0j, exponent=np.zeros(len(orders)))
-    rev = np.arange(512) / 512  # order · rev is exact
-    expected = np.cos(2 * np.pi * (order * rev % 1.0))
-    found = force_at(lines, rev, np.ones(512), np.zeros(512))[2]
-    assert np.abs(found - expected).max() < 1e-15 * (4 + 2 * order)
-
-
 def test_backwards_the_same_mass_makes_the_same_force_at_the_same_angle() -> None:
     lines = some_lines((1.0, 2.0), inertia=np.ones(2, dtype=bool))
     rev, speed = RNG.uniform(size=50), RNG.uniform(100, 900, 50)
@@ -113,6 +99,7 @@ def test_at_a_constant_speed_the_peaks_are_those_of_the_force() -> None:
     assert np.abs(found - expected).max() < 1e-14 * np.abs(expected).max()
 
 
+@pytest.mark.slow
 def test_a_gain_multiplies_the_gas_lines_and_no_others() -> None:
     lines = some_lines()
     moves = RNG.uniform(1, 2, (3, 40))
@@ -120,18 +107,10 @@ def test_a_gain_multiplies_the_gas_lines_and_no_others() -> None:
     assert np.allclose(force_at(lines, *moves, 3.0), 3 * apart[0] + apart[1], rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_force_that_falls_with_speed_is_refused_at_standstill() -> None:
     lines = some_lines((1.0,), exponent=np.array([-1.0]))
     with pytest.raises(RequestError, match="stands still"):
         force_at(lines, np.zeros(2), np.array([1.0, 0.0]), np.zeros(2))
     with pytest.raises(RequestError, match="stands still"):
         lines.at_speed(0.0)
-
-
-def test_a_moving_mass_without_an_order_is_refused() -> None:
-    with pytest.raises(RequestError, match="above 0"):
-        some_lines((0.0,), inertia=np.ones(1, dtype=bool))
-
-
-def test_no_lines_make_no_force() -> None:
-    assert not force_at(some_lines(()), np.zeros(3), np.ones(3), np.ones(3)).any()

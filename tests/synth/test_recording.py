@@ -73,6 +73,7 @@ def test_effects_add_up_and_do_not_know_of_each_other(scene_with: SceneWith, mot
     assert np.abs(signal_of(quiet, quiet.runs[0]) - sum(parts)).max() < 2e-9 * np.abs(sum(parts)).max()
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_a_late_channel_is_the_same_channel_later(scene_with: SceneWith, motion: str) -> None:
     quiet = [effect for effect in EFFECTS if "noise" not in effect and effect != "broadband"]
@@ -93,6 +94,7 @@ def test_a_recording_does_not_depend_on_the_others_but_differs_from_its_repetiti
     assert not np.array_equal(signal_of(scene, first), signal_of(scene, repeat))
 
 
+@pytest.mark.slow
 def test_another_seed_changes_only_what_is_random(scene_with: SceneWith) -> None:
     scene = scene_with("engine_forces")
     other = scene.model_copy(update={"seed": 8})
@@ -102,6 +104,7 @@ def test_another_seed_changes_only_what_is_random(scene_with: SceneWith) -> None
     assert start_angle_rev(scene, run) != start_angle_rev(other, run)
 
 
+@pytest.mark.slow
 def test_the_broadband_floor_has_the_density_that_the_truth_states(scene_with: SceneWith) -> None:
     scene = scene_with("broadband", "sensor_noise", "injected_orders")
     long = scene.model_copy(update={"sampling": scene.sampling.model_copy(update={"duration_s": 200.0})})

@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -94,17 +93,6 @@ def load_truth(name: str) -> dict[str, Any]:
     return dict(truth_of(load_scene(name).first_look()))
 
 
-def test_shafts_as_printed_overbalance_the_second_order_threefold() -> None:
-    printed = {r["order"]: r for r in load_truth("thesis-literal-fourfold")["orders"] if r["channel"] == "Z"}
-    scene = load_scene("thesis-literal-fourfold")
-    from crankorder.engine.forces import crankcase_forces
-
-    force = np.abs(crankcase_forces(scene.engine, 2000.0, max_order=2)[2, 2])
-    assert force == pytest.approx(1957.2, abs=0.5)  # truth sheet 2.4: 1973 N less the 15.6 N of A2 over λ
-    assert printed[2.0]["amplitude"] > 50 * printed[1.0]["amplitude"]
-
-
-@pytest.mark.slow
 def test_a_run_up_shows_its_orders_and_natural_frequencies(analysed: Any) -> None:
     scene = analysed("run-up")
     assert scene.status == [0]
@@ -113,14 +101,19 @@ def test_a_run_up_shows_its_orders_and_natural_frequencies(analysed: Any) -> Non
     assert {2.7} <= {round(record["order"], 1) for record in scene.findings[0]["orders"] if record["channel"] == "X"}
 
 
-@pytest.mark.slow
-def test_every_run_of_a_growing_damage_is_a_test_of_its_own(analysed: Any) -> None:
+def test_every_run_of_a_growing_damage_is_a_test_of_its_own_and_names_the_race(analysed: Any) -> None:
     scene = analysed("bearing-growth")
     assert scene.status == [0, 0]
     assert [found["test"] for found in scene.findings] == ["bearing growth, run 1", "bearing growth, run 2"]
     sizes = [truth["bearings"][0]["amplitude"] for truth in scene.truths]
     assert sizes[1] == pytest.approx(1.5 * sizes[0])
-    assert scene.truths[0]["bearings"][0]["order"] == pytest.approx(2.2 * (1 - 0.008))
+    for truth, findings in zip(scene.truths, scene.findings, strict=True):
+        told = [
+            record for record in findings["bearings"] if record["line"] == "BPFO" and record["name"] == "jack shaft"
+        ]
+        assert told and {record["lock"] for record in told} == {"slips"}
+        low, high = told[0]["order_ci95"]
+        assert low < truth["bearings"][0]["order"] < high
 
 
 def test_a_damaged_line_costs_nothing_of_order_5_5(analysed: Any) -> None:
@@ -133,6 +126,7 @@ def test_a_damaged_line_costs_nothing_of_order_5_5(analysed: Any) -> None:
     assert f"{lost['count']} false pulses" in json.dumps(scene.findings[0]["quality"])
 
 
+@pytest.mark.slow
 def test_an_eccentric_encoder_is_told_and_taken_out_where_that_is_asked_for(analysed: Any, tmp_path: Path) -> None:
     scene = analysed("hard-eccentric-encoder")
     put_in, found = scene.line("X", 5.5)
@@ -149,6 +143,7 @@ def test_an_eccentric_encoder_is_told_and_taken_out_where_that_is_asked_for(anal
     assert phase == pytest.approx(40.0, abs=15.0)
 
 
+@pytest.mark.slow
 def test_one_pulse_per_revolution_is_filled_in_from_the_engine(analysed: Any) -> None:
     scene = analysed("one-pulse-per-rev")
     assert scene.status == [0]
@@ -161,6 +156,7 @@ def test_one_pulse_per_revolution_is_filled_in_from_the_engine(analysed: Any) ->
         assert min(turn, 360 - turn) < 5
 
 
+@pytest.mark.slow
 def test_every_fault_of_a_signal_is_told_and_takes_no_other_recording_along(analysed: Any) -> None:
     scene = analysed("hard-faulty-signals")
     assert scene.status == [0]
@@ -175,12 +171,14 @@ def test_every_fault_of_a_signal_is_told_and_takes_no_other_recording_along(anal
     }
 
 
+@pytest.mark.slow
 def test_wrong_labels_are_refused_with_both_numbers(analysed: Any) -> None:
     scene = analysed("hard-wrong-labels")
     assert scene.status == [4]
     assert "360 pulses per index measured, 720 configured" in scene.said[0]
 
 
+@pytest.mark.slow
 def test_what_folds_is_where_the_truth_of_folding_says(analysed: Any) -> None:
     scene = analysed("hard-folding")
     put_in = next(r for r in scene.truths[0]["orders"] if r["order"] == 353.5 and r["channel"] == "X")
@@ -189,13 +187,7 @@ def test_what_folds_is_where_the_truth_of_folding_says(analysed: Any) -> None:
     assert low < put_in["amplitude"] < high
 
 
-def test_close_orders_are_two_lines_of_the_truth_and_one_is_locked(analysed: Any) -> None:
-    scene = analysed("hard-close-orders")
-    assert scene.status == [0]
-    lines = {record["verdict"]: record["order"] for record in scene.truths[0]["bearings"]}
-    assert lines == {"locked": 5.5, "slips": pytest.approx(5.489)}
-
-
+@pytest.mark.slow
 def test_volts_of_a_late_fast_and_filtered_chain_come_back_as_acceleration(analysed: Any) -> None:
     scene = analysed("hard-acquisition")
     assert scene.status == [0]
@@ -204,6 +196,7 @@ def test_volts_of_a_late_fast_and_filtered_chain_come_back_as_acceleration(analy
         assert found["amplitude_ci95"][0] < put_in["amplitude"] < found["amplitude_ci95"][1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(shipped("scenes")) - LONG))
 def test_every_scene_is_analysed_or_refused_with_a_reason(analysed: Any, name: str) -> None:
     scene = analysed(name)

@@ -1,0 +1,19 @@
+"""The short version of the reference campaign, which several files of this room take recordings from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from crankorder.cli import main
+
+
+@pytest.fixture(scope="session")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recordings of the campaign with its truth: nothing may be changed in them."""
+    folder: Path = tmp_path_factory.mktemp("campaign") / "recordings"
+    made = CliRunner().invoke(main, ["synth", "thesis-second-motoring", "--out", str(folder), "--quick", "-q"])
+    assert made.exit_code == 0, made.output
+    return folder
