@@ -17,3 +17,10 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     made = CliRunner().invoke(main, ["synth", "thesis-second-motoring", "--out", str(folder), "--quick", "-q"])
     assert made.exit_code == 0, made.output
     return folder
+
+
+@pytest.fixture(params=[("--recipe", "maps"), pytest.param((), marks=pytest.mark.slow)], ids=["maps", "default"])
+def recipe(request: pytest.FixtureRequest) -> tuple[str, ...]:
+    """Options that name a recipe: the maps alone, and (slow) findings and page as well."""
+    asked: tuple[str, ...] = request.param
+    return asked

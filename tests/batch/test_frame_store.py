@@ -116,13 +116,15 @@ def counted(monkeypatch, tmp_path) -> Path:
     return log
 
 
-def test_only_what_changed_is_analysed_again_and_the_bytes_are_those_of_a_fresh_run(three, tmp_path, monkeypatch):
+def test_only_what_changed_is_analysed_again_and_the_bytes_are_those_of_a_fresh_run(
+    three, tmp_path, monkeypatch, recipe
+):
     log, out, alone = counted(monkeypatch, tmp_path), tmp_path / "out", tmp_path / "alone.toml"
     alone.write_text('[report]\nresults = ["order_map"]\n')
 
-    def run_again(*arguments, recipe="maps"):
+    def run_again(*arguments, recipe=recipe):
         log.write_text("")
-        assert run(three, "--out", out, "--recipe", recipe, *arguments).exit_code == 0
+        assert run(three, "--out", out, *recipe, *arguments).exit_code == 0
         return sorted(log.read_text().split())
 
     assert len(run_again()) == 3
@@ -132,10 +134,10 @@ def test_only_what_changed_is_analysed_again_and_the_bytes_are_those_of_a_fresh_
     with (three / "rpm_1600.h5").open("ab") as stream:
         stream.write(b"\0")
     assert run_again() == ["rpm_1600.h5"]
-    assert len(run_again(recipe=alone)) == 3
+    assert len(run_again(recipe=("--recipe", alone))) == 3
     assert len(list((out / STORE).rglob("*.frames"))) == 3
     assert len(run_again("--fresh")) == 3
-    run(three, "--out", tmp_path / "fresh", "--recipe", "maps")
+    run(three, "--out", tmp_path / "fresh", *recipe)
     for path in (tmp_path / "fresh").rglob("*"):
         if path.is_file() and path.name != "done.json" and is_result(path) and STORE not in path.parts:
             assert path.read_bytes() == (out / path.relative_to(tmp_path / "fresh")).read_bytes()
@@ -156,14 +158,14 @@ def everything_in(out: Path) -> dict[Path, bytes]:
     return {path.relative_to(out): path.read_bytes() for path in files if STORE not in path.parts}
 
 
-def test_shards_and_their_reduction_give_the_bytes_of_one_run(three, tmp_path, monkeypatch):
-    run(three, "--recipe", "maps", "--out", tmp_path / "whole", "-q")
+def test_shards_and_their_reduction_give_the_bytes_of_one_run(three, tmp_path, monkeypatch, recipe):
+    run(three, *recipe, "--out", tmp_path / "whole", "-q")
     for k in (2, 1):
-        outcome = run(three, "--recipe", "maps", "--out", tmp_path / "out", "--shard", f"{k}/2")
+        outcome = run(three, *recipe, "--out", tmp_path / "out", "--shard", f"{k}/2")
         assert outcome.exit_code == 0 and "kept for --reduce" in outcome.output
         assert everything_in(tmp_path / "out") == {}
     log = counted(monkeypatch, tmp_path)
-    assert run(three, "--recipe", "maps", "--out", tmp_path / "out", "-q", "--reduce").exit_code == 0
+    assert run(three, *recipe, "--out", tmp_path / "out", "-q", "--reduce").exit_code == 0
     assert log.read_text() == ""
     assert everything_in(tmp_path / "out") == everything_in(tmp_path / "whole")
 

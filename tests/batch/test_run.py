@@ -122,12 +122,7 @@ class TestResults:
 class TestRerun:
     def test_the_same_input_gives_the_same_bytes_with_one_worker_and_with_two(self, four_speeds, tmp_path):
         for jobs in (1, 2):
-            assert (
-                crankorder(
-                    "run", four_speeds, "--out", tmp_path / str(jobs), "--jobs", jobs, "--recipe", "maps"
-                ).exit_code
-                == 0
-            )
+            assert crankorder("run", four_speeds, "--out", tmp_path / str(jobs), "--jobs", jobs).exit_code == 0
         for path in sorted((tmp_path / "1").rglob("*")):
             if path.is_file() and ".crankorder-logs" not in path.parts and path.name != "timings.json":
                 assert path.read_bytes() == (tmp_path / "2" / path.relative_to(tmp_path / "1")).read_bytes(), path.name
@@ -142,8 +137,8 @@ class TestRerun:
             file["acc_z"][0] += 1.0
         assert "unchanged" not in run(four_speeds, "--out", out).output
 
-    def test_report_redraws_the_same_bytes_from_results(self, four_speeds, tmp_path):
-        crankorder("run", four_speeds, "--out", tmp_path / "out", "--recipe", "maps")
+    def test_report_redraws_the_same_bytes_from_results(self, four_speeds, tmp_path, recipe):
+        crankorder("run", four_speeds, "--out", tmp_path / "out", *recipe)
         folder = next((tmp_path / "out").glob("*/done.json")).parent
         before = {path.name: path.read_bytes() for path in folder.iterdir()}
         assert crankorder("report", folder).exit_code == 0

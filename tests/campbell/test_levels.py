@@ -69,10 +69,11 @@ def test_a_mesh_above_the_band_is_found_with_its_size_and_order(seed: int) -> No
     assert float(made["share_above"]) == pytest.approx(size**2 / (size**2 + low**2), abs=0.02)
 
 
-def test_noise_and_lines_inside_the_band_are_no_line_above_it() -> None:
+@pytest.mark.parametrize("seeds", [range(3), pytest.param(range(3, 10), marks=pytest.mark.slow)])
+def test_noise_and_lines_inside_the_band_are_no_line_above_it(seeds: range) -> None:
     rng = np.random.default_rng(11)
     at = np.arange(int(4 * RATE_HZ)) / RATE_HZ
-    for seed in range(3):
+    for seed in seeds:
         noise = np.random.default_rng(seed).standard_normal((2, at.size))
         noise[1] = np.cumsum(noise[1]) * 0.05  # red
         line = 50.0 * np.cos(2 * np.pi * rng.uniform(20, 480) * at)

@@ -100,8 +100,8 @@ def test_strategy_d_without_a_place_on_the_rod_is_refused(masses: ReducedMasses)
         counterweights(masses, "d", CounterweightPlaces(crank_mm=20.0))
 
 
-@pytest.mark.parametrize("strategy", ["a", "c", "d"])
-@pytest.mark.parametrize("angle_deg", [0.0, 37.0, 180.0])
+@pytest.mark.parametrize("strategy", ["c", "none", "a", "b", "d"])
+@pytest.mark.parametrize("angle_deg", [37.0, 0.0, 90.0, 180.0, 217.0])
 def test_analytic_counterweights_end_an_unbalance_at_any_angle(strategy: Any, angle_deg: float) -> None:
     turned = ReducedMasses(
         mechanism=TASK5.engine.mechanism, rotating_g=1000 * phasor(angle_deg), reciprocating_g=1000.0

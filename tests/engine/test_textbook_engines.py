@@ -165,7 +165,7 @@ def test_what_textbooks_call_free_is_free_and_nothing_else() -> None:
     assert not otherwise
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(12))
 def test_engines_drawn_at_random_with_masses_and_offsets_of_their_own(seed: int) -> None:
     draw = np.random.default_rng(seed)
     cylinders = [

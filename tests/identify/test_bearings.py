@@ -10,6 +10,7 @@ import xarray as xr
 
 from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.identify.bearings.records import bearing_records
+from crankorder.identify.bearings.verdicts import races_words
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.settings import load_settings
 from made.found_lines import agreed, line
@@ -176,3 +177,11 @@ def test_a_line_that_both_found_races_do_not_add_up_to_is_no_rolling_element_cou
     assert found == {"BPFO", "BPFI"} | ({"N*fs"} if off_percent == 0.0 else set())
     # without the races nothing contradicts it
     assert {one["line"] for one in records([agreed(count, line(count), lock="slips")])} == {"N*fs"}
+
+
+def test_a_count_of_rolling_elements_gives_no_all_clear_beside_a_line_of_the_envelope():
+    assert races_words([], []) == "Neither of its races was found: no bearing alarm."
+    assert races_words([], ["BSF", "FTF"]) == (
+        "Neither of its races was found, but BSF and FTF were, in the envelope: see there."
+    )
+    assert races_words(["BPFO"], ["FTF"]) == "BPFO of the same bearing was found: see there."

@@ -116,3 +116,18 @@ def test_on_a_hump_the_floor_is_worth_fewer_bins_than_beside_it() -> None:
     over = excess_over_noise(made, settings=SETTINGS.identify, orders=SETTINGS.orders)
     on_hump, beside = (over.floor_worth[0, 0, np.abs(made["order"].values - order) < 0.1] for order in (8.0, 16.0))
     assert on_hump.min() < 0.5 * beside.min()
+
+
+def test_reference_bins_are_the_nearest_quiet_ones_half_of_them_on_each_side() -> None:
+    """Bin by bin: the nearest below and above beyond the lobe, more of one side only where the other ends."""
+    axis = np.arange(0.0, 12.0 + 1e-9, 1.0 / 16.0)
+    chosen = reference_bins(axis, line_step=0.5, guard_bins=2, n_bins=12)
+    off = np.abs(axis / 0.5 - np.round(axis / 0.5)) * 0.5 * 16.0
+    quiet = [k for k in range(len(axis)) if off[k] > 2.5 and axis[k] >= 0.5]
+    for at, bins in enumerate(chosen):
+        below = [k for k in quiet if k < at - 2][::-1]
+        above = [k for k in quiet if k > at + 2]
+        right = min(6, len(above))
+        left = min(12 - right, len(below))
+        right = 12 - left
+        assert sorted(below[:left] + above[:right]) == bins.tolist()

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from crankorder.findings import BearingFinding
+from crankorder.findings import BearingFinding, OrderFinding
 from crankorder.identify.changes.compared import compared
-from crankorder.identify.changes.order_changes import Line, change, mean_ratio
+from crankorder.identify.changes.order_changes import Line, change, like_speeds, mean_ratio, orders_to_compare
 from made.two_tests import SPEEDS_RPM, made_test
 from made.typed import record_of
 
@@ -26,6 +26,21 @@ def measured(rng, true, *, frames=6, scatter=1.0):
     error = np.sqrt(spread / frames)
     freedom = np.full(np.shape(true), 2.0 * (frames - 1))
     return Line(np.abs(mean), error, freedom, mean, error, error)
+
+
+def test_speeds_are_matched_nearest_first_and_none_is_used_twice():
+    one, two = like_speeds(np.array([1000.0, 1010.0, 2000.0]), np.array([1012.0, 1500.0, np.nan]), within_rpm=25.0)
+    assert (one.tolist(), two.tolist()) == ([1], [0])
+    one, two = like_speeds(np.array([np.nan]), np.array([np.nan]), within_rpm=25.0)
+    assert (one.tolist(), two.tolist()) == ([0], [0])
+
+
+def test_orders_within_their_intervals_are_one_and_a_slipping_one_is_not_locked():
+    def record(order, half, lock="locked"):
+        return record_of(OrderFinding, {"order": order, "order_ci95": [order - half, order + half], "lock": lock})
+
+    found = orders_to_compare([record(1.01, 0.02), record(5.47, 0.001, "slips")], [record(5.475, 0.001)], 20.0)
+    assert found == [(1.0, True), (2.0, True), (5.47, False)]
 
 
 def test_intervals_of_difference_and_ratio_cover_and_p_values_are_uniform_where_nothing_changed():

@@ -69,7 +69,7 @@ def test_an_order_through_a_mode_is_excited_and_one_that_grows_evenly_is_not():
 
 
 @pytest.mark.cases(1)
-@pytest.mark.parametrize(("gain", "scatter"), [(1.0, 0.0), (1.0, 0.2), (3.0, 0.0), (3.0, 0.2)])
+@pytest.mark.parametrize(("gain", "scatter"), [(3.0, 0.2), (3.0, 0.0), (1.0, 0.2), (1.0, 0.0)])
 def test_the_interval_of_the_amplification_holds_the_truth_as_often_as_it_says(gain, scatter):
     rng = np.random.default_rng(7)
     made, hits = 400, 0

@@ -15,6 +15,7 @@ from crankorder.identify.explain import Sources, explained
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import Tone
 from crankorder.identify.lines.order_lock import NO_PULSES
+from crankorder.identify.race_harmonics import harmonic_words, struck_races
 from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.settings import load_settings
@@ -316,6 +317,24 @@ def test_tones_that_are_all_multiples_of_one_frequency_are_no_sidebands_of_each_
     tones = [Tone(hz, 1e-3, "tone", {"A": (size, 1e-3)}, "a tone") for hz, size in zip(places, sizes, strict=True)]
     found = causes([], ROTOR, modal=fit(tones=tones))
     assert {cause.text for cause in found.tones} == {"tone"}
+
+
+def test_harmonics_of_a_drawn_race_and_their_sidebands_are_told_from_other_lines():
+    rng = np.random.default_rng(14)
+    hits, others = [], []
+    sources = dataclasses.replace(ROTOR, bearings=(JACK_SHAFT.model_copy(update={"shaft_ratio": 1.0}),))
+    for _ in range(40):
+        race, shaft = rng.uniform(3.1, 8.9), 1.0 - rng.uniform(-0.001, 0.001)
+        wanted = [n * race + k * shaft for n in range(1, 5) for k in range(-2, 3) if n * race + k * shaft > 1.5]
+        places = [(order + 1e-4 * rng.standard_normal(), 2e-4) for order in wanted]
+        (found,) = struck_races([bearing_record(JACK_SHAFT, "BPFI", race)], sources, places)
+        hits.append(np.mean([found.nearest(*place) is not None for place in places]))
+        others.append(np.mean([found.nearest(float(order), 2e-4) is not None for order in rng.uniform(1.5, 30.0, 50)]))
+    assert np.mean(hits) > 0.97
+    assert np.mean(others) < 0.05
+    (found,) = struck_races([bearing_record(JACK_SHAFT, "BPFI", 5.4)], sources, [])
+    assert harmonic_words([found], 2 * 5.4 - 1.0, 1e-4) == "bearing jack shaft BPFI, harmonic 2 - 1 x shaft"
+    assert harmonic_words([found], 4.93, 1e-4) == ""
 
 
 @pytest.mark.slow

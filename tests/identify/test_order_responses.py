@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -9,15 +11,16 @@ from numpy.typing import NDArray
 from crankorder.identify.found import ModalFit
 from crankorder.identify.modal.order_responses import (
     Block,
+    Blocks,
     project,
     responses_of,
     with_best_law,
     with_scatter,
 )
+from crankorder.identify.modal.order_terms import NUMBERS as ORDER_TERMS
+from crankorder.identify.modal.surface_fit import Poles
 from crankorder.identify.responses import held_amplitudes, with_and_without
 from made.found_lines import mode, poles_of
-
-pytestmark = pytest.mark.slow
 
 TRUE = poles_of((mode(60.0, 0.02), mode(75.0, 0.01)))
 ORDER = 3.0
@@ -34,7 +37,7 @@ def _response(speed: NDArray, residue: NDArray, rigid: complex) -> NDArray:
 
 
 def _block(
-    seed: int, *, exponent: float = 2.0, scatter: float = 0.0, error: float = 1e-3
+    seed: int, *, exponent: float = 2.0, scatter: float = 0.0, error: float = 1e-3, power: bool = False
 ) -> tuple[Block, NDArray, NDArray]:
     """A block whose force is (s / 1800)^exponent, its residues (C, 2) and rigid parts (C,)."""
     random = np.random.default_rng(seed)
@@ -46,10 +49,15 @@ def _block(
     truth = np.stack([force * _response(speed, part, direct) for part, direct in zip(residue, rigid, strict=True)])
     noise = error * (random.normal(size=truth.shape) + 1j * random.normal(size=truth.shape))
     errors = np.full(truth.shape, error)
-    block = Block(ORDER, ("a", "b", "c"), ORDER * speed / 60.0, speed, truth + noise, errors, 1800.0)
+    seen = truth + noise
+    if power:
+        errors = 2.0 * error * np.maximum(np.abs(seen), error)
+        seen = np.abs(seen) ** 2 - 2.0 * error**2 + 0j
+    block = Block(ORDER, ("a", "b", "c"), ORDER * speed / 60.0, speed, seen, errors, 1800.0, power=power)
     return block, residue, rigid
 
 
+@pytest.mark.slow
 def test_linear_terms_are_recovered_within_their_errors() -> None:
     chi2 = []
     for seed in range(40):
@@ -65,6 +73,7 @@ def test_linear_terms_are_recovered_within_their_errors() -> None:
     assert np.mean(chi2) == pytest.approx(6.0, abs=4.0 * np.sqrt(12.0 / len(chi2)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0, 3.0])
 def test_the_power_by_which_the_force_grows_is_told(exponent: float) -> None:
     for seed in range(4):
@@ -74,6 +83,7 @@ def test_the_power_by_which_the_force_grows_is_told(exponent: float) -> None:
         assert (told.degree, len(told.law)) == (0, 0), seed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scatter", [0.005, 0.02, 0.1])
 def test_the_scatter_of_the_force_is_told_without_bias(scatter: float) -> None:
     found = []
@@ -85,6 +95,44 @@ def test_the_scatter_of_the_force_is_told_without_bias(scatter: float) -> None:
     assert np.std(found) < 0.2 * scatter
 
 
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("power", [False, True])
+def test_the_slopes_of_the_residuals_are_those_of_differences(power: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    # the law of the force stays as it is
+    monkeypatch.setitem(ORDER_TERMS.__dict__, "enough_degrees_of_freedom", 10**9)
+    block, _, _ = _block(3, error=0.05, power=power)
+    poles = Poles(np.array([60.4, 74.5]), np.array([0.025, 0.012]), np.zeros(2, dtype=bool))
+    (slopes,), (left,), cost = Blocks((block,)).evaluate(poles)
+    assert cost == pytest.approx(float(left @ left))
+    step = 1e-6
+    for number in range(2):
+        for column, field in ((2 * number, "frequency_hz"), (2 * number + 1, "damping")):
+            moved = [getattr(poles, field) * np.exp(sign * step * (np.arange(2) == number)) for sign in (1.0, -1.0)]
+            costs = [Blocks((block,)).misfit(replace(poles, **{field: value})) for value in moved]
+            change = (costs[0] - costs[1]) / (2.0 * step)
+            # variable projection after Kaufman: the slope of the squares is exact at any point
+            assert -2.0 * float(slopes[:, column] @ left) == pytest.approx(change, rel=1e-4, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_noise_alone_is_no_scatter() -> None:
+    found = [with_scatter(_block(seed, error=0.02)[0], TRUE)[0].scatter for seed in range(40)]
+    assert np.median(found) < 0.01
+
+
+@pytest.mark.slow
+def test_a_channel_that_is_missing_at_some_speeds_takes_part_with_the_others() -> None:
+    block, residue, _ = _block(4)
+    error = block.error.copy()
+    error[1, ::3] = np.inf
+    amplitude = block.amplitude.copy()
+    amplitude[1, ::3] = 0.0
+    part = project(replace(block, error=error, amplitude=amplitude), TRUE)
+    assert np.abs(part.linear[:, 1:] - residue).max() < 0.02
+    assert part.degrees_of_freedom == 2 * (3 * 60 - 20 - 9)
+
+
+@pytest.mark.slow
 def test_the_response_of_a_fit_is_that_of_the_machine_at_any_speed_with_and_without_a_mode() -> None:
     block, residue, rigid = _block(6, error=1e-4)
     modes = (mode(60.0, 0.02), mode(75.0, 0.01))

@@ -12,7 +12,10 @@ from click.testing import CliRunner
 
 from crankorder.cli import main
 from crankorder.findings import Findings
+from crankorder.identify.found import SpeedBand, SpeedVerdicts
+from crankorder.identify.speed_doubt import IN_DOUBT, speed_doubt, undecided_orders, without_free
 from crankorder.report.sentences.story import headline, story_of
+from made.found_lines import agreed
 
 RATE_HZ = 8192
 MANIFEST = """schema_version = 1
@@ -32,6 +35,17 @@ unit = "m/s2"
 [encoder]
 kind = "vibration"
 """
+
+
+def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed() -> None:
+    tie = {"recording": "a.h5", "flag": "speed_tie", "severity": "suspect", "detail": "0.5 x fits nearly as well"}
+    assert speed_doubt([]) is None and speed_doubt([{**tie, "flag": "no_index"}]) is None
+    assert speed_doubt([tie, {**tie, "recording": "b.h5"}]) == "0.5 x fits nearly as well (a.h5 and 1 more)"
+    orders = undecided_orders((agreed(2.0), agreed(3.41, lock="slips")))
+    assert [one.lock for one in orders] == ["undecided", "undecided"]
+    assert all(IN_DOUBT in one.reservation for one in orders)
+    verdicts = without_free(SpeedVerdicts((), (SpeedBand(500, 900),), (SpeedBand(900, 950, "open"),)))
+    assert verdicts.free == () and verdicts.open == (SpeedBand(500, 900, IN_DOUBT), SpeedBand(900, 950, "open"))
 
 
 def analysed(folder: Path, orders: dict[float, float]) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.transfer_paths import PathMode, StatedPath
 from crankorder.identify.balance.closure import closure
+from crankorder.identify.balance.noise_beside import noise_shape, whitening
 from crankorder.identify.balance.transfer_path import accelerance_of, measured_orders
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, order_map_of
 from made.typed import as_dicts
@@ -140,3 +141,30 @@ def test_only_accelerometers_are_read_and_missing_values_count_for_nothing():
     assert found.channels == ("X", "Z")
     assert np.isinf(found.error[0, 3]) and np.isfinite(found.error[1, 3])
     assert np.isfinite(found.amplitude).all()
+
+
+def test_the_combination_of_channels_almost_without_noise_is_found_beside_noise_that_they_share() -> None:
+    frequency_hz = np.linspace(300.0, 2000.0, 35)[:, None] / 60.0 * np.arange(4, 200) / 16.0
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        mixed = rng.normal(size=(3, 2)) + 1j * rng.normal(size=(3, 2))
+        sources, own = (rng.normal(size=(2, k, *frequency_hz.shape)) for k in (2, 3))
+        noise = np.tensordot(mixed, sources[0] + 1j * sources[1], axes=1) + 0.01 * (own[0] + 1j * own[1])
+        usable = np.ones(frequency_hz.shape, dtype=bool)
+        shape, bins = noise_shape(noise, frequency_hz=frequency_hz, usable=usable, at_hz=np.array([60.0]))
+        true = mixed @ mixed.conj().T + 1e-4 * np.eye(3)
+        weakest = np.linalg.eigh(shape[0])[1][:, 0]
+        assert bins[0] >= 24
+        assert (weakest.conj() @ true @ weakest).real < 1.5 * np.linalg.eigvalsh(true)[0]
+
+
+def test_whitened_errors_are_one_and_apart_and_a_channel_that_measured_nothing_takes_no_part() -> None:
+    rng = np.random.default_rng(6)
+    mixed = rng.normal(size=(3, 2)) + 1j * rng.normal(size=(3, 2))
+    true = mixed @ mixed.conj().T + 1e-4 * np.eye(3)
+    for error, measured in (([1.0, 1.0, 1.0], [0, 1, 2]), ([1.0, np.inf, 1.0], [0, 2])):
+        white = whitening(2.0 * true[None], error=np.array(error)[:, None])[0]
+        held = np.zeros((3, 3))
+        held[measured, measured] = 1.0
+        np.testing.assert_allclose(white @ true @ white.conj().T, held, atol=1e-6)
+        assert not np.delete(white, measured, axis=1).any()

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from crankorder.errors import CrankorderError
 from crankorder.ingest.manifest import Manifest, load_manifest
 from crankorder.settings import IngestSettings, Settings, load_settings
 
@@ -33,6 +35,22 @@ def manifest_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Man
         return load_manifest(path.parent)
 
     return build
+
+
+@pytest.fixture(scope="session")
+def refused_s() -> Callable[[Callable[[], object]], float]:
+    """The least processor seconds of three times that a task is refused: on any machine, to be compared with others."""
+
+    def least(task: Callable[[], object]) -> float:
+        seconds = []
+        for _ in range(3):
+            begun = time.process_time()
+            with pytest.raises(CrankorderError):
+                task()
+            seconds.append(time.process_time() - begun)
+        return min(seconds)
+
+    return least
 
 
 @pytest.fixture(scope="session")

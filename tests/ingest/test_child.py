@@ -7,6 +7,7 @@ import resource
 import signal
 import struct
 import time
+import tracemalloc
 import zipfile
 import zlib
 from pathlib import Path
@@ -50,10 +51,8 @@ def test_memory_and_time_have_their_limits(path, monkeypatch):
     with pytest.raises(UnsafeInputError, match="too much memory"):
         in_child(lambda: np.ones(10**9), path, n_bytes=0)
     monkeypatch.setattr(child, "LEAST_SECONDS", 0.3)
-    begun = time.monotonic()
     with pytest.raises(UnsafeInputError, match="too long"):
         in_child(lambda: time.sleep(60), path, n_bytes=0)
-    assert time.monotonic() - begun < 30.0  # and not 60: a slow machine may take its time to end it
 
 
 def test_a_crash_of_the_parser_ends_it_alone(path):
@@ -63,6 +62,10 @@ def test_a_crash_of_the_parser_ends_it_alone(path):
 
 SHEET = (
     '<worksheet xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main"><sheetData>{}</sheetData></worksheet>'
+)
+SHARED_STRINGS = (
+    b'<Override PartName="/xl/sharedStrings.xml"'
+    b' ContentType="application/vnd.openxmlformats-officedocument.spreadsheetml.sharedStrings+xml"/>'
 )
 
 
@@ -75,19 +78,19 @@ def workbook(path: Path, rows: str, *, strings: bytes = b"") -> None:
     with zipfile.ZipFile(path) as old:
         parts = {name: old.read(name) for name in old.namelist()}
     parts["xl/worksheets/sheet1.xml"] = SHEET.format(rows).encode()
-    if strings:
+    if strings:  # which openpyxl reads only where the list of parts has them
         parts["xl/sharedStrings.xml"] = strings
+        types = parts["[Content_Types].xml"]
+        parts["[Content_Types].xml"] = types.replace(b"</Types>", SHARED_STRINGS + b"</Types>")
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as new:
         for name, data in parts.items():
             new.writestr(name, data)
 
 
 def _refused(path: Path, limits) -> None:
-    begun = time.monotonic()
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
-    with pytest.raises(CrankorderError, match=path.name):
+    with pytest.raises(UnsafeInputError, match=path.name):
         read_file(path, sources=[0], settings=limits)
-    assert time.monotonic() - begun < 60.0  # its own limit is 10 s, beside what a slow machine takes to end it
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss - before < 1_200_000  # KiB, with this process's own
 
 
@@ -109,44 +112,50 @@ def test_i11_a_row_beyond_the_last_of_a_sheet_is_refused_by_every_command(tmp_pa
             head = 'schema_version = 1\n[test]\nname = "b"\ncycle = "none"\n[recordings]\nfiles = ["*.xlsx"]\n'
             (tmp_path / "in" / "run.toml").write_text(head + table, encoding="utf-8")
         more = ["--out", str(tmp_path / "out")] if command == "run" else []
-        begun = time.process_time()
         made = CliRunner().invoke(main, [command, str(tmp_path / "in"), *more])
         assert made.exit_code in (3, 4) and "claims a row beyond the last" in made.output
-        assert time.process_time() - begun < 10.0
 
 
 @pytest.mark.slow
 def test_a_workbook_of_endless_shared_strings_is_refused(tmp_path, limits):
-    many = b"<si><t>" + b"x" * 1000 + b"</t></si>"
+    many = b"<si><t>x</t></si>"  # short ones take the most of memory and time for their bytes
     head = b'<sst xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main">'
     row = '<row r="1"><c r="A1" t="s"><v>0</v></c></row><row r="2"><c r="A2"><v>1</v></c></row>'
-    workbook(tmp_path / "bomb.xlsx", row, strings=head + many * 600_000 + b"</sst>")
+    workbook(tmp_path / "bomb.xlsx", row, strings=head + many * 6_000_000 + b"</sst>")
     _refused(tmp_path / "bomb.xlsx", limits)
-    with pytest.raises(CrankorderError):
+    with pytest.raises(UnsafeInputError):
         contents_of(tmp_path / "bomb.xlsx", settings=limits)
 
 
-def test_a_matlab_variable_of_four_million_empty_arrays_is_refused_at_once(tmp_path, limits):
-    for code in [1, 2]:
-        for packed in [False, True]:
+def matlab_bomb(path: Path, *, code: int, packed: bool, n_arrays: int) -> int:
+    """Write a cell array (1) or a struct (2) of so many empty arrays, and give its bytes before they are packed."""
 
-            def element(kind: int, data: bytes) -> bytes:
-                return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
+    def element(kind: int, data: bytes) -> bytes:
+        return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
 
-            fields = struct.pack("<Ii", 4 << 16 | 5, 4) + element(1, b"a\0\0\0")
-            head = (
-                element(6, struct.pack("<II", code, 0))
-                + element(5, struct.pack("<ii", 1, 4_000_000))
-                + element(1, b"s")
-            )
-            variable = element(14, head + (fields if code == 2 else b"") + element(14, b"") * 4_000_000)
-            if packed:
-                deflated = zlib.compress(variable, 1)
-                variable = struct.pack("<II", 15, len(deflated)) + deflated
-            path = tmp_path / "bomb.mat"
-            path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + variable)
-            begun, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-            with pytest.raises(UnsafeInputError, match=r"bomb\.mat: a variable holds more than 20000 arrays"):
-                contents_of(path, settings=limits)
-            assert time.process_time() - begun < 5.0
-            assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 200_000  # KiB
+    fields = struct.pack("<Ii", 4 << 16 | 5, 4) + element(1, b"a\0\0\0")
+    head = element(6, struct.pack("<II", code, 0)) + element(5, struct.pack("<ii", 1, n_arrays)) + element(1, b"s")
+    variable = element(14, head + (fields if code == 2 else b"") + element(14, b"") * n_arrays)
+    n_bytes = len(variable)
+    if packed:
+        deflated = zlib.compress(variable, 1)
+        variable = struct.pack("<II", 15, len(deflated)) + deflated
+    path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + variable)
+    return n_bytes
+
+
+@pytest.mark.cases(2)
+@pytest.mark.parametrize("code", [1, 2])
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_matlab_variable_of_four_million_empty_arrays_is_refused_at_once(tmp_path, limits, refused_s, code, packed):
+    path, seconds = tmp_path / "bomb.mat", []
+    for n_arrays in (40_000, 4_000_000):
+        n_bytes = matlab_bomb(path, code=code, packed=packed, n_arrays=n_arrays)
+        seconds.append(refused_s(lambda: contents_of(path, settings=limits)))
+    assert seconds[1] < 10.0 * seconds[0]
+    tracemalloc.start()
+    with pytest.raises(UnsafeInputError, match=r"bomb\.mat: a variable holds more than 20000 arrays"):
+        contents_of(path, settings=limits)
+    most_bytes = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most_bytes < 2 * n_bytes  # what is unpacked, and not four million objects

@@ -169,7 +169,8 @@ def test_d13_clocks_of_two_devices_are_said_not_to_be_compared_and_those_of_one_
     assert not [one for one in findings_in(tmp_path / "alone-out")["quality"] if one["flag"] == "clocks_not_compared"]
 
 
-@pytest.mark.parametrize("ppm", [-100.0, 0.0])
+@pytest.mark.cases(2)
+@pytest.mark.parametrize("ppm", [-100.0, 500.0, 20.0, 0.0])
 def test_d13_a_drift_between_the_clocks_of_two_devices_is_told_by_the_orders(tmp_path: Path, ppm: float) -> None:
     folder = joined(tmp_path / "joined")
     rising, falling = (edges * (1.0 + 1e-6 * ppm) for edges in edges_of(3))

@@ -45,6 +45,9 @@ def assert_same(whole: RawFile, blocks: RawFile) -> None:
     "stored",
     [
         {"dtype": "<i2"},
+        {"dtype": "<f4"},
+        {"dtype": ">f8"},
+        {"dtype": "<i4", "chunks": (N,)},
         {"dtype": "<f4", "chunks": (10_007,), "compression": "gzip"},
     ],
     ids=str,
@@ -57,15 +60,17 @@ def test_hdf5_columns_are_the_same_on_disk(tmp_path, limits, stored):
     assert_same(*both(tmp_path / "a.h5", ["c", "a", "b", 0], limits))
 
 
-def test_columns_of_a_table_in_hdf5_are_the_same_on_disk(tmp_path, limits):
-    across = False
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("across", [False, True])
+def test_columns_of_a_table_in_hdf5_are_the_same_on_disk(tmp_path, limits, across):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("t", data=NOISE if across else NOISE.T, chunks=(3, 999) if across else (999, 3))
     assert_same(*both(tmp_path / "a.h5", ["t[2]", "t[0]"], limits))
 
 
-def test_wav_channels_are_the_same_on_disk(tmp_path, limits):
-    width = 3
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("width", [3, 1, 2])
+def test_wav_channels_are_the_same_on_disk(tmp_path, limits, width):
     with wave.open(str(tmp_path / "a.wav"), "wb") as file:
         file.setnchannels(3)
         file.setsampwidth(width)
@@ -147,7 +152,8 @@ def test_a_file_of_samples_has_no_name_and_its_whole_size_from_the_start(tmp_pat
     monkeypatch.setattr(scratch, "_claim", claimed)
     array = empty((2, 4_000_000), np.float32, on_disk=True)
     assert list(tmp_path.iterdir()) == []
-    assert taken[0] >= array.nbytes
+    if hasattr(os, "posix_fallocate"):
+        assert taken[0] >= array.nbytes
     array[1, ::7] = 3.0
     assert array[:, ::7].sum() == 3.0 * len(range(0, 4_000_000, 7))
     assert is_on_disk(array[1, 5:].reshape(5, -1))

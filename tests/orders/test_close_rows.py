@@ -82,8 +82,9 @@ def test_lines_that_hardly_beat_are_not_parted():
     assert out <= 0.07 * reached
 
 
-def test_a_line_whose_slip_wanders_keeps_its_amplitude():
-    for seed in range(300, 303):
+@pytest.mark.parametrize("seeds", [range(300, 303), pytest.param(range(303, 305), marks=pytest.mark.slow)])
+def test_a_line_whose_slip_wanders_keeps_its_amplitude(seeds):
+    for seed in seeds:
         draw = np.random.default_rng(seed)
         order, size, frames = 2.0 * (1.0 + draw.uniform(0.004, 0.015)), 10.0 ** draw.uniform(-1.0, 1.0), []
         for number, speed in enumerate((1500.0, 2400.0)):

@@ -38,6 +38,13 @@ def test_the_table_holds_the_chances_of_the_f_distribution(count):
     assert made[above] == pytest.approx(wanted[above], abs=0.01)
 
 
+def test_bins_that_are_not_free_count_neither_themselves_nor_as_neighbours():
+    ratio, free = np.ones((1, 9)), np.ones(9, dtype=np.bool_)
+    ratio[0, 4], free[4] = 1e4, False
+    made = look_nats(ratio, np.arange(9), count=4.0, floor_worth=25.6, free=free)
+    assert made.max() < 1.0
+
+
 def test_two_harmonics_are_as_unlikely_as_fishers_method_says():
     comb = Comb(3.2, 3.2)
     bins = looked_at((comb,), step=STEP, n_orders=1921)

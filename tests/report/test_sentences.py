@@ -23,6 +23,7 @@ from crankorder.report.notation import (
 )
 from crankorder.report.sentences.of_balance import balance_sentences
 from crankorder.report.sentences.of_orders import law_sentences
+from crankorder.report.sentences.of_speeds import swing_sentences
 from crankorder.report.sentences.story import (
     ALL_CLEAR,
     ALL_CLEAR_WITH_ENVELOPE,
@@ -45,6 +46,7 @@ from made.typed import from_dicts
     order_name,
     balance_sentences,
     law_sentences,
+    swing_sentences,
     avoid_sentences,
     bearing_sentences,
     energy_sentence,
@@ -61,6 +63,7 @@ from made.typed import from_dicts
         order_name,
         balance_sentences,
         law_sentences,
+        swing_sentences,
         avoid_sentences,
         bearing_sentences,
         energy_sentence,
@@ -469,3 +472,39 @@ def test_a_peak_near_a_natural_frequency_that_was_not_judged_excites_nothing(ful
     crossings = [{**one, "excited": False, "verdict": "not decided"} for one in full["crossings"]]
     said = avoid_sentences({**full, "crossings": crossings})
     assert said and not any("excites" in one for one in said)
+
+
+def test_free_bands_are_told(full: Any) -> None:
+    assert f"Free of resonances: 300 to 1690 and 1850 to 2000 rpm; {EXCLUDED}." in story_of(full)["what_to_do"]
+
+
+def test_an_unbalance_that_leads_asks_for_balancing(full: Any) -> None:
+    full["orders"] = [{**full["orders"][0], "explained_by": "unbalance", "amplitude": 99.0}]
+    assert any(sentence.startswith("Balance it") for sentence in story_of(full)["what_to_do"])
+
+
+def test_balancing_is_asked_for_in_the_channels_in_which_unbalance_leads(full) -> None:
+    first, second = ({**full["orders"][0], "order": order, "amplitude": 5.0} for order in (1.0, 4.0))
+    of = {"speed_doubt": None, "levels": [], "channels": full["channels"]}
+    one, other = "Z", "X"
+    led = {**full, **of, "orders": [{**first, "channel": one, "explained_by": "unbalance"}]}
+    assert "Balance it: the strongest order is that of an unbalanced mass." in story_of(led)["what_to_do"]
+    led["orders"].append({**second, "channel": other, "explained_by": "gear mesh"})
+    assert "Balance it: the strongest order in Z is that of an unbalanced mass." in story_of(led)["what_to_do"]
+
+
+def test_a_swing_of_one_share_at_all_speeds_may_be_the_encoders() -> None:
+    def said(*swings: tuple[float, float, float]) -> str:
+        keys = ("speed_rpm", "order", "amplitude_rpm")
+        also = {"may_be_encoder": all(row[2] < 0.03 * row[0] for row in swings)}
+        records = [{"recording": f"{row[0]:.0f}", **dict(zip(keys, row, strict=True)), **also} for row in swings]
+        return " ".join(swing_sentences({"speed_swing": records}))
+
+    one_share = "Order 1 swings by one share of the speed at all speeds: an eccentric encoder would show the same."
+    assert said((1100.0, 1.0, 5.76), (1900.0, 1.0, 9.95)).endswith(one_share)
+    assert "eccentric" not in said((1100.0, 1.0, 22.0), (1900.0, 1.0, 9.0))
+    assert said((1500.0, 2.0, 15.0)).endswith(
+        "at the one speed at which it is told: an oval encoder would show the same."
+    )
+    assert "encoder would" not in said((1500.0, 0.5, 15.0), (1900.0, 0.5, 19.0))
+    assert "encoder would" not in said((1500.0, 2.0, 150.0))  # ten percent: no encoder is so far off

@@ -41,8 +41,9 @@ def from_square(shaft, pulses_per_rev=360):
 
 
 # speeds that keep no step with the sampling; those that do are in the next test
-def test_quantised_edges_average_out_and_the_standard_error_says_how_far(known_shaft):
-    speed_rpm = 1711.0
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("speed_rpm", [1711.0, 301.7, 733.3, 1234.5, 2001.7])
+def test_quantised_edges_average_out_and_the_standard_error_says_how_far(known_shaft, speed_rpm):
     knots, error, noise_s = from_square(known_shaft(speed_rpm, duration_s=6.0))
     edge_noise = noise_s * speed_rpm / 60.0
     stated = float(np.median(knots.standard_error_rev))
@@ -59,8 +60,9 @@ def test_edges_in_step_with_the_sampling_err_by_less_than_one_edge(known_shaft):
         assert np.abs(error).max() < 1.0 / 50_000.0 * speed_rpm / 60.0
 
 
-def test_orders_to_ten_are_not_biased_by_the_angle(known_shaft):
-    speed_rpm = 1234.5
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("speed_rpm", [1234.5, 301.7, 2001.7])
+def test_orders_to_ten_are_not_biased_by_the_angle(known_shaft, speed_rpm):
     shaft = known_shaft(speed_rpm, duration_s=6.0)
     _, error, _ = from_square(shaft)
     for order in range(1, 11):

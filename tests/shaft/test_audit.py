@@ -83,8 +83,9 @@ def test_a_swinging_error_does_to_a_line_what_bessel_functions_say():
         assert cause.sideband(np.array([order]))[0] == pytest.approx(spectrum[3], rel=1e-9)
 
 
-def test_random_jitter_costs_what_is_expected(known_shaft):
-    pulses_per_rev, jitter_s = 60, 2e-4
+@pytest.mark.cases(1)
+@pytest.mark.parametrize(("pulses_per_rev", "jitter_s"), [(60, 2e-4), (360, 2e-5), (60, 5e-5), (6, 1e-4), (1, 1e-3)])
+def test_random_jitter_costs_what_is_expected(known_shaft, pulses_per_rev, jitter_s):
     true = known_shaft(1500.0, irregularity={}, duration_s=30.0)
     pulse_s = true.pulse_time_s(pulses_per_rev)
     pulse_s = pulse_s + jitter_s * np.random.default_rng(3).standard_normal(pulse_s.size)
@@ -95,8 +96,10 @@ def test_random_jitter_costs_what_is_expected(known_shaft):
     assert_within_factor(audit.phase_deg, found["phase_deg"], 2.0)
 
 
-@pytest.mark.parametrize("irregularity", [0.001, 0.03])
-@pytest.mark.parametrize(("pulses_per_rev", "order"), [(1, 1.0), (1, 5.5), (2, 1.5), (6, 4.0), (60, 40.0)])
+@pytest.mark.parametrize("irregularity", [0.001, 0.01, 0.03])
+@pytest.mark.parametrize(
+    ("pulses_per_rev", "order"), [(1, 1.0), (1, 2.0), (1, 5.5), (2, 1.5), (2, 2.0), (6, 3.5), (6, 4.0), (60, 40.0)]
+)
 def test_motion_between_the_pulses_costs_what_is_expected(known_shaft, pulses_per_rev, order, irregularity):
     true = known_shaft(1000.0, irregularity={order: irregularity}, duration_s=6.0)
     dataset = decoded(true.pulse_time_s(pulses_per_rev), pulses_per_rev, noise_s=0.0)
@@ -108,10 +111,10 @@ def test_motion_between_the_pulses_costs_what_is_expected(known_shaft, pulses_pe
         assert_within_factor(audit.phase_deg, found["phase_deg"], 1.5)
 
 
-@pytest.mark.slow
-def test_interpolation_between_knots_costs_what_is_expected(known_shaft):
-    irregularity = 0.03
-    pulses_per_rev, order = 6, 1.0
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("irregularity", [0.03, 0.01, 0.001])
+@pytest.mark.parametrize(("pulses_per_rev", "order"), [(6, 1.0), (2, 0.5), (6, 2.0), (60, 15.0), (360, 100.0)])
+def test_interpolation_between_knots_costs_what_is_expected(known_shaft, pulses_per_rev, order, irregularity):
     true = known_shaft(1000.0, irregularity={order: irregularity}, duration_s=6.0)
     dataset = decoded(true.pulse_time_s(pulses_per_rev), pulses_per_rev, noise_s=0.0)
     found = achieved(dataset, true, pulses_per_rev)
@@ -120,8 +123,13 @@ def test_interpolation_between_knots_costs_what_is_expected(known_shaft):
     assert_within_factor(audit.sideband, found["sideband"], 2.0)
 
 
-def test_rounding_in_step_with_the_pulses_costs_what_is_expected(known_shaft):
-    pulses_per_rev, speed_rpm = 360, 1041.7
+@pytest.mark.cases(2)
+@pytest.mark.parametrize(
+    ("pulses_per_rev", "speed_rpm"),
+    # s = 8 - 1/3900, 10 - 1/1250, 4 - 1/3100; 60 pulses: 50 - 1/1000, 50 - 1/67; 6 pulses: 500 - 1/100
+    [(360, 1041.7), (360, 833.4), (360, 2083.5), (60, 1000.02), (60, 1000.3), (6, 1000.02)],
+)
+def test_rounding_in_step_with_the_pulses_costs_what_is_expected(known_shaft, pulses_per_rev, speed_rpm):
     true = known_shaft(speed_rpm, irregularity={}, duration_s=12.0)
     dataset = decoded(
         rounded(true.pulse_time_s(pulses_per_rev)), pulses_per_rev, noise_s=12**-0.5 / RATE_HZ, edge_step_s=1 / RATE_HZ
@@ -135,8 +143,9 @@ def test_rounding_in_step_with_the_pulses_costs_what_is_expected(known_shaft):
     assert [flag for flag, _, _ in audit.remarks] == ["reference_in_step"]
 
 
-def test_rounding_wholly_in_step_turns_the_phase_and_nothing_else(known_shaft):
-    pulses_per_rev = 60
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("pulses_per_rev", [60, 6, 1])
+def test_rounding_wholly_in_step_turns_the_phase_and_nothing_else(known_shaft, pulses_per_rev):
     dataset = decoded(
         rounded(known_shaft(1000.0, irregularity={}).pulse_time_s(pulses_per_rev) + 3e-6),
         pulses_per_rev,
@@ -159,8 +168,9 @@ def test_out_of_step_or_shaken_by_the_motion_rounding_is_only_noise(known_shaft)
         assert np.all(achieved(dataset, true, 360)["loss"] < audit.loss)
 
 
-def test_motion_that_the_pulses_show_is_measured(known_shaft):
-    pulses_per_rev = 360
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("pulses_per_rev", [60, 360])
+def test_motion_that_the_pulses_show_is_measured(known_shaft, pulses_per_rev):
     true = known_shaft(1213.7, irregularity={0.5: 0.004, 2.0: 0.01, 6.0: 0.005})
     dataset = decoded(rounded(true.pulse_time_s(pulses_per_rev)), pulses_per_rev, noise_s=12**-0.5 / RATE_HZ)
     seen = seen_motion(dataset, reference_of(dataset, revs_per_frame=REVS))
@@ -204,8 +214,9 @@ def test_the_limit_is_that_of_the_settings(known_shaft):
     assert audit.highest_carried_order == pytest.approx(100.0, rel=0.02)
 
 
-def test_a_good_encoder_carries_the_orders_of_an_engine(known_shaft):
-    pulses_per_rev = 360
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("pulses_per_rev", [60, 360])
+def test_a_good_encoder_carries_the_orders_of_an_engine(known_shaft, pulses_per_rev):
     true = known_shaft(1113.7)
     dataset = decoded(rounded(true.pulse_time_s(pulses_per_rev)), pulses_per_rev, noise_s=12**-0.5 / RATE_HZ)
     audit = audit_of(dataset)

@@ -100,8 +100,9 @@ def test_a_named_frequency_needs_fewer_speeds_than_an_unnamed_one():
     np.testing.assert_array_equal(fold.points, [1, 5])
 
 
-def test_a_tone_is_found_among_lines_of_the_shaft_and_strays():
-    tone_hz = 31_234.5
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("tone_hz", [31_234.5, 9_700.0, 16_000.0, 48_000.0])
+def test_a_tone_is_found_among_lines_of_the_shaft_and_strays(tone_hz):
     rng = np.random.default_rng(5)
     rpm = np.arange(600.0, 2000.0, 170.0)
     shown = folded_order(60.0 * tone_hz / rpm, 360)

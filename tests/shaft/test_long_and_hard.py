@@ -68,8 +68,9 @@ def test_time_stamps_of_a_billion_seconds_lose_no_more_than_their_own_precision(
     assert np.ptp(reached) < 3.0 * spacing_s * 1234.5 / 60.0
 
 
-def test_float32_pulse_times_state_their_limit(known_shaft):
-    duration_s = 30.0
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("duration_s", [30.0, 3.0])
+def test_float32_pulse_times_state_their_limit(known_shaft, duration_s):
     shaft = known_shaft(1234.5, duration_s=duration_s)
     exact = shaft.pulse_time_s(360)
     single = exact.astype(np.float32)
@@ -133,8 +134,9 @@ def test_angle_and_time_between_knots_are_those_of_the_cubics_of_scipy():
             np.testing.assert_allclose(time_at(cubic(wanted), time_s, angle, 60.0 * rate), wanted, rtol=0, atol=1e-15)
 
 
-def test_settled_factors_give_the_solution_of_all_equations():
-    cut_off, holes = 0.011, 2
+@pytest.mark.cases(1)
+@pytest.mark.parametrize(("cut_off", "holes"), [(0.011, 2), (0.011, 0), (0.05, 3), (0.3, 20)])
+def test_settled_factors_give_the_solution_of_all_equations(cut_off, holes):
     rng = np.random.default_rng(3)
     n = 1500
     weight = np.ones(n)

@@ -202,7 +202,7 @@ def test_a_recording_that_states_no_wheel_is_decoded_by_the_one_found_and_says_s
     np.testing.assert_allclose((reached - true_rev)[8:-8], np.round((reached - true_rev)[8]), atol=1e-3)
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     name=st.sampled_from([*WHEELS, "60", "12", "1"]),
     start_rev=st.floats(0.0, 1.0),

@@ -144,9 +144,10 @@ def long_steps(times):
     return 4 + np.flatnonzero(step[4:-4] > 2.0 * beside)
 
 
-def test_a_noisy_36_2_wheel_keeps_34_teeth_in_every_revolution(trace, recording_of):
-    edge = "rising"
-    name = "noisy-trigger-1.csv"
+@pytest.mark.cases(2)
+@pytest.mark.parametrize("edge", ["rising", "falling"])
+@pytest.mark.parametrize("name", ["noisy-trigger-1.csv", "noisy-trigger-2.csv"])
+def test_a_noisy_36_2_wheel_keeps_34_teeth_in_every_revolution(trace, recording_of, name, edge):
     times = edge_times(trace(name), 1, edge)
     angle = decoded(recording_of, times, pulses_per_rev=36, missing_teeth=2)
     assert "encoder_missing_pulse" not in names(angle)
@@ -169,8 +170,9 @@ def test_a_start_from_standstill_is_left_out_and_what_follows_ends_at_1695_rpm(t
     assert angle["time"].values[0] > 2.7
 
 
-def test_a_slow_analogue_trace_reads_322_rpm_on_the_camshaft_it_stands_for(trace, recording_of):
-    edge = "falling"
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("edge", ["falling", "rising"])
+def test_a_slow_analogue_trace_reads_322_rpm_on_the_camshaft_it_stands_for(trace, recording_of, edge):
     found = find_pulses(
         trace("trigger_adc_real1.csv")[:, 1],
         rate_hz=10_000.0,

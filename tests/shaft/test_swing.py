@@ -48,18 +48,19 @@ def swinging(
     )
 
 
-def test_orders_and_amplitudes_are_those_that_were_put_in() -> None:
-    for seed in range(2):
-        rng = np.random.default_rng(seed)
-        rpm = rng.uniform(600, 4000)
-        lines = {order: rpm * rng.uniform(0.002, 0.02) for order in (0.5, 1.0, 2.0, 3.5)}
-        swing = speed_swing(swinging(lines, rpm=rpm, seconds=60.0 / rpm * 40))
-        assert swing is not None and swing.speed_rpm == pytest.approx(rpm, rel=5e-3)
-        for order, size in lines.items():
-            at = swing.orders.tolist().index(order)
-            assert swing.told[at]
-            # a speed of ripple r by time has second harmonics of r squared by angle, and the mean over the angle
-            assert swing.amplitude_rpm[at] == pytest.approx(size, rel=0.02, abs=2e-4 * rpm)
+@pytest.mark.cases(2)
+@pytest.mark.parametrize("seed", range(4))
+def test_orders_and_amplitudes_are_those_that_were_put_in(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rpm = rng.uniform(600, 4000)
+    lines = {order: rpm * rng.uniform(0.002, 0.02) for order in (0.5, 1.0, 2.0, 3.5)}
+    swing = speed_swing(swinging(lines, rpm=rpm, seconds=60.0 / rpm * 40))
+    assert swing is not None and swing.speed_rpm == pytest.approx(rpm, rel=5e-3)
+    for order, size in lines.items():
+        at = swing.orders.tolist().index(order)
+        assert swing.told[at]
+        # a speed of ripple r by time has second harmonics of r squared by angle, and the mean over the angle
+        assert swing.amplitude_rpm[at] == pytest.approx(size, rel=0.02, abs=2e-4 * rpm)
 
 
 def test_a_run_up_without_swing_has_none() -> None:

@@ -22,7 +22,8 @@ def test_a_pulse_lost_in_the_first_or_last_turn_leaves_every_number_right_and_is
     true = np.round(shaft.angle_rev(pulse_s) * teeth).astype(int)
     on_wheel = true % teeth < teeth - missing
     pulse_s, true = pulse_s[on_wheel], true[on_wheel]
-    for lost in range(1, pulse_s.size - 1, 3):  # each place of the wheel, in one turn or another
+    turn, last = teeth - missing, pulse_s.size - 1
+    for lost in sorted({*range(1, turn), *range(turn, last - turn, 3), *range(last - turn, last)}):
         left_s = np.delete(pulse_s, lost)
         found = number_teeth(left_s, pulses_per_rev=teeth, missing_teeth=missing, settings=SETTINGS)
         kept = np.searchsorted(left_s, found.time_s)

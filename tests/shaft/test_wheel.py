@@ -273,9 +273,9 @@ def test_a_wheel_with_a_gap_that_starts_from_rest_finds_its_gap() -> None:
     assert len(np.unique((true - found.tooth)[10:])) == 1  # of the first few one may be taken for another
 
 
-@pytest.mark.slow
-def test_a_jittering_encoder_is_counted_to_its_last_pulse() -> None:
-    jitter = 0.17
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("jitter", [0.17, 0.1])
+def test_a_jittering_encoder_is_counted_to_its_last_pulse(jitter: float) -> None:
     rng = np.random.default_rng(20)
     number = np.arange(200_000)
     time_s = np.sort((number + jitter * rng.standard_normal(number.size)) / 18_000.0)

@@ -176,6 +176,42 @@ def test_behind_a_filter_the_response_is_accelerance_times_filter() -> None:
     assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
 
 
+@pytest.mark.slow
+def test_a_filter_in_a_run_up_is_the_filter_equation_driven_by_the_unfiltered_response() -> None:
+    """v̈ + √2 ω v̇ + ω² v = ω² a, a two-pole Butterworth filter, integrated with the modes as further states."""
+    corners, corner = ((0.0, 300.0), (0.15, 5000.0)), 2 * np.pi * 700.0
+    at = profile(corners, 0.2)
+    times = np.arange(700) / RATE_HZ
+
+    def motion(time: float, state: np.ndarray) -> np.ndarray:
+        force = plain_force(*at(time))
+        acceleration = DRIVE @ force - 2 * ZETA * OMEGA * state[3:6] - OMEGA**2 * state[:3]
+        rates = np.concatenate([state[3:6], acceleration])
+        sensed = channels(rates, state[:6], force)
+        filtered, rate = state[6:8], state[8:10]
+        return np.concatenate([rates, rate, corner**2 * (sensed - filtered) - np.sqrt(2) * corner * rate])
+
+    frequency = ORDERS * 5.0
+    gain = accelerance(STRUCTURE, frequency) * low_pass(2, 700.0).response(frequency)
+    tone = np.einsum("cal,al->cl", gain, lines().at_speed(300.0)) * np.exp(2j * np.pi * ORDERS * 0.2)
+    begin = np.concatenate(
+        [
+            steady_start(300.0, 0.4 * np.pi),
+            tone.real.sum(axis=1),
+            (2j * np.pi * frequency * tone).real.sum(axis=1),
+        ]
+    )
+    solved = solve_ivp(motion, (0, times[-1]), begin, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-16)
+    found = driven_signal(
+        poles_of(STRUCTURE, low_pass(2, 700.0)),
+        [(lines(), Motion(start_rev=0.2, corners=corners))],
+        rate_hz=RATE_HZ,
+        n_samples=700,
+        tolerance=1e-12,
+    )
+    assert np.abs(found - solved.y[6:8]).max() < 1e-11 * np.abs(found).max()
+
+
 def wobbling(time: float) -> tuple[float, float, float]:
     rpm, slope = 1500 + 60 * np.cos(2 * np.pi * 7 * time + 1), -60 * 14 * np.pi * np.sin(14 * np.pi * time + 1)
     turned = 1500 * time + 60 * (np.sin(14 * np.pi * time + 1) - np.sin(1)) / (14 * np.pi)

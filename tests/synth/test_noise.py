@@ -89,3 +89,21 @@ def test_images_of_a_shaped_density_add_by_power_above_and_below_the_points() ->
         gain = 1 / (1 + (images / 3500.0) ** (2 * order))
         brute = np.sum(density_through_points(part, images) ** 2 * gain, axis=1)
         assert folded == pytest.approx(np.sqrt(brute), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_oversampled_shaped_noise_that_is_decimated_has_the_folded_density() -> None:
+    """Independent: every 16th sample of noise that was made at 16 times the rate with density and filter."""
+    part = ColouredNoise(channels=("Y",), frequency_hz=(100.0, 2e3, 3e4), m_s2_per_root_hz=(1.0, 0.2, 2.0))
+    filter_, n_samples = low_pass(6, 4500.0), 640_000
+    n_fine = 16 * n_samples
+    fine_hz = np.arange(n_fine // 2 + 1) * (16 * RATE_HZ / n_fine)
+    gain = 1 / np.sqrt(1 + (fine_hz / 4500.0) ** 12)
+    random = np.random.default_rng(12)
+    scale = np.sqrt(16 * RATE_HZ * n_fine) / 2
+    spectrum = (random.normal(size=fine_hz.size) + 1j * random.normal(size=fine_hz.size)) * scale
+    sampled = np.fft.irfft(spectrum * density_through_points(part, fine_hz) * gain)[::16]
+    bins = np.arange(401) * 10.0
+    folded = folded_density(lambda f: density_through_points(part, f), filter_, RATE_HZ, bins)
+    assert density_of(sampled)[12:-2] == pytest.approx(folded[12:-2], rel=0.15)
+    assert density_of(sampled)[300:-2].mean() == pytest.approx(folded[300:-2].mean(), rel=0.01)
