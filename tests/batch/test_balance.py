@@ -71,7 +71,6 @@ class TestNumbers:
         for order, share in task5["harmonics"].items():
             assert share == pytest.approx(float(truth["A"][f"A{order}"]), rel=EXACT)
 
-    @pytest.mark.slow
     def test_shafts_carry_the_masses_of_the_truth(self, task5, shared_truth):
         truth = shared_truth["seed000"]["recovered"]
         first = float(truth["mz1*lz1/l1_g (possibilities 1,3 each of two; 4 single)"])
@@ -81,7 +80,6 @@ class TestNumbers:
                 expected = first if abs(shaft["speed_ratio"]) == 1 else second
                 assert shaft["mass_at_crank_radius_g"] == pytest.approx(expected, rel=EXACT)
 
-    @pytest.mark.slow
     def test_speeds_and_orders_are_those_asked_for(self):
         found = document("task5", "--speed", "1500", "--speed", 6000, "--max-order", 12)
         assert set(found["force_n"]) == {"1500", "6000"}
@@ -196,14 +194,12 @@ class TestFaults:
         assert outcome.stdout == ""
         assert not (tmp_path / "out").exists()
 
-    @pytest.mark.slow
     def test_numbers_beyond_the_range_of_a_computer_are_a_fault_of_the_file(self, tmp_path):
         outcome = balance(engine_file(tmp_path, reciprocating_mass_kg=1e301), "--speed", 1000000, "--json")
         assert outcome.exit_code == 2
         assert "engine.toml" in outcome.stderr
         assert outcome.stdout == ""
 
-    @pytest.mark.slow
     def test_a_file_that_is_no_toml_names_its_line(self, tmp_path):
         path = tmp_path / "engine.toml"
         path.write_text("title = 'a'\nbore = = 3\n")

@@ -122,7 +122,6 @@ def test_the_out_of_a_run_of_one_test_stands_for_that_test(results: dict[str, Pa
     assert "cannot differ" in same["words"]
 
 
-@pytest.mark.slow
 def test_a_test_beside_itself_is_refused(results: dict[str, Path], tmp_path: Path) -> None:
     for tests in (("run 0", "run 0"), ("run 0", "run 1", "run 1")):
         outcome = compare(*(results[name] for name in tests), "--out", tmp_path / "c")
@@ -162,7 +161,6 @@ def test_faults_of_the_request_are_named_and_nothing_is_written(results: dict[st
     assert not out.exists() and not (base / "inside").exists()
 
 
-@pytest.mark.slow
 def test_damaged_results_are_named(results: dict[str, Path], tmp_path: Path) -> None:
     publish(tmp_path / "t", {"results.nc": b"no", "findings.json": b"{}", "run.json": b'{"test": "t"}'}, key="k")
     outcome = compare(results["run 0"], tmp_path / "t", "--out", tmp_path / "c")

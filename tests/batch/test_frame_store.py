@@ -136,6 +136,7 @@ def test_only_what_changed_is_analysed_again_and_the_bytes_are_those_of_a_fresh_
     assert run_again() == ["rpm_1600.h5"]
     assert len(run_again(recipe=("--recipe", alone))) == 3
     assert len(list((out / STORE).rglob("*.frames"))) == 3
+    assert len(run_again("--tol", "1e-2")) == 3  # another accuracy is another analysis
     assert len(run_again("--fresh")) == 3
     run(three, "--out", tmp_path / "fresh", *recipe)
     for path in (tmp_path / "fresh").rglob("*"):

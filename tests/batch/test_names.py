@@ -87,7 +87,6 @@ def test_a_speed_is_stated_for_a_whole_path(tmp_path: Path) -> None:
         assert "a speed is stated for no recording" in told.output and "c/x.h5" in told.output
 
 
-@pytest.mark.slow
 def test_two_speeds_for_one_path_are_refused(tmp_path: Path) -> None:
     told = crankorder("check", campaign(tmp_path / "in", {**SPEEDS, "b\\x.h5": 900.0}))
     assert told.exit_code != 0 and "two speeds are stated for b/x.h5" in told.output

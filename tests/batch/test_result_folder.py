@@ -193,7 +193,6 @@ def test_a_process_killed_at_any_step_leaves_the_old_results_or_the_new_ones(
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-@pytest.mark.slow
 def test_files_of_others_stay_where_results_are_put_among_them(tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     publish(tmp_path, OLD, key="old")
@@ -208,7 +207,6 @@ def test_a_file_of_others_with_the_name_of_a_result_is_not_overwritten(tmp_path)
     assert held(tmp_path) == {"a.json": b"mine"}
 
 
-@pytest.mark.slow
 def test_the_folder_that_somebody_stands_in_stays_the_same_folder(tmp_path, monkeypatch):
     publish(tmp_path, OLD, key="old")
     number = tmp_path.stat().st_ino

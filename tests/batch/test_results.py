@@ -130,7 +130,6 @@ def test_a_recording_gives_only_the_frames_that_are_needed():
     }
 
 
-@pytest.mark.slow
 def test_a_noun_that_no_stage_makes_is_named_with_the_way_to_it():
     with pytest.raises(SchemaError, match=r"RecordingFile") as caught:
         StagePlan(OF_RECORDING, wanted=(OrderFrames,), given=())

@@ -76,7 +76,6 @@ class TestResults:
         reach = stdtrit(track["degrees_of_freedom"].values, ndtr(4.0))
         assert np.all(np.abs(measured - expected) < reach * np.sqrt(2) * track["standard_error"].values + 1e-4)
 
-    @pytest.mark.slow
     def test_the_bearing_line_is_named(self, analysed):
         lines = {(record["name"], record["line"]) for record in findings_in(analysed)["bearings"]}
         assert ("jack shaft", "N*fs") in lines
@@ -219,7 +218,6 @@ class TestBadInput:
         assert outcome.exit_code == 2
         assert not (four_speeds / "results").exists()
 
-    @pytest.mark.slow
     def test_a_missing_folder_and_an_empty_one(self, tmp_path):
         assert run(tmp_path / "nowhere", "--out", tmp_path / "out").exit_code == 2
         (tmp_path / "empty").mkdir()
@@ -238,7 +236,6 @@ class TestBadInput:
         outcome = run(four_speeds, "--out", tmp_path / "strict", "--strict")
         assert outcome.exit_code == 3 and "rpm_1500.h5" in outcome.output
 
-    @pytest.mark.slow
     def test_one_bad_test_takes_no_other_along(self, campaign, four_speeds, tmp_path):
         for path in four_speeds.glob("*.h5"):
             path.write_bytes(b"")
@@ -246,7 +243,9 @@ class TestBadInput:
         other.mkdir()
         for name in ("run.toml", "rpm_1500.h5", "rpm_1600.h5", "rpm_1700.h5"):
             shutil.copy(campaign / name, other / name)
-        outcome = run(four_speeds, other, "--out", tmp_path / "out", "--json")
+        assert crankorder("check", four_speeds, other).exit_code == 3
+        assert crankorder("check", four_speeds).exit_code == 4
+        outcome = run(four_speeds, other, "--out", tmp_path / "out", "--json", "--recipe", "maps", "--no-pictures")
         assert outcome.exit_code == 3
         document = json.loads(outcome.stdout)
         assert [test["status"] for test in document["tests"]] == ["failed", "done"]

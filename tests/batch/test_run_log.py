@@ -60,7 +60,6 @@ def test_a_full_disk_ends_the_log_alone(
     assert capsys.readouterr().err == ""
 
 
-@pytest.mark.slow
 def test_only_the_newest_logs_stay(tmp_path: Path) -> None:
     (tmp_path / LOGS).mkdir()
     for number in range(KEPT_LOGS + 5):

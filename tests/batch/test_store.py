@@ -6,7 +6,7 @@ import hashlib
 import json
 import os
 
-from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
+from crankorder.batch.store import CHANGED, HashedFile, code_sha256, json_bytes, text_sha256
 
 
 def test_json_has_no_nan_ten_digits_and_ends_with_a_newline():
@@ -17,6 +17,16 @@ def test_json_has_no_nan_ten_digits_and_ends_with_a_newline():
 
 def test_the_parts_of_a_key_cannot_be_shifted_into_each_other():
     assert text_sha256("ab", "c") != text_sha256("a", "bc")
+
+
+def test_other_code_and_other_settings_are_another_program(tmp_path, monkeypatch):
+    monkeypatch.setattr("crankorder.batch.store.files", lambda package: tmp_path)
+    (tmp_path / "orders").mkdir()
+    hashes = set()
+    for name, text in (("orders/map.py", "a = 1"), ("orders/map.py", "a = 2"), ("3-orders.toml", "tol = 1")):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        hashes.add(code_sha256.__wrapped__())
+    assert len(hashes) == 3
 
 
 def test_characters_that_nobody_sees_are_escaped_in_json():

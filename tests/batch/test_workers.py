@@ -40,7 +40,6 @@ def test_an_error_of_one_task_comes_out_as_it_is_and_the_others_go_on():
     assert caught.value.remedy == "Leave it out"
 
 
-@pytest.mark.slow
 def test_an_error_that_cannot_be_sent_still_says_what_it_was():
     class LocalError(Exception):
         def __reduce__(self):
@@ -93,7 +92,6 @@ def test_workers_of_a_worker_end_with_it():
     assert parents == [own, own]
 
 
-@pytest.mark.slow
 def test_a_worker_answers_in_the_order_of_the_requests():
     worker = Worker(lambda request: request * 2)
     for request in (1, 2, 3):
@@ -116,7 +114,6 @@ def test_arrays_come_back_bit_for_bit_and_outlive_their_worker(size):
         answer["frames"] += 1.0  # as writable as any array
 
 
-@pytest.mark.slow
 @needs_fork
 def test_without_room_for_shared_pages_all_goes_through_the_pipe(monkeypatch):
     for name in ("MOST_BYTES", "MEMORY_BYTES"):
@@ -149,7 +146,6 @@ def test_what_memory_does_not_hold_lies_in_a_file_and_on_a_full_disk_goes_throug
         np.testing.assert_array_equal(pages.get(packed), array)
 
 
-@pytest.mark.slow
 @needs_fork
 def test_a_task_asked_ahead_of_a_death_is_done_by_another_worker():
     def task(number):
@@ -209,7 +205,6 @@ def test_where_one_worker_begins_and_nothing_succeeds_every_fault_is_told():
             made[number]()
 
 
-@pytest.mark.slow
 @needs_fork
 def test_a_dead_worker_says_so_every_time_it_is_asked():
     worker = Worker(lambda request: os.kill(os.getpid(), signal.SIGKILL))

@@ -151,7 +151,6 @@ def test_in_a_run_up_the_frames_are_short_enough_for_a_line_to_stay_one(rate_rpm
     assert made["amplitude"].max("frequency").values[0, known].min() > 0.75
 
 
-@pytest.mark.slow
 def test_a_sweep_that_no_frame_can_hold_still_is_named():
     band, knots = run_up([line(1.0, 1.0)], from_rpm=1000.0, to_rpm=1000.1, duration_s=10.0, rate_hz=2000.0)
     # one frame in twenty sweeps a hundred times faster than the others, and they set the length

@@ -94,7 +94,6 @@ def test_analytic_the_couple_of_strategy_d_is_the_rate_of_angular_momentum(masse
     assert np.abs(couple).max() > 1e6
 
 
-@pytest.mark.slow
 def test_strategy_d_without_a_place_on_the_rod_is_refused(masses: ReducedMasses) -> None:
     with pytest.raises(RequestError, match="rod_mm"):
         counterweights(masses, "d", CounterweightPlaces(crank_mm=20.0))

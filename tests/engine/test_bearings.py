@@ -61,7 +61,6 @@ def test_published_orders_and_geometry_of_every_listed_bearing_agree() -> None:
         assert published == pytest.approx(rolling, rel=2e-4), designation
 
 
-@pytest.mark.slow
 def test_what_is_stated_wins_over_the_catalogue() -> None:
     stated = bearing_orders(Bearing(name="b", designation="6205-2RS", bpfo=3.6))
     assert (stated["BPFO"], stated["BPFI"]) == (3.6, 5.4152)
@@ -71,7 +70,6 @@ def test_what_is_stated_wins_over_the_catalogue() -> None:
     )
 
 
-@pytest.mark.slow
 def test_an_unknown_designation_is_told_what_there_is() -> None:
     with pytest.raises(ValidationError, match=r"no such bearing in the catalogue, which has 6205-2RS, "):
         Bearing(name="b", designation="6205")

@@ -52,7 +52,6 @@ def test_the_torque_passes_through_every_node_and_is_zero_at_the_dead_centres() 
     assert crank_torque([0, 0.5, 1, -3], CURVE).tolist() == [0, 0, 0, 0]
 
 
-@pytest.mark.slow
 def test_mean_and_work_are_the_exact_ones(shared_truth: dict[str, Any]) -> None:
     expected = shared_truth["seed003"]
     assert pytest.approx(float(expected["mean_torque_Nm"]["decimal"]), rel=1e-15) == CURVE.mean_nm
@@ -63,7 +62,6 @@ def test_mean_and_work_are_the_exact_ones(shared_truth: dict[str, Any]) -> None:
         assert pytest.approx(float(expected[name]), rel=1e-15) == float(branch.integral_nm_deg)
 
 
-@pytest.mark.slow
 def test_extrema_are_the_true_ones(shared_truth: dict[str, Any]) -> None:
     angle_rev, torque = torque_extrema(CURVE)
     expected = np.array(shared_truth["seed003"]["extrema"])
@@ -79,7 +77,6 @@ def test_harmonics_are_the_true_ones_up_to_order_64(shared_truth: dict[str, Any]
     np.testing.assert_allclose(np.abs(harmonics), [float(line["amp"]) for line in listed.values()], rtol=1e-12)
 
 
-@pytest.mark.slow
 def test_mean_and_harmonics_add_up_to_the_torque() -> None:
     orders = np.arange(1, 2001)
     angles = np.array([0.05, 0.2, 0.37, 0.62, 0.9])
@@ -89,7 +86,6 @@ def test_mean_and_harmonics_add_up_to_the_torque() -> None:
     np.testing.assert_allclose(total, crank_torque(angles, CURVE), atol=2e-3)
 
 
-@pytest.mark.slow
 def test_the_potential_torque_does_no_work_in_a_revolution() -> None:
     nodes, weights = np.polynomial.legendre.leggauss(16)
     halves = np.concatenate([0.25 + 0.25 * nodes, 0.75 + 0.25 * nodes])
@@ -111,7 +107,6 @@ def test_impossible_nodes_are_refused(angles: tuple[float, ...], torques: tuple[
         TorqueBranch(angle_deg=angles, torque_nm=torques)
 
 
-@pytest.mark.slow
 def test_a_gap_between_branches_is_refused() -> None:
     first = TorqueBranch(angle_deg=(0.0, 170.0), torque_nm=(0.0, 1.0))
     second = TorqueBranch(angle_deg=(180.0, 360.0), torque_nm=(1.0, 0.0))

@@ -48,7 +48,6 @@ def test_analytic_the_couple_without_static_unbalance_knows_no_datum(datum: floa
     assert abs(found - crankshaft_sums(moved).dynamic_kg_mm2) < 1e-9
 
 
-@pytest.mark.slow
 def test_a_correction_in_one_plane_is_refused() -> None:
     with pytest.raises(RequestError, match="two planes"):
         two_plane_correction(CrankshaftSums(static_kg_mm=1j, dynamic_kg_mm2=1j), (10.0, 10.0))
@@ -68,7 +67,6 @@ def test_analytic_mass_and_centroid_of_a_fan_are_those_of_its_integral() -> None
         assert weight.unbalance_kg_mm == pytest.approx(moment, rel=1e-12, abs=1e-15)
 
 
-@pytest.mark.slow
 def test_literature_radius_then_thickness_then_fan_angle_change_the_balance_most() -> None:
     for fan in (60.0, 120.0, 180.0):
         sizes = {"radius_mm": 60.0, "thickness_mm": 18.0, "fan_angle_deg": fan}
@@ -156,7 +154,6 @@ def test_analytic_a_resized_fan_has_the_unbalance_asked_for(
     assert abs(complex(at.x_mm, at.y_mm)) == pytest.approx(weight.centroid_mm, rel=1e-12)
 
 
-@pytest.mark.slow
 def test_analytic_a_slug_moves_both_sums_by_its_own_product_and_place() -> None:
     with_slug = balanced_engine(fan_crankshaft(), name="fans", source="fans.toml").balance.crankshaft
     without = balanced_engine(fan_crankshaft(slugs=[]), name="fans", source="fans.toml").balance.crankshaft

@@ -87,7 +87,6 @@ def test_heat_over_some_angle_follows_the_first_law() -> None:
     )
 
 
-@pytest.mark.slow
 def test_a_two_stroke_cycle_is_closed_all_the_way_round() -> None:
     ideal = {key: value for key, value in IDEAL.items() if key != "exhaust_pa"}
     model = engine(cycle="two-stroke", gas={"ideal": ideal})
@@ -174,7 +173,6 @@ def test_loads_are_those_of_an_independent_newton_euler_solution(seed: int) -> N
         assert np.abs(loads.main_n[:, number] - known["main_n"]).max() < 1e-9 * scale
 
 
-@pytest.mark.slow
 def test_main_bearings_carry_webs_and_cylinders_of_their_own_masses() -> None:
     cylinders = [
         {"position_m": -0.05, "firing_deg": 0.0, "reciprocating_mass_kg": 0.9, "offset_m": 0.01},

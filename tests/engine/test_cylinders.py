@@ -50,7 +50,6 @@ def test_an_inline_four_leaves_nothing_but_its_even_orders_fourfold() -> None:
     assert orders_made(load_engine("inline-4"), share=1e-3, max_order=8) == (2.0, 4.0)
 
 
-@pytest.mark.slow
 def test_a_counterweight_takes_the_whole_first_order_of_a_90_degree_v_twin() -> None:
     forces, _ = sizes(load_engine("v-twin"))
     assert forces[:, 1].max() < 1e-7  # the shipped counterweight is rounded to 0.1 g·mm
@@ -88,7 +87,6 @@ def test_the_sum_over_the_cylinders_is_the_sum_of_their_exact_forces() -> None:
     assert np.abs(moments[[X, Z]] - rocking[[X, Z]]).max() < 1e-13 * FIRST_N
 
 
-@pytest.mark.slow
 def test_shafts_take_the_second_order_of_an_inline_four() -> None:
     shafts = {"orders": [2], "unbalanced_mass_kg": 0.1}
     with_shafts, without = row([0.0, 180.0, 180.0, 0.0], shafts=shafts), row([0.0, 180.0, 180.0, 0.0])

@@ -88,7 +88,6 @@ def test_only_the_corrected_characteristic_does_no_work_over_its_own_angle(
     assert over_hinge == pytest.approx(pin_hinge_work(crank, CURVE, pin_hinge=pin_hinge), abs=scale)
 
 
-@pytest.mark.slow
 def test_with_the_centre_of_mass_at_the_pin_the_full_moment_is_a_springs_and_no_side_force_is_left() -> None:
     crank = ENGINE.cranks["fig3_bd"]
     assert crank.static_moment_nm == 0

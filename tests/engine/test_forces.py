@@ -18,7 +18,6 @@ def engine(**differences: Any) -> Engine:
     return Engine.model_validate({**OPTICAL, **differences})
 
 
-@pytest.mark.slow
 def test_the_spacer_forces_are_those_of_the_truth_sheet_at_all_speeds(shared_truth: dict[str, Any]) -> None:
     table = shared_truth["seed001"]["spacer_116g"]["r=44.9,l=152"]
     shafts = {"orders": [1, 2], "unbalanced_mass_kg": 0.116}
@@ -28,7 +27,6 @@ def test_the_spacer_forces_are_those_of_the_truth_sheet_at_all_speeds(shared_tru
     assert forces[:, 2] == pytest.approx([row["F2_exact_N"] for row in table], rel=1e-12)
 
 
-@pytest.mark.slow
 def test_shafts_timed_to_the_crank_leave_the_quadrature_of_the_offset(shared_truth: dict[str, Any]) -> None:
     known = shared_truth["seed001"]["offset_quadrature_first_order"]["r=44.9,l=152"]["N_2000rpm_of_193249.6"]
     shafts = {"orders": [1, 2], "unbalanced_mass_kg": 0.0, "timed_to": "crank"}

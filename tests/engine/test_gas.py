@@ -49,7 +49,6 @@ def test_a_gas_spring_makes_no_mean_torque() -> None:
     assert np.abs(torque.real).max() < 1e-9 * np.abs(torque).max()  # odd about the dead centre: sines only
 
 
-@pytest.mark.slow
 def test_a_torque_curve_is_taken_as_it_is() -> None:
     curve = {"crank_angle_deg": [-30.0, 0.0, 90.0, 300.0], "torque_n_m": [1.0, 4.0, -2.0, 0.5]}
     model = genset(gas=curve)
@@ -80,7 +79,6 @@ def test_four_cylinders_leave_the_orders_that_they_share() -> None:
     assert np.abs(four[~shared]).max() < 1e-12 * np.abs(one).max()
 
 
-@pytest.mark.slow
 def test_a_single_cylinder_fires_where_it_stands() -> None:
     model = genset(cylinders=[{"crank_deg": 30.0, "bank_deg": 10.0}])
     assert firing_angle_deg(model, model.cylinders[0]) == 340
@@ -88,7 +86,6 @@ def test_a_single_cylinder_fires_where_it_stands() -> None:
     assert firing_angle_deg(two_stroke, two_stroke.cylinders[1]) == 180
 
 
-@pytest.mark.slow
 def test_without_gas_there_is_no_force() -> None:
     assert not gas_force(genset(), np.linspace(0, 2, 9)).any()
     assert not gas_torque(genset(), np.linspace(0, 2, 9)).any()

@@ -39,7 +39,6 @@ def test_the_orders_that_a_tolerance_needs_are_those_of_the_truth_sheet(shared_t
         assert {key: orders_for(float(key), mechanism) for key in wanted} == wanted, ratio
 
 
-@pytest.mark.slow
 def test_the_sums_of_the_harmonics_are_known(shared_truth: dict[str, Any]) -> None:
     for ratio in (0.01, 0.3, 0.7):
         even = even_harmonics(400, ratio)
@@ -115,7 +114,6 @@ def test_the_power_series_has_the_coefficients_of_the_truth_sheet(shared_truth: 
         assert series_coefficients(order, 8) == tuple(Fraction(value) for value in known.values())
 
 
-@pytest.mark.slow
 def test_the_peak_is_at_dead_centre_or_at_ninety_degrees(shared_truth: dict[str, Any]) -> None:
     for ratio in RATIOS:
         known = shared_truth["seed000"]["harmonics"][ratio]

@@ -30,7 +30,6 @@ def load(folder: Path, text: str) -> Any:
     return load_hinged_engine("mine", folder)
 
 
-@pytest.mark.slow
 def test_a_rod_without_inertia_is_taken_as_slender(tmp_path: Path) -> None:
     engine = load(tmp_path, GOOD)
     assert engine.cranks["one"].rod_inertia_kg_m2 == pytest.approx(12 / 9.81 * 0.3**2 / 12, rel=1e-15)

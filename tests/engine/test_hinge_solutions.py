@@ -66,7 +66,6 @@ def test_a_weight_for_the_corrected_characteristic_brings_the_centre_of_mass_to_
     assert np.abs(side_force(HALF_DEGREES, solved, CURVE, pin_hinge="potential")).max() < 1e-12
 
 
-@pytest.mark.slow
 def test_a_weight_that_would_be_negative_or_has_no_arm_is_refused() -> None:
     crank = ENGINE.cranks["fig3_ac"]
     for weight in ("rod_weight_n", "rod_counterweight_n"):
@@ -74,7 +73,6 @@ def test_a_weight_that_would_be_negative_or_has_no_arm_is_refused() -> None:
             weight_without_side_force(crank, CURVE, weight=weight, pin_hinge="potential")  # type: ignore[arg-type]
 
 
-@pytest.mark.slow
 def test_equation_12_gives_the_printed_counterweights_with_the_radius_mended() -> None:
     a, b = ENGINE.cranks["fig5_a"], ENGINE.cranks["fig5_bcd"]
     assert vertical_counterweight(a) == pytest.approx(47.50, rel=1e-14)
@@ -167,7 +165,6 @@ def test_no_other_pressure_leaves_less_and_what_is_left_is_told() -> None:
     assert change.energy_swing_j == pytest.approx(swing, rel=1e-4)
 
 
-@pytest.mark.slow
 def test_a_spring_without_moment_or_speed_is_refused() -> None:
     weightless = replace(ENGINE.cranks["fig3_ac"], rod_weight_n=0.0, piston_weight_n=0.0, rod_inertia_kg_m2=0.0)
     with pytest.raises(RequestError, match="without a moment"):
@@ -208,7 +205,6 @@ def test_analytic_the_spring_between_its_guides_makes_the_moment_of_the_hinge(na
     assert np.abs(moment - table.moment_nm[:-1]).max() < 2e-3 * np.abs(table.moment_nm).max()
 
 
-@pytest.mark.slow
 def test_a_roller_larger_than_the_bends_of_its_guide_is_told() -> None:
     table = hinge_table(ENGINE.cranks["fig5_bcd"], CURVE, joint="pin", speed_rpm=3000.0, n_steps=720)
     assert not hinge_guides(table, SPRING).undercut

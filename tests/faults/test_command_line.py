@@ -128,11 +128,11 @@ def test_i7_kernels_are_kept_only_where_nobody_else_can_write(tmp_path: Path) ->
     surroundings = {**os.environ, "TMPDIR": str(tmp_path)}
     surroundings.pop("NUMBA_CACHE_DIR", None)
     made = subprocess.run([sys.executable, "-c", program], env=surroundings, capture_output=True, check=True)
-    place, mode = made.stdout.decode().split()
+    place, mode = made.stdout.decode().rsplit(maxsplit=1)
     assert Path(place) != guess and mode == "0o700"
     guess.chmod(0o700)
     made = subprocess.run([sys.executable, "-c", program], env=surroundings, capture_output=True, check=True)
-    assert Path(made.stdout.decode().split()[0]) == guess
+    assert Path(made.stdout.decode().rsplit(maxsplit=1)[0]) == guess
 
 
 def test_i10_a_name_cannot_write_on_the_terminal(tmp_path: Path) -> None:

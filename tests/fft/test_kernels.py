@@ -78,7 +78,6 @@ def test_no_shorter_kernel_meets_the_tolerance(tolerance, content):
         assert kernel_named(f"kaiser-{taps}", pass_band=content).predicted_error > tolerance
 
 
-@pytest.mark.slow
 def test_content_near_half_of_the_rate_is_met_by_a_long_kernel():
     kernel = cheapest_kernel(1e-6, content=0.49)
     assert kernel.taps > 300

@@ -25,7 +25,6 @@ def test_the_planned_transform_equals_numpys():
             np.testing.assert_allclose(planned[:, frame], expected, atol=1e-13)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("dtype", "largest"), PRECISIONS)
 @pytest.mark.parametrize("length", [1024, 4000, 40_000])
 @pytest.mark.parametrize("n_frames", [1, 5, 131])

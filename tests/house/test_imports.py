@@ -89,14 +89,6 @@ def _loaded_by(*arguments: str) -> tuple[int, list[str], str]:
     return answer["status"], answer["loaded"], result.stdout
 
 
-@pytest.fixture
-def command_line(project_root: Path) -> None:
-    """Skips while the command line is not written."""
-    if not (project_root / "src" / "crankorder" / "cli.py").is_file():
-        pytest.skip("src/crankorder/cli.py does not exist yet")
-
-
-@pytest.mark.usefixtures("command_line")
 @pytest.mark.parametrize("option", ["--help", "--version"])
 def test_help_and_version_load_no_heavy_package(option: str) -> None:
     status, loaded, output = _loaded_by(option)
@@ -105,7 +97,6 @@ def test_help_and_version_load_no_heavy_package(option: str) -> None:
     assert loaded == []
 
 
-@pytest.mark.usefixtures("command_line")
 def test_a_wrong_manifest_is_refused_before_a_heavy_package_is_loaded(tmp_path: Path) -> None:
     (tmp_path / "run.toml").write_text("schema_version = 1\nwrong = 1\n")
     status, loaded, _ = _loaded_by("check", str(tmp_path))

@@ -37,7 +37,6 @@ def test_two_runs_are_compared_by_their_errors_alone():
     assert trend([1.5, 1.0], [0.05, 0.05]).change == "shrinks"
 
 
-@pytest.mark.slow
 def test_first_and_last_of_five_runs_give_the_growth_per_run():
     found = trend([1.0, 1.5**4], [0.01, 0.05], runs=[0, 4])
     assert found.growth_per_run == pytest.approx(0.5)
@@ -69,7 +68,6 @@ def test_what_the_ranks_say_and_their_interval_agree():
     assert few.growth_ci95 == (-1.0, math.inf) and "too few" in few.verdict
 
 
-@pytest.mark.slow
 def test_the_chance_of_a_rising_sequence_is_one_over_its_permutations():
     assert kendall_p_value(np.arange(5.0)) == pytest.approx(1.0 / 120.0)
     assert kendall_p_value(np.arange(5.0)[::-1]) == pytest.approx(1.0)
@@ -92,7 +90,6 @@ def test_the_interval_covers_the_growth_and_steady_runs_are_rarely_called_growin
     assert growing / 2000 <= 0.035
 
 
-@pytest.mark.slow
 def test_runs_that_scatter_more_than_their_errors_say_widen_the_interval():
     amplitudes = np.array([1.0, 2.0, 0.9, 2.2])
     assert trend(amplitudes, 0.01 * amplitudes).change == "not decided"

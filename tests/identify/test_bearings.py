@@ -143,7 +143,6 @@ def test_a_slipping_line_at_n_fs_is_the_bearing_with_its_slip():
     assert record["verdict"].startswith("Slips (0.80 % slower than in pure rolling)")
 
 
-@pytest.mark.slow
 def test_where_lock_is_not_decided_the_record_length_that_would_tell_is_said():
     (record,) = records([passage("undecided", error=0.01, needed=640.0)], bearings=(JACK,), revs_per_cycle=2)
     assert record["lock"] == "undecided"

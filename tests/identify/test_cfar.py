@@ -75,7 +75,6 @@ def test_level_and_chance_are_one_anothers_inverse() -> None:
         assert noise_chance(noise_level(n, bins, chance), n, bins) == pytest.approx(chance, rel=1e-3)
 
 
-@pytest.mark.slow
 def test_with_a_floor_of_ever_more_bins_the_level_becomes_that_of_a_known_floor() -> None:
     known = -np.log(1e-6)  # of exponential energy
     over = [noise_level(1.0, bins, 1e-6) / known - 1.0 for bins in (10.0, 100.0, 1000.0)]

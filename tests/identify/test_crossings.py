@@ -111,7 +111,6 @@ def test_an_order_that_hides_in_the_floor_at_the_crossing_decides_nothing():
     assert record.verdict == "not decided" and "does not stand over the floor at 1500 rpm" in record.evidence
 
 
-@pytest.mark.slow
 def test_an_order_that_only_a_resonance_lifts_over_the_floor_has_no_trend_to_acquit_another():
     lifted = SPEEDS_RPM[SPEEDS_RPM >= 1300.0]  # falling off from a peak at 1300 rpm and hidden below 1300 rpm
     hidden = line(4.0, (1300.0 / lifted) ** 4, speed_rpm=lifted)
@@ -188,7 +187,6 @@ def test_without_a_known_speed_nothing_meets():
     assert crossings((agreed(4.0),), fit(mode(100.0)), speed_rpm=(np.nan, np.nan), settings=SETTINGS) == ()
 
 
-@pytest.mark.slow
 def test_a_power_law_is_recovered_exactly_and_says_what_is_above_it():
     law = power_law(SPEEDS_RPM, 3.0 * (SPEEDS_RPM / 1000) ** 1.7, np.full(SPEEDS_RPM.size, 0.01))
     assert law is not None and law.exponent == pytest.approx(1.7, abs=1e-12)
@@ -197,7 +195,6 @@ def test_a_power_law_is_recovered_exactly_and_says_what_is_above_it():
     assert power_law(np.full(5, 900.0), np.ones(5), np.full(5, 0.1)) is None
 
 
-@pytest.mark.slow
 def test_amplitudes_of_nothing_and_without_an_error_take_no_part():
     size = (SPEEDS_RPM / 1000) ** 2
     holed = line(4.0, np.where(SPEEDS_RPM == 1200.0, 0.0, size))
@@ -208,7 +205,6 @@ def test_amplitudes_of_nothing_and_without_an_error_take_no_part():
     assert silent.amplification is None and not silent.excited
 
 
-@pytest.mark.slow
 def test_every_number_of_a_record_can_be_written():
     rng = np.random.default_rng(6)
     modal = fit(mode(100.0), mode(40.0))

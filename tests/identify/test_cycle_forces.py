@@ -64,7 +64,6 @@ def test_half_orders_are_the_gas_and_whole_ones_whichever_is_far_larger() -> Non
     assert between == ["gas", "both", "masses"]
 
 
-@pytest.mark.slow
 def test_without_gas_or_the_firing_angles_nothing_is_said() -> None:
     assert cycle_forces(load_engine("msu-optical-second"), [(2.0, 1500.0)]) == (None,)
     two = FIRING.model_copy(update={"cylinders": (Cylinder(), Cylinder(crank_deg=180.0, position_m=0.1))})

@@ -153,7 +153,6 @@ def test_where_a_line_is_not_seen_it_has_what_is_there():
     assert channel["orders"] * channel["total"] == pytest.approx(0.5 * loud.mean(), rel=0.02)
 
 
-@pytest.mark.slow
 def test_an_amplitude_beyond_what_the_map_holds_takes_no_more_than_that():
     (channel,) = shares(campbell(), [seen(3.0, 100.0)], (True,))["channels"]
     assert 0.0 < channel["orders"] < 0.1
@@ -181,7 +180,6 @@ def test_a_speed_without_data_and_one_channel_without_lines_change_nothing_else(
     assert total_of(other[0]) == pytest.approx(1.0)
 
 
-@pytest.mark.slow
 def test_without_a_fitted_surface_the_lines_alone_are_judged():
     record = shares(campbell([(order(2.0), 1.0), (order(7.3), 1.0)]), [seen(2.0, 1.0)], (False,), fit())
     assert not record["cells_judged"]

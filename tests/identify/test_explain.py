@@ -123,7 +123,6 @@ def test_two_speeds_that_contradict_unbalance_say_so_with_what_else_it_may_be():
     assert NOT_AS_UNBALANCE not in causes([agreed(1.0, grows)], ROTOR).orders["A", 1.0].evidence
 
 
-@pytest.mark.slow
 def test_a_mode_below_the_speeds_lowers_the_exponent_of_an_unbalance():
     at = mode(SPEEDS_RPM.min() / 60.0 / 1.1, 0.02)
     ratio = SPEEDS_RPM / 60.0 / at.frequency_hz
@@ -151,7 +150,6 @@ def test_what_a_microphone_hears_is_no_gas_cycle(quantity, unit):
     assert set(texts(orders, ROTOR, quantity=quantity, unit=unit).values()) == {"shaft harmonic"}
 
 
-@pytest.mark.slow
 def test_a_pressure_of_what_has_no_pistons_is_no_gas_cycle():
     assert texts([agreed(1.0)], ROTOR, quantity="pressure", unit="bar") == {1.0: "shaft harmonic"}
     two_stroke = dataclasses.replace(ROTOR, two_stroke=True)

@@ -58,7 +58,6 @@ def test_a_scale_as_text_is_taken_and_told(tmp_path, limits):
     assert [flag["flag"] for flag in raw.flags] == ["scale_unusual"] * 2 and "text" in raw.flags[0]["detail"]
 
 
-@pytest.mark.slow
 def test_a_scale_for_each_column_is_taken_and_told(tmp_path, limits):
     path = stored(tmp_path / "a.h5", np.column_stack([TONE, TONE]), scale_factor=[1.0, 3.0])
     raw = read_file(path, sources=["a[1]", "a[0]"], settings=limits)

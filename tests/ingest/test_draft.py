@@ -211,7 +211,6 @@ def test_attributes_tell_rate_and_speed_and_with_them_the_pulses_per_revolution(
         assert check_folder(tmp_path, settings=settings.ingest) == []
 
 
-@pytest.mark.slow
 def test_two_rates_of_one_file_are_told_and_none_is_taken(tmp_path, settings):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.attrs.update({"fs": 5000.0, "dt": 1e-3})

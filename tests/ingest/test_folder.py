@@ -130,7 +130,6 @@ def test_odd_names_are_files_like_any_other(tmp_path, found_in):
         (tmp_path / name).unlink()
 
 
-@pytest.mark.slow
 def test_a_name_with_the_characters_of_a_pattern_is_found_by_name(tmp_path, found_in):
     touched(tmp_path, "run [2].h5", "run 2.h5")
     assert [path.name for path in found_in(tmp_path, "run [2].h5").paths] == ["run [2].h5"]

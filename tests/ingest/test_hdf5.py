@@ -44,7 +44,6 @@ def test_every_number_type_keeps_its_values(tmp_path, limits):
             np.testing.assert_array_equal(raw.columns["a"], values.astype(float))
 
 
-@pytest.mark.slow
 def test_columns_of_a_table_are_channels_whichever_way_it_lies(tmp_path, limits):
     for transposed in [False, True]:
         table = RNG.standard_normal((500, 3))
@@ -184,7 +183,6 @@ def test_a_filter_that_would_load_a_plugin_is_refused(tmp_path, limits):
         read_file(path, sources=["a"], settings=limits)
 
 
-@pytest.mark.slow
 def test_a_group_that_holds_itself_ends(tmp_path, limits):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["a"] = np.arange(10.0)
@@ -204,7 +202,6 @@ def test_deep_and_wide_trees_are_refused(tmp_path, limits):
         read_file(tmp_path / "wide.h5", sources=["a"], settings=limits.model_copy(update={"max_objects": 50}))
 
 
-@pytest.mark.slow
 def test_text_objects_and_compounds_are_no_channels(tmp_path, limits):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file["text"] = "hello"

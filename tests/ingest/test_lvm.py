@@ -91,7 +91,6 @@ def test_times_go_before_a_stale_header_and_a_flag_tells(written, settings):
         assert flags["header_rate_disagrees"] == severity
 
 
-@pytest.mark.slow
 def test_a_manifest_that_contradicts_the_times_is_an_error(written, settings):
     path = written(lvm(VALUES, step="1.953125E-5", times=np.arange(200) * 1e-3))
     with pytest.raises(InputError, match="the sampling rate is 1000 Hz in the file, 51200 Hz in the manifest"):

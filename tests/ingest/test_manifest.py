@@ -64,7 +64,6 @@ def test_the_manifest_of_the_design_is_read(tmp_path):
     assert manifest.speed_of(tmp_path / "rpm_400.h5") is None
 
 
-@pytest.mark.slow
 def test_a_manifest_may_live_elsewhere(tmp_path):
     path = tmp_path / "other.toml"
     path.write_text(GOOD, encoding="utf-8")
@@ -119,7 +118,6 @@ def test_a_sensitivity_in_another_quantity_than_the_unit_is_refused(tmp_path):
     assert "channels.0.sensitivity: bar (pressure) cannot become m/s2 (acceleration)" in fault
 
 
-@pytest.mark.slow
 def test_a_quantity_that_contradicts_the_unit_is_refused(tmp_path):
     (fault,) = faults_of(tmp_path, GOOD.replace('"acceleration"', '"sound pressure"'))
     assert "channels.0.quantity: quantity and unit disagree: m/s2 is a unit of acceleration" in fault
@@ -158,7 +156,6 @@ def test_no_bytes_get_through_as_anything_but_a_request_error(tmp_path):
             load_manifest(tmp_path)
 
 
-@pytest.mark.slow
 def test_lines_are_found_below_strings_and_arrays_of_several_lines():
     lines = key_lines(
         'a = """\n[x]\nb = 1\n"""\nc = [\n  "d = 1",\n]\n[t]\n"k.h5" = 1 # [z]\n[[u]]\nv = 1\n[[u]]\nv = 2\n'

@@ -184,7 +184,6 @@ def test_nesting_without_end_is_refused(tmp_path, limits):
         contents_of(crafted(tmp_path, body), settings=limits)
 
 
-@pytest.mark.slow
 def test_more_objects_than_a_recording_has_are_refused(tmp_path, limits):
     few = limits.model_copy(update={"max_objects": 50})
     body = b"".join(array((1, 2), element(9, b"\0" * 16), name=b"x%d" % k) for k in range(60))
@@ -221,7 +220,6 @@ def test_a_constant_speed_is_that_which_the_file_states(saved, tmp_path, setting
         read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft)
 
 
-@pytest.mark.slow
 def test_a_draft_names_what_each_file_calls_otherwise_by_what_they_share(saved, tmp_path, settings):
     saved(name="a.mat", X1_DE_time=np.arange(50.0), X1RPM=1750)
     saved(name="b.mat", X2_DE_time=np.arange(60.0), X2RPM=1751)

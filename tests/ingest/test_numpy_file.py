@@ -48,7 +48,6 @@ def test_numbers_of_every_type_are_those_that_were_saved(saved, limits):
         np.testing.assert_array_equal(column, values.astype(target))
 
 
-@pytest.mark.slow
 def test_fields_are_columns_by_name(saved, limits):
     table = np.zeros(50, dtype=[("t", "f8"), ("acc", "f4")])
     table["acc"] = np.arange(50)
@@ -110,7 +109,6 @@ def test_what_a_header_claims_is_checked_before_it_is_believed(tmp_path, limits)
             read_file(headed(tmp_path, header), sources=[0], settings=limits)
 
 
-@pytest.mark.slow
 def test_a_draft_takes_the_array_and_not_the_notes_beside_it(saved, tmp_path):
     saved(np.zeros((500, 2)))
     for name in ("grid.txt", "nodes.txt"):

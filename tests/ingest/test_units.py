@@ -27,6 +27,28 @@ def test_revolutions_per_minute_stay_revolutions():
     assert conversion_factor(unit_of("rad/s"), unit_of("tr/min")) == pytest.approx(30.0 / math.pi, rel=1e-15)
 
 
+def test_factors_are_those_of_the_definitions():
+    pound, inch = 0.45359237 * 9.80665, 0.0254  # newtons, metres: the international pound and inch, standard gravity
+    rows = [
+        ("lbf", "N", pound),
+        ("psi", "Pa", pound / inch**2),
+        ("mil", "m", inch / 1000.0),
+        ("in/s", "mm/s", inch * 1000.0),
+        ("g", "m/s2", 9.80665),
+        ("bar", "kPa", 100.0),
+        ("hPa", "MPa", 1e-4),
+        ("kN", "N", 1000.0),
+        ("mA", "A", 1e-3),
+        ("mV", "V", 1e-3),
+        ("deg", "rad", math.pi / 180.0),
+        ("µstrain", "strain", 1e-6),
+        ("µs", "ms", 1e-3),
+        ("%", "1", 0.01),
+    ]
+    for unit, other, factor in rows:
+        assert conversion_factor(unit_of(unit), unit_of(other)) == pytest.approx(factor, rel=1e-12), unit
+
+
 def test_an_unknown_unit_is_refused_at_once_with_the_accepted_ones(refused_s):
     short_s = refused_s(lambda: unit_of("x"))
     for text in ["9**9**9", "G", "mg", "grms", "EU", "", "m/s2" * 100_000, "\0", "ｘ" * 50]:

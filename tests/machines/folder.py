@@ -12,8 +12,6 @@ from machines.machine import ComplexArray, Encoder, FloatArray, Machine, Profile
 from machines.signals import recorded, sample_times
 
 INDEX_WIDTH_REV = 0.02
-TRACE_STEPS = 8
-"""Edges between samples are looked for on a grid this much finer before they are solved for."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,6 @@ from scipy.signal import lfilter
 from made.recordings import named, shaft
 
 RATE_HZ = 4096.0
-ORDERS = (0.5, 1.0, 1.5, 2.0, 3.0, 3.5, 4.0, 5.5, 6.0, 8.0, 9.0)
 
 
 @dataclass(frozen=True)

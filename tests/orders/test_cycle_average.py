@@ -58,7 +58,6 @@ def test_a_run_up_keeps_the_waveform_and_falls_into_speed_groups():
     )
 
 
-@pytest.mark.slow
 def test_the_loud_end_of_a_run_up_does_not_show_at_its_quiet_begin():
     """A waveform that grows a thousandfold with speed: the ends of the record are not alike."""
     growing = lambda time_s, angle: (1.0 + 50.0 * time_s) * np.cos(2 * np.pi * 2.0 * angle)  # noqa: E731
@@ -97,7 +96,6 @@ def test_orders_above_the_highest_fade_instead_of_folding():
         np.testing.assert_allclose(made["mean"].values[0, 0], expected, atol=2e-6)
 
 
-@pytest.mark.slow
 def test_spread_and_error_are_those_of_the_noise_over_many_recordings():
     sigma, draws = 0.5, 25
     made = [of(total(LOCKED, noise(seed, sigma)), duration_s=3.0) for seed in range(draws)]
@@ -109,7 +107,6 @@ def test_spread_and_error_are_those_of_the_noise_over_many_recordings():
     assert deviation == pytest.approx(sigma * np.sqrt((20 + 0.375 * 20) * 1000 / 60 / 1000), rel=0.05)
 
 
-@pytest.mark.slow
 def test_the_error_of_the_mean_falls_with_the_root_of_the_cycles():
     short, long = (of(noise(3, 1.0), duration_s=duration) for duration in (6.0, 96.0))
     ratio = np.sqrt(np.mean(short["standard_error"].values ** 2) / np.mean(long["standard_error"].values ** 2))
@@ -172,7 +169,6 @@ def test_amplitudes_from_the_least_to_the_largest_keep_their_mean_and_spread():
                 np.testing.assert_allclose(other[name].values / size, one[name].values, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.slow
 def test_joining_two_halves_of_the_cycles_gives_the_statistics_of_all():
     band, angle = steady(
         [total(LOCKED, noise(5, 0.5))], speed_rpm=1200.0, duration_s=12.0, rate_hz=2000.0, start_rev=0.0

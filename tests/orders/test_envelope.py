@@ -65,7 +65,6 @@ def test_the_band_is_chosen_where_the_strikes_ring(centre_hz):
     assert abs(strongest(made) - times * 2.18) < 1.0 / 64.0
 
 
-@pytest.mark.slow
 def test_each_channel_chooses_its_own_band_and_one_without_strikes_shows_none():
     made, angle = strikes(order=3.2, size=6.0, speed_rpm=1500.0, seed=3)
     noise = np.random.default_rng(9).standard_normal(made["signal"].shape)
@@ -89,7 +88,6 @@ def test_order_lines_below_the_band_leave_no_trace():
     assert with_lines["level"].values == pytest.approx(without["level"].values, rel=0.01)
 
 
-@pytest.mark.slow
 def test_noise_alone_has_the_floor_it_says():
     # the mean of (amplitude / floor)^4 over noise is 1, whichever band was chosen
     ratios = [
@@ -142,7 +140,6 @@ def test_very_small_and_very_large_units_change_nothing_but_the_scale(scale):
     assert scaled["amplitude"].values / scale == pytest.approx(plain["amplitude"].values, rel=1e-3)
 
 
-@pytest.mark.slow
 def test_the_same_comes_out_of_a_file_on_disk_and_is_the_same_again(tmp_path):
     made, angle = strikes(order=3.2, size=6.0, speed_rpm=1500.0, seed=7, duration_s=12.0)
     np.save(tmp_path / "signal.npy", made["signal"].values)
@@ -151,7 +148,6 @@ def test_the_same_comes_out_of_a_file_on_disk_and_is_the_same_again(tmp_path):
     assert first["amplitude"].values.tobytes() == again["amplitude"].values.tobytes()
 
 
-@pytest.mark.slow
 def test_of_a_long_recording_a_stated_share_is_analysed():
     made, angle = strikes(order=3.2, size=6.0, speed_rpm=3000.0, seed=8, duration_s=40.0)
     short = ORDERS.model_copy(update={"envelope_longest_s": 16.0})
@@ -215,7 +211,6 @@ def test_a_map_averages_recordings_of_like_speed_and_keeps_its_schema():
     assert made["band_low"].values[0, 0] == min(item["band_low"].values[0, 0] for item in items[:2])
 
 
-@pytest.mark.slow
 def test_a_map_of_recordings_without_envelope_is_empty_and_one_with_other_channels_is_left_out():
     empty = recording_envelope(*recording(np.zeros((1, 400)), rate_hz=1000.0, speed_rpm=1500.0), settings=ORDERS)
     assert envelope_map([empty, empty], speed_bin_rpm=25.0).sizes["order"] == 0

@@ -67,7 +67,6 @@ def test_sidebands_are_evidence_only_of_what_comes_and_goes():
     assert both > one + 5.0
 
 
-@pytest.mark.slow
 def test_channels_tried_together_show_what_each_shows_alone():
     rng = np.random.default_rng(8)
     combs = (Comb(3.2, 3.4), Comb(5.1, 5.3, 1.0), Comb(0.38, 0.42))
@@ -112,7 +111,6 @@ def test_two_trains_of_strikes_are_each_seen_in_their_own_band():
         assert made["comb_ratio"].values[comb, 0, :, near - 1 : near + 2].max() > 5.0
 
 
-@pytest.mark.slow
 def test_a_map_of_recordings_without_combs_holds_none():
     plain = recording_envelope(
         *recording(np.random.default_rng(1).standard_normal((1, 64_000)), rate_hz=12_800.0, speed_rpm=1500.0),

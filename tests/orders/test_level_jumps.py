@@ -35,7 +35,6 @@ def test_a_changed_gain_is_named_with_its_factor() -> None:
         assert told == pytest.approx(factor, rel=0.6)
 
 
-@pytest.mark.slow
 def test_where_no_majority_agrees_all_are_left_out_and_that_is_said() -> None:
     levels = recordings(np.random.default_rng(3), n_speeds=1, n_each=4)
     for one in levels[:2]:
@@ -140,7 +139,6 @@ def told(levels: list[RecordedLevel]) -> set[tuple[str, str]]:
     return {(flag["recording"], flag["channel"]) for flag in level_jumps(levels, ratio=3.0, proven_ratio=1.4)}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("factor", [1.5, 2.0, 0.5])
 def test_floors_and_orders_together_prove_a_gain_that_no_level_shows(seed: int, factor: float) -> None:
@@ -160,7 +158,6 @@ def test_of_a_gain_that_was_switched_for_good_nobody_knows_which_was_meant() -> 
         assert told(levels) == {(one.recording, "X") for one in levels}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(20))
 def test_what_is_no_gain_proves_none(seed: int) -> None:
     rng = np.random.default_rng([3, seed])

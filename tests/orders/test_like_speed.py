@@ -122,7 +122,6 @@ def test_speeds_20_rpm_apart_share_a_row_where_all_agrees_and_else_have_their_ow
     assert rows(*slips) == [1000, 1020]
 
 
-@pytest.mark.slow
 def test_without_a_common_phase_only_sizes_are_compared():
     rng = np.random.default_rng(3)
     given = [held(rng, rpm, 1.0, phase, phase_reference="none") for rpm, phase in ((1000.0, 0.0), (1020.0, 2.0))]
@@ -152,7 +151,6 @@ def test_steps_of_one_recording_are_told_from_a_sweep():
     assert held_speeds(sweep, np.zeros(60, dtype=int), width_rpm=25.0) == []
 
 
-@pytest.mark.slow
 def test_a_run_up_keeps_its_bins_though_a_line_grows_in_them():
     frames = 100
     noise = 0.01 * coloured(np.random.default_rng(7), 1, revs=8 * (frames + 1), colour="white")

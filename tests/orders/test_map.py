@@ -137,7 +137,6 @@ def test_the_band_rms_holds_the_energy_of_tones_and_of_noise():
     assert rms == pytest.approx(np.sqrt(10.0 / 1000.0), rel=0.05)
 
 
-@pytest.mark.slow
 def test_recordings_of_a_low_rate_and_unlike_speeds_share_one_order_axis():
     frames = [
         order_frames(*steady([line(1.0, 1.0)], speed_rpm=rpm, duration_s=4.0, rate_hz=952.0), settings=SETTINGS)
@@ -246,7 +245,6 @@ def test_the_interval_covers_what_the_frames_held_and_the_mean_is_that_of_the_re
     assert np.median(line["phase_ci95"].values) < 3.0
 
 
-@pytest.mark.slow
 def test_a_phase_that_turns_widens_the_interval_of_the_phase_and_not_of_the_amplitude():
     line = mapped(lambda share: 2.0, frames=20, sigma=0.05, phase=lambda share: 0.6 * (share - 0.5))
     assert np.median(line["phase_ci95"].values) > 0.8 * np.degrees(0.3)

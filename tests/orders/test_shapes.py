@@ -141,7 +141,6 @@ def test_noise_as_strong_as_a_steady_line_does_not_raise_its_amplitude_where_pha
         assert np.abs(made["phase"].values[0, 0]).max() < 1e-9
 
 
-@pytest.mark.slow
 def test_a_line_that_wanders_against_the_crank_keeps_its_amplitude():
     wandering = np.exp(2j * np.pi * np.random.default_rng(3).uniform(0, 1, (1, 40, 9)))
     made = shapes_of(steady_frames(40) * wandering, (0.5, 1.0), "A", overlap=0.0)
@@ -304,7 +303,6 @@ def test_the_expected_estimate_is_the_mean_over_many_draws(n_frames):
             assert passing == pytest.approx(0.05, abs=0.005)  # 40,000 draws know it to 0.1 %
 
 
-@pytest.mark.slow
 def test_taking_off_the_bias_is_the_inverse_of_expecting_it():
     true = np.linspace(0.0, 1.0, 41)
     for n_frames in (2.0, 5.5, 30.0):

@@ -104,7 +104,6 @@ def test_text_from_a_file_cannot_reach_the_terminal_raw() -> None:
     assert max(map(len, text.splitlines())) <= WIDTH
 
 
-@pytest.mark.slow
 def test_a_wide_table_repeats_the_names_of_its_rows() -> None:
     lines = text_table("T", ["name", *(f"column {n}" for n in range(20))], [["row", *map(float, range(20))]])
     assert max(map(len, lines)) <= WIDTH

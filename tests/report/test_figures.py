@@ -307,7 +307,6 @@ def test_without_findings_no_claim_is_drawn_and_it_is_said(campaign: Any, settin
     assert _overlaps(figure) == []
 
 
-@pytest.mark.slow
 def test_a_trace_keeps_the_turns_the_swing_and_the_times_of_the_speed() -> None:
     time = np.linspace(2.0, 62.0, 50_000)
     speed = 300 + 95 * (time - 2) + 40 * np.sin(2 * np.pi * 3 * time)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -50,7 +49,6 @@ def test_spread_labels_keep_their_order_do_not_overlap_and_stay_inside(targets: 
     assert places[-1] <= 10 - width / 2 + 1e-9
 
 
-@pytest.mark.slow
 def test_labels_without_room_lose_their_unit_first_and_then_the_crowded_ones() -> None:
     labels = [EdgeLabel(place, f"{place * 100:.0f} Hz", "k") for place in (1.0, 1.1, 2.0, 3.0)]
     room = sum(text_width_in(label.text.removesuffix(" Hz"), 7.5) + 0.05 for label in labels)

@@ -146,7 +146,6 @@ def test_complex_spectra_become_two_variables_and_one_again(tmp_path: Path) -> N
     assert again.attrs == {"units": "see unit"}
 
 
-@pytest.mark.slow
 def test_attributes_of_any_kind_can_be_written(tmp_path: Path) -> None:
     attrs = {"none": None, "yes": True, "table": {"a": [1]}, "path": Path("x"), "text": "a\x00b", "long": "é" * 100_000}
     path = tmp_path / "r.nc"

@@ -328,7 +328,6 @@ def test_a_name_of_ten_thousand_characters_is_cut(campaign: Any, settings: Any) 
     assert "x" * 61 not in made
 
 
-@pytest.mark.slow
 def test_a_test_with_nothing_found_has_a_page_that_says_so(settings: Any) -> None:
     nothing: dict[str, Any] = {"test": "t", "orders": [], "modes": [], "crossings": [], "bearings": [], "lines": []}
     nothing |= {"quality": [], "balance": None, "balance_reason": "the transfer path is not known"}

@@ -99,7 +99,6 @@ def test_pointing_at_a_cell_tells_where_it_is_how_large_and_what_the_findings_sa
     assert "No line is named here." in _said(opened)
 
 
-@pytest.mark.slow
 def test_wheel_drag_and_keys_zoom_and_double_click_shows_all(opened: chromium.Chromium) -> None:
     whole = _view(opened)
     at = _place(opened, 115.0, 1500.0)
@@ -127,7 +126,6 @@ def test_wheel_drag_and_keys_zoom_and_double_click_shows_all(opened: chromium.Ch
     assert _view(opened) == whole
 
 
-@pytest.mark.slow
 def test_arrow_keys_go_from_cell_to_cell_and_are_read_aloud(opened: chromium.Chromium) -> None:
     opened.value("document.getElementById('live-map').focus()")
     opened.key("ArrowRight")
@@ -188,7 +186,6 @@ def _attributes(browser: chromium.Chromium, *selectors: str) -> dict[str, list[s
     raise AssertionError(f"not in the page: {selectors}")
 
 
-@pytest.mark.slow
 def test_without_script_the_picture_stands_there(
     browser: chromium.Chromium, campaign: Any, settings: Any, tmp_path: Path
 ) -> None:

@@ -157,7 +157,6 @@ def test_every_ancillary_variable_is_there(campaign: Any) -> None:
     assert links > 20
 
 
-@pytest.mark.slow
 def test_conventions_stand_beside_the_numbers(campaign: Any) -> None:
     made = published(campaign.order_map.assign_attrs(phase_reference="index", window="hann"))
     assert made["phase"].attrs["phase_convention"].endswith("crank_angle in revolutions from the index mark")

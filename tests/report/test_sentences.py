@@ -383,7 +383,6 @@ def test_nothing_found_is_said_and_never_an_empty_headline() -> None:
     assert "not looked for" in ALL_CLEAR  # an all-clear names what it does not cover
 
 
-@pytest.mark.slow
 def test_an_all_clear_covers_the_envelope_only_where_it_was_looked_for_and_needs_revolutions() -> None:
     nothing: dict[str, Any] = {"orders": [], "modes": [], "crossings": [], "bearings": [], "quality": []}
     assert story_of({**nothing, "looked_for": ["envelope"]})["what_to_do"] == [ALL_CLEAR_WITH_ENVELOPE]

@@ -90,7 +90,6 @@ def test_exact_pulse_times_give_an_exact_angle(known_shaft):
     np.testing.assert_allclose(error, error[0], atol=2e-9)
 
 
-@pytest.mark.slow
 def test_a_steady_shaft_needs_few_knots(known_shaft):
     knots, _, _ = from_square(known_shaft(2000.3, irregularity={}, duration_s=6.0))
     assert knots.time_s.size < 20 * 6.0 * 2000.0 / 60.0

@@ -178,7 +178,6 @@ def test_motion_that_the_pulses_show_is_measured(known_shaft, pulses_per_rev):
         assert seen[order] == pytest.approx(share / (2 * np.pi * order), rel=0.02)
 
 
-@pytest.mark.slow
 def test_a_run_up_is_no_motion_within_the_cycle():
     motion = Motion(start_rev=0.0, corners=((0.0, 400.0), (30.0, 2000.0)))
     (stretch,) = motion.stretches(30.0)
@@ -203,7 +202,6 @@ def test_one_pulse_per_revolution_carries_few_orders_and_says_so(known_shaft):
     assert below.remarks == ()
 
 
-@pytest.mark.slow
 def test_the_limit_is_that_of_the_settings(known_shaft):
     dataset = decoded(known_shaft(1000.0).pulse_time_s(1), 1, noise_s=0.0)
     strict = SETTINGS.model_copy(update={"reference_bias_limit": 0.01})

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
@@ -86,7 +85,6 @@ def test_cam_faults_are_counted_and_located_and_do_no_harm(known_shaft, recordin
         np.testing.assert_allclose(away, np.round(away), atol=1e-5)
 
 
-@pytest.mark.slow
 def test_a_mark_that_comes_every_revolution_tells_no_cycle(known_shaft, recording_of):
     _, pulse_s, index_s, _ = trains(known_shaft)
     angle = decoded(recording_of, pulse_s, index_s + 0.01, index_time_s=index_s)

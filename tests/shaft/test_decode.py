@@ -54,7 +54,6 @@ def test_a_recording_without_what_its_encoder_needs_is_refused_by_name(recording
         assert "run.toml" in error.value.remedy
 
 
-@pytest.mark.slow
 def test_a_start_time_moves_the_knots_and_nothing_else(known_shaft, recording_of):
     pulse_s = known_shaft(900.0).pulse_time_s(60)
     plain, moved = (

@@ -73,7 +73,6 @@ def test_the_switched_supply_of_the_scene_is_found_though_nobody_named_it(scene_
     assert fold.remark[:2] == ("folded_frequency", "suspect")
 
 
-@pytest.mark.slow
 def test_the_mesh_of_the_scene_is_told_as_one_of_two_readings(scene_points):
     speed, order = scene_points
     folds = find_folds(
@@ -91,7 +90,6 @@ def test_the_mesh_of_the_scene_is_told_as_one_of_two_readings(scene_points):
     np.testing.assert_allclose(order[mesh.points], 6.5, atol=0.01)
 
 
-@pytest.mark.slow
 def test_a_named_frequency_needs_fewer_speeds_than_an_unnamed_one():
     speed, order = np.repeat([900.0, 1300.0], 4), np.array([1.3, 13.333, 7.9, 4.4, 2.2, 18.4615, 11.2, 9.1])
     same = {"samples_per_rev": 360, "order_error": 0.01, "shown_to_order": 20.0, "highest_hz": 50e3}
@@ -129,7 +127,6 @@ def test_strays_alone_make_no_fold():
     assert [find_folds(rpm, rng.uniform(0, 180, rpm.size), **same) for _ in range(40)] == [[]] * 40
 
 
-@pytest.mark.slow
 def test_a_speed_that_is_known_poorly_hides_a_fold_and_says_so_by_finding_none():
     rpm = np.array([900.0, 1100.0, 1300.0, 1700.0, 1900.0])
     true_rpm = rpm * (1 + 2e-4 * np.array([1, -1, 1, 1, -1]))
@@ -140,7 +137,6 @@ def test_a_speed_that_is_known_poorly_hides_a_fold_and_says_so_by_finding_none()
     assert len(fold.points) == 5
 
 
-@pytest.mark.slow
 def test_speeds_in_simple_ratios_leave_two_frequencies_and_both_are_named():
     rpm = np.array([1000.0, 1500.0, 2000.0, 3000.0])
     order = folded_order(60.0 * 16_000.0 / rpm, 360)

@@ -167,7 +167,6 @@ def test_a_wheel_with_faults_is_found_with_less_confidence():
     assert 0.6 < found.agreement < 0.95
 
 
-@pytest.mark.slow
 def test_an_index_tells_how_often_a_wheel_repeats():
     pulse_s, true_rev = pulses_of("44-2-2")
     index_s = np.interp(np.arange(1.0, true_rev[-1]), true_rev, pulse_s)
@@ -270,7 +269,6 @@ def test_pulses_lost_for_long_at_steady_speed_are_filled_in_and_no_standstill():
     np.testing.assert_array_equal(teeth.tooth - teeth.tooth[0], true - true[0])
 
 
-@pytest.mark.slow
 def test_a_hole_at_changing_speed_splits_the_train_and_says_so():
     pulse_s, _ = pulses_of("60", start_rpm=600.0, end_rpm=3000.0)
     hole = pulse_s[(pulse_s < 1.0) | (pulse_s > 1.6)]

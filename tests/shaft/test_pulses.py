@@ -44,7 +44,6 @@ def test_float32_and_float64_and_integers_and_booleans_agree(known_shaft):
         np.testing.assert_array_equal(pulses(trace.astype(kind)).time_s, wanted)
 
 
-@pytest.mark.slow
 def test_a_falling_edge_is_half_a_pulse_after_the_rising_one(known_shaft):
     trace = known_shaft(700.0, irregularity={}).square(60)
     rising, falling = pulses(trace).time_s, pulses(trace, edge="falling").time_s

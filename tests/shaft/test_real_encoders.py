@@ -159,7 +159,6 @@ def test_auth_has_360_pulses_between_top_dead_centres(auth, recording_of):
     assert not raised & {"encoder_missing_pulse", "encoder_double_pulse", "index_lost", "index_extra"}
 
 
-@pytest.mark.slow
 def test_auth_speed_orders_two_and_four_lead(auth, recording_of):
     pulses, _ = auth
     angle = shaft_angle(recording_of(pulses.time_s, revs_per_cycle=2, pulse_noise_s=pulses.noise_s), settings=SETTINGS)

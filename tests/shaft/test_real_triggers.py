@@ -112,7 +112,6 @@ def test_a_doubled_edge_is_removed_and_located(trace, recording_of):
     np.testing.assert_allclose(away, np.round(away[0]), atol=2e-4)
 
 
-@pytest.mark.slow
 def test_the_cam_of_the_4b11_tells_its_cycle_in_spite_of_doubled_marks(trace, recording_of):
     table = trace("4b11-running.csv")
     cam = edge_times(table, 2, "rising")
@@ -125,7 +124,6 @@ def test_the_cam_of_the_4b11_tells_its_cycle_in_spite_of_doubled_marks(trace, re
     assert flag["detail"].startswith("2 cam marks")
 
 
-@pytest.mark.slow
 def test_a_cam_encoder_of_24_and_one_slots_reads_by_either_shaft(trace, recording_of):
     for attrs in [{"pulses_per_rev": 12}, {"pulses_per_rev": 24, "ratio": 0.5}]:
         table = trace("cas_nissan_24_plus_1.csv")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 import xarray as xr
 
 from crankorder.shaft.standstill import silent_ends
@@ -61,7 +60,6 @@ def test_a_machine_that_comes_to_rest_is_no_fault_of_the_encoder_for_certain() -
         assert all(severity == "info" and "standstill or encoder lost" in detail for _, severity, detail in made)
 
 
-@pytest.mark.slow
 def test_a_machine_that_starts_from_rest_is_no_fault_of_the_encoder_for_certain() -> None:
     made = remarks(lambda time_s: to_rest(LENGTH_S - time_s))
     assert all(severity == "info" and "standstill or encoder lost" in detail for _, severity, detail in made)

@@ -70,7 +70,6 @@ def test_a_swing_stands_out_of_wrong_teeth_with_what_they_may_make_of_it(recordi
     assert abs(swing.steady_rpm[at] / swing.speed_rpm - 0.1) < swing.doubt_rpm[at] / swing.speed_rpm < 0.05
 
 
-@pytest.mark.slow
 def test_few_revolutions_that_swing_more_than_a_shaft_can_are_doubted(recording_of):
     wheel = (60, 2)
     shaft = decoded(recording_of, pulse_times(wheel, drawn(wheel, 0.12, 3), turns=5.0), wheel)

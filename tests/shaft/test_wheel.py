@@ -264,7 +264,6 @@ def test_a_wheel_that_starts_from_rest_is_counted_to_its_first_tooth() -> None:
         assert found.n_repaired == 0 and (np.diff(found.tooth) == 1).all()
 
 
-@pytest.mark.slow
 def test_a_wheel_with_a_gap_that_starts_from_rest_finds_its_gap() -> None:
     time_s = _from_rest(800.0, 12.0, 60, 5000.0)
     kept = np.arange(len(time_s)) % 60 < 58

@@ -55,7 +55,6 @@ def test_white_noise_folds_to_the_sum_of_all_images() -> None:
     assert filter_.folded_power(rate, frequency) == pytest.approx(brute, rel=1e-12)
 
 
-@pytest.mark.slow
 def test_a_filter_that_lets_the_highest_frequencies_through_has_no_folded_power() -> None:
     with pytest.raises(ValueError, match="infinite"):
         high_pass(1.0).folded_power(1000.0, np.zeros(1))

@@ -122,7 +122,6 @@ def test_an_even_rotation_changes_nothing_but_the_speed() -> None:
     np.testing.assert_allclose(lines_in_time(lines, none, speed_rpm=RPM)[1], amplitude, rtol=1e-12, atol=1e-13)
 
 
-@pytest.mark.slow
 def test_a_small_lag_modulates_the_phase() -> None:
     lag = Lag(order=np.array([2.0]), inertia=np.array([1e-6 + 0j]), gas=np.zeros(1, dtype=complex))
     order, amplitude = lines_in_angle(np.array([5.0]), np.ones((1, 1), dtype=complex), lag, speed_rpm=RPM)
@@ -132,7 +131,6 @@ def test_a_small_lag_modulates_the_phase() -> None:
         assert line[side] == pytest.approx(1j * np.pi * 5 * 1e-6, rel=1e-4)
 
 
-@pytest.mark.slow
 def test_a_lag_without_a_cycle_and_a_shaft_that_stops_are_refused() -> None:
     one = np.ones((1, 1), dtype=complex)
     with pytest.raises(RequestError, match="common cycle"):

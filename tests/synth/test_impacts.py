@@ -174,7 +174,6 @@ def test_the_spectrum_of_the_envelope_shows_the_slipping_line() -> None:
     assert 3500 < order[signal_itself.argmax()] * per_s < 4500
 
 
-@pytest.mark.slow
 def test_a_resonance_that_cannot_be_is_refused() -> None:
     for resonance_hz, damping_ratio in ((0.0, 0.1), (1.0, 1.0), (1.0, 0.0), (float("nan"), 0.1)):
         with pytest.raises(RequestError, match="no such resonance"):

@@ -99,7 +99,6 @@ def test_the_chosen_integration_meets_its_tolerance_and_a_cheaper_one_does_not()
         assert all(interpolation_error(way.stencil, phase / way.substeps) > tolerance for way in cheaper)
 
 
-@pytest.mark.slow
 def test_what_no_integration_can_follow_is_refused() -> None:
     with pytest.raises(RequestError, match="change too fast"):
         integration_for(2e6, RATE_HZ, 1e-12)
@@ -107,7 +106,6 @@ def test_what_no_integration_can_follow_is_refused() -> None:
         integration_for(10.0, RATE_HZ, 1e-17)
 
 
-@pytest.mark.slow
 def test_forces_close_to_half_the_rate_meet_the_tolerance_by_substeps() -> None:
     frequency = np.array([0.49 * RATE_HZ])
     integration = integration_for(frequency[0], RATE_HZ, 1e-10)

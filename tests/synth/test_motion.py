@@ -120,7 +120,6 @@ def test_the_start_is_the_angle_at_time_zero() -> None:
         assert Motion(start_rev=start_rev, corners=corners).at(np.zeros(1))[0][0] == start_rev
 
 
-@pytest.mark.slow
 def test_pieces_meet_at_their_corners() -> None:
     motion = Motion(start_rev=0.2, corners=PROFILE, wobbles=WOBBLES, lag=_lag(gas=False))
     assert motion.corner_s == (0.5, 2.0, 3.0, 4.5)
@@ -175,7 +174,6 @@ def test_every_angle_of_a_stretch_has_its_time(
         np.testing.assert_allclose((back - time)[quick] * speed[quick] / 60, 0, atol=8 * EPS * size)
 
 
-@pytest.mark.slow
 def test_an_angle_outside_the_stretch_is_refused() -> None:
     motion = Motion(start_rev=0.0, corners=((0.0, 600.0),))
     with pytest.raises(RequestError, match=r"found 20\.5"):

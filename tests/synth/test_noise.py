@@ -67,7 +67,6 @@ def test_shaped_noise_has_the_density_of_its_bins_and_no_mean() -> None:
     assert abs(noise.mean()) < 0.01 * noise.std()
 
 
-@pytest.mark.slow
 def test_shaped_noise_with_too_few_bins_is_refused() -> None:
     with pytest.raises(ValueError, match="51 bins make 100 samples"):
         shaped_noise(seed_stream(4, "x"), np.ones(51), rate_hz=RATE_HZ, n_samples=101)

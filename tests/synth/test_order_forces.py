@@ -99,7 +99,6 @@ def test_at_a_constant_speed_the_peaks_are_those_of_the_force() -> None:
     assert np.abs(found - expected).max() < 1e-14 * np.abs(expected).max()
 
 
-@pytest.mark.slow
 def test_a_gain_multiplies_the_gas_lines_and_no_others() -> None:
     lines = some_lines()
     moves = RNG.uniform(1, 2, (3, 40))
@@ -107,7 +106,6 @@ def test_a_gain_multiplies_the_gas_lines_and_no_others() -> None:
     assert np.allclose(force_at(lines, *moves, 3.0), 3 * apart[0] + apart[1], rtol=1e-13, atol=1e-13)
 
 
-@pytest.mark.slow
 def test_a_force_that_falls_with_speed_is_refused_at_standstill() -> None:
     lines = some_lines((1.0,), exponent=np.array([-1.0]))
     with pytest.raises(RequestError, match="stands still"):

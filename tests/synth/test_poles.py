@@ -52,7 +52,6 @@ def test_the_steady_state_solves_the_equation_of_each_pole() -> None:
     assert np.abs(signal - expected.real.sum(axis=1)).max() < 1e-12 * np.abs(expected).max()
 
 
-@pytest.mark.slow
 def test_a_mode_on_a_pole_of_the_filter_is_refused() -> None:
     filter = low_pass(2, 60.0)
     mode = Structure(
