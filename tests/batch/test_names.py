@@ -75,6 +75,7 @@ def test_faults_tell_which_of_them(tmp_path: Path) -> None:
     assert [one["recording"] for one in found["quality"] if one["flag"] == "not_used"] == ["b/x.h5"]
 
 
+@pytest.mark.slow
 def test_a_speed_is_stated_for_a_whole_path(tmp_path: Path) -> None:
     folder = campaign(tmp_path / "in", {"a/x.h5": 1500.0, "x.h5": 1800.0})
     done = run(folder, "--out", tmp_path / "out")

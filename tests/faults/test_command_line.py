@@ -156,6 +156,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="children are looked up in /proc")
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_f2_a_run_that_is_told_to_end_begins_nothing_more_and_goes_on_later(
     number: signal.Signals, status: int, campaign: Path, short_s: float, tmp_path: Path

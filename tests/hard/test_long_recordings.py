@@ -39,6 +39,7 @@ def analysed(folder: Path, recipe: str | None, max_memory_mb: int) -> CampaignRe
     return analyse_test([made], test="long", sources=Sources(revs_per_cycle=2), settings=plan.settings)
 
 
+@pytest.mark.slow
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("recipe", [None, "maps-full-band"])
 def test_blocks_on_disk_give_what_memory_gives(recorded: Path, recipe: str | None) -> None:

@@ -47,6 +47,7 @@ def pair(seed: int) -> tuple[SweptMachine, np.random.Generator, float, float]:
     return made, rng, base, base * (1.0 - slip)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [3, pytest.param(60, marks=pytest.mark.accuracy)])
 def test_two_close_orders_are_both_found_and_neither_is_called_what_it_is_not(n: int) -> None:
     both = 0

@@ -53,6 +53,7 @@ def test_the_steady_response_of_a_real_mode_is_that_of_the_second_derivative_of_
     np.testing.assert_allclose(mode.acceleration_per_force(frequency)[0], wanted, rtol=1e-12)
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize(("rpm", "damping"), [((1500.0, 2100.0), 0.002), ((2600.0, 900.0), 0.03), ((900.0, 0.0), 0.01)])
 def test_a_sweep_is_what_an_ode_solver_makes_of_it(rpm: tuple[float, float], damping: float) -> None:
     machine = one_mode(damping=damping, profile=Profile((0.0, 2.0), rpm, 0.3, 4.0, 0.7, 1.0))

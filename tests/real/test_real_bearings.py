@@ -37,7 +37,7 @@ def races(result, seen_in="envelope"):
     return sorted(records, key=lambda item: -item["amplitude"])
 
 
-@pytest.mark.cases(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("file", "race", "order", "off_percent"), SEEDED)
 def test_the_damaged_race_of_the_rig_is_named_with_its_slip(analysed, file, race, order, off_percent):
     found = races(analysed("cwru", CWRU, only=file))
@@ -79,6 +79,7 @@ def test_a_damaged_ball_is_not_taken_for_one_damaged_race(analysed):
     assert not found or any("not told" in record["verdict"] for record in found)
 
 
+@pytest.mark.slow
 def test_the_speed_is_that_which_the_file_states(analysed):
     assert analysed("cwru", CWRU, only="0.007-InnerRace.mat").findings["speed_range_rpm"] == [1748.0, 1748.0]
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+pytestmark = pytest.mark.slow
+
 FOLDER = "gear0"
 MESH = 22.9986  # 766.62 Hz over 2000 rpm, good to 0.001
 

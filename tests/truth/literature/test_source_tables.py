@@ -14,6 +14,7 @@ def made() -> ModuleType:
     return make_thesis
 
 
+@pytest.mark.slow
 def test_every_number_of_the_documents_is_the_true_one_at_its_last_digit(made: ModuleType) -> None:
     rows = made.source_rows()
     assert {document for document, _, _ in rows} == {"000", "001", "002", "003"}
