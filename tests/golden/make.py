@@ -31,8 +31,7 @@ SCENES = {
 def kept(scene: str) -> Summary:
     """The committed summary of ``scene``; empty where there is none."""
     file = SUMMARIES / f"{scene}.json"
-    summary: Summary = json.loads(file.read_bytes()) if file.exists() else {}
-    return summary
+    return dict(json.loads(file.read_bytes())) if file.exists() else {}
 
 
 def main() -> None:

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from crankorder.cli import main
 from crankorder.settings import shipped
 from crankorder.synth.load import load_scene
+from crankorder.synth.truth import truth_of
 
 CONTRADICTS = "contradiction"
 """Flag of two statements of one test that exclude each other: no scene has one."""
@@ -81,16 +82,9 @@ def test_firing_shows_half_orders_an_order_of_magnitude_above_motoring(analysed:
         assert found["amplitude"] == pytest.approx(put_in["amplitude"], rel=0.05)
         turn = (found["phase_deg"] - put_in["phase_deg"]) % (put_in["phase_ambiguity_deg"] or 360)
         assert min(turn, abs(turn - (put_in["phase_ambiguity_deg"] or 360))) < 5
-    motoring = json.loads(json.dumps(load_truth("thesis-second-motoring")))
+    motoring = truth_of(load_scene("thesis-second-motoring").first_look())
     largest = {r["order"]: r["amplitude"] for r in motoring["orders"] if r["channel"] == "Z"}
     assert scene.line("Z", 2.0)[0]["amplitude"] > 5 * largest[2.0]
-
-
-def load_truth(name: str) -> dict[str, Any]:
-    """Truth of a scene's first look, without its recordings."""
-    from crankorder.synth.truth import truth_of
-
-    return dict(truth_of(load_scene(name).first_look()))
 
 
 def test_a_run_up_shows_its_orders_and_natural_frequencies(analysed: Any) -> None:
