@@ -177,6 +177,7 @@ def test_a_shard_that_is_none_is_refused(three, tmp_path):
         assert outcome.exit_code == 2 and "k/n" in outcome.output and not (tmp_path / "out").exists(), text
 
 
+@pytest.mark.slow
 def test_a_recording_that_takes_too_long_is_left_out_and_the_others_go_on(three, tmp_path, monkeypatch):
     real = execute.analyse_recording
 

@@ -12,7 +12,7 @@ import pytest
 from golden.make import SCENES, SUMMARIES, kept
 from golden.summary import differences, summary_of
 
-QUICK = ("thesis-second-motoring", "hard-damaged-line")
+QUICK = ("thesis-second-motoring",)
 
 
 @pytest.mark.cases(len(SCENES))

@@ -122,6 +122,7 @@ def peak_of_reading(folder: Path) -> int:
         tracemalloc.stop()
 
 
+@pytest.mark.slow
 def test_reading_three_times_as_long_a_record_takes_no_more_memory(tmp_path: Path) -> None:
     peak_of_reading(write_long(tmp_path / "first" / "data", 3.0))  # filters are designed and kept
     short, long = (peak_of_reading(write_long(tmp_path / str(s) / "data", s)) for s in (48.0, 144.0))

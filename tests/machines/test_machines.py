@@ -125,6 +125,7 @@ def test_the_floors_of_two_channels_are_as_coherent_as_stated() -> None:
     assert abs(found[at] / wanted - 1.0) < 0.2
 
 
+@pytest.mark.cases(1)
 @pytest.mark.parametrize("class_name", CLASSES)
 def test_a_drawn_test_is_written_whole_and_the_same_again(class_name: str, tmp_path: Path) -> None:
     machine = draw_machine(class_name, 11)

@@ -189,6 +189,7 @@ def test_a_cut_results_file_is_refused_by_name(file: Path, share: float) -> None
         read_results(file)
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_in_the_data_never_comes_back_as_a_number(file: Path) -> None:
     whole, data = read_results(file), file.read_bytes()
     rng = np.random.default_rng(11)
