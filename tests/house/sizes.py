@@ -61,9 +61,8 @@ def code_lines(text: str, tree: ast.Module) -> set[int]:
             quoted.update(_lines_of(node))
     stripped = [line.strip() for line in text.splitlines()]
     held = {number for number, line in enumerate(stripped, 1) if line and not line.startswith("#")}
-    if (
-        quoted - described - held
-    ):  # inside of a text or between two parts of one: only the tokens tell, at ten times the cost
+    if quoted - described - held:
+        # a line within a text, or between two parts of one: only the tokens tell, at ten times the cost
         tokens = tokenize.generate_tokens(io.StringIO(text).readline)
         held = {number for token in tokens if token.type not in SILENT for number in _token_lines(token)}
     return held - described
@@ -126,7 +125,7 @@ def growth(name: str, now: Sizes, limits: dict) -> list[str]:
     return grown and [*grown, *rooms]
 
 
-def room_left(name: str, now: Sizes, limits: dict) -> list[str]:
+def slack(name: str, now: Sizes, limits: dict) -> list[str]:
     """What of the tree ``name`` is so much smaller than its committed ``limits`` that they no longer hold it."""
     return [
         f"{name}: {count} {kind}, {limits[kind] - count} less than {limits[kind]}: run `python tests/house/sizes.py`"

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from house.sizes import SIZES, TREES, Sizes, as_text, code_lines, growth, measured, reasons_of, room_left
+from house.sizes import SIZES, TREES, Sizes, as_text, code_lines, growth, measured, reasons_of, slack
 
 MAX_FILE_LINES = 600
 MAX_BODY_LINES = 60
@@ -47,7 +47,7 @@ def test_no_function_body_is_longer_than_60_lines(package_files: list) -> None:
 def test_lines_and_files_only_fall(name: str, project_root: Path) -> None:
     limits = tomllib.loads(SIZES.read_text(encoding="utf-8"))[name]
     now = measured(project_root / TREES[name])
-    off = growth(name, now, limits) + room_left(name, now, limits)
+    off = growth(name, now, limits) + slack(name, now, limits)
     assert not off, "\n".join(off)
 
 
@@ -79,10 +79,10 @@ def test_a_room_may_grow_by_what_others_fell_and_no_more() -> None:
 def test_a_limit_far_above_what_is_there_is_to_be_lowered() -> None:
     limits = {"lines": 100, "files": 2, "rooms": {}}
     files = Counter(a=2)
-    assert room_left("src", Sizes(Counter(a=50), files), limits) == []
-    (line,) = room_left("src", Sizes(Counter(a=49), files), limits)
+    assert slack("src", Sizes(Counter(a=50), files), limits) == []
+    (line,) = slack("src", Sizes(Counter(a=49), files), limits)
     assert line.startswith("src: 49 lines, 51 less than 100: run")
-    assert len(room_left("src", Sizes(Counter(a=100), Counter(a=1)), limits)) == 1
+    assert len(slack("src", Sizes(Counter(a=100), Counter(a=1)), limits)) == 1
 
 
 def test_the_reason_of_a_raised_number_is_kept() -> None:
