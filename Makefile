@@ -7,7 +7,7 @@ STAMP  := $(VENV)/.installed
 # Tests and documentation start the program many times: without its bytecode each start would compile it anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test test-all lint docs docs-short accuracy bench gallery readmes clean
+.PHONY: demo test test-all lint docs docs-short accuracy score score-baseline bench bench-all gallery readmes clean
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "crankorder needs Python 3.11 or newer; set PYTHON=…")'
@@ -40,8 +40,18 @@ docs-short: $(STAMP)
 accuracy: $(STAMP)
 	$(BIN)/python -m pytest -m accuracy -s
 
+# SCORE='--set 2 --seed 7' repeats a run.
+score: $(STAMP)
+	$(BIN)/python tests/machines/score.py $(SCORE)
+
+score-baseline: $(STAMP)
+	$(BIN)/python tests/machines/score.py --baseline
+
 bench: $(STAMP)
 	$(BIN)/python benchmarks/campaign.py
+
+bench-all: $(STAMP)
+	$(BIN)/python benchmarks/campaign.py --all
 
 gallery: $(STAMP)
 	$(BIN)/python reports/make_gallery.py

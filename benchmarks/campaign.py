@@ -1,9 +1,12 @@
-"""The reference campaign as a whole process, from the shell to the results, beside plain scipy and rota-order.
+"""The reference campaign as a whole process, from the shell to the results: time and error beside two other programs.
 
-Usage: python benchmarks/campaign.py [--repeats N] [--keep FOLDER] [--rota PYTHON] [--rota-recordings N]
-Writes `reports/speed-error/campaign.{json,md,png}`. Machines are shared and noisy: read the ratios, all of one run.
-`--rota` is the Python of an environment with rota-order and h5py; without it its row is left out. It analyses
-`--rota-recordings` of the 35 (0: all) and the time of its analysis is scaled to 35.
+Usage: python benchmarks/campaign.py [--repeats N] [--keep FOLDER] [--rota PYTHON] [--rota-recordings N] [--all]
+Writes `reports/speed-error/campaign.{json,md,png}` and prints what each row costs relative to plain scipy, beside the
+same of the page before. Machines are shared and noisy: read the ratios, all of one run; the programs take turns.
+rota-order gets an environment of its own below the one that runs this, made when it is absent; `--rota` names another.
+It analyses `--rota-recordings` of the 35 (0: all) and the time of its analysis is scaled to 35.
+`--all` then measures many, wide and long recordings too, see `large.py`, whose options may be given.
+`--quick --into FOLDER` tries all of it on the scenes' short versions and publishes into FOLDER.
 """
 
 from __future__ import annotations
@@ -13,18 +16,40 @@ import os
 
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # before numpy loads; as the command line has it
 
+import json
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from published import publish, table
+import h5py
+import large
+import numpy as np
+from amplitude_error import ROTA_ORDER_STEP, clear_lines, errors, of_map, of_spectra, of_tracks
+from campaign_page import (
+    FINDINGS,
+    FIRST,
+    FULL,
+    MAPS,
+    ON_THE_CAMPAIGN,
+    ROTA,
+    RUN_UP,
+    SCIPY,
+    WARM,
+    WARM_MAPS,
+    costs_beside,
+    figure,
+    page,
+)
+from published import FOLDER, publish
+from whole_process import machine, measured
 
+import crankorder
 from crankorder.batch.machine import engine_of_test, sources_of
 from crankorder.batch.plan import plan_tests
 from crankorder.campbell.map import campbell_map
@@ -36,93 +61,239 @@ from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import analyse_recording
 
 HERE = Path(__file__).parent
-MAPS, FULL, FINDINGS = "crankorder, recipe maps", "crankorder, recipe maps-full-band", "crankorder, with findings"
-SCIPY, ROTA = "plain scipy", "rota-order 0.3"
-WHAT = {
-    MAPS: "order map (≤ 20), Campbell map (≤ 1.25 kHz), intervals, flags, SHA-256, NetCDF, pages",
-    FULL: "the same to order 100 and 20 kHz",
-    FINDINGS: "maps (≤ 500 Hz), orders, modes, crossings, bearings with intervals, NetCDF, pages",
-    SCIPY: "order spectra, Welch spectra, one PNG per channel",
-    ROTA: "order map (≤ 20), frequency map (≤ 1.25 kHz), one PNG per channel",
-}
-# seconds on the machine of the marks; the ratios decide
-MARKS_S = {MAPS: 1.5, FULL: 2.5, FINDINGS: 4.0}
-IDENTIFICATION_MARK_S = 3.0
-"""Of one core, for the findings of the whole campaign."""
-MARK_RATIO = {SCIPY: 10.0, ROTA: 40.0}
-
-
-def measured(command: list[str]) -> tuple[float, float, float, str]:
-    """Wall seconds, processor seconds of it and its processes, peak megabytes of the largest, output of ``command``."""
-    # as a user's shell has it: compiled modules are kept
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    with tempfile.TemporaryFile("w+") as said:
-        start = time.perf_counter()
-        process = subprocess.Popen(command, stdout=said, stderr=said, env=environment)
-        _, status, usage = os.wait4(process.pid, 0)
-        seconds = time.perf_counter() - start
-        said.seek(0)
-        text = said.read()
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f"{' '.join(command)} ended with {process.returncode}:\n{text}")
-    return seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024, text
+QUIET = 1e-3
+"""Of the noise of the reference campaign, where errors of amplitudes are to be those of the program."""
+RECIPES = ((MAPS, "maps"), (FULL, "maps-full-band"), (FINDINGS, None))
+PROGRAM = [sys.executable, "-m", "crankorder"]
+ROTA_PACKAGES = ("rota-order==0.3.0", "h5py", "matplotlib")
+CHECK_ROTA = "import rota, h5py, matplotlib, importlib.metadata as m; print(m.version('rota-order'))"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--keep", type=Path, help="folder with (or for) the synthesised campaign")
-    parser.add_argument("--rota", type=Path, help="Python of an environment with rota-order")
-    parser.add_argument("--rota-recordings", type=int, default=5)
-    options = parser.parse_args()
+    options = options_of()
+    before = FOLDER / "campaign.json"
+    old = json.loads(before.read_text(encoding="utf-8"))["rows"] if before.exists() else {}
+    found: dict[str, Any] = {"machine": machine()}
+    rota, absent = (options.rota, "") if options.rota is not None else rota_environment()
     with tempfile.TemporaryDirectory() as scratch:
-        recordings = options.keep or Path(scratch) / "recordings"
-        if not recordings.exists():
-            measured([sys.executable, "-m", "crankorder", "synth", "thesis-second-motoring", "--out", str(recordings)])
+        folder = options.keep or Path(scratch)
+        recordings, run_up = folder / "recordings", folder / "run-up"
+        quiet = folder / "quiet"
+        scenes = (("thesis-second-motoring", recordings), (str(quiet_scene(Path(scratch))), quiet), ("run-up", run_up))
+        for scene, where in scenes:
+            if not where.exists():
+                measured([*PROGRAM, "synth", scene, "--out", str(where), *(["--quick"] if options.quick else [])])
         size = sum(len(path.read_bytes()) for path in recordings.glob("*.h5"))  # also warms the page cache
-        found = all_rows(recordings, Path(scratch), options)
+        rows = Turns(recordings, run_up, Path(scratch), rota, options.rota_recordings).rows(options.repeats)
+        errors = Turns(quiet, run_up, Path(scratch), rota, options.rota_recordings).errors()
+        found |= {"what": what_is_in(recordings), "cores": os.cpu_count(), "repeats": options.repeats}
+        found |= {"rows": rows, "rota_absent": absent, "error_of_amplitudes": errors}
         found["identification_s"] = identification_s(recordings, Path(scratch), repeats=options.repeats)
     found["megabytes"] = round(size / 1e6)
-    publish("campaign", found, page(found), figure(found["rows"]))
+    publish("campaign", found, page(found), figure(found), into=options.into)
+    if not options.quick:  # other recordings
+        print(costs_beside(old, rows))
+    if options.all:
+        large.measure(options, into=options.into)
 
 
-def all_rows(recordings: Path, scratch: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """Best seconds of every row, taken in turns so that a busy minute strikes all alike."""
-    no_difference = scratch / "defaults.toml"
-    no_difference.write_text('title = "defaults"\n')
-    recipes = {MAPS: "maps", FULL: "maps-full-band", FINDINGS: str(no_difference)}
-    taken: dict[str, list[tuple[float, float, float]]] = {}
-    stages: dict[str, dict[str, float]] = {}
-    for number in range(options.repeats + 1):
-        for name, recipe in recipes.items():
-            out = scratch / f"{number}-{len(taken)}-{recipe.split('/')[-1]}"
-            run = [sys.executable, "-m", "crankorder", "run", str(recordings), "--out", str(out), "-v"]
-            *numbers, said = measured([*run, "--recipe", recipe])
-            if number:  # the first compiles kernels and modules
-                taken.setdefault(name, []).append(tuple(numbers))
-                stages[name] = {part: float(value) for part, value in re.findall(r"^  (\w+): ([\d.]+) s$", said, re.M)}
-        if number:
-            plain = [sys.executable, str(HERE / "plain_scipy.py"), str(recordings), str(scratch / f"plain-{number}")]
-            taken.setdefault(SCIPY, []).append(measured(plain)[:3])
-    rows: dict[str, dict[str, Any]] = {}
-    for name, values in taken.items():
-        best = [min(each) for each in zip(*values, strict=True)]
-        rows[name] = row_of(*best) | {"stages": stages.get(name, {})}
-    if options.rota is not None:
-        rows[ROTA] = rota_row(recordings, scratch, options)
-    for name in MARKS_S:
-        for key in ("seconds", "processor_seconds"):
-            rows[name][f"{key}_ratio"] = {
-                peer: round(rows[peer][key] / rows[name][key], 1) for peer in (SCIPY, ROTA) if peer in rows
-            }
-    what = "35 recordings x 15 s x (3 channels + encoder + index), float32 HDF5 in page cache, whole process"
-    return {"what": what, "cores": os.cpu_count(), "rows": rows}
+def quiet_scene(folder: Path) -> Path:
+    """The scene of the reference campaign with a thousandth of its noise, written into ``folder``."""
+    scene = Path(crankorder.__file__).parents[2] / "pipeline" / "scenes" / "thesis-second-motoring.toml"
+    text = scene.read_text(encoding="utf-8")
+    for key in ("force_n_per_root_hz", "m_s2_per_root_hz"):
+        line = re.search(rf"^{key} = \{{.*\}}$", text, re.MULTILINE)
+        if line is None:
+            raise SystemExit(f"{scene.name}: no line {key} = {{…}}")
+        quiet = re.sub(r"= ([\d.]+)", lambda number: f"= {QUIET * float(number[1]):g}", line[0])
+        text = text.replace(line[0], quiet)
+    path = folder / "quiet.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def options_of() -> argparse.Namespace:
+    """What the command line says."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--repeats", type=int, default=3, help="turns, of which the best counts")
+    parser.add_argument("--keep", type=Path, help="folder with (or for) the synthesised recordings")
+    parser.add_argument("--rota", type=Path, help="Python of an environment with rota-order, h5py and matplotlib")
+    parser.add_argument("--rota-recordings", type=int, default=7, help="which rota-order analyses; 0: all")
+    parser.add_argument("--into", type=Path, default=FOLDER, help="folder of the page")
+    parser.add_argument("--quick", action="store_true", help="short recordings, to try the benchmark itself")
+    parser.add_argument("--all", action="store_true", help="also many, wide and long recordings")
+    large.add_options(parser)
+    options = parser.parse_args()
+    if options.quick and options.into == FOLDER:
+        parser.error("--quick measures nothing to be published: give --into too")
+    return options
+
+
+def rota_environment(folder: Path | None = None) -> tuple[Path | None, str]:
+    """Python of an environment with rota-order, made where it is absent; without it None and why."""
+    folder = folder or Path(sys.prefix) / "peers" / "rota-order"
+    python = folder / "bin" / "python"
+    if not _has_rota(python):
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        pip = [str(python), "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *ROTA_PACKAGES]
+        for command in ([sys.executable, "-m", "venv", str(folder)], pip):
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            if done.returncode:
+                shutil.rmtree(folder, ignore_errors=True)  # tried again the next time
+                said = (done.stderr or done.stdout).strip().splitlines() or ["no reason given"]
+                return None, f"{ROTA_PACKAGES[0]} could not be installed: {said[-1]}"
+    return python, ""
+
+
+def _has_rota(python: Path) -> bool:
+    if not python.exists():
+        return False
+    done = subprocess.run([str(python), "-c", CHECK_ROTA], capture_output=True, text=True, check=False)
+    return done.returncode == 0 and done.stdout.strip() == ROTA_PACKAGES[0].partition("==")[2]
+
+
+@dataclass
+class Turns:
+    """Every program in turn, so that a busy minute strikes all alike; the results of the last turn are kept."""
+
+    recordings: Path
+    run_up: Path
+    scratch: Path
+    rota: Path | None
+    rota_recordings: int
+    taken: dict[str, list[tuple[float, float, float]]] = field(default_factory=dict)
+    stages: dict[str, dict[str, float]] = field(default_factory=dict)
+    out: dict[str, Path] = field(default_factory=dict)
+
+    def rows(self, repeats: int) -> dict[str, dict[str, Any]]:
+        """The best of every row, and how many times faster than the other programs the rows of the campaign are."""
+        self.first_run()
+        for number in range(repeats + 1):
+            for name, recipe in RECIPES:
+                self.run(name, self.recordings, recipe)
+            self.run(RUN_UP, self.run_up, None)
+            if number:  # the turn before compiled kernels and modules
+                self.plain_scipy()
+                self.rota_order()
+                self.warm_runs()
+            else:
+                first = self.taken.pop(FIRST)
+                self.taken.clear()
+                self.taken[FIRST] = first
+        order = (MAPS, FULL, FINDINGS, SCIPY, ROTA, WARM_MAPS, WARM, FIRST, RUN_UP)
+        rows = {name: self.row(name) for name in order if name in self.taken}
+        for name in ON_THE_CAMPAIGN:
+            for key in ("seconds", "processor_seconds"):
+                rows[name][f"{key}_ratio"] = {
+                    peer: round(rows[peer][key] / rows[name][key], 1) for peer in (SCIPY, ROTA) if peer in rows
+                }
+        return rows
+
+    def row(self, name: str) -> dict[str, Any]:
+        """Least seconds and processor seconds of the turns, rounded."""
+        seconds, processor, memory = (min(each) for each in zip(*self.taken[name], strict=True))
+        made: dict[str, Any] = {
+            "seconds": round(seconds, 2),
+            "processor_seconds": round(processor, 2),
+            "peak_resident_mb": round(memory),
+            "runs": len(self.taken[name]),
+        }
+        if name == ROTA:
+            made["scaled_from_recordings"] = len(np.load(self.out[ROTA] / "orders.npz").files) - 1
+        return made | {"stages": self.stages.get(name, {})}
+
+    def run(self, name: str, test: Path, recipe: str | None, **environment: str) -> None:
+        """One run of crankorder from the shell."""
+        asked = [] if recipe is None else ["--recipe", recipe]
+        command = [*PROGRAM, "run", str(test), "--out", str(self.fresh(name)), "-v", *asked]
+        *numbers, said = measured(command, **environment)
+        self.taken.setdefault(name, []).append(tuple(numbers))
+        self.stages[name] = {part: float(value) for part, value in re.findall(r"^  (\w+): ([\d.]+) s$", said, re.M)}
+
+    def first_run(self) -> None:
+        """The default run where no module of Python and no kernel has been compiled."""
+        with tempfile.TemporaryDirectory() as place:
+            empty = {"PYTHONPYCACHEPREFIX": f"{place}/modules", "NUMBA_CACHE_DIR": f"{place}/kernels"}
+            self.run(FIRST, self.recordings, None, **empty)
+
+    def plain_scipy(self) -> None:
+        """One run of `plain_scipy.py`."""
+        command = [sys.executable, str(HERE / "plain_scipy.py"), str(self.recordings), str(self.fresh(SCIPY))]
+        self.taken.setdefault(SCIPY, []).append(measured(command)[:3])
+
+    def rota_order(self) -> None:
+        """One run of rota-order on some recordings, its analysis scaled to all of them."""
+        if self.rota is None:
+            return
+        command = [str(self.rota), str(HERE / "rota_campaign.py"), str(self.recordings), str(self.fresh(ROTA))]
+        seconds, processor, memory, said = measured([*command, "--only", str(self.rota_recordings)])
+        match = re.search(r"analysis ([\d.]+) s of (\d+) recordings", said)
+        if match is None:
+            raise SystemExit(f"rota_campaign.py did not say how long it took:\n{said}")
+        analysis, count, total = float(match[1]), int(match[2]), len(list(self.recordings.glob("*.h5")))
+        more = analysis * (total / count - 1.0)  # in one thread, so of the processor too
+        numbers = seconds + more, processor + more * min(1.0, processor / seconds), memory
+        self.taken.setdefault(ROTA, []).append(numbers)
+
+    def warm_runs(self) -> None:
+        """Default run and maps in an interpreter that has done a run before; the memory is of all three runs."""
+        *_, memory, said = measured(
+            [sys.executable, str(HERE / "warm_run.py"), str(self.recordings), str(self.fresh(WARM))]
+        )
+        for name, words in ((WARM, "default"), (WARM_MAPS, "maps")):
+            match = re.search(rf"^{words}: ([\d.]+) s, ([\d.]+) s of the processor$", said, re.M)
+            if match is None:
+                raise SystemExit(f"warm_run.py did not say how long it took:\n{said}")
+            self.taken.setdefault(name, []).append((float(match[1]), float(match[2]), memory))
+
+    def fresh(self, name: str) -> Path:
+        """A folder for the results of ``name`` that is not there yet."""
+        self.out[name] = self.scratch / f"results-{name.replace(' ', '-').replace(',', '')}"
+        shutil.rmtree(self.out[name], ignore_errors=True)
+        return self.out[name]
+
+    def errors(self) -> dict[str, Any]:
+        """Largest and median error of each program's amplitudes, on all clear lines and on those of rota-order.
+
+        Each program runs once.
+        """
+        for name, recipe in RECIPES:
+            self.run(name, self.recordings, recipe)
+        self.plain_scipy()
+        self.rota_order()
+        lines = clear_lines(self.recordings)
+        readers = {MAPS: of_map(self.out[MAPS]), FULL: of_map(self.out[FULL]), FINDINGS: of_tracks(self.out[FINDINGS])}
+        readers[SCIPY] = of_spectra(self.out[SCIPY])
+        if ROTA in self.out:
+            readers[ROTA] = of_spectra(self.out[ROTA], ROTA_ORDER_STEP)
+        its_own = [line for line in lines if ROTA in readers and readers[ROTA](line) is not None]
+        return {
+            "lines": len(lines),
+            "orders": sorted({line.order for line in lines}),
+            "noise": {
+                "largest": float(f"{max(line.noise for line in lines):.4g}"),
+                "median": float(f"{np.median([line.noise for line in lines]):.4g}"),
+            },
+            "programs": {name: errors(reader, lines) for name, reader in readers.items()},
+            "programs_on_recordings_of_rota": {name: errors(reader, its_own) for name, reader in readers.items()},
+        }
+
+
+def what_is_in(recordings: Path) -> str:
+    """How many recordings of which length."""
+    paths = sorted(recordings.glob("*.h5"))
+    with h5py.File(paths[0]) as file:
+        seconds = len(file["encoder"]) / float(file.attrs["rate_hz"])
+    return (
+        f"{len(paths)} recordings x {seconds:g} s x (3 channels + encoder + index), float32 HDF5 in page cache, whole "
+        "process"
+    )
 
 
 def identification_s(recordings: Path, scratch: Path, *, repeats: int) -> float:
     """Least processor seconds of one core for the findings of the campaign, from the maps and frames that a run has."""
-    (plan,) = plan_tests([recordings], scratch / "identification")
+    (plan,) = plan_tests([recordings], scratch / "identification").tests
     knowledge = ShaftKnowledge(engine=engine_of_test(plan))
     made = [analyse_recording(path, plan.manifest, plan.settings, knowledge).frames for path in plan.recordings]
     settings, sources = plan.settings, sources_of(plan.manifest, engine_of_test(plan), plan.settings)
@@ -140,104 +311,6 @@ def identification_s(recordings: Path, scratch: Path, *, repeats: int) -> float:
         find(*maps, test=plan.name, sources=sources, settings=settings)
         taken.append(time.thread_time() - start)
     return round(min(taken), 2)
-
-
-def row_of(seconds: float, processor: float, memory: float) -> dict[str, Any]:
-    """The numbers of one row, rounded."""
-    return {
-        "seconds": round(seconds, 2),
-        "processor_seconds": round(processor, 2),
-        "peak_resident_mb": round(memory),
-    }
-
-
-def rota_row(recordings: Path, scratch: Path, options: argparse.Namespace) -> dict[str, Any]:
-    """One run of rota-order on some recordings, its analysis scaled to all of them."""
-    command = [str(options.rota), str(HERE / "rota_campaign.py"), str(recordings), str(scratch / "rota")]
-    seconds, processor, memory, said = measured([*command, "--only", str(options.rota_recordings)])
-    match = re.search(r"analysis ([\d.]+) s of (\d+) recordings", said)
-    if match is None:
-        raise SystemExit(f"rota_campaign.py did not say how long it took:\n{said}")
-    analysis, count, total = float(match[1]), int(match[2]), len(list(recordings.glob("*.h5")))
-    more = analysis * (total / count - 1.0)  # in one thread, so of the processor too
-    return row_of(seconds + more, processor + more * min(1.0, processor / seconds), memory) | {
-        "scaled_from_recordings": count
-    }
-
-
-def page(found: dict[str, Any]) -> str:
-    """Markdown: ratios first, then seconds and where they go."""
-    rows = found["rows"]
-    peers = [name for name in (SCIPY, ROTA) if name in rows]
-    header = ["times faster than", *(f"{peer} (mark {MARK_RATIO[peer]:g})" for peer in peers)]
-    header += [f"{peer}, in processor seconds" for peer in peers]
-    ratios = table(
-        header,
-        [
-            [name, *(rows[name][f"{key}_ratio"][peer] for key in ("seconds", "processor_seconds") for peer in peers)]
-            for name in MARKS_S
-        ],
-    )
-    seconds = table(
-        [
-            "",
-            "s",
-            "mark on the machine of the marks, s",
-            "processor s, all processes",
-            "peak MB of a process",
-            "what it makes",
-        ],
-        [
-            [name, row["seconds"], MARKS_S.get(name, ""), row["processor_seconds"], row["peak_resident_mb"], WHAT[name]]
-            for name, row in rows.items()
-        ],
-    )
-    parts = list(rows[MAPS]["stages"])
-    stages = table(["s in", *parts], [[name, *(rows[name]["stages"].get(p, "") for p in parts)] for name in MARKS_S])
-    told = "rota-order was not there: give its Python by `--rota`."
-    if ROTA in rows:
-        told = (
-            f"rota-order analysed {rows[ROTA]['scaled_from_recordings']} of 35 recordings; the time of its analysis is "
-            "scaled to 35, its start and its pages are not."
-        )
-    return f"""# The reference campaign as a whole process
-
-{found["what"]}; {found["megabytes"]} MB, {found["cores"]} cores, best of the repeats, all in one run on one machine.
-Others may use the machine too: processor seconds tell what the work costs, seconds what a user waits. What remains of
-the seconds beside the stages is the start: modules and compiled kernels. {told}
-
-{ratios}
-
-{seconds}
-
-{stages}
-
-Identification alone (orders, modes, bearings, crossings, balance, causes, from maps and frames to the findings):
-{found["identification_s"]} s of one core (mark {IDENTIFICATION_MARK_S:g} s).
-"""
-
-
-def figure(rows: dict[str, dict[str, Any]]) -> Figure:
-    """Seconds on a logarithmic axis, with the ratio to the first beside each."""
-    made = Figure(figsize=(9, 0.75 * len(rows) + 1.6), layout="constrained")
-    FigureCanvasAgg(made)
-    axes = made.add_subplot()
-    names = list(rows)[::-1]
-    for place, name in enumerate(names):
-        seconds = rows[name]["seconds"]
-        ours = name in MARKS_S
-        axes.plot(seconds, place, "o", color="#1f5a8a" if ours else "#808080", markersize=11)
-        ratio = "" if name == MAPS else f"  ({seconds / rows[MAPS]['seconds']:.1f} × maps)"
-        axes.text(seconds * 1.12, place, f"{seconds:.1f} s{ratio}", va="center", fontsize=10)
-    axes.set_yticks(range(len(names)), names)
-    axes.set_ylim(-0.6, len(names) - 0.4)
-    axes.grid(axis="x", color="#dddddd")
-    axes.set_xscale("log")
-    axes.set_xlim(min(row["seconds"] for row in rows.values()) / 3, max(row["seconds"] for row in rows.values()) * 6)
-    axes.set_xlabel("seconds of the whole process, 35 recordings (logarithmic)")
-    axes.set_title("From the shell to the results", loc="left")
-    axes.spines[["top", "right"]].set_visible(False)
-    return made
 
 
 if __name__ == "__main__":

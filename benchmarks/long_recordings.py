@@ -8,17 +8,15 @@ that has most of it.
 
 from __future__ import annotations
 
-import resource
-import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from matplotlib.figure import Figure
 from published import publish, table
+from whole_process import watched
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
@@ -33,40 +31,12 @@ MB_PER_S = RATE_HZ * len(NAMES) * 4e-6
 TICK_S = 0.01
 
 
-def memory_mb(pid: int) -> float:
-    """Memory of a process that no file on a disk backs: its own and what it shares."""
-    try:
-        lines = Path(f"/proc/{pid}/status").read_text().splitlines()
-        return sum(int(line.split()[1]) / 1e3 for line in lines if line.startswith(("RssAnon", "RssShmem")))
-    except (OSError, ValueError):  # it has ended
-        return 0.0
-
-
-def descendants(pid: int) -> list[int]:
-    found = [pid]
-    for known in found:
-        for children in Path(f"/proc/{known}/task").glob("*/children"):
-            try:
-                found += [int(child) for child in children.read_text().split()]
-            except OSError:
-                continue
-    return found
-
-
 def measured(folder: Path, out: Path, max_memory_mb: int) -> dict[str, float]:
     """Peak memory [MB] of the largest process and processor time [s] of a run for the maps."""
     command = [sys.executable, "-m", "crankorder", "run", str(folder), "--out", str(out), "--recipe", "maps"]
     command += ["--jobs", "1", "--fresh", "-q", "--max-memory", str(max_memory_mb)]
-    before, peak_mb = resource.getrusage(resource.RUSAGE_CHILDREN), 0.0
-    running = subprocess.Popen(command)
-    while running.poll() is None:
-        peak_mb = max(peak_mb, *(memory_mb(pid) for pid in descendants(running.pid)))
-        time.sleep(TICK_S)
-    if running.returncode:
-        raise SystemExit(f"the run of {folder} failed")
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return {"memory_mb": round(peak_mb, 1), "cpu_s": round(cpu, 2)}
+    seen = watched(command, tick_s=TICK_S, together=False)
+    return {"memory_mb": round(seen.largest_mb, 1), "cpu_s": round(seen.processor_seconds, 2)}
 
 
 def difference(ours: Path, theirs: Path) -> float:

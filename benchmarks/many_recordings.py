@@ -15,14 +15,17 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import h5py
 import numpy as np
+from whole_process import watched
 
 SECONDS = 1.0
 LEAST_RPM = 1000
-TICK_S = 0.2
+TELL_S = 5.0
 SMALL_RATE_HZ, SMALL_PULSES = 6000.0, 12
 SMALL_MANIFEST = f"""schema_version = 1
 [test]
@@ -43,6 +46,7 @@ pulses_per_rev = {SMALL_PULSES}
 
 def make_small(count: int, folder: Path) -> None:
     """Write ``count`` recordings of one channel at 35 speeds, and their manifest, into ``folder``."""
+    folder.mkdir(parents=True, exist_ok=True)
     (folder / "run.toml").write_text(SMALL_MANIFEST, encoding="utf-8")
     time_s = np.arange(round(SECONDS * SMALL_RATE_HZ)) / SMALL_RATE_HZ
     for number in range(count):
@@ -57,9 +61,8 @@ def make_small(count: int, folder: Path) -> None:
 
 def make(count: int, folder: Path) -> None:
     """Write ``count`` recordings and their manifest into ``folder``."""
-    with tempfile.TemporaryDirectory() as place:
-        whole = Path(place) / "reference"
-        subprocess.run([program(), "synth", "thesis-second-motoring", "--out", whole, "-q"], check=True)
+    folder.mkdir(parents=True, exist_ok=True)
+    with _reference() as whole:
         sources = [path for path in sorted(whole.glob("*.h5")) if int(path.stem.split("_")[1]) >= LEAST_RPM]
         shutil.copy(whole / "run.toml", folder / "run.toml")
         bases = [_read(path) for path in sources]
@@ -77,6 +80,39 @@ def make(count: int, folder: Path) -> None:
                 file.create_dataset(name, data=part).attrs.update(attrs[name])
 
 
+def make_wide(channels: int, folder: Path) -> None:
+    """Write the short reference campaign with its accelerometers again and again, each with noise of its own."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with _reference("--quick") as whole:
+        head, _, rest = (whole / "run.toml").read_text(encoding="utf-8").partition("[[channels]]")
+        names = [f"acc_{number:02d}" for number in range(channels)]
+        channel = '[[channels]]\nname = "{0}"\nsource = "{0}"\nquantity = "acceleration"\nunit = "m/s2"\n'
+        bearings = "".join(rest.partition("[[bearings]]")[1:])
+        manifest = head + "".join(channel.format(name) for name in names) + bearings
+        (folder / "run.toml").write_text(manifest, encoding="utf-8")
+        for path in sorted(whole.glob("*.h5")):
+            arrays, attrs, top = _read(path)
+            given = [name for name in sorted(arrays) if name.startswith("acc")]
+            with h5py.File(folder / path.name, "w") as file:
+                file.attrs.update(top)
+                for name in arrays.keys() - set(given):
+                    file.create_dataset(name, data=arrays[name]).attrs.update(attrs[name])
+                for number, name in enumerate(names):
+                    of = given[number % len(given)]
+                    noise = np.random.default_rng(number).standard_normal(len(arrays[of]), dtype=np.float32)
+                    file.create_dataset(name, data=arrays[of] + np.float32(0.01) * noise).attrs.update(attrs[of])
+
+
+@contextmanager
+def _reference(*options: str) -> Iterator[Path]:
+    """Folder with the reference campaign, there as long as it is looked at."""
+    with tempfile.TemporaryDirectory() as place:
+        whole = Path(place) / "reference"
+        command = [program(), "synth", "thesis-second-motoring", "--out", whole, "-q", *options]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        yield whole
+
+
 def _read(path: Path):  # type: ignore[no-untyped-def]
     with h5py.File(path) as file:
         arrays = {name: item[:] for name, item in file.items()}
@@ -88,47 +124,20 @@ def program() -> Path:
     return Path(sys.executable).with_name("crankorder")
 
 
-def memory_mb(pid: int) -> tuple[float, float]:
-    """Memory of a process that no file backs, and what is mapped from files [MB]; zeros where it has ended."""
-    try:
-        lines = Path(f"/proc/{pid}/status").read_text(encoding="ascii").splitlines()
-    except OSError:
-        return 0.0, 0.0
-    of = {line.split(":")[0]: int(line.split()[1]) / 1e3 for line in lines if line.startswith("Rss")}
-    return of.get("RssAnon", 0.0) + of.get("RssShmem", 0.0), of.get("RssFile", 0.0)
-
-
-def family(pid: int) -> list[int]:
-    """``pid`` and all processes that it started, and they."""
-    found, at = [pid], 0
-    while at < len(found):
-        try:
-            text = Path(f"/proc/{found[at]}/task/{found[at]}/children").read_text(encoding="ascii")
-            found += [int(child) for child in text.split()]
-        except OSError:
-            pass
-        at += 1
-    return found
-
-
 def watch(command: list[str]) -> None:
-    """Run ``command`` and print the memory of its processes, each second and at the most."""
-    begun = time.monotonic()
-    process = subprocess.Popen(command)
-    most, mapped, said = {"main": 0.0, "other": 0.0}, 0.0, 0.0
-    while process.poll() is None:
-        now = {pid: memory_mb(pid) for pid in family(process.pid)}
-        main, others = now.pop(process.pid, (0.0, 0.0)), [mb for mb, _ in now.values()]
-        most["main"], most["other"] = max(most["main"], main[0]), max(most["other"], *others, 0.0)
-        mapped = max(mapped, main[1])
-        if time.monotonic() - said > 5.0:
-            said = time.monotonic()
-            print(f"{said - begun:7.1f} s: main {main[0]:6.0f} MB, largest other {max(others, default=0.0):6.0f} MB")
-        time.sleep(TICK_S)
-    print(
-        f"{time.monotonic() - begun:.1f} s, status {process.returncode}; at most: main {most['main']:.0f} MB, another "
-    )
-    print(f"process {most['other']:.0f} MB; mapped from files in main: {mapped:.0f} MB")
+    """Run ``command`` and print the memory of its processes, every five seconds and at the most."""
+    said = 0.0
+
+    def tell(seconds: float, megabytes: list[float]) -> None:
+        nonlocal said
+        if seconds - said > TELL_S:
+            said = seconds
+            largest = max(megabytes[1:], default=0.0)
+            print(f"{seconds:7.1f} s: main {megabytes[0]:6.0f} MB, largest other {largest:6.0f} MB")
+
+    seen = watched(command, tell=tell)
+    print(f"{seen.seconds:.1f} s; at most: main {seen.first_mb:.0f} MB, any process {seen.largest_mb:.0f} MB, all")
+    print(f"together {seen.together_mb:.0f} MB; mapped from files in main: {seen.mapped_mb:.0f} MB")
 
 
 def main() -> None:
@@ -136,7 +145,6 @@ def main() -> None:
     count, rest = int(sys.argv[1]), [given for given in sys.argv[2:] if given != "--small"]
     folder = Path(rest.pop(0)) if rest and not rest[0].startswith("-") else Path(tempfile.mkdtemp())
     if not (folder / "run.toml").exists():
-        folder.mkdir(parents=True, exist_ok=True)
         (make_small if "--small" in sys.argv else make)(count, folder)
     begun = time.monotonic()
     out = folder.with_name(folder.name + "-results")

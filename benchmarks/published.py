@@ -11,12 +11,12 @@ from matplotlib.figure import Figure
 FOLDER = Path(__file__).parents[1] / "reports" / "speed-error"
 
 
-def publish(name: str, found: dict, page: str, figure: Figure) -> None:
+def publish(name: str, found: dict, page: str, figure: Figure, *, into: Path = FOLDER) -> None:
     """Write ``name``.json, .md and .png and print the page."""
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    (FOLDER / f"{name}.json").write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    (FOLDER / f"{name}.md").write_text(page, encoding="utf-8")
-    figure.savefig(FOLDER / f"{name}.png", dpi=110, metadata={"Software": None})
+    into.mkdir(parents=True, exist_ok=True)
+    (into / f"{name}.json").write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    (into / f"{name}.md").write_text(page, encoding="utf-8")
+    figure.savefig(into / f"{name}.png", dpi=110, metadata={"Software": None})
     print(page)
 
 

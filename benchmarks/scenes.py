@@ -7,16 +7,20 @@ Writes `reports/speed-error/scenes.{json,md,png}`. Machines are shared and noisy
 from __future__ import annotations
 
 import argparse
+import os
+
+os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # before numpy loads; as the command line has it
+
 import json
 import sys
 import tempfile
 import time
 from pathlib import Path
 
-from campaign import measured as measured_process
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from published import publish, table
+from whole_process import measured as measured_process
 
 from crankorder.engine.definition import load_engine
 from crankorder.synth.load import load_scene

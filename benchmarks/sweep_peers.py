@@ -170,7 +170,7 @@ def _profiles(cell: Cell, hz: float, numbers: np.ndarray, rng: np.random.Generat
 
 
 def _run(test: SweepTest, name: str, asked: dict[str, dict]) -> tuple[CampaignPlan, CampaignResult]:
-    (plan,) = plan_tests([test.folder], test.folder.parent / name)
+    (plan,) = plan_tests([test.folder], test.folder.parent / name).tests
     settings = load_settings(asked=asked) if asked else plan.settings
     results = [analyse_recording(path, plan.manifest, settings) for path in plan.recordings]
     return plan, analyse_test(

@@ -20,10 +20,10 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from campaign import measured
 from published import publish
 from sweep_page import figure, page
 from sweep_peers import OURS, SCIPY, Cell, Said, SweepTest, Value, drawn_test, methods
+from whole_process import measured
 
 RATES, DAMPINGS = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0), (0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 DOWN = (-3.0, -30.0, -300.0)

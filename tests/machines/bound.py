@@ -51,7 +51,8 @@ class Bound:
 
 
 def bound_of(machine: Machine) -> Bound:
-    """The bounds that the test of ``machine`` sets, known noise and model."""
+    """The bounds that the test of ``machine`` sets, known noise and model; a swing within the cycle left out."""
+    machine = replace(machine, profiles=tuple(replace(profile, swing=None) for profile in machine.profiles))
     n_modes = len(machine.modes)
     # a prior of 100 % on frequency and 10 on damping keeps what is not seen at all finite
     information = np.diag([*(1.0 / mode.frequency_hz**2 for mode in machine.modes), *([1e-2] * n_modes)])

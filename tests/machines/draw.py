@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from machines.machine import Encoder, FloatArray, Machine, Mode, Order, Profile, Tone
+from machines.machine import Encoder, FloatArray, Machine, Mode, Order, Profile, Swing, Tone
 
 CLASSES = (
     "stepped",
@@ -19,15 +19,57 @@ CLASSES = (
     "through zero",
     "step in sweep",
     "repeated sweep",
+    "up and down, toothed wheel",
+    "swing, held",
+    "swing, swept",
+    "one pulse",
+    "two speeds",
+    "twice mains",
 )
-STEADY = CLASSES[:5]
+"""A class draws the same machines as long as it keeps its place here."""
+STEADY = (*CLASSES[:5], "swing, held", "twice mains")
+FEW_SPEEDS = {
+    "stepped": (25, 51),
+    "stepped few": (3, 13),
+    "coarse steps": (8, 21),
+    "swing, held": (3, 13),
+    "one pulse": (3, 13),
+    "twice mains": (1, 6),
+}
+"""Least and most steady speeds (the last left out) of the classes that have some."""
 LOWEST_MODE_HZ, HIGHEST_MODE_HZ = 25.0, 450.0
 MOST_SAMPLES = 1_500_000
 """Of one channel over a whole test, so that a test takes seconds."""
 CLOSEST_ORDERS, LONGEST_BEAT = 0.025, 1.5
 """Orders are at least so far apart, and a steady recording lasts so many beats of the two closest."""
+SWINGING = ("swing, held", "swing, swept")
+QUIET_CHANCE, QUIET = 0.5, 1e-6
+"""How often noise is so much smaller than order 1 (120 dB) where the shaft swings."""
+LEAST_SWING, MOST_SWING = 0.002, 0.1
+"""Swing of the speed within the cycle at the slowest speed, as a share of it."""
+SLIP = (0.008, 0.04)
+"""Of machines on the mains: the mains' line and the order beside it beat at least once in each recording."""
 GEAR_CHANCE, RING_CHANCE = 0.12, 0.15
 RATES_HZ = (2000.0, 2560.0, 4096.0, 5000.0, 6400.0, 8192.0, 10240.0, 12800.0, 20000.0, 25600.0)
+
+
+WHEELS = (
+    ("360", 360, 0),
+    ("60", 60, 0),
+    ("60-2", 60, 2),
+    ("1 per rev", 1, 0),
+    ("speed", 0, 0),
+    ("36-1", 36, 1),
+    ("120", 120, 0),
+)
+"""Name, pulses per revolution and teeth that are missing; "speed": the output of a tachometer."""
+ANY_WHEEL = (0.2, 0.25, 0.2, 0.15, 0.2, 0.0, 0.0)
+WHEEL_CHANCES = {
+    "up and down, toothed wheel": (0.0, 0.2, 0.3, 0.0, 0.0, 0.3, 0.2),
+    "swing, held": (0.4, 0.2, 0.2, 0.0, 0.0, 0.1, 0.1),
+    "swing, swept": (0.4, 0.2, 0.2, 0.0, 0.0, 0.1, 0.1),
+    "one pulse": (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),
+}
 
 
 def draw_machine(class_name: str, seed: int) -> Machine:
@@ -36,16 +78,18 @@ def draw_machine(class_name: str, seed: int) -> Machine:
     n_channels = int(rng.integers(1, 4))
     teeth = int(rng.integers(21, 46)) if rng.random() < GEAR_CHANCE else 0
     numbers = _order_numbers(rng, teeth)
+    if class_name in SWINGING:
+        numbers = tuple(sorted({1.0, *(number for number in numbers if abs(number - 1.0) > CLOSEST_ORDERS)}))
     speeds = _speed_range(rng, class_name)
     mains_hz = float(rng.choice([50.0, 60.0]))
     has_mains = bool(rng.random() < 0.4)
     sources = int(rng.integers(1, 4)) if rng.random() < _broadband_chance(class_name) else 0
     modes = _modes(rng, class_name, numbers, speeds, n_channels, sources, mains_hz if has_mains else None)
-    profiles = _profiles(rng, class_name, speeds, numbers, modes)
+    profiles = _profiles(rng, class_name, speeds, numbers, modes, mains_hz)
     fastest = max(rpm for profile in profiles for rpm in profile.rpm)
     needed_hz = 2.56 * max(1.1 * max(mode.frequency_hz for mode in modes), 1.02 * max(numbers) * fastest / 60.0)
     total_s = sum(profile.duration_s for profile in profiles)
-    rate_hz, encoder = _sampling(rng, needed_hz, total_s, fastest)
+    rate_hz, encoder = _sampling(rng, class_name, needed_hz, total_s, fastest)
     machine = Machine(
         class_name=class_name,
         seed=seed,
@@ -59,7 +103,7 @@ def draw_machine(class_name: str, seed: int) -> Machine:
         noise_density=(1.0,) * n_channels,
         force_density=(1.0,) * sources,
         mains_hz=mains_hz,
-        steady=class_name in STEADY,
+        steady=all(profile.rpm[0] == profile.rpm[-1] and len(profile.rpm) == 2 for profile in profiles),
         gear_teeth=teeth,
     )
     return _with_levels(rng, machine, has_mains)
@@ -161,12 +205,16 @@ def _profiles(
     speeds: tuple[float, float],
     numbers: tuple[float, ...],
     modes: tuple[Mode, ...],
+    mains_hz: float,
 ) -> tuple[Profile, ...]:
-    if class_name in STEADY:
-        means = _steady_speeds(rng, class_name, speeds, numbers, modes)
+    if class_name == "two speeds":
+        return (_two_speeds(rng, speeds),)
+    if class_name in STEADY or (class_name == "one pulse" and rng.random() < 0.5):
+        means = _steady_speeds(rng, class_name, speeds, numbers, modes, mains_hz)
         shortest = rng.uniform(5.0, 15.0) if len(means) <= 3 else rng.uniform(2.0, 4.0)
         beat = LONGEST_BEAT / float(np.diff(numbers).min()) if len(numbers) > 1 else 0.0
-        return tuple(_steady(rng, rpm, max(shortest, max(40.0, beat) * 60.0 / rpm)) for rpm in means)
+        held = tuple(_steady(rng, rpm, max(shortest, max(40.0, beat) * 60.0 / rpm)) for rpm in means)
+        return _swinging(rng, held) if class_name in SWINGING else held
     time_s, rpm = _sweep(rng, class_name, speeds)
     repeats = int(rng.integers(2, 5)) if class_name == "repeated sweep" else 1
     profiles = []
@@ -174,7 +222,44 @@ def _profiles(
         stretch = 1.0 if repeats == 1 else rng.uniform(0.95, 1.05)
         knots = tuple(round(float(stretch * value), 3) for value in time_s)
         profiles.append(Profile(knots, tuple(float(value) for value in rpm), float(rng.uniform(0.0, 2.0))))
-    return tuple(profiles)
+    if class_name == "up and down, toothed wheel":
+        return _up_and_down(rng, profiles[0])
+    return _swinging(rng, tuple(profiles)) if class_name in SWINGING else tuple(profiles)
+
+
+def _two_speeds(rng: np.random.Generator, speeds: tuple[float, float]) -> Profile:
+    """One recording that keeps one speed, changes it within seconds and keeps the other."""
+    first, second, change = rng.uniform(4.0, 20.0), rng.uniform(4.0, 20.0), rng.uniform(0.5, 3.0)
+    low, high = speeds
+    pair = (low, rng.uniform(min(1.05 * low, high), high))
+    knots = (0.0, *(round(float(end), 3) for end in np.cumsum([first, change, second])))
+    one, other = (float(rpm) for rpm in (pair if rng.random() < 0.5 else pair[::-1]))
+    return Profile(knots, (one, one, other, other), float(rng.uniform(0.0, 2.0)))
+
+
+def _up_and_down(rng: np.random.Generator, up: Profile) -> tuple[Profile, ...]:
+    """``up`` and the same way down: as a second recording, or in the same one after a while at the top."""
+    slower = rng.uniform(0.6, 1.7)
+    down = round(slower * up.duration_s, 3)
+    if rng.random() < 0.5:
+        return up, Profile((0.0, down), up.rpm[::-1], float(rng.uniform(0.0, 2.0)))
+    still = round(float(rng.uniform(0.3, 3.0)), 3)
+    return (
+        replace(
+            up,
+            time_s=(0.0, up.duration_s, up.duration_s + still, up.duration_s + still + down),
+            rpm=(*up.rpm, *up.rpm[::-1]),
+        ),
+    )
+
+
+def _swinging(rng: np.random.Generator, profiles: tuple[Profile, ...]) -> tuple[Profile, ...]:
+    """``profiles`` of a shaft that gas torque swings within the cycle, one to six times in two revolutions."""
+    order = float(rng.integers(1, 7)) / 2.0
+    slowest = min(rpm for profile in profiles for rpm in profile.rpm)
+    size = _log_uniform(rng, LEAST_SWING, MOST_SWING) / (2.0 * np.pi * order)
+    swing = Swing(order, float(size), slowest, float(rng.uniform(0.0, 2.0 * np.pi)))
+    return tuple(replace(profile, swing=swing) for profile in profiles)
 
 
 def _steady(rng: np.random.Generator, rpm: float, duration_s: float) -> Profile:
@@ -196,14 +281,19 @@ def _steady_speeds(
     speeds: tuple[float, float],
     numbers: tuple[float, ...],
     modes: tuple[Mode, ...],
+    mains_hz: float,
 ) -> list[float]:
     low, high = speeds
     if class_name == "one speed":
         return [float(rng.uniform(low, high))]
     if class_name == "on resonance":
         return _resonant_speeds(rng, numbers, modes)
-    count = {"stepped": (25, 51), "stepped few": (3, 13), "coarse steps": (8, 21)}[class_name]
-    number = int(rng.integers(*count))
+    number = int(rng.integers(*FEW_SPEEDS[class_name]))
+    if class_name == "twice mains" and rng.random() < 0.5:  # beside synchronous speed, as most machines on the mains
+        synchronous = 60.0 * mains_hz / float(rng.integers(1, 4))
+        return sorted(float(synchronous * (1.0 - rng.uniform(*SLIP))) for _ in range(number))
+    if number == 1:
+        return [float(rng.uniform(low, high))]
     if class_name == "coarse steps":
         high = min(low + number * rng.uniform(60.0, 200.0), 5500.0)
     even = np.linspace(low, high, number)
@@ -249,10 +339,11 @@ def _sweep(rng: np.random.Generator, class_name: str, speeds: tuple[float, float
     return time_s, rpm
 
 
-def _sampling(rng: np.random.Generator, needed_hz: float, total_s: float, fastest: float) -> tuple[float, Encoder]:
+def _sampling(
+    rng: np.random.Generator, class_name: str, needed_hz: float, total_s: float, fastest: float
+) -> tuple[float, Encoder]:
     """Sampling rate and encoder: a trace where it can be sampled, else pulse times."""
-    kinds = (("360", 360, 0), ("60", 60, 0), ("60-2", 60, 2), ("1 per rev", 1, 0), ("speed", 0, 0))
-    name, pulses, missing = kinds[int(rng.choice(5, p=[0.2, 0.25, 0.2, 0.15, 0.2]))]
+    name, pulses, missing = WHEELS[int(rng.choice(len(WHEELS), p=WHEEL_CHANCES.get(class_name, ANY_WHEEL)))]
     able = [rate for rate in RATES_HZ if rate >= needed_hz] or [float(np.ceil(needed_hz))]
     affordable = [rate for rate in able if rate * total_s <= MOST_SAMPLES] or able[:1]
     rate_hz = float(rng.choice(affordable[:4]))
@@ -261,12 +352,15 @@ def _sampling(rng: np.random.Generator, needed_hz: float, total_s: float, fastes
         return rate_hz, Encoder(name, "speed")
     sampled = [rate for rate in affordable if rate >= 4.0 * pulses * fastest / 60.0]
     indexed = pulses > 1 and not missing
+    pitch_error = _log_uniform(rng, 5e-6, 3e-4) if class_name == "up and down, toothed wheel" else 0.0
     if sampled and rng.random() < 0.7:
         return sampled[0] if rate_hz not in sampled else rate_hz, Encoder(
-            name, "trace", pulses, missing, indexed, to_tdc
+            name, "trace", pulses, missing, indexed, to_tdc, 0.0, pitch_error
         )
     clock_hz = float(rng.choice([25600.0, 51200.0, 1e5])) if pulses <= 60 else 1e7
-    return rate_hz, Encoder(name, "times", pulses, missing, indexed, to_tdc, clock_hz)
+    if class_name in SWINGING:
+        clock_hz = 1e7
+    return rate_hz, Encoder(name, "times", pulses, missing, indexed, to_tdc, clock_hz, pitch_error)
 
 
 def _with_levels(rng: np.random.Generator, machine: Machine, has_mains: bool) -> Machine:
@@ -287,10 +381,15 @@ def _with_levels(rng: np.random.Generator, machine: Machine, has_mains: bool) ->
         unit = replace(machine, noise_density=(0.0,) * len(machine.channels)).floor_psd(frequency)
         rms = np.sqrt(np.trace(unit, axis1=1, axis2=2).real.sum() * 0.05 / len(machine.channels))
         density = (weakest * _log_uniform(rng, 0.05, 1.0) / rms,) * len(machine.force_density)
-    tones = _mains(rng, machine, weakest) if has_mains else ()
+    tones = _mains(rng, machine, weakest) if has_mains or machine.class_name == "twice mains" else ()
     ring: tuple[float, ...] = ()
     if rng.random() < RING_CHANCE:
         ring = tuple(float(value) for value in weakest * rng.uniform(0.1, 3.0, len(machine.modes)))
+    if machine.class_name in SWINGING and rng.random() < QUIET_CHANCE:
+        first = typical[[order.order for order in orders].index(1.0)]
+        noise, density, tones, ring = QUIET * first / np.sqrt(2.0 * half_rate), (), (), ()
+        # an amplitude that wanders with the speed is no one number at 120 dB
+        machine = replace(machine, profiles=tuple(replace(profile, wander_rpm=0.0) for profile in machine.profiles))
     return replace(
         machine,
         orders=tuple(orders),
@@ -309,5 +408,5 @@ def _mains(rng: np.random.Generator, machine: Machine, level: float) -> tuple[To
             tuple(float(value) for value in level * rng.uniform(0.05, 0.6, len(machine.channels))),
             tuple(float(value) for value in rng.uniform(0.0, 2.0 * np.pi, len(machine.channels))),
         )
-        for multiple in range(1, int(rng.integers(2, 4)))
+        for multiple in ((2,) if machine.class_name == "twice mains" else range(1, int(rng.integers(2, 4))))
     )

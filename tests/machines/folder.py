@@ -7,21 +7,28 @@ from pathlib import Path
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from machines.machine import ComplexArray, Encoder, FloatArray, Machine, Profile
-from machines.signals import recorded, sample_times
+from machines.signals import SwungSignal, as_read_by_angle, recorded, sample_times, swung_signal
 
 INDEX_WIDTH_REV = 0.02
+NEWTON_STEPS = 8
+"""Of the times of the teeth: within the cycle the mean speed is off by the swing, a tenth at most."""
 
 
 @dataclass(frozen=True)
 class Take:
-    """What a recording really holds: speed, rpm, and complex envelopes of the orders, (channel, row), at ``time_s``."""
+    """What a recording really holds: speed, rpm, and complex envelopes of the orders, (channel, row), at ``time_s``.
+
+    ``swung``: their signal, where the shaft swings within the cycle.
+    """
 
     profile: Profile
     time_s: FloatArray
     speed_rpm: FloatArray
     envelopes: tuple[ComplexArray, ...]
+    swung: SwungSignal | None = None
 
 
 TAKE_RATE_HZ = 250.0
@@ -41,9 +48,12 @@ def write_folder(machine: Machine, folder: Path) -> tuple[Take, ...]:
             for name, row in zip(machine.channels, samples, strict=True):
                 file.create_dataset(f"acc_{name.lower()}", data=row.astype(np.float32)).attrs["unit"] = "m/s2"
             _write_encoder(file, machine, profile, time_s, rng)
+        swung = swung_signal(machine, profile, envelopes)
+        envelopes = as_read_by_angle(machine, profile, envelopes, swung)
         keep = slice(None, None, max(1, int(machine.rate_hz / TAKE_RATE_HZ)))
         speed = profile.speed(time_s[keep])
-        takes.append(Take(profile, time_s[keep], speed, tuple(envelope[:, keep] for envelope in envelopes)))
+        kept = tuple(envelope[:, keep] for envelope in envelopes)
+        takes.append(Take(profile, time_s[keep], speed, kept, swung))
     (folder / "run.toml").write_text(manifest(machine), encoding="utf-8")
     return tuple(takes)
 
@@ -59,17 +69,15 @@ def _write_encoder(
         file.create_dataset("speed", data=speed.astype(np.float32)).attrs["unit"] = "rpm"
         return
     if encoder.form == "trace":
-        file.create_dataset("encoder", data=_trace(encoder, angle)).attrs["unit"] = "V"
+        file.create_dataset("encoder", data=_trace(encoder, machine.seed, angle)).attrs["unit"] = "V"
         if encoder.index:
             pulse = np.mod(angle, 1.0) < _index_width(machine, profile)
             file.create_dataset("index", data=(5.0 * pulse).astype(np.float32)).attrs["unit"] = "V"
         return
-    pulses = _crossings(profile, time_s, encoder.index_to_tdc_deg / 360.0, encoder.pulses_per_rev)
-    teeth = np.mod(np.round(pulses[1] * encoder.pulses_per_rev), encoder.pulses_per_rev)
-    kept = teeth < encoder.pulses_per_rev - encoder.missing_teeth
-    _write_times(file, "pulse_time", pulses[0][kept], encoder.clock_hz)
+    times, tooth = _crossings(machine, profile, time_s)
+    _write_times(file, "pulse_time", times[tooth < encoder.pulses_per_rev - encoder.missing_teeth], encoder.clock_hz)
     if encoder.index:
-        _write_times(file, "index_time", pulses[0][teeth == 0], encoder.clock_hz)
+        _write_times(file, "index_time", times[tooth == 0], encoder.clock_hz)
 
 
 def _write_times(file: h5py.File, name: str, times: FloatArray, clock_hz: float) -> None:
@@ -81,27 +89,30 @@ def _index_width(machine: Machine, profile: Profile) -> float:
     return max(INDEX_WIDTH_REV, 3.0 * max(profile.rpm) / 60.0 / machine.rate_hz)
 
 
-def _trace(encoder: Encoder, angle: FloatArray) -> FloatArray:
-    """Sampled square wave of the wheel: 5 V over the first half of each tooth, which starts at its angle."""
-    pitch = angle * encoder.pulses_per_rev
-    tooth = np.mod(np.floor(pitch), encoder.pulses_per_rev)
-    width = 0.5 if encoder.pulses_per_rev > 1 else 0.1
-    high = (np.mod(pitch, 1.0) < width) & (tooth < encoder.pulses_per_rev - encoder.missing_teeth)
+def _trace(encoder: Encoder, seed: int, angle: FloatArray) -> FloatArray:
+    """Sampled square wave of the wheel that ``seed`` gives: 5 V over half a tooth, which starts at its angle."""
+    teeth, turned = encoder.teeth_rev(seed), np.mod(angle, 1.0)
+    tooth = np.searchsorted(teeth, turned, side="right") - 1
+    width = (0.5 if encoder.pulses_per_rev > 1 else 0.1) / encoder.pulses_per_rev
+    high = (turned - teeth[tooth] < width) & (tooth < encoder.pulses_per_rev - encoder.missing_teeth)
     return np.asarray(5.0 * high, dtype=np.float32)
 
 
-def _crossings(
-    profile: Profile, time_s: FloatArray, offset_rev: float, pulses_per_rev: int
-) -> tuple[FloatArray, FloatArray]:
-    """Exact times, s, and wheel angles, revolutions, at which a tooth passes: Newton from a table of the angle."""
+def _crossings(machine: Machine, profile: Profile, time_s: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Exact times, s, at which a tooth passes, and its number: Newton from a table of the angle."""
+    teeth, offset_rev = machine.encoder.teeth_rev(machine.seed), machine.encoder.index_to_tdc_deg / 360.0
     turn = profile.angle(time_s) + offset_rev
-    wanted = np.arange(np.ceil(turn[0] * pulses_per_rev), np.floor(turn[-1] * pulses_per_rev) + 1) / pulses_per_rev
+    turns = np.arange(np.floor(turn[0]), np.floor(turn[-1]) + 1)
+    wanted = (turns[:, None] + teeth).ravel()
+    tooth = np.tile(np.arange(teeth.size), turns.size)
+    passed = (wanted >= turn[0]) & (wanted <= turn[-1])
+    wanted, tooth = wanted[passed], tooth[passed]
     moving = np.append(True, np.diff(turn) > 0.0)
     times = np.interp(wanted, turn[moving], time_s[moving])
-    for _ in range(3):
+    for _ in range(NEWTON_STEPS):
         speed = np.maximum(profile.speed(times), 1.0) / 60.0
         times = np.clip(times - (profile.angle(times) + offset_rev - wanted) / speed, time_s[0], time_s[-1])
-    return times, wanted
+    return times, tooth
 
 
 def manifest(machine: Machine) -> str:

@@ -14,6 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from crankorder.report.contradictions import contradictions
 from machines.bound import KNOWN_FREQUENCY, Bound, free_for_the_oracle, lock_told, told_from_a_tone
 from machines.folder import Take
+from machines.lines import TrueLine, causes, is_resolved, line_of
 from machines.machine import FloatArray, Machine
 from machines.tracks import judged_rows
 from machines.truth import dangerous_speeds, recorded_maximum, steady_maximum
@@ -21,7 +22,6 @@ from made.typed import findings_of
 
 NEAR_MODE = 0.01
 """A record within this share of a true frequency, or within its own interval, is of that mode."""
-NEAR_ORDER = 0.03
 END_REACH = 0.06
 """Share of the speed that a frame at the end of a sweep stays away from it."""
 SAME_SIZE = 0.97
@@ -63,6 +63,7 @@ def judged(machine: Machine, takes: tuple[Take, ...], bound: Bound, said: Said) 
         *_speeds(machine, bound, said.findings),
         *_orders(machine, takes, bound, said.findings),
         *_modes(machine, bound, said.findings),
+        *(Judgement("part real", float(good), 1.0, words) for good, words in causes(machine, takes, said.findings)),
         *_contradictions(said.findings),
         *(Judgement("rows", float(row.right), 1.0, row.words) for row in judged_rows(machine, takes, said.tracks)),
     )
@@ -109,7 +110,8 @@ def _speeds(machine: Machine, bound: Bound, findings: dict[str, Any]) -> list[Ju
 
 def _orders(machine: Machine, takes: tuple[Take, ...], bound: Bound, findings: dict[str, Any]) -> list[Judgement]:
     made: list[Judgement] = []
-    records = [(record, _true_order(machine, record["order"])) for record in findings["orders"]]
+    lines = [(record, line_of(machine, takes, record)) for record in findings["orders"]]
+    records = [(record, None if line is None else line.place) for record, line in lines]
     largest = np.stack([recorded_maximum(machine, takes, place) for place in range(len(machine.orders))])
     steady = np.stack([steady_maximum(machine, place) for place in range(len(machine.orders))])
     made.append(_strongest(machine, records, largest, steady))
@@ -128,15 +130,10 @@ def _orders(machine: Machine, takes: tuple[Take, ...], bound: Bound, findings: d
             made.append(Judgement("order found", float(bool(own)), 1.0, f"order {order.order:g}"))
             if told[place]:
                 made.append(Judgement("decided: lock", float(truth in locks and not wrong), 1.0, f"{order.order:g}"))
-    for record, true in records:
+    for record, line in lines:
+        true = None if line is None else line.place
         if true is None:
-            tone = any(
-                abs(record["order"] * rpm / 60.0 - line.frequency_hz) < 1.0
-                for line in machine.tones
-                for rpm in machine.tested_rpm
-            )
-            words = f"order {record['order']:.5g} of {record['amplitude']:.3g} m/s² is nothing"
-            made.append(Judgement("order real", float(tone and machine.steady), 1.0, words))
+            made += _no_order(machine, record, line)
             continue
         made.append(Judgement("order real", 1.0))
         made += _amplitude(machine, takes, record, true, largest, steady)
@@ -144,10 +141,16 @@ def _orders(machine: Machine, takes: tuple[Take, ...], bound: Bound, findings: d
     return made
 
 
-def _true_order(machine: Machine, number: float) -> int | None:
-    distance = [abs(order.order - number) for order in machine.orders]
-    place = int(np.argmin(distance))
-    return place if distance[place] <= max(NEAR_ORDER, 0.004 * number) else None
+def _no_order(machine: Machine, record: dict[str, Any], line: TrueLine | None) -> list[Judgement]:
+    """On a ``record`` that is no order of the machine: whether a ``line`` stands there all the same, and its lock."""
+    if line is None:
+        words = f"order {record['order']:.5g} of {record['amplitude']:.3g} m/s² is nothing"
+        return [Judgement("order real", 0.0, 1.0, words)]
+    judgements = [Judgement("order real", 1.0)]
+    if not line.is_tone or is_resolved(machine, line, record["speed_rpm_at_max"]):
+        words = f"{'the mains' if line.is_tone else 'a line of the swing'} read as order {record['order']:.5g}"
+        judgements.append(Judgement("lock", float(record["lock"] not in {"locked", "slips"} - {line.lock}), 1.0, words))
+    return judgements
 
 
 def _strongest(
@@ -168,6 +171,11 @@ def _strongest(
 def _holds(interval: list[float] | None, value: float) -> bool:
     # what the file rounds to ten digits is not a miss
     return interval is not None and interval[0] - 1e-9 * abs(value) <= value <= interval[1] + 1e-9 * abs(value)
+
+
+def _width(value: float, interval: list[float]) -> Judgement:
+    """Logarithm of half the width of ``interval`` over ``value``: an interval that always holds the truth is easy."""
+    return Judgement("log width", float(np.log(max(0.5 * (interval[1] - interval[0]), 1e-12 * value) / value)))
 
 
 def _amplitude(
@@ -194,6 +202,7 @@ def _amplitude(
         f"({interval[0]:.4g}…{interval[1]:.4g}) at {at:.0f} rpm, is {was:.4g} (steady {would:.4g})"
     )
     return [
+        _width(record["amplitude"], interval),
         Judgement("amplitude", float(transient or _holds(interval, would)), 1.0, words),
         Judgement("amplitude, transient", float(transient), 1.0, words),
         Judgement("amplitude, steady", float(_holds(interval, would)), 1.0, words),
@@ -291,6 +300,7 @@ def _pole(machine: Machine, place: int, record: dict[str, Any]) -> list[Judgemen
     ):
         interval = record[f"{key}_ci95"]
         if interval is not None:
+            made.append(_width(record[key], interval))
             words = f"{record[key]:.5g} ({interval[0]:.5g}…{interval[1]:.5g}), is {truth:.5g}"
             made.append(
                 Judgement(kind, float(_holds(interval, truth)), 1.0, f"mode {mode.frequency_hz:.2f} Hz: {words}")

@@ -75,8 +75,22 @@ class Tone:
 
 
 @dataclass(frozen=True)
+class Swing:
+    """Sinusoidal swing of the crank angle within the cycle, as by the gas torque of a flywheel engine.
+
+    ``order`` times per revolution, ``size_rev`` at the speed ``rpm``; the torque stays, so that the size falls with the
+    square of the speed.
+    """
+
+    order: float
+    size_rev: float
+    rpm: float
+    phase: float = 0.0
+
+
+@dataclass(frozen=True)
 class Profile:
-    """Speed of one recording: straight lines between knots, and a slow wander on top."""
+    """Speed of one recording: straight lines between knots, a slow wander on top, and a swing within the cycle."""
 
     time_s: tuple[float, ...]
     rpm: tuple[float, ...]
@@ -84,6 +98,7 @@ class Profile:
     wander_rpm: float = 0.0
     wander_hz: float = 0.3
     wander_phase: float = 0.0
+    swing: Swing | None = None
 
     @property
     def duration_s(self) -> float:
@@ -91,12 +106,23 @@ class Profile:
         return self.time_s[-1]
 
     def speed(self, time_s: FloatArray) -> FloatArray:
-        """Speed, rpm, at ``time_s`` (any shape)."""
+        """Speed, rpm, at ``time_s`` (any shape), without the swing within the cycle."""
         wander = self.wander_rpm * np.sin(2.0 * np.pi * self.wander_hz * time_s + self.wander_phase)
         return np.asarray(np.interp(time_s, self.time_s, self.rpm) + wander)
 
     def angle(self, time_s: FloatArray) -> FloatArray:
-        """Crank angle, revolutions from top dead centre, at ``time_s`` (any shape): the exact integral of the speed."""
+        """Crank angle, revolutions from top dead centre, at ``time_s`` (any shape): the exact integral of the speed.
+
+        The swing within the cycle stands on top of it.
+        """
+        mean = self.mean_angle(time_s)
+        if self.swing is None:
+            return mean
+        size = self.swing.size_rev * (self.swing.rpm / self.speed(time_s)) ** 2
+        return np.asarray(mean + size * np.sin(2.0 * np.pi * self.swing.order * mean + self.swing.phase))
+
+    def mean_angle(self, time_s: FloatArray) -> FloatArray:
+        """Crank angle, revolutions, at ``time_s`` (any shape) without the swing within the cycle."""
         knot, rpm = np.asarray(self.time_s), np.asarray(self.rpm)
         slope = np.diff(rpm) / np.diff(knot)
         before = np.concatenate(([0.0], np.cumsum(0.5 * (rpm[1:] + rpm[:-1]) * np.diff(knot))))
@@ -120,6 +146,14 @@ class Encoder:
     index_to_tdc_deg: float = 0.0
     clock_hz: float = 0.0
     """Pulse times are multiples of its period."""
+    pitch_error_rev: float = 0.0
+    """Standard deviation of the places of the teeth; the first stands where it should."""
+
+    def teeth_rev(self, seed: int) -> FloatArray:
+        """Places of all teeth of the wheel that ``seed`` gives, revolutions, (pulse,)."""
+        error = self.pitch_error_rev * np.random.default_rng([seed, 11]).standard_normal(self.pulses_per_rev)
+        error[:1] = 0.0
+        return np.asarray(np.arange(self.pulses_per_rev) / max(1, self.pulses_per_rev) + error)
 
 
 @dataclass(frozen=True)

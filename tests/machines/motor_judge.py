@@ -11,10 +11,8 @@ from click.testing import CliRunner
 
 from crankorder.cli import main
 from crankorder.identify.said import LIKE_UNBALANCE
+from machines.lines import PARTS
 from machines.motor_rig import Line, MotorRig, write_folder
-
-PARTS = ("bearing", "gear mesh", "blade", "second shaft", "motor,", "mains", "half order")
-"""Words of a cause that name a part of a machine, or the mains."""
 
 WORDS_OF = {
     "bar pass": "motor, bar pass",

@@ -1,20 +1,20 @@
-"""Runs the program on drawn machines, holds what it says against what is so, and prints the table.
+"""Runs the program on drawn machines and says whether it is right as often as before: ``make score``.
 
-``python tests/machines/score.py --scenes 200 --jobs 2 --out table.md`` draws fresh seeds and prints them; ``--seed``
-gives the same again. The program is used as a user does: its command, and the files that it writes.
+Repeats one of the three seed sets of the baseline, machine by machine, and adds fresh machines. The program is used as
+a user does: its command, and the files that it writes. Exit status 1 where a class has fallen.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import multiprocessing
 import os
+import resource
 import secrets
 import shutil
+import signal
 import sys
 import tempfile
-import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -26,12 +26,26 @@ for _library in ("OMP", "OPENBLAS", "MKL"):
 
 import numpy as np  # noqa: E402
 
-from machines.bound import bound_of  # noqa: E402  # after the number of threads is set
+from machines.baseline import (  # noqa: E402  # after the number of threads is set
+    PER_CLASS,
+    SET_SEEDS,
+    comparison_table,
+    comparisons,
+    fallen,
+    host,
+    read_baseline,
+    write_baseline,
+)
+from machines.bound import bound_of  # noqa: E402
 from machines.draw import CLASSES, draw_machine  # noqa: E402
 from machines.folder import write_folder  # noqa: E402
 from machines.judge import Judgement, Said, judged  # noqa: E402
-from machines.table import INTERVALS, SceneScore, pooled, table_text  # noqa: E402
+from machines.table import SceneScore, table_text  # noqa: E402
 
+FRESH = 60
+"""Machines that nobody has seen before, in every run."""
+LONGEST_CPU_S = 60
+"""Processor seconds after which the program has failed on a machine."""
 LONGEST_S = 240.0
 """Seconds after which a run of the program counts as hung."""
 
@@ -44,35 +58,14 @@ class Scene:
     seed: int
 
 
-def drawn_scenes(count: int, classes: tuple[str, ...], seed: int) -> list[Scene]:
-    """``count`` scenes, the ``classes`` in turn, with seeds that follow from ``seed``."""
-    rng = np.random.default_rng(seed)
-    return [Scene(classes[place % len(classes)], int(rng.integers(1, 2**31))) for place in range(count)]
-
-
-def campaign(
-    count: int, classes: tuple[str, ...], seed: int, *, jobs: int, intervals: int = 0, told: bool = False
-) -> list[SceneScore]:
-    """Scores of ``count`` scenes of ``classes`` drawn from ``seed``, ``jobs`` at a time, each ``told`` when done.
-
-    Classes with fewer ``intervals`` than asked get more scenes, up to four times their share.
-    """
-    scores = score_scenes(drawn_scenes(count, classes, seed), jobs=jobs, told=told)
-    most = 4 * -(-count // len(classes))
-    for more in range(1, 1000):
-        short = tuple(name for name in classes if _is_short(scores, name, intervals, most))
-        if not short:
-            break
-        try:
-            scores += score_scenes(drawn_scenes(5 * len(short), short, seed + more), jobs=jobs, told=told)
-        except Interrupted as stopped:
-            raise Interrupted(scores + stopped.scores) from None
-    return scores
-
-
-def _is_short(scores: list[SceneScore], name: str, intervals: int, most: int) -> bool:
-    own = [score for score in scores if score.class_name == name]
-    return len(own) < most and pooled(own, INTERVALS).of < intervals
+def drawn_scenes(count: int, seed: int) -> list[Scene]:
+    """``count`` scenes of all classes in turn, with seeds that follow from ``seed``, the class and the turn."""
+    scenes = []
+    for number in range(count):
+        turn, place = divmod(number, len(CLASSES))
+        own = int(np.random.default_rng([seed, place, turn]).integers(1, 2**31))
+        scenes.append(Scene(CLASSES[place], own))
+    return scenes
 
 
 def score_scene(scene: Scene, keep: Path | None = None) -> SceneScore:
@@ -84,24 +77,29 @@ def score_scene(scene: Scene, keep: Path | None = None) -> SceneScore:
     if keep is not None:
         place = keep / f"{scene.class_name.replace(' ', '-')}-{scene.seed}"
         shutil.rmtree(place, ignore_errors=True)
-    started = time.perf_counter()
+    spent = 0.0
+    judgements: tuple[Judgement, ...] = ()
     try:
         machine = draw_machine(scene.class_name, scene.seed)
         takes = write_folder(machine, place / "test")
-        bound = bound_of(machine)
-        began = time.perf_counter()
+        bound, before = bound_of(machine), _cpu_of_children()
         message = run_program(place / "test", place / "out")
-        seconds = time.perf_counter() - began
-        judgements: tuple[Judgement, ...] = ()
+        spent = _cpu_of_children() - before
+        if spent > LONGEST_CPU_S:
+            message = f"{spent:.0f} processor seconds, {LONGEST_CPU_S} allowed"
         if not message:
             judgements = judged(machine, takes, bound, Said.read(place / "out"))
-        return SceneScore(scene.class_name, scene.seed, seconds, message, judgements)
     except Exception as error:  # the scorer's own fault must not end the campaign, and is listed as one
-        told = f"scorer: {type(error).__name__}: {error}"
-        return SceneScore(scene.class_name, scene.seed, time.perf_counter() - started, told, ())
+        message = f"scorer: {type(error).__name__}: {error}"
     finally:
         if keep is None:
             shutil.rmtree(place, ignore_errors=True)
+    return SceneScore.of(scene.class_name, scene.seed, spent, message, judgements)
+
+
+def _cpu_of_children() -> float:
+    usage = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return usage.ru_utime + usage.ru_stime
 
 
 def run_program(folder: Path, out: Path) -> str:
@@ -115,7 +113,7 @@ def run_program(folder: Path, out: Path) -> str:
     child.start()
     child.join(LONGEST_S)
     if child.is_alive():
-        child.kill()
+        os.killpg(child.pid or 0, signal.SIGKILL)  # its workers too
         child.join()
         return f"no answer in {LONGEST_S:g} s"
     if child.exitcode:
@@ -125,6 +123,8 @@ def run_program(folder: Path, out: Path) -> str:
 
 
 def _command(folder: Path, out: Path, log: Path) -> None:
+    os.setsid()
+    resource.setrlimit(resource.RLIMIT_CPU, (LONGEST_CPU_S + 1, LONGEST_CPU_S + 2))
     with log.open("w", encoding="utf-8") as stream:
         os.dup2(stream.fileno(), 1)
         os.dup2(stream.fileno(), 2)
@@ -140,66 +140,84 @@ def _load_program() -> None:
     import crankorder.batch.publish  # noqa: F401
 
 
-def score_scenes(scenes: list[Scene], *, jobs: int, told: bool = False, keep: Path | None = None) -> list[SceneScore]:
-    """Scores of ``scenes``, ``jobs`` at a time; each is ``told`` on stderr when done, its files kept in ``keep``."""
+def score_scenes(scenes: list[Scene], *, jobs: int, keep: Path | None = None) -> list[SceneScore]:
+    """Scores of ``scenes``, ``jobs`` at a time; each is told on stderr when done, its files kept in ``keep``."""
     _load_program()
     scores: list[SceneScore] = []
     with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("fork")) as pool:
         try:
             for score in pool.map(partial(score_scene, keep=keep), scenes):
                 scores.append(score)
-                if told:
-                    _tell(score, f"{len(scores)}/{len(scenes)}")
+                state = score.message or f"{score.wrong:.1f} wrong, {score.cpu_s:.1f} s"
+                place = f"{len(scores)}/{len(scenes)} {score.class_name} {score.seed}"
+                print(f"{place}: {state}", file=sys.stderr, flush=True)
         except KeyboardInterrupt:
             pool.shutdown(wait=False, cancel_futures=True)
-            raise Interrupted(scores) from None
+            raise SystemExit("interrupted: nothing is said, nothing is written") from None
     return scores
 
 
-class Interrupted(Exception):  # no error: the user has seen enough
-    """Ctrl-C; ``scores`` are those that were done."""
-
-    def __init__(self, scores: list[SceneScore]) -> None:
-        """Keep ``scores``."""
-        super().__init__("interrupted")
-        self.scores = scores
+def scenes_of_set(number: int) -> list[Scene]:
+    """The scenes of the seed set ``number`` (1 to 3)."""
+    return drawn_scenes(PER_CLASS * len(CLASSES), SET_SEEDS[number])
 
 
-def _tell(score: SceneScore, place: str) -> None:
-    state = score.message or f"{sum(not one.good for one in score.marks)} wrong"
-    print(f"{place} {score.class_name} {score.seed}: {state}", file=sys.stderr, flush=True)
+def make_baseline(jobs: int) -> int:
+    """Score all three sets and write the baseline."""
+    sets = {number: score_scenes(scenes_of_set(number), jobs=jobs) for number in SET_SEEDS}
+    write_baseline(sets)
+    return 0
 
 
-def main() -> None:
+def judge_change(number: int, count: int, seed: int, jobs: int) -> int:
+    """Score the set ``number`` and ``count`` fresh machines of ``seed``, print what moved; 1 where something fell."""
+    baseline, scenes = read_baseline(), scenes_of_set(number)
+    if [(score.class_name, score.seed) for score in baseline.get(number, [])] != [
+        (s.class_name, s.seed) for s in scenes
+    ]:
+        print("reports/score.json is not of these machines or of this scorer: make a baseline by `make score-baseline`")
+        return 2
+    # the fresh ones start with another class each time: their number need not be a multiple of the classes
+    drawn = drawn_scenes(count + seed % len(CLASSES), seed)[seed % len(CLASSES) :]
+    scores = score_scenes([*scenes, *drawn], jobs=jobs)
+    repeated, fresh = scores[: len(scenes)], scores[len(scenes) :]
+    classes = comparisons(baseline[number], repeated)
+    reasons = fallen(classes, [score for scores in baseline.values() for score in scores], fresh)
+    print(f"# Score: set {number} beside its baseline\n\n{', '.join(host().values())}\n\n{comparison_table(classes)}")
+    print(f"# {count} fresh machines, seed {seed}\n\n{table_text(fresh)}\n# Set {number}\n\n{table_text(repeated)}")
+    print("\n".join(f"FALLEN: {reason}" for reason in reasons) or "Nothing has fallen.")
+    return int(bool(reasons))
+
+
+def _not_negative(text: str) -> int:
+    if (number := int(text)) < 0:
+        raise argparse.ArgumentTypeError(f"{number}: 0 or more machines")
+    return number
+
+
+def main() -> int:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenes", type=int, default=200, help="how many machines")
-    parser.add_argument("--classes", nargs="+", default=list(CLASSES), choices=CLASSES, help="which classes")
-    parser.add_argument("--seed", type=int, help="draws the same machines again; left out: fresh ones")
-    parser.add_argument("--scene-seed", type=int, nargs="+", help="these machines alone, by their own seeds")
-    parser.add_argument("--intervals", type=int, default=0, help="more scenes until every class has so many intervals")
-    parser.add_argument("--jobs", type=int, default=2, help="scenes at a time")
-    parser.add_argument("--keep", type=Path, help="with --scene-seed: folder in which tests and results are kept")
-    parser.add_argument("--out", type=Path, help="file for the table")
-    parser.add_argument("--json", type=Path, help="file for every judgement")
+    parser.add_argument(
+        "--set", type=int, choices=SET_SEEDS, help="the seed set to repeat; left out: by the fresh seed"
+    )
+    parser.add_argument("--fresh", type=_not_negative, default=FRESH, help="how many fresh machines")
+    parser.add_argument("--seed", type=int, help="draws the same fresh machines again")
+    parser.add_argument("--jobs", type=int, default=2, help="machines at a time")
+    parser.add_argument("--baseline", action="store_true", help="score all three sets and keep them as the baseline")
+    parser.add_argument("--classes", nargs="+", default=list(CLASSES), choices=CLASSES, help="with --machines")
+    parser.add_argument("--machines", type=int, nargs="+", help="these machines alone, by their own seeds")
+    parser.add_argument("--keep", type=Path, help="with --machines: folder in which tests and results are kept")
     asked = parser.parse_args()
+    if asked.baseline:
+        return make_baseline(asked.jobs)
+    if asked.machines:
+        scenes = [Scene(name, seed) for name in asked.classes for seed in asked.machines]
+        print(table_text(score_scenes(scenes, jobs=asked.jobs, keep=asked.keep)))
+        return 0
     seed = secrets.randbits(31) if asked.seed is None else asked.seed
-    try:
-        if asked.scene_seed:
-            scenes = [Scene(name, one) for name in asked.classes for one in asked.scene_seed]
-            scores = score_scenes(scenes, jobs=asked.jobs, told=True, keep=asked.keep)
-        else:
-            classes = tuple(asked.classes)
-            scores = campaign(asked.scenes, classes, seed, jobs=asked.jobs, intervals=asked.intervals, told=True)
-    except Interrupted as stopped:
-        scores = stopped.scores
-    text = table_text(scores, seed=seed)
-    print(text)
-    if asked.out:
-        asked.out.write_text(text, encoding="utf-8")
-    if asked.json:
-        asked.json.write_text(json.dumps([score.plain() for score in scores], indent=1), encoding="utf-8")
+    return judge_change(asked.set or 1 + seed % len(SET_SEEDS), asked.fresh, seed, asked.jobs)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

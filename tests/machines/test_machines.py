@@ -9,12 +9,13 @@ import h5py
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
 from scipy.signal import csd, hilbert, welch
 
 from machines.draw import CLASSES, draw_machine
 from machines.folder import write_folder
-from machines.machine import Encoder, Machine, Mode, Order, Profile
-from machines.signals import broadband, order_envelope, ringing, sample_times
+from machines.machine import Encoder, Machine, Mode, Order, Profile, Swing
+from machines.signals import as_read_by_angle, broadband, order_envelope, ringing, sample_times, swung_signal
 
 STILL = Encoder("speed", "speed")
 
@@ -101,6 +102,90 @@ def test_the_angle_is_the_integral_of_the_speed() -> None:
     speed = profile.speed(time_s) / 60.0
     summed = 0.25 + np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))))
     np.testing.assert_allclose(profile.angle(time_s), summed, atol=1e-8)
+
+
+SWUNG = Profile((0.0, 4.0), (1200.0, 1200.0), 0.3, swing=Swing(1.5, 0.01, 1200.0, 0.7))
+
+
+def test_a_recording_of_a_swinging_shaft_starts_in_steady_running() -> None:
+    """Amplitude and phase repeat from cycle to cycle: nothing rings from a start at rest."""
+    machine = one_mode(damping=0.002, profile=SWUNG)
+    envelope, _ = order_envelope(machine, SWUNG, 0)
+    cycle = round(2.0 * 60.0 / 1200.0 * machine.rate_hz)
+    assert np.ptp(np.abs(envelope[0, :cycle])) > 0.01 * np.abs(envelope[0, 0])
+    for later in (1, 20):
+        again = envelope[0, later * cycle : (later + 1) * cycle]
+        np.testing.assert_allclose(again, envelope[0, :cycle], atol=1e-7 * np.abs(envelope).max())
+
+
+def test_the_lines_of_a_swinging_shaft_are_those_of_its_signal_by_angle() -> None:
+    """Against a Fourier series over whole cycles, on an even grid of angle that cubic splines give."""
+    machine = replace(one_mode(profile=SWUNG), rate_hz=20000.0)
+    envelope, carrier = order_envelope(machine, SWUNG, 0)
+    swung = swung_signal(machine, SWUNG, [envelope])
+    assert swung is not None
+    (read,) = as_read_by_angle(machine, SWUNG, [envelope], swung)
+    angle = SWUNG.angle(sample_times(machine, SWUNG))
+    signal = CubicSpline(angle, (envelope[0] * carrier).real)
+    grid = np.arange(39 * 2 * 512) / 512 + 1.0
+    for order in (0.5, 2.0, 3.5):
+        series = 2.0 * np.mean(signal(grid) * np.exp(-2j * np.pi * order * grid))
+        assert swung.amplitude(order)[0] == pytest.approx(abs(series), abs=1e-6 * np.abs(envelope).max())
+        if order == 2.0:
+            assert read[0, 0] == pytest.approx(series, abs=1e-6 * np.abs(envelope).max())
+
+
+@pytest.mark.parametrize("encoder", ["trace", "times"])
+def test_an_uneven_wheel_shows_each_tooth_where_it_stands(encoder: str, tmp_path: Path) -> None:
+    wheel = Encoder("36-1", encoder, 36, 1, False, 0.0, 1e7, 1e-3)
+    machine = replace(one_mode(profile=replace(SWUNG, rpm=(900.0, 900.0))), rate_hz=50000.0, encoder=wheel)
+    write_folder(machine, tmp_path / "m")
+    with h5py.File(tmp_path / "m" / "rec_000.h5") as file:
+        if encoder == "times":
+            times = file["pulse_time"][...]
+        else:
+            times = (np.nonzero(np.diff(file["encoder"][...]) > 0)[0] + 1) / machine.rate_hz
+    turned = np.mod(machine.profiles[0].angle(times), 1.0)
+    late = (turned[:, None] - wheel.teeth_rev(machine.seed)[:-1] + 0.5) % 1.0 - 0.5
+    nearest = late[np.arange(len(late)), np.abs(late).argmin(axis=1)]
+    # a trace shows an edge at the first sample behind it: 0.3 thousandths of a revolution
+    assert np.abs(nearest).max() < (4e-4 if encoder == "trace" else 2e-6)
+    assert set(np.abs(late).argmin(axis=1)) == set(range(35))
+    assert 5e-4 < np.std(np.diff(wheel.teeth_rev(machine.seed)) - 1.0 / 36.0) < 3e-3
+
+
+def test_the_new_classes_are_what_their_names_say() -> None:
+    for seed in range(20):
+        held, swept = draw_machine("swing, held", seed), draw_machine("swing, swept", seed)
+        assert held.steady and not swept.steady and not draw_machine("two speeds", seed).steady
+        for machine in (held, swept):
+            swing = machine.profiles[0].swing
+            assert swing is not None and 0.002 <= 2.0 * np.pi * swing.order * swing.size_rev <= 0.1001
+            assert any(order.order == 1.0 for order in machine.orders) and machine.encoder.pulses_per_rev >= 36
+        assert draw_machine("one pulse", seed).encoder.pulses_per_rev == 1
+        tones = draw_machine("twice mains", seed).tones
+        assert len(tones) == 1 and tones[0].frequency_hz == pytest.approx(
+            2.0 * draw_machine("twice mains", seed).mains_hz, rel=1e-3
+        )
+        toothed = draw_machine("up and down, toothed wheel", seed)
+        ways = {
+            bool(first < last)
+            for p in toothed.profiles
+            for first, last in zip(p.rpm, p.rpm[1:], strict=False)
+            if first != last
+        }
+        assert ways == {True, False} and toothed.encoder.pulses_per_rev >= 36
+
+
+def test_noise_is_120_db_below_order_1_in_half_of_the_swinging_machines() -> None:
+    levels = []
+    for seed in range(30):
+        machine = draw_machine("swing, held", seed)
+        first = [order.order for order in machine.orders].index(1.0)
+        rms = np.abs(machine.steady_response(first, machine.tested_rpm)).max() / np.sqrt(2.0)
+        noise = max(machine.noise_density) * np.sqrt(machine.rate_hz / 2.0)
+        levels.append(20.0 * np.log10(rms / noise))
+    assert 8 <= sum(level > 110.0 for level in levels) <= 22
 
 
 def test_the_broadband_floor_has_the_stated_density() -> None:

@@ -1,0 +1,121 @@
+"""The lines that a drawn machine really makes, which of them a record is of, and whether its cause is so."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from machines.folder import Take
+from machines.machine import Machine
+
+NEAR_ORDER, NEAR_SHARE = 0.03, 0.004
+"""A record is of the nearest line within so much of it, in orders or as a share; the larger counts."""
+SWING_SHARE = 0.1
+"""A line that the swing of the shaft makes is real where it has this share of the size that is said."""
+RESOLVED_CYCLES = 1.5
+"""Two lines are told apart where they beat so often within a recording."""
+NEAR_TONE_HZ = 0.2
+"""A line so near to the mains, or within the resolution of the recording, may be that of the mains."""
+ON_A_MODE = 0.01
+"""Share of a frequency within which an order passes it."""
+PARTS = ("bearing", "gear mesh", "blade", "second shaft", "motor,", "mains", "half order")
+"""Words of a cause that name a part of a machine, or the mains."""
+OF_THE_SHAFT = ("order", "harmonic", "unbalance", "misalignment", "sideband")
+"""Words of a cause that name the shaft itself."""
+
+
+@dataclass(frozen=True)
+class TrueLine:
+    """A line at the ``order`` that it has at a speed; ``place`` among the machine's orders, None: no order of it."""
+
+    order: float
+    place: int | None = None
+    is_tone: bool = False
+
+    @property
+    def lock(self) -> str:
+        """What it is called: "locked" to the cycle of two revolutions, or "slips"."""
+        return "locked" if not self.is_tone and float(2.0 * self.order).is_integer() else "slips"
+
+
+def line_of(machine: Machine, takes: tuple[Take, ...], record: dict[str, Any]) -> TrueLine | None:
+    """The line of ``machine`` that ``record``, an order of the findings, is of; None: there is none.
+
+    The nearest one; an order of the shaft first where it lies within the record's own interval. A tone of the mains is
+    a line of a certain order at a steady speed only, and the swing's are those that ``takes`` really hold.
+    """
+    number, rpm = float(record["order"]), float(record["speed_rpm_at_max"])
+    lines = [TrueLine(order.order, place) for place, order in enumerate(machine.orders)]
+    if machine.steady:
+        lines += [TrueLine(60.0 * tone.frequency_hz / rpm, is_tone=True) for tone in machine.tones]
+    reach = max(NEAR_ORDER, NEAR_SHARE * number)
+    own = {round(order.order, 9) for order in machine.orders}
+    signals = [take.swung for take in takes if take.swung is not None]
+    sidebands = {line for signal in signals for line in signal.numbers} - own
+    channel, least = machine.channels.index(record["channel"]), SWING_SHARE * record["amplitude"]
+    for line in (line for line in sidebands if abs(line - number) <= reach):
+        if max(float(signal.amplitude(line)[channel]) for signal in signals) >= least:
+            lines.append(TrueLine(line))
+    low, high = record.get("order_ci95") or (number, number)
+    inside = [line for line in lines if line.place is not None and low <= line.order <= high]
+    nearest = min(inside or lines, key=lambda line: abs(line.order - number))
+    return nearest if abs(nearest.order - number) <= reach else None
+
+
+def is_resolved(machine: Machine, tone: TrueLine, rpm: float) -> bool:
+    """Whether the recordings at ``rpm`` tell a ``tone`` from the half order next to it."""
+    shortest = min(p.duration_s for p in machine.profiles if abs(np.mean(p.rpm) / rpm - 1.0) <= ON_A_MODE)
+    return abs(2.0 * tone.order - round(2.0 * tone.order)) / 2.0 * rpm / 60.0 * shortest >= RESOLVED_CYCLES
+
+
+def causes(machine: Machine, takes: tuple[Take, ...], findings: dict[str, Any]) -> list[tuple[bool, str]]:
+    """Whether each cause that names a part of a machine is so, and words: one of those that it names must be there."""
+    told: list[tuple[str, float, float, TrueLine | None]] = []
+    for record in findings["orders"]:
+        per_order = float(record["speed_rpm_at_max"]) / 60.0
+        low, high = record.get("order_ci95") or (record["order"], record["order"])
+        line = line_of(machine, takes, record)
+        told.append(
+            (str(record.get("explained_by")), record["order"] * per_order, 0.5 * (high - low) * per_order, line)
+        )
+    for mode in findings["modes"]:
+        low, high = mode["frequency_hz_ci95"] or (mode["frequency_hz"], mode["frequency_hz"])
+        line = _passing(machine, mode["frequency_hz"])
+        told.append((str(mode["explained_by"]), mode["frequency_hz"], 0.5 * (high - low), line))
+    told += [(f"bearing {bearing['name']}", np.nan, 0.0, None) for bearing in findings.get("bearings", ())]
+    return [
+        (any(_is_so(machine, part, hertz, error, line) for part in cause.split(" or ")), f"{cause} at {hertz:.5g} Hz")
+        for cause, hertz, error, line in told
+        if any(part in cause for part in PARTS)
+    ]
+
+
+def _passing(machine: Machine, hertz: float) -> TrueLine | None:
+    """The first order of ``machine`` that a recording has at ``hertz``."""
+    for place, order in enumerate(machine.orders):
+        rpm = 60.0 * hertz / order.order
+        for profile in machine.profiles:
+            if min(profile.rpm) * (1.0 - ON_A_MODE) <= rpm <= max(profile.rpm) * (1.0 + ON_A_MODE):
+                return TrueLine(order.order, place)
+    return None
+
+
+def _is_so(machine: Machine, cause: str, hertz: float, error_hz: float, line: TrueLine | None) -> bool:
+    """Whether ``cause``, one of those named, makes the line at ``hertz`` (± ``error_hz``), which truly is ``line``."""
+    if "mains" in cause:
+        if line is not None and line.is_tone:
+            return True
+        resolution = 1.0 / min(profile.duration_s for profile in machine.profiles)
+        # beside an order that is told from it the mains are not what stands there
+        reach = max(error_hz, resolution) if line is not None else max(error_hz, resolution, NEAR_TONE_HZ)
+        return any(abs(tone.frequency_hz - hertz) <= reach for tone in machine.tones)
+    if line is None or line.is_tone:
+        return False
+    if "gear mesh" in cause:
+        beside = line.order - machine.gear_teeth * max(1, round(line.order / max(1, machine.gear_teeth)))
+        return machine.gear_teeth > 0 and abs(beside) <= 1.0
+    if "half order" in cause:
+        return line.order % 1.0 == 0.5
+    return any(words in cause for words in OF_THE_SHAFT) and not any(part in cause for part in PARTS)
