@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import re
+import textwrap
 import tomllib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -314,9 +315,104 @@ def findings_schema() -> str:
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
+def score_figures(root: Path) -> list[str]:
+    """What the baseline of the score says of how often the program is right, as items of a list."""
+    machines = [score for scores in _report(root, "score.json")["sets"].values() for score in scores]
+
+    def share(*kinds: str) -> tuple[float, float]:
+        pairs = [score["shares"][kind] for score in machines for kind in kinds if kind in score["shares"]]
+        return sum(good for good, _ in pairs), sum(of for _, of in pairs)
+
+    def wrong(kind: str, what: str) -> str:
+        good, of = share(kind)
+        return f"{of - good:.0f} of {of:,.0f} {what}"
+
+    def percent(*kinds: str) -> str:
+        good, of = share(*kinds)
+        return f"{100.0 * good / of:.0f} %"
+
+    classes = len({score["class"] for score in machines})
+    failed = sum(bool(score["message"]) for score in machines)
+    dangers = ", ".join(
+        (
+            wrong("dangerous not free", "dangerous speeds called free"),
+            wrong("lock", "locks told wrong"),
+            wrong("part real", "named parts not there"),
+            wrong("mode real", "natural frequencies not there"),
+        )
+    )
+    covered = percent("amplitude", "phase", "frequency", "damping")
+    return [
+        f"{len(machines)} drawn machines of {classes} classes, analysed by the command as a user does "
+        f"([score](reports/score.md), `make score`): {failed} failed; {dangers}; 95 % intervals hold the truth in "
+        f"{covered}. Of what an estimator that knows the model can decide, {percent('decided: lock')} of the locks, "
+        f"{percent('decided: mode')} of the natural frequencies and {percent('decided: free')} of the free speeds are "
+        "decided; the rest is called not decided;",
+    ]
+
+
+def identification_figures(root: Path) -> list[str]:
+    """What the last report on identification says, as items of a list."""
+    made = _report(root, "speed-error/identification.json")
+    quantities, mass = made["quantities"], made["quantities"]["residual mass, order 1"]
+    named = ("largest amplitude", "natural frequency", "damping", "residual mass")
+    inside = [
+        float(numbers["inside the 95 % interval"].removesuffix("%"))
+        for name, numbers in quantities.items()
+        if name.startswith(named) and "noise alone" not in name
+    ]
+    orders, modes = (made["counts"].get(f"missed {what}", 0) for what in ("orders", "modes"))
+    return [
+        f"the reference campaign against its own truth, {made['scenes']} times: {orders} orders and {modes} natural "
+        f"frequencies missed, unbalance told with an RMS error of {mass['RMS error']}, 95 % intervals of amplitudes, "
+        f"natural frequencies, damping and masses that hold the truth in {min(inside):g} to {max(inside):g} % "
+        "([numbers](reports/speed-error/identification.md)).",
+    ]
+
+
+def speed_figures(root: Path) -> list[str]:
+    """What the last benchmark of the whole process says, as paragraphs."""
+    bench = _report(root, "speed-error/campaign.json")
+    rows, errors = bench["rows"], bench["error_of_amplitudes"]["programs"]
+    maps, full = rows["crankorder, recipe maps"], rows["crankorder, with findings"]
+    scipy, rota = rows["plain scipy"], rows.get("rota-order 0.3")
+    first, warm = rows["crankorder, with findings, first run"], rows["crankorder, with findings, warm interpreter"]
+    others = f"plain scipy takes {scipy['seconds']:g} s for maps and pictures alone"
+    others += f", rota-order {rota['seconds']:g} s" if rota else ""
+    worst = {name: f"{100.0 * error['largest']:.2g} %" for name, error in errors.items()}
+    return [
+        f"Speed: the 35-speed campaign ({bench['megabytes']} MB) takes {full['seconds']:g} s as a whole process "
+        f"({full['processor_seconds']:g} s of processor), with findings and pictures, on {bench['cores']} cores "
+        f"({bench['machine']['processor']}); maps alone take {maps['seconds']:g} s. In the same run {others}. A first "
+        f"run in a new environment takes {first['seconds']:g} s, a further one in the same interpreter "
+        f"{warm['seconds']:g} s. Largest error of an order's amplitude: {worst['crankorder, with findings']} with "
+        f"findings, {worst['crankorder, recipe maps']} in the maps, {worst['plain scipy']} by plain scipy "
+        "([speed and error](reports/speed-error/campaign.md); `make bench` measures yours).",
+    ]
+
+
+def _report(root: Path, name: str) -> dict[str, Any]:
+    loaded: dict[str, Any] = json.loads((root / "reports" / name).read_text(encoding="utf-8"))
+    return loaded
+
+
+def render_readme(root: Path = ROOT) -> str:
+    """Text of ``README.md`` with the figures between its marks as the last ``reports/`` have them."""
+    items = [_wrapped(f"* {item}") for item in (*score_figures(root), *identification_figures(root))]
+    figures = "\n".join(items) + "\n\n" + "\n\n".join(map(_wrapped, speed_figures(root)))
+    first, last = "<!-- figures: made by `make readmes` -->", "<!-- figures: end -->"
+    head, _, rest = (root / "README.md").read_text(encoding="utf-8").partition(first)
+    return f"{head}{first}\n{figures}\n{last}{rest.partition(last)[2]}"
+
+
+def _wrapped(text: str) -> str:
+    return textwrap.fill(text, 130, subsequent_indent="  " if text.startswith("*") else "", break_long_words=False)
+
+
 def pages(root: Path = ROOT) -> dict[Path, str]:
     """Path and text of every generated page of the tree at ``root``."""
     return {
+        root / "README.md": render_readme(root),
         root / "data_schema" / "findings.json": findings_schema(),
         root / "data_schema" / "manifest.json": manifest_schema(),
         root / "docs" / "reference" / "manifest.md": render_manifest_keys(),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -66,33 +65,6 @@ def test_each_room_has_a_page_of_its_method_that_states_errors_or_sources(projec
     for room, name in METHOD_PAGES.items():
         text = (project_root / "docs" / "method" / f"{name}.md").read_text(encoding="utf-8")
         assert f"`{room.replace('/', '.')}`" in text, f"method/{name}.md does not name its room {room}"
-
-
-def _stated(pattern: str, text: str) -> float:
-    (found,) = re.findall(pattern, re.sub(r"\s+", " ", text))
-    return float(found)
-
-
-def test_the_numbers_of_the_readme_are_those_of_the_last_reports(project_root: Path) -> None:
-    readme = (project_root / "README.md").read_text(encoding="utf-8")
-    reports = project_root / "reports" / "speed-error"
-    rows = json.loads((reports / "campaign.json").read_text(encoding="utf-8"))["rows"]
-    assert _stated(r"campaign \([0-9]+ MB\) takes ([0-9.]+) s", readme) == rows["crankorder, with findings"]["seconds"]
-    assert _stated(r"maps alone take ([0-9.]+) s", readme) == rows["crankorder, recipe maps"]["seconds"]
-    size = _stated(r"campaign \(([0-9]+) MB\)", readme)
-    assert f"{size:.0f} MB" in (reports / "campaign.md").read_text(encoding="utf-8")
-    made = json.loads((reports / "identification.json").read_text(encoding="utf-8"))
-    assert _stated(r"truth, ([0-9]+) times", readme) == made["scenes"]
-    mass = made["quantities"]["residual mass, order 1"]
-    assert f"{_stated(r'RMS error of ([0-9.]+) %', readme):g} %" == mass["RMS error"]
-    named = ("largest amplitude", "natural frequency", "damping", "residual mass")
-    inside = [
-        float(one["inside the 95 % interval"].removesuffix("%"))
-        for name, one in made["quantities"].items()
-        if name.startswith(named)
-    ]
-    ends = (_stated(r"hold the truth in ([0-9.]+) to", readme), _stated(r"truth in [0-9.]+ to ([0-9.]+) %", readme))
-    assert ends == (min(inside), max(inside))
 
 
 def test_the_readme_can_be_read_at_once_and_its_links_lead_somewhere(project_root: Path) -> None:

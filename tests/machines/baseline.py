@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy
@@ -101,8 +102,8 @@ def _chance(count: int, of: int, share: float) -> float:
 
 
 def scorer_digest() -> str:
-    """Digest of the code that draws and judges: with another one a score says nothing of the program."""
-    names = ("bound", "draw", "folder", "judge", "lines", "machine", "signals", "table", "tracks", "truth")
+    """Digest of the code that draws and judges: with another one what moves may be its doing."""
+    names = ("bound", "draw", "folder", "judge", "lines", "machine", "signals", "tracks", "truth")
     text = b"".join(Path(__file__).with_name(f"{name}.py").read_bytes() for name in names)
     return hashlib.sha256(text).hexdigest()[:16]
 
@@ -195,13 +196,22 @@ def _mean(share: Share) -> float:
     return share.good / share.of if share.of else 0.0
 
 
-def read_baseline() -> dict[int, list[SceneScore]]:
-    """Scores of the committed baseline, by set; empty where there is none, or where other code drew or judged."""
+def _report() -> dict[str, Any]:
     path = REPORT.with_suffix(".json")
-    plain = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    if plain.get("scorer") != scorer_digest():
-        return {}
-    return {int(number): [SceneScore.read(score) for score in scores] for number, scores in plain["sets"].items()}
+    return dict(json.loads(path.read_text(encoding="utf-8"))) if path.exists() else {}
+
+
+def is_of_this_scorer() -> bool:
+    """Whether the code that draws and judges is that of the committed baseline."""
+    return bool(_report().get("scorer") == scorer_digest())
+
+
+def read_baseline() -> dict[int, list[SceneScore]]:
+    """Scores of the committed baseline, by set; empty where there is none."""
+    plain = _report()
+    return {
+        int(number): [SceneScore.read(score) for score in scores] for number, scores in plain.get("sets", {}).items()
+    }
 
 
 def write_baseline(sets: dict[int, list[SceneScore]]) -> None:

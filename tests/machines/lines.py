@@ -70,26 +70,44 @@ def is_resolved(machine: Machine, tone: TrueLine, rpm: float) -> bool:
     return abs(2.0 * tone.order - round(2.0 * tone.order)) / 2.0 * rpm / 60.0 * shortest >= RESOLVED_CYCLES
 
 
+@dataclass(frozen=True)
+class _Named:
+    """A line as the findings name it: its ``cause``, where it lies, and the true ``line`` that it is of."""
+
+    cause: str
+    low_hz: float
+    high_hz: float
+    line: TrueLine | None
+    may_be_half: bool = False
+
+    def holds(self, hertz: float, reach_hz: float) -> bool:
+        """Whether it may lie at ``hertz``."""
+        return self.low_hz - reach_hz <= hertz <= self.high_hz + reach_hz
+
+
 def causes(machine: Machine, takes: tuple[Take, ...], findings: dict[str, Any]) -> list[tuple[bool, str]]:
     """Whether each cause that names a part of a machine is so, and words: one of those that it names must be there."""
-    told: list[tuple[str, float, float, TrueLine | None]] = []
-    for record in findings["orders"]:
-        per_order = float(record["speed_rpm_at_max"]) / 60.0
-        low, high = record.get("order_ci95") or (record["order"], record["order"])
-        line = line_of(machine, takes, record)
-        told.append(
-            (str(record.get("explained_by")), record["order"] * per_order, 0.5 * (high - low) * per_order, line)
-        )
+    named = [_named_order(machine, takes, record) for record in findings["orders"]]
     for mode in findings["modes"]:
         low, high = mode["frequency_hz_ci95"] or (mode["frequency_hz"], mode["frequency_hz"])
-        line = _passing(machine, mode["frequency_hz"])
-        told.append((str(mode["explained_by"]), mode["frequency_hz"], 0.5 * (high - low), line))
-    told += [(f"bearing {bearing['name']}", np.nan, 0.0, None) for bearing in findings.get("bearings", ())]
+        named.append(_Named(str(mode["explained_by"]), low, high, _passing(machine, mode["frequency_hz"])))
+    named += [_Named(f"bearing {bearing['name']}", np.nan, np.nan, None) for bearing in findings.get("bearings", ())]
     return [
-        (any(_is_so(machine, part, hertz, error, line) for part in cause.split(" or ")), f"{cause} at {hertz:.5g} Hz")
-        for cause, hertz, error, line in told
-        if any(part in cause for part in PARTS)
+        (any(_is_so(machine, part, one) for part in one.cause.split(" or ")), f"{one.cause}, {one.low_hz:.5g} Hz")
+        for one in named
+        if any(part in one.cause for part in PARTS)
     ]
+
+
+def _named_order(machine: Machine, takes: tuple[Take, ...], record: dict[str, Any]) -> _Named:
+    """The order of ``record`` at its speed; where no line follows the shaft there, at every speed of the test."""
+    number, rpm = float(record["order"]), float(record["speed_rpm_at_max"])
+    low, high = record.get("order_ci95") or (number, number)
+    line, speeds = line_of(machine, takes, record), (rpm, rpm)
+    if line is None:
+        low, high, speeds = number, number, (machine.tested_rpm[0], machine.tested_rpm[-1])
+    undecided = record["lock"] == "undecided" and low <= round(2.0 * number) / 2.0 <= high
+    return _Named(str(record.get("explained_by")), low * speeds[0] / 60.0, high * speeds[1] / 60.0, line, undecided)
 
 
 def _passing(machine: Machine, hertz: float) -> TrueLine | None:
@@ -102,20 +120,22 @@ def _passing(machine: Machine, hertz: float) -> TrueLine | None:
     return None
 
 
-def _is_so(machine: Machine, cause: str, hertz: float, error_hz: float, line: TrueLine | None) -> bool:
-    """Whether ``cause``, one of those named, makes the line at ``hertz`` (± ``error_hz``), which truly is ``line``."""
+def _is_so(machine: Machine, cause: str, named: _Named) -> bool:
+    """Whether ``cause``, one of those that are ``named`` for a line, is there."""
+    line = named.line
     if "mains" in cause:
-        if line is not None and line.is_tone:
-            return True
         resolution = 1.0 / min(profile.duration_s for profile in machine.profiles)
         # beside an order that is told from it the mains are not what stands there
-        reach = max(error_hz, resolution) if line is not None else max(error_hz, resolution, NEAR_TONE_HZ)
-        return any(abs(tone.frequency_hz - hertz) <= reach for tone in machine.tones)
+        reach = resolution if line is not None else max(resolution, NEAR_TONE_HZ)
+        near = any(named.holds(tone.frequency_hz, reach) for tone in machine.tones)
+        return near or (line is not None and line.is_tone)
+    if "natural frequency" in cause:
+        return any(named.holds(mode.frequency_hz, ON_A_MODE * mode.frequency_hz) for mode in machine.modes)
     if line is None or line.is_tone:
         return False
     if "gear mesh" in cause:
         beside = line.order - machine.gear_teeth * max(1, round(line.order / max(1, machine.gear_teeth)))
         return machine.gear_teeth > 0 and abs(beside) <= 1.0
     if "half order" in cause:
-        return line.order % 1.0 == 0.5
+        return line.order % 1.0 == 0.5 or named.may_be_half
     return any(words in cause for words in OF_THE_SHAFT) and not any(part in cause for part in PARTS)

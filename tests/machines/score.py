@@ -33,6 +33,7 @@ from machines.baseline import (  # noqa: E402  # after the number of threads is 
     comparisons,
     fallen,
     host,
+    is_of_this_scorer,
     read_baseline,
     write_baseline,
 )
@@ -137,7 +138,9 @@ def _command(folder: Path, out: Path, log: Path) -> None:
 
 def _load_program() -> None:
     import crankorder.batch.execute
-    import crankorder.batch.publish  # noqa: F401
+    import crankorder.batch.publish
+    import crankorder.cli
+    import crankorder.identify.findings  # noqa: F401
 
 
 def score_scenes(scenes: list[Scene], *, jobs: int, keep: Path | None = None) -> list[SceneScore]:
@@ -175,8 +178,10 @@ def judge_change(number: int, count: int, seed: int, jobs: int) -> int:
     if [(score.class_name, score.seed) for score in baseline.get(number, [])] != [
         (s.class_name, s.seed) for s in scenes
     ]:
-        print("reports/score.json is not of these machines or of this scorer: make a baseline by `make score-baseline`")
+        print("reports/score.json holds no baseline of these machines: make one by `make score-baseline`")
         return 2
+    if not is_of_this_scorer():
+        print("The scorer is not that of the baseline: what moved may be its doing and not the program's.\n")
     # the fresh ones start with another class each time: their number need not be a multiple of the classes
     drawn = drawn_scenes(count + seed % len(CLASSES), seed)[seed % len(CLASSES) :]
     scores = score_scenes([*scenes, *drawn], jobs=jobs)

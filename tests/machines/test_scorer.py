@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from machines.baseline import comparisons, fallen, holm
+from machines.baseline import SET_SEEDS, comparisons, fallen, holm, read_baseline
 from machines.bound import Bound, bound_of, standard_errors
+from machines.draw import CLASSES
 from machines.folder import Take
 from machines.judge import Judgement, Said, judged
 from machines.machine import Encoder, FloatArray, Machine, Mode, Order, Profile
+from machines.score import scenes_of_set
 from machines.signals import order_envelope, sample_times
 from machines.table import DANGERS, SceneScore, share_of, table_text
 from machines.truth import dangerous_speeds
@@ -334,6 +336,16 @@ def test_fresh_machines_are_held_against_the_share_of_the_whole_baseline() -> No
 def test_chances_are_corrected_as_holm_says() -> None:
     # Holm (1979): the least times three, the next times two, the last once, none below the one before
     assert holm([0.04, 0.01, 0.03]) == pytest.approx([0.06, 0.03, 0.06])
+
+
+def test_every_set_repeats_all_classes_and_the_baseline_holds_just_these() -> None:
+    baseline = read_baseline()
+    assert set(baseline) == set(SET_SEEDS)
+    for number, scores in baseline.items():
+        assert [(score.class_name, score.seed) for score in scores] == [
+            (scene.class_name, scene.seed) for scene in scenes_of_set(number)
+        ]
+        assert {score.class_name for score in scores} == set(CLASSES)
 
 
 PARTS_SAID = {  # cause of a line at 60 Hz (order 2 at 1800 rpm) of a machine without gear, and whether it may be said

@@ -219,11 +219,8 @@ def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:
 
 def _each_once(found: list[_Unnamed]) -> list[_Unnamed]:
     """``found`` without close lines that another group of lines has led to already."""
-    kept: list[_Unnamed] = []
-    for one in found:
-        if one.reservation != PARTED_IN_SWEEP or one.number not in [other.number for other in kept]:
-            kept.append(one)
-    return kept
+    orders = [one.number.order for one in found]
+    return [one for at, one in enumerate(found) if one.reservation != PARTED_IN_SWEEP or orders[at] not in orders[:at]]
 
 
 def _without_twins(agreed: list[AgreedOrder], near: float, match: float) -> list[AgreedOrder]:

@@ -132,7 +132,7 @@ def _block(
 
 def _swept_block(agreed: AgreedOrder, item: xr.Dataset) -> Block | None:
     """Block of one recording whose speed sweeps; None where the order was not followed there."""
-    if not item.attrs.get("swept", 0) or "amplitude" not in item:
+    if not item.attrs.get("swept", 0) or "amplitude" not in item or not item["time"].size:
         return None
     names = item["order"].values
     found = np.flatnonzero(np.abs(names - agreed.order) <= NUMBERS.same_order_share * agreed.order)

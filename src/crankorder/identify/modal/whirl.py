@@ -354,6 +354,8 @@ def _best_line(excess: Array, cells: Cells) -> tuple[_Candidate | None, int]:
     n_slopes = max(2, int(np.ceil(NUMBERS.most_slope_orders * span / cells.seen.bin_hz)))
     slopes = np.linspace(-NUMBERS.most_slope_orders, NUMBERS.most_slope_orders, 2 * n_slopes + 1)
     slopes = slopes[np.abs(slopes) * span >= 2.0 * cells.seen.bin_hz]
+    if not len(slopes):
+        return None, 0
     shifts = np.rint(slopes[:, None] * cells.revs_per_s / step).astype(np.int64)
     sums, counts = _sheared(excess, shifts)
     tried = len(slopes) * excess.shape[1] * len(BOXES)
