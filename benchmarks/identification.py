@@ -57,7 +57,7 @@ def one_scene(job: tuple[int, float, bool, str]) -> tuple[Found, dict[str, int],
     )
     start = time.thread_time()
     sources = Sources(revs_per_cycle=2, engine=ENGINE, bearings=ENGINE.bearings)
-    findings = find(*maps, made.by_order, None, test="made", sources=sources, settings=SETTINGS)
+    findings = find(*maps, made.by_order, None, test="made", sources=sources, settings=SETTINGS).as_dict()
     spent = time.thread_time() - start
     if keep:
         with (Path(keep) / f"{'noise' if noise_only else 'scene'}_{seed}.pickle").open("wb") as file:

@@ -387,7 +387,7 @@ def speed_figures(root: Path) -> list[str]:
         f"run in a new environment takes {first['seconds']:g} s, a further one in the same interpreter "
         f"{warm['seconds']:g} s. Largest error of an order's amplitude: {worst['crankorder, with findings']} with "
         f"findings, {worst['crankorder, recipe maps']} in the maps, {worst['plain scipy']} by plain scipy "
-        "([speed and error](reports/speed-error/campaign.md); `make bench` measures yours).",
+        "([`make bench`](reports/speed-error/campaign.md)).",
     ]
 
 
