@@ -46,9 +46,11 @@ score: $(STAMP)
 
 score-baseline: $(STAMP)
 	$(BIN)/python tests/machines/score.py --baseline
+	$(BIN)/python reports/make_readmes.py
 
 bench: $(STAMP)
 	$(BIN)/python benchmarks/campaign.py
+	$(BIN)/python reports/make_readmes.py
 
 bench-all: $(STAMP)
 	$(BIN)/python benchmarks/campaign.py --all

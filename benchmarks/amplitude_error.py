@@ -16,12 +16,11 @@ import numpy as np
 import xarray as xr
 
 CLEAR = 1000.0
-"""Times the standard error that noise leaves: it moves such an amplitude by at most 0.1 % (one standard error), so that
-larger errors are of the program."""
+"""Times the standard error that noise leaves: larger errors than a thousandth are of the program."""
 STRONG = 0.01
 """Share of the strongest order of the same channel and recording from which an order counts: 40 dB below it."""
 RULE = (
-    "The errors are those on the same campaign with a thousandth of its noise, analysed once: they show the program. A "
+    "The errors are those on the same campaign with a millionth of its noise, analysed once: they show the program. A "
     f"line (channel, order, speed) counts where its true amplitude is at least {100 * STRONG:g} % of the strongest "
     f"order of its channel and recording, and at least {CLEAR:g} times √(S/T), the standard error of a peak amplitude "
     "that is fitted to a whole recording of T seconds in noise of the one-sided density S at the line's frequency."

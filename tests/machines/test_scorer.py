@@ -12,7 +12,7 @@ import pytest
 import xarray as xr
 
 from machines import score
-from machines.baseline import SET_SEEDS, comparisons, fallen, holm, read_baseline
+from machines.baseline import SET_SEEDS, comparison_table, comparisons, fallen, holm, read_baseline
 from machines.bound import Bound, bound_of, standard_errors
 from machines.draw import CLASSES
 from machines.folder import Take
@@ -282,7 +282,7 @@ def scores_of(wrong: list[float], *, class_name: str = "stepped", kind: str = "m
     ]
 
 
-@pytest.mark.parametrize(("kind", "what"), [("mode real", "wrong statements"), ("mode found", "what is decided")])
+@pytest.mark.parametrize(("kind", "what"), [("mode real", "wrong"), ("mode found", "decided")])
 @pytest.mark.parametrize(("worse", "better", "falls"), [(13, 0, True), (11, 2, False), (3, 0, False), (0, 13, False)])
 def test_a_class_has_fallen_where_a_sign_test_says_so(
     worse: int, better: int, falls: bool, kind: str, what: str
@@ -291,8 +291,8 @@ def test_a_class_has_fallen_where_a_sign_test_says_so(
     now = scores_of([6.0] * worse + [4.0] * better + [5.0] * (13 - worse - better), kind=kind)
     classes = comparisons(before, now + scores_of([5.0] * 13, class_name="run-up"))
     count = classes[0].right if kind == "mode real" else classes[0].decided
-    # by hand: 2^-13 for 13 of 13; Holm with six tests (right and decided, of both classes and of all machines)
-    assert (count.chance == pytest.approx(6.0 * 2.0**-13)) is falls
+    # by hand: 2^-13 for 13 of 13; Holm with seven tests (right and decided of both classes and of all, width of all)
+    assert (count.chance == pytest.approx(7.0 * 2.0**-13)) is falls
     assert any(reason.startswith(f"stepped: {what}") for reason in fallen(classes, before, [])) is falls
 
 
@@ -303,11 +303,28 @@ def test_more_dangerous_statements_of_a_class_than_before_are_a_fall(kind: str) 
     assert fallen(comparisons(now, before), now, []) == []
 
 
+def test_intervals_that_are_all_wider_are_a_fall_and_narrower_ones_are_none() -> None:
+    before, wider = (
+        [SceneScore.of("stepped", n, 1.0, "", (Judgement("log width", size),)) for n in range(13)]
+        for size in (-3.0, -2.9)
+    )
+    (reason,) = fallen(comparisons(before, wider), before, [])
+    assert reason.startswith("all: width of intervals: 13 machines worse")
+    assert fallen(comparisons(wider, before), before, []) == []
+
+
+def test_a_machine_that_was_near_the_limit_of_time_may_pass_it() -> None:
+    slow = [replace(score, cpu_s=55.0) for score in scores_of([0.0] * 2)]
+    late = [replace(score, message="61 processor seconds, 60 allowed", shares={}) for score in slow]
+    assert fallen(comparisons(slow, late), slow, []) == []
+
+
 def test_a_failure_is_worse_and_its_repair_is_no_fall() -> None:
     before = scores_of([3.0] * 13, kind="lock")
     dead = [replace(score, message="boom", shares={}) for score in before]
     assert {(own.right.worse, own.decided.worse) for own in comparisons(before, dead)} == {(13, 13)}
     assert "stepped: failed: 13, before 0" in fallen(comparisons(before, dead), before, [])
+    assert "* stepped 12: wrong 3.0 → 0.0, decided 0.00 → 0.00; boom" in comparison_table(comparisons(before, dead))
     assert fallen(comparisons(dead, before), before, []) == []
 
 
