@@ -375,10 +375,10 @@ def identification_figures(root: Path) -> list[str]:
     count = defaultdict(int, made["counts"])
     return [
         f"the reference campaign against its own truth, {made['scenes']} times, the shaft known exactly: "
-        f"{count['missed orders']} orders, {count['missed modes']} natural frequencies and {count['missed 1725 rpm']} "
-        f"crossings at 1725 rpm missed, {count['false orders']} orders and {count['false modes']} natural frequencies "
-        f"made up; amplitudes in their noise with an RMS error of {size['RMS error']}, unbalance {mass['RMS error']} "
-        f"({count['no mass']} times none told); 95 % intervals hold the truth in {min(inside):g} to {max(inside):g} % "
+        f"missed and made up: orders {count['missed orders']} and {count['false orders']}, natural frequencies "
+        f"{count['missed modes']} and {count['false modes']}; not told: crossings at 1725 rpm "
+        f"{count['missed 1725 rpm']}, unbalance {count['no mass']}; amplitudes in their noise have an RMS error of "
+        f"{size['RMS error']}, unbalance of {mass['RMS error']}; 95 % intervals hold the truth in {min(inside):g} to {max(inside):g} % "
         "([numbers](reports/speed-error/identification.md)).",
     ]
 
@@ -390,7 +390,8 @@ def speed_figures(root: Path) -> list[str]:
     maps, full = rows["crankorder, recipe maps"], rows["crankorder, with findings"]
     scipy, rota = rows["plain scipy"], rows.get("rota-order 0.3")
     first, warm = rows["crankorder, with findings, first run"], rows["crankorder, with findings, warm interpreter"]
-    others = f"plain scipy takes {scipy['seconds']:g} s ({scipy['processor_seconds']:g} s) for maps and pictures alone"
+    others = f"plain scipy takes {scipy['seconds']:g} s ({scipy['processor_seconds']:g} s of processor)"
+    others += " for maps and pictures alone"
     if rota:
         others += f", rota-order {rota['seconds']:g} s (scaled from {rota['scaled_from_recordings']} recordings)"
     worst = {name: f"{100.0 * error['largest']:.2g} %" for name, error in errors.items()}
