@@ -378,7 +378,8 @@ def identification_figures(root: Path) -> list[str]:
         f"missed and made up: orders {count['missed orders']} and {count['false orders']}, natural frequencies "
         f"{count['missed modes']} and {count['false modes']}; not told: crossings at 1725 rpm "
         f"{count['missed 1725 rpm']}, unbalance {count['no mass']}; amplitudes in their noise have an RMS error of "
-        f"{size['RMS error']}, unbalance of {mass['RMS error']}; 95 % intervals hold the truth in {min(inside):g} to {max(inside):g} % "
+        f"{size['RMS error']}, unbalance of {mass['RMS error']}; 95 % intervals hold the truth in {min(inside):g} to "
+        f"{max(inside):g} % "
         "([numbers](reports/speed-error/identification.md)).",
     ]
 
