@@ -208,7 +208,7 @@ def comparison_table(classes: Sequence[Comparison]) -> str:
             _beside(*(f"{sum(score.wrong for score in scores):.1f}" for scores in pair)),
             _beside(*(f"{100.0 * share_of(scores, *FOUND).share:.1f}" for scores in pair)),
             _beside(*(f"{100.0 * share_of(scores, *INTERVALS).share:.1f}" for scores in pair)),
-            f"{100.0 * np.expm1(round(_mean(widths[0]) - _mean(widths[1]), 4)):+.1f} %",
+            f"{100.0 * np.expm1(round(_mean(widths[0]) - _mean(widths[1]), 4) + 0.0):+.1f} %",
             *(_beside(*(f"{_misses(scores, kind):.0f}" for scores in pair)) for kind in DANGERS),
             _beside(*(str(_failed(scores)) for scores in pair)),
             _beside(*(f"{np.mean([score.cpu_s for score in scores]):.1f}" for scores in pair)),
