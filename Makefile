@@ -54,6 +54,7 @@ bench: $(STAMP)
 
 bench-all: $(STAMP)
 	$(BIN)/python benchmarks/campaign.py --all
+	$(BIN)/python reports/make_readmes.py
 
 gallery: $(STAMP)
 	$(BIN)/python reports/make_gallery.py

@@ -363,8 +363,8 @@ def score_figures(root: Path) -> list[str]:
 
 def identification_figures(root: Path) -> list[str]:
     """What the last report on identification says, as items of a list."""
-    made = _report(root, "speed-error/identification.json")
-    quantities, mass = made["quantities"], made["quantities"]["residual mass, order 1"]
+    report = _report(root, "speed-error/identification.json")
+    quantities, mass = report["quantities"], report["quantities"]["residual mass, order 1"]
     named = ("largest amplitude", "natural frequency", "damping", "residual mass")
     inside = [
         float(numbers["inside the 95 % interval"].removesuffix("%"))
@@ -372,15 +372,14 @@ def identification_figures(root: Path) -> list[str]:
         if name.startswith(named) and "noise alone" not in name
     ]
     size = quantities["largest amplitude"]
-    count = defaultdict(int, made["counts"])
+    count = defaultdict(int, report["counts"])
     return [
-        f"the reference campaign against its own truth, {made['scenes']} times, the shaft known exactly: "
+        f"the reference campaign against its own truth, {report['scenes']} times, the shaft known exactly: "
         f"missed and made up: orders {count['missed orders']} and {count['false orders']}, natural frequencies "
         f"{count['missed modes']} and {count['false modes']}; not told: crossings at 1725 rpm "
         f"{count['missed 1725 rpm']}, unbalance {count['no mass']}; amplitudes in their noise have an RMS error of "
         f"{size['RMS error']}, unbalance of {mass['RMS error']}; 95 % intervals hold the truth in {min(inside):g} to "
-        f"{max(inside):g} % "
-        "([numbers](reports/speed-error/identification.md)).",
+        f"{max(inside):g} % ([numbers](reports/speed-error/identification.md)).",
     ]
 
 

@@ -67,16 +67,19 @@ class Comparison:
     @property
     def more(self) -> list[str]:
         """What a user would act on, and failures, of which there is more than before."""
-        pairs = [pair for pair in zip(self.before, self.now, strict=True) if not any(score.message for score in pair)]
-        counts = [(kind, *(_misses(scores, kind) for scores in zip(*pairs, strict=True))) for kind in DANGERS if pairs]
-        # near the limit of time another load or processor decides
-        new = [
-            now
-            for before, now in zip(self.before, self.now, strict=True)
-            if now.message and before.cpu_s < NEAR_LIMIT_S
+        pairs = list(zip(self.before, self.now, strict=True))
+        analysed = [pair for pair in pairs if not any(score.message for score in pair)]
+        counts = [
+            (kind, *(_misses(scores, kind) for scores in zip(*analysed, strict=True))) for kind in DANGERS if analysed
         ]
-        counts.append(("failed", _failed(self.before), len(new)))
-        return [f"{kind}: {now:.0f}, before {before:.0f}" for kind, before, now in counts if now > before + 0.5]
+        words = [f"{kind}: {now:.0f}, before {before:.0f}" for kind, before, now in counts if now > before + 0.5]
+        # where it was near the limit of time before, another load or processor decides
+        failed = [
+            now.seed
+            for before, now in pairs
+            if now.message and not before.message and min(before.cpu_s, now.cpu_s) < NEAR_LIMIT_S
+        ]
+        return words + ([f"failed, and did not before: {', '.join(map(str, failed))}"] if failed else [])
 
 
 def comparisons(before: Sequence[SceneScore], now: Sequence[SceneScore]) -> list[Comparison]:
@@ -177,10 +180,6 @@ def _misses(scores: Iterable[SceneScore], kind: str) -> float:
     return sum(score.misses(kind) for score in scores)
 
 
-def _failed(scores: Iterable[SceneScore]) -> int:
-    return sum(bool(score.message) for score in scores)
-
-
 def comparison_table(classes: Sequence[Comparison]) -> str:
     """The comparisons as Markdown, what was decided beside what was right, and the machines that moved.
 
@@ -210,7 +209,7 @@ def comparison_table(classes: Sequence[Comparison]) -> str:
             _beside(*(f"{100.0 * share_of(scores, *INTERVALS).share:.1f}" for scores in pair)),
             f"{100.0 * np.expm1(round(_mean(widths[0]) - _mean(widths[1]), 4) + 0.0):+.1f} %",
             *(_beside(*(f"{_misses(scores, kind):.0f}" for scores in pair)) for kind in DANGERS),
-            _beside(*(str(_failed(scores)) for scores in pair)),
+            _beside(*(f"{sum(bool(score.message) for score in scores)}" for scores in pair)),
             _beside(*(f"{np.mean([score.cpu_s for score in scores]):.1f}" for scores in pair)),
         ]  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")

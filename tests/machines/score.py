@@ -122,7 +122,8 @@ def run_program(folder: Path, out: Path) -> str:
         return f"no answer in {LONGEST_S:g} s"
     if child.exitcode:
         said = log.read_text(encoding="utf-8", errors="replace").strip().splitlines() if log.exists() else []
-        return f"exit status {child.exitcode}: {' | '.join(said[-3:])[:400]}"
+        words = "; ".join(said[-3:]).replace(f"{folder.parent}{os.sep}", "")
+        return f"exit status {child.exitcode}: {words[:400]}"
     return ""
 
 
@@ -182,9 +183,7 @@ def judge_change(number: int, count: int, seed: int, jobs: int) -> int:
     except (ValueError, KeyError, TypeError) as error:
         print(f"reports/score.json is damaged ({error!r}): take it from the last commit")
         return 2
-    if [(score.class_name, score.seed) for score in baseline.get(number, [])] != [
-        (s.class_name, s.seed) for s in scenes
-    ]:
+    if [Scene(score.class_name, score.seed) for score in baseline.get(number, [])] != scenes:
         print("reports/score.json holds no baseline of these machines: make one by `make score-baseline`")
         return 2
     if not is_of_this_scorer():
@@ -198,15 +197,8 @@ def judge_change(number: int, count: int, seed: int, jobs: int) -> int:
     reasons = fallen(classes, [score for scores in baseline.values() for score in scores], fresh)
     print(f"# Score: set {number} beside its baseline\n\n{', '.join(host().values())}\n\n{comparison_table(classes)}")
     print(f"# {count} fresh machines, seed {seed}\n\n{table_text(fresh)}\n# Set {number}\n\n{table_text(repeated)}")
-    for score in fresh:
-        print(
-            "".join(
-                f"LOOK: fresh {score.class_name} {score.seed}: {kind}: {words}\n"
-                for kind, words in score.faults
-                if kind in DANGERS
-            ),
-            end="",
-        )
+    dangers = [(score, *fault) for score in fresh for fault in score.faults if fault[0] in DANGERS]
+    print("".join(f"LOOK: fresh {own.class_name} {own.seed}: {kind}: {words}\n" for own, kind, words in dangers))
     print("\n".join(f"FALLEN: {reason}" for reason in reasons) or "Nothing has fallen.")
     return int(bool(reasons))
 

@@ -135,16 +135,20 @@ def test_the_lines_of_a_swinging_shaft_are_those_of_its_signal_by_angle() -> Non
             assert read[0, 0] == pytest.approx(series, abs=1e-6 * np.abs(envelope).max())
 
 
+def tooth_times(machine: Machine, folder: Path) -> np.ndarray:
+    """Times of the teeth in the first recording of ``machine``: those stored, or the first samples behind an edge."""
+    write_folder(machine, folder)
+    with h5py.File(folder / "rec_000.h5") as file:
+        if machine.encoder.form == "times":
+            return np.asarray(file["pulse_time"][...])
+        return np.asarray((np.nonzero(np.diff(file["encoder"][...]) > 0)[0] + 1) / machine.rate_hz)
+
+
 @pytest.mark.parametrize("encoder", ["trace", "times"])
 def test_an_uneven_wheel_shows_each_tooth_where_it_stands(encoder: str, tmp_path: Path) -> None:
     wheel = Encoder("36-1", encoder, 36, 1, False, 0.0, 1e7, 1e-3)
     machine = replace(one_mode(profile=replace(SWUNG, rpm=(900.0, 900.0))), rate_hz=50000.0, encoder=wheel)
-    write_folder(machine, tmp_path / "m")
-    with h5py.File(tmp_path / "m" / "rec_000.h5") as file:
-        if encoder == "times":
-            times = file["pulse_time"][...]
-        else:
-            times = (np.nonzero(np.diff(file["encoder"][...]) > 0)[0] + 1) / machine.rate_hz
+    times = tooth_times(machine, tmp_path / "m")
     turned = np.mod(machine.profiles[0].angle(times), 1.0)
     late = (turned[:, None] - wheel.teeth_rev(machine.seed)[:-1] + 0.5) % 1.0 - 0.5
     nearest = late[np.arange(len(late)), np.abs(late).argmin(axis=1)]
@@ -242,12 +246,7 @@ def test_the_encoder_tells_the_angle_that_was_driven(encoder: str, tmp_path: Pat
         rate_hz=10000.0,
         encoder=Encoder("60-2", encoder, 60, 2, False, 40.0, 1e6),
     )
-    write_folder(machine, tmp_path / "m")
-    with h5py.File(tmp_path / "m" / "rec_000.h5") as file:
-        if encoder == "times":
-            times = file["pulse_time"][...]
-        else:
-            times = (np.nonzero(np.diff(file["encoder"][...]) > 0)[0] + 1) / machine.rate_hz
+    times = tooth_times(machine, tmp_path / "m")
     turned = (machine.profiles[0].angle(times) + 40.0 / 360.0) * 60
     late = turned - np.round(turned - 0.3)
     teeth_per_s = 900.0 / 60.0 * 60

@@ -315,15 +315,19 @@ def test_intervals_that_are_all_wider_are_a_fall_and_narrower_ones_are_none() ->
 
 def test_a_machine_that_was_near_the_limit_of_time_may_pass_it() -> None:
     slow = [replace(score, cpu_s=55.0) for score in scores_of([0.0] * 2)]
-    late = [replace(score, message="61 processor seconds, 60 allowed", shares={}) for score in slow]
+    late = [replace(score, cpu_s=61.0, message="61 processor seconds, 60 allowed", shares={}) for score in slow]
     assert fallen(comparisons(slow, late), slow, []) == []
+    dead = [replace(score, cpu_s=2.0, message="boom", shares={}) for score in slow]
+    assert fallen(comparisons(slow, dead), slow, []) == ["stepped: failed, and did not before: 0, 1"]
 
 
 def test_a_failure_is_worse_and_its_repair_is_no_fall() -> None:
     before = scores_of([3.0] * 13, kind="lock")
     dead = [replace(score, message="boom", shares={}) for score in before]
     assert {(own.right.worse, own.decided.worse) for own in comparisons(before, dead)} == {(13, 13)}
-    assert "stepped: failed: 13, before 0" in fallen(comparisons(before, dead), before, [])
+    assert "stepped: failed, and did not before: 0, 1, 2" in str(fallen(comparisons(before, dead), before, []))
+    # one that fails anew is a fall beside one that always failed
+    assert fallen(comparisons([dead[0], before[1]], dead[:2]), before, []) == ["stepped: failed, and did not before: 1"]
     assert "* stepped 12: wrong 3.0 → 0.0, decided 0.00 → 0.00; boom" in comparison_table(comparisons(before, dead))
     assert fallen(comparisons(dead, before), before, []) == []
 
