@@ -413,14 +413,13 @@ def compare(
     base: str | os.PathLike[str],
     *new: str | os.PathLike[str],
     fdr: float = 0.05,
-    any_dependence: bool = False,
     out: str | os.PathLike[str] | None = None,
 ) -> Sheet:
     """What changed from the results in ``base`` to the last of ``new`` (``data_schema/comparison.json``).
 
     Several ``new`` in time order give the trend over all. ``fdr``: the share of the claimed changes that may be
-    chance, 0 to 0.5. ``any_dependence`` claims fewer map cells, however they depend. ``out``: a folder for page,
-    pictures and NetCDF. Raises RequestError where a folder holds no test's results, InputError where they are damaged.
+    chance, 0 to 0.5. ``out``: a folder for page, pictures and NetCDF. Raises RequestError where a folder holds no
+    test's results, InputError where they are damaged.
 
     >>> import crankorder as co, tempfile
     >>> with tempfile.TemporaryDirectory() as work:
@@ -436,7 +435,7 @@ def compare(
         raise RequestError(
             "out of range", file="crankorder.compare", place="fdr", found=fdr, allowed=f"above 0, to {MOST_FALSE}"
         )
-    made = compare_results(Path(base), [Path(one) for one in new], q=fdr, correlated=any_dependence)
+    made = compare_results(Path(base), [Path(one) for one in new], q=fdr)
     if out is not None:
         publish_comparison(made, Path(out))
     return _document(comparison_text(made))

@@ -51,7 +51,7 @@ def comparison_page(document: dict[str, Any], *, pictures: list[tuple[str, str]]
 
 
 def _tables(document: dict[str, Any], limit: int) -> list[tuple[str, Table]]:
-    made = [("orders", _orders(document, limit)), ("modes", _modes(document)), ("cells", _cells(document, limit))]
+    made = [("orders", _orders(document, limit)), ("modes", _modes(document))]
     if document["unbalance"]:
         made.append(("unbalance", _unbalance(document, limit)))
     if document["masses"]:
@@ -106,27 +106,6 @@ def _modes(document: dict[str, Any]) -> Table:
     note = "That only one test shows a natural frequency is no claim: the other may have hidden it."
     heads = "Natural frequency, Hz#|Changed|Shift, Hz#|Change of damping ratio#|p#"
     return table_of("Natural frequencies", heads, rows, empty="None was found.", note=note if rows else "")
-
-
-def _cells(document: dict[str, Any], limit: int) -> Table:
-    rows = [
-        [
-            named(one["channel"], limit=limit), f"{band['low_hz']:g} to {band['high_hz']:g}", str(band["cells"]),
-            number_text(band["mean_db"]),
-        ]
-        for one in document["cells"]
-        for band in one["bands"]
-    ]  # fmt: skip
-    counts = [
-        f"{named(one['channel'], limit=limit)}: {one['changed']} of {one['compared']}" for one in document["cells"]
-    ]
-    return table_of(
-        "Cells of the Campbell diagram",
-        "Channel|Band, Hz#|Cells changed#|Mean change, dB#",
-        rows,
-        empty="No cell changed." if document["cells"] else "The maps were not compared.",
-        note=f"Cells changed in {'; '.join(counts)}. Bands with most of them first." if rows else "",
-    )
 
 
 def _unbalance(document: dict[str, Any], limit: int) -> Table:

@@ -38,8 +38,6 @@ def comparison_headline(document: dict[str, Any]) -> list[str]:
     said = _cause_sentences(document)[:1]
     if cause == "natural frequencies":
         said += _mode_sentences(document)[:2]
-    elif cause == "map only":
-        said += _cell_sentences(document)[:1]
     said += [*_fired(document), *_left_out(document)]
     return list(dict.fromkeys([*said, *mass_sentences(document)[:1], *_grown(document)[:1]]))
 
@@ -65,7 +63,7 @@ def _fired(document: dict[str, Any]) -> list[str]:
 def comparison_story(document: dict[str, Any]) -> Story:
     """What changed, why, how sure and what to do, from ``document``; the cause itself is the headline's."""
     return Story(
-        what=[*order_sentences(document), *_mode_sentences(document), *_cell_sentences(document), *_grown(document)],
+        what=[*order_sentences(document), *_mode_sentences(document), *_grown(document)],
         why=[
             *_cause_sentences(document),
             *_law_sentences(document),
@@ -95,8 +93,6 @@ def _cause_sentences(document: dict[str, Any]) -> list[str]:
         return _grown(document)[:1]
     if cause == "natural frequencies":
         return ["No order changed; natural frequencies or their damping did: the structure or its mounting changed."]
-    if cause == "map only":
-        return ["No order changed; cells of the speed–frequency map did."]
     best = _best(document["unbalance"], 1.0)
     if cause == "unbalance" and best is not None:
         return [
@@ -209,27 +205,6 @@ def _mode_sentences(document: dict[str, Any]) -> list[str]:
         for one in moved[:_MANY]
     ]
     return said + ([f"{len(moved) - _MANY} more natural frequencies moved."] if len(moved) > _MANY else [])
-
-
-def _cell_sentences(document: dict[str, Any]) -> list[str]:
-    said = []
-    for one in document["cells"]:
-        if one["changed"]:
-            name = named(one["channel"], limit=_NAME)
-            text = f"In {name} {one['changed']} of {one['compared']} cells of the Campbell diagram changed"
-            ends = [
-                f"most {verb} {_estimate(_size(one[key]), 'difference_db', unit='dB')} at "
-                f"{frequency_text(one[key]['frequency_hz'])} Hz and {one[key]['speed_rpm']:.0f} rpm"
-                for key, verb in (("rise", "raised by"), ("fall", "lowered by"))
-                if one[key] is not None
-            ]
-            ends = ends or ["each alone among cells that did not, as those are that change by chance"]
-            said.append(f"{text}: {'; '.join(ends)}.")
-    return said
-
-
-def _size(cell: dict[str, Any]) -> dict[str, Any]:
-    return cell if cell["difference_db"] > 0 else cell | _reversed(cell, "difference_db")
 
 
 def _grown(document: dict[str, Any]) -> list[str]:
