@@ -20,8 +20,7 @@ from crankorder.batch.kernels import keep_compiled_kernels
 from crankorder.errors import CrankorderError, EnvironmentFailure, printable
 
 if TYPE_CHECKING:
-    from crankorder.batch.outcome import Outcome
-    from crankorder.batch.plan import RunOptions
+    from crankorder.batch.plan import Outcome, RunOptions
     from crankorder.batch.reporting import ReportingProcess
 
 FOLDER = click.Path(path_type=Path)
@@ -450,7 +449,7 @@ def clean(out: Path) -> None:
 @_picture_options
 def report(results: tuple[Path, ...], report: dict[str, Any]) -> None:
     """Redraw pictures and page from results (folders that `run` made, or their results.nc)."""
-    from crankorder.batch.redraw import redraw
+    from crankorder.batch.publish import redraw
 
     for result in results:
         click.echo(str(redraw(result, report=report)))

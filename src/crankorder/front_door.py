@@ -26,8 +26,7 @@ from crankorder.batch.compare import document_text as comparison_text
 from crankorder.batch.execute import Progress, run_plans
 from crankorder.batch.export import export_results
 from crankorder.batch.in_memory import Recordings, analysed, engine_of
-from crankorder.batch.outcome import Outcome
-from crankorder.batch.plan import CampaignPlan, RunOptions, plan_tests
+from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions, plan_tests
 from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.result_folder import RESULTS, read_findings, result_folders
 from crankorder.batch.store import json_bytes
