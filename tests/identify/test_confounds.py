@@ -80,6 +80,16 @@ def test_a_channel_in_another_unit_is_refused_and_the_others_are_compared(base):
     assert {o["channel"] for o in document["orders"]} == {"A"}
 
 
+def test_where_the_mark_may_have_moved_amplitudes_alone_are_compared(base):
+    turned = {1.0: lambda rpm: 0.5j}
+    moved = differing(("manifest", "encoder", "index_to_tdc_deg"), 90.0)
+    same, other = (
+        made_test(turned, name="turned", seed=3, channels=("A", "B"), duration_s=8.0, run=run) for run in (None, moved)
+    )
+    found = [compared([base, test], q=0.05).document["cause"]["orders"] for test in (same, other)]
+    assert found == [[1.0], []]
+
+
 def test_speeds_of_one_test_only_are_left_out_and_named():
     one = made_test(LINES, name="one", speeds=(900.0, 1200.0), duration_s=8.0)
     two = made_test(LINES, name="two", speeds=(1205.0, 1800.0), duration_s=8.0)

@@ -27,10 +27,9 @@ MAPS = ("order_map", "envelope_map", "shaft")
 
 @dataclass(frozen=True)
 class Comparison:
-    """What was compared, as found: the tests' folders and all that their comparison gives."""
+    """The folders of the tests that were compared, and all that their comparison gives."""
 
     folders: tuple[Path, ...]
-    tests: tuple[Tested, ...]
     made: Compared
 
     @property
@@ -50,10 +49,10 @@ def compare_results(base: Path, new: Sequence[Path], *, q: float) -> Comparison:
     _refuse_twice(folders)
     found = [_tested(folder) for folder in folders]
     names = _names([test.name for test in found])
-    tests = tuple(replace(test, name=name) for test, name in zip(found, names, strict=True))
+    tests = [replace(test, name=name) for test, name in zip(found, names, strict=True)]
     made = compared(tests, q=q)
     made.document["headline"] = comparison_headline(made.document)
-    return Comparison(folders, tests, made)
+    return Comparison(folders, made)
 
 
 def _refuse_twice(folders: Sequence[Path]) -> None:
