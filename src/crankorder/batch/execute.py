@@ -395,8 +395,7 @@ def _recording_parts(
     asked = settings_of_recordings(plan.settings)
     known = None if knowledge.calibration is None else asdict(knowledge.calibration)
     about = (stated, plan.manifest.speed_of(path), asked, [noun.__name__ for noun in frames_wanted(plan.settings)])
-    speed = knowledge.speeds_rpm.get(plan.name_of(path))
-    exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, known, knowledge.engine, speed))
+    exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, known, knowledge.engine))
     return [*(str(one.sha256) for one in hashed.values()), plan.name_of(path), *exact]
 
 

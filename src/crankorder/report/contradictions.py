@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from crankorder.findings import BearingFinding, CrossingFinding, Findings, ModeFinding, OrderFinding, Quality
-from crankorder.identify.mains import is_electric, multiple_in
-from crankorder.identify.said import IF_WRONG, MAY_BE_ALL
+from crankorder.identify.said import MAY_BE_ALL, is_electric, multiple_in
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.records import Record, known
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
@@ -58,7 +57,6 @@ def contradictions(findings: Findings) -> tuple[str, ...]:
         _of_speeds,
         _of_bearings,
         _of_mains,
-        _of_motor,
         _of_quality,
         _of_sentences,
     )
@@ -257,13 +255,6 @@ def _of_mains(findings: Findings) -> Iterator[str]:
         below, above = min(places), max(places)
         if above[0] - below[0] > SAME_LINE_HZ and above[1] > below[2]:
             yield f"{words} at {below[0]:.6g} Hz and at {above[0]:.6g} Hz: a supply has one frequency"
-
-
-def _of_motor(findings: Findings) -> Iterator[str]:
-    """A slip told by a speed that the lines of the shaft speak against."""
-    told = [one for one in (findings.motor.speeds if findings.motor else ()) if is_number(one.slip)]
-    if told and any(IF_WRONG in (record.explained_by or "") for record in findings.orders):
-        yield "the motor's slip is told, and lines of the shaft say that the speed may be wrong"
 
 
 def _of_quality(findings: Findings) -> Iterator[str]:
