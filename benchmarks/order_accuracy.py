@@ -46,7 +46,6 @@ CASES: dict[str, tuple[str, int, tuple[float, ...]]] = {
     "2 frames, resonance beside": ("resonance", 2, ORDERS),
     "3 frames, resonance beside": ("resonance", 3, ORDERS),
     "5 frames, resonance beside": ("resonance", 5, ORDERS),
-    "5.5 beside 5.48, 16 revolutions": ("white", 1, (5.5, 5.48)),
     "5.5 beside 5.48, 150 revolutions": ("white", 18, (5.5, 5.48)),
 }
 NOISE_OF = {"white": 1.0, "pink": 0.4, "resonance": 0.5}
