@@ -220,7 +220,7 @@ def _draw_coverage(axes, cases: dict) -> None:
     axes.invert_yaxis()
     axes.set(xlabel="95 % intervals that hold the truth [%]", title="Coverage")
     axes.grid(alpha=0.3)
-    axes.legend(loc="lower left", frameon=True, fontsize=9)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, frameon=False, fontsize=9)
 
 
 def page(found: dict) -> str:
