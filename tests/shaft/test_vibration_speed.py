@@ -93,7 +93,7 @@ def test_speed_follows_a_known_motion_and_is_unsure_where_it_does_not(name: str)
 
 
 @pytest.mark.cases(2)
-@pytest.mark.parametrize(("name", "within_deg"), [("run-up", 3.0), ("steady", 0.5), ("wobbling", 1.5)])
+@pytest.mark.parametrize(("name", "within_deg"), [("run-up", 3.0), ("steady", 1.0), ("wobbling", 1.5)])
 def test_the_angle_is_told_within_a_few_degrees_and_its_standard_error_is_honest(name: str, within_deg: float) -> None:
     knots = followed(name).knots
     away = knots.angle_rev - MOTIONS[name](knots.time_s)
@@ -103,7 +103,7 @@ def test_the_angle_is_told_within_a_few_degrees_and_its_standard_error_is_honest
     assert (np.diff(knots.time_s) > 0).all() and (np.diff(knots.angle_rev) > 0).all()
     assert knots.time_s[0] == 0.0 and knots.time_s[-1] == pytest.approx(10.0)
     missed = np.abs(away[inside] - away[middle]) / knots.standard_error_rev[inside]
-    assert np.mean(missed < 3.0) > 0.9
+    assert np.mean(missed < 2.0) > 0.85 and np.mean(missed < 3.0) > 0.9
 
 
 def test_the_standard_error_of_the_speed_holds_what_noise_does_to_it() -> None:

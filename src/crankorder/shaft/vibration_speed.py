@@ -1,38 +1,30 @@
 """Speed from the vibration itself: the run of speeds whose orders the spectra show best, and how sure it is.
 
-Per knot every speed has log odds (``vibration_angle``). Speed changes no faster than a slew limit, so the most likely
-run of speeds is found by dynamic programming. It is refined by the phase of its orders. Which simple ratio of it
-explains the lines best is decided along that angle, by the same order spectra and with frames of the same length, where
-frames of the search for the speed are longer for lower speeds and so show more lines of them. Other ratios that do
-nearly as well are told as ties.
+Per knot every speed has log odds (``comb_evidence``). Speed changes no faster than a slew limit, so the most likely
+run of speeds is found by dynamic programming. Which simple ratio of it explains the lines best is decided along its
+angle, by order spectra with frames of the same length, where frames of the search for the speed are longer for lower
+speeds and so show more lines of them. Other ratios that do nearly as well are told as ties.
+
+The odds saturate, so the run is right to some parts in a thousand, and may err by that all the time. Along its angle
+each order turns slowly: its phase from frame to frame, over its order, is what the angle lacks. There is no phase
+reference.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from crankorder.errors import InputError
-from crankorder.fft.decimation import decimate, decimation_factor
-from crankorder.fft.resampling import PASS_BAND, margin, values_at
-from crankorder.fft.windows import hann
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots, time_at
+from crankorder.shaft.comb_evidence import FamilyEvidence, SpeedEvidence, comb_evidence, family_evidence, order_spectra
 from crankorder.shaft.pulses import FloatArray, Remark
 from crankorder.shaft.repair import IntArray
-from crankorder.shaft.vibration_angle import (
-    FRAME_REVS,
-    ODDS,
-    SpeedEvidence,
-    TrackedAngle,
-    best_combs,
-    comb_evidence,
-    tracked_angle,
-)
 
 
 def likeliest_run(log_odds: FloatArray, jump: int, cost: float) -> IntArray:
@@ -90,111 +82,19 @@ def run_probability(
     return np.minimum(result, 1.0)
 
 
-# Revolutions of a frame in which harmonic families are compared, while the speed changes and where it is steady within
-# this ratio; the most frames, and the highest order looked at.
-FAMILY_REVS, STEADY, FAMILY_FRAMES, FAMILY_ORDER = (24.0, 48.0), 1.1, 64, 16.0
-# Power over noise that one frame can add there, that a fixed tone which an order passes makes it no line; and to the
-# shape of a line.
-FAMILY_CAP, FAMILY_SHAPE = 6.0, 1000.0
-# Log odds of single frames count as so many of them, beside those of the mean of all; then a third, for all see
-# the same lines.
-FRAMES_WORTH = 3
-# A line of the mean spectrum is so many times the power beside it: natural frequencies are broader, but change of speed
-# spreads them out of it anyhow.
-PROMINENCE = (1.0, 2.0)
-
-
-@dataclass(frozen=True)
-class FamilyEvidence:
-    """Log odds (ratios,) of each fundamental against none, and of single frames (frames, ratios) at ``time_s``."""
-
-    log_odds: FloatArray
-    time_s: FloatArray
-    of_frames: FloatArray
-
-
-def family_evidence(
-    signals: FloatArray,
-    rate_hz: float,
-    tracked: TrackedAngle,
-    *,
-    ratio: FloatArray,
-    order: FloatArray,
-    weight: FloatArray,
-) -> FamilyEvidence:
-    """Log odds of the fundamentals at ``ratio`` times the tracked speed, all from the same order spectra.
-
-    Parameters
-    ----------
-    signals : (channels, samples)
-    rate_hz : samples per second
-    tracked : the angle that is sure but for its ratio
-    ratio : (ratios,)
-    order : (orders,), orders of each fundamental
-    weight : (orders,), 0…1, probability that the order shows
-    """
-    from scipy.special import gammaincc
-
-    slow, fast = np.quantile(tracked.speed_hz, [0.1, 0.9])
-    steady = bool(fast < STEADY * slow)
-    revs = min(FAMILY_REVS[steady], 0.5 * float(tracked.angle_rev[-1]))
-    time_s, times = _order_power(signals, rate_hz, tracked, revs)
-    seen = np.count_nonzero(np.isfinite(times[0]), axis=0)
-    place = ratio[:, None] * order * 2.0 * revs
-    of_frames = np.full((times.shape[1], ratio.size), -np.inf)
-    for frame, best in zip(np.moveaxis(times, 1, 0), of_frames, strict=True):
-        unseen = np.isnan(frame[0]).astype(np.float64)
-        power = np.nan_to_num(frame)[:, None, :]
-        best_combs(power, np.ones_like(power), 3, unseen, place, weight, ODDS, best[None])
-    # as unlikely in a mean of so many frames as this power in one
-    over = np.nansum(np.minimum(times, FAMILY_CAP), axis=1)
-    single = -np.log(np.maximum(gammaincc(np.maximum(seen, 1.0), over), 1e-300))
-    shape = np.nansum(np.minimum(times, FAMILY_SHAPE), axis=1)
-    beside = np.maximum(np.roll(shape, 3, axis=1), np.roll(shape, -3, axis=1))
-    peaks = np.where(PROMINENCE[steady] * beside > shape, 0.0, single)[:, None, :]
-    of_mean = np.full((1, ratio.size), -np.inf)
-    best_combs(peaks, np.ones_like(peaks), seen.size, (seen == 0).astype(np.float64), place, weight, ODDS, of_mean)
-    total = (1.0 / 3.0) * (of_mean[0] + min(FRAMES_WORTH, times.shape[1]) * np.mean(of_frames, axis=0))
-    return FamilyEvidence(total, time_s, of_frames)
-
-
-def _order_power(
-    signals: FloatArray, rate_hz: float, tracked: TrackedAngle, revs: float
-) -> tuple[FloatArray, FloatArray]:
-    """Times [s] of frames of ``revs`` revolutions, and their power over the noise beside it (channels, frames, bins).
-
-    A bin is half of a line's resolution; the power is NaN outside the band.
-    """
-    total = float(tracked.angle_rev[-1])
-    count = int(min(FAMILY_FRAMES, max(1, (total - revs) / (0.5 * revs))))
-    centre = np.linspace(0.5 * revs, total - 0.5 * revs, count + 2)[1:-1] if count > 1 else np.array([0.5 * total])
-    band = min(1.5 * FAMILY_ORDER * float(tracked.speed_hz.max()), PASS_BAND * rate_hz)
-    reduced, rate, start_s = decimate(signals, rate_hz=rate_hz, band_hz=band, factor=decimation_factor(rate_hz, band))
-    padded = np.pad(reduced, ((0, 0), (margin() + 2, margin() + 2)))
-    at = (tracked.time_s, tracked.angle_rev, 60.0 * tracked.speed_hz)
-    bins = int(FAMILY_ORDER * 2.0 * revs)
-    times = np.empty((signals.shape[0], count, bins))
-    for i, (middle, speed) in enumerate(
-        zip(centre, np.interp(centre, tracked.angle_rev, tracked.speed_hz), strict=True)
-    ):
-        n = max(2 * bins, math.ceil(1.3 * rate / speed * revs))
-        place = (time_at(middle + revs * (np.arange(n) / n - 0.5), *at) - start_s) * rate
-        place = np.clip(place, 0.0, reduced.shape[1] - 1.0)
-        framed = values_at(padded, place + margin() + 2) * hann(n).values
-        power = np.abs(np.fft.rfft(framed, n=2 * n, axis=1)[:, :bins]) ** 2
-        inside = np.arange(bins) / (2.0 * revs) * speed <= min(band, PASS_BAND * rate)
-        times[:, i] = np.where(inside, power / _median_beside(power, round(2.0 * revs)), np.nan)
-    return time_at(centre, *at), times
-
-
-def _median_beside(power: FloatArray, reach: int) -> FloatArray:
-    """Median of ``power`` (channels, bins) within ``reach`` bins of each, as a mean of noise."""
-    reach = min(reach, power.shape[1] - 1)
-    padded = np.pad(power, ((0, 0), (reach, reach)), mode="reflect")
-    median = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=1), axis=-1) / math.log(2.0)
-    floor: FloatArray = np.maximum(median, 1e-12 * power.max() + 1e-300)
-    return floor
-
+# Frames of so many revolutions, and knots so many to a frame.
+FRAME_REVS, KNOTS_PER_FRAME = 8.0, 4
+# The lines of the run are blurred, those of the first correction hardly.
+PASSES = 2
+# A structure may turn the phase of an order by so much from knot to knot, rad: no order is trusted to less.
+STRUCTURE_RAD = 0.1
+# The speed of the run errs by this share.
+COARSE_ERROR = 0.02
+# Power over noise is a mean of so many frames on either side, noise a median of so many frames; a line of so much is
+# faint.
+SNR_REACH, NOISE_FRAMES, FAINT = 3, 15, 4.0
+# Noise is measured so far beside an order, where no half order lies.
+BESIDE_ORDER = 0.25
 
 ORDER_WEIGHTS = {1.0: 0.75, 2.0: 0.7, 3.0: 0.45, 4.0: 0.5, 5.0: 0.3, 6.0: 0.35, 7.0: 0.25, 8.0: 0.3}
 """Orders that any rotating machine may show, and the probability that it does."""
@@ -208,8 +108,9 @@ FOUR_STROKE_WEIGHTS = {
 TIE_RATIOS = (1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0)
 """Ratios of speeds whose orders coincide in part."""
 
-# A recording holds so many frames of the lowest speed that is sought, and its band so many orders of the highest.
-FEWEST_FRAMES, FEWEST_ORDERS = 2.0, 2.0
+# A recording holds so many frames of the lowest speed that is sought, and revolutions; its band so many orders of the
+# highest.
+FEWEST_FRAMES, FEWEST_REVS, FEWEST_ORDERS = 2.0, 1.5 * FRAME_REVS, 2.0
 # Speeds within this share of the found one are the same speed.
 SAME_SPEED = 0.02
 # The run that moving lines show is a sweep, not noise, where its speeds differ by this much (in the logarithm) and its
@@ -298,10 +199,7 @@ def speed_from_vibration(
     path = _mended_path(run, evidence, settings)
     if path is not None:
         run = explained(run.log_odds, path)
-    tracked, ratio, chosen = run.tracked, run.ratio, run.chosen
-    if ratio[chosen] != 1.0:
-        speed_hz = ratio[chosen] * np.interp(evidence.time_s, tracked.time_s, tracked.speed_hz)
-        tracked = tracked_angle(signals, rate_hz, time_s=evidence.time_s, speed_hz=speed_hz, order=order)
+    ratio, chosen = run.ratio, run.chosen
     share = np.exp(run.family.log_odds - run.best)
     ties = [
         Tie(float(ratio[i] / ratio[chosen]), float(share[i]))
@@ -311,15 +209,12 @@ def speed_from_vibration(
     # against the other fundamentals, and against no shaft at all
     others = float(share.sum()) + math.exp(-run.best)
     confidence = _confidence(evidence, run.log_odds, run.path, ratio, settings) / others
-    return _found(tracked, np.interp(tracked.time_s, evidence.time_s, confidence), ties)
-
-
-def _found(tracked: TrackedAngle, confidence: FloatArray, ties: list[Tie]) -> VibrationSpeed:
-    """What is told of the tracked angle."""
-    time_s, speed_rpm = tracked.time_s, 60.0 * tracked.speed_hz
-    knots = AngleKnots(time_s, tracked.angle_rev, speed_rpm, tracked.angle_error_rev, 1.0 / FRAME_REVS, float("nan"))
-    error_rpm = 60.0 * tracked.speed_error_hz
-    return VibrationSpeed(time_s, speed_rpm, error_rpm, confidence, ties, _told(time_s, confidence, ties), knots)
+    knots, error_rpm = run.knots, run.error_rpm
+    if ratio[chosen] != 1.0:
+        knots, error_rpm = phase_corrected(signals, rate_hz, run.at_ratio(float(ratio[chosen])), order)
+    confidence = np.interp(knots.time_s, evidence.time_s, confidence)
+    remarks = _told(knots.time_s, confidence, ties)
+    return VibrationSpeed(knots.time_s, knots.speed_rpm, error_rpm, confidence, ties, remarks, knots)
 
 
 def trusted_angle(found: VibrationSpeed) -> AngleKnots:
@@ -377,13 +272,14 @@ def _range_hz(
     stated_rpm: tuple[float, float], n_samples: int, rate_hz: float, settings: ShaftSettings
 ) -> tuple[float, float]:
     """Speeds [Hz] of the stated range that the recording is long enough and sampled fast enough for."""
-    low = max(stated_rpm[0] / 60.0, FEWEST_FRAMES * settings.vibration_revs * rate_hz / n_samples)
+    revs = max(FEWEST_FRAMES * settings.vibration_revs, FEWEST_REVS)
+    low = max(stated_rpm[0] / 60.0, revs * rate_hz / n_samples)
     high = min(stated_rpm[1] / 60.0, 0.4 * rate_hz / FEWEST_ORDERS)
     if not 0.0 < low < high:
         raise InputError(
             "the recording cannot tell any speed of the range",
             found=f"{n_samples / rate_hz:.3g} s at {rate_hz:g} Hz for {stated_rpm[0]:g} to {stated_rpm[1]:g} rpm",
-            allowed=f"{FEWEST_FRAMES * settings.vibration_revs:g} revolutions, {FEWEST_ORDERS:g} orders in the band",
+            allowed=f"{revs:g} revolutions, {FEWEST_ORDERS:g} orders in the band",
         )
     return low, high
 
@@ -402,11 +298,12 @@ def _transition(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[int, 
 
 @dataclass(frozen=True)
 class _Run:
-    """A run of speeds ``path``, its tracked angle, and how well fundamentals at ``ratio`` to it explain it."""
+    """A run of speeds ``path``, its angle, and how well fundamentals at ``ratio`` to it explain it."""
 
     log_odds: FloatArray
     path: IntArray
-    tracked: TrackedAngle
+    knots: AngleKnots
+    error_rpm: FloatArray
     ratio: FloatArray
     family: FamilyEvidence
 
@@ -419,6 +316,10 @@ class _Run:
     def best(self) -> float:
         """The log odds of that."""
         return float(self.family.log_odds[self.chosen])
+
+    def at_ratio(self, ratio: float) -> AngleKnots:
+        """The angle of a shaft that turns ``ratio`` times as fast."""
+        return replace(self.knots, angle_rev=ratio * self.knots.angle_rev, speed_rpm=ratio * self.knots.speed_rpm)
 
 
 def _likely_run(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[FloatArray, IntArray]:
@@ -448,12 +349,14 @@ def _explained(
     order: FloatArray,
     weight: FloatArray,
 ) -> _Run:
-    """The run ``path`` followed by the phases of its orders, and what fundamental explains its lines."""
+    """The run ``path``, read between speeds of the grid, and what fundamental explains its lines."""
     speed_hz = evidence.speed_hz[path] * np.exp(_step(evidence) * _parabolic(log_odds, path))
-    tracked = tracked_angle(signals, rate_hz, time_s=evidence.time_s, speed_hz=speed_hz, order=order)
-    ratio = _possible_ratios(tracked.speed_hz, range_hz)
-    family = family_evidence(signals, rate_hz, tracked, ratio=ratio, order=order, weight=weight)
-    return _Run(log_odds, path, tracked, ratio, family)
+    knots, error_rpm = phase_corrected(
+        signals, rate_hz, _angle_of(evidence.time_s, speed_hz, signals.shape[1] / rate_hz), order
+    )
+    ratio = _possible_ratios(knots.speed_rpm / 60.0, range_hz)
+    family = family_evidence(signals, rate_hz, knots, ratio=ratio, order=order, weight=weight)
+    return _Run(log_odds, path, knots, error_rpm, ratio, family)
 
 
 def _mended_path(run: _Run, evidence: SpeedEvidence, settings: ShaftSettings) -> IntArray | None:
@@ -471,7 +374,7 @@ def _mended_path(run: _Run, evidence: SpeedEvidence, settings: ShaftSettings) ->
     if np.ptp(of_frame) == 0:
         return None
     at_s = run.family.time_s
-    wanted = np.log(np.interp(at_s, run.tracked.time_s, run.tracked.speed_hz) * run.ratio[of_frame])
+    wanted = np.log(np.interp(at_s, run.knots.time_s, run.knots.speed_rpm) / 60.0 * run.ratio[of_frame])
     beside = np.log(evidence.speed_hz) - np.interp(evidence.time_s, at_s, wanted)[:, None]
     near = np.where(np.abs(beside) <= MENDED_REACH, run.log_odds, np.float32(-FAR_ODDS))
     return likeliest_run(near * np.float32(evidence.frames_per_knot), *_transition(evidence, settings))
@@ -486,6 +389,127 @@ def _parabolic(log_odds: FloatArray, path: IntArray) -> FloatArray:
     offset = np.where(bend < 0.0, 0.5 * (low - high) / np.where(bend < 0.0, bend, -1.0), 0.0)
     result: FloatArray = np.where(at == path, np.clip(offset, -0.5, 0.5), 0.0)
     return result
+
+
+def _angle_of(time_s: FloatArray, speed_hz: FloatArray, end_s: float) -> AngleKnots:
+    """The angle from 0 to ``end_s`` of a speed that is linear between knots and constant beyond them, smoothed.
+
+    A run on a grid of speeds jumps from knot to knot, faster than frames of the phases follow.
+    """
+    time_s = np.concatenate(([0.0], time_s, [end_s]))
+    speed = np.concatenate((speed_hz[:1], speed_hz, speed_hz[-1:]))
+    angle = np.concatenate(([0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))))
+    even = np.linspace(0.0, angle[-1], math.ceil(angle[-1] * KNOTS_PER_FRAME / FRAME_REVS) + 1)
+    passed_s = np.interp(even, angle, time_s)
+    passed_s[1:-1] = np.convolve(passed_s, [0.25, 0.5, 0.25], "valid")
+    speed_rpm = 60.0 * np.gradient(even, passed_s)
+    return AngleKnots(passed_s, even, speed_rpm, np.full(even.size, np.nan), 1.0 / FRAME_REVS, float("nan"))
+
+
+def phase_corrected(
+    signals: FloatArray, rate_hz: float, run: AngleKnots, order: FloatArray
+) -> tuple[AngleKnots, FloatArray]:
+    """Angle that keeps the phases of the orders still, and the standard error [rpm] (knots,) of its speed.
+
+    ``signals``: (channels, samples), ``rate_hz`` samples per second. ``run``: an angle from 0 on whose speed is right
+    to a per cent. ``order``: (orders,), orders that may show. The standard error of the angle is that between
+    a knot and the middle of all: noise, what the orders differ by, and what a frame averages away.
+    """
+    for _ in range(PASSES):
+        run, error_rpm = _corrected(signals, rate_hz, run, order)
+    return run, error_rpm
+
+
+def _corrected(
+    signals: FloatArray, rate_hz: float, run: AngleKnots, order: FloatArray
+) -> tuple[AngleKnots, FloatArray]:
+    """One pass of :func:`phase_corrected`."""
+    from scipy.ndimage import uniform_filter1d
+
+    total = float(run.angle_rev[-1])
+    centre = np.linspace(
+        0.5 * FRAME_REVS,
+        total - 0.5 * FRAME_REVS,
+        max(3, int((total - FRAME_REVS) * KNOTS_PER_FRAME / FRAME_REVS) + 1),
+    )
+    turn, weight, snr = _turns(signals, rate_hz, run, centre, order)
+    gain, hop = 2.0 * np.pi * order, float(centre[1] - centre[0])
+    change, vote = _outvoted(turn, weight, gain, hop)
+    # what each order alone would add to the angle, about the middle
+    own = np.vstack((np.zeros(order.size), np.cumsum(_wrapped(turn - change[:, None] * gain) / gain, axis=0)))
+    own -= own[centre.size // 2]
+    trust = np.vstack((vote[:1], vote)) * gain**2
+    share = trust / np.maximum(trust.sum(axis=1, keepdims=True), 1e-300)
+    voters = 1.0 / np.maximum(np.sum(share**2, axis=1), 1e-9)
+    spread = np.sum(share * own**2, axis=1) / np.maximum(voters - 1.0, 0.5)
+    noise = 0.5 / np.maximum(np.sum(snr * gain**2, axis=1), 1e-9)
+    # the frames are Hann weighted means of the angle: they lack what it bends by within them
+    bend = np.diff(change, prepend=change[:1], append=change[-1:]) / 4.0
+    averaged = uniform_filter1d(bend**2, 2 * SNR_REACH + 1, mode="nearest")
+    error = np.sqrt(spread + noise + noise[noise.size // 2] + averaged)
+    slope_error = 1.0 / np.sqrt(np.sum(vote * gain**2, axis=1) + (COARSE_ERROR * hop) ** -2.0) / hop
+    slope_error = np.append(slope_error[:1], np.maximum(slope_error, np.append(slope_error[1:], slope_error[-1])))
+    # beyond the frames the run errs as where they end, give or take what it usually does
+    ends = KNOTS_PER_FRAME // 2
+    angle = np.concatenate(
+        (np.linspace(0.0, centre[0], ends + 1)[:-1], centre, np.linspace(centre[-1], total, ends + 1)[1:])
+    )
+    rate = np.pad(change / hop, ends, "edge")
+    true = angle + np.concatenate(([0.0], np.cumsum(rate * np.diff(angle))))
+    usual, beyond = float(np.std(change / hop)), np.abs(angle - np.clip(angle, centre[0], centre[-1]))
+    time_s = time_at(angle, run.time_s, run.angle_rev, run.speed_rpm)
+    time_s[[0, -1]] = run.time_s[[0, -1]]
+    speed_rpm = 60.0 * np.gradient(true, time_s)
+    error = np.hypot(np.pad(error, ends, "edge"), usual * beyond)
+    slope_error = np.hypot(np.pad(slope_error, ends, "edge"), usual * (beyond > 0.0))
+    knots = AngleKnots(time_s, true, speed_rpm, error, 1.0 / FRAME_REVS, float("nan"))
+    return knots, slope_error * speed_rpm
+
+
+def _wrapped(phase: FloatArray) -> FloatArray:
+    """``phase`` [rad] within half a turn of 0."""
+    wrapped: FloatArray = np.angle(np.exp(1j * phase))
+    return wrapped
+
+
+def _turns(
+    signals: FloatArray, rate_hz: float, run: AngleKnots, centre: FloatArray, order: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Turn [rad] of the orders between frames (steps, orders), their weight, and power over noise (frames, orders)."""
+    from scipy.ndimage import median_filter, uniform_filter1d
+
+    at, beside = np.round(2.0 * FRAME_REVS * order).astype(np.int64), round(2.0 * FRAME_REVS * BESIDE_ORDER)
+    bins = np.concatenate((at, at - beside, at + beside))
+    spectra, inside = order_spectra(signals, rate_hz, run, centre, revs=FRAME_REVS, bins=bins)
+    lines, below, above = np.split(spectra, 3, axis=-1)
+    lines = lines * np.exp(-2j * np.pi * (order * (centre[:, None] - 0.5 * FRAME_REVS) % 1.0))
+    noise = 0.5 * (np.abs(below) ** 2 + np.abs(above) ** 2)
+    # the mean of two exponential powers has its median at 0.84 of its mean
+    noise = median_filter(noise, size=(1, NOISE_FRAMES, 1), mode="nearest") / 0.84
+    noise = np.maximum(noise, 1e-12 * np.max(np.abs(lines) ** 2, axis=(1, 2), keepdims=True) + 1e-300)
+    power = np.where(inside[:, : order.size], np.sum(np.abs(lines) ** 2 / noise - 1.0, axis=0), 0.0)
+    snr = np.maximum(uniform_filter1d(power, 2 * SNR_REACH + 1, axis=0, mode="nearest"), 0.0)
+    lines /= np.sqrt(noise)
+    pair = np.maximum(np.minimum(snr[1:], snr[:-1]), 1e-9)
+    # an order near its noise tells next to nothing, however high it is
+    weight = (pair / (pair + FAINT)) ** 4 / (STRUCTURE_RAD**2 + 1.0 / pair)
+    return np.angle(np.sum(lines[:, 1:] * np.conj(lines[:, :-1]), axis=0)), weight, snr
+
+
+def _outvoted(turn: FloatArray, weight: FloatArray, gain: FloatArray, hop: float) -> tuple[FloatArray, FloatArray]:
+    """Change of angle [rev] per step (steps,) that most orders agree on, and the vote of each order (steps, orders).
+
+    ``turn``, ``weight``: (steps, orders); ``gain``: (orders,), turn per change, rad/rev. A resonance turns an order
+    too: what is far from the others counts less (Cauchy weights).
+    """
+    prior = (COARSE_ERROR * hop) ** -2.0
+    vote, change = weight, np.zeros(len(turn))
+    for _ in range(4):
+        rest = _wrapped(turn - change[:, None] * gain)
+        vote = weight / (1.0 + rest**2 * weight / 4.0)
+        lack = np.sum(vote * gain * rest, axis=1) - prior * change
+        change = change + lack / (np.sum(vote * gain**2, axis=1) + prior)
+    return np.clip(change, -0.2 * hop, 0.2 * hop), vote
 
 
 def _told(time_s: FloatArray, confidence: FloatArray, ties: list[Tie]) -> list[Remark]:
