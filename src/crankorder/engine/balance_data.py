@@ -86,19 +86,6 @@ def leading_harmonics(count: int, crank_ratio: float) -> NDArray[np.float64]:
     return terms
 
 
-def added_mass_force_n(
-    added_mass_g: float, mechanism: SliderCrank, speed_rpm: ArrayLike, *, max_order: int
-) -> NDArray[np.float64]:
-    """Peak force (N) by order of a mass added to the piston and to no shaft, shape (…, max_order + 1).
-
-    ``added_mass_g``: mass. ``mechanism``: lengths in metres. ``speed_rpm``: scalar or any shape (…).
-    ``max_order``: ≥ 1; the first column is order 0.
-    """
-    share = np.abs(acceleration_harmonics(mechanism, max_order))
-    unbalance = added_mass_g * mechanism.crank_radius_m * 1e3 * share
-    return unbalance_force_n(unbalance, np.asarray(speed_rpm, dtype=np.float64)[..., None])
-
-
 def offset_effects(mechanism: SliderCrank) -> OffsetEffects:
     """What the offset of ``mechanism`` does to the first order and to the third. Source: truth sheet 2.6."""
     harmonics = acceleration_harmonics(mechanism, 4)

@@ -257,21 +257,6 @@ def _on_crank(leverage: float, against_g: complex) -> Counterweights:
     return Counterweights(crank_g=leverage * abs(against), crank_deg=math.degrees(cmath.phase(against)))
 
 
-def with_counterweights(masses: ReducedMasses, added: Counterweights, places: CounterweightPlaces) -> ReducedMasses:
-    """The engine with counterweights of any size: what then rotates and what slides.
-
-    ``masses``: engine before. ``added``: masses in g. ``places``: their radii (the crank radius where none is stated).
-    A mass beyond the crank pin weighs on the pin with more than itself and takes from the piston. Exact.
-    """
-    on_crank = added.crank_g * (places.crank_mm or masses.crank_radius_mm) / masses.crank_radius_mm
-    lever = (places.rod_mm or 0.0) / masses.rod_length_mm
-    return replace(
-        masses,
-        rotating_g=masses.rotating_g + added.rod_g * (1 + lever) - on_crank * phasor(added.crank_deg),
-        reciprocating_g=masses.reciprocating_g - added.rod_g * lever,
-    )
-
-
 def balanced(masses: ReducedMasses, strategy: Strategy) -> ReducedMasses:
     """What rotates and what slides under a strategy, in closed form, so that what cancels is exactly zero.
 
@@ -299,18 +284,6 @@ def force_by_order(masses: ReducedMasses, *, max_order: int) -> tuple[OrderForce
     made = [OrderForce(order=1, direct_g_mm=rotating.direct_g_mm + first.direct_g_mm, reverse_g_mm=first.reverse_g_mm)]
     made += [OrderForce.of_axes(order=k, x_g_mm=complex(sliding[k])) for k in range(2, max_order + 1) if sliding[k]]
     return tuple(made)
-
-
-def frame_force(masses: ReducedMasses, crank_angle_rev: ArrayLike) -> NDArray[np.complex128]:
-    """Exact force on the frame over ω² (g·mm): real part along the cylinder, imaginary part across it.
-
-    ``masses``: what rotates and what slides. ``crank_angle_rev``: revolutions, any shape; the result has that shape.
-    """
-    angle = 2 * np.pi * np.asarray(crank_angle_rev, dtype=np.float64)
-    rotating = masses.crank_radius_mm * masses.rotating_g * np.exp(1j * angle)
-    sliding = masses.reciprocating_g * 1e3 * plain_piston_acceleration(crank_angle_rev, masses.mechanism)
-    force: NDArray[np.complex128] = rotating + sliding
-    return force
 
 
 def rod_counterweight_couple(

@@ -93,14 +93,6 @@ class TorqueBranch:
         even = sum(2 * value / (power + 1) for power, value in enumerate(self.coefficients) if power % 2 == 0)
         return Fraction(even) * (Fraction(self.angle_deg[-1]) - Fraction(self.angle_deg[0])) / 2
 
-    @property
-    def end_slopes_nm_per_deg(self) -> tuple[float, float]:
-        """Slopes (N·m per degree) at the first and the last node."""
-        half = (Fraction(self.angle_deg[-1]) - Fraction(self.angle_deg[0])) / 2
-        terms = [power * value / half for power, value in enumerate(self.coefficients)]
-        first = sum(term if power % 2 else -term for power, term in enumerate(terms))
-        return float(first), float(sum(terms))
-
 
 @dataclass(frozen=True, kw_only=True)
 class CrankTorque:

@@ -74,10 +74,6 @@ class MotorLine:
     of: str = ""
     side: str = ""
 
-    def order_at(self, supply_hz: float, rpm: float) -> float:
-        """Order of the crank at a supply of ``supply_hz`` and a speed of ``rpm``."""
-        return self.turns + self.mains * supply_hz * 60.0 / rpm
-
     def hertz_at(self, supply_hz: float, rpm: float) -> float:
         """Frequency in Hz at a supply of ``supply_hz`` and a speed of ``rpm``."""
         return self.mains * supply_hz + self.turns * rpm / 60.0
