@@ -63,18 +63,16 @@ def test_a_clean_signal_has_no_record_no_flag_and_no_copy() -> None:
 
 
 def test_clipping_is_found_as_it_is_told_also_behind_a_converter() -> None:
-    for one_sided in (False, True):
-        signal, records = faulty(Clipping(kind="clipping", of_peak=0.6, one_sided=one_sided))
-        for stored in (signal, recorded(signal, Acquisition(full_scale=20.0, bits=16)).samples):
-            for row, name in zip(stored, NAMES, strict=True):
-                assert found(row, name) == told(records, name) == [("clipped", "bad")]
-        for clean, row, peak, record in zip(CLEAN, signal, PEAK, records, strict=True):
-            beyond = (clean > 0.6 * peak) if one_sided else (np.abs(clean) > 0.6 * peak)
-            assert row.max() == record["level_m_s2"] == pytest.approx(0.6 * peak)
-            assert row.min() == (clean.min() if one_sided else -row.max())
-            assert record["n_samples"] == np.count_nonzero(beyond)
-            assert record["first_sample"] == np.argmax(beyond)
-            assert (row[~beyond] == clean[~beyond]).all()
+    signal, records = faulty(Clipping(kind="clipping", of_peak=0.6))
+    for stored in (signal, recorded(signal, Acquisition(full_scale=20.0, bits=16)).samples):
+        for row, name in zip(stored, NAMES, strict=True):
+            assert found(row, name) == told(records, name) == [("clipped", "bad")]
+    for clean, row, peak, record in zip(CLEAN, signal, PEAK, records, strict=True):
+        beyond = np.abs(clean) > 0.6 * peak
+        assert row.max() == -row.min() == record["level_m_s2"] == pytest.approx(0.6 * peak)
+        assert record["n_samples"] == np.count_nonzero(beyond)
+        assert record["first_sample"] == np.argmax(beyond)
+        assert (row[~beyond] == clean[~beyond]).all()
 
 
 def test_a_few_missing_samples_are_bridged_and_counted_as_told() -> None:

@@ -199,15 +199,15 @@ def _apply(fault: SignalFault, channel: _Channel) -> _Mark:
 @_apply.register
 def _clip(fault: Clipping, channel: _Channel) -> _Mark:
     level = fault.of_peak * channel.peak
-    beyond = channel.samples > level if fault.one_sided else np.abs(channel.samples) > level
-    np.clip(channel.samples, None if fault.one_sided else -level, level, out=channel.samples)
+    beyond = np.abs(channel.samples) > level
+    np.clip(channel.samples, -level, level, out=channel.samples)
     share = float(np.mean(beyond))
     return _Mark(
         flag="clipped",
         severity="bad" if share > channel.limits.max_clipped_fraction else "suspect",
-        detail=f"{share:.3%} of the samples cut off {'above' if fault.one_sided else 'beyond ±'} {level:.6g} m/s2",
+        detail=f"{share:.3%} of the samples cut off beyond ±{level:.6g} m/s2",
         at=np.flatnonzero(beyond),
-        more={"level_m_s2": level, "one_sided": fault.one_sided},
+        more={"level_m_s2": level},
     )
 
 
