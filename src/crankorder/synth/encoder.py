@@ -1,4 +1,4 @@
-"""The shaft encoder as a data-acquisition system samples it, and its faults, on the pulses of its lines."""
+"""The shaft encoder: its wheel line by line, the pulses of any motion, its faults, and the samples of all that."""
 
 from __future__ import annotations
 

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from crankorder.plot.cells import gaps_between, pooled, speed_cells, with_gaps
 from crankorder.plot.drawing import Box, Drawing, Field, Words, pixels_of, title_lines
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, fitted, label_right, label_top
-from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, NORMAL, NOT_MEASURED, SMALL, rgb_of
+from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, NORMAL, NOT_MEASURED, SMALL, drawable, rgb_of, shortened
 from crankorder.plot.panel import Panel
-from crankorder.plot.typeface import drawable, shortened
 from crankorder.report.notation import order_text
 from crankorder.settings import ReportSettings
 

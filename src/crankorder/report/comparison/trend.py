@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from crankorder.plot.drawing import Drawing, title_lines
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, label_right
-from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, SMALL
+from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, SMALL, drawable, shortened
 from crankorder.plot.panel import Panel
-from crankorder.plot.typeface import drawable, shortened
 from crankorder.settings import ReportSettings
 
 _LEFT, _RIGHT, _BOTTOM, _TOP = 0.85, 2.6, 0.78, 0.85

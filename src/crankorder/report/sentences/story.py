@@ -16,11 +16,11 @@ from crankorder.report.sentences.of_lines import (
     above_asks,
     lies_above,
     line_sentences,
+    mode_sentences,
     nothing_proven,
     strongest_sentence,
     tone_sentences,
 )
-from crankorder.report.sentences.of_modes import mode_sentences
 from crankorder.report.sentences.of_motor import motor_sentences
 from crankorder.report.sentences.of_orders import law_sentences, lock_sentences
 from crankorder.report.sentences.of_speeds import (
