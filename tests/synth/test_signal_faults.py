@@ -19,7 +19,7 @@ from crankorder.synth.parts import (
     NotANumber,
     Spikes,
 )
-from crankorder.synth.signal_faults import impossible_faults, stand_ins, with_signal_faults
+from crankorder.synth.signal_faults import impossible_faults, with_signal_faults
 
 Records = list[dict[str, Any]]
 RATE_HZ, N = 5000.0, 40_000
@@ -92,18 +92,6 @@ def test_many_missing_samples_are_a_gap_and_too_many_are_refused_as_told() -> No
     signal, records = faulty(NotANumber(kind="not_a_number", at_s=2.0, duration_s=duration_s, channels=("Y",)))
     assert told(records, "Y") == [("gap", "bad")]
     assert found(signal[0], "Y") == [("gap", "bad")]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sensitivity", [None, 100.0])
-def test_a_number_in_place_of_missing_samples_is_in_the_unit_of_the_file_and_found(sensitivity: float | None) -> None:
-    signal, records = faulty(NotANumber(kind="not_a_number", at_s=3.0, duration_s=0.0004, instead=-999.0))
-    acquisition = Acquisition(sensitivity_mv_per_g=sensitivity, full_scale=50.0, bits=24)
-    made = recorded(signal, acquisition, stand_ins=stand_ins(records, names=NAMES))
-    for row, name in zip(made.samples, NAMES, strict=True):
-        assert np.flatnonzero(row == -999.0).tolist() == [15_000, 15_001]
-        assert found(row, name) == told(records, name) == [("non_finite_interpolated", "suspect")]
-    assert not made.clipped_share.any()
 
 
 def test_a_dropout_is_found_as_it_is_told() -> None:

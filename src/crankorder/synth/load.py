@@ -152,8 +152,8 @@ def _converter(scene: Scene) -> Iterator[Fault]:
     yield from _told(partial(analogue_filter, scene.acquisition), "acquisition.ac_coupling_hz")
     if scene.acquisition.stored_as == "int16":
         for k, fault in enumerate(scene.signal_faults):
-            if fault.kind == "not_a_number" and fault.instead is None:
-                yield "int16 has no NaN", f"signal_faults.{k}", "not_a_number", "instead = a number, or stored_as float"
+            if fault.kind == "not_a_number":
+                yield "int16 has no NaN", f"signal_faults.{k}", "not_a_number", "stored_as float"
 
 
 def _sampling(scene: Scene) -> Iterator[Fault]:

@@ -423,12 +423,11 @@ class IepeOverload(SignalFault):
 
 
 class NotANumber(SignalFault):
-    """NaN from ``at_s`` for ``duration_s`` (one sample where that is 0), or the number ``instead`` of a logger."""
+    """NaN from ``at_s`` for ``duration_s`` (one sample where that is 0)."""
 
     kind: Literal["not_a_number"]
     at_s: NonNegative
     duration_s: NonNegative = 0.0
-    instead: float | None = None
 
 
 class Spikes(SignalFault):
