@@ -198,8 +198,7 @@ def pictures(results: dict[str, Path], scratch: Path) -> dict[str, str]:
     for key in ("second", "firing", "first"):
         found[f"spectra_{key}"] = shown_picture(results[key] / "spectra.png", f"spectra_{key}.png")
     found["envelope"] = shown_picture(results["second"] / "envelope.png", "envelope_second.png")
-    for name in ("orders_change", "map_change_Z"):
-        found[name] = shown_picture(results["change"] / f"{name}.png", f"{name}.png")
+    found["orders_change"] = shown_picture(results["change"] / "orders_change.png", "orders_change.png")
     drawn = {"task5": ("polar",), "msu-standard": ("harmonics",), "reverse-cranks": ("force",)}
     hinges = ("hinges_fig3_ac", "hinges_fig3_bd", "hinges_fig5_bcd", "guides_fig5_bcd")
     for engine, names in {**drawn, "elastic-hinge": hinges}.items():

@@ -20,8 +20,7 @@ from crankorder.batch.kernels import keep_compiled_kernels
 from crankorder.errors import CrankorderError, EnvironmentFailure, printable
 
 if TYPE_CHECKING:
-    from crankorder.batch.outcome import Outcome
-    from crankorder.batch.plan import RunOptions
+    from crankorder.batch.plan import Outcome, RunOptions
     from crankorder.batch.reporting import ReportingProcess
 
 FOLDER = click.Path(path_type=Path)
@@ -450,7 +449,7 @@ def clean(out: Path) -> None:
 @_picture_options
 def report(results: tuple[Path, ...], report: dict[str, Any]) -> None:
     """Redraw pictures and page from results (folders that `run` made, or their results.nc)."""
-    from crankorder.batch.redraw import redraw
+    from crankorder.batch.publish import redraw
 
     for result in results:
         click.echo(str(redraw(result, report=report)))
@@ -468,7 +467,6 @@ def report(results: tuple[Path, ...], report: dict[str, Any]) -> None:
     show_default=True,
     help="False-discovery rate: the share of the claimed changes that may be chance.",
 )
-@click.option("--any-dependence", "correlated", is_flag=True, help="Claim fewer map cells, however they depend.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Only faults.")
 @_picture_options
@@ -477,7 +475,6 @@ def compare(
     new: tuple[Path, ...],
     out: Path,
     q: float,
-    correlated: bool,
     as_json: bool,
     quiet: bool,
     report: dict[str, Any],
@@ -485,7 +482,7 @@ def compare(
     """Compare results: two builds, or one build over time (NEW... in time order; the last is compared with BASE)."""
     from crankorder.batch.compare import compare_results, document_text, publish_comparison
 
-    made = compare_results(base, new, q=q, correlated=correlated)
+    made = compare_results(base, new, q=q)
     for path in publish_comparison(made, out, report=report):
         if not quiet:
             click.echo(str(path), err=True)

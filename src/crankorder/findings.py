@@ -255,13 +255,13 @@ class BearingFinding(Record):
 class MotorSpeed(Record):
     """The motor in a recording at a held speed."""
 
-    speed_rpm: float = said("speed of the crank")
-    synchronous_rpm: float = said("speed of the field, of the motor's shaft")
-    slip: float | None = said(
-        "how far the rotor lags behind the field, as a share; null where speed_doubt says that it is not known"
+    speed_rpm: float = said(
+        "speed of the crank; where that is only stated or in doubt, by the line just below the field"
     )
-    slip_ci95: Ends | None = said("95 % interval of the slip")
-    pole_pass_hz: float | None = said("2 x slip x supply frequency")
+    synchronous_rpm: float = said("speed of the field, of the motor's shaft")
+    slip: float = said("how far the rotor lags behind the field, as a share")
+    slip_ci95: Ends = said("95 % interval of the slip")
+    pole_pass_hz: float = said("2 x slip x supply frequency")
     fits: bool = said("whether a motor that drives may slip so")
 
 
@@ -282,15 +282,6 @@ class MotorLine(Record):
 
 
 @record
-class UnseenLine(Record):
-    """A line of the motor that no recording shows."""
-
-    name: str = said("what it would be")
-    channel: str = said("channel")
-    from_amplitude: float = said("peak amplitude from which it would have been seen")
-
-
-@record
 class Motor(Record):
     """The induction motor that the manifest states."""
 
@@ -302,15 +293,10 @@ class Motor(Record):
     poles: int | None = said("poles, not pairs")
     rotor_bars: int | None = said("bars of the rotor")
     misfit: str = said("why no line of the motor is named, where speed, poles and supply do not fit; else empty")
-    speed_doubt: str = said("why its slip is not known, where its speed is in doubt; else empty")
-    bars_doubt: str = said(
-        "why the stated rotor bars may be wrong, and which count the lines speak for; else empty", default=""
-    )
-    speeds: tuple[MotorSpeed, ...] = said("the motor in each recording at a held speed")
+    speeds: tuple[MotorSpeed, ...] = said("the motor in each recording at a held speed that tells its slip")
     lines: tuple[MotorLine, ...] = said(
         "lines of the motor and of its supply, each as the recording has it in which it is largest"
     )
-    not_seen: tuple[UnseenLine, ...] = said("pole-pass sidebands that no recording shows")
 
 
 @record
@@ -457,7 +443,8 @@ class Findings(Record):
     channels: tuple[Channel, ...] = said("channels analysed")
     speed_range_rpm: Interval = said("slowest and fastest tested speed", default=(None, None))
     speed_doubt: str | None = said(
-        "why the speed is in doubt, where it was read from the vibration and may be another; else null", default=None
+        "why the speed is in doubt, where it was read from the vibration or stated and may be another; else null",
+        default=None,
     )
     orders: tuple[OrderFinding, ...] = said("order lines found, one per channel and order")
     modes: tuple[ModeFinding, ...] = said(

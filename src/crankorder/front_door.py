@@ -26,8 +26,7 @@ from crankorder.batch.compare import document_text as comparison_text
 from crankorder.batch.execute import Progress, run_plans
 from crankorder.batch.export import export_results
 from crankorder.batch.in_memory import Recordings, analysed, engine_of
-from crankorder.batch.outcome import Outcome
-from crankorder.batch.plan import CampaignPlan, RunOptions, plan_tests
+from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions, plan_tests
 from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.result_folder import RESULTS, read_findings, result_folders
 from crankorder.batch.store import json_bytes
@@ -413,14 +412,13 @@ def compare(
     base: str | os.PathLike[str],
     *new: str | os.PathLike[str],
     fdr: float = 0.05,
-    any_dependence: bool = False,
     out: str | os.PathLike[str] | None = None,
 ) -> Sheet:
     """What changed from the results in ``base`` to the last of ``new`` (``data_schema/comparison.json``).
 
     Several ``new`` in time order give the trend over all. ``fdr``: the share of the claimed changes that may be
-    chance, 0 to 0.5. ``any_dependence`` claims fewer map cells, however they depend. ``out``: a folder for page,
-    pictures and NetCDF. Raises RequestError where a folder holds no test's results, InputError where they are damaged.
+    chance, 0 to 0.5. ``out``: a folder for page, pictures and NetCDF. Raises RequestError where a folder holds no
+    test's results, InputError where they are damaged.
 
     >>> import crankorder as co, tempfile
     >>> with tempfile.TemporaryDirectory() as work:
@@ -436,7 +434,7 @@ def compare(
         raise RequestError(
             "out of range", file="crankorder.compare", place="fdr", found=fdr, allowed=f"above 0, to {MOST_FALSE}"
         )
-    made = compare_results(Path(base), [Path(one) for one in new], q=fdr, correlated=any_dependence)
+    made = compare_results(Path(base), [Path(one) for one in new], q=fdr)
     if out is not None:
         publish_comparison(made, Path(out))
     return _document(comparison_text(made))

@@ -57,7 +57,6 @@ def test_a_repeat_is_no_change(results: Path, tmp_path: Path) -> None:
     made = compared(results, "base", "repeat", out=tmp_path / "c")
     assert made["cause"] == {"cause": "nothing changed", "orders": []}
     assert len(made["modes"]) == 8 and not any(one["changed"] for one in made["modes"])
-    assert sum(one["changed"] for one in made["cells"]) == 0
 
 
 def test_a_heavier_spacer_is_weighed(results: Path, tmp_path: Path) -> None:

@@ -64,7 +64,7 @@ def test_strategy_c_leaves_a_constant_force_that_turns_against_the_crank(masses:
 
 def test_frame_forces_are_those_of_the_truth_sheet(masses: ReducedMasses, shared_truth: dict[str, Any]) -> None:
     table = shared_truth["seed000"]["Fx_Fy_reference_g_mm_at_omega_1_lambda_0.25_l1_25"]
-    force = polar_diagram(force_by_order(masses, max_order=40), np.array([float(angle) / 360 for angle in table]))
+    force = polar_diagram(force_by_order(masses, max_order=40), np.array([float(angle) for angle in table]) / 360)
     known = np.array([complex(float(x), float(y)) for x, y in table.values()])
     assert len(known) == 12
     assert np.abs(force - known).max() < 1e-12 * np.abs(known).max()
@@ -73,8 +73,8 @@ def test_frame_forces_are_those_of_the_truth_sheet(masses: ReducedMasses, shared
 def test_analytic_orders_add_up_to_the_exact_force_with_offset_too(masses: ReducedMasses) -> None:
     offset = SliderCrank(crank_radius_m=0.025, rod_length_m=0.1, offset_m=0.007)
     for model in (masses, ReducedMasses(mechanism=offset, rotating_g=450 * np.exp(0.3j), reciprocating_g=320.0)):
-        sliding = model.reciprocating_g * 1e3 * plain_piston_acceleration(ANGLES, model.mechanism)
-        exact = model.crank_radius_mm * model.rotating_g * np.exp(2j * np.pi * ANGLES) + sliding
+        pin = model.crank_radius_mm * model.rotating_g * np.exp(2j * np.pi * ANGLES)
+        exact = pin + 1e3 * model.reciprocating_g * plain_piston_acceleration(ANGLES, model.mechanism)
         assert np.abs(polar_diagram(force_by_order(model, max_order=40), ANGLES) - exact).max() < 1e-13 * 19250
 
 
@@ -105,8 +105,7 @@ def test_analytic_counterweights_end_an_unbalance_at_any_angle(strategy: Any, an
         mechanism=TASK5.engine.mechanism, rotating_g=1000 * phasor(angle_deg), reciprocating_g=1000.0
     )
     added, meant = counterweights(turned, strategy, PLACES), balanced(turned, strategy)
+    lever = PLACES.rod_mm / turned.rod_length_mm  # a mass beyond the pin weighs on it with more than itself
     on_crank = added.crank_g * PLACES.crank_mm / turned.crank_radius_mm * phasor(added.crank_deg)
-    # a mass beyond the crank pin weighs on the pin with more than itself and takes from the piston
-    lifted_g = added.rod_g * (PLACES.rod_mm or 0.0) / turned.rod_length_mm
-    assert abs(turned.rotating_g + added.rod_g + lifted_g - on_crank - meant.rotating_g) < 1e-12 * 1000
-    assert turned.reciprocating_g - lifted_g == pytest.approx(meant.reciprocating_g, abs=1e-12 * 1000)
+    assert abs(turned.rotating_g + added.rod_g * (1 + lever) - on_crank - meant.rotating_g) < 1e-12 * 1000
+    assert turned.reciprocating_g - added.rod_g * lever == pytest.approx(meant.reciprocating_g, abs=1e-12 * 1000)

@@ -6,10 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.engine.balance_data import (
-    leading_harmonics,
-    offset_effects,
-)
+from crankorder.engine.balance_data import leading_harmonics, offset_effects
 from crankorder.engine.balancing import unbalance_force_n
 from crankorder.engine.harmonics import acceleration_harmonics, even_harmonics
 from crankorder.engine.slider_crank import SliderCrank
@@ -44,9 +41,8 @@ def test_leading_harmonics_outside_their_range_are_refused(count: int, ratio: fl
 def test_the_spacer_leaves_the_forces_of_the_truth_sheet_at_all_speeds(name: str, shared_truth: dict[str, Any]) -> None:
     table = shared_truth["seed001"]["spacer_116g"][name]
     mechanism = CONFIGURATIONS[name]
-    rpm = np.array([[row["rpm"]] for row in table])
-    harmonics = np.abs(acceleration_harmonics(mechanism, 4))
-    force = unbalance_force_n(116.0 * mechanism.crank_radius_m * 1e3 * harmonics, rpm)
+    unbalance = 116e3 * mechanism.crank_radius_m * np.abs(acceleration_harmonics(mechanism, 4))
+    force = unbalance_force_n(unbalance, np.array([[row["rpm"]] for row in table]))
     for order, key in ((1, "F1_N"), (2, "F2_exact_N"), (4, "F4_exact_N")):
         assert force[:, order] == pytest.approx([row[key] for row in table], rel=1e-12)
     leading = 116 * mechanism.crank_radius_m * 1e3 * leading_harmonics(1, mechanism.crank_ratio)[0]

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.identify.changes.balance_change import balance_changes, factor_of
-from crankorder.identify.changes.mass_change import Unbalance
+from crankorder.identify.changes.mass_change import Unbalance, balance_changes, factor_of
 from made.typed import from_dicts
 
 balance_changes = from_dicts(balance_changes)

@@ -82,16 +82,12 @@ def test_the_line_that_doubled_is_named_and_nothing_else(base):
     assert record["order"] == 5.5 and record["ratio_ci95"][0] < 2.0 < record["ratio_ci95"][1]
     assert record["n_changed"] == len(SPEEDS_RPM)
     assert made.document["cause"] == {"cause": "orders", "orders": [5.5]}
-    rows, columns = np.nonzero(made.cells.changed[0])
-    near = np.abs(made.cells.frequency_hz[columns] - 5.5 * made.cells.base_rpm[rows] / 60)
-    assert len(near) >= len(SPEEDS_RPM) and near.max() <= 3 * 2.0  # bins of 2 Hz
 
 
 def test_a_test_beside_itself_differs_in_nothing(base):
     document = compared([base, base], q=Q).document
     assert document["cause"]["cause"] == "nothing changed"
     assert not any(one["changed"] or one["difference"] for one in document["orders"])
-    assert [one["changed"] for one in document["cells"]] == [0]
     assert {one["p_value"] for one in document["orders"]} == {1.0}
 
 

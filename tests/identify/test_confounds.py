@@ -35,8 +35,9 @@ DIFFERENCES = [
     (("manifest", "encoder", "kind"), "pulse_times", "encoder kind", "weakens"),
     (("manifest", "test", "engine"), "task5", "engine", "harmless"),
     (("settings", "orders", "revs_per_frame"), 8, "revolutions per frame", "weakens"),
-    (("settings", "campbell", "resolution_hz"), 1.0, "map resolution", "invalid"),
-    (("settings", "campbell", "window"), "flat-top", "map window", "invalid"),
+    (("settings", "campbell", "resolution_hz"), 1.0, "map resolution", "weakens"),
+    (("settings", "campbell", "window"), "flat-top", "map window", "weakens"),
+    (("settings", "campbell", "max_frequency_hz"), 200.0, "highest frequency", "harmless"),
     (("settings", "orders", "tolerance"), 1e-3, "tolerance", "harmless"),
     (("manifest", "channels", 1, "unit"), "g", "unit", "invalid"),
     (("manifest", "channels", 1, "sensitivity"), "100 mV/g", "sensitivity", "weakens"),
@@ -77,7 +78,16 @@ def test_a_channel_in_another_unit_is_refused_and_the_others_are_compared(base):
     document = compared([base, other], q=0.05).document
     assert {c["name"]: c["compared"] for c in document["channels"]} == {"A": True, "B": False}
     assert {o["channel"] for o in document["orders"]} == {"A"}
-    assert [c["channel"] for c in document["cells"]] == ["A"]
+
+
+def test_where_the_mark_may_have_moved_amplitudes_alone_are_compared(base):
+    turned = {1.0: lambda rpm: 0.5j}
+    moved = differing(("manifest", "encoder", "index_to_tdc_deg"), 90.0)
+    same, other = (
+        made_test(turned, name="turned", seed=3, channels=("A", "B"), duration_s=8.0, run=run) for run in (None, moved)
+    )
+    found = [compared([base, test], q=0.05).document["cause"]["orders"] for test in (same, other)]
+    assert found == [[1.0], []]
 
 
 def test_speeds_of_one_test_only_are_left_out_and_named():

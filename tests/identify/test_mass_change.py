@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.identify.changes.mass_change import unbalance_change, weighed
-from crankorder.identify.changes.order_changes import change
-from crankorder.identify.changes.order_in_map import Line
+from crankorder.identify.changes.order_changes import Line, change
 
 SPEED_RPM = np.array([900.0, 1200.0, 1500.0, 1800.0, 2100.0])
 BEFORE = 3.0 * np.exp(0.4j)  # grams at their radius

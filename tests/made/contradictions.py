@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from crankorder.findings import CrossingFinding, Findings, ModeFinding, OrderFinding
-from crankorder.identify.mains import is_electric, multiple_in
-from crankorder.identify.said import IF_WRONG, MAY_BE_ALL
+from crankorder.identify.said import MAY_BE_ALL, is_electric, multiple_in
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.records import Record, known
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
@@ -52,8 +51,8 @@ def contradictions(document: dict[str, Any]) -> list[str]:
     the headline and of the page against the fields that they are made from. Empty where nothing contradicts.
     """
     findings = findings_of(document)
-    checks = (_of_orders, _of_modes, _of_crossings, _of_speeds, _of_bearings, _of_mains, _of_motor, _of_quality)
-    return [words for check in (*checks, _of_sentences) for words in check(findings)]
+    checks = (_of_orders, _of_modes, _of_crossings, _of_speeds, _of_bearings, _of_mains, _of_quality, _of_sentences)
+    return [words for check in checks for words in check(findings)]
 
 
 def _of_orders(findings: Findings) -> Iterator[str]:
@@ -203,14 +202,6 @@ def _of_mains(findings: Findings) -> Iterator[str]:
         below, above = min(places), max(places)
         if above[0] - below[0] > SAME_LINE_HZ and above[1] > below[2]:
             yield f"{words} at {below[0]:.6g} Hz and at {above[0]:.6g} Hz: a supply has one frequency"
-
-
-def _of_motor(findings: Findings) -> Iterator[str]:
-    """A slip told by a speed that the lines of the shaft speak against."""
-    speeds = findings.motor.speeds if findings.motor else ()
-    doubted = any(IF_WRONG in (record.explained_by or "") for record in findings.orders)
-    if doubted and any(is_number(speed.slip) for speed in speeds):
-        yield "the motor's slip is told, and lines of the shaft say that the speed may be wrong"
 
 
 def _of_quality(findings: Findings) -> Iterator[str]:

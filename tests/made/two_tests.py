@@ -12,8 +12,6 @@ import xarray as xr
 
 from crankorder.batch.result_folder import publish
 from crankorder.batch.store import json_bytes
-from crankorder.campbell.frames import frequency_frames
-from crankorder.campbell.map import campbell_map
 from crankorder.identify.changes.compared import Tested
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
@@ -22,9 +20,7 @@ from crankorder.settings import load_settings
 from made.recordings import line, steady, total
 from made.typed import findings_of
 
-SETTINGS = load_settings(
-    asked={"campbell": {"max_frequency_hz": 300.0, "resolution_hz": 2.0}, "orders": {"max_order": 12.0}}
-)
+SETTINGS = load_settings(asked={"orders": {"max_order": 12.0}})
 SPEEDS_RPM = (900.0, 1200.0, 1500.0, 1800.0)
 RATE_HZ = 1000.0
 
@@ -45,18 +41,15 @@ def made_test(
     channels: Sequence[str] = ("A",),
 ) -> Tested:
     """A test with ``lines`` (by order) in white noise; ``run`` is merged into what run.json states."""
-    orders, frequencies = [], []
+    orders = []
     for number, rpm in enumerate(speeds):
         signals = [
             total(*_lines(lines, rpm), _noise(noise, 1000 * seed + 10 * number + row)) for row in range(len(channels))
         ]
         recording = steady(signals, speed_rpm=rpm, duration_s=duration_s, rate_hz=RATE_HZ)
         orders.append(order_frames(*recording, settings=SETTINGS.orders))
-        frequencies.append(frequency_frames(*recording, settings=SETTINGS.campbell))
-    bin_rpm = SETTINGS.orders.speed_bin_rpm
     maps = {
         "order_map": order_map(orders, settings=SETTINGS.orders),
-        "campbell_map": campbell_map(frequencies, speed_bin_rpm=bin_rpm),
         "shaft": _shaft(speeds),
     }
     maps = {

@@ -29,7 +29,7 @@ def test_a_changed_gain_is_named_with_its_factor() -> None:
         levels = recordings(rng)
         chosen = levels[rng.integers(len(levels))]
         chosen.rms["Y"] *= factor
-        [flag] = level_jumps(levels, ratio=3.0)
+        [flag] = level_jumps(levels, ratio=3.0, proven_ratio=1.4)
         assert (flag["recording"], flag["channel"], flag["severity"]) == (chosen.recording, "Y", "suspect")
         told = float(flag["detail"].split("its level is ")[1].split()[0])
         assert told == pytest.approx(factor, rel=0.6)
@@ -39,7 +39,7 @@ def test_where_no_majority_agrees_all_are_left_out_and_that_is_said() -> None:
     levels = recordings(np.random.default_rng(3), n_speeds=1, n_each=4)
     for one in levels[:2]:
         one.rms["Z"] *= 10.0
-    flags = level_jumps(levels, ratio=3.0)
+    flags = level_jumps(levels, ratio=3.0, proven_ratio=1.4)
     assert {flag["recording"] for flag in flags} == {one.recording for one in levels}
     assert all(flag["left_out"] == "channel" and WHICH_IS_RIGHT in flag["detail"] for flag in flags)
 
@@ -53,7 +53,7 @@ def test_of_two_alike_those_next_in_speed_tell_which_is_wrong() -> None:
         chosen = levels[rng.integers(len(levels))]
         chosen.rms["Z"] *= 10.0
         chosen.floor["Z"] *= 10.0
-        [flag] = level_jumps(levels, ratio=3.0)
+        [flag] = level_jumps(levels, ratio=3.0, proven_ratio=1.4)
         assert flag["recording"] == chosen.recording and WHICH_IS_RIGHT not in flag["detail"]
 
 
@@ -62,16 +62,16 @@ def test_of_two_alike_those_next_in_speed_tell_which_is_wrong() -> None:
 def test_nothing_is_told_of_sound_levels_a_load_a_sweep_or_other_speeds(seed: int) -> None:
     rng = np.random.default_rng(seed)
     levels = recordings(rng)
-    assert level_jumps(levels, ratio=3.0) == []
+    assert level_jumps(levels, ratio=3.0, proven_ratio=1.4) == []
     loaded = [
         RecordedLevel(one.recording, one.speed_rpm, {name: 5.0 * level for name, level in one.rms.items()})
         for one in levels[:1]
     ]
-    assert level_jumps([*loaded, *levels[1:]], ratio=3.0) == []
+    assert level_jumps([*loaded, *levels[1:]], ratio=3.0, proven_ratio=1.4) == []
     levels[0].rms["X"] *= 10.0
     sweep = RecordedLevel(levels[0].recording, (300.0, 900.0), levels[0].rms)
-    assert level_jumps([sweep, *levels[1:]], ratio=3.0) == []
-    assert level_jumps(recordings(rng, n_speeds=12, n_each=1), ratio=3.0) == []
+    assert level_jumps([sweep, *levels[1:]], ratio=3.0, proven_ratio=1.4) == []
+    assert level_jumps(recordings(rng, n_speeds=12, n_each=1), ratio=3.0, proven_ratio=1.4) == []
 
 
 def stepped(rng: np.random.Generator, n_speeds: int = 6) -> list[RecordedLevel]:
@@ -91,10 +91,10 @@ def stepped(rng: np.random.Generator, n_speeds: int = 6) -> list[RecordedLevel]:
 def test_with_one_recording_per_speed_the_floor_tells_the_changed_gain(seed: int, factor: float) -> None:
     rng = np.random.default_rng(seed)
     levels = stepped(rng)
-    assert level_jumps(levels, ratio=3.0) == []
+    assert level_jumps(levels, ratio=3.0, proven_ratio=1.4) == []
     chosen = levels[rng.integers(len(levels))]
     chosen.floor["Y"] *= factor
-    [flag] = level_jumps(levels, ratio=3.0)
+    [flag] = level_jumps(levels, ratio=3.0, proven_ratio=1.4)
     assert (flag["recording"], flag["channel"], flag["severity"]) == (chosen.recording, "Y", "suspect")
 
 
@@ -106,7 +106,7 @@ def test_a_load_that_raises_all_floors_is_no_gain(seed: int) -> None:
     chosen = levels[rng.integers(len(levels))]
     for name in NAMES:
         chosen.floor[name] *= 8.0
-    assert level_jumps(levels, ratio=3.0) == []
+    assert level_jumps(levels, ratio=3.0, proven_ratio=1.4) == []
 
 
 BLOCKS, ORDERS = 16, 8
@@ -187,10 +187,10 @@ def test_a_recording_in_another_unit_is_asked_about() -> None:
         for number, one in enumerate(stepped(rng)):
             floor = {name: 1.1**number * rng.lognormal(0.0, 0.01) for name in names}
             levels.append(RecordedLevel(one.recording, one.speed_rpm, {name: one.rms[name] for name in names}, floor))
-        assert not [flag for flag in level_jumps(levels, ratio=3.0) if flag["flag"] == "unit_doubt"]
+        assert not [flag for flag in level_jumps(levels, ratio=3.0, proven_ratio=1.4) if flag["flag"] == "unit_doubt"]
         chosen = levels[rng.integers(1, len(levels) - 1)]
         for name in names:
             chosen.floor[name] *= factor
-        [flag] = [flag for flag in level_jumps(levels, ratio=3.0) if flag["flag"] == "unit_doubt"]
+        [flag] = [flag for flag in level_jumps(levels, ratio=3.0, proven_ratio=1.4) if flag["flag"] == "unit_doubt"]
         assert (flag["recording"], flag["severity"]) == (chosen.recording, "suspect")
         assert "unit?" in flag["detail"] and said in flag["detail"] and "left_out" not in flag

@@ -31,7 +31,7 @@ def test_a_key_that_python_keeps_for_itself_has_another_name_in_the_type() -> No
     }  # fmt: skip
     motor = {
         "supply_hz": 50.0, "supply_hz_ci95": None, "supply_measured": False, "poles": 4, "rotor_bars": None,
-        "misfit": "", "speed_doubt": "", "bars_doubt": "", "speeds": [], "lines": [line], "not_seen": [],
+        "misfit": "", "speeds": [], "lines": [line],
     }  # fmt: skip
     assert Motor.from_dict(motor).lines[0].others == ("mains",)
     assert Motor.from_dict(motor).as_dict() == motor

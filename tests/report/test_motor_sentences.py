@@ -33,7 +33,7 @@ def order(number: float, size: float, *, lock: str, cause: str) -> dict[str, Any
 def findings(*lines: dict[str, Any], orders: tuple[dict[str, Any], ...] = (), **more: Any) -> dict[str, Any]:
     motor = {
         "supply_hz": 50.0, "supply_hz_ci95": [50.0, 50.0], "supply_measured": True, "poles": 4, "rotor_bars": 44,
-        "misfit": "", "lines": list(lines), "not_seen": [],
+        "misfit": "", "lines": list(lines),
         "speeds": [{"speed_rpm": 1470.0, "synchronous_rpm": 1500.0, "slip": 0.02, "slip_ci95": [0.02, 0.02],
                     "pole_pass_hz": 2.0, "fits": True}],
     }  # fmt: skip

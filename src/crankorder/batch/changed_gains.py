@@ -11,13 +11,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.orders.level_jumps import RecordedLevel, level_jumps, line_sizes
-from crankorder.orders.turned_channels import recorded_phases, turned_channels
 from crankorder.quantities import OrderFrames, QualityFlag, RecordingLevels, ShaftAngle, with_flags
 from crankorder.settings import IngestSettings
 from crankorder.stages import RecordingResult
-
-ORDERS = 24
-"""Orders of the cycle whose phases and amplitudes are held against those of other recordings."""
 
 _NOTHING_IS_ZERO = ("degrees_of_freedom", "n_independent", "n_cycles", "peak_above")
 """Variables in which a channel without data has 0; in all others NaN."""
@@ -29,8 +25,7 @@ def without_changed_gains(
     """``results`` of the recordings by file, in which a channel whose gain is another holds no data.
 
     ``settings`` say by how much a level must jump for that, and by how much where floors and orders together prove it.
-    So does a channel whose polarity is surely another than in the other recordings. Such a recording carries the flag
-    that says so. Bad recordings take no part.
+    Such a recording carries the flag that says so. Bad recordings take no part.
     """
     sound = {
         path: result
@@ -39,9 +34,6 @@ def without_changed_gains(
     }
     ratios = settings.level_jump_ratio, settings.gain_step_ratio
     flags = level_jumps(_levels(sound), ratio=ratios[0], proven_ratio=ratios[1])
-    frames = (result.frames[OrderFrames] for result in sound.values() if OrderFrames in result.frames)
-    phases = (recorded_phases(item, n_orders=ORDERS) for item in frames)
-    flags += turned_channels([one for one in phases if one is not None])
     made = dict(results)
     for path, result in sound.items():
         own = [flag for flag in flags if flag["recording"] == result.name]

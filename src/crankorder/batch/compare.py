@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 from crankorder.batch.result_folder import DONE, FINDINGS, RESULTS, publish, read_document, read_findings
 from crankorder.batch.store import file_sha256, json_bytes, text_sha256
 from crankorder.errors import InputError, RequestError
-from crankorder.identify.changes.compared import Compared, Tested, compared
-from crankorder.identify.changes.datasets import change_datasets
+from crankorder.identify.changes.compared import Compared, Tested, change_datasets, compared
 from crankorder.report.comparison.sentences import comparison_headline
 from crankorder.report.netcdf import read_results
 from crankorder.settings import ReportSettings, load_settings
@@ -23,15 +22,14 @@ if TYPE_CHECKING:
     from crankorder.plot.drawing import Drawing
 
 NAME = "comparison.json"
-MAPS = ("order_map", "campbell_map", "envelope_map", "shaft")
+MAPS = ("order_map", "envelope_map", "shaft")
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What was compared, as found: the tests' folders and all that their comparison gives."""
+    """The folders of the tests that were compared, and all that their comparison gives."""
 
     folders: tuple[Path, ...]
-    tests: tuple[Tested, ...]
     made: Compared
 
     @property
@@ -40,21 +38,21 @@ class Comparison:
         return self.made.document
 
 
-def compare_results(base: Path, new: Sequence[Path], *, q: float, correlated: bool = False) -> Comparison:
+def compare_results(base: Path, new: Sequence[Path], *, q: float) -> Comparison:
     """Comparison of the results in ``base`` with the last of ``new``; of several, in time order, the trend over all.
 
     Each is a test's result folder, or the ``--out`` of a run of one test. ``q`` is the false-discovery rate of all
-    claims, ``correlated`` claims fewer map cells, for any dependence between them.
+    claims.
     Raises RequestError where a folder is not one test's results, InputError where results are unfinished or damaged.
     """
     folders = tuple(_test_folder(folder) for folder in (base, *new))
     _refuse_twice(folders)
     found = [_tested(folder) for folder in folders]
     names = _names([test.name for test in found])
-    tests = tuple(replace(test, name=name) for test, name in zip(found, names, strict=True))
-    made = compared(tests, q=q, correlated=correlated)
+    tests = [replace(test, name=name) for test, name in zip(found, names, strict=True)]
+    made = compared(tests, q=q)
     made.document["headline"] = comparison_headline(made.document)
-    return Comparison(folders, tests, made)
+    return Comparison(folders, made)
 
 
 def _refuse_twice(folders: Sequence[Path]) -> None:
@@ -102,13 +100,13 @@ def _tested(folder: Path) -> Tested:
     if "orders" not in run.get("settings", {}) or "test" not in run:
         raise InputError("not the results of a run", file=folder, remedy="Run the analysis again")
     groups = read_results(folder / "results.nc")
-    if not {"order_map", "campbell_map"} & set(groups):
+    if "order_map" not in groups:
         raise InputError(
-            "holds no map to compare",
+            "holds no order map to compare",
             file=folder / "results.nc",
             found=", ".join(sorted(groups)) or "no group",
-            allowed="the group order_map or campbell_map",
-            remedy="Run the analysis again, with the stages that make a map",
+            allowed="the group order_map",
+            remedy="Run the analysis again, with a recipe that wants the order map",
         )
     return Tested(str(run["test"]), findings, run, {key: groups[key] for key in MAPS if key in groups})
 
@@ -149,11 +147,9 @@ def refuse_results(out: Path, folders: Sequence[Path]) -> None:
 
 
 def _files(comparison: Comparison, settings: ReportSettings) -> dict[str, bytes]:
-    from crankorder.batch.plan import folder_name
     from crankorder.plot.drawing import picture_bytes
-    from crankorder.report.comparison.figure import map_change_figure, order_change_figure
+    from crankorder.report.comparison.figure import order_change_figure, trend_figure
     from crankorder.report.comparison.page import comparison_page
-    from crankorder.report.comparison.trend import trend_figure
     from crankorder.report.netcdf import as_stored, results_bytes
 
     made, document = comparison.made, comparison.document
@@ -161,7 +157,6 @@ def _files(comparison: Comparison, settings: ReportSettings) -> dict[str, bytes]
     shown = as_stored(groups)
     pictures: list[tuple[str, str]] = []
     files: dict[str, bytes] = {NAME: json_bytes(document)}
-    taken: set[str] = set()
 
     def draw(name: str, caption: str, figure: Callable[[], Drawing]) -> None:
         file = f"{name}.{settings.picture_format}"
@@ -174,10 +169,6 @@ def _files(comparison: Comparison, settings: ReportSettings) -> dict[str, bytes]
     if "order_change" in shown and settings.pictures:
         caption = "What changed, order by order: second test over first, with 95 % intervals"
         draw("orders_change", caption, partial(order_change_figure, shown["order_change"], document, settings=settings))
-    for channel in [one["channel"] for one in document["cells"] if one["changed"] and settings.pictures]:
-        caption = f"Where the Campbell diagram of {channel} changed: claimed cells in colour"
-        figure = partial(map_change_figure, shown["map_change"], channel, document, settings=settings)
-        draw(f"map_change_{folder_name(channel, taken)}", caption, figure)
     attrs = {"title": f"{document['base']} / {document['new']}", "source": f"crankorder {version('crankorder')}"}
     files["comparison.nc"] = results_bytes(groups, attrs=attrs)
     page = comparison_page(document, pictures=pictures, settings=settings)

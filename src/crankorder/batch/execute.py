@@ -22,8 +22,7 @@ from crankorder.batch.index import publish_index
 from crankorder.batch.kernels import load_kernels
 from crankorder.batch.locks import locked
 from crankorder.batch.machine import engine_of_test, knowledge_of, sources_of
-from crankorder.batch.outcome import Outcome
-from crankorder.batch.plan import CampaignPlan, RunOptions
+from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions
 from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.result_folder import (
     TIMINGS,
@@ -36,19 +35,21 @@ from crankorder.batch.result_folder import (
 )
 from crankorder.batch.short_recordings import short_recordings
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
-from crankorder.batch.unsought import unsought_findings
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
 from crankorder.engine.definition import with_gas_file
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
-from crankorder.findings import Findings, Quality, SpeedSwing, quality_of
+from crankorder.findings import Channel, Findings, Quality, SpeedSwing, nothing_sought, quality_of
 from crankorder.identify.cycle_forces import cycle_doubts
 from crankorder.identify.sources import Sources
 from crankorder.orders.true_angle import NAMES
-from crankorder.quantities import QualityFlag, Severity
+from crankorder.quantities import QualityFlag, Severity, flags_of
 from crankorder.settings import Settings, toml_table
 from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.shaft.tooth_errors import speed_swing
 from crankorder.stages import RecordingResult, analyse_recording, analyse_test, frames_wanted
+
+NOT_ASKED_FOR = "not asked for: the recipe wants {results} only"
+OF_SHAFT_ALONE = "not sought: no vibration was recorded, the shaft alone"
 
 Progress = Callable[[str, int, int], None]
 """Called with the name of the test, recordings done and recordings in all."""
@@ -206,7 +207,7 @@ def results_of_test(
     ``flags`` and ``faults`` of the test so far, which the findings tell too; ``name_of``: the recording of a file.
     """
     made = analyse_test(list(results.values()), test=test, sources=sources, settings=settings)
-    findings = made.findings or unsought_findings(made.datasets, test=test, settings=settings)
+    findings = made.findings or _unsought_findings(made.datasets, test=test, settings=settings)
     left_out: list[CrankorderError] = [
         InputError("left out of the order map", file=flag.recording, found=flag.detail)
         for flag in findings.quality
@@ -219,6 +220,30 @@ def results_of_test(
     most_deg = settings.orders.largest_eccentricity_deg
     findings = replace(findings, quality=quality, speed_swing=_swing_records(results, quality, most_deg=most_deg))
     return made.datasets, findings, left_out
+
+
+def _unsought_findings(datasets: dict[str, xr.Dataset], *, test: str, settings: Settings) -> Findings:
+    """Findings with nothing in them and the reason under ``not_asked_for``.
+
+    ``datasets`` are the results of the ``test`` of that name, ``settings`` say which were asked for.
+    """
+    flags: list[QualityFlag] = []
+    for dataset in datasets.values():
+        flags += [flag for flag in flags_of(dataset) if flag not in flags]
+    maps = [dataset for dataset in datasets.values() if "channel" in dataset.variables]
+    columns = (maps[0][name].values.tolist() if maps else [] for name in ("channel", "unit", "quantity"))
+    of_shaft = [datasets["shaft"][name].values for name in ("speed_min", "speed_max")]
+    of_maps = [dataset["speed"].values for dataset in maps if "speed" in dataset.variables]
+    speeds = np.concatenate(of_maps if maps else of_shaft)
+    known = speeds[np.isfinite(speeds)]
+    wanted = ", ".join(name.replace("_", " ") for name in settings.report.results)
+    reason = NOT_ASKED_FOR.format(results=wanted) if wanted else OF_SHAFT_ALONE
+    made = tuple(
+        Channel(name=name, unit=unit, quantity=quantity) for name, unit, quantity in zip(*columns, strict=True)
+    )
+    tested = (float(known.min()), float(known.max())) if known.size else (None, None)
+    quality = quality_of(flags)
+    return nothing_sought(test, reason=reason, channels=made, speed_range_rpm=tested, quality=quality)
 
 
 class _Clock:
@@ -368,8 +393,7 @@ def _recording_parts(
     asked = settings_of_recordings(plan.settings)
     known = None if knowledge.calibration is None else asdict(knowledge.calibration)
     about = (stated, plan.manifest.speed_of(path), asked, [noun.__name__ for noun in frames_wanted(plan.settings)])
-    speed = knowledge.speeds_rpm.get(plan.name_of(path))
-    exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, known, knowledge.engine, speed))
+    exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, known, knowledge.engine))
     return [*(str(one.sha256) for one in hashed.values()), plan.name_of(path), *exact]
 
 

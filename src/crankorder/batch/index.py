@@ -14,7 +14,7 @@ from crankorder.errors import EnvironmentFailure, RequestError
 from crankorder.ingest.folder import natural_key
 
 if TYPE_CHECKING:
-    from crankorder.batch.outcome import Outcome
+    from crankorder.batch.plan import Outcome
 
 BATCH, INDEX = "batch.json", "index.html"
 VERSION = 1

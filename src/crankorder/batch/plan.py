@@ -1,4 +1,4 @@
-"""What a run will do: tests, their recordings, settings and output folders; every fault found before work starts."""
+"""What a run will do (tests, recordings, settings; every fault found before work starts), and what became of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from crankorder.batch.index import BATCH, INDEX, refuse_foreign_index
 from crankorder.batch.result_folder import Owner, finished_tests, owner_recorded, refuse_foreign, refuse_others
@@ -19,6 +19,10 @@ from crankorder.ingest.checksums import checksum_faults
 from crankorder.ingest.folder import natural_key, recordings_of
 from crankorder.ingest.manifest import Manifest, load_manifest
 from crankorder.settings import Settings, load_settings
+
+if TYPE_CHECKING:
+    from crankorder.findings import Findings
+    from crankorder.quantities import QualityFlag
 
 LONGEST_NAME = 80
 
@@ -67,6 +71,56 @@ class CampaignPlan:
     def files(self) -> list[Path]:
         """Files of all recordings, each once."""
         return list(dict.fromkeys(file for path in self.recordings for file in self.files_of(path)))
+
+
+@dataclass
+class Outcome:
+    """What became of one test of a run."""
+
+    plan: CampaignPlan
+    status: str = "failed"
+    faults: list[CrankorderError] = field(default_factory=list)
+    internal: list[BaseException] = field(default_factory=list)
+    flags: list[QualityFlag] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    """What was left out of recordings that are used for the rest."""
+    findings: Findings | None = None
+    accuracy: str = ""
+    seconds: dict[str, float] = field(default_factory=dict)
+    reused: int = 0
+    """Recordings whose results an earlier run had kept."""
+    kept: bool = False
+    """Whether what an earlier run finished was kept, for nothing had changed."""
+
+    @property
+    def exit_status(self) -> int:
+        """Exit status of this test alone, as the command line defines it."""
+        if self.internal:
+            return 1
+        if self.status == "failed":
+            return next((f.exit_status for f in self.faults if f.exit_status in (2, 4, 5)), 4)
+        return 3 if self.faults else 0
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """What an index says of it: name, status, folder, headline and failed recordings."""
+        from crankorder.report.sentences.story import headline
+
+        folder = self.plan.out.name
+        failed = [{"recording": self.plan.name_of(Path(fault.file)), "error": str(fault)} for fault in self.faults]
+        failed += [
+            {"recording": "", "error": f"internal fault: {type(error).__name__}: {printable(error)}"}
+            for error in self.internal
+        ]
+        return {
+            "name": self.plan.name,
+            "status": self.status,
+            "folder": folder,
+            "link": None if self.status == "failed" else f"{folder}/report.html",
+            "recordings": len(self.plan.recordings),
+            "headline": [] if self.findings is None else headline(self.findings),
+            "failed": failed,
+        }
 
 
 @dataclass(frozen=True)

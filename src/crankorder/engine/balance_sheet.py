@@ -319,7 +319,7 @@ def balance_sheet(
         else {name: _strategy(one, name, data.places, max_order) for name in STRATEGIES},
         "shafts": _shafts(subject, one, max_order, speeds),
         "cycle": None if engine.cycle == "rotor" else cycle_table(engine, max_order=max_order, speeds=speeds),
-        "tolerance": tolerance_of(subject, max_order, speeds),
+        "tolerance": tolerance_of(subject, max_order),
         "design": None if single else design_table(subject, max_order),
         "crankshaft": crankshaft_of(subject, speeds),
         "rod_split": None if one is None else rod_split_table(subject, speeds),

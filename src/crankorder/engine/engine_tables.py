@@ -119,10 +119,10 @@ def designs_for(subject: BalancedEngine) -> tuple[Design, ...]:
     return designs(subject.engine, orders=orders, planes_m=_planes_m(subject), max_order=max([1, *orders]))
 
 
-def tolerance_of(subject: BalancedEngine, max_order: int, speeds: Sequence[float]) -> dict[str, Any] | None:
+def tolerance_of(subject: BalancedEngine, max_order: int) -> dict[str, Any] | None:
     """Study of the tolerances that the file of ``subject`` states: of its own shafts, else of the last design.
 
-    None where it states none. ``max_order``: of the tables. ``speeds``: rpm.
+    None where it states none. ``max_order``: of the tables.
     """
     tolerances, engine = subject.balance.tolerances, subject.engine
     if tolerances is None:
@@ -130,7 +130,7 @@ def tolerance_of(subject: BalancedEngine, max_order: int, speeds: Sequence[float
     made = () if engine.shafts.every_order or len(engine.cylinders) == 1 else designs_for(subject)
     studied = made[-1].on(engine) if made else engine
     top = max([max_order, *studied.shafts.every_order])
-    table = tolerance_table(studied, tolerances, max_order=top, speeds=speeds)
+    table = tolerance_table(studied, tolerances, max_order=top)
     return {"of": made[-1].name if made else "own" if engine.shafts.every_order else "none", **table}
 
 

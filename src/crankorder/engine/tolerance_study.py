@@ -1,17 +1,17 @@
-"""What errors of masses, pins and shaft timing leave of a balanced engine, and classes that keep a stated residual."""
+"""What errors of masses, pins and shaft timing leave of a balanced engine."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import Field
 
-from crankorder.engine.definition import BalanceShafts, Engine, EngineData, NonNegative, Positive, SingleShaft, Weight
+from crankorder.engine.definition import BalanceShafts, Engine, EngineData, NonNegative, SingleShaft, Weight
 from crankorder.engine.forces import Z, crankcase_forces
 from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.errors import plain_number
@@ -23,21 +23,16 @@ Parts = NDArray[np.complex128]
 
 ONE_RADIAN_PER_S_RPM = 30 / math.pi
 QUANTILES = {"2.5 %": 0.025, "median": 0.5, "95 %": 0.95, "97.5 %": 0.975}
-KEPT_SHARE = 0.95
-"""Share of engines that a class of masses or angles must keep below the stated residual."""
 NO_FORCE_G_MM, NO_COUPLE_G_MM2 = 1e-6, 1e-3
 """What is smaller is rounding: at 10,000 rpm a millionth of a newton, and of a newton metre."""
-STEPS, SETTLED = 6, 1e-9
-"""Of the steps that find an angle, whose force is nearly in proportion to it; one below the second share ends them."""
 
 
 class BalanceTolerances(EngineData):
-    """Errors of a series of engines, each even between plus and minus what is stated, and what they may leave.
+    """Errors of a series of engines, each even between plus and minus what is stated.
 
     ``reciprocating_g``: of each cylinder. ``rotating_g_mm``: unbalance added to each throw, any direction, up to this.
     ``pin_deg``: of each crank pin. ``shaft_percent``: of each weight of a balance shaft. ``gear_deg``: of each shaft's
-    own angle. ``mistiming_deg``: one case beside the series, all shafts late by it. ``allowed_g_mm``: force over ω² of
-    any order that errors may add; or ISO 21940-11's ``grade_mm_s`` of a ``rotor_mass_kg`` at the highest speed asked.
+    own angle. ``mistiming_deg``: one case beside the series, all shafts late by it.
     """
 
     reciprocating_g: NonNegative = 0.0
@@ -46,36 +41,11 @@ class BalanceTolerances(EngineData):
     shaft_percent: NonNegative = 0.0
     gear_deg: NonNegative = 0.0
     mistiming_deg: float | None = None
-    allowed_g_mm: Positive | None = None
-    grade_mm_s: Positive | None = None
-    rotor_mass_kg: Positive | None = None
     samples: Annotated[int, Field(ge=100, le=20_000)] = 2000
     seed: Annotated[int, Field(ge=0)] = 0
 
-    @field_validator("rotor_mass_kg")
-    @classmethod
-    def _grade_has_a_mass(cls, value: float | None, info: ValidationInfo) -> float | None:
-        if {"grade_mm_s", "allowed_g_mm"} <= info.data.keys():
-            grade, allowed = info.data["grade_mm_s"], info.data["allowed_g_mm"]
-            if (grade is None) != (value is None):
-                raise ValueError("grade_mm_s and rotor_mass_kg belong together")
-            if grade is not None and allowed is not None:
-                raise ValueError("either allowed_g_mm or a grade")
-        return value
-
-    model_config = ConfigDict(validate_default=True)
-
-    def allowed_at(self, speed_rpm: float) -> float | None:
-        """Unbalance (g·mm) that may remain at ``speed_rpm``. Source: ISO 21940-11, U = 1000 · G · M / Ω."""
-        if self.grade_mm_s is None or self.rotor_mass_kg is None:
-            return self.allowed_g_mm
-        return 1000 * self.grade_mm_s * self.rotor_mass_kg / (speed_rpm * math.pi / 30)
-
 
 KINDS = ("reciprocating_g", "rotating_g_mm", "pin_deg", "shaft_percent", "gear_deg")
-IN_PROPORTION = ("reciprocating_g", "rotating_g_mm", "shaft_percent")
-OF_SHAFTS = ("shaft_percent", "gear_deg")
-"""Kinds of error whose force grows in proportion, and those of the balance shafts; the others are of the cylinders."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,14 +57,6 @@ class Errors:
     pin: Floats
     weight: Floats
     gear: Floats
-
-    @property
-    def first(self) -> Errors:
-        """Those of the first engine alone."""
-        return Errors(**{one.name: getattr(self, one.name)[:1] for one in fields(self)})
-
-
-_Adds = Callable[[Complex, Engine, Errors, dict[str, float]], None]
 
 
 def with_single_shafts(engine: Engine, max_order: int) -> Engine:
@@ -124,13 +86,11 @@ def with_single_shafts(engine: Engine, max_order: int) -> Engine:
     return engine.model_copy(update={"shafts": BalanceShafts(single=(*single, *shafts.single))})
 
 
-def tolerance_table(
-    engine: Engine, tolerances: BalanceTolerances, *, max_order: int, speeds: Sequence[float]
-) -> dict[str, Any]:
-    """Force and couple that a series of engines leaves by order, one stated mistiming, and the classes that keep it.
+def tolerance_table(engine: Engine, tolerances: BalanceTolerances, *, max_order: int) -> dict[str, Any]:
+    """Force and couple that a series of engines leaves by order, and one stated mistiming.
 
     ``engine``: balanced, by its webs and shafts. ``tolerances``: of the series. ``max_order``: highest order, ≥ 1 and
-    not below any shaft's. ``speeds``: rpm; the grade is taken at the highest.
+    not below any shaft's.
     The residual of an order is the most of a turn: the large half axis of its ellipse.
     """
     studied = with_single_shafts(engine, max_order)
@@ -150,16 +110,12 @@ def tolerance_table(
             "force_g_mm": of_force,
             "couple_g_mm2": of_couple,
         }
-    allowed = tolerances.allowed_at(max(speeds))
-    classes = None if allowed is None else _classes(studied, errors, allowed, max_order)
     return {
         "samples": tolerances.samples,
         "seed": tolerances.seed,
         "force_g_mm": _quantiles(force),
         "couple_g_mm2": _quantiles(couple),
         "mistiming": late,
-        "allowed_g_mm": allowed,
-        "largest_alone": classes,
     }
 
 
@@ -187,7 +143,7 @@ def _left(engine: Engine, errors: Errors, size: dict[str, float], max_order: int
 
 
 def _add(parts: Complex, direct: Complex, reverse: Complex | float, position_m: float, at: int | slice) -> None:
-    for row, lever in ((0, 1.0), (1, 1e3 * position_m))[: parts.shape[0]]:
+    for row, lever in ((0, 1.0), (1, 1e3 * position_m)):
         parts[row, 0, :, at] += lever * direct
         parts[row, 1, :, at] += lever * reverse
 
@@ -247,43 +203,8 @@ def _quantiles(parts: Parts) -> dict[str, dict[str, float]]:
     }
 
 
-def _classes(engine: Engine, errors: Errors, allowed: float, max_order: int) -> dict[str, float | None]:
-    """Largest error of each kind, alone, whose added force stays below ``allowed`` in 95 % of the series."""
-    zero = dict.fromkeys(KINDS, 0.0)
-    still = errors.first
-    exact = {part: _of(part, engine, still, zero, max_order) for part in (_add_cylinders, _add_shafts)}
-
-    def added(kind: str, size: float) -> float:
-        part = _add_shafts if kind in OF_SHAFTS else _add_cylinders
-        most = _most(_of(part, engine, errors, {**zero, kind: size}, max_order) - exact[part]).max(axis=1)
-        return float(np.quantile(most, KEPT_SHARE))
-
-    found: dict[str, float | None] = {}
-    for kind in KINDS:
-        size = 1.0 if kind in IN_PROPORTION else 1e-3
-        per = added(kind, size) / size
-        if per == 0:
-            found[kind] = None
-            continue
-        for _ in range(0 if kind in IN_PROPORTION else STEPS):
-            size, before = allowed / per, size
-            per = added(kind, size) / size
-            if abs(size - before) <= SETTLED * size:
-                break
-        found[kind] = allowed / per
-    return found
-
-
-def _of(part: _Adds, engine: Engine, errors: Errors, size: dict[str, float], max_order: int) -> Parts:
-    """Force (g·mm) over ω² of every sample, of the cylinders or of the shafts alone."""
-    parts = np.zeros((1, 2, errors.mass.shape[0], max_order), dtype=np.complex128)
-    part(parts, engine, errors, size)
-    force: Parts = parts[0]
-    return force
-
-
 def tolerance_sentences(table: Mapping[str, Any] | None, speed_rpm: float) -> list[str]:
-    """What a series leaves, what one mistiming adds, and the classes that keep it.
+    """What a series leaves, and what one mistiming adds.
 
     ``table``: as :func:`tolerance_table` makes it, or None. ``speed_rpm``: at which couples are named, > 0.
     """
@@ -307,13 +228,6 @@ def tolerance_sentences(table: Mapping[str, Any] | None, speed_rpm: float) -> li
         said.append(f"95 % rock with a couple of less than {couples}, their largest.")
     if table["mistiming"] is not None:
         said.append(_of_mistiming(table["mistiming"], speed_rpm, newton_metres))
-    if table["largest_alone"] is not None:
-        units = dict(
-            zip(KINDS, ("g on a piston", "g·mm on a throw", "° of a pin", "% of a weight", "° of a shaft"), strict=True)
-        )
-        told = [f"{size:.3g} {units[kind]}" for kind, size in table["largest_alone"].items() if size is not None]
-        allowed = plain_number(table["allowed_g_mm"])
-        said.append(f"Each alone, ± {', '.join(told)} add no more than {allowed} g·mm in 95 %.")
     return said
 
 

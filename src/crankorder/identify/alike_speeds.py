@@ -14,9 +14,9 @@ from crankorder.identify.known_lines import LOBE_BINS, Held
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
 from crankorder.identify.lines.several_orders import DEGREES_OF_FREEDOM, SolvedLine, several_lines
+from crankorder.identify.mains import NUMBERS as MAINS
 from crankorder.identify.mains import multiples_near
 from crankorder.identify.modal.tones import NEAR_BINS, with_one_mains
-from crankorder.identify.motors import NUMBERS as MOTORS
 from crankorder.settings import IdentifySettings
 
 PARTED = "parted by each of {} recordings, in which the orders of the shaft move and it does not"
@@ -100,7 +100,7 @@ def _regions(tones: Sequence[Tone], reach_hz: float) -> list[tuple[float, float]
 def _parted(held: Sequence[Held], low_hz: float, high_hz: float) -> list[_Parted]:
     """Lines between both frequencies as the recordings agree on them; none where they do not, or do not tell."""
     solved = [(one, lines) for one in held if (lines := _lines(one, low_hz, high_hz))]
-    if len(solved) < MOTORS.least_speeds:
+    if len(solved) < MAINS.least_speeds:
         return []
     free = {(k, n) for k, (_, lines) in enumerate(solved) for n in range(len(lines))}
     made: list[_Parted] = []
@@ -145,7 +145,7 @@ def _chain(
         wanted = line.order * own.rpm / held.rpm if fixed else line.order
         room = 0.5 * KNOWN_LINES.apart_cycles / min(held.span_rev, own.span_rev)
         if fixed:
-            room = max(room, MOTORS.same_hz * 60.0 / held.rpm)
+            room = max(room, KNOWN_LINES.same_hz * 60.0 / held.rpm)
         near = [n for n in range(len(lines)) if (k, n) in free and abs(lines[n].order - wanted) <= room]
         hidden = any(abs(one.order - wanted) * held.span_rev < 2.0 * KNOWN_LINES.apart_cycles for one in lines)
         outside = (
@@ -156,7 +156,7 @@ def _chain(
         elif not hidden and not outside:
             return None
     alone = not fixed and abs(2.0 * line.order - round(2.0 * line.order)) * own.span_rev < KNOWN_LINES.apart_cycles
-    return chain if len(chain) >= MOTORS.least_speeds or alone else None
+    return chain if len(chain) >= MAINS.least_speeds or alone else None
 
 
 def _tone(one: _Parted, settings: IdentifySettings) -> Tone:
@@ -198,7 +198,7 @@ def _with_orders(
     new = [
         one
         for one, place in zip(found, places, strict=True)
-        if len(one.seen) >= MOTORS.least_speeds and not any(abs(agreed.order - place) < room for agreed in kept)
+        if len(one.seen) >= MAINS.least_speeds and not any(abs(agreed.order - place) < room for agreed in kept)
     ]
     return kept + [_agreed(one, order_map) for one in new]
 

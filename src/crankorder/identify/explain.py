@@ -16,14 +16,12 @@ from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
 from crankorder.identify.intervals import half_width
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
+from crankorder.identify.known_lines import LineSeen, named_by, words_of
 from crankorder.identify.lines.growth import largest
-from crankorder.identify.mains import mains_words, multiple_in, multiple_on, multiples_near, supply_told
-from crankorder.identify.mains_orders import mains_orders
-from crankorder.identify.motors import LineSeen, named_by, words_of
-from crankorder.identify.one_mains import OR_ANOTHER, claims_of, doubtful
+from crankorder.identify.mains import OR_ANOTHER, mains_orders, multiple_on, multiples_near, supply_told
 from crankorder.identify.order_one import is_motion, order_one
 from crankorder.identify.race_harmonics import StruckRace, harmonic_words, struck_races
-from crankorder.identify.said import LIKE_UNBALANCE
+from crankorder.identify.said import LIKE_UNBALANCE, mains_words
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.sidebands import sidebands
 from crankorder.identify.sources import Sources
@@ -137,23 +135,7 @@ def explained(
     rpm = _one_speed(orders)
     modes = tuple(_of_race(mode, cause, races, rpm) for mode, cause in zip(modal.modes, modes, strict=True))
     tones = _explained_tones(modal.tones, races, rpm, known, settings)
-    return _with_one_mains(Causes(causes, modes, tones), orders, modal.tones)
-
-
-def _with_one_mains(causes: Causes, orders: tuple[AgreedOrder, ...], tones: Sequence[Tone]) -> Causes:
-    """``causes`` of ``orders`` and ``tones`` of which no two are one multiple of the mains at two frequencies."""
-    texts = {order: cause.text for (_, order), cause in causes.orders.items() if multiple_in(cause.text) is not None}
-    claims = claims_of(orders, tones, texts, [cause.text for cause in causes.tones])
-    of_orders, of_tones = dict(causes.orders), list(causes.tones)
-    for claim, (rival, is_beaten) in doubtful(claims).items():
-        beside = f"{rival.hertz:.6g} Hz stands beside {claim.hertz:.6g} Hz, and a supply has one frequency"
-        words = f"{mains_words(claim.multiple)} or {OR_ANOTHER}"
-        if claim.tone is not None:
-            of_tones[claim.tone] = Cause("tone" if is_beaten else words, beside)
-        for key, cause in causes.orders.items():
-            if claim.tone is None and key[1] == claim.order and multiple_in(cause.text) is not None:
-                of_orders[key] = Cause("unexplained" if is_beaten else words, beside)
-    return Causes(of_orders, causes.modes, tuple(of_tones))
+    return Causes(causes, modes, tones)
 
 
 MAY_BE_MAINS = ("unbalance", LIKE_UNBALANCE, "shaft harmonic", "half order of the four-stroke cycle")
@@ -171,16 +153,17 @@ def _electric(
 ) -> dict[tuple[str, float], Cause]:
     """Causes of the lines of the mains and of the motor; with what else each may be, where the data do not tell."""
     of_cycle = {agreed.order: _unparted(agreed, sources.revs_per_cycle, longest_rev) for agreed in orders}
-    tones_hz = [tone.frequency_hz for tone in modal.tones if tone.kind == "mains"]
+    tones = [tone for tone in modal.tones if tone.kind == "mains"]
     exact = [order for order, multiple in of_cycle.items() if multiple is not None]
     told = {
         order: Cause(text, evidence)
-        for order, (text, evidence) in mains_orders(orders, tones_hz=tones_hz, exact=exact, settings=settings).items()
+        for order, (text, evidence) in mains_orders(orders, tones=tones, exact=exact, settings=settings).items()
     }
     sure: set[float] = set()
     for agreed in orders:
         item = named_by(known, agreed)
-        if item is not None:
+        in_doubt = agreed.order in told and OR_ANOTHER in told[agreed.order].text
+        if item is not None and not in_doubt:
             text = " or ".join([words_of(item), *(other for other in item.also if not other.startswith("order "))])
             told[agreed.order] = Cause(text, f"{item.hertz:.6g} Hz at {item.held.rpm:.5g} rpm, where it was expected")
             if not item.also:

@@ -6,16 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def adjusted(p_values: NDArray[np.float64], *, correlated: bool = False) -> NDArray[np.float64]:
+def adjusted(p_values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Smallest false-discovery rate at which each comparison would be claimed, of the shape of ``p_values``.
 
-    Parameters
-    ----------
-    p_values : any shape, 0 to 1; NaN where nothing was compared, which stays NaN and counts as no comparison
-    correlated : True holds for any dependence between the comparisons, at the price of a factor ln n in power
-        (Benjamini, Yekutieli 2001, theorem 1.3); False for independent and positively dependent ones, as cells of a map
-        whose windows overlap (theorem 1.2)
-
+    ``p_values`` lie between 0 and 1; NaN, where nothing was compared, stays NaN and counts as no comparison. It holds
+    for independent and positively dependent comparisons (Benjamini, Yekutieli 2001, theorem 1.2).
     Source: Benjamini, Hochberg (1995), J. R. Statist. Soc. B 57, 289, eq. 1.
     """
     flat = np.ravel(np.asarray(p_values, dtype=np.float64))
@@ -25,14 +20,12 @@ def adjusted(p_values: NDArray[np.float64], *, correlated: bool = False) -> NDAr
     if n:
         rank = np.argsort(flat[known], kind="stable")
         factor = n / np.arange(1.0, n + 1.0)
-        if correlated:
-            factor = factor * float(np.sum(1.0 / np.arange(1.0, n + 1.0)))
         stepped = np.minimum.accumulate((flat[known][rank] * factor)[::-1])[::-1]
         made[known[rank]] = np.minimum(stepped, 1.0)
     return made.reshape(np.shape(p_values))
 
 
-def claimed(p_values: NDArray[np.float64], *, q: float, correlated: bool = False) -> NDArray[np.bool_]:
+def claimed(p_values: NDArray[np.float64], *, q: float) -> NDArray[np.bool_]:
     """True for comparisons that may be claimed with a false-discovery rate of at most ``q``.
 
     Parameters
@@ -40,10 +33,9 @@ def claimed(p_values: NDArray[np.float64], *, q: float, correlated: bool = False
     p_values : any shape, 0 to 1; NaN is never claimed
     q : share of the claims that may be false on average, 0 to 1; where nothing differs at all it is the chance that
         anything is claimed
-    correlated : as for :func:`adjusted`
     """
     with np.errstate(invalid="ignore"):
-        return np.asarray(adjusted(p_values, correlated=correlated) <= q)
+        return np.asarray(adjusted(p_values) <= q)
 
 
 def simes(p_values: NDArray[np.float64]) -> float:

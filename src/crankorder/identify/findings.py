@@ -9,7 +9,16 @@ from functools import partial
 import numpy as np
 import xarray as xr
 
-from crankorder.findings import SCHEMA_VERSION, Balance, BearingFinding, Channel, Energy, Findings, Level, quality_of
+from crankorder.findings import (
+    SCHEMA_VERSION,
+    Balance,
+    BearingFinding,
+    Channel,
+    Energy,
+    Findings,
+    Level,
+    quality_of,
+)
 from crankorder.identify.alike_speeds import with_lines_of_recordings
 from crankorder.identify.balance.closure import closure
 from crankorder.identify.bearings.records import bearing_records
@@ -20,7 +29,7 @@ from crankorder.identify.explain import Causes, explained
 from crankorder.identify.folds import fold_flags, shown_folds
 from crankorder.identify.following import going_with_speed
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerdicts
-from crankorder.identify.known_lines import Held
+from crankorder.identify.known_lines import Held, LineSeen, held_of, without_known
 from crankorder.identify.levels import (
     graded,
     level_records,
@@ -38,24 +47,13 @@ from crankorder.identify.lines.followed_orders import (
 from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.order_lock import speed_source
+from crankorder.identify.mains import mains_seen, with_mains_tones, without_ringing
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
 from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
 from crankorder.identify.modal.sweep_rows import with_rows_of_fits
 from crankorder.identify.modal.tones import with_one_mains
-from crankorder.identify.motor_doubts import with_bars_judged, with_rivals, with_speed_judged
-from crankorder.identify.motor_record import motor_record
-from crankorder.identify.motor_speed import SpeedRead, explained_at, with_speed_read
-from crankorder.identify.motors import (
-    LineSeen,
-    MotorFound,
-    held_of,
-    mains_seen,
-    motor_found,
-    with_mains_tones,
-    without_known,
-    without_ringing,
-)
+from crankorder.identify.motors import MotorSeen, motor_seen
 from crankorder.identify.one_cause import with_neighbours_named, without_doubles
 from crankorder.identify.order_one import if_unbalance
 from crankorder.identify.parted_tones import with_tones_parted, without_absent_mains
@@ -96,17 +94,20 @@ def find(
     flags = _flags(order_map, campbell)
     doubt = speed_doubt(flags)
     held = held_of(frames, order_map)
-    motor, known = _electric(held, order_map, sources, settings)
+    by_shaft = doubt is None and speed_source([order_map]) != "stated"
+    motor = None
+    if sources.motor is not None:
+        motor = motor_seen(sources.motor, held, by_shaft=by_shaft, settings=asked)
+        doubt = doubt or motor.speed_doubt
+    known = (motor.lines if motor else ()) or mains_seen(held, settings=asked)
     sweeps, electric = (followed, swept), (held, known)
     in_map, modal, known = _orders_and_modes(order_map, campbell, frames, sweeps, electric, settings, doubt)
-    in_map, read = with_speed_read(sources.motor, in_map, order_map, settings=asked)
     orders = with_track_rows(in_map, _reader(order_map, frames, followed, modal, swept), settings=settings.orders)
     bearings = _bearings(orders, envelope, sources, asked)
     folds = shown_folds(order_map, settings=settings)
-    explain = partial(_explainer(order_map, frames, in_map, held, sources, settings), folds=folds, known=known)
-    causes = explained_at(read, in_map, modal, bearings, explain=explain)
+    explain = _explainer(order_map, frames, in_map, held, sources, settings)
+    causes = explain(in_map, modal, bearings, folds=folds, known=known)
     modal = with_neighbours_named(modal, in_map, causes)
-    motor = _judged(motor, in_map, causes, order_map, doubt, read)
     tested = _tested_rpm(order_map, campbell)
     found, speeds = _speeds(going_with_speed(orders, causes), modal, tested, unit, sources, asked, doubt)
     meetings = crossing_records(found)
@@ -178,7 +179,7 @@ def _with_levels(told: Findings, vibration: xr.Dataset | None, sources: Sources)
 def _with_sums(
     told: Findings,
     speeds: SpeedVerdicts,
-    motor: MotorFound | None,
+    motor: MotorSeen | None,
     energy: Energy,
     levels: tuple[Level, ...],
     closed: tuple[Balance | None, str],
@@ -190,7 +191,7 @@ def _with_sums(
         speeds_to_avoid=avoided_records(speeds),
         free_bands=free_records(speeds.free),
         open_bands=open_records(speeds.open),
-        motor=None if motor is None else motor_record(motor),
+        motor=None if motor is None else motor.record,
         energy=_with_above(energy, levels),
         levels=levels,
         balance=balance,
@@ -229,19 +230,6 @@ def _bearings(
 ) -> tuple[BearingFinding, ...]:
     turns = sources.revs_per_cycle
     return bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
-
-
-def _judged(
-    motor: MotorFound | None,
-    in_map: tuple[AgreedOrder, ...],
-    causes: Causes,
-    order_map: xr.Dataset,
-    doubt: str | None,
-    read: SpeedRead | None,
-) -> MotorFound | None:
-    """The ``motor`` beside all other lines: its rivals, the speed that is stated, or was ``read``, and the bars."""
-    judged = with_speed_judged(with_rivals(motor, causes), in_map, causes, order_map, doubt, read)
-    return with_bars_judged(judged, in_map, causes, order_map)
 
 
 def _balance(
@@ -291,16 +279,6 @@ def _orders_in_map(
     lines = order_lines(order_map, settings=settings.identify, orders=settings.orders, frames=frames)
     agreed = orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify, followed=followed)
     return with_followed(numbered_as_followed(agreed, followed), followed, order_map)
-
-
-def _electric(
-    held: Sequence[Held], order_map: xr.Dataset, sources: Sources, settings: Settings
-) -> tuple[MotorFound | None, tuple[LineSeen, ...]]:
-    """The motor as it was found, if one is stated, and its lines; else mains that several speeds show."""
-    if sources.motor is None:
-        return None, mains_seen(held, settings=settings.identify)
-    found = motor_found(sources.motor, held, order_map, settings=settings.identify)
-    return found, found.seen or mains_seen(held, settings=settings.identify)
 
 
 def _with_above(energy: Energy, levels: Sequence[Level]) -> Energy:

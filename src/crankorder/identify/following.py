@@ -8,8 +8,8 @@ import numpy as np
 
 from crankorder.identify.explain import NOT_KNOWN, Causes
 from crankorder.identify.found import AgreedOrder
-from crankorder.identify.mains import is_electric
 from crankorder.identify.said import NUMBERS as SAID
+from crankorder.identify.said import is_electric
 
 
 def going_with_speed(orders: Sequence[AgreedOrder], causes: Causes) -> tuple[AgreedOrder, ...]:

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.lines.line_phasors import Recording, is_swept
+from crankorder.engine.motor import MotorLine
+from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.identify.intervals import half_width
+from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of
 from crankorder.settings import MethodNumbers
 
 
@@ -16,6 +20,10 @@ class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="known_lines
     apart_cycles: float
     seen_sigmas: float
     least_frames: int
+    same_hz: float
+    same_speed_share: float
+    same_place_orders: float
+    most_share: float
 
 
 NUMBERS = _Numbers.load()
@@ -81,6 +89,25 @@ class Sighting:
         return self.sigmas > NUMBERS.seen_sigmas
 
 
+@dataclass(frozen=True, eq=False)
+class LineSeen:
+    """A known line in one recording: its order, frequency and amplitudes; ``also``: what else may stand there."""
+
+    line: MotorLine
+    held: Held
+    hertz: float
+    sighting: Sighting
+    also: tuple[str, ...] = ()
+
+
+def held_of(frames: Sequence[xr.Dataset], order_map: xr.Dataset) -> list[Held]:
+    """The recordings of ``frames`` (their OrderFrames) at held speeds, with the orders of ``order_map``."""
+    if order_map.attrs.get("window", "hann") != "hann":
+        return []
+    names = [str(name) for name in order_map["channel"].values]
+    return held_recordings(recordings_of(frames), np.asarray(order_map["order"].values, dtype=np.float64), names)
+
+
 def held_recordings(recordings: Sequence[Recording], axis: Floats, channels: Sequence[str]) -> list[Held]:
     """Those of ``recordings`` whose speed is known and held, with the orders ``axis`` and the names of ``channels``."""
     made = []
@@ -118,14 +145,18 @@ def sightings(held: Held, places: Sequence[Place]) -> list[Sighting | None]:
     return found
 
 
-def found_near(held: Held, low_hz: float, high_hz: float, others: Sequence[Place]) -> tuple[float, float] | None:
+def found_near(
+    held: Held, low_hz: float, high_hz: float, *, known: Sequence[Place] | None = None
+) -> tuple[float, float] | None:
     """Frequency in Hz, between ``low_hz`` and ``high_hz``, of the strongest fixed line of ``held`` and its error.
 
-    ``others`` are lines that are known to be there: they are taken out first. None where noise would make it.
+    ``known`` lines are taken out first, the half and whole orders of the shaft where it is None. None where noise would
+    make it.
     """
     step = GRID_CYCLES / max(float(np.ptp(held.time_s)), 1e-9)
     trial = np.arange(low_hz, high_hz + step, step)
-    known = [*others, *_shaft_orders(held, [(low_hz, 0.0), (high_hz, 0.0)], [])]
+    others = known or []
+    known = _shaft_orders(held, [(low_hz, 0.0), (high_hz, 0.0)], []) if known is None else others
     near = bins_of(held, np.array([held.order_of((f, 0.0)) for f in (low_hz, high_hz)]))
     if not near.size or len(trial) < 3:
         return None
@@ -253,3 +284,81 @@ def waves_of(held: Held, bins: NDArray[np.int64], places: Sequence[Place]) -> Co
     phase = (turns * turn + hertz * held.time_s[:, None])[:, None] - axis * turn[:, None]
     made: Complex = shape * np.exp(2j * np.pi * (phase - np.floor(phase)))
     return made.reshape(-1, len(places))
+
+
+def named_by(seen: Sequence[LineSeen], agreed: AgreedOrder) -> LineSeen | None:
+    """The one of ``seen`` that the order ``agreed`` is: at its order, in a recording at its speeds.
+
+    Of several, which only lines of a large error have, the one whose amplitudes at the speeds are most like its own.
+    """
+    unlike: dict[tuple[str, int, float], list[tuple[float, LineSeen]]] = {}
+    for known in seen:
+        size = _size_at(agreed, known.held.rpm)
+        if size is None or not _is_at(known, agreed) or not _goes_with(known, agreed):
+            continue
+        away = abs(float(np.log(max(float(known.sighting.amplitude.max()), 1e-300) / max(size, 1e-300))))
+        unlike.setdefault((known.line.name, known.line.mains, known.line.turns), []).append((away, known))
+    if not unlike:
+        return None
+    best = min(unlike.values(), key=lambda found: float(np.mean([away for away, _ in found])))
+    return max((known for _, known in best), key=lambda known: float(known.sighting.amplitude.max()))
+
+
+def _size_at(agreed: AgreedOrder, rpm: float) -> float | None:
+    """Largest amplitude of an order at the speed ``rpm``; None where it was not seen there."""
+    at = [
+        float(size)
+        for line in agreed.lines
+        for speed, size in zip(line.speed_rpm, line.amplitude, strict=True)
+        if abs(speed - rpm) <= NUMBERS.same_speed_share * rpm
+    ]
+    return max(at, default=None)
+
+
+def _is_at(known: LineSeen, agreed: AgreedOrder) -> bool:
+    if agreed.lock == "locked":
+        return _stands_on(known, agreed.order)
+    reach = half_width(agreed.degrees_of_freedom) * agreed.order_error
+    return abs(known.sighting.order - agreed.order) <= max(reach, NUMBERS.apart_cycles / known.held.span_rev)
+
+
+def _goes_with(known: LineSeen, agreed: AgreedOrder) -> bool:
+    """Whether ``known`` stands at the order at most of the speeds at which that was seen: what is fixed leaves it."""
+    fixed_hz = known.hertz - known.line.turns * known.held.rpm / 60.0
+    speeds = np.unique(np.concatenate([line.speed_rpm for line in agreed.lines]))
+    at = known.line.turns + 60.0 * fixed_hz / speeds
+    return bool(np.mean(np.abs(at - agreed.order) < NUMBERS.same_place_orders) >= NUMBERS.most_share)
+
+
+def _stands_on(known: LineSeen, order: float) -> bool:
+    """Whether a locked ``order`` is that of ``known``: a whole one of the rotor, or where both are said."""
+    exact = known.line.mains == 0 and not known.line.of
+    near = abs(known.sighting.order - order) * known.held.span_rev < NUMBERS.apart_cycles
+    return near and (exact or bool(known.also))
+
+
+def without_known(modal: ModalFit, known: Sequence[LineSeen]) -> ModalFit:
+    """``modal`` without modes that are undecided and stand where one of the ``known`` lines does: these explain them.
+
+    Only where no order's response was fitted through the modes: there each of them takes part in what is said.
+    """
+    if modal.responses or not known:
+        return modal
+    kept = [
+        number
+        for number, mode in enumerate(modal.modes)
+        if not mode.undecided or not any(_holds(mode.frequency_ends, seen.hertz) for seen in known)
+    ]
+    at = np.array([[2 * number, 2 * number + 1] for number in kept], dtype=np.int64).ravel()
+    covariance = modal.covariance[np.ix_(at, at)] if len(kept) < len(modal.modes) else modal.covariance
+    return replace(modal, modes=tuple(modal.modes[number] for number in kept), covariance=covariance)
+
+
+def _holds(ends: tuple[float, float], hertz: float) -> bool:
+    return ends[0] - NUMBERS.same_hz <= hertz <= ends[1] + NUMBERS.same_hz
+
+
+def words_of(seen: LineSeen) -> str:
+    """What a line that was ``seen`` is called."""
+    name = seen.line.name
+    return name if seen.line.turns == 0.0 and not seen.line.of else f"motor, {name}"

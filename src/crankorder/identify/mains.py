@@ -1,22 +1,47 @@
-"""Multiples of a mains frequency, how far they wander, and what they are called."""
+"""Lines of the mains, multiples of one frequency that wanders: among orders at one speed, and in recordings."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.engine.motor import MotorLine
+from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone
+from crankorder.identify.intervals import Z95
+from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
+from crankorder.identify.known_lines import Held, LineSeen, found_near, named_by, sightings
+from crankorder.identify.lines.line_evidence import UNPROVEN
+from crankorder.identify.said import NUMBERS as SAID
+from crankorder.identify.said import mains_words
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
 class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="mains"):
     alone_multiples: int
+    fewest_multiples: int
+    over_chance_ratio: float
+    same_sigmas: float
+    least_apart_hz: float
+    least_speeds: int
+    most_multiples: int
+    moved_cycles: float
+    rings_within: float
+    rings_share: float
 
 
 NUMBERS = _Numbers.load()
 
-_LOW_WORDS = {1: "mains", 2: "twice mains"}
+OR_ANOTHER = "or another tone"
+"""What is added where two lines have as good a claim: a supply has one frequency, and a place one supply."""
+
+OR_RESONANCE = "or a natural frequency"
+"""What is added where the recordings are too short to tell a line from a resonance that noise excites."""
+
+Floats = NDArray[np.float64]
 
 
 def nearest_multiple(
@@ -28,19 +53,6 @@ def nearest_multiple(
     """
     multiple = np.maximum(1.0, np.rint(np.asarray(frequency_hz, dtype=np.float64) / mains_hz))
     return multiple, settings.mains_tolerance_hz * np.sqrt(multiple)
-
-
-def mains_words(multiple: int) -> str:
-    """What a line at ``multiple`` times the mains frequency is called: "mains", "twice mains", "3 x mains"."""
-    return _LOW_WORDS.get(multiple, f"{multiple} x mains")
-
-
-def multiple_in(text: str) -> int | None:
-    """Multiple of the mains that the words ``text`` of a cause name; None where they name anything else as well."""
-    if text in _LOW_WORDS.values():
-        return next(multiple for multiple, words in _LOW_WORDS.items() if words == text)
-    number, _, rest = text.partition(" ")
-    return int(number) if number.isdigit() and rest == "x mains" else None
 
 
 def multiples_near(frequency_hz: float, error_hz: float, *, settings: IdentifySettings) -> list[tuple[int, float]]:
@@ -82,9 +94,212 @@ def supply_told(places_hz: Sequence[tuple[float, float]], *, settings: IdentifyS
     return chosen[0] if len(chosen) == 1 else None
 
 
-_OF_THE_FIELD = ("mains", "twice mains", "motor, pole-pass", "motor, sideband")
+@dataclass(frozen=True)
+class _Fixed:
+    """Lines of one speed: frequencies and errors in Hz, speeds in rpm, whether each may be an ``exact`` order."""
+
+    hertz: Floats
+    error_hz: Floats
+    speeds_rpm: list[set[float]]
+    exact: NDArray[np.bool_]
 
 
-def is_electric(text: str) -> bool:
-    """Whether the words ``text`` of a cause name the mains or the field of a motor, and no order of the shaft."""
-    return (text.startswith(_OF_THE_FIELD) or " x mains" in text) and " or order" not in text
+def mains_orders(
+    orders: tuple[AgreedOrder, ...],
+    *,
+    tones: Sequence[Tone] = (),
+    exact: Sequence[float] = (),
+    settings: IdentifySettings,
+) -> dict[float, tuple[str, str]]:
+    """Words and evidence of those of ``orders`` that are or may be multiples of a mains frequency, by order.
+
+    Only of lines seen at speeds too alike to tell an order from a fixed frequency. The mains frequency and its double
+    stand alone; further multiples only beside one of these, on the same grid, or where more of them are there than
+    chance would bring. Where one line is surely mains, those that may be orders of the shaft must lie on its grid. Two
+    lines at one multiple of a supply, or lines of two supplies, may each be another tone as well.
+
+    Parameters
+    ----------
+    tones : mains that were found as tones
+    exact : orders that are multiples of the cycle's for all that is known: they may be mains as well
+    settings : the mains frequencies and how far they wander
+    """
+    places = {one.order: place for one in orders if (place := _fixed_hz(one)) is not None}
+    if not places:
+        return {}
+    names = list(places)
+    lines = _Fixed(
+        np.array([places[order][0] for order in names]),
+        np.array([places[order][1] for order in names]),
+        [{float(rpm) for line in one.lines for rpm in line.speed_rpm} for one in orders if one.order in places],
+        np.array([order in exact for order in names]),
+    )
+    tones_hz = [tone.frequency_hz for tone in tones]
+    hits = {mains: found for mains in settings.mains_hz if (found := _hits(lines, mains, tones_hz, settings)).any()}
+    sure = [mains for mains, found in hits.items() if (found & ~lines.exact).any()]
+    unproven = {one.order for one in orders if all(line.evidence == UNPROVEN for line in one.lines)}
+    made: dict[float, tuple[str, str]] = {}
+    for mains, found in hits.items():
+        multiple, _ = nearest_multiple(lines.hertz, mains, settings=settings)
+        rivals = _rivals(lines, found & ~lines.exact, mains, tones)
+        for at in np.flatnonzero(found).tolist():
+            number = int(multiple[at])
+            words = mains_words(number if len(sure) < 2 else 1)
+            words = f"{words} {OR_ANOTHER}" if len(sure) > 1 or rivals[at] else words
+            words = f"{words} {OR_RESONANCE}" if names[at] in unproven else words
+            text = f"{lines.hertz[at]:.6g} Hz, {number} x {mains:g} Hz within what mains wander by"
+            made.setdefault(names[at], (words, f"{text}; at one speed mains look like orders"))
+    return made
+
+
+def _hits(lines: _Fixed, mains: float, tones_hz: Sequence[float], settings: IdentifySettings) -> NDArray[np.bool_]:
+    """Which ``lines`` are or may be multiples of ``mains``."""
+    multiple, reach = nearest_multiple(lines.hertz, mains, settings=settings)
+    within = reach + 2.0 * lines.error_hz
+    hits = np.asarray(np.abs(lines.hertz - multiple * mains) <= within)
+    low = hits & (multiple <= NUMBERS.alone_multiples)
+    told = lines.hertz / multiple
+    others, wander = nearest_multiple(np.asarray(tones_hz, dtype=np.float64), mains, settings=settings)
+    beside = (np.asarray(tones_hz) / others)[np.abs(np.asarray(tones_hz) - others * mains) <= wander]
+    free = low & ~lines.exact
+    if free.any() or len(beside):
+        base = float(np.median(np.concatenate([told[free], beside])))
+        room = np.maximum(KNOWN_LINES.same_hz, NUMBERS.same_sigmas * lines.error_hz)
+        return hits & (np.abs(lines.hertz - multiple * base) <= room)
+    several = hits & ~lines.exact
+    if several.any():
+        base = float(np.median(told[several]))
+        several &= np.abs(lines.hertz - multiple * base) <= KNOWN_LINES.same_hz
+        by_chance = float(np.sum(np.minimum(1.0, 2.0 * reach / mains)[~lines.exact]))
+        if np.unique(multiple[several]).size >= max(NUMBERS.fewest_multiples, NUMBERS.over_chance_ratio * by_chance):
+            return several | low
+    return low
+
+
+def _rivals(lines: _Fixed, claim: NDArray[np.bool_], mains: float, tones: Sequence[Tone]) -> NDArray[np.bool_]:
+    """Which of the ``lines`` that ``claim`` a multiple of ``mains`` have another line, or tone, of one speed beside."""
+    hertz = np.concatenate([lines.hertz, [tone.frequency_hz for tone in tones]])
+    error = np.concatenate([lines.error_hz, [tone.frequency_error_hz for tone in tones]])
+    claims = np.concatenate([claim, np.ones(len(tones), dtype=bool)])
+    speeds = [*lines.speeds_rpm, *(set[float]() for _ in tones)]
+    together = np.array([[not a or not b or bool(a & b) for b in speeds] for a in speeds])
+    multiple = np.rint(hertz / mains)
+    reach = np.maximum(NUMBERS.same_sigmas * np.hypot(error[:, None], error), NUMBERS.least_apart_hz)
+    beside = (multiple[:, None] == multiple) & (np.abs(hertz[:, None] - hertz) > reach)
+    return np.asarray((together & beside & claims[:, None] & claims).any(axis=1)[: len(lines.hertz)])
+
+
+def _fixed_hz(agreed: AgreedOrder) -> tuple[float, float] | None:
+    """Frequency and error of a line that may as well be fixed; None where several speeds say otherwise."""
+    speed = np.concatenate([line.speed_rpm for line in agreed.lines])
+    if not np.isfinite(speed).all() or speed.max() > SAID.alike_speeds_ratio * speed.min():
+        return None
+    rpm = float(speed.mean())
+    error = float(np.hypot(agreed.line_error * rpm, agreed.order * np.ptp(speed) / 4.0))
+    return agreed.order * rpm / 60.0, error / 60.0
+
+
+def mains_seen(held: Sequence[Held], *, settings: IdentifySettings) -> tuple[LineSeen, ...]:
+    """Mains and twice mains, where several recordings of ``held`` at different speeds show one and the same frequency.
+
+    ``settings``: the mains frequencies and how far they wander.
+    """
+    lines: list[LineSeen] = []
+    for mains in settings.mains_hz:
+        base = None
+        for multiple in range(1, NUMBERS.most_multiples + 1):
+            middle, reach = multiple * mains, settings.mains_tolerance_hz * float(np.sqrt(multiple))
+            if multiple > NUMBERS.alone_multiples:
+                if base is None:
+                    break
+                middle, reach = multiple * base, KNOWN_LINES.same_hz
+            places = _one_frequency(held, middle - reach, middle + reach, multiple * KNOWN_LINES.same_hz)
+            line = MotorLine(mains_words(multiple), multiple, 0.0)
+            if places:
+                base = float(np.median([hertz for _, hertz in places])) / multiple
+            lines += [
+                LineSeen(line, recording, hertz, sighting)
+                for recording, hertz in places
+                if (sighting := sightings(recording, [(hertz, 0.0)])[0]) is not None
+            ]
+    return tuple(lines)
+
+
+def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz: float) -> list[tuple[Held, float]]:
+    """Recordings, with the frequency, that show a line at one and the same one, where orders of the shaft move."""
+    lines = [(recording, found_near(recording, low_hz, high_hz)) for recording in held]
+    places = [(recording, line[0]) for recording, line in lines if line is not None]
+    middle = float(np.median([hertz for _, hertz in places])) if places else 0.0
+    places = [(recording, hertz) for recording, hertz in places if abs(hertz - middle) <= same_hz]
+    moves = any(_moves(a[0], b[0], middle) for a, b in combinations(places, 2))
+    return places if len(places) >= NUMBERS.least_speeds and moves else []
+
+
+def _moves(one: Held, other: Held, hertz: float) -> bool:
+    """Whether an order that is at ``hertz`` in ``one`` is somewhere else in the ``other``."""
+    apart = abs(one.order_of((hertz, 0.0)) - other.order_of((hertz, 0.0)))
+    return apart * min(one.span_rev, other.span_rev) > NUMBERS.moved_cycles
+
+
+def without_ringing(known: Sequence[LineSeen], modes: Sequence[Mode]) -> tuple[LineSeen, ...]:
+    """``known`` lines without those of the mains that are but how one of the ``modes`` rings, each recording its way.
+
+    A supply has one frequency; what noise rings in a mode peaks anywhere within the mode's width.
+    """
+    fixed: dict[int, list[LineSeen]] = {}
+    for seen in known:
+        if seen.line.turns == 0.0:
+            fixed.setdefault(seen.line.mains, []).append(seen)
+    rung = {multiple for multiple, group in fixed.items() if any(_rings(mode, group) for mode in modes)}
+    return tuple(seen for seen in known if seen.line.turns != 0.0 or seen.line.mains not in rung)
+
+
+def _rings(mode: Mode, group: Sequence[LineSeen]) -> bool:
+    """Whether the frequencies of ``group`` scatter about that of the ``mode`` as its ringing would."""
+    hertz, half = np.array([seen.hertz for seen in group]), mode.damping_ratio * mode.frequency_hz
+    away = abs(float(np.median(hertz)) - mode.frequency_hz)
+    near = away <= NUMBERS.rings_within * half + mode.frequency_half_hz
+    return bool(not mode.undecided and near and hertz.std() > NUMBERS.rings_share * half)
+
+
+def with_mains_tones(modal: ModalFit, known: Sequence[LineSeen], orders: Sequence[AgreedOrder]) -> ModalFit:
+    """``modal`` with the mains among the ``known`` lines as tones, where no tone of it and none of the ``orders`` is.
+
+    A tone there that may be an order at the speeds of the test is none: where the shaft's orders moved it has stayed.
+    """
+    tones = list(modal.tones)
+    fixed: dict[int, list[LineSeen]] = {}
+    for seen in known:
+        if seen.line.turns == 0.0 and not seen.also:
+            fixed.setdefault(seen.line.mains, []).append(seen)
+    held_by_orders = {named.line.mains for one in orders if (named := named_by(known, one)) and not named.line.turns}
+    for mains, group in fixed.items():
+        hertz = float(np.median([seen.hertz for seen in group]))
+        near = [
+            number
+            for number, tone in enumerate(tones)
+            if abs(tone.frequency_hz - hertz) <= max(KNOWN_LINES.same_hz, Z95 * tone.frequency_error_hz)
+        ]
+        words = f"{len(group)} recordings hold it at {mains} times one mains frequency"
+        for number in near:
+            if tones[number].kind == "order" and len(group) >= NUMBERS.least_speeds:
+                tones[number] = replace(tones[number], kind="mains", evidence=words)
+        if not near and mains not in held_by_orders:
+            tones.append(_as_tone(hertz, group, words))
+    return replace(modal, tones=tuple(sorted(tones, key=lambda tone: tone.frequency_hz)))
+
+
+def _as_tone(hertz: float, group: Sequence[LineSeen], words: str) -> Tone:
+    """A tone at ``hertz``, as large as the recordings of ``group`` hold it together."""
+    size = np.array([seen.sighting.amplitude for seen in group])
+    error = np.array([seen.sighting.error for seen in group])
+    mean, own = np.sqrt(np.mean(size**2, axis=0)), np.sqrt(np.mean(error**2, axis=0) / len(group))
+    spread = size.std(axis=0) / np.sqrt(max(len(group) - 1, 1))
+    seconds = min(float(np.ptp(seen.held.time_s)) for seen in group)
+    wander = max(float(np.std([seen.hertz for seen in group])), 0.05 / max(seconds, 1.0))
+    amplitude = {
+        name: (float(mean[k]), float(np.hypot(own[k], spread[k])))
+        for k, name in enumerate(group[0].held.channels)
+        if mean[k] > Z95 * own[k]
+    }
+    return Tone(hertz, wander, "mains", amplitude, words)

@@ -88,7 +88,7 @@ def _unless_absent(tone: Tone, held: Sequence[Held], reach_hz: float) -> Tone:
     place = tone.frequency_hz
     inside = [one for one in held if one.order_of((place + reach_hz, 0.0)) + LOBE_BINS / one.revs < one.axis[-1]]
     inside = [one for one in inside if not _is_hidden(one, place)]
-    shown = sum(found_near(one, place - reach_hz, place + reach_hz, []) is not None for one in inside)
+    shown = sum(found_near(one, place - reach_hz, place + reach_hz) is not None for one in inside)
     if not inside or shown == len(inside):
         return tone
     return replace(tone, kind="tone", evidence=f"no damping; {shown} of {len(inside)} recordings show it")

@@ -35,8 +35,26 @@ MAY_BE_ALL = "stands there, and may be all of it"
 IF_WRONG = "this one if that is wrong"
 """Words of a shaft that may be the one whose speed was stated."""
 
-SPEAK_FOR = "the lines speak for"
-"""What is said of a speed that lines of the shaft tell, where another one was stated."""
-
 AMPLIFIED = "is amplified more than"
 """Words of an open band in which a mode is seen to amplify an order."""
+
+_LOW_WORDS = {1: "mains", 2: "twice mains"}
+_OF_THE_FIELD = (*_LOW_WORDS.values(), "motor, pole-pass", "motor, sideband")
+
+
+def mains_words(multiple: int) -> str:
+    """What a line at ``multiple`` times the mains frequency is called: "mains", "twice mains", "3 x mains"."""
+    return _LOW_WORDS.get(multiple, f"{multiple} x mains")
+
+
+def multiple_in(text: str) -> int | None:
+    """Multiple of the mains that the words ``text`` of a cause name; None where they name anything else as well."""
+    if text in _LOW_WORDS.values():
+        return next(multiple for multiple, words in _LOW_WORDS.items() if words == text)
+    number, _, rest = text.partition(" ")
+    return int(number) if number.isdigit() and rest == "x mains" else None
+
+
+def is_electric(text: str) -> bool:
+    """Whether the words ``text`` of a cause name the mains or the field of a motor, and no order of the shaft."""
+    return (text.startswith(_OF_THE_FIELD) or " x mains" in text) and " or order" not in text

@@ -251,12 +251,10 @@ class RecordedLevel:
         return math.isfinite(low) and low > 0.0 and high <= low * (1.0 + _LIKE_SPEED)
 
 
-def level_jumps(
-    levels: Sequence[RecordedLevel], *, ratio: float, proven_ratio: float | None = None
-) -> list[QualityFlag]:
+def level_jumps(levels: Sequence[RecordedLevel], *, ratio: float, proven_ratio: float) -> list[QualityFlag]:
     """Flags of those ``levels`` where a channel's lies ``ratio`` times or more off that of most recordings at like
     speed, or its floor off those next in speed: that channel of that recording is to be left out. So is one whose
-    floors and orders together prove another gain by ``proven_ratio`` or more (None: that is not asked for).
+    floors and orders together prove another gain by ``proven_ratio`` or more.
 
     The other channels (one at least) must stay. Where no majority of the recordings at like speed agrees, nor those
     next in speed, nobody knows which is wrong: all are named.
@@ -277,7 +275,7 @@ def level_jumps(
                 what = f"its level is {math.exp(jump):.3g} times that of the other recordings"
                 what += f" at {np.mean(one.speed_rpm):.4g} rpm{_unit_doubt(math.exp(jump))}"
                 found[one.recording, name] = _flag(one.recording, name, what, undecided=undecided)
-    proven = {} if proven_ratio is None else _proven(steady, ratio=proven_ratio)
+    proven = _proven(steady, ratio=proven_ratio)
     return [*(proven | by_floor | found).values(), *_unit_jumps(steady)]
 
 

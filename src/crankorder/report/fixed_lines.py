@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from crankorder.findings import Findings, LineFinding, ModeFinding, OrderFinding
-from crankorder.identify import mains
-from crankorder.identify.said import SPEAK_FOR
+from crankorder.identify import said
 from crankorder.report.notation import at_one_speed, interval_of, is_number, is_tone
 
 _SAME_HZ = 0.5  # a line this close to a tone is that tone …
@@ -30,22 +29,20 @@ def is_fixed_tone(line: LineFinding) -> bool:
 
 def is_electric(record: OrderFinding | LineFinding) -> bool:
     """True for a ``record`` of the findings whose cause is the mains or the field of a motor, and nothing else."""
-    return mains.is_electric(record.explained_by or "")
+    return said.is_electric(record.explained_by or "")
 
 
 def hertz_of_order(record: OrderFinding, findings: Findings) -> float | None:
     """Frequency [Hz] by which an order ``record`` of the ``findings`` is called first; None where its order says more.
 
     That of a line of the mains or of a motor's field, and of one that at the only speed of a test is no multiple of the
-    half revolution: whether it goes with the speed nobody knows. So is one that speaks for another speed than the one
-    that was stated. A bearing's line has its order.
+    half revolution: whether it goes with the speed nobody knows. A bearing's line has its order.
     """
     rpm = record.speed_rpm_at_max
     if not is_number(rpm):
         return None
     cause = str(record.explained_by or "unexplained")
     loose = at_one_speed(findings) and record.lock == "slips" and not cause.startswith(("bearing", "gear"))
-    loose = loose or SPEAK_FOR in record.evidence
     return record.order * rpm / 60.0 if loose or is_electric(record) else None
 
 

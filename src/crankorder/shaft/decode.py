@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,14 +37,10 @@ from crankorder.shaft.wheel import (
 
 @dataclass(frozen=True, eq=False)
 class ShaftKnowledge:
-    """The engine that the shaft belongs to, and the errors of its encoder's lines; None where they are not known.
-
-    ``speeds_rpm``: of recordings, by name, whose stated speed is not theirs.
-    """
+    """The engine that the shaft belongs to, and the errors of its encoder's lines; None where they are not known."""
 
     engine: Engine | None = None
     calibration: Calibration | None = None
-    speeds_rpm: Mapping[str, float] = field(default_factory=dict)
 
 
 # Marks are the same tooth of the camshaft within this much of a crank revolution: variable timing moves it by 0.14.
@@ -168,7 +164,7 @@ def shaft_angle(
         if kind == "speed":
             return _from_speed(recording, settings)
         if kind == "constant":
-            return _from_constant(recording, (knowledge or ShaftKnowledge()).speeds_rpm.get(name))
+            return _from_constant(recording)
         if kind == "vibration":
             return _from_vibration(recording, settings)
         if not recording.attrs.get("has_shaft", 1):
@@ -432,8 +428,8 @@ def _from_vibration(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngl
     return _dataset(recording, trusted_angle(found), "none", 0, [*found.remarks, _BY_VIBRATION])
 
 
-def _from_constant(recording: xr.Dataset, read_rpm: float | None) -> ShaftAngle:
-    speed = float(recording.attrs.get("speed_rpm", np.nan)) if read_rpm is None else read_rpm
+def _from_constant(recording: xr.Dataset) -> ShaftAngle:
+    speed = float(recording.attrs.get("speed_rpm", np.nan))
     if not speed > 0.0:
         raise InputError(
             "the constant speed is not known",

@@ -3,25 +3,39 @@
 from __future__ import annotations
 
 import cmath
+import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
+from pydantic import ValidationError
+from scipy.special import ndtr
 
-from crankorder.findings import Findings
-from crankorder.identify.changes.balance_change import balance_changes
+from crankorder.engine.definition import Engine
+from crankorder.engine.transfer_paths import AddedMass
+from crankorder.findings import Findings, ModeFinding, TrialBalance
+from crankorder.identify.balance.trial_mass import trial_mass
 from crankorder.identify.changes.confounds import Confound, confounds
-from crankorder.identify.changes.known_mass import known_mass
-from crankorder.identify.changes.map_difference import MapDifference, cell_records, map_difference
-from crankorder.identify.changes.mark_turn import mark_turn
-from crankorder.identify.changes.mass_change import Unbalance, Weighed, unbalance_change, weighed
-from crankorder.identify.changes.mode_shifts import mode_shifts
+from crankorder.identify.changes.mass_change import Unbalance, Weighed, balance_changes, unbalance_change, weighed
 from crankorder.identify.changes.order_changes import NUMBERS as ORDER_CHANGES
 from crankorder.identify.changes.order_changes import TO_DB, OrderChange, like_speeds, order_changes, orders_to_compare
 from crankorder.identify.changes.run_trends import run_trends
-from crankorder.identify.intervals import Z95, half_width
+from crankorder.identify.false_discovery import claimed
+from crankorder.identify.intervals import Z95, error_of, half_width, interval
+from crankorder.records import known
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="mode_shifts"):
+    mode_reach: float
+    least_reach: float
+
+
+NUMBERS = _Numbers.load()
 
 SCHEMA_VERSION = 1
 Cause = Literal[
@@ -31,7 +45,6 @@ Cause = Literal[
     "orders",
     "growing line",
     "natural frequencies",
-    "map only",
     "not comparable",
 ]
 
@@ -48,21 +61,19 @@ class Tested:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """What a comparison gives: the document of ``data_schema/comparison.json``, the orders and the map behind it."""
+    """What a comparison gives: the document of ``data_schema/comparison.json``, and the orders behind it."""
 
     document: dict[str, Any]
     orders: list[OrderChange]
-    cells: MapDifference | None
 
 
-def compared(tests: Sequence[Tested], *, q: float, correlated: bool = False) -> Compared:
+def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     """Comparison of the last of ``tests`` with the first, and of several the trend over all.
 
     Parameters
     ----------
-    tests : two or more, in time order
-    q : false-discovery rate of the claims, 0 to 1: over map cells, over orders, over modes and over trends, each
-    correlated : True claims fewer cells, for any dependence between them
+    tests : two or more, in time order, each with an ``order_map``
+    q : false-discovery rate of the claims, 0 to 1: over orders, over modes and over trends, each
     """
     base, new = tests[0], tests[-1]
     doubts = confounds(base.run, new.run, base.maps, new.maps)
@@ -70,13 +81,10 @@ def compared(tests: Sequence[Tested], *, q: float, correlated: bool = False) -> 
     channels = tuple(c.name for c in base.findings.channels if c.name not in refused)
     within = max(_speed_bin(test) for test in (base, new))
     changes, orders = _orders(base, new, channels, within, q, doubts)
-    cells = None
-    if not any(d.part == "maps" and d.severity == "invalid" for d in doubts):
-        cells = _cells(base, new, channels, within, q, correlated, orders)
-    modes = mode_shifts(base.findings, new.findings, q=q)
+    modes = _mode_shifts(base.findings, new.findings, q=q)
     unbalances = [(one, found) for one in changes if one.order in (1.0, 2.0) and (found := unbalance_change(one))]
     explaining = [found for one, found in unbalances if one.changed and found.explains]
-    trial, trial_reason = known_mass(base.run, new.run, base.maps.get("order_map"), new.maps.get("order_map"))
+    trial, trial_reason = _known_mass(base, new)
     trends = _trends(tests, orders, channels, within, q)
     document: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
@@ -86,10 +94,9 @@ def compared(tests: Sequence[Tested], *, q: float, correlated: bool = False) -> 
         "false_discovery_rate": q,
         "speeds": _speeds(base, new, within),
         "channels": _channel_records(base, new, channels, refused),
-        "cause": _cause(changes, cells, unbalances, channels, modes=modes, trends=trends),
+        "cause": _cause(changes, unbalances, modes=modes, trends=trends),
         "orders": [_order_record(one, _explained(one, base, new)) for one in changes],
         "modes": modes,
-        "cells": [] if cells is None else cell_records(cells),
         "unbalance": [_unbalance_record(one, found) for one, found in unbalances],
         "masses": _masses(base, new, unbalances),
         "trial_mass": None if trial is None else trial.as_dict(),
@@ -99,7 +106,7 @@ def compared(tests: Sequence[Tested], *, q: float, correlated: bool = False) -> 
         "trend": trends,
         "confounds": [_confound_record(one) for one in doubts],
     }
-    return Compared(document, changes, cells)
+    return Compared(document, changes)
 
 
 def _channel_records(
@@ -121,8 +128,6 @@ def _units(base: Tested, new: Tested) -> dict[str, str]:
 
 
 def _speeds(base: Tested, new: Tested, within: float) -> list[dict[str, float]]:
-    if "order_map" not in base.maps or "order_map" not in new.maps:
-        return []
     values = [test.maps["order_map"]["speed"].values for test in (base, new)]
     one, two = like_speeds(*values, within_rpm=within)
     pairs = zip(values[0][one].tolist(), values[1][two].tolist(), strict=True)
@@ -130,60 +135,19 @@ def _speeds(base: Tested, new: Tested, within: float) -> list[dict[str, float]]:
 
 
 def _orders(
-    base: Tested, new: Tested, channels: Sequence[str], within: float, q: float, doubts: list[Confound]
+    base: Tested, new: Tested, channels: Sequence[str], within: float, q: float, doubts: Sequence[Confound]
 ) -> tuple[list[OrderChange], list[tuple[float, bool]]]:
-    """Changes of all orders, and the orders; where the mark was turned, its turn is taken out and joins ``doubts``."""
-    if "order_map" not in base.maps or "order_map" not in new.maps:
-        return [], []
+    """Changes of all orders, and the orders; by amplitude alone where ``doubts`` are of the phases."""
     maps = base.maps["order_map"], new.maps["order_map"]
     highest = min(float(item["order"].values[-1]) for item in maps)
     orders = orders_to_compare(base.findings.orders, new.findings.orders, highest)
-    phases = not any(one.what == "phase reference" for one in doubts)
-    changes = order_changes(*maps, orders, channels, within_rpm=within, q=q, phases=phases)
-    found = mark_turn(changes)
-    if found is not None:
-        words = "the phases of all orders turned in proportion, as those of a mark that was moved do: taken out"
-        half = 360.0 * Z95 * found.error_rev
-        angle = f"{360.0 * found.turn_rev:.3g}° later, ± {half:.2g}°"
-        doubts.append(Confound("angle of the mark", "weakens", "phases", "0°", angle, words))
-        changes = order_changes(*maps, orders, channels, within_rpm=within, q=q, turn_rev=found.turn_rev)
-    elif any(one.part == "phases" and one.severity == "weakens" for one in doubts):
-        changes = order_changes(*maps, orders, channels, within_rpm=within, q=q, phases=False)
-    return changes, orders
-
-
-def _cells(
-    base: Tested,
-    new: Tested,
-    channels: tuple[str, ...],
-    within: float,
-    q: float,
-    correlated: bool,
-    orders: Sequence[tuple[float, bool]],
-) -> MapDifference | None:
-    maps = [test.maps.get("campbell_map") for test in (base, new)]
-    if maps[0] is None or maps[1] is None or not channels:
-        return None
-    locked = [order for order, is_locked in orders if is_locked]
-    overlap = [float(test.run["settings"]["campbell"]["overlap"]) for test in (base, new)]
-    made = map_difference(
-        maps[0],
-        maps[1],
-        channels,
-        within_rpm=within,
-        overlap=(overlap[0], overlap[1]),
-        q=q,
-        correlated=correlated,
-        locked_orders=locked,
-    )
-    return made if len(made.base_rpm) else None
+    phases = not any(one.part == "phases" and one.severity == "weakens" for one in doubts)
+    return order_changes(*maps, orders, channels, within_rpm=within, q=q, phases=phases), orders
 
 
 def _cause(
     changes: Sequence[OrderChange],
-    cells: MapDifference | None,
     unbalances: Sequence[tuple[OrderChange, Unbalance]],
-    channels: Sequence[str],
     *,
     modes: Sequence[Mapping[str, Any]],
     trends: Sequence[Mapping[str, Any]],
@@ -192,14 +156,14 @@ def _cause(
     orders = sorted({one.order for one in changes if one.changed})
     grown = sorted({float(one["order"]) for one in trends if one["changed"] and one["growth_per_run"] > 0})
     cause: Cause = "orders"
-    if not channels or (not changes and cells is None):
+    if not changes:
         cause = "not comparable"
     elif not orders and grown:
         cause, orders = "growing line", grown
     elif not orders and any(one["changed"] for one in modes):
         cause = "natural frequencies"
     elif not orders:
-        cause = "map only" if cells is not None and cells.changed.any() else "nothing changed"
+        cause = "nothing changed"
     elif orders == [1.0] and any(found.explains for one, found in unbalances if one.changed):
         cause = "unbalance"
     elif set(orders) <= {1.0, 2.0} and any(found.explains for one, found in unbalances if one.changed):
@@ -242,6 +206,58 @@ def _order_record(one: OrderChange, explained: str | None) -> dict[str, Any]:
     }
 
 
+def _mode_shifts(base: Findings, new: Findings, *, q: float) -> list[dict[str, Any]]:
+    """Records of the natural frequencies of both tests with their shifts, by frequency; those of one test without.
+
+    ``base`` and ``new`` are findings; modes are matched with the nearest within three damping bandwidths or 5 %. Shifts
+    are claimed at a false-discovery rate of ``q``. A mode that one test alone shows is no claim: it may be hidden.
+    """
+    lists = [[m for m in f.modes if m.explained_by == "mode"] for f in (base, new)]
+    hz = [np.array([m.frequency_hz for m in modes]) for modes in lists]
+    widths = [np.array([_reach(m) for m in modes]) for modes in lists]
+    pairs = []
+    for one, two in zip(*like_speeds(hz[0], hz[1], within_rpm=np.inf), strict=True):
+        if abs(hz[1][two] - hz[0][one]) <= max(widths[0][one], widths[1][two]):
+            pairs.append((int(one), int(two)))
+    records = [_mode_record(lists[0][one], lists[1][two]) for one, two in pairs]
+    for side, modes in zip(("base", "new"), lists, strict=True):
+        seen = {pair[0 if side == "base" else 1] for pair in pairs}
+        records += [
+            {"only_in": side, "frequency_hz": m.frequency_hz, "changed": False, "p_value": None}
+            for n, m in enumerate(modes) if n not in seen
+        ]  # fmt: skip
+    p_values = np.array([np.nan if r["p_value"] is None else r["p_value"] for r in records], dtype=np.float64)
+    for record, says in zip(records, claimed(p_values, q=q), strict=True):
+        record["changed"] = bool(says)
+    return sorted(records, key=lambda record: float(record["frequency_hz"]))
+
+
+def _error_of(mode: ModeFinding, key: str) -> float:
+    """Standard error of the estimate ``key`` of a ``mode``; infinite where its interval is not known."""
+    ends = known(getattr(mode, f"{key}_ci95"))
+    return np.inf if ends is None else error_of(getattr(mode, key) or 0.0, ends)
+
+
+def _reach(mode: ModeFinding) -> float:
+    frequency, damping = mode.frequency_hz, mode.damping_ratio or 0.0
+    error = _error_of(mode, "frequency_hz")
+    reach = NUMBERS.mode_reach
+    return max(reach * error, reach * frequency * damping, NUMBERS.least_reach * frequency)
+
+
+def _mode_record(one: ModeFinding, two: ModeFinding) -> dict[str, Any]:
+    record: dict[str, Any] = {"only_in": None, "frequency_hz": one.frequency_hz}
+    chances = []
+    for key, name in (("frequency_hz", "shift_hz"), ("damping_ratio", "damping_change")):
+        errors = [_error_of(mode, key) for mode in (one, two)]
+        error = float(np.hypot(errors[0], errors[1]))
+        shift = float(getattr(two, key) or 0.0) - float(getattr(one, key) or 0.0)
+        record |= {name: shift, f"{name}_ci95": interval(shift, error)}
+        chances.append(1.0 if shift == 0 else 2 * float(ndtr(-abs(shift) / error)) if error > 0 else 0.0)
+    record["new_frequency_hz"] = two.frequency_hz
+    return {**record, "p_value": min(1.0, 2 * min(chances)), "changed": False}
+
+
 def _unbalance_record(one: OrderChange, found: Unbalance) -> dict[str, Any]:
     turned = float(np.degrees(cmath.phase(found.factor)))
     half = found.turned_deg_ci95
@@ -264,6 +280,43 @@ def _unbalance_record(one: OrderChange, found: Unbalance) -> dict[str, Any]:
         "reference_rpm": found.reference_rpm,
         "n_speeds": len(found.speed_rpm),
     }
+
+
+def _known_mass(base: Tested, new: Tested) -> tuple[TrialBalance | None, str]:
+    """Residual unbalance before and after a known change of mass, or None and why; "" where no mass was changed.
+
+    No engine is needed for masses on the shaft.
+    """
+    try:
+        added = _masses_between(base.run, new.run)
+    except ValidationError as error:
+        return None, f"the stated masses cannot be read: {error.errors()[0]['msg']}"
+    if not added:
+        return None, ""
+    return trial_mass(base.maps["order_map"], new.maps["order_map"], added=added, engine=_engine(base.run))
+
+
+def _masses_between(base: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[AddedMass, ...]:
+    """Masses put on between two tests, below 0 where taken off, from what ``run.json`` of ``base`` and ``new`` state.
+
+    A mass that both tests have is no difference. Raises pydantic's ValidationError for a mass that no manifest states.
+    """
+    stated = [Counter(_stated_masses(run)) for run in (base, new)]
+    put_on, taken_off = stated[1] - stated[0], stated[0] - stated[1]
+    off = [mass.model_copy(update={"mass_g": -mass.mass_g}) for mass in taken_off.elements()]
+    return (*put_on.elements(), *off)
+
+
+def _stated_masses(run: Mapping[str, Any]) -> list[AddedMass]:
+    records = (run.get("manifest") or {}).get("added_masses") or []
+    return [AddedMass.model_validate_json(json.dumps(record)) for record in records]
+
+
+def _engine(run: Mapping[str, Any]) -> Engine | None:
+    try:
+        return Engine.model_validate_json(json.dumps(run["engine"])) if run.get("engine") else None
+    except ValidationError:
+        return None
 
 
 def _added(base: Tested, new: Tested) -> tuple[complex, str] | None:
@@ -325,13 +378,10 @@ def _why_not_closed(base: Tested, new: Tested) -> str:
 def _trends(
     tests: Sequence[Tested], orders: Sequence[tuple[float, bool]], channels: Sequence[str], within: float, q: float
 ) -> list[dict[str, Any]]:
-    maps = [test.maps.get("order_map") for test in tests]
-    known = [one for one in maps if one is not None]
-    if len(known) < len(tests):
-        return []
+    maps = [test.maps["order_map"] for test in tests]
     shared = [c for c in channels if all(_units(test, test).get(c) == _units(tests[0], tests[0])[c] for test in tests)]
     findings, envelopes = [test.findings for test in tests], [test.maps.get("envelope_map") for test in tests]
-    return run_trends(known, findings, envelopes, orders, shared, within_rpm=within, q=q)
+    return run_trends(maps, findings, envelopes, orders, shared, within_rpm=within, q=q)
 
 
 def _confound_record(one: Confound) -> dict[str, str]:
@@ -339,3 +389,41 @@ def _confound_record(one: Confound) -> dict[str, str]:
         "what": one.what, "severity": one.severity, "part": one.part, "channel": one.channel,
         "base": one.base, "new": one.new, "words": one.words,
     }  # fmt: skip
+
+
+def change_datasets(made: Compared) -> dict[str, xr.Dataset]:
+    """Dataset ``order_change`` of a comparison ``made``, by that name; none where no order was compared."""
+    return {"order_change": _order_dataset(made.orders)} if made.orders else {}
+
+
+def _order_dataset(changes: Sequence[OrderChange]) -> xr.Dataset:
+    """Change of each order, rows (line, speed): a line is an order in a channel."""
+    dims = ("line", "speed")
+
+    def rows(of: Any, units: str, text: str) -> tuple[Any, ...]:
+        values: NDArray[Any] = np.stack([np.asarray(of(one)) for one in changes])
+        return dims, values, {"units": units, "long_name": text}
+
+    def column(of: Any, text: str) -> tuple[Any, ...]:
+        return "line", np.array([of(one) for one in changes]), {"units": "1", "long_name": text}
+
+    return xr.Dataset(
+        {
+            "base_amplitude": rows(lambda one: one.base.amplitude, "see unit", "peak amplitude in the first test"),
+            "new_amplitude": rows(lambda one: one.new.amplitude, "see unit", "peak amplitude in the second test"),
+            "difference": rows(lambda one: one.difference, "see unit", "second less first"),
+            "difference_low": rows(lambda one: one.difference_ci95[:, 0], "see unit", "lower end of its 95 % interval"),
+            "difference_high": rows(lambda one: one.difference_ci95[:, 1], "see unit", "upper end"),
+            "ratio_db": rows(lambda one: one.ratio_db, "dB", "second over first"),
+            "ratio_db_low": rows(lambda one: one.ratio_db_ci95[:, 0], "dB", "lower end of its 95 % interval"),
+            "ratio_db_high": rows(lambda one: one.ratio_db_ci95[:, 1], "dB", "upper end"),
+            "vector_change": rows(lambda one: one.vector_change, "see unit", "phasor, second less first"),
+            "p_value": rows(lambda one: one.p_value, "1", "chance of so large a difference where nothing changed"),
+            "changed": rows(lambda one: one.changed_at, "1", "1 where a change is claimed"),
+            "order": column(lambda one: one.order, "cycles per crank revolution"),
+            "channel": column(lambda one: one.channel, "name of the channel"),
+            "unit": column(lambda one: one.unit, "unit of the channel"),
+            "new_speed": ("speed", changes[0].new_rpm, {"units": "min-1", "long_name": "speed in the second test"}),
+        },
+        coords={"speed": ("speed", changes[0].base_rpm, {"units": "min-1", "long_name": "speed in the first test"})},
+    )

@@ -24,7 +24,7 @@ NUMBERS = _Numbers.load()
 Weight = Literal["invalid", "weakens", "harmless"]
 """What a confound does to a comparison: nothing can be compared, claims need care, or none."""
 
-Part = Literal["all", "orders", "phases", "maps", "channel"]
+Part = Literal["all", "orders", "phases", "channel"]
 """What of the comparison is concerned."""
 
 
@@ -66,11 +66,12 @@ _RULES: tuple[tuple[str, str, Weight, Part, str], ...] = (
      "longer frames let less noise into an order, and lines that slip lose more"),
     ("speed bin", "settings.orders.speed_bin_rpm", "weakens", "all", "speeds were grouped by another width"),
     ("tolerance", "settings.orders.tolerance", "harmless", "orders", "both are below the noise"),
-    ("map resolution", "settings.campbell.resolution_hz", "invalid", "maps",
-     "lines stand higher over the floor of a finer map: cells cannot be compared"),
-    ("map window", "settings.campbell.window", "invalid", "maps",
-     "another window spreads lines differently: cells cannot be compared"),
-    ("map overlap", "settings.campbell.overlap", "harmless", "maps", "the number of independent frames allows for it"),
+    ("map resolution", "settings.campbell.resolution_hz", "weakens", "all",
+     "natural frequencies are fitted to bins of another width"),
+    ("map window", "settings.campbell.window", "weakens", "all",
+     "another window widens the peaks to which natural frequencies are fitted"),
+    ("highest frequency", "settings.campbell.max_frequency_hz", "harmless", "all",
+     "natural frequencies above the lower are sought in one test only"),
     ("calibration of the encoder", "settings.shaft.calibrate_encoder", "weakens", "orders",
      "errors of the encoder's pitch were taken out of one test only"),
 )  # fmt: skip
@@ -85,7 +86,7 @@ def confounds(
     """Everything that differs in how two tests were made, the worst first.
 
     ``base`` and ``new`` are what ``run.json`` states of both, ``base_maps`` and ``new_maps`` the datasets of their
-    results by name.
+    results by name: ``order_map`` each, and ``shaft`` where it is known.
     """
     found = [
         Confound(what, severity, part, _text(one), _text(two), words)
@@ -138,15 +139,8 @@ def _channels(base: Mapping[str, Any], new: Mapping[str, Any]) -> list[Confound]
 
 
 def _maps(base: Mapping[str, xr.Dataset], new: Mapping[str, xr.Dataset]) -> list[Confound]:
-    """Bands, speeds, frames and phase marks as the results have them."""
+    """Highest order, speeds, frames and phase marks as the order maps have them."""
     found: list[Confound] = []
-    if "campbell_map" in base and "campbell_map" in new:
-        ends = [float(item["campbell_map"]["frequency"].values[-1]) for item in (base, new)]
-        if ends[0] != ends[1]:
-            words = "the maps are compared up to the lower; above it only one test was analysed"
-            found.append(Confound("highest frequency", "harmless", "maps", f"{ends[0]:g} Hz", f"{ends[1]:g} Hz", words))
-    if "order_map" not in base or "order_map" not in new:
-        return found
     maps = base["order_map"], new["order_map"]
     highest = [float(item["order"].values[-1]) for item in maps]
     if highest[0] != highest[1]:
@@ -183,17 +177,15 @@ def _firing(
         states.append("firing" if "firing" in told or "fired" in told else "motoring" if "motor" in told else "")
     if all(states) and states[0] != states[1]:
         return [Confound("firing or motoring", "weakens", "all", states[0], states[1], words)]
-    levels = [_pressure(maps.get("order_map")) for maps in (base_maps, new_maps)]
+    levels = [_pressure(maps["order_map"]) for maps in (base_maps, new_maps)]
     if all(level > 0 for level in levels) and max(levels) > NUMBERS.fired_ratio * min(levels):
         texts = [f"{level:.3g} (median)" for level in levels]
         return [Confound("pressure of the cycle", "weakens", "all", texts[0], texts[1], words)]
     return []
 
 
-def _pressure(order_map: xr.Dataset | None) -> float:
+def _pressure(order_map: xr.Dataset) -> float:
     """Median over speeds of the cylinder pressures' total amplitude; 0 where there is none."""
-    if order_map is None:
-        return 0.0
     told = zip(order_map["quantity"].values.tolist(), order_map["unit"].values.tolist(), strict=True)
     rows = [n for n, (quantity, unit) in enumerate(told) if is_cylinder_pressure(quantity, unit)]
     energy = order_map["amplitude"].values[rows] ** 2
@@ -204,7 +196,7 @@ def _repeats(base: Mapping[str, xr.Dataset], new: Mapping[str, xr.Dataset]) -> l
     """Whether recordings were repeated at a speed: only then is known by how much a test differs from itself."""
     said = []
     for maps in (base, new):
-        if "shaft" not in maps or "order_map" not in maps:
+        if "shaft" not in maps:
             return []
         recordings, speeds = maps["shaft"].sizes["recording"], maps["order_map"].sizes["speed"]
         said.append((recordings > speeds, f"{recordings} recordings at {speeds} speeds"))

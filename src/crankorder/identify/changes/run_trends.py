@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from crankorder.findings import Findings
 from crankorder.identify.bearings.trend import run_amplitudes, trend
-from crankorder.identify.changes.order_changes import like_speeds
-from crankorder.identify.changes.order_in_map import line_of
+from crankorder.identify.changes.order_changes import like_speeds, line_of
 from crankorder.identify.false_discovery import claimed
 from crankorder.identify.intervals import error_of, interval
 from crankorder.records import known

@@ -1,4 +1,4 @@
-"""Pictures of a comparison: what changed order by order with intervals, and where the Campbell diagram changed."""
+"""Pictures of a comparison: what changed order by order, and how lines went from run to run, with intervals."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.plot.cells import gaps_between, pooled, speed_cells, with_gaps
-from crankorder.plot.drawing import Box, Drawing, Field, Words, pixels_of, title_lines
-from crankorder.plot.labels import EdgeLabel, Key, draw_keys, fitted, label_right, label_top
-from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, NORMAL, NOT_MEASURED, SMALL, drawable, rgb_of, shortened
+from crankorder.plot.drawing import Box, Drawing, Words, title_lines
+from crankorder.plot.labels import EdgeLabel, Key, draw_keys, label_right
+from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.panel import Panel
 from crankorder.report.notation import order_text
 from crankorder.settings import ReportSettings
@@ -20,10 +19,7 @@ _LEFT, _BOTTOM, _TOP, _GUTTER = 0.85, 0.78, 1.0, 0.75
 _COLUMNS = 3
 _COLOURED = 6  # orders that the eye can follow
 _LEAST_DB, _MOST_DB = 6.0, 60.0
-_MAP_RIGHT, _MAP_TOP = 1.75, 1.22
-_SAME = "#f3f5f7"
-_FELL, _MIDDLE, _ROSE = (8, 64, 129), (243, 245, 247), (165, 15, 21)
-_FELL_PALE, _ROSE_PALE = (158, 202, 225), (252, 174, 145)
+_TREND_RIGHT, _TREND_TOP, _TREND_LEAST_DB = 2.6, 0.85, 3.0
 
 
 def order_change_figure(changes: xr.Dataset, document: dict[str, Any], *, settings: ReportSettings) -> Drawing:
@@ -152,125 +148,70 @@ def _draw_line(panel: Panel, changes: xr.Dataset, row: int, at: NDArray[np.intp]
     return float(values[np.isfinite(values)][-1])
 
 
-def map_change_figure(
-    changes: xr.Dataset, channel: str, document: dict[str, Any], *, settings: ReportSettings
-) -> Drawing:
-    """Campbell diagram of what changed in a channel [dB]: cells whose change is claimed in colour, all others pale.
+def trend_figure(document: dict[str, Any], *, settings: ReportSettings) -> Drawing:
+    """Amplitude of each line over its own in the first run [dB] against the run, and what was fitted.
 
-    ``changes`` the dataset ``map_change`` of a comparison; ``channel`` one of its channels; ``document`` its
-    ``comparison.json``; ``settings`` of the report. Raises KeyError for an unknown channel.
+    Lines whose growth is claimed have a colour, 95 % intervals and their fitted growth; the others are light.
+
+    ``document`` the ``comparison.json`` of three runs or more; ``settings`` of the report.
     """
-    names = changes["channel"].values.tolist()
-    if channel not in names:
-        raise KeyError(channel)
-    number, frequency = names.index(channel), changes["frequency"].values
-    at = np.argsort(changes["speed"].values, kind="stable")
-    speed = changes["speed"].values[at]
-    says = changes["changed"].values[number][at].astype(bool)
-    values = np.where(says, changes["difference_db"].values[number][at], 0.0)
-    limit = float(np.clip(5 * np.ceil(np.quantile(np.abs(values[says]), 0.99) / 5), 5.0, 40.0)) if says.any() else 10.0
     drawing = Drawing(settings.width_in, settings.height_in)
-    box = (
-        _LEFT + 0.1,
-        _BOTTOM + 0.14,
-        settings.width_in - _LEFT - 0.1 - _MAP_RIGHT,
-        settings.height_in - _BOTTOM - 0.14 - _MAP_TOP,
+    box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _TREND_RIGHT, settings.height_in - _BOTTOM - _TREND_TOP)
+    claims = _told_apart([one for one in document["trend"] if one["changed"]])[:_COLOURED]
+    runs = np.arange(1.0, len(document["runs"]) + 1.0)
+    ends = [_over_first(one)[0] for one in document["trend"]]
+    low, high = min(0.0, *(one.min() for one in ends)), max(_TREND_LEAST_DB, *(one.max() for one in ends))
+    room = 0.12 * (high - low)
+    panel = Panel(drawing, box, (0.8, runs[-1] + 0.2), (float(low - room), float(high + room)))
+    panel.x_axis("Run", most=min(len(runs) + 1, 12), whole=True)
+    panel.y_axis("Over the first run, dB")
+    panel.curve(np.array(panel.x), np.zeros(2), color=FAINT, width=0.9, name="first run")
+    for one in document["trend"]:
+        if not one["changed"]:
+            panel.curve(runs, _over_first(one)[0], color=LIGHT, width=0.7, name="unchanged")
+    labels = [_draw_trend(panel, runs, one, LINES[at], at) for at, one in enumerate(claims)]
+    panel.frame()
+    label_right(drawing, box, labels)
+    if not claims:
+        panel.note("no line grew", up=0.94)
+    changed = sum(one["changed"] for one in document["trend"])
+    said = (
+        f"{changed} of {len(document['trend'])} lines grow or shrink by more than chance; their change per run beside."
     )
-    cells = speed_cells(speed) if np.isfinite(speed).all() else np.array([[0.0, 1.0]])
-    panel = Panel(drawing, box, (float(frequency[0]), float(frequency[-1])), (float(cells[0, 0]), float(cells[-1, 1])))
-    _draw_cells(panel, values, cells, frequency, limit, dpi=settings.dpi)
-    _draw_scale(panel, limit)
-    _draw_orders(panel, [float(order) for order in _colours_of(document, channel)])
-    if not says.any():
-        panel.note("no cell changed")
-    title = f"Channel {drawable(channel, settings.max_name_characters)} · {_pair(document)}"
-    compared = int(np.count_nonzero(np.isfinite(changes["p_value"].values[number])))
-    chance = f"at most {100 * document['false_discovery_rate']:g} % of them by chance"
-    said = f"{int(says.sum())} of {compared} cells changed; {chance}."
-    title_lines(drawing, box[0], title, said)
-    draw_keys(drawing, box[0], [Key("order that changed", INK, (5.0, 4.0))] if document["cause"]["orders"] else [])
+    title_lines(drawing, _LEFT, f"Trend over {len(runs)} runs", said)
+    keys = [Key("fitted growth; bars: 95 % intervals", LINES[0] if claims else INK, width=1.3)]
+    draw_keys(drawing, _LEFT, [*keys, Key("line without growth", LIGHT)])
     return drawing
 
 
-def _colours_of(document: dict[str, Any], channel: str) -> list[float]:
-    return sorted(float(one["order"]) for one in _changed(document)[: 4 * _COLOURED] if one["channel"] == channel)
+def _told_apart(claims: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The lines with the smallest chance first; of lines at one order, which only their names tell apart, one."""
+    kept: dict[tuple[str, str, float], dict[str, Any]] = {}
+    for one in sorted(claims, key=lambda one: float(one["p_value"])):
+        key = (one["kind"], one["channel"], round(float(one["order"]), 2))
+        same = kept.setdefault(key, dict(one))
+        if same["line"] != one["line"]:
+            same["line"] = f"{same['line']} or {one['line']}"
+    return list(kept.values())
 
 
-def change_colours(share: NDArray[np.float64]) -> NDArray[np.uint8]:
-    """Red, green and blue of changes, of the shape of ``share`` and a last axis of 3: blue for −1, red for 1."""
-    stops = np.array([-1.0, -0.35, 0.0, 0.35, 1.0])
-    table = np.array([_FELL, _FELL_PALE, _MIDDLE, _ROSE_PALE, _ROSE], dtype=np.float64)
-    inside = np.clip(share, -1.0, 1.0)
-    return np.stack([np.interp(inside, stops, table[:, part]) for part in range(3)], axis=-1).astype(np.uint8)
+def _over_first(one: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Amplitudes (runs,) and their intervals (runs, 2) over the amplitude of the first run, in dB."""
+    size = np.array(one["amplitude"], dtype=np.float64)
+    ends = np.maximum(np.array(one["amplitude_ci95"], dtype=np.float64), 1e-3 * size[:, None])
+    return 20.0 * np.log10(size / size[0]), 20.0 * np.log10(ends / size[0])
 
 
-def _draw_cells(
-    panel: Panel,
-    values: NDArray[np.float64],
-    cells: NDArray[np.float64],
-    frequency: NDArray[np.float64],
-    limit: float,
-    *,
-    dpi: int,
-) -> None:
-    rows, columns = pixels_of(panel.box, dpi)
-    half = (frequency[1] - frequency[0]) / 2 if len(frequency) > 1 else 0.5
-    bins = np.concatenate([frequency - half, [frequency[-1] + half]])
-    shown = []
-    for sign in (1.0, -1.0):
-        rows_of, edges = with_gaps(np.maximum(sign * values, 0.0), cells, empty=-1.0)
-        across = pooled(rows_of, bins, np.linspace(float(frequency[0]), float(frequency[-1]), columns + 1), axis=1)
-        shown.append(pooled(across, edges, np.linspace(float(edges[0]), float(edges[-1]), rows + 1), axis=0))
-    rise, fall = (_wider(one) for one in shown)
-    share = np.where(rise >= fall, rise, -fall) / limit
-    # what is claimed is seen, however small it is
-    rgb = change_colours(np.where(share == 0, 0.0, np.sign(share) * np.maximum(np.abs(share), 0.3)))
-    rgb[rise < 0] = rgb_of(NOT_MEASURED)
-    panel.drawing.add(Field(rgb[::-1], panel.box))
-    panel.frame(whole=True)
-    panel.x_axis("Frequency, Hz", grid=False)
-    panel.y_axis("Speed, rpm", grid=False)
-    for start, end in gaps_between(cells):
-        if (end - start) * panel.box[3] > 0.3 * (panel.y[1] - panel.y[0]):
-            panel.note("not measured in both", up=float(panel.share((start + end) / 2)))
-
-
-def _wider(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Pixels (rows, columns) with each of a claimed cell one wider on both sides, so that a thin cell is seen."""
-    padded = np.pad(values, ((0, 0), (1, 1)), mode="edge")
-    return np.asarray(np.maximum(np.maximum(padded[:, :-2], padded[:, 2:]), values))
-
-
-def _draw_scale(panel: Panel, limit: float) -> None:
-    box = panel.box
-    bar = Panel(panel.drawing, (box[0] + box[2] + 0.62, box[1], 0.17, box[3]), (0.0, 1.0), (-limit, limit))
-    ramp = change_colours(np.linspace(1.0, -1.0, 255))
-    panel.drawing.add(Field(np.repeat(ramp[:, None], 2, axis=1), bar.box))
-    bar.frame(whole=True)
-    bar.y_axis("Level, second less first, dB", grid=False, right=True)
-
-
-def _draw_orders(panel: Panel, orders: list[float]) -> None:
-    """Lines of the orders that changed, labelled where they leave the diagram."""
-    low, high = panel.y
-    top, side = [], []
-    for number, order in enumerate(orders):
-        panel.curve(
-            order * np.array([low, high]) / 60,
-            np.array([low, high]),
-            color=INK,
-            width=0.6,
-            alpha=0.5,
-            dashes=(5.0, 4.0),
-            name=f"order-{order_text(order)}",
-        )
-        if panel.x[0] <= order * high / 60 <= panel.x[1]:
-            top.append(EdgeLabel(float(panel.at(order * high / 60, high)[0, 0]), order_text(order), INK, number))
-        elif low < 60 * panel.x[1] / order < high:
-            side.append(
-                EdgeLabel(float(panel.at(panel.x[1], 60 * panel.x[1] / order)[0, 1]), order_text(order), INK, number)
-            )
-    lines = label_top(panel.drawing, panel.box, [fitted(top, panel.box[2])])
-    label_right(panel.drawing, panel.box, side)
-    if top:
-        panel.drawing.add(Words(panel.box[0] - 0.3, lines[0], "order", SMALL, INK, along="right"))
+def _draw_trend(panel: Panel, runs: NDArray[np.float64], one: dict[str, Any], color: str, number: int) -> EdgeLabel:
+    """Draw one line with its intervals and its fitted growth; returns its label at the last run."""
+    values, ends = _over_first(one)
+    growth = 20.0 * np.log10(1.0 + one["growth_per_run"])
+    fitted = float(np.mean(values - growth * runs)) + growth * runs
+    panel.curve(runs, fitted, color=color, width=1.3, name=f"growth-{number}")
+    for x, (low, high) in zip(runs, np.clip(ends, *panel.y), strict=True):
+        panel.curve(np.array([x, x]), np.array([low, high]), color=color, width=2.6, alpha=0.35, name="interval")
+    panel.dots(runs, values, color=color, radius=2.2)
+    where = f", {one['channel']}" if one["channel"] else ""
+    words = f"{100 * one['growth_per_run']:+.0f} % · {drawable(one['line'], 80)}{where}"
+    text = shortened(words, SMALL, _TREND_RIGHT - 0.35)
+    return EdgeLabel(float(panel.at(0.0, float(np.clip(values[-1], *panel.y)))[0, 1]), text, color, number)

@@ -7,14 +7,13 @@ from typing import Any, Literal
 from markupsafe import Markup
 
 from crankorder.channel_units import unit_text
-from crankorder.report.comparison.sentences import comparison_story
+from crankorder.report.comparison.sentences import comparison_story, estimate
 from crankorder.report.notation import (
     frequency_text,
     is_number,
     named,
     number_text,
     order_text,
-    with_interval,
 )
 from crankorder.report.page import page_policy, page_style, page_template
 from crankorder.report.rows import Table, table_of
@@ -51,7 +50,7 @@ def comparison_page(document: dict[str, Any], *, pictures: list[tuple[str, str]]
 
 
 def _tables(document: dict[str, Any], limit: int) -> list[tuple[str, Table]]:
-    made = [("orders", _orders(document, limit)), ("modes", _modes(document)), ("cells", _cells(document, limit))]
+    made = [("orders", _orders(document, limit)), ("modes", _modes(document))]
     if document["unbalance"]:
         made.append(("unbalance", _unbalance(document, limit)))
     if document["masses"]:
@@ -76,9 +75,9 @@ def _orders(document: dict[str, Any], limit: int) -> Table:
         [
             named(one["channel"], limit=limit), order_text(one["order"]),
             named(one["explained_by"] or "–", limit=limit),
-            _yes(one), _estimate(one, "ratio"),
-            _estimate(one, "ratio_db"), number_text(one["speed_rpm"] or float("nan"), digits=4),
-            number_text(one["base_amplitude"]), number_text(one["new_amplitude"]), _estimate(one, "difference"),
+            _yes(one), estimate(one, "ratio"),
+            estimate(one, "ratio_db"), number_text(one["speed_rpm"] or float("nan"), digits=4),
+            number_text(one["base_amplitude"]), number_text(one["new_amplitude"]), estimate(one, "difference"),
             unit_text(one["unit"]), f"{one['n_changed']} of {one['n_speeds']}", _chance(one["p_value"]),
         ]
         for one in sorted(document["orders"], key=lambda one: (not one["changed"], one["channel"], one["order"]))
@@ -99,7 +98,7 @@ def _modes(document: dict[str, Any]) -> Table:
         [
             frequency_text(one["frequency_hz"]),
             _yes(one) if one["only_in"] is None else "seen in one test only",
-            _estimate(one, "shift_hz"), _estimate(one, "damping_change"), _chance(one["p_value"]),
+            estimate(one, "shift_hz"), estimate(one, "damping_change"), _chance(one["p_value"]),
         ]
         for one in document["modes"]
     ]  # fmt: skip
@@ -108,33 +107,12 @@ def _modes(document: dict[str, Any]) -> Table:
     return table_of("Natural frequencies", heads, rows, empty="None was found.", note=note if rows else "")
 
 
-def _cells(document: dict[str, Any], limit: int) -> Table:
-    rows = [
-        [
-            named(one["channel"], limit=limit), f"{band['low_hz']:g} to {band['high_hz']:g}", str(band["cells"]),
-            number_text(band["mean_db"]),
-        ]
-        for one in document["cells"]
-        for band in one["bands"]
-    ]  # fmt: skip
-    counts = [
-        f"{named(one['channel'], limit=limit)}: {one['changed']} of {one['compared']}" for one in document["cells"]
-    ]
-    return table_of(
-        "Cells of the Campbell diagram",
-        "Channel|Band, Hz#|Cells changed#|Mean change, dB#",
-        rows,
-        empty="No cell changed." if document["cells"] else "The maps were not compared.",
-        note=f"Cells changed in {'; '.join(counts)}. Bands with most of them first." if rows else "",
-    )
-
-
 def _unbalance(document: dict[str, Any], limit: int) -> Table:
     rows = [
         [
             named(one["channel"], limit=limit), order_text(one["order"]), "yes" if one["explains"] else "no",
-            _estimate(one, "factor"), _estimate(one, "turned_deg"), _chance(one["one_factor_p"]),
-            _estimate(one, "square_law_amplitude"), unit_text(one["unit"]), _chance(one["square_law_p"]),
+            estimate(one, "factor"), estimate(one, "turned_deg"), _chance(one["one_factor_p"]),
+            estimate(one, "square_law_amplitude"), unit_text(one["unit"]), _chance(one["square_law_p"]),
         ]
         for one in document["unbalance"]
     ]  # fmt: skip
@@ -154,9 +132,9 @@ def _masses(document: dict[str, Any], limit: int) -> Table:
     rows = [
         [
             named(one["channel"], limit=limit), f"{number_text(one['added'])} {one['unit']}",
-            _estimate(one, "before", unit=one["unit"]), number_text(one["before_angle_deg"] or float("nan")),
-            _estimate(one, "after", unit=one["unit"]), number_text(one["after_angle_deg"] or float("nan")),
-            f"{number_text(per['speed_rpm'], digits=4)}", _estimate(per, "response"),
+            estimate(one, "before", unit=one["unit"]), number_text(one["before_angle_deg"] or float("nan")),
+            estimate(one, "after", unit=one["unit"]), number_text(one["after_angle_deg"] or float("nan")),
+            f"{number_text(per['speed_rpm'], digits=4)}", estimate(per, "response"),
             f"{unit_text(one['response_unit'])} per {one['unit']}",
         ]
         for one in document["masses"]
@@ -175,7 +153,7 @@ def _balance(document: dict[str, Any]) -> Table:
     rows = [
         [
             one["quantity"].replace("_", " "), _yes(one), number_text(one["base"]), number_text(one["new"]),
-            _estimate(one, "change"),
+            estimate(one, "change"),
         ]
         for one in document["balance"]
     ]  # fmt: skip
@@ -191,7 +169,7 @@ def _trend(document: dict[str, Any], limit: int) -> Table:
     rows = [
         [
             named(one["line"], limit=limit), one["kind"], named(one["channel"], limit=limit), _yes(one),
-            _estimate(_percent(one), "growth_per_run"), ", ".join(number_text(value) for value in one["amplitude"]),
+            estimate(_percent(one), "growth_per_run"), ", ".join(number_text(value) for value in one["amplitude"]),
             _chance(one["p_value"]), named(one["verdict"], limit=4 * limit),
         ]
         for one in sorted(document["trend"], key=lambda one: (not one["changed"], one["kind"], one["line"]))
@@ -211,8 +189,3 @@ def _confounds(document: dict[str, Any], limit: int) -> Table:
     heads = "Weight|What differs|First|Second|What it does"
     empty = "Both tests were made and analysed alike."
     return table_of("What else differs (confounds)", heads, rows, empty=empty)
-
-
-def _estimate(record: dict[str, Any], key: str, *, unit: str = "") -> str:
-    """Estimate ``key`` of a ``record`` of the comparison with its interval, and its ``unit`` where given."""
-    return with_interval(record.get(key), record.get(f"{key}_ci95"), unit=unit)

@@ -38,8 +38,6 @@ def comparison_headline(document: dict[str, Any]) -> list[str]:
     said = _cause_sentences(document)[:1]
     if cause == "natural frequencies":
         said += _mode_sentences(document)[:2]
-    elif cause == "map only":
-        said += _cell_sentences(document)[:1]
     said += [*_fired(document), *_left_out(document)]
     return list(dict.fromkeys([*said, *mass_sentences(document)[:1], *_grown(document)[:1]]))
 
@@ -65,7 +63,7 @@ def _fired(document: dict[str, Any]) -> list[str]:
 def comparison_story(document: dict[str, Any]) -> Story:
     """What changed, why, how sure and what to do, from ``document``; the cause itself is the headline's."""
     return Story(
-        what=[*order_sentences(document), *_mode_sentences(document), *_cell_sentences(document), *_grown(document)],
+        what=[*order_sentences(document), *_mode_sentences(document), *_grown(document)],
         why=[
             *_cause_sentences(document),
             *_law_sentences(document),
@@ -95,8 +93,6 @@ def _cause_sentences(document: dict[str, Any]) -> list[str]:
         return _grown(document)[:1]
     if cause == "natural frequencies":
         return ["No order changed; natural frequencies or their damping did: the structure or its mounting changed."]
-    if cause == "map only":
-        return ["No order changed; cells of the speed–frequency map did."]
     best = _best(document["unbalance"], 1.0)
     if cause == "unbalance" and best is not None:
         return [
@@ -128,7 +124,7 @@ def _masses_cause(document: dict[str, Any]) -> str:
             if one["quantity"] == key and one["changed"]:
                 size = one if one["change"] > 0 else _reversed(one, "change")
                 more = "more" if one["change"] > 0 else "less"
-                what = f"{_estimate(size, 'change')} g {more} unbalanced mass along the cylinder"
+                what = f"{estimate(size, 'change')} g {more} unbalanced mass along the cylinder"
                 return f"{told}: {what} explains it."
     return f"{told}: a change of the moving masses explains it."
 
@@ -140,7 +136,7 @@ def _reversed(record: dict[str, Any], key: str) -> dict[str, Any]:
 
 def _went(document: dict[str, Any], order: float) -> str:
     verb, best = _ratio_of(document, order)
-    times = "" if best is None else f" to {_estimate(best, 'ratio')} times its amplitude"
+    times = "" if best is None else f" to {estimate(best, 'ratio')} times its amplitude"
     return f"order {order_text(order)} {verb}{times}"
 
 
@@ -161,11 +157,11 @@ def _noun(orders: list[float]) -> str:
 
 def _became(record: dict[str, Any]) -> str:
     low, high = record["factor_ci95"]
-    text = _estimate(record, "factor")
+    text = estimate(record, "factor")
     verb = "fell to" if high < 1 else "rose to" if low > 1 else "kept its size but turned:"
     turned = ""
     if is_number(record.get("turned_deg")) and not (record["turned_deg_ci95"][0] <= 0 <= record["turned_deg_ci95"][1]):
-        turned = f", turned by {_estimate(record, 'turned_deg')}°"
+        turned = f", turned by {estimate(record, 'turned_deg')}°"
     return f"{verb} {text} of what it was{turned}"
 
 
@@ -191,11 +187,11 @@ def _order_sentence(one: dict[str, Any]) -> str:
     from_to = f"from {number_text(one['base_amplitude'])} to {number_text(one['new_amplitude'])} {unit}".rstrip()
     low, high = one["ratio_ci95"]
     if not is_number(one["ratio"]) or (low is not None and low <= 1 <= high):
-        difference = _estimate(one, "difference", unit=unit)
+        difference = estimate(one, "difference", unit=unit)
         return f"{name} {where} changed {from_to} at {one['speed_rpm'] or 0:.0f} rpm: by {difference}."
     verb = "rose" if one["ratio"] > 1 else "fell"
     return (
-        f"{name} {where} {verb} to {_estimate(one, 'ratio')} times its amplitude "
+        f"{name} {where} {verb} to {estimate(one, 'ratio')} times its amplitude "
         f"(mean of the speeds; {from_to} at {one['speed_rpm'] or 0:.0f} rpm)."
     )
 
@@ -204,32 +200,11 @@ def _mode_sentences(document: dict[str, Any]) -> list[str]:
     moved = [one for one in document["modes"] if one["changed"]]
     said = [
         f"The {frequency_text(one['frequency_hz'])} Hz natural frequency moved by "
-        f"{_estimate(one, 'shift_hz', unit='Hz')}, "
-        f"its damping ratio by {_estimate(one, 'damping_change')}."
+        f"{estimate(one, 'shift_hz', unit='Hz')}, "
+        f"its damping ratio by {estimate(one, 'damping_change')}."
         for one in moved[:_MANY]
     ]
     return said + ([f"{len(moved) - _MANY} more natural frequencies moved."] if len(moved) > _MANY else [])
-
-
-def _cell_sentences(document: dict[str, Any]) -> list[str]:
-    said = []
-    for one in document["cells"]:
-        if one["changed"]:
-            name = named(one["channel"], limit=_NAME)
-            text = f"In {name} {one['changed']} of {one['compared']} cells of the Campbell diagram changed"
-            ends = [
-                f"most {verb} {_estimate(_size(one[key]), 'difference_db', unit='dB')} at "
-                f"{frequency_text(one[key]['frequency_hz'])} Hz and {one[key]['speed_rpm']:.0f} rpm"
-                for key, verb in (("rise", "raised by"), ("fall", "lowered by"))
-                if one[key] is not None
-            ]
-            ends = ends or ["each alone among cells that did not, as those are that change by chance"]
-            said.append(f"{text}: {'; '.join(ends)}.")
-    return said
-
-
-def _size(cell: dict[str, Any]) -> dict[str, Any]:
-    return cell if cell["difference_db"] > 0 else cell | _reversed(cell, "difference_db")
 
 
 def _grown(document: dict[str, Any]) -> list[str]:
@@ -250,7 +225,7 @@ def _growth_sentence(lines: list[dict[str, Any]]) -> str:
     rule = " A growing amplitude of a bearing line means a failing bearing." if "bearing" in one["kind"] else ""
     where = f" in {named(one['channel'], limit=_NAME)}" if one["channel"] else " in the envelope"
     names = " or ".join(dict.fromkeys(named(line["line"], limit=_NAME) for line in lines))
-    return f"{_capital(names)}{where} grows from run to run, by {_estimate(share, 'growth')} % each.{rule}"
+    return f"{_capital(names)}{where} grows from run to run, by {estimate(share, 'growth')} % each.{rule}"
 
 
 def _law_sentences(document: dict[str, Any]) -> list[str]:
@@ -281,7 +256,7 @@ def mass_sentences(document: dict[str, Any]) -> list[str]:
         unit = one["unit"]
         said.append(
             f"By the stated {number_text(one['added'])} {unit} the unbalance in {named(one['channel'], limit=_NAME)} "
-            f"was {_estimate(one, 'before', unit=unit)} before and is {_estimate(one, 'after', unit=unit)} now."
+            f"was {estimate(one, 'before', unit=unit)} before and is {estimate(one, 'after', unit=unit)} now."
         )
     return said
 
@@ -293,7 +268,7 @@ def _arm(document: dict[str, Any]) -> tuple[float, str]:
 
 
 def _at_angle(trial: dict[str, Any], size: str, angle: str, arm: float, unit: str) -> str:
-    text = _estimate({size: trial[size] / arm, f"{size}_ci95": [x / arm for x in trial[f"{size}_ci95"]]}, size)
+    text = estimate({size: trial[size] / arm, f"{size}_ci95": [x / arm for x in trial[f"{size}_ci95"]]}, size)
     where = f" at {trial[angle]:.0f}°" if is_number(trial.get(angle)) else ""
     return f"{text} {unit}{where}"
 
@@ -303,7 +278,7 @@ def _influence(document: dict[str, Any]) -> list[str]:
     for one in document["masses"][:_MANY]:
         per = one["response_per_unit"][-1]
         said.append(
-            f"One {one['unit']} there makes {_estimate(per, 'response')} {unit_text(one['response_unit'])} at "
+            f"One {one['unit']} there makes {estimate(per, 'response')} {unit_text(one['response_unit'])} at "
             f"{per['speed_rpm']:.0f} rpm in {named(one['channel'], limit=_NAME)}."
         )
     if document.get("trial_mass_reason"):
@@ -320,7 +295,7 @@ def _balance(document: dict[str, Any]) -> list[str]:
             by = listed([order_text(order) for order in one["by_ratio_of_orders"]])
             how = f" (by the ratio of {_noun(one['by_ratio_of_orders'])} {by} in the two tests)" if by else ""
             said.append(
-                f"The closed balance says: {name} changed by {_estimate(one, 'change', unit=unit)}, from "
+                f"The closed balance says: {name} changed by {estimate(one, 'change', unit=unit)}, from "
                 f"{number_text(one['base'])} to {number_text(one['new'])} {unit}{how}."
             )
     if document["cause"]["cause"] == "moving masses" and not said and document["balance_reason"]:
@@ -358,6 +333,6 @@ def _what_to_do(document: dict[str, Any]) -> list[str]:
     return said
 
 
-def _estimate(record: dict[str, Any], key: str, *, unit: str = "") -> str:
-    """Estimate ``key`` of a ``record`` of the comparison with its interval, and its ``unit`` where given."""
+def estimate(record: dict[str, Any], key: str, *, unit: str = "") -> str:
+    """Text of the estimate ``key`` of a ``record`` of a comparison with its interval, and its ``unit`` where given."""
     return with_interval(record.get(key), record.get(f"{key}_ci95"), unit=unit)

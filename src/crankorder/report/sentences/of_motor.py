@@ -7,8 +7,6 @@ from crankorder.report.notation import NAME_CHARACTERS, is_number, listed, named
 
 SHAFT_SIDES = "motor, pole-pass sideband of order 1 of the motor"
 FIELD_SIDES = "motor, pole-pass sideband of twice mains"
-BAR_PASS, BAR_SIDES = "motor, bar pass", "motor, sideband of bar pass at twice mains"
-_CARRIERS = {FIELD_SIDES: "twice mains", BAR_SIDES: BAR_PASS}
 
 _SPEAKS_FOR = {
     SHAFT_SIDES: "a broken or cracked rotor bar makes such, and so does a load that pulsates",
@@ -17,38 +15,32 @@ _SPEAKS_FOR = {
 
 
 def motor_sentences(findings: Findings) -> list[str]:
-    """How the motor of ``findings`` slips and which of its lines were found; empty where none is stated."""
+    """How the motor of ``findings`` slips and which of its lines stand; empty where none is stated."""
     motor = findings.motor
     if motor is None:
         return []
     if motor.misfit:
         return [f"No line of the motor is named: {named(motor.misfit, limit=400)}."]
     sentences = _slip(motor)
-    if motor.bars_doubt:
-        sentences.append(f"The stated count of rotor bars may be wrong: {named(motor.bars_doubt, limit=400)}.")
-    lines = [line for line in motor.lines or [] if is_number(line.frequency_hz)]
-    sentences += [text for name in (SHAFT_SIDES, FIELD_SIDES) if (text := _sides(name, lines, motor, findings))]
+    lines = [line for line in motor.lines if is_number(line.frequency_hz)]
+    sentences += [text for name in _SPEAKS_FOR if (text := _sides(name, lines, findings))]
     own = [line for line in _strongest(lines) if line.name not in _SPEAKS_FOR]
     if own:
-        said = [
-            f"{_hz(line)} ({' or '.join([_name(line), *(named(one, limit=80) for one in line.others)])}, "
+        listing = [
+            f"{_hz(line)} ({' or '.join([_name(line), *(named(other, limit=80) for other in line.others)])}, "
             f"{_level(findings, line)} in {named(line.channel, limit=NAME_CHARACTERS)})"
             for line in own
         ]
-        sentences.append(f"Of the motor and its supply: {listed(said)}.")
-    elif not sentences:
-        sentences.append("No line of the motor stands above the noise.")
-    return sentences
+        sentences.append(f"Of the motor and its supply: {listed(listing)}.")
+    return sentences or ["No line of the motor stands above the noise."]
 
 
 def _slip(motor: Motor) -> list[str]:
-    if motor.speed_doubt:
-        return [f"The slip of the motor is not known: {named(motor.speed_doubt, limit=400)}."]
-    speeds = [one for one in motor.speeds if one.fits and one.slip is not None]
+    speeds = [one for one in motor.speeds if one.fits]
     if not speeds:
         return []
     by = "as its own lines measure" if motor.supply_measured else "as stated: no line of the mains measures it"
-    slow, fast = (pick(speeds, key=lambda one: one.slip or 0.0) for pick in (max, min))
+    slow, fast = (pick(speeds, key=lambda one: one.slip) for pick in (max, min))
     text = f"The motor ({motor.poles} poles at {motor.supply_hz:.5g} Hz, {by}) slips by {_slip_text(fast)}"
     if slow is not fast:
         text += f" to {_slip_text(slow)}"
@@ -61,31 +53,25 @@ def _slip(motor: Motor) -> list[str]:
 
 
 def _slip_text(one: MotorSpeed) -> str:
-    slip = one.slip or 0.0
-    low, high = (100.0 * end for end in one.slip_ci95 or (slip, slip))
+    low, high = (100.0 * end for end in one.slip_ci95)
     wide = f" ({max(low, 0.0):.2g}…{high:.2g})" if high - low > 0.1 else ""
-    return f"{100.0 * slip:.3g} %{wide} at {one.speed_rpm:.4g} rpm"
+    return f"{100.0 * one.slip:.3g} %{wide} at {one.speed_rpm:.4g} rpm"
 
 
-def _sides(name: str, lines: list[MotorLine], motor: Motor, findings: Findings) -> str:
-    """Sentence on one pair of pole-pass sidebands, found or looked for in vain."""
+def _sides(name: str, lines: list[MotorLine], findings: Findings) -> str:
+    """Sentence on one pair of pole-pass sidebands; empty where none stands."""
     beside = name.removeprefix("motor, pole-pass sideband of ")
     own = [line for line in lines if line.name == name]
-    if own:
-        alone = [line for line in own if not line.others] or own
-        top = max(alone, key=lambda line: line.amplitude)
-        pair = sorted((line for line in own if line.channel == top.channel), key=lambda line: line.frequency_hz)
-        said = listed([f"{_hz(line)}{_or(line)}" for line in pair])
-        share = _share(top, lines, findings, beside)
-        verb = "are its" if len(pair) > 1 else "is one of its"
-        size = f", up to {_level(findings, top)}{share}"
-        return f"Beside {beside}, {said} {verb} pole-pass sidebands{size}: {_SPEAKS_FOR[name]}."
-    limits = [one for one in motor.not_seen or [] if one.name == name]
-    if not limits:
+    if not own:
         return ""
-    worst = max(limits, key=lambda one: one.from_amplitude)
-    size = f"{worst.from_amplitude:.2g} {unit_of(findings, worst)}".strip()
-    return f"No pole-pass sidebands stand beside {beside}: they would have been seen from {size}."
+    alone = [line for line in own if not line.others] or own
+    top = max(alone, key=lambda line: line.amplitude)
+    pair = sorted((line for line in own if line.channel == top.channel), key=lambda line: line.frequency_hz)
+    said = listed([f"{_hz(line)}{_or(line)}" for line in pair])
+    share = _share(top, lines, findings, beside)
+    verb = "are its" if len(pair) > 1 else "is one of its"
+    size = f", up to {_level(findings, top)}{share}"
+    return f"Beside {beside}, {said} {verb} pole-pass sidebands{size}: {_SPEAKS_FOR[name]}."
 
 
 def _share(top: MotorLine, lines: list[MotorLine], findings: Findings, beside: str) -> str:

@@ -157,7 +157,7 @@ def doubt_sentences(findings: Findings) -> list[str]:
     if not doubt:
         return []
     reason = named(doubt, limit=4 * NAME_CHARACTERS)
-    return [f"The speed, read from the vibration, is in doubt, and with it every order, cause and crossing: {reason}."]
+    return [f"The speed is in doubt, and with it every order, cause and crossing: {reason}."]
 
 
 def shaft_sentences(findings: Findings) -> list[str]:

@@ -1,0 +1,124 @@
+"""The slip of a motor whose speed was only stated: by the one line just below its field, and by nothing else."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from crankorder.cli import main
+from crankorder.engine.motor import Motor
+from crankorder.identify.known_lines import Held, held_recordings
+from crankorder.identify.lines.line_phasors import recordings_of
+from crankorder.identify.motors import motor_seen
+from crankorder.settings import load_settings
+from made.line_frames import angle_of, frames_of, wave
+
+SETTINGS = load_settings().identify
+LENGTH_S = 20.0
+
+
+def recorded(stated_rpm: float, *lines: tuple[float, float], noise: float = 0.3, seed: int = 0) -> list[Held]:
+    """A recording in frames of the ``stated_rpm``, with ``lines`` (Hz, amplitude) in noise."""
+    rng, angle = np.random.default_rng(seed), angle_of(round(LENGTH_S * stated_rpm / 60.0))
+    signal = noise * rng.standard_normal(len(angle))
+    for hertz, size in lines:
+        signal += wave(angle, 60.0 * hertz / stated_rpm, size, rng.uniform(0.0, 6.0))
+    frames = frames_of([signal], speed_rpm=stated_rpm)
+    return held_recordings(recordings_of([frames]), frames["order"].values, ["A"])
+
+
+@pytest.mark.cases(2)
+@pytest.mark.parametrize("seed", range(12))
+def test_where_the_speed_is_only_stated_the_line_below_the_field_tells_the_slip(seed: int) -> None:
+    rng = np.random.default_rng([seed, 5])
+    nominal, poles, slip = float(rng.choice([50.0, 60.0])), int(rng.choice([2, 4, 6])), float(rng.uniform(0.006, 0.06))
+    supply = nominal * (1.0 + float(rng.uniform(-1e-3, 1e-3)))
+    shaft_hz, stated = 2.0 * supply / poles * (1.0 - slip), 120.0 * nominal / poles * float(rng.choice([1.0, 0.97]))
+    sizes = rng.uniform(0.3, 1.0, 3)
+    places = (shaft_hz, 2.0 * shaft_hz, 2.0 * supply)
+    held = recorded(stated, *zip(places, sizes.tolist(), strict=True), noise=float(rng.uniform(0.05, 0.3)), seed=seed)
+    found = motor_seen(Motor(supply_hz=nominal, poles=poles), held, by_shaft=False, settings=SETTINGS)
+    motor, (speed,) = found.record, found.record.speeds
+    assert motor.supply_measured and motor.supply_hz == pytest.approx(supply, abs=2e-3)
+    assert speed.slip == pytest.approx(slip, abs=2e-4)
+    assert speed.speed_rpm == pytest.approx(60.0 * shaft_hz, rel=2e-4)
+    assert speed.pole_pass_hz == pytest.approx(2.0 * slip * supply, abs=0.02)
+    assert {one.line.name for one in found.lines} == {"twice mains"}
+    (line,) = motor.lines
+    assert line.amplitude == pytest.approx(sizes[2], rel=0.05)
+    assert bool(found.speed_doubt) == (abs(60.0 * shaft_hz / stated - 1.0) > 0.0039)
+
+
+@pytest.mark.cases(2)
+@pytest.mark.parametrize("seed", range(12))
+def test_noise_mains_and_two_lines_alike_tell_no_slip(seed: int) -> None:
+    rng, motor = np.random.default_rng([seed, 6]), Motor(supply_hz=50.0, poles=int(2 + 2 * (seed % 2)))
+    field_hz = 100.0 / float(motor.poles or 2)
+    mains = [(50.0 * multiple, 1.0) for multiple in (1, 2, 3)]
+    low, high = field_hz * rng.uniform(0.93, 0.95), field_hz * rng.uniform(0.96, 0.985)
+    alike = [(low, 1.0), (high, float(rng.uniform(0.6, 1.0)))]
+    for lines in ([], mains, alike, [*mains, *alike]):
+        held = recorded(60.0 * field_hz, *lines, seed=seed)
+        found = motor_seen(motor, held, by_shaft=False, settings=SETTINGS)
+        assert found.record.speeds == () and not found.record.misfit and not found.speed_doubt, lines
+
+
+def test_a_speed_of_the_shaft_tells_the_slip_by_itself() -> None:
+    held = recorded(1470.0, (24.5, 1.0), (100.0, 1.0))
+    found = motor_seen(Motor(supply_hz=50.0, poles=4), held, by_shaft=True, settings=SETTINGS)
+    assert [one.slip for one in found.record.speeds] == [pytest.approx(0.02, abs=1e-4)]
+    wrong = motor_seen(Motor(supply_hz=50.0, poles=6), held, by_shaft=True, settings=SETTINGS)
+    assert "faster than the 1000 rpm of 6 poles" in wrong.record.misfit and not wrong.lines and not wrong.record.lines
+
+
+MANIFEST = """schema_version = 1
+[test]
+cycle = "rotor"
+[recordings]
+files = ["a.h5"]
+[[channels]]
+name = "A"
+source = "a"
+unit = "mm/s"
+[encoder]
+kind = "constant"
+speed_rpm = {stated_rpm}
+[motor]
+supply_hz = 50.0
+poles = 4
+"""
+
+
+def analysed(folder: Path, stated_rpm: float) -> dict[str, Any]:
+    """Findings of a motor of four poles that turns at 1464 rpm on 50 Hz where ``stated_rpm`` is stated."""
+    rng, time_s = np.random.default_rng(3), np.arange(8 * 4000) / 4000.0
+    lines = ((24.4, 1.0), (48.8, 0.5), (100.0, 0.6))
+    signal = sum(size * np.cos(2.0 * np.pi * hertz * time_s + hertz) for hertz, size in lines)
+    folder.mkdir()
+    with h5py.File(folder / "a.h5", "w") as file:
+        file["a"] = signal + 0.05 * rng.standard_normal(time_s.size)
+        file["a"].attrs["rate_hz"] = 4000
+    (folder / "run.toml").write_text(MANIFEST.format(stated_rpm=stated_rpm), encoding="utf-8")
+    done = CliRunner().invoke(main, ["run", str(folder), "--out", f"{folder}-out", "-q"])
+    assert done.exit_code == 0, done.output
+    findings: dict[str, Any] = json.loads(next(Path(f"{folder}-out").glob("*/findings.json")).read_bytes())
+    return findings
+
+
+@pytest.mark.slow
+def test_a_stated_speed_that_is_the_fields_is_in_doubt_and_the_one_that_is_told_is_not(tmp_path: Path) -> None:
+    doubted = analysed(tmp_path / "field", 1500.0)
+    assert doubted["speed_doubt"] == "1500 rpm is stated, and the line just below the motor's field tells 1464 rpm"
+    assert {record["lock"] for record in doubted["orders"]} == {"undecided"}
+    assert not [flag for flag in doubted["quality"] if flag["flag"] == "contradiction"]
+    right = analysed(tmp_path / "told", 1464.0)
+    assert right["speed_doubt"] is None
+    assert {1.0, 2.0} <= {round(record["order"], 3) for record in right["orders"]}
+    for findings in (doubted, right):
+        assert [speed["slip"] for speed in findings["motor"]["speeds"]] == [pytest.approx(0.024, abs=1e-4)]
