@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from crankorder.findings import CrossingFinding, Findings, ModeFinding, OrderFinding
-from crankorder.identify.said import MAY_BE_ALL, is_electric, multiple_in
+from crankorder.identify.said import MAY_BE_ALL, is_electric, mains_words
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.records import Record, known
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
@@ -40,6 +40,8 @@ APART = (
     ("strikes of", "Nothing that was looked for asks for action"),
 )
 """Pairs of words that no page may hold both of."""
+MAINS = {mains_words(multiple) for multiple in range(1, 1001)}
+"""What multiples of the mains are called."""
 INTERVALS = ("order", "amplitude", "speed_exponent", "frequency_hz", "damping_ratio", "rpm", "amplification")
 """Estimates that must lie within their own interval."""
 
@@ -191,12 +193,12 @@ def _of_mains(findings: Findings) -> Iterator[str]:
     lines: dict[tuple[str, float | None], list[tuple[float, float, float]]] = {}
     for record in findings.orders:
         rpm, ends, words = record.speed_rpm_at_max, interval_of(record, "order"), record.explained_by or ""
-        if multiple_in(words) is not None and is_number(rpm) and ends is not None:
+        if words in MAINS and is_number(rpm) and ends is not None:
             middle, low, high = (order * rpm / 60.0 for order in (record.order, *ends))
             lines.setdefault((words, round(rpm, 3)), []).append((middle, low, high))
     for mode in findings.modes:
         words, ends = mode.explained_by, interval_of(mode, "frequency_hz")
-        if multiple_in(words) is not None and ends is not None:
+        if words in MAINS and ends is not None:
             lines.setdefault((words, None), []).append((mode.frequency_hz, *ends))
     for (words, _), places in lines.items():
         below, above = min(places), max(places)
