@@ -57,7 +57,7 @@ OrderTracks = NewType("OrderTracks", xr.Dataset)
 """Amplitude and phase of the found and the asked-for orders against speed."""
 
 RecordingTracks = NewType("RecordingTracks", xr.Dataset)
-"""Complex amplitudes of the orders asked for in frames of one recording, by least squares or Vold–Kalman."""
+"""Complex amplitudes of the orders asked for in frames of one recording, by Vold–Kalman."""
 
 RecordingCycles = NewType("RecordingCycles", xr.Dataset)
 """The CycleAverage of one recording alone."""

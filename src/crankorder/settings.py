@@ -12,7 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal, Self, dataclass_transform
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from crankorder.errors import ManyErrors, RequestError
 
@@ -110,6 +110,12 @@ class ShaftSettings(StageSettings):
     largest_swing_percent: Positive
 
 
+def _not_least_squares(method: object) -> object:
+    if method == "least_squares":
+        raise ValueError('there are no tracks by least squares: set "vold_kalman", which also follows orders jointly')
+    return method
+
+
 class OrderSettings(StageSettings):
     """Frames, map and tracks by order (``3-orders.toml``)."""
 
@@ -121,7 +127,7 @@ class OrderSettings(StageSettings):
     band_width_orders: Positive
     tolerance: Annotated[float, Field(ge=LEAST_TOLERANCE, le=LARGEST_TOLERANCE)]
     method: Literal["auto", "resample", "nufft"]
-    track_method: Literal["auto", "frames", "least_squares", "vold_kalman"]
+    track_method: Annotated[Literal["auto", "frames", "vold_kalman"], BeforeValidator(_not_least_squares)]
     track_bandwidth: Positive
     track_bandwidth_unit: Literal["order", "Hz"]
     floor_bins: Count

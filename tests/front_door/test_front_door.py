@@ -325,6 +325,11 @@ def test_only_recordings_have_maps() -> None:
             co.order_map(made_of(line(1.0, 1.0)), **options)
 
 
+def test_tracks_by_least_squares_are_refused_for_vold_kalman() -> None:
+    with pytest.raises(ManyErrors, match=r'orders\.track_method: there are no .* set "vold_kalman"'):
+        co.order_tracks(made_of(line(1.0, 1.0)), orders=[2.0], method="least_squares")
+
+
 def test_recordings_of_one_name_stay_apart() -> None:
     made = [co.recording(line(1.0, 1.0), rate_hz=RATE_HZ, speed_rpm=rpm) for rpm in (1200.0, 1500.0)]
     assert co.run(made, recipe="maps")["shaft"]["recording"].values.tolist() == ["recording", "recording (2)"]

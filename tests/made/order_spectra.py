@@ -1,9 +1,14 @@
-"""Order frames of signals given by crank angle, many draws at once as channels; made without the program's frames."""
+"""Signals given by crank angle, many draws at once as channels: order frames made without the program's, and tracks."""
 
 from __future__ import annotations
 
 import numpy as np
 import xarray as xr
+
+from crankorder.orders.followed import followed_tracks, with_followed
+from crankorder.orders.map import order_map
+from crankorder.orders.track_rows import order_tracks
+from crankorder.settings import load_settings
 
 SAMPLES_PER_REV, REVS = 32, 16
 HIGHEST = 8
@@ -59,3 +64,21 @@ def angle_frames(signals: np.ndarray, *, speed: np.ndarray | float = 1200.0, nam
         "overlap": 0.5,
     }
     return made
+
+
+def filtered(signals: np.ndarray, orders: tuple[float, ...], *, bandwidth: float) -> xr.Dataset:
+    """OrderTracks (channel, order) of ``signals`` (draws, samples) by Vold–Kalman, ``bandwidth`` in orders."""
+    frames, n = angle_frames(signals), signals.shape[1]
+    band = frames[["unit", "quantity"]].assign(signal=(("channel", "crank_angle"), signals, {"units": "see unit"}))
+    band.attrs = {"recording": "made", "domain": "crank_angle", "samples_per_rev": SAMPLES_PER_REV}
+    shaft = xr.Dataset(
+        {"crank_angle": ("time", [0.0, n / SAMPLES_PER_REV]), "speed": ("time", [1200.0, 1200.0])},
+        attrs={"domain": "crank_angle", "phase_reference": "tdc", "cycle_known": 1, "revs_per_cycle": 2},
+    )
+    settings = load_settings().orders.model_copy(
+        update={"track_method": "vold_kalman", "track_orders": orders, "track_bandwidth": bandwidth}
+    )
+    tracks = order_tracks(order_map([frames], settings=settings), orders, settings=settings)
+    return (
+        with_followed(tracks, [followed_tracks(band, shaft, settings=settings)]).isel(speed=0).sel(order=list(orders))
+    )

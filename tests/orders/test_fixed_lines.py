@@ -9,8 +9,7 @@ import pytest
 
 from crankorder import front_door
 from crankorder.front_door import Diagnosis
-from crankorder.orders.fixed_lines import MetRow, beside_fixed
-from crankorder.orders.order_rows import OrderRows
+from crankorder.orders.fixed_lines import MetRow, OrderRows, beside_fixed
 from made.mains_met import MainsMet, drawn, recordings
 
 CLOSE_HZ = 2.5

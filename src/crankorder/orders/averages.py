@@ -277,7 +277,7 @@ def helped_by_beside(
 class Readings:
     """Frames of all recordings of one order: values and errors (channels, frames), and what each frame is (frames,).
 
-    ``per_rev`` is the bandwidth of the filter in cycles per revolution, NaN for frames that were fitted.
+    ``per_rev`` is the bandwidth of the filter in cycles per revolution.
     """
 
     values: Complexes
@@ -315,10 +315,6 @@ class Readings:
         """Correlation (frames - lag,) of each frame with the one ``lag`` further on."""
         first, second = slice(None, -lag), slice(lag, None)
         same = self.owner[first] == self.owner[second]
-        if np.isnan(self.per_rev).any():
-            common = self.begin_rev[first] + self.revs[first] - self.begin_rev[second]
-            share = np.clip(common / np.maximum(self.revs[first], self.revs[second]), 0.0, 1.0)
-            return np.asarray(same * (share**2 if of_noise else share))
         middle = self.begin_rev + 0.5 * self.revs
         apart = (middle[second] - middle[first]) * np.sqrt(self.per_rev[first] * self.per_rev[second])
         if of_noise:

@@ -16,7 +16,6 @@ import xarray as xr
 from crankorder.findings import Findings
 from crankorder.orders.averages import frame_correlation
 from crankorder.orders.intervals import LARGEST_DOF, NORMAL, amplitude_interval, phase_interval_deg
-from crankorder.orders.order_rows import OrderRows
 from crankorder.orders.true_angle import UNKNOWN_DEG
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
@@ -39,6 +38,38 @@ RIGHT_ANGLE_DEG = 90.0
 
 NOT_FIXED = "order"
 """Word in the cause of a line at one speed that may as well go with the shaft."""
+
+
+@dataclass(frozen=True)
+class OrderRows:
+    """One order in all channels by row: peak amplitude, phase [degree], standard error, degrees of freedom, 95 % ends.
+
+    Each (channels, rows), NaN (0 degrees of freedom) where nothing is known; the phase where there is no mark.
+    """
+
+    amplitude: Floats
+    phase: Floats
+    standard_error: Floats
+    degrees_of_freedom: Floats
+    amplitude_low: Floats
+    amplitude_high: Floats
+    phase_ci95: Floats
+
+    @classmethod
+    def nothing(cls, n_channels: int, n_rows: int) -> OrderRows:
+        """Rows in which nothing is known: ``n_rows`` of them in ``n_channels`` channels."""
+        given = [np.full((n_channels, n_rows), np.nan) for _ in fields(cls)]
+        given[3] = np.zeros((n_channels, n_rows))
+        return cls(*given)
+
+    def of(self, which: Ints | Bools) -> OrderRows:
+        """Those of the rows that ``which`` picks."""
+        return OrderRows(*(getattr(self, item.name)[:, which] for item in fields(self)))
+
+    def beside(self, other: OrderRows) -> OrderRows:
+        """These rows, then those of ``other``."""
+        names = [item.name for item in fields(self)]
+        return OrderRows(*(np.concatenate([getattr(self, name), getattr(other, name)], axis=1) for name in names))
 
 
 @dataclass(frozen=True, eq=False)

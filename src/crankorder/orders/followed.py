@@ -1,4 +1,4 @@
-"""Orders asked for by name, followed through each recording by a method of their own, and joined by speed."""
+"""Orders asked for by name, followed through each recording by Vold–Kalman, and joined by speed."""
 
 from __future__ import annotations
 
@@ -12,20 +12,13 @@ import xarray as xr
 from crankorder.errors import InputError
 from crankorder.orders.averages import POLES, Readings, by_energy, by_phase, coherent_mean
 from crankorder.orders.between_recordings import phases_compare
-from crankorder.orders.least_squares import (
-    Spans,
-    beyond_remark,
-    frame_spans,
-    not_tracked_flags,
-    tracked_orders,
-    tracks_in_frames,
-)
-from crankorder.orders.swept_tracks import swept_tracks
-from crankorder.orders.vold_kalman.bandwidth import level_dof, student_factor
+from crankorder.orders.method import frame_layout, is_by_angle
+from crankorder.orders.swept_tracks import beyond_remark, filtered_tracks, not_tracked_flags, swept_tracks
+from crankorder.orders.vold_kalman.bandwidth import level_dof
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, vold_kalman
 from crankorder.quantities import Bools, Floats, Ints, QualityFlag, flags_of, with_flags
 from crankorder.settings import OrderSettings
-from crankorder.shaft.angle import angle_at, knots_of, smoothed_speed, speed_course, time_at
+from crankorder.shaft.angle import SpeedCourse, angle_at, knots_of, smoothed_speed, speed_course, time_at
 
 LEAST_USABLE = 0.5
 """Share of a frame's samples that must be usable for the filter to be read in its middle."""
@@ -50,13 +43,12 @@ def followed_tracks(
 ) -> xr.Dataset:
     """Complex amplitudes (channel, order, frame) of ``settings.track_orders`` in one recording, with 95 % intervals.
 
-    ``band`` is the BandRecording, ``shaft`` its ShaftAngle; ``settings.track_method`` says how: "least_squares" fits
-    frames of whole cycles jointly, "vold_kalman" follows the orders jointly from sample to sample with
-    ``settings.track_bandwidth`` and is read in the middle of such frames; "auto" follows these orders and those
-    ``standing_out`` jointly where the speed is ``swept`` (:func:`swept_tracks`), beside mains of ``mains_hz``. An
-    order asked for twice is followed once. An empty dataset where orders are read off the map ("frames", or "auto"
-    where nothing sweeps) or there are none to follow. The attribute ``swept`` says whether rows are those of a sweep,
-    ``standing_out`` which orders stood out in it.
+    ``band`` is the BandRecording, ``shaft`` its ShaftAngle; ``settings.track_method`` says how: "vold_kalman"
+    follows the orders jointly from sample to sample with ``settings.track_bandwidth`` and is read in the middle of the
+    frames of the order map; "auto" follows these orders and those ``standing_out`` jointly where the speed is ``swept``
+    (:func:`swept_tracks`), beside mains of ``mains_hz``. An order asked for twice is followed once. An empty dataset
+    where orders are read off the map ("frames", or "auto" where nothing sweeps) or there are none to follow. The
+    attribute ``swept`` says whether rows are those of a sweep, ``standing_out`` which orders stood out in it.
     """
     if settings.track_method == "auto" and swept:
         orders = _once([*settings.track_orders, *standing_out])
@@ -64,8 +56,6 @@ def followed_tracks(
             return swept_tracks(band, shaft, orders, mains_hz=mains_hz).assign_attrs(standing_out=list(standing_out))
     if settings.track_method in ("frames", "auto") or not settings.track_orders:
         return xr.Dataset(attrs={"recording": band.attrs["recording"], "track_method": "frames", "swept": 0})
-    if settings.track_method == "least_squares":
-        return tracked_orders(band, shaft, _once(settings.track_orders), settings=settings)
     return vold_kalman_tracks(band, shaft, settings=settings)
 
 
@@ -79,18 +69,19 @@ def _once(orders: Sequence[float]) -> list[float]:
 
 
 def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
-    """Complex amplitudes (channel, order, frame) by the Vold–Kalman filter, in the middle of frames of whole cycles.
+    """Complex amplitudes (channel, order, frame) by the Vold–Kalman filter, in the middle of the order map's frames.
 
     ``band``, ``shaft`` and ``settings`` are those of :func:`followed_tracks`. ``speed`` is that in the middle of each
-    frame, over a reciprocal bandwidth; ``bandwidth_rev`` (frame,) is the bandwidth in cycles per revolution, which says
-    how much neighbouring frames have in common. NaN are orders beyond half the sample rate, channels with too few
-    usable samples, and frames that are for the most part not usable. Raises InputError for a recording by crank angle
-    of unknown speed, or where not one cycle was recorded, and RequestError where orders cannot be told apart within the
-    bandwidth.
+    frame, over a reciprocal bandwidth; ``crank_angle`` and ``revs`` (frame,) are where it begins and how long it is;
+    ``bandwidth_rev`` (frame,) is the bandwidth in cycles per revolution, which says how much neighbouring frames have
+    in common. NaN are orders beyond half the sample rate, channels with too few usable samples, and frames that are for
+    the most part not usable. Raises InputError for a recording by crank angle of unknown speed, or where not one cycle
+    was recorded, and RequestError where orders cannot be told apart within the bandwidth.
     """
-    rate, angle, speed = _of_samples(band, shaft)
+    course = None if is_by_angle(band) else speed_course(shaft)
+    rate, angle, speed = _of_samples(band, shaft, course)
+    layout = frame_layout(band, shaft, settings=settings, course=course)
     known = np.flatnonzero(np.isfinite(angle))
-    spans = frame_spans(angle, band, shaft, settings)
     part = slice(int(known[0]), int(known[-1]) + 1)
     orders = np.asarray(_once(settings.track_orders), dtype=np.float64)
     carried = np.flatnonzero(orders * float(speed[part].max()) / 60.0 < 0.5 * rate)
@@ -100,7 +91,8 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
     )
     signals, usable = band["signal"].values[:, part], _usable(band, part)
     enough = np.flatnonzero(usable.sum(axis=1) >= FEWEST_SAMPLES)
-    middle = np.searchsorted(angle, 0.5 * (spans[0] + spans[1]))
+    middle_rev = layout.begin_rev + 0.5 * layout.revs
+    middle = np.searchsorted(angle, middle_rev)
     shape = (len(signals), len(orders), len(middle))
     amplitude, error = np.full(shape, np.nan, dtype=complex), np.full(shape, np.nan)
     notes: tuple[str, ...] = ()
@@ -117,36 +109,23 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
         at = np.ix_(enough, carried)
         amplitude[at], error[at] = found.amplitude[..., middle], found.standard_error[..., middle]
         notes = found.notes
-    seen = _mostly_usable(usable, angle, spans)[:, None]
+    seen = _mostly_usable(usable, angle, layout.begin_rev, layout.revs)[:, None]
+    amplitude, error = np.where(seen, amplitude, np.nan), np.where(seen, error, np.nan)
     freedom = level_dof(float(width.mean()) * len(width) / rate)
-    values = {
-        "amplitude": np.where(seen, amplitude, np.nan),
-        # the filter's errors are enlarged as Student's t asks for; the interval does that again
-        "standard_error": np.where(seen, error, np.nan) / student_factor(np.array(freedom)),
-        "degrees_of_freedom": np.where(seen & np.isfinite(error), freedom, 0.0),
-    }
-    made = tracks_in_frames(band, shaft, orders, spans, values, method="vold_kalman")
-    _put_middles(made, _speeds_of_rows(shaft, spans, speed[middle], width[middle]), width[middle])
+    tracks = filtered_tracks(band, shaft, orders, amplitude, error, freedom=freedom)
+    if course is None:
+        speed_rpm = speed[middle]
+    else:
+        speed_rpm = smoothed_speed(shaft, time_at(middle_rev, **knots_of(shaft)), 1.0 / width[middle])
+    for name, given, units, said in (
+        ("speed", speed_rpm, "min-1", "speed in the middle of the frame"),
+        ("crank_angle", layout.begin_rev, "rev", "crank angle at the start"),
+        ("revs", np.full(len(middle), float(layout.revs)), "rev", "length of the frame"),
+        ("bandwidth_rev", width[middle] * 60.0 / speed_rpm, "rev-1", "bandwidth of the filter"),
+    ):
+        tracks.coords[name] = ("frame", given, {"units": units, "long_name": said})
     beyond, some_short = np.delete(orders, carried), len(enough) < len(signals)
-    return with_flags(made, [*flags_of(shaft), *_flags(str(band.attrs["recording"]), notes, beyond, some_short)])
-
-
-def _speeds_of_rows(shaft: xr.Dataset, spans: Spans, speed_rpm: Floats, bandwidth_hz: Floats) -> Floats:
-    """Speed [rpm] in the middle of ``spans`` by ``shaft``, over the time that the filter looks at.
-
-    ``speed_rpm`` is that of a recording by crank angle, where nothing else is known.
-    """
-    if shaft.attrs.get("domain", "time") == "crank_angle":
-        return speed_rpm
-    middle = time_at(0.5 * (spans[0] + spans[1]), **knots_of(shaft))
-    return smoothed_speed(shaft, middle, 1.0 / bandwidth_hz)
-
-
-def _put_middles(made: xr.Dataset, speed_rpm: Floats, bandwidth_hz: Floats) -> None:
-    """Speed and bandwidth of the filter in the middle of the frames of ``made``."""
-    per_rev = bandwidth_hz * 60.0 / speed_rpm
-    made.coords["speed"] = ("frame", speed_rpm, {"units": "min-1", "long_name": "speed in the middle of the frame"})
-    made.coords["bandwidth_rev"] = ("frame", per_rev, {"units": "rev-1", "long_name": "bandwidth of the filter"})
+    return with_flags(tracks, [*flags_of(shaft), *_flags(str(band.attrs["recording"]), notes, beyond, some_short)])
 
 
 def _usable(band: xr.Dataset, part: slice) -> Bools:
@@ -155,36 +134,37 @@ def _usable(band: xr.Dataset, part: slice) -> Bools:
     return np.asarray(finite & band["usable"].values[:, part]) if "usable" in band else finite
 
 
-def _mostly_usable(usable: Bools, angle_rev: Floats, spans: Spans) -> Bools:
-    """Whether most samples of each frame (channels, frames) of ``spans`` are ``usable`` (channels, samples)."""
+def _mostly_usable(usable: Bools, angle_rev: Floats, begin_rev: Floats, revs: int) -> Bools:
+    """Whether most samples of each frame (channels, frames) of ``revs`` are ``usable`` (channels, samples)."""
     total = np.concatenate([np.zeros((len(usable), 1), dtype=np.int64), np.cumsum(usable, axis=1)], axis=1)
-    first, last = (np.searchsorted(angle_rev, edge) for edge in spans)
+    first, last = (np.searchsorted(angle_rev, edge) for edge in (begin_rev, begin_rev + revs))
     return np.asarray(total[:, last] - total[:, first] >= LEAST_USABLE * (last - first))
 
 
-def _of_samples(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, Floats, Floats]:
-    """Sample rate [Hz], crank angle [rev] and speed [rpm] of every sample; NaN where they are not known."""
+def _of_samples(band: xr.Dataset, shaft: xr.Dataset, course: SpeedCourse | None) -> tuple[float, Floats, Floats]:
+    """Sample rate [Hz], crank angle [rev] and speed [rpm] of every sample; NaN where they are not known.
+
+    ``course`` is that of the speed, None for a recording by crank angle.
+    """
     n = band["signal"].shape[1]
-    if band.attrs["domain"] == "crank_angle":
+    if course is None:
         speed_rpm, per_rev = float(shaft["speed"].values.mean()), float(band.attrs["samples_per_rev"])
         if not math.isfinite(speed_rpm):
             raise InputError(
                 "a Vold–Kalman track needs a speed",
                 file=band.attrs["recording"],
-                remedy='State the speed of the recording, or set track_method = "least_squares"',
+                remedy='State the speed of the recording, or set track_method = "frames"',
             )
         angle = float(shaft["crank_angle"].values[0]) + np.arange(n) / per_rev
         return per_rev * speed_rpm / 60.0, angle, np.full(n, speed_rpm)
     rate = float(band.attrs["rate_hz"])
-    knots = knots_of(shaft)
     time_s = float(band.attrs.get("start_s", 0.0)) + np.arange(n) / rate
-    angle = angle_at(time_s, **knots)
-    course = speed_course(shaft)
+    angle = angle_at(time_s, **knots_of(shaft))
     return rate, angle, np.interp(time_s, course.time_s, course.speed_rpm)
 
 
 def _flags(recording: str, notes: tuple[str, ...], beyond: Floats, some_short: bool) -> list[QualityFlag]:
-    remarks = [f"{beyond_remark(order)} at the highest speed" for order in beyond]
+    remarks = [beyond_remark(order) for order in beyond]
     if some_short:
         remarks.append(f"a channel has fewer than {FEWEST_SAMPLES} usable samples: its orders are not tracked")
     said: list[QualityFlag] = [
@@ -198,14 +178,14 @@ def with_followed(tracks: xr.Dataset, followed: list[xr.Dataset]) -> xr.Dataset:
 
     Frames of the recordings in ``followed`` are averaged at the nearest speed of ``tracks``, those that are much
     noisier than most count less: with their phases within a recording, and across recordings where all refer to one
-    and the same mark; else the recordings are averaged by energy, without phase. A recording of unknown speed goes to
-    its own row. The coordinate ``track_method`` says of each order how it was followed; flags of ``followed`` join.
+    and the same mark; else the recordings are averaged by energy, without phase. The coordinate ``track_method`` says
+    of each order how it was followed; flags of ``followed`` join.
     """
     items = [item for item in followed if "amplitude" in item and not item.attrs.get("swept", 0)]
     if not items:
         return tracks
     method = tracks["track_method"].values.copy()
-    groups, remarks = _frames_of_speeds(tracks, items)
+    groups = _frames_of_speeds(tracks, items)
     for row, order in enumerate(tracks["order"].values):
         place = np.flatnonzero(np.abs(items[0]["order"].values - order) < SAME_ORDER)
         if not len(place):
@@ -217,7 +197,7 @@ def with_followed(tracks: xr.Dataset, followed: list[xr.Dataset]) -> xr.Dataset:
             _put_speed(tracks, row, speed, readings.of(group), comparable=comparable)
     tracks.coords["track_method"] = ("order", method, {"units": "1", "long_name": "how the order was followed"})
     known = flags_of(tracks)
-    for flag in [flag for item in items for flag in flags_of(item)] + remarks:
+    for flag in [flag for item in items for flag in flags_of(item)]:
         if flag not in known:
             known.append(flag)
     tracks.attrs.pop("quality", None)
@@ -228,53 +208,39 @@ def _readings(items: list[xr.Dataset], place: int) -> Readings:
     """Frames of the order number ``place`` of all ``items``."""
     names = ("amplitude", "standard_error", "degrees_of_freedom")
     values, errors, dof = (np.concatenate([item[name].values[:, place] for item in items], axis=1) for name in names)
-    revs, begin = (np.concatenate([item[name].values for item in items]) for name in ("revs", "crank_angle"))
-    nothing = [np.full(item.sizes["frame"], np.nan) for item in items]
-    per_rev = [
-        item["bandwidth_rev"].values if "bandwidth_rev" in item.coords else none
-        for item, none in zip(items, nothing, strict=True)
-    ]
+    revs, begin, per_rev = (
+        np.concatenate([item[name].values for item in items]) for name in ("revs", "crank_angle", "bandwidth_rev")
+    )
     owner = np.repeat(np.arange(len(items)), [item.sizes["frame"] for item in items])
-    return Readings(values, errors, dof, revs, owner, begin, np.concatenate(per_rev))
+    return Readings(values, errors, dof, revs, owner, begin, per_rev)
 
 
-def _frames_of_speeds(tracks: xr.Dataset, items: list[xr.Dataset]) -> tuple[list[Ints], list[QualityFlag]]:
-    """Numbers of the frames of ``items`` that belong to each speed of ``tracks``, and remarks on those that do not.
+def _frames_of_speeds(tracks: xr.Dataset, items: list[xr.Dataset]) -> list[Ints]:
+    """Numbers of the frames of ``items`` that belong to each speed of ``tracks``.
 
     A frame belongs to the nearest speed, where it is no further off than the width of a group or the next frame; a
-    speed that is nearest to none takes the nearest frame within the same reach. Rows of unknown speed are the
-    recordings of unknown speed in turn.
+    speed that is nearest to none takes the nearest frame within the same reach.
     """
     rows = tracks["speed"].values
     speed = np.concatenate([item["speed"].values for item in items])
     reach = np.concatenate([_reach(item["speed"].values) for item in items])
     reach = np.maximum(reach, float(tracks.attrs.get("speed_bin_rpm", 0.0)))
-    owner = np.repeat(np.arange(len(items)), [item.sizes["frame"] for item in items])
     apart = np.abs(speed[:, None] - rows)
-    apart = np.where(np.isnan(apart), np.inf, apart)
     nearest = np.where(apart.min(axis=1) <= reach, apart.argmin(axis=1), -1)
     groups: list[Ints] = []
     for row in range(len(rows)):
         group = np.flatnonzero(nearest == row)
-        if not len(group) and np.isfinite(rows[row]):
+        if not len(group):
             within = np.where(apart[:, row] <= reach, apart[:, row], np.inf)
             group = np.flatnonzero(np.isfinite(within) & (within == within.min()))
         groups.append(group)
-    unnamed = np.flatnonzero(np.isnan(rows))
-    unknown = [k for k, item in enumerate(items) if np.isnan(item["speed"].values).all()]
-    remarks: list[str] = []
-    if len(unnamed) == len(unknown):
-        for place, item in zip(unnamed, unknown, strict=True):
-            groups[int(place)] = np.flatnonzero(owner == item)
-    elif unknown:
-        remarks = ["recordings of unknown speed cannot be told from one another: their orders are left out"]
-    return groups, not_tracked_flags(str(items[unknown[0]].attrs["recording"]) if unknown else "", remarks)
+    return groups
 
 
 def _reach(speed_rpm: Floats) -> Floats:
     """How far the speed of each frame is from that of the frame before or after it, whichever is further."""
     step = np.abs(np.diff(speed_rpm, prepend=speed_rpm[:1], append=speed_rpm[-1:]))
-    return np.nan_to_num(np.maximum(step[:-1], step[1:]))
+    return np.maximum(step[:-1], step[1:])
 
 
 def _put_speed(tracks: xr.Dataset, row: int, speed: int, readings: Readings, *, comparable: bool) -> None:

@@ -11,8 +11,7 @@ import xarray as xr
 from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
 from crankorder.orders.averages import POLES
-from crankorder.orders.intervals import NORMAL
-from crankorder.orders.least_squares import beyond_remark, not_tracked_flags, put_track_values
+from crankorder.orders.intervals import NORMAL, amplitude_interval, phase_interval_deg
 from crankorder.orders.steady_lines import steady_flag, without_steady_lines
 from crankorder.orders.true_angle import AngleErrors, errors_along
 from crankorder.orders.vold_kalman.bandwidth import (
@@ -77,6 +76,15 @@ RATE_PER_BAND = 2.6
 
 RATE_PER_BANDWIDTH = 24.0
 """Band [Hz] kept over the widest bandwidth, so that knots are several samples apart."""
+
+_VARIABLES = (
+    ("amplitude", "see unit", "complex peak amplitude about top dead centre"),
+    ("standard_error", "see unit", "standard error of the magnitude of amplitude"),
+    ("degrees_of_freedom", "1", "degrees of freedom of standard_error"),
+    ("amplitude_low", "see unit", "lower end of the 95 % interval of the magnitude"),
+    ("amplitude_high", "see unit", "upper end of the 95 % interval of the magnitude"),
+    ("phase_ci95", "degree", "half width of the 95 % interval of the phase; 180: unknown"),
+)
 
 
 @dataclass(frozen=True)
@@ -313,18 +321,8 @@ def _dataset(
     width = np.concatenate([plan.widths(plan.rows_s) for plan, _, _ in made] or [np.empty((len(orders), 0))], axis=1)
     amplitude = np.concatenate([found for _, found, _ in made] or [np.empty(shape, dtype=complex)], axis=2)
     error = np.concatenate([found for _, _, found in made] or [np.empty(shape)], axis=2)
-    freedom = level_dof(FRAME_BANDWIDTHS)
-    found = xr.Dataset(
-        coords={**channel_coords(band), "order": ("order", orders, {"units": "1", "long_name": "order"})}
-    )
+    found = filtered_tracks(band, shaft, orders, amplitude, error, freedom=level_dof(FRAME_BANDWIDTHS))
     _put_places(found, shaft, time_s, width)
-    values = {
-        "amplitude": amplitude,
-        # the filter's errors are enlarged as Student's t asks for; the interval does that again
-        "standard_error": error / student_factor(np.array(freedom)),
-        "degrees_of_freedom": np.where(np.isfinite(error), freedom, 0.0),
-    }
-    put_track_values(found, values)
     parts = [(one, _smoothing(one, plan), one_error, plan) for plan, one, one_error in made]
     taken = np.concatenate([part[1] for part in parts] or [np.empty(shape, dtype=complex)], axis=2)
     beyond = [_left_taken(*part) for part in parts]
@@ -336,12 +334,34 @@ def _dataset(
         errors = np.concatenate([both[number] for both in beyond] or [np.empty(shape)], axis=2)
         words = {"units": "see unit", "long_name": f"standard error of what the filter {said}"}
         found[name] = (("channel", "order", "frame"), errors, words)
-    found.attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "vold_kalman"}
-    found.attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
     found.attrs |= {"swept": 1, "poles": POLES, "sweep_rpm_per_s": _usual_rate(course)}
     found.attrs["crank_angle_error_rev"] = _angle_error(shaft)
     _put_waveform(found, band, shaft, course)
     return with_flags(found, [*flags_of(shaft), *_flags(found, notes)])
+
+
+def filtered_tracks(
+    band: xr.Dataset, shaft: xr.Dataset, orders: Floats, amplitude: Complexes, error: Floats, *, freedom: float
+) -> xr.Dataset:
+    """Vold–Kalman tracks of ``orders`` in ``band`` (BandRecording) with 95 % intervals; frames have no places yet.
+
+    ``amplitude`` and ``error`` (channels, orders, frames) are those of the filter along ``shaft`` (ShaftAngle),
+    ``freedom`` the degrees of freedom behind its errors.
+    """
+    known = np.where(np.isfinite(error), freedom, 0.0)
+    # the filter's errors are enlarged as Student's t asks for; the interval does that again
+    error = error / student_factor(np.array(freedom))
+    magnitude, power = np.abs(amplitude), 2.0 * np.square(error)
+    half = phase_interval_deg(magnitude, power, known)
+    given = (amplitude, error, known, *amplitude_interval(magnitude, power, known), half)
+    variables = {
+        name: (("channel", "order", "frame"), values, {"units": units, "long_name": said})
+        for (name, units, said), values in zip(_VARIABLES, given, strict=True)
+    }
+    coords = {**channel_coords(band), "order": ("order", orders, {"units": "1", "long_name": "order"})}
+    attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "vold_kalman"}
+    attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
+    return xr.Dataset(variables, coords=coords, attrs=attrs)
 
 
 def _put_waveform(found: xr.Dataset, band: xr.Dataset, shaft: xr.Dataset, course: SpeedCourse) -> None:
@@ -420,6 +440,18 @@ def _put_places(found: xr.Dataset, shaft: xr.Dataset, time_s: Floats, width_hz: 
     found.coords["bandwidth_hz"] = (("order", "frame"), width_hz, words)
 
 
+def not_tracked_flags(recording: str, remarks: Sequence[str]) -> list[QualityFlag]:
+    """Flags that say of orders of ``recording`` why they were not tracked, one for each of ``remarks``."""
+    return [
+        {"recording": recording, "flag": "order_not_tracked", "severity": "suspect", "detail": text} for text in remarks
+    ]
+
+
+def beyond_remark(order: float) -> str:
+    """What is said of an ``order`` that the samples do not carry."""
+    return f"order {order:g} is beyond half the sample rate at the highest speed"
+
+
 def _flags(found: xr.Dataset, notes: list[str]) -> list[QualityFlag]:
     """How the orders were followed, and which were not."""
     recording, order = str(found.attrs["recording"]), found["order"].values
@@ -433,6 +465,6 @@ def _flags(found: xr.Dataset, notes: list[str]) -> list[QualityFlag]:
         f"{(width / speed_hz).max():.2g} orders"
     )
     nowhere = ~np.isfinite(found["standard_error"].values).any(axis=(0, 2))
-    remarks = [*notes, *(f"{beyond_remark(one)} at the highest speed" for one in order[nowhere])]
+    remarks = [*notes, *(beyond_remark(one) for one in order[nowhere])]
     said: QualityFlag = {"recording": recording, "flag": "followed_in_sweep", "severity": "info", "detail": detail}
     return [said, *not_tracked_flags(recording, remarks)]

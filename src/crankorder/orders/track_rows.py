@@ -23,13 +23,13 @@ from crankorder.orders.fixed_lines import (
     FixedLine,
     MetRow,
     MetStretch,
+    OrderRows,
     beside_fixed,
     met_row,
     met_stretches,
 )
 from crankorder.orders.intervals import NORMAL, amplitude_interval, energy_interval, phase_interval_deg
 from crankorder.orders.like_speed import common_frames
-from crankorder.orders.order_rows import OrderRows
 from crankorder.orders.swept_tracks import followed_error
 from crankorder.orders.true_angle import GIVEN, AngleErrors
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share

@@ -17,8 +17,7 @@ from crankorder.identify.lines.agreed_orders import NUMBERS as AGREED_ORDERS
 from crankorder.identify.lines.order_lock import nearest_multiple, sure_half_width
 from crankorder.identify.lines.parted_lines import Followed, lines_of, standing_out
 from crankorder.identify.said import UNRESOLVED
-from crankorder.orders.fixed_lines import FixedLine, MetRow
-from crankorder.orders.order_rows import OrderRows
+from crankorder.orders.fixed_lines import FixedLine, MetRow, OrderRows
 from crankorder.orders.track_rows import TrackReader, all_tracked, track_order
 from crankorder.settings import MethodNumbers, OrderSettings
 

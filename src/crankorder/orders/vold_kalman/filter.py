@@ -214,8 +214,8 @@ class VoldKalmanTracks:
     ``amplitude`` (channels, orders, samples), peak; ``residual`` (channels, samples), signal less all tracks, NaN where
     not usable; ``offset`` (channels,) the constant part, which stays in the residual; ``error_place`` (places,) samples
     at which ``error`` (channels, orders, places) is the standard error of the real and of the imaginary part, thus of
-    the amplitude too (of the phase in rad: over the amplitude); ``noise_magnification`` (orders,) noise power over that
-    of the order alone, and ``condition`` the largest; ``method``: "knots" or "samples"; ``notes`` for people.
+    the amplitude too (of the phase in rad: over the amplitude); ``condition`` the largest noise power of an order over
+    that of the order alone; ``method``: "knots" or "samples"; ``notes`` for people.
     """
 
     amplitude: Complexes
@@ -223,7 +223,6 @@ class VoldKalmanTracks:
     offset: Floats
     error_place: Floats
     error: Floats
-    noise_magnification: Floats
     condition: float
     method: str
     notes: tuple[str, ...]
@@ -387,16 +386,15 @@ def _by_knots(
     middle = system.knots.middles
     usable_share = np.add.reduceat(mask, system.knots.starts[:-1], dtype=np.int64) / np.diff(system.knots.starts)
     magnification = _magnification(solution.variance, usable_share, middle, bandwidth, len(mask), rate_hz, poles)
-    if magnification.max() > MOST_MAGNIFICATION:
-        raise _TooCloseError(float(magnification.max()))
+    if magnification > MOST_MAGNIFICATION:
+        raise _TooCloseError(magnification)
     amplitude, residual = system.read(solution, values, phase, mask, begin=0)
     error = standard_errors(system, solution)
     notes = [f"quintic envelopes on {system.knots.intervals} intervals; constant part fitted with the orders"]
-    if magnification.max() > 2.0:
-        notes.append(f"orders are close: noise power up to {magnification.max():.3g} times that of each alone")
+    if magnification > 2.0:
+        notes.append(f"orders are close: noise power up to {magnification:.3g} times that of each alone")
     offset = solution.offset / system.scale
-    condition = float(magnification.max())
-    return VoldKalmanTracks(amplitude, residual, offset, middle, error, magnification, condition, "knots", tuple(notes))
+    return VoldKalmanTracks(amplitude, residual, offset, middle, error, magnification, "knots", tuple(notes))
 
 
 def standard_errors(system: EnvelopeSystem, solution: Solution) -> Floats:
@@ -440,9 +438,8 @@ def _by_samples(
         raise _TooCloseError(np.inf) from not_definite
     variance = found.variance * (1.0 - 0.5 / poles)
     magnification = _magnification(variance, mask.astype(np.float64), at, bandwidth, n_samples, rate_hz, poles)
-    condition = float(magnification.max())
-    if condition > MOST_MAGNIFICATION:
-        raise _TooCloseError(condition)
+    if magnification > MOST_MAGNIFICATION:
+        raise _TooCloseError(magnification)
     amplitude, remaining, offset = with_offset(found.values, signals, phase, mask)
     errors = sample_errors(
         remaining - offset[:, None], phase, mask, variance, rate_hz / np.median(bandwidth, axis=1), poles
@@ -451,13 +448,13 @@ def _by_samples(
     errors /= scale[:, None, None]
     residual = np.where(mask, remaining, np.nan) / scale[:, None]
     notes = ("envelopes at every sample; constant part fitted with the orders",)
-    return VoldKalmanTracks(amplitude, residual, offset / scale, at, errors, magnification, condition, "samples", notes)
+    return VoldKalmanTracks(amplitude, residual, offset / scale, at, errors, magnification, "samples", notes)
 
 
 def _magnification(
     variance: Floats, usable_share: Floats, place: Floats, bandwidth: Floats, n_samples: int, rate_hz: float, poles: int
-) -> Floats:
-    """Noise power of each order over that of the order alone, median over the usable places (orders,)."""
+) -> float:
+    """Largest noise power of an order over that of the order alone, median over the usable places."""
     n_orders = len(bandwidth)
     points = np.linspace(0.0, n_samples, bandwidth.shape[1])
     seen = usable_share > 0.5 if np.any(usable_share > 0.5) else usable_share > 0.0
@@ -467,7 +464,7 @@ def _magnification(
         alone = 2.0 * noise_bandwidth_share(poles) * width / rate_hz + 2.0 * poles / n_samples
         both = 0.5 * (variance[:, k] + variance[:, n_orders + k])
         found.append(float(np.median((both / alone)[seen])))
-    return np.array(found)
+    return float(np.max(found))
 
 
 class _TooCloseError(Exception):
