@@ -19,7 +19,15 @@ from scipy.integrate import solve_ivp
 from scipy.signal import cont2discrete, lfilter, lsim
 
 from crankorder.synth.analogue import low_pass
-from crankorder.synth.driven import STENCILS, Integration, advance, driven_signal, integration_for, interpolation_error
+from crankorder.synth.driven import (
+    STENCILS,
+    Integration,
+    advance,
+    driven_signal,
+    integration_for,
+    interpolation_error,
+    step_weights,
+)
 from crankorder.synth.motion import Motion
 from crankorder.synth.order_forces import ForceLines, force_at
 from crankorder.synth.poles import Poles, Structure, poles_of
@@ -65,8 +73,8 @@ def ours(rate_hz: float, integration: Integration, poles: Poles = POLES) -> np.n
     """The run-up from rest, forces included."""
     force = forces(rate_hz, integration.substeps, integration.margin)
     rest = np.zeros(poles.pole_per_s.size, dtype=complex)
-    step_s = 1 / (rate_hz * integration.substeps)
-    return advance(poles, force, step_s=step_s, integration=integration, state=rest)[0][0]
+    growth, taps = step_weights(poles.pole_per_s, 1 / (rate_hz * integration.substeps), integration)
+    return advance(poles, force, growth=growth, taps=taps, integration=integration, state=rest)[0][0]
 
 
 def stairs(rate_hz: float, substeps: int) -> np.ndarray:

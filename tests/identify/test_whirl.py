@@ -21,7 +21,7 @@ from crankorder.identify.sources import Sources
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
-from crankorder.report.sentences.of_modes import mode_sentences
+from crankorder.report.sentences.of_lines import mode_sentences
 from crankorder.settings import load_settings
 from made.floors import no_orders
 from made.found_lines import agreed, fit, line

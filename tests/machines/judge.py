@@ -11,14 +11,13 @@ import numpy as np
 import xarray as xr
 from scipy.optimize import linear_sum_assignment
 
-from crankorder.report.contradictions import contradictions
 from machines.bound import KNOWN_FREQUENCY, Bound, free_for_the_oracle, lock_told, told_from_a_tone
 from machines.folder import Take
 from machines.lines import TrueLine, causes, is_resolved, line_of
 from machines.machine import FloatArray, Machine
 from machines.tracks import judged_rows
 from machines.truth import dangerous_speeds, recorded_maximum, steady_maximum
-from made.typed import findings_of
+from made.contradictions import contradictions
 
 NEAR_MODE = 0.01
 """A record within this share of a true frequency, or within its own interval, is of that mode."""
@@ -71,7 +70,7 @@ def judged(machine: Machine, takes: tuple[Take, ...], bound: Bound, said: Said) 
 
 def _contradictions(findings: dict[str, Any]) -> list[Judgement]:
     """A wrong statement for each pair of sentences or fields that exclude each other; else one right one."""
-    words = contradictions(findings_of(findings))
+    words = contradictions(findings)
     return [Judgement("consistent", 0.0, 1.0, one) for one in words] or [Judgement("consistent", 1.0)]
 
 

@@ -13,6 +13,7 @@ import xarray as xr
 from click.testing import CliRunner
 
 from crankorder.cli import main
+from made.contradictions import contradictions
 
 MANIFESTS = Path(__file__).parent
 
@@ -50,8 +51,7 @@ def analysed(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Cal
             outcome = CliRunner().invoke(main, arguments)
             assert outcome.exit_code == 0, outcome.output
             made[name, only] = Analysed(next(path.parent for path in out.glob("*/findings.json")))
-            flags = made[name, only].findings["quality"]
-            assert not [flag["detail"] for flag in flags if flag["flag"] == "contradiction"]
+            assert not contradictions(made[name, only].findings)
         return made[name, only]
 
     return run

@@ -17,6 +17,7 @@ from crankorder.engine.balancing import unbalance_force_n
 from crankorder.engine.definition import Engine, Weight
 from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.engine.slider_crank import plain_piston_acceleration
+from crankorder.plot.drawing import picture_bytes
 from crankorder.report.balance.bars_figure import order_bars_figure
 from crankorder.report.balance.cycle_figures import cycle_dataset, loads_figure
 from crankorder.report.balance.dataset import balance_dataset
@@ -24,7 +25,6 @@ from crankorder.report.balance.figures import force_figure
 from crankorder.report.balance.hinge_figure import guide_figure, hinge_figure
 from crankorder.report.balance.look import alike, called, system_color
 from crankorder.report.balance.polar_figure import harmonics_figure, polar_figure
-from crankorder.report.figures import picture_bytes
 from crankorder.settings import shipped, toml_table
 
 CRANK_ENGINES = sorted(set(shipped("engines")) - {"elastic-hinge"})

@@ -10,8 +10,8 @@ import xarray as xr
 from matplotlib.text import Text
 
 from crankorder.orders.cycle_average import cycle_average, cycle_averages
+from crankorder.plot.drawing import picture_bytes
 from crankorder.report.cycle_figure import cycle_figure
-from crankorder.report.figures import picture_bytes
 from crankorder.settings import load_settings
 from made.recordings import line, steady, total
 from made.typed import from_dicts

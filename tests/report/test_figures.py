@@ -14,18 +14,13 @@ import pytest
 import xarray as xr
 from PIL import Image
 
-from crankorder.plot.drawing import Drawing, Field, Rings
+from crankorder.plot.drawing import Drawing, Field, Rings, picture_bytes
 from crankorder.plot.palette import LIGHT, level_colours
-from crankorder.report.figures import (
-    campbell_figure,
-    order_spectra_figure,
-    orders_figure,
-    picture_bytes,
-    spectra_figure,
-    speed_figure,
-)
+from crankorder.report.campbell_figure import campbell_figure
+from crankorder.report.orders_figure import orders_figure
 from crankorder.report.pictures import pictures_of
-from crankorder.report.speed_figure import changing_recordings
+from crankorder.report.spectra_figure import order_spectra_figure, spectra_figure
+from crankorder.report.speed_figure import changing_recordings, speed_figure
 from crankorder.shaft.summary import speed_trace, trace_variables
 from made.typed import from_dicts
 

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from crankorder.plot.cells import gaps_between, pooled, speed_cells, with_gaps
 from crankorder.plot.labels import EdgeLabel, fitted, spread
+from crankorder.plot.palette import drawable, text_width_in
 from crankorder.plot.panel import linear_texts, linear_ticks
-from crankorder.plot.typeface import drawable, text_width_in
 
 
 def test_stepped_speeds_reach_half_way_to_their_neighbours_and_not_beyond_the_tested_range() -> None:

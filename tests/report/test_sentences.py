@@ -37,6 +37,7 @@ from crankorder.report.sentences.story import (
     strongest_sentence,
 )
 from crankorder.report.tables import tables_of
+from made.contradictions import contradictions
 from made.typed import from_dicts
 
 (
@@ -507,3 +508,12 @@ def test_a_swing_of_one_share_at_all_speeds_may_be_the_encoders() -> None:
     )
     assert "encoder would" not in said((1500.0, 0.5, 15.0), (1900.0, 0.5, 19.0))
     assert "encoder would" not in said((1500.0, 2.0, 150.0))  # ten percent: no encoder is so far off
+
+
+def test_statements_that_exclude_each_other_are_told_and_sound_ones_give_none(full: dict[str, Any]) -> None:
+    assert contradictions(full) == []
+    full["modes"][0].update(explained_by="mode", undecided="at one speed its modulation looks the same")
+    low, high = full["speeds_to_avoid"][0]["rpm_range"]
+    full["free_bands"] = [{"low_rpm": low - 20.0, "high_rpm": high + 20.0, "remark": ""}]
+    told = "\n".join(contradictions(full))
+    assert "a natural frequency, and not decided" in told and "to be avoided" in told

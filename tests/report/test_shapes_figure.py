@@ -10,7 +10,7 @@ import xarray as xr
 from matplotlib.text import Text
 
 from crankorder.orders.shapes import operating_shapes
-from crankorder.report.figures import picture_bytes
+from crankorder.plot.drawing import picture_bytes
 from crankorder.report.shapes_figure import shapes_figure
 from crankorder.settings import load_settings
 from made.frames import frames_of

@@ -12,10 +12,9 @@ from crankorder.shaft.calibration import calibrate
 from crankorder.shaft.line_pattern import even_line_times, line_pattern
 from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.wheel import number_teeth
-from crankorder.synth.encoder import encoder_signals
+from crankorder.synth.encoder import encoder_signals, index_wheel, passed_pulses, wheel_of
 from crankorder.synth.motion import Motion
 from crankorder.synth.parts import Encoder
-from crankorder.synth.wheel import wheel_of
 
 SETTINGS = load_settings().shaft
 RATE_HZ = 50_000.0
@@ -49,17 +48,23 @@ def shape_of(masses, scale=3.0):
     return Lag(order=order, inertia=lines, gas=0 * lines)
 
 
-def decoded(encoder, speed_rpm, *, lag=None, start_rev=0.3217, duration_s=6.0, seed=1, wobbles=(), corners=None):
-    """Motion, numbered teeth, noise of a pulse and pattern of one recording."""
+def decoded(
+    encoder, speed_rpm, *, lag=None, start_rev=0.3217, duration_s=6.0, seed=1, wobbles=(), corners=None, exact=False
+):
+    """Motion, numbered teeth, noise of a pulse and pattern of one recording, sampled or with exact times of pulses."""
     lag = lag_at(speed_rpm) if lag is None else lag
     motion = Motion(start_rev=start_rev, corners=corners or ((0.0, speed_rpm),), wobbles=wobbles, lag=lag)
     name = f"{seed}-{speed_rpm}"
     n_samples = round(duration_s * RATE_HZ)
-    made = encoder_signals(
-        motion, encoder, (), seed=seed, recording=name, stream=name, rate_hz=RATE_HZ, n_samples=n_samples
-    )
-    pulse_s, index_s, noise_s = made.pulse_s, made.index_s, 0.0
-    if made.trace is not None:
+    if exact:
+        wheel = wheel_of(encoder, seed=seed)
+        passed = (passed_pulses(part, motion, encoder, duration_s=duration_s) for part in (wheel, index_wheel(wheel)))
+        pulse_s, index_s = (pulses.rise_s[pulses.rise_s >= 0] for pulses in passed)
+        noise_s = 0.0
+    else:
+        made = encoder_signals(
+            motion, encoder, (), seed=seed, recording=name, stream=name, rate_hz=RATE_HZ, n_samples=n_samples
+        )
         how = {"rate_hz": RATE_HZ, "kind": "square", "edge": "rising", "settings": SETTINGS}
         pulses = find_pulses(made.trace, pulses_per_rev=encoder.pulses_per_rev, **how)
         pulse_s, noise_s = pulses.time_s, pulses.noise_s
@@ -135,11 +140,11 @@ def test_a_perfect_encoder_is_left_as_it_is():
 
 
 def test_drift_of_the_speed_leaves_no_pattern_and_touches_no_order():
-    encoder = Encoder(pulses_per_rev=60, delivered_as="pulse_times")
+    encoder = Encoder(pulses_per_rev=60)
     none = Lag(order=np.empty(0), inertia=np.empty(0, dtype=complex), gas=np.empty(0, dtype=complex))
-    _, _, _, ramp = decoded(encoder, 1000.0, lag=none, corners=((0.0, 1000.0), (6.0, 1300.0)))
+    _, _, _, ramp = decoded(encoder, 1000.0, lag=none, corners=((0.0, 1000.0), (6.0, 1300.0)), exact=True)
     assert np.abs(ramp.deviation_rev).max() < 1e-8
-    eccentric = Encoder(pulses_per_rev=60, delivered_as="pulse_times", **ECCENTRIC)
-    _, _, _, wobbling = decoded(eccentric, 1000.0, lag=none, wobbles=((0.4, 10.0, 70.0),))
+    eccentric = Encoder(pulses_per_rev=60, **ECCENTRIC)
+    _, _, _, wobbling = decoded(eccentric, 1000.0, lag=none, wobbles=((0.4, 10.0, 70.0),), exact=True)
     expected = true_errors_deg(eccentric) / 360.0
     np.testing.assert_allclose(wobbling.deviation_rev, expected - expected.mean(), atol=1e-7)

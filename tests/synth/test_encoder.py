@@ -1,4 +1,4 @@
-"""The encoder in each form of delivery: against the counts and angles that its motion implies, and as it is decoded."""
+"""The encoder against the counts and angles that its motion implies, and as it is decoded."""
 
 import numpy as np
 import pytest
@@ -9,10 +9,17 @@ from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
-from crankorder.synth.encoder import EncoderSignals, encoder_signals, sampled_encoder
+from crankorder.synth.encoder import (
+    EncoderSignals,
+    encoder_signals,
+    encoder_turn,
+    index_wheel,
+    passed_pulses,
+    sampled_encoder,
+    wheel_of,
+)
 from crankorder.synth.motion import Motion
 from crankorder.synth.parts import Encoder
-from crankorder.synth.wheel import encoder_turn, wheel_of
 
 RATE_HZ = 50_000.0
 N_SAMPLES = 250_000
@@ -34,9 +41,9 @@ def sampled(start_rev: float, speed_rpm: float, pulses: int = 360) -> tuple[np.n
     )
 
 
-def signals(motion: Motion, encoder: Encoder, *, seed: int = 1, recording: str = "made") -> EncoderSignals:
+def signals(motion: Motion, encoder: Encoder) -> EncoderSignals:
     return encoder_signals(
-        motion, encoder, (), seed=seed, recording=recording, stream=recording, rate_hz=RATE_HZ, n_samples=N_SAMPLES
+        motion, encoder, (), seed=1, recording="made", stream="made", rate_hz=RATE_HZ, n_samples=N_SAMPLES
     )
 
 
@@ -46,7 +53,7 @@ def decoded(made: EncoderSignals, encoder: Encoder) -> xr.Dataset:
         "recording": "made",
         "domain": "time",
         "rate_hz": RATE_HZ,
-        "encoder_kind": encoder.delivered_as,
+        "encoder_kind": "square",
         "revs_per_cycle": 1,
         "pulses_per_rev": encoder.pulses_per_rev,
         "missing_teeth": encoder.missing_teeth,
@@ -54,17 +61,11 @@ def decoded(made: EncoderSignals, encoder: Encoder) -> xr.Dataset:
         "index_to_tdc_deg": encoder.index_to_tdc_deg,
     }
     recording = xr.Dataset({"signal": (("channel", "time"), np.zeros((1, N_SAMPLES)))}, attrs=attrs)
-    pulse_s, index_s = made.pulse_s, made.index_s
-    if made.trace is not None:
-        kind = "square" if encoder.delivered_as == "square" else "analogue"
-        how = {"rate_hz": RATE_HZ, "kind": kind, "edge": "rising", "settings": SHAFT}
-        pulses = find_pulses(made.trace, pulses_per_rev=encoder.pulses_per_rev, **how)
-        pulse_s, recording.attrs["pulse_noise_s"] = pulses.time_s, pulses.noise_s
-        if made.index is not None:
-            index_s = find_pulses(made.index, pulses_per_rev=1, **how).time_s
-    recording["pulse_time"] = ("pulse", pulse_s)
-    if index_s is not None:
-        recording["index_time"] = ("revolution", index_s)
+    how = {"rate_hz": RATE_HZ, "kind": "square", "edge": "rising", "settings": SHAFT}
+    pulses = find_pulses(made.trace, pulses_per_rev=encoder.pulses_per_rev, **how)
+    recording["pulse_time"], recording.attrs["pulse_noise_s"] = ("pulse", pulses.time_s), pulses.noise_s
+    if made.index is not None:
+        recording["index_time"] = ("revolution", find_pulses(made.index, pulses_per_rev=1, **how).time_s)
     return shaft_angle(recording, settings=SHAFT)
 
 
@@ -115,83 +116,27 @@ def test_the_level_is_a_function_of_angle_also_backwards(motion: Motion) -> None
     ],
     ids=str,
 )
-@pytest.mark.parametrize(
-    ("form", "worst_deg"), [("pulse_times", 2e-3), ("analogue", 0.2), ("square", 0.4)], ids=lambda value: str(value)
-)
-def test_the_decoder_finds_the_angle_from_top_dead_centre(
-    motion: Motion, wheel: dict[str, float], form: str, worst_deg: float
-) -> None:
+def test_the_decoder_finds_the_angle_from_top_dead_centre(motion: Motion, wheel: dict[str, float]) -> None:
     """At 2500 rpm one sample is 0.3°: marks that lie between samples are uncertain by half of that."""
-    error = angle_error_deg(motion, Encoder.model_validate({**wheel, "delivered_as": form}))
-    assert np.abs(error).max() < worst_deg
-    assert np.abs(error.mean()) < (1e-4 if form == "pulse_times" else 0.15)
+    error = angle_error_deg(motion, Encoder.model_validate(wheel))
+    assert np.abs(error).max() < 0.4
+    assert np.abs(error.mean()) < 0.15
 
 
 def test_the_index_comes_once_per_turn_of_the_encoder_with_its_first_line() -> None:
-    encoder = Encoder(pulses_per_rev=60, ratio=2.0, line_error_deg=0.1, delivered_as="pulse_times")
-    made = signals(RUN_UP, encoder)
-    assert made.pulse_s is not None and made.index_s is not None
-    assert np.isin(made.index_s, made.pulse_s).all()
-    assert set(np.diff(np.searchsorted(made.pulse_s, made.index_s))) == {60}
-    turn = encoder_turn(RUN_UP.at(made.index_s)[0], encoder)
-    np.testing.assert_allclose(turn - np.rint(turn), wheel_of(encoder, seed=1).rise[0], atol=1e-11)
+    encoder = Encoder(pulses_per_rev=60, ratio=2.0, line_error_deg=0.1)
+    wheel = wheel_of(encoder, seed=1)
+    pulses, index = (passed_pulses(part, RUN_UP, encoder, duration_s=5.0) for part in (wheel, index_wheel(wheel)))
+    pulse_s, index_s = (part.rise_s[np.isfinite(part.rise_s)] for part in (pulses, index))
+    assert np.isin(index_s, pulse_s).all()
+    assert set(np.diff(np.searchsorted(pulse_s, index_s))) == {60}
+    turn = encoder_turn(RUN_UP.at(index_s)[0], encoder)
+    np.testing.assert_allclose(turn - np.rint(turn), wheel.rise[0], atol=1e-11)
     np.testing.assert_array_equal(np.rint(turn), np.arange(1, 259))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("motion", [RUN_UP, THERE_AND_BACK], ids=["run-up", "reversal"])
-def test_a_pickup_rises_through_zero_at_each_line_and_nowhere_else(motion: Motion) -> None:
-    encoder = Encoder(pulses_per_rev=36, missing_teeth=1, line_error_deg=0.05, delivered_as="analogue")
-    made = signals(motion, encoder)
-    assert made.trace is not None
-    at = np.flatnonzero((made.trace[1:] > 0) & (made.trace[:-1] <= 0))
-    before, after = made.trace[at].astype(float), made.trace[at + 1].astype(float)
-    crank_rev, speed_rpm, _ = motion.at((at + before / (before - after)) / RATE_HZ)
-    turn = encoder_turn(crank_rev, encoder)
-    off = (turn[:, None] - wheel_of(encoder, seed=1).rise + 0.5) % 1 - 0.5
-    quarter_sample = 0.25 * np.abs(speed_rpm) / 60 / RATE_HZ
-    turning = np.abs(speed_rpm) > 5  # the voltage is also zero where the shaft turns round
-    assert (np.abs(off).min(axis=1) < quarter_sample)[turning].all()
-    assert np.sum(~turning) <= 4
-    passed = signals(motion, encoder.model_copy(update={"delivered_as": "pulse_times"})).pulse_s
-    assert passed is not None
-    assert abs(at.size - passed.size) <= 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("noise_v", [0.05, 0.5])
-def test_the_noise_of_a_pickup_is_white_and_its_pulses_stay_readable(noise_v: float) -> None:
-    encoder = Encoder(pulses_per_rev=60, missing_teeth=2, index=False, delivered_as="analogue")
-    noisy = encoder.model_copy(update={"noise_v": noise_v})
-    noise = signals(RUN_UP, noisy).trace - signals(RUN_UP, encoder).trace
-    assert noise.std() == pytest.approx(noise_v, rel=0.01)
-    assert abs(np.mean(noise[1:] * noise[:-1])) < 0.01 * noise_v**2
-    assert np.abs(angle_error_deg(RUN_UP, noisy)).max() < 0.3
-
-
-@pytest.mark.slow
-def test_jitter_is_that_of_its_recording_and_the_same_in_every_form() -> None:
-    encoder = Encoder(pulses_per_rev=60, jitter_s=2e-5, delivered_as="pulse_times")
-    exact = signals(RUN_UP, encoder.model_copy(update={"jitter_s": 0.0})).pulse_s
-    one, again, other = (signals(RUN_UP, encoder, recording=name).pulse_s for name in ("a", "a", "b"))
-    assert exact is not None and one is not None and other is not None
-    assert np.std(one - exact) == pytest.approx(2e-5, rel=0.05)
-    np.testing.assert_array_equal(one, again)
-    assert abs(np.corrcoef(one - exact, other - exact)[0, 1]) < 0.05
-    square = encoder.model_copy(update={"delivered_as": "square"})
-    trace = signals(RUN_UP, square, recording="a").trace
-    rise = np.flatnonzero((trace[1:] > 2.5) & (trace[:-1] < 2.5)) + 1
-    np.testing.assert_array_equal(rise, np.ceil(one * RATE_HZ))
-    wave = signals(RUN_UP, encoder.model_copy(update={"delivered_as": "analogue"}), recording="a").trace
-    found = find_pulses(wave, rate_hz=RATE_HZ, kind="analogue", edge="rising", pulses_per_rev=60, settings=SHAFT)
-    near = one[np.abs(one[:, None] - found.time_s[None, :200]).argmin(axis=0)]
-    assert np.abs(near - found.time_s[:200]).max() < 2e-6
 
 
 def test_a_shaft_that_stands_still_keeps_its_level() -> None:
     stop = Motion(start_rev=0.3, corners=((1.0, 600.0), (2.0, 0.0)))
-    square = signals(stop, Encoder(pulses_per_rev=60))
-    wave = signals(stop, Encoder(pulses_per_rev=60, delivered_as="analogue"))
-    assert np.ptp(square.trace[100_001:]) == 0
-    assert np.ptp(wave.trace[100_001:]) == 0
-    assert np.ptp(square.trace[:90_000]) == 5
+    trace = signals(stop, Encoder(pulses_per_rev=60)).trace
+    assert np.ptp(trace[100_001:]) == 0
+    assert np.ptp(trace[:90_000]) == 5

@@ -7,10 +7,10 @@ import pytest
 from scipy.integrate import quad
 
 from crankorder.errors import RequestError
+from crankorder.synth import driven
 from crankorder.synth.driven import (
     STENCILS,
     Integration,
-    advance,
     integration_for,
     interpolation_error,
     step_weights,
@@ -26,6 +26,12 @@ POLES = Poles(
     direct=RNG.normal(size=(2, 6)),
 )
 RATE_HZ = 8192.0
+
+
+def advance(poles, force, *, step_s, integration, state):
+    """Signal and state of the compiled integration with the weights of its step."""
+    growth, taps = step_weights(poles.pole_per_s, step_s, integration)
+    return driven.advance(poles, force, growth=growth, taps=taps, integration=integration, state=state)
 
 
 def plain_advance(force: np.ndarray, integration: Integration, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ from crankorder.synth.crank import crank_motion, start_angle_rev
 from crankorder.synth.lines import order_lines
 from crankorder.synth.load import load_scene
 from crankorder.synth.noise import floor_of
-from crankorder.synth.parts import Acquisition, InCycleSpeed, SpeedOrder, SpeedProfile, Wander, Wobble
+from crankorder.synth.parts import Acquisition, InCycleSpeed, SpeedOrder, SpeedProfile, Wander
 from crankorder.synth.recording import sensed, synthesise
 from crankorder.synth.scene import Run, Scene
 from crankorder.synth.truth import truth_of
@@ -24,7 +24,6 @@ IN_CYCLE = InCycleSpeed(
 FIVE_TO_EIGHT_HUNDRED = SpeedProfile(rpm=(500.0, 800.0, 650.0), time_s=(0.4, 2.0, 2.7))
 MOTIONS = {
     "steady": {},
-    "wobble": {"speed_wobbles": (Wobble(frequency_hz=0.7, amplitude_rpm=4.0),)},
     "wander": {"speed_wander": Wander(std_rpm=2.0, corner_hz=1.0)},
     "in cycle": {"in_cycle_speed": IN_CYCLE},
     "profile": {"speeds": None, "speed_profile": FIVE_TO_EIGHT_HUNDRED},

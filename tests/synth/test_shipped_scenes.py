@@ -14,9 +14,7 @@ from crankorder.cli import main
 from crankorder.settings import shipped
 from crankorder.synth.load import load_scene
 from crankorder.synth.truth import truth_of
-
-CONTRADICTS = "contradiction"
-"""Flag of two statements of one test that exclude each other: no scene has one."""
+from made.contradictions import contradictions
 
 LONG = {"thesis-second-motoring", "thesis-literal-fourfold", "run-up", "bearing-growth"}
 """Scenes that take more than some seconds; the first is analysed in tests/batch too."""
@@ -39,10 +37,7 @@ class Analysed:
             self.findings += [
                 json.loads(found.read_bytes()) for found in (folder / f"out-{number}").glob("*/findings.json")
             ]
-            told = [
-                flag["detail"] for found in self.findings for flag in found["quality"] if flag["flag"] == CONTRADICTS
-            ]
-            assert not told, told
+            assert not [words for findings in self.findings for words in contradictions(findings)]
 
     def line(self, channel: str, order: float) -> tuple[dict[str, Any], dict[str, Any]]:
         """What was put in and what was found at an order."""

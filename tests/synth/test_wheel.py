@@ -5,10 +5,9 @@ import pytest
 
 from crankorder.settings import load_settings
 from crankorder.shaft.wheel import number_teeth
+from crankorder.synth.encoder import Pulses, encoder_turn, passed_pulses, wheel_of
 from crankorder.synth.motion import Motion
-from crankorder.synth.noise import seed_stream
 from crankorder.synth.parts import Encoder
-from crankorder.synth.wheel import Pulses, encoder_turn, jittered, passed_pulses, wheel_of
 
 RUN_UP = Motion(start_rev=0.321, corners=((0.5, 600.0), (4.5, 3000.0)), wobbles=((1.3, 40.0, 20.0),))
 THERE_AND_BACK = Motion(start_rev=0.321, corners=((0.5, 900.0), (2.5, -600.0), (3.0, -600.0), (4.0, 700.0)))
@@ -47,13 +46,6 @@ def test_the_decoder_finds_the_first_tooth_behind_the_gap_at_whole_turns(teeth: 
     shown = turn_at(numbered.time_s, RUN_UP, encoder) - numbered.tooth / teeth
     np.testing.assert_allclose(shown, round(shown[0]), atol=1e-10)
     assert set(numbered.tooth % teeth) == set(range(teeth - missing))
-
-
-def test_a_free_pattern_has_its_lines_where_they_are_stated() -> None:
-    encoder = Encoder(pulses_per_rev=4, tooth_angles_deg=(0.0, 90.0, 100.0, 270.0))
-    wheel = wheel_of(encoder, seed=1)
-    np.testing.assert_allclose(wheel.rise * 360, [0, 90, 100, 270])
-    np.testing.assert_allclose(wheel.fall * 360, [45, 95, 145, 315])
 
 
 @pytest.mark.parametrize("amplitude_deg", [0.4, 40.0])
@@ -97,15 +89,3 @@ def test_a_shaft_at_standstill_gives_no_pulse() -> None:
     assert pulses_of(Encoder(pulses_per_rev=60), still).rise_s.size == 0
     high = pulses_of(Encoder(pulses_per_rev=1), still)
     assert (high.rise_s, high.fall_s) == ([-np.inf], [np.inf])
-
-
-@pytest.mark.slow
-def test_jitter_has_its_spread_and_leaves_the_sequence() -> None:
-    exact = pulses_of(Encoder(pulses_per_rev=60), RUN_UP)
-    shaken = jittered(exact, seed_stream(1, "jitter"), 2e-5)
-    inside = slice(1, -1)
-    assert np.std(shaken.rise_s[inside] - exact.rise_s[inside]) == pytest.approx(2e-5, rel=0.03)
-    wild = jittered(exact, seed_stream(1, "jitter"), 1e-2)
-    edges = np.stack((wild.rise_s, wild.fall_s), axis=1).ravel()
-    assert (np.diff(edges[np.isfinite(edges)]) >= 0).all()
-    assert jittered(exact, seed_stream(1, "jitter"), 0.0) is exact

@@ -106,11 +106,11 @@ def publish_balance(balance: Balance, out: Path, *, report: dict[str, Any] | Non
 
 
 def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes]:
+    from crankorder.plot.drawing import picture_bytes
     from crankorder.report.balance.bars_figure import order_bars_figure
     from crankorder.report.balance.dataset import balance_dataset
     from crankorder.report.balance.figures import force_figure
     from crankorder.report.balance.polar_figure import harmonics_figure, polar_figure
-    from crankorder.report.figures import picture_bytes
     from crankorder.report.netcdf import as_stored, results_bytes
 
     subject = balance.subject
@@ -140,8 +140,8 @@ def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes
 
 def _cycle(balance: Balance, subject: BalancedEngine, settings: ReportSettings) -> tuple[xr.Dataset, dict[str, bytes]]:
     """Torques and loads of an engine over its cycle, and their pictures by file name."""
+    from crankorder.plot.drawing import picture_bytes
     from crankorder.report.balance.cycle_figures import cycle_dataset, loads_figure, torque_figure
-    from crankorder.report.figures import picture_bytes
     from crankorder.report.netcdf import as_stored
 
     assert balance.speeds_rpm is not None
@@ -158,8 +158,8 @@ def _cycle(balance: Balance, subject: BalancedEngine, settings: ReportSettings) 
 
 def _hinge_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes]:
     from crankorder.batch.plan import folder_name
+    from crankorder.plot.drawing import picture_bytes
     from crankorder.report.balance.hinge_figure import guide_figure, hinge_figure
-    from crankorder.report.figures import picture_bytes
     from crankorder.report.netcdf import results_bytes
 
     engine = balance.subject

@@ -147,9 +147,9 @@ def refuse_results(out: Path, folders: Sequence[Path]) -> None:
 
 
 def _files(comparison: Comparison, settings: ReportSettings) -> dict[str, bytes]:
+    from crankorder.plot.drawing import picture_bytes
     from crankorder.report.comparison.figure import order_change_figure, trend_figure
     from crankorder.report.comparison.page import comparison_page
-    from crankorder.report.figures import picture_bytes
     from crankorder.report.netcdf import as_stored, results_bytes
 
     made, document = comparison.made, comparison.document

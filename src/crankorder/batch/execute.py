@@ -43,7 +43,6 @@ from crankorder.identify.cycle_forces import cycle_doubts
 from crankorder.identify.sources import Sources
 from crankorder.orders.true_angle import NAMES
 from crankorder.quantities import QualityFlag, Severity, flags_of
-from crankorder.report.contradictions import contradiction_flags
 from crankorder.settings import Settings, toml_table
 from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.shaft.tooth_errors import speed_swing
@@ -220,7 +219,6 @@ def results_of_test(
     quality += tuple(cycle_doubts(findings.orders, two_stroke=two_stroke, engine=sources.engine, max_order=highest))
     most_deg = settings.orders.largest_eccentricity_deg
     findings = replace(findings, quality=quality, speed_swing=_swing_records(results, quality, most_deg=most_deg))
-    findings = replace(findings, quality=(*quality, *contradiction_flags(findings)))
     return made.datasets, findings, left_out
 
 

@@ -439,7 +439,7 @@ def _shafts(
             "residual_moment_g_mm2": whole_moments(engine, max_order),
         }
     layouts: dict[str, Any] = {
-        name: None if masses is None else _layout(masses, name, data.places, max_order) for name in POSSIBILITIES
+        name: None if masses is None else _layout(masses, name, max_order) for name in POSSIBILITIES
     }
     built_for_leading = None
     if masses is not None and not engine.offset_m:
@@ -455,21 +455,17 @@ def _shafts(
     }
 
 
-def _layout(masses: ReducedMasses, name: Possibility, places: CounterweightPlaces, max_order: int) -> dict[str, Any]:
+def _layout(masses: ReducedMasses, name: Possibility, max_order: int) -> dict[str, Any]:
     layout = shaft_layout(masses, name, max_order=max_order)
-    radius = {1: places.first_order_shaft_mm, 2: places.second_order_shaft_mm}
-    shafts = []
-    for shaft in layout.shafts:
-        at = radius[round(abs(shaft.speed_ratio))]
-        shafts.append(
-            {
-                "speed_ratio": shaft.speed_ratio,
-                "unbalance_g_mm": shaft.unbalance_g_mm,
-                "phase_deg": shaft.phase_deg,
-                "mass_at_crank_radius_g": shaft.unbalance_g_mm / masses.crank_radius_mm,
-                "mass_g": None if at is None else shaft.unbalance_g_mm / at,
-            }
-        )
+    shafts = [
+        {
+            "speed_ratio": shaft.speed_ratio,
+            "unbalance_g_mm": shaft.unbalance_g_mm,
+            "phase_deg": shaft.phase_deg,
+            "mass_at_crank_radius_g": shaft.unbalance_g_mm / masses.crank_radius_mm,
+        }
+        for shaft in layout.shafts
+    ]
     remains = [force for force in layout.residual if force.rotation != "none"]
     left = {"residual_g_mm": by_axis(remains), "residual_phase_deg": phases_by_axis(remains)}
     return {"strategy": layout.strategy, "shafts": shafts, **left}

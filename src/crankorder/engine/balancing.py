@@ -6,11 +6,10 @@ import cmath
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
 
 from crankorder.engine.definition import EngineData, NonNegative, Positive
 from crankorder.engine.harmonics import acceleration_harmonics
@@ -155,12 +154,10 @@ class CrankTrain(EngineData):
 
 
 class CounterweightPlaces(EngineData):
-    """Radii (mm) at which masses can be added: on the crank, on the rod beyond the crank pin, on balance shafts."""
+    """Radii (mm) at which masses can be added: on the crank, and on the rod beyond the crank pin."""
 
     crank_mm: Positive | None = None
     rod_mm: Positive | None = None
-    first_order_shaft_mm: Positive | None = None
-    second_order_shaft_mm: Annotated[float, Field(gt=0)] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

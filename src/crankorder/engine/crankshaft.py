@@ -261,15 +261,6 @@ def crankshaft_sums(sections: Sequence[CrankshaftSection]) -> CrankshaftSums:
     )
 
 
-def about_datum(sums: CrankshaftSums, datum_mm: float) -> CrankshaftSums:
-    """The sums counted from another datum.
-
-    ``sums``: from the first datum. ``datum_mm``: place of the new one along the axis, from the first.
-    """
-    moved = sums.dynamic_kg_mm2 - datum_mm * sums.static_kg_mm
-    return CrankshaftSums(static_kg_mm=sums.static_kg_mm, dynamic_kg_mm2=moved)
-
-
 def couple_n_m(dynamic_kg_mm2: complex, speed_rpm: ArrayLike) -> NDArray[np.float64]:
     """Rocking couple (N·m) that turns with the shaft.
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from fractions import Fraction
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,27 +69,6 @@ def _coefficient_shortfalls(count: int, decay: float) -> NDArray[np.float64]:
         if k <= count:
             found[k - 2] = short
     return found
-
-
-def series_coefficients(order: int, count: int) -> tuple[Fraction, ...]:
-    """First ``count`` coefficients of A_order as a power series in λ: those of λ^(order−1), λ^(order+1), …, exact.
-
-    A2 = λ + λ³/4 + 15 λ⁵/128 + …; the first one is the leading term that textbooks give. For numbers use
-    :func:`even_harmonics`: the series converges slowly (five terms leave 2e-7 at λ = 0.3).
-
-    ``order``: even, ≥ 2. ``count``: ≥ 1. Raises RequestError for another order.
-    Source: binomial series of √(1 − λ² sin²φ): A_2k = 8k² Σ_m |binom(½,m)| binom(2m,m−k) 4^−m λ^(2m−1), m ≥ k.
-    """
-    if order < 2 or order % 2 or count < 1:
-        raise RequestError("no such series", found=f"order {order}, count {count}", allowed="an even order, count ≥ 1")
-    k = order // 2
-    binomial = Fraction(-1)  # binom(1/2, m) (-1)^m
-    found = []
-    for m in range(1, k + count):
-        binomial *= Fraction(2 * m - 3, 2 * m)
-        if m >= k:
-            found.append(8 * k**2 * abs(binomial) * math.comb(2 * m, m - k) / 4**m)
-    return tuple(found)
 
 
 def acceleration_harmonics(mechanism: SliderCrank, max_order: int) -> Complex:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
 from crankorder.engine.definition import Engine, EngineData, Positive
-from crankorder.engine.harmonics import acceleration_harmonics, rod_acceleration_harmonics
+from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.engine.slider_crank import SliderCrank, rod_angle
 
 
@@ -52,16 +52,6 @@ def rod_couple(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float) -> 
     _, _, second = rod_angle(crank_angle_rev, engine.mechanism)
     couple: NDArray[np.float64] = -two_masses(engine).missing_inertia_kg_m2 * omega**2 * second
     return couple
-
-
-def rod_couple_by_order(engine: Engine, speed_rpm: float, *, max_order: int) -> NDArray[np.complex128]:
-    """The same by order 0 … ``max_order``, complex peak (N·m), shape (max_order + 1,).
-
-    A line is Re(couple · exp(2πi order rev)). ``engine``: with ``rod``. ``speed_rpm``: steady.
-    """
-    omega = speed_rpm * np.pi / 30
-    missing = two_masses(engine).missing_inertia_kg_m2
-    return missing * omega**2 * rod_acceleration_harmonics(engine.mechanism, max_order)
 
 
 class RodSplit(EngineData):

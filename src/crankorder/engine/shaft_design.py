@@ -14,8 +14,6 @@ from crankorder.engine.definition import BalanceShafts, Engine, SingleShaft, Wei
 from crankorder.engine.forces import CANCELLED, X, Z, crankcase_forces, crankcase_moments
 from crankorder.engine.harmonics import acceleration_harmonics
 
-Complex = NDArray[np.complex128]
-
 ONE_RADIAN_PER_S_RPM = 30 / math.pi
 NOTHING = 1e-12
 """Of what the cylinders make one by one: what is left below it of a sum over them is round-off."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Literal, Self
 
@@ -398,20 +398,6 @@ def gear_errors_deg(
         else:
             errors[gear.name] = 0.0 if gear.fixed_to is None else errors[gear.fixed_to]
     return errors
-
-
-def mistimed(
-    train: GearTrain, wheels: Mapping[str, Shaft], mesh_errors_deg: Mapping[str, float | NDArray[np.float64]]
-) -> dict[str, Shaft]:
-    """The wheels as they stand with errors in the meshes.
-
-    ``train``: gears. ``wheels``: in their right places. ``mesh_errors_deg``: scalars by name of the driven gear.
-    """
-    errors = gear_errors_deg(train, mesh_errors_deg)
-    return {
-        name: replace(wheel, phase_deg=wheel.phase_deg + float(np.asarray(errors[name])))
-        for name, wheel in wheels.items()
-    }
 
 
 def tolerance_study(train: GearTrain, masses: ReducedMasses, tolerances: GearTolerances) -> ToleranceStudy:

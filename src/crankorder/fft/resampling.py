@@ -1,4 +1,8 @@
-"""Values of sampled signals between their samples, by the shortest kernel that errs no more than is allowed."""
+"""Values of sampled signals between their samples, by the shortest kernel that errs no more than is allowed.
+
+A kernel is "kaiser-N", a windowed sinc of N samples, or "sinc-N", fitted to its band by least squares: the same error
+within the band, but with images of what lies above it. Its weights are tables of cubics in the fraction of a sample.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +16,215 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
-from crankorder.fft.kernels import MOST_TAPS, error_of, family_and_taps, kaiser_error, rounding, table_of
-from crankorder.quantities import Floats
+from crankorder.quantities import Floats, Ints
+
+FAMILIES = ("kaiser", "sinc")
+
+MOST_TAPS = 512
+"""Longest kernel that is offered: content up to 0.98 of the Nyquist frequency within 1e-7."""
+
+ROUNDING_FLOOR = 1e-13
+"""Error below which a finer table gains nothing: positions are rounded more coarsely than that."""
+
+_NODES = 0.5 + 0.5 * np.array([-1.0, 1.0 - np.sqrt(2.0), np.sqrt(2.0) - 1.0, 1.0])
+"""Where a cubic meets the weights inside its piece: the ends, so that pieces join, and two that level its error."""
+
+CUBIC_ERROR = (3.0 - 2.0 * np.sqrt(2.0)) / 384.0
+"""Largest error of such a cubic over fourth derivative times piece width to the fourth."""
+
+LAWSON_ROUNDS = 3
+"""Rounds of reweighting. The first takes a fifth off the worst error, the fourth would take a hundredth."""
+
+COARSE = np.linspace(0.0, 0.5, 9)[1:]
+"""Fractions of a step that stand for all where only the size of the error is wanted."""
+
+ROUNDING = {True: 4e-16, False: 2.4e-7}
+"""Largest error by rounding over the largest sample, of a kernel of few taps (double or not). Measured."""
+
+ROUNDING_PER_ROOT_TAP = {True: 1e-16, False: 3e-8}
+"""What it grows by with the square root of the number of taps."""
+
+BETWEEN = 1.02
+"""What the worst error may be larger than that at the places and frequencies where it is looked for."""
+
+
+def family_and_taps(name: str) -> tuple[str, int]:
+    """Family and number of samples of the kernel called ``name``; ("", 0) where there is none such.
+
+    Numbers are even, from 4 to :data:`MOST_TAPS`.
+    """
+    family, _, text = name.partition("-")
+    taps = int(text) if text.isascii() and text.isdecimal() and len(text) < 5 else 0
+    known = family in FAMILIES and taps % 2 == 0 and 4 <= taps <= MOST_TAPS
+    return (family, taps) if known else ("", 0)
+
+
+class _LeastSquares:
+    """The least-squares inverse of ``matrix``, its rows weighted; directions that rounding has eaten are left out."""
+
+    def __init__(self, matrix: Floats, weight: Floats) -> None:
+        self._weight = weight[:, None]
+        left, values, right = np.linalg.svd(self._weight * matrix, full_matrices=False)
+        kept = values > 1e-15 * values[0]
+        self._left, self._values, self._right = left[:, kept].T, values[kept, None], right[kept].T
+
+    def __call__(self, wanted: Floats) -> Floats:
+        # one factor after the other: their product would lose what the small singular values carry
+        return np.asarray(self._right @ (self._left @ (self._weight * wanted) / self._values))
+
+
+class _BandFit:
+    """Weights of a kernel of even length whose worst error up to a pass band is nearly the least possible.
+
+    At each fraction of a step the response to tones is fitted to the tones themselves by least squares over Chebyshev
+    points of the band, the even and the odd part of the weights apart. Rounds of reweighting (Lawson 1961) bring the
+    least mean error towards the least worst error. The weights sum to 1 at every fraction, and on a sample they are
+    that sample. (The aim: Laakso, Välimäki, Karjalainen, Laine 1996, "Splitting the unit delay".)
+    """
+
+    def __init__(self, taps: int, pass_band: float) -> None:
+        """Fit for an even number of ``taps`` and content up to ``pass_band`` (share of the sample rate, below 0.5)."""
+        half = self._half = taps // 2
+        n_points = taps + 16
+        # from the edge of the band, which counts most, down to near zero, where the sum of 1 holds the response
+        self._turn = 2.0 * np.pi * pass_band * np.cos(np.linspace(0.0, 0.5 * np.pi, n_points, endpoint=False))[:, None]
+        angle = self._turn * (np.arange(half) + 0.5)
+        self._even, self._odd = 2.0 * np.cos(angle), 2.0 * np.sin(angle)
+        # even weights: equal ones, and a combination of vectors that sum to zero
+        self._equal = np.full((half, 1), 0.5 / half)
+        self._free = np.linalg.qr(np.ones((half, 1)), mode="complete")[0][:, 1:]
+        emphasis = np.ones(n_points)
+        self._solve(emphasis)
+        for _ in range(LAWSON_ROUNDS):
+            emphasis *= self._misfit(COARSE).max(axis=1) + 1e-30
+            emphasis /= emphasis.mean()
+            self._solve(emphasis)
+        self.error = float(self._misfit(COARSE).max())
+
+    def _solve(self, emphasis: Floats) -> None:
+        root = np.sqrt(emphasis)
+        self._even_of = _LeastSquares(self._even @ self._free, root)
+        self._odd_of = _LeastSquares(self._odd, root)
+
+    def _parts(self, fraction: Floats) -> tuple[Floats, Floats]:
+        angle = self._turn * (fraction - 0.5)
+        even = self._equal + self._free @ self._even_of(np.cos(angle) - self._even @ self._equal)
+        return even, self._odd_of(np.sin(angle))
+
+    def _misfit(self, fraction: Floats) -> Floats:
+        """Error (band points, fractions) of the response."""
+        even, odd = self._parts(fraction)
+        angle = self._turn * (fraction - 0.5)
+        return np.hypot(self._even @ even - np.cos(angle), self._odd @ odd - np.sin(angle))
+
+    def weights(self, fraction: Floats) -> Floats:
+        """Weights (fractions, taps) at each ``fraction`` (fractions,), 0…1, of a step."""
+        even, odd = self._parts(fraction)
+        weights = np.concatenate([(even - odd)[::-1], even + odd]).T
+        places = np.arange(1 - self._half, 1 + self._half)
+        for sample in (0, 1):
+            weights[fraction == sample] = places == sample
+        return np.asarray(weights)
+
+
+@lru_cache(maxsize=64)
+def _band_fit(taps: int, pass_band: float) -> _BandFit:
+    return _BandFit(taps, pass_band)
+
+
+def kaiser_error(taps: int, pass_band: float) -> float:
+    """Error that Kaiser (1974) expects of a windowed sinc of ``taps`` for content up to ``pass_band`` of the rate."""
+    return float(10.0 ** (-0.05 * (4.57 * np.pi * (1.0 - 2.0 * pass_band) * (taps - 1) + 7.95)))
+
+
+def _windowed_weights(taps: int, pass_band: float, fraction: Floats) -> Floats:
+    """Weights (fractions, ``taps``) of a sinc under a Kaiser window, which passes up to ``pass_band`` of the rate.
+
+    It errs a little more there than weights fitted to the band, at each ``fraction`` (0…1) of a step alone, but it is
+    smooth: of what lies above the band it leaves one image, next to the Nyquist frequency, and no others.
+    """
+    decibel = max(-20.0 * np.log10(kaiser_error(taps, pass_band)), 22.0)
+    beta = 0.1102 * (decibel - 8.7) if decibel > 50.0 else 0.5842 * (decibel - 21.0) ** 0.4 + 0.07886 * (decibel - 21.0)
+    distance = _sample_offsets(taps) - fraction[:, None]
+    bell = np.i0(beta * np.sqrt(np.clip(1.0 - (2.0 * distance / taps) ** 2, 0.0, None)))
+    weights = np.where(distance == np.round(distance), distance == 0.0, np.sinc(distance) * bell)
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def _cubic_pieces(weights: Floats) -> Floats:
+    """Coefficients (pieces, 4, taps), highest power first, of cubics through ``weights`` (pieces, 4 nodes, taps)."""
+    inverse = np.linalg.inv(np.vander(_NODES, 4))
+    coefficients = np.einsum("dn,pnt->pdt", inverse, weights)
+    # the cubic begins exactly on its first row: what is exact there stays so
+    coefficients[:, 3] = weights[:, 0]
+    return np.asarray(coefficients)
+
+
+def _sample_offsets(taps: int) -> Ints:
+    """Places (``taps``,) of the samples relative to the one at or before the position."""
+    return np.arange(taps) - (taps // 2 - 1)
+
+
+@lru_cache(maxsize=32)
+def _pieces_of(family: str, taps: int, pass_band: float) -> Floats:
+    """Cubics (pieces, 4, taps) of the kernel of ``family`` and ``taps`` for content up to ``pass_band`` of the rate.
+
+    There are as many pieces as keep the error between their nodes below a quarter of the kernel's own.
+    """
+    windowed = family == "kaiser"
+    own = kaiser_error(taps, pass_band) if windowed else _band_fit(taps, pass_band).error
+    allowed = max(4.0 * ROUNDING_FLOOR, own) / 4.0
+    least = 2.0 * np.pi * (0.5 if windowed else pass_band) * (CUBIC_ERROR / allowed) ** 0.25
+    n_pieces = max(8, 2 * int(np.ceil(0.5 * least)))
+    fraction = ((np.arange(n_pieces // 2)[:, None] + _NODES) / n_pieces).ravel()
+    made = _windowed_weights(taps, pass_band, fraction) if windowed else _band_fit(taps, pass_band).weights(fraction)
+    weights = made.reshape(n_pieces // 2, 4, -1)
+    return _cubic_pieces(np.concatenate([weights, weights[::-1, ::-1, ::-1]]))
+
+
+@lru_cache(maxsize=32)
+def table_of(family: str, taps: int, pass_band: float, double: bool) -> NDArray[np.floating]:
+    """Cubics (pieces, 4, taps), highest power first, of the weights over the fraction of a sample, piece by piece.
+
+    ``family``, ``taps`` and ``pass_band`` (share of the sample rate) name the kernel; ``double`` asks for float64
+    numbers, else float32. They sum exactly to 1 and 0, 0, 0: a constant must not suffer.
+    """
+    dtype = np.float64 if double else np.float32
+    pieces = _pieces_of(family, taps, pass_band)
+    rounded = pieces.astype(dtype).astype(np.longdouble)
+    lost = np.array([0.0, 0.0, 0.0, 1.0])[:, None] - rounded.sum(axis=2, keepdims=True)
+    middle = pieces.shape[2] // 2
+    near = slice(max(0, middle - 4), middle + 4)
+    # into a small number near the middle, which is fine enough to take it up
+    place = near.start + np.abs(rounded[:, :, near]).argmin(axis=2)[:, :, None]
+    np.put_along_axis(rounded, place, np.take_along_axis(rounded, place, axis=2) + lost, axis=2)
+    return np.ascontiguousarray(rounded.astype(dtype))
+
+
+def rounding(taps: int, double: bool) -> float:
+    """Error by rounding of a sum of ``taps`` samples, ``double`` or single, over the largest of them."""
+    return ROUNDING[double] + ROUNDING_PER_ROOT_TAP[double] * float(taps**0.5)
+
+
+@lru_cache(maxsize=256)
+def error_of(family: str, taps: int, pass_band: float, double: bool) -> float:
+    """Largest relative error of the kernel of ``family`` and ``taps`` for tones up to its ``pass_band``.
+
+    It is the worst complex error over frequencies and places, of the table as it is read, and the rounding of sums in
+    double precision if ``double``, else in single. ``pass_band`` is a share of the sample rate.
+    """
+    pieces = _pieces_of(family, taps, pass_band)
+    n_pieces = len(pieces)
+    # half a sample tells all; a long kernel affords fewer pieces; in each, the places where a cubic errs most
+    chosen = np.unique(np.linspace(0, (n_pieces - 1) // 2, max(8, 1024 // taps)).astype(int))
+    inside = np.array([0.0, 0.117, 0.5, 0.883])
+    weights = np.einsum("up,cpt->cut", np.vander(inside, 4), pieces[chosen]).reshape(-1, taps)
+    fraction = ((chosen[:, None] + inside) / n_pieces).ravel()
+    frequency = pass_band * np.cos(np.linspace(0.0, 0.5 * np.pi, max(24, min(taps, 160)), endpoint=False))
+    turn = 2j * np.pi * frequency[:, None]
+    response = np.exp(turn * _sample_offsets(taps)) @ weights.T
+    return BETWEEN * float(np.abs(response * np.exp(-turn * fraction) - 1.0).max()) + rounding(taps, double)
+
 
 Signals = NDArray[np.floating]
 

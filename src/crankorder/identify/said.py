@@ -47,14 +47,6 @@ def mains_words(multiple: int) -> str:
     return _LOW_WORDS.get(multiple, f"{multiple} x mains")
 
 
-def multiple_in(text: str) -> int | None:
-    """Multiple of the mains that the words ``text`` of a cause name; None where they name anything else as well."""
-    if text in _LOW_WORDS.values():
-        return next(multiple for multiple, words in _LOW_WORDS.items() if words == text)
-    number, _, rest = text.partition(" ")
-    return int(number) if number.isdigit() and rest == "x mains" else None
-
-
 def is_electric(text: str) -> bool:
     """Whether the words ``text`` of a cause name the mains or the field of a motor, and no order of the shaft."""
     return (text.startswith(_OF_THE_FIELD) or " x mains" in text) and " or order" not in text

@@ -63,25 +63,17 @@ def checksum_faults(
         found = known or _digest(path, one.algorithm)
         if found is not None and found.lower() != one.digest.lower():
             told.add(path)
-            faults.append(
-                InputError(
-                    f"its {one.algorithm.upper()} differs from {one.by.name}: it was damaged or changed",
-                    file=wanted[path],
-                    found=found[:16] + " …",
-                    allowed=one.digest[:16] + " …",
-                    remedy="Copy it again from where it was recorded; where it was changed on purpose, renew the list",
-                )
-            )
+            problem = f"its {one.algorithm.upper()} differs from {one.by.name}: it was damaged or changed"
+            remedy = "Copy it again from where it was recorded; where it was changed on purpose, renew the list"
+            digests = {"found": found[:16] + " …", "allowed": one.digest[:16] + " …"}
+            faults.append(InputError(problem, file=wanted[path], remedy=remedy, **digests))
     return faults
 
 
 def _is_asked_for(path: Path, folder: Path, patterns: Sequence[str]) -> bool:
-    try:
-        name = PurePosixPath(path.relative_to(folder).as_posix())
-    except ValueError:
-        return False
-    deep = [pattern for pattern in patterns if "**" in pattern or pattern.count("/") == len(name.parts) - 1]
-    return name.as_posix() in patterns or any(fnmatch.fnmatchcase(name.as_posix(), pattern) for pattern in deep)
+    name = path.relative_to(folder).as_posix()
+    deep = [pattern for pattern in patterns if "**" in pattern or pattern.count("/") == name.count("/")]
+    return name in patterns or any(fnmatch.fnmatchcase(name, pattern) for pattern in deep)
 
 
 def _digest(path: Path, algorithm: str) -> str | None:
@@ -121,24 +113,22 @@ def _entries(by: Path, home: Path, folder: Path, faults: list[CrankorderError]) 
         tagged, plain = _TAGGED.fullmatch(line.strip()), _LINE.fullmatch(line.strip())
         name, digest = (tagged[1], tagged[2]) if tagged else (plain[2] or by.stem, plain[1]) if plain else ("", "")
         if len(digest) != 2 * hashlib.new(algorithm).digest_size:
-            found = printable(line, 60)
-            remedy = "Write the list again, or remove it"
+            problem, remedy = f"is no {algorithm} checksum", "Write the list again, or remove it"
             faults.append(
-                InputError(f"is no {algorithm} checksum", file=by, place=f"line {number}", found=found, remedy=remedy)
+                InputError(problem, file=by, place=f"line {number}", found=printable(line, 60), remedy=remedy)
             )
             return
-        path = _inside(_spelled(name), home, folder)
+        path = _inside(name.strip(), home, folder)
         if path is not None:
             yield Listed(path, algorithm, digest, by)
 
 
-def _spelled(name: str) -> str:
-    """``name`` as the file has it: RFC 8493 writes ends of lines and the percent sign by their codes."""
-    return re.sub(r"%(0[AaDd]|25)", lambda code: chr(int(code[1], 16)), name.strip())
-
-
 def _inside(name: str, home: Path, folder: Path) -> Path | None:
-    """Path below ``folder`` of the file that a list in ``home`` calls ``name``; None where it lies elsewhere."""
+    """Path below ``folder`` of the file that a list in ``home`` calls ``name``; None where it lies elsewhere.
+
+    RFC 8493 writes ends of lines and the percent sign by their codes.
+    """
+    name = re.sub(r"%(0[AaDd]|25)", lambda code: chr(int(code[1], 16)), name)
     parts = PurePosixPath(name.replace("\\", "/")).parts
     if not parts or name.startswith(("/", "~")) or ".." in parts or "\0" in name:
         return None

@@ -13,14 +13,13 @@ import xarray as xr
 from crankorder.errors import CrankorderError, InputError
 from crankorder.fft.integration import faded_samples, integrated
 from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
-from crankorder.ingest.direction import direction_flags
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.formats import contents_of, format_of, read_file
 from crankorder.ingest.limit_table import check_bands
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named
-from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, judged
+from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, direction_flags, judged
 from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.ingest.units import (

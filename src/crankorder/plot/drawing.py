@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from io import BytesIO
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings
-from crankorder.plot.palette import FAINT, INK, LARGE, MAINS, NORMAL, SMALL
-from crankorder.plot.typeface import CAP_HEIGHT, shortened, text_width_in
+from crankorder.plot.palette import CAP_HEIGHT, FAINT, INK, LARGE, MAINS, NORMAL, SMALL, shortened, text_width_in
+from crankorder.settings import PictureFormat
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -239,3 +240,23 @@ def pixels_of(box: Box, dpi: float) -> tuple[int, int]:
     """Rows and columns that a :class:`Field` over ``box`` has at ``dpi``."""
     left, right, bottom, top = whole(dpi * np.array([box[0], box[0] + box[2], box[1], box[1] + box[3]]))
     return int(top - bottom), int(right - left)
+
+
+def picture_bytes(figure: Drawing | Figure, *, dpi: int, kind: PictureFormat = "png") -> bytes:
+    """Bytes of a picture, the same for the same figure (no date, fixed software name).
+
+    ``figure`` of the house or of matplotlib; ``dpi`` pixels per inch; ``kind`` of file.
+    """
+    from crankorder.plot.style import house_style
+
+    buffer = BytesIO()
+    with house_style():
+        drawn = figure.figure() if isinstance(figure, Drawing) else figure
+        if kind == "png":
+            drawn.savefig(
+                buffer, format="png", dpi=dpi, metadata={"Software": "crankorder"}, pil_kwargs={"compress_level": 4}
+            )
+        else:
+            dated = "Date" if kind == "svg" else "CreationDate"
+            drawn.savefig(buffer, format=kind, dpi=dpi, metadata={"Creator": "crankorder", dated: None})
+    return buffer.getvalue()

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.plot.drawing import Drawing, Rings, Stroke, Words
-from crankorder.plot.palette import INK, SMALL
-from crankorder.plot.typeface import CAP_HEIGHT, text_width_in
+from crankorder.plot.palette import CAP_HEIGHT, INK, SMALL, text_width_in
 
 GAP_IN = 0.05
 LINE_HEIGHT_IN = 0.125

@@ -204,7 +204,7 @@ def _level_limits(amplitude: NDArray[np.float64], depth_db: float) -> tuple[floa
 def _draw_map(
     axes: Axes, one: _Map, x_label: str, depth_db: float, *, rows_above: int, labels_beside: bool = False
 ) -> None:
-    from crankorder.plot.level_image import LevelImage
+    from crankorder.plot.whole_pixels import LevelImage
 
     cells, x = one.cells, bin_edges(one.place)
     ends = (one.place[0], one.place[-1]) if len(one.place) > 1 else (x[0], x[-1])

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from crankorder.plot.axes import FEW_DECADES, decade_text
 from crankorder.plot.drawing import Area, Box, Drawing, Rings, Stroke, Words
-from crankorder.plot.palette import FAINT, GRID, NORMAL
-from crankorder.plot.typeface import text_width_in
+from crankorder.plot.palette import FAINT, GRID, NORMAL, text_width_in
 
 TICK_SIZE = 8.5
 _TICK_IN, _PAD_IN = 3 / 72, 0.05

@@ -16,8 +16,20 @@ from matplotlib.text import Text
 
 from crankorder.findings import Findings
 from crankorder.plot.drawing import quality_text
-from crankorder.plot.palette import BAND_FACTOR, FAINT, GRID, INK, LARGE, LINES, MAINS, NORMAL, SMALL
-from crankorder.plot.typeface import drawable, shortened, text_width_in
+from crankorder.plot.palette import (
+    BAND_FACTOR,
+    FAINT,
+    GRID,
+    INK,
+    LARGE,
+    LINES,
+    MAINS,
+    NORMAL,
+    SMALL,
+    drawable,
+    shortened,
+    text_width_in,
+)
 
 __all__ = [
     "BAND_FACTOR", "FAINT", "GRID", "INK", "LARGE", "LINES", "MAINS", "NORMAL", "NOTE", "SMALL", "axes_at", "drawable",

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from crankorder.findings import Findings
 from crankorder.plot.drawing import Drawing, Rings, Words, quality_note, title_lines
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, label_width_in
-from crankorder.plot.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES
+from crankorder.plot.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES, drawable, shortened
 from crankorder.plot.panel import Panel
-from crankorder.plot.typeface import drawable, shortened
 from crankorder.report.notation import is_number, order_name, order_text
 from crankorder.report.spectra_figure import Mark, column_boxes, column_panels, draw_spectra, label_column
 from crankorder.settings import ReportSettings

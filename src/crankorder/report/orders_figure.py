@@ -13,9 +13,8 @@ from crankorder.findings import Findings
 from crankorder.plot.cells import gaps_between, speed_cells
 from crankorder.plot.drawing import Box, Drawing, Words, quality_note, title_lines
 from crankorder.plot.labels import EdgeLabel, label_right
-from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL
+from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.panel import Panel
-from crankorder.plot.typeface import drawable, shortened
 from crankorder.report.notation import nominal_order, order_texts
 from crankorder.settings import ReportSettings
 

@@ -11,15 +11,11 @@ import numpy as np
 import xarray as xr
 
 from crankorder.findings import Findings, nothing_sought
-from crankorder.report.figures import (
-    campbell_figure,
-    order_spectra_figure,
-    orders_figure,
-    picture_bytes,
-    spectra_figure,
-    speed_figure,
-)
-from crankorder.report.speed_figure import shown_recordings
+from crankorder.plot.drawing import picture_bytes
+from crankorder.report.campbell_figure import campbell_figure
+from crankorder.report.orders_figure import orders_figure
+from crankorder.report.spectra_figure import order_spectra_figure, spectra_figure
+from crankorder.report.speed_figure import shown_recordings, speed_figure
 from crankorder.settings import ReportSettings
 
 

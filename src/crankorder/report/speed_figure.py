@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from crankorder.findings import Findings
 from crankorder.plot.drawing import Drawing, quality_note, title_lines
 from crankorder.plot.labels import EdgeLabel, label_right
-from crankorder.plot.palette import FAINT, LIGHT, LINES, SMALL
+from crankorder.plot.palette import FAINT, LIGHT, LINES, SMALL, drawable, shortened
 from crankorder.plot.panel import Panel
-from crankorder.plot.typeface import drawable, shortened
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _RIGHT, _HEIGHT = 0.95, 0.7, 0.84, 1.6, 3.8  # inches

@@ -5,7 +5,6 @@ converter and number type.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -163,9 +162,7 @@ def true_rate_hz(acquisition: Acquisition, rate_hz: float) -> float:
     return rate_hz * (1 + acquisition.clock_error_ppm * 1e-6)
 
 
-def recorded(
-    signal: NDArray[np.float64], acquisition: Acquisition, *, stand_ins: Sequence[tuple[int, slice, float]] = ()
-) -> Recorded:
+def recorded(signal: NDArray[np.float64], acquisition: Acquisition) -> Recorded:
     """``signal`` in the unit of the file, cut off at full scale, in steps of the converter, in the number type stored.
 
     The converter is mid-tread: codes −2^(bits − 1) … 2^(bits − 1) − 1 of full_scale / 2^(bits − 1) each, so that 0 is a
@@ -173,8 +170,6 @@ def recorded(
     types store their values. NaN stays NaN; infinity is cut off like any other value, or stays where there is no range.
 
     ``signal``: m/s², shape (channel, n). ``acquisition``: sensitivity, full scale, bits and number type.
-    ``stand_ins``: channel, samples, and the number in the unit of the file that a logger writes for those of the
-    samples that are NaN; int16 holds the nearest that it can.
     Raises ValueError for NaN that int16 would have to store, for which it has no code.
     """
     sensitivity = acquisition.sensitivity_mv_per_g
@@ -190,9 +185,6 @@ def recorded(
         clipped_share[channel] = _convert(values, full_scale, step) / max(1, values.size)
         if step is not None and count_value is None:
             values *= step
-        for part, number in ((part, number) for where, part, number in stand_ins if where == channel):
-            written = number if count_value is None else _nearest_int16(number / count_value)
-            values[part][np.isnan(values[part])] = written
         if count_value is not None and np.isnan(values).any():
             raise ValueError("int16 has no code for a missing sample")
         samples[channel] = values
@@ -215,7 +207,3 @@ def _convert(values: NDArray[np.float64], full_scale: float, step: float | None)
     if n_clipped:
         np.clip(values, low, high, out=values)
     return n_clipped
-
-
-def _nearest_int16(value: float) -> float:
-    return float(round(min(max(value, -(2.0**15)), 2.0**15 - 1)))

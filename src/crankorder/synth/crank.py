@@ -53,16 +53,16 @@ def start_angle_rev(scene: Scene, run: Run) -> float:
 
 
 def crank_motion(scene: Scene, run: Run) -> Motion:
-    """Motion of the crank in one recording, with what the scene asks for: profile, wobble, wander, in-cycle motion.
+    """Motion of the crank in one recording, with what the scene asks for: profile, wander, in-cycle motion.
 
     ``scene``: its speeds and effects. ``run``: the recording.
     """
-    wobbles = tuple((part.frequency_hz, part.amplitude_rpm, part.phase_deg) for part in scene.speed_wobbles)
+    wobbles: tuple[tuple[float, float, float], ...] = ()
     if scene.speed_wander is not None:
         stream = seed_stream(scene.seed, "speed_wander", run.stream)
         duration_s = scene.n_samples / scene.rate_hz(run.speed_rpm)
         wander = scene.speed_wander
-        wobbles += wander_wobbles(wander.std_rpm, wander.corner_hz, stream, duration_s)
+        wobbles = wander_wobbles(wander.std_rpm, wander.corner_hz, stream, duration_s)
     return Motion(
         start_rev=start_angle_rev(scene, run),
         corners=_on_samples(scene, scene.speed_profile.corners) if scene.speed_profile else ((0.0, run.speed_rpm),),

@@ -119,24 +119,13 @@ def unit_quadrature(decay: float) -> tuple[Real, Real]:
 
 
 def advance(
-    poles: Poles, force: Real, *, step_s: float, integration: Integration, state: Complex
+    poles: Poles, force: Real, *, growth: Complex, taps: Complex, integration: Integration, state: Complex
 ) -> tuple[Real, Complex]:
     """Acceleration (channel, n) at the output samples, and the state (pole,) one output step behind the last.
 
-    ``poles``: of structure and filter. ``force``: samples (axis, margin + n · substeps + margin), ``step_s`` apart; the
-    one after the first margin falls on the first output sample. ``integration``: its margin, stencil and substeps.
-    ``state`` (pole,): at the first output sample.
-    """
-    growth, taps = step_weights(poles.pole_per_s, step_s, integration)
-    return advance_by(poles, force, growth=growth, taps=taps, integration=integration, state=state)
-
-
-def advance_by(
-    poles: Poles, force: Real, *, growth: Complex, taps: Complex, integration: Integration, state: Complex
-) -> tuple[Real, Complex]:
-    """The same with the ``growth`` and ``taps`` of :func:`step_weights` at hand.
-
-    ``poles``, ``force``, ``integration``, ``state``: see :func:`advance`.
+    ``poles``: of structure and filter. ``force``: samples (axis, margin + n · substeps + margin), a step apart; the one
+    after the first margin falls on the first output sample. ``growth``, ``taps``: of :func:`step_weights`.
+    ``integration``: its margin, stencil and substeps. ``state`` (pole,): at the first output sample.
     """
     margin, substeps = integration.margin, integration.substeps
     n_out = (force.shape[1] - 2 * margin) // substeps
@@ -431,9 +420,7 @@ class _Stepping:
         )
 
     def _advance(self, force: Real, state: Complex) -> tuple[Real, Complex]:
-        return advance_by(
-            self.poles, force, growth=self.growth, taps=self.taps, integration=self.integration, state=state
-        )
+        return advance(self.poles, force, growth=self.growth, taps=self.taps, integration=self.integration, state=state)
 
     def _late(self, from_s: float, step: int, force: Callable[[Real], Real]) -> Complex:
         """State at output ``step`` that a ``force`` of time leaves which acts from ``from_s`` on."""

@@ -375,7 +375,7 @@ def _masses(scene: Scene) -> list[_Force]:
 
 def _accelerates(scene: Scene) -> bool:
     """Whether the crank ever has an angular acceleration."""
-    return any((scene.speed_profile, scene.speed_wobbles, scene.speed_wander, scene.in_cycle_speed))
+    return any((scene.speed_profile, scene.speed_wander, scene.in_cycle_speed))
 
 
 def _acceleration_moment(scene: Scene, top: int) -> Complex:

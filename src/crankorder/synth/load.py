@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,7 @@ from crankorder.synth.crank import crank_motion, other_motion
 from crankorder.synth.driven import MEMORY
 from crankorder.synth.lines import ringing_s
 from crankorder.synth.order_forces import ENDLESS
-from crankorder.synth.parts import INDEX, INDEX_TIME, PULSE_TIME, TRACE, CrankAngleSampling, Encoder, TimeSampling
+from crankorder.synth.parts import INDEX, TRACE, CrankAngleSampling, TimeSampling
 from crankorder.synth.poles import poles_of
 from crankorder.synth.scene import Scene
 from crankorder.synth.signal_faults import impossible_faults
@@ -74,7 +73,7 @@ def _names(scene: Scene) -> Iterator[Fault]:
             if times > 1:
                 yield f"two channels have the same {what}", "channels", value, "each once"
     for channel in scene.channels:
-        if channel.source in (TRACE, INDEX, PULSE_TIME, INDEX_TIME):
+        if channel.source in (TRACE, INDEX):
             yield "the encoder's dataset cannot be a channel's", "channels", channel.source, "any other name"
     for place, names in _channel_uses(scene):
         for name in names:
@@ -102,7 +101,6 @@ def _channel_uses(scene: Scene) -> Iterator[tuple[str, Iterable[str]]]:
     if scene.sensor_noise:
         yield "sensor_noise.m_s2_per_root_hz", scene.sensor_noise.m_s2_per_root_hz
     if scene.wrong_labels:
-        yield "wrong_labels.units", scene.wrong_labels.units
         yield "wrong_labels.swapped", scene.wrong_labels.swapped or ()
     by_key = {
         "modes": ("sensor_per_kg", "sensor_phase_deg"),
@@ -154,8 +152,8 @@ def _converter(scene: Scene) -> Iterator[Fault]:
     yield from _told(partial(analogue_filter, scene.acquisition), "acquisition.ac_coupling_hz")
     if scene.acquisition.stored_as == "int16":
         for k, fault in enumerate(scene.signal_faults):
-            if fault.kind == "not_a_number" and fault.instead is None:
-                yield "int16 has no NaN", f"signal_faults.{k}", "not_a_number", "instead = a number, or stored_as float"
+            if fault.kind == "not_a_number":
+                yield "int16 has no NaN", f"signal_faults.{k}", "not_a_number", "stored_as float"
 
 
 def _sampling(scene: Scene) -> Iterator[Fault]:
@@ -187,12 +185,10 @@ def _sampling(scene: Scene) -> Iterator[Fault]:
         if part.resonance_hz >= lowest_rate / 2 and scene.acquisition.low_pass_hz is None:
             allowed = f"below half the rate, {lowest_rate / 2:g} Hz, or a low_pass_hz"
             yield "resonance above Nyquist", f"bearing_impacts.{k}.resonance_hz", f"{part.resonance_hz:g}", allowed
-    slow = [(f"speed_wobbles.{k}.frequency_hz", part.frequency_hz) for k, part in enumerate(scene.speed_wobbles)]
-    slow += [("speed_wander.corner_hz", scene.speed_wander.corner_hz)] if scene.speed_wander is not None else []
-    for place, frequency_hz in slow:
-        if frequency_hz >= lowest_rate / 2:
-            allowed = f"below half the rate, {lowest_rate / 2:g} Hz"
-            yield "speed that changes above Nyquist", place, f"{frequency_hz:g} Hz", allowed
+    if scene.speed_wander is not None and scene.speed_wander.corner_hz >= lowest_rate / 2:
+        allowed = f"below half the rate, {lowest_rate / 2:g} Hz"
+        found = f"{scene.speed_wander.corner_hz:g} Hz"
+        yield "speed that changes above Nyquist", "speed_wander.corner_hz", found, allowed
     for k, tone in enumerate(scene.tones):
         highest = tone.frequency_hz * len(tone.harmonics)
         if highest >= lowest_rate / 2 and not getattr(scene.sampling, "folds", False):
@@ -207,7 +203,7 @@ def _by_crank_angle(scene: Scene) -> Iterator[Fault]:
     allowed = 'only with domain = "time"'
     if scene.encoder is not None:
         yield "samples by crank angle need no encoder", "encoder", "[encoder]", allowed
-    for place in ("speed_profile", "speed_wobbles", "speed_wander"):
+    for place in ("speed_profile", "speed_wander"):
         if getattr(scene, place):
             yield "samples by crank angle need a steady mean speed", place, f"[{place}]", allowed
     if any(shaft.time_s for shaft in scene.other_shafts):
@@ -225,42 +221,25 @@ def _encoder(scene: Scene) -> Iterator[Fault]:
             yield "there is no encoder to be at fault", "encoder_faults", "no [encoder]", "an [encoder]"
         return
     reached = scene.speeds.rpm if scene.speeds else tuple(abs(rpm) for rpm in scene.speed_range_rpm)
-    if encoder.delivered_as != "pulse_times":
-        fastest = 30 * scene.sampling.rate_hz / (_pulses_per_rev(encoder) * encoder.ratio)
-        too_fast = [f"{speed:g}" for speed in reached if speed + _swing_rpm(scene) > fastest]
-        if too_fast:
-            allowed = f"at most {fastest:g} rpm with {encoder.pulses_per_rev} pulses per revolution at this rate"
-            yield "speeds that the rate cannot carry", "speeds", f"{', '.join(too_fast)} rpm", allowed
+    fastest = 30 * scene.sampling.rate_hz / (encoder.pulses_per_rev * encoder.ratio)
+    too_fast = [f"{speed:g}" for speed in reached if speed + _swing_rpm(scene) > fastest]
+    if too_fast:
+        allowed = f"at most {fastest:g} rpm with {encoder.pulses_per_rev} pulses per revolution at this rate"
+        yield "speeds that the rate cannot carry", "speeds", f"{', '.join(too_fast)} rpm", allowed
     duration_s = scene.n_samples / scene.rate_hz(max(reached))
     n_pulses = (max(reached) + _swing_rpm(scene)) / 60 * encoder.ratio * encoder.pulses_per_rev * duration_s
     if n_pulses > MOST_EVENTS and scene.n_samples <= MAX_SAMPLES:
         yield "too many pulses for one recording", "encoder.pulses_per_rev", f"{n_pulses:g}", f"at most {MOST_EVENTS}"
-    yield from _encoder_faults(scene, encoder, duration_s)
-
-
-def _pulses_per_rev(encoder: Encoder) -> float:
-    """Pulses per revolution of an even wheel whose lines are as close as the closest of this one."""
-    angles = encoder.tooth_angles_deg or (0.0,)
-    closest_deg = min(after - before for before, after in pairwise((*angles, angles[0] + 360)))
-    return max(encoder.pulses_per_rev, 360 / closest_deg)
-
-
-def _swing_rpm(scene: Scene) -> float:
-    """How much wobble and wander add to a speed at most (five standard deviations of the wander)."""
-    wander_rpm = 5 * scene.speed_wander.std_rpm if scene.speed_wander is not None else 0.0
-    return sum(part.amplitude_rpm for part in scene.speed_wobbles) + wander_rpm
-
-
-def _encoder_faults(scene: Scene, encoder: Encoder, duration_s: float) -> Iterator[Fault]:
-    n_lines = len(encoder.tooth_angles_deg or ()) or encoder.pulses_per_rev - encoder.missing_teeth
+    n_lines = encoder.pulses_per_rev - encoder.missing_teeth
     for k, fault in enumerate(scene.encoder_faults):
         for line in fault.lines if fault.kind == "damaged_line" else ():
             if line >= n_lines:
                 yield "the wheel has no such line", f"encoder_faults.{k}.lines", str(line), f"0 to {n_lines - 1}"
-        if fault.kind in ("encoder_dropout", "index_slip") and fault.at_s >= duration_s:
-            yield "begins after the end", f"encoder_faults.{k}.at_s", f"{fault.at_s:g} s", f"below {duration_s:g} s"
-        if fault.kind in ("lost_index", "extra_index", "index_slip") and not encoder.index:
-            yield "the encoder has no index to be at fault", f"encoder_faults.{k}", fault.kind, "index = true"
+
+
+def _swing_rpm(scene: Scene) -> float:
+    """How much the wander adds to a speed at most: five of its standard deviations."""
+    return 5 * scene.speed_wander.std_rpm if scene.speed_wander is not None else 0.0
 
 
 def _orders(scene: Scene) -> Iterator[Fault]:
@@ -318,7 +297,7 @@ def _past(scene: Scene) -> Iterator[Fault]:
     rate_hz = scene.rate_hz(max(abs(speed) for speed in scene.speed_range_rpm) or 1.0)
     forces = scene.engine_forces or scene.gas_torque or scene.injected_orders
     scatters = scene.gas_torque is not None and scene.gas_torque.scatter_percent > 0
-    uneven = scene.speed_wobbles or scene.speed_wander or (scene.in_cycle_speed and scene.speed_profile) or scatters
+    uneven = scene.speed_wander or (scene.in_cycle_speed and scene.speed_profile) or scatters
     if forces and (uneven or scene.speed_profile or any(shaft.time_s for shaft in scene.other_shafts)):
         yield from _told(partial(poles_of, scene.structure, scene.filter), "acquisition.low_pass_hz")
     if forces and uneven:
@@ -348,14 +327,8 @@ def _labels(scene: Scene) -> Iterator[Fault]:
     labels = scene.wrong_labels
     if labels is None:
         return
-    in_time = isinstance(scene.sampling, TimeSampling)
     if labels.pulses_per_rev is not None and scene.encoder is None:
         yield "there is no encoder to be labelled", "wrong_labels.pulses_per_rev", "no [encoder]", "an [encoder]"
-    if labels.speed_factor != 1 and in_time:
-        allowed = 'only with domain = "crank_angle"'
-        yield "no speeds are stated", "wrong_labels.speed_factor", f"{labels.speed_factor:g}", allowed
-    if labels.rate_factor != 1 and not in_time:
-        yield "no rate is stated", "wrong_labels.rate_factor", f"{labels.rate_factor:g}", 'only with domain = "time"'
     if labels.swapped is not None and labels.swapped[0] == labels.swapped[1]:
         yield "a channel cannot be swapped with itself", "wrong_labels.swapped", labels.swapped[0], "two channels"
 

@@ -291,7 +291,6 @@ def fill_times(  # type: ignore[no-untyped-def]
 
 
 Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 Corner = tuple[float, float]
 
 MOST_WOBBLES = 256

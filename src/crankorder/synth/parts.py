@@ -9,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from crankorder.engine.forces import DIRECTIONS
 
-TRACE, INDEX, PULSE_TIME, INDEX_TIME = "encoder", "index", "pulse_time", "index_time"
+TRACE, INDEX = "encoder", "index"
 """Datasets of the encoder in a file."""
 
 Positive = Annotated[float, Field(gt=0)]
@@ -82,42 +82,25 @@ class Speeds(Part):
 class SpeedProfile(Part):
     """One recording whose speed runs straight from corner to corner: run-up, coast-down, standstill, reversal.
 
-    ``rpm``: speed at each corner; negative is backwards. Either ``time_s``, the time of each corner from the first
-    sample, or ``rpm_per_s``, the rate of change between them, with ``hold_s`` at each. Before the first and after the
-    last corner the speed stays; corners are taken to the nearest sample.
+    ``rpm``: speed at each corner; negative is backwards. ``time_s``: of each corner, from the first sample. Before the
+    first and after the last corner the speed stays; corners are taken to the nearest sample.
     """
 
     rpm: tuple[float, ...] = Field(min_length=2, strict=False)
-    time_s: tuple[NonNegative, ...] | None = Field(default=None, strict=False)
-    rpm_per_s: Positive | None = None
-    hold_s: NonNegative = 0.0
+    time_s: tuple[NonNegative, ...] = Field(strict=False)
 
     @model_validator(mode="after")
-    def _one_way_of_saying_it(self) -> Self:
-        if (self.time_s is None) == (self.rpm_per_s is None):
-            raise ValueError("give either time_s or rpm_per_s")
-        if self.time_s is not None and len(self.time_s) != len(self.rpm):
+    def _each_has_its_time(self) -> Self:
+        if len(self.time_s) != len(self.rpm):
             raise ValueError("time_s must have one time for each of rpm")
-        if self.time_s is not None and any(after <= before for before, after in pairwise(self.time_s)):
+        if any(after <= before for before, after in pairwise(self.time_s)):
             raise ValueError("time_s must ascend")
-        if self.rpm_per_s is not None and any(after == before for before, after in pairwise(self.rpm)):
-            raise ValueError("with rpm_per_s every speed must differ from the one before")
         return self
 
     @property
     def corners(self) -> tuple[tuple[float, float], ...]:
         """Time (s) and speed (rpm) of every corner, times ascending."""
-        if self.time_s is not None:
-            return tuple(zip(self.time_s, self.rpm, strict=True))
-        assert self.rpm_per_s is not None  # checked above
-        corners, now = [], 0.0
-        for number, rpm in enumerate(self.rpm):
-            now += abs(rpm - self.rpm[number - 1]) / self.rpm_per_s if number else 0.0
-            corners.append((now, rpm))
-            if self.hold_s:
-                now += self.hold_s
-                corners.append((now, rpm))
-        return tuple(corners)
+        return tuple(zip(self.time_s, self.rpm, strict=True))
 
 
 class Quick(Part):
@@ -179,14 +162,6 @@ class OtherShaft(Part):
 
 Cause = Annotated[str, Field(min_length=1, max_length=60)]
 BearingLineName = Literal["N*fs", "BPFO", "BPFI", "BSF", "FTF"]
-
-
-class Wobble(Part):
-    """A slow sine of the speed, about its mean."""
-
-    frequency_hz: Positive
-    amplitude_rpm: NonNegative
-    phase_deg: float = 0.0
 
 
 class Wander(Part):
@@ -365,41 +340,28 @@ class Acquisition(Part):
 
 
 class Encoder(Part):
-    """Shaft encoder, sampled with the channels as a square wave or an analogue pickup, or as counted pulse times.
+    """Shaft encoder, sampled with the channels as a square wave.
 
     ``pulses_per_rev``: of the full wheel; the last ``missing_teeth`` of them are left out, so that tooth 1 follows the
-    gap. ``tooth_angles_deg``: any pattern instead, rising from 0. ``ratio``: encoder revolutions per crank revolution.
-    ``eccentricity_deg``: amplitude of the once-per-revolution error of angle; above 45° lines would change places.
-    ``line_error_deg``: standard deviation of where the lines are. ``jitter_s``: of each edge. ``counter_hz``: clock of
-    the counter; without it times are exact. ``noise_v``: of an analogue pickup, rms; ``high_v``: high level, or its
-    peak at ``pickup_rpm``.
+    gap. ``ratio``: encoder revolutions per crank revolution. ``eccentricity_deg``: amplitude of the once-per-revolution
+    error of angle; above 45° lines would change places. ``line_error_deg``: standard deviation of where the lines are.
+    ``high_v``: high level.
     """
 
     pulses_per_rev: Annotated[int, Field(ge=1, le=100_000)]
     missing_teeth: Annotated[int, Field(ge=0)] = 0
-    tooth_angles_deg: tuple[Annotated[float, Field(ge=0, lt=360)], ...] | None = Field(default=None, strict=False)
     ratio: Positive = 1.0
     index: bool = True
     index_to_tdc_deg: float = 0.0
     eccentricity_deg: Annotated[float, Field(ge=0, le=45)] = 0.0
     eccentricity_phase_deg: float = 0.0
     line_error_deg: NonNegative = 0.0
-    jitter_s: NonNegative = 0.0
-    delivered_as: Literal["square", "analogue", "pulse_times"] = "square"
-    counter_hz: Positive | None = None
     high_v: Positive = 5.0
-    noise_v: NonNegative = 0.0
-    pickup_rpm: Positive = 1000.0
 
     @model_validator(mode="after")
     def _wheel_is_whole(self) -> Self:
         if self.missing_teeth >= self.pulses_per_rev:
             raise ValueError("more teeth are missing than the wheel has")
-        angles = self.tooth_angles_deg
-        if angles is not None and (not angles or any(after <= before for before, after in pairwise(angles))):
-            raise ValueError("tooth_angles_deg must ascend")
-        if angles is not None and self.missing_teeth:
-            raise ValueError("give either missing_teeth or tooth_angles_deg")
         return self
 
 
@@ -434,40 +396,7 @@ class DoublePulses(EncoderFault):
     delay_s: Positive = 2e-4
 
 
-class LostIndex(EncoderFault):
-    """Index marks that did not come: ``count`` of them at random, or all where none is stated."""
-
-    kind: Literal["lost_index"]
-    count: Count | None = None
-
-
-class ExtraIndex(EncoderFault):
-    """False index marks at random times."""
-
-    kind: Literal["extra_index"]
-    count: Count
-
-
-class IndexSlip(EncoderFault):
-    """From ``at_s`` on the index comes ``pulses`` lines later (negative: earlier)."""
-
-    kind: Literal["index_slip"]
-    at_s: NonNegative
-    pulses: int
-
-
-class EncoderDropout(EncoderFault):
-    """No edge at all from ``at_s`` for ``duration_s``: the level stays."""
-
-    kind: Literal["encoder_dropout"]
-    at_s: NonNegative
-    duration_s: Positive
-
-
-AnyEncoderFault = Annotated[
-    LostPulses | DamagedLine | DoublePulses | LostIndex | ExtraIndex | IndexSlip | EncoderDropout,
-    Field(discriminator="kind"),
-]
+AnyEncoderFault = Annotated[LostPulses | DamagedLine | DoublePulses, Field(discriminator="kind")]
 
 
 class SignalFault(Part):
@@ -478,11 +407,10 @@ class SignalFault(Part):
 
 
 class Clipping(SignalFault):
-    """Cut off at a share of the largest value; ``one_sided``: at the top only."""
+    """Cut off at a share of the largest value."""
 
     kind: Literal["clipping"]
     of_peak: Annotated[float, Field(gt=0, lt=1)]
-    one_sided: bool = False
 
 
 class IepeOverload(SignalFault):
@@ -495,12 +423,11 @@ class IepeOverload(SignalFault):
 
 
 class NotANumber(SignalFault):
-    """NaN from ``at_s`` for ``duration_s`` (one sample where that is 0), or the number ``instead`` of a logger."""
+    """NaN from ``at_s`` for ``duration_s`` (one sample where that is 0)."""
 
     kind: Literal["not_a_number"]
     at_s: NonNegative
     duration_s: NonNegative = 0.0
-    instead: float | None = None
 
 
 class Spikes(SignalFault):
@@ -543,12 +470,8 @@ AnySignalFault = Annotated[
 class WrongLabels(Part):
     """What manifest and files say wrongly; the samples are right.
 
-    ``rate_factor``: on the sampling rate. ``pulses_per_rev``: of the encoder. ``swapped``: two channels. ``units``: of
-    a channel, in place of m/s2. ``speed_factor``: on stated speeds of crank-angle data.
+    ``pulses_per_rev``: of the encoder. ``swapped``: two channels.
     """
 
-    rate_factor: Positive = 1.0
     pulses_per_rev: Annotated[int, Field(ge=1)] | None = None
     swapped: tuple[str, str] | None = Field(default=None, strict=False)
-    units: dict[str, Literal["g", "mm/s2", "m/s2"]] = Field(default_factory=dict)
-    speed_factor: Positive = 1.0

@@ -31,7 +31,7 @@ from crankorder.synth.order_forces import ForceLines, lines_in_angle
 from crankorder.synth.parts import TimeSampling
 from crankorder.synth.poles import poles_of, tones
 from crankorder.synth.scene import Run, Scene
-from crankorder.synth.signal_faults import converter_records, stand_ins, with_signal_faults
+from crankorder.synth.signal_faults import converter_records, with_signal_faults
 
 Signal = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -263,7 +263,7 @@ def synthesise(scene: Scene, run: Run, floor: Floor) -> SyntheticRecording:
             n_samples=scene.n_samples,
         )
         faults += encoder.records
-    made = recorded(signal, scene.acquisition, stand_ins=stand_ins(faults, names=scene.channel_names))
+    made = recorded(signal, scene.acquisition)
     faults += converter_records(made.clipped_share, names=scene.channel_names, recording=run.name)
     named = [{**fault, "recording": f"{run.name}.h5"} for fault in faults]
     return SyntheticRecording(recorded=made, encoder=encoder, faults=named)

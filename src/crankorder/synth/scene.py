@@ -41,7 +41,6 @@ from crankorder.synth.parts import (
     TimeSampling,
     Tone,
     Wander,
-    Wobble,
     WrongLabels,
 )
 from crankorder.synth.poles import Structure
@@ -81,7 +80,6 @@ class Scene(Part):
     modes: tuple[Mode, ...] = Field(default=(), strict=False)
     rigid_body_per_kg: dict[str, ByAxis] = Field(default_factory=dict)
     other_shafts: tuple[OtherShaft, ...] = Field(default=(), strict=False)
-    speed_wobbles: tuple[Wobble, ...] = Field(default=(), strict=False)
     speed_wander: Wander | None = None
     in_cycle_speed: InCycleSpeed | None = None
     engine_forces: EngineForces | None = None
@@ -137,7 +135,7 @@ class Scene(Part):
 
     @cached_property
     def speed_range_rpm(self) -> tuple[float, float]:
-        """Lowest and highest speed of all recordings, without wobble and in-cycle motion."""
+        """Lowest and highest speed of all recordings, without wander and in-cycle motion."""
         if self.speeds is not None:
             return min(self.speeds.rpm), max(self.speeds.rpm)
         reached = self.speed_profile.rpm if self.speed_profile is not None else (0.0,)

@@ -73,13 +73,10 @@ def with_signal_faults(
 
     A record has the keys of a quality flag (recording, flag, severity, detail), the channel, ``first_sample`` and
     ``n_samples`` (all that the fault changed: their number, not only their range), ``start_s``, and what the kind adds:
-    ``samples`` of spikes, ``level_m_s2`` of clipping, ``instead`` of missing samples. Flags are clipped, dropout,
+    ``samples`` of spikes, ``level_m_s2`` of clipping. Flags are clipped, dropout,
     non_finite_interpolated (or gap where they are too many to bridge), otherwise the fault's kind; severities
     are those that the shipped settings of the pipeline give. Samples are counted in the final signal: what dropped
     samples move is recorded where it came to lie. Faults never depend on each other's chance.
-
-    Missing samples are NaN, also where a logger writes a number: that comes behind the converter, by
-    :func:`stand_ins` for :func:`crankorder.synth.analogue.recorded`.
 
     ``signal``: m/s², shape (channel, n); not changed. ``names``: of the channels. ``recording``: its name without
     suffix, which faults name and records bear. ``stream``: its name in the seed streams. ``rate_hz``: true samples per
@@ -102,22 +99,6 @@ def with_signal_faults(
             channel = _Channel(samples=samples, peak=_peak(clean), rate_hz=rate_hz, stream=chance, limits=limits)
             marks.append((name, _apply(fault, channel)))
     return faulty, [_record(mark, name, recording, rate_hz) for name, mark in marks]
-
-
-def stand_ins(records: Sequence[dict[str, Any]], *, names: Sequence[str]) -> list[tuple[int, slice, float]]:
-    """Numbers that a logger writes where samples are missing: channel (from 0), samples, number in the file's unit.
-
-    ``records``: of :func:`with_signal_faults`, those with an ``instead`` count. ``names``: of the channels.
-    """
-    return [
-        (
-            list(names).index(record["channel"]),
-            slice(record["first_sample"], record["first_sample"] + record["n_samples"]),
-            record["instead"],
-        )
-        for record in records
-        if "instead" in record and record["n_samples"]
-    ]
 
 
 def converter_records(
@@ -199,15 +180,15 @@ def _apply(fault: SignalFault, channel: _Channel) -> _Mark:
 @_apply.register
 def _clip(fault: Clipping, channel: _Channel) -> _Mark:
     level = fault.of_peak * channel.peak
-    beyond = channel.samples > level if fault.one_sided else np.abs(channel.samples) > level
-    np.clip(channel.samples, None if fault.one_sided else -level, level, out=channel.samples)
+    beyond = np.abs(channel.samples) > level
+    np.clip(channel.samples, -level, level, out=channel.samples)
     share = float(np.mean(beyond))
     return _Mark(
         flag="clipped",
         severity="bad" if share > channel.limits.max_clipped_fraction else "suspect",
-        detail=f"{share:.3%} of the samples cut off {'above' if fault.one_sided else 'beyond ±'} {level:.6g} m/s2",
+        detail=f"{share:.3%} of the samples cut off beyond ±{level:.6g} m/s2",
         at=np.flatnonzero(beyond),
-        more={"level_m_s2": level, "one_sided": fault.one_sided},
+        more={"level_m_s2": level},
     )
 
 
@@ -228,13 +209,11 @@ def _lose(fault: NotANumber, channel: _Channel) -> _Mark:
     channel.samples[at] = np.nan
     few = at.size <= channel.limits.max_gap_samples
     few &= at.size <= channel.limits.max_gap_fraction * channel.samples.size
-    written = "" if fault.instead is None else f", {fault.instead:g} written in their place"
     return _Mark(
         flag="non_finite_interpolated" if few else "gap",
         severity="suspect" if at.size <= channel.limits.max_missing_fraction * channel.samples.size else "bad",
-        detail=f"{at.size} samples missing from {fault.at_s:g} s{written}",
+        detail=f"{at.size} samples missing from {fault.at_s:g} s",
         at=at,
-        more={} if fault.instead is None else {"instead": fault.instead},
     )
 
 

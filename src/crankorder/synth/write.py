@@ -17,7 +17,7 @@ from crankorder.quantities import Truth
 from crankorder.settings import shipped
 from crankorder.synth.load import load_scene
 from crankorder.synth.noise import floor_of
-from crankorder.synth.parts import INDEX, INDEX_TIME, PULSE_TIME, TRACE, Channel, Encoder, TimeSampling, WrongLabels
+from crankorder.synth.parts import INDEX, TRACE, Channel, Encoder, TimeSampling, WrongLabels
 from crankorder.synth.recording import SyntheticRecording, synthesise
 from crankorder.synth.scene import SWEEP, Run, Scene
 from crankorder.synth.truth import name_of_test, truth_of
@@ -36,11 +36,11 @@ def manifest_text(scene: Scene, engine_name: str, repeat: int = 0) -> str:
         "recordings": {"files": files},
     }
     if isinstance(scene.sampling, TimeSampling):
-        table["sampling"] = {"domain": "time", "rate_hz": scene.sampling.rate_hz * labels.rate_factor}
+        table["sampling"] = {"domain": "time", "rate_hz": scene.sampling.rate_hz}
     else:
         sampling = {"samples_per_rev": scene.sampling.samples_per_rev, "start_deg": 0.0}
         table["sampling"] = {"domain": "crank_angle", **sampling}
-        stated = {f"{run.name}.h5": run.speed_rpm * labels.speed_factor for run in scene.runs}
+        stated = {f"{run.name}.h5": run.speed_rpm for run in scene.runs}
         table["recordings"]["speed_rpm"] = stated
     table["channels"] = [_channel(scene, channel) for channel in scene.channels]
     if scene.encoder is not None:
@@ -49,13 +49,6 @@ def manifest_text(scene: Scene, engine_name: str, repeat: int = 0) -> str:
         bearing.model_dump(exclude_none=True, exclude_defaults=True) for bearing in scene.engine.bearings
     ]
     return toml_text(table)
-
-
-def labelled_unit(scene: Scene, channel: str) -> str:
-    """Unit of what the file holds for ``channel``, as ``scene`` labels it."""
-    if scene.wrong_labels is not None and channel in scene.wrong_labels.units:
-        return scene.wrong_labels.units[channel]
-    return "V" if scene.acquisition.sensitivity_mv_per_g is not None else "m/s2"
 
 
 def _channel(scene: Scene, channel: Channel) -> dict[str, Any]:
@@ -71,22 +64,18 @@ def _channel(scene: Scene, channel: Channel) -> dict[str, Any]:
 
 
 def _encoder(encoder: Encoder, labels: WrongLabels) -> dict[str, Any]:
-    counted = encoder.delivered_as == "pulse_times"
     table: dict[str, Any] = {
-        "source": PULSE_TIME if counted else TRACE,
-        "kind": encoder.delivered_as,
+        "source": TRACE,
+        "kind": "square",
         "pulses_per_rev": labels.pulses_per_rev or encoder.pulses_per_rev,
         "missing_teeth": encoder.missing_teeth,
         "ratio": encoder.ratio,
     }
-    if encoder.tooth_angles_deg is not None:
-        del table["missing_teeth"]
-        table["tooth_angles_deg"] = list(encoder.tooth_angles_deg)
     if encoder.index:
-        table["index"] = INDEX_TIME if counted else INDEX
-    if encoder.index or encoder.missing_teeth or encoder.tooth_angles_deg or encoder.pulses_per_rev == 1:
+        table["index"] = INDEX
+    if encoder.index or encoder.missing_teeth or encoder.pulses_per_rev == 1:
         table["index_to_tdc_deg"] = encoder.index_to_tdc_deg
-    return table if counted else table | {"edge": "rising"}
+    return table | {"edge": "rising"}
 
 
 def toml_text(table: Mapping[str, Any], prefix: str = "") -> str:
@@ -184,23 +173,21 @@ def recording_image(scene: Scene, run: Run, recording: SyntheticRecording) -> by
 
     ``scene``: names, units and sampling, as its labels say. ``run``: name and speed. ``recording``: the samples.
     """
-    labels = scene.wrong_labels
     axis: dict[str, Any]
     if isinstance(scene.sampling, TimeSampling):
-        axis = {"rate_hz": scene.sampling.rate_hz * (labels.rate_factor if labels else 1.0)}
+        axis = {"rate_hz": scene.sampling.rate_hz}
         stated: dict[str, Any] = {} if scene.speeds is None else {"speed_rpm": run.speed_rpm}
     else:
         axis = {"samples_per_rev": scene.sampling.samples_per_rev}
-        stated = {"start_deg": 0.0, "speed_rpm": run.speed_rpm * (labels.speed_factor if labels else 1.0)}
+        stated = {"start_deg": 0.0, "speed_rpm": run.speed_rpm}
     columns: dict[str, tuple[Any, dict[str, Any]]] = {}
+    unit = "m/s2" if scene.acquisition.sensitivity_mv_per_g is None else "V"
     packing = {} if recording.recorded.scale is None else {"scale_factor": recording.recorded.scale}
     for channel, samples in zip(scene.channels, recording.recorded.samples, strict=True):
-        columns[channel.source] = samples, {"unit": labelled_unit(scene, channel.name), **packing, **axis}
+        columns[channel.source] = samples, {"unit": unit, **packing, **axis}
     if recording.encoder is not None:
         columns[TRACE] = recording.encoder.trace, {"unit": "V", **axis}
         columns[INDEX] = recording.encoder.index, {"unit": "1", **axis}
-        columns[PULSE_TIME] = recording.encoder.pulse_s, {"unit": "s"}
-        columns[INDEX_TIME] = recording.encoder.index_s, {"unit": "s"}
     # in memory only; HDF5 still refuses one name twice at a time, so repeats need names of their own
     with h5py.File(f"{run.stream}.h5", "w", driver="core", backing_store=False, libver=("v110", "v110")) as file:
         for source, (values, attrs) in columns.items():

@@ -6,7 +6,6 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
@@ -39,8 +38,6 @@ from crankorder.report.balance.look import (
 )
 from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings
-
-Values = NDArray[np.float64]
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.95, 0.35, 0.85, 0.62  # inches
 _GAP_X, _GAP_Y = 0.95, 0.62

@@ -211,7 +211,7 @@ def _layouts(sheet: Sheet) -> dict[str, Any]:
 
 
 def _shafts(sheet: Sheet) -> list[str]:
-    heads = ["possibility", "on strategy", "speed / crank", "g·mm each", "g at crank radius", "g at its radius"]
+    heads = ["possibility", "on strategy", "speed / crank", "g·mm each", "g at crank radius"]
     rows = [
         [
             name,
@@ -219,7 +219,6 @@ def _shafts(sheet: Sheet) -> list[str]:
             shaft["speed_ratio"],
             shaft["unbalance_g_mm"],
             shaft["mass_at_crank_radius_g"],
-            shaft["mass_g"],
             shaft["phase_deg"],
         ]
         for name, layout in _layouts(sheet).items()

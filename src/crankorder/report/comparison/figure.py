@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from crankorder.plot.drawing import Box, Drawing, Words, title_lines
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, label_right
-from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, NORMAL, SMALL
+from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.panel import Panel
-from crankorder.plot.typeface import drawable, shortened
 from crankorder.report.notation import order_text
 from crankorder.settings import ReportSettings
 

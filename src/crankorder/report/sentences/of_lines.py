@@ -1,4 +1,4 @@
-"""The strongest lines of a test in plain sentences: orders of the shaft and tones of fixed frequency."""
+"""The lines of a test in plain sentences: orders of the shaft, tones of fixed frequency, and natural frequencies."""
 
 from __future__ import annotations
 
@@ -14,6 +14,9 @@ from crankorder.report.notation import (
     frequency_text,
     is_in_doubt,
     is_number,
+    is_tone,
+    is_undecided,
+    is_whirl,
     listed,
     named,
     nominal_order,
@@ -282,3 +285,45 @@ def _broadband(findings: Findings) -> list[str]:
     said = [f"{name} {percent_text(share)}" for name, share in loud[:_MANY]]
     more = ", …" if len(loud) > _MANY else ""
     return [f"Most of the energy is broadband, at natural frequencies and in the noise floor: {', '.join(said)}{more}."]
+
+
+_MOST_MODES = 16  # natural frequencies that a sentence lists
+_DOUBTS = 3  # … and doubts, each with its reason
+
+
+def mode_sentences(findings: Findings) -> list[str]:
+    """Natural frequencies of ``findings``, then those that are not decided, with the reason."""
+    modes = [mode for mode in findings.modes if is_number(mode.frequency_hz) and not is_tone(mode)]
+    fixed = [mode for mode in modes if not is_undecided(mode) and not is_whirl(mode)]
+    own = [f"{frequency_text(mode.frequency_hz)} Hz" for mode in fixed]
+    sentences = []
+    if own:
+        noun = "Natural frequencies" if len(own) > 1 else "Natural frequency"
+        sentences.append(f"{noun}: {listed(own[:_MOST_MODES])}{' and more' if len(own) > _MOST_MODES else ''}.")
+    sentences += [_of_whirl(mode) for mode in modes if is_whirl(mode)]
+    doubts = [mode for mode in modes if is_undecided(mode)]
+    for mode in _once_each(doubts)[:_DOUBTS]:
+        reason = named(mode.undecided or "", limit=4 * NAME_CHARACTERS).rstrip(".")
+        text = f"{frequency_text(mode.frequency_hz)} Hz may be a natural frequency: not decided"
+        sentences.append(f"{text}; {reason}." if reason else f"{text}.")
+    if (rest := len(doubts) - min(len(_once_each(doubts)), _DOUBTS)) > 0:
+        noun = "lines are" if rest > 1 else "line is"
+        sentences.append(f"{rest} more {noun} not decided: see their table.")
+    return sentences
+
+
+def _once_each(doubts: list[ModeFinding]) -> list[ModeFinding]:
+    """``doubts`` of which those beside one and the same named line are one."""
+    said: dict[str, ModeFinding] = {}
+    for number, mode in enumerate(doubts):
+        last = str(mode.undecided or "").split("; ")[-1]
+        said.setdefault(last if last.endswith(MAY_BE_ALL) else str(number), mode)
+    return list(said.values())
+
+
+def _of_whirl(mode: ModeFinding) -> str:
+    """The sentence of a natural frequency that moves with the speed."""
+    slope, rpm = mode.speed_slope or 0.0, mode.reference_rpm
+    at = f" at {float(rpm):.0f} rpm" if is_number(rpm) else ""
+    kind, moves = ("Forward", "rising") if slope > 0.0 else ("Backward", "falling")
+    return f"{kind} whirl: {frequency_text(mode.frequency_hz)} Hz{at}, {moves} by {abs(slope):.2f} orders."

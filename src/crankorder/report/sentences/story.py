@@ -16,11 +16,11 @@ from crankorder.report.sentences.of_lines import (
     above_asks,
     lies_above,
     line_sentences,
+    mode_sentences,
     nothing_proven,
     strongest_sentence,
     tone_sentences,
 )
-from crankorder.report.sentences.of_modes import mode_sentences
 from crankorder.report.sentences.of_motor import motor_sentences
 from crankorder.report.sentences.of_orders import law_sentences, lock_sentences
 from crankorder.report.sentences.of_speeds import (
@@ -33,12 +33,9 @@ from crankorder.report.sentences.of_speeds import (
 )
 
 __all__ = [
-    "ALL_CLEAR", "NAME_CHARACTERS", "NOT_ASKED_FOR", "RE_RUN_RULE", "Story", "avoid_sentences", "bearing_sentences",
+    "ALL_CLEAR", "NAME_CHARACTERS", "RE_RUN_RULE", "Story", "avoid_sentences", "bearing_sentences",
     "energy_sentence", "headline", "story_of", "strongest_sentence",
 ]  # fmt: skip
-
-NOT_ASKED_FOR = "not_asked_for"
-"""Key of findings that were not sought: its text says why, and their empty lists mean nothing."""
 
 ALL_CLEAR = (
     "Nothing that was looked for asks for action: orders, natural frequencies and their crossings. Strikes in "

@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from typing import Any
 
-from crankorder.findings import BearingFinding, CrossingFinding, Findings, ModeFinding, OrderFinding, Quality
-from crankorder.identify.said import MAY_BE_ALL, is_electric, multiple_in
+from crankorder.findings import CrossingFinding, Findings, ModeFinding, OrderFinding
+from crankorder.identify.said import MAY_BE_ALL, is_electric, mains_words
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.records import Record, known
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.report.sentences.of_speeds import free_bands, open_bands
 from crankorder.report.sentences.story import has_lines, headline, story_of
+from made.typed import findings_of
 
-HALF = 0.5
-"""A lock is a whole multiple of this order: of the half revolution."""
+Ends = tuple[float, float]
 
 SAME = 1e-6
 """Numbers within this share of each other are one: what a file rounds is no contradiction."""
-
 SAME_LINE_HZ = 0.01
 """Frequencies that lie as near are those of one line."""
-
 BESIDE = 0.01
 """Share of the fastest speed beyond the tested range that is as good as tested …"""
-
 BESIDE_RPM = 30.0
 """… or so many rpm: crossings count that far beside it."""
 
@@ -42,110 +40,80 @@ APART = (
     ("strikes of", "Nothing that was looked for asks for action"),
 )
 """Pairs of words that no page may hold both of."""
+MAINS = {mains_words(multiple) for multiple in range(1, 1001)}
+"""What multiples of the mains are called."""
+INTERVALS = ("order", "amplitude", "speed_exponent", "frequency_hz", "damping_ratio", "rpm", "amplification")
+"""Estimates that must lie within their own interval."""
 
 
-def contradictions(findings: Findings) -> tuple[str, ...]:
-    """Every pair of statements of ``findings`` (as in ``data_schema/findings.json``) that cannot both be so, in words.
+def contradictions(document: dict[str, Any]) -> list[str]:
+    """Every pair of statements of findings (as in ``data_schema/findings.json``) that cannot both be so, in words.
 
     The fields of each record are held against one another, records against those of other lists, and the sentences of
     the headline and of the page against the fields that they are made from. Empty where nothing contradicts.
     """
-    checks = (
-        _of_orders,
-        _of_modes,
-        _of_crossings,
-        _of_speeds,
-        _of_bearings,
-        _of_mains,
-        _of_quality,
-        _of_sentences,
-    )
-    return tuple(words for check in checks for words in check(findings))
-
-
-def contradiction_flags(findings: Findings) -> list[Quality]:
-    """A flag for each of the :func:`contradictions` of ``findings``: neither statement is to be trusted."""
-    return [
-        Quality(recording="all", flag="contradiction", severity="suspect", detail=f"{words}: trust neither")
-        for words in contradictions(findings)
-    ]
+    findings = findings_of(document)
+    checks = (_of_orders, _of_modes, _of_crossings, _of_speeds, _of_bearings, _of_mains, _of_quality, _of_sentences)
+    return [words for check in checks for words in check(findings)]
 
 
 def _of_orders(findings: Findings) -> Iterator[str]:
     for record in findings.orders:
         name = f"order {order_text(record.order)} in {record.channel}"
-        yield from (f"{name}: {words}" for words in _of_lock(record))
-        yield from (f"{name}: {words}" for words in _of_growth(record))
-        yield from (f"{name}: {words}" for words in _outside(record))
+        yield from (f"{name}: {words}" for words in (*_of_lock(record), *_of_growth(record), *_outside(record)))
 
 
 def _of_lock(record: OrderFinding) -> Iterator[str]:
     """Verdict on the lock against the number, the words of its evidence and what would decide it."""
-    lock, ends = record.lock, interval_of(record, "order")
-    evidence = str(record.evidence or "")
+    lock, ends, evidence = record.lock, interval_of(record, "order"), str(record.evidence or "")
     if ends is not None and lock in ("slips", "locked"):
-        holds = _multiple_within(ends)
-        if lock == "slips" and holds is not None:
-            yield f"it slips, and its interval holds {order_text(holds)}"
-        if lock == "locked" and holds is None:
+        multiple = max(1, round(ends[0] + ends[1])) / 2.0  # of the half revolution, the nearest to the middle
+        if lock == "slips" and _within(multiple, ends):
+            yield f"it slips, and its interval holds {order_text(multiple)}"
+        if lock == "locked" and not _within(multiple, ends):
             yield "it is locked, and its interval holds no multiple of the half revolution"
-    if "not locked to the shaft" in evidence and (lock == "locked" or _says_locked(evidence)):
+    said_locked = any(part.strip() == "locked to the shaft" for part in evidence.split(";"))
+    if "not locked to the shaft" in evidence and (lock == "locked" or said_locked):
         yield "it is locked and not locked to the shaft"
     if lock in ("slips", "locked") and is_number(record.revs_to_decide):
         yield f"its lock is decided ({lock}), and more revolutions would decide it"
-    if lock == "slips" and record.half_order is True:
-        yield "it slips and is a half order"
-
-
-def _says_locked(evidence: str) -> bool:
-    return any(part.strip() == "locked to the shaft" for part in evidence.split(";"))
-
-
-def _multiple_within(ends: tuple[float, float]) -> float | None:
-    """The multiple of the half revolution that an interval holds, the nearest to its middle; else None."""
-    middle = 0.5 * (ends[0] + ends[1])
-    nearest = max(1, round(middle / HALF)) * HALF
-    spare = SAME * nearest
-    return nearest if ends[0] - spare <= nearest <= ends[1] + spare else None
 
 
 def _of_growth(record: OrderFinding) -> Iterator[str]:
     law, exponent = str(record.speed_law or ""), record.speed_exponent
-    if is_number(exponent):
-        if law.startswith("grows") and exponent < 0.0:
-            yield f"it grows with the speed, with an exponent of {exponent:.2g}"
-        if law.startswith("falls") and exponent > 0.0:
-            yield f"it falls with the speed, with an exponent of {exponent:.2g}"
+    if is_number(exponent) and (
+        (law.startswith("grows") and exponent < 0.0) or (law.startswith("falls") and exponent > 0.0)
+    ):
+        yield f"it {law.split()[0]} with the speed, with an exponent of {exponent:.2g}"
 
 
 def _outside(record: Record) -> Iterator[str]:
     """Values that lie outside their own interval or range."""
-    for key in ("order", "amplitude", "speed_exponent", "frequency_hz", "damping_ratio", "rpm", "amplification"):
-        ends, value = interval_of(record, key), getattr(record, key, None)
-        if ends is not None and is_number(value) and not _within(float(value), ends):
-            yield f"{key} {value:.6g} lies outside its interval ({ends[0]:.6g} to {ends[1]:.6g})"
-    for key, at in (("speed_range_rpm", "speed_rpm_at_max"), ("rpm_range", "rpm")):
-        ends, value = known(getattr(record, key, None)), getattr(record, at, None)
+    limits = [(key, f"{key}_ci95") for key in INTERVALS]
+    for key, limit in (*limits, ("speed_rpm_at_max", "speed_range_rpm"), ("rpm", "rpm_range")):
+        ends, value = known(getattr(record, limit, None)), getattr(record, key, None)
         if ends is not None and is_number(value) and not _within(value, ends):
-            yield f"{at} {value:.6g} lies outside {key} ({ends[0]:.6g} to {ends[1]:.6g})"
+            yield f"{key} {value:.6g} lies outside {limit} ({ends[0]:.6g} to {ends[1]:.6g})"
 
 
-def _within(value: float, ends: tuple[float, float]) -> bool:
+def _within(value: float, ends: Ends) -> bool:
     spare = SAME * max(abs(value), abs(ends[0]), abs(ends[1]))
     return ends[0] - spare <= value <= ends[1] + spare
 
 
 def _of_modes(findings: Findings) -> Iterator[str]:
     for record in findings.modes:
-        name = f"{record.frequency_hz:.5g} Hz"
+        name, is_mode = f"{record.frequency_hz:.5g} Hz", record.explained_by == "mode"
         yield from (f"{name}: {words}" for words in _outside(record))
-        if record.explained_by == "mode" and record.undecided:
+        if is_mode and record.undecided:
             yield f"{name}: a natural frequency, and not decided"
-        if record.explained_by == "mode":
-            yield from (f"{name}: a natural frequency, and {words}" for words in _tones_at(record, findings))
-        if _may_be_a_tone(record):
-            yield from (f"{name}: may be a natural frequency, and {words}" for words in _tones_at(record, findings))
-        if record.reached_by_orders == () and _is_excited(record, findings):
+        if is_mode or _may_be_a_tone(record):
+            is_one = "is" if is_mode else "may be"
+            yield from (f"{name}: {is_one} a natural frequency, and {tone}" for tone in _tones_at(record, findings))
+        if record.reached_by_orders == () and any(
+            crossing.excited and crossing.in_range and abs(crossing.mode_hz / record.frequency_hz - 1.0) < SAME
+            for crossing in findings.crossings
+        ):
             yield f"{name}: no order reaches it, and a crossing there is excited"
 
 
@@ -157,53 +125,37 @@ def _may_be_a_tone(record: ModeFinding) -> bool:
 
 
 def _tones_at(mode: ModeFinding, findings: Findings) -> Iterator[str]:
-    """Tones that the findings name within the interval of a decided natural frequency and that are as sharp as it."""
+    """Tones that the findings name within the interval of a natural frequency."""
     ends = interval_of(mode, "frequency_hz")
     for tone in findings.modes:
         if ends is not None and is_tone(tone) and _within(tone.frequency_hz, ends):
             yield f"{tone.explained_by} at {tone.frequency_hz:.5g} Hz"
 
 
-def _is_excited(mode: ModeFinding, findings: Findings) -> bool:
-    return any(
-        record.excited and record.in_range and abs(record.mode_hz / mode.frequency_hz - 1.0) < SAME
-        for record in findings.crossings
-    )
-
-
 def _of_crossings(findings: Findings) -> Iterator[str]:
-    speeds = [float(one) for one in findings.speed_range_rpm or [] if is_number(one)]
-    known = [mode.frequency_hz for mode in findings.modes if not is_tone(mode)]
+    speeds = [rpm for rpm in findings.speed_range_rpm or () if is_number(rpm)]
+    modes_hz = [mode.frequency_hz for mode in findings.modes if not is_tone(mode)]
     for record in findings.crossings:
         name = f"order {order_text(record.order)} with {record.mode_hz:.5g} Hz"
-        verdict, excited = record.verdict, record.excited
-        if verdict in ("excited", "not excited") and bool(excited) != (verdict == "excited"):
-            yield f"{name}: verdict {verdict!r}, and excited is {excited}"
-        if record.in_range is True and speeds and not _reaches(record, speeds):
-            yield f"{name}: in the tested range, and at {record.rpm:.0f} rpm"
+        if record.in_range is True and speeds:
+            low, high = interval_of(record, "rpm") or (record.rpm, record.rpm)
+            spare = max(BESIDE * max(speeds), BESIDE_RPM)
+            if low > max(speeds) + spare or high < min(speeds) - spare:
+                yield f"{name}: in the tested range, and at {record.rpm:.0f} rpm"
         yield from (f"{name}: {words}" for words in _of_meeting(record, findings))
-        if excited and not any(abs(record.mode_hz / hz - 1.0) < SAME for hz in known):
+        if record.excited and not any(abs(record.mode_hz / hz - 1.0) < SAME for hz in modes_hz):
             yield f"{name}: excited, and no such natural frequency is listed"
 
 
 def _of_meeting(record: CrossingFinding, findings: Findings) -> Iterator[str]:
     """A crossing against the speed to avoid that it is, and against what its order is called."""
-    order, mode_hz, times = record.order, record.mode_hz, record.amplification
-    for other in findings.speeds_to_avoid or []:
-        same = other.order == order and other.mode_hz == mode_hz
-        twice = other.amplification
+    times = record.amplification
+    for other in findings.speeds_to_avoid or ():
+        twice, same = other.amplification, (other.order, other.mode_hz) == (record.order, record.mode_hz)
         if same and is_number(times) and is_number(twice) and abs(times - twice) > SAME * max(times, twice):
             yield f"amplified {times:.3g} times, and {twice:.3g} times where it is to be avoided"
-    texts = [one.explained_by or "" for one in findings.orders if one.order == order]
-    if any(is_electric(text) for text in texts):
+    if any(is_electric(line.explained_by or "") for line in findings.orders if line.order == record.order):
         yield "a line of fixed frequency moves with the speed"
-
-
-def _reaches(record: CrossingFinding, speeds: Sequence[float]) -> bool:
-    """Whether a crossing, within its interval and the share of a speed that is as good as tested, lies in the range."""
-    low, high = interval_of(record, "rpm") or (record.rpm, record.rpm)
-    spare = max(BESIDE * max(speeds), BESIDE_RPM)
-    return bool(low <= max(speeds) + spare and high >= min(speeds) - spare)
 
 
 def _is_felt(crossing: CrossingFinding) -> bool:
@@ -213,28 +165,25 @@ def _is_felt(crossing: CrossingFinding) -> bool:
 
 
 def _of_speeds(findings: Findings) -> Iterator[str]:
-    free, unknown = free_bands(findings), open_bands(findings)
-    avoid = [ends for one in findings.speeds_to_avoid or () if (ends := known(one.rpm_range)) is not None]
-    for low, high in free:
-        for words, others in (("to be avoided", avoid), ("not known", unknown)):
+    avoid = [ends for speed in findings.speeds_to_avoid or () if (ends := known(speed.rpm_range)) is not None]
+    for low, high in free_bands(findings):
+        for words, others in (("to be avoided", avoid), ("not known", open_bands(findings))):
             for other in others:
                 if min(high, other[1]) - max(low, other[0]) > SAME * high:
                     yield f"{low:.0f} to {high:.0f} rpm: free, and {other[0]:.0f} to {other[1]:.0f} rpm {words}"
         for record in findings.crossings:
             if _is_felt(record) and is_number(record.rpm) and low < record.rpm < high:
                 yield f"{low:.0f} to {high:.0f} rpm: free, and an excited crossing at {record.rpm:.0f} rpm"
-    ranks = [record.rank for record in findings.speeds_to_avoid or [] if is_number(record.rank)]
-    if ranks != sorted(ranks):
-        yield f"speeds to avoid are listed by rank, and stand as {ranks}"
 
 
 def _of_bearings(findings: Findings) -> Iterator[str]:
-    struck = {record.name for record in findings.bearings if _is_damage(record)}
+    damaged = [record for record in findings.bearings if str(record.verdict or "").startswith("Damage")]
+    struck = {record.name for record in damaged}
     for record in findings.bearings:
         name = f"{record.line} of {record.name}"
         if record.name in struck and "no bearing alarm" in record.verdict:
             yield f"{name}: no bearing alarm, and another line of it is called damage"
-        if record.lock == "locked" and _is_damage(record) and record.seen_in != "envelope":
+        if record.lock == "locked" and record in damaged and record.seen_in != "envelope":
             yield f"{name}: damage, and locked to the shaft"
         yield from (f"{name}: {words}" for words in _outside(record))
 
@@ -244,12 +193,12 @@ def _of_mains(findings: Findings) -> Iterator[str]:
     lines: dict[tuple[str, float | None], list[tuple[float, float, float]]] = {}
     for record in findings.orders:
         rpm, ends, words = record.speed_rpm_at_max, interval_of(record, "order"), record.explained_by or ""
-        if multiple_in(words) is not None and is_number(rpm) and ends is not None:
-            middle, low, high = (float(one) * float(rpm) / 60.0 for one in (record.order, *ends))
-            lines.setdefault((words, round(float(rpm), 3)), []).append((middle, low, high))
+        if words in MAINS and is_number(rpm) and ends is not None:
+            middle, low, high = (order * rpm / 60.0 for order in (record.order, *ends))
+            lines.setdefault((words, round(rpm, 3)), []).append((middle, low, high))
     for mode in findings.modes:
         words, ends = mode.explained_by, interval_of(mode, "frequency_hz")
-        if multiple_in(words) is not None and ends is not None:
+        if words in MAINS and ends is not None:
             lines.setdefault((words, None), []).append((mode.frequency_hz, *ends))
     for (words, _), places in lines.items():
         below, above = min(places), max(places)
@@ -262,10 +211,6 @@ def _of_quality(findings: Findings) -> Iterator[str]:
     for flag in findings.quality:
         if flag.flag == "level_jump" and flag.left_out != "channel":
             yield f"{flag.channel} of {flag.recording}: its gain was changed, and it took part"
-
-
-def _is_damage(record: BearingFinding) -> bool:
-    return str(record.verdict or "").startswith("Damage")
 
 
 def _of_sentences(findings: Findings) -> Iterator[str]:
@@ -283,5 +228,5 @@ def _of_sentences(findings: Findings) -> Iterator[str]:
         if f"The strongest line in {name} lies above" in text and f"is the strongest line in {name}:" in text:
             yield f"{name}: its strongest line lies above the band, and within"
     decided = [mode for mode in findings.modes if not is_tone(mode) and not is_undecided(mode)]
-    if any(one.startswith("Natural frequenc") and "shape" not in one for one in said) and not decided:
+    if any(words.startswith("Natural frequenc") and "shape" not in words for words in said) and not decided:
         yield "natural frequencies are named, and none is decided"
