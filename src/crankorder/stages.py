@@ -78,8 +78,7 @@ from crankorder.quantities import (
 )
 from crankorder.settings import Settings
 from crankorder.shaft.audit import reference_audit
-from crankorder.shaft.decode import ShaftKnowledge, encoder_pattern, flags_named, shaft_angle
-from crankorder.shaft.line_pattern import LinePattern
+from crankorder.shaft.decode import ShaftKnowledge, flags_named, shaft_angle
 from crankorder.shaft.standstill import silent_ends
 from crankorder.shaft.summary import shaft_summary
 
@@ -148,22 +147,9 @@ def shaft(recording: Recording, knowledge: ShaftKnowledge, settings: Settings) -
     if recording.attrs.get("encoder_kind") == "vibration" or not angle.attrs.get("has_shaft", 1):
         return ShaftAngle(angle)  # no pulses stand behind it; its own error and confidence are all that is known
     asked = np.arange(0.5, settings.orders.max_order + 0.5, 0.5)
-    audit = reference_audit(
-        angle,
-        orders=asked,
-        revs_per_frame=settings.orders.revs_per_frame,
-        settings=settings.shaft,
-        # how well a model fills in what the pulses do not show is told by the angle's own error
-        irregularity={} if angle.attrs.get("in_cycle_filled") else None,
-    )
+    audit = reference_audit(angle, orders=asked, revs_per_frame=settings.orders.revs_per_frame, settings=settings.shaft)
     remarks = [*audit.remarks, *silent_ends(recording, angle)]
     return ShaftAngle(with_flags(angle, flags_named(str(recording.attrs["recording"]), remarks)))
-
-
-@stage
-def pattern(recording: Recording, settings: Settings) -> LinePattern:
-    """How the lines of the encoder of ``recording`` come beside an even rotation (``settings`` of shaft)."""
-    return encoder_pattern(recording, settings=settings.shaft)
 
 
 @stage
@@ -394,7 +380,6 @@ def shaft_of_test(shafts: AllShaftAngles) -> ShaftSummary:
     return ShaftSummary(shaft_summary(list(shafts)))
 
 
-OF_ENCODER = (ingest, pattern)
 OF_RECORDING = (
     ingest,
     shaft,
@@ -536,24 +521,9 @@ def stages_for(results: tuple[str, ...]) -> list[Callable[..., Any]]:
     return [made for plan in (of_recording, of_test) for made, _, _ in plan.steps]
 
 
-@functools.cache
-def _plan_of_encoder() -> StagePlan:
-    return StagePlan(OF_ENCODER, wanted=(LinePattern,), given=(RecordingFile, Manifest, Settings))
-
-
-def analyse_encoder(file: Path, manifest: Manifest, settings: Settings) -> LinePattern:
-    """Pattern of the encoder's lines in ``file`` as ``manifest`` describes it, with ``settings``: for its calibration.
-
-    Raises InputError, naming the file, where the recording cannot be used.
-    """
-    made = _plan_of_encoder().run({RecordingFile: file, Manifest: manifest, Settings: settings})
-    pattern: LinePattern = made[LinePattern]
-    return pattern
-
-
-def analyse_shaft(recording: xr.Dataset, settings: Settings, knowledge: ShaftKnowledge) -> ShaftAngle:
-    """Crank angle and speed of the ``recording`` alone, with ``settings`` and ``knowledge`` of its shaft."""
-    given = {Recording: recording, Settings: settings, ShaftKnowledge: knowledge}
+def analyse_shaft(recording: xr.Dataset, settings: Settings) -> ShaftAngle:
+    """Crank angle and speed of the ``recording`` alone, with ``settings``."""
+    given = {Recording: recording, Settings: settings, ShaftKnowledge: ShaftKnowledge()}
     made: ShaftAngle = _plan_of_recording((ShaftAngle,), Recording).run(given)[ShaftAngle]
     return made
 
@@ -563,8 +533,8 @@ def analyse_recording(
 ) -> RecordingResult:
     """Shaft angle and frames of the recording in ``source``, a file or a Recording, with ``settings``.
 
-    ``manifest`` describes it; ``knowledge``: of the shaft's engine and encoder. Raises InputError, naming the file,
-    where the recording cannot be used.
+    ``manifest`` describes it; ``knowledge``: of the engine and of speeds that are not as stated. Raises InputError,
+    naming the file, where the recording cannot be used.
     """
     frames = frames_wanted(settings)
     noun = RecordingFile if isinstance(source, Path) else Recording

@@ -8,7 +8,7 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -368,10 +368,9 @@ def _recording_parts(
     """All that the result of the recording at ``path`` depends on beside the program."""
     stated = plan.manifest.model_dump(mode="json", exclude={"recordings": True, "test": {"name"}})
     asked = settings_of_recordings(plan.settings)
-    known = None if knowledge.calibration is None else asdict(knowledge.calibration)
     about = (stated, plan.manifest.speed_of(path), asked, [noun.__name__ for noun in frames_wanted(plan.settings)])
     speed = knowledge.speeds_rpm.get(plan.name_of(path))
-    exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, known, knowledge.engine, speed))
+    exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, knowledge.engine, speed))
     return [*(str(one.sha256) for one in hashed.values()), plan.name_of(path), *exact]
 
 

@@ -9,18 +9,14 @@ from crankorder.batch.plan import CampaignPlan
 from crankorder.batch.workers import WorkerDiedError, each
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
-from crankorder.engine.in_cycle import Lag
 from crankorder.errors import CrankorderError
 from crankorder.identify.sources import Limit, Sources
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
 from crankorder.quantities import QualityFlag
 from crankorder.settings import Settings
-from crankorder.shaft.calibration import calibrate, mass_lag
-from crankorder.shaft.decode import PULSE_KINDS, ShaftKnowledge, flags_named
-from crankorder.shaft.line_pattern import LinePattern
+from crankorder.shaft.decode import ShaftKnowledge, flags_named
 from crankorder.shaft.slip_speed import ReadSpeed, slip_speed, speeds_under_load
-from crankorder.stages import analyse_encoder
 
 KINEMATIC_SHARE = 1e-3
 """An order with less than this share of the largest inertia force is not called engine kinematics."""
@@ -62,42 +58,14 @@ def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) ->
 def knowledge_of(
     plan: CampaignPlan, engine: Engine | None, recordings: list[Path], jobs: int
 ) -> tuple[ShaftKnowledge, list[QualityFlag]]:
-    """What is known of the shaft of a test, and flags for the whole test.
+    """What is known of the shaft of a test, and flags of recordings whose stated speed is not theirs.
 
-    Where the settings of ``plan`` ask for it the encoder is calibrated first: ``recordings`` are read ``jobs`` at a
-    time for their pulses alone. ``engine``: of the test, or None. A recording that cannot be read is left out here and
-    told later, when it is analysed.
+    Where ``recordings`` of a test of the ``plan`` that states their speeds have the same one, the slip of the motor
+    tells them apart: they are read for it, ``jobs`` at a time. ``engine``: of the test, or None. A recording that
+    cannot be read is left out here and told later, when it is analysed.
     """
-    if plan.manifest.encoder.kind == "constant":
-        return _loads_of(plan, engine, recordings, jobs)
-    if not plan.settings.shaft.calibrate_encoder or plan.manifest.encoder.kind not in PULSE_KINDS:
+    if plan.manifest.encoder.kind != "constant":
         return ShaftKnowledge(engine), []
-
-    def pattern(number: int) -> LinePattern:
-        return analyse_encoder(recordings[number], plan.manifest, plan.settings)
-
-    found: dict[int, LinePattern] = {}
-    for number, made in each(pattern, len(recordings), jobs=jobs):
-        with contextlib.suppress(CrankorderError, WorkerDiedError):
-            found[number] = made()
-    patterns = [found[number] for number in sorted(found)]
-    encoder = plan.manifest.encoder
-    calibration = calibrate(
-        patterns,
-        ratio=encoder.ratio,
-        engine_lag=_mass_lag(engine),
-        index_to_tdc_deg=encoder.index_to_tdc_deg if "index_to_tdc_deg" in encoder.model_fields_set else None,
-        least_speed_ratio=plan.settings.shaft.calibration_speed_ratio,
-    )
-    return ShaftKnowledge(engine, calibration if calibration.separated else None), flags_named(
-        "all", calibration.remarks
-    )
-
-
-def _loads_of(
-    plan: CampaignPlan, engine: Engine | None, recordings: list[Path], jobs: int
-) -> tuple[ShaftKnowledge, list[QualityFlag]]:
-    """What is known of the shaft of a test of stated speeds, and those that its motor's slip tells otherwise."""
     motor = plan.manifest.motor
     stated = {plan.name_of(path): plan.manifest.speed_of(path) for path in recordings}
     known = {name: rpm for name, rpm in stated.items() if rpm is not None}
@@ -119,7 +87,3 @@ def _loads_of(
     return ShaftKnowledge(engine, speeds_rpm=speeds), [
         flag for name, remark in remarks for flag in flags_named(name, [remark])
     ]
-
-
-def _mass_lag(engine: Engine | None) -> Lag | None:
-    return None if engine is None else mass_lag(engine)

@@ -71,8 +71,6 @@ _RULES: tuple[tuple[str, str, Weight, Part, str], ...] = (
     ("map window", "settings.campbell.window", "invalid", "maps",
      "another window spreads lines differently: cells cannot be compared"),
     ("map overlap", "settings.campbell.overlap", "harmless", "maps", "the number of independent frames allows for it"),
-    ("calibration of the encoder", "settings.shaft.calibrate_encoder", "weakens", "orders",
-     "errors of the encoder's pitch were taken out of one test only"),
 )  # fmt: skip
 
 
