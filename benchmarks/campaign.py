@@ -57,7 +57,6 @@ from crankorder.identify.findings import find
 from crankorder.orders.envelope import envelope_map
 from crankorder.orders.map import order_map
 from crankorder.quantities import FrequencyFrames, OrderFrames, RecordingEnvelope
-from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import analyse_recording
 
 HERE = Path(__file__).parent
@@ -300,8 +299,8 @@ def what_is_in(recordings: Path) -> str:
 def identification_s(recordings: Path, scratch: Path, *, repeats: int) -> float:
     """Least processor seconds of one core for the findings of the campaign, from the maps and frames that a run has."""
     (plan,) = plan_tests([recordings], scratch / "identification").tests
-    knowledge = ShaftKnowledge(engine=engine_of_test(plan))
-    made = [analyse_recording(path, plan.manifest, plan.settings, knowledge).frames for path in plan.recordings]
+    engine = engine_of_test(plan)
+    made = [analyse_recording(path, plan.manifest, plan.settings, engine).frames for path in plan.recordings]
     settings, sources = plan.settings, sources_of(plan.manifest, engine_of_test(plan), plan.settings)
     width_rpm = settings.orders.speed_bin_rpm
     frames = [one[OrderFrames] for one in made]

@@ -21,7 +21,6 @@ from crankorder.batch.cluster import ClusterJob, ClusterTask
 from crankorder.batch.frame_store import FrameStore
 from crankorder.batch.plan import plan_tests
 from crankorder.batch.store import code_sha256, library_versions
-from crankorder.shaft.decode import ShaftKnowledge
 
 EMPTY_TASKS = 2000
 
@@ -77,9 +76,7 @@ def main() -> None:
         plan = plan_tests([folder], out / "planned", recipe="maps").tests[0]
         made_by = (code_sha256(), library_versions())
         store = FrameStore.of(plan.out)
-        job = pickle.dumps(
-            ClusterJob(plan.manifest, plan.settings, ShaftKnowledge(), made_by, store, (out / "a", bytes(32)))
-        )
+        job = pickle.dumps(ClusterJob(plan.manifest, plan.settings, None, made_by, store, (out / "a", bytes(32))))
         task = ClusterTask(plan.recordings[0].resolve(), "a", "0" * 64, {plan.recordings[0].resolve(): "0" * 64})
         print(f"{len(plan.recordings)} recordings; to a worker: {len(job) + len(pickle.dumps(task))} bytes a task")
         for workers in (1, 2):

@@ -25,7 +25,7 @@ from crankorder.batch.compare import compare_results, publish_comparison
 from crankorder.batch.compare import document_text as comparison_text
 from crankorder.batch.execute import Progress, run_plans
 from crankorder.batch.export import export_results
-from crankorder.batch.in_memory import Recordings, analysed, engine_of
+from crankorder.batch.in_memory import Recordings, analysed
 from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions, plan_tests
 from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.result_folder import RESULTS, read_findings, result_folders
@@ -55,7 +55,6 @@ from crankorder.report.netcdf import plain_attrs
 from crankorder.report.notebook import Diagnosis, Sheet, tests_table
 from crankorder.report.published import findings_datasets, published, root_attrs
 from crankorder.settings import Settings, load_settings
-from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import analyse_shaft
 from crankorder.synth.write import write_scene
 
@@ -182,11 +181,10 @@ def read(path: str | os.PathLike[str], *, manifest: str | os.PathLike[str] | Non
     return made
 
 
-def crank_angle(recording: xr.Dataset, *, engine: str | None = None) -> xr.Dataset:
+def crank_angle(recording: xr.Dataset) -> xr.Dataset:
     """Crank angle (rev), speed (rpm) and standard error (rev) of ``recording`` on time knots (ShaftAngle).
 
-    ``engine``: a shipped engine or the path of a TOML file, whose masses tell the swing within a cycle where the
-    encoder has one pulse per revolution. Raises InputError where the pulses tell no angle.
+    Raises InputError where the pulses tell no angle.
 
     >>> import numpy as np, crankorder as co
     >>> turns = np.arange(0.0, 4.0, 1 / (25.0 * 60))
@@ -197,7 +195,7 @@ def crank_angle(recording: xr.Dataset, *, engine: str | None = None) -> xr.Datas
     if not isinstance(recording, xr.Dataset):
         raise RequestError("not a Recording", file="crankorder.crank_angle", found=type(recording).__name__)
     check_dataset(recording, "recording")
-    return analyse_shaft(recording, load_settings(), ShaftKnowledge(engine_of(engine)))
+    return analyse_shaft(recording, load_settings())
 
 
 def order_map(

@@ -22,6 +22,8 @@ from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.levels import recording_levels
 from crankorder.campbell.map import campbell_map
 from crankorder.campbell.vibration_levels import vibration_levels
+from crankorder.engine.bearings import Bearing
+from crankorder.engine.definition import Engine
 from crankorder.fft.band import band_limited
 from crankorder.findings import Findings, nothing_sought
 from crankorder.flow import StagePlan
@@ -78,13 +80,13 @@ from crankorder.quantities import (
 )
 from crankorder.settings import Settings
 from crankorder.shaft.audit import reference_audit
-from crankorder.shaft.decode import ShaftKnowledge, encoder_pattern, flags_named, shaft_angle
-from crankorder.shaft.line_pattern import LinePattern
+from crankorder.shaft.decode import flags_named, shaft_angle
 from crankorder.shaft.standstill import silent_ends
 from crankorder.shaft.summary import shaft_summary
 
 RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)
+TestBearings = NewType("TestBearings", tuple[Bearing, ...])
 ShownOrderFrames = NewType("ShownOrderFrames", Sequence[xr.Dataset])
 AllOrderFrames = NewType("AllOrderFrames", Sequence[xr.Dataset])
 AllFrequencyFrames = NewType("AllFrequencyFrames", Sequence[xr.Dataset])
@@ -142,28 +144,15 @@ def ingest(file: RecordingFile, manifest: Manifest, settings: Settings) -> Recor
 
 
 @stage
-def shaft(recording: Recording, knowledge: ShaftKnowledge, settings: Settings) -> ShaftAngle:
-    """Crank angle and speed from the pulses of ``recording`` and ``knowledge`` of its shaft (``settings`` of shaft)."""
-    angle = shaft_angle(recording, settings=settings.shaft, knowledge=knowledge)
+def shaft(recording: Recording, settings: Settings) -> ShaftAngle:
+    """Crank angle and speed from the pulses of ``recording`` (``settings`` of shaft)."""
+    angle = shaft_angle(recording, settings=settings.shaft)
     if recording.attrs.get("encoder_kind") == "vibration" or not angle.attrs.get("has_shaft", 1):
         return ShaftAngle(angle)  # no pulses stand behind it; its own error and confidence are all that is known
     asked = np.arange(0.5, settings.orders.max_order + 0.5, 0.5)
-    audit = reference_audit(
-        angle,
-        orders=asked,
-        revs_per_frame=settings.orders.revs_per_frame,
-        settings=settings.shaft,
-        # how well a model fills in what the pulses do not show is told by the angle's own error
-        irregularity={} if angle.attrs.get("in_cycle_filled") else None,
-    )
+    audit = reference_audit(angle, orders=asked, revs_per_frame=settings.orders.revs_per_frame, settings=settings.shaft)
     remarks = [*audit.remarks, *silent_ends(recording, angle)]
     return ShaftAngle(with_flags(angle, flags_named(str(recording.attrs["recording"]), remarks)))
-
-
-@stage
-def pattern(recording: Recording, settings: Settings) -> LinePattern:
-    """How the lines of the encoder of ``recording`` come beside an even rotation (``settings`` of shaft)."""
-    return encoder_pattern(recording, settings=settings.shaft)
 
 
 @stage
@@ -234,14 +223,13 @@ def cycles_of_recording(band: BandRecording, angle: TrueAngle, settings: Setting
 
 @stage
 def envelope_of_recording(
-    recording: Recording, shaft: ShaftAngle, manifest: Manifest, knowledge: ShaftKnowledge, settings: Settings
+    recording: Recording, shaft: ShaftAngle, bearings: TestBearings, settings: Settings
 ) -> RecordingEnvelope:
     """Order spectrum of the envelope of ``recording`` by ``shaft`` (``settings`` of orders), if it has bearings.
 
-    ``manifest`` and the engine that ``knowledge`` holds name them; without any there is nothing to look for.
+    Without any ``bearings`` there is nothing to look for.
     ``settings`` of identify say by how much they may slip.
     """
-    bearings = manifest.bearings or (knowledge.engine.bearings if knowledge.engine is not None else ())
     looked_at = recording if bearings else recording.isel({recording["signal"].dims[1]: slice(0, 0)})
     combs = bearing_combs(bearings, slip_percent=settings.identify.bearing_slip_percent)
     return RecordingEnvelope(recording_envelope(looked_at, shaft, settings=settings.orders, combs=combs))
@@ -394,7 +382,6 @@ def shaft_of_test(shafts: AllShaftAngles) -> ShaftSummary:
     return ShaftSummary(shaft_summary(list(shafts)))
 
 
-OF_ENCODER = (ingest, pattern)
 OF_RECORDING = (
     ingest,
     shaft,
@@ -524,42 +511,37 @@ def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
 
 @functools.cache
 def _plan_of_recording(wanted: tuple[Any, ...], source: Any = RecordingFile) -> StagePlan:
-    return StagePlan(OF_RECORDING, wanted=wanted, given=(source, Manifest, Settings, ShaftKnowledge))
+    return StagePlan(OF_RECORDING, wanted=wanted, given=(source, Manifest, Settings, TestBearings))
 
 
-@functools.cache
-def _plan_of_encoder() -> StagePlan:
-    return StagePlan(OF_ENCODER, wanted=(LinePattern,), given=(RecordingFile, Manifest, Settings))
+def stages_for(results: tuple[str, ...]) -> list[Callable[..., Any]]:
+    """The stages that a run of the ``results`` of that name goes through: of a recording, then of a test."""
+    of_test = _plan_of_test(results)
+    of_recording = _plan_of_recording(
+        (ShaftAngle, *(noun for whole, noun in FRAMES_OF.items() if whole in of_test.needs))
+    )
+    return [made for plan in (of_recording, of_test) for made, _, _ in plan.steps]
 
 
-def analyse_encoder(file: Path, manifest: Manifest, settings: Settings) -> LinePattern:
-    """Pattern of the encoder's lines in ``file`` as ``manifest`` describes it, with ``settings``: for its calibration.
-
-    Raises InputError, naming the file, where the recording cannot be used.
-    """
-    made = _plan_of_encoder().run({RecordingFile: file, Manifest: manifest, Settings: settings})
-    pattern: LinePattern = made[LinePattern]
-    return pattern
-
-
-def analyse_shaft(recording: xr.Dataset, settings: Settings, knowledge: ShaftKnowledge) -> ShaftAngle:
-    """Crank angle and speed of the ``recording`` alone, with ``settings`` and ``knowledge`` of its shaft."""
-    given = {Recording: recording, Settings: settings, ShaftKnowledge: knowledge}
+def analyse_shaft(recording: xr.Dataset, settings: Settings) -> ShaftAngle:
+    """Crank angle and speed of the ``recording`` alone, with ``settings``."""
+    given = {Recording: recording, Settings: settings}
     made: ShaftAngle = _plan_of_recording((ShaftAngle,), Recording).run(given)[ShaftAngle]
     return made
 
 
 def analyse_recording(
-    source: Path | xr.Dataset, manifest: Manifest, settings: Settings, knowledge: ShaftKnowledge | None = None
+    source: Path | xr.Dataset, manifest: Manifest, settings: Settings, engine: Engine | None = None
 ) -> RecordingResult:
     """Shaft angle and frames of the recording in ``source``, a file or a Recording, with ``settings``.
 
-    ``manifest`` describes it; ``knowledge``: of the shaft's engine and encoder. Raises InputError, naming the file,
-    where the recording cannot be used.
+    ``manifest`` describes it; ``engine``: of the test, whose bearings are looked for where the manifest
+    names none. Raises InputError, naming the file, where the recording cannot be used.
     """
     frames = frames_wanted(settings)
     noun = RecordingFile if isinstance(source, Path) else Recording
-    given = {noun: source, Manifest: manifest, Settings: settings, ShaftKnowledge: knowledge or ShaftKnowledge()}
+    bearings = manifest.bearings or (engine.bearings if engine is not None else ())
+    given = {noun: source, Manifest: manifest, Settings: settings, TestBearings: bearings}
     made = _plan_of_recording((ShaftAngle, *frames), noun).run(given)
     return RecordingResult(made[ShaftAngle], {noun: made[noun] for noun in frames})
 

@@ -143,6 +143,12 @@ def test_numbers_of_a_method_cannot_be_set(monkeypatch: pytest.MonkeyPatch) -> N
         made.ends = (1.0, 3.0)  # type: ignore[misc]
 
 
+@pytest.mark.parametrize("key", ["calibrate_encoder", "calibration_speed_ratio"])
+def test_a_setting_that_is_no_more_is_refused_with_what_to_do_instead(key: str) -> None:
+    with pytest.raises(RequestError, match=f"shaft.{key}.*Remove it.*--recipe calibrated-encoder"):
+        load_settings(asked={"shaft": {key: 2}})
+
+
 @pytest.mark.parametrize("recipe", sorted(shipped("recipes")))
 def test_a_recipe_is_valid_and_holds_only_what_differs(recipe: str) -> None:
     plain, asked = load_settings().model_dump(), load_settings(recipe).model_dump()

@@ -15,7 +15,6 @@ from crankorder.orders.frames import order_frames
 from crankorder.orders.shapes import coherence_level, expected_coherence, operating_shapes, unbiased_coherence
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
-from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import band, ingest, shaft
 from made.frames import frames_of
 from made.recordings import line, steady
@@ -259,7 +258,7 @@ def test_shapes_of_the_reference_campaign_are_those_of_its_truth(tmp_path):
     frames = []
     for file in sorted(tmp_path.glob("rpm_*.h5")):
         recording = ingest(file, manifest, settings)
-        angle = shaft(recording, ShaftKnowledge(), settings)
+        angle = shaft(recording, settings)
         frames.append(order_frames(band(recording, angle, settings), angle, settings=settings.orders))
     orders = sorted({record["order"] for record in truth["orders"] if record["order"] == round(record["order"])})
     made = operating_shapes(frames, orders, settings=settings.orders)

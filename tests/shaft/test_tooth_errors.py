@@ -8,6 +8,7 @@ import pytest
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.decode import shaft_angle
+from crankorder.shaft.line_pattern import line_pattern
 from crankorder.shaft.tooth_errors import same_wheel, speed_swing, stated_teeth, tooth_errors
 from crankorder.shaft.wheel import number_teeth
 
@@ -86,3 +87,28 @@ def test_a_wheel_is_known_again_and_another_is_not():
         stated.append(stated_teeth(errors, ratio=1.0, tdc_rev=0.0))
     assert same_wheel(stated[:2])
     assert not same_wheel(stated)
+
+
+@pytest.mark.parametrize("wheel", [(60, 0), (360, 0)])
+def test_small_errors_of_teeth_are_learned_where_the_encoder_is_in_doubt(recording_of, wheel):
+    times = pulse_times(wheel, drawn(wheel, 0.004, 5))
+    doubting = load_settings("calibrated-encoder").shaft
+    error = {}
+    for name, settings in (("default", SETTINGS), ("doubting", doubting)):
+        recording = recording_of(times, pulses_per_rev=wheel[0], missing_teeth=0, revs_per_cycle=1)
+        shaft = shaft_angle(recording, settings=settings)
+        error[name] = np.std(shaft["crank_angle"].values - shaft["time"].values * 1000.0 / 60.0)
+    assert error["doubting"] < 0.6 * error["default"]
+
+
+def test_drift_of_the_speed_leaves_no_pattern_and_touches_no_order():
+    lines, time_s = 60, np.linspace(0.0, 6.0, 1_000_001)
+    error = 1e-3 * np.sin(2 * np.pi * np.arange(lines) / lines + 0.7)
+    ramp = 1000.0 / 60.0 * time_s + 0.5 * 300.0 / 6.0 / 60.0 * time_s**2
+    wobble = 1000.0 / 60.0 * time_s - 10.0 / 60.0 / (2 * np.pi * 0.4) * np.cos(2 * np.pi * 0.4 * time_s + 1.2)
+    for angle, error_rev, atol in ((ramp, 0.0 * error, 1e-8), (wobble, error, 1e-7)):
+        tooth = np.arange(np.ceil(angle[0] * lines) + 1, np.floor(angle[-1] * lines) - 1).astype(int)
+        pulse_s = np.interp(tooth / lines + error_rev[tooth % lines], angle, time_s)
+        pattern = line_pattern(pulse_s, tooth, teeth_per_encoder_rev=lines)
+        expected = np.fft.rfft(error_rev) * (2.0 / lines)
+        np.testing.assert_allclose(pattern.harmonic_rev, expected, rtol=0.0, atol=atol)

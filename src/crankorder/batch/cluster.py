@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from crankorder.batch.frame_store import FrameStore, PackedResult
 from crankorder.batch.store import CHANGED, HashedFile, code_sha256, library_versions
+from crankorder.engine.definition import Engine
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, RequestError, printable
 from crankorder.ingest.manifest import Manifest
 from crankorder.settings import Settings
-from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import analyse_recording
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class ClusterJob:
 
     manifest: Manifest
     settings: Settings
-    knowledge: ShaftKnowledge
+    engine: Engine | None
     made_by: tuple[str, dict[str, str]]
     store: FrameStore
     probe: tuple[Path, bytes]
@@ -83,7 +83,7 @@ def analyse_there(packed_job: bytes, task: ClusterTask) -> bytes | CrankorderErr
                 raise EnvironmentFailure("a worker cannot read it", file=path, found=found.fault, remedy=remedy)
             if found.sha256 != task.sha256[path]:
                 raise InputError(CHANGED, file=path)
-        made = PackedResult.of(analyse_recording(task.source, job.manifest, job.settings, job.knowledge))
+        made = PackedResult.of(analyse_recording(task.source, job.manifest, job.settings, job.engine))
         for path, found in before.items():
             if not found.is_still_at(path):
                 raise InputError(CHANGED, file=path)
@@ -119,7 +119,7 @@ def _shares_store(job: ClusterJob) -> bool:
 def analyse_on_cluster(
     scheduler: str,
     tasks: list[ClusterTask],
-    job: tuple[Manifest, Settings, ShaftKnowledge],
+    job: tuple[Manifest, Settings, Engine | None],
     *,
     made_by: tuple[str, dict[str, str]],
     store: FrameStore,

@@ -8,7 +8,7 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from crankorder.batch.frame_store import FrameStore, PackedResult, settings_of_r
 from crankorder.batch.index import publish_index
 from crankorder.batch.kernels import load_kernels
 from crankorder.batch.locks import locked
-from crankorder.batch.machine import engine_of_test, knowledge_of, sources_of
+from crankorder.batch.machine import engine_of_test, sources_of
 from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions
 from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.result_folder import (
@@ -36,7 +36,7 @@ from crankorder.batch.result_folder import (
 from crankorder.batch.short_recordings import short_recordings
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
-from crankorder.engine.definition import with_gas_file
+from crankorder.engine.definition import Engine, with_gas_file
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.findings import Channel, Findings, Quality, SpeedSwing, nothing_sought, quality_of
 from crankorder.identify.cycle_forces import cycle_doubts
@@ -44,7 +44,6 @@ from crankorder.identify.sources import Sources
 from crankorder.orders.true_angle import NAMES
 from crankorder.quantities import QualityFlag, Severity, flags_of
 from crankorder.settings import Settings, toml_table
-from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.shaft.tooth_errors import speed_swing
 from crankorder.stages import RecordingResult, analyse_recording, analyse_test, frames_wanted
 
@@ -273,15 +272,15 @@ def _analyse(
     """
     results: dict[Path, RecordingResult] = {}
     wanted, copies = _each_once(plan, hashes)
-    knowledge, flags = knowledge_of(plan, engine_of_test(plan), wanted, options.jobs)
-    outcome.flags += copies + flags
+    engine = engine_of_test(plan)
+    outcome.flags += copies
     store = FrameStore.of(plan.out)
     hashed = {path: {file: hashes[file] for file in plan.files_of(path)} for path in wanted}
     program = text_sha256(made_by[0], json.dumps(made_by[1], sort_keys=True))
-    keys = [text_sha256(program, *_recording_parts(plan, path, hashed[path], knowledge)) for path in wanted]
+    keys = [text_sha256(program, *_recording_parts(plan, path, hashed[path], engine)) for path in wanted]
 
     of_key = dict(zip(keys, wanted, strict=True))
-    blamed = _on_cluster(plan, options, of_key, hashed, (knowledge, made_by), store, progress)
+    blamed = _on_cluster(plan, options, of_key, hashed, (engine, made_by), store, progress)
 
     def analyse(number: int) -> _Made:
         begun = time.perf_counter()
@@ -290,7 +289,7 @@ def _analyse(
         kept = None if options.fresh and options.scheduler is None else store.load(keys[number])
         if kept is not None:
             return _Made(kept, True, time.perf_counter() - begun)
-        made = analyse_recording(wanted[number], plan.manifest, plan.settings, knowledge)
+        made = analyse_recording(wanted[number], plan.manifest, plan.settings, engine)
         _check_unchanged(hashed[wanted[number]])
         packed = PackedResult.of(made)
         store.save(keys[number], packed)
@@ -325,13 +324,13 @@ def _on_cluster(
     options: RunOptions,
     wanted: dict[str, Path],
     hashed: dict[Path, dict[Path, HashedFile]],
-    known: tuple[ShaftKnowledge, tuple[str, dict[str, str]]],
+    known: tuple[Engine | None, tuple[str, dict[str, str]]],
     store: FrameStore,
     progress: Progress | None,
 ) -> dict[str, CrankorderError]:
     """Have the cluster of ``options``, if any, fill the ``store`` with the recordings ``wanted``; its faults, by key.
 
-    ``known``: knowledge of the shaft, and the program that the workers must have. What is kept already is not sent.
+    ``known``: the engine of the test, and the program that the workers must have. What is kept already is not sent.
     """
     if options.scheduler is None:
         return {}
@@ -386,14 +385,13 @@ def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list
 
 
 def _recording_parts(
-    plan: CampaignPlan, path: Path, hashed: dict[Path, HashedFile], knowledge: ShaftKnowledge
+    plan: CampaignPlan, path: Path, hashed: dict[Path, HashedFile], engine: Engine | None
 ) -> list[str]:
     """All that the result of the recording at ``path`` depends on beside the program."""
     stated = plan.manifest.model_dump(mode="json", exclude={"recordings": True, "test": {"name"}})
     asked = settings_of_recordings(plan.settings)
-    known = None if knowledge.calibration is None else asdict(knowledge.calibration)
     about = (stated, plan.manifest.speed_of(path), asked, [noun.__name__ for noun in frames_wanted(plan.settings)])
-    exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, known, knowledge.engine))
+    exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, engine))
     return [*(str(one.sha256) for one in hashed.values()), plan.name_of(path), *exact]
 
 

@@ -18,7 +18,6 @@ from crankorder.findings import Findings
 from crankorder.ingest.manifest import Manifest, manifest_head, manifest_of
 from crankorder.quantities import check_dataset
 from crankorder.settings import Settings
-from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import RecordingResult, analyse_recording
 
 Recordings = xr.Dataset | Sequence[xr.Dataset]
@@ -54,7 +53,7 @@ def analysed(
     results: dict[Path, RecordingResult] = {}
     for name, one in given.items():
         try:
-            results[Path(name)] = analyse_recording(one, manifest, settings, ShaftKnowledge(known))
+            results[Path(name)] = analyse_recording(one, manifest, settings, known)
         except InputError as error:
             faults.append(error)
     results = without_changed_gains(results, settings=settings.ingest)

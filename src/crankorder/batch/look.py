@@ -19,7 +19,6 @@ from crankorder.ingest.recording import read_parts
 from crankorder.quantities import Floats, flags_of
 from crankorder.settings import Settings, load_settings
 from crankorder.shaft.angle import speed_course
-from crankorder.shaft.decode import ShaftKnowledge
 from crankorder.stages import analyse_shaft
 
 LOOK_BYTES = 64_000_000
@@ -103,7 +102,7 @@ def look_at_recording(path: Path, manifest: Manifest, settings: Settings) -> Loo
     refused: list[CrankorderError] = []
     for part in parts:
         try:
-            shaft = analyse_shaft(part, settings, ShaftKnowledge())
+            shaft = analyse_shaft(part, settings)
         except InputError as error:
             refused.append(error)
             continue

@@ -148,10 +148,7 @@ class Shard:
         return cls(int(found[1]), int(found[2]))
 
     def of(self, plan: CampaignPlan) -> CampaignPlan:
-        """The ``plan`` with this share of its recordings. Raises RequestError where it needs them all."""
-        if plan.settings.shaft.calibrate_encoder:
-            problem = "an encoder is calibrated by all recordings of its test"
-            raise RequestError(problem, file=plan.folder, place="shaft.calibrate_encoder", remedy="Run without --shard")
+        """The ``plan`` with this share of its recordings."""
         return replace(plan, recordings=plan.recordings[self.number - 1 :: self.count])
 
 

@@ -299,7 +299,7 @@ def _flag(recording: str, swing: Swing, taken_from: str = "orders and tracks") -
     size, half = 360.0 * abs(swing.size), 360.0 * 1.959964 * swing.error_rev
     name = NAMES.get(swing.harmonic, f"uneven lines ({swing.harmonic} per turn)")
     carriers = ", ".join(f"{order:g}" for order in swing.carriers[:6])
-    # the angle shown less the true one as a sine, as a calibration states it
+    # the angle shown less the true one as a sine, as makers of encoders state it
     phase = (np.degrees(np.angle(swing.size)) + 90.0 + 180.0) % 360.0 - 180.0
     detail = (
         f"{name} of the encoder {size:.3g}° (95 % interval {max(0.0, size - half):.3g} to "
@@ -307,8 +307,6 @@ def _flag(recording: str, swing: Swing, taken_from: str = "orders and tracks") -
         f"their order times one and the same error of the angle (chance {swing.chance:.1g}). They are no machine part "
         f"and are taken out of {taken_from}; what may be left is in the intervals"
     )
-    if taken_from != "the angle":
-        detail += ". The recipe calibrated-encoder takes it out of the angle itself"
     flag = f"encoder_{NAMES.get(swing.harmonic, 'uneven_lines')}"
     return {"recording": recording, "flag": flag, "severity": "info", "detail": detail}
 

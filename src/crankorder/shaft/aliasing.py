@@ -31,13 +31,12 @@ MOST_PROPOSED = 400
 class FoldedLine:
     """Where a line shows at each of ``speed_rpm`` (speeds,), and whether it ``folds`` (speeds,) there.
 
-    ``kind``: "frequency" (``value`` in Hz) or "order". ``true_order``, ``shown_order``: (speeds,).
+    ``kind``: "frequency" (``value`` in Hz) or "order". ``shown_order``: (speeds,).
     """
 
     kind: str
     value: float
     speed_rpm: FloatArray
-    true_order: FloatArray
     shown_order: FloatArray
     folds: npt.NDArray[np.bool_]
 
@@ -105,7 +104,7 @@ def folded_lines(
         shown = folded_order(true, samples_per_rev)
         folds = (true > 0.5 * samples_per_rev) & (shown <= shown_to_order)
         if folds.any():
-            found.append(FoldedLine(kind, float(value), speed, true, shown, folds))
+            found.append(FoldedLine(kind, float(value), speed, shown, folds))
     return found
 
 

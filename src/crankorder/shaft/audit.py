@@ -38,14 +38,13 @@ DEEPEST_RAD = 1.8412
 class Modulation:
     """Error of the crank angle from one ``cause``, and what it does to a line.
 
-    ``random_rev``: standard deviation of what is random; ``mean_rev``: of its mean over a frame. ``still_rev``:
-    amplitude, over all phases of its source, of what stands still. ``tone_rev`` (tones,): amplitudes of what swings
-    at ``tone_order`` (tones,), cycles per crank revolution.
+    ``random_rev``: standard deviation of what is random within a frame. ``still_rev``: amplitude, over all phases of
+    its source, of what stands still. ``tone_rev`` (tones,): amplitudes of what swings at ``tone_order`` (tones,),
+    cycles per crank revolution.
     """
 
     cause: str
     random_rev: float = 0.0
-    mean_rev: float = 0.0
     still_rev: float = 0.0
     tone_order: FloatArray = field(default_factory=lambda: np.empty(0))
     tone_rev: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -60,10 +59,6 @@ class Modulation:
         """Largest share of its amplitude that a line at each ``order`` (orders,) gives to an order beside it."""
         depth = np.outer(2.0 * np.pi * order, np.append(self.tone_rev, 0.0))
         return np.asarray(np.max(j1(np.minimum(depth, DEEPEST_RAD)), axis=1))
-
-    def phase_deg(self, order: FloatArray) -> FloatArray:
-        """Standard deviation of the phase of a frame at each ``order`` (orders,), degrees."""
-        return 360.0 * order * math.hypot(self.mean_rev, self.still_rev / math.sqrt(2.0))
 
 
 @dataclass(frozen=True)
@@ -135,10 +130,10 @@ def reference_of(shaft: xr.Dataset, *, revs_per_frame: float) -> Reference:
 
 
 def pulse_noise(reference: Reference, *, revs_per_frame: float) -> Modulation:
-    """Random error of the angle of ``reference``, within frames of ``revs_per_frame`` and in the mean of one."""
+    """Random error of the angle of ``reference`` within frames of ``revs_per_frame``."""
     left = min(reference.error_rev, reference.pulse_error_rev / math.sqrt(reference.teeth_per_rev * revs_per_frame))
     within = math.sqrt(reference.error_rev**2 - left**2)
-    return Modulation("the noise of the pulses", random_rev=within, mean_rev=left)
+    return Modulation("the noise of the pulses", random_rev=within)
 
 
 def seen_motion(shaft: xr.Dataset, reference: Reference) -> dict[float, float]:
@@ -174,26 +169,26 @@ def seen_motion(shaft: xr.Dataset, reference: Reference) -> dict[float, float]:
     return {float(at): float(size) for at, size in zip(order[sure], amplitude[sure], strict=True)}
 
 
-def unseen_motion(
-    reference: Reference, seen: Mapping[float, float], *, percent: float, irregularity: Mapping[float, float] | None
-) -> Modulation:
-    """Error from in-cycle motion between the pulses of ``reference``, and from interpolating what is ``seen`` of it.
+def expected_motion(reference: Reference, seen: Mapping[float, float], *, percent: float) -> dict[float, float]:
+    """Amplitude [rev] of in-cycle motion by order: what is ``seen``, and what ``reference`` does not show.
 
-    ``irregularity`` is the share of the speed that swings at each order, where known. Else the strongest motion seen
-    (by speed) goes on with 1 / order^2 to the lowest order that is not seen; without it, ``percent`` at order 1 does.
+    The strongest motion seen (by speed) goes on with 1 / order^2 to the lowest order that is not seen; without any,
+    ``percent`` of the speed at order 1 does.
     """
-    if irregularity is not None:
-        motion = {order: lag_rev(order, share) for order, share in irregularity.items() if order > 0.0}
-    else:
-        motion = dict(seen)
-        strongest = max(seen, key=lambda order: order * seen[order], default=0.0)
-        level = 2.0 * math.pi * strongest**3 * seen[strongest] if strongest else 0.01 * percent
-        between = reference.lowest_unseen(0.5 * reference.teeth_per_rev)
-        motion[between] = lag_rev(between, level / max(1.0, between**2))
-        hidden = reference.lowest_unseen(reference.cut_off_order) if math.isfinite(reference.cut_off_order) else between
-        if hidden < between and hidden not in motion:
-            largest = HIDDEN_SHARE * reference.pulse_error_rev
-            motion[hidden] = min(lag_rev(hidden, level / max(1.0, hidden**2)), largest)
+    motion = dict(seen)
+    strongest = max(seen, key=lambda order: order * seen[order], default=0.0)
+    level = 2.0 * math.pi * strongest**3 * seen[strongest] if strongest else 0.01 * percent
+    between = reference.lowest_unseen(0.5 * reference.teeth_per_rev)
+    motion[between] = lag_rev(between, level / max(1.0, between**2))
+    hidden = reference.lowest_unseen(reference.cut_off_order) if math.isfinite(reference.cut_off_order) else between
+    if hidden < between and hidden not in motion:
+        largest = HIDDEN_SHARE * reference.pulse_error_rev
+        motion[hidden] = min(lag_rev(hidden, level / max(1.0, hidden**2)), largest)
+    return motion
+
+
+def unseen_motion(reference: Reference, motion: Mapping[float, float]) -> Modulation:
+    """Error from in-cycle ``motion`` (amplitude [rev] by order) between and at the pulses of ``reference``."""
     parts = [reference.error_of_motion(at, size) for at, size in sorted(motion.items())]
     order = np.concatenate([np.empty(0), *(part[0] for part in parts)])
     size = np.concatenate([np.empty(0), *(part[1] for part in parts)])
@@ -265,22 +260,13 @@ SOUGHT_ORDERS = np.geomspace(1e-2, 1e5, 2048)
 
 @dataclass(frozen=True)
 class ReferenceAudit:
-    """What the reference of a crank angle does to a line at each ``order`` (orders,).
+    """What the reference of a crank angle does to its orders.
 
-    ``loss``: share of its amplitude that it loses; ``sideband``: largest share that it gives to an order beside it;
-    ``phase_deg``: standard deviation of the phase of one frame. Up to ``highest_carried_order`` neither loss nor
-    sideband is above the limit. In-cycle motion at ``lowest_unseen_order`` and above does not show in the angle; one
-    percent of speed there costs ``loss_per_percent`` (orders,). ``causes``: noise, unseen motion and rounding, apart.
-    ``remarks``: (flag, severity, detail) of each. Numbers are NaN where the angle has no error of its own.
+    Up to ``highest_carried_order`` neither loss nor sideband is above the limit; NaN where the angle has no error of
+    its own. ``causes``: noise, unseen motion and rounding, apart. ``remarks``: (flag, severity, detail) of each.
     """
 
-    order: FloatArray
-    loss: FloatArray
-    sideband: FloatArray
-    phase_deg: FloatArray
     highest_carried_order: float
-    lowest_unseen_order: float
-    loss_per_percent: FloatArray
     causes: tuple[Modulation, ...]
     remarks: tuple[Remark, ...]
 
@@ -291,9 +277,8 @@ def reference_audit(
     orders: Sequence[float] | FloatArray,
     revs_per_frame: float,
     settings: ShaftSettings,
-    irregularity: Mapping[float, float] | None = None,
 ) -> ReferenceAudit:
-    """Bias of amplitude and phase at each of ``orders`` that the reference of a crank angle must be expected to cause.
+    """What the reference of a crank angle carries, with remarks where it must be expected to bias one of ``orders``.
 
     Parameters
     ----------
@@ -303,50 +288,35 @@ def reference_audit(
     revs_per_frame : revolutions of one frame, over which random error of the angle averages out
     settings : ``reference_bias_limit`` on loss and on sidebands; ``reference_irregularity_percent`` of the speed at
         order 1 is taken for motion that does not show where no motion is seen from which to conclude
-    irregularity : amplitude of the in-cycle speed over the mean speed, by order, from an engine model; it takes the
-        place of what is seen and of what is assumed
     """
     order = np.asarray(orders, dtype=np.float64)
     reference = reference_of(shaft, revs_per_frame=revs_per_frame)
     if not np.isfinite(reference.error_rev) or not reference.teeth_per_rev > 0.0:
-        return _unproven(order, by_angle=shaft.attrs.get("domain") == "crank_angle")
+        return _unproven(by_angle=shaft.attrs.get("domain") == "crank_angle")
     seen = seen_motion(shaft, reference)
     percent = settings.reference_irregularity_percent
     causes = (
         pulse_noise(reference, revs_per_frame=revs_per_frame),
-        unseen_motion(reference, seen, percent=percent, irregularity=irregularity),
+        unseen_motion(reference, expected_motion(reference, seen, percent=percent)),
         rounding_in_step(shaft, reference, seen, revs_per_frame=revs_per_frame),
     )
     lowest = reference.lowest_unseen(0.5 * reference.teeth_per_rev)
     one_percent = Modulation("1 %", tone_order=np.full(1, lowest), tone_rev=np.full(1, lag_rev(lowest, 0.01)))
     carried = _carried(causes, settings.reference_bias_limit)
-    told = "as the engine model has it" if irregularity is not None else ""
-    if irregularity is None:
-        told = "as the motion seen lets expect" if seen else f"if {percent:g} % of the speed swings at order 1"
+    told = "as the motion seen lets expect" if seen else f"if {percent:g} % of the speed swings at order 1"
     remarks: list[Remark] = []
     if order.size and order.max() > carried:
         remarks.append(_limits(causes, order.max(), carried, reference, one_percent, told, settings))
     if order.size and (causes[2].tone_rev.size or causes[2].still_rev > 0.0):
         remarks.append(_steps(causes[2], order.max(), settings.reference_bias_limit))
-    return ReferenceAudit(
-        order=order,
-        loss=_loss(causes, order),
-        sideband=_sideband(causes, order),
-        phase_deg=np.sqrt(np.sum([cause.phase_deg(order) ** 2 for cause in causes], axis=0)),
-        highest_carried_order=carried,
-        lowest_unseen_order=lowest,
-        loss_per_percent=one_percent.loss(order),
-        causes=causes,
-        remarks=tuple(remarks),
-    )
+    return ReferenceAudit(highest_carried_order=carried, causes=causes, remarks=tuple(remarks))
 
 
-def _unproven(order: FloatArray, *, by_angle: bool) -> ReferenceAudit:
+def _unproven(*, by_angle: bool) -> ReferenceAudit:
     """The audit of an angle that comes without any error of its own; ``by_angle``: the recording was sampled by it."""
-    unknown = np.full(order.size, np.nan)
     detail = "the crank angle comes without pulses: nothing measured tells how far its orders can be trusted"
     remarks: tuple[Remark, ...] = () if by_angle else (("reference_unproven", "info", detail),)
-    return ReferenceAudit(order, unknown, unknown, unknown, math.nan, math.nan, unknown, (), remarks)
+    return ReferenceAudit(math.nan, (), remarks)
 
 
 def _loss(causes: Sequence[Modulation], order: FloatArray) -> FloatArray:

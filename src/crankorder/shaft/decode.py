@@ -10,18 +10,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from crankorder.engine.definition import Engine
 from crankorder.errors import InputError
 from crankorder.quantities import QualityFlag, ShaftAngle, check_dataset, with_flags
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots, angle_knots, integrated_speed
-from crankorder.shaft.calibration import Calibration
-from crankorder.shaft.line_pattern import LinePattern, even_line_times, line_pattern
 from crankorder.shaft.pulses import FloatArray, Remark
 from crankorder.shaft.repair import FEW_PULSES, listed_times, running_parts
 from crankorder.shaft.standstill import ShaftRun, joined
 from crankorder.shaft.tooth_errors import stated_teeth, swing_remarks, tooth_errors, tooth_remark, without_tooth_errors
-from crankorder.shaft.torsion import knots_with_model
 from crankorder.shaft.uneven_wheel import wheel_of
 from crankorder.shaft.wheel import (
     MOST_NOISE_TEETH,
@@ -33,15 +29,6 @@ from crankorder.shaft.wheel import (
     undersampled,
     uneven_noise_s,
 )
-
-
-@dataclass(frozen=True, eq=False)
-class ShaftKnowledge:
-    """The engine that the shaft belongs to, and the errors of its encoder's lines; None where they are not known."""
-
-    engine: Engine | None = None
-    calibration: Calibration | None = None
-
 
 # Marks are the same tooth of the camshaft within this much of a crank revolution: variable timing moves it by 0.14.
 SAME_MARK_REV = 0.1
@@ -136,9 +123,7 @@ QUANTISED_SAMPLES = 0.2
 PULSE_KINDS = ("square", "analogue", "pulse_times", "edge_list")
 
 
-def shaft_angle(
-    recording: xr.Dataset, *, settings: ShaftSettings, knowledge: ShaftKnowledge | None = None
-) -> ShaftAngle:
+def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle:
     """Crank angle and speed of one recording on time knots, with the standard error of the angle and quality flags.
 
     Parameters
@@ -146,8 +131,6 @@ def shaft_angle(
     recording : Recording (see ``data_schema/recording.json``), sampled by time or by crank angle; the knots are on the
         clock of its samples, the first of which is at ``start_s``
     settings : how pulses become angle
-    knowledge : of the engine, whose model fills in the in-cycle motion that few pulses cannot show, and of the errors
-        of the encoder's lines
 
     Raises
     ------
@@ -160,7 +143,7 @@ def shaft_angle(
             return _dataset(recording, _sampled_by_angle(recording), "tdc", 0, [])
         kind = str(recording.attrs["encoder_kind"])
         if kind in PULSE_KINDS:
-            return _from_pulses(recording, settings, knowledge or ShaftKnowledge())
+            return _from_pulses(recording, settings)
         if kind == "speed":
             return _from_speed(recording, settings)
         if kind == "constant":
@@ -187,37 +170,12 @@ def shaft_angle(
     )
 
 
-def encoder_pattern(recording: xr.Dataset, *, settings: ShaftSettings) -> LinePattern:
-    """How the lines of the encoder of ``recording`` come beside an even rotation, for its calibration.
-
-    ``settings``: how pulses become angle. Raises InputError where the recording has no pulses or none that can be
-    numbered.
-    """
-    teeth, _ = _numbered(recording, settings)
-    return line_pattern(
-        teeth.time_s,
-        teeth.tooth,
-        teeth_per_encoder_rev=teeth.teeth_per_rev,
-        index_tooth=teeth.index_tooth,
-        index_period=teeth.index_period,
-        ratio=float(recording.attrs.get("ratio", 1.0)),
-        revs_per_cycle=int(recording.attrs["revs_per_cycle"]),
-        noise_s=float(recording.attrs.get("pulse_noise_s", 0.0)),
-    )
-
-
 def flags_named(recording: str, remarks: Iterable[Remark]) -> list[QualityFlag]:
     """Quality flags of the ``recording`` of that name from ``remarks``: (flag, severity, detail)."""
     return [QualityFlag(recording=recording, flag=flag, severity=how, detail=text) for flag, how, text in remarks]
 
 
-def _numbered(recording: xr.Dataset, settings: ShaftSettings) -> tuple[NumberedTeeth, list[Remark]]:
-    """Pulses of the longest run of the recording as numbered teeth, and remarks on how the wheel was found."""
-    wheel, remarks = stated_wheel(recording)
-    return numbered_part(recording, settings, wheel, slice(None)), remarks
-
-
-def _from_pulses(recording: xr.Dataset, settings: ShaftSettings, knowledge: ShaftKnowledge) -> ShaftAngle:
+def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
     """Angle of all runs between standstills: each is decoded by itself, then they are laid on one angle."""
     wheel, remarks = stated_wheel(recording)
     pulse_s = recording["pulse_time"].values.astype(np.float64)
@@ -234,7 +192,7 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings, knowledge: Shaf
     smooth = len(parts) == 1 or wheel["pulses_per_rev"] > FEW_PULSES
     for part in parts:
         try:
-            made.append((part, _from_run(recording, settings, knowledge, wheel, part, smooth=smooth)))
+            made.append((part, _from_run(recording, settings, wheel, part, smooth=smooth)))
         except InputError:
             if len(parts) == 1 or part.stop - part.start == max(one.stop - one.start for one in parts):
                 raise
@@ -277,7 +235,6 @@ class _Decoded:
 def _from_run(
     recording: xr.Dataset,
     settings: ShaftSettings,
-    knowledge: ShaftKnowledge,
     wheel: dict[str, Any],
     part: slice,
     *,
@@ -286,21 +243,18 @@ def _from_run(
     attrs = recording.attrs
     stated, ratio = float(attrs.get("pulse_noise_s", 0.0)), float(attrs.get("ratio", 1.0))
     teeth = numbered_part(recording, settings, wheel, part)
-    if knowledge.calibration is not None:
-        errors = knowledge.calibration.line_error_rev
-        even_s = even_line_times(teeth.time_s, teeth.tooth, errors, index_tooth=teeth.index_tooth)
-        teeth = replace(teeth, time_s=even_s)
     cycle = int(attrs["revs_per_cycle"])
     wrong = tooth_errors(teeth, ratio=ratio, revs_per_cycle=cycle, noise_s=stated, settings=settings)
     if wrong is not None:
         teeth = without_tooth_errors(teeth, wrong)
     teeth_per_rev = teeth.teeth_per_rev * ratio
-    knots, tdc, cycle_known, reference, flags = _knots(
-        recording, teeth, teeth_per_rev, settings, knowledge.engine, smooth=smooth
+    noise = stated or None
+    if noise is None and np.ptp(np.diff(teeth.tooth[:MOST_NOISE_TEETH])) > 0:
+        noise = uneven_noise_s(teeth.time_s, teeth.tooth)
+    knots = angle_knots(
+        teeth.time_s, teeth.tooth, teeth_per_rev=teeth_per_rev, noise_s=noise, settings=settings, smooth_times=smooth
     )
-    if knowledge.calibration is not None:
-        left_rev = float(np.sqrt(np.mean(knowledge.calibration.standard_error_rev**2))) / ratio
-        knots = replace(knots, standard_error_rev=np.hypot(knots.standard_error_rev, left_rev))
+    tdc, cycle_known, reference, flags = _tdc(teeth, teeth_per_rev, recording)
     remarks = [*teeth.flags, *flags]
     if wrong is not None:
         left_rev = wrong.standard_error_rev / ratio
@@ -342,32 +296,8 @@ def _shaft_of(
     shaft.attrs["teeth_per_rev"] = teeth.teeth_per_rev * float(attrs.get("ratio", 1.0))
     shaft.attrs["cut_off_order"] = knots.cut_off_order
     shaft.attrs["edge_step_s"] = math.sqrt(12.0) * stated if rounded else 0.0
-    shaft.attrs["in_cycle_filled"] = int(any(flag == "in_cycle_from_model" for flag, _, _ in remarks))
     shaft.attrs |= runs[0].teeth_stated
     return ShaftAngle(with_flags(shaft, flags_named(str(attrs["recording"]), swing_remarks(shaft, settings))))
-
-
-def _knots(
-    recording: xr.Dataset,
-    teeth: NumberedTeeth,
-    teeth_per_rev: float,
-    settings: ShaftSettings,
-    engine: Engine | None,
-    *,
-    smooth: bool,
-) -> tuple[AngleKnots, float, bool, str, list[Remark]]:
-    """Knots with angle 0 at tooth 0; the angle of a top dead centre; whether it fires; what it rests on; remarks."""
-    noise = float(recording.attrs.get("pulse_noise_s", 0.0)) or None
-    if noise is None and np.ptp(np.diff(teeth.tooth[:MOST_NOISE_TEETH])) > 0:
-        noise = uneven_noise_s(teeth.time_s, teeth.tooth)
-    tdc, cycle_known, reference, flags = _tdc(teeth, teeth_per_rev, recording)
-    known: dict[str, Any] = {"teeth_per_rev": teeth_per_rev, "noise_s": noise, "settings": settings}
-    if engine is None or reference != "tdc":
-        return angle_knots(teeth.time_s, teeth.tooth, **known, smooth_times=smooth), tdc, cycle_known, reference, flags
-    knots, model = knots_with_model(engine, teeth.time_s, teeth.tooth, tdc_rev=tdc, cycle_known=cycle_known, **known)
-    if model.cycle_known:
-        flags = [flag for flag in flags if flag[0] != "cycle_phase_unknown"]
-    return knots, tdc + model.turns, model.cycle_known, reference, flags + model.flags
 
 
 def _tdc(teeth: NumberedTeeth, teeth_per_rev: float, recording: xr.Dataset) -> tuple[float, bool, str, list[Remark]]:

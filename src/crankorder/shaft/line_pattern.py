@@ -1,7 +1,7 @@
 """How far each line of an encoder comes from where it should, at one speed, and times as even lines would have them.
 
 What comes late or early at the same line in every revolution is either the line's place or motion that repeats from
-revolution to revolution; :mod:`crankorder.shaft.calibration` tells them apart by several speeds.
+revolution to revolution; :mod:`crankorder.shaft.tooth_errors` tells them apart.
 """
 
 from __future__ import annotations
@@ -21,8 +21,6 @@ MOST_TEETH = 1 << 20
 FEWEST_PERIODS, MOST_BATCHES = 4, 16
 # Encoder revolutions after which crank and cycle must be back where they were; if they need more, they count as never.
 LONGEST_PERIOD_REVS = 16
-# An index up to this share of a tooth before a line belongs to it; marks stand at a line or midway, hardly here.
-INDEX_LEAD = 0.25
 # Pulse times in which the tick of a counter is looked for; changes of interval that it takes, and how whole they are.
 SOME_TIMES, FEWEST_STEPS, COUNT_SLACK = 1024, 32, 0.05
 # Lines whose places between samples are looked at, and harmonics of the sawtooth by which sampling rounds.
@@ -35,33 +33,24 @@ LOW_ORDERS, LEAST_GAIN = 24, 0.005
 BENT_DOUBT = 0.01
 # Times that the speed at a line is taken: at first the errors of the lines beside it are in it.
 SPEED_ROUNDS = 2
-# Lines of the full wheel below which there is no pattern to speak of.
-FEWEST_LINES = 4
 
 
 @dataclass(frozen=True, eq=False)
 class LinePattern:
-    """Mean place [rev] of each line (line,) of one recording where even rotation would have it at line / lines.
+    """Mean place [rev] of each of the ``lines`` of one recording where even rotation would have it at line / lines.
 
-    ``speed_rpm`` is the crank's (its mean 1/speed² is that of the recording); line 0 is the one at the index.
-    ``deviation_rev`` and ``standard_error_rev`` (line,) have zero mean, lines that the wheel does not have are filled
-    in from their neighbours, and ``has_line`` (line,) says which it has. ``harmonic_rev`` (order,) are its complex
-    amplitudes by order of the encoder, ``harmonic_variance`` (order,) the mean squares of their errors [rev²].
-    ``cycle_rev`` are the complex amplitudes of the low orders 0, 1/k, 2/k … of the k = ``period_revs`` encoder
-    revolutions in which the motion repeats. ``n_revs`` encoder revolutions were looked at; where it is 0 ``reason``
-    says why there is no pattern.
+    Line 0 is tooth number 0; lines that the wheel does not have are filled in from their neighbours. ``harmonic_rev``
+    (order,) are the complex amplitudes of the places by order of the encoder, ``harmonic_variance`` (order,) the mean
+    squares of their errors [rev²]. ``cycle_rev`` are the complex amplitudes of the low orders 0, 1/k, 2/k … of the
+    k = ``period_revs`` encoder revolutions in which the motion repeats. ``n_revs`` encoder revolutions were looked at.
     """
 
-    speed_rpm: float
-    deviation_rev: FloatArray
-    standard_error_rev: FloatArray
-    has_line: npt.NDArray[np.bool_]
+    lines: int
     harmonic_rev: npt.NDArray[np.complex128]
     harmonic_variance: FloatArray
     cycle_rev: npt.NDArray[np.complex128]
     period_revs: int
     n_revs: int
-    reason: str = ""
 
 
 def line_pattern(
@@ -69,13 +58,11 @@ def line_pattern(
     tooth: IntArray,
     *,
     teeth_per_encoder_rev: int,
-    index_tooth: float,
-    index_period: float,
     ratio: float = 1.0,
     revs_per_cycle: int = 1,
     noise_s: float = 0.0,
-) -> LinePattern:
-    """Mean deviation of each line over all revolutions of a recording, with its standard error.
+) -> LinePattern | None:
+    """Mean deviation of each line over all revolutions of a recording; None where these are too few: below six periods.
 
     Drift and slow wobble of the speed are taken out by twice subtracting the mean over one revolution: a speed that
     changes up to quadratically with angle leaves nothing, and no order of the encoder is touched.
@@ -85,22 +72,12 @@ def line_pattern(
     time_s : (pulses,), s, increasing
     tooth : (pulses,), tooth numbers, increasing; holes are teeth without a pulse
     teeth_per_encoder_rev : teeth of the even wheel (or grid) per revolution of the encoder
-    index_tooth : tooth number of an index mark, possibly between teeth; NaN where there is none
-    index_period : teeth from one mark to the next; a mark that does not come at the same line each time is of no use
     ratio : encoder revolutions per crank revolution
     revs_per_cycle : crank revolutions after which the in-cycle motion repeats, 1 or 2
     noise_s : standard deviation of one pulse time by sampling, s; what of it does not average out, because the shaft
         keeps step with the samples, is counted as error of every line; 0 where it is not known
-
-    Returns
-    -------
-    LinePattern; without a pattern, and with the reason, for no index or a recording of fewer than six periods.
     """
     lines = teeth_per_encoder_rev
-    if lines < FEWEST_LINES:
-        return _none(lines, f"{lines} lines per revolution show no pattern")
-    if not np.isfinite(index_tooth) or abs(index_period / lines - round(index_period / lines)) > 1e-9:
-        return _none(lines, "no index says which line is which")
     stop = int(np.searchsorted(tooth, tooth[0] + MOST_TEETH))
     time_s, tooth = time_s[:stop], tooth[:stop]
     period = lines * _period_revs(ratio, revs_per_cycle)
@@ -108,18 +85,18 @@ def line_pattern(
     deviation, first, rev_s = _deviation(rest, tooth_s, lines, period)
     n_periods = deviation.size // period
     if n_periods < FEWEST_PERIODS:
-        return _none(lines, f"{(tooth[-1] - tooth[0]) / lines:.1f} revolutions are too few for a pattern")
+        return None
     used = n_periods * period
     by_period = (deviation[:used] / rev_s[:used]).reshape(n_periods, period)
-    shift = (int(tooth[0]) + first - _line_zero(index_tooth)) % lines
+    shift = (int(tooth[0]) + first) % lines
     present = np.zeros(tooth[-1] - tooth[0] + 1, dtype=np.bool_)
     present[tooth - tooth[0]] = True
-    has_line = _filled(by_period, present[first : first + used], shift, lines)
+    _fill(by_period, present[first : first + used])
     mean_rev_s = math.sqrt(float(np.mean(rev_s[:used] ** 2)))
     smooth_s = rest[first : first + used] - deviation[:used] + tooth_s * np.arange(used)
     steps = max(noise_s, _tick_s(time_s) / math.sqrt(12.0))
     fixed = _fixed_noise(smooth_s.reshape(n_periods, period), by_period, steps, mean_rev_s)
-    return _averaged(by_period, shift, has_line, 60.0 / (mean_rev_s * ratio), fixed)
+    return _averaged(by_period, shift, lines, fixed)
 
 
 def first_order(pattern: LinePattern, line_error_rev: FloatArray) -> LinePattern:
@@ -147,22 +124,19 @@ def first_order(pattern: LinePattern, line_error_rev: FloatArray) -> LinePattern
     return replace(pattern, harmonic_rev=harmonic, harmonic_variance=variance)
 
 
-def even_line_times(
-    time_s: FloatArray, tooth: IntArray, line_error_rev: FloatArray, *, index_tooth: float
-) -> FloatArray:
+def even_line_times(time_s: FloatArray, tooth: IntArray, line_error_rev: FloatArray) -> FloatArray:
     """Times [s] (pulses,) at which the lines would have come if each stood where it should.
 
-    What a tooth number means stays: angle 0 is where the line at the index should be, by the mean of all lines.
+    What a tooth number means stays: angle 0 is where line 0 should be, by the mean of all lines.
 
     Parameters
     ----------
     time_s : (pulses,), s, increasing
     tooth : (pulses,), tooth numbers, increasing
     line_error_rev : (line,), true place of each line less where it should be, in encoder revolutions
-    index_tooth : tooth number of an index mark, as for :func:`line_pattern`
     """
     lines = line_error_rev.size
-    line = (tooth - _line_zero(index_tooth)) % lines
+    line = tooth % lines
     # over a part of a revolution that averages the noise of pulses, and in which the speed hardly changes
     reach = max(1, round(lines / 48 * time_s.size / (tooth[-1] - tooth[0] + 1)))
     at = np.arange(time_s.size)
@@ -172,18 +146,6 @@ def even_line_times(
         tooth_s = (moved[after] - moved[before]) / (tooth[after] - tooth[before])
         moved = time_s - line_error_rev[line] * lines * tooth_s
     return moved
-
-
-def _none(lines: int, reason: str) -> LinePattern:
-    nothing = np.zeros(lines)
-    harmonics = np.zeros(lines // 2 + 1)
-    none = harmonics.astype(np.complex128)
-    return LinePattern(math.nan, nothing, nothing, nothing > 0, none, harmonics, none[:1], 1, n_revs=0, reason=reason)
-
-
-def _line_zero(index_tooth: float) -> int:
-    """The tooth number that is line 0."""
-    return math.floor(index_tooth + INDEX_LEAD)
 
 
 def _period_revs(ratio: float, revs_per_cycle: int) -> int:
@@ -243,10 +205,10 @@ def _revolution_mean(value: FloatArray, lines: int) -> FloatArray:
     return over if lines % 2 else 0.5 * (over[:-1] + over[1:])
 
 
-def _filled(by_period: FloatArray, present: npt.NDArray[np.bool_], shift: int, lines: int) -> npt.NDArray[np.bool_]:
-    """Which lines the wheel has; in ``by_period``, teeth without a pulse get the mean of their line in its place."""
+def _fill(by_period: FloatArray, present: npt.NDArray[np.bool_]) -> None:
+    """Give teeth without a pulse, in ``by_period`` (period, tooth), the mean of their line in its place."""
     if present.all():
-        return np.ones(lines, dtype=np.bool_)
+        return
     there = present.reshape(by_period.shape)
     count = there.sum(axis=0)
     mean = np.where(there, by_period, 0.0).sum(axis=0) / np.maximum(count, 1)
@@ -254,8 +216,6 @@ def _filled(by_period: FloatArray, present: npt.NDArray[np.bool_], shift: int, l
     known = count > 0
     mean = np.interp(column, column[known], mean[known], period=mean.size)
     by_period[~there] = np.broadcast_to(mean, by_period.shape)[~there]
-    has_line: npt.NDArray[np.bool_] = np.roll((count.reshape(-1, lines) > 0).any(axis=0), shift)
-    return has_line
 
 
 def _fixed_noise(smooth_s: FloatArray, by_period: FloatArray, noise_s: float, rev_s: float) -> float:
@@ -283,15 +243,12 @@ def _fixed_noise(smooth_s: FloatArray, by_period: FloatArray, noise_s: float, re
     return GATHERED * max(0.0, min(kept * rounding, rounding - seen))
 
 
-def _averaged(
-    by_period: FloatArray, shift: int, has_line: npt.NDArray[np.bool_], speed_rpm: float, fixed: float
-) -> LinePattern:
+def _averaged(by_period: FloatArray, shift: int, lines: int, fixed: float) -> LinePattern:
     """The pattern of deviations [rev] ``by_period`` (period, tooth of the period), whose first tooth is line ``shift``.
 
     Errors by order come from the scatter between groups of periods: slow motion, which falls on low orders, shows
     there as it should. ``fixed`` [rev²] is the variance of a line that does not show as scatter.
     """
-    lines = has_line.size
     n_batches = _batches(by_period.shape[0])
     size = by_period.shape[0] // n_batches
     revs = by_period.shape[1] // lines
@@ -306,10 +263,9 @@ def _averaged(
     freedom = 2.0 * (n_batches - 1)
     usual = float(np.median(scatter[1:])) / (1.0 - 2.0 / (9.0 * freedom)) ** 3
     variance = np.maximum(scatter, usual) * (freedom / (freedom - 2.0)) + 4.0 * fixed / lines
-    error = np.sqrt(batch.var(axis=0, ddof=1) / n_batches + fixed)
     n_revs = n_batches * size * revs
     cycle = _cycle_amplitudes(np.roll(by_period.mean(axis=0), shift), lines)
-    return LinePattern(speed_rpm, batch.mean(axis=0), error, has_line, mean, variance, cycle, revs, n_revs)
+    return LinePattern(lines, mean, variance, cycle, revs, n_revs)
 
 
 def _cycle_amplitudes(value: FloatArray, lines: int) -> npt.NDArray[np.complex128]:

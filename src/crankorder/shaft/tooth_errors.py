@@ -7,6 +7,7 @@ order that is no larger than these is theirs; one that stands out is motion, wit
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -88,7 +89,7 @@ def tooth_errors(
     if lines < FEWEST_LINES:
         return None
     pattern = _pattern(teeth, ratio, revs_per_cycle, noise_s)
-    if not pattern.n_revs:
+    if pattern is None:
         return None
     found = _told(pattern, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1)
     if found is None:
@@ -101,7 +102,7 @@ def tooth_errors(
 
 def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedTeeth:
     """``teeth`` at the times at which they would have come without their ``errors``."""
-    times = even_line_times(teeth.time_s, teeth.tooth, errors.line_error_rev, index_tooth=0.0)
+    times = even_line_times(teeth.time_s, teeth.tooth, errors.line_error_rev)
     return replace(teeth, time_s=times) if bool((np.diff(times) > 0.0).all()) else teeth
 
 
@@ -146,24 +147,11 @@ def same_wheel(stated: Sequence[dict[str, Any]]) -> bool:
     return all(float(one @ prints[0]) > ALIKE * float(one @ one + prints[0] @ prints[0]) for one in prints[1:])
 
 
-def _pattern(teeth: NumberedTeeth, ratio: float, revs_per_cycle: int, noise_s: float) -> LinePattern:
-    """Pattern over whole engine cycles, or over revolutions where there are too few of these."""
-    lines, made = teeth.teeth_per_rev, None
-    for cycle in (revs_per_cycle, 1):
-        made = line_pattern(
-            teeth.time_s,
-            teeth.tooth,
-            teeth_per_encoder_rev=lines,
-            index_tooth=0.0,
-            index_period=float(lines),
-            ratio=ratio,
-            revs_per_cycle=cycle,
-            noise_s=noise_s,
-        )
-        if made.n_revs:
-            break
-    assert made is not None
-    return made
+def _pattern(teeth: NumberedTeeth, ratio: float, revs_per_cycle: int, noise_s: float) -> LinePattern | None:
+    """Pattern over whole engine cycles, or over revolutions where there are too few of these; None where of both."""
+    known = functools.partial(line_pattern, teeth.time_s, teeth.tooth, ratio=ratio, noise_s=noise_s)
+    by_cycle = known(teeth_per_encoder_rev=teeth.teeth_per_rev, revs_per_cycle=revs_per_cycle)
+    return by_cycle or known(teeth_per_encoder_rev=teeth.teeth_per_rev, revs_per_cycle=1)
 
 
 def _told(pattern: LinePattern, ratio: float, least_share: float, *, engine: bool) -> ToothErrors | None:
@@ -171,7 +159,7 @@ def _told(pattern: LinePattern, ratio: float, least_share: float, *, engine: boo
 
     The shaft of an ``engine`` swings at low orders, seen or not.
     """
-    lines = pattern.deviation_rev.size
+    lines = pattern.lines
     power = np.abs(pattern.harmonic_rev) ** 2
     harmonic = np.arange(power.size)
     low = (harmonic >= 1) & (harmonic * ratio <= HIGHEST_MOTION)

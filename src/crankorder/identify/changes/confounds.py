@@ -72,8 +72,6 @@ _RULES: tuple[tuple[str, str, Weight, Part, str], ...] = (
      "another window widens the peaks to which natural frequencies are fitted"),
     ("highest frequency", "settings.campbell.max_frequency_hz", "harmless", "all",
      "natural frequencies above the lower are sought in one test only"),
-    ("calibration of the encoder", "settings.shaft.calibrate_encoder", "weakens", "orders",
-     "errors of the encoder's pitch were taken out of one test only"),
 )  # fmt: skip
 
 
