@@ -9,8 +9,8 @@ import pytest
 
 from crankorder.identify.crossings import amplification, crossings
 from crankorder.identify.order_trend import power_law
+from crankorder.identify.records import crossing_records
 from crankorder.identify.responses import held_amplitudes, shapes
-from crankorder.identify.speed_records import crossing_records
 from crankorder.settings import load_settings
 from made.found_lines import SPEEDS_RPM, agreed, fit, fitted_response, line, made_response, mode, resonant
 from made.typed import as_dicts

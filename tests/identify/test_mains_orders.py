@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from crankorder.identify.explain import explained
-from crankorder.identify.following import going_with_speed
+from crankorder.identify.findings import going_with_speed
 from crankorder.identify.found import AgreedOrder, Tone
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.said import LIKE_UNBALANCE

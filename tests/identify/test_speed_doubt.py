@@ -12,8 +12,8 @@ from click.testing import CliRunner
 
 from crankorder.cli import main
 from crankorder.findings import Findings
+from crankorder.identify.findings import IN_DOUBT, speed_doubt, undecided_orders, without_free
 from crankorder.identify.found import SpeedBand, SpeedVerdicts
-from crankorder.identify.speed_doubt import IN_DOUBT, speed_doubt, undecided_orders, without_free
 from crankorder.report.sentences.story import headline, story_of
 from made.found_lines import agreed
 

@@ -10,8 +10,8 @@ import pytest
 
 from crankorder.identify.crossings import crossings
 from crankorder.identify.found import SpeedVerdicts, UnseenBound
+from crankorder.identify.records import avoided_records, open_records
 from crankorder.identify.responses import held_amplitudes
-from crankorder.identify.speed_records import avoided_records, open_records
 from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.settings import load_settings
 from made.drawn_orders import DrawnMachine, drawn_machine, judged

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
-from crankorder.identify.held_peak import held_peak
 from crankorder.identify.lines.followed_orders import track_number
+from crankorder.identify.responses import held_peak
 from crankorder.orders.track_rows import track_order
 from machines.draw import draw_machine
 from machines.folder import write_folder

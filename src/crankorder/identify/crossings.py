@@ -11,12 +11,11 @@ from scipy.special import fdtrc
 
 from crankorder.identify.above_trend import Seen, above_trend, evidence_beside, in_range, seen_all_around, width_rpm
 from crankorder.identify.false_discovery import claimed, simes
-from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderResponse, Verdict
+from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderResponse, Verdict, Whirl
 from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width
 from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.responses import with_and_without
 from crankorder.identify.said import NUMBERS as SAID
-from crankorder.identify.whirl_crossings import unmeasured_whirl, whirl_crossing
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -76,19 +75,37 @@ def crossings(
             seen = _seen_of(agreed, number, modal, settings)
             found.append(_crossing(agreed, number, seen, modal, tested, speed_rpm, settings))
             seen_of.append(seen)
-        for whirl in modal.whirls:
-            if (met := whirl_crossing(agreed, whirl, modal, tested, speed_rpm, settings)) is not None:
-                found.append(met[0])
-                seen_of.append(met[1])
+        for whirl, mode in _met_whirls(agreed.order, modal):
+            beside = ModalFit((mode, *modal.modes), (), np.zeros((0, 0)))  # no fit of the orders holds a whirl
+            seen = _seen_of(agreed, 0, beside, settings)
+            found.append(_of_whirl(_crossing(agreed, 0, seen, beside, tested, speed_rpm, settings), mode, whirl))
+            seen_of.append(seen)
     missing = [
         order for order in stated if all(abs(order - item.order) > NUMBERS.same_stated_share * order for item in orders)
     ]
     made = _decided(found, seen_of)
     made += [_unmeasured(order, mode, speed_rpm, settings) for order in missing for mode in modal.modes]
     for order in missing:
-        made += [one for whirl in modal.whirls if (one := unmeasured_whirl(order, whirl, speed_rpm, settings))]
+        met = _met_whirls(order, modal)
+        made += [_of_whirl(_unmeasured(order, mode, speed_rpm, settings), mode, whirl) for whirl, mode in met]
     made = [item if item.in_range else replace(item, evidence=EXTRAPOLATED) for item in made]
     return tuple(sorted(made, key=lambda item: (item.rpm, item.order)))
+
+
+def _met_whirls(order: float, modal: ModalFit) -> list[tuple[Whirl, Mode]]:
+    """Whirls that ``order`` meets, and the mode that it passes through there."""
+    return [(whirl, mode) for whirl in modal.whirls if (mode := whirl.met_by(order)) is not None]
+
+
+def _of_whirl(crossing: Crossing, mode: Mode, whirl: Whirl) -> Crossing:
+    """``crossing`` with the ``mode`` that an order passes in ``whirl``: as it gains slower, its speed errs more."""
+    half = 0.5 * (crossing.rpm_ci95[1] - crossing.rpm_ci95[0]) * whirl.slower(crossing.order)
+    return replace(
+        crossing,
+        rpm_ci95=(crossing.rpm - half, crossing.rpm + half),
+        evidence="; ".join(filter(None, (mode.evidence, crossing.evidence))),
+        whirl=whirl,
+    )
 
 
 def tested_speeds(orders: tuple[AgreedOrder, ...]) -> Floats:

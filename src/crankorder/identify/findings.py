@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -25,9 +25,8 @@ from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.crossings import crossings
 from crankorder.identify.encoder_sidebands import encoder_sidebands
 from crankorder.identify.energy import energy_shares
-from crankorder.identify.explain import Causes, explained
+from crankorder.identify.explain import NOT_KNOWN, Causes, explained
 from crankorder.identify.folds import fold_flags, shown_folds
-from crankorder.identify.following import going_with_speed
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerdicts
 from crankorder.identify.known_lines import Held, LineSeen, held_of, without_known
 from crankorder.identify.levels import (
@@ -57,14 +56,27 @@ from crankorder.identify.motors import MotorSeen, motor_seen
 from crankorder.identify.one_cause import with_neighbours_named, without_doubles
 from crankorder.identify.order_one import if_unbalance
 from crankorder.identify.parted_tones import with_tones_parted, without_absent_mains
-from crankorder.identify.records import line_records, mode_records, order_records
+from crankorder.identify.records import (
+    avoided_records,
+    crossing_records,
+    free_records,
+    line_records,
+    mode_records,
+    open_records,
+    order_records,
+)
+from crankorder.identify.said import NUMBERS as SAID
+from crankorder.identify.said import is_electric
 from crankorder.identify.sources import Sources
-from crankorder.identify.speed_doubt import speed_doubt, undecided_orders, without_free
-from crankorder.identify.speed_records import avoided_records, crossing_records, free_records, open_records
 from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of, is_cylinder_pressure
 from crankorder.settings import IdentifySettings, Settings
+
+DOUBTS = ("speed_tie", "speed_doubtful")
+"""Flags of recordings whose speed was read from the vibration and may be another."""
+
+IN_DOUBT = "the speed is in doubt"
 
 
 def find(
@@ -310,3 +322,56 @@ def _flags(order_map: xr.Dataset, campbell: xr.Dataset) -> list[QualityFlag]:
     for dataset in (order_map, campbell):
         seen += [flag for flag in flags_of(dataset) if flag not in seen]
     return seen
+
+
+def going_with_speed(orders: Sequence[AgreedOrder], causes: Causes) -> tuple[AgreedOrder, ...]:
+    """Those of ``orders``, explained by ``causes``, that move with the speed: only these can meet something elsewhere.
+
+    Not those of the mains and of a motor's field; nor, seen at one speed alone, those that no cause and no lock binds
+    to the shaft: there nothing tells an order from a line that stays.
+    """
+    return tuple(one for one in orders if not _stays(one, causes))
+
+
+def _stays(agreed: AgreedOrder, causes: Causes) -> bool:
+    """Whether a line stays where it is when the speed moves, or nothing tells that it would not."""
+    texts = [causes.orders[line.channel, agreed.order].text for line in agreed.lines]
+    if any(is_electric(text) for text in texts):
+        return True
+    speeds = np.concatenate([line.speed_rpm for line in agreed.lines])
+    at_one = bool(len(speeds)) and bool(speeds.max() <= SAID.alike_speeds_ratio * speeds.min())
+    return at_one and agreed.lock != "locked" and all(_says_nothing(text) for text in texts)
+
+
+def _says_nothing(text: str) -> bool:
+    return text in NOT_KNOWN or text.startswith("sideband of") or "mains" in text
+
+
+def speed_doubt(flags: Iterable[QualityFlag]) -> str | None:
+    """Why the speed of a test is in doubt, by the ``flags`` of its recordings; None where none says so."""
+    told = [flag for flag in flags if flag["flag"] in DOUBTS]
+    if not told:
+        return None
+    names = list(dict.fromkeys(flag["recording"] for flag in told))
+    more = f" and {len(names) - 1} more" if len(names) > 1 else ""
+    return f"{told[0]['detail']} ({names[0]}{more})"
+
+
+def undecided_orders(orders: tuple[AgreedOrder, ...]) -> tuple[AgreedOrder, ...]:
+    """``orders`` of which none is said to be locked or to slip, for the speed that they count by is in doubt."""
+    return tuple(
+        replace(
+            one,
+            lock="undecided",
+            needed_revs=None,
+            reservation="; ".join(part for part in (one.reservation, IN_DOUBT) if part),
+        )
+        for one in orders
+    )
+
+
+def without_free(verdicts: SpeedVerdicts) -> SpeedVerdicts:
+    """``verdicts`` in which no speed is free: what was is open, for another speed may have been meant."""
+    opened = tuple(replace(band, remark=IN_DOUBT) for band in verdicts.free)
+    merged = sorted((*verdicts.open, *opened), key=lambda band: band.low_rpm)
+    return replace(verdicts, free=(), open=tuple(merged))

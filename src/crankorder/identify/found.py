@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.intervals import half_width, ratio_interval
+from crankorder.identify.intervals import Z95, half_width, ratio_interval
 
 Evidence = Literal[
     "locked to the shaft",
@@ -160,6 +160,30 @@ class Whirl:
         """Speed in rpm at which an ``order`` meets it; None where it never does."""
         at_rest = self.line_at(0.0)
         return 60.0 * at_rest / (order - self.slope) if (order - self.slope) * at_rest > 0.0 else None
+
+    def slower(self, order: float) -> float:
+        """How many times slower than on a mode that stays an ``order`` gains on it."""
+        return order / (order - self.slope)
+
+    def met_by(self, order: float) -> Mode | None:
+        """The mode that stays of which an ``order`` would show the same where it meets this; None where it never does.
+
+        The order gains on it by but a part of its own motion, so that the mode is wider by that much. Of a damping
+        that is no more than a bound the bound is taken.
+        """
+        rpm = self.meets(order)
+        if rpm is None:
+            return None
+        damping = self.damping_ratio + (0.0 if self.damping_told else Z95 * self.damping_error)
+        return Mode(
+            frequency_hz=self.line_at(rpm),
+            frequency_error_hz=self.error_at(rpm),
+            damping_ratio=damping * self.slower(order),
+            damping_error=self.damping_error * self.slower(order),
+            channels=self.channels,
+            prominence_db=self.prominence_db,
+            evidence=f"a whirl that moves by {self.slope:.3g} orders",
+        )
 
     def error_at(self, rpm: float) -> float:
         """Standard error in Hz of the natural frequency at the speed ``rpm``."""

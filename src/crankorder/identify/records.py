@@ -3,17 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
-from crankorder.findings import CrossingFinding, LineFinding, ModeFinding, OrderFinding
+from crankorder.findings import (
+    AvoidedSpeed,
+    CrossingFinding,
+    FreeBand,
+    LineFinding,
+    ModeFinding,
+    OpenBand,
+    OrderFinding,
+)
 from crankorder.identify.explain import Cause, Causes
-from crankorder.identify.found import AgreedOrder, Evidence, Lock, ModalFit, Mode, OrderLine, Tone, Whirl
-from crankorder.identify.held_peak import HeldPeak, held_peak
+from crankorder.identify.found import (
+    AgreedOrder,
+    Crossing,
+    Evidence,
+    Lock,
+    ModalFit,
+    Mode,
+    OrderLine,
+    SpeedBand,
+    SpeedVerdicts,
+    Tone,
+    Whirl,
+)
 from crankorder.identify.intervals import Z95, interval
 from crankorder.identify.lines.growth import Growth, growth, largest, visible_range_rpm
 from crankorder.identify.lines.order_lock import is_half_order
+from crankorder.identify.responses import HeldPeak, held_peak
 from crankorder.records import Ends
 from crankorder.settings import MethodNumbers
 
@@ -250,3 +270,34 @@ def _modes_as_lines(modal: ModalFit, causes: Causes, channels: list[str]) -> lis
                 )
             )
     return records
+
+
+def crossing_records(found: Sequence[Crossing]) -> tuple[CrossingFinding, ...]:
+    """Findings of the crossings ``found``."""
+    told = [one.name for one in fields(Crossing) if one.name != "whirl"]
+    return tuple(
+        CrossingFinding(**{name: getattr(item, name) for name in told}, excited=item.excited) for item in found
+    )
+
+
+def avoided_records(verdicts: SpeedVerdicts) -> tuple[AvoidedSpeed, ...]:
+    """Findings of the speeds of ``verdicts`` that are to be avoided, the worst first."""
+    return tuple(
+        AvoidedSpeed(
+            rank=rank,
+            order=item.orders[0],
+            mode_hz=item.modes_hz[0],
+            **{one.name: getattr(item, one.name) for one in fields(item)},
+        )
+        for rank, item in enumerate(verdicts.avoid, start=1)
+    )
+
+
+def free_records(bands: Sequence[SpeedBand]) -> tuple[FreeBand, ...]:
+    """Findings of ``bands`` of speed that are free."""
+    return tuple(FreeBand(low_rpm=one.low_rpm, high_rpm=one.high_rpm, remark=one.remark) for one in bands)
+
+
+def open_records(bands: Sequence[SpeedBand]) -> tuple[OpenBand, ...]:
+    """Findings of ``bands`` of speed that are neither free nor to be avoided."""
+    return tuple(OpenBand(low_rpm=one.low_rpm, high_rpm=one.high_rpm, remark=one.remark) for one in bands)

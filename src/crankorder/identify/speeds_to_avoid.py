@@ -29,7 +29,6 @@ from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.responses import held_amplitudes, together, with_and_without
 from crankorder.identify.said import AMPLIFIED
 from crankorder.identify.said import NUMBERS as SAID
-from crankorder.identify.whirl_crossings import met_mode
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -317,14 +316,16 @@ def _by_modes(
     made: list[_Open] = []
     limits = _Limits(settings.free_amplification, float(ndtri(0.5 + 0.5 * settings.free_confidence)))
     for item in found:
-        if item.whirl is not None:
-            made += _by_whirl(item, modal, speed_rpm, settings)
-            continue
-        number = int(np.argmin([abs(mode.frequency_hz - item.mode_hz) for mode in modal.modes]))
-        what = f"order {item.order:.4g} with {item.mode_hz:.4g} Hz"
+        number, slower, named = -1, 1.0, ""  # no fit holds a whirl, on which the order gains slower
+        if item.whirl is None:
+            number = int(np.argmin([abs(mode.frequency_hz - item.mode_hz) for mode in modal.modes]))
+        else:
+            slower, named = item.whirl.slower(item.order), "a whirl of "
+        what = f"order {item.order:.4g} with {named}{item.mode_hz:.4g} Hz"
         known = [one for one in responses_to(item.order, modal) if one.fits and number in one.reached]
         if (not known and item.verdict != "not excited") or (item.excited and _is_vague(item)):
             low, high = _amplifying(item.rpm_ci95, settings.free_amplification)
+            low, high = item.rpm - slower * (item.rpm - low), item.rpm + slower * (high - item.rpm)
             made += _inside(_Open(low, high, f"{what}: {_said(item)}"), speed_rpm)
         alike = {(one.recording, unit[one.channel], one.span_rpm) for one in known}
         for key in sorted(alike):
@@ -334,28 +335,6 @@ def _by_modes(
     return made
 
 
-def _by_whirl(
-    item: Crossing, modal: ModalFit, speed_rpm: tuple[float, float], settings: IdentifySettings
-) -> list[_Open]:
-    """Speeds around the crossing of a whirl at which it amplifies an order by more than is free, or may.
-
-    No fit holds it, so that nothing is free as far as a resonance of the height that was measured, or could be, stands
-    higher than is free: about 1 / (2 × that factor) of the speed where nothing bounds the height.
-    """
-    mode = _mode_of(item, modal)
-    measured = np.inf if item.amplification_ci95 is None else item.amplification_ci95[1]
-    height = min(max(measured, 1.0), 1.0 / (2.0 * max(mode.damping_ratio, 1e-6)))
-    if item.verdict == "not excited":
-        return []
-    reach = mode.damping_ratio * height / settings.free_amplification
-    beside = max(width_rpm(item.rpm, mode, settings), max(NUMBERS.beside_share, reach) * item.rpm)
-    low, high = item.rpm_ci95[0] - beside, item.rpm_ci95[1] + beside
-    if low >= speed_rpm[1] or high <= speed_rpm[0]:
-        return []
-    text = f"order {item.order:.4g} with a whirl of {item.mode_hz:.4g} Hz: {_said(item)}"
-    return [_Open(low, high, text)]
-
-
 def _said(item: Crossing) -> str:
     """What is said of a crossing near speeds that it leaves open."""
     return item.verdict if item.in_range else "beside the tested range, so that its flank may reach in"
@@ -363,8 +342,8 @@ def _said(item: Crossing) -> str:
 
 def _mode_of(item: Crossing, modal: ModalFit) -> Mode:
     """The mode that a crossing is of; of a whirl, what the order passes through."""
-    if item.whirl is not None and (met := met_mode(item.order, item.whirl)) is not None:
-        return met[1]
+    if item.whirl is not None and (mode := item.whirl.met_by(item.order)) is not None:
+        return mode
     return min(modal.modes, key=lambda one: abs(one.frequency_hz - item.mode_hz))
 
 

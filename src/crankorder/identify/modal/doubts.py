@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.campbell.map import HANN_CORRELATION
-from crankorder.identify.found import Mode
+from crankorder.identify.found import Mode, Whirl
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.surface_fit import Problem, SurfaceFit
 from crankorder.identify.modal.tones import NUMBERS as TONES
@@ -198,3 +198,14 @@ def of_the_air(modes: tuple[Mode, ...], campbell: xr.Dataset) -> tuple[Mode, ...
         replace(mode, undecided=doubt) if not mode.undecided and heard.issuperset(mode.channels) else mode
         for mode in modes
     )
+
+
+def of_whirls(mode: Mode, whirls: tuple[Whirl, ...]) -> Mode:
+    """``mode``, undecided where an order that shows it meets one of ``whirls``, which may be all that it shows."""
+    for whirl in () if mode.undecided else whirls:
+        near = max(mode.damping_ratio, whirl.damping_ratio) * mode.frequency_hz
+        for order in mode.reached_by:
+            rpm = whirl.meets(order)
+            if rpm is not None and abs(order * rpm / 60.0 - mode.frequency_hz) <= near:
+                return replace(mode, undecided=f"order {order:.4g} meets a whirl there, which may be all that it shows")
+    return mode

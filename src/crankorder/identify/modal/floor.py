@@ -196,7 +196,7 @@ def _level(psd: Array) -> Array:
     """Running median of ``psd`` (channels, speeds, frequencies) over some bins of each speed; NaN takes no part."""
     half = NUMBERS.level_bins // 2
     padded = np.pad(psd, ((0, 0), (0, 0), (half, half)), constant_values=np.nan)
-    return _median(np.lib.stride_tricks.sliding_window_view(padded, NUMBERS.level_bins, axis=-1), axis=-1)
+    return median_of_known(np.lib.stride_tricks.sliding_window_view(padded, NUMBERS.level_bins, axis=-1), axis=-1)
 
 
 @lru_cache
@@ -216,11 +216,11 @@ def _half_bin(campbell: xr.Dataset) -> float:
 
 def _at_unit_gain(psd: Array, averages: Array) -> tuple[Array, Array]:
     """``psd`` divided by the gain of each speed, and those gains (channels, speeds), 1 on average."""
-    level = _median(psd, axis=1)
-    gain = _median(psd / level[:, None], axis=2)
+    level = median_of_known(psd, axis=1)
+    gain = median_of_known(psd / level[:, None], axis=2)
     gain = np.where(np.isfinite(gain) & (gain > 0.0), gain, 1.0)
-    level = _median(psd / gain[:, :, None], axis=1)
-    gain *= np.nan_to_num(_median(psd / gain[:, :, None] / level[:, None], axis=2), nan=1.0)
+    level = median_of_known(psd / gain[:, :, None], axis=1)
+    gain *= np.nan_to_num(median_of_known(psd / gain[:, :, None] / level[:, None], axis=2), nan=1.0)
     mean = (gain * averages).sum(axis=1, keepdims=True) / np.maximum(averages.sum(axis=1, keepdims=True), 1e-9)
     gain /= np.where(mean > 0.0, mean, 1.0)
     return psd / gain[:, :, None], gain
@@ -233,7 +233,7 @@ def _clip(psd: Array, averages: Array) -> None:
     shape, of = np.unique(np.maximum(averages, 1.0), return_inverse=True)
     median = gammainccinv(shape, 0.5) / shape
     limit = (gammainccinv(shape, NUMBERS.clip_chance) / shape / median)[of.reshape(averages.shape)]
-    high = psd > limit * _median(psd, axis=1)[:, None]
+    high = psd > limit * median_of_known(psd, axis=1)[:, None]
     wide = high.copy()
     wide[..., 1:] |= high[..., :-1]
     wide[..., :-1] |= high[..., 1:]
@@ -252,7 +252,7 @@ def _mask_feet(psd: Array, averages: Array, moving: NDArray[np.bool_]) -> None:
 
     shape, of = np.unique(np.maximum(1.5 * averages, 1.0), return_inverse=True)
     if psd.shape[1] > 2:
-        level = _median(psd, axis=1)
+        level = median_of_known(psd, axis=1)
         limit = gammainccinv(shape, NUMBERS.foot_chance) / gammainccinv(shape, 0.5)
     else:
         level = np.fmin.reduce(psd, axis=1)
@@ -273,8 +273,8 @@ def _mask_feet(psd: Array, averages: Array, moving: NDArray[np.bool_]) -> None:
     psd[foot & alone] = np.nan
 
 
-def _median(values: Array, *, axis: int) -> Array:
-    """Median along ``axis`` of what is not NaN; NaN where nothing is."""
+def median_of_known(values: Array, *, axis: int) -> Array:
+    """Median of ``values`` along ``axis`` of what is not NaN; NaN where nothing is."""
     ordered = np.sort(values, axis=axis)  # NaN comes last
     count = np.count_nonzero(~np.isnan(values), axis=axis)
     low, high = (np.expand_dims(np.maximum(n, 0), axis) for n in ((count - 1) // 2, count // 2))

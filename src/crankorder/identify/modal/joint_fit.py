@@ -12,7 +12,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone, Whirl
-from crankorder.identify.modal.doubts import doubt_about, narrower_than_fitted, of_lines_within, of_the_air, said_wide
+from crankorder.identify.modal.doubts import (
+    doubt_about,
+    narrower_than_fitted,
+    of_lines_within,
+    of_the_air,
+    of_whirls,
+    said_wide,
+)
 from crankorder.identify.modal.exclusion import FloorBound, Hiding, floor_bound, least_seen
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modal.order_blocks import blocks_of
@@ -44,7 +51,7 @@ from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, Surf
 from crankorder.identify.modal.sweep_modes import modes_unlike, poles_of, poles_unlike, with_sweep_modes
 from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
 from crankorder.identify.modal.tones import tone_of, tone_or_mode, with_one_mains, with_tones
-from crankorder.identify.modal.whirl import whirls_of, with_whirls
+from crankorder.identify.modal.whirl import whirls_of
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -205,10 +212,14 @@ def modal_fit(
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     made = _with_order_modes(found, kept, blocks, told.found, told.covariance, (floors, swept.hiding), unit, settings)
     hidden = hidden_speeds(blocks, made.modes, revs_per_cycle=cycle, least_damping=least, looked_hz=swept.looked_hz)
-    made = replace(
-        made, modes=of_the_air(made.modes, campbell), hidden=hidden, swings=told.swings, shown_orders=swept.shown_orders
+    return replace(
+        made,
+        modes=tuple(of_whirls(mode, whirls) for mode in of_the_air(made.modes, campbell)),
+        hidden=hidden,
+        swings=told.swings,
+        shown_orders=swept.shown_orders,
+        whirls=whirls,
     )
-    return with_whirls(made, whirls, campbell["speed"].values)
 
 
 def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...]) -> Floor | None:
