@@ -16,11 +16,10 @@ from matplotlib.figure import Figure
 from numba import njit
 from published import publish, table
 
+from crankorder.engine.compiled_slider_crank import fast_sine_cosine, fill_acceleration
 from crankorder.engine.harmonics import acceleration_harmonics, orders_for, peak_acceleration
 from crankorder.engine.slider_crank import (
     SliderCrank,
-    fast_sine_cosine,
-    fill_acceleration,
     piston_acceleration,
     plain_piston_acceleration,
 )
