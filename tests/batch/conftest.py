@@ -5,17 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from crankorder.cli import main
+from made.command import done
 
 
 @pytest.fixture(scope="session")
 def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Recordings of the campaign with its truth: nothing may be changed in them."""
     folder: Path = tmp_path_factory.mktemp("campaign") / "recordings"
-    made = CliRunner().invoke(main, ["synth", "thesis-second-motoring", "--out", str(folder), "--quick", "-q"])
-    assert made.exit_code == 0, made.output
+    done("synth", "thesis-second-motoring", "--out", folder, "--quick", "-q")
     return folder
 
 

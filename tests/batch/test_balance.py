@@ -10,20 +10,20 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 from crankorder.batch.result_folder import DONE, finished_with
-from crankorder.cli import main
 from crankorder.quantities import schema_of
 from crankorder.report.netcdf import read_results
 from crankorder.settings import shipped
+from made.command import crankorder
 
 KEYS = ("engine", "lambda", "harmonics", "force_g_mm", "strategies", "shafts", "crankshaft", "notes")
 EXACT = 1e-12
 
 
 def balance(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["balance", *map(str, arguments)])
+    return crankorder("balance", *arguments)
 
 
 def document(*arguments: object) -> dict[str, Any]:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from crankorder.cli import main
+from made.command import analysed
 from made.contradictions import contradictions
 
 RATE, SECONDS = 2048.0, 8.0
@@ -52,10 +50,7 @@ def findings_of(folder: Path, changed: dict[int, float], seed: int = 5) -> dict[
     (folder / "run.toml").write_text(MANIFEST)
     recipe = folder.parent / "findings-alone.toml"
     recipe.write_text('title = "Findings"\ndescription = "Nothing else."\n[report]\nresults = ["findings"]\n')
-    out = folder.parent / "out"
-    done = CliRunner().invoke(main, ["run", str(folder), "--out", str(out), "--recipe", str(recipe), "-q"])
-    assert done.exit_code == 0, done.output
-    return dict(json.loads(next(out.glob("*/findings.json")).read_text()))
+    return analysed(folder, folder.parent / "out", "--recipe", recipe)
 
 
 @pytest.mark.cases(1)

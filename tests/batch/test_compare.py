@@ -11,19 +11,19 @@ from typing import Any
 import jsonschema
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 from crankorder.batch.result_folder import DONE, finished_with, publish
-from crankorder.cli import main
 from crankorder.quantities import schema_of
 from crankorder.report.netcdf import read_results, results_bytes
+from made.command import crankorder
 from made.two_tests import made_test, written
 
 LINES = {1.0: lambda rpm: 0.5 * (rpm / 1000) ** 2, 5.5: lambda rpm: 0.4}
 
 
 def compare(*arguments: object) -> Result:
-    return CliRunner().invoke(main, ["compare", *map(str, arguments)])
+    return crankorder("compare", *arguments)
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
-from crankorder.cli import main
+from made.command import done
 
 PIPELINE = Path(__file__).parents[2] / "pipeline"
 pytestmark = pytest.mark.slow
@@ -19,11 +18,6 @@ CHANGES = {
     "doubled": (("seed = 2015", "seed = 99"), ("X = 1.2, Y = 1.2, Z = 1.2", "X = 2.4, Y = 2.4, Z = 2.4")),
     "heavier": (("seed = 2015", "seed = 55"), ('engine = "msu-optical-second"', 'engine = "heavier.toml"')),
 }
-
-
-def invoked(*arguments: object) -> None:
-    outcome = CliRunner().invoke(main, [str(one) for one in arguments])
-    assert outcome.exit_code == 0, outcome.output
 
 
 def changed(text: str, changes: tuple[tuple[str, str], ...]) -> str:
@@ -43,13 +37,13 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = (PIPELINE / "scenes" / "thesis-second-motoring.toml").read_text()
     for name, changes in CHANGES.items():
         (out / f"{name}-scene.toml").write_text(changed(scene, changes))
-        invoked("synth", out / f"{name}-scene.toml", "--quick", "-q", "--out", out / "recordings" / name)
-        invoked("run", out / "recordings" / name, "--out", out / name, "--jobs", 1, "-q")
+        done("synth", out / f"{name}-scene.toml", "--quick", "-q", "--out", out / "recordings" / name)
+        done("run", out / "recordings" / name, "--out", out / name, "--jobs", 1, "-q")
     return out
 
 
 def compared(folder: Path, *names: str, out: Path) -> dict[str, Any]:
-    invoked("compare", *(folder / name for name in names), "--out", out, "-q")
+    done("compare", *(folder / name for name in names), "--out", out, "-q")
     return json.loads((out / "comparison.json").read_bytes())
 
 
@@ -85,10 +79,10 @@ def test_a_doubled_bearing_line_is_told_and_nothing_else(results: Path, tmp_path
 def test_a_bearing_that_fails_over_the_runs_is_named(tmp_path: Path) -> None:
     scene = changed((PIPELINE / "scenes" / "bearing-growth.toml").read_text(), (("repeats = 2", "repeats = 5"),))
     (tmp_path / "growth.toml").write_text(scene)
-    invoked("synth", tmp_path / "growth.toml", "--quick", "-q", "--out", tmp_path / "recordings")
+    done("synth", tmp_path / "growth.toml", "--quick", "-q", "--out", tmp_path / "recordings")
     names = [f"run_{k}" for k in range(1, 6)]
     for name in names:
-        invoked("run", tmp_path / "recordings" / name, "--out", tmp_path / name, "--jobs", 1, "-q")
+        done("run", tmp_path / "recordings" / name, "--out", tmp_path / name, "--jobs", 1, "-q")
     made = compared(tmp_path, *names, out=tmp_path / "c")
     grown = [one for one in made["trend"] if one["changed"]]
     assert grown and all("BPFO" in one["line"] and "failing" in one["verdict"] for one in grown)

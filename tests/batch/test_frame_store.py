@@ -10,21 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
 
 from crankorder.batch import execute
 from crankorder.batch.frame_store import STORE, FrameStore, PackedResult
 from crankorder.batch.plan import plan_tests
 from crankorder.batch.run_log import LOGS
-from crankorder.cli import main
 from crankorder.quantities import OrderFrames, ShaftAngle
 from crankorder.stages import RecordingResult, analyse_recording
+from made.command import crankorder
 
 NAMES = ("run.toml", "rpm_1500.h5", "rpm_1600.h5", "rpm_1700.h5")
-
-
-def crankorder(*arguments: object):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def run(*arguments: object):

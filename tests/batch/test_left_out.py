@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
 
-from crankorder.cli import main
+from made.command import crankorder, findings_in
 
 RATE, SECONDS = 5000.0, 10.0
 MANIFEST = """schema_version = 1
@@ -52,11 +50,9 @@ def run(folder: Path, out: Path, spoil: dict[str, np.ndarray]) -> tuple[int, dic
         with h5py.File(folder / f"{name}.h5", "w") as file:
             for channel, row in zip("XY", rows, strict=True):
                 file[channel] = row.astype(np.float32)
-    given = ["run", str(folder), "--out", str(out), "-q", "--recipe", "maps", "--no-pictures"]
-    outcome = CliRunner().invoke(main, given)
-    made = next(path.parent for path in out.glob("**/findings.json"))
-    order_map = xr.load_dataset(made / "results.nc", group="order_map", engine="h5netcdf")
-    return outcome.exit_code, json.loads((made / "findings.json").read_bytes()), order_map
+    outcome = crankorder("run", folder, "--out", out, "-q", "--recipe", "maps", "--no-pictures")
+    order_map = xr.load_dataset(next(out.glob("*/results.nc")), group="order_map", engine="h5netcdf")
+    return outcome.exit_code, findings_in(out), order_map
 
 
 def amplitude(order_map: xr.Dataset, rpm: float, channel: str) -> float:

@@ -9,9 +9,9 @@ import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner, Result
+from click.testing import Result
 
-from crankorder.cli import main
+from made.command import crankorder
 
 HEAD = """schema_version = 1
 [test]
@@ -29,10 +29,6 @@ unit = "m/s2"
 kind = "constant"
 """
 SPEEDS = {"a/x.h5": 1500.0, "b/x.h5": 2100.0, "x.h5": 1800.0}
-
-
-def crankorder(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def run(*arguments: object) -> Result:

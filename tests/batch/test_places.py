@@ -11,16 +11,11 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 from crankorder.batch import execute
 from crankorder.batch.run_log import LOGS
-from crankorder.cli import main
+from made.command import crankorder
 from made.processes import started
-
-
-def crankorder(*arguments: object):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def run(*arguments: object):

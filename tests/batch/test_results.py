@@ -10,11 +10,9 @@ import signal
 import h5netcdf
 import jsonschema
 import pytest
-from click.testing import CliRunner
 
 import crankorder.batch.execute as execute
 from crankorder.batch.workers import FORKS
-from crankorder.cli import main
 from crankorder.errors import SchemaError
 from crankorder.flow import StagePlan
 from crankorder.quantities import (
@@ -28,10 +26,7 @@ from crankorder.quantities import (
 )
 from crankorder.settings import load_settings
 from crankorder.stages import OF_RECORDING, frames_wanted
-
-
-def crankorder(*arguments: object):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+from made.command import crankorder
 
 
 @pytest.fixture

@@ -11,23 +11,14 @@ import jsonschema
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
 from scipy.special import ndtr, stdtrit
 
-from crankorder.cli import main
 from crankorder.quantities import schema_of
-
-
-def crankorder(*arguments: object):
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
+from made.command import crankorder, findings_in
 
 
 def run(*arguments: object):
     return crankorder("run", *arguments, "--recipe", "maps", "--no-pictures")
-
-
-def findings_in(out: Path) -> dict:
-    return json.loads(next(out.glob("*/findings.json")).read_bytes())
 
 
 def speeds_in(out: Path) -> list[int]:

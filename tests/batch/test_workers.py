@@ -54,13 +54,14 @@ def test_an_error_that_cannot_be_sent_still_says_what_it_was():
 
 
 @needs_fork
-def test_a_worker_that_is_killed_takes_one_task_with_it_and_names_the_signal():
+@pytest.mark.parametrize("jobs", [2, 1])  # of one worker, the next task was asked ahead of its death
+def test_a_worker_that_is_killed_takes_one_task_with_it_and_names_the_signal(jobs):
     def task(number):
         if number == 2:
             os.kill(os.getpid(), signal.SIGKILL)
         return number
 
-    made = answers(task, 6, jobs=2)
+    made = answers(task, 6, jobs=jobs)
     assert sorted(made) == list(range(6))
     assert [made[number]() for number in (0, 1, 3, 4, 5)] == [0, 1, 3, 4, 5]
     with pytest.raises(WorkerDiedError, match="SIGKILL"):
@@ -144,19 +145,6 @@ def test_what_memory_does_not_hold_lies_in_a_file_and_on_a_full_disk_goes_throug
     assert all(on_disk for _, places in said for on_disk, _, _ in places)
     for packed, array in zip(said, arrays, strict=True):
         np.testing.assert_array_equal(pages.get(packed), array)
-
-
-@needs_fork
-def test_a_task_asked_ahead_of_a_death_is_done_by_another_worker():
-    def task(number):
-        if number == 1:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return number
-
-    made = answers(task, 6, jobs=1)
-    assert {number: made[number]() for number in (0, 2, 3, 4, 5)} == {0: 0, 2: 2, 3: 3, 4: 4, 5: 5}
-    with pytest.raises(WorkerDiedError, match="SIGKILL"):
-        made[1]()
 
 
 def test_what_is_to_be_done_meanwhile_is_done_once_while_tasks_wait_for_it(tmp_path):

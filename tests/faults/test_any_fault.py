@@ -10,19 +10,14 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from crankorder.cli import main
 from crankorder.errors import printable
+from made.command import crankorder
 
 DONE, REQUEST, SOME_LEFT_OUT, NONE_LEFT = 0, 2, 3, 4
 NAMES = st.text(st.characters(blacklist_categories=("Cs", "Cc"), blacklist_characters="/"), min_size=1, max_size=30)
-
-
-def crankorder(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def hashes(folder: Path) -> dict[str, str]:

@@ -9,11 +9,11 @@ import shutil
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import Result
 
 from crankorder.batch.frame_store import STORE
 from crankorder.batch.run_log import LOGS
-from crankorder.cli import main
+from made.command import crankorder
 
 CALLS = ("fsync", "rename", "replace", "mkdir", "fdopen", "open")
 MOST_CALLS = 80
@@ -21,10 +21,6 @@ QUICK = (("rename", errno.EIO), ("replace", errno.ENOSPC))
 """Those that few calls are made of; the others are slow."""
 
 DONE, ENVIRONMENT = 0, 5
-
-
-def crankorder(*arguments: object) -> Result:
-    return CliRunner().invoke(main, [str(argument) for argument in arguments])
 
 
 def run(folder: Path, out: Path, max_order: int) -> Result:

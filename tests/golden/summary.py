@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from click.testing import CliRunner
 
-from crankorder.cli import main
 from crankorder.report.netcdf import read_results
+from made.command import done
 
 RECORDS, SAMPLES = 40, 20
 """Records kept of each list of the findings, and values of each variable of the results: spread over all of them."""
@@ -38,9 +37,9 @@ def summary_of(scene: str, folder: Path) -> Summary:
     folder
         An empty folder to work in.
     """
-    _run("synth", scene, "--quick", "--out", folder / scene, "-q")
+    done("synth", scene, "--quick", "--out", folder / scene, "-q")
     tests = sorted((folder / scene).glob("run_*")) or [folder / scene]
-    _run("run", *tests, "--out", folder / "out")
+    done("run", *tests, "--out", folder / "out")
     last = sorted((folder / "out").glob("*/results.nc"))[-1].parent
     columns: Summary = {}
     _add(columns, json.loads((last / "findings.json").read_bytes()), "")
@@ -51,11 +50,6 @@ def summary_of(scene: str, folder: Path) -> Summary:
                     error = dataset.get("standard_error") if name == "amplitude" else None
                     columns[f"{group}/{name} {list(variable.shape)}"] = _samples(variable.values, error)
     return columns
-
-
-def _run(*arguments: object) -> None:
-    outcome = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert outcome.exit_code == 0, outcome.output
 
 
 def _add(columns: Summary, value: Any, path: str) -> None:

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from crankorder.cli import main
 from crankorder.engine.motor import Motor
 from crankorder.identify.known_lines import Held, held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.motors import motor_seen
 from crankorder.settings import load_settings
+from made.command import analysed
+from made.contradictions import contradictions
 from made.line_frames import angle_of, frames_of, wave
 
 SETTINGS = load_settings().identify
@@ -95,7 +94,7 @@ poles = 4
 """
 
 
-def analysed(folder: Path, stated_rpm: float) -> dict[str, Any]:
+def findings_of(folder: Path, stated_rpm: float) -> dict[str, Any]:
     """Findings of a motor of four poles that turns at 1464 rpm on 50 Hz where ``stated_rpm`` is stated."""
     rng, time_s = np.random.default_rng(3), np.arange(8 * 4000) / 4000.0
     lines = ((24.4, 1.0), (48.8, 0.5), (100.0, 0.6))
@@ -105,19 +104,16 @@ def analysed(folder: Path, stated_rpm: float) -> dict[str, Any]:
         file["a"] = signal + 0.05 * rng.standard_normal(time_s.size)
         file["a"].attrs["rate_hz"] = 4000
     (folder / "run.toml").write_text(MANIFEST.format(stated_rpm=stated_rpm), encoding="utf-8")
-    done = CliRunner().invoke(main, ["run", str(folder), "--out", f"{folder}-out", "-q"])
-    assert done.exit_code == 0, done.output
-    findings: dict[str, Any] = json.loads(next(Path(f"{folder}-out").glob("*/findings.json")).read_bytes())
-    return findings
+    return analysed(folder, Path(f"{folder}-out"))
 
 
 @pytest.mark.slow
 def test_a_stated_speed_that_is_the_fields_is_in_doubt_and_the_one_that_is_told_is_not(tmp_path: Path) -> None:
-    doubted = analysed(tmp_path / "field", 1500.0)
+    doubted = findings_of(tmp_path / "field", 1500.0)
     assert doubted["speed_doubt"] == "1500 rpm is stated, and the line just below the motor's field tells 1464 rpm"
     assert {record["lock"] for record in doubted["orders"]} == {"undecided"}
-    assert not [flag for flag in doubted["quality"] if flag["flag"] == "contradiction"]
-    right = analysed(tmp_path / "told", 1464.0)
+    assert not contradictions(doubted)
+    right = findings_of(tmp_path / "told", 1464.0)
     assert right["speed_doubt"] is None
     assert {1.0, 2.0} <= {round(record["order"], 3) for record in right["orders"]}
     for findings in (doubted, right):

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
-from click.testing import CliRunner
 
-from crankorder.cli import main
 from crankorder.findings import Findings
 from crankorder.identify.findings import IN_DOUBT, speed_doubt, undecided_orders, without_free
 from crankorder.identify.found import SpeedBand, SpeedVerdicts
 from crankorder.report.sentences.story import headline, story_of
+from made.command import analysed
 from made.found_lines import agreed
 
 RATE_HZ = 8192
@@ -48,7 +46,7 @@ def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed() -> None:
     assert verdicts.free == () and verdicts.open == (SpeedBand(500, 900, IN_DOUBT), SpeedBand(900, 950, "open"))
 
 
-def analysed(folder: Path, orders: dict[float, float]) -> dict[str, Any]:
+def findings_of(folder: Path, orders: dict[float, float]) -> dict[str, Any]:
     """Findings of one recording at 1500 rpm without an encoder that holds ``orders``, noise and a tone of 73.3 Hz."""
     rng, at = np.random.default_rng(3), np.arange(4 * RATE_HZ) / RATE_HZ
     signal = sum(size * np.cos(2 * np.pi * k * 25.0 * at + k) for k, size in orders.items())
@@ -57,14 +55,11 @@ def analysed(folder: Path, orders: dict[float, float]) -> dict[str, Any]:
     with h5py.File(folder / "in" / "a.h5", "w") as file:
         file["z"] = signal
     (folder / "in" / "run.toml").write_text(MANIFEST, encoding="utf-8")
-    done = CliRunner().invoke(main, ["run", str(folder / "in"), "--out", str(folder / "out"), "-q"])
-    assert done.exit_code == 0, done.output
-    found: dict[str, Any] = json.loads(next((folder / "out").glob("*/findings.json")).read_bytes())
-    return found
+    return analysed(folder / "in", folder / "out")
 
 
 def test_even_orders_alone_leave_the_speed_open_and_the_page_says_so(tmp_path: Path) -> None:
-    findings = analysed(tmp_path, {2.0: 1.0, 4.0: 0.6, 6.0: 0.4})
+    findings = findings_of(tmp_path, {2.0: 1.0, 4.0: 0.6, 6.0: 0.4})
     assert findings["speed_doubt"] and not findings["free_bands"]
     assert {record["lock"] for record in findings["orders"]} <= {"undecided"}
     typed = Findings.from_dict(findings)

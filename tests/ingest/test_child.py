@@ -14,13 +14,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from crankorder.cli import main
 from crankorder.errors import CrankorderError, InputError, UnsafeInputError
 from crankorder.ingest import child
 from crankorder.ingest.child import in_child
 from crankorder.ingest.formats import contents_of, read_file
+from made.command import crankorder
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
 
@@ -111,8 +110,8 @@ def test_i11_a_row_beyond_the_last_of_a_sheet_is_refused_by_every_command(tmp_pa
             table = '[sampling]\nrate_hz = 1000\n[[channels]]\nname = "a"\nsource = 0\nunit = "1"\n'
             head = 'schema_version = 1\n[test]\nname = "b"\ncycle = "none"\n[recordings]\nfiles = ["*.xlsx"]\n'
             (tmp_path / "in" / "run.toml").write_text(head + table, encoding="utf-8")
-        more = ["--out", str(tmp_path / "out")] if command == "run" else []
-        made = CliRunner().invoke(main, [command, str(tmp_path / "in"), *more])
+        more = ["--out", tmp_path / "out"] if command == "run" else []
+        made = crankorder(command, tmp_path / "in", *more)
         assert made.exit_code in (3, 4) and "claims a row beyond the last" in made.output
 
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from crankorder.cli import main
 from crankorder.errors import InputError
 from crankorder.ingest.check import check_folder
 from crankorder.ingest.draft import draft_manifest
@@ -20,6 +17,7 @@ from crankorder.ingest.formats import read_file
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import recording_of
 from crankorder.quantities import flags_of
+from made.command import crankorder, findings_in
 
 N = 5000
 TONE = np.round(1000.0 * np.sin(np.arange(N) / 7.0))
@@ -172,10 +170,9 @@ def test_a_list_that_holds_no_checksums_is_a_fault_of_its_own(campaign, settings
 def test_a_run_leaves_out_what_a_list_says_is_altered(campaign, tmp_path):
     listed(campaign, "sums")
     stored(campaign / "b.h5", np.random.default_rng(9).standard_normal(N), fs=1000.0)
-    outcome = CliRunner().invoke(main, ["run", str(campaign), "--out", str(tmp_path / "out"), "-q", "--no-pictures"])
+    outcome = crankorder("run", campaign, "--out", tmp_path / "out", "-q", "--no-pictures")
     assert outcome.exit_code == 3 and "b.h5: its SHA256 differs from SHA256SUMS" in outcome.stderr
-    (findings,) = (tmp_path / "out").glob("*/findings.json")
-    quality = json.loads(findings.read_text(encoding="utf-8"))["quality"]
+    quality = findings_in(tmp_path / "out")["quality"]
     assert [one["recording"] for one in quality if "SHA256 differs" in one["detail"]] == ["b.h5"]
-    checked = CliRunner().invoke(main, ["check", str(campaign)])
+    checked = crankorder("check", campaign)
     assert checked.exit_code == 3 and "b.h5: its SHA256 differs" in checked.stderr

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import CliRunner
 
-from crankorder.cli import main
+from made.command import crankorder, findings_in
 
 TEETH, MISSING, MEAN_RPM, SWING_RPM, LENGTH_S = 36, 1, 1400.0, 12.0, 6.0
 RATE_HZ = 5000
@@ -65,13 +63,8 @@ def write_signal(path: Path, *, pulses: np.ndarray | None = None) -> None:
 
 
 def run(folder: Path, out: Path, *more: str) -> tuple[int, str]:
-    done = CliRunner().invoke(main, ["run", str(folder), "--out", str(out), *more])
-    return done.exit_code, done.output
-
-
-def findings_in(out: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(next(out.glob("*/findings.json")).read_bytes())
-    return found
+    outcome = crankorder("run", folder, "--out", out, *more)
+    return outcome.exit_code, outcome.output
 
 
 def test_edges_alone_are_a_test_of_the_shaft(tmp_path: Path) -> None:
@@ -81,7 +74,7 @@ def test_edges_alone_are_a_test_of_the_shaft(tmp_path: Path) -> None:
     write_edges(folder / "a.csv", seed)
     table = f'[sampling]\ntime_source = "Time [s]"\n[encoder]\nkind = "edge_list"\nsource = "crank"\n{WHEEL}'
     (folder / "run.toml").write_text(HEAD.format(name="edges", files="a.csv") + table, encoding="utf-8")
-    assert CliRunner().invoke(main, ["check", str(folder)]).exit_code == 0
+    assert crankorder("check", folder).exit_code == 0
     code, said = run(folder, tmp_path / "out")
     assert code == 0, said
     assert "The shaft turned at 13" in said
@@ -113,7 +106,7 @@ def test_times_of_pulses_alone_are_a_test_too(tmp_path: Path) -> None:
 def test_a_test_without_channels_needs_pulses(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("1,2\n3,4\n", encoding="utf-8")
     (tmp_path / "run.toml").write_text(HEAD.format(name="none", files="a.csv"), encoding="utf-8")
-    done = CliRunner().invoke(main, ["check", str(tmp_path)])
+    done = crankorder("check", tmp_path)
     assert done.exit_code != 0
     assert "no channel is named" in done.output and "edge_list" in done.output
 
@@ -142,7 +135,7 @@ offset_s = {offset_s}
 def test_edges_in_a_file_of_their_own_read_as_pulses_in_the_recording(tmp_path: Path) -> None:
     offset_s = 2.5
     folder = joined(tmp_path / "joined", offset_s=offset_s)
-    assert CliRunner().invoke(main, ["check", str(folder)]).exit_code == 0
+    assert crankorder("check", folder).exit_code == 0
     code, said = run(folder, tmp_path / "out", "--no-pictures")
     assert code == 0, said
     (order,) = findings_in(tmp_path / "out")["orders"]
@@ -202,7 +195,7 @@ def test_a_list_of_edges_is_no_recording_of_its_own(tmp_path: Path) -> None:
 def test_a_missing_list_takes_its_own_recording_alone(tmp_path: Path) -> None:
     folder = joined(tmp_path / "joined", names=("a", "b"))
     (folder / "b.edges.csv").unlink()
-    checked = CliRunner().invoke(main, ["check", str(folder)])
+    checked = crankorder("check", folder)
     assert checked.exit_code != 0 and "b.edges.csv: no such file" in checked.output
     code, said = run(folder, tmp_path / "out", "--no-pictures")
     assert code == 3 and "b.edges.csv: no such file" in said
@@ -228,5 +221,5 @@ def test_keys_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     for keys, words in rows:
         text = HEAD.format(name="x", files="a.h5") + '[[channels]]\nname = "A"\nunit = "V"\n[encoder]\n' + keys
         (tmp_path / "run.toml").write_text(text, encoding="utf-8")
-        done = CliRunner().invoke(main, ["check", str(tmp_path)])
+        done = crankorder("check", tmp_path)
         assert done.exit_code != 0 and words in done.output

@@ -9,11 +9,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from crankorder.cli import main
 from crankorder.errors import ManyErrors
 from crankorder.ingest.manifest import load_manifest
+from made.command import analysed, done
 
 MANIFEST = """schema_version = 1
 [test]
@@ -49,9 +48,7 @@ def test_a_recording_without_encoder_gives_its_orders(tmp_path: Path) -> None:
         file.attrs["rate_hz"] = 4096.0
         turning = sum(size * np.cos(2 * np.pi * order * 25.0 * time_s) for order, size in put_in.items())
         file["Z"] = turning + 0.1 * np.random.default_rng(1).standard_normal(time_s.size)
-    done = CliRunner().invoke(main, ["run", str(tmp_path / "in"), "--out", str(tmp_path / "out"), "--no-pictures"])
-    assert done.exit_code == 0, done.output
-    findings = json.loads(next((tmp_path / "out").glob("*/findings.json")).read_bytes())
+    findings = analysed(tmp_path / "in", tmp_path / "out", "--no-pictures")
     assert findings["speed_range_rpm"] == pytest.approx([1500.0, 1500.0], rel=1e-3)
     found = {round(record["order"], 1): record for record in findings["orders"]}
     for order, size in put_in.items():
@@ -64,15 +61,13 @@ def test_a_recording_without_encoder_gives_its_orders(tmp_path: Path) -> None:
 def test_a_firing_engine_without_encoder_gives_its_orders(tmp_path: Path) -> None:
     """Speed and amplitudes against the truth of the scene; the phase has no reference and says so."""
     folder = tmp_path / "recordings"
-    run = CliRunner().invoke
-    assert run(main, ["synth", "thesis-second-firing", "--out", str(folder), "--quick", "-q"]).exit_code == 0
+    done("synth", "thesis-second-firing", "--out", folder, "--quick", "-q")
     text = (folder / "run.toml").read_text()
     start = text.index("[encoder]")
     end = start + 1 + re.search(r"\n\[", text[start:]).start()
     vibration = '[encoder]\nkind = "vibration"\nexpected_rpm = [800.0, 3000.0]\n\n'
     (folder / "run.toml").write_text(text[:start] + vibration + text[end:])
-    assert run(main, ["run", str(folder), "--out", str(tmp_path / "out"), "--no-pictures"]).exit_code == 0
-    findings = json.loads(next((tmp_path / "out").glob("*/findings.json")).read_bytes())
+    findings = analysed(folder, tmp_path / "out", "--no-pictures")
     assert findings["speed_range_rpm"] == pytest.approx([1500.0, 2000.0], rel=1e-3)
     truth = json.loads((folder / "truth.json").read_bytes())["orders"]
     found = {round(record["order"], 1): record for record in findings["orders"] if record["channel"] == "Z"}

@@ -11,18 +11,17 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
-from click.testing import CliRunner
 
 import crankorder as co
 from crankorder.batch.result_folder import publish
 from crankorder.batch.store import json_bytes
-from crankorder.cli import main
 from crankorder.errors import RequestError
 from crankorder.findings import Findings
 from crankorder.interchange.tables import Column, csv_bytes, tables_of
 from crankorder.interchange.uff58 import uff58_bytes
 from crankorder.report.netcdf import read_results, results_bytes
 from crankorder.report.published import findings_datasets, published, root_attrs
+from made.command import crankorder
 from made.typed import findings_of
 
 pyuff = pytest.importorskip("pyuff", reason="pyuff is a development dependency")
@@ -217,10 +216,10 @@ def test_what_cannot_be_is_refused(result: Path, tmp_path: Path) -> None:
 
 
 def test_the_command_names_what_it_wrote(result: Path, tmp_path: Path) -> None:
-    ended = CliRunner().invoke(main, ["export", str(result), "--to", "uff58", "--out", str(tmp_path)])
+    ended = crankorder("export", result, "--to", "uff58", "--out", tmp_path)
     assert ended.exit_code == 0, ended.output
     assert ended.output.splitlines() == [str(tmp_path / "some-test-uff58" / "results.uff")]
-    assert CliRunner().invoke(main, ["export", str(tmp_path / "no"), "--to", "csv"]).exit_code == 2
+    assert crankorder("export", tmp_path / "no", "--to", "csv").exit_code == 2
 
 
 @pytest.mark.slow

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from click.testing import CliRunner
-
-from crankorder.cli import main
 from crankorder.identify.said import LIKE_UNBALANCE
 from machines.lines import PARTS
 from machines.motor_rig import Line, MotorRig, write_folder
+from made.command import analysed
 
 WORDS_OF = {
     "bar pass": "motor, bar pass",
@@ -39,11 +36,7 @@ def findings_of(rig: MotorRig, folder: Path) -> dict[str, Any]:
     write_folder(rig, folder / "test")
     recipe = 'title = "Findings"\ndescription = "Nothing else."\n[report]\nresults = ["findings"]\n'
     (folder / "findings-alone.toml").write_text(recipe, encoding="utf-8")
-    out = folder / "out"
-    asked = ["run", str(folder / "test"), "--out", str(out), "--recipe", str(folder / "findings-alone.toml")]
-    done = CliRunner().invoke(main, [*asked, "--jobs", "1", "-q"])
-    assert done.exit_code == 0, done.output
-    return dict(json.loads(next(out.glob("*/findings.json")).read_text(encoding="utf-8")))
+    return analysed(folder / "test", folder / "out", "--recipe", folder / "findings-alone.toml", "--jobs", 1)
 
 
 def words_of(line: Line) -> str:

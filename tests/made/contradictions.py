@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from crankorder.findings import CrossingFinding, Findings, ModeFinding, OrderFinding
+from crankorder.findings import Findings
 from crankorder.identify.said import MAY_BE_ALL, is_electric, mains_words
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.records import Record, known
@@ -13,8 +13,6 @@ from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, 
 from crankorder.report.sentences.of_speeds import free_bands, open_bands
 from crankorder.report.sentences.story import has_lines, headline, story_of
 from made.typed import findings_of
-
-Ends = tuple[float, float]
 
 SAME = 1e-6
 """Numbers within this share of each other are one: what a file rounds is no contradiction."""
@@ -25,25 +23,20 @@ BESIDE = 0.01
 BESIDE_RPM = 30.0
 """… or so many rpm: crossings count that far beside it."""
 
-APART = (
-    ("Free of resonances:", "No speed of the tested range can be called free"),
-    ("A test at one speed cannot tell", "Free of resonances:"),
-    ("Avoid steady running", "Nothing that was looked for asks for action"),
-    ("Avoid steady running", "No order was seen to excite a natural frequency"),
-    ("No order stands above the noise", "is the strongest line in"),
-    ("No order stands above the noise", "found: "),
-    ("No order could be proven", "is the strongest line in"),
-    ("No recording was found faulty or suspect", "those data took no part in the averages"),
-    ("is in doubt, and with it every order", "does not follow the shaft"),
-    ("is in doubt, and with it every order", "Free of resonances:"),
-    ("is in doubt, and with it every order", "Balance it:"),
-    ("strikes of", "Nothing that was looked for asks for action"),
-)
-"""Pairs of words that no page may hold both of."""
+APART = {
+    "Free of resonances:": ("No speed of the tested range can be called free", "A test at one speed cannot tell"),
+    "Nothing that was looked for asks for action": ("Avoid steady running", "strikes of"),
+    "No order stands above the noise": ("is the strongest line in", "found: "),
+    "No order could be proven": ("is the strongest line in",),
+    "No recording was found faulty or suspect": ("those data took no part in the averages",),
+    "is in doubt, and with it every order": ("does not follow the shaft", "Free of resonances:", "Balance it:"),
+}
+"""Words, and those that no page may hold beside them."""
 MAINS = {mains_words(multiple) for multiple in range(1, 1001)}
 """What multiples of the mains are called."""
-INTERVALS = ("order", "amplitude", "speed_exponent", "frequency_hz", "damping_ratio", "rpm", "amplification")
-"""Estimates that must lie within their own interval."""
+ESTIMATES = ("order", "amplitude", "speed_exponent", "frequency_hz", "damping_ratio", "rpm", "amplification")
+LIMITS = [(key, f"{key}_ci95") for key in ESTIMATES] + [("speed_rpm_at_max", "speed_range_rpm"), ("rpm", "rpm_range")]
+"""Estimates, and the interval or range of the same record that each must lie within."""
 
 
 def contradictions(document: dict[str, Any]) -> list[str]:
@@ -58,144 +51,121 @@ def contradictions(document: dict[str, Any]) -> list[str]:
 
 
 def _of_orders(findings: Findings) -> Iterator[str]:
+    """Verdict on the lock against number, evidence and what would decide it; the law of growth against its exponent."""
     for record in findings.orders:
-        name = f"order {order_text(record.order)} in {record.channel}"
-        yield from (f"{name}: {words}" for words in (*_of_lock(record), *_of_growth(record), *_outside(record)))
+        name, decided = f"order {order_text(record.order)} in {record.channel}", record.lock in ("slips", "locked")
+        yield from _outside(name, record)
+        ends, evidence = interval_of(record, "order"), str(record.evidence or "")
+        if decided and ends is not None:
+            multiple = max(1, round(ends[0] + ends[1])) / 2.0  # of the half revolution, the nearest to the middle
+            if _within(multiple, ends) == (record.lock == "slips"):
+                yield f"{name}: {record.lock} by its verdict, and not by its interval about {order_text(multiple)}"
+        if decided and is_number(record.revs_to_decide):
+            yield f"{name}: its lock is decided ({record.lock}), and more revolutions would decide it"
+        locked = record.lock == "locked" or "locked to the shaft" in map(str.strip, evidence.split(";"))
+        if locked and "not locked to the shaft" in evidence:
+            yield f"{name}: it is locked and not locked to the shaft"
+        law, exponent = str(record.speed_law or ""), record.speed_exponent
+        if is_number(exponent) and exponent * (law.startswith("grows") - law.startswith("falls")) < 0.0:
+            yield f"{name}: it {law.split()[0]} with the speed, with an exponent of {exponent:.2g}"
 
 
-def _of_lock(record: OrderFinding) -> Iterator[str]:
-    """Verdict on the lock against the number, the words of its evidence and what would decide it."""
-    lock, ends, evidence = record.lock, interval_of(record, "order"), str(record.evidence or "")
-    if ends is not None and lock in ("slips", "locked"):
-        multiple = max(1, round(ends[0] + ends[1])) / 2.0  # of the half revolution, the nearest to the middle
-        if lock == "slips" and _within(multiple, ends):
-            yield f"it slips, and its interval holds {order_text(multiple)}"
-        if lock == "locked" and not _within(multiple, ends):
-            yield "it is locked, and its interval holds no multiple of the half revolution"
-    said_locked = any(part.strip() == "locked to the shaft" for part in evidence.split(";"))
-    if "not locked to the shaft" in evidence and (lock == "locked" or said_locked):
-        yield "it is locked and not locked to the shaft"
-    if lock in ("slips", "locked") and is_number(record.revs_to_decide):
-        yield f"its lock is decided ({lock}), and more revolutions would decide it"
-
-
-def _of_growth(record: OrderFinding) -> Iterator[str]:
-    law, exponent = str(record.speed_law or ""), record.speed_exponent
-    if is_number(exponent) and (
-        (law.startswith("grows") and exponent < 0.0) or (law.startswith("falls") and exponent > 0.0)
-    ):
-        yield f"it {law.split()[0]} with the speed, with an exponent of {exponent:.2g}"
-
-
-def _outside(record: Record) -> Iterator[str]:
+def _outside(name: str, record: Record) -> Iterator[str]:
     """Values that lie outside their own interval or range."""
-    limits = [(key, f"{key}_ci95") for key in INTERVALS]
-    for key, limit in (*limits, ("speed_rpm_at_max", "speed_range_rpm"), ("rpm", "rpm_range")):
+    for key, limit in LIMITS:
         ends, value = known(getattr(record, limit, None)), getattr(record, key, None)
         if ends is not None and is_number(value) and not _within(value, ends):
-            yield f"{key} {value:.6g} lies outside {limit} ({ends[0]:.6g} to {ends[1]:.6g})"
+            yield f"{name}: {key} {value:.6g} lies outside {limit} ({ends[0]:.6g} to {ends[1]:.6g})"
 
 
-def _within(value: float, ends: Ends) -> bool:
+def _within(value: float, ends: tuple[float, float]) -> bool:
     spare = SAME * max(abs(value), abs(ends[0]), abs(ends[1]))
     return ends[0] - spare <= value <= ends[1] + spare
 
 
+def _alike(value: float, other: float) -> bool:
+    return abs(value / other - 1.0) < SAME
+
+
 def _of_modes(findings: Findings) -> Iterator[str]:
+    """Natural frequencies against their doubt, the tones within their interval and the crossings that are theirs."""
+    met_hz = [crossing.mode_hz for crossing in findings.crossings if crossing.excited and crossing.in_range]
     for record in findings.modes:
-        name, is_mode = f"{record.frequency_hz:.5g} Hz", record.explained_by == "mode"
-        yield from (f"{name}: {words}" for words in _outside(record))
-        if is_mode and record.undecided:
+        name, ends = f"{record.frequency_hz:.5g} Hz", interval_of(record, "frequency_hz")
+        is_mode, doubt = record.explained_by == "mode", str(record.undecided or "")
+        yield from _outside(name, record)
+        if is_mode and doubt:
             yield f"{name}: a natural frequency, and not decided"
-        if is_mode or _may_be_a_tone(record):
-            is_one = "is" if is_mode else "may be"
-            yield from (f"{name}: {is_one} a natural frequency, and {tone}" for tone in _tones_at(record, findings))
-        if record.reached_by_orders == () and any(
-            crossing.excited and crossing.in_range and abs(crossing.mode_hz / record.frequency_hz - 1.0) < SAME
-            for crossing in findings.crossings
-        ):
+        if record.reached_by_orders == () and any(_alike(hz, record.frequency_hz) for hz in met_hz):
             yield f"{name}: no order reaches it, and a crossing there is excited"
-
-
-def _may_be_a_tone(record: ModeFinding) -> bool:
-    """Whether a natural frequency is open, known well enough to stand at one place, and names no line there."""
-    ends, doubt = interval_of(record, "frequency_hz"), str(record.undecided or "")
-    narrow = ends is not None and ends[1] - ends[0] <= BESIDE * ends[1]
-    return bool(doubt) and narrow and not is_tone(record) and MAY_BE_ALL not in doubt
-
-
-def _tones_at(mode: ModeFinding, findings: Findings) -> Iterator[str]:
-    """Tones that the findings name within the interval of a natural frequency."""
-    ends = interval_of(mode, "frequency_hz")
-    for tone in findings.modes:
-        if ends is not None and is_tone(tone) and _within(tone.frequency_hz, ends):
-            yield f"{tone.explained_by} at {tone.frequency_hz:.5g} Hz"
+        if ends is None:
+            continue
+        # open, known well enough to stand at one place, and names no line there
+        may_be = bool(doubt) and not is_tone(record) and MAY_BE_ALL not in doubt
+        if is_mode or (may_be and ends[1] - ends[0] <= BESIDE * ends[1]):
+            for tone in findings.modes:
+                if is_tone(tone) and _within(tone.frequency_hz, ends):
+                    said = "is" if is_mode else "may be"
+                    yield f"{name}: {said} a natural frequency, and {tone.explained_by} at {tone.frequency_hz:.5g} Hz"
 
 
 def _of_crossings(findings: Findings) -> Iterator[str]:
+    """Crossings against the tested range, the speeds to avoid, what their orders are called, and the modes."""
     speeds = [rpm for rpm in findings.speed_range_rpm or () if is_number(rpm)]
     modes_hz = [mode.frequency_hz for mode in findings.modes if not is_tone(mode)]
+    electric = {line.order for line in findings.orders if is_electric(line.explained_by or "")}
     for record in findings.crossings:
-        name = f"order {order_text(record.order)} with {record.mode_hz:.5g} Hz"
+        name, times = f"order {order_text(record.order)} with {record.mode_hz:.5g} Hz", record.amplification
         if record.in_range is True and speeds:
             low, high = interval_of(record, "rpm") or (record.rpm, record.rpm)
             spare = max(BESIDE * max(speeds), BESIDE_RPM)
             if low > max(speeds) + spare or high < min(speeds) - spare:
                 yield f"{name}: in the tested range, and at {record.rpm:.0f} rpm"
-        yield from (f"{name}: {words}" for words in _of_meeting(record, findings))
-        if record.excited and not any(abs(record.mode_hz / hz - 1.0) < SAME for hz in modes_hz):
+        for other in findings.speeds_to_avoid or ():
+            twice, same = other.amplification, (other.order, other.mode_hz) == (record.order, record.mode_hz)
+            if same and is_number(times) and is_number(twice) and abs(times - twice) > SAME * max(times, twice):
+                yield f"{name}: amplified {times:.3g} times, and {twice:.3g} times where it is to be avoided"
+        if record.order in electric:
+            yield f"{name}: a line of fixed frequency moves with the speed"
+        if record.excited and not any(_alike(record.mode_hz, hz) for hz in modes_hz):
             yield f"{name}: excited, and no such natural frequency is listed"
 
 
-def _of_meeting(record: CrossingFinding, findings: Findings) -> Iterator[str]:
-    """A crossing against the speed to avoid that it is, and against what its order is called."""
-    times = record.amplification
-    for other in findings.speeds_to_avoid or ():
-        twice, same = other.amplification, (other.order, other.mode_hz) == (record.order, record.mode_hz)
-        if same and is_number(times) and is_number(twice) and abs(times - twice) > SAME * max(times, twice):
-            yield f"amplified {times:.3g} times, and {twice:.3g} times where it is to be avoided"
-    if any(is_electric(line.explained_by or "") for line in findings.orders if line.order == record.order):
-        yield "a line of fixed frequency moves with the speed"
-
-
-def _is_felt(crossing: CrossingFinding) -> bool:
-    """Whether an excited crossing may make an order so much larger that nobody would call its speed free."""
-    ends = interval_of(crossing, "amplification")
-    return bool(crossing.excited) and (ends is None or ends[1] >= SAID.clearly_excited_ratio)
-
-
 def _of_speeds(findings: Findings) -> Iterator[str]:
+    """Free speeds against those to avoid, those not known, and excited crossings that may be clearly amplified."""
     avoid = [ends for speed in findings.speeds_to_avoid or () if (ends := known(speed.rpm_range)) is not None]
+    others = [("to be avoided", ends) for ends in avoid] + [("not known", ends) for ends in open_bands(findings)]
     for low, high in free_bands(findings):
-        for words, others in (("to be avoided", avoid), ("not known", open_bands(findings))):
-            for other in others:
-                if min(high, other[1]) - max(low, other[0]) > SAME * high:
-                    yield f"{low:.0f} to {high:.0f} rpm: free, and {other[0]:.0f} to {other[1]:.0f} rpm {words}"
+        name = f"{low:.0f} to {high:.0f} rpm: free"
+        for words, (begin, end) in others:
+            if min(high, end) - max(low, begin) > SAME * high:
+                yield f"{name}, and {begin:.0f} to {end:.0f} rpm {words}"
         for record in findings.crossings:
-            if _is_felt(record) and is_number(record.rpm) and low < record.rpm < high:
-                yield f"{low:.0f} to {high:.0f} rpm: free, and an excited crossing at {record.rpm:.0f} rpm"
+            times = interval_of(record, "amplification")
+            felt = bool(record.excited) and (times is None or times[1] >= SAID.clearly_excited_ratio)
+            if felt and is_number(record.rpm) and low < record.rpm < high:
+                yield f"{name}, and an excited crossing at {record.rpm:.0f} rpm"
 
 
 def _of_bearings(findings: Findings) -> Iterator[str]:
-    damaged = [record for record in findings.bearings if str(record.verdict or "").startswith("Damage")]
-    struck = {record.name for record in damaged}
+    damaged = {record.name for record in findings.bearings if str(record.verdict or "").startswith("Damage")}
     for record in findings.bearings:
-        name = f"{record.line} of {record.name}"
-        if record.name in struck and "no bearing alarm" in record.verdict:
+        name, verdict = f"{record.line} of {record.name}", str(record.verdict or "")
+        yield from _outside(name, record)
+        if record.name in damaged and "no bearing alarm" in verdict:
             yield f"{name}: no bearing alarm, and another line of it is called damage"
-        if record.lock == "locked" and record in damaged and record.seen_in != "envelope":
+        if record.lock == "locked" and verdict.startswith("Damage") and record.seen_in != "envelope":
             yield f"{name}: damage, and locked to the shaft"
-        yield from (f"{name}: {words}" for words in _outside(record))
 
 
 def _of_mains(findings: Findings) -> Iterator[str]:
     """Two lines of one recording that are one multiple of the mains: a supply has one frequency."""
-    lines: dict[tuple[str, float | None], list[tuple[float, float, float]]] = {}
+    lines: dict[tuple[str, float | None], list[tuple[float, ...]]] = {}
     for record in findings.orders:
         rpm, ends, words = record.speed_rpm_at_max, interval_of(record, "order"), record.explained_by or ""
         if words in MAINS and is_number(rpm) and ends is not None:
-            middle, low, high = (order * rpm / 60.0 for order in (record.order, *ends))
-            lines.setdefault((words, round(rpm, 3)), []).append((middle, low, high))
+            place = tuple(order * rpm / 60.0 for order in (record.order, *ends))
+            lines.setdefault((words, round(rpm, 3)), []).append(place)
     for mode in findings.modes:
         words, ends = mode.explained_by, interval_of(mode, "frequency_hz")
         if words in MAINS and ends is not None:
@@ -218,7 +188,8 @@ def _of_sentences(findings: Findings) -> Iterator[str]:
     story = story_of(findings)
     said = [*headline(findings), *story["what"], *story["why"], *story["how_sure"], *story["what_to_do"]]
     text = "\n".join(said)
-    yield from (f"the page says {one!r} and {other!r}" for one, other in APART if one in text and other in text)
+    for words, others in APART.items():
+        yield from (f"the page says {words!r} and {other!r}" for other in others if words in text and other in text)
     if "explained by orders and tones" in text and not has_lines(findings):
         yield "all energy is explained by orders and tones, and none was found"
     if "No order stands above the noise" in text and findings.orders:

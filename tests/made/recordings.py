@@ -96,3 +96,38 @@ def line(order: float, amplitude: float, phase_rad: float = 0.0) -> Signal:
 def total(*parts: Signal) -> Signal:
     """Sum of signals."""
     return lambda time_s, angle: sum((part(time_s, angle) for part in parts), np.zeros_like(time_s))
+
+
+def frames_of(
+    spectrum: np.ndarray,
+    *,
+    speed_rpm: float | np.ndarray = 1000.0,
+    revs: int = 2,
+    overlap: float = 0.5,
+    **attrs: object,
+) -> xr.Dataset:
+    """OrderFrames with the complex ``spectrum`` (channels, frames, orders) on bins from 0, ``revs`` bins an order."""
+    n_frames = spectrum.shape[1]
+    made = xr.Dataset(
+        {"spectrum": (("channel", "frame", "order"), spectrum, {"units": "see unit"})},
+        coords={
+            **named(len(spectrum)),
+            "order": ("order", np.arange(spectrum.shape[2]) / revs, {"units": "1"}),
+            "speed": ("frame", np.broadcast_to(speed_rpm, n_frames).astype(float), {"units": "min-1"}),
+            "crank_angle": ("frame", np.arange(n_frames) * revs * (1.0 - overlap), {"units": "rev"}),
+        },
+        attrs={
+            "recording": "made",
+            "window": "hann",
+            "enbw_bins": 1.5,
+            "revs_per_frame": revs,
+            "overlap": overlap,
+            "amplitude_scaling": "peak",
+            "phase_reference": "tdc",
+            "cycle_known": 1,
+            "revs_per_cycle": 2,
+            **attrs,
+        },
+    )
+    check_dataset(made, "order_frames")
+    return made

@@ -6,9 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from crankorder.cli import main
 from crankorder.errors import RequestError
 from crankorder.ingest.manifest import load_manifest
 from crankorder.orders.frames import order_frames
@@ -16,8 +14,8 @@ from crankorder.orders.shapes import coherence_level, expected_coherence, operat
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
 from crankorder.stages import band, ingest, shaft
-from made.frames import frames_of
-from made.recordings import line, steady
+from made.command import done
+from made.recordings import frames_of, line, steady
 
 SETTINGS = load_settings().orders
 PHASORS = np.array([2.0 * np.exp(0.4j), 0.5 * np.exp(-2.9j), 1.0 * np.exp(1.7j)])
@@ -251,8 +249,7 @@ def test_frames_of_a_run_up_fall_into_rows_of_like_speed():
 
 @pytest.mark.slow
 def test_shapes_of_the_reference_campaign_are_those_of_its_truth(tmp_path):
-    outcome = CliRunner().invoke(main, ["synth", "thesis-second-motoring", "--quick", "--out", str(tmp_path), "-q"])
-    assert outcome.exit_code == 0, outcome.output
+    done("synth", "thesis-second-motoring", "--quick", "--out", tmp_path, "-q")
     truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
     manifest, settings = load_manifest(tmp_path), load_settings()
     frames = []

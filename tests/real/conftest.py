@@ -10,9 +10,8 @@ from typing import Any
 
 import pytest
 import xarray as xr
-from click.testing import CliRunner
 
-from crankorder.cli import main
+from made.command import done
 from made.contradictions import contradictions
 
 MANIFESTS = Path(__file__).parent
@@ -47,9 +46,7 @@ def analysed(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Cal
                 text = re.sub(r"files = \[[^\]]*\]", f'files = ["{only}"]', manifest.read_text(encoding="utf-8"))
                 manifest = tmp_path_factory.mktemp(f"{name}_manifest") / manifest.name
                 manifest.write_text(text, encoding="utf-8")
-            arguments = ["run", str(shared_data / folder), "--manifest", str(manifest), "--out", str(out), "-q"]
-            outcome = CliRunner().invoke(main, arguments)
-            assert outcome.exit_code == 0, outcome.output
+            done("run", shared_data / folder, "--manifest", manifest, "--out", out, "-q")
             made[name, only] = Analysed(next(path.parent for path in out.glob("*/findings.json")))
             assert not contradictions(made[name, only].findings)
         return made[name, only]

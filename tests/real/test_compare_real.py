@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
-from crankorder.cli import main
+from made.command import done
 
 HERE = Path(__file__).parent
 
@@ -21,12 +20,9 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         pytest.skip("the recordings are not in ../shared/data on this machine")
     out = tmp_path_factory.mktemp("rotor")
     for state in ("without", "with"):
-        manifest = str(HERE / f"rotor_{state}.toml")
-        arguments = ["run", str(folder), "--manifest", manifest, "--out", str(out / state), "--jobs", "1", "-q"]
-        outcome = CliRunner().invoke(main, arguments)
-        assert outcome.exit_code == 0, outcome.output
-    outcome = CliRunner().invoke(main, ["compare", str(out / "without"), str(out / "with"), "--out", str(out / "c")])
-    assert outcome.exit_code == 0, outcome.output
+        manifest = HERE / f"rotor_{state}.toml"
+        done("run", folder, "--manifest", manifest, "--out", out / state, "--jobs", 1, "-q")
+    done("compare", out / "without", out / "with", "--out", out / "c")
     return json.loads((out / "c" / "comparison.json").read_bytes())
 
 

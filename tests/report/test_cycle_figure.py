@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.text import Text
 
 from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.plot.drawing import picture_bytes
 from crankorder.report.cycle_figure import cycle_figure
 from crankorder.settings import load_settings
 from made.recordings import line, steady, total
+from made.texts import overlaps, words
 from made.typed import from_dicts
 
 cycle_figure = from_dicts(cycle_figure)
@@ -46,19 +46,6 @@ def lines(axes: Any, gid: str) -> list[Any]:
     return [one for one in axes.lines if one.get_gid() == gid]
 
 
-def words(figure: Any) -> set[str]:
-    return {text.get_text() for text in figure.findobj(Text) if text.get_visible()}
-
-
-def overlaps(figure: Any) -> list[tuple[str, str]]:
-    figure.draw_without_rendering()
-    renderer = figure.canvas.get_renderer()
-    boxes = [(text.get_text(), text.get_window_extent(renderer).shrunk(0.94, 0.94)) for text in figure.texts]
-    beyond = [(text, "edge") for text, box in boxes if not figure.bbox.fully_containsx(box.x1 * 0.9999)]
-    pairs = [(a, b) for k, (a, one) in enumerate(boxes) for b, two in boxes[k + 1 :] if one.overlaps(two)]
-    return beyond + pairs
-
-
 def test_the_curves_are_the_data_and_close_the_cycle(cycles, settings):
     figure = cycle_figure(cycles, {"test": "t"}, settings=settings)
     assert len(figure.axes) == 9
@@ -72,7 +59,7 @@ def test_the_curves_are_the_data_and_close_the_cycle(cycles, settings):
 
 def test_dead_centres_speeds_and_units_are_named(cycles, settings):
     figure = cycle_figure(cycles, {"test": "t"}, settings=settings)
-    found, count = words(figure), int(cycles["n_cycles"].values[0, 0])
+    found, count = set(words(figure)), int(cycles["n_cycles"].values[0, 0])
     assert {
         "firing TDC",
         "TDC",

@@ -10,70 +10,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crankorder.identify.order_one import if_unbalance
+from crankorder.identify import order_one
 from crankorder.identify.said import IF_UNBALANCE, LIKE_UNBALANCE, NOT_AS_UNBALANCE, ONE_SPEED, UNRESOLVED
-from crankorder.report.notation import (
-    estimate_text,
-    level_reference,
-    named,
-    nominal_order,
-    order_name,
-    order_texts,
-    percent_text,
-)
-from crankorder.report.sentences.of_balance import balance_sentences
-from crankorder.report.sentences.of_orders import law_sentences
-from crankorder.report.sentences.of_speeds import swing_sentences
-from crankorder.report.sentences.story import (
-    ALL_CLEAR,
-    ALL_CLEAR_WITH_ENVELOPE,
-    MORE_SPEEDS,
-    TOO_SHORT,
-    avoid_sentences,
-    bearing_sentences,
-    energy_sentence,
-    headline,
-    story_of,
-    strongest_sentence,
-)
-from crankorder.report.tables import tables_of
+from crankorder.report import notation, tables
+from crankorder.report.notation import level_reference, named, order_texts, percent_text
+from crankorder.report.sentences import of_balance, of_orders, of_speeds, story
+from crankorder.report.sentences.story import ALL_CLEAR, ALL_CLEAR_WITH_ENVELOPE, MORE_SPEEDS, TOO_SHORT
 from made.contradictions import contradictions
 from made.typed import from_dicts
 
-(
-    if_unbalance,
-    estimate_text,
-    nominal_order,
-    order_name,
-    balance_sentences,
-    law_sentences,
-    swing_sentences,
-    avoid_sentences,
-    bearing_sentences,
-    energy_sentence,
-    headline,
-    story_of,
-    strongest_sentence,
-    tables_of,
-) = map(
-    from_dicts,
-    (
-        if_unbalance,
-        estimate_text,
-        nominal_order,
-        order_name,
-        balance_sentences,
-        law_sentences,
-        swing_sentences,
-        avoid_sentences,
-        bearing_sentences,
-        energy_sentence,
-        headline,
-        story_of,
-        strongest_sentence,
-        tables_of,
-    ),
-)
+if_unbalance = from_dicts(order_one.if_unbalance)
+estimate_text = from_dicts(notation.estimate_text)
+nominal_order = from_dicts(notation.nominal_order)
+order_name = from_dicts(notation.order_name)
+balance_sentences = from_dicts(of_balance.balance_sentences)
+law_sentences = from_dicts(of_orders.law_sentences)
+swing_sentences = from_dicts(of_speeds.swing_sentences)
+avoid_sentences = from_dicts(story.avoid_sentences)
+bearing_sentences = from_dicts(story.bearing_sentences)
+energy_sentence = from_dicts(story.energy_sentence)
+headline = from_dicts(story.headline)
+story_of = from_dicts(story.story_of)
+strongest_sentence = from_dicts(story.strongest_sentence)
+tables_of = from_dicts(tables.tables_of)
 
 EXCLUDED = "the data exclude that an order is amplified more than 3 times (99 %)"
 UNTESTED = {
@@ -476,11 +435,6 @@ def test_a_peak_near_a_natural_frequency_that_was_not_judged_excites_nothing(ful
 
 def test_free_bands_are_told(full: Any) -> None:
     assert f"Free of resonances: 300 to 1690 and 1850 to 2000 rpm; {EXCLUDED}." in story_of(full)["what_to_do"]
-
-
-def test_an_unbalance_that_leads_asks_for_balancing(full: Any) -> None:
-    full["orders"] = [{**full["orders"][0], "explained_by": "unbalance", "amplitude": 99.0}]
-    assert any(sentence.startswith("Balance it") for sentence in story_of(full)["what_to_do"])
 
 
 def test_balancing_is_asked_for_in_the_channels_in_which_unbalance_leads(full) -> None:

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.text import Text
 
 from crankorder.orders.shapes import operating_shapes
 from crankorder.plot.drawing import picture_bytes
 from crankorder.report.shapes_figure import shapes_figure
 from crankorder.settings import load_settings
-from made.frames import frames_of
+from made.recordings import frames_of
+from made.texts import overlaps, words
 from made.typed import from_dicts
 
 shapes_figure = from_dicts(shapes_figure)
@@ -35,19 +35,6 @@ def shapes_of(channels: int = 3, orders=ALL, speeds=(600.0, 1200.0), sigma: floa
 
 def hands(figure: Any) -> list[Any]:
     return [one for one in figure.axes[0].lines if one.get_gid() == "hand"]
-
-
-def words(figure: Any) -> list[str]:
-    return [text.get_text() for text in figure.findobj(Text) if text.get_visible()]
-
-
-def overlaps(figure: Any) -> list[tuple[str, str]]:
-    figure.draw_without_rendering()
-    renderer = figure.canvas.get_renderer()
-    boxes = [(text.get_text(), text.get_window_extent(renderer).shrunk(0.94, 0.94)) for text in figure.texts]
-    beyond = [(text, "edge") for text, box in boxes if not figure.bbox.fully_containsx(box.x1 * 0.9999)]
-    pairs = [(a, b) for k, (a, one) in enumerate(boxes) for b, two in boxes[k + 1 :] if one.overlaps(two)]
-    return beyond + pairs
 
 
 def test_hands_point_where_the_phases_do_and_their_lengths_compare_the_row(settings):

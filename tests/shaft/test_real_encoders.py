@@ -20,8 +20,12 @@ LOADED = ["full_load.txt", "E0FULLOAD1.txt", "E0FULLOAD2.txt", "E0HALFLOAD1.txt"
 COASTING = ["ENGINEOFF.txt", "ENGINEOFF2.txt", "E0FULLOAD4EngineOff.txt"]
 
 
+def genset_pulses(trace):
+    return find_pulses(trace, rate_hz=100_000.0, kind="analogue", edge="rising", pulses_per_rev=60, settings=SETTINGS)
+
+
 def genset_angle(trace, recording_of):
-    found = find_pulses(trace, rate_hz=100_000.0, kind="analogue", edge="rising", pulses_per_rev=60, settings=SETTINGS)
+    found = genset_pulses(trace)
     recording = recording_of(
         found.time_s, pulses_per_rev=60, missing_teeth=2, revs_per_cycle=2, pulse_noise_s=found.noise_s
     )
@@ -64,14 +68,7 @@ def test_a_coasting_genset_slows_down_without_a_repair(genset_pickup, recording_
 
 @pytest.mark.slow
 def test_in_cycle_motion_of_the_genset_is_kept(genset_pickup, recording_of):
-    found = find_pulses(
-        genset_pickup("E0FULLOAD1.txt"),
-        rate_hz=100_000.0,
-        kind="analogue",
-        edge="rising",
-        pulses_per_rev=60,
-        settings=SETTINGS,
-    )
+    found = genset_pulses(genset_pickup("E0FULLOAD1.txt"))
     angle = genset_angle(genset_pickup("E0FULLOAD1.txt"), recording_of)
     reached = angle_at(found.time_s, *knots_of(angle)) * 60.0
     whole = reached - np.round(reached)

@@ -42,6 +42,10 @@ def edge_times(table, column, edge):
     return table[1:, 0][turned]
 
 
+def analogue_pulses(values, edge, *, rate_hz=10_000.0):
+    return find_pulses(values, rate_hz=rate_hz, kind="analogue", edge=edge, pulses_per_rev=60, settings=SETTINGS)
+
+
 def wheel_attrs(name):
     wheel = pattern_of(name)
     if wheel.even is not None:
@@ -171,14 +175,7 @@ def test_a_start_from_standstill_is_left_out_and_what_follows_ends_at_1695_rpm(t
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("edge", ["falling", "rising"])
 def test_a_slow_analogue_trace_reads_322_rpm_on_the_camshaft_it_stands_for(trace, recording_of, edge):
-    found = find_pulses(
-        trace("trigger_adc_real1.csv")[:, 1],
-        rate_hz=10_000.0,
-        kind="analogue",
-        edge=edge,
-        pulses_per_rev=60,
-        settings=SETTINGS,
-    )
+    found = analogue_pulses(trace("trigger_adc_real1.csv")[:, 1], edge)
     attrs = {"pulses_per_rev": 60, "missing_teeth": 2, "ratio": 0.5, "pulse_noise_s": found.noise_s}
     angle = decoded(recording_of, found.time_s, **attrs)
     assert not COUNT_FAULTS & names(angle)
@@ -187,14 +184,7 @@ def test_a_slow_analogue_trace_reads_322_rpm_on_the_camshaft_it_stands_for(trace
 
 @pytest.mark.slow
 def test_a_trace_whose_converter_overflows_is_refused_by_the_count(trace, recording_of):
-    found = find_pulses(
-        trace("trigger_adc_real2.csv")[:, 1],
-        rate_hz=10_000.0,
-        kind="analogue",
-        edge="falling",
-        pulses_per_rev=60,
-        settings=SETTINGS,
-    )
+    found = analogue_pulses(trace("trigger_adc_real2.csv")[:, 1], "falling")
     with pytest.raises(InputError, match="false of 2800: the count is not certain"):
         decoded(recording_of, found.time_s, pulses_per_rev=60, missing_teeth=2)
 
@@ -202,14 +192,7 @@ def test_a_trace_whose_converter_overflows_is_refused_by_the_count(trace, record
 @pytest.mark.slow
 def test_a_false_pulse_in_the_gap_of_every_revolution_is_removed(trace, recording_of):
     """Before its converter overflows, that pickup crosses its level once too often at the end of each gap."""
-    found = find_pulses(
-        trace("trigger_adc_real2.csv")[:, 1],
-        rate_hz=10_000.0,
-        kind="analogue",
-        edge="falling",
-        pulses_per_rev=60,
-        settings=SETTINGS,
-    )
+    found = analogue_pulses(trace("trigger_adc_real2.csv")[:, 1], "falling")
     times = found.time_s[found.time_s < 4.5]
     angle = decoded(recording_of, times, pulses_per_rev=60, missing_teeth=2, pulse_noise_s=found.noise_s)
     assert "encoder_missing_pulse" not in names(angle)
@@ -237,14 +220,7 @@ def test_real_wheels_are_found_by_themselves(trace):
 
 @pytest.mark.slow
 def test_the_genset_wheel_is_found_by_itself(genset_pickup):
-    found = find_pulses(
-        genset_pickup("E0FULLOAD1.txt"),
-        rate_hz=100_000.0,
-        kind="analogue",
-        edge="rising",
-        pulses_per_rev=60,
-        settings=SETTINGS,
-    )
+    found = analogue_pulses(genset_pickup("E0FULLOAD1.txt"), "rising", rate_hz=100_000.0)
     wheel = find_pattern(found.time_s)
     assert wheel is not None
     assert wheel.pattern.name == "60-2"

@@ -16,7 +16,7 @@ from crankorder.synth.driven import (
     step_weights,
 )
 from crankorder.synth.poles import Poles, steady_state
-from made.responses import frequency_response
+from made.structures import frequency_response
 
 RNG = np.random.default_rng(8)
 POLES = Poles(

@@ -6,7 +6,7 @@ import pytest
 from crankorder.errors import RequestError
 from crankorder.synth.analogue import high_pass, in_series, low_pass
 from crankorder.synth.poles import Structure, accelerance, poles_of, steady_state
-from made.responses import frequency_response
+from made.structures import frequency_response
 
 RNG = np.random.default_rng(4)
 STRUCTURE = Structure(

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner
 
-from crankorder.cli import main
 from crankorder.settings import shipped
 from crankorder.synth.load import load_scene
 from crankorder.synth.truth import truth_of
+from made.command import crankorder, done
 from made.contradictions import contradictions
 
 LONG = {"thesis-second-motoring", "thesis-literal-fourfold", "run-up", "bearing-growth"}
@@ -25,14 +24,13 @@ class Analysed:
 
     def __init__(self, name: str, folder: Path) -> None:
         self.said, self.status, self.folder = [], [], folder / name
-        written = CliRunner().invoke(main, ["synth", name, "--out", str(folder / name), "--quick", "-q"])
-        assert written.exit_code == 0, written.output
+        done("synth", name, "--out", folder / name, "--quick", "-q")
         tests = sorted((folder / name).glob("run_*")) or [folder / name]
         self.truths, self.findings = [], []
         for number, test in enumerate(tests):
-            done = CliRunner().invoke(main, ["run", str(test), "--out", str(folder / f"out-{number}")])
-            self.said.append(done.output)
-            self.status.append(done.exit_code)
+            outcome = crankorder("run", test, "--out", folder / f"out-{number}")
+            self.said.append(outcome.output)
+            self.status.append(outcome.exit_code)
             self.truths.append(json.loads((test / "truth.json").read_bytes()))
             self.findings += [
                 json.loads(found.read_bytes()) for found in (folder / f"out-{number}").glob("*/findings.json")

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from crankorder.cli import main
+from made.command import analysed, done
 
 pytestmark = pytest.mark.slow
 
@@ -18,9 +17,7 @@ pytestmark = pytest.mark.slow
 def campaign(tmp_path_factory):
     """Truth and findings of `crankorder demo`."""
     out = tmp_path_factory.mktemp("demo")
-    outcome = CliRunner().invoke(main, ["demo", "--out", str(out), "-q"])
-    assert outcome.exit_code == 0, outcome.output
-    pictures = [Path(line) for line in outcome.stdout.splitlines()]
+    pictures = [Path(line) for line in done("demo", "--out", out, "-q").stdout.splitlines()]
     assert all(picture.stat().st_size > 10_000 for picture in pictures) and len(pictures) == 8
     truth = json.loads((out / "recordings" / "truth.json").read_bytes())
     return truth, json.loads(next(out.glob("results/*/findings.json")).read_bytes())
@@ -151,13 +148,8 @@ slip_percent = 0.8
 amplitude_m_s2 = { X = 1.2, Y = 1.2, Z = 1.2 }
 """
     )
-    for arguments in (
-        ["synth", str(scene), "--out", str(tmp_path / "recordings"), "-q"],
-        ["run", str(tmp_path / "recordings"), "--out", str(tmp_path / "out"), "-q"],
-    ):
-        outcome = CliRunner().invoke(main, arguments)
-        assert outcome.exit_code == 0, outcome.output
-    findings = json.loads(next((tmp_path / "out").glob("*/findings.json")).read_bytes())
+    done("synth", scene, "--out", tmp_path / "recordings", "-q")
+    findings = analysed(tmp_path / "recordings", tmp_path / "out")
     (record,) = [one for one in findings["bearings"] if one["name"] == "jack shaft" and one["line"] == "N*fs"]
     assert record["lock"] == "slips" and "re-run" in record["verdict"].lower()
     assert record["slip_percent_ci95"][0] <= 0.8 <= record["slip_percent_ci95"][1]
