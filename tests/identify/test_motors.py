@@ -68,6 +68,16 @@ def test_noise_mains_and_two_lines_alike_tell_no_slip(seed: int) -> None:
         assert found.record.speeds == () and not found.record.misfit and not found.speed_doubt, lines
 
 
+@pytest.mark.cases(2)
+@pytest.mark.parametrize("seed", range(6))
+def test_a_line_at_the_stated_speed_is_the_shafts_beside_a_stronger_one_of_another_motor(seed: int) -> None:
+    rng = np.random.default_rng([seed, 7])
+    own, other = 25.0 * (1.0 - rng.uniform(0.005, 0.02)), 25.0 * (1.0 - rng.uniform(0.035, 0.06))
+    held = recorded(60.0 * own * (1.0 + rng.uniform(-2e-3, 2e-3)), (own, 0.5), (other, 2.0), (100.0, 0.5), seed=seed)
+    found = motor_seen(Motor(supply_hz=50.0, poles=4), held, by_shaft=False, settings=SETTINGS)
+    assert found.record.speeds[0].speed_rpm == pytest.approx(60.0 * own, rel=2e-4) and found.speed_doubt is None
+
+
 def test_a_speed_of_the_shaft_tells_the_slip_by_itself() -> None:
     held = recorded(1470.0, (24.5, 1.0), (100.0, 1.0))
     found = motor_seen(Motor(supply_hz=50.0, poles=4), held, by_shaft=True, settings=SETTINGS)

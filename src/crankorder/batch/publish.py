@@ -99,11 +99,11 @@ def _redrawn(folder: Path, report: Mapping[str, Any]) -> Path:
         key = marker["key"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
-            "no finished results here",
+            "no finished results that this version reads",
             file=folder,
             found=error,
             allowed="a folder that `crankorder run` made",
-            remedy="Run the analysis again; results without a done marker are never used",
+            remedy="Run the analysis again: unfinished results, and findings with fields of another version, are not used",
         ) from error
     groups = {k: v for k, v in read_results(folder / "results.nc").items() if not k.startswith("findings")}
     # a key that is newer than the results has today's default

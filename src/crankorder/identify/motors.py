@@ -24,6 +24,9 @@ class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="motors"):
 
 NUMBERS = _Numbers.load()
 
+STATED_REACH = Z95 * ORDER_LOCK.stated_speed_error
+"""Share by which a stated speed may be off."""
+
 Measured = tuple[float, float]
 """A frequency in Hz and its standard error."""
 
@@ -60,14 +63,13 @@ def motor_seen(motor: Motor, held: Sequence[Held], *, by_shaft: bool, settings: 
     lines = [line for line in motor_lines(motor) if (measured or line.mains == 0) and (by_shaft or line.turns == 0.0)]
     speeds: list[MotorSpeed] = []
     seen: list[LineSeen] = []
-    doubt = None
+    doubts: list[tuple[float, float]] = []
     for recording, own in zip(held, supplies, strict=True):
         at = own or supply
         speed = None if at is None else _speed(motor, recording, at, by_shaft=by_shaft)
         speeds += [] if speed is None else [speed]
-        if speed is not None and abs(speed.speed_rpm / recording.rpm - 1.0) > Z95 * ORDER_LOCK.stated_speed_error:
-            tells = f"the line just below the motor's field tells {speed.speed_rpm:.5g} rpm"
-            doubt = doubt or f"{recording.rpm:.5g} rpm is stated, and {tells}"
+        if speed is not None and abs(speed.speed_rpm / recording.rpm - 1.0) > STATED_REACH:
+            doubts.append((recording.rpm, speed.speed_rpm))
         if speed is None or speed.fits:
             seen += _seen_in(recording, lines, 0.0 if at is None else at[0])
     fits = not speeds or any(speed.fits for speed in speeds)
@@ -81,7 +83,16 @@ def motor_seen(motor: Motor, held: Sequence[Held], *, by_shaft: bool, settings: 
         speeds=tuple(speeds),
         lines=_records(seen),
     )
-    return MotorSeen(record, tuple(seen), doubt)
+    return MotorSeen(record, tuple(seen), _doubt(doubts))
+
+
+def _doubt(doubts: Sequence[tuple[float, float]]) -> str | None:
+    """Why stated speeds are not the shaft's, from ``doubts`` (stated, told by the line) [rpm]; None where they are."""
+    if not doubts:
+        return None
+    stated, read = (" and ".join(f"{rpm:.5g}" for rpm in dict.fromkeys(column)) for column in zip(*doubts, strict=True))
+    where = f" in {len(doubts)} recordings" if len(doubts) > 1 else ""
+    return f"{stated} rpm is stated, and the line just below the motor's field tells {read} rpm{where}"
 
 
 def _supply(motor: Motor, held: Held, by_shaft: bool, settings: IdentifySettings) -> Measured | None:
@@ -125,13 +136,22 @@ def _speed(motor: Motor, held: Held, supply: Measured, *, by_shaft: bool) -> Mot
 
 
 def _line_below_field(motor: Motor, held: Held, supply_hz: float) -> Measured | None:
-    """The one line between the slowest rotor and its field, which is the motor's shaft; None: none, or several."""
+    """The line between the slowest rotor and its field that is the motor's shaft; None: none, or several.
+
+    That at the stated speed is, where there is one, whatever another machine adds; else the only one.
+    """
     field_hz = motor.synchronous_rpm(supply_hz) / 60.0
+    slowest_hz, stated_hz = (1.0 - USUAL_SLIP) * field_hz, held.rpm * motor.shaft_ratio / 60.0
+    near = max(slowest_hz, stated_hz * (1.0 - STATED_REACH)), min(field_hz, stated_hz * (1.0 + STATED_REACH))
     mains: list[Place] = [(supply_hz, 0.0)]
-    line = found_near(held, (1.0 - USUAL_SLIP) * field_hz, field_hz, known=mains)
-    if line is None:
-        return None
-    other = found_near(held, (1.0 - USUAL_SLIP) * field_hz, field_hz, known=[*mains, (line[0], 0.0)])
+    line = found_near(held, slowest_hz, field_hz, known=mains)
+    if line is None or near[0] <= line[0] <= near[1]:
+        return line
+    known = [*mains, (line[0], 0.0)]
+    stated = found_near(held, *near, known=known) if near[0] < near[1] else None
+    if stated is not None:
+        return stated
+    other = found_near(held, slowest_hz, field_hz, known=known)
     if other is not None:
         pair = sightings(held, [(line[0], 0.0), (other[0], 0.0), *mains])[:2]
         first, second = (0.0 if sighting is None else float(sighting.amplitude.max()) for sighting in pair)
