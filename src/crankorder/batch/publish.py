@@ -103,7 +103,7 @@ def _redrawn(folder: Path, report: Mapping[str, Any]) -> Path:
             file=folder,
             found=error,
             allowed="a folder that `crankorder run` made",
-            remedy="Run the analysis again: unfinished results, and findings with fields of another version, are not used",
+            remedy="Run the analysis again: unfinished results and findings of another version are never used",
         ) from error
     groups = {k: v for k, v in read_results(folder / "results.nc").items() if not k.startswith("findings")}
     # a key that is newer than the results has today's default
