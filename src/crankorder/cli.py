@@ -491,6 +491,7 @@ def compare(
     elif not quiet:
         click.echo("\n".join(made.document["headline"]))
     if made.document["cause"]["cause"] == "not comparable":
+        click.echo(f"crankorder: {made.document['headline'][0]}", err=True)
         for found in (one for one in made.document["confounds"] if one["severity"] == "invalid"):
             click.echo(f"crankorder: not comparable: {found['what']}: {found['words']}", err=True)
         sys.exit(4)

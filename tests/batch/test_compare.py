@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -114,7 +115,7 @@ def test_the_same_tests_give_the_same_bytes(results: dict[str, Path], tmp_path: 
 def test_the_out_of_a_run_of_one_test_stands_for_that_test(results: dict[str, Path], tmp_path: Path) -> None:
     shutil.copytree(results["run 0"], tmp_path / "again" / "run-0")
     outcome = compare(results["run 0"].parent, tmp_path / "again", "--out", tmp_path / "c")
-    assert outcome.exit_code == 0 and "No difference" in outcome.stdout
+    assert outcome.exit_code == 0 and "No order changed" in outcome.stdout
     (same,) = [one for one in document(tmp_path / "c")["confounds"] if one["what"] == "shared recordings"]
     assert "cannot differ" in same["words"]
 
@@ -126,13 +127,30 @@ def test_a_test_beside_itself_is_refused(results: dict[str, Path], tmp_path: Pat
     assert not (tmp_path / "c").exists()
 
 
+def test_structures_are_compared_by_their_modes_and_what_shares_nothing_is_told(
+    results: dict[str, Path], tmp_path: Path
+) -> None:
+    for name, hz in (("a", 90.0), ("b", 88.0), ("c", 140.0)):
+        ends = {"frequency_hz_ci95": [hz - 0.1, hz + 0.1], "damping_ratio_ci95": [0.009, 0.011]}
+        mode = {"frequency_hz": hz, "damping_ratio": 0.01, "explained_by": "mode", **ends}
+        test = made_test({}, name=name, speeds=(900.0,), modes=[mode])
+        written(replace(test, maps={"shaft": test.maps["shaft"]}), tmp_path)
+    outcome = compare(tmp_path / "a", tmp_path / "b", "--out", tmp_path / "ab")
+    assert outcome.exit_code == 0 and outcome.stdout.startswith("Natural frequencies or their damping changed")
+    jsonschema.Draft202012Validator(schema_of("comparison")).validate(document(tmp_path / "ab"))
+    outcome = compare(tmp_path / "a", tmp_path / "c", "--out", tmp_path / "ac", "-q")
+    assert outcome.exit_code == 4 and "no natural frequency that both show" in outcome.stderr
+    outcome = compare(tmp_path / "a", results["run 0"], "--out", tmp_path / "d")
+    assert outcome.exit_code == 3 and "modes; run 0: orders" in outcome.stderr
+
+
 def test_results_of_another_version_or_without_maps_are_named(results: dict[str, Path], tmp_path: Path) -> None:
     stated = json.loads((results["run 1"] / "run.json").read_bytes())
     files = {name: (results["run 1"] / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
     publish(tmp_path / "old", files | {"run.json": json.dumps(stated | {"schema_version": 0}).encode()}, key="k")
     shaft = read_results(results["run 1"] / "results.nc")["shaft"]
     publish(tmp_path / "bare", files | {"results.nc": results_bytes({"shaft": shaft}, attrs={})}, key="k")
-    for folder, said in (("old", "schema_version 0"), ("bare", "order_map")):
+    for folder, said in (("old", "schema_version 0"), ("bare", "whose [report] results name order_map")):
         outcome = compare(results["run 0"], tmp_path / folder, "--out", tmp_path / "c")
         assert outcome.exit_code == 3 and said in outcome.stderr and folder in outcome.stderr
     assert not (tmp_path / "c").exists()

@@ -93,6 +93,7 @@ def findings(
         "channels": [{"name": channel, "unit": "m/s2", "quantity": "acceleration"} for channel in channels],
         "orders": records,
         "modes": list(modes),
+        "looked_for": ["modes"] if modes else [],
         "bearings": [],
         "balance": None,
         "quality": [],

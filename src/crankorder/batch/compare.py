@@ -43,11 +43,13 @@ def compare_results(base: Path, new: Sequence[Path], *, q: float) -> Comparison:
 
     Each is a test's result folder, or the ``--out`` of a run of one test. ``q`` is the false-discovery rate of all
     claims.
-    Raises RequestError where a folder is not one test's results, InputError where results are unfinished or damaged.
+    Raises RequestError where a folder is not one test's results, InputError where results are unfinished or damaged, or
+    hold nothing that can be compared.
     """
     folders = tuple(_test_folder(folder) for folder in (base, *new))
     _refuse_twice(folders)
     found = [_tested(folder) for folder in folders]
+    _refuse_nothing_in_common(folders, found)
     names = _names([test.name for test in found])
     tests = [replace(test, name=name) for test, name in zip(found, names, strict=True)]
     made = compared(tests, q=q)
@@ -67,6 +69,22 @@ def _refuse_twice(folders: Sequence[Path]) -> None:
                 remedy="Name the folder of the other test; results of two runs need two --out folders",
             )
         known.add(folder.resolve())
+
+
+def _refuse_nothing_in_common(folders: Sequence[Path], tests: Sequence[Tested]) -> None:
+    """Refuse results that have neither order maps nor a search for natural frequencies in common."""
+    held = [test.comparable for test in tests]
+    if not set.intersection(*held):
+        fewest = min(range(len(held)), key=lambda at: len(held[at]))
+        raise InputError(
+            "the results have nothing in common to compare",
+            file=folders[fewest] / "results.nc",
+            found="; ".join(
+                f"{t.name}: {' and '.join(sorted(has)) or 'neither'}" for t, has in zip(tests, held, strict=True)
+            ),
+            allowed="orders (the group order_map) or modes (findings) in all of them",
+            remedy="Run the analyses again with one recipe, whose [report] results name order_map or findings",
+        )
 
 
 def _names(names: Sequence[str]) -> list[str]:
@@ -100,14 +118,6 @@ def _tested(folder: Path) -> Tested:
     if "orders" not in run.get("settings", {}) or "test" not in run:
         raise InputError("not the results of a run", file=folder, remedy="Run the analysis again")
     groups = read_results(folder / "results.nc")
-    if "order_map" not in groups:
-        raise InputError(
-            "holds no order map to compare",
-            file=folder / "results.nc",
-            found=", ".join(sorted(groups)) or "no group",
-            allowed="the group order_map",
-            remedy="Run the analysis again, with a recipe that wants the order map",
-        )
     return Tested(str(run["test"]), findings, run, {key: groups[key] for key in MAPS if key in groups})
 
 

@@ -6,7 +6,7 @@ import cmath
 import json
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -58,6 +58,11 @@ class Tested:
     run: Mapping[str, Any]
     maps: Mapping[str, xr.Dataset]
 
+    @property
+    def comparable(self) -> set[str]:
+        """What a comparison can take from these results: "orders" of an order map, "modes" where they were sought."""
+        return ({"orders"} if "order_map" in self.maps else set()) | ({"modes"} & set(self.findings.looked_for))
+
 
 @dataclass(frozen=True, eq=False)
 class Compared:
@@ -72,7 +77,8 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
 
     Parameters
     ----------
-    tests : two or more, in time order, each with an ``order_map``
+    tests : two or more, in time order; orders are compared where the first and the last have an ``order_map``, natural
+        frequencies where both looked for them
     q : false-discovery rate of the claims, 0 to 1: over orders, over modes and over trends, each
     """
     base, new = tests[0], tests[-1]
@@ -81,7 +87,7 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     channels = tuple(c.name for c in base.findings.channels if c.name not in refused)
     within = max(_speed_bin(test) for test in (base, new))
     changes, orders = _orders(base, new, channels, within, q, doubts)
-    modes = _mode_shifts(base.findings, new.findings, q=q)
+    modes = _mode_shifts(base.findings, new.findings, q=q) if "modes" in base.comparable & new.comparable else []
     unbalances = [(one, found) for one in changes if one.order in (1.0, 2.0) and (found := unbalance_change(one))]
     explaining = [found for one, found in unbalances if one.changed and found.explains]
     trial, trial_reason = _known_mass(base, new)
@@ -127,8 +133,15 @@ def _units(base: Tested, new: Tested) -> dict[str, str]:
     return {c.name: c.unit for test in (new, base) for c in test.findings.channels}
 
 
+def _order_maps(tests: Sequence[Tested]) -> list[xr.Dataset]:
+    """Order maps of the ``tests``; none where any of them has none."""
+    return [test.maps["order_map"] for test in tests] if all("orders" in test.comparable for test in tests) else []
+
+
 def _speeds(base: Tested, new: Tested, within: float) -> list[dict[str, float]]:
-    values = [test.maps["order_map"]["speed"].values for test in (base, new)]
+    values = [item["speed"].values for item in _order_maps((base, new))]
+    if not values:
+        return []
     one, two = like_speeds(*values, within_rpm=within)
     pairs = zip(values[0][one].tolist(), values[1][two].tolist(), strict=True)
     return [{"base_rpm": a, "new_rpm": b} for a, b in pairs]
@@ -138,11 +151,18 @@ def _orders(
     base: Tested, new: Tested, channels: Sequence[str], within: float, q: float, doubts: Sequence[Confound]
 ) -> tuple[list[OrderChange], list[tuple[float, bool]]]:
     """Changes of all orders, and the orders; by amplitude alone where ``doubts`` are of the phases."""
-    maps = base.maps["order_map"], new.maps["order_map"]
+    maps = _order_maps((base, new))
+    if not maps:
+        return [], []
     highest = min(float(item["order"].values[-1]) for item in maps)
     orders = orders_to_compare(base.findings.orders, new.findings.orders, highest)
     phases = not any(one.part == "phases" and one.severity == "weakens" for one in doubts)
-    return order_changes(*maps, orders, channels, within_rpm=within, q=q, phases=phases), orders
+    changes, amplitudes = (
+        order_changes(maps[0], maps[1], orders, channels, within_rpm=within, q=q, phases=told)
+        for told in (phases, False)
+    )
+    pairs = zip(changes, amplitudes, strict=True)
+    return [replace(one, phase_only=one.changed and not size.changed) for one, size in pairs], orders
 
 
 def _cause(
@@ -156,7 +176,7 @@ def _cause(
     orders = sorted({one.order for one in changes if one.changed})
     grown = sorted({float(one["order"]) for one in trends if one["changed"] and one["growth_per_run"] > 0})
     cause: Cause = "orders"
-    if not changes:
+    if not (changes or any(one["only_in"] is None for one in modes)):
         cause = "not comparable"
     elif not orders and grown:
         cause, orders = "growing line", grown
@@ -166,6 +186,8 @@ def _cause(
         cause = "nothing changed"
     elif orders == [1.0] and any(found.explains for one, found in unbalances if one.changed):
         cause = "unbalance"
+    elif all(one.phase_only for one in changes if one.changed):  # a mark that moved, rather than masses
+        cause = "orders"
     elif set(orders) <= {1.0, 2.0} and any(found.explains for one, found in unbalances if one.changed):
         cause = "moving masses"
     return {"cause": cause, "orders": orders}
@@ -190,6 +212,7 @@ def _order_record(one: OrderChange, explained: str | None) -> dict[str, Any]:
         "locked": one.locked,
         "explained_by": explained,
         "changed": one.changed,
+        "phase_only": one.phase_only,
         "p_value": one.p_all,
         "ratio": float(np.exp(one.mean.ratio_db / TO_DB)),
         "ratio_ci95": [float(np.exp(end / TO_DB)) for end in one.mean.ci95_db],
@@ -293,7 +316,10 @@ def _known_mass(base: Tested, new: Tested) -> tuple[TrialBalance | None, str]:
         return None, f"the stated masses cannot be read: {error.errors()[0]['msg']}"
     if not added:
         return None, ""
-    return trial_mass(base.maps["order_map"], new.maps["order_map"], added=added, engine=_engine(base.run))
+    maps = _order_maps((base, new))
+    if not maps:
+        return None, "not both tests have an order map"
+    return trial_mass(maps[0], maps[1], added=added, engine=_engine(base.run))
 
 
 def _masses_between(base: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[AddedMass, ...]:
@@ -378,10 +404,9 @@ def _why_not_closed(base: Tested, new: Tested) -> str:
 def _trends(
     tests: Sequence[Tested], orders: Sequence[tuple[float, bool]], channels: Sequence[str], within: float, q: float
 ) -> list[dict[str, Any]]:
-    maps = [test.maps["order_map"] for test in tests]
     shared = [c for c in channels if all(_units(test, test).get(c) == _units(tests[0], tests[0])[c] for test in tests)]
     findings, envelopes = [test.findings for test in tests], [test.maps.get("envelope_map") for test in tests]
-    return run_trends(maps, findings, envelopes, orders, shared, within_rpm=within, q=q)
+    return run_trends(_order_maps(tests), findings, envelopes, orders, shared, within_rpm=within, q=q)
 
 
 def _confound_record(one: Confound) -> dict[str, str]:

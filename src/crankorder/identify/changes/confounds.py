@@ -84,7 +84,7 @@ def confounds(
     """Everything that differs in how two tests were made, the worst first.
 
     ``base`` and ``new`` are what ``run.json`` states of both, ``base_maps`` and ``new_maps`` the datasets of their
-    results by name: ``order_map`` each, and ``shaft`` where it is known.
+    results by name: ``order_map`` where orders were wanted, and ``shaft`` where it is known.
     """
     found = [
         Confound(what, severity, part, _text(one), _text(two), words)
@@ -138,6 +138,11 @@ def _channels(base: Mapping[str, Any], new: Mapping[str, Any]) -> list[Confound]
 
 def _maps(base: Mapping[str, xr.Dataset], new: Mapping[str, xr.Dataset]) -> list[Confound]:
     """Highest order, speeds, frames and phase marks as the order maps have them."""
+    has = ["order_map" in maps for maps in (base, new)]
+    if not all(has):
+        texts = ["held" if one else "missing" for one in has]
+        words = "orders are compared where the results of both tests hold an order map"
+        return [Confound("order map", "invalid", "orders", texts[0], texts[1], words)] if any(has) else []
     found: list[Confound] = []
     maps = base["order_map"], new["order_map"]
     highest = [float(item["order"].values[-1]) for item in maps]
@@ -175,7 +180,7 @@ def _firing(
         states.append("firing" if "firing" in told or "fired" in told else "motoring" if "motor" in told else "")
     if all(states) and states[0] != states[1]:
         return [Confound("firing or motoring", "weakens", "all", states[0], states[1], words)]
-    levels = [_pressure(maps["order_map"]) for maps in (base_maps, new_maps)]
+    levels = [_pressure(maps["order_map"]) if "order_map" in maps else 0.0 for maps in (base_maps, new_maps)]
     if all(level > 0 for level in levels) and max(levels) > NUMBERS.fired_ratio * min(levels):
         texts = [f"{level:.3g} (median)" for level in levels]
         return [Confound("pressure of the cycle", "weakens", "all", texts[0], texts[1], words)]
@@ -194,7 +199,7 @@ def _repeats(base: Mapping[str, xr.Dataset], new: Mapping[str, xr.Dataset]) -> l
     """Whether recordings were repeated at a speed: only then is known by how much a test differs from itself."""
     said = []
     for maps in (base, new):
-        if "shaft" not in maps:
+        if not {"shaft", "order_map"} <= set(maps):
             return []
         recordings, speeds = maps["shaft"].sizes["recording"], maps["order_map"].sizes["speed"]
         said.append((recordings > speeds, f"{recordings} recordings at {speeds} speeds"))

@@ -72,7 +72,8 @@ class OrderChange:
 
     ``p_value`` (speeds,) says how likely so large a difference is where nothing changed, ``p_all`` the same for all
     speeds together; ``mean`` is over the speeds that show the order clearly in both tests. ``changed`` and
-    ``changed_at`` are claims at the false-discovery rate that was asked for.
+    ``changed_at`` are claims at the false-discovery rate that was asked for; ``phase_only`` is True where ``changed``
+    is claimed of the phasors, and would not be of the amplitudes.
     """
 
     channel: str
@@ -92,6 +93,7 @@ class OrderChange:
     p_all: float
     changed: bool = False
     changed_at: NDArray[np.bool_] | None = None
+    phase_only: bool = False
 
     @property
     def vector_change(self) -> NDArray[np.complex128]:

@@ -53,7 +53,7 @@ def run_trends(
 
     Parameters
     ----------
-    order_maps : OrderMaps of the runs, in time order
+    order_maps : OrderMaps of the runs, in time order; empty where not all have one
     findings : findings of the runs, whose bearing lines are followed
     envelopes : EnvelopeMaps of the runs, None where one has none
     orders : orders with whether they are locked
@@ -67,7 +67,7 @@ def run_trends(
     records = [
         _record(one)
         for one in series
-        if len(one.amplitude) == len(order_maps) and np.all(one.amplitude > 0) and np.all(one.error >= 0)
+        if len(one.amplitude) == len(findings) and np.all(one.amplitude > 0) and np.all(one.error >= 0)
     ]
     p_values = np.array([record["p_value"] for record in records], dtype=np.float64)
     for record, says in zip(records, claimed(p_values, q=q), strict=True):

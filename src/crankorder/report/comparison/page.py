@@ -104,7 +104,7 @@ def _modes(document: dict[str, Any]) -> Table:
     ]  # fmt: skip
     note = "That only one test shows a natural frequency is no claim: the other may have hidden it."
     heads = "Natural frequency, Hz#|Changed|Shift, Hz#|Change of damping ratio#|p#"
-    return table_of("Natural frequencies", heads, rows, empty="None was found.", note=note if rows else "")
+    return table_of("Natural frequencies", heads, rows, empty="None could be compared.", note=note if rows else "")
 
 
 def _unbalance(document: dict[str, Any], limit: int) -> Table:

@@ -86,13 +86,18 @@ def _cause_sentences(document: dict[str, Any]) -> list[str]:
     cause, orders = document["cause"]["cause"], document["cause"]["orders"]
     names = listed([order_text(order) for order in orders])
     if cause == "not comparable":
-        return ["The two tests cannot be compared: the table of confounds says why."]
+        return [
+            "The two tests cannot be compared: they have no order in a channel and at a speed of both, and no natural "
+            "frequency that both show. Run both at the same speeds, with channels of the same names and units, or "
+            "analyse a band that holds a natural frequency of both."
+        ]
     if cause == "nothing changed":
-        return ["No difference: nothing changed by more than chance alone would change it."]
+        return [_unchanged(document)]
     if cause == "growing line":
         return _grown(document)[:1]
     if cause == "natural frequencies":
-        return ["No order changed; natural frequencies or their damping did: the structure or its mounting changed."]
+        none = "No order changed; natural" if document["orders"] else "Natural"
+        return [f"{none} frequencies or their damping changed: the structure or its mounting did."]
     best = _best(document["unbalance"], 1.0)
     if cause == "unbalance" and best is not None:
         return [
@@ -103,6 +108,8 @@ def _cause_sentences(document: dict[str, Any]) -> list[str]:
         ]
     if cause == "moving masses":
         return [_masses_cause(document)]
+    if _turned(document):
+        return [_phases_turned(orders, names)]
     parts = [_went(document, order) for order in orders[:_FEW]]
     between = names if len(orders) <= _MANY else f"{order_text(min(orders))} to {order_text(max(orders))}"
     told = _capital(listed(parts)) if len(orders) <= _FEW else f"{len(orders)} orders changed ({between})"
@@ -111,6 +118,37 @@ def _cause_sentences(document: dict[str, Any]) -> list[str]:
         f"{told}{only}."
         + (" A change of unbalance alone does not explain all of it." if {1.0, 2.0} & set(orders) else "")
     ]
+
+
+def _unchanged(document: dict[str, Any]) -> str:
+    """What was compared and did not change, and what was not compared."""
+    compared = {
+        ("orders", "no order"): bool(document["orders"]),
+        ("natural frequencies", "no natural frequency that both tests show"): any(
+            one["only_in"] is None for one in document["modes"]
+        ),
+    }
+    says = [f"{listed([none for (_, none), yes in compared.items() if yes])} changed"]
+    says += ["no bearing line grew"] if any(one["kind"] != "order" for one in document["trend"]) else []
+    left = listed([many for (many, _), yes in compared.items() if not yes])
+    rest = "other lines, tones and noise"
+    rest = f"{left} could not be compared, nor are {rest}" if left else f"{rest} are not compared"
+    return f"{_capital(listed(says))} by more than chance alone would change it; {rest}."
+
+
+def _turned(document: dict[str, Any]) -> bool:
+    """Whether orders changed, all of them by their phases alone, with no unbalance that explains it."""
+    alone = [one["phase_only"] for one in document["orders"] if one["changed"]]
+    return document["cause"]["cause"] == "orders" and all(alone)
+
+
+def _phases_turned(orders: list[float], names: str) -> str:
+    which = names if len(orders) <= _MANY else f"{order_text(min(orders))} to {order_text(max(orders))}"
+    mark = ": a mark of the shaft that was moved does that" if len(orders) > 1 else ""
+    return (
+        f"The phase of {_noun(orders)} {which} turned, and no amplitude changed by more than chance alone would change "
+        f"it{mark}."
+    )
 
 
 def _masses_cause(document: dict[str, Any]) -> str:
@@ -186,6 +224,8 @@ def _order_sentence(one: dict[str, Any]) -> str:
         name += f" ({named(made_by, limit=_MAKER)})"
     from_to = f"from {number_text(one['base_amplitude'])} to {number_text(one['new_amplitude'])} {unit}".rstrip()
     low, high = one["ratio_ci95"]
+    if one["phase_only"]:
+        return f"{name} {where} turned its phase; its amplitude went {from_to} at {one['speed_rpm'] or 0:.0f} rpm."
     if not is_number(one["ratio"]) or (low is not None and low <= 1 <= high):
         difference = estimate(one, "difference", unit=unit)
         return f"{name} {where} changed {from_to} at {one['speed_rpm'] or 0:.0f} rpm: by {difference}."
@@ -230,7 +270,7 @@ def _growth_sentence(lines: list[dict[str, Any]]) -> str:
 
 def _law_sentences(document: dict[str, Any]) -> list[str]:
     best = _best(document["unbalance"], 1.0)
-    if best is None or best["n_speeds"] < 2:
+    if best is None or best["n_speeds"] < 2 or _turned(document):
         return []
     if is_number(best["square_law_p"]) and best["square_law_p"] >= 1e-3:
         return [
@@ -328,6 +368,10 @@ def _what_to_do(document: dict[str, Any]) -> list[str]:
         said.append("Repeat one of the tests without a change: what differs then is the set-up, not the build.")
     if any(one["what"] == "program" for one in document["confounds"]):
         said.append("Analyse both again with one version of the program.")
+    if _turned(document) and len(document["cause"]["orders"]) > 1:
+        said.append(
+            "If the mark was moved, state its angle (index_to_tdc_deg) in the manifests: amplitudes alone are compared."
+        )
     if any(one["changed"] and "bearing" in one["kind"] and one["growth_per_run"] > 0 for one in document["trend"]):
         said.append("Replace the bearing whose line grows, or watch it in shorter intervals.")
     return said
