@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from crankorder.identify.crossings import crossings
 from crankorder.identify.explain import Causes
 from crankorder.identify.findings import find
 from crankorder.identify.found import ModalFit, Mode, UnseenBound, Whirl
-from crankorder.identify.modal.doubts import of_whirls
+from crankorder.identify.modal.doubts import without_remains
 from crankorder.identify.modal.floor import quiet_floor
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.whirl import whirls_of
@@ -217,14 +218,17 @@ def test_a_stated_order_that_was_not_seen_meets_the_whirl_too() -> None:
 
 
 @pytest.mark.slow
-def test_a_mode_that_orders_alone_show_where_they_meet_a_whirl_is_undecided() -> None:
+def test_a_mode_that_orders_alone_show_where_they_meet_a_whirl_and_a_hump_on_its_path_are_that_whirl() -> None:
     whirl = _known(0.12, hz=40.0)
     rpm = whirl.meets(1.0)
     assert rpm is not None
     seen = Mode(rpm / 60.0 + 0.1, 0.05, 0.023, 0.001, ("A",), 9.0, "orders", reached_by=(1.0,))
     other = Mode(120.0, 0.05, 0.02, 0.001, ("A",), 9.0, "orders", reached_by=(2.0,))
-    assert of_whirls(other, (whirl,)) == other
-    assert of_whirls(seen, (whirl,)).undecided == "order 1 meets a whirl there, which may be all that it shows"
+    hump = Mode(45.0, 0.5, 0.06, 0.01, ("A",), 9.0, "the floor", undecided="wide")
+    kept = without_remains(fit(seen, other, hump), (whirl,), TRACK)
+    assert kept.modes == (other,) and kept.covariance.shape == (2, 2) and kept.whirls == (whirl,)
+    doubted = without_remains(fit(replace(hump, undecided="")), (whirl,), TRACK)
+    assert "may be what the whirl leaves" in doubted.modes[0].undecided
 
 
 def test_records_and_sentences_tell_the_whirl() -> None:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from crankorder.campbell.map import HANN_CORRELATION
-from crankorder.identify.found import Mode, Whirl
+from crankorder.identify.found import ModalFit, Mode, OrderResponse, Whirl
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.surface_fit import Problem, SurfaceFit
 from crankorder.identify.modal.tones import NUMBERS as TONES
@@ -35,6 +37,7 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="doubts"):
     grid_reach: float
     grid_chance: float
     lines_power_ratio: float
+    hump_widths: float
 
 
 NUMBERS = _Numbers.load()
@@ -200,12 +203,51 @@ def of_the_air(modes: tuple[Mode, ...], campbell: xr.Dataset) -> tuple[Mode, ...
     )
 
 
-def of_whirls(mode: Mode, whirls: tuple[Whirl, ...]) -> Mode:
-    """``mode``, undecided where an order that shows it meets one of ``whirls``, which may be all that it shows."""
-    for whirl in () if mode.undecided else whirls:
-        near = max(mode.damping_ratio, whirl.damping_ratio) * mode.frequency_hz
-        for order in mode.reached_by:
-            rpm = whirl.meets(order)
-            if rpm is not None and abs(order * rpm / 60.0 - mode.frequency_hz) <= near:
-                return replace(mode, undecided=f"order {order:.4g} meets a whirl there, which may be all that it shows")
-    return mode
+def without_remains(fit: ModalFit, whirls: tuple[Whirl, ...], speed_rpm: NDArray[np.float64]) -> ModalFit:
+    """``fit`` with its ``whirls``, without the modes that are only what these make of an order or leave in the floor.
+
+    The former stand where an order that shows them meets a whirl; what that order passes through is then not known: its
+    response is said not to fit. The latter are humps on the path of a whirl, broader than it; those that are not
+    undecided become so. ``speed_rpm`` (speeds,): of the test.
+    """
+    remains = [any(_is_meeting(mode, w) or _is_hump(mode, w, speed_rpm) for w in whirls) for mode in fit.modes]
+    lost = {order for mode in fit.modes if any(_is_meeting(mode, w) for w in whirls) for order in mode.reached_by}
+    at = [k for k, mode in enumerate(fit.modes) if not (remains[k] and (mode.undecided or mode.reached_by))]
+    pairs = np.array([[2 * k, 2 * k + 1] for k in at], dtype=np.int64).ravel()
+    why = "it is on the path of a whirl and broader, and may be what the whirl leaves"
+    return replace(
+        fit,
+        modes=tuple(replace(fit.modes[k], undecided=why) if remains[k] else fit.modes[k] for k in at),
+        covariance=fit.covariance[np.ix_(pairs, pairs)],
+        responses=tuple(_of_modes(one, at, fits=one.fits and one.order not in lost) for one in fit.responses),
+        whirls=whirls,
+    )
+
+
+def _is_meeting(mode: Mode, whirl: Whirl) -> bool:
+    """Whether ``mode`` is where an order that shows it meets ``whirl``."""
+    near = max(mode.damping_ratio, whirl.damping_ratio) * mode.frequency_hz
+    met = [(order, whirl.meets(order)) for order in mode.reached_by]
+    return any(rpm is not None and abs(order * rpm / 60.0 - mode.frequency_hz) <= near for order, rpm in met)
+
+
+def _is_hump(mode: Mode, whirl: Whirl, speed_rpm: NDArray[np.float64]) -> bool:
+    """Whether ``mode``, shown by no order, is on the path of ``whirl`` and broader than it."""
+    half = mode.damping_ratio * mode.frequency_hz
+    ends = sorted(whirl.line_at(float(rpm)) for rpm in (np.nanmin(speed_rpm), np.nanmax(speed_rpm)))
+    near = ends[0] - half <= mode.frequency_hz <= ends[1] + half
+    return near and not mode.reached_by and half > NUMBERS.hump_widths * whirl.damping_ratio * whirl.frequency_hz
+
+
+def _of_modes(response: OrderResponse, kept: Sequence[int], *, fits: bool) -> OrderResponse:
+    """``response`` with the residues of the modes numbered ``kept``, in their new numbers."""
+    place = {old: new for new, old in enumerate(kept)}
+    held = np.array([int(number) in place for number in response.reached], dtype=bool)
+    rows = np.concatenate([np.arange(len(response.smooth)), len(response.smooth) + np.flatnonzero(held)])
+    return replace(
+        response,
+        residue=response.residue[list(kept)],
+        reached=np.array([place[int(number)] for number in response.reached[held]], dtype=np.int64),
+        covariance=response.covariance[np.ix_(rows, rows)],
+        fits=fits,
+    )

@@ -17,8 +17,8 @@ from crankorder.identify.modal.doubts import (
     narrower_than_fitted,
     of_lines_within,
     of_the_air,
-    of_whirls,
     said_wide,
+    without_remains,
 )
 from crankorder.identify.modal.exclusion import FloorBound, Hiding, floor_bound, least_seen
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
@@ -212,14 +212,10 @@ def modal_fit(
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     made = _with_order_modes(found, kept, blocks, told.found, told.covariance, (floors, swept.hiding), unit, settings)
     hidden = hidden_speeds(blocks, made.modes, revs_per_cycle=cycle, least_damping=least, looked_hz=swept.looked_hz)
-    return replace(
-        made,
-        modes=tuple(of_whirls(mode, whirls) for mode in of_the_air(made.modes, campbell)),
-        hidden=hidden,
-        swings=told.swings,
-        shown_orders=swept.shown_orders,
-        whirls=whirls,
+    made = replace(
+        made, modes=of_the_air(made.modes, campbell), hidden=hidden, swings=told.swings, shown_orders=swept.shown_orders
     )
+    return without_remains(made, whirls, campbell["speed"].values) if whirls else made
 
 
 def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...]) -> Floor | None:

@@ -105,7 +105,8 @@ def whirls_of(floor: Floor, *, settings: IdentifySettings) -> tuple[Floor, tuple
             break
         chance = settings.false_alarm_probability / n_tried
         fit = _fitted(line, cells.around(line), chance)
-        if fit.shown.any() and _outdoes_staying(fit, chance):
+        again = any(abs(fit.line[0] - one.line[0]) < fit.line[0] * (fit.line[2] + one.line[2]) for one in fits)
+        if fit.shown.any() and not again and _outdoes_staying(fit, chance):
             line = fit.line
             fits.append(fit)
             cells = replace(cells, beside=_parts(fits, cells))
@@ -117,8 +118,7 @@ def whirls_of(floor: Floor, *, settings: IdentifySettings) -> tuple[Floor, tuple
     kept = [fit for fit in fits if fit.shown.any() and _moves(_whirl(fit, floor.channels, middle), cells, settings)]
     if kept:
         floor = _without(floor, replace(cells, beside=_parts(kept, cells)))
-    whirls = [_whirl(fit, floor.channels, middle) for fit in kept]
-    return floor, tuple(sorted(whirls, key=lambda whirl: whirl.frequency_hz))
+    return floor, tuple(_whirl(fit, floor.channels, middle) for fit in sorted(kept, key=lambda fit: float(fit.line[0])))
 
 
 def _shape(line: Array, cells: _Cells) -> tuple[Array, Array]:
