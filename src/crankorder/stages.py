@@ -514,15 +514,6 @@ def _plan_of_recording(wanted: tuple[Any, ...], source: Any = RecordingFile) -> 
     return StagePlan(OF_RECORDING, wanted=wanted, given=(source, Manifest, Settings, TestBearings))
 
 
-def stages_for(results: tuple[str, ...]) -> list[Callable[..., Any]]:
-    """The stages that a run of the ``results`` of that name goes through: of a recording, then of a test."""
-    of_test = _plan_of_test(results)
-    of_recording = _plan_of_recording(
-        (ShaftAngle, *(noun for whole, noun in FRAMES_OF.items() if whole in of_test.needs))
-    )
-    return [made for plan in (of_recording, of_test) for made, _, _ in plan.steps]
-
-
 def analyse_shaft(recording: xr.Dataset, settings: Settings) -> ShaftAngle:
     """Crank angle and speed of the ``recording`` alone, with ``settings``."""
     given = {Recording: recording, Settings: settings}

@@ -9,16 +9,7 @@ from functools import partial
 import numpy as np
 import xarray as xr
 
-from crankorder.findings import (
-    SCHEMA_VERSION,
-    Balance,
-    BearingFinding,
-    Channel,
-    Energy,
-    Findings,
-    Level,
-    quality_of,
-)
+from crankorder.findings import SCHEMA_VERSION, Balance, BearingFinding, Channel, Energy, Findings, Level, quality_of
 from crankorder.identify.alike_speeds import with_lines_of_recordings
 from crankorder.identify.balance.closure import closure
 from crankorder.identify.bearings.records import bearing_records

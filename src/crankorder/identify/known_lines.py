@@ -155,14 +155,13 @@ def found_near(
     """
     step = GRID_CYCLES / max(float(np.ptp(held.time_s)), 1e-9)
     trial = np.arange(low_hz, high_hz + step, step)
-    others = known or []
-    known = _shaft_orders(held, [(low_hz, 0.0), (high_hz, 0.0)], []) if known is None else others
+    taken = _shaft_orders(held, [(low_hz, 0.0), (high_hz, 0.0)], []) if known is None else known
     near = bins_of(held, np.array([held.order_of((f, 0.0)) for f in (low_hz, high_hz)]))
     if not near.size or len(trial) < 3:
         return None
     rest = data_of(held, near)
-    if known:
-        waves = waves_of(held, near, known)
+    if taken:
+        waves = waves_of(held, near, taken)
         rest = rest - waves @ np.linalg.lstsq(waves, rest, rcond=None)[0]
     shapes = waves_of(held, near, [(float(f), 0.0) for f in trial])
     gain = np.maximum(np.square(np.abs(shapes)).sum(axis=0), 1e-12)
@@ -171,13 +170,13 @@ def found_near(
     score = (power / total).sum(axis=1)
     # what lies within a cycle of a line that was taken out is its own rest
     own = np.array([held.order_of((float(f), 0.0)) for f in trial])
-    for place in known:
+    for place in taken:
         score[np.abs(own - held.order_of(place)) * held.span_rev < NUMBERS.apart_cycles] = 0.0
     best = int(np.argmax(score))
     if score[best] <= 0.0 or best in (0, len(trial) - 1):
         return None  # at an end it is the flank of a line beyond
     frequency = _summit(trial, score, best)
-    sighting = sightings(held, [(frequency, 0.0), *others])[0]
+    sighting = sightings(held, [(frequency, 0.0), *(known or ())])[0]
     if sighting is None or not sighting.seen:
         return None
     return frequency, np.sqrt(6.0) / (np.pi * sighting.sigmas * float(np.ptp(held.time_s)))
