@@ -49,7 +49,7 @@ def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, 
     Raises InputError where the file is damaged, lacks a channel, contradicts the manifest, or has samples missing;
     what can be mended is mended and flagged in ``attrs["quality"]``.
     """
-    pulses = manifest.encoder.beside(path)
+    pulses = manifest.pulses_of(path)
     if pulses is None:
         raw = read_file(path, sources=_wanted(manifest), settings=settings)
         return recording_of(raw, path, manifest, settings=settings, shaft=shaft)

@@ -95,7 +95,8 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """Names, lengths, units and rates of the time histories of the universal file at ``path``.
 
-    Reads headers, and the first times where each sample has its own. ``settings`` give the object limit. Raises what :func:`read` raises.
+    Reads headers, and the first times where each sample has its own. ``settings`` give the object limit. Raises what
+    :func:`read` raises.
     """
     with _mapped(path) as data:
         found = _histories(data, path, settings)
