@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from crankorder.ingest.formats import read_file
-from crankorder.ingest.rawfile import Contents, FloatArray
-from crankorder.ingest.roles import Column, columns_of
+from crankorder.ingest.rawfile import Contents
+from crankorder.ingest.roles import SPEED_NAME, Column, columns_of, values_of
 from crankorder.ingest.units import unit_of
+from crankorder.quantities import Floats
 from crankorder.settings import load_settings
 
 
@@ -38,8 +38,10 @@ def pulse_files(files: Sequence[tuple[Contents, Path]]) -> PulseFiles | None:
         kinds.setdefault((contents.format, *contents.names), []).append((contents, path))
     for samples, events in itertools.permutations(kinds.values(), 2):
         patterns = _patterns([path.name for _, path in samples], [path.name for _, path in events])
-        column = None if patterns is None else _pulse_column(samples[0], events[0])
-        if patterns is not None and column is not None:
+        if patterns is None or (len(files) > 2 and "{run}" not in patterns[0]):
+            continue
+        column = _pulse_column(samples[0], events[0])
+        if column is not None:
             return PulseFiles(*patterns, samples, *column)
     return None
 
@@ -74,23 +76,23 @@ def _common_head(names: list[str]) -> str:
 def _pulse_column(samples: tuple[Contents, Path], events: tuple[Contents, Path]) -> tuple[str | int, float] | None:
     """Source of the times of pulses in the file of ``events``, and pulses per second; None where it holds no pulses."""
     settings = load_settings().ingest
-    (contents, path), event_path = samples, events[1]
-    recorded, listed = (columns_of(file, held, settings=settings) for held, file in (samples, events))
+    recorded, listed = (columns_of(path, contents, settings=settings) for contents, path in (samples, events))
     time = listed.of("time") or (listed.of("encoder") if len(listed.all) == 1 else None)
-    clock = recorded.of("time")
-    if time is None or not recorded.channels() or (clock is None and not contents.rates_hz):
+    clock, signals = recorded.of("time"), recorded.channels()
+    if time is None or not signals or (clock is None and not samples[0].rates_hz):
         return None
-    columns = read_file(event_path, sources=[column.source for column in listed.all], settings=settings).columns
-    times = columns[time.source] * _seconds(time)
-    n_samples, end_s = contents.samples.get(recorded.channels()[0].name, 0), np.inf
+    values = values_of(events[1], [column.name for column in listed.all], events[0], settings)
+    times = values.get(time.name, np.empty(0)) * _seconds(time)
+    n_samples, begin_s, end_s = samples[0].samples.get(signals[0].name, 0), -np.inf, np.inf
     if clock is not None:
-        stamps = read_file(path, sources=[clock.source], settings=settings).columns[clock.source] * _seconds(clock)
-        n_samples, end_s = stamps.size, float(stamps[-1])
-        if times.size and (times[-1] < stamps[0] or times[0] > end_s):
-            return None
-    if not 2 < times.size < n_samples or not (np.diff(times) > 0.0).all():
+        stamps = values_of(samples[1], [clock.name], samples[0], settings).get(clock.name, np.zeros(1)) * _seconds(
+            clock
+        )
+        n_samples, begin_s, end_s = stamps.size, stamps[0], stamps[-1]
+    if not 2 < times.size < n_samples or not (np.diff(times) > 0.0).all() or times[-1] < begin_s or times[0] > end_s:
         return None
-    if not all(_tells_pulses(column, columns[column.source], times) for column in listed.all if column is not time):
+    others = [column for column in listed.all if column is not time]
+    if not all(column.name in values and _tells_pulses(column, values[column.name], times) for column in others):
         return None
     return time.source, float((times.size - 1) / np.ptp(times))
 
@@ -99,12 +101,12 @@ def _seconds(column: Column) -> float:
     return column.unit.factor if column.unit is not None and column.unit.quantity == "time" else 1.0
 
 
-def _tells_pulses(column: Column, values: FloatArray, times: FloatArray) -> bool:
+def _tells_pulses(column: Column, values: Floats, times: Floats) -> bool:
     """Whether a ``column`` beside ``times`` in s only counts pulses, or tells their period or speed."""
-    step, later = np.diff(times), values[1:].astype(np.float64)
+    step, later = np.diff(times), values[1:]
     if (values == np.rint(values)).all() and (np.diff(values) >= 0.0).all():
         return True
-    if column.role == "speed":
+    if SPEED_NAME.search(column.label):
         rev_per_s = later * (column.unit or unit_of("rpm")).factor
         per_rev = max(1.0, float(np.rint(np.median(1.0 / np.maximum(rev_per_s * step, 1e-9)))))
         return bool(np.allclose(rev_per_s * step * per_rev, 1.0, rtol=0.1))

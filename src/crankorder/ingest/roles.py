@@ -41,7 +41,7 @@ _ENCODER = re.compile(
     r"enc|tach|pulse|crank|tooth|teeth|(^|[^a-z])(ir|ckp|kw|rev(s|ol\w*)?)([^a-z]|$)|kurbel|drehgeber", re.I
 )
 _CAM = re.compile(r"(^|[^a-z])(cam(shaft)?|cmp)([^a-z]|$)|nockenwelle", re.I)
-_SPEED = re.compile(r"rpm|speed|drehzahl|(^|[^a-z])u.?min([^a-z]|$)", re.I)
+SPEED_NAME = re.compile(r"rpm|speed|drehzahl|(^|[^a-z])u.?min([^a-z]|$)", re.I)
 _SIGNAL = re.compile(r"acc|vib|press|mic|force|sound|strain|torque|schwing|druck|kraft", re.I)
 _SLOW_UNITS = ("°C", "degC", "deg C", "C", "°F", "degF", "F", "K", "%", "%RH")
 
@@ -109,7 +109,7 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
     ``settings`` limit what is read.
     """
     names = _sampled(contents)
-    values = _values(path, names, contents, settings)
+    values = values_of(path, names, contents, settings)
     values |= {name: values[name] * factor for name, factor in angle_columns(contents).items() if name in values}
     found = _once_each([_judged(name, contents, values) for name in names])
     found = _first_of_edges(found, values)
@@ -138,7 +138,7 @@ def _sampled(contents: Contents) -> list[str]:
 
 def _constants(contents: Contents) -> list[Column]:
     """Single numbers that may be the speed."""
-    singles = [name for name in contents.names if contents.samples.get(name) == 1 and _SPEED.search(name)]
+    singles = [name for name in contents.names if contents.samples.get(name) == 1 and SPEED_NAME.search(name)]
     return [Column(name, _source(name, contents), "constant", name) for name in singles[:1]]
 
 
@@ -148,7 +148,7 @@ def _source(name: str, contents: Contents) -> Source:
     return int(name) if unnamed and contents.format in ("text", "XLSX") else name
 
 
-def _values(path: Path, names: Sequence[str], contents: Contents, settings: IngestSettings) -> dict[str, Floats]:
+def values_of(path: Path, names: Sequence[str], contents: Contents, settings: IngestSettings) -> dict[str, Floats]:
     """Samples of the columns ``names`` by name, of promising ones alone where the file is large; none on a fault."""
     if path.stat().st_size > _MOST_BYTES:
         names = [name for name in names if any(sign.search(name) for sign in (_ENCODER, _INDEX, _CAM, _ANGLE))]
@@ -205,7 +205,7 @@ def _role(name: str, label: str, quantity: str, contents: Contents, values: Floa
         return "unused" if values is None or angle_step(values) is None else "angle"
     if (quantity == "time" or (not quantity and _TIME.fullmatch(label))) and (values is None or _grows(values)):
         return "time"
-    if quantity == "rotational speed" or (not quantity and _SPEED.search(label) and not _is_binary(values)):
+    if quantity == "rotational speed" or (not quantity and SPEED_NAME.search(label) and not _is_binary(values)):
         return "speed"
     if quantity not in ("", "voltage", "counts", "full scale", "ratio") or _SIGNAL.search(label):
         return "channel"
