@@ -125,7 +125,7 @@ def test_parts_that_do_not_pair_are_refused(tmp_path):
         (
             "ACC_{run}.csv",
             "HALL_step_01_900rpm.csv",
-            "HALL_step_01_900rpm.csv for ACC_step_01_900rpm.csv and ACC_step_02",
+            "HALL_step_01_900rpm.csv for ACC_step_01_900rpm.csv, ACC_step_02",
         ),
         ("ACC_{run}.csv", "PULSE_{run}.csv", "PULSE_step_01_900rpm.csv: no such file"),
         ("ACCEL_{run}.csv", "HALL_{run}.csv", "no recording found; looked for ACCEL_{run}.csv"),

@@ -28,11 +28,11 @@ def read_checked(
         return read_file(path, sources=sources, settings=settings, rows=rows)
     contents = contents_of(path, settings=settings)
     asked = [named(source, contents.names, path) for source in sources]
-    lengths = {contents.samples.get(name) for name in asked}
+    alike = {(contents.samples.get(name), contents.rates_hz.get(name)) for name in asked}
     degrees = {
         name: factor
         for name, factor in angle_columns(contents).items()
-        if name not in asked and contents.samples.get(name) in lengths
+        if name not in asked and (contents.samples.get(name), contents.rates_hz.get(name)) in alike
     }
     raw = read_file(path, sources=[*sources, *degrees], settings=settings, rows=rows)
     for name, factor in degrees.items():

@@ -104,20 +104,17 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
 
 def _refuse_shared(pulses: Mapping[Path, Path | None], manifest: Manifest, folder: Path) -> None:
     """Refuse a pattern with named parts by which two recordings have one file of pulses."""
+    if not NAMED_PART.search("".join((manifest.encoder.file or "", *manifest.recordings.files))):
+        return
     owners: dict[Path, Path] = {}
     for path, file in sorted(pulses.items(), key=lambda pair: natural_key(pair[0])):
-        if (
-            file is not None
-            and owners.setdefault(file, path) != path
-            and NAMED_PART.search("".join((manifest.encoder.file or "", *manifest.recordings.files)))
-        ):
-            raise RequestError(
+        if file is not None and owners.setdefault(file, path) != path:
+            problem, found = (
                 "two recordings share one file of pulses",
-                file=folder,
-                place="encoder.file",
-                found=f"{file.name} for {manifest.name_of(owners[file])} and {manifest.name_of(path)}",
-                remedy="Write every part in which the recordings differ into encoder.file too",
+                f"{file.name} for {owners[file].name}, {path.name}",
             )
+            remedy = "Write every part in which the names of the recordings differ into encoder.file too"
+            raise RequestError(problem, file=folder, place="encoder.file", found=found, remedy=remedy)
 
 
 def _unused_speeds(manifest: Manifest, paths: Iterable[Path], folder: Path) -> list[CrankorderError]:

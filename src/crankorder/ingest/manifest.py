@@ -203,6 +203,7 @@ def parts_of(pattern: str, name: str) -> dict[str, str] | None:
         seen.add(match[1])
         return f"(?P={match[1]})" if again else f"(?P<{match[1]}>[^/]+?)"
 
+    # a name directly in the folder fits "**/" too
     match = re.fullmatch(re.sub(r"\\\{([A-Za-z_]\w*)\\\}", part, fnmatch.translate(pattern.replace("**/", "*"))), name)
     return None if match is None else match.groupdict()
 
@@ -500,15 +501,10 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
     for part in NAMED_PART.findall(manifest.encoder.file or ""):
         common = set.intersection(*(set(NAMED_PART.findall(pattern)) for pattern in manifest.recordings.files))
         if part not in common:
-            faults.append(
-                RequestError(
-                    "a part of the name that recordings.files does not have",
-                    place="encoder.file",
-                    found=f"{{{part}}}",
-                    allowed=", ".join(f"{{{name}}}" for name in sorted(common)) or "* alone",
-                    remedy=f"Write {{{part}}} in each pattern of recordings.files where the names of both files differ",
-                )
-            )
+            problem, shown = "a part of the name that recordings.files does not have", f"{{{part}}}"
+            allowed = ", ".join(f"{{{name}}}" for name in sorted(common)) or "* alone"
+            remedy = f"Write {shown} in each pattern of recordings.files where the names of recordings differ"
+            faults.append(RequestError(problem, place="encoder.file", found=shown, allowed=allowed, remedy=remedy))
     seen: dict[str, int] = {}
     for number, channel in enumerate(manifest.channels):
         if channel.name in seen:
