@@ -149,7 +149,10 @@ def _source(name: str, contents: Contents) -> Source:
 
 
 def values_of(path: Path, names: Sequence[str], contents: Contents, settings: IngestSettings) -> dict[str, Floats]:
-    """Samples of the columns ``names`` by name, of promising ones alone where the file is large; none on a fault."""
+    """Samples of the columns ``names`` of the file at ``path`` by name, of promising ones alone where it is large.
+
+    ``contents`` are those of the file; ``settings`` limit what is read. Empty on a fault.
+    """
     if path.stat().st_size > _MOST_BYTES:
         names = [name for name in names if any(sign.search(name) for sign in (_ENCODER, _INDEX, _CAM, _ANGLE))]
     longest = max(contents.samples.values(), default=0)

@@ -39,8 +39,8 @@ _MOST_LINE_BYTES = 400
 _GENERAL, _TIME_RESPONSE, _TIME = 0, 1, 17
 _FEW_BYTES = 1 << 17
 """Bytes of pairs from whose times the rate of a file is told; reading it uses all."""
-# ordinate data type: numpy's letter and width in bytes, characters of a value as text
-_REAL = {2: ("f4", 13), 4: ("f8", 20)}
+# ordinate data type: numpy's letter and width in bytes
+_REAL = {2: "f4", 4: "f8"}
 _DIRECTION = {1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
 _FUNCTIONS = {
     0: "general", 2: "auto spectrum", 3: "cross spectrum", 4: "frequency response", 5: "transmissibility",
@@ -201,7 +201,7 @@ def _history(data: mmap.mmap, kind: bytes, place: int, path: Path) -> tuple[_His
         TimeColumn(1.0 / (float(step) * time_s), _last_digit(step), start_s * time_s, [], n_points) if spacing else None
     )
     wide = "f8" if n_bytes >= 16 * n_points else "f4"  # the standard's times are single, some writers' double
-    value = np.dtype(order + _REAL[form][0])
+    value = np.dtype(order + _REAL[form])
     point = value if even is not None else np.dtype([("time", order + wide), ("value", value)])
     present = (last - place) // point.itemsize if binary else n_points
     made = _History(
