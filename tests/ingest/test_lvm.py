@@ -18,15 +18,19 @@ SEGMENT = (
 )
 
 
-def lvm(values, *, step="0.001", n=None, times=None, comma=".", comment="", segments=1):
-    """Text of a file with the columns ``values`` and, where given, their ``times``."""
+def lvm(values, *, step="0.001", n=None, times=None, comma=".", comment="", segments=1, head="\t", cells="\t"):
+    """Text of a file with the columns ``values`` and, where given, their ``times``.
+
+    ``head`` and ``cells`` are the separators of the headers and of the values.
+    """
     text = HEAD.format(comma=comma) + f"X_Columns\t{'No' if times is None else 'One'}\n***End_of_Header***\t\n\t\n"
+    text = text.replace("\t", head)
     for _ in range(segments):
-        text += SEGMENT.format(n=len(values) if n is None else n, step=step)
-        text += "X_Value\tdrive\tacc\tComment\n"
+        text += SEGMENT.format(n=len(values) if n is None else n, step=step).replace("\t", head)
+        text += "X_Value\tdrive\tacc\tComment\n".replace("\t", head)
         for number, row in enumerate(values):
             time = "" if times is None else f"{times[number]:.6f}"
-            text += "\t".join([time, *(f"{value:.6f}" for value in row), *([comment] if comment else [])]) + "\n"
+            text += cells.join([time, *(f"{value:.6f}" for value in row), *([comment] if comment else [])]) + "\n"
         text += "\n"
     return text.replace(".", comma) if comma != "." else text
 
@@ -55,6 +59,18 @@ def test_columns_are_read_whatever_the_decimals_and_the_times(written, limits):
                 np.testing.assert_array_equal(raw.columns["acc"], VALUES[:, 1])
                 np.testing.assert_array_equal(raw.columns[0], VALUES[:, 0])
                 assert raw.rate_hz == pytest.approx(1000.0, rel=1e-9)
+
+
+def test_headers_and_values_are_parted_by_tabs_commas_or_semicolons_alike(written, limits):
+    for head in "\t,;":
+        for comma, cells in [(".", "\t"), (".", ","), (".", ";"), (",", "\t"), (",", ";")][: 3 if head == "," else 5]:
+            for times, comment, segments in [(None, "", 2), (np.arange(200) * 1e-3, "", 1), (None, "a remark", 1)]:
+                text = lvm(VALUES, times=times, comment=comment, segments=segments, head=head, cells=cells)
+                path = written(text.replace("Tab", {",": "Comma"}.get(cells, "Tab")).replace(".", comma))
+                source = "acc" if segments == 1 else "1/acc"
+                raw = read_file(path, sources=[source], settings=limits)
+                np.testing.assert_array_equal(raw.columns[source], VALUES[:, 1])
+                assert (raw.units[source], raw.rate_hz) == ("g", pytest.approx(1000.0, rel=1e-9))
 
 
 def test_segments_are_columns_of_their_own(written, limits):

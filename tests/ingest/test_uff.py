@@ -11,14 +11,16 @@ from crankorder.ingest.formats import contents_of, read_file
 STEP_S = 3.90625e-4  # 2560 Hz, exact in six digits
 
 
-def header(name: str, n: int, *, form: int = 2, function: int = 1, node: int = 3) -> str:
-    axis = 17 if function == 1 else 18
+def header(
+    name: str, n: int, *, form: int = 2, function: int = 1, node: int = 3, spacing: int = 1, time: str = "s"
+) -> str:
+    axis = 17 if function == 1 or not spacing else 18
     return "\n".join(
         [
             name, "NONE", "01-Jan-26 00:00:00", "NONE", "NONE",
             f"{function:5d}{1:10d}{0:5d}{0:10d} {'NONE':10s}{node:10d}{-2:4d} {'NONE':10s}{0:10d}{0:4d}",
-            f"{form:10d}{n:10d}{1:10d}{0.5:13.5E}{STEP_S:13.5E}{0.0:13.5E}",
-            f"{axis:10d}{0:5d}{0:5d}{0:5d} {'Time':20s} {'s':20s}",
+            f"{form:10d}{n:10d}{spacing:10d}{0.5:13.5E}{STEP_S:13.5E}{0.0:13.5E}",
+            f"{axis:10d}{0:5d}{0:5d}{0:5d} {'Time':20s} {time:20s}",
             f"{12:10d}{0:5d}{0:5d}{0:5d} {'Acceleration':20s} {'m/s^2':20s}",
             f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}",
             f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':20s} {'NONE':20s}", "",
@@ -39,6 +41,26 @@ def as_binary(name: str, values: np.ndarray, *, form: int = 2, order: int = 1, *
     data = values.astype(("<" if order == 1 else ">") + ("f4" if form == 2 else "f8")).tobytes()
     first = f"    58b{order:6d}{2:6d}{11:12d}{len(data):12d}{0:6d}{0:6d}{0:12d}{0:12d}\n"
     return f"    -1\n{first}{header(name, len(values), form=form, **more)}".encode() + data + b"\n    -1\n"  # type: ignore[arg-type]
+
+
+def pairs_as_text(
+    times: np.ndarray, values: np.ndarray, *, written: tuple[str, str], per_line: int, time: str
+) -> bytes:
+    """A general function (type 0) with the time of each sample written before it; the last line is padded."""
+    cells = [f"{at:{written[0]}}{value:{written[1]}}" for at, value in zip(times, values, strict=True)]
+    rows = ["".join(cells[first : first + per_line]) for first in range(0, len(cells), per_line)]
+    form = 2 if written[1] == "13.5E" else 4
+    text = header("one", len(values), form=form, function=0, spacing=0, time=time) + "\n".join(rows).ljust(80)
+    return f"    -1\n    58\n{text}\n    -1\n".encode()
+
+
+def pairs_as_binary(times: np.ndarray, values: np.ndarray, *, letters: tuple[str, str], order: int, time: str) -> bytes:
+    sign = "<" if order == 1 else ">"
+    points = np.empty(len(times), dtype=[("time", sign + letters[0]), ("value", sign + letters[1])])
+    points["time"], points["value"] = times, values
+    text = header("one", len(times), form=2 if letters[1] == "f4" else 4, function=0, spacing=0, time=time)
+    first = f"    58b{order:6d}{2:6d}{11:12d}{points.nbytes:12d}{0:6d}{0:6d}{0:12d}{0:12d}\n"
+    return f"    -1\n{first}{text}".encode() + points.tobytes() + b"\n    -1\n"
 
 
 @pytest.fixture
@@ -74,6 +96,44 @@ def test_binary_of_either_byte_order_reads_exactly_whatever_its_bytes_are(read):
             np.testing.assert_array_equal(raw.columns[0], values.astype("f4" if form == 2 else "f8"))
             assert contents.names == ("3-Y", "4-Y")
             assert raw.columns[1].tolist() == [1.0] * 9
+
+
+PAIRS = [
+    *(("13.5E", "13.5E", per_line) for per_line in (1, 3)),
+    *((first, "20.12E", per_line) for first in ("13.5E", "20.12E") for per_line in (1, 2)),
+    *((*letters, order) for letters in (("f4", "f4"), ("f4", "f8"), ("f8", "f8")) for order in (1, 2)),
+]
+
+
+def paired(form, times, values, time="s"):
+    first, second, number = form
+    if first in ("f4", "f8"):
+        return pairs_as_binary(times, values, letters=(first, second), order=number, time=time)
+    return pairs_as_text(times, values, written=(first, second), per_line=number, time=time)
+
+
+@pytest.mark.parametrize("form", PAIRS)
+def test_histories_with_a_time_for_each_sample_are_read_where_these_are_even(read, form):
+    for n, start, rate_hz, time in [(50, 0.0, 20.0, "ms"), (3001, 0.5, 256.0, "s"), (40000, 12.25, 25600.0, "s")]:
+        times, values = start + np.arange(n) / rate_hz, np.random.default_rng(n).normal(size=n)
+        raw, contents = read(paired(form, times * {"s": 1.0, "ms": 1e3}[time], values, time))
+        np.testing.assert_allclose(raw.columns[0], values, rtol=1e-5)
+        doubt = max(1e-6, raw.attrs["rate_uncertainty"])
+        assert doubt < 1e-4
+        assert (raw.rate_hz, contents.rates_hz["3-Y"]) == pytest.approx((rate_hz, rate_hz), rel=3 * doubt)
+        assert raw.attrs["start_s"] == pytest.approx(start, abs=1.0 / rate_hz)
+
+
+@pytest.mark.parametrize("form", PAIRS)
+def test_missing_samples_are_left_open_and_uneven_times_are_refused(read, form):
+    times, values = np.arange(2000) / 256.0, np.random.default_rng(1).normal(size=2000)
+    there = (times < 2.0) | (times > 2.03)
+    raw, _ = read(paired(form, times[there], values[there]))
+    np.testing.assert_allclose(raw.columns[0], np.where(there, values, np.nan), rtol=1e-5)
+    assert [flag["flag"] for flag in raw.flags if flag["severity"] != "info"] == ["time_gap"]
+    for uneven in (times + np.random.default_rng(2).uniform(0.0, 1e-3, 2000), times * (1.0 + 0.01 * times)):
+        with pytest.raises(InputError, match=r"not uniform: off by .* samples|samples are missing"):
+            read(paired(form, uneven, values))
 
 
 def test_other_sets_are_passed_over_and_a_file_without_histories_says_what_it_holds(read):

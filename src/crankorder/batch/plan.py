@@ -48,7 +48,7 @@ class CampaignPlan:
 
     def files_of(self, recording: Path) -> list[Path]:
         """Files that make up the ``recording``: its own, and that of its pulses where it is another."""
-        pulses = self.manifest.encoder.beside(recording)
+        pulses = self.manifest.pulses_of(recording)
         return [recording] if pulses is None else [recording, pulses]
 
     def name_of(self, path: Path) -> str:

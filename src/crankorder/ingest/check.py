@@ -40,7 +40,7 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
                 remedy='Name one, or state cycle = "none" for a structure without a shaft',
             )
         )
-    files = [*found.paths, *(pulses for path in found.paths if (pulses := manifest.encoder.beside(path)) is not None)]
+    files = [*found.paths, *(pulses for path in found.paths if (pulses := manifest.pulses_of(path)) is not None)]
     faults += checksum_faults(folder, files, manifest.recordings.files)
     for path in found.paths:
         faults += check_recording(path, manifest, settings=settings)
@@ -115,7 +115,7 @@ def _pulse_file_faults(path: Path, manifest: Manifest, *, settings: IngestSettin
     from crankorder.ingest.formats import contents_of
     from crankorder.ingest.rawfile import named
 
-    encoder, pulses = manifest.encoder, manifest.encoder.beside(path)
+    encoder, pulses = manifest.encoder, manifest.pulses_of(path)
     if pulses is None:
         return []
     try:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from crankorder.errors import CrankorderError, InputError, printable
+from crankorder.ingest.encoder_table import NAMED_PART
 
 _KINDS = r"md5|sha1|sha224|sha256|sha384|sha512"
 _LIST = re.compile(rf"(?i)manifest-({_KINDS})\.txt|({_KINDS})sums?(?:\.txt)?|checksums?\.({_KINDS})|.+\.({_KINDS})")
@@ -72,6 +73,7 @@ def checksum_faults(
 
 def _is_asked_for(path: Path, folder: Path, patterns: Sequence[str]) -> bool:
     name = path.relative_to(folder).as_posix()
+    patterns = [NAMED_PART.sub("*", pattern) for pattern in patterns]
     deep = [pattern for pattern in patterns if "**" in pattern or pattern.count("/") == name.count("/")]
     return name in patterns or any(fnmatch.fnmatchcase(name, pattern) for pattern in deep)
 

@@ -15,6 +15,7 @@ from crankorder.errors import CrankorderError, NoUsableRecordingError, RequestEr
 from crankorder.ingest.folder import is_companion, is_leftover, natural_key
 from crankorder.ingest.formats import FORMATS, contents_of, read_file
 from crankorder.ingest.manifest import MANIFEST_NAME
+from crankorder.ingest.pulse_files import PulseFiles, pulse_files
 from crankorder.ingest.rawfile import Contents, RawFile, Source
 from crankorder.ingest.roles import MOST_SAMPLES, Column, Columns, Role, columns_of, is_square, is_uniform
 from crankorder.ingest.sampling import rows_before_zeros
@@ -143,14 +144,19 @@ def draft_manifest(folder: Path) -> str:
     RequestError where ``folder`` is no folder or holds tests in folders of their own, and NoUsableRecordingError,
     naming what each file is, where none can be read.
     """
-    pattern, group = _recordings(folder)
+    pattern, group, pulses = _recordings(folder)
     contents, path = group[0]
     columns = columns_of(path, contents, settings=load_settings().ingest)
     sources = {column.name: _source(column, [other for other, _ in group]) for column in columns.all}
     columns = replace(columns, all=tuple(replace(column, source=sources[column.name]) for column in columns.all))
-    columns = _marks_by_wheel(columns, contents, path)
     speeds = _speeds(group)
-    encoder, knows_shaft = _encoder(columns, contents, path, speeds)
+    if pulses is None:
+        columns = _marks_by_wheel(columns, contents, path)
+        encoder, knows_shaft = _encoder(columns, contents, path, speeds)
+    else:
+        beside = [_unused(column) if column.role in ("encoder", "index", "cam") else column for column in columns.all]
+        columns, knows_shaft = replace(columns, all=tuple(beside)), True
+        encoder = _pulse_file(pulses, speeds.get(path.name))
     lines = [
         "# Draft by `crankorder init`: decide what stands behind `# ?`.",
         "schema_version = 1",
@@ -240,8 +246,11 @@ def _read_all(folder: Path) -> tuple[dict[str, list[tuple[Contents, Path]]], lis
     return groups, faults
 
 
-def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]]]:
-    """Pattern of the largest group of readable files with one suffix, and the contents and path of each."""
+def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]], PulseFiles | None]:
+    """Pattern of the recordings, the contents and path of each, and the files of their pulses, where they have such.
+
+    Without those the recordings are the largest group of readable files with one suffix.
+    """
     if not folder.is_dir():
         raise RequestError("there is no such folder", file=folder)
     groups, faults = _read_all(folder)
@@ -260,9 +269,12 @@ def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]]]:
             file=folder,
             found="; ".join(str(fault) for fault in faults[:3]) or "an empty folder",
         )
+    pairs = pulse_files([file for group in groups.values() for file in group])
+    if pairs is not None:
+        return pairs.recordings, pairs.group, pairs
     # notes beside the recordings may read as tables too: those hold most
     suffix = max(groups, key=lambda name: sum(path.stat().st_size for _, path in groups[name]))
-    return f"*{suffix}", groups[suffix]
+    return f"*{suffix}", groups[suffix], None
 
 
 def _source(column: Column, files: list[Contents]) -> Source:
@@ -392,6 +404,24 @@ def _encoder(
         '# kind = "constant"               #   with speed_rpm = 1500.0',
         '# kind = "vibration"              #   the speed is then read off the signals, with expected_rpm = [600, 3000]',
     ], False
+
+
+def _unused(column: Column) -> Column:
+    return replace(column, role="unused", doubt="the pulses stand in files of their own")
+
+
+def _pulse_file(pulses: PulseFiles, stated: tuple[float, str] | None) -> list[str]:
+    """Lines of an encoder whose pulses stand in files of their own."""
+    per_rev = _pulses_per_rev(pulses.pulses_hz, stated)
+    said = "at the stated speed" if per_rev else "how many of them make a revolution?"
+    wheel = f"pulses_per_rev = {per_rev or 1}"
+    return [
+        "[encoder]",
+        f"file = {_text(pulses.pulses)}",
+        f"source = {_shown(pulses.source)}",
+        'kind = "pulse_times"',
+        _asked(wheel, f"{pulses.pulses_hz:.4g} pulses/s {said}"),
+    ]
 
 
 def _marks_by_wheel(columns: Columns, contents: Contents, path: Path) -> Columns:

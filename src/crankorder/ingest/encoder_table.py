@@ -6,7 +6,6 @@ Imports nothing heavy, as all that a manifest is checked with.
 from __future__ import annotations
 
 import re
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, StringConstraints, WithJsonSchema
@@ -52,6 +51,10 @@ Source = Annotated[
 ]
 
 
+NAMED_PART = re.compile(r"\{([A-Za-z_]\w*)\}")
+"""A part of the names of files, such as ``{step}``, that a recording and the file of its pulses share."""
+
+
 class Table(BaseModel):
     """Base of the tables of a manifest: unknown keys and wrong types are refused."""
 
@@ -71,7 +74,8 @@ class Encoder(Table):
     source: Source | None = Field(default=None, description="Dataset or column that holds it.", examples=["encoder"])
     file: Name | None = Field(
         default=None,
-        description="File of pulse times beside each recording; * stands for the recording's name.",
+        description="File of pulse times beside each recording; * stands for the recording's name, {step} for the part "
+        "of it that has this name in recordings.files.",
         examples=["*.edges.csv"],
     )
     time_source: Source | None = Field(default=None, description="Column of times in that file.", examples=["time_s"])
@@ -160,10 +164,6 @@ class Encoder(Table):
         if name is not None and (re.search(r"[/\\\0]", name) or name in (".", "..")):
             raise ValueError("file must be the name of a file beside the recording; * stands for the recording's own")
         return name
-
-    def beside(self, recording: Path) -> Path | None:
-        """The file that lists the pulses of ``recording``, where it is one of its own; None where it is not."""
-        return None if self.file is None else recording.with_name(self.file.replace("*", recording.stem))
 
     @property
     def wheel(self) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import glob
 import os
 import re
 import stat
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +20,8 @@ from crankorder.errors import (
     UnsafeInputError,
 )
 from crankorder.ingest.checksums import is_checksum_list
-from crankorder.ingest.manifest import MANIFEST_NAME, Manifest
+from crankorder.ingest.encoder_table import NAMED_PART
+from crankorder.ingest.manifest import MANIFEST_NAME, Manifest, parts_of
 
 _LEFTOVER = re.compile(
     r"\..*|.*~|~\$.*|.*\.(part|partial|tmp|temp|crdownload|filepart|download|swp|bak|lock)|thumbs\.db|desktop\.ini",
@@ -84,8 +85,9 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
                     chosen[path] = None
             except CrankorderError as error:
                 faults.append(error)
-    listed = {manifest.encoder.beside(path) for path in chosen}
-    for path in [path for path in chosen if path in listed and manifest.encoder.beside(path) != path]:
+    pulses = {path: manifest.pulses_of(path) for path in chosen}
+    _refuse_shared(pulses, manifest, folder)
+    for path in [path for path in chosen if path in pulses.values() and pulses[path] != path]:
         del chosen[path]  # the pulses of another recording are none of their own
     if untold:
         faults.append(InputError(f"and {untold} more files that are not there", file=folder, remedy="Mend these first"))
@@ -98,6 +100,21 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
         )
     faults += _unused_speeds(manifest, chosen, folder)
     return Folder(sorted(chosen, key=natural_key), faults, sorted(set(ignored)))
+
+
+def _refuse_shared(pulses: Mapping[Path, Path | None], manifest: Manifest, folder: Path) -> None:
+    """Refuse a pattern with named parts by which two recordings have one file of pulses."""
+    if not NAMED_PART.search("".join((manifest.encoder.file or "", *manifest.recordings.files))):
+        return
+    owners: dict[Path, Path] = {}
+    for path, file in sorted(pulses.items(), key=lambda pair: natural_key(pair[0])):
+        if file is not None and owners.setdefault(file, path) != path:
+            problem, found = (
+                "two recordings share one file of pulses",
+                f"{file.name} for {owners[file].name}, {path.name}",
+            )
+            remedy = "Write every part in which the names of the recordings differ into encoder.file too"
+            raise RequestError(problem, file=folder, place="encoder.file", found=found, remedy=remedy)
 
 
 def _unused_speeds(manifest: Manifest, paths: Iterable[Path], folder: Path) -> list[CrankorderError]:
@@ -170,9 +187,13 @@ def _matches(folder: Path, pattern: str) -> list[Path]:
         # a name may hold the characters of a pattern, such as "run [2].h5"
         if (folder / pattern).is_symlink() or (folder / pattern).exists():
             return [folder / pattern]
-        if not re.search(r"[*?\[]", pattern):
+        globbed = NAMED_PART.sub("*", pattern)
+        if not re.search(r"[*?\[]", globbed):
             check_regular(folder / pattern)
-        return list(folder.glob(pattern))
+        paths = list(folder.glob(globbed))
+        return (
+            paths if globbed == pattern else [p for p in paths if parts_of(pattern, p.relative_to(folder).as_posix())]
+        )
     except (OSError, ValueError, NotImplementedError) as error:  # glob: too long, a bad pattern, an absolute one
         if isinstance(error, CrankorderError):
             raise

@@ -5,6 +5,7 @@ Format: National Instruments, "Specification for the LabVIEW Measurement File (.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,8 @@ from crankorder.settings import IngestSettings
 
 _END_OF_HEADER = "***End_of_Header***"
 _TIME = "X_Value"
+_DELIMITER = re.compile(r" *(?:[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)? *|[^\t;,]*)([\t;,])")
+"""First delimiter of a line, after a cell that may be a number with a decimal comma."""
 _PIECE_LINES = 1 << 16
 _MOST_HEAD_LINES = 1000
 _MOST_LINE_BYTES = 1 << 20
@@ -39,6 +42,7 @@ class _Segment:
     header: dict[str, list[str]]
     n_lines: int
     n_cells: int
+    separator: str
     has_commas: bool  # in the first line of values
 
     def said(self, key: str, place: int) -> str:
@@ -60,7 +64,6 @@ class _Column:
 @dataclass(frozen=True, slots=True)
 class _Layout:
     encoding: str
-    separator: str
     decimal_comma: bool
     columns: dict[str, _Column]
 
@@ -131,20 +134,15 @@ def _layout(path: Path) -> _Layout:
     """Headers of the file and where its segments stand; the lines of values are only counted."""
     encoding = _encoding(path)
     lines = _lines(path, encoding)
-    head = _header(lines, path, "\t")
-    separator = "," if head.get("Separator", ["", "Tab"])[1:2] == ["Comma"] else "\t"
-    if separator == ",":
-        head = {
-            key.split(",")[0]: [*key.split(",")[:1], *key.split(",")[1:], *cells[1:]] for key, cells in head.items()
-        }
-    segments = list(_segments(lines, path, separator))
+    head = _header(lines, path)
+    segments = list(_segments(lines, path))
     if not segments:
         raise InputError("holds no segment of measured values", file=path, remedy="Copy it again, or record again")
     stated = head.get("Decimal_Separator", ["", ""])[1:2]
     # an old writer states none, and its times of day say nothing about its values
-    comma = separator != "," and (stated == [","] or (stated == [""] and segments[0].has_commas))
+    comma = segments[0].separator != "," and (stated == [","] or (stated == [""] and segments[0].has_commas))
     with_times = head.get("X_Columns", ["", "One"])[1:2] != ["No"]
-    return _Layout(encoding, separator, comma, _columns(segments, with_times=with_times))
+    return _Layout(encoding, comma, _columns(segments, with_times=with_times))
 
 
 def _encoding(path: Path) -> str:
@@ -168,7 +166,13 @@ def _lines(path: Path, encoding: str) -> Iterator[tuple[int, str]]:
             number += 1
 
 
-def _header(lines: Iterator[tuple[int, str]], path: Path, separator: str) -> dict[str, list[str]]:
+def _separator(line: str) -> str:
+    """What parts the cells of ``line``: tab, semicolon or comma; the headers and the values of a file may differ."""
+    first = _DELIMITER.match(line)
+    return first[1] if first else "\t"
+
+
+def _header(lines: Iterator[tuple[int, str]], path: Path) -> dict[str, list[str]]:
     """Lines of the header that begins here, by their first cell; empty at the end of the file."""
     header: dict[str, list[str]] = {}
     for number, (place, line) in enumerate(lines):
@@ -176,7 +180,7 @@ def _header(lines: Iterator[tuple[int, str]], path: Path, separator: str) -> dic
             return header
         if number > _MOST_HEAD_LINES:
             raise InputError("a header has no end", file=path, place=f"line {place + 1}", remedy="Copy it again")
-        cells = [cell.strip() for cell in line.split(separator)]
+        cells = [cell.strip() for cell in line.split(_separator(line))]
         if cells[0]:
             header[cells[0]] = cells
     if header:
@@ -184,23 +188,25 @@ def _header(lines: Iterator[tuple[int, str]], path: Path, separator: str) -> dic
     return {}
 
 
-def _segments(lines: Iterator[tuple[int, str]], path: Path, separator: str) -> Iterator[_Segment]:
+def _segments(lines: Iterator[tuple[int, str]], path: Path) -> Iterator[_Segment]:
     n_segments = 0
-    while header := _header(lines, path, separator):
+    while header := _header(lines, path):
         number, text = next(lines, (0, ""))
-        names = tuple(cell.strip() for cell in text.split(separator))
+        names = tuple(cell.strip() for cell in text.split(_separator(text)))
         if not text.strip() or len(names) > _MOST_COLUMNS:
             raise InputError("no names of columns below a header", file=path, place=f"line {number + 1}")
-        n_lines, n_cells, has_commas = 0, 0, False
+        n_lines, n_cells, separator, has_commas = 0, 0, "\t", False
         for _, line in lines:
-            if not line.strip():
+            if not line.strip(" \t;,"):
                 break
-            has_commas = ("," in line and "." not in line) if not n_lines else has_commas
+            if not n_lines:
+                separator = _separator(line) if len(names) > 1 else "\t"
+                has_commas = "," in line and "." not in line
             n_lines, n_cells = n_lines + 1, max(n_cells, line.count(separator) + 1)
         if n_cells > 2 * _MOST_COLUMNS:
             raise UnsafeInputError("a line has more cells than any table", file=path)
         if n_lines:
-            yield _Segment(number + 1, names, header, n_lines, n_cells, has_commas)
+            yield _Segment(number + 1, names, header, n_lines, n_cells, separator, has_commas)
         n_segments += 1
         if n_segments > _MOST_SEGMENTS:
             raise UnsafeInputError(f"holds more than {_MOST_SEGMENTS} segments", file=path)
@@ -259,7 +265,7 @@ def _read(
     try:
         for frame in pd.read_csv(
             path,
-            sep=layout.separator,
+            sep=segment.separator,
             skiprows=segment.first_line,
             nrows=n_lines,
             encoding=layout.encoding,

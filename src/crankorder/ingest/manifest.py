@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import difflib
+import fnmatch
 import re
 import stat
 import tomllib
@@ -24,6 +25,7 @@ from crankorder.errors import MOST_TOLD, CrankorderError, ManyErrors, RequestErr
 from crankorder.ingest.channel import Channel as Channel
 from crankorder.ingest.channel import channel_faults
 from crankorder.ingest.encoder_table import (
+    NAMED_PART,
     TIME_KINDS,
     Count,
     Encoder,
@@ -192,6 +194,20 @@ def _points(folder: Path, name: str) -> list[tuple[float, float, float]]:
     return points
 
 
+def parts_of(pattern: str, name: str) -> dict[str, str] | None:
+    """What the named parts of ``pattern``, such as ``{step}``, are in the ``name`` of a file; None where it is none."""
+    seen: set[str] = set()
+
+    def part(match: re.Match[str]) -> str:
+        again = match[1] in seen
+        seen.add(match[1])
+        return f"(?P={match[1]})" if again else f"(?P<{match[1]}>[^/]+?)"
+
+    # a name directly in the folder fits "**/" too
+    match = re.fullmatch(re.sub(r"\\\{([A-Za-z_]\w*)\\\}", part, fnmatch.translate(pattern.replace("**/", "*"))), name)
+    return None if match is None else match.groupdict()
+
+
 class Test(Table):
     """``[test]``: what was tested."""
 
@@ -214,7 +230,9 @@ class Recordings(Table):
     """``[recordings]``: which files, relative to the folder, and their speeds where no file states them."""
 
     files: Annotated[tuple[Name, ...], Field(strict=False)] = Field(
-        description="Names or patterns of the recordings, relative to the folder.", examples=[["rpm_*.h5"]]
+        description="Names or patterns of the recordings, relative to the folder; {step} is as *, and encoder.file may "
+        "repeat it.",
+        examples=[["rpm_*.h5"]],
     )
     speed_rpm: dict[str, Positive] = Field(
         default={}, description="Speed of each file in rpm, where no file states it.", examples=[{"idle.csv": 800.0}]
@@ -293,6 +311,17 @@ class Manifest(Table):
         """Name of the recording at ``path``: its path inside the folder of the test, else the name of its file."""
         inside = self._folder is not None and path.is_relative_to(self._folder)
         return path.relative_to(self._folder).as_posix() if inside and self._folder is not None else path.name
+
+    def pulses_of(self, recording: Path) -> Path | None:
+        """The file that lists the pulses of ``recording``, where it is one of its own; None where it is not."""
+        if self.encoder.file is None:
+            return None
+        name = self.encoder.file.replace("*", recording.stem)
+        if NAMED_PART.search(name):
+            parts = [parts_of(pattern, self.name_of(recording)) for pattern in self.recordings.files]
+            told = next((values for values in parts if values), {})
+            name = NAMED_PART.sub(lambda part: told.get(part[1], part[0]), name)
+        return recording.with_name(name)
 
     @property
     def of_shaft_alone(self) -> bool:
@@ -469,6 +498,13 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
     if not manifest.channels and manifest.encoder.kind not in (*TRACE_KINDS, *TIME_KINDS):
         allowed = f"1 or more; none only beside an encoder of kind {', '.join((*TRACE_KINDS, *TIME_KINDS))}"
         faults.append(RequestError("no channel is named", place="channels", allowed=allowed, remedy="Add [[channels]]"))
+    for part in NAMED_PART.findall(manifest.encoder.file or ""):
+        common = set.intersection(*(set(NAMED_PART.findall(pattern)) for pattern in manifest.recordings.files))
+        if part not in common:
+            problem, shown = "a part of the name that recordings.files does not have", f"{{{part}}}"
+            allowed = ", ".join(f"{{{name}}}" for name in sorted(common)) or "* alone"
+            remedy = f"Write {shown} in each pattern of recordings.files where the names of recordings differ"
+            faults.append(RequestError(problem, place="encoder.file", found=shown, allowed=allowed, remedy=remedy))
     seen: dict[str, int] = {}
     for number, channel in enumerate(manifest.channels):
         if channel.name in seen:

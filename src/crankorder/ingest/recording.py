@@ -12,6 +12,7 @@ import xarray as xr
 
 from crankorder.errors import CrankorderError, InputError
 from crankorder.fft.integration import faded_samples, integrated
+from crankorder.ingest.angle_column import read_checked
 from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.folder import check_regular
@@ -49,9 +50,9 @@ def read_recording(path: Path, manifest: Manifest, *, settings: IngestSettings, 
     Raises InputError where the file is damaged, lacks a channel, contradicts the manifest, or has samples missing;
     what can be mended is mended and flagged in ``attrs["quality"]``.
     """
-    pulses = manifest.encoder.beside(path)
+    pulses = manifest.pulses_of(path)
     if pulses is None:
-        raw = read_file(path, sources=_wanted(manifest), settings=settings)
+        raw = read_checked(path, manifest, sources=_wanted(manifest), settings=settings)
         return recording_of(raw, path, manifest, settings=settings, shaft=shaft)
     check_regular(pulses, path.parent)
     listed = read_file(pulses, sources=_of_encoder(manifest), settings=settings)
@@ -77,7 +78,7 @@ def read_parts(
     third = most // 3
     made: list[xr.Dataset] = []
     for first in (0, (n_samples - third) // 2, n_samples - third):
-        raw = read_file(path, sources=sources, settings=settings, rows=slice(first, first + third))
+        raw = read_checked(path, manifest, sources=sources, settings=settings, rows=slice(first, first + third))
         made.append(recording_of(raw, path, manifest, settings=settings, shaft=shaft))
     return made, 3 * third / n_samples
 

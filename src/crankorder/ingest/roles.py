@@ -41,7 +41,7 @@ _ENCODER = re.compile(
     r"enc|tach|pulse|crank|tooth|teeth|(^|[^a-z])(ir|ckp|kw|rev(s|ol\w*)?)([^a-z]|$)|kurbel|drehgeber", re.I
 )
 _CAM = re.compile(r"(^|[^a-z])(cam(shaft)?|cmp)([^a-z]|$)|nockenwelle", re.I)
-_SPEED = re.compile(r"rpm|speed|drehzahl|(^|[^a-z])u.?min([^a-z]|$)", re.I)
+SPEED_NAME = re.compile(r"rpm|speed|drehzahl|(^|[^a-z])u.?min([^a-z]|$)", re.I)
 _SIGNAL = re.compile(r"acc|vib|press|mic|force|sound|strain|torque|schwing|druck|kraft", re.I)
 _SLOW_UNITS = ("°C", "degC", "deg C", "C", "°F", "degF", "F", "K", "%", "%RH")
 
@@ -93,13 +93,24 @@ def is_uniform(times: Floats) -> bool:
     return times.size > 2 and bool(np.ptp(step) < _UNEVEN * np.median(step))
 
 
+def angle_columns(contents: Contents) -> dict[str, float]:
+    """Degrees per unit of the columns among ``contents`` whose unit or name is that of an angle, by name."""
+    units = {name: _unit_and_label(name, contents) for name in contents.names}
+    return {
+        name: 1.0 if unit is None else unit.factor / unit_of("deg").factor
+        for name, (unit, label) in units.items()
+        if (unit.quantity == "angle" if unit is not None else _ANGLE.search(label))
+    }
+
+
 def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> Columns:
     """What the columns of the file at ``path`` are for, whose ``contents`` are known; reads a bounded part of them.
 
     ``settings`` limit what is read.
     """
     names = _sampled(contents)
-    values = _values(path, names, contents, settings)
+    values = values_of(path, names, contents, settings)
+    values |= {name: values[name] * factor for name, factor in angle_columns(contents).items() if name in values}
     found = _once_each([_judged(name, contents, values) for name in names])
     found = _first_of_edges(found, values)
     time = next((column for column in found if column.role == "time"), None)
@@ -127,7 +138,7 @@ def _sampled(contents: Contents) -> list[str]:
 
 def _constants(contents: Contents) -> list[Column]:
     """Single numbers that may be the speed."""
-    singles = [name for name in contents.names if contents.samples.get(name) == 1 and _SPEED.search(name)]
+    singles = [name for name in contents.names if contents.samples.get(name) == 1 and SPEED_NAME.search(name)]
     return [Column(name, _source(name, contents), "constant", name) for name in singles[:1]]
 
 
@@ -137,8 +148,11 @@ def _source(name: str, contents: Contents) -> Source:
     return int(name) if unnamed and contents.format in ("text", "XLSX") else name
 
 
-def _values(path: Path, names: Sequence[str], contents: Contents, settings: IngestSettings) -> dict[str, Floats]:
-    """Samples of the columns ``names`` by name, of promising ones alone where the file is large; none on a fault."""
+def values_of(path: Path, names: Sequence[str], contents: Contents, settings: IngestSettings) -> dict[str, Floats]:
+    """Samples of the columns ``names`` of the file at ``path`` by name, of promising ones alone where it is large.
+
+    ``contents`` are those of the file; ``settings`` limit what is read. Empty on a fault.
+    """
     if path.stat().st_size > _MOST_BYTES:
         names = [name for name in names if any(sign.search(name) for sign in (_ENCODER, _INDEX, _CAM, _ANGLE))]
     longest = max(contents.samples.values(), default=0)
@@ -162,10 +176,8 @@ def _values(path: Path, names: Sequence[str], contents: Contents, settings: Inge
 
 def _judged(name: str, contents: Contents, values: Mapping[str, Floats]) -> Column:
     """What the column ``name`` is for by itself."""
-    stated = contents.units.get(name, "")
-    told = unit_in_suffix(name)
-    unit = known_unit(stated) if stated not in STATES_NO_UNIT else known_unit(told)
-    label = _bare(name.rpartition("/")[2] if contents.format == "HDF5" else name)
+    stated, told = contents.units.get(name, ""), unit_in_suffix(name)
+    unit, label = _unit_and_label(name, contents)
     role = _role(name, label, "" if unit is None else unit.quantity, contents, values.get(name))
     n_samples, longest = contents.samples.get(name), max(contents.samples.values(), default=0)
     if n_samples is not None and n_samples < longest and role != "encoder":
@@ -180,16 +192,23 @@ def _judged(name: str, contents: Contents, values: Mapping[str, Floats]) -> Colu
         unit, doubt = unit_of("counts"), "whole numbers without a unit: counts of a converter, or m/s2, g, Pa, …"
     first, step = 0.0, 0.0
     if role == "angle":
-        first, step = float(values[name][0]), float(np.median(np.diff(values[name])))
+        first, step = float(values[name][0]), angle_step(values[name]) or 0.0
     return Column(name, _source(name, contents), role, label, unit, doubt, first, step)
+
+
+def _unit_and_label(name: str, contents: Contents) -> tuple[Unit | None, str]:
+    """Unit of the column ``name`` as the file or the name states it, and the name without it."""
+    stated = contents.units.get(name, "")
+    unit = known_unit(stated if stated not in STATES_NO_UNIT else unit_in_suffix(name))
+    return unit, _bare(name.rpartition("/")[2] if contents.format == "HDF5" else name)
 
 
 def _role(name: str, label: str, quantity: str, contents: Contents, values: Floats | None) -> Role:
     if quantity == "angle" or (not quantity and _ANGLE.search(label)):
-        return "unused" if values is None or not _is_angle(values) else "angle"
+        return "unused" if values is None or angle_step(values) is None else "angle"
     if (quantity == "time" or (not quantity and _TIME.fullmatch(label))) and (values is None or _grows(values)):
         return "time"
-    if quantity == "rotational speed" or (not quantity and _SPEED.search(label) and not _is_binary(values)):
+    if quantity == "rotational speed" or (not quantity and SPEED_NAME.search(label) and not _is_binary(values)):
         return "speed"
     if quantity not in ("", "voltage", "counts", "full scale", "ratio") or _SIGNAL.search(label):
         return "channel"
@@ -235,15 +254,16 @@ def _n_edges(values: Floats) -> int:
     return int(np.count_nonzero(high[1:] & ~high[:-1]))
 
 
-def _is_angle(values: Floats) -> bool:
-    """Whether ``values`` in degrees grow in even steps, over whole turns or without end."""
+def angle_step(values: Floats) -> float | None:
+    """Step in degrees of ``values`` (sample,) that grow evenly, over whole turns or without end; None of others."""
     steps = np.diff(values)
-    step = float(np.median(steps))
-    if not 0.0 < step < 90.0:
-        return False
-    off = np.abs((steps - step + 180.0) % 360.0 - 180.0)
+    usual = float(np.median(steps)) if steps.size else 0.0
+    off = (steps - usual + 180.0) % 360.0 - 180.0
+    if not 0.0 < usual < 90.0 or not (np.abs(off) < 0.1 * usual).all():
+        return None
+    step = usual + float(off.mean())  # steps that were rounded add up to the true one
     per_rev = 360.0 / step
-    return bool((off < 0.1 * step).all()) and abs(per_rev - round(per_rev)) < 1e-3 * per_rev
+    return step if abs(per_rev - round(per_rev)) < 1e-3 * per_rev else None
 
 
 def _once_each(found: list[Column]) -> list[Column]:

@@ -43,11 +43,15 @@ class TimeColumn:
         return made
 
 
-def read_time_column(times: FloatArray, path: Path, *, settings: IngestSettings) -> TimeColumn:
+def read_time_column(
+    times: FloatArray, path: Path, *, settings: IngestSettings, rounding: Floats | None = None
+) -> TimeColumn:
     """Rate and start of a column of ``times`` in seconds, shape (sample,), which must be uniform but for gaps.
 
-    ``path`` names the recording in errors; ``settings`` say how far a time may lie off the uniform grid, and how much
-    may be missing. Raises InputError naming the sample where times repeat, go back or wander, or too many are missing.
+    ``rounding`` (sample,) in seconds, where known, is how far the digits of each time leave it open: what is even
+    within it is uniform, though times may repeat. ``path`` names the recording in errors; ``settings`` say how far a
+    time may lie off the uniform grid, and how much may be missing. Raises InputError naming the sample where times
+    repeat, go back or wander, or too many are missing.
     """
     n_rows = rows_before_zeros(times)
     flags: list[QualityFlag] = []
@@ -55,17 +59,19 @@ def read_time_column(times: FloatArray, path: Path, *, settings: IngestSettings)
         detail = f"{times.size - n_rows} rows at the end whose time is 0 are left out"
         flags.append(flag(path, "rows_of_zeros", "info", detail))
         times = times[:n_rows]
-    _refuse_disorder(times, path)
-    places = _places(times, path, settings, flags)
-    start = float(times[0])
-    span_s = float(times[-1]) - start
-    last = times.size - 1 if places is None else int(places[-1])
-    step_s = span_s / last
+    places, even = None, None if rounding is None else _even_within(times, rounding[:n_rows])
+    start, step_s = even or (float(times[0]), 0.0)
+    last = times.size - 1
+    if even is None:
+        _refuse_disorder(times, path)
+        places = _places(times, path, settings, flags)
+        last = last if places is None else int(places[-1])
+        step_s = (float(times[-1]) - start) / last
     jitter = max(
         float(np.abs((_double(times, part) - start) / step_s - _numbers(places, part)).max())
         for part in blocks(times.size)
     )
-    if jitter > settings.max_time_jitter_samples:
+    if even is None and jitter > settings.max_time_jitter_samples:
         raise InputError(
             f"the time column is not uniform: off by {jitter:.3g} samples",
             file=path,
@@ -79,6 +85,17 @@ def read_time_column(times: FloatArray, path: Path, *, settings: IngestSettings)
     uncertainty = 2.0 * max(jitter, 1e-9) / last
     # twelve digits: 100 kHz in a decimal column is 100 kHz, not 100000.00000000001
     return TimeColumn(float(f"{1.0 / step_s:.12g}"), uncertainty, start, flags, n_rows, places)
+
+
+def _even_within(times: FloatArray, rounding: Floats) -> tuple[float, float] | None:
+    """Start and step of the even times that ``times`` (sample,) are within their ``rounding``; None where uneven."""
+    if times.size < 3 or not np.isfinite(times).all() or not rounding.min() > 0.0:
+        return None
+    numbers = np.arange(times.size)
+    step_s, start_s = np.polyfit(numbers, times, 1, w=1.0 / rounding)
+    off = np.abs(times - (start_s + step_s * numbers))
+    # a fit to rounded times is off by a part of their rounding
+    return (float(start_s), float(step_s)) if step_s > 0.0 and (off <= 1.5 * rounding).all() else None
 
 
 def _double(times: FloatArray, part: slice) -> Floats:

@@ -10,6 +10,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,8 @@ from crankorder.ingest.rawfile import (
     flag,
     named,
 )
+from crankorder.ingest.sampling import TimeColumn, read_time_column
+from crankorder.ingest.units import known_unit
 from crankorder.quantities import QualityFlag
 from crankorder.settings import IngestSettings
 
@@ -33,9 +36,11 @@ _DELIMITER = re.compile(rb"(?m)^[ \t]{0,8}-1[ \t]*\r?$\n?")
 _END = re.compile(rb"\s{0,12}-1[ \t]*\r?(?:\n|\Z)")
 _HEADER_LINES = 11
 _MOST_LINE_BYTES = 400
-_TIME_RESPONSE, _TIME = 1, 17
-# ordinate data type: numpy's letter and width in bytes, characters of a value as text
-_REAL = {2: ("f4", 13), 4: ("f8", 20)}
+_GENERAL, _TIME_RESPONSE, _TIME = 0, 1, 17
+_FEW_BYTES = 1 << 17
+"""Bytes of pairs from whose times the rate of a file is told; reading it uses all."""
+# ordinate data type: numpy's letter and width in bytes
+_REAL = {2: "f4", 4: "f8"}
 _DIRECTION = {1: "+X", 2: "+Y", 3: "+Z", 4: "+RX", 5: "+RY", 6: "+RZ"}
 _FUNCTIONS = {
     0: "general", 2: "auto spectrum", 3: "cross spectrum", 4: "frequency response", 5: "transmissibility",
@@ -45,17 +50,18 @@ _FUNCTIONS = {
 
 @dataclass(frozen=True, slots=True)
 class _History:
-    """One time history: its name, unit, points as the header promises them, sampling, and where its samples lie."""
+    """One time history: its name, unit, points as the header promises them, sampling, and where its samples lie.
+
+    ``even`` is what the header says of the times, None where each sample has its own, in units of ``time_s``.
+    """
 
     name: str
     unit: str
     n_points: int
     n_present: int
-    step_s: float
-    step_doubt: float
-    start_s: float
-    kind: int
-    order: str
+    even: TimeColumn | None
+    time_s: float
+    point: np.dtype[Any]
     binary: bool
     first: int
     last: int
@@ -71,32 +77,40 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         found = _histories(data, path, settings)
         names = [named(source, tuple(found), path) for source in sources]
         check_budget(sum(found[name].n_points * 8 for name in names), path, max_bytes=settings.max_bytes)
-        columns = {name: _samples(data, found[name], path) for name in dict.fromkeys(names)}
-    doubt = max((found[name].step_doubt for name in names), default=0.0)
-    rates = {name: 1.0 / found[name].step_s for name in names}
+        sampled = {name: _sampled(data, found[name], path, settings) for name in dict.fromkeys(names)}
+    columns = {name: column for name, (column, _) in sampled.items()}
+    times = {name: time for name, (_, time) in sampled.items()}
+    doubt = max((time.rate_uncertainty for time in times.values()), default=0.0)
+    rates = {name: time.rate_hz for name, time in times.items()}
+    flags = _flags(found, columns, path) + [told for time in times.values() for told in time.flags]
     return RawFile(
         columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
         units={source: found[name].unit for source, name in zip(sources, names, strict=True) if found[name].unit},
         rate_hz=common_rate(rates, path, tolerance=settings.rate_tolerance + 2.0 * doubt),
-        attrs={"start_s": found[names[0]].start_s, "rate_uncertainty": doubt} if names else {},
-        flags=_flags(found, columns, path),
+        attrs={"start_s": times[names[0]].start_s, "rate_uncertainty": doubt} if names else {},
+        flags=[told for number, told in enumerate(flags) if told not in flags[:number]],
     )
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
-    """Names, lengths, units and rates of the time histories of the universal file at ``path``; reads headers only.
+    """Names, lengths, units and rates of the time histories of the universal file at ``path``.
 
-    ``settings`` give the object limit. Raises what :func:`read` raises.
+    Reads headers, and the first times where each sample has its own. ``settings`` give the object limit. Raises what
+    :func:`read` raises.
     """
     with _mapped(path) as data:
         found = _histories(data, path, settings)
+        times = {
+            name: history.even or _sampled(data, history, path, settings, most_bytes=_FEW_BYTES)[1]
+            for name, history in found.items()
+        }
     return Contents(
         format="UFF",
         names=tuple(found),
         samples={name: one.n_present for name, one in found.items() if one.binary},
         units={name: one.unit for name, one in found.items() if one.unit},
-        rates_hz={name: 1.0 / one.step_s for name, one in found.items()},
-        rate_uncertainty=max(one.step_doubt for one in found.values()),
+        rates_hz={name: time.rate_hz for name, time in times.items()},
+        rate_uncertainty=max(time.rate_uncertainty for time in times.values()),
     )
 
 
@@ -136,7 +150,7 @@ def _histories(data: mmap.mmap, path: Path, settings: IngestSettings) -> dict[st
             others[one] = None
     if not made:
         raise InputError(
-            "holds no time histories (data set 58, function type 1)",
+            "holds no time histories (data set 58, function type 1, or 0 by time)",
             file=path,
             found=", ".join(list(others)[:5]) or "no data set",
             remedy="Export the time signals",
@@ -174,17 +188,25 @@ def _history(data: mmap.mmap, kind: bytes, place: int, path: Path) -> tuple[_His
         last = end.start() if end is not None else len(data)
     behind = _END.match(data, min(last, len(data)))
     after = behind.end() if behind is not None else min(last, len(data))
-    if function != _TIME_RESPONSE or abscissa not in (0, _TIME):
-        return f"function type {function} ({_FUNCTIONS.get(function, 'other')})", after
     problem = _unfit(form, n_points, spacing, step)
+    general = function == _GENERAL and abscissa == _TIME and not problem
+    if not general and (function != _TIME_RESPONSE or abscissa not in (0, _TIME)):
+        return f"function type {function} ({_FUNCTIONS.get(function, 'other')})", after
     if problem:
         raise InputError(problem, file=path, place=where, remedy="Export real samples at even steps of time")
-    letter, _ = _REAL[form]
     last = min(last, len(data))
-    present = (last - place) // int(letter[1]) if binary else n_points
+    unit = known_unit(_unit(text[7]))
+    time_s = unit.factor if unit is not None and unit.quantity == "time" else 1.0
+    even = (
+        TimeColumn(1.0 / (float(step) * time_s), _last_digit(step), start_s * time_s, [], n_points) if spacing else None
+    )
+    wide = "f8" if n_bytes >= 16 * n_points else "f4"  # the standard's times are single, some writers' double
+    value = np.dtype(order + _REAL[form])
+    point = value if even is not None else np.dtype([("time", order + wide), ("value", value)])
+    present = (last - place) // point.itemsize if binary else n_points
     made = _History(
-        name=_name(text), unit=_unit(text[8]), n_points=n_points, n_present=min(present, n_points), step_s=float(step),
-        step_doubt=_last_digit(step), start_s=start_s, kind=form, order=order, binary=binary, first=place, last=last,
+        name=_name(text), unit=_unit(text[8]), n_points=n_points, n_present=min(present, n_points), even=even,
+        time_s=time_s, point=point, binary=binary, first=place, last=last,
     )  # fmt: skip
     return made, after
 
@@ -224,7 +246,7 @@ def _unfit(form: int, n_points: int, spacing: int, step: str) -> str:
         good = float(step) > 0.0 and np.isfinite(float(step))
     except ValueError:
         good = False
-    return "" if spacing == 1 and good else "samples at uneven steps of time"
+    return "" if spacing == 0 or (spacing == 1 and good) else "samples at uneven steps of time"
 
 
 def _last_digit(step: str) -> float:
@@ -259,31 +281,43 @@ def _unit(line: str) -> str:
     return "" if unit.upper() == "NONE" else unit
 
 
-def _samples(data: mmap.mmap, one: _History, path: Path) -> FloatArray:
-    """Samples of ``one``, those that are there."""
-    letter, width = _REAL[one.kind]
-    block = data[one.first : one.last]
-    if one.binary:
-        found = np.frombuffer(block[: len(block) // int(letter[1]) * int(letter[1])], f"{one.order}{letter}")
-        return np.asarray(found[: one.n_points], dtype=np.dtype(letter))
-    try:
-        return _numbers(block, width)[: one.n_points].astype(letter)
-    except ValueError as error:
-        raise InputError(
-            "not a number",
-            file=path,
-            place=f"data set 58 at byte {one.first}",
-            found=str(error),
-            remedy="Export it again",
-        ) from None
+def _sampled(
+    data: mmap.mmap, history: _History, path: Path, settings: IngestSettings, *, most_bytes: int | None = None
+) -> tuple[FloatArray, TimeColumn]:
+    """Samples of ``history``, those that are there in its first ``most_bytes``, and their times."""
+    point, last = history.point, history.last
+    block = data[history.first : last if most_bytes is None else min(last, history.first + most_bytes)]
+    kept = slice(history.n_points if history.even is not None or history.binary else 2 * history.n_points)
+    if history.binary:
+        points = np.frombuffer(block[: len(block) // point.itemsize * point.itemsize], point)[kept]
+    else:
+        points = _numbers(block if most_bytes is None else block[: block.rfind(b"\n") + 1], history, path)[kept]
+    if history.even is not None:
+        return np.asarray(points, dtype=point.newbyteorder("=")), history.even
+    if history.binary:
+        times, samples = points["time"].astype(np.float64), points["value"]
+        rounding = np.spacing(points["time"]) / 2.0
+    else:
+        times, samples = points[0 : points.size // 2 * 2 : 2], points[1::2]
+        n_digits = len(re.sub(rb"^[^1-9]*|[EeDd].*|\.", b"", block.split(None, 3)[2]))  # of the second time
+        rounding = 0.5 * 10.0 ** (np.floor(np.log10(np.maximum(np.abs(times), times[1]))) + 1 - n_digits)
+    samples = samples.astype(point["value"].newbyteorder("="))
+    column = read_time_column(times * history.time_s, path, settings=settings, rounding=rounding * history.time_s)
+    return column.on_grid(samples), column
 
 
-def _numbers(block: bytes, width: int) -> NDArray[np.float64]:
-    """Numbers of a ``block`` of lines in columns of ``width`` characters, or between blanks."""
+def _numbers(block: bytes, history: _History, path: Path) -> NDArray[np.float64]:
+    """Numbers of a ``block`` of lines in columns of even width, or between blanks as where pairs mix two widths."""
     lines = [line.rstrip() for line in block.replace(b"D", b"E").replace(b"d", b"e").splitlines()]
+    width = 13 if history.point.itemsize == 4 else 20
     full = max((len(line) for line in lines), default=0)
     full += -full % width
-    if any(len(line.split()) > 1 and len(line.split()) != -(-len(line) // width) for line in lines[:3]):
-        return np.array(b" ".join(lines).split(), dtype=np.float64)
-    table = np.frombuffer(b"".join(line.ljust(full, b"\0") for line in lines), dtype=f"S{width}")
-    return np.asarray(table[table != b""].astype(np.float64))
+    parted = any(len(line.split()) > 1 and len(line.split()) != -(-len(line) // width) for line in lines[:3])
+    try:
+        if parted or history.even is None:
+            return np.array(b" ".join(lines).split(), dtype=np.float64)
+        table = np.frombuffer(b"".join(line.ljust(full, b"\0") for line in lines), dtype=f"S{width}")
+        return np.asarray(table[table != b""].astype(np.float64))
+    except ValueError as error:
+        place = f"data set 58 at byte {history.first}"
+        raise InputError("not a number", file=path, place=place, found=error, remedy="Export it again") from None
