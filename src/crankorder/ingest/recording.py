@@ -105,7 +105,7 @@ def recording_of(
         on_grid = {name: times.on_grid(row) if row.size == n_rows else row for name, row in raw.columns.items()}
         raw = replace(raw, columns=on_grid)
     _check_lengths(raw, manifest, path)
-    _add_encoder(recording, listed or raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s)
+    _add_encoder(recording, listed or raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s, times=times)
     if manifest.of_shaft_alone:
         _add_signals(recording, np.empty((0, _trace_length(raw, manifest)), dtype=np.float32), manifest)
         return Recording(with_flags(recording, _named(flags, manifest.name_of(path))))
@@ -113,6 +113,8 @@ def recording_of(
     faults, scalings = [], list[Scaling]()
     for channel, row in zip(manifest.channels, signals, strict=True):
         faults.append(mend_signal(row, settings=settings))  # sentinels: in the file's own unit
+        if times is not None:
+            times.align(row)
         scalings.append(_to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags))
     flags += judged(signals, faults, _sampled(recording, manifest, scalings), path, settings=settings)
     for number, (row, channel, scaling) in enumerate(zip(signals, manifest.channels, scalings, strict=True)):
@@ -309,6 +311,7 @@ def _add_encoder(
     *,
     rate_hz: float,
     start_s: float,
+    times: TimeColumn | None,
 ) -> None:
     """Add what tells the angle or the speed of the shaft to ``recording``, and how it was told."""
     encoder, attrs = manifest.encoder, recording.attrs
@@ -331,7 +334,10 @@ def _add_encoder(
     def pulses(source: Source | None, per_rev: int) -> tuple[Floats, float]:
         if encoder.kind in TIME_KINDS:
             return _pulses_of_times(raw, source, manifest, path, flags, start_s=start_s)
-        return _pulses_of_trace(raw, source, encoder, path, shaft, flags, rate_hz=rate_hz, per_rev=per_rev)
+        pulse_s, noise_s = _pulses_of_trace(
+            raw, source, encoder, path, shaft, flags, rate_hz=rate_hz, per_rev=per_rev
+        )
+        return pulse_s if times is None else times.places_in_time(pulse_s * rate_hz) / rate_hz, noise_s
 
     pulse_s, attrs["pulse_noise_s"] = pulses(
         encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
