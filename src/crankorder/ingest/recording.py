@@ -334,9 +334,7 @@ def _add_encoder(
     def pulses(source: Source | None, per_rev: int) -> tuple[Floats, float]:
         if encoder.kind in TIME_KINDS:
             return _pulses_of_times(raw, source, manifest, path, flags, start_s=start_s)
-        pulse_s, noise_s = _pulses_of_trace(
-            raw, source, encoder, path, shaft, flags, rate_hz=rate_hz, per_rev=per_rev
-        )
+        pulse_s, noise_s = _pulses_of_trace(raw, source, encoder, path, shaft, flags, rate_hz=rate_hz, per_rev=per_rev)
         return pulse_s if times is None else times.places_in_time(pulse_s * rate_hz) / rate_hz, noise_s
 
     pulse_s, attrs["pulse_noise_s"] = pulses(
