@@ -340,6 +340,10 @@ def _add_encoder(
     pulse_s, attrs["pulse_noise_s"] = pulses(
         encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
     )
+    if encoder.kind in TRACE_KINDS and encoder.source is not None:
+        missing = np.isnan(raw.columns[encoder.source])
+        if missing.any():
+            attrs["gap_starts_s"] = (np.flatnonzero(missing[1:] & ~missing[:-1]) / rate_hz).tolist()
     recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
     if encoder.second_track is not None:
         levels = raw.columns[encoder.second_track]
