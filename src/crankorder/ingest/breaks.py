@@ -1,0 +1,121 @@
+"""Buffers of an analyser that were written one behind the other, turns between them lost: found, and laid apart.
+
+The shaft and the channels must both tell it: one turn is too short or too long among others that are alike, by no whole
+turn as a lost or false pulse would have it, and at one sample of it the channels change from what they did a turn
+before to what they do a turn later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from crankorder.ingest.rawfile import FloatArray
+from crankorder.quantities import Floats, Ints
+
+BESIDE = 4
+"""Turns on either side that tell how long one should be."""
+
+ODD_SIGMAS, ODD_SAMPLES = 8.0, 2.5
+"""A turn is odd beyond so many standard deviations of its neighbours, and so many samples: edges are rounded to one."""
+
+MOST_ODD = 2
+"""Odd turns in a row: the level may jump at a break too, and look like a pulse."""
+
+LEAST_GAIN, MOST_LEFT = 0.5, 3.0
+"""A break must take away so much of the mean squares by which turns differ, and leave no more of them than that."""
+
+EDGE_SAMPLES = 1.5
+"""A pulse so near to a break is none of the wheel's."""
+
+LISTED = 5
+"""Breaks that are named one by one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Break:
+    """The first ``sample`` behind a break, and the samples of the ``turn`` (or two) across it and of a ``usual`` one."""
+
+    sample: int
+    turn: float
+    usual: float
+
+    @property
+    def missing(self) -> int:
+        """Samples that make the turn across the break whole."""
+        return round(-self.turn % self.usual)
+
+
+def find_breaks(turns: Floats, channels: Sequence[FloatArray]) -> list[Break]:
+    """Breaks of a recording, in order.
+
+    Parameters
+    ----------
+    turns : (marks,), samples, where a mark of the shaft passes once per turn
+    channels : signals (sample,) each, in any unit; missing samples are NaN
+    """
+    step = np.diff(turns)
+    if step.size <= 2 * BESIDE:
+        return []
+    usual = median_filter(step, 2 * BESIDE + 1, mode="reflect")
+    off = np.abs(step - usual)
+    slack = max(ODD_SAMPLES, ODD_SIGMAS * 1.4826 * float(np.median(off)))
+    odd = np.flatnonzero(off > slack)
+    breaks: list[Break] = []
+    for group in np.split(odd, np.flatnonzero(np.diff(odd) > 1) + 1) if odd.size else []:
+        first, last = int(group[0]), int(group[-1]) + 1
+        length, turn = float(turns[last] - turns[first]), float(usual[first])
+        rest = length % turn
+        if group.size > MOST_ODD or min(rest, turn - rest) <= slack:
+            continue
+        sample = _jump(channels, round(turns[first]), round(turns[last]), round(turn))
+        if sample:
+            breaks.append(Break(sample, length, turn))
+    return breaks
+
+
+def _jump(channels: Sequence[FloatArray], first: int, last: int, turn: int) -> int:
+    """The sample, after ``first`` up to ``last``, at which all ``channels`` jump in phase; 0 where they do not."""
+    low, high = first - turn, last + turn
+    if low < turn or high + turn > channels[0].size:
+        return 0
+    costs, jumps = [], np.zeros(high - low)
+    for channel in channels:
+        part = np.asarray(channel[low - turn : high + turn], dtype=np.float64)
+        here = part[turn:-turn]
+        before, after = (np.nan_to_num(here - other) ** 2 for other in (part[: -2 * turn], part[2 * turn :]))
+        noise = 0.5 * float(before[:turn].mean() + after[-turn:].mean())
+        if noise > 0.0:
+            # by the place of a break: what is before it is like the turn before, what is behind like the turn after
+            cost = np.append(0.0, np.cumsum(before)) + after.sum() - np.append(0.0, np.cumsum(after))
+            costs.append(cost / noise)
+            jumps[1:] += np.nan_to_num(np.diff(here)) ** 2 / noise
+    if not costs:
+        return 0
+    total = np.sum(costs, axis=0)[turn:-turn]
+    likely = np.flatnonzero(total < total.min() + jumps.max())
+    best = turn + int(likely[np.argmax(jumps[turn + likely])])
+    gain = np.array([min(cost[0], cost[-1]) - cost[best] for cost in costs]) / turn
+    left = np.array([cost[best] for cost in costs]) / (high - low)
+    return low + best if np.median(gain) > LEAST_GAIN and left.max() < MOST_LEFT else 0
+
+
+def laid_apart(breaks: Sequence[Break], n_samples: int) -> tuple[Ints, int]:
+    """New place of each of ``n_samples``, so that each turn across one of the ``breaks`` is whole, and their number."""
+    moved = np.zeros(n_samples, dtype=np.int64)
+    moved[[one.sample for one in breaks]] = [one.missing for one in breaks]
+    places = np.arange(n_samples) + np.cumsum(moved)
+    return places, int(places[-1]) + 1
+
+
+def told(breaks: Sequence[Break], rate_hz: float) -> str:
+    """Words for the ``breaks``: where each is, and what the turn across it lacks."""
+    listed = [
+        f"sample {one.sample} ({one.sample / rate_hz:.6g} s: {one.turn:.0f} samples where a turn has {one.usual:.0f})"
+        for one in breaks
+    ]
+    more = f" and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
+    return ", ".join(listed[:LISTED]) + more
