@@ -25,8 +25,9 @@ ODD_SIGMAS, ODD_SAMPLES = 8.0, 2.5
 MOST_ODD = 2
 """Odd turns in a row: the level may jump at a break too, and look like a pulse."""
 
-LEAST_GAIN, MOST_LEFT = 0.5, 3.0
-"""A break must take away so much of the mean squares by which turns differ, and leave no more of them than that."""
+LEAST_GAIN, MOST_LEFT, NOISE_LEFT = 2.0, 0.05, 0.1
+"""A break explains, in half of the channels, so many times what differs between other turns; it leaves no more than
+this share of that, and what chance does. A shaft that speeds up or slows down leaves a fifth."""
 
 EDGE_SAMPLES = 1.5
 """A pulse so near to a break is none of the wheel's."""
@@ -37,7 +38,7 @@ LISTED = 5
 
 @dataclass(frozen=True, slots=True)
 class Break:
-    """The first ``sample`` behind a break, and the samples of the ``turn`` (or two) across it and of a ``usual`` one."""
+    """The first ``sample`` behind a break, samples of the ``turn`` (or two) across it and of a ``usual`` one."""
 
     sample: int
     turn: float
@@ -99,8 +100,10 @@ def _jump(channels: Sequence[FloatArray], first: int, last: int, turn: int) -> i
     likely = np.flatnonzero(total < total.min() + jumps.max())
     best = turn + int(likely[np.argmax(jumps[turn + likely])])
     gain = np.array([min(cost[0], cost[-1]) - cost[best] for cost in costs]) / turn
-    left = np.array([cost[best] for cost in costs]) / (high - low)
-    return low + best if np.median(gain) > LEAST_GAIN and left.max() < MOST_LEFT else 0
+    left = np.array([cost[best] - (high - low) for cost in costs]) / turn
+    if np.sort(gain)[(gain.size - 1) // 2] < LEAST_GAIN or left.sum() > MOST_LEFT * gain.sum() + NOISE_LEFT:
+        return 0
+    return low + best
 
 
 def laid_apart(breaks: Sequence[Break], n_samples: int) -> tuple[Ints, int]:

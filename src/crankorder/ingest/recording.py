@@ -411,7 +411,7 @@ def _laid_apart(
             recording[name] = (recording[name].dims, place[inside] / rate_hz, recording[name].attrs)
     gaps = np.append(np.round(np.array(recording.attrs.get("gap_starts_s", [])) * rate_hz).astype(int), at - 1)
     recording.attrs["gap_starts_s"] = sorted(((gaps + moved[gaps]) / rate_hz).tolist())
-    return replace(raw, columns=raw.columns | columns)
+    return replace(raw, columns={**raw.columns, **columns})
 
 
 def _of_two_clocks(length_s: float) -> str:

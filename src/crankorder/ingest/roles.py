@@ -13,7 +13,7 @@ import numpy as np
 from crankorder.errors import CrankorderError, UnsafeInputError
 from crankorder.ingest.channel import STATES_NO_UNIT
 from crankorder.ingest.formats import read_file
-from crankorder.ingest.rawfile import Contents, Source, looks_counted
+from crankorder.ingest.rawfile import Contents, FloatArray, Source, looks_counted
 from crankorder.ingest.sampling import rows_before_zeros
 from crankorder.ingest.units import Unit, known_unit, unit_in_label, unit_in_suffix, unit_of
 from crankorder.quantities import Floats
@@ -96,7 +96,7 @@ def is_even(times: Floats) -> bool:
     return times.size > 2 and float(np.mean(even)) > _EVEN_SHARE
 
 
-def lists_edges(times: Floats, columns: Sequence[Floats]) -> bool:
+def lists_edges(times: Floats, columns: Sequence[FloatArray]) -> bool:
     """Whether rows at ``times`` (row,) are edges, of one of the levels in ``columns`` each, and not samples."""
     step = np.diff(times)
     levels = [np.diff(column) != 0.0 for column in columns if column.size == times.size and _is_binary(column)]
@@ -235,7 +235,7 @@ def _grows(values: Floats) -> bool:
     return bool((np.diff(values) > 0.0).all())
 
 
-def _is_binary(values: Floats | None) -> bool:
+def _is_binary(values: FloatArray | None) -> bool:
     """Whether ``values`` are all one of two levels, such as 0 and 1, or one level."""
     if values is None or values.size < 2:
         return False

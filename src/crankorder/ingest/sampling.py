@@ -185,7 +185,7 @@ def _whole_places(times: FloatArray, first: Ints, step_s: float) -> Ints:
     """Place of each of ``times`` on the grid of ``step_s``, were all gaps before the rows ``first`` whole samples."""
     moved = np.zeros(times.size, dtype=np.int64)
     moved[first[1:]] = np.round((times[first[1:]] - times[first[1:] - 1]) / step_s).astype(np.int64) - 1
-    return np.arange(times.size) + np.cumsum(np.maximum(moved, 0))
+    return np.asarray(np.arange(times.size) + np.cumsum(np.maximum(moved, 0)))
 
 
 def _jitter(times: FloatArray, step_s: float, places: Ints | None) -> float:
