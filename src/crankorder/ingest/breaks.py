@@ -70,7 +70,8 @@ def find_breaks(turns: Floats, channels: Sequence[FloatArray]) -> list[Break]:
         first, last = int(group[0]), int(group[-1]) + 1
         length, turn = float(turns[last] - turns[first]), float(usual[first])
         rest = length % turn
-        if group.size > MOST_ODD or min(rest, turn - rest) <= slack:
+        # two turns and more are no break of a shaft that runs on: it stood still
+        if group.size > MOST_ODD or length >= 2.0 * turn or min(rest, turn - rest) <= slack:
             continue
         sample = _jump(channels, round(turns[first]), round(turns[last]), round(turn))
         if sample:
