@@ -68,28 +68,33 @@ def find_breaks(turns: Floats, channels: Sequence[FloatArray]) -> list[Break]:
     breaks: list[Break] = []
     for group in np.split(odd, np.flatnonzero(np.diff(odd) > 1) + 1) if odd.size else []:
         first, last = int(group[0]), int(group[-1]) + 1
-        length, turn = float(turns[last] - turns[first]), float(usual[first])
+        if not 0 < first < last < step.size:
+            continue
+        before, after = float(step[first - 1]), float(step[last])
+        length, turn = float(turns[last] - turns[first]), 0.5 * (before + after)
         rest = length % turn
         # two turns and more are no break of a shaft that runs on: it stood still
         if group.size > MOST_ODD or length >= 2.0 * turn or min(rest, turn - rest) <= slack:
             continue
-        sample = _jump(channels, round(turns[first]), round(turns[last]), round(turn))
+        sample = _jump(channels, round(turns[first]), round(turns[last]), round(before), round(after))
         if sample:
             breaks.append(Break(sample, length, turn))
     return breaks
 
 
-def _jump(channels: Sequence[FloatArray], first: int, last: int, turn: int) -> int:
-    """The sample, after ``first`` up to ``last``, at which all ``channels`` jump in phase; 0 where they do not."""
-    low, high = first - turn, last + turn
-    if low < turn or high + turn > channels[0].size:
+def _jump(channels: Sequence[FloatArray], first: int, last: int, ahead: int, behind: int) -> int:
+    """The sample, after ``first`` up to ``last``, at which all ``channels`` jump in phase; 0 where they do not.
+
+    The turns before and after are ``ahead`` and ``behind`` samples long.
+    """
+    low, high, turn = first - ahead, last + behind, 0.5 * (ahead + behind)
+    if low < ahead or high + behind > channels[0].size:
         return 0
     costs, jumps = [], np.zeros(high - low)
     for channel in channels:
-        part = np.asarray(channel[low - turn : high + turn], dtype=np.float64)
-        here = part[turn:-turn]
-        before, after = (np.nan_to_num(here - other) ** 2 for other in (part[: -2 * turn], part[2 * turn :]))
-        noise = 0.5 * float(before[:turn].mean() + after[-turn:].mean())
+        here, *others = (channel[low + lag : high + lag].astype(np.float64) for lag in (0, -ahead, behind))
+        before, after = (np.nan_to_num(here - other) ** 2 for other in others)
+        noise = 0.5 * float(before[:ahead].mean() + after[-behind:].mean())
         if noise > 0.0:
             # by the place of a break: what is before it is like the turn before, what is behind like the turn after
             cost = np.append(0.0, np.cumsum(before)) + after.sum() - np.append(0.0, np.cumsum(after))
@@ -97,9 +102,9 @@ def _jump(channels: Sequence[FloatArray], first: int, last: int, turn: int) -> i
             jumps[1:] += np.nan_to_num(np.diff(here)) ** 2 / noise
     if not costs:
         return 0
-    total = np.sum(costs, axis=0)[turn:-turn]
+    total = np.sum(costs, axis=0)[ahead:-behind]
     likely = np.flatnonzero(total < total.min() + jumps.max())
-    best = turn + int(likely[np.argmax(jumps[turn + likely])])
+    best = ahead + int(likely[np.argmax(jumps[ahead + likely])])
     gain = np.array([min(cost[0], cost[-1]) - cost[best] for cost in costs]) / turn
     left = np.array([cost[best] - (high - low) for cost in costs]) / turn
     if np.sort(gain)[(gain.size - 1) // 2] < LEAST_GAIN or left.sum() > MOST_LEFT * gain.sum() + NOISE_LEFT:
