@@ -8,13 +8,16 @@ before to what they do a turn later.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+import xarray as xr
 from scipy.ndimage import median_filter
 
-from crankorder.ingest.rawfile import FloatArray
-from crankorder.quantities import Floats, Ints
+from crankorder.ingest.manifest import Manifest
+from crankorder.ingest.rawfile import FloatArray, RawFile, flag
+from crankorder.quantities import Floats, QualityFlag
 
 BESIDE = 4
 """Turns on either side that tell how long one should be."""
@@ -112,15 +115,7 @@ def _jump(channels: Sequence[FloatArray], first: int, last: int, ahead: int, beh
     return low + best
 
 
-def laid_apart(breaks: Sequence[Break], n_samples: int) -> tuple[Ints, int]:
-    """New place of each of ``n_samples``, so that each turn across one of the ``breaks`` is whole, and their number."""
-    moved = np.zeros(n_samples, dtype=np.int64)
-    moved[[one.sample for one in breaks]] = [one.missing for one in breaks]
-    places = np.arange(n_samples) + np.cumsum(moved)
-    return places, int(places[-1]) + 1
-
-
-def told(breaks: Sequence[Break], rate_hz: float) -> str:
+def _told(breaks: Sequence[Break], rate_hz: float) -> str:
     """Words for the ``breaks``: where each is, and what the turn across it lacks."""
     listed = [
         f"sample {one.sample} ({one.sample / rate_hz:.6g} s: {one.turn:.0f} samples where a turn has {one.usual:.0f})"
@@ -128,3 +123,56 @@ def told(breaks: Sequence[Break], rate_hz: float) -> str:
     ]
     more = f" and {len(listed) - LISTED} more" if len(listed) > LISTED else ""
     return ", ".join(listed[:LISTED]) + more
+
+
+def laid_apart(
+    recording: xr.Dataset, raw: RawFile, manifest: Manifest, path: Path, flags: list[QualityFlag], rate_hz: float
+) -> RawFile:
+    """``raw`` with buffers that were written one behind the other laid apart, and the pulses of ``recording`` too.
+
+    Where the pulses do not tell a turn the angle is lost across a break: the longest stretch is kept alone.
+    ``manifest`` names the channels, ``path`` the file, ``rate_hz`` the samples per second.
+    ``flags`` take what was found.
+    """
+    sources = list(dict.fromkeys(channel.file_source for channel in manifest.channels))
+    teeth = len(recording.attrs.get("tooth_angles_deg", [])) or (
+        recording.attrs.get("pulses_per_rev", 0) - recording.attrs.get("missing_teeth", 0)
+    )
+    marked = "index_time" in recording and recording["index_time"].size > 1
+    turns = recording["index_time"].values if marked else recording["pulse_time"].values[:: teeth or None]
+    breaks = find_breaks(turns * rate_hz, [raw.columns[source] for source in sources]) if marked or teeth else []
+    if not breaks:
+        return raw
+    n_samples = raw.columns[sources[0]].size
+    lost = np.zeros(n_samples, dtype=np.int64)
+    lost[[one.sample for one in breaks]] = [one.missing for one in breaks]
+    places = np.arange(n_samples) + np.cumsum(lost)
+    total = int(places[-1]) + 1
+    first, end = 0, total
+    said = f"samples are missing before {_told(breaks, rate_hz)}: the channels jump there too, as between two buffers"
+    if marked or teeth == 1:
+        said += f"; {total - n_samples} samples are put in to make these turns whole; what touches them is left out"
+    else:
+        ends = np.array([0, *(one.sample for one in breaks), n_samples])
+        first = int(ends[np.argmax(np.diff(ends))])
+        end, places = first + int(np.diff(ends).max()), np.arange(n_samples)
+        said += f"; the pulses do not tell the angle across: samples {first} to {end - 1} are used alone"
+    flags.append(flag(path, "buffers_joined", "suspect", said))
+    columns = {}
+    for name, column in raw.columns.items():
+        if column.size == n_samples and name in sources:
+            columns[name] = np.full(max(total, end), np.nan, dtype=column.dtype)
+            columns[name][places] = column
+            columns[name] = columns[name][first:end]
+    at = np.array([one.sample for one in breaks])
+    moved = places - np.arange(n_samples) - first
+    for name in ("pulse_time", "index_time", "cam_time"):
+        if name in recording:
+            place = recording[name].values * rate_hz
+            place = place[(np.abs(place[:, None] - at) > EDGE_SAMPLES).all(axis=1)]
+            place = place + moved[np.clip(np.ceil(place).astype(int), 0, n_samples - 1)]
+            inside = (place >= 0) & (place <= end - first - 1)
+            recording[name] = (recording[name].dims, place[inside] / rate_hz, recording[name].attrs)
+    gaps = np.append(np.round(np.array(recording.attrs.get("gap_starts_s", [])) * rate_hz).astype(int), at - 1)
+    recording.attrs["gap_starts_s"] = sorted(((gaps + moved[gaps]) / rate_hz).tolist())
+    return replace(raw, columns={**raw.columns, **columns})

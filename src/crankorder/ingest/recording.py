@@ -12,14 +12,14 @@ import xarray as xr
 
 from crankorder.errors import CrankorderError, InputError
 from crankorder.fft.integration import faded_samples, integrated
-from crankorder.ingest.breaks import EDGE_SAMPLES, find_breaks, laid_apart, told
+from crankorder.ingest.breaks import laid_apart
 from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.formats import contents_of, format_of, read_file
 from crankorder.ingest.limit_table import check_bands
 from crankorder.ingest.manifest import Manifest
-from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named
+from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named, stacked
 from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, direction_flags, judged
 from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
@@ -30,7 +30,6 @@ from crankorder.ingest.units import (
     unit_of,
 )
 from crankorder.quantities import Floats, QualityFlag, Recording, Severity, with_flags
-from crankorder.scratch import empty_like
 from crankorder.settings import IngestSettings, ShaftSettings
 from crankorder.shaft.pulses import NoPulsesError, find_pulses
 
@@ -108,11 +107,11 @@ def recording_of(
     _check_lengths(raw, manifest, path)
     _add_encoder(recording, listed or raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s, times=times)
     if manifest.encoder.kind in TRACE_KINDS and manifest.channels and (times is None or times.starts is None):
-        raw = _laid_apart(recording, raw, manifest, path, flags, rate_hz)
+        raw = laid_apart(recording, raw, manifest, path, flags, rate_hz)
     if manifest.of_shaft_alone:
         _add_signals(recording, np.empty((0, _trace_length(raw, manifest)), dtype=np.float32), manifest)
         return Recording(with_flags(recording, _named(flags, manifest.name_of(path))))
-    signals = _stacked([raw.columns[channel.file_source] for channel in manifest.channels])
+    signals = stacked([raw.columns[channel.file_source] for channel in manifest.channels])
     faults, scalings = [], list[Scaling]()
     for channel, row in zip(manifest.channels, signals, strict=True):
         faults.append(mend_signal(row, settings=settings))  # sentinels: in the file's own unit
@@ -366,54 +365,6 @@ def _add_encoder(
         recording[name] = (axis, mark_s, {"units": "s", "long_name": f"time of {role}"})
 
 
-def _laid_apart(
-    recording: xr.Dataset, raw: RawFile, manifest: Manifest, path: Path, flags: list[QualityFlag], rate_hz: float
-) -> RawFile:
-    """``raw`` with buffers that were written one behind the other laid apart, and the pulses of ``recording`` too.
-
-    Where the pulses do not tell a turn the angle is lost across a break: the longest stretch is kept alone.
-    """
-    sources = list(dict.fromkeys(channel.file_source for channel in manifest.channels))
-    teeth = len(recording.attrs.get("tooth_angles_deg", [])) or (
-        recording.attrs.get("pulses_per_rev", 0) - recording.attrs.get("missing_teeth", 0)
-    )
-    marked = "index_time" in recording and recording["index_time"].size > 1
-    turns = recording["index_time"].values if marked else recording["pulse_time"].values[:: teeth or None]
-    breaks = find_breaks(turns * rate_hz, [raw.columns[source] for source in sources]) if marked or teeth else []
-    if not breaks:
-        return raw
-    n_samples = raw.columns[sources[0]].size
-    places, total = laid_apart(breaks, n_samples)
-    first, end = 0, total
-    said = f"samples are missing before {told(breaks, rate_hz)}: the channels jump there too, as between two buffers"
-    if marked or teeth == 1:
-        said += f"; {total - n_samples} samples are put in to make these turns whole; what touches them is left out"
-    else:
-        ends = np.array([0, *(one.sample for one in breaks), n_samples])
-        first = int(ends[np.argmax(np.diff(ends))])
-        end, places = first + int(np.diff(ends).max()), np.arange(n_samples)
-        said += f"; the pulses do not tell the angle across: samples {first} to {end - 1} are used alone"
-    flags.append(flag(path, "buffers_joined", "suspect", said))
-    columns = {}
-    for name, column in raw.columns.items():
-        if column.size == n_samples and name in sources:
-            columns[name] = np.full(max(total, end), np.nan, dtype=column.dtype)
-            columns[name][places] = column
-            columns[name] = columns[name][first:end]
-    at = np.array([one.sample for one in breaks])
-    moved = places - np.arange(n_samples) - first
-    for name in ("pulse_time", "index_time", "cam_time"):
-        if name in recording:
-            place = recording[name].values * rate_hz
-            place = place[(np.abs(place[:, None] - at) > EDGE_SAMPLES).all(axis=1)]
-            place = place + moved[np.clip(np.ceil(place).astype(int), 0, n_samples - 1)]
-            inside = (place >= 0) & (place <= end - first - 1)
-            recording[name] = (recording[name].dims, place[inside] / rate_hz, recording[name].attrs)
-    gaps = np.append(np.round(np.array(recording.attrs.get("gap_starts_s", [])) * rate_hz).astype(int), at - 1)
-    recording.attrs["gap_starts_s"] = sorted(((gaps + moved[gaps]) / rate_hz).tolist())
-    return replace(raw, columns={**raw.columns, **columns})
-
-
 def _of_two_clocks(length_s: float) -> str:
     return (
         "times of pulses come from a file of their own, and no signal that both recorded compares its clock with that "
@@ -545,25 +496,6 @@ def _one_speed(raw: RawFile, encoder: Encoder, path: Path) -> float:
             remedy='Mend encoder.source, or state kind = "speed" for a signal',
         )
     return float(speed[0])
-
-
-def _stacked(rows: Sequence[FloatArray]) -> FloatArray:
-    """``rows`` as one array (channel, time), without a copy where the reader laid them down side by side."""
-    base = rows[0].base
-    if isinstance(base, np.ndarray) and base.ndim == 2 and base.flags.writeable and base.flags.c_contiguous:
-        step = base.strides[0]
-        first = rows[0].ctypes.data
-        neighbours = all(
-            row.base is base and row.ctypes.data == first + number * step for number, row in enumerate(rows)
-        )
-        start = (first - base.ctypes.data) // step if step else 0
-        if neighbours and base.shape[1] == rows[0].size:
-            block: FloatArray = base[start : start + len(rows)]
-            return block
-    stacked = empty_like(rows[0], (len(rows), rows[0].size), np.result_type(*rows))
-    for number, row in enumerate(rows):
-        stacked[number] = row
-    return stacked
 
 
 def _to_analysed_unit(
