@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crankorder.errors import RequestError
-from crankorder.fft.resampling import LENGTHS, kernel_named, margin, values_at
+from crankorder.fft.resampling import LENGTHS, kernel_named, margin, shifted, values_at
 
 SHORT_KERNELS = (
     "sinc-8",
@@ -38,6 +38,23 @@ def test_without_a_kernel_tones_up_to_two_fifths_of_the_rate_are_within_a_ten_mi
     for share_of_rate in (0.02, 0.2, 0.4):
         values = values_at(tones(share_of_rate, np.arange(4000.0)), at)
         assert np.abs(values - tones(share_of_rate, at)).max() < 1e-7
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.434, -0.434, 3.0, -7.25, 1e-3])
+@pytest.mark.parametrize("dtype", ["f4", "f8"])
+def test_a_shifted_signal_is_the_signal_at_earlier_samples_and_nan_where_it_has_no_neighbours(delay, dtype):
+    at = np.arange(400.0)
+    given = tones(0.37, at, dtype)[0]
+    given[200] = np.nan
+    out = shifted(given, delay)
+    assert out.dtype == given.dtype
+    known = np.isfinite(out)
+    within = 1e-7 if dtype == "f8" else 3e-6
+    assert np.abs(out - tones(0.37, at - delay)[0])[known].max() < within
+    reach = 0 if delay == round(delay) else margin()
+    sure = (at - delay >= reach) & (at - delay <= 399 - reach) & (np.abs(at - delay - 200) > reach)
+    assert sure.any() and known[sure].all()
+    assert np.isnan(shifted(given[:9], 0.5)).all()
 
 
 def test_a_constant_is_passed_to_the_last_bits():

@@ -6,6 +6,7 @@ within the band, but with images of what lies above it. Its weights are tables o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -354,6 +355,28 @@ def values_at(signals: Signals, positions: Floats, *, kernel: Kernel | None = No
     bad = _weighted_sums(double)(*_flat(samples), places, table, np.empty(kernel.taps, samples.dtype), low, high, out)
     if bad >= 0:
         _refuse(places, bad, low, high)
+    return out
+
+
+def shifted(signal: NDArray[Any], samples: float) -> Signals:
+    """``signal`` (n,) delayed by ``samples``, whole or not: value k of it is ``signal`` at k - ``samples``.
+
+    Content up to 0.4 of the sample rate is exact to 6e-8. NaN where the signal, or a neighbour that the kernel needs
+    (24 samples to either side, none for a whole shift), is missing or lies beyond its ends. float32 stays float32.
+    """
+    row = signal if signal.dtype in (np.float32, np.float64) else signal.astype(np.float64)
+    whole = math.ceil(samples)
+    fraction = whole - samples
+    half = TAPS // 2 if fraction else 0
+    out = np.full_like(row, np.nan)
+    weights = _band_fit(TAPS, PASS_BAND).weights(np.array([fraction]))[0].astype(row.dtype) if half else np.ones(1)
+    if row.size < weights.size:
+        return out
+    made = np.convolve(row, weights[::-1].astype(row.dtype), mode="valid")
+    first = whole + max(half - 1, 0)
+    begin, end = max(first, 0), min(first + made.size, row.size)
+    if end > begin:
+        out[begin:end] = made[begin - first : end - first]
     return out
 
 

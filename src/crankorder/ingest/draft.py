@@ -17,8 +17,8 @@ from crankorder.ingest.formats import FORMATS, contents_of, read_file
 from crankorder.ingest.manifest import MANIFEST_NAME
 from crankorder.ingest.pulse_files import PulseFiles, pulse_files
 from crankorder.ingest.rawfile import Contents, RawFile, Source
-from crankorder.ingest.roles import MOST_SAMPLES, Column, Columns, Role, columns_of, is_square, is_uniform
-from crankorder.ingest.sampling import rows_before_zeros
+from crankorder.ingest.roles import MOST_SAMPLES, Column, Columns, Role, columns_of, is_square, lists_edges
+from crankorder.ingest.sampling import read_time_column, rows_before_zeros
 from crankorder.settings import load_settings
 from crankorder.shaft.pattern import known_names
 from crankorder.shaft.pulses import FloatArray, find_pulses
@@ -37,6 +37,8 @@ MOTOR = (
 
 _SPECTRUM = re.compile(r"(^|[^a-z])(fft|spectrum|spectra|psd|frf)([^a-z]|$)", re.I)
 
+# Rate of a file that states none: the pattern of a wheel needs no rate, but a wheel turns faster than standstill.
+_NOMINAL_HZ = 1e4
 _MARK_COLUMN = 34
 _RECIPROCATING = re.compile(
     r"crank|cyl|engine|kurbel|tdc|ignition|knock|piston|firing|(^|[^a-z])(ice|diesel)([^a-z]|$)", re.I
@@ -82,8 +84,8 @@ def encoder_guess(
     try:
         sources = [name for name in (source, index, time) if name is not None]
         raw = read_file(path, sources=list(sources), settings=settings.ingest)
-        pulses = _edges(raw, source, time, rate_hz)
-        marks = _edges(raw, index, time, rate_hz)[2] if index is not None else {}
+        pulses = _edges(raw, source, time, rate_hz, path)
+        marks = _edges(raw, index, time, rate_hz, path)[2] if index is not None else {}
     except (CrankorderError, OSError, ValueError):
         return None
     kind, first, by_edge = pulses
@@ -106,9 +108,9 @@ def _likely(found: FoundPattern | None) -> tuple[int, float]:
 
 
 def _edges(
-    raw: RawFile, source: Source, time: Source | None, rate_hz: float | None
+    raw: RawFile, source: Source, time: Source | None, rate_hz: float | None, path: Path
 ) -> tuple[str, str, dict[str, FloatArray]]:
-    """Kind of a column, the edge to prefer, and the pulse times of each edge."""
+    """Kind of a column, the edge to prefer, and the pulse times of each edge, of samples in the longest stretch."""
     values = raw.columns[source][:MOST_SAMPLES].astype(np.float64)
     if values.size > 3 and np.isfinite(values).all() and (np.diff(values) >= 0.0).all() and np.ptp(values) > 0.0:
         return "pulse_times", "rising", {"rising": values}
@@ -116,17 +118,23 @@ def _edges(
     if times is not None and times.size == values.size:
         rows = rows_before_zeros(times)
         times, values = times[:rows], values[:rows]
-    if times is not None and not is_uniform(times):
+    if times is not None and lists_edges(
+        times, [raw.columns[name][: times.size] for name in raw.columns if name != time]
+    ):
         high = values > 0.5 * (values.min() + values.max())
         turns = {"rising": high[1:] & ~high[:-1], "falling": ~high[1:] & high[:-1]}
         return "edge_list", "rising", {edge: times[1:][turned] for edge, turned in turns.items()}
-    rate = rate_hz if times is None else float((times.size - 1) / np.ptp(times))
+    if times is not None:
+        timed = read_time_column(times, path, settings=load_settings().ingest)
+        rate_hz = timed.rate_hz
+        if timed.places is not None:  # a gap hides pulses, again and again: between gaps the wheel shows itself
+            values = max(np.split(values, np.flatnonzero(np.diff(timed.places) != 1) + 1), key=len)
     kind = "square" if is_square(values) else "analogue"
     shaft = load_settings().shaft
     by_edge = {
         edge: find_pulses(
             values,
-            rate_hz=rate or 1.0,
+            rate_hz=rate_hz or _NOMINAL_HZ,
             kind="square" if kind == "square" else "analogue",
             edge="rising" if edge == "rising" else "falling",
             pulses_per_rev=1,

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.quantities import QualityFlag, Severity
-from crankorder.scratch import empty
+from crankorder.scratch import empty, empty_like
 
 FloatArray = npt.NDArray[np.floating[Any]]
 Source = str | int
@@ -162,3 +162,22 @@ def check_budget(n_bytes: int, path: Path, *, max_bytes: int) -> None:
             allowed=f"{max_bytes} bytes (ingest.max_bytes)",
             remedy="Check the file, or raise ingest.max_bytes in a recipe",
         )
+
+
+def stacked(rows: Sequence[FloatArray]) -> FloatArray:
+    """``rows`` as one array (channel, time), without a copy where the reader laid them down side by side."""
+    base = rows[0].base
+    if isinstance(base, np.ndarray) and base.ndim == 2 and base.flags.writeable and base.flags.c_contiguous:
+        step = base.strides[0]
+        first = rows[0].ctypes.data
+        neighbours = all(
+            row.base is base and row.ctypes.data == first + number * step for number, row in enumerate(rows)
+        )
+        start = (first - base.ctypes.data) // step if step else 0
+        if neighbours and base.shape[1] == rows[0].size:
+            block: FloatArray = base[start : start + len(rows)]
+            return block
+    rows_together = empty_like(rows[0], (len(rows), rows[0].size), np.result_type(*rows))
+    for number, row in enumerate(rows):
+        rows_together[number] = row
+    return rows_together

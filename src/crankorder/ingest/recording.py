@@ -13,13 +13,14 @@ import xarray as xr
 from crankorder.errors import CrankorderError, InputError
 from crankorder.fft.integration import faded_samples, integrated
 from crankorder.ingest.angle_column import read_checked
+from crankorder.ingest.breaks import laid_apart
 from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.formats import contents_of, format_of, read_file
 from crankorder.ingest.limit_table import check_bands
 from crankorder.ingest.manifest import Manifest
-from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named
+from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named, stacked
 from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, direction_flags, judged
 from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
@@ -30,7 +31,6 @@ from crankorder.ingest.units import (
     unit_of,
 )
 from crankorder.quantities import Floats, QualityFlag, Recording, Severity, with_flags
-from crankorder.scratch import empty_like
 from crankorder.settings import IngestSettings, ShaftSettings
 from crankorder.shaft.pulses import NoPulsesError, find_pulses
 
@@ -106,14 +106,18 @@ def recording_of(
         on_grid = {name: times.on_grid(row) if row.size == n_rows else row for name, row in raw.columns.items()}
         raw = replace(raw, columns=on_grid)
     _check_lengths(raw, manifest, path)
-    _add_encoder(recording, listed or raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s)
+    _add_encoder(recording, listed or raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s, times=times)
+    if manifest.encoder.kind in TRACE_KINDS and manifest.channels and (times is None or times.starts is None):
+        raw = laid_apart(recording, raw, manifest, path, flags, rate_hz)
     if manifest.of_shaft_alone:
         _add_signals(recording, np.empty((0, _trace_length(raw, manifest)), dtype=np.float32), manifest)
         return Recording(with_flags(recording, _named(flags, manifest.name_of(path))))
-    signals = _stacked([raw.columns[channel.file_source] for channel in manifest.channels])
+    signals = stacked([raw.columns[channel.file_source] for channel in manifest.channels])
     faults, scalings = [], list[Scaling]()
     for channel, row in zip(manifest.channels, signals, strict=True):
         faults.append(mend_signal(row, settings=settings))  # sentinels: in the file's own unit
+        if times is not None:
+            times.align(row)
         scalings.append(_to_analysed_unit(row, channel, raw.units.get(channel.file_source, ""), path, flags))
     flags += judged(signals, faults, _sampled(recording, manifest, scalings), path, settings=settings)
     for number, (row, channel, scaling) in enumerate(zip(signals, manifest.channels, scalings, strict=True)):
@@ -310,6 +314,7 @@ def _add_encoder(
     *,
     rate_hz: float,
     start_s: float,
+    times: TimeColumn | None,
 ) -> None:
     """Add what tells the angle or the speed of the shaft to ``recording``, and how it was told."""
     encoder, attrs = manifest.encoder, recording.attrs
@@ -332,11 +337,16 @@ def _add_encoder(
     def pulses(source: Source | None, per_rev: int) -> tuple[Floats, float]:
         if encoder.kind in TIME_KINDS:
             return _pulses_of_times(raw, source, manifest, path, flags, start_s=start_s)
-        return _pulses_of_trace(raw, source, encoder, path, shaft, flags, rate_hz=rate_hz, per_rev=per_rev)
+        pulse_s, noise_s = _pulses_of_trace(raw, source, encoder, path, shaft, flags, rate_hz=rate_hz, per_rev=per_rev)
+        return pulse_s if times is None else times.places_in_time(pulse_s * rate_hz) / rate_hz, noise_s
 
     pulse_s, attrs["pulse_noise_s"] = pulses(
         encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
     )
+    if encoder.kind in TRACE_KINDS and encoder.source is not None:
+        missing = np.isnan(raw.columns[encoder.source])
+        if missing.any():
+            attrs["gap_starts_s"] = (np.flatnonzero(missing[1:] & ~missing[:-1]) / rate_hz).tolist()
     recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
     if encoder.second_track is not None:
         levels = raw.columns[encoder.second_track]
@@ -487,25 +497,6 @@ def _one_speed(raw: RawFile, encoder: Encoder, path: Path) -> float:
             remedy='Mend encoder.source, or state kind = "speed" for a signal',
         )
     return float(speed[0])
-
-
-def _stacked(rows: Sequence[FloatArray]) -> FloatArray:
-    """``rows`` as one array (channel, time), without a copy where the reader laid them down side by side."""
-    base = rows[0].base
-    if isinstance(base, np.ndarray) and base.ndim == 2 and base.flags.writeable and base.flags.c_contiguous:
-        step = base.strides[0]
-        first = rows[0].ctypes.data
-        neighbours = all(
-            row.base is base and row.ctypes.data == first + number * step for number, row in enumerate(rows)
-        )
-        start = (first - base.ctypes.data) // step if step else 0
-        if neighbours and base.shape[1] == rows[0].size:
-            block: FloatArray = base[start : start + len(rows)]
-            return block
-    stacked = empty_like(rows[0], (len(rows), rows[0].size), np.result_type(*rows))
-    for number, row in enumerate(rows):
-        stacked[number] = row
-    return stacked
 
 
 def _to_analysed_unit(

@@ -13,7 +13,7 @@ import numpy as np
 from crankorder.errors import CrankorderError, UnsafeInputError
 from crankorder.ingest.channel import STATES_NO_UNIT
 from crankorder.ingest.formats import read_file
-from crankorder.ingest.rawfile import Contents, Source, looks_counted
+from crankorder.ingest.rawfile import Contents, FloatArray, Source, looks_counted
 from crankorder.ingest.sampling import rows_before_zeros
 from crankorder.ingest.units import Unit, known_unit, unit_in_label, unit_in_suffix, unit_of
 from crankorder.quantities import Floats
@@ -29,6 +29,8 @@ _MOST_BYTES = 200_000_000
 SQUARE_SHARE = 0.75
 # Of a step, as far as a grid of times or angles that was rounded in writing may wander.
 _UNEVEN = 0.5
+# Of the steps of sampled times, those that are even; of the rows of a list of edges, those at which a level changes.
+_EVEN_SHARE, _EDGE_SHARE = 0.9, 0.5
 # Of a column that holds pulses.
 _FEWEST_EDGES = 4
 
@@ -87,10 +89,19 @@ def is_square(values: Floats) -> bool:
     return high > low and float(np.mean((values < low + near) | (values > high - near))) >= SQUARE_SHARE
 
 
-def is_uniform(times: Floats) -> bool:
-    """Whether ``times`` (sample,) follow each other in even steps, as far as rounding lets them."""
+def is_even(times: Floats) -> bool:
+    """Whether ``times`` (sample,) follow each other in even steps, as far as rounding lets them, but for a few gaps."""
     step = np.diff(times)
-    return times.size > 2 and bool(np.ptp(step) < _UNEVEN * np.median(step))
+    even = np.abs(step - np.median(step)) < _UNEVEN * np.median(step)
+    return times.size > 2 and float(np.mean(even)) > _EVEN_SHARE
+
+
+def lists_edges(times: Floats, columns: Sequence[FloatArray]) -> bool:
+    """Whether rows at ``times`` (row,) are edges, of one of the levels in ``columns`` each, and not samples."""
+    step = np.diff(times)
+    levels = [np.diff(column) != 0.0 for column in columns if column.size == times.size and _is_binary(column)]
+    uneven = times.size > 2 and bool(np.ptp(step) >= _UNEVEN * np.median(step))
+    return uneven and bool(levels) and float(np.mean(np.any(levels, axis=0))) > _EDGE_SHARE
 
 
 def angle_columns(contents: Contents) -> dict[str, float]:
@@ -114,7 +125,8 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
     found = _once_each([_judged(name, contents, values) for name in names])
     found = _first_of_edges(found, values)
     time = next((column for column in found if column.role == "time"), None)
-    edges = time is not None and time.name in values and not is_uniform(values[time.name])
+    beside = [column for name, column in values.items() if time is not None and name != time.name]
+    edges = time is not None and time.name in values and lists_edges(values[time.name], beside)
     if time is not None and len(found) == 1:
         found, edges = [_as(time, "encoder", "times alone: taken for those of pulses")], True
     elif edges:
@@ -219,7 +231,7 @@ def _role(name: str, label: str, quantity: str, contents: Contents, values: Floa
         return "channel"
     if _is_binary(values) and np.ptp(values) > 0.0:
         return "encoder" if _n_edges(values) >= _FEWEST_EDGES else "unused"
-    if label.isdigit() and _grows(values) and is_uniform(values):
+    if label.isdigit() and _grows(values) and is_even(values):
         counted = np.ptp(np.diff(values)) == 0.0 and values[1] - values[0] == 1.0
         return "unused" if counted or contents.rates_hz else "time"
     return "channel"
@@ -242,7 +254,7 @@ def _grows(values: Floats) -> bool:
     return bool((np.diff(values) > 0.0).all())
 
 
-def _is_binary(values: Floats | None) -> bool:
+def _is_binary(values: FloatArray | None) -> bool:
     """Whether ``values`` are all one of two levels, such as 0 and 1, or one level."""
     if values is None or values.size < 2:
         return False

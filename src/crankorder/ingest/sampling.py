@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from crankorder.errors import InputError
+from crankorder.fft.resampling import TAPS, shifted
 from crankorder.ingest.rawfile import FloatArray, flag
 from crankorder.quantities import Floats, Ints, QualityFlag
 from crankorder.scratch import blocks
@@ -18,12 +19,23 @@ SOME_TIMES = 1 << 20
 """Times that are enough to tell the usual step."""
 
 
+LISTED = 5
+"""Gaps that are named one by one."""
+
+BREAKS = (0.5, 0.2, 0.05, 0.01)
+"""Samples by which a step from row to row is off that parts two stretches: no smaller than they need be even."""
+
+FEWEST_ROWS = 4 * TAPS
+"""Rows of a stretch, in the mean, that are worth shifting: the kernel takes half its length off either end."""
+
+
 @dataclass(frozen=True, slots=True)
 class TimeColumn:
     """What a column of times says: samples per second, its relative uncertainty, and the first time.
 
     ``n_rows``: rows that count, without zeros at the end; ``places``: of each of them on the uniform grid, where rows
-    are missing in between.
+    are missing in between. ``starts``: first place of each stretch between gaps, and ``offsets`` (stretch,) how many
+    samples it lies behind its places; None where all lie on the grid.
     """
 
     rate_hz: float
@@ -32,15 +44,31 @@ class TimeColumn:
     flags: list[QualityFlag]
     n_rows: int
     places: Ints | None = None
+    starts: Ints | None = None
+    offsets: Floats | None = None
 
     def on_grid(self, column: FloatArray) -> FloatArray:
-        """``column`` (row,) on the uniform grid, NaN where rows are missing."""
+        """``column`` (row,) on the uniform grid, NaN where rows are missing; a stretch off it in its nearest places."""
         kept = column[: self.n_rows]
         if self.places is None:
             return kept
-        made = np.full(int(self.places[-1]) + 1, np.nan, dtype=column.dtype)
-        made[self.places] = kept
-        return made
+        gridded = np.full(int(self.places[-1]) + 1, np.nan, dtype=column.dtype)
+        gridded[self.places] = kept
+        return gridded
+
+    def align(self, signal: FloatArray) -> None:
+        """Shift each stretch of ``signal`` (place,), as on_grid lays it, onto the grid in place; NaN at its ends."""
+        if self.starts is None or self.offsets is None:
+            return
+        for first, end, offset in zip(self.starts, [*self.starts[1:], signal.size], self.offsets, strict=True):
+            if offset:
+                signal[first:end] = shifted(signal[first:end], float(offset))
+
+    def places_in_time(self, place: Floats) -> Floats:
+        """Places (n,) on the grid of the times at which a stretch was at ``place`` (n,) of a trace laid on_grid."""
+        if self.starts is None or self.offsets is None:
+            return place
+        return np.asarray(place + self.offsets[np.searchsorted(self.starts, place, side="right") - 1])
 
 
 def read_time_column(
@@ -59,43 +87,52 @@ def read_time_column(
         detail = f"{times.size - n_rows} rows at the end whose time is 0 are left out"
         flags.append(flag(path, "rows_of_zeros", "info", detail))
         times = times[:n_rows]
-    places, even = None, None if rounding is None else _even_within(times, rounding[:n_rows])
-    start, step_s = even or (float(times[0]), 0.0)
-    last = times.size - 1
-    if even is None:
-        _refuse_disorder(times, path)
-        places = _places(times, path, settings, flags)
-        last = last if places is None else int(places[-1])
-        step_s = (float(times[-1]) - start) / last
-    jitter = max(
-        float(np.abs((_double(times, part) - start) / step_s - _numbers(places, part)).max())
-        for part in blocks(times.size)
-    )
-    if even is None and jitter > settings.max_time_jitter_samples:
-        raise InputError(
-            f"the time column is not uniform: off by {jitter:.3g} samples",
-            file=path,
-            allowed=f"{settings.max_time_jitter_samples:g} samples (ingest.max_time_jitter_samples)",
-            remedy="Resample the recording, or drop time_source and state [sampling] rate_hz",
-        )
+    written = 0.0
+    if rounding is not None and (even := _even_within(times, rounding[:n_rows])) is not None:
+        written = float(np.abs(times - even).max() / (even[1] - even[0]))
+        times = even
+    _refuse_disorder(times, path)
+    first, step_s, exact, jitter = _even_stretches(times, BREAKS[0])
+    places = _whole_places(times, first, step_s) if first.size > 1 else None
+    starts = offsets = None
+    last = times.size - 1 if places is None else int(places[-1])
+    grid_s = (float(times[-1]) - float(times[0])) / last
+    off_grid = _jitter(times, grid_s, places)
+    if off_grid <= settings.max_time_jitter_samples:
+        step_s, jitter = grid_s, off_grid
+    else:
+        for least in BREAKS[1:]:
+            if jitter > settings.max_time_jitter_samples:
+                first, step_s, exact, jitter = _even_stretches(times, least)
+        if jitter > settings.max_time_jitter_samples or first.size * FEWEST_ROWS > times.size:
+            raise _uneven(times, first, step_s, jitter if first.size == 1 else off_grid, path, settings)
+        starts = np.round(exact).astype(np.int64)
+        offsets = exact - starts
+        offsets[np.abs(offsets) < settings.time_jitter_samples] = 0.0
+        places = np.arange(times.size) + np.repeat(starts - first, np.diff(first, append=times.size))
+        last = times.size // first.size
+    if first.size > 1:
+        flags.append(_gaps(times, first, step_s, path, settings, moved=offsets is not None))
+    jitter = max(jitter, written)
     if jitter > settings.time_jitter_samples:
         detail = f"times lie off a uniform grid by up to {jitter:.2g} samples (rounded?); a uniform grid is used"
         flags.append(flag(path, "time_jitter", "info", detail))
     # each end is known to within its own jitter, and a rounding error of the arithmetic
     uncertainty = 2.0 * max(jitter, 1e-9) / last
     # twelve digits: 100 kHz in a decimal column is 100 kHz, not 100000.00000000001
-    return TimeColumn(float(f"{1.0 / step_s:.12g}"), uncertainty, start, flags, n_rows, places)
+    rate_hz = float(f"{1.0 / step_s:.12g}")
+    return TimeColumn(rate_hz, uncertainty, float(times[0]), flags, n_rows, places, starts, offsets)
 
 
-def _even_within(times: FloatArray, rounding: Floats) -> tuple[float, float] | None:
-    """Start and step of the even times that ``times`` (sample,) are within their ``rounding``; None where uneven."""
+def _even_within(times: FloatArray, rounding: Floats) -> Floats | None:
+    """The even times that ``times`` (sample,) are within their ``rounding``; None where they are uneven."""
     if times.size < 3 or not np.isfinite(times).all() or not rounding.min() > 0.0:
         return None
     numbers = np.arange(times.size)
     step_s, start_s = np.polyfit(numbers, times, 1, w=1.0 / rounding)
-    off = np.abs(times - (start_s + step_s * numbers))
+    even = np.asarray(start_s + step_s * numbers)
     # a fit to rounded times is off by a part of their rounding
-    return (float(start_s), float(step_s)) if step_s > 0.0 and (off <= 1.5 * rounding).all() else None
+    return even if step_s > 0.0 and (np.abs(times - even) <= 1.5 * rounding).all() else None
 
 
 def _double(times: FloatArray, part: slice) -> Floats:
@@ -138,33 +175,90 @@ def _refuse_disorder(times: FloatArray, path: Path) -> None:
             )
 
 
-def _places(times: FloatArray, path: Path, settings: IngestSettings, flags: list[QualityFlag]) -> Ints | None:
-    """Place of each of ``times`` on the uniform grid where some are missing, which joins the ``flags``; else None.
+def _even_stretches(times: FloatArray, least: float) -> tuple[Ints, float, Floats, float]:
+    """Stretches of ``times`` between steps that are off by more than ``least`` of a sample.
 
-    Raises InputError where more are missing than ``settings`` allow.
+    The first row of each; the step [s] within them; the place of each on a grid of that step that begins with the
+    first, by the mean of its rows; and the largest jitter within one of them in samples.
     """
     usual_s = float(np.median(np.diff(_double(times, slice(SOME_TIMES)))))
-    after = np.concatenate([first + np.flatnonzero(steps > 1.5 * usual_s) for first, steps in _steps(times)])
-    if not after.size:
-        return None
-    wide = np.asarray(times[after + 1] - times[after], dtype=np.float64)
+    after = np.concatenate(
+        [at + np.flatnonzero(np.abs(steps - usual_s) > least * usual_s) for at, steps in _steps(times)]
+    )
+    first = np.append(0, after + 1)
     # between the gaps steps that were rounded add up to the true one
-    step_s = (float(times[-1]) - float(times[0]) - wide.sum()) / (times.size - 1 - after.size)
-    lost = np.round(wide / step_s).astype(np.int64) - 1
-    place = int(after[np.argmax(lost)])
-    where = f"after sample {place} ({times[place]:.9g} s)"
+    within_s = float(times[-1]) - float(times[0]) - float(np.sum(times[after + 1] - times[after], dtype=np.float64))
+    if first.size == times.size:
+        return first, usual_s, np.zeros(1), np.inf
+    step_s = within_s / (times.size - first.size)
+    if first.size == 1:
+        return first, step_s, np.zeros(1), _jitter(times, step_s, None)
+    rows = np.diff(first, append=times.size)
+    rest = (_double(times, slice(None)) - times[0]) / step_s - np.arange(times.size)
+    mean = np.add.reduceat(rest, first) / rows
+    jitter = float(np.abs(rest - np.repeat(mean, rows)).max())
+    return first, step_s, mean - mean[0] + first, jitter
+
+
+def _whole_places(times: FloatArray, first: Ints, step_s: float) -> Ints:
+    """Place of each of ``times`` on the grid of ``step_s``, were all gaps before the rows ``first`` whole samples."""
+    moved = np.zeros(times.size, dtype=np.int64)
+    moved[first[1:]] = np.round((times[first[1:]] - times[first[1:] - 1]) / step_s).astype(np.int64) - 1
+    return np.asarray(np.arange(times.size) + np.cumsum(np.maximum(moved, 0)))
+
+
+def _jitter(times: FloatArray, step_s: float, places: Ints | None) -> float:
+    """Samples by which one of ``times`` lies off the grid of ``step_s`` that begins with the first, at most."""
+    return max(
+        float(np.abs((_double(times, part) - float(times[0])) / step_s - _numbers(places, part)).max())
+        for part in blocks(times.size)
+    )
+
+
+def _uneven(
+    times: FloatArray, first: Ints, step_s: float, off: float, path: Path, settings: IngestSettings
+) -> InputError:
+    """The error of ``times`` that are ``off`` a uniform grid, and uneven between the gaps before the rows ``first``."""
+    if first.size == 1:
+        found = f"steps of {step_s:.6g} s in the mean"
+    else:
+        found = f"{first.size - 1} steps unlike {step_s:.6g} s, the first after sample {first[1] - 1}"
+    return InputError(
+        f"the time column is not uniform: off by {off:.3g} samples, and not even between gaps",
+        file=path,
+        found=found,
+        allowed=f"{settings.max_time_jitter_samples:g} samples (ingest.max_time_jitter_samples)",
+        remedy="Interpolate the signals at even times. Only where a converter took them at an even rate and the times "
+        "are those of its reader, drop time_source and state [sampling] rate_hz",
+    )
+
+
+def _gaps(
+    times: FloatArray, first: Ints, step_s: float, path: Path, settings: IngestSettings, *, moved: bool
+) -> QualityFlag:
+    """The flag of the gaps before the rows ``first`` of ``times``; ``moved``: stretches were shifted onto the grid.
+
+    Raises InputError where more samples are missing than ``settings`` allow.
+    """
+    after = first[1:] - 1
+    wide = np.asarray(times[first[1:]] - times[after], dtype=np.float64)
+    lost = wide / step_s - 1.0
+    total = round(float(lost.sum()), 1 if moved else None)
+    longest = int(np.argmax(lost))
+    where = f"after sample {after[longest]} ({times[after[longest]]:.9g} s)"
     found = f"a step of {wide.max():.6g} s among steps of {step_s:.6g} s"
-    total = int(lost.sum())
     if total > settings.max_missing_fraction * (times.size + total):
         raise InputError(
             f"{total} samples are missing", file=path, place=where, found=found, remedy="Split the recording there"
         )
     gaps = f"in {after.size} gaps, the longest" if after.size > 1 else "in one gap"
-    detail = f"{total} samples are missing {gaps} {where}: {found}; what touches a gap is left out"
-    flags.append(flag(path, "time_gap", "suspect", detail))
-    moved = np.zeros(times.size, dtype=np.int64)
-    moved[after + 1] = lost
-    return np.arange(times.size) + np.cumsum(moved)
+    detail = f"{total} samples are missing {gaps} {where}: {found}"
+    if after.size > 1:
+        listed = ", ".join(f"{samples:.4g} after {row}" for samples, row in zip(lost[:LISTED], after, strict=False))
+        detail += f" ({listed}{f' and {after.size - LISTED} more' if after.size > LISTED else ''})"
+    if moved:
+        detail += "; what lies between gaps is moved by parts of a sample onto one grid, at its true times"
+    return flag(path, "time_gap", "suspect", f"{detail}; what touches a gap is left out")
 
 
 def agreed_rate(

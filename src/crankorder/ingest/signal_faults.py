@@ -23,6 +23,9 @@ _SENTINELS = (-999.0, -9999.0, -99999.0, 9999.0, 99999.0)
 _STEEP_STEPS = 10.0
 
 
+# samples between gaps, in the middle of all such stretches, that are worth analysing by themselves
+_FEWEST_BETWEEN = 128
+
 Mask = Callable[[FloatArray], Bools]
 
 
@@ -178,9 +181,12 @@ def _missing(signal: FloatArray) -> Mask:
 
 def _without(signal: FloatArray, missing: Runs, settings: IngestSettings) -> list[SignalFault]:
     """Bridge the short of the ``missing`` runs, make the others NaN, and flag both."""
-    short = missing.where(missing.lengths <= settings.max_gap_samples)
-    gaps = missing.where(missing.lengths > settings.max_gap_samples)
-    total, bridged = int(missing.lengths.sum()), int(short.lengths.sum())
+    is_short = missing.lengths <= settings.max_gap_samples
+    total, bridged = int(missing.lengths.sum()), int(missing.lengths[is_short].sum())
+    between = np.diff(missing.starts, prepend=0, append=signal.size)
+    if bridged > settings.max_gap_fraction * signal.size and np.median(between) >= _FEWEST_BETWEEN:
+        is_short[:], bridged = False, 0  # too many to bridge, and far enough apart to leave out what touches them
+    short, gaps = missing.where(is_short), missing.where(~is_short)
     limits = ((total, settings.max_missing_fraction, "in all"), (bridged, settings.max_gap_fraction, "to bridge"))
     for count, most, how in limits:
         if count > most * signal.size:

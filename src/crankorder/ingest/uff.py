@@ -303,7 +303,9 @@ def _sampled(
         rounding = 0.5 * 10.0 ** (np.floor(np.log10(np.maximum(np.abs(times), times[1]))) + 1 - n_digits)
     samples = samples.astype(point["value"].newbyteorder("="))
     column = read_time_column(times * history.time_s, path, settings=settings, rounding=rounding * history.time_s)
-    return column.on_grid(samples), column
+    samples = column.on_grid(samples)
+    column.align(samples)
+    return samples, column
 
 
 def _numbers(block: bytes, history: _History, path: Path) -> NDArray[np.float64]:

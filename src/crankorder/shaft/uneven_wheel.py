@@ -19,7 +19,15 @@ import numpy.typing as npt
 
 from crankorder.shaft.pattern import ToothPattern, grid_of, known_names, pattern_of
 from crankorder.shaft.pulses import FloatArray, Remark
-from crankorder.shaft.repair import CLEAN_CHANGE, REPAIR_COST, FollowedWheel, IntArray, followed_wheel, running_part
+from crankorder.shaft.repair import (
+    CLEAN_CHANGE,
+    REPAIR_COST,
+    STANDSTILL_RPM,
+    FollowedWheel,
+    IntArray,
+    followed_wheel,
+    running_part,
+)
 
 # Pulses that are looked at, where the train is fastest; most teeth that are looked for; fewest revolutions seen.
 BLOCK_PULSES, MOST_TEETH, FEWEST_REVS = 3000, 400, 3
@@ -68,7 +76,8 @@ def find_pattern(time_s: FloatArray, *, index_time_s: FloatArray | None = None) 
     block = _fastest(time_s)
     per_index = _pulses_per_index(time_s, index_time_s)
     teeth = _repeating(block)
-    pattern = _pattern(block, teeth) if teeth else None
+    turns = teeth and float(np.ptp(block)) * STANDSTILL_RPM / 60.0 < (block.size - 1) / teeth
+    pattern = _pattern(block, teeth) if turns else None
     if pattern is not None and per_index and per_index % teeth == 0:
         pattern = _repeated(pattern, per_index // teeth)
     elif pattern is None and per_index:

@@ -170,6 +170,7 @@ def number_teeth(
     index_time_s: FloatArray | None = None,
     ratio: float = 1.0,
     noise_s: float = 0.0,
+    gap_starts_s: npt.ArrayLike = (),
 ) -> NumberedTeeth:
     """Tooth number of every true pulse, after repair, with the place of the revolution mark.
 
@@ -184,6 +185,7 @@ def number_teeth(
     index_time_s : (marks,), s, times of the once-per-revolution mark, or None
     ratio : encoder revolutions per crank revolution; the index may sit on either shaft
     noise_s : standard deviation of one pulse time, s; at few samples per pulse it widens what is plausible
+    gap_starts_s : (gaps,), s, where the recording has gaps: what was lost in one counts for no fault of the encoder
 
     Returns
     -------
@@ -217,7 +219,8 @@ def number_teeth(
         kept_time, tooth = _growing(kept_time, tooth)
     lost = _lost_teeth(tooth, wheel)
     _flag_lost(lost, kept_time, tooth, wheel, index_tooth, flags)
-    if n_false + lost.size > settings.max_repaired_fraction * time_s.size:
+    in_gap = np.isin(np.searchsorted(tooth, lost), np.searchsorted(kept_time, gap_starts_s))
+    if n_false + np.count_nonzero(~in_gap) > settings.max_repaired_fraction * time_s.size:
         raise _uncertain(time_s, lost.size, n_false, wheel, settings)
     if not wheel.even:
         true = ~displaced_teeth(kept_time, tooth, wheel, flags)
@@ -481,7 +484,9 @@ def stated_wheel(recording: xr.Dataset) -> tuple[dict[str, Any], list[Remark]]:
             "the recording holds no pulse times", place="encoder", remedy="Check the encoder's source in run.toml"
         )
     pulse_s, index_s = recording["pulse_time"].values.astype(np.float64), times_of(recording, "index_time")
-    return _wheel_of(recording.attrs, pulse_s, index_s)
+    # a gap hides pulses, again and again: between gaps the wheel shows itself
+    parts = np.split(pulse_s, np.searchsorted(pulse_s, recording.attrs.get("gap_starts_s", [])))
+    return _wheel_of(recording.attrs, max(parts, key=len), index_s)
 
 
 def _wheel_of(
@@ -548,7 +553,9 @@ def numbered_part(recording: xr.Dataset, settings: ShaftSettings, wheel: dict[st
     stated, ratio = (
         float(recording.attrs.get(name, usual)) for name, usual in (("pulse_noise_s", 0.0), ("ratio", 1.0))
     )
-    return number_teeth(pulse_s, **wheel, settings=settings, index_time_s=index_s, ratio=ratio, noise_s=stated)
+    gaps_s = recording.attrs.get("gap_starts_s", ())
+    given = {"index_time_s": index_s, "ratio": ratio, "noise_s": stated, "gap_starts_s": gaps_s}
+    return number_teeth(pulse_s, **wheel, settings=settings, **given)
 
 
 def mark_flags(teeth: NumberedTeeth, recording: xr.Dataset) -> list[Remark]:
