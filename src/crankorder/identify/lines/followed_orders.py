@@ -14,6 +14,7 @@ from crankorder.identify.found import AgreedOrder, OrderLine, Tone, ToneKind
 from crankorder.identify.intervals import half_width, half_widths, interval
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.agreed_orders import NUMBERS as AGREED_ORDERS
+from crankorder.identify.lines.cfar import LOWEST_BINS
 from crankorder.identify.lines.order_lock import nearest_multiple, sure_half_width
 from crankorder.identify.lines.parted_lines import Followed, lines_of, standing_out
 from crankorder.identify.said import UNRESOLVED
@@ -65,22 +66,27 @@ def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Da
 def with_followed(
     orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset], order_map: xr.Dataset
 ) -> tuple[AgreedOrder, ...]:
-    """``orders`` and, undecided, those multiples of the cycle's that tracks of ``followed`` (RecordingTracks) show.
+    """``orders`` and, undecided, those that tracks of ``followed`` (RecordingTracks) alone show.
 
-    A fast sweep lets an order stand out for a moment only, as where it meets a mode: too few speeds of the OrderMap
-    ``order_map`` hold it, but the frames of its recording told that it is worth following.
+    A fast sweep lets a multiple of the cycle's order stand out for a moment only, as where it meets a mode: too few
+    speeds of the OrderMap ``order_map`` hold it, but the frames of its recording told that it is worth following. And
+    slow lines, of which the frames of the map hold too few periods, stand out in the longer ones that it was read in.
     """
     cycle = int(order_map.attrs["revs_per_cycle"])
     found = list(orders)
     axis = order_map["order"].values
     if len(axis) < 2:
         return tuple(orders)
-    apart = 0.5 * float(axis[1] - axis[0])
+    step = float(axis[1] - axis[0])
     for item in followed:
+        slow = _slow_lines(item, LOWEST_BINS * step)
         for place in standing_out(item):
             number = float(item["order"].values[place])
+            nearest = min((abs(number - item["order"].values[other]) for other in slow if other != place), default=step)
+            apart = 0.5 * min(step, nearest) if place in slow else 0.5 * step
             known = any(abs(one.order - number) <= max(NUMBERS.same_order * number, apart) for one in found)
-            if known or abs(nearest_multiple(number, revs_per_cycle=cycle) - number) > NUMBERS.same_order * number:
+            off = abs(nearest_multiple(number, revs_per_cycle=cycle) - number)
+            if known or (off > NUMBERS.same_order * number and place not in slow):
                 continue
             clear = _clear_rows(item, place)
             if clear.any():
@@ -90,6 +96,15 @@ def with_followed(
                 why = f"{ONLY_FOLLOWED}; {IN_SWEEP}"
                 found.append(AgreedOrder(number, error, np.inf, "undecided", None, lines, why))
     return tuple(sorted(found, key=lambda one: one.order))
+
+
+def _slow_lines(item: xr.Dataset, width: float) -> list[int]:
+    """Places of the lines standing out in the tracks ``item`` that are within ``width`` orders of order 0, or of the
+    one before that is: frames that short hold them as one with the mean."""
+    places = standing_out(item)
+    numbers = item["order"].values[places]
+    within = np.cumprod(np.diff(numbers, prepend=0.0) < width).astype(bool)
+    return [place for place, slow in zip(places, within.tolist(), strict=True) if slow]
 
 
 def _clear_rows(item: xr.Dataset, place: int) -> NDArray[np.bool_]:
