@@ -101,7 +101,8 @@ def with_followed(
 def _slow_lines(item: xr.Dataset, width: float) -> list[int]:
     """Places of the lines standing out in the tracks ``item`` that are within ``width`` orders of order 0, or of the
     one before that is: frames that short hold them as one with the mean."""
-    places = standing_out(item)
+    if not (places := standing_out(item)):
+        return []
     numbers = item["order"].values[places]
     within = np.cumprod(np.diff(numbers, prepend=0.0) < width).astype(bool)
     return [place for place, slow in zip(places, within.tolist(), strict=True) if slow]
