@@ -31,6 +31,7 @@ from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.followed_orders import (
     fixed_lines,
     numbered_as_followed,
+    slow_flags,
     with_followed,
     with_track_rows,
 )
@@ -131,7 +132,11 @@ def find(
         balance=None,
         looked_for=("orders", "modes", "bearings", *(("envelope",) if _has_spectra(envelope) else ())),
         false_alarm_probability=asked.false_alarm_probability,
-        quality=quality_of(flags + fold_flags(order_map, settings=settings, folds=folds)),
+        quality=quality_of(
+            flags
+            + fold_flags(order_map, settings=settings, folds=folds)
+            + slow_flags(order_map, in_map, frames, settings=settings)
+        ),
     )
     closed = _balance(order_map, orders, modal, sources, causes)
     return _with_levels(_with_sums(told, speeds, motor, shares[0], level_records(levels), closed), vibration, sources)

@@ -14,13 +14,16 @@ from crankorder.identify.found import AgreedOrder, OrderLine, Tone, ToneKind
 from crankorder.identify.intervals import half_width, half_widths, interval
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.agreed_orders import NUMBERS as AGREED_ORDERS
-from crankorder.identify.lines.cfar import LOWEST_BINS
+from crankorder.identify.lines.cfar import LOWEST_BINS, excess_over_noise, noise_level
+from crankorder.identify.lines.line_phasors import is_swept, recordings_of
 from crankorder.identify.lines.order_lock import nearest_multiple, sure_half_width
 from crankorder.identify.lines.parted_lines import Followed, lines_of, standing_out
+from crankorder.identify.lines.swept_orders import longest_frame
 from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.fixed_lines import FixedLine, MetRow, OrderRows
 from crankorder.orders.track_rows import TrackReader, all_tracked, track_order
-from crankorder.settings import MethodNumbers, OrderSettings
+from crankorder.quantities import QualityFlag
+from crankorder.settings import MethodNumbers, OrderSettings, Settings
 
 
 class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="followed_orders"):
@@ -108,6 +111,40 @@ def _slow_lines(item: xr.Dataset, width: float) -> list[int]:
     return [place for place, slow in zip(places, within.tolist(), strict=True) if slow]
 
 
+def slow_flags(
+    order_map: xr.Dataset, orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset], *, settings: Settings
+) -> list[QualityFlag]:
+    """That something stands below the lowest order that the OrderMap ``order_map`` tells, and none of ``orders`` does.
+
+    At most of its speeds in a channel, above what noise reaches there by ``settings``: by the last bin below, which
+    holds nothing of the mean. The length of the recordings of ``frames`` (OrderFrames) says what longer frames tell.
+    """
+    axis, revs = order_map["order"].values, float(order_map.attrs["revs_per_frame"])
+    at = int(LOWEST_BINS)
+    if len(axis) <= at + 1 or any(one.order * revs < LOWEST_BINS for one in orders):
+        return []
+    over = excess_over_noise(order_map, settings=settings.identify, orders=settings.orders)
+    n, chance = order_map["n_independent"].values, settings.identify.false_alarm_probability
+    levels = [
+        [noise_level(float(k), m, chance) for k, m in zip(n, row, strict=True)] for row in over.floor_worth[..., at]
+    ]
+    amplitude = order_map["amplitude"].values
+    # the skirt of a line that lies higher would rise
+    stands = (over.ratio[..., at] > np.array(levels)) & (amplitude[..., at] > amplitude[..., at + 1])
+    if not (stands.mean(axis=1) > MOSTLY).any():
+        return []
+    recordings = recordings_of(frames)
+    longest = longest_frame(revs, max((float(np.ptp(item.centre_rev)) + item.revs for item in recordings), default=0.0))
+    asks = "record longer at a held speed, for longer frames ([orders] revs_per_frame)"
+    if longest > revs and not any(is_swept(item.speed_rpm) for item in recordings):
+        reached = f"which tells orders from {LOWEST_BINS / longest:.2g} on"
+        asks = f"state [orders] revs_per_frame = {longest:g} in a recipe, {reached}"
+    what = (
+        f"below order {LOWEST_BINS / revs:.2g} stands a slow line or a drift, of which frames of {revs:g} revolutions"
+    )
+    return [{"recording": "all", "flag": "slow_lines", "severity": "info", "detail": f"{what} tell no order: {asks}"}]
+
+
 def _clear_rows(item: xr.Dataset, place: int) -> NDArray[np.bool_]:
     """Rows (channel, frame) in which the order at ``place`` of the tracks ``item`` stands out, of channels that do."""
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -139,6 +176,9 @@ FIXED_WORDS: dict[ToneKind, str] = {"mains": "mains", "tone": "a tone"}
 """Lines that stay where they are, in a sentence; what may be an order is none."""
 
 Floats = NDArray[np.float64]
+
+MOSTLY = 0.5
+"""Share of the speeds of a map at which what stands below its lowest order must stand."""
 
 
 def with_track_rows(
