@@ -72,7 +72,7 @@ def test_below_the_lowest_order_of_its_frames_it_is_said_which_frames_tell(tmp_p
     folder = recorded(tmp_path / "in", {0.05: 3.0}, rate_hz=200.0, rpm=np.full(8000, 1500.0), noise=0.05)
     findings, said = run(folder)
     assert not findings["orders"]
-    assert "Below order 0.16 stands a slow line" in said and "revs_per_frame = 128" in said
+    assert "Below order 0.16 stands a slow line" in said and "revs_per_frame = 128 in a recipe" in said
     recipe = tmp_path / "long.toml"
     recipe.write_text("[orders]\nrevs_per_frame = 128\n", encoding="utf-8")
     findings, said = run(folder, "--recipe", recipe)

@@ -88,8 +88,8 @@ def with_followed(
             nearest = min((abs(number - item["order"].values[other]) for other in slow if other != place), default=step)
             apart = 0.5 * min(step, nearest) if place in slow else 0.5 * step
             known = any(abs(one.order - number) <= max(NUMBERS.same_order * number, apart) for one in found)
-            off = abs(nearest_multiple(number, revs_per_cycle=cycle) - number)
-            if known or (off > NUMBERS.same_order * number and place not in slow):
+            off = 0.0 if place in slow else abs(nearest_multiple(number, revs_per_cycle=cycle) - number)
+            if known or off > NUMBERS.same_order * number:
                 continue
             clear = _clear_rows(item, place)
             if clear.any():
@@ -104,11 +104,10 @@ def with_followed(
 def _slow_lines(item: xr.Dataset, width: float) -> list[int]:
     """Places of the lines standing out in the tracks ``item`` that are within ``width`` orders of order 0, or of the
     one before that is: frames that short hold them as one with the mean."""
-    if not (places := standing_out(item)):
-        return []
-    numbers = item["order"].values[places]
-    within = np.cumprod(np.diff(numbers, prepend=0.0) < width).astype(bool)
-    return [place for place, slow in zip(places, within.tolist(), strict=True) if slow]
+    places = standing_out(item)
+    numbers = [float(item["order"].values[place]) for place in places]
+    within = np.cumprod(np.diff(numbers, prepend=0.0) < width)
+    return [place for place, slow in zip(places, within, strict=True) if slow]
 
 
 def slow_flags(
@@ -119,26 +118,20 @@ def slow_flags(
     At most of its speeds in a channel, above what noise reaches there by ``settings``: by the last bin below, which
     holds nothing of the mean. The length of the recordings of ``frames`` (OrderFrames) says what longer frames tell.
     """
-    axis, revs = order_map["order"].values, float(order_map.attrs["revs_per_frame"])
-    at = int(LOWEST_BINS)
-    if len(axis) <= at + 1 or any(one.order * revs < LOWEST_BINS for one in orders):
+    revs, at, amplitude = float(order_map.attrs["revs_per_frame"]), int(LOWEST_BINS), order_map["amplitude"].values
+    if amplitude.shape[2] <= at + 1 or any(one.order * revs < LOWEST_BINS for one in orders):
         return []
     over = excess_over_noise(order_map, settings=settings.identify, orders=settings.orders)
-    n, chance = order_map["n_independent"].values, settings.identify.false_alarm_probability
-    levels = [
-        [noise_level(float(k), m, chance) for k, m in zip(n, row, strict=True)] for row in over.floor_worth[..., at]
-    ]
-    amplitude = order_map["amplitude"].values
-    # the skirt of a line that lies higher would rise
-    stands = (over.ratio[..., at] > np.array(levels)) & (amplitude[..., at] > amplitude[..., at + 1])
-    if not (stands.mean(axis=1) > MOSTLY).any():
+    n, chance = order_map["n_independent"].values.astype(float), settings.identify.false_alarm_probability
+    stands = over.ratio[..., at] > np.vectorize(noise_level)(n, over.floor_worth[..., at], chance)
+    stands &= amplitude[..., at] > amplitude[..., at + 1]  # the skirt of a line that lies higher would rise
+    if not (stands.mean(axis=1) > 0.5).any():
         return []
     recordings = recordings_of(frames)
     longest = longest_frame(revs, max((float(np.ptp(item.centre_rev)) + item.revs for item in recordings), default=0.0))
     asks = "record longer at a held speed, for longer frames ([orders] revs_per_frame)"
     if longest > revs and not any(is_swept(item.speed_rpm) for item in recordings):
-        reached = f"which tells orders from {LOWEST_BINS / longest:.2g} on"
-        asks = f"state [orders] revs_per_frame = {longest:g} in a recipe, {reached}"
+        asks = f"[orders] revs_per_frame = {longest:g} in a recipe tells those from {LOWEST_BINS / longest:.2g} on"
     what = (
         f"below order {LOWEST_BINS / revs:.2g} stands a slow line or a drift, of which frames of {revs:g} revolutions"
     )
@@ -176,9 +169,6 @@ FIXED_WORDS: dict[ToneKind, str] = {"mains": "mains", "tone": "a tone"}
 """Lines that stay where they are, in a sentence; what may be an order is none."""
 
 Floats = NDArray[np.float64]
-
-MOSTLY = 0.5
-"""Share of the speeds of a map at which what stands below its lowest order must stand."""
 
 
 def with_track_rows(

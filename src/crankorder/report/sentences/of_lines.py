@@ -52,7 +52,7 @@ def line_sentences(findings: Findings) -> list[str]:
 
 
 def slow_sentences(findings: Findings) -> list[str]:
-    """That something stands below the lowest order that the frames tell, where it does."""
+    """That something stands below the lowest order that the frames tell, where ``findings`` have it."""
     return [f"{flag.detail[:1].upper()}{flag.detail[1:]}." for flag in findings.quality if flag.flag == "slow_lines"]
 
 
