@@ -12,6 +12,7 @@ from crankorder.errors import InputError
 from crankorder.orders.frames import order_frames
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
+from crankorder.shaft.decode import shaft_angle
 from made.recordings import line, named, run_up, shaft, steady, total
 
 SETTINGS = load_settings().orders
@@ -85,6 +86,38 @@ def test_any_number_of_revolutions_is_analysed():
             assert frames.attrs["revs_per_frame"] == min(revolutions, 16) // cycle * cycle
             if frames.attrs["revs_per_frame"] > 1:
                 np.testing.assert_allclose(np.abs(frames["spectrum"].sel(order=2.0).values), 1.0, atol=1e-6)
+
+
+@pytest.mark.cases(4)
+@pytest.mark.parametrize("rise", [0.0, 1.5])
+@pytest.mark.parametrize("encoder", ["speed", "square"])
+def test_a_record_of_whole_turns_is_read_to_its_last_sample(encoder, rise):
+    settings = SETTINGS.model_copy(update={"method": "nufft", "max_order": 4.0})  # this method reads up to both ends
+    for turns in (*range(2, 36), 63, 64, 65, 200):
+        for more in (-1, 0, 1):
+            band = _whole_turns(turns, encoder, rise=rise, more=more)
+            frames = order_frames(band, shaft_angle(band, settings=load_settings().shaft), settings=settings)
+            assert frames.attrs["revs_per_frame"] + frames["crank_angle"].values[-1] > turns - 9
+            np.testing.assert_allclose(np.abs(frames["spectrum"].sel(order=1.0).values), 1.0, atol=0.02)
+
+
+def _whole_turns(turns: int, encoder: str, *, rise: float, more: int) -> xr.Dataset:
+    """Recording of order 1, ``turns`` turns and ``more`` samples long, in which the speed rises by a share ``rise``."""
+    rate_hz = 1000.0
+    duration_s = round(turns / 17.3 / (1.0 + 0.5 * rise) * rate_hz) / rate_hz
+    time_s = np.arange(round(duration_s * rate_hz) + 1 + more) / rate_hz
+    first_hz = turns / duration_s / (1.0 + 0.5 * rise)
+    angle = first_hz * (time_s + 0.5 * rise * time_s**2 / duration_s)
+    band = steady(
+        [lambda *_: np.cos(2 * np.pi * angle)], speed_rpm=1.0, duration_s=len(angle) / rate_hz, rate_hz=rate_hz
+    )[0]
+    band.attrs |= {"encoder_kind": encoder, "revs_per_cycle": 1, "missing_teeth": 0, "ratio": 1.0}
+    if encoder == "speed":
+        speed = 60.0 * first_hz * (1.0 + rise * time_s / duration_s)
+        return band.assign(speed_signal=("time", speed, {"units": "min-1"}))
+    edges = np.interp(np.arange(math.floor(angle[-1] * 60.0 + 1e-9) + 1) / 60.0, angle, time_s)
+    band.attrs["pulses_per_rev"] = 60
+    return band.assign(pulse_time=("pulse", edges, {"units": "s"}))
 
 
 def test_orders_that_the_rate_cannot_carry_are_missing_not_wrong():

@@ -31,6 +31,7 @@ from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.followed_orders import (
     fixed_lines,
     numbered_as_followed,
+    slow_flags,
     with_followed,
     with_track_rows,
 )
@@ -115,6 +116,8 @@ def find(
     found, speeds = _speeds(going_with_speed(orders, causes), modal, tested, unit, sources, asked, doubt)
     meetings = crossing_records(found)
     records = order_records(orders, causes, meetings, modal, unit=unit)
+    flags += fold_flags(order_map, settings=settings, folds=folds)
+    flags += slow_flags(order_map, in_map, frames, settings=settings)
     shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
     told = Findings(
         schema_version=SCHEMA_VERSION,
@@ -131,7 +134,7 @@ def find(
         balance=None,
         looked_for=("orders", "modes", "bearings", *(("envelope",) if _has_spectra(envelope) else ())),
         false_alarm_probability=asked.false_alarm_probability,
-        quality=quality_of(flags + fold_flags(order_map, settings=settings, folds=folds)),
+        quality=quality_of(flags),
     )
     closed = _balance(order_map, orders, modal, sources, causes)
     return _with_levels(_with_sums(told, speeds, motor, shares[0], level_records(levels), closed), vibration, sources)

@@ -115,7 +115,7 @@ def _mean_speed(shaft: xr.Dataset, layout: FrameLayout) -> Floats:
     if shaft.attrs.get("domain", "time") == "crank_angle":
         return np.full(len(begin), float(shaft["speed"].values.mean()))
     knots = knots_of(shaft)
-    elapsed = time_at(np.minimum(begin + layout.revs, knots["knot_angle_rev"][-1]), **knots) - time_at(begin, **knots)
+    elapsed = time_at(begin + layout.revs, **knots) - time_at(begin, **knots)
     return np.asarray(60.0 * layout.revs / elapsed)
 
 
@@ -124,7 +124,7 @@ def _largest_sweep(shaft: xr.Dataset, layout: FrameLayout, speed_rpm: Floats) ->
     if shaft.attrs.get("domain", "time") == "crank_angle" or layout.revs < 2:
         return 0.0
     knots = knots_of(shaft)
-    ends = np.minimum(layout.begin_rev + layout.revs, knots["knot_angle_rev"][-1])
+    ends = layout.begin_rev + layout.revs
     first = time_at(layout.begin_rev + 1.0, **knots) - time_at(layout.begin_rev, **knots)
     last = time_at(ends, **knots) - time_at(ends - 1.0, **knots)
     return float((60.0 * np.abs(1.0 / last - 1.0 / first) / speed_rpm).max())

@@ -15,7 +15,7 @@ from crankorder.fft.plans import can_transform_uneven
 from crankorder.fft.resampling import Kernel, cheapest_kernel, kernel_named, values_at
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import LEAST_TOLERANCE, OrderSettings
-from crankorder.shaft.angle import SpeedCourse, angle_at, knots_of, time_at
+from crankorder.shaft.angle import ROUNDING_REV, SpeedCourse, angle_at, knots_of, time_at
 
 MOST_CONTENT = 0.4
 """Share of the sample rate up to which content is resampled; beyond it, kernels become long."""
@@ -28,9 +28,6 @@ MOST_CARRIED = 0.49
 
 METHOD_SHARE = 0.5
 """Share of the tolerance that is left to the method; the other half is the filter's that comes before it."""
-
-ROUNDING_REV = 1e-9
-"""By so much less than a whole frame may be covered: the last digits of an angle."""
 
 MOST_SWEPT = 0.03
 """Change of speed within a frame, as a share, above which frames are halved: the half-power width of 1.5 % damping."""
@@ -301,8 +298,7 @@ def frame_layout(
 def _turning(begin_rev: Floats, revs: int, shaft: xr.Dataset, course: SpeedCourse) -> Bools:
     """Whether the shaft turns throughout each frame, and its speed changes little or as fast as mostly; or all."""
     knots = knots_of(shaft)
-    ends = np.minimum(begin_rev + revs, knots["knot_angle_rev"][-1])
-    times = np.array([time_at(begin_rev, **knots), time_at(ends, **knots)])
+    times = np.array([time_at(begin_rev, **knots), time_at(begin_rev + revs, **knots)])
     mean = 60.0 * revs / np.diff(times, axis=0)[0]
     first, last = np.searchsorted(course.time_s, times)
     ends_rpm = np.interp(times, course.time_s, course.speed_rpm).T

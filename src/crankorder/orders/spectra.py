@@ -368,7 +368,6 @@ def _chunks(
     n_frames, hop, revs = len(layout.begin_rev), layout.hop_rev, layout.revs
     first = np.round(layout.begin_rev - layout.begin_rev[0]).astype(int)
     edges = layout.begin_rev[0] + np.arange(first[-1] + revs + 1, dtype=np.float64)
-    edges[-1] = min(edges[-1], float(shaft["crank_angle"].values[-1]))
     by_rev = rev_frequencies(shaft, edges)
     slowest = np.array([by_rev[k : k + revs].min() for k in first])
     begin = 0

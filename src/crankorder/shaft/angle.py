@@ -25,6 +25,8 @@ from crankorder.shaft.smoother import (
     penalty_of,
 )
 
+# By so much an angle may lie outside the knots and still be their end: its last digits, and those of a sum of speeds.
+ROUNDING_REV = 1e-9
 # Interpolation between knots may err by this share of the standard error, or by ROUND_OFF_REV if that is more.
 KNOT_ERROR_SHARE, ROUND_OFF_REV = 0.1, 1e-10
 # Teeth from which the usual standard error is taken, and pulse times whose precision is looked at.
@@ -250,6 +252,8 @@ def time_at(
 ) -> FloatArray:
     """Time [s] at which given crank angles are passed: the exact inverse of :func:`angle_at`, NaN outside the knots.
 
+    An angle outside them by rounding is their end, as that of a frame that ends with the record.
+
     Parameters
     ----------
     crank_angle_rev : (angles,), rev; fastest where they grow
@@ -257,7 +261,10 @@ def time_at(
     knot_angle_rev : (knots,), rev, increasing
     knot_speed_rpm : (knots,), rpm, 0 or more: the slopes of the cubics
     """
-    return _interpolated(crank_angle_rev, knot_angle_rev, knot_time_s, knot_speed_rpm, inverse=True)
+    angle = np.asarray(crank_angle_rev, dtype=np.float64)
+    known = np.clip(angle, knot_angle_rev[0], knot_angle_rev[-1])
+    angle = np.where(np.abs(angle - known) <= ROUNDING_REV, known, angle)
+    return _interpolated(angle, knot_angle_rev, knot_time_s, knot_speed_rpm, inverse=True)
 
 
 def _interpolated(

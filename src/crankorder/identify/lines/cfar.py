@@ -24,6 +24,9 @@ NUMBERS = _Numbers.load()
 LOBE_BINS = 2
 """A line between two bins fills so many on each side: they take no part in its own floor."""
 
+LOWEST_BINS = 2.5
+"""Bins from order 0 below which no line is told: the main lobe of the mean, and of what drifts, lies there."""
+
 ALIKE = (1.0, 4.0 / 9.0, 1.0 / 36.0)
 """Correlation of the powers of noise in Hann bins 0, 1 and 2 apart."""
 
@@ -72,7 +75,7 @@ def excess_over_noise(order_map: xr.Dataset, *, settings: IdentifySettings, orde
     excess = np.where(highest_of_three(energy) | by_phase, over, 0.0)
     if len(n_independent) == 1:
         excess = np.maximum(excess, _by_phase_alone(order_map, chance))
-    excess[..., axis < 2.5 * (axis[1] - axis[0])] = 0.0
+    excess[..., axis < LOWEST_BINS * (axis[1] - axis[0])] = 0.0
     return OverNoise(excess, ratio, floor, np.where(narrowed, near, wide))
 
 

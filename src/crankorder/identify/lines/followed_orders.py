@@ -14,12 +14,16 @@ from crankorder.identify.found import AgreedOrder, OrderLine, Tone, ToneKind
 from crankorder.identify.intervals import half_width, half_widths, interval
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.agreed_orders import NUMBERS as AGREED_ORDERS
+from crankorder.identify.lines.cfar import LOWEST_BINS, excess_over_noise, noise_level
+from crankorder.identify.lines.line_phasors import is_swept, recordings_of
 from crankorder.identify.lines.order_lock import nearest_multiple, sure_half_width
 from crankorder.identify.lines.parted_lines import Followed, lines_of, standing_out
+from crankorder.identify.lines.swept_orders import longest_frame
 from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.fixed_lines import FixedLine, MetRow, OrderRows
 from crankorder.orders.track_rows import TrackReader, all_tracked, track_order
-from crankorder.settings import MethodNumbers, OrderSettings
+from crankorder.quantities import QualityFlag
+from crankorder.settings import MethodNumbers, OrderSettings, Settings
 
 
 class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="followed_orders"):
@@ -65,22 +69,27 @@ def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Da
 def with_followed(
     orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset], order_map: xr.Dataset
 ) -> tuple[AgreedOrder, ...]:
-    """``orders`` and, undecided, those multiples of the cycle's that tracks of ``followed`` (RecordingTracks) show.
+    """``orders`` and, undecided, those that tracks of ``followed`` (RecordingTracks) alone show.
 
-    A fast sweep lets an order stand out for a moment only, as where it meets a mode: too few speeds of the OrderMap
-    ``order_map`` hold it, but the frames of its recording told that it is worth following.
+    A fast sweep lets a multiple of the cycle's order stand out for a moment only, as where it meets a mode: too few
+    speeds of the OrderMap ``order_map`` hold it, but the frames of its recording told that it is worth following. And
+    slow lines, of which the frames of the map hold too few periods, stand out in the longer ones that it was read in.
     """
     cycle = int(order_map.attrs["revs_per_cycle"])
     found = list(orders)
     axis = order_map["order"].values
     if len(axis) < 2:
         return tuple(orders)
-    apart = 0.5 * float(axis[1] - axis[0])
+    step = float(axis[1] - axis[0])
     for item in followed:
+        slow = _slow_lines(item, LOWEST_BINS * step)
         for place in standing_out(item):
             number = float(item["order"].values[place])
+            nearest = min((abs(number - item["order"].values[other]) for other in slow if other != place), default=step)
+            apart = 0.5 * min(step, nearest) if place in slow else 0.5 * step
             known = any(abs(one.order - number) <= max(NUMBERS.same_order * number, apart) for one in found)
-            if known or abs(nearest_multiple(number, revs_per_cycle=cycle) - number) > NUMBERS.same_order * number:
+            off = 0.0 if place in slow else abs(nearest_multiple(number, revs_per_cycle=cycle) - number)
+            if known or off > NUMBERS.same_order * number:
                 continue
             clear = _clear_rows(item, place)
             if clear.any():
@@ -90,6 +99,43 @@ def with_followed(
                 why = f"{ONLY_FOLLOWED}; {IN_SWEEP}"
                 found.append(AgreedOrder(number, error, np.inf, "undecided", None, lines, why))
     return tuple(sorted(found, key=lambda one: one.order))
+
+
+def _slow_lines(item: xr.Dataset, width: float) -> list[int]:
+    """Places of the lines standing out in the tracks ``item`` that are within ``width`` orders of order 0, or of the
+    one before that is: frames that short hold them as one with the mean."""
+    places = standing_out(item)
+    numbers = [float(item["order"].values[place]) for place in places]
+    within = np.cumprod(np.diff(numbers, prepend=0.0) < width)
+    return [place for place, slow in zip(places, within, strict=True) if slow]
+
+
+def slow_flags(
+    order_map: xr.Dataset, orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset], *, settings: Settings
+) -> list[QualityFlag]:
+    """That something stands below the lowest order that the OrderMap ``order_map`` tells, and none of ``orders`` does.
+
+    At most of its speeds in a channel, above what noise reaches there by ``settings``: by the last bin below, which
+    holds nothing of the mean. The length of the recordings of ``frames`` (OrderFrames) says what longer frames tell.
+    """
+    revs, at, amplitude = float(order_map.attrs["revs_per_frame"]), int(LOWEST_BINS), order_map["amplitude"].values
+    if amplitude.shape[2] <= at + 1 or any(one.order * revs < LOWEST_BINS for one in orders):
+        return []
+    over = excess_over_noise(order_map, settings=settings.identify, orders=settings.orders)
+    n, chance = order_map["n_independent"].values.astype(float), settings.identify.false_alarm_probability
+    stands = over.ratio[..., at] > np.vectorize(noise_level)(n, over.floor_worth[..., at], chance)
+    stands &= amplitude[..., at] > amplitude[..., at + 1]  # the skirt of a line that lies higher would rise
+    if not (stands.mean(axis=1) > 0.5).any():
+        return []
+    recordings = recordings_of(frames)
+    longest = longest_frame(revs, max((float(np.ptp(item.centre_rev)) + item.revs for item in recordings), default=0.0))
+    asks = "record longer at a held speed, for longer frames ([orders] revs_per_frame)"
+    if longest > revs and not any(is_swept(item.speed_rpm) for item in recordings):
+        asks = f"[orders] revs_per_frame = {longest:g} in a recipe tells those from {LOWEST_BINS / longest:.2g} on"
+    what = (
+        f"below order {LOWEST_BINS / revs:.2g} stands a slow line or a drift, of which frames of {revs:g} revolutions"
+    )
+    return [{"recording": "all", "flag": "slow_lines", "severity": "info", "detail": f"{what} tell no order: {asks}"}]
 
 
 def _clear_rows(item: xr.Dataset, place: int) -> NDArray[np.bool_]:

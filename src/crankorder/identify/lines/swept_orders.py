@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderLine
+from crankorder.identify.lines.cfar import LOWEST_BINS
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.like_speed import reframed
@@ -181,14 +182,15 @@ def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
             if order > 0.0 and all(abs(order - other) > step for other, _ in kept):
                 kept.append((order, line.level_over_floor_db))
     for item in lengths:
+        step = 1.0 / float(item.attrs["revs_per_frame"])
+        lowest = LOWEST_BINS * step  # below it is the mean
         for order, level in list(kept):
             others = [other for other, _ in kept]
             company = company_of(order, item, others)
-            if company > 0.0 and all(abs(company - other) > 0.5 * abs(company - order) for other in others):
+            if company > lowest and all(abs(company - other) > 0.5 * abs(company - order) for other in others):
                 numbers = settled((order, company), item, [other for other in others if other != order])
-                if numbers is None:
+                if numbers is None or min(numbers) < lowest:
                     continue
-                step = 1.0 / float(item.attrs["revs_per_frame"])
                 placed = [_on_multiple(number, cycle, step) for number in numbers]
                 kept.remove((order, level))
                 kept += [(number, level) for number in (placed if placed[0] != placed[1] else numbers)]

@@ -103,12 +103,12 @@ class Hiding:
     def amplification(self, unit: Mapping[str, str], matters: Mapping[str, float]) -> Array:
         """Largest amplification (G,), in the channel that has most of each ``unit``.
 
-        ``matters``: amplitude, by unit, below which none counts.
+        ``matters``: amplitude, by unit, below which none counts; any does of a unit without one.
         """
         most = np.zeros(self.base.shape[1])
         for name in dict.fromkeys(unit[channel] for channel in self.channels):
             own = np.array([unit[channel] == name for channel in self.channels])
-            least = np.maximum(self.noise[own].max(axis=0), matters[name])
+            least = np.maximum(self.noise[own].max(axis=0), matters.get(name, 0.0))
             without = np.maximum(self.base[own].max(axis=0), least)
             most = np.maximum(
                 most, np.maximum((self.base + self.added)[own].max(axis=0), least) / np.maximum(without, 1e-300)

@@ -37,7 +37,7 @@ def line_sentences(findings: Findings) -> list[str]:
     """What shakes: the strongest line of each channel of ``findings``, the strongest first, then what else there is."""
     names = _channels(findings)
     if not names:
-        return [*_above(findings), _nothing(findings)]
+        return [*_above(findings), _nothing(findings), *slow_sentences(findings)]
     sentences = [*_above(findings), *(strongest_sentence(findings, name, with_cause=True) for name in names[:_MANY])]
     if len(names) > _MANY:
         sentences.append("The tables hold the other channels.")
@@ -48,7 +48,12 @@ def line_sentences(findings: Findings) -> list[str]:
         texts = order_texts(orders)
         end = " and more." if len(texts) > _SHOWN else "."
         sentences.append(f"{len(orders)} order{'s' * (len(orders) > 1)} found: {', '.join(texts[:_SHOWN])}{end}")
-    return [*sentences, *_broadband(findings)]
+    return [*sentences, *slow_sentences(findings), *_broadband(findings)]
+
+
+def slow_sentences(findings: Findings) -> list[str]:
+    """That something stands below the lowest order that the frames tell, where ``findings`` have it."""
+    return [f"{flag.detail[:1].upper()}{flag.detail[1:]}." for flag in findings.quality if flag.flag == "slow_lines"]
 
 
 def _above(findings: Findings) -> list[str]:

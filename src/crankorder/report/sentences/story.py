@@ -18,6 +18,7 @@ from crankorder.report.sentences.of_lines import (
     line_sentences,
     mode_sentences,
     nothing_proven,
+    slow_sentences,
     strongest_sentence,
     tone_sentences,
 )
@@ -72,8 +73,8 @@ def headline(findings: Findings) -> list[str]:
 
     A limit that is passed, and those that are not decided; the strongest line with its cause, the first bearing's
     verdict (first where a bearing strikes), the worst speed, the residual unbalance (or why it is not known), the share
-    of energy that nothing explains; of what does not turn its natural frequencies. ``findings`` as in
-    ``data_schema/findings.json``. Never empty.
+    of energy that nothing explains; that something stands below the lowest order that is told; of what does not turn
+    its natural frequencies. ``findings`` as in ``data_schema/findings.json``. Never empty.
     """
     if findings.not_asked_for:
         return [*shaft_sentences(findings), f"Findings were {named(findings.not_asked_for, limit=400)}."]
@@ -87,6 +88,7 @@ def headline(findings: Findings) -> list[str]:
         *doubt_sentences(findings),
         *limits,
         *(bearings + lines if strikes(findings) else lines + bearings),
+        *slow_sentences(findings),
         *(avoid_sentences(findings) or free_sentences(findings))[:1],
         *balance_sentences(findings)[:1],
         *([energy] if energy else []),
