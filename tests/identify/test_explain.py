@@ -17,6 +17,7 @@ from crankorder.identify.found import Tone
 from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.race_harmonics import harmonic_words, struck_races
 from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
+from crankorder.identify.sources import StatedGear
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.settings import load_settings
 from crankorder.shaft.aliasing import Fold
@@ -219,7 +220,7 @@ def test_a_mesh_is_told_by_its_sidebands_and_named_where_it_was_stated():
     assert found[23.0] == "gear mesh or blade passing: integer order with sidebands"
     assert found[22.0] == found[24.0] == "sideband of order 23 spaced by 1"
     assert found[1.0] == LIKE_UNBALANCE
-    stated = texts(orders, dataclasses.replace(ROTOR, gears=(("pinion", 23.0),)))
+    stated = texts(orders, dataclasses.replace(ROTOR, gears=(StatedGear("pinion", 23.0),)))
     assert stated[23.0] == "gear mesh pinion" and stated[22.0] == "sideband of order 23 spaced by 1"
 
 

@@ -23,11 +23,21 @@ class Limit:
 
 
 @dataclass(frozen=True)
+class StatedGear:
+    """A mesh of teeth or a passing of blades at ``order``, within ``order_half``, of a wheel at ``shaft_order``."""
+
+    name: str
+    order: float
+    order_half: float = 0.0
+    shaft_order: float = 1.0
+
+
+@dataclass(frozen=True)
 class Sources:
     """What is known of the machine: its cycle, the orders that its kinematics make, its bearings, gears and masses.
 
-    ``firing``: whether gas is burnt in it, so that every multiple of the cycle may be the gas cycle; ``gears``: names
-    and orders of stated meshes of teeth or passings of blades; ``engine``: masses and lengths, None where no engine is
+    ``firing``: whether gas is burnt in it, so that every multiple of the cycle may be the gas cycle; ``gears``: stated
+    meshes of teeth or passings of blades; ``engine``: masses and lengths, None where no engine is
     named; ``paths``: stated paths from force to acceleration; ``added``: masses that this test has on purpose;
     ``motor``: a stated induction motor; ``two_stroke``: whether it is a piston engine that fires each revolution;
     ``limits`` of the manifest; mass of the rotor and its speed in service.
@@ -37,7 +47,7 @@ class Sources:
     engine_orders: tuple[float, ...] = ()
     bearings: tuple[Bearing, ...] = ()
     firing: bool = False
-    gears: tuple[tuple[str, float], ...] = ()
+    gears: tuple[StatedGear, ...] = ()
     engine: Engine | None = None
     paths: tuple[StatedPath, ...] = ()
     added: tuple[AddedMass, ...] = ()
