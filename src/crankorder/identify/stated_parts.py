@@ -60,7 +60,8 @@ def parts_at(parts: Iterable[StatedPart], agreed: AgreedOrder) -> PartsAt:
     lie closer together than the intervals tell apart it is one of ``unparted``.
     """
     own = max(NUMBERS.same_sigmas, half_width(agreed.degrees_of_freedom)) * agreed.order_error
-    near, unparted = [], []
+    near: list[tuple[float, int, StatedPart, int]] = []
+    unparted = []
     for part in parts:
         multiple = max(1, round(agreed.order / part.order))
         reach = math.hypot(multiple * part.order_half, own) + 1e-9 * agreed.order

@@ -16,7 +16,7 @@ from crankorder.identify.bearings.places import Place, bearing_places
 from crankorder.identify.bearings.shaft_speed import ShaftSpeed, shaft_speed
 from crankorder.identify.bearings.verdicts import envelope_evidence, envelope_verdict, races_words, vibration_verdict
 from crankorder.identify.found import AgreedOrder, OrderLine
-from crankorder.identify.intervals import Z95, half_width
+from crankorder.identify.intervals import Z95, half_width, positive_interval
 from crankorder.identify.lines.growth import growth, largest, mean_level
 from crankorder.identify.stated_parts import StatedPart, parts_at
 from crankorder.settings import IdentifySettings
@@ -162,7 +162,7 @@ def _record(
         name=place.name,
         line=place.line,
         order=order,
-        order_ci95=(order - half, order + half),
+        order_ci95=positive_interval(order, half),
         order_expected=place.expected,
         slip_percent=slip,
         slip_percent_ci95=(slip - half_slip, slip + half_slip),
