@@ -133,7 +133,9 @@ def strongest_sentence(findings: Findings, channel: str, *, with_cause: bool = F
         if order is not None:
             hertz = hertz_of_order(order, findings)
             called = (
-                f"order is {order_name(order, findings)}" if hertz is None else f"other line is {_called(hertz, order)}"
+                f"order is {order_name(order, findings)}"
+                if hertz is None
+                else f"other line is {_called(hertz, order, findings)}"
             )
             text += f"; the strongest {called}: {_level(findings, order)}"
             rpm = order.speed_rpm_at_max
@@ -144,7 +146,7 @@ def strongest_sentence(findings: Findings, channel: str, *, with_cause: bool = F
     if UNRESOLVED in order.evidence:
         return _unresolved(findings, order, where)
     hertz = hertz_of_order(order, findings)
-    called = f"Order {order_name(order, findings)}" if hertz is None else f"A line at {_called(hertz, order)}"
+    called = f"Order {order_name(order, findings)}" if hertz is None else f"A line at {_called(hertz, order, findings)}"
     text = f"{called} is the strongest line in {where}: {_at(findings, order)}"
     return f"{text}.{_cause(order, findings) if with_cause else ''}"
 
@@ -161,9 +163,9 @@ def _unresolved(findings: Findings, order: OrderFinding, where: str) -> str:
     return f"{text}."
 
 
-def _called(hertz: float, order: OrderFinding) -> str:
+def _called(hertz: float, order: OrderFinding, findings: Findings) -> str:
     """``"48.35 Hz (order 5.492)"``: a line whose frequency says more than its order."""
-    return f"{hertz:.2f} Hz (order {order_texts([nominal_order(order)])[0]})"
+    return f"{hertz:.2f} Hz (order {order_name(order, findings)})"
 
 
 def _tone_hz(tone: ModeFinding | LineFinding) -> str:
