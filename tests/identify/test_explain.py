@@ -17,7 +17,7 @@ from crankorder.identify.found import Tone
 from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.race_harmonics import harmonic_words, struck_races
 from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
-from crankorder.identify.sources import StatedGear
+from crankorder.identify.stated_parts import StatedPart
 from crankorder.ingest.manifest import Gear
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.settings import load_settings
@@ -221,7 +221,7 @@ def test_a_mesh_is_told_by_its_sidebands_and_named_where_it_was_stated():
     assert found[23.0] == "gear mesh or blade passing: integer order with sidebands"
     assert found[22.0] == found[24.0] == "sideband of order 23 spaced by 1"
     assert found[1.0] == LIKE_UNBALANCE
-    stated = texts(orders, dataclasses.replace(ROTOR, gears=(StatedGear("pinion", 23.0),)))
+    stated = texts(orders, dataclasses.replace(ROTOR, gears=(StatedPart("gear mesh", "pinion", 23.0),)))
     assert stated[23.0] == "gear mesh pinion" and stated[22.0] == "sideband of order 23 spaced by 1"
 
 
@@ -366,7 +366,7 @@ def test_a_comb_beside_a_speed_that_was_only_stated_is_the_shaft_itself_perhaps(
     )
 
 
-WIND = StatedGear("blades", 3 / 97, 1e-8, 1 / 97)
+WIND = StatedPart("gear mesh", "blades", 3 / 97, 1e-8, 1 / 97)
 
 
 def named(order, *gears, error=1e-7, bearings=()):
@@ -385,7 +385,7 @@ def test_a_ratio_allows_for_the_digits_that_it_is_stated_with(seed):
     rng = np.random.default_rng(seed)
     digits, teeth, turns = int(rng.integers(3, 8)), int(rng.integers(2, 30)), float(rng.uniform(0.008, 3.0))
     gear = Gear(name="g", teeth=teeth, ratio=float(f"{turns:.{digits - 1}e}"))
-    stated = StatedGear("g", gear.mesh_order, gear.ratio_share * gear.mesh_order, gear.ratio)
+    stated = StatedPart("gear mesh", "g", gear.mesh_order, gear.ratio_share * gear.mesh_order, gear.ratio)
     for harmonic in range(1, 6):
         text = "gear mesh g" + (f", harmonic {harmonic}" if harmonic > 1 else "")
         assert named(harmonic * teeth * turns, stated) == text
@@ -400,7 +400,7 @@ def test_the_ratio_of_a_wheel_on_the_shaft_itself_is_exact():
 
 
 def test_of_gears_with_near_multiples_the_one_that_fits_is_named_and_both_where_both_do():
-    first, second = StatedGear("first", 0.31, 1e-5), StatedGear("second", 0.312, 1e-5)
+    first, second = StatedPart("gear mesh", "first", 0.31, 1e-5), StatedPart("gear mesh", "second", 0.312, 1e-5)
     assert named(0.624, first, second) == "gear mesh second, harmonic 2"
     vague = dataclasses.replace(first, order_half=2e-3)
     assert named(0.3115, vague, dataclasses.replace(second, order_half=2e-3)) == "gear mesh second or first"

@@ -5,7 +5,8 @@ from __future__ import annotations
 from crankorder.batch.plan import CampaignPlan
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
-from crankorder.identify.sources import Limit, Sources, StatedGear
+from crankorder.identify.sources import Limit, Sources
+from crankorder.identify.stated_parts import StatedPart
 from crankorder.ingest.manifest import Manifest
 from crankorder.settings import Settings
 
@@ -33,7 +34,7 @@ def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) ->
         bearings=bearings,
         firing=engine is not None and engine.gas is not None,
         gears=tuple(
-            StatedGear(gear.name, gear.mesh_order, gear.ratio_share * gear.mesh_order, gear.ratio)
+            StatedPart("gear mesh", gear.name, gear.mesh_order, gear.ratio_share * gear.mesh_order, gear.ratio)
             for gear in manifest.gears
         ),
         engine=engine,

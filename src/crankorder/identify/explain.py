@@ -297,7 +297,7 @@ def _stated_parts(agreed: AgreedOrder, bearings: Sequence[BearingFinding], sourc
     """
     of_cycle = multiple_of_cycle(agreed, sources.revs_per_cycle)
     elements = {bearing.name: bearing.rolling_elements for bearing in sources.bearings}
-    parts = [StatedPart("gear mesh", gear.name, gear.order, gear.order_half) for gear in sources.gears]
+    parts = [*sources.gears]
     for record in bearings:
         locked_line = record.line == "N*fs"
         if agreed.lock == "locked" and not locked_line:
@@ -315,12 +315,9 @@ def _stated(at: PartsAt, kind: str, proof: str) -> Cause | None:
         return None
     like = sorted({part.elements for part, _ in at.near if part.elements is not None})
     alike = f" or {' or '.join(f'{_article(n)} {n}-fold' for n in like)} part of that shaft" if like else ""
-    gears = [
-        f"the manifest states {part.name} at order {part.order:g}" for part, _ in at.near if part.kind != "bearing"
-    ]
-    evidence = (
-        [*gears, proof] if gears else ["within the interval of the bearing's line", *["exactly locked"][: len(like)]]
-    )
+    gears = [part for part, _ in at.near if part.kind == "gear mesh"]
+    stated = [f"the manifest states {gear.name} at order {gear.order:g}" for gear in gears]
+    evidence = [*(stated or ["within the interval of the bearing's line"]), proof]
     return Cause(at.words + alike, "; ".join(evidence))
 
 

@@ -8,6 +8,7 @@ from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.engine.definition import Engine
 from crankorder.engine.motor import Motor
 from crankorder.engine.transfer_paths import AddedMass, StatedPath
+from crankorder.identify.stated_parts import StatedPart
 
 
 @dataclass(frozen=True)
@@ -20,16 +21,6 @@ class Limit:
     value_si: float
     source: str
     channels: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class StatedGear:
-    """A mesh of teeth or a passing of blades at ``order``, within ``order_half``, of a wheel at ``shaft_order``."""
-
-    name: str
-    order: float
-    order_half: float = 0.0
-    shaft_order: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -47,7 +38,7 @@ class Sources:
     engine_orders: tuple[float, ...] = ()
     bearings: tuple[Bearing, ...] = ()
     firing: bool = False
-    gears: tuple[StatedGear, ...] = ()
+    gears: tuple[StatedPart, ...] = ()
     engine: Engine | None = None
     paths: tuple[StatedPath, ...] = ()
     added: tuple[AddedMass, ...] = ()

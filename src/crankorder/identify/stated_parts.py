@@ -24,14 +24,15 @@ NUMBERS = _Numbers.load()
 class StatedPart:
     """A part that makes lines at the multiples of ``order``, which is known within ``order_half`` (95 %).
 
-    ``kind`` and ``name``: "gear mesh" and "pinion"; ``most``: its highest multiple; ``elements``: what else with so
-    many teeth may make a line that keeps step, None where nothing else.
+    ``kind`` and ``name``: "gear mesh" and "pinion"; ``shaft_order``: how often its shaft turns; ``most``: its highest
+    multiple; ``elements``: what else with so many teeth may make a line that keeps step, None where nothing else.
     """
 
     kind: str
     name: str
     order: float
     order_half: float = 0.0
+    shaft_order: float = 1.0
     most: int = NUMBERS.most_harmonics
     elements: int | None = None
 

@@ -261,11 +261,7 @@ class Gear(Table):
 
     name: Name = Field(description="What results call it.", examples=["input stage"])
     teeth: Teeth = Field(description="Teeth of the wheel, or blades of the rotor.", examples=[23])
-    ratio: Ratio = Field(
-        default=1.0,
-        description="Turns of the wheel per crank revolution, right to half a unit of its last digit.",
-        examples=[0.5],
-    )
+    ratio: Ratio = Field(default=1.0, description="Its turns per crank revolution, to the last digit.", examples=[0.5])
 
     @property
     def mesh_order(self) -> float:
@@ -277,8 +273,8 @@ class Gear(Table):
         """Share by which the ratio may be off: half a unit of its last digit, of three at least; that of 1 is exact."""
         if self.ratio == 1.0:
             return 0.0
-        digits = Decimal(repr(self.ratio)).normalize().as_tuple().digits
-        return 0.5 / int("".join(map(str, digits)).ljust(STATED_DIGITS, "0"))
+        digits = "".join(map(str, Decimal(repr(self.ratio)).normalize().as_tuple().digits))
+        return 0.5 / int(digits.ljust(STATED_DIGITS, "0"))
 
 
 class Manifest(Table):

@@ -78,7 +78,7 @@ def called_order(order: float, ends: Sequence[Any] | None = None, lock: object =
     as many decimals as these resolve; without them with a half order within 0.005.
     """
     half, most = max(round(2 * order), 1) / 2, 4 - min(math.floor(math.log10(max(order, 1e-9))), 0)
-    known = ends is not None and len(ends) == 2 and all(map(_is_number, ends))
+    known = len(ends or ()) == 2 and all(map(_is_number, ends or ()))
     low, high = ends if known and ends else (order - 0.005, order + 0.005)
     if (low <= half <= high or lock == "locked") and abs(order - half) < _LOCKED_WITHIN:
         return half
@@ -86,7 +86,7 @@ def called_order(order: float, ends: Sequence[Any] | None = None, lock: object =
 
 
 def order_text(order: float, decimals: int = 3) -> str:
-    """Shortest text of an ``order`` to some ``decimals``, of one below 1 to as many digits: ``"5.5"``, ``"0.03093"``."""
+    """Shortest text of an ``order`` to some ``decimals``, below 1 to as many digits: ``"5.5"``, ``"0.03093"``."""
     below = min(math.floor(math.log10(order)), 0) if order > 0 else 0
     return f"{order:.{decimals - below}f}".rstrip("0").rstrip(".")
 

@@ -18,7 +18,6 @@ from crankorder.plot.cells import level_limits, speed_cells
 from crankorder.plot.palette import level_colours
 from crankorder.report.fixed_lines import fixed_frequencies
 from crankorder.report.notation import (
-    called_order,
     estimate_text,
     frequency_text,
     interval_of,
@@ -28,6 +27,7 @@ from crankorder.report.notation import (
     is_whirl,
     level_reference,
     named,
+    nominal_order,
     number_text,
     order_name,
     order_text,
@@ -361,11 +361,7 @@ def _lines(findings: Findings, number: dict[str, int], limit: int) -> list[LiveL
     records = sorted((one for one in findings.lines if one.channel in number), key=lambda one: -one.size)[:_MOST_LINES]
     made = []
     for one in records:
-        place = (
-            f"{one.frequency_hz:.4g} Hz"
-            if one.order is None
-            else f"order {order_text(called_order(one.order, one.order_ci95))}"
-        )
+        place = f"{one.frequency_hz:.4g} Hz" if one.order is None else f"order {order_text(nominal_order(one))}"
         why = named(one.explained_by or "unexplained", limit=2 * limit)
         made.append(LiveLine(number[one.channel], one.order, one.frequency_hz, f"Line at {place}: {why}."))
     return made

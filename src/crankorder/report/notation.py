@@ -10,8 +10,7 @@ from crankorder.channel_units import unit_text
 from crankorder.errors import printable
 from crankorder.findings import Findings, ModeFinding
 from crankorder.identify.said import NUMBERS as SAID
-from crankorder.plot.records import called_order as called_order
-from crankorder.plot.records import decimals_of
+from crankorder.plot.records import called_order, decimals_of
 from crankorder.plot.records import order_text as order_text
 from crankorder.plot.records import order_texts as order_texts
 from crankorder.settings import ReportSettings
@@ -56,11 +55,10 @@ def scaling_text(dataset: Any) -> str:
     return "(RMS)" if str(dataset.attrs.get("amplitude_scaling", "peak")).casefold() == "rms" else "(peak)"
 
 
-def nominal_order(record: Numbered | float) -> float:
+def nominal_order(record: Any) -> float:
     """Order by which the line of a ``record`` of the findings, or a measured order, is called: see called_order."""
-    if isinstance(record, int | float):
-        return called_order(float(record))
-    return called_order(float(record.order), interval_of(record, "order"), getattr(record, "lock", None))
+    order = float(getattr(record, "order", record))
+    return called_order(order, interval_of(record, "order"), getattr(record, "lock", None))
 
 
 def order_name(record: Numbered, findings: Findings) -> str:

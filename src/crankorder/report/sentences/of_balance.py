@@ -44,12 +44,8 @@ def balance_sentences(findings: Findings) -> list[str]:
         if is_number(balance.angle_deg):
             text += f" at {estimate_text(balance, 'angle_deg')}° from the crank"
         sentences.append(f"{text}.")
-    told = told_quantities(balance)
-    sides = [
-        f"{estimate_text(balance, key, unit='g')} {side}"
-        for key, side in (("along_g", "along"), ("across_g", "across"))
-        if key in told
-    ]
+    told, ways = told_quantities(balance), {"along_g": "along", "across_g": "across"}
+    sides = [f"{estimate_text(balance, key, unit='g')} {way}" for key, way in ways.items() if key in told]
     if sides:
         sentences.append(f"Residual unbalance at the crank radius{but}: {listed(sides)} the cylinder.")
     if not sentences:
