@@ -244,7 +244,7 @@ class BearingFinding(Record):
     def order_half(self) -> float:
         """Half width of the 95 % interval of the order; infinite where it is not known."""
         low, high = self.order_ci95 or (None, None)
-        return math.inf if low is None or high is None else 0.5 * abs(high - low)
+        return math.inf if low is None or high is None else max(high - self.order, self.order - low)
 
     def omitted(self) -> Collection[str]:
         """Only an envelope tells how fast a shaft turns."""

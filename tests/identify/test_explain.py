@@ -17,6 +17,8 @@ from crankorder.identify.found import Tone
 from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.race_harmonics import harmonic_words, struck_races
 from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
+from crankorder.identify.stated_parts import StatedPart
+from crankorder.ingest.manifest import Gear
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.settings import load_settings
 from crankorder.shaft.aliasing import Fold
@@ -219,7 +221,7 @@ def test_a_mesh_is_told_by_its_sidebands_and_named_where_it_was_stated():
     assert found[23.0] == "gear mesh or blade passing: integer order with sidebands"
     assert found[22.0] == found[24.0] == "sideband of order 23 spaced by 1"
     assert found[1.0] == LIKE_UNBALANCE
-    stated = texts(orders, dataclasses.replace(ROTOR, gears=(("pinion", 23.0),)))
+    stated = texts(orders, dataclasses.replace(ROTOR, gears=(StatedPart("gear mesh", "pinion", 23.0),)))
     assert stated[23.0] == "gear mesh pinion" and stated[22.0] == "sideband of order 23 spaced by 1"
 
 
@@ -362,3 +364,67 @@ def test_a_comb_beside_a_speed_that_was_only_stated_is_the_shaft_itself_perhaps(
     assert said == (
         "a second shaft at 1.057" if has_first else "a shaft at 1.057 times the stated speed, this one if that is wrong"
     )
+
+
+WIND = StatedPart("gear mesh", "blades", 3 / 97, 1e-8, 1 / 97)
+
+
+def named(order, *gears, error=1e-7, bearings=()):
+    """What a line at ``order`` that slips is called beside the ``gears``."""
+    sources = dataclasses.replace(ROTOR, gears=gears)
+    return texts([agreed(order, lock="slips", error=error)], sources, bearings=bearings)[order]
+
+
+def test_a_line_between_the_multiples_of_blades_behind_a_gear_is_none_of_theirs():
+    assert named(0.262, WIND) == named(0.745, WIND) == "unexplained"
+    assert [named(k * 3 / 97, WIND) for k in (1, 5)] == ["gear mesh blades", "gear mesh blades, harmonic 5"]
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_ratio_allows_for_the_digits_that_it_is_stated_with(seed):
+    rng = np.random.default_rng(seed)
+    digits, teeth, turns = int(rng.integers(3, 8)), int(rng.integers(2, 30)), float(rng.uniform(0.008, 3.0))
+    gear = Gear(name="g", teeth=teeth, ratio=float(f"{turns:.{digits - 1}e}"))
+    stated = StatedPart("gear mesh", "g", gear.mesh_order, gear.ratio_share * gear.mesh_order, gear.ratio)
+    for harmonic in range(1, 6):
+        text = "gear mesh g" + (f", harmonic {harmonic}" if harmonic > 1 else "")
+        assert named(harmonic * teeth * turns, stated) == text
+        assert named((harmonic + 0.1) * teeth * turns, stated) == "unexplained"
+
+
+def test_the_ratio_of_a_wheel_on_the_shaft_itself_is_exact():
+    assert Gear(name="g", teeth=23).ratio_share == 0.0
+    assert [Gear(name="g", teeth=3, ratio=ratio).ratio_share for ratio in (0.01, 0.0103, 12.5)] == pytest.approx(
+        [5e-3, 0.5 / 103, 0.5 / 125]
+    )
+
+
+def test_of_gears_with_near_multiples_the_one_that_fits_is_named_and_both_where_both_do():
+    first, second = StatedPart("gear mesh", "first", 0.31, 1e-5), StatedPart("gear mesh", "second", 0.312, 1e-5)
+    assert named(0.624, first, second) == "gear mesh second, harmonic 2"
+    vague = dataclasses.replace(first, order_half=2e-3)
+    assert named(0.3115, vague, dataclasses.replace(second, order_half=2e-3)) == "gear mesh second or first"
+
+
+def test_multiples_that_nothing_tells_apart_name_no_line():
+    cause = causes([agreed(0.31, lock="undecided", error=0.01)], dataclasses.replace(ROTOR, gears=(WIND,)))
+    assert cause.orders["A", 0.31].text == "unexplained"
+    assert "multiples of blades lie closer together" in cause.orders["A", 0.31].evidence
+
+
+def test_sidebands_of_blades_are_told_by_the_turns_of_their_rotor():
+    orders = [(2 / 97, 0.3), (3 / 97, 1.0), (4 / 97, 0.3)]
+    lines = [agreed(order, line(order, size), lock="slips", error=1e-7) for order, size in orders]
+    found = texts(lines, dataclasses.replace(ROTOR, gears=(WIND,)))
+    assert found == {
+        order: "gear mesh blades" if size == 1.0 else "sideband of order 0.03093 spaced by 0.01031"
+        for order, size in orders
+    }
+
+
+def test_a_struck_race_of_a_slow_shaft_is_as_near_in_its_own_turns():
+    slow = dataclasses.replace(ROTOR, bearings=(Bearing(name="rotor", shaft_ratio=0.01, bpfo=3.58, bpfi=5.42),))
+    record = bearing_record(slow.bearings[0], "BPFO", 0.0358, half=1e-7, seen_in="envelope")
+    (race,) = struck_races([record], slow, [])
+    assert harmonic_words([race], 2 * 0.0358, 1e-7) == "bearing rotor BPFO, harmonic 2"
+    assert harmonic_words([race], 2.04 * 0.0358, 1e-7) == ""

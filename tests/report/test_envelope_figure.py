@@ -39,7 +39,7 @@ def test_expected_lines_are_marked_in_every_channel_and_the_found_one_is_ringed_
     sidebands = [stroke.values[0][0] for stroke in figure.strokes("sideband")]
     assert sidebands == pytest.approx([1.556, 2.556, 4.556, 5.556])
     words = {words.text for words in figure.words}
-    assert {"BPFO 3.585", "3.56", "its sidebands", "N·fs 5.5", "band 2000–4000 Hz", "found"} <= words
+    assert {"BPFO 3.585", "3.556", "its sidebands", "N·fs 5.5", "band 2000–4000 Hz", "found"} <= words
 
 
 def test_the_mean_is_by_power_of_the_squared_envelope_and_unknown_speeds_take_no_part(

@@ -76,6 +76,26 @@ def test_an_order_is_not_called_by_a_half_order_outside_its_interval() -> None:
     assert nominal_order(1.004) == 1.0
 
 
+@pytest.mark.parametrize(
+    ("order", "half", "text"),
+    [
+        (0.052, 1e-6, "0.052"),
+        (0.262, 1e-6, "0.262"),
+        (0.0309278, 1e-7, "0.03093"),
+        (7.3124, 0.2, "7.3"),
+        (5.4873, 1e-3, "5.487"),
+    ],
+)
+def test_an_order_is_called_by_the_digits_that_its_interval_carries_in_every_sentence(
+    order: float, half: float, text: str, campaign: Any
+) -> None:
+    findings = copy.deepcopy(campaign.findings)
+    record = next(one for one in findings["orders"] if (one["channel"], one["order"]) == ("Z", 2.0))
+    record |= {"order": order, "order_ci95": [order - half, order + half], "lock": "slips", "amplitude": 1e3}
+    assert order_name(record, findings) == order_name({"order": order}, findings) == text
+    assert strongest_sentence(findings, "Z").startswith(f"Order {text} is the strongest")
+
+
 @pytest.mark.slow
 def test_two_orders_are_never_written_alike() -> None:
     assert order_texts([1.0, 1.005, 2.0]) == ["1", "1.005", "2"]
@@ -130,7 +150,7 @@ def test_where_something_stronger_was_not_resolved_no_order_is_called_the_strong
     )
     said = strongest_sentence(findings, "Z")
     assert said.startswith(
-        "What is strongest in Z was not resolved: near order 7.45, 14 m/s² (0…28) at 1800 rpm; of the "
+        "What is strongest in Z was not resolved: near order 7.452, 14 m/s² (0…28) at 1800 rpm; of the "
     )
     assert "orders that are told 2 is the strongest: 1.90 m/s²" in said
     assert headline(findings)[0] == said
@@ -290,6 +310,14 @@ def test_all_is_explained_only_where_nothing_is_left_and_it_says_of_what(full: A
     lines = energy_sentence({**campaign.findings, "unexplained_energy_fraction": 0.0})
     assert lines.startswith("All of the energy of the lines that were found")
     assert energy_sentence({"unexplained_energy_fraction": 0.0, "lines": [], "orders": []}) == ""
+
+
+def test_one_mass_along_the_cylinder_is_told_once(full: Any) -> None:
+    findings = copy.deepcopy(full)
+    findings["balance"] |= {"along_g": 89.0, "along_g_ci95": [73.0, 105.0], "across_g": None, "across_g_ci95": None}
+    findings["balance"] |= {"residual_reciprocating_g": 99.0, "residual_reciprocating_g_ci95": [89.0, 110.0]}
+    told = " ".join(story_of(findings)["why"])
+    assert "Unbalanced reciprocating mass: 99 (89…110) g" in told and "73" not in told
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ from crankorder.batch.plan import CampaignPlan
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
 from crankorder.identify.sources import Limit, Sources
+from crankorder.identify.stated_parts import StatedPart
 from crankorder.ingest.manifest import Manifest
 from crankorder.settings import Settings
 
@@ -32,7 +33,10 @@ def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) ->
         engine_orders=orders,
         bearings=bearings,
         firing=engine is not None and engine.gas is not None,
-        gears=tuple((gear.name, gear.mesh_order) for gear in manifest.gears),
+        gears=tuple(
+            StatedPart("gear mesh", gear.name, gear.mesh_order, gear.ratio_share * gear.mesh_order, gear.ratio)
+            for gear in manifest.gears
+        ),
         engine=engine,
         paths=manifest.transfer_paths,
         added=manifest.added_masses,

@@ -94,7 +94,7 @@ def recording_levels(
     floors = np.stack([_floors(power[:, channel]) for channel in range(len(share))])
     peaks = [_strongest(power[:, channel], bins, limit, rpm, per_rev=per_rev) for channel in range(len(share))]
     ends = limit[np.isfinite(limit)]
-    end = np.nan if per_rev or not ends.size else float(ends.max())
+    end = np.nan if per_rev or not ends.size else min(float(ends.max()), 0.5 * rate)
     return _dataset(recording, rms, share, floor, floors, peaks, rate, end)
 
 

@@ -12,7 +12,7 @@ from scipy.special import fdtrc
 from crankorder.identify.above_trend import Seen, above_trend, evidence_beside, in_range, seen_all_around, width_rpm
 from crankorder.identify.false_discovery import claimed, simes
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderResponse, Verdict, Whirl
-from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width
+from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width, positive_interval
 from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.responses import with_and_without
 from crankorder.identify.said import NUMBERS as SAID
@@ -99,10 +99,10 @@ def _met_whirls(order: float, modal: ModalFit) -> list[tuple[Whirl, Mode]]:
 
 def _of_whirl(crossing: Crossing, mode: Mode, whirl: Whirl) -> Crossing:
     """``crossing`` with the ``mode`` that an order passes in ``whirl``: as it gains slower, its speed errs more."""
-    half = 0.5 * (crossing.rpm_ci95[1] - crossing.rpm_ci95[0]) * whirl.slower(crossing.order)
+    half = (crossing.rpm_ci95[1] - crossing.rpm) * whirl.slower(crossing.order)
     return replace(
         crossing,
-        rpm_ci95=(crossing.rpm - half, crossing.rpm + half),
+        rpm_ci95=positive_interval(crossing.rpm, half),
         evidence="; ".join(filter(None, (mode.evidence, crossing.evidence))),
         whirl=whirl,
     )
@@ -116,14 +116,14 @@ def tested_speeds(orders: tuple[AgreedOrder, ...]) -> Floats:
 
 def _unmeasured(order: float, mode: Mode, speed_rpm: tuple[float, float], settings: IdentifySettings) -> Crossing:
     """Crossing of an order that was stated and not seen."""
-    rpm, half = 60.0 * mode.frequency_hz / order, mode.frequency_half_hz
+    rpm = 60.0 * mode.frequency_hz / order
     inside = in_range(rpm, speed_rpm, settings)
     return Crossing(
         order=order,
         mode_hz=mode.frequency_hz,
-        mode_hz_ci95=(mode.frequency_hz - half, mode.frequency_hz + half),
+        mode_hz_ci95=mode.frequency_ends,
         rpm=rpm,
-        rpm_ci95=(rpm * (1.0 - half / mode.frequency_hz), rpm * (1.0 + half / mode.frequency_hz)),
+        rpm_ci95=positive_interval(rpm, 60.0 * mode.frequency_half_hz / order),
         in_range=inside,
         amplification_predicted=1.0 / (2.0 * max(mode.damping_ratio, 1e-6)),
         predicted_from="damping",
@@ -172,7 +172,7 @@ def _crossing(
     freedom = ENDLESS_FREEDOM
     if relative[1] > 0.0 and agreed.degrees_of_freedom > 0.0:
         freedom = min(freedom, agreed.degrees_of_freedom * (error / relative[1]) ** 4)
-    half, mode_half = rpm * error * half_width(freedom), mode.frequency_half_hz
+    half = rpm * error * half_width(freedom)
     inside = in_range(rpm, speed_rpm, settings)
     fitted = [item for item in responses_to(agreed.order, modal) if item.fits]
     trends = [item for item in seen if item.ratio is not None] if inside else []
@@ -185,9 +185,9 @@ def _crossing(
     return Crossing(
         order=agreed.order,
         mode_hz=mode.frequency_hz,
-        mode_hz_ci95=(mode.frequency_hz - mode_half, mode.frequency_hz + mode_half),
+        mode_hz_ci95=mode.frequency_ends,
         rpm=rpm,
-        rpm_ci95=(rpm - half, rpm + half),
+        rpm_ci95=positive_interval(rpm, half),
         in_range=inside,
         amplification_predicted=_predicted(fitted, number, modal),
         predicted_from="fit" if fitted else "damping",

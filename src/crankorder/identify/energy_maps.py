@@ -130,11 +130,15 @@ def beyond(
 
 
 def band_end_hz(campbell: xr.Dataset, order_map: xr.Dataset) -> float | None:
-    """Frequency up to which ``campbell`` and ``order_map`` reach at the fastest speed; None where it is not known."""
+    """Highest frequency that ``campbell`` and ``order_map`` hold at any speed; None where it is not known.
+
+    An order beyond half the sampling rate has no amplitude there.
+    """
     ends = [float(campbell["frequency"].values[-1])] if campbell.sizes["speed"] else []
-    speed = order_map["speed"].values
-    if ends and order_map.sizes.get("order", 0) > 1 and np.isfinite(speed).any():
-        ends.append(float(order_map["order"].values[-1] * np.nanmax(speed) / 60.0))
+    if ends and order_map.sizes.get("order", 0) > 1:
+        seen = np.isfinite(order_map["amplitude"].values).any(axis=0)
+        hertz = order_map["order"].values * order_map["speed"].values[:, None] / 60.0
+        ends.append(float(np.max(hertz, where=seen & np.isfinite(hertz), initial=0.0)))
     return max(ends, default=None)
 
 

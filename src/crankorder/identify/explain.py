@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -14,7 +14,6 @@ from crankorder.identify.encoder_sidebands import OR_OWN
 from crankorder.identify.explain_families import BY_ITSELF, Words, explain_families
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
-from crankorder.identify.intervals import half_width
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.known_lines import LineSeen, named_by, words_of
 from crankorder.identify.lines.growth import largest
@@ -25,13 +24,13 @@ from crankorder.identify.said import LIKE_UNBALANCE, mains_words
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.sidebands import sidebands
 from crankorder.identify.sources import Sources
+from crankorder.identify.stated_parts import PartsAt, StatedPart, parts_at
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
 class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="explain"):
     same_sigmas: float
     vague_spacings: float
-    most_harmonics: int
     grid_tones: int
     grid_share: float
     low_mains_hz: float
@@ -102,7 +101,7 @@ def explained(
     sources : what is known of the machine
     quantity : quantity of each channel by its name, such as "acceleration" or "sound pressure"
     in_cylinder : channels that measure the pressure in a cylinder, where the machine is a piston engine
-    settings : ``order_match`` says how near to its stated order a gear's line must be
+    settings : mains frequencies and how far they wander
     folds : what was found to fold (:func:`crankorder.identify.folds.shown_folds`)
     known : lines of the motor and of the mains that the frames hold where they were expected
     of_encoder : lines that the encoder may make (:func:`crankorder.identify.encoder_sidebands.encoder_sidebands`)
@@ -110,13 +109,14 @@ def explained(
     """
     causes: dict[tuple[str, float], Cause] = {}
     races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
-    first = partial(_first_cause, orders=orders, bearings=bearings, races=races, sources=sources, folds=folds)
-    first = partial(first, forces=_forces_of_cycle(orders, sources), settings=settings, modes=modal.modes)
+    first = partial(_first_cause, orders=orders, races=races, sources=sources, folds=folds)
+    first = partial(first, forces=_forces_of_cycle(orders, sources), modes=modal.modes)
     for agreed in orders:
+        at = _stated_parts(agreed, bearings, sources)
         for line in agreed.lines:
             name = line.channel
-            cause = first(agreed, line, quantity=quantity[name], in_cylinder=name in in_cylinder)
-            causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, sources))
+            cause = first(agreed, line, at=at, quantity=quantity[name], in_cylinder=name in in_cylinder)
+            causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, at, sources))
     for key, (text, evidence) in (of_encoder or {}).items():
         if causes[key].text in BY_ITSELF:
             causes[key] = Cause(text, evidence)
@@ -215,13 +215,12 @@ def _first_cause(
     agreed: AgreedOrder,
     line: OrderLine,
     orders: tuple[AgreedOrder, ...],
-    bearings: Sequence[BearingFinding],
+    at: PartsAt,
     races: list[StruckRace],
     sources: Sources,
     quantity: str,
     in_cylinder: bool,
     folds: Sequence[ShownFold],
-    settings: IdentifySettings,
     forces: ForcesOfCycle,
     modes: Sequence[Mode],
 ) -> Cause | None:
@@ -236,10 +235,10 @@ def _first_cause(
         lambda: _gas_in_pressure(of_cycle, in_cylinder, sources, proof),
         lambda: _gas_or_masses(forces.get((line.channel, agreed.order)), proof),
         lambda: _kinematics(of_cycle, orders, sources, proof),
-        lambda: _stated_gear(agreed, sources, proof, settings),
+        lambda: _stated(at, "gear mesh", proof),
         lambda: _first_order(of_cycle, line, sources, quantity, modes, proof),
         lambda: _combustion(of_cycle, sources, proof),
-        lambda: _bearing(agreed, of_cycle, bearings, sources, settings),
+        lambda: _stated(at, "bearing", proof),
         lambda: _race_harmonic(agreed, of_cycle, races),
         lambda: _fold(line, folds),
         lambda: _half_order(of_cycle, orders, sources, proof),
@@ -290,15 +289,36 @@ def _kinematics(of_cycle: float | None, orders: tuple[AgreedOrder, ...], sources
     return Cause("engine kinematics", f"{made}; {proof}")
 
 
-def _stated_gear(agreed: AgreedOrder, sources: Sources, proof: str, settings: IdentifySettings) -> Cause | None:
-    for name, order in sources.gears:
-        multiple = round(agreed.order / order)
-        if not 1 <= multiple <= NUMBERS.most_harmonics:
-            continue
-        if abs(agreed.order - multiple * order) <= max(NUMBERS.same_sigmas * agreed.order_error, settings.order_match):
-            text = f"gear mesh {name}" + (f", harmonic {multiple}" if multiple > 1 else "")
-            return Cause(text, f"the manifest states {name} at order {order:g}; {proof}")
-    return None
+def _stated_parts(agreed: AgreedOrder, bearings: Sequence[BearingFinding], sources: Sources) -> PartsAt:
+    """The stated gears, and the lines of bearings by their records, that have a multiple where ``agreed`` lies.
+
+    Of a bearing only the line itself may be a multiple of the cycle's order: some multiple of a rolling line is near
+    one by chance.
+    """
+    of_cycle = multiple_of_cycle(agreed, sources.revs_per_cycle)
+    elements = {bearing.name: bearing.rolling_elements for bearing in sources.bearings}
+    parts = [*sources.gears]
+    for record in bearings:
+        locked_line = record.line == "N*fs"
+        if agreed.lock == "locked" and not locked_line:
+            continue  # what rolls slips: a locked line is no race's and no ball's
+        part = StatedPart("bearing", f"{record.name} {record.line}", record.order, record.order_half)
+        alone = of_cycle is not None or record.seen_in == "envelope"
+        like = elements.get(record.name) if agreed.lock == "locked" else None
+        parts.append(replace(part, most=1 if alone else part.most, elements=like))
+    return parts_at(parts, agreed)
+
+
+def _stated(at: PartsAt, kind: str, proof: str) -> Cause | None:
+    """The parts ``at`` a line, if one is of the ``kind``."""
+    if not any(part.kind == kind for part, _ in at.near):
+        return None
+    like = sorted({part.elements for part, _ in at.near if part.elements is not None})
+    alike = f" or {' or '.join(f'{_article(n)} {n}-fold' for n in like)} part of that shaft" if like else ""
+    gears = [part for part, _ in at.near if part.kind == "gear mesh"]
+    stated = [f"the manifest states {gear.name} at order {gear.order:g}" for gear in gears]
+    evidence = [*(stated or ["within the interval of the bearing's line"]), proof]
+    return Cause(at.words + alike, "; ".join(evidence))
 
 
 def _first_order(
@@ -321,44 +341,6 @@ def _combustion(of_cycle: float | None, sources: Sources, proof: str) -> Cause |
     return Cause(
         "gas cycle", f"the engine fires, which makes every multiple of order {1 / sources.revs_per_cycle:g}; {proof}"
     )
-
-
-def _bearing(
-    agreed: AgreedOrder,
-    of_cycle: float | None,
-    bearings: Sequence[BearingFinding],
-    sources: Sources,
-    settings: IdentifySettings,
-) -> Cause | None:
-    """The bearing lines, or multiples of them, within whose interval the order lies.
-
-    Only the line itself may be a multiple of the cycle's order: some multiple of a rolling line is near one by chance.
-    """
-    names: list[str] = []
-    parts: set[int] = set()
-    spare = half_width(agreed.degrees_of_freedom) * agreed.order_error
-    for record in bearings:
-        locked_line = record.line == "N*fs"
-        if agreed.lock == "locked" and not locked_line:
-            continue  # what rolls slips: a locked line is no race's and no ball's
-        half = record.order_half
-        alone = of_cycle is not None or record.seen_in == "envelope"
-        for multiple in range(1, (1 if alone else NUMBERS.most_harmonics) + 1):
-            reach = float(np.hypot(multiple * half, spare)) + 1e-9
-            if multiple > 1:
-                reach = min(reach, settings.order_match)
-            if abs(agreed.order - multiple * record.order) <= reach:
-                names.append(f"{record.name} {record.line}" + (f", harmonic {multiple}" if multiple > 1 else ""))
-                elements = next((b.rolling_elements for b in sources.bearings if b.name == record.name), None)
-                if locked_line and agreed.lock == "locked" and elements is not None:
-                    parts.add(elements)
-                break
-    if not names:
-        return None
-    text = "bearing " + " or ".join(dict.fromkeys(names))
-    if parts:
-        text += f" or {' or '.join(f'{_article(n)} {n}-fold' for n in sorted(parts))} part of that shaft"
-    return Cause(text, "within the interval of the bearing's line" + ("; exactly locked" if parts else ""))
 
 
 RACE_EVIDENCE = "where the strikes that were found have a harmonic, or one with turns of the shaft beside it"
@@ -412,7 +394,10 @@ def _shaft_harmonic(of_cycle: float | None, sources: Sources, proof: str) -> Cau
     return Cause("shaft harmonic", f"whole order, {proof}")
 
 
-def _why_not(agreed: AgreedOrder, sources: Sources) -> str:
+def _why_not(agreed: AgreedOrder, at: PartsAt, sources: Sources) -> str:
+    if at.unparted:
+        names = " and ".join(part.name for part in at.unparted)
+        return f"the multiples of {names} lie closer together than the line's interval and what is stated tell apart"
     of_cycle = multiple_of_cycle(agreed, sources.revs_per_cycle)
     if of_cycle is None and agreed.lock == "slips":
         return "not locked to the shaft, and nothing that was stated makes this order"
@@ -431,6 +416,9 @@ def _spacings(sources: Sources, bearings: Sequence[BearingFinding]) -> dict[str,
             spacings[bearing.name] = bearing.shaft_ratio
     cages = [(record.name, record.order) for record in bearings if record.line == "FTF"]
     expected = [(name, order) for (name, line), order in sources.known_bearing_orders.items() if line == "FTF"]
+    for gear in sources.gears:
+        if gear.shaft_order not in spacings.values():
+            spacings[gear.name] = gear.shaft_order
     return spacings | {f"cage of {name}": order for name, order in [*expected, *cages]}
 
 

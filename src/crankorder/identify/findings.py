@@ -215,7 +215,7 @@ def _speeds(
     doubt: str | None,
 ) -> tuple[Sequence[Crossing], SpeedVerdicts]:
     """Crossings of the orders and the stated gears with the modes, and what they make of the speeds, if these are."""
-    stated = [order for _, order in sources.gears]
+    stated = [gear.order for gear in sources.gears]
     found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=stated)
     speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
     return as_avoided(found, speeds.avoid), speeds if doubt is None else without_free(speeds)

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.intervals import Z95, half_width, ratio_interval
+from crankorder.identify.intervals import Z95, half_width, positive_interval, ratio_interval
 
 Evidence = Literal[
     "locked to the shaft",
@@ -118,7 +118,7 @@ class Mode:
     @property
     def frequency_ends(self) -> tuple[float, float]:
         """95 % interval of the frequency, Hz."""
-        return self.frequency_hz - self.frequency_half_hz, self.frequency_hz + self.frequency_half_hz
+        return positive_interval(self.frequency_hz, self.frequency_half_hz)
 
     @property
     def damping_ends(self) -> tuple[float, float]:

@@ -52,6 +52,11 @@ def interval(value: float, error: float, *, freedom: float = np.inf) -> tuple[fl
     return value - half, value + half
 
 
+def positive_interval(value: float, half: float) -> tuple[float, float]:
+    """Interval of half width ``half`` about a ``value`` that is positive by nature: its lower end is above 0."""
+    return max(value - half, value * float(np.exp(-MOST_LOGARITHM))), value + half
+
+
 def ratio_interval(value: float, error: float, *, most: float = np.inf) -> tuple[float, float]:
     """95 % interval of a positive ``value`` with its standard ``error``, even in the logarithm, up to ``most``.
 

@@ -11,7 +11,7 @@ from crankorder.engine.motor import SHAFT, USUAL_SLIP, Motor, MotorLine, motor_l
 from crankorder.findings import Motor as MotorRecord
 from crankorder.findings import MotorLine as LineRecord
 from crankorder.findings import MotorSpeed
-from crankorder.identify.intervals import Z95
+from crankorder.identify.intervals import Z95, positive_interval
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.known_lines import Held, LineSeen, Place, Sighting, found_near, sightings, words_of
 from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
@@ -75,7 +75,7 @@ def motor_seen(motor: Motor, held: Sequence[Held], *, by_shaft: bool, settings: 
     fits = not speeds or any(speed.fits for speed in speeds)
     record = MotorRecord(
         supply_hz=None if supply is None else supply[0],
-        supply_hz_ci95=None if supply is None else (supply[0] - Z95 * supply[1], supply[0] + Z95 * supply[1]),
+        supply_hz_ci95=None if supply is None else positive_interval(supply[0], Z95 * supply[1]),
         supply_measured=bool(measured),
         poles=motor.poles,
         rotor_bars=motor.rotor_bars,

@@ -49,12 +49,12 @@ class StruckRace:
         for harmonic in range(1, NUMBERS.most_harmonics + 1):
             turns = round((order - harmonic * self.order) / self.shaft)
             own = math.hypot(harmonic * self.order_error, turns * self.shaft_error)
-            known = max(math.hypot(own, error), NUMBERS.least_error)
+            known = max(math.hypot(own, error), NUMBERS.least_error * self.shaft)
             few = harmonic <= NUMBERS.sure_harmonics and abs(turns) <= NUMBERS.sure_turns
-            if abs(turns) > NUMBERS.most_turns or (known > NUMBERS.sure_error and not few):
+            if abs(turns) > NUMBERS.most_turns or (known > NUMBERS.sure_error * self.shaft and not few):
                 continue
             away = abs(order - harmonic * self.order - turns * self.shaft)
-            near = away <= NUMBERS.same_sigmas * min(known, NUMBERS.most_error)
+            near = away <= NUMBERS.same_sigmas * min(known, NUMBERS.most_error * self.shaft)
             if near and (best is None or harmonic + abs(turns) < best[0] + abs(best[1])):
                 best = harmonic, turns, away
         return best
@@ -112,7 +112,7 @@ def harmonic_words(races: Sequence[StruckRace], order: float, error: float, *, f
 def _refined(race: StruckRace, lines: Sequence[tuple[float, float]]) -> StruckRace:
     """``race`` with its order and that of the shaft fitted to the lines of ``lines`` that are surely its own."""
     hits = [
-        (harmonic, turns, order, max(error, NUMBERS.least_error))
+        (harmonic, turns, order, max(error, NUMBERS.least_error * race.shaft))
         for order, error in lines
         if (found := race.nearest(order, error)) is not None
         for harmonic, turns, _ in [found]

@@ -30,7 +30,7 @@ from crankorder.identify.found import (
     Tone,
     Whirl,
 )
-from crankorder.identify.intervals import Z95, interval
+from crankorder.identify.intervals import Z95, half_width, interval, positive_interval
 from crankorder.identify.lines.growth import Growth, growth, largest, visible_range_rpm
 from crankorder.identify.lines.order_lock import is_half_order
 from crankorder.identify.responses import HeldPeak, held_peak
@@ -97,7 +97,7 @@ def _order_record(
     return OrderFinding(
         channel=line.channel,
         order=agreed.order,
-        order_ci95=interval(agreed.order, agreed.order_error, freedom=agreed.degrees_of_freedom),
+        order_ci95=positive_interval(agreed.order, half_width(agreed.degrees_of_freedom) * agreed.order_error),
         tracked_order=agreed.tracked,
         lock=agreed.lock,
         revs_to_decide=agreed.needed_revs,
@@ -124,8 +124,7 @@ def _held(record: OrderFinding, peak: HeldPeak | None) -> OrderFinding:
     """``record`` with what its order would reach in a sweep if the speed were held at the ``peak``, where known."""
     if peak is None:
         return record
-    low, high = interval(peak.amplitude, peak.error, freedom=peak.freedom)
-    ends = max(0.0, low), high
+    ends = positive_interval(peak.amplitude, half_width(peak.freedom) * peak.error)
     return replace(record, amplitude_held=peak.amplitude, amplitude_held_ci95=ends, speed_rpm_at_held=peak.rpm)
 
 
@@ -192,15 +191,14 @@ def _mode_record(mode: Mode, cause: Cause, meetings: Sequence[CrossingFinding]) 
 
 
 def _whirl_record(whirl: Whirl) -> ModeFinding:
-    low, high = interval(whirl.damping_ratio, whirl.damping_error)
     return ModeFinding(
         frequency_hz=whirl.frequency_hz,
-        frequency_hz_ci95=interval(whirl.frequency_hz, whirl.frequency_error_hz),
+        frequency_hz_ci95=positive_interval(whirl.frequency_hz, Z95 * whirl.frequency_error_hz),
         reference_rpm=whirl.reference_rpm,
         speed_slope=whirl.slope,
         speed_slope_ci95=interval(whirl.slope, whirl.slope_error),
         damping_ratio=whirl.damping_ratio if whirl.damping_told else None,
-        damping_ratio_ci95=(max(0.0, low), high),
+        damping_ratio_ci95=positive_interval(whirl.damping_ratio, Z95 * whirl.damping_error),
         channels=whirl.channels,
         evidence=whirl.evidence,
         prominence_db=whirl.prominence_db,
@@ -214,7 +212,7 @@ def _tone_record(tone: Tone, cause: Cause) -> ModeFinding:
     channel, (amplitude, error) = max(tone.amplitude.items(), key=lambda item: item[1][0] / max(item[1][1], 1e-300))
     return ModeFinding(
         frequency_hz=tone.frequency_hz,
-        frequency_hz_ci95=interval(tone.frequency_hz, tone.frequency_error_hz),
+        frequency_hz_ci95=positive_interval(tone.frequency_hz, Z95 * tone.frequency_error_hz),
         damping_ratio=None,
         damping_ratio_ci95=None,
         channels=tuple(tone.amplitude),
@@ -241,7 +239,7 @@ def line_records(
                 LineFinding(
                     channel=channel,
                     frequency_hz=tone.frequency_hz,
-                    frequency_hz_ci95=interval(tone.frequency_hz, tone.frequency_error_hz),
+                    frequency_hz_ci95=positive_interval(tone.frequency_hz, Z95 * tone.frequency_error_hz),
                     explained_by=cause.text,
                     amplitude=amplitude,
                     amplitude_ci95=(max(0.0, amplitude - Z95 * error), amplitude + Z95 * error),

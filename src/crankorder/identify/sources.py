@@ -8,6 +8,7 @@ from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.engine.definition import Engine
 from crankorder.engine.motor import Motor
 from crankorder.engine.transfer_paths import AddedMass, StatedPath
+from crankorder.identify.stated_parts import StatedPart
 
 
 @dataclass(frozen=True)
@@ -26,8 +27,8 @@ class Limit:
 class Sources:
     """What is known of the machine: its cycle, the orders that its kinematics make, its bearings, gears and masses.
 
-    ``firing``: whether gas is burnt in it, so that every multiple of the cycle may be the gas cycle; ``gears``: names
-    and orders of stated meshes of teeth or passings of blades; ``engine``: masses and lengths, None where no engine is
+    ``firing``: whether gas is burnt in it, so that every multiple of the cycle may be the gas cycle; ``gears``: stated
+    meshes of teeth or passings of blades; ``engine``: masses and lengths, None where no engine is
     named; ``paths``: stated paths from force to acceleration; ``added``: masses that this test has on purpose;
     ``motor``: a stated induction motor; ``two_stroke``: whether it is a piston engine that fires each revolution;
     ``limits`` of the manifest; mass of the rotor and its speed in service.
@@ -37,7 +38,7 @@ class Sources:
     engine_orders: tuple[float, ...] = ()
     bearings: tuple[Bearing, ...] = ()
     firing: bool = False
-    gears: tuple[tuple[str, float], ...] = ()
+    gears: tuple[StatedPart, ...] = ()
     engine: Engine | None = None
     paths: tuple[StatedPath, ...] = ()
     added: tuple[AddedMass, ...] = ()

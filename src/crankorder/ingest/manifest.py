@@ -12,6 +12,7 @@ import re
 import stat
 import tomllib
 from collections.abc import Mapping, Sequence
+from decimal import Decimal
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, get_args
 
@@ -53,6 +54,9 @@ MOST_BYTES = 10_000_000
 SCHEMA_VERSION = 1
 
 MANIFEST_NAME = "run.toml"
+
+STATED_DIGITS = 3
+"""Significant digits that a stated ratio has at least: 0.01 may be 0.0100."""
 
 _MAX_MANIFEST_BYTES = 4_000_000
 
@@ -275,12 +279,20 @@ class Gear(Table):
 
     name: Name = Field(description="What results call it.", examples=["input stage"])
     teeth: Teeth = Field(description="Teeth of the wheel, or blades of the rotor.", examples=[23])
-    ratio: Ratio = Field(default=1.0, description="Turns of the wheel per crank revolution.", examples=[0.5])
+    ratio: Ratio = Field(default=1.0, description="Its turns per crank revolution, to the last digit.", examples=[0.5])
 
     @property
     def mesh_order(self) -> float:
         """Order at which the teeth mesh."""
         return self.teeth * self.ratio
+
+    @property
+    def ratio_share(self) -> float:
+        """Share by which the ratio may be off: half a unit of its last digit, of three at least; that of 1 is exact."""
+        if self.ratio == 1.0:
+            return 0.0
+        digits = "".join(map(str, Decimal(repr(self.ratio)).normalize().as_tuple().digits))
+        return 0.5 / int(digits.ljust(STATED_DIGITS, "0"))
 
 
 class Manifest(Table):

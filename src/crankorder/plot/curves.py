@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from crankorder.plot.axes import axes_for, dress, log_scale, note
 from crankorder.plot.given import channel_number, dataset_of, number_of, quantity_text, unit_of, values_of
 from crankorder.plot.palette import FAINT, INK, LINES, SMALL
-from crankorder.plot.records import order_texts
+from crankorder.plot.records import called_order, order_texts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -207,7 +207,7 @@ def _standing_out(
 def _name_lines(axes: Axes, named: list[tuple[float, float]]) -> None:
     from crankorder.plot.edge_labels import EdgeLabel, EdgeLabels
 
-    texts = order_texts([round(order, 2) for order, _ in named])
+    texts = order_texts([called_order(order) for order, _ in named])
 
     def above(axes: Axes) -> list[list[EdgeLabel]]:
         (left, right), high = sorted(axes.get_xlim()), max(axes.get_ylim())

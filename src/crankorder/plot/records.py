@@ -64,25 +64,40 @@ def _is_number(value: object) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def nominal_order(record: Mapping[str, Any]) -> float:
-    """Order by which the line of a ``record`` is called: the half order that it agrees with, else to two decimals."""
-    order = float(record["order"])
-    half = round(2 * order) / 2
-    ends = record.get("order_ci95")
-    known = isinstance(ends, list | tuple) and len(ends) == 2 and all(map(_is_number, ends))
-    near = ends[0] <= half <= ends[1] if known and ends else abs(order - half) < 0.005
-    if abs(order - half) < _LOCKED_WITHIN and (near or record.get("lock") == "locked"):
+def decimals_of(width: float, value: float) -> int:
+    """Decimals that resolve a quarter of an interval of ``width``, and never more than six digits of ``value``."""
+    size = math.floor(math.log10(max(abs(value), width, 1e-300)))
+    wanted = -math.floor(math.log10(0.26 * width)) if width > 0 else 2 - size
+    return min(wanted, 5 - size)
+
+
+def called_order(order: float, ends: Sequence[Any] | None = None, lock: object = None) -> float:
+    """Order by which a line is called: the half order that it agrees with, else its value to the decimals it earns.
+
+    With the ``ends`` of a 95 % interval it agrees with the half order inside of it, or as its ``lock`` says, and keeps
+    as many decimals as these resolve; without them with a half order within 0.005.
+    """
+    half, most = max(round(2 * order), 1) / 2, 4 - min(math.floor(math.log10(max(order, 1e-9))), 0)
+    known = len(ends or ()) == 2 and all(map(_is_number, ends or ()))
+    low, high = ends if known and ends else (order - 0.005, order + 0.005)
+    if (low <= half <= high or lock == "locked") and abs(order - half) < _LOCKED_WITHIN:
         return half
-    return round(order, 2) if not known or ends is None or ends[1] - ends[0] > 0.02 else round(order, 4)
+    return round(order, min(max(decimals_of(high - low, order), 1), most) if known else most)
+
+
+def order_text(order: float, decimals: int = 3) -> str:
+    """Shortest text of an ``order`` to some ``decimals``, below 1 to as many digits: ``"5.5"``, ``"0.03093"``."""
+    below = min(math.floor(math.log10(order)), 0) if order > 0 else 0
+    return f"{order:.{decimals - below}f}".rstrip("0").rstrip(".")
 
 
 def order_texts(orders: Sequence[float]) -> list[str]:
     """Texts of ``orders`` that tell different ones apart: as short as can be, up to nine decimals where close."""
-    texts = {order: f"{order:.3f}".rstrip("0").rstrip(".") for order in orders}
+    texts = {order: order_text(order) for order in orders}
     for decimals in range(4, 10):
         times = Counter(texts.values())
         close = [order for order, text in texts.items() if times[text] > 1]
-        texts |= {order: f"{order:.{decimals}f}".rstrip("0").rstrip(".") for order in close}
+        texts |= {order: order_text(order, decimals) for order in close}
     return [texts[order] for order in orders]
 
 
@@ -94,7 +109,9 @@ def _orders(findings: Mapping[str, Any], channel: str) -> list[FoundOrder]:
     ]
     records.sort(key=lambda record: -float(record.get("amplitude") or 0))
     shown = sorted(records[:_MOST_ORDERS], key=lambda record: float(record["order"]))
-    texts = order_texts([nominal_order(record) for record in shown])
+    texts = order_texts(
+        [called_order(float(record["order"]), record.get("order_ci95"), record.get("lock")) for record in shown]
+    )
     return [
         FoundOrder(float(record["order"]), text, float(record.get("amplitude") or 0))
         for record, text in zip(shown, texts, strict=True)

@@ -15,7 +15,7 @@ from crankorder.plot.axes import axes_for, dress, log_scale, note, whole_ticks
 from crankorder.plot.cells import gaps_before, speed_cells
 from crankorder.plot.given import channel_number, dataset_of, quantity_text, unit_of, values_of
 from crankorder.plot.palette import FAINT, LIGHT, LINES
-from crankorder.plot.records import order_texts
+from crankorder.plot.records import called_order, order_texts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -115,12 +115,8 @@ def _tracks(dataset: xr.Dataset, channel: int, asked: Sequence[float] | None) ->
     kept = _kept(every, peak, asked)
     rank = np.argsort(np.argsort(-peak[kept], kind="stable"), kind="stable")
     shown, bottom, top = (np.where(clear, one, np.nan)[kept] for one in (amplitude, low, high))
-    texts = order_texts([_called(order) for order in every[kept].tolist()])
+    texts = order_texts([called_order(order) for order in every[kept].tolist()])
     return _Tracks(speed[at], every[kept], rank, shown, bottom, top, np.isfinite(amplitude)[kept], texts)
-
-
-def _called(order: float) -> float:
-    return round(2 * order) / 2 if abs(2 * order - round(2 * order)) < 0.01 else order
 
 
 def _kept(every: NDArray[np.float64], peak: NDArray[np.float64], asked: Sequence[float] | None) -> NDArray[np.intp]:

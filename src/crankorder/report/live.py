@@ -361,7 +361,7 @@ def _lines(findings: Findings, number: dict[str, int], limit: int) -> list[LiveL
     records = sorted((one for one in findings.lines if one.channel in number), key=lambda one: -one.size)[:_MOST_LINES]
     made = []
     for one in records:
-        place = f"{one.frequency_hz:.4g} Hz" if one.order is None else f"order {order_text(nominal_order(one.order))}"
+        place = f"{one.frequency_hz:.4g} Hz" if one.order is None else f"order {order_text(nominal_order(one))}"
         why = named(one.explained_by or "unexplained", limit=2 * limit)
         made.append(LiveLine(number[one.channel], one.order, one.frequency_hz, f"Line at {place}: {why}."))
     return made

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Protocol, TypeGuard
 
@@ -11,6 +10,9 @@ from crankorder.channel_units import unit_text
 from crankorder.errors import printable
 from crankorder.findings import Findings, ModeFinding
 from crankorder.identify.said import NUMBERS as SAID
+from crankorder.plot.records import called_order, decimals_of
+from crankorder.plot.records import order_text as order_text
+from crankorder.plot.records import order_texts as order_texts
 from crankorder.settings import ReportSettings
 
 _SI_ACCELERATION = {"m/s2": 1.0, "m s-2": 1.0, "m/s^2": 1.0, "mm/s2": 1e-3, "g": 9.80665, "mg": 9.80665e-3}
@@ -19,8 +21,8 @@ _SI_PRESSURE = {"Pa": 1.0, "uPa": 1e-6, "mPa": 1e-3, "hPa": 1e2, "kPa": 1e3, "MP
 NAME_CHARACTERS = 60
 """Of a name from a file in a sentence; what is longer is cut."""
 
-_LOCKED_WITHIN = 0.05  # an order further from a half order than this is not called by it
 _SAME_MODE = 1e-3  # share of a frequency within which a natural frequency is that of a crossing
+_SAME_ORDER = 1e-4  # an order this near to one of the findings is that one
 _CLOSE_ORDERS = 0.02  # orders this close need more digits to be told apart
 
 
@@ -53,48 +55,18 @@ def scaling_text(dataset: Any) -> str:
     return "(RMS)" if str(dataset.attrs.get("amplitude_scaling", "peak")).casefold() == "rms" else "(peak)"
 
 
-def order_text(order: float) -> str:
-    """Shortest text of an ``order`` to three decimals: ``"2"``, ``"5.5"``, ``"61.2"``."""
-    return f"{order:.3f}".rstrip("0").rstrip(".")
-
-
-def nominal_order(record: Numbered | float) -> float:
-    """Order by which a line is called: the half order that it agrees with, else its value to the decimals it earns.
-
-    ``record`` of the findings, or a measured order. With a 95 % interval it agrees with the half order inside of it
-    (and is not called so where that lies outside), without one with a half order within 0.005. Else it keeps two
-    decimals, or as many more, up to four, as its interval resolves.
-    """
-    order = float(record if isinstance(record, int | float) else record.order)
-    half = round(2 * order) / 2
-    interval = interval_of(record, "order")
-    if getattr(record, "lock", None) == "locked" and abs(order - half) < _LOCKED_WITHIN:
-        return half
-    if interval is None:
-        return half if abs(order - half) < 0.005 else round(order, 2)
-    if interval[0] <= half <= interval[1] and abs(order - half) < _LOCKED_WITHIN:
-        return half
-    return round(order, min(max(_decimals(interval[1] - interval[0], order), 2), 4))
-
-
-def order_texts(orders: Sequence[float]) -> list[str]:
-    """Texts of ``orders`` that tell different ones apart: as short as can be, up to nine decimals where they are close.
-
-    1 and 1.005 become ``"1"`` and ``"1.005"``, never twice ``"1"``.
-    """
-    texts = {float(order): order_text(nominal_order(float(order))) for order in orders}
-    for decimals in range(3, 10):
-        times = Counter(texts.values())
-        alike = [order for order, text in texts.items() if times[text] > 1]
-        if not alike:
-            break
-        texts |= {order: f"{order:.{decimals}f}".rstrip("0").rstrip(".") for order in alike}
-    return [texts[float(order)] for order in orders]
+def nominal_order(record: Any) -> float:
+    """Order by which the line of a ``record`` of the findings, or a measured order, is called: see called_order."""
+    order = float(getattr(record, "order", record))
+    return called_order(order, interval_of(record, "order"), getattr(record, "lock", None))
 
 
 def order_name(record: Numbered, findings: Findings) -> str:
     """Short text of the order of a ``record`` that no other order of the ``findings`` has: ``"2"``, ``"1.005"``."""
-    own = nominal_order(record)
+    same = min(findings.orders, key=lambda one: abs(one.order - record.order), default=record)
+    own = nominal_order(
+        same if abs(same.order - record.order) < _SAME_ORDER and not interval_of(record, "order") else record
+    )
     near = {own}
     near |= {nominal_order(other) for other in findings.orders if abs(other.order - own) < _CLOSE_ORDERS}
     ordered = sorted(near)
@@ -162,13 +134,6 @@ def speeds_text(ends: Sequence[float | None]) -> str:
     return "–".join(f"{end:.0f}" if is_number(end) else "–" for end in ends)
 
 
-def _decimals(width: float, value: float) -> int:
-    """Decimals that resolve a quarter of an interval of ``width``, and never more than six digits of ``value``."""
-    size = math.floor(math.log10(max(abs(value), width, 1e-300)))
-    wanted = -math.floor(math.log10(0.26 * width)) if width > 0 else 2 - size
-    return min(wanted, 5 - size)
-
-
 def interval_of(record: object, key: str) -> tuple[float, float] | None:
     """95 % interval of ``key`` in a ``record`` of the findings (its ``key_ci95``), or None where it has none."""
     low, high = getattr(record, f"{key}_ci95", None) or (None, None)
@@ -208,7 +173,7 @@ def with_interval(value: object, ends: Sequence[object] | None, *, unit: str = "
     low, high = ends or (None, None)
     if not is_number(low) or not is_number(high):
         return number_text(float(value)) + tail
-    decimals = _decimals(high - low, float(value))
+    decimals = decimals_of(high - low, float(value))
     if not -1 <= decimals <= 6:
         return f"{number_text(float(value))} ({number_text(low)}…{number_text(high)}){tail}"
     texts = [f"{number:.{max(decimals, 0)}f}".replace("-", "−") for number in (float(value), low, high)]

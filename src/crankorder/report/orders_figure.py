@@ -118,7 +118,7 @@ def shown_tracks(tracks: xr.Dataset, *, limit: int) -> ShownTracks:
         tracks["speed"].values[at], tracks["order"].values[kept], np.argsort(np.searchsorted(kept, ranked)),
         amplitude, low, high, phase, np.isfinite(values["amplitude"])[:, kept],
         [str(unit) for unit in tracks["unit"].values], str(tracks.attrs.get("phase_reference", "none")),
-        order_texts(tracks["order"].values[kept].tolist()),
+        order_texts([nominal_order(order) for order in tracks["order"].values[kept].tolist()]),
     )  # fmt: skip
 
 

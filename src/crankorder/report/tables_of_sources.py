@@ -18,7 +18,7 @@ from crankorder.report.notation import (
     with_interval,
 )
 from crankorder.report.rows import Table, table_of
-from crankorder.report.sentences.of_balance import QUANTITIES, source_text, undecided_quantities
+from crankorder.report.sentences.of_balance import source_text, told_quantities, undecided_quantities
 from crankorder.report.sentences.of_bearings import band_text
 from crankorder.report.sentences.of_levels import band_of
 
@@ -83,9 +83,8 @@ def balance_table(findings: Findings, limit: int) -> Table:
     """Residual unbalance of ``findings`` with intervals, then what is not decided and why; names cut at ``limit``."""
     balance, rows, note = findings.balance, list[list[str]](), ""
     if balance is not None:
-        for key, (title, unit) in QUANTITIES.items():
-            if is_number(getattr(balance, key)):
-                rows.append([named(title, limit=limit), estimate_text(balance, key, unit=unit)])
+        for key, (title, unit) in told_quantities(balance).items():
+            rows.append([named(title, limit=limit), estimate_text(balance, key, unit=unit)])
         if is_number(balance.grade_mm_s):
             at = f"Balance grade G (ISO 21940-11) at {number_of(balance.grade_speed_rpm)} rpm"
             rows.append([at, estimate_text(balance, "grade_mm_s", unit="mm/s")])

@@ -16,8 +16,9 @@ from crankorder.identify.bearings.places import Place, bearing_places
 from crankorder.identify.bearings.shaft_speed import ShaftSpeed, shaft_speed
 from crankorder.identify.bearings.verdicts import envelope_evidence, envelope_verdict, races_words, vibration_verdict
 from crankorder.identify.found import AgreedOrder, OrderLine
-from crankorder.identify.intervals import Z95, half_width
+from crankorder.identify.intervals import Z95, half_width, positive_interval
 from crankorder.identify.lines.growth import growth, largest, mean_level
+from crankorder.identify.stated_parts import StatedPart, parts_at
 from crankorder.settings import IdentifySettings
 
 
@@ -96,7 +97,8 @@ def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per
     law, best_seen = growth(line), largest(line)
     steady = law is not None and law.law == "keeps its size"
     level = mean_level(line) if steady else best_seen
-    multiples = [n for n in (2, 3, 4) if any(abs(o.order - n * best.order) <= 3.0 * _reach(o, n, best) for o in orders)]
+    part = StatedPart("bearing", place.name, best.order, half_width(best.degrees_of_freedom) * best.order_error)
+    multiples = [n for n in (2, 3, 4) if any((part, n) in parts_at([part], order).near for order in orders)]
     return _record(
         place,
         best.order,
@@ -115,10 +117,6 @@ def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per
         evidence=f"{line.evidence}; {line.level_over_floor_db:.1f} dB over the local floor in {line.channel}, "
         f"{len(best.lines)} channels show it" + ("; its mean over all speeds, for it keeps its size" if steady else ""),
     )
-
-
-def _reach(order: AgreedOrder, times: int, of: AgreedOrder) -> float:
-    return max(math.hypot(order.order_error, times * of.order_error), 1e-3)
 
 
 def _height(line: OrderLine) -> float:
@@ -164,7 +162,7 @@ def _record(
         name=place.name,
         line=place.line,
         order=order,
-        order_ci95=(order - half, order + half),
+        order_ci95=positive_interval(order, half),
         order_expected=place.expected,
         slip_percent=slip,
         slip_percent_ci95=(slip - half_slip, slip + half_slip),

@@ -14,7 +14,7 @@ from crankorder.findings import Findings
 from crankorder.identify.bearings.trend import run_amplitudes, trend
 from crankorder.identify.changes.order_changes import like_speeds, line_of
 from crankorder.identify.false_discovery import claimed
-from crankorder.identify.intervals import error_of, interval
+from crankorder.identify.intervals import error_of, half_width, positive_interval
 from crankorder.records import known
 from crankorder.settings import MethodNumbers
 
@@ -84,7 +84,8 @@ def _record(one: Series) -> dict[str, Any]:
         "order": one.order,
         "amplitude": one.amplitude.tolist(),
         "amplitude_ci95": [
-            interval(float(a), float(e), freedom=one.freedom) for a, e in zip(one.amplitude, one.error, strict=True)
+            positive_interval(float(a), half_width(one.freedom) * float(e))
+            for a, e in zip(one.amplitude, one.error, strict=True)
         ],
         "growth_per_run": float(found.growth_per_run),
         "growth_per_run_ci95": [float(end) for end in found.growth_ci95],

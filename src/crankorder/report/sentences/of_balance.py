@@ -22,6 +22,9 @@ QUANTITIES = {
 }
 """Title and unit of each number of ``balance`` in the findings, in the order of the table."""
 
+OF_ONE_ORDER = ("residual_second_order_g", "along_g", "along_quadrature_g")
+"""What is the reciprocating mass again, by one of its orders alone, where nothing is known across the cylinder."""
+
 _LETTERS = 4 * NAME_CHARACTERS
 
 
@@ -41,16 +44,20 @@ def balance_sentences(findings: Findings) -> list[str]:
         if is_number(balance.angle_deg):
             text += f" at {estimate_text(balance, 'angle_deg')}° from the crank"
         sentences.append(f"{text}.")
-    sides = [
-        f"{estimate_text(balance, key, unit='g')} {side}"
-        for key, side in (("along_g", "along"), ("across_g", "across"))
-        if is_number(getattr(balance, key))
-    ]
+    told, ways = told_quantities(balance), {"along_g": "along", "across_g": "across"}
+    sides = [f"{estimate_text(balance, key, unit='g')} {way}" for key, way in ways.items() if key in told]
     if sides:
         sentences.append(f"Residual unbalance at the crank radius{but}: {listed(sides)} the cylinder.")
     if not sentences:
         sentences.append("Residual unbalance in grams is not decided.")
     return [*sentences, *_open(balance)]
+
+
+def told_quantities(balance: Balance) -> dict[str, tuple[str, str]]:
+    """Title and unit of each number of ``balance`` to tell: one mass once, as all of its orders tell it together."""
+    one_mass = is_number(balance.residual_reciprocating_g) and not is_number(balance.across_g)
+    again = OF_ONE_ORDER if one_mass else ()
+    return {key: words for key, words in QUANTITIES.items() if is_number(getattr(balance, key)) and key not in again}
 
 
 def source_text(balance: Balance) -> str:

@@ -137,9 +137,8 @@ def strongest_sentence(findings: Findings, channel: str, *, with_cause: bool = F
         text = f"A {noun} {_tone_hz(tone)} Hz is the strongest line in {where}: {_level(findings, tone)}"
         if order is not None:
             hertz = hertz_of_order(order, findings)
-            called = (
-                f"order is {order_name(order, findings)}" if hertz is None else f"other line is {_called(hertz, order)}"
-            )
+            name = order_name(order, findings)
+            called = f"order is {name}" if hertz is None else f"other line is {_called(hertz, name)}"
             text += f"; the strongest {called}: {_level(findings, order)}"
             rpm = order.speed_rpm_at_max
             text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""
@@ -149,7 +148,8 @@ def strongest_sentence(findings: Findings, channel: str, *, with_cause: bool = F
     if UNRESOLVED in order.evidence:
         return _unresolved(findings, order, where)
     hertz = hertz_of_order(order, findings)
-    called = f"Order {order_name(order, findings)}" if hertz is None else f"A line at {_called(hertz, order)}"
+    name = order_name(order, findings)
+    called = f"Order {name}" if hertz is None else f"A line at {_called(hertz, name)}"
     text = f"{called} is the strongest line in {where}: {_at(findings, order)}"
     return f"{text}.{_cause(order, findings) if with_cause else ''}"
 
@@ -166,9 +166,9 @@ def _unresolved(findings: Findings, order: OrderFinding, where: str) -> str:
     return f"{text}."
 
 
-def _called(hertz: float, order: OrderFinding) -> str:
+def _called(hertz: float, order: str) -> str:
     """``"48.35 Hz (order 5.492)"``: a line whose frequency says more than its order."""
-    return f"{hertz:.2f} Hz (order {order_texts([nominal_order(order)])[0]})"
+    return f"{hertz:.2f} Hz (order {order})"
 
 
 def _tone_hz(tone: ModeFinding | LineFinding) -> str:
