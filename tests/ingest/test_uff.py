@@ -57,8 +57,8 @@ def test_text_of_any_length_reads_to_its_digits(read):
             values = np.random.default_rng(n).normal(scale=100.0, size=n)  # signs touch the numbers before them
             raw, contents = read(as_text("one", values, form=form))
             np.testing.assert_allclose(raw.columns[0], values, rtol=1e-5 if form == 2 else 1e-12)
-            assert raw.rate_hz == pytest.approx(2560.0)
-            assert raw.attrs["start_s"] == 0.5
+            assert raw.rates_hz[0] == pytest.approx(2560.0)
+            assert raw.starts_s[0] == 0.5
             assert contents.names == ("3-Y",)
             assert contents.units == {"3-Y": "m/s^2"}
 
@@ -112,7 +112,7 @@ def test_a_real_pair_of_text_and_binary_holds_the_same_signal(real_data, limits)
     text, binary = (
         read_file(folder / f"Sample_UFF58{kind}.uff", sources=[0], settings=limits) for kind in ("_ascii", "b_bin")
     )
-    assert text.rate_hz == pytest.approx(65536.0, rel=3e-6)
+    assert text.rates_hz[0] == pytest.approx(65536.0, rel=3e-6)
     assert text.units == {0: "Pa"}
     np.testing.assert_allclose(text.columns[0], binary.columns[0], rtol=1e-5, atol=1e-9)
     assert text.columns[0].size == 79292
@@ -131,4 +131,4 @@ def test_what_the_reference_reader_reads_is_read_the_same(real_data, limits):
         raw = read_file(path, sources=list(range(len(histories))), settings=limits)
         for number, one in enumerate(histories):
             np.testing.assert_allclose(raw.columns[number], np.real(one["data"])[: raw.columns[number].size], rtol=1e-6)
-            assert raw.rate_hz == pytest.approx(1.0 / one["abscissa_inc"], rel=1e-6)
+            assert raw.rates_hz[number] == pytest.approx(1.0 / one["abscissa_inc"], rel=1e-6)

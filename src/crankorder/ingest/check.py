@@ -69,8 +69,9 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
     ``settings`` limit what is opened.
     """
     from crankorder.ingest.formats import contents_of
-    from crankorder.ingest.rawfile import Contents, common_rate, named
+    from crankorder.ingest.rawfile import Contents, named
     from crankorder.ingest.sampling import agreed_rate
+    from crankorder.ingest.time_bases import base_faults, bases_of, lowest_rate
 
     try:
         contents: Contents = contents_of(path, settings=settings)
@@ -88,14 +89,24 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
             faults.append(error)
     faults += _unit_faults(path, manifest, names, dict(contents.units))
     sampled = {role: name for role, name in names.items() if role != "the time" and _is_sampled(role, manifest)}
-    faults += _length_faults(
-        path, {role: contents.samples[name] for role, name in sampled.items() if name in contents.samples}
+    tolerance = settings.rate_tolerance + 2.0 * contents.rate_uncertainty
+    channels = {channel.name for channel in manifest.channels}
+    rates = {role: contents.rates_hz[name] for role, name in sampled.items() if name in contents.rates_hz}
+    of_channels = [rate for role, rate in rates.items() if role in channels]
+    file_hz = lowest_rate(of_channels or list(rates.values()), tolerance)
+    by_time = manifest.sampling.domain == "time"
+    bases = bases_of(
+        sampled,
+        contents.samples,
+        contents.rates_hz if by_time else {},
+        contents.starts_s if by_time else {},
+        rate_hz=file_hz or 1.0,
+        file_hz=file_hz,
+        tolerance=tolerance,
     )
+    faults += base_faults(bases, path, settings=settings)
     if manifest.sampling.domain == "time" and manifest.sampling.time_source is None and manifest.has_samples:
         try:
-            rates = {name: contents.rates_hz[name] for name in sampled.values() if name in contents.rates_hz}
-            tolerance = settings.rate_tolerance + 2.0 * contents.rate_uncertainty
-            file_hz = common_rate(rates, path, tolerance=tolerance)
             agreed_rate(
                 file_hz=file_hz,
                 times=None,
@@ -152,16 +163,6 @@ def _is_sampled(role: str, manifest: Manifest) -> bool:
     if role in ("the encoder", "the index", "the cam mark"):
         return manifest.encoder.kind in (*TRACE_KINDS, "speed")
     return True
-
-
-def _length_faults(path: Path, lengths: dict[str, int]) -> list[CrankorderError]:
-    faults: list[CrankorderError] = []
-    first = next(iter(lengths.items()), ("", 0))
-    for role, length in lengths.items():
-        if length != first[1]:
-            problem = f"lengths differ: {first[0]} has {first[1]} samples, {role} has {length}"
-            faults.append(InputError(problem, file=path, remedy="Export all channels over the same time at one rate"))
-    return faults
 
 
 def _unit_faults(path: Path, manifest: Manifest, names: dict[str, str], units: dict[str, str]) -> list[CrankorderError]:

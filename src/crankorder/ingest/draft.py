@@ -119,11 +119,13 @@ def _edges(
         high = values > 0.5 * (values.min() + values.max())
         turns = {"rising": high[1:] & ~high[:-1], "falling": ~high[1:] & high[:-1]}
         return "edge_list", "rising", {edge: times[1:][turned] for edge, turned in turns.items()}
-    rate = rate_hz if times is None else float((times.size - 1) / np.ptp(times))
+    rate = raw.rates_hz.get(source, rate_hz) if times is None else float((times.size - 1) / np.ptp(times))
+    start_s = 0.0 if times is not None else raw.starts_s.get(source, 0.0)
     kind = "square" if is_square(values) else "analogue"
     shaft = load_settings().shaft
     by_edge = {
-        edge: find_pulses(
+        edge: start_s
+        + find_pulses(
             values,
             rate_hz=rate or 1.0,
             kind="square" if kind == "square" else "analogue",

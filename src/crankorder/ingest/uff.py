@@ -21,7 +21,6 @@ from crankorder.ingest.rawfile import (
     RawFile,
     Source,
     check_budget,
-    common_rate,
     distinct,
     flag,
     named,
@@ -73,12 +72,13 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         check_budget(sum(found[name].n_points * 8 for name in names), path, max_bytes=settings.max_bytes)
         columns = {name: _samples(data, found[name], path) for name in dict.fromkeys(names)}
     doubt = max((found[name].step_doubt for name in names), default=0.0)
-    rates = {name: 1.0 / found[name].step_s for name in names}
+    by_source = {source: found[name] for source, name in zip(sources, names, strict=True)}
     return RawFile(
         columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
         units={source: found[name].unit for source, name in zip(sources, names, strict=True) if found[name].unit},
-        rate_hz=common_rate(rates, path, tolerance=settings.rate_tolerance + 2.0 * doubt),
-        attrs={"start_s": found[names[0]].start_s, "rate_uncertainty": doubt} if names else {},
+        rates_hz={source: 1.0 / one.step_s for source, one in by_source.items()},
+        starts_s={source: one.start_s for source, one in by_source.items()},
+        attrs={"rate_uncertainty": doubt},
         flags=_flags(found, columns, path),
     )
 
@@ -96,6 +96,7 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
         samples={name: one.n_present for name, one in found.items() if one.binary},
         units={name: one.unit for name, one in found.items() if one.unit},
         rates_hz={name: 1.0 / one.step_s for name, one in found.items()},
+        starts_s={name: one.start_s for name, one in found.items()},
         rate_uncertainty=max(one.step_doubt for one in found.values()),
     )
 
