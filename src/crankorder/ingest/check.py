@@ -6,7 +6,7 @@ from pathlib import Path
 
 from crankorder.errors import MOST_TOLD, CrankorderError, InputError, ManyErrors, RequestError
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS
-from crankorder.ingest.manifest import MANIFEST_NAME, TRACE_KINDS, Manifest, load_manifest
+from crankorder.ingest.manifest import MANIFEST_NAME, Manifest, load_manifest
 from crankorder.settings import IngestSettings
 
 
@@ -71,7 +71,7 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
     from crankorder.ingest.formats import contents_of
     from crankorder.ingest.rawfile import Contents, named
     from crankorder.ingest.sampling import agreed_rate
-    from crankorder.ingest.time_bases import base_faults, bases_of, lowest_rate
+    from crankorder.ingest.time_bases import bases_of, length_faults
 
     try:
         contents: Contents = contents_of(path, settings=settings)
@@ -88,23 +88,11 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
         except CrankorderError as error:
             faults.append(error)
     faults += _unit_faults(path, manifest, names, dict(contents.units))
-    sampled = {role: name for role, name in names.items() if role != "the time" and _is_sampled(role, manifest)}
-    tolerance = settings.rate_tolerance + 2.0 * contents.rate_uncertainty
-    channels = {channel.name for channel in manifest.channels}
-    rates = {role: contents.rates_hz[name] for role, name in sampled.items() if name in contents.rates_hz}
-    of_channels = [rate for role, rate in rates.items() if role in channels]
-    file_hz = lowest_rate(of_channels or list(rates.values()), tolerance)
-    by_time = manifest.sampling.domain == "time"
-    bases = bases_of(
-        sampled,
-        contents.samples,
-        contents.rates_hz if by_time else {},
-        contents.starts_s if by_time else {},
-        rate_hz=file_hz or 1.0,
-        file_hz=file_hz,
-        tolerance=tolerance,
-    )
-    faults += base_faults(bases, path, settings=settings)
+    sampled = {role: names[role] for role in manifest.sampled if role in names}
+    told = contents if manifest.sampling.domain == "time" else Contents(contents.format, contents.names)
+    n_channels = sum(channel.name in sampled for channel in manifest.channels)
+    bases, file_hz = bases_of(sampled, contents.samples, told, n_channels, tolerance=settings.rate_tolerance)
+    faults += length_faults(bases, path)
     if manifest.sampling.domain == "time" and manifest.sampling.time_source is None and manifest.has_samples:
         try:
             agreed_rate(
@@ -155,14 +143,6 @@ def _roles(manifest: Manifest) -> dict[str, str | int]:
     if manifest.sampling.domain == "time":
         roles["the time"] = manifest.sampling.time_source
     return {role: source for role, source in roles.items() if source is not None}
-
-
-def _is_sampled(role: str, manifest: Manifest) -> bool:
-    if role == "the speed":
-        return False
-    if role in ("the encoder", "the index", "the cam mark"):
-        return manifest.encoder.kind in (*TRACE_KINDS, "speed")
-    return True
 
 
 def _unit_faults(path: Path, manifest: Manifest, names: dict[str, str], units: dict[str, str]) -> list[CrankorderError]:

@@ -42,7 +42,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         units=units,
         rates_hz={source: times.rate_hz for source, times in timed.items()},
         starts_s={source: times.start_s for source, times in timed.items()},
-        attrs={"rate_uncertainty": max((times.rate_uncertainty for times in sensors), default=0.0)},
+        rate_uncertainty=max((times.rate_uncertainty for times in sensors), default=0.0),
         flags=[remark for times in sensors for remark in _graded(times)],
     )
 

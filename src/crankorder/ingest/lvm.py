@@ -106,6 +106,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         units={source: unit for source, name in zip(sources, names, strict=True) if (unit := wanted[name].unit)},
         rates_hz={source: rates[name] for source, name in zip(sources, names, strict=True) if name in rates},
         starts_s={source: starts[name] for source, name in zip(sources, names, strict=True)},
+        rate_uncertainty=float(attrs["rate_uncertainty"]),
         attrs=attrs,
         flags=flags,
     )
@@ -323,8 +324,7 @@ def _timing(
             dates[name] = np.datetime64(f"{date}T{of_day[:18]}", "ns")
     starts, flags = starts_by_date({name: date for name, date in dates.items() if not np.isnat(date)}, starts, path)
     flags += [one for _, _, told in kinds.values() for one in told]
-    attrs = dict(next(iter(kinds.values()))[1])
-    attrs["rate_uncertainty"] = max(told["rate_uncertainty"] for _, told, _ in kinds.values())
+    attrs = next(iter(kinds.values()))[1]
     return rates, starts, attrs, [one for number, one in enumerate(flags) if one not in flags[:number]]
 
 

@@ -7,7 +7,7 @@ import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from crankorder.scratch import empty
 
 FloatArray = npt.NDArray[np.floating[Any]]
 Source = str | int
+Key = TypeVar("Key", bound=Source)
 
 
 _LOOKED_AT, _SIZES = 8192, 16
@@ -57,13 +58,14 @@ class RawFile:
     ``columns`` are float32 or float64 in the file's unit, which ``units`` states where the file does. Columns that were
     asked for one after the other may be neighbouring rows of one block, so that they can be stacked without a copy.
     ``rates_hz``: samples per second of each, where the file states it; ``starts_s``: time of the first sample of each
-    on the one clock of the file, 0 where it states none.
+    on the one clock of the file, 0 where it states none. ``rate_uncertainty`` is that of :class:`Contents`.
     """
 
     columns: Mapping[Source, FloatArray]
     units: Mapping[Source, str] = field(default_factory=dict)
     rates_hz: Mapping[Source, float] = field(default_factory=dict)
     starts_s: Mapping[Source, float] = field(default_factory=dict)
+    rate_uncertainty: float = 0.0
     attrs: Mapping[str, Any] = field(default_factory=dict)
     flags: list[QualityFlag] = field(default_factory=list)
 
@@ -111,8 +113,8 @@ def distinct(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def starts_by_date(
-    dates: Mapping[Source, np.datetime64], offsets_s: Mapping[Source, float], path: Path
-) -> tuple[dict[Source, float], list[QualityFlag]]:
+    dates: Mapping[Key, np.datetime64], offsets_s: Mapping[Key, float], path: Path
+) -> tuple[dict[Key, float], list[QualityFlag]]:
     """Starts in s on one clock of columns that state a date, and an offset from it; flags where a clock was not set.
 
     The clock begins at the earliest date; without one the offset counts from there. A date before 1980 beside a real

@@ -13,7 +13,7 @@ import xarray as xr
 from crankorder.errors import CrankorderError, InputError
 from crankorder.fft.integration import faded_samples, integrated
 from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
-from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
+from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, Encoder
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.formats import contents_of, format_of, read_file
 from crankorder.ingest.limit_table import check_bands
@@ -22,7 +22,7 @@ from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_c
 from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, direction_flags, judged
 from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
-from crankorder.ingest.time_bases import TimeBase, base_faults, bases_of, lowest_rate, on_one_base, start_flags
+from crankorder.ingest.time_bases import ENCODER, TimeBase, bases_of, on_one_base
 from crankorder.ingest.units import (
     conversion_factor,
     known_unit,
@@ -33,8 +33,6 @@ from crankorder.quantities import Floats, QualityFlag, Recording, Severity, with
 from crankorder.scratch import empty_like
 from crankorder.settings import IngestSettings, ShaftSettings
 from crankorder.shaft.pulses import NoPulsesError, find_pulses
-
-_MIN_SAMPLES = 3
 
 # Pulse times that are told more finely than this are as good as those of a counter.
 _FINE_STEP_S = 1e-6
@@ -101,24 +99,32 @@ def recording_of(
     """
     flags = [*raw.flags, *(listed.flags if listed is not None else ())]
     times = _times(raw, manifest, path, settings)
-    sampled = _sampled_sources(manifest)
-    file_hz = _file_rate(raw, sampled, manifest, settings)
-    recording, rate_hz = _axis(raw, file_hz, times, manifest, path, settings, flags)
-    check_bands(manifest.limits, rate_hz, path)
     if times is not None:
         n_rows = raw.columns[_time_source(manifest)].size
-        timed = [source for source, row in raw.columns.items() if row.size == n_rows]
-        on_grid = {source: times.on_grid(raw.columns[source]) for source in timed}
-        starts_s = {**raw.starts_s, **dict.fromkeys(timed, times.start_s)}
+        on_grid = {source: times.on_grid(row) for source, row in raw.columns.items() if row.size == n_rows}
+        starts_s = {**raw.starts_s, **dict.fromkeys(on_grid, times.start_s)}
         raw = replace(raw, columns={**raw.columns, **on_grid}, starts_s=starts_s)
-    channels, bases, base = _on_one_base(
-        raw, sampled, manifest, path, settings, flags, rate_hz=rate_hz, file_hz=file_hz
+    bases, file_hz = bases_of(
+        manifest.sampled,
+        {source: row.size for source, row in raw.columns.items()},
+        raw if manifest.sampling.domain == "time" else RawFile(raw.columns),
+        len(manifest.channels),
+        tolerance=settings.rate_tolerance,
     )
+    recording, rate_hz = _axis(raw, file_hz, times, manifest, path, settings, flags)
+    check_bands(manifest.limits, rate_hz, path)
+    channels = {channel.name: raw.columns[channel.file_source] for channel in manifest.channels}
+    if math.isfinite(rate_hz):
+        common_hz = file_hz or 1.0
+        agreed = {role: base._replace(rate_hz=rate_hz) for role, base in bases.items() if base.rate_hz == common_hz}
+        bases = {**bases, **agreed}
+    base, told = on_one_base(channels, bases, path, settings=settings)
+    flags += told
     _add_encoder(recording, listed or raw, manifest, path, shaft, flags, bases=bases, base=base)
     if manifest.of_shaft_alone:
         _add_signals(recording, np.empty((0, _trace_length(raw, manifest)), dtype=np.float32), manifest)
         return Recording(with_flags(recording, _named(flags, manifest.name_of(path))))
-    signals = _stacked([channels[channel.file_source] for channel in manifest.channels])
+    signals = _stacked(list(channels.values()))
     faults, scalings = [], list[Scaling]()
     for channel, row in zip(manifest.channels, signals, strict=True):
         faults.append(mend_signal(row, settings=settings))  # sentinels: in the file's own unit
@@ -245,7 +251,7 @@ def _axis(
         manifest_hz=sampling.rate_hz,
         path=path,
         settings=settings,
-        file_uncertainty=float(raw.attrs.get("rate_uncertainty", 0.0)),
+        file_uncertainty=raw.rate_uncertainty,
     )
     flags += _rate_flags(raw, file_hz, path, settings, stated=sampling.rate_hz is not None, timed=times is not None)
     attrs["rate_hz"] = rate_hz
@@ -257,7 +263,7 @@ def _rate_flags(
 ) -> list[QualityFlag]:
     """Flags where the file contradicts itself on its rate, or states it to a few decimals and nothing else tells it."""
     flags: list[QualityFlag] = []
-    header_hz, doubt = raw.attrs.get("header_rate_hz"), float(raw.attrs.get("rate_uncertainty", 0.0))
+    header_hz, doubt = raw.attrs.get("header_rate_hz"), raw.rate_uncertainty
     if header_hz is not None and file_hz is not None:
         detail = f"the header states {header_hz:.6g} Hz, the times in the file say {file_hz:.6g} Hz, which are used"
         severity: Severity = "info" if stated else "suspect"  # what the manifest states agrees with the times
@@ -273,64 +279,6 @@ def _in_seconds(raw: RawFile, source: Source) -> FloatArray:
     factor = unit.factor if unit is not None and unit.quantity == "time" else 1.0
     column = raw.columns[source]
     return column if factor == 1.0 else column * factor
-
-
-def _sampled_sources(manifest: Manifest) -> dict[str, Source]:
-    """Sources of the columns that were sampled by themselves, by what each is for; channels first."""
-    encoder = manifest.encoder
-    sampled: dict[str, Source | None] = {channel.name: channel.file_source for channel in manifest.channels}
-    if encoder.kind in (*TRACE_KINDS, "speed"):
-        sampled["the encoder"] = encoder.source
-    if encoder.kind in TRACE_KINDS:
-        sampled |= {"the second track": encoder.second_track, "the index": encoder.index, "the cam mark": encoder.cam}
-    return {role: source for role, source in sampled.items() if source is not None}
-
-
-def _file_rate(
-    raw: RawFile, sampled: Mapping[str, Source], manifest: Manifest, settings: IngestSettings
-) -> float | None:
-    """Rate in Hz that the file states for the channels, else for what else was sampled."""
-    channels = {channel.file_source for channel in manifest.channels}
-    rates = {source: raw.rates_hz[source] for source in sampled.values() if source in raw.rates_hz}
-    of_channels = [rate for source, rate in rates.items() if source in channels]
-    tolerance = settings.rate_tolerance + 2.0 * float(raw.attrs.get("rate_uncertainty", 0.0))
-    return lowest_rate(of_channels or list(rates.values()), tolerance)
-
-
-def _on_one_base(
-    raw: RawFile, sampled: Mapping[str, Source], manifest: Manifest, path: Path, settings: IngestSettings,
-    flags: list[QualityFlag], *, rate_hz: float, file_hz: float | None,
-) -> tuple[dict[Source, FloatArray], dict[str, TimeBase], TimeBase]:  # fmt: skip
-    """Channels of ``raw`` on the base of the recording, base of each of the ``sampled`` by role, and the first."""
-    by_time = math.isfinite(rate_hz)
-    bases = bases_of(
-        sampled,
-        {source: row.size for source, row in raw.columns.items()},
-        raw.rates_hz if by_time else {},
-        raw.starts_s if by_time else {},
-        rate_hz=rate_hz if by_time else 1.0,
-        file_hz=file_hz,
-        tolerance=settings.rate_tolerance + 2.0 * float(raw.attrs.get("rate_uncertainty", 0.0)),
-    )
-    for fault in base_faults(bases, path, settings=settings):
-        raise fault
-    channels = {sampled[channel.name]: bases[channel.name] for channel in manifest.channels}
-    columns = {source: raw.columns[source] for source in channels}
-    encoder = bases.get("the encoder")
-    base = encoder or TimeBase(1.0, 0.0, _MIN_SAMPLES)
-    if channels:
-        base, lost = on_one_base(
-            columns, channels, encoder, path, rate_hz=rate_hz if by_time else 1.0, settings=settings
-        )
-        flags += [*start_flags(bases, path, settings=settings), *lost]
-    if base.n_samples < _MIN_SAMPLES:
-        raise InputError(
-            "no samples" if base.n_samples == 0 else f"too short: {base.n_samples} samples",
-            file=path,
-            allowed=f"{_MIN_SAMPLES} samples or more",
-            remedy="Leave the recording out",
-        )
-    return columns, bases, base
 
 
 def _trace_length(raw: RawFile, manifest: Manifest) -> int:
@@ -359,7 +307,7 @@ def _add_encoder(
     if encoder.kind in SOURCELESS_KINDS:
         return
     attrs["ratio"] = encoder.ratio
-    own = bases.get("the encoder", base)
+    own = bases.get(ENCODER, base)
     if own != base:
         attrs["encoder_rate_hz"] = own.rate_hz
     if encoder.kind == "speed":
@@ -383,7 +331,7 @@ def _add_encoder(
         return found[0] + (trace.start_s - base.start_s), found[1]
 
     pulse_s, attrs["pulse_noise_s"] = pulses(
-        "the encoder", encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
+        ENCODER, encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
     )
     recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
     if encoder.second_track is not None:

@@ -78,7 +78,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         units={source: found[name].unit for source, name in zip(sources, names, strict=True) if found[name].unit},
         rates_hz={source: 1.0 / one.step_s for source, one in by_source.items()},
         starts_s={source: one.start_s for source, one in by_source.items()},
-        attrs={"rate_uncertainty": doubt},
+        rate_uncertainty=doubt,
         flags=_flags(found, columns, path),
     )
 
