@@ -50,6 +50,7 @@ _UNIT_NAMES = ("units", "unit", "unit_string")
 _START_NAMES = ("start_s", "wf_start_offset")
 _CLOCK_NAMES = ("t0", "t0_s", "start_time_s", "start_offset_s", "time_offset_s")
 _DATE_NAMES = ("wf_start_time", "start_time")
+_TIME_NAMES = (_START_NAMES, _CLOCK_NAMES, _DATE_NAMES)
 _PACKING_NAMES = ("_FillValue", "missing_value", "scale_factor", "add_offset")
 _TEXT_NUMBER = re.compile(r"([+-]?[0-9.]{1,30}(?:[eE][+-]?[0-9]{1,3})?)\s*([kMmµu]?)(?:Hz|S/s|s|sec)?")
 _PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "m": 1e-3, "µ": 1e-6, "u": 1e-6}
@@ -63,16 +64,7 @@ def _plain(name: str) -> str:
 
 _ASKED = frozenset(
     _plain(name)
-    for names in (
-        _RATE_NAMES,
-        _STEP_NAMES,
-        _SPEED_NAMES,
-        _UNIT_NAMES,
-        _START_NAMES,
-        _CLOCK_NAMES,
-        _DATE_NAMES,
-        _PACKING_NAMES,
-    )
+    for names in (_RATE_NAMES, _STEP_NAMES, _SPEED_NAMES, _UNIT_NAMES, *_TIME_NAMES, _PACKING_NAMES)
     for name in names
 )
 _ALONE = frozenset(_plain(name) for names in (_RATE_NAMES, _STEP_NAMES, _SPEED_NAMES) for name in names)

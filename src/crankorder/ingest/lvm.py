@@ -119,13 +119,11 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """
     check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
     layout = _layout(path)
-    rates, starts, attrs, _ = _timing(
-        layout,
-        layout.columns,
-        lambda time: _read(path, layout, time.segment, [time.place], settings, most=_FEW_LINES)[0],
-        path,
-        settings,
-    )
+
+    def first_times(time: _Column) -> FloatArray:
+        return _read(path, layout, time.segment, [time.place], settings, most=_FEW_LINES)[0]
+
+    rates, starts, attrs, _ = _timing(layout, layout.columns, first_times, path, settings)
     return Contents(
         format="LVM",
         names=tuple(layout.columns),
@@ -294,12 +292,9 @@ def _filled(row: FloatArray) -> int:
 
 
 def _timing(
-    layout: _Layout,
-    columns: Mapping[str, _Column],
-    stamps: Callable[[_Column], FloatArray],
-    path: Path,
+    layout: _Layout, columns: Mapping[str, _Column], stamps: Callable[[_Column], FloatArray], path: Path,
     settings: IngestSettings,
-) -> tuple[dict[str, float], dict[str, float], dict[str, Any], list[QualityFlag]]:
+) -> tuple[dict[str, float], dict[str, float], dict[str, Any], list[QualityFlag]]:  # fmt: skip
     """Rates in Hz and starts in s of ``columns`` by name, attributes of the file, flags.
 
     ``stamps`` gives the values of a column of times, which is asked for once for all channels of one step.
