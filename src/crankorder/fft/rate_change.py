@@ -31,7 +31,7 @@ def _low_pass(step: float) -> tuple[Floats, int]:
 
 
 def reach_of(step: float) -> int:
-    """Samples to either side that a value of :func:`resampled` is made from."""
+    """Samples to either side from which :func:`resampled` makes a value at a rate ``step`` times lower."""
     taps, down = _low_pass(step)
     return taps.size // 2 + (_KERNEL.margin + 1) * down
 

@@ -115,10 +115,10 @@ def distinct(names: Sequence[str]) -> tuple[str, ...]:
 def starts_by_date(
     dates: Mapping[Key, np.datetime64], offsets_s: Mapping[Key, float], path: Path
 ) -> tuple[dict[Key, float], list[QualityFlag]]:
-    """Starts in s on one clock of columns that state a date, and an offset from it; flags where a clock was not set.
+    """Starts in s on one clock of columns with ``dates`` and ``offsets_s`` from them; flags where a clock was not set.
 
     The clock begins at the earliest date; without one the offset counts from there. A date before 1980 beside a real
-    one is no date.
+    one is no date, which a flag of the file at ``path`` says.
     """
     real = {source: date for source, date in dates.items() if date >= FIRST_DATE}
     unset = [source for source in dates if source not in real] if real else []

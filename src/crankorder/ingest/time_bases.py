@@ -84,8 +84,8 @@ def on_one_base(
     ``bases`` by role are theirs and that of the encoder, which keeps its own. The base has the lowest rate of the
     channels and spans the time in which they and the encoder were recorded, which holds for one of its steps beyond its
     ends. What differs by whole samples is cut, other channels are resampled within their band; on one base all stay as
-    they are. Raises InputError where columns on one base differ in length, or less than three samples are
-    common to all.
+    they are. ``path`` is the file of flags and errors; ``settings`` say when a place is whole. Raises InputError where
+    columns on one base differ in length, or less than three samples are common to all.
     """
     for fault in length_faults(bases, path):
         raise fault
