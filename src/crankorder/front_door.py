@@ -146,7 +146,7 @@ def recording(
     raw = RawFile(
         dict(enumerate([*channels.values(), *shaft.values()])),
         units=dict(enumerate(units.values())),
-        attrs={"start_s": start},
+        starts_s=dict.fromkeys(range(len(channels) + len(shaft)), start),
     )
     return recording_of(raw, Path(name), manifest, settings=settings.ingest, shaft=settings.shaft)
 

@@ -43,7 +43,7 @@ def test_rates_of_two_places_that_differ_are_told(tmp_path, limits):
     ]
     for of_file, of_data, rate_hz, told in rows:
         raw = read_file(stored(tmp_path / "a.h5", TONE, of_file, **of_data), sources=["a"], settings=limits)
-        assert raw.rate_hz == (None if rate_hz is None else pytest.approx(rate_hz))
+        assert raw.rates_hz.get("a") == (None if rate_hz is None else pytest.approx(rate_hz))
         assert [flag["flag"] for flag in raw.flags] == ["header_rate_disagrees"] * told
         if told:
             assert "51200 Hz" in raw.flags[0]["detail"] and "50000 Hz" in raw.flags[0]["detail"]

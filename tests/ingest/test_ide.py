@@ -35,8 +35,10 @@ def test_all_channels_are_those_of_the_formats_own_library(path, limits):
                 np.testing.assert_array_equal(raw.columns[name], values)
                 assert told.samples[name] == values.size
                 if values.size > 2:
-                    assert raw.rate_hz == pytest.approx(1e6 * (values.size - 1) / (times[-1] - times[0]), rel=1e-9)
-                    assert raw.attrs["start_s"] == pytest.approx(1e-6 * times[0])
+                    assert raw.rates_hz[name] == pytest.approx(
+                        1e6 * (values.size - 1) / (times[-1] - times[0]), rel=1e-9
+                    )
+                    assert raw.starts_s[name] == pytest.approx(1e-6 * times[0])
         assert number == len(told.names) > 10
 
 
@@ -51,10 +53,14 @@ def test_a_draft_names_one_sensor_and_can_be_run(path, tmp_path, settings):
     assert recording.attrs["rate_hz"] == pytest.approx(5000.0, rel=1e-4)
 
 
-def test_channels_of_two_sensors_are_refused(path, limits):
+def test_channels_of_two_sensors_have_rates_and_starts_of_their_own(path, limits):
     names = contents_of(path, settings=limits).names
-    with pytest.raises(InputError, match=r"channels differ in their times.*one sensor"):
-        read_file(path, sources=[names[0], names[3]], settings=limits)
+    both = read_file(path, sources=[names[0], names[3]], settings=limits)
+    for name in (names[0], names[3]):
+        alone = read_file(path, sources=[name], settings=limits)
+        np.testing.assert_array_equal(both.columns[name], alone.columns[name])
+        assert (both.rates_hz[name], both.starts_s[name]) == (alone.rates_hz[name], alone.starts_s[name])
+    assert len(set(both.rates_hz.values())) == 2
 
 
 @pytest.mark.slow

@@ -58,7 +58,7 @@ def test_columns_are_read_whatever_the_decimals_and_the_times(written, limits):
                 raw = read_file(path, sources=["acc", 0], settings=limits)
                 np.testing.assert_array_equal(raw.columns["acc"], VALUES[:, 1])
                 np.testing.assert_array_equal(raw.columns[0], VALUES[:, 0])
-                assert raw.rate_hz == pytest.approx(1000.0, rel=1e-9)
+                assert raw.rates_hz["acc"] == raw.rates_hz[0] == pytest.approx(1000.0, rel=1e-9)
 
 
 def test_headers_and_values_are_parted_by_tabs_commas_or_semicolons_alike(written, limits):
@@ -70,7 +70,7 @@ def test_headers_and_values_are_parted_by_tabs_commas_or_semicolons_alike(writte
                 source = "acc" if segments == 1 else "1/acc"
                 raw = read_file(path, sources=[source], settings=limits)
                 np.testing.assert_array_equal(raw.columns[source], VALUES[:, 1])
-                assert (raw.units[source], raw.rate_hz) == ("g", pytest.approx(1000.0, rel=1e-9))
+                assert (raw.units[source], raw.rates_hz[source]) == ("g", pytest.approx(1000.0, rel=1e-9))
 
 
 def test_segments_are_columns_of_their_own(written, limits):
@@ -155,7 +155,7 @@ def test_the_real_beams_header_is_stale_and_its_times_are_right(real_data, limit
     raw = read_file(path, sources=["Acceleratio"], settings=limits)
     expected = np.loadtxt(path, skiprows=23, usecols=3, encoding="utf-8")
     np.testing.assert_array_equal(raw.columns["Acceleratio"], expected)
-    assert raw.rate_hz == pytest.approx(3200.0, rel=1e-7)
+    assert raw.rates_hz["Acceleratio"] == pytest.approx(3200.0, rel=1e-7)
     assert raw.attrs["header_rate_hz"] == 51200.0
 
 
@@ -171,6 +171,6 @@ def test_real_files_of_old_and_new_writers_are_read(real_data, limits):
     for name, (source, values, rate_hz) in first.items():
         raw = read_file(folder / name, sources=[source], settings=limits)
         np.testing.assert_array_equal(raw.columns[source][:3], values)
-        assert raw.rate_hz == pytest.approx(rate_hz, rel=1e-9), name
+        assert raw.rates_hz[source] == pytest.approx(rate_hz, rel=1e-9), name
     with pytest.raises(InputError, match="not even between gaps"):
         read_file(folder / "with_comments.lvm", sources=[0], settings=limits)

@@ -80,7 +80,7 @@ def test_a_number_beside_the_samples_states_the_rate_unless_two_contradict(saved
     ]
     for beside, rate_hz in rows:
         path = saved(x=np.arange(100.0), **beside)
-        assert read_file(path, sources=["x"], settings=limits).rate_hz == rate_hz
+        assert read_file(path, sources=["x"], settings=limits).rates_hz.get("x") == rate_hz
 
 
 @pytest.mark.slow

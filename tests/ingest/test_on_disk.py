@@ -38,7 +38,7 @@ def assert_same(whole: RawFile, blocks: RawFile) -> None:
         assert is_on_disk(blocks.columns[source])
         assert blocks.columns[source].dtype == column.dtype
         np.testing.assert_array_equal(blocks.columns[source], column)
-    assert (whole.units, whole.rate_hz, whole.flags) == (blocks.units, blocks.rate_hz, blocks.flags)
+    assert (whole.units, whole.rates_hz, whole.flags) == (blocks.units, blocks.rates_hz, blocks.flags)
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def test_a_rate_in_the_comments_is_found(read):
         ("# offset = 7", None),
     ]
     for comment, rate in rows:
-        assert read(f"{comment}\na,b\n1,2\n3,4\n", "a").rate_hz == rate
+        assert read(f"{comment}\na,b\n1,2\n3,4\n", "a").rates_hz.get("a") == rate
 
 
 def test_what_is_no_table_of_numbers_is_named_with_line_and_cell(read):

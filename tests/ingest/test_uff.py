@@ -79,8 +79,8 @@ def test_text_of_any_length_reads_to_its_digits(read):
             values = np.random.default_rng(n).normal(scale=100.0, size=n)  # signs touch the numbers before them
             raw, contents = read(as_text("one", values, form=form))
             np.testing.assert_allclose(raw.columns[0], values, rtol=1e-5 if form == 2 else 1e-12)
-            assert raw.rate_hz == pytest.approx(2560.0)
-            assert raw.attrs["start_s"] == 0.5
+            assert raw.rates_hz[0] == pytest.approx(2560.0)
+            assert raw.starts_s[0] == 0.5
             assert contents.names == ("3-Y",)
             assert contents.units == {"3-Y": "m/s^2"}
 
@@ -118,10 +118,10 @@ def test_histories_with_a_time_for_each_sample_are_read_where_these_are_even(rea
         times, values = start + np.arange(n) / rate_hz, np.random.default_rng(n).normal(size=n)
         raw, contents = read(paired(form, times * {"s": 1.0, "ms": 1e3}[time], values, time))
         np.testing.assert_allclose(raw.columns[0], values, rtol=1e-5)
-        doubt = max(1e-6, raw.attrs["rate_uncertainty"])
+        doubt = max(1e-6, raw.rate_uncertainty)
         assert doubt < 1e-4
-        assert (raw.rate_hz, contents.rates_hz["3-Y"]) == pytest.approx((rate_hz, rate_hz), rel=3 * doubt)
-        assert raw.attrs["start_s"] == pytest.approx(start, abs=1.0 / rate_hz)
+        assert (raw.rates_hz[0], contents.rates_hz["3-Y"]) == pytest.approx((rate_hz, rate_hz), rel=3 * doubt)
+        assert raw.starts_s[0] == pytest.approx(start, abs=1.0 / rate_hz)
 
 
 @pytest.mark.parametrize("form", PAIRS)
@@ -172,7 +172,7 @@ def test_a_real_pair_of_text_and_binary_holds_the_same_signal(real_data, limits)
     text, binary = (
         read_file(folder / f"Sample_UFF58{kind}.uff", sources=[0], settings=limits) for kind in ("_ascii", "b_bin")
     )
-    assert text.rate_hz == pytest.approx(65536.0, rel=3e-6)
+    assert text.rates_hz[0] == pytest.approx(65536.0, rel=3e-6)
     assert text.units == {0: "Pa"}
     np.testing.assert_allclose(text.columns[0], binary.columns[0], rtol=1e-5, atol=1e-9)
     assert text.columns[0].size == 79292
@@ -191,4 +191,4 @@ def test_what_the_reference_reader_reads_is_read_the_same(real_data, limits):
         raw = read_file(path, sources=list(range(len(histories))), settings=limits)
         for number, one in enumerate(histories):
             np.testing.assert_allclose(raw.columns[number], np.real(one["data"])[: raw.columns[number].size], rtol=1e-6)
-            assert raw.rate_hz == pytest.approx(1.0 / one["abscissa_inc"], rel=1e-6)
+            assert raw.rates_hz[number] == pytest.approx(1.0 / one["abscissa_inc"], rel=1e-6)

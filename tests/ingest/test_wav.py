@@ -52,7 +52,7 @@ def test_every_sample_format_gives_fractions_of_full_scale(tmp_path, limits):
         np.testing.assert_allclose(
             np.array([raw.columns[0], raw.columns["1"]]).T, values, rtol=0, atol=max(step, 2.0**-24)
         )
-        assert raw.rate_hz == 44_100.0
+        assert raw.rates_hz == {0: 44_100.0, "1": 44_100.0}
         assert raw.units[0] == "FS"
         assert not raw.flags
 
@@ -238,7 +238,7 @@ def test_scipy_agrees_on_real_files_of_all_sample_formats(real_data, limits):
         path = real_data / "formats" / "wav" / name
         rate, samples = wavfile.read(path)
         raw = read_file(path, sources=[0], settings=limits)
-        assert raw.rate_hz == rate
+        assert raw.rates_hz == {0: rate}
         np.testing.assert_array_equal(raw.columns[0], (samples.astype(float) - zero) / full_scale)
 
 

@@ -8,15 +8,14 @@ before to what they do a turn later.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 from scipy.ndimage import median_filter
 
-from crankorder.ingest.manifest import Manifest
-from crankorder.ingest.rawfile import FloatArray, RawFile, flag
+from crankorder.ingest.rawfile import FloatArray, flag
 from crankorder.quantities import Floats, QualityFlag
 
 BESIDE = 4
@@ -125,25 +124,20 @@ def _told(breaks: Sequence[Break], rate_hz: float) -> str:
     return ", ".join(listed[:LISTED]) + more
 
 
-def laid_apart(
-    recording: xr.Dataset, raw: RawFile, manifest: Manifest, path: Path, flags: list[QualityFlag], rate_hz: float
-) -> RawFile:
-    """``raw`` with buffers that were written one behind the other laid apart, and the pulses of ``recording`` too.
+def laid_apart(recording: xr.Dataset, channels: dict[str, FloatArray], path: Path, flags: list[QualityFlag]) -> None:
+    """Lay buffers that were written one behind the other apart, in ``channels`` and the pulses of ``recording``.
 
     Where the pulses do not tell a turn the angle is lost across a break: the longest stretch is kept alone.
-    ``manifest`` names the channels, ``path`` the file, ``rate_hz`` the samples per second.
-    ``flags`` take what was found.
+    ``channels`` (name to samples) are those of the file at ``path``; ``flags`` take what was found.
     """
-    sources = list(dict.fromkeys(channel.file_source for channel in manifest.channels))
-    teeth = len(recording.attrs.get("tooth_angles_deg", [])) or (
-        recording.attrs.get("pulses_per_rev", 0) - recording.attrs.get("missing_teeth", 0)
-    )
+    attrs, rate_hz = recording.attrs, float(recording.attrs["rate_hz"])
+    teeth = len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 0) - attrs.get("missing_teeth", 0)
     marked = "index_time" in recording and recording["index_time"].size > 1
     turns = recording["index_time"].values if marked else recording["pulse_time"].values[:: teeth or None]
-    breaks = find_breaks(turns * rate_hz, [raw.columns[source] for source in sources]) if marked or teeth else []
+    breaks = find_breaks(turns * rate_hz, list(channels.values())) if marked or teeth else []
     if not breaks:
-        return raw
-    n_samples = raw.columns[sources[0]].size
+        return
+    n_samples = next(iter(channels.values())).size
     lost = np.zeros(n_samples, dtype=np.int64)
     lost[[one.sample for one in breaks]] = [one.missing for one in breaks]
     places = np.arange(n_samples) + np.cumsum(lost)
@@ -158,12 +152,10 @@ def laid_apart(
         end, places = first + int(np.diff(ends).max()), np.arange(n_samples)
         said += f"; the pulses do not tell the angle across: samples {first} to {end - 1} are used alone"
     flags.append(flag(path, "buffers_joined", "suspect", said))
-    columns = {}
-    for name, column in raw.columns.items():
-        if column.size == n_samples and name in sources:
-            columns[name] = np.full(max(total, end), np.nan, dtype=column.dtype)
-            columns[name][places] = column
-            columns[name] = columns[name][first:end]
+    for name, column in channels.items():
+        gridded = np.full(max(total, end), np.nan, dtype=column.dtype)
+        gridded[places] = column
+        channels[name] = gridded[first:end]
     at = np.array([one.sample for one in breaks])
     moved = places - np.arange(n_samples) - first
     for name in ("pulse_time", "index_time", "cam_time"):
@@ -173,6 +165,5 @@ def laid_apart(
             place = place + moved[np.clip(np.ceil(place).astype(int), 0, n_samples - 1)]
             inside = (place >= 0) & (place <= end - first - 1)
             recording[name] = (recording[name].dims, place[inside] / rate_hz, recording[name].attrs)
-    gaps = np.append(np.round(np.array(recording.attrs.get("gap_starts_s", [])) * rate_hz).astype(int), at - 1)
-    recording.attrs["gap_starts_s"] = sorted(((gaps + moved[gaps]) / rate_hz).tolist())
-    return replace(raw, columns={**raw.columns, **columns})
+    gaps = np.append(np.round(np.array(attrs.get("gap_starts_s", [])) * rate_hz).astype(int), at - 1)
+    attrs["gap_starts_s"] = sorted(((gaps + moved[gaps]) / rate_hz).tolist())

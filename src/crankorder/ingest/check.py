@@ -6,7 +6,7 @@ from pathlib import Path
 
 from crankorder.errors import MOST_TOLD, CrankorderError, InputError, ManyErrors, RequestError
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS
-from crankorder.ingest.manifest import MANIFEST_NAME, TRACE_KINDS, Manifest, load_manifest
+from crankorder.ingest.manifest import MANIFEST_NAME, Manifest, load_manifest
 from crankorder.settings import IngestSettings
 
 
@@ -69,8 +69,9 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
     ``settings`` limit what is opened.
     """
     from crankorder.ingest.formats import contents_of
-    from crankorder.ingest.rawfile import Contents, common_rate, named
+    from crankorder.ingest.rawfile import Contents, named
     from crankorder.ingest.sampling import agreed_rate
+    from crankorder.ingest.time_bases import bases_of, length_faults
 
     try:
         contents: Contents = contents_of(path, settings=settings)
@@ -87,15 +88,13 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
         except CrankorderError as error:
             faults.append(error)
     faults += _unit_faults(path, manifest, names, dict(contents.units))
-    sampled = {role: name for role, name in names.items() if role != "the time" and _is_sampled(role, manifest)}
-    faults += _length_faults(
-        path, {role: contents.samples[name] for role, name in sampled.items() if name in contents.samples}
-    )
+    sampled = {role: names[role] for role in manifest.sampled if role in names}
+    told = contents if manifest.sampling.domain == "time" else Contents(contents.format, contents.names)
+    n_channels = sum(channel.name in sampled for channel in manifest.channels)
+    bases, file_hz = bases_of(sampled, contents.samples, told, n_channels, tolerance=settings.rate_tolerance)
+    faults += length_faults(bases, path)
     if manifest.sampling.domain == "time" and manifest.sampling.time_source is None and manifest.has_samples:
         try:
-            rates = {name: contents.rates_hz[name] for name in sampled.values() if name in contents.rates_hz}
-            tolerance = settings.rate_tolerance + 2.0 * contents.rate_uncertainty
-            file_hz = common_rate(rates, path, tolerance=tolerance)
             agreed_rate(
                 file_hz=file_hz,
                 times=None,
@@ -144,24 +143,6 @@ def _roles(manifest: Manifest) -> dict[str, str | int]:
     if manifest.sampling.domain == "time":
         roles["the time"] = manifest.sampling.time_source
     return {role: source for role, source in roles.items() if source is not None}
-
-
-def _is_sampled(role: str, manifest: Manifest) -> bool:
-    if role == "the speed":
-        return False
-    if role in ("the encoder", "the index", "the cam mark"):
-        return manifest.encoder.kind in (*TRACE_KINDS, "speed")
-    return True
-
-
-def _length_faults(path: Path, lengths: dict[str, int]) -> list[CrankorderError]:
-    faults: list[CrankorderError] = []
-    first = next(iter(lengths.items()), ("", 0))
-    for role, length in lengths.items():
-        if length != first[1]:
-            problem = f"lengths differ: {first[0]} has {first[1]} samples, {role} has {length}"
-            faults.append(InputError(problem, file=path, remedy="Export all channels over the same time at one rate"))
-    return faults
 
 
 def _unit_faults(path: Path, manifest: Manifest, names: dict[str, str], units: dict[str, str]) -> list[CrankorderError]:

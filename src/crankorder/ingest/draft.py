@@ -124,15 +124,17 @@ def _edges(
         high = values > 0.5 * (values.min() + values.max())
         turns = {"rising": high[1:] & ~high[:-1], "falling": ~high[1:] & high[:-1]}
         return "edge_list", "rising", {edge: times[1:][turned] for edge, turned in turns.items()}
+    rate_hz, start_s = raw.rates_hz.get(source, rate_hz), raw.starts_s.get(source, 0.0)
     if times is not None:
         timed = read_time_column(times, path, settings=load_settings().ingest)
-        rate_hz = timed.rate_hz
+        rate_hz, start_s = timed.rate_hz, 0.0
         if timed.places is not None:  # a gap hides pulses, again and again: between gaps the wheel shows itself
             values = max(np.split(values, np.flatnonzero(np.diff(timed.places) != 1) + 1), key=len)
     kind = "square" if is_square(values) else "analogue"
     shaft = load_settings().shaft
     by_edge = {
-        edge: find_pulses(
+        edge: start_s
+        + find_pulses(
             values,
             rate_hz=rate_hz or _NOMINAL_HZ,
             kind="square" if kind == "square" else "analogue",

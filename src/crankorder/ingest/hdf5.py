@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,12 +21,12 @@ from crankorder.ingest.rawfile import (
     RawFile,
     Source,
     check_budget,
-    common_rate,
     flag,
     float_type_for,
     named,
     part_of,
     rows_for,
+    starts_by_date,
 )
 from crankorder.scratch import blocks, is_on_disk
 from crankorder.settings import IngestSettings
@@ -48,6 +48,9 @@ _STEP_NAMES = (
 _SPEED_NAMES = ("speed_rpm", "rpm", "shaft_speed_rpm", "nominal_rpm", "engine_speed_rpm")
 _UNIT_NAMES = ("units", "unit", "unit_string")
 _START_NAMES = ("start_s", "wf_start_offset")
+_CLOCK_NAMES = ("t0", "t0_s", "start_time_s", "start_offset_s", "time_offset_s")
+_DATE_NAMES = ("wf_start_time", "start_time")
+_TIME_NAMES = (_START_NAMES, _CLOCK_NAMES, _DATE_NAMES)
 _PACKING_NAMES = ("_FillValue", "missing_value", "scale_factor", "add_offset")
 _TEXT_NUMBER = re.compile(r"([+-]?[0-9.]{1,30}(?:[eE][+-]?[0-9]{1,3})?)\s*([kMmµu]?)(?:Hz|S/s|s|sec)?")
 _PREFIXES = {"": 1.0, "k": 1e3, "M": 1e6, "m": 1e-3, "µ": 1e-6, "u": 1e-6}
@@ -61,7 +64,7 @@ def _plain(name: str) -> str:
 
 _ASKED = frozenset(
     _plain(name)
-    for names in (_RATE_NAMES, _STEP_NAMES, _SPEED_NAMES, _UNIT_NAMES, _START_NAMES, _PACKING_NAMES)
+    for names in (_RATE_NAMES, _STEP_NAMES, _SPEED_NAMES, _UNIT_NAMES, *_TIME_NAMES, _PACKING_NAMES)
     for name in names
 )
 _ALONE = frozenset(_plain(name) for names in (_RATE_NAMES, _STEP_NAMES, _SPEED_NAMES) for name in names)
@@ -92,27 +95,23 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
         n_bytes = sum(dataset.size * max(4, dataset.dtype.itemsize) for dataset in used.values())
         check_budget(n_bytes, path, max_bytes=settings.max_bytes)
         attributes = _Attributes(file)
-        rates = {name: attributes.rate_hz(used[columns[name].dataset], path) for name in names}
+        datasets = {source: used[columns[name].dataset] for source, name in zip(sources, names, strict=True)}
+        rates = {source: attributes.rate_hz(dataset, path) for source, dataset in datasets.items()}
+        starts, undated = starts_by_date(*attributes.starts(datasets), path)
         values = _read_columns([columns[name] for name in names], used, attributes, path, settings, rows)
-        units = {
-            source: attributes.text(used[columns[name].dataset], _UNIT_NAMES)
-            for source, name in zip(sources, names, strict=True)
-        }
-        start = next(
-            (value for ds in used.values() if (value := attributes.number(ds, _START_NAMES)) is not None), None
-        )
-        common_hz = common_rate(_stated(rates), path, tolerance=settings.rate_tolerance)
-        doubts = {doubt: None for ds in used.values() for doubt in attributes.doubts(ds, common_hz)}
+        units = {source: attributes.text(dataset, _UNIT_NAMES) for source, dataset in datasets.items()}
+        others = set(_stated(rates).values())
+        doubts = {doubt: None for name, ds in datasets.items() for doubt in attributes.doubts(ds, rates[name], others)}
         return RawFile(
             columns=dict(zip(sources, values, strict=True)),
             units={source: unit for source, unit in units.items() if unit},
-            rate_hz=common_hz,
-            attrs={} if start is None else {"start_s": start},
-            flags=[flag(path, name, "suspect", detail) for name, detail in doubts],
+            rates_hz=_stated(rates),
+            starts_s=starts,
+            flags=[flag(path, name, "suspect", detail) for name, detail in doubts] + undated,
         )
 
 
-def _stated(rates: dict[str, float | None]) -> dict[str, float]:
+def _stated(rates: Mapping[Any, float | None]) -> dict[Any, float]:
     return {name: rate for name, rate in rates.items() if rate is not None}
 
 
@@ -134,6 +133,7 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
             samples={name: column.n_samples for name, column in columns.items()},
             units={name: unit for name, dataset in datasets.items() if (unit := attributes.text(dataset, _UNIT_NAMES))},
             rates_hz=_stated(rates),
+            starts_s=starts_by_date(*attributes.starts(datasets), path)[0],
             speed_rpm=next(
                 (rpm for dataset in datasets.values() if (rpm := attributes.number(dataset, _SPEED_NAMES))), None
             ),
@@ -398,8 +398,11 @@ class _Attributes:
             remedy="Mend the attribute, or export the samples as floats in their unit",
         )
 
-    def doubts(self, dataset: Any, rate_hz: float | None) -> Iterator[tuple[str, str]]:
-        """Flags and details of what the attributes about ``dataset``, whose rate is ``rate_hz``, contradict or hide."""
+    def doubts(self, dataset: Any, rate_hz: float | None, others_hz: Collection[float]) -> Iterator[tuple[str, str]]:
+        """Flags and details of what the attributes about ``dataset``, whose rate is ``rate_hz``, contradict or hide.
+
+        A rate stated above it may be that of other datasets, ``others_hz``.
+        """
         for name in ("scale_factor", "add_offset"):
             value = self._at(dataset.name, dataset).get(_plain(name))
             if value is not None and (isinstance(value, (bytes, str)) or np.size(value) > 1):
@@ -407,7 +410,7 @@ class _Attributes:
                 yield "scale_unusual", f"{dataset.name}: its {name} is {kind}; taken as such"
         for place in (dataset.name.rpartition("/")[0] or "/", "/"):
             for name, other in _as_rates(self._numbers_at(place, dataset, (*_RATE_NAMES, *_STEP_NAMES))).items():
-                if rate_hz is not None and abs(other - rate_hz) > _SAME_RATE * rate_hz:
+                if rate_hz and other not in others_hz and abs(other - rate_hz) > _SAME_RATE * rate_hz:
                     yield (
                         "header_rate_disagrees",
                         f"{dataset.name} states {rate_hz:.9g} Hz, {name} of {place} {other:.9g} Hz; the first is taken",
@@ -416,6 +419,19 @@ class _Attributes:
     def number(self, dataset: Any, names: Sequence[str], *, inherited: bool = True) -> float | None:
         """First of the attributes ``names`` that is one number, of ``dataset``, else of its group, else of the file."""
         return next(iter(self._numbers(dataset, names, inherited=inherited).values()), None)
+
+    def starts(self, datasets: Mapping[Any, Any]) -> tuple[dict[Any, np.datetime64], dict[Any, float]]:
+        """Dates of start, and times in s, that the attributes of each of ``datasets`` or of what is above it state."""
+        dates: dict[Any, np.datetime64] = {}
+        for key, dataset in datasets.items():
+            with suppress(ValueError):
+                dates[key] = np.datetime64(self.text(dataset, _DATE_NAMES).strip().rstrip("Z"), "ns")
+        times = _stated({key: self.number(dataset, _START_NAMES) for key, dataset in datasets.items()})
+        # may count from anywhere, unlike a list of pulse times beside them
+        clock = _stated({key: self.number(ds, _CLOCK_NAMES, inherited=False) for key, ds in datasets.items()})
+        late = {key: time_s - min(clock.values()) for key, time_s in clock.items()}
+        times |= {key: times.get(key, 0.0) + late_s for key, late_s in late.items()}
+        return {key: date for key, date in dates.items() if not np.isnat(date)}, times
 
     def _numbers(self, dataset: Any, names: Sequence[str], *, inherited: bool = True) -> dict[str, float]:
         """All of these attributes by name, of the first place that has any."""

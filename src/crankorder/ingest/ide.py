@@ -29,21 +29,21 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     """Channels that ``sources`` ask for, by name or number from 0, from the IDE file at ``path``, calibrated.
 
     The stamps of a sensor's blocks give its rate; blocks that are missing are NaN. ``settings`` give the byte limit.
-    Raises InputError for damage, a missing name or channels of several sensors, EnvironmentFailure where idelib is
-    missing, UnsafeInputError where the parser goes beyond its limits.
+    Raises InputError for damage or a missing name, EnvironmentFailure where idelib is missing, UnsafeInputError where
+    the parser goes beyond its limits.
     """
     parser = _parser(path)
     most = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
-    columns, units, stamps = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
-    if stamps is None:
-        return RawFile(columns, units)
-    times = read_time_column(stamps, path, settings=_lenient(settings))
+    columns, units, stamps, of_sensor = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
+    sensors = [read_time_column(times, path, settings=_lenient(settings)) for times in stamps]
+    timed = {source: sensors[place] for source, place in of_sensor.items()}
     return RawFile(
-        columns={source: times.on_grid(column) for source, column in columns.items()},
+        columns={key: timed[key].on_grid(column) if key in timed else column for key, column in columns.items()},
         units=units,
-        rate_hz=times.rate_hz,
-        attrs={"start_s": times.start_s, "rate_uncertainty": times.rate_uncertainty},
-        flags=_graded(times),
+        rates_hz={source: times.rate_hz for source, times in timed.items()},
+        starts_s={source: times.start_s for source, times in timed.items()},
+        rate_uncertainty=max((times.rate_uncertainty for times in sensors), default=0.0),
+        flags=[remark for times in sensors for remark in _graded(times)],
     )
 
 
@@ -106,9 +106,11 @@ def _contents(parser: Any, path: Path) -> Contents:
     with parser(str(path), quiet=True) as file:
         channels = _named(file)
         rates: dict[str, float] = {}
+        starts: dict[str, float] = {}
         for name, values in channels.items():
             first, last = values.getInterval()
             if len(values) > 2 and last > first:
+                starts[name] = _US * first
                 rates[name] = float(f"{(len(values) - 1) / (_US * (last - first)):.12g}")
         return Contents(
             format="IDE",
@@ -116,6 +118,7 @@ def _contents(parser: Any, path: Path) -> Contents:
             samples={name: len(values) for name, values in channels.items()},
             units={name: unit for name, values in channels.items() if (unit := _unit(values))},
             rates_hz=rates,
+            starts_s=starts,
             rate_uncertainty=max((2.0 * _JITTER / len(channels[name]) for name in rates), default=0.0),
         )
 
@@ -126,13 +129,11 @@ def _unit(values: Any) -> str:
 
 def _read(
     parser: Any, path: Path, sources: Sequence[Source], settings: IngestSettings
-) -> tuple[dict[Source, Any], dict[Source, str], Any]:
-    """Columns and units by source, and the stamps that the columns share in s, None for single numbers.
-
-    Raises InputError where two of them have stamps of their own.
-    """
+) -> tuple[dict[Source, Any], dict[Source, str], list[Any], dict[Source, int]]:
+    """Columns and units by source, stamps of each sensor in s, sensor of each column (of a number none)."""
     columns: dict[Source, Any] = {}
-    stamps: Any = None
+    stamps: list[Any] = []
+    of_sensor: dict[Source, int] = {}
     with parser(str(path), quiet=True) as file:
         channels = _named(file)
         chosen = {source: channels[named(source, tuple(channels), path)] for source in sources}
@@ -142,12 +143,9 @@ def _read(
             columns[source] = np.array(values, dtype=np.float64)
             if values.size < 3:
                 continue
-            if stamps is not None and not np.array_equal(stamps, times):
-                raise InputError(
-                    f"channels differ in their times: {sources[0]} and {source} are of two sensors",
-                    file=path,
-                    remedy="Name channels of one sensor alone, or export all at one rate",
-                )
-            stamps = np.array(times, dtype=np.float64)
+            times_s = _US * np.array(times, dtype=np.float64)
+            alike = (place for place, other in enumerate(stamps) if np.array_equal(other, times_s))
+            of_sensor[source] = next(alike, len(stamps))
+            stamps += [times_s] if of_sensor[source] == len(stamps) else []
         units = {source: unit for source, values in chosen.items() if (unit := _unit(values))}
-    return columns, units, None if stamps is None else _US * stamps
+    return columns, units, stamps, of_sensor

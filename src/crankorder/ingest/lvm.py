@@ -6,7 +6,8 @@ Format: National Instruments, "Specification for the LabVIEW Measurement File (.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,17 @@ from typing import Any
 import numpy as np
 
 from crankorder.errors import InputError, UnsafeInputError, printable
-from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, flag, named, rows_for
+from crankorder.ingest.rawfile import (
+    Contents,
+    FloatArray,
+    RawFile,
+    Source,
+    check_budget,
+    flag,
+    named,
+    rows_for,
+    starts_by_date,
+)
 from crankorder.ingest.sampling import read_time_column
 from crankorder.ingest.text import last_line_flags
 from crankorder.quantities import QualityFlag
@@ -87,10 +98,8 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         places = sorted({column.place for column in mine})
         rows = _read(path, layout, segment, places, settings)
         read |= {(segment.first_line, place): row for place, row in zip(places, rows, strict=True)}
-    first = layout.columns[names[0]].segment
-    time = _times_of(layout, layout.columns[names[0]])
-    rate_hz, attrs, flags = _rate(
-        layout, first, None if time is None else read[first.first_line, time.place], path, settings
+    rates, starts, attrs, flags = _timing(
+        layout, wanted, lambda time: read[time.segment.first_line, time.place], path, settings
     )
     columns = {name: read[column.segment.first_line, column.place] for name, column in wanted.items()}
     flags += last_line_flags(path)
@@ -98,7 +107,9 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     return RawFile(
         columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
         units={source: unit for source, name in zip(sources, names, strict=True) if (unit := wanted[name].unit)},
-        rate_hz=rate_hz,
+        rates_hz={source: rates[name] for source, name in zip(sources, names, strict=True) if name in rates},
+        starts_s={source: starts[name] for source, name in zip(sources, names, strict=True)},
+        rate_uncertainty=float(attrs["rate_uncertainty"]),
         attrs=attrs,
         flags=flags,
     )
@@ -111,22 +122,18 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """
     check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
     layout = _layout(path)
-    rates: dict[int, tuple[float | None, float]] = {}
-    for column in layout.columns.values():
-        segment = column.segment
-        if segment.first_line not in rates:
-            time, few = _times_of(layout, column), None
-            if time is not None:
-                few = _read(path, layout, segment, [time.place], settings, most=_FEW_LINES)[0]
-            rate_hz, attrs, _ = _rate(layout, segment, few, path, settings)
-            rates[segment.first_line] = rate_hz, float(attrs["rate_uncertainty"])
-    stated = {name: rates[column.segment.first_line][0] for name, column in layout.columns.items()}
+
+    def first_times(time: _Column) -> FloatArray:
+        return _read(path, layout, time.segment, [time.place], settings, most=_FEW_LINES)[0]
+
+    rates, starts, attrs, _ = _timing(layout, layout.columns, first_times, path, settings)
     return Contents(
         format="LVM",
         names=tuple(layout.columns),
         units={name: column.unit for name, column in layout.columns.items() if column.unit},
-        rates_hz={name: rate_hz for name, rate_hz in stated.items() if rate_hz is not None},
-        rate_uncertainty=max(doubt for _, doubt in rates.values()),
+        rates_hz=rates,
+        starts_s=starts,
+        rate_uncertainty=float(attrs["rate_uncertainty"]),
     )
 
 
@@ -290,18 +297,54 @@ def _filled(row: FloatArray) -> int:
     return int(there[-1]) + 1 if there.size else 0
 
 
+def _timing(
+    layout: _Layout, columns: Mapping[str, _Column], stamps: Callable[[_Column], FloatArray], path: Path,
+    settings: IngestSettings,
+) -> tuple[dict[str, float], dict[str, float], dict[str, Any], list[QualityFlag]]:  # fmt: skip
+    """Rates in Hz and starts in s of ``columns`` by name, attributes of the file, flags.
+
+    ``stamps`` gives the values of a column of times, which is asked for once for all channels of one step.
+    """
+    kinds: dict[tuple[object, ...], tuple[float | None, dict[str, Any], list[QualityFlag]]] = {}
+    rates: dict[str, float] = {}
+    starts: dict[str, float] = {}
+    dates: dict[str, np.datetime64] = {}
+    for name, column in columns.items():
+        segment, time = column.segment, _times_of(layout, column)
+        begin = 0 if time is None else time.place
+        first, own = _channel_from(segment, begin), _channel_from(segment, column.place)
+        kind = (segment.first_line, None if time is None else begin, segment.said("Delta_X", own))
+        if kind not in kinds:
+            kinds[kind] = _rate(segment, own, None if time is None else stamps(time), path, settings)
+        rate_hz, attrs, _ = kinds[kind]
+        rates |= {} if rate_hz is None else {name: rate_hz}
+        first_s, own_s = (_number(segment.said("X0", place)) or 0.0 for place in (first, own))
+        starts[name] = own_s if time is None else attrs["start_s"] + own_s - first_s
+        date, of_day = segment.said("Date", own).replace("/", "-"), segment.said("Time", own).replace(",", ".")
+        with suppress(ValueError):
+            dates[name] = np.datetime64(f"{date}T{of_day[:18]}", "ns")
+    starts, flags = starts_by_date({name: date for name, date in dates.items() if not np.isnat(date)}, starts, path)
+    flags += [one for _, _, told in kinds.values() for one in told]
+    attrs = next(iter(kinds.values()))[1]
+    return rates, starts, attrs, [one for number, one in enumerate(flags) if one not in flags[:number]]
+
+
+def _channel_from(segment: _Segment, begin: int) -> int:
+    """Place of the first channel at ``begin`` or behind it, that of the first of all where none is."""
+    places = [place for place, name in enumerate(segment.names) if name != _TIME]
+    return next((place for place in places if place >= begin), next(iter(places), 0))
+
+
 def _rate(
-    layout: _Layout, segment: _Segment, times: FloatArray | None, path: Path, settings: IngestSettings
+    segment: _Segment, place: int, times: FloatArray | None, path: Path, settings: IngestSettings
 ) -> tuple[float | None, dict[str, Any], list[QualityFlag]]:
     """Rate in Hz, by the column of times where there is one, else by the header; its attributes; flags."""
-    place = next((place for place, name in enumerate(segment.names) if name != _TIME), 0)
-    text = segment.said("Delta_X", place)
+    text = segment.said("Delta_X", place) or segment.said("Delta_X", _channel_from(segment, 0))
     step_s = _number(text)
     doubt = 0.0 if not step_s else 0.6 * _last_decimal(text) / step_s  # half of it is rounded away, or more is cut
     header_hz = 1.0 / step_s if step_s and step_s > 0.0 else None
-    start_s = _number(segment.said("X0", place)) or 0.0
     if times is None or times.size < 3:
-        return header_hz, {"rate_uncertainty": doubt, "start_s": start_s}, []
+        return header_hz, {"rate_uncertainty": doubt, "start_s": 0.0}, []
     column = read_time_column(times, path, settings=settings)
     attrs: dict[str, Any] = {"rate_uncertainty": column.rate_uncertainty, "start_s": column.start_s}
     tolerance = doubt + column.rate_uncertainty + settings.rate_tolerance

@@ -341,6 +341,15 @@ class Manifest(Table):
         return not self.channels
 
     @property
+    def sampled(self) -> dict[str, Source]:
+        """Sources of the columns that were sampled by themselves, by what each is for; channels first."""
+        encoder, roles = self.encoder, {channel.name: channel.file_source for channel in self.channels}
+        marks = {"the second track": encoder.second_track, "the index": encoder.index, "the cam mark": encoder.cam}
+        shaft = {"the encoder": encoder.source} if encoder.kind in (*TRACE_KINDS, "speed") else {}
+        shaft |= marks if encoder.kind in TRACE_KINDS else {}
+        return roles | {role: source for role, source in shaft.items() if source is not None}
+
+    @property
     def has_samples(self) -> bool:
         """Whether anything was sampled at a rate: not where times of pulses are all there is."""
         return not (self.of_shaft_alone and self.encoder.kind in TIME_KINDS)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import mmap
+import re
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -53,6 +54,8 @@ _MOST_PARTS = 20_000
 _RATE_NAMES = frozenset(("sr", "fs", "sampfreq", "samplefreq", "samplerate", "samplingrate", "samplingfrequency"))
 
 _STEP_NAMES = frozenset(("dt", "deltat", "timestep", "xinc", "samplingperiod", "sampleperiod"))
+
+_START_NAMES = frozenset(("t0", "x0", "starts", "starttime", "starttimes", "startoffset", "startoffsets"))
 
 _RATE_ENDINGS = ("samplerate", "samplingrate", "samplingfrequency", "ratehz")
 
@@ -308,8 +311,13 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         source: next(room) if name in tree.columns else np.array([tree.scalars[name]])
         for source, name in zip(sources, names, strict=True)
     }
-    rates = {rate for name in names if name in tree.columns and (rate := _rate_hz(tree, name)) is not None}
-    return RawFile(columns=columns, rate_hz=rates.pop() if len(rates) == 1 else None, flags=_flags(tree, path))
+    rates, starts = _rates(tree), _starts(tree)
+    return RawFile(
+        columns=columns,
+        rates_hz={source: rates[name] for source, name in zip(sources, names, strict=True) if name in rates},
+        starts_s={source: starts[name] for source, name in zip(sources, names, strict=True) if name in starts},
+        flags=_flags(tree, path),
+    )
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -319,9 +327,10 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """
     with _opened(path) as data:
         tree = _tree(data, path, settings)
-    rates = {name: rate for name in tree.columns if (rate := _rate_hz(tree, name)) is not None}
     samples = {name: column.n_samples for name, column in tree.columns.items()}
-    return Contents("MATLAB", tree.names, samples | dict.fromkeys(tree.scalars, 1), rates_hz=rates)
+    return Contents(
+        "MATLAB", tree.names, samples | dict.fromkeys(tree.scalars, 1), rates_hz=_rates(tree), starts_s=_starts(tree)
+    )
 
 
 @contextmanager
@@ -458,6 +467,25 @@ def _fill(mine: list[tuple[_Column, FloatArray]], leaf: Matrix, path: Path, sett
             row[part] = taken[part]
 
 
+def _rates(tree: _Tree) -> dict[str, float]:
+    return {name: rate for name in tree.columns if (rate := _rate_hz(tree, name)) is not None}
+
+
+def _starts(tree: _Tree) -> dict[str, float]:
+    """Time in s of the first sample of columns that have one beside them in their own struct, by name."""
+    stated = {
+        key.rpartition(".")[0]: value
+        for key, value in tree.scalars.items()
+        if "." in key and _word(key) in _START_NAMES and math.isfinite(value)
+    }
+    return {name: stated[group] for name in tree.columns if (group := name.rpartition(".")[0]) in stated}
+
+
+def _word(key: str) -> str:
+    """The last part of ``key`` in small letters, without what joins words."""
+    return re.sub(r"[\W_]+", "", key.rpartition(".")[2].casefold())
+
+
 def _rate_hz(tree: _Tree, name: str) -> float | None:
     """Samples per second that single numbers beside the column ``name`` state: in its own struct, else anywhere.
 
@@ -475,7 +503,7 @@ def _stated(key: str, value: float) -> float | None:
     """Rate in Hz that the number ``key`` states."""
     if not (value > 0.0 and math.isfinite(value)):
         return None
-    word = "".join(letter for letter in key.rpartition(".")[2].casefold() if letter.isalpha())
+    word = _word(key)
     if word in _RATE_NAMES or word.endswith(_RATE_ENDINGS):
         return value
     return 1.0 / value if word in _STEP_NAMES else None

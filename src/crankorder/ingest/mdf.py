@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from crankorder.errors import EnvironmentFailure
 from crankorder.ingest.child import in_child
-from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, common_rate, distinct, named
+from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, distinct, named
 from crankorder.settings import IngestSettings
 
 _MASTERS = {1: ("time", "s"), 2: ("angle", "deg"), 4: ("index", "1")}
@@ -22,13 +22,14 @@ _REALS = "iufb"
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """Where a channel lies: its group, its number there (-1: the master), its length, unit and rate."""
+    """Where a channel lies: its group, its number there (-1: the master), its length, unit, rate and first stamp."""
 
     group: int
     number: int
     n_samples: int
     unit: str
     rate_hz: float | None
+    start_s: float
 
 
 def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
@@ -45,13 +46,13 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     n_bytes = sum(8 * places[name].n_samples for name in names)
     check_budget(n_bytes, path, max_bytes=settings.max_bytes)
     wanted = {name: places[name] for name in names}
-    columns, starts = in_child(lambda: _read(parser, path, wanted), path, n_bytes=n_bytes)
-    rates = {name: rate for name in names if (rate := places[name].rate_hz) is not None}
+    columns = in_child(lambda: _read(parser, path, wanted), path, n_bytes=n_bytes)
+    by_source = {source: places[name] for source, name in zip(sources, names, strict=True)}
     return RawFile(
         columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
-        units={source: places[name].unit for source, name in zip(sources, names, strict=True) if places[name].unit},
-        rate_hz=common_rate(rates, path, tolerance=settings.rate_tolerance),
-        attrs={"start_s": next((starts[name] for name in names if name in rates), 0.0)},
+        units={source: place.unit for source, place in by_source.items() if place.unit},
+        rates_hz={source: place.rate_hz for source, place in by_source.items() if place.rate_hz is not None},
+        starts_s={source: place.start_s for source, place in by_source.items()},
     )
 
 
@@ -68,6 +69,7 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
         samples={name: place.n_samples for name, place in places.items()},
         units={name: place.unit for name, place in places.items() if place.unit},
         rates_hz={name: place.rate_hz for name, place in places.items() if place.rate_hz is not None},
+        starts_s={name: place.start_s for name, place in places.items()},
     )
 
 
@@ -91,16 +93,19 @@ def _places(parser: Any, path: Path) -> dict[str, _Place]:
             if not n_samples:
                 continue
             kind = int(members.channels[master].sync_type) if master is not None else 0
-            rate_hz = None
+            rate_hz, start_s = None, 0.0
             if kind in _MASTERS:
                 name, unit = _MASTERS[kind]
-                found.append((name, _Place(group, -1, n_samples, unit, None)))
-                rate_hz = _rate(np.asarray(file.get_master(group), dtype=np.float64)) if kind == 1 else None
+                if kind == 1:
+                    stamps = np.asarray(file.get_master(group), dtype=np.float64)
+                    rate_hz = _rate(stamps)
+                    start_s = float(stamps[0]) if rate_hz is not None else 0.0
+                found.append((name, _Place(group, -1, n_samples, unit, None, start_s)))
             for number, channel in enumerate(members.channels):
                 first = None if number == master else _samples(file, channel.name, group, number, most=1)
                 if first is not None:
                     unit = str(channel.unit or "")
-                    found.append((str(channel.name), _Place(group, number, n_samples, unit, rate_hz)))
+                    found.append((str(channel.name), _Place(group, number, n_samples, unit, rate_hz, start_s)))
     return dict(zip(distinct([name for name, _ in found]), (place for _, place in found), strict=True))
 
 
@@ -127,20 +132,18 @@ def _samples(file: Any, name: str, group: int, number: int, *, most: int | None 
     return made
 
 
-def _read(parser: Any, path: Path, wanted: dict[str, _Place]) -> tuple[dict[str, Any], dict[str, float]]:
-    """Columns by name, and the first stamp of the group of each."""
+def _read(parser: Any, path: Path, wanted: dict[str, _Place]) -> dict[str, Any]:
+    """Columns by name."""
     columns: dict[str, Any] = {}
-    starts: dict[str, float] = {}
     with parser(str(path)) as file:
         names = list(file.groups)
         for name, place in wanted.items():
             channels = names[place.group].channels
-            stamps = np.asarray(file.get_master(place.group), dtype=np.float64)
-            starts[name] = float(stamps[0]) if stamps.size else 0.0
             if place.number >= 0:
                 columns[name] = _samples(file, channels[place.number].name, place.group, place.number)
                 continue
             master = channels[file.masters_db[place.group]]
+            stamps = np.asarray(file.get_master(place.group), dtype=np.float64)
             radians = place.unit == "deg" and str(master.unit).strip().lower() in ("rad", "radian", "radians", "")
             columns[name] = np.rad2deg(stamps) if radians else stamps
-    return columns, starts
+    return columns

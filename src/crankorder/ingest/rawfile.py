@@ -7,7 +7,7 @@ import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,10 +18,14 @@ from crankorder.scratch import empty, empty_like
 
 FloatArray = npt.NDArray[np.floating[Any]]
 Source = str | int
+Key = TypeVar("Key", bound=Source)
 
 
 _LOOKED_AT, _SIZES = 8192, 16
 """Samples that are looked at, and how many different whole numbers are no levels of a switch."""
+
+FIRST_DATE = np.datetime64("1980-01-01")
+"""Before this nothing was recorded digitally: such a date is the zero of a clock that was never set."""
 
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 """First bytes of an HDF5 file, or of its superblock behind a user block."""
@@ -32,7 +36,8 @@ class Contents:
     """Names, sizes and units of what a file holds, read without its samples.
 
     ``samples`` and ``units`` go by name; ``samples`` lacks a name whose length only a full read would tell; of a single
-    number it says 1. ``rate_uncertainty`` is relative: what the decimals of a stated time step leave open.
+    number it says 1. ``rates_hz`` and ``starts_s`` are those of :class:`RawFile`, by name. ``rate_uncertainty`` is
+    relative: what the decimals of a stated time step leave open.
     ``speed_rpm`` is a speed of the shaft that the file states beside its columns.
     """
 
@@ -41,6 +46,7 @@ class Contents:
     samples: Mapping[str, int] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     rates_hz: Mapping[str, float] = field(default_factory=dict)
+    starts_s: Mapping[str, float] = field(default_factory=dict)
     rate_uncertainty: float = 0.0
     speed_rpm: float | None = None
 
@@ -51,11 +57,15 @@ class RawFile:
 
     ``columns`` are float32 or float64 in the file's unit, which ``units`` states where the file does. Columns that were
     asked for one after the other may be neighbouring rows of one block, so that they can be stacked without a copy.
+    ``rates_hz``: samples per second of each, where the file states it; ``starts_s``: time of the first sample of each
+    on the one clock of the file, 0 where it states none. ``rate_uncertainty`` is that of :class:`Contents`.
     """
 
     columns: Mapping[Source, FloatArray]
     units: Mapping[Source, str] = field(default_factory=dict)
-    rate_hz: float | None = None
+    rates_hz: Mapping[Source, float] = field(default_factory=dict)
+    starts_s: Mapping[Source, float] = field(default_factory=dict)
+    rate_uncertainty: float = 0.0
     attrs: Mapping[str, Any] = field(default_factory=dict)
     flags: list[QualityFlag] = field(default_factory=list)
 
@@ -102,21 +112,22 @@ def distinct(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(made)
 
 
-def common_rate(rates: Mapping[str, float], path: Path, *, tolerance: float) -> float | None:
-    """The one sampling rate in Hz that all of ``rates`` (name to Hz) state, or None where they state none.
+def starts_by_date(
+    dates: Mapping[Key, np.datetime64], offsets_s: Mapping[Key, float], path: Path
+) -> tuple[dict[Key, float], list[QualityFlag]]:
+    """Starts in s on one clock of columns with ``dates`` and ``offsets_s`` from them; flags where a clock was not set.
 
-    Raises InputError for the file at ``path`` where two differ by more than ``tolerance`` (relative).
+    The clock begins at the earliest date; without one the offset counts from there. A date before 1980 beside a real
+    one is no date, which a flag of the file at ``path`` says.
     """
-    first: tuple[str, float] | None = None
-    for name, rate_hz in rates.items():
-        first = first or (name, rate_hz)
-        if abs(rate_hz - first[1]) > tolerance * first[1]:
-            raise InputError(
-                f"channels differ in rate: {first[0]} has {first[1]:.12g} Hz, {name} has {rate_hz:.12g} Hz",
-                file=path,
-                remedy="Export all channels at one rate",
-            )
-    return first[1] if first else None
+    real = {source: date for source, date in dates.items() if date >= FIRST_DATE}
+    unset = [source for source in dates if source not in real] if real else []
+    dates = real or dates
+    first = min(dates.values(), default=np.datetime64(0, "ns"))
+    lags = {source: float((date - first) / np.timedelta64(1, "ns")) * 1e-9 for source, date in dates.items()}
+    starts = {source: lags.get(source, 0.0) + offsets_s.get(source, 0.0) for source in {**dates, **offsets_s}}
+    detail = f"no date of start was set for {', '.join(map(str, unset))}: taken to start with the first of the others"
+    return starts, [flag(path, "start_unknown", "suspect", detail)] if unset else []
 
 
 def part_of(n_samples: int, rows: slice | None) -> slice:

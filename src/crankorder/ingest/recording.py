@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_c
 from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, direction_flags, judged
 from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
+from crankorder.ingest.time_bases import ENCODER, TimeBase, bases_of, on_one_base
 from crankorder.ingest.units import (
     conversion_factor,
     known_unit,
@@ -33,8 +34,6 @@ from crankorder.ingest.units import (
 from crankorder.quantities import Floats, QualityFlag, Recording, Severity, with_flags
 from crankorder.settings import IngestSettings, ShaftSettings
 from crankorder.shaft.pulses import NoPulsesError, find_pulses
-
-_MIN_SAMPLES = 3
 
 # Pulse times that are told more finely than this are as good as those of a counter.
 _FINE_STEP_S = 1e-6
@@ -71,7 +70,9 @@ def read_parts(
     n_samples, sources = 0, _wanted(manifest)
     if manifest.encoder.kind not in TIME_KINDS and format_of(path).by_rows:
         contents = contents_of(path, settings=settings)
-        n_samples = max((contents.samples[named(source, contents.names, path)] for source in sources), default=0)
+        names = [named(source, contents.names, path) for source in sources]
+        if len({contents.rates_hz.get(name) for name in names}) < 2:  # rows of several rates are of several times
+            n_samples = max((contents.samples[name] for name in names), default=0)
     most = max(1, most_bytes // (8 * max(1, len(sources))))
     if n_samples <= most:
         return [read_recording(path, manifest, settings=settings, shaft=shaft)], 1.0
@@ -99,20 +100,36 @@ def recording_of(
     """
     flags = [*raw.flags, *(listed.flags if listed is not None else ())]
     times = _times(raw, manifest, path, settings)
-    recording, rate_hz, start_s = _axis(raw, times, manifest, path, settings, flags)
-    check_bands(manifest.limits, rate_hz, path)
     if times is not None:
         n_rows = raw.columns[_time_source(manifest)].size
-        on_grid = {name: times.on_grid(row) if row.size == n_rows else row for name, row in raw.columns.items()}
-        raw = replace(raw, columns=on_grid)
-    _check_lengths(raw, manifest, path)
-    _add_encoder(recording, listed or raw, manifest, path, shaft, flags, rate_hz=rate_hz, start_s=start_s, times=times)
-    if manifest.encoder.kind in TRACE_KINDS and manifest.channels and (times is None or times.starts is None):
-        raw = laid_apart(recording, raw, manifest, path, flags, rate_hz)
+        on_grid = {source: times.on_grid(row) for source, row in raw.columns.items() if row.size == n_rows}
+        own = {source: start for source, start in raw.starts_s.items() if source not in on_grid}
+        starts_s = dict.fromkeys(raw.columns, times.start_s) | own
+        raw = replace(raw, columns={**raw.columns, **on_grid}, starts_s=starts_s)
+    bases, file_hz = bases_of(
+        manifest.sampled,
+        {source: row.size for source, row in raw.columns.items()},
+        raw if manifest.sampling.domain == "time" else RawFile(raw.columns),
+        len(manifest.channels),
+        tolerance=settings.rate_tolerance,
+    )
+    recording, rate_hz = _axis(raw, file_hz, times, manifest, path, settings, flags)
+    check_bands(manifest.limits, rate_hz, path)
+    channels = {channel.name: raw.columns[channel.file_source] for channel in manifest.channels}
+    if math.isfinite(rate_hz):
+        common_hz = file_hz or 1.0
+        agreed = {role: base._replace(rate_hz=rate_hz) for role, base in bases.items() if base.rate_hz == common_hz}
+        bases = {**bases, **agreed}
+    base, told = on_one_base(channels, bases, path, settings=settings)
+    flags += told
+    _add_encoder(recording, listed or raw, manifest, path, shaft, flags, bases=bases, base=base, times=times)
+    has_stretches = times is not None and times.starts is not None
+    if channels and manifest.encoder.kind in TRACE_KINDS and bases[ENCODER] == base and not has_stretches:
+        laid_apart(recording, channels, path, flags)
     if manifest.of_shaft_alone:
         _add_signals(recording, np.empty((0, _trace_length(raw, manifest)), dtype=np.float32), manifest)
         return Recording(with_flags(recording, _named(flags, manifest.name_of(path))))
-    signals = stacked([raw.columns[channel.file_source] for channel in manifest.channels])
+    signals = stacked(list(channels.values()))
     faults, scalings = [], list[Scaling]()
     for channel, row in zip(manifest.channels, signals, strict=True):
         faults.append(mend_signal(row, settings=settings))  # sentinels: in the file's own unit
@@ -215,13 +232,14 @@ def _times(raw: RawFile, manifest: Manifest, path: Path, settings: IngestSetting
 
 def _axis(
     raw: RawFile,
+    file_hz: float | None,
     times: TimeColumn | None,
     manifest: Manifest,
     path: Path,
     settings: IngestSettings,
     flags: list[QualityFlag],
-) -> tuple[xr.Dataset, float, float]:
-    """An empty dataset with the attributes of the sampling, its rate in Hz (NaN by crank angle), and its start."""
+) -> tuple[xr.Dataset, float]:
+    """An empty dataset with the attributes of the sampling, and its rate in Hz (NaN by crank angle)."""
     sampling = manifest.sampling
     attrs: dict[str, object] = {"recording": manifest.name_of(path), "domain": sampling.domain}
     attrs["revs_per_cycle"] = manifest.revs_per_cycle
@@ -229,31 +247,32 @@ def _axis(
         attrs["has_shaft"] = 0
     if sampling.domain == "crank_angle":
         attrs |= {"samples_per_rev": sampling.samples_per_rev, "start_deg": sampling.start_deg}
-        return xr.Dataset(attrs=attrs), math.nan, 0.0
+        return xr.Dataset(attrs=attrs), math.nan
     if not manifest.has_samples:
-        return xr.Dataset(attrs=attrs), math.nan, 0.0
+        return xr.Dataset(attrs=attrs), math.nan
     if times is not None:
         flags += times.flags
     rate_hz = agreed_rate(
-        file_hz=raw.rate_hz,
+        file_hz=file_hz,
         times=times,
         manifest_hz=sampling.rate_hz,
         path=path,
         settings=settings,
-        file_uncertainty=float(raw.attrs.get("rate_uncertainty", 0.0)),
+        file_uncertainty=raw.rate_uncertainty,
     )
-    flags += _rate_flags(raw, path, settings, stated=sampling.rate_hz is not None, timed=times is not None)
+    flags += _rate_flags(raw, file_hz, path, settings, stated=sampling.rate_hz is not None, timed=times is not None)
     attrs["rate_hz"] = rate_hz
-    start_s = times.start_s if times is not None else float(raw.attrs.get("start_s", 0.0))
-    return xr.Dataset(attrs=attrs), rate_hz, start_s
+    return xr.Dataset(attrs=attrs), rate_hz
 
 
-def _rate_flags(raw: RawFile, path: Path, settings: IngestSettings, *, stated: bool, timed: bool) -> list[QualityFlag]:
+def _rate_flags(
+    raw: RawFile, file_hz: float | None, path: Path, settings: IngestSettings, *, stated: bool, timed: bool
+) -> list[QualityFlag]:
     """Flags where the file contradicts itself on its rate, or states it to a few decimals and nothing else tells it."""
     flags: list[QualityFlag] = []
-    header_hz, doubt = raw.attrs.get("header_rate_hz"), float(raw.attrs.get("rate_uncertainty", 0.0))
-    if header_hz is not None and raw.rate_hz is not None:
-        detail = f"the header states {header_hz:.6g} Hz, the times in the file say {raw.rate_hz:.6g} Hz, which are used"
+    header_hz, doubt = raw.attrs.get("header_rate_hz"), raw.rate_uncertainty
+    if header_hz is not None and file_hz is not None:
+        detail = f"the header states {header_hz:.6g} Hz, the times in the file say {file_hz:.6g} Hz, which are used"
         severity: Severity = "info" if stated else "suspect"  # what the manifest states agrees with the times
         flags.append(flag(path, "header_rate_disagrees", severity, detail))
     if doubt > settings.rate_tolerance and not stated and not timed:
@@ -267,35 +286,6 @@ def _in_seconds(raw: RawFile, source: Source) -> FloatArray:
     factor = unit.factor if unit is not None and unit.quantity == "time" else 1.0
     column = raw.columns[source]
     return column if factor == 1.0 else column * factor
-
-
-def _check_lengths(raw: RawFile, manifest: Manifest, path: Path) -> None:
-    """Refuse sampled columns whose lengths differ, and recordings too short to mean anything."""
-    encoder = manifest.encoder
-    sampled: dict[str, Source] = {channel.name: channel.file_source for channel in manifest.channels}
-    if encoder.kind in (*TRACE_KINDS, "speed") and encoder.source is not None:
-        sampled["the encoder"] = encoder.source
-    tracks = {"the second track": encoder.second_track, "the index": encoder.index, "the cam mark": encoder.cam}
-    if encoder.kind in TRACE_KINDS:
-        sampled |= {name: source for name, source in tracks.items() if source is not None}
-    lengths = {name: raw.columns[source].size for name, source in sampled.items()}
-    if not lengths:
-        return
-    first, n_samples = next(iter(lengths.items()))
-    for name, length in lengths.items():
-        if length != n_samples:
-            raise InputError(
-                f"lengths differ: {first} has {n_samples} samples, {name} has {length}",
-                file=path,
-                remedy="Export all channels over the same time at one rate",
-            )
-    if n_samples < _MIN_SAMPLES:
-        raise InputError(
-            "no samples" if n_samples == 0 else f"too short: {n_samples} samples",
-            file=path,
-            allowed=f"{_MIN_SAMPLES} samples or more",
-            remedy="Leave the recording out",
-        )
 
 
 def _trace_length(raw: RawFile, manifest: Manifest) -> int:
@@ -312,8 +302,8 @@ def _add_encoder(
     shaft: ShaftSettings,
     flags: list[QualityFlag],
     *,
-    rate_hz: float,
-    start_s: float,
+    bases: Mapping[str, TimeBase],
+    base: TimeBase,
     times: TimeColumn | None,
 ) -> None:
     """Add what tells the angle or the speed of the shaft to ``recording``, and how it was told."""
@@ -325,8 +315,15 @@ def _add_encoder(
     if encoder.kind in SOURCELESS_KINDS:
         return
     attrs["ratio"] = encoder.ratio
+    own = bases.get(ENCODER, base)
+    if own != base:
+        attrs["encoder_rate_hz"] = own.rate_hz
     if encoder.kind == "speed":
-        recording["speed_signal"] = ("time", _speed(raw, encoder, path), {"units": "min-1", "long_name": "speed"})
+        axis, speed = "time", _speed(raw, encoder, path)
+        if own != base:  # it holds for one of its steps beyond its ends
+            axis, speed = "speed_sample", np.pad(speed, 1, mode="edge")
+            attrs["encoder_start_s"] = own.start_s - 1.0 / own.rate_hz - base.start_s
+        recording["speed_signal"] = (axis, speed, {"units": "min-1", "long_name": "speed"})
         return
     attrs |= encoder.wheel
     if encoder.cam_to_tdc_deg is not None:
@@ -334,36 +331,44 @@ def _add_encoder(
     if "index_to_tdc_deg" in encoder.model_fields_set:  # unstated, the phase refers to the mark and says so
         attrs["index_to_tdc_deg"] = encoder.index_to_tdc_deg
 
-    def pulses(source: Source | None, per_rev: int) -> tuple[Floats, float]:
+    def pulses(role: str, source: Source | None, per_rev: int) -> tuple[Floats, float]:
         if encoder.kind in TIME_KINDS:
-            return _pulses_of_times(raw, source, manifest, path, flags, start_s=start_s)
-        pulse_s, noise_s = _pulses_of_trace(raw, source, encoder, path, shaft, flags, rate_hz=rate_hz, per_rev=per_rev)
-        return pulse_s if times is None else times.places_in_time(pulse_s * rate_hz) / rate_hz, noise_s
+            return _pulses_of_times(raw, source, manifest, path, flags, start_s=base.start_s)
+        trace = bases[role]
+        pulse_s, noise_s = _pulses_of_trace(
+            raw, source, encoder, path, shaft, flags, rate_hz=trace.rate_hz, per_rev=per_rev
+        )
+        if times is not None:
+            pulse_s = times.places_in_time(pulse_s * trace.rate_hz) / trace.rate_hz
+        return pulse_s + (trace.start_s - base.start_s), noise_s
 
     pulse_s, attrs["pulse_noise_s"] = pulses(
-        encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
+        ENCODER, encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
     )
     if encoder.kind in TRACE_KINDS and encoder.source is not None:
         missing = np.isnan(raw.columns[encoder.source])
         if missing.any():
-            attrs["gap_starts_s"] = (np.flatnonzero(missing[1:] & ~missing[:-1]) / rate_hz).tolist()
+            attrs["gap_starts_s"] = (
+                np.flatnonzero(missing[1:] & ~missing[:-1]) / own.rate_hz + (own.start_s - base.start_s)
+            ).tolist()
     recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
     if encoder.second_track is not None:
-        levels = raw.columns[encoder.second_track]
-        flags += direction_flags(levels, (pulse_s - start_s) * rate_hz, path, falling=encoder.edge == "falling")
+        track = bases["the second track"]
+        at = (pulse_s + (base.start_s - track.start_s)) * track.rate_hz
+        flags += direction_flags(raw.columns[encoder.second_track], at, path, falling=encoder.edge == "falling")
     if encoder.file is not None and manifest.channels and pulse_s.size > 1:
         flags.append(flag(path, "clocks_not_compared", "info", _of_two_clocks(float(pulse_s[-1] - pulse_s[0]))))
-    marks = (("index", encoder.index, "revolution", "no_index"), ("cam mark", encoder.cam, "cycle", "no_cam"))
+    marks = (("the index", encoder.index, "revolution", "no_index"), ("the cam mark", encoder.cam, "cycle", "no_cam"))
     for role, source, axis, silent in marks:
         if source is None:
             continue
         try:
-            mark_s, _ = pulses(source, 1)
+            mark_s, _ = pulses(role, source, 1)
         except NoPulsesError as error:
-            flags.append(flag(path, silent, "suspect", f"{source}: the {role} has no mark: {error.found}"))
+            flags.append(flag(path, silent, "suspect", f"{source}: {role} has no mark: {error.found}"))
             mark_s = np.empty(0)
-        name = f"{role.split()[0]}_time"
-        recording[name] = (axis, mark_s, {"units": "s", "long_name": f"time of {role}"})
+        name = f"{role.split()[1]}_time"
+        recording[name] = (axis, mark_s, {"units": "s", "long_name": f"time of {role[4:]}"})
 
 
 def _of_two_clocks(length_s: float) -> str:

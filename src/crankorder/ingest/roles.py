@@ -31,6 +31,10 @@ SQUARE_SHARE = 0.75
 _UNEVEN = 0.5
 # Of the steps of sampled times, those that are even; of the rows of a list of edges, those at which a level changes.
 _EVEN_SHARE, _EDGE_SHARE = 0.9, 0.5
+# Of the time of the longest column that another of its own rate must span to belong to the recording …
+_SPAN = 0.75
+# … and of the rate of the fastest channel: beside a slower one more than a quarter of its band would be lost.
+_SLOWEST = 0.75
 # Of a column that holds pulses.
 _FEWEST_EDGES = 4
 
@@ -122,7 +126,8 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
     names = _sampled(contents)
     values = values_of(path, names, contents, settings)
     values |= {name: values[name] * factor for name, factor in angle_columns(contents).items() if name in values}
-    found = _once_each([_judged(name, contents, values) for name in names])
+    found = _of_several_rates([_judged(name, contents, values) for name in names], contents.rates_hz)
+    found = _once_each(found)
     found = _first_of_edges(found, values)
     time = next((column for column in found if column.role == "time"), None)
     beside = [column for name, column in values.items() if time is not None and name != time.name]
@@ -142,10 +147,21 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
 
 def _sampled(contents: Contents) -> list[str]:
     """Names of the columns that hold samples: a MATLAB file may hold much besides, as single numbers and spectra."""
-    longest = max(contents.samples.values(), default=0)
     if contents.format != "MATLAB":
         return [name for name in contents.names if contents.samples.get(name) != 1]
-    return [name for name in contents.names if contents.samples.get(name) == longest]
+    return [name for name in contents.names if _spans(name, contents)]
+
+
+def _spans(name: str, contents: Contents) -> bool:
+    """Whether the column ``name`` may have been recorded beside the longest: as many samples, or a base of its own."""
+    samples, rates, starts = contents.samples, contents.rates_hz, contents.starts_s
+    if name not in samples or samples[name] == max(samples.values()):
+        return True
+    if name not in rates:
+        return False
+    longest = max((other for other in rates if other in samples), key=lambda other: samples[other])
+    same = rates[name] == rates[longest] and starts.get(name, 0.0) == starts.get(longest, 0.0)
+    return not same and samples[name] / rates[name] >= _SPAN * samples[longest] / rates[longest]
 
 
 def _constants(contents: Contents) -> list[Column]:
@@ -167,17 +183,11 @@ def values_of(path: Path, names: Sequence[str], contents: Contents, settings: In
     """
     if path.stat().st_size > _MOST_BYTES:
         names = [name for name in names if any(sign.search(name) for sign in (_ENCODER, _INDEX, _CAM, _ANGLE))]
-    longest = max(contents.samples.values(), default=0)
-    alike = [name for name in names if contents.samples.get(name, longest) == longest]
-    raw = None
-    for some in (names, alike):  # columns of several rates cannot be read together
-        try:
-            raw = raw or read_file(path, sources=list(some), settings=settings)
-        except UnsafeInputError:  # a bomb is no recording to draft from
-            raise
-        except (CrankorderError, OSError, ValueError):
-            continue
-    if raw is None:
+    try:
+        raw = read_file(path, sources=list(names), settings=settings)
+    except UnsafeInputError:  # a bomb is no recording to draft from
+        raise
+    except (CrankorderError, OSError, ValueError):
         return {}
     made = {str(name): column[:MOST_SAMPLES].astype(np.float64) for name, column in raw.columns.items()}
     ends = [(column, rows_before_zeros(column)) for column in made.values()]
@@ -192,7 +202,7 @@ def _judged(name: str, contents: Contents, values: Mapping[str, Floats]) -> Colu
     unit, label = _unit_and_label(name, contents)
     role = _role(name, label, "" if unit is None else unit.quantity, contents, values.get(name))
     n_samples, longest = contents.samples.get(name), max(contents.samples.values(), default=0)
-    if n_samples is not None and n_samples < longest and role != "encoder":
+    if role != "encoder" and not _spans(name, contents):
         return Column(name, _source(name, contents), "unused", label, unit, f"{n_samples} samples of {longest}")
     doubt = "the first column grows in even steps: taken for seconds" if role == "time" and label.isdigit() else ""
     if stated in STATES_NO_UNIT and unit is not None:
@@ -276,6 +286,25 @@ def angle_step(values: Floats) -> float | None:
     step = usual + float(off.mean())  # steps that were rounded add up to the true one
     per_rev = 360.0 / step
     return step if abs(per_rev - round(per_rev)) < 1e-3 * per_rev else None
+
+
+def _of_several_rates(found: list[Column], rates_hz: Mapping[str, float]) -> list[Column]:
+    """``found`` where columns differ in rate: none tells the times of all, and slow channels would slow all down."""
+    if len({rates_hz.get(column.name) for column in found if column.role != "time"} - {None}) < 2:
+        return found
+    channels = [rates_hz[column.name] for column in found if column.role == "channel" and column.name in rates_hz]
+    fastest_hz = max(channels, default=0.0)
+    made: list[Column] = []
+    for column in found:
+        rate_hz = rates_hz.get(column.name, fastest_hz)
+        if column.role == "time":
+            column = _as(column, "unused", "each channel has times of its own")
+        elif column.role == "channel" and rate_hz < _SLOWEST * fastest_hz:
+            column = _as(
+                column, "unused", f"{rate_hz:.6g} Hz beside channels of {fastest_hz:.6g} Hz: all would come to it"
+            )
+        made.append(column)
+    return made
 
 
 def _once_each(found: list[Column]) -> list[Column]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,13 @@ from crankorder.ingest.rawfile import (
     RawFile,
     Source,
     check_budget,
-    common_rate,
     distinct,
     flag,
     float_type_for,
     named,
+    starts_by_date,
 )
+from crankorder.quantities import QualityFlag
 from crankorder.settings import IngestSettings
 
 _UNITS = ("unit_string", "NI_UnitDescription", "Unit", "unit", "units")
@@ -47,7 +48,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     """
     parser = _parser(path)
     most = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
-    told, columns, cut, start_s = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
+    told, columns, cut, undated = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
     names = {source: named(source, told.names, path) for source in sources}
     if cut is not None and cut.share < _MIN_PRESENT:
         raise InputError(
@@ -55,13 +56,12 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         )
     said = "" if cut is None or not cut.said else f" ({printable(cut.said)})"
     flags = [] if cut is None else [flag(path, "missing_data", "suspect", f"truncated: {cut.words}{said}")]
-    rates = {name: told.rates_hz[name] for name in names.values() if name in told.rates_hz}
     return RawFile(
         columns={source: columns[name] for source, name in names.items()},
         units={source: told.units[name] for source, name in names.items() if name in told.units},
-        rate_hz=common_rate(rates, path, tolerance=settings.rate_tolerance),
-        attrs={"start_s": start_s},
-        flags=flags,
+        rates_hz={source: told.rates_hz[name] for source, name in names.items() if name in told.rates_hz},
+        starts_s={source: told.starts_s[name] for source, name in names.items() if name in told.starts_s},
+        flags=flags + undated,
     )
 
 
@@ -99,27 +99,37 @@ def _channels(file: Any) -> dict[str, Any]:
 
 
 def _contents(parser: Any, path: Path) -> Contents:
-    with parser.open(path) as file:
-        return _told(_channels(file))
+    with parser.open(path, raw_timestamps=True) as file:
+        return _told(channels := _channels(file), channels, path)[0]
 
 
-def _told(channels: dict[str, Any]) -> Contents:
+def _told(channels: dict[str, Any], dated: Collection[str], path: Path) -> tuple[Contents, list[QualityFlag]]:
+    """What the properties of the ``channels`` say, and flags of dates of the ``dated`` that were not set."""
     steps = {name: channel.properties.get("wf_increment") for name, channel in channels.items()}
     units = {
         name: str(next((channel.properties[key] for key in _UNITS if key in channel.properties), ""))
         for name, channel in channels.items()
     }
-    return Contents(
+    dates = {name: channels[name].properties.get("wf_start_time") for name in dated}
+    stamps = {name: date.as_datetime64("ns") for name, date in dates.items() if hasattr(date, "as_datetime64")}
+    offsets = {name: channel.properties.get("wf_start_offset") for name, channel in channels.items()}
+    numbers = {name: float(offset) for name, offset in offsets.items() if _is_number(offset)}
+    starts, flags = starts_by_date(stamps, numbers, path)
+    contents = Contents(
         format="TDMS",
         names=tuple(channels),
         samples={name: len(channel) for name, channel in channels.items()},
         units={name: unit for name, unit in units.items() if unit},
-        rates_hz={name: float(f"{1.0 / float(step):.12g}") for name, step in steps.items() if _is_step(step)},
+        rates_hz={
+            name: float(f"{1.0 / float(step):.12g}") for name, step in steps.items() if _is_number(step) and step > 0
+        },
+        starts_s=starts,
     )
+    return contents, flags
 
 
-def _is_step(step: Any) -> bool:
-    return isinstance(step, (int, float)) and bool(np.isfinite(step)) and step > 0
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and bool(np.isfinite(value))
 
 
 @dataclass(frozen=True)
@@ -133,25 +143,23 @@ class _Cut:
 
 def _read(
     parser: Any, path: Path, sources: Sequence[Source], settings: IngestSettings
-) -> tuple[Contents, dict[str, Any], _Cut | None, float]:
-    """What the file holds, columns by name, what it lacks of its end, and the first time."""
-    with _heard() as said, parser.open(path) as file:
+) -> tuple[Contents, dict[str, Any], _Cut | None, list[QualityFlag]]:
+    """What the file holds, columns by name, what it lacks of its end, and flags of dates that were not set."""
+    with _heard() as said, parser.open(path, raw_timestamps=True) as file:
         channels = _channels(file)
-        told = _told(channels)
-        names = list(dict.fromkeys(named(source, told.names, path) for source in sources))
+        names = list(dict.fromkeys(named(source, tuple(channels), path) for source in sources))
+        told, undated = _told(channels, names, path)
         check_budget(sum(8 * told.samples[name] for name in names), path, max_bytes=settings.max_bytes)
         columns = {}
         for name in names:
             values = np.asarray(channels[name][:])
             columns[name] = values.astype(float_type_for(values.dtype), copy=False)
-        offset = channels[names[0]].properties.get("wf_start_offset", 0.0) if names else 0.0
-        start_s = float(offset) if isinstance(offset, (int, float)) and np.isfinite(offset) else 0.0
         stated = _stated_samples(file, {name: channels[name] for name in names})
         cut = _cut(path, columns, stated, " ".join(said.getvalue().split()))
         if cut is not None and len(set(stated.values())) == 1:
             shortest = min(map(len, columns.values()))
             columns = {name: values[:shortest] for name, values in columns.items()}
-        return told, columns, cut, start_s
+        return told, columns, cut, undated
 
 
 def _stated_samples(file: Any, channels: dict[str, Any]) -> dict[str, int]:

@@ -62,7 +62,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
             for source, position in zip(sources, positions, strict=True)
             if layout.names[position] in layout.units
         },
-        rate_hz=layout.rate_hz,
+        rates_hz={} if layout.rate_hz is None else dict.fromkeys(sources, layout.rate_hz),
         flags=_flags(path, layout),
     )
 

@@ -22,7 +22,6 @@ from crankorder.ingest.rawfile import (
     RawFile,
     Source,
     check_budget,
-    common_rate,
     distinct,
     flag,
     named,
@@ -79,15 +78,14 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         check_budget(sum(found[name].n_points * 8 for name in names), path, max_bytes=settings.max_bytes)
         sampled = {name: _sampled(data, found[name], path, settings) for name in dict.fromkeys(names)}
     columns = {name: column for name, (column, _) in sampled.items()}
-    times = {name: time for name, (_, time) in sampled.items()}
-    doubt = max((time.rate_uncertainty for time in times.values()), default=0.0)
-    rates = {name: time.rate_hz for name, time in times.items()}
-    flags = _flags(found, columns, path) + [told for time in times.values() for told in time.flags]
+    times = {source: sampled[name][1] for source, name in zip(sources, names, strict=True)}
+    flags = _flags(found, columns, path) + [told for _, time in sampled.values() for told in time.flags]
     return RawFile(
         columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
         units={source: found[name].unit for source, name in zip(sources, names, strict=True) if found[name].unit},
-        rate_hz=common_rate(rates, path, tolerance=settings.rate_tolerance + 2.0 * doubt),
-        attrs={"start_s": times[names[0]].start_s, "rate_uncertainty": doubt} if names else {},
+        rates_hz={source: time.rate_hz for source, time in times.items()},
+        starts_s={source: time.start_s for source, time in times.items()},
+        rate_uncertainty=max((time.rate_uncertainty for time in times.values()), default=0.0),
         flags=[told for number, told in enumerate(flags) if told not in flags[:number]],
     )
 
@@ -110,6 +108,7 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
         samples={name: one.n_present for name, one in found.items() if one.binary},
         units={name: one.unit for name, one in found.items() if one.unit},
         rates_hz={name: time.rate_hz for name, time in times.items()},
+        starts_s={name: time.start_s for name, time in times.items()},
         rate_uncertainty=max(time.rate_uncertainty for time in times.values()),
     )
 

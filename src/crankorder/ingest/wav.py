@@ -105,7 +105,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     return RawFile(
         columns=dict(zip(sources, room, strict=True)),
         units={source: header.units[number] for source, number in zip(sources, numbers, strict=True)},
-        rate_hz=float(header.rate_hz),
+        rates_hz=dict.fromkeys(sources, float(header.rate_hz)),
         flags=list(header.flags),
     )
 

@@ -292,7 +292,7 @@ def _shaft_of(
         remarks,
         cycle_known=all(one.cycle_known for one in runs),
     )
-    rounded = stated > QUANTISED_SAMPLES / float(attrs.get("rate_hz", np.inf))
+    rounded = stated > QUANTISED_SAMPLES / float(attrs.get("encoder_rate_hz", attrs.get("rate_hz", np.inf)))
     shaft.attrs["teeth_per_rev"] = teeth.teeth_per_rev * float(attrs.get("ratio", 1.0))
     shaft.attrs["cut_off_order"] = knots.cut_off_order
     shaft.attrs["edge_step_s"] = math.sqrt(12.0) * stated if rounded else 0.0
@@ -337,7 +337,10 @@ def _from_speed(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
             "the recording holds no speed signal", place="encoder", remedy="Check the encoder's source in run.toml"
         )
     knots, flags = integrated_speed(
-        recording["speed_signal"].values, rate_hz=float(recording.attrs["rate_hz"]), settings=settings
+        recording["speed_signal"].values,
+        rate_hz=float(recording.attrs.get("encoder_rate_hz", recording.attrs["rate_hz"])),
+        settings=settings,
+        start_s=float(recording.attrs.get("encoder_start_s", 0.0)),
     )
     return _dataset(recording, knots, "none", 0, [*flags, _NO_PHASE])
 

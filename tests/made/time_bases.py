@@ -1,0 +1,124 @@
+"""Columns with rates and starts of their own, in every format that can hold them in one file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+
+START = np.datetime64("2024-03-05T10:00:00", "ns")
+
+
+class Sampled(NamedTuple):
+    """A column: its name, unit, values, samples per second, and the time of its first sample in s."""
+
+    name: str
+    unit: str
+    values: np.ndarray
+    rate_hz: float
+    start_s: float = 0.0
+
+
+def as_tdms(path: Path, columns: list[Sampled], *, by_date: bool = True, dates: dict | None = None) -> dict[str, str]:
+    """A group for each column, its start as date and offset (a quarter), or offset alone; ``dates`` by name."""
+    nptdms = pytest.importorskip("nptdms", reason="the package nptdms (extra tdms) is not installed")
+    with nptdms.TdmsWriter(str(path.with_suffix(".tdms"))) as writer:
+        for column in columns:
+            offset = column.start_s / 4.0 if by_date else column.start_s
+            late = np.timedelta64(round(1e6 * (column.start_s - offset)), "us")
+            date = (dates or {}).get(column.name, START.astype("datetime64[us]") + late)
+            properties = {"wf_increment": 1.0 / column.rate_hz, "wf_start_offset": offset, "unit_string": column.unit}
+            properties |= {"wf_start_time": date, "wf_samples": column.values.size}
+            writer.write_segment([nptdms.ChannelObject(column.name, column.name, column.values, properties)])
+    return {column.name: f"{column.name}/{column.name}" for column in columns}
+
+
+def as_mdf(path: Path, columns: list[Sampled]) -> dict[str, str]:
+    asammdf = pytest.importorskip("asammdf", reason="the package asammdf (extra mdf) is not installed")
+    with asammdf.MDF(version="4.10") as file:
+        for column in columns:
+            stamps = column.start_s + np.arange(column.values.size) / column.rate_hz
+            file.append(asammdf.Signal(column.values, stamps, unit=column.unit, name=column.name))
+        file.save(path.with_suffix(".mf4"), overwrite=True)
+    return {column.name: column.name for column in columns}
+
+
+def as_hdf5(path: Path, columns: list[Sampled], *, key: str = "start_s") -> dict[str, str]:
+    with h5py.File(path.with_suffix(".h5"), "w") as file:
+        for column in columns:
+            file[column.name] = column.values
+            file[column.name].attrs.update({"rate_hz": column.rate_hz, "units": column.unit})
+            late = np.timedelta64(round(1e9 * column.start_s), "ns")
+            file[column.name].attrs[key] = str(START + late) if key == "wf_start_time" else column.start_s
+    return {column.name: column.name for column in columns}
+
+
+def as_matlab(path: Path, columns: list[Sampled]) -> dict[str, str]:
+    parts = {column.name: {"y": column.values, "fs": column.rate_hz, "t0": column.start_s} for column in columns}
+    scipy.io.savemat(path.with_suffix(".mat"), parts)
+    return {column.name: f"{column.name}.y" for column in columns}
+
+
+def as_uff(path: Path, columns: list[Sampled]) -> dict[str, str]:
+    sets = []
+    for number, column in enumerate(columns, start=1):
+        head = [column.name, "NONE", "NONE", "NONE", "NONE"]
+        head += [f"{1:5d}{0:10d}{0:5d}{0:10d} NONE      {number:10d}{3:4d} NONE      {0:10d}{0:4d}"]
+        head += [f"{4:10d}{column.values.size:10d}{1:10d}{column.start_s:13.5E}{1.0 / column.rate_hz:13.5E}{0.0:13.5E}"]
+        head += [f"{17:10d}    0    0    0 Time                 s"]
+        head += [f"{12:10d}    0    0    0 Response             {column.unit}"]
+        head += [f"{0:10d}    0    0    0 NONE                 NONE"] * 2
+        fours = np.array_split(column.values, range(4, column.values.size, 4))
+        lines = ["".join(f"{value:20.12E}" for value in four) for four in fours]
+        sets.append("\n".join(["    -1", "    58", *head, *lines, "    -1", ""]))
+    path.with_suffix(".uff").write_text("".join(sets))
+    return {column.name: f"{number}+Z" for number, column in enumerate(columns, start=1)}
+
+
+def as_lvm(path: Path, columns: list[Sampled]) -> dict[str, str]:
+    """A segment for each column, as of ``Multi_Headings``; its start in ``X0``."""
+    text = [
+        "LabVIEW Measurement\t",
+        "Writer_Version\t2",
+        "Separator\tTab",
+        "Decimal_Separator\t.",
+        "Multi_Headings\tYes",
+    ]
+    text += ["X_Columns\tNo", "***End_of_Header***\t", "\t"]
+    for column in columns:
+        rows = [("Channels", 1), ("Samples", column.values.size), ("Date", "2024/03/05"), ("Time", "10:00:00.0")]
+        rows += [("Y_Unit_Label", column.unit), ("X_Dimension", "Time"), ("X0", repr(column.start_s))]
+        rows += [("Delta_X", repr(1.0 / column.rate_hz))]
+        text += [f"{key}\t{value}" for key, value in rows] + [
+            "***End_of_Header***\t",
+            f"X_Value\t{column.name}\tComment",
+        ]
+        text += [f"\t{value:.9g}" for value in column.values] + ["\t"]
+    path.with_suffix(".lvm").write_text("\n".join(text) + "\n")
+    return {column.name: f"{number}/{column.name}" for number, column in enumerate(columns)}
+
+
+def as_lvm_of_one_segment(path: Path, columns: list[Sampled]) -> dict[str, str]:
+    """All columns side by side, of one rate and length; their starts in ``X0``."""
+    text = ["LabVIEW Measurement\t", "Writer_Version\t2", "Separator\tTab", "Decimal_Separator\t.", "X_Columns\tNo"]
+    text += ["***End_of_Header***\t", "\t"]
+    rows = [("Channels", [len(columns)]), ("Samples", [column.values.size for column in columns])]
+    rows += [("Y_Unit_Label", [column.unit for column in columns]), ("X0", [column.start_s for column in columns])]
+    rows += [("Delta_X", [1.0 / column.rate_hz for column in columns])]
+    text += ["\t".join(map(str, (key, *cells))) for key, cells in rows] + ["***End_of_Header***\t"]
+    text += ["\t".join(["X_Value", *(column.name for column in columns), "Comment"])]
+    text += [
+        "\t" + "\t".join(f"{value:.9g}" for value in row) for row in zip(*(c.values for c in columns), strict=True)
+    ]
+    path.with_suffix(".lvm").write_text("\n".join(text) + "\n")
+    return {column.name: column.name for column in columns}
+
+
+WRITERS: dict[str, Callable[..., dict[str, str]]] = {
+    "TDMS": as_tdms, "MDF4": as_mdf, "HDF5": as_hdf5, "MATLAB": as_matlab, "UFF": as_uff, "LVM": as_lvm,
+}  # fmt: skip
