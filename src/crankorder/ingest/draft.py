@@ -20,6 +20,7 @@ from crankorder.ingest.roles import MOST_SAMPLES, Column, Columns, Role, columns
 from crankorder.ingest.sampling import rows_before_zeros
 from crankorder.settings import load_settings
 from crankorder.shaft.pattern import known_names
+from crankorder.shaft.position import COUNTER_BITS
 from crankorder.shaft.pulses import FloatArray, find_pulses
 from crankorder.shaft.uneven_wheel import FoundPattern, find_pattern
 
@@ -50,6 +51,10 @@ _COMMON_PULSES = (
     240, 250, 256, 300, 360, 400, 500, 512, 600, 720, 900, 1000, 1024, 1200, 1250, 1440, 1500, 1800, 2000, 2048, 2500,
     3600, 4096,
 )  # fmt: skip
+# of the samples, from which a trace is mostly high
+_MOSTLY = 0.8
+# of the counts after which a count starts anew, as far as those that were seen may lie off
+_SAME_COUNT = 0.005
 # of a speed that a name states, as far as the true one may lie off
 _NOMINAL = 0.03
 
@@ -133,7 +138,8 @@ def _edges(
         ).time_s
         for edge in ("rising", "falling")
     }
-    return kind, "rising", by_edge
+    # short dips begin where they fall
+    return kind, "falling" if np.mean(values > 0.5 * (values.min() + values.max())) > _MOSTLY else "rising", by_edge
 
 
 def draft_manifest(folder: Path) -> str:
@@ -371,8 +377,9 @@ def _encoder(
     if columns.of("angle") is not None:
         return (["[encoder]", 'kind = "constant"'] if speeds else []), True
     if encoder is None and index is not None:
-        encoder, index = index, None
-        return ["[encoder]", f"source = {_shown(encoder.source)}", 'kind = "square"', "pulses_per_rev = 1"], True
+        told = _wheel(replace(columns, all=(replace(index, role="encoder"), *columns.all)), contents, path, {})
+        lines = [line for line in told if line.startswith(("kind", "edge"))]
+        return ["[encoder]", f"source = {_shown(index.source)}", *lines, "pulses_per_rev = 1"], True
     if encoder is not None:
         marks = [_mark(role, column) for role, column in (("index", index), ("cam", cam)) if column is not None]
         source = f"source = {_shown(encoder.source)}"
@@ -429,6 +436,8 @@ def _wheel(columns: Columns, contents: Contents, path: Path, speeds: Mapping[str
     """Kind, edge and wheel of the encoder as its pulses in the file at ``path`` tell them, else to be stated."""
     encoder, index, time = (columns.of(role) for role in ("encoder", "index", "time"))
     assert encoder is not None  # asked for only where there is one
+    if encoder.position:
+        return _position(encoder)
     guess = encoder_guess(
         path,
         encoder.source,
@@ -460,6 +469,18 @@ def _wheel(columns: Columns, contents: Contents, path: Path, speeds: Mapping[str
     if guess.found.pattern.name in known_names():
         return [*lines, _asked(f'pattern = "{guess.found.pattern.name}"', told_by)]
     return [*lines, _asked("", told_by), f"tooth_angles_deg = [{', '.join(f'{angle:.4g}' for angle in angles)}]"]
+
+
+def _position(encoder: Column) -> list[str]:
+    """Kind of an ``encoder`` whose samples are angles or counts, and the counts of a turn as its wraps tell them."""
+    lines = [f'kind = "{encoder.position}"'.ljust(_MARK_COLUMN) + "# as its values look"]
+    if encoder.position == "angle":
+        return lines
+    if not encoder.wrap or min(abs(encoder.wrap / 2.0**bits - 1.0) for bits in COUNTER_BITS) < _SAME_COUNT:
+        return [*lines, _asked("# pulses_per_rev = 4096", "counts of a turn: four for each line of most encoders")]
+    usual = min((each * number for each in (1, 4) for number in _COMMON_PULSES), key=lambda n: abs(n - encoder.wrap))
+    counts = usual if abs(usual - encoder.wrap) < _SAME_COUNT * usual else round(encoder.wrap)
+    return [*lines, _asked(f"pulses_per_rev = {counts}", "it starts anew after so many: once a turn, by an index?")]
 
 
 def _pulses_per_rev(pulses_hz: float, stated: tuple[float, str] | None) -> int | None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import xarray as xr
 from crankorder.errors import CrankorderError, InputError
 from crankorder.fft.integration import faded_samples, integrated
 from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
-from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
+from crankorder.ingest.encoder_table import POSITION_KINDS, SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.formats import contents_of, format_of, read_file
 from crankorder.ingest.limit_table import check_bands
@@ -31,6 +32,7 @@ from crankorder.ingest.units import (
 from crankorder.quantities import Floats, QualityFlag, Recording, Severity, with_flags
 from crankorder.scratch import empty_like
 from crankorder.settings import IngestSettings, ShaftSettings
+from crankorder.shaft.position import position_pulses
 from crankorder.shaft.pulses import NoPulsesError, find_pulses
 
 _MIN_SAMPLES = 3
@@ -333,9 +335,12 @@ def _add_encoder(
             return _pulses_of_times(raw, source, manifest, path, flags, start_s=start_s)
         return _pulses_of_trace(raw, source, encoder, path, shaft, flags, rate_hz=rate_hz, per_rev=per_rev)
 
-    pulse_s, attrs["pulse_noise_s"] = pulses(
-        encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
-    )
+    if encoder.kind in POSITION_KINDS:
+        pulse_s, attrs["pulse_noise_s"] = _pulses_of_position(recording, raw, encoder, path, flags, rate_hz=rate_hz)
+    else:
+        pulse_s, attrs["pulse_noise_s"] = pulses(
+            encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
+        )
     recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
     if encoder.second_track is not None:
         levels = raw.columns[encoder.second_track]
@@ -353,6 +358,29 @@ def _add_encoder(
             mark_s = np.empty(0)
         name = f"{role.split()[0]}_time"
         recording[name] = (axis, mark_s, {"units": "s", "long_name": f"time of {role}"})
+
+
+def _pulses_of_position(
+    recording: xr.Dataset, raw: RawFile, encoder: Encoder, path: Path, flags: list[QualityFlag], *, rate_hz: float
+) -> tuple[Floats, float]:
+    """Pulses of an angle or a count; its whole turns are an index of the ``recording``, where it has no other."""
+    assert encoder.source is not None  # the manifest was checked for it
+    unit = known_unit(raw.units.get(encoder.source) or unit_in_label(str(encoder.source)))
+    turn = unit_of("rev").factor
+    stated = [turn / unit.factor] if unit is not None and unit.quantity == "angle" else [360.0, turn, 1.0]
+    per_rev = stated if encoder.pulses_per_rev is None else [float(encoder.pulses_per_rev)]
+    with _placed(path, encoder.source):
+        told = position_pulses(
+            raw.columns[encoder.source], rate_hz=rate_hz, units_per_rev=per_rev, counted=encoder.kind == "count"
+        )
+    flags += [flag(path, name, severity, f"{encoder.source}: {detail}") for name, severity, detail in told.pulses.flags]
+    recording.attrs["pulses_per_rev"] = told.pulses_per_rev
+    if encoder.index is None:
+        recording["index_time"] = ("revolution", told.turn_s, {"units": "s", "long_name": "time of index"})
+        recording.attrs["zero_counted"] = int(not (told.is_mark or "index_to_tdc_deg" in recording.attrs))
+    if encoder.cam is None and told.cycle_s is not None and recording.attrs["revs_per_cycle"] == 2:
+        recording["cam_time"] = ("cycle", told.cycle_s, {"units": "s", "long_name": "time of cam mark"})
+    return told.pulses.time_s, told.pulses.noise_s
 
 
 def _of_two_clocks(length_s: float) -> str:
@@ -380,6 +408,17 @@ def _add_stated_speed(recording: xr.Dataset, raw: RawFile, manifest: Manifest, p
         recording.attrs["speed_rpm"] = math.nan if stated_rpm is None else stated_rpm
 
 
+@contextmanager
+def _placed(path: Path, source: Source) -> Iterator[None]:
+    """Gives an error of the encoder's column ``source`` its place in the file at ``path``."""
+    try:
+        yield
+    except CrankorderError as error:
+        place = error.place or f"encoder {source}"
+        given = {"found": error.found, "allowed": error.allowed, "remedy": error.remedy}
+        raise type(error)(error.problem, file=path, place=place, **given) from None
+
+
 def _pulses_of_trace(
     raw: RawFile,
     source: Source | None,
@@ -392,7 +431,7 @@ def _pulses_of_trace(
     per_rev: int,
 ) -> tuple[Floats, float]:
     assert source is not None  # the manifest was checked for it
-    try:
+    with _placed(path, source):
         pulses = find_pulses(
             raw.columns[source],
             rate_hz=rate_hz,
@@ -401,15 +440,6 @@ def _pulses_of_trace(
             pulses_per_rev=per_rev,
             settings=shaft,
         )
-    except CrankorderError as error:
-        raise type(error)(
-            error.problem,
-            file=path,
-            place=error.place or f"encoder {source}",
-            found=error.found,
-            allowed=error.allowed,
-            remedy=error.remedy,
-        ) from None
     flags += [flag(path, name, severity, f"{source}: {detail}") for name, severity, detail in pulses.flags]
     return pulses.time_s, pulses.noise_s
 

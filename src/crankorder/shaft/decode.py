@@ -120,7 +120,7 @@ def _wrapped(place_rev: FloatArray) -> FloatArray:
 JITTER_RATIO = 1.5
 QUANTISED_SAMPLES = 0.2
 """Pulse noise from which it is that of whole samples (0.29 of one)."""
-PULSE_KINDS = ("square", "analogue", "pulse_times", "edge_list")
+PULSE_KINDS = ("square", "analogue", "angle", "count", "pulse_times", "edge_list")
 
 
 def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle:
@@ -328,6 +328,9 @@ def _tdc(teeth: NumberedTeeth, teeth_per_rev: float, recording: xr.Dataset) -> t
         detail = "which top dead centre fires is not known: half orders may be turned by 180°"
         flags.append(("cycle_phase_unknown", "info", detail))
     single = teeth.teeth_per_rev == 1 and "index_time" not in recording.variables and cam_s is None
+    if attrs.get("zero_counted"):
+        detail = "no index sets the count to 0: its zero, from which phases count, is another in each recording"
+        return tdc, cycle_known, "count", [*flags, ("no_index", "suspect", detail)]
     return tdc, cycle_known, "tdc" if stated else "pulse" if single else "index", flags
 
 
