@@ -19,6 +19,7 @@ from crankorder.ingest.rawfile import Contents, RawFile, Source
 from crankorder.ingest.roles import MOST_SAMPLES, Column, Columns, Role, columns_of, is_square, is_uniform
 from crankorder.ingest.sampling import rows_before_zeros
 from crankorder.settings import load_settings
+from crankorder.shaft.named_speed import speed_in_name
 from crankorder.shaft.pattern import known_names
 from crankorder.shaft.position import COUNTER_BITS
 from crankorder.shaft.pulses import FloatArray, find_pulses
@@ -40,10 +41,6 @@ _SPECTRUM = re.compile(r"(^|[^a-z])(fft|spectrum|spectra|psd|frf)([^a-z]|$)", re
 _MARK_COLUMN = 34
 _RECIPROCATING = re.compile(
     r"crank|cyl|engine|kurbel|tdc|ignition|knock|piston|firing|(^|[^a-z])(ice|diesel)([^a-z]|$)", re.I
-)
-_SPEED_IN_NAME = (
-    re.compile(r"(?<![0-9.])(\d{2,6}(?:[.,]\d+)?)[ _-]?(?:rpm|u_?min|upm|min-?1|r_?min)", re.I),
-    re.compile(r"(?:rpm|speed|drehzahl|(?<![a-z])n)[ _=-]?(\d{2,6}(?:\.\d+)?)(?![0-9])", re.I),
 )
 # pulses per revolution that encoders and tachometers have
 _COMMON_PULSES = (
@@ -295,22 +292,13 @@ def _speeds(group: Sequence[tuple[Contents, Path]]) -> dict[str, tuple[float, st
     return speeds
 
 
-def speed_in_name(name: str) -> float | None:
-    """Speed in rpm that the ``name`` of a file states, such as 800 in "800rpm" or "idle_n800"; None where none."""
-    for sign in _SPEED_IN_NAME:
-        match = sign.search(name)
-        if match and float(match[1].replace(",", ".")) > 0:
-            return float(match[1].replace(",", "."))
-    return None
-
-
 def _cycle(columns: Columns, path: Path, *, knows_shaft: bool) -> list[str]:
     if not knows_shaft:
+        speeds = (column for column in columns.all if column.unit and column.unit.quantity == "rotational speed")
+        told = next((f"{column.name} tells a speed, but: {column.doubt or 'no signal'}" for column in speeds), "")
         return [
-            _asked(
-                'cycle = "none"', "nothing in the files tells a speed. Where a shaft turns: four-stroke, two-stroke"
-            ),
-            _asked("", "or rotor, and an [encoder] below"),
+            _asked('cycle = "none"', told or "nothing in the files tells a speed"),
+            _asked("", "where a shaft turns: four-stroke, two-stroke or rotor, and an [encoder] below"),
         ]
     if columns.of("cam") is not None or columns.four_stroke:
         why = "a cam mark" if columns.of("cam") is not None else "the angle runs over two revolutions"

@@ -67,8 +67,8 @@ class Encoder(Table):
     kind: EncoderKind = Field(
         default="none",
         description="What tells the shaft: a sampled trace of two levels (square) or of any shape (analogue), times of "
-        "pulses (pulse_times), a list of changes of a level (edge_list), the angle (angle) or a count of it (count) or the "
-        "speed (speed) sample by sample, one speed (constant), the signals themselves (vibration), or nothing (none).",
+        "pulses (pulse_times), a list of changes of a level (edge_list), the angle (angle), a count of it (count) or the "
+        "speed (speed) sample by sample, one speed (constant), the signals themselves (vibration) or nothing (none).",
         examples=["square"],
     )
     source: Source | None = Field(default=None, description="Dataset or column that holds it.", examples=["encoder"])
@@ -120,8 +120,8 @@ class Encoder(Table):
     ratio: Ratio = Field(default=1.0, description="Revolutions of the encoder per crank revolution.", examples=[0.5])
     index_to_tdc_deg: Turn = Field(
         default=0.0,
-        description="Crank angle from the index mark, or without one from the first tooth behind the gap or the zero of "
-        "an angle or count, to top dead centre, from which phases count.",
+        description="Crank angle from the index mark, or without one from the first tooth behind the gap or the zero "
+        "of an angle or count, to top dead centre, from which phases count.",
         examples=[84.0],
     )
     cam_to_tdc_deg: Turn | None = Field(

@@ -225,7 +225,7 @@ def _role(name: str, label: str, quantity: str, contents: Contents, values: Floa
             return role
     if values is None:
         return "channel"
-    if _is_binary(values) and np.ptp(values) > 0.0 or quantity in ("", "voltage") and is_square(values):
+    if (_is_binary(values) and np.ptp(values) > 0.0) or (quantity in ("", "voltage") and is_square(values)):
         return "encoder" if _n_edges(values) >= _FEWEST_EDGES else "unused"
     if label.isdigit() and _grows(values) and is_uniform(values):
         counted = np.ptp(np.diff(values)) == 0.0 and values[1] - values[0] == 1.0

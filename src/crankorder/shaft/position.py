@@ -78,9 +78,8 @@ def position_pulses(
     flags: list[Remark] = []
     wrong = np.setdiff1d(np.flatnonzero(np.isfinite(position)), at)
     if wrong.size:
-        flags.append(
-            ("encoder_glitch", "suspect", f"{wrong.size} wrong positions left out, {listed_times(wrong / rate_hz)}")
-        )
+        detail = f"{wrong.size} wrong positions left out, {listed_times(wrong / rate_hz)}"
+        flags.append(("encoder_glitch", "suspect", detail))
     unit, wrap = _wrap(jump, float(np.ptp(value)) + 1.0, units_per_rev, counted)
     if len(units_per_rev) > 1 and wrap == 0.0:
         detail = f"the file states no unit of the angle, which starts nowhere anew: taken as {unit:g} per revolution"
@@ -95,15 +94,7 @@ def position_pulses(
     if wrap > 0.0 and is_mark:
         whole = wrap / unit
         turns -= np.median((turns - value / unit + 0.5 * whole) % whole - 0.5 * whole)
-    turns = sign * (turns + 0.5 * quantum)
-    highest = np.maximum.accumulate(turns)
-    back = float(np.max(highest - turns))
-    if back > 1.0:
-        raise InputError("the shaft turns both ways", found=f"{back:.3g} revolutions back", remedy="Leave it out, or cut")
-    if back > max(BACKWARDS_REV, 2.0 * quantum):
-        flags.append(("direction_changes", "suspect", f"the position goes back by {back:.3g} revolutions"))
-    # where a count trembles, half-way between the first and the last time that it passes
-    turns = 0.5 * (highest + np.minimum.accumulate(turns[::-1])[::-1])
+    turns = _onwards(sign * (turns + 0.5 * quantum), quantum, flags)
     mark = np.arange(math.ceil(turns[0]), math.floor(turns[-1]) + 1)
     if mark.size < 2:
         raise InputError("the position turns too little", found=f"{np.ptp(turns):.3g} revolutions", allowed="2 or more")
@@ -121,6 +112,21 @@ def position_pulses(
     return Position(Pulses(pulse_at / rate_hz, noise / rate_hz, flags), per_rev, turn_at / rate_hz, cycle_s, is_mark)
 
 
+def _onwards(turns: FloatArray, quantum: float, flags: list[Remark]) -> FloatArray:
+    """``turns`` (sample,) that never fall: half-way between the first and the last time that each is passed.
+
+    ``quantum`` [rev] is the step in which they come; a shaft that turns back joins the ``flags``, or is refused.
+    """
+    highest = np.maximum.accumulate(turns)
+    back = float(np.max(highest - turns))
+    if back > 1.0:
+        raise InputError("the shaft turns both ways", found=f"{back:.3g} revolutions back", remedy="Leave it out")
+    if back > max(BACKWARDS_REV, 2.0 * quantum):
+        flags.append(("direction_changes", "suspect", f"the position goes back by {back:.3g} revolutions"))
+    onwards: FloatArray = 0.5 * (highest + np.minimum.accumulate(turns[::-1])[::-1])
+    return onwards
+
+
 def _followed(position: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray, FloatArray]:
     """Samples that are right, their positions, the step from each to the next, and the usual step there."""
     at = np.flatnonzero(np.isfinite(position))
@@ -130,8 +136,8 @@ def _followed(position: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.int64]
         if not step.any():
             raise InputError("the position does not change", found=f"{at.size} samples", remedy="Mend encoder.source")
         expected = gap * median_filter(step / gap, USUAL_STEPS)
-        abrupt = _is_abrupt(step, expected)
-        wrong = np.flatnonzero(abrupt[1:] & abrupt[:-1]) + 1
+        abrupt = np.pad(_is_abrupt(step, expected), 1, constant_values=True)
+        wrong = np.flatnonzero(abrupt[1:] & abrupt[:-1])
         if not wrong.size or not left:
             break
         at = np.delete(at, wrong[np.diff(wrong, prepend=-2) > 1])
@@ -165,8 +171,8 @@ def wrap_seen(values: npt.NDArray[np.floating]) -> tuple[float, bool] | None:
 
 def _is_abrupt(step: FloatArray, expected: FloatArray) -> npt.NDArray[np.bool_]:
     off = np.abs(step - expected)
-    typical = np.median(np.abs(step[step != 0.0]))
-    return off > ABRUPT_STEPS * typical + ABRUPT_DIFFERENCES * np.median(off)
+    typical = float(np.median(np.abs(step[step != 0.0])))
+    return np.asarray(off > ABRUPT_STEPS * typical + ABRUPT_DIFFERENCES * float(np.median(off)))
 
 
 def _wrap(jump: float, span: float, units_per_rev: Sequence[float], counted: bool) -> tuple[float, float]:
