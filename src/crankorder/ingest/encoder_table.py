@@ -67,8 +67,9 @@ class Encoder(Table):
     kind: EncoderKind = Field(
         default="none",
         description="What tells the shaft: a sampled trace of two levels (square) or of any shape (analogue), times of "
-        "pulses (pulse_times), a list of changes of a level (edge_list), the angle (angle), a count of it (count) or the "
-        "speed (speed) sample by sample, one speed (constant), the signals themselves (vibration) or nothing (none).",
+        "pulses (pulse_times), a list of changes of a level (edge_list), the angle (angle), a count of it (count) or "
+        "the speed (speed) sample by sample, one speed (constant), the signals themselves (vibration) or nothing "
+        "(none).",
         examples=["square"],
     )
     source: Source | None = Field(default=None, description="Dataset or column that holds it.", examples=["encoder"])
