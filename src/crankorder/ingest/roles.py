@@ -42,7 +42,7 @@ _INDEX = re.compile(
 _ENCODER = re.compile(
     r"enc|tach|pulse|crank|tooth|teeth|(^|[^a-z])(ir|ckp|kw|rev(s|ol\w*)?)([^a-z]|$)|kurbel|drehgeber", re.I
 )
-_POSITION = re.compile(r"posit|count|(^|[^a-z])(pos|enc(oder)?|lage|drehgeber)([^a-z]|$)", re.I)
+_POSITION = re.compile(r"posit|(^|[^a-z])(pos|counts|enc(oder)?|lage|drehgeber)([^a-z]|$)", re.I)
 _CAM = re.compile(r"(^|[^a-z])(cam(shaft)?|cmp)([^a-z]|$)|nockenwelle", re.I)
 _SPEED = re.compile(r"rpm|speed|drehzahl|(^|[^a-z])u.?min([^a-z]|$)", re.I)
 _SIGNAL = re.compile(r"acc|vib|press|mic|force|sound|strain|torque|schwing|druck|kraft", re.I)
