@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
-from crankorder.errors import CrankorderError, InputError
+from crankorder.errors import InputError, located
 from crankorder.fft.integration import faded_samples, integrated
 from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
 from crankorder.ingest.encoder_table import POSITION_KINDS, SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
@@ -23,12 +22,7 @@ from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_c
 from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, direction_flags, judged
 from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
-from crankorder.ingest.units import (
-    conversion_factor,
-    known_unit,
-    unit_in_label,
-    unit_of,
-)
+from crankorder.ingest.units import conversion_factor, known_unit, unit_in_label, unit_of
 from crankorder.quantities import Floats, QualityFlag, Recording, Severity, with_flags
 from crankorder.scratch import empty_like
 from crankorder.settings import IngestSettings, ShaftSettings
@@ -39,7 +33,6 @@ _MIN_SAMPLES = 3
 
 # Pulse times that are told more finely than this are as good as those of a counter.
 _FINE_STEP_S = 1e-6
-
 # A rate in doubt by more than this moves frequencies further than their own errors.
 _ROUGH_RATE = 1e-4
 
@@ -335,18 +328,22 @@ def _add_encoder(
             return _pulses_of_times(raw, source, manifest, path, flags, start_s=start_s)
         return _pulses_of_trace(raw, source, encoder, path, shaft, flags, rate_hz=rate_hz, per_rev=per_rev)
 
+    per_rev = len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
     if encoder.kind in POSITION_KINDS:
         pulse_s, attrs["pulse_noise_s"] = _pulses_of_position(recording, raw, encoder, path, flags, rate_hz=rate_hz)
     else:
-        pulse_s, attrs["pulse_noise_s"] = pulses(
-            encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
-        )
+        pulse_s, attrs["pulse_noise_s"] = pulses(encoder.source, per_rev)
     recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
     if encoder.second_track is not None:
         levels = raw.columns[encoder.second_track]
         flags += direction_flags(levels, (pulse_s - start_s) * rate_hz, path, falling=encoder.edge == "falling")
     if encoder.file is not None and manifest.channels and pulse_s.size > 1:
-        flags.append(flag(path, "clocks_not_compared", "info", _of_two_clocks(float(pulse_s[-1] - pulse_s[0]))))
+        detail = (
+            "times of pulses come from a file of their own, and no signal that both recorded compares its clock with "
+            "that of the samples: each 10 ppm between them move the angle by what the shaft turns in "
+            f"{1e-2 * float(pulse_s[-1] - pulse_s[0]):.2g} ms, by the end"
+        )
+        flags.append(flag(path, "clocks_not_compared", "info", detail))
     marks = (("index", encoder.index, "revolution", "no_index"), ("cam mark", encoder.cam, "cycle", "no_cam"))
     for role, source, axis, silent in marks:
         if source is None:
@@ -366,13 +363,11 @@ def _pulses_of_position(
     """Pulses of an angle or a count; its whole turns are an index of the ``recording``, where it has no other."""
     assert encoder.source is not None  # the manifest was checked for it
     unit = known_unit(raw.units.get(encoder.source) or unit_in_label(str(encoder.source)))
-    turn = unit_of("rev").factor
-    stated = [turn / unit.factor] if unit is not None and unit.quantity == "angle" else [360.0, turn, 1.0]
+    stated = [math.tau / unit.factor] if unit is not None and unit.quantity == "angle" else [360.0, math.tau, 1.0]
     per_rev = stated if encoder.pulses_per_rev is None else [float(encoder.pulses_per_rev)]
-    with _placed(path, encoder.source):
-        told = position_pulses(
-            raw.columns[encoder.source], rate_hz=rate_hz, units_per_rev=per_rev, counted=encoder.kind == "count"
-        )
+    with located(path, f"encoder {encoder.source}"):
+        column, counted = raw.columns[encoder.source], encoder.kind == "count"
+        told = position_pulses(column, rate_hz=rate_hz, units_per_rev=per_rev, counted=counted)
     flags += [flag(path, name, severity, f"{encoder.source}: {detail}") for name, severity, detail in told.pulses.flags]
     recording.attrs["pulses_per_rev"] = told.pulses_per_rev
     if encoder.index is None:
@@ -381,14 +376,6 @@ def _pulses_of_position(
     if encoder.cam is None and told.cycle_s is not None and recording.attrs["revs_per_cycle"] == 2:
         recording["cam_time"] = ("cycle", told.cycle_s, {"units": "s", "long_name": "time of cam mark"})
     return told.pulses.time_s, told.pulses.noise_s
-
-
-def _of_two_clocks(length_s: float) -> str:
-    return (
-        "times of pulses come from a file of their own, and no signal that both recorded compares its clock with that "
-        f"of the samples: each 10 ppm between them move the angle by what the shaft turns in {1e-2 * length_s:.2g} ms, "
-        "by the end"
-    )
 
 
 def _add_stated_speed(recording: xr.Dataset, raw: RawFile, manifest: Manifest, path: Path) -> None:
@@ -408,17 +395,6 @@ def _add_stated_speed(recording: xr.Dataset, raw: RawFile, manifest: Manifest, p
         recording.attrs["speed_rpm"] = math.nan if stated_rpm is None else stated_rpm
 
 
-@contextmanager
-def _placed(path: Path, source: Source) -> Iterator[None]:
-    """Gives an error of the encoder's column ``source`` its place in the file at ``path``."""
-    try:
-        yield
-    except CrankorderError as error:
-        place = error.place or f"encoder {source}"
-        given = {"found": error.found, "allowed": error.allowed, "remedy": error.remedy}
-        raise type(error)(error.problem, file=path, place=place, **given) from None
-
-
 def _pulses_of_trace(
     raw: RawFile,
     source: Source | None,
@@ -431,7 +407,7 @@ def _pulses_of_trace(
     per_rev: int,
 ) -> tuple[Floats, float]:
     assert source is not None  # the manifest was checked for it
-    with _placed(path, source):
+    with located(path, f"encoder {source}"):
         pulses = find_pulses(
             raw.columns[source],
             rate_hz=rate_hz,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from crankorder.errors import InputError
+from crankorder.errors import InputError, located
 from crankorder.quantities import QualityFlag, ShaftAngle, check_dataset, with_flags
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots, angle_knots, integrated_speed
@@ -138,7 +138,7 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
     then the angle stays 0 and the speed is NaN.
     """
     name = str(recording.attrs["recording"])
-    try:
+    with located(name):
         if recording.attrs["domain"] == "crank_angle":
             return _dataset(recording, _sampled_by_angle(recording), "tdc", 0, [])
         kind = str(recording.attrs["encoder_kind"])
@@ -154,12 +154,6 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
             still = _dataset(recording, _without_shaft(recording), "none", 0, [])
             still.attrs["has_shaft"] = 0
             return still
-    except InputError as error:
-        if error.file:
-            raise
-        raise type(error)(
-            error.problem, file=name, place=error.place, found=error.found, allowed=error.allowed, remedy=error.remedy
-        ) from None
     raise InputError(
         "no encoder, so no crank angle",
         file=name,
