@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 _ADDRESS = re.compile(r" at 0x[0-9a-fA-F]{6,16}(?=>)")
 
@@ -50,6 +52,18 @@ class CrankorderError(Exception):
 
 def _rebuild(kind: type[CrankorderError], problem: str, keywords: dict[str, str]) -> CrankorderError:
     return kind(problem, **keywords)
+
+
+@contextmanager
+def located(file: object, place: str = "") -> Iterator[None]:
+    """Gives errors raised inside the ``file`` that they are about, and the ``place`` in it, where they state none."""
+    try:
+        yield
+    except CrankorderError as error:
+        if error.file:
+            raise
+        keywords = {key: getattr(error, key) for key in ("found", "allowed", "remedy")}
+        raise type(error)(error.problem, file=file, place=error.place or place, **keywords) from None
 
 
 def printable(value: object, limit: int = 200) -> str:

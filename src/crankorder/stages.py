@@ -81,6 +81,7 @@ from crankorder.quantities import (
 from crankorder.settings import Settings
 from crankorder.shaft.audit import reference_audit
 from crankorder.shaft.decode import flags_named, shaft_angle
+from crankorder.shaft.named_speed import named_speed_remarks
 from crankorder.shaft.standstill import silent_ends
 from crankorder.shaft.summary import shaft_summary
 
@@ -147,8 +148,10 @@ def ingest(file: RecordingFile, manifest: Manifest, settings: Settings) -> Recor
 def shaft(recording: Recording, settings: Settings) -> ShaftAngle:
     """Crank angle and speed from the pulses of ``recording`` (``settings`` of shaft)."""
     angle = shaft_angle(recording, settings=settings.shaft)
+    named = flags_named(str(recording.attrs["recording"]), named_speed_remarks(angle))
+    angle = ShaftAngle(with_flags(angle, named))
     if recording.attrs.get("encoder_kind") == "vibration" or not angle.attrs.get("has_shaft", 1):
-        return ShaftAngle(angle)  # no pulses stand behind it; its own error and confidence are all that is known
+        return angle  # no pulses stand behind it; its own error and confidence are all that is known
     asked = np.arange(0.5, settings.orders.max_order + 0.5, 0.5)
     audit = reference_audit(angle, orders=asked, revs_per_frame=settings.orders.revs_per_frame, settings=settings.shaft)
     remarks = [*audit.remarks, *silent_ends(recording, angle)]

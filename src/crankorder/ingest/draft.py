@@ -20,7 +20,9 @@ from crankorder.ingest.rawfile import Contents, RawFile, Source
 from crankorder.ingest.roles import MOST_SAMPLES, Column, Columns, Role, columns_of, is_square, lists_edges
 from crankorder.ingest.sampling import read_time_column, rows_before_zeros
 from crankorder.settings import load_settings
+from crankorder.shaft.named_speed import speed_in_name
 from crankorder.shaft.pattern import known_names
+from crankorder.shaft.position import COUNTER_BITS
 from crankorder.shaft.pulses import FloatArray, find_pulses
 from crankorder.shaft.uneven_wheel import FoundPattern, find_pattern
 
@@ -43,16 +45,16 @@ _MARK_COLUMN = 34
 _RECIPROCATING = re.compile(
     r"crank|cyl|engine|kurbel|tdc|ignition|knock|piston|firing|(^|[^a-z])(ice|diesel)([^a-z]|$)", re.I
 )
-_SPEED_IN_NAME = (
-    re.compile(r"(?<![0-9.])(\d{2,6}(?:[.,]\d+)?)[ _-]?(?:rpm|u_?min|upm|min-?1|r_?min)", re.I),
-    re.compile(r"(?:rpm|speed|drehzahl|(?<![a-z])n)[ _=-]?(\d{2,6}(?:\.\d+)?)(?![0-9])", re.I),
-)
 # pulses per revolution that encoders and tachometers have
 _COMMON_PULSES = (
     *range(1, 17), 18, 20, 24, 30, 32, 36, 40, 45, 48, 50, 60, 64, 72, 80, 90, 100, 120, 125, 128, 144, 150, 180, 200,
     240, 250, 256, 300, 360, 400, 500, 512, 600, 720, 900, 1000, 1024, 1200, 1250, 1440, 1500, 1800, 2000, 2048, 2500,
     3600, 4096,
 )  # fmt: skip
+# of the samples, from which a trace is mostly high
+_MOSTLY = 0.8
+# of the counts after which a count starts anew, as far as those that were seen may lie off
+_SAME_COUNT = 0.005
 # of a speed that a name states, as far as the true one may lie off
 _NOMINAL = 0.03
 
@@ -144,7 +146,8 @@ def _edges(
         ).time_s
         for edge in ("rising", "falling")
     }
-    return kind, "rising", by_edge
+    # short dips begin where they fall
+    return kind, "falling" if np.mean(values > 0.5 * (values.min() + values.max())) > _MOSTLY else "rising", by_edge
 
 
 def draft_manifest(folder: Path) -> str:
@@ -311,22 +314,13 @@ def _speeds(group: Sequence[tuple[Contents, Path]]) -> dict[str, tuple[float, st
     return speeds
 
 
-def speed_in_name(name: str) -> float | None:
-    """Speed in rpm that the ``name`` of a file states, such as 800 in "800rpm" or "idle_n800"; None where none."""
-    for sign in _SPEED_IN_NAME:
-        match = sign.search(name)
-        if match and float(match[1].replace(",", ".")) > 0:
-            return float(match[1].replace(",", "."))
-    return None
-
-
 def _cycle(columns: Columns, path: Path, *, knows_shaft: bool) -> list[str]:
     if not knows_shaft:
+        speeds = (column for column in columns.all if column.unit and column.unit.quantity == "rotational speed")
+        told = next((f"{column.name} tells a speed, but: {column.doubt or 'no signal'}" for column in speeds), "")
         return [
-            _asked(
-                'cycle = "none"', "nothing in the files tells a speed. Where a shaft turns: four-stroke, two-stroke"
-            ),
-            _asked("", "or rotor, and an [encoder] below"),
+            _asked('cycle = "none"', told or "nothing in the files tells a speed"),
+            _asked("", "where a shaft turns: four-stroke, two-stroke or rotor, and an [encoder] below"),
         ]
     if columns.of("cam") is not None or columns.four_stroke:
         why = "a cam mark" if columns.of("cam") is not None else "the angle runs over two revolutions"
@@ -393,8 +387,9 @@ def _encoder(
     if columns.of("angle") is not None:
         return (["[encoder]", 'kind = "constant"'] if speeds else []), True
     if encoder is None and index is not None:
-        encoder, index = index, None
-        return ["[encoder]", f"source = {_shown(encoder.source)}", 'kind = "square"', "pulses_per_rev = 1"], True
+        told = _wheel(replace(columns, all=(replace(index, role="encoder"), *columns.all)), contents, path, {})
+        lines = [line for line in told if line.startswith(("kind", "edge"))]
+        return ["[encoder]", f"source = {_shown(index.source)}", *lines, "pulses_per_rev = 1"], True
     if encoder is not None:
         marks = [_mark(role, column) for role, column in (("index", index), ("cam", cam)) if column is not None]
         source = f"source = {_shown(encoder.source)}"
@@ -469,6 +464,8 @@ def _wheel(columns: Columns, contents: Contents, path: Path, speeds: Mapping[str
     """Kind, edge and wheel of the encoder as its pulses in the file at ``path`` tell them, else to be stated."""
     encoder, index, time = (columns.of(role) for role in ("encoder", "index", "time"))
     assert encoder is not None  # asked for only where there is one
+    if encoder.position:
+        return _position(encoder)
     guess = encoder_guess(
         path,
         encoder.source,
@@ -500,6 +497,18 @@ def _wheel(columns: Columns, contents: Contents, path: Path, speeds: Mapping[str
     if guess.found.pattern.name in known_names():
         return [*lines, _asked(f'pattern = "{guess.found.pattern.name}"', told_by)]
     return [*lines, _asked("", told_by), f"tooth_angles_deg = [{', '.join(f'{angle:.4g}' for angle in angles)}]"]
+
+
+def _position(encoder: Column) -> list[str]:
+    """Kind of an ``encoder`` whose samples are angles or counts, and the counts of a turn as its wraps tell them."""
+    lines = [f'kind = "{encoder.position}"'.ljust(_MARK_COLUMN) + "# as its values look"]
+    if encoder.position == "angle":
+        return lines
+    if not encoder.wrap or min(abs(encoder.wrap / 2.0**bits - 1.0) for bits in COUNTER_BITS) < _SAME_COUNT:
+        return [*lines, _asked("# pulses_per_rev = 4096", "counts of a turn: four for each line of most encoders")]
+    usual = min((each * number for each in (1, 4) for number in _COMMON_PULSES), key=lambda n: abs(n - encoder.wrap))
+    counts = usual if abs(usual - encoder.wrap) < _SAME_COUNT * usual else round(encoder.wrap)
+    return [*lines, _asked(f"pulses_per_rev = {counts}", "it starts anew after so many: once a turn, by an index?")]
 
 
 def _pulses_per_rev(pulses_hz: float, stated: tuple[float, str] | None) -> int | None:

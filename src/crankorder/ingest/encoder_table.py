@@ -14,10 +14,13 @@ from pydantic import field_validator as field_check
 from crankorder.errors import RequestError
 from crankorder.shaft.pattern import angles_fault, pattern_of
 
-EncoderKind = Literal["square", "analogue", "pulse_times", "edge_list", "speed", "constant", "vibration", "none"]
+EncoderKind = Literal[
+    "square", "analogue", "angle", "count", "pulse_times", "edge_list", "speed", "constant", "vibration", "none"
+]  # fmt: skip
 SOURCELESS_KINDS = ("constant", "vibration", "none")
 """Kinds that read nothing from the file but the channels, and a constant speed where the file holds one."""
-TRACE_KINDS = ("square", "analogue")
+POSITION_KINDS = ("angle", "count")
+TRACE_KINDS = ("square", "analogue", *POSITION_KINDS)
 TIME_KINDS = ("pulse_times", "edge_list")
 
 Positive = Annotated[float, Field(gt=0)]
@@ -67,8 +70,9 @@ class Encoder(Table):
     kind: EncoderKind = Field(
         default="none",
         description="What tells the shaft: a sampled trace of two levels (square) or of any shape (analogue), times of "
-        "pulses (pulse_times), a list of changes of a level (edge_list), the speed sample by sample (speed), one speed "
-        "(constant), the signals themselves (vibration), or nothing (none).",
+        "pulses (pulse_times), a list of changes of a level (edge_list), the angle (angle), a count of it (count) or "
+        "the speed (speed) sample by sample, one speed (constant), the signals themselves (vibration) or nothing "
+        "(none).",
         examples=["square"],
     )
     source: Source | None = Field(default=None, description="Dataset or column that holds it.", examples=["encoder"])
@@ -86,7 +90,8 @@ class Encoder(Table):
     )
     pulses_per_rev: Teeth | None = Field(
         default=None,
-        description="Pulses per revolution of the full wheel, missing teeth counted: 60 of a 60-2 wheel.",
+        description="Pulses per revolution of the full wheel, missing teeth counted: 60 of a 60-2 wheel; of kind count "
+        "the counts: 4096 of 1024 lines counted fourfold.",
         examples=[60],
     )
     missing_teeth: Annotated[int, Field(ge=0, le=1_000_000)] = Field(
@@ -120,8 +125,8 @@ class Encoder(Table):
     ratio: Ratio = Field(default=1.0, description="Revolutions of the encoder per crank revolution.", examples=[0.5])
     index_to_tdc_deg: Turn = Field(
         default=0.0,
-        description="Crank angle from the index mark, or without one from the first tooth behind the gap, to top dead "
-        "centre, from which phases count.",
+        description="Crank angle from the index mark, or without one from the first tooth behind the gap or the zero "
+        "of an angle or count, to top dead centre, from which phases count.",
         examples=[84.0],
     )
     cam_to_tdc_deg: Turn | None = Field(
@@ -188,6 +193,8 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
     needs: dict[str, object] = {}
     if encoder.kind in (*TRACE_KINDS, *TIME_KINDS, "speed"):
         needs = {"source": encoder.source}
+    if encoder.kind == "count":
+        needs["pulses_per_rev"] = encoder.pulses_per_rev
     elif encoder.kind == "constant" and not speeds_stated and encoder.source is None:
         needs = {"speed_rpm": encoder.speed_rpm}
     for key, value in needs.items():
@@ -221,7 +228,18 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
                 remedy='Remove [encoder], or state domain = "time"',
             )
         )
-    return faults + _file_faults(encoder) + _wheel_faults(encoder, cycle)
+    return faults + _file_faults(encoder) + _wheel_faults(encoder, cycle) + _position_faults(encoder)
+
+
+def _position_faults(encoder: Encoder) -> list[RequestError]:
+    """Keys that say how pulses come, beside an angle or a count, which comes without."""
+    useless = {"edge", "missing_teeth", "pattern", "tooth_angles_deg", "second_track"}
+    useless -= {"edge"} if encoder.index is not None or encoder.cam is not None else set()
+    useless |= {"pulses_per_rev"} if encoder.kind == "angle" else set()
+    return [
+        RequestError(f"{key} says nothing of kind {encoder.kind!r}", place=f"encoder.{key}", remedy=f"Remove {key}")
+        for key in sorted(useless & encoder.model_fields_set if encoder.kind in POSITION_KINDS else ())
+    ]
 
 
 def _file_faults(encoder: Encoder) -> list[RequestError]:

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from crankorder.errors import CrankorderError, InputError
+from crankorder.errors import InputError, located
 from crankorder.fft.integration import faded_samples, integrated
 from crankorder.ingest.angle_column import read_checked
 from crankorder.ingest.breaks import laid_apart
 from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
-from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
+from crankorder.ingest.encoder_table import POSITION_KINDS, SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.formats import contents_of, format_of, read_file
 from crankorder.ingest.limit_table import check_bands
@@ -25,19 +25,14 @@ from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, direction_
 from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.ingest.time_bases import ENCODER, TimeBase, bases_of, on_one_base
-from crankorder.ingest.units import (
-    conversion_factor,
-    known_unit,
-    unit_in_label,
-    unit_of,
-)
+from crankorder.ingest.units import conversion_factor, known_unit, unit_in_label, unit_of
 from crankorder.quantities import Floats, QualityFlag, Recording, Severity, with_flags
 from crankorder.settings import IngestSettings, ShaftSettings
+from crankorder.shaft.position import Position, position_pulses
 from crankorder.shaft.pulses import NoPulsesError, find_pulses
 
 # Pulse times that are told more finely than this are as good as those of a counter.
 _FINE_STEP_S = 1e-6
-
 # A rate in doubt by more than this moves frequencies further than their own errors.
 _ROUGH_RATE = 1e-4
 
@@ -331,6 +326,12 @@ def _add_encoder(
     if "index_to_tdc_deg" in encoder.model_fields_set:  # unstated, the phase refers to the mark and says so
         attrs["index_to_tdc_deg"] = encoder.index_to_tdc_deg
 
+    def in_time(pulse_s: Floats, trace: TimeBase) -> Floats:
+        """Pulse times [s] from the first sample of the channels, of those from the first of their trace."""
+        if times is not None:
+            pulse_s = times.places_in_time(pulse_s * trace.rate_hz) / trace.rate_hz
+        return pulse_s + (trace.start_s - base.start_s)
+
     def pulses(role: str, source: Source | None, per_rev: int) -> tuple[Floats, float]:
         if encoder.kind in TIME_KINDS:
             return _pulses_of_times(raw, source, manifest, path, flags, start_s=base.start_s)
@@ -338,26 +339,37 @@ def _add_encoder(
         pulse_s, noise_s = _pulses_of_trace(
             raw, source, encoder, path, shaft, flags, rate_hz=trace.rate_hz, per_rev=per_rev
         )
-        if times is not None:
-            pulse_s = times.places_in_time(pulse_s * trace.rate_hz) / trace.rate_hz
-        return pulse_s + (trace.start_s - base.start_s), noise_s
+        return in_time(pulse_s, trace), noise_s
 
-    pulse_s, attrs["pulse_noise_s"] = pulses(
-        ENCODER, encoder.source, len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
-    )
+    per_rev = len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
+    if encoder.kind in POSITION_KINDS:
+        position = _position(recording, raw, encoder, path, flags, rate_hz=own.rate_hz)
+        pulse_s, attrs["pulse_noise_s"] = in_time(position.pulses.time_s, own), position.pulses.noise_s
+        if encoder.index is None:
+            turn_s = in_time(position.turn_s, own)
+            recording["index_time"] = ("revolution", turn_s, {"units": "s", "long_name": "time of index"})
+        if encoder.cam is None and position.cycle_s is not None and attrs["revs_per_cycle"] == 2:
+            cycle_s = in_time(position.cycle_s, own)
+            recording["cam_time"] = ("cycle", cycle_s, {"units": "s", "long_name": "time of cam mark"})
+    else:
+        pulse_s, attrs["pulse_noise_s"] = pulses(ENCODER, encoder.source, per_rev)
     if encoder.kind in TRACE_KINDS and encoder.source is not None:
         missing = np.isnan(raw.columns[encoder.source])
         if missing.any():
-            attrs["gap_starts_s"] = (
-                np.flatnonzero(missing[1:] & ~missing[:-1]) / own.rate_hz + (own.start_s - base.start_s)
-            ).tolist()
+            gap_s = np.flatnonzero(missing[1:] & ~missing[:-1]) / own.rate_hz
+            attrs["gap_starts_s"] = (gap_s + (own.start_s - base.start_s)).tolist()
     recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
     if encoder.second_track is not None:
         track = bases["the second track"]
         at = (pulse_s + (base.start_s - track.start_s)) * track.rate_hz
         flags += direction_flags(raw.columns[encoder.second_track], at, path, falling=encoder.edge == "falling")
     if encoder.file is not None and manifest.channels and pulse_s.size > 1:
-        flags.append(flag(path, "clocks_not_compared", "info", _of_two_clocks(float(pulse_s[-1] - pulse_s[0]))))
+        detail = (
+            "times of pulses come from a file of their own, and no signal that both recorded compares its clock with "
+            "that of the samples: each 10 ppm between them move the angle by what the shaft turns in "
+            f"{1e-2 * float(pulse_s[-1] - pulse_s[0]):.2g} ms, by the end"
+        )
+        flags.append(flag(path, "clocks_not_compared", "info", detail))
     marks = (("the index", encoder.index, "revolution", "no_index"), ("the cam mark", encoder.cam, "cycle", "no_cam"))
     for role, source, axis, silent in marks:
         if source is None:
@@ -371,12 +383,23 @@ def _add_encoder(
         recording[name] = (axis, mark_s, {"units": "s", "long_name": f"time of {role[4:]}"})
 
 
-def _of_two_clocks(length_s: float) -> str:
-    return (
-        "times of pulses come from a file of their own, and no signal that both recorded compares its clock with that "
-        f"of the samples: each 10 ppm between them move the angle by what the shaft turns in {1e-2 * length_s:.2g} ms, "
-        "by the end"
-    )
+def _position(
+    recording: xr.Dataset, raw: RawFile, encoder: Encoder, path: Path, flags: list[QualityFlag], *, rate_hz: float
+) -> Position:
+    """Pulses and whole turns of an angle or a count, which say how many pulses the ``recording`` has per turn."""
+    assert encoder.source is not None  # the manifest was checked for it
+    unit = known_unit(raw.units.get(encoder.source) or unit_in_label(str(encoder.source)))
+    stated = [math.tau / unit.factor] if unit is not None and unit.quantity == "angle" else [360.0, math.tau, 1.0]
+    per_rev = stated if encoder.pulses_per_rev is None else [float(encoder.pulses_per_rev)]
+    with located(path, f"encoder {encoder.source}"):
+        column, counted = raw.columns[encoder.source], encoder.kind == "count"
+        position = position_pulses(column, rate_hz=rate_hz, units_per_rev=per_rev, counted=counted)
+    remarks = position.pulses.flags
+    flags += [flag(path, name, severity, f"{encoder.source}: {detail}") for name, severity, detail in remarks]
+    recording.attrs["pulses_per_rev"] = position.pulses_per_rev
+    if encoder.index is None:
+        recording.attrs["zero_counted"] = int(not (position.is_mark or "index_to_tdc_deg" in recording.attrs))
+    return position
 
 
 def _add_stated_speed(recording: xr.Dataset, raw: RawFile, manifest: Manifest, path: Path) -> None:
@@ -408,7 +431,7 @@ def _pulses_of_trace(
     per_rev: int,
 ) -> tuple[Floats, float]:
     assert source is not None  # the manifest was checked for it
-    try:
+    with located(path, f"encoder {source}"):
         pulses = find_pulses(
             raw.columns[source],
             rate_hz=rate_hz,
@@ -417,15 +440,6 @@ def _pulses_of_trace(
             pulses_per_rev=per_rev,
             settings=shaft,
         )
-    except CrankorderError as error:
-        raise type(error)(
-            error.problem,
-            file=path,
-            place=error.place or f"encoder {source}",
-            found=error.found,
-            allowed=error.allowed,
-            remedy=error.remedy,
-        ) from None
     flags += [flag(path, name, severity, f"{source}: {detail}") for name, severity, detail in pulses.flags]
     return pulses.time_s, pulses.noise_s
 

@@ -18,6 +18,7 @@ from crankorder.ingest.sampling import rows_before_zeros
 from crankorder.ingest.units import Unit, known_unit, unit_in_label, unit_in_suffix, unit_of
 from crankorder.quantities import Floats
 from crankorder.settings import IngestSettings
+from crankorder.shaft.position import wrap_seen
 
 Role = Literal["time", "angle", "encoder", "index", "cam", "speed", "constant", "channel", "unused"]
 
@@ -25,8 +26,9 @@ MOST_SAMPLES = 4_000_000
 """Samples of a column that are enough to see a wheel."""
 # A file larger than this is judged by its names, and by the columns whose names promise something.
 _MOST_BYTES = 200_000_000
-# A trace with this share of its samples at its two levels is a square wave; a sine has 0.51.
-SQUARE_SHARE = 0.75
+# A trace is a square wave where this share of the samples on either side of its middle lies within LEVEL_WIDTH of the
+# height of their level; of a sine 0.45 do, of struck vibration less.
+SQUARE_SHARE, LEVEL_WIDTH = 0.7, 0.2
 # Of a step, as far as a grid of times or angles that was rounded in writing may wander.
 _UNEVEN = 0.5
 # Of the steps of sampled times, those that are even; of the rows of a list of edges, those at which a level changes.
@@ -46,6 +48,7 @@ _INDEX = re.compile(
 _ENCODER = re.compile(
     r"enc|tach|pulse|crank|tooth|teeth|(^|[^a-z])(ir|ckp|kw|rev(s|ol\w*)?)([^a-z]|$)|kurbel|drehgeber", re.I
 )
+_POSITION = re.compile(r"posit|(^|[^a-z])(pos|counts|enc(oder)?|lage|drehgeber)([^a-z]|$)", re.I)
 _CAM = re.compile(r"(^|[^a-z])(cam(shaft)?|cmp)([^a-z]|$)|nockenwelle", re.I)
 SPEED_NAME = re.compile(r"rpm|speed|drehzahl|(^|[^a-z])u.?min([^a-z]|$)", re.I)
 _SIGNAL = re.compile(r"acc|vib|press|mic|force|sound|strain|torque|schwing|druck|kraft", re.I)
@@ -57,6 +60,7 @@ class Column:
     """One column: its ``name`` and ``source``, what it is for, the unit that the file or its name states, and doubts.
 
     ``label`` is the name without its unit; ``doubt`` says what a person should decide about it, empty where nothing.
+    An encoder's ``position`` is how it tells the angle with every sample, and ``wrap`` after how much it starts anew.
     """
 
     name: str
@@ -67,6 +71,8 @@ class Column:
     doubt: str = ""
     first: float = 0.0
     step: float = 0.0
+    position: Literal["", "angle", "count"] = ""
+    wrap: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,10 +93,16 @@ class Columns:
 
 
 def is_square(values: Floats) -> bool:
-    """Whether ``values`` (sample,) stand at two levels nearly all of the time."""
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    near = 0.15 * (high - low)
-    return high > low and float(np.mean((values < low + near) | (values > high - near))) >= SQUARE_SHARE
+    """Whether ``values`` (sample,) stand at two levels nearly all of the time, however seldom at one of them."""
+    finite = values[np.isfinite(values)]
+    low, high = (float(level(finite)) for level in (np.min, np.max))
+    for _ in range(2):
+        above = finite > 0.5 * (low + high)
+        if not 0 < np.count_nonzero(above) < above.size:
+            return False
+        low, high = float(np.mean(finite[~above])), float(np.mean(finite[above]))
+    near = np.abs(finite - np.where(above, high, low)) < LEVEL_WIDTH * (high - low)
+    return bool(min(np.mean(near[above]), np.mean(near[~above])) >= SQUARE_SHARE)
 
 
 def is_even(times: Floats) -> bool:
@@ -126,7 +138,11 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
     names = _sampled(contents)
     values = values_of(path, names, contents, settings)
     values |= {name: values[name] * factor for name, factor in angle_columns(contents).items() if name in values}
-    found = _of_several_rates([_judged(name, contents, values) for name in names], contents.rates_hz)
+    found = [_judged(name, contents, values) for name in names]
+    if any(column.role == "time" and _is_straight(values.get(column.name)) for column in found):
+        # at a held speed an angle grows as evenly as the time, which is what tells the speed
+        found = [_as(column, "encoder" if column.role == "angle" else column.role) for column in found]
+    found = _of_several_rates(found, contents.rates_hz)
     found = _once_each(found)
     found = _first_of_edges(found, values)
     time = next((column for column in found if column.role == "time"), None)
@@ -215,7 +231,12 @@ def _judged(name: str, contents: Contents, values: Mapping[str, Floats]) -> Colu
     first, step = 0.0, 0.0
     if role == "angle":
         first, step = float(values[name][0]), angle_step(values[name]) or 0.0
-    return Column(name, _source(name, contents), role, label, unit, doubt, first, step)
+    column = Column(name, _source(name, contents), role, label, unit, doubt, first, step)
+    if role not in ("encoder", "angle") or name not in values:
+        return column
+    angular = _is_angular(label, "" if unit is None else unit.quantity)
+    seen = wrap_seen(values[name]) if angular else _whole_numbers(values[name])
+    return column if seen is None else replace(column, position="angle" if angular else "count", wrap=seen[0])
 
 
 def _unit_and_label(name: str, contents: Contents) -> tuple[Unit | None, str]:
@@ -226,20 +247,26 @@ def _unit_and_label(name: str, contents: Contents) -> tuple[Unit | None, str]:
 
 
 def _role(name: str, label: str, quantity: str, contents: Contents, values: Floats | None) -> Role:
-    if quantity == "angle" or (not quantity and _ANGLE.search(label)):
-        return "unused" if values is None or angle_step(values) is None else "angle"
+    if _is_angular(label, quantity):
+        if values is None or wrap_seen(values) is None:
+            return "unused"
+        return "encoder" if angle_step(values) is None else "angle"
     if (quantity == "time" or (not quantity and _TIME.fullmatch(label))) and (values is None or _grows(values)):
         return "time"
     if quantity == "rotational speed" or (not quantity and SPEED_NAME.search(label) and not _is_binary(values)):
         return "speed"
     if quantity not in ("", "voltage", "counts", "full scale", "ratio") or _SIGNAL.search(label):
         return "channel"
+    if values is not None and not label.isdigit() and (whole := _whole_numbers(values)) is not None:
+        wrap, even = whole
+        named = quantity == "counts" or _POSITION.search(label)
+        return "encoder" if named and (wrap or not even) else "unused"
     for sign, role in _SIGNS:
         if sign.search(label) and (values is None or np.ptp(values[np.isfinite(values)]) > 0.0):
             return role
     if values is None:
         return "channel"
-    if _is_binary(values) and np.ptp(values) > 0.0:
+    if (_is_binary(values) and np.ptp(values) > 0.0) or (quantity in ("", "voltage") and is_square(values)):
         return "encoder" if _n_edges(values) >= _FEWEST_EDGES else "unused"
     if label.isdigit() and _grows(values) and is_even(values):
         counted = np.ptp(np.diff(values)) == 0.0 and values[1] - values[0] == 1.0
@@ -262,6 +289,25 @@ def _bare(name: str) -> str:
 
 def _grows(values: Floats) -> bool:
     return bool((np.diff(values) > 0.0).all())
+
+
+def _is_straight(times: Floats | None) -> bool:
+    """Whether ``times`` (sample,) lie within a step of a straight line."""
+    if times is None:
+        return False
+    off = times - np.linspace(times[0], times[-1], times.size)
+    return float(np.abs(off).max()) * (times.size - 1) < float(times[-1] - times[0])
+
+
+def _is_angular(label: str, quantity: str) -> bool:
+    return quantity == "angle" or (not quantity and _ANGLE.search(label) is not None)
+
+
+def _whole_numbers(values: Floats) -> tuple[float, bool] | None:
+    """What :func:`wrap_seen` tells of ``values``, where they are whole numbers of many sizes; else None."""
+    finite = values[np.isfinite(values)]
+    many = finite.size > 2 and np.ptp(finite) > 2.0 and bool((finite == np.rint(finite)).all())
+    return wrap_seen(values) if many else None
 
 
 def _is_binary(values: FloatArray | None) -> bool:

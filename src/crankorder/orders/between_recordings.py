@@ -19,9 +19,12 @@ WHOLE = 1e-6
 
 
 def one_phase_reference(used: Sequence[xr.Dataset]) -> bool:
-    """Whether the recordings ``used`` have one and the same ``phase_reference``, and it is a place on the crank."""
+    """Whether the recordings ``used`` have one and the same ``phase_reference``, and it is a place on the crank.
+
+    The zero of a count that no index sets is one in a single recording.
+    """
     marks = {str(item.attrs["phase_reference"]) for item in used}
-    return len(marks) == 1 and marks <= set(LOCATED)
+    return len(marks) == 1 and marks <= {*LOCATED, *(("count",) if len(used) == 1 else ())}
 
 
 def phase_reference_of(used: Sequence[xr.Dataset]) -> str:

@@ -16,7 +16,7 @@ import xarray as xr
 from crankorder.fft.windows import power_of_two
 from crankorder.findings import Findings
 from crankorder.orders.averages import beside_bins, noise_beside, noise_under
-from crankorder.orders.between_recordings import LOCATED
+from crankorder.orders.between_recordings import one_phase_reference
 from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
 from crankorder.orders.fixed_lines import NUMBERS as FIXED_LINES
 from crankorder.orders.fixed_lines import (
@@ -415,7 +415,7 @@ def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
     if GIVEN in item:
         given = item[GIVEN].values[:, place]
         low, high = np.maximum(low - given, 0.0), high + given
-    if item.attrs["phase_reference"] not in LOCATED:
+    if not one_phase_reference([item]):
         phase, half = np.full(phase.shape, np.nan), np.full(half.shape, np.nan)
     return OrderRows(magnitude, phase, error, dof, low, high, half)
 

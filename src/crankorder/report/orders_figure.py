@@ -30,6 +30,7 @@ _PHASE_OF = {
     "tdc": "Phase from\ntop dead centre, °",
     "index": "Phase from\nthe index mark, °",
     "pulse": "Phase from\nthe first pulse, °",
+    "count": "Phase from\nthe zero of the count, °",
     "mixed": "Phase\n(references differ), °",
 }
 

@@ -23,6 +23,7 @@ _MARKS = {
     "tdc": "top dead centre",
     "index": "the index mark",
     "pulse": "a pulse of the encoder",
+    "count": "where the count of the encoder was 0",
     "mixed": "a place that differs between recordings",
 }
 """The zero of the crank angle by ``phase_reference``."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from crankorder.errors import InputError
+from crankorder.errors import InputError, located
 from crankorder.quantities import QualityFlag, ShaftAngle, check_dataset, with_flags
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots, angle_knots, integrated_speed
@@ -120,7 +120,7 @@ def _wrapped(place_rev: FloatArray) -> FloatArray:
 JITTER_RATIO = 1.5
 QUANTISED_SAMPLES = 0.2
 """Pulse noise from which it is that of whole samples (0.29 of one)."""
-PULSE_KINDS = ("square", "analogue", "pulse_times", "edge_list")
+PULSE_KINDS = ("square", "analogue", "angle", "count", "pulse_times", "edge_list")
 
 
 def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle:
@@ -138,7 +138,7 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
     then the angle stays 0 and the speed is NaN.
     """
     name = str(recording.attrs["recording"])
-    try:
+    with located(name):
         if recording.attrs["domain"] == "crank_angle":
             return _dataset(recording, _sampled_by_angle(recording), "tdc", 0, [])
         kind = str(recording.attrs["encoder_kind"])
@@ -154,12 +154,6 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
             still = _dataset(recording, _without_shaft(recording), "none", 0, [])
             still.attrs["has_shaft"] = 0
             return still
-    except InputError as error:
-        if error.file:
-            raise
-        raise type(error)(
-            error.problem, file=name, place=error.place, found=error.found, allowed=error.allowed, remedy=error.remedy
-        ) from None
     raise InputError(
         "no encoder, so no crank angle",
         file=name,
@@ -328,6 +322,9 @@ def _tdc(teeth: NumberedTeeth, teeth_per_rev: float, recording: xr.Dataset) -> t
         detail = "which top dead centre fires is not known: half orders may be turned by 180°"
         flags.append(("cycle_phase_unknown", "info", detail))
     single = teeth.teeth_per_rev == 1 and "index_time" not in recording.variables and cam_s is None
+    if attrs.get("zero_counted"):
+        detail = "no index sets the count to 0: its zero, from which phases count, is another in each recording"
+        return tdc, cycle_known, "count", [*flags, ("no_index", "suspect", detail)]
     return tdc, cycle_known, "tdc" if stated else "pulse" if single else "index", flags
 
 

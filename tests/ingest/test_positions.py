@@ -1,0 +1,190 @@
+"""Encoders that tell the angle with every sample, counters that tell none, and speeds that names of files state."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+import scipy.io
+from tests.made.command import done
+
+from crankorder.errors import CrankorderError, InputError
+from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.manifest import load_manifest
+from crankorder.ingest.recording import read_recording
+from crankorder.shaft.angle import angle_at, knots_of
+from crankorder.shaft.decode import shaft_angle
+from crankorder.stages import shaft as shaft_stage
+
+RATE_HZ, LENGTH_S = 4000.0, 4.0
+TIME_S = np.arange(int(RATE_HZ * LENGTH_S)) / RATE_HZ
+
+
+def turns_of(first_hz: float, last_hz: float) -> np.ndarray:
+    return 0.3 + first_hz * TIME_S + 0.5 * (last_hz - first_hz) / LENGTH_S * TIME_S**2
+
+
+def signal_of(turns: np.ndarray) -> np.ndarray:
+    noise = 0.02 * np.random.default_rng(4).standard_normal(turns.size)
+    return np.cos(2 * np.pi * turns - 0.5) + 0.4 * np.cos(5 * np.pi * turns) + noise
+
+
+def written(folder: Path, form: str, position: np.ndarray, name: str, unit: str, signal: np.ndarray) -> Path:
+    if form == "csv":
+        heads = f"time (s),acc (m/s2),{name} ({unit})" if unit else f"time (s),acc (m/s2),{name}"
+        table = np.column_stack([TIME_S, signal, position])
+        np.savetxt(folder / "a.csv", table, delimiter=",", header=heads, comments="", fmt="%.6f")
+    elif form == "h5":
+        with h5py.File(folder / "a.h5", "w") as file:
+            file.attrs["sample_rate"] = RATE_HZ
+            for own, values, own_unit in (("acc", signal, "m/s2"), (name, position, unit)):
+                file.create_dataset(own, data=values).attrs["unit"] = own_unit
+    else:
+        scipy.io.savemat(folder / "a.mat", {"time": TIME_S, "acc": signal, name: position})
+    return folder / f"a.{form}"
+
+
+def decoded(path: Path, settings, *, asked: str = ""):
+    """ShaftAngle of the recording at ``path`` by its draft, in which the question ``asked`` is answered."""
+    text = draft_manifest(path.parent)
+    text = text.replace("# pulses_per_rev = 4096 ", asked) if asked else text
+    (path.parent / "run.toml").write_text(text)
+    manifest = load_manifest(path.parent)
+    recording = read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft)
+    return shaft_angle(recording, settings=settings.shaft)
+
+
+def flags_in(dataset) -> set[str]:
+    return {one["flag"] for one in json.loads(dataset.attrs["quality"])}
+
+
+COUNTS = {"wrapped": lambda c, n: c % n, "16 bit": lambda c, _: c % 65536, "growing": lambda c, _: c}
+
+
+@pytest.mark.parametrize("form", ["csv", "h5", "mat"])
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize(
+    ("name", "unit", "counts", "speeds"),
+    [
+        ("angle", "deg", 4096, (15.0, 33.0)),
+        ("angle 720", "deg", 360, (20.0, 20.0)),
+        ("angle growing", "deg", 1000, (31.0, 17.0)),
+        ("theta", "rad", 500, (15.0, 33.0)),
+        ("position", "rev", 2048, (200.0, 400.0)),
+        ("wrapped", "counts", 24, (15.0, 33.0)),
+        ("wrapped", "counts", 4096, (25.0, 25.0)),
+        ("16 bit", "counts", 1024, (15.0, 33.0)),
+        ("growing", "counts", 60, (200.0, 300.0)),
+    ],
+)
+def test_a_position_tells_the_angle_with_every_sample(tmp_path, settings, form, way, name, unit, counts, speeds):
+    if form == "mat" and unit in ("rad", "rev"):
+        pytest.skip("a MATLAB variable has no unit, and 1 is a turn where a position starts anew after 1")
+    turns = turns_of(*speeds)
+    count = np.floor(way * turns * counts)
+    if unit == "counts":
+        position, label = COUNTS[name](count, counts), "position"
+    else:
+        span = {"angle 720": 2 * counts, "angle growing": 1 << 40}.get(name, counts)
+        position = (count % span if span < 1 << 40 else count) * {"deg": 360.0, "rad": 2 * np.pi, "rev": 1.0}[unit]
+        position, label = position / counts, name.split()[0]
+    wrong = np.random.default_rng(counts).integers(20, TIME_S.size - 20, 3)
+    position[wrong] = [0.0, position.max(), np.floor(position.mean())]
+    path = written(tmp_path, form, position, label, unit, signal_of(turns))
+    shaft = decoded(path, settings, asked=f"pulses_per_rev = {counts}")
+    at = TIME_S[20:-20]
+    angle = angle_at(at, **knots_of(shaft))
+    off = angle - turns[20:-20]
+    off = np.abs(off - np.round(np.median(off)))
+    assert np.quantile(off, 0.99) < max(0.005, 0.6 / counts)
+    assert off.max() < 0.2  # a wrong sample makes no turn
+    first = 2 * np.mean(signal_of(turns)[20:-20] * np.exp(-2j * np.pi * angle))
+    assert abs(first) == pytest.approx(1.0, abs=0.02)
+    assert np.degrees(np.angle(first)) == pytest.approx(-28.6, abs=2.0)
+    counted = unit == "counts" and name != "wrapped"
+    assert shaft.attrs["phase_reference"] == ("count" if counted else "index")
+    assert ("no_index" in flags_in(shaft)) == counted
+
+
+@pytest.mark.parametrize(
+    ("position", "told"),
+    [
+        (np.floor(turns_of(15, 33) * 4096) % 4096, "starts anew after 4096"),  # lines stated, not counts
+        (np.floor(turns_of(15, 33) * 1000) % 1000, "starts anew after 1000"),
+        (np.floor(np.abs(TIME_S - 2.0) * 20 * 1024), "turns both ways"),
+        (np.zeros(TIME_S.size), "does not change"),
+    ],
+)
+def test_a_count_that_is_not_as_stated_is_refused(tmp_path, settings, position, told):
+    path = written(tmp_path, "csv", position, "position", "counts", signal_of(turns_of(15, 33)))
+    head = 'schema_version = 1\n[test]\nname = "a"\ncycle = "rotor"\n[recordings]\nfiles = ["*.csv"]\n[sampling]\n'
+    rest = 'time_source = "time (s)"\n[[channels]]\nname = "acc (m/s2)"\nunit = "m/s2"\n[encoder]\nkind = "count"\n'
+    (tmp_path / "run.toml").write_text(f'{head}{rest}source = "position (counts)"\npulses_per_rev = 1024\n')
+    with pytest.raises(InputError, match=told):
+        read_recording(path, load_manifest(tmp_path), settings=settings.ingest, shaft=settings.shaft)
+
+
+@pytest.mark.parametrize(
+    "line", ['kind = "angle"\nedge = "falling"', 'kind = "count"', 'kind = "angle"\npattern = "60-2"']
+)
+def test_keys_of_pulses_are_refused_beside_positions(manifest_of, line):
+    with pytest.raises(CrankorderError, match=r"says nothing of kind|needs pulses_per_rev"):
+        manifest_of(f'[[channels]]\nname = "a"\nunit = "g"\n[encoder]\nsource = "p"\n{line}\n')
+
+
+ROW = np.arange(TIME_S.size)
+
+
+@pytest.mark.parametrize("form", ["csv", "h5", "mat"])
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("sequence_num", ROW),
+        ("index", 100 + 2 * ROW),
+        ("sample", ROW + np.cumsum(np.random.default_rng(1).random(ROW.size) < 0.002)),
+        ("counter", ROW % 256),
+        ("rotation_num", ROW // 10),
+    ],
+)
+def test_a_counter_of_samples_takes_no_part(tmp_path, form, name, values):
+    written(tmp_path, form, values.astype(float), name, "", signal_of(turns_of(15, 33)))
+    text = draft_manifest(tmp_path)
+    assert re.search(r"^\[encoder\]", text, re.M) is None
+    assert f'column "{name}" is left out' in text
+    assert text.count("[[channels]]") == 1
+
+
+@pytest.mark.parametrize(("high", "low", "noise"), [(0.11, -0.55, 0.03), (5.0, 0.0, 0.1), (5.0, 0.0, 0.0)])
+@pytest.mark.parametrize("name", ["ch2", "tacho", "keyphasor"])
+def test_short_dips_are_pulses(tmp_path, high, low, noise, name):
+    turns = turns_of(15, 33)
+    trace = np.where(turns % 1.0 < 0.06, low, high) + noise * np.random.default_rng(3).standard_normal(turns.size)
+    written(tmp_path, "csv", trace, name, "V", signal_of(turns))
+    text = draft_manifest(tmp_path)
+    assert f'source = "{name} (V)"' in text[text.index("\n[encoder]") :]
+    assert re.search(r'^kind = "square"', text, re.M)
+    assert 'edge = "falling"' in text
+
+
+@pytest.mark.parametrize("name", ["run_452rpm", "452 rpm", "speed=452", "n452"])
+def test_a_speed_in_a_name_is_held_against_the_speed_found(tmp_path, settings, name):
+    path = written(tmp_path, "csv", ROW.astype(float), "sequence_num", "", signal_of(turns_of(7.53, 7.53)))
+    path = path.rename(tmp_path / f"{name}.csv")
+    text = draft_manifest(tmp_path)
+    assert f'"{name}.csv" = 452' in text
+    for rpm, told in ((60, not name.startswith("n")), (470, False)):
+        (tmp_path / "run.toml").write_text(text.replace("= 452 ", f"= {rpm} "))
+        recording = read_recording(path, load_manifest(tmp_path), settings=settings.ingest, shaft=settings.shaft)
+        assert ("speed_not_as_named" in flags_in(shaft_stage(recording, settings))) == told
+    assert "speed_not_as_named" not in done("check", tmp_path).output
+
+
+def test_a_speed_at_another_rate_is_told(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        for name, values, unit, rate in (("acc", ROW % 7.0, "m/s2", 4000.0), ("drive", ROW[:160] * 0.0, "rpm", 40.0)):
+            file.create_dataset(name, data=values + 0.5).attrs.update({"unit": unit, "sample_rate": rate})
+    assert "nothing in the files tells a speed" not in draft_manifest(tmp_path)
