@@ -339,7 +339,18 @@ def _from_speed(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
     knots, flags = integrated_speed(
         recording["speed_signal"].values, rate_hz=float(recording.attrs["rate_hz"]), settings=settings
     )
-    return _dataset(recording, knots, "none", 0, [*flags, _NO_PHASE])
+    per_rev = 2.0 / settings.speed_lowpass_rev
+    parts, told = running_parts(knots.time_s, pulses_per_rev=per_rev, joined=True, lossless=True)
+    runs = []
+    for part in parts:
+        time_s, angle_rev, error_rev = (
+            column[part] for column in (knots.time_s, knots.angle_rev, knots.standard_error_rev)
+        )
+        speed_rpm = 60.0 * np.gradient(angle_rev, time_s)
+        run = replace(knots, time_s=time_s, angle_rev=angle_rev, speed_rpm=speed_rpm, standard_error_rev=error_rev)
+        runs.append(ShaftRun(run, (float(time_s[0]), float(time_s[-1])), part.start, part.stop - 1, 0.0))
+    flags += [remark for remark in told if remark[0] == "standstill"]
+    return _dataset(recording, joined(runs, per_rev), "none", 0, [*flags, _NO_PHASE])
 
 
 def _from_vibration(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
