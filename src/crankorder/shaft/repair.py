@@ -67,8 +67,9 @@ def running_parts(
     ``time_s``: (pulses,), s, increasing. ``pulses_per_rev``: pulses that come per crank revolution. ``gap``: the
     widest distance of two of them over the usual one. ``joined``: all runs of two revolutions or more, and of pulses
     enough to follow them, where the shaft stands between them; else only the longest. A hole that the speeds on both
-    sides fill with the same number of pulses is no standstill, unless they are ``lossless``: none can be lost. One track cannot tell the direction: what turns less
-    than a revolution beside a standstill may be a kick-back and is flagged ``direction_unknown``.
+    sides fill with the same number of pulses is no standstill, unless they are
+    ``lossless``: none can be lost. One track cannot tell the direction: what turns less than a revolution beside a
+    standstill may be a kick-back and is flagged ``direction_unknown``.
     """
     step = np.diff(time_s)
     limit = gap * 60.0 / (STANDSTILL_RPM * pulses_per_rev)
@@ -112,13 +113,8 @@ def _left_out(
         what = "no orders there" if len(used) > 1 else "left out"
         flags.append(("standstill", "info", f"the shaft stands still {_spans(time_s, still, stray)}: {what}"))
     if lost:
-        flags.append(
-            (
-                "encoder_gap",
-                "suspect",
-                f"no pulses {_spans(time_s, lost, stray)}: encoder lost or standstill, no count there",
-            )
-        )
+        detail = f"no pulses {_spans(time_s, lost, stray)}: encoder lost or standstill, no count there"
+        flags.append(("encoder_gap", "suspect", detail))
     if stray:
         n = sum(part.stop - part.start for part in stray)
         detail = f"{n} pulses of less than a revolution beside a standstill, {_times(time_s, stray)}: left out"
