@@ -52,8 +52,7 @@ def read_time_column(times: FloatArray, path: Path, *, settings: IngestSettings)
     n_rows = rows_before_zeros(times)
     flags: list[QualityFlag] = []
     if n_rows < times.size:
-        detail = f"{times.size - n_rows} rows at the end whose time is 0 are left out"
-        flags.append(flag(path, "rows_of_zeros", "info", detail))
+        flags.append(zeros_flag(times.size - n_rows, path))
         times = times[:n_rows]
     _refuse_disorder(times, path)
     places = _places(times, path, settings, flags)
@@ -100,6 +99,11 @@ def rows_before_zeros(times: FloatArray) -> int:
     if times.size < 3 or times[-1] != 0.0 or not times[times.size // 2] > 0.0:
         return times.size
     return int(np.flatnonzero(times)[-1]) + 1
+
+
+def zeros_flag(n_rows: int, path: Path) -> QualityFlag:
+    """Flag that the last ``n_rows`` of the recording at ``path`` are zeros and left out."""
+    return flag(path, "rows_of_zeros", "info", f"{n_rows} rows at the end whose time is 0 are left out")
 
 
 def _refuse_disorder(times: FloatArray, path: Path) -> None:

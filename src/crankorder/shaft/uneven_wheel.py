@@ -387,7 +387,7 @@ def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> tuple[FollowedWhee
     (pulses,), s.
     """
     ways = []
-    for first in range(min(LATEST_START, time_s.size - 4) + 1):
+    for first in range(max(0, min(LATEST_START, time_s.size - 8)) + 1):
         followed = followed_wheel(time_s[first:], (wheel.places + wheel.offsets) / wheel.grid, repeats=wheel.repeats)
         turn, place = np.divmod(followed.count, wheel.places.size)
         kept, tooth = followed.kept + first, turn * wheel.grid + wheel.places[place]
@@ -406,17 +406,18 @@ def _with_first_pulses(
 ) -> tuple[IntArray, IntArray]:
     """``kept`` and ``tooth`` with those of the ``first`` pulses that stand on a tooth, counted back."""
     for pulse in range(first - 1, -1, -1):
-        span_s, place = np.diff(time_s[kept[:3]]), wheel.angle_of(tooth[:3])
-        speed = np.diff(place) / span_s
-        middle = 0.5 * (place[1:] + place[:-1])
+        place = wheel.angle_of(tooth[:5:2])
+        speed = np.diff(place) / np.diff(time_s[kept[:5:2]])
         ahead = tooth[0] - np.arange(1, wheel.grid)
         ahead = ahead[np.isin(ahead % wheel.grid, wheel.places)][:MOST_BACK]
         turned = place[0] - wheel.angle_of(ahead)
         # as evenly accelerated, but not from less than half the speed
-        square = speed[0] ** 2 - np.diff(speed**2) / np.diff(middle) * (middle[0] - place[0] + 0.5 * turned)
-        off = np.log((time_s[kept[0]] - time_s[pulse]) * np.sqrt(np.maximum(square, 0.25 * speed[0] ** 2)) / turned)
-        best = int(np.argmin(np.abs(off)))
-        if abs(off[best]) < WHOLE_TEETH:
+        slope = 2.0 * np.diff(speed**2) / (place[2] - place[0])
+        square = np.maximum(speed[0] ** 2 - 0.5 * slope * (place[1] - place[0] + turned), 0.25 * speed[0] ** 2)
+        off = np.log((time_s[kept[0]] - time_s[pulse]) * np.sqrt(square) / turned)
+        # out of rest the next tooth takes longer than that
+        best = int(np.argmin(np.abs(off) + 2.0 * WHOLE_TEETH * (np.arange(off.size) > 0)))
+        if -WHOLE_TEETH < off[best] < 2.0 * WHOLE_TEETH:
             kept, tooth = np.append(pulse, kept), np.append(ahead[best], tooth)
     return kept, tooth
 

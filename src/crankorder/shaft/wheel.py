@@ -462,8 +462,9 @@ def _differs_each_turn(false_s: FloatArray, time_s: FloatArray, tooth: IntArray,
     first, last = (~np.isin((lost + way) % wheel.grid, wheel.places) for way in (-1, 1))
     behind = lost + wheel.spans[np.searchsorted(wheel.places, lost % wheel.grid)]
     shown = np.concatenate([np.unique(extra), lost[first], behind[last]])
-    counts = np.unique(shown % wheel.grid, return_counts=True)[1]
-    return bool(counts.max(initial=0) >= max(2.0, DAMAGE_SHARE * (tooth[-1] - tooth[0]) / wheel.grid))
+    each = [shown[shown % wheel.grid == gap] for gap in np.unique(shown % wheel.grid)]
+    most = DAMAGE_SHARE * (tooth[-1] - tooth[0]) / wheel.grid
+    return any(own.size >= most and np.unique(own).size > 1 for own in each)
 
 
 def _flag_lost(
