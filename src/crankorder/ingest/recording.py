@@ -421,8 +421,9 @@ def _pulses_of_times(
     assert source is not None  # the manifest was checked for it
     encoder = manifest.encoder
     time_source = manifest.sampling.time_source if encoder.file is None else encoder.time_source
-    with_levels = encoder.kind == "edge_list" and time_source is not None and time_source != source
-    stamps = _in_seconds(raw, time_source if with_levels else source)
+    timed = source if encoder.kind != "edge_list" or time_source is None else time_source
+    with_levels = timed != source
+    stamps = _in_seconds(raw, timed)
     level = raw.columns[source] if with_levels else np.ones(stamps.size)
     n_rows = rows_before_zeros(stamps)
     if n_rows < stamps.size:

@@ -185,8 +185,7 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
         shape = wheel_of(wheel["pulses_per_rev"], wheel.get("missing_teeth", 0), wheel.get("tooth_angles_deg"))
         ratio = float(recording.attrs.get("ratio", 1.0))
         widest = float(shape.spans.max() * shape.places.size / shape.grid)
-        given = {"pulses_per_rev": shape.places.size * ratio, "gap": widest}
-        parts, left_out = running_parts(pulse_s, **given, joined=True)
+        parts, left_out = running_parts(pulse_s, pulses_per_rev=shape.places.size * ratio, gap=widest, joined=True)
     made = []
     # at rest a few pulses come further and further apart, which no even smoothing follows
     smooth = len(parts) == 1 or wheel["pulses_per_rev"] > FEW_PULSES
