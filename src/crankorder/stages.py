@@ -155,7 +155,8 @@ def shaft(recording: Recording, settings: Settings) -> ShaftAngle:
     asked = np.arange(0.5, settings.orders.max_order + 0.5, 0.5)
     audit = reference_audit(angle, orders=asked, revs_per_frame=settings.orders.revs_per_frame, settings=settings.shaft)
     remarks = [*audit.remarks, *silent_ends(recording, angle)]
-    return ShaftAngle(with_flags(angle, flags_named(str(recording.attrs["recording"]), remarks)))
+    of_file = [] if recording.sizes["channel"] else flags_of(recording)  # no band hands them on
+    return ShaftAngle(with_flags(angle, [*of_file, *flags_named(str(recording.attrs["recording"]), remarks)]))
 
 
 @stage

@@ -223,3 +223,29 @@ def test_keys_that_do_not_fit_are_refused(tmp_path: Path) -> None:
         (tmp_path / "run.toml").write_text(text, encoding="utf-8")
         done = crankorder("check", tmp_path)
         assert done.exit_code != 0 and words in done.output
+
+
+@pytest.mark.parametrize(
+    ("kind", "edge"), [("edge_list", "rising"), ("edge_list", "falling"), ("pulse_times", "rising")]
+)
+def test_zeros_behind_the_last_edge_are_left_out_and_other_bad_rows_named(tmp_path: Path, kind: str, edge: str) -> None:
+    folder = joined(tmp_path / "joined")
+    rising, falling = edges_of(0)
+    levels = [f"{at:.9f},{level}" for at, level in sorted([(at, 1) for at in rising] + [(at, 0) for at in falling])]
+    rows = levels if kind == "edge_list" else [f"{at:.9f},1" for at in rising]
+    manifest = (folder / "run.toml").read_text(encoding="utf-8")
+    manifest = manifest.replace('kind = "edge_list"', f'kind = "{kind}"\nedge = "{edge}"')
+    if kind == "pulse_times":
+        manifest = manifest.replace('source = "crank"', 'source = "Time [s]"').replace('time_source = "Time [s]"\n', "")
+    (folder / "run.toml").write_text(manifest, encoding="utf-8")
+    table = folder / "a.edges.csv"
+    table.write_text("\n".join(["Time [s],crank", *rows, "0,0", "0,0"]) + "\n", encoding="utf-8")
+    code, said = run(folder, tmp_path / "out", "--no-pictures")
+    assert code == 0, said
+    found = findings_in(tmp_path / "out")
+    assert found["orders"][0]["amplitude"] == pytest.approx(3.0, rel=0.003)
+    assert "2 rows at the end" in next(one["detail"] for one in found["quality"] if one["flag"] == "rows_of_zeros")
+    for bad, at in (("0,0", 100), ("nan,nan", len(rows))):
+        table.write_text("\n".join(["Time [s],crank", *rows[:at], bad, *rows[at:]]) + "\n", encoding="utf-8")
+        checked = crankorder("check", folder)
+        assert checked.exit_code == 4 and f"row {at + 1} of" in checked.output and "a.edges.csv" in checked.output

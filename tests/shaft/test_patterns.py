@@ -293,3 +293,39 @@ def test_the_angles_of_every_named_wheel_are_a_wheel():
         assert not any(offsets)
         np.testing.assert_allclose(np.array(places) * 360.0 / grid, wheel.angles_deg, atol=1e-9)
         assert all(later > earlier for earlier, later in pairwise(places))
+
+
+def cranking(name, seed, *, revs=4.3):
+    """Pulses of a wheel turned by a starter against compression from rest, and their true angles."""
+    random = np.random.default_rng(seed)
+    rpm, ripple, order = random.uniform(150.0, 250.0), random.uniform(0.2, 0.3), random.choice([0.5, 1.0, 1.5, 2.0])
+    start_rev, phase = random.uniform(0.0, 1.0), random.uniform(0.0, 2.0 * np.pi)
+    angle = start_rev + np.linspace(0.0, revs, 40_001)
+    speed = rpm / 60.0 * (1.0 + ripple * np.cos(2.0 * np.pi * order * angle + phase))
+    speed *= np.sqrt(np.clip((angle - start_rev + 0.004) / 0.3, 0.0, 1.0)) if seed % 2 else 1.0
+    time_s = np.concatenate(([0.0], np.cumsum(np.diff(angle) / (0.5 * (speed[1:] + speed[:-1])))))
+    places = np.array(pattern_of(name).angles_deg) / 360.0
+    wanted = (np.arange(int(angle[-1]) + 2)[:, None] + places).ravel()
+    wanted = wanted[(wanted > angle[0]) & (wanted < angle[-1])]
+    return np.interp(wanted, angle, time_s), wanted
+
+
+@pytest.mark.parametrize("name", ["12+1", "60-2", "36-1", "24-1", "36-2-2-2"])
+def test_a_stated_wheel_is_read_in_a_few_turns_of_cranking(name):
+    for seed in range(8):
+        pulse_s, true_rev = cranking(name, seed, revs=2.3 + 0.4 * (seed % 3))
+        teeth = numbered(name, pulse_s)
+        assert teeth.n_repaired <= seed % 2  # the first interval out of rest may be any number of teeth
+        angle = (teeth.tooth - teeth.index_tooth) / teeth.teeth_per_rev
+        away = (angle - np.interp(teeth.time_s, pulse_s, true_rev))[2 * (seed % 2) :]
+        np.testing.assert_allclose(away, np.round(away[0]), atol=0.2 / teeth.teeth_per_rev)
+
+
+@pytest.mark.parametrize(
+    ("real", "stated"),
+    [("60-2", "60-1"), ("60-2", "60-3"), ("36-1", "36-2"), ("36-2", "36-1"), ("24-1", "24-2"), ("36-2-1", "36-2-2")],
+)
+def test_a_wheel_that_each_turn_contradicts_at_a_gap_is_refused(real, stated):
+    for seed in range(0, 8, 2):
+        with pytest.raises(InputError):
+            numbered(stated, cranking(real, seed)[0])

@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-import numpy as np
+from pathlib import Path
 
+import h5py
+import numpy as np
+import pytest
+
+from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, angle_knots
+from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.repair import running_parts
 from crankorder.shaft.standstill import ShaftRun, joined
+from made.command import analysed
 
 
 def test_the_angle_goes_on_rightly_after_a_standstill():
@@ -44,3 +51,67 @@ def test_a_stop_after_a_few_pulses_of_one_per_revolution_is_one() -> None:
     parts, flags = running_parts(time_s, pulses_per_rev=1, joined=True)
     assert [(part.start, part.stop) for part in parts] == [(4, 17)]
     assert {name for name, _, _ in flags} == {"standstill", "encoder_part_unused"}
+
+
+RATE_HZ = 4000
+
+
+def course(*legs: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Speed [rpm] and angle [rev] of samples whose speed ``legs`` join straight: seconds, speed at the end."""
+    ends_s, speeds = np.cumsum([seconds for seconds, _ in legs]), [speed for _, speed in legs]
+    speed = np.interp(np.arange(int(ends_s[-1] * RATE_HZ)) / RATE_HZ, ends_s, speeds)
+    return speed, np.cumsum(speed) / 60.0 / RATE_HZ
+
+
+def written(folder: Path, kind: str, speed: np.ndarray, angle: np.ndarray) -> Path:
+    """A folder with 2 and 1 of orders 1 and 4 while the shaft turns, noise, and a shaft told by ``kind``."""
+    folder.mkdir()
+    turns = 2.0 * np.cos(2 * np.pi * angle) + np.cos(8 * np.pi * angle)
+    random = np.random.default_rng(1)
+    table = {"speed": 'source = "speed"\n', "pulse_times": 'source = "pulses"\npulses_per_rev = 60\n'}[kind]
+    with h5py.File(folder / "a.h5", "w") as file:
+        file["a"] = turns * (speed > 0.0) + 0.05 * random.standard_normal(speed.size)
+        file["speed"] = speed + 0.5 * random.standard_normal(speed.size)
+        rising = np.flatnonzero(np.diff(angle, prepend=-1.0) > 0.0)
+        tooth = np.arange(1, int(angle[-1] * 60)) / 60.0
+        file["pulses"] = np.interp(tooth, angle[rising], rising / RATE_HZ)
+        for name in ("a", "speed"):
+            file[name].attrs["rate_hz"] = RATE_HZ
+        file["speed"].attrs["unit"] = "rpm"
+    head = 'schema_version = 1\n[test]\nname = "t"\ncycle = "rotor"\n[recordings]\nfiles = ["*.h5"]\n'
+    head += f'[[channels]]\nname = "A"\nsource = "a"\nunit = "m/s2"\n[encoder]\nkind = "{kind}"\n{table}'
+    (folder / "run.toml").write_text(head, encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["speed", "pulse_times"])
+def test_a_stop_between_two_runs_leaves_the_amplitudes_right(tmp_path: Path, kind: str) -> None:
+    told = course((0.0, 1500.0), (3.0, 1600.0), (1.0, 0.0), (3.0, 0.0), (1.0, 1500.0), (3.0, 1700.0))
+    found = analysed(written(tmp_path / "in", kind, *told), tmp_path / "out", "--no-pictures")
+    assert "standstill" in {one["flag"] for one in found["quality"]}
+    amplitudes = {round(one["order"], 2): one["amplitude"] for one in found["orders"]}
+    assert amplitudes == {1.0: pytest.approx(2.0, rel=0.02), 4.0: pytest.approx(1.0, rel=0.02)}
+
+
+def test_a_slow_stop_whose_rows_hold_no_order_at_one_speed_is_analysed(tmp_path: Path) -> None:
+    told = course((0.0, 162.0), (1.0, 162.0), (3.0, 0.0), (0.05, 0.0))
+    found = analysed(written(tmp_path / "in", "pulse_times", *told), tmp_path / "out", "--no-pictures")
+    assert found["orders"]
+
+
+def test_a_speed_that_stands_is_left_out_of_the_angle(recording_of) -> None:
+    speed, angle = course((0.0, 0.0), (3.0, 0.0), (0.05, 600.0), (0.5, 600.0), (0.05, 0.0), (2.0, 0.0))
+    recording = recording_of(np.empty(0), encoder_kind="speed", rate_hz=float(RATE_HZ)).drop_vars("signal")
+    recording["speed_signal"] = ("time", speed)
+    shaft = shaft_angle(recording, settings=load_settings().shaft)
+    assert "standstill" in {flag["flag"] for flag in flags_of(shaft)}
+    assert shaft["time"].values[0] >= 3.0
+    assert shaft["time"].values[-1] < 3.7
+    assert np.ptp(shaft["crank_angle"].values) == pytest.approx(angle[-1], abs=0.3)
+
+
+def test_a_hole_of_more_than_a_few_pulses_at_one_speed_is_not_filled() -> None:
+    time_s = np.concatenate([np.arange(0.0, 3.0, 0.04), np.arange(6.0, 9.5, 0.04)])
+    parts, flags = running_parts(time_s, pulses_per_rev=1, joined=True)
+    assert [(part.start, part.stop) for part in parts] == [(75, time_s.size)]
+    assert "encoder_gap" in {name for name, _, _ in flags}

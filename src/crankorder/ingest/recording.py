@@ -22,7 +22,7 @@ from crankorder.ingest.limit_table import check_bands
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named, stacked
 from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, direction_flags, judged
-from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column
+from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column, rows_before_zeros, zeros_flag
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.ingest.time_bases import ENCODER, TimeBase, bases_of, on_one_base
 from crankorder.ingest.units import conversion_factor, known_unit, unit_in_label, unit_of
@@ -451,21 +451,29 @@ def _pulses_of_times(
     assert source is not None  # the manifest was checked for it
     encoder = manifest.encoder
     time_source = manifest.sampling.time_source if encoder.file is None else encoder.time_source
-    if encoder.kind == "edge_list" and time_source is not None and time_source != source:
-        level, stamps = raw.columns[source], _in_seconds(raw, time_source)
+    timed = source if encoder.kind != "edge_list" or time_source is None else time_source
+    with_levels = timed != source
+    stamps = _in_seconds(raw, timed)
+    level = raw.columns[source] if with_levels else np.ones(stamps.size)
+    n_rows = rows_before_zeros(stamps)
+    if n_rows < stamps.size:
+        flags.append(zeros_flag(stamps.size - n_rows, path))
+    stamps, level = stamps[:n_rows], level[:n_rows]
+    wrong = ~(np.isfinite(stamps) & np.isfinite(level)) | (np.diff(stamps, prepend=stamps[:1]) < 0.0)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            "pulse times must be finite and must not go back",
+            file=encoder.beside(path) or path,
+            place=f"encoder {source}, row {row + 1} of {wrong.size}",
+            found=f"{stamps[row]:.9g} s, level {level[row]:g}" if with_levels else f"{stamps[row]:.9g} s",
+            remedy="Mend the list of times, or take the row out",
+        )
+    if with_levels:
         high = level > 0.5 * (float(level.min()) + float(level.max()))
         turned = high[1:] & ~high[:-1] if encoder.edge == "rising" else ~high[1:] & high[:-1]
         stamps = stamps[1:][turned]
-    else:
-        stamps = _in_seconds(raw, source)
     times = stamps.astype(np.float64) + encoder.offset_s
-    if not np.isfinite(times).all() or (times.size > 1 and float(np.diff(times).min()) < 0):
-        raise InputError(
-            "pulse times must be finite and must not go back",
-            file=path,
-            place=f"encoder {source}",
-            remedy="Mend the list of times",
-        )
     if times.size < 2:
         flags.append(flag(path, "few_pulses", "bad", f"{source}: {times.size} pulses"))
     if stamps.dtype != np.float32 or times.size == 0:

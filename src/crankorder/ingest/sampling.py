@@ -84,8 +84,7 @@ def read_time_column(
     n_rows = rows_before_zeros(times)
     flags: list[QualityFlag] = []
     if n_rows < times.size:
-        detail = f"{times.size - n_rows} rows at the end whose time is 0 are left out"
-        flags.append(flag(path, "rows_of_zeros", "info", detail))
+        flags.append(zeros_flag(times.size - n_rows, path))
         times = times[:n_rows]
     written = 0.0
     if rounding is not None and (even := _even_within(times, rounding[:n_rows])) is not None:
@@ -154,6 +153,11 @@ def rows_before_zeros(times: FloatArray) -> int:
     if times.size < 3 or times[-1] != 0.0 or not times[times.size // 2] > 0.0:
         return times.size
     return int(np.flatnonzero(times)[-1]) + 1
+
+
+def zeros_flag(n_rows: int, path: Path) -> QualityFlag:
+    """Flag that the last ``n_rows`` of the recording at ``path`` are zeros and left out."""
+    return flag(path, "rows_of_zeros", "info", f"{n_rows} rows at the end whose time is 0 are left out")
 
 
 def _refuse_disorder(times: FloatArray, path: Path) -> None:

@@ -44,6 +44,9 @@ KNOTS = 8
 MOST_VALUES = 1 << 22
 """Samples, times orders and channels, that are followed at a time: the memory does not grow with the recording."""
 
+MOST_CHANGE = 1.0
+"""Change of the speed within a reciprocal bandwidth, as a share of it, from which a row stands for no speed."""
+
 SPEED_SHARE = 1e-3
 """Share of the speed to which that of a row is told, however few pulses pass in a reciprocal bandwidth."""
 
@@ -165,12 +168,15 @@ def _covered(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, float]:
 def _rows(course: SpeedCourse, width_hz: Floats, span_s: tuple[float, float]) -> Floats:
     """Times [s] of rows, half a reciprocal bandwidth apart, from half of one after the begin to as much before the end.
 
+    None where the shaft starts or stops so fast that a row would stand for no speed (:data:`MOST_CHANGE`).
     ``width_hz`` (times,) is the widest bandwidth at the times of ``course``.
     """
     step = np.diff(course.time_s) * (width_hz[1:] + width_hz[:-1])
     count = np.concatenate([[0.0], np.cumsum(step)])
     first, last = np.interp(span_s, course.time_s, count)
-    return np.asarray(np.interp(np.arange(first + 1.0, last - 1.0 + 1e-9), count, course.time_s))
+    rows = np.interp(np.arange(first + 1.0, last - 1.0 + 1e-9), count, course.time_s)
+    change = course.rate_rpm_per_s / (width_hz * course.speed_rpm)
+    return np.asarray(rows[np.interp(rows, course.time_s, change) < MOST_CHANGE])
 
 
 def _followed(band: xr.Dataset, shaft: xr.Dataset, plan: _Plan) -> tuple[Complexes, Floats]:

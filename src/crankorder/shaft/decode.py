@@ -179,8 +179,7 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
         shape = wheel_of(wheel["pulses_per_rev"], wheel.get("missing_teeth", 0), wheel.get("tooth_angles_deg"))
         ratio = float(recording.attrs.get("ratio", 1.0))
         widest = float(shape.spans.max() * shape.places.size / shape.grid)
-        given = {"pulses_per_rev": shape.places.size * ratio, "gap": widest}
-        parts, left_out = running_parts(pulse_s, **given, joined=True)
+        parts, left_out = running_parts(pulse_s, pulses_per_rev=shape.places.size * ratio, gap=widest, joined=True)
     made = []
     # at rest a few pulses come further and further apart, which no even smoothing follows
     smooth = len(parts) == 1 or wheel["pulses_per_rev"] > FEW_PULSES
@@ -339,7 +338,18 @@ def _from_speed(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
         settings=settings,
         start_s=float(recording.attrs.get("encoder_start_s", 0.0)),
     )
-    return _dataset(recording, knots, "none", 0, [*flags, _NO_PHASE])
+    per_rev = 2.0 / settings.speed_lowpass_rev
+    parts, told = running_parts(knots.time_s, pulses_per_rev=per_rev, joined=True, lossless=True)
+    runs = []
+    for part in parts:
+        time_s, angle_rev, error_rev = (
+            column[part] for column in (knots.time_s, knots.angle_rev, knots.standard_error_rev)
+        )
+        speed_rpm = 60.0 * np.gradient(angle_rev, time_s)
+        run = replace(knots, time_s=time_s, angle_rev=angle_rev, speed_rpm=speed_rpm, standard_error_rev=error_rev)
+        runs.append(ShaftRun(run, (float(time_s[0]), float(time_s[-1])), part.start, part.stop - 1, 0.0))
+    flags += [remark for remark in told if remark[0] == "standstill"]
+    return _dataset(recording, joined(runs, per_rev), "none", 0, [*flags, _NO_PHASE])
 
 
 def _from_vibration(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:

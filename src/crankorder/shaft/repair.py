@@ -22,6 +22,8 @@ IntArray = npt.NDArray[np.int64]
 STANDSTILL_RPM, STANDSTILL_SHARE = 30.0, 0.1
 # Pulses were lost, and the shaft ran on, where the speeds on both sides of a hole agree on the count this well.
 SAME_COUNT_TEETH = 0.5
+# … and that is no more than this share of all pulses: steady speeds agree on any count.
+FILLED_SHARE = 0.05
 # The speed beside a hole is the median over this many intervals.
 BESIDE = 4
 # Runs on both sides of a standstill are joined from so many pulses and revolutions on.
@@ -58,15 +60,16 @@ class FollowedWheel:
 
 
 def running_parts(
-    time_s: FloatArray, *, pulses_per_rev: float, gap: float = 1.0, joined: bool = False
+    time_s: FloatArray, *, pulses_per_rev: float, gap: float = 1.0, joined: bool = False, lossless: bool = False
 ) -> tuple[list[slice], list[Remark]]:
     """The runs of pulses without a standstill, in turn, and remarks on what was left out.
 
     ``time_s``: (pulses,), s, increasing. ``pulses_per_rev``: pulses that come per crank revolution. ``gap``: the
     widest distance of two of them over the usual one. ``joined``: all runs of two revolutions or more, and of pulses
     enough to follow them, where the shaft stands between them; else only the longest. A hole that the speeds on both
-    sides fill with the same number of pulses is no standstill. One track cannot tell the direction: what turns less
-    than a revolution beside a standstill may be a kick-back and is flagged ``direction_unknown``.
+    sides fill with the same number of pulses is no standstill, unless they are
+    ``lossless``: none can be lost. One track cannot tell the direction: what turns less than a revolution beside a
+    standstill may be a kick-back and is flagged ``direction_unknown``.
     """
     step = np.diff(time_s)
     limit = gap * 60.0 / (STANDSTILL_RPM * pulses_per_rev)
@@ -75,13 +78,13 @@ def running_parts(
         return [slice(0, time_s.size)], []
     limit = max(limit, gap * float(np.median(step)) / STANDSTILL_SHARE)
     holes = [int(at) for at in np.flatnonzero(step > limit)]
-    stops = sorted({at for at in holes if not _same_count(step, at, limit)} | set(turned))
+    stops = sorted({at for at in holes if lossless or not _same_count(step, at, limit)} | set(turned))
     if not stops:
         return [slice(0, time_s.size)], []
     edges = [0, *(at + 1 for at in stops), time_s.size]
     parts = [slice(first, end) for first, end in pairwise(edges)]
     longest = max(parts, key=lambda part: part.stop - part.start)
-    still = [at for at in stops if at in turned or _speed_is_low(step, at, limit)]
+    still = [at for at in stops if lossless or at in turned or _speed_is_low(step, at, limit)]
     used = [longest]
     if joined and len(still) == len(stops):
         fewest = max(FEWEST_PULSES, FEWEST_REVS * pulses_per_rev)
@@ -110,7 +113,8 @@ def _left_out(
         what = "no orders there" if len(used) > 1 else "left out"
         flags.append(("standstill", "info", f"the shaft stands still {_spans(time_s, still, stray)}: {what}"))
     if lost:
-        flags.append(("encoder_gap", "suspect", f"no pulses {_spans(time_s, lost, stray)}: the count is lost there"))
+        detail = f"no pulses {_spans(time_s, lost, stray)}: encoder lost or standstill, no count there"
+        flags.append(("encoder_gap", "suspect", detail))
     if stray:
         n = sum(part.stop - part.start for part in stray)
         detail = f"{n} pulses of less than a revolution beside a standstill, {_times(time_s, stray)}: left out"
@@ -139,7 +143,7 @@ def _beside(step: FloatArray, at: int) -> tuple[float, float]:
 
 def _same_count(step: FloatArray, at: int, limit: float) -> bool:
     before, after = _beside(step, at)
-    if _stops_and_starts(step, at):
+    if _stops_and_starts(step, at) or step[at] > FILLED_SHARE * step.size * before:
         return False
     return max(before, after) < limit and abs(step[at] / before - step[at] / after) < SAME_COUNT_TEETH
 

@@ -20,7 +20,6 @@ import numpy.typing as npt
 from crankorder.shaft.pattern import ToothPattern, grid_of, known_names, pattern_of
 from crankorder.shaft.pulses import FloatArray, Remark
 from crankorder.shaft.repair import (
-    CLEAN_CHANGE,
     REPAIR_COST,
     STANDSTILL_RPM,
     FollowedWheel,
@@ -271,6 +270,12 @@ class Wheel:
         """Steps from each tooth to the next."""
         return np.diff(self.places, append=self.grid)
 
+    def angle_of(self, tooth: IntArray) -> FloatArray:
+        """Where ``tooth`` (numbers on the grid) stand, in steps of it, with their offsets."""
+        offset = np.zeros(self.grid)
+        offset[self.places] = self.offsets
+        return np.asarray(tooth + offset[tooth % self.grid])
+
 
 def wheel_of(pulses_per_rev: int, missing_teeth: int, tooth_angles_deg: Sequence[float] | None) -> Wheel:
     """The wheel of ``pulses_per_rev`` even teeth less ``missing_teeth``, or the one of ``tooth_angles_deg``."""
@@ -286,18 +291,20 @@ def wheel_of(pulses_per_rev: int, missing_teeth: int, tooth_angles_deg: Sequence
 
 
 def gap_is_absent(time_s: FloatArray, kept: IntArray, tooth: IntArray, wheel: Wheel) -> bool:
-    """Whether the longest interval in a gap of the wheel is mostly no longer than a tooth.
+    """Whether the longest interval in one of the gaps of the wheel is mostly no longer than a tooth.
 
     ``time_s``: (pulses,), s. ``kept``: which of them are true. ``tooth``: their numbers on the grid of ``wheel``.
     """
     number, span = np.searchsorted(wheel.places, tooth % wheel.grid), wheel.spans
     gaps = 2 + np.flatnonzero((span[number[2:-3]] > 1) & (np.diff(tooth)[2:-2] == span[number[2:-3]]))
-    if gaps.size < 3 or span.min() > 1:
+    if gaps.size < 2 or span.min() > 1:
         return False
     longest = np.maximum.reduceat(np.diff(time_s), kept[:-1])[gaps]
     tooth_s = np.diff(time_s[kept]) / span[number[:-1]]
     length = longest / (0.5 * (tooth_s[gaps - 2] + tooth_s[gaps + 2]))
-    return bool(np.median((length - 1.0) / (span[number[gaps]] - 1)) < ABSENT_SHARE)
+    share = (length - 1.0) / (span[number[gaps]] - 1)
+    each = [share[number[gaps] == gap] for gap in np.unique(number[gaps])]
+    return any(own.size > 1 and np.median(own) < ABSENT_SHARE for own in each)
 
 
 def displaced_teeth(time_s: FloatArray, tooth: IntArray, wheel: Wheel, flags: list[Remark]) -> npt.NDArray[np.bool_]:
@@ -353,9 +360,7 @@ def times_on_grid(time_s: FloatArray, tooth: IntArray, wheel: Wheel) -> FloatArr
     """
     if tooth.size < 4 or not wheel.offsets.any():
         return time_s
-    offset = np.zeros(wheel.grid)
-    offset[wheel.places] = wheel.offsets
-    angle = tooth + offset[tooth % wheel.grid]
+    angle = wheel.angle_of(tooth)
     first = np.clip(np.arange(angle.size) - 1, 0, angle.size - 4)
     moved = np.zeros(angle.size)
     for k in range(4):
@@ -375,9 +380,8 @@ UNUSUAL_TIMES, LEAST_CHANGE = 5.0, 0.15
 END_REVS = 3
 # What it holds is a whole number of teeth within this.
 WHOLE_TEETH = 0.3
-# A train begins where an interval and all but one of so many that follow are alike, within this change of the
-# logarithm; at the latest after so many intervals.
-LIKE_NEXT, LIKE_CHANGE, LATEST_START = 6, 0.2, 3
+# A train is followed from each of so many pulses behind the first too, and counted back by so many teeth at most.
+LATEST_START, MOST_BACK = 3, 4
 # A train is followed from there only where that costs less by this.
 CLEARLY_CHEAPER = 0.5
 
@@ -385,13 +389,13 @@ CLEARLY_CHEAPER = 0.5
 def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> tuple[FollowedWheel, IntArray, IntArray]:
     """The uneven ``wheel`` laid on the train of pulses, the pulses that were kept, and their numbers on its grid.
 
-    The first interval sets the speed by which all others are judged. Where it hides a lost pulse, it is a bad start:
-    then the train is followed from the first steady pulse too, and the pulses before are counted back from there. So is
-    one that starts from rest, whose first intervals shrink too fast to follow, from where they shrink gently. The way
-    that costs less is taken. ``time_s``: (pulses,), s.
+    The first interval sets the speed by which all others are judged. Where it hides a lost pulse, or starts from rest
+    so that the next ones shrink too fast to follow, it is a bad start: the train is followed from each of the next few
+    pulses too, and the pulses before are counted back from there. The way that costs less is taken. ``time_s``:
+    (pulses,), s.
     """
     ways = []
-    for first in {0, *((_first_steady(time_s), _first_gentle(time_s)) if wheel.mostly_even else ())}:
+    for first in range(max(0, min(LATEST_START, time_s.size - 8)) + 1):
         followed = followed_wheel(time_s[first:], (wheel.places + wheel.offsets) / wheel.grid, repeats=wheel.repeats)
         turn, place = np.divmod(followed.count, wheel.places.size)
         kept, tooth = followed.kept + first, turn * wheel.grid + wheel.places[place]
@@ -405,40 +409,24 @@ def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> tuple[FollowedWhee
     return min(ways, key=lambda way: way[:2])[2:]
 
 
-def _first_steady(time_s: FloatArray) -> int:
-    """Number of the first pulse from which nearly all intervals are alike for a while; 0 where none is near."""
-    step = np.diff(time_s[: LATEST_START + LIKE_NEXT + 2])
-    for start in range(min(LATEST_START + 1, step.size - LIKE_NEXT)):
-        near = step[start : start + 1 + LIKE_NEXT]
-        like = np.abs(near - np.median(near)) < LIKE_CHANGE * np.median(near)
-        if like[0] and like.sum() >= LIKE_NEXT:
-            return start
-    return 0
-
-
-def _first_gentle(time_s: FloatArray) -> int:
-    """Number of the first pulse from which a few intervals change gently from one to the next; 0 where none is near."""
-    step = np.maximum(np.diff(time_s[: LATEST_START + LIKE_NEXT + 2]), 1e-12)
-    gentle = np.abs(np.diff(np.log(step))) < CLEAN_CHANGE
-    for start in range(min(LATEST_START + 1, gentle.size - BESIDE + 1)):
-        if gentle[start : start + BESIDE].all():
-            return start
-    return 0
-
-
 def _with_first_pulses(
     time_s: FloatArray, first: int, kept: IntArray, tooth: IntArray, wheel: Wheel
 ) -> tuple[IntArray, IntArray]:
     """``kept`` and ``tooth`` with those of the ``first`` pulses that stand on a tooth, counted back."""
-    at, number = int(kept[0]), int(tooth[0])
-    step_s = float(np.median(np.diff(time_s[kept[: LIKE_NEXT + 1]]) / np.diff(tooth[: LIKE_NEXT + 1])))
-    places = set(wheel.places.tolist())
     for pulse in range(first - 1, -1, -1):
-        teeth = (time_s[at] - time_s[pulse]) / step_s
-        whole = round(teeth)
-        if whole >= 1 and abs(teeth - whole) < WHOLE_TEETH and (number - whole) % wheel.grid in places:
-            at, number = pulse, number - whole
-            kept, tooth = np.append(at, kept), np.append(number, tooth)
+        place = wheel.angle_of(tooth[:5:2])
+        speed = np.diff(place) / np.diff(time_s[kept[:5:2]])
+        ahead = tooth[0] - np.arange(1, wheel.grid)
+        ahead = ahead[np.isin(ahead % wheel.grid, wheel.places)][:MOST_BACK]
+        turned = place[0] - wheel.angle_of(ahead)
+        # as evenly accelerated, but not from less than half the speed
+        slope = 2.0 * np.diff(speed**2) / (place[2] - place[0])
+        square = np.maximum(speed[0] ** 2 - 0.5 * slope * (place[1] - place[0] + turned), 0.25 * speed[0] ** 2)
+        off = np.log((time_s[kept[0]] - time_s[pulse]) * np.sqrt(square) / turned)
+        # out of rest the next tooth takes longer than that
+        best = int(np.argmin(np.abs(off) + 2.0 * WHOLE_TEETH * (np.arange(off.size) > 0)))
+        if -WHOLE_TEETH < off[best] < 2.0 * WHOLE_TEETH:
+            kept, tooth = np.append(pulse, kept), np.append(ahead[best], tooth)
     return kept, tooth
 
 
@@ -487,6 +475,9 @@ def _miscounted(
     padded = np.pad(slow, BESIDE, constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * BESIDE + 1)
     change = slow - np.nanmedian(np.delete(windows, BESIDE, axis=1), axis=1)
+    # a shaft that starts or stops changes its speed from tooth to tooth: at the ends nothing beside shows the trend
+    for end, near, far in ((0, 1, 2), (-1, -2, -3)):
+        change[end] = min(change[end], slow[end] - 2.0 * slow[near] + slow[far], key=abs)
     held = counted * np.exp(change)
     unusual = np.abs(change) > max(LEAST_CHANGE, UNUSUAL_TIMES * float(np.quantile(np.abs(change), 0.9)))
     whole = np.round(held).astype(np.int64)

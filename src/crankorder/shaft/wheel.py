@@ -17,6 +17,7 @@ from crankorder.settings import ShaftSettings
 from crankorder.shaft.pulses import FloatArray, Remark
 from crankorder.shaft.repair import IntArray, listed_times, running_part
 from crankorder.shaft.uneven_wheel import (
+    WHOLE_TEETH,
     Wheel,
     displaced_teeth,
     ends_put_right,
@@ -218,6 +219,9 @@ def number_teeth(
         tooth, index_tooth, index_period = at_index(kept_time, tooth, index_time_s, periods, flags, renumber=wheel.even)
         kept_time, tooth = _growing(kept_time, tooth)
     lost = _lost_teeth(tooth, wheel)
+    unsure = n_false + lost.size > 0 and not certain and wheel.repeats == 1
+    if not wheel.even and (unsure or _differs_each_turn(np.delete(time_s, kept), kept_time, tooth, lost, wheel)):
+        raise _uncertain(time_s, lost.size, n_false, wheel, settings)
     _flag_lost(lost, kept_time, tooth, wheel, index_tooth, flags)
     in_gap = np.isin(np.searchsorted(tooth, lost), np.searchsorted(kept_time, gap_starts_s))
     if n_false + np.count_nonzero(~in_gap) > settings.max_repaired_fraction * time_s.size:
@@ -448,6 +452,22 @@ def _lost_teeth(tooth: IntArray, wheel: Wheel) -> IntArray:
         return np.empty(0, dtype=np.int64)
     lost: IntArray = np.concatenate([np.arange(tooth[k] + 1, tooth[k + 1]) for k in holes])
     return lost[place_of[lost % wheel.grid] >= 0]
+
+
+def _differs_each_turn(false_s: FloatArray, time_s: FloatArray, tooth: IntArray, lost: IntArray, wheel: Wheel) -> bool:
+    """Whether most turns show a tooth more in a gap, or one less beside it: then the pulses are those of another wheel.
+
+    ``false_s``: (false pulses,), s. ``time_s`` and ``tooth``: (pulses,), of the true ones. ``lost``: teeth without any.
+    """
+    place = np.interp(false_s, time_s, tooth)
+    whole = np.round(place).astype(np.int64)
+    extra = whole[np.abs(place - whole) < WHOLE_TEETH]
+    first, last = (~np.isin((lost + way) % wheel.grid, wheel.places) for way in (-1, 1))
+    behind = lost + wheel.spans[np.searchsorted(wheel.places, lost % wheel.grid)]
+    shown = np.concatenate([np.unique(extra), lost[first], behind[last]])
+    each = [shown[shown % wheel.grid == gap] for gap in np.unique(shown % wheel.grid)]
+    most = DAMAGE_SHARE * (tooth[-1] - tooth[0]) / wheel.grid
+    return any(own.size >= most and np.unique(own).size > 1 for own in each)
 
 
 def _flag_lost(

@@ -64,7 +64,7 @@ def least_seen(
     from scipy.special import chdtri
 
     reach = float(np.sqrt(chdtri(2.0, 1.0 - confidence)))
-    largest: dict[str, float] = {}
+    largest = dict.fromkeys(unit.values(), 0.0)
     for block in blocks:
         size = np.sqrt(block.size) if block.power else block.size
         for name, most in zip(block.channels, size.max(axis=1).tolist(), strict=True):

@@ -212,7 +212,8 @@ def _outdoes_staying(fit: _Fit, chance: float) -> bool:
     """Whether the line of ``fit`` explains more than one that stays, at ``chance``, the strongest speed left out."""
     at = fit.line[0] + fit.line[1] * fit.cells.revs_per_s
     width = 0.5 * np.ptp(at) + fit.line[2] * fit.line[0]
-    starts = [np.array([hz, 0.0, width / hz]) for hz in (at.min(), at.mean(), at.max())]
+    stay_hz = np.maximum([at.min(), at.mean(), at.max()], fit.cells.frequency_hz[0])  # a whirl may fall to 0 Hz
+    starts = [np.array([hz, 0.0, width / hz]) for hz in stay_hz]
     stays = [_fitted(start, fit.cells, chance, moves=False).deviance for start in starts]
     gain = min(stays, key=np.sum) - fit.deviance
     return bool(gain.sum() - max(gain.max(), 0.0) > chdtri(2, chance))
