@@ -58,7 +58,7 @@ def test_sidebands_are_said_with_their_share_and_with_what_they_speak_for() -> N
 def test_a_line_at_one_speed_leads_with_its_frequency() -> None:
     loose = order(5.492, 1.0, lock="slips", cause="unexplained")
     said = findings(orders=(loose,))
-    assert strongest_sentence(said, "Z").startswith("A line at 134.55 Hz (order 5.49) is the strongest line in Z: 1")
+    assert strongest_sentence(said, "Z").startswith("A line at 134.55 Hz (order 5.492) is the strongest line in Z: 1")
     (text,) = lock_sentences(said)
     assert text.startswith("134.55 Hz (order 5.492") and text.endswith("nothing tells whether it follows the shaft.")
 

@@ -464,7 +464,7 @@ def _pulses_of_times(
         row = int(np.argmax(wrong))
         raise InputError(
             "pulse times must be finite and must not go back",
-            file=encoder.beside(path) or path,
+            file=manifest.pulses_of(path) or path,
             place=f"encoder {source}, row {row + 1} of {wrong.size}",
             found=f"{stamps[row]:.9g} s, level {level[row]:g}" if with_levels else f"{stamps[row]:.9g} s",
             remedy="Mend the list of times, or take the row out",
