@@ -3,36 +3,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
-from crankorder.errors import InputError, located
+from crankorder.errors import InputError
 from crankorder.fft.integration import faded_samples, integrated
 from crankorder.ingest.angle_column import read_checked
 from crankorder.ingest.breaks import laid_apart
 from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
-from crankorder.ingest.encoder_table import POSITION_KINDS, SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS, Encoder
+from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.formats import contents_of, format_of, read_file
 from crankorder.ingest.limit_table import check_bands
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named, stacked
-from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, direction_flags, judged
-from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column, rows_before_zeros, zeros_flag
+from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, judged
+from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column, seconds_of
+from crankorder.ingest.shaft_signals import ShaftSignals
 from crankorder.ingest.signal_faults import mend_signal
-from crankorder.ingest.time_bases import ENCODER, TimeBase, bases_of, on_one_base
-from crankorder.ingest.units import conversion_factor, known_unit, unit_in_label, unit_of
-from crankorder.quantities import Floats, QualityFlag, Recording, Severity, with_flags
+from crankorder.ingest.time_bases import ENCODER, bases_of, on_one_base
+from crankorder.quantities import QualityFlag, Recording, Severity, with_flags
 from crankorder.settings import IngestSettings, ShaftSettings
-from crankorder.shaft.position import Position, position_pulses
-from crankorder.shaft.pulses import NoPulsesError, find_pulses
 
-# Pulse times that are told more finely than this are as good as those of a counter.
-_FINE_STEP_S = 1e-6
 # A rate in doubt by more than this moves frequencies further than their own errors.
 _ROUGH_RATE = 1e-4
 
@@ -117,7 +113,7 @@ def recording_of(
         bases = {**bases, **agreed}
     base, told = on_one_base(channels, bases, path, settings=settings)
     flags += told
-    _add_encoder(recording, listed or raw, manifest, path, shaft, flags, bases=bases, base=base, times=times)
+    ShaftSignals(listed or raw, manifest, path, shaft, bases, base, times, flags).add_to(recording)
     has_stretches = times is not None and times.starts is not None
     if channels and manifest.encoder.kind in TRACE_KINDS and bases[ENCODER] == base and not has_stretches:
         laid_apart(recording, channels, path, flags)
@@ -222,7 +218,7 @@ def _times(raw: RawFile, manifest: Manifest, path: Path, settings: IngestSetting
     of_edges = manifest.encoder.kind == "edge_list" and manifest.encoder.file is None
     if sampling.time_source is None or sampling.domain == "crank_angle" or of_edges or not manifest.has_samples:
         return None
-    return read_time_column(_in_seconds(raw, sampling.time_source), path, settings=settings)
+    return read_time_column(seconds_of(raw, sampling.time_source), path, settings=settings)
 
 
 def _axis(
@@ -276,254 +272,10 @@ def _rate_flags(
     return flags
 
 
-def _in_seconds(raw: RawFile, source: Source) -> FloatArray:
-    unit = known_unit(raw.units.get(source) or unit_in_label(str(source)))
-    factor = unit.factor if unit is not None and unit.quantity == "time" else 1.0
-    column = raw.columns[source]
-    return column if factor == 1.0 else column * factor
-
-
 def _trace_length(raw: RawFile, manifest: Manifest) -> int:
     """Samples of the encoder's trace, 0 where the file lists times."""
     source = manifest.encoder.source
     return raw.columns[source].size if manifest.has_samples and source is not None else 0
-
-
-def _add_encoder(
-    recording: xr.Dataset,
-    raw: RawFile,
-    manifest: Manifest,
-    path: Path,
-    shaft: ShaftSettings,
-    flags: list[QualityFlag],
-    *,
-    bases: Mapping[str, TimeBase],
-    base: TimeBase,
-    times: TimeColumn | None,
-) -> None:
-    """Add what tells the angle or the speed of the shaft to ``recording``, and how it was told."""
-    encoder, attrs = manifest.encoder, recording.attrs
-    attrs["encoder_kind"] = encoder.kind
-    _add_stated_speed(recording, raw, manifest, path)
-    if encoder.expected_rpm is not None:
-        attrs["expected_rpm"] = list(encoder.expected_rpm)
-    if encoder.kind in SOURCELESS_KINDS:
-        return
-    attrs["ratio"] = encoder.ratio
-    own = bases.get(ENCODER, base)
-    if own != base:
-        attrs["encoder_rate_hz"] = own.rate_hz
-    if encoder.kind == "speed":
-        axis, speed = "time", _speed(raw, encoder, path)
-        if own != base:  # it holds for one of its steps beyond its ends
-            axis, speed = "speed_sample", np.pad(speed, 1, mode="edge")
-            attrs["encoder_start_s"] = own.start_s - 1.0 / own.rate_hz - base.start_s
-        recording["speed_signal"] = (axis, speed, {"units": "min-1", "long_name": "speed"})
-        return
-    attrs |= encoder.wheel
-    if encoder.cam_to_tdc_deg is not None:
-        attrs["cam_to_tdc_deg"] = encoder.cam_to_tdc_deg
-    if "index_to_tdc_deg" in encoder.model_fields_set:  # unstated, the phase refers to the mark and says so
-        attrs["index_to_tdc_deg"] = encoder.index_to_tdc_deg
-
-    def in_time(pulse_s: Floats, trace: TimeBase) -> Floats:
-        """Pulse times [s] from the first sample of the channels, of those from the first of their trace."""
-        if times is not None:
-            pulse_s = times.places_in_time(pulse_s * trace.rate_hz) / trace.rate_hz
-        return pulse_s + (trace.start_s - base.start_s)
-
-    def pulses(role: str, source: Source | None, per_rev: int) -> tuple[Floats, float]:
-        if encoder.kind in TIME_KINDS:
-            return _pulses_of_times(raw, source, manifest, path, flags, start_s=base.start_s)
-        trace = bases[role]
-        pulse_s, noise_s = _pulses_of_trace(
-            raw, source, encoder, path, shaft, flags, rate_hz=trace.rate_hz, per_rev=per_rev
-        )
-        return in_time(pulse_s, trace), noise_s
-
-    per_rev = len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 1)
-    if encoder.kind in POSITION_KINDS:
-        position = _position(recording, raw, encoder, path, flags, rate_hz=own.rate_hz)
-        pulse_s, attrs["pulse_noise_s"] = in_time(position.pulses.time_s, own), position.pulses.noise_s
-        if encoder.index is None:
-            turn_s = in_time(position.turn_s, own)
-            recording["index_time"] = ("revolution", turn_s, {"units": "s", "long_name": "time of index"})
-        if encoder.cam is None and position.cycle_s is not None and attrs["revs_per_cycle"] == 2:
-            cycle_s = in_time(position.cycle_s, own)
-            recording["cam_time"] = ("cycle", cycle_s, {"units": "s", "long_name": "time of cam mark"})
-    else:
-        pulse_s, attrs["pulse_noise_s"] = pulses(ENCODER, encoder.source, per_rev)
-    if encoder.kind in TRACE_KINDS and encoder.source is not None:
-        missing = np.isnan(raw.columns[encoder.source])
-        if missing.any():
-            gap_s = np.flatnonzero(missing[1:] & ~missing[:-1]) / own.rate_hz
-            attrs["gap_starts_s"] = (gap_s + (own.start_s - base.start_s)).tolist()
-    recording["pulse_time"] = ("pulse", pulse_s, {"units": "s", "long_name": "time of encoder pulse"})
-    if encoder.second_track is not None:
-        track = bases["the second track"]
-        at = (pulse_s + (base.start_s - track.start_s)) * track.rate_hz
-        flags += direction_flags(raw.columns[encoder.second_track], at, path, falling=encoder.edge == "falling")
-    if encoder.file is not None and manifest.channels and pulse_s.size > 1:
-        detail = (
-            "times of pulses come from a file of their own, and no signal that both recorded compares its clock with "
-            "that of the samples: each 10 ppm between them move the angle by what the shaft turns in "
-            f"{1e-2 * float(pulse_s[-1] - pulse_s[0]):.2g} ms, by the end"
-        )
-        flags.append(flag(path, "clocks_not_compared", "info", detail))
-    marks = (("the index", encoder.index, "revolution", "no_index"), ("the cam mark", encoder.cam, "cycle", "no_cam"))
-    for role, source, axis, silent in marks:
-        if source is None:
-            continue
-        try:
-            mark_s, _ = pulses(role, source, 1)
-        except NoPulsesError as error:
-            flags.append(flag(path, silent, "suspect", f"{source}: {role} has no mark: {error.found}"))
-            mark_s = np.empty(0)
-        name = f"{role.split()[1]}_time"
-        recording[name] = (axis, mark_s, {"units": "s", "long_name": f"time of {role[4:]}"})
-
-
-def _position(
-    recording: xr.Dataset, raw: RawFile, encoder: Encoder, path: Path, flags: list[QualityFlag], *, rate_hz: float
-) -> Position:
-    """Pulses and whole turns of an angle or a count, which say how many pulses the ``recording`` has per turn."""
-    assert encoder.source is not None  # the manifest was checked for it
-    unit = known_unit(raw.units.get(encoder.source) or unit_in_label(str(encoder.source)))
-    stated = [math.tau / unit.factor] if unit is not None and unit.quantity == "angle" else [360.0, math.tau, 1.0]
-    per_rev = stated if encoder.pulses_per_rev is None else [float(encoder.pulses_per_rev)]
-    with located(path, f"encoder {encoder.source}"):
-        column, counted = raw.columns[encoder.source], encoder.kind == "count"
-        position = position_pulses(column, rate_hz=rate_hz, units_per_rev=per_rev, counted=counted)
-    remarks = position.pulses.flags
-    flags += [flag(path, name, severity, f"{encoder.source}: {detail}") for name, severity, detail in remarks]
-    recording.attrs["pulses_per_rev"] = position.pulses_per_rev
-    if encoder.index is None:
-        recording.attrs["zero_counted"] = int(not (position.is_mark or "index_to_tdc_deg" in recording.attrs))
-    return position
-
-
-def _add_stated_speed(recording: xr.Dataset, raw: RawFile, manifest: Manifest, path: Path) -> None:
-    """Note the speed that the manifest, or a number in the file, states; a shaft of constant speed needs one."""
-    kind, stated_rpm = manifest.encoder.kind, manifest.speed_of(path)
-    if kind == "constant" and manifest.encoder.source is not None and stated_rpm is None:
-        stated_rpm = _one_speed(raw, manifest.encoder, path)
-    if kind == "constant" and stated_rpm is None:
-        raise InputError(
-            "the manifest states no speed for this recording",
-            file=path,
-            place="recordings.speed_rpm",
-            allowed=", ".join(manifest.recordings.speed_rpm),
-            remedy="Add the file and its speed in rpm",
-        )
-    if stated_rpm is not None or kind in SOURCELESS_KINDS:
-        recording.attrs["speed_rpm"] = math.nan if stated_rpm is None else stated_rpm
-
-
-def _pulses_of_trace(
-    raw: RawFile,
-    source: Source | None,
-    encoder: Encoder,
-    path: Path,
-    shaft: ShaftSettings,
-    flags: list[QualityFlag],
-    *,
-    rate_hz: float,
-    per_rev: int,
-) -> tuple[Floats, float]:
-    assert source is not None  # the manifest was checked for it
-    with located(path, f"encoder {source}"):
-        pulses = find_pulses(
-            raw.columns[source],
-            rate_hz=rate_hz,
-            kind="square" if encoder.kind == "square" else "analogue",
-            edge=encoder.edge,
-            pulses_per_rev=per_rev,
-            settings=shaft,
-        )
-    flags += [flag(path, name, severity, f"{source}: {detail}") for name, severity, detail in pulses.flags]
-    return pulses.time_s, pulses.noise_s
-
-
-def _pulses_of_times(
-    raw: RawFile, source: Source | None, manifest: Manifest, path: Path, flags: list[QualityFlag], *, start_s: float
-) -> tuple[Floats, float]:
-    """Pulse times that the file lists; of an edge list with a level column only the edges of the wanted direction."""
-    assert source is not None  # the manifest was checked for it
-    encoder = manifest.encoder
-    time_source = manifest.sampling.time_source if encoder.file is None else encoder.time_source
-    timed = source if encoder.kind != "edge_list" or time_source is None else time_source
-    with_levels = timed != source
-    stamps = _in_seconds(raw, timed)
-    level = raw.columns[source] if with_levels else np.ones(stamps.size)
-    n_rows = rows_before_zeros(stamps)
-    if n_rows < stamps.size:
-        flags.append(zeros_flag(stamps.size - n_rows, path))
-    stamps, level = stamps[:n_rows], level[:n_rows]
-    wrong = ~(np.isfinite(stamps) & np.isfinite(level)) | (np.diff(stamps, prepend=stamps[:1]) < 0.0)
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise InputError(
-            "pulse times must be finite and must not go back",
-            file=manifest.pulses_of(path) or path,
-            place=f"encoder {source}, row {row + 1} of {wrong.size}",
-            found=f"{stamps[row]:.9g} s, level {level[row]:g}" if with_levels else f"{stamps[row]:.9g} s",
-            remedy="Mend the list of times, or take the row out",
-        )
-    if with_levels:
-        high = level > 0.5 * (float(level.min()) + float(level.max()))
-        turned = high[1:] & ~high[:-1] if encoder.edge == "rising" else ~high[1:] & high[:-1]
-        stamps = stamps[1:][turned]
-    times = stamps.astype(np.float64) + encoder.offset_s
-    if times.size < 2:
-        flags.append(flag(path, "few_pulses", "bad", f"{source}: {times.size} pulses"))
-    if stamps.dtype != np.float32 or times.size == 0:
-        return times - start_s, 0.0
-    step_s = float(np.spacing(np.float32(np.abs(times).max())))
-    detail = f"{source}: times in float32 tell no more than {step_s:.2g} s: keep them in float64"
-    how: Severity = "suspect" if step_s > _FINE_STEP_S else "info"
-    flags.append(flag(path, "pulse_times_single_precision", how, detail))
-    return times - start_s, step_s / math.sqrt(12.0)
-
-
-def _speed(raw: RawFile, encoder: Encoder, path: Path) -> Floats:
-    """Speed in rpm, from the unit that the file states, else taken as rpm."""
-    assert encoder.source is not None  # the manifest was checked for it
-    speed = raw.columns[encoder.source].astype(np.float64)
-    text = raw.units.get(encoder.source, "")
-    unit = known_unit(text)
-    if unit is not None and unit.quantity == "rotational speed":
-        speed *= conversion_factor(unit, unit_of("rpm"))
-    elif text not in STATES_NO_UNIT:
-        raise InputError(
-            "the speed signal has no unit of speed",
-            file=path,
-            place=f"encoder {encoder.source}",
-            found=repr(text),
-            allowed="rpm, 1/min, Hz, rad/s",
-            remedy="Mend encoder.source",
-        )
-    if not np.isfinite(speed).all():
-        raise InputError(
-            "the speed signal has missing samples",
-            file=path,
-            place=f"sample {int(np.argmin(np.isfinite(speed)))}",
-            remedy="Leave the recording out",
-        )
-    return speed
-
-
-def _one_speed(raw: RawFile, encoder: Encoder, path: Path) -> float:
-    """Speed in rpm that one number in the file states."""
-    speed = _speed(raw, encoder, path)
-    if speed.size != 1 or not speed[0] > 0.0:
-        raise InputError(
-            "a constant speed is one number above 0",
-            file=path,
-            place=f"encoder {encoder.source}",
-            found=f"{speed.size} values" if speed.size != 1 else f"{speed[0]:g}",
-            remedy='Mend encoder.source, or state kind = "speed" for a signal',
-        )
-    return float(speed[0])
 
 
 def _to_analysed_unit(

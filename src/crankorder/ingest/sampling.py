@@ -10,7 +10,8 @@ import numpy as np
 
 from crankorder.errors import InputError
 from crankorder.fft.resampling import TAPS, shifted
-from crankorder.ingest.rawfile import FloatArray, flag
+from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag
+from crankorder.ingest.units import known_unit, unit_in_label
 from crankorder.quantities import Floats, Ints, QualityFlag
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
@@ -69,6 +70,14 @@ class TimeColumn:
         if self.starts is None or self.offsets is None:
             return place
         return np.asarray(place + self.offsets[np.searchsorted(self.starts, place, side="right") - 1])
+
+
+def seconds_of(raw: RawFile, source: Source) -> FloatArray:
+    """Column ``source`` of ``raw`` in seconds: in the unit that the file or its name states, else as it is."""
+    unit = known_unit(raw.units.get(source) or unit_in_label(str(source)))
+    factor = unit.factor if unit is not None and unit.quantity == "time" else 1.0
+    column = raw.columns[source]
+    return column if factor == 1.0 else column * factor
 
 
 def read_time_column(
