@@ -82,8 +82,7 @@ def leading_harmonics(count: int, crank_ratio: float) -> NDArray[np.float64]:
         )
     k = np.arange(1, count + 1, dtype=np.float64)
     binomial = np.cumprod(np.where(k == 1, 0.5, (k - 1.5) / k))
-    terms: NDArray[np.float64] = 8 * k**2 / crank_ratio * binomial * (crank_ratio / 2) ** (2 * k)
-    return terms
+    return 8 * k**2 / crank_ratio * binomial * (crank_ratio / 2) ** (2 * k)
 
 
 def offset_effects(mechanism: SliderCrank) -> OffsetEffects:

@@ -267,8 +267,7 @@ def couple_n_m(dynamic_kg_mm2: complex, speed_rpm: ArrayLike) -> NDArray[np.floa
     ``dynamic_kg_mm2``: dynamic sum, x + iy. ``speed_rpm``: scalar or any shape; the result has that shape.
     """
     omega = np.asarray(speed_rpm, dtype=np.float64) * (np.pi / 30)
-    couple: NDArray[np.float64] = 1e-6 * abs(dynamic_kg_mm2) * omega**2
-    return couple
+    return 1e-6 * abs(dynamic_kg_mm2) * omega**2
 
 
 def two_plane_correction(sums: CrankshaftSums, planes_mm: tuple[float, float]) -> tuple[complex, complex]:

@@ -45,8 +45,7 @@ def gas_force(engine: Engine, cycle_angle_rev: ArrayLike) -> Angles:
     else:
         assert engine.gas.pressure_pa is not None
         pressure = _interpolated(engine, angles, engine.gas.pressure_pa)
-    force: Angles = (pressure - engine.gas.surroundings_pa) * (np.pi / 4 * engine.bore_m**2)
-    return force
+    return (pressure - engine.gas.surroundings_pa) * (np.pi / 4 * engine.bore_m**2)
 
 
 def gas_torque(engine: Engine, cycle_angle_rev: ArrayLike) -> Angles:
@@ -59,8 +58,7 @@ def gas_torque(engine: Engine, cycle_angle_rev: ArrayLike) -> Angles:
     angles = np.asarray(cycle_angle_rev, dtype=np.float64)
     if engine.gas is not None and engine.gas.torque_n_m is not None:
         return _interpolated(engine, angles, engine.gas.torque_n_m)
-    torque: Angles = -gas_force(engine, angles) * piston_velocity(angles, engine.mechanism)
-    return torque
+    return -gas_force(engine, angles) * piston_velocity(angles, engine.mechanism)
 
 
 def gas_torque_by_order(engine: Engine, max_order: int) -> tuple[Angles, NDArray[np.complex128]]:
@@ -126,8 +124,7 @@ def _interpolated(engine: Engine, cycle_angle_rev: Angles, values: tuple[float, 
     assert engine.gas is not None
     assert engine.gas.crank_angle_deg is not None
     period_deg = 360.0 * engine.revs_per_cycle
-    found: Angles = np.interp(360 * cycle_angle_rev, engine.gas.crank_angle_deg, values, period=period_deg)
-    return found
+    return np.interp(360 * cycle_angle_rev, engine.gas.crank_angle_deg, values, period=period_deg)
 
 
 def _ideal_pressure(engine: Engine, cycle: IdealCycle, cycle_angle_rev: Angles) -> Angles:
@@ -167,5 +164,4 @@ def _ideal_pressure(engine: Engine, cycle: IdealCycle, cycle_angle_rev: Angles) 
     closed = (compressed + (exponent - 1) * cycle.heat_j * burnt) / volume(angle) ** exponent
     exhaust = engine.gas.surroundings_pa if cycle.exhaust_pa is None else cycle.exhaust_pa
     exchange = np.where(angle < centres.top_rev + 1, exhaust, cycle.intake_pa)
-    pressure: Angles = np.where(angle < centres.bottom_rev, closed, exchange)
-    return pressure
+    return np.where(angle < centres.bottom_rev, closed, exchange)

@@ -209,8 +209,7 @@ def _rise(energy: Floats) -> Floats:
         level += move
         if abs(move) <= 1e-16 * level:
             break
-    rise: Floats = 1 / np.sqrt(level + energy)
-    return rise
+    return 1 / np.sqrt(level + energy)
 
 
 def _enough_angles(highest_line: int) -> int:

@@ -50,8 +50,7 @@ def rod_couple(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float) -> 
     """
     omega = speed_rpm * np.pi / 30
     _, _, second = rod_angle(crank_angle_rev, engine.mechanism)
-    couple: NDArray[np.float64] = -two_masses(engine).missing_inertia_kg_m2 * omega**2 * second
-    return couple
+    return -two_masses(engine).missing_inertia_kg_m2 * omega**2 * second
 
 
 class RodSplit(EngineData):

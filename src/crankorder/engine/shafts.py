@@ -377,8 +377,7 @@ def residual_along(
     has that shape. With wheels for the first and second order it begins with the fourth, and is largest at 90°.
     """
     sliding = masses.reciprocating_g * 1e3 * plain_piston_acceleration(crank_angle_rev, masses.mechanism)
-    residual: NDArray[np.float64] = sliding + wheels_force(wheels, crank_angle_rev).real
-    return residual
+    return sliding + wheels_force(wheels, crank_angle_rev).real
 
 
 def gear_errors_deg(

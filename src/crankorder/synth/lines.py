@@ -78,8 +78,7 @@ def strike_angles(
     later = first + _walk(ahead, jitter_percent, end - first)
     earlier = first - _walk(back, jitter_percent, first - start)[:0:-1]
     place = np.concatenate([earlier, later])
-    strikes: Real = period_rev * place[(place >= start) & (place <= end)]
-    return strikes
+    return period_rev * place[(place >= start) & (place <= end)]
 
 
 def _walk(stream: np.random.Generator, jitter_percent: float, distance: float) -> Real:
@@ -120,8 +119,7 @@ def modulation(
     order = {"BPFI": shaft_ratio, "BSF": cage_order}.get(line, 0.0)
     angle_rev = np.mod(order * strike_rev + phase_rev, 1.0)
     share = load_zone if order else 0.0
-    relative: Real = 1 + share * np.cos(2 * np.pi * angle_rev)
-    return relative
+    return 1 + share * np.cos(2 * np.pi * angle_rev)
 
 
 def ringing(

@@ -117,8 +117,7 @@ def density_through_points(part: ColouredNoise, frequency_hz: NDArray[np.float64
     """
     points_hz, levels = np.log(part.frequency_hz), np.log(part.m_s2_per_root_hz)
     log_hz = np.log(np.maximum(frequency_hz, part.frequency_hz[0]))
-    density: NDArray[np.float64] = np.exp(np.interp(log_hz, points_hz, levels))
-    return density
+    return np.exp(np.interp(log_hz, points_hz, levels))
 
 
 def folded_density(
@@ -151,8 +150,7 @@ def folded_density(
         beyond = filter.folded_power(rate_hz, frequency) - passed
         level = density(np.array([(folds + 0.5) * rate_hz]))
         power += np.where(beyond > ROUND_OFF, level**2 * beyond, 0.0)
-    folded: NDArray[np.float64] = np.sqrt(power)
-    return folded
+    return np.sqrt(power)
 
 
 def _is_level(density: Callable[[NDArray[np.float64]], NDArray[np.float64]], from_hz: float) -> bool:
@@ -259,8 +257,7 @@ def floor_density(scene: Scene, frequency_hz: Density, structure: Structure, rat
     for k, part in enumerate(scene.coloured_noise):
         has = np.array([name in part.channels for name in scene.channel_names])
         power += has[:, None] * _coloured_density(scene, k, frequency_hz, rate_hz) ** 2
-    density: Density = np.sqrt(power)
-    return density
+    return np.sqrt(power)
 
 
 def _driven_axes(scene: Scene) -> tuple[Axis, ...]:

@@ -84,8 +84,7 @@ class ForceLines:
         if speed_rpm == 0 and np.any(exponent < 0):
             raise RequestError(ENDLESS, allowed="speed ≠ 0")
         scale = np.where(self.accelerates, 0.0, (abs(speed_rpm) / self.at_speed_rpm) ** exponent)
-        scaled: NDArray[np.complex128] = self.amplitude * scale
-        return scaled
+        return self.amplitude * scale
 
     @cached_property
     def sums(self) -> _Sums:
@@ -296,8 +295,7 @@ def lines_in_time(lines: ForceLines, lag: Lag, *, speed_rpm: float) -> tuple[Flo
             return masses
         if lines.accelerates[line]:
             return ratio**2 / (2 * np.pi) * bend
-        powers: Floats = (ratio * rise) ** float(exponent[line])
-        return powers
+        return (ratio * rise) ** float(exponent[line])
 
     return _expanded(lines.order, lines.amplitude, step, crank, scale)
 
