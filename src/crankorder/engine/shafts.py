@@ -133,16 +133,6 @@ def opposing_pair(x_g_mm: complex, *, order: float) -> tuple[Shaft, Shaft]:
     )
 
 
-def opposing_shaft(force: OrderForce) -> Shaft:
-    """One shaft that cancels the part of ``force`` that turns against the crank."""
-    size = force.reverse_g_mm
-    return Shaft(
-        speed_ratio=-float(force.order),
-        unbalance_g_mm=abs(size) / force.order**2,
-        phase_deg=180.0 + _lead_deg(size),
-    )
-
-
 def _lead_deg(force_g_mm: complex) -> float:
     return math.degrees(math.atan2(force_g_mm.imag, force_g_mm.real))
 
@@ -165,7 +155,8 @@ def shaft_layout(masses: ReducedMasses, possibility: Possibility, *, max_order: 
     if possibility in ("1", "3") and 1 in by_order:
         shafts += opposing_pair(by_order[1].x_g_mm, order=1)
     if possibility in ("4", "4+2") and 1 in by_order:
-        shafts += (opposing_shaft(by_order[1]),)
+        size = by_order[1].reverse_g_mm
+        shafts += (Shaft(speed_ratio=-1.0, unbalance_g_mm=abs(size), phase_deg=180.0 + _lead_deg(size)),)
     if possibility in ("2", "3", "4+2") and 2 in by_order:
         shafts += opposing_pair(by_order[2].x_g_mm, order=2)
     return ShaftLayout(strategy=strategy, shafts=shafts, residual=with_shafts(left, shafts))
@@ -339,13 +330,9 @@ def weighted_wheels(train: GearTrain, masses: ReducedMasses, *, second: Series =
         )
     wheels = {}
     for gear in carriers:
-        order = abs(ratios[gear.name])
-        wheels[gear.name] = Shaft(
-            speed_ratio=ratios[gear.name],
-            unbalance_g_mm=moments[order] / 2,
-            x_mm=gear.x_mm,
-            y_mm=gear.y_mm,
-        )
+        ratio = ratios[gear.name]
+        unbalance = moments[abs(ratio)] / 2
+        wheels[gear.name] = Shaft(speed_ratio=ratio, unbalance_g_mm=unbalance, x_mm=gear.x_mm, y_mm=gear.y_mm)
     return wheels
 
 
