@@ -260,7 +260,9 @@ def driven_signal(
     if not shafts.sources:
         return signal
     poles = poles.driven_on(shafts.axes(poles.direct.shape[1]))
-    first = int(np.floor(min(0.0, shafts.first_corner_s) * rate_hz))
+    # before the first corner of any motion all is steady but for wobbles
+    first_corner_s = min((time_s for _, motion in shafts.sources for time_s in motion.corner_s), default=0.0)
+    first = int(np.floor(min(0.0, first_corner_s) * rate_hz))
     first -= int(np.ceil(MEMORY * poles.decay_s * rate_hz)) if shafts.remember else 0
     highest_hz = shafts.highest_force_hz(first / rate_hz, n_samples / rate_hz, tolerance)
     stepping = _Stepping(poles, shafts, integration_for(highest_hz, rate_hz, tolerance), rate_hz)
@@ -309,11 +311,6 @@ class _Shafts:
         """Whether the past is more than a steady state."""
         uneven = any(motion.wobbles or motion.lag is not None for _, motion in self.sources)
         return uneven or self.gas_shaft is not None
-
-    @property
-    def first_corner_s(self) -> float:
-        """Time of the first corner of any motion; before it all is steady but for wobbles."""
-        return min((time for _, motion in self.sources for time in motion.corner_s), default=0.0)
 
     def axes(self, n_axes: int) -> NDArray[np.bool_]:
         """Axes (axis,) along which anything acts."""

@@ -330,9 +330,8 @@ def order_lines(
     if lag is not None and driven.order.size:
         known = dict(zip(driven.order.tolist(), driven.cause, strict=True))
         order, amplitude = lines_in_angle(driven.order, driven.amplitude, lag, speed_rpm=speed)
-        driven = OrderLines(
-            order=order, amplitude=amplitude, cause=tuple(known.get(value, SIDEBAND) for value in order.tolist())
-        )
+        cause = tuple(known.get(value, SIDEBAND) for value in order.tolist())
+        driven = OrderLines(order=order, amplitude=amplitude, cause=cause)
     return OrderLines(
         order=np.concatenate([driven.order, fixed.order]),
         amplitude=np.concatenate([driven.amplitude, fixed.amplitude], axis=1),
@@ -361,7 +360,8 @@ def _masses(scene: Scene) -> list[_Force]:
         for k in range(1, top + 1)
         if acts[:, k].any()
     ]
-    if scene.engine_forces.moments and _accelerates(scene):
+    accelerates = any((scene.speed_profile, scene.speed_wander, scene.in_cycle_speed))
+    if scene.engine_forces.moments and accelerates:
         rolls = _acceleration_moment(scene, top) * (at_rpm * np.pi / 30) ** 2
         forces += [
             _Force(float(k), rolls[:, k], cause, at_speed_rpm=at_rpm, acceleration=True)
@@ -369,11 +369,6 @@ def _masses(scene: Scene) -> list[_Force]:
             if rolls[:, k].any()
         ]
     return forces
-
-
-def _accelerates(scene: Scene) -> bool:
-    """Whether the crank ever has an angular acceleration."""
-    return any((scene.speed_profile, scene.speed_wander, scene.in_cycle_speed))
 
 
 def _acceleration_moment(scene: Scene, top: int) -> Complex:

@@ -134,7 +134,7 @@ def force_at(
     angle_rev: Real,
     speed_rpm: Real,
     acceleration_rpm_per_s: Real,
-    gain: Real | float | None = None,
+    gain: Real | float = 1.0,
 ) -> Real:
     """Forces and moments of ``lines`` (N, N·m), shape (axis, n), where the shaft moves as stated.
 
@@ -146,25 +146,14 @@ def force_at(
     if np.any(lines.exponent[~(lines.inertia | lines.accelerates)] < 0) and not np.all(speed_rpm):
         raise RequestError(ENDLESS, allowed="speed ≠ 0")
     sums = lines.sums
-    ones = 1.0 if gain is None else gain
     rows = np.empty((len(sums.factors), angle_rev.size))
     live = np.ones(len(sums.factors), dtype=np.bool_)
     for number, (row, factor) in enumerate(zip(rows, sums.factors, strict=True)):
-        row[:] = factor.at(speed_rpm, acceleration_rpm_per_s, ones)
+        row[:] = factor.at(speed_rpm, acceleration_rpm_per_s, gain)
         live[number] = factor.of != "acceleration" or row.any()
     if angle_rev.size and sums.jump.size:
-        fill_forces(
-            np.ascontiguousarray(angle_rev, dtype=np.float64),
-            sums.unit,
-            sums.jump,
-            sums.order,
-            sums.first_term,
-            sums.weight,
-            sums.goes_to,
-            rows,
-            live,
-            force,
-        )
+        phasors = sums.unit, sums.jump, sums.order, sums.first_term, sums.weight, sums.goes_to
+        fill_forces(np.ascontiguousarray(angle_rev, dtype=np.float64), *phasors, rows, live, force)
     return force
 
 
