@@ -303,18 +303,15 @@ def cylinder_loads(
     big_end = rod.big_end_kg * radius * omega_squared
     pin_along, pin_across = big_end * cosine - through_rod, big_end * sine - thrust
 
-    rest_angle = own + engine.rotating_unbalance_deg / 360
-    rest_sine, rest_cosine = sine_cosine(rest_angle)
+    rest_sine, rest_cosine = sine_cosine(own + engine.rotating_unbalance_deg / 360)
     rest = engine.rotating_unbalance_kg_m * omega_squared
-    main = [
-        pin_along + rest * rest_cosine - big_end * cosine,
-        pin_across + rest * rest_sine - big_end * sine,
-    ]
+    main_along = pin_along + rest * rest_cosine - big_end * cosine
+    main_across = pin_across + rest * rest_sine - big_end * sine
     return CylinderLoads(
         side_thrust_n=thrust,
         piston_pin_n=np.stack([through_rod + rod.small_end_kg * inertia, thrust]),
         crank_pin_n=np.stack([pin_along, pin_across]),
-        main_n=np.stack(main),
+        main_n=np.stack([main_along, main_across]),
         head_n=gas,
         torque_n_m=radius * (cosine * pin_across - sine * pin_along),
     )

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -202,14 +203,10 @@ def pair_scenarios(
     fast makes order² times the force, so the number can only equal the needed force if order² is already in it.
     Source: truth sheet 2.4 (the factor of four of table 3); Task 5, equation (5.28).
     """
-    stated = pair_unbalance_g_mm
+    stated, scenario = pair_unbalance_g_mm, partial(PairScenario, needed_force_g_mm=needed_force_g_mm)
     return {
-        "literal": PairScenario(
-            pair_unbalance_g_mm=stated, pair_force_g_mm=order**2 * stated, needed_force_g_mm=needed_force_g_mm
-        ),
-        "physical": PairScenario(
-            pair_unbalance_g_mm=stated / order**2, pair_force_g_mm=stated, needed_force_g_mm=needed_force_g_mm
-        ),
+        "literal": scenario(pair_unbalance_g_mm=stated, pair_force_g_mm=order**2 * stated),
+        "physical": scenario(pair_unbalance_g_mm=stated / order**2, pair_force_g_mm=stated),
     }
 
 

@@ -327,17 +327,6 @@ def _passed(
     return signal
 
 
-def _without_offset(signals: NDArray[np.floating], offset: Floats, gaps: bool) -> NDArray[np.floating]:
-    """``signals`` less the ``offset`` of each; where they are not finite, looked for only with ``gaps``, 0."""
-    rested = empty_like(signals, signals.shape, signals.dtype)
-    for part in blocks(signals.shape[1], size=PASS_SAMPLES):
-        out = rested[:, part]
-        np.subtract(signals[:, part], offset[:, None], out=out, dtype=np.float64, casting="same_kind")
-        if gaps:
-            np.nan_to_num(out, copy=False, posinf=0.0, neginf=0.0)
-    return rested
-
-
 def decimate(
     signals: NDArray[np.floating],
     *,
@@ -358,7 +347,13 @@ def decimate(
     signals = signals if signals.dtype in (np.float32, np.float64) else signals.astype(np.float64)
     offset, gaps = channel_offsets(signals) if offset is None else (offset, True)
     if factor == 1:
-        return _without_offset(signals, offset, gaps), rate_hz, 0.0
+        rested = empty_like(signals, signals.shape, signals.dtype)
+        for part in blocks(signals.shape[1], size=PASS_SAMPLES):
+            out = rested[:, part]
+            np.subtract(signals[:, part], offset[:, None], out=out, dtype=np.float64, casting="same_kind")
+            if gaps:
+                np.nan_to_num(out, copy=False, posinf=0.0, neginf=0.0)
+        return rested, rate_hz, 0.0
     stages = decimation_stages(rate_hz, band_hz, factor, tolerance)
     sums = np.dtype(np.float32 if signals.dtype == np.float32 and tolerance >= SINGLE_SUMS else np.float64)
     rooms = [(STRIP + len(stage.taps) // stage.factor + 9) * stage.factor for stage in stages]

@@ -131,19 +131,10 @@ def advance(
     n_out = (force.shape[1] - 2 * margin) // substeps
     signal = np.zeros((poles.output.shape[0], n_out))
     after = state.astype(np.complex128)
-    odd = taps.shape[1] % 2  # the loop takes taps two by two
-    fill_response(
-        np.ascontiguousarray(force, dtype=np.float64),
-        np.ascontiguousarray(poles.input, dtype=np.float64),
-        np.ascontiguousarray(poles.output, dtype=np.complex128),
-        np.ascontiguousarray(poles.direct, dtype=np.float64),
-        growth,
-        np.pad(taps, ((0, 0), (0, odd))),
-        margin,
-        substeps,
-        after,
-        signal,
-    )
+    even_taps = np.pad(taps, ((0, 0), (0, taps.shape[1] % 2)))  # the loop takes them two by two
+    force, inputs, direct = (np.ascontiguousarray(part, np.float64) for part in (force, poles.input, poles.direct))
+    output = np.ascontiguousarray(poles.output, dtype=np.complex128)
+    fill_response(force, inputs, output, direct, growth, even_taps, margin, substeps, after, signal)
     return signal, after
 
 
