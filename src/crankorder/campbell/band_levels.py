@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import fft
 
-from crankorder.campbell.frames import frame_speeds
+from crankorder.campbell.frames import frame_speeds, sample_rate_hz
 from crankorder.fft.integration import band_gain, bridged, derivative_gain, faded
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import DERIVATIVE, MethodNumbers
@@ -145,7 +145,7 @@ def level_frames(recording: xr.Dataset, shaft: xr.Dataset, *, bands: Sequence[Le
     asks for it, and the mean square of each piece is that of its samples: no window, no leakage. What lies within
     some periods of the band of either end is left out. Pieces that touch an unusable sample are NaN.
     """
-    rate = _rate_hz(recording)
+    rate = sample_rate_hz(recording)
     levels = _levels(recording, bands, rate)
     n_samples = recording.sizes[recording["signal"].dims[1]]
     pieces = _pieces(n_samples, rate, levels, frame_s)
@@ -169,13 +169,6 @@ def _speeds(recording: xr.Dataset, shaft: xr.Dataset, pieces: _Pieces) -> Floats
     if len(rpm) and shaft.attrs.get("has_shaft", 1) and (shaft["time"].size or "speed_rpm" in shaft.attrs):
         rpm = frame_speeds(recording, shaft, pieces.starts, pieces.length, pieces.rate_hz).mean_rpm
     return np.where(rpm > 0.0, rpm, np.nan)
-
-
-def _rate_hz(recording: xr.Dataset) -> float:
-    """Samples per second; NaN by crank angle without a speed."""
-    if recording.attrs["domain"] == "crank_angle":
-        return float(recording.attrs["samples_per_rev"]) * float(recording.attrs.get("speed_rpm", math.nan)) / 60.0
-    return float(recording.attrs.get("rate_hz", math.nan))
 
 
 def _levels(recording: xr.Dataset, bands: Sequence[LevelBand], rate_hz: float) -> list[_Level]:
@@ -253,7 +246,8 @@ def _touched(usable: Bools, pieces: _Pieces) -> Bools:
 
 def _of_part(part: Any, pieces: _Pieces, levels: list[_Level], margin: int) -> tuple[Floats, Floats]:
     """Mean square and peak (levels, frames) of one stretch of a channel, by one transform of it."""
-    filled = bridged(part) * faded(len(part), *_outside(pieces, len(part)))
+    before, behind = int(pieces.starts[0]), max(0, len(part) - int(pieces.starts[-1]) - pieces.length)
+    filled = bridged(part) * faded(len(part), before, behind)
     count = fft.next_fast_len(len(filled) + margin, real=True)
     spectrum = fft.rfft(filled.astype(part.dtype if part.dtype == np.float32 else np.float64), count)
     step = pieces.rate_hz / count
@@ -264,21 +258,11 @@ def _of_part(part: Any, pieces: _Pieces, levels: list[_Level], margin: int) -> t
         square.append(_mean_squares(made, edges))
         broad = level.band.kind == "broad band"
         peak.append(_peaks(made, edges) if broad else np.full(len(pieces.starts), np.nan))
-    too_narrow = _too_narrow(levels, len(pieces.starts) * pieces.length / pieces.rate_hz)
-    values = np.array(square)
-    values[too_narrow] = np.nan
-    return values, np.array(peak)
-
-
-def _outside(pieces: _Pieces, n_samples: int) -> tuple[int, int]:
-    """Samples of a stretch of ``n_samples`` before the first and behind the last of ``pieces``."""
-    return int(pieces.starts[0]), max(0, n_samples - int(pieces.starts[-1]) - pieces.length)
-
-
-def _too_narrow(levels: list[_Level], span_s: float) -> Bools:
-    """Which ``levels`` are of bands too narrow for a record of ``span_s``."""
     width = np.array([level.high_hz - level.band.low_hz for level in levels])
-    return np.asarray(width * span_s < NUMBERS.fewest_bandwidths)
+    span_s = len(pieces.starts) * pieces.length / pieces.rate_hz
+    values = np.array(square)
+    values[width * span_s < NUMBERS.fewest_bandwidths] = np.nan
+    return values, np.array(peak)
 
 
 @lru_cache(maxsize=256)
@@ -362,26 +346,18 @@ def _frames_dataset(
         "high": ("upper end of the band", [level.band.high_hz for level in levels]),
         "reached": ("where the band ends as the rate allows", [level.high_hz for level in levels]),
     }
-    words = {"mean_square": "mean square of the piece in the band", "peak": "largest size of the piece in the band"}
-    units = {"mean_square": "see unit, squared", "peak": "see unit"}
-    made = xr.Dataset(
-        {
-            name: (("level", "frame"), values, {"units": units[name], "long_name": words[name]})
-            for name, values in (("mean_square", square), ("peak", peak))
-        }
-    )
-    made.coords.update(
-        {
-            name: ("level", np.array(values, dtype=np.str_), {"units": "1", "long_name": LEVEL_TEXTS[name]})
-            for name, values in texts.items()
-        }
-    )
-    made.coords.update(
-        {
-            f"{name}_frequency": ("level", np.array(values, dtype=np.float64), {"units": "Hz", "long_name": text})
-            for name, (text, values) in hertz.items()
-        }
-    )
+    made = xr.Dataset()
+    for name, values, units, text in (
+        ("mean_square", square, "see unit, squared", "mean square of the piece in the band"),
+        ("peak", peak, "see unit", "largest size of the piece in the band"),
+    ):
+        made[name] = (("level", "frame"), values, {"units": units, "long_name": text})
+    for name, words in texts.items():
+        column = np.array(words, dtype=np.str_)
+        made.coords[name] = ("level", column, {"units": "1", "long_name": LEVEL_TEXTS[name]})
+    for name, (text, ends_hz) in hertz.items():
+        column = np.array(ends_hz, dtype=np.float64)
+        made.coords[f"{name}_frequency"] = ("level", column, {"units": "Hz", "long_name": text})
     size = np.array([level.si for level in levels], dtype=np.float64)
     made.coords["si_per_unit"] = ("level", size, SI)
     made.coords["speed"] = ("frame", rpm, {"units": "min-1", "long_name": "mean speed of the piece"})

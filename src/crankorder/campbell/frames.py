@@ -37,6 +37,13 @@ class FrameSpeeds:
     change_rpm: Floats
 
 
+def sample_rate_hz(recording: xr.Dataset) -> float:
+    """Samples per second of a ``recording``; NaN where it has no rate, or is by crank angle without a speed."""
+    if recording.attrs["domain"] == "crank_angle":
+        return float(recording.attrs["samples_per_rev"]) * float(recording.attrs.get("speed_rpm", math.nan)) / 60.0
+    return float(recording.attrs.get("rate_hz", math.nan))
+
+
 def frame_speeds(band: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int, rate_hz: float) -> FrameSpeeds:
     """FrameSpeeds of the frames of ``length`` samples at ``rate_hz`` that begin at samples ``starts`` of ``band``.
 
@@ -98,7 +105,7 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     that channel. Float32 signals give float32 power.
     """
     band = _in_shown_band(band, settings)
-    rate, signals = _rate_hz(band), band["signal"].values
+    rate, signals = sample_rate_hz(band), band["signal"].values
     if math.isnan(rate):
         signals, rate = signals[:, :0], 2.0 * settings.max_frequency_hz
     plan = frame_plan(band, shaft, n_samples=signals.shape[1], rate_hz=rate, settings=settings)
@@ -161,16 +168,12 @@ def frame_plan(
     length = max(2, whole // times)
     window = _window(settings, length)
     hop = max(1, round(length * (1.0 - settings.overlap)))
-    return FramePlan(window, length * times, hop, times, _tone_weights(settings))
+    # the weights are a matter of the window's shape, so a short one serves all lengths
+    return FramePlan(window, length * times, hop, times, _window(settings, 1024).tone_weights)
 
 
 def _window(settings: CampbellSettings, n_samples: int) -> Window:
     return window_named(settings.window, n_samples, kaiser_beta=settings.kaiser_beta)
-
-
-def _tone_weights(settings: CampbellSettings) -> tuple[float, float]:
-    """Weights of the window asked for: a matter of its shape, so a short one serves all lengths."""
-    return _window(settings, 1024).tone_weights
 
 
 def _in_shown_band(band: xr.Dataset, settings: CampbellSettings) -> xr.Dataset:
@@ -196,14 +199,11 @@ def _scales(signals: NDArray[np.floating]) -> Floats:
 
 
 def _dataset(band: xr.Dataset, power: NDArray[np.floating], frequency: Floats, speeds: FrameSpeeds) -> xr.Dataset:
+    tone = {"units": "see unit, squared", "long_name": "tone power"}
     change = {"units": "min-1", "long_name": "change of speed within the frame"}
     return xr.Dataset(
         {
-            "power": (
-                ("channel", "frame", "frequency"),
-                power,
-                {"units": "see unit, squared", "long_name": "tone power"},
-            ),
+            "power": (("channel", "frame", "frequency"), power, tone),
             "speed_change": ("frame", speeds.change_rpm, change),
         },
         coords={
@@ -212,12 +212,6 @@ def _dataset(band: xr.Dataset, power: NDArray[np.floating], frequency: Floats, s
             "speed": ("frame", speeds.mean_rpm, {"units": "min-1", "long_name": "mean speed of the frame"}),
         },
     )
-
-
-def _rate_hz(band: xr.Dataset) -> float:
-    if band.attrs["domain"] == "crank_angle":
-        return float(band.attrs["samples_per_rev"]) * float(band.attrs.get("speed_rpm", math.nan)) / 60.0
-    return float(band.attrs["rate_hz"])
 
 
 def _sweep_flags(frames: xr.Dataset, settings: CampbellSettings) -> list[QualityFlag]:

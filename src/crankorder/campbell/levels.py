@@ -83,7 +83,10 @@ def recording_levels(
     power = _power(signals.values, starts, length)
     bins = np.arange(power.shape[2], dtype=np.float64) * (rate / max(length, 1))
     per_rev = bool(by_angle and not np.isfinite(rpm).any())
-    limit = _limits(rpm, orders.max_order, campbell.max_frequency_hz, per_rev=per_rev)
+    # where the band ends in each piece: in Hz, or in orders where the samples are per revolution
+    limit = np.maximum(np.nan_to_num(orders.max_order * rpm / 60.0), campbell.max_frequency_hz)
+    if per_rev:
+        limit = np.full(len(rpm), orders.max_order)
     above = bins >= limit[:, None]
     usable = np.isfinite(power).all(axis=2)
     total = np.where(usable, power.sum(axis=2), 0.0).sum(axis=0)
@@ -109,13 +112,6 @@ def _rate_and_speeds(recording: xr.Dataset, shaft: xr.Dataset, starts: Ints, len
         return rate, np.full(len(starts), np.nan)
     rpm = frame_speeds(recording, shaft, starts, length, rate).mean_rpm
     return rate, np.where(rpm > 0.0, rpm, np.nan)
-
-
-def _limits(rpm: Floats, max_order: float, max_frequency_hz: float, *, per_rev: bool) -> Floats:
-    """Where the band ends in each piece: in Hz, or in orders where the samples are ``per_rev``."""
-    if per_rev:
-        return np.full(len(rpm), max_order)
-    return np.maximum(np.nan_to_num(max_order * rpm / 60.0), max_frequency_hz)
 
 
 def _power(signals: NDArray[np.floating], starts: Ints, length: int) -> Floats:

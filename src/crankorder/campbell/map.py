@@ -99,17 +99,12 @@ def _chance(items: list[xr.Dataset], frame: int) -> Floats | None:
             continue
         mean = np.maximum(beyond.mean(axis=1, dtype=np.float64), np.finfo(np.float64).tiny)
         ratio = power[:, frame] / mean
-        ratio = ratio / _level(ratio) * _middle_ratio(n)
+        ratio = ratio / _level(ratio) * (n * (2.0 ** (1.0 / n) - 1.0))  # behind noise its median is 1
         total = total + _beside(ratio / (ratio + n) - 1.0 / (n + 1.0))
         variance += n / ((n + 1.0) ** 2 * (n + 2.0)) * (2 * NUMBERS.beside_bins + 1) * HANN_CORRELATION
     if not variance:
         return None
     return np.asarray(ndtr(-np.asarray(total) / np.sqrt(variance)).min(axis=0))
-
-
-def _middle_ratio(n: int) -> float:
-    """Median of the ratio of a frame to the mean of ``n`` others, behind noise."""
-    return float(n * (2.0 ** (1.0 / n) - 1.0))
 
 
 def _beside(power: Floats) -> Floats:
@@ -180,7 +175,11 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     result["psd"] = (dims, psd, {"units": "see unit, squared per Hz", "long_name": "power spectral density"})
     if settled is not None:
         _add_settled(result, *settled, scale)
-    _count(result, np.array([len(group) for group in groups], dtype=np.int64), counts)
+    lengths = np.array([len(group) for group in groups], dtype=np.int64)
+    result["n_frames"] = (("speed",), lengths, {"units": "1", "long_name": "frames averaged"})
+    if np.any(counts != lengths):
+        words = {"units": "1", "long_name": "frames averaged that no gap touches"}
+        result["n_frames_used"] = (("channel", "speed"), counts, words)
     result.attrs = {
         "window": first.attrs["window"],
         "enbw_hz": max(_enbw_hz(item) for item in frames),
@@ -204,14 +203,6 @@ def _grid_hz(frames: list[xr.Dataset]) -> float:
     return asked if own or abs(step / asked - 1.0) > NUMBERS.own_grid_share else step
 
 
-def _count(result: xr.Dataset, lengths: Ints, used: Ints) -> None:
-    """Add to ``result`` how many frames each group has and, where gaps keep some out, how many each channel used."""
-    result["n_frames"] = (("speed",), lengths, {"units": "1", "long_name": "frames averaged"})
-    if np.any(used != lengths):
-        words = {"units": "1", "long_name": "frames averaged that no gap touches"}
-        result["n_frames_used"] = (("channel", "speed"), used, words)
-
-
 def _enbw_hz(frames: xr.Dataset) -> float:
     return float(frames.attrs["enbw_bins"]) * float(frames.attrs["resolution_hz"])
 
@@ -230,6 +221,15 @@ def _cut_flags(frames: list[xr.Dataset], n_shown: list[int], grid_hz: float) -> 
     ]
 
 
+def _groups_and_scales(frames: list[xr.Dataset], groups: list[Ints]) -> tuple[Ints, list[Floats], Floats]:
+    """Group of each frame of all ``frames``; the scale (channel,) of each recording, and the least of each channel."""
+    group_of = np.empty(sum(item.sizes["frame"] for item in frames), dtype=np.int64)
+    for number, group in enumerate(groups):
+        group_of[group] = number
+    scales = [item["scale"].values if "scale" in item else np.ones(item.sizes["channel"]) for item in frames]
+    return group_of, scales, np.min(scales, axis=0)
+
+
 def _group_means(
     frames: list[xr.Dataset], groups: list[Ints], frequency: Floats
 ) -> tuple[Floats, Floats, Ints, Floats]:
@@ -240,11 +240,7 @@ def _group_means(
     n_channels = frames[0].sizes["channel"]
     tone = np.zeros((n_channels, len(groups), len(frequency)))
     density, counts = np.zeros_like(tone), np.zeros(tone.shape[:2], dtype=np.int64)
-    group_of = np.empty(sum(item.sizes["frame"] for item in frames), dtype=np.int64)
-    for number, group in enumerate(groups):
-        group_of[group] = number
-    scales = [item["scale"].values if "scale" in item else np.ones(n_channels) for item in frames]
-    common = np.min(scales, axis=0)
+    group_of, scales, common = _groups_and_scales(frames, groups)
     first = 0
     for item, scale in zip(frames, scales, strict=True):
         mine, local = np.unique(group_of[first : first + item.sizes["frame"]], return_inverse=True)
@@ -272,12 +268,8 @@ def _settled(
     if leading is None:
         return None
     n_frames = [item.sizes["frame"] for item in frames]
-    group_of = np.empty(sum(n_frames), dtype=np.int64)
-    for number, group in enumerate(groups):
-        group_of[group] = number
+    group_of, scales, common = _groups_and_scales(frames, groups)
     first = np.concatenate([[0], np.cumsum(n_frames)[:-1]])
-    scales = [item["scale"].values if "scale" in item else np.ones(len(density)) for item in frames]
-    common = np.min(scales, axis=0)
     left, share = density * counts[..., None], np.ones(density.shape) * counts[..., None]
     for item, scale, count, begin in zip(frames, scales, leading, first, strict=True):
         for number in range(int(count.max(initial=0))):

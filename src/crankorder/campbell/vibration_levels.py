@@ -81,9 +81,8 @@ _Key = tuple[str, str, str, str, float, float]
 
 
 def _keys(item: xr.Dataset) -> list[_Key]:
-    columns = [item[name].values.tolist() for name in ("channel", "unit", "quantity", "kind")]
-    columns += [item[name].values.tolist() for name in ("low_frequency", "high_frequency")]
-    return list(zip(*columns, strict=True))
+    names = ("channel", "unit", "quantity", "kind", "low_frequency", "high_frequency")
+    return list(zip(*(item[name].values.tolist() for name in names), strict=True))
 
 
 def _level_keys(items: Sequence[xr.Dataset]) -> list[_Key]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field, ValidationError, field_validator
 
 from crankorder.engine.balancing import (
@@ -82,8 +83,7 @@ def leading_harmonics(count: int, crank_ratio: float) -> NDArray[np.float64]:
         )
     k = np.arange(1, count + 1, dtype=np.float64)
     binomial = np.cumprod(np.where(k == 1, 0.5, (k - 1.5) / k))
-    terms: NDArray[np.float64] = 8 * k**2 / crank_ratio * binomial * (crank_ratio / 2) ** (2 * k)
-    return terms
+    return 8 * k**2 / crank_ratio * binomial * (crank_ratio / 2) ** (2 * k)
 
 
 def offset_effects(mechanism: SliderCrank) -> OffsetEffects:
@@ -96,15 +96,6 @@ def offset_effects(mechanism: SliderCrank) -> OffsetEffects:
         amplitude_ratio=abs(first),
         third_over_fourth=float(abs(harmonics[3]) / abs(harmonics[4])),
     )
-
-
-def offset_couple_n_m(unbalance_g_mm: ArrayLike, offset_mm: float, speed_rpm: ArrayLike) -> NDArray[np.float64]:
-    """Couple (N·m) of a force along the cylinder and the shafts that cancel it, their lines an offset apart.
-
-    ``unbalance_g_mm``: amplitude over ω². ``offset_mm``: distance of the two lines. ``speed_rpm``: crank speed. The
-    shapes must broadcast. Source: Ruckle 2014, section 3.1.2 and figure 14; truth sheet 2.6.
-    """
-    return unbalance_force_n(unbalance_g_mm, speed_rpm) * (1e-3 * offset_mm)
 
 
 def unbalance_class(residual_g_mm: float, classes: Sequence[UnbalanceClass]) -> str | None:
@@ -205,32 +196,27 @@ def balanced_engine(
     if engine is not None and balance is not None:
         faults += _disagreements(engine, balance, source)
     if engine is not None:
-        faults += _firing_not_told(engine, source) + _shafts_against_nothing(engine, source)
+        faults += _unanswered(engine, source)
     if faults or engine is None or balance is None:
         raise ManyErrors(faults)
     return BalancedEngine(name=name, engine=engine, balance=balance)
 
 
-def _firing_not_told(engine: Engine, source: str) -> list[CrankorderError]:
-    """The fault of an engine with gas whose cylinders do not say when they fire."""
-    if engine.gas is None:
-        return []
-    try:
-        firing_intervals_deg(engine)
-    except RequestError as error:
-        return [RequestError(error.problem, file=source, place=error.place, remedy=error.remedy)]
-    return []
-
-
-def _shafts_against_nothing(engine: Engine, source: str) -> list[CrankorderError]:
-    """The fault of a pair of shafts at an order of which the pistons make no force."""
-    if not engine.shafts.orders and not engine.shafts.pairs:
-        return []
-    try:
-        crankcase_forces(engine, 1.0, max_order=engine.shafts.every_order[-1])
-    except RequestError as error:
-        return [RequestError(error.problem, file=source, place=error.place, found=error.found, remedy=error.remedy)]
-    return []
+def _unanswered(engine: Engine, source: str) -> list[CrankorderError]:
+    """Faults of cylinders with gas that do not say when they fire, and of shafts against orders without a force."""
+    questions: list[Callable[[], object]] = []
+    if engine.gas is not None:
+        questions.append(partial(firing_intervals_deg, engine))
+    if engine.shafts.orders or engine.shafts.pairs:
+        questions.append(partial(crankcase_forces, engine, 1.0, max_order=engine.shafts.every_order[-1]))
+    faults: list[CrankorderError] = []
+    for question in questions:
+        try:
+            question()
+        except RequestError as error:
+            problem, place, found, remedy = error.problem, error.place, error.found, error.remedy
+            faults.append(RequestError(problem, file=source, place=place, found=found, remedy=remedy))
+    return faults
 
 
 def reduced_masses(subject: BalancedEngine) -> ReducedMasses:
@@ -251,29 +237,23 @@ def reduced_masses(subject: BalancedEngine) -> ReducedMasses:
 
 def _disagreements(engine: Engine, balance: BalanceData, source: str) -> list[CrankorderError]:
     """Faults where the parts of the crank train do not add up to the masses and lengths of the engine."""
-    if balance.train is None:
+    train = balance.train
+    if train is None:
         return []
-    parts = equivalent_masses(balance.train)
-    stated = {
-        "crank_radius_m": (engine.crank_radius_m, balance.train.crank_radius_mm * 1e-3),
-        "rod_length_m": (engine.rod_length_m, balance.train.rod_length_mm * 1e-3),
-        "reciprocating_mass_kg": (engine.reciprocating_mass_kg, parts.reciprocating_g * 1e-3),
-        "rotating_unbalance_kg_m": (
-            engine.rotating_unbalance_kg_m,
-            parts.rotating_g * balance.train.crank_radius_mm * 1e-6,
-        ),
+    parts = equivalent_masses(train)
+    of_parts = {
+        "crank_radius_m": train.crank_radius_mm * 1e-3,
+        "rod_length_m": train.rod_length_mm * 1e-3,
+        "reciprocating_mass_kg": parts.reciprocating_g * 1e-3,
+        "rotating_unbalance_kg_m": parts.rotating_g * train.crank_radius_mm * 1e-6,
     }
-    return [
-        RequestError(
-            "does not agree with the parts of the crank train",
-            file=source,
-            place=key,
-            found=f"{here:.9g}",
-            allowed=f"{there:.9g}, from {TABLE}.train",
-        )
-        for key, (here, there) in stated.items()
-        if abs(here - there) > AGREEMENT * max(abs(here), abs(there))
-    ]
+    faults: list[CrankorderError] = []
+    for key, there in of_parts.items():
+        here = getattr(engine, key)
+        if abs(here - there) > AGREEMENT * max(abs(here), abs(there)):
+            problem, allowed = "does not agree with the parts of the crank train", f"{there:.9g}, from {TABLE}.train"
+            faults.append(RequestError(problem, file=source, place=key, found=f"{here:.9g}", allowed=allowed))
+    return faults
 
 
 FULL_TURN_REV = np.arange(720) / 720
@@ -319,12 +299,7 @@ def rod_split_table(subject: BalancedEngine, speeds: Sequence[float]) -> dict[st
     length_mm = subject.engine.rod_length_m * 1e3
     return {
         "methods": {
-            name: {
-                "big_end_g": split.big_end_g,
-                "small_end_g": split.small_end_g,
-                "total_g": split.total_g,
-                "centroid_fraction": split.centroid_fraction,
-            }
+            name: {**split.model_dump(), "total_g": split.total_g, "centroid_fraction": split.centroid_fraction}
             for name, split in splits.by_method.items()
         },
         "weighed_whole_g": splits.weighed_whole_g,
@@ -382,10 +357,9 @@ def offset_table(subject: BalancedEngine, speeds: Sequence[float]) -> dict[str, 
         "third_over_fourth": effects.third_over_fourth,
         "quadrature_x_g_mm": quadrature,
         "quadrature_n": newton_by_speed(quadrature, speeds),
+        # of a force along the cylinder and the shafts that cancel it: Ruckle 2014, section 3.1.2; truth sheet 2.6
         "couple_Nm_at_rpm": {
-            speed_key(speed): {
-                order: float(offset_couple_n_m(amount, offset_mm, speed)) for order, amount in lines.items()
-            }
+            speed_key(speed): {order: newton(amount, speed) * (1e-3 * offset_mm) for order, amount in lines.items()}
             for speed in speeds
         },
     }

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -34,17 +35,16 @@ from crankorder.engine.balancing import (
     equivalent_masses,
     force_by_order,
     rod_counterweight_couple,
-    unbalance_force_n,
 )
 from crankorder.engine.cycle_tables import cycle_sentences, cycle_table
 from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.engine_tables import (
     by_axis,
+    degrees_of,
     design_sentences,
     design_table,
     moment_phases,
     moment_sentences,
-    phases_by_axis,
     tolerance_of,
     whole_force,
     whole_moments,
@@ -84,18 +84,28 @@ def balance_sentences(sheet: dict[str, Any], *, speed_rpm: float) -> list[str]:
     shakes = "no force shakes the engine" if made == _NO_FORCE else f"the engine shakes with {made}"
     said = [f"{state[0].upper()}{state[1:]} {shakes}."]
     said += moment_sentences(sheet["moment_g_mm2"], speed_rpm)
-    said.append(_piston_sentence(sheet["piston"], speed_rpm))
-    said += cycle_sentences(sheet["cycle"], speed_rpm)
-    said += _of_strategies(sheet["strategies"] or {}, speed_rpm)
-    said += _of_shafts(sheet["shafts"], speed_rpm, where)
-    said += design_sentences(sheet["design"], speed_rpm)
-    said += tolerance_sentences(sheet["tolerance"], speed_rpm)
-    said += _of_pairs(sheet["shafts"]["pairs"] or [], speed_rpm)
-    said += _of_crankshaft(sheet["crankshaft"], speed_rpm)
-    said += _of_rod_split(sheet["rod_split"], speed_rpm)
-    said += _of_added_mass(sheet["added_mass"], speed_rpm)
-    said += _of_offset(sheet["offset"], speed_rpm)
-    said += _of_reverse_cranks(sheet["reverse_cranks"], speed_rpm)
+    key, piston = speed_key(speed_rpm), sheet["piston"]
+    mean, fastest = (plain_number(piston[name][key]) for name in ("mean_m_s", "fastest_m_s"))
+    said.append(
+        f"At {key} rpm a piston moves at {mean} m/s in the mean and {fastest} m/s at most, at "
+        f"{piston['fastest_deg']:.4g}° after its dead centre."
+    )
+    parts: tuple[tuple[Any, Callable[[Any, float], list[str]]], ...] = (
+        (sheet["cycle"], cycle_sentences),
+        (sheet["strategies"], _of_strategies),
+        (sheet["shafts"], partial(_of_shafts, where=where)),
+        (sheet["design"], design_sentences),
+        (sheet["tolerance"], tolerance_sentences),
+        (sheet["shafts"]["pairs"], _of_pairs),
+        (sheet["crankshaft"], _of_crankshaft),
+        (sheet["rod_split"], _of_rod_split),
+        (sheet["added_mass"], _of_added_mass),
+        (sheet["offset"], _of_offset),
+        (sheet["reverse_cranks"], _of_reverse_cranks),
+    )
+    for table, sentences in parts:
+        if table is not None:
+            said += sentences(table, speed_rpm)
     return said
 
 
@@ -107,8 +117,8 @@ def plain_state(sheet: Mapping[str, Any]) -> str:
 
 
 def _one(amount_g_mm: float, speed_rpm: float) -> str:
-    force = float(unbalance_force_n(abs(amount_g_mm), speed_rpm))
-    return f"{abs(amount_g_mm):.5g} g·mm ({plain_number(force)} N at {speed_key(speed_rpm)} rpm)"
+    force = plain_number(newton(abs(amount_g_mm), speed_rpm))
+    return f"{abs(amount_g_mm):.5g} g·mm ({force} N at {speed_key(speed_rpm)} rpm)"
 
 
 def _amounts(
@@ -131,16 +141,14 @@ def _of_strategies(strategies: dict[str, Any], speed_rpm: float) -> list[str]:
         if name == "d":
             couple, adds = "", "takes off" if found["total_g"] < 0 else "adds"
             if found["couple_g_mm2"] is not None:
-                newton_metres = 1e-3 * float(unbalance_force_n(found["couple_g_mm2"], speed_rpm))
+                newton_metres = 1e-3 * newton(found["couple_g_mm2"], speed_rpm)
                 couple = f" of up to {plain_number(newton_metres)} N·m"
             said.append(
                 f"Strategy d {adds} {abs(found['total_g']):.5g} g and leaves no force of any order; a couple{couple} "
                 f"at {speed_key(speed_rpm)} rpm remains."
             )
             continue
-        first = {
-            axis: {"1": found[f"residual_{axis}_g_mm"]} if found[f"residual_{axis}_g_mm"] else None for axis in "xy"
-        }
+        first = {axis: {"1": size} if (size := found[f"residual_{axis}_g_mm"]) else None for axis in "xy"}
         higher = "" if not found["higher_orders_x_g_mm"] else ", and every higher order along the cylinder"
         said.append(
             f"Strategy {name} ({_on_crank(found)}) leaves {_amounts(first, speed_rpm)}"
@@ -198,9 +206,7 @@ def _of_pairs(pairs: list[dict[str, Any]], speed_rpm: float) -> list[str]:
     return said
 
 
-def _of_crankshaft(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
-    if table is None:
-        return []
+def _of_crankshaft(table: dict[str, Any], speed_rpm: float) -> list[str]:
     static = abs(complex(table["static_kg_mm"]["x"], table["static_kg_mm"]["y"]))
     dynamic = abs(complex(table["dynamic_kg_mm2"]["x"], table["dynamic_kg_mm2"]["y"]))
     largest = max(abs(complex(plane["has_kg_mm"]["x"], plane["has_kg_mm"]["y"])) for plane in table["planes"])
@@ -224,9 +230,7 @@ def _of_crankshaft(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
     return said
 
 
-def _of_rod_split(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
-    if table is None:
-        return []
+def _of_rod_split(table: dict[str, Any], speed_rpm: float) -> list[str]:
     return [
         f"Balanced for the rod as cut, the rod as weighed leaves {_one(table['residual_y_g_mm']['1'], speed_rpm)} of "
         f"order 1 across the cylinder, {_one(table['residual_x_g_mm']['1'], speed_rpm)} along it, and "
@@ -234,18 +238,14 @@ def _of_rod_split(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
     ]
 
 
-def _of_added_mass(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
-    if table is None:
-        return []
+def _of_added_mass(table: dict[str, Any], speed_rpm: float) -> list[str]:
     left = {"x": table["residual_x_g_mm"], "y": None}
     grade = table["class"]
     beyond = "beyond every class of engines named" if grade is None else f"within the class {grade}"
     return [f"The {table['mass_g']:g} g that no shaft knows leave {_amounts(left, speed_rpm)}, {beyond}."]
 
 
-def _of_offset(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
-    if table is None:
-        return []
+def _of_offset(table: dict[str, Any], speed_rpm: float) -> list[str]:
     couple = table["couple_Nm_at_rpm"][speed_key(speed_rpm)]
     return [
         f"An offset of {table['offset_mm']:g} mm leaves {_one(table['quadrature_x_g_mm'], speed_rpm)} of order 1 "
@@ -254,16 +254,14 @@ def _of_offset(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
     ]
 
 
-def _of_reverse_cranks(table: dict[str, Any] | None, speed_rpm: float) -> list[str]:
-    if table is None:
-        return []
+def _of_reverse_cranks(table: dict[str, Any], speed_rpm: float) -> list[str]:
     said = [
         f"Direct and reverse cranks leave nothing across the cylinder at any angle, and along it "
         f"{_one(table['residual_x_g_mm']['exact'], speed_rpm)} at most "
         f"({_one(table['residual_x_g_mm']['leading'], speed_rpm)} if built for the crank ratio)."
     ]
     if table["couple_g_mm2"] > 0:
-        couple = 1e-3 * float(unbalance_force_n(table["couple_g_mm2"], speed_rpm))
+        couple = 1e-3 * newton(table["couple_g_mm2"], speed_rpm)
         said.append(
             f"Their wheels stand unevenly and leave a couple of {plain_number(couple)} N·m at "
             f"{speed_key(speed_rpm)} rpm."
@@ -301,15 +299,17 @@ def balance_sheet(
     bare = engine.model_copy(update={"shafts": BalanceShafts()})
     made = force_by_order(masses, max_order=max_order) if single else whole_force(bare, max_order)
     one = masses if single else None
+    rotates = any(cylinder.rotating_unbalance_kg_m for cylinder in engine.each)
     sheet: dict[str, Any] = {
         "engine": engine.title or subject.name,
         "lambda": masses.mechanism.crank_ratio,
         "harmonics": harmonic_shares(masses.mechanism, max_order),
         "masses_g": _masses(subject, masses),
         "piston": _piston(engine, speeds),
-        "counterweights_in_file": _has_counterweights(subject),
+        # parts of a train have no counterweights yet
+        "counterweights_in_file": bool(engine.webs) or (data.train is None and rotates),
         "force_g_mm": by_axis(made),
-        "force_phase_deg": phases_by_axis(made),
+        "force_phase_deg": by_axis(made, degrees_of),
         "moment_g_mm2": whole_moments(bare, max_order),
         "moment_phase_deg": moment_phases(bare, max_order),
         "leading_g_mm": None if one is None or engine.offset_m else _leading(masses, max_order),
@@ -386,21 +386,6 @@ def _piston(engine: Engine, speeds: Sequence[float]) -> dict[str, Any]:
     }
 
 
-def _piston_sentence(piston: Mapping[str, Any], speed_rpm: float) -> str:
-    key = speed_key(speed_rpm)
-    mean, fastest = (plain_number(piston[name][key]) for name in ("mean_m_s", "fastest_m_s"))
-    return (
-        f"At {key} rpm a piston moves at {mean} m/s in the mean and {fastest} m/s at most, at "
-        f"{piston['fastest_deg']:.4g}° after its dead centre."
-    )
-
-
-def _has_counterweights(subject: BalancedEngine) -> bool:
-    """Whether the file states webs or what rotates, as its counterweights leave it; parts of a train have none yet."""
-    turning = any(one.rotating_unbalance_kg_m for one in subject.engine.each)
-    return bool(subject.engine.webs) or (subject.balance.train is None and turning)
-
-
 def _strategy(
     masses: ReducedMasses, name: Strategy, places: CounterweightPlaces, max_order: int
 ) -> dict[str, Any] | None:
@@ -435,7 +420,7 @@ def _shafts(
         own = {
             "orders": list(engine.shafts.every_order),
             "residual_g_mm": by_axis(left),
-            "residual_phase_deg": phases_by_axis(left),
+            "residual_phase_deg": by_axis(left, degrees_of),
             "residual_moment_g_mm2": whole_moments(engine, max_order),
         }
     layouts: dict[str, Any] = {
@@ -467,7 +452,7 @@ def _layout(masses: ReducedMasses, name: Possibility, max_order: int) -> dict[st
         for shaft in layout.shafts
     ]
     remains = [force for force in layout.residual if force.rotation != "none"]
-    left = {"residual_g_mm": by_axis(remains), "residual_phase_deg": phases_by_axis(remains)}
+    left = {"residual_g_mm": by_axis(remains), "residual_phase_deg": by_axis(remains, degrees_of)}
     return {"strategy": layout.strategy, "shafts": shafts, **left}
 
 

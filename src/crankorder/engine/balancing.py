@@ -121,8 +121,7 @@ def unbalance_force_n(unbalance_g_mm: ArrayLike, speed_rpm: ArrayLike) -> NDArra
     Source: Ruckle 2014, equation (1), whose g belongs to weights only (truth sheet 2.1).
     """
     omega = np.asarray(speed_rpm, dtype=np.float64) * (np.pi / 30)
-    force: NDArray[np.float64] = 1e-6 * np.asarray(unbalance_g_mm, dtype=np.float64) * omega**2
-    return force
+    return 1e-6 * np.asarray(unbalance_g_mm, dtype=np.float64) * omega**2
 
 
 def phasor(angle_deg: float) -> complex:

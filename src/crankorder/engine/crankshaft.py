@@ -43,6 +43,11 @@ class CrankshaftSums:
     static_kg_mm: complex
     dynamic_kg_mm2: complex
 
+    @property
+    def table(self) -> dict[str, dict[str, float]]:
+        """Both sums by name, as x and y."""
+        return {"static_kg_mm": _xy(self.static_kg_mm), "dynamic_kg_mm2": _xy(self.dynamic_kg_mm2)}
+
 
 class FanCounterweight(EngineData):
     """A counterweight shaped as a fan, opposite to the crank pin: outer and inner radius, thickness, full fan angle.
@@ -136,12 +141,9 @@ class Slug(EngineData):
     crank_density_kg_m3: Positive | None = None
 
 
-def _kind_of_counterweight(value: object) -> str:
-    return "section" if isinstance(value, str) else "fan"
-
-
 Counterweight = Annotated[
-    Annotated[str, Tag("section")] | Annotated[FanCounterweight, Tag("fan")], Discriminator(_kind_of_counterweight)
+    Annotated[str, Tag("section")] | Annotated[FanCounterweight, Tag("fan")],
+    Discriminator(lambda value: "section" if isinstance(value, str) else "fan"),
 ]
 """A counterweight of a file: the name of one of the sections, or a table of its shape."""
 
@@ -267,8 +269,7 @@ def couple_n_m(dynamic_kg_mm2: complex, speed_rpm: ArrayLike) -> NDArray[np.floa
     ``dynamic_kg_mm2``: dynamic sum, x + iy. ``speed_rpm``: scalar or any shape; the result has that shape.
     """
     omega = np.asarray(speed_rpm, dtype=np.float64) * (np.pi / 30)
-    couple: NDArray[np.float64] = 1e-6 * abs(dynamic_kg_mm2) * omega**2
-    return couple
+    return 1e-6 * abs(dynamic_kg_mm2) * omega**2
 
 
 def two_plane_correction(sums: CrankshaftSums, planes_mm: tuple[float, float]) -> tuple[complex, complex]:
@@ -310,28 +311,14 @@ def crankshaft_table(
     towards = -sums.static_kg_mm.imag
     asked = data.overbalance_kg_mm
     return {
-        "sections": [_row(part) for part in data.parts],
-        "static_kg_mm": _xy(sums.static_kg_mm),
-        "dynamic_kg_mm2": _xy(sums.dynamic_kg_mm2),
+        "sections": [{**part.model_dump(), **crankshaft_sums([part]).table} for part in data.parts],
+        **sums.table,
         "couple_Nm_at_rpm": {key: float(couple_n_m(sums.dynamic_kg_mm2, speed)) for key, speed in speeds.items()},
         "planes": _planes(data, sums),
         "overbalance_kg_mm": None if asked is None else list(asked),
         "overbalanced_by_kg_mm": towards,
         "overbalance_met": None if asked is None else asked[0] <= towards <= asked[1],
         "bob_weights": _bob_weights(data, big_ends_g or {}),
-    }
-
-
-def _row(part: CrankshaftSection) -> dict[str, Any]:
-    one = crankshaft_sums([part])
-    return {
-        "name": part.name,
-        "mass_kg": part.mass_kg,
-        "x_mm": part.x_mm,
-        "y_mm": part.y_mm,
-        "z_mm": part.z_mm,
-        "static_kg_mm": _xy(one.static_kg_mm),
-        "dynamic_kg_mm2": _xy(one.dynamic_kg_mm2),
     }
 
 
@@ -374,14 +361,7 @@ def _bob_weights(data: CrankshaftData, big_ends_g: Mapping[str, float]) -> list[
     made = []
     for method, mass_kg in {"stated": bob.mass_kg, **{key: 1e-3 * grams for key, grams in big_ends_g.items()}}.items():
         sums = crankshaft_sums([*others, bob.model_copy(update={"mass_kg": mass_kg})])
-        made.append(
-            {
-                "method": method,
-                "mass_kg": mass_kg,
-                "static_kg_mm": _xy(sums.static_kg_mm),
-                "dynamic_kg_mm2": _xy(sums.dynamic_kg_mm2),
-            }
-        )
+        made.append({"method": method, "mass_kg": mass_kg, **sums.table})
     return made
 
 

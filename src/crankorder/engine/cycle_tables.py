@@ -22,7 +22,7 @@ from crankorder.engine.forces import (
 )
 from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
 from crankorder.engine.harmonics import last_order_above_round_off
-from crankorder.engine.in_cycle import TORQUE_ORDERS, lag_from_torque
+from crankorder.engine.in_cycle import TORQUE_ORDERS, lag_from_torque, over_a_cycle
 from crankorder.errors import RequestError, plain_number
 
 Floats = NDArray[np.float64]
@@ -80,7 +80,7 @@ def cycle_curves(engine: Engine, speeds: Sequence[float]) -> list[CycleCurves]:
             speed_rpm=speed_rpm,
             crank_angle_rev=angles,
             gas_n_m=gas,
-            inertia_n_m=_inertia(engine, angles, speed_rpm),
+            inertia_n_m=_inertia(engine, speed_rpm),
             loads=loads,
             bearings_n=main_bearing_loads(engine, angles, speed_rpm, loads=loads) if with_places else None,
         )
@@ -88,15 +88,10 @@ def cycle_curves(engine: Engine, speeds: Sequence[float]) -> list[CycleCurves]:
     return [at(speed) for speed in speeds]
 
 
-def _inertia(engine: Engine, angles: Floats, speed_rpm: float) -> Floats:
+def _inertia(engine: Engine, speed_rpm: float) -> Floats:
     top = min(max(last_order_above_round_off(one.mechanism) for one in engine.each), MOST_TORQUE_ORDERS)
     by_order = inertia_torque(engine, top) * (speed_rpm * math.pi / 30) ** 2
-    one_turn = angles[:ANGLES_PER_REV]
-    lines = np.zeros(ANGLES_PER_REV // 2 + 1, dtype=np.complex128)
-    lines[: top + 1] = by_order
-    lines[1:] /= 2
-    turn = np.fft.irfft(lines, one_turn.size) * one_turn.size
-    return np.tile(turn, engine.revs_per_cycle)
+    return np.tile(over_a_cycle(by_order, ANGLES_PER_REV), engine.revs_per_cycle)
 
 
 def cycle_table(engine: Engine, *, max_order: int, speeds: Sequence[float]) -> dict[str, Any]:
@@ -245,13 +240,11 @@ def _loads(engine: Engine, curves: CycleCurves) -> dict[str, Any]:
     return {"cylinders": by_cylinder, "main_bearings": bearings}
 
 
-def cycle_sentences(cycle: Mapping[str, Any] | None, speed_rpm: float) -> list[str]:
+def cycle_sentences(cycle: Mapping[str, Any], speed_rpm: float) -> list[str]:
     """What fires when, whether gas or masses turn the crank unevenly, and what the bearings carry.
 
-    ``cycle``: as :func:`cycle_table` makes it, or None. ``speed_rpm``: one of its speeds.
+    ``cycle``: as :func:`cycle_table` makes it. ``speed_rpm``: one of its speeds.
     """
-    if cycle is None:
-        return []
     key, said = speed_key(speed_rpm), []
     firing, turning = cycle["firing"], cycle["turning"][key]
     if firing is not None and len(firing["interval_deg"]) > 1:
@@ -270,7 +263,7 @@ def cycle_sentences(cycle: Mapping[str, Any] | None, speed_rpm: float) -> list[s
         said.append(_turns(turning, key))
     if turning["speed_fluctuation"] is not None:
         said.append(f"Its speed swings by {100 * turning['speed_fluctuation']:.3g} % within the cycle at {key} rpm.")
-    return said + _of_loads(cycle["loads"], key)
+    return said if cycle["loads"] is None else said + _of_loads(cycle["loads"][key], key)
 
 
 def _turns(turning: Mapping[str, Any], key: str) -> str:
@@ -287,18 +280,15 @@ def _turns(turning: Mapping[str, Any], key: str) -> str:
     )
 
 
-def _of_loads(loads: Mapping[str, Any] | None, key: str) -> list[str]:
-    if loads is None:
-        return []
-    found = loads[key]
-    wall, pin = (max(one[name]["peak_n"] for one in found["cylinders"]) for name in ("wall", "crank_pin"))
+def _of_loads(loads: Mapping[str, Any], key: str) -> list[str]:
+    wall, pin = (max(one[name]["peak_n"] for one in loads["cylinders"]) for name in ("wall", "crank_pin"))
     text = (
         f"At {key} rpm a piston presses on its wall with up to {plain_number(wall)} N and a rod on its crank pin with "
         f"{plain_number(pin)} N"
     )
-    if found["main_bearings"] is None:
+    if loads["main_bearings"] is None:
         return [f"{text}."]
-    top = max(found["main_bearings"], key=lambda one: one["peak_n"])
+    top = max(loads["main_bearings"], key=lambda one: one["peak_n"])
     return [
         f"{text}; the main bearing at {plain_number(top['position_mm'])} mm carries the most, up to "
         f"{plain_number(top['peak_n'])} N at {plain_number(top['peak_deg'])}° and {plain_number(top['mean_n'])} N "

@@ -425,12 +425,8 @@ def load_engine(name: str, beside: Path | None = None) -> Engine:
     table, source = toml_table(name, "engines", beside=beside)
     table, of_gas = with_gas_file(table, name, beside)
     if "kind" in table:
-        raise RequestError(
-            "not an engine of cranks, rods and cylinders",
-            file=source,
-            place="kind",
-            found=table["kind"],
-        )
+        problem = "not an engine of cranks, rods and cylinders"
+        raise RequestError(problem, file=source, place="kind", found=table["kind"])
     faults: list[CrankorderError] = [*of_gas]
     try:
         engine = Engine.model_validate({key: value for key, value in table.items() if key != "balance"})

@@ -50,8 +50,7 @@ def gas_moment(crank_angle_rev: ArrayLike, crank: HingedCrank, torque: CrankTorq
     Returns the shape of the angles. Source: truth sheet 4.2.
     """
     motion = rod_motion(crank_angle_rev, crank)
-    moment: Angles = potential_torque(crank_angle_rev, torque) / motion.hinge_rate
-    return moment
+    return potential_torque(crank_angle_rev, torque) / motion.hinge_rate
 
 
 def inertia_moment(motion: RodMotion, crank: HingedCrank) -> Angles:
@@ -122,8 +121,7 @@ def side_force_without_hinge(
     """
     moment = hinge_moment(crank_angle_rev, crank, torque, speed_rpm=speed_rpm, kinematics=kinematics)
     rod_cosine = rod_motion(crank_angle_rev, crank, kinematics=kinematics).rod_cosine
-    force: Angles = moment / (crank.rod_length_m * rod_cosine)
-    return force
+    return moment / (crank.rod_length_m * rod_cosine)
 
 
 def side_force(
@@ -142,8 +140,7 @@ def side_force(
     """
     rod_cosine = rod_motion(crank_angle_rev, crank, kinematics=kinematics).rod_cosine
     withheld = withheld_moment(crank, torque, pin_hinge=pin_hinge, kinematics=kinematics)
-    force: Angles = withheld / (crank.rod_length_m * rod_cosine)
-    return force
+    return withheld / (crank.rod_length_m * rod_cosine)
 
 
 def mean_rod_cosine(crank: HingedCrank, *, kinematics: Kinematics = "exact") -> float:
@@ -380,8 +377,7 @@ def crank_angle_of_hinge(hinge_angle_rev: ArrayLike, crank: HingedCrank) -> Angl
     angle = 2 * np.pi * (turns - whole)
     # λ + cos α, from 1 − λ, keeps its digits beside the lower dead centre
     reach = 2 * np.cos(angle / 2) ** 2 - crank.mechanism.margin
-    result: Angles = whole + np.arctan2(np.sin(angle), reach) / (2 * np.pi)
-    return result
+    return whole + np.arctan2(np.sin(angle), reach) / (2 * np.pi)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
-from crankorder.engine.balance_data import BalancedEngine, speed_key
-from crankorder.engine.balancing import OrderForce, unbalance_force_n
-from crankorder.engine.definition import Engine, SingleShaft, Weight
+from crankorder.engine.balance_data import BalancedEngine, newton, speed_key
+from crankorder.engine.balancing import OrderForce
+from crankorder.engine.definition import Engine, Weight
 from crankorder.engine.forces import DIRECTIONS, crankcase_moments
 from crankorder.engine.shaft_design import (
     NOTHING,
@@ -40,11 +41,15 @@ def whole_force(engine: Engine, max_order: int) -> tuple[OrderForce, ...]:
     return tuple(force for force in forces if force.rotation != "none")
 
 
-def by_axis(forces: Iterable[OrderForce]) -> dict[str, Amounts | None]:
-    """Amplitudes (g·mm over ω²) of ``forces`` by axis and order; None for an axis that has none."""
+def by_axis(forces: Iterable[OrderForce], number: Callable[[complex], float] = abs) -> dict[str, Amounts | None]:
+    """Amplitudes (g·mm over ω²) of ``forces`` by axis and order; None for an axis that has none.
+
+    ``number``: what is told of each complex amplitude. With :func:`degrees_of` it is the phase: order k is
+    amplitude · cos(k φ + phase), φ the crank angle.
+    """
     every = tuple(forces)
-    along = {f"{force.order:g}": abs(force.x_g_mm) for force in every if force.x_g_mm}
-    across = {f"{force.order:g}": abs(force.y_g_mm) for force in every if force.y_g_mm}
+    along = {f"{force.order:g}": number(force.x_g_mm) for force in every if force.x_g_mm}
+    across = {f"{force.order:g}": number(force.y_g_mm) for force in every if force.y_g_mm}
     return {"x": along or None, "y": across or None}
 
 
@@ -55,20 +60,11 @@ def whole_moments(engine: Engine, max_order: int) -> dict[str, Amounts | None]:
     """
     moments = crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e9
     least = NOTHING * reach_g_mm2(engine, max_order)
-    found = {
-        name: {str(k): float(abs(moments[DIRECTIONS.index(axis), k])) for k in range(1, max_order + 1)}
-        for name, axis in MOMENT_AXES.items()
-    }
-    kept = {name: {k: size for k, size in sizes.items() if size > least[int(k)]} for name, sizes in found.items()}
-    return {name: orders or None for name, orders in kept.items()}
-
-
-def phases_by_axis(forces: Iterable[OrderForce]) -> dict[str, Amounts | None]:
-    """Phases (degrees) of ``forces`` by axis and order: order k is amplitude · cos(k φ + phase), φ the crank angle."""
-    every = tuple(forces)
-    along = {f"{force.order:g}": degrees_of(force.x_g_mm) for force in every if force.x_g_mm}
-    across = {f"{force.order:g}": degrees_of(force.y_g_mm) for force in every if force.y_g_mm}
-    return {"x": along or None, "y": across or None}
+    tables: dict[str, Amounts | None] = {}
+    for name, axis in MOMENT_AXES.items():
+        sizes = [float(abs(moment)) for moment in moments[DIRECTIONS.index(axis)]]
+        tables[name] = {str(k): sizes[k] for k in range(1, max_order + 1) if sizes[k] > least[k]} or None
+    return tables
 
 
 def moment_phases(engine: Engine, max_order: int) -> dict[str, Amounts | None]:
@@ -93,20 +89,22 @@ def design_table(subject: BalancedEngine, max_order: int) -> dict[str, Any]:
     ``max_order``: highest order of what is left.
     """
     engine = subject.engine
-    shares = primary_shares(engine)
     layouts: dict[str, Any] = {}
     for design in designs_for(subject):
         left = design.on(engine)
         layouts[design.name] = {
             "webs": [_weight(weight) for weight in design.webs],
-            "shafts": [_shaft(shaft) for shaft in design.shafts],
+            "shafts": [
+                {"speed_ratio": shaft.speed_ratio, "weights": [_weight(weight) for weight in shaft.weights]}
+                for shaft in design.shafts
+            ],
             "residual_g_mm": by_axis(whole_force(left, max_order)),
             "residual_moment_g_mm2": whole_moments(left, max_order),
         }
     height = roll_height_m(engine, 2)
     return {
         "planes_mm": [1e3 * place for place in _planes_m(subject)],
-        "primary_share": {"force": shares.force, "couple": shares.couple},
+        "primary_share": asdict(primary_shares(engine)),
         "throw_counterweights": [_weight(weight) for weight in throw_counterweights(engine)],
         "roll_height_mm": None if height is None else 1e3 * height,
         "layouts": layouts,
@@ -147,10 +145,6 @@ def _weight(weight: Weight) -> dict[str, float]:
     }
 
 
-def _shaft(shaft: SingleShaft) -> dict[str, Any]:
-    return {"speed_ratio": shaft.speed_ratio, "weights": [_weight(weight) for weight in shaft.weights]}
-
-
 def moment_sentences(moments: Mapping[str, Amounts | None], speed_rpm: float, *, state: str = "") -> list[str]:
     """What couples and roll moment are left, by order, with their size at ``speed_rpm``.
 
@@ -164,21 +158,20 @@ def moment_sentences(moments: Mapping[str, Amounts | None], speed_rpm: float, *,
         ("about_crankshaft", "a roll moment of the masses about the crankshaft"),
     ):
         told = [(order, size) for order, size in (moments.get(name) or {}).items() if size > ALIGNED_SHARE * largest]
-        top = sorted(told, key=lambda one: -one[1])[:3]
+        top = sorted(sorted(told, key=lambda one: -one[1])[:3], key=lambda one: float(one[0]))
         if top:
-            sizes = listed([f"{_n_m(size, speed_rpm)} of order {order}" for order, size in sorted(top, key=_by_order)])
+            couples = [(order, plain_number(1e-3 * newton(size, speed_rpm))) for order, size in top]
+            sizes = listed([f"{couple} N·m of order {order}" for order, couple in couples])
             text = f"{state + ' ' if state else ''}{what} remains: {sizes} at {speed_key(speed_rpm)} rpm."
             said.append(text[0].upper() + text[1:])
     return said
 
 
-def design_sentences(design: Mapping[str, Any] | None, speed_rpm: float) -> list[str]:
+def design_sentences(design: Mapping[str, Any], speed_rpm: float) -> list[str]:
     """What crank webs can take of an engine of several cylinders, what shafts it needs, and what these leave.
 
-    ``design``: as :func:`design_table` makes it, or None for one cylinder. ``speed_rpm``: at which sizes are named.
+    ``design``: as :func:`design_table` makes it. ``speed_rpm``: at which sizes are named.
     """
-    if design is None:
-        return []
     said = []
     for kind, share in design["primary_share"].items():
         if share is not None:
@@ -188,7 +181,8 @@ def design_sentences(design: Mapping[str, Any] | None, speed_rpm: float) -> list
         if name == "webs":
             said.append(f"Counterweights on the crank webs alone leave {left}.")
             continue
-        shafts = listed([f"at {_signed(shaft['speed_ratio'])} times crank speed" for shaft in layout["shafts"]])
+        ratios = [f"{shaft['speed_ratio']:+d}".replace("-", "−") for shaft in layout["shafts"]]
+        shafts = listed([f"at {ratio} times crank speed" for ratio in ratios])
         webs = "with those counterweights " if layout["webs"] else ""
         number = "one shaft" if len(layout["shafts"]) == 1 else "shafts"
         text = f"{webs}{number} {shafts} leave{'s' if number == 'one shaft' else ''} {left}."
@@ -215,25 +209,13 @@ def _left(layout: Mapping[str, Any], speed_rpm: float) -> str:
         ]
         if every:
             size, order, text = max(every)
-            amount = scale * float(unbalance_force_n(size, speed_rpm))
-            parts.append(f"at most {plain_number(amount)} {unit} of order {order} {text} {at}")
+            amount = plain_number(scale * newton(size, speed_rpm))
+            parts.append(f"at most {amount} {unit} of order {order} {text} {at}")
         else:
             parts.append(nothing)
     if parts == ["no force", "no rocking couple"]:
         return "neither force nor rocking couple"
     return " and ".join([parts[0].removesuffix(f" {at}") if parts[1].endswith(at) else parts[0], parts[1]])
-
-
-def _signed(speed_ratio: int) -> str:
-    return f"{speed_ratio:+d}".replace("-", "−")
-
-
-def _n_m(size_g_mm2: float, speed_rpm: float) -> str:
-    return f"{plain_number(1e-3 * float(unbalance_force_n(size_g_mm2, speed_rpm)))} N·m"
-
-
-def _by_order(entry: tuple[str, float]) -> float:
-    return float(entry[0])
 
 
 def listed(words: Sequence[str]) -> str:

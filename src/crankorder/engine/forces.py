@@ -138,8 +138,7 @@ def inertia_torque_by_order(engine: Engine, max_order: int) -> Complex:
     inertia = engine.reciprocating_mass_kg * _squared(velocity)
     if missing:
         inertia += missing * _squared(rod_acceleration_harmonics(engine.mechanism, every) / (1j * orders))
-    torque: Complex = (-0.5j * np.arange(every + 1) * inertia)[: max_order + 1]
-    return torque
+    return (-0.5j * np.arange(every + 1) * inertia)[: max_order + 1]
 
 
 def orders_made(engine: Engine, *, share: float, max_order: int) -> tuple[float, ...]:
@@ -161,8 +160,7 @@ def orders_made(engine: Engine, *, share: float, max_order: int) -> tuple[float,
 
 def _at_speed(speed_rpm: ArrayLike, per_omega_squared: Complex) -> Complex:
     omega = np.asarray(speed_rpm, dtype=np.float64) * (np.pi / 30)
-    scaled: Complex = (omega**2)[..., None, None] * per_omega_squared
-    return scaled
+    return (omega**2)[..., None, None] * per_omega_squared
 
 
 def _phases(engine: Engine, max_order: int) -> Complex:
@@ -172,8 +170,7 @@ def _phases(engine: Engine, max_order: int) -> Complex:
     """
     lead_rev = np.array([(cylinder.crank_deg - cylinder.bank_deg) / 360 for cylinder in engine.cylinders])
     sine, cosine = sine_cosine(lead_rev[:, None] * np.arange(max_order + 1))
-    phases: Complex = cosine + 1j * sine
-    return phases
+    return cosine + 1j * sine
 
 
 def _pistons(engine: Engine, max_order: int) -> Complex:
@@ -181,8 +178,7 @@ def _pistons(engine: Engine, max_order: int) -> Complex:
     shaken = _phases(engine, max_order) * _shaken(engine, max_order)
     across, along = sine_cosine(np.array([cylinder.bank_deg / 360 for cylinder in engine.cylinders]))
     axes = np.stack([across, np.zeros_like(along), along], axis=1)
-    masses: Complex = axes[:, :, None] * shaken[:, None, :]
-    return masses
+    return axes[:, :, None] * shaken[:, None, :]
 
 
 def _shaken(engine: Engine, max_order: int) -> Complex:
@@ -230,8 +226,7 @@ def _rotating(engine: Engine) -> Complex:
     angle_rev = [(one.cylinders[0].crank_deg + one.rotating_unbalance_deg) / 360 for one in engine.each]
     sine, cosine = sine_cosine(np.array(angle_rev))
     unbalance = np.array([one.rotating_unbalance_kg_m for one in engine.each]) * (cosine + 1j * sine)
-    forces: Complex = np.stack([-1j * unbalance, np.zeros_like(unbalance), unbalance], axis=1)
-    return forces
+    return np.stack([-1j * unbalance, np.zeros_like(unbalance), unbalance], axis=1)
 
 
 def _rolling(engine: Engine, max_order: int) -> Complex:
@@ -308,18 +303,15 @@ def cylinder_loads(
     big_end = rod.big_end_kg * radius * omega_squared
     pin_along, pin_across = big_end * cosine - through_rod, big_end * sine - thrust
 
-    rest_angle = own + engine.rotating_unbalance_deg / 360
-    rest_sine, rest_cosine = sine_cosine(rest_angle)
+    rest_sine, rest_cosine = sine_cosine(own + engine.rotating_unbalance_deg / 360)
     rest = engine.rotating_unbalance_kg_m * omega_squared
-    main = [
-        pin_along + rest * rest_cosine - big_end * cosine,
-        pin_across + rest * rest_sine - big_end * sine,
-    ]
+    main_along = pin_along + rest * rest_cosine - big_end * cosine
+    main_across = pin_across + rest * rest_sine - big_end * sine
     return CylinderLoads(
         side_thrust_n=thrust,
         piston_pin_n=np.stack([through_rod + rod.small_end_kg * inertia, thrust]),
         crank_pin_n=np.stack([pin_along, pin_across]),
-        main_n=np.stack(main),
+        main_n=np.stack([main_along, main_across]),
         head_n=gas,
         torque_n_m=radius * (cosine * pin_across - sine * pin_along),
     )

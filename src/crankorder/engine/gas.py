@@ -32,21 +32,23 @@ def gas_force(engine: Engine, cycle_angle_rev: ArrayLike) -> Angles:
     (truth sheet 4.2).
     """
     angles = np.asarray(cycle_angle_rev, dtype=np.float64)
-    if engine.gas is None:
+    gas = engine.gas
+    if gas is None:
         return np.zeros(angles.shape)
-    if engine.gas.torque_n_m is not None or engine.bore_m is None:
+    if gas.torque_n_m is not None or engine.bore_m is None:
         raise RequestError(
             "a torque curve tells no gas force: at the dead centres any force makes no torque",
             place="gas",
             remedy="Give pressure_pa and bore_m for thrust and bearing loads",
         )
-    if engine.gas.ideal is not None:
-        pressure = _ideal_pressure(engine, engine.gas.ideal, angles)
+    area = np.pi / 4 * engine.bore_m**2
+    if gas.ideal is not None:
+        exhaust_pa = gas.surroundings_pa if gas.ideal.exhaust_pa is None else gas.ideal.exhaust_pa
+        pressure = _ideal_pressure(engine, gas.ideal, angles, area_m2=area, exhaust_pa=exhaust_pa)
     else:
-        assert engine.gas.pressure_pa is not None
-        pressure = _interpolated(engine, angles, engine.gas.pressure_pa)
-    force: Angles = (pressure - engine.gas.surroundings_pa) * (np.pi / 4 * engine.bore_m**2)
-    return force
+        assert gas.pressure_pa is not None
+        pressure = _interpolated(engine, angles, gas.pressure_pa)
+    return (pressure - gas.surroundings_pa) * area
 
 
 def gas_torque(engine: Engine, cycle_angle_rev: ArrayLike) -> Angles:
@@ -59,8 +61,7 @@ def gas_torque(engine: Engine, cycle_angle_rev: ArrayLike) -> Angles:
     angles = np.asarray(cycle_angle_rev, dtype=np.float64)
     if engine.gas is not None and engine.gas.torque_n_m is not None:
         return _interpolated(engine, angles, engine.gas.torque_n_m)
-    torque: Angles = -gas_force(engine, angles) * piston_velocity(angles, engine.mechanism)
-    return torque
+    return -gas_force(engine, angles) * piston_velocity(angles, engine.mechanism)
 
 
 def gas_torque_by_order(engine: Engine, max_order: int) -> tuple[Angles, NDArray[np.complex128]]:
@@ -126,25 +127,23 @@ def _interpolated(engine: Engine, cycle_angle_rev: Angles, values: tuple[float, 
     assert engine.gas is not None
     assert engine.gas.crank_angle_deg is not None
     period_deg = 360.0 * engine.revs_per_cycle
-    found: Angles = np.interp(360 * cycle_angle_rev, engine.gas.crank_angle_deg, values, period=period_deg)
-    return found
+    return np.interp(360 * cycle_angle_rev, engine.gas.crank_angle_deg, values, period=period_deg)
 
 
-def _ideal_pressure(engine: Engine, cycle: IdealCycle, cycle_angle_rev: Angles) -> Angles:
+def _ideal_pressure(
+    engine: Engine, cycle: IdealCycle, cycle_angle_rev: Angles, *, area_m2: float, exhaust_pa: float
+) -> Angles:
     """Absolute pressure (Pa) of an ideal cycle, from the piston's own dead centres.
 
     In the closed part p Vⁿ = p₀ V₀ⁿ + (n − 1) ∫ Vⁿ⁻¹ dQ. Source: first law for an ideal gas; C. R. Ferguson and A. T.
     Kirkpatrick (2001), Internal Combustion Engines, sections 2.3 (constant volume) and 2.6 (finite heat release).
     """
-    assert engine.gas is not None
-    assert engine.bore_m is not None
     centres, revs, exponent = dead_centres(engine.mechanism), engine.revs_per_cycle, cycle.exponent
-    area = np.pi / 4 * engine.bore_m**2
-    clearance = area * centres.stroke_m / (cycle.compression_ratio - 1)
+    clearance = area_m2 * centres.stroke_m / (cycle.compression_ratio - 1)
 
     def volume(angle_rev: Angles) -> Angles:
         drop: Angles = piston_drop(angle_rev, engine.mechanism) - piston_drop(centres.top_rev, engine.mechanism)
-        return clearance + area * drop
+        return clearance + area_m2 * drop
 
     start, length = centres.top_rev + cycle.burn_start_deg / 360, cycle.burn_duration_deg / 360
     opened = centres.bottom_rev - 1
@@ -163,9 +162,7 @@ def _ideal_pressure(engine: Engine, cycle: IdealCycle, cycle_angle_rev: Angles) 
             rate = share * (np.pi / 2) * np.sin(np.pi * at)
             sums += weight * rate * volume(start + length * at) ** (exponent - 1)
         burnt[during], burnt[after] = sums[:-1], sums[-1]
-    compressed = cycle.intake_pa * (clearance + area * centres.stroke_m) ** exponent
+    compressed = cycle.intake_pa * (clearance + area_m2 * centres.stroke_m) ** exponent
     closed = (compressed + (exponent - 1) * cycle.heat_j * burnt) / volume(angle) ** exponent
-    exhaust = engine.gas.surroundings_pa if cycle.exhaust_pa is None else cycle.exhaust_pa
-    exchange = np.where(angle < centres.top_rev + 1, exhaust, cycle.intake_pa)
-    pressure: Angles = np.where(angle < centres.bottom_rev, closed, exchange)
-    return pressure
+    exchange = np.where(angle < centres.top_rev + 1, exhaust_pa, cycle.intake_pa)
+    return np.where(angle < centres.bottom_rev, closed, exchange)

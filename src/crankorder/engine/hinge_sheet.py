@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, get_args
 
 import numpy as np
@@ -33,7 +34,6 @@ from crankorder.engine.hinged_crank import (
     HingedCrank,
     HingedCrankData,
     HingedEngine,
-    Kinematics,
     torque_extrema,
     torque_harmonics,
 )
@@ -60,18 +60,16 @@ def hinge_sheet(engine: HingedEngine, *, max_order: int, speeds_rpm: Sequence[fl
     Raises RequestError where a mechanism has no speed.
     """
     mechanisms = [_mechanism(one, engine.curve, speeds_rpm) for one in engine.mechanisms]
-    sheet: dict[str, Any] = {
+    slender = any(one.rod_inertia_kg_m2 is None for one in engine.mechanisms)
+    return {
         "engine": engine.title,
         "kind": engine.kind,
         **dict.fromkeys(CRANK_ENGINE_PARTS),
         "torque": _torque(engine.curve, max_order),
         "mechanisms": mechanisms,
-        "notes": ["Rods without a stated moment of inertia are taken as uniform and slender."],
+        "notes": ["Rods without a stated moment of inertia are taken as uniform and slender."] if slender else [],
+        "sentences": [_sentence(one) for one in mechanisms],
     }
-    if all(one.rod_inertia_kg_m2 is not None for one in engine.mechanisms):
-        sheet["notes"] = []
-    sheet["sentences"] = [_sentence(one) for one in mechanisms]
-    return sheet
 
 
 def _torque(curve: CrankTorque, max_order: int) -> dict[str, Any]:
@@ -132,17 +130,14 @@ def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[f
 def _curves(crank: HingedCrank, curve: CrankTorque, speed_rpm: float) -> dict[str, list[float]]:
     """Figure 3: M12 by (4), by (6) and of a spring, R430 and R43 by (7), every 10° of crank angle."""
     angles = np.arange(TABLE_STEPS + 1) / TABLE_STEPS
-    moments = {
-        f"m12_{kind}_nm": hinge_moment(angles, crank, curve, speed_rpm=speed_rpm, pin_hinge=kind)
-        for kind in get_args(PinHinge)
-    }
-    without = side_force_without_hinge(angles, crank, curve, speed_rpm=speed_rpm)
-    left = side_force(angles, crank, curve, pin_hinge="printed")
     return {
         "crank_angle_deg": (360 * angles).tolist(),
-        **{name: moment.tolist() for name, moment in moments.items()},
-        "r430_n": without.tolist(),
-        "r43_printed_n": left.tolist(),
+        **{
+            f"m12_{kind}_nm": hinge_moment(angles, crank, curve, speed_rpm=speed_rpm, pin_hinge=kind).tolist()
+            for kind in get_args(PinHinge)
+        },
+        "r430_n": side_force_without_hinge(angles, crank, curve, speed_rpm=speed_rpm).tolist(),
+        "r43_printed_n": side_force(angles, crank, curve, pin_hinge="printed").tolist(),
     }
 
 
@@ -179,36 +174,28 @@ def _largest(values: Any) -> float:
 
 def _solutions(crank: HingedCrank, curve: CrankTorque) -> dict[str, Any]:
     """Weights without side force by kind of hinge, the counterweight of equation (12), those of equation (13)."""
-    weights: dict[str, Any] = {}
-    for weight in get_args(Weight):
-        weights[weight] = {
-            "potential": _found(lambda w=weight: _weight(crank, curve, w, "potential")),
-            "printed": _found(lambda w=weight: _weight(crank, curve, w, "printed")),
-            "printed_truncated": _found(lambda w=weight: _weight(crank, curve, w, "printed", "truncated")),
-        }
-    both = _found(lambda: balanced_crank(crank))
+    weights: dict[str, dict[str, Any]] = {weight: {} for weight in get_args(Weight)}
+    for weight, by_hinge in weights.items():
+        solve = partial(_found, weight_without_side_force, crank, curve, weight=weight)
+        by_hinge["potential"] = solve(pin_hinge="potential")
+        by_hinge["printed"] = solve(pin_hinge="printed")
+        by_hinge["printed_truncated"] = solve(pin_hinge="printed", kinematics="truncated")
+    both = _found(balanced_crank, crank)
     return {
         "weight_without_side_force": weights,
-        "crank_counterweight_n": _found(lambda: vertical_counterweight(crank)),
-        "balanced": None
-        if both is None
-        else {
+        "crank_counterweight_n": _found(vertical_counterweight, crank),
+        "balanced": both
+        and {
             "rod_counterweight_n": both.rod_counterweight_n,
             "crank_counterweight_n": both.crank_counterweight_n,
         },
     }
 
 
-def _weight(
-    crank: HingedCrank, curve: CrankTorque, weight: Weight, pin_hinge: Any, kinematics: Kinematics = "exact"
-) -> float:
-    return weight_without_side_force(crank, curve, weight=weight, pin_hinge=pin_hinge, kinematics=kinematics)
-
-
-def _found(solve: Any) -> Any:
-    """What ``solve`` finds, None where there is no solution."""
+def _found(solve: Callable[..., Any], *data: Any, **choices: Any) -> Any:
+    """What ``solve`` finds of ``data``, None where there is no solution."""
     try:
-        return solve()
+        return solve(*data, **choices)
     except RequestError:
         return None
 
@@ -230,22 +217,11 @@ def _air_spring(crank: HingedCrank, curve: CrankTorque, speeds: Sequence[float])
     made = []
     for joint in get_args(Joint):
         for speed in speeds[1:]:
-            change = _found(
-                lambda j=joint, s=speed: air_spring_pressure(
-                    crank, curve, joint=j, designed_speed_rpm=speeds[0], speed_rpm=s
-                )
-            )
+            run = {"joint": joint, "designed_speed_rpm": speeds[0], "speed_rpm": speed}
+            change = _found(air_spring_pressure, crank, curve, **run)
             if change is not None:
-                made.append(
-                    {
-                        "joint": joint,
-                        "designed_speed_rpm": speeds[0],
-                        "speed_rpm": speed,
-                        "pressure_ratio": change.pressure_ratio,
-                        "residual_share": change.residual_share,
-                        "speed_fluctuation": change.speed_fluctuation,
-                    }
-                )
+                results = ("pressure_ratio", "residual_share", "speed_fluctuation")
+                made.append({**run, **{name: getattr(change, name) for name in results}})
     return made
 
 

@@ -277,15 +277,6 @@ class HingedCrank:
         )
 
 
-def slender_rod_inertia(weight_n: float, length_m: float, *, gravity_m_s2: float = 9.81) -> float:
-    """Moment of inertia (kg·m²) of a uniform slender rod about its middle, m L² / 12.
-
-    Document 003 prints no inertia of its rods; the truth sheet takes this one.
-    ``weight_n``: N. ``length_m``: m. ``gravity_m_s2``: that the weight was made with.
-    """
-    return weight_n / gravity_m_s2 * length_m**2 / 12
-
-
 @dataclass(frozen=True, kw_only=True)
 class RodMotion:
     """Motion of crank and rod at crank angle φ, each of the shape of the angles; derivatives are by φ in radians."""
@@ -463,9 +454,9 @@ class HingedCrankData(EngineData):
         """The mechanism as the model needs it."""
         values = self.model_dump(exclude={"name", "speeds_rad_s", "pin_guides", "strut_guides"})
         if self.rod_inertia_kg_m2 is None:
+            # of a uniform slender rod about its middle, m L² / 12: document 003 prints none, the truth sheet takes this
             length_m = self.pin_to_rod_centre_m + self.rod_centre_to_piston_m
-            inertia = slender_rod_inertia(self.rod_weight_n, length_m, gravity_m_s2=self.gravity_m_s2)
-            values["rod_inertia_kg_m2"] = inertia
+            values["rod_inertia_kg_m2"] = self.rod_weight_n / self.gravity_m_s2 * length_m**2 / 12
         return HingedCrank(**values)
 
     @property

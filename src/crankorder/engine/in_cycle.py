@@ -98,7 +98,7 @@ class Lag:
             line = np.rint(self.order / self.step).astype(int)
             lines = np.zeros(line[-1] + 1, dtype=np.complex128)
             lines[line] = rise
-            return _over_a_cycle(lines, 64 * line[-1])
+            return over_a_cycle(lines, 64 * line[-1])
         angle = np.linspace(0, 64, 1 + math.ceil(64 * 64 * max(1.0, self.order[-1])))
         slope = np.zeros(angle.size)
         for order, size in zip(self.order, rise, strict=True):
@@ -152,7 +152,7 @@ def lag_from_torque(
     work = [_work(torque, orders) * 2 / flywheel_inertia_kg_m2 for torque in (masses, masses + gas)]
     n_angles = _enough_angles(masses.size - 1)
     while True:
-        inertia, both = (_lines(_rise(_over_a_cycle(energy, n_angles))) for energy in work)
+        inertia, both = (_lines(_rise(over_a_cycle(energy, n_angles))) for energy in work)
         if (_is_resolved(inertia) and _is_resolved(both)) or n_angles >= MOST_ANGLES:
             return _lag(inertia, both - inertia if with_gas else np.zeros_like(both), 1 / cycle, speed_rpm)
         n_angles *= 2
@@ -169,7 +169,7 @@ def lag_of_speed(speed: Complex, *, step: float) -> Lag:
     """
     n_angles = _enough_angles(speed.size - 1)
     while True:
-        even = _over_a_cycle(speed, n_angles)
+        even = over_a_cycle(speed, n_angles)
         if even.min() <= SLOWEST_SHARE - 1:
             raise _too_slow(1 + float(even.min()), "by_order")
         rise = 1 / (1 + even)
@@ -209,16 +209,15 @@ def _rise(energy: Floats) -> Floats:
         level += move
         if abs(move) <= 1e-16 * level:
             break
-    rise: Floats = 1 / np.sqrt(level + energy)
-    return rise
+    return 1 / np.sqrt(level + energy)
 
 
 def _enough_angles(highest_line: int) -> int:
     return 1 << max(10, math.ceil(math.log2(16 * (highest_line + 1))))
 
 
-def _over_a_cycle(lines: Complex, n_angles: int) -> Floats:
-    """Re Σ lines_k · exp(2πi k j / n) for j = 0 … n − 1."""
+def over_a_cycle(lines: Complex, n_angles: int) -> Floats:
+    """Re Σ lines_k · exp(2πi k j / n) for j = 0 … n − 1, n = ``n_angles``, shape (n,); ``lines``: at most n/2 + 1."""
     padded = np.zeros(n_angles // 2 + 1, dtype=np.complex128)
     padded[: lines.size] = lines
     padded[1:] /= 2

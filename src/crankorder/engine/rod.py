@@ -50,8 +50,7 @@ def rod_couple(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float) -> 
     """
     omega = speed_rpm * np.pi / 30
     _, _, second = rod_angle(crank_angle_rev, engine.mechanism)
-    couple: NDArray[np.float64] = -two_masses(engine).missing_inertia_kg_m2 * omega**2 * second
-    return couple
+    return -two_masses(engine).missing_inertia_kg_m2 * omega**2 * second
 
 
 class RodSplit(EngineData):
@@ -104,7 +103,8 @@ class RodSplits(EngineData):
         made = {"cut": self.cut, "scale": self.scale}
         if self.on_pin is not None:
             fraction = self.on_pin.centre_from_big_end_mm / self.on_pin.rod_length_mm
-            made["on pin"] = split_by_scale(rod_mass_g=self.on_pin.mass_g, centroid_fraction=fraction)
+            small_g = self.on_pin.mass_g * fraction
+            made["on pin"] = RodSplit(big_end_g=self.on_pin.mass_g - small_g, small_end_g=small_g)
         return made
 
 
@@ -123,16 +123,6 @@ class CutConsequences:
     x_first_g_mm: float
     y_first_g_mm: float
     x_second_g_mm: float
-
-
-def split_by_scale(*, rod_mass_g: float, centroid_fraction: float) -> RodSplit:
-    """The split that a scale under each pin shows; it keeps mass and centre of gravity, so every force is right.
-
-    ``rod_mass_g``: whole rod, > 0. ``centroid_fraction``: distance of the centre of gravity from the big end over rod
-    length, 0 … 1.
-    """
-    small = rod_mass_g * centroid_fraction
-    return RodSplit(big_end_g=rod_mass_g - small, small_end_g=small)
 
 
 def two_mass_inertia_g_mm2(split: RodSplit, rod_length_mm: float) -> float:
@@ -155,10 +145,9 @@ def cut_consequences(splits: RodSplits, mechanism: SliderCrank) -> CutConsequenc
     deficit = splits.scale.big_end_g - splits.cut.big_end_g
     excess = splits.cut.small_end_g - splits.scale.small_end_g
     second = abs(acceleration_harmonics(mechanism, 2)[2])
+    shift = splits.cut.centroid_fraction - splits.scale.centroid_fraction
     return CutConsequences(
-        centroid_shift_mm=(splits.cut.centroid_fraction - splits.scale.centroid_fraction)
-        * mechanism.rod_length_m
-        * 1e3,
+        centroid_shift_mm=shift * mechanism.rod_length_m * 1e3,
         rotating_deficit_g=deficit,
         reciprocating_excess_g=excess,
         x_first_g_mm=(deficit - excess) * radius_mm,

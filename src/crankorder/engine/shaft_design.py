@@ -30,12 +30,6 @@ class OrderMotion:
     force: OrderForce
     couple: OrderForce
 
-    def of_sense(self, sense: int) -> tuple[complex, complex]:
-        """Force and couple of the part that turns with the crank (``sense`` 1) or against it (−1)."""
-        if sense > 0:
-            return self.force.direct_g_mm, self.couple.direct_g_mm
-        return self.force.reverse_g_mm, self.couple.reverse_g_mm
-
 
 @dataclass(frozen=True, kw_only=True)
 class Design:
@@ -73,12 +67,8 @@ def order_motions(engine: Engine, max_order: int) -> tuple[OrderMotion, ...]:
     for k in range(1, max_order + 1):
         along, across = (_clean(complex(force[axis, k]), terms[k]) for axis in (Z, X))
         about_x, about_z = (_clean(complex(moment[axis, k]), reaches[k]) for axis in (X, Z))
-        found.append(
-            OrderMotion(
-                force=_split(k, along, across, terms[k]),
-                couple=_split(k, about_x, -about_z, reaches[k]),
-            )
-        )
+        force_k, couple_k = _split(k, along, across, terms[k]), _split(k, about_x, -about_z, reaches[k])
+        found.append(OrderMotion(force=force_k, couple=couple_k))
     return tuple(found)
 
 
@@ -167,7 +157,7 @@ def roll_height_m(engine: Engine, order: int) -> float | None:
 
 def _weights(motion: OrderMotion, sense: int, planes_m: tuple[float, float]) -> tuple[Weight, ...]:
     """Weights in two planes, of a shaft at the order of ``motion``, against the part of it that turns one way."""
-    force, couple = motion.of_sense(sense)
+    force, couple = (part.direct_g_mm if sense > 0 else part.reverse_g_mm for part in (motion.force, motion.couple))
     needs = -force / motion.force.order**2, -couple / motion.force.order**2
     if not force and not couple:
         return ()
@@ -199,10 +189,8 @@ def _terms_g_mm(engine: Engine, max_order: int) -> NDArray[np.float64]:
     """Size of what is summed at each order 0 … ``max_order``: every piston, throw, web and shaft by itself."""
     terms = np.zeros(max_order + 1)
     for one in engine.each:
-        shaken = (
-            one.reciprocating_mass_kg * one.crank_radius_m * np.abs(acceleration_harmonics(one.mechanism, max_order))
-        )
-        terms += 1e6 * shaken
+        harmonics = np.abs(acceleration_harmonics(one.mechanism, max_order))
+        terms += 1e6 * (one.reciprocating_mass_kg * one.crank_radius_m * harmonics)
         terms[1] += 1e6 * one.rotating_unbalance_kg_m
     terms[1] += sum(weight.unbalance_g_mm for weight in engine.webs)
     for shaft in engine.shafts.single:

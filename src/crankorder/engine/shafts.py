@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import partial
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -133,16 +134,6 @@ def opposing_pair(x_g_mm: complex, *, order: float) -> tuple[Shaft, Shaft]:
     )
 
 
-def opposing_shaft(force: OrderForce) -> Shaft:
-    """One shaft that cancels the part of ``force`` that turns against the crank."""
-    size = force.reverse_g_mm
-    return Shaft(
-        speed_ratio=-float(force.order),
-        unbalance_g_mm=abs(size) / force.order**2,
-        phase_deg=180.0 + _lead_deg(size),
-    )
-
-
 def _lead_deg(force_g_mm: complex) -> float:
     return math.degrees(math.atan2(force_g_mm.imag, force_g_mm.real))
 
@@ -165,7 +156,8 @@ def shaft_layout(masses: ReducedMasses, possibility: Possibility, *, max_order: 
     if possibility in ("1", "3") and 1 in by_order:
         shafts += opposing_pair(by_order[1].x_g_mm, order=1)
     if possibility in ("4", "4+2") and 1 in by_order:
-        shafts += (opposing_shaft(by_order[1]),)
+        size = by_order[1].reverse_g_mm
+        shafts += (Shaft(speed_ratio=-1.0, unbalance_g_mm=abs(size), phase_deg=180.0 + _lead_deg(size)),)
     if possibility in ("2", "3", "4+2") and 2 in by_order:
         shafts += opposing_pair(by_order[2].x_g_mm, order=2)
     return ShaftLayout(strategy=strategy, shafts=shafts, residual=with_shafts(left, shafts))
@@ -211,14 +203,10 @@ def pair_scenarios(
     fast makes order² times the force, so the number can only equal the needed force if order² is already in it.
     Source: truth sheet 2.4 (the factor of four of table 3); Task 5, equation (5.28).
     """
-    stated = pair_unbalance_g_mm
+    stated, scenario = pair_unbalance_g_mm, partial(PairScenario, needed_force_g_mm=needed_force_g_mm)
     return {
-        "literal": PairScenario(
-            pair_unbalance_g_mm=stated, pair_force_g_mm=order**2 * stated, needed_force_g_mm=needed_force_g_mm
-        ),
-        "physical": PairScenario(
-            pair_unbalance_g_mm=stated / order**2, pair_force_g_mm=stated, needed_force_g_mm=needed_force_g_mm
-        ),
+        "literal": scenario(pair_unbalance_g_mm=stated, pair_force_g_mm=order**2 * stated),
+        "physical": scenario(pair_unbalance_g_mm=stated / order**2, pair_force_g_mm=stated),
     }
 
 
@@ -339,13 +327,9 @@ def weighted_wheels(train: GearTrain, masses: ReducedMasses, *, second: Series =
         )
     wheels = {}
     for gear in carriers:
-        order = abs(ratios[gear.name])
-        wheels[gear.name] = Shaft(
-            speed_ratio=ratios[gear.name],
-            unbalance_g_mm=moments[order] / 2,
-            x_mm=gear.x_mm,
-            y_mm=gear.y_mm,
-        )
+        ratio = ratios[gear.name]
+        unbalance = moments[abs(ratio)] / 2
+        wheels[gear.name] = Shaft(speed_ratio=ratio, unbalance_g_mm=unbalance, x_mm=gear.x_mm, y_mm=gear.y_mm)
     return wheels
 
 
@@ -377,8 +361,7 @@ def residual_along(
     has that shape. With wheels for the first and second order it begins with the fourth, and is largest at 90°.
     """
     sliding = masses.reciprocating_g * 1e3 * plain_piston_acceleration(crank_angle_rev, masses.mechanism)
-    residual: NDArray[np.float64] = sliding + wheels_force(wheels, crank_angle_rev).real
-    return residual
+    return sliding + wheels_force(wheels, crank_angle_rev).real
 
 
 def gear_errors_deg(

@@ -126,8 +126,7 @@ def piston_velocity(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> Angle
     # cos² ψ - λ² cos² φ = 1 - (λ - e)² - 2 λ e (1 - |sin φ|), e the offset counted towards the side of the crank
     rest = flat - 2 * ratio * lean * cosine**2 / (1 + size)
     lower = sine * rest / (rod_cosine * (rod_cosine + ratio * np.abs(cosine))) - offset * cosine / rod_cosine
-    velocity: Angles = -mechanism.crank_radius_m * np.where(cosine < 0, lower, sine + cosine * rod_sine / rod_cosine)
-    return velocity
+    return -mechanism.crank_radius_m * np.where(cosine < 0, lower, sine + cosine * rod_sine / rod_cosine)
 
 
 def piston_acceleration(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> Angles:
@@ -155,8 +154,7 @@ def plain_piston_acceleration(crank_angle_rev: ArrayLike, mechanism: SliderCrank
     sine, cosine = sine_cosine(crank_angle_rev)
     rod_sine, rod_cosine = _rod_direction(sine, cosine, mechanism)
     swing = (mechanism.crank_ratio * cosine**2 - sine * rod_sine * rod_cosine**2) / rod_cosine**3
-    acceleration: Angles = mechanism.crank_radius_m * (cosine + swing)
-    return acceleration
+    return mechanism.crank_radius_m * (cosine + swing)
 
 
 def fastest_piston(mechanism: SliderCrank) -> tuple[float, float]:

@@ -102,7 +102,10 @@ def tolerance_table(engine: Engine, tolerances: BalanceTolerances, *, max_order:
         still = Errors(mass=errors.mass[:1] * 0, throw=errors.throw[:1] * 0, pin=errors.pin[:1] * 0,
                        weight=errors.weight[:1] * 0, gear=np.full((1, errors.gear.shape[1]), -1.0))  # fmt: skip
         shift = {**dict.fromkeys(KINDS, 0.0), "gear_deg": tolerances.mistiming_deg}
-        of_force, of_couple = (_sizes(parts) for parts in _left(studied, still, shift, max_order))
+        of_force, of_couple = (
+            {str(k): float(size) for k, size in enumerate(_most(parts)[0], start=1)}
+            for parts in _left(studied, still, shift, max_order)
+        )
         turning = sorted({abs(shaft.speed_ratio) for shaft in studied.shafts.single})
         late = {
             "deg": tolerances.mistiming_deg,
@@ -156,20 +159,14 @@ def _add_cylinders(parts: Complex, engine: Engine, errors: Errors, size: dict[st
         turned = np.radians(where.crank_deg) + np.radians(size["pin_deg"]) * errors.pin[:, n]
         mass_g = 1e3 * one.reciprocating_mass_kg + size["reciprocating_g"] * errors.mass[:, n]
         harmonics = acceleration_harmonics(one.mechanism, max_order)[1:]
-        line = (
-            0.5e3 * one.crank_radius_m * mass_g[:, None] * harmonics * _powers(np.exp(1j * (turned - bank)), max_order)
-        )
+        # powers by products: much faster than as many exponentials
+        turns = np.broadcast_to(np.exp(1j * (turned - bank))[:, None], (turned.size, max_order))
+        line = 0.5e3 * one.crank_radius_m * mass_g[:, None] * harmonics * np.cumprod(turns, axis=1)
         tilt = np.exp(1j * bank)
         _add(parts, line * tilt, line.conj() * tilt, where.position_m, slice(None))
         rest = 1e6 * one.rotating_unbalance_kg_m * np.exp(1j * np.radians(one.rotating_unbalance_deg))
         throw = (rest + size["rotating_g_mm"] * errors.throw[:, n]) * np.exp(1j * turned)
         _add(parts, throw, 0.0, where.position_m, 0)
-
-
-def _powers(turned: Complex, highest: int) -> Complex:
-    """The 1st, 2nd, … power of each of ``turned``, (sample, power): much faster than as many exponentials."""
-    each: Complex = np.broadcast_to(turned[:, None], (turned.size, highest))
-    return np.asarray(np.cumprod(each, axis=1), dtype=np.complex128)
 
 
 def _add_shafts(parts: Complex, engine: Engine, errors: Errors, size: dict[str, float]) -> None:
@@ -191,10 +188,6 @@ def _most(parts: Parts) -> Floats:
     return most
 
 
-def _sizes(parts: Parts) -> dict[str, float]:
-    return {str(k): float(size) for k, size in enumerate(_most(parts)[0], start=1)}
-
-
 def _quantiles(parts: Parts) -> dict[str, dict[str, float]]:
     most = _most(parts)
     return {
@@ -203,15 +196,14 @@ def _quantiles(parts: Parts) -> dict[str, dict[str, float]]:
     }
 
 
-def tolerance_sentences(table: Mapping[str, Any] | None, speed_rpm: float) -> list[str]:
+def tolerance_sentences(table: Mapping[str, Any], speed_rpm: float) -> list[str]:
     """What a series leaves, and what one mistiming adds.
 
-    ``table``: as :func:`tolerance_table` makes it, or None. ``speed_rpm``: at which couples are named, > 0.
+    ``table``: as :func:`tolerance_table` makes it. ``speed_rpm``: at which couples are named, > 0.
     """
-    if table is None:
-        return []
     spread = table["force_g_mm"]
-    largest, widest = _largest(spread), _widest(spread)
+    largest = _largest(spread)
+    widest = max(spread, key=lambda order: float(spread[order]["97.5 %"] - spread[order]["2.5 %"]))
     of_largest = "their largest and the one that errors spread most" if largest == widest else "their largest"
     drawn = f"Of {table['samples']} engines drawn within the tolerances"
     if spread[largest]["95 %"] <= NO_FORCE_G_MM:
@@ -234,11 +226,6 @@ def tolerance_sentences(table: Mapping[str, Any] | None, speed_rpm: float) -> li
 def _largest(spread: Mapping[str, Mapping[str, float]]) -> str:
     """Order that most of a series leave most of."""
     return max(spread, key=lambda order: float(spread[order]["95 %"]))
-
-
-def _widest(spread: Mapping[str, Mapping[str, float]]) -> str:
-    """Order that differs most from engine to engine."""
-    return max(spread, key=lambda order: float(spread[order]["97.5 %"] - spread[order]["2.5 %"]))
 
 
 def _of_mistiming(late: Mapping[str, Any], speed_rpm: float, newton_metres: float) -> str:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import numba as nb
 import numpy as np
@@ -302,79 +304,27 @@ def decimation_reach(stages: tuple[DecimationStage, ...]) -> int:
     return reach
 
 
-class _Decimator:
-    """Low-passed, decimated blocks of signals; whole or in blocks the same numbers come out.
+def _passed(
+    signal: NDArray[np.floating], offset: float, filters: Sequence[tuple[int, NDArray[Any], NDArray[Any]]], gaps: bool
+) -> NDArray[np.floating]:
+    """All stages over a piece of one channel that holds what its outputs need and no more.
 
-    Output ``k`` lies on sample ``k * factor`` of the whole signal and needs the samples within ``reach`` of it;
-    outputs from ``first`` on exist. The memory is one pass of 65 536 samples.
+    ``offset`` is taken away, the channel's mean as a rule, so that a constant of a million times the signal costs no
+    digits. ``filters``: factor, taps and room for the phases of each stage. With ``gaps`` samples that are not finite
+    count as ``offset``; without, nobody looks for them.
     """
-
-    def __init__(
-        self,
-        *,
-        rate_hz: float,
-        band_hz: float,
-        factor: int,
-        offset: Floats,
-        dtype: np.dtype[np.floating],
-        tolerance: float,
-        gaps: bool,
-    ) -> None:
-        """Filters from ``rate_hz``, ``band_hz``, ``factor`` and ``tolerance`` for signals of type ``dtype``.
-
-        ``offset`` (channels,) is taken away from each channel, its mean as a rule, so that a constant of a million
-        times the signal costs no digits. With ``gaps`` samples that are not finite count as ``offset``; without,
-        nobody looks for them.
-        """
-        self.stages = decimation_stages(rate_hz, band_hz, factor, tolerance)
-        self.factor, self.reach = factor, decimation_reach(self.stages)
-        self.first = -(-self.reach // factor)
-        self._offset, self._dtype = np.asarray(offset, dtype=np.float64), np.dtype(dtype)
-        self._sums = np.dtype(np.float32 if dtype == np.float32 and tolerance >= SINGLE_SUMS else np.float64)
-        self._taps = [stage.taps.astype(self._sums) for stage in self.stages]
-        strip = [(STRIP + len(stage.taps) // stage.factor + 9) * stage.factor for stage in self.stages]
-        self._phases = [np.zeros(size, dtype=self._sums) for size in strip]
-        self._gaps = gaps
-
-    def outputs(self, samples: NDArray[np.floating], samples_from: int, first: int, stop: int) -> NDArray[np.floating]:
-        """Outputs ``first``…``stop`` - 1 (channels, outputs) of ``samples`` that begin at sample ``samples_from``.
-
-        They need the samples ``first * factor - reach`` … ``(stop - 1) * factor + reach``.
-        """
-        made = np.empty((len(samples), max(0, stop - first)), dtype=self._dtype)
-        step = max(1, PASS_SAMPLES // self.factor)
-        for channel, signal in enumerate(samples):
-            for begin in range(first, stop, step):
-                end = min(stop, begin + step)
-                low = begin * self.factor - self.reach - samples_from
-                high = (end - 1) * self.factor + self.reach + 1 - samples_from
-                made[channel, begin - first : end - first] = self._pass(signal[low:high], self._offset[channel])
-        return made
-
-    def _pass(self, signal: NDArray[np.floating], offset: float) -> NDArray[np.floating]:
-        """All stages over a piece of one channel that holds what its outputs need and no more."""
-        signal = np.ascontiguousarray(signal)
-        if self._gaps and not np.isfinite(_mean(signal)):
-            signal = np.where(np.isfinite(signal), signal, self._dtype.type(offset))
-        # two terms, so that in float32 nothing of a large constant is left over
-        high = self._sums.type(offset)
-        low = self._sums.type(offset - float(high))
-        for stage, taps, phases in zip(self.stages, self._taps, self._phases, strict=True):
-            out = np.empty((len(signal) - len(taps)) // stage.factor + 1, dtype=self._sums)
-            _filtered(signal, high, low, taps, stage.factor, phases, out)
-            signal, high, low = out, self._sums.type(0.0), self._sums.type(0.0)
-        return signal
-
-
-def _without_offset(signals: NDArray[np.floating], offset: Floats, gaps: bool) -> NDArray[np.floating]:
-    """``signals`` less the ``offset`` of each; where they are not finite, looked for only with ``gaps``, 0."""
-    rested = empty_like(signals, signals.shape, signals.dtype)
-    for part in blocks(signals.shape[1], size=PASS_SAMPLES):
-        out = rested[:, part]
-        np.subtract(signals[:, part], offset[:, None], out=out, dtype=np.float64, casting="same_kind")
-        if gaps:
-            np.nan_to_num(out, copy=False, posinf=0.0, neginf=0.0)
-    return rested
+    signal = np.ascontiguousarray(signal)
+    if gaps and not np.isfinite(_mean(signal)):
+        signal = np.where(np.isfinite(signal), signal, signal.dtype.type(offset))
+    kind = filters[0][1].dtype.type
+    # two terms, so that in float32 nothing of a large constant is left over
+    high = kind(offset)
+    low = kind(offset - float(high))
+    for factor, taps, phases in filters:
+        out = np.empty((len(signal) - len(taps)) // factor + 1, dtype=taps.dtype)
+        _filtered(signal, high, low, taps, factor, phases, out)
+        signal, high, low = out, kind(0.0), kind(0.0)
+    return signal
 
 
 def decimate(
@@ -397,13 +347,27 @@ def decimate(
     signals = signals if signals.dtype in (np.float32, np.float64) else signals.astype(np.float64)
     offset, gaps = channel_offsets(signals) if offset is None else (offset, True)
     if factor == 1:
-        return _without_offset(signals, offset, gaps), rate_hz, 0.0
-    decimator = _Decimator(
-        rate_hz=rate_hz, band_hz=band_hz, factor=factor, offset=offset, dtype=signals.dtype, tolerance=tolerance,
-        gaps=gaps,
-    )  # fmt: skip
-    stop = (signals.shape[1] - 1 - decimator.reach) // factor + 1
-    made = empty_like(signals, (len(signals), max(0, stop - decimator.first)), signals.dtype)
+        rested = empty_like(signals, signals.shape, signals.dtype)
+        for part in blocks(signals.shape[1], size=PASS_SAMPLES):
+            out = rested[:, part]
+            np.subtract(signals[:, part], offset[:, None], out=out, dtype=np.float64, casting="same_kind")
+            if gaps:
+                np.nan_to_num(out, copy=False, posinf=0.0, neginf=0.0)
+        return rested, rate_hz, 0.0
+    stages = decimation_stages(rate_hz, band_hz, factor, tolerance)
+    sums = np.dtype(np.float32 if signals.dtype == np.float32 and tolerance >= SINGLE_SUMS else np.float64)
+    rooms = [(STRIP + len(stage.taps) // stage.factor + 9) * stage.factor for stage in stages]
+    filters = [
+        (stage.factor, stage.taps.astype(sums), np.zeros(room, dtype=sums))
+        for stage, room in zip(stages, rooms, strict=True)
+    ]
+    # output k lies on sample k * factor and needs the samples within reach of it
+    reach = decimation_reach(stages)
+    first = -(-reach // factor)
+    stop = (signals.shape[1] - 1 - reach) // factor + 1
+    made = empty_like(signals, (len(signals), max(0, stop - first)), signals.dtype)
     for part in blocks(made.shape[1], size=max(1, PASS_SAMPLES // factor)):
-        made[:, part] = decimator.outputs(signals, 0, decimator.first + part.start, decimator.first + part.stop)
-    return made, rate_hz / factor, decimator.first * factor / rate_hz
+        needed = slice((first + part.start) * factor - reach, (first + part.stop - 1) * factor + reach + 1)
+        for row, signal, mean in zip(made, signals, np.asarray(offset, dtype=np.float64), strict=True):
+            row[part] = _passed(signal[needed], mean, filters, gaps)
+    return made, rate_hz / factor, first * factor / rate_hz

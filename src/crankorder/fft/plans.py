@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import os
-from functools import cache
+from functools import cache, partial
 from importlib.util import find_spec
 from typing import Any, Literal, Protocol
 
@@ -88,15 +88,8 @@ class _ByScipy:
         from scipy import fft
 
         self.input_array, self.output_array = into, out
-        self._transform = fft.rfft if way == "forward" else _sum_of_bins
+        self._transform = fft.rfft if way == "forward" else partial(fft.ifft, norm="forward")
 
     def execute(self) -> None:
         """Transform what ``input_array`` holds into ``output_array``."""
         self.output_array[...] = self._transform(self.input_array)
-
-
-def _sum_of_bins(spectra: NDArray[Any]) -> NDArray[Any]:
-    from scipy import fft
-
-    made: NDArray[Any] = fft.ifft(spectra, norm="forward")
-    return made

@@ -47,7 +47,6 @@ def resampled(row: NDArray[Any], begin: float, step: float, n_samples: int) -> N
         places = begin + step * np.arange(part.start, part.stop)
         low = max(0, math.floor(places[0]) - reach_of(step))
         piece = row[low : math.ceil(places[-1]) + reach_of(step) + 1].astype(np.float64)
-        out[part] = values_at(
-            upfirdn(taps, piece, down=down)[None], (places - low + taps.size // 2) / down, kernel=_KERNEL
-        )[0]
+        filtered, at = upfirdn(taps, piece, down=down), (places - low + taps.size // 2) / down
+        out[part] = values_at(filtered[None], at, kernel=_KERNEL)[0]
     return out

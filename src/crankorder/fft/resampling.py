@@ -128,9 +128,7 @@ class _BandFit:
         return np.asarray(weights)
 
 
-@lru_cache(maxsize=64)
-def _band_fit(taps: int, pass_band: float) -> _BandFit:
-    return _BandFit(taps, pass_band)
+_band_fit = lru_cache(maxsize=64)(_BandFit)
 
 
 def kaiser_error(taps: int, pass_band: float) -> float:
@@ -265,11 +263,8 @@ class Kernel:
 
 def _checked_share(share: float, what: str) -> float:
     if not 0.0 < share < 0.5:
-        raise RequestError(
-            f"{what} is a share of the sample rate, below its Nyquist frequency",
-            found=share,
-            allowed="above 0, below 0.5",
-        )
+        problem = f"{what} is a share of the sample rate, below its Nyquist frequency"
+        raise RequestError(problem, found=share, allowed="above 0, below 0.5")
     return float(share)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from functools import cached_property
 from typing import Any
 
 import numba as nb
@@ -60,12 +59,9 @@ class FrameTransform:
         """Plan for frames of ``len(window.values)`` samples, zero-padded to ``n_fft``, of which ``n_bins`` are kept."""
         self.window = window
         self.n_frame = len(window.values)
+        self._scaled_window = window.values * window.tone_scale
         self.n_fft = max(n_fft or self.n_frame, self.n_frame)
         self.n_bins = min(n_bins or self.n_fft // 2 + 1, self.n_fft // 2 + 1)
-
-    @cached_property
-    def _scaled_window(self) -> Floats:
-        return self.window.values * self.window.tone_scale
 
     def spectra(self, signals: NDArray[np.floating], starts: Ints) -> NDArray[np.complexfloating]:
         """Spectra (channels, frames, n_bins) of the frames that begin at ``starts`` (frames,).
@@ -92,9 +88,8 @@ class FrameTransform:
         signals = _real(signals)
         made = np.empty((len(signals), len(starts), self.n_bins), dtype=signals.dtype)
         rows = made.reshape(-1, self.n_bins)
-        for first, count, spectrum in self._batches(
-            signals, starts, np.ones(len(signals)) if scales is None else scales
-        ):
+        scales = np.ones(len(signals)) if scales is None else scales
+        for first, count, spectrum in self._batches(signals, starts, scales):
             _squares(spectrum.view(made.dtype), rows[first : first + count])
         return made
 
@@ -106,8 +101,8 @@ class FrameTransform:
         plan = self._plan(total, signals.dtype)
         frames, spectra = plan.input_array, plan.output_array
         frames[:, self.n_frame :] = 0.0
-        window, starts = self._scaled_window.astype(signals.dtype), np.ascontiguousarray(starts, dtype=np.int64)
-        scales = scales.astype(signals.dtype)
+        window = self._scaled_window.astype(signals.dtype)
+        starts, scales = np.ascontiguousarray(starts, dtype=np.int64), scales.astype(signals.dtype)
         for first in range(0, total, len(frames)):
             count = min(len(frames), total - first)
             _fill(signals, starts, window, scales, first, frames[:count])

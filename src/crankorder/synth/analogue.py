@@ -89,12 +89,8 @@ def high_pass(corner_hz: float) -> AnalogueFilter:
     """
     if not corner_hz > 0:
         raise ValueError("a high-pass filter has a corner above 0")
-    corner = 2 * np.pi * corner_hz
-    return AnalogueFilter(
-        pole_per_s=np.array([-corner], dtype=np.complex128),
-        residue=np.array([-corner], dtype=np.complex128),
-        direct=1.0,
-    )
+    pole = np.array([-2 * np.pi * corner_hz], dtype=np.complex128)
+    return AnalogueFilter(pole_per_s=pole, residue=pole, direct=1.0)
 
 
 def in_series(a: AnalogueFilter, b: AnalogueFilter) -> AnalogueFilter:

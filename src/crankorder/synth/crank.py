@@ -67,7 +67,7 @@ def crank_motion(scene: Scene, run: Run) -> Motion:
         start_rev=start_angle_rev(scene, run),
         corners=_on_samples(scene, scene.speed_profile.corners) if scene.speed_profile else ((0.0, run.speed_rpm),),
         wobbles=wobbles,
-        lag=_lag(scene, _steady_rpm(scene, run)) if scene.in_cycle_speed is not None else None,
+        lag=_lag(scene, run) if scene.in_cycle_speed is not None else None,
     )
 
 
@@ -84,12 +84,8 @@ def _on_samples(scene: Scene, corners: tuple[tuple[float, float], ...]) -> tuple
     return tuple((round(time_s * rate_hz) / rate_hz, rpm) for time_s, rpm in corners)
 
 
-def _steady_rpm(scene: Scene, run: Run) -> float:
-    """Speed at which the in-cycle motion is exact: of a profile the highest, either way."""
-    return run.speed_rpm if scene.speed_profile is None else max(map(abs, scene.speed_range_rpm)) or 1.0
-
-
-def _lag(scene: Scene, speed_rpm: float) -> Lag:
+def _lag(scene: Scene, run: Run) -> Lag:
+    """In-cycle motion, exact at the speed of ``run``: of a profile at the highest, either way."""
     assert scene.in_cycle_speed is not None
     if scene.in_cycle_speed.by_order:
         return lag_by_order(scene.in_cycle_speed.by_order)
@@ -103,7 +99,7 @@ def _lag(scene: Scene, speed_rpm: float) -> Lag:
     return lag_from_torque(
         scene.engine,
         flywheel_inertia_kg_m2=inertia,
-        speed_rpm=speed_rpm,
+        speed_rpm=run.speed_rpm if scene.speed_profile is None else max(map(abs, scene.speed_range_rpm)) or 1.0,
         highest_order=TORQUE_ORDERS,
         with_gas=scene.gas_torque is not None and scene.engine.gas is not None,
     )

@@ -131,19 +131,10 @@ def advance(
     n_out = (force.shape[1] - 2 * margin) // substeps
     signal = np.zeros((poles.output.shape[0], n_out))
     after = state.astype(np.complex128)
-    odd = taps.shape[1] % 2  # the loop takes taps two by two
-    fill_response(
-        np.ascontiguousarray(force, dtype=np.float64),
-        np.ascontiguousarray(poles.input, dtype=np.float64),
-        np.ascontiguousarray(poles.output, dtype=np.complex128),
-        np.ascontiguousarray(poles.direct, dtype=np.float64),
-        growth,
-        np.pad(taps, ((0, 0), (0, odd))),
-        margin,
-        substeps,
-        after,
-        signal,
-    )
+    even_taps = np.pad(taps, ((0, 0), (0, taps.shape[1] % 2)))  # the loop takes them two by two
+    force, inputs, direct = (np.ascontiguousarray(part, np.float64) for part in (force, poles.input, poles.direct))
+    output = np.ascontiguousarray(poles.output, dtype=np.complex128)
+    fill_response(force, inputs, output, direct, growth, even_taps, margin, substeps, after, signal)
     return signal, after
 
 
@@ -260,7 +251,9 @@ def driven_signal(
     if not shafts.sources:
         return signal
     poles = poles.driven_on(shafts.axes(poles.direct.shape[1]))
-    first = int(np.floor(min(0.0, shafts.first_corner_s) * rate_hz))
+    # before the first corner of any motion all is steady but for wobbles
+    first_corner_s = min((time_s for _, motion in shafts.sources for time_s in motion.corner_s), default=0.0)
+    first = int(np.floor(min(0.0, first_corner_s) * rate_hz))
     first -= int(np.ceil(MEMORY * poles.decay_s * rate_hz)) if shafts.remember else 0
     highest_hz = shafts.highest_force_hz(first / rate_hz, n_samples / rate_hz, tolerance)
     stepping = _Stepping(poles, shafts, integration_for(highest_hz, rate_hz, tolerance), rate_hz)
@@ -309,11 +302,6 @@ class _Shafts:
         """Whether the past is more than a steady state."""
         uneven = any(motion.wobbles or motion.lag is not None for _, motion in self.sources)
         return uneven or self.gas_shaft is not None
-
-    @property
-    def first_corner_s(self) -> float:
-        """Time of the first corner of any motion; before it all is steady but for wobbles."""
-        return min((time for _, motion in self.sources for time in motion.corner_s), default=0.0)
 
     def axes(self, n_axes: int) -> NDArray[np.bool_]:
         """Axes (axis,) along which anything acts."""

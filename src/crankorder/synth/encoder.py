@@ -184,19 +184,15 @@ def with_encoder_faults(
         if fault.recordings and recording not in fault.recordings:
             continue
         chance = seed_stream(seed, "encoder_faults", str(number), stream)
-        track, record = _acted(track, fault, chance)
+        match fault:
+            case LostPulses():
+                track, record = _lost_pulses(track, fault, chance)
+            case DamagedLine():
+                track, record = _damaged_line(track, fault)
+            case DoublePulses():
+                track, record = _double_pulses(track, fault, chance)
         records += [{"recording": recording, **record}] if record["count"] else []
     return track, records
-
-
-def _acted(track: Track, fault: AnyEncoderFault, stream: np.random.Generator) -> tuple[Track, Record]:
-    match fault:
-        case LostPulses():
-            return _lost_pulses(track, fault, stream)
-        case DamagedLine():
-            return _damaged_line(track, fault)
-        case DoublePulses():
-            return _double_pulses(track, fault, stream)
 
 
 def _record(flag: str, detail: str, count: int, **where: Any) -> Record:
@@ -334,7 +330,8 @@ def encoder_signals(
     seed streams. ``rate_hz``: samples per second. ``n_samples``: ≥ 1.
     """
     faulty = any(not fault.recordings or recording in fault.recordings for fault in faults)
-    if not faulty and _is_plain(motion, encoder):
+    flaws = encoder.missing_teeth or encoder.eccentricity_deg or encoder.line_error_deg
+    if not (faulty or flaws) and motion.is_steady and motion.corners[0][1] > 0:
         return _plain_signals(motion, encoder, rate_hz=rate_hz, n_samples=n_samples)
     wheel, duration_s = wheel_of(encoder, seed=seed), n_samples / rate_hz
     lines = passed_pulses(wheel, motion, encoder, duration_s=duration_s)
@@ -348,13 +345,8 @@ def encoder_signals(
     return EncoderSignals(trace=trace, index=index, records=records)
 
 
-def _is_plain(motion: Motion, encoder: Encoder) -> bool:
-    """Whether the encoder is a perfect one on a shaft of constant speed forwards."""
-    flaws = encoder.missing_teeth or encoder.eccentricity_deg or encoder.line_error_deg
-    return not flaws and motion.is_steady and motion.corners[0][1] > 0
-
-
 def _plain_signals(motion: Motion, encoder: Encoder, *, rate_hz: float, n_samples: int) -> EncoderSignals:
+    """Signals of a perfect encoder on a shaft of constant speed forwards."""
     start_turn = float(encoder_turn(np.array([motion.start_rev]), encoder)[0])
     if not 0 <= start_turn < 1e3:  # whole turns would only cost digits, or not fit the counter
         start_turn -= math.floor(start_turn)

@@ -78,8 +78,7 @@ def strike_angles(
     later = first + _walk(ahead, jitter_percent, end - first)
     earlier = first - _walk(back, jitter_percent, first - start)[:0:-1]
     place = np.concatenate([earlier, later])
-    strikes: Real = period_rev * place[(place >= start) & (place <= end)]
-    return strikes
+    return period_rev * place[(place >= start) & (place <= end)]
 
 
 def _walk(stream: np.random.Generator, jitter_percent: float, distance: float) -> Real:
@@ -120,8 +119,7 @@ def modulation(
     order = {"BPFI": shaft_ratio, "BSF": cage_order}.get(line, 0.0)
     angle_rev = np.mod(order * strike_rev + phase_rev, 1.0)
     share = load_zone if order else 0.0
-    relative: Real = 1 + share * np.cos(2 * np.pi * angle_rev)
-    return relative
+    return 1 + share * np.cos(2 * np.pi * angle_rev)
 
 
 def ringing(
@@ -332,9 +330,8 @@ def order_lines(
     if lag is not None and driven.order.size:
         known = dict(zip(driven.order.tolist(), driven.cause, strict=True))
         order, amplitude = lines_in_angle(driven.order, driven.amplitude, lag, speed_rpm=speed)
-        driven = OrderLines(
-            order=order, amplitude=amplitude, cause=tuple(known.get(value, SIDEBAND) for value in order.tolist())
-        )
+        cause = tuple(known.get(value, SIDEBAND) for value in order.tolist())
+        driven = OrderLines(order=order, amplitude=amplitude, cause=cause)
     return OrderLines(
         order=np.concatenate([driven.order, fixed.order]),
         amplitude=np.concatenate([driven.amplitude, fixed.amplitude], axis=1),
@@ -363,7 +360,8 @@ def _masses(scene: Scene) -> list[_Force]:
         for k in range(1, top + 1)
         if acts[:, k].any()
     ]
-    if scene.engine_forces.moments and _accelerates(scene):
+    accelerates = any((scene.speed_profile, scene.speed_wander, scene.in_cycle_speed))
+    if scene.engine_forces.moments and accelerates:
         rolls = _acceleration_moment(scene, top) * (at_rpm * np.pi / 30) ** 2
         forces += [
             _Force(float(k), rolls[:, k], cause, at_speed_rpm=at_rpm, acceleration=True)
@@ -371,11 +369,6 @@ def _masses(scene: Scene) -> list[_Force]:
             if rolls[:, k].any()
         ]
     return forces
-
-
-def _accelerates(scene: Scene) -> bool:
-    """Whether the crank ever has an angular acceleration."""
-    return any((scene.speed_profile, scene.speed_wander, scene.in_cycle_speed))
 
 
 def _acceleration_moment(scene: Scene, top: int) -> Complex:

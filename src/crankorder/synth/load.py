@@ -164,36 +164,29 @@ def _sampling(scene: Scene) -> Iterator[Fault]:
     yield from impossible_faults(scene.signal_faults, n_samples=scene.n_samples, duration_s=shortest_s)
     for name, delay_s in scene.acquisition.delay_s.items():
         if abs(delay_s) > shortest_s:
-            allowed = f"at most {shortest_s:g} s, the shortest recording"
-            yield (
-                "a channel is later than the recording is long",
-                "acquisition.delay_s",
-                f"{name} {delay_s:g} s",
-                allowed,
-            )
+            found, allowed = f"{name} {delay_s:g} s", f"at most {shortest_s:g} s, the shortest recording"
+            yield "a channel is later than the recording is long", "acquisition.delay_s", found, allowed
     for head in ("bearing_lines", "bearing_impacts"):
         for k, part in enumerate(getattr(scene, head)):
             if (scene.repeats - 1) * math.log10(part.growth) > MOST_GROWTH:
                 allowed = f"1e{MOST_GROWTH} fold in all repeats"
                 yield "it grows out of all proportion", f"{head}.{k}.growth", f"{part.growth:g}", allowed
-    lowest_rate = scene.rate_hz(slowest if scene.speeds else fastest)
+    nyquist_hz = scene.rate_hz(slowest if scene.speeds else fastest) / 2
+    below = f"below half the rate, {nyquist_hz:g} Hz"
     for k, mode in enumerate(scene.modes):
-        if mode.frequency_hz >= lowest_rate / 2:
-            allowed = f"below half the rate, {lowest_rate / 2:g} Hz"
-            yield "natural frequency above Nyquist", f"modes.{k}.frequency_hz", f"{mode.frequency_hz:g}", allowed
+        if mode.frequency_hz >= nyquist_hz:
+            yield "natural frequency above Nyquist", f"modes.{k}.frequency_hz", f"{mode.frequency_hz:g}", below
     for k, part in enumerate(scene.bearing_impacts):
-        if part.resonance_hz >= lowest_rate / 2 and scene.acquisition.low_pass_hz is None:
-            allowed = f"below half the rate, {lowest_rate / 2:g} Hz, or a low_pass_hz"
-            yield "resonance above Nyquist", f"bearing_impacts.{k}.resonance_hz", f"{part.resonance_hz:g}", allowed
-    if scene.speed_wander is not None and scene.speed_wander.corner_hz >= lowest_rate / 2:
-        allowed = f"below half the rate, {lowest_rate / 2:g} Hz"
+        if part.resonance_hz >= nyquist_hz and scene.acquisition.low_pass_hz is None:
+            place, found = f"bearing_impacts.{k}.resonance_hz", f"{part.resonance_hz:g}"
+            yield "resonance above Nyquist", place, found, f"{below}, or a low_pass_hz"
+    if scene.speed_wander is not None and scene.speed_wander.corner_hz >= nyquist_hz:
         found = f"{scene.speed_wander.corner_hz:g} Hz"
-        yield "speed that changes above Nyquist", "speed_wander.corner_hz", found, allowed
+        yield "speed that changes above Nyquist", "speed_wander.corner_hz", found, below
     for k, tone in enumerate(scene.tones):
         highest = tone.frequency_hz * len(tone.harmonics)
-        if highest >= lowest_rate / 2 and not getattr(scene.sampling, "folds", False):
-            allowed = f"below half the rate, {lowest_rate / 2:g} Hz"
-            yield "tone above Nyquist", f"tones.{k}", f"{highest:g} Hz", allowed
+        if highest >= nyquist_hz and not getattr(scene.sampling, "folds", False):
+            yield "tone above Nyquist", f"tones.{k}", f"{highest:g} Hz", below
 
 
 def _by_crank_angle(scene: Scene) -> Iterator[Fault]:

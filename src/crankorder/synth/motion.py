@@ -411,15 +411,8 @@ class Motion:
         sequence = None if np.all(way * np.diff(angles) >= 0) else np.argsort(way * angles, kind="stable")
         sorted_rev = np.clip(angles if sequence is None else angles[sequence], passed.min(), passed.max())
         times = np.empty(angles.size)
-        fill_times(
-            sorted_rev,
-            knots,
-            way * np.maximum.accumulate(way * passed),
-            way,
-            *self._numbers[:-1],
-            np.zeros(TERMS),
-            times,
-        )
+        knot_rev = way * np.maximum.accumulate(way * passed)
+        fill_times(sorted_rev, knots, knot_rev, way, *self._numbers[:-1], np.zeros(TERMS), times)
         if sequence is not None:
             times[sequence] = times.copy()
         return times
@@ -457,21 +450,8 @@ class Motion:
     def _mean(self, time_s: Floats, piece: int = -1) -> Floats:
         """Angle, speed and acceleration without the lag, shape (3, n)."""
         out = np.empty((3, time_s.size))
-        corner_s, pieces, wobbles, *_ = self._numbers
-        fill_motion(
-            time_s,
-            piece,
-            corner_s,
-            pieces,
-            wobbles,
-            np.zeros((0, 5)),
-            0.0,
-            0.0,
-            0.0,
-            np.empty(BLOCK),
-            np.empty(TERMS),
-            out,
-        )
+        no_lag = np.zeros((0, 5)), 0.0, 0.0, 0.0
+        fill_motion(time_s, piece, *self._numbers[:3], *no_lag, np.empty(BLOCK), np.empty(TERMS), out)
         return out
 
     def _mean_rpm(self, time_s: float) -> float:

@@ -117,8 +117,7 @@ def density_through_points(part: ColouredNoise, frequency_hz: NDArray[np.float64
     """
     points_hz, levels = np.log(part.frequency_hz), np.log(part.m_s2_per_root_hz)
     log_hz = np.log(np.maximum(frequency_hz, part.frequency_hz[0]))
-    density: NDArray[np.float64] = np.exp(np.interp(log_hz, points_hz, levels))
-    return density
+    return np.exp(np.interp(log_hz, points_hz, levels))
 
 
 def folded_density(
@@ -151,8 +150,7 @@ def folded_density(
         beyond = filter.folded_power(rate_hz, frequency) - passed
         level = density(np.array([(folds + 0.5) * rate_hz]))
         power += np.where(beyond > ROUND_OFF, level**2 * beyond, 0.0)
-    folded: NDArray[np.float64] = np.sqrt(power)
-    return folded
+    return np.sqrt(power)
 
 
 def _is_level(density: Callable[[NDArray[np.float64]], NDArray[np.float64]], from_hz: float) -> bool:
@@ -200,10 +198,11 @@ def floor_of(scene: Scene, rate_hz: float) -> Floor:
     # the sensors' noise has a length of its own: that of the forces' transform depends on whether there are any
     n_shaped = padded_length(scene.n_samples, scene.n_samples // SHAPED_TAIL)
     frequency: Density = np.arange(n_shaped // 2 + 1, dtype=np.float64) * (rate_hz / n_shaped)
+    shapes_sensors = scene.sensor_noise and scene.filter
     return Floor(
         n_padded=n_padded,
         response=response,
-        sensor=_sensor_shape(scene, frequency, rate_hz) if scene.sensor_noise and scene.filter else None,
+        sensor=folded_density(np.ones_like, scene.filter, rate_hz, frequency) if shapes_sensors else None,
         coloured=tuple(_coloured_density(scene, k, frequency, rate_hz) for k in range(len(scene.coloured_noise))),
     )
 
@@ -254,13 +253,12 @@ def floor_density(scene: Scene, frequency_hz: Density, structure: Structure, rat
         power += np.einsum("caf,a->cf", np.abs(_gain(scene, structure, frequency_hz)) ** 2, force**2)
     if scene.sensor_noise is not None:
         level = scene.by_channel(scene.sensor_noise.m_s2_per_root_hz)
-        shape = _sensor_shape(scene, frequency_hz, rate_hz) if scene.filter else np.ones(frequency_hz.size)
+        shape = folded_density(np.ones_like, scene.filter, rate_hz, frequency_hz)
         power += (level[:, None] * shape) ** 2
     for k, part in enumerate(scene.coloured_noise):
         has = np.array([name in part.channels for name in scene.channel_names])
         power += has[:, None] * _coloured_density(scene, k, frequency_hz, rate_hz) ** 2
-    density: Density = np.sqrt(power)
-    return density
+    return np.sqrt(power)
 
 
 def _driven_axes(scene: Scene) -> tuple[Axis, ...]:
@@ -275,11 +273,6 @@ def _gain(scene: Scene, structure: Structure, frequency_hz: Density) -> NDArray[
     roll_off = 1 / np.sqrt(1 + (frequency_hz / scene.broadband.corner_hz) ** 4)
     gain = accelerance(structure, frequency_hz)[:, rows] * roll_off
     return gain if scene.filter is None else gain * scene.filter.response(frequency_hz)
-
-
-def _sensor_shape(scene: Scene, frequency_hz: Density, rate_hz: float) -> Density:
-    assert scene.filter is not None
-    return folded_density(np.ones_like, scene.filter, rate_hz, frequency_hz)
 
 
 def _coloured_density(scene: Scene, number: int, frequency_hz: Density, rate_hz: float) -> Density:

@@ -84,8 +84,7 @@ class ForceLines:
         if speed_rpm == 0 and np.any(exponent < 0):
             raise RequestError(ENDLESS, allowed="speed ≠ 0")
         scale = np.where(self.accelerates, 0.0, (abs(speed_rpm) / self.at_speed_rpm) ** exponent)
-        scaled: NDArray[np.complex128] = self.amplitude * scale
-        return scaled
+        return self.amplitude * scale
 
     @cached_property
     def sums(self) -> _Sums:
@@ -135,7 +134,7 @@ def force_at(
     angle_rev: Real,
     speed_rpm: Real,
     acceleration_rpm_per_s: Real,
-    gain: Real | float | None = None,
+    gain: Real | float = 1.0,
 ) -> Real:
     """Forces and moments of ``lines`` (N, N·m), shape (axis, n), where the shaft moves as stated.
 
@@ -147,25 +146,14 @@ def force_at(
     if np.any(lines.exponent[~(lines.inertia | lines.accelerates)] < 0) and not np.all(speed_rpm):
         raise RequestError(ENDLESS, allowed="speed ≠ 0")
     sums = lines.sums
-    ones = 1.0 if gain is None else gain
     rows = np.empty((len(sums.factors), angle_rev.size))
     live = np.ones(len(sums.factors), dtype=np.bool_)
     for number, (row, factor) in enumerate(zip(rows, sums.factors, strict=True)):
-        row[:] = factor.at(speed_rpm, acceleration_rpm_per_s, ones)
+        row[:] = factor.at(speed_rpm, acceleration_rpm_per_s, gain)
         live[number] = factor.of != "acceleration" or row.any()
     if angle_rev.size and sums.jump.size:
-        fill_forces(
-            np.ascontiguousarray(angle_rev, dtype=np.float64),
-            sums.unit,
-            sums.jump,
-            sums.order,
-            sums.first_term,
-            sums.weight,
-            sums.goes_to,
-            rows,
-            live,
-            force,
-        )
+        phasors = sums.unit, sums.jump, sums.order, sums.first_term, sums.weight, sums.goes_to
+        fill_forces(np.ascontiguousarray(angle_rev, dtype=np.float64), *phasors, rows, live, force)
     return force
 
 
@@ -296,8 +284,7 @@ def lines_in_time(lines: ForceLines, lag: Lag, *, speed_rpm: float) -> tuple[Flo
             return masses
         if lines.accelerates[line]:
             return ratio**2 / (2 * np.pi) * bend
-        powers: Floats = (ratio * rise) ** float(exponent[line])
-        return powers
+        return (ratio * rise) ** float(exponent[line])
 
     return _expanded(lines.order, lines.amplitude, step, crank, scale)
 

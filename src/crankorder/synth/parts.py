@@ -7,13 +7,12 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from crankorder.engine.definition import NonNegative, Positive
 from crankorder.engine.forces import DIRECTIONS
 
 TRACE, INDEX = "encoder", "index"
 """Datasets of the encoder in a file."""
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_+. -]{1,40}$")]
 DatasetName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,39}$")]
 Axis = Literal["X", "Y", "Z", "RX", "RY", "RZ"]

@@ -46,12 +46,8 @@ def order_signal(scene: Scene, run: Run, motion: Motion) -> Signal:
     """
     own = [(shaft_forces(scene, shaft), other_motion(scene, run, shaft)) for shaft in scene.other_shafts if shaft.rpm]
     sources = [(forces, turning) for forces, turning in ((crank_forces(scene), motion), *own) if forces.order.size]
-    steady = all(_mean_is_steady(turning) for _, turning in sources)
-    if scene.gas_torque is not None and scene.gas_torque.scatter_percent:
-        steady = False
-    if not sources:
-        return np.zeros((len(scene.channels), scene.n_samples))
-    if not steady:
+    scatters = scene.gas_torque is not None and scene.gas_torque.scatter_percent
+    if sources and (scatters or not all(_mean_is_steady(turning) for _, turning in sources)):
         return _integrated(scene, run, sources)
     signal = np.zeros((len(scene.channels), scene.n_samples))
     for forces, turning in sources:

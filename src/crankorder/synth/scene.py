@@ -109,14 +109,13 @@ class Scene(Part):
             self.by_channel(mode.sensor_per_kg) * np.exp(1j * np.radians(self.by_channel(mode.sensor_phase_deg)))
             for mode in self.modes
         ]
+        drive = [[mode.drive.get(axis, 0.0) for axis in AXES] for mode in self.modes]
         rigid = [[self.rigid_body_per_kg.get(name, {}).get(axis, 0.0) for axis in AXES] for name in self.channel_names]
         return Structure(
             frequency_hz=np.array([mode.frequency_hz for mode in self.modes]),
             damping_ratio=np.array([mode.damping_ratio for mode in self.modes]),
             sensor_per_kg=np.array(turned, dtype=np.complex128).reshape(len(self.modes), len(self.channels)),
-            drive=np.array([[mode.drive.get(axis, 0.0) for axis in AXES] for mode in self.modes]).reshape(
-                -1, len(AXES)
-            ),
+            drive=np.array(drive).reshape(-1, len(AXES)),
             rigid_body_per_kg=np.array(rigid),
         )
 
@@ -136,9 +135,8 @@ class Scene(Part):
     @cached_property
     def speed_range_rpm(self) -> tuple[float, float]:
         """Lowest and highest speed of all recordings, without wander and in-cycle motion."""
-        if self.speeds is not None:
-            return min(self.speeds.rpm), max(self.speeds.rpm)
-        reached = self.speed_profile.rpm if self.speed_profile is not None else (0.0,)
+        stated = self.speeds or self.speed_profile
+        reached = (0.0,) if stated is None else stated.rpm
         return min(reached), max(reached)
 
     def runs_of(self, repeat: int) -> tuple[Run, ...]:

@@ -35,6 +35,7 @@ class _Channel:
 
     samples: Signal
     peak: float
+    """Largest absolute value of the finite samples without faults."""
     rate_hz: float
     stream: np.random.Generator
     limits: IngestSettings
@@ -96,7 +97,8 @@ def with_signal_faults(
             if isinstance(fault, DroppedSamples):
                 _move(fault, [mark for other, mark in marks if other == name], rate_hz, samples.size)
             chance = seed_stream(seed, "signal_faults", str(number), stream, name)
-            channel = _Channel(samples=samples, peak=_peak(clean), rate_hz=rate_hz, stream=chance, limits=limits)
+            peak = float(np.max(np.abs(clean), where=np.isfinite(clean), initial=0.0))
+            channel = _Channel(samples=samples, peak=peak, rate_hz=rate_hz, stream=chance, limits=limits)
             marks.append((name, _apply(fault, channel)))
     return faulty, [_record(mark, name, recording, rate_hz) for name, mark in marks]
 
@@ -139,11 +141,6 @@ def impossible_faults(
             yield "fewer samples are left to drop", f"{place}.count", str(fault.count), f"{n_samples - 2 - first:.0f}"
         if isinstance(fault, Spikes) and fault.count > n_samples:
             yield "more spikes than samples", f"{place}.count", str(fault.count), f"up to {n_samples}"
-
-
-def _peak(clean: Signal) -> float:
-    """Largest absolute value of the finite samples."""
-    return float(np.max(np.abs(clean), where=np.isfinite(clean), initial=0.0))
 
 
 def _move(fault: DroppedSamples, marks: list[_Mark], rate_hz: float, n_samples: int) -> None:
@@ -198,9 +195,8 @@ def _overload(fault: IepeOverload, channel: _Channel) -> _Mark:
     step = fault.times_peak * channel.peak
     channel.samples[at[0] :] += step * np.exp((fault.at_s - at / channel.rate_hz) / fault.decay_s)
     detail = f"step of {step:.6g} m/s2 at {fault.at_s:g} s that decays with {fault.decay_s:g} s"
-    return _Mark(
-        flag=fault.kind, severity="bad", detail=detail, at=at, more={"step_m_s2": step, "decay_s": fault.decay_s}
-    )
+    more = {"step_m_s2": step, "decay_s": fault.decay_s}
+    return _Mark(flag=fault.kind, severity="bad", detail=detail, at=at, more=more)
 
 
 @_apply.register

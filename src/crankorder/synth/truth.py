@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -15,7 +16,6 @@ from crankorder.quantities import Truth
 from crankorder.synth.lines import OrderLines, crank_forces, fixed_lines, order_lines, slipping_line, strikes_per_rev
 from crankorder.synth.noise import floor_density
 from crankorder.synth.parts import BearingImpacts, BearingLine
-from crankorder.synth.poles import Structure
 from crankorder.synth.scene import Run, Scene
 
 UNIT = "m/s2"
@@ -152,13 +152,8 @@ def _modes(scene: Scene) -> list[dict[str, Any]]:
     records = []
     for j, mode in enumerate(scene.modes):
         rest = np.arange(len(scene.modes)) != j
-        without = Structure(
-            frequency_hz=structure.frequency_hz[rest],
-            damping_ratio=structure.damping_ratio[rest],
-            sensor_per_kg=structure.sensor_per_kg[rest],
-            drive=structure.drive[rest],
-            rigid_body_per_kg=structure.rigid_body_per_kg,
-        )
+        by_mode = ("frequency_hz", "damping_ratio", "sensor_per_kg", "drive")
+        without = replace(structure, **{name: getattr(structure, name)[rest] for name in by_mode})
         at = np.array([mode.frequency_hz])
         rate_hz = scene.rate_hz(scene.speed_range_rpm[1])
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -239,11 +234,9 @@ def _lines(scene: Scene) -> list[dict[str, Any]]:
     for shaft in scene.other_shafts:
         orders = [injected.order for injected in scene.injected_orders if injected.shaft == shaft.name]
         if shaft.rpm is not None:
-            hertz = [[order * rpm / 60 for rpm in shaft.rpm] for order in orders]
-            records += [
-                {"shaft": shaft.name, "order_of_shaft": o, "frequency_hz": f}
-                for o, f in zip(orders, hertz, strict=True)
-            ]
+            for order in orders:
+                hertz = [order * rpm / 60 for rpm in shaft.rpm]
+                records.append({"shaft": shaft.name, "order_of_shaft": order, "frequency_hz": hertz})
     return records
 
 
