@@ -120,9 +120,7 @@ def run_test(
         outcome.notes += channels_left_out(results)
         if not results:
             raise NoUsableRecordingError(
-                "no recording could be used",
-                file=plan.folder,
-                remedy="Mend the faults listed above",
+                "no recording could be used", file=plan.folder, remedy="Mend the faults listed above"
             )
         _finish(plan, results, provenance, key, outcome, reporting, clock)
     except CrankorderError as error:

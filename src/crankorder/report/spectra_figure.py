@@ -28,14 +28,7 @@ from crankorder.plot.palette import (
 )
 from crankorder.plot.panel import Panel
 from crankorder.report.fixed_lines import fixed_frequencies
-from crankorder.report.notation import (
-    frequency_text,
-    is_tone,
-    is_undecided,
-    nominal_order,
-    order_texts,
-    scaling_text,
-)
+from crankorder.report.notation import frequency_text, is_tone, is_undecided, nominal_order, order_texts, scaling_text
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _BETWEEN, _RIGHT, _ROW_GAP = 1.0, 0.7, 1.06, 0.95, 0.3, 0.16  # inches

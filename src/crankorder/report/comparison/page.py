@@ -8,13 +8,7 @@ from markupsafe import Markup
 
 from crankorder.channel_units import unit_text
 from crankorder.report.comparison.sentences import comparison_story, estimate
-from crankorder.report.notation import (
-    frequency_text,
-    is_number,
-    named,
-    number_text,
-    order_text,
-)
+from crankorder.report.notation import frequency_text, is_number, named, number_text, order_text
 from crankorder.report.page import page_policy, page_style, page_template
 from crankorder.report.rows import Table, table_of
 from crankorder.settings import ReportSettings

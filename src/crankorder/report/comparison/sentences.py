@@ -5,15 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from crankorder.channel_units import unit_text
-from crankorder.report.notation import (
-    frequency_text,
-    is_number,
-    listed,
-    named,
-    number_text,
-    order_text,
-    with_interval,
-)
+from crankorder.report.notation import frequency_text, is_number, listed, named, number_text, order_text, with_interval
 from crankorder.report.sentences.story import Story
 
 _NAME = 60
@@ -258,10 +250,7 @@ def _grown(document: dict[str, Any]) -> list[str]:
 
 def _growth_sentence(lines: list[dict[str, Any]]) -> str:
     one = lines[0]
-    share = {
-        "growth": 100 * one["growth_per_run"],
-        "growth_ci95": [100 * end for end in one["growth_per_run_ci95"]],
-    }
+    share = {"growth": 100 * one["growth_per_run"], "growth_ci95": [100 * end for end in one["growth_per_run_ci95"]]}
     rule = " A growing amplitude of a bearing line means a failing bearing." if "bearing" in one["kind"] else ""
     where = f" in {named(one['channel'], limit=_NAME)}" if one["channel"] else " in the envelope"
     names = " or ".join(dict.fromkeys(named(line["line"], limit=_NAME) for line in lines))
