@@ -50,9 +50,8 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
             bottom = _BOTTOM + (len(groups) - 1 - number) * (height + _GAP)
             axes = axes_at(figure, _LEFT, bottom, width, height)
             _bars(axes, orders, values, hues, kind="force" if unit == "N" else "moment", most=most, settings=settings)
-            axes.set_xlim(0.4, last + 0.6)
             axes.set_title(name, fontsize=9)
-            axes.set_ylabel(unit)
+            axes.set(xlim=(0.4, last + 0.6), ylabel=unit)
             factor, right = (per_omega, "g·mm") if unit == "N" else (1e-3 * per_omega, "g·mm²")
             _second_scale(axes, factor, right)
             if number == 2:
@@ -63,10 +62,8 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
         entries = [(called(system, balance), system_color(system[0])) for system in systems]
         if len(entries) > 1:
             color_key(figure, (_LEFT, tall_in - _TOP + 0.2, width, 0.1), entries)
-        said = (
-            f"Amplitude at {speed_key(speed)} rpm. "
-            f"Bars below {100 * _share(settings):.1g} % of the largest are left out."
-        )
+        said = f"Amplitude at {speed_key(speed)} rpm. "
+        said += f"Bars below {100 * _share(settings):.1g} % of the largest are left out."
         said += f" So are orders above {last:g}." if tall and tall[-1] > last else ""
         idle = [str(name) for name in balance["system"].values if not any(name in names for names in systems)]
         said += f" No force: {called(idle, balance)}." if idle else ""
