@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -284,8 +284,5 @@ def _pieces(time: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[n
     number = np.minimum(((time - time[0]) / (time[-1] - time[0]) * _PIECES).astype(int), _PIECES - 1)
     first = np.flatnonzero(np.diff(number, prepend=-1))
     count = np.diff(np.append(first, len(values)))
-    made: Any = np.stack([
-        np.add.reduceat(time, first) / count, np.add.reduceat(values, first) / count,
-        np.minimum.reduceat(values, first), np.maximum.reduceat(values, first),
-    ])  # fmt: skip
-    return np.asarray(made, dtype=np.float64)
+    means = (np.add.reduceat(series, first) / count for series in (time, values))
+    return np.stack([*means, np.minimum.reduceat(values, first), np.maximum.reduceat(values, first)])
