@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -168,13 +169,8 @@ def accuracy_on(result: Path, *, draws: int = 1) -> TwinAccuracy:
         raise RequestError("no twin can be made of this test", file=folder, found=found, allowed=allowed)
     asked = {**run["settings"], "report": {**run["settings"]["report"], "results": _RESULTS}}
     settings = load_settings(asked={stage: values for stage, values in asked.items() if isinstance(values, dict)})
-    twin, made = _twin(groups, run, settings), []
-    for draw in range(draws):
-        rng = np.random.default_rng([draw, 18])
-        probes = probe_orders(twin)
-        amplitudes = probe_amplitudes(twin, rng, len(probes))
-        made.append(_draw(twin, run, settings, probes, amplitudes, rng))
-    return _judged(twin, str(run["test"]), made)
+    twin = _twin(groups, run, settings)
+    return _judged(twin, str(run["test"]), [_draw(twin, run, settings, number) for number in range(draws)])
 
 
 _RESULTS = ("order_map", "campbell_map", "order_tracks", "findings")
@@ -205,10 +201,10 @@ class _Draw:
     amplitudes: Floats
 
 
-def _draw(
-    twin: Twin, run: dict[str, Any], settings: Settings, probes: Floats, amplitudes: Floats, rng: np.random.Generator
-) -> _Draw:
-    manifest = run["manifest"]
+def _draw(twin: Twin, run: dict[str, Any], settings: Settings, number: int) -> _Draw:
+    manifest, rng = run["manifest"], np.random.default_rng([number, 18])
+    probes = probe_orders(twin)
+    amplitudes = probe_amplitudes(twin, rng, len(probes))
     coords = twin.tracks.coords
     rows = zip(coords["channel"].values.astype(str), coords["unit"].values.astype(str), strict=True)
     channels = [{"name": name, "source": place, "unit": unit} for place, (name, unit) in enumerate(rows)]
@@ -218,19 +214,13 @@ def _draw(
         for one in twin_recordings(twin, probes, amplitudes, rng)
     ]
     tables = {key: manifest.get(key) for key in ("bearings", "gears", "motor") if manifest.get(key)}
-    groups, findings, _ = analysed(
-        recordings, settings, tables=tables, engine=_known_engine(manifest["test"].get("engine"))
-    )
-    return _Draw(groups["order_tracks"], findings, probes, amplitudes)
-
-
-def _known_engine(name: str | None) -> str | None:
-    """``name`` of a shipped engine; None for one that lay beside the recordings."""
+    engine = manifest["test"].get("engine")
     try:
-        engine_of(name)
-    except CrankorderError:
-        return None
-    return name
+        engine_of(engine)
+    except CrankorderError:  # one that lay beside the recordings
+        engine = None
+    groups, findings, _ = analysed(recordings, settings, tables=tables, engine=engine)
+    return _Draw(groups["order_tracks"], findings, probes, amplitudes)
 
 
 def _recording(
@@ -257,17 +247,12 @@ def _recording(
 def _judged(twin: Twin, test: str, draws: list[_Draw]) -> TwinAccuracy:
     own = twin.tracks["order"].values
     near = 0.5 * float(np.diff(twin.order_map["order"].values[:2])[0])
-    missed: dict[str, int] = {}
-    false: dict[str, int] = {}
+    missed, false = Counter[str](), Counter[str]()
     for draw in draws:
         found = np.unique([line.order for line in draw.findings.orders])
-        for order in own:
-            if np.abs(found - order).min(initial=np.inf) > near:
-                missed[f"{order:.4g}"] = missed.get(f"{order:.4g}", 0) + 1
+        missed.update(f"{order:.4g}" for order in own if np.abs(found - order).min(initial=np.inf) > near)
         known = np.concatenate([own, draw.probes])
-        for order in found:
-            if np.abs(known - order).min() > near:
-                false[f"{order:.4g}"] = false.get(f"{order:.4g}", 0) + 1
+        false.update(f"{order:.4g}" for order in found if np.abs(known - order).min() > near)
     names, units = twin.tracks["channel"].values.astype(str), twin.tracks["unit"].values.astype(str)
     channels = tuple(
         _of_channel(twin, draws, number, name, unit, near)
@@ -278,17 +263,17 @@ def _judged(twin: Twin, test: str, draws: list[_Draw]) -> TwinAccuracy:
 
 
 def _of_channel(twin: Twin, draws: list[_Draw], number: int, name: str, unit: str, near: float) -> ChannelAccuracy:
-    off: list[Floats] = []
-    inside: list[Floats] = []
+    off: list[float] = []
+    inside: list[bool] = []
     probes: list[tuple[float, bool]] = []
     put_in = found = 0
     for draw in draws:
         lines = np.array([line.order for line in draw.findings.orders if line.channel == name])
         for order in draw.tracks["order"].values:
             for estimate, truth, error, low, high in _beside(twin, draw, number, float(order), near):
-                inside.append(np.array([low <= truth <= high]))
+                inside.append(low <= truth <= high)
                 if truth > SURE * error:
-                    off.append(np.array([estimate / truth - 1.0]))
+                    off.append(estimate / truth - 1.0)
         for order, amplitude in zip(draw.probes, draw.amplitudes[number], strict=True):
             probes.append((float(amplitude), bool(np.abs(lines - order).min(initial=np.inf) <= near)))
         own = twin.tracks["order"].values
@@ -296,7 +281,7 @@ def _of_channel(twin: Twin, draws: list[_Draw], number: int, name: str, unit: st
         found += sum(bool(np.abs(lines - order).min(initial=np.inf) <= near) for order in own)
     lost = [size for size, seen in probes if not seen]
     seen = sorted(size for size, seen in probes if seen and size > max(lost, default=0.0))
-    errors = 100.0 * np.concatenate(off) if off else np.array([])
+    errors = 100.0 * np.array(off)
     return ChannelAccuracy(
         name,
         unit,

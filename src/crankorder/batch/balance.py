@@ -6,8 +6,9 @@ Pictures and NetCDF are imported where they are made: a look at the numbers need
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -60,14 +61,10 @@ def balance_of(engine: str, *, max_order: int, speeds_rpm: Sequence[float] = ())
         try:
             document = balance_sheet(subject, max_order=max_order, speeds_rpm=speeds)
         except RequestError as error:  # of the engine, whose file the sheet does not know
-            raise _in_file(error, source) from None
+            told = {key: getattr(error, key) for key in ("place", "found", "allowed", "remedy")}
+            raise RequestError(error.problem, file=error.file or source, **told) from None
     speeds = speeds or subject.balance.speeds_rpm
     return Balance(subject=subject, max_order=max_order, speeds_rpm=speeds, document=_finite(document, source))
-
-
-def _in_file(error: RequestError, source: str) -> RequestError:
-    told = {key: getattr(error, key) for key in ("place", "found", "allowed", "remedy")}
-    return RequestError(error.problem, file=error.file or source, **told)
 
 
 def _finite(document: dict[str, Any], source: str) -> dict[str, Any]:
@@ -97,87 +94,73 @@ def publish_balance(balance: Balance, out: Path, *, report: dict[str, Any] | Non
     ``balance`` as :func:`balance_of` makes it; ``report``: settings of the report by key, before the defaults. Raises
     EnvironmentFailure where the folder cannot be written.
     """
+    from crankorder.plot.drawing import picture_bytes
+    from crankorder.report.netcdf import results_bytes
+
     settings = load_settings(asked={"report": report or {}}).report
-    draw = _hinge_files if isinstance(balance.subject, HingedEngine) else _engine_files
-    document = document_text(balance)
-    files = {"balance.json": f"{document}\n".encode("utf-8", "backslashreplace"), **draw(balance, settings)}
+    groups, figures = (_of_hinges if isinstance(balance.subject, HingedEngine) else _of_engine)(balance, settings)
+    document, kind = document_text(balance), settings.picture_format
+    files = {"balance.json": f"{document}\n".encode("utf-8", "backslashreplace")}
+    if settings.pictures:
+        for name, figure in figures.items():
+            files[f"{name}.{kind}"] = picture_bytes(figure(), dpi=settings.dpi, kind=kind)
+    attrs = {"title": str(balance.document["engine"]), "source": f"crankorder {version('crankorder')}"}
+    files["balance.nc"] = results_bytes(groups, attrs=attrs)
     publish(out, files, key=text_sha256(version("crankorder"), document))
     return [out / name for name in files]
 
 
-def _engine_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes]:
-    from crankorder.plot.drawing import picture_bytes
+Parts = tuple[dict[str, "xr.Dataset"], dict[str, Callable[[], Any]]]
+"""Datasets by group, and by name what makes each picture."""
+
+
+def _of_engine(balance: Balance, settings: ReportSettings) -> Parts:
     from crankorder.report.balance.bars_figure import order_bars_figure
+    from crankorder.report.balance.cycle_figures import cycle_dataset, loads_figure, torque_figure
     from crankorder.report.balance.dataset import balance_dataset
     from crankorder.report.balance.figures import force_figure
     from crankorder.report.balance.polar_figure import harmonics_figure, polar_figure
-    from crankorder.report.netcdf import as_stored, results_bytes
-
-    subject = balance.subject
-    assert isinstance(subject, BalancedEngine)
-    assert balance.speeds_rpm is not None
-    title = str(balance.document["engine"])
-    dataset = balance_dataset(subject, balance.document, max_order=balance.max_order, speeds_rpm=balance.speeds_rpm)
-    groups = {"balance": dataset}
-    shown = as_stored(groups)["balance"]
-    pictures = {
-        "polar": polar_figure,
-        "force": force_figure,
-        "orders": order_bars_figure,
-        "harmonics": harmonics_figure,
-    }
-    kind = settings.picture_format
-    made = {
-        f"{name}.{kind}": picture_bytes(draw(shown, title=title, settings=settings), dpi=settings.dpi, kind=kind)
-        for name, draw in pictures.items()
-        if settings.pictures
-    }
-    if balance.document["cycle"] is not None:
-        groups["cycle"], of_cycle = _cycle(balance, subject, settings)
-        made |= of_cycle
-    return {**made, "balance.nc": results_bytes(groups, attrs=_attrs(balance))}
-
-
-def _cycle(balance: Balance, subject: BalancedEngine, settings: ReportSettings) -> tuple[xr.Dataset, dict[str, bytes]]:
-    """Torques and loads of an engine over its cycle, and their pictures by file name."""
-    from crankorder.plot.drawing import picture_bytes
-    from crankorder.report.balance.cycle_figures import cycle_dataset, loads_figure, torque_figure
     from crankorder.report.netcdf import as_stored
 
-    assert balance.speeds_rpm is not None
-    cycle, title, kind = balance.document["cycle"], str(balance.document["engine"]), settings.picture_format
-    dataset = cycle_dataset(subject.engine, balance.speeds_rpm)
-    if not settings.pictures:
-        return dataset, {}
-    shown = as_stored({"cycle": dataset})["cycle"]
-    figures = {"torque": torque_figure(shown, cycle["turning"], title=title, settings=settings)}
-    if cycle["loads"] is not None:
-        figures["loads"] = loads_figure(shown, title=title, settings=settings)
-    return dataset, {f"{name}.{kind}": picture_bytes(one, dpi=settings.dpi, kind=kind) for name, one in figures.items()}
+    subject, document, speeds = balance.subject, balance.document, balance.speeds_rpm
+    assert isinstance(subject, BalancedEngine)
+    assert speeds is not None
+    groups = {"balance": balance_dataset(subject, document, max_order=balance.max_order, speeds_rpm=speeds)}
+    cycle = document["cycle"]
+    if cycle is not None:
+        groups["cycle"] = cycle_dataset(subject.engine, speeds)
+    shown = as_stored(groups)
+    asked: dict[str, Any] = {"title": str(document["engine"]), "settings": settings}
+    figures: dict[str, Callable[[], Any]] = {
+        "polar": partial(polar_figure, shown["balance"], **asked),
+        "force": partial(force_figure, shown["balance"], **asked),
+        "orders": partial(order_bars_figure, shown["balance"], **asked),
+        "harmonics": partial(harmonics_figure, shown["balance"], **asked),
+    }
+    if cycle is not None:
+        figures["torque"] = partial(torque_figure, shown["cycle"], cycle["turning"], **asked)
+    if cycle is not None and cycle["loads"] is not None:
+        figures["loads"] = partial(loads_figure, shown["cycle"], **asked)
+    return groups, figures
 
 
-def _hinge_files(balance: Balance, settings: ReportSettings) -> dict[str, bytes]:
+def _of_hinges(balance: Balance, settings: ReportSettings) -> Parts:
     from crankorder.batch.plan import folder_name
-    from crankorder.plot.drawing import picture_bytes
     from crankorder.report.balance.hinge_figure import guide_figure, hinge_figure
-    from crankorder.report.netcdf import results_bytes
 
     engine = balance.subject
     assert isinstance(engine, HingedEngine)
-    made: dict[str, bytes] = {}
+    figures: dict[str, Callable[[], Any]] = {}
     groups: dict[str, xr.Dataset] = {}
     taken: set[str] = set()
     for mechanism, found in zip(engine.mechanisms, balance.document["mechanisms"], strict=True):
         speeds = balance.speeds_rpm or mechanism.speeds_rpm
         name = folder_name(mechanism.name, taken)
-        if settings.pictures:
-            figure, kind = hinge_figure(engine, mechanism, speeds, settings=settings), settings.picture_format
-            made[f"hinges_{name}.{kind}"] = picture_bytes(figure, dpi=settings.dpi, kind=kind)
-            if mechanism.pin_guides is not None or mechanism.strut_guides is not None:
-                cut = guide_figure(engine, mechanism, max(speeds), settings=settings)
-                made[f"guides_{name}.{kind}"] = picture_bytes(cut, dpi=settings.dpi, kind=kind)
+        figures[f"hinges_{name}"] = partial(hinge_figure, engine, mechanism, speeds, settings=settings)
+        if mechanism.pin_guides is not None or mechanism.strut_guides is not None:
+            figures[f"guides_{name}"] = partial(guide_figure, engine, mechanism, max(speeds), settings=settings)
         groups |= {f"{joint}_{name}": _characteristic(table) for joint, table in found["characteristic"].items()}
-    return {**made, "balance.nc": results_bytes(groups, attrs=_attrs(balance))}
+    return groups, figures
 
 
 def _characteristic(table: dict[str, Any]) -> xr.Dataset:
@@ -189,7 +172,3 @@ def _characteristic(table: dict[str, Any]) -> xr.Dataset:
         coords={"hinge_angle_deg": ("hinge_angle_deg", table["hinge_angle_deg"], {"units": "degree"})},
         attrs={"speed_rpm": table["speed_rpm"]},
     )
-
-
-def _attrs(balance: Balance) -> dict[str, str]:
-    return {"title": str(balance.document["engine"]), "source": f"crankorder {version('crankorder')}"}

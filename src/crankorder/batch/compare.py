@@ -50,9 +50,10 @@ def compare_results(base: Path, new: Sequence[Path], *, q: float) -> Comparison:
     _refuse_twice(folders)
     found = [_tested(folder) for folder in folders]
     _refuse_nothing_in_common(folders, found)
-    names = _names([test.name for test in found])
-    tests = [replace(test, name=name) for test, name in zip(found, names, strict=True)]
-    made = compared(tests, q=q)
+    names = [test.name for test in found]
+    # tests of one name get the number of their run
+    numbered = [f"{name} (run {at})" if names.count(name) > 1 else name for at, name in enumerate(names, start=1)]
+    made = compared([replace(test, name=name) for test, name in zip(found, numbered, strict=True)], q=q)
     made.document["headline"] = comparison_headline(made.document)
     return Comparison(folders, made)
 
@@ -62,12 +63,9 @@ def _refuse_twice(folders: Sequence[Path]) -> None:
     known: set[Path] = set()
     for folder in folders:
         if folder.resolve() in known:
-            raise RequestError(
-                "the same results are named twice",
-                file=folder,
-                allowed="each test once, in time order",
-                remedy="Name the folder of the other test; results of two runs need two --out folders",
-            )
+            allowed = "each test once, in time order"
+            remedy = "Name the folder of the other test; results of two runs need two --out folders"
+            raise RequestError("the same results are named twice", file=folder, allowed=allowed, remedy=remedy)
         known.add(folder.resolve())
 
 
@@ -76,20 +74,14 @@ def _refuse_nothing_in_common(folders: Sequence[Path], tests: Sequence[Tested]) 
     held = [test.comparable for test in tests]
     if not set.intersection(*held):
         fewest = min(range(len(held)), key=lambda at: len(held[at]))
+        parts = (f"{test.name}: {' and '.join(sorted(test.comparable)) or 'neither'}" for test in tests)
         raise InputError(
             "the results have nothing in common to compare",
             file=folders[fewest] / "results.nc",
-            found="; ".join(
-                f"{t.name}: {' and '.join(sorted(has)) or 'neither'}" for t, has in zip(tests, held, strict=True)
-            ),
+            found="; ".join(parts),
             allowed="orders (the group order_map) or modes (findings) in all of them",
             remedy="Run the analyses again with one recipe, whose [report] results name order_map or findings",
         )
-
-
-def _names(names: Sequence[str]) -> list[str]:
-    """The tests' names; tests of one name get the number of their run."""
-    return [f"{name} (run {at + 1})" if names.count(name) > 1 else name for at, name in enumerate(names)]
 
 
 def _test_folder(folder: Path) -> Path:

@@ -28,15 +28,10 @@ def examine(out: Path) -> tuple[list[str], bool]:
         lines.append("openpyxl is missing: for XLSX recordings `pip install crankorder[xlsx]`")
     existing = next(folder for folder in (out.resolve(), *out.resolve().parents) if folder.exists())
     lines.append(f"free space for results: {shutil.disk_usage(existing).free / 1e9:.1f} GB")
-    error = _known_answer()
+    # the spectrum of cos(2 pi 5 t + 1) at its bin is exp(1j)
+    signal = np.cos(2.0 * np.pi * 5.0 * np.arange(64) / 64 + 1.0)[None, :]
+    error = float(abs(FrameTransform(hann(64)).spectra(signal, np.array([0]))[0, 0, 5] - np.exp(1j)))
     healthy = error < 1e-12
     said = f"a cosine of amplitude 1 is found to {error:.1e}: {'good' if healthy else 'BAD'}"
     lines.append(f"known answer ({fft_library()}): {said}")
     return lines, healthy
-
-
-def _known_answer() -> float:
-    """Deviation of the spectrum of cos(2 pi 5 t + 1) at its bin from exp(1j)."""
-    signal = np.cos(2.0 * np.pi * 5.0 * np.arange(64) / 64 + 1.0)[None, :]
-    spectrum = FrameTransform(hann(64)).spectra(signal, np.array([0]))
-    return float(abs(spectrum[0, 0, 5] - np.exp(1j)))

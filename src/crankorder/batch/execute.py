@@ -120,9 +120,7 @@ def run_test(
         outcome.notes += channels_left_out(results)
         if not results:
             raise NoUsableRecordingError(
-                "no recording could be used",
-                file=plan.folder,
-                remedy="Mend the faults listed above",
+                "no recording could be used", file=plan.folder, remedy="Mend the faults listed above"
             )
         _finish(plan, results, provenance, key, outcome, reporting, clock)
     except CrankorderError as error:
@@ -212,7 +210,8 @@ def results_of_test(
         for flag in findings.quality
         if flag.flag == "frame_length_differs"
     ]
-    told = [flag for flag in quality_of(_flags_of(results)) if flag not in findings.quality]
+    of_recordings = [flag for result in results.values() for flag in result.flags]
+    told = [flag for flag in quality_of(of_recordings) if flag not in findings.quality]
     quality = (*findings.quality, *told, *quality_of(flags), *quality_of(_fault_flags([*faults, *left_out], name_of)))
     highest, two_stroke = settings.orders.max_order, sources.two_stroke
     quality += tuple(cycle_doubts(findings.orders, two_stroke=two_stroke, engine=sources.engine, max_order=highest))
@@ -237,9 +236,7 @@ def _unsought_findings(datasets: dict[str, xr.Dataset], *, test: str, settings: 
     known = speeds[np.isfinite(speeds)]
     wanted = ", ".join(name.replace("_", " ") for name in settings.report.results)
     reason = NOT_ASKED_FOR.format(results=wanted) if wanted else OF_SHAFT_ALONE
-    made = tuple(
-        Channel(name=name, unit=unit, quantity=quantity) for name, unit, quantity in zip(*columns, strict=True)
-    )
+    made = tuple(Channel(name=name, unit=unit, quantity=kind) for name, unit, kind in zip(*columns, strict=True))
     tested = (float(known.min()), float(known.max())) if known.size else (None, None)
     quality = quality_of(flags)
     return nothing_sought(test, reason=reason, channels=made, speed_range_rpm=tested, quality=quality)
@@ -430,11 +427,10 @@ def _collect(
         raise
     except CrankorderError as error:
         outcome.faults.append(error)
-    except TooLateError as error:
-        remedy = "Leave it out, or give it more time with --timeout"
-        outcome.faults.append(InputError("could not be analysed", file=name, found=error, remedy=remedy))
     except WorkerDiedError as error:
         remedy = "Leave it out; if it is sound, too little memory is the likely cause: try --jobs 1"
+        if isinstance(error, TooLateError):
+            remedy = "Leave it out, or give it more time with --timeout"
         outcome.faults.append(InputError("could not be analysed", file=name, found=error, remedy=remedy))
     except MemoryError:
         outcome.faults.append(InputError("not enough memory for this recording", file=name))
@@ -460,9 +456,8 @@ def left_out_of(results: dict[Path, RecordingResult], severities: tuple[Severity
 
 def fault_of(name: str, flags: Sequence[QualityFlag], severities: tuple[Severity, ...] = ("bad",)) -> InputError | None:
     """Why the recording ``name`` takes no part, None where it does: its ``flags`` of one of the ``severities``."""
-    doubts = [
-        flag for flag in flags if flag["severity"] in severities and ("suspect" in severities or "left_out" not in flag)
-    ]
+    told = [flag for flag in flags if flag["severity"] in severities]
+    doubts = [flag for flag in told if "suspect" in severities or "left_out" not in flag]
     if not doubts:
         return None
     found = "; ".join(f"{flag['flag']} ({flag['detail']})" for flag in doubts)
@@ -530,10 +525,6 @@ def _accuracy_text(order_map: xr.Dataset | None) -> str:
         f"order spectra by {order_map.attrs['method']}: amplitude error {predicted:.1e} predicted, {measured}, "
         f"{asked:g} asked{missed}"
     )
-
-
-def _flags_of(results: dict[Path, RecordingResult]) -> list[QualityFlag]:
-    return [flag for result in results.values() for flag in result.flags]
 
 
 def _swing_records(

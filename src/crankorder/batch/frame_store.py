@@ -203,21 +203,17 @@ class _PackedFrames(Mapping[Any, xr.Dataset]):
 def _packed(dataset: xr.Dataset) -> list[bytes]:
     """Pieces of ``dataset``: header, arrays; each a multiple of the alignment. TypeError where it cannot be kept."""
     arrays: list[NDArray[Any]] = []
-    header = json.dumps(_described(dataset, arrays)).encode()
-    pieces = [header + b" " * (-len(header) % _ALIGNED)]
-    for array in arrays:
-        pieces += [array.tobytes(), b"\0" * (-array.nbytes % _ALIGNED)]
-    return pieces
-
-
-def _described(dataset: xr.Dataset, arrays: list[NDArray[Any]]) -> dict[str, Any]:
-    """Header of ``dataset``, whose arrays join ``arrays``."""
     variables = [
         [str(name), list(variable.dims), _array(variable.values, arrays), _attrs(variable.attrs, arrays)]
         for name, variable in dataset.variables.items()
     ]
     coords = [str(name) for name in dataset.coords]
-    return {"variables": variables, "coords": coords, "attrs": _attrs(dataset.attrs, arrays)}
+    described = {"variables": variables, "coords": coords, "attrs": _attrs(dataset.attrs, arrays)}
+    header = json.dumps(described).encode()
+    pieces = [header + b" " * (-len(header) % _ALIGNED)]
+    for array in arrays:
+        pieces += [array.tobytes(), b"\0" * (-array.nbytes % _ALIGNED)]
+    return pieces
 
 
 def _attrs(attrs: dict[Any, Any], arrays: list[NDArray[Any]]) -> list[Any]:

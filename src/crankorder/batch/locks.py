@@ -42,9 +42,8 @@ def locked(place: Path, *, tell: Callable[[str], object] = lambda text: None) ->
         handle = _take(path, tell)
     except OSError as error:
         problem = f"the results cannot be written ({error.strerror or error})"
-        raise EnvironmentFailure(
-            problem, file=path.parent, remedy="Choose another --out, or change its rights"
-        ) from error
+        remedy = "Choose another --out, or change its rights"
+        raise EnvironmentFailure(problem, file=path.parent, remedy=remedy) from error
     _held.add(handle)
     try:
         yield
@@ -104,11 +103,8 @@ def place_of(path: Path) -> str:
 def _sign(handle: int) -> None:
     with contextlib.suppress(OSError):  # a full disk: who holds it is only told
         os.truncate(handle, 0)
-        holder = {
-            "pid": os.getpid(),
-            "host": socket.gethostname(),
-            "since": datetime.now(UTC).isoformat("T", "seconds"),
-        }
+        since = datetime.now(UTC).isoformat("T", "seconds")
+        holder = {"pid": os.getpid(), "host": socket.gethostname(), "since": since}
         os.pwrite(handle, json.dumps(holder).encode(), 0)
 
 

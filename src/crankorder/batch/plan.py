@@ -6,8 +6,9 @@ import json
 import os
 import re
 import unicodedata
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -201,10 +202,26 @@ def plan_tests(
     plans: list[CampaignPlan] = []
     faults: list[CrankorderError] = []
     places = _Places(out, folders)
+
+    def plan_of(folder: Path) -> CampaignPlan:
+        if not folder.is_dir():
+            remedy = "Give the folder that holds run.toml and the recordings"
+            raise RequestError("no such folder", file=folder, remedy=remedy)
+        stated = load_manifest(folder, manifest)
+        chosen = recipe if recipe is not None else stated.test.recipe
+        beside = manifest.parent if manifest is not None else folder
+        settings = settings_for(stated, load_settings(chosen, beside=beside if recipe is None else None, asked=asked))
+        found = recordings_of(folder, stated)
+        test = name or stated.test.name or folder.resolve().name
+        content = text_sha256(json.dumps(stated.model_dump(mode="json"), sort_keys=True))
+        owner = Owner(_relative(folder, out), content)
+        place = places.of(test, owner)
+        return CampaignPlan(test, folder, stated, settings, list(found.paths), place, owner, list(found.faults))
+
     # a test's place must not depend on the order of the folders in the call
     for folder in sorted(folders, key=lambda folder: natural_key(folder.resolve())):
         try:
-            plans.append(_plan(folder, out, manifest, recipe, asked, name, places))
+            plans.append(plan_of(folder))
         except ManyErrors as error:
             faults += error.faults
         except CrankorderError as error:
@@ -236,7 +253,7 @@ class _Places:
         numbered = re.compile(rf"{re.escape(first)}(-[0-9]+)?", re.IGNORECASE)
         own = [name for name, found in self._owners.items() if found is not None and found.folder == owner.folder]
         own = [name for name in own if numbered.fullmatch(name) and name.lower() not in self._taken]
-        chosen = min(own, key=len, default="") or self._free(first)
+        chosen = min(own, key=len, default="") or _numbered(first, self._is_taken)
         self._taken.add(chosen.lower())
         place = self._out / chosen
         try:
@@ -249,53 +266,14 @@ class _Places:
             raise
         return place
 
-    def _free(self, first: str) -> str:
-        """``first``, with a number behind it where a test of this very call has it, or has its results there."""
-        name, number = first, 2
-        while name.lower() in self._taken or self._held_by_call(name):
-            name, number = f"{first}-{number}", number + 1
-        return name
-
-    def _held_by_call(self, name: str) -> bool:
+    def _is_taken(self, name: str) -> bool:
+        """Whether a test of this very call has this ``name``, or has its results there."""
         found = self._owners.get(name)
-        return found is not None and found.folder in self._of_call
+        return name.lower() in self._taken or (found is not None and found.folder in self._of_call)
 
 
 def _relative(folder: Path, out: Path) -> str:
     return Path(os.path.relpath(folder.resolve(), out.resolve())).as_posix()
-
-
-def _plan(
-    folder: Path,
-    out: Path,
-    manifest: Path | None,
-    recipe: str | None,
-    asked: dict[str, dict[str, Any]],
-    name: str | None,
-    places: _Places,
-) -> CampaignPlan:
-    if not folder.is_dir():
-        raise RequestError(
-            "no such folder", file=folder, remedy="Give the folder that holds run.toml and the recordings"
-        )
-    stated = load_manifest(folder, manifest)
-    chosen = recipe if recipe is not None else stated.test.recipe
-    beside = manifest.parent if manifest is not None else folder
-    settings = settings_for(stated, load_settings(chosen, beside=beside if recipe is None else None, asked=asked))
-    found = recordings_of(folder, stated)
-    name = name or stated.test.name or folder.resolve().name
-    content = text_sha256(json.dumps(stated.model_dump(mode="json"), sort_keys=True))
-    owner = Owner(_relative(folder, out), content)
-    return CampaignPlan(
-        name=name,
-        folder=folder,
-        manifest=stated,
-        settings=settings,
-        recordings=list(found.paths),
-        out=places.of(name, owner),
-        owner=owner,
-        faults=list(found.faults),
-    )
 
 
 def settings_for(stated: Manifest, settings: Settings) -> Settings:
@@ -329,12 +307,15 @@ def _refuse_inside(folder: Path, out: Path) -> None:
 
 def folder_name(name: str, taken: set[str]) -> str:
     """File name made of the letters, digits, ``-``, ``_``, ``.`` of ``name``, not yet in ``taken`` (which it joins)."""
-    plain = _plain_name(name)
-    unique, number = plain, 2
-    while unique.lower() in taken:
-        unique, number = f"{plain}-{number}", number + 1
+    unique = _numbered(_plain_name(name), lambda name: name.lower() in taken)
     taken.add(unique.lower())
     return unique
+
+
+def _numbered(first: str, is_taken: Callable[[str], bool]) -> str:
+    """``first``, with the lowest number from 2 on behind it where it is taken."""
+    numbered = (f"{first}-{number}" for number in count(2))
+    return next(name for name in chain([first], numbered) if not is_taken(name))
 
 
 def _plain_name(name: str) -> str:

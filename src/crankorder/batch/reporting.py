@@ -100,11 +100,7 @@ class ReportingProcess:
         return {path: self._hashes[path] for path in plan.files}
 
     def files_of_test(
-        self,
-        groups: dict[str, xr.Dataset],
-        findings: Findings,
-        provenance: dict[str, Any],
-        settings: ReportSettings,
+        self, groups: dict[str, xr.Dataset], findings: Findings, provenance: dict[str, Any], settings: ReportSettings
     ) -> dict[str, bytes]:
         """All files of a test by name, from its ``groups``, ``findings``, ``provenance`` and ``settings``.
 

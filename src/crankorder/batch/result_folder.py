@@ -196,7 +196,7 @@ def settle(folder: Path) -> None:
     for leftover in (new, old):
         if leftover.is_dir():
             shutil.rmtree(leftover)
-    inside = folder / _inside(folder)
+    inside = folder / new.name
     if inside.is_dir():
         if marker_of(inside) and not (folder / DONE).exists():
             _move_in(folder, inside)
@@ -204,12 +204,11 @@ def settle(folder: Path) -> None:
 
 
 def _beside(folder: Path) -> tuple[Path, Path]:
-    """Folders of the new results, and of the old ones where they cannot be exchanged in one step."""
+    """Folders of the new results, and of the old ones where they cannot be exchanged in one step.
+
+    Among files of others the new ones lie in a folder of the same name inside.
+    """
     return folder.with_name(f".{folder.name}.crankorder-new"), folder.with_name(f".{folder.name}.crankorder-old")
-
-
-def _inside(folder: Path) -> str:
-    return f".{folder.name}.crankorder-new"
 
 
 def _replaceable(folder: Path) -> bool:
@@ -267,7 +266,7 @@ def _exchanged(one: Path, other: Path) -> bool:
 def _replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
     """Put ``files`` among those of others in ``folder``: all are written first, then moved, the marker last."""
     folder.mkdir(exist_ok=True)
-    new = folder / _inside(folder)
+    new = folder / _beside(folder)[0].name
     _write_all(new, files)
     if marker_of(folder):
         (folder / DONE).rename(new / FORMER)

@@ -49,7 +49,9 @@ def logged(out: Path, *, as_json: bool) -> Iterator[Path | None]:
     LOGGER.addHandler(handler)
     LOGGER.setLevel(min(level or logging.INFO, logging.INFO))
     try:
-        _remove_old(folder)
+        with contextlib.suppress(OSError):
+            for old in sorted(folder.iterdir())[:-KEPT_LOGS]:
+                old.unlink(missing_ok=True)
         yield path
     finally:
         LOGGER.removeHandler(handler)
@@ -57,12 +59,6 @@ def logged(out: Path, *, as_json: bool) -> Iterator[Path | None]:
         LOGGER.propagate = True
         with contextlib.suppress(OSError):
             handler.close()
-
-
-def _remove_old(folder: Path) -> None:
-    with contextlib.suppress(OSError):
-        for path in sorted(folder.iterdir())[:-KEPT_LOGS]:
-            path.unlink(missing_ok=True)
 
 
 class _Handler(logging.FileHandler):

@@ -343,15 +343,13 @@ def _kept(worker: Worker) -> tuple[bool, Callable[[], Any]]:
     try:
         value = worker.answer()
     except BaseException as error:
-        return False, _raising(error)
+        raised = error  # the name ``error`` ends with this block
+
+        def again() -> Any:
+            raise raised
+
+        return False, again
     return True, lambda: value
-
-
-def _raising(error: BaseException) -> Callable[[], Any]:
-    def again() -> Any:
-        raise error
-
-    return again
 
 
 def _each_in_threads(

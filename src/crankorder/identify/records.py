@@ -102,7 +102,7 @@ def _order_record(
         lock=agreed.lock,
         revs_to_decide=agreed.needed_revs,
         half_order=agreed.lock != "slips" and is_half_order(agreed.order, agreed.order_error),
-        amplitude=best.amplitude,
+        amplitude=best.amplitude if law is None else law.amplitude_at(best),
         amplitude_ci95=(max(0.0, best.low), best.high),
         phase_deg=None if np.isnan(phase) else phase,
         phase_deg_ci95=None if np.isnan(phase) else _phase_ends(line, best.at),

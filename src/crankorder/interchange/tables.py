@@ -33,11 +33,8 @@ def tables_of(groups: Mapping[str, xr.Dataset], *, maps: bool = False) -> dict[s
     ``groups``: results by group as they are published, with real units. A row of a track is an order of a channel at a
     speed where it was measured; with ``maps`` the order map and the Campbell map are tables of that kind too.
     """
-    made = {}
     named = {"order_tracks": "tracks"} | ({"order_map": "order_map", "campbell_map": "campbell_map"} if maps else {})
-    for group, name in named.items():
-        if group in groups:
-            made[name] = _long(groups[group])
+    made = {name: _long(groups[group]) for group, name in named.items() if group in groups}
     for group, dataset in groups.items():
         if group.startswith("findings/") and "record" in dataset.dims:
             made[group.removeprefix("findings/")] = list(_records(dataset))

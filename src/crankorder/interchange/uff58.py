@@ -60,23 +60,6 @@ _ABSCISSAE = {
 
 
 @dataclass(frozen=True)
-class _Function:
-    """A function to be written: ``x`` and ``y`` with what record 1, 2 and 4 to 6 say of them."""
-
-    kind: int
-    ids: tuple[str, ...]
-    channel: str
-    node: int
-    direction: int
-    abscissa: _Axis
-    ordinate: _Axis
-    z_axis: _Axis
-    z: float
-    x: NDArray[np.float64]
-    y: NDArray[Any]
-
-
-@dataclass(frozen=True)
 class _Channel:
     """A channel: its number from 1, how a universal file names it, and the factor to the units of dataset 164."""
 
@@ -86,6 +69,20 @@ class _Channel:
     ordinate: _Axis
     factor: float
     remark: str
+
+
+@dataclass(frozen=True)
+class _Function:
+    """A function of a ``channel`` to be written: ``x`` and ``y`` with what records 1 to 11 say of them."""
+
+    kind: int
+    ids: tuple[str, ...]
+    channel: _Channel
+    abscissa: _Axis
+    z_axis: _Axis
+    z: float
+    x: NDArray[np.float64]
+    y: NDArray[Any]
 
 
 def uff58_bytes(groups: Mapping[str, xr.Dataset], *, test: str, binary: bool = False) -> bytes:
@@ -118,19 +115,10 @@ def _cuts(tracks: xr.Dataset, test: str) -> Iterator[_Function]:
                 continue
             located = bool(mark) and bool(np.isfinite(phase[known]).all())
             law = f"A cos(2 pi order angle + phase), angle from {mark}" if located else "phase not known at every speed"
-            yield _Function(
-                ORDER_CUT,
-                (f"{channel.name}: order {order:.6g}, {_scaling(tracks)} amplitude", test, "NONE", law, channel.remark),
-                channel.name,
-                channel.node,
-                channel.direction,
-                _SPEED,
-                channel.ordinate,
-                _Axis(_ORDER, (0, 0, 0), "Order", "1/rev"),
-                float(order),
-                speed[known],
-                amplitude[known] * np.exp(1j * phase[known]) if located else amplitude[known],
-            )
+            words = f"{channel.name}: order {order:.6g}, {_scaling(tracks)} amplitude"
+            ids = (words, test, "NONE", law, channel.remark)
+            y = amplitude[known] * np.exp(1j * phase[known]) if located else amplitude[known]
+            yield _Function(ORDER_CUT, ids, channel, _SPEED, _ABSCISSAE["order"], float(order), speed[known], y)
 
 
 def _waterfall(given: xr.Dataset, test: str) -> Iterator[_Function]:
@@ -145,19 +133,9 @@ def _waterfall(given: xr.Dataset, test: str) -> Iterator[_Function]:
                 continue
             at = f"{speed:.8g} rpm" if np.isfinite(speed) else "speed not known"
             words = f"{channel.name}: {along} spectrum, {_scaling(given)} amplitude"
-            yield _Function(
-                SPECTRUM,
-                (words, test, "NONE", at, channel.remark),
-                channel.name,
-                channel.node,
-                channel.direction,
-                _ABSCISSAE[along],
-                channel.ordinate,
-                _SPEED if np.isfinite(speed) else _NO_AXIS,
-                float(speed) if np.isfinite(speed) else 0.0,
-                place[known],
-                row[known],
-            )
+            ids = (words, test, "NONE", at, channel.remark)
+            z_axis, z = (_SPEED, float(speed)) if np.isfinite(speed) else (_NO_AXIS, 0.0)
+            yield _Function(SPECTRUM, ids, channel, _ABSCISSAE[along], z_axis, z, place[known], row[known])
 
 
 def _scaling(dataset: xr.Dataset) -> str:
@@ -210,6 +188,7 @@ _UNITS = _block(
 
 
 def _dataset(one: _Function, binary: bool) -> bytes:
+    channel = one.channel
     even, least, step = _even_axis(one.x)
     parts = [one.x] if not even else []
     parts += [one.y.real, one.y.imag] if np.iscomplexobj(one.y) else [one.y]
@@ -217,11 +196,11 @@ def _dataset(one: _Function, binary: bool) -> bytes:
     kind = (5 if binary else 6) if np.iscomplexobj(one.y) else (2 if binary else 4)
     records = [_text(text, 80) for text in one.ids]
     records += [
-        f"{one.kind:5d}{0:10d}{1:5d}{0:10d} {_text(one.channel, 10)}{one.node:10d}{one.direction:4d} "
+        f"{one.kind:5d}{0:10d}{1:5d}{0:10d} {_text(channel.name, 10)}{channel.node:10d}{channel.direction:4d} "
         f"{'NONE':10}{0:10d}{0:4d}",
         f"{kind:10d}{len(one.x):10d}{int(even):10d}{least:13.5E}{step:13.5E}{one.z:13.5E}",
     ]
-    records += [_axis_record(axis) for axis in (one.abscissa, one.ordinate, _NO_AXIS, one.z_axis)]
+    records += [_axis_record(axis) for axis in (one.abscissa, channel.ordinate, _NO_AXIS, one.z_axis)]
     if not binary:
         return _block(f"{58:6d}".ljust(80), [*records, *_numbers(values, parts, even)])
     data = values.astype("<f4").tobytes()
@@ -238,9 +217,9 @@ def _axis_record(axis: _Axis) -> str:
 def _numbers(values: NDArray[np.float64], parts: list[NDArray[Any]], even: bool) -> Iterator[str]:
     """Lines of ``values`` in the columns of record 12: E13.5 for an uneven abscissa, E20.12 for the rest."""
     in_line = 4 if even or len(parts) == 2 else 3
-    of_part = (
-        ["{:20.12E}".format] * len(parts) if even else ["{:13.5E}".format, *["{:20.12E}".format] * (len(parts) - 1)]
-    )
+    of_part = ["{:20.12E}".format] * len(parts)
+    if not even:
+        of_part[0] = "{:13.5E}".format
     for first in range(0, len(values), in_line):
         line = values[first : first + in_line]
         yield "".join(of_part[(first + place) % len(parts)](value) for place, value in enumerate(line))

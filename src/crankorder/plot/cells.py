@@ -97,10 +97,13 @@ def level_of(values: Any, reference: float) -> Any:
     return 20 * (np.log10(np.maximum(wide, 1e-300)) - np.log10(reference))
 
 
-def level_limits(amplitude: NDArray[Any], reference: float, *, range_db: float) -> tuple[float, float]:
+def level_limits(
+    amplitude: NDArray[Any], reference: float, *, range_db: float, least_db: float = LEAST_RANGE_DB
+) -> tuple[float, float]:
     """Ends of a colour scale [dB]: the strongest line; the quietest twentieth of the map or the greatest range.
 
-    ``amplitude`` of a map, ``reference`` of its level in the same unit; ``range_db`` the greatest range.
+    ``amplitude`` of a map, ``reference`` of its level in the same unit; ``range_db`` and ``least_db`` the greatest and
+    the least range.
     """
     values = amplitude[amplitude > 0]
     if not len(values):
@@ -108,4 +111,4 @@ def level_limits(amplitude: NDArray[Any], reference: float, *, range_db: float) 
     twentieth = np.partition(values, len(values) // 20)[len(values) // 20]
     ends = 5 * np.array([np.floor(level_of(twentieth, reference) / 5), np.ceil(level_of(values.max(), reference) / 5)])
     low = max(float(ends[0]), float(ends[1]) - range_db)
-    return min(low, float(ends[1]) - LEAST_RANGE_DB), float(ends[1])
+    return min(low, float(ends[1]) - least_db), float(ends[1])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
@@ -15,8 +15,6 @@ from crankorder.plot.records import called_order, order_texts
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from crankorder.plot.edge_labels import EdgeLabel
 
 _MOST_SPEEDS = 6  # spectra that the eye can tell apart
 _MOST_NAMED = 6
@@ -65,8 +63,10 @@ def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | 
         positive = np.where(values > 0, values, np.nan)
         axes.plot(frequency, positive, color=color, linewidth=0.9, gid=text, label=text)
     if several and len(lines) < dataset.sizes["speed"]:
+        from crankorder.plot.edge_labels import label_ends
+
         named = zip(lines.items(), LINES, strict=False)
-        _name_ends(axes, [(frequency, values, text, color) for (text, values), color in named])
+        label_ends(axes, [(frequency, values, text, color, 0.0) for (text, values), color in named])
     elif several:
         axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=SMALL, labelcolor="linecolor",
                     borderaxespad=0.0, handlelength=1.2)  # fmt: skip
@@ -87,22 +87,6 @@ def _spectra(dataset: xr.Dataset, channel: int) -> dict[str, NDArray[np.float64]
         text = f"{speed[number]:.0f} rpm" if np.isfinite(speed[number]) else "speed not known"
         lines[text if text not in lines else f"{text} ({number + 1})"] = amplitude[number]
     return lines
-
-
-def _name_ends(axes: Axes, lines: list[tuple[NDArray[np.float64], NDArray[np.float64], str, str]]) -> None:
-    """Names of ``lines`` (x, y, text, colour) where they leave ``axes`` at the right."""
-    from crankorder.plot.edge_labels import EdgeLabel, EdgeLabels
-
-    def at_the_ends(axes: Axes) -> list[list[EdgeLabel]]:
-        left, right = sorted(axes.get_xlim())
-        labels = []
-        for x, y, text, color in lines:
-            inside = np.flatnonzero((x >= left) & (x <= right) & np.isfinite(y) & (y > 0))
-            if len(inside):
-                labels.append(EdgeLabel((float(x[inside[-1]]), float(y[inside[-1]])), text, color))
-        return [labels]
-
-    EdgeLabels(axes, at_the_ends, side="right")
 
 
 def envelope(
@@ -154,7 +138,13 @@ def envelope(
         axes.plot(order, np.where(floor[at] > 0, floor[at], np.nan), color=LINES[4], linewidth=1.4, gid="floor")
         axes.plot([], [], color=LINES[4], linewidth=1.4, label="floor")
         axes.legend(loc="upper right", frameon=False, fontsize=SMALL, labelcolor=FAINT)
-    _name_lines(axes, named)
+    for place, _ in named:
+        axes.axvline(place, color=LINES[1], linewidth=0.7, alpha=0.35, zorder=1)
+    if named:
+        from crankorder.plot.edge_labels import label_orders
+
+        texts = order_texts([called_order(place) for place, _ in named])
+        label_orders(axes, [(place, text, power) for (place, power), text in zip(named, texts, strict=True)], LINES[1])
     return axes
 
 
@@ -202,27 +192,6 @@ def _standing_out(
     places = np.flatnonzero(top) + 1
     strongest = places[np.argsort(-power[places], kind="stable")][:_MOST_NAMED]
     return [(float(order[one]), float(power[one])) for one in np.sort(strongest)]
-
-
-def _name_lines(axes: Axes, named: list[tuple[float, float]]) -> None:
-    from crankorder.plot.edge_labels import EdgeLabel, EdgeLabels
-
-    texts = order_texts([called_order(order) for order, _ in named])
-
-    def above(axes: Axes) -> list[list[EdgeLabel]]:
-        (left, right), high = sorted(axes.get_xlim()), max(axes.get_ylim())
-        return [
-            [
-                EdgeLabel((order, high), text, LINES[1], rank=power)
-                for (order, power), text in zip(named, texts, strict=True)
-                if left <= order <= right
-            ]
-        ]
-
-    for order, _ in named:
-        axes.axvline(order, color=LINES[1], linewidth=0.7, alpha=0.35, zorder=1)
-    if named:
-        EdgeLabels(axes, above, side="top", caption="order")
 
 
 def speed(crank_angle: xr.Dataset, *, ax: Axes | None = None) -> Axes:
@@ -284,8 +253,5 @@ def _pieces(time: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[n
     number = np.minimum(((time - time[0]) / (time[-1] - time[0]) * _PIECES).astype(int), _PIECES - 1)
     first = np.flatnonzero(np.diff(number, prepend=-1))
     count = np.diff(np.append(first, len(values)))
-    made: Any = np.stack([
-        np.add.reduceat(time, first) / count, np.add.reduceat(values, first) / count,
-        np.minimum.reduceat(values, first), np.maximum.reduceat(values, first),
-    ])  # fmt: skip
-    return np.asarray(made, dtype=np.float64)
+    means = (np.add.reduceat(series, first) / count for series in (time, values))
+    return np.stack([*means, np.minimum.reduceat(values, first), np.maximum.reduceat(values, first)])

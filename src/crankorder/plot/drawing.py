@@ -6,7 +6,7 @@ what lies where.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, Literal
@@ -50,10 +50,9 @@ class Stroke:
 
         from crankorder.plot.whole_pixels import PixelLine
 
-        dashed = bool(self.dashes[0])
         yield (PixelLine if self.square else Line2D)(
             self.points[:, 0], self.points[:, 1], color=self.color, alpha=self.alpha, linewidth=self.width,
-            linestyle=(0.0, self.dashes) if dashed else "-", dash_capstyle="butt",
+            linestyle=(0.0, self.dashes) if self.dashes[0] else "-", dash_capstyle="butt",
             snap=self.square, solid_capstyle="butt" if self.square else "round", solid_joinstyle="round",
             **_placed(figure, self.within),
         )  # fmt: skip
@@ -173,10 +172,6 @@ class Drawing:
         """Lay ``part`` on top."""
         self.parts.append(part)
 
-    def line(self, points: Sequence[tuple[float, float]], *, color: str, width: float, alpha: float = 1.0) -> None:
-        """Lay a line through ``points`` on top: ``color``, ``width`` in points, opacity ``alpha``."""
-        self.add(Stroke(np.array(points, dtype=float), color, width, alpha=alpha))
-
     @property
     def words(self) -> list[Words]:
         """All texts."""
@@ -213,9 +208,8 @@ def title_lines(drawing: Drawing, left_in: float, title: str, sentence: str) -> 
     heading = shortened(title, LARGE, room, bold=True)
     drawing.add(Words(left_in, drawing.height_in - 0.34, heading, LARGE, bold=True))
     if sentence:
-        drawing.add(
-            Words(left_in, drawing.height_in - 0.56, shortened(sentence, NORMAL, room), NORMAL, FAINT, name="subtitle")
-        )
+        said = shortened(sentence, NORMAL, room)
+        drawing.add(Words(left_in, drawing.height_in - 0.56, said, NORMAL, FAINT, name="subtitle"))
 
 
 def quality_text(findings: Findings) -> str:

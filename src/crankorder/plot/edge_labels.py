@@ -9,11 +9,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox, IdentityTransform
+from numpy.typing import NDArray
 
 from crankorder.plot.labels import spread
 from crankorder.plot.palette import FAINT, SMALL
@@ -161,3 +163,35 @@ class EdgeLabels(Artist):
             top = max(top, float(place) + 0.5 * _LINE_PT * px)
         if labels and self._caption:
             self.texts.append(self._text(edge + 2 * px, top + 2 * px, self._caption, FAINT, ha="left", va="bottom"))
+
+
+def label_ends(
+    axes: Axes,
+    lines: Sequence[tuple[NDArray[np.float64], NDArray[np.float64], str, str, float]],
+    *,
+    caption: str = "",
+) -> None:
+    """Name ``lines`` (x, y, text, colour, rank) where they leave ``axes`` at the right, ``caption`` above the names."""
+
+    def at_the_ends(axes: Axes) -> list[list[EdgeLabel]]:
+        left, right = sorted(axes.get_xlim())
+        labels = []
+        for x, y, text, color, rank in lines:
+            inside = np.flatnonzero((x >= left) & (x <= right) & np.isfinite(y) & (y > 0))
+            if len(inside):
+                place = float(x[inside[-1]]), float(y[inside[-1]])
+                labels.append(EdgeLabel(place, text, color, rank=rank))
+        return [labels]
+
+    EdgeLabels(axes, at_the_ends, side="right", caption=caption)
+
+
+def label_orders(axes: Axes, marks: Sequence[tuple[float, str, float]], color: str) -> None:
+    """Name ``marks`` (order, text, rank) above ``axes`` in ``color``, where each cannot meet another."""
+
+    def above(axes: Axes) -> list[list[EdgeLabel]]:
+        (left, right), high = sorted(axes.get_xlim()), max(axes.get_ylim())
+        inside = [mark for mark in marks if left <= mark[0] <= right]
+        return [[EdgeLabel((order, high), text, color, rank=rank) for order, text, rank in inside]]
+
+    EdgeLabels(axes, above, side="top", caption="order")

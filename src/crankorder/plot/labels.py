@@ -1,15 +1,17 @@
-"""Labels at the edges of a diagram that never overlap, each tied to its place by a leader, and keys at its foot."""
+"""Labels at the edges of a diagram that never overlap, each tied to its place; its head, and keys at its foot."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.plot.drawing import Drawing, Rings, Stroke, Words
-from crankorder.plot.palette import CAP_HEIGHT, INK, SMALL, text_width_in
+from crankorder.findings import Findings
+from crankorder.plot.drawing import Box, Drawing, Rings, Stroke, Words, quality_note, title_lines
+from crankorder.plot.palette import CAP_HEIGHT, INK, SMALL, drawable, text_width_in
 
 GAP_IN = 0.05
 LINE_HEIGHT_IN = 0.125
@@ -29,20 +31,20 @@ class EdgeLabel:
     bold: bool = False
 
 
-def label_width_in(label: EdgeLabel, size: float) -> float:
-    """Room in inches that ``label`` needs at ``size`` points."""
-    return text_width_in(label.text, size, bold=label.bold) + GAP_IN
+def label_width_in(label: EdgeLabel) -> float:
+    """Room in inches that ``label`` needs."""
+    return text_width_in(label.text, SMALL, bold=label.bold) + GAP_IN
 
 
-def fitted(labels: Sequence[EdgeLabel], length_in: float, *, size: float = SMALL) -> list[EdgeLabel]:
-    """Those of ``labels`` that fit side by side into ``length_in`` inches at ``size`` points.
+def fitted(labels: Sequence[EdgeLabel], length_in: float) -> list[EdgeLabel]:
+    """Those of ``labels`` that fit side by side into ``length_in`` inches.
 
     First the unit is left out of the texts, then labels one by one where they stand closest together.
     """
     kept = sorted(labels, key=lambda label: label.target_in)
 
     def needed() -> float:
-        return sum(label_width_in(label, size) for label in kept)
+        return sum(label_width_in(label) for label in kept)
 
     if needed() > length_in:
         kept = [replace(label, text=label.text.removesuffix(" Hz")) for label in kept]
@@ -52,23 +54,21 @@ def fitted(labels: Sequence[EdgeLabel], length_in: float, *, size: float = SMALL
     return kept
 
 
+def _words(label: EdgeLabel, x: float, y: float, **placed: Any) -> Words:
+    return Words(x, y, label.text, SMALL, label.color, label.bold, name=f"label-{label.key}", **placed)
+
+
 def _leader(drawing: Drawing, points_in: Sequence[tuple[float, float]], color: str) -> None:
-    drawing.line(points_in, color=color, width=0.7, alpha=0.85)
+    drawing.add(Stroke(np.array(points_in, dtype=float), color, 0.7, alpha=0.85))
 
 
-def label_top(
-    drawing: Drawing,
-    box_in: tuple[float, float, float, float],
-    tiers: Sequence[Sequence[EdgeLabel]],
-    *,
-    size: float = SMALL,
-) -> list[float]:
+def label_top(drawing: Drawing, box_in: Box, tiers: Sequence[Sequence[EdgeLabel]]) -> list[float]:
     """Heights in inches of the labels above a diagram: one per tier that is not empty, then the top of all.
 
     Leaders of the upper tiers pass between the labels of the lower ones.
 
     ``drawing`` to draw on; ``box_in`` left, bottom, width and height of the diagram in inches; ``tiers`` labels from
-    the lowest tier up, targets in inches from the drawing's left; ``size`` of the text in points.
+    the lowest tier up, targets in inches from the drawing's left.
     """
     left, bottom, width, height = box_in
     level, lines = bottom + height, []
@@ -77,19 +77,15 @@ def label_top(
     for row, tier in enumerate(waiting):
         if not tier:
             continue
-        through = [key for key in at if key[0] >= row]
-        through.sort(key=lambda key: at[key])
-        widths = [label_width_in(waiting[key[0]][key[1]], size) if key[0] == row else GAP_IN for key in through]
+        through = sorted((key for key in at if key[0] >= row), key=lambda key: at[key])
+        widths = [label_width_in(waiting[key[0]][key[1]]) if key[0] == row else GAP_IN for key in through]
         places = spread([at[key] for key in through], widths, low=left - 0.15, high=left + width + 0.15)
         fan, text_at = level + 0.11, level + 0.11 + LINE_HEIGHT_IN
         for key, place in zip(through, places, strict=True):
             label = waiting[key[0]][key[1]]
             points = [(at[key], level), (at[key], level + 0.03), (float(place), fan)]
             if key[0] == row:
-                drawing.add(
-                    Words(float(place), fan + 0.025, label.text, size, label.color, label.bold, "centre",
-                          name=f"label-{label.key}")
-                )  # fmt: skip
+                drawing.add(_words(label, float(place), fan + 0.025, along="centre"))
             else:
                 points.append((float(place), text_at))
             _leader(drawing, points, label.color)
@@ -99,26 +95,21 @@ def label_top(
     return [*lines, level]
 
 
-def label_right(
-    drawing: Drawing, box_in: tuple[float, float, float, float], labels: Sequence[EdgeLabel], *, size: float = SMALL
-) -> None:
+def label_right(drawing: Drawing, box_in: Box, labels: Sequence[EdgeLabel]) -> None:
     """Labels right of a diagram, each with a leader from its place on the right edge.
 
     ``drawing`` to draw on; ``box_in`` left, bottom, width, height of the diagram in inches; ``labels`` with targets in
-    inches from the drawing's bottom; ``size`` of the text in points.
+    inches from the drawing's bottom.
     """
     left, bottom, width, height = box_in
     ordered = sorted(labels, key=lambda label: label.target_in)
-    room = [LINE_HEIGHT_IN * size / SMALL] * len(ordered)
-    places = spread([label.target_in for label in ordered], room, low=bottom - 0.05, high=bottom + height + 0.05)
+    heights = [LINE_HEIGHT_IN] * len(ordered)
+    places = spread([label.target_in for label in ordered], heights, low=bottom - 0.05, high=bottom + height + 0.05)
     edge = left + width
     for label, place in zip(ordered, places, strict=True):
         bend = (edge + 0.03, label.target_in)
         _leader(drawing, [(edge, label.target_in), bend, (edge + 0.12, float(place))], label.color)
-        drawing.add(
-            Words(edge + 0.15, float(place), label.text, size, label.color, label.bold, "left", "centre",
-                  name=f"label-{label.key}")
-        )  # fmt: skip
+        drawing.add(_words(label, edge + 0.15, float(place), across="centre"))
 
 
 def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, high: float) -> NDArray[np.float64]:
@@ -129,10 +120,9 @@ def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, hig
     by pooling adjacent violators (Ayer et al. 1955).
     """
     width = np.asarray(widths, dtype=float)
-    if width.sum() >= high - low:
-        shares = np.cumsum(width) - width / 2
-        return np.asarray(low + shares * (high - low) / max(float(width.sum()), 1e-12))
     offset = np.cumsum(width) - width / 2
+    if width.sum() >= high - low:
+        return np.asarray(low + offset * (high - low) / max(float(width.sum()), 1e-12))
     blocks: list[tuple[float, int]] = []
     for value in np.asarray(targets, dtype=float) - offset:
         mean, count = float(value), 1
@@ -142,6 +132,17 @@ def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, hig
         blocks.append((mean, count))
     starts = np.repeat([mean for mean, _ in blocks], [count for _, count in blocks]) if blocks else np.empty(0)
     return np.asarray(np.clip(starts, low, high - width.sum()) + offset)
+
+
+def head_of_test(
+    drawing: Drawing, left_in: float, findings: Findings, what: str, sentence: str, *, longest: int
+) -> None:
+    """Title of ``drawing``: the test of ``findings`` and ``what`` is shown of it, a ``sentence`` below, their doubts.
+
+    From ``left_in`` inches; the name of the test is cut at ``longest`` characters.
+    """
+    title_lines(drawing, left_in, f"{drawable(findings.test, longest)} · {what}", sentence)
+    quality_note(drawing, findings)
 
 
 @dataclass(frozen=True)
@@ -174,8 +175,7 @@ def _row(drawing: Drawing, left_in: float, keys: Sequence[Key], base_in: float) 
     x, middle = left_in, base_in + CAP_HEIGHT / 2 * _KEY_SIZE / 72
     for key in keys:
         if key.ring:
-            place = np.array([[x + _SAMPLE_IN / 2, middle]])
-            drawing.add(Rings(place, 4.0, key.color, width=1.4))
+            drawing.add(Rings(np.array([[x + _SAMPLE_IN / 2, middle]]), 4.0, key.color, width=1.4))
         else:
             ends = np.array([[x, middle], [x + _SAMPLE_IN, middle]])
             drawing.add(Stroke(ends, key.color, key.width, key.dashes, square=True))

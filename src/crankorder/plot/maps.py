@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from crankorder.findings import Findings
 from crankorder.plot.axes import axes_for, dress, key_below, note, whole_ticks
-from crankorder.plot.cells import LEAST_RANGE_DB, bin_edges, speed_cells, with_gaps
+from crankorder.plot.cells import LEAST_RANGE_DB, bin_edges, level_limits, level_of, speed_cells, with_gaps
 from crankorder.plot.given import channel_number, dataset_of, findings_of, number_of, quantity_text, unit_of, values_of
 from crankorder.plot.palette import (
     DOUBT_DASHES,
@@ -27,7 +27,7 @@ from crankorder.plot.palette import (
     TONE_DASHES,
     WHITE,
 )
-from crankorder.plot.records import FixedLine, Found, found_in
+from crankorder.plot.records import FixedLine, Found, FoundOrder, found_in
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -185,22 +185,6 @@ def _map_of(dataset: xr.Dataset, along: str, channel: str | None, picture: str) 
     return _Map(name, np.asarray(dataset[along].values, dtype=float), speed[kept], amplitude[kept], label, unknown)
 
 
-def _level(amplitude: Any) -> NDArray[np.float64]:
-    """Level in dB; NaN stays, zero is far below everything."""
-    return np.asarray(20.0 * np.log10(np.maximum(amplitude, 1e-300)), dtype=np.float64)
-
-
-def _level_limits(amplitude: NDArray[np.float64], depth_db: float) -> tuple[float, float]:
-    """Ends of the colour scale [dB]: the strongest line; the quietest twentieth of the map or ``depth_db`` below."""
-    values = amplitude[amplitude > 0]
-    if not len(values):
-        return -depth_db, 0.0
-    quiet, loud = _level(np.array([np.partition(values, len(values) // 20)[len(values) // 20], values.max()]))
-    top = 5.0 * float(np.ceil(loud / 5))
-    low = max(5.0 * float(np.floor(quiet / 5)), top - depth_db)
-    return min(low, top - min(LEAST_RANGE_DB, depth_db)), top
-
-
 def _draw_map(
     axes: Axes, one: _Map, x_label: str, depth_db: float, *, rows_above: int, labels_beside: bool = False
 ) -> None:
@@ -222,12 +206,14 @@ def _draw_map(
         note(axes, "nothing was measured")
         return
     rows, edges = with_gaps(one.amplitude, cells)
-    image = LevelImage(axes, _level(rows), (x, edges), _level_limits(one.amplitude, depth_db))
+    silent = not np.any(one.amplitude > 0)
+    limits = level_limits(one.amplitude, 1.0, range_db=depth_db, least_db=min(LEAST_RANGE_DB, depth_db))
+    image = LevelImage(axes, level_of(rows, 1.0), (x, edges), (-depth_db, 0.0) if silent else limits)
     _colour_bar(axes, image, one.label, _LABEL_POINTS if labels_beside else _GAP_POINTS)
     share = (edges - edges[0]) / (edges[-1] - edges[0])
     for number in np.flatnonzero(np.isnan(rows).all(axis=1) & (np.diff(share) > _NOTED_GAP)):
         note(axes, "not measured", up=float(share[number] + share[number + 1]) / 2)
-    if not np.any(one.amplitude > 0):
+    if silent:
         note(axes, "no signal: every value is zero")
 
 
@@ -285,60 +271,61 @@ def _label(axes: Axes, one: _Map, found: Found, labels: Any) -> None:
 def _keys(found: Found) -> list[Any]:
     from matplotlib.lines import Line2D
 
-    made: list[Any] = []
     looks: list[tuple[bool, str, str, Any]] = [
         (bool(found.orders), "order found (bold: strongest)", INK, "-"),
         (any(not one.tone and not one.undecided for one in found.fixed), "natural frequency", MODE, (0.0, MODE_DASHES)),
         (any(one.undecided for one in found.fixed), "not decided (?)", MODE, (0.0, DOUBT_DASHES)),
         (any(one.tone for one in found.fixed), "mains or fixed tone", MAINS, (0.0, TONE_DASHES)),
     ]
-    for there, text, color, dashes in looks:
-        if there:
-            made.append(Line2D([], [], color=color, linewidth=1.1, linestyle=dashes, label=text))
+    made = [
+        Line2D([], [], color=color, linewidth=1.1, linestyle=dashes, label=text)
+        for there, text, color, dashes in looks
+        if there
+    ]
     if found.crossings:
         ring = {"marker": "o", "markersize": 8.0, "markerfacecolor": "none", "markeredgecolor": INK}
         made.append(Line2D([], [], linestyle="none", label="excited crossing", **ring))  # type: ignore[arg-type]
     return made
 
 
-def _named(found: Found) -> list[tuple[float, str, str, bool, float]]:
-    """Order, text, colour, whether it is the strongest, and amplitude of each order of ``found``."""
-    loudest = max((one.amplitude for one in found.orders), default=0.0)
-    return [(one.order, one.text, INK, 0 < loudest == one.amplitude, one.amplitude) for one in found.orders]
+def _order_label(order: FoundOrder, found: Found, place: tuple[float, float]) -> EdgeLabel:
+    """Label of an ``order`` of ``found`` at a ``place``; the strongest is bold."""
+    from crankorder.plot.edge_labels import EdgeLabel
+
+    bold = 0 < order.amplitude == max(one.amplitude for one in found.orders)
+    return EdgeLabel(place, order.text, INK, bold, order.amplitude)
+
+
+def _fixed_labels(axes: Axes, lines: Sequence[FixedLine], places: Sequence[float]) -> list[EdgeLabel]:
+    """Labels above ``axes`` of ``lines`` that reach their upper edge at ``places``."""
+    from crankorder.plot.edge_labels import EdgeLabel
+
+    (left, right), high = sorted(axes.get_xlim()), max(axes.get_ylim())
+    return [
+        EdgeLabel((place, high), line.text, MAINS if line.tone else MODE, rank=float(line.here))
+        for line, place in zip(lines, places, strict=True)
+        if left <= place <= right
+    ]
 
 
 def _campbell_labels(axes: Axes, one: _Map, found: Found) -> tuple[list[list[EdgeLabel]], list[EdgeLabel]]:
     """Rows of labels above, and labels at the right, for the limits that ``axes`` have now."""
-    from crankorder.plot.edge_labels import EdgeLabel
-
     (left, right), (low, high) = sorted(axes.get_xlim()), sorted(axes.get_ylim())
-    top, side, named = [], [], []
-    for order, text, color, bold, amplitude in [] if one.timeless else _named(found):
-        place = float(order * one.rpm(high) / 60)
+    top, side = [], []
+    for order in [] if one.timeless else found.orders:
+        place = float(order.order * one.rpm(high) / 60)
         if left <= place <= right:
-            top.append(EdgeLabel((place, high), text, color, bold, amplitude))
-        elif len(one.speed) > 1 and order > 0 and low < 60 * right / order < high:
-            side.append(EdgeLabel((right, 60 * right / order), text, color, bold, amplitude))
-    for line in found.fixed:
-        place = line.frequency_hz if one.timeless else float(line.at(one.rpm(high)))
-        if left <= place <= right:
-            named.append(EdgeLabel((place, high), line.text, MAINS if line.tone else MODE, rank=float(line.here)))
-    return [top, named], side
+            top.append(_order_label(order, found, (place, high)))
+        elif len(one.speed) > 1 and order.order > 0 and low < 60 * right / order.order < high:
+            side.append(_order_label(order, found, (right, 60 * right / order.order)))
+    places = [line.frequency_hz if one.timeless else float(line.at(one.rpm(high))) for line in found.fixed]
+    return [top, _fixed_labels(axes, found.fixed, places)], side
 
 
 def _order_map_labels(axes: Axes, one: _Map, found: Found) -> tuple[list[list[EdgeLabel]], list[EdgeLabel]]:
     """Rows of labels above for the limits that ``axes`` have now; nothing leaves them at the right alone."""
-    from crankorder.plot.edge_labels import EdgeLabel
-
     (left, right), high = sorted(axes.get_xlim()), max(axes.get_ylim())
-    top = [
-        EdgeLabel((order, high), text, color, bold, amplitude)
-        for order, text, color, bold, amplitude in _named(found)
-        if left <= order <= right
-    ]
-    named = []
-    for line in [] if one.timeless else found.fixed:
-        place = 60.0 * float(line.at(one.rpm(high)) / one.rpm(high))
-        if left <= place <= right:
-            named.append(EdgeLabel((place, high), line.text, MAINS if line.tone else MODE, rank=float(line.here)))
-    return [top, named], []
+    top = [_order_label(each, found, (each.order, high)) for each in found.orders if left <= each.order <= right]
+    lines = [] if one.timeless else found.fixed
+    places = [60.0 * float(line.at(one.rpm(high)) / one.rpm(high)) for line in lines]
+    return [top, _fixed_labels(axes, lines, places)], []

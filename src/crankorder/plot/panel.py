@@ -52,12 +52,11 @@ class Panel:
         color: str,
         width: float = 1.3,
         alpha: float = 1.0,
-        dashes: tuple[float, float] = (0.0, 0.0),
         name: str = "",
     ) -> None:
-        """Line through ``x``, ``y`` in ``color``, ``width`` in points, ``alpha``, ``dashes``; called ``name``."""
+        """Line through ``x``, ``y`` in ``color``, ``width`` in points, opacity ``alpha``; called ``name``."""
         places, values = self.at(x, y), (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-        self.drawing.add(Stroke(places, color, width, dashes, alpha, self.box, name=name, values=values))
+        self.drawing.add(Stroke(places, color, width, alpha=alpha, within=self.box, name=name, values=values))
 
     def band(
         self, x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], *, color: str, alpha: float
@@ -70,7 +69,10 @@ class Panel:
     def dots(self, x: NDArray[np.float64], y: NDArray[np.float64], *, color: str, radius: float) -> None:
         """Discs at ``x``, ``y`` in ``color``; ``radius`` in points."""
         values = (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-        self.drawing.add(Rings(self.at(x, y), radius, color, within=_grown(self.box, radius / 72), values=values))
+        left, bottom, width, height = self.box
+        by = radius / 72
+        within = (left - by, bottom - by, width + 2 * by, height + 2 * by)
+        self.drawing.add(Rings(self.at(x, y), radius, color, within=within, values=values))
 
     def upright(
         self,
@@ -83,15 +85,14 @@ class Panel:
         name: str = "",
     ) -> None:
         """Line over the whole height at ``x``: ``color``, ``width`` in points, ``alpha``, ``dashes``; its ``name``."""
-        ends = np.array([self.y[0], self.y[1]])
-        values = (np.array([x, x], dtype=float), ends)
-        place = self.at(np.array([x, x]), ends)
+        values = np.array([x, x], dtype=float), np.array(self.y)
+        place = self.at(*values)
         self.drawing.add(Stroke(place, color, width, dashes, alpha, self.box, square=True, name=name, values=values))
 
-    def note(self, text: str, *, across: float = 0.5, up: float = 0.5) -> None:
-        """``text`` on a white ground at shares ``across`` and ``up`` of the panel."""
+    def note(self, text: str, *, up: float = 0.5) -> None:
+        """``text`` on a white ground in the middle of the panel, at the share ``up`` of its height."""
         left, bottom, width, height = self.box
-        x, y = left + across * width, bottom + up * height
+        x, y = left + 0.5 * width, bottom + up * height
         half = text_width_in(text, NORMAL) / 2 + 0.05
         ground = np.array([[x - half, y], [x + half, y]])
         self.drawing.add(Stroke(ground, "#ffffff", 14.0))
@@ -123,9 +124,7 @@ class Panel:
                 low = bottom - _TICK_IN - _PAD_IN
                 self.drawing.add(Words(x, low, text, TICK_SIZE, along="centre", across="top", name="tick"))
         if label:
-            self.drawing.add(
-                Words(left + width / 2, bottom - 0.36, label, NORMAL, along="centre", across="baseline", name="x label")
-            )
+            self.drawing.add(Words(left + width / 2, bottom - 0.36, label, NORMAL, along="centre", name="x label"))
 
     def y_axis(
         self,
@@ -163,10 +162,6 @@ class Panel:
         for number, line in enumerate(lines):
             x = edge + gap + 0.12 + number * _LINE_IN if right else edge - gap - (len(lines) - 1 - number) * _LINE_IN
             self.drawing.add(Words(x, bottom + height / 2, line, NORMAL, along="centre", upward=True, name="y label"))
-
-
-def _grown(box: Box, by: float) -> Box:
-    return box[0] - by, box[1] - by, box[2] + 2 * by, box[3] + 2 * by
 
 
 def linear_ticks(low: float, high: float, *, most: int, whole: bool = False) -> NDArray[np.float64]:

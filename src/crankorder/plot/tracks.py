@@ -20,7 +20,6 @@ from crankorder.plot.records import called_order, order_texts
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from crankorder.plot.edge_labels import EdgeLabel
 
 _COLOURED = 6  # orders that the eye can follow; the others are there for comparison …
 _ALL_COLOURED = 8  # … but not for the sake of one or two
@@ -156,27 +155,17 @@ def _scale(axes: Axes, shown: _Tracks) -> None:
 
 
 def _draw_lines(axes: Axes, shown: _Tracks) -> None:
-    from crankorder.plot.edge_labels import EdgeLabel, EdgeLabels
+    from crankorder.plot.edge_labels import label_ends
 
     for number in np.argsort(-shown.rank):  # the strongest lies on top
         _draw_line(axes, shown, int(number))
     low, high = float(shown.speed[0]), float(shown.speed[-1])
     spare = 0.015 * (high - low) or 1.0
     axes.set_xlim(low - spare, high + spare)
-
-    def at_the_ends(axes: Axes) -> list[list[EdgeLabel]]:
-        left, right = sorted(axes.get_xlim())
-        labels = []
-        for number, text in enumerate(shown.texts):
-            inside = (shown.speed >= left) & (shown.speed <= right) & np.isfinite(shown.amplitude[number])
-            if inside.any():
-                last = np.flatnonzero(inside)[-1]
-                color = shown.color(number)
-                place = float(shown.speed[last]), float(shown.amplitude[number, last])
-                labels.append(EdgeLabel(place, text, FAINT if color == LIGHT else color, rank=-shown.rank[number]))
-        return [labels]
-
-    EdgeLabels(axes, at_the_ends, side="right", caption="order")
+    colors = [FAINT if shown.color(number) == LIGHT else shown.color(number) for number in range(len(shown.texts))]
+    lines = zip(shown.amplitude, shown.texts, colors, shown.rank, strict=True)
+    ends = [(shown.speed, amplitude, text, color, -float(rank)) for amplitude, text, color, rank in lines]
+    label_ends(axes, ends, caption="order")
 
 
 def _draw_line(axes: Axes, shown: _Tracks, number: int) -> None:
@@ -201,6 +190,8 @@ def _draw_line(axes: Axes, shown: _Tracks, number: int) -> None:
 
 def _draw_points(axes: Axes, shown: _Tracks) -> None:
     """Points with error bars against the order, each named above."""
+    from crankorder.plot.edge_labels import label_orders
+
     for number, order in enumerate(shown.orders):
         amplitude = shown.amplitude[number]
         if not np.isfinite(amplitude).any():
@@ -214,21 +205,6 @@ def _draw_points(axes: Axes, shown: _Tracks) -> None:
     if len(shown.orders):
         axes.set_xlim(0.0, 1.06 * float(shown.orders[-1]) or 1.0)
         whole_ticks(axes)
-    _name_points(axes, shown)
-
-
-def _name_points(axes: Axes, shown: _Tracks) -> None:
-    """Orders above the axes, where each cannot meet another."""
-    from crankorder.plot.edge_labels import EdgeLabel, EdgeLabels
-
-    def above(axes: Axes) -> list[list[EdgeLabel]]:
-        left, right = sorted(axes.get_xlim())
-        return [
-            [
-                EdgeLabel((float(order), max(axes.get_ylim())), text, LINES[0], rank=-float(rank))
-                for order, text, rank, value in zip(shown.orders, shown.texts, shown.rank, shown.amplitude, strict=True)
-                if left <= order <= right and np.isfinite(value).any()
-            ]
-        ]
-
-    EdgeLabels(axes, above, side="top", caption="order")
+    points = zip(shown.orders.tolist(), shown.texts, shown.rank, shown.amplitude, strict=True)
+    marks = [(order, text, -float(rank)) for order, text, rank, value in points if np.isfinite(value).any()]
+    label_orders(axes, marks, LINES[0])

@@ -82,9 +82,8 @@ class LevelImage(AxesImage):
 
         ``unsampled`` is not for cells of unlike widths.
         """
-        left, bottom, right, top = (np.asarray(self.axes.bbox.extents) * magnification + 0.5).astype(
-            int
-        ) / magnification
+        corners = np.asarray(self.axes.bbox.extents) * magnification
+        left, bottom, right, top = (corners + 0.5).astype(int) / magnification
         columns, rows = round((right - left) * magnification), round((top - bottom) * magnification)
         if columns < 1 or rows < 1:
             return None, left, bottom, IdentityTransform()

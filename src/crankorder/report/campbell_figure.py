@@ -103,7 +103,13 @@ def campbell_figure(campbell: xr.Dataset, channel: str, findings: Findings, *, s
     _label_edges(panel, guides or orders, modes, findings)
     keys = [Key("order, for orientation", FAINT)] if guides else _keys(orders=orders, modes=modes, circles=circles)
     draw_keys(drawing, _LEFT, [*keys, *strip_keys(findings)], room_in=settings.width_in - _LEFT - _NOTE)
-    _title(drawing, findings, channel, settings=settings)
+    name = shortened(drawable(findings.test, settings.max_name_characters), LARGE, 0.62 * settings.width_in, bold=True)
+    said = strongest_sentence(findings, channel)
+    if findings.not_asked_for:
+        said = "Level over frequency and speed; findings were not asked for."
+    title = f"{name} · channel {drawable(channel, settings.max_name_characters)}"
+    title_lines(drawing, _LEFT, title, drawable(said, 300))
+    quality_note(drawing, findings)
     return drawing
 
 
@@ -186,11 +192,11 @@ def _draw_orders(panel: Panel, orders: Sequence[OrderFinding | Guide], findings:
     everywhere = np.array([low, high])
     for record in orders:
         order = record.order
-        seen = np.clip(np.array(_seen(record) or (low, high)), low, high)
+        of_line = known(record.speed_range_rpm) if isinstance(record, OrderFinding) else None
+        seen = np.clip(np.array(of_line or (low, high)), low, high)
         name = f"order-{order_name(record, findings)}"
-        for speed, alpha in (
-            ((everywhere, 0.25), (seen, 0.5)) if isinstance(record, OrderFinding) else ((everywhere, 0.3),)
-        ):
+        parts = [(everywhere, 0.25), (seen, 0.5)] if isinstance(record, OrderFinding) else [(everywhere, 0.3)]
+        for speed, alpha in parts:
             panel.curve(order * speed / 60, speed, color=_WHITE, width=0.7, alpha=alpha, name=name)
 
 
@@ -199,14 +205,7 @@ class Guide:
     """A whole order that is drawn for orientation."""
 
     order: float
-
-
-def _seen(record: OrderFinding | Guide) -> tuple[float, float] | None:
-    return known(record.speed_range_rpm) if isinstance(record, OrderFinding) else None
-
-
-def _size(record: OrderFinding | Guide) -> float:
-    return record.amplitude if isinstance(record, OrderFinding) else 0.0
+    amplitude: float = 0.0
 
 
 def _guides(panel: Panel) -> list[Guide]:
@@ -223,8 +222,7 @@ def _draw_modes(panel: Panel, modes: list[ModeFinding], channel: str) -> None:
         if is_whirl(mode):
             speed = np.array(panel.y)
             moved = (mode.speed_slope or 0.0) * (speed - (mode.reference_rpm or 0.0)) / 60.0
-            place = mode.frequency_hz + moved
-            panel.curve(place, speed, color=MODE_ON_MAP, width=1.0, alpha=0.75, name="whirl")
+            panel.curve(mode.frequency_hz + moved, speed, color=MODE_ON_MAP, width=1.0, alpha=0.75, name="whirl")
             continue
         mains, doubt = is_tone(mode), is_undecided(mode)
         panel.upright(
@@ -278,11 +276,11 @@ def _order_labels(
 ) -> tuple[list[EdgeLabel], list[EdgeLabel]]:
     """Labels of the order lines that leave at the top, and of those that leave at the right; the strongest is bold."""
     (f_low, f_high), (low, high) = panel.x, panel.y
-    loudest = max((_size(record) for record in orders), default=0.0)
+    loudest = max((record.amplitude for record in orders), default=0.0)
     top, side = [], []
     for number, record in enumerate(orders):
         order, text = record.order, order_name(record, findings)
-        bold = loudest > 0 and _size(record) == loudest
+        bold = loudest > 0 and record.amplitude == loudest
         colour = HALF_ORDER if is_of_cycle(record) else INK
         if f_low <= order * high / 60 <= f_high:
             top.append(EdgeLabel(float(panel.at(order * high / 60, high)[0, 0]), text, colour, number, bold))
@@ -305,17 +303,6 @@ def _keys(*, orders: Sequence[OrderFinding | Guide], modes: list[ModeFinding], c
         label = "mains" if tones == of_mains else "fixed tone" if not of_mains else "mains or fixed tone"
         keys.append(Key(label, MAINS, TONE_DASHES))
     return [*keys, Key("excited crossing", INK, ring=True)] if circles else keys
-
-
-def _title(drawing: Drawing, findings: Findings, channel: str, *, settings: ReportSettings) -> None:
-    name = drawable(findings.test, settings.max_name_characters)
-    name = shortened(name, LARGE, 0.62 * settings.width_in, bold=True)
-    title = f"{name} · channel {drawable(channel, settings.max_name_characters)}"
-    said = strongest_sentence(findings, channel)
-    if findings.not_asked_for:
-        said = "Level over frequency and speed; findings were not asked for."
-    title_lines(drawing, _LEFT, title, drawable(said, 300))
-    quality_note(drawing, findings)
 
 
 STRIP_IN = 0.13

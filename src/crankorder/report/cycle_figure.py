@@ -48,11 +48,7 @@ _FROM = {"tdc": "from top dead centre", "index": "from the index mark", "pulse":
 
 
 def cycle_figure(
-    cycles: xr.Dataset,
-    findings: Findings,
-    *,
-    settings: ReportSettings,
-    speeds_rpm: Sequence[float] | None = None,
+    cycles: xr.Dataset, findings: Findings, *, settings: ReportSettings, speeds_rpm: Sequence[float] | None = None
 ) -> Figure:
     """Mean cycle of every channel (rows) at a few speeds (columns), with its spread and the dead centres.
 

@@ -9,8 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings
-from crankorder.plot.drawing import Drawing, Rings, Words, quality_note, title_lines
-from crankorder.plot.labels import EdgeLabel, Key, draw_keys, label_width_in
+from crankorder.plot.drawing import Drawing, Rings, Words
+from crankorder.plot.labels import EdgeLabel, Key, draw_keys, head_of_test, label_width_in
 from crankorder.plot.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES, drawable, shortened
 from crankorder.plot.panel import Panel
 from crankorder.report.notation import is_number, order_name, order_text
@@ -50,9 +50,8 @@ def envelope_figure(envelope: xr.Dataset, findings: Findings, *, settings: Repor
         _write_band(panel, envelope, number)
     label_column(panels[0], [*marks, *seen], "")
     draw_keys(drawing, _LEFT, _keys(drawing, expected=bool(marks), found=found))
-    name = drawable(findings.test, settings.max_name_characters)
-    title_lines(drawing, _LEFT, f"{name} · envelope spectra", _subtitle(envelope.sizes["speed"], bool(marks), found))
-    quality_note(drawing, findings)
+    said = _subtitle(envelope.sizes["speed"], bool(marks), found)
+    head_of_test(drawing, _LEFT, findings, "envelope spectra", said, longest=settings.max_name_characters)
     return drawing
 
 
@@ -136,7 +135,7 @@ def _short(names: set[str], letters: int) -> dict[str, str]:
 
 def _room_of(marks: list[Mark]) -> float:
     """Inches that the texts of ``marks`` take side by side."""
-    return sum(label_width_in(EdgeLabel(0.0, text, color, 0), SMALL) for _, text, color in marks)
+    return sum(label_width_in(EdgeLabel(0.0, text, color)) for _, text, color in marks)
 
 
 def _found(findings: Findings) -> list[Mark]:

@@ -16,6 +16,7 @@ from crankorder.channel_units import unit_text
 from crankorder.findings import CrossingFinding, Findings, ModeFinding
 from crankorder.plot.cells import level_limits, speed_cells
 from crankorder.plot.palette import level_colours
+from crankorder.records import known
 from crankorder.report.fixed_lines import fixed_frequencies
 from crankorder.report.notation import (
     estimate_text,
@@ -61,91 +62,8 @@ class LiveChannel:
     level: str
 
 
-@dataclass(frozen=True)
-class LiveMap:
-    """A map: ``rows`` of speed [rpm], slowest first, with the ends of their cells; ``nx`` columns.
-
-    The columns begin at ``x0`` and are ``dx`` apart; each is the largest of ``pooled``. ``cells`` per channel: base64
-    of codes (rows, columns), 16 bits each; ``largest`` its largest amplitude, which has the code 60000, each 0.005 dB
-    below one less; ``limits`` of the colours [dB].
-    """
-
-    kind: str
-    title: str
-    label: str
-    x0: float
-    dx: float
-    nx: int
-    pooled: int
-    rows: list[tuple[float, float, float]]
-    largest: list[float]
-    limits: list[tuple[float, float]]
-    cells: list[str]
-
-
-@dataclass(frozen=True)
-class LiveTracks:
-    """Order tracks: values (channel, order, speed) as base64 of 32-bit floats; an amplitude of -inf is not read."""
-
-    kind: str
-    title: str
-    speed: list[float]
-    orders: list[dict[str, float | str]]
-    largest: list[float]
-    amplitude: str
-    low: str
-    high: str
-    phase: str
-
-
-@dataclass(frozen=True)
-class LiveOrder:
-    """An order found in a channel (by number): what it is called, what makes it, where it is largest and was seen."""
-
-    channel: int
-    order: float
-    text: str
-    why: str
-    size: float
-    at: float | None
-    seen: tuple[float, float] | None
-
-
-@dataclass(frozen=True)
-class LiveFixed:
-    """A frequency that stays, or a whirl's with its ``slope``; ``half`` its half width in Hz."""
-
-    hz: float
-    half: float
-    slope: float
-    from_rpm: float
-    kind: str
-    name: str
-    text: str
-    channels: list[int]
-
-
-@dataclass(frozen=True)
-class LiveCrossing:
-    """Meeting of an order with a natural frequency of half width ``half`` Hz, with what is said of it."""
-
-    order: float
-    hz: float
-    half: float
-    rpm: float
-    excited: bool
-    text: str
-    channels: list[int]
-
-
-@dataclass(frozen=True)
-class LiveLine:
-    """A line of the list of all lines, by ``order`` or by ``hz``, with what is said of it."""
-
-    channel: int
-    order: float | None
-    hz: float | None
-    text: str
+Record = dict[str, object]
+"""A map, the tracks, or a thing that the findings name, as the script of the page reads it."""
 
 
 def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings: ReportSettings) -> str:
@@ -167,8 +85,8 @@ def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings:
         "hint": HINT, "freeText": "Free of resonances at this speed.", "unasked": bool(findings.not_asked_for),
         "colours": base64.b64encode(level_colours().tobytes()).decode("ascii"),
         "channels": [asdict(one) for one in channels],
-        "maps": [asdict(one) for one in maps],
-        "tracks": None if tracks is None else asdict(tracks),
+        "maps": maps,
+        "tracks": tracks,
         "guides": [{"order": order, "text": order_text(order)} for order in _GUIDES],
         **_said(findings, [str(name) for name in first["channel"].values[: len(channels)]], settings),
     }  # fmt: skip
@@ -187,7 +105,13 @@ def _channels(dataset: xr.Dataset, settings: ReportSettings) -> list[LiveChannel
     return made[:_MOST_CHANNELS]
 
 
-def _map(name: str, dataset: xr.Dataset, channels: list[LiveChannel], settings: ReportSettings) -> LiveMap | None:
+def _map(name: str, dataset: xr.Dataset, channels: list[LiveChannel], settings: ReportSettings) -> Record | None:
+    """A map: ``rows`` of speed [rpm], slowest first, with the ends of their cells; ``nx`` columns.
+
+    The columns begin at ``x0`` and are ``dx`` apart; each is the largest of ``pooled``. ``cells`` per channel: base64
+    of codes (rows, columns), 16 bits each; ``largest`` its largest amplitude, which has the code 60000, each 0.005 dB
+    below one less; ``limits`` of the colours [dB].
+    """
     kind, title, label, axis = _TITLES[name]
     x = np.asarray(dataset[axis].values, dtype=float)
     speed = np.asarray(dataset["speed"].values, dtype=float)
@@ -203,18 +127,21 @@ def _map(name: str, dataset: xr.Dataset, channels: list[LiveChannel], settings: 
     columns = -(-len(x) // pool)
     largest, limits, cells = [], [], []
     for values, channel in zip(amplitude[:shown, kept], channels, strict=False):
-        known = np.nan_to_num(values.astype(np.float64), posinf=0.0)
+        values = np.nan_to_num(values.astype(np.float64), posinf=0.0)
         if pool > 1:
-            known = np.pad(known, ((0, 0), (0, columns * pool - len(x)))).reshape(len(kept), columns, pool).max(axis=2)
-        top = float(known.max())
+            padded = np.pad(values, ((0, 0), (0, columns * pool - len(x))))
+            values = padded.reshape(len(kept), columns, pool).max(axis=2)
+        top = float(values.max())
         largest.append(top)
-        limits.append(level_limits(known, channel.reference, range_db=settings.dynamic_range_db))
-        cells.append(base64.b64encode(_codes(known, top).tobytes()).decode("ascii"))
+        limits.append(level_limits(values, channel.reference, range_db=settings.dynamic_range_db))
+        cells.append(base64.b64encode(_codes(values, top).tobytes()).decode("ascii"))
     step = float(x[-1] - x[0]) / (len(x) - 1)
     ends = speed_cells(speed[kept])
     rows = [(_short(one), _short(low), _short(high)) for one, (low, high) in zip(speed[kept], ends, strict=True)]
-    x0 = float(x[0]) + (pool - 1) / 2 * step
-    return LiveMap(kind, title, label, x0, pool * step, columns, pool, rows, largest, limits, cells)
+    return {
+        "kind": kind, "title": title, "label": label, "x0": float(x[0]) + (pool - 1) / 2 * step, "dx": pool * step,
+        "nx": columns, "pooled": pool, "rows": rows, "largest": largest, "limits": limits, "cells": cells,
+    }  # fmt: skip
 
 
 def _short(value: float) -> float:
@@ -247,10 +174,11 @@ def _codes(values: NDArray[np.float64], top: float) -> NDArray[np.uint16]:
     return np.asarray(np.where(share > 0, np.clip(code, 1, _TOP), 0).astype("<u2"))
 
 
-def _tracks(tracks: xr.Dataset | None, channels: int, *, limit: int) -> LiveTracks | None:
-    if tracks is None or not tracks.sizes["order"] or np.isfinite(tracks["speed"].values).sum() < 2:
+def _tracks(tracks: xr.Dataset | None, channels: int, *, limit: int) -> Record | None:
+    """Values (channel, order, speed) as base64 of 32-bit floats; an amplitude of -inf is not read."""
+    if tracks is None or not tracks.sizes["order"]:
         return None
-    if not np.isfinite(tracks["speed"].values).all():
+    if tracks.sizes["speed"] < 2 or not np.isfinite(tracks["speed"].values).all():
         return None
     shown = shown_tracks(tracks, limit=limit)
     kept = min(channels, int(_TRACK_VALUES / max(4 * shown.amplitude[0].size, 1)))
@@ -263,13 +191,12 @@ def _tracks(tracks: xr.Dataset | None, channels: int, *, limit: int) -> LiveTrac
         with np.errstate(over="ignore"):
             return base64.b64encode(values[:kept].astype("<f4").tobytes()).decode("ascii")
 
-    names: list[dict[str, float | str]] = [
-        {"order": float(order), "text": text} for order, text in zip(shown.orders, shown.texts, strict=True)
-    ]
-    return LiveTracks(
-        "tracks", "Orders against speed", [_short(one) for one in shown.speed], names,
-        [float(one) for one in largest], packed(amplitude), packed(shown.low), packed(shown.high), packed(shown.phase),
-    )  # fmt: skip
+    orders = [{"order": float(order), "text": text} for order, text in zip(shown.orders, shown.texts, strict=True)]
+    return {
+        "kind": "tracks", "title": "Orders against speed", "speed": [_short(one) for one in shown.speed],
+        "orders": orders, "largest": largest.tolist(), "amplitude": packed(amplitude),
+        "low": packed(shown.low), "high": packed(shown.high), "phase": packed(shown.phase),
+    }  # fmt: skip
 
 
 def _said(findings: Findings, names: list[str], settings: ReportSettings) -> dict[str, object]:
@@ -277,44 +204,31 @@ def _said(findings: Findings, names: list[str], settings: ReportSettings) -> dic
     limit = settings.max_name_characters
     number = {name: place for place, name in enumerate(names)}
     modes = fixed_frequencies(findings)
-    fixed = [_fixed(mode, number, limit) for mode in modes]
-    avoid = [
-        {"low": band.rpm_range[0], "high": band.rpm_range[1], "text": f"Avoid {speeds_text(band.rpm_range)} rpm."}
-        for band in findings.speeds_to_avoid or []
-        if band.rpm_range and is_number(band.rpm_range[0]) and is_number(band.rpm_range[1])
-    ]
-    free = [
-        (band.low_rpm, band.high_rpm)
-        for band in findings.free_bands
-        if is_number(band.low_rpm) and is_number(band.high_rpm)
-    ]
+    ranges = [ends for band in findings.speeds_to_avoid or [] if (ends := known(band.rpm_range)) is not None]
+    bands = [(band.low_rpm, band.high_rpm) for band in findings.free_bands]
     said = {
-        "orders": [asdict(one) for one in _orders(findings, number, limit)],
-        "fixed": [asdict(one) for one in fixed],
-        "crossings": [asdict(_crossing(one, findings, modes, number)) for one in findings.crossings if one.in_range],
-        "lines": [asdict(one) for one in _lines(findings, number, limit)],
-        "avoid": avoid,
-        "free": free,
+        "orders": _orders(findings, number, limit),
+        "fixed": [_fixed(mode, number, limit) for mode in modes],
+        "crossings": [_crossing(one, findings, modes, number) for one in findings.crossings if one.in_range],
+        "lines": _lines(findings, number, limit),
+        "avoid": [{"low": low, "high": high, "text": f"Avoid {speeds_text((low, high))} rpm."} for low, high in ranges],
+        "free": [ends for ends in bands if known(ends) is not None],
     }
     return {key: _shortened(one) for key, one in said.items()}
 
 
-def _orders(findings: Findings, number: dict[str, int], limit: int) -> list[LiveOrder]:
+def _orders(findings: Findings, number: dict[str, int], limit: int) -> list[Record]:
+    """Orders found in a channel (by number): what each is called, what makes it, where it is largest and was seen."""
     return [
-        LiveOrder(
-            channel=number[one.channel], order=one.order, text=order_name(one, findings),
-            why=named(one.explained_by or "unexplained", limit=2 * limit), size=float(one.amplitude),
-            at=one.speed_rpm_at_max if is_number(one.speed_rpm_at_max) else None,
-            seen=_pair(one.speed_range_rpm),
-        )
+        {
+            "channel": number[one.channel], "order": one.order, "text": order_name(one, findings),
+            "why": named(one.explained_by or "unexplained", limit=2 * limit), "size": float(one.amplitude),
+            "at": one.speed_rpm_at_max if is_number(one.speed_rpm_at_max) else None,
+            "seen": known(one.speed_range_rpm),
+        }
         for one in findings.orders
         if one.channel in number
     ]  # fmt: skip
-
-
-def _pair(ends: tuple[float | None, float | None] | None) -> tuple[float, float] | None:
-    low, high = ends or (None, None)
-    return (low, high) if is_number(low) and is_number(high) else None
 
 
 def _half_width(mode: ModeFinding) -> float:
@@ -324,7 +238,8 @@ def _half_width(mode: ModeFinding) -> float:
     return max(damped, 0.0 if ends is None else (ends[1] - ends[0]) / 2)
 
 
-def _fixed(mode: ModeFinding, number: dict[str, int], limit: int) -> LiveFixed:
+def _fixed(mode: ModeFinding, number: dict[str, int], limit: int) -> Record:
+    """A frequency that stays, or a whirl's with its ``slope``; ``half`` its half width in Hz."""
     name = f"{frequency_text(mode.frequency_hz)}{'?' if is_undecided(mode) else ''} Hz"
     estimate = f"{estimate_text(mode, 'frequency_hz')} Hz"
     damping = f", damping {number_text(100 * mode.damping_ratio, digits=2)} %" if is_number(mode.damping_ratio) else ""
@@ -337,31 +252,37 @@ def _fixed(mode: ModeFinding, number: dict[str, int], limit: int) -> LiveFixed:
         text = f"Natural frequency {estimate}{damping}"
     slope, rpm = (mode.speed_slope or 0.0, mode.reference_rpm or 0.0) if is_whirl(mode) else (0.0, 0.0)
     channels = [number[one] for one in mode.channels or () if one in number]
-    return LiveFixed(mode.frequency_hz, _half_width(mode), slope, rpm, kind, name, text, channels)
+    return {
+        "hz": mode.frequency_hz, "half": _half_width(mode), "slope": slope, "from_rpm": rpm, "kind": kind, "name": name,
+        "text": text, "channels": channels,
+    }  # fmt: skip
 
 
 def _crossing(
     crossing: CrossingFinding, findings: Findings, modes: list[ModeFinding], number: dict[str, int]
-) -> LiveCrossing:
+) -> Record:
+    """Meeting of an order with a natural frequency of half width ``half`` Hz, with what is said of it."""
     nearest = min(modes, key=lambda mode: abs(mode.frequency_hz - crossing.mode_hz), default=None)
     channels = crossing.channels or ((crossing.channel,) if crossing.channel else ())
     factor = crossing.amplification
     times = f", × {number_text(factor, digits=2)}" if crossing.excited and is_number(factor) and factor > 0 else ""
     verdict = crossing.verdict or ("excited" if crossing.excited else "not excited")
     where = f"order {order_name(crossing, findings)} meets {frequency_text(crossing.mode_hz)} Hz"
-    return LiveCrossing(
-        order=crossing.order, hz=crossing.mode_hz, half=0.0 if nearest is None else _half_width(nearest),
-        rpm=crossing.rpm, excited=crossing.excited,
-        text=f"Crossing: {where} near {crossing.rpm:.0f} rpm, {verdict}{times}.",
-        channels=[number[one] for one in channels if one in number],
-    )  # fmt: skip
+    return {
+        "order": crossing.order, "hz": crossing.mode_hz, "half": 0.0 if nearest is None else _half_width(nearest),
+        "rpm": crossing.rpm, "excited": crossing.excited,
+        "text": f"Crossing: {where} near {crossing.rpm:.0f} rpm, {verdict}{times}.",
+        "channels": [number[one] for one in channels if one in number],
+    }  # fmt: skip
 
 
-def _lines(findings: Findings, number: dict[str, int], limit: int) -> list[LiveLine]:
+def _lines(findings: Findings, number: dict[str, int], limit: int) -> list[Record]:
+    """The list of all lines, by ``order`` or by ``hz``, with what is said of each."""
     records = sorted((one for one in findings.lines if one.channel in number), key=lambda one: -one.size)[:_MOST_LINES]
-    made = []
+    made: list[Record] = []
     for one in records:
         place = f"{one.frequency_hz:.4g} Hz" if one.order is None else f"order {order_text(nominal_order(one))}"
         why = named(one.explained_by or "unexplained", limit=2 * limit)
-        made.append(LiveLine(number[one.channel], one.order, one.frequency_hz, f"Line at {place}: {why}."))
+        text = f"Line at {place}: {why}."
+        made.append({"channel": number[one.channel], "order": one.order, "hz": one.frequency_hz, "text": text})
     return made

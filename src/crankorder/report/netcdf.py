@@ -25,17 +25,10 @@ from crankorder.channel_units import by_channel
 from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.report.published import CONVENTIONS, published
 
-COMPRESSION_LEVEL = (
-    1  # level 4: 1.1 % smaller at the same time for a campaign (0.155 s either way), slower on wide bands
-)
-_DOUBLE = (
-    "speed",
-    "order",
-    "frequency",
-    "time",
-    "crank_angle",
-    "cycle_angle",
-)  # axes keep 64 bits; estimates carry less than 24
+# level 4: 1.1 % smaller at the same time for a campaign (0.155 s either way), slower on wide bands
+COMPRESSION_LEVEL = 1
+# axes keep 64 bits; estimates carry less than 24
+_DOUBLE = ("speed", "order", "frequency", "time", "crank_angle", "cycle_angle")
 _MAX_BYTES = 2_000_000_000  # of all variables of a results file that is read back
 
 
@@ -87,7 +80,7 @@ def _write_group(group: h5py.Group, dataset: xr.Dataset, number: Iterator[int]) 
         for suffix, values in _stored(name, np.asarray(variable.values)):
             packed = values.ndim > 0 and values.size > 0 and values.dtype.kind in "iuf"
             chunks = _chunks(values) if packed else None
-            variables[name + suffix] = Variable(dims, values, about, chunks, COMPRESSION_LEVEL)
+            variables[name + suffix] = Variable(dims, values, about, chunks)
     write_variables(group, {str(name): size for name, size in dataset.sizes.items()}, variables, number)
 
 
@@ -160,9 +153,8 @@ def read_results(path: Path) -> dict[str, xr.Dataset]:
             names = _safe_groups(file, path)
             groups = {name: _read_group(file[name]) for name in names} if conventions.startswith("CF-") else {}
         if not conventions.startswith("CF-"):
-            raise InputError(
-                "not a results file of crankorder", file=path, place="attribute Conventions", found=conventions
-            )
+            place = "attribute Conventions"
+            raise InputError("not a results file of crankorder", file=path, place=place, found=conventions)
         return groups
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         if isinstance(error, InputError):
@@ -182,9 +174,8 @@ def _read_group(group: h5py.Group) -> xr.Dataset:
         coords |= set(str(attrs.pop("coordinates", "")).split())
         values = _text(values) if values.dtype.kind == "O" else values
         variables[name] = (dims_of(item), values, attrs)
-    for name in [
-        name.removesuffix("_real") for name in variables if name.endswith("_real") and f"{name[:-5]}_imag" in variables
-    ]:
+    pairs = [name[:-5] for name in variables if name.endswith("_real") and f"{name[:-5]}_imag" in variables]
+    for name in pairs:
         (dims, real, attrs), (_, imaginary, _) = variables.pop(f"{name}_real"), variables.pop(f"{name}_imag")
         variables[name] = (dims, real + 1j * imaginary, attrs)
     return by_channel(xr.Dataset(variables, attrs=read_attrs(group)).set_coords(sorted(coords & set(variables))))
@@ -236,7 +227,6 @@ class Variable:
     values: NDArray[Any]
     attrs: Mapping[str, Any]
     chunks: tuple[int, ...] | None
-    level: int
 
 
 def netcdf4_file() -> h5py.File:
@@ -281,9 +271,8 @@ def write_variables(
             written[name] = _dataset(group, name, variables[name])
             label = name
         else:  # no values are stored
-            written[name] = h5d.create(
-                group.id, name.encode(), h5t.IEEE_F32BE, h5s.create_simple((sizes[name],)), _creation()
-            )
+            space = h5s.create_simple((sizes[name],))
+            written[name] = h5d.create(group.id, name.encode(), h5t.IEEE_F32BE, space, _creation())
             label = f"{BARE_DIMENSION.decode()}{sizes[name]:10d}"
         if name in sizes:
             h5ds.set_scale(written[name], label.encode())
@@ -293,9 +282,8 @@ def write_variables(
             for axis, dim in enumerate(variable.dims):
                 h5ds.attach_scale(written[name], written[dim], axis)
         if variable.dims:
-            _attribute(
-                written[name], "_Netcdf4Coordinates", np.array([ids[dim] for dim in variable.dims], dtype=np.int32)
-            )
+            dims = np.array([ids[dim] for dim in variable.dims], dtype=np.int32)
+            _attribute(written[name], "_Netcdf4Coordinates", dims)
         write_attrs(written[name], variable.attrs)
 
 
@@ -306,7 +294,7 @@ def _dataset(group: h5py.Group, name: str, variable: Variable) -> Any:
     if variable.chunks:
         properties.set_chunk(variable.chunks)
         properties.set_shuffle()
-        properties.set_deflate(variable.level)
+        properties.set_deflate(COMPRESSION_LEVEL)
         properties.set_fletcher32()
     kind = _text_type() if text else h5t.py_create(values.dtype, logical=True)
     space = h5s.create_simple(values.shape) if values.ndim else h5s.create(h5s.SCALAR)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings
-from crankorder.plot.cells import gaps_between, speed_cells
-from crankorder.plot.drawing import Box, Drawing, Words, quality_note, title_lines
-from crankorder.plot.labels import EdgeLabel, label_right
+from crankorder.plot.cells import gaps_before, speed_cells
+from crankorder.plot.drawing import Box, Drawing, Words
+from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
 from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.panel import Panel
 from crankorder.report.notation import nominal_order, order_texts
@@ -86,10 +86,9 @@ def orders_figure(tracks: xr.Dataset, findings: Findings, *, settings: ReportSet
         _draw_channel(drawing, shown, number, (left, bottom, width, block))
         name = shortened(drawable(channel, settings.max_name_characters), NORMAL + 1, width, bold=True)
         drawing.add(Words(left, bottom + block + 0.09, name, NORMAL + 1, bold=True))
-    title = f"{drawable(findings.test, settings.max_name_characters)} · orders against speed"
     clear = bool(np.isfinite(shown.amplitude).any())
-    title_lines(drawing, _LEFT, title, _subtitle(tracks.sizes["order"], len(shown.orders), clear=clear))
-    quality_note(drawing, findings)
+    said = _subtitle(tracks.sizes["order"], len(shown.orders), clear=clear)
+    head_of_test(drawing, _LEFT, findings, "orders against speed", said, longest=settings.max_name_characters)
     return drawing
 
 
@@ -184,9 +183,7 @@ def _draw_axes(upper: Panel, lower: Panel, shown: ShownTracks, channel: int, *, 
 
 def _broken(speed: NDArray[np.float64], values: NDArray[np.float64], *, wrap: float = np.inf) -> NDArray[np.intp]:
     """Places before which a curve must break: gaps of the tested range, and jumps of more than ``wrap``."""
-    cells = speed_cells(speed)
-    starts = {high for _, high in gaps_between(cells)}
-    gap = np.isin(cells[1:, 0], sorted(starts))
+    gap = gaps_before(speed_cells(speed))[1:]
     with np.errstate(invalid="ignore"):
         return np.asarray(np.flatnonzero(gap | (np.abs(np.diff(values)) > wrap)) + 1)
 
@@ -201,16 +198,10 @@ def _draw_line(panel: Panel, shown: ShownTracks, channel: int, number: int) -> N
     if len(speed) == 1:
         panel.curve(np.repeat(speed, 2), np.array([low[0], high[0]]), color=color, width=1.0)
     breaks = _broken(speed, amplitude)
+    along, line, low, high = (np.insert(values, breaks, np.nan) for values in (speed, amplitude, low, high))
     if coloured:
-        panel.band(
-            np.insert(speed, breaks, np.nan), np.insert(low, breaks, np.nan), np.insert(high, breaks, np.nan),
-            color=color, alpha=0.2,
-        )  # fmt: skip
-    name = f"order-{shown.texts[number]}"
-    width = 1.3 if coloured else 0.9
-    panel.curve(
-        np.insert(speed, breaks, np.nan), np.insert(amplitude, breaks, np.nan), color=color, width=width, name=name
-    )
+        panel.band(along, low, high, color=color, alpha=0.2)
+    panel.curve(along, line, color=color, width=1.3 if coloured else 0.9, name=f"order-{shown.texts[number]}")
     if len(speed) <= _WITHOUT_MARKERS:
         panel.dots(speed, amplitude, color=color, radius=1.5 if coloured else 1.0)
 
@@ -223,9 +214,8 @@ def _draw_phase(panel: Panel, shown: ShownTracks, channel: int, number: int) -> 
     phase, speed, color = shown.phase[channel, number][read], shown.speed[read], shown.color(number)
     locked = 2 * nominal_order(float(shown.orders[number])) % 1 == 0  # the phase of a slipping order just turns
     breaks = _broken(speed, phase, wrap=_JOINED_DEG if locked else 0.0)
-    panel.curve(
-        np.insert(speed, breaks, np.nan), np.insert(phase, breaks, np.nan), color=color, width=0.9, name="phase"
-    )
+    along, line = (np.insert(values, breaks, np.nan) for values in (speed, phase))
+    panel.curve(along, line, color=color, width=0.9, name="phase")
     panel.dots(speed, phase, color=color, radius=1.2 if len(speed) <= _WITHOUT_MARKERS else 0.6)
 
 

@@ -6,7 +6,7 @@ import base64
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from importlib.resources import files
 from types import MappingProxyType
 from typing import Any, Literal
@@ -111,27 +111,21 @@ def index_page(tests: list[dict[str, Any]]) -> str:
     ``tests`` records with ``name``, ``status`` and, where there is one, ``headline`` (sentences), ``link`` (path of the
     report, relative to the index) and ``failed`` (records with ``recording`` and ``error``).
     """
+    name, text = partial(named, limit=_NAME_CHARACTERS), partial(named, limit=_ERROR_CHARACTERS)
     shown = []
     for test in tests:
         status, said = str(test.get("status", "")), test.get("headline") or []
-        sentences = [said] if isinstance(said, str) else list(said)
-        failed = [
-            (
-                named(record.get("recording", ""), limit=_NAME_CHARACTERS),
-                named(record.get("error", ""), limit=_ERROR_CHARACTERS),
-            )
-            for record in test.get("failed") or []
-        ]
-        shown.append(
-            {
-                "name": named(test.get("name", ""), limit=_NAME_CHARACTERS),
-                "status": named(status, limit=_ERROR_CHARACTERS),
-                "doubtful": status not in ("done", "ok", "unchanged"),
-                "headline": [named(sentence, limit=_ERROR_CHARACTERS) for sentence in sentences],
-                "link": _beside(str(test["link"])) if test.get("link") else "",
-                "failed": failed,
-            }
-        )
+        row = {
+            "name": name(test.get("name", "")),
+            "status": text(status),
+            "doubtful": status not in ("done", "ok", "unchanged"),
+            "headline": [text(sentence) for sentence in ([said] if isinstance(said, str) else said)],
+            "link": _beside(str(test["link"])) if test.get("link") else "",
+            "failed": [
+                (name(one.get("recording", "")), text(one.get("error", ""))) for one in test.get("failed") or []
+            ],
+        }
+        shown.append(row)
     style = Markup(page_style())  # our own file, never text from data
     return page_template("index.html").render(policy=page_policy(), style=style, tests=shown)
 

@@ -51,11 +51,7 @@ def prepare() -> None:
 
 
 def pictures_of(
-    groups: Mapping[str, xr.Dataset],
-    findings: Findings,
-    *,
-    settings: ReportSettings,
-    name_of: Callable[[str], str],
+    groups: Mapping[str, xr.Dataset], findings: Findings, *, settings: ReportSettings, name_of: Callable[[str], str]
 ) -> dict[str, Picture]:
     """Pictures of a test by file name, in the order of the page, none of them drawn yet.
 

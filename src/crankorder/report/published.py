@@ -80,10 +80,7 @@ def _conventions(base: str, dataset: xr.Dataset) -> dict[str, str]:
         reference = str(dataset.attrs["phase_reference"])
         place = _MARKS.get(reference, "no known place")
         law = "a line is amplitude * cos(2 pi order crank_angle + phase)"
-        return {
-            "phase_reference": reference,
-            "phase_convention": f"{law}, crank_angle in revolutions from {place}",
-        }
+        return {"phase_reference": reference, "phase_convention": f"{law}, crank_angle in revolutions from {place}"}
     if base.removesuffix("_low").removesuffix("_high") in ("amplitude", "coherent_amplitude"):
         return {key: str(dataset.attrs[key]) for key in ("amplitude_scaling", "window") if key in dataset.attrs}
     return {}

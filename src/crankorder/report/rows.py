@@ -63,17 +63,13 @@ def table_of(
     )  # fmt: skip
 
 
-def folded(
-    title: str, heads: str, rows: list[list[str]], *, ranks: Sequence[float], empty: str, note: str = ""
-) -> Table:
-    """Table of the rows that rank highest where there are many, all of them folded away under it.
+def folded(title: str, heads: str, rows: list[list[str]], *, empty: str, note: str = "") -> Table:
+    """Table of the first rows where there are many, all of them folded away under it.
 
-    ``title``, ``heads``, ``rows``, ``empty`` and ``note`` as for :func:`table_of`; ``ranks`` one number per row, the
-    greatest for what matters most. The rows keep their sequence.
+    ``title``, ``heads``, ``rows``, ``empty`` and ``note`` as for :func:`table_of`; what matters most comes first.
     """
     if len(rows) <= _SHOWN:
         return table_of(title, heads, rows, empty=empty, note=note)
-    by_rank = sorted(range(len(rows)), key=lambda number: -ranks[number])[:_SHOWN]
     everything = table_of(f"All {len(rows)} rows", heads, rows, empty="")
     said = f"{note} The {_SHOWN} strongest of {len(rows)}; the others are folded away below.".strip()
-    return table_of(title, heads, [rows[number] for number in sorted(by_rank)], empty=empty, note=said, more=everything)
+    return table_of(title, heads, rows[:_SHOWN], empty=empty, note=said, more=everything)

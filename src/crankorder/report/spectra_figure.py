@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings, ModeFinding
-from crankorder.plot.drawing import Box, Drawing, Words, quality_note, title_lines
-from crankorder.plot.labels import EdgeLabel, fitted, label_top
+from crankorder.plot.drawing import Box, Drawing, Words
+from crankorder.plot.labels import EdgeLabel, fitted, head_of_test, label_top
 from crankorder.plot.palette import (
     DOUBT_DASHES,
     INK,
@@ -28,14 +28,7 @@ from crankorder.plot.palette import (
 )
 from crankorder.plot.panel import Panel
 from crankorder.report.fixed_lines import fixed_frequencies
-from crankorder.report.notation import (
-    frequency_text,
-    is_tone,
-    is_undecided,
-    nominal_order,
-    order_texts,
-    scaling_text,
-)
+from crankorder.report.notation import frequency_text, is_tone, is_undecided, nominal_order, order_texts, scaling_text
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _BETWEEN, _RIGHT, _ROW_GAP = 1.0, 0.7, 1.06, 0.95, 0.3, 0.16  # inches
@@ -61,7 +54,9 @@ def spectra_figure(campbell: xr.Dataset, findings: Findings, *, settings: Report
     modes = fixed_frequencies(findings)
     peak = campbell["amplitude"].transpose("channel", "speed", "frequency").values[:, fastest]
     scaling = scaling_text(campbell)
-    median, frequency = _median(campbell), campbell["frequency"].values
+    # lines that move with speed vanish from the median over the speeds, what stays put remains
+    density = campbell["psd"].transpose("channel", "speed", "frequency").values
+    median, frequency = np.asarray(np.median(density, axis=1), dtype=float), campbell["frequency"].values
     places = [[(x, y, width, h) for y, h in boxes] for x in (_LEFT, second)]
     left = column_panels(drawing, places[0], campbell, "frequency", median, "²/Hz", settings=settings)
     right = column_panels(drawing, places[1], campbell, "frequency", peak, f" {scaling}", settings=settings)
@@ -75,20 +70,9 @@ def spectra_figure(campbell: xr.Dataset, findings: Findings, *, settings: Report
     draw_spectra(right, frequency, peak)
     label_column(left[0], [_mode_mark(mode) for mode in modes], "")
     label_column(right[0], orders, "order")
-    name = drawable(findings.test, settings.max_name_characters)
-    title_lines(
-        drawing,
-        _LEFT,
-        f"{name} · spectra",
-        _subtitle(
-            len(speed),
-            float(speed[fastest]),
-            "peak amplitude" if "peak" in scaling else "RMS",
-            modes=bool(modes),
-            orders=bool(orders),
-        ),
-    )
-    quality_note(drawing, findings)
+    kind = "peak amplitude" if "peak" in scaling else "RMS"
+    said = _subtitle(len(speed), float(speed[fastest]), kind, modes=bool(modes), orders=bool(orders))
+    head_of_test(drawing, _LEFT, findings, "spectra", said, longest=settings.max_name_characters)
     return drawing
 
 
@@ -108,11 +92,6 @@ def _subtitle(n_speeds: int, rpm: float, kind: str, *, modes: bool, orders: bool
     at = f"{which}, {rpm:.0f} rpm" if np.isfinite(rpm) else "speed unknown"
     left = f"Left: power spectral density, {left}{', with what stays at its frequency' if modes else ''}."
     return f"{left} Right: {kind}, {at}{', with orders' if orders else ''}."
-
-
-def _median(campbell: xr.Dataset) -> NDArray[np.float64]:
-    """Median over speeds: lines that move with speed vanish, what stays put remains."""
-    return np.asarray(np.median(campbell["psd"].transpose("channel", "speed", "frequency").values, axis=1), dtype=float)
 
 
 def column_panels(
@@ -177,11 +156,10 @@ def _mark_orders(
     if not np.isfinite(rpm):
         return []
     strength: dict[float, float] = {}
-    found: set[tuple[str, float]] = set()
+    found = {(record.channel, nominal_order(record)) for record in findings.orders}
     for record in findings.orders:
         order = nominal_order(record)
         strength[order] = max(strength.get(order, 0.0), record.amplitude)
-        found.add((record.channel, order))
     kept = sorted(sorted(strength, key=lambda order: -strength[order])[:limit])
     texts = order_texts(kept)
     for panel, channel in zip(panels, campbell["channel"].values.astype(str), strict=True):
@@ -227,15 +205,12 @@ def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings:
         for order in found:
             panel.upright(order, color=LINES[1], width=0.7, alpha=0.5)
     draw_spectra(panels, order_map["order"].values, above)
-    label_column(
-        panels[0], [(order, text, LINES[1]) for order, text in zip(found, order_texts(found), strict=True)], "order"
-    )
-    name = drawable(findings.test, settings.max_name_characters)
+    marks = [(order, text, LINES[1]) for order, text in zip(found, order_texts(found), strict=True)]
+    label_column(panels[0], marks, "order")
     speeds = order_map.sizes["speed"]
     where = f", its mean level over {speeds} speeds" if speeds > 1 else ""
     said = f"Amplitude over the median of the orders around it{where}."
-    title_lines(drawing, _LEFT, f"{name} · order spectra", said)
-    quality_note(drawing, findings)
+    head_of_test(drawing, _LEFT, findings, "order spectra", said, longest=settings.max_name_characters)
     return drawing
 
 

@@ -7,8 +7,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings
-from crankorder.plot.drawing import Drawing, quality_note, title_lines
-from crankorder.plot.labels import EdgeLabel, label_right
+from crankorder.plot.drawing import Drawing
+from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
 from crankorder.plot.palette import FAINT, LIGHT, LINES, SMALL, drawable, shortened
 from crankorder.plot.panel import Panel
 from crankorder.settings import ReportSettings
@@ -26,11 +26,8 @@ def changing_recordings(shaft: xr.Dataset) -> list[int]:
     """
     if "speed_trace" not in shaft:
         return []
-    return [
-        number
-        for number, trace in enumerate(shaft["speed_trace"].transpose("recording", "knot").values)
-        if _spread(trace) > _CHANGES
-    ]
+    traces = shaft["speed_trace"].transpose("recording", "knot").values
+    return [number for number, trace in enumerate(traces) if _spread(trace) > _CHANGES]
 
 
 def shown_recordings(shaft: xr.Dataset) -> list[int]:
@@ -72,7 +69,7 @@ def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSetti
     panel.y_axis("Speed, rpm", most=6)
     panel.frame()
     labels, few = [], len(numbers) <= 2 * _COLOURED
-    named = np.linspace(0, len(numbers) - 1, _COLOURED).round() if not few else np.arange(len(numbers))
+    named = np.arange(len(numbers)) if few else np.linspace(0, len(numbers) - 1, _COLOURED).round()
     colors = {int(place): LINES[rank] for rank, place in enumerate(named[:_COLOURED])}
     for place, number in enumerate(numbers):
         color = colors.get(place, LIGHT)
@@ -84,9 +81,8 @@ def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSetti
         if few or place in colors:
             labels.append(EdgeLabel(height, shortened(name, SMALL, _RIGHT - 0.3), colors.get(place, FAINT)))
     label_right(drawing, box, labels)
-    name = drawable(findings.test, settings.max_name_characters)
-    title_lines(drawing, _LEFT, f"{name} · speed against time", _said(shaft, numbers))
-    quality_note(drawing, findings)
+    said = _said(shaft, numbers)
+    head_of_test(drawing, _LEFT, findings, "speed against time", said, longest=settings.max_name_characters)
     return drawing
 
 

@@ -46,6 +46,7 @@ from crankorder.report.tables_of_sources import (
     bearing_table,
     level_table,
     limit_table,
+    number_of,
     octave_table,
     tone_table,
 )
@@ -95,7 +96,7 @@ def _avoid(findings: Findings, limit: int) -> Table:
     other = [
         [
             speeds_text((band.low_rpm, band.high_rpm)),
-            _whole(band.high_rpm - band.low_rpm),
+            number_of(band.high_rpm - band.low_rpm),
             verdict,
             named(band.remark or "–", limit=8 * limit),
         ]
@@ -103,8 +104,8 @@ def _avoid(findings: Findings, limit: int) -> Table:
     ]
     rows = [
         [
-            _whole(record.rank),
-            _whole(record.rpm),
+            number_of(record.rank),
+            number_of(record.rpm),
             speeds_text(record.rpm_range or ()),
             order_estimate(record, findings),
             _hertz(record, "mode_hz"),
@@ -118,17 +119,14 @@ def _avoid(findings: Findings, limit: int) -> Table:
     heads = "Rank#|Speed, rpm#|Avoid, rpm#|Order#|Natural frequency, Hz#|Channel|Peak there#|Amplification#|Why"
     beside = table_of("Free and open bands of speed", "Speeds, rpm#|Width, rpm#|Verdict|Remark", other, empty="")
     known = findings.speeds_to_avoid is not None
-    told = FLANK_ALONE if _by_a_flank(findings) else NOTHING_TOLD
+    met = any(record.in_range for record in findings.crossings)
+    # a natural frequency that is met beyond the tested speeds alone may amplify an order within
+    by_a_flank = not met and any(AMPLIFIED in str(band.remark) for band in findings.open_bands or [])
+    told = FLANK_ALONE if by_a_flank else NOTHING_TOLD
     empty = (NOTHING_RISES if all_judged(findings) else told) if known else ""
     note = "The worst first: by the peak there in any channel, of several units by its share of the largest order."
     note = note if len(rows) > 1 else ""
     return table_of("Speeds to avoid", heads, rows, note=note, empty=empty, beside=beside if other else None)
-
-
-def _by_a_flank(findings: Findings) -> bool:
-    """Whether a natural frequency that is met beyond the tested speeds alone is seen to amplify an order within."""
-    met = any(record.in_range for record in findings.crossings)
-    return not met and any(AMPLIFIED in str(band.remark) for band in findings.open_bands or [])
 
 
 def _peak_text(record: AvoidedSpeed, findings: Findings) -> str:
@@ -146,17 +144,13 @@ def _orders(findings: Findings, limit: int) -> Table:
         loudest[unit] = max(loudest.get(unit, 0.0), float(record.amplitude or 0))
     records.sort(key=lambda one: -float(one.amplitude or 0) / (loudest[unit_of(findings, one)] or 1.0))
     rows = [_order_row(record, findings, limit) for record in records]
-    shares = [-float(number) for number in range(len(rows))]
-    note = (
-        "The strongest first. Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
-        if rows
-        else ""
-    )
+    note = "The strongest first. Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
     heads = (
         "Channel|Order#|Explained by|To the shaft|Largest amplitude (peak)#|At, rpm#|Phase there, °#|Speed exponent#|"
         "With speed|Meets, Hz#|Seen, rpm#"
     )
-    return folded("Orders", heads, rows, ranks=shares, note=note, empty="No order stands above the noise.")
+    empty = "No order stands above the noise."
+    return folded("Orders", heads, rows, note=note if rows else "", empty=empty)
 
 
 def _order_row(record: OrderFinding, findings: Findings, limit: int) -> list[str]:
@@ -167,7 +161,7 @@ def _order_row(record: OrderFinding, findings: Findings, limit: int) -> list[str
         named(record.explained_by or "", limit=2 * limit),
         _lock(record, findings),
         estimate_text(record, "amplitude", unit=unit_of(findings, record)),
-        _whole(record.speed_rpm_at_max),
+        number_of(record.speed_rpm_at_max),
         estimate_text(record, "phase_deg"),
         estimate_text(record, "speed_exponent"),
         named(law.split(" with speed")[0], limit=limit),
@@ -271,7 +265,7 @@ def _crossing(record: CrossingFinding, findings: Findings, limit: int) -> list[s
     return [
         order_estimate(record, findings),
         estimate_text(record, "mode_hz"),
-        estimate_text(record, "rpm") if record.rpm_ci95 is not None else _whole(record.rpm),
+        estimate_text(record, "rpm") if record.rpm_ci95 is not None else number_of(record.rpm),
         _times(record, "amplification") if record.in_range else "–",
         _times(record, "amplification_predicted"),
         named(record.verdict or response, limit=limit),
@@ -308,10 +302,9 @@ def _lines(findings: Findings, limit: int) -> Table:
         level = estimate_text(record, "amplitude", unit=unit_of(findings, record))
         explained = named(record.explained_by or "unexplained", limit=2 * limit)
         rows.append([named(record.channel, limit=limit), place, level, explained])
-    ranks = [-float(number) for number in range(len(rows))]
     note = energy_sentence(findings) if rows else ""
     heads = "Channel|Line|Amplitude (peak)#|Explained by"
-    return folded("All lines", heads, rows, ranks=ranks, note=note, empty="No line stands above the false-alarm level.")
+    return folded("All lines", heads, rows, note=note, empty="No line stands above the false-alarm level.")
 
 
 def _quality(findings: Findings, limit: int) -> Table:
@@ -361,9 +354,7 @@ def _worst(alike: list[Quality]) -> Quality:
 
 def _numbers_of(detail: str) -> list[float]:
     shares = re.sub(
-        r"\b(\d+) of (\d+)\b",
-        lambda found: repr(int(found[1]) / int(found[2])) if int(found[2]) else found[1],
-        detail,
+        r"\b(\d+) of (\d+)\b", lambda found: repr(int(found[1]) / int(found[2])) if int(found[2]) else found[1], detail
     )
     return [float(text.replace("−", "-")) for text in _NUMBER.findall(shares)]
 
@@ -373,10 +364,6 @@ def _hertz(record: Record, key: str) -> str:
     if not is_number(value):
         return "–"
     return estimate_text(record, key) if getattr(record, f"{key}_ci95", None) else order_text(round(float(value), 1))
-
-
-def _whole(value: object) -> str:
-    return f"{value:.0f}" if is_number(value) else "–"
 
 
 PARTS = (
@@ -397,13 +384,15 @@ def energy_table(findings: Findings, limit: int) -> Table:
     Names are cut at ``limit`` characters.
     """
     energy = findings.energy
-    records = [one for one in energy.channels if _known(one)] if energy is not None else []
+    channels = () if energy is None else energy.channels
+    records = [one for one in channels if any(is_number(getattr(one, key)) for key, _ in PARTS)]
     columns = [*PARTS, *([ABOVE] if any(is_number(one.above_band) for one in records) else [])]
     rows = []
     for record in records:
         total, unit = record.total, _square_unit(record.unit or "")
         mean_square = f"{number_text(float(total))} {unit}".strip() if is_number(total) else "–"
-        shares = [_share_text(getattr(record, key)) for key, _ in columns]
+        known = [getattr(record, key) for key, _ in columns]
+        shares = [percent_text(share) if is_number(share) else "–" for share in known]
         shares.insert(len(PARTS), mean_square)
         rows.append([named(record.channel, limit=limit), *shares])
     titles = [title for _, title in columns]
@@ -420,14 +409,6 @@ def _square_unit(unit: str) -> str:
         return unit_text(unit)
     inner = unit_text(unit[1:-2])
     return f"({inner})²" if not inner.isalnum() else f"{inner}²"
-
-
-def _share_text(share: float | None) -> str:
-    return percent_text(share) if is_number(share) else "–"
-
-
-def _known(record: EnergyShares) -> bool:
-    return any(is_number(getattr(record, key)) for key, _ in PARTS)
 
 
 def _bar(record: EnergyShares, limit: int) -> Bar:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from crankorder.channel_units import unit_text
-from crankorder.findings import BearingFinding, Findings, Level, VibrationLevel
+from crankorder.findings import BearingFinding, Findings, ThirdOctave, VibrationLevel
 from crankorder.report.fixed_lines import fixed_tones
 from crankorder.report.notation import (
     estimate_text,
     is_number,
     named,
-    number_text,
     order_estimate,
     order_text,
     unit_of,
@@ -117,11 +116,10 @@ def level_table(findings: Findings, limit: int) -> Table:
 
     Names are cut at ``limit``; empty where none was told.
     """
-    whole = [
-        [named(one.channel, limit=limit), "as recorded", "all", "–", _rms_of(one, findings), "–", "–", "–"]
-        for one in findings.levels
-        if is_number(one.rms_max)
-    ]
+    recorded = [one for one in findings.levels if is_number(one.rms_max)]
+    rms = [with_interval(one.rms_max, None, unit=unit_of(findings, one)) for one in recorded]
+    names = [named(one.channel, limit=limit) for one in recorded]
+    whole = [[name, "as recorded", "all", "–", level, "–", "–", "–"] for name, level in zip(names, rms, strict=True)]
     largest = [_level_row(one, limit) for one in findings.vibration_levels if one.largest]
     every = [_level_row(one, limit) for one in findings.vibration_levels]
     heads = "Channel|Quantity|Band|Speed, rpm#|r.m.s.#|Mean peak#|Largest peak#|Crest factor#"
@@ -132,20 +130,17 @@ def level_table(findings: Findings, limit: int) -> Table:
     return table_of("Overall levels", heads, [*largest, *whole], empty="", note=note, more=shown)
 
 
-def _rms_of(one: Level, findings: Findings) -> str:
-    return f"{number_text(one.rms_max or 0.0)} {unit_of(findings, one)}".strip()
-
-
 def octave_table(findings: Findings, limit: int) -> Table:
     """One-third octaves in ``findings``: the strongest of each channel, and folded all; names cut at ``limit``."""
-    rows, loudest = list[list[str]](), dict[str, list[str]]()
-    for one in sorted(findings.third_octaves, key=lambda one: one.channel):
+
+    def row_of(one: ThirdOctave) -> list[str]:
         level = with_interval(one.rms, one.rms_ci95, unit=unit_text(one.unit))
-        rows.append([named(one.channel, limit=limit), number_of(one.speed_rpm), f"{one.nominal_hz:g}", level])
+        return [named(one.channel, limit=limit), number_of(one.speed_rpm), f"{one.nominal_hz:g}", level]
+
+    rows = [row_of(one) for one in sorted(findings.third_octaves, key=lambda one: one.channel)]
+    loudest: dict[str, list[str]] = {}
     for one in sorted(findings.third_octaves, key=lambda one: -one.rms):
-        level = with_interval(one.rms, one.rms_ci95, unit=unit_text(one.unit))
-        row = [named(one.channel, limit=limit), number_of(one.speed_rpm), f"{one.nominal_hz:g}", level]
-        loudest.setdefault(one.channel, row)
+        loudest.setdefault(one.channel, row_of(one))
     heads = "Channel|Speed, rpm#|Mid-band, Hz#|r.m.s.#"
     more = table_of(f"All {len(rows)} one-third octaves", heads, rows, empty="")
     note = "The strongest of each channel, at the speed where the channel is loudest." if rows else ""

@@ -22,6 +22,7 @@ class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="growth"):
     least_range: float
     law_tolerance: float
     fit_chance: float
+    follows_chance: float
     steady_exponent: float
     least_exponent: float
     steady_precision: float
@@ -152,7 +153,7 @@ class Growth:
 
     ``law`` names what the amplitude does; ``fit_chance`` is the chance of residuals as large if the law held at the
     speeds that do not deviate; ``scatter`` the share of the amplitude by which these leave the law beyond their
-    errors; ``deviating_rpm`` the speeds that deviate, as at a resonance.
+    errors; ``deviating_rpm`` the speeds that deviate, as at a resonance. ``level`` is its amplitude at ``middle_rpm``.
     """
 
     exponent: float
@@ -162,6 +163,17 @@ class Growth:
     fit_chance: float
     scatter: float
     deviating_rpm: tuple[float, ...]
+    level: float
+    middle_rpm: float
+
+    def amplitude_at(self, best: Largest) -> float:
+        """Amplitude at the speed of ``best``: the law's where all speeds follow it, else what was seen there.
+
+        The largest of many rows is too large by what their errors make of the choice; a law is told by all of them.
+        """
+        lawful = self.level * (best.speed_rpm / self.middle_rpm) ** self.exponent
+        follows = not self.deviating_rpm and self.fit_chance >= NUMBERS.follows_chance
+        return lawful if follows and best.low <= lawful <= best.high else best.amplitude
 
     @property
     def ci95(self) -> tuple[float, float]:
@@ -204,7 +216,8 @@ def growth(line: OrderLine) -> Growth | None:
     speed, amplitude = line.speed_rpm[known], line.amplitude[known]
     if len(speed) < NUMBERS.fewest_speeds or not speed.max() >= NUMBERS.least_range * speed.min():
         return None
-    x, y = np.log(speed / np.exp(np.log(speed).mean())), np.log(amplitude)
+    middle_rpm = float(np.exp(np.log(speed).mean()))
+    x, y = np.log(speed / middle_rpm), np.log(amplitude)
     shared = 1.0 if line.n_independent is None else 1.0 / np.sqrt(line.n_independent[known])
     error = _log_errors(shared * line.amplitude_error[known] / amplitude, line.degrees_of_freedom[known])
     coefficient, weight = _robust_line(x, y, error)
@@ -214,7 +227,7 @@ def growth(line: OrderLine) -> Growth | None:
     kept = ~deviating
     if np.count_nonzero(kept) < NUMBERS.fewest_speeds or not np.ptp(x[kept]) > 0.0:
         kept = np.ones(len(x), dtype=np.bool_)
-    exponent, exponent_error, excess, chance = _weighted_line(x[kept], y[kept], error[kept])
+    exponent, exponent_error, level, excess, chance = _weighted_line(x[kept], y[kept], error[kept])
     degrees_of_freedom = _degrees_of_freedom(error[kept], excess, line.degrees_of_freedom[known][kept])
     few_deviate = bool(np.count_nonzero(~kept) <= NUMBERS.largest_deviating_share * len(x))
     half = half_width(degrees_of_freedom) * exponent_error
@@ -224,7 +237,18 @@ def growth(line: OrderLine) -> Growth | None:
         fits=few_deviate and chance >= NUMBERS.fit_chance,
         near=few_deviate and excess < NUMBERS.law_scatter,
     )
-    return Growth(exponent, exponent_error, degrees_of_freedom, law, chance, excess, tuple(speed[~kept].tolist()))
+    deviating_rpm = tuple(speed[~kept].tolist())
+    return Growth(
+        exponent,
+        exponent_error,
+        degrees_of_freedom,
+        law,
+        chance,
+        excess,
+        deviating_rpm,
+        float(np.exp(level)),
+        middle_rpm,
+    )
 
 
 def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
@@ -294,8 +318,8 @@ def _excess(residual: Floats, error: Floats, kept: NDArray[np.bool_]) -> float:
     return float(brentq(over, 0.0, float(np.sqrt(np.sum(residual**2))) + 1e-12, xtol=1e-9))
 
 
-def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, float, float]:
-    """Slope, its error, the excess scatter and the chance of a worse fit without that scatter."""
+def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, float, float, float]:
+    """Slope, its error, the level at 0, the excess scatter and the chance of a worse fit without that scatter."""
     excess, slope, chance = 0.0, 0.0, 1.0
     for step in range(4):
         weight = 1.0 / (error**2 + excess**2)
@@ -307,7 +331,8 @@ def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, f
         excess = _excess(residual, error, np.ones(len(x), dtype=np.bool_))
     weight = 1.0 / (error**2 + excess**2)
     mean = float(np.average(x, weights=weight))
-    return slope, float(1.0 / np.sqrt(weight @ (x - mean) ** 2)), excess, chance
+    level = float(np.average(y, weights=weight)) - slope * mean
+    return slope, float(1.0 / np.sqrt(weight @ (x - mean) ** 2)), level, excess, chance
 
 
 def largest(line: OrderLine) -> Largest:

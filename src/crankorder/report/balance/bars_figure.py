@@ -11,16 +11,7 @@ from numpy.typing import NDArray
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
 from crankorder.plot.axes import log_axis
-from crankorder.plot.style import (
-    NOTE,
-    SMALL,
-    axes_at,
-    drawable,
-    house_style,
-    new_figure,
-    quiet_frame,
-    title_lines,
-)
+from crankorder.plot.style import NOTE, SMALL, axes_at, drawable, house_style, new_figure, quiet_frame, title_lines
 from crankorder.report.balance.look import alike, axis_names, called, color_key, system_color
 from crankorder.report.notation import number_text, order_text
 from crankorder.settings import ReportSettings
@@ -59,9 +50,8 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
             bottom = _BOTTOM + (len(groups) - 1 - number) * (height + _GAP)
             axes = axes_at(figure, _LEFT, bottom, width, height)
             _bars(axes, orders, values, hues, kind="force" if unit == "N" else "moment", most=most, settings=settings)
-            axes.set_xlim(0.4, last + 0.6)
             axes.set_title(name, fontsize=9)
-            axes.set_ylabel(unit)
+            axes.set(xlim=(0.4, last + 0.6), ylabel=unit)
             factor, right = (per_omega, "g·mm") if unit == "N" else (1e-3 * per_omega, "g·mm²")
             _second_scale(axes, factor, right)
             if number == 2:
@@ -72,10 +62,8 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
         entries = [(called(system, balance), system_color(system[0])) for system in systems]
         if len(entries) > 1:
             color_key(figure, (_LEFT, tall_in - _TOP + 0.2, width, 0.1), entries)
-        said = (
-            f"Amplitude at {speed_key(speed)} rpm. "
-            f"Bars below {100 * _share(settings):.1g} % of the largest are left out."
-        )
+        said = f"Amplitude at {speed_key(speed)} rpm. "
+        said += f"Bars below {100 * _share(settings):.1g} % of the largest are left out."
         said += f" So are orders above {last:g}." if tall and tall[-1] > last else ""
         idle = [str(name) for name in balance["system"].values if not any(name in names for names in systems)]
         said += f" No force: {called(idle, balance)}." if idle else ""

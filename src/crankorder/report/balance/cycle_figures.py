@@ -17,7 +17,6 @@ from crankorder.engine.cycle_tables import cycle_curves
 from crankorder.engine.definition import Engine
 from crankorder.plot.style import (
     FAINT,
-    GRID,
     INK,
     LINES,
     SMALL,
@@ -29,7 +28,7 @@ from crankorder.plot.style import (
     title_lines,
     write,
 )
-from crankorder.report.balance.look import color_key, frame_around
+from crankorder.report.balance.look import color_key, cross_hairs, frame_around
 from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings
 
@@ -117,8 +116,7 @@ def _torque_curves(figure: Figure, box: Box, shown: xr.Dataset, found: Mapping[s
     axes.axhline(0, color=FAINT, linewidth=0.8)
     if found["power_w"] is not None:
         axes.axhline(found["mean_n_m"], color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
-    _cycle_axis(axes, shown)
-    axes.set_ylabel("N·m")
+    _cycle_axis(axes, shown, "N·m")
     color_key(figure, box, [(name, color) for name, color, _ in entries])
 
 
@@ -137,11 +135,9 @@ def _order_bars(axes: Axes, by_order: Mapping[str, Any], *, with_gas: bool) -> N
         for place, value in zip(beside, values, strict=True):
             if value > (_TOLD_SHARE if with_gas else _SHOWN_SHARE) * largest:
                 axes.text(place, value, number_text(value), ha="center", va="bottom", fontsize=SMALL)
-    axes.set_ylim(0, 1.15 * largest or 1.0)
-    axes.set_xlim(-0.6, max(len(orders), _FEWEST_ORDERS) - 0.4)
+    axes.set(ylim=(0, 1.15 * largest or 1.0), xlim=(-0.6, max(len(orders), _FEWEST_ORDERS) - 0.4))
     axes.set_xticks(places, orders)
-    axes.set_xlabel("order, cycles per crank revolution")
-    axes.set_ylabel("N·m, amplitude")
+    axes.set(xlabel="order, cycles per crank revolution", ylabel="N·m, amplitude")
 
 
 def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> Figure:
@@ -199,14 +195,7 @@ def _polar_loads(shown: xr.Dataset) -> list[_PolarLoad]:
 
 def _polar(figure: Figure, box: Box, one: _PolarLoad, frame: float, color: str) -> None:
     axes = axes_at(figure, *box)
-    axes.set_xlim(-frame, frame)
-    axes.set_ylim(-frame, frame)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    for spine in axes.spines.values():
-        spine.set_color(GRID)
-    axes.axhline(0, color=GRID, linewidth=0.8)
-    axes.axvline(0, color=GRID, linewidth=0.8)
+    cross_hairs(axes, frame)
     axes.plot([*one.right, one.right[0]], [*one.up, one.up[0]], color=color, linewidth=1.4)
     axes.plot(one.right[0], one.up[0], "o", color=color, markersize=4)
     left, bottom, side, _ = box
@@ -220,23 +209,21 @@ def _curves(figure: Figure, box: Box, shown: xr.Dataset) -> None:
     axes = axes_at(figure, *box)
     quiet_frame(axes)
     angle = shown["crank_angle"].values
+    first = shown.isel(cylinder=0)
     pins = [
-        ("crank pin", np.hypot(*shown["crank_pin_load"].isel(cylinder=0).values)),
-        ("piston pin", np.hypot(*shown["piston_pin_load"].isel(cylinder=0).values)),
-        ("wall, in the crank's way", shown["wall_load"].isel(cylinder=0).values),
+        ("crank pin", np.hypot(*first["crank_pin_load"].values)),
+        ("piston pin", np.hypot(*first["piston_pin_load"].values)),
+        ("wall, in the crank's way", first["wall_load"].values),
     ]
     if np.allclose(pins[0][1], pins[1][1], rtol=1e-6):  # the file gives the rod no mass of its own
         pins = [("crank pin and piston pin alike", pins[0][1]), pins[2]]
     for number, (_, values) in enumerate(pins):
         axes.plot(angle, values, color=LINES[number], linewidth=1.4)
     axes.axhline(0, color=FAINT, linewidth=0.8)
-    _cycle_axis(axes, shown)
-    axes.set_ylabel("N, cylinder 0")
+    _cycle_axis(axes, shown, "N, cylinder 0")
     color_key(figure, box, [(name, LINES[number]) for number, (name, _) in enumerate(pins)])
 
 
-def _cycle_axis(axes: Axes, shown: xr.Dataset) -> None:
+def _cycle_axis(axes: Axes, shown: xr.Dataset, unit: str) -> None:
     last = 360 * round(shown.sizes["crank_angle"] / 720)
-    axes.set_xlim(0, last)
-    axes.set_xticks(range(0, last + 1, 90))
-    axes.set_xlabel("crank angle, °")
+    axes.set(xlim=(0, last), xticks=range(0, last + 1, 90), xlabel="crank angle, °", ylabel=unit)

@@ -49,30 +49,25 @@ def balance_dataset(
     """
     orders, angles = np.arange(1, max_order + 1), np.linspace(0, 1, max(_POINTS, 16 * max_order) + 1)
     systems = forces_by_system(subject, sheet, max_order=max_order)
-    force = _amplitudes(systems, max_order)
-    curves = np.stack([polar_diagram(forces, angles) for forces in systems.values()])
+    force = np.zeros((len(systems), 2, max_order), dtype=complex)
+    for number, forces in enumerate(systems.values()):
+        for one in forces:
+            force[number, :, round(one.order) - 1] = one.x_g_mm, one.y_g_mm
+    diagrams = np.stack([polar_diagram(forces, angles) for forces in systems.values()])
+    curves = np.stack([diagrams.real, diagrams.imag], axis=1)
     speeds = np.asarray(speeds_rpm, dtype=np.float64)
+    newtons = unbalance_force_n(np.abs(force)[..., None], speeds)
     shares = {int(order): share for order, share in sheet["harmonics"].items()}
+    on_crankcase = _about("amplitude of the force on the crankcase", "N")
+    of_piston = _about("amplitude of the piston's acceleration over that of order 1", "1")
     dataset = xr.Dataset(
         {
             "force": (("system", "axis", "order"), force, _about("amplitude over squared crank speed", "g mm")),
             "phase": (("system", "axis", "order"), phase_deg(force), _about("of the force; " + _PHASE, "degree")),
-            "force_at_speed": (
-                ("system", "axis", "order", "speed"),
-                unbalance_force_n(np.abs(force)[..., None], speeds),
-                _about("amplitude of the force on the crankcase", "N"),
-            ),
-            "curve": (
-                ("system", "axis", "crank_angle"),
-                np.stack([curves.real, curves.imag], axis=1),
-                _about("force over squared crank speed", "g mm"),
-            ),
+            "force_at_speed": (("system", "axis", "order", "speed"), newtons, on_crankcase),
+            "curve": (("system", "axis", "crank_angle"), curves, _about("force over squared crank speed", "g mm")),
             "rotation": ("system", [_rotation(forces) for forces in systems.values()], _about("of its largest order")),
-            "harmonic": (
-                "harmonic_order",
-                np.array(list(shares.values())),
-                _about("amplitude of the piston's acceleration over that of order 1", "1"),
-            ),
+            "harmonic": ("harmonic_order", np.array(list(shares.values())), of_piston),
         },
         coords={
             "system": ("system", list(systems), _about("what is balanced and how")),
@@ -86,15 +81,6 @@ def balance_dataset(
     state = plain_state(sheet)
     dataset.attrs[PLAIN] = SYSTEMS["none"] if state == "with no balancing" else state
     return dataset if sheet["strategies"] is not None else _with_moments(dataset, subject, sheet, max_order)
-
-
-def _amplitudes(systems: Mapping[str, Forces], max_order: int) -> NDArray[np.complex128]:
-    """Complex amplitudes (system, axis, order) of the forces of each system."""
-    force = np.zeros((len(systems), 2, max_order), dtype=complex)
-    for number, forces in enumerate(systems.values()):
-        for one in forces:
-            force[number, :, round(one.order) - 1] = one.x_g_mm, one.y_g_mm
-    return force
 
 
 def forces_by_system(subject: BalancedEngine, sheet: Mapping[str, Any], *, max_order: int) -> dict[str, Forces]:

@@ -51,16 +51,15 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
     """
     with house_style():
         figure = new_figure(settings.width_in, settings.height_in)
-        speed = _highest(balance)
+        speed = float(balance["speed"].values.max())
         rows = [("Counterweights", COUNTERWEIGHTS), ("Shafts", SHAFT_SETS)]
         names = [str(name) for name in balance["system"].values]
         present = [(text, [name for name in kinds if name in names]) for text, kinds in rows]
         used = [(text, kinds) for text, kinds in present if len(kinds) > 1] or [("Force", ["none"])]
         boxes = _grid(settings, len(used) + ("moment" in balance))
-        newtons = _newtons(balance, speed)
+        newtons = balance["curve"] * float(unbalance_force_n(1.0, speed))
         for (text, kinds), row in zip(used, boxes, strict=False):
-            curves = newtons.sel(system=kinds)
-            _force_row(figure, row, curves, text, balance)
+            _force_row(figure, row, newtons.sel(system=kinds), text, balance)
         if "moment" in balance:
             _moment_row(figure, boxes[-1], balance, speed)
         said = f"Force on the crankcase at {speed_key(speed)} rpm: {_in_words(balance, speed)}"
@@ -74,9 +73,7 @@ def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, 
     limit = 1.08 * float(np.abs(curves.values).max()) or 1.0
     angle = 360 * curves["crank_angle"].values
     for axis, name, box in zip("xy", axis_names(balance), row, strict=True):
-        axes = _angle_axes(figure, box, limit)
-        axes.set_title(f"{text} · {name}", fontsize=9, color=INK, pad=16)
-        axes.set_ylabel("N")
+        axes = _angle_axes(figure, box, limit, f"{text} · {name}", "N")
         zero = []
         for number, members in enumerate(groups):
             values = curves.sel(system=members[0], axis=axis).values
@@ -88,24 +85,18 @@ def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, 
                       zorder=2 + number)  # fmt: skip
         if zero:
             look = {**NOTE, "ha": "right", "va": "bottom", "fontsize": SMALL}
-            axes.text(
-                0.99,
-                0.03,
-                f"nothing: {called(zero, balance)}" if len(groups) > 1 else "nothing",
-                transform=axes.transAxes,
-                **look,
-            )
+            said = f"nothing: {called(zero, balance)}" if len(groups) > 1 else "nothing"
+            axes.text(0.99, 0.03, said, transform=axes.transAxes, **look)
     if curves.sizes["system"] > 1:
         color_key(figure, row[0], [(called(members, balance), system_color(members[0])) for members in groups])
 
 
-def _angle_axes(figure: Figure, box: Box, limit: float) -> Axes:
-    axes = axes_at(figure, box[0], box[1], box[2], box[3])
+def _angle_axes(figure: Figure, box: Box, limit: float, title: str, unit: str) -> Axes:
+    axes = axes_at(figure, *box)
     quiet_frame(axes)
-    axes.set_xlim(0, 360)
-    axes.set_ylim(-limit, limit)
-    axes.set_xticks(range(0, 361, 90))
-    axes.set_xlabel("crank angle from top dead centre, °")
+    label = "crank angle from top dead centre, °"
+    axes.set(xlim=(0, 360), ylim=(-limit, limit), xticks=range(0, 361, 90), xlabel=label, ylabel=unit)
+    axes.set_title(title, fontsize=9, color=INK, pad=16)
     axes.axhline(0, color=FAINT, linewidth=0.8)
     return axes
 
@@ -118,9 +109,7 @@ def _moment_row(figure: Figure, row: list[Box], balance: xr.Dataset, speed: floa
     angle = 360 * balance["crank_angle"].values
     heads = ("Rocking moments of the inertia forces", "Roll moment of the masses on the engine block")
     for head, box, members in zip(heads, row, ((0, 1), (2,)), strict=True):
-        axes = _angle_axes(figure, box, limit)
-        axes.set_title(head, fontsize=9, color=INK, pad=16)
-        axes.set_ylabel("N·m")
+        axes = _angle_axes(figure, box, limit, head, "N·m")
         entries = []
         for number in members:
             name = str(balance["moment_axis"].values[number])
@@ -155,11 +144,3 @@ def _grid(settings: ReportSettings, rows: int) -> list[list[Box]]:
     height = (settings.height_in - _TOP - _BOTTOM - (rows - 1) * (_GAP_Y + 0.35) - 0.35) / rows
     bottoms = [_BOTTOM + (rows - 1 - row) * (height + _GAP_Y + 0.35) for row in range(rows)]
     return [[(_LEFT + column * (width + _GAP_X), bottom, width, height) for column in (0, 1)] for bottom in bottoms]
-
-
-def _highest(balance: xr.Dataset) -> float:
-    return float(balance["speed"].values.max())
-
-
-def _newtons(balance: xr.Dataset, speed: float) -> xr.DataArray:
-    return balance["curve"] * float(unbalance_force_n(1.0, speed))

@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
-from numpy.typing import NDArray
 
 from crankorder.engine.elastic_hinge import (
     Guides,
@@ -86,7 +85,10 @@ def hinge_figure(
         for number, speed in enumerate(speeds_rpm):
             _at_speed(panels, engine, mechanism, speed, number)
         for axes, (title, unit, angle) in zip(panels, _PANELS, strict=True):
-            _frame(axes, title, unit, angle)
+            quiet_frame(axes)
+            axes.set_title(title, fontsize=9, pad=18)
+            axes.set(xlim=(0, 360), xticks=range(0, 361, 90), xlabel=angle, ylabel=unit)
+            axes.axhline(0, color=FAINT, linewidth=0.8, zorder=1)
         named = [(f"{speed:.0f} rpm", LINES[number % len(LINES)]) for number, speed in enumerate(speeds_rpm)]
         for place in (1, 3, 4, 5):
             color_key(figure, boxes[place], named)
@@ -126,8 +128,8 @@ def _torque(axes: Axes, curve: CrankTorque) -> None:
     axes.plot(360 * _ANGLES, crank_torque(_ANGLES, curve), color=INK, gid="torque")
     axes.plot(360 * _ANGLES, potential_torque(_ANGLES, curve), color=LINES[0], linewidth=0.9, gid="torque-potential")
     axes.axhline(curve.mean_nm, color=LINES[1], linewidth=0.9)
-    look: dict[str, Any] = {"fontsize": SMALL, "color": LINES[1], "ha": "right", "va": "bottom"}
-    axes.text(356, curve.mean_nm, f"mean {number_text(curve.mean_nm)} N·m", **look)
+    mean = f"mean {number_text(curve.mean_nm)} N·m"
+    axes.text(356, curve.mean_nm, mean, fontsize=SMALL, color=LINES[1], ha="right", va="bottom")
     angles, torques = torque_extrema(curve)
     axes.plot(360 * angles, torques, linestyle="", marker="o", markersize=3, color=INK)
     for angle, torque in zip(angles, torques, strict=True):
@@ -135,16 +137,6 @@ def _torque(axes: Axes, curve: CrankTorque) -> None:
         axes.annotate(number_text(float(torque)), (360 * angle, torque), xytext=(0, shift), textcoords="offset points",
                       ha="center", va="bottom" if shift > 0 else "top", fontsize=SMALL)  # fmt: skip
     axes.margins(y=0.18)
-
-
-def _frame(axes: Axes, title: str, unit: str, angle: str) -> None:
-    quiet_frame(axes)
-    axes.set_title(title, fontsize=9, pad=18)
-    axes.set_xlim(0, 360)
-    axes.set_xticks(range(0, 361, 90))
-    axes.set_xlabel(angle)
-    axes.set_ylabel(unit)
-    axes.axhline(0, color=FAINT, linewidth=0.8, zorder=1)
 
 
 def guide_figure(
@@ -155,11 +147,8 @@ def guide_figure(
     ``engine``: whose torque drives it. ``mechanism``: one of the engine's, with guides. ``speed_rpm``: crank speed that
     they are for, > 0. ``settings``: of the report.
     """
-    given = [
-        (joint, data)
-        for joint, data in zip(get_args(Joint), (mechanism.pin_guides, mechanism.strut_guides), strict=True)
-        if data is not None
-    ]
+    stated = zip(get_args(Joint), (mechanism.pin_guides, mechanism.strut_guides), strict=True)
+    given = [(joint, data) for joint, data in stated if data is not None]
     with house_style():
         step = (settings.width_in - 0.6) / 2
         side = step - 0.5
@@ -177,9 +166,8 @@ def guide_figure(
             said = f"spring {number_text(1e-3 * guides.stiffness_n_per_m)} N/mm, steepest {guides.steepest_deg:.0f}°; "
             write(figure, left + side / 2, side + 0.42, said + cut, ha="center", fontsize=SMALL + 0.5)
         name = drawable(mechanism.name, settings.max_name_characters)
-        said = (
-            f"For {speed_rpm:.0f} rpm. Shaded: the guides, to scale; the spring between them is shown at four angles."
-        )
+        said = f"For {speed_rpm:.0f} rpm. Shaded: the guides, to scale; "
+        said += "the spring between them is shown at four angles."
         title_lines(figure, 0.3, f"{name} · guides of the elastic hinges", said)
         return figure
 
@@ -187,36 +175,27 @@ def guide_figure(
 def _draw_guides(axes: Axes, guides: Guides, data: GuideData) -> None:
     """Both guides shaded, the rollers' paths faint, and the spring at four angles."""
     limit = 1.14 * float(np.abs(guides.outer_m).max())
-    axes.set_xlim(-limit, limit)
-    axes.set_ylim(-limit, limit)
+    axes.set(xlim=(-limit, limit), ylim=(-limit, limit))
     axes.set_axis_off()
-    edge = limit / 1.01 * np.exp(2j * np.pi * guides.hinge_angle_rev)
-    _ring(axes, np.concatenate([edge, guides.outer_m[::-1]]))
-    _ring(axes, guides.inner_m)
+    turn = np.exp(2j * np.pi * guides.hinge_angle_rev)
+    for outline in (np.concatenate([limit / 1.01 * turn, guides.outer_m[::-1]]), guides.inner_m):
+        axes.fill(outline.real, outline.imag, color=GRID, linewidth=0)
     for surface in (guides.outer_m, guides.inner_m):
         axes.plot(surface.real, surface.imag, color=INK, gid="guide")
-    turn = np.exp(2j * np.pi * guides.hinge_angle_rev)
     paths = [(data.middle_radius_m + sign * guides.length_m / 2) * turn for sign in (1, -1)]
     for path in paths:
         axes.plot(path.real, path.imag, color=FAINT, linewidth=0.7, linestyle=(0, (4, 3)))
     quarter = len(turn) // 4
-    for row in (quarter // 3, quarter + quarter // 3, 2 * quarter + quarter // 3, 3 * quarter + quarter // 3):
+    for row in (number * quarter + quarter // 3 for number in range(4)):
         ends = [path[row] for path in paths]
-        _spring(axes, ends[0], ends[1])
+        _spring(axes, *ends)
+        look: dict[str, Any] = {"facecolor": "white", "edgecolor": LINES[1], "zorder": 4}
         for end in ends:
-            axes.add_patch(
-                Circle((end.real, end.imag), data.roller_radius_m, facecolor="white", edgecolor=LINES[1], zorder=4)
-            )
+            axes.add_patch(Circle((end.real, end.imag), data.roller_radius_m, **look))
     axes.plot(0, 0, marker="+", color=INK, markersize=8)
     for angle_deg in range(0, 360, 30):
-        ray = np.exp(1j * np.radians(angle_deg))
-        look: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": SMALL, "color": FAINT}
-        at = 0.93 * limit * ray
-        axes.text(at.real, at.imag, f"{angle_deg}°", **look)
-
-
-def _ring(axes: Axes, outline: NDArray[np.complex128]) -> None:
-    axes.fill(outline.real, outline.imag, color=GRID, linewidth=0)
+        at = 0.93 * limit * np.exp(1j * np.radians(angle_deg))
+        axes.text(at.real, at.imag, f"{angle_deg}°", ha="center", va="center", fontsize=SMALL, color=FAINT)
 
 
 def _spring(axes: Axes, outer: complex, inner: complex) -> None:

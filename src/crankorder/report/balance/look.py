@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from crankorder.plot.style import INK, LINES, text_width_in, write
+from crankorder.plot.style import GRID, INK, LINES, text_width_in, write
 from crankorder.report.balance.dataset import PLAIN, SYSTEMS
 from crankorder.report.notation import listed
 
@@ -64,18 +65,26 @@ def frame_around(largest: float) -> float:
     return next(step * decade for step in (1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10, 12) if step * decade > 1.05 * largest)
 
 
+def cross_hairs(axes: Axes, limit: float) -> None:
+    """Give ``axes`` of a polar diagram the scale ±``limit`` and two lines through its middle, with no ticks."""
+    axes.set(xlim=(-limit, limit), ylim=(-limit, limit), xticks=[], yticks=[])
+    for spine in axes.spines.values():
+        spine.set_color(GRID)
+    axes.axhline(0, color=GRID, linewidth=0.8)
+    axes.axvline(0, color=GRID, linewidth=0.8)
+
+
 def alike(curves: xr.DataArray) -> list[list[str]]:
     """Names of the systems whose ``curves`` (system, …) are the same, together, in their order."""
     limit = NO_FORCE * float(np.abs(curves.values).max())
     groups: list[list[str]] = []
     for name in map(str, curves["system"].values):
         values = curves.sel(system=name).values
-        same = (group for group in groups if np.abs(values - curves.sel(system=group[0]).values).max() <= limit)
-        group = next(same, None)
-        if group is None:
-            groups.append([name])
+        same = [group for group in groups if np.abs(values - curves.sel(system=group[0]).values).max() <= limit]
+        if same:
+            same[0].append(name)
         else:
-            group.append(name)
+            groups.append([name])
     return groups
 
 

@@ -12,7 +12,6 @@ from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
 from crankorder.plot.style import (
     FAINT,
-    GRID,
     INK,
     LINES,
     NORMAL,
@@ -33,6 +32,7 @@ from crankorder.report.balance.look import (
     SHAFT_SETS,
     axis_names,
     color_key,
+    cross_hairs,
     frame_around,
     head_of,
     meaning_of,
@@ -71,9 +71,8 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
         step = (settings.width_in - _LEFT - _RIGHT) / columns
         side = min(step - 0.16, _WIDEST)
         figure = new_figure(settings.width_in, _TOP + _BOTTOM + len(panels) * (side + _HEAD))
-        limit = frame_around(
-            max(float(np.abs(curve).max()) for _, row in panels for _, _, curve, _, _, unit in row if unit == "N")
-        )
+        forces = (curve for _, row in panels for _, _, curve, _, _, unit in row if unit == "N")
+        limit = frame_around(max(float(np.abs(curve).max()) for curve in forces))
         for number, (of_row, row) in enumerate(panels):
             bottom = _BOTTOM + (len(panels) - 1 - number) * (side + _HEAD)
             write(figure, 0.42, bottom + side / 2, of_row, rotation=90, ha="center", va="center", fontsize=NORMAL,
@@ -141,14 +140,7 @@ def _largest(curve: Curve, unit: str, limit: float) -> str:
 
 def _draw(axes: Axes, curve: Curve, color: str, limit: float) -> None:
     """One diagram: cross hairs, curve, dot at top dead centre, arrows in the sense of rotation."""
-    axes.set_xlim(-limit, limit)
-    axes.set_ylim(-limit, limit)
-    axes.set_xticks([])
-    axes.set_yticks([])
-    for spine in axes.spines.values():
-        spine.set_color(GRID)
-    axes.axhline(0, color=GRID, linewidth=0.8)
-    axes.axvline(0, color=GRID, linewidth=0.8)
+    cross_hairs(axes, limit)
     axes.plot(curve.imag, curve.real, color=color, gid="polar")
     axes.plot(curve.imag[:1], curve.real[:1], color=color, marker="o", markersize=4.5, gid="top-dead-centre")
     steps = len(curve) - 1
@@ -156,13 +148,9 @@ def _draw(axes: Axes, curve: Curve, color: str, limit: float) -> None:
         return
     for start in (steps // 8, 5 * steps // 8):
         ahead = start + max(1, steps // 72)
-        arrow = axes.annotate(
-            "",
-            xy=(curve.imag[ahead], curve.real[ahead]),
-            xytext=(curve.imag[start], curve.real[start]),
-            arrowprops={"arrowstyle": _HEADED, "color": color, "shrinkA": 0, "shrinkB": 0},
-        )
-        arrow.set_gid("sense")
+        tail, head = ((curve.imag[place], curve.real[place]) for place in (start, ahead))
+        look = {"arrowstyle": _HEADED, "color": color, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", xy=head, xytext=tail, arrowprops=look).set_gid("sense")
 
 
 def _crank_sense(axes: Axes, side: float) -> None:
@@ -203,8 +191,10 @@ def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSetting
         for number, axis in enumerate(shown):
             box = (0.95 + number * (width + 0.95), 0.62, width, height)
             axes = axes_at(figure, *box)
-            _angle_axis(axes)
-            axes.set_ylim(-limit, limit)
+            quiet_frame(axes)
+            label = "crank angle from top dead centre, °"
+            axes.set(xlim=(0, 360), xticks=range(0, 361, 45), xlabel=label, ylabel="N", ylim=(-limit, limit))
+            axes.axhline(0, color=FAINT, linewidth=0.8)
             axes.set_title(axis_names(balance)["xy".index(axis)], fontsize=9, color=INK, pad=18)
             if not forces.any():
                 axes.text(0.5, 0.5, "no force of any order", transform=axes.transAxes, **NOTE)
@@ -216,15 +206,6 @@ def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSetting
         said = f"Force of the moving masses at {state}; {_at_dead_centres(forces)}"
         title_lines(figure, 0.95, f"{drawable(title, settings.max_name_characters)} · primary and secondary", said)
         return figure
-
-
-def _angle_axis(axes: Axes) -> None:
-    quiet_frame(axes)
-    axes.set_xlim(0, 360)
-    axes.set_xticks(range(0, 361, 45))
-    axes.set_xlabel("crank angle from top dead centre, °")
-    axes.set_ylabel("N")
-    axes.axhline(0, color=FAINT, linewidth=0.8)
 
 
 def _harmonics(axes: Axes, balance: xr.Dataset, axis: str, per_omega: float) -> None:

@@ -20,7 +20,7 @@ def residual_rows(sheet: Mapping[str, Any], speeds: Sequence[str]) -> list[Row]:
     """
     rows: list[Row] = []
     for cause, axis, order, amount, grade in (*_of_shafts(sheet), *_of_masses(sheet), *_of_geometry(sheet)):
-        newtons = (float(unbalance_force_n(amount, float(speed))) for speed in speeds)
+        newtons = (_newton(amount, speed) for speed in speeds)
         rows.append([cause, axis, order, amount, *newtons, grade])
     return rows
 
@@ -160,14 +160,11 @@ def _moments(sheet: Sheet) -> list[str]:
         for order in orders
         if order in amounts
     ]
-    return text_table(
-        "Moments by order (Z: cylinders or middle of their banks, Y: crankshaft, X: across both)", heads, rows, kept=2
-    )
+    title = "Moments by order (Z: cylinders or middle of their banks, Y: crankshaft, X: across both)"
+    return text_table(title, heads, rows, kept=2)
 
 
 def _newton(amount: float, speed: str) -> float:
-    from crankorder.engine.balancing import unbalance_force_n
-
     return float(unbalance_force_n(amount, float(speed)))
 
 
@@ -177,7 +174,8 @@ def _strategies(sheet: Sheet) -> list[str]:
         return []
     speed = max(sheet["force_n"], key=float)
     unbalanced = {f"residual_{axis}_g_mm": (sheet["force_g_mm"][axis] or {}).get("1", 0.0) for axis in "xy"}
-    columns = [{**unbalanced, "higher_orders_x_g_mm": _higher(sheet)}, *found.values()]
+    higher = {order: amount for order, amount in (sheet["force_g_mm"]["x"] or {}).items() if order != "1"}
+    columns = [{**unbalanced, "higher_orders_x_g_mm": higher}, *found.values()]
     heads = ["", "none", *found]
     rows: list[list[Cell]] = []
     for key, text in (
@@ -202,25 +200,15 @@ def _strategies(sheet: Sheet) -> list[str]:
     return text_table("Strategies side by side", heads, rows)
 
 
-def _higher(sheet: Sheet) -> dict[str, float]:
-    return {order: amount for order, amount in (sheet["force_g_mm"]["x"] or {}).items() if order != "1"}
-
-
 def _layouts(sheet: Sheet) -> dict[str, Any]:
     return {name: one for name, one in sheet["shafts"].items() if isinstance(one, Mapping) and "shafts" in one}
 
 
 def _shafts(sheet: Sheet) -> list[str]:
     heads = ["possibility", "on strategy", "speed / crank", "g·mm each", "g at crank radius"]
+    keys = ("speed_ratio", "unbalance_g_mm", "mass_at_crank_radius_g", "phase_deg")
     rows = [
-        [
-            name,
-            layout["strategy"],
-            shaft["speed_ratio"],
-            shaft["unbalance_g_mm"],
-            shaft["mass_at_crank_radius_g"],
-            shaft["phase_deg"],
-        ]
+        [name, layout["strategy"], *(shaft[key] for key in keys)]
         for name, layout in _layouts(sheet).items()
         for shaft in layout["shafts"]
     ]
@@ -288,20 +276,16 @@ def _designs(sheet: Sheet) -> list[str]:
     ]
     title = "Or a counterweight at each throw, for all of order 1 that turns with the crank"
     lines += text_table(title, ["cylinder", "g·mm", "heavy side °", "at mm"], throws, kept=1)
-    return lines + _left_moments(sheet)
-
-
-def _left_moments(sheet: Sheet) -> list[str]:
     left = {"none": sheet["moment_g_mm2"]}
-    left |= {name: layout["residual_moment_g_mm2"] for name, layout in sheet["design"]["layouts"].items()}
+    left |= {name: layout["residual_moment_g_mm2"] for name, layout in design["layouts"].items()}
     if sheet["shafts"]["own"] is not None:
         left["own"] = sheet["shafts"]["own"]["residual_moment_g_mm2"]
-    rows: list[Sequence[Cell]] = [
+    rows = [
         [order, text, *((moments[key] or {}).get(order, 0.0) for moments in left.values())]
         for key, text in _MOMENTS.items()
         for order in shown_orders(moments[key] for moments in left.values())
     ]
-    return text_table("Moments that remain, g·mm²", ["order", "axis", *left], rows, kept=2)
+    return lines + text_table("Moments that remain, g·mm²", ["order", "axis", *left], rows, kept=2)
 
 
 def _shaft_residuals(sheet: Sheet) -> list[str]:
@@ -327,16 +311,9 @@ def _pairs(sheet: Sheet) -> list[str]:
     rows = [[str(pair["order"]), *(pair[f"{key}_g_mm"] for key in keys), pair["printed_needed_g_mm"]] for pair in pairs]
     lines = text_table("Shaft pairs from their parts, g·mm", [*heads, "needed"], rows)
     readings = {"literal": "its unbalance", "physical": "its force"}
+    of_reading = ("pair_unbalance_g_mm", "pair_force_g_mm", "overbalance", "residual_x_g_mm", "class")
     read = [
-        [
-            str(pair["order"]),
-            readings[name],
-            one["pair_unbalance_g_mm"],
-            one["pair_force_g_mm"],
-            one["overbalance"],
-            one["residual_x_g_mm"],
-            one["class"],
-        ]
+        [str(pair["order"]), readings[name], *(one[key] for key in of_reading)]
         for pair in pairs
         for name, one in (pair["scenarios"] or {}).items()
     ]
@@ -353,9 +330,8 @@ def _crankshaft(sheet: Sheet) -> list[str]:
     ]
     rows.append(["sum", None, None, None, *_products({**table, "z_mm": None})])
     heads = ["part", "Wr kg", "X mm", "Y mm", "Wr X", "Wr Y", "Z mm", "CX", "CY"]
-    lines = text_table(
-        "Crankshaft: static (Wr X, Wr Y: kg·mm) and dynamic (CX, CY: kg·mm²) balance of its parts", heads, rows
-    )
+    title = "Crankshaft: static (Wr X, Wr Y: kg·mm) and dynamic (CX, CY: kg·mm²) balance of its parts"
+    lines = text_table(title, heads, rows)
     couples = [(f"at {speed} rpm", amount) for speed, amount in table["couple_Nm_at_rpm"].items()]
     lines += text_table("Rocking couple that turns with the crankshaft", ["", "N·m"], couples)
     heads = ["plane", "z mm"] + [f"{text} {axis}" for text in ("has", "add", "needs") for axis in "xy"]
@@ -377,9 +353,8 @@ def _crankshaft(sheet: Sheet) -> list[str]:
         for bob in table["bob_weights"] or []
     ]
     heads = ["rod's big end", "kg", "static y, kg·mm", "dynamic y, kg·mm²"]
-    return lines + text_table(
-        "The crankshaft with another mass in the place of its bob weight", heads, bobs[1:] and bobs
-    )
+    title = "The crankshaft with another mass in the place of its bob weight"
+    return lines + text_table(title, heads, bobs[1:] and bobs)
 
 
 def _products(row: Mapping[str, Any]) -> list[Cell]:
@@ -437,10 +412,7 @@ def hinge_text(sheet: Mapping[str, Any]) -> str:
     """
     torque = sheet["torque"]
     lines = [printable(sheet["engine"], WIDTH), ""]
-    rows: list[Sequence[Cell]] = [
-        ("mean, N·m", torque["mean_nm"]),
-        ("work per revolution, J", torque["work_per_rev_j"]),
-    ]
+    rows = [("mean, N·m", torque["mean_nm"]), ("work per revolution, J", torque["work_per_rev_j"])]
     lines += text_table("Crank torque", ["", ""], rows)
     extrema = [(one["crank_angle_deg"], one["torque_nm"]) for one in torque["extrema"]]
     lines += text_table("Extrema of the crank torque", ["crank angle °", "N·m"], extrema, kept=0)
@@ -496,10 +468,8 @@ def _solutions(mechanisms: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def _characteristic(one: Mapping[str, Any]) -> list[str]:
     pin, strut = one["characteristic"]["pin"], one["characteristic"]["strut"]
-    columns = [
-        pin["hinge_angle_deg"], pin["crank_angle_deg"], pin["moment_nm"], pin["work_j"], strut["moment_nm"],
-        strut["work_j"],
-    ]  # fmt: skip
+    columns = [pin[key] for key in ("hinge_angle_deg", "crank_angle_deg", "moment_nm", "work_j")]
+    columns += [strut["moment_nm"], strut["work_j"]]
     heads = ["hinge angle °", "pin: crank °", "N·m", "work J", "strut: N·m", "work J"]
     title = f"Hinge characteristics of {one['name']} at {pin['speed_rpm']:.5g} rpm"
     return text_table(title, heads, zip(*columns, strict=True), kept=0)
@@ -513,19 +483,16 @@ def _air_springs(mechanisms: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def _guides(mechanisms: Sequence[Mapping[str, Any]]) -> list[str]:
-    rows: list[list[Cell]] = [
-        [
-            f"{one['name']}, {joint}",
-            guides["speed_rpm"],
-            1e-3 * guides["stiffness_n_per_m"],
-            1e3 * min(guides["length_m"]),
-            1e3 * max(guides["length_m"]),
-            guides["steepest_deg"],
-            "no: sharper than the roller" if guides["undercut"] else "yes",
-        ]
-        for one in mechanisms
-        for joint, guides in one["guides"].items()
-        if guides is not None
-    ]
+    rows: list[list[Cell]] = []
+    for one in mechanisms:
+        for joint, guides in one["guides"].items():
+            if guides is not None:
+                sizes = (
+                    1e-3 * guides["stiffness_n_per_m"],
+                    1e3 * min(guides["length_m"]),
+                    1e3 * max(guides["length_m"]),
+                )
+                cut = "no: sharper than the roller" if guides["undercut"] else "yes"
+                rows.append([f"{one['name']}, {joint}", guides["speed_rpm"], *sizes, guides["steepest_deg"], cut])
     heads = ["hinge", "rpm", "spring N/mm", "shortest mm", "longest mm", "steepest °", "can be cut"]
     return text_table("Springs and guides of the hinges", heads, rows)

@@ -43,28 +43,18 @@ def order_change_figure(changes: xr.Dataset, document: dict[str, Any], *, settin
         _draw_channel(drawing, changes, channel, box, colours, limits, first=number % columns == 0)
         name = shortened(drawable(channel, settings.max_name_characters), NORMAL + 1, width, bold=True)
         drawing.add(Words(left, box[1] + block + 0.09, name, NORMAL + 1, bold=True))
-    title = f"Orders that changed · {_pair(document)}"
+    title = f"Orders that changed · {drawable(document['base'], 40)} → {drawable(document['new'], 40)}"
     said = document["headline"][0] if colours else "No order changed by more than chance alone would change it."
     title_lines(drawing, _LEFT, title, drawable(said, 300))
-    keys = [
-        Key("95 % band; dot: change claimed", LINES[0] if colours else INK, width=2.0),
-        Key("order that did not change", LIGHT),
-    ]
-    draw_keys(drawing, _LEFT, keys)
+    claimed = Key("95 % band; dot: change claimed", LINES[0] if colours else INK, width=2.0)
+    draw_keys(drawing, _LEFT, [claimed, Key("order that did not change", LIGHT)])
     return drawing
-
-
-def _pair(document: dict[str, Any]) -> str:
-    return f"{drawable(document['base'], 40)} → {drawable(document['new'], 40)}"
-
-
-def _changed(document: dict[str, Any]) -> list[dict[str, Any]]:
-    return sorted((one for one in document["orders"] if one["changed"]), key=lambda one: float(one["p_value"]))
 
 
 def _colours(document: dict[str, Any]) -> dict[float, str]:
     """Colour of each order that changed anywhere, the clearest first."""
-    orders = list(dict.fromkeys(float(one["order"]) for one in _changed(document)))[:_COLOURED]
+    changed = sorted((one for one in document["orders"] if one["changed"]), key=lambda one: float(one["p_value"]))
+    orders = list(dict.fromkeys(float(one["order"]) for one in changed))[:_COLOURED]
     return {order: LINES[number] for number, order in enumerate(sorted(orders))}
 
 
@@ -110,9 +100,8 @@ def _draw_channel(
         color = colours.get(order) if changes["changed"].values[row].any() else None
         last = _draw_line(panel, changes, row, order_axis, color)
         if color is not None and last is not None:
-            labels.append(
-                EdgeLabel(float(panel.at(0.0, float(np.clip(last, *limits)))[0, 1]), order_text(order), color, row)
-            )
+            height = float(panel.at(0.0, float(np.clip(last, *limits)))[0, 1])
+            labels.append(EdgeLabel(height, order_text(order), color, row))
     panel.frame()
     label_right(drawing, box, labels)
     if labels:
@@ -175,9 +164,8 @@ def trend_figure(document: dict[str, Any], *, settings: ReportSettings) -> Drawi
     if not claims:
         panel.note("no line grew", up=0.94)
     changed = sum(one["changed"] for one in document["trend"])
-    said = (
-        f"{changed} of {len(document['trend'])} lines grow or shrink by more than chance; their change per run beside."
-    )
+    of_all = f"{changed} of {len(document['trend'])} lines"
+    said = f"{of_all} grow or shrink by more than chance; their change per run beside."
     title_lines(drawing, _LEFT, f"Trend over {len(runs)} runs", said)
     keys = [Key("fitted growth; bars: 95 % intervals", LINES[0] if claims else INK, width=1.3)]
     draw_keys(drawing, _LEFT, [*keys, Key("line without growth", LIGHT)])

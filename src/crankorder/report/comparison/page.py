@@ -7,14 +7,8 @@ from typing import Any, Literal
 from markupsafe import Markup
 
 from crankorder.channel_units import unit_text
-from crankorder.report.comparison.sentences import comparison_story, estimate
-from crankorder.report.notation import (
-    frequency_text,
-    is_number,
-    named,
-    number_text,
-    order_text,
-)
+from crankorder.report.comparison.sentences import comparison_story, estimate, scaled
+from crankorder.report.notation import frequency_text, is_number, named, number_text, order_text
 from crankorder.report.page import page_policy, page_style, page_template
 from crankorder.report.rows import Table, table_of
 from crankorder.settings import ReportSettings
@@ -160,16 +154,12 @@ def _balance(document: dict[str, Any]) -> Table:
     return table_of("Balance closed with the engine model", "Quantity|Changed|First#|Second#|Change#", rows, empty="")
 
 
-def _percent(record: dict[str, Any]) -> dict[str, Any]:
-    low, high = record["growth_per_run_ci95"]
-    return {"growth_per_run": 100 * record["growth_per_run"], "growth_per_run_ci95": [100 * low, 100 * high]}
-
-
 def _trend(document: dict[str, Any], limit: int) -> Table:
     rows = [
         [
             named(one["line"], limit=limit), one["kind"], named(one["channel"], limit=limit), _yes(one),
-            estimate(_percent(one), "growth_per_run"), ", ".join(number_text(value) for value in one["amplitude"]),
+            estimate(scaled(one, "growth_per_run", 100), "growth_per_run"),
+            ", ".join(number_text(value) for value in one["amplitude"]),
             _chance(one["p_value"]), named(one["verdict"], limit=4 * limit),
         ]
         for one in sorted(document["trend"], key=lambda one: (not one["changed"], one["kind"], one["line"]))

@@ -5,15 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from crankorder.channel_units import unit_text
-from crankorder.report.notation import (
-    frequency_text,
-    is_number,
-    listed,
-    named,
-    number_text,
-    order_text,
-    with_interval,
-)
+from crankorder.report.notation import frequency_text, is_number, listed, named, number_text, order_text, with_interval
 from crankorder.report.sentences.story import Story
 
 _NAME = 60
@@ -108,10 +100,14 @@ def _cause_sentences(document: dict[str, Any]) -> list[str]:
         ]
     if cause == "moving masses":
         return [_masses_cause(document)]
-    if _turned(document):
-        return [_phases_turned(orders, names)]
-    parts = [_went(document, order) for order in orders[:_FEW]]
     between = names if len(orders) <= _MANY else f"{order_text(min(orders))} to {order_text(max(orders))}"
+    if _turned(document):
+        mark = ": a mark of the shaft that was moved does that" if len(orders) > 1 else ""
+        return [
+            f"The phase of {_noun(orders)} {between} turned, and no amplitude changed by more than chance alone would "
+            f"change it{mark}."
+        ]
+    parts = [_went(document, order) for order in orders[:_FEW]]
     told = _capital(listed(parts)) if len(orders) <= _FEW else f"{len(orders)} orders changed ({between})"
     only = "; no other order changed" if len(orders) <= _FEW else ""
     return [
@@ -122,11 +118,10 @@ def _cause_sentences(document: dict[str, Any]) -> list[str]:
 
 def _unchanged(document: dict[str, Any]) -> str:
     """What was compared and did not change, and what was not compared."""
+    shown = any(one["only_in"] is None for one in document["modes"])
     compared = {
         ("orders", "no order"): bool(document["orders"]),
-        ("natural frequencies", "no natural frequency that both tests show"): any(
-            one["only_in"] is None for one in document["modes"]
-        ),
+        ("natural frequencies", "no natural frequency that both tests show"): shown,
     }
     says = [f"{listed([none for (_, none), yes in compared.items() if yes])} changed"]
     says += ["no bearing line grew"] if any(one["kind"] != "order" for one in document["trend"]) else []
@@ -142,15 +137,6 @@ def _turned(document: dict[str, Any]) -> bool:
     return document["cause"]["cause"] == "orders" and all(alone)
 
 
-def _phases_turned(orders: list[float], names: str) -> str:
-    which = names if len(orders) <= _MANY else f"{order_text(min(orders))} to {order_text(max(orders))}"
-    mark = ": a mark of the shaft that was moved does that" if len(orders) > 1 else ""
-    return (
-        f"The phase of {_noun(orders)} {which} turned, and no amplitude changed by more than chance alone would change "
-        f"it{mark}."
-    )
-
-
 def _masses_cause(document: dict[str, Any]) -> str:
     """Orders 1 and 2, how they went, and the grams that explain it where the balance was closed."""
     orders = document["cause"]["orders"]
@@ -160,16 +146,11 @@ def _masses_cause(document: dict[str, Any]) -> str:
     for key in ("residual_reciprocating_g", "along_g", "residual_second_order_g"):
         for one in document["balance"]:
             if one["quantity"] == key and one["changed"]:
-                size = one if one["change"] > 0 else _reversed(one, "change")
+                size = one if one["change"] > 0 else scaled(one, "change", -1)
                 more = "more" if one["change"] > 0 else "less"
                 what = f"{estimate(size, 'change')} g {more} unbalanced mass along the cylinder"
                 return f"{told}: {what} explains it."
     return f"{told}: a change of the moving masses explains it."
-
-
-def _reversed(record: dict[str, Any], key: str) -> dict[str, Any]:
-    low, high = record[f"{key}_ci95"]
-    return {key: -record[key], f"{key}_ci95": [-high, -low]}
 
 
 def _went(document: dict[str, Any], order: float) -> str:
@@ -258,14 +239,11 @@ def _grown(document: dict[str, Any]) -> list[str]:
 
 def _growth_sentence(lines: list[dict[str, Any]]) -> str:
     one = lines[0]
-    share = {
-        "growth": 100 * one["growth_per_run"],
-        "growth_ci95": [100 * end for end in one["growth_per_run_ci95"]],
-    }
+    growth = estimate(scaled(one, "growth_per_run", 100), "growth_per_run")
     rule = " A growing amplitude of a bearing line means a failing bearing." if "bearing" in one["kind"] else ""
     where = f" in {named(one['channel'], limit=_NAME)}" if one["channel"] else " in the envelope"
     names = " or ".join(dict.fromkeys(named(line["line"], limit=_NAME) for line in lines))
-    return f"{_capital(names)}{where} grows from run to run, by {estimate(share, 'growth')} % each.{rule}"
+    return f"{_capital(names)}{where} grows from run to run, by {growth} % each.{rule}"
 
 
 def _law_sentences(document: dict[str, Any]) -> list[str]:
@@ -291,14 +269,12 @@ def mass_sentences(document: dict[str, Any]) -> list[str]:
         ends = [_at_angle(trial, size, angle, arm, unit) for size, angle in _BEFORE_AFTER]
         stated = f", by the stated {number_text(document['masses'][0]['added'])} {unit}" if document["masses"] else ""
         return [f"The unbalance was {ends[0]} before and is {ends[1]} now{stated}."]
-    said = []
-    for one in document["masses"][:_MANY]:
-        unit = one["unit"]
-        said.append(
-            f"By the stated {number_text(one['added'])} {unit} the unbalance in {named(one['channel'], limit=_NAME)} "
-            f"was {estimate(one, 'before', unit=unit)} before and is {estimate(one, 'after', unit=unit)} now."
-        )
-    return said
+    return [
+        f"By the stated {number_text(one['added'])} {one['unit']} the unbalance in "
+        f"{named(one['channel'], limit=_NAME)} was {estimate(one, 'before', unit=one['unit'])} before and is "
+        f"{estimate(one, 'after', unit=one['unit'])} now."
+        for one in document["masses"][:_MANY]
+    ]
 
 
 def _arm(document: dict[str, Any]) -> tuple[float, str]:
@@ -375,6 +351,11 @@ def _what_to_do(document: dict[str, Any]) -> list[str]:
     if any(one["changed"] and "bearing" in one["kind"] and one["growth_per_run"] > 0 for one in document["trend"]):
         said.append("Replace the bearing whose line grows, or watch it in shorter intervals.")
     return said
+
+
+def scaled(record: dict[str, Any], key: str, factor: float) -> dict[str, Any]:
+    """The estimate ``key`` of a ``record`` of a comparison with its interval, both times ``factor``."""
+    return {key: factor * record[key], f"{key}_ci95": sorted(factor * end for end in record[f"{key}_ci95"])}
 
 
 def estimate(record: dict[str, Any], key: str, *, unit: str = "") -> str:
