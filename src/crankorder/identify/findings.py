@@ -14,9 +14,8 @@ from crankorder.identify.alike_speeds import with_lines_of_recordings
 from crankorder.identify.balance.closure import closure
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.crossings import crossings
-from crankorder.identify.encoder_sidebands import encoder_sidebands
 from crankorder.identify.energy import energy_shares
-from crankorder.identify.explain import NOT_KNOWN, Causes, explained
+from crankorder.identify.explain import NOT_KNOWN, Causes, explained, with_neighbours_named, without_doubles
 from crankorder.identify.folds import fold_flags, shown_folds
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerdicts
 from crankorder.identify.known_lines import Held, LineSeen, held_of, without_known
@@ -45,7 +44,6 @@ from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
 from crankorder.identify.modal.sweep_rows import with_rows_of_fits
 from crankorder.identify.modal.tones import with_one_mains
 from crankorder.identify.motors import MotorSeen, motor_seen
-from crankorder.identify.one_cause import with_neighbours_named, without_doubles
 from crankorder.identify.order_one import if_unbalance
 from crankorder.identify.parted_tones import with_tones_parted, without_absent_mains
 from crankorder.identify.records import (
@@ -59,6 +57,7 @@ from crankorder.identify.records import (
 )
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.said import is_electric
+from crankorder.identify.sidebands import encoder_sidebands
 from crankorder.identify.sources import Sources
 from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader

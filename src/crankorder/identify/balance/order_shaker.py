@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.balance.noise_beside import whitening
-from crankorder.identify.balance.transfer_path import Complex, MeasuredOrders, Real
+from crankorder.identify.balance.transfer_path import Complex, MeasuredOrders, Real, whitening
 from crankorder.identify.found import ModalFit
 from crankorder.identify.resonance import resonance
 from crankorder.settings import MethodNumbers
