@@ -10,7 +10,6 @@ import numpy as np
 
 from crankorder.findings import BearingFinding
 from crankorder.identify.cycle_forces import CycleForce, cycle_forces, gas_half_orders
-from crankorder.identify.explain_families import BY_ITSELF, Words, explain_families
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
@@ -19,12 +18,19 @@ from crankorder.identify.lines.growth import largest
 from crankorder.identify.mains import OR_ANOTHER, mains_orders, multiple_on, multiples_near, supply_told
 from crankorder.identify.modal.tones import NEAR_BINS
 from crankorder.identify.order_one import is_motion, order_one
-from crankorder.identify.race_harmonics import StruckRace, harmonic_words, struck_races
 from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, mains_words
 from crankorder.identify.said import NUMBERS as SAID
-from crankorder.identify.sidebands import OR_OWN, sidebands
-from crankorder.identify.sources import Sources
-from crankorder.identify.stated_parts import PartsAt, StatedPart, parts_at
+from crankorder.identify.sidebands import (
+    BY_ITSELF,
+    OR_OWN,
+    StruckRace,
+    Words,
+    explain_families,
+    harmonic_words,
+    sidebands,
+    struck_races,
+)
+from crankorder.identify.sources import PartsAt, Sources, StatedPart, parts_at
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Energy, Findings, Level, quality_of
-from crankorder.identify.alike_speeds import with_lines_of_recordings
+from crankorder.identify.alike_speeds import with_lines_of_recordings, with_tones_parted, without_absent_mains
 from crankorder.identify.balance.closure import closure
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.crossings import crossings
@@ -37,15 +37,13 @@ from crankorder.identify.lines.followed_orders import (
 from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.order_lock import speed_source
-from crankorder.identify.mains import mains_seen, with_mains_tones, without_ringing
+from crankorder.identify.mains import MotorSeen, mains_seen, motor_seen, with_mains_tones, without_ringing
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
+from crankorder.identify.modal.sweep_modes import with_rows_of_fits
 from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
-from crankorder.identify.modal.sweep_rows import with_rows_of_fits
 from crankorder.identify.modal.tones import with_one_mains
-from crankorder.identify.motors import MotorSeen, motor_seen
 from crankorder.identify.order_one import if_unbalance
-from crankorder.identify.parted_tones import with_tones_parted, without_absent_mains
 from crankorder.identify.records import (
     avoided_records,
     crossing_records,

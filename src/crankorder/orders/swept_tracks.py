@@ -11,8 +11,8 @@ import xarray as xr
 from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
 from crankorder.orders.averages import POLES
+from crankorder.orders.fixed_lines import steady_flag, without_steady_lines
 from crankorder.orders.intervals import NORMAL, amplitude_interval, phase_interval_deg
-from crankorder.orders.steady_lines import steady_flag, without_steady_lines
 from crankorder.orders.true_angle import AngleErrors, errors_along
 from crankorder.orders.vold_kalman.bandwidth import (
     FRAME_BANDWIDTHS,

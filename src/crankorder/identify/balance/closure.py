@@ -13,9 +13,16 @@ from crankorder.engine.forces import DIRECTIONS, Z
 from crankorder.engine.transfer_paths import AddedMass, StatedPath
 from crankorder.findings import Balance
 from crankorder.identify.balance.order_shaker import NUMBERS as ORDER_SHAKER
-from crankorder.identify.balance.order_shaker import ShakerFit, modes_with_room, rows_needed, shaker_fit
+from crankorder.identify.balance.order_shaker import (
+    EngineShaker,
+    ShakerFit,
+    engine_shaker,
+    force_per_kg,
+    modes_with_room,
+    rows_needed,
+    shaker_fit,
+)
 from crankorder.identify.balance.record import Split, added_words, rotor_record, split_record
-from crankorder.identify.balance.shaker_forces import EngineShaker, engine_shaker, force_per_kg
 from crankorder.identify.balance.transfer_path import Complex, MeasuredOrders, Real, accelerance_of, measured_orders
 from crankorder.identify.cycle_forces import gas_half_orders
 from crankorder.identify.found import AgreedOrder, ModalFit

@@ -26,7 +26,7 @@ from crankorder.identify.bearings.places import Place, bearing_places
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import Z95, half_width, positive_interval
 from crankorder.identify.lines.growth import growth, largest, mean_level
-from crankorder.identify.stated_parts import StatedPart, parts_at
+from crankorder.identify.sources import StatedPart, parts_at
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 

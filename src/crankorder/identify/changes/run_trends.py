@@ -1,4 +1,4 @@
-"""Lines that grow from run to run of the same test: the re-run rule for order lines and bearing lines."""
+"""Lines that grow from run to run of the same test: the re-run rule for order and bearing lines, as a test."""
 
 from __future__ import annotations
 

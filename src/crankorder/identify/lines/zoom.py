@@ -1,4 +1,4 @@
-"""The order of a line, from the phase by which it runs ahead of its bin; in a run-up modes turn it too."""
+"""The order of a line, or of two in one bin, from the phase by which it runs ahead; in a run-up modes turn it too."""
 
 from __future__ import annotations
 
