@@ -13,7 +13,13 @@ from crankorder.identify.intervals import Z95
 from crankorder.identify.known_lines import LOBE_BINS, Held, found_near
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
-from crankorder.identify.lines.several_orders import DEGREES_OF_FREEDOM, SolvedLine, several_lines, unparted_reach
+from crankorder.identify.lines.several_orders import (
+    DEGREES_OF_FREEDOM,
+    SolvedLine,
+    lines_within,
+    several_lines,
+    unparted_reach,
+)
 from crankorder.identify.mains import NUMBERS as MAINS
 from crankorder.identify.mains import multiples_near
 from crankorder.identify.modal.tones import NEAR_BINS, with_one_mains
@@ -99,7 +105,11 @@ def _regions(tones: Sequence[Tone], reach_hz: float) -> list[tuple[float, float]
 
 def _parted(held: Sequence[Held], low_hz: float, high_hz: float) -> list[_Parted]:
     """Lines between both frequencies as the recordings agree on them; none where they do not, or do not tell."""
-    solved = [(one, lines) for one in held if (lines := _lines(one, low_hz, high_hz))]
+    solved = [
+        (one, lines)
+        for one in held
+        if (lines := lines_within(one, low_hz / (one.rpm / 60.0), high_hz / (one.rpm / 60.0)))
+    ]
     if len(solved) < MAINS.least_speeds:
         return []
     free = {(k, n) for k, (_, lines) in enumerate(solved) for n in range(len(lines))}
@@ -114,14 +124,6 @@ def _parted(held: Sequence[Held], low_hz: float, high_hz: float) -> list[_Parted
         made.append(_Parted(fixed, tuple((solved[k][0], solved[k][1][n]) for k, n in whole[0])))
         free -= set(whole[0])
     return made
-
-
-def _lines(held: Held, low_hz: float, high_hz: float) -> list[SolvedLine]:
-    turn_hz, beyond = held.rpm / 60.0, LOBE_BINS / held.revs
-    low, high = low_hz / turn_hz, high_hz / turn_hz
-    if low - beyond <= 0.0 or high + beyond >= held.axis[-1]:
-        return []
-    return [one for one in several_lines(held, low, high, beyond=beyond) if low <= one.order <= high]
 
 
 def _chain(
@@ -287,16 +289,12 @@ def without_absent_mains(modal: ModalFit, held: Sequence[Held], *, settings: Ide
         return modal
     step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
     mains = [tone for tone in modal.tones if tone.kind == "mains"]
-    supplies = [tone for tone in mains if not _is_high(tone, settings)]
+    alone_hz = MAINS.alone_multiples * max(settings.mains_hz) + 2.0 * settings.mains_tolerance_hz
+    supplies = [tone for tone in mains if not tone.frequency_hz > alone_hz]
     high = [tone for tone in mains if tone not in supplies]
     doubted = [tone for tone in high if not any(_is_multiple(tone, one, settings) for one in supplies)]
     tones = [_unless_absent(tone, held, step) if tone in doubted else tone for tone in modal.tones]
     return replace(modal, tones=tuple(tones))
-
-
-def _is_high(tone: Tone, settings: IdentifySettings) -> bool:
-    """Whether a ``tone`` lies far above the multiples of the mains that may stand alone."""
-    return tone.frequency_hz > MAINS.alone_multiples * max(settings.mains_hz) + 2.0 * settings.mains_tolerance_hz
 
 
 def _is_multiple(tone: Tone, supply: Tone, settings: IdentifySettings) -> bool:

@@ -16,6 +16,7 @@ from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.lines.cfar import highest_of_three, noise_level
 from crankorder.identify.lines.line_evidence import NUMBERS as LINE_EVIDENCE
 from crankorder.identify.lines.line_evidence import log_chance_of_kurtosis
+from crankorder.identify.modal.floor import group_width_rpm
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -443,7 +444,7 @@ def by_frequency(
     energy[..., frequency < MAP_NUMBERS.steady_bins * enbw_hz] = 0.0
     own = MAP_NUMBERS.line_bins * max(resolution, enbw_hz / 1.5)
     number = np.array([agreed.order for agreed in orders])
-    wander = 0.5 * (_group_width_rpm(campbell) / 60.0 + float(campbell.attrs.get("sweep_hz_per_order", 0.0)))
+    wander = 0.5 * (group_width_rpm(campbell) / 60.0 + float(campbell.attrs.get("sweep_hz_per_order", 0.0)))
     tones = np.array([tone.frequency_hz for tone in modal.tones])
     centre = np.concatenate([np.outer(speed / 60.0, number), np.broadcast_to(tones, (len(speed), len(tones)))], axis=1)
     reach = np.broadcast_to(np.concatenate([own + wander * number, np.full(len(tones), own)]), centre.shape)
@@ -524,12 +525,6 @@ def band_end_hz(campbell: xr.Dataset, order_map: xr.Dataset) -> float | None:
 def _square_of_peak(made: xr.Dataset) -> float:
     """Mean square of a line over its squared amplitude."""
     return 1.0 if made.attrs.get("amplitude_scaling") == "rms" else 0.5
-
-
-def _group_width_rpm(campbell: xr.Dataset) -> float:
-    """Width in rpm of a speed group of a run-up, whose groups touch; a stepped test's groups are narrow."""
-    speed, width = np.sort(campbell["speed"].values), float(campbell.attrs["speed_bin_rpm"])
-    return width if len(speed) > 2 and float(np.median(np.diff(speed))) < 1.5 * width else 0.0
 
 
 def _put(into: Floats, speed: Floats, of_line: Floats, energy: Floats, near_rpm: float) -> None:

@@ -554,12 +554,15 @@ def with_neighbours_named(modal: ModalFit, orders: Sequence[AgreedOrder], causes
 
     Tones, and of a test at one speed the ``orders``, as ``causes`` explain them.
     """
-    called = _AT_ONE_SPEED if _one_speed(orders) is not None else _CALLED
+    rpm = _one_speed(orders)
+    called = _AT_ONE_SPEED if rpm is not None else _CALLED
     lines = [
         (tone.frequency_hz, called.get(cause.text, cause.text))
         for tone, cause in zip(modal.tones, causes.tones, strict=True)
     ]
-    lines += _at_one_speed(orders, causes)
+    if rpm is not None:
+        found = [(one.order * rpm / 60.0, causes.orders[one.lines[0].channel, one.order].text) for one in orders]
+        lines += [(hertz, text) for hertz, text in found if text not in NOT_KNOWN]
     modes = tuple(_beside(mode, lines) if mode.undecided else mode for mode in modal.modes)
     return replace(modal, modes=modes)
 
@@ -578,12 +581,3 @@ def _beside(mode: Mode, lines: Sequence[tuple[float, str]]) -> Mode:
         return mode
     said = " and ".join(f"{text} at {hertz:.5g} Hz" for _, hertz, text in near[: NEIGHBOUR_NUMBERS.most_named])
     return replace(mode, undecided=f"{mode.undecided}; {said} {MAY_BE_ALL}")
-
-
-def _at_one_speed(orders: Sequence[AgreedOrder], causes: Causes) -> list[tuple[float, str]]:
-    """Frequency in Hz and cause of each of ``orders``, where all were seen at one speed; else none."""
-    rpm = _one_speed(orders)
-    if rpm is None:
-        return []
-    found = [(one.order * rpm / 60.0, causes.orders[one.lines[0].channel, one.order].text) for one in orders]
-    return [(hertz, text) for hertz, text in found if text not in NOT_KNOWN]

@@ -1,4 +1,4 @@
-"""Lines that belong to others: sidebands, meshes, harmonics of races and of a shaft of its own speed, encoder errors."""
+"""Lines that belong to others: sidebands, meshes, harmonics of races and of shafts of their own, encoder errors."""
 
 from __future__ import annotations
 

@@ -106,7 +106,9 @@ def speeds_to_avoid(
     unit : of each channel: the largest amplitude counts of those that have the same
     settings : ``crossing_band_rpm`` is the least width of a free band
     """
-    largest = _largest(orders)
+    largest: dict[str, float] = {}
+    for line in (line for agreed in orders for line in agreed.lines):
+        largest[line.channel] = max(largest.get(line.channel, 0.0), float(line.amplitude.max()))
     in_unit = {name: max(largest[other] for other in largest if unit[other] == unit[name]) for name in largest}
     met = [_cost(item, orders, modal, in_unit, settings) for item in found if _counts(item)]
     lone = lone_peaks(
@@ -165,21 +167,10 @@ def _is_vague(item: Crossing) -> bool:
 
 
 def _counts(item: Crossing) -> bool:
-    if not (item.excited and item.in_range):
-        return False
-    if _is_vague(item):
+    if not (item.excited and item.in_range) or _is_vague(item):
         return False
     measured = item.amplification_ci95[1] if item.amplification_ci95 is not None else 0.0
     return max(measured, item.amplification_predicted) >= SAID.clearly_excited_ratio
-
-
-def _largest(orders: tuple[AgreedOrder, ...]) -> dict[str, float]:
-    """Largest amplitude of any order by channel."""
-    largest: dict[str, float] = {}
-    for agreed in orders:
-        for line in agreed.lines:
-            largest[line.channel] = max(largest.get(line.channel, 0.0), float(line.amplitude.max()))
-    return largest
 
 
 def _cost(
@@ -326,18 +317,14 @@ def _by_modes(
         if (not known and item.verdict != "not excited") or (item.excited and _is_vague(item)):
             low, high = _amplifying(item.rpm_ci95, settings.free_amplification)
             low, high = item.rpm - slower * (item.rpm - low), item.rpm + slower * (high - item.rpm)
-            made += _inside(_Open(low, high, f"{what}: {_said(item)}"), speed_rpm)
+            says = item.verdict if item.in_range else "beside the tested range, so that its flank may reach in"
+            made += _inside(_Open(low, high, f"{what}: {says}"), speed_rpm)
         alike = {(one.recording, unit[one.channel], one.span_rpm) for one in known}
         for key in sorted(alike):
             group = [one for one in known if (one.recording, unit[one.channel], one.span_rpm) == key]
             matters = EXCLUSION.matters_share * max(largest.get(one.channel, 0.0) for one in group)
             made += _amplified(group, number, modal, replace(limits, matters=matters), what)
     return made
-
-
-def _said(item: Crossing) -> str:
-    """What is said of a crossing near speeds that it leaves open."""
-    return item.verdict if item.in_range else "beside the tested range, so that its flank may reach in"
 
 
 def _mode_of(item: Crossing, modal: ModalFit) -> Mode:
@@ -465,19 +452,16 @@ def _split(
     """Free and open bands of the tested range: what nothing of ``opened`` touches, and what is not to be avoided."""
     low, high = speed_rpm
     free: list[SpeedBand] = []
-    start, narrowest = low, min(settings.crossing_band_rpm, high - low) if high > low else np.inf
-    for item in [*sorted(opened, key=lambda one: one.low_rpm), _Open(high, high, "")]:
-        if min(item.low_rpm, high) - start >= narrowest:
-            free.append(SpeedBand(start, min(item.low_rpm, high), _excludes(settings)))
-        start = max(start, item.high_rpm)
-    return tuple(free), _open_bands(opened, free, speed_rpm)
-
-
-def _excludes(settings: IdentifySettings) -> str:
-    return (
+    excludes = (
         f"the data exclude that an order is amplified more than {settings.free_amplification:g} times "
         f"({100.0 * settings.free_confidence:g} %)"
     )
+    start, narrowest = low, min(settings.crossing_band_rpm, high - low) if high > low else np.inf
+    for item in [*sorted(opened, key=lambda one: one.low_rpm), _Open(high, high, "")]:
+        if min(item.low_rpm, high) - start >= narrowest:
+            free.append(SpeedBand(start, min(item.low_rpm, high), excludes))
+        start = max(start, item.high_rpm)
+    return tuple(free), _open_bands(opened, free, speed_rpm)
 
 
 def _open_bands(opened: list[_Open], free: list[SpeedBand], speed_rpm: tuple[float, float]) -> tuple[SpeedBand, ...]:

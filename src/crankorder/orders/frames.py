@@ -49,7 +49,8 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     course = None if is_by_angle(band) else speed_course(shaft)
     layout = frame_layout(band, shaft, settings=settings, course=course)
     speed = _mean_speed(shaft, layout)
-    swept = _is_swept(speed, settings)
+    known = speed[np.isfinite(speed)]
+    swept = len(known) > 1 and bool(np.ptp(known) > max(settings.speed_bin_rpm, STEADY_SHARE * float(known.mean())))
     if swept:
         # the mean over the time lags behind the speed in the middle, where the window weighs most
         speed = speed_at_angle(shaft, layout.begin_rev + 0.5 * layout.revs, float(layout.revs))
@@ -128,12 +129,6 @@ def _largest_sweep(shaft: xr.Dataset, layout: FrameLayout, speed_rpm: Floats) ->
     first = time_at(layout.begin_rev + 1.0, **knots) - time_at(layout.begin_rev, **knots)
     last = time_at(ends, **knots) - time_at(ends - 1.0, **knots)
     return float((60.0 * np.abs(1.0 / last - 1.0 / first) / speed_rpm).max())
-
-
-def _is_swept(speed_rpm: Floats, settings: OrderSettings) -> bool:
-    """Whether the mean speeds of frames differ by more than steady running does, or an average at like speed takes."""
-    known = speed_rpm[np.isfinite(speed_rpm)]
-    return len(known) > 1 and bool(np.ptp(known) > max(settings.speed_bin_rpm, STEADY_SHARE * float(known.mean())))
 
 
 def _dataset(band: xr.Dataset, spectrum: Complexes, order: Floats, speed: Floats, start_angle: Floats) -> xr.Dataset:

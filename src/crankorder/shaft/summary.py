@@ -1,4 +1,4 @@
-"""Each recording of a test in one row: its speed, the error of its angle; and its speed against what its name states."""
+"""Each recording of a test in one row: its speed, the error of its angle; and its speed against that of its name."""
 
 from __future__ import annotations
 

@@ -415,7 +415,13 @@ def _forces(
 def _noise(inverse: Complex, own: Real, correlation: Complex) -> Real:
     """Covariance of real and imaginary parts in turn that errors ``own`` (channel, row) over their weights make."""
     swayed = (inverse * own.ravel()).reshape(len(inverse), *own.shape)
-    return _by_parts(np.einsum("acr,rcd,bdr->ab", swayed, correlation, swayed.conj()))
+    covariance = np.einsum("acr,rcd,bdr->ab", swayed, correlation, swayed.conj())
+    size = len(covariance)
+    parts = np.zeros((2 * size, 2 * size))
+    # E z zᴴ is twice the covariance, and z is circular
+    parts[0::2, 0::2] = parts[1::2, 1::2] = covariance.real
+    parts[1::2, 0::2], parts[0::2, 1::2] = covariance.imag, -covariance.imag
+    return parts
 
 
 def _of_doubts(doubts: Sequence[Complex]) -> Real:
@@ -426,15 +432,6 @@ def _of_doubts(doubts: Sequence[Complex]) -> Real:
             parts = np.stack([turned.real, turned.imag], axis=1).ravel()
             total += np.outer(parts, parts)
     return total
-
-
-def _by_parts(covariance: Complex) -> Real:
-    """Covariance of real and imaginary parts in turn, where E z zᴴ is twice ``covariance`` and z is circular."""
-    size = len(covariance)
-    parts = np.zeros((2 * size, 2 * size))
-    parts[0::2, 0::2] = parts[1::2, 1::2] = covariance.real
-    parts[1::2, 0::2], parts[0::2, 1::2] = covariance.imag, -covariance.imag
-    return parts
 
 
 def _split_by_paths(found: list[_Forces], parts: list[tuple[int, tuple[str, ...]]], engine: Engine | None) -> Split:

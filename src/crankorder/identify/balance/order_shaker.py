@@ -451,7 +451,8 @@ def engine_shaker(engine: Engine, speed_rpm: Real, *, seen: set[int], highest: i
     forces = crankcase_forces(bare, speed_rpm, max_order=highest)
     moments = crankcase_moments(bare, speed_rpm, max_order=highest)
     size = np.abs(forces).max(axis=(0, 1))
-    one = float(np.abs(crankcase_forces(_alone(bare), speed_rpm, max_order=1)).max())
+    alone = bare.model_copy(update={"cylinders": bare.cylinders[:1]})
+    one = float(np.abs(crankcase_forces(alone, speed_rpm, max_order=1)).max())
     candidates = [k for k in range(2, highest + 1) if k not in engine.shafts.every_order and size[k] > NONE_LEFT * one]
     made = [k for k in candidates if size[k] >= FORCE_NUMBERS.known_share * max(size[candidates])]
     if not made:
@@ -465,10 +466,6 @@ def engine_shaker(engine: Engine, speed_rpm: Real, *, seen: set[int], highest: i
             f"orders {known} rock the crankcase too, for the cylinders stand side by side, and that path is not known"
         )
     return _assembled(bare, engine, speed_rpm, forces, moments, known)
-
-
-def _alone(engine: Engine) -> Engine:
-    return engine.model_copy(update={"cylinders": engine.cylinders[:1]})
 
 
 def _rocks(engine: Engine, forces: Complex, moments: Complex, known: tuple[int, ...]) -> bool:

@@ -100,7 +100,8 @@ def measured_orders(order_map: xr.Dataset, orders: Sequence[int], *, lines: Sequ
     )
     sound = np.isfinite(amplitude) & np.isfinite(error) & (error > 0)
     beside = [_beside(bins, i, lines) for i in at]
-    correlation = [_correlation(_over(complex_map, error_map)[:, :, near]) for near in beside]
+    over = np.divide(complex_map, error_map, out=np.full_like(complex_map, np.nan), where=error_map > 0.0)
+    correlation = [_correlation(over[:, :, near]) for near in beside]
     typical = [_typical(error_map[:, :, near]) for near in beside]
     around = np.stack(typical, axis=1).reshape(len(known), -1) if at else error
     freedom = np.where(sound, freedom, 1.0)
@@ -123,11 +124,6 @@ def measured_orders(order_map: xr.Dataset, orders: Sequence[int], *, lines: Sequ
         noise=_covariance(shape, np.where(sound, steady, 1.0)),
         noise_bins=n_bins,
     )
-
-
-def _over(value: NDArray[np.complex128], error: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """``value`` over its ``error``, NaN where that is 0: a channel that was left out at a speed has neither there."""
-    return np.divide(value, error, out=np.full_like(value, np.nan), where=error > 0.0)
 
 
 def _beside(bins: Real, centre: int, lines: Sequence[float]) -> list[int]:

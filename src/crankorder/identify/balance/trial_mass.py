@@ -77,7 +77,7 @@ def trial_mass(
     record = TrialBalance(
         source="trial mass",
         orders_used=(1,),
-        crank_radius_mm=_radius_mm(engine),
+        crank_radius_mm=None if engine is None or engine.largest_piston_kg == 0 else 1e3 * engine.crank_radius_m,
         radius_mm=next(iter(radii)) if len(radii) == 1 else None,
         influence=found.influence_per(total),
         evidence=evidence,
@@ -85,10 +85,6 @@ def trial_mass(
     if on_piston and engine is not None:
         return _of_piston(record, found, total.real, engine, _multiple(base_map, new_map, 2)), ""
     return _of_crank(record, found, total), ""
-
-
-def _radius_mm(engine: Engine | None) -> float | None:
-    return None if engine is None or engine.largest_piston_kg == 0 else 1e3 * engine.crank_radius_m
 
 
 def _unbalance(mass: AddedMass) -> complex:
