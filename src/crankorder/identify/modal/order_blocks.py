@@ -14,7 +14,7 @@ from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.modal.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modal.order_responses import Block
 from crankorder.identify.modal.passage import Passage, passage_of
-from crankorder.orders.intervals import WHOLE, one_phase_reference, phases_compare
+from crankorder.orders.between_recordings import WHOLE, one_phase_reference, phases_compare
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.settings import MethodNumbers
 
