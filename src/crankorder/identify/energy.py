@@ -331,7 +331,11 @@ def _energy_of_lines(
 
     there, floor, count = (together(values) for values in alone)
     told, members = together(np.where(seen, stated, 0.0)), together(seen.astype(np.float64))
-    more = _more_than_noise(there, floor, told, np.maximum(1.0, count), made.averages[rows])
+    # the sum of so many powers of noise, and of what it makes of a line, scatters by this share of them
+    held = np.maximum(1.0, count)
+    each, root = floor / held, np.sqrt(np.maximum(made.averages[rows], 1.0))[:, None]
+    scatter = (np.sqrt(held) * each + np.sqrt(2.0 * told * each)) / root
+    more = there - floor - told > NUMBERS.clear_sigmas * scatter
     both = np.clip(np.where(more, there - floor, told), 0.0, there)
     part = np.where(told > 0.0, stated / np.where(told > 0.0, told, 1.0), 1.0 / np.maximum(members, 1.0))
     unseen = np.where(members > 0.0, 0.0, alone[0] - alone[1]).sum(axis=0)
@@ -381,18 +385,6 @@ def _shares(channel: str, unit: str, parts: list[dict[str, float]]) -> EnergySha
 def _sums(place: NDArray[np.int64], values: Floats, shape: tuple[int, ...]) -> Floats:
     """Sums of the ``values`` (n,) at each ``place`` (n,) of an array of the ``shape``."""
     return np.asarray(np.bincount(place, values, int(np.prod(shape))).reshape(shape), dtype=np.float64)
-
-
-def _more_than_noise(
-    there: Floats, floor: Floats, stated: Floats, cells: Floats, averages: Floats
-) -> NDArray[np.bool_]:
-    """Whether a line's ``cells`` hold more than its ``stated`` energy and the ``floor``: (rows, lines).
-
-    The sum of so many powers of noise, and of what it makes of a line, scatters by this share of them.
-    """
-    each = floor / cells
-    scatter = (np.sqrt(cells) * each + np.sqrt(2.0 * stated * each)) / np.sqrt(np.maximum(averages, 1.0))[:, None]
-    return np.asarray(there - floor - stated > NUMBERS.clear_sigmas * scatter)
 
 
 class _MapNumbers(MethodNumbers, file="5-identify-explain.toml", table="energy_maps"):

@@ -17,7 +17,7 @@ from crankorder.identify.crossings import crossings
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import NOT_KNOWN, Causes, explained, with_neighbours_named, without_doubles
 from crankorder.identify.folds import fold_flags, shown_folds
-from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerdicts
+from crankorder.identify.found import AgreedOrder, ModalFit, SpeedVerdicts
 from crankorder.identify.known_lines import Held, LineSeen, held_of, without_known
 from crankorder.identify.levels import (
     graded,
@@ -60,7 +60,7 @@ from crankorder.identify.sources import Sources
 from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of, is_cylinder_pressure
-from crankorder.settings import IdentifySettings, Settings
+from crankorder.settings import Settings
 
 DOUBTS = ("speed_tie", "speed_doubtful")
 """Flags of recordings whose speed was read from the vibration and may be another."""
@@ -117,8 +117,11 @@ def find(
     causes = explain(in_map, modal, bearings, folds=folds, known=known, longest_rev=longest, of_encoder=of_encoder)
     modal = with_neighbours_named(modal, in_map, causes)
     tested = _tested_rpm(order_map, campbell)
-    found, speeds = _speeds(going_with_speed(orders, causes), modal, tested, unit, sources, asked, doubt)
-    meetings = crossing_records(found)
+    moving, stated = going_with_speed(orders, causes), [gear.order for gear in sources.gears]
+    found = crossings(moving, modal, speed_rpm=tested, settings=asked, stated=stated)
+    speeds = speeds_to_avoid(found, moving, modal, speed_rpm=tested, unit=unit, settings=asked)
+    meetings = crossing_records(as_avoided(found, speeds.avoid))
+    speeds = speeds if doubt is None else without_free(speeds)
     records = order_records(orders, causes, meetings, modal, unit=unit)
     flags += fold_flags(order_map, settings=settings, folds=folds)
     flags += slow_flags(order_map, in_map, frames, settings=settings)
@@ -178,22 +181,6 @@ def _with_sums(
         balance=balance,
         balance_reason=None if balance is not None else reason,
     )
-
-
-def _speeds(
-    orders: tuple[AgreedOrder, ...],
-    modal: ModalFit,
-    tested: tuple[float, float],
-    unit: dict[str, str],
-    sources: Sources,
-    asked: IdentifySettings,
-    doubt: str | None,
-) -> tuple[Sequence[Crossing], SpeedVerdicts]:
-    """Crossings of the orders and the stated gears with the modes, and what they make of the speeds, if these are."""
-    stated = [gear.order for gear in sources.gears]
-    found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=stated)
-    speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
-    return as_avoided(found, speeds.avoid), speeds if doubt is None else without_free(speeds)
 
 
 def _balance(

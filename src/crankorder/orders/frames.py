@@ -13,7 +13,6 @@ from crankorder.orders.method import (
     METHOD_SHARE,
     FrameLayout,
     OrderMethod,
-    TimeSamples,
     frame_layout,
     is_by_angle,
     swept_revs,
@@ -64,7 +63,12 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         density, achieved, limit = 1, 0.0, np.full(len(speed), 0.5 * per_rev)
     else:
         samples = time_samples(band, tolerance=METHOD_SHARE * settings.tolerance)
-        density, spectrum, achieved = _spectra_and_error(samples, shaft, layout, speed, n_orders, settings)
+        top = settings.max_order
+        for density in (1, DENSER):
+            spectrum = spectra(samples, shaft, layout, n_orders=n_orders, max_order=top, density=density)
+            achieved = achieved_error(samples, shaft, layout, spectrum, speed_rpm=speed, max_order=top, density=density)
+            if layout.method.kernel is None or not achieved > settings.tolerance:
+                break
         limit = layout.method.highest * samples.rate_hz * 60.0 / speed
     order = np.arange(spectrum.shape[2]) / layout.revs
     spectrum[:, order[None, :] > limit[:, None] * (1.0 + 1e-9)] = np.nan
@@ -90,24 +94,6 @@ def _no_orders(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> 
     known = {"largest_sweep": 0.0, "tolerance": settings.tolerance, "predicted_error": 0.0, "achieved_error": 0.0}
     frames.attrs = _attrs(band, shaft, layout, 1) | known
     return with_flags(frames, flags_of(shaft))
-
-
-def _spectra_and_error(
-    samples: TimeSamples,
-    shaft: xr.Dataset,
-    layout: FrameLayout,
-    speed_rpm: Floats,
-    n_orders: int,
-    settings: OrderSettings,
-) -> tuple[int, Complexes, float]:
-    """Density of the sampling, spectra and the error that these achieve, over the largest amplitude."""
-    top = settings.max_order
-    for density in (1, DENSER):
-        spectrum = spectra(samples, shaft, layout, n_orders=n_orders, max_order=top, density=density)
-        achieved = achieved_error(samples, shaft, layout, spectrum, speed_rpm=speed_rpm, max_order=top, density=density)
-        if layout.method.kernel is None or not achieved > settings.tolerance:
-            break
-    return density, spectrum, achieved
 
 
 def _mean_speed(shaft: xr.Dataset, layout: FrameLayout) -> Floats:
