@@ -267,7 +267,7 @@ def _mask_feet(psd: Array, averages: Array, moving: NDArray[np.bool_]) -> None:
 
 
 def group_width_rpm(campbell: xr.Dataset) -> float:
-    """Width [rpm] of a speed group of the map ``campbell`` of a run-up, whose groups touch; a stepped test's are narrow."""
+    """Width [rpm] of a speed group of ``campbell``, a run-up's, whose groups touch; those of steps are narrow: 0."""
     speed, width = np.sort(campbell["speed"].values), float(campbell.attrs["speed_bin_rpm"])
     return width if len(speed) > 2 and float(np.median(np.diff(speed))) < 1.5 * width else 0.0
 
