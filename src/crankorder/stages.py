@@ -81,9 +81,8 @@ from crankorder.quantities import (
 from crankorder.settings import Settings
 from crankorder.shaft.audit import reference_audit
 from crankorder.shaft.decode import flags_named, shaft_angle
-from crankorder.shaft.named_speed import named_speed_remarks
 from crankorder.shaft.standstill import silent_ends
-from crankorder.shaft.summary import shaft_summary
+from crankorder.shaft.summary import named_speed_remarks, shaft_summary
 
 RecordingFile = NewType("RecordingFile", Path)
 TestName = NewType("TestName", str)
@@ -298,7 +297,7 @@ def modes_of_sweeps(filtered: FilteredTracks, settings: Settings) -> SweepModes:
     """Modes that the signals of sweeps tell behind the orders of ``filtered`` (``settings`` of identify)."""
     if not any("waveform" in item for item in filtered):
         return SweepModes(SweepFits())
-    from crankorder.identify.modal.sweep_rows import fits_of_sweeps
+    from crankorder.identify.modal.sweep_modes import fits_of_sweeps
 
     return SweepModes(fits_of_sweeps(filtered, settings=settings.identify))
 
@@ -308,7 +307,7 @@ def tracks_of_test(filtered: FilteredTracks, modes: SweepModes) -> AllRecordingT
     """Tracks of all recordings: ``filtered``, and beside the ``modes`` of sweeps as their signals tell them."""
     if not modes.groups:
         return AllRecordingTracks(filtered)
-    from crankorder.identify.modal.sweep_rows import with_rows_of_fits
+    from crankorder.identify.modal.sweep_modes import with_rows_of_fits
 
     return AllRecordingTracks(with_rows_of_fits(filtered, modes))
 

@@ -10,7 +10,7 @@ import pytest
 from crankorder.engine.bearings import Bearing
 from crankorder.errors import RequestError
 from crankorder.identify.bearings.records import bearing_records
-from crankorder.identify.bearings.trend import kendall_p_value, run_amplitudes, trend
+from crankorder.identify.changes.run_trends import kendall_p_value, run_amplitudes, trend
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.settings import load_settings
 from made.strikes import strikes

@@ -9,8 +9,7 @@ import pytest
 import xarray as xr
 
 from crankorder.engine.bearings import Bearing, bearing_orders
-from crankorder.identify.bearings.records import bearing_records
-from crankorder.identify.bearings.verdicts import races_words
+from crankorder.identify.bearings.records import bearing_records, races_words
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.settings import load_settings
 from made.found_lines import agreed, line

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
+from crankorder.identify.above_trend import power_law
 from crankorder.identify.crossings import amplification, crossings
-from crankorder.identify.order_trend import power_law
 from crankorder.identify.records import crossing_records
 from crankorder.identify.responses import held_amplitudes, shapes
 from crankorder.settings import load_settings

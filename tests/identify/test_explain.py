@@ -15,9 +15,9 @@ from crankorder.identify.explain import Sources, explained
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import Tone
 from crankorder.identify.lines.order_lock import NO_PULSES
-from crankorder.identify.race_harmonics import harmonic_words, struck_races
 from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
-from crankorder.identify.stated_parts import StatedPart
+from crankorder.identify.sidebands import harmonic_words, struck_races
+from crankorder.identify.sources import StatedPart
 from crankorder.ingest.manifest import Gear
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.settings import load_settings

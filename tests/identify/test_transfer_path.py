@@ -7,8 +7,7 @@ from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.transfer_paths import PathMode, StatedPath
 from crankorder.identify.balance.closure import closure
-from crankorder.identify.balance.noise_beside import noise_shape, whitening
-from crankorder.identify.balance.transfer_path import accelerance_of, measured_orders
+from crankorder.identify.balance.transfer_path import accelerance_of, measured_orders, noise_shape, whitening
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, order_map_of
 from made.typed import as_dicts
 

@@ -14,10 +14,9 @@ from crankorder.identify.crossings import crossings
 from crankorder.identify.explain import Causes
 from crankorder.identify.findings import find
 from crankorder.identify.found import ModalFit, Mode, UnseenBound, Whirl
-from crankorder.identify.modal.doubts import without_remains
 from crankorder.identify.modal.floor import quiet_floor
 from crankorder.identify.modal.joint_fit import modal_fit
-from crankorder.identify.modal.whirl import whirls_of
+from crankorder.identify.modal.whirl import whirls_of, without_remains
 from crankorder.identify.records import mode_records
 from crankorder.identify.sources import Sources
 from crankorder.identify.speeds_to_avoid import speeds_to_avoid

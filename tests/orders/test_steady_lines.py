@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.orders.steady_lines import without_steady_lines
+from crankorder.orders.fixed_lines import without_steady_lines
 from crankorder.shaft.angle import speed_course
 from made.recordings import named, shaft
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from crankorder.batch.plan import CampaignPlan
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
-from crankorder.identify.sources import Limit, Sources
-from crankorder.identify.stated_parts import StatedPart
+from crankorder.identify.sources import Limit, Sources, StatedPart
 from crankorder.ingest.manifest import Manifest
 from crankorder.settings import Settings
 

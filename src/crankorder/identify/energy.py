@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
 from crankorder.findings import Energy, EnergyShares
-from crankorder.identify.energy_maps import NUMBERS as ENERGY_MAPS
-from crankorder.identify.energy_maps import EnergyLines, EnergyMap, band_end_hz, beyond, by_frequency, by_order
 from crankorder.identify.explain import Causes
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.lines.cfar import highest_of_three, noise_level
 from crankorder.identify.lines.line_evidence import NUMBERS as LINE_EVIDENCE
 from crankorder.identify.lines.line_evidence import log_chance_of_kurtosis
+from crankorder.identify.modal.floor import group_width_rpm
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -150,7 +149,7 @@ def _with_skirts(made: EnergyMap, lines: EnergyLines, surface: Floats) -> Energy
     """The ``lines`` with a reach up to where the side lobes of their window sink into the floor."""
     if not lines.centre.size:
         return lines
-    own = lines.reach.min() / ENERGY_MAPS.line_bins
+    own = lines.reach.min() / MAP_NUMBERS.line_bins
     at = np.clip(np.searchsorted(made.axis, lines.centre), 0, len(made.axis) - 1)
     floor = surface[:, np.arange(len(at))[:, None], at]
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -239,7 +238,7 @@ def _lines_alone(made: EnergyMap, owner: NDArray[np.int64], surface: Floats, set
     cells = np.arange(len(made.axis))
     for channel, row, at in zip(*np.nonzero(stands), strict=True):
         height = min(float(made.energy[channel, row, at] / surface[channel, row, at]), NUMBERS.most_height_ratio)
-        own = (np.abs(cells - at) <= max(ENERGY_MAPS.line_bins, _skirt_bins(height))) & (owner[row] < 0)
+        own = (np.abs(cells - at) <= max(MAP_NUMBERS.line_bins, _skirt_bins(height))) & (owner[row] < 0)
         over = made.energy[channel, row] - surface[channel, row]
         found[channel, row] = np.where(own, np.maximum(over, 0.0), found[channel, row])
     return found
@@ -325,14 +324,18 @@ def _energy_of_lines(
     place = (np.arange(len(rows))[:, None] * n_lines + owner)[owner >= 0]
     own = [energy[owner >= 0], expected[owner >= 0], np.ones(len(place))]
     alone = [_sums(place, values, seen.shape) for values in own]
-    group = _groups(lines.centre[rows], ENERGY_MAPS.line_bins * float(made.axis[1] - made.axis[0]))
+    group = _groups(lines.centre[rows], MAP_NUMBERS.line_bins * float(made.axis[1] - made.axis[0]))
 
     def together(values: Floats) -> Floats:
         return np.asarray(_sums(group.ravel(), values.ravel(), seen.shape).ravel()[group])
 
     there, floor, count = (together(values) for values in alone)
     told, members = together(np.where(seen, stated, 0.0)), together(seen.astype(np.float64))
-    more = _more_than_noise(there, floor, told, np.maximum(1.0, count), made.averages[rows])
+    # the sum of so many powers of noise, and of what it makes of a line, scatters by this share of them
+    held = np.maximum(1.0, count)
+    each, root = floor / held, np.sqrt(np.maximum(made.averages[rows], 1.0))[:, None]
+    scatter = (np.sqrt(held) * each + np.sqrt(2.0 * told * each)) / root
+    more = there - floor - told > NUMBERS.clear_sigmas * scatter
     both = np.clip(np.where(more, there - floor, told), 0.0, there)
     part = np.where(told > 0.0, stated / np.where(told > 0.0, told, 1.0), 1.0 / np.maximum(members, 1.0))
     unseen = np.where(members > 0.0, 0.0, alone[0] - alone[1]).sum(axis=0)
@@ -384,13 +387,151 @@ def _sums(place: NDArray[np.int64], values: Floats, shape: tuple[int, ...]) -> F
     return np.asarray(np.bincount(place, values, int(np.prod(shape))).reshape(shape), dtype=np.float64)
 
 
-def _more_than_noise(
-    there: Floats, floor: Floats, stated: Floats, cells: Floats, averages: Floats
-) -> NDArray[np.bool_]:
-    """Whether a line's ``cells`` hold more than its ``stated`` energy and the ``floor``: (rows, lines).
+class _MapNumbers(MethodNumbers, file="5-identify-explain.toml", table="energy_maps"):
+    line_bins: float
+    steady_bins: float
 
-    The sum of so many powers of noise, and of what it makes of a line, scatters by this share of them.
+
+MAP_NUMBERS = _MapNumbers.load()
+
+
+@dataclass(frozen=True)
+class EnergyLines:
+    """Lines as they lie in the map: ``centre`` and ``reach`` (rows, lines) on its axis.
+
+    ``stated`` (channels, rows, lines) is the energy measured, NaN where the line was not seen; ``known`` (channels,
+    lines) whether its cause is; ``is_tone`` (lines,) whether it stays at its frequency.
     """
-    each = floor / cells
-    scatter = (np.sqrt(cells) * each + np.sqrt(2.0 * stated * each)) / np.sqrt(np.maximum(averages, 1.0))[:, None]
-    return np.asarray(there - floor - stated > NUMBERS.clear_sigmas * scatter)
+
+    centre: Floats
+    reach: Floats
+    stated: Floats
+    known: NDArray[np.bool_]
+    is_tone: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class EnergyMap:
+    """Mean square (channels, rows, cells) in each cell of ``axis`` (cells,), from ``averages`` (rows,) frames.
+
+    ``share`` (rows, cells) is what of each cell counts: two maps of one band meet within a cell. ``kurtosis``
+    (channels, rows, cells) is the spectral kurtosis, None where it was not worked out.
+    """
+
+    axis: Floats
+    energy: Floats
+    averages: Floats
+    share: Floats
+    kurtosis: Floats | None = None
+
+
+def by_frequency(
+    campbell: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, causes: Causes
+) -> tuple[EnergyMap, EnergyLines]:
+    """The ``campbell`` map as energies, and where ``orders`` and tones of ``modal`` lie in it, by their ``causes``."""
+    resolution, enbw_hz = float(campbell.attrs["resolution_hz"]), float(campbell.attrs["enbw_hz"])
+    frequency, speed = campbell["frequency"].values, campbell["speed"].values
+    channels = campbell["channel"].values.tolist()
+    energy = campbell["psd"].values.astype(np.float64) * resolution
+    energy[..., frequency < MAP_NUMBERS.steady_bins * enbw_hz] = 0.0
+    own = MAP_NUMBERS.line_bins * max(resolution, enbw_hz / 1.5)
+    number = np.array([agreed.order for agreed in orders])
+    wander = 0.5 * (group_width_rpm(campbell) / 60.0 + float(campbell.attrs.get("sweep_hz_per_order", 0.0)))
+    tones = np.array([tone.frequency_hz for tone in modal.tones])
+    centre = np.concatenate([np.outer(speed / 60.0, number), np.broadcast_to(tones, (len(speed), len(tones)))], axis=1)
+    reach = np.broadcast_to(np.concatenate([own + wander * number, np.full(len(tones), own)]), centre.shape)
+    half = _square_of_peak(campbell)
+    stated = np.full((len(channels), len(speed), centre.shape[1]), np.nan)
+    near_rpm = max(0.5 * float(campbell.attrs["speed_bin_rpm"]), 1e-3)
+    for at, agreed in enumerate(orders):
+        for line in agreed.lines:
+            _put(stated[channels.index(line.channel), :, at], speed, line.speed_rpm, half * line.amplitude**2, near_rpm)
+    for at, tone in enumerate(modal.tones, start=len(orders)):
+        for name, (amplitude, _) in tone.amplitude.items():
+            stated[channels.index(name), :, at] = half * amplitude**2
+    known = np.concatenate(
+        [
+            _known_orders(channels, orders, causes),
+            np.broadcast_to(np.array([cause.known for cause in causes.tones], dtype=bool), (len(channels), len(tones))),
+        ],
+        axis=1,
+    )
+    counts = campbell["n_frames"].values.astype(np.float64)
+    is_tone = np.arange(centre.shape[1]) >= len(orders)
+    whole = np.ones(energy.shape[1:])
+    return EnergyMap(frequency, energy, counts, whole), EnergyLines(centre, reach, stated, known, is_tone)
+
+
+def by_order(order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], causes: Causes) -> tuple[EnergyMap, EnergyLines]:
+    """The ``order_map`` as energies, and where the ``orders`` lie in it, by their ``causes``."""
+    axis, channels = order_map["order"].values, order_map["channel"].values.tolist()
+    half, enbw = _square_of_peak(order_map), float(order_map.attrs.get("enbw_bins", 1.5))
+    energy = half * order_map["amplitude"].values.astype(np.float64) ** 2 / enbw
+    energy[..., axis < MAP_NUMBERS.steady_bins * enbw * (axis[1] - axis[0])] = 0.0
+    shape = (order_map.sizes["speed"], len(orders))
+    centre = np.broadcast_to(np.array([agreed.order for agreed in orders]), shape)
+    reach = np.full(shape, MAP_NUMBERS.line_bins * max(1.0, enbw / 1.5) * float(axis[1] - axis[0]))
+    stated = np.full((len(channels), *shape), np.nan)
+    for at, agreed in enumerate(orders):
+        for line in agreed.lines:
+            stated[channels.index(line.channel), line.seen, at] = half * line.amplitude**2
+    counts = order_map["n_independent"].values.astype(np.float64)
+    lines = EnergyLines(
+        centre, reach, stated, _known_orders(channels, orders, causes), np.zeros(len(orders), dtype=bool)
+    )
+    known = order_map["spectral_kurtosis"].values if "spectral_kurtosis" in order_map else None
+    return EnergyMap(axis, energy, counts, np.ones(energy.shape[1:]), known), lines
+
+
+def beyond(
+    campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], causes: Causes
+) -> tuple[EnergyMap, EnergyLines] | None:
+    """What the ``order_map`` holds above the end of the ``campbell`` map, of ``orders`` with their ``causes``.
+
+    None where it ends below at every speed.
+    """
+    if order_map.sizes.get("order", 0) < 2 or not order_map.sizes["speed"]:
+        return None
+    made, lines = by_order(order_map, orders, causes)
+    ends_hz = float(campbell["frequency"].values[-1]) + 0.5 * float(campbell.attrs["resolution_hz"])
+    per_order = np.nan_to_num(order_map["speed"].values)[:, None] / 60.0
+    half = 0.5 * float(made.axis[1] - made.axis[0])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.nan_to_num(np.clip((made.axis + half - ends_hz / per_order) / (2.0 * half), 0.0, 1.0))
+    return (replace(made, share=share), lines) if share.any() else None
+
+
+def band_end_hz(campbell: xr.Dataset, order_map: xr.Dataset) -> float | None:
+    """Highest frequency that ``campbell`` and ``order_map`` hold at any speed; None where it is not known.
+
+    An order beyond half the sampling rate has no amplitude there.
+    """
+    ends = [float(campbell["frequency"].values[-1])] if campbell.sizes["speed"] else []
+    if ends and order_map.sizes.get("order", 0) > 1:
+        seen = np.isfinite(order_map["amplitude"].values).any(axis=0)
+        hertz = order_map["order"].values * order_map["speed"].values[:, None] / 60.0
+        ends.append(float(np.max(hertz, where=seen & np.isfinite(hertz), initial=0.0)))
+    return max(ends, default=None)
+
+
+def _square_of_peak(made: xr.Dataset) -> float:
+    """Mean square of a line over its squared amplitude."""
+    return 1.0 if made.attrs.get("amplitude_scaling") == "rms" else 0.5
+
+
+def _put(into: Floats, speed: Floats, of_line: Floats, energy: Floats, near_rpm: float) -> None:
+    """Put the ``energy`` of a line at its speeds ``of_line`` into the rows of ``speed`` nearest to them."""
+    for rpm, value in zip(of_line, energy, strict=True):
+        row = int(np.argmin(np.abs(speed - rpm)))
+        if abs(speed[row] - rpm) <= near_rpm:
+            into[row] = value if np.isnan(into[row]) else max(value, into[row])
+
+
+def _known_orders(channels: list[str], orders: tuple[AgreedOrder, ...], causes: Causes) -> NDArray[np.bool_]:
+    """Whether the cause of each order is known (channels, orders); where it is no line of a channel, by the others."""
+    known = np.zeros((len(channels), len(orders)), dtype=bool)
+    for at, agreed in enumerate(orders):
+        known[:, at] = all(causes.orders[line.channel, agreed.order].known for line in agreed.lines)
+        for line in agreed.lines:
+            known[channels.index(line.channel), at] = causes.orders[line.channel, agreed.order].known
+    return known

@@ -10,21 +10,27 @@ import numpy as np
 
 from crankorder.findings import BearingFinding
 from crankorder.identify.cycle_forces import CycleForce, cycle_forces, gas_half_orders
-from crankorder.identify.encoder_sidebands import OR_OWN
-from crankorder.identify.explain_families import BY_ITSELF, Words, explain_families
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.known_lines import LineSeen, named_by, words_of
 from crankorder.identify.lines.growth import largest
 from crankorder.identify.mains import OR_ANOTHER, mains_orders, multiple_on, multiples_near, supply_told
+from crankorder.identify.modal.tones import NEAR_BINS
 from crankorder.identify.order_one import is_motion, order_one
-from crankorder.identify.race_harmonics import StruckRace, harmonic_words, struck_races
-from crankorder.identify.said import LIKE_UNBALANCE, mains_words
+from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, mains_words
 from crankorder.identify.said import NUMBERS as SAID
-from crankorder.identify.sidebands import sidebands
-from crankorder.identify.sources import Sources
-from crankorder.identify.stated_parts import PartsAt, StatedPart, parts_at
+from crankorder.identify.sidebands import (
+    BY_ITSELF,
+    OR_OWN,
+    StruckRace,
+    Words,
+    explain_families,
+    harmonic_words,
+    sidebands,
+    struck_races,
+)
+from crankorder.identify.sources import PartsAt, Sources, StatedPart, parts_at
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -104,7 +110,7 @@ def explained(
     settings : mains frequencies and how far they wander
     folds : what was found to fold (:func:`crankorder.identify.folds.shown_folds`)
     known : lines of the motor and of the mains that the frames hold where they were expected
-    of_encoder : lines that the encoder may make (:func:`crankorder.identify.encoder_sidebands.encoder_sidebands`)
+    of_encoder : lines that the encoder may make (:func:`crankorder.identify.sidebands.encoder_sidebands`)
     longest_rev : revolutions of the longest recording at one speed: two lines that beat less often in it look like one
     """
     causes: dict[tuple[str, float], Cause] = {}
@@ -355,7 +361,7 @@ def _race_harmonic(agreed: AgreedOrder, of_cycle: float | None, races: list[Stru
     return Cause(text, RACE_EVIDENCE) if text else None
 
 
-def _one_speed(orders: tuple[AgreedOrder, ...]) -> float | None:
+def _one_speed(orders: Sequence[AgreedOrder]) -> float | None:
     """Speed in rpm of a test at one speed, where a tone may as well be a line that goes with it; else None."""
     speed = np.array([rpm for agreed in orders for line in agreed.lines for rpm in line.speed_rpm])
     alike = len(speed) > 0 and bool(np.isfinite(speed).all()) and speed.max() <= SAID.alike_speeds_ratio * speed.min()
@@ -508,3 +514,70 @@ def _on_one_grid(places_hz: list[float], errors_hz: list[float]) -> list[bool]:
         on = np.abs(places - step * np.round(places / step)) <= reach
         best = on if np.count_nonzero(on) > np.count_nonzero(best) else best
     return best.tolist() if np.count_nonzero(best) >= max(NUMBERS.grid_tones, 0.5 * len(places)) else nothing
+
+
+class _NeighbourNumbers(MethodNumbers, file="5-identify-explain.toml", table="one_cause"):
+    too_near_hz: float
+    near_share: float
+    most_named: int
+
+
+NEIGHBOUR_NUMBERS = _NeighbourNumbers.load()
+
+_CALLED = {"tone": "a fixed tone", "order": "an order or a tone"}
+_AT_ONE_SPEED = {"tone": "a line without width", "order": "an order or a tone"}
+
+
+def without_doubles(modal: ModalFit) -> ModalFit:
+    """``modal`` without tones that may be orders and stand on the flank of a stronger tone.
+
+    Lines closer than the main lobe of the window are one in the map; such a one is what the fit of the stronger left.
+    """
+    if len(modal.frequency_hz) < 2:
+        return modal
+    reach = NEAR_BINS * float(modal.frequency_hz[1] - modal.frequency_hz[0])
+    sizes = [max(size for size, _ in tone.amplitude.values()) for tone in modal.tones]
+    kept = tuple(
+        tone
+        for tone, size in zip(modal.tones, sizes, strict=True)
+        if tone.kind != "order"
+        or not any(
+            abs(tone.frequency_hz - other.frequency_hz) < reach and size < more
+            for other, more in zip(modal.tones, sizes, strict=True)
+        )
+    )
+    return replace(modal, tones=kept)
+
+
+def with_neighbours_named(modal: ModalFit, orders: Sequence[AgreedOrder], causes: Causes) -> ModalFit:
+    """``modal`` in which a natural frequency that is not decided names the known lines that stand where it would.
+
+    Tones, and of a test at one speed the ``orders``, as ``causes`` explain them.
+    """
+    rpm = _one_speed(orders)
+    called = _AT_ONE_SPEED if rpm is not None else _CALLED
+    lines = [
+        (tone.frequency_hz, called.get(cause.text, cause.text))
+        for tone, cause in zip(modal.tones, causes.tones, strict=True)
+    ]
+    if rpm is not None:
+        found = [(one.order * rpm / 60.0, causes.orders[one.lines[0].channel, one.order].text) for one in orders]
+        lines += [(hertz, text) for hertz, text in found if text not in NOT_KNOWN]
+    modes = tuple(_beside(mode, lines) if mode.undecided else mode for mode in modal.modes)
+    return replace(modal, modes=modes)
+
+
+def _beside(mode: Mode, lines: Sequence[tuple[float, str]]) -> Mode:
+    low, high = mode.frequency_ends
+    reach = max(
+        NEIGHBOUR_NUMBERS.too_near_hz, min(0.5 * (high - low), NEIGHBOUR_NUMBERS.near_share * mode.frequency_hz)
+    )
+    near = sorted(
+        (abs(hertz - mode.frequency_hz), hertz, text)
+        for hertz, text in lines
+        if abs(hertz - mode.frequency_hz) <= reach
+    )
+    if not near:
+        return mode
+    said = " and ".join(f"{text} at {hertz:.5g} Hz" for _, hertz, text in near[: NEIGHBOUR_NUMBERS.most_named])
+    return replace(mode, undecided=f"{mode.undecided}; {said} {MAY_BE_ALL}")

@@ -9,16 +9,15 @@ from functools import partial
 import numpy as np
 import xarray as xr
 
-from crankorder.findings import SCHEMA_VERSION, Balance, BearingFinding, Channel, Energy, Findings, Level, quality_of
-from crankorder.identify.alike_speeds import with_lines_of_recordings
+from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Energy, Findings, Level, quality_of
+from crankorder.identify.alike_speeds import with_lines_of_recordings, with_tones_parted, without_absent_mains
 from crankorder.identify.balance.closure import closure
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.crossings import crossings
-from crankorder.identify.encoder_sidebands import encoder_sidebands
 from crankorder.identify.energy import energy_shares
-from crankorder.identify.explain import NOT_KNOWN, Causes, explained
+from crankorder.identify.explain import NOT_KNOWN, Causes, explained, with_neighbours_named, without_doubles
 from crankorder.identify.folds import fold_flags, shown_folds
-from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, SpeedVerdicts
+from crankorder.identify.found import AgreedOrder, ModalFit, SpeedVerdicts
 from crankorder.identify.known_lines import Held, LineSeen, held_of, without_known
 from crankorder.identify.levels import (
     graded,
@@ -38,16 +37,13 @@ from crankorder.identify.lines.followed_orders import (
 from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.order_lock import speed_source
-from crankorder.identify.mains import mains_seen, with_mains_tones, without_ringing
+from crankorder.identify.mains import MotorSeen, mains_seen, motor_seen, with_mains_tones, without_ringing
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
+from crankorder.identify.modal.sweep_modes import with_rows_of_fits
 from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
-from crankorder.identify.modal.sweep_rows import with_rows_of_fits
 from crankorder.identify.modal.tones import with_one_mains
-from crankorder.identify.motors import MotorSeen, motor_seen
-from crankorder.identify.one_cause import with_neighbours_named, without_doubles
 from crankorder.identify.order_one import if_unbalance
-from crankorder.identify.parted_tones import with_tones_parted, without_absent_mains
 from crankorder.identify.records import (
     avoided_records,
     crossing_records,
@@ -59,11 +55,12 @@ from crankorder.identify.records import (
 )
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.said import is_electric
+from crankorder.identify.sidebands import encoder_sidebands
 from crankorder.identify.sources import Sources
 from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of, is_cylinder_pressure
-from crankorder.settings import IdentifySettings, Settings
+from crankorder.settings import Settings
 
 DOUBTS = ("speed_tie", "speed_doubtful")
 """Flags of recordings whose speed was read from the vibration and may be another."""
@@ -95,7 +92,8 @@ def find(
     """
     asked = settings.identify
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
-    flags = _flags(order_map, campbell)
+    flags = [*flags_of(order_map)]
+    flags += [flag for flag in flags_of(campbell) if flag not in flags]
     doubt = speed_doubt(flags)
     held = held_of(frames, order_map)
     by_shaft = doubt is None and speed_source([order_map]) != "stated"
@@ -106,19 +104,29 @@ def find(
     known = (motor.lines if motor else ()) or mains_seen(held, settings=asked)
     sweeps, electric = (followed, swept), (held, known)
     in_map, modal, known = _orders_and_modes(order_map, campbell, frames, sweeps, electric, settings, doubt)
-    orders = with_track_rows(in_map, _reader(order_map, frames, followed, modal, swept), settings=settings.orders)
-    bearings = _bearings(orders, envelope, sources, asked)
+    rows_of_sweeps = with_rows_of_fits(without_swings(followed, modal.swings), swept)
+    reader = TrackReader(order_map, frames=frames, followed=rows_of_sweeps, fixed=fixed_lines(modal.tones))
+    orders = with_track_rows(in_map, reader, settings=settings.orders)
+    turns = sources.revs_per_cycle
+    bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
     folds = shown_folds(order_map, settings=settings)
-    explain = _explainer(order_map, frames, in_map, held, sources, settings)
-    causes = explain(in_map, modal, bearings, folds=folds, known=known)
+    in_cylinder = [name for name in unit if is_cylinder_pressure(quantity[name], unit[name])]
+    explain = partial(explained, sources=sources, quantity=quantity, in_cylinder=in_cylinder, settings=asked)
+    longest = max((one.span_rev for one in held), default=np.inf)
+    of_encoder = encoder_sidebands(in_map, order_map, frames)
+    causes = explain(in_map, modal, bearings, folds=folds, known=known, longest_rev=longest, of_encoder=of_encoder)
     modal = with_neighbours_named(modal, in_map, causes)
     tested = _tested_rpm(order_map, campbell)
-    found, speeds = _speeds(going_with_speed(orders, causes), modal, tested, unit, sources, asked, doubt)
-    meetings = crossing_records(found)
+    moving, stated = going_with_speed(orders, causes), [gear.order for gear in sources.gears]
+    found = crossings(moving, modal, speed_rpm=tested, settings=asked, stated=stated)
+    speeds = speeds_to_avoid(found, moving, modal, speed_rpm=tested, unit=unit, settings=asked)
+    meetings = crossing_records(as_avoided(found, speeds.avoid))
+    speeds = speeds if doubt is None else without_free(speeds)
     records = order_records(orders, causes, meetings, modal, unit=unit)
     flags += fold_flags(order_map, settings=settings, folds=folds)
     flags += slow_flags(order_map, in_map, frames, settings=settings)
     shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
+    has_spectra = envelope is not None and envelope.sizes["order"] > 1 and envelope.sizes["speed"] > 0
     told = Findings(
         schema_version=SCHEMA_VERSION,
         test=test,
@@ -132,42 +140,12 @@ def find(
         lines=line_records(records, modal, causes, channels=list(unit)),
         unexplained_energy_fraction=shares[1],
         balance=None,
-        looked_for=("orders", "modes", "bearings", *(("envelope",) if _has_spectra(envelope) else ())),
+        looked_for=("orders", "modes", "bearings", *(("envelope",) if has_spectra else ())),
         false_alarm_probability=asked.false_alarm_probability,
         quality=quality_of(flags),
     )
     closed = _balance(order_map, orders, modal, sources, causes)
     return _with_levels(_with_sums(told, speeds, motor, shares[0], level_records(levels), closed), vibration, sources)
-
-
-def _reader(
-    order_map: xr.Dataset,
-    frames: Sequence[xr.Dataset],
-    followed: Sequence[xr.Dataset],
-    modal: ModalFit,
-    swept: SweepFits,
-) -> TrackReader:
-    """Rows of any order, from the map and as ``followed``, apart from the lines of one frequency of ``modal``."""
-    rows_of_sweeps = _rows_of_sweeps(followed, modal, swept)
-    return TrackReader(order_map, frames=frames, followed=rows_of_sweeps, fixed=fixed_lines(modal.tones))
-
-
-def _explainer(
-    order_map: xr.Dataset,
-    frames: Sequence[xr.Dataset],
-    in_map: tuple[AgreedOrder, ...],
-    held: Sequence[Held],
-    sources: Sources,
-    settings: Settings,
-) -> partial[Causes]:
-    """:func:`explained`, told what the channels of ``order_map`` measure, ``sources`` and ``settings``.
-
-    And what the encoder may make of the orders ``in_map``, and how long the recordings ``held`` at one speed are.
-    """
-    quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
-    in_cylinder = [name for name in unit if is_cylinder_pressure(quantity[name], unit[name])]
-    made = partial(explained, sources=sources, quantity=quantity, in_cylinder=in_cylinder, settings=settings.identify)
-    return partial(made, longest_rev=_longest(held), of_encoder=encoder_sidebands(in_map, order_map, frames))
 
 
 def _with_levels(told: Findings, vibration: xr.Dataset | None, sources: Sources) -> Findings:
@@ -205,39 +183,6 @@ def _with_sums(
     )
 
 
-def _speeds(
-    orders: tuple[AgreedOrder, ...],
-    modal: ModalFit,
-    tested: tuple[float, float],
-    unit: dict[str, str],
-    sources: Sources,
-    asked: IdentifySettings,
-    doubt: str | None,
-) -> tuple[Sequence[Crossing], SpeedVerdicts]:
-    """Crossings of the orders and the stated gears with the modes, and what they make of the speeds, if these are."""
-    stated = [gear.order for gear in sources.gears]
-    found = crossings(orders, modal, speed_rpm=tested, settings=asked, stated=stated)
-    speeds = speeds_to_avoid(found, orders, modal, speed_rpm=tested, unit=unit, settings=asked)
-    return as_avoided(found, speeds.avoid), speeds if doubt is None else without_free(speeds)
-
-
-def _rows_of_sweeps(followed: Sequence[xr.Dataset], modal: ModalFit, swept: SweepFits) -> Sequence[xr.Dataset]:
-    """``followed`` without what modes ring into the filters; near modes as the signals tell them."""
-    return with_rows_of_fits(without_swings(followed, modal.swings), swept)
-
-
-def _longest(held: Sequence[Held]) -> float:
-    """Revolutions of the longest of the recordings ``held``; infinite where none is."""
-    return max((one.span_rev for one in held), default=np.inf)
-
-
-def _bearings(
-    orders: tuple[AgreedOrder, ...], envelope: xr.Dataset | None, sources: Sources, asked: IdentifySettings
-) -> tuple[BearingFinding, ...]:
-    turns = sources.revs_per_cycle
-    return bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
-
-
 def _balance(
     order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, sources: Sources, causes: Causes
 ) -> tuple[Balance | None, str]:
@@ -266,7 +211,9 @@ def _orders_and_modes(
     With a ``doubt`` about the speed no order is locked or slips.
     """
     (held, seen), (followed, swept) = electric, sweeps
-    in_map = _orders_in_map(order_map, frames, settings, followed)
+    lines = order_lines(order_map, settings=settings.identify, orders=settings.orders, frames=frames)
+    agreed = orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify, followed=followed)
+    in_map = with_followed(numbered_as_followed(agreed, followed), followed, order_map)
     fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed, swept=swept)
     known = without_ringing(seen, fitted.modes)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
@@ -276,15 +223,6 @@ def _orders_and_modes(
     modal = without_absent_mains(with_mains_tones(modal, known, in_map), held, settings=settings.identify)
     modal = without_doubles(replace(modal, tones=with_one_mains(list(modal.tones), settings=settings.identify)))
     return in_map if doubt is None else undecided_orders(in_map), modal, known
-
-
-def _orders_in_map(
-    order_map: xr.Dataset, frames: Sequence[xr.Dataset], settings: Settings, followed: Sequence[xr.Dataset]
-) -> tuple[AgreedOrder, ...]:
-    """Orders that stand out in the OrderMap, with what it holds of them."""
-    lines = order_lines(order_map, settings=settings.identify, orders=settings.orders, frames=frames)
-    agreed = orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify, followed=followed)
-    return with_followed(numbered_as_followed(agreed, followed), followed, order_map)
 
 
 def _with_above(energy: Energy, levels: Sequence[Level]) -> Energy:
@@ -298,24 +236,11 @@ def _by_channel(order_map: xr.Dataset, name: str) -> dict[str, str]:
     return dict(zip(order_map["channel"].values.tolist(), order_map[name].values.tolist(), strict=True))
 
 
-def _has_spectra(envelope: xr.Dataset | None) -> bool:
-    """Whether strikes in the envelope could be looked for."""
-    return envelope is not None and envelope.sizes["order"] > 1 and envelope.sizes["speed"] > 0
-
-
 def _tested_rpm(order_map: xr.Dataset, campbell: xr.Dataset) -> tuple[float, float]:
     """Slowest and fastest speed of the test; NaN where none is known."""
     speed = np.concatenate([order_map["speed"].values, campbell["speed"].values])
     known = speed[np.isfinite(speed)]
     return (float(known.min()), float(known.max())) if known.size else (np.nan, np.nan)
-
-
-def _flags(order_map: xr.Dataset, campbell: xr.Dataset) -> list[QualityFlag]:
-    """Flags of both maps, each once, in the order in which they were raised."""
-    seen: list[QualityFlag] = []
-    for dataset in (order_map, campbell):
-        seen += [flag for flag in flags_of(dataset) if flag not in seen]
-    return seen
 
 
 def going_with_speed(orders: Sequence[AgreedOrder], causes: Causes) -> tuple[AgreedOrder, ...]:
@@ -334,11 +259,8 @@ def _stays(agreed: AgreedOrder, causes: Causes) -> bool:
         return True
     speeds = np.concatenate([line.speed_rpm for line in agreed.lines])
     at_one = bool(len(speeds)) and bool(speeds.max() <= SAID.alike_speeds_ratio * speeds.min())
-    return at_one and agreed.lock != "locked" and all(_says_nothing(text) for text in texts)
-
-
-def _says_nothing(text: str) -> bool:
-    return text in NOT_KNOWN or text.startswith("sideband of") or "mains" in text
+    says_nothing = all(text in NOT_KNOWN or text.startswith("sideband of") or "mains" in text for text in texts)
+    return at_one and agreed.lock != "locked" and says_nothing
 
 
 def speed_doubt(flags: Iterable[QualityFlag]) -> str | None:

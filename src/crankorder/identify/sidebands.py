@@ -1,13 +1,23 @@
-"""Lines that belong to other lines: sidebands of a carrier, meshes of teeth, harmonics of a shaft of its own speed."""
+"""Lines that belong to others: sidebands, meshes, harmonics of races and of shafts of their own, encoder errors."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.findings import BearingFinding
+from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.intervals import Z95
+from crankorder.identify.lines.order_lock import NO_PULSES
+from crankorder.identify.said import IF_WRONG
+from crankorder.identify.sources import Sources
+from crankorder.orders.swing_evidence import HARMONICS
+from crankorder.orders.true_angle import TAKEN, given_to
 from crankorder.settings import MethodNumbers
 
 
@@ -168,3 +178,352 @@ def other_shafts(places: Sequence[float], errors: Sequence[float]) -> dict[int, 
         if 2 in family.values() and chance * len(places) < NUMBERS.family_chance:
             found |= {line: (first, multiple) for line, multiple in family.items()}
     return found
+
+
+class _EncoderNumbers(MethodNumbers, file="5-identify-explain.toml", table="encoder_sidebands"):
+    alike_share: float
+    scatter_sigmas: float
+
+
+ENCODER_NUMBERS = _EncoderNumbers.load()
+
+OF_ENCODER = "encoder eccentricity: sideband of order"
+"""Begin of the words for what is left of sidebands whose cause is proved."""
+
+OR_OWN = "encoder eccentricity or a line of its own"
+"""Words for a line that an eccentricity would make which the data do not exclude, nor prove."""
+
+Words = dict[tuple[str, float], tuple[str, str]]
+"""Cause and evidence by channel and order."""
+
+
+def encoder_sidebands(orders: Sequence[AgreedOrder], order_map: xr.Dataset, frames: Sequence[xr.Dataset]) -> Words:
+    """Cause and evidence of the lines of ``orders`` that are no larger than what the swing of the angle may give them.
+
+    ``order_map`` (OrderMap) says what their neighbours have, ``frames`` (OrderFrames) what of the swing was taken out
+    and what may be left. A line counts where that is so at every speed at which it is seen.
+    """
+    amplitude = np.nan_to_num(order_map["amplitude"].values)
+    given = given_to(amplitude, frames)
+    axis, names = order_map["order"].values, order_map["channel"].values.tolist()
+    proved = any(float(np.max(item.attrs.get(TAKEN, [0.0]))) > 0.0 for item in frames)
+    words: Words = {}
+    for agreed in orders:
+        at = int(np.argmin(np.abs(axis - agreed.order)))
+        for line in agreed.lines:
+            channel = names.index(line.channel)
+            if not _within(line, given[channel, :, at]):
+                continue
+            carrier = _carrier(line, amplitude[channel], axis, agreed.order)
+            if proved:
+                evidence = "as large as what is left of the encoder's error gives it; taken out as far as it is known"
+                words[line.channel, agreed.order] = (f"{OF_ENCODER} {carrier:g}", evidence)
+            else:
+                evidence = (
+                    f"beside order {carrier:g}, which an eccentricity that the data do not exclude would put there"
+                )
+                words[line.channel, agreed.order] = (OR_OWN, evidence)
+    return words
+
+
+def _within(line: OrderLine, given: NDArray[np.float64]) -> bool:
+    """Whether ``line`` is no larger than what is ``given`` (speeds of the map,) to it: overall, and at any speed.
+
+    At one speed its own scatter may lift it.
+    """
+    rows = line.seen[line.seen < len(given)]
+    if not len(rows) == len(line.amplitude) > 0:
+        return False
+    scatter = np.nan_to_num(line.amplitude_error) * ENCODER_NUMBERS.scatter_sigmas
+    overall = float(np.mean(line.amplitude**2)) <= (1.0 + ENCODER_NUMBERS.alike_share) ** 2 * float(
+        np.mean(given[rows] ** 2)
+    )
+    return overall and bool((line.amplitude <= (1.0 + ENCODER_NUMBERS.alike_share) * given[rows] + scatter).all())
+
+
+def _carrier(line: OrderLine, amplitude: NDArray[np.float64], axis: NDArray[np.float64], order: float) -> float:
+    """Order of ``axis``, one or two turns from ``order``, that gives most; ``amplitude`` is (speeds, orders)."""
+    row = amplitude[int(line.seen[line.strongest])]
+    turned = row * axis
+    beside = [int(np.argmin(np.abs(axis - (order + sign * k)))) for k in HARMONICS for sign in (-1.0, 1.0)]
+    return float(axis[max(beside, key=lambda place: float(turned[place]))])
+
+
+class _FamilyNumbers(MethodNumbers, file="5-identify-explain.toml", table="explain_families"):
+    first_reach_orders: float
+    near_mode_share: float
+    most_sidebands: int
+
+
+FAMILY_NUMBERS = _FamilyNumbers.load()
+
+Key = tuple[str, float]
+
+MESH = "gear mesh or blade passing: integer order with sidebands"
+
+BY_ITSELF = ("unexplained", "shaft harmonic")
+"""Words for lines that a mesh beside them explains better."""
+
+
+def explain_families(
+    orders: tuple[AgreedOrder, ...],
+    texts: dict[Key, str],
+    of_cycle: dict[float, float | None],
+    *,
+    spacings: dict[str, float],
+    modes_hz: Sequence[float],
+) -> Words:
+    """Causes of the lines that other lines explain, by channel and order; lines that none explains are not in it.
+
+    Parameters
+    ----------
+    orders : the orders of the test
+    texts : what explains each line by itself, "unexplained" and "shaft harmonic" among them
+    of_cycle : by order, the multiple of the order of the cycle that it is or may be, or None
+    spacings : names and orders of what turns and may modulate a line
+    modes_hz : natural frequencies; a harmonic that one of them lifts at every speed is no mesh
+    """
+    words: Words = {}
+    for channel in sorted({line.channel for agreed in orders for line in agreed.lines}):
+        lines = [(agreed, line) for agreed in orders for line in agreed.lines if line.channel == channel]
+        words |= _meshes(channel, lines, texts, of_cycle, modes_hz)
+        words |= _sidebands(channel, lines, texts, of_cycle, spacings)
+    return words | _shafts(orders, texts, words, of_cycle)
+
+
+def _meshes(
+    channel: str,
+    lines: list[tuple[AgreedOrder, OrderLine]],
+    texts: dict[Key, str],
+    of_cycle: dict[float, float | None],
+    modes_hz: Sequence[float],
+) -> Words:
+    """Whole orders of one channel that are a mesh by their sidebands, and these; stated meshes have sidebands too."""
+    whole: dict[int, tuple[float, OrderLine]] = {}
+    for agreed, line in lines:
+        multiple = of_cycle[agreed.order]
+        if (
+            multiple is not None
+            and multiple == round(multiple)
+            and not texts[channel, agreed.order].startswith("encoder")
+        ):
+            whole[round(multiple)] = (agreed.order, line)
+    words: Words = {}
+    known = {number for number, (order, _) in whole.items() if texts[channel, order].startswith("gear mesh")}
+    for mesh in sorted({*meshes({number: float(line.amplitude.max()) for number, (_, line) in whole.items()}), *known}):
+        order, line = whole[mesh]
+        stated = mesh in known
+        if not stated and (texts[channel, order] not in BY_ITSELF or _lifted(line, mesh, modes_hz)):
+            continue
+        sides = list(_sides(mesh, whole, line))
+        if not stated:
+            about = ", ".join(str(number) for number in sorted(sides))
+            words[channel, order] = (MESH, f"order {mesh} stands over its sidebands at orders {about}")
+        for number in sides:
+            if texts[channel, whole[number][0]] in BY_ITSELF:
+                evidence = f"{abs(number - mesh)} shaft orders from order {mesh}, which stands over it; also whole"
+                words[channel, whole[number][0]] = (f"sideband of order {mesh} spaced by 1", evidence)
+    return words
+
+
+def _sides(mesh: int, whole: dict[int, tuple[float, OrderLine]], carrier: OrderLine) -> list[int]:
+    """Whole orders beside ``mesh``, outwards as long as none is missing or stands over half of its ``carrier``."""
+    found = []
+    for step in (-1, 1):
+        for distance in range(1, FAMILY_NUMBERS.most_sidebands + 1):
+            item = whole.get(mesh + step * distance)
+            if item is None or NUMBERS.mesh_ratio * item[1].amplitude.max() > carrier.amplitude.max():
+                break
+            found.append(mesh + step * distance)
+    return found
+
+
+def _lifted(line: OrderLine, order: int, modes_hz: Sequence[float]) -> bool:
+    """Whether a natural frequency may lift ``line`` at half or more of the speeds at which it is seen."""
+    if not len(modes_hz) or not np.isfinite(line.speed_rpm).all():
+        return False
+    frequency = order * line.speed_rpm / 60.0
+    near = np.abs(frequency[:, None] / np.asarray(modes_hz) - 1.0) < FAMILY_NUMBERS.near_mode_share
+    return bool(np.mean(near.any(axis=1)) >= 0.5)
+
+
+def _sidebands(
+    channel: str,
+    lines: list[tuple[AgreedOrder, OrderLine]],
+    texts: dict[Key, str],
+    of_cycle: dict[float, float | None],
+    spacings: dict[str, float],
+) -> Words:
+    """Unexplained lines of one channel, off the multiples of the cycle, that stand in pairs about a stronger line."""
+    free = [texts[channel, a.order] == "unexplained" and of_cycle[a.order] is None for a, _ in lines]
+    places = [agreed.order for agreed, _ in lines]
+    found = sidebands(
+        places,
+        [min(agreed.order_error, line.order_error) for agreed, line in lines],  # a speed's error shifts all alike
+        [float(line.amplitude.max()) for _, line in lines],
+        spacings=spacings,
+        highest=max(places, default=1.0),
+        sides=free,
+    )
+    words: Words = {}
+    for band in found:
+        named = f" ({band.spacing_name})" if band.spacing_name else ""
+        words[channel, places[band.at]] = (
+            f"sideband of order {places[band.carrier]:.4g} spaced by {band.spacing:.4g}",
+            f"one of a pair about a stronger line{named}; {band.chance:.1g} such pairs by chance",
+        )
+    return words
+
+
+def _shafts(
+    orders: tuple[AgreedOrder, ...], texts: dict[Key, str], words: Words, of_cycle: dict[float, float | None]
+) -> Words:
+    """Lines not locked to the shaft, in whole ratios to one another: those of another shaft."""
+
+    def open_lines(agreed: AgreedOrder) -> list[Key]:
+        keys = [(line.channel, agreed.order) for line in agreed.lines]
+        return [key for key in keys if texts[key] == "unexplained" and key not in words]
+
+    free = [agreed for agreed in orders if of_cycle[agreed.order] is None and open_lines(agreed)]
+    found = other_shafts([agreed.order for agreed in free], [agreed.order_error for agreed in free])
+    made: Words = {}
+    has_first = any(
+        abs(agreed.order - 1.0) < FAMILY_NUMBERS.first_reach_orders
+        and not any("mains" in texts[line.channel, agreed.order] for line in agreed.lines)
+        for agreed in orders
+    )
+    speed_may_be_wrong = not has_first and all(NO_PULSES in agreed.reservation for agreed in free)
+    for at, (first, multiple) in found.items():
+        base = free[first].order
+        count = sum(1 for other, _ in found.values() if other == first)
+        evidence = f"not locked to the shaft; {count} lines are whole multiples of order {base:.5g}"
+        if speed_may_be_wrong:
+            text = f"a shaft at {base:.4g} times the stated speed, {IF_WRONG}"
+            evidence += "; nothing stands at order 1, and no pulses prove the speed"
+        else:
+            text = f"a second shaft at {base:.4g}"
+        for key in open_lines(free[at]):
+            made[key] = (text if multiple == 1 else f"harmonic {multiple} of {text}", evidence)
+    return made
+
+
+class _RaceNumbers(MethodNumbers, file="5-identify-explain.toml", table="race_harmonics"):
+    most_harmonics: int
+    most_turns: int
+    same_sigmas: float
+    least_error: float
+    most_error: float
+    sure_error: float
+    sure_harmonics: int
+    sure_turns: int
+    stated_error_share: float
+    anchors: int
+
+
+RACE_NUMBERS = _RaceNumbers.load()
+
+STRUCK = ("BPFO", "BPFI", "BSF")
+
+
+@dataclass(frozen=True)
+class StruckRace:
+    """Lines at whole multiples of ``order`` and whole multiples of the ``shaft``'s order beside: with errors."""
+
+    name: str
+    title: str
+    order: float
+    order_error: float
+    shaft: float
+    shaft_error: float
+
+    def nearest(self, order: float, error: float) -> tuple[int, int, float] | None:
+        """Harmonic and turns of the shaft at ``order`` and how far that is; None where, with its ``error``, none is."""
+        best = None
+        for harmonic in range(1, RACE_NUMBERS.most_harmonics + 1):
+            turns = round((order - harmonic * self.order) / self.shaft)
+            own = math.hypot(harmonic * self.order_error, turns * self.shaft_error)
+            known = max(math.hypot(own, error), RACE_NUMBERS.least_error * self.shaft)
+            few = harmonic <= RACE_NUMBERS.sure_harmonics and abs(turns) <= RACE_NUMBERS.sure_turns
+            if abs(turns) > RACE_NUMBERS.most_turns or (known > RACE_NUMBERS.sure_error * self.shaft and not few):
+                continue
+            away = abs(order - harmonic * self.order - turns * self.shaft)
+            near = away <= RACE_NUMBERS.same_sigmas * min(known, RACE_NUMBERS.most_error * self.shaft)
+            if near and (best is None or harmonic + abs(turns) < best[0] + abs(best[1])):
+                best = harmonic, turns, away
+        return best
+
+    def words(self, harmonic: int, turns: int) -> str:
+        """What the line of that ``harmonic``, so many ``turns`` of the shaft beside, is called."""
+        text = f"bearing {self.name} {self.title}" + (f", harmonic {harmonic}" if harmonic > 1 else "")
+        return text + (f" {'+' if turns > 0 else '-'} {abs(turns)} x shaft" if turns else "")
+
+
+def struck_races(
+    bearings: Sequence[BearingFinding], sources: Sources, lines: Sequence[tuple[float, float]]
+) -> list[StruckRace]:
+    """Races and rolling elements that ``bearings`` (their findings) show, as fine as ``lines`` (order, error) tell.
+
+    The line of the vibration is the finer one; the shaft's own order is what the record of the envelope read from the
+    sidebands, or the one that ``sources`` state.
+    """
+    made: dict[tuple[str, str], StruckRace] = {}
+    ratio = {bearing.name: bearing.shaft_ratio for bearing in sources.bearings}
+    for record in sorted(bearings, key=lambda one: one.seen_in != "envelope"):
+        key = record.name, record.line
+        if record.line not in STRUCK or record.lock == "locked":
+            continue
+        error = record.order_half / Z95
+        old, shaft = made.get(key), record.shaft_order
+        if old is None:
+            title = "2 x BSF" if record.line == "BSF" else record.line
+            stated = float(ratio.get(record.name, 1.0))
+            made[key] = StruckRace(
+                key[0], title, record.order, error, shaft or stated, RACE_NUMBERS.stated_error_share * stated
+            )
+        elif error < old.order_error and abs(record.order - old.order) <= RACE_NUMBERS.same_sigmas * math.hypot(
+            error, old.order_error
+        ):
+            made[key] = replace(old, order=record.order, order_error=error)
+    return [_refined(race, lines) for race in made.values()]
+
+
+def harmonic_words(races: Sequence[StruckRace], order: float, error: float, *, few: bool = False) -> str:
+    """What a line at ``order`` with its standard ``error`` is called by the ``races`` that put one there; empty: none.
+
+    ``few``: only of the lowest harmonics and turns, where something else is as likely.
+    """
+    told = []
+    for race in races:
+        found = race.nearest(order, error)
+        if found is not None and not (
+            few and (found[0] > RACE_NUMBERS.sure_harmonics or abs(found[1]) > RACE_NUMBERS.sure_turns)
+        ):
+            told.append((found[0] + abs(found[1]), race.words(found[0], found[1])))
+    return min(told)[1] if told else ""
+
+
+def _refined(race: StruckRace, lines: Sequence[tuple[float, float]]) -> StruckRace:
+    """``race`` with its order and that of the shaft fitted to the lines of ``lines`` that are surely its own."""
+    hits = [
+        (harmonic, turns, order, max(error, RACE_NUMBERS.least_error * race.shaft))
+        for order, error in lines
+        if (found := race.nearest(order, error)) is not None
+        for harmonic, turns, _ in [found]
+    ]
+    hits.sort(key=lambda hit: hit[0] + abs(hit[1]))
+    hits = hits[: RACE_NUMBERS.anchors]
+    if len(hits) < RACE_NUMBERS.anchors:
+        return race
+    harmonic, turns, order, error = (np.array(column, dtype=float) for column in zip(*hits, strict=True))
+    design = np.column_stack([harmonic, turns]) / error[:, None]
+    if np.linalg.matrix_rank(design) < 2:
+        return race
+    inverse = np.linalg.inv(design.T @ design)
+    fitted = inverse @ design.T @ (order / error)
+    return replace(
+        race,
+        order=float(fitted[0]),
+        order_error=math.sqrt(inverse[0, 0]),
+        shaft=float(fitted[1]),
+        shaft_error=math.sqrt(inverse[1, 1]),
+    )

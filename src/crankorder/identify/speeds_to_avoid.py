@@ -17,13 +17,13 @@ from crankorder.identify.found import (
     Crossing,
     ModalFit,
     Mode,
+    OrderLine,
     OrderResponse,
     SpeedBand,
     SpeedVerdicts,
     UnseenBound,
 )
-from crankorder.identify.intervals import half_width
-from crankorder.identify.lone_peaks import lone_peaks
+from crankorder.identify.intervals import Z95, half_width
 from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
 from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.responses import held_amplitudes, together, with_and_without
@@ -106,7 +106,9 @@ def speeds_to_avoid(
     unit : of each channel: the largest amplitude counts of those that have the same
     settings : ``crossing_band_rpm`` is the least width of a free band
     """
-    largest = _largest(orders)
+    largest: dict[str, float] = {}
+    for line in (line for agreed in orders for line in agreed.lines):
+        largest[line.channel] = max(largest.get(line.channel, 0.0), float(line.amplitude.max()))
     in_unit = {name: max(largest[other] for other in largest if unit[other] == unit[name]) for name in largest}
     met = [_cost(item, orders, modal, in_unit, settings) for item in found if _counts(item)]
     lone = lone_peaks(
@@ -165,21 +167,10 @@ def _is_vague(item: Crossing) -> bool:
 
 
 def _counts(item: Crossing) -> bool:
-    if not (item.excited and item.in_range):
-        return False
-    if _is_vague(item):
+    if not (item.excited and item.in_range) or _is_vague(item):
         return False
     measured = item.amplification_ci95[1] if item.amplification_ci95 is not None else 0.0
     return max(measured, item.amplification_predicted) >= SAID.clearly_excited_ratio
-
-
-def _largest(orders: tuple[AgreedOrder, ...]) -> dict[str, float]:
-    """Largest amplitude of any order by channel."""
-    largest: dict[str, float] = {}
-    for agreed in orders:
-        for line in agreed.lines:
-            largest[line.channel] = max(largest.get(line.channel, 0.0), float(line.amplitude.max()))
-    return largest
 
 
 def _cost(
@@ -326,18 +317,14 @@ def _by_modes(
         if (not known and item.verdict != "not excited") or (item.excited and _is_vague(item)):
             low, high = _amplifying(item.rpm_ci95, settings.free_amplification)
             low, high = item.rpm - slower * (item.rpm - low), item.rpm + slower * (high - item.rpm)
-            made += _inside(_Open(low, high, f"{what}: {_said(item)}"), speed_rpm)
+            says = item.verdict if item.in_range else "beside the tested range, so that its flank may reach in"
+            made += _inside(_Open(low, high, f"{what}: {says}"), speed_rpm)
         alike = {(one.recording, unit[one.channel], one.span_rpm) for one in known}
         for key in sorted(alike):
             group = [one for one in known if (one.recording, unit[one.channel], one.span_rpm) == key]
             matters = EXCLUSION.matters_share * max(largest.get(one.channel, 0.0) for one in group)
             made += _amplified(group, number, modal, replace(limits, matters=matters), what)
     return made
-
-
-def _said(item: Crossing) -> str:
-    """What is said of a crossing near speeds that it leaves open."""
-    return item.verdict if item.in_range else "beside the tested range, so that its flank may reach in"
 
 
 def _mode_of(item: Crossing, modal: ModalFit) -> Mode:
@@ -465,19 +452,16 @@ def _split(
     """Free and open bands of the tested range: what nothing of ``opened`` touches, and what is not to be avoided."""
     low, high = speed_rpm
     free: list[SpeedBand] = []
-    start, narrowest = low, min(settings.crossing_band_rpm, high - low) if high > low else np.inf
-    for item in [*sorted(opened, key=lambda one: one.low_rpm), _Open(high, high, "")]:
-        if min(item.low_rpm, high) - start >= narrowest:
-            free.append(SpeedBand(start, min(item.low_rpm, high), _excludes(settings)))
-        start = max(start, item.high_rpm)
-    return tuple(free), _open_bands(opened, free, speed_rpm)
-
-
-def _excludes(settings: IdentifySettings) -> str:
-    return (
+    excludes = (
         f"the data exclude that an order is amplified more than {settings.free_amplification:g} times "
         f"({100.0 * settings.free_confidence:g} %)"
     )
+    start, narrowest = low, min(settings.crossing_band_rpm, high - low) if high > low else np.inf
+    for item in [*sorted(opened, key=lambda one: one.low_rpm), _Open(high, high, "")]:
+        if min(item.low_rpm, high) - start >= narrowest:
+            free.append(SpeedBand(start, min(item.low_rpm, high), excludes))
+        start = max(start, item.high_rpm)
+    return tuple(free), _open_bands(opened, free, speed_rpm)
 
 
 def _open_bands(opened: list[_Open], free: list[SpeedBand], speed_rpm: tuple[float, float]) -> tuple[SpeedBand, ...]:
@@ -490,3 +474,120 @@ def _open_bands(opened: list[_Open], free: list[SpeedBand], speed_rpm: tuple[flo
         if end > begin and reasons:
             made.append(SpeedBand(begin, end, "; ".join(dict.fromkeys(reasons))))
     return tuple(made)
+
+
+class _LoneNumbers(MethodNumbers, file="5-identify-explain.toml", table="lone_peaks"):
+    around_share: float
+    same_row_share: float
+
+
+LONE_NUMBERS = _LoneNumbers.load()
+
+
+def lone_peaks(
+    orders: Sequence[AgreedOrder],
+    modal: ModalFit,
+    avoided: Sequence[AvoidedSpeed],
+    *,
+    largest: Mapping[str, float],
+    in_unit: Mapping[str, float],
+    unit: Mapping[str, str],
+    factor: float,
+) -> list[AvoidedSpeed]:
+    """Speeds to avoid that no crossing accounts for: an order is there ``factor`` times what it is on both sides.
+
+    Of each channel of each of the ``orders`` the largest amplitude of its neighbourhood, by the lower end of its
+    interval, over the middling ones of the speeds on either side. Those that the speeds ``avoided`` of the same
+    order hold are left out, and what is small beside the ``largest`` amplitude of its channel. The amplitude is the
+    largest there of all channels of the same ``unit``; its share of the largest of any order there (``in_unit``)
+    ranks it. The natural frequency is that of the ``modal`` fit between the neighbouring speeds; where there is
+    none, that at which the order peaks.
+    """
+    made: list[AvoidedSpeed] = []
+    for agreed in orders:
+        peaks = [
+            (line, place, ratio)
+            for line in agreed.lines
+            for place, ratio in _lone_peaks_of(line, factor)
+            if line.amplitude[place] >= EXCLUSION.matters_share * largest.get(line.channel, 0.0)
+        ]
+        for line, place, ratio in sorted(peaks, key=lambda peak: -peak[2]):
+            worst = _largest_there(agreed, line, float(line.speed_rpm[place]), unit)
+            item = _avoided(agreed.order, line, place, ratio, modal, worst, in_unit)
+            reach = (
+                1.0 if line.n_independent is None else 1.0 + LONE_NUMBERS.around_share
+            )  # a sweep rings behind a resonance
+            if not any(_holds(other, item, reach) for other in (*avoided, *made)):
+                made.append(item)
+    return made
+
+
+def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
+    """Places of ``line`` that tower over both sides, and how many times."""
+    rank = np.argsort(line.speed_rpm, kind="stable")
+    speed, size = line.speed_rpm[rank], line.amplitude[rank]
+    least = size - Z95 * line.amplitude_error[rank] if line.ends is None else line.ends[rank, 0]
+    found = []
+    for place in range(1, len(rank) - 1):
+        first = min(int(np.searchsorted(speed, speed[place] * (1.0 - LONE_NUMBERS.around_share))), place - 1)
+        last = max(
+            int(np.searchsorted(speed, speed[place] * (1.0 + LONE_NUMBERS.around_share), side="right")), place + 2
+        )
+        if size[place] < size[first:last].max():
+            continue
+        beside = max(float(np.median(size[first:place])), float(np.median(size[place + 1 : last])))
+        if beside > 0.0 and least[place] >= factor * beside:
+            found.append((int(rank[place]), float(size[place]) / beside))
+    return found
+
+
+def _largest_there(agreed: AgreedOrder, shown: OrderLine, rpm: float, unit: Mapping[str, str]) -> tuple[str, float]:
+    """Channel of the unit of ``shown`` in which the order is largest at ``rpm``, and how large."""
+    there = [
+        (
+            line.channel,
+            float(line.amplitude[np.abs(line.speed_rpm - rpm) <= LONE_NUMBERS.same_row_share * rpm].max(initial=0.0)),
+        )
+        for line in agreed.lines
+        if unit[line.channel] == unit[shown.channel]
+    ]
+    return max(there, key=lambda one: one[1])
+
+
+def _avoided(
+    order: float,
+    line: OrderLine,
+    place: int,
+    ratio: float,
+    modal: ModalFit,
+    worst: tuple[str, float],
+    in_unit: Mapping[str, float],
+) -> AvoidedSpeed:
+    """Speed to avoid around row ``place`` of ``line``, half way to the rows beside, ``worst`` in a channel there."""
+    rpm = float(line.speed_rpm[place])
+    below = float(line.speed_rpm[line.speed_rpm < rpm].max())
+    above = float(line.speed_rpm[line.speed_rpm > rpm].min())
+    hz = order * rpm / 60.0
+    near = [one.frequency_hz for one in modal.modes if below < 60.0 * one.frequency_hz / order < above]
+    mode_hz = min(near, key=lambda one: abs(one - hz), default=hz)
+    channel, size = worst
+    where = f"near {mode_hz:.4g} Hz" if near else f"at {hz:.4g} Hz, which may be a natural frequency"
+    return AvoidedSpeed(
+        rpm=rpm,
+        rpm_range=(0.5 * (below + rpm), 0.5 * (rpm + above)),
+        orders=(order,),
+        modes_hz=(mode_hz,),
+        channel=channel,
+        amplitude=size,
+        at_least=True,
+        amplification=ratio,
+        cost=size / max(in_unit.get(channel, size), size),
+        reason=f"order {order:.4g} peaks {where}: {ratio:.2g} times what it is at the speeds beside",
+    )
+
+
+def _holds(other: AvoidedSpeed, item: AvoidedSpeed, reach: float) -> bool:
+    """Whether ``other`` speaks of the same order between the same speeds, or ``reach`` times beside."""
+    alike = any(abs(one - item.orders[0]) <= 1e-3 * item.orders[0] for one in other.orders)
+    (low, high), (least, most) = item.rpm_range, other.rpm_range
+    return alike and least <= reach * high and low <= reach * most

@@ -20,10 +20,10 @@ from crankorder.ingest.rawfile import Contents, RawFile, Source
 from crankorder.ingest.roles import MOST_SAMPLES, Column, Columns, Role, columns_of, is_square, lists_edges
 from crankorder.ingest.sampling import read_time_column, rows_before_zeros
 from crankorder.settings import load_settings
-from crankorder.shaft.named_speed import speed_in_name
 from crankorder.shaft.pattern import known_names
 from crankorder.shaft.position import COUNTER_BITS
 from crankorder.shaft.pulses import FloatArray, find_pulses
+from crankorder.shaft.summary import speed_in_name
 from crankorder.shaft.uneven_wheel import FoundPattern, find_pattern
 
 MOTOR = (

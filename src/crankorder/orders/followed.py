@@ -89,7 +89,10 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
     width = settings.track_bandwidth * (
         speed / 60.0 if settings.track_bandwidth_unit == "order" else np.ones(len(speed))
     )
-    signals, usable = band["signal"].values[:, part], _usable(band, part)
+    signals = band["signal"].values[:, part]
+    usable = np.isfinite(signals)
+    if "usable" in band:
+        usable = usable & band["usable"].values[:, part]
     enough = np.flatnonzero(usable.sum(axis=1) >= FEWEST_SAMPLES)
     middle_rev = layout.begin_rev + 0.5 * layout.revs
     middle = np.searchsorted(angle, middle_rev)
@@ -126,12 +129,6 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
         tracks.coords[name] = ("frame", given, {"units": units, "long_name": said})
     beyond, some_short = np.delete(orders, carried), len(enough) < len(signals)
     return with_flags(tracks, [*flags_of(shaft), *_flags(str(band.attrs["recording"]), notes, beyond, some_short)])
-
-
-def _usable(band: xr.Dataset, part: slice) -> Bools:
-    """Which samples (channels, samples) of ``part`` count: finite ones that ``usable`` of ``band`` does not deny."""
-    finite: Bools = np.isfinite(band["signal"].values[:, part])
-    return np.asarray(finite & band["usable"].values[:, part]) if "usable" in band else finite
 
 
 def _mostly_usable(usable: Bools, angle_rev: Floats, begin_rev: Floats, revs: int) -> Bools:

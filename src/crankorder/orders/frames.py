@@ -13,7 +13,6 @@ from crankorder.orders.method import (
     METHOD_SHARE,
     FrameLayout,
     OrderMethod,
-    TimeSamples,
     frame_layout,
     is_by_angle,
     swept_revs,
@@ -49,7 +48,8 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
     course = None if is_by_angle(band) else speed_course(shaft)
     layout = frame_layout(band, shaft, settings=settings, course=course)
     speed = _mean_speed(shaft, layout)
-    swept = _is_swept(speed, settings)
+    known = speed[np.isfinite(speed)]
+    swept = len(known) > 1 and bool(np.ptp(known) > max(settings.speed_bin_rpm, STEADY_SHARE * float(known.mean())))
     if swept:
         # the mean over the time lags behind the speed in the middle, where the window weighs most
         speed = speed_at_angle(shaft, layout.begin_rev + 0.5 * layout.revs, float(layout.revs))
@@ -63,7 +63,12 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         density, achieved, limit = 1, 0.0, np.full(len(speed), 0.5 * per_rev)
     else:
         samples = time_samples(band, tolerance=METHOD_SHARE * settings.tolerance)
-        density, spectrum, achieved = _spectra_and_error(samples, shaft, layout, speed, n_orders, settings)
+        top = settings.max_order
+        for density in (1, DENSER):
+            spectrum = spectra(samples, shaft, layout, n_orders=n_orders, max_order=top, density=density)
+            achieved = achieved_error(samples, shaft, layout, spectrum, speed_rpm=speed, max_order=top, density=density)
+            if layout.method.kernel is None or not achieved > settings.tolerance:
+                break
         limit = layout.method.highest * samples.rate_hz * 60.0 / speed
     order = np.arange(spectrum.shape[2]) / layout.revs
     spectrum[:, order[None, :] > limit[:, None] * (1.0 + 1e-9)] = np.nan
@@ -91,24 +96,6 @@ def _no_orders(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> 
     return with_flags(frames, flags_of(shaft))
 
 
-def _spectra_and_error(
-    samples: TimeSamples,
-    shaft: xr.Dataset,
-    layout: FrameLayout,
-    speed_rpm: Floats,
-    n_orders: int,
-    settings: OrderSettings,
-) -> tuple[int, Complexes, float]:
-    """Density of the sampling, spectra and the error that these achieve, over the largest amplitude."""
-    top = settings.max_order
-    for density in (1, DENSER):
-        spectrum = spectra(samples, shaft, layout, n_orders=n_orders, max_order=top, density=density)
-        achieved = achieved_error(samples, shaft, layout, spectrum, speed_rpm=speed_rpm, max_order=top, density=density)
-        if layout.method.kernel is None or not achieved > settings.tolerance:
-            break
-    return density, spectrum, achieved
-
-
 def _mean_speed(shaft: xr.Dataset, layout: FrameLayout) -> Floats:
     """Mean speed in rpm of each frame: revolutions over elapsed time."""
     begin = layout.begin_rev
@@ -128,12 +115,6 @@ def _largest_sweep(shaft: xr.Dataset, layout: FrameLayout, speed_rpm: Floats) ->
     first = time_at(layout.begin_rev + 1.0, **knots) - time_at(layout.begin_rev, **knots)
     last = time_at(ends, **knots) - time_at(ends - 1.0, **knots)
     return float((60.0 * np.abs(1.0 / last - 1.0 / first) / speed_rpm).max())
-
-
-def _is_swept(speed_rpm: Floats, settings: OrderSettings) -> bool:
-    """Whether the mean speeds of frames differ by more than steady running does, or an average at like speed takes."""
-    known = speed_rpm[np.isfinite(speed_rpm)]
-    return len(known) > 1 and bool(np.ptp(known) > max(settings.speed_bin_rpm, STEADY_SHARE * float(known.mean())))
 
 
 def _dataset(band: xr.Dataset, spectrum: Complexes, order: Floats, speed: Floats, start_angle: Floats) -> xr.Dataset:

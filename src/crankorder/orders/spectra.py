@@ -125,8 +125,10 @@ def order_frames_nufft(
     record = _Record(signals, rate_hz, start_s, knots, usable)
     for frame in record.frames(begin, revs, float(order[-1]), tolerance):
         found = transform.spectra(frame.signals, frame.weights, frame.turns, first=frame.first, mean_spectrum=of_mean)
-        _keep(spectrum, frame, found, order)
-    return _from_zero_angle(spectrum, begin, order)
+        counts = frame.usable[:, None] & (order <= frame.highest_order)
+        np.copyto(spectrum[:, frame.number], found, where=counts)
+    spectrum *= phase_of_whole_revs(begin, order)[None]
+    return spectrum
 
 
 def frame_factor(*, samples_per_frame: float, highest_share: float, tolerance: float) -> int:
@@ -152,18 +154,6 @@ def _checked(signals: NDArray[np.floating], rate_hz: float, revs: float, toleran
         allowed = f"{LEAST_TOLERANCE:g}…{LARGEST_TOLERANCE:g}"
         raise RequestError("the tolerance is out of range", found=tolerance, allowed=allowed)
     return real_signals(signals)
-
-
-def _keep(spectrum: Complexes, frame: _Frame, found: Complexes, order: Floats) -> None:
-    """Put those channels and orders of ``found`` (channels, orders) into ``spectrum`` for which ``frame`` counts."""
-    counts = frame.usable[:, None] & (order <= frame.highest_order)
-    np.copyto(spectrum[:, frame.number], found, where=counts)
-
-
-def _from_zero_angle(spectrum: Complexes, begin: Floats, order: Floats) -> Complexes:
-    """``spectrum`` (channels, frames, orders), phases from each frame's ``begin``, with phases from angle 0."""
-    spectrum *= phase_of_whole_revs(begin, order)[None]
-    return spectrum
 
 
 class _Record:
@@ -316,25 +306,15 @@ def spectra(
             usable=samples.usable,
         )
     spectrum = np.empty((len(samples.signals), len(layout.begin_rev), n_orders), dtype=np.complex128)
-    assert layout.method.kernel is not None
-    for chunk, slowest_hz in _chunks(samples, shaft, layout, CHUNK_SAMPLES // density):
-        per_rev = density * samples_per_rev_for(
-            samples, layout.method.kernel, slowest_hz=slowest_hz, max_order=max_order
-        )
-        spectrum[:, chunk] = _resampled(samples, shaft, layout, chunk, per_rev, n_orders)
-    return spectrum
-
-
-def _resampled(
-    samples: TimeSamples, shaft: xr.Dataset, layout: FrameLayout, chunk: slice, per_rev: int, n_orders: int
-) -> Complexes:
-    """Spectra of the frames ``chunk``, resampled ``per_rev`` times in a revolution."""
     kernel = layout.method.kernel
     assert kernel is not None
-    begin = layout.begin_rev[chunk]
-    angle = begin[0] + np.arange(round((begin[-1] - begin[0] + layout.revs) * per_rev)) / per_rev
-    values, usable = signals_at(samples, shaft, angle, kernel)
-    return spectra_by_angle(values, usable, per_rev, layout.revs, layout.hop_rev, begin, n_orders)
+    for chunk, slowest_hz in _chunks(samples, shaft, layout, CHUNK_SAMPLES // density):
+        per_rev = density * samples_per_rev_for(samples, kernel, slowest_hz=slowest_hz, max_order=max_order)
+        begin = layout.begin_rev[chunk]
+        angle = begin[0] + np.arange(round((begin[-1] - begin[0] + layout.revs) * per_rev)) / per_rev
+        values, usable = signals_at(samples, shaft, angle, kernel)
+        spectrum[:, chunk] = spectra_by_angle(values, usable, per_rev, layout.revs, layout.hop_rev, begin, n_orders)
+    return spectrum
 
 
 def spectra_by_angle(

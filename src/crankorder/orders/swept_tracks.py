@@ -11,8 +11,8 @@ import xarray as xr
 from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
 from crankorder.orders.averages import POLES
+from crankorder.orders.fixed_lines import steady_flag, without_steady_lines
 from crankorder.orders.intervals import NORMAL, amplitude_interval, phase_interval_deg
-from crankorder.orders.steady_lines import steady_flag, without_steady_lines
 from crankorder.orders.true_angle import AngleErrors, errors_along
 from crankorder.orders.vold_kalman.bandwidth import (
     FRAME_BANDWIDTHS,
@@ -340,8 +340,11 @@ def _dataset(
         errors = np.concatenate([both[number] for both in beyond] or [np.empty(shape)], axis=2)
         words = {"units": "see unit", "long_name": f"standard error of what the filter {said}"}
         found[name] = (("channel", "order", "frame"), errors, words)
-    found.attrs |= {"swept": 1, "poles": POLES, "sweep_rpm_per_s": _usual_rate(course)}
-    found.attrs["crank_angle_error_rev"] = _angle_error(shaft)
+    usual_rate = float(np.median(course.rate_rpm_per_s[course.runs])) if course.runs.any() else 0.0
+    found.attrs |= {"swept": 1, "poles": POLES, "sweep_rpm_per_s": usual_rate}
+    angle_error = shaft["standard_error"].values
+    angle_error = angle_error[np.isfinite(angle_error)]
+    found.attrs["crank_angle_error_rev"] = float(np.median(angle_error)) if len(angle_error) else 0.0
     _put_waveform(found, band, shaft, course)
     return with_flags(found, [*flags_of(shaft), *_flags(found, notes)])
 
@@ -397,18 +400,6 @@ def _put_waveform(found: xr.Dataset, band: xr.Dataset, shaft: xr.Dataset, course
         found[name] = ("sample", given, {"units": units, "long_name": f"{name.split('_')[1]} of the shaft at a sample"})
     found.attrs |= {"waveform_rate_hz": rate, "waveform_start_s": float(time_s[first]) if len(time_s) else start}
     found.attrs["waveform_band_hz"] = min(top, float(band.attrs.get("band_hz", 0.5 * rate)))
-
-
-def _angle_error(shaft: xr.Dataset) -> float:
-    """Median standard error [rev] of the crank angle of ``shaft``; 0 where it is not known."""
-    error = shaft["standard_error"].values
-    known = error[np.isfinite(error)]
-    return float(np.median(known)) if len(known) else 0.0
-
-
-def _usual_rate(course: SpeedCourse) -> float:
-    """Median rate [rpm/s] at which the speed of ``course`` changes while the shaft turns; 0 where it never does."""
-    return float(np.median(course.rate_rpm_per_s[course.runs])) if course.runs.any() else 0.0
 
 
 def _speed_of_rows(shaft: xr.Dataset, time_s: Floats, stretch_s: Floats) -> Floats:

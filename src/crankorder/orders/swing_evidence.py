@@ -304,7 +304,7 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     grid = _grid(expected.largest_rev(harmonic))
     settings = expected.settings
     gain = _gains(sums, grid, settings, slack=GRID_SLACK)
-    total = gain.sum(axis=1) + _prior(grid, expected.usual_rev(harmonic))
+    total = gain.sum(axis=1) - 0.5 * np.square(np.abs(grid) / expected.usual_rev(harmonic))
     best = int(np.argmax(total))
     size, error, weights = _refined(sums, complex(grid[best]), settings)
     gain_here = _gains(sums, np.array([size]), settings, slack=settings.sideband_slack)[0]
@@ -386,10 +386,6 @@ def _grid(largest_rev: float) -> Complexes:
     radius = np.geomspace(2e-4, 1.0, RADII) * largest_rev
     phase = 2.0 * np.pi * np.arange(PHASES) / PHASES
     return np.asarray((radius[:, None] * np.exp(1j * phase)).ravel())
-
-
-def _prior(grid: Complexes, usual_rev: float) -> Floats:
-    return np.asarray(-0.5 * np.square(np.abs(grid) / usual_rev))
 
 
 def _seen_of(sums: _Sums, size: complex | Complexes) -> tuple[Floats, Complexes, Floats]:

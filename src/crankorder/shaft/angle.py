@@ -488,7 +488,8 @@ def integrated_speed(
         flags.append(("speed_gap", "suspect", f"{n_bad} of {speed.size} speed samples are not finite and were bridged"))
         at = np.arange(speed.size)
         speed = np.interp(at, at[finite], speed[finite])
-    noise_rpm = _noise(speed)
+    bend = np.diff(speed, n=2)
+    noise_rpm = float(np.sqrt(np.mean(bend**2) / 6.0)) if bend.size else 0.0
     backward = speed < -NOISE_SIGMAS * noise_rpm
     n_backward = int(backward.sum())
     if n_backward:
@@ -515,9 +516,3 @@ def integrated_speed(
     error = noise_rpm / 60.0 * np.sqrt(np.maximum(at, 1)) / rate_hz
     knots = AngleKnots(time_s + start_s, rising[at], rate * 60.0, error, 0.5 / settings.speed_lowpass_rev, np.nan)
     return knots, flags
-
-
-def _noise(speed_rpm: FloatArray) -> float:
-    """Standard deviation [rpm] of white noise in ``speed_rpm`` (samples,), by how it bends from sample to sample."""
-    bend = np.diff(speed_rpm, n=2)
-    return float(np.sqrt(np.mean(bend**2) / 6.0)) if bend.size else 0.0

@@ -292,7 +292,9 @@ def reference_audit(
     order = np.asarray(orders, dtype=np.float64)
     reference = reference_of(shaft, revs_per_frame=revs_per_frame)
     if not np.isfinite(reference.error_rev) or not reference.teeth_per_rev > 0.0:
-        return _unproven(by_angle=shaft.attrs.get("domain") == "crank_angle")
+        detail = "the crank angle comes without pulses: nothing measured tells how far its orders can be trusted"
+        by_angle = shaft.attrs.get("domain") == "crank_angle"
+        return ReferenceAudit(math.nan, (), () if by_angle else (("reference_unproven", "info", detail),))
     seen = seen_motion(shaft, reference)
     percent = settings.reference_irregularity_percent
     causes = (
@@ -310,13 +312,6 @@ def reference_audit(
     if order.size and (causes[2].tone_rev.size or causes[2].still_rev > 0.0):
         remarks.append(_steps(causes[2], order.max(), settings.reference_bias_limit))
     return ReferenceAudit(highest_carried_order=carried, causes=causes, remarks=tuple(remarks))
-
-
-def _unproven(*, by_angle: bool) -> ReferenceAudit:
-    """The audit of an angle that comes without any error of its own; ``by_angle``: the recording was sampled by it."""
-    detail = "the crank angle comes without pulses: nothing measured tells how far its orders can be trusted"
-    remarks: tuple[Remark, ...] = () if by_angle else (("reference_unproven", "info", detail),)
-    return ReferenceAudit(math.nan, (), remarks)
 
 
 def _loss(causes: Sequence[Modulation], order: FloatArray) -> FloatArray:

@@ -176,7 +176,8 @@ class _LogOdds:
         step = 2.0 * SLEW_BINS / (self.order[-1] * frames.length_s**2 * float(np.sqrt(speed_hz[0] * speed_hz[-1])))
         n_slews = math.ceil(most / step)
         slews = np.linspace(-most, most, 2 * n_slews + 1)
-        block = max(1, round(1.5 * speed_hz[0] * self._spacing() / frames.bin_hz))
+        spacing = float(np.min(np.diff(self.order))) if self.order.size > 1 else 1.0
+        block = max(1, round(1.5 * speed_hz[0] * spacing / frames.bin_hz))
         floor, usual = self._floors(frames, block)
         above = np.maximum(floor, usual)
         every, moving = (np.full((count, speed_hz.size), -np.inf) for _ in range(2))
@@ -190,10 +191,6 @@ class _LogOdds:
                 for noise, best in ((floor[:, some], every), (above[:, some], moving)):
                     best_combs(power, noise, frames.peak_bins, neutral, place, self.weight, ODDS, best[some])
         return every, moving
-
-    def _spacing(self) -> float:
-        """Usual distance of the orders: their smallest, 1 where there is but one."""
-        return float(np.min(np.diff(self.order))) if self.order.size > 1 else 1.0
 
     def _floors(self, frames: _Frames, block: int) -> tuple[FloatArray, FloatArray]:
         """Noise power (channels, frames, bins) beside each bin, and the usual power (channels, 1, bins)."""

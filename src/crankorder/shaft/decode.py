@@ -151,7 +151,10 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
         if kind == "vibration":
             return _from_vibration(recording, settings)
         if not recording.attrs.get("has_shaft", 1):
-            still = _dataset(recording, _without_shaft(recording), "none", 0, [])
+            time_s = np.array([0.0, recording["signal"].shape[1] / float(recording.attrs["rate_hz"])])
+            unknown = np.full(2, np.nan)
+            knots = AngleKnots(time_s, np.zeros(2), unknown, unknown, np.nan, np.nan)
+            still = _dataset(recording, knots, "none", 0, [])
             still.attrs["has_shaft"] = 0
             return still
     raise InputError(
@@ -380,13 +383,6 @@ def _from_constant(recording: xr.Dataset) -> ShaftAngle:
     time_s = np.array([0.0, recording["signal"].shape[1] / float(recording.attrs["rate_hz"])])
     knots = AngleKnots(time_s, time_s * speed / 60.0, np.full(2, speed), np.full(2, np.nan), np.nan, np.nan)
     return _dataset(recording, knots, "none", 0, [_NO_PHASE])
-
-
-def _without_shaft(recording: xr.Dataset) -> AngleKnots:
-    """Knots of a structure on which nothing turns: no angle at any time, and no speed."""
-    time_s = np.array([0.0, recording["signal"].shape[1] / float(recording.attrs["rate_hz"])])
-    unknown = np.full(2, np.nan)
-    return AngleKnots(time_s, np.zeros(2), unknown, unknown, np.nan, np.nan)
 
 
 _NO_PHASE: Remark = ("no_index", "suspect", "no encoder pulses: orders yes, but their phase has no reference")

@@ -151,16 +151,12 @@ def joined(runs: list[ShaftRun], teeth_per_rev: float) -> AngleKnots:
         period = run.period_rev
         if period > 0.0:
             shift = period * np.round(shift / period)
-        laid = _shifted(own, float(shift))
+        laid = replace(own, angle_rev=own.angle_rev + float(shift))
         # a tooth too many counted at rest would let the angle go back
         behind = laid.angle_rev > made.angle_rev[-1]
         laid = _of(laid, [column[behind] for column in _columns(laid)])
         made = _stopped_between(made, laid)
     return made
-
-
-def _shifted(knots: AngleKnots, shift_rev: float) -> AngleKnots:
-    return replace(knots, angle_rev=knots.angle_rev + shift_rev)
 
 
 def _within(knots: AngleKnots, first_s: float, last_s: float) -> AngleKnots:

@@ -88,7 +88,10 @@ def tooth_errors(
     lines = teeth.teeth_per_rev
     if lines < FEWEST_LINES:
         return None
-    pattern = _pattern(teeth, ratio, revs_per_cycle, noise_s)
+    known = functools.partial(
+        line_pattern, teeth.time_s, teeth.tooth, teeth_per_encoder_rev=lines, ratio=ratio, noise_s=noise_s
+    )
+    pattern = known(revs_per_cycle=revs_per_cycle) or known(revs_per_cycle=1)
     if pattern is None:
         return None
     found = _told(pattern, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1)
@@ -145,13 +148,6 @@ def same_wheel(stated: Sequence[dict[str, Any]]) -> bool:
     if any(one.shape != prints[0].shape for one in prints):
         return False
     return all(float(one @ prints[0]) > ALIKE * float(one @ one + prints[0] @ prints[0]) for one in prints[1:])
-
-
-def _pattern(teeth: NumberedTeeth, ratio: float, revs_per_cycle: int, noise_s: float) -> LinePattern | None:
-    """Pattern over whole engine cycles, or over revolutions where there are too few of these; None where of both."""
-    known = functools.partial(line_pattern, teeth.time_s, teeth.tooth, ratio=ratio, noise_s=noise_s)
-    by_cycle = known(teeth_per_encoder_rev=teeth.teeth_per_rev, revs_per_cycle=revs_per_cycle)
-    return by_cycle or known(teeth_per_encoder_rev=teeth.teeth_per_rev, revs_per_cycle=1)
 
 
 def _told(pattern: LinePattern, ratio: float, least_share: float, *, engine: bool) -> ToothErrors | None:

@@ -73,18 +73,25 @@ def find_pattern(time_s: FloatArray, *, index_time_s: FloatArray | None = None) 
     if time_s.size < 3 or not np.all(np.diff(time_s) > 0.0):
         return None
     block = _fastest(time_s)
-    per_index = _pulses_per_index(time_s, index_time_s)
+    between = np.empty(0, dtype=np.int64)
+    if index_time_s is not None and index_time_s.size >= 3:
+        marks = index_time_s[(index_time_s > time_s[0]) & (index_time_s < time_s[-1])]
+        between = np.diff(np.searchsorted(time_s, marks))
+    values, counts = np.unique(between, return_counts=True)
+    per_index = int(values[np.argmax(counts)]) if counts.size and 2 * counts.max() > counts.sum() else 0
     teeth = _repeating(block)
     turns = teeth and float(np.ptp(block)) * STANDSTILL_RPM / 60.0 < (block.size - 1) / teeth
     pattern = _pattern(block, teeth) if turns else None
     if pattern is not None and per_index and per_index % teeth == 0:
         pattern = _repeated(pattern, per_index // teeth)
     elif pattern is None and per_index:
-        return FoundPattern(pattern_of(f"{per_index}"), *_index_agreement(time_s, index_time_s, per_index), True)
+        alike = float(np.mean(np.abs(between - per_index) <= 1))
+        return FoundPattern(pattern_of(f"{per_index}"), between.size, alike, True)
     if pattern is None:
         return None
     places = np.array(pattern.angles_deg) / 360.0
-    part, _ = running_part(time_s, pulses_per_rev=places.size, gap=float(_spans(places).max() * places.size))
+    widest = float(np.diff(places, append=1.0).max() * places.size)
+    part, _ = running_part(time_s, pulses_per_rev=places.size, gap=widest)
     wheel = followed_wheel(time_s[part], places, repeats=pattern.repeats)
     turn = wheel.count // places.size
     holes = np.flatnonzero((np.diff(wheel.count) != 1) | (np.diff(wheel.kept) != 1))
@@ -99,22 +106,6 @@ def _fastest(time_s: FloatArray) -> FloatArray:
     starts = range(0, max(1, time_s.size - BLOCK_PULSES + 1), BLOCK_PULSES // 2)
     first = min(starts, key=lambda at: float(np.median(np.diff(time_s[at : at + BLOCK_PULSES]))))
     return time_s[first : first + BLOCK_PULSES]
-
-
-def _pulses_per_index(time_s: FloatArray, index_time_s: FloatArray | None) -> int:
-    if index_time_s is None or index_time_s.size < 3:
-        return 0
-    between = np.diff(np.searchsorted(time_s, index_time_s[(index_time_s > time_s[0]) & (index_time_s < time_s[-1])]))
-    values, counts = np.unique(between, return_counts=True)
-    if not counts.size or 2 * counts.max() <= counts.sum():
-        return 0
-    return int(values[np.argmax(counts)])
-
-
-def _index_agreement(time_s: FloatArray, index_time_s: FloatArray | None, per_index: int) -> tuple[int, float]:
-    assert index_time_s is not None  # it told per_index
-    between = np.diff(np.searchsorted(time_s, index_time_s[(index_time_s > time_s[0]) & (index_time_s < time_s[-1])]))
-    return between.size, float(np.mean(np.abs(between - per_index) <= 1))
 
 
 def _repeating(time_s: FloatArray) -> int:
@@ -197,18 +188,11 @@ def _of_whole(whole: FloatArray) -> ToothPattern:
         return ToothPattern(f"{total}-{int(whole.max()) - 1}", angles)
     for name in known_names():
         known = pattern_of(name)
-        spans = _spans(np.array(known.angles_deg))
+        spans = np.diff(known.angles_deg, append=360.0)
         if spans.size == whole.size and _rotation_scatter(whole / total, spans / 360.0) < 1e-6:
             return known
     gaps = "-".join(str(int(pitch) - 1) for pitch in whole if pitch > 1.0)
     return ToothPattern(f"{total}-{gaps} (unnamed)", angles)
-
-
-def _spans(places: FloatArray) -> FloatArray:
-    """Distance from each tooth to the next; ``places`` in degrees or in revolutions, by what they reach."""
-    turn = 360.0 if places[-1] > 1.0 else 1.0
-    spans: FloatArray = np.diff(places, append=places[0] + turn)
-    return spans
 
 
 def _scatter(share: FloatArray, other: FloatArray) -> float:
@@ -222,7 +206,7 @@ def _rotation_scatter(share: FloatArray, other: FloatArray) -> float:
 def _named_scatter(share: FloatArray, name: str) -> float:
     """Scatter of the log intervals about those of a named wheel, at its best rotation; infinite for another count."""
     known = pattern_of(name)
-    spans = _spans(np.array(known.angles_deg)) / 360.0
+    spans = np.diff(known.angles_deg, append=360.0) / 360.0
     part = spans.size // known.repeats
     if share.size != part:
         return float("inf")

@@ -498,7 +498,10 @@ MOST_NOISE_TEETH = 20_000
 
 
 def stated_wheel(recording: xr.Dataset) -> tuple[dict[str, Any], list[Remark]]:
-    """Arguments of ``number_teeth`` that say what wheel the ``recording`` has, and remarks on how it was found."""
+    """Arguments of ``number_teeth`` that say what wheel the ``recording`` has, and remarks on how it was found.
+
+    It is found from the pulses where nothing states it.
+    """
     if "pulse_time" not in recording.variables:
         raise InputError(
             "the recording holds no pulse times", place="encoder", remedy="Check the encoder's source in run.toml"
@@ -506,13 +509,7 @@ def stated_wheel(recording: xr.Dataset) -> tuple[dict[str, Any], list[Remark]]:
     pulse_s, index_s = recording["pulse_time"].values.astype(np.float64), times_of(recording, "index_time")
     # a gap hides pulses, again and again: between gaps the wheel shows itself
     parts = np.split(pulse_s, np.searchsorted(pulse_s, recording.attrs.get("gap_starts_s", [])))
-    return _wheel_of(recording.attrs, max(parts, key=len), index_s)
-
-
-def _wheel_of(
-    attrs: dict[str, Any], pulse_s: FloatArray, index_s: FloatArray | None
-) -> tuple[dict[str, Any], list[Remark]]:
-    """Arguments of ``number_teeth`` that say what wheel it is; found from the pulses where nothing states it."""
+    attrs, pulse_s = recording.attrs, max(parts, key=len)
     if "tooth_angles_deg" in attrs:
         angles = tuple(float(angle) for angle in np.atleast_1d(attrs["tooth_angles_deg"]))
         return {"pulses_per_rev": len(angles), "tooth_angles_deg": angles}, []
@@ -570,9 +567,7 @@ def undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
 def numbered_part(recording: xr.Dataset, settings: ShaftSettings, wheel: dict[str, Any], part: slice) -> NumberedTeeth:
     """Pulses of the ``part`` of ``recording`` as teeth of the ``wheel`` (for ``number_teeth``, by ``settings``)."""
     pulse_s, index_s = recording["pulse_time"].values.astype(np.float64)[part], times_of(recording, "index_time")
-    stated, ratio = (
-        float(recording.attrs.get(name, usual)) for name, usual in (("pulse_noise_s", 0.0), ("ratio", 1.0))
-    )
+    stated, ratio = float(recording.attrs.get("pulse_noise_s", 0.0)), float(recording.attrs.get("ratio", 1.0))
     gaps_s = recording.attrs.get("gap_starts_s", ())
     given = {"index_time_s": index_s, "ratio": ratio, "noise_s": stated, "gap_starts_s": gaps_s}
     return number_teeth(pulse_s, **wheel, settings=settings, **given)

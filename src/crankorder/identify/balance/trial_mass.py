@@ -12,8 +12,8 @@ from crankorder.engine.definition import Engine
 from crankorder.engine.forces import Z
 from crankorder.engine.transfer_paths import AddedMass
 from crankorder.findings import Influence, TrialBalance
+from crankorder.identify.balance.order_shaker import force_per_kg
 from crankorder.identify.balance.record import AGREE_CHI_SQUARE, added_words, size_and_angle, with_interval
-from crankorder.identify.balance.shaker_forces import force_per_kg
 from crankorder.identify.balance.transfer_path import PER_M_S2, Complex, MeasuredOrders, Real, measured_orders
 from crankorder.identify.intervals import half_width
 from crankorder.settings import MethodNumbers
@@ -77,7 +77,7 @@ def trial_mass(
     record = TrialBalance(
         source="trial mass",
         orders_used=(1,),
-        crank_radius_mm=_radius_mm(engine),
+        crank_radius_mm=None if engine is None or engine.largest_piston_kg == 0 else 1e3 * engine.crank_radius_m,
         radius_mm=next(iter(radii)) if len(radii) == 1 else None,
         influence=found.influence_per(total),
         evidence=evidence,
@@ -85,10 +85,6 @@ def trial_mass(
     if on_piston and engine is not None:
         return _of_piston(record, found, total.real, engine, _multiple(base_map, new_map, 2)), ""
     return _of_crank(record, found, total), ""
-
-
-def _radius_mm(engine: Engine | None) -> float | None:
-    return None if engine is None or engine.largest_piston_kg == 0 else 1e3 * engine.crank_radius_m
 
 
 def _unbalance(mass: AddedMass) -> complex:

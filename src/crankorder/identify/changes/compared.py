@@ -85,13 +85,17 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     doubts = confounds(base.run, new.run, base.maps, new.maps)
     refused = {one.channel: one for one in doubts if one.severity == "invalid" and one.part == "channel"}
     channels = tuple(c.name for c in base.findings.channels if c.name not in refused)
-    within = max(_speed_bin(test) for test in (base, new))
+    within = max(float(test.run["settings"]["orders"]["speed_bin_rpm"]) for test in (base, new))
     changes, orders = _orders(base, new, channels, within, q, doubts)
     modes = _mode_shifts(base.findings, new.findings, q=q) if "modes" in base.comparable & new.comparable else []
     unbalances = [(one, found) for one in changes if one.order in (1.0, 2.0) and (found := unbalance_change(one))]
     explaining = [found for one, found in unbalances if one.changed and found.explains]
     trial, trial_reason = _known_mass(base, new)
-    trends = _trends(tests, orders, channels, within, q)
+    shared = [c for c in channels if all(_units(test, test).get(c) == _units(tests[0], tests[0])[c] for test in tests)]
+    findings, envelopes = [test.findings for test in tests], [test.maps.get("envelope_map") for test in tests]
+    trends = run_trends(_order_maps(tests), findings, envelopes, orders, shared, within_rpm=within, q=q)
+    why = {name: one.words for name, one in refused.items()}
+    parts = ("what", "severity", "part", "channel", "base", "new", "words")
     document: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
         "base": base.name,
@@ -99,7 +103,10 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
         "runs": [test.name for test in tests],
         "false_discovery_rate": q,
         "speeds": _speeds(base, new, within),
-        "channels": _channel_records(base, new, channels, refused),
+        "channels": [
+            {"name": name, "unit": unit, "compared": name in channels, "reason": why.get(name, "")}
+            for name, unit in _units(base, new).items()
+        ],
         "cause": _cause(changes, unbalances, modes=modes, trends=trends),
         "orders": [_order_record(one, _explained(one, base, new)) for one in changes],
         "modes": modes,
@@ -110,23 +117,9 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
         "balance": balance_changes(base.findings, new.findings, explaining),
         "balance_reason": _why_not_closed(base, new),
         "trend": trends,
-        "confounds": [_confound_record(one) for one in doubts],
+        "confounds": [{name: getattr(one, name) for name in parts} for one in doubts],
     }
     return Compared(document, changes)
-
-
-def _channel_records(
-    base: Tested, new: Tested, channels: Sequence[str], refused: Mapping[str, Confound]
-) -> list[dict[str, Any]]:
-    why = {name: one.words for name, one in refused.items()}
-    return [
-        {"name": name, "unit": unit, "compared": name in channels, "reason": why.get(name, "")}
-        for name, unit in _units(base, new).items()
-    ]
-
-
-def _speed_bin(test: Tested) -> float:
-    return float(test.run["settings"]["orders"]["speed_bin_rpm"])
 
 
 def _units(base: Tested, new: Tested) -> dict[str, str]:
@@ -399,21 +392,6 @@ def _why_not_closed(base: Tested, new: Tested) -> str:
     if any(test.findings.balance is not None for test in sides):
         return ""
     return next((reason for test in sides if (reason := test.findings.balance_reason or "")), "")
-
-
-def _trends(
-    tests: Sequence[Tested], orders: Sequence[tuple[float, bool]], channels: Sequence[str], within: float, q: float
-) -> list[dict[str, Any]]:
-    shared = [c for c in channels if all(_units(test, test).get(c) == _units(tests[0], tests[0])[c] for test in tests)]
-    findings, envelopes = [test.findings for test in tests], [test.maps.get("envelope_map") for test in tests]
-    return run_trends(_order_maps(tests), findings, envelopes, orders, shared, within_rpm=within, q=q)
-
-
-def _confound_record(one: Confound) -> dict[str, str]:
-    return {
-        "what": one.what, "severity": one.severity, "part": one.part, "channel": one.channel,
-        "base": one.base, "new": one.new, "words": one.words,
-    }  # fmt: skip
 
 
 def change_datasets(made: Compared) -> dict[str, xr.Dataset]:

@@ -100,7 +100,11 @@ def unbalance_change(change: OrderChange) -> Unbalance | None:
     factor, misfit, variance = _slope(before, after, error, error2)
     speed = change.base_rpm[kept]
     reference = float(np.nanmax(speed)) if np.isfinite(speed).any() else 1.0
-    law, law_misfit, law_variance = _law(after - before, both, (speed / reference) ** 2)
+    square = (speed / reference) ** 2
+    square = np.where(np.isfinite(square), square, 1.0)
+    information = float(np.sum(square**2 / both**2))
+    law = complex(np.sum(square * (after - before) / both**2) / information)
+    law_misfit = float(np.sum(np.abs(after - before - law * square) ** 2 / both**2))
     freedom = float(np.sum(each_freedom))
     spare = 2.0 * (len(before) - 1)
     scatter = [max(1.0, chi2 / spare) if spare else 1.0 for chi2 in (misfit, law_misfit)]
@@ -110,7 +114,7 @@ def unbalance_change(change: OrderChange) -> Unbalance | None:
     return Unbalance(
         change.channel, change.order, change.unit, speed,
         complex(factor), float(np.sqrt(variance * scatter[0])), freedom, fits[0],
-        reference, complex(law), float(np.sqrt(law_variance * scatter[1])), fits[1],
+        reference, complex(law), float(np.sqrt(1.0 / information * scatter[1])), fits[1],
     )  # fmt: skip
 
 
@@ -134,16 +138,6 @@ def _slope(
     total = error2**2 + abs(factor) ** 2 * error**2
     misfit = float(np.sum(np.abs(after - factor * before) ** 2 / total))
     return factor, misfit, float(1.0 / np.sum(np.abs(true) ** 2 / total))
-
-
-def _law(
-    change: NDArray[np.complex128], error: NDArray[np.float64], square: NDArray[np.float64]
-) -> tuple[complex, float, float]:
-    """Phasor at the reference speed of a change that grows with ``square``, its misfit and its variance."""
-    square = np.where(np.isfinite(square), square, 1.0)
-    information = float(np.sum(square**2 / error**2))
-    law = complex(np.sum(square * change / error**2) / information)
-    return law, float(np.sum(np.abs(change - law * square) ** 2 / error**2)), 1.0 / information
 
 
 @dataclass(frozen=True)

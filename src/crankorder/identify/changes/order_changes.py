@@ -247,7 +247,11 @@ def order_changes(
                         lines[0], lines[1], speeds[0], speeds[1], channel=channel, order=order, unit=unit, locked=locked
                     )
                 )
-    return _with_claims(made, q)
+    if not made:
+        return made
+    whole = claimed(np.array([one.p_all for one in made]), q=q)
+    each = claimed(np.stack([one.p_value for one in made]), q=q)
+    return [replace(one, changed=bool(all_), changed_at=at) for one, all_, at in zip(made, whole, each, strict=True)]
 
 
 def _for_speed(
@@ -278,14 +282,6 @@ def _for_speed(
         place = {int(position): k for k, position in enumerate(known)}
         added.append(np.array([slope[place[int(k)]] for k in at]) * apart)
     return replace(new, error=np.hypot(new.error, added[0]), vector_error=np.hypot(new.vector_error, added[1]))
-
-
-def _with_claims(made: list[OrderChange], q: float) -> list[OrderChange]:
-    if not made:
-        return made
-    whole = claimed(np.array([one.p_all for one in made]), q=q)
-    each = claimed(np.stack([one.p_value for one in made]), q=q)
-    return [replace(one, changed=bool(all_), changed_at=at) for one, all_, at in zip(made, whole, each, strict=True)]
 
 
 def _phases_compare(base: xr.Dataset, new: xr.Dataset, order: float) -> bool:

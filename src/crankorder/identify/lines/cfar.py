@@ -64,7 +64,7 @@ def excess_over_noise(order_map: xr.Dataset, *, settings: IdentifySettings, orde
         guard_bins=orders.guard_bins,
         n_bins=orders.floor_bins,
     )
-    by_phase = _stands_by_phase(order_map)
+    by_phase = _log_chance_of_phase(order_map) < np.log(NUMBERS.by_phase_chance)
     floor, narrowed = noise_floor(energy, bins, n_averages=n_independent, level=by_phase)
     wide, near = independent_bins(bins), independent_bins(_nearest(bins))
     chance = settings.false_alarm_probability
@@ -182,15 +182,6 @@ def highest_of_three(energy: Floats) -> NDArray[np.bool_]:
     highest[..., 1:] &= filled[..., 1:] >= filled[..., :-1]
     highest[..., :-1] &= filled[..., :-1] >= filled[..., 1:]
     return highest
-
-
-def _stands_by_phase(order_map: xr.Dataset) -> NDArray[np.bool_]:
-    """Where a line locked to the shaft may stand on the slope of a resonance, whose energy beside it is higher.
-
-    Its coherent amplitude is the highest of three, and frames of noise agree so well in phase only once in
-    1 / ``by_phase_chance`` (Goodman 1957); its lock is proven over all speeds. In a map without phases: nowhere.
-    """
-    return np.asarray(_log_chance_of_phase(order_map) < np.log(NUMBERS.by_phase_chance))
 
 
 def _by_phase_alone(order_map: xr.Dataset, false_alarm_probability: float) -> Floats:

@@ -366,7 +366,7 @@ def largest(line: OrderLine) -> Largest:
     usual = half_width(degrees_of_freedom)
     if 0.0 < alone[0] < seen and seen < alone[1] < np.inf:
         # the choice stretches the interval of that speed alone; a factor, so that what is seen stays above 0
-        held = _is_stretched(alone, seen, one * usual)
+        held = max(seen - alone[0], alone[1] - seen) > NUMBERS.changing_ratio * (one * usual)
         # what was held within the recordings is no error: the choice stretches only that of the noise
         by_noise = max(alone[0], seen / (1.0 + usual * one / seen)) if held else alone[0]
         low = seen * float((by_noise / seen) ** (-below / usual)) if below < 0.0 else seen
@@ -385,11 +385,6 @@ def _independent_of(at: int, amplitude: Floats, n_independent: Floats | None) ->
     place = np.cumsum(n_independent) - 0.5 * n_independent
     apart = np.abs(place - place[at]) > 1.0 - 1e-9
     return amplitude[apart], max(1.0, float(n_independent.sum()))
-
-
-def _is_stretched(ends: list[float], seen: float, reach: float) -> bool:
-    """Whether ``ends`` of an interval about ``seen`` are farther than the ``reach`` of its noise."""
-    return max(seen - ends[0], ends[1] - seen) > NUMBERS.changing_ratio * reach
 
 
 def _not_surprising(cut: float, wide: float, degrees_of_freedom: float, share: float) -> float:

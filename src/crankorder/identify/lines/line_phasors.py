@@ -9,10 +9,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.lines.close_pair import NUMBERS as CLOSE_PAIR
-from crankorder.identify.lines.close_pair import unaliased
 from crankorder.identify.lines.zoom import NUMBERS as ZOOM
-from crankorder.identify.lines.zoom import Zoomed, zoomed
+from crankorder.identify.lines.zoom import PAIR_NUMBERS as CLOSE_PAIR
+from crankorder.identify.lines.zoom import Zoomed, unaliased, zoomed
 from crankorder.orders.like_speed import common_frames
 from crankorder.settings import MethodNumbers
 

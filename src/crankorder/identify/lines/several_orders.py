@@ -359,13 +359,13 @@ def close_lines(
         orders = told(low, high)
         if leave_noise(held, low, high, orders):
             continue
-        inside = _solved_channels(held, low, high)
+        inside = lines_within(held, low, high)
         if len(inside) > max(len(orders), 1) and not _is_modulated(inside):
             found.append(CloseLines(low, high, held.span_rev, tuple(inside)))
     return found
 
 
-def _solved_channels(held: Held, low: float, high: float) -> list[SolvedLine]:
+def lines_within(held: Held, low: float, high: float) -> list[SolvedLine]:
     """Lines of ``held`` from ``low`` to ``high``; those beyond that reach into it take part."""
     beyond = LOBE_BINS / held.revs
     if low - beyond <= 0.0 or high + beyond >= held.axis[-1]:

@@ -175,7 +175,7 @@ def _order_mask(
     step = float(frequency[1] - frequency[0])
     level = _level(psd)
     skirt = _skirt(str(campbell.attrs["window"]))
-    half_bin_rpm = _half_bin(campbell)
+    half_bin_rpm = 0.5 * group_width_rpm(campbell)
     for order, error in orders:
         for k, rpm in enumerate(speed):
             line_hz = order * rpm / 60.0
@@ -205,13 +205,6 @@ def _skirt(window: str) -> tuple[Array, Array]:
     away = np.arange(0.0, NUMBERS.skirt_bins + 1.0, 0.25)
     response = window_named(window, 8 * NUMBERS.skirt_bins).response(away) ** 2
     return away, np.asarray(np.maximum.accumulate(response[::-1])[::-1])
-
-
-def _half_bin(campbell: xr.Dataset) -> float:
-    """Half the width in rpm of a speed group of a run-up, whose groups touch; a stepped test's groups are narrow."""
-    speed, width = np.sort(campbell["speed"].values), float(campbell.attrs["speed_bin_rpm"])
-    touching = len(speed) > 2 and float(np.median(np.diff(speed))) < 1.5 * width
-    return 0.5 * width if touching else 0.0
 
 
 def _at_unit_gain(psd: Array, averages: Array) -> tuple[Array, Array]:
@@ -271,6 +264,12 @@ def _mask_feet(psd: Array, averages: Array, moving: NDArray[np.bool_]) -> None:
         foot = grown
     alone = np.any(~foot & np.isfinite(psd), axis=1, keepdims=True)
     psd[foot & alone] = np.nan
+
+
+def group_width_rpm(campbell: xr.Dataset) -> float:
+    """Width [rpm] of a speed group of ``campbell``, a run-up's, whose groups touch; those of steps are narrow: 0."""
+    speed, width = np.sort(campbell["speed"].values), float(campbell.attrs["speed_bin_rpm"])
+    return width if len(speed) > 2 and float(np.median(np.diff(speed))) < 1.5 * width else 0.0
 
 
 def median_of_known(values: Array, *, axis: int) -> Array:

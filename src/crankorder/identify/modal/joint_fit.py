@@ -12,14 +12,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone, Whirl
-from crankorder.identify.modal.doubts import (
-    doubt_about,
-    narrower_than_fitted,
-    of_lines_within,
-    of_the_air,
-    said_wide,
-    without_remains,
-)
 from crankorder.identify.modal.exclusion import FloorBound, Hiding, floor_bound, least_seen
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modal.order_blocks import blocks_of
@@ -51,7 +43,15 @@ from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, Surf
 from crankorder.identify.modal.sweep_modes import modes_unlike, poles_of, poles_unlike, with_sweep_modes
 from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
 from crankorder.identify.modal.tones import tone_of, tone_or_mode, with_one_mains, with_tones
-from crankorder.identify.modal.whirl import whirls_of
+from crankorder.identify.modal.whirl import (
+    doubt_about,
+    narrower_than_fitted,
+    of_lines_within,
+    of_the_air,
+    said_wide,
+    whirls_of,
+    without_remains,
+)
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 

@@ -68,16 +68,12 @@ def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | Non
     told = bool(np.isfinite(phase[known]).all())
     if told and phases_compare([order_map], np.array([agreed.order]))[0]:
         return [_block(agreed.order, names, speed, phasor, wide)]
-    if told and one_phase_reference([order_map]) and _is_half(agreed.order):
+    half = abs(2.0 * agreed.order - round(2.0 * agreed.order)) < 2.0 * WHOLE  # after a turn as it was, or of other sign
+    if told and one_phase_reference([order_map]) and half:
         made = _block(agreed.order, names, speed, phasor, wide)
         return [made and replace(made, amplitude=_without_turns(made.amplitude), sign_free=True)]
     made = _block(agreed.order, names, speed, phasor, wide, power=True)
     return [made and made.squared]
-
-
-def _is_half(order: float) -> bool:
-    """Whether ``order`` is a multiple of one half: after one turn it is as it was, or has the other sign."""
-    return abs(2.0 * order - round(2.0 * order)) < 2.0 * WHOLE
 
 
 def _without_turns(amplitude: Complex) -> Complex:

@@ -224,7 +224,8 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
         also = f"; it is {alone[0]} x {alone[1]:g} Hz as well" if alone else ""
         return "order", known + also
     for multiple, mains in multiples_near(frequency_hz, error_hz, settings=settings):
-        return "mains", f"no damping, {_times(multiple, mains)}{_same_at(floor)}"
+        same = ", the same at all speeds" if _moves(floor) else ""
+        return "mains", f"no damping, {_times(multiple, mains)}{same}"
     rows = _rows_that_show(frequency_hz, floor)
     if (
         rows.any()
@@ -244,10 +245,6 @@ def _moves(floor: Floor) -> bool:
     """Whether several speeds were tested, between which an order would have moved: one cannot tell what stays."""
     speed = floor.speed_rpm[np.isfinite(floor.speed_rpm)]
     return len(speed) > 1 and bool(speed.max() > SAID.alike_speeds_ratio * speed.min())
-
-
-def _same_at(floor: Floor) -> str:
-    return ", the same at all speeds" if _moves(floor) else ""
 
 
 def _rows_that_show(frequency_hz: float, floor: Floor) -> NDArray[np.bool_]:
