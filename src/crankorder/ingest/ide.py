@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from crankorder.errors import EnvironmentFailure, InputError
-from crankorder.ingest.child import in_child
+from crankorder.errors import InputError
+from crankorder.ingest.child import in_child, package
 from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, distinct, named
 from crankorder.ingest.sampling import TimeColumn, read_time_column
 from crankorder.quantities import QualityFlag
@@ -32,7 +32,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     Raises InputError for damage or a missing name, EnvironmentFailure where idelib is missing, UnsafeInputError where
     the parser goes beyond its limits.
     """
-    parser = _parser(path)
+    parser = _parser()
     most = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
     columns, units, stamps, of_sensor = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
     sensors = [read_time_column(times, path, settings=_lenient(settings)) for times in stamps]
@@ -68,20 +68,12 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` are those of :func:`read`, whose errors it raises.
     """
-    parser = _parser(path)
-    found: Contents = in_child(lambda: _contents(parser, path), path, n_bytes=path.stat().st_size)
-    return found
+    parser = _parser()
+    return in_child(lambda: _contents(parser, path), path, n_bytes=path.stat().st_size)
 
 
-def _parser(path: Path) -> Any:
-    """idelib, loaded here so that no child needs to."""
-    try:
-        import idelib
-    except ModuleNotFoundError:
-        raise EnvironmentFailure(
-            "reading IDE files needs the package idelib", file=path, remedy="Run: pip install 'crankorder[ide]'"
-        ) from None
-    return idelib.importFile
+def _parser() -> Any:
+    return package("idelib", "IDE files", "Run: pip install 'crankorder[ide]'").importFile
 
 
 def _channels(file: Any) -> Iterator[tuple[str, Any]]:
@@ -137,7 +129,7 @@ def _read(
     with parser(str(path), quiet=True) as file:
         channels = _named(file)
         chosen = {source: channels[named(source, tuple(channels), path)] for source in sources}
-        check_budget(sum(8 * len(values) for values in chosen.values()), path, max_bytes=settings.max_bytes)
+        check_budget(sum(8 * len(values) for values in chosen.values()), settings)
         for source, channel in chosen.items():
             times, values = channel.arraySlice()
             columns[source] = np.array(values, dtype=np.float64)

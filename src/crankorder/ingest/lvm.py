@@ -87,7 +87,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     (``Delta_X``, to its last decimal); a header that contradicts the column is told in ``attrs["header_rate_hz"]``.
     ``settings`` give the byte limit. Raises InputError where a cell is no number, or the times are not even.
     """
-    check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
+    check_budget(path.stat().st_size, settings)
     layout = _layout(path)
     names = [named(source, tuple(layout.columns), path) for source in sources]
     wanted = {name: layout.columns[name] for name in dict.fromkeys(names)}
@@ -120,7 +120,7 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` give the byte limit. Raises what :func:`read` raises for the headers.
     """
-    check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
+    check_budget(path.stat().st_size, settings)
     layout = _layout(path)
 
     def first_times(time: _Column) -> FloatArray:
@@ -141,10 +141,10 @@ def _layout(path: Path) -> _Layout:
     """Headers of the file and where its segments stand; the lines of values are only counted."""
     encoding = _encoding(path)
     lines = _lines(path, encoding)
-    head = _header(lines, path)
-    segments = list(_segments(lines, path))
+    head = _header(lines)
+    segments = list(_segments(lines))
     if not segments:
-        raise InputError("holds no segment of measured values", file=path, remedy="Copy it again, or record again")
+        raise InputError("holds no segment of measured values", remedy="Copy it again, or record again")
     stated = head.get("Decimal_Separator", ["", ""])[1:2]
     # an old writer states none, and its times of day say nothing about its values
     comma = segments[0].separator != "," and (stated == [","] or (stated == [""] and segments[0].has_commas))
@@ -168,7 +168,7 @@ def _lines(path: Path, encoding: str) -> Iterator[tuple[int, str]]:
         number = 0
         while line := stream.readline(_MOST_LINE_BYTES):
             if len(line) == _MOST_LINE_BYTES:
-                raise UnsafeInputError("a line is longer than any table has", file=path, place=f"line {number + 1}")
+                raise UnsafeInputError("a line is longer than any table has", place=f"line {number + 1}")
             yield number, line.decode(encoding, "replace").rstrip("\r\n")
             number += 1
 
@@ -179,29 +179,29 @@ def _separator(line: str) -> str:
     return first[1] if first else "\t"
 
 
-def _header(lines: Iterator[tuple[int, str]], path: Path) -> dict[str, list[str]]:
+def _header(lines: Iterator[tuple[int, str]]) -> dict[str, list[str]]:
     """Lines of the header that begins here, by their first cell; empty at the end of the file."""
     header: dict[str, list[str]] = {}
     for number, (place, line) in enumerate(lines):
         if line.startswith(_END_OF_HEADER):
             return header
         if number > _MOST_HEAD_LINES:
-            raise InputError("a header has no end", file=path, place=f"line {place + 1}", remedy="Copy it again")
+            raise InputError("a header has no end", place=f"line {place + 1}", remedy="Copy it again")
         cells = [cell.strip() for cell in line.split(_separator(line))]
         if cells[0]:
             header[cells[0]] = cells
     if header:
-        raise InputError("truncated: a header has no end", file=path, remedy="Copy it again")
+        raise InputError("truncated: a header has no end", remedy="Copy it again")
     return {}
 
 
-def _segments(lines: Iterator[tuple[int, str]], path: Path) -> Iterator[_Segment]:
+def _segments(lines: Iterator[tuple[int, str]]) -> Iterator[_Segment]:
     n_segments = 0
-    while header := _header(lines, path):
+    while header := _header(lines):
         number, text = next(lines, (0, ""))
         names = tuple(cell.strip() for cell in text.split(_separator(text)))
         if not text.strip() or len(names) > _MOST_COLUMNS:
-            raise InputError("no names of columns below a header", file=path, place=f"line {number + 1}")
+            raise InputError("no names of columns below a header", place=f"line {number + 1}")
         n_lines, n_cells, separator, has_commas = 0, 0, "\t", False
         for _, line in lines:
             if not line.strip(" \t;,"):
@@ -211,12 +211,12 @@ def _segments(lines: Iterator[tuple[int, str]], path: Path) -> Iterator[_Segment
                 has_commas = "," in line and "." not in line
             n_lines, n_cells = n_lines + 1, max(n_cells, line.count(separator) + 1)
         if n_cells > 2 * _MOST_COLUMNS:
-            raise UnsafeInputError("a line has more cells than any table", file=path)
+            raise UnsafeInputError("a line has more cells than any table")
         if n_lines:
             yield _Segment(number + 1, names, header, n_lines, n_cells, separator, has_commas)
         n_segments += 1
         if n_segments > _MOST_SEGMENTS:
-            raise UnsafeInputError(f"holds more than {_MOST_SEGMENTS} segments", file=path)
+            raise UnsafeInputError(f"holds more than {_MOST_SEGMENTS} segments")
 
 
 def _columns(segments: list[_Segment], *, with_times: bool) -> dict[str, _Column]:
@@ -288,7 +288,7 @@ def _read(
     except (ValueError, OverflowError, pd.errors.ParserError) as error:
         cell = printable(str(error).split("\n")[0], 80)
         line = f"below line {segment.first_line + done}"
-        raise InputError("a cell is no number", file=path, place=line, found=cell, remedy="Mend the cell") from None
+        raise InputError("a cell is no number", place=line, found=cell, remedy="Mend the cell") from None
     return [row[: _filled(row)] for row in rows] if any(np.isnan(row[-1:]).any() for row in rows) else rows
 
 

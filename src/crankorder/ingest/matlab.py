@@ -122,10 +122,10 @@ def elements(data: Buffer, start: int, end: int, order: str, *, partial: bool = 
         raise DamagedFileError(f"{end - start} bytes are left of an element")
 
 
-def expanded(element: Element, *, most: int | None, path: Path, settings: IngestSettings) -> Element:
+def expanded(element: Element, *, most: int | None, settings: IngestSettings) -> Element:
     """The element that the compressed ``element`` holds; only its first ``most`` bytes where that is a number.
 
-    Its size is checked against ``settings`` before room is made; ``path`` names the file in errors.
+    Its size is checked against ``settings`` before room is made.
     Raises DamagedFileError where the data do not inflate to what they claim, UnsafeInputError for too large a claim.
     """
     inflate = zlib.decompressobj()
@@ -151,7 +151,7 @@ def expanded(element: Element, *, most: int | None, path: Path, settings: Ingest
         if len(tag) < 8:
             raise DamagedFileError("a compressed variable is cut short")
         code, n_bytes = (int(word) for word in np.frombuffer(tag, f"{element.order}u4"))
-        check_budget(n_bytes, path, max_bytes=settings.max_bytes)
+        check_budget(n_bytes, settings)
         if n_bytes > _MOST_DEFLATED * len(packed):
             raise DamagedFileError(f"a compressed variable of {len(packed)} bytes cannot hold the {n_bytes} it claims")
         wanted = n_bytes if most is None else min(n_bytes, most)
@@ -296,16 +296,16 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     the byte and object limits. Raises InputError for damage or a missing name, UnsafeInputError for impossible sizes.
     """
     with _opened(path) as data:
-        tree = _tree(data, path, settings)
+        tree = _tree(data, settings)
         names = [_named(source, tree, path) for source in sources]
         wanted = [tree.columns[name] for name in names if name in tree.columns]
         leaves = {id(column.leaf): column.leaf for column in wanted}
-        check_budget(sum(leaf.n_values * 8 for leaf in leaves.values()), path, max_bytes=settings.max_bytes)
+        check_budget(sum(leaf.n_values * 8 for leaf in leaves.values()), settings)
         kinds = [(column.n_samples, _target(column.leaf)) for column in wanted]
         rows = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
         for leaf in leaves.values():
             mine = [(column, row) for column, row in zip(wanted, rows, strict=True) if column.leaf is leaf]
-            _fill(mine, leaf, path, settings)
+            _fill(mine, leaf, settings)
     room = iter(rows)
     columns = {
         source: next(room) if name in tree.columns else np.array([tree.scalars[name]])
@@ -326,7 +326,7 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     ``settings`` give the byte and object limits. Raises what :func:`read` raises.
     """
     with _opened(path) as data:
-        tree = _tree(data, path, settings)
+        tree = _tree(data, settings)
     samples = {name: column.n_samples for name, column in tree.columns.items()}
     return Contents(
         "MATLAB", tree.names, samples | dict.fromkeys(tree.scalars, 1), rates_hz=_rates(tree), starts_s=_starts(tree)
@@ -338,35 +338,33 @@ def _opened(path: Path) -> Iterator[Buffer]:
     """Bytes of the file at ``path``, mapped; what its damage raises inside is told as InputError."""
     with path.open("rb") as stream:
         if path.stat().st_size < _HEADER_BYTES + 8:
-            raise InputError("truncated: a MATLAB file without any variable", file=path, remedy="Copy it again")
+            raise InputError("truncated: a MATLAB file without any variable", remedy="Copy it again")
         data = np.frombuffer(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ), np.uint8)
     try:
         yield data  # unmapped when the last view of it is gone
     except TooManyPartsError as error:
-        raise UnsafeInputError(str(error), file=path, remedy="Save the signals as variables of their own") from None
+        raise UnsafeInputError(str(error), remedy="Save the signals as variables of their own") from None
     except DamagedFileError as error:
-        raise InputError(
-            f"damaged or truncated: {error}", file=path, place=error.place, remedy="Copy the file again"
-        ) from None
+        raise InputError(f"damaged or truncated: {error}", place=error.place, remedy="Copy the file again") from None
 
 
-def _tree(data: Buffer, path: Path, settings: IngestSettings) -> _Tree:
+def _tree(data: Buffer, settings: IngestSettings) -> _Tree:
     """All numeric arrays of the file: its variables and what lies in structs and cells, bounded in depth and number."""
     mark = data[126:128].tobytes()
     if mark not in (b"IM", b"MI"):
         raise DamagedFileError("the header does not say in which order bytes stand")
-    order, walk = ("<" if mark == b"IM" else ">"), _Walk(path, settings)
+    order, walk = ("<" if mark == b"IM" else ">"), _Walk(settings)
     for element in elements(data, _HEADER_BYTES, len(data), order):
         walk.variable(element)
     if not walk.leaves:
         found = ", ".join(sorted(set(walk.others)))
         remedy = "Save numbers as plain arrays: tables, time series and text are not read" if found else "Copy it again"
-        raise InputError("holds no array of numbers", file=path, found=found, remedy=remedy)
+        raise InputError("holds no array of numbers", found=found, remedy=remedy)
     columns: dict[str, _Column] = {}
     scalars: dict[str, float] = {}
     for name, leaf in walk.leaves.items():
         if leaf.n_values == 1:
-            scalars[name] = float(_values(leaf, path, settings)[0])
+            scalars[name] = float(_values(leaf, settings)[0])
         else:
             columns |= _columns(name, leaf)
     return _Tree(columns, scalars, tuple(dict.fromkeys(walk.twice)), tuple(walk.others))
@@ -375,8 +373,8 @@ def _tree(data: Buffer, path: Path, settings: IngestSettings) -> _Tree:
 class _Walk:
     """Visits variables and what lies in them, and keeps the arrays of real numbers by name."""
 
-    def __init__(self, path: Path, settings: IngestSettings) -> None:
-        self._path, self._settings, self._n = path, settings, 0
+    def __init__(self, settings: IngestSettings) -> None:
+        self._settings, self._n = settings, 0
         self.leaves: dict[str, Matrix] = {}
         self.twice: list[str] = []
         self.others: list[str] = []
@@ -385,11 +383,10 @@ class _Walk:
         """Visit one variable; a compressed one is opened as far as its header only, where that is enough."""
         self._count("")
         if element.compressed:
-            limits: dict[str, Any] = {"path": self._path, "settings": self._settings}
-            head = expanded(element, most=_HEAD_BYTES, **limits)
+            head = expanded(element, most=_HEAD_BYTES, settings=self._settings)
             matrix = matrix_of(head, partial=True)
             if matrix is not None and not matrix.is_number:
-                matrix = matrix_of(expanded(element, most=None, **limits))
+                matrix = matrix_of(expanded(element, most=None, settings=self._settings))
             elif matrix is not None:
                 matrix.packed = element
                 if matrix.n_values > head.n_bytes:
@@ -404,9 +401,7 @@ class _Walk:
     def _visit(self, matrix: Matrix, name: str, depth: int) -> None:
         self._count(name)
         if depth > _MAX_DEPTH:
-            raise UnsafeInputError(
-                f"structs and cells are nested deeper than {_MAX_DEPTH}", file=self._path, place=name
-            )
+            raise UnsafeInputError(f"structs and cells are nested deeper than {_MAX_DEPTH}", place=name)
         if matrix.is_number:
             if matrix.packed is None:
                 matrix.values()  # says so where they are not as many as the shape promises
@@ -422,7 +417,7 @@ class _Walk:
         self._n += 1
         if self._n > self._settings.max_objects:
             limit = f"holds more than {self._settings.max_objects} objects"
-            raise UnsafeInputError(limit, file=self._path, place=name)
+            raise UnsafeInputError(limit, place=name)
 
 
 def _columns(name: str, leaf: Matrix) -> dict[str, _Column]:
@@ -443,18 +438,18 @@ def _target(leaf: Matrix) -> type[np.float32] | type[np.float64]:
     return np.float32 if leaf.kind in ("single", "int8", "uint8", "int16", "uint16") else np.float64
 
 
-def _values(leaf: Matrix, path: Path, settings: IngestSettings) -> npt.NDArray[Any]:
+def _values(leaf: Matrix, settings: IngestSettings) -> npt.NDArray[Any]:
     """The stored values of ``leaf`` (column by column), of whatever type they are stored in."""
     if leaf.packed is None:
         return leaf.values()
-    whole = matrix_of(expanded(leaf.packed, most=None, path=path, settings=settings))
+    whole = matrix_of(expanded(leaf.packed, most=None, settings=settings))
     if whole is None:
         raise DamagedFileError("a compressed variable holds no array", place=leaf.name)
     return whole.values()
 
 
-def _fill(mine: list[tuple[_Column, FloatArray]], leaf: Matrix, path: Path, settings: IngestSettings) -> None:
-    values = _values(leaf, path, settings)
+def _fill(mine: list[tuple[_Column, FloatArray]], leaf: Matrix, settings: IngestSettings) -> None:
+    values = _values(leaf, settings)
     sides = [side for side in leaf.shape if side != 1]
     for column, row in mine:
         if column.index is None:

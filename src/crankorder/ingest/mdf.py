@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.errors import EnvironmentFailure
-from crankorder.ingest.child import in_child
+from crankorder.ingest.child import in_child, package
 from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, distinct, named
 from crankorder.settings import IngestSettings
 
@@ -40,11 +39,11 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     Raises InputError for damage or a missing name, EnvironmentFailure where asammdf is missing, UnsafeInputError where
     the parser goes beyond its limits.
     """
-    parser = _parser(path)
+    parser = _parser()
     places: dict[str, _Place] = in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size)
     names = [named(source, tuple(places), path) for source in sources]
     n_bytes = sum(8 * places[name].n_samples for name in names)
-    check_budget(n_bytes, path, max_bytes=settings.max_bytes)
+    check_budget(n_bytes, settings)
     wanted = {name: places[name] for name in names}
     columns = in_child(lambda: _read(parser, path, wanted), path, n_bytes=n_bytes)
     by_source = {source: places[name] for source, name in zip(sources, names, strict=True)}
@@ -61,7 +60,7 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` are those of :func:`read`, whose errors it raises.
     """
-    parser = _parser(path)
+    parser = _parser()
     places: dict[str, _Place] = in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size)
     return Contents(
         format="MDF4",
@@ -73,15 +72,8 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     )
 
 
-def _parser(path: Path) -> Any:
-    """asammdf, loaded here so that no child needs to."""
-    try:
-        import asammdf
-    except ModuleNotFoundError:
-        raise EnvironmentFailure(
-            "reading MDF4 files needs the package asammdf", file=path, remedy="Run: pip install 'crankorder[mdf]'"
-        ) from None
-    return asammdf.MDF
+def _parser() -> Any:
+    return package("asammdf", "MDF4 files", "Run: pip install 'crankorder[mdf]'").MDF
 
 
 def _places(parser: Any, path: Path) -> dict[str, _Place]:

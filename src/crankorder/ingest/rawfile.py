@@ -15,6 +15,7 @@ import numpy.typing as npt
 from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.quantities import QualityFlag, Severity
 from crankorder.scratch import empty, empty_like
+from crankorder.settings import IngestSettings
 
 FloatArray = npt.NDArray[np.floating[Any]]
 Source = str | int
@@ -161,16 +162,15 @@ def looks_counted(values: FloatArray) -> bool:
     return bool((some == np.rint(some)).all()) and np.unique(some).size >= _SIZES
 
 
-def check_budget(n_bytes: int, path: Path, *, max_bytes: int) -> None:
-    """Refuse a claim of ``n_bytes`` above ``max_bytes`` before anything is allocated for the file at ``path``.
+def check_budget(n_bytes: int, settings: IngestSettings) -> None:
+    """Refuse a file that claims ``n_bytes``, more than ``settings`` allow, before anything is allocated for it.
 
     Raises UnsafeInputError with both numbers.
     """
-    if n_bytes > max_bytes:
+    if n_bytes > settings.max_bytes:
         raise UnsafeInputError(
             f"claims {n_bytes} bytes of samples",
-            file=path,
-            allowed=f"{max_bytes} bytes (ingest.max_bytes)",
+            allowed=f"{settings.max_bytes} bytes (ingest.max_bytes)",
             remedy="Check the file, or raise ingest.max_bytes in a recipe",
         )
 

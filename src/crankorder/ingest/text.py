@@ -48,7 +48,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
 
     ``settings`` give the byte limit. Raises InputError with line and cell where lines are ragged or cells no number.
     """
-    check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
+    check_budget(path.stat().st_size, settings)
     layout = _layout_of(path)
     positions = [layout.names.index(named(source, layout.names, path)) for source in sources]
     if path.stat().st_size > settings.in_memory_bytes:
@@ -72,7 +72,7 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` give the byte limit. Raises what :func:`read` raises for the head.
     """
-    check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
+    check_budget(path.stat().st_size, settings)
     layout = _layout_of(path)
     rates = {} if layout.rate_hz is None else dict.fromkeys(layout.names, layout.rate_hz)
     return Contents(format="text", names=layout.names, units=layout.units, rates_hz=rates)
@@ -100,7 +100,6 @@ def _layout_of(path: Path) -> _Layout:
     shown = next((line for line in lines if line.strip() and not _is_comment(line)), "")
     raise InputError(
         "no line of numbers in the first 64 kB: no table of samples",
-        file=path,
         found=repr(printable(shown, 60)),
         remedy="Export the recording as columns of numbers",
     )
@@ -231,7 +230,7 @@ def _pieces(path: Path, layout: _Layout, n_lines: int | None) -> Iterator[tuple[
         if isinstance(error, InputError):
             raise
         _find_bad_cell(path, layout)
-        raise InputError("not a table of numbers", file=path, found=error) from None
+        raise InputError("not a table of numbers", found=error) from None
 
 
 def _find_bad_cell(path: Path, layout: _Layout) -> None:
@@ -246,7 +245,6 @@ def _find_bad_cell(path: Path, layout: _Layout) -> None:
                 last = "" if line.endswith("\n") else "; the file seems to be truncated"
                 raise InputError(
                     f"{len(fields)} cells where the lines above have {n_columns}{last}",
-                    file=path,
                     place=f"line {number}",
                     found=repr(printable(line.strip(), 60)),
                     remedy="Mend the line, or copy the file again",
@@ -256,7 +254,6 @@ def _find_bad_cell(path: Path, layout: _Layout) -> None:
                 if not _NUMBER.fullmatch(plain):
                     raise InputError(
                         "not a number" if cell else "an empty cell",
-                        file=path,
                         place=f"line {number}, column {position} ({printable(layout.names[position], 40)})",
                         found=repr(printable(cell, 40)),
                         remedy="Mend the cell, or leave the recording out",

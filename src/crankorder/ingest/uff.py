@@ -73,9 +73,9 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     the byte and object limits. Raises InputError for damage, a missing name, or a file without time histories.
     """
     with _mapped(path) as data:
-        found = _histories(data, path, settings)
+        found = _histories(data, settings)
         names = [named(source, tuple(found), path) for source in sources]
-        check_budget(sum(found[name].n_points * 8 for name in names), path, max_bytes=settings.max_bytes)
+        check_budget(sum(found[name].n_points * 8 for name in names), settings)
         sampled = {name: _sampled(data, found[name], path, settings) for name in dict.fromkeys(names)}
     columns = {name: column for name, (column, _) in sampled.items()}
     times = {source: sampled[name][1] for source, name in zip(sources, names, strict=True)}
@@ -97,7 +97,7 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     :func:`read` raises.
     """
     with _mapped(path) as data:
-        found = _histories(data, path, settings)
+        found = _histories(data, settings)
         times = {
             name: history.even or _sampled(data, history, path, settings, most_bytes=_FEW_BYTES)[1]
             for name, history in found.items()
@@ -127,7 +127,7 @@ def _flags(found: dict[str, _History], columns: dict[str, FloatArray], path: Pat
     return [flag(path, "missing_data", "suspect", detail)]
 
 
-def _histories(data: mmap.mmap, path: Path, settings: IngestSettings) -> dict[str, _History]:
+def _histories(data: mmap.mmap, settings: IngestSettings) -> dict[str, _History]:
     """Time histories by name, in the order of the file."""
     made: list[_History] = []
     others: dict[str, None] = {}
@@ -135,14 +135,14 @@ def _histories(data: mmap.mmap, path: Path, settings: IngestSettings) -> dict[st
     while (begin := _DELIMITER.search(data, place)) is not None:
         count += 1
         if count > settings.max_objects:
-            raise UnsafeInputError(f"more than {settings.max_objects} data sets", file=path, remedy="Split the file")
+            raise UnsafeInputError(f"more than {settings.max_objects} data sets", remedy="Split the file")
         line, after = _line(data, begin.end())
         if re.match(rb"\s*58b?\b", line) is None:
             others[f"data set {printable(line.decode('latin-1').strip(), 12)}"] = None
             end = _DELIMITER.search(data, after)
             place = end.end() if end is not None else len(data)
             continue
-        one, place = _history(data, line, after, path)
+        one, place = _history(data, line, after)
         if isinstance(one, _History):
             made.append(one)
         else:
@@ -150,7 +150,6 @@ def _histories(data: mmap.mmap, path: Path, settings: IngestSettings) -> dict[st
     if not made:
         raise InputError(
             "holds no time histories (data set 58, function type 1, or 0 by time)",
-            file=path,
             found=", ".join(list(others)[:5]) or "no data set",
             remedy="Export the time signals",
         )
@@ -165,7 +164,7 @@ def _line(data: mmap.mmap, place: int) -> tuple[bytes, int]:
     return data[place : min(end, place + _MOST_LINE_BYTES)].rstrip(b"\r"), end + 1
 
 
-def _history(data: mmap.mmap, kind: bytes, place: int, path: Path) -> tuple[_History | str, int]:
+def _history(data: mmap.mmap, kind: bytes, place: int) -> tuple[_History | str, int]:
     """The data set 58 whose header begins at ``place``, or what it is where it is no time history; and its end."""
     where = f"data set 58 at byte {place}"
     lines: list[bytes] = []
@@ -178,9 +177,9 @@ def _history(data: mmap.mmap, kind: bytes, place: int, path: Path) -> tuple[_His
         start_s, step = float(text[6].split()[3]), text[6].split()[4]
         abscissa = int(text[7][:10])
     except (ValueError, IndexError):
-        raise InputError("damaged: the header of a data set is wrong", file=path, place=where) from None
+        raise InputError("damaged: the header of a data set is wrong", place=where) from None
     binary = b"b" in kind
-    n_bytes, order = _binary_layout(kind, path, where) if binary else (0, "<")
+    n_bytes, order = _binary_layout(kind, where) if binary else (0, "<")
     last = place + n_bytes
     if not binary:
         end = _DELIMITER.search(data, place)
@@ -192,7 +191,7 @@ def _history(data: mmap.mmap, kind: bytes, place: int, path: Path) -> tuple[_His
     if not general and (function != _TIME_RESPONSE or abscissa not in (0, _TIME)):
         return f"function type {function} ({_FUNCTIONS.get(function, 'other')})", after
     if problem:
-        raise InputError(problem, file=path, place=where, remedy="Export real samples at even steps of time")
+        raise InputError(problem, place=where, remedy="Export real samples at even steps of time")
     last = min(last, len(data))
     unit = known_unit(_unit(text[7]))
     time_s = unit.factor if unit is not None and unit.quantity == "time" else 1.0
@@ -217,17 +216,16 @@ def _text(line: bytes) -> str:
         return line.decode("latin-1")
 
 
-def _binary_layout(kind: bytes, path: Path, where: str) -> tuple[int, str]:
+def _binary_layout(kind: bytes, where: str) -> tuple[int, str]:
     """Bytes of the samples and their order, from the first line of a data set 58b."""
     cells = kind.split()
     try:
         order, floats, n_lines, n_bytes = (int(cell) for cell in cells[1:5])
     except ValueError:
-        raise InputError("damaged: the header of a binary data set is wrong", file=path, place=where) from None
+        raise InputError("damaged: the header of a binary data set is wrong", place=where) from None
     if order not in (1, 2) or floats != 2 or n_lines != _HEADER_LINES or n_bytes < 0:
         raise InputError(
             "a binary data set of a kind that is not read",
-            file=path,
             place=where,
             found=printable(kind.decode("latin-1")),
             allowed="byte order 1 or 2, IEEE 754 numbers (2), 11 lines of text",
@@ -290,7 +288,7 @@ def _sampled(
     if history.binary:
         points = np.frombuffer(block[: len(block) // point.itemsize * point.itemsize], point)[kept]
     else:
-        points = _numbers(block if most_bytes is None else block[: block.rfind(b"\n") + 1], history, path)[kept]
+        points = _numbers(block if most_bytes is None else block[: block.rfind(b"\n") + 1], history)[kept]
     if history.even is not None:
         return np.asarray(points, dtype=point.newbyteorder("=")), history.even
     if history.binary:
@@ -307,7 +305,7 @@ def _sampled(
     return samples, column
 
 
-def _numbers(block: bytes, history: _History, path: Path) -> NDArray[np.float64]:
+def _numbers(block: bytes, history: _History) -> NDArray[np.float64]:
     """Numbers of a ``block`` of lines in columns of even width, or between blanks as where pairs mix two widths."""
     lines = [line.rstrip() for line in block.replace(b"D", b"E").replace(b"d", b"e").splitlines()]
     width = 13 if history.point.itemsize == 4 else 20
@@ -321,4 +319,4 @@ def _numbers(block: bytes, history: _History, path: Path) -> NDArray[np.float64]
         return np.asarray(table[table != b""].astype(np.float64))
     except ValueError as error:
         place = f"data set 58 at byte {history.first}"
-        raise InputError("not a number", file=path, place=place, found=error, remedy="Export it again") from None
+        raise InputError("not a number", place=place, found=error, remedy="Export it again") from None

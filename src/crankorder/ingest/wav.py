@@ -91,7 +91,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     header = _header_of(path, settings)
     numbers = [header.names.index(named(source, header.names, path)) for source in sources]
     frame_bytes = header.n_channels * header.n_bits // 8
-    check_budget(header.n_present * header.n_channels * 8, path, max_bytes=settings.max_bytes)
+    check_budget(header.n_present * header.n_channels * 8, settings)
     wanted = part_of(header.n_present, rows)
     kind = (wanted.stop - wanted.start, _sample_type(header))
     room = rows_for([kind] * len(numbers), in_memory_bytes=settings.in_memory_bytes)
@@ -125,7 +125,7 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     ``settings`` are those of :func:`read`, whose errors it raises.
     """
     header = _header_of(path, settings)
-    check_budget(header.n_present * header.n_channels * 8, path, max_bytes=settings.max_bytes)
+    check_budget(header.n_present * header.n_channels * 8, settings)
     return Contents(
         format="WAV",
         names=header.names,
@@ -144,27 +144,27 @@ def _header_of(path: Path, settings: IngestSettings) -> _Header:
         declared = struct.unpack("<4sI", stream.read(8).ljust(8, b"\0"))[1] + 8
         for number, (name, begin, n_bytes) in enumerate(_chunks(stream, size, declared)):
             if number > settings.max_objects:
-                raise UnsafeInputError(f"holds more than {settings.max_objects} chunks", file=path, remedy=_LEAVE_OUT)
+                raise UnsafeInputError(f"holds more than {settings.max_objects} chunks", remedy=_LEAVE_OUT)
             if name == b"data":
                 start, length = begin, n_bytes
                 is_open = not _is_filled_in(stream, start, length, size)
                 if is_open:
                     break
             elif begin + n_bytes > size and (start < 0 or name == _LEA):
-                raise InputError(f"truncated: {size} of {begin + n_bytes} bytes", file=path, remedy=_COPY)
+                raise InputError(f"truncated: {size} of {begin + n_bytes} bytes", remedy=_COPY)
             elif name == b"fmt ":
                 layout = stream.read(min(n_bytes, 64))
             else:
                 found.look_into(name, stream.read(min(n_bytes, _MOST_OF_CHUNK)))
         if layout is None or len(layout) < 16 or start < 0 or (length == 0 and not is_open):
-            raise InputError(f"truncated: {size} bytes hold no samples", file=path, remedy=_COPY)
+            raise InputError(f"truncated: {size} bytes hold no samples", remedy=_COPY)
         stray = None if _LEA in found.seen else _stray_chunk(stream, start if is_open else start + length, size)
     if stray is not None:
         found.look_into(_LEA, stray[1])
     if is_open:
         length = (size if stray is None else stray[0]) - start
     elif start + length <= size < declared - 1 < _UNKNOWN_FROM:  # the last byte may be that which fills up an odd chunk
-        raise InputError(f"truncated after the samples: {size} of {declared} bytes", file=path, remedy=_COPY)
+        raise InputError(f"truncated after the samples: {size} of {declared} bytes", remedy=_COPY)
     return _checked(path, layout, start, length, min(length, size - start), found, is_open=is_open)
 
 
@@ -259,7 +259,7 @@ class _Calibrated:
             self.doubts.append(f"its chunk {shown} speaks of a calibration that is not read: {spoken!r}")
 
 
-def _layout_of(layout: bytes, path: Path) -> tuple[int, int, int, int, int, int]:
+def _layout_of(layout: bytes) -> tuple[int, int, int, int, int, int]:
     """Format code, channels, rate, bytes per second and per frame, and bits of a ``fmt`` chunk that is read."""
     code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits = struct.unpack_from("<HHIIHH", layout)
     if code == _EXTENSIBLE and len(layout) >= 26:
@@ -268,7 +268,6 @@ def _layout_of(layout: bytes, path: Path) -> tuple[int, int, int, int, int, int]
     if n_bits not in allowed:
         raise InputError(
             "the sample format is not supported",
-            file=path,
             found=f"format code {code} with {n_bits} bits",
             allowed="8, 16, 24 or 32-bit integers, 32 or 64-bit floats",
             remedy="Export as 16-bit or float WAV",
@@ -276,7 +275,6 @@ def _layout_of(layout: bytes, path: Path) -> tuple[int, int, int, int, int, int]
     if not (n_channels and rate_hz and frame_bytes == n_channels * n_bits // 8):
         raise InputError(
             "the header contradicts itself",
-            file=path,
             found=f"{n_channels} channels of {n_bits} bits at {rate_hz} Hz in frames of {frame_bytes} bytes",
         )
     return code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits
@@ -285,13 +283,9 @@ def _layout_of(layout: bytes, path: Path) -> tuple[int, int, int, int, int, int]
 def _checked(
     path: Path, layout: bytes, data_start: int, declared: int, present: int, found: _Calibrated, *, is_open: bool
 ) -> _Header:
-    code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits = _layout_of(layout, path)
+    code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits = _layout_of(layout)
     if present < _MIN_PRESENT * declared:
-        raise InputError(
-            f"truncated: {present // frame_bytes} of {declared // frame_bytes} samples",
-            file=path,
-            remedy=_COPY,
-        )
+        raise InputError(f"truncated: {present // frame_bytes} of {declared // frame_bytes} samples", remedy=_COPY)
     n_declared, n_present = declared // frame_bytes, present // frame_bytes
     doubts = list(found.doubts)
     calibrations = found.calibrations
