@@ -7,6 +7,7 @@ import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +19,18 @@ from crankorder.ingest.rawfile import (
     HDF5_SIGNATURE,
     Contents,
     FloatArray,
+    Key,
     RawFile,
     Source,
     check_budget,
     flag,
     float_type_for,
-    named,
+    names_of,
     part_of,
     rows_for,
     starts_by_date,
 )
+from crankorder.quantities import QualityFlag
 from crankorder.scratch import blocks, is_on_disk
 from crankorder.settings import IngestSettings
 
@@ -88,27 +91,30 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     """
     with _opened(path) as file:
         columns = _columns_of(file, settings)
-        names = [named(source, list(columns), path) for source in sources]
-        used = {columns[name].dataset: file[columns[name].dataset] for name in names}
+        names = names_of(sources, list(columns), path)
+        used = {columns[name].dataset: file[columns[name].dataset] for name in names.values()}
         for dataset in used.values():
             _check_dataset(dataset)
         n_bytes = sum(dataset.size * max(4, dataset.dtype.itemsize) for dataset in used.values())
         check_budget(n_bytes, settings)
         attributes = _Attributes(file)
-        datasets = {source: used[columns[name].dataset] for source, name in zip(sources, names, strict=True)}
-        rates = {source: attributes.rate_hz(dataset) for source, dataset in datasets.items()}
-        starts, undated = starts_by_date(*attributes.starts(datasets), path)
-        values = _read_columns([columns[name] for name in names], used, attributes, settings, rows)
-        units = {source: attributes.text(dataset, _UNIT_NAMES) for source, dataset in datasets.items()}
-        others = set(_stated(rates).values())
-        doubts = {doubt: None for name, ds in datasets.items() for doubt in attributes.doubts(ds, rates[name], others)}
-        return RawFile(
-            columns=dict(zip(sources, values, strict=True)),
-            units={source: unit for source, unit in units.items() if unit},
-            rates_hz=_stated(rates),
-            starts_s=starts,
-            flags=[flag(path, name, "suspect", detail) for name, detail in doubts] + undated,
-        )
+        datasets = {source: used[columns[name].dataset] for source, name in names.items()}
+        stated, undated = _stated_in(datasets, attributes, path)
+        values = _read_columns([columns[name] for name in names.values()], used, attributes, settings, rows)
+        rates, others = stated["rates_hz"], set(stated["rates_hz"].values())
+        doubts = [attributes.doubts(dataset, rates.get(source), others) for source, dataset in datasets.items()]
+        flags = [flag(path, name, "suspect", detail) for name, detail in dict.fromkeys(chain(*doubts))]
+        return RawFile(dict(zip(names, values, strict=True)), **stated, flags=flags + undated)
+
+
+def _stated_in(
+    datasets: Mapping[Key, Any], attributes: _Attributes, path: Path
+) -> tuple[dict[str, dict[Key, Any]], list[QualityFlag]]:
+    """Units, rates and starts of ``datasets`` by the fields of Contents and RawFile, and flags of unset clocks."""
+    rates = _stated({key: attributes.rate_hz(dataset) for key, dataset in datasets.items()})
+    starts, undated = starts_by_date(*attributes.starts(datasets), path)
+    units = {key: unit for key, dataset in datasets.items() if (unit := attributes.text(dataset, _UNIT_NAMES))}
+    return {"units": units, "rates_hz": rates, "starts_s": starts}, undated
 
 
 def _stated(rates: Mapping[Any, float | None]) -> dict[Any, float]:
@@ -126,14 +132,11 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
         for dataset in datasets.values():
             _check_dataset(dataset)
         attributes = _Attributes(file)
-        rates = {name: attributes.rate_hz(dataset) for name, dataset in datasets.items()}
         return Contents(
             format="HDF5",
             names=tuple(columns),
             samples={name: column.n_samples for name, column in columns.items()},
-            units={name: unit for name, dataset in datasets.items() if (unit := attributes.text(dataset, _UNIT_NAMES))},
-            rates_hz=_stated(rates),
-            starts_s=starts_by_date(*attributes.starts(datasets), path)[0],
+            **_stated_in(datasets, attributes, path)[0],
             speed_rpm=next(
                 (rpm for dataset in datasets.values() if (rpm := attributes.number(dataset, _SPEED_NAMES))), None
             ),

@@ -22,7 +22,7 @@ from crankorder.ingest.rawfile import (
     Source,
     check_budget,
     flag,
-    named,
+    names_of,
     rows_for,
     starts_by_date,
 )
@@ -89,30 +89,24 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     """
     check_budget(path.stat().st_size, settings)
     layout = _layout(path)
-    names = [named(source, tuple(layout.columns), path) for source in sources]
-    wanted = {name: layout.columns[name] for name in dict.fromkeys(names)}
-    times = {name: column for name in names if (column := _times_of(layout, layout.columns[name])) is not None}
+    names = names_of(sources, tuple(layout.columns), path)
+    wanted = {name: layout.columns[name] for name in names.values()}
+    times = [time for column in wanted.values() if (time := _times_of(layout, column)) is not None]
     read: dict[tuple[int, int], FloatArray] = {}
     for segment in {id(column.segment): column.segment for column in wanted.values()}.values():
-        mine = [column for column in (*wanted.values(), *times.values()) if column.segment is segment]
+        mine = [column for column in (*wanted.values(), *times) if column.segment is segment]
         places = sorted({column.place for column in mine})
         rows = _read(path, layout, segment, places, settings)
         read |= {(segment.first_line, place): row for place, row in zip(places, rows, strict=True)}
-    rates, starts, attrs, flags = _timing(
-        layout, wanted, lambda time: read[time.segment.first_line, time.place], path, settings
-    )
-    columns = {name: read[column.segment.first_line, column.place] for name, column in wanted.items()}
+
+    def values_of(column: _Column) -> FloatArray:
+        return read[column.segment.first_line, column.place]
+
+    contents, attrs, flags = _timing(layout, wanted, values_of, path, settings)
     flags += last_line_flags(path)
-    flags += [told for column in wanted.values() if (told := _missing(column, path)) is not None][:1]
-    return RawFile(
-        columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
-        units={source: unit for source, name in zip(sources, names, strict=True) if (unit := wanted[name].unit)},
-        rates_hz={source: rates[name] for source, name in zip(sources, names, strict=True) if name in rates},
-        starts_s={source: starts[name] for source, name in zip(sources, names, strict=True)},
-        rate_uncertainty=float(attrs["rate_uncertainty"]),
-        attrs=attrs,
-        flags=flags,
-    )
+    flags += [remark for column in wanted.values() if (remark := _missing(column, path)) is not None][:1]
+    columns = [values_of(wanted[name]) for name in names.values()]
+    return contents.with_columns(names, columns, attrs=attrs, flags=flags)
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -126,15 +120,7 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     def first_times(time: _Column) -> FloatArray:
         return _read(path, layout, time.segment, [time.place], settings, most=_FEW_LINES)[0]
 
-    rates, starts, attrs, _ = _timing(layout, layout.columns, first_times, path, settings)
-    return Contents(
-        format="LVM",
-        names=tuple(layout.columns),
-        units={name: column.unit for name, column in layout.columns.items() if column.unit},
-        rates_hz=rates,
-        starts_s=starts,
-        rate_uncertainty=float(attrs["rate_uncertainty"]),
-    )
+    return _timing(layout, layout.columns, first_times, path, settings)[0]
 
 
 def _layout(path: Path) -> _Layout:
@@ -300,8 +286,8 @@ def _filled(row: FloatArray) -> int:
 def _timing(
     layout: _Layout, columns: Mapping[str, _Column], stamps: Callable[[_Column], FloatArray], path: Path,
     settings: IngestSettings,
-) -> tuple[dict[str, float], dict[str, float], dict[str, Any], list[QualityFlag]]:  # fmt: skip
-    """Rates in Hz and starts in s of ``columns`` by name, attributes of the file, flags.
+) -> tuple[Contents, dict[str, Any], list[QualityFlag]]:  # fmt: skip
+    """Units, rates and starts of ``columns`` by name, attributes of the file, flags.
 
     ``stamps`` gives the values of a column of times, which is asked for once for all channels of one step.
     """
@@ -324,9 +310,17 @@ def _timing(
         with suppress(ValueError):
             dates[name] = np.datetime64(f"{date}T{of_day[:18]}", "ns")
     starts, flags = starts_by_date({name: date for name, date in dates.items() if not np.isnat(date)}, starts, path)
-    flags += [one for _, _, told in kinds.values() for one in told]
+    flags += [remark for _, _, remarks in kinds.values() for remark in remarks]
     attrs = next(iter(kinds.values()))[1]
-    return rates, starts, attrs, [one for number, one in enumerate(flags) if one not in flags[:number]]
+    contents = Contents(
+        format="LVM",
+        names=tuple(columns),
+        units={name: column.unit for name, column in columns.items() if column.unit},
+        rates_hz=rates,
+        starts_s=starts,
+        rate_uncertainty=float(attrs["rate_uncertainty"]),
+    )
+    return contents, attrs, [remark for number, remark in enumerate(flags) if remark not in flags[:number]]
 
 
 def _channel_from(segment: _Segment, begin: int) -> int:

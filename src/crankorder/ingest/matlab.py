@@ -21,8 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crankorder.errors import InputError, UnsafeInputError, printable
-from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, flag, named, rows_for
-from crankorder.quantities import QualityFlag
+from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, flag, names_of, rows_for
 from crankorder.scratch import blocks, empty
 from crankorder.settings import IngestSettings
 
@@ -297,8 +296,8 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     """
     with _opened(path) as data:
         tree = _tree(data, settings)
-        names = [_named(source, tree, path) for source in sources]
-        wanted = [tree.columns[name] for name in names if name in tree.columns]
+        names = names_of(sources, tree.names, path)
+        wanted = [tree.columns[name] for name in names.values() if name in tree.columns]
         leaves = {id(column.leaf): column.leaf for column in wanted}
         check_budget(sum(leaf.n_values * 8 for leaf in leaves.values()), settings)
         kinds = [(column.n_samples, _target(column.leaf)) for column in wanted]
@@ -307,17 +306,10 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
             mine = [(column, row) for column, row in zip(wanted, rows, strict=True) if column.leaf is leaf]
             _fill(mine, leaf, settings)
     room = iter(rows)
-    columns = {
-        source: next(room) if name in tree.columns else np.array([tree.scalars[name]])
-        for source, name in zip(sources, names, strict=True)
-    }
-    rates, starts = _rates(tree), _starts(tree)
-    return RawFile(
-        columns=columns,
-        rates_hz={source: rates[name] for source, name in zip(sources, names, strict=True) if name in rates},
-        starts_s={source: starts[name] for source, name in zip(sources, names, strict=True) if name in starts},
-        flags=_flags(tree, path),
-    )
+    columns = [next(room) if name in tree.columns else np.array([tree.scalars[name]]) for name in names.values()]
+    detail = "written twice, the last is read: " + ", ".join(tree.twice)
+    flags = [flag(path, "variable_written_twice", "info", detail)] if tree.twice else []
+    return _contents(tree).with_columns(names, columns, flags=flags)
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -326,10 +318,14 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     ``settings`` give the byte and object limits. Raises what :func:`read` raises.
     """
     with _opened(path) as data:
-        tree = _tree(data, settings)
+        return _contents(_tree(data, settings))
+
+
+def _contents(tree: _Tree) -> Contents:
     samples = {name: column.n_samples for name, column in tree.columns.items()}
+    rates = {name: rate for name in tree.columns if (rate := _rate_hz(tree, name)) is not None}
     return Contents(
-        "MATLAB", tree.names, samples | dict.fromkeys(tree.scalars, 1), rates_hz=_rates(tree), starts_s=_starts(tree)
+        "MATLAB", tree.names, samples | dict.fromkeys(tree.scalars, 1), rates_hz=rates, starts_s=_starts(tree)
     )
 
 
@@ -430,10 +426,6 @@ def _columns(name: str, leaf: Matrix) -> dict[str, _Column]:
     return {f"{name}[{index}]": _Column(leaf, index, sides[1]) for index in range(sides[0])}
 
 
-def _named(source: Source, tree: _Tree, path: Path) -> str:
-    return named(source, tree.names, path)
-
-
 def _target(leaf: Matrix) -> type[np.float32] | type[np.float64]:
     return np.float32 if leaf.kind in ("single", "int8", "uint8", "int16", "uint16") else np.float64
 
@@ -460,10 +452,6 @@ def _fill(mine: list[tuple[_Column, FloatArray]], leaf: Matrix, settings: Ingest
             taken = values[column.index :: sides[0]]
         for part in blocks(row.size):
             row[part] = taken[part]
-
-
-def _rates(tree: _Tree) -> dict[str, float]:
-    return {name: rate for name in tree.columns if (rate := _rate_hz(tree, name)) is not None}
 
 
 def _starts(tree: _Tree) -> dict[str, float]:
@@ -502,8 +490,3 @@ def _stated(key: str, value: float) -> float | None:
     if word in _RATE_NAMES or word.endswith(_RATE_ENDINGS):
         return value
     return 1.0 / value if word in _STEP_NAMES else None
-
-
-def _flags(tree: _Tree, path: Path) -> list[QualityFlag]:
-    detail = "written twice, the last is read: " + ", ".join(tree.twice)
-    return [flag(path, "variable_written_twice", "info", detail)] if tree.twice else []

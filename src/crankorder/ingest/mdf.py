@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.ingest.child import in_child, package
-from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, distinct, named
+from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, distinct, names_of
 from crankorder.settings import IngestSettings
 
 _MASTERS = {1: ("time", "s"), 2: ("angle", "deg"), 4: ("index", "1")}
@@ -40,19 +40,13 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     the parser goes beyond its limits.
     """
     parser = _parser()
-    places: dict[str, _Place] = in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size)
-    names = [named(source, tuple(places), path) for source in sources]
-    n_bytes = sum(8 * places[name].n_samples for name in names)
+    places = in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size)
+    names = names_of(sources, tuple(places), path)
+    n_bytes = sum(8 * places[name].n_samples for name in names.values())
     check_budget(n_bytes, settings)
-    wanted = {name: places[name] for name in names}
+    wanted = {name: places[name] for name in names.values()}
     columns = in_child(lambda: _read(parser, path, wanted), path, n_bytes=n_bytes)
-    by_source = {source: places[name] for source, name in zip(sources, names, strict=True)}
-    return RawFile(
-        columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
-        units={source: place.unit for source, place in by_source.items() if place.unit},
-        rates_hz={source: place.rate_hz for source, place in by_source.items() if place.rate_hz is not None},
-        starts_s={source: place.start_s for source, place in by_source.items()},
-    )
+    return _contents(places).with_columns(names, [columns[name] for name in names.values()])
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -61,7 +55,10 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     ``settings`` are those of :func:`read`, whose errors it raises.
     """
     parser = _parser()
-    places: dict[str, _Place] = in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size)
+    return _contents(in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size))
+
+
+def _contents(places: dict[str, _Place]) -> Contents:
     return Contents(
         format="MDF4",
         names=tuple(places),

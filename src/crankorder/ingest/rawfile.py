@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import fnmatch
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,6 +20,7 @@ from crankorder.settings import IngestSettings
 FloatArray = npt.NDArray[np.floating[Any]]
 Source = str | int
 Key = TypeVar("Key", bound=Source)
+Value = TypeVar("Value")
 
 
 _LOOKED_AT, _SIZES = 8192, 16
@@ -50,6 +51,24 @@ class Contents:
     starts_s: Mapping[str, float] = field(default_factory=dict)
     rate_uncertainty: float = 0.0
     speed_rpm: float | None = None
+
+    def with_columns(self, names: Mapping[Source, str], columns: Iterable[FloatArray], **further: Any) -> RawFile:
+        """The ``columns`` that were asked for, ``names`` by source, with what this says of each.
+
+        ``further``: attributes and flags of the RawFile.
+        """
+        return RawFile(
+            columns=dict(zip(names, columns, strict=True)),
+            units=_by_source(names, self.units),
+            rates_hz=_by_source(names, self.rates_hz),
+            starts_s=_by_source(names, self.starts_s),
+            rate_uncertainty=self.rate_uncertainty,
+            **further,
+        )
+
+
+def _by_source(names: Mapping[Source, str], values: Mapping[str, Value]) -> dict[Source, Value]:
+    return {source: values[name] for source, name in names.items() if name in values}
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,6 +119,11 @@ def named(source: Source, names: Sequence[str], path: Path) -> str:
         file=path,
         remedy=f"Did you mean {printable(close[0], 60)!r}?" if close else "Mend the source in the manifest",
     )
+
+
+def names_of(sources: Sequence[Source], names: Sequence[str], path: Path) -> dict[Source, str]:
+    """Names among ``names`` of the columns that ``sources`` ask for, by source; raises what :func:`named` raises."""
+    return {source: named(source, names, path) for source in sources}
 
 
 def distinct(names: Sequence[str]) -> tuple[str, ...]:

@@ -21,7 +21,7 @@ from crankorder.ingest.rawfile import (
     distinct,
     flag,
     float_type_for,
-    named,
+    names_of,
     starts_by_date,
 )
 from crankorder.quantities import QualityFlag
@@ -49,18 +49,12 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     parser = _parser()
     most = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
     told, columns, cut, undated = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
-    names = {source: named(source, told.names, path) for source in sources}
+    names = names_of(sources, told.names, path)
     if cut is not None and cut.share < _MIN_PRESENT:
         raise InputError(f"truncated: {cut.words}", found=printable(cut.said) or None, remedy="Copy it again")
     said = "" if cut is None or not cut.said else f" ({printable(cut.said)})"
     flags = [] if cut is None else [flag(path, "missing_data", "suspect", f"truncated: {cut.words}{said}")]
-    return RawFile(
-        columns={source: columns[name] for source, name in names.items()},
-        units={source: told.units[name] for source, name in names.items() if name in told.units},
-        rates_hz={source: told.rates_hz[name] for source, name in names.items() if name in told.rates_hz},
-        starts_s={source: told.starts_s[name] for source, name in names.items() if name in told.starts_s},
-        flags=flags + undated,
-    )
+    return told.with_columns(names, [columns[name] for name in names.values()], flags=flags + undated)
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -137,7 +131,7 @@ def _read(
     """What the file holds, columns by name, what it lacks of its end, and flags of dates that were not set."""
     with _heard() as said, parser.open(path, raw_timestamps=True) as file:
         channels = _channels(file)
-        names = list(dict.fromkeys(named(source, tuple(channels), path) for source in sources))
+        names = dict.fromkeys(names_of(sources, tuple(channels), path).values())
         told, undated = _told(channels, names, path)
         check_budget(sum(8 * told.samples[name] for name in names), settings)
         columns = {}

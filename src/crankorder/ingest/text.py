@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from crankorder.errors import InputError, printable
-from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, distinct, flag, named
+from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, distinct, flag, names_of
 from crankorder.ingest.units import known_unit, unit_in_label
 from crankorder.quantities import QualityFlag, Severity
 from crankorder.scratch import empty
@@ -50,21 +50,13 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     """
     check_budget(path.stat().st_size, settings)
     layout = _layout_of(path)
-    positions = [layout.names.index(named(source, layout.names, path)) for source in sources]
+    names = names_of(sources, layout.names, path)
+    positions = [layout.names.index(name) for name in names.values()]
     if path.stat().st_size > settings.in_memory_bytes:
         block = _streamed(path, layout, positions)
     else:
         block = np.ascontiguousarray(_parsed(path, layout)[:, positions].T)
-    return RawFile(
-        columns=dict(zip(sources, block, strict=True)),
-        units={
-            source: layout.units[layout.names[position]]
-            for source, position in zip(sources, positions, strict=True)
-            if layout.names[position] in layout.units
-        },
-        rates_hz={} if layout.rate_hz is None else dict.fromkeys(sources, layout.rate_hz),
-        flags=_flags(path, layout),
-    )
+    return _contents(layout).with_columns(names, block, flags=_flags(path, layout))
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -73,7 +65,10 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     ``settings`` give the byte limit. Raises what :func:`read` raises for the head.
     """
     check_budget(path.stat().st_size, settings)
-    layout = _layout_of(path)
+    return _contents(_layout_of(path))
+
+
+def _contents(layout: _Layout) -> Contents:
     rates = {} if layout.rate_hz is None else dict.fromkeys(layout.names, layout.rate_hz)
     return Contents(format="text", names=layout.names, units=layout.units, rates_hz=rates)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import mmap
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from crankorder.ingest.rawfile import (
     check_budget,
     distinct,
     flag,
-    named,
+    names_of,
 )
 from crankorder.ingest.sampling import TimeColumn, read_time_column
 from crankorder.ingest.units import known_unit
@@ -74,19 +74,16 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     """
     with _mapped(path) as data:
         found = _histories(data, settings)
-        names = [named(source, tuple(found), path) for source in sources]
-        check_budget(sum(found[name].n_points * 8 for name in names), settings)
-        sampled = {name: _sampled(data, found[name], path, settings) for name in dict.fromkeys(names)}
+        names = names_of(sources, tuple(found), path)
+        check_budget(sum(found[name].n_points * 8 for name in names.values()), settings)
+        sampled = {name: _sampled(data, found[name], path, settings) for name in names.values()}
     columns = {name: column for name, (column, _) in sampled.items()}
-    times = {source: sampled[name][1] for source, name in zip(sources, names, strict=True)}
-    flags = _flags(found, columns, path) + [told for _, time in sampled.values() for told in time.flags]
-    return RawFile(
-        columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
-        units={source: found[name].unit for source, name in zip(sources, names, strict=True) if found[name].unit},
-        rates_hz={source: time.rate_hz for source, time in times.items()},
-        starts_s={source: time.start_s for source, time in times.items()},
-        rate_uncertainty=max((time.rate_uncertainty for time in times.values()), default=0.0),
-        flags=[told for number, told in enumerate(flags) if told not in flags[:number]],
+    times = {name: time for name, (_, time) in sampled.items()}
+    flags = _flags(found, columns, path) + [remark for time in times.values() for remark in time.flags]
+    return _contents(found, times).with_columns(
+        names,
+        [columns[name] for name in names.values()],
+        flags=[remark for number, remark in enumerate(flags) if remark not in flags[:number]],
     )
 
 
@@ -102,14 +99,18 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
             name: history.even or _sampled(data, history, path, settings, most_bytes=_FEW_BYTES)[1]
             for name, history in found.items()
         }
+    return _contents(found, times)
+
+
+def _contents(found: Mapping[str, _History], times: Mapping[str, TimeColumn]) -> Contents:
     return Contents(
         format="UFF",
         names=tuple(found),
-        samples={name: one.n_present for name, one in found.items() if one.binary},
-        units={name: one.unit for name, one in found.items() if one.unit},
+        samples={name: history.n_present for name, history in found.items() if history.binary},
+        units={name: history.unit for name, history in found.items() if history.unit},
         rates_hz={name: time.rate_hz for name, time in times.items()},
         starts_s={name: time.start_s for name, time in times.items()},
-        rate_uncertainty=max(time.rate_uncertainty for time in times.values()),
+        rate_uncertainty=max((time.rate_uncertainty for time in times.values()), default=0.0),
     )
 
 

@@ -23,7 +23,7 @@ from crankorder.ingest.rawfile import (
     Source,
     check_budget,
     flag,
-    named,
+    names_of,
     part_of,
     rows_for,
 )
@@ -89,7 +89,8 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     give the byte limit; ``rows``: of its samples, None for all. Raises InputError for a truncated or damaged file.
     """
     header = _header_of(path, settings)
-    numbers = [header.names.index(named(source, header.names, path)) for source in sources]
+    names = names_of(sources, header.names, path)
+    numbers = [header.names.index(name) for name in names.values()]
     frame_bytes = header.n_channels * header.n_bits // 8
     check_budget(header.n_present * header.n_channels * 8, settings)
     wanted = part_of(header.n_present, rows)
@@ -102,12 +103,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
             for row, number in zip(room, numbers, strict=True):
                 row[part] = frames[:, number]
                 _scaled(row[part], header, number)
-    return RawFile(
-        columns=dict(zip(sources, room, strict=True)),
-        units={source: header.units[number] for source, number in zip(sources, numbers, strict=True)},
-        rates_hz=dict.fromkeys(sources, float(header.rate_hz)),
-        flags=list(header.flags),
-    )
+    return _contents(header).with_columns(names, room, flags=list(header.flags))
 
 
 def _scaled(samples: FloatArray, header: _Header, number: int) -> None:
@@ -126,6 +122,10 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """
     header = _header_of(path, settings)
     check_budget(header.n_present * header.n_channels * 8, settings)
+    return _contents(header)
+
+
+def _contents(header: _Header) -> Contents:
     return Contents(
         format="WAV",
         names=header.names,

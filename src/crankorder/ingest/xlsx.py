@@ -13,7 +13,7 @@ import numpy as np
 
 from crankorder.errors import CrankorderError, InputError, UnsafeInputError
 from crankorder.ingest.child import in_child, package
-from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, named
+from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, names_of
 from crankorder.ingest.text import names_and_units
 from crankorder.settings import IngestSettings
 
@@ -50,7 +50,8 @@ def _read(openpyxl: Any, path: Path, sources: Sequence[Source], settings: Ingest
     with _first_sheet(openpyxl, path, settings) as sheet:
         rows = _rows(sheet)
         names, units, first, n_above = _header(rows)
-        positions = [names.index(named(source, names, path)) for source in sources]
+        wanted = names_of(sources, names, path)
+        positions = [names.index(name) for name in wanted.values()]
         below = chain([] if first is None else [first], rows)
         cells: list[tuple[Any, ...]] = [
             tuple(row[position] if position < len(row) else None for position in positions) for row in below
@@ -68,10 +69,7 @@ def _read(openpyxl: Any, path: Path, sources: Sequence[Source], settings: Ingest
                     remedy="Mend the cell, or leave the recording out",
                 )
         block[:, number] = values
-    stated = {source: units.get(names[position], "") for source, position in zip(sources, positions, strict=True)}
-    return RawFile(
-        columns=dict(zip(sources, block, strict=True)), units={source: unit for source, unit in stated.items() if unit}
-    )
+    return Contents("XLSX", names, units=units).with_columns(wanted, block)
 
 
 def _contents(openpyxl: Any, path: Path, settings: IngestSettings) -> Contents:
