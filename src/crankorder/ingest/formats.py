@@ -117,10 +117,6 @@ def _is_ide(path: Path, head: bytes) -> bool:
     return True
 
 
-def _is_uff(path: Path, head: bytes) -> bool:
-    return re.match(UFF_SIGN, head) is not None
-
-
 FORMATS = (
     Format("HDF5", "hdf5", _is_hdf5, by_rows=True),  # before MATLAB, whose version 7.3 is HDF5 behind MATLAB's header
     Format("WAV", "wav", _is_wav, by_rows=True),
@@ -128,7 +124,7 @@ FORMATS = (
     Format("NumPy", "numpy_file", _begins(b"\x93NUMPY"), by_rows=True),
     Format("LVM", "lvm", _begins(b"LabVIEW Measurement")),
     Format("XLSX", "xlsx", _is_xlsx),
-    Format("UFF", "uff", _is_uff),
+    Format("UFF", "uff", lambda path, head: re.match(UFF_SIGN, head) is not None),
     Format("TDMS", "tdms", _begins(b"TDSm")),
     Format("MDF4", "mdf", _begins(b"MDF     4")),
     Format("IDE", "ide", _is_ide),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -210,11 +211,11 @@ def _columns_of(file: Any, settings: IngestSettings) -> dict[str, _Column]:
                 )
             if link != h5py.h5l.TYPE_HARD:
                 continue
-            item = group[key]
-            if isinstance(item, h5py.Group):
-                stack.append((item, depth + 1))
-            elif isinstance(item, h5py.Dataset):
-                columns.update(_columns_in(item, settings))
+            child = group[key]
+            if isinstance(child, h5py.Group):
+                stack.append((child, depth + 1))
+            elif isinstance(child, h5py.Dataset):
+                columns.update(_columns_in(child, settings))
     return dict(sorted(columns.items()))
 
 
@@ -235,18 +236,10 @@ def _columns_in(dataset: Any, settings: IngestSettings) -> dict[str, _Column]:
 def _check_dataset(dataset: Any) -> None:
     """Refuse storage outside the file, virtual datasets, filters that need a plugin, and unwritten blocks."""
     place, create = dataset.name, dataset.id.get_create_plist()
-    if create.get_external_count():
-        raise UnsafeInputError(
-            "keeps its samples in another file, which is never opened",
-            place=place,
-            remedy="Write them into the file itself",
-        )
-    if dataset.is_virtual:
-        raise UnsafeInputError(
-            "is put together from other files, which are never opened",
-            place=place,
-            remedy="Write them into the file itself",
-        )
+    if create.get_external_count() or dataset.is_virtual:
+        own = "keeps its samples in another file, which is never opened"
+        problem = own if create.get_external_count() else "is put together from other files, which are never opened"
+        raise UnsafeInputError(problem, place=place, remedy="Write them into the file itself")
     for number in range(create.get_nfilters()):
         code = create.get_filter(number)[0]
         if code not in _FILTERS:
@@ -256,26 +249,14 @@ def _check_dataset(dataset: Any) -> None:
                 allowed=", ".join(_FILTERS.values()),
                 remedy="Save the file again with gzip or without compression",
             )
-    _check_written(dataset, place)
-
-
-def _check_written(dataset: h5py.Dataset, place: str) -> None:
-    """Refuse samples that were promised and never written: HDF5 would read them as zeros."""
+    # HDF5 would read samples that were promised and never written as zeros
     if dataset.size and not dataset.chunks and not dataset.id.get_storage_size():
         raise InputError("no sample was ever written", place=place, remedy="Export the recording again")
     if dataset.chunks and dataset.size:
-        expected = int(
-            np.prod(
-                [-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True)], dtype=object
-            )
-        )
-        if expected > 10**9 or (written := dataset.id.get_num_chunks()) == expected:
-            return
-        raise InputError(
-            f"missing data: {written} of {expected} blocks were written",
-            place=place,
-            remedy="Export the recording again",
-        )
+        expected = math.prod(-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True))
+        if expected <= 10**9 and (written := dataset.id.get_num_chunks()) != expected:
+            problem = f"missing data: {written} of {expected} blocks were written"
+            raise InputError(problem, place=place, remedy="Export the recording again")
 
 
 def _read_columns(
@@ -450,8 +431,7 @@ class _Attributes:
 
     def _at(self, place: str, dataset: Any) -> dict[str, Any]:
         if place not in self._of:
-            item = dataset if place == dataset.name else self._file[place]
-            self._of[place] = _readable(item)
+            self._of[place] = _readable(dataset if place == dataset.name else self._file[place])
         return self._of[place]
 
 
@@ -498,12 +478,6 @@ def _readable(item: Any) -> dict[str, Any]:
     return _numbers_beside(item) | found if isinstance(item, h5py.Group) else found
 
 
-def _is_plain(dataset: h5py.Dataset) -> bool:
-    """Whether the values lie in the file as they are: nothing is loaded or followed to read them."""
-    create = dataset.id.get_create_plist()
-    return not (create.get_external_count() or create.get_nfilters() or dataset.is_virtual)
-
-
 def _numbers_beside(group: h5py.Group) -> dict[str, float]:
     """Single numbers of such names that lie in ``group`` as datasets of their own, as MATLAB and scripts write them."""
     found: dict[str, float] = {}
@@ -512,11 +486,9 @@ def _numbers_beside(group: h5py.Group) -> dict[str, float]:
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
                 continue
             dataset = group[name]
-            if (
-                isinstance(dataset, h5py.Dataset)
-                and dataset.size == 1
-                and dataset.dtype.kind in "iuf"
-                and _is_plain(dataset)
-            ):
+            if not isinstance(dataset, h5py.Dataset) or dataset.size != 1 or dataset.dtype.kind not in "iuf":
+                continue
+            create = dataset.id.get_create_plist()  # nothing is loaded or followed to read the value
+            if not (create.get_external_count() or create.get_nfilters() or dataset.is_virtual):
                 found[_plain(name)] = float(np.asarray(dataset[()]).reshape(-1)[0])
     return found

@@ -35,7 +35,8 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     parser = _parser()
     most = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
     columns, units, stamps, of_sensor = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
-    sensors = [read_time_column(times, path, settings=_lenient(settings)) for times in stamps]
+    lenient = settings.model_copy(update={"max_time_jitter_samples": _JITTER})
+    sensors = [read_time_column(times, path, settings=lenient) for times in stamps]
     timed = {source: sensors[place] for source, place in of_sensor.items()}
     return RawFile(
         columns={key: timed[key].on_grid(column) if key in timed else column for key, column in columns.items()},
@@ -45,10 +46,6 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         rate_uncertainty=max((times.rate_uncertainty for times in sensors), default=0.0),
         flags=[remark for times in sensors for remark in _graded(times)],
     )
-
-
-def _lenient(settings: IngestSettings) -> IngestSettings:
-    return settings.model_copy(update={"max_time_jitter_samples": _JITTER})
 
 
 def _graded(times: TimeColumn) -> list[QualityFlag]:

@@ -27,7 +27,7 @@ from crankorder.ingest.rawfile import (
     starts_by_date,
 )
 from crankorder.ingest.sampling import read_time_column
-from crankorder.ingest.text import last_line_flags
+from crankorder.ingest.text import encoding_of, last_line_flags
 from crankorder.quantities import QualityFlag
 from crankorder.settings import IngestSettings
 
@@ -125,7 +125,8 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
 def _layout(path: Path) -> _Layout:
     """Headers of the file and where its segments stand; the lines of values are only counted."""
-    encoding = _encoding(path)
+    with path.open("rb") as stream:
+        encoding = encoding_of(stream.read(1 << 16))
     lines = _lines(path, encoding)
     head = _header(lines)
     segments = list(_segments(lines))
@@ -136,16 +137,6 @@ def _layout(path: Path) -> _Layout:
     comma = segments[0].separator != "," and (stated == [","] or (stated == [""] and segments[0].has_commas))
     with_times = head.get("X_Columns", ["", "One"])[1:2] != ["No"]
     return _Layout(encoding, comma, _columns(segments, with_times=with_times))
-
-
-def _encoding(path: Path) -> str:
-    with path.open("rb") as stream:
-        head = stream.read(1 << 16)
-    try:
-        head[: head.rfind(b"\n") + 1].decode("utf-8")
-    except UnicodeDecodeError:
-        return "latin-1"
-    return "utf-8"
 
 
 def _lines(path: Path, encoding: str) -> Iterator[tuple[int, str]]:
@@ -275,12 +266,9 @@ def _read(
         cell = printable(str(error).split("\n")[0], 80)
         line = f"below line {segment.first_line + done}"
         raise InputError("a cell is no number", place=line, found=cell, remedy="Mend the cell") from None
-    return [row[: _filled(row)] for row in rows] if any(np.isnan(row[-1:]).any() for row in rows) else rows
-
-
-def _filled(row: FloatArray) -> int:
-    there = np.flatnonzero(~np.isnan(row))
-    return int(there[-1]) + 1 if there.size else 0
+    if not any(np.isnan(row[-1:]).any() for row in rows):
+        return rows
+    return [row[: np.flatnonzero(np.append(True, ~np.isnan(row)))[-1]] for row in rows]
 
 
 def _timing(

@@ -300,7 +300,8 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         wanted = [tree.columns[name] for name in names.values() if name in tree.columns]
         leaves = {id(column.leaf): column.leaf for column in wanted}
         check_budget(sum(leaf.n_values * 8 for leaf in leaves.values()), settings)
-        kinds = [(column.n_samples, _target(column.leaf)) for column in wanted]
+        single = ("single", "int8", "uint8", "int16", "uint16")
+        kinds = [(column.n_samples, np.float32 if column.leaf.kind in single else np.float64) for column in wanted]
         rows = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
         for leaf in leaves.values():
             mine = [(column, row) for column, row in zip(wanted, rows, strict=True) if column.leaf is leaf]
@@ -426,10 +427,6 @@ def _columns(name: str, leaf: Matrix) -> dict[str, _Column]:
     return {f"{name}[{index}]": _Column(leaf, index, sides[1]) for index in range(sides[0])}
 
 
-def _target(leaf: Matrix) -> type[np.float32] | type[np.float64]:
-    return np.float32 if leaf.kind in ("single", "int8", "uint8", "int16", "uint16") else np.float64
-
-
 def _values(leaf: Matrix, settings: IngestSettings) -> npt.NDArray[Any]:
     """The stored values of ``leaf`` (column by column), of whatever type they are stored in."""
     if leaf.packed is None:
@@ -476,10 +473,9 @@ def _rate_hz(tree: _Tree, name: str) -> float | None:
     """
     stated = {key: rate for key, value in tree.scalars.items() if (rate := _stated(key, value)) is not None}
     group = name.rpartition(".")[0]
-    for rates in ([rate for key, rate in stated.items() if key.rpartition(".")[0] == group], list(stated.values())):
-        if rates:
-            return rates[0] if max(rates) - min(rates) <= 1e-6 * rates[0] else None
-    return None
+    beside = [rate for key, rate in stated.items() if key.rpartition(".")[0] == group]
+    rates = beside or list(stated.values())
+    return rates[0] if rates and max(rates) - min(rates) <= 1e-6 * rates[0] else None
 
 
 def _stated(key: str, value: float) -> float | None:

@@ -73,16 +73,21 @@ def _contents(layout: _Layout) -> Contents:
     return Contents(format="text", names=layout.names, units=layout.units, rates_hz=rates)
 
 
+def encoding_of(head: bytes) -> str:
+    """UTF-8 where the whole lines of the ``head`` of a text are that, else Latin-1."""
+    try:
+        head[: head.rfind(b"\n") + 1 or None].decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8-sig"
+
+
 def _layout_of(path: Path) -> _Layout:
     with path.open("rb") as stream:
         raw = stream.read(_HEAD_BYTES)
-    encoding = "utf-8-sig"
-    try:
-        # a multi-byte character may be cut at the end of the head
-        text = raw[: raw.rfind(b"\n") + 1 or None].decode(encoding)
-    except UnicodeDecodeError:
-        encoding, text = "latin-1", raw.decode("latin-1")
-    lines = text.splitlines()
+    encoding = encoding_of(raw)
+    # a multi-byte character may be cut at the end of the head
+    lines = (raw if encoding == "latin-1" else raw[: raw.rfind(b"\n") + 1 or None]).decode(encoding).splitlines()
     if len(raw) == _HEAD_BYTES:
         lines = lines[:-1]
     for number, line in enumerate(lines):
@@ -128,10 +133,11 @@ def _separation(line: str) -> tuple[str, bool] | None:
 def _header(lines: list[str], separator: str, n_columns: int) -> tuple[tuple[str, ...], dict[str, str]]:
     """Names of the columns, and their units, from the lines above the first numbers."""
     rows = [_fields(line, separator) for line in lines if not _is_comment(line)]
-    rows = [row for row in rows if len(row) == n_columns] or [
-        row for line in lines if not _is_comment(line) and len(row := _words(line)) == n_columns
+    words = [
+        [field.strip().strip('"') for field in re.split(r"[,;\t]", line)] for line in lines if not _is_comment(line)
     ]
-    return names_and_units(rows, n_columns)
+    fitting = [row for row in rows if len(row) == n_columns] or [row for row in words if len(row) == n_columns]
+    return names_and_units(fitting, n_columns)
 
 
 def names_and_units(rows: list[list[str]], n_columns: int) -> tuple[tuple[str, ...], dict[str, str]]:
@@ -139,22 +145,15 @@ def names_and_units(rows: list[list[str]], n_columns: int) -> tuple[tuple[str, .
 
     The last row holds the names, or their units below them; without rows the columns are called by their numbers.
     """
-    units_row = rows.pop() if len(rows) > 1 and _is_units_row(rows[-1]) else None
     if not rows:
         return tuple(str(number) for number in range(n_columns)), {}
+    stated = [cell.strip("[]()") for cell in rows[-1]]
+    if len(rows) > 1 and any(rows[-1]) and all(not unit or known_unit(unit) for unit in stated):
+        rows.pop()
+    else:
+        stated = [unit_in_label(name) for name in rows[-1]]
     names = distinct([name or str(number) for number, name in enumerate(rows[-1])])
-    stated = (
-        [unit_in_label(name) for name in rows[-1]] if units_row is None else [cell.strip("[]()") for cell in units_row]
-    )
     return names, {name: unit for name, unit in zip(names, stated, strict=True) if unit}
-
-
-def _words(line: str) -> list[str]:
-    return [field.strip().strip('"') for field in re.split(r"[,;\t]", line)]
-
-
-def _is_units_row(row: list[str]) -> bool:
-    return any(row) and all(not cell.strip("[]()") or known_unit(cell.strip("[]()")) for cell in row)
 
 
 def _rate_in(comments: str) -> float | None:

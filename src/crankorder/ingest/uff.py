@@ -28,7 +28,6 @@ from crankorder.ingest.rawfile import (
 )
 from crankorder.ingest.sampling import TimeColumn, read_time_column
 from crankorder.ingest.units import known_unit
-from crankorder.quantities import QualityFlag
 from crankorder.settings import IngestSettings
 
 _DELIMITER = re.compile(rb"(?m)^[ \t]{0,8}-1[ \t]*\r?$\n?")
@@ -79,7 +78,14 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         sampled = {name: _sampled(data, found[name], path, settings) for name in names.values()}
     columns = {name: column for name, (column, _) in sampled.items()}
     times = {name: time for name, (_, time) in sampled.items()}
-    flags = _flags(found, columns, path) + [remark for time in times.values() for remark in time.flags]
+    flags = [
+        flag(
+            path, "missing_data", "suspect", f"{name}: the header promises {promised} samples, {column.size} are there"
+        )
+        for name, column in columns.items()
+        if column.size < (promised := found[name].n_points)
+    ][:1]
+    flags += [remark for time in times.values() for remark in time.flags]
     return _contents(found, times).with_columns(
         names,
         [columns[name] for name in names.values()],
@@ -119,18 +125,9 @@ def _mapped(path: Path) -> mmap.mmap:
         return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
 
 
-def _flags(found: dict[str, _History], columns: dict[str, FloatArray], path: Path) -> list[QualityFlag]:
-    short = [name for name, samples in columns.items() if samples.size < found[name].n_points]
-    if not short:
-        return []
-    name = short[0]
-    detail = f"{name}: the header promises {found[name].n_points} samples, {columns[name].size} are there"
-    return [flag(path, "missing_data", "suspect", detail)]
-
-
 def _histories(data: mmap.mmap, settings: IngestSettings) -> dict[str, _History]:
     """Time histories by name, in the order of the file."""
-    made: list[_History] = []
+    histories: list[_History] = []
     others: dict[str, None] = {}
     place, count = 0, 0
     while (begin := _DELIMITER.search(data, place)) is not None:
@@ -143,19 +140,18 @@ def _histories(data: mmap.mmap, settings: IngestSettings) -> dict[str, _History]
             end = _DELIMITER.search(data, after)
             place = end.end() if end is not None else len(data)
             continue
-        one, place = _history(data, line, after)
-        if isinstance(one, _History):
-            made.append(one)
+        history, place = _history(data, line, after)
+        if isinstance(history, _History):
+            histories.append(history)
         else:
-            others[one] = None
-    if not made:
+            others[history] = None
+    if not histories:
         raise InputError(
             "holds no time histories (data set 58, function type 1, or 0 by time)",
             found=", ".join(list(others)[:5]) or "no data set",
             remedy="Export the time signals",
         )
-    names = distinct([one.name for one in made])
-    return dict(zip(names, made, strict=True))
+    return dict(zip(distinct([history.name for history in histories]), histories, strict=True))
 
 
 def _line(data: mmap.mmap, place: int) -> tuple[bytes, int]:

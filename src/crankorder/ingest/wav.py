@@ -94,7 +94,8 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     frame_bytes = header.n_channels * header.n_bits // 8
     check_budget(header.n_present * header.n_channels * 8, settings)
     wanted = part_of(header.n_present, rows)
-    kind = (wanted.stop - wanted.start, _sample_type(header))
+    wide = header.n_bits == 64 or (header.n_bits == 32 and not header.is_float)
+    kind = (wanted.stop - wanted.start, np.float64 if wide else np.float32)
     room = rows_for([kind] * len(numbers), in_memory_bytes=settings.in_memory_bytes)
     with path.open("rb") as stream:
         stream.seek(header.data_start + wanted.start * frame_bytes)
@@ -108,7 +109,9 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
 
 def _scaled(samples: FloatArray, header: _Header, number: int) -> None:
     """Turn ``samples`` of channel ``number`` in place from steps of the converter into its unit."""
-    scale = (1.0 if header.is_float else 2.0 ** (1 - header.n_bits)) * _scale(header, number)
+    scale = 1.0 if header.is_float else 2.0 ** (1 - header.n_bits)
+    if header.calibrations:
+        scale *= header.calibrations[number].scale
     if header.n_bits == 8:
         samples -= 128.0
     if scale != 1.0:
@@ -335,15 +338,6 @@ def _calibrations(chunk: bytes) -> tuple[_Calibration, ...]:
     if not found:
         raise ValueError(f"begins with {printable(chunk[:8].decode('latin-1'), 20)!r}")
     return tuple(found)
-
-
-def _scale(header: _Header, number: int) -> float:
-    return header.calibrations[number].scale if header.calibrations else 1.0
-
-
-def _sample_type(header: _Header) -> type[np.float32] | type[np.float64]:
-    wide = header.n_bits == 64 or (header.n_bits == 32 and not header.is_float)
-    return np.float64 if wide else np.float32
 
 
 def _decoded(data: bytes, header: _Header) -> np.ndarray[Any, np.dtype[Any]]:
