@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numba as nb
 import numpy as np
 
 from crankorder.fft.windows import hann
 from crankorder.ingest.rawfile import FloatArray
-from crankorder.quantities import Bools, Floats, Ints, QualityFlag, Severity
+from crankorder.quantities import Bools, Floats, Ints, Severity
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
 
@@ -109,11 +108,6 @@ class SignalFault:
     detail: str
     at: Runs = field(default_factory=runs_of)
     is_lost: bool = False
-
-    def as_flag(self, name: str, path: Path) -> QualityFlag:
-        """Quality flag for channel ``name`` of the recording at ``path``."""
-        detail = f"channel {name}: {self.detail}"
-        return QualityFlag(recording=path.name, flag=self.flag, severity=self.severity, detail=detail)
 
 
 @dataclass(frozen=True, slots=True)

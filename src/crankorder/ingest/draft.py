@@ -15,7 +15,7 @@ from crankorder.errors import CrankorderError, NoUsableRecordingError, RequestEr
 from crankorder.ingest.folder import is_companion, is_leftover, natural_key
 from crankorder.ingest.formats import FORMATS, contents_of, read_file
 from crankorder.ingest.manifest import MANIFEST_NAME
-from crankorder.ingest.rawfile import Contents, RawFile, Source
+from crankorder.ingest.rawfile import Contents, RawFile, Source, listed
 from crankorder.ingest.roles import (
     MOST_SAMPLES,
     Column,
@@ -199,26 +199,22 @@ def draft_manifest(folder: Path) -> str:
         *(_stated_speeds(speeds) if 'kind = "constant"' in encoder and len(speeds) else []),
         *MOTOR,
     ]
-    scalars = [name for name in contents.names if contents.samples.get(name) == 1]
+    scalars = [printable(name, 40) for name in contents.names if contents.samples.get(name) == 1]
     if scalars:
-        lines.append(f"# Single numbers in the file, such as a speed: {_listed(scalars, 20)}")
+        lines.append(f"# Single numbers in the file, such as a speed: {listed(scalars, 20)}")
     return "\n".join(lines) + "\n"
-
-
-def _listed(names: Sequence[str], most: int) -> str:
-    return ", ".join(printable(name, 40) for name in names[:most]) + (", …" if len(names) > most else "")
 
 
 def _files(folder: Path, pattern: str) -> str:
     """The line that names the recordings; what folders inside of ``folder`` hold beside them is asked about."""
     line = f"files = [{_text(pattern)}]"
     inside = [
-        path.name
+        printable(path.name, 40)
         for path in sorted(folder.iterdir(), key=natural_key)
         if path.is_dir() and not is_leftover(path.name) and not (path / MANIFEST_NAME).exists()
         if any(not is_leftover(file.name) and file.is_file() for file in path.glob(pattern))
     ]
-    doubt = f"there are more in {_listed(inside, 3)}: {_text(f'*/{pattern}')} beside it takes them too"
+    doubt = f"there are more in {listed(inside, 3)}: {_text(f'*/{pattern}')} beside it takes them too"
     return _asked(line, doubt if inside else "")
 
 
@@ -274,7 +270,7 @@ def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]], PulseFi
     if not groups:
         inside = [] if faults else _tests_in(folder)
         if inside:
-            names = _listed([path.name for path in inside], 5)
+            names = listed([printable(path.name, 40) for path in inside], 5)
             raise RequestError(
                 f"the recordings lie in {len(inside)} folders of this one: {names}",
                 file=folder,

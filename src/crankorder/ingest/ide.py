@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,27 +73,24 @@ def _parser() -> Any:
     return package("idelib", "IDE files", "Run: pip install 'crankorder[ide]'").importFile
 
 
-def _channels(file: Any) -> Iterator[tuple[str, Any]]:
-    """Names and values over time of the channels that hold any, of the first session."""
+def _channels(file: Any) -> dict[str, Any]:
+    """Values over time, by name, of the channels that hold any, of the first session."""
     if len(file.sessions) > 1:
         raise InputError(
             f"holds {len(file.sessions)} sessions", file=file.filename, remedy="Export each to a file of its own"
         )
-    for channel in file.channels.values():
-        for part in channel.subchannels:
-            values = part.getSession()
-            if len(values):
-                yield str(part.displayName or part.name), values
-
-
-def _named(file: Any) -> dict[str, Any]:
-    found = list(_channels(file))
+    found = [
+        (str(part.displayName or part.name), values)
+        for channel in file.channels.values()
+        for part in channel.subchannels
+        if len(values := part.getSession())
+    ]
     return dict(zip(distinct([name for name, _ in found]), (values for _, values in found), strict=True))
 
 
 def _contents(parser: Any, path: Path) -> Contents:
     with parser(str(path), quiet=True) as file:
-        channels = _named(file)
+        channels = _channels(file)
         rates: dict[str, float] = {}
         starts: dict[str, float] = {}
         for name, values in channels.items():
@@ -124,7 +121,7 @@ def _read(
     stamps: list[Any] = []
     of_sensor: dict[Source, int] = {}
     with parser(str(path), quiet=True) as file:
-        channels = _named(file)
+        channels = _channels(file)
         chosen = {source: channels[named(source, tuple(channels), path)] for source in sources}
         check_budget(sum(8 * len(values) for values in chosen.values()), settings)
         for source, channel in chosen.items():

@@ -204,12 +204,8 @@ def _columns(segments: list[_Segment], *, with_times: bool) -> dict[str, _Column
         prefix = f"{number}/" if len(segments) > 1 else ""
         for place, name in enumerate(segment.names):
             is_time = name == _TIME
-            last = place == len(segment.names) - 1
-            if (
-                (is_time and not with_times)
-                or (last and name in ("Comment", ""))
-                or segment.said("Samples", place) == "0"
-            ):
+            is_comment = place == len(segment.names) - 1 and name in ("Comment", "")
+            if (is_time and not with_times) or is_comment or segment.said("Samples", place) == "0":
                 continue
             known, full, again = (times if is_time else channels), f"{prefix}{name or place}", 0
             while full in known:

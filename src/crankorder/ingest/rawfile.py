@@ -95,6 +95,12 @@ def flag(path: Path, name: str, severity: Severity, detail: str) -> QualityFlag:
     return QualityFlag(recording=path.name, flag=name, severity=severity, detail=detail)
 
 
+def listed(words: Sequence[str], most: int, *, counted: bool = False) -> str:
+    """The first ``most`` of ``words``, and that there are more: how many where they are ``counted``."""
+    more = f" and {len(words) - most} more" if counted else ", …"
+    return ", ".join(words[:most]) + (more if len(words) > most else "")
+
+
 def named(source: Source, names: Sequence[str], path: Path) -> str:
     """Name among ``names`` of the column that ``source`` asks for: the name itself, its position from 0, or a pattern.
 
@@ -110,9 +116,7 @@ def named(source: Source, names: Sequence[str], path: Path) -> str:
     fitting = [name for name in names if isinstance(source, str) and fnmatch.fnmatchcase(name, source[:200])]
     if len(fitting) == 1:
         return fitting[0]
-    shown = ", ".join(printable(name, 60) for name in names[:20]) + (
-        f" and {len(names) - 20} more" if len(names) > 20 else ""
-    )
+    shown = listed([printable(name, 60) for name in names], 20, counted=True)
     close = difflib.get_close_matches(str(source), names, n=1)
     raise InputError(
         f"channel {printable(source, 60)} not in file; has {shown or 'nothing that holds samples'}",

@@ -381,10 +381,10 @@ def _share_lost(lost: Runs, n_samples: int, sampled: Sampled, settings: IngestSe
 
 def _flag(fault: SignalFault, sampled: Sampled, number: int, path: Path, n_samples: int) -> QualityFlag:
     begin, end = sampled.span(fault.at, n_samples)
-    flag = fault.as_flag(sampled.names[number], path)
-    flag["channel"], flag["begin"], flag["end"] = sampled.names[number], begin, end
-    flag["detail"] += f" ({begin:.4g} … {end:.4g} {sampled.unit})"
-    return flag
+    name, span = sampled.names[number], f"({begin:.4g} … {end:.4g} {sampled.unit})"
+    remark = flag(path, fault.flag, fault.severity, f"channel {name}: {fault.detail} {span}")
+    remark["channel"], remark["begin"], remark["end"] = name, begin, end
+    return remark
 
 
 class _Numbers(MethodNumbers, file="1-ingest-faults.toml", table="direction"):

@@ -55,8 +55,14 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     if path.stat().st_size > settings.in_memory_bytes:
         block = _streamed(path, layout, positions)
     else:
-        block = np.ascontiguousarray(_parsed(path, layout)[:, positions].T)
-    return _contents(layout).with_columns(names, block, flags=_flags(path, layout))
+        table, bare = next(_pieces(path, layout, None))
+        if bare:
+            _find_bad_cell(path, layout)
+        block = np.ascontiguousarray(table[:, positions].T)
+    flags = last_line_flags(path)
+    if layout.decimal_comma:
+        flags.insert(0, flag(path, "decimal_comma", "info", "decimals are written after a comma"))
+    return _contents(layout).with_columns(names, block, flags=flags)
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -167,14 +173,6 @@ def _rate_in(comments: str) -> float | None:
     return rate_hz if 0 < rate_hz < 1e12 else None
 
 
-def _parsed(path: Path, layout: _Layout) -> FloatArray:
-    """The whole table (sample, column); an empty or unreadable cell is an error, ``nan`` a missing sample."""
-    table, bare = next(_pieces(path, layout, None))
-    if bare:
-        _find_bad_cell(path, layout)
-    return table
-
-
 def _streamed(path: Path, layout: _Layout, positions: list[int]) -> FloatArray:
     """Columns (column, sample) at ``positions`` of a table that is parsed in pieces and laid on disk."""
     n_lines = 1 - layout.n_head_lines
@@ -254,22 +252,14 @@ def _find_bad_cell(path: Path, layout: _Layout) -> None:
                     )
 
 
-def _flags(path: Path, layout: _Layout) -> list[QualityFlag]:
-    flags: list[QualityFlag] = []
-    if layout.decimal_comma:
-        flags.append(flag(path, "decimal_comma", "info", "decimals are written after a comma"))
-    return flags + last_line_flags(path)
-
-
 def last_line_flags(path: Path) -> list[QualityFlag]:
     """Flag where the last line of the text at ``path`` has no end: a copy that was cut there still parses."""
-    flags: list[QualityFlag] = []
     with path.open("rb") as stream:
         stream.seek(max(0, path.stat().st_size - 4096))
         lines = stream.read().split(b"\n")
-    if lines[-1].strip():
-        # a copy that was cut inside the last number still parses
-        shortest = min((len(line) for line in lines[-20:-1] if line.strip()), default=0)
-        severity: Severity = "suspect" if len(lines[-1].rstrip()) < shortest - 1 else "info"
-        flags.append(flag(path, "last_line_open", severity, "the last line has no end: it may be truncated"))
-    return flags
+    if not lines[-1].strip():
+        return []
+    # a copy that was cut inside the last number still parses
+    shortest = min((len(line) for line in lines[-20:-1] if line.strip()), default=0)
+    severity: Severity = "suspect" if len(lines[-1].rstrip()) < shortest - 1 else "info"
+    return [flag(path, "last_line_open", severity, "the last line has no end: it may be truncated")]
