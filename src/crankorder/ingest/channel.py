@@ -209,14 +209,9 @@ def channel_faults(channel: Channel, place: str) -> list[RequestError]:
     known = ("acceleration", "velocity", "displacement", "pressure", "force", "torque", "voltage")
     stated = next((quantity for quantity in known if channel.quantity.casefold().endswith(quantity)), unit.quantity)
     if stated != unit.quantity:
-        faults.append(
-            RequestError(
-                f"quantity and unit disagree: {unit.name} is a unit of {unit.quantity}",
-                place=f"{place}.quantity",
-                found=channel.quantity,
-                remedy=_UNIT_OF_RESULT if stated in DERIVATIVE and unit.quantity in DERIVATIVE else "",
-            )
-        )
+        problem = f"quantity and unit disagree: {unit.name} is a unit of {unit.quantity}"
+        remedy = _UNIT_OF_RESULT if stated in DERIVATIVE and unit.quantity in DERIVATIVE else ""
+        faults.append(RequestError(problem, place=f"{place}.quantity", found=channel.quantity, remedy=remedy))
     return faults
 
 

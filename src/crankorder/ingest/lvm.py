@@ -319,7 +319,10 @@ def _rate(
     """Rate in Hz, by the column of times where there is one, else by the header; its attributes; flags."""
     text = segment.said("Delta_X", place) or segment.said("Delta_X", _channel_from(segment, 0))
     step_s = _number(text)
-    doubt = 0.0 if not step_s else 0.6 * _last_decimal(text) / step_s  # half of it is rounded away, or more is cut
+    doubt = 0.0
+    if step_s:  # of the last decimal half is rounded away, or more is cut
+        mantissa, _, exponent = text.replace(",", ".", 1).upper().partition("E")
+        doubt = 0.6 * 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2])) / step_s
     header_hz = 1.0 / step_s if step_s and step_s > 0.0 else None
     if times is None or times.size < 3:
         return header_hz, {"rate_uncertainty": doubt, "start_s": 0.0}, []
@@ -340,12 +343,6 @@ def _number(text: str) -> float | None:
     except ValueError:
         return None
     return value if np.isfinite(value) else None
-
-
-def _last_decimal(text: str) -> float:
-    """What one unit of the last decimal of the number ``text`` is worth."""
-    mantissa, _, exponent = text.replace(",", ".", 1).upper().partition("E")
-    return 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
 
 
 def _missing(column: _Column, path: Path) -> QualityFlag | None:

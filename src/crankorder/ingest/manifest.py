@@ -529,7 +529,10 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
         if bearing_orders(bearing).keys() <= {"N*fs"}:
             needs = "a designation, rolling_elements and ball_over_pitch, or published orders (bpfo, bpfi, bsf, ftf)"
             faults.append(RequestError(f"a bearing needs {needs}", place=f"bearings.{number}"))
-    faults += _motor_faults(manifest.motor)
+    motor = manifest.motor
+    if motor is not None and motor.poles is None and motor.rotor_bars is None and motor.stator_slots is None:
+        remedy = "Add poles, as the nameplate's speed tells (4 at 50 Hz: somewhat below 1500 rpm), or rotor_bars"
+        faults.append(RequestError("a motor needs poles, rotor_bars or stator_slots", place="motor", remedy=remedy))
     named = {channel.name: channel for channel in manifest.channels}
     faults += limit_faults(manifest.limits, named, manifest.rotor, manifest.sampling.rate_hz)
     faults += path_faults(manifest.transfer_paths, {name: channel.analysed_unit for name, channel in named.items()})
@@ -537,11 +540,3 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
     return faults + encoder_faults(
         manifest.encoder, cycle=cycle, domain=manifest.sampling.domain, speeds_stated=speeds_stated
     )
-
-
-def _motor_faults(motor: Motor | None) -> list[RequestError]:
-    """A motor of which no line follows, and one whose supply is stated without what makes use of it."""
-    if motor is None or motor.poles is not None or motor.rotor_bars is not None or motor.stator_slots is not None:
-        return []
-    remedy = "Add poles, as the nameplate's speed tells (4 at 50 Hz: somewhat below 1500 rpm), or rotor_bars"
-    return [RequestError("a motor needs poles, rotor_bars or stator_slots", place="motor", remedy=remedy)]

@@ -161,11 +161,15 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
         found = [_of_edge_list(column, values) for column in found]
     found = _marks_by_count(found, values)
     if not any(column.role in ("channel", "encoder", "index") for column in found):
-        found = _last_is_signal(found)
+        # a manifest needs a signal
+        last = ([column for column in found if column.role in ("unused", "speed", "cam", "time")] or found)[-1]
+        found = [_as(column, "channel") if column is last else column for column in found]
     angle = next((column for column in found if column.role == "angle"), None)
     wide = angle is not None and float(np.ptp(values[angle.name])) > 360.0 + 1.5 * angle.step
     sawtooth = angle is not None and bool((np.diff(values[angle.name]) < 0).any())
-    return Columns((*found, *_constants(contents)), edges, wide and sawtooth)
+    speeds = [name for name in contents.names if contents.samples.get(name) == 1 and SPEED_NAME.search(name)]
+    constants = [Column(name, _source(name, contents), "constant", name) for name in speeds[:1]]
+    return Columns((*found, *constants), edges, wide and sawtooth)
 
 
 def _sampled(contents: Contents) -> list[str]:
@@ -185,12 +189,6 @@ def _spans(name: str, contents: Contents) -> bool:
     longest = max((other for other in rates if other in samples), key=lambda other: samples[other])
     same = rates[name] == rates[longest] and starts.get(name, 0.0) == starts.get(longest, 0.0)
     return not same and samples[name] / rates[name] >= _SPAN * samples[longest] / rates[longest]
-
-
-def _constants(contents: Contents) -> list[Column]:
-    """Single numbers that may be the speed."""
-    singles = [name for name in contents.names if contents.samples.get(name) == 1 and SPEED_NAME.search(name)]
-    return [Column(name, _source(name, contents), "constant", name) for name in singles[:1]]
 
 
 def _source(name: str, contents: Contents) -> Source:
@@ -427,13 +425,6 @@ def _free_roles(pulses: Sequence[Column], named: Collection[Role], values: Mappi
         halved = "cam" in free and "index" in roles and counts[number] > 0
         roles.append("unused" if alike or not free else "cam" if halved else free[0])
     return roles
-
-
-def _last_is_signal(found: list[Column]) -> list[Column]:
-    """``found`` with its last column as a signal: a manifest needs one."""
-    spare = [column for column in found if column.role in ("unused", "speed", "cam", "time")] or found
-    last = spare[-1]
-    return [_as(column, "channel") if column is last else column for column in found]
 
 
 def read_checked(
