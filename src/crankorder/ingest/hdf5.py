@@ -110,7 +110,7 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
 
 def _stated_in(
     datasets: Mapping[Key, Any], attributes: _Attributes, path: Path
-) -> tuple[dict[str, dict[Key, Any]], list[QualityFlag]]:
+) -> tuple[dict[str, Any], list[QualityFlag]]:
     """Units, rates and starts of ``datasets`` by the fields of Contents and RawFile, and flags of unset clocks."""
     rates = _stated({key: attributes.rate_hz(dataset) for key, dataset in datasets.items()})
     starts, undated = starts_by_date(*attributes.starts(datasets), path)

@@ -126,7 +126,10 @@ def named(source: Source, names: Sequence[str], path: Path) -> str:
 
 
 def names_of(sources: Sequence[Source], names: Sequence[str], path: Path) -> dict[Source, str]:
-    """Names among ``names`` of the columns that ``sources`` ask for, by source; raises what :func:`named` raises."""
+    """Names among ``names`` of the columns that ``sources`` ask for, by source.
+
+    ``path`` is the file in errors; raises what :func:`named` raises.
+    """
     return {source: named(source, names, path) for source in sources}
 
 

@@ -287,8 +287,8 @@ def agreed_rate(
     a rounded statement adds.
     Raises InputError where two of them disagree, so that never one silently wins, and where there is none.
     """
-    of_times = (None, 0.0) if times is None else (times.rate_hz, times.rate_uncertainty)
-    rates = (("manifest", manifest_hz, 0.0), ("file", file_hz, file_uncertainty), ("time column", *of_times))
+    rates = [("manifest", manifest_hz, 0.0), ("file", file_hz, file_uncertainty)]
+    rates += [] if times is None else [("time column", times.rate_hz, times.rate_uncertainty)]
     stated = [(name, rate_hz, uncertainty) for name, rate_hz, uncertainty in rates if rate_hz is not None]
     if not stated:
         raise InputError(
