@@ -7,11 +7,11 @@ import pytest
 
 from crankorder.errors import InputError
 from crankorder.ingest import recording as recording_module
-from crankorder.ingest.angle_column import read_checked
 from crankorder.ingest.check import check_folder
 from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_parts, read_recording
+from crankorder.ingest.roles import read_checked
 from crankorder.quantities import flags_of
 from crankorder.shaft.angle import angle_at
 from crankorder.shaft.decode import shaft_angle

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import Field
+from pydantic import Field, ValidationInfo
 from pydantic import field_validator as field_check
 
 from crankorder.errors import InputError, RequestError
@@ -74,28 +74,17 @@ class Channel(Table):
         examples=["+Z"],
     )
 
-    @field_check("unit")
+    @field_check("unit", "measured_unit")
     @classmethod
-    def _unit_is_known(cls, text: str) -> str:
-        return unit_of(text).name
-
-    @field_check("measured_unit")
-    @classmethod
-    def _measured_unit_is_known(cls, text: str | None) -> str | None:
+    def _unit_is_known(cls, text: str | None) -> str | None:
         return None if text is None else unit_of(text).name
 
-    @field_check("sensitivity")
+    @field_check("sensitivity", "offset")
     @classmethod
-    def _sensitivity_is_known(cls, text: str | None) -> str | None:
+    def _text_is_known(cls, text: str | None, info: ValidationInfo) -> str | None:
+        parse = parse_sensitivity if info.field_name == "sensitivity" else parse_quantity
         if text is not None:
-            parse_sensitivity(text)
-        return text
-
-    @field_check("offset")
-    @classmethod
-    def _offset_is_known(cls, text: str | None) -> str | None:
-        if text is not None:
-            parse_quantity(text)
+            parse(text)
         return text
 
     @property
@@ -220,14 +209,9 @@ def channel_faults(channel: Channel, place: str) -> list[RequestError]:
     known = ("acceleration", "velocity", "displacement", "pressure", "force", "torque", "voltage")
     stated = next((quantity for quantity in known if channel.quantity.casefold().endswith(quantity)), unit.quantity)
     if stated != unit.quantity:
-        faults.append(
-            RequestError(
-                f"quantity and unit disagree: {unit.name} is a unit of {unit.quantity}",
-                place=f"{place}.quantity",
-                found=channel.quantity,
-                remedy=_UNIT_OF_RESULT if stated in DERIVATIVE and unit.quantity in DERIVATIVE else "",
-            )
-        )
+        problem = f"quantity and unit disagree: {unit.name} is a unit of {unit.quantity}"
+        remedy = _UNIT_OF_RESULT if stated in DERIVATIVE and unit.quantity in DERIVATIVE else ""
+        faults.append(RequestError(problem, place=f"{place}.quantity", found=channel.quantity, remedy=remedy))
     return faults
 
 

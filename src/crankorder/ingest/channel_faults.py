@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numba as nb
 import numpy as np
 
 from crankorder.fft.windows import hann
 from crankorder.ingest.rawfile import FloatArray
-from crankorder.quantities import Bools, Floats, Ints, QualityFlag, Severity
+from crankorder.quantities import Bools, Floats, Ints, Severity
 from crankorder.scratch import blocks
 from crankorder.settings import IngestSettings
 
@@ -109,11 +108,6 @@ class SignalFault:
     detail: str
     at: Runs = field(default_factory=runs_of)
     is_lost: bool = False
-
-    def as_flag(self, name: str, path: Path) -> QualityFlag:
-        """Quality flag for channel ``name`` of the recording at ``path``."""
-        detail = f"channel {name}: {self.detail}"
-        return QualityFlag(recording=path.name, flag=self.flag, severity=self.severity, detail=detail)
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,17 +262,9 @@ def _shows_lines(quiet: FloatArray, loud: FloatArray) -> bool:
             return True
         pieces -= pieces.mean(axis=1, keepdims=True)
         powers.append(np.square(np.abs(np.fft.rfft(pieces * window, axis=1))).mean(axis=0)[3:])
-    places = _line_places(powers[1])
-    if not places.size:
-        return True
-    over = [_over_floor(powers[0], int(place)) for place in places]
-    return bool(np.max(over) > _STANDS_OUT / 2.0)
-
-
-def _line_places(power: Floats) -> np.ndarray:
-    """The strongest bins that stand far above the median of the bins about them."""
-    order = np.argsort(power)[::-1][: 8 * _LINES]
-    return np.array([k for k in order if _over_floor(power, int(k)) > _STANDS_OUT][:_LINES], dtype=np.int64)
+    order = np.argsort(powers[1])[::-1][: 8 * _LINES]
+    places = [int(k) for k in order if _over_floor(powers[1], int(k)) > _STANDS_OUT][:_LINES]
+    return not places or max(_over_floor(powers[0], place) for place in places) > _STANDS_OUT / 2.0
 
 
 def _over_floor(power: Floats, place: int) -> float:
@@ -364,11 +350,9 @@ def find_level_steps(surveys: Sequence[Survey], *, settings: IngestSettings) -> 
         if scatter > _AGREE * abs(step) or moved > _AGREE * abs(step) or abrupt < 0.7 * abs(step):
             continue
         samples = at * group * surveys[number].size
-        detail = (
-            f"the level changes by a factor of {np.exp(step):.3g} at once, that of the others does not: gain or seat"
-        )
-        fault = SignalFault("level_step", "suspect", detail, runs_of((samples, surveys[number].n_samples)))
-        found[number] = fault
+        factor, span = f"a factor of {np.exp(step):.3g}", runs_of((samples, surveys[number].n_samples))
+        detail = f"the level changes by {factor} at once, that of the others does not: gain or seat"
+        found[number] = SignalFault("level_step", "suspect", detail, span)
     return found
 
 

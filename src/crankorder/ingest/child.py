@@ -11,10 +11,13 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
-from typing import IO, Any, NoReturn
+from typing import IO, Any, NoReturn, TypeVar
 
-from crankorder.errors import CrankorderError, InputError, UnsafeInputError, printable
+from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, UnsafeInputError, located, printable
+
+T = TypeVar("T")
 
 MEMORY_BYTES = 500_000_000
 """That a parser may take beside what the samples themselves take."""
@@ -22,16 +25,28 @@ LEAST_SECONDS, BYTES_PER_SECOND = 10.0, 5e6
 """That a parser may take: at least so long, and so long for its bytes."""
 
 
-def in_child(task: Callable[[], Any], path: Path, *, n_bytes: int) -> Any:
+def package(name: str, kind: str, remedy: str) -> Any:
+    """The package ``name`` that reads files of a ``kind``, loaded before a child needs it.
+
+    Raises EnvironmentFailure with the ``remedy`` where it is missing.
+    """
+    try:
+        return import_module(name)
+    except ModuleNotFoundError:
+        raise EnvironmentFailure(f"reading {kind} needs the package {name}", remedy=remedy) from None
+
+
+def in_child(task: Callable[[], T], path: Path, *, n_bytes: int) -> T:
     """What ``task``, which parses the file at ``path``, gives; done in a process of its own where the system forks.
 
     ``n_bytes``: of samples that it is to give, beside which it has a bounded memory and time. Raises what the task
     raises of ours, UnsafeInputError where it goes beyond its limits, InputError where it fails in another way.
     """
     if not hasattr(os, "fork"):
-        return _by_itself(task, path)
+        with located(path):
+            return _by_itself(task)
     seconds = LEAST_SECONDS + (path.stat().st_size + n_bytes) / BYTES_PER_SECOND
-    with tempfile.TemporaryFile() as answer:
+    with located(path), tempfile.TemporaryFile() as answer:
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(OSError, ValueError, AttributeError):
                 stream.flush()
@@ -39,14 +54,15 @@ def in_child(task: Callable[[], Any], path: Path, *, n_bytes: int) -> Any:
         pid = os.fork()
         if pid == 0:
             os.close(alive)
-            _serve(task, path, answer, MEMORY_BYTES + 4 * n_bytes, seconds)
+            _serve(task, answer, MEMORY_BYTES + 4 * n_bytes, seconds)
         os.close(end)
         try:
             status = _wait(pid, alive, seconds)
         finally:
             os.close(alive)
         answer.seek(0)
-        return _answer(answer, status, path)
+        value: T = _answer(answer, status)
+    return value
 
 
 def _wait(pid: int, alive: int, seconds: float) -> int | None:
@@ -60,7 +76,7 @@ def _wait(pid: int, alive: int, seconds: float) -> int | None:
     return None if late else status
 
 
-def _serve(task: Callable[[], Any], path: Path, answer: IO[bytes], most_bytes: int, seconds: float) -> NoReturn:
+def _serve(task: Callable[[], Any], answer: IO[bytes], most_bytes: int, seconds: float) -> NoReturn:
     """Do ``task`` within the limits, leave its value or error in ``answer``, and end this process."""
     status = 1
     try:
@@ -69,7 +85,7 @@ def _serve(task: Callable[[], Any], path: Path, answer: IO[bytes], most_bytes: i
             os.dup2(nowhere.fileno(), 1)
             os.dup2(nowhere.fileno(), 2)
         try:
-            made: tuple[str, Any] = "value", _by_itself(task, path)
+            made: tuple[str, Any] = "value", _by_itself(task)
         except CrankorderError as error:
             made = "error", error
         except MemoryError:
@@ -93,7 +109,7 @@ def _limit(most_bytes: int, seconds: float) -> None:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def _by_itself(task: Callable[[], Any], path: Path) -> Any:
+def _by_itself(task: Callable[[], T]) -> T:
     """What ``task`` gives; whatever a foreign parser raises becomes an InputError."""
     try:
         return task()
@@ -101,12 +117,12 @@ def _by_itself(task: Callable[[], Any], path: Path) -> Any:
         raise
     except Exception as error:
         found = printable(f"{type(error).__name__}: {error}".split("\n")[0], 160)
-        raise InputError("damaged: cannot be parsed", file=path, found=found, remedy="Export the file again") from None
+        raise InputError("damaged: cannot be parsed", found=found, remedy="Export the file again") from None
 
 
-def _answer(answer: IO[bytes], status: int | None, path: Path) -> Any:
+def _answer(answer: IO[bytes], status: int | None) -> Any:
     if status is None:
-        raise UnsafeInputError("takes too long to parse", file=path, remedy="Export it again, or leave it out")
+        raise UnsafeInputError("takes too long to parse", remedy="Export it again, or leave it out")
     try:
         kind, value = pickle.load(answer)  # written by our own child
     except (EOFError, pickle.UnpicklingError):
@@ -116,5 +132,5 @@ def _answer(answer: IO[bytes], status: int | None, path: Path) -> Any:
     if kind == "error":
         raise value
     raise UnsafeInputError(
-        "takes too much memory to parse", file=path, remedy="Split the recording, export it again, or leave it out"
+        "takes too much memory to parse", remedy="Split the recording, export it again, or leave it out"
     )

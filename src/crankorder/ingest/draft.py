@@ -15,9 +15,18 @@ from crankorder.errors import CrankorderError, NoUsableRecordingError, RequestEr
 from crankorder.ingest.folder import is_companion, is_leftover, natural_key
 from crankorder.ingest.formats import FORMATS, contents_of, read_file
 from crankorder.ingest.manifest import MANIFEST_NAME
-from crankorder.ingest.pulse_files import PulseFiles, pulse_files
-from crankorder.ingest.rawfile import Contents, RawFile, Source
-from crankorder.ingest.roles import MOST_SAMPLES, Column, Columns, Role, columns_of, is_square, lists_edges
+from crankorder.ingest.rawfile import Contents, RawFile, Source, listed
+from crankorder.ingest.roles import (
+    MOST_SAMPLES,
+    Column,
+    Columns,
+    PulseFiles,
+    Role,
+    columns_of,
+    is_square,
+    lists_edges,
+    pulse_files,
+)
 from crankorder.ingest.sampling import read_time_column, rows_before_zeros
 from crankorder.settings import load_settings
 from crankorder.shaft.pattern import known_names
@@ -86,19 +95,16 @@ def encoder_guess(
     try:
         sources = [name for name in (source, index, time) if name is not None]
         raw = read_file(path, sources=list(sources), settings=settings.ingest)
-        pulses = _edges(raw, source, time, rate_hz, path)
+        kind, first, by_edge = _edges(raw, source, time, rate_hz, path)
         marks = _edges(raw, index, time, rate_hz, path)[2] if index is not None else {}
     except (CrankorderError, OSError, ValueError):
         return None
-    kind, first, by_edge = pulses
     mark_s = next(iter(marks.values()), None)
     found = {edge: find_pattern(time_s, index_time_s=mark_s) for edge, time_s in by_edge.items()}
     best = max(found, key=lambda edge: (_likely(found[edge]), edge == first))
-    return EncoderGuess(kind, best, found[best], _pulses_hz(by_edge[best]))
-
-
-def _pulses_hz(time_s: FloatArray) -> float:
-    return (time_s.size - 1) / float(np.ptp(time_s)) if time_s.size > 2 and np.ptp(time_s) > 0.0 else 0.0
+    time_s = by_edge[best]
+    pulses_hz = (time_s.size - 1) / float(np.ptp(time_s)) if time_s.size > 2 and np.ptp(time_s) > 0.0 else 0.0
+    return EncoderGuess(kind, best, found[best], pulses_hz)
 
 
 def _likely(found: FoundPattern | None) -> tuple[int, float]:
@@ -167,8 +173,13 @@ def draft_manifest(folder: Path) -> str:
         columns = _marks_by_wheel(columns, contents, path)
         encoder, knows_shaft = _encoder(columns, contents, path, speeds)
     else:
-        beside = [_unused(column) if column.role in ("encoder", "index", "cam") else column for column in columns.all]
-        columns, knows_shaft = replace(columns, all=tuple(beside)), True
+        beside = tuple(
+            replace(column, role="unused", doubt="the pulses stand in files of their own")
+            if column.role in ("encoder", "index", "cam")
+            else column
+            for column in columns.all
+        )
+        columns, knows_shaft = replace(columns, all=beside), True
         encoder = _pulse_file(pulses, speeds.get(path.name))
     lines = [
         "# Draft by `crankorder init`: decide what stands behind `# ?`.",
@@ -188,10 +199,9 @@ def draft_manifest(folder: Path) -> str:
         *(_stated_speeds(speeds) if 'kind = "constant"' in encoder and len(speeds) else []),
         *MOTOR,
     ]
-    scalars = [name for name in contents.names if contents.samples.get(name) == 1]
+    scalars = [printable(name, 40) for name in contents.names if contents.samples.get(name) == 1]
     if scalars:
-        shown = ", ".join(printable(name, 40) for name in scalars[:20]) + (", …" if len(scalars) > 20 else "")
-        lines.append(f"# Single numbers in the file, such as a speed: {shown}")
+        lines.append(f"# Single numbers in the file, such as a speed: {listed(scalars, 20)}")
     return "\n".join(lines) + "\n"
 
 
@@ -199,15 +209,13 @@ def _files(folder: Path, pattern: str) -> str:
     """The line that names the recordings; what folders inside of ``folder`` hold beside them is asked about."""
     line = f"files = [{_text(pattern)}]"
     inside = [
-        path.name
+        printable(path.name, 40)
         for path in sorted(folder.iterdir(), key=natural_key)
         if path.is_dir() and not is_leftover(path.name) and not (path / MANIFEST_NAME).exists()
         if any(not is_leftover(file.name) and file.is_file() for file in path.glob(pattern))
     ]
-    if not inside:
-        return line
-    names = ", ".join(printable(name, 40) for name in inside[:3]) + (", …" if len(inside) > 3 else "")
-    return _asked(line, f"there are more in {names}: {_text(f'*/{pattern}')} beside it takes them too")
+    doubt = f"there are more in {listed(inside, 3)}: {_text(f'*/{pattern}')} beside it takes them too"
+    return _asked(line, doubt if inside else "")
 
 
 def save_drafts(folder: Path) -> list[Path]:
@@ -217,13 +225,9 @@ def save_drafts(folder: Path) -> list[Path]:
     raises, and RequestError where there is nothing left to write.
     """
     homes = [folder] if not folder.is_dir() or _is_test(folder) else _tests_in(folder) or [folder]
-    written: list[Path] = []
-    for home in homes:
-        path = home / MANIFEST_NAME
-        if path.exists():
-            continue
-        path.write_text(draft_manifest(home), encoding="utf-8")
-        written.append(path)
+    written = [path for home in homes if not (path := home / MANIFEST_NAME).exists()]
+    for path in written:
+        path.write_text(draft_manifest(path.parent), encoding="utf-8")
     if not written:
         raise RequestError("there is a manifest already", file=homes[0] / MANIFEST_NAME, remedy="Edit it, or remove it")
     return written
@@ -244,12 +248,8 @@ def _read_all(folder: Path) -> tuple[dict[str, list[tuple[Contents, Path]]], lis
     groups: dict[str, list[tuple[Contents, Path]]] = {}
     faults: list[CrankorderError] = []
     for path in sorted(folder.iterdir(), key=natural_key):
-        if (
-            is_leftover(path.name)
-            or is_companion(path.name)
-            or path.suffix.lower() in (".toml", ".md", ".json")
-            or path.is_dir()
-        ):
+        is_note = path.suffix.lower() in (".toml", ".md", ".json")
+        if is_note or is_leftover(path.name) or is_companion(path.name) or path.is_dir():
             continue
         try:
             contents = contents_of(path, settings=settings)
@@ -270,7 +270,7 @@ def _recordings(folder: Path) -> tuple[str, list[tuple[Contents, Path]], PulseFi
     if not groups:
         inside = [] if faults else _tests_in(folder)
         if inside:
-            names = ", ".join(printable(path.name, 40) for path in inside[:5]) + (", …" if len(inside) > 5 else "")
+            names = listed([printable(path.name, 40) for path in inside], 5)
             raise RequestError(
                 f"the recordings lie in {len(inside)} folders of this one: {names}",
                 file=folder,
@@ -338,8 +338,7 @@ def _sampling(columns: Columns, contents: Contents) -> list[str]:
         lines += ['domain = "crank_angle"', f"samples_per_rev = {round(360.0 / angle.step)}"]
         lines += [f"start_deg = {angle.first:.9g}"] if angle.first else []
     elif time is not None:
-        line = f"time_source = {_shown(time.source)}"
-        lines.append(_asked(line, time.doubt) if isinstance(time.source, int) else line)
+        lines.append(_asked(f"time_source = {_shown(time.source)}", time.doubt if isinstance(time.source, int) else ""))
     elif not contents.rates_hz and columns.channels():
         lines.append(_asked("# rate_hz =", "samples per second, which the file does not say"))
     return [*lines, ""] if len(lines) > 1 else []
@@ -350,9 +349,9 @@ def _channels(columns: Columns) -> list[str]:
     labels = [column.label for column in columns.channels()]
     for number, column in enumerate(columns.channels()):
         name = column.label if labels.count(column.label) == 1 else column.name
-        named = f"name = {_text(name)}"
-        spectrum = "its name speaks of a spectrum: signals by time are read, no spectra"
-        lines += ["[[channels]]", _asked(named, spectrum) if _SPECTRUM.search(f"{name} {column.name}") else named]
+        is_spectrum = _SPECTRUM.search(f"{name} {column.name}")
+        doubt = "its name speaks of a spectrum: signals by time are read, no spectra" if is_spectrum else ""
+        lines += ["[[channels]]", _asked(f"name = {_text(name)}", doubt)]
         if column.source != name:
             lines.append(f"source = {_shown(column.source)}")
         lines += _unit(column, first=number == 0)
@@ -368,8 +367,7 @@ def _channels(columns: Columns) -> list[str]:
 
 def _unit(column: Column, *, first: bool) -> list[str]:
     if column.unit is not None:
-        line = f"unit = {_text(column.unit.name)}"
-        lines = [_asked(line, column.doubt) if column.doubt else line]
+        lines = [_asked(f"unit = {_text(column.unit.name)}", column.doubt)]
     else:
         lines = [_asked('unit = "1"', column.doubt or "the file states no unit: m/s2, g, V, bar, …")]
     if first and (column.unit is None or column.unit.quantity in ("voltage", "full scale")):
@@ -391,10 +389,11 @@ def _encoder(
         lines = [line for line in told if line.startswith(("kind", "edge"))]
         return ["[encoder]", f"source = {_shown(index.source)}", *lines, "pulses_per_rev = 1"], True
     if encoder is not None:
-        marks = [_mark(role, column) for role, column in (("index", index), ("cam", cam)) if column is not None]
-        source = f"source = {_shown(encoder.source)}"
-        wheel = _wheel(columns, contents, path, speeds)
-        return ["[encoder]", _asked(source, encoder.doubt) if encoder.doubt else source, *wheel, *marks], True
+        source, index_mark, cam_mark = (
+            [_asked(f"{key} = {_shown(column.source)}", column.doubt)] if column is not None else []
+            for key, column in (("source", encoder), ("index", index), ("cam", cam))
+        )
+        return ["[encoder]", *source, *_wheel(columns, contents, path, speeds), *index_mark, *cam_mark], True
     speed, constant = columns.of("speed"), columns.of("constant")
     if speed is not None:
         return ["[encoder]", f"source = {_shown(speed.source)}", 'kind = "speed"'], True
@@ -411,21 +410,16 @@ def _encoder(
     ], False
 
 
-def _unused(column: Column) -> Column:
-    return replace(column, role="unused", doubt="the pulses stand in files of their own")
-
-
 def _pulse_file(pulses: PulseFiles, stated: tuple[float, str] | None) -> list[str]:
     """Lines of an encoder whose pulses stand in files of their own."""
     per_rev = _pulses_per_rev(pulses.pulses_hz, stated)
-    said = "at the stated speed" if per_rev else "how many of them make a revolution?"
-    wheel = f"pulses_per_rev = {per_rev or 1}"
+    where = "at the stated speed" if per_rev else "how many of them make a revolution?"
     return [
         "[encoder]",
         f"file = {_text(pulses.pulses)}",
         f"source = {_shown(pulses.source)}",
         'kind = "pulse_times"',
-        _asked(wheel, f"{pulses.pulses_hz:.4g} pulses/s {said}"),
+        _asked(f"pulses_per_rev = {per_rev or 1}", f"{pulses.pulses_hz:.4g} pulses/s {where}"),
     ]
 
 
@@ -445,11 +439,6 @@ def _marks_by_wheel(columns: Columns, contents: Contents, path: Path) -> Columns
     role: Role = "index" if abs(per_rev - 1.0) < 0.1 else "cam" if abs(per_rev - 0.5) < 0.1 else "unused"
     told = replace(mark, role=role, doubt=f"{per_rev:.2g} edges per turn of the wheel")
     return replace(columns, all=tuple(told if column is mark else column for column in columns.all))
-
-
-def _mark(role: str, column: Column) -> str:
-    line = f"{role} = {_shown(column.source)}"
-    return _asked(line, column.doubt) if column.doubt else line
 
 
 def _stated_speeds(speeds: Mapping[str, tuple[float, str]]) -> list[str]:
@@ -521,8 +510,8 @@ def _pulses_per_rev(pulses_hz: float, stated: tuple[float, str] | None) -> int |
 
 
 def _asked(line: str, doubt: str) -> str:
-    """``line`` of a draft, with what a person should decide about it."""
-    return f"{line.ljust(_MARK_COLUMN)}# ? {printable(doubt, 200)}"
+    """``line`` of a draft, with what a person should decide about it, as it is where there is no ``doubt``."""
+    return f"{line.ljust(_MARK_COLUMN)}# ? {printable(doubt, 200)}" if doubt else line
 
 
 def _shown(source: Source) -> str:

@@ -109,11 +109,9 @@ def _refuse_shared(pulses: Mapping[Path, Path | None], manifest: Manifest, folde
     owners: dict[Path, Path] = {}
     for path, file in sorted(pulses.items(), key=lambda pair: natural_key(pair[0])):
         if file is not None and owners.setdefault(file, path) != path:
-            problem, found = (
-                "two recordings share one file of pulses",
-                f"{file.name} for {owners[file].name}, {path.name}",
-            )
+            found = f"{file.name} for {owners[file].name}, {path.name}"
             remedy = "Write every part in which the names of the recordings differ into encoder.file too"
+            problem = "two recordings share one file of pulses"
             raise RequestError(problem, file=folder, place="encoder.file", found=found, remedy=remedy)
 
 
@@ -148,18 +146,12 @@ def check_regular(path: Path, folder: Path | None = None) -> None:
     except (OSError, RuntimeError, ValueError) as error:
         if isinstance(error, CrankorderError):
             raise
-        reason = "a link that leads to itself" if _is_loop(error) else "cannot be reached"
-        raise InputError(reason, file=path, found="" if _is_loop(error) else error) from None
+        if isinstance(error, RuntimeError) or "levels of symbolic links" in str(error):
+            raise InputError("a link that leads to itself", file=path) from None
+        raise InputError("cannot be reached", file=path, found=error) from None
     if not stat.S_ISREG(mode):
-        raise InputError(
-            f"not a file but {_kind(mode)}",
-            file=path,
-            remedy="Only regular files are read; take it out of [recordings]",
-        )
-
-
-def _is_loop(error: Exception) -> bool:
-    return isinstance(error, RuntimeError) or "levels of symbolic links" in str(error)
+        remedy = "Only regular files are read; take it out of [recordings]"
+        raise InputError(f"not a file but {_kind(mode)}", file=path, remedy=remedy)
 
 
 def _kind(mode: int) -> str:

@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, NoReturn
 
-from crankorder.errors import EnvironmentFailure, InputError, UnsafeInputError
+from crankorder.errors import EnvironmentFailure, InputError, UnsafeInputError, located
 from crankorder.ingest.folder import check_regular
 from crankorder.ingest.rawfile import HDF5_SIGNATURE, Contents, RawFile, Source
 from crankorder.settings import IngestSettings
@@ -67,8 +67,8 @@ class Format:
     """A format that is read: its ``name``, the ``module`` of this room that reads it, and what tells a file of it.
 
     ``told_by`` takes the file's path and first bytes. The module has ``read`` (path, sources, settings → RawFile) and
-    ``contents`` (path, settings → Contents); it is imported when it is needed. ``by_rows``: its ``read`` can be asked
-    for some samples alone, at the cost of these.
+    ``contents`` (path, settings → Contents), whose errors need not name the file; it is imported when it is needed.
+    ``by_rows``: its ``read`` can be asked for some samples alone, at the cost of these.
     """
 
     name: str
@@ -117,10 +117,6 @@ def _is_ide(path: Path, head: bytes) -> bool:
     return True
 
 
-def _is_uff(path: Path, head: bytes) -> bool:
-    return re.match(UFF_SIGN, head) is not None
-
-
 FORMATS = (
     Format("HDF5", "hdf5", _is_hdf5, by_rows=True),  # before MATLAB, whose version 7.3 is HDF5 behind MATLAB's header
     Format("WAV", "wav", _is_wav, by_rows=True),
@@ -128,7 +124,7 @@ FORMATS = (
     Format("NumPy", "numpy_file", _begins(b"\x93NUMPY"), by_rows=True),
     Format("LVM", "lvm", _begins(b"LabVIEW Measurement")),
     Format("XLSX", "xlsx", _is_xlsx),
-    Format("UFF", "uff", _is_uff),
+    Format("UFF", "uff", lambda path, head: re.match(UFF_SIGN, head) is not None),
     Format("TDMS", "tdms", _begins(b"TDSm")),
     Format("MDF4", "mdf", _begins(b"MDF     4")),
     Format("IDE", "ide", _is_ide),
@@ -144,14 +140,13 @@ def read_file(path: Path, *, sources: Sequence[Source], settings: IngestSettings
     ``settings`` limit what is read; ``rows``: of the samples, None for all (of a format that can be read by rows).
     Raises InputError, UnsafeInputError or, for a missing package, EnvironmentFailure.
     """
-    read = format_of(path).function("read")
-    try:
-        some = {} if rows is None else {"rows": rows}
-        raw: RawFile = read(path, sources=sources, settings=settings, **some)
-    except MemoryError:
-        raise UnsafeInputError(
-            "does not fit into memory", file=path, remedy="Split the recording, or run where there is more memory"
-        ) from None
+    read, some = format_of(path).function("read"), {} if rows is None else {"rows": rows}
+    with located(path):
+        try:
+            raw: RawFile = read(path, sources=sources, settings=settings, **some)
+        except MemoryError:
+            remedy = "Split the recording, or run where there is more memory"
+            raise UnsafeInputError("does not fit into memory", remedy=remedy) from None
     return raw
 
 
@@ -160,10 +155,12 @@ def contents_of(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` limit what is read. Raises what :func:`read_file` raises.
     """
-    found: Contents = format_of(path).function("contents")(path, settings=settings)
-    if not found.names:
-        raise InputError("holds no channel of numbers", file=path, remedy="Export the recording again")
-    return found
+    look = format_of(path).function("contents")
+    with located(path):
+        contents: Contents = look(path, settings=settings)
+        if not contents.names:
+            raise InputError("holds no channel of numbers", remedy="Export the recording again")
+    return contents
 
 
 def format_of(path: Path) -> Format:

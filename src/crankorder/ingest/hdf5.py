@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -18,16 +20,18 @@ from crankorder.ingest.rawfile import (
     HDF5_SIGNATURE,
     Contents,
     FloatArray,
+    Key,
     RawFile,
     Source,
     check_budget,
     flag,
     float_type_for,
-    named,
+    names_of,
     part_of,
     rows_for,
     starts_by_date,
 )
+from crankorder.quantities import QualityFlag
 from crankorder.scratch import blocks, is_on_disk
 from crankorder.settings import IngestSettings
 
@@ -87,28 +91,31 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     Raises InputError for damage or a missing name, UnsafeInputError for links out of the file and impossible sizes.
     """
     with _opened(path) as file:
-        columns = _columns_of(file, path, settings)
-        names = [named(source, list(columns), path) for source in sources]
-        used = {columns[name].dataset: file[columns[name].dataset] for name in names}
+        columns = _columns_of(file, settings)
+        names = names_of(sources, list(columns), path)
+        used = {columns[name].dataset: file[columns[name].dataset] for name in names.values()}
         for dataset in used.values():
-            _check_dataset(dataset, path)
+            _check_dataset(dataset)
         n_bytes = sum(dataset.size * max(4, dataset.dtype.itemsize) for dataset in used.values())
-        check_budget(n_bytes, path, max_bytes=settings.max_bytes)
+        check_budget(n_bytes, settings)
         attributes = _Attributes(file)
-        datasets = {source: used[columns[name].dataset] for source, name in zip(sources, names, strict=True)}
-        rates = {source: attributes.rate_hz(dataset, path) for source, dataset in datasets.items()}
-        starts, undated = starts_by_date(*attributes.starts(datasets), path)
-        values = _read_columns([columns[name] for name in names], used, attributes, path, settings, rows)
-        units = {source: attributes.text(dataset, _UNIT_NAMES) for source, dataset in datasets.items()}
-        others = set(_stated(rates).values())
-        doubts = {doubt: None for name, ds in datasets.items() for doubt in attributes.doubts(ds, rates[name], others)}
-        return RawFile(
-            columns=dict(zip(sources, values, strict=True)),
-            units={source: unit for source, unit in units.items() if unit},
-            rates_hz=_stated(rates),
-            starts_s=starts,
-            flags=[flag(path, name, "suspect", detail) for name, detail in doubts] + undated,
-        )
+        datasets = {source: used[columns[name].dataset] for source, name in names.items()}
+        stated, undated = _stated_in(datasets, attributes, path)
+        values = _read_columns([columns[name] for name in names.values()], used, attributes, settings, rows)
+        rates, others = stated["rates_hz"], set(stated["rates_hz"].values())
+        doubts = [attributes.doubts(dataset, rates.get(source), others) for source, dataset in datasets.items()]
+        flags = [flag(path, name, "suspect", detail) for name, detail in dict.fromkeys(chain(*doubts))]
+        return RawFile(dict(zip(names, values, strict=True)), **stated, flags=flags + undated)
+
+
+def _stated_in(
+    datasets: Mapping[Key, Any], attributes: _Attributes, path: Path
+) -> tuple[dict[str, Any], list[QualityFlag]]:
+    """Units, rates and starts of ``datasets`` by the fields of Contents and RawFile, and flags of unset clocks."""
+    rates = _stated({key: attributes.rate_hz(dataset) for key, dataset in datasets.items()})
+    starts, undated = starts_by_date(*attributes.starts(datasets), path)
+    units = {key: unit for key, dataset in datasets.items() if (unit := attributes.text(dataset, _UNIT_NAMES))}
+    return {"units": units, "rates_hz": rates, "starts_s": starts}, undated
 
 
 def _stated(rates: Mapping[Any, float | None]) -> dict[Any, float]:
@@ -121,19 +128,16 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     ``settings`` give the object limit. Raises what :func:`read` raises.
     """
     with _opened(path) as file:
-        columns = _columns_of(file, path, settings)
+        columns = _columns_of(file, settings)
         datasets = {name: file[column.dataset] for name, column in columns.items()}
         for dataset in datasets.values():
-            _check_dataset(dataset, path)
+            _check_dataset(dataset)
         attributes = _Attributes(file)
-        rates = {name: attributes.rate_hz(dataset, path) for name, dataset in datasets.items()}
         return Contents(
             format="HDF5",
             names=tuple(columns),
             samples={name: column.n_samples for name, column in columns.items()},
-            units={name: unit for name, dataset in datasets.items() if (unit := attributes.text(dataset, _UNIT_NAMES))},
-            rates_hz=_stated(rates),
-            starts_s=starts_by_date(*attributes.starts(datasets), path)[0],
+            **_stated_in(datasets, attributes, path)[0],
             speed_rpm=next(
                 (rpm for dataset in datasets.values() if (rpm := attributes.number(dataset, _SPEED_NAMES))), None
             ),
@@ -150,10 +154,7 @@ def _opened(path: Path) -> Iterator[Any]:
         raise
     except _H5PY_ERRORS as error:
         raise InputError(
-            "is a damaged HDF5 file",
-            file=path,
-            found=str(error).split("\n")[0],
-            remedy="Copy it again from where it was recorded",
+            "is a damaged HDF5 file", found=str(error).split("\n")[0], remedy="Copy it again from where it was recorded"
         ) from None
 
 
@@ -168,24 +169,22 @@ def _check_superblock(path: Path) -> None:
     offset = {0: 40, 1: 44}.get(version, 28)
     wide = block[13 if version < 2 else 9 : 14 if version < 2 else 10] in (b"\x08", b"")
     if len(block) < offset + 8:
-        raise InputError(f"truncated: only {size} bytes are left of an HDF5 file", file=path, remedy="Copy it again")
+        raise InputError(f"truncated: only {size} bytes are left of an HDF5 file", remedy="Copy it again")
     end = struct.unpack_from("<Q", block, offset)[0] if wide else 0
     marked_open = version >= 3 and block[11] & 0b101
     if marked_open:
         raise InputError(
             "was not closed by its writer",
-            file=path,
             remedy="Copy it after the recording has ended, or, at your own risk, run `h5clear --status` on a copy",
         )
     if wide and size < end < 2**62:
         raise InputError(
             f"truncated: {size} of {end} bytes",
-            file=path,
             remedy="Copy it again; if the original is as short, its writer was stopped before closing it",
         )
 
 
-def _columns_of(file: Any, path: Path, settings: IngestSettings) -> dict[str, _Column]:
+def _columns_of(file: Any, settings: IngestSettings) -> dict[str, _Column]:
     """Numeric columns of ``file`` by name, walked without following links; the walk is bounded in depth and number."""
     columns: dict[str, _Column] = {}
     seen: set[int] = set()
@@ -198,26 +197,25 @@ def _columns_of(file: Any, path: Path, settings: IngestSettings) -> dict[str, _C
             continue
         seen.add(address)
         if depth > _MAX_DEPTH:
-            raise UnsafeInputError(f"groups are nested deeper than {_MAX_DEPTH}", file=path, place=group.name)
+            raise UnsafeInputError(f"groups are nested deeper than {_MAX_DEPTH}", place=group.name)
         for key in group:
             n_objects += 1
             if n_objects > settings.max_objects:
-                raise UnsafeInputError(f"holds more than {settings.max_objects} objects", file=path)
+                raise UnsafeInputError(f"holds more than {settings.max_objects} objects")
             link = group.id.links.get_info(key.encode("utf-8", "surrogateescape")).type
             if link == h5py.h5l.TYPE_EXTERNAL:
                 raise UnsafeInputError(
                     "links to another file, which is never followed",
-                    file=path,
                     place=f"{group.name.rstrip('/')}/{key}",
                     remedy="Write the samples into the file itself",
                 )
             if link != h5py.h5l.TYPE_HARD:
                 continue
-            item = group[key]
-            if isinstance(item, h5py.Group):
-                stack.append((item, depth + 1))
-            elif isinstance(item, h5py.Dataset):
-                columns.update(_columns_in(item, settings))
+            child = group[key]
+            if isinstance(child, h5py.Group):
+                stack.append((child, depth + 1))
+            elif isinstance(child, h5py.Dataset):
+                columns.update(_columns_in(child, settings))
     return dict(sorted(columns.items()))
 
 
@@ -235,61 +233,36 @@ def _columns_in(dataset: Any, settings: IngestSettings) -> dict[str, _Column]:
     return {f"{name}[{index}]": _Column(dataset.name, index, n_samples) for index in range(n_columns)}
 
 
-def _check_dataset(dataset: Any, path: Path) -> None:
+def _check_dataset(dataset: Any) -> None:
     """Refuse storage outside the file, virtual datasets, filters that need a plugin, and unwritten blocks."""
     place, create = dataset.name, dataset.id.get_create_plist()
-    if create.get_external_count():
-        raise UnsafeInputError(
-            "keeps its samples in another file, which is never opened",
-            file=path,
-            place=place,
-            remedy="Write them into the file itself",
-        )
-    if dataset.is_virtual:
-        raise UnsafeInputError(
-            "is put together from other files, which are never opened",
-            file=path,
-            place=place,
-            remedy="Write them into the file itself",
-        )
+    if create.get_external_count() or dataset.is_virtual:
+        own = "keeps its samples in another file, which is never opened"
+        problem = own if create.get_external_count() else "is put together from other files, which are never opened"
+        raise UnsafeInputError(problem, place=place, remedy="Write them into the file itself")
     for number in range(create.get_nfilters()):
         code = create.get_filter(number)[0]
         if code not in _FILTERS:
             raise InputError(
                 f"needs filter {code}, which is not built in",
-                file=path,
                 place=place,
                 allowed=", ".join(_FILTERS.values()),
                 remedy="Save the file again with gzip or without compression",
             )
-    _check_written(dataset, path, place)
-
-
-def _check_written(dataset: h5py.Dataset, path: Path, place: str) -> None:
-    """Refuse samples that were promised and never written: HDF5 would read them as zeros."""
+    # HDF5 would read samples that were promised and never written as zeros
     if dataset.size and not dataset.chunks and not dataset.id.get_storage_size():
-        raise InputError("no sample was ever written", file=path, place=place, remedy="Export the recording again")
+        raise InputError("no sample was ever written", place=place, remedy="Export the recording again")
     if dataset.chunks and dataset.size:
-        expected = int(
-            np.prod(
-                [-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True)], dtype=object
-            )
-        )
-        if expected > 10**9 or (written := dataset.id.get_num_chunks()) == expected:
-            return
-        raise InputError(
-            f"missing data: {written} of {expected} blocks were written",
-            file=path,
-            place=place,
-            remedy="Export the recording again",
-        )
+        expected = math.prod(-(-length // chunk) for length, chunk in zip(dataset.shape, dataset.chunks, strict=True))
+        if expected <= 10**9 and (written := dataset.id.get_num_chunks()) != expected:
+            problem = f"missing data: {written} of {expected} blocks were written"
+            raise InputError(problem, place=place, remedy="Export the recording again")
 
 
 def _read_columns(
     columns: list[_Column],
     used: dict[str, Any],
     attributes: _Attributes,
-    path: Path,
     settings: IngestSettings,
     rows: slice | None,
 ) -> list[FloatArray]:
@@ -311,13 +284,12 @@ def _read_columns(
         except _H5PY_ERRORS as error:
             raise InputError(
                 "damaged: the checksum or the compression of the samples is wrong",
-                file=path,
                 place=dataset.name,
                 found=str(error).split("\n")[0],
                 remedy="Copy the file again",
             ) from None
         for index, row, _ in asked:
-            _unpack(row, dataset, index, attributes, path)
+            _unpack(row, dataset, index, attributes)
     return room
 
 
@@ -343,14 +315,14 @@ def _read_into(rows: list[tuple[int | None, FloatArray]], dataset: Any, first: i
             row[part] = piece if index is None else piece[:, index] if axis == 0 else piece[index]
 
 
-def _unpack(row: FloatArray, dataset: Any, index: int | None, attributes: _Attributes, path: Path) -> None:
+def _unpack(row: FloatArray, dataset: Any, index: int | None, attributes: _Attributes) -> None:
     """Undo the packing conventions of NetCDF: fill value, scale and offset of the column ``index`` of ``dataset``."""
     fill = attributes.number(dataset, ("_FillValue", "missing_value"), inherited=False)
     if fill is not None:
         for part in blocks(row.size):
             row[part][row[part] == row.dtype.type(fill)] = np.nan
-    scale = attributes.packing(dataset, "scale_factor", index, path)
-    offset = attributes.packing(dataset, "add_offset", index, path)
+    scale = attributes.packing(dataset, "scale_factor", index)
+    offset = attributes.packing(dataset, "add_offset", index)
     if scale is not None:
         row *= scale
     if offset is not None:
@@ -364,19 +336,19 @@ class _Attributes:
         self._file = file
         self._of: dict[str, dict[str, Any]] = {}
 
-    def rate_hz(self, dataset: Any, path: Path) -> float | None:
+    def rate_hz(self, dataset: Any) -> float | None:
         """Samples per second that the attributes of ``dataset``, of a group above it or of the file state."""
         stated = _as_rates(self._numbers(dataset, (*_RATE_NAMES, *_STEP_NAMES)))
         value = next(iter(stated.values()), None)
         if value is not None and any(abs(other - value) > _SAME_RATE * abs(value) for other in stated.values()):
             found = ", ".join(f"{name}: {other:.9g} Hz" for name, other in stated.items())
             remedy = "Find out which is right, and remove the other"
-            raise InputError("two sampling rates are stated", file=path, place=dataset.name, found=found, remedy=remedy)
+            raise InputError("two sampling rates are stated", place=dataset.name, found=found, remedy=remedy)
         if value is not None and not (value > 0 and np.isfinite(value)):
-            raise InputError("the sampling rate must be above 0", file=path, place=dataset.name, found=value)
+            raise InputError("the sampling rate must be above 0", place=dataset.name, found=value)
         return value
 
-    def packing(self, dataset: Any, name: str, index: int | None, path: Path) -> float | None:
+    def packing(self, dataset: Any, name: str, index: int | None) -> float | None:
         """The number that the attribute ``name`` states for the column ``index`` of ``dataset``, None without it.
 
         It may be written as text, or one for each column. Raises InputError where it is neither: the scale of the
@@ -392,7 +364,6 @@ class _Attributes:
                 return float(numbers[(index or 0) if numbers.size > 1 else 0])
         raise InputError(
             f"its {name} is not a number",
-            file=path,
             place=dataset.name,
             found=printable(repr(value), 60),
             remedy="Mend the attribute, or export the samples as floats in their unit",
@@ -460,8 +431,7 @@ class _Attributes:
 
     def _at(self, place: str, dataset: Any) -> dict[str, Any]:
         if place not in self._of:
-            item = dataset if place == dataset.name else self._file[place]
-            self._of[place] = _readable(item)
+            self._of[place] = _readable(dataset if place == dataset.name else self._file[place])
         return self._of[place]
 
 
@@ -508,12 +478,6 @@ def _readable(item: Any) -> dict[str, Any]:
     return _numbers_beside(item) | found if isinstance(item, h5py.Group) else found
 
 
-def _is_plain(dataset: h5py.Dataset) -> bool:
-    """Whether the values lie in the file as they are: nothing is loaded or followed to read them."""
-    create = dataset.id.get_create_plist()
-    return not (create.get_external_count() or create.get_nfilters() or dataset.is_virtual)
-
-
 def _numbers_beside(group: h5py.Group) -> dict[str, float]:
     """Single numbers of such names that lie in ``group`` as datasets of their own, as MATLAB and scripts write them."""
     found: dict[str, float] = {}
@@ -522,11 +486,9 @@ def _numbers_beside(group: h5py.Group) -> dict[str, float]:
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
                 continue
             dataset = group[name]
-            if (
-                isinstance(dataset, h5py.Dataset)
-                and dataset.size == 1
-                and dataset.dtype.kind in "iuf"
-                and _is_plain(dataset)
-            ):
+            if not isinstance(dataset, h5py.Dataset) or dataset.size != 1 or dataset.dtype.kind not in "iuf":
+                continue
+            create = dataset.id.get_create_plist()  # nothing is loaded or followed to read the value
+            if not (create.get_external_count() or create.get_nfilters() or dataset.is_virtual):
                 found[_plain(name)] = float(np.asarray(dataset[()]).reshape(-1)[0])
     return found

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from crankorder.errors import EnvironmentFailure, InputError
-from crankorder.ingest.child import in_child
+from crankorder.errors import InputError
+from crankorder.ingest.child import in_child, package
 from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, distinct, named
 from crankorder.ingest.sampling import TimeColumn, read_time_column
 from crankorder.quantities import QualityFlag
@@ -32,10 +32,11 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     Raises InputError for damage or a missing name, EnvironmentFailure where idelib is missing, UnsafeInputError where
     the parser goes beyond its limits.
     """
-    parser = _parser(path)
+    parser = _parser()
     most = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
     columns, units, stamps, of_sensor = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
-    sensors = [read_time_column(times, path, settings=_lenient(settings)) for times in stamps]
+    lenient = settings.model_copy(update={"max_time_jitter_samples": _JITTER})
+    sensors = [read_time_column(times, path, settings=lenient) for times in stamps]
     timed = {source: sensors[place] for source, place in of_sensor.items()}
     return RawFile(
         columns={key: timed[key].on_grid(column) if key in timed else column for key, column in columns.items()},
@@ -45,10 +46,6 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
         rate_uncertainty=max((times.rate_uncertainty for times in sensors), default=0.0),
         flags=[remark for times in sensors for remark in _graded(times)],
     )
-
-
-def _lenient(settings: IngestSettings) -> IngestSettings:
-    return settings.model_copy(update={"max_time_jitter_samples": _JITTER})
 
 
 def _graded(times: TimeColumn) -> list[QualityFlag]:
@@ -68,43 +65,32 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` are those of :func:`read`, whose errors it raises.
     """
-    parser = _parser(path)
-    found: Contents = in_child(lambda: _contents(parser, path), path, n_bytes=path.stat().st_size)
-    return found
+    parser = _parser()
+    return in_child(lambda: _contents(parser, path), path, n_bytes=path.stat().st_size)
 
 
-def _parser(path: Path) -> Any:
-    """idelib, loaded here so that no child needs to."""
-    try:
-        import idelib
-    except ModuleNotFoundError:
-        raise EnvironmentFailure(
-            "reading IDE files needs the package idelib", file=path, remedy="Run: pip install 'crankorder[ide]'"
-        ) from None
-    return idelib.importFile
+def _parser() -> Any:
+    return package("idelib", "IDE files", "Run: pip install 'crankorder[ide]'").importFile
 
 
-def _channels(file: Any) -> Iterator[tuple[str, Any]]:
-    """Names and values over time of the channels that hold any, of the first session."""
+def _channels(file: Any) -> dict[str, Any]:
+    """Values over time, by name, of the channels that hold any, of the first session."""
     if len(file.sessions) > 1:
         raise InputError(
             f"holds {len(file.sessions)} sessions", file=file.filename, remedy="Export each to a file of its own"
         )
-    for channel in file.channels.values():
-        for part in channel.subchannels:
-            values = part.getSession()
-            if len(values):
-                yield str(part.displayName or part.name), values
-
-
-def _named(file: Any) -> dict[str, Any]:
-    found = list(_channels(file))
+    found = [
+        (str(part.displayName or part.name), values)
+        for channel in file.channels.values()
+        for part in channel.subchannels
+        if len(values := part.getSession())
+    ]
     return dict(zip(distinct([name for name, _ in found]), (values for _, values in found), strict=True))
 
 
 def _contents(parser: Any, path: Path) -> Contents:
     with parser(str(path), quiet=True) as file:
-        channels = _named(file)
+        channels = _channels(file)
         rates: dict[str, float] = {}
         starts: dict[str, float] = {}
         for name, values in channels.items():
@@ -135,9 +121,9 @@ def _read(
     stamps: list[Any] = []
     of_sensor: dict[Source, int] = {}
     with parser(str(path), quiet=True) as file:
-        channels = _named(file)
+        channels = _channels(file)
         chosen = {source: channels[named(source, tuple(channels), path)] for source in sources}
-        check_budget(sum(8 * len(values) for values in chosen.values()), path, max_bytes=settings.max_bytes)
+        check_budget(sum(8 * len(values) for values in chosen.values()), settings)
         for source, channel in chosen.items():
             times, values = channel.arraySlice()
             columns[source] = np.array(values, dtype=np.float64)

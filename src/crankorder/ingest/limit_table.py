@@ -164,15 +164,10 @@ def _band_faults(limit: Limit, place: str, rate_hz: float | None) -> list[Reques
     if low_hz >= high_hz:
         return [RequestError("the lower end comes first", place=place, found=found)]
     if high_hz < least * low_hz:
-        return [
-            RequestError(
-                "too narrow a band for a level: the ends of a band are no walls, and would be all of it",
-                place=place,
-                found=found,
-                allowed=f"a high end of {least * low_hz:.4g} Hz or more, {least:g} times the low one",
-                remedy="Widen it; the size of a single line stands among the orders and tones",
-            )
-        ]
+        problem = "too narrow a band for a level: the ends of a band are no walls, and would be all of it"
+        allowed = f"a high end of {least * low_hz:.4g} Hz or more, {least:g} times the low one"
+        remedy = "Widen it; the size of a single line stands among the orders and tones"
+        return [RequestError(problem, place=place, found=found, allowed=allowed, remedy=remedy)]
     if rate_hz is not None and (problem := limit.above_rate(rate_hz)):
         return [RequestError(problem, place=place, found=found, allowed=f"up to {0.5 * rate_hz:.4g} Hz")]
     return []

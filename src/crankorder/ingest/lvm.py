@@ -22,12 +22,12 @@ from crankorder.ingest.rawfile import (
     Source,
     check_budget,
     flag,
-    named,
+    names_of,
     rows_for,
     starts_by_date,
 )
 from crankorder.ingest.sampling import read_time_column
-from crankorder.ingest.text import last_line_flags
+from crankorder.ingest.text import encoding_of, last_line_flags
 from crankorder.quantities import QualityFlag
 from crankorder.settings import IngestSettings
 
@@ -87,32 +87,26 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     (``Delta_X``, to its last decimal); a header that contradicts the column is told in ``attrs["header_rate_hz"]``.
     ``settings`` give the byte limit. Raises InputError where a cell is no number, or the times are not even.
     """
-    check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
+    check_budget(path.stat().st_size, settings)
     layout = _layout(path)
-    names = [named(source, tuple(layout.columns), path) for source in sources]
-    wanted = {name: layout.columns[name] for name in dict.fromkeys(names)}
-    times = {name: column for name in names if (column := _times_of(layout, layout.columns[name])) is not None}
+    names = names_of(sources, tuple(layout.columns), path)
+    wanted = {name: layout.columns[name] for name in names.values()}
+    times = [time for column in wanted.values() if (time := _times_of(layout, column)) is not None]
     read: dict[tuple[int, int], FloatArray] = {}
     for segment in {id(column.segment): column.segment for column in wanted.values()}.values():
-        mine = [column for column in (*wanted.values(), *times.values()) if column.segment is segment]
+        mine = [column for column in (*wanted.values(), *times) if column.segment is segment]
         places = sorted({column.place for column in mine})
         rows = _read(path, layout, segment, places, settings)
         read |= {(segment.first_line, place): row for place, row in zip(places, rows, strict=True)}
-    rates, starts, attrs, flags = _timing(
-        layout, wanted, lambda time: read[time.segment.first_line, time.place], path, settings
-    )
-    columns = {name: read[column.segment.first_line, column.place] for name, column in wanted.items()}
+
+    def values_of(column: _Column) -> FloatArray:
+        return read[column.segment.first_line, column.place]
+
+    contents, attrs, flags = _timing(layout, wanted, values_of, path, settings)
     flags += last_line_flags(path)
-    flags += [told for column in wanted.values() if (told := _missing(column, path)) is not None][:1]
-    return RawFile(
-        columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
-        units={source: unit for source, name in zip(sources, names, strict=True) if (unit := wanted[name].unit)},
-        rates_hz={source: rates[name] for source, name in zip(sources, names, strict=True) if name in rates},
-        starts_s={source: starts[name] for source, name in zip(sources, names, strict=True)},
-        rate_uncertainty=float(attrs["rate_uncertainty"]),
-        attrs=attrs,
-        flags=flags,
-    )
+    flags += [remark for column in wanted.values() if (remark := _missing(column, path)) is not None][:1]
+    columns = [values_of(wanted[name]) for name in names.values()]
+    return contents.with_columns(names, columns, attrs=attrs, flags=flags)
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -120,46 +114,29 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` give the byte limit. Raises what :func:`read` raises for the headers.
     """
-    check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
+    check_budget(path.stat().st_size, settings)
     layout = _layout(path)
 
     def first_times(time: _Column) -> FloatArray:
         return _read(path, layout, time.segment, [time.place], settings, most=_FEW_LINES)[0]
 
-    rates, starts, attrs, _ = _timing(layout, layout.columns, first_times, path, settings)
-    return Contents(
-        format="LVM",
-        names=tuple(layout.columns),
-        units={name: column.unit for name, column in layout.columns.items() if column.unit},
-        rates_hz=rates,
-        starts_s=starts,
-        rate_uncertainty=float(attrs["rate_uncertainty"]),
-    )
+    return _timing(layout, layout.columns, first_times, path, settings)[0]
 
 
 def _layout(path: Path) -> _Layout:
     """Headers of the file and where its segments stand; the lines of values are only counted."""
-    encoding = _encoding(path)
+    with path.open("rb") as stream:
+        encoding = encoding_of(stream.read(1 << 16))
     lines = _lines(path, encoding)
-    head = _header(lines, path)
-    segments = list(_segments(lines, path))
+    head = _header(lines)
+    segments = list(_segments(lines))
     if not segments:
-        raise InputError("holds no segment of measured values", file=path, remedy="Copy it again, or record again")
+        raise InputError("holds no segment of measured values", remedy="Copy it again, or record again")
     stated = head.get("Decimal_Separator", ["", ""])[1:2]
     # an old writer states none, and its times of day say nothing about its values
     comma = segments[0].separator != "," and (stated == [","] or (stated == [""] and segments[0].has_commas))
     with_times = head.get("X_Columns", ["", "One"])[1:2] != ["No"]
     return _Layout(encoding, comma, _columns(segments, with_times=with_times))
-
-
-def _encoding(path: Path) -> str:
-    with path.open("rb") as stream:
-        head = stream.read(1 << 16)
-    try:
-        head[: head.rfind(b"\n") + 1].decode("utf-8")
-    except UnicodeDecodeError:
-        return "latin-1"
-    return "utf-8"
 
 
 def _lines(path: Path, encoding: str) -> Iterator[tuple[int, str]]:
@@ -168,7 +145,7 @@ def _lines(path: Path, encoding: str) -> Iterator[tuple[int, str]]:
         number = 0
         while line := stream.readline(_MOST_LINE_BYTES):
             if len(line) == _MOST_LINE_BYTES:
-                raise UnsafeInputError("a line is longer than any table has", file=path, place=f"line {number + 1}")
+                raise UnsafeInputError("a line is longer than any table has", place=f"line {number + 1}")
             yield number, line.decode(encoding, "replace").rstrip("\r\n")
             number += 1
 
@@ -179,29 +156,29 @@ def _separator(line: str) -> str:
     return first[1] if first else "\t"
 
 
-def _header(lines: Iterator[tuple[int, str]], path: Path) -> dict[str, list[str]]:
+def _header(lines: Iterator[tuple[int, str]]) -> dict[str, list[str]]:
     """Lines of the header that begins here, by their first cell; empty at the end of the file."""
     header: dict[str, list[str]] = {}
     for number, (place, line) in enumerate(lines):
         if line.startswith(_END_OF_HEADER):
             return header
         if number > _MOST_HEAD_LINES:
-            raise InputError("a header has no end", file=path, place=f"line {place + 1}", remedy="Copy it again")
+            raise InputError("a header has no end", place=f"line {place + 1}", remedy="Copy it again")
         cells = [cell.strip() for cell in line.split(_separator(line))]
         if cells[0]:
             header[cells[0]] = cells
     if header:
-        raise InputError("truncated: a header has no end", file=path, remedy="Copy it again")
+        raise InputError("truncated: a header has no end", remedy="Copy it again")
     return {}
 
 
-def _segments(lines: Iterator[tuple[int, str]], path: Path) -> Iterator[_Segment]:
+def _segments(lines: Iterator[tuple[int, str]]) -> Iterator[_Segment]:
     n_segments = 0
-    while header := _header(lines, path):
+    while header := _header(lines):
         number, text = next(lines, (0, ""))
         names = tuple(cell.strip() for cell in text.split(_separator(text)))
         if not text.strip() or len(names) > _MOST_COLUMNS:
-            raise InputError("no names of columns below a header", file=path, place=f"line {number + 1}")
+            raise InputError("no names of columns below a header", place=f"line {number + 1}")
         n_lines, n_cells, separator, has_commas = 0, 0, "\t", False
         for _, line in lines:
             if not line.strip(" \t;,"):
@@ -211,12 +188,12 @@ def _segments(lines: Iterator[tuple[int, str]], path: Path) -> Iterator[_Segment
                 has_commas = "," in line and "." not in line
             n_lines, n_cells = n_lines + 1, max(n_cells, line.count(separator) + 1)
         if n_cells > 2 * _MOST_COLUMNS:
-            raise UnsafeInputError("a line has more cells than any table", file=path)
+            raise UnsafeInputError("a line has more cells than any table")
         if n_lines:
             yield _Segment(number + 1, names, header, n_lines, n_cells, separator, has_commas)
         n_segments += 1
         if n_segments > _MOST_SEGMENTS:
-            raise UnsafeInputError(f"holds more than {_MOST_SEGMENTS} segments", file=path)
+            raise UnsafeInputError(f"holds more than {_MOST_SEGMENTS} segments")
 
 
 def _columns(segments: list[_Segment], *, with_times: bool) -> dict[str, _Column]:
@@ -227,12 +204,8 @@ def _columns(segments: list[_Segment], *, with_times: bool) -> dict[str, _Column
         prefix = f"{number}/" if len(segments) > 1 else ""
         for place, name in enumerate(segment.names):
             is_time = name == _TIME
-            last = place == len(segment.names) - 1
-            if (
-                (is_time and not with_times)
-                or (last and name in ("Comment", ""))
-                or segment.said("Samples", place) == "0"
-            ):
+            is_comment = place == len(segment.names) - 1 and name in ("Comment", "")
+            if (is_time and not with_times) or is_comment or segment.said("Samples", place) == "0":
                 continue
             known, full, again = (times if is_time else channels), f"{prefix}{name or place}", 0
             while full in known:
@@ -288,20 +261,17 @@ def _read(
     except (ValueError, OverflowError, pd.errors.ParserError) as error:
         cell = printable(str(error).split("\n")[0], 80)
         line = f"below line {segment.first_line + done}"
-        raise InputError("a cell is no number", file=path, place=line, found=cell, remedy="Mend the cell") from None
-    return [row[: _filled(row)] for row in rows] if any(np.isnan(row[-1:]).any() for row in rows) else rows
-
-
-def _filled(row: FloatArray) -> int:
-    there = np.flatnonzero(~np.isnan(row))
-    return int(there[-1]) + 1 if there.size else 0
+        raise InputError("a cell is no number", place=line, found=cell, remedy="Mend the cell") from None
+    if not any(np.isnan(row[-1:]).any() for row in rows):
+        return rows
+    return [row[: np.flatnonzero(np.append(True, ~np.isnan(row)))[-1]] for row in rows]
 
 
 def _timing(
     layout: _Layout, columns: Mapping[str, _Column], stamps: Callable[[_Column], FloatArray], path: Path,
     settings: IngestSettings,
-) -> tuple[dict[str, float], dict[str, float], dict[str, Any], list[QualityFlag]]:  # fmt: skip
-    """Rates in Hz and starts in s of ``columns`` by name, attributes of the file, flags.
+) -> tuple[Contents, dict[str, Any], list[QualityFlag]]:  # fmt: skip
+    """Units, rates and starts of ``columns`` by name, attributes of the file, flags.
 
     ``stamps`` gives the values of a column of times, which is asked for once for all channels of one step.
     """
@@ -324,9 +294,17 @@ def _timing(
         with suppress(ValueError):
             dates[name] = np.datetime64(f"{date}T{of_day[:18]}", "ns")
     starts, flags = starts_by_date({name: date for name, date in dates.items() if not np.isnat(date)}, starts, path)
-    flags += [one for _, _, told in kinds.values() for one in told]
+    flags += [remark for _, _, remarks in kinds.values() for remark in remarks]
     attrs = next(iter(kinds.values()))[1]
-    return rates, starts, attrs, [one for number, one in enumerate(flags) if one not in flags[:number]]
+    contents = Contents(
+        format="LVM",
+        names=tuple(columns),
+        units={name: column.unit for name, column in columns.items() if column.unit},
+        rates_hz=rates,
+        starts_s=starts,
+        rate_uncertainty=float(attrs["rate_uncertainty"]),
+    )
+    return contents, attrs, [remark for number, remark in enumerate(flags) if remark not in flags[:number]]
 
 
 def _channel_from(segment: _Segment, begin: int) -> int:
@@ -341,7 +319,10 @@ def _rate(
     """Rate in Hz, by the column of times where there is one, else by the header; its attributes; flags."""
     text = segment.said("Delta_X", place) or segment.said("Delta_X", _channel_from(segment, 0))
     step_s = _number(text)
-    doubt = 0.0 if not step_s else 0.6 * _last_decimal(text) / step_s  # half of it is rounded away, or more is cut
+    doubt = 0.0
+    if step_s:  # of the last decimal half is rounded away, or more is cut
+        mantissa, _, exponent = text.replace(",", ".", 1).upper().partition("E")
+        doubt = 0.6 * 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2])) / step_s
     header_hz = 1.0 / step_s if step_s and step_s > 0.0 else None
     if times is None or times.size < 3:
         return header_hz, {"rate_uncertainty": doubt, "start_s": 0.0}, []
@@ -362,12 +343,6 @@ def _number(text: str) -> float | None:
     except ValueError:
         return None
     return value if np.isfinite(value) else None
-
-
-def _last_decimal(text: str) -> float:
-    """What one unit of the last decimal of the number ``text`` is worth."""
-    mantissa, _, exponent = text.replace(",", ".", 1).upper().partition("E")
-    return 10.0 ** (int(exponent or 0) - len(mantissa.partition(".")[2]))
 
 
 def _missing(column: _Column, path: Path) -> QualityFlag | None:

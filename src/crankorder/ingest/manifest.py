@@ -124,10 +124,8 @@ def path_faults(paths: tuple[StatedPath, ...], unit_of_channel: Mapping[str, Uni
         place = f"transfer_paths.{number}"
         unit = unit_of_channel.get(path.channel)
         if unit is None:
-            allowed = ", ".join(unit_of_channel)
-            faults.append(
-                RequestError("no such channel", place=f"{place}.channel", found=path.channel, allowed=allowed)
-            )
+            where, allowed = f"{place}.channel", ", ".join(unit_of_channel)
+            faults.append(RequestError("no such channel", place=where, found=path.channel, allowed=allowed))
         elif unit.quantity != "acceleration":
             problem = f"a path in 1/kg needs a channel of acceleration, not of {unit.quantity}"
             faults.append(RequestError(problem, place=f"{place}.channel", found=path.channel))
@@ -136,11 +134,8 @@ def path_faults(paths: tuple[StatedPath, ...], unit_of_channel: Mapping[str, Uni
             faults.append(RequestError(problem, place=place, remedy="State one path for each channel and direction"))
         seen.add((path.channel, path.direction))
         if path.points:
-            faults.append(
-                RequestError(
-                    "points are read from the table", place=f"{place}.points", remedy="Name a CSV file as table"
-                )
-            )
+            problem, remedy = "points are read from the table", "Name a CSV file as table"
+            faults.append(RequestError(problem, place=f"{place}.points", remedy=remedy))
     return faults
 
 
@@ -508,11 +503,8 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
     faults: list[RequestError] = []
     sampling = manifest.sampling
     if sampling.domain == "crank_angle" and sampling.samples_per_rev is None:
-        faults.append(
-            RequestError(
-                "samples by crank angle need samples_per_rev", place="sampling.samples_per_rev", remedy="Add it"
-            )
-        )
+        problem = "samples by crank angle need samples_per_rev"
+        faults.append(RequestError(problem, place="sampling.samples_per_rev", remedy="Add it"))
     # checked here and not by the model, which would count a channel with a fault as none
     if not manifest.recordings.files:
         faults.append(RequestError("the list is empty", place="recordings.files", allowed="1 or more"))
@@ -535,28 +527,16 @@ def _cross_faults(manifest: Manifest) -> list[RequestError]:
         faults += channel_faults(channel, f"channels.{number}")
     for number, bearing in enumerate(manifest.bearings):
         if bearing_orders(bearing).keys() <= {"N*fs"}:
-            faults.append(
-                RequestError(
-                    "a bearing needs a designation, rolling_elements and ball_over_pitch, or published orders "
-                    "(bpfo, bpfi, bsf, ftf)",
-                    place=f"bearings.{number}",
-                )
-            )
-    faults += _motor_faults(manifest.motor)
+            needs = "a designation, rolling_elements and ball_over_pitch, or published orders (bpfo, bpfi, bsf, ftf)"
+            faults.append(RequestError(f"a bearing needs {needs}", place=f"bearings.{number}"))
+    motor = manifest.motor
+    if motor is not None and motor.poles is None and motor.rotor_bars is None and motor.stator_slots is None:
+        remedy = "Add poles, as the nameplate's speed tells (4 at 50 Hz: somewhat below 1500 rpm), or rotor_bars"
+        faults.append(RequestError("a motor needs poles, rotor_bars or stator_slots", place="motor", remedy=remedy))
     named = {channel.name: channel for channel in manifest.channels}
     faults += limit_faults(manifest.limits, named, manifest.rotor, manifest.sampling.rate_hz)
-    faults += path_faults(
-        manifest.transfer_paths, {channel.name: channel.analysed_unit for channel in manifest.channels}
-    )
+    faults += path_faults(manifest.transfer_paths, {name: channel.analysed_unit for name, channel in named.items()})
     speeds_stated, cycle = bool(manifest.recordings.speed_rpm), manifest.test.cycle
     return faults + encoder_faults(
         manifest.encoder, cycle=cycle, domain=manifest.sampling.domain, speeds_stated=speeds_stated
     )
-
-
-def _motor_faults(motor: Motor | None) -> list[RequestError]:
-    """A motor of which no line follows, and one whose supply is stated without what makes use of it."""
-    if motor is None or motor.poles is not None or motor.rotor_bars is not None or motor.stator_slots is not None:
-        return []
-    remedy = "Add poles, as the nameplate's speed tells (4 at 50 Hz: somewhat below 1500 rpm), or rotor_bars"
-    return [RequestError("a motor needs poles, rotor_bars or stator_slots", place="motor", remedy=remedy)]

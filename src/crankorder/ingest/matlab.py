@@ -21,8 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from crankorder.errors import InputError, UnsafeInputError, printable
-from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, flag, named, rows_for
-from crankorder.quantities import QualityFlag
+from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, flag, names_of, rows_for
 from crankorder.scratch import blocks, empty
 from crankorder.settings import IngestSettings
 
@@ -122,10 +121,10 @@ def elements(data: Buffer, start: int, end: int, order: str, *, partial: bool = 
         raise DamagedFileError(f"{end - start} bytes are left of an element")
 
 
-def expanded(element: Element, *, most: int | None, path: Path, settings: IngestSettings) -> Element:
+def expanded(element: Element, *, most: int | None, settings: IngestSettings) -> Element:
     """The element that the compressed ``element`` holds; only its first ``most`` bytes where that is a number.
 
-    Its size is checked against ``settings`` before room is made; ``path`` names the file in errors.
+    Its size is checked against ``settings`` before room is made.
     Raises DamagedFileError where the data do not inflate to what they claim, UnsafeInputError for too large a claim.
     """
     inflate = zlib.decompressobj()
@@ -151,7 +150,7 @@ def expanded(element: Element, *, most: int | None, path: Path, settings: Ingest
         if len(tag) < 8:
             raise DamagedFileError("a compressed variable is cut short")
         code, n_bytes = (int(word) for word in np.frombuffer(tag, f"{element.order}u4"))
-        check_budget(n_bytes, path, max_bytes=settings.max_bytes)
+        check_budget(n_bytes, settings)
         if n_bytes > _MOST_DEFLATED * len(packed):
             raise DamagedFileError(f"a compressed variable of {len(packed)} bytes cannot hold the {n_bytes} it claims")
         wanted = n_bytes if most is None else min(n_bytes, most)
@@ -296,28 +295,22 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     the byte and object limits. Raises InputError for damage or a missing name, UnsafeInputError for impossible sizes.
     """
     with _opened(path) as data:
-        tree = _tree(data, path, settings)
-        names = [_named(source, tree, path) for source in sources]
-        wanted = [tree.columns[name] for name in names if name in tree.columns]
+        tree = _tree(data, settings)
+        names = names_of(sources, tree.names, path)
+        wanted = [tree.columns[name] for name in names.values() if name in tree.columns]
         leaves = {id(column.leaf): column.leaf for column in wanted}
-        check_budget(sum(leaf.n_values * 8 for leaf in leaves.values()), path, max_bytes=settings.max_bytes)
-        kinds = [(column.n_samples, _target(column.leaf)) for column in wanted]
+        check_budget(sum(leaf.n_values * 8 for leaf in leaves.values()), settings)
+        single = ("single", "int8", "uint8", "int16", "uint16")
+        kinds = [(column.n_samples, np.float32 if column.leaf.kind in single else np.float64) for column in wanted]
         rows = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
         for leaf in leaves.values():
             mine = [(column, row) for column, row in zip(wanted, rows, strict=True) if column.leaf is leaf]
-            _fill(mine, leaf, path, settings)
+            _fill(mine, leaf, settings)
     room = iter(rows)
-    columns = {
-        source: next(room) if name in tree.columns else np.array([tree.scalars[name]])
-        for source, name in zip(sources, names, strict=True)
-    }
-    rates, starts = _rates(tree), _starts(tree)
-    return RawFile(
-        columns=columns,
-        rates_hz={source: rates[name] for source, name in zip(sources, names, strict=True) if name in rates},
-        starts_s={source: starts[name] for source, name in zip(sources, names, strict=True) if name in starts},
-        flags=_flags(tree, path),
-    )
+    columns = [next(room) if name in tree.columns else np.array([tree.scalars[name]]) for name in names.values()]
+    detail = "written twice, the last is read: " + ", ".join(tree.twice)
+    flags = [flag(path, "variable_written_twice", "info", detail)] if tree.twice else []
+    return _contents(tree).with_columns(names, columns, flags=flags)
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -326,10 +319,14 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     ``settings`` give the byte and object limits. Raises what :func:`read` raises.
     """
     with _opened(path) as data:
-        tree = _tree(data, path, settings)
+        return _contents(_tree(data, settings))
+
+
+def _contents(tree: _Tree) -> Contents:
     samples = {name: column.n_samples for name, column in tree.columns.items()}
+    rates = {name: rate for name in tree.columns if (rate := _rate_hz(tree, name)) is not None}
     return Contents(
-        "MATLAB", tree.names, samples | dict.fromkeys(tree.scalars, 1), rates_hz=_rates(tree), starts_s=_starts(tree)
+        "MATLAB", tree.names, samples | dict.fromkeys(tree.scalars, 1), rates_hz=rates, starts_s=_starts(tree)
     )
 
 
@@ -338,35 +335,33 @@ def _opened(path: Path) -> Iterator[Buffer]:
     """Bytes of the file at ``path``, mapped; what its damage raises inside is told as InputError."""
     with path.open("rb") as stream:
         if path.stat().st_size < _HEADER_BYTES + 8:
-            raise InputError("truncated: a MATLAB file without any variable", file=path, remedy="Copy it again")
+            raise InputError("truncated: a MATLAB file without any variable", remedy="Copy it again")
         data = np.frombuffer(mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ), np.uint8)
     try:
         yield data  # unmapped when the last view of it is gone
     except TooManyPartsError as error:
-        raise UnsafeInputError(str(error), file=path, remedy="Save the signals as variables of their own") from None
+        raise UnsafeInputError(str(error), remedy="Save the signals as variables of their own") from None
     except DamagedFileError as error:
-        raise InputError(
-            f"damaged or truncated: {error}", file=path, place=error.place, remedy="Copy the file again"
-        ) from None
+        raise InputError(f"damaged or truncated: {error}", place=error.place, remedy="Copy the file again") from None
 
 
-def _tree(data: Buffer, path: Path, settings: IngestSettings) -> _Tree:
+def _tree(data: Buffer, settings: IngestSettings) -> _Tree:
     """All numeric arrays of the file: its variables and what lies in structs and cells, bounded in depth and number."""
     mark = data[126:128].tobytes()
     if mark not in (b"IM", b"MI"):
         raise DamagedFileError("the header does not say in which order bytes stand")
-    order, walk = ("<" if mark == b"IM" else ">"), _Walk(path, settings)
+    order, walk = ("<" if mark == b"IM" else ">"), _Walk(settings)
     for element in elements(data, _HEADER_BYTES, len(data), order):
         walk.variable(element)
     if not walk.leaves:
         found = ", ".join(sorted(set(walk.others)))
         remedy = "Save numbers as plain arrays: tables, time series and text are not read" if found else "Copy it again"
-        raise InputError("holds no array of numbers", file=path, found=found, remedy=remedy)
+        raise InputError("holds no array of numbers", found=found, remedy=remedy)
     columns: dict[str, _Column] = {}
     scalars: dict[str, float] = {}
     for name, leaf in walk.leaves.items():
         if leaf.n_values == 1:
-            scalars[name] = float(_values(leaf, path, settings)[0])
+            scalars[name] = float(_values(leaf, settings)[0])
         else:
             columns |= _columns(name, leaf)
     return _Tree(columns, scalars, tuple(dict.fromkeys(walk.twice)), tuple(walk.others))
@@ -375,8 +370,8 @@ def _tree(data: Buffer, path: Path, settings: IngestSettings) -> _Tree:
 class _Walk:
     """Visits variables and what lies in them, and keeps the arrays of real numbers by name."""
 
-    def __init__(self, path: Path, settings: IngestSettings) -> None:
-        self._path, self._settings, self._n = path, settings, 0
+    def __init__(self, settings: IngestSettings) -> None:
+        self._settings, self._n = settings, 0
         self.leaves: dict[str, Matrix] = {}
         self.twice: list[str] = []
         self.others: list[str] = []
@@ -385,11 +380,10 @@ class _Walk:
         """Visit one variable; a compressed one is opened as far as its header only, where that is enough."""
         self._count("")
         if element.compressed:
-            limits: dict[str, Any] = {"path": self._path, "settings": self._settings}
-            head = expanded(element, most=_HEAD_BYTES, **limits)
+            head = expanded(element, most=_HEAD_BYTES, settings=self._settings)
             matrix = matrix_of(head, partial=True)
             if matrix is not None and not matrix.is_number:
-                matrix = matrix_of(expanded(element, most=None, **limits))
+                matrix = matrix_of(expanded(element, most=None, settings=self._settings))
             elif matrix is not None:
                 matrix.packed = element
                 if matrix.n_values > head.n_bytes:
@@ -404,9 +398,7 @@ class _Walk:
     def _visit(self, matrix: Matrix, name: str, depth: int) -> None:
         self._count(name)
         if depth > _MAX_DEPTH:
-            raise UnsafeInputError(
-                f"structs and cells are nested deeper than {_MAX_DEPTH}", file=self._path, place=name
-            )
+            raise UnsafeInputError(f"structs and cells are nested deeper than {_MAX_DEPTH}", place=name)
         if matrix.is_number:
             if matrix.packed is None:
                 matrix.values()  # says so where they are not as many as the shape promises
@@ -422,7 +414,7 @@ class _Walk:
         self._n += 1
         if self._n > self._settings.max_objects:
             limit = f"holds more than {self._settings.max_objects} objects"
-            raise UnsafeInputError(limit, file=self._path, place=name)
+            raise UnsafeInputError(limit, place=name)
 
 
 def _columns(name: str, leaf: Matrix) -> dict[str, _Column]:
@@ -435,26 +427,18 @@ def _columns(name: str, leaf: Matrix) -> dict[str, _Column]:
     return {f"{name}[{index}]": _Column(leaf, index, sides[1]) for index in range(sides[0])}
 
 
-def _named(source: Source, tree: _Tree, path: Path) -> str:
-    return named(source, tree.names, path)
-
-
-def _target(leaf: Matrix) -> type[np.float32] | type[np.float64]:
-    return np.float32 if leaf.kind in ("single", "int8", "uint8", "int16", "uint16") else np.float64
-
-
-def _values(leaf: Matrix, path: Path, settings: IngestSettings) -> npt.NDArray[Any]:
+def _values(leaf: Matrix, settings: IngestSettings) -> npt.NDArray[Any]:
     """The stored values of ``leaf`` (column by column), of whatever type they are stored in."""
     if leaf.packed is None:
         return leaf.values()
-    whole = matrix_of(expanded(leaf.packed, most=None, path=path, settings=settings))
+    whole = matrix_of(expanded(leaf.packed, most=None, settings=settings))
     if whole is None:
         raise DamagedFileError("a compressed variable holds no array", place=leaf.name)
     return whole.values()
 
 
-def _fill(mine: list[tuple[_Column, FloatArray]], leaf: Matrix, path: Path, settings: IngestSettings) -> None:
-    values = _values(leaf, path, settings)
+def _fill(mine: list[tuple[_Column, FloatArray]], leaf: Matrix, settings: IngestSettings) -> None:
+    values = _values(leaf, settings)
     sides = [side for side in leaf.shape if side != 1]
     for column, row in mine:
         if column.index is None:
@@ -465,10 +449,6 @@ def _fill(mine: list[tuple[_Column, FloatArray]], leaf: Matrix, path: Path, sett
             taken = values[column.index :: sides[0]]
         for part in blocks(row.size):
             row[part] = taken[part]
-
-
-def _rates(tree: _Tree) -> dict[str, float]:
-    return {name: rate for name in tree.columns if (rate := _rate_hz(tree, name)) is not None}
 
 
 def _starts(tree: _Tree) -> dict[str, float]:
@@ -493,10 +473,9 @@ def _rate_hz(tree: _Tree, name: str) -> float | None:
     """
     stated = {key: rate for key, value in tree.scalars.items() if (rate := _stated(key, value)) is not None}
     group = name.rpartition(".")[0]
-    for rates in ([rate for key, rate in stated.items() if key.rpartition(".")[0] == group], list(stated.values())):
-        if rates:
-            return rates[0] if max(rates) - min(rates) <= 1e-6 * rates[0] else None
-    return None
+    beside = [rate for key, rate in stated.items() if key.rpartition(".")[0] == group]
+    rates = beside or list(stated.values())
+    return rates[0] if rates and max(rates) - min(rates) <= 1e-6 * rates[0] else None
 
 
 def _stated(key: str, value: float) -> float | None:
@@ -507,8 +486,3 @@ def _stated(key: str, value: float) -> float | None:
     if word in _RATE_NAMES or word.endswith(_RATE_ENDINGS):
         return value
     return 1.0 / value if word in _STEP_NAMES else None
-
-
-def _flags(tree: _Tree, path: Path) -> list[QualityFlag]:
-    detail = "written twice, the last is read: " + ", ".join(tree.twice)
-    return [flag(path, "variable_written_twice", "info", detail)] if tree.twice else []

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.errors import EnvironmentFailure
-from crankorder.ingest.child import in_child
-from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, distinct, named
+from crankorder.ingest.child import in_child, package
+from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, distinct, names_of
 from crankorder.settings import IngestSettings
 
 _MASTERS = {1: ("time", "s"), 2: ("angle", "deg"), 4: ("index", "1")}
@@ -40,20 +39,14 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     Raises InputError for damage or a missing name, EnvironmentFailure where asammdf is missing, UnsafeInputError where
     the parser goes beyond its limits.
     """
-    parser = _parser(path)
-    places: dict[str, _Place] = in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size)
-    names = [named(source, tuple(places), path) for source in sources]
-    n_bytes = sum(8 * places[name].n_samples for name in names)
-    check_budget(n_bytes, path, max_bytes=settings.max_bytes)
-    wanted = {name: places[name] for name in names}
+    parser = _parser()
+    places = in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size)
+    names = names_of(sources, tuple(places), path)
+    n_bytes = sum(8 * places[name].n_samples for name in names.values())
+    check_budget(n_bytes, settings)
+    wanted = {name: places[name] for name in names.values()}
     columns = in_child(lambda: _read(parser, path, wanted), path, n_bytes=n_bytes)
-    by_source = {source: places[name] for source, name in zip(sources, names, strict=True)}
-    return RawFile(
-        columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
-        units={source: place.unit for source, place in by_source.items() if place.unit},
-        rates_hz={source: place.rate_hz for source, place in by_source.items() if place.rate_hz is not None},
-        starts_s={source: place.start_s for source, place in by_source.items()},
-    )
+    return _contents(places).with_columns(names, [columns[name] for name in names.values()])
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -61,8 +54,11 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` are those of :func:`read`, whose errors it raises.
     """
-    parser = _parser(path)
-    places: dict[str, _Place] = in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size)
+    parser = _parser()
+    return _contents(in_child(lambda: _places(parser, path), path, n_bytes=path.stat().st_size))
+
+
+def _contents(places: dict[str, _Place]) -> Contents:
     return Contents(
         format="MDF4",
         names=tuple(places),
@@ -73,15 +69,8 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     )
 
 
-def _parser(path: Path) -> Any:
-    """asammdf, loaded here so that no child needs to."""
-    try:
-        import asammdf
-    except ModuleNotFoundError:
-        raise EnvironmentFailure(
-            "reading MDF4 files needs the package asammdf", file=path, remedy="Run: pip install 'crankorder[mdf]'"
-        ) from None
-    return asammdf.MDF
+def _parser() -> Any:
+    return package("asammdf", "MDF4 files", "Run: pip install 'crankorder[mdf]'").MDF
 
 
 def _places(parser: Any, path: Path) -> dict[str, _Place]:

@@ -54,12 +54,12 @@ def _table(path: Path, settings: IngestSettings) -> npt.NDArray[Any]:
     flat = all(not dtype[index].shape for index in range(len(dtype.names or ())))
     if not kinds <= set("iufb") or not flat:
         remedy = "Save an array of integers or floats"
-        raise InputError("holds no real numbers", file=path, found=str(dtype), remedy=remedy)
-    check_budget(data.size * max(4, dtype.itemsize), path, max_bytes=settings.max_bytes)
+        raise InputError("holds no real numbers", found=str(dtype), remedy=remedy)
+    check_budget(data.size * max(4, dtype.itemsize), settings)
     sides = [side for side in data.shape if side != 1] or [1]
     if data.size == 0 or len(sides) > 2 or (len(sides) == 2 and (min(sides) > _MOST_COLUMNS or dtype.names)):
         allowed = f"(samples,), or two sides of which one has at most {_MOST_COLUMNS} channels"
-        raise InputError("is no array of signals", file=path, found=f"shape {data.shape}", allowed=allowed)
+        raise InputError("is no array of signals", found=f"shape {data.shape}", allowed=allowed)
     table = data.squeeze()
     if dtype.names:
         return table.reshape(-1)
@@ -75,13 +75,11 @@ def _mapped(path: Path) -> npt.NDArray[Any]:
     except Exception as error:  # a header is read as Python's literals: whatever its parser raises, it is damaged
         if "Python objects" in str(error) or "pickle" in str(error):
             raise UnsafeInputError(
-                "holds Python objects, a pickle that can run code: never opened",
-                file=path,
-                remedy="Save an array of numbers",
+                "holds Python objects, a pickle that can run code: never opened", remedy="Save an array of numbers"
             ) from None
-        raise InputError("is damaged or truncated", file=path, found=error, remedy="Copy it again") from None
+        raise InputError("is damaged or truncated", found=error, remedy="Copy it again") from None
     if not isinstance(data, np.memmap):
-        raise InputError("is no array of signals", file=path, found=type(data).__name__, allowed="one array")
+        raise InputError("is no array of signals", found=type(data).__name__, allowed="one array")
     return data
 
 

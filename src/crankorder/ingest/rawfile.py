@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import fnmatch
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,10 +15,12 @@ import numpy.typing as npt
 from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.quantities import QualityFlag, Severity
 from crankorder.scratch import empty, empty_like
+from crankorder.settings import IngestSettings
 
 FloatArray = npt.NDArray[np.floating[Any]]
 Source = str | int
 Key = TypeVar("Key", bound=Source)
+Value = TypeVar("Value")
 
 
 _LOOKED_AT, _SIZES = 8192, 16
@@ -50,6 +52,24 @@ class Contents:
     rate_uncertainty: float = 0.0
     speed_rpm: float | None = None
 
+    def with_columns(self, names: Mapping[Source, str], columns: Iterable[FloatArray], **further: Any) -> RawFile:
+        """The ``columns`` that were asked for, ``names`` by source, with what this says of each.
+
+        ``further``: attributes and flags of the RawFile.
+        """
+        return RawFile(
+            columns=dict(zip(names, columns, strict=True)),
+            units=_by_source(names, self.units),
+            rates_hz=_by_source(names, self.rates_hz),
+            starts_s=_by_source(names, self.starts_s),
+            rate_uncertainty=self.rate_uncertainty,
+            **further,
+        )
+
+
+def _by_source(names: Mapping[Source, str], values: Mapping[str, Value]) -> dict[Source, Value]:
+    return {source: values[name] for source, name in names.items() if name in values}
+
 
 @dataclass(frozen=True, slots=True)
 class RawFile:
@@ -75,6 +95,12 @@ def flag(path: Path, name: str, severity: Severity, detail: str) -> QualityFlag:
     return QualityFlag(recording=path.name, flag=name, severity=severity, detail=detail)
 
 
+def listed(words: Sequence[str], most: int, *, counted: bool = False) -> str:
+    """The first ``most`` of ``words``, and that there are more: how many where they are ``counted``."""
+    more = f" and {len(words) - most} more" if counted else ", …"
+    return ", ".join(words[:most]) + (more if len(words) > most else "")
+
+
 def named(source: Source, names: Sequence[str], path: Path) -> str:
     """Name among ``names`` of the column that ``source`` asks for: the name itself, its position from 0, or a pattern.
 
@@ -90,15 +116,21 @@ def named(source: Source, names: Sequence[str], path: Path) -> str:
     fitting = [name for name in names if isinstance(source, str) and fnmatch.fnmatchcase(name, source[:200])]
     if len(fitting) == 1:
         return fitting[0]
-    shown = ", ".join(printable(name, 60) for name in names[:20]) + (
-        f" and {len(names) - 20} more" if len(names) > 20 else ""
-    )
+    shown = listed([printable(name, 60) for name in names], 20, counted=True)
     close = difflib.get_close_matches(str(source), names, n=1)
     raise InputError(
         f"channel {printable(source, 60)} not in file; has {shown or 'nothing that holds samples'}",
         file=path,
         remedy=f"Did you mean {printable(close[0], 60)!r}?" if close else "Mend the source in the manifest",
     )
+
+
+def names_of(sources: Sequence[Source], names: Sequence[str], path: Path) -> dict[Source, str]:
+    """Names among ``names`` of the columns that ``sources`` ask for, by source.
+
+    ``path`` is the file in errors; raises what :func:`named` raises.
+    """
+    return {source: named(source, names, path) for source in sources}
 
 
 def distinct(names: Sequence[str]) -> tuple[str, ...]:
@@ -161,16 +193,15 @@ def looks_counted(values: FloatArray) -> bool:
     return bool((some == np.rint(some)).all()) and np.unique(some).size >= _SIZES
 
 
-def check_budget(n_bytes: int, path: Path, *, max_bytes: int) -> None:
-    """Refuse a claim of ``n_bytes`` above ``max_bytes`` before anything is allocated for the file at ``path``.
+def check_budget(n_bytes: int, settings: IngestSettings) -> None:
+    """Refuse a file that claims ``n_bytes``, more than ``settings`` allow, before anything is allocated for it.
 
     Raises UnsafeInputError with both numbers.
     """
-    if n_bytes > max_bytes:
+    if n_bytes > settings.max_bytes:
         raise UnsafeInputError(
             f"claims {n_bytes} bytes of samples",
-            file=path,
-            allowed=f"{max_bytes} bytes (ingest.max_bytes)",
+            allowed=f"{settings.max_bytes} bytes (ingest.max_bytes)",
             remedy="Check the file, or raise ingest.max_bytes in a recipe",
         )
 

@@ -21,6 +21,7 @@ from crankorder.ingest.channel_faults import (
     find_mains_only,
     find_slow_faults,
     grouped,
+    runs_of,
     survey,
 )
 from crankorder.ingest.rawfile import FloatArray, flag
@@ -271,32 +272,33 @@ def judged(
     what counts. A channel of which too much is lost is left out alone; where that is so of all channels they stay as
     they are, for the recording is left out as a whole.
     """
-    faults = [
-        [
-            replace(fault, severity="suspect", is_lost=False)
-            if fault.flag == "few_levels" and quantity in MAY_HAVE_LEVELS
-            else fault
-            for fault in own
-            if not (fault.flag == "clipped" and _is_square(fault, quantity, signals.shape[1]))
-        ]
-        for own, quantity in zip(known, sampled.quantities, strict=True)
-    ]
+    n_samples = signals.shape[1]
+    faults = [list(own) for own in known]
+    for number, quantity in enumerate(sampled.quantities):
+        if quantity in MAY_HAVE_LEVELS:  # what looks clipped for half of the time is one of two levels
+            faults[number] = [
+                replace(fault, severity="suspect", is_lost=False) if fault.flag == "few_levels" else fault
+                for fault in known[number]
+                if fault.flag != "clipped" or int(fault.at.lengths.sum()) <= 0.5 * n_samples
+            ]
     size = block_size(sampled.rate_hz)
-    if signals.shape[1] >= settings.fewest_samples:
+    if n_samples >= settings.fewest_samples:
         surveys = [survey(row, size=size) for row in signals]
         for number, row in enumerate(signals):
             if not any(fault.is_lost and not fault.at.starts.size for fault in faults[number]):
                 faults[number] += _of_one(row, surveys[number], sampled.quantities[number], faults[number], settings)
         _beside_each_other(signals, surveys, faults, sampled, settings)
-    lost = [_lost(own, signals.shape[1], sampled, settings) for own in faults]
-    is_out = [_is_out(runs, signals.shape[1], settings) for runs in lost]
+    lost = [_lost(own, n_samples, sampled, settings) for own in faults]
+    is_out = [_is_out(runs, n_samples, settings) for runs in lost]
     flags: list[QualityFlag] = []
     for number, own in enumerate(faults):
         if not all(is_out):
-            _leave_out(signals[number], lost[number], whole=is_out[number])
-        share = _share_lost(lost[number], signals.shape[1], sampled, settings) if is_out[number] else ""
+            runs = runs_of((0, n_samples)) if is_out[number] else lost[number]
+            for start, end in zip(runs.starts, runs.ends, strict=True):
+                signals[number, start:end] = np.nan
+        share = _share_lost(lost[number], n_samples, sampled, settings) if is_out[number] else ""
         for fault in own:
-            flags.append(_flag(fault, sampled, number, path, signals.shape[1]))
+            flags.append(_flag(fault, sampled, number, path, n_samples))
             if fault.is_lost and fault.at.starts.size:
                 flags[-1]["detail"] += share
             if fault.is_lost and not all(is_out):
@@ -314,7 +316,7 @@ def _of_one(
         spikes = find_spikes(row, seen, settings=settings, may_pulse=not is_vibration)
         if spikes is not None:
             fault, runs, values = spikes
-            _bridge(row, runs, values)
+            row[np.concatenate([np.arange(*ends) for ends in zip(runs.starts, runs.ends, strict=True)])] = values
             found.append(fault)
     if is_vibration:
         found += find_slow_faults(seen, settings=settings)
@@ -323,11 +325,6 @@ def _of_one(
     if not told_already and (is_vibration or quantity == "pressure"):
         clipping = find_smoothed_clipping(row, seen, settings=settings, without_doubt=is_vibration)
     return found if clipping is None else [*found, clipping]
-
-
-def _bridge(row: FloatArray, runs: Runs, values: Floats) -> None:
-    at = np.concatenate([np.arange(*ends) for ends in zip(runs.starts, runs.ends, strict=True)])
-    row[at] = values
 
 
 def _beside_each_other(
@@ -351,11 +348,6 @@ def _beside_each_other(
     for numbers, found in told:
         for number, fault in found.items():
             faults[numbers[number]].append(fault)
-
-
-def _is_square(fault: SignalFault, quantity: str, n_samples: int) -> bool:
-    """Whether what looks clipped is a signal of two levels, such as that of a pickup."""
-    return quantity in MAY_HAVE_LEVELS and int(fault.at.lengths.sum()) > 0.5 * n_samples
 
 
 def _lost(own: list[SignalFault], n_samples: int, sampled: Sampled, settings: IngestSettings) -> Runs:
@@ -387,20 +379,12 @@ def _share_lost(lost: Runs, n_samples: int, sampled: Sampled, settings: IngestSe
     return f": {about}, {percent:.2g} % of the channel is lost; allowed: {allowed:g} % between its ends"
 
 
-def _leave_out(row: FloatArray, lost: Runs, *, whole: bool) -> None:
-    if whole:
-        row[:] = np.nan
-        return
-    for start, end in zip(lost.starts, lost.ends, strict=True):
-        row[start:end] = np.nan
-
-
 def _flag(fault: SignalFault, sampled: Sampled, number: int, path: Path, n_samples: int) -> QualityFlag:
     begin, end = sampled.span(fault.at, n_samples)
-    flag = fault.as_flag(sampled.names[number], path)
-    flag["channel"], flag["begin"], flag["end"] = sampled.names[number], begin, end
-    flag["detail"] += f" ({begin:.4g} … {end:.4g} {sampled.unit})"
-    return flag
+    name, span = sampled.names[number], f"({begin:.4g} … {end:.4g} {sampled.unit})"
+    remark = flag(path, fault.flag, fault.severity, f"channel {name}: {fault.detail} {span}")
+    remark["channel"], remark["begin"], remark["end"] = name, begin, end
+    return remark
 
 
 class _Numbers(MethodNumbers, file="1-ingest-faults.toml", table="direction"):

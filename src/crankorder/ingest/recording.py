@@ -12,7 +12,6 @@ import xarray as xr
 
 from crankorder.errors import InputError
 from crankorder.fft.integration import faded_samples, integrated
-from crankorder.ingest.angle_column import read_checked
 from crankorder.ingest.breaks import laid_apart
 from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS
@@ -22,6 +21,7 @@ from crankorder.ingest.limit_table import check_bands
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named, stacked
 from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, judged
+from crankorder.ingest.roles import read_checked
 from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column, seconds_of
 from crankorder.ingest.shaft_signals import ShaftSignals
 from crankorder.ingest.signal_faults import mend_signal

@@ -1,7 +1,13 @@
-"""What the columns of a recording are for: times, angle, encoder, marks, speed or signals, as names and values tell."""
+"""What the columns of a recording are for: times, angle, encoder, marks, speed or signals, as names and values tell.
+
+For a draft also which files list the pulses of which recordings; for reading whether a column of angles and the
+manifest agree.
+"""
 
 from __future__ import annotations
 
+import itertools
+import os
 import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,14 +16,15 @@ from typing import Literal
 
 import numpy as np
 
-from crankorder.errors import CrankorderError, UnsafeInputError
+from crankorder.errors import CrankorderError, InputError, UnsafeInputError, printable
 from crankorder.ingest.channel import STATES_NO_UNIT
-from crankorder.ingest.formats import read_file
-from crankorder.ingest.rawfile import Contents, FloatArray, Source, looks_counted
+from crankorder.ingest.formats import contents_of, read_file
+from crankorder.ingest.manifest import Manifest
+from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, looks_counted, named
 from crankorder.ingest.sampling import rows_before_zeros
 from crankorder.ingest.units import Unit, known_unit, unit_in_label, unit_in_suffix, unit_of
 from crankorder.quantities import Floats
-from crankorder.settings import IngestSettings
+from crankorder.settings import IngestSettings, load_settings
 from crankorder.shaft.position import wrap_seen
 
 Role = Literal["time", "angle", "encoder", "index", "cam", "speed", "constant", "channel", "unused"]
@@ -136,7 +143,7 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
     ``settings`` limit what is read.
     """
     names = _sampled(contents)
-    values = values_of(path, names, contents, settings)
+    values = values_of(path, names, settings)
     values |= {name: values[name] * factor for name, factor in angle_columns(contents).items() if name in values}
     found = [_judged(name, contents, values) for name in names]
     if any(column.role == "time" and _is_straight(values.get(column.name)) for column in found):
@@ -154,11 +161,15 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
         found = [_of_edge_list(column, values) for column in found]
     found = _marks_by_count(found, values)
     if not any(column.role in ("channel", "encoder", "index") for column in found):
-        found = _last_is_signal(found)
+        # a manifest needs a signal
+        last = ([column for column in found if column.role in ("unused", "speed", "cam", "time")] or found)[-1]
+        found = [_as(column, "channel") if column is last else column for column in found]
     angle = next((column for column in found if column.role == "angle"), None)
     wide = angle is not None and float(np.ptp(values[angle.name])) > 360.0 + 1.5 * angle.step
     sawtooth = angle is not None and bool((np.diff(values[angle.name]) < 0).any())
-    return Columns((*found, *_constants(contents)), edges, wide and sawtooth)
+    speeds = [name for name in contents.names if contents.samples.get(name) == 1 and SPEED_NAME.search(name)]
+    constants = [Column(name, _source(name, contents), "constant", name) for name in speeds[:1]]
+    return Columns((*found, *constants), edges, wide and sawtooth)
 
 
 def _sampled(contents: Contents) -> list[str]:
@@ -180,22 +191,16 @@ def _spans(name: str, contents: Contents) -> bool:
     return not same and samples[name] / rates[name] >= _SPAN * samples[longest] / rates[longest]
 
 
-def _constants(contents: Contents) -> list[Column]:
-    """Single numbers that may be the speed."""
-    singles = [name for name in contents.names if contents.samples.get(name) == 1 and SPEED_NAME.search(name)]
-    return [Column(name, _source(name, contents), "constant", name) for name in singles[:1]]
-
-
 def _source(name: str, contents: Contents) -> Source:
     """What a manifest calls the column ``name``: its number, where the file gives it no name."""
     unnamed = name.isdigit() and int(name) < len(contents.names) and contents.names[int(name)] == name
     return int(name) if unnamed and contents.format in ("text", "XLSX") else name
 
 
-def values_of(path: Path, names: Sequence[str], contents: Contents, settings: IngestSettings) -> dict[str, Floats]:
+def values_of(path: Path, names: Sequence[str], settings: IngestSettings) -> dict[str, Floats]:
     """Samples of the columns ``names`` of the file at ``path`` by name, of promising ones alone where it is large.
 
-    ``contents`` are those of the file; ``settings`` limit what is read. Empty on a fault.
+    ``settings`` limit what is read. Empty on a fault.
     """
     if path.stat().st_size > _MOST_BYTES:
         names = [name for name in names if any(sign.search(name) for sign in (_ENCODER, _INDEX, _CAM, _ANGLE))]
@@ -216,7 +221,7 @@ def _judged(name: str, contents: Contents, values: Mapping[str, Floats]) -> Colu
     """What the column ``name`` is for by itself."""
     stated, told = contents.units.get(name, ""), unit_in_suffix(name)
     unit, label = _unit_and_label(name, contents)
-    role = _role(name, label, "" if unit is None else unit.quantity, contents, values.get(name))
+    role = _role(label, "" if unit is None else unit.quantity, contents, values.get(name))
     n_samples, longest = contents.samples.get(name), max(contents.samples.values(), default=0)
     if role != "encoder" and not _spans(name, contents):
         return Column(name, _source(name, contents), "unused", label, unit, f"{n_samples} samples of {longest}")
@@ -246,7 +251,7 @@ def _unit_and_label(name: str, contents: Contents) -> tuple[Unit | None, str]:
     return unit, _bare(name.rpartition("/")[2] if contents.format == "HDF5" else name)
 
 
-def _role(name: str, label: str, quantity: str, contents: Contents, values: Floats | None) -> Role:
+def _role(label: str, quantity: str, contents: Contents, values: Floats | None) -> Role:
     if _is_angular(label, quantity):
         if values is None or wrap_seen(values) is None:
             return "unused"
@@ -422,8 +427,147 @@ def _free_roles(pulses: Sequence[Column], named: Collection[Role], values: Mappi
     return roles
 
 
-def _last_is_signal(found: list[Column]) -> list[Column]:
-    """``found`` with its last column as a signal: a manifest needs one."""
-    spare = [column for column in found if column.role in ("unused", "speed", "cam", "time")] or found
-    last = spare[-1]
-    return [_as(column, "channel") if column is last else column for column in found]
+def read_checked(
+    path: Path, manifest: Manifest, *, sources: Sequence[Source], settings: IngestSettings, rows: slice | None = None
+) -> RawFile:
+    """Columns of the file at ``path`` that ``sources`` ask for, as ``formats.read_file`` reads them.
+
+    By crank angle the columns of angle that the file holds beside them are held against ``manifest``; ``settings`` and
+    ``rows`` are those of that function. Raises what it raises, and InputError where such a column contradicts.
+    """
+    if manifest.sampling.domain == "time":
+        return read_file(path, sources=sources, settings=settings, rows=rows)
+    contents = contents_of(path, settings=settings)
+    asked = [named(source, contents.names, path) for source in sources]
+    alike = {(contents.samples.get(name), contents.rates_hz.get(name)) for name in asked}
+    degrees = {
+        name: factor
+        for name, factor in angle_columns(contents).items()
+        if name not in asked and (contents.samples.get(name), contents.rates_hz.get(name)) in alike
+    }
+    raw = read_file(path, sources=[*sources, *degrees], settings=settings, rows=rows)
+    for name, factor in degrees.items():
+        angle_deg = raw.columns[name][:MOST_SAMPLES] * np.float64(factor)
+        _refuse_contradiction(name, angle_deg, manifest, path, is_start=not (rows and rows.start))
+    return raw
+
+
+def _refuse_contradiction(name: str, angle_deg: Floats, manifest: Manifest, path: Path, *, is_start: bool) -> None:
+    """Refuse a manifest with another step or start than the column ``angle_deg`` (sample,), if it is one of angles."""
+    step_deg = angle_step(angle_deg)
+    if step_deg is None:
+        return
+    sampling, steps = manifest.sampling, angle_deg.size - 1
+    wide = np.ptp(angle_deg) > 360.0 + 1.5 * step_deg  # else the column does not tell one turn of a cycle from another
+    period_deg = 360.0 * (manifest.revs_per_cycle if wide else 1)
+    first_deg, per_rev = float(angle_deg[0]), sampling.samples_per_rev or 0
+    off_deg = (first_deg - sampling.start_deg + period_deg / 2.0) % period_deg - period_deg / 2.0
+    if abs(per_rev * step_deg / 360.0 - 1.0) * steps > 0.5:  # half a sample by the end of the record
+        key, stated, told = "samples_per_rev", float(per_rev), 360.0 / step_deg
+    elif is_start and abs(off_deg) > 0.5 * step_deg:
+        key, stated, told = "start_deg", sampling.start_deg, first_deg
+    else:
+        return
+    raise InputError(
+        f"the manifest contradicts the file's column of crank angles {printable(name, 60)}",
+        file=path,
+        place=f"sampling.{key}",
+        found=f"{stated:.9g}",
+        allowed=f"{told:.6g}, as the column says",
+        remedy=f"Find out which is right: mend {key}, or export the column with angles from top dead centre",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class PulseFiles:
+    """Patterns of the recordings and of the files of their pulses, the recordings, and what tells a pulse."""
+
+    recordings: str
+    pulses: str
+    group: list[tuple[Contents, Path]]
+    source: str | int
+    pulses_hz: float
+
+
+def pulse_files(files: Sequence[tuple[Contents, Path]]) -> PulseFiles | None:
+    """The recordings and pulse files that ``files`` (contents, path) are in pairs, None where they are not.
+
+    Files of each kind have the same columns, and names that differ from the other kind's by a constant piece.
+    """
+    kinds: dict[tuple[str, ...], list[tuple[Contents, Path]]] = {}
+    for contents, path in files:
+        kinds.setdefault((contents.format, *contents.names), []).append((contents, path))
+    for samples, events in itertools.permutations(kinds.values(), 2):
+        patterns = _patterns([path.name for _, path in samples], [path.name for _, path in events])
+        if patterns is None or (len(files) > 2 and "{run}" not in patterns[0]):
+            continue
+        column = _pulse_column(samples[0], events[0])
+        if column is not None:
+            return PulseFiles(*patterns, samples, *column)
+    return None
+
+
+def _patterns(*kinds: list[str]) -> tuple[str, str] | None:
+    """Pattern of the names of each of two ``kinds`` of files, with the part that both share as ``{run}``."""
+    ends: list[tuple[str, str]] = []
+    cores: list[list[str]] = []
+    for names in kinds:
+        stems = [Path(name).stem for name in names]
+        head = _common_head(stems)
+        tail = _common_head([stem[len(head) :][::-1] for stem in stems])[::-1]
+        ends.append((head, tail))
+        cores.append(sorted(stem[len(head) : len(stem) - len(tail)] for stem in stems))
+    if cores[0] != cores[1]:
+        return None
+    # what stands the same in both beside the part that changes belongs to it
+    left = _common_head([head[::-1] for head, _ in ends])[::-1].lstrip("_-. ")
+    right = _common_head([tail for _, tail in ends]).rstrip("_-. ")
+    part = "{run}" if left or right or cores[0] != [""] else ""
+    first, second = (
+        f"{head[: len(head) - len(left)]}{part}{tail[len(right) :]}{Path(names[0]).suffix}"
+        for (head, tail), names in zip(ends, kinds, strict=True)
+    )
+    return first, second
+
+
+def _common_head(names: list[str]) -> str:
+    return os.path.commonprefix(names)  # noqa: RUF071 - of names, not of paths
+
+
+def _pulse_column(samples: tuple[Contents, Path], events: tuple[Contents, Path]) -> tuple[str | int, float] | None:
+    """Source of the times of pulses in the file of ``events``, and pulses per second; None where it holds no pulses."""
+    settings = load_settings().ingest
+    recorded, listed = (columns_of(path, contents, settings=settings) for contents, path in (samples, events))
+    time = listed.of("time") or (listed.of("encoder") if len(listed.all) == 1 else None)
+    clock, signals = recorded.of("time"), recorded.channels()
+    if time is None or not signals or (clock is None and not samples[0].rates_hz):
+        return None
+    values = values_of(events[1], [column.name for column in listed.all], settings)
+    times = values.get(time.name, np.empty(0)) * _seconds(time)
+    n_samples, begin_s, end_s = samples[0].samples.get(signals[0].name, 0), -np.inf, np.inf
+    if clock is not None:
+        read = values_of(samples[1], [clock.name], settings)
+        stamps = read.get(clock.name, np.zeros(1)) * _seconds(clock)
+        n_samples, begin_s, end_s = stamps.size, stamps[0], stamps[-1]
+    if not 2 < times.size < n_samples or not (np.diff(times) > 0.0).all() or times[-1] < begin_s or times[0] > end_s:
+        return None
+    others = [column for column in listed.all if column is not time]
+    if not all(column.name in values and _tells_pulses(column, values[column.name], times) for column in others):
+        return None
+    return time.source, float((times.size - 1) / np.ptp(times))
+
+
+def _seconds(column: Column) -> float:
+    return column.unit.factor if column.unit is not None and column.unit.quantity == "time" else 1.0
+
+
+def _tells_pulses(column: Column, values: Floats, times: Floats) -> bool:
+    """Whether a ``column`` beside ``times`` in s only counts pulses, or tells their period or speed."""
+    step, later = np.diff(times), values[1:]
+    if (values == np.rint(values)).all() and (np.diff(values) >= 0.0).all():
+        return True
+    if SPEED_NAME.search(column.label):
+        rev_per_s = later * (column.unit or unit_of("rpm")).factor
+        per_rev = max(1.0, float(np.rint(np.median(1.0 / np.maximum(rev_per_s * step, 1e-9)))))
+        return bool(np.allclose(rev_per_s * step * per_rev, 1.0, rtol=0.1))
+    return bool(np.allclose(later * _seconds(column), step, rtol=0.1))

@@ -10,7 +10,7 @@ import numpy as np
 
 from crankorder.errors import InputError
 from crankorder.fft.resampling import TAPS, shifted
-from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag
+from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, listed
 from crankorder.ingest.units import known_unit, unit_in_label
 from crankorder.quantities import Floats, Ints, QualityFlag
 from crankorder.scratch import blocks
@@ -113,7 +113,7 @@ def read_time_column(
             if jitter > settings.max_time_jitter_samples:
                 first, step_s, exact, jitter = _even_stretches(times, least)
         if jitter > settings.max_time_jitter_samples or first.size * FEWEST_ROWS > times.size:
-            raise _uneven(times, first, step_s, jitter if first.size == 1 else off_grid, path, settings)
+            raise _uneven(first, step_s, jitter if first.size == 1 else off_grid, path, settings)
         starts = np.round(exact).astype(np.int64)
         offsets = exact - starts
         offsets[np.abs(offsets) < settings.time_jitter_samples] = 0.0
@@ -228,10 +228,8 @@ def _jitter(times: FloatArray, step_s: float, places: Ints | None) -> float:
     )
 
 
-def _uneven(
-    times: FloatArray, first: Ints, step_s: float, off: float, path: Path, settings: IngestSettings
-) -> InputError:
-    """The error of ``times`` that are ``off`` a uniform grid, and uneven between the gaps before the rows ``first``."""
+def _uneven(first: Ints, step_s: float, off: float, path: Path, settings: IngestSettings) -> InputError:
+    """The error of times that are ``off`` a uniform grid, and uneven between the gaps before the rows ``first``."""
     if first.size == 1:
         found = f"steps of {step_s:.6g} s in the mean"
     else:
@@ -267,8 +265,8 @@ def _gaps(
     gaps = f"in {after.size} gaps, the longest" if after.size > 1 else "in one gap"
     detail = f"{total} samples are missing {gaps} {where}: {found}"
     if after.size > 1:
-        listed = ", ".join(f"{samples:.4g} after {row}" for samples, row in zip(lost[:LISTED], after, strict=False))
-        detail += f" ({listed}{f' and {after.size - LISTED} more' if after.size > LISTED else ''})"
+        each = [f"{samples:.4g} after {row}" for samples, row in zip(lost, after, strict=True)]
+        detail += f" ({listed(each, LISTED, counted=True)})"
     if moved:
         detail += "; what lies between gaps is moved by parts of a sample onto one grid, at its true times"
     return flag(path, "time_gap", "suspect", f"{detail}; what touches a gap is left out")
@@ -289,13 +287,9 @@ def agreed_rate(
     a rounded statement adds.
     Raises InputError where two of them disagree, so that never one silently wins, and where there is none.
     """
-    stated: list[tuple[str, float, float]] = []
-    if manifest_hz is not None:
-        stated.append(("manifest", manifest_hz, 0.0))
-    if file_hz is not None:
-        stated.append(("file", file_hz, file_uncertainty))
-    if times is not None:
-        stated.append(("time column", times.rate_hz, times.rate_uncertainty))
+    rates = [("manifest", manifest_hz, 0.0), ("file", file_hz, file_uncertainty)]
+    rates += [] if times is None else [("time column", times.rate_hz, times.rate_uncertainty)]
+    stated = [(name, rate_hz, uncertainty) for name, rate_hz, uncertainty in rates if rate_hz is not None]
     if not stated:
         raise InputError(
             "the sampling rate is not known",

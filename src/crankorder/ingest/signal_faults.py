@@ -60,7 +60,9 @@ def mend_signal(signal: FloatArray, *, settings: IngestSettings) -> list[SignalF
         return [*flags, SignalFault("constant_signal", "bad", f"all samples equal {survey.low:.6g}", is_lost=True)]
     # each fault needs so many samples that stand still: most signals have too few for any, and are done
     if 2 * survey.n_still > signal.size and (levels := _few_levels(signal, settings)):
-        return [*flags, _coarse(levels)]
+        shown = ", ".join(f"{level:.4g}" for level in levels)
+        detail = f"takes the values {shown} alone: a switch, or a signal smaller than the steps of its converter"
+        return [*flags, SignalFault("few_levels", "bad", detail, is_lost=True)]
     if survey.n_still >= 2 * (settings.clip_run_samples - 1):
         flags += _clipping(signal, survey.low, survey.high, settings)
     if survey.n_still >= settings.dropout_samples - 1:
@@ -150,12 +152,6 @@ def _few_levels(signal: FloatArray, settings: IngestSettings) -> list[float]:
     return sorted(levels)
 
 
-def _coarse(levels: list[float]) -> SignalFault:
-    shown = ", ".join(f"{level:.4g}" for level in levels)
-    detail = f"takes the values {shown} alone: a switch, or a signal smaller than the steps of its converter"
-    return SignalFault("few_levels", "bad", detail, is_lost=True)
-
-
 def _missing(signal: FloatArray) -> Mask:
     """Which samples are not finite, fill values, or a sentinel such as -999 that lies far outside all other samples."""
     known: list[np.floating] = []
@@ -180,7 +176,7 @@ def _missing(signal: FloatArray) -> Mask:
 
 
 def _without(signal: FloatArray, missing: Runs, settings: IngestSettings) -> list[SignalFault]:
-    """Bridge the short of the ``missing`` runs, make the others NaN, and flag both."""
+    """Bridge the short of the ``missing`` runs by straight lines, make the others NaN, and flag both."""
     is_short = missing.lengths <= settings.max_gap_samples
     total, bridged = int(missing.lengths.sum()), int(missing.lengths[is_short].sum())
     between = np.diff(missing.starts, prepend=0, append=signal.size)
@@ -210,17 +206,12 @@ def _without(signal: FloatArray, missing: Runs, settings: IngestSettings) -> lis
         )
         flags.append(SignalFault("gap", "suspect", detail, gaps))
     if short.starts.size:
-        _bridge(signal, short)
+        for start, end in zip(short.starts, short.ends, strict=True):
+            beside = [place for place in (start - 1, end) if 0 <= place < signal.size]
+            signal[start:end] = np.interp(np.arange(start, end), beside, signal[beside])
         detail = f"{bridged} missing samples bridged, first at sample {short.starts[0]}"
         flags.append(SignalFault("non_finite_interpolated", "suspect", detail, short))
     return flags
-
-
-def _bridge(signal: FloatArray, short: Runs) -> None:
-    """Put a straight line between the neighbours of each of the ``short`` runs; at an end, the one there is."""
-    for start, end in zip(short.starts, short.ends, strict=True):
-        beside = [place for place in (start - 1, end) if 0 <= place < signal.size]
-        signal[start:end] = np.interp(np.arange(start, end), beside, signal[beside])
 
 
 def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSettings) -> list[SignalFault]:
@@ -241,16 +232,9 @@ def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSetti
         return []
     share = int(runs.lengths.sum()) / signal.size
     is_bad = share > settings.max_clipped_fraction
+    flat = runs.merged(within=0, n_samples=signal.size)
     detail = f"{share:.3%} of its samples lie flat at {low:.6g} or {high:.6g}, first at sample {runs.starts.min()}"
-    return [
-        SignalFault(
-            "clipped",
-            "bad" if is_bad else "suspect",
-            detail,
-            runs.merged(within=0, n_samples=signal.size),
-            is_lost=is_bad,
-        )
-    ]
+    return [SignalFault("clipped", "bad" if is_bad else "suspect", detail, flat, is_lost=is_bad)]
 
 
 def _equal_to(level: np.floating) -> Mask:

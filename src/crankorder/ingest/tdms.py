@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from crankorder.errors import EnvironmentFailure, InputError, printable
-from crankorder.ingest.child import in_child
+from crankorder.errors import InputError, printable
+from crankorder.ingest.child import in_child, package
 from crankorder.ingest.rawfile import (
     Contents,
     RawFile,
@@ -21,7 +21,7 @@ from crankorder.ingest.rawfile import (
     distinct,
     flag,
     float_type_for,
-    named,
+    names_of,
     starts_by_date,
 )
 from crankorder.quantities import QualityFlag
@@ -46,23 +46,15 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     ``settings`` give the byte limit. Raises InputError for damage or a missing name, EnvironmentFailure where nptdms is
     missing, UnsafeInputError where the parser goes beyond its limits.
     """
-    parser = _parser(path)
+    parser = _parser()
     most = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
     told, columns, cut, undated = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
-    names = {source: named(source, told.names, path) for source in sources}
+    names = names_of(sources, told.names, path)
     if cut is not None and cut.share < _MIN_PRESENT:
-        raise InputError(
-            f"truncated: {cut.words}", file=path, found=printable(cut.said) or None, remedy="Copy it again"
-        )
+        raise InputError(f"truncated: {cut.words}", found=printable(cut.said) or None, remedy="Copy it again")
     said = "" if cut is None or not cut.said else f" ({printable(cut.said)})"
     flags = [] if cut is None else [flag(path, "missing_data", "suspect", f"truncated: {cut.words}{said}")]
-    return RawFile(
-        columns={source: columns[name] for source, name in names.items()},
-        units={source: told.units[name] for source, name in names.items() if name in told.units},
-        rates_hz={source: told.rates_hz[name] for source, name in names.items() if name in told.rates_hz},
-        starts_s={source: told.starts_s[name] for source, name in names.items() if name in told.starts_s},
-        flags=flags + undated,
-    )
+    return told.with_columns(names, [columns[name] for name in names.values()], flags=flags + undated)
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -70,20 +62,12 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` are those of :func:`read`, whose errors it raises.
     """
-    parser = _parser(path)
-    found: Contents = in_child(lambda: _contents(parser, path), path, n_bytes=0)
-    return found
+    parser = _parser()
+    return in_child(lambda: _contents(parser, path), path, n_bytes=0)
 
 
-def _parser(path: Path) -> Any:
-    """nptdms, loaded here so that no child needs to."""
-    try:
-        import nptdms
-    except ModuleNotFoundError:
-        raise EnvironmentFailure(
-            "reading TDMS files needs the package nptdms", file=path, remedy="Run: pip install 'crankorder[tdms]'"
-        ) from None
-    return nptdms.TdmsFile
+def _parser() -> Any:
+    return package("nptdms", "TDMS files", "Run: pip install 'crankorder[tdms]'").TdmsFile
 
 
 def _channels(file: Any) -> dict[str, Any]:
@@ -147,9 +131,9 @@ def _read(
     """What the file holds, columns by name, what it lacks of its end, and flags of dates that were not set."""
     with _heard() as said, parser.open(path, raw_timestamps=True) as file:
         channels = _channels(file)
-        names = list(dict.fromkeys(named(source, tuple(channels), path) for source in sources))
+        names = dict.fromkeys(names_of(sources, tuple(channels), path).values())
         told, undated = _told(channels, names, path)
-        check_budget(sum(8 * told.samples[name] for name in names), path, max_bytes=settings.max_bytes)
+        check_budget(sum(8 * told.samples[name] for name in names), settings)
         columns = {}
         for name in names:
             values = np.asarray(channels[name][:])

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from crankorder.errors import InputError, printable
-from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, distinct, flag, named
+from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, distinct, flag, names_of
 from crankorder.ingest.units import known_unit, unit_in_label
 from crankorder.quantities import QualityFlag, Severity
 from crankorder.scratch import empty
@@ -48,23 +48,21 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
 
     ``settings`` give the byte limit. Raises InputError with line and cell where lines are ragged or cells no number.
     """
-    check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
+    check_budget(path.stat().st_size, settings)
     layout = _layout_of(path)
-    positions = [layout.names.index(named(source, layout.names, path)) for source in sources]
+    names = names_of(sources, layout.names, path)
+    positions = [layout.names.index(name) for name in names.values()]
     if path.stat().st_size > settings.in_memory_bytes:
         block = _streamed(path, layout, positions)
     else:
-        block = np.ascontiguousarray(_parsed(path, layout)[:, positions].T)
-    return RawFile(
-        columns=dict(zip(sources, block, strict=True)),
-        units={
-            source: layout.units[layout.names[position]]
-            for source, position in zip(sources, positions, strict=True)
-            if layout.names[position] in layout.units
-        },
-        rates_hz={} if layout.rate_hz is None else dict.fromkeys(sources, layout.rate_hz),
-        flags=_flags(path, layout),
-    )
+        table, bare = next(_pieces(path, layout, None))
+        if bare:
+            _find_bad_cell(path, layout)
+        block = np.ascontiguousarray(table[:, positions].T)
+    flags = last_line_flags(path)
+    if layout.decimal_comma:
+        flags.insert(0, flag(path, "decimal_comma", "info", "decimals are written after a comma"))
+    return _contents(layout).with_columns(names, block, flags=flags)
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -72,22 +70,30 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` give the byte limit. Raises what :func:`read` raises for the head.
     """
-    check_budget(path.stat().st_size, path, max_bytes=settings.max_bytes)
-    layout = _layout_of(path)
+    check_budget(path.stat().st_size, settings)
+    return _contents(_layout_of(path))
+
+
+def _contents(layout: _Layout) -> Contents:
     rates = {} if layout.rate_hz is None else dict.fromkeys(layout.names, layout.rate_hz)
     return Contents(format="text", names=layout.names, units=layout.units, rates_hz=rates)
+
+
+def encoding_of(head: bytes) -> str:
+    """UTF-8 where the whole lines of the ``head`` of a text are that, else Latin-1."""
+    try:
+        head[: head.rfind(b"\n") + 1 or None].decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8-sig"
 
 
 def _layout_of(path: Path) -> _Layout:
     with path.open("rb") as stream:
         raw = stream.read(_HEAD_BYTES)
-    encoding = "utf-8-sig"
-    try:
-        # a multi-byte character may be cut at the end of the head
-        text = raw[: raw.rfind(b"\n") + 1 or None].decode(encoding)
-    except UnicodeDecodeError:
-        encoding, text = "latin-1", raw.decode("latin-1")
-    lines = text.splitlines()
+    encoding = encoding_of(raw)
+    # a multi-byte character may be cut at the end of the head
+    lines = (raw if encoding == "latin-1" else raw[: raw.rfind(b"\n") + 1 or None]).decode(encoding).splitlines()
     if len(raw) == _HEAD_BYTES:
         lines = lines[:-1]
     for number, line in enumerate(lines):
@@ -100,7 +106,6 @@ def _layout_of(path: Path) -> _Layout:
     shown = next((line for line in lines if line.strip() and not _is_comment(line)), "")
     raise InputError(
         "no line of numbers in the first 64 kB: no table of samples",
-        file=path,
         found=repr(printable(shown, 60)),
         remedy="Export the recording as columns of numbers",
     )
@@ -134,10 +139,11 @@ def _separation(line: str) -> tuple[str, bool] | None:
 def _header(lines: list[str], separator: str, n_columns: int) -> tuple[tuple[str, ...], dict[str, str]]:
     """Names of the columns, and their units, from the lines above the first numbers."""
     rows = [_fields(line, separator) for line in lines if not _is_comment(line)]
-    rows = [row for row in rows if len(row) == n_columns] or [
-        row for line in lines if not _is_comment(line) and len(row := _words(line)) == n_columns
+    words = [
+        [field.strip().strip('"') for field in re.split(r"[,;\t]", line)] for line in lines if not _is_comment(line)
     ]
-    return names_and_units(rows, n_columns)
+    fitting = [row for row in rows if len(row) == n_columns] or [row for row in words if len(row) == n_columns]
+    return names_and_units(fitting, n_columns)
 
 
 def names_and_units(rows: list[list[str]], n_columns: int) -> tuple[tuple[str, ...], dict[str, str]]:
@@ -145,22 +151,15 @@ def names_and_units(rows: list[list[str]], n_columns: int) -> tuple[tuple[str, .
 
     The last row holds the names, or their units below them; without rows the columns are called by their numbers.
     """
-    units_row = rows.pop() if len(rows) > 1 and _is_units_row(rows[-1]) else None
     if not rows:
         return tuple(str(number) for number in range(n_columns)), {}
+    stated = [cell.strip("[]()") for cell in rows[-1]]
+    if len(rows) > 1 and any(rows[-1]) and all(not unit or known_unit(unit) for unit in stated):
+        rows.pop()
+    else:
+        stated = [unit_in_label(name) for name in rows[-1]]
     names = distinct([name or str(number) for number, name in enumerate(rows[-1])])
-    stated = (
-        [unit_in_label(name) for name in rows[-1]] if units_row is None else [cell.strip("[]()") for cell in units_row]
-    )
     return names, {name: unit for name, unit in zip(names, stated, strict=True) if unit}
-
-
-def _words(line: str) -> list[str]:
-    return [field.strip().strip('"') for field in re.split(r"[,;\t]", line)]
-
-
-def _is_units_row(row: list[str]) -> bool:
-    return any(row) and all(not cell.strip("[]()") or known_unit(cell.strip("[]()")) for cell in row)
 
 
 def _rate_in(comments: str) -> float | None:
@@ -172,14 +171,6 @@ def _rate_in(comments: str) -> float | None:
     if match and match[2] and match[2].lower() == "khz":
         rate_hz *= 1e3
     return rate_hz if 0 < rate_hz < 1e12 else None
-
-
-def _parsed(path: Path, layout: _Layout) -> FloatArray:
-    """The whole table (sample, column); an empty or unreadable cell is an error, ``nan`` a missing sample."""
-    table, bare = next(_pieces(path, layout, None))
-    if bare:
-        _find_bad_cell(path, layout)
-    return table
 
 
 def _streamed(path: Path, layout: _Layout, positions: list[int]) -> FloatArray:
@@ -231,7 +222,7 @@ def _pieces(path: Path, layout: _Layout, n_lines: int | None) -> Iterator[tuple[
         if isinstance(error, InputError):
             raise
         _find_bad_cell(path, layout)
-        raise InputError("not a table of numbers", file=path, found=error) from None
+        raise InputError("not a table of numbers", found=error) from None
 
 
 def _find_bad_cell(path: Path, layout: _Layout) -> None:
@@ -246,7 +237,6 @@ def _find_bad_cell(path: Path, layout: _Layout) -> None:
                 last = "" if line.endswith("\n") else "; the file seems to be truncated"
                 raise InputError(
                     f"{len(fields)} cells where the lines above have {n_columns}{last}",
-                    file=path,
                     place=f"line {number}",
                     found=repr(printable(line.strip(), 60)),
                     remedy="Mend the line, or copy the file again",
@@ -256,29 +246,20 @@ def _find_bad_cell(path: Path, layout: _Layout) -> None:
                 if not _NUMBER.fullmatch(plain):
                     raise InputError(
                         "not a number" if cell else "an empty cell",
-                        file=path,
                         place=f"line {number}, column {position} ({printable(layout.names[position], 40)})",
                         found=repr(printable(cell, 40)),
                         remedy="Mend the cell, or leave the recording out",
                     )
 
 
-def _flags(path: Path, layout: _Layout) -> list[QualityFlag]:
-    flags: list[QualityFlag] = []
-    if layout.decimal_comma:
-        flags.append(flag(path, "decimal_comma", "info", "decimals are written after a comma"))
-    return flags + last_line_flags(path)
-
-
 def last_line_flags(path: Path) -> list[QualityFlag]:
     """Flag where the last line of the text at ``path`` has no end: a copy that was cut there still parses."""
-    flags: list[QualityFlag] = []
     with path.open("rb") as stream:
         stream.seek(max(0, path.stat().st_size - 4096))
         lines = stream.read().split(b"\n")
-    if lines[-1].strip():
-        # a copy that was cut inside the last number still parses
-        shortest = min((len(line) for line in lines[-20:-1] if line.strip()), default=0)
-        severity: Severity = "suspect" if len(lines[-1].rstrip()) < shortest - 1 else "info"
-        flags.append(flag(path, "last_line_open", severity, "the last line has no end: it may be truncated"))
-    return flags
+    if not lines[-1].strip():
+        return []
+    # a copy that was cut inside the last number still parses
+    shortest = min((len(line) for line in lines[-20:-1] if line.strip()), default=0)
+    severity: Severity = "suspect" if len(lines[-1].rstrip()) < shortest - 1 else "info"
+    return [flag(path, "last_line_open", severity, "the last line has no end: it may be truncated")]

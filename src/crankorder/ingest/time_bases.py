@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from crankorder.errors import InputError
-from crankorder.ingest.rawfile import Contents, FloatArray, Key, RawFile, flag
+from crankorder.ingest.rawfile import Contents, FloatArray, Key, RawFile, flag, listed
 from crankorder.quantities import QualityFlag
 from crankorder.settings import IngestSettings
 
@@ -138,8 +138,8 @@ def _start_flags(bases: Mapping[str, TimeBase], path: Path, settings: IngestSett
     late = [role for role, base in bases.items() if base.place(bases[first].start_s, settings)]
     if not late:
         return []
-    told = ", ".join(f"{role} by {bases[role].start_s - bases[first].start_s:.9g} s" for role in late[:5])
-    detail = f"later than {first} start {told}{', …' if len(late) > 5 else ''}, as the file says: so they are taken"
+    lags = listed([f"{role} by {bases[role].start_s - bases[first].start_s:.9g} s" for role in late], 5)
+    detail = f"later than {first} start {lags}, as the file says: so they are taken"
     return [flag(path, "start_times", "info", detail)]
 
 
@@ -153,10 +153,10 @@ def _loss_flags(bases: Mapping[str, TimeBase], moved: list[str], base: TimeBase,
         detail = f"{seconds:.6g} s of {longest_s:.6g} s were recorded by all channels: the rest is left out"
         flags.append(flag(path, "recording_cut", "suspect", detail))
     if moved:
-        rates = ", ".join(f"{role} of {bases[role].rate_hz:.9g} Hz" for role in moved[:5])
+        rates = listed([f"{role} of {bases[role].rate_hz:.9g} Hz" for role in moved], 5)
         detail = (
-            f"{rates}{', …' if len(moved) > 5 else ''}: resampled to {base.rate_hz:.9g} Hz and the times of another "
+            f"{rates}: resampled to {base.rate_hz:.9g} Hz and the times of another channel; "
+            f"what lies above {PASS * base.rate_hz:.6g} Hz is lost"
         )
-        detail += f"channel; what lies above {PASS * base.rate_hz:.6g} Hz is lost"
         flags.append(flag(path, "channels_resampled", "suspect", detail))
     return flags

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import mmap
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,11 +24,10 @@ from crankorder.ingest.rawfile import (
     check_budget,
     distinct,
     flag,
-    named,
+    names_of,
 )
 from crankorder.ingest.sampling import TimeColumn, read_time_column
 from crankorder.ingest.units import known_unit
-from crankorder.quantities import QualityFlag
 from crankorder.settings import IngestSettings
 
 _DELIMITER = re.compile(rb"(?m)^[ \t]{0,8}-1[ \t]*\r?$\n?")
@@ -73,20 +72,24 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     the byte and object limits. Raises InputError for damage, a missing name, or a file without time histories.
     """
     with _mapped(path) as data:
-        found = _histories(data, path, settings)
-        names = [named(source, tuple(found), path) for source in sources]
-        check_budget(sum(found[name].n_points * 8 for name in names), path, max_bytes=settings.max_bytes)
-        sampled = {name: _sampled(data, found[name], path, settings) for name in dict.fromkeys(names)}
+        found = _histories(data, settings)
+        names = names_of(sources, tuple(found), path)
+        check_budget(sum(found[name].n_points * 8 for name in names.values()), settings)
+        sampled = {name: _sampled(data, found[name], path, settings) for name in names.values()}
     columns = {name: column for name, (column, _) in sampled.items()}
-    times = {source: sampled[name][1] for source, name in zip(sources, names, strict=True)}
-    flags = _flags(found, columns, path) + [told for _, time in sampled.values() for told in time.flags]
-    return RawFile(
-        columns={source: columns[name] for source, name in zip(sources, names, strict=True)},
-        units={source: found[name].unit for source, name in zip(sources, names, strict=True) if found[name].unit},
-        rates_hz={source: time.rate_hz for source, time in times.items()},
-        starts_s={source: time.start_s for source, time in times.items()},
-        rate_uncertainty=max((time.rate_uncertainty for time in times.values()), default=0.0),
-        flags=[told for number, told in enumerate(flags) if told not in flags[:number]],
+    times = {name: time for name, (_, time) in sampled.items()}
+    flags = [
+        flag(
+            path, "missing_data", "suspect", f"{name}: the header promises {promised} samples, {column.size} are there"
+        )
+        for name, column in columns.items()
+        if column.size < (promised := found[name].n_points)
+    ][:1]
+    flags += [remark for time in times.values() for remark in time.flags]
+    return _contents(found, times).with_columns(
+        names,
+        [columns[name] for name in names.values()],
+        flags=[remark for number, remark in enumerate(flags) if remark not in flags[:number]],
     )
 
 
@@ -97,19 +100,23 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     :func:`read` raises.
     """
     with _mapped(path) as data:
-        found = _histories(data, path, settings)
+        found = _histories(data, settings)
         times = {
             name: history.even or _sampled(data, history, path, settings, most_bytes=_FEW_BYTES)[1]
             for name, history in found.items()
         }
+    return _contents(found, times)
+
+
+def _contents(found: Mapping[str, _History], times: Mapping[str, TimeColumn]) -> Contents:
     return Contents(
         format="UFF",
         names=tuple(found),
-        samples={name: one.n_present for name, one in found.items() if one.binary},
-        units={name: one.unit for name, one in found.items() if one.unit},
+        samples={name: history.n_present for name, history in found.items() if history.binary},
+        units={name: history.unit for name, history in found.items() if history.unit},
         rates_hz={name: time.rate_hz for name, time in times.items()},
         starts_s={name: time.start_s for name, time in times.items()},
-        rate_uncertainty=max(time.rate_uncertainty for time in times.values()),
+        rate_uncertainty=max((time.rate_uncertainty for time in times.values()), default=0.0),
     )
 
 
@@ -118,44 +125,33 @@ def _mapped(path: Path) -> mmap.mmap:
         return mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
 
 
-def _flags(found: dict[str, _History], columns: dict[str, FloatArray], path: Path) -> list[QualityFlag]:
-    short = [name for name, samples in columns.items() if samples.size < found[name].n_points]
-    if not short:
-        return []
-    name = short[0]
-    detail = f"{name}: the header promises {found[name].n_points} samples, {columns[name].size} are there"
-    return [flag(path, "missing_data", "suspect", detail)]
-
-
-def _histories(data: mmap.mmap, path: Path, settings: IngestSettings) -> dict[str, _History]:
+def _histories(data: mmap.mmap, settings: IngestSettings) -> dict[str, _History]:
     """Time histories by name, in the order of the file."""
-    made: list[_History] = []
+    histories: list[_History] = []
     others: dict[str, None] = {}
     place, count = 0, 0
     while (begin := _DELIMITER.search(data, place)) is not None:
         count += 1
         if count > settings.max_objects:
-            raise UnsafeInputError(f"more than {settings.max_objects} data sets", file=path, remedy="Split the file")
+            raise UnsafeInputError(f"more than {settings.max_objects} data sets", remedy="Split the file")
         line, after = _line(data, begin.end())
         if re.match(rb"\s*58b?\b", line) is None:
             others[f"data set {printable(line.decode('latin-1').strip(), 12)}"] = None
             end = _DELIMITER.search(data, after)
             place = end.end() if end is not None else len(data)
             continue
-        one, place = _history(data, line, after, path)
-        if isinstance(one, _History):
-            made.append(one)
+        history, place = _history(data, line, after)
+        if isinstance(history, _History):
+            histories.append(history)
         else:
-            others[one] = None
-    if not made:
+            others[history] = None
+    if not histories:
         raise InputError(
             "holds no time histories (data set 58, function type 1, or 0 by time)",
-            file=path,
             found=", ".join(list(others)[:5]) or "no data set",
             remedy="Export the time signals",
         )
-    names = distinct([one.name for one in made])
-    return dict(zip(names, made, strict=True))
+    return dict(zip(distinct([history.name for history in histories]), histories, strict=True))
 
 
 def _line(data: mmap.mmap, place: int) -> tuple[bytes, int]:
@@ -165,7 +161,7 @@ def _line(data: mmap.mmap, place: int) -> tuple[bytes, int]:
     return data[place : min(end, place + _MOST_LINE_BYTES)].rstrip(b"\r"), end + 1
 
 
-def _history(data: mmap.mmap, kind: bytes, place: int, path: Path) -> tuple[_History | str, int]:
+def _history(data: mmap.mmap, kind: bytes, place: int) -> tuple[_History | str, int]:
     """The data set 58 whose header begins at ``place``, or what it is where it is no time history; and its end."""
     where = f"data set 58 at byte {place}"
     lines: list[bytes] = []
@@ -178,9 +174,9 @@ def _history(data: mmap.mmap, kind: bytes, place: int, path: Path) -> tuple[_His
         start_s, step = float(text[6].split()[3]), text[6].split()[4]
         abscissa = int(text[7][:10])
     except (ValueError, IndexError):
-        raise InputError("damaged: the header of a data set is wrong", file=path, place=where) from None
+        raise InputError("damaged: the header of a data set is wrong", place=where) from None
     binary = b"b" in kind
-    n_bytes, order = _binary_layout(kind, path, where) if binary else (0, "<")
+    n_bytes, order = _binary_layout(kind, where) if binary else (0, "<")
     last = place + n_bytes
     if not binary:
         end = _DELIMITER.search(data, place)
@@ -192,7 +188,7 @@ def _history(data: mmap.mmap, kind: bytes, place: int, path: Path) -> tuple[_His
     if not general and (function != _TIME_RESPONSE or abscissa not in (0, _TIME)):
         return f"function type {function} ({_FUNCTIONS.get(function, 'other')})", after
     if problem:
-        raise InputError(problem, file=path, place=where, remedy="Export real samples at even steps of time")
+        raise InputError(problem, place=where, remedy="Export real samples at even steps of time")
     last = min(last, len(data))
     unit = known_unit(_unit(text[7]))
     time_s = unit.factor if unit is not None and unit.quantity == "time" else 1.0
@@ -217,17 +213,16 @@ def _text(line: bytes) -> str:
         return line.decode("latin-1")
 
 
-def _binary_layout(kind: bytes, path: Path, where: str) -> tuple[int, str]:
+def _binary_layout(kind: bytes, where: str) -> tuple[int, str]:
     """Bytes of the samples and their order, from the first line of a data set 58b."""
     cells = kind.split()
     try:
         order, floats, n_lines, n_bytes = (int(cell) for cell in cells[1:5])
     except ValueError:
-        raise InputError("damaged: the header of a binary data set is wrong", file=path, place=where) from None
+        raise InputError("damaged: the header of a binary data set is wrong", place=where) from None
     if order not in (1, 2) or floats != 2 or n_lines != _HEADER_LINES or n_bytes < 0:
         raise InputError(
             "a binary data set of a kind that is not read",
-            file=path,
             place=where,
             found=printable(kind.decode("latin-1")),
             allowed="byte order 1 or 2, IEEE 754 numbers (2), 11 lines of text",
@@ -290,7 +285,7 @@ def _sampled(
     if history.binary:
         points = np.frombuffer(block[: len(block) // point.itemsize * point.itemsize], point)[kept]
     else:
-        points = _numbers(block if most_bytes is None else block[: block.rfind(b"\n") + 1], history, path)[kept]
+        points = _numbers(block if most_bytes is None else block[: block.rfind(b"\n") + 1], history)[kept]
     if history.even is not None:
         return np.asarray(points, dtype=point.newbyteorder("=")), history.even
     if history.binary:
@@ -307,7 +302,7 @@ def _sampled(
     return samples, column
 
 
-def _numbers(block: bytes, history: _History, path: Path) -> NDArray[np.float64]:
+def _numbers(block: bytes, history: _History) -> NDArray[np.float64]:
     """Numbers of a ``block`` of lines in columns of even width, or between blanks as where pairs mix two widths."""
     lines = [line.rstrip() for line in block.replace(b"D", b"E").replace(b"d", b"e").splitlines()]
     width = 13 if history.point.itemsize == 4 else 20
@@ -321,4 +316,4 @@ def _numbers(block: bytes, history: _History, path: Path) -> NDArray[np.float64]
         return np.asarray(table[table != b""].astype(np.float64))
     except ValueError as error:
         place = f"data set 58 at byte {history.first}"
-        raise InputError("not a number", file=path, place=place, found=error, remedy="Export it again") from None
+        raise InputError("not a number", place=place, found=error, remedy="Export it again") from None

@@ -131,12 +131,8 @@ def unit_of(text: str) -> Unit:
         close = difflib.get_close_matches(text[:_MAX_CHARACTERS], [*_UNITS, "g"], n=1, cutoff=0.6)
         if text.casefold() == "g":
             close = ["g"]
-        raise RequestError(
-            "unknown unit",
-            found=repr(text),
-            allowed=ACCEPTED,
-            remedy=f"Did you mean {close[0]!r}?" if close else "Write one of these",
-        )
+        remedy = f"Did you mean {close[0]!r}?" if close else "Write one of these"
+        raise RequestError("unknown unit", found=repr(text), allowed=ACCEPTED, remedy=remedy)
     return unit
 
 
@@ -151,10 +147,8 @@ def conversion_factor(source: Unit, target: Unit) -> float:
     Raises RequestError where the two measure different quantities.
     """
     if source.quantity != target.quantity:
-        raise RequestError(
-            f"{source.name} ({source.quantity}) cannot become {target.name} ({target.quantity})",
-            remedy="Mend the unit, or give the sensitivity of the sensor",
-        )
+        problem = f"{source.name} ({source.quantity}) cannot become {target.name} ({target.quantity})"
+        raise RequestError(problem, remedy="Mend the unit, or give the sensitivity of the sensor")
     return 1.0 if source.name == target.name else source.factor / target.factor
 
 
@@ -190,17 +184,11 @@ def parse_sensitivity(text: str) -> Sensitivity:
         measured = measured[1:-1]
     output, unit = unit_of(match[2]), unit_of(measured)
     if output.quantity not in ("voltage", "current", "counts", "full scale"):
-        raise RequestError(
-            "the sensitivity does not start with an electrical unit",
-            found=repr(text),
-            allowed="V, mV, A, mA, counts, FS",
-        )
+        problem = "the sensitivity does not start with an electrical unit"
+        raise RequestError(problem, found=repr(text), allowed="V, mV, A, mA, counts, FS")
     if not (value > 0 and math.isfinite(value)):
-        raise RequestError(
-            "the sensitivity must be above 0",
-            found=repr(text),
-            remedy='A sensor mounted the other way round is told by direction = "-Z"',
-        )
+        remedy = 'A sensor mounted the other way round is told by direction = "-Z"'
+        raise RequestError("the sensitivity must be above 0", found=repr(text), remedy=remedy)
     return Sensitivity(output=output, measured=unit, output_per_measured=value * output.factor / unit.factor)
 
 

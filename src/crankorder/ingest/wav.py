@@ -23,7 +23,7 @@ from crankorder.ingest.rawfile import (
     Source,
     check_budget,
     flag,
-    named,
+    names_of,
     part_of,
     rows_for,
 )
@@ -89,11 +89,13 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     give the byte limit; ``rows``: of its samples, None for all. Raises InputError for a truncated or damaged file.
     """
     header = _header_of(path, settings)
-    numbers = [header.names.index(named(source, header.names, path)) for source in sources]
+    names = names_of(sources, header.names, path)
+    numbers = [header.names.index(name) for name in names.values()]
     frame_bytes = header.n_channels * header.n_bits // 8
-    check_budget(header.n_present * header.n_channels * 8, path, max_bytes=settings.max_bytes)
+    check_budget(header.n_present * header.n_channels * 8, settings)
     wanted = part_of(header.n_present, rows)
-    kind = (wanted.stop - wanted.start, _sample_type(header))
+    wide = header.n_bits == 64 or (header.n_bits == 32 and not header.is_float)
+    kind = (wanted.stop - wanted.start, np.float64 if wide else np.float32)
     room = rows_for([kind] * len(numbers), in_memory_bytes=settings.in_memory_bytes)
     with path.open("rb") as stream:
         stream.seek(header.data_start + wanted.start * frame_bytes)
@@ -102,17 +104,14 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
             for row, number in zip(room, numbers, strict=True):
                 row[part] = frames[:, number]
                 _scaled(row[part], header, number)
-    return RawFile(
-        columns=dict(zip(sources, room, strict=True)),
-        units={source: header.units[number] for source, number in zip(sources, numbers, strict=True)},
-        rates_hz=dict.fromkeys(sources, float(header.rate_hz)),
-        flags=list(header.flags),
-    )
+    return _contents(header).with_columns(names, room, flags=list(header.flags))
 
 
 def _scaled(samples: FloatArray, header: _Header, number: int) -> None:
     """Turn ``samples`` of channel ``number`` in place from steps of the converter into its unit."""
-    scale = (1.0 if header.is_float else 2.0 ** (1 - header.n_bits)) * _scale(header, number)
+    scale = 1.0 if header.is_float else 2.0 ** (1 - header.n_bits)
+    if header.calibrations:
+        scale *= header.calibrations[number].scale
     if header.n_bits == 8:
         samples -= 128.0
     if scale != 1.0:
@@ -125,7 +124,11 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     ``settings`` are those of :func:`read`, whose errors it raises.
     """
     header = _header_of(path, settings)
-    check_budget(header.n_present * header.n_channels * 8, path, max_bytes=settings.max_bytes)
+    check_budget(header.n_present * header.n_channels * 8, settings)
+    return _contents(header)
+
+
+def _contents(header: _Header) -> Contents:
     return Contents(
         format="WAV",
         names=header.names,
@@ -144,27 +147,27 @@ def _header_of(path: Path, settings: IngestSettings) -> _Header:
         declared = struct.unpack("<4sI", stream.read(8).ljust(8, b"\0"))[1] + 8
         for number, (name, begin, n_bytes) in enumerate(_chunks(stream, size, declared)):
             if number > settings.max_objects:
-                raise UnsafeInputError(f"holds more than {settings.max_objects} chunks", file=path, remedy=_LEAVE_OUT)
+                raise UnsafeInputError(f"holds more than {settings.max_objects} chunks", remedy=_LEAVE_OUT)
             if name == b"data":
                 start, length = begin, n_bytes
                 is_open = not _is_filled_in(stream, start, length, size)
                 if is_open:
                     break
             elif begin + n_bytes > size and (start < 0 or name == _LEA):
-                raise InputError(f"truncated: {size} of {begin + n_bytes} bytes", file=path, remedy=_COPY)
+                raise InputError(f"truncated: {size} of {begin + n_bytes} bytes", remedy=_COPY)
             elif name == b"fmt ":
                 layout = stream.read(min(n_bytes, 64))
             else:
                 found.look_into(name, stream.read(min(n_bytes, _MOST_OF_CHUNK)))
         if layout is None or len(layout) < 16 or start < 0 or (length == 0 and not is_open):
-            raise InputError(f"truncated: {size} bytes hold no samples", file=path, remedy=_COPY)
+            raise InputError(f"truncated: {size} bytes hold no samples", remedy=_COPY)
         stray = None if _LEA in found.seen else _stray_chunk(stream, start if is_open else start + length, size)
     if stray is not None:
         found.look_into(_LEA, stray[1])
     if is_open:
         length = (size if stray is None else stray[0]) - start
     elif start + length <= size < declared - 1 < _UNKNOWN_FROM:  # the last byte may be that which fills up an odd chunk
-        raise InputError(f"truncated after the samples: {size} of {declared} bytes", file=path, remedy=_COPY)
+        raise InputError(f"truncated after the samples: {size} of {declared} bytes", remedy=_COPY)
     return _checked(path, layout, start, length, min(length, size - start), found, is_open=is_open)
 
 
@@ -259,7 +262,7 @@ class _Calibrated:
             self.doubts.append(f"its chunk {shown} speaks of a calibration that is not read: {spoken!r}")
 
 
-def _layout_of(layout: bytes, path: Path) -> tuple[int, int, int, int, int, int]:
+def _layout_of(layout: bytes) -> tuple[int, int, int, int, int, int]:
     """Format code, channels, rate, bytes per second and per frame, and bits of a ``fmt`` chunk that is read."""
     code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits = struct.unpack_from("<HHIIHH", layout)
     if code == _EXTENSIBLE and len(layout) >= 26:
@@ -268,7 +271,6 @@ def _layout_of(layout: bytes, path: Path) -> tuple[int, int, int, int, int, int]
     if n_bits not in allowed:
         raise InputError(
             "the sample format is not supported",
-            file=path,
             found=f"format code {code} with {n_bits} bits",
             allowed="8, 16, 24 or 32-bit integers, 32 or 64-bit floats",
             remedy="Export as 16-bit or float WAV",
@@ -276,7 +278,6 @@ def _layout_of(layout: bytes, path: Path) -> tuple[int, int, int, int, int, int]
     if not (n_channels and rate_hz and frame_bytes == n_channels * n_bits // 8):
         raise InputError(
             "the header contradicts itself",
-            file=path,
             found=f"{n_channels} channels of {n_bits} bits at {rate_hz} Hz in frames of {frame_bytes} bytes",
         )
     return code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits
@@ -285,13 +286,9 @@ def _layout_of(layout: bytes, path: Path) -> tuple[int, int, int, int, int, int]
 def _checked(
     path: Path, layout: bytes, data_start: int, declared: int, present: int, found: _Calibrated, *, is_open: bool
 ) -> _Header:
-    code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits = _layout_of(layout, path)
+    code, n_channels, rate_hz, byte_rate, frame_bytes, n_bits = _layout_of(layout)
     if present < _MIN_PRESENT * declared:
-        raise InputError(
-            f"truncated: {present // frame_bytes} of {declared // frame_bytes} samples",
-            file=path,
-            remedy=_COPY,
-        )
+        raise InputError(f"truncated: {present // frame_bytes} of {declared // frame_bytes} samples", remedy=_COPY)
     n_declared, n_present = declared // frame_bytes, present // frame_bytes
     doubts = list(found.doubts)
     calibrations = found.calibrations
@@ -341,15 +338,6 @@ def _calibrations(chunk: bytes) -> tuple[_Calibration, ...]:
     if not found:
         raise ValueError(f"begins with {printable(chunk[:8].decode('latin-1'), 20)!r}")
     return tuple(found)
-
-
-def _scale(header: _Header, number: int) -> float:
-    return header.calibrations[number].scale if header.calibrations else 1.0
-
-
-def _sample_type(header: _Header) -> type[np.float32] | type[np.float64]:
-    wide = header.n_bits == 64 or (header.n_bits == 32 and not header.is_float)
-    return np.float64 if wide else np.float32
 
 
 def _decoded(data: bytes, header: _Header) -> np.ndarray[Any, np.dtype[Any]]:

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, UnsafeInputError
-from crankorder.ingest.child import in_child
-from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, named
+from crankorder.errors import CrankorderError, InputError, UnsafeInputError
+from crankorder.ingest.child import in_child, package
+from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, names_of
 from crankorder.ingest.text import names_and_units
 from crankorder.settings import IngestSettings
 
@@ -29,9 +29,8 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     ``settings`` give the byte limit. Raises InputError naming row and cell for a cell that is no number, and
     EnvironmentFailure where the package openpyxl is missing, UnsafeInputError where it goes beyond its limits.
     """
-    openpyxl, n_bytes = _parser(path), _UNPACKED * path.stat().st_size
-    made: RawFile = in_child(lambda: _read(openpyxl, path, sources, settings), path, n_bytes=n_bytes)
-    return made
+    openpyxl, n_bytes = _parser(), _UNPACKED * path.stat().st_size
+    return in_child(lambda: _read(openpyxl, path, sources, settings), path, n_bytes=n_bytes)
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -39,27 +38,20 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
     ``settings`` give the byte limit. Raises what :func:`read` raises.
     """
-    openpyxl = _parser(path)
-    made: Contents = in_child(lambda: _contents(openpyxl, path, settings), path, n_bytes=path.stat().st_size)
-    return made
+    openpyxl = _parser()
+    return in_child(lambda: _contents(openpyxl, path, settings), path, n_bytes=path.stat().st_size)
 
 
-def _parser(path: Path) -> Any:
-    """openpyxl, loaded here so that no child needs to."""
-    try:
-        import openpyxl
-    except ImportError:
-        raise EnvironmentFailure(
-            "reading XLSX needs the package openpyxl", file=path, remedy="Install it with: pip install crankorder[xlsx]"
-        ) from None
-    return openpyxl
+def _parser() -> Any:
+    return package("openpyxl", "XLSX", "Install it with: pip install crankorder[xlsx]")
 
 
 def _read(openpyxl: Any, path: Path, sources: Sequence[Source], settings: IngestSettings) -> RawFile:
     with _first_sheet(openpyxl, path, settings) as sheet:
-        rows = _rows(sheet, path)
-        names, units, first, n_above = _header(rows, path)
-        positions = [names.index(named(source, names, path)) for source in sources]
+        rows = _rows(sheet)
+        names, units, first, n_above = _header(rows)
+        wanted = names_of(sources, names, path)
+        positions = [names.index(name) for name in wanted.values()]
         below = chain([] if first is None else [first], rows)
         cells: list[tuple[Any, ...]] = [
             tuple(row[position] if position < len(row) else None for position in positions) for row in below
@@ -72,31 +64,25 @@ def _read(openpyxl: Any, path: Path, sources: Sequence[Source], settings: Ingest
             if isinstance(cell, bool) or not isinstance(cell, (int, float)):
                 raise InputError(
                     "an empty cell" if cell is None else "not a number",
-                    file=path,
                     place=f"row {number + n_above + 1}, column {positions[index]} ({names[positions[index]]})",
                     found="" if cell is None else repr(cell),
                     remedy="Mend the cell, or leave the recording out",
                 )
         block[:, number] = values
-    stated = {source: units.get(names[position], "") for source, position in zip(sources, positions, strict=True)}
-    return RawFile(
-        columns=dict(zip(sources, block, strict=True)), units={source: unit for source, unit in stated.items() if unit}
-    )
+    return Contents("XLSX", names, units=units).with_columns(wanted, block)
 
 
 def _contents(openpyxl: Any, path: Path, settings: IngestSettings) -> Contents:
     with _first_sheet(openpyxl, path, settings) as sheet:
-        names, units, _, _ = _header(_rows(sheet, path), path)
+        names, units, _, _ = _header(_rows(sheet))
     return Contents(format="XLSX", names=names, units=units)
 
 
-def _rows(sheet: Any, path: Path) -> Iterator[tuple[object, ...]]:
+def _rows(sheet: Any) -> Iterator[tuple[object, ...]]:
     """Values of the rows of ``sheet``; refused where it claims more than a sheet can have: they would be filled."""
     for number, row in enumerate(sheet.iter_rows(values_only=True), start=1):
         if number > _MOST_ROWS:
-            raise UnsafeInputError(
-                "claims a row beyond the last that a sheet can have", file=path, allowed=f"{_MOST_ROWS} rows"
-            )
+            raise UnsafeInputError("claims a row beyond the last that a sheet can have", allowed=f"{_MOST_ROWS} rows")
         yield row
 
 
@@ -104,11 +90,11 @@ def _rows(sheet: Any, path: Path) -> Iterator[tuple[object, ...]]:
 def _first_sheet(openpyxl: Any, path: Path, settings: IngestSettings) -> Iterator[Any]:
     try:
         with zipfile.ZipFile(path) as archive:
-            check_budget(sum(item.file_size for item in archive.infolist()), path, max_bytes=settings.max_bytes)
+            check_budget(sum(item.file_size for item in archive.infolist()), settings)
         book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
         try:
             if not book.worksheets:
-                raise InputError("the workbook has no sheet with cells", file=path)
+                raise InputError("the workbook has no sheet with cells")
             yield book.worksheets[0]
         finally:
             book.close()
@@ -116,12 +102,12 @@ def _first_sheet(openpyxl: Any, path: Path, settings: IngestSettings) -> Iterato
         raise
     except Exception as error:  # openpyxl lets through whatever zip, XML and its own parsers raise
         raise InputError(
-            "is a damaged XLSX workbook", file=path, found=error, remedy="Copy it again, or save it as text"
+            "is a damaged XLSX workbook", found=error, remedy="Copy it again, or save it as text"
         ) from None
 
 
 def _header(
-    rows: Iterator[tuple[object, ...]], path: Path
+    rows: Iterator[tuple[object, ...]],
 ) -> tuple[tuple[str, ...], dict[str, str], tuple[object, ...] | None, int]:
     """Names and units of the columns, the first row of numbers, and how many rows stand above it.
 
@@ -140,7 +126,7 @@ def _header(
     named_rows = [row for row in (above[:1] if first is None else above) if len(row) == width]
     if not width or (above and not named_rows):
         remedy = "Put the names of the columns into the row above the numbers"
-        raise InputError("no row names the columns", file=path, place=f"rows 1 to {len(above) or 1}", remedy=remedy)
+        raise InputError("no row names the columns", place=f"rows 1 to {len(above) or 1}", remedy=remedy)
     names, units = names_and_units(named_rows, width)
     return names, units, first, len(above)
 
