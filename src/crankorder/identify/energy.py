@@ -355,10 +355,11 @@ def _groups(centre: Floats, near: float) -> NDArray[np.int64]:
 def _inside(made: EnergyMap, lines: EnergyLines) -> NDArray[np.bool_]:
     """Whether the middle of each line lies in what counts of the map (rows, lines); else only its skirts do."""
     step = float(made.axis[1] - made.axis[0])
-    at = np.rint((lines.centre - made.axis[0]) / step).astype(np.int64)
+    known = np.isfinite(lines.centre)
+    at = np.rint((np.where(known, lines.centre, made.axis[0]) - made.axis[0]) / step).astype(np.int64)
     last = len(made.axis) - 1
     counts = np.take_along_axis(made.share, np.clip(at, 0, last), axis=1)
-    return np.asarray((at <= last) & (counts > 0.5))
+    return np.asarray(known & (at <= last) & (counts > 0.5))
 
 
 def _shares(channel: str, unit: str, parts: list[dict[str, float]]) -> EnergyShares:

@@ -94,8 +94,10 @@ def recording_of(
     if times is not None:
         n_rows = raw.columns[_time_source(manifest)].size
         on_grid = {source: times.on_grid(row) for source, row in raw.columns.items() if row.size == n_rows}
-        own = {source: start for source, start in raw.starts_s.items() if source not in on_grid}
-        starts_s = dict.fromkeys(raw.columns, times.start_s) | own
+        first_s = raw.starts_s.get(_time_source(manifest))
+        own = {source: start for source, start in raw.starts_s.items() if first_s is not None or source not in on_grid}
+        lag_s = 0.0 if first_s is None else times.start_s - first_s
+        starts_s = dict.fromkeys(raw.columns, times.start_s) | {source: at + lag_s for source, at in own.items()}
         raw = replace(raw, columns={**raw.columns, **on_grid}, starts_s=starts_s)
     bases, file_hz = bases_of(
         manifest.sampled,

@@ -242,6 +242,9 @@ class ShaftSignals:
                 allowed="rpm, 1/min, Hz, rad/s",
                 remedy="Mend encoder.source",
             )
+        if self.times is not None and self.times.places is not None:  # through gaps of the record it goes on straight
+            missing = np.delete(np.arange(speed.size), self.times.places)
+            speed[missing] = np.interp(missing, self.times.places, speed[self.times.places])
         if not np.isfinite(speed).all():
             raise InputError(
                 "the speed signal has missing samples",

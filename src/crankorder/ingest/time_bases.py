@@ -158,5 +158,6 @@ def _loss_flags(bases: Mapping[str, TimeBase], moved: list[str], base: TimeBase,
             f"{rates}: resampled to {base.rate_hz:.9g} Hz and the times of another channel; "
             f"what lies above {PASS * base.rate_hz:.6g} Hz is lost"
         )
-        flags.append(flag(path, "channels_resampled", "suspect", detail))
+        slower = any(bases[role].rate_hz != base.rate_hz for role in moved)
+        flags.append(flag(path, "channels_resampled", "suspect" if slower else "info", detail))
     return flags

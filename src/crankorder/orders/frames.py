@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from crankorder.errors import InputError
 from crankorder.fft.windows import hann
 from crankorder.orders.method import (
     METHOD_SHARE,
@@ -70,6 +71,8 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
             if layout.method.kernel is None or not achieved > settings.tolerance:
                 break
         limit = layout.method.highest * samples.rate_hz * 60.0 / speed
+    if "usable" in band and np.isnan(spectrum.real).all():
+        raise _no_whole_frame(band, layout, speed)
     order = np.arange(spectrum.shape[2]) / layout.revs
     spectrum[:, order[None, :] > limit[:, None] * (1.0 + 1e-9)] = np.nan
     frames = _dataset(band, spectrum, order, speed, layout.begin_rev)
@@ -83,6 +86,21 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         **stated_errors(shaft, revs_per_frame=float(layout.revs)),
     }
     return with_flags(frames, [*flags_of(shaft), *_flags(frames, layout, settings, course)])
+
+
+def _no_whole_frame(band: xr.Dataset, layout: FrameLayout, speed_rpm: Floats) -> InputError:
+    """The error of a recording all of whose frames touch a gap, with the revolutions of its longest stretch."""
+    edges = np.flatnonzero(np.diff(band["usable"].values.any(axis=0), prepend=False, append=False))
+    rate = (
+        band.attrs["samples_per_rev"] if is_by_angle(band) else band.attrs["rate_hz"] * 60.0 / np.nanmedian(speed_rpm)
+    )
+    revs = float(np.diff(edges)[::2].max(initial=0) / rate)
+    return InputError(
+        "each frame touches a gap, so that no order is told",
+        place="orders.revs_per_frame",
+        found=f"frames of {layout.revs} revolutions, up to {revs:.3g} between gaps",
+        remedy=f"State [orders] revs_per_frame = {max(2, 2 * int(revs / 4.0))} in a recipe, or close the gaps",
+    )
 
 
 def _no_orders(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> xr.Dataset:

@@ -448,8 +448,7 @@ def speed_course(shaft: xr.Dataset) -> SpeedCourse:
     window = np.hanning(length + 2)[1:-1]
     padded = np.pad(change, length // 2, mode="edge")
     rate = np.convolve(padded, window / window.sum(), mode="valid")
-    # the longer stretch blurs a stop with what runs beside it
-    runs = np.minimum(speed, rough) > max(SLOWEST_RPM, RUNNING_SHARE * float(speed.max()))
+    runs = speed > max(SLOWEST_RPM, RUNNING_SHARE * float(speed.max()))
     return SpeedCourse(at, np.maximum(speed, 1e-9), rate, runs)
 
 

@@ -102,6 +102,8 @@ _SPEED_IN_NAME = (
     re.compile(r"(?<![0-9.])(\d{2,6}(?:[.,]\d+)?)[ _-]?(?:rpm|u_?min|upm|min-?1|r_?min)", re.I),
     re.compile(r"(?:rpm|speed|drehzahl|(?<![a-z])n)[ _=-]?(\d{2,6}(?:\.\d+)?)(?![0-9])", re.I),
 )
+# A run-up from one speed to another.
+_SPEED_RANGE = re.compile(r"(?<!\d)\d{3,5} ?(?:-|_?to_?|\.\.+) ?\d{3,5}[ _-]?(?:rpm|u_?min|upm|min-?1|r_?min)", re.I)
 # Words that make a number a speed; "n12" may be the twelfth measurement.
 _SPEED_WORD = re.compile(r"rpm|min|upm|speed|drehzahl", re.I)
 # Names state nominal speeds, and a motor's slip or a governor's droop lies within this share of them.
@@ -112,7 +114,7 @@ _ENDS = 0.02
 
 def speed_in_name(name: str) -> float | None:
     """Speed in rpm that the ``name`` of a file states, such as 800 in "800rpm" or "idle_n800"; None where none."""
-    for sign in _SPEED_IN_NAME:
+    for sign in () if _SPEED_RANGE.search(name) else _SPEED_IN_NAME:
         match = sign.search(name)
         if match and float(match[1].replace(",", ".")) > 0:
             return float(match[1].replace(",", "."))

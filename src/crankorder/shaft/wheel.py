@@ -555,7 +555,7 @@ def undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
     """Remark where the sampled encoder of ``recording`` has too few samples per pulse of ``teeth``."""
     if recording.attrs.get("encoder_kind") not in ("square", "analogue") or "rate_hz" not in recording.attrs:
         return []
-    steps = np.diff(teeth.time_s) * float(recording.attrs["rate_hz"])
+    steps = np.diff(teeth.time_s) * float(recording.attrs.get("encoder_rate_hz", recording.attrs["rate_hz"]))
     fewest = float(np.quantile(steps, 0.02))
     if fewest >= FEWEST_SAMPLES_PER_TOOTH:
         return []
