@@ -70,10 +70,11 @@ def find_breaks(turns: Floats, channels: Sequence[FloatArray]) -> list[Break]:
     breaks: list[Break] = []
     for group in np.split(odd, np.flatnonzero(np.diff(odd) > 1) + 1) if odd.size else []:
         first, last = int(group[0]), int(group[-1]) + 1
-        if not 0 < first < last < step.size:
+        if not 1 < first < last < step.size - 1:
             continue
-        before, after = float(step[first - 1]), float(step[last])
-        length, turn = float(turns[last] - turns[first]), 0.5 * (before + after)
+        # two turns: half orders repeat after no less
+        before, after = float(turns[first] - turns[first - 2]), float(turns[last + 2] - turns[last])
+        length, turn = float(turns[last] - turns[first]), 0.25 * (before + after)
         rest = length % turn
         # two turns and more are no break of a shaft that runs on: it stood still
         if group.size > MOST_ODD or length >= 2.0 * turn or min(rest, turn - rest) <= slack:
@@ -87,7 +88,7 @@ def find_breaks(turns: Floats, channels: Sequence[FloatArray]) -> list[Break]:
 def _jump(channels: Sequence[FloatArray], first: int, last: int, ahead: int, behind: int) -> int:
     """The sample, after ``first`` up to ``last``, at which all ``channels`` jump in phase; 0 where they do not.
 
-    The turns before and after are ``ahead`` and ``behind`` samples long.
+    Two turns before and after it are ``ahead`` and ``behind`` samples long.
     """
     low, high, turn = first - ahead, last + behind, 0.5 * (ahead + behind)
     if low < ahead or high + behind > channels[0].size:
