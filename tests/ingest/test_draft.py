@@ -175,6 +175,8 @@ def test_a_speed_is_read_off_a_name_and_no_other_number_is():
         ("2024-11-03", None),
         ("speed=2400", 2400),
         ("1500.5rpm", 1500.5),
+        ("run 3 450-1150 rpm 2024", None),
+        ("up_600to3000rpm", None),
     ]
     for name, rpm in rows:
         assert speed_in_name(name) == rpm

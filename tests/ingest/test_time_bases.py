@@ -93,6 +93,7 @@ def test_columns_that_start_at_different_times_are_laid_on_one_clock(tmp_path, s
         (as_tdms, {"by_date": False}),
         (as_hdf5, {"key": "wf_start_time"}),
         (as_hdf5, {"key": "t0"}),
+        (as_hdf5, {"key": "start_time"}),
         (as_lvm_of_one_segment, {}),
     ],
 )
@@ -101,6 +102,17 @@ def test_a_start_is_read_wherever_the_format_states_it(tmp_path, settings, write
     recording, flags = joined(tmp_path, settings, columns, write=write, **how)
     assert phase_error_deg(recording, settings, 0.0195) < 5.0
     assert "by 0.02 s" in flags["start_times"]["detail"]
+
+
+def test_starts_count_beside_a_column_of_times_too(tmp_path, settings):
+    columns = [vibration("acc", 2000.0, 6.0), tacho(2000.0, 6.0, 0.02)]
+    sources = WRITERS["MDF4"](tmp_path / "a", columns)
+    manifest_in(tmp_path, sources, ("acc",), "square")
+    text = (tmp_path / "run.toml").read_text() + '\n[sampling]\ntime_source = "time"\n'
+    (tmp_path / "run.toml").write_text(text)
+    manifest = load_manifest(tmp_path)
+    recording = read_recording(tmp_path / "a.mf4", manifest, settings=settings.ingest, shaft=settings.shaft)
+    assert phase_error_deg(recording, settings, 0.0195) < 5.0
 
 
 @FORMATS

@@ -71,7 +71,7 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
             if layout.method.kernel is None or not achieved > settings.tolerance:
                 break
         limit = layout.method.highest * samples.rate_hz * 60.0 / speed
-    if "usable" in band and np.isnan(spectrum.real).all():
+    if "usable" in band and band["usable"].values.any() and np.isnan(spectrum.real).all():
         raise _no_whole_frame(band, layout, speed)
     order = np.arange(spectrum.shape[2]) / layout.revs
     spectrum[:, order[None, :] > limit[:, None] * (1.0 + 1e-9)] = np.nan
