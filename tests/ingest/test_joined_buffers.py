@@ -118,7 +118,7 @@ def joined(seed: int, blocks: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("suffix", "blocks"), [("mat", 2), ("csv", 3), ("h5", 6)])
-def test_buffers_that_were_joined_are_told_by_shaft_and_channel_and_made_whole(tmp_path, suffix, blocks):
+def test_buffers_that_were_joined_are_told_by_shaft_and_channel_and_made_whole(tmp_path, settings, suffix, blocks):
     signal, tacho = turning(joined(2, blocks), 2)
     folder = written(tmp_path / "in", suffix, k=signal, tacho=tacho)
     (folder / "run.toml").write_text(f"{HEAD}[sampling]\nrate_hz = 2560.0\n{CHANNEL}{ENCODER}")
@@ -129,6 +129,9 @@ def test_buffers_that_were_joined_are_told_by_shaft_and_channel_and_made_whole(t
     assert amplitudes == pytest.approx({1: 1.0, 2: 0.5}, rel=0.01)
     assert found["orders"][0]["speed_range_rpm"] == pytest.approx([1160.0, 1160.0], rel=2e-3)
     assert "sample 4096 " in flagged(found)["buffers_joined"]
+    path = next(folder.glob(f"*.{suffix}"))
+    recording = read_recording(path, load_manifest(folder), settings=settings.ingest, shaft=settings.shaft)
+    assert len(recording.attrs["gap_starts_s"]) == blocks - 1
 
 
 @pytest.mark.parametrize("fault", ["lost pulse", "false pulse", "moved pulse and knock", "tacho alone", "misfire"])

@@ -99,7 +99,7 @@ def _jump(channels: Sequence[FloatArray], first: int, last: int, ahead: int, beh
         before, after = (np.nan_to_num(here - other) ** 2 for other in others)
         noise = 0.5 * float(before[:ahead].mean() + after[-behind:].mean())
         if noise > 0.0:
-            # by the place of a break: what is before it is like the turn before, what is behind like the turn after
+            # by the place of a break: what is before it repeats the turns before, what is behind those after
             cost = np.append(0.0, np.cumsum(before)) + after.sum() - np.append(0.0, np.cumsum(after))
             costs.append(cost / noise)
             jumps[1:] += np.nan_to_num(np.diff(here)) ** 2 / noise
@@ -167,4 +167,4 @@ def laid_apart(recording: xr.Dataset, channels: dict[str, FloatArray], path: Pat
             inside = (place >= 0) & (place <= end - first - 1)
             recording[name] = (recording[name].dims, place[inside] / rate_hz, recording[name].attrs)
     gaps = np.append(np.round(np.array(attrs.get("gap_starts_s", [])) * rate_hz).astype(int), at - 1)
-    attrs["gap_starts_s"] = sorted(((gaps + moved[gaps]) / rate_hz).tolist())
+    recording.attrs["gap_starts_s"] = sorted(((gaps + moved[gaps]) / rate_hz).tolist())
