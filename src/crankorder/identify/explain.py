@@ -87,7 +87,7 @@ def explained(
     in_cylinder: Collection[str] = (),
     folds: Sequence[ShownFold] = (),
     known: Sequence[LineSeen] = (),
-    of_encoder: Words | None = None,
+    of_swing: Words | None = None,
     longest_rev: float = np.inf,
 ) -> Causes:
     """One cause for every order line in every channel, and for every mode and tone.
@@ -110,7 +110,7 @@ def explained(
     settings : mains frequencies and how far they wander
     folds : what was found to fold (:func:`crankorder.identify.folds.shown_folds`)
     known : lines of the motor and of the mains that the frames hold where they were expected
-    of_encoder : lines that the encoder may make (:func:`crankorder.identify.sidebands.encoder_sidebands`)
+    of_swing : lines that swings of the angle may make (:func:`crankorder.identify.sidebands.swing_sidebands`)
     longest_rev : revolutions of the longest recording at one speed: two lines that beat less often in it look like one
     """
     causes: dict[tuple[str, float], Cause] = {}
@@ -123,8 +123,8 @@ def explained(
             name = line.channel
             cause = first(agreed, line, at=at, quantity=quantity[name], in_cylinder=name in in_cylinder)
             causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, at, sources))
-    for key, (text, evidence) in (of_encoder or {}).items():
-        if causes[key].text in BY_ITSELF:
+    for key, (text, evidence) in (of_swing or {}).items():
+        if causes[key].text in (*BY_ITSELF, HALF_ORDER):
             causes[key] = Cause(text, evidence)
     causes |= _electric(orders, causes, modal, known, sources, settings, longest_rev)
     families = explain_families(
@@ -133,6 +133,7 @@ def explained(
         {agreed.order: multiple_of_cycle(agreed, sources.revs_per_cycle) for agreed in orders},
         spacings=_spacings(sources, bearings),
         modes_hz=[mode.frequency_hz for mode in modal.modes],
+        of_swing=of_swing or {},
     )
     causes |= {key: Cause(text, evidence) for key, (text, evidence) in families.items()}
     modes = tuple(
@@ -144,7 +145,9 @@ def explained(
     return Causes(causes, modes, tones)
 
 
-MAY_BE_MAINS = ("unbalance", LIKE_UNBALANCE, "shaft harmonic", "half order of the four-stroke cycle")
+HALF_ORDER = "half order of the four-stroke cycle"
+
+MAY_BE_MAINS = ("unbalance", LIKE_UNBALANCE, "shaft harmonic", HALF_ORDER)
 """What a line is called that is an order of the shaft for no other reason than that it is one."""
 
 
@@ -391,7 +394,7 @@ def _half_order(of_cycle: float | None, orders: tuple[AgreedOrder, ...], sources
     if sources.engine_orders and len(family) < 2:
         return None
     listed = ", ".join(f"{m:g}" for m in family[:6])
-    return Cause("half order of the four-stroke cycle", f"{proof}; half orders found: {listed}")
+    return Cause(HALF_ORDER, f"{proof}; half orders found: {listed}")
 
 
 def _shaft_harmonic(of_cycle: float | None, sources: Sources, proof: str) -> Cause | None:

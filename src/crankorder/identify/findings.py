@@ -55,7 +55,7 @@ from crankorder.identify.records import (
 )
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.said import is_electric
-from crankorder.identify.sidebands import encoder_sidebands
+from crankorder.identify.sidebands import swing_sidebands
 from crankorder.identify.sources import Sources
 from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
@@ -113,8 +113,8 @@ def find(
     in_cylinder = [name for name in unit if is_cylinder_pressure(quantity[name], unit[name])]
     explain = partial(explained, sources=sources, quantity=quantity, in_cylinder=in_cylinder, settings=asked)
     longest = max((one.span_rev for one in held), default=np.inf)
-    of_encoder = encoder_sidebands(in_map, order_map, frames)
-    causes = explain(in_map, modal, bearings, folds=folds, known=known, longest_rev=longest, of_encoder=of_encoder)
+    of_swing = swing_sidebands(orders, frames)
+    causes = explain(in_map, modal, bearings, folds=folds, known=known, longest_rev=longest, of_swing=of_swing)
     modal = with_neighbours_named(modal, in_map, causes)
     tested = _tested_rpm(order_map, campbell)
     moving, stated = going_with_speed(orders, causes), [gear.order for gear in sources.gears]

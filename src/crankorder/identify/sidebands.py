@@ -17,8 +17,9 @@ from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.said import IF_WRONG
 from crankorder.identify.sources import Sources
 from crankorder.orders.swing_evidence import HARMONICS
-from crankorder.orders.true_angle import TAKEN, given_to
+from crankorder.orders.true_angle import TAKEN, left_of
 from crankorder.settings import MethodNumbers
+from crankorder.shaft.tooth_errors import HIGHEST, SWING_ORDERS, SWING_REV, SWING_RPM
 
 
 class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="sidebands"):
@@ -180,73 +181,149 @@ def other_shafts(places: Sequence[float], errors: Sequence[float]) -> dict[int, 
     return found
 
 
-class _EncoderNumbers(MethodNumbers, file="5-identify-explain.toml", table="encoder_sidebands"):
+class _SwingNumbers(MethodNumbers, file="5-identify-explain.toml", table="swing_sidebands"):
     alike_share: float
     scatter_sigmas: float
+    dense_share: float
 
 
-ENCODER_NUMBERS = _EncoderNumbers.load()
+SWING_NUMBERS = _SwingNumbers.load()
+
+WHOLE_HALVES = 0.05
+"""An order this near, in half orders, to so many half orders from another is one."""
 
 OF_ENCODER = "encoder eccentricity: sideband of order"
 """Begin of the words for what is left of sidebands whose cause is proved."""
 
-OR_OWN = "encoder eccentricity or a line of its own"
-"""Words for a line that an eccentricity would make which the data do not exclude, nor prove."""
+OR_OWN = "sideband by a swing of the angle or a line of its own"
+"""Words for a line that the swing of the shaft or an error of its encoder may make, which nothing proves."""
 
 Words = dict[tuple[str, float], tuple[str, str]]
 """Cause and evidence by channel and order."""
 
 
-def encoder_sidebands(orders: Sequence[AgreedOrder], order_map: xr.Dataset, frames: Sequence[xr.Dataset]) -> Words:
-    """Cause and evidence of the lines of ``orders`` that are no larger than what the swing of the angle may give them.
+@dataclass(frozen=True, eq=False)
+class AngleSwings:
+    """Swings of the crank angle: of the shaft, by speed, and what may be left of an encoder's error.
 
-    ``order_map`` (OrderMap) says what their neighbours have, ``frames`` (OrderFrames) what of the swing was taken out
-    and what may be left. A line counts where that is so at every speed at which it is seen.
+    ``size_rev`` (speeds, half orders) are peak amplitudes [rev] at 0.5, 1, 1.5 … times a turn, at the sorted
+    ``speed_rpm`` (speeds,); ``left_rev`` by harmonic of the turn; ``proved`` says whether an encoder's error was taken
+    out.
     """
-    amplitude = np.nan_to_num(order_map["amplitude"].values)
-    given = given_to(amplitude, frames)
-    axis, names = order_map["order"].values, order_map["channel"].values.tolist()
-    proved = any(float(np.max(item.attrs.get(TAKEN, [0.0]))) > 0.0 for item in frames)
-    words: Words = {}
+
+    speed_rpm: Floats
+    size_rev: Floats
+    left_rev: dict[int, float]
+    proved: bool
+
+    @classmethod
+    def of(cls, frames: Sequence[xr.Dataset]) -> AngleSwings:
+        """What the ``frames`` (OrderFrames) of a test state of the angle that they are by."""
+        speed, size = [np.zeros(0)], [np.zeros((0, 2 * int(HIGHEST)))]
+        for item in frames:
+            rpm, orders, lines = (
+                np.atleast_1d(item.attrs.get(name, ())) for name in (SWING_RPM, SWING_ORDERS, SWING_REV)
+            )
+            every = np.zeros((len(rpm), size[0].shape[1]))
+            every[:, np.round(2.0 * orders).astype(int) - 1] = lines.reshape(len(rpm), -1)
+            every[:, 2 * np.arange(len(HARMONICS)) + 1] -= item.attrs.get(TAKEN, 0.0)
+            speed.append(rpm)
+            size.append(np.maximum(every, 0.0))
+        rpm = np.concatenate(speed)
+        rising = np.argsort(rpm)
+        proved = any(float(np.max(item.attrs.get(TAKEN, [0.0]))) > 0.0 for item in frames)
+        return cls(rpm[rising], np.concatenate(size)[rising], left_of(frames), proved)
+
+    def at(self, half_orders: int, rpm: Floats) -> Floats:
+        """Swing [rev] of the shaft at so many ``half_orders`` and at ``rpm`` (rows,)."""
+        if not 0 < half_orders <= self.size_rev.shape[1] or not len(self.speed_rpm):
+            return np.zeros(len(rpm))
+        return np.asarray(np.interp(rpm, self.speed_rpm, self.size_rev[:, half_orders - 1]))
+
+
+def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset]) -> Words:
+    """Cause and evidence of the lines of ``orders`` that are no larger than what swings of the angle may give them.
+
+    A force at order n of a shaft that swings by ε sin(k θ) has sidebands π n ε at n ± k in time. The structure
+    responds to each at its own frequency, so that π n ε (H(n ± k) / H(n) - 1) times the order is left of them in the
+    angle of the shaft (H: the response); an error ε of the encoder leaves π n ε. What the order itself has where the
+    speed brings it to the frequency of the sideband tells the response there. A line counts where it is no larger at
+    every speed at which it is seen. ``frames`` (OrderFrames) say how the angle swings.
+    """
+    swings, words = AngleSwings.of(frames), Words()
+    if not len(swings.speed_rpm) and not any(swings.left_rev.values()):
+        return words
     for agreed in orders:
-        at = int(np.argmin(np.abs(axis - agreed.order)))
         for line in agreed.lines:
-            channel = names.index(line.channel)
-            if not _within(line, given[channel, :, at]):
+            beside = [(other.order, item) for other in orders for item in other.lines if item.channel == line.channel]
+            given = [
+                part for pair in beside if pair[1] is not line for part in _given(line, agreed.order, *pair, swings)
+            ]
+            if not given or not _within(line, np.sum([part.amplitude for part in given], axis=0)):
                 continue
-            carrier = _carrier(line, amplitude[channel], axis, agreed.order)
-            if proved:
-                evidence = "as large as what is left of the encoder's error gives it; taken out as far as it is known"
-                words[line.channel, agreed.order] = (f"{OF_ENCODER} {carrier:g}", evidence)
-            else:
-                evidence = (
-                    f"beside order {carrier:g}, which an eccentricity that the data do not exclude would put there"
-                )
-                words[line.channel, agreed.order] = (OR_OWN, evidence)
+            most = max(given, key=lambda part: float(np.sum(part.amplitude)))
+            maker = (
+                "an error of the encoder that the data do not exclude" if most.by_encoder else "the swing of the speed"
+            )
+            text = f"{OF_ENCODER} {most.carrier:g}" if most.by_encoder and swings.proved else OR_OWN
+            words[line.channel, agreed.order] = (
+                text,
+                f"no larger than what {maker} gives it beside order {most.carrier:g}",
+            )
     return words
 
 
-def _within(line: OrderLine, given: NDArray[np.float64]) -> bool:
-    """Whether ``line`` is no larger than what is ``given`` (speeds of the map,) to it: overall, and at any speed.
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """Largest ``amplitude`` (rows,) that the order ``carrier`` gives, by an encoder's error or a swing of the shaft."""
+
+    carrier: float
+    amplitude: Floats
+    by_encoder: bool
+
+
+def _given(line: OrderLine, order: float, number: float, carrier: OrderLine, swings: AngleSwings) -> list[_Given]:
+    """What ``swings`` give to ``line`` at ``order`` at most of its ``carrier`` at the order ``number``."""
+    rpm, parts = line.speed_rpm, []
+    for half_orders in (2.0 * abs(order - number), 2.0 * (order + number)):
+        at = round(half_orders)
+        if not at or abs(half_orders - at) > WHOLE_HALVES:
+            continue
+        here, largest = _amplitudes(carrier, rpm, order / number)
+        swing = np.pi * number * swings.at(at, rpm)
+        twice = np.square(np.pi * number * swings.at(at // 2, rpm)) if at % 2 == 0 else 0.0
+        left = swings.left_rev.get(at // 2, 0.0) if at % 2 == 0 else 0.0
+        parts.append(_Given(number, (swing + twice) * (here + largest), by_encoder=False))
+        parts.append(_Given(number, np.pi * number * left * here, by_encoder=True))
+    return [part for part in parts if part.amplitude.any()]
+
+
+def _amplitudes(carrier: OrderLine, rpm: Floats, ratio: float) -> tuple[Floats, Floats]:
+    """Amplitude of ``carrier`` at ``rpm`` (rows,), and the largest from there to ``ratio`` times that speed.
+
+    The force behind it is taken to grow with the square of the speed. Where speeds are too coarse to tell what is
+    between them the largest of all counts.
+    """
+    rising = np.argsort(carrier.speed_rpm)
+    speed, amplitude, sought = carrier.speed_rpm[rising], carrier.amplitude[rising], ratio * rpm
+    gap = np.append(np.diff(speed), np.inf)[np.searchsorted(speed, sought, side="right") - 1]
+    dense = (sought >= speed[0]) & (sought <= speed[-1]) & (gap < SWING_NUMBERS.dense_share * sought)
+    reach = 1.0 + SWING_NUMBERS.dense_share
+    low, high = np.minimum(rpm, sought)[:, None] / reach, np.maximum(rpm, sought)[:, None] * reach
+    counts = ~dense[:, None] | ((speed >= low) & (speed <= high))
+    scaled = amplitude * np.maximum(1.0, np.square(rpm[:, None] / speed))
+    return np.interp(rpm, speed, amplitude), np.where(counts, scaled, 0.0).max(axis=1)
+
+
+def _within(line: OrderLine, given: Floats) -> bool:
+    """Whether ``line`` is no larger than what is ``given`` (rows,) to it: overall, and at any speed.
 
     At one speed its own scatter may lift it.
     """
-    rows = line.seen[line.seen < len(given)]
-    if not len(rows) == len(line.amplitude) > 0:
-        return False
-    scatter = np.nan_to_num(line.amplitude_error) * ENCODER_NUMBERS.scatter_sigmas
-    overall = float(np.mean(line.amplitude**2)) <= (1.0 + ENCODER_NUMBERS.alike_share) ** 2 * float(
-        np.mean(given[rows] ** 2)
-    )
-    return overall and bool((line.amplitude <= (1.0 + ENCODER_NUMBERS.alike_share) * given[rows] + scatter).all())
-
-
-def _carrier(line: OrderLine, amplitude: NDArray[np.float64], axis: NDArray[np.float64], order: float) -> float:
-    """Order of ``axis``, one or two turns from ``order``, that gives most; ``amplitude`` is (speeds, orders)."""
-    row = amplitude[int(line.seen[line.strongest])]
-    turned = row * axis
-    beside = [int(np.argmin(np.abs(axis - (order + sign * k)))) for k in HARMONICS for sign in (-1.0, 1.0)]
-    return float(axis[max(beside, key=lambda place: float(turned[place]))])
+    scatter = np.nan_to_num(line.amplitude_error) * SWING_NUMBERS.scatter_sigmas
+    allowed = (1.0 + SWING_NUMBERS.alike_share) * given
+    overall = bool(np.sum(line.amplitude**2) <= np.sum(allowed**2))
+    return overall and bool((line.amplitude <= allowed + scatter).all())
 
 
 class _FamilyNumbers(MethodNumbers, file="5-identify-explain.toml", table="explain_families"):
@@ -259,7 +336,7 @@ FAMILY_NUMBERS = _FamilyNumbers.load()
 
 Key = tuple[str, float]
 
-MESH = "gear mesh or blade passing: integer order with sidebands"
+MESH = "shaft harmonic or gear mesh or blade passing: integer order with sidebands"
 
 BY_ITSELF = ("unexplained", "shaft harmonic")
 """Words for lines that a mesh beside them explains better."""
@@ -272,6 +349,7 @@ def explain_families(
     *,
     spacings: dict[str, float],
     modes_hz: Sequence[float],
+    of_swing: Words,
 ) -> Words:
     """Causes of the lines that other lines explain, by channel and order; lines that none explains are not in it.
 
@@ -282,11 +360,14 @@ def explain_families(
     of_cycle : by order, the multiple of the order of the cycle that it is or may be, or None
     spacings : names and orders of what turns and may modulate a line
     modes_hz : natural frequencies; a harmonic that one of them lifts at every speed is no mesh
+    of_swing : lines that swings of the angle may make, which are no sidebands of a mesh
     """
     words: Words = {}
     for channel in sorted({line.channel for agreed in orders for line in agreed.lines}):
         lines = [(agreed, line) for agreed in orders for line in agreed.lines if line.channel == channel]
-        words |= _meshes(channel, lines, texts, of_cycle, modes_hz)
+        words |= _meshes(
+            channel, [pair for pair in lines if (channel, pair[0].order) not in of_swing], texts, of_cycle, modes_hz
+        )
         words |= _sidebands(channel, lines, texts, of_cycle, spacings)
     return words | _shafts(orders, texts, words, of_cycle)
 
@@ -302,11 +383,7 @@ def _meshes(
     whole: dict[int, tuple[float, OrderLine]] = {}
     for agreed, line in lines:
         multiple = of_cycle[agreed.order]
-        if (
-            multiple is not None
-            and multiple == round(multiple)
-            and not texts[channel, agreed.order].startswith("encoder")
-        ):
+        if multiple is not None and multiple == round(multiple):
             whole[round(multiple)] = (agreed.order, line)
     words: Words = {}
     known = {number for number, (order, _) in whole.items() if texts[channel, order].startswith("gear mesh")}

@@ -242,6 +242,10 @@ BETWEEN = 8
 FEWEST_CYCLES = 2
 """Whole cycles of a recording from which on its swing is told."""
 
+SWING_RPM, SWING_ORDERS, SWING_REV = "swing_rpm", "swing_orders", "swing_rev"
+MOST_SWINGS = 32
+"""Pieces of a recording, at most, whose swings are told apart: in a sweep it falls with the speed."""
+
 
 @dataclass(frozen=True)
 class SpeedSwing:
@@ -278,6 +282,47 @@ def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
     angle that grows. The trend over each cycle is taken out, so that a run-up is no swing. Orders reach to HIGHEST, to
     those that the knots resolve, and to the cut-off of the smoother where it says one.
     """
+    cycles = _cycles(shaft)
+    if cycles is None:
+        return None
+    speed, count = float(cycles.speed_rpm.mean()), len(cycles.speed_rpm)
+    return SpeedSwing(
+        speed_rpm=speed,
+        cycles=count,
+        orders=cycles.orders,
+        amplitude_rpm=np.sqrt((np.abs(cycles.lines_rpm) ** 2).mean(axis=0)),
+        steady_rpm=np.abs(cycles.lines_rpm.mean(axis=0)),
+        doubt_rpm=_of_teeth(shaft, cycles.orders) * speed,
+    )
+
+
+def stated_swing(shaft: xr.Dataset) -> dict[str, list[float]]:
+    """Attributes that say how the crank angle of ``shaft`` swings, in up to MOST_SWINGS pieces of its cycles.
+
+    Mean speeds SWING_RPM (pieces,), SWING_ORDERS (orders,) and peak amplitudes SWING_REV [rev] (pieces x orders, flat);
+    empty where the swing is not known.
+    """
+    cycles = _cycles(shaft)
+    if cycles is None:
+        return {}
+    pieces = np.array_split(np.arange(len(cycles.speed_rpm)), min(MOST_SWINGS, len(cycles.speed_rpm)))
+    speed = np.array([cycles.speed_rpm[piece].mean() for piece in pieces])
+    lines = np.array([cycles.lines_rpm[piece].mean(axis=0) for piece in pieces])
+    swing_rev = np.abs(lines) / (2.0 * np.pi * cycles.orders * speed[:, None])
+    return {SWING_RPM: speed.tolist(), SWING_ORDERS: cycles.orders.tolist(), SWING_REV: swing_rev.ravel().tolist()}
+
+
+@dataclass(frozen=True)
+class _Cycles:
+    """Speed by cycle: mean ``speed_rpm`` (cycles,), and complex ``lines_rpm`` (cycles, orders) at ``orders``."""
+
+    speed_rpm: Floats
+    orders: Floats
+    lines_rpm: NDArray[np.complex128]
+
+
+def _cycles(shaft: xr.Dataset) -> _Cycles | None:
+    """Speed of ``shaft`` (ShaftAngle) by cycle; None where :func:`speed_swing` is not known."""
     knots = np.array([shaft[name].values for name in ("time", "crank_angle", "speed")], dtype=float)
     time, angle, speed = knots[:, np.isfinite(knots).all(axis=0)]
     cycle = int(shaft.attrs.get("revs_per_cycle", 1))
@@ -290,8 +335,16 @@ def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
     orders = np.arange(1, int(highest * cycle + 1e-9) + 1) / cycle
     if cycles < FEWEST_CYCLES or not orders.size:
         return None
-    made = _swing(*_between(time, angle, speed), orders, cycles=cycles, revs=cycle, per_rev=per_rev)
-    return replace(made, doubt_rpm=_of_teeth(shaft, orders) * made.speed_rpm)
+    angle, speed = _between(time, angle, speed)
+    steps = int(np.ceil(2.0 * max(per_rev, 2.0 * HIGHEST) * cycle))
+    place = (np.arange(steps) + 0.5) / steps * cycle
+    begin = angle[0] + cycle * np.arange(cycles)
+    value = np.interp(begin[:, None] + place, angle, speed)
+    # from cycle to cycle: a slope fitted within one would take the swing at its own order along
+    means = value.mean(axis=1)
+    value = value - means[:, None] - np.gradient(means)[:, None] * (place / cycle - 0.5)
+    lines = 2.0 / steps * value @ np.exp(-2j * np.pi * np.outer(place, orders))
+    return _Cycles(means, orders, lines * np.exp(-2j * np.pi * np.outer(begin, orders)))
 
 
 def swing_remarks(shaft: xr.Dataset, settings: ShaftSettings) -> list[Remark]:
@@ -329,22 +382,3 @@ def _between(time: Floats, angle: Floats, speed: Floats) -> tuple[Floats, Floats
     moved = turned * (3 * at**2 - 2 * at**3) + step * (first * at * (1 - at) ** 2 - last * at**2 * (1 - at))
     rate = turned / step * 6 * at * (1 - at) + first * (1 - at) * (1 - 3 * at) - last * at * (2 - 3 * at)
     return np.append((angle[:-1, None] + moved).ravel(), angle[-1]), np.append(60.0 * rate.ravel(), speed[-1])
-
-
-def _swing(angle: Floats, speed: Floats, orders: Floats, *, cycles: int, revs: int, per_rev: float) -> SpeedSwing:
-    steps = int(np.ceil(2.0 * max(per_rev, 2.0 * HIGHEST) * revs))
-    place = (np.arange(steps) + 0.5) / steps * revs
-    at = angle[0] + revs * np.arange(cycles)[:, None] + place
-    value = np.interp(at, angle, speed)
-    # from cycle to cycle: a slope fitted within one would take the swing at its own order along
-    means = value.mean(axis=1)
-    value = value - means[:, None] - np.gradient(means)[:, None] * (place / revs - 0.5)
-    lines = 2.0 / steps * value @ np.exp(-2j * np.pi * np.outer(place, orders))
-    return SpeedSwing(
-        speed_rpm=float(means.mean()),
-        cycles=cycles,
-        orders=orders,
-        amplitude_rpm=np.sqrt((np.abs(lines) ** 2).mean(axis=0)),
-        steady_rpm=np.abs(lines.mean(axis=0)),
-        doubt_rpm=np.zeros(len(orders)),
-    )
