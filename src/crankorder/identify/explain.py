@@ -44,7 +44,7 @@ class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="explain"):
 
 NUMBERS = _Numbers.load()
 
-NOT_KNOWN = ("unexplained", "tone", "undecided", OR_OWN)
+NOT_KNOWN = ("unexplained", "tone", "undecided", *OR_OWN)
 """Words for lines whose cause is not known."""
 
 ForcesOfCycle = dict[tuple[str, float], CycleForce]

@@ -17,7 +17,7 @@ from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.said import IF_WRONG
 from crankorder.identify.sources import Sources
 from crankorder.orders.swing_evidence import HARMONICS
-from crankorder.orders.true_angle import TAKEN, given_to
+from crankorder.orders.true_angle import LINES, LINES_PER_HARMONIC, TAKEN, given_to
 from crankorder.settings import MethodNumbers
 
 
@@ -190,8 +190,14 @@ ENCODER_NUMBERS = _EncoderNumbers.load()
 OF_ENCODER = "encoder eccentricity: sideband of order"
 """Begin of the words for what is left of sidebands whose cause is proved."""
 
-OR_OWN = "encoder eccentricity or a line of its own"
-"""Words for a line that an eccentricity would make which the data do not exclude, nor prove."""
+OR_OWN = (
+    "encoder eccentricity or a line of its own",
+    "encoder of few pulses: swing of the shaft between them, or a line of its own",
+)
+"""Words for a line that an eccentricity would make which the data do not exclude, nor prove.
+
+The second where pulses are too few to show any: a single mark has no eccentricity, but the shaft swings unseen.
+"""
 
 Words = dict[tuple[str, float], tuple[str, str]]
 """Cause and evidence by channel and order."""
@@ -207,6 +213,7 @@ def encoder_sidebands(orders: Sequence[AgreedOrder], order_map: xr.Dataset, fram
     given = given_to(amplitude, frames)
     axis, names = order_map["order"].values, order_map["channel"].values.tolist()
     proved = any(float(np.max(item.attrs.get(TAKEN, [0.0]))) > 0.0 for item in frames)
+    few = all(float(item.attrs.get(LINES, 0.0)) < LINES_PER_HARMONIC for item in frames)
     words: Words = {}
     for agreed in orders:
         at = int(np.argmin(np.abs(axis - agreed.order)))
@@ -214,15 +221,15 @@ def encoder_sidebands(orders: Sequence[AgreedOrder], order_map: xr.Dataset, fram
             channel = names.index(line.channel)
             if not _within(line, given[channel, :, at]):
                 continue
-            carrier = _carrier(line, amplitude[channel], axis, agreed.order)
+            carrier = f"{_carrier(line, amplitude[channel], axis, agreed.order):g}"
+            maker = (
+                "a swing of the shaft between so few pulses" if few else "an eccentricity that the data do not exclude"
+            )
+            text, evidence = OR_OWN[few], f"beside order {carrier}, which {maker} would put there"
             if proved:
+                text = f"{OF_ENCODER} {carrier}"
                 evidence = "as large as what is left of the encoder's error gives it; taken out as far as it is known"
-                words[line.channel, agreed.order] = (f"{OF_ENCODER} {carrier:g}", evidence)
-            else:
-                evidence = (
-                    f"beside order {carrier:g}, which an eccentricity that the data do not exclude would put there"
-                )
-                words[line.channel, agreed.order] = (OR_OWN, evidence)
+            words[line.channel, agreed.order] = text, evidence
     return words
 
 
