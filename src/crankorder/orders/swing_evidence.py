@@ -270,8 +270,8 @@ def swings_of(rows: Rows, expected: Expected, by_pulses: Mapping[int, tuple[comp
     found: dict[int, Swing] = {}
     for _ in range(ROUNDS):
         for harmonic in HARMONICS:
-            swing = _swing(rows, harmonic, taken, expected)
             size, error = by_pulses.get(harmonic, (0j, np.inf))
+            swing = _swing(rows, harmonic, taken, expected, shown=size)
             reach = LIKELY * math.hypot(error, swing.error_rev, expected.settings.sideband_slack * abs(size))
             alike = abs(size) > LIKELY * error and abs(size - swing.size) < reach
             found[harmonic] = replace(swing, proved=swing.proved and alike)
@@ -305,8 +305,11 @@ def alike_at_all_speeds(shown: Complexes, *, slack: float) -> dict[int, tuple[co
     return parts
 
 
-def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expected) -> Swing:
-    """E_k of one ``harmonic``, told from what is left where all that is ``taken``, by harmonic, is taken out."""
+def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expected, *, shown: complex) -> Swing:
+    """E_k of one ``harmonic``, told from what is left where all that is ``taken``, by harmonic, is taken out.
+
+    It is proved by those sidebands that agree with what the pulses have ``shown`` [rev].
+    """
     value = in_true_angle(rows.value, bins_per_order=2, swings=taken) if taken else rows.value
     known = taken.get(harmonic, 0j)
     sums = _sums(value, rows.noise, harmonic, expected)
@@ -318,7 +321,7 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     total = gain.sum(axis=1) - 0.5 * np.square(np.abs(grid) / expected.usual_rev(harmonic))
     best = int(np.argmax(total))
     size, error, weights = _refined(sums, complex(grid[best]), settings)
-    gain_here = _gains(sums, np.array([size]), settings, slack=settings.sideband_slack)[0]
+    gain_here = _gains(sums, np.array([shown or size]), settings, slack=settings.sideband_slack)[0]
     of_carrier = [float(gain_here[sums.carrier == number].sum()) for number in np.unique(sums.carrier)]
     proof = sum(of_carrier) - max(of_carrier, default=0.0)
     chance = float(np.exp(-min(max(proof, 0.0), 700.0)))
