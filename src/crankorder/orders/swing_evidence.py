@@ -322,7 +322,7 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     best = int(np.argmax(total))
     size, error, weights = _refined(sums, complex(grid[best]), settings)
     gain_here = _gains(sums, np.array([shown or size]), settings, slack=settings.sideband_slack)[0]
-    of_carrier = [float(gain_here[sums.carrier == number].sum()) for number in np.unique(sums.carrier)]
+    of_carrier = [float(gain_here[sums.carrier == number].sum()) for number in set(sums.carrier.tolist())]
     proof = sum(of_carrier) - max(of_carrier, default=0.0)
     chance = float(np.exp(-min(max(proof, 0.0), 700.0)))
     posterior = np.exp(total - total.max())
@@ -331,8 +331,8 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     order = np.argsort(np.abs(grid))
     reach = np.cumsum(posterior[order])
     bound = float(np.abs(grid[order[min(int(np.searchsorted(reach, 0.95)), len(order) - 1)]]))
-    shown = [float(c) for c, w, g in zip(sums.carrier, weights, gain_here, strict=True) if w > 0.5 and g > 1.0]
-    carriers = tuple(sorted(set(shown), key=lambda c: -float(gain_here[sums.carrier == c].sum())))
+    agreed = [float(c) for c, w, g in zip(sums.carrier, weights, gain_here, strict=True) if w > 0.5 and g > 1.0]
+    carriers = tuple(sorted(set(agreed), key=lambda c: -float(gain_here[sums.carrier == c].sum())))
     largest = expected.largest_rev(harmonic)
     proved = proof > settings.encoder_proof and len(carriers) > 1 and 3.0 * error < abs(size) < largest
     return Swing(harmonic, size, error, bound, bool(proved), chance, carriers, largest)
