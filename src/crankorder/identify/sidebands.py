@@ -17,9 +17,8 @@ from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.said import IF_WRONG
 from crankorder.identify.sources import Sources
 from crankorder.orders.swing_evidence import HARMONICS
-from crankorder.orders.true_angle import TAKEN, left_of
+from crankorder.orders.true_angle import TAKEN, left_of, swing_shown
 from crankorder.settings import MethodNumbers
-from crankorder.shaft.tooth_errors import HIGHEST, SWING_ORDERS, SWING_REV, SWING_RPM
 
 
 class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="sidebands"):
@@ -206,9 +205,9 @@ Words = dict[tuple[str, float], tuple[str, str]]
 class AngleSwings:
     """Swings of the crank angle: of the shaft, by speed, and what may be left of an encoder's error.
 
-    ``size_rev`` (speeds, half orders) are peak amplitudes [rev] at 0.5, 1, 1.5 … times a turn, at the sorted
-    ``speed_rpm`` (speeds,); ``left_rev`` by harmonic of the turn; ``proved`` says whether an encoder's error was taken
-    out.
+    ``size_rev`` (speeds, 1 + half orders) are peak amplitudes [rev] at 0.5, 1, 1.5 … times a turn, behind the speed, at
+    the sorted ``speed_rpm`` (speeds,); ``left_rev`` by harmonic of the turn; ``proved`` says whether an encoder's error
+    was taken out.
     """
 
     speed_rpm: Floats
@@ -219,16 +218,12 @@ class AngleSwings:
     @classmethod
     def of(cls, frames: Sequence[xr.Dataset]) -> AngleSwings:
         """What the ``frames`` (OrderFrames) of a test state of the angle that they are by."""
-        speed, size = [np.zeros(0)], [np.zeros((0, 2 * int(HIGHEST)))]
+        speed, size, whole = [], [], [2 * harmonic for harmonic in HARMONICS]
         for item in frames:
-            rpm, orders, lines = (
-                np.atleast_1d(item.attrs.get(name, ())) for name in (SWING_RPM, SWING_ORDERS, SWING_REV)
-            )
-            every = np.zeros((len(rpm), size[0].shape[1]))
-            every[:, np.round(2.0 * orders).astype(int) - 1] = lines.reshape(len(rpm), -1)
-            every[:, 2 * np.arange(len(HARMONICS)) + 1] -= item.attrs.get(TAKEN, 0.0)
-            speed.append(rpm)
-            size.append(np.maximum(every, 0.0))
+            shown = np.abs(swing_shown([item]))
+            shown[:, whole] -= np.minimum(shown[:, whole], item.attrs.get(TAKEN, 0.0))
+            speed.append(shown[:, 0])
+            size.append(shown)
         rpm = np.concatenate(speed)
         rising = np.argsort(rpm)
         proved = any(float(np.max(item.attrs.get(TAKEN, [0.0]))) > 0.0 for item in frames)
@@ -236,9 +231,9 @@ class AngleSwings:
 
     def at(self, half_orders: int, rpm: Floats) -> Floats:
         """Swing [rev] of the shaft at so many ``half_orders`` and at ``rpm`` (rows,)."""
-        if not 0 < half_orders <= self.size_rev.shape[1] or not len(self.speed_rpm):
+        if not 0 < half_orders < self.size_rev.shape[1] or not len(self.speed_rpm):
             return np.zeros(len(rpm))
-        return np.asarray(np.interp(rpm, self.speed_rpm, self.size_rev[:, half_orders - 1]))
+        return np.asarray(np.interp(rpm, self.speed_rpm, self.size_rev[:, half_orders]))
 
 
 def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset]) -> Words:

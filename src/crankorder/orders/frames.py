@@ -24,7 +24,6 @@ from crankorder.orders.true_angle import stated_errors
 from crankorder.quantities import Complexes, Floats, QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import SpeedCourse, knots_of, speed_at_angle, speed_course, time_at
-from crankorder.shaft.tooth_errors import stated_swing
 
 SWEPT_SHARE = 0.1
 """Change of speed within a frame, as a share, from which it is told: a resonance of 5 % damping is as wide."""
@@ -85,7 +84,6 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         "predicted_error": layout.method.predicted_error + float(band.attrs.get("decimation_error", 0.0)),
         "achieved_error": achieved,
         **stated_errors(shaft, revs_per_frame=float(layout.revs)),
-        **stated_swing(shaft),
     }
     return with_flags(frames, [*flags_of(shaft), *_flags(frames, layout, settings, course)])
 

@@ -242,10 +242,6 @@ BETWEEN = 8
 FEWEST_CYCLES = 2
 """Whole cycles of a recording from which on its swing is told."""
 
-SWING_RPM, SWING_ORDERS, SWING_REV = "swing_rpm", "swing_orders", "swing_rev"
-MOST_SWINGS = 32
-"""Pieces of a recording, at most, whose swings are told apart: in a sweep it falls with the speed."""
-
 
 @dataclass(frozen=True)
 class SpeedSwing:
@@ -276,75 +272,43 @@ WHOLE = 1e-6
 
 
 def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
-    """Swing of the speed of ``shaft`` (ShaftAngle) at the multiples of its cycle's order; None where it is not known.
-
-    It is not without pulses, in fewer than FEWEST_CYCLES whole cycles, and where a standstill or a reversal leaves no
-    angle that grows. The trend over each cycle is taken out, so that a run-up is no swing. Orders reach to HIGHEST, to
-    those that the knots resolve, and to the cut-off of the smoother where it says one.
-    """
-    cycles = _cycles(shaft)
-    if cycles is None:
+    """Swing of the speed of ``shaft`` (ShaftAngle) at the multiples of its cycle's order; None where not known."""
+    known = swing_of_cycles(shaft)
+    if known is None:
         return None
-    speed, count = float(cycles.speed_rpm.mean()), len(cycles.speed_rpm)
-    return SpeedSwing(
-        speed_rpm=speed,
-        cycles=count,
-        orders=cycles.orders,
-        amplitude_rpm=np.sqrt((np.abs(cycles.lines_rpm) ** 2).mean(axis=0)),
-        steady_rpm=np.abs(cycles.lines_rpm.mean(axis=0)),
-        doubt_rpm=_of_teeth(shaft, cycles.orders) * speed,
-    )
+    orders, means, lines = known
+    mean = float(means.mean())
+    size, steady = np.sqrt((np.abs(lines) ** 2).mean(axis=0)), np.abs(lines.mean(axis=0))
+    return SpeedSwing(mean, len(means), orders, size, steady, doubt_rpm=_of_teeth(shaft, orders) * mean)
 
 
-def stated_swing(shaft: xr.Dataset) -> dict[str, list[float]]:
-    """Attributes that say how the crank angle of ``shaft`` swings, in up to MOST_SWINGS pieces of its cycles.
+def swing_of_cycles(shaft: xr.Dataset) -> tuple[Floats, Floats, npt.NDArray[np.complex128]] | None:
+    """Orders, mean speed [rpm] (cycles,) and complex amplitude [rpm] (cycles, orders) in each whole cycle of ``shaft``.
 
-    Mean speeds SWING_RPM (pieces,), SWING_ORDERS (orders,) and peak amplitudes SWING_REV [rev] (pieces x orders, flat);
-    empty where the swing is not known.
+    None without pulses, in fewer than FEWEST_CYCLES, and where a standstill or a reversal leaves no angle that grows.
+    Phases are from angle 0. The trend over each cycle is taken out, so that a run-up is no swing. Orders reach to
+    HIGHEST, to those that the knots resolve, and to the cut-off of the smoother where it says one.
     """
-    cycles = _cycles(shaft)
-    if cycles is None:
-        return {}
-    pieces = np.array_split(np.arange(len(cycles.speed_rpm)), min(MOST_SWINGS, len(cycles.speed_rpm)))
-    speed = np.array([cycles.speed_rpm[piece].mean() for piece in pieces])
-    lines = np.array([cycles.lines_rpm[piece].mean(axis=0) for piece in pieces])
-    swing_rev = np.abs(lines) / (2.0 * np.pi * cycles.orders * speed[:, None])
-    return {SWING_RPM: speed.tolist(), SWING_ORDERS: cycles.orders.tolist(), SWING_REV: swing_rev.ravel().tolist()}
-
-
-@dataclass(frozen=True)
-class _Cycles:
-    """Speed by cycle: mean ``speed_rpm`` (cycles,), and complex ``lines_rpm`` (cycles, orders) at ``orders``."""
-
-    speed_rpm: Floats
-    orders: Floats
-    lines_rpm: NDArray[np.complex128]
-
-
-def _cycles(shaft: xr.Dataset) -> _Cycles | None:
-    """Speed of ``shaft`` (ShaftAngle) by cycle; None where :func:`speed_swing` is not known."""
     knots = np.array([shaft[name].values for name in ("time", "crank_angle", "speed")], dtype=float)
     time, angle, speed = knots[:, np.isfinite(knots).all(axis=0)]
-    cycle = int(shaft.attrs.get("revs_per_cycle", 1))
+    revs = int(shaft.attrs.get("revs_per_cycle", 1))
     if float(shaft.attrs.get("n_pulses", 0)) <= 0 or len(angle) < 3 or not (np.diff(angle) > 0.0).all():
         return None
-    cycles = int((angle[-1] - angle[0]) / cycle + 1e-9)
+    cycles = int((angle[-1] - angle[0]) / revs + 1e-9)
     per_rev = (len(angle) - 1) / (angle[-1] - angle[0])
     cut_off = float(shaft.attrs.get("cut_off_order", np.inf))
     highest = min(HIGHEST, per_rev / KNOTS_PER_PERIOD, cut_off if cut_off > 0.0 else np.inf)
-    orders = np.arange(1, int(highest * cycle + 1e-9) + 1) / cycle
+    orders = np.arange(1, int(highest * revs + 1e-9) + 1) / revs
     if cycles < FEWEST_CYCLES or not orders.size:
         return None
-    angle, speed = _between(time, angle, speed)
-    steps = int(np.ceil(2.0 * max(per_rev, 2.0 * HIGHEST) * cycle))
-    place = (np.arange(steps) + 0.5) / steps * cycle
-    begin = angle[0] + cycle * np.arange(cycles)
-    value = np.interp(begin[:, None] + place, angle, speed)
+    steps = int(np.ceil(2.0 * max(per_rev, 2.0 * HIGHEST) * revs))
+    place = (np.arange(steps) + 0.5) / steps * revs
+    at = angle[0] + revs * np.arange(cycles)[:, None] + place
+    value = np.interp(at, *_between(time, angle, speed))
     # from cycle to cycle: a slope fitted within one would take the swing at its own order along
     means = value.mean(axis=1)
-    value = value - means[:, None] - np.gradient(means)[:, None] * (place / cycle - 0.5)
-    lines = 2.0 / steps * value @ np.exp(-2j * np.pi * np.outer(place, orders))
-    return _Cycles(means, orders, lines * np.exp(-2j * np.pi * np.outer(begin, orders)))
+    value = value - means[:, None] - np.gradient(means)[:, None] * (place / revs - 0.5)
+    return orders, means, 2.0 / steps * value @ np.exp(-2j * np.pi * np.outer(angle[0] + place, orders))
 
 
 def swing_remarks(shaft: xr.Dataset, settings: ShaftSettings) -> list[Remark]:
