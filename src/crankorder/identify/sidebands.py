@@ -17,7 +17,7 @@ from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.said import IF_WRONG
 from crankorder.identify.sources import Sources
 from crankorder.orders.swing_evidence import HARMONICS
-from crankorder.orders.true_angle import TAKEN, left_of, swing_shown
+from crankorder.orders.true_angle import LINES, LINES_PER_HARMONIC, TAKEN, left_of, swing_shown
 from crankorder.settings import MethodNumbers
 
 
@@ -184,6 +184,8 @@ class _SwingNumbers(MethodNumbers, file="5-identify-explain.toml", table="swing_
     alike_share: float
     scatter_sigmas: float
     dense_share: float
+    most_share: float
+    most_half_orders: int
 
 
 SWING_NUMBERS = _SwingNumbers.load()
@@ -206,34 +208,51 @@ class AngleSwings:
     """Swings of the crank angle: of the shaft, by speed, and what may be left of an encoder's error.
 
     ``size_rev`` (speeds, 1 + half orders) are peak amplitudes [rev] at 0.5, 1, 1.5 … times a turn, behind the speed, at
-    the sorted ``speed_rpm`` (speeds,); ``left_rev`` by harmonic of the turn; ``proved`` says whether an encoder's error
-    was taken out.
+    the sorted ``speed_rpm`` (speeds,); ``unseen_rev`` (1 + half orders,) those of which too few pulses show nothing;
+    ``left_rev`` by harmonic of the turn; ``proved`` says whether an encoder's error was taken out.
     """
 
     speed_rpm: Floats
     size_rev: Floats
+    unseen_rev: Floats
     left_rev: dict[int, float]
     proved: bool
 
     @classmethod
-    def of(cls, frames: Sequence[xr.Dataset]) -> AngleSwings:
-        """What the ``frames`` (OrderFrames) of a test state of the angle that they are by."""
-        speed, size, whole = [], [], [2 * harmonic for harmonic in HARMONICS]
+    def of(cls, frames: Sequence[xr.Dataset], orders: Sequence[AgreedOrder]) -> AngleSwings:
+        """What the ``frames`` (OrderFrames) of a test state of the angle by which its ``orders`` were found."""
+        sizes, whole = [], [2 * harmonic for harmonic in HARMONICS]
         for item in frames:
             shown = np.abs(swing_shown([item]))
             shown[:, whole] -= np.minimum(shown[:, whole], item.attrs.get(TAKEN, 0.0))
-            speed.append(shown[:, 0])
-            size.append(shown)
-        rpm = np.concatenate(speed)
-        rising = np.argsort(rpm)
+            sizes.append(shown)
+        size = np.concatenate(sizes)
+        size = size[np.argsort(size[:, 0])]
+        unseen = np.zeros(size.shape[1])
+        if any(0.0 < float(item.attrs.get(LINES, 0.0)) < LINES_PER_HARMONIC for item in frames):
+            for at in _spacings_about_strongest(orders) - set(np.flatnonzero(size.any(axis=0)).tolist()):
+                unseen[at] = SWING_NUMBERS.most_share / (np.pi * at)
         proved = any(float(np.max(item.attrs.get(TAKEN, [0.0]))) > 0.0 for item in frames)
-        return cls(rpm[rising], np.concatenate(size)[rising], left_of(frames), proved)
+        return cls(size[:, 0], size, unseen, left_of(frames), proved)
 
     def at(self, half_orders: int, rpm: Floats) -> Floats:
         """Swing [rev] of the shaft at so many ``half_orders`` and at ``rpm`` (rows,)."""
-        if not 0 < half_orders < self.size_rev.shape[1] or not len(self.speed_rpm):
+        if not 0 < half_orders < len(self.unseen_rev):
             return np.zeros(len(rpm))
-        return np.asarray(np.interp(rpm, self.speed_rpm, self.size_rev[:, half_orders]))
+        seen = np.interp(rpm, self.speed_rpm, self.size_rev[:, half_orders]) if len(self.speed_rpm) else 0.0
+        return seen + np.full(len(rpm), self.unseen_rev[half_orders])
+
+
+def _spacings_about_strongest(orders: Sequence[AgreedOrder]) -> set[int]:
+    """Half orders, up to those at which gas turns a shaft, at which the order that swings most has lines beside it.
+
+    A swing of the angle moves each order by its number times its amplitude: where the order of which that is largest
+    has no sideband, no other has.
+    """
+    most = max(orders, key=lambda agreed: agreed.order * max(float(line.amplitude.max()) for line in agreed.lines))
+    apart = np.array([2.0 * abs(agreed.order - most.order) for agreed in orders])
+    near = np.abs(apart - np.round(apart)) < WHOLE_HALVES
+    return {round(value) for value in apart[near]} & set(range(1, SWING_NUMBERS.most_half_orders + 1))
 
 
 def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset]) -> Words:
@@ -241,30 +260,29 @@ def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset])
 
     A force at order n of a shaft that swings by ε sin(k θ) has sidebands π n ε at n ± k in time. The structure
     responds to each at its own frequency, so that π n ε (H(n ± k) / H(n) - 1) times the order is left of them in the
-    angle of the shaft (H: the response); an error ε of the encoder leaves π n ε. What the order itself has where the
-    speed brings it to the frequency of the sideband tells the response there. A line counts where it is no larger at
-    every speed at which it is seen. ``frames`` (OrderFrames) say how the angle swings.
+    angle of the shaft (H: the response), the first part alone where pulses do not show the swing; an error ε of the
+    encoder leaves π n ε. What the order itself has where the speed brings it to the frequency of the sideband tells the
+    response there. A line counts where it is no larger at every speed at which it is seen. ``frames`` (OrderFrames) say
+    how the angle swings.
     """
-    swings, words = AngleSwings.of(frames), Words()
-    if not len(swings.speed_rpm) and not any(swings.left_rev.values()):
+    words = Words()
+    if not orders:
         return words
+    swings = AngleSwings.of(frames, orders)
     for agreed in orders:
         for line in agreed.lines:
             beside = [(other.order, item) for other in orders for item in other.lines if item.channel == line.channel]
-            given = [
-                part for pair in beside if pair[1] is not line for part in _given(line, agreed.order, *pair, swings)
-            ]
+            others = [pair for pair in beside if pair[1] is not line]
+            given = [part for pair in others for part in _given(line, agreed.order, *pair, swings)]
             if not given or not _within(line, np.sum([part.amplitude for part in given], axis=0)):
                 continue
             most = max(given, key=lambda part: float(np.sum(part.amplitude)))
             maker = (
-                "an error of the encoder that the data do not exclude" if most.by_encoder else "the swing of the speed"
+                "an error of the encoder that the data do not exclude" if most.by_encoder else "a swing of the shaft"
             )
             text = f"{OF_ENCODER} {most.carrier:g}" if most.by_encoder and swings.proved else OR_OWN
-            words[line.channel, agreed.order] = (
-                text,
-                f"no larger than what {maker} gives it beside order {most.carrier:g}",
-            )
+            evidence = f"no larger than what {maker} gives it beside order {most.carrier:g}"
+            words[line.channel, agreed.order] = text, evidence
     return words
 
 
