@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from crankorder.findings import BearingFinding
+from crankorder.identify.angle_swings import OR_OWN, Words
 from crankorder.identify.cycle_forces import CycleForce, cycle_forces, gas_half_orders
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
@@ -22,9 +23,7 @@ from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, mains_words
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.sidebands import (
     BY_ITSELF,
-    OR_OWN,
     StruckRace,
-    Words,
     explain_families,
     harmonic_words,
     sidebands,
@@ -110,7 +109,7 @@ def explained(
     settings : mains frequencies and how far they wander
     folds : what was found to fold (:func:`crankorder.identify.folds.shown_folds`)
     known : lines of the motor and of the mains that the frames hold where they were expected
-    of_swing : lines that swings of the angle may make (:func:`crankorder.identify.sidebands.swing_sidebands`)
+    of_swing : lines that swings of the angle may make (:func:`crankorder.identify.angle_swings.swing_sidebands`)
     longest_rev : revolutions of the longest recording at one speed: two lines that beat less often in it look like one
     """
     causes: dict[tuple[str, float], Cause] = {}

@@ -11,6 +11,7 @@ import xarray as xr
 
 from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Energy, Findings, Level, quality_of
 from crankorder.identify.alike_speeds import with_lines_of_recordings, with_tones_parted, without_absent_mains
+from crankorder.identify.angle_swings import swing_sidebands
 from crankorder.identify.balance.closure import closure
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.crossings import crossings
@@ -55,7 +56,6 @@ from crankorder.identify.records import (
 )
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.said import is_electric
-from crankorder.identify.sidebands import swing_sidebands
 from crankorder.identify.sources import Sources
 from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
