@@ -152,7 +152,7 @@ def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], 
         evidence = _by_its_phase(search, channel, peak, seen, chance)
     if evidence is None and _swells_slowly(search, channel, peak, seen):
         evidence, reservation = UNPROVEN, "; ".join(filter(None, (reservation, SWELLS)))
-    few = 2 * len(seen) < n_speeds and evidence != "locked to the shaft"
+    few = 2 * len(seen) < n_speeds and evidence == "steady, not locked"
     if evidence is None or (few and _has_fixed_frequency(search, channel, peak, seen)):
         return None
     if evidence == "steady, not locked" and n_speeds == 1:
