@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
+from crankorder.identify.lines.cfar import LOBE_BINS
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
 from crankorder.identify.lines.order_lines import SWELLS
@@ -283,8 +284,7 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
     swells = bool(known) and float(np.median(known)) > NUMBERS.wander_ratio
     if not known and _may_be_two(group):
         first, swells = _unparted(first, test), True
-    text = SWELLS if swells else ""
-    return [_Unnamed(first, group, text)]
+    return [_Unnamed(first, group, SWELLS if swells else "")]
 
 
 def _followed(group: list[OrderLine], found: list[Followed], test: _Test) -> _Unnamed:
@@ -537,7 +537,8 @@ def sideband_of(lines: Sequence[OrderLine], order_map: xr.Dataset, frames: Seque
     carrier = 0.0
     for line in lines:
         size = np.nan_to_num(order_map["amplitude"].values[names.index(line.channel)])
-        turned = size[line.seen] * axis
+        # no line is a sideband of itself
+        turned = size[line.seen] * axis * (np.abs(axis - line.order) > (LOBE_BINS + 0.5) * (axis[1] - axis[0]))
         if not (line.amplitude <= OF_ROUNDING * error[line.seen] * turned.max(axis=1)).all():
             return None
         carrier = float(axis[int(turned[line.strongest].argmax())])
