@@ -13,6 +13,7 @@ from crankorder.identify.angle_swings import OR_OWN, Words
 from crankorder.identify.cycle_forces import CycleForce, cycle_forces, gas_half_orders
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
+from crankorder.identify.intervals import half_width
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.known_lines import LineSeen, named_by, words_of
 from crankorder.identify.lines.growth import largest
@@ -207,14 +208,15 @@ def _unparted(agreed: AgreedOrder, revs_per_cycle: int, longest_rev: float) -> f
 def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:
     """Multiple of the order of the cycle (1 / ``revs_per_cycle``) that ``agreed`` is or may be; None where it is none.
 
-    A line that slips is none; one that is undecided is, if its interval of three standard errors holds it and it lies
-    no farther from it than one line of four that lie anywhere.
+    A line that slips is none; one that is undecided is, if its 95 % interval holds it and it lies no farther from it
+    than one line of four that lie anywhere. What errors of the crank angle may have made is none.
     """
     nearest = max(1, round(agreed.order * revs_per_cycle)) / revs_per_cycle
     if agreed.lock == "locked" and abs(agreed.order - nearest) < 0.25 / revs_per_cycle:
         return nearest
-    reach = min(NUMBERS.same_sigmas * agreed.order_error + 1e-9, NUMBERS.vague_spacings / revs_per_cycle)
-    if agreed.lock == "slips" or abs(agreed.order - nearest) > reach:
+    half = half_width(agreed.degrees_of_freedom) * agreed.order_error
+    reach = min(half + 1e-9, NUMBERS.vague_spacings / revs_per_cycle)
+    if agreed.lock == "slips" or agreed.of_angle or abs(agreed.order - nearest) > reach:
         return None
     return nearest
 

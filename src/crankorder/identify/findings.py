@@ -27,7 +27,7 @@ from crankorder.identify.levels import (
     third_octave_records,
     vibration_records,
 )
-from crankorder.identify.lines.agreed_orders import orders_agreed
+from crankorder.identify.lines.agreed_orders import orders_agreed, unless_sidebands
 from crankorder.identify.lines.followed_orders import (
     fixed_lines,
     numbered_as_followed,
@@ -213,7 +213,8 @@ def _orders_and_modes(
     (held, seen), (followed, swept) = electric, sweeps
     lines = order_lines(order_map, settings=settings.identify, orders=settings.orders, frames=frames)
     agreed = orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify, followed=followed)
-    in_map = with_followed(numbered_as_followed(agreed, followed), followed, order_map)
+    numbered = numbered_as_followed(agreed, followed)
+    in_map = unless_sidebands(with_followed(numbered, followed, order_map), order_map, frames)
     fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed, swept=swept)
     known = without_ringing(seen, fitted.modes)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)

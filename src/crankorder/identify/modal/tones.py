@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import Tone, ToneKind
-from crankorder.identify.mains import multiple_on, multiples_near, nearest_multiple, supply_told
+from crankorder.identify.mains import NUMBERS as MAINS
+from crankorder.identify.mains import multiple_on, multiples_near, supply_told
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.search import dispersion
 from crankorder.identify.modal.surface_fit import NUMBERS as SURFACE_FIT
@@ -312,28 +314,28 @@ def _times(multiple: int, mains_hz: float) -> str:
 
 
 def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> list[Tone]:
-    kept: list[Tone] = []
-    first: dict[tuple[float, float], Tone] = {}
-    for tone in sorted(tones, key=lambda one: one.frequency_error_hz):
-        on = [m for m in settings.mains_hz if tone.kind == "mains" and _may_be_multiple(tone, m, settings)]
-        name = (on[0], round(tone.frequency_hz / on[0])) if on else None
-        better = None if name is None else first.get(name)
-        if name is None or better is None:
-            if name is not None:
-                first[name] = tone
-            kept.append(tone)
-            continue
-        error = float(np.hypot(tone.frequency_error_hz, better.frequency_error_hz))
-        if abs(tone.frequency_hz - better.frequency_hz) > NUMBERS.same_sigmas * error:
-            words = f"no damping; beside the mains line of {better.frequency_hz:.6g} Hz, which has one frequency"
+    kept = [tone for tone in tones if tone.kind != "mains"]
+    first: dict[tuple[float, int], Tone] = {}
+    near = partial(multiples_near, settings=settings)
+    mains_tones = [(tone, near(tone.frequency_hz, tone.frequency_error_hz)) for tone in tones if tone.kind == "mains"]
+    places = [(tone, *[*found, (1, 0.0)][0]) for tone, found in mains_tones]
+    for tone, multiple, mains in sorted(places, key=lambda place: place[0].frequency_error_hz / place[1]):
+        others = [(multiple / n, other) for (m, n), other in first.items() if m == mains]
+        beside = [other for ratio, other in others if _differ(tone, other, ratio)]
+        if beside:
+            words = f"no damping; beside the mains line of {beside[0].frequency_hz:.6g} Hz, which has one frequency"
             kept.append(replace(tone, kind="tone", evidence=words))
+        elif (mains, multiple) not in first:
+            kept.append(tone)
+            first |= {(mains, multiple): tone} if mains else {}
     return sorted(kept, key=lambda one: one.frequency_hz)
 
 
-def _may_be_multiple(tone: Tone, mains_hz: float, settings: IdentifySettings) -> bool:
-    """Whether a ``tone`` may be a multiple of ``mains_hz``, within its error, as :func:`kind_of` has it."""
-    multiple, reach = nearest_multiple(tone.frequency_hz, mains_hz, settings=settings)
-    return bool(abs(tone.frequency_hz - multiple * mains_hz) <= reach + 2.0 * tone.frequency_error_hz)
+def _differ(tone: Tone, other: Tone, ratio: float) -> bool:
+    """Whether a ``tone`` is surely not ``ratio`` times the ``other``: all multiples of a supply wander together."""
+    error = float(np.hypot(tone.frequency_error_hz, ratio * other.frequency_error_hz))
+    apart = abs(tone.frequency_hz - ratio * other.frequency_hz)
+    return apart > NUMBERS.same_sigmas * error + (0.0 if ratio == 1.0 else MAINS.least_apart_hz)
 
 
 def on_order(frequency_hz: float, error_hz: float, floor: Floor, *, settings: IdentifySettings) -> str:
