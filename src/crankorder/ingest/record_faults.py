@@ -163,7 +163,7 @@ def _turns_smoothly(above: FloatArray, edges: Ints, lag: int) -> bool:
         return False
     places = edges[:, None] + np.arange(-4 * lag, 4 * lag + 1)
     bends = [np.abs(2.0 * above[places] - above[places - k] - above[places + k]).max(axis=1) for k in (lag, 2 * lag)]
-    return float(np.median(bends[1])) > 2.0**1.5 * float(np.median(bends[0]))
+    return bool(float(np.median(bends[1])) > 2.0**1.5 * float(np.median(bends[0])))
 
 
 def find_spikes(
