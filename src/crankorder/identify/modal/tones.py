@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import Tone, ToneKind
-from crankorder.identify.mains import multiple_on, multiples_near, nearest_multiple, supply_told
+from crankorder.identify.mains import multiple_on, multiples_near, supply_told
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.search import dispersion
 from crankorder.identify.modal.surface_fit import NUMBERS as SURFACE_FIT
@@ -225,7 +225,7 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
         return "order", known + also
     for multiple, mains in multiples_near(frequency_hz, error_hz, settings=settings):
         same = ", the same at all speeds" if _moves(floor) else ""
-        return "mains", f"no damping, {_times(multiple, mains)}{same}"
+        return "mains", f"no damping, {times_mains(multiple, mains)}{same}"
     rows = _rows_that_show(frequency_hz, floor)
     if (
         rows.any()
@@ -304,23 +304,21 @@ def _of_supply(tone: Tone, supply_hz: float, settings: IdentifySettings) -> Tone
         return replace(tone, kind="tone", evidence=words)
     if near[0][1] == supply_hz:
         return tone
-    return replace(tone, evidence=tone.evidence.replace(_times(*near[0]), _times(own[0], supply_hz)))
+    return replace(tone, evidence=tone.evidence.replace(times_mains(*near[0]), times_mains(own[0], supply_hz)))
 
 
-def _times(multiple: int, mains_hz: float) -> str:
+def times_mains(multiple: int, mains_hz: float) -> str:
+    """Words for the ``multiple`` of a supply of ``mains_hz``."""
     return f"{multiple} times the mains frequency of {mains_hz:g} Hz"
 
 
 def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> list[Tone]:
     kept: list[Tone] = []
-    first: dict[tuple[float, float], Tone] = {}
+    first: dict[tuple[int, float], Tone] = {}
     for tone in sorted(tones, key=lambda one: one.frequency_error_hz):
-        on = [m for m in settings.mains_hz if tone.kind == "mains" and _may_be_multiple(tone, m, settings)]
-        name = (on[0], round(tone.frequency_hz / on[0])) if on else None
-        better = None if name is None else first.get(name)
-        if name is None or better is None:
-            if name is not None:
-                first[name] = tone
+        near = multiples_near(tone.frequency_hz, tone.frequency_error_hz, settings=settings)
+        better = first.setdefault(near[0], tone) if near and tone.kind == "mains" else tone
+        if better is tone:
             kept.append(tone)
             continue
         error = float(np.hypot(tone.frequency_error_hz, better.frequency_error_hz))
@@ -328,12 +326,6 @@ def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> lis
             words = f"no damping; beside the mains line of {better.frequency_hz:.6g} Hz, which has one frequency"
             kept.append(replace(tone, kind="tone", evidence=words))
     return sorted(kept, key=lambda one: one.frequency_hz)
-
-
-def _may_be_multiple(tone: Tone, mains_hz: float, settings: IdentifySettings) -> bool:
-    """Whether a ``tone`` may be a multiple of ``mains_hz``, within its error, as :func:`kind_of` has it."""
-    multiple, reach = nearest_multiple(tone.frequency_hz, mains_hz, settings=settings)
-    return bool(abs(tone.frequency_hz - multiple * mains_hz) <= reach + 2.0 * tone.frequency_error_hz)
 
 
 def on_order(frequency_hz: float, error_hz: float, floor: Floor, *, settings: IdentifySettings) -> str:
