@@ -412,6 +412,23 @@ def test_multiples_that_nothing_tells_apart_name_no_line():
     assert "multiples of blades lie closer together" in cause.orders["A", 0.31].evidence
 
 
+@pytest.mark.parametrize("order", [45.99, 46.0, 69.03])
+def test_at_one_speed_a_tone_on_a_multiple_of_a_stated_mesh_is_the_mesh(order):
+    sources = dataclasses.replace(
+        ROTOR, gears=(StatedPart("gear mesh", "pump", 23.0), StatedPart("gear mesh", "fan", 31.37))
+    )
+    places = {
+        order: ("order", f"gear mesh pump, harmonic {round(order / 23.0)}"),
+        62.74: ("tone", "gear mesh fan, harmonic 2"),
+    }
+    places |= {47.0: ("order", "order"), 45.4: ("tone", "tone")}
+    tones = tuple(Tone(at * 25.0, 0.01, kind, {"A": (1.0, 0.01)}, "x") for at, (kind, _) in places.items())
+    found = causes([agreed(1.0, line(1.0, speed_rpm=[1500.0]))], sources, modal=fit(tones=tones))
+    assert [cause.text for cause in found.tones] == [words for _, words in places.values()]
+    several = causes([agreed(1.0)], sources, modal=fit(tones=tones))
+    assert not any("gear" in cause.text for cause in several.tones)
+
+
 def test_sidebands_of_blades_are_told_by_the_turns_of_their_rotor():
     orders = [(2 / 97, 0.3), (3 / 97, 1.0), (4 / 97, 0.3)]
     lines = [agreed(order, line(order, size), lock="slips", error=1e-7) for order, size in orders]

@@ -18,9 +18,11 @@ from crankorder.engine.bearings import bearing_orders
 from crankorder.identify.bearings.places import bearing_combs
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.orders.envelope import envelope_map, recording_envelope
+from crankorder.report.sentences.story import headline
 from crankorder.settings import load_settings
 from machines.bearing_rig import FAULTS, LINE_OF, BearingRig, draw_rig, recorded, samples
-from made.typed import as_dicts
+from made.contradictions import contradictions
+from made.typed import as_dicts, findings_of
 
 bearing_records = as_dicts(bearing_records)
 SETTINGS = load_settings()
@@ -45,6 +47,25 @@ def said(rig: BearingRig) -> list[dict[str, object]]:
 def named(records: list[dict[str, object]]) -> set[object]:
     """Lines whose part is called damaged without doubt."""
     return {record["line"] for record in records if str(record["verdict"]).startswith("Damage")}
+
+
+def test_where_strikes_alone_are_found_no_sentence_denies_them() -> None:
+    seen = 0
+    for seed in range(8):
+        records = said(replace(draw_rig(seed, FAULTS[seed % 2], 5.0), **QUIET))
+        seen += bool(records)
+        for above, n_short in ((None, 0), (0.5, 0), (None, 1)):
+            document = {
+                "bearings": records,
+                "levels": [{"channel": "Z", "amplitude_above": above, "frequency_hz_above": 900.0}],
+                "quality": [{"recording": "a", "severity": "info", "flag": "short_recording"}] * n_short,
+                "energy": {"channels": [{"channel": "Z"}]},
+                "unexplained_energy_fraction": 0.0,
+            }
+            assert contradictions(document) == []
+            apart = [words for words in headline(findings_of(document)) if words.startswith("Apart from the ")]
+            assert len(apart) == bool(records)
+    assert seen >= 6
 
 
 def test_the_rig_strikes_at_the_rates_of_its_geometry() -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -107,3 +108,13 @@ def test_low_orders_of_a_slow_shaft_are_no_overload(length_s: float) -> None:
         sampled = Sampled(["Z"], ["acceleration"], ["m/s2"], rate, 0.0, "s", rate, np.nan)
         known = [mend_signal(signals[0], settings=SETTINGS)]
         assert judged(signals, known, sampled, Path("a.h5"), settings=SETTINGS) == []
+
+
+@pytest.mark.parametrize("per_turn", [25, 30, 32, 36, 40, 64])
+def test_a_tone_at_a_simple_share_of_the_rate_has_no_plateau(per_turn: int) -> None:
+    """A crest hit by the same few samples in each turn is no pile-up; cut off at 80 % it is one."""
+    for rng, limit in product(draws(4, per_turn), (np.inf, 0.8)):
+        turns = np.arange(20_000) / per_turn + rng.uniform()
+        row = np.clip(np.cos(2.0 * np.pi * turns), -limit, limit) + 3e-4 * rng.standard_normal(turns.size)
+        flags = flags_of(Drawn(row[None], ("acceleration",), 10_000.0, np.nan, "tone"))
+        assert [flag["flag"] for flag in flags] == ["clipped"] * math.isfinite(limit)

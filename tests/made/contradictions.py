@@ -12,6 +12,7 @@ from crankorder.records import Record, known
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.report.sentences.of_speeds import free_bands, open_bands
 from crankorder.report.sentences.story import has_lines, headline, story_of
+from crankorder.report.tables import tables_of
 from made.typed import findings_of
 
 SAME = 1e-6
@@ -26,8 +27,11 @@ BESIDE_RPM = 30.0
 APART = {
     "Free of resonances:": ("No speed of the tested range can be called free", "A test at one speed cannot tell"),
     "Nothing that was looked for asks for action": ("Avoid steady running", "strikes of"),
-    "No order stands above the noise": ("is the strongest line in", "found: "),
-    "No order could be proven": ("is the strongest line in",),
+    "No order stands above the noise": ("is the strongest line in", "found: ", " fits the "),
+    "No order could be proven": ("is the strongest line in", " fits the "),
+    "o order stands above the noise.": ("lies above the band that was looked at",),
+    "No line stands above the false-alarm level": ("is the strongest line in", " fits the ", "lies above the band"),
+    "No order and no tone holds energy": ("is the strongest line in", " fits the ", "lies above the band"),
     "No recording was found faulty or suspect": ("those data took no part in the averages",),
     "is in doubt, and with it every order": ("does not follow the shaft", "Free of resonances:", "Balance it:"),
 }
@@ -187,12 +191,13 @@ def _of_sentences(findings: Findings) -> Iterator[str]:
     """Sentences of the page against each other and against the lists that they are made from."""
     story = story_of(findings)
     said = [*headline(findings), *story["what"], *story["why"], *story["how_sure"], *story["what_to_do"]]
-    text = "\n".join(said)
+    tables = [table["empty"] for _, table in tables_of(findings, limit=NAME_CHARACTERS) if not table["rows"]]
+    text = "\n".join([*said, *tables])
     for words, others in APART.items():
         yield from (f"the page says {words!r} and {other!r}" for other in others if words in text and other in text)
     if "explained by orders and tones" in text and not has_lines(findings):
         yield "all energy is explained by orders and tones, and none was found"
-    if "No order stands above the noise" in text and findings.orders:
+    if "o order stands above the noise" in text and findings.orders:
         yield "no order stands above the noise, and orders are listed"
     for record in findings.levels:
         name = named(record.channel, limit=NAME_CHARACTERS)

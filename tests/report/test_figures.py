@@ -19,7 +19,7 @@ from crankorder.plot.palette import LIGHT, level_colours
 from crankorder.report.campbell_figure import campbell_figure
 from crankorder.report.orders_figure import orders_figure
 from crankorder.report.pictures import pictures_of
-from crankorder.report.spectra_figure import order_spectra_figure, spectra_figure
+from crankorder.report.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
 from crankorder.report.speed_figure import changing_recordings, speed_figure
 from crankorder.shaft.summary import speed_trace, trace_variables
 from made.typed import from_dicts
@@ -28,6 +28,7 @@ campbell_figure, order_spectra_figure, orders_figure, spectra_figure, speed_figu
     from_dicts,
     (campbell_figure, order_spectra_figure, orders_figure, spectra_figure, speed_figure, pictures_of),
 )
+spectrum_figure = from_dicts(spectrum_figure)
 
 HARD = [
     "one speed", "two speeds", "run-up", "hostile", "all zero", "thirty orders", "sixty orders", "eight channels",
@@ -57,6 +58,7 @@ def _figures(drawn: Any, settings: Any) -> list[Drawing]:
         campbell_figure(drawn.campbell, channel, drawn.findings, settings=settings),
         orders_figure(drawn.tracks, drawn.findings, settings=settings),
         spectra_figure(drawn.campbell, drawn.findings, settings=settings),
+        spectrum_figure(drawn.campbell, channel, drawn.findings, settings=settings),
         order_spectra_figure(drawn.order_map, drawn.findings, settings=settings),
     ]
 
@@ -274,12 +276,25 @@ def test_pages_drawn_in_threads_have_the_same_bytes(campaign: Any, settings: Any
         assert list(pool.map(lambda picture: picture.drawn(), planned.values())) == alone
 
 
-@pytest.mark.slow
-def test_one_speed_has_spectra_and_no_campbell_diagram_and_says_why(hard: Any, settings: Any) -> None:
+@pytest.mark.parametrize("rpm", [1500.0, np.nan])
+def test_one_speed_or_none_has_spectra_in_place_of_campbell_diagrams_and_says_why(
+    hard: Any, settings: Any, rpm: float
+) -> None:
     drawn = hard["one speed"]
-    planned = pictures_of({"campbell_map": drawn.campbell}, drawn.findings, settings=settings, name_of=str)
-    assert list(planned) == ["spectra.png"]
-    assert "a Campbell diagram needs several" in planned["spectra.png"].caption
+    campbell = drawn.campbell.assign_coords(speed=[rpm])
+    planned = pictures_of({"campbell_map": campbell}, drawn.findings, settings=settings, name_of=str)
+    channels = campbell["channel"].values.tolist()
+    assert list(planned) == [*(f"campbell_{name}.png" for name in channels), "spectra.png"]
+    why = "the test ran at one speed" if rpm > 0 else "no speed is known"
+    assert all(why in planned[f"campbell_{name}.png"].caption for name in channels)
+    figure = spectrum_figure(campbell, channels[-1], drawn.findings, settings=settings)
+    causes = {one["explained_by"] for one in drawn.findings["orders"] if one["channel"] == channels[-1]}
+    assert causes <= {words.text for words in figure.words if words.name == "cause"}
+    assert f"channel {channels[-1]}{' at 1500 rpm' if rpm > 0 else ', speed unknown'}" in " ".join(_words(figure))
+    assert ("Order (cycles per crank revolution)" in _words(figure)) is bool(rpm > 0)
+    marked = {name: values[0][0][0] for name, values in _lines(figure, "order-").items()}
+    assert marked == ({name: pytest.approx(float(name[6:]) * 25.0) for name in marked} if rpm > 0 else {})
+    assert bool(marked) is bool(rpm > 0) and not _overlaps(figure)
 
 
 @pytest.mark.slow

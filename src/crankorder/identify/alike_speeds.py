@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone, ToneKind
+from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.known_lines import LOBE_BINS, Held, found_near
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
@@ -22,7 +22,7 @@ from crankorder.identify.lines.several_orders import (
 )
 from crankorder.identify.mains import NUMBERS as MAINS
 from crankorder.identify.mains import multiples_near
-from crankorder.identify.modal.tones import NEAR_BINS, with_one_mains
+from crankorder.identify.modal.tones import NEAR_BINS, times_mains, with_one_mains
 from crankorder.settings import IdentifySettings
 
 PARTED = "parted by each of {} recordings, in which the orders of the shaft move and it does not"
@@ -172,14 +172,9 @@ def _tone(one: _Parted, settings: IdentifySettings) -> Tone:
         for k, name in enumerate(one.seen[0][0].channels)
         if size[:, k].mean() > Z95 * own[k]
     }
-    kind, words = _kind(hertz, error, settings)
-    return Tone(hertz, error, kind, amplitude, f"{words}; {PARTED.format(len(one.seen))}")
-
-
-def _kind(hertz: float, error_hz: float, settings: IdentifySettings) -> tuple[ToneKind, str]:
-    for multiple, mains in multiples_near(hertz, error_hz, settings=settings):
-        return "mains", f"no damping, {multiple} times the mains frequency of {mains:g} Hz"
-    return "tone", "no damping"
+    near = multiples_near(hertz, error, settings=settings)
+    words = f"no damping, {times_mains(*near[0])}" if near else "no damping"
+    return Tone(hertz, error, "mains" if near else "tone", amplitude, f"{words}; {PARTED.format(len(one.seen))}")
 
 
 def _with_orders(

@@ -19,6 +19,7 @@ from crankorder.identify.known_lines import LineSeen, named_by, words_of
 from crankorder.identify.lines.growth import largest
 from crankorder.identify.mains import OR_ANOTHER, mains_orders, multiple_on, multiples_near, supply_told
 from crankorder.identify.modal.tones import NEAR_BINS
+from crankorder.identify.modal.tones import NUMBERS as TONES
 from crankorder.identify.order_one import is_motion, order_one
 from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, mains_words
 from crankorder.identify.said import NUMBERS as SAID
@@ -141,7 +142,7 @@ def explained(
     )
     rpm = _one_speed(orders)
     modes = tuple(_of_race(mode, cause, races, rpm) for mode, cause in zip(modal.modes, modes, strict=True))
-    tones = _explained_tones(modal.tones, races, rpm, known, settings)
+    tones = _explained_tones(modal.tones, races, sources.gears, rpm, known, settings)
     return Causes(causes, modes, tones)
 
 
@@ -435,11 +436,12 @@ def _spacings(sources: Sources, bearings: Sequence[BearingFinding]) -> dict[str,
 def _explained_tones(
     tones: tuple[Tone, ...],
     races: list[StruckRace],
+    gears: Sequence[StatedPart],
     rpm: float | None,
     known: Sequence[LineSeen],
     settings: IdentifySettings,
 ) -> tuple[Cause, ...]:
-    """Mains, orders that no speed tells from tones, harmonics of struck ``races``, sidebands; the rest are tones.
+    """Mains, ``gears``, orders that no speed tells from tones, harmonics of ``races``, sidebands; the rest are tones.
 
     ``rpm``: of a test at one speed, else None; ``known``: lines of the motor; ``settings``: the mains frequencies.
     """
@@ -467,8 +469,18 @@ def _explained_tones(
             text = f"sideband of {places[band.carrier]:.4g} Hz spaced by {band.spacing:.4g} Hz"
             causes.append(Cause(text, f"one of a pair about a stronger tone; chance {band.chance:.1g}"))
         else:
-            causes.append(Cause(_tone_words(tone, known, supply, settings), tone.evidence))
+            words = _tone_words(tone, known, supply, settings)
+            gear = None if rpm is None or words not in ("tone", "order") else _gear_of_tone(tone, gears, rpm)
+            causes.append(gear or Cause(words, tone.evidence))
     return tuple(causes)
+
+
+def _gear_of_tone(tone: Tone, gears: Sequence[StatedPart], rpm: float) -> Cause | None:
+    """The stated mesh of which a ``tone`` is a multiple at the only speed ``rpm`` of a test, as well as it is held."""
+    order, error = (hertz * 60.0 / rpm for hertz in (tone.frequency_hz, tone.frequency_error_hz))
+    error += TONES.speed_spread_share * order / NUMBERS.same_sigmas
+    at = parts_at(gears, AgreedOrder(order, error, np.inf, "undecided", None, ()))
+    return _stated(at, "gear mesh", tone.evidence)
 
 
 def _tone_words(tone: Tone, known: Sequence[LineSeen], supply_hz: float | None, settings: IdentifySettings) -> str:

@@ -53,10 +53,12 @@ def nearest_multiple(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The multiple of ``mains_hz`` next to each ``frequency_hz`` (any shape, Hz), and how far (Hz) it may lie from it.
 
-    ``settings``: how far the mains frequency wanders.
+    Those that may stand alone wander by as many times what the supply does as they are multiples of it; a higher one by
+    no more than its root allows, as lines that lie anywhere would else be near one. ``settings``: what the supply does.
     """
     multiple = np.maximum(1.0, np.rint(np.asarray(frequency_hz, dtype=np.float64) / mains_hz))
-    return multiple, settings.mains_tolerance_hz * np.sqrt(multiple)
+    wander = np.maximum(np.sqrt(multiple), np.minimum(multiple, NUMBERS.alone_multiples))
+    return multiple, settings.mains_tolerance_hz * wander
 
 
 def multiples_near(frequency_hz: float, error_hz: float, *, settings: IdentifySettings) -> list[tuple[int, float]]:
@@ -212,7 +214,8 @@ def mains_seen(held: Sequence[Held], *, settings: IdentifySettings) -> tuple[Lin
     for mains in settings.mains_hz:
         base = None
         for multiple in range(1, NUMBERS.most_multiples + 1):
-            middle, reach = multiple * mains, settings.mains_tolerance_hz * float(np.sqrt(multiple))
+            middle = multiple * mains
+            reach = float(nearest_multiple(middle, mains, settings=settings)[1])
             if multiple > NUMBERS.alone_multiples:
                 if base is None:
                     break
@@ -392,8 +395,8 @@ def _supply(motor: Motor, held: Held, by_shaft: bool, settings: IdentifySettings
     A stated speed is often the field's, whose multiples are at the mains: they are no orders of the shaft.
     """
     for multiple in (2, 1) if motor.supply_hz is not None else ():
-        reach = settings.mains_tolerance_hz * float(np.sqrt(multiple))
         middle = multiple * float(motor.supply_hz or 0.0)
+        reach = float(nearest_multiple(middle, middle / multiple, settings=settings)[1])
         line = found_near(held, middle - reach, middle + reach, known=None if by_shaft else [])
         if line is not None:
             return line[0] / multiple, max(line[1] / multiple, 1e-6)

@@ -37,6 +37,8 @@ _NEAR, _FAR, _WITHIN = 0.03, 0.12, 0.07
 _FEWEST_IN_ROW = 3.0
 """Samples in a row that a plateau has on average: a lone tone at a simple share of the rate hits few levels too."""
 _FEWEST = 64
+_LEAST_LAG = 3
+"""Samples over which a filter spreads a corner: between lags below nothing tells it from a smooth turn."""
 
 _AHEAD, _OUT = 2, 12
 """Samples about the middle that a spike may take, and how far its neighbours reach: in so many a strike still rings."""
@@ -70,7 +72,7 @@ _IMPACTS = frozenset({"force"})
 
 def find_smoothed_clipping(
     signal: FloatArray, survey: Survey, *, settings: IngestSettings, without_doubt: bool
-) -> SignalFault | None:
+) -> list[SignalFault]:
     """Clipping of ``signal`` (sample,) at levels that no two samples need share; only a doubt where one side has it.
 
     ``survey`` says where the signal is strongest, ``settings`` what a plateau is. The rest of the vibration must be
@@ -79,16 +81,12 @@ def find_smoothed_clipping(
     """
     samples = _strongest(signal, survey)
     if samples.size < _PIECE:
-        return None
-    ordered = np.sort(samples)
-    middle = float(ordered[ordered.size // 2])
-    sides = [
-        _pile_up(ordered - middle, samples - middle, settings),
-        _pile_up(middle - ordered[::-1], middle - samples, settings),
-    ]
+        return []
+    middle = float(np.sort(samples)[samples.size // 2])
+    sides = [_pile_up(samples - middle, settings), _pile_up(middle - samples, settings)]
     found = [side for side in sides if side is not None]
     if not found or (len(found) < 2 and not without_doubt):
-        return None
+        return []
     levels = " and ".join(
         f"{middle + sign * side[0]:.4g}" for sign, side in zip((1.0, -1.0), sides, strict=True) if side is not None
     )
@@ -98,37 +96,29 @@ def find_smoothed_clipping(
         f"{share:.2%} of the strongest samples lie at {levels} as on a plateau that was smoothed later: cut off before "
         "the filter, so odd multiples of its lines may be made up"
     )
-    return SignalFault("clipped", "bad" if is_sure else "suspect", detail, is_lost=is_sure)
+    return [SignalFault("clipped", "bad" if is_sure else "suspect", detail, is_lost=is_sure)]
 
 
 def _strongest(signal: FloatArray, survey: Survey) -> FloatArray:
     """Samples of the pieces with the largest mean square."""
     group = _PIECE // survey.size
-    mean = float(survey.means[:: max(group // 2, 1)].mean())
-    mean = mean if math.isfinite(mean) else float(np.nanmean(survey.means))
+    mean = float(np.nanmean(survey.means))
     power = grouped(survey.variances + np.square(survey.means - mean), group)
     power = np.where(np.isfinite(power), power, -1.0)
     chosen = np.sort(np.argsort(power)[-_PIECES:])
     chosen = chosen[power[chosen] > 0.0]
-    if not chosen.size:
-        return np.empty(0)
-    return np.concatenate([signal[k * _PIECE : (k + 1) * _PIECE] for k in chosen])
+    return np.concatenate([np.empty(0, signal.dtype), *(signal[k * _PIECE : (k + 1) * _PIECE] for k in chosen)])
 
 
-def _pile_up(ordered: FloatArray, above: FloatArray, settings: IngestSettings) -> tuple[float, float, float] | None:
+def _pile_up(above: FloatArray, settings: IngestSettings) -> tuple[float, float, float] | None:
     """Level, share of the samples, and roughness over that between the levels, of a plateau on the upper side.
 
-    ``above`` the middle (sample,), and the same ``ordered`` by size.
+    ``above`` the middle lie the samples (sample,).
     """
-    levels = ordered[(ordered.size * (1.0 - np.array(_ABOVE))).astype(np.int64)]
+    levels = np.sort(above)[(above.size * (1.0 - np.array(_ABOVE))).astype(np.int64)]
     if levels[-1] <= 0.0:
         return None
-    top = np.searchsorted(ordered, levels)
-    near = top - np.searchsorted(ordered, (1.0 - _NEAR) * levels)
-    far = top - np.searchsorted(ordered, (1.0 - _FAR) * levels)
-    exponents = np.where(
-        near >= _FEWEST, np.log(np.maximum(far, 1) / np.maximum(near, 1)) / math.log(_FAR / _NEAR), 1.0
-    )
+    exponents = _exponents(above, levels)
     best = int(np.argmin(exponents))
     level = float(levels[best])
     if exponents[best] > settings.plateau_exponent:
@@ -138,12 +128,42 @@ def _pile_up(ordered: FloatArray, above: FloatArray, settings: IngestSettings) -
     in_row = np.count_nonzero(inside) / (1 + np.count_nonzero(inside[1:] & ~inside[:-1]))
     if in_row < _FEWEST_IN_ROW or share < settings.max_clipped_fraction:
         return None
+    if _turns_smoothly(above, np.flatnonzero(inside[1:] != inside[:-1]), int(in_row) // 8):
+        return None
     bend = np.square(above[1:-1] - 0.5 * (above[2:] + above[:-2]))
     flat = inside[2:] & inside[1:-1] & inside[:-2]
     between = np.abs(above[1:-1]) < 0.7 * level
-    if np.count_nonzero(flat) < _FEWEST or np.count_nonzero(between) < _FEWEST:
-        return level, share, math.inf
-    return level, share, math.sqrt(float(bend[flat].mean()) / max(float(bend[between].mean()), 1e-300))
+    is_known = min(np.count_nonzero(flat), np.count_nonzero(between)) >= _FEWEST
+    rough = float(bend[flat].mean()) / max(float(bend[between].mean()), 1e-300) if is_known else math.inf
+    return level, share, math.sqrt(rough)
+
+
+def _exponents(above: FloatArray, levels: FloatArray) -> Floats:
+    """Powers (level,) of the depth below each of the ``levels`` with which the time within that depth grows.
+
+    The time is that of straight lines between the samples ``above`` (sample,): at a simple share of the rate the
+    samples of a tone take few values, and how many of these lie within a depth is chance. 1 where too few lie near.
+    """
+    ends = np.sort(np.stack([above[1:], above[:-1]]), axis=0)
+    low, high = ends[:, ends[1] > (1.0 - _FAR) * levels[-1]]
+    span = np.maximum(high - low, 1e-9 * levels[0])
+    depths = np.outer(levels, 1.0 - np.array([1e-6, _NEAR, _FAR]))
+    times = np.array([[np.clip((high - depth) / span, 0.0, 1.0).sum() for depth in row] for row in depths])
+    near, far = (times[:, 1:] - times[:, :1]).T
+    return np.where(near >= _FEWEST, np.log(far / np.maximum(near, 1.0)) / math.log(_FAR / _NEAR), 1.0)
+
+
+def _turns_smoothly(above: FloatArray, edges: Ints, lag: int) -> bool:
+    """Whether ``above`` (sample,) bends at the ``edges`` of its plateaus as a smooth signal does.
+
+    A bend over twice the ``lag`` is then four times as large; at a corner, which a filter spreads over less, twice.
+    """
+    edges = edges[(edges >= 6 * lag) & (edges < above.size - 6 * lag)]
+    if lag < _LEAST_LAG or not edges.size:
+        return False
+    places = edges[:, None] + np.arange(-4 * lag, 4 * lag + 1)
+    bends = [np.abs(2.0 * above[places] - above[places - k] - above[places + k]).max(axis=1) for k in (lag, 2 * lag)]
+    return bool(float(np.median(bends[1])) > 2.0**1.5 * float(np.median(bends[0])))
 
 
 def find_spikes(
@@ -320,11 +340,10 @@ def _of_one(
             found.append(fault)
     if is_vibration:
         found += find_slow_faults(seen, settings=settings)
-    clipping = None
     told_already = any(fault.flag in ("clipped", "iepe_overload") for fault in (*known, *found))
     if not told_already and (is_vibration or quantity == "pressure"):
-        clipping = find_smoothed_clipping(row, seen, settings=settings, without_doubt=is_vibration)
-    return found if clipping is None else [*found, clipping]
+        found += find_smoothed_clipping(row, seen, settings=settings, without_doubt=is_vibration)
+    return found
 
 
 def _beside_each_other(

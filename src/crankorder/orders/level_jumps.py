@@ -47,11 +47,9 @@ _STANDS = 20.0
 _LIKE_SPEED = 0.02
 """Speeds of two recordings are alike within this share, and each is steady within it."""
 
-_OTHERS_STAY = 0.25
-"""Share of the jump that the others may move by: a load moves them all."""
-
 _UNIT_FACTORS = (
     (STANDARD_GRAVITY_M_S2, "as g beside m/s2, or a sensitivity of 10 beside 100"),
+    (25.4, "as inches beside mm"),
     (1000.0, "as V beside mV, or m beside mm"),
 )
 _UNIT_NEAR = 0.05
@@ -133,8 +131,7 @@ def left_out(steps: Sequence[GainStep], n_recordings: int, channel: int) -> tupl
         level[one.after :] += one.log
     if not own:
         return {}, False
-    least = min(abs(one.log) for one in own)
-    alike = np.abs(level[:, None] - level) < 0.5 * least
+    alike = np.abs(level[:, None] - level) < 0.5 * min(abs(one.log) for one in own)
     count = alike.sum(axis=1)
     most = int(np.argmax(count))
     switched = len(own) == 1 and min(own[0].after, n_recordings - own[0].after) > 1
@@ -169,8 +166,7 @@ def _is_common(moves: Floats, jump: float) -> bool:
 
 
 def _others_stay(whole: Floats, step: int, channel: int) -> bool:
-    others = np.delete(whole[step], channel)
-    return bool(np.isfinite(others).all() and np.abs(others).max() <= _STAYS * abs(whole[step, channel]))
+    return bool(np.abs(np.delete(whole[step], channel)).max() <= _STAYS * abs(whole[step, channel]))
 
 
 def _stays_elsewhere(whole: Floats, one: GainStep, proven: Sequence[GainStep]) -> bool:
@@ -213,10 +209,8 @@ def _beside_others(lines: Floats) -> Floats:
     (steps, channels, orders).
     """
     moves = np.diff(np.log(lines), axis=0)
-    made = np.full(moves.shape, np.nan)
-    for channel in range(moves.shape[1]):
-        made[:, channel] = moves[:, channel] - _median(np.delete(moves, channel, axis=1), axis=1)
-    return made
+    others = [_median(np.delete(moves, channel, axis=1), axis=1) for channel in range(moves.shape[1])]
+    return np.asarray(moves - np.stack(others, axis=1))
 
 
 def _median(values: Floats, *, axis: int) -> Floats:
@@ -279,23 +273,26 @@ def level_jumps(levels: Sequence[RecordedLevel], *, ratio: float, proven_ratio: 
     return [*(proven | by_floor | found).values(), *_unit_jumps(steady)]
 
 
-def _unit_doubt(factor: float) -> str:
-    """What the ``factor`` of a level may be, where it is that of two units; else ""."""
+def _unit_doubt(factor: float, near: float = 0.0) -> str:
+    """What the ``factor`` of a level may be, where its logarithm is ``near`` that of two units; else ""."""
     off, what = min((abs(abs(math.log(factor)) - math.log(known)), what) for known, what in _UNIT_FACTORS)
-    return f" (unit? {what})" if off < _UNIT_NEAR else ""
+    return f" (unit? {what})" if off < max(near, _UNIT_NEAR) else ""
 
 
 def _unit_jumps(steady: Sequence[RecordedLevel]) -> list[QualityFlag]:
-    """Flags of recordings all channels of which lie by one factor, and that of two units, off those next in speed."""
+    """Flags of recordings all channels of which lie by one factor, and that of two units, off those next in speed.
+
+    Where channels agree on it the factor is known well; that of a channel alone as well as its floor repeats.
+    """
     flags = []
-    for row, logs in enumerate(_floors_apart(steady)[2]):
-        doubt = _unit_doubt(math.exp(float(np.mean(logs))))
-        if doubt and float(np.ptp(logs)) < 2.0 * _UNIT_NEAR:
-            factor = math.exp(float(np.mean(logs)))
-            detail = f"all floors are {factor:.3g} times those of the recordings next in speed{doubt}"
-            flags.append(
-                QualityFlag(recording=steady[row].recording, flag="unit_doubt", severity="suspect", detail=detail)
-            )
+    names, *parts = _floors_apart(steady)
+    for each, least, logs, sigma in zip(steady, *parts, strict=False):
+        jump, near = float(np.mean(logs)), 2.0 * float(sigma[0]) if len(names) == 1 else 0.0
+        doubt = _unit_doubt(math.exp(jump), near)
+        stands = np.abs(least).min() > max(3.0 * near, (1.0 - _STAYS) * abs(jump))
+        if doubt and stands and float(np.ptp(logs)) < 2.0 * _UNIT_NEAR:
+            detail = f"all floors are {math.exp(jump):.3g} times those of the recordings next in speed{doubt}"
+            flags.append(QualityFlag(recording=each.recording, flag="unit_doubt", severity="suspect", detail=detail))
     return flags
 
 
@@ -344,39 +341,43 @@ def _floor_jumps(steady: Sequence[RecordedLevel], *, ratio: float) -> list[Quali
 
     A resonance raises the floor of a part of the spectrum, a load that of all channels: a gain that of one, everywhere.
     """
-    names, apart, _ = _floors_apart(steady)
+    names, apart, logs, sigma = _floors_apart(steady)
     if len(names) < 2:
         return []
     flags = []
     for row, column in zip(*np.nonzero(np.abs(apart) > math.log(ratio)), strict=True):
-        if np.abs(np.delete(apart[row], column)).max() >= _OTHERS_STAY * abs(apart[row, column]):
-            continue
-        factor = math.exp(apart[row, column])
-        what = f"its noise floor is {factor:.3g} times that of the recordings next in speed{_unit_doubt(factor)}"
-        flags.append(_flag(steady[row].recording, names[column], what))
+        if _others_stay(apart, row, column):
+            factor = math.exp(logs[row, column])
+            doubt = _unit_doubt(factor, 2.0 * float(sigma[row, column]))
+            what = f"its noise floor is {factor:.3g} times that of the recordings next in speed{doubt}"
+            flags.append(_flag(steady[row].recording, names[column], what))
     return flags
 
 
-def _floors_apart(steady: Sequence[RecordedLevel]) -> tuple[list[str], Floats, Floats]:
-    """Channels, and how far the floor (recording, channel) lies off those next in speed: at least, and in the mean.
+def _floors_apart(steady: Sequence[RecordedLevel]) -> tuple[list[str], Floats, Floats, Floats]:
+    """Channels, and how far the floor (recording, channel) lies off those next in speed: at least, and off their trend.
 
-    Logarithms; 0 where the two next in speed do not agree.
+    Logarithms; 0 where the two next in speed do not agree. Last by how much the other recordings scatter about theirs.
     """
     names = [
         name for name in (steady[0].floor if steady else ()) if all(one.floor.get(name, 0.0) > 0.0 for one in steady)
     ]
     if not names or len(steady) < 3:
-        return names, (none := np.empty((0, len(names)))), none
+        return names, (none := np.empty((0, len(names)))), none, none
     logs = np.log([[one.floor[name] for name in names] for one in steady])
     below, above = logs[1:-1] - logs[:-2], logs[1:-1] - logs[2:]
     # at either end two neighbours on one side must agree, and what grows from the one to the other must not explain it
     speed = np.log([np.mean(one.speed_rpm) for one in steady])
     ends = [np.stack([logs[at] - logs[k] for k in near] + [_beyond(logs, speed, at, near)]) for at, near in _ENDS]
-    inner = np.stack([below, above, below])
+    inner = np.stack([below, above, 0.5 * (below + above)])
     parts = np.concatenate([ends[0][:, None], inner, ends[1][:, None]], axis=1)
     agree = (np.sign(parts) == np.sign(parts[0])).all(axis=0)
     least = np.where(agree, np.sign(parts[0]) * np.abs(parts).min(axis=0), 0.0)
-    return names, least, np.where(agree, 0.5 * (parts[0] + parts[1]), 0.0)
+    moves = [np.diff(np.delete(logs, row, axis=0), axis=0) for row in range(len(logs))]
+    # of two recordings left nothing parts scatter and growth
+    rest = np.abs([each - (np.median(each, axis=0) if len(each) > 1 else 0.0) for each in moves])
+    sigma = np.maximum(_LEAST_SIGMA, _MAD_TO_SIGMA * np.median(rest, axis=1))
+    return names, least, np.where(agree, parts[2], 0.0), sigma
 
 
 def _beyond(logs: Floats, speed: Floats, at: int, near: tuple[int, int]) -> Floats:
@@ -390,10 +391,9 @@ def _beyond(logs: Floats, speed: Floats, at: int, near: tuple[int, int]) -> Floa
 def _groups(steady: Sequence[RecordedLevel]) -> list[list[RecordedLevel]]:
     groups: list[list[RecordedLevel]] = []
     for one in steady:
-        if groups and one.speed_rpm[1] <= groups[-1][0].speed_rpm[0] * (1.0 + _LIKE_SPEED):
-            groups[-1].append(one)
-        else:
-            groups.append([one])
+        if not groups or one.speed_rpm[1] > groups[-1][0].speed_rpm[0] * (1.0 + _LIKE_SPEED):
+            groups.append([])
+        groups[-1].append(one)
     return groups
 
 
@@ -401,10 +401,5 @@ def _outliers(logs: Floats, least: float) -> list[tuple[int, int, float]]:
     """Recording, channel and logarithm of the factor of the ``logs`` (recording, channel) that jump."""
     # the lower of two middle ones: between two halves that differ nothing lies
     apart = logs - np.sort(logs, axis=0)[(len(logs) - 1) // 2]
-    found = []
-    for row, column in zip(*np.nonzero(np.abs(apart) > least), strict=True):
-        jump = float(apart[row, column])
-        others = np.delete(apart[row], column)
-        if np.abs(others).max() < _OTHERS_STAY * abs(jump):
-            found.append((int(row), int(column), jump))
-    return found
+    jumps = [(int(row), int(column)) for row, column in zip(*np.nonzero(np.abs(apart) > least), strict=True)]
+    return [(row, column, float(apart[row, column])) for row, column in jumps if _others_stay(apart, row, column)]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.findings import Findings
 from crankorder.plot.drawing import Box, Drawing, Rings, Stroke, Words, quality_note, title_lines
-from crankorder.plot.palette import CAP_HEIGHT, INK, SMALL, drawable, text_width_in
+from crankorder.plot.palette import CAP_HEIGHT, INK, LARGE, SMALL, drawable, shortened, text_width_in
 
 GAP_IN = 0.05
 LINE_HEIGHT_IN = 0.125
@@ -141,7 +141,8 @@ def head_of_test(
 
     From ``left_in`` inches; the name of the test is cut at ``longest`` characters.
     """
-    title_lines(drawing, left_in, f"{drawable(findings.test, longest)} · {what}", sentence)
+    name = shortened(drawable(findings.test, longest), LARGE, 0.62 * drawing.width_in, bold=True)
+    title_lines(drawing, left_in, f"{name} · {what}", sentence)
     quality_note(drawing, findings)
 
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from crankorder.findings import Findings, ModeFinding, OrderFinding
 from crankorder.plot.cells import gaps_between, level_limits, level_of, pooled, speed_cells, with_gaps
-from crankorder.plot.drawing import Drawing, Field, Rings, Stroke, Words, pixels_of, quality_note, title_lines
-from crankorder.plot.labels import EdgeLabel, Key, draw_keys, fitted, label_right, label_top
+from crankorder.plot.drawing import Drawing, Field, Rings, Stroke, Words, pixels_of
+from crankorder.plot.labels import EdgeLabel, Key, draw_keys, fitted, head_of_test, label_right, label_top
 from crankorder.plot.palette import (
     AVOID,
     DOUBT_DASHES,
@@ -23,7 +23,6 @@ from crankorder.plot.palette import (
     FREE,
     HALF_ORDER,
     INK,
-    LARGE,
     MAINS,
     MAINS_ON_MAP,
     MODE,
@@ -36,7 +35,6 @@ from crankorder.plot.palette import (
     drawable,
     level_colours,
     rgb_of,
-    shortened,
 )
 from crankorder.plot.panel import Panel
 from crankorder.records import known
@@ -60,6 +58,10 @@ _WHITE = "#ffffff"
 _MOST_GUIDES = 12
 
 
+Mark = tuple[float, str, str]
+"""Place along the axis, text and colour of what is named above a diagram."""
+
+
 @dataclass(frozen=True)
 class _Map:
     """Amplitudes (speed, frequency) of one channel where its speed is known, slowest first."""
@@ -72,7 +74,7 @@ class _Map:
 
     @property
     def cells(self) -> NDArray[np.float64]:
-        return speed_cells(self.speed) if len(self.speed) else np.array([[0.0, 1.0]])
+        return speed_cells(self.speed)
 
 
 def campbell_figure(campbell: xr.Dataset, channel: str, findings: Findings, *, settings: ReportSettings) -> Drawing:
@@ -103,13 +105,11 @@ def campbell_figure(campbell: xr.Dataset, channel: str, findings: Findings, *, s
     _label_edges(panel, guides or orders, modes, findings)
     keys = [Key("order, for orientation", FAINT)] if guides else _keys(orders=orders, modes=modes, circles=circles)
     draw_keys(drawing, _LEFT, [*keys, *strip_keys(findings)], room_in=settings.width_in - _LEFT - _NOTE)
-    name = shortened(drawable(findings.test, settings.max_name_characters), LARGE, 0.62 * settings.width_in, bold=True)
     said = strongest_sentence(findings, channel)
     if findings.not_asked_for:
         said = "Level over frequency and speed; findings were not asked for."
-    title = f"{name} · channel {drawable(channel, settings.max_name_characters)}"
-    title_lines(drawing, _LEFT, title, drawable(said, 300))
-    quality_note(drawing, findings)
+    what = f"channel {drawable(channel, settings.max_name_characters)}"
+    head_of_test(drawing, _LEFT, findings, what, drawable(said, 300), longest=settings.max_name_characters)
     return drawing
 
 
@@ -126,10 +126,8 @@ def orders_of(findings: Findings, channel: str, *, limit: int) -> list[OrderFind
 
 def is_of_cycle(record: OrderFinding | Guide) -> bool:
     """Whether an order ``record`` is a half order that combustion or the camshaft of a four-stroke engine makes."""
-    if isinstance(record, Guide):
-        return False
-    cause = record.explained_by or ""
-    return record.half_order and ("gas cycle" in cause or "half order" in cause)
+    cause = record.explained_by or "" if isinstance(record, OrderFinding) and record.half_order else ""
+    return "gas cycle" in cause or "half order" in cause
 
 
 def _map_of(campbell: xr.Dataset, channel: str, settings: ReportSettings) -> _Map:
@@ -164,11 +162,10 @@ def shades(one: _Map, limits: tuple[float, float], rows: int, columns: int) -> N
 def _draw_map(panel: Panel, one: _Map, *, settings: ReportSettings) -> None:
     drawing, box = panel.drawing, panel.box
     limits = level_limits(one.amplitude, one.reference, range_db=settings.dynamic_range_db)
-    if len(one.speed):
-        colours = level_colours().copy()
-        colours[0] = rgb_of(NOT_MEASURED)
-        shade = shades(one, limits, *pixels_of(box, settings.dpi))
-        drawing.add(Field(colours[shade[::-1]], box))
+    colours = level_colours().copy()
+    colours[0] = rgb_of(NOT_MEASURED)
+    shade = shades(one, limits, *pixels_of(box, settings.dpi))
+    drawing.add(Field(colours[shade[::-1]], box))
     panel.frame(whole=True)
     panel.x_axis("Frequency, Hz", grid=False)
     panel.y_axis("Speed, rpm", grid=False)
@@ -184,7 +181,7 @@ def _draw_notes(panel: Panel, one: _Map) -> None:
         if (end - start) * panel.box[3] > 0.3 * (panel.y[1] - panel.y[0]):
             panel.note("not measured", up=float(panel.share((start + end) / 2)))
     if not np.any(one.amplitude > 0):
-        panel.note("no signal: every value is zero" if len(one.speed) else "no speed is known")
+        panel.note("no signal: every value is zero")
 
 
 def _draw_orders(panel: Panel, orders: Sequence[OrderFinding | Guide], findings: Findings) -> None:
@@ -254,14 +251,7 @@ def _label_edges(
     drawing, box = panel.drawing, panel.box
     left, bottom, width, height = box
     top, side = _order_labels(panel, orders, findings)
-    named = []
-    for number, mode in enumerate(modes):
-        frequency_hz = mode.frequency_hz
-        if panel.x[0] <= frequency_hz <= panel.x[1]:
-            place = float(panel.at(frequency_hz, panel.y[0])[0, 0])
-            text = f"{frequency_text(frequency_hz)}{'?' if is_undecided(mode) else ''} Hz"
-            named.append(EdgeLabel(place, text, MAINS if is_tone(mode) else MODE, number))
-    lines = label_top(drawing, box, [fitted(top, width), fitted(named, width)])
+    lines = label_top(drawing, box, [fitted(top, width), fitted(edge_labels(panel, mode_marks(modes)), width)])
     avoid = draw_strip(panel, findings)
     shift = STRIP_IN if has_strip(findings) else 0.0
     label_right(drawing, (left, bottom, width + shift, height), [*side, *avoid])
@@ -269,6 +259,23 @@ def _label_edges(
         drawing.add(Words(left - 0.3, lines[0], "order", SMALL, INK, along="right"))
     if side:
         drawing.add(Words(left + width + 0.06 + shift, bottom + height + 0.135, "order", SMALL, INK))
+
+
+def mode_marks(modes: list[ModeFinding]) -> list[Mark]:
+    """What ``modes`` are named above a diagram."""
+    texts = [f"{frequency_text(mode.frequency_hz)}{'?' if is_undecided(mode) else ''} Hz" for mode in modes]
+    return [
+        (mode.frequency_hz, text, MAINS if is_tone(mode) else MODE) for mode, text in zip(modes, texts, strict=True)
+    ]
+
+
+def edge_labels(panel: Panel, marks: Sequence[Mark]) -> list[EdgeLabel]:
+    """Labels of those of ``marks`` that lie within ``panel``."""
+    return [
+        EdgeLabel(float(panel.at(place, panel.y[0])[0, 0]), text, color, number)
+        for number, (place, text, color) in enumerate(marks)
+        if panel.x[0] <= place <= panel.x[1]
+    ]
 
 
 def _order_labels(
@@ -293,6 +300,12 @@ def _keys(*, orders: Sequence[OrderFinding | Guide], modes: list[ModeFinding], c
     keys = [Key("order found (bold: strongest)", INK)] if orders else []
     if any(is_of_cycle(record) for record in orders):
         keys.append(Key("half order: combustion or camshaft", HALF_ORDER))
+    return [*keys, *mode_keys(modes), *([Key("excited crossing", INK, ring=True)] if circles else [])]
+
+
+def mode_keys(modes: list[ModeFinding]) -> list[Key]:
+    """What the dashed and dotted lines of ``modes`` mean: natural frequencies, doubts, tones."""
+    keys = []
     if any(not is_tone(mode) and not is_undecided(mode) for mode in modes):
         keys.append(Key("natural frequency", MODE, MODE_DASHES))
     if any(is_undecided(mode) for mode in modes):
@@ -302,7 +315,7 @@ def _keys(*, orders: Sequence[OrderFinding | Guide], modes: list[ModeFinding], c
         of_mains = {cause for cause in tones if cause.endswith("mains")}
         label = "mains" if tones == of_mains else "fixed tone" if not of_mains else "mains or fixed tone"
         keys.append(Key(label, MAINS, TONE_DASHES))
-    return [*keys, Key("excited crossing", INK, ring=True)] if circles else keys
+    return keys
 
 
 STRIP_IN = 0.13

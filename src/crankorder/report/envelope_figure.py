@@ -13,8 +13,9 @@ from crankorder.plot.drawing import Drawing, Rings, Words
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, head_of_test, label_width_in
 from crankorder.plot.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES, drawable, shortened
 from crankorder.plot.panel import Panel
+from crankorder.report.campbell_figure import Mark
 from crankorder.report.notation import is_number, order_name, order_text
-from crankorder.report.spectra_figure import Mark, column_boxes, column_panels, draw_spectra, label_column
+from crankorder.report.spectra_figure import column_boxes, column_panels, draw_spectra, label_column
 from crankorder.settings import ReportSettings
 
 _LEFT, _RIGHT = 1.0, 0.3  # inches

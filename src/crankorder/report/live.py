@@ -279,10 +279,9 @@ def _crossing(
 def _lines(findings: Findings, number: dict[str, int], limit: int) -> list[Record]:
     """The list of all lines, by ``order`` or by ``hz``, with what is said of each."""
     records = sorted((one for one in findings.lines if one.channel in number), key=lambda one: -one.size)[:_MOST_LINES]
-    made: list[Record] = []
+    shown: list[Record] = []
     for one in records:
         place = f"{one.frequency_hz:.4g} Hz" if one.order is None else f"order {order_text(nominal_order(one))}"
-        why = named(one.explained_by or "unexplained", limit=2 * limit)
-        text = f"Line at {place}: {why}."
-        made.append({"channel": number[one.channel], "order": one.order, "hz": one.frequency_hz, "text": text})
-    return made
+        text = f"Line at {place}: {named(one.explained_by or 'unexplained', limit=2 * limit)}."
+        shown.append({"channel": number[one.channel], "order": one.order, "hz": one.frequency_hz, "text": text})
+    return shown

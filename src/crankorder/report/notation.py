@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any, Protocol, TypeGuard
+from collections.abc import Callable, Hashable, Sequence
+from typing import Any, Protocol, TypeGuard, TypeVar
 
 from crankorder.channel_units import unit_text
 from crankorder.errors import printable
-from crankorder.findings import Findings, ModeFinding
+from crankorder.findings import Findings, ModeFinding, MotorLine, OrderFinding
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.plot.records import called_order, decimals_of
 from crankorder.plot.records import order_text as order_text
@@ -24,6 +24,10 @@ NAME_CHARACTERS = 60
 _SAME_MODE = 1e-3  # share of a frequency within which a natural frequency is that of a crossing
 _SAME_ORDER = 1e-4  # an order this near to one of the findings is that one
 _CLOSE_ORDERS = 0.02  # orders this close need more digits to be told apart
+
+
+R = TypeVar("R", OrderFinding, MotorLine)
+K = TypeVar("K", bound=Hashable)
 
 
 class Numbered(Protocol):
@@ -205,6 +209,11 @@ def _power(value: float) -> str:
 def listed(words: Sequence[str]) -> str:
     """``words`` as in a sentence: ``"X, Y and Z"``."""
     return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""
+
+
+def strongest_by(records: Sequence[R], key: Callable[[R], K]) -> dict[K, R]:
+    """The largest of ``records`` by each ``key`` that they have; of equal ones the first."""
+    return {key(record): record for record in sorted(records, key=lambda one: -one.amplitude)[::-1]}
 
 
 def frequency_text(frequency_hz: float) -> str:

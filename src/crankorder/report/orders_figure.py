@@ -86,8 +86,7 @@ def orders_figure(tracks: xr.Dataset, findings: Findings, *, settings: ReportSet
         _draw_channel(drawing, shown, number, (left, bottom, width, block))
         name = shortened(drawable(channel, settings.max_name_characters), NORMAL + 1, width, bold=True)
         drawing.add(Words(left, bottom + block + 0.09, name, NORMAL + 1, bold=True))
-    clear = bool(np.isfinite(shown.amplitude).any())
-    said = _subtitle(tracks.sizes["order"], len(shown.orders), clear=clear)
+    said = _subtitle(tracks.sizes["order"], len(shown.orders), clear=bool(np.isfinite(shown.amplitude).any()))
     head_of_test(drawing, _LEFT, findings, "orders against speed", said, longest=settings.max_name_characters)
     return drawing
 
@@ -123,8 +122,6 @@ def shown_tracks(tracks: xr.Dataset, *, limit: int) -> ShownTracks:
 
 
 def _subtitle(n_orders: int, shown: int, *, clear: bool) -> str:
-    if not shown:
-        return "No order was found."
     if not clear:
         return "No order stands clear of the noise, or the recordings hold too few revolutions to tell."
     many = f" of the {shown} strongest of {n_orders} orders" if shown < n_orders else ""

@@ -89,20 +89,14 @@ def _first_and_rest(sentences: list[str]) -> tuple[list[str], list[str]]:
 
 def _embedded(pictures: Sequence[ShownPicture], *, limit: int) -> list[dict[str, Any]]:
     """Pictures for the template: link, caption, whether the script draws the same, the PNG while it fits."""
-    made, room = [], _MOST_PICTURES
+    shown, room = list[dict[str, Any]](), _MOST_PICTURES
     for one in pictures:
-        fits = 0 < len(one.png) <= room
-        room -= len(one.png) if fits else 0
-        made.append(
-            {
-                "link": _beside(one.file),
-                "file": named(one.file, limit=limit),
-                "caption": named(one.caption, limit=limit),
-                "png": Markup(base64.b64encode(one.png).decode("ascii")) if fits else "",
-                "live": one.file.startswith(("campbell_", "orders.")),
-            }
-        )
-    return made
+        png = one.png if len(one.png) <= room else b""
+        room -= len(png)
+        texts = {"file": named(one.file, limit=limit), "caption": named(one.caption, limit=limit)}
+        live, data = one.file.startswith(("campbell_", "orders.")), Markup(base64.b64encode(png).decode("ascii"))
+        shown.append({"link": _beside(one.file), **texts, "png": data, "live": live})
+    return shown
 
 
 def index_page(tests: list[dict[str, Any]]) -> str:
@@ -126,8 +120,8 @@ def index_page(tests: list[dict[str, Any]]) -> str:
             ],
         }
         shown.append(row)
-    style = Markup(page_style())  # our own file, never text from data
-    return page_template("index.html").render(policy=page_policy(), style=style, tests=shown)
+    # the style is our own file, never text from data
+    return page_template("index.html").render(policy=page_policy(), style=Markup(page_style()), tests=shown)
 
 
 def _beside(path: str) -> str:

@@ -14,9 +14,15 @@ from crankorder.findings import Findings, nothing_sought
 from crankorder.plot.drawing import picture_bytes
 from crankorder.report.campbell_figure import campbell_figure
 from crankorder.report.orders_figure import orders_figure
-from crankorder.report.spectra_figure import order_spectra_figure, spectra_figure
+from crankorder.report.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
 from crankorder.report.speed_figure import shown_recordings, speed_figure
 from crankorder.settings import ReportSettings
+
+_ONE_ROW = (
+    "Spectrum, {}: no speed is known, and a Campbell diagram needs several",
+    "Spectrum by frequency and order, {}: the test ran at one speed, and a Campbell diagram needs several",
+)
+"""What stands in the place of a Campbell diagram, and why, by the number of speeds that are known."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +74,9 @@ def pictures_of(
 
     campbell, tracks = groups.get("campbell_map"), groups.get("order_tracks")
     speeds = 0 if campbell is None else int(np.isfinite(campbell["speed"].values).sum())
-    if campbell is not None and speeds > 1:
-        for channel in campbell["channel"].values.tolist():
-            plan(f"campbell_{name_of(channel)}", f"Campbell diagram, {channel}", campbell_figure, campbell, channel)
+    what, figure = ("Campbell diagram, {}", campbell_figure) if speeds > 1 else (_ONE_ROW[speeds], spectrum_figure)
+    for channel in campbell["channel"].values.tolist() if campbell is not None and campbell.sizes["speed"] else ():
+        plan(f"campbell_{name_of(channel)}", what.format(channel), figure, campbell, channel)
     if "shaft" in groups and shown_recordings(groups["shaft"]):
         plan("speed", "Speed against time: how the machine was driven", speed_figure, groups["shaft"])
     if tracks is not None and tracks.sizes["order"] and np.isfinite(tracks["speed"].values).all():
@@ -93,7 +99,6 @@ def pictures_of(
 
         plan("envelope", "Envelope spectra: strikes in bearings, order by order", envelope_figure, envelope)
     if campbell is not None and campbell.sizes["speed"]:
-        one = "Spectra at one speed; a Campbell diagram needs several"
-        caption = "Spectra: what stays and what moves with speed" if speeds > 1 else one
+        caption = f"Spectra: {'what stays and what moves with speed' if speeds > 1 else 'power density and amplitude'}"
         plan("spectra", caption, spectra_figure, campbell)
     return made

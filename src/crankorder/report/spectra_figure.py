@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -12,7 +15,7 @@ from numpy.typing import NDArray
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings, ModeFinding
 from crankorder.plot.drawing import Box, Drawing, Words
-from crankorder.plot.labels import EdgeLabel, fitted, head_of_test, label_top
+from crankorder.plot.labels import Key, draw_keys, fitted, head_of_test, label_top
 from crankorder.plot.palette import (
     DOUBT_DASHES,
     INK,
@@ -27,17 +30,27 @@ from crankorder.plot.palette import (
     shortened,
 )
 from crankorder.plot.panel import Panel
+from crankorder.report.campbell_figure import Mark, edge_labels, mode_keys, mode_marks, orders_of
 from crankorder.report.fixed_lines import fixed_frequencies
-from crankorder.report.notation import frequency_text, is_tone, is_undecided, nominal_order, order_texts, scaling_text
+from crankorder.report.notation import (
+    frequency_text,
+    is_tone,
+    is_undecided,
+    nominal_order,
+    order_name,
+    order_texts,
+    scaling_text,
+)
+from crankorder.report.sentences.story import strongest_sentence
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _BETWEEN, _RIGHT, _ROW_GAP = 1.0, 0.7, 1.06, 0.95, 0.3, 0.16  # inches
+_ONE_AXIS, _ORDER_AXIS, _TWO_TIERS, _CAUSES, _LINE = 0.8, 0.6, 1.22, 2.1, 0.15  # of one spectrum and its list of causes
+_LETTERS = 32  # of a line of that list
+_ORDER = "Order (cycles per crank revolution)"
 _LEAST_ROW = 1.2  # a row of panels is never lower than this
 _DECADES = 7.0  # shown below the strongest line, half as many again of a power
 _LABEL_AT = 0.6  # of the name of a channel from its panel, in inches
-
-Mark = tuple[float, str, str]
-"""Place along the axis, text and colour of what is named above a column."""
 
 
 def spectra_figure(campbell: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
@@ -51,7 +64,6 @@ def spectra_figure(campbell: xr.Dataset, findings: Findings, *, settings: Report
     drawing, boxes = column_boxes(campbell.sizes["channel"], _LEFT, settings)
     width = (settings.width_in - _LEFT - _BETWEEN - _RIGHT) / 2
     second = _LEFT + width + _BETWEEN
-    modes = fixed_frequencies(findings)
     peak = campbell["amplitude"].transpose("channel", "speed", "frequency").values[:, fastest]
     scaling = scaling_text(campbell)
     # lines that move with speed vanish from the median over the speeds, what stays put remains
@@ -60,20 +72,69 @@ def spectra_figure(campbell: xr.Dataset, findings: Findings, *, settings: Report
     places = [[(x, y, width, h) for y, h in boxes] for x in (_LEFT, second)]
     left = column_panels(drawing, places[0], campbell, "frequency", median, "²/Hz", settings=settings)
     right = column_panels(drawing, places[1], campbell, "frequency", peak, f" {scaling}", settings=settings)
-    for panel in left:
-        for mode in modes:
-            tone = is_tone(mode)
-            dashes = TONE_DASHES if tone else DOUBT_DASHES if is_undecided(mode) else MODE_DASHES
-            panel.upright(mode.frequency_hz, color=MAINS if tone else MODE, dashes=dashes, alpha=0.7)
+    modes = _mark_modes(left, fixed_frequencies(findings))
     orders = _mark_orders(right, campbell, findings, float(speed[fastest]), limit=settings.max_labelled_orders)
     draw_spectra(left, frequency, median)
     draw_spectra(right, frequency, peak)
-    label_column(left[0], [_mode_mark(mode) for mode in modes], "")
+    label_column(left[0], modes, "")
     label_column(right[0], orders, "order")
     kind = "peak amplitude" if "peak" in scaling else "RMS"
     said = _subtitle(len(speed), float(speed[fastest]), kind, modes=bool(modes), orders=bool(orders))
     head_of_test(drawing, _LEFT, findings, "spectra", said, longest=settings.max_name_characters)
     return drawing
+
+
+def spectrum_figure(campbell: xr.Dataset, channel: str, findings: Findings, *, settings: ReportSettings) -> Drawing:
+    """Peak spectrum of one channel of a test at one speed, or at none that is known: the one row of its Campbell map.
+
+    Over frequency [Hz] and, where the speed is known, order on a second axis below. Found orders and what stays at its
+    frequency are marked and named above; their causes stand at the right, that of the strongest line first.
+
+    ``campbell`` a CampbellMap; ``channel`` one of its channels; ``findings`` of the same test; ``settings`` of the
+    report. Raises ValueError for an unknown channel.
+    """
+    fastest = int(np.argmax(np.nan_to_num(campbell["speed"].values)))
+    row = campbell.isel(channel=[campbell["channel"].values.tolist().index(channel)], speed=fastest)
+    rpm, peak, fixed = (
+        float(row["speed"]),
+        row["amplitude"].transpose("channel", "frequency").values,
+        fixed_frequencies(findings),
+    )
+    own = replace(findings, orders=tuple(orders_of(findings, channel, limit=settings.max_labelled_orders)))
+    causes, low = _causes(own, fixed), _ONE_AXIS + _ORDER_AXIS * (rpm > 0.0)
+    drawing, right = Drawing(settings.width_in, settings.height_in), _CAUSES if causes else _RIGHT
+    box = (_LEFT, low, settings.width_in - _LEFT - right, settings.height_in - low - _TWO_TIERS)
+    panels = column_panels(drawing, [box], row, "frequency", peak, f" {scaling_text(row)}", settings=settings)
+    modes = _mark_modes(panels, fixed)
+    orders = _mark_orders(panels, row, own, rpm, limit=len(own.orders))
+    draw_spectra(panels, row["frequency"].values, peak)
+    label_column(panels[0], orders, "order", modes)
+    if rpm > 0.0:
+        ends = (60.0 * panels[0].x[0] / rpm, 60.0 * panels[0].x[1] / rpm)
+        below = Panel(drawing, (_LEFT, _ONE_AXIS, box[2], 0.0), ends, (0.0, 1.0))
+        below.x_axis(_ORDER, most=10, grid=False)
+        below.frame()
+    for number, (text, color) in enumerate(causes[: int(box[3] / _LINE)], start=1):
+        said, place = shortened(drawable(text, 200), SMALL, right - 0.25), low + box[3] - number * _LINE
+        drawing.add(Words(settings.width_in - right + 0.15, place, said, SMALL, color, name="cause"))
+    draw_keys(drawing, _LEFT, [Key("order found", LINES[1])] * bool(orders) + mode_keys(fixed), room_in=box[2])
+    said = drawable(strongest_sentence(findings, channel), 300) or f"Amplitude {scaling_text(row)} against frequency."
+    what = f"channel {drawable(channel, settings.max_name_characters)}"
+    at = f" at {rpm:.0f} rpm" if rpm > 0.0 else ", speed unknown"
+    head_of_test(drawing, _LEFT, findings, f"{what}{at}", said, longest=settings.max_name_characters)
+    return drawing
+
+
+def _causes(findings: Findings, fixed: list[ModeFinding]) -> list[tuple[str, str]]:
+    """Lines of text with their colour: each cause, and below it the orders and tones that it makes."""
+    orders = sorted(findings.orders, key=lambda one: -one.amplitude)
+    places = [(one.explained_by, order_name(one, findings), LINES[1]) for one in orders]
+    places += [(one.explained_by, f"{frequency_text(one.frequency_hz)} Hz", MAINS) for one in fixed if is_tone(one)]
+    causes: dict[tuple[str, str], list[str]] = {}
+    for cause, place, color in places:
+        causes.setdefault((cause or "unexplained", color), []).append(place)
+    texts = [((cause, INK), (", ".join(at), color)) for (cause, color), at in causes.items()]
+    return [(line, color) for pair in texts for text, color in pair for line in wrap(text, _LETTERS)]
 
 
 def column_boxes(n: int, left: float, settings: ReportSettings) -> tuple[Drawing, list[tuple[float, float]]]:
@@ -110,7 +171,7 @@ def column_panels(
     ``settings`` cut long names.
     """
     place, units = dataset[along].values, dataset["unit"].values.astype(str)
-    title = "Frequency, Hz" if along == "frequency" else "Order (cycles per crank revolution)"
+    title = "Frequency, Hz" if along == "frequency" else _ORDER
     panels = []
     for number, box in enumerate(boxes):
         limits = _log_limits(values[units == units[number]], _DECADES * (1.5 if "²/Hz" in unit_tail else 1.0))
@@ -144,10 +205,13 @@ def _log_limits(values: NDArray[Any], decades: float) -> tuple[float, float] | N
     return max(quiet / 2, top * 10**-decades), min(2.5 * top, 1e307)
 
 
-def _mode_mark(mode: ModeFinding) -> Mark:
-    frequency_hz = mode.frequency_hz
-    doubt = "?" if is_undecided(mode) else ""
-    return frequency_hz, f"{frequency_text(frequency_hz)}{doubt} Hz", MAINS if is_tone(mode) else MODE
+def _mark_modes(panels: list[Panel], modes: list[ModeFinding]) -> list[Mark]:
+    for panel in panels:
+        for mode in modes:
+            tone = is_tone(mode)
+            dashes = TONE_DASHES if tone else DOUBT_DASHES if is_undecided(mode) else MODE_DASHES
+            panel.upright(mode.frequency_hz, color=MAINS if tone else MODE, dashes=dashes, alpha=0.7)
+    return mode_marks(modes)
 
 
 def _mark_orders(
@@ -169,19 +233,14 @@ def _mark_orders(
     return [(order * rpm / 60, text, LINES[1]) for order, text in zip(kept, texts, strict=True)]
 
 
-def label_column(panel: Panel, marks: list[Mark], caption: str) -> None:
-    """Write ``marks`` (place, text, colour) over the first ``panel`` of a column.
+def label_column(panel: Panel, marks: list[Mark], caption: str, above: Sequence[Mark] = ()) -> None:
+    """Write ``marks`` (place, text, colour) over the first ``panel`` of a column, and those ``above`` over them.
 
     ``caption`` stands before them: what the marks are.
     """
-    low, high = panel.x
-    labels = [
-        EdgeLabel(float(panel.at(place, panel.y[1])[0, 0]), text, color, number)
-        for number, (place, text, color) in enumerate(marks)
-        if low <= place <= high
-    ]
-    lines = label_top(panel.drawing, panel.box, [fitted(labels, panel.box[2])])
-    if labels and caption:
+    tiers = [edge_labels(panel, tier) for tier in (marks, above)]
+    lines = label_top(panel.drawing, panel.box, [fitted(labels, panel.box[2]) for labels in tiers])
+    if tiers[0] and caption:
         panel.drawing.add(Words(panel.box[0] - 0.25, lines[0], caption, SMALL, LINES[1], along="right"))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from typing import cast
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import (
@@ -18,9 +18,10 @@ from crankorder.findings import (
     Quality,
 )
 from crankorder.identify.said import AMPLIFIED
-from crankorder.records import Interval, Record
+from crankorder.records import Record
 from crankorder.report.fixed_lines import hertz_of_order
 from crankorder.report.notation import (
+    Numbered,
     estimate_text,
     frequency_text,
     is_number,
@@ -35,10 +36,12 @@ from crankorder.report.notation import (
     order_texts,
     percent_text,
     speeds_text,
+    strongest_by,
     unit_of,
     with_interval,
 )
 from crankorder.report.rows import Bar, Table, folded, table_of
+from crankorder.report.sentences.of_lines import no_order_sentence
 from crankorder.report.sentences.of_speeds import all_judged
 from crankorder.report.sentences.story import energy_sentence
 from crankorder.report.tables_of_sources import (
@@ -93,15 +96,10 @@ def _avoid(findings: Findings, limit: int) -> Table:
     """Speeds to avoid, ranked, and under them the other bands; empty where the findings have no such lists."""
     bands: list[tuple[FreeBand | OpenBand, str]] = [(band, "free") for band in findings.free_bands]
     bands += [(band, "not free, or not known") for band in findings.open_bands or []]
-    other = [
-        [
-            speeds_text((band.low_rpm, band.high_rpm)),
-            number_of(band.high_rpm - band.low_rpm),
-            verdict,
-            named(band.remark or "–", limit=8 * limit),
-        ]
-        for band, verdict in sorted(bands, key=lambda item: item[0].low_rpm)
-    ]
+    other = []
+    for band, verdict in sorted(bands, key=lambda item: item[0].low_rpm):
+        ends, remark = (band.low_rpm, band.high_rpm), named(band.remark or "–", limit=8 * limit)
+        other.append([speeds_text(ends), number_of(ends[1] - ends[0]), verdict, remark])
     rows = [
         [
             number_of(record.rank),
@@ -124,8 +122,8 @@ def _avoid(findings: Findings, limit: int) -> Table:
     by_a_flank = not met and any(AMPLIFIED in str(band.remark) for band in findings.open_bands or [])
     told = FLANK_ALONE if by_a_flank else NOTHING_TOLD
     empty = (NOTHING_RISES if all_judged(findings) else told) if known else ""
-    note = "The worst first: by the peak there in any channel, of several units by its share of the largest order."
-    note = note if len(rows) > 1 else ""
+    ranked = "The worst first: by the peak there in any channel, of several units by its share of the largest order."
+    note = ranked if len(rows) > 1 else ""
     return table_of("Speeds to avoid", heads, rows, note=note, empty=empty, beside=beside if other else None)
 
 
@@ -138,19 +136,15 @@ def _peak_text(record: AvoidedSpeed, findings: Findings) -> str:
 
 def _orders(findings: Findings, limit: int) -> Table:
     records = [record for record in findings.orders if is_number(record.order)]
-    loudest: dict[str, float] = {}
-    for record in records:
-        unit = unit_of(findings, record)
-        loudest[unit] = max(loudest.get(unit, 0.0), float(record.amplitude or 0))
-    records.sort(key=lambda one: -float(one.amplitude or 0) / (loudest[unit_of(findings, one)] or 1.0))
+    loudest = strongest_by(records, lambda one: unit_of(findings, one))
+    records.sort(key=lambda one: -one.amplitude / (loudest[unit_of(findings, one)].amplitude or 1.0))
     rows = [_order_row(record, findings, limit) for record in records]
     note = "The strongest first. Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
     heads = (
         "Channel|Order#|Explained by|To the shaft|Largest amplitude (peak)#|At, rpm#|Phase there, °#|Speed exponent#|"
         "With speed|Meets, Hz#|Seen, rpm#"
     )
-    empty = "No order stands above the noise."
-    return folded("Orders", heads, rows, note=note if rows else "", empty=empty)
+    return folded("Orders", heads, rows, note=note if rows else "", empty=no_order_sentence(findings))
 
 
 def _order_row(record: OrderFinding, findings: Findings, limit: int) -> list[str]:
@@ -186,13 +180,7 @@ def _lock(record: OrderFinding, findings: Findings) -> str:
 
 def _modes(findings: Findings, limit: int) -> Table:
     rows = [
-        [
-            estimate_text(record, "frequency_hz"),
-            _in_percent(record),
-            named(", ".join(str(name) for name in record.channels or []), limit=limit),
-            _reached(record),
-            named(record.evidence or "", limit=4 * limit),
-        ]
+        _mode_row(record, _reached(record), limit)
         for record in sorted(findings.modes, key=lambda one: -_shaken(one, findings))
         if not is_tone(record) and not is_undecided(record)
     ]
@@ -201,16 +189,16 @@ def _modes(findings: Findings, limit: int) -> Table:
     return table_of("Natural frequencies", heads, rows, note=note, empty="No natural frequency was found.")
 
 
+def _mode_row(record: ModeFinding, about: str, limit: int) -> list[str]:
+    channels = named(", ".join(record.channels or ()), limit=limit)
+    evidence = named(record.evidence or "", limit=4 * limit)
+    return [estimate_text(record, "frequency_hz"), _in_percent(record), channels, about, evidence]
+
+
 def _shaken(mode: ModeFinding, findings: Findings) -> float:
     """Largest amplification of an order that excites ``mode`` in the tested range; 0 where none does."""
-    return max(
-        (
-            float(one.amplification or 1.0)
-            for one in findings.crossings
-            if one.excited and one.in_range and abs(one.mode_hz - mode.frequency_hz) <= 1e-3 * mode.frequency_hz
-        ),
-        default=0.0,
-    )
+    own = (one for one in findings.crossings if abs(one.mode_hz - mode.frequency_hz) <= 1e-3 * mode.frequency_hz)
+    return max((float(one.amplification or 1.0) for one in own if one.excited and one.in_range), default=0.0)
 
 
 def _reached(record: ModeFinding) -> str:
@@ -223,13 +211,7 @@ def _reached(record: ModeFinding) -> str:
 
 def _undecided(findings: Findings, limit: int) -> Table:
     rows = [
-        [
-            estimate_text(record, "frequency_hz"),
-            _in_percent(record),
-            named(", ".join(str(name) for name in record.channels or []), limit=limit),
-            named(record.undecided or "", limit=4 * limit),
-            named(record.evidence or "", limit=4 * limit),
-        ]
+        _mode_row(record, named(record.undecided or "", limit=4 * limit), limit)
         for record in findings.modes
         if is_undecided(record)
     ]
@@ -249,10 +231,8 @@ def _crossings(findings: Findings, limit: int) -> Table:
     inside = [_crossing(record, findings, limit) for record in records if record.in_range]
     outside = [_crossing(record, findings, limit) for record in records if not record.in_range]
     heads = "Order#|Natural frequency, Hz#|Speed, rpm#|Amplification measured#|Predicted#|Response|In channels|Evidence"
-    more = None
-    if outside:
-        title = f"{len(outside)} crossing{'s' * (len(outside) > 1)} extrapolated beyond the tested speeds"
-        more = table_of(title, heads, outside, empty="")
+    title = f"{len(outside)} crossing{'s' * (len(outside) > 1)} extrapolated beyond the tested speeds"
+    more = table_of(title, heads, outside, empty="") if outside else None
     note = "Speeds at which an order meets a natural frequency; excited ones first." if inside else ""
     empty = "No order crosses a natural frequency inside the tested speeds."
     return table_of("Crossings", heads, inside, note=note, empty=empty, more=more)
@@ -285,26 +265,20 @@ def _times(record: Record, key: str) -> str:
     return f"× {estimate_text(record, key) if ends else number_text(factor, digits=2)}"
 
 
-@dataclass(frozen=True)
-class _Line:
-    order: float
-    order_ci95: Interval | None
-
-
 def _lines(findings: Findings, limit: int) -> Table:
     records = sorted(findings.lines, key=lambda one: -float(one.amplitude or 0))
     rows = []
     for record in records:
+        place = f"{estimate_text(record, 'frequency_hz')} Hz"
         if record.order is not None:
-            place = f"order {order_estimate(_Line(record.order, record.order_ci95), findings)}"
-        else:
-            place = f"{estimate_text(record, 'frequency_hz')} Hz"
+            place = f"order {order_estimate(cast('Numbered', record), findings)}"
         level = estimate_text(record, "amplitude", unit=unit_of(findings, record))
         explained = named(record.explained_by or "unexplained", limit=2 * limit)
         rows.append([named(record.channel, limit=limit), place, level, explained])
     note = energy_sentence(findings) if rows else ""
     heads = "Channel|Line|Amplitude (peak)#|Explained by"
-    return folded("All lines", heads, rows, note=note, empty="No line stands above the false-alarm level.")
+    empty = "No line of the vibration itself stands above the false-alarm level in the band that was looked at."
+    return folded("All lines", heads, rows, note=note, empty=empty)
 
 
 def _quality(findings: Findings, limit: int) -> Table:
@@ -325,9 +299,8 @@ def _quality(findings: Findings, limit: int) -> Table:
         count = len({record.recording for record in alike})
         case = f"{named(worst.recording, limit=limit)}: {named(worst.detail, limit=4 * limit)}"
         rows.append([named(severity, limit=limit), named(flag, limit=limit), str(count), str(len(alike)), case])
-    more = None
-    if len(rows) < len(every):
-        more = table_of(f"All {len(every)} remarks", "Recording|Severity|Flag|Detail", every, empty="")
+    everything = table_of(f"All {len(every)} remarks", "Recording|Severity|Flag|Detail", every, empty="")
+    more = everything if len(rows) < len(every) else None
     heads = "Severity|Flag|Recordings#|Remarks#|Worst case"
     note = "One row per kind; of several the one whose numbers differ most from good." if more else ""
     return table_of("Quality", heads, rows, note=note, empty="No remark on any recording.", more=more)

@@ -60,7 +60,6 @@ def bearing_table(findings: Findings, limit: int) -> Table:
 def _bearing_row(record: BearingFinding, findings: Findings, limit: int) -> list[str]:
     band, multiples, apart = band_text(record), record.harmonics, record.sidebands
     seen = named(record.seen_in or "–", limit=limit)
-    lock = str(record.lock or "–")
     expected = record.order_expected
     return [
         named(record.name or "", limit=limit),
@@ -74,7 +73,7 @@ def _bearing_row(record: BearingFinding, findings: Findings, limit: int) -> list
         named(record.channel or "–", limit=limit),
         f"{multiples:.0f}" if is_number(multiples) else "–",
         order_text(float(apart)) if is_number(apart) else "–",
-        named(lock, limit=limit),
+        named(record.lock or "–", limit=limit),
     ]
 
 
@@ -138,9 +137,7 @@ def octave_table(findings: Findings, limit: int) -> Table:
         return [named(one.channel, limit=limit), number_of(one.speed_rpm), f"{one.nominal_hz:g}", level]
 
     rows = [row_of(one) for one in sorted(findings.third_octaves, key=lambda one: one.channel)]
-    loudest: dict[str, list[str]] = {}
-    for one in sorted(findings.third_octaves, key=lambda one: -one.rms):
-        loudest.setdefault(one.channel, row_of(one))
+    loudest = {one.channel: row_of(one) for one in sorted(findings.third_octaves, key=lambda one: one.rms)}
     heads = "Channel|Speed, rpm#|Mid-band, Hz#|r.m.s.#"
     more = table_of(f"All {len(rows)} one-third octaves", heads, rows, empty="")
     note = "The strongest of each channel, at the speed where the channel is loudest." if rows else ""

@@ -30,7 +30,7 @@ from crankorder.identify.lines.several_orders import DEGREES_OF_FREEDOM, SOLVED,
 from crankorder.identify.lines.swept_orders import NUMBERS as SWEPT_ORDERS
 from crankorder.identify.lines.swept_orders import longest_frame
 from crankorder.identify.lines.zoom import Course, Zoomed
-from crankorder.identify.mains import nearest_multiple as nearest_mains
+from crankorder.identify.mains import multiples_near
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.true_angle import ERROR
@@ -198,11 +198,7 @@ def _may_be_mains(one: _Unnamed, settings: IdentifySettings) -> bool:
     if not np.isfinite(speeds).all() or speeds.max() > SAID.alike_speeds_ratio * speeds.min():
         return False
     hertz = one.number.order * float(speeds.mean()) / 60.0
-    for mains in settings.mains_hz:
-        multiple, reach = nearest_mains(hertz, mains, settings=settings)
-        if abs(hertz - float(multiple) * mains) <= float(reach):
-            return True
-    return False
+    return bool(multiples_near(hertz, 0.0, settings=settings))
 
 
 def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:

@@ -227,7 +227,7 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
         return "order", known + also
     for multiple, mains in multiples_near(frequency_hz, error_hz, settings=settings):
         same = ", the same at all speeds" if _moves(floor) else ""
-        return "mains", f"no damping, {_times(multiple, mains)}{same}"
+        return "mains", f"no damping, {times_mains(multiple, mains)}{same}"
     rows = _rows_that_show(frequency_hz, floor)
     if (
         rows.any()
@@ -306,10 +306,11 @@ def _of_supply(tone: Tone, supply_hz: float, settings: IdentifySettings) -> Tone
         return replace(tone, kind="tone", evidence=words)
     if near[0][1] == supply_hz:
         return tone
-    return replace(tone, evidence=tone.evidence.replace(_times(*near[0]), _times(own[0], supply_hz)))
+    return replace(tone, evidence=tone.evidence.replace(times_mains(*near[0]), times_mains(own[0], supply_hz)))
 
 
-def _times(multiple: int, mains_hz: float) -> str:
+def times_mains(multiple: int, mains_hz: float) -> str:
+    """Words for the ``multiple`` of a supply of ``mains_hz``."""
     return f"{multiple} times the mains frequency of {mains_hz:g} Hz"
 
 

@@ -31,25 +31,32 @@ _LETTERS = 400  # of a verdict
 
 def bearing_sentences(findings: Findings, *, with_rule: bool = True) -> list[str]:
     """One sentence per bearing line of ``findings`` that was seen; ``with_rule`` adds the rule of its verdict."""
+    sentences = []
+    for name, best in bearing_lines(findings):
+        text = f"Order {order_name(best, findings)} fits the {name}: {_seen(findings, best)}."
+        sentences.append(text + _verdict(best) + (f" {RE_RUN_RULE}" if with_rule and asks_re_run(best) else ""))
+    return sentences
+
+
+def bearing_lines(findings: Findings) -> list[tuple[str, BearingFinding]]:
+    """What each bearing line of ``findings`` that was seen is called, with its largest record.
+
+    Faults go first, those that strike before those that only sound.
+    """
     groups: dict[tuple[float, str, str], list[BearingFinding]] = {}
     for record in findings.bearings:
         if is_number(record.amplitude) and is_number(record.order):
             key = nominal_order(record), record.line, str(record.seen_in)
             groups.setdefault(key, []).append(record)
-    sentences = []
-    # faults go first, those that strike before those that only sound
+    lines = []
     for (_, line, _), records in sorted(
-        groups.items(), key=lambda item: (item[0][1] == "N*fs", item[0][2] != "envelope")
+        groups.items(), key=lambda group: (group[0][1] == "N*fs", group[0][2] != "envelope")
     ):
-        best = max(records, key=lambda record: record.size)
         names = list(dict.fromkeys(named(record.name, limit=NAME_CHARACTERS) for record in records))
         which = _LINE_NAMES.get(line, named(line, limit=NAME_CHARACTERS))
-        text = (
-            f"Order {order_name(best, findings)} fits the {which} line of the {listed(names)}"
-            f"{_noun(names)}: {_seen(findings, best)}."
-        )
-        sentences.append(text + _verdict(best) + (f" {RE_RUN_RULE}" if with_rule and asks_re_run(best) else ""))
-    return sentences
+        best = max(records, key=lambda record: record.size)
+        lines.append((f"{which} line of the {listed(names)}{_noun(names)}", best))
+    return lines
 
 
 def _noun(names: list[str]) -> str:

@@ -23,8 +23,10 @@ from crankorder.report.notation import (
     order_name,
     order_texts,
     percent_text,
+    strongest_by,
     unit_of,
 )
+from crankorder.report.sentences.of_bearings import bearing_lines
 from crankorder.report.sentences.of_levels import above_sentence, look_above, stronger_above
 
 _MEETING_SHARE = 0.03  # an order line this close to a natural frequency is said to meet it
@@ -37,7 +39,7 @@ def line_sentences(findings: Findings) -> list[str]:
     """What shakes: the strongest line of each channel of ``findings``, the strongest first, then what else there is."""
     names = _channels(findings)
     if not names:
-        return [*_above(findings), _nothing(findings), *slow_sentences(findings)]
+        return [*_above(findings), no_order_sentence(findings), *slow_sentences(findings)]
     sentences = [*_above(findings), *(strongest_sentence(findings, name, with_cause=True) for name in names[:_MANY])]
     if len(names) > _MANY:
         sentences.append("The tables hold the other channels.")
@@ -71,9 +73,7 @@ def _strongest_above(findings: Findings) -> list[Level]:
     found = []
     for record in findings.levels:
         channel = record.channel
-        own = [_strongest_order(findings, channel), strongest_tone(findings, channel)]
-        largest = max((one.size for one in own if one is not None), default=0.0)
-        if (above := stronger_above(findings, channel, largest)) is not None:
+        if (above := stronger_above(findings, channel, _largest(findings, channel))) is not None:
             found.append(above)
     units = list(dict.fromkeys(str(one.unit) for one in found))
     found.sort(key=lambda one: (units.index(str(one.unit)), -(one.amplitude_above or 0.0)))
@@ -87,14 +87,20 @@ def lies_above(findings: Findings) -> bool:
 
 def nothing_proven(findings: Findings) -> bool:
     """True where ``findings`` hold no line because too few revolutions were recorded, not because there is none."""
-    short = any(flag.flag == "short_recording" for flag in findings.quality)
-    return short and not _channels(findings)
+    return _is_short(findings) and not _channels(findings)
 
 
-def _nothing(findings: Findings) -> str:
-    if nothing_proven(findings):
-        return "No order could be proven: the recordings hold too few revolutions."
-    return "No order stands above the noise."
+def _is_short(findings: Findings) -> bool:
+    return any(flag.flag == "short_recording" for flag in findings.quality)
+
+
+def no_order_sentence(findings: Findings) -> str:
+    """What is said where ``findings`` list no order: none stands, or none could be proven, and apart from what."""
+    what = "order could be proven" if _is_short(findings) else "order stands above the noise"
+    band = " in the band that was looked at" if lies_above(findings) else ""
+    why = ": the recordings hold too few revolutions" if _is_short(findings) else ""
+    lines = listed([f"the {name}" for name in dict.fromkeys(name for name, _ in bearing_lines(findings))])
+    return f"{f'Apart from {lines} no' if lines else 'No'} {what}{band}{why}."
 
 
 def _channels(findings: Findings) -> list[str]:
@@ -102,7 +108,7 @@ def _channels(findings: Findings) -> list[str]:
     top: dict[str, tuple[str, float]] = {}
     seen = [one.channel for one in findings.orders] + [one.channel for one in findings.lines]
     for channel in dict.fromkeys(seen):
-        records = [one for one in (_strongest_order(findings, channel), strongest_tone(findings, channel)) if one]
+        records = [one for one in (_strongest_of(findings.orders, channel), strongest_tone(findings, channel)) if one]
         if records:
             best = max(records, key=lambda one: one.size)
             top[channel] = unit_of(findings, best), best.size
@@ -112,8 +118,10 @@ def _channels(findings: Findings) -> list[str]:
     return sorted(ordered, key=lambda name: (units.index(top[name][0]), -top[name][1]))
 
 
-def _strongest_order(findings: Findings, channel: str) -> OrderFinding | None:
-    return _strongest_of(findings.orders, channel)
+def _largest(findings: Findings, channel: str) -> float:
+    """Amplitude of the strongest line in a ``channel``, order or tone; 0 where it has none."""
+    lines = (_strongest_of(findings.orders, channel), strongest_tone(findings, channel))
+    return max((line.size for line in lines if line is not None), default=0.0)
 
 
 def _strongest_of(orders: Iterable[OrderFinding], channel: str) -> OrderFinding | None:
@@ -128,9 +136,8 @@ def strongest_sentence(findings: Findings, channel: str, *, with_cause: bool = F
     ``findings`` of the test; ``channel`` whose strongest line, order or fixed tone, is asked for; ``with_cause`` adds
     what makes it. Empty where it has none.
     """
-    order, tone = _strongest_order(findings, channel), strongest_tone(findings, channel)
-    largest = max((one.size for one in (order, tone) if one is not None), default=0.0)
-    above = stronger_above(findings, channel, largest)
+    order, tone = _strongest_of(findings.orders, channel), strongest_tone(findings, channel)
+    above = stronger_above(findings, channel, _largest(findings, channel))
     where = named(channel, limit=NAME_CHARACTERS) + ("" if above is None else " in the band that was looked at")
     if tone is not None and (order is None or tone.size > order.size):
         noun = "line at" if at_one_speed(findings) else "fixed tone of"
@@ -260,20 +267,17 @@ def _or_mode(tone: ModeFinding, findings: Findings) -> str:
 
 def _mains_among_orders(findings: Findings) -> list[str]:
     """Lines of the mains among the orders of ``findings``, each in the channel where it is strongest."""
-    best: dict[float, OrderFinding] = {}
-    for record in findings.orders:
-        if "mains" not in str(record.explained_by or "") or findings.motor:
-            continue  # a motor has sentences of its own
-        if hertz_of_order(record, findings) is None:
-            continue
-        old = best.get(record.order)
-        if old is None or record.amplitude > old.amplitude:
-            best[record.order] = record
+    lines = [
+        record
+        for record in findings.orders
+        # a motor has sentences of its own
+        if "mains" in str(record.explained_by or "") and not findings.motor and hertz_of_order(record, findings)
+    ]
     return [
         f"{one.order * (one.speed_rpm_at_max or 0.0) / 60.0:.2f} Hz "
         f"({named(one.explained_by, limit=NAME_CHARACTERS)}, {_level(findings, one)} in "
         f"{named(one.channel, limit=NAME_CHARACTERS)})"
-        for _, one in sorted(best.items())
+        for _, one in sorted(strongest_by(lines, lambda one: one.order).items())
     ][:_SHOWN]
 
 

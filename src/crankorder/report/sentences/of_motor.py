@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from crankorder.findings import Findings, Motor, MotorLine, MotorSpeed
-from crankorder.report.notation import NAME_CHARACTERS, is_number, listed, named, percent_text, unit_of
+from crankorder.report.notation import NAME_CHARACTERS, is_number, listed, named, percent_text, strongest_by, unit_of
 
 SHAFT_SIDES = "motor, pole-pass sideband of order 1 of the motor"
 FIELD_SIDES = "motor, pole-pass sideband of twice mains"
@@ -95,11 +95,7 @@ def _or(line: MotorLine) -> str:
 
 def _strongest(lines: list[MotorLine]) -> list[MotorLine]:
     """Each line in the channel where it is strongest, lowest first."""
-    best: dict[tuple[str, str], MotorLine] = {}
-    for line in lines:
-        key = line.name, str(line.side)
-        if key not in best or line.amplitude > best[key].amplitude:
-            best[key] = line
+    best = strongest_by(lines, lambda line: (line.name, str(line.side)))
     return sorted(best.values(), key=lambda line: line.frequency_hz)
 
 

@@ -15,6 +15,7 @@ from crankorder.report.notation import (
     listed,
     nominal_order,
     order_name,
+    strongest_by,
 )
 
 _CLEAR_EXPONENT = 1.5  # an interval of the speed exponent wider than this tells nothing
@@ -24,7 +25,7 @@ _STEADY_CAUSES = ("unexplained", "bearing", "gear", "tooth", "teeth")  # words o
 
 def law_sentences(findings: Findings) -> list[str]:
     """How the orders of ``findings`` change with speed, each judged in the channel where it is strongest."""
-    strongest = _strongest(findings)
+    strongest = strongest_by(findings.orders, nominal_order)
     square: list[str] = []
     steady: list[str] = []
     met: dict[float, list[str]] = {}
@@ -68,16 +69,6 @@ def _may_be_steady(record: OrderFinding) -> bool:
     return not cause or cause.startswith(_STEADY_CAUSES)
 
 
-def _strongest(findings: Findings) -> dict[float, OrderFinding]:
-    """Record of each order in the channel where it is strongest, by nominal order."""
-    found: dict[float, OrderFinding] = {}
-    for record in findings.orders:
-        order = nominal_order(record)
-        if order not in found or record.amplitude > found[order].amplitude:
-            found[order] = record
-    return found
-
-
 def _is_square(record: OrderFinding) -> bool:
     ends = interval_of(record, "speed_exponent")
     return ends is not None and ends[1] - ends[0] < _CLEAR_EXPONENT and ends[0] <= 2 <= ends[1]
@@ -105,7 +96,7 @@ def lock_sentences(findings: Findings) -> list[str]:
     """Orders of ``findings`` that slip, and those of which it cannot be told, with the record length that would do."""
     slips, open_, longest, swept = [], [], 0.0, False
     loose = []
-    for _, record in sorted(_strongest(findings).items()):
+    for _, record in sorted(strongest_by(findings.orders, nominal_order).items()):
         name, hertz = order_name(record, findings), hertz_of_order(record, findings)
         if is_electric(record):
             continue

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from typing import TypedDict
 
-from crankorder.findings import Findings, OrderFinding
+from crankorder.findings import Findings
 from crankorder.identify.said import LIKE_UNBALANCE, ONE_SPEED
 from crankorder.quantities import WHICH_IS_RIGHT
-from crankorder.report.notation import NAME_CHARACTERS, is_number, is_tone, listed, named, percent_text
+from crankorder.report.fixed_lines import fixed_tones
+from crankorder.report.notation import NAME_CHARACTERS, is_number, listed, named, percent_text, strongest_by
 from crankorder.report.sentences.of_balance import balance_sentences
 from crankorder.report.sentences.of_bearings import RE_RUN_RULE, bearing_sentences
 from crankorder.report.sentences.of_levels import level_sentences, limit_sentences, share_sentences, undecided_limits
@@ -144,8 +145,7 @@ def stands_still(findings: Findings) -> bool:
 
 def strikes(findings: Findings) -> bool:
     """Whether a bearing of ``findings`` strikes: a line of its envelope is called damage."""
-    said = [record.verdict for record in findings.bearings]
-    return any(verdict.startswith("Damage") for verdict in said)
+    return any(record.verdict.startswith("Damage") for record in findings.bearings)
 
 
 def energy_sentence(findings: Findings) -> str:
@@ -162,8 +162,9 @@ def energy_sentence(findings: Findings) -> str:
     judged = not whole or energy is None or energy.cells_judged is not False
     but = "" if judged else " What lies between the lines could not be judged."
     if float(fraction) == 0 and whole and not has_lines(findings):
-        return f"No order and no tone holds energy that would need a cause.{but}"
-    if float(fraction) == 0 and (_has_unexplained(findings) or _much_above(findings)):
+        return f"In the band that was looked at no order and no tone holds energy that would need a cause.{but}"
+    much_above = any(is_number(one.share_above) and one.share_above > _MUCH_UNKNOWN for one in findings.levels)
+    if float(fraction) == 0 and (_has_unexplained(findings) or much_above):
         return f"Less than 0.1 % of {what} in the band that was looked at has no known cause.{but}"
     if float(fraction) == 0:
         by = "orders and tones with a known cause" if whole else "what the tables name"
@@ -171,15 +172,9 @@ def energy_sentence(findings: Findings) -> str:
     return f"{percent_text(float(fraction))} of {what} has no known cause.{but}"
 
 
-def _much_above(findings: Findings) -> bool:
-    """Whether a channel of ``findings`` has much of its energy above the band that was looked at."""
-    shares = [record.share_above for record in findings.levels]
-    return any(is_number(share) and share > _MUCH_UNKNOWN for share in shares)
-
-
 def has_lines(findings: Findings) -> bool:
     """Whether ``findings`` hold an order or a tone."""
-    return bool(findings.orders) or any(is_tone(mode) for mode in findings.modes)
+    return bool(findings.orders) or bool(fixed_tones(findings))
 
 
 def _quality_sentences(findings: Findings) -> list[str]:
@@ -249,32 +244,23 @@ def _has_unexplained(findings: Findings) -> bool:
 
 def _balance_asks(findings: Findings) -> list[str]:
     """That an unbalanced mass asks for balancing: in the channels in which its order is the strongest."""
-    leads = {name: record for name, record in _strongest(findings).items() if record.explained_by == "unbalance"}
+    strongest = strongest_by(findings.orders, lambda one: one.channel)
+    leads = [name for name, record in strongest.items() if record.explained_by == "unbalance"]
     if not leads or not _leads(findings, "unbalance"):
         return []
-    if len(leads) == len(_strongest(findings)):
+    if len(leads) == len(strongest):
         return [BALANCE]
     return [BALANCE_IN.format(channels=listed([named(name, limit=NAME_CHARACTERS) for name in sorted(leads)]))]
-
-
-def _strongest(findings: Findings) -> dict[str, OrderFinding]:
-    """The strongest order of each channel that has one."""
-    strongest: dict[str, OrderFinding] = {}
-    for record in findings.orders:
-        name = record.channel
-        if name not in strongest or record.amplitude > strongest[name].amplitude:
-            strongest[name] = record
-    return strongest
 
 
 def _leads(findings: Findings, cause: str) -> bool:
     """Whether the strongest order of any channel of ``findings`` has that ``cause``, or may for want of speeds."""
     if findings.speed_doubt or lies_above(findings):
         return False
-    told = [record for record in _strongest(findings).values() if record.explained_by == cause]
+    strongest = strongest_by(findings.orders, lambda one: one.channel).values()
+    told = [record for record in strongest if record.explained_by == cause]
     return any(cause != LIKE_UNBALANCE or ONE_SPEED in record.evidence for record in told)
 
 
 def _repeat_sentences(findings: Findings) -> list[str]:
-    bad = any(flag.severity == "bad" for flag in findings.quality)
-    return ["Repeat the recordings that are marked bad."] if bad else []
+    return ["Repeat the recordings that are marked bad."] * any(flag.severity == "bad" for flag in findings.quality)
