@@ -139,7 +139,6 @@ class OrderSettings(StageSettings):
     sideband_slack: Fraction
     own_line_range: Positive
     carrier_over_noise: Annotated[float, Field(gt=1)]
-    least_mesh_teeth: Count
 
 
 def _rising(ends: tuple[float, float]) -> tuple[float, float]:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.identify.found import OrderLine
-from crankorder.identify.lines.agreed_orders import sideband_of
+from crankorder.identify.explain import multiple_of_cycle
+from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.lines.agreed_orders import sideband_of, unless_sidebands
 
 REVS = 32
 
@@ -50,3 +53,21 @@ def test_no_sideband_of_rounded_edges_is_a_line_for_sure_and_a_larger_one_is(see
     assert sideband_of([_line(7.3, large)], order_map, frames) is None
     exact = [frames[0].assign_attrs(angle_error_rev=0.0)]
     assert sideband_of([_line(7.3, 1e-3)], order_map, exact) is None
+
+
+@pytest.mark.parametrize(("seen", "size", "is_own"), [((3,), 0.01, False), ((3,), 5.0, True), ((0, 1, 3), 0.01, True)])
+def test_only_what_is_larger_or_seen_at_most_speeds_keeps_its_lock_and_its_number(
+    seen: tuple[int, ...], size: float, is_own: bool
+) -> None:
+    axis, rpm = np.arange(400) / REVS, 1000.0 + 100.0 * np.arange(4)
+    amplitude = np.where(np.abs(axis - 9.0) < 1e-9, 1.0, 0.0)[None, None].repeat(4, axis=1)
+    order_map = xr.Dataset(
+        {"amplitude": (("channel", "speed", "order"), amplitude)},
+        coords={"channel": ["X"], "speed": rpm, "order": axis},
+    )
+    frames = [xr.Dataset({"speed": ("frame", rpm)}, attrs={"angle_error_rev": 1e-3})]
+    at, sizes = np.array(seen), np.full(len(seen), size)
+    line = replace(_line(8.5, size), seen=at, speed_rpm=rpm[at], amplitude=sizes, amplitude_error=0.1 * sizes)
+    agreed = AgreedOrder(8.5, 1e-4, 30.0, "locked", None, (line,))
+    (kept,) = unless_sidebands([agreed], order_map, frames)
+    assert (kept.lock, multiple_of_cycle(kept, 2)) == (("locked", 8.5) if is_own else ("undecided", None))

@@ -12,6 +12,7 @@ from crankorder.identify.found import ModalFit, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.known_lines import Held, held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
+from crankorder.identify.modal.tones import with_one_mains
 from crankorder.settings import load_settings
 from made.found_lines import fit
 from made.line_frames import angle_of, frames_of, wave
@@ -102,3 +103,12 @@ def test_a_weak_multiple_of_a_supply_that_is_seen_stays_mains_where_it_fits(hert
 def test_what_the_longest_recording_does_not_have_is_not_called_several_lines() -> None:
     (tone,) = with_tones_parted(told((95.3, 0.5)), recorded((150.0, 1.0))).tones
     assert UNPARTED not in tone.evidence and tone.amplitude["A"] == (0.5, 0.01)
+
+
+def test_a_multiple_that_tells_another_frequency_than_one_told_better_is_no_mains() -> None:
+    def kinds(*tones: tuple[float, float]) -> list[str]:
+        made = [Tone(hertz, error, "mains", {"A": (1.0, 0.01)}, "no damping") for hertz, error in tones]
+        return [tone.kind for tone in with_one_mains(made, settings=SETTINGS)]
+
+    assert kinds((59.792, 0.015), (119.978, 0.02)) == ["tone", "mains"]
+    assert kinds((59.992, 0.015), (119.978, 0.02), (359.93, 0.01)) == ["mains"] * 3

@@ -7,8 +7,10 @@ import pytest
 import xarray as xr
 
 from crankorder.orders.swing_evidence import (
+    HARMONICS,
     Expected,
     Rows,
+    alike_at_all_speeds,
     given_by_neighbours,
     in_true_angle,
     rows_of,
@@ -18,6 +20,8 @@ from crankorder.settings import load_settings
 
 PER_ORDER = 8
 EXPECTED = Expected(load_settings().orders)
+STILL = dict.fromkeys(HARMONICS, (0j, 1e-7))
+"""What pulses show of an encoder without error on a shaft that turns evenly."""
 
 
 def shown(lines: dict[float, complex], swings: dict[int, complex]) -> np.ndarray:
@@ -78,7 +82,7 @@ def test_frames_that_end_below_the_highest_order_count_as_far_as_they_go(swept):
     found = rows_of([frames_of(spectrum, swept)])
     assert found is not None and found.value.shape[1] == 40
     assert np.median(found.noise[:, 4:20]) == pytest.approx(2.0 / (1 if swept else 3), rel=0.3)
-    assert all(np.isfinite(swing.bound_rev) for swing in swings_of(found, EXPECTED))
+    assert all(np.isfinite(swing.bound_rev) for swing in swings_of(found, EXPECTED, {}))
 
 
 def phases(rng: np.random.Generator, orders: list[float]) -> dict[float, complex]:
@@ -93,7 +97,7 @@ def test_an_eccentric_encoder_is_told_with_its_interval(degrees):
     for _ in range(6):
         size = degrees / 360.0 * np.exp(2j * np.pi * rng.random())
         spectra = [shown(phases(rng, [2.0, 5.5, 9.0, 16.0]), {1: size}) for _ in range(4)]
-        found = swings_of(rows(spectra, 5e-4, rng), EXPECTED)[0]
+        found = swings_of(rows(spectra, 5e-4, rng), EXPECTED, {1: (size, 1e-6)})[0]
         assert found.proved
         inside += abs(found.size - size) < found.left_rev
         assert abs(found.size - size) < 0.1 * abs(size)
@@ -110,7 +114,7 @@ def test_what_one_line_alone_can_show_is_bounded_by_no_less_than_it_is(swings):
         # a sweep: many short frames, whose orders grow each in its own way; only order 6 has no line of its own
         growth = {order: rng.uniform(0.0, 2.0) for order in lines}
         frames = [shown({n: size * grown ** growth[n] for n, size in lines.items()}, true) for grown in (1.0, 1.5, 2.2)]
-        found = swings_of(rows(frames * 40, 1e-3, rng), EXPECTED)
+        found = swings_of(rows(frames * 40, 1e-3, rng), EXPECTED, {k: (size, 1e-6) for k, size in true.items()})
         for k, size in true.items():
             swing = found[k - 1]
             told = abs(swing.size - size) if swing.proved else abs(size)
@@ -123,7 +127,8 @@ def test_teeth_that_sit_wrongly_are_told_at_all_low_harmonics():
     level = 0.15 / 360.0
     true = {k: level * complex(*rng.standard_normal(2)) * 0.5**0.5 for k in range(1, 7)}
     spectra = [shown(phases(rng, [1.0, 2.5, 6.0, 8.5]), true) for _ in range(4)]
-    found = swings_of(rows(spectra, 5e-4, rng), Expected(EXPECTED.settings, level))
+    shown_by_pulses = {k: (size, 1e-6) for k, size in true.items()}
+    found = swings_of(rows(spectra, 5e-4, rng), Expected(EXPECTED.settings, level), shown_by_pulses)
     assert sum(abs(one.size - true[one.harmonic]) < max(one.left_rev, 0.1 * level) for one in found if one.proved) >= 5
 
 
@@ -132,7 +137,7 @@ def test_a_good_encoder_is_cleared():
     for orders in ([1.0, 2.0, 3.0, 4.0, 6.0], [float(n) for n in range(1, 13)], [2.0, 5.5, 9.0]):
         for _ in range(6):
             same = phases(rng, orders)  # alike at all speeds, as beside no mode
-            found = swings_of(rows([shown(same, {}) for _ in range(4)], 1e-3, rng), EXPECTED)
+            found = swings_of(rows([shown(same, {}) for _ in range(4)], 1e-3, rng), EXPECTED, STILL)
             assert not any(swing.proved and abs(swing.size) > 1e-2 / 360.0 for swing in found)
 
 
@@ -147,4 +152,26 @@ def test_a_wheel_that_is_set_off_modulates_its_own_mesh_and_is_no_encoder():
             lines[9.0 * multiple] = size
             lines[9.0 * multiple + 1] = 0.5j * multiple * turned * size
             lines[9.0 * multiple - 1] = 0.5j * multiple * np.conj(turned) * size
-        assert not swings_of(rows([shown(lines, {}) for _ in range(4)], 1e-3, rng), EXPECTED)[0].proved
+        assert not swings_of(rows([shown(lines, {}) for _ in range(4)], 1e-3, rng), EXPECTED, STILL)[0].proved
+
+
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("error_deg", [0.0, 0.3])
+def test_pulses_part_an_error_of_the_encoder_from_a_swing_that_falls_with_speed(error_deg):
+    rng = np.random.default_rng(3)
+    rpm = np.array([700.0, 900.0, 1300.0, 2000.0])
+    error, swing = error_deg / 360.0 * np.exp(1j), 2.0 / 360.0 * np.exp(-2j)
+    pulses = np.zeros((4, 1 + len(HARMONICS)), dtype=complex)
+    pulses[:, 0], pulses[:, 1] = rpm, error + swing * (700.0 / rpm) ** 2
+    alike = alike_at_all_speeds(pulses, slack=0.03)
+    assert abs(alike[1][0] - error) < 3.0 * alike[1][1] < 0.06 / 360.0
+    assert not any(1 in alike_at_all_speeds(pulses[[0] * n], slack=0.03) for n in (0, 1, 2))
+    # a mode lifts all carriers, not their sidebands: in the true angle these look as an error by the swing would
+    spectra = [shown(phases(rng, [2.0, 5.5, 9.0, 16.0]), {1: error + swing * (700.0 / n) ** 2}) for n in rpm[2:]]
+    assert not swings_of(rows(spectra, 5e-4, rng), EXPECTED, alike)[0].proved
+
+
+def test_a_sideband_seen_at_one_speed_alone_blames_no_encoder():
+    rng = np.random.default_rng(7)
+    spectra = [shown(phases(rng, [2.0, 5.5, 9.0, 16.0]), {1: 0.2 / 360.0})] * 4
+    assert not any(swing.proved for swing in swings_of(rows(spectra, 5e-4, rng), EXPECTED, {}))

@@ -9,9 +9,11 @@ from functools import partial
 import numpy as np
 
 from crankorder.findings import BearingFinding
+from crankorder.identify.angle_swings import OR_OWN, Words
 from crankorder.identify.cycle_forces import CycleForce, cycle_forces, gas_half_orders
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
+from crankorder.identify.intervals import half_width
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.known_lines import LineSeen, named_by, words_of
 from crankorder.identify.lines.growth import largest
@@ -23,9 +25,7 @@ from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, mains_words
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.sidebands import (
     BY_ITSELF,
-    OR_OWN,
     StruckRace,
-    Words,
     explain_families,
     harmonic_words,
     sidebands,
@@ -88,7 +88,7 @@ def explained(
     in_cylinder: Collection[str] = (),
     folds: Sequence[ShownFold] = (),
     known: Sequence[LineSeen] = (),
-    of_encoder: Words | None = None,
+    of_swing: Words | None = None,
     longest_rev: float = np.inf,
 ) -> Causes:
     """One cause for every order line in every channel, and for every mode and tone.
@@ -111,7 +111,7 @@ def explained(
     settings : mains frequencies and how far they wander
     folds : what was found to fold (:func:`crankorder.identify.folds.shown_folds`)
     known : lines of the motor and of the mains that the frames hold where they were expected
-    of_encoder : lines that the encoder may make (:func:`crankorder.identify.sidebands.encoder_sidebands`)
+    of_swing : lines that swings of the angle may make (:func:`crankorder.identify.angle_swings.swing_sidebands`)
     longest_rev : revolutions of the longest recording at one speed: two lines that beat less often in it look like one
     """
     causes: dict[tuple[str, float], Cause] = {}
@@ -124,8 +124,8 @@ def explained(
             name = line.channel
             cause = first(agreed, line, at=at, quantity=quantity[name], in_cylinder=name in in_cylinder)
             causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, at, sources))
-    for key, (text, evidence) in (of_encoder or {}).items():
-        if causes[key].text in BY_ITSELF:
+    for key, (text, evidence) in (of_swing or {}).items():
+        if causes[key].text in (*BY_ITSELF, HALF_ORDER):
             causes[key] = Cause(text, evidence)
     causes |= _electric(orders, causes, modal, known, sources, settings, longest_rev)
     families = explain_families(
@@ -134,6 +134,7 @@ def explained(
         {agreed.order: multiple_of_cycle(agreed, sources.revs_per_cycle) for agreed in orders},
         spacings=_spacings(sources, bearings),
         modes_hz=[mode.frequency_hz for mode in modal.modes],
+        of_swing=of_swing or {},
     )
     causes |= {key: Cause(text, evidence) for key, (text, evidence) in families.items()}
     modes = tuple(
@@ -145,7 +146,9 @@ def explained(
     return Causes(causes, modes, tones)
 
 
-MAY_BE_MAINS = ("unbalance", LIKE_UNBALANCE, "shaft harmonic", "half order of the four-stroke cycle")
+HALF_ORDER = "half order of the four-stroke cycle"
+
+MAY_BE_MAINS = ("unbalance", LIKE_UNBALANCE, "shaft harmonic", HALF_ORDER)
 """What a line is called that is an order of the shaft for no other reason than that it is one."""
 
 
@@ -206,14 +209,15 @@ def _unparted(agreed: AgreedOrder, revs_per_cycle: int, longest_rev: float) -> f
 def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:
     """Multiple of the order of the cycle (1 / ``revs_per_cycle``) that ``agreed`` is or may be; None where it is none.
 
-    A line that slips is none; one that is undecided is, if its interval of three standard errors holds it and it lies
-    no farther from it than one line of four that lie anywhere.
+    A line that slips is none; one that is undecided is, if its 95 % interval holds it and it lies no farther from it
+    than one line of four that lie anywhere. What errors of the crank angle may have made is none.
     """
     nearest = max(1, round(agreed.order * revs_per_cycle)) / revs_per_cycle
     if agreed.lock == "locked" and abs(agreed.order - nearest) < 0.25 / revs_per_cycle:
         return nearest
-    reach = min(NUMBERS.same_sigmas * agreed.order_error + 1e-9, NUMBERS.vague_spacings / revs_per_cycle)
-    if agreed.lock == "slips" or abs(agreed.order - nearest) > reach:
+    half = half_width(agreed.degrees_of_freedom) * agreed.order_error
+    reach = min(half + 1e-9, NUMBERS.vague_spacings / revs_per_cycle)
+    if agreed.lock == "slips" or agreed.of_angle or abs(agreed.order - nearest) > reach:
         return None
     return nearest
 
@@ -392,7 +396,7 @@ def _half_order(of_cycle: float | None, orders: tuple[AgreedOrder, ...], sources
     if sources.engine_orders and len(family) < 2:
         return None
     listed = ", ".join(f"{m:g}" for m in family[:6])
-    return Cause("half order of the four-stroke cycle", f"{proof}; half orders found: {listed}")
+    return Cause(HALF_ORDER, f"{proof}; half orders found: {listed}")
 
 
 def _shaft_harmonic(of_cycle: float | None, sources: Sources, proof: str) -> Cause | None:

@@ -11,6 +11,7 @@ import xarray as xr
 
 from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Energy, Findings, Level, quality_of
 from crankorder.identify.alike_speeds import with_lines_of_recordings, with_tones_parted, without_absent_mains
+from crankorder.identify.angle_swings import swing_sidebands
 from crankorder.identify.balance.closure import closure
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.crossings import crossings
@@ -26,7 +27,7 @@ from crankorder.identify.levels import (
     third_octave_records,
     vibration_records,
 )
-from crankorder.identify.lines.agreed_orders import orders_agreed
+from crankorder.identify.lines.agreed_orders import orders_agreed, unless_sidebands
 from crankorder.identify.lines.followed_orders import (
     fixed_lines,
     numbered_as_followed,
@@ -55,7 +56,6 @@ from crankorder.identify.records import (
 )
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.said import is_electric
-from crankorder.identify.sidebands import encoder_sidebands
 from crankorder.identify.sources import Sources
 from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
@@ -113,8 +113,8 @@ def find(
     in_cylinder = [name for name in unit if is_cylinder_pressure(quantity[name], unit[name])]
     explain = partial(explained, sources=sources, quantity=quantity, in_cylinder=in_cylinder, settings=asked)
     longest = max((one.span_rev for one in held), default=np.inf)
-    of_encoder = encoder_sidebands(in_map, order_map, frames)
-    causes = explain(in_map, modal, bearings, folds=folds, known=known, longest_rev=longest, of_encoder=of_encoder)
+    of_swing = swing_sidebands(orders, frames)
+    causes = explain(in_map, modal, bearings, folds=folds, known=known, longest_rev=longest, of_swing=of_swing)
     modal = with_neighbours_named(modal, in_map, causes)
     tested = _tested_rpm(order_map, campbell)
     moving, stated = going_with_speed(orders, causes), [gear.order for gear in sources.gears]
@@ -213,7 +213,8 @@ def _orders_and_modes(
     (held, seen), (followed, swept) = electric, sweeps
     lines = order_lines(order_map, settings=settings.identify, orders=settings.orders, frames=frames)
     agreed = orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify, followed=followed)
-    in_map = with_followed(numbered_as_followed(agreed, followed), followed, order_map)
+    numbered = numbered_as_followed(agreed, followed)
+    in_map = unless_sidebands(with_followed(numbered, followed, order_map), order_map, frames)
     fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed, swept=swept)
     known = without_ringing(seen, fitted.modes)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)

@@ -68,7 +68,7 @@ class AgreedOrder:
     told, where it is undecided. ``lines`` holds one line per channel that shows it. ``reservation`` says, where it is
     not empty, what speaks against the number or against its being one line. ``own_error`` is the standard error but for
     that of the speed, which shifts all orders by one share; None where it is the whole one. ``tracked`` is the number
-    at which its track stands, once that was read.
+    at which its track stands, once that was read. ``of_angle``: errors of the crank angle may have made it of another.
     """
 
     order: float
@@ -80,6 +80,7 @@ class AgreedOrder:
     reservation: str = ""
     own_error: float | None = None
     tracked: float | None = None
+    of_angle: bool = False
 
     @property
     def line_error(self) -> float:

@@ -2,14 +2,15 @@
 
 Each order m that lies k from strong ones either is a line of its own, with any amplitude and phase, or it is what the
 angle's error makes of its neighbours: then its ratio z to that is 1, in every channel and at every speed. The two are
-weighed for every E_k at once. A wheel of teeth that is set off modulates its own mesh alike, and its harmonics in
-proportion, so what one carrier and its multiples say counts as said once, and proves nothing without another.
+weighed for every E_k at once. Two things look alike: a shaft that really swings, whose lines a mode lifts and their
+sidebands not, and a wheel of teeth that is set off. So the pulses themselves have to show the same error, of one size
+and phase at all speeds, and more than one carrier has to agree with them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,7 +39,13 @@ ROUNDS = 3
 """Times that E_k is told from what the last one left."""
 
 LIKELY = 3.0
-"""Standard errors from which an E_k is taken out on trial."""
+"""Standard errors from which an E_k is taken out on trial, and within which two of them are one."""
+
+LEAST_ERROR_REV = 1e-7
+"""Of a swing that pulses show: their times are no finer."""
+
+WORST_CONDITION = 1e9
+"""Of the normal equations of what is the same at all speeds and what falls: beyond, the speeds are one."""
 
 TEETH_LARGEST = 3.0
 """Times the root of its mean square that a harmonic of teeth which sit wrongly may have: by chance one in 8000 more."""
@@ -108,31 +115,18 @@ def in_true_angle(spectrum: Complexes, *, bins_per_order: int, swings: dict[int,
     neighbours, nor does what lies above the axis. ``swings``: E_k [rev] by harmonic k.
     """
     n = spectrum.shape[-1]
-    order = np.arange(n) / bins_per_order
     known = np.isfinite(spectrum.real)
-    whole = spectrum if known.all() else np.where(known, spectrum, 0.0)
+    whole = np.where(known, spectrum, 0.0)
+    # lines below order 0 are those above it, turned the other way
+    below = min(TURN_POINTS // 2 * bins_per_order, n - 1)
+    both = np.concatenate([whole[..., below:0:-1].conj(), whole], axis=-1)
     made = np.zeros(spectrum.shape, dtype=np.complex128)
-    shifts, gains = modulation(swings, order)
-    for q, gain in zip(shifts.tolist(), gains, strict=True):
-        step = q * bins_per_order
-        if abs(step) >= n:
-            continue
-        if step >= 0:
-            made[..., step:] += whole[..., : n - step] * gain[: n - step]
-        else:
-            made[..., : n + step] += whole[..., -step:] * gain[-step:]
-        if step > 0:  # lines below order 0 are those above it, turned the other way
-            last = min(step, n - 1)
-            mirrored = (whole[..., 1 : last + 1]).conj() * _mirrored(swings, order[1 : last + 1], q)
-            made[..., step - last : step] += mirrored[..., ::-1]
-    return made if known.all() else np.where(known, made, np.nan)
-
-
-def _mirrored(swings: dict[int, complex], order: Floats, shift: int) -> Complexes:
-    """Coefficient g_shift of lines at minus ``order``."""
-    shifts, gains = modulation(swings, -order)
-    place = np.flatnonzero(shifts == shift)
-    return gains[place[0]] if len(place) else np.zeros(len(order), dtype=np.complex128)
+    for q, gain in zip(*modulation(swings, np.arange(-below, n) / bins_per_order), strict=True):
+        first = below - int(q) * bins_per_order
+        if first >= 0:
+            moved = both[..., first : first + n] * gain[first : first + n]
+            made[..., : moved.shape[-1]] += moved
+    return np.where(known, made, np.nan)
 
 
 def given_by_neighbours(amplitude: Floats, *, bins_per_order: int, left_rev: dict[int, float]) -> Floats:
@@ -154,17 +148,9 @@ def given_by_neighbours(amplitude: Floats, *, bins_per_order: int, left_rev: dic
 
 def _moved(values: Floats, step: int) -> Floats:
     """``values`` (…, orders) of the order ``step`` bins below (above, where it is negative); mirrored below 0."""
-    made = np.zeros(values.shape)
     n = values.shape[-1]
-    if step >= n or -step >= n:
-        return made
-    if step >= 0:
-        made[..., step:] = values[..., : n - step]
-        last = min(step, n - 1)
-        made[..., step - last : step] = values[..., last:0:-1]
-    else:
-        made[..., : n + step] = values[..., -step:]
-    return made
+    source = np.abs(np.arange(n) - step)
+    return np.where(source < n, values[..., np.minimum(source, n - 1)], 0.0)
 
 
 @dataclass(frozen=True)
@@ -274,17 +260,21 @@ def _between(half: int, n: int) -> Ints:
     return np.asarray(groups[groups.max(axis=1) < n].ravel())
 
 
-def swings_of(rows: Rows, expected: Expected, *, may_prove: Sequence[int] = HARMONICS) -> tuple[Swing, ...]:
+def swings_of(rows: Rows, expected: Expected, by_pulses: Mapping[int, tuple[complex, float]]) -> tuple[Swing, ...]:
     """The error of the angle by harmonic, from the ``rows`` of a test and what is ``expected`` of its encoder.
 
-    Others than ``may_prove`` have but a bound.
+    ``by_pulses``: what the pulses show of it by harmonic, as :func:`alike_at_all_speeds`. Others than these have but a
+    bound: modes make like sidebands of a shaft that really swings.
     """
     taken: dict[int, complex] = {}
     found: dict[int, Swing] = {}
     for _ in range(ROUNDS):
         for harmonic in HARMONICS:
-            swing = _swing(rows, harmonic, taken, expected)
-            found[harmonic] = swing if harmonic in may_prove else replace(swing, proved=False)
+            size, error = by_pulses.get(harmonic, (0j, np.inf))
+            swing = _swing(rows, harmonic, taken, expected, shown=size)
+            reach = LIKELY * math.hypot(error, swing.error_rev, expected.settings.sideband_slack * abs(size))
+            alike = abs(size) > LIKELY * error and abs(size - swing.size) < reach
+            found[harmonic] = replace(swing, proved=swing.proved and alike)
             taken.pop(harmonic, None)
             # what is likely but not proved is taken out on trial: sidebands of sidebands hide others' proof
             if abs(swing.size) > LIKELY * swing.error_rev and abs(swing.size) <= expected.largest_rev(harmonic):
@@ -294,8 +284,32 @@ def swings_of(rows: Rows, expected: Expected, *, may_prove: Sequence[int] = HARM
     return tuple(found[k] for k in HARMONICS)
 
 
-def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expected) -> Swing:
-    """E_k of one ``harmonic``, told from what is left where all that is ``taken``, by harmonic, is taken out."""
+def alike_at_all_speeds(shown: Complexes, *, slack: float) -> dict[int, tuple[complex, float]]:
+    """By harmonic, the part of the angle's swing that is the same at all speeds [rev], and the error of its parts.
+
+    An encoder errs by the same angle at every speed; the rest falls with the square of the speed, as what gas turns
+    does. ``shown`` (speeds, 1 + HARMONICS): speed and the swing [rev] that the pulses show there, right to the share
+    ``slack``. Empty where too few speeds tell the two apart.
+    """
+    parts: dict[int, tuple[complex, float]] = {}
+    speed, *sizes = shown.T
+    design = np.column_stack([np.ones(len(speed)), (speed.real.min(initial=np.inf) / speed.real) ** 2])
+    for harmonic, size in zip(HARMONICS, sizes, strict=True):
+        weight = 1.0 / (np.square(slack * np.abs(size)) + LEAST_ERROR_REV**2)
+        normal = (design.T * weight) @ design
+        if len(speed) > 1 and np.linalg.cond(normal) < WORST_CONDITION:
+            inverse = np.linalg.inv(normal)
+            fitted = inverse @ (design.T @ (weight * size))
+            off = float(weight @ np.square(np.abs(size - design @ fitted))) / max(2.0 * len(speed) - 4.0, 1.0)
+            parts[harmonic] = complex(fitted[0]), math.sqrt(inverse[0, 0] * max(1.0, off))
+    return parts
+
+
+def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expected, *, shown: complex) -> Swing:
+    """E_k of one ``harmonic``, told from what is left where all that is ``taken``, by harmonic, is taken out.
+
+    It is proved by those sidebands that agree with what the pulses have ``shown`` [rev].
+    """
     value = in_true_angle(rows.value, bins_per_order=2, swings=taken) if taken else rows.value
     known = taken.get(harmonic, 0j)
     sums = _sums(value, rows.noise, harmonic, expected)
@@ -307,8 +321,9 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     total = gain.sum(axis=1) - 0.5 * np.square(np.abs(grid) / expected.usual_rev(harmonic))
     best = int(np.argmax(total))
     size, error, weights = _refined(sums, complex(grid[best]), settings)
-    gain_here = _gains(sums, np.array([size]), settings, slack=settings.sideband_slack)[0]
-    proof = _without_strongest(gain_here, sums.carrier, settings.least_mesh_teeth)
+    gain_here = _gains(sums, np.array([shown or size]), settings, slack=settings.sideband_slack)[0]
+    of_carrier = [float(gain_here[sums.carrier == number].sum()) for number in set(sums.carrier.tolist())]
+    proof = sum(of_carrier) - max(of_carrier, default=0.0)
     chance = float(np.exp(-min(max(proof, 0.0), 700.0)))
     posterior = np.exp(total - total.max())
     posterior *= np.abs(grid) ** 2  # cells of a polar grid, even in the logarithm of the radius
@@ -316,8 +331,8 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     order = np.argsort(np.abs(grid))
     reach = np.cumsum(posterior[order])
     bound = float(np.abs(grid[order[min(int(np.searchsorted(reach, 0.95)), len(order) - 1)]]))
-    shown = [float(c) for c, w, g in zip(sums.carrier, weights, gain_here, strict=True) if w > 0.5 and g > 1.0]
-    carriers = tuple(sorted(set(shown), key=lambda c: -float(gain_here[sums.carrier == c].sum())))
+    agreed = [float(c) for c, w, g in zip(sums.carrier, weights, gain_here, strict=True) if w > 0.5 and g > 1.0]
+    carriers = tuple(sorted(set(agreed), key=lambda c: -float(gain_here[sums.carrier == c].sum())))
     largest = expected.largest_rev(harmonic)
     proved = proof > settings.encoder_proof and len(carriers) > 1 and 3.0 * error < abs(size) < largest
     return Swing(harmonic, size, error, bound, bool(proved), chance, carriers, largest)
@@ -363,8 +378,6 @@ def _is_line(value: Complexes, noise: Floats, ratio: float) -> Bools:
 
 def _put_back(sums: _Sums, known: complex) -> _Sums:
     """``sums`` whose targets have the sidebands of ``known`` again, to first order."""
-    if not known:
-        return sums
     low = sums.low + known * sums.below + np.conj(known) * np.conj(sums.both)
     high = sums.high + known * sums.both + np.conj(known) * sums.above
     own = sums.own + _power(sums, known) + 2.0 * _product(sums, known).real
@@ -436,16 +449,3 @@ def _refined(sums: _Sums, start: complex, settings: OrderSettings) -> tuple[comp
         covariance = np.linalg.inv(matrix) * max(0.5, off)
         error = float(np.sqrt(0.5 * np.trace(covariance)))
     return size, error, weights
-
-
-def _without_strongest(gain: Floats, carrier: Floats, least_teeth: int) -> float:
-    """Sum of ``gain`` (targets,) without that of the carrier, or of one mesh's multiples, that says most."""
-    total, least = float(gain.sum()), np.inf
-    for number in np.unique(carrier):
-        family = carrier == number
-        if number >= least_teeth and float(number).is_integer():
-            for teeth in range(least_teeth, int(number) + 1):
-                if number % teeth == 0:
-                    family = family | (np.mod(carrier, teeth) == 0)
-        least = min(least, total - float(gain[family].sum()))
-    return least if np.isfinite(least) else 0.0

@@ -18,6 +18,7 @@ from crankorder.orders.swing_evidence import (
     HARMONICS,
     Expected,
     Swing,
+    alike_at_all_speeds,
     given_by_neighbours,
     in_true_angle,
     modulation,
@@ -28,7 +29,7 @@ from crankorder.quantities import Complexes, Floats, Ints, QualityFlag, with_fla
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import knots_of
 from crankorder.shaft.audit import reference_of
-from crankorder.shaft.tooth_errors import TOOTH_KEPT, TOOTH_LEVEL, TOOTH_ORDER, TOOTH_PRINT, same_wheel
+from crankorder.shaft.tooth_errors import TOOTH_KEPT, TOOTH_LEVEL, TOOTH_ORDER, TOOTH_PRINT, same_wheel, swing_of_cycles
 
 ERROR, OF_ONE_REV = "angle_error_rev", "angle_error_of_one_rev_rev"
 """Attributes of frames: standard error [rev] of the crank angle, and of its mean over a revolution."""
@@ -54,6 +55,15 @@ GIVEN = "given_by_swing"
 
 LINES_PER_HARMONIC = 8.0
 """Fewer lines per turn and harmonic show no swing: it would be motion between them, another at every speed."""
+
+SHOWN = "angle_swing_shown_rev"
+"""Attribute of frames: what the pulses themselves show of the angle's swing, by speed; absent where nothing."""
+
+HALF_ORDERS = 12
+"""Half orders, from 0.5 on, up to which that is stated: gas and inertia of a few cylinders lie below."""
+
+SPEED_STEP = 0.1
+"""Of the logarithm of the speed, within which cycles are of about one speed."""
 
 WHOLE = 1e-6
 
@@ -98,7 +108,32 @@ def stated_errors(shaft: xr.Dataset, *, revs_per_frame: float) -> dict[str, Any]
     # teeth of an encoder on another shaft swing at orders that no harmonic of the crank has
     own = TOOTH_PRINT in shaft.attrs and float(shaft.attrs[TOOTH_ORDER]) == 1.0
     teeth = {name: shaft.attrs[name] for name in (TOOTH_LEVEL, TOOTH_KEPT, TOOTH_PRINT)} if own else {}
-    return {ERROR: error, OF_ONE_REV: of_one, LINES: _lines_per_rev(shaft), **taken, **teeth}
+    shown = {SHOWN: rows} if (rows := _swing_by_speed(shaft)) else {}
+    return {ERROR: error, OF_ONE_REV: of_one, LINES: _lines_per_rev(shaft), **shown, **taken, **teeth}
+
+
+def _swing_by_speed(shaft: xr.Dataset) -> list[float]:
+    """Speeds [rpm] and the swing [rev] that the angle of ``shaft`` shows there, by half order; complex, in a row.
+
+    Cycles of about one speed are taken together.
+    """
+    known = swing_of_cycles(shaft)
+    if known is None:
+        return []
+    orders, rpm, lines = known
+    shown = orders <= HALF_ORDERS / 2.0  # of other ones the angle shows nothing
+    size = np.zeros((len(rpm), 1 + HALF_ORDERS), dtype=np.complex128)
+    size[:, 0] = rpm
+    size[:, np.round(2.0 * orders[shown]).astype(int)] = (lines / (2j * np.pi * orders * rpm[:, None]))[:, shown]
+    step = np.floor(np.log(rpm / rpm.min()) / SPEED_STEP)
+    rows = np.array([size[step == own].mean(axis=0) for own in np.unique(step)])
+    return [float(value) for value in rows.view(np.float64).ravel()]
+
+
+def swing_shown(frames: Sequence[xr.Dataset]) -> Complexes:
+    """Speed [rpm] and the swing [rev] by half order that pulses of ``frames`` show: (speeds, 1 + HALF_ORDERS)."""
+    rows = np.concatenate([np.zeros(0), *(np.atleast_1d(item.attrs.get(SHOWN, ())) for item in frames)])
+    return np.asarray(rows.astype(np.float64).view(np.complex128).reshape(-1, 1 + HALF_ORDERS))
 
 
 def same_teeth(frames: Sequence[xr.Dataset]) -> bool:
@@ -186,9 +221,13 @@ def swings_of_test(frames: Sequence[xr.Dataset], *, settings: OrderSettings) -> 
         if rows is None:
             continue
         lines = min(float(item.attrs[LINES]) for item in group)
-        may = [harmonic for harmonic in HARMONICS if lines >= LINES_PER_HARMONIC * harmonic]
         expected = Expected(settings, max(float(item.attrs.get(TOOTH_LEVEL, 0.0)) for item in group))
-        swings = swings_of(rows, expected, may_prove=may)
+        own, shown = (swing_shown(items)[:, (0, *(2 * k for k in HARMONICS))] for items in (group, used))
+        if not shared and len(own):  # each has a mark of its own: sizes alone are compared
+            shown[:, 1:] = np.abs(shown[:, 1:]) * np.exp(1j * np.angle(own[:, 1:].mean(axis=0)))
+        alike = alike_at_all_speeds(shown, slack=settings.sideband_slack)
+        may = {k: part for k, part in alike.items() if lines >= LINES_PER_HARMONIC * k}
+        swings = swings_of(rows, expected, may)
         made |= {str(item.attrs["recording"]): swings for item in group}
     return Swings(made, shared)
 
@@ -209,15 +248,9 @@ def angle_in_truth(shown: xr.Dataset, frames: xr.Dataset, *, settings: OrderSett
         true = angle - _error(taken, true)
     speed = shown["speed"].values / (1.0 + _error(taken, true, slope=True))
     left = np.sqrt(0.5 * sum(one.error_rev**2 for one in own if one.proved))
-    made = shown.assign(
-        crank_angle=(shown["crank_angle"].dims, true, shown["crank_angle"].attrs),
-        speed=(shown["speed"].dims, speed, shown["speed"].attrs),
-        standard_error=(
-            shown["standard_error"].dims,
-            np.hypot(shown["standard_error"].values, left),
-            shown["standard_error"].attrs,
-        ),
-    ).assign_attrs({TAKEN: _stated(own)[TAKEN]})
+    put_right = {"crank_angle": true, "speed": speed, "standard_error": np.hypot(shown["standard_error"].values, left)}
+    made = shown.assign({name: shown[name].copy(data=values) for name, values in put_right.items()})
+    made = made.assign_attrs({TAKEN: _stated(own)[TAKEN]})
     recording = str(frames.attrs["recording"])
     return with_flags(made, [_flag(recording, one, "the angle") for one in own if one.proved])
 
@@ -285,14 +318,8 @@ def given_to(amplitude: Floats, frames: Sequence[xr.Dataset]) -> Floats:
 
 def swing_flags(swings: Swings) -> list[QualityFlag]:
     """What ``swings`` say of the encoder: once for a test whose recordings have one mark, else for each."""
-    flags: list[QualityFlag] = []
-    for recording, own in swings.of.items():
-        for swing in own:
-            if swing.proved:
-                flags.append(_flag("all" if swings.shared else recording, swing))
-        if swings.shared:
-            break
-    return flags
+    of = list(swings.of.items())[: 1 if swings.shared else None]
+    return [_flag("all" if swings.shared else name, one) for name, own in of for one in own if one.proved]
 
 
 def _flag(recording: str, swing: Swing, taken_from: str = "orders and tracks") -> QualityFlag:
@@ -304,8 +331,8 @@ def _flag(recording: str, swing: Swing, taken_from: str = "orders and tracks") -
     detail = (
         f"{name} of the encoder {size:.3g}° (95 % interval {max(0.0, size - half):.3g} to "
         f"{size + half:.3g}°) at {phase:.0f}°: orders {carriers} have sidebands {swing.harmonic} beside them that are "
-        f"their order times one and the same error of the angle (chance {swing.chance:.1g}). They are no machine part "
-        f"and are taken out of {taken_from}; what may be left is in the intervals"
+        f"their order times one and the same error of the angle (chance {swing.chance:.1g}); pulses show it alike at "
+        f"all speeds. They are no machine part and are taken out of {taken_from}; what may be left is in the intervals"
     )
     flag = f"encoder_{NAMES.get(swing.harmonic, 'uneven_lines')}"
     return {"recording": recording, "flag": flag, "severity": "info", "detail": detail}

@@ -302,13 +302,11 @@ def reference_audit(
         unseen_motion(reference, expected_motion(reference, seen, percent=percent)),
         rounding_in_step(shaft, reference, seen, revs_per_frame=revs_per_frame),
     )
-    lowest = reference.lowest_unseen(0.5 * reference.teeth_per_rev)
-    one_percent = Modulation("1 %", tone_order=np.full(1, lowest), tone_rev=np.full(1, lag_rev(lowest, 0.01)))
     carried = _carried(causes, settings.reference_bias_limit)
     told = "as the motion seen lets expect" if seen else f"if {percent:g} % of the speed swings at order 1"
     remarks: list[Remark] = []
     if order.size and order.max() > carried:
-        remarks.append(_limits(causes, order.max(), carried, reference, one_percent, told, settings))
+        remarks.append(_limits(causes, order.max(), carried, reference, told, settings.reference_bias_limit))
     if order.size and (causes[2].tone_rev.size or causes[2].still_rev > 0.0):
         remarks.append(_steps(causes[2], order.max(), settings.reference_bias_limit))
     return ReferenceAudit(highest_carried_order=carried, causes=causes, remarks=tuple(remarks))
@@ -329,27 +327,21 @@ def _carried(causes: Sequence[Modulation], limit: float) -> float:
 
 
 def _limits(
-    causes: Sequence[Modulation],
-    top: float,
-    carried: float,
-    reference: Reference,
-    one_percent: Modulation,
-    told: str,
-    settings: ShaftSettings,
+    causes: Sequence[Modulation], top: float, carried: float, reference: Reference, told: str, limit: float
 ) -> Remark:
     """Remark that orders up to ``top`` are asked for and those above ``carried`` are not safe."""
     at = np.full(1, top)
     worst = max(causes, key=lambda cause: float(max(cause.loss(at)[0], cause.sideband(at)[0])))
     condition = f", {told}" if worst is causes[1] else ""
+    lowest = reference.lowest_unseen(0.5 * reference.teeth_per_rev)
+    one_percent = Modulation("1 %", tone_order=np.full(1, lowest), tone_rev=np.full(1, lag_rev(lowest, 0.01)))
     detail = (
-        f"above order {carried:.3g} {worst.cause} may bias amplitudes by more than "
-        f"{_percent(settings.reference_bias_limit)}: order {top:g} loses {_percent(_loss(causes, at)[0])} and gives "
-        f"{_percent(_sideband(causes, at)[0])} to an order beside it{condition}; with pulses at a rate of "
-        f"{reference.teeth_per_rev:.4g} per revolution no motion at order "
-        f"{one_percent.tone_order[0]:g} and above shows, 1 % of which would cost "
-        f"order {top:g} {_percent(one_percent.loss(at)[0])}"
+        f"above order {carried:.3g} {worst.cause} may bias amplitudes by more than {_percent(limit)}: order {top:g} "
+        f"loses {_percent(_loss(causes, at)[0])} and gives {_percent(_sideband(causes, at)[0])} to an order beside it"
+        f"{condition}; with pulses at a rate of {reference.teeth_per_rev:.4g} per revolution no motion at order "
+        f"{lowest:g} and above shows, 1 % of which would cost order {top:g} {_percent(one_percent.loss(at)[0])}"
     )
-    return ("reference_limits_orders", "suspect", detail)
+    return ("reference_limits_orders", "info", detail)
 
 
 def _steps(step: Modulation, top: float, limit: float) -> Remark:

@@ -272,26 +272,43 @@ WHOLE = 1e-6
 
 
 def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
-    """Swing of the speed of ``shaft`` (ShaftAngle) at the multiples of its cycle's order; None where it is not known.
+    """Swing of the speed of ``shaft`` (ShaftAngle) at the multiples of its cycle's order; None where not known."""
+    known = swing_of_cycles(shaft)
+    if known is None:
+        return None
+    orders, means, lines = known
+    mean = float(means.mean())
+    size, steady = np.sqrt((np.abs(lines) ** 2).mean(axis=0)), np.abs(lines.mean(axis=0))
+    return SpeedSwing(mean, len(means), orders, size, steady, doubt_rpm=_of_teeth(shaft, orders) * mean)
 
-    It is not without pulses, in fewer than FEWEST_CYCLES whole cycles, and where a standstill or a reversal leaves no
-    angle that grows. The trend over each cycle is taken out, so that a run-up is no swing. Orders reach to HIGHEST, to
-    those that the knots resolve, and to the cut-off of the smoother where it says one.
+
+def swing_of_cycles(shaft: xr.Dataset) -> tuple[Floats, Floats, npt.NDArray[np.complex128]] | None:
+    """Orders, mean speed [rpm] (cycles,) and complex amplitude [rpm] (cycles, orders) in each whole cycle of ``shaft``.
+
+    None without pulses, in fewer than FEWEST_CYCLES, and where a standstill or a reversal leaves no angle that grows.
+    Phases are from angle 0. The trend over each cycle is taken out, so that a run-up is no swing. Orders reach to
+    HIGHEST, to those that the knots resolve, and to the cut-off of the smoother where it says one.
     """
     knots = np.array([shaft[name].values for name in ("time", "crank_angle", "speed")], dtype=float)
     time, angle, speed = knots[:, np.isfinite(knots).all(axis=0)]
-    cycle = int(shaft.attrs.get("revs_per_cycle", 1))
+    revs = int(shaft.attrs.get("revs_per_cycle", 1))
     if float(shaft.attrs.get("n_pulses", 0)) <= 0 or len(angle) < 3 or not (np.diff(angle) > 0.0).all():
         return None
-    cycles = int((angle[-1] - angle[0]) / cycle + 1e-9)
+    cycles = int((angle[-1] - angle[0]) / revs + 1e-9)
     per_rev = (len(angle) - 1) / (angle[-1] - angle[0])
     cut_off = float(shaft.attrs.get("cut_off_order", np.inf))
     highest = min(HIGHEST, per_rev / KNOTS_PER_PERIOD, cut_off if cut_off > 0.0 else np.inf)
-    orders = np.arange(1, int(highest * cycle + 1e-9) + 1) / cycle
+    orders = np.arange(1, int(highest * revs + 1e-9) + 1) / revs
     if cycles < FEWEST_CYCLES or not orders.size:
         return None
-    made = _swing(*_between(time, angle, speed), orders, cycles=cycles, revs=cycle, per_rev=per_rev)
-    return replace(made, doubt_rpm=_of_teeth(shaft, orders) * made.speed_rpm)
+    steps = int(np.ceil(2.0 * max(per_rev, 2.0 * HIGHEST) * revs))
+    place = (np.arange(steps) + 0.5) / steps * revs
+    at = angle[0] + revs * np.arange(cycles)[:, None] + place
+    value = np.interp(at, *_between(time, angle, speed))
+    # from cycle to cycle: a slope fitted within one would take the swing at its own order along
+    means = value.mean(axis=1)
+    value = value - means[:, None] - np.gradient(means)[:, None] * (place / revs - 0.5)
+    return orders, means, 2.0 / steps * value @ np.exp(-2j * np.pi * np.outer(angle[0] + place, orders))
 
 
 def swing_remarks(shaft: xr.Dataset, settings: ShaftSettings) -> list[Remark]:
@@ -329,22 +346,3 @@ def _between(time: Floats, angle: Floats, speed: Floats) -> tuple[Floats, Floats
     moved = turned * (3 * at**2 - 2 * at**3) + step * (first * at * (1 - at) ** 2 - last * at**2 * (1 - at))
     rate = turned / step * 6 * at * (1 - at) + first * (1 - at) * (1 - 3 * at) - last * at * (2 - 3 * at)
     return np.append((angle[:-1, None] + moved).ravel(), angle[-1]), np.append(60.0 * rate.ravel(), speed[-1])
-
-
-def _swing(angle: Floats, speed: Floats, orders: Floats, *, cycles: int, revs: int, per_rev: float) -> SpeedSwing:
-    steps = int(np.ceil(2.0 * max(per_rev, 2.0 * HIGHEST) * revs))
-    place = (np.arange(steps) + 0.5) / steps * revs
-    at = angle[0] + revs * np.arange(cycles)[:, None] + place
-    value = np.interp(at, angle, speed)
-    # from cycle to cycle: a slope fitted within one would take the swing at its own order along
-    means = value.mean(axis=1)
-    value = value - means[:, None] - np.gradient(means)[:, None] * (place / revs - 0.5)
-    lines = 2.0 / steps * value @ np.exp(-2j * np.pi * np.outer(place, orders))
-    return SpeedSwing(
-        speed_rpm=float(means.mean()),
-        cycles=cycles,
-        orders=orders,
-        amplitude_rpm=np.sqrt((np.abs(lines) ** 2).mean(axis=0)),
-        steady_rpm=np.abs(lines.mean(axis=0)),
-        doubt_rpm=np.zeros(len(orders)),
-    )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
+from crankorder.identify.lines.cfar import LOBE_BINS
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
 from crankorder.identify.lines.order_lines import SWELLS
@@ -161,8 +162,7 @@ def orders_agreed(
         told = [[(one.number.order, one.number.error, one.number.degrees_of_freedom) for one in some] for some in sure]
         proven = all(proves_speed(some, revs_per_cycle=test.revs_per_cycle) for some in told)
         test = replace(test, speed_is_sure=proven)
-    agreed = [_unless_sideband(_named(one, test), test, frames) for one in found]
-    agreed.sort(key=lambda item: item.order)
+    agreed = sorted((_named(one, test) for one in found), key=lambda item: item.order)
     return tuple(_without_twins(agreed, 0.5 * test.resolution, settings.order_match))
 
 
@@ -280,8 +280,7 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
     swells = bool(known) and float(np.median(known)) > NUMBERS.wander_ratio
     if not known and _may_be_two(group):
         first, swells = _unparted(first, test), True
-    text = SWELLS if swells else ""
-    return [_Unnamed(first, group, text)]
+    return [_Unnamed(first, group, SWELLS if swells else "")]
 
 
 def _followed(group: list[OrderLine], found: list[Followed], test: _Test) -> _Unnamed:
@@ -432,15 +431,22 @@ def _may_be_a_pair(found: _Unnamed, off: float, test: _Test) -> bool:
     return SWELLS in found.reservation and off * max(spans, default=0.0) < NUMBERS.beats_of_a_pair
 
 
-def _unless_sideband(one: AgreedOrder, test: _Test, frames: Sequence[xr.Dataset]) -> AgreedOrder:
-    """``one``, undecided where it slips but errors of the crank angle (in ``frames``) may have made it."""
-    if one.lock != "slips":
-        return one
-    carrier = sideband_of(one.lines, test.order_map, frames)
-    if carrier is None:
-        return one
-    why = f"no larger than what errors of the crank angle make of order {carrier:g}"
-    return replace(one, lock="undecided", reservation="; ".join(filter(None, (one.reservation, why))))
+def unless_sidebands(
+    orders: Sequence[AgreedOrder], order_map: xr.Dataset, frames: Sequence[xr.Dataset]
+) -> tuple[AgreedOrder, ...]:
+    """``orders``, undecided and of no number of their own where errors of the crank angle (in ``frames``) may have made
+    them. A line of the shaft that most speeds of ``order_map`` show is none of these, whose orders move with the speed.
+    """
+    made = []
+    for one in orders:
+        few = 2 * len({at for line in one.lines for at in line.seen.tolist()}) <= order_map.sizes["speed"]
+        carrier = sideband_of(one.lines, order_map, frames) if few or one.lock != "locked" else None
+        if carrier is not None:
+            why = f"no larger than what errors of the crank angle make of order {carrier:g}"
+            reservation = "; ".join(filter(None, (one.reservation, why)))
+            one = replace(one, lock="undecided", reservation=reservation, of_angle=True)
+        made.append(one)
+    return tuple(made)
 
 
 def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | None:
@@ -513,8 +519,6 @@ def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], numb
 OF_ROUNDING = float(np.sqrt(12.0))
 """Sideband over carrier, per order and standard error [rev] of the angle: the first harmonic of a rounding error."""
 
-Array = NDArray[np.float64]
-
 
 def sideband_of(lines: Sequence[OrderLine], order_map: xr.Dataset, frames: Sequence[xr.Dataset]) -> float | None:
     """Order whose sidebands all ``lines`` (one order, by channel) may be, at every speed at which they are seen.
@@ -529,14 +533,15 @@ def sideband_of(lines: Sequence[OrderLine], order_map: xr.Dataset, frames: Seque
     carrier = 0.0
     for line in lines:
         size = np.nan_to_num(order_map["amplitude"].values[names.index(line.channel)])
-        turned = size[line.seen] * axis
+        # no line is a sideband of itself
+        turned = size[line.seen] * axis * (np.abs(axis - line.order) > (LOBE_BINS + 0.5) * (axis[1] - axis[0]))
         if not (line.amplitude <= OF_ROUNDING * error[line.seen] * turned.max(axis=1)).all():
             return None
         carrier = float(axis[int(turned[line.strongest].argmax())])
     return carrier if lines else None
 
 
-def _errors(speed_rpm: Array, width_rpm: float, frames: Sequence[xr.Dataset]) -> Array:
+def _errors(speed_rpm: Floats, width_rpm: float, frames: Sequence[xr.Dataset]) -> Floats:
     """Standard error [rev] of the crank angle (speeds,) in the recordings that ran at each speed; the largest."""
     made = np.zeros(len(speed_rpm))
     for item in frames:

@@ -60,7 +60,7 @@ def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Da
         within = NUMBERS.same_order * number < off <= sure_half_width(one.order_error, one.degrees_of_freedom)
         if one.lock == "undecided" and within and number not in taken:
             taken.append(number)
-            error = max(one.order_error, off / half_width(one.degrees_of_freedom))
+            error = one.order_error + off / half_width(one.degrees_of_freedom)  # what was told lies within
             one = replace(one, order=number, order_error=error)
         made.append(one)
     return tuple(sorted(made, key=lambda item: item.order))
@@ -290,8 +290,6 @@ def _as_wide(made: OrderLine, line: OrderLine, is_held: NDArray[np.bool_]) -> Or
         ends[number, 0] = min(ends[number, 0], scale * float(own[before, 0]))
         ends[number, 1] = max(ends[number, 1], scale * float(own[before, 1]))
         if scale * own_reach[before] > reach[number]:
-            error[number], degrees_of_freedom[number] = (
-                scale * line.amplitude_error[before],
-                line.degrees_of_freedom[before],
-            )
+            error[number] = scale * line.amplitude_error[before]
+            degrees_of_freedom[number] = line.degrees_of_freedom[before]
     return replace(made, amplitude_error=error, degrees_of_freedom=degrees_of_freedom, ends=ends)

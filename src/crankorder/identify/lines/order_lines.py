@@ -117,9 +117,8 @@ def _stronger(
     """
     if len(search.speed) < 2 or not _is_swept(search):
         return []  # at speeds that are held the rules tell lines
-    refused = [
-        one for one in refused if one[0] < len(search.axis) - NUMBERS.neighbour_bins
-    ]  # there skirts of others end
+    # at the last bins skirts of others end
+    refused = [one for one in refused if one[0] < len(search.axis) - NUMBERS.neighbour_bins]
     largest = max((float(line.amplitude.max()) for line in named), default=0.0)
     amplitude = np.nan_to_num(search.order_map["amplitude"].values[channel])
     made = []
@@ -135,7 +134,7 @@ def _stronger(
 
 def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], needed: int) -> OrderLine | None:
     """The line in bin ``peak``; None where it is noise, a resonance or, at fewer speeds than ``needed``, doubtful."""
-    chance, reservation = search.false_alarm_probability, ""
+    chance, reservation, n_speeds = search.false_alarm_probability, "", len(search.speed)
     alone = len(seen) >= needed or _is_swept(search)
     together = seen if alone else _seen_together(search, channel, peak)
     if len(together) >= needed and not (len(seen) < needed and _has_fixed_frequency(search, channel, peak, seen)):
@@ -144,7 +143,7 @@ def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], 
         if not _beyond_chance(search, channel, peak, seen) or _has_fixed_frequency(search, channel, peak, seen):
             return None
         chance /= search.excess[0].size
-        reservation = f"seen at {len(seen)} of {len(search.speed)} speeds only"
+        reservation = f"seen at {len(seen)} of {n_speeds} speeds only"
     evidence = evidence_of(search.order_map, search.ratio[channel], channel, peak, seen, chance)
     if evidence is None and _keeps_one_order(search, channel, peak, seen, chance):
         steady: Evidence = "follows the speed" if _is_swept(search) else "steady, not locked"
@@ -152,13 +151,11 @@ def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], 
     if evidence is None:
         evidence = _by_its_phase(search, channel, peak, seen, chance)
     if evidence is None and _swells_slowly(search, channel, peak, seen):
-        evidence, reservation = (
-            UNPROVEN,
-            "; ".join(filter(None, (reservation, SWELLS))),
-        )
-    if evidence is None:
+        evidence, reservation = UNPROVEN, "; ".join(filter(None, (reservation, SWELLS)))
+    few = 2 * len(seen) < n_speeds and evidence == "steady, not locked"
+    if evidence is None or (few and _has_fixed_frequency(search, channel, peak, seen)):
         return None
-    if evidence == "steady, not locked" and len(search.speed) == 1:
+    if evidence == "steady, not locked" and n_speeds == 1:
         reservation = "; ".join(filter(None, (reservation, ONE_SPEED)))
     return _line(search, channel, peak, seen, evidence, reservation)
 

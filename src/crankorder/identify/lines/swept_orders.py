@@ -49,8 +49,8 @@ def longest_frame(revs: float, span_rev: float) -> float:
 SETTLING_STEPS = 3
 """Rounds in which numbers of close lines settle: each leaves a tenth of what the one before left."""
 
-TRIAL_SPEEDS = 64
-"""Speeds at which a ringing mode may have been met."""
+TRIALS_PER_TURN = 4
+"""Frequencies that are tried in the width in which their phase runs apart by a turn from frame to frame."""
 
 LARGEST_MOVE = 0.5
 """Share of the distance of two lines by which a number moves at most."""
@@ -77,10 +77,7 @@ def company_of(order: float, frames: xr.Dataset, others: Sequence[float] = ()) -
     if len(seen) < NUMBERS.fewest_frames or len(used) < NUMBERS.reach_bins:
         return float("nan")
     near = [other * revs for other in others if 0.0 < abs(other * revs - place) < 2.0 * NUMBERS.reach_bins]
-    known = [
-        _changing_lobe(used - place),
-        *(_changing_lobe(used - other)[:2] for other in near),
-    ]
+    known = [_changing_lobe(used - place), *(_changing_lobe(used - other)[:2] for other in near)]
     base = np.linalg.qr(np.concatenate(known).T)[0]
     left = seen - (seen @ base) @ base.T
     energy = np.maximum((np.abs(left) ** 2).sum(axis=1), np.finfo(float).tiny)
@@ -127,10 +124,10 @@ def _keeps_frequency(steps: NDArray[np.complex128], order: float, frames: xr.Dat
     """Whether ``steps`` (frames - 1,) from frame to frame turn as those of one frequency near ``order``, rather than as
     those of one order: a lightly damped mode rings on at its own."""
     speed = frames["speed"].values
-    between, hop = 0.5 * (speed[1:] + speed[:-1]), np.diff(frames["crank_angle"].values)
+    minutes = np.diff(frames["crank_angle"].values) / (0.5 * (speed[1:] + speed[:-1]))
     unit = steps / np.maximum(np.abs(steps), np.finfo(float).tiny)
-    met: Array = np.linspace(speed.min(), speed.max(), TRIAL_SPEEDS)
-    turns = np.outer(order * met, hop / between)
+    trials = 2 + int(TRIALS_PER_TURN * order * float(np.ptp(speed) * np.median(minutes)))
+    turns = np.outer(order * np.linspace(speed.min(), speed.max(), trials), minutes)
     return bool(np.abs(np.exp(-2j * np.pi * turns) @ unit).max() >= np.abs(unit.sum()))
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import Tone, ToneKind
+from crankorder.identify.mains import NUMBERS as MAINS
 from crankorder.identify.mains import multiple_on, multiples_near, supply_told
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.search import dispersion
@@ -313,19 +315,28 @@ def times_mains(multiple: int, mains_hz: float) -> str:
 
 
 def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> list[Tone]:
-    kept: list[Tone] = []
-    first: dict[tuple[int, float], Tone] = {}
-    for tone in sorted(tones, key=lambda one: one.frequency_error_hz):
-        near = multiples_near(tone.frequency_hz, tone.frequency_error_hz, settings=settings)
-        better = first.setdefault(near[0], tone) if near and tone.kind == "mains" else tone
-        if better is tone:
-            kept.append(tone)
-            continue
-        error = float(np.hypot(tone.frequency_error_hz, better.frequency_error_hz))
-        if abs(tone.frequency_hz - better.frequency_hz) > NUMBERS.same_sigmas * error:
-            words = f"no damping; beside the mains line of {better.frequency_hz:.6g} Hz, which has one frequency"
+    kept = [tone for tone in tones if tone.kind != "mains"]
+    first: dict[tuple[float, int], Tone] = {}
+    near = partial(multiples_near, settings=settings)
+    mains_tones = [(tone, near(tone.frequency_hz, tone.frequency_error_hz)) for tone in tones if tone.kind == "mains"]
+    places = [(tone, *[*found, (1, 0.0)][0]) for tone, found in mains_tones]
+    for tone, multiple, mains in sorted(places, key=lambda place: place[0].frequency_error_hz / place[1]):
+        others = [(multiple / n, other) for (m, n), other in first.items() if m == mains]
+        beside = [other for ratio, other in others if _differ(tone, other, ratio)]
+        if beside:
+            words = f"no damping; beside the mains line of {beside[0].frequency_hz:.6g} Hz, which has one frequency"
             kept.append(replace(tone, kind="tone", evidence=words))
+        elif (mains, multiple) not in first:
+            kept.append(tone)
+            first |= {(mains, multiple): tone} if mains else {}
     return sorted(kept, key=lambda one: one.frequency_hz)
+
+
+def _differ(tone: Tone, other: Tone, ratio: float) -> bool:
+    """Whether a ``tone`` is surely not ``ratio`` times the ``other``: all multiples of a supply wander together."""
+    error = float(np.hypot(tone.frequency_error_hz, ratio * other.frequency_error_hz))
+    apart = abs(tone.frequency_hz - ratio * other.frequency_hz)
+    return apart > NUMBERS.same_sigmas * error + (0.0 if ratio == 1.0 else MAINS.least_apart_hz)
 
 
 def on_order(frequency_hz: float, error_hz: float, floor: Floor, *, settings: IdentifySettings) -> str:

@@ -1,0 +1,182 @@
+"""Lines that a swing of the crank angle may make beside strong orders: of the shaft, or an error of its encoder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.orders.swing_evidence import HARMONICS
+from crankorder.orders.true_angle import LINES, LINES_PER_HARMONIC, TAKEN, left_of, swing_shown
+from crankorder.quantities import Floats
+from crankorder.settings import MethodNumbers
+
+
+class _SwingNumbers(MethodNumbers, file="5-identify-explain.toml", table="swing_sidebands"):
+    alike_share: float
+    scatter_sigmas: float
+    dense_share: float
+    most_share: float
+    most_half_orders: int
+
+
+SWING_NUMBERS = _SwingNumbers.load()
+
+WHOLE_HALVES = 0.05
+"""An order this near, in half orders, to so many half orders from another is one."""
+
+MOST_TIMES = 4
+"""Most turns of a swing by which a line lies beside its order: the n-th sideband is as large as the n-th power."""
+
+OF_ENCODER = "encoder eccentricity: sideband of order"
+"""Begin of the words for what is left of sidebands whose cause is proved."""
+
+OR_OWN = "sideband by a swing of the angle or a line of its own"
+"""Words for a line that the swing of the shaft or an error of its encoder may make, which nothing proves."""
+
+Words = dict[tuple[str, float], tuple[str, str]]
+"""Cause and evidence by channel and order."""
+
+
+@dataclass(frozen=True, eq=False)
+class AngleSwings:
+    """Swings of the crank angle: of the shaft, by speed, and what may be left of an encoder's error.
+
+    ``size_rev`` (speeds, 1 + half orders) are peak amplitudes [rev] at 0.5, 1, 1.5 … times a turn, behind the speed, at
+    the sorted ``speed_rpm`` (speeds,); ``unseen_rev`` (1 + half orders,) those of which too few pulses show nothing;
+    ``left_rev`` by harmonic of the turn; ``proved`` says whether an encoder's error was taken out.
+    """
+
+    speed_rpm: Floats
+    size_rev: Floats
+    unseen_rev: Floats
+    left_rev: dict[int, float]
+    proved: bool
+
+    @classmethod
+    def of(cls, frames: Sequence[xr.Dataset], orders: Sequence[AgreedOrder]) -> AngleSwings:
+        """What the ``frames`` (OrderFrames) of a test state of the angle by which its ``orders`` were found."""
+        sizes, whole = [], [2 * harmonic for harmonic in HARMONICS]
+        for item in frames:
+            shown = np.abs(swing_shown([item]))
+            shown[:, whole] -= np.minimum(shown[:, whole], item.attrs.get(TAKEN, 0.0))
+            sizes.append(shown)
+        size = np.concatenate(sizes)
+        size = size[np.argsort(size[:, 0])]
+        unseen = np.zeros(size.shape[1])
+        if any(0.0 < float(item.attrs.get(LINES, 0.0)) < LINES_PER_HARMONIC for item in frames):
+            for at in _spacings_about_strongest(orders) - set(np.flatnonzero(size.any(axis=0)).tolist()):
+                unseen[at] = SWING_NUMBERS.most_share / (np.pi * at)
+        proved = any(float(np.max(item.attrs.get(TAKEN, [0.0]))) > 0.0 for item in frames)
+        return cls(size[:, 0], size, unseen, left_of(frames), proved)
+
+    def at(self, half_orders: int, rpm: Floats) -> Floats:
+        """Swing [rev] of the shaft at so many ``half_orders`` and at ``rpm`` (rows,)."""
+        if not 0 < half_orders < len(self.unseen_rev):
+            return np.zeros(len(rpm))
+        seen = np.interp(rpm, self.speed_rpm, self.size_rev[:, half_orders]) if len(self.speed_rpm) else 0.0
+        return seen + np.full(len(rpm), self.unseen_rev[half_orders])
+
+
+def _spacings_about_strongest(orders: Sequence[AgreedOrder]) -> set[int]:
+    """Half orders, up to those at which gas turns a shaft, at which the order that swings most has lines beside it.
+
+    A swing of the angle moves each order by its number times its amplitude: where the order of which that is largest
+    has no sideband, no other has.
+    """
+    most = max(orders, key=lambda agreed: agreed.order * max(float(line.amplitude.max()) for line in agreed.lines))
+    apart = np.array([2.0 * abs(agreed.order - most.order) for agreed in orders])
+    near = np.abs(apart - np.round(apart)) < WHOLE_HALVES
+    return {round(value) for value in apart[near]} & set(range(1, SWING_NUMBERS.most_half_orders + 1))
+
+
+def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset]) -> Words:
+    """Cause and evidence of the lines of ``orders`` that are no larger than what swings of the angle may give them.
+
+    A force at order n of a shaft that swings by ε sin(k θ) has sidebands π n ε at n ± k in time. The structure
+    responds to each at its own frequency, so that π n ε (H(n ± k) / H(n) - 1) times the order is left of them in the
+    angle of the shaft (H: the response), the first part alone where pulses do not show the swing; an error ε of the
+    encoder leaves π n ε. What the order itself has where the speed brings it to the frequency of the sideband tells the
+    response there. ``frames`` (OrderFrames) say how the angle swings.
+    """
+    words = Words()
+    if not orders:
+        return words
+    swings = AngleSwings.of(frames, orders)
+    for agreed in orders:
+        for line in agreed.lines:
+            beside = [(other.order, item) for other in orders for item in other.lines if item.channel == line.channel]
+            others = [pair for pair in beside if pair[1] is not line]
+            given = [part for pair in others for part in _given(line, agreed.order, *pair, swings)]
+            if not given or not _within(line, given, speeds=max(len(item.amplitude) for _, item in beside)):
+                continue
+            most = max(given, key=lambda part: float(np.sum(part.amplitude)))
+            maker = (
+                "an error of the encoder that the data do not exclude" if most.by_encoder else "a swing of the shaft"
+            )
+            text = f"{OF_ENCODER} {most.carrier:g}" if most.by_encoder and swings.proved else OR_OWN
+            evidence = f"no larger than what {maker} gives it beside order {most.carrier:g}"
+            words[line.channel, agreed.order] = text, evidence
+    return words
+
+
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """Largest ``amplitude`` (rows,) that the order ``carrier`` gives, by an encoder's error or a swing of the shaft.
+
+    ``known`` (rows,): whether the speeds are close enough to tell how the structure responds.
+    """
+
+    carrier: float
+    amplitude: Floats
+    known: NDArray[np.bool_]
+    by_encoder: bool
+
+
+def _given(line: OrderLine, order: float, number: float, carrier: OrderLine, swings: AngleSwings) -> list[_Given]:
+    """What ``swings`` give to ``line`` at ``order`` at most of its ``carrier`` at the order ``number``."""
+    rpm, parts = line.speed_rpm, []
+    for half_orders in (2.0 * abs(order - number), 2.0 * (order + number)):
+        at = round(half_orders)
+        if not at or abs(half_orders - at) > WHOLE_HALVES:
+            continue
+        here, largest, known = _amplitudes(carrier, rpm, order / number)
+        divisors = [n for n in range(1, MOST_TIMES + 1) if at % n == 0]
+        swing = np.sum([(np.pi * number * swings.at(at // n, rpm)) ** n for n in divisors], axis=0)
+        left = swings.left_rev.get(at // 2, 0.0) if at % 2 == 0 else 0.0
+        parts.append(_Given(number, swing * (here + largest), known, by_encoder=False))
+        parts.append(_Given(number, np.pi * number * left * here, known, by_encoder=True))
+    return [part for part in parts if part.amplitude.any()]
+
+
+def _amplitudes(carrier: OrderLine, rpm: Floats, ratio: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Amplitude of ``carrier`` at ``rpm`` (rows,), the largest from there to ``ratio`` times that speed, if known.
+
+    The force behind it is taken to grow with the square of the speed. Where speeds are too coarse to tell what is
+    between them the largest of all stands for it.
+    """
+    rising = np.argsort(carrier.speed_rpm)
+    speed, amplitude, sought = carrier.speed_rpm[rising], carrier.amplitude[rising], ratio * rpm
+    gap = np.append(np.diff(speed), np.inf)[np.searchsorted(speed, sought, side="right") - 1]
+    known = (sought >= speed[0]) & (sought <= speed[-1]) & (gap < SWING_NUMBERS.dense_share * sought)
+    reach = 1.0 + SWING_NUMBERS.dense_share
+    low, high = np.minimum(rpm, sought)[:, None] / reach, np.maximum(rpm, sought)[:, None] * reach
+    counts = ~known[:, None] | ((speed >= low) & (speed <= high))
+    scaled = amplitude * np.maximum(1.0, np.square(rpm[:, None] / speed))
+    return np.interp(rpm, speed, amplitude), np.where(counts, scaled, 0.0).max(axis=1), known
+
+
+def _within(line: OrderLine, given: Sequence[_Given], *, speeds: int) -> bool:
+    """Whether ``line`` is no larger than what is ``given`` to it where that is known, and at most of the ``speeds``.
+
+    At one speed its own scatter may lift it; where speeds are coarse a natural frequency between them may.
+    """
+    allowed = np.sum([part.amplitude for part in given], axis=0)
+    known = np.sum([part.amplitude * part.known for part in given], axis=0) >= 0.5 * allowed
+    scatter = np.nan_to_num(line.amplitude_error) * SWING_NUMBERS.scatter_sigmas
+    above = line.amplitude > (1.0 + SWING_NUMBERS.alike_share) * allowed + scatter
+    return not (above & known).any() and bool(np.count_nonzero(above) <= 0.5 * speeds)
