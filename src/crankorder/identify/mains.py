@@ -143,6 +143,9 @@ def mains_orders(
     tones_hz = [tone.frequency_hz for tone in tones]
     hits = {mains: found for mains in settings.mains_hz if (found := _hits(lines, mains, tones_hz, settings)).any()}
     sure = [mains for mains, found in hits.items() if (found & ~lines.exact).any()]
+    grids = [mains for mains in sure if np.unique(np.rint(lines.hertz / mains)[hits[mains] & ~lines.exact]).size > 1]
+    if len(grids) == 1:  # a plant has one supply: that of which several multiples stand on one grid
+        sure, hits = grids, {mains: hits[mains] for mains in grids}
     unproven = {one.order for one in orders if all(line.evidence == UNPROVEN for line in one.lines)}
     made: dict[float, tuple[str, str]] = {}
     for mains, found in hits.items():
@@ -161,8 +164,8 @@ def mains_orders(
 def _hits(lines: _Fixed, mains: float, tones_hz: Sequence[float], settings: IdentifySettings) -> NDArray[np.bool_]:
     """Which ``lines`` are or may be multiples of ``mains``."""
     multiple, reach = nearest_multiple(lines.hertz, mains, settings=settings)
-    within = reach + 2.0 * lines.error_hz
-    hits = np.asarray(np.abs(lines.hertz - multiple * mains) <= within)
+    # a line that is known less well than a supply wanders may be anything
+    hits = (np.abs(lines.hertz - multiple * mains) <= reach + 2.0 * lines.error_hz) & (lines.error_hz <= reach)
     low = hits & (multiple <= NUMBERS.alone_multiples)
     told = lines.hertz / multiple
     others, wander = nearest_multiple(np.asarray(tones_hz, dtype=np.float64), mains, settings=settings)
