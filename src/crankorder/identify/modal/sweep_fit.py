@@ -85,7 +85,7 @@ class LocalFit:
     def normal(self) -> tuple[Array, Array]:
         """Normal matrix (P, P) and right side (P,) of poles, then bends (real, imaginary)."""
         parts = [one.normal(self.orders) for one in self.solved]
-        matrix, side = sum(part[0] for part in parts), sum(part[1] for part in parts)
+        matrix, side = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
         place = np.arange(2 * len(self.natural_hz), len(side))
         matrix[place, place] += 1.0 / (2.0 * BEND_SPREAD**2)
         side[place] -= np.stack([self.bends.real, self.bends.imag], axis=1).ravel() / (2.0 * BEND_SPREAD**2)

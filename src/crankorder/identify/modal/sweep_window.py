@@ -320,7 +320,7 @@ class Window:
         scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         columns /= scale
         # of the columns' conjugates, one half alone: an array in the other memory order is no copy
-        gram = zherk(1.0, columns.T, lower=True).conj() + LEAST_NORM * np.eye(len(scale))
+        gram: Complex = zherk(1.0, columns.T, lower=True).conj() + LEAST_NORM * np.eye(len(scale))
         inverse = np.linalg.inv(np.linalg.cholesky(gram)).conj().T  # upper: columns @ inverse are orthonormal
         wanted = (self.measured / self.shape).T
         amplitude = inverse @ (inverse.conj().T @ _against(columns, wanted))
@@ -406,8 +406,8 @@ class Solved:
             bent[..., at] = window.force(order)[1][:, None] * (path @ amplitude[at])
             place = modes + 2 * orders.index(order)
             turned[modes + at, place : place + 2] = 1.0, 1j
-        made = np.concatenate([self._bent, bent], axis=2) / (window.shape[:, None] * window.level)[:, :, None]
-        return made, turned
+        every: Complex = np.concatenate([self._bent, bent], axis=2)
+        return every / (window.shape[:, None] * window.level)[:, :, None], turned
 
     @cached_property
     def _answers_bent(self) -> tuple[Complex, Complex]:
@@ -510,9 +510,9 @@ class Solved:
         path = window.paths(self.natural_hz, self.damping)
         columns = window.force(order)[0][:, None] * path / window.shape[:, None]
         columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        columns = self._beyond(columns)
-        gram = columns.conj().T @ columns + 1e-6 * np.eye(columns.shape[1])
-        seen = columns.conj().T @ self.left
+        beyond = self._beyond(columns)
+        gram = beyond.conj().T @ beyond + 1e-6 * np.eye(beyond.shape[1])
+        seen = beyond.conj().T @ self.left
         return float(2.0 * np.sum(seen.conj() * np.linalg.solve(gram, seen)).real)
 
     def _beyond(self, rows: Complex) -> Complex:
