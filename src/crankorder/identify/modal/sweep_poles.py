@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,8 +32,6 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_poles")
     most_poles: int
     felt_share: float
     proof_chance: float
-    frequency_model_share: float
-    damping_model_share: float
     known_share: float
     alone_frequency_share: float
     alone_damping_share: float
@@ -367,6 +365,8 @@ def _refined(
         windows = _windows(held, shown, low, high, degree)
         if not windows:
             return None
+        bends = {order: bend for fit in fits for window in fit.windows for order, bend in window.bends.items()}
+        windows = tuple(replace(window, bends=bends) for window in windows)
         fits.append(LocalFit(windows, natural, damping).settled(**EXACTLY))
         natural, damping = fits[-1].natural_hz, fits[-1].damping
     less, more = fits
@@ -381,9 +381,7 @@ def _refined(
 def _covariance(less: LocalFit, more: LocalFit) -> Array:
     """Covariance (2 M, 2 M) of (ln f, ln ζ) of the poles of ``more``, with what one degree ``less`` moves."""
     moved = np.stack([np.log(more.natural_hz / less.natural_hz), np.log(more.damping / less.damping)], axis=1)
-    widths = np.full(len(more.damping), NUMBERS.damping_model_share)
-    model = np.stack([NUMBERS.frequency_model_share * more.damping, widths], axis=1)
-    return np.asarray(more.covariance() + np.diag((np.square(moved) + np.square(model)).ravel()))
+    return np.asarray(more.covariance() + np.diag(np.square(moved).ravel()) + more.model_variance)
 
 
 def _is_sure(pole: SweepPole, most_damping: float) -> bool:
@@ -410,7 +408,7 @@ def _pole(fit: LocalFit, number: int, covariance: Array) -> SweepPole:
     orders, channels, ends = set[float](), dict[str, None](), list[float]()
     for one in fit.solved:
         shares, spread = shares_of(one, number), _variance(one, number)
-        ratio = np.square(np.abs(one.residue(number))) / np.maximum(spread, 1e-300)
+        ratio = np.square(np.abs(one.residues[:, number])) / np.maximum(spread, 1e-300)
         dof = 2.0 * max(len(one.left) - len(one.scale), 1)
         shown = (fdtrc(2.0, dof, ratio) <= NUMBERS.proof_chance) & (shares >= NUMBERS.felt_share)
         for row, order in enumerate(one.window.orders):
