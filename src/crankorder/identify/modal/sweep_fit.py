@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.modal.sweep_window import BEND_SPREAD, Solved, Window
+from crankorder.identify.modal.sweep_window import BEND_SPREAD, MODEL_SHARE, Solved, Window
 from crankorder.identify.resonance import resonance
 from crankorder.settings import MethodNumbers
 
@@ -144,13 +144,14 @@ class LocalFit:
         return np.diag(np.square(np.stack(shares, axis=1)).ravel())
 
     def with_noise(self) -> LocalFit:
-        """With shape and level of the noise as what is left has them."""
+        """With shape and level of the noise as what is left has them, and what no model knows better."""
         windows = []
         for one in self.solved:
             window = one.window
-            left = np.square(np.abs(one.left)) * np.square(window.shape)[:, None]
+            left = np.square(np.abs(one.left) * window.shape[:, None] * window.level)
             left *= len(left) / max(len(left) - len(one.scale), 1)
-            level = np.sqrt(np.maximum(left.mean(axis=0), 1e-300)) * window.level
+            left += np.square(MODEL_SHARE * np.abs(window.measured.T))
+            level = np.sqrt(np.maximum(left.mean(axis=0), 1e-300))
             power = (left / np.maximum(left.mean(axis=0), 1e-300)).mean(axis=1)
             shape = np.sqrt(_noise_power(power, window.frequency_hz, self.natural_hz, self.damping))
             windows.append(replace(window, shape=shape, level=level))

@@ -178,7 +178,7 @@ def sweep_fits(
         every |= shown
         hidden += beside
         looked += [(low, high)] if beside else []
-    groups = _groups(spectra, sorted(every), found)
+    groups = _groups(spectra, sorted(every), [pole for pole in found if pole[1] <= settings.max_damping_ratio])
     refined = [_refined(spectra, sorted(every), group, found, settings.max_damping_ratio) for group in groups]
     made = tuple(one for one in refined if one is not None and one.poles)
     proven = [pole.frequency_hz for one in made for pole in one.poles]
@@ -252,21 +252,17 @@ class _Search:
             return found, set(), ()
         near = [pole for pole in found if ends[0] < pole[0] < ends[1]]
         natural, damping = np.array(near).reshape(-1, 2).T
-        fit, shown = self._with_orders(LocalFit(windows, natural, damping).settled(**ROUGHLY))
-        for _ in range(NUMBERS.most_poles):
-            trial = self._with_pole(fit, low, high)
-            if trial is None:
-                break
+        strong = tuple(window.with_strong(natural, damping) for window in windows)
+        fit, shown = self._with_orders(LocalFit(strong, natural, damping).settled(**ROUGHLY))
+        tried = 0
+        while tried < NUMBERS.most_poles and (trial := self._with_pole(fit, low, high)) is not None:
             fit, again = self._with_orders(trial)
-            shown |= again
+            shown, tried = shown | again, tried + 1
         others = [pole for pole in found if not ends[0] < pole[0] < ends[1]]
-        hidden = hidden_in(
-            fit,
-            low,
-            high,
-            least_damping=self.settings.least_damping_ratio,
-            confidence=self.settings.free_confidence,
-        )
+        least, sure = self.settings.least_damping_ratio, self.settings.free_confidence
+        # one that asks for more is not searched to its end: nothing is said to be free there
+        searched = tried < NUMBERS.most_poles
+        hidden = hidden_in(fit, low, high, least_damping=least, confidence=sure) if searched else ()
         return others + list(zip(fit.natural_hz.tolist(), fit.damping.tolist(), strict=True)), shown, hidden
 
     def _with_pole(self, fit: LocalFit, low: float, high: float) -> LocalFit | None:
@@ -366,7 +362,7 @@ def _refined(
         if not windows:
             return None
         bends = {order: bend for fit in fits for window in fit.windows for order, bend in window.bends.items()}
-        windows = tuple(replace(window, bends=bends) for window in windows)
+        windows = tuple(replace(window, bends=bends).with_strong(natural, damping) for window in windows)
         fits.append(LocalFit(windows, natural, damping).settled(**EXACTLY))
         natural, damping = fits[-1].natural_hz, fits[-1].damping
     less, more = fits

@@ -29,6 +29,10 @@ speed, differs from that: forces are steady to cubic."""
 SLOWEST_SHARE = 1e-2
 """Share of a window's speed below which the force of an order is taken to be that at this share."""
 
+MODEL_SHARE = 0.01
+"""Standard error of each bin as a share of what stands there, beside its noise: what the laws of forces, the angle and
+the smooth part differ from the truth by. An order that makes less of a window tells nothing there."""
+
 STEP = 1e-5
 """Relative step of the slopes of a column by frequency and damping."""
 
@@ -286,6 +290,18 @@ class Window:
     def with_order(self, order: float) -> Window:
         """The window with one ``order`` more."""
         return replace(self, orders=tuple(sorted({*self.orders, order})))
+
+    def with_strong(self, natural_hz: Array, damping: Array) -> Window:
+        """The window with those of its orders that stand over what no model knows of the strongest in any channel.
+
+        ``natural_hz`` and ``damping`` (M,): of the modes that are known.
+        """
+        one, path = self.solved(natural_hz, damping), self.paths(natural_hz, damping)
+        each = one.amplitude[: len(self.orders) * path.shape[1]].reshape(len(self.orders), path.shape[1], -1)
+        driven = [self.force(order)[0][:, None] * (path @ own) for order, own in zip(self.orders, each, strict=True)]
+        size = np.linalg.norm(driven, axis=1)
+        strong = (size >= MODEL_SHARE * size.max(axis=0)).any(axis=1)
+        return replace(self, orders=tuple(order for order, yes in zip(self.orders, strong.tolist(), strict=True) if yes))
 
     def ringing(self, natural_hz: Array, damping: Array) -> Complex:
         """What modes ring at the ends of the recording (B, M), of about the size of a bin.
