@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.identify.modal.sweep_window import BEND_SPREAD, MODEL_SHARE, Solved, Window
+from crankorder.identify.modal.sweep_window import BEND_SPREAD, Solved, Window
 from crankorder.identify.resonance import resonance
 from crankorder.settings import MethodNumbers
 
@@ -18,6 +18,7 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_fit"):
     frequency_model_share: float
     damping_model_share: float
     least_noise_share: float
+    bin_model_share: float
 
 
 NUMBERS = _Numbers.load()
@@ -150,7 +151,7 @@ class LocalFit:
             window = one.window
             left = np.square(np.abs(one.left) * window.shape[:, None] * window.level)
             left *= len(left) / max(len(left) - len(one.scale), 1)
-            left += np.square(MODEL_SHARE * np.abs(window.measured.T))
+            left += np.square(NUMBERS.bin_model_share * np.abs(window.measured.T))
             level = np.sqrt(np.maximum(left.mean(axis=0), 1e-300))
             power = (left / np.maximum(left.mean(axis=0), 1e-300)).mean(axis=1)
             shape = np.sqrt(_noise_power(power, window.frequency_hz, self.natural_hz, self.damping))
@@ -291,7 +292,7 @@ def shares_of(one: Solved, number: int) -> Array:
     basis, width = np.concatenate([smooth, answers], axis=1)[0], window.order_columns(len(one.natural_hz))
     made = np.zeros((len(window.orders), one.left.shape[1]))
     for row, order in enumerate(window.orders):
-        if window.sweep.passing(order, (1.0 - one.damping[number]) * peak, (1.0 + one.damping[number]) * peak).any():
+        if window.sweep.passes(order, (1.0 - one.damping[number]) * peak, (1.0 + one.damping[number]) * peak):
             parts = basis[:, None] * one.amplitude[row * width : (row + 1) * width]
             own = parts[window.degree + 1 + number]
             made[row] = np.abs(own) / np.maximum(np.abs(own) + np.abs(parts.sum(axis=0) - own), 1e-300)

@@ -21,6 +21,8 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_poles")
     tile_share: float
     apart_share: float
     order_share: float
+    strong_share: float
+    most_orders: int
     beside_share: float
     blurs: float
     widths: float
@@ -207,9 +209,9 @@ def _blur_hz(spectra: Sequence[SweepSpectrum], more: Sequence[float], low_hz: fl
     fastest = 0.0
     for one in spectra:
         for order in (*one.orders, *more):
-            inside = one.passing(order, low_hz, high_hz)
-            if inside.any():
-                fastest = max(fastest, order / 60.0 * float(one.rate_rpm_per_s[inside].max()))
+            if one.passes(order, low_hz, high_hz):
+                inside = one.passing(order, low_hz, high_hz)
+                fastest = max(fastest, order / 60.0 * float(one.rate_rpm_per_s[inside].max(initial=0.0)))
     return float(np.sqrt(fastest))
 
 
@@ -252,7 +254,9 @@ class _Search:
             return found, set(), ()
         near = [pole for pole in found if ends[0] < pole[0] < ends[1]]
         natural, damping = np.array(near).reshape(-1, 2).T
-        strong = tuple(window.with_strong(natural, damping) for window in windows)
+        strong = tuple(
+            window.with_strong(natural, damping, NUMBERS.strong_share, NUMBERS.most_orders) for window in windows
+        )
         fit, shown = self._with_orders(LocalFit(strong, natural, damping).settled(**ROUGHLY))
         tried = 0
         while tried < NUMBERS.most_poles and (trial := self._with_pole(fit, low, high)) is not None:
@@ -362,7 +366,10 @@ def _refined(
         if not windows:
             return None
         bends = {order: bend for fit in fits for window in fit.windows for order, bend in window.bends.items()}
-        windows = tuple(replace(window, bends=bends).with_strong(natural, damping) for window in windows)
+        windows = tuple(
+            replace(window, bends=bends).with_strong(natural, damping, NUMBERS.strong_share, NUMBERS.most_orders)
+            for window in windows
+        )
         fits.append(LocalFit(windows, natural, damping).settled(**EXACTLY))
         natural, damping = fits[-1].natural_hz, fits[-1].damping
     less, more = fits

@@ -29,10 +29,6 @@ speed, differs from that: forces are steady to cubic."""
 SLOWEST_SHARE = 1e-2
 """Share of a window's speed below which the force of an order is taken to be that at this share."""
 
-MODEL_SHARE = 0.01
-"""Standard error of each bin as a share of what stands there, beside its noise: what the laws of forces, the angle and
-the smooth part differ from the truth by. An order that makes less of a window tells nothing there."""
-
 STEP = 1e-5
 """Relative step of the slopes of a column by frequency and damping."""
 
@@ -95,6 +91,15 @@ class SweepSpectrum:
     def rate_rpm_per_s(self) -> Array:
         """Rate (N,) at which the speed changes, without sign."""
         return np.asarray(np.abs(np.gradient(self.speed_rpm)) * self.rate_hz)
+
+    def passes(self, order: float, low_hz: float, high_hz: float) -> bool:
+        """Whether the ``order`` lies from ``low_hz`` to ``high_hz`` at any time."""
+        low, high = self._ends_rpm
+        return order * low <= 60.0 * high_hz and order * high >= 60.0 * low_hz
+
+    @cached_property
+    def _ends_rpm(self) -> tuple[float, float]:
+        return float(self.speed_rpm.min()), float(self.speed_rpm.max())
 
     def passing(self, order: float, low_hz: float, high_hz: float) -> NDArray[np.bool_]:
         """At which samples (N,) the ``order`` lies from ``low_hz`` to ``high_hz``."""
@@ -169,9 +174,7 @@ class Window:
 
         ``low_hz``, ``high_hz`` and ``degree`` are those of the window.
         """
-        passing = tuple(
-            order for order in sorted({*sweep.orders, *more}) if sweep.passing(order, low_hz, high_hz).any()
-        )
+        passing = tuple(order for order in sorted({*sweep.orders, *more}) if sweep.passes(order, low_hz, high_hz))
         at = (sweep.frequency_hz >= low_hz) & (sweep.frequency_hz <= high_hz)
         fewest = 4 * (len(passing) * (degree + 2) + 4)
         if not passing or np.count_nonzero(at) < fewest:
@@ -266,7 +269,7 @@ class Window:
 
     def is_passed(self, order: float) -> bool:
         """Whether ``order`` passes the window."""
-        return bool(self.sweep.passing(order, self.low_hz, self.high_hz).any())
+        return self.sweep.passes(order, self.low_hz, self.high_hz)
 
     @cached_property
     def taper(self) -> Array:
@@ -291,17 +294,18 @@ class Window:
         """The window with one ``order`` more."""
         return replace(self, orders=tuple(sorted({*self.orders, order})))
 
-    def with_strong(self, natural_hz: Array, damping: Array) -> Window:
-        """The window with those of its orders that stand over what no model knows of the strongest in any channel.
+    def with_strong(self, natural_hz: Array, damping: Array, share: float, most: int) -> Window:
+        """The window with ``most`` of its orders at most, those that make ``share`` of what the strongest does or more.
 
-        ``natural_hz`` and ``damping`` (M,): of the modes that are known.
+        In any channel, behind the modes ``natural_hz``, ``damping`` (M,) that are known.
         """
         one, path = self.solved(natural_hz, damping), self.paths(natural_hz, damping)
         each = one.amplitude[: len(self.orders) * path.shape[1]].reshape(len(self.orders), path.shape[1], -1)
         driven = [self.force(order)[0][:, None] * (path @ own) for order, own in zip(self.orders, each, strict=True)]
         size = np.linalg.norm(driven, axis=1)
-        strong = (size >= MODEL_SHARE * size.max(axis=0)).any(axis=1)
-        return replace(self, orders=tuple(order for order, yes in zip(self.orders, strong.tolist(), strict=True) if yes))
+        size = (size / np.maximum(size.max(axis=0), 1e-300)).max(axis=1)
+        least = max(share, float(np.sort(size)[-most:].min()))
+        return replace(self, orders=tuple(np.array(self.orders)[size >= least].tolist()))
 
     def ringing(self, natural_hz: Array, damping: Array) -> Complex:
         """What modes ring at the ends of the recording (B, M), of about the size of a bin.
