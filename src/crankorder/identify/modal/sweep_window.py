@@ -94,12 +94,7 @@ class SweepSpectrum:
 
     def passes(self, order: float, low_hz: float, high_hz: float) -> bool:
         """Whether the ``order`` lies from ``low_hz`` to ``high_hz`` at any time."""
-        low, high = self._ends_rpm
-        return order * low <= 60.0 * high_hz and order * high >= 60.0 * low_hz
-
-    @cached_property
-    def _ends_rpm(self) -> tuple[float, float]:
-        return float(self.speed_rpm.min()), float(self.speed_rpm.max())
+        return bool(order * self.speed_rpm.min() <= 60.0 * high_hz and order * self.speed_rpm.max() >= 60.0 * low_hz)
 
     def passing(self, order: float, low_hz: float, high_hz: float) -> NDArray[np.bool_]:
         """At which samples (N,) the ``order`` lies from ``low_hz`` to ``high_hz``."""
@@ -300,9 +295,8 @@ class Window:
         In any channel, behind the modes ``natural_hz``, ``damping`` (M,) that are known.
         """
         one, path = self.solved(natural_hz, damping), self.paths(natural_hz, damping)
-        each = one.amplitude[: len(self.orders) * path.shape[1]].reshape(len(self.orders), path.shape[1], -1)
-        driven = [self.force(order)[0][:, None] * (path @ own) for order, own in zip(self.orders, each, strict=True)]
-        size = np.linalg.norm(driven, axis=1)
+        forces = np.stack([self.force(order)[0] for order in self.orders])
+        size = np.linalg.norm(forces[:, :, None] * (path @ one.by_order), axis=1)
         size = (size / np.maximum(size.max(axis=0), 1e-300)).max(axis=1)
         least = max(share, float(np.sort(size)[-most:].min()))
         return replace(self, orders=tuple(np.array(self.orders)[size >= least].tolist()))
@@ -388,9 +382,13 @@ class Solved:
     @cached_property
     def residues(self) -> Complex:
         """Amplitudes (orders, M, C) of the modes behind each order."""
-        own = self.amplitude[: len(self.window.orders) * self.window.order_columns(len(self.natural_hz))]
-        parted = own.reshape(len(self.window.orders), -1, own.shape[1])
-        return np.asarray(parted[:, self.window.degree + 1 :])
+        return self.by_order[:, self.window.degree + 1 :]
+
+    @cached_property
+    def by_order(self) -> Complex:
+        """Amplitudes (orders, degree + 1 + M, C) of what is smooth and of the modes behind each order."""
+        size, width = len(self.window.orders), self.window.order_columns(len(self.natural_hz))
+        return self.amplitude[: size * width].reshape(size, width, -1)
 
     def normal(self, orders: Sequence[float]) -> tuple[Array, Array]:
         """Normal matrix (P, P) and right side (P,) of what is left, the amplitudes as good as they get.
@@ -416,14 +414,12 @@ class Solved:
         And what (Q, P) makes of them those by the modes and the bends, real and imaginary, of all ``orders``.
         """
         window, modes = self.window, 2 * len(self.natural_hz)
-        size, width = len(window.orders), window.order_columns(len(self.natural_hz))
-        path = window.paths(self.natural_hz, self.damping)
+        size, path = len(window.orders), window.paths(self.natural_hz, self.damping)
         turned = np.zeros((modes + size, modes + 2 * len(orders)), dtype=np.complex128)
         turned[:modes, :modes] = np.eye(modes)
-        amplitude = self.amplitude[: size * width].reshape(size, width, -1)
         bent = np.empty((*self.left.shape, size), dtype=np.complex128)
         for at, order in enumerate(window.orders):
-            bent[..., at] = window.force(order)[1][:, None] * (path @ amplitude[at])
+            bent[..., at] = window.force(order)[1][:, None] * (path @ self.by_order[at])
             place = modes + 2 * orders.index(order)
             turned[modes + at, place : place + 2] = 1.0, 1j
         every: Complex = np.concatenate([self._bent, bent], axis=2)
