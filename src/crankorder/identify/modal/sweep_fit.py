@@ -285,15 +285,13 @@ def shares_of(one: Solved, number: int) -> Array:
     It is 0 of those that miss it.
     """
     window = one.window
-    peak = one.natural_hz[number]
-    place = np.array([(2.0 * peak - window.low_hz - window.high_hz) / (window.high_hz - window.low_hz)])
-    smooth = np.polynomial.legendre.legvander(place, window.degree)
-    answers = resonance(np.array([peak]), one.natural_hz, one.damping)
-    basis, width = np.concatenate([smooth, answers], axis=1)[0], window.order_columns(len(one.natural_hz))
+    peak, zeta = one.natural_hz[number], one.damping[number]
+    at = np.array([peak])
+    basis = np.concatenate([window.powers_at(at), resonance(at, one.natural_hz, one.damping)], axis=1)[0]
     made = np.zeros((len(window.orders), one.left.shape[1]))
     for row, order in enumerate(window.orders):
-        if window.sweep.passes(order, (1.0 - one.damping[number]) * peak, (1.0 + one.damping[number]) * peak):
-            parts = basis[:, None] * one.amplitude[row * width : (row + 1) * width]
+        if window.sweep.passes(order, (1.0 - zeta) * peak, (1.0 + zeta) * peak):
+            parts = basis[:, None] * one.by_order[row]
             own = parts[window.degree + 1 + number]
             made[row] = np.abs(own) / np.maximum(np.abs(own) + np.abs(parts.sum(axis=0) - own), 1e-300)
     return made
