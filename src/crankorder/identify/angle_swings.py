@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,6 +21,7 @@ class _SwingNumbers(MethodNumbers, file="5-identify-explain.toml", table="swing_
     alike_share: float
     scatter_sigmas: float
     dense_share: float
+    answer_ratio: float
     most_share: float
     most_half_orders: int
 
@@ -67,31 +69,41 @@ class AngleSwings:
             sizes.append(shown)
         size = np.concatenate(sizes)
         size = size[np.argsort(size[:, 0])]
-        unseen = np.zeros(size.shape[1])
+        unseen, highest = np.zeros(size.shape[1]), max(float(item["order"].max()) for item in frames)
         if any(0.0 < float(item.attrs.get(LINES, 0.0)) < LINES_PER_HARMONIC for item in frames):
-            for at in _spacings_about_strongest(orders) - set(np.flatnonzero(size.any(axis=0)).tolist()):
-                unseen[at] = SWING_NUMBERS.most_share / (np.pi * at)
+            unseen = np.where(size.any(axis=0), 0.0, _likely_swings(orders, len(unseen), highest))
         proved = any(float(np.max(item.attrs.get(TAKEN, [0.0]))) > 0.0 for item in frames)
         return cls(size[:, 0], size, unseen, left_of(frames), proved)
 
-    def at(self, half_orders: int, rpm: Floats) -> Floats:
-        """Swing [rev] of the shaft at so many ``half_orders`` and at ``rpm`` (rows,)."""
+    def at(self, half_orders: int, rpm: Floats, *, unseen: bool) -> Floats:
+        """Swing [rev] of the shaft at so many ``half_orders`` and at ``rpm`` (rows,), also where it is ``unseen``."""
         if not 0 < half_orders < len(self.unseen_rev):
             return np.zeros(len(rpm))
         seen = np.interp(rpm, self.speed_rpm, self.size_rev[:, half_orders]) if len(self.speed_rpm) else 0.0
-        return seen + np.full(len(rpm), self.unseen_rev[half_orders])
+        return seen + np.full(len(rpm), unseen * self.unseen_rev[half_orders])
 
 
-def _spacings_about_strongest(orders: Sequence[AgreedOrder]) -> set[int]:
-    """Half orders, up to those at which gas turns a shaft, at which the order that swings most has lines beside it.
+def _likely_swings(orders: Sequence[AgreedOrder], count: int, highest: float) -> Floats:
+    """Swings [rev] (count,) by half order that the lines beside the order which they move most do not exclude.
 
     A swing of the angle moves each order by its number times its amplitude: where the order of which that is largest
-    has no sideband, no other has.
+    has no sidebands, one on either side up to the ``highest`` order looked at, no other has. No shaft swings by more
+    than a share of the speed.
     """
-    most = max(orders, key=lambda agreed: agreed.order * max(float(line.amplitude.max()) for line in agreed.lines))
-    apart = np.array([2.0 * abs(agreed.order - most.order) for agreed in orders])
-    near = np.abs(apart - np.round(apart)) < WHOLE_HALVES
-    return {round(value) for value in apart[near]} & set(range(1, SWING_NUMBERS.most_half_orders + 1))
+    lines = [(agreed.order, line) for agreed in orders for line in agreed.lines]
+    number, carrier = max(lines, key=lambda pair: pair[0] * float(pair[1].amplitude.max()))
+    own = [(order, math.sqrt(np.mean(line.amplitude**2))) for order, line in lines if line.channel == carrier.channel]
+    turned = np.pi * number * math.sqrt(np.mean(carrier.amplitude**2))
+    likely = np.zeros(count)
+    for at in range(1, SWING_NUMBERS.most_half_orders + 1):
+        places = [place for place in (number - 0.5 * at, number + 0.5 * at) if 0.0 < place <= highest]
+        sides = [
+            max((size for order, size in own if abs(order - place) < 0.5 * WHOLE_HALVES), default=0.0)
+            for place in places
+        ]
+        answered = SWING_NUMBERS.answer_ratio * min(sides, default=0.0) / turned
+        likely[at] = min(answered, SWING_NUMBERS.most_share / (np.pi * at))
+    return likely
 
 
 def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset]) -> Words:
@@ -108,19 +120,24 @@ def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset])
         return words
     swings = AngleSwings.of(frames, orders)
     for agreed in orders:
+        of_order: Words = {}
+        within = 0
         for line in agreed.lines:
             beside = [(other.order, item) for other in orders for item in other.lines if item.channel == line.channel]
             others = [pair for pair in beside if pair[1] is not line]
             given = [part for pair in others for part in _given(line, agreed.order, *pair, swings)]
-            if not given or not _within(line, given, speeds=max(len(item.amplitude) for _, item in beside)):
-                continue
+            if not given:
+                break
+            within += _within(line, given, speeds=max(len(item.amplitude) for _, item in beside))
             most = max(given, key=lambda part: float(np.sum(part.amplitude)))
             maker = (
                 "an error of the encoder that the data do not exclude" if most.by_encoder else "a swing of the shaft"
             )
             text = f"{OF_ENCODER} {most.carrier:g}" if most.by_encoder and swings.proved else OR_OWN
-            evidence = f"no larger than what {maker} gives it beside order {most.carrier:g}"
-            words[line.channel, agreed.order] = text, evidence
+            evidence = f"no larger in most channels than what {maker} gives it beside order {most.carrier:g}"
+            of_order[line.channel, agreed.order] = text, evidence
+        # an order is one thing in all channels
+        words |= of_order if 2 * within >= len(agreed.lines) else {}
     return words
 
 
@@ -140,13 +157,15 @@ class _Given:
 def _given(line: OrderLine, order: float, number: float, carrier: OrderLine, swings: AngleSwings) -> list[_Given]:
     """What ``swings`` give to ``line`` at ``order`` at most of its ``carrier`` at the order ``number``."""
     rpm, parts = line.speed_rpm, []
+    # what is not seen must not let two orders each be the sideband of the other
+    unseen = number * float(carrier.amplitude.max()) > order * float(line.amplitude.max())
     for half_orders in (2.0 * abs(order - number), 2.0 * (order + number)):
         at = round(half_orders)
         if not at or abs(half_orders - at) > WHOLE_HALVES:
             continue
         here, largest, known = _amplitudes(carrier, rpm, order / number)
         divisors = [n for n in range(1, MOST_TIMES + 1) if at % n == 0]
-        swing = np.sum([(np.pi * number * swings.at(at // n, rpm)) ** n for n in divisors], axis=0)
+        swing = np.sum([(np.pi * number * swings.at(at // n, rpm, unseen=unseen)) ** n for n in divisors], axis=0)
         left = swings.left_rev.get(at // 2, 0.0) if at % 2 == 0 else 0.0
         parts.append(_Given(number, swing * (here + largest), known, by_encoder=False))
         parts.append(_Given(number, np.pi * number * left * here, known, by_encoder=True))

@@ -92,7 +92,7 @@ class Block:
     recording: str = ""
     law_span_rpm: tuple[float, float] | None = None
     as_read: tuple[Complex, Array] | None = None
-    made: dict[tuple[object, ...], tuple[Complex, Complex, Complex]] = field(default_factory=dict, repr=False)
+    made: dict[tuple[object, ...], tuple[Complex, ...]] = field(default_factory=dict, repr=False)
     rung: dict[tuple[object, ...], Complex] = field(default_factory=dict, repr=False)
 
     def varied(
@@ -288,12 +288,12 @@ class Block:
         made = np.empty((len(self.frequency_hz), len(natural_hz)), dtype=np.complex128)
         for number, pole in enumerate(zip(natural_hz.tolist(), damping.tolist(), strict=True)):
             key = (*pole, self.exponent, self.law)
-            if key not in self.made:
+            if len(self.made.get(key, ())) <= which:
                 while len(self.made) >= MOST_KEPT:
                     self.made.pop(next(iter(self.made)))
                 speed = self.passage.speed_rpm
                 grown = force(speed, self.span_rpm, self.reference_rpm, self.exponent, self.law)
-                self.made[key] = self.passage.response(grown, *pole)
+                self.made[key] = self.passage.response(grown, *pole, slopes=which > 0)
             made[:, number] = self.made[key][which]
         return made
 

@@ -176,7 +176,7 @@ def settled(blocks: Sequence[Block], known: Poles, found: Sequence[OrderPole], *
         # what none shows took a part of what the others ring on with
         return settled(state.blocks, known, shown, chance=chance)
     for number in range(len(known), len(state.poles)):
-        if _is_beside(state.poles, number) and _is_idle(state, number, chance=chance):
+        if _is_beside(state.poles, number) and not _without(state, number, chance=chance)[1]:
             rest = [item for at, item in enumerate(every[len(known) :], len(known)) if at != number]
             return settled(state.blocks, known, rest, chance=chance)
     proofs = tuple(item.proof for item in every[: len(known)])
@@ -501,13 +501,9 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
         if state.accounts_for(alone) <= ORDER_MODES.felt_share:
             return _pruned(alone, chance=chance)
     while number < len(state.poles):
-        rest = state.poles.without(number)
-        fewer = Fitted.of(state.blocks, rest, state.prior)
-        needed = (
-            state.saves(fewer) > _limit(state.blocks, chance) and state.accounts_for(fewer) > ORDER_MODES.felt_share
-        )
+        fewer, needed = _without(state, number, chance=chance)
         if needed and _is_beside(state.poles, number):
-            fewer = _told_anew(state, rest)
+            fewer = _told_anew(state, fewer.poles)
             needed = state.saves(fewer) > _limit(state.blocks, chance)
         if needed:
             number += 1
@@ -528,10 +524,11 @@ def _neighbours(poles: Poles, first: int) -> list[NDArray[np.int64]]:
     return [group for group in np.split(rank, gaps) if len(group) > 1]
 
 
-def _is_idle(state: Fitted, number: int, *, chance: float) -> bool:
-    """Whether the others fit as well without pole ``number`` as noise lets them."""
-    alone = Fitted.of(state.blocks, state.poles.without(number), state.prior)
-    return state.saves(alone) <= _limit(state.blocks, chance) or state.accounts_for(alone) <= ORDER_MODES.felt_share
+def _without(state: Fitted, number: int, *, chance: float) -> tuple[Fitted, bool]:
+    """``state`` without pole ``number``, and whether that fits worse than noise lets it."""
+    fewer = Fitted.of(state.blocks, state.poles.without(number), state.prior)
+    felt = state.accounts_for(fewer) > ORDER_MODES.felt_share
+    return fewer, felt and state.saves(fewer) > _limit(state.blocks, chance)
 
 
 def _is_beside(poles: Poles, number: int) -> bool:

@@ -74,10 +74,13 @@ class Passage:
         rate = float(np.median(np.abs(np.diff(self.frequency_hz)))) / self.step_s
         return 0.5 * float(np.sqrt(rate))
 
-    def response(self, growth: Complex, natural_hz: float, damping: float) -> tuple[Complex, Complex, Complex]:
+    def response(
+        self, growth: Complex, natural_hz: float, damping: float, *, slopes: bool = True
+    ) -> tuple[Complex, ...]:
         """Acceleration (K,) of a mode of unit residue behind a force ``growth`` (T,), and its slopes by ln f and ln ζ.
 
-        ``natural_hz`` and ``damping``: of the mode. The envelope a of the response relative to the order's phase obeys
+        ``natural_hz`` and ``damping``: of the mode; ``slopes``: whether these are asked for.
+        The envelope a of the response relative to the order's phase obeys
         a' = (λ − iω(t)) a + growth, whose steps are solved as if ω were steady within each (Lewis 1932 has the solution
         for a steady rate); so does its slope by λ, with a in place of the force. The counter-rotating part is that of
         steady running. All is then smoothed as the tracking filter smooths it.
@@ -89,15 +92,14 @@ class Passage:
         by_damping = natural * complex(-damping, -(damping**2) / turned)
         weight = -(pole**2) / (2j * pole.imag)
         back = 1.0 / (1j * omega - np.conj(pole))
-        own, slope = self._envelopes(growth, pole)
+        own, slope = self._envelopes(growth, pole, slopes=slopes)
         made = growth - weight * own - np.conj(weight) * growth * back
         parts = [made]
-        for step in (pole, by_damping):
+        for step in (pole, by_damping) if slopes else ():
             bend = weight * (2.0 * step / pole - step.imag / pole.imag)
             counter = np.conj(bend) * back + np.conj(weight * step) * back**2
             parts.append(-bend * own - weight * step * slope - growth * counter)
-        through = self.smoothed(np.stack(parts, axis=1))
-        return through[:, 0], through[:, 1], through[:, 2]
+        return tuple(self.smoothed(np.stack(parts, axis=1)).T)
 
     def left_over(self, growth: Complex, natural_hz: float, damping: float) -> Complex:
         """What the filter does not take (T,) of the :meth:`response` of a mode, on the grid: it rings on beside it.
@@ -106,7 +108,7 @@ class Passage:
         """
         natural = 2.0 * np.pi * natural_hz
         pole = natural * complex(-damping, np.sqrt(max(1.0 - damping**2, 1e-12)))
-        made = (pole**2) / (2j * pole.imag) * self._envelopes(growth, pole)[0]
+        made = (pole**2) / (2j * pole.imag) * self._envelopes(growth, pole, slopes=False)[0]
         return np.asarray(made - _filtered(made, self._filter))
 
     def taken_from(self, other: Passage, left: Complex, natural_hz: float) -> Complex:
@@ -141,8 +143,11 @@ class Passage:
         middle = np.pi * (self.frequency_hz[1:] + self.frequency_hz[:-1])
         return middle, np.exp(-1j * middle * self.step_s)
 
-    def _envelopes(self, growth: Complex, pole: complex) -> tuple[Complex, Complex]:
-        """Solution (T,) of a' = (λ − iω) a + ``growth`` from a steady start, λ the ``pole``, and its slope by λ."""
+    def _envelopes(self, growth: Complex, pole: complex, *, slopes: bool) -> tuple[Complex, Complex]:
+        """Solution (T,) of a' = (λ − iω) a + ``growth`` from a steady start, λ the ``pole``, and its slope by λ.
+
+        Without ``slopes`` the latter is not reckoned.
+        """
         from scipy.linalg import solve_banded
 
         middle, turn = self._turn
@@ -157,6 +162,8 @@ class Passage:
         start = 1.0 / (2j * np.pi * self.frequency_hz[0] - pole)
         pushed = step * (growth[:-1] * over + (growth[1:] - growth[:-1]) * slope)
         own = solve_banded((1, 0), band, np.concatenate([[growth[0] * start], pushed]), check_finite=False)
+        if not slopes:
+            return own, own
         # the slope of each step by λ, the step itself being exact
         by_grown = step * grown
         by_over = step * (grown - over) / z

@@ -15,7 +15,10 @@ from crankorder.settings import MethodNumbers
 
 class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_fit"):
     smoothed_share: float
+    frequency_model_share: float
+    damping_model_share: float
     least_noise_share: float
+    bin_model_share: float
 
 
 NUMBERS = _Numbers.load()
@@ -24,10 +27,14 @@ LIGHTEST, HEAVIEST = 1e-4, 0.5
 """Damping ratios that a fit may come to."""
 
 LARGEST_STEP = 0.4
-"""Largest step of a fit: of a frequency as a share of its half width, of the logarithm of a damping, of a bend."""
+"""Largest step of a fit: of a frequency as a share of its half width, of the logarithm of a damping. That of a bend is
+its spread: over a window's logarithms of the speed it turns the force by as little."""
 
 SETTLED = 0.1
-"""Misfit that a step must save to be followed by another."""
+"""Square of the standard errors, those of the model among them, that a step must move the poles to be followed."""
+
+TRIES = 5
+"""Times that a step is tried, each ten times more damped than the one before."""
 NOISE_ROUNDS = 4
 """Rounds in which the shape of the noise settles."""
 
@@ -76,31 +83,21 @@ class LocalFit:
         """Complex numbers beyond the amplitudes."""
         return sum(one.freedom for one in self.solved)
 
-    def normal(self) -> tuple[Array, Array, list[Array]]:
-        """Normal matrix (P, P), right side (P,) and scores by bin (B, P) of poles, then bends (real, imaginary)."""
-        orders = self.orders
-        size = 2 * len(self.natural_hz) + 2 * len(orders)
-        matrix, side = np.zeros((size, size)), np.zeros(size)
-        scores = []
-        for one in self.solved:
-            bent = one.slopes_of_bends(orders)
-            both = np.stack([bent, 1j * bent], axis=3).reshape(*bent.shape[:2], -1)
-            rows = np.concatenate([one.slopes(), both], axis=2)
-            flat, left = rows.reshape(-1, size), one.left.ravel()
-            matrix += (flat.conj().T @ flat).real
-            side += (flat.conj().T @ left).real
-            scores.append(np.einsum("bcp,bc->bp", rows.conj(), one.left).real)
-        place = np.arange(2 * len(self.natural_hz), size)
+    def normal(self) -> tuple[Array, Array]:
+        """Normal matrix (P, P) and right side (P,) of poles, then bends (real, imaginary)."""
+        parts = [one.normal(self.orders) for one in self.solved]
+        matrix, side = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
+        place = np.arange(2 * len(self.natural_hz), len(side))
         matrix[place, place] += 1.0 / (2.0 * BEND_SPREAD**2)
         side[place] -= np.stack([self.bends.real, self.bends.imag], axis=1).ravel() / (2.0 * BEND_SPREAD**2)
-        return matrix, side, scores
+        return matrix, side
 
     def moved(self, step: Array) -> LocalFit:
         """The fit after ``step`` (P,) of the poles and bends."""
         count = 2 * len(self.natural_hz)
         by_f = np.clip(step[:count:2], -LARGEST_STEP * self.damping, LARGEST_STEP * self.damping)
         by_zeta = np.clip(step[1:count:2], -LARGEST_STEP, LARGEST_STEP)
-        turned = np.clip(step[count:], -LARGEST_STEP, LARGEST_STEP).reshape(-1, 2)
+        turned = np.clip(step[count:], -BEND_SPREAD, BEND_SPREAD).reshape(-1, 2)
         bends = dict(zip(self.orders, (self.bends + turned[:, 0] + 1j * turned[:, 1]).tolist(), strict=True))
         windows = tuple(replace(window, bends=bends) for window in self.windows)
         damping = np.clip(self.damping * np.exp(by_zeta), LIGHTEST, HEAVIEST)
@@ -117,33 +114,45 @@ class LocalFit:
         return fit
 
     def descended(self, steps: int) -> LocalFit:
-        """After ``steps`` downhill at most, the noise being as it is."""
-        fit, damped = self, 1e-3
-        for _ in range(steps if len(self.natural_hz) else 0):
-            matrix, side, _ = fit.normal()
+        """After ``steps`` downhill at most, the noise being as it is.
+
+        None follows one that moved the poles by little of what noise and model let be known of them: better data ask
+        for no more work.
+        """
+        fit, damped, count = self, 1e-3, 2 * len(self.natural_hz)
+        for _ in range(steps if count else 0):
+            matrix, side = fit.normal()
             diagonal = np.diag(np.diag(matrix) + 1e-12)
-            better = None
-            for _ in range(5):
-                trial = fit.moved(np.asarray(np.linalg.solve(matrix + damped * diagonal, side), dtype=np.float64))
+            for _ in range(TRIES):
+                step = np.asarray(np.linalg.solve(matrix + damped * diagonal, side), dtype=np.float64)
+                trial = fit.moved(step)
                 if trial.misfit < fit.misfit:
-                    better = trial
                     break
                 damped *= 10.0
-            if better is None:
+            else:
                 break
-            saved, fit, damped = fit.misfit - better.misfit, better, max(0.1 * damped, 1e-6)
-            if saved < SETTLED:
+            known = 0.5 * np.linalg.inv(matrix + damped * diagonal)[:count, :count] + fit.model_variance
+            moved = step[:count] @ np.linalg.solve(known, step[:count])
+            fit, damped = trial, max(0.1 * damped, 1e-6)
+            if moved < SETTLED:
                 break
         return fit
 
+    @property
+    def model_variance(self) -> Array:
+        """Variance (2 M, 2 M) of (ln f, ln ζ) of the poles that no model knows better."""
+        shares = NUMBERS.frequency_model_share * self.damping, np.full(len(self.damping), NUMBERS.damping_model_share)
+        return np.diag(np.square(np.stack(shares, axis=1)).ravel())
+
     def with_noise(self) -> LocalFit:
-        """With shape and level of the noise as what is left has them."""
+        """With shape and level of the noise as what is left has them, and what no model knows better."""
         windows = []
         for one in self.solved:
             window = one.window
-            left = np.square(np.abs(one.left)) * np.square(window.shape)[:, None]
+            left = np.square(np.abs(one.left) * window.shape[:, None] * window.level)
             left *= len(left) / max(len(left) - len(one.scale), 1)
-            level = np.sqrt(np.maximum(left.mean(axis=0), 1e-300)) * window.level
+            left += np.square(NUMBERS.bin_model_share * np.abs(window.measured.T))
+            level = np.sqrt(np.maximum(left.mean(axis=0), 1e-300))
             power = (left / np.maximum(left.mean(axis=0), 1e-300)).mean(axis=1)
             shape = np.sqrt(_noise_power(power, window.frequency_hz, self.natural_hz, self.damping))
             windows.append(replace(window, shape=shape, level=level))
@@ -163,9 +172,9 @@ class LocalFit:
 
         Channels share what excites the structure beside the orders, and neighbouring bins what no model knows.
         """
-        matrix, _, scores = self.normal()
+        matrix, _ = self.normal()
         scatter = np.zeros_like(matrix)
-        for score in scores:
+        for score in (one.scores(self.orders) for one in self.solved):
             scatter += score.T @ score
             for lag in range(1, LAGS + 1):
                 beside = score[lag:].T @ score[:-lag]
@@ -229,15 +238,16 @@ def _shared(one: Solved, forces: list[Complex], answers: Complex, power: Array) 
 
     ``power`` (B, S): squares of the answers.
     """
-    count = len(forces)
-    basis = (one.columns @ one.inverse).conj().T
+    basis, count = (one.columns @ one.inverse).conj().T, len(forces)
     within = np.stack([basis @ (force[:, None] * answers) for force in forces])
+    first, second = np.triu_indices(count)
+    pairs = np.stack(forces)[first].conj() * np.stack(forces)[second]
+    shared = pairs.real @ power + 1j * (pairs.imag @ power)
     matrix = np.empty((answers.shape[1], count, count), dtype=np.complex128)
-    for i in range(count):
-        for j in range(i, count):
-            shared = (forces[i].conj() * forces[j]) @ power - np.sum(within[i].conj() * within[j], axis=0)
-            matrix[:, i, j], matrix[:, j, i] = shared, shared.conj()
-    return matrix
+    matrix[:, first, second] = shared.T
+    matrix[:, second, first] = shared.T.conj()
+    within = np.moveaxis(within, 2, 0)
+    return np.asarray(matrix - within.conj() @ np.swapaxes(within, 1, 2))
 
 
 def _noise_power(power: Array, frequency_hz: Array, natural_hz: Array, damping: Array) -> Array:
@@ -275,15 +285,13 @@ def shares_of(one: Solved, number: int) -> Array:
     It is 0 of those that miss it.
     """
     window = one.window
-    peak = one.natural_hz[number]
-    place = np.array([(2.0 * peak - window.low_hz - window.high_hz) / (window.high_hz - window.low_hz)])
-    smooth = np.polynomial.legendre.legvander(place, window.degree)
-    answers = resonance(np.array([peak]), one.natural_hz, one.damping)
-    basis, width = np.concatenate([smooth, answers], axis=1)[0], window.order_columns(len(one.natural_hz))
+    peak, zeta = one.natural_hz[number], one.damping[number]
+    at = np.array([peak])
+    basis = np.concatenate([window.powers_at(at), resonance(at, one.natural_hz, one.damping)], axis=1)[0]
     made = np.zeros((len(window.orders), one.left.shape[1]))
     for row, order in enumerate(window.orders):
-        if window.sweep.passing(order, (1.0 - one.damping[number]) * peak, (1.0 + one.damping[number]) * peak).any():
-            parts = basis[:, None] * one.amplitude[row * width : (row + 1) * width]
+        if window.sweep.passes(order, (1.0 - zeta) * peak, (1.0 + zeta) * peak):
+            parts = basis[:, None] * one.by_order[row]
             own = parts[window.degree + 1 + number]
             made[row] = np.abs(own) / np.maximum(np.abs(own) + np.abs(parts.sum(axis=0) - own), 1e-300)
     return made

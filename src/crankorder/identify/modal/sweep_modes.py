@@ -50,13 +50,8 @@ def _is_one_of(frequency_hz: float, error_hz: float, damping: float, swept: Sequ
 def poles_unlike(poles: Poles, covariance: Array, swept: Sequence[SweepPole]) -> tuple[Poles, Array]:
     """Those of ``poles`` with their ``covariance`` that are none of ``swept``."""
     errors = np.sqrt(np.maximum(np.diag(covariance)[::2], 0.0))
-    own = np.array(
-        [
-            not _is_one_of(float(f), float(error), float(zeta), swept)
-            for f, error, zeta in zip(poles.frequency_hz, errors, poles.damping, strict=True)
-        ],
-        dtype=np.bool_,
-    )
+    each = zip(poles.frequency_hz.tolist(), errors.tolist(), poles.damping.tolist(), strict=True)
+    own = np.array([not _is_one_of(*pole, swept) for pole in each], dtype=np.bool_)
     at = np.flatnonzero(np.repeat(own, 2))
     return poles.chosen(own), covariance[np.ix_(at, at)]
 
@@ -93,35 +88,24 @@ def _mode_of(pole: SweepPole, *, settings: IdentifySettings) -> Mode:
     many = len(pole.orders) > 1
     words = f"order{'s' if many else ''} {names} {'pass' if many else 'passes'} it, "
     words += f"{'each ' if many else ''}with amplitude and phase of a resonance, in the spectrum of the whole sweep"
-    return Mode(
-        pole.frequency_hz,
-        pole.frequency_error_hz,
-        pole.damping,
-        pole.damping_error,
-        pole.channels,
-        0.0,
-        words,
-        pole.orders,
-        _doubt(pole, settings),
-    )
+    known = pole.frequency_hz, pole.frequency_error_hz, pole.damping, pole.damping_error
+    return Mode(*known, pole.channels, 0.0, words, pole.orders, _doubt(pole, settings))
 
 
 def _doubt(pole: SweepPole, settings: IdentifySettings) -> str:
     """Why a pole that the signals of sweeps tell may be no mode; empty where nothing speaks against it."""
-    f, share = pole.frequency_hz, pole.damping_error / pole.damping
-    said = []
-    if share > NUMBERS.known_share:
-        said.append("its damping is not determined")
-    if pole.frequency_error_hz > NUMBERS.uncertain_share * f:
-        said.append(f"its frequency is known to {100.0 * pole.frequency_error_hz / f:.1f} % only")
-    if pole.damping < 0.5 * settings.least_damping_ratio:
-        said.append("hardly damped: a tone or a mode")
-    low, high = pole.span_hz
-    if f * (1.0 + pole.damping) > high or f * (1.0 - pole.damping) < low:
-        said.append(f"lies at the end of what was swept, {low:.1f} to {high:.1f} Hz")
-    if len(pole.orders) == 1 and pole.share < NUMBERS.alone_share:
-        said.append(f"passed by order {pole.orders[0]:g} alone, of which it is a small part")
-    return "; ".join(said)
+    f, share, (low, high) = pole.frequency_hz, pole.damping_error / pole.damping, pole.span_hz
+    alone = len(pole.orders) == 1 and pole.share < NUMBERS.alone_share
+    at_end = f * (1.0 + pole.damping) > high or f * (1.0 - pole.damping) < low
+    by_f = 100.0 * pole.frequency_error_hz / f
+    reasons = (
+        ("its damping is not determined", share > NUMBERS.known_share),
+        (f"its frequency is known to {by_f:.1f} % only", by_f > 100.0 * NUMBERS.uncertain_share),
+        ("hardly damped: a tone or a mode", pole.damping < 0.5 * settings.least_damping_ratio),
+        (f"lies at the end of what was swept, {low:.1f} to {high:.1f} Hz", at_end),
+        (f"passed by order {pole.orders[0]:g} alone, of which it is a small part", alone),
+    )
+    return "; ".join(reason for reason, given in reasons if given)
 
 
 class _RowNumbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_rows"):

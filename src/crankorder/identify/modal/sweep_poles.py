@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_poles")
     tile_share: float
     apart_share: float
     order_share: float
+    strong_share: float
+    most_orders: int
     beside_share: float
     blurs: float
     widths: float
@@ -32,8 +34,6 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_poles")
     most_poles: int
     felt_share: float
     proof_chance: float
-    frequency_model_share: float
-    damping_model_share: float
     known_share: float
     alone_frequency_share: float
     alone_damping_share: float
@@ -180,7 +180,7 @@ def sweep_fits(
         every |= shown
         hidden += beside
         looked += [(low, high)] if beside else []
-    groups = _groups(spectra, sorted(every), found)
+    groups = _groups(spectra, sorted(every), [pole for pole in found if pole[1] <= settings.max_damping_ratio])
     refined = [_refined(spectra, sorted(every), group, found, settings.max_damping_ratio) for group in groups]
     made = tuple(one for one in refined if one is not None and one.poles)
     proven = [pole.frequency_hz for one in made for pole in one.poles]
@@ -209,9 +209,9 @@ def _blur_hz(spectra: Sequence[SweepSpectrum], more: Sequence[float], low_hz: fl
     fastest = 0.0
     for one in spectra:
         for order in (*one.orders, *more):
-            inside = one.passing(order, low_hz, high_hz)
-            if inside.any():
-                fastest = max(fastest, order / 60.0 * float(one.rate_rpm_per_s[inside].max()))
+            if one.passes(order, low_hz, high_hz):
+                inside = one.passing(order, low_hz, high_hz)
+                fastest = max(fastest, order / 60.0 * float(one.rate_rpm_per_s[inside].max(initial=0.0)))
     return float(np.sqrt(fastest))
 
 
@@ -254,21 +254,19 @@ class _Search:
             return found, set(), ()
         near = [pole for pole in found if ends[0] < pole[0] < ends[1]]
         natural, damping = np.array(near).reshape(-1, 2).T
-        fit, shown = self._with_orders(LocalFit(windows, natural, damping).settled(**ROUGHLY))
-        for _ in range(NUMBERS.most_poles):
-            trial = self._with_pole(fit, low, high)
-            if trial is None:
-                break
-            fit, again = self._with_orders(trial)
-            shown |= again
-        others = [pole for pole in found if not ends[0] < pole[0] < ends[1]]
-        hidden = hidden_in(
-            fit,
-            low,
-            high,
-            least_damping=self.settings.least_damping_ratio,
-            confidence=self.settings.free_confidence,
+        strong = tuple(
+            window.with_strong(natural, damping, NUMBERS.strong_share, NUMBERS.most_orders) for window in windows
         )
+        fit, shown = self._with_orders(LocalFit(strong, natural, damping).settled(**ROUGHLY))
+        tried = 0
+        while tried < NUMBERS.most_poles and (trial := self._with_pole(fit, low, high)) is not None:
+            fit, again = self._with_orders(trial)
+            shown, tried = shown | again, tried + 1
+        others = [pole for pole in found if not ends[0] < pole[0] < ends[1]]
+        least, sure = self.settings.least_damping_ratio, self.settings.free_confidence
+        # one that asks for more is not searched to its end: nothing is said to be free there
+        searched = tried < NUMBERS.most_poles
+        hidden = hidden_in(fit, low, high, least_damping=least, confidence=sure) if searched else ()
         return others + list(zip(fit.natural_hz.tolist(), fit.damping.tolist(), strict=True)), shown, hidden
 
     def _with_pole(self, fit: LocalFit, low: float, high: float) -> LocalFit | None:
@@ -367,6 +365,11 @@ def _refined(
         windows = _windows(held, shown, low, high, degree)
         if not windows:
             return None
+        bends = {order: bend for fit in fits for window in fit.windows for order, bend in window.bends.items()}
+        windows = tuple(
+            replace(window, bends=bends).with_strong(natural, damping, NUMBERS.strong_share, NUMBERS.most_orders)
+            for window in windows
+        )
         fits.append(LocalFit(windows, natural, damping).settled(**EXACTLY))
         natural, damping = fits[-1].natural_hz, fits[-1].damping
     less, more = fits
@@ -381,9 +384,7 @@ def _refined(
 def _covariance(less: LocalFit, more: LocalFit) -> Array:
     """Covariance (2 M, 2 M) of (ln f, ln ζ) of the poles of ``more``, with what one degree ``less`` moves."""
     moved = np.stack([np.log(more.natural_hz / less.natural_hz), np.log(more.damping / less.damping)], axis=1)
-    widths = np.full(len(more.damping), NUMBERS.damping_model_share)
-    model = np.stack([NUMBERS.frequency_model_share * more.damping, widths], axis=1)
-    return np.asarray(more.covariance() + np.diag((np.square(moved) + np.square(model)).ravel()))
+    return np.asarray(more.covariance() + np.diag(np.square(moved).ravel()) + more.model_variance)
 
 
 def _is_sure(pole: SweepPole, most_damping: float) -> bool:
@@ -410,7 +411,7 @@ def _pole(fit: LocalFit, number: int, covariance: Array) -> SweepPole:
     orders, channels, ends = set[float](), dict[str, None](), list[float]()
     for one in fit.solved:
         shares, spread = shares_of(one, number), _variance(one, number)
-        ratio = np.square(np.abs(one.residue(number))) / np.maximum(spread, 1e-300)
+        ratio = np.square(np.abs(one.residues[:, number])) / np.maximum(spread, 1e-300)
         dof = 2.0 * max(len(one.left) - len(one.scale), 1)
         shown = (fdtrc(2.0, dof, ratio) <= NUMBERS.proof_chance) & (shares >= NUMBERS.felt_share)
         for row, order in enumerate(one.window.orders):

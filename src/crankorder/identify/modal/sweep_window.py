@@ -39,6 +39,9 @@ KEPT_OVER, DROPPED_OVER = 1.5, 2.0
 """An order's force is kept whole up to the first of these over a window's end, and dropped beyond the second: what it
 leaves in the window from there is smooth."""
 
+BESIDE_SHARE = 0.5
+"""Bins on each side of a window with which the force of an order is kept, as a share of its own."""
+
 TAPERED = 0.8
 """Share of a window's half width from which its ends are tapered where an envelope is made of it."""
 
@@ -88,6 +91,10 @@ class SweepSpectrum:
     def rate_rpm_per_s(self) -> Array:
         """Rate (N,) at which the speed changes, without sign."""
         return np.asarray(np.abs(np.gradient(self.speed_rpm)) * self.rate_hz)
+
+    def passes(self, order: float, low_hz: float, high_hz: float) -> bool:
+        """Whether the ``order`` lies from ``low_hz`` to ``high_hz`` at any time."""
+        return bool(order * self.speed_rpm.min() <= 60.0 * high_hz and order * self.speed_rpm.max() >= 60.0 * low_hz)
 
     def passing(self, order: float, low_hz: float, high_hz: float) -> NDArray[np.bool_]:
         """At which samples (N,) the ``order`` lies from ``low_hz`` to ``high_hz``."""
@@ -152,7 +159,7 @@ class Window:
     level: Array
     bends: dict[float, complex] = field(default_factory=dict)
     _made: dict[tuple[float, complex], tuple[Complex, Complex]] = field(default_factory=dict, repr=False)
-    _carriers: dict[float, tuple[Array, Complex]] = field(default_factory=dict, repr=False)
+    _passages: dict[float, tuple[Array, Complex, int]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -162,9 +169,7 @@ class Window:
 
         ``low_hz``, ``high_hz`` and ``degree`` are those of the window.
         """
-        passing = tuple(
-            order for order in sorted({*sweep.orders, *more}) if sweep.passing(order, low_hz, high_hz).any()
-        )
+        passing = tuple(order for order in sorted({*sweep.orders, *more}) if sweep.passes(order, low_hz, high_hz))
         at = (sweep.frequency_hz >= low_hz) & (sweep.frequency_hz <= high_hz)
         fewest = 4 * (len(passing) * (degree + 2) + 4)
         if not passing or np.count_nonzero(at) < fewest:
@@ -214,12 +219,33 @@ class Window:
         if (order, bend) not in self._made:
             from scipy.fft import fft
 
-            logarithm, carrier = self._carrier(order)
-            turned = carrier * np.exp((FORCE_EXPONENT + bend) * logarithm)
-            both = fft(np.stack([turned, turned * logarithm]), axis=1)[:, self.bins] * (0.5 * self.thinned)
+            logarithm, carrier, first = self._passage(order)
+            turned = carrier * np.exp(bend * logarithm)
+            both = fft(np.stack([turned, turned * logarithm]), axis=1)[:, first : first + len(self.frequency_hz)]
             self._made = {key: kept for key, kept in self._made.items() if key[0] != order}
             self._made[order, bend] = (both[0], both[1])
         return self._made[order, bend]
+
+    def _passage(self, order: float) -> tuple[Array, Complex, int]:
+        """Logarithm of the speed and unbent force (T,) of ``order``, both as far as the window's bins tell them.
+
+        Bins beside it go with these, so that a bend finds its neighbours; the third is the number of those below. The
+        logarithm ends where the order has passed them: what it leaves from there is smooth.
+        """
+        if order not in self._passages:
+            from scipy.fft import fft, ifft, next_fast_len
+
+            logarithm, carrier = self._carrier(order)
+            whole = fft(carrier * np.exp(FORCE_EXPONENT * logarithm)) * (0.5 * self.thinned)
+            beside = int(BESIDE_SHARE * len(self.frequency_hz))
+            count = min(next_fast_len(len(self.frequency_hz) + 2 * beside), len(whole))
+            ends = self.bins.start - beside + np.array([0, count])
+            time = np.arange(count) * (len(whole) / count)
+            logarithm = np.interp(time, np.arange(len(whole)), logarithm)
+            hz = np.maximum(ends, 1) * self.sweep.rate_hz / len(self.sweep.angle_rev)
+            logarithm = np.clip(logarithm, *(np.log(60.0 * hz / order) - self._middle_of(order)))
+            self._passages[order] = logarithm, ifft(whole.take(np.arange(*ends), mode="wrap")), beside
+        return self._passages[order]
 
     @cached_property
     def thinned(self) -> int:
@@ -229,18 +255,16 @@ class Window:
 
     def _carrier(self, order: float) -> tuple[Array, Complex]:
         """Logarithm of the speed over that at which ``order`` passes, and its carrier, (N / thinned,)."""
-        if order not in self._carriers:
-            sweep, part = self.sweep, slice(None, None, self.thinned)
-            speed, hz = sweep.speed_rpm[part], order * sweep.speed_rpm[part] / 60.0
-            whole = np.clip((DROPPED_OVER - hz / self.high_hz) / (DROPPED_OVER - KEPT_OVER), 0.0, 1.0)
-            whole[speed <= SLOWEST_SHARE * sweep.speed_rpm.max()] = 0.0
-            carrier = np.sin(0.5 * np.pi * whole) ** 2 * np.exp(2j * np.pi * order * sweep.angle_rev[part])
-            self._carriers[order] = sweep.logarithm[part] - self._middle_of(order), carrier
-        return self._carriers[order]
+        sweep, part = self.sweep, slice(None, None, self.thinned)
+        speed, hz = sweep.speed_rpm[part], order * sweep.speed_rpm[part] / 60.0
+        whole = np.clip((DROPPED_OVER - hz / self.high_hz) / (DROPPED_OVER - KEPT_OVER), 0.0, 1.0)
+        whole[speed <= SLOWEST_SHARE * sweep.speed_rpm.max()] = 0.0
+        carrier = np.sin(0.5 * np.pi * whole) ** 2 * np.exp(2j * np.pi * order * sweep.angle_rev[part])
+        return sweep.logarithm[part] - self._middle_of(order), carrier
 
     def is_passed(self, order: float) -> bool:
         """Whether ``order`` passes the window."""
-        return bool(self.sweep.passing(order, self.low_hz, self.high_hz).any())
+        return self.sweep.passes(order, self.low_hz, self.high_hz)
 
     @cached_property
     def taper(self) -> Array:
@@ -265,6 +289,18 @@ class Window:
         """The window with one ``order`` more."""
         return replace(self, orders=tuple(sorted({*self.orders, order})))
 
+    def with_strong(self, natural_hz: Array, damping: Array, share: float, most: int) -> Window:
+        """The window with ``most`` of its orders at most, those that make ``share`` of what the strongest does or more.
+
+        In any channel, behind the modes ``natural_hz``, ``damping`` (M,) that are known.
+        """
+        one, path = self.solved(natural_hz, damping), self.paths(natural_hz, damping)
+        forces = np.stack([self.force(order)[0] for order in self.orders])
+        size = np.linalg.norm(forces[:, :, None] * (path @ one.by_order), axis=1)
+        size = (size / np.maximum(size.max(axis=0), 1e-300)).max(axis=1)
+        least = max(share, float(np.sort(size)[-most:].min()))
+        return replace(self, orders=tuple(np.array(self.orders)[size >= least].tolist()))
+
     def ringing(self, natural_hz: Array, damping: Array) -> Complex:
         """What modes ring at the ends of the recording (B, M), of about the size of a bin.
 
@@ -278,10 +314,13 @@ class Window:
 
         ``natural_hz`` and ``damping`` (M,): of the modes.
         """
-        answers = resonance(self.frequency_hz, natural_hz, damping)
-        basis = np.concatenate([self.powers, answers], axis=1)
+        basis = self.paths(natural_hz, damping)
         columns = [self.force(order)[0][:, None] * basis for order in self.orders]
         return np.concatenate([*columns, self.ringing(natural_hz, damping), self.powers[:, :2] + 0j], axis=1)
+
+    def paths(self, natural_hz: Array, damping: Array) -> Complex:
+        """How the channels may answer an order: polynomials (B, degree + 1 + M), then ``natural_hz``, ``damping``."""
+        return np.concatenate([self.powers, resonance(self.frequency_hz, natural_hz, damping)], axis=1)
 
     def order_columns(self, count: int) -> int:
         """Columns of one order where ``count`` modes take part."""
@@ -289,15 +328,23 @@ class Window:
 
     def solved(self, natural_hz: Array, damping: Array) -> Solved:
         """Least-squares amplitudes of all columns in all channels behind the modes ``natural_hz``, ``damping`` (M,)."""
+        from scipy.linalg.blas import zherk
+
         columns = self.design(natural_hz, damping) / self.shape[:, None]
         scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         columns /= scale
-        gram = columns.conj().T @ columns + LEAST_NORM * np.eye(len(scale))
+        # of the columns' conjugates, one half alone: an array in the other memory order is no copy
+        gram: Complex = zherk(1.0, columns.T, lower=True).conj() + LEAST_NORM * np.eye(len(scale))
         inverse = np.linalg.inv(np.linalg.cholesky(gram)).conj().T  # upper: columns @ inverse are orthonormal
         wanted = (self.measured / self.shape).T
-        amplitude = inverse @ (inverse.conj().T @ (columns.conj().T @ wanted))
+        amplitude = inverse @ (inverse.conj().T @ _against(columns, wanted))
         left = (wanted - columns @ amplitude) / self.level
         return Solved(self, natural_hz, damping, amplitude / scale[:, None], left, columns, inverse, scale)
+
+
+def _against(columns: Complex, rows: Complex) -> Complex:
+    """Products (K, …) of the conjugate ``columns`` (B, K) with ``rows`` (B, …), which are fewer: no copy is made."""
+    return np.asarray((columns.T @ rows.conj()).conj())
 
 
 def _pole(natural_hz: Array, damping: Array) -> Complex:
@@ -332,21 +379,51 @@ class Solved:
         """Complex numbers beyond the unknowns."""
         return int((len(self.left) - len(self.scale)) * self.left.shape[1])
 
-    def residue(self, number: int) -> Complex:
-        """Amplitudes (orders, C) of the mode ``number`` behind each order."""
-        width = self.window.order_columns(len(self.natural_hz))
-        at = np.arange(len(self.window.orders)) * width + self.window.degree + 1 + number
-        return np.asarray(self.amplitude[at])
+    @cached_property
+    def residues(self) -> Complex:
+        """Amplitudes (orders, M, C) of the modes behind each order."""
+        return self.by_order[:, self.window.degree + 1 :]
 
-    def rung(self, number: int) -> Complex:
-        """Amplitudes (C,) of what rings of the mode ``number``."""
-        return np.asarray(
-            self.amplitude[len(self.window.orders) * self.window.order_columns(len(self.natural_hz)) + number]
-        )
+    @cached_property
+    def by_order(self) -> Complex:
+        """Amplitudes (orders, degree + 1 + M, C) of what is smooth and of the modes behind each order."""
+        size, width = len(self.window.orders), self.window.order_columns(len(self.natural_hz))
+        return self.amplitude[: size * width].reshape(size, width, -1)
 
-    def slopes(self) -> Complex:
-        """Derivatives (B, C, 2 M) of what is left by ln f and ln ζ of each mode, the amplitudes as good as they get."""
-        return self._beyond(self._bent)
+    def normal(self, orders: Sequence[float]) -> tuple[Array, Array]:
+        """Normal matrix (P, P) and right side (P,) of what is left, the amplitudes as good as they get.
+
+        By ln f and ln ζ of each mode, then by the bend (real, imaginary) of each of ``orders``; 0 of those elsewhere.
+        """
+        rows, turned = self._rows(orders)
+        flat = rows.reshape(len(rows), -1)
+        within = (self.inverse.conj().T @ _against(self.columns, flat)).reshape(-1, len(turned))
+        flat = flat.reshape(-1, len(turned))
+        gram = _against(flat, flat) - _against(within, within)
+        return (turned.conj().T @ gram @ turned).real, (turned.conj().T @ _against(flat, self.left.ravel())).real
+
+    def scores(self, orders: Sequence[float]) -> Array:
+        """Right side of :meth:`normal` of ``orders`` by bin (B, P)."""
+        rows, turned = self._rows(orders)
+        beyond = self._beyond(rows.reshape(len(rows), -1)).reshape(rows.shape)
+        return np.asarray((np.einsum("bcq,bc->bq", beyond, self.left.conj()) @ turned).real)
+
+    def _rows(self, orders: Sequence[float]) -> tuple[Complex, Complex]:
+        """Derivatives (B, C, Q) of the columns, in standard deviations, by the modes and the bends of its own orders.
+
+        And what (Q, P) makes of them those by the modes and the bends, real and imaginary, of all ``orders``.
+        """
+        window, modes = self.window, 2 * len(self.natural_hz)
+        size, path = len(window.orders), window.paths(self.natural_hz, self.damping)
+        turned = np.zeros((modes + size, modes + 2 * len(orders)), dtype=np.complex128)
+        turned[:modes, :modes] = np.eye(modes)
+        bent = np.empty((*self.left.shape, size), dtype=np.complex128)
+        for at, order in enumerate(window.orders):
+            bent[..., at] = window.force(order)[1][:, None] * (path @ self.by_order[at])
+            place = modes + 2 * orders.index(order)
+            turned[modes + at, place : place + 2] = 1.0, 1j
+        every: Complex = np.concatenate([self._bent, bent], axis=2)
+        return every / (window.shape[:, None] * window.level)[:, :, None], turned
 
     @cached_property
     def _answers_bent(self) -> tuple[Complex, Complex]:
@@ -365,13 +442,11 @@ class Solved:
     def _bent(self) -> Complex:
         """Derivatives (B, C, 2 M) of the columns by ln f and ln ζ of each mode, with their amplitudes."""
         answered, rung = self._answers_bent
-        forces = np.stack([self.window.force(order)[0] for order in self.window.orders])
-        made = np.empty((*self.left.shape, answered.shape[1]), dtype=np.complex128)
-        for place in range(answered.shape[1]):
-            number = place // 2
-            made[..., place] = answered[:, place, None] * (forces.T @ self.residue(number))
-            made[..., place] += rung[:, place, None] * self.rung(number)
-        return made
+        forces = np.stack([self.window.force(order)[0] for order in self.window.orders], axis=1)
+        driven = np.tensordot(forces, self.residues, axes=1)  # (B, M, C)
+        rings = self.amplitude[-2 - len(self.natural_hz) : -2]
+        made = np.repeat(driven, 2, axis=1) * answered[:, :, None] + rung[:, :, None] * np.repeat(rings, 2, axis=0)
+        return np.asarray(np.swapaxes(made, 1, 2))
 
     def envelope(self, order: float, turn: Complex, covariance: Array | None) -> tuple[Complex, Array]:
         """Complex amplitude (T, C) of ``order`` where ``turn`` (T, B) says; its variance (T, C) by noise and poles.
@@ -410,8 +485,7 @@ class Solved:
         lacking = pole**2 / (2j * pole.imag) * (before - rung)
         decay = np.exp(np.outer(time_s - sweep.start_s, pole) - 2j * np.pi * order * angle_rev[:, None])
         place = window.orders.index(order)
-        residues = np.stack([self.residue(number)[place] for number in range(len(pole))])
-        return np.asarray((decay * lacking) @ residues)
+        return np.asarray((decay * lacking) @ self.residues[place])
 
     def envelope_rate(self, order: float, turn: Complex, value: Complex, rev_per_s: Array) -> Complex:
         """Derivative (T, C), per second, of the amplitude ``value`` (T, C) of ``order`` where ``turn`` (T, B) says.
@@ -439,38 +513,24 @@ class Solved:
         window, own = self.window, self._columns_of(order)
         answered, _ = self._answers_bent
         force, place = window.force(order)[0], window.orders.index(order)
-        residues = np.stack([self.residue(at // 2)[place] for at in range(answered.shape[1])], axis=1)  # (C, 2 M)
+        residues = np.repeat(self.residues[place].T, 2, axis=1)  # (C, 2 M)
         direct = (turn @ (answered * force[:, None]))[:, None, :] * residues
         full = (self._bent / window.shape[:, None, None]).reshape(len(self.left), -1)
-        taken = self.inverse @ (self.inverse.conj().T @ (self.columns.conj().T @ full))
+        taken = self.inverse @ (self.inverse.conj().T @ _against(self.columns, full))
         taken = (taken / self.scale[:, None])[own]
         return np.asarray(direct - (seen @ taken).reshape(direct.shape))
-
-    def slopes_of_bends(self, orders: Sequence[float]) -> Complex:
-        """Derivatives (B, C, orders) of what is left by the bend of each of ``orders``; 0 of those elsewhere."""
-        window = self.window
-        width = window.order_columns(len(self.natural_hz))
-        path = np.concatenate([window.powers, resonance(window.frequency_hz, self.natural_hz, self.damping)], axis=1)
-        made = np.zeros((*self.left.shape, len(orders)), dtype=np.complex128)
-        for place, order in enumerate(orders):
-            if order in window.orders:
-                at = window.orders.index(order) * width
-                made[..., place] = window.force(order)[1][:, None] * (path @ self.amplitude[at : at + width])
-        return self._beyond(made)
 
     def gain_of(self, order: float) -> float:
         """What one ``order`` more, answered smoothly and by the modes, saves of twice the negative log likelihood."""
         window = self.window
-        path = np.concatenate([window.powers, resonance(window.frequency_hz, self.natural_hz, self.damping)], axis=1)
+        path = window.paths(self.natural_hz, self.damping)
         columns = window.force(order)[0][:, None] * path / window.shape[:, None]
         columns = columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-        columns -= self.columns @ (self.inverse @ (self.inverse.conj().T @ (self.columns.conj().T @ columns)))
-        gram = columns.conj().T @ columns + 1e-6 * np.eye(columns.shape[1])
-        seen = columns.conj().T @ self.left
+        beyond = self._beyond(columns)
+        gram = beyond.conj().T @ beyond + 1e-6 * np.eye(beyond.shape[1])
+        seen = beyond.conj().T @ self.left
         return float(2.0 * np.sum(seen.conj() * np.linalg.solve(gram, seen)).real)
 
-    def _beyond(self, bent: Complex) -> Complex:
-        """``bent`` (B, C, P) in standard deviations, without what the columns can make themselves."""
-        flat = (bent / self.window.shape[:, None, None]).reshape(len(bent), -1)
-        flat = flat - self.columns @ (self.inverse @ (self.inverse.conj().T @ (self.columns.conj().T @ flat)))
-        return np.asarray(flat.reshape(bent.shape) / self.window.level[:, None])
+    def _beyond(self, rows: Complex) -> Complex:
+        """``rows`` (B, P) without what the columns can make themselves."""
+        return np.asarray(rows - self.columns @ (self.inverse @ (self.inverse.conj().T @ _against(self.columns, rows))))
