@@ -246,14 +246,22 @@ def saves_enough(problem: Problem, less: SurfaceFit, more: SurfaceFit, *, at_hz:
 
     Bins that overlap, narrow modes and channels with common noise count the same scatter several times: the deviance
     is that many times too large as the sandwich covariance of the poles there exceeds the naive one (Rotnitzky and
-    Jewell 1990; Satorra and Bentler 1994).
+    Jewell 1990; Satorra and Bentler 1994). One spectrum alone holds a single draw of what a narrow pole scatters by:
+    whether it is there is asked against the floor without it, whose scatter bins count as often as they overlap.
     ``problem``: the floors that were fitted.
     """
     saved = (less.deviance - more.deviance) / scatter_at(problem, more, at_hz)
     limit = least_gain(len(problem.psd), chance)
     if saved < HANN_CORRELATION * limit:
         return False
+    if problem.averages.max(initial=0.0) < NUMBERS.fewest_averages:
+        return saved > HANN_CORRELATION * max(1.0, problem.seen.bin_hz / _step_hz(problem)) * limit
     return saved > max(HANN_CORRELATION, counted_over(problem, more, at_hz)) * limit
+
+
+def _step_hz(problem: Problem) -> float:
+    """Distance of neighbouring bins."""
+    return float(problem.frequency_hz[1] - problem.frequency_hz[0])
 
 
 def counted_over(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
@@ -454,7 +462,7 @@ def _standing_out(problem: Problem, fit: SurfaceFit, tried: list[float]) -> tupl
         row[:] = np.where(n > 0.0, np.sqrt(n) * (np.nan_to_num(y) / model - 1.0), 0.0)
     best = 0.0
     found: tuple[float, float] | None = None
-    step = float(problem.frequency_hz[1] - problem.frequency_hz[0])
+    step = _step_hz(problem)
     for bins in (n for n in BOXES if n < min(len(problem.frequency_hz), max(64, len(problem.frequency_hz) // 4))):
         box = np.ones(bins) / np.sqrt(bins * min(HANN_CORRELATION, 0.5 + 0.5 * bins))
         summed = np.stack([np.convolve(row, box, mode="same") for row in z])
@@ -473,13 +481,10 @@ def _split(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
     number = 0
     while number < len(fit.poles):
         full = fit.linear.shape[1] + 2 > len(problem.frequency_hz)
-        if full or fit.poles.damping[number] > NUMBERS.wide_damping_ratio:
-            number += 1
-            continue
         f, zeta = float(fit.poles.frequency_hz[number]), float(fit.poles.damping[number])
         width = max(zeta * f, 0.3 * problem.seen.bin_hz)
         local, start = _around(problem, fit, number, width)
-        if len(local.frequency_hz) < NUMBERS.fewest_bins or not len(start):
+        if full or zeta > NUMBERS.wide_damping_ratio or len(local.frequency_hz) < NUMBERS.fewest_bins:
             number += 1
             continue
         one = fit_surface(local, start, steps=8)
