@@ -227,6 +227,18 @@ def test_the_work_of_a_fit_grows_about_as_the_bins_do(monkeypatch: pytest.Monkey
     assert work[1] < 6.0 * work[0]
 
 
+def test_bins_of_padded_frames_are_taken_no_closer_than_they_tell_of() -> None:
+    campbell = campbell_of(replace(THREE, speed_rpm=(1000.0, 1010.0)), 0)
+    hz = campbell["frequency"].values
+    padded = campbell.interp(frequency=np.linspace(hz[0], hz[-1], 16 * (len(hz) - 1) + 1))
+    padded.attrs = campbell.attrs
+    floor, wide = quiet_floor(campbell, ()), quiet_floor(padded, ())
+    assert floor is not None
+    assert wide is not None
+    assert floor.step_hz == pytest.approx(hz[1] - hz[0])
+    assert wide.step_hz == pytest.approx(0.5 * wide.seen.bin_hz)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_more_poles_than_bins_and_widths_beyond_a_low_frequency_are_no_fault(seed: int) -> None:

@@ -96,7 +96,9 @@ def quiet_floor(
     """
     frequency = campbell["frequency"].values
     seen = sight(str(campbell.attrs["window"]), float(campbell.attrs["enbw_hz"]))
-    used = np.flatnonzero(frequency > NUMBERS.lowest_bins * float(campbell.attrs["enbw_hz"]))
+    # padding adds bins but tells nothing: half a bin of the window apart they hold all that it lets through
+    apart = max(1, int(0.5 * seen.bin_hz / float(frequency[1] - frequency[0]) + 1e-6)) if len(frequency) > 1 else 1
+    used = np.flatnonzero(frequency > NUMBERS.lowest_bins * float(campbell.attrs["enbw_hz"]))[::apart]
     psd, share = _settled(campbell, used)
     averages = _independent(campbell)
     known = (averages > 0.0).any(axis=0) & np.isfinite(campbell["speed"].values)
