@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.said import OR_OWN
 from crankorder.orders.swing_evidence import HARMONICS
 from crankorder.orders.true_angle import LINES, LINES_PER_HARMONIC, TAKEN, left_of, swing_shown
 from crankorder.quantities import Floats
@@ -36,9 +37,6 @@ MOST_TIMES = 4
 
 OF_ENCODER = "encoder eccentricity: sideband of order"
 """Begin of the words for what is left of sidebands whose cause is proved."""
-
-OR_OWN = "sideband by a swing of the angle or a line of its own"
-"""Words for a line that the swing of the shaft or an error of its encoder may make, which nothing proves."""
 
 Words = dict[tuple[str, float], tuple[str, str]]
 """Cause and evidence by channel and order."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from crankorder.findings import AvoidedSpeed, CrossingFinding, Findings, FreeBand, OpenBand, SpeedSwing
+from crankorder.identify.said import OR_OWN
 from crankorder.records import known
 from crankorder.report.notation import (
     NAME_CHARACTERS,
@@ -20,6 +21,7 @@ from crankorder.report.notation import (
     nominal_order,
     number_text,
     order_name,
+    order_texts,
     percent_text,
     unit_of,
 )
@@ -31,6 +33,10 @@ _ONE_SPEED_RPM = 1.0  # a test whose speeds span less is one at one speed
 SAME_MODE = 1e-3  # share within which two numbers are those of one natural frequency
 _OF_ENCODER = {1.0: "an eccentric", 2.0: "an oval"}  # orders that an encoder off its centre makes
 _ONE_SHARE = 0.85  # shares of the speed whose least is so much of the largest are one
+_SIDES = 8  # orders that a sentence names as likely sidebands
+_NO_SOURCES = "are no larger than sidebands that a swing of the angle makes of stronger ones: no sources for certain"
+    "are no larger than sidebands that a swing of the angle makes of stronger ones: none is a source for certain"
+)
 _SHOWN = 3  # free bands that a sentence names, the widest
 
 
@@ -172,8 +178,11 @@ def shaft_sentences(findings: Findings) -> list[str]:
 def swing_sentences(findings: Findings) -> list[str]:
     """How unevenly the shaft of the ``findings`` turns: the orders of the recording whose speed swings most, if any."""
     records = [one for one in findings.speed_swing if one.speed_rpm > 0.0]
+    sides = sorted({nominal_order(one) for one in findings.orders if one.explained_by == OR_OWN})
+    more = [f"{len(sides) - _SIDES} more"] if len(sides) > _SIDES else []
+    told = [f"Orders {listed([*order_texts(sides)[:_SIDES], *more])} {_NO_SOURCES}."] if sides else []
     if not records:
-        return []
+        return told
     worst = max(records, key=lambda one: one.amplitude_rpm / one.speed_rpm)
     own = [one for one in records if one.recording == worst.recording][:_SHOWN]
     rpm = worst.speed_rpm
@@ -184,7 +193,7 @@ def swing_sentences(findings: Findings) -> list[str]:
     ]
     where = f"{rpm:.0f} rpm ({named(worst.recording, limit=NAME_CHARACTERS)})"
     doubt = _of_an_encoder(records, [one.order for one in own])
-    return [f"The speed itself swings, as the encoder shows it, most at {where}: {listed(said)}.{doubt}"]
+    return [f"The speed itself swings, as the encoder shows it, most at {where}: {listed(said)}.{doubt}", *told]
 
 
 def _of_an_encoder(records: list[SpeedSwing], orders: list[float]) -> str:
