@@ -35,8 +35,6 @@ _OF_ENCODER = {1.0: "an eccentric", 2.0: "an oval"}  # orders that an encoder of
 _ONE_SHARE = 0.85  # shares of the speed whose least is so much of the largest are one
 _SIDES = 8  # orders that a sentence names as likely sidebands
 _NO_SOURCES = "are no larger than sidebands that a swing of the angle makes of stronger ones: no sources for certain"
-    "are no larger than sidebands that a swing of the angle makes of stronger ones: none is a source for certain"
-)
 _SHOWN = 3  # free bands that a sentence names, the widest
 
 
