@@ -201,7 +201,7 @@ def _within(line: OrderLine, given: Sequence[_Given], *, speeds: int) -> bool:
     known = np.sum([part.amplitude * part.known for part in given], axis=0) >= 0.5 * allowed
     scatter = np.nan_to_num(line.amplitude_error) * SWING_NUMBERS.scatter_sigmas
     above = line.amplitude[_rows(line)] > (1.0 + SWING_NUMBERS.alike_share) * allowed + scatter[_rows(line)]
-    return not (above & known).any() and bool(np.count_nonzero(above) <= 0.5 * min(speeds, MOST_ROWS))
+    return not (above & known).any() and bool(np.mean(above) * len(line.amplitude) <= 0.5 * speeds)
 
 
 def _rows(line: OrderLine) -> slice:
