@@ -8,6 +8,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.identify.found import ModalFit
 from made.recordings import named
 
 Array = NDArray[np.float64]
@@ -45,6 +46,15 @@ class Made:
             w = 2.0 * np.pi * f
             made += np.outer(sensor, drive)[:, :, None] * (s**2 / (s**2 + 2.0 * zeta * w * s + w**2))
         return made
+
+
+def inside(fit: ModalFit, made: Made) -> bool:
+    """Whether all modes of ``made``, and no other, are within three standard errors."""
+    return len(fit.modes) == len(made.natural_hz) and all(
+        abs(mode.frequency_hz - f) <= 3.0 * mode.frequency_error_hz
+        and abs(mode.damping_ratio - zeta) <= 3.0 * mode.damping_error
+        for mode, f, zeta in zip(fit.modes, made.natural_hz, made.damping, strict=True)
+    )
 
 
 def campbell_of(made: Made, seed: int) -> xr.Dataset:
