@@ -24,8 +24,7 @@ from crankorder.identify.changes.mass_change import Unbalance, Weighed, balance_
 from crankorder.identify.changes.order_changes import NUMBERS as ORDER_CHANGES
 from crankorder.identify.changes.order_changes import TO_DB, OrderChange, like_speeds, order_changes, orders_to_compare
 from crankorder.identify.changes.run_trends import run_trends
-from crankorder.identify.false_discovery import claimed
-from crankorder.identify.intervals import Z95, error_of, half_width, interval
+from crankorder.identify.intervals import Z95, claimed, error_of, half_width, interval
 from crankorder.records import known
 from crankorder.settings import MethodNumbers
 
