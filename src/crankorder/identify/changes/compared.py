@@ -319,15 +319,11 @@ def _masses_between(base: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[Ad
 
     A mass that both tests have is no difference. Raises pydantic's ValidationError for a mass that no manifest states.
     """
-    stated = [Counter(_stated_masses(run)) for run in (base, new)]
+    records = [(run.get("manifest") or {}).get("added_masses") or [] for run in (base, new)]
+    stated = [Counter(AddedMass.model_validate_json(json.dumps(one)) for one in masses) for masses in records]
     put_on, taken_off = stated[1] - stated[0], stated[0] - stated[1]
     off = [mass.model_copy(update={"mass_g": -mass.mass_g}) for mass in taken_off.elements()]
     return (*put_on.elements(), *off)
-
-
-def _stated_masses(run: Mapping[str, Any]) -> list[AddedMass]:
-    records = (run.get("manifest") or {}).get("added_masses") or []
-    return [AddedMass.model_validate_json(json.dumps(record)) for record in records]
 
 
 def _engine(run: Mapping[str, Any]) -> Engine | None:

@@ -237,7 +237,10 @@ def growth(line: OrderLine) -> Growth | None:
     middle_rpm = float(np.exp(np.log(speed).mean()))
     x, y = np.log(speed / middle_rpm), np.log(amplitude)
     shared = 1.0 if line.n_independent is None else 1.0 / np.sqrt(line.n_independent[known])
-    error = _log_errors(shared * line.amplitude_error[known] / amplitude, line.degrees_of_freedom[known])
+    # errors are themselves known with these degrees of freedom only
+    held = np.clip(np.nan_to_num(line.degrees_of_freedom[known], nan=1.0, posinf=ENDLESS_FREEDOM), 1.0, ENDLESS_FREEDOM)
+    widened = np.where(held > 2.5, np.sqrt(held / np.maximum(held - 2.0, 0.5)), 2.5)
+    error = np.hypot(shared * line.amplitude_error[known] / amplitude * widened, NUMBERS.law_tolerance)
     coefficient, weight = _robust_line(x, y, error)
     residual = y - coefficient[0] - coefficient[1] * x
     core_scale = np.hypot(error, _excess(residual, error, weight > 0.0))
@@ -291,13 +294,6 @@ def _degrees_of_freedom(error: Floats, excess: float, degrees_of_freedom: Floats
         )
     )
     return (own + excess**2) ** 2 / (own**2 / held + excess**4 / max(len(error) - 2.0, 1.0))
-
-
-def _log_errors(relative: Floats, degrees_of_freedom: Floats) -> Floats:
-    """Standard deviations of log amplitudes whose errors are themselves known with ``degrees_of_freedom`` only."""
-    held = np.clip(np.nan_to_num(degrees_of_freedom, nan=1.0, posinf=ENDLESS_FREEDOM), 1.0, ENDLESS_FREEDOM)
-    widened = np.where(held > 2.5, np.sqrt(held / np.maximum(held - 2.0, 0.5)), 2.5)
-    return np.hypot(relative * widened, NUMBERS.law_tolerance)
 
 
 def _robust_line(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats]:
