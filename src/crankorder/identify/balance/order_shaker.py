@@ -140,9 +140,8 @@ def shaker_fit(
         theta, fit = _solved(problem, theta)
     misfit = 0.0
     quiet, left_over = _chi_square(problem, fit), float((np.abs(fit.error) ** 2).sum())
-    free = np.count_nonzero(np.isfinite(problem.measured.error).any(axis=0)) * _n_free(
-        problem
-    )  # channels tell the same
+    # against the standard deviation of the mean square error, channels counted as telling the same
+    free = np.count_nonzero(np.isfinite(problem.measured.error).any(axis=0)) * _n_free(problem)
     if quiet > 1 + 2 * float(1.5 / np.sqrt(max(1.0, free))):  # not sound
         misfit, problem, theta, fit = _with_misfit(problem, theta, fit)
     return _result(problem, theta, fit, misfit=misfit, quiet=(quiet, left_over), odd=odd)
