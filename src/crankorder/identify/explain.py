@@ -16,11 +16,10 @@ from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, To
 from crankorder.identify.intervals import half_width
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.known_lines import LineSeen, named_by, words_of
-from crankorder.identify.lines.growth import largest
+from crankorder.identify.lines.growth import is_motion, largest, order_one
 from crankorder.identify.mains import OR_ANOTHER, mains_orders, multiple_on, multiples_near, supply_told
 from crankorder.identify.modal.tones import NEAR_BINS
 from crankorder.identify.modal.tones import NUMBERS as TONES
-from crankorder.identify.order_one import is_motion, order_one
 from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, OR_OWN, mains_words
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.sidebands import (

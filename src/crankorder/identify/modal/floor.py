@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.fft.windows import window_named
 from crankorder.identify.modal.surface_fit import Sight, sight
+from crankorder.orders.averages import median_of_known
 from crankorder.settings import MethodNumbers
 
 
@@ -272,13 +273,3 @@ def group_width_rpm(campbell: xr.Dataset) -> float:
     """Width [rpm] of a speed group of ``campbell``, a run-up's, whose groups touch; those of steps are narrow: 0."""
     speed, width = np.sort(campbell["speed"].values), float(campbell.attrs["speed_bin_rpm"])
     return width if len(speed) > 2 and float(np.median(np.diff(speed))) < 1.5 * width else 0.0
-
-
-def median_of_known(values: Array, *, axis: int) -> Array:
-    """Median of ``values`` along ``axis`` of what is not NaN; NaN where nothing is."""
-    ordered = np.sort(values, axis=axis)  # NaN comes last
-    count = np.count_nonzero(~np.isnan(values), axis=axis)
-    low, high = (np.expand_dims(np.maximum(n, 0), axis) for n in ((count - 1) // 2, count // 2))
-    high = np.minimum(high, np.expand_dims(np.maximum(count - 1, 0), axis))
-    both = np.take_along_axis(ordered, low, axis), np.take_along_axis(ordered, high, axis)
-    return np.asarray(0.5 * (both[0] + both[1]).squeeze(axis))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from crankorder.findings import AvoidedSpeed, CrossingFinding, Findings, FreeBand, OpenBand, SpeedSwing
+from crankorder.findings import AvoidedSpeed, Findings, FreeBand, OpenBand, SpeedSwing
 from crankorder.identify.said import OR_OWN
 from crankorder.records import known
 from crankorder.report.notation import (
@@ -68,14 +68,10 @@ def _excites(order: float, mode_hz: float, findings: Findings) -> str:
     name, hertz = order_name(_Order(order), findings), frequency_text(mode_hz)
     if is_in_doubt(mode_hz, findings):
         return f"order {name} peaks at {hertz} Hz, which may be a natural frequency"
-    met = [one for one in findings.crossings if _is_pair(one, order, mode_hz)]
+    of_order = [one for one in findings.crossings if nominal_order(one) == order]
+    met = [one for one in of_order if abs(one.mode_hz - mode_hz) < SAME_MODE * mode_hz]
     verb = "peaks near" if met and not any(one.excited for one in met) else "excites"
     return f"order {name} {verb} the {hertz} Hz natural frequency"
-
-
-def _is_pair(crossing: CrossingFinding, order: float, mode_hz: float) -> bool:
-    """Whether a record of the crossings is that of ``order`` with the natural frequency ``mode_hz``."""
-    return nominal_order(crossing) == order and abs(crossing.mode_hz - mode_hz) < SAME_MODE * mode_hz
 
 
 def meetings(record: AvoidedSpeed) -> list[tuple[float, float]]:
