@@ -330,13 +330,12 @@ def joined_looks(groups: list[list[xr.Dataset]]) -> dict[str, Any]:
     """
     items = [item for group in groups for item in group]
     combs = combs_in(items[0])
-    look = items[0]["look"].values
-    if not combs or any(combs_in(item) != combs or not np.array_equal(item["look"].values, look) for item in items):
+    if not combs or any(not _alike(item, items[0]) for item in items):
         return {}
     like = max(items, key=lambda item: item.sizes["band"])
     kept = np.stack([_averaged(group, like) for group in groups], axis=2)
     chosen = _bands_of(kept[0], groups, combs, items[0])
-    made = comb_variables(combs) | {"look": (("look",), look, dict(items[0]["look"].attrs))}
+    made = comb_variables(combs) | {"look": (("look",), items[0]["look"].values, dict(items[0]["look"].attrs))}
     for number, (name, units) in enumerate(_UNITS.items()):
         values = np.stack([kept[number][:, :, at] for at in chosen])
         made[f"comb_{name}"] = (("comb", "channel", "speed", "look"), values, {"units": units})
@@ -345,6 +344,10 @@ def joined_looks(groups: list[list[xr.Dataset]]) -> dict[str, Any]:
         about = {"units": "Hz", "long_name": f"{end} end of the band"}
         made[f"comb_band_{end}"] = (("comb", "speed"), edges[:, chosen].T, about)
     return made
+
+
+def _alike(item: xr.Dataset, other: xr.Dataset) -> bool:
+    return combs_in(item) == combs_in(other) and np.array_equal(item["look"].values, other["look"].values)
 
 
 def _nearest(item: xr.Dataset, like: xr.Dataset) -> Ints:
