@@ -172,7 +172,8 @@ def _hits(lines: _Fixed, mains: float, tones_hz: Sequence[float], settings: Iden
     beside = (np.asarray(tones_hz) / others)[np.abs(np.asarray(tones_hz) - others * mains) <= wander]
     free = low & ~lines.exact
     if free.any() or len(beside):
-        base = float(np.median(np.concatenate([told[free], beside])))
+        # a line of one speed is known better than a tone, which speeds that change smear
+        base = float(np.median(told[free] if free.any() else beside))
         room = np.maximum(KNOWN_LINES.same_hz, NUMBERS.same_sigmas * lines.error_hz)
         return hits & (np.abs(lines.hertz - multiple * base) <= room)
     several = hits & ~lines.exact
