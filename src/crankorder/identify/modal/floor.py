@@ -26,6 +26,7 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="floor"):
     line_chance: float
     usual_overlap_fraction: float
     lowest_bins: float
+    fewest_averages: float
 
 
 NUMBERS = _Numbers.load()
@@ -97,11 +98,12 @@ def quiet_floor(
     """
     frequency = campbell["frequency"].values
     seen = sight(str(campbell.attrs["window"]), float(campbell.attrs["enbw_hz"]))
-    # padding adds bins but tells nothing: half a bin of the window apart they hold all that it lets through
-    apart = max(1, int(0.5 * seen.bin_hz / float(frequency[1] - frequency[0]) + 1e-6)) if len(frequency) > 1 else 1
-    used = np.flatnonzero(frequency > NUMBERS.lowest_bins * float(campbell.attrs["enbw_hz"]))[::apart]
-    psd, share = _settled(campbell, used)
     averages = _independent(campbell)
+    used = np.flatnonzero(frequency > NUMBERS.lowest_bins * float(campbell.attrs["enbw_hz"]))
+    if len(used) > 1 and averages.sum(axis=1).max(initial=0.0) < NUMBERS.fewest_averages:
+        # padding adds bins but tells nothing: half a bin of the window apart they hold all that it lets through
+        used = used[:: max(1, int(0.5 * seen.bin_hz / float(frequency[1] - frequency[0]) + 1e-6))]
+    psd, share = _settled(campbell, used)
     known = (averages > 0.0).any(axis=0) & np.isfinite(campbell["speed"].values)
     if not known.any():
         known = (averages > 0.0).any(axis=0)

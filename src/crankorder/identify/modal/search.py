@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.campbell.map import HANN_CORRELATION
+from crankorder.identify.modal.floor import NUMBERS as FLOOR
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.pole_errors import free_of, score_covariance
 from crankorder.identify.modal.surface_fit import (
@@ -29,7 +30,6 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="search"):
     smear_left_share: float
     rules_share: float
     steady_width_bins: float
-    fewest_averages: float
     skirt_bins: int
     peak_reach_bins: int
     shadow_bins: int
@@ -78,7 +78,7 @@ def with_strong_tones(floor: Floor, *, least_damping: float) -> Floor:
             if whole[at] - beside < NUMBERS.strong_log_ratio or whole[at] < whole[near].max():
                 continue
             _, half = narrow_peak(whole, at, floor)
-            least = least_damping * floor.frequency_hz[at] if averages[at] < NUMBERS.fewest_averages else np.inf
+            least = least_damping * floor.frequency_hz[at] if averages[at] < FLOOR.fewest_averages else np.inf
             if not half <= NUMBERS.steady_width_bins * floor.seen.bin_hz <= least:
                 continue
             frequency = float(floor.frequency_hz[at]) + _offset_hz(whole, at, floor)
@@ -254,7 +254,7 @@ def saves_enough(problem: Problem, less: SurfaceFit, more: SurfaceFit, *, at_hz:
     limit = least_gain(len(problem.psd), chance)
     if saved < HANN_CORRELATION * limit:
         return False
-    if problem.averages.max(initial=0.0) < NUMBERS.fewest_averages:
+    if problem.averages.max(initial=0.0) < FLOOR.fewest_averages:
         return saved > HANN_CORRELATION * max(1.0, problem.seen.bin_hz / _step_hz(problem)) * limit
     return saved > max(HANN_CORRELATION, counted_over(problem, more, at_hz)) * limit
 
