@@ -16,7 +16,7 @@ from crankorder.campbell.band_levels import (
 )
 from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.quantities import check_dataset
-from made.recordings import named, shaft
+from made.recordings import sampled, shaft
 
 RATE_HZ = 8192.0
 WIDE = (LevelBand("velocity", 10.0, 1000.0), LevelBand("as measured", 10.0, 1000.0))
@@ -24,13 +24,8 @@ WIDE = (LevelBand("velocity", 10.0, 1000.0), LevelBand("as measured", 10.0, 1000
 
 def recorded(values: np.ndarray, *, rate_hz: float = RATE_HZ, name: str = "a") -> xr.Dataset:
     """A Recording of one accelerometer in m/s2."""
-    attrs = {"recording": name, "domain": "time", "rate_hz": rate_hz, "encoder_kind": "none", "revs_per_cycle": 2}
-    made = xr.Dataset(
-        {"signal": (("channel", "time"), values[None], {"units": "see unit"})}, coords=named(1), attrs=attrs
-    )
-    made["unit"], made["quantity"] = ("channel", np.array(["m/s2"])), ("channel", np.array(["acceleration"]))
-    made["si_per_unit"] = ("channel", np.array([1.0]), {"units": "1"})
-    return made
+    made = sampled(values[None], recording=name, rate_hz=rate_hz, encoder_kind="none")
+    return made.assign(si_per_unit=("channel", [1.0], {"units": "1"}))
 
 
 def levels(*recordings: xr.Dataset, bands: tuple[LevelBand, ...] = WIDE, speed_rpm: float = 1500.0) -> xr.Dataset:

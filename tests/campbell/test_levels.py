@@ -21,7 +21,7 @@ from crankorder.campbell.levels import (
 from crankorder.identify.levels import level_records
 from crankorder.quantities import check_dataset
 from crankorder.settings import load_settings
-from made.recordings import named, shaft
+from made.recordings import sampled, shaft
 from made.typed import as_dicts
 
 level_records = as_dicts(level_records)
@@ -31,9 +31,7 @@ RATE_HZ = 25_600.0
 
 
 def recorded(signals: np.ndarray) -> xr.Dataset:
-    attrs = {"recording": "a.h5", "domain": "time", "rate_hz": RATE_HZ, "encoder_kind": "none", "revs_per_cycle": 2}
-    signal = (("channel", "time"), signals, {"units": "see unit"})
-    return xr.Dataset({"signal": signal}, coords=named(len(signals)), attrs=attrs)
+    return sampled(signals, recording="a.h5", rate_hz=RATE_HZ, encoder_kind="none")
 
 
 def by_angle(signals: np.ndarray, *, samples_per_rev: int, speed_rpm: float) -> xr.Dataset:

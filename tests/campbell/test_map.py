@@ -13,7 +13,7 @@ from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map, leading_frames
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
-from made.recordings import line, named, shaft, steady
+from made.recordings import line, named, sampled, shaft, steady
 
 SETTINGS = load_settings().campbell
 
@@ -57,18 +57,8 @@ def test_a_record_shorter_than_the_resolution_lands_on_the_same_frequencies():
 
 def crank_angle_frames(speed_rpm: float) -> xr.Dataset:
     angle = np.arange(360 * 200) / 360
-    band = xr.Dataset(
-        {"signal": (("channel", "crank_angle"), np.cos(2 * np.pi * 3.0 * angle)[None], {"units": "see unit"})},
-        coords=named(1),
-        attrs={
-            "recording": "made",
-            "domain": "crank_angle",
-            "samples_per_rev": 360,
-            "speed_rpm": speed_rpm,
-            "encoder_kind": "none",
-            "revs_per_cycle": 2,
-        },
-    )
+    attrs = {"samples_per_rev": 360, "speed_rpm": speed_rpm, "encoder_kind": "none"}
+    band = sampled(np.cos(2 * np.pi * 3.0 * angle)[None], domain="crank_angle", **attrs)
     knots = shaft(np.array([0.0, 1.0]), np.array([0.0, 200.0]), np.full(2, speed_rpm))
     return frequency_frames(band, knots, settings=SETTINGS)
 
@@ -109,13 +99,10 @@ def frames_of(signal: NDArray[np.float64], *, name: str, rpm: float = 1200.0) ->
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(RATE_HZ) / RATE_HZ)
     pieces = np.stack([signal[:, at : at + RATE_HZ] * window for at in starts], axis=1)
     power = np.abs(np.fft.rfft(pieces, axis=2)[:, :, :BINS] * 4.0 / RATE_HZ) ** 2
-    n_channels = len(signal)
     return xr.Dataset(
         {"power": (("channel", "frame", "frequency"), power)},
         coords={
-            "channel": ("channel", [f"c{k}" for k in range(n_channels)]),
-            "unit": ("channel", ["m/s2"] * n_channels),
-            "quantity": ("channel", ["acceleration"] * n_channels),
+            **named(len(signal)),
             "frequency": ("frequency", np.arange(BINS, dtype=np.float64), {"units": "Hz"}),
             "speed": ("frame", np.full(len(starts), rpm)),
         },

@@ -11,7 +11,7 @@ from crankorder.campbell.band_levels import LevelBand, level_frames, limit_bands
 from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.identify.levels import limit_verdicts
 from crankorder.identify.sources import Limit, Sources
-from made.recordings import named, shaft
+from made.recordings import sampled, shaft
 
 RATE_HZ = 5120.0
 BAND = (LevelBand("as measured", 10.0, 1000.0),)
@@ -35,10 +35,7 @@ def swept(
     power = float(np.mean(np.abs(gain) ** 2 * ((hertz > 10.0) & (hertz < 1000.0))))
     shaped = signal.sosfilt(shape, rng.standard_normal(at.size))
     values = line * np.cos(2 * np.pi * 2.0 * turns + 1.0) + noise * shaped / np.sqrt(power)
-    attrs = {"recording": f"{seed} {down}", "domain": "time", "rate_hz": RATE_HZ}
-    one = xr.Dataset({"signal": (("channel", "time"), values[None])}, coords=named(1), attrs=attrs)
-    one["unit"], one["quantity"] = ("channel", np.array(["m/s2"])), ("channel", np.array(["acceleration"]))
-    one["si_per_unit"] = ("channel", np.array([1.0]))
+    one = sampled(values[None], recording=f"{seed} {down}", rate_hz=RATE_HZ).assign(si_per_unit=("channel", [1.0]))
     knots = slice(None, None, 64)
     frames = level_frames(one, shaft(at[knots], turns[knots], rpm[knots]), bands=BAND, frame_s=0.5)
     return frames, rpm, 0.5 * line**2 + noise**2
@@ -96,10 +93,7 @@ def test_a_limit_that_the_end_of_a_window_passes_is_not_kept_by_its_mean(seeds: 
         turns = np.cumsum(rpm / 60.0) / RATE_HZ
         line = (rpm / 1500.0) ** 3
         values = line * np.cos(2 * np.pi * 2.0 * turns) + 0.02 * rng.standard_normal(at.size)
-        attrs = {"recording": "a", "domain": "time", "rate_hz": RATE_HZ}
-        one = xr.Dataset({"signal": (("channel", "time"), values[None])}, coords=named(1), attrs=attrs)
-        one["unit"], one["quantity"] = ("channel", np.array(["m/s2"])), ("channel", np.array(["acceleration"]))
-        one["si_per_unit"] = ("channel", np.array([1.0]))
+        one = sampled(values[None], recording="a", rate_hz=RATE_HZ).assign(si_per_unit=("channel", [1.0]))
         knots = slice(None, None, 64)
         angle = shaft(at[knots], turns[knots], rpm[knots])
         frames = level_frames(one, angle, bands=limit_bands("acceleration", 10.0, 1000.0), frame_s=0.5)

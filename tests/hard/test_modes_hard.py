@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.made.floors import Made, campbell_of, no_orders, orders_of
+from tests.made.floors import Made, campbell_of, inside, no_orders, orders_of
 
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.modal.joint_fit import modal_fit
@@ -27,15 +27,6 @@ def _fit(made: Made, orders: tuple[float, ...] = (), seed: int = 3) -> ModalFit:
     return modal_fit(campbell, no_orders(campbell), agreed, settings=load_settings().identify)
 
 
-def _inside(fit: ModalFit, made: Made) -> bool:
-    """Whether all modes of ``made``, and no other, are within three standard errors."""
-    return len(fit.modes) == len(made.natural_hz) and all(
-        abs(mode.frequency_hz - f) <= 3.0 * mode.frequency_error_hz
-        and abs(mode.damping_ratio - zeta) <= 3.0 * mode.damping_error
-        for mode, f, zeta in zip(fit.modes, made.natural_hz, made.damping, strict=True)
-    )
-
-
 def test_modes_one_hertz_apart_are_two() -> None:
     made = replace(
         ONE,
@@ -44,7 +35,7 @@ def test_modes_one_hertz_apart_are_two() -> None:
         sensor=((0.008, 0.006), (0.004, -0.006)),
         drive=((0.8, 0.7), (-0.6, -0.9)),
     )
-    assert _inside(_fit(made), made)
+    assert inside(_fit(made), made)
 
 
 def test_a_damping_of_a_thousandth_and_one_of_a_fifth_are_both_found() -> None:
@@ -57,7 +48,7 @@ def test_a_damping_of_a_thousandth_and_one_of_a_fifth_are_both_found() -> None:
         duration_s=30.0,
     )
     fit = _fit(made)
-    assert _inside(fit, made)
+    assert inside(fit, made)
     assert not fit.tones
 
 
@@ -75,20 +66,20 @@ def test_a_line_on_an_order_at_one_speed_is_not_called_mode_or_mains() -> None:
     made = replace(ONE, speed_rpm=(1500.0,), duration_s=60.0, lines=((2.0, 0.5),))  # 50 Hz: as mains would be
     fit = _fit(made)
     assert [tone.kind for tone in fit.tones] == ["order"]
-    assert _inside(fit, made)
+    assert inside(fit, made)
 
 
 def test_at_three_speeds_a_harmonic_of_an_unknown_order_is_nothing() -> None:
     made = replace(ONE, speed_rpm=(900.0, 1400.0, 2000.0), duration_s=30.0, lines=((2.0, 1.0), (4.0, 0.5)))
     fit = _fit(made, (2.0,))
-    assert _inside(fit, made)
+    assert inside(fit, made)
     assert not fit.tones
 
 
 def test_the_second_harmonic_of_a_tone_is_no_mode() -> None:
     made = replace(ONE, tones=((71.3, 0.5), (142.6, 0.05), (213.9, 0.01)))
     fit = _fit(made)
-    assert _inside(fit, made)
+    assert inside(fit, made)
     assert [round(tone.frequency_hz, 1) for tone in fit.tones] == [71.3, 142.6, 213.9]
 
 
@@ -102,21 +93,21 @@ def test_a_mode_at_twice_the_frequency_of_another_is_a_mode() -> None:
         drive=((0.5, -0.7), (0.6, 0.9)),
     )
     fit = _fit(made)
-    assert _inside(fit, made)
+    assert inside(fit, made)
     assert not any(mode.undecided for mode in fit.modes)
 
 
 def test_orders_that_cross_a_mode_and_a_tone_change_neither() -> None:
     made = replace(ONE, lines=((4.0, 1.0), (5.5, 1.0), (3.0, 1.0)), tones=((90.0, 0.3),))
     fit = _fit(made, (3.0, 4.0, 5.5))
-    assert _inside(fit, made)
+    assert inside(fit, made)
     assert [round(tone.frequency_hz, 1) for tone in fit.tones] == [90.0]
 
 
 @pytest.mark.slow
 def test_one_channel_is_enough() -> None:
     made = replace(ONE, sensor=((0.008,),), drive=((0.5,),))
-    assert _inside(_fit(made), made)
+    assert inside(_fit(made), made)
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import false_discovery_control, norm
 
-from crankorder.identify.false_discovery import adjusted, claimed, simes
+from crankorder.identify.intervals import adjusted, claimed, simes
 
 # Benjamini, Hochberg (1995), section 4.1: fifteen p-values, four of which are claimed at 0.05
 PUBLISHED = [

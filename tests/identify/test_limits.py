@@ -13,7 +13,7 @@ from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.findings import Balance
 from crankorder.identify.levels import graded, limit_verdicts, third_octave_records, vibration_records
 from crankorder.identify.sources import Limit, Sources
-from made.recordings import named, shaft
+from made.recordings import sampled, shaft
 
 RATE_HZ = 5120.0
 BANDS = (*limit_bands("velocity", 10.0, 1000.0), *limit_bands("as measured", 10.0, 1000.0))
@@ -27,10 +27,7 @@ def measured(
     for number, (rpm, rms) in enumerate(rms_by_rpm.items()):
         noise = np.random.default_rng([seed, number]).standard_normal(int(seconds * rate_hz))
         values = noise * rms / math.sqrt(2.0 * 990.0 / rate_hz)
-        attrs = {"recording": str(number), "domain": "time", "rate_hz": rate_hz}
-        one = xr.Dataset({"signal": (("channel", "time"), values[None])}, coords=named(1), attrs=attrs)
-        one["unit"], one["quantity"] = ("channel", np.array(["m/s2"])), ("channel", np.array(["acceleration"]))
-        one["si_per_unit"] = ("channel", np.array([1.0]))
+        one = sampled(values[None], recording=str(number), rate_hz=rate_hz).assign(si_per_unit=("channel", [1.0]))
         knots = np.linspace(0.0, seconds, 40)
         angle = shaft(knots, knots * rpm / 60.0, np.full(40, rpm))
         items.append(level_frames(one, angle, bands=BANDS, frame_s=0.5))
@@ -102,10 +99,7 @@ def with_a_line(seed: int, hertz: float, *, band: tuple[float, float] = (10.0, 1
     values = math.sqrt(2.0) * np.cos(2 * np.pi * hertz * at + rng.uniform(0.0, 6.0)) + 0.02 * rng.standard_normal(
         at.size
     )
-    attrs = {"recording": str(seed), "domain": "time", "rate_hz": RATE_HZ}
-    one = xr.Dataset({"signal": (("channel", "time"), values[None])}, coords=named(1), attrs=attrs)
-    one["unit"], one["quantity"] = ("channel", np.array(["m/s2"])), ("channel", np.array(["acceleration"]))
-    one["si_per_unit"] = ("channel", np.array([1.0]))
+    one = sampled(values[None], recording=str(seed), rate_hz=RATE_HZ).assign(si_per_unit=("channel", [1.0]))
     knots = np.linspace(0.0, seconds, 40)
     angle = shaft(knots, knots * 25.0, np.full(40, 1500.0))
     frames = level_frames(one, angle, bands=limit_bands("acceleration", *band), frame_s=0.5)
@@ -154,10 +148,7 @@ def test_a_band_too_narrow_for_so_short_a_recording_is_not_decided() -> None:
     items = []
     for number in range(3):
         values = np.random.default_rng(number).standard_normal(int(1.5 * RATE_HZ))
-        attrs = {"recording": str(number), "domain": "time", "rate_hz": RATE_HZ}
-        one = xr.Dataset({"signal": (("channel", "time"), values[None])}, coords=named(1), attrs=attrs)
-        one["unit"], one["quantity"] = ("channel", np.array(["m/s2"])), ("channel", np.array(["acceleration"]))
-        one["si_per_unit"] = ("channel", np.array([1.0]))
+        one = sampled(values[None], recording=str(number), rate_hz=RATE_HZ).assign(si_per_unit=("channel", [1.0]))
         knots = np.linspace(0.0, 1.5, 40)
         angle = shaft(knots, knots * 25.0, np.full(40, 1500.0))
         items.append(level_frames(one, angle, bands=limit_bands("acceleration", 10.0, 12.6), frame_s=0.5))

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
-from tests.made.floors import Made, campbell_of, no_orders, orders_of
+from tests.made.floors import Made, campbell_of, inside, no_orders, orders_of
 
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine
 from crankorder.identify.modal import surface_fit
@@ -67,18 +67,9 @@ def _fit(made: Made, seed: int = 1, orders: tuple[float, ...] = ()) -> ModalFit:
     return modal_fit(campbell, no_orders(campbell), _agreed(orders, made), settings=_settings())
 
 
-def _inside(fit: ModalFit, made: Made) -> bool:
-    """Whether all modes of ``made``, and no other, are within three standard errors."""
-    return len(fit.modes) == len(made.natural_hz) and all(
-        abs(mode.frequency_hz - f) <= 3.0 * mode.frequency_error_hz
-        and abs(mode.damping_ratio - zeta) <= 3.0 * mode.damping_error
-        for mode, f, zeta in zip(fit.modes, made.natural_hz, made.damping, strict=True)
-    )
-
-
 def test_close_modes_are_told_apart_with_their_damping() -> None:
     fit = _fit(THREE)
-    assert _inside(fit, THREE)
+    assert inside(fit, THREE)
     assert not any(mode.undecided for mode in fit.modes)
     assert not fit.tones
     for mode, f in zip(fit.modes, THREE.natural_hz, strict=True):
@@ -95,18 +86,18 @@ def test_the_covariance_is_that_of_the_modes_errors() -> None:
 
 def test_a_floor_that_grows_with_speed_moves_nothing() -> None:
     made = replace(THREE, gains=tuple(np.linspace(1.0, 4.0, len(THREE.speed_rpm))))
-    assert _inside(_fit(made), made)
+    assert inside(_fit(made), made)
 
 
 def test_order_lines_far_above_the_floor_leave_no_mode_behind() -> None:
     made = replace(THREE, lines=((1.0, 3.0), (2.0, 5.0), (5.5, 1.0)))
-    assert _inside(_fit(made, orders=(1.0, 2.0, 5.5)), made)
+    assert inside(_fit(made, orders=(1.0, 2.0, 5.5)), made)
 
 
 @pytest.mark.slow
 def test_a_line_that_nobody_found_leaves_no_mode_behind() -> None:
     made = replace(THREE, lines=((2.5, 1.0),))
-    assert _inside(_fit(made), made)
+    assert inside(_fit(made), made)
 
 
 def test_white_noise_has_neither_modes_nor_tones() -> None:
@@ -120,7 +111,7 @@ def test_white_noise_has_neither_modes_nor_tones() -> None:
 def test_mains_and_a_pump_are_tones_with_their_amplitude_and_no_modes() -> None:
     made = replace(THREE, tones=((100.0, 0.05), (58.3, 0.5)))
     fit = _fit(made)
-    assert _inside(fit, made)
+    assert inside(fit, made)
     pump, mains = fit.tones
     assert (pump.kind, mains.kind) == ("tone", "mains")
     for tone, (f, amplitude) in zip((pump, mains), ((58.3, 0.5), (100.0, 0.05)), strict=True):
@@ -144,7 +135,7 @@ def test_orders_that_sweep_through_a_mode_tell_its_frequency_better_than_the_flo
     both = modal_fit(campbell, by_order, agreed, settings=_settings())
     assert both.modes[0].reached_by == (4.0, 6.0)
     assert both.modes[0].frequency_error_hz < 0.7 * alone.modes[0].frequency_error_hz
-    assert _inside(both, THREE)
+    assert inside(both, THREE)
     assert all(item.fits for item in both.responses)
     for item in both.responses:
         assert item.exponent == 2.0
@@ -157,7 +148,7 @@ def test_an_order_that_the_modes_do_not_explain_takes_no_part() -> None:
     fit = modal_fit(campbell, by_order, _agreed((4.0,), THREE), settings=_settings())
     assert not any(item.fits for item in fit.responses)
     assert all(mode.reached_by == () for mode in fit.modes)
-    assert _inside(fit, THREE)
+    assert inside(fit, THREE)
 
 
 def test_a_map_without_speeds_has_no_modes() -> None:
@@ -173,7 +164,7 @@ def test_a_channel_that_is_missing_at_all_speeds_takes_no_part() -> None:
     campbell["n_frames_used"] = (("channel", "speed"), used)
     fit = modal_fit(campbell, no_orders(campbell), (), settings=_settings())
     assert [mode.channels for mode in fit.modes] == [("X",)] * 3
-    assert _inside(fit, THREE)
+    assert inside(fit, THREE)
 
 
 @pytest.mark.accuracy
@@ -225,6 +216,18 @@ def test_the_work_of_a_fit_grows_about_as_the_bins_do(monkeypatch: pytest.Monkey
         fit = modal_fit(campbell, no_orders(campbell), (), settings=_settings())
         assert len(fit.modes) >= 0.95 * len(natural)
     assert work[1] < 6.0 * work[0]
+
+
+def test_bins_of_padded_frames_are_taken_no_closer_than_they_tell_of() -> None:
+    campbell = campbell_of(replace(THREE, speed_rpm=(1000.0, 1010.0)), 0)
+    hz = campbell["frequency"].values
+    padded = campbell.interp(frequency=np.linspace(hz[0], hz[-1], 16 * (len(hz) - 1) + 1))
+    padded.attrs = campbell.attrs
+    floor, wide = quiet_floor(campbell, ()), quiet_floor(padded, ())
+    assert floor is not None
+    assert wide is not None
+    assert floor.step_hz == pytest.approx(hz[1] - hz[0])
+    assert wide.step_hz == pytest.approx(0.5 * wide.seen.bin_hz)
 
 
 @pytest.mark.slow

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import xarray as xr
 
+from crankorder.identify.angle_swings import swing_sidebands
 from crankorder.identify.sidebands import meshes, sidebands
+from crankorder.orders.true_angle import HALF_ORDERS, SHOWN
+from made.found_lines import agreed, line
 
 
 def modulated(carrier: float, spacing: float, depth: float) -> tuple[list[float], list[float]]:
@@ -47,3 +51,28 @@ def test_a_mesh_stands_over_its_neighbours_and_harmonics_of_a_shaft_do_not():
     assert meshes({k: 1.0 / k for k in range(1, 20)}) == []
     assert meshes(dict.fromkeys(range(1, 20), 1.0)) == []
     assert meshes({22: 0.2, 23: 1.0}) == []  # one side alone
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_what_a_swing_of_the_shaft_makes_through_a_mode_is_no_order_of_its_own(seed: int):
+    rng = np.random.default_rng(seed)
+    natural_hz, damping = rng.uniform(60.0, 200.0), rng.uniform(0.005, 0.05)
+    number, half_orders = float(rng.integers(3, 9)), int(rng.integers(1, 5))
+    rpm = np.linspace(600.0, 3000.0, 400) if seed % 2 else np.linspace(600.0, 3000.0, 6)
+    swing_rev = rng.uniform(0.005, 0.03) / (np.pi * half_orders) * (600.0 / rpm) ** 2
+
+    def response(order):
+        x = order * rpm / 60.0 / natural_hz
+        return (rpm / 1000.0) ** 2 / (1.0 - x**2 + 2j * damping * x)
+
+    shown = np.zeros((rpm.size, 1 + HALF_ORDERS), dtype=complex)
+    shown[:, 0], shown[:, half_orders] = rpm, swing_rev
+    frames = xr.Dataset(coords={"order": [20.0]}, attrs={SHOWN: shown.view(float).ravel()})
+    side = number + rng.choice([-0.5, 0.5]) * half_orders
+    made = np.pi * number * swing_rev * np.abs(response(side) - response(number))
+    strong = agreed(number, line(number, np.abs(response(number)), speed_rpm=rpm, error=0.0))
+    told = [
+        swing_sidebands([strong, agreed(side, line(side, amplitude, speed_rpm=rpm, error=0.0))], [frames])
+        for amplitude in (made, 0.5 * np.abs(response(side)))
+    ]
+    assert [len(words) for words in told] == [1, 0]

@@ -374,7 +374,7 @@ PARTS_SAID = {  # cause of a line at 60 Hz (order 2 at 1800 rpm) of a machine wi
     "shaft harmonic": None,
     "half order of the four-stroke cycle": False,
     "gear mesh or blade passing: integer order with sidebands": False,
-    "shaft harmonic or gear mesh or blade passing: integer order with sidebands": True,
+    "shaft harmonic or gear mesh or blade passing": True,
     "a second shaft at 0.98": False,
     "mains": False,
     "unbalance, bent shaft or misalignment": None,

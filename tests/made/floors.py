@@ -8,6 +8,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.identify.found import ModalFit
+from made.recordings import named
+
 Array = NDArray[np.float64]
 
 OF_ONE_MARK = {"phase_reference": "tdc", "cycle_known": 1, "revs_per_cycle": 2}
@@ -43,6 +46,15 @@ class Made:
             w = 2.0 * np.pi * f
             made += np.outer(sensor, drive)[:, :, None] * (s**2 / (s**2 + 2.0 * zeta * w * s + w**2))
         return made
+
+
+def inside(fit: ModalFit, made: Made) -> bool:
+    """Whether all modes of ``made``, and no other, are within three standard errors."""
+    return len(fit.modes) == len(made.natural_hz) and all(
+        abs(mode.frequency_hz - f) <= 3.0 * mode.frequency_error_hz
+        and abs(mode.damping_ratio - zeta) <= 3.0 * mode.damping_error
+        for mode, f, zeta in zip(fit.modes, made.natural_hz, made.damping, strict=True)
+    )
 
 
 def campbell_of(made: Made, seed: int) -> xr.Dataset:
@@ -92,13 +104,7 @@ def no_orders(campbell: xr.Dataset) -> xr.Dataset:
     dims = ("channel", "speed", "order")
     nothing = np.zeros((campbell.sizes["channel"], campbell.sizes["speed"], 0))
     names = ("coherent_amplitude", "standard_error", "degrees_of_freedom", "phase")
-    channels = campbell["channel"].values
-    coords = {
-        "channel": channels,
-        "unit": ("channel", ["m/s2"] * len(channels)),
-        "speed": campbell["speed"].values,
-        "order": np.zeros(0),
-    }
+    coords = {**named(campbell["channel"].values), "speed": campbell["speed"].values, "order": np.zeros(0)}
     return xr.Dataset(dict.fromkeys(names, (dims, nothing)), coords=coords, attrs=OF_ONE_MARK)
 
 
@@ -123,8 +129,7 @@ def orders_of(made: Made, forces: tuple[tuple[float, float], ...], *, error: flo
             "degrees_of_freedom": (dims, np.full(shape, 200.0)),
         },
         coords={
-            "channel": list("XYZ"[: shape[0]]),
-            "unit": ("channel", ["m/s2"] * shape[0]),
+            **named("XYZ"[: shape[0]]),
             "speed": speed,
             "order": np.array([order for order, _ in forces]),
         },

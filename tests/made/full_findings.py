@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from made.recordings import named
+
 
 def full_findings(plain: dict[str, Any]) -> dict[str, Any]:
     """``plain`` findings of a drawn test with every key that identification may give."""
@@ -113,9 +115,4 @@ def envelope_map(channels: tuple[str, ...], *, speeds: int = 3, fault: float = 3
     for name, value in (("band_low", 2000.0), ("band_high", 4000.0)):
         variables[name] = (dims[:2], np.full((len(channels), speeds), value), band)
     axes = {"order": ("order", order, {"units": "1"}), "speed": ("speed", 600.0 * np.arange(1, speeds + 1))}
-    coords = {
-        "channel": ("channel", list(channels), {"units": "1"}),
-        "unit": ("channel", ["m/s2"] * len(channels), {"units": "1"}),
-        "quantity": ("channel", ["acceleration"] * len(channels), {"units": "1"}),
-    }
-    return xr.Dataset(variables, coords | axes)
+    return xr.Dataset(variables, named(channels) | axes)

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import xarray as xr
 
 from crankorder.fft.band import band_limited
 from crankorder.orders.frames import order_frames
@@ -18,8 +17,7 @@ from crankorder.orders.spectra import order_frames_nufft
 from crankorder.orders.vold_kalman.filter import vold_kalman
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import knots_of
-from made.recordings import line, shaft, steady, total
-from made.recordings import named as channels
+from made.recordings import line, sampled, shaft, steady, total
 
 SETTINGS = load_settings().orders
 
@@ -103,7 +101,7 @@ def fast_ramps() -> HardCase:
     within = np.where(whole % 2 == 0, 600.0 * rest + 5e3 * rest**2, 10600.0 * rest - 5e3 * rest**2)
     angle = (whole * 5600.0 + within) / 60.0
     signal = np.cos(2.0 * np.pi * 2.0 * angle + 0.4) + 0.1 * np.cos(2.0 * np.pi * 5.5 * angle)
-    band = recording(signal[None], rate)
+    band = sampled(signal[None], rate_hz=rate, encoder_kind="none")
     frames = order_frames(band, shaft_angle, settings=SETTINGS)
     found = frames["spectrum"].sel(order=[2.0, 5.5]).values[0]
     truth = np.array([np.exp(0.4j), 0.1])
@@ -255,7 +253,7 @@ def long_phase() -> HardCase:
     turns = (np.arange(n, dtype=np.int64) + 100_000_000) % 3000  # 3000 samples are one revolution
     signal = np.cos(2.0 * np.pi * 5.5 * ((np.arange(n) + 100_000_000) // 3000 % 2) + 2.0 * np.pi * 5.5 * turns / 3000.0)
     knots = begin_s + np.linspace(0.0, 10.0, 101)
-    band = recording(signal[None], rate).assign_attrs(start_s=begin_s)
+    band = sampled(signal[None], rate_hz=rate, encoder_kind="none").assign_attrs(start_s=begin_s)
     frames = order_frames(band, shaft(knots, knots * speed / 60.0, np.full(101, speed)), settings=SETTINGS)
     found = frames["spectrum"].sel(order=5.5).values[0]
     return HardCase(
@@ -391,12 +389,3 @@ def joined(x: np.ndarray, rows: np.ndarray, label: str) -> tuple[np.ndarray, np.
     """One curve of several ``rows`` over ``x``, broken between them."""
     padded = np.hstack([rows, np.full((len(rows), 1), np.nan)])
     return np.tile(np.append(x, x[-1]), len(rows)), padded.ravel(), label
-
-
-def recording(signals: np.ndarray, rate_hz: float) -> xr.Dataset:
-    """BandRecording of ``signals`` (channels, samples) at ``rate_hz``."""
-    return xr.Dataset(
-        {"signal": (("channel", "time"), signals, {"units": "see unit"})},
-        coords=channels(len(signals)),
-        attrs={"recording": "made", "domain": "time", "rate_hz": rate_hz, "revs_per_cycle": 2, "encoder_kind": "none"},
-    )

@@ -11,6 +11,7 @@ import xarray as xr
 from crankorder.engine.definition import BalanceShafts, Cylinder, Engine
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments
 from crankorder.identify.found import ModalFit, Mode
+from made.recordings import named
 
 AXES = ("X", "Z", "RY")
 
@@ -128,7 +129,6 @@ def made_orders(
 def order_map_of(amplitude, error, freedom, rpm, order, *, reference="tdc") -> xr.Dataset:
     """OrderMap with what closure reads of it."""
     dims = ("channel", "speed", "order")
-    n = len(amplitude)
     return xr.Dataset(
         {
             "coherent_amplitude": (dims, np.abs(amplitude)),
@@ -137,9 +137,7 @@ def order_map_of(amplitude, error, freedom, rpm, order, *, reference="tdc") -> x
             "degrees_of_freedom": (dims, np.array(freedom)),
         },
         coords={
-            "channel": ["X", "Y", "Z"][:n],
-            "unit": ("channel", ["m/s2"] * n),
-            "quantity": ("channel", ["acceleration"] * n),
+            **named("XYZ"[: len(amplitude)]),
             "speed": rpm,
             "order": order,
         },

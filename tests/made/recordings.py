@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import xarray as xr
@@ -13,15 +13,13 @@ Signal = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Signal from time [s] and crank angle [rev]."""
 
 
-def named(n_channels: int) -> dict[str, tuple[str, list[str], dict[str, str]]]:
-    """Coordinates of channels A, B, … in m/s2."""
-    names = [chr(ord("A") + k) for k in range(n_channels)]
-    unitless = {"units": "1", "long_name": "name"}
-    return {
-        "channel": ("channel", names, unitless),
-        "unit": ("channel", ["m/s2"] * n_channels, unitless),
-        "quantity": ("channel", ["acceleration"] * n_channels, unitless),
-    }
+def named(
+    channels: int | Sequence[str], unit: str = "m/s2", quantity: str = "acceleration"
+) -> dict[str, tuple[str, list[str], dict[str, str]]]:
+    """Coordinates of channels of one unit, by their names, or so many that are called A, B, …"""
+    names = [chr(ord("A") + k) for k in range(channels)] if isinstance(channels, int) else list(channels)
+    columns = {"channel": names, "unit": [unit] * len(names), "quantity": [quantity] * len(names)}
+    return {key: ("channel", values, {"units": "1", "long_name": "name"}) for key, values in columns.items()}
 
 
 def shaft(time_s: np.ndarray, angle_rev: np.ndarray, speed_rpm: np.ndarray, *, revs_per_cycle: int = 2) -> xr.Dataset:
@@ -52,9 +50,8 @@ def steady(
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
     angle = start_rev + time_s * speed_rpm / 60.0
     knots = np.linspace(0.0, duration_s, 50)
-    return _recording(signals, time_s, angle, rate_hz), shaft(
-        knots, start_rev + knots * speed_rpm / 60.0, np.full(50, speed_rpm)
-    )
+    band = sampled(np.stack([signal(time_s, angle) for signal in signals]), rate_hz=rate_hz)
+    return band, shaft(knots, start_rev + knots * speed_rpm / 60.0, np.full(50, speed_rpm))
 
 
 def run_up(
@@ -68,21 +65,16 @@ def run_up(
 
     knots = np.linspace(0.0, duration_s, 200)
     speed = from_rpm + (to_rpm - from_rpm) * knots / duration_s
-    return _recording(signals, time_s, angle(time_s), rate_hz), shaft(knots, angle(knots), speed)
+    band = sampled(np.stack([signal(time_s, angle(time_s)) for signal in signals]), rate_hz=rate_hz)
+    return band, shaft(knots, angle(knots), speed)
 
 
-def _recording(signals: list[Signal], time_s: np.ndarray, angle: np.ndarray, rate_hz: float) -> xr.Dataset:
-    values = np.stack([signal(time_s, angle) for signal in signals])
+def sampled(signals: np.ndarray, *, domain: str = "time", **attrs: object) -> xr.Dataset:
+    """Recording of ``signals`` (channels, samples) in m/s2, sampled by ``domain``; ``attrs`` beside those of any."""
     made = xr.Dataset(
-        {"signal": (("channel", "time"), values, {"units": "see unit"})},
+        {"signal": (("channel", domain), signals, {"units": "see unit"})},
         coords=named(len(signals)),
-        attrs={
-            "recording": "made",
-            "domain": "time",
-            "rate_hz": rate_hz,
-            "encoder_kind": "constant",
-            "revs_per_cycle": 2,
-        },
+        attrs={"recording": "made", "domain": domain, "encoder_kind": "constant", "revs_per_cycle": 2, **attrs},
     )
     check_dataset(made, "recording")
     return made

@@ -18,7 +18,7 @@ from crankorder.synth.parts import Speeds, TimeSampling
 from crankorder.synth.recording import sensed
 from crankorder.synth.scene import Scene
 from crankorder.synth.truth import truth_of
-from made.recordings import shaft
+from made.recordings import sampled, shaft
 
 
 @dataclass(frozen=True)
@@ -53,30 +53,12 @@ def made_scene(scene: Scene, settings: Settings) -> MadeScene:
     floor = floor_of(scene, scene.rate_hz(scene.runs[0].speed_rpm))
     by_order, by_frequency = [], []
     for run in scene.runs:
-        recording = _recording(scene, sensed(scene, run, floor))
+        signals = sensed(scene, run, floor)
+        recording = sampled(signals, rate_hz=scene.rate_hz(scene.runs[0].speed_rpm))
+        recording = recording.assign_coords(channel=list(scene.channel_names))
         knots = np.linspace(0.0, scene.n_samples / scene.rate_hz(run.speed_rpm), 50)
         angle = start_angle_rev(scene, run) + knots * run.speed_rpm / 60.0
         known = shaft(knots, angle, np.full(len(knots), run.speed_rpm))
         by_order.append(order_frames(recording, known, settings=settings.orders))
         by_frequency.append(frequency_frames(recording, known, settings=settings.campbell))
     return MadeScene(by_order, by_frequency, dict(truth_of(scene)))
-
-
-def _recording(scene: Scene, signal: np.ndarray) -> xr.Dataset:
-    words = {"units": "1", "long_name": "name"}
-    names = list(scene.channel_names)
-    return xr.Dataset(
-        {"signal": (("channel", "time"), signal, {"units": "see unit"})},
-        coords={
-            "channel": ("channel", names, words),
-            "unit": ("channel", ["m/s2"] * len(names), words),
-            "quantity": ("channel", ["acceleration"] * len(names), words),
-        },
-        attrs={
-            "recording": "made",
-            "domain": "time",
-            "rate_hz": scene.rate_hz(scene.runs[0].speed_rpm),
-            "encoder_kind": "constant",
-            "revs_per_cycle": 2,
-        },
-    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from made.recordings import named, shaft
+from made.recordings import sampled, shaft
 
 
 def strikes(
@@ -50,17 +50,9 @@ def recording(
     signal: np.ndarray, *, rate_hz: float, speed_rpm: float, revs_per_cycle: int = 1
 ) -> tuple[xr.Dataset, xr.Dataset]:
     """Recording (channel, time) of ``signal`` in single precision and the ShaftAngle of a constant speed."""
-    made = xr.Dataset(
-        {"signal": (("channel", "time"), signal.astype(np.float32), {"units": "see unit"})},
-        coords=named(len(signal)),
-        attrs={
-            "recording": f"made_{speed_rpm:g}",
-            "domain": "time",
-            "rate_hz": rate_hz,
-            "encoder_kind": "square",
-            "revs_per_cycle": revs_per_cycle,
-        },
-    )
+    name = f"made_{speed_rpm:g}"
+    attrs = {"recording": name, "encoder_kind": "square", "revs_per_cycle": revs_per_cycle}
+    made = sampled(signal.astype(np.float32), rate_hz=rate_hz, **attrs)
     knots = np.linspace(0.0, (signal.shape[1] - 1) / rate_hz, 50)
     angle = shaft(knots, knots * speed_rpm / 60.0, np.full(50, speed_rpm), revs_per_cycle=revs_per_cycle)
     return made, angle

@@ -10,7 +10,7 @@ import xarray as xr
 
 from crankorder.settings import load_settings
 from crankorder.shaft.decode import shaft_angle
-from made.recordings import named
+from made.recordings import sampled
 
 RATE_HZ = 25_600.0
 ENCODERS = ("360", "60 quantised", "60-2 quantised", "1 per rev", "speed signal")
@@ -63,20 +63,9 @@ def recording_of(
     for order, law in laws.items():
         signal += (law(speed) * np.exp(2j * np.pi * order * angle)).real
     signal += noise * np.random.default_rng(seed).normal(size=len(at))
-    attrs = {
-        "recording": name,
-        "domain": "time",
-        "rate_hz": rate_hz,
-        "revs_per_cycle": 2,
-        "missing_teeth": 0,
-        "ratio": 1.0,
-    }
-    given = _encoder(encoder, at, angle, speed, rate_hz)
-    recording = xr.Dataset(
-        {"signal": (("channel", "time"), signal[None], {"units": "see unit"}), **given[0]},
-        coords=named(1),
-        attrs=attrs | given[1],
-    )
+    variables, attrs = _encoder(encoder, at, angle, speed, rate_hz)
+    attrs = {"recording": name, "rate_hz": rate_hz, "missing_teeth": 0, "ratio": 1.0} | attrs
+    recording = sampled(signal[None], **attrs).assign(variables)
     shaft = shaft_angle(recording, settings=load_settings().shaft)
     from crankorder.fft.band import band_limited
 

@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from scipy.signal import lfilter
 
-from made.recordings import named, shaft
+from made.recordings import sampled, shaft
 
 RATE_HZ = 4096.0
 
@@ -80,17 +80,7 @@ def recorded(machine: SweptMachine, rng: np.random.Generator) -> tuple[xr.Datase
         response = response + share[:, None] * acceleration(force, f, zeta)[None]
     values = response + machine.noise * rng.standard_normal(response.shape)
     knots = np.linspace(0.0, machine.duration_s, 400)
-    band = xr.Dataset(
-        {"signal": (("channel", "time"), values, {"units": "see unit"})},
-        coords=named(3),
-        attrs={
-            "recording": "made",
-            "domain": "time",
-            "rate_hz": RATE_HZ,
-            "encoder_kind": "constant",
-            "revs_per_cycle": 2,
-        },
-    )
+    band = sampled(values, rate_hz=RATE_HZ)
     return band, shaft(knots, angle(knots), first + (last - first) * knots / machine.duration_s)
 
 

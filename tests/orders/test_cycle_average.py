@@ -6,13 +6,12 @@ import math
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from crankorder.errors import InputError
 from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
-from made.recordings import line, named, run_up, shaft, steady, total
+from made.recordings import line, run_up, sampled, shaft, steady, total
 
 SETTINGS = load_settings().orders
 LINES = ((0.5, 0.2, 0.3), (1.0, 2.0, -1.0), (5.5, 0.7, 2.0), (12.0, 0.3, 0.4))
@@ -74,11 +73,7 @@ def test_the_loud_end_of_a_run_up_does_not_show_at_its_quiet_begin():
 def test_samples_by_crank_angle_give_the_cycle_to_the_last_digits():
     for start_deg in (0.0, 17.25, -180.0, 90.5):
         angle = np.arange(360 * 41) / 360 + start_deg / 360
-        band = xr.Dataset(
-            {"signal": (("channel", "crank_angle"), truth(360 * angle)[None], {"units": "see unit"})},
-            coords=named(1),
-            attrs={"recording": "made", "domain": "crank_angle", "samples_per_rev": 360, "revs_per_cycle": 2},
-        )
+        band = sampled(truth(360 * angle)[None], domain="crank_angle", samples_per_rev=360)
         ends = np.array([start_deg / 360, start_deg / 360 + 41])
         angles = shaft(np.array([0.0, math.nan]), ends, np.array([math.nan, math.nan]))
         angles.attrs["domain"] = "crank_angle"

@@ -13,7 +13,7 @@ from crankorder.orders.frames import order_frames
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.decode import shaft_angle
-from made.recordings import line, named, run_up, shaft, steady, total
+from made.recordings import line, run_up, sampled, shaft, steady, total
 
 SETTINGS = load_settings().orders
 
@@ -146,19 +146,8 @@ def test_crank_angle_samples_give_order_spectra_straight():
     for start_deg in (90.0, 0.0, -180.0, -0.4, 0.3, 17.25):
         angle = np.arange(360 * 40) / 360 + start_deg / 360
         signal = 0.4 * np.cos(2 * np.pi * 5.5 * angle + 0.8)
-        band = xr.Dataset(
-            {"signal": (("channel", "crank_angle"), signal[None], {"units": "see unit"})},
-            coords=named(1),
-            attrs={
-                "recording": "made",
-                "domain": "crank_angle",
-                "samples_per_rev": 360,
-                "start_deg": start_deg,
-                "encoder_kind": "none",
-                "revs_per_cycle": 2,
-            },
-        )
-        check_dataset(band, "recording")
+        attrs = {"samples_per_rev": 360, "start_deg": start_deg, "encoder_kind": "none"}
+        band = sampled(signal[None], domain="crank_angle", **attrs)
         ends = np.array([start_deg / 360, start_deg / 360 + 40])
         angles = shaft(np.array([0.0, math.nan]), ends, np.array([math.nan, math.nan]))
         angles.attrs["domain"] = "crank_angle"

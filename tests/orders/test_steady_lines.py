@@ -8,7 +8,7 @@ import xarray as xr
 
 from crankorder.orders.fixed_lines import without_steady_lines
 from crankorder.shaft.angle import speed_course
-from made.recordings import named, shaft
+from made.recordings import sampled, shaft
 
 RATE_HZ, SECONDS, NOISE = 2048.0, 20.0, 0.02
 TIME = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
@@ -27,8 +27,7 @@ def _sweep(rng: np.random.Generator) -> tuple[xr.Dataset, np.ndarray]:
 
 
 def _band(signals: np.ndarray) -> xr.Dataset:
-    attrs = {"recording": "a", "domain": "time", "rate_hz": RATE_HZ, "band_hz": 800.0}
-    return xr.Dataset({"signal": (("channel", "time"), signals)}, coords=named(2), attrs=attrs)
+    return sampled(signals, rate_hz=RATE_HZ, band_hz=800.0)
 
 
 @pytest.mark.cases(1)

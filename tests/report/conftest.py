@@ -12,6 +12,7 @@ import xarray as xr
 
 from crankorder.quantities import check_dataset, schema_of
 from crankorder.settings import ReportSettings, load_settings
+from made.recordings import named
 
 ORDERS = (1.0, 2.0, 3.0, 4.0, 5.5, 8.0, 10.0)
 MODES_HZ = (60.0, 115.0, 172.0, 187.0, 230.0, 350.0, 457.0, 470.0)
@@ -45,14 +46,6 @@ def _line(order: float, speeds: np.ndarray, gain: float) -> np.ndarray:
     law = np.ones_like(speeds) if order == 5.5 else (speeds / 2000) ** 2
     late = np.where(speeds > 1500, 1.0, 0.02) if order in (3.0, 4.0, 8.0, 10.0) else 1.0
     return np.asarray(gain * STRENGTH.get(order, 0.02 / order) * law * late * _response(frequency))
-
-
-def _coords(channels: tuple[str, ...], unit: str, quantity: str) -> dict[str, Any]:
-    return {
-        "channel": ("channel", list(channels), {"units": "1", "long_name": "channel"}),
-        "unit": ("channel", [unit] * len(channels), {"units": "1"}),
-        "quantity": ("channel", [quantity] * len(channels), {"units": "1"}),
-    }
 
 
 def _campbell(speeds: np.ndarray, coords: dict[str, Any], orders: tuple[float, ...], gains: np.ndarray) -> xr.Dataset:
@@ -240,7 +233,7 @@ def drawn_test(
     """A test with the given lines and the modes above; gains scale the channels (0 makes an all-zero one)."""
     speeds = np.asarray(speeds, dtype=float)
     gain = np.resize(np.array(gains), len(channels))
-    coords = _coords(channels, unit, quantity)
+    coords = named(channels, unit, quantity)
     tracks = _tracks(speeds, coords, orders, gain)
     drawn = DrawnTest(
         _campbell(speeds, coords, orders, gain),

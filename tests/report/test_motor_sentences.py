@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from crankorder.report.sentences.of_lines import strongest_sentence, tone_sentences
-from crankorder.report.sentences.of_motor import SHAFT_SIDES, motor_sentences
+from crankorder.report.sentences.of_lines import SHAFT_SIDES, motor_sentences, strongest_sentence, tone_sentences
 from crankorder.report.sentences.of_orders import law_sentences, lock_sentences
 from made.typed import from_dicts
 

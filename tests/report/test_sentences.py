@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crankorder.identify import order_one
+from crankorder.identify.lines import growth
 from crankorder.identify.said import IF_UNBALANCE, LIKE_UNBALANCE, NOT_AS_UNBALANCE, ONE_SPEED, UNRESOLVED
 from crankorder.report import notation, tables
 from crankorder.report.notation import level_reference, named, order_texts, percent_text
@@ -19,7 +19,7 @@ from crankorder.report.sentences.story import ALL_CLEAR, ALL_CLEAR_WITH_ENVELOPE
 from made.contradictions import contradictions
 from made.typed import from_dicts
 
-if_unbalance = from_dicts(order_one.if_unbalance)
+if_unbalance = from_dicts(growth.if_unbalance)
 estimate_text = from_dicts(notation.estimate_text)
 nominal_order = from_dicts(notation.nominal_order)
 order_name = from_dicts(notation.order_name)

@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from made.recordings import sampled
+
 
 @dataclass(frozen=True)
 class KnownShaft:
@@ -67,26 +69,9 @@ def recording_of() -> Callable[..., xr.Dataset]:
     """Maker of Recording datasets with given pulse times."""
 
     def make(pulse_time_s: np.ndarray | None, *, index_time_s: np.ndarray | None = None, **attrs: Any) -> xr.Dataset:
-        defaults = {
-            "recording": "made",
-            "domain": "time",
-            "rate_hz": 50_000.0,
-            "encoder_kind": "pulse_times",
-            "revs_per_cycle": 1,
-            "pulses_per_rev": 360,
-            "missing_teeth": 0,
-            "ratio": 1.0,
-        }
-        text = {"units": "1"}
-        made = xr.Dataset(
-            {
-                "signal": (("channel", "time"), np.zeros((1, 5001)), {"units": "see unit"}),
-                "channel": ("channel", ["A"], text),
-                "unit": ("channel", ["m/s2"], text),
-                "quantity": ("channel", ["acceleration"], text),
-            },
-            attrs=defaults | attrs,
-        )
+        defaults = {"rate_hz": 50_000.0, "encoder_kind": "pulse_times", "revs_per_cycle": 1}
+        defaults |= {"pulses_per_rev": 360, "missing_teeth": 0, "ratio": 1.0}
+        made = sampled(np.zeros((1, 5001)), **(defaults | attrs))
         if pulse_time_s is not None:
             made["pulse_time"] = ("pulse", pulse_time_s, {"units": "s"})
         if index_time_s is not None:

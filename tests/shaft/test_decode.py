@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from crankorder.errors import InputError
 from crankorder.quantities import check_dataset, flags_of
@@ -12,6 +11,7 @@ from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, integrated_speed
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
+from made.recordings import sampled
 
 SETTINGS = load_settings().shaft
 
@@ -121,22 +121,9 @@ def test_an_encoder_with_too_few_samples_per_tooth_is_bad_and_says_when():
     revs = (10.0 * time_s + 5.0 * time_s**2) % 1.0  # 600 to 3600 rpm: 60 teeth a revolution reach 3600 teeth a second
     trace = (np.floor(revs * 120) % 2).astype(np.float32)
     pulses = find_pulses(trace, rate_hz=6000.0, kind="square", edge="rising", pulses_per_rev=60, settings=SETTINGS)
-    recording = xr.Dataset(
-        {
-            "signal": (("channel", "time"), np.zeros((1, 30_000)), {"units": "see unit"}),
-            "pulse_time": ("pulse", pulses.time_s, {"units": "s"}),
-        },
-        coords={name: ("channel", ["A"], {"units": "1"}) for name in ("channel", "unit", "quantity")},
-        attrs={
-            "recording": "made",
-            "domain": "time",
-            "rate_hz": 6000.0,
-            "encoder_kind": "square",
-            "pulses_per_rev": 60,
-            "pulse_noise_s": pulses.noise_s,
-            "revs_per_cycle": 1,
-        },
-    )
+    attrs = {"encoder_kind": "square", "pulses_per_rev": 60, "pulse_noise_s": pulses.noise_s, "revs_per_cycle": 1}
+    recording = sampled(np.zeros((1, 30_000)), rate_hz=6000.0, **attrs)
+    recording["pulse_time"] = ("pulse", pulses.time_s, {"units": "s"})
     try:
         flags = flags_of(shaft_angle(recording, settings=SETTINGS))
     except InputError:

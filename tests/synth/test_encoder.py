@@ -20,6 +20,7 @@ from crankorder.synth.encoder import (
 )
 from crankorder.synth.motion import Motion
 from crankorder.synth.parts import Encoder
+from made.recordings import sampled as recording_of
 
 RATE_HZ = 50_000.0
 N_SAMPLES = 250_000
@@ -49,18 +50,9 @@ def signals(motion: Motion, encoder: Encoder) -> EncoderSignals:
 
 def decoded(made: EncoderSignals, encoder: Encoder) -> xr.Dataset:
     """ShaftAngle as the pipeline makes it of these signals."""
-    attrs = {
-        "recording": "made",
-        "domain": "time",
-        "rate_hz": RATE_HZ,
-        "encoder_kind": "square",
-        "revs_per_cycle": 1,
-        "pulses_per_rev": encoder.pulses_per_rev,
-        "missing_teeth": encoder.missing_teeth,
-        "ratio": encoder.ratio,
-        "index_to_tdc_deg": encoder.index_to_tdc_deg,
-    }
-    recording = xr.Dataset({"signal": (("channel", "time"), np.zeros((1, N_SAMPLES)))}, attrs=attrs)
+    keys = ("pulses_per_rev", "missing_teeth", "ratio", "index_to_tdc_deg")
+    attrs = {"encoder_kind": "square", "revs_per_cycle": 1, **{key: getattr(encoder, key) for key in keys}}
+    recording = recording_of(np.zeros((1, N_SAMPLES)), rate_hz=RATE_HZ, **attrs)
     how = {"rate_hz": RATE_HZ, "kind": "square", "edge": "rising", "settings": SHAFT}
     pulses = find_pulses(made.trace, pulses_per_rev=encoder.pulses_per_rev, **how)
     recording["pulse_time"], recording.attrs["pulse_noise_s"] = ("pulse", pulses.time_s), pulses.noise_s

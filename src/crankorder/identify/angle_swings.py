@@ -11,6 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.said import OR_OWN
 from crankorder.orders.swing_evidence import HARMONICS
 from crankorder.orders.true_angle import LINES, LINES_PER_HARMONIC, TAKEN, left_of, swing_shown
 from crankorder.quantities import Floats
@@ -31,14 +32,14 @@ SWING_NUMBERS = _SwingNumbers.load()
 WHOLE_HALVES = 0.05
 """An order this near, in half orders, to so many half orders from another is one."""
 
+MOST_ROWS = 128
+"""Speeds of a line that are looked at, evenly spread."""
+
 MOST_TIMES = 4
 """Most turns of a swing by which a line lies beside its order: the n-th sideband is as large as the n-th power."""
 
 OF_ENCODER = "encoder eccentricity: sideband of order"
 """Begin of the words for what is left of sidebands whose cause is proved."""
-
-OR_OWN = "sideband by a swing of the angle or a line of its own"
-"""Words for a line that the swing of the shaft or an error of its encoder may make, which nothing proves."""
 
 Words = dict[tuple[str, float], tuple[str, str]]
 """Cause and evidence by channel and order."""
@@ -156,17 +157,19 @@ class _Given:
 
 def _given(line: OrderLine, order: float, number: float, carrier: OrderLine, swings: AngleSwings) -> list[_Given]:
     """What ``swings`` give to ``line`` at ``order`` at most of its ``carrier`` at the order ``number``."""
-    rpm, parts = line.speed_rpm, []
+    rpm, parts = line.speed_rpm[_rows(line)], []
     # what is not seen must not let two orders each be the sideband of the other
     unseen = number * float(carrier.amplitude.max()) > order * float(line.amplitude.max())
     for half_orders in (2.0 * abs(order - number), 2.0 * (order + number)):
         at = round(half_orders)
         if not at or abs(half_orders - at) > WHOLE_HALVES:
             continue
-        here, largest, known = _amplitudes(carrier, rpm, order / number)
         divisors = [n for n in range(1, MOST_TIMES + 1) if at % n == 0]
         swing = np.sum([(np.pi * number * swings.at(at // n, rpm, unseen=unseen)) ** n for n in divisors], axis=0)
         left = swings.left_rev.get(at // 2, 0.0) if at % 2 == 0 else 0.0
+        if not swing.any() and not left:
+            continue
+        here, largest, known = _amplitudes(carrier, rpm, order / number)
         parts.append(_Given(number, swing * (here + largest), known, by_encoder=False))
         parts.append(_Given(number, np.pi * number * left * here, known, by_encoder=True))
     return [part for part in parts if part.amplitude.any()]
@@ -197,5 +200,10 @@ def _within(line: OrderLine, given: Sequence[_Given], *, speeds: int) -> bool:
     allowed = np.sum([part.amplitude for part in given], axis=0)
     known = np.sum([part.amplitude * part.known for part in given], axis=0) >= 0.5 * allowed
     scatter = np.nan_to_num(line.amplitude_error) * SWING_NUMBERS.scatter_sigmas
-    above = line.amplitude > (1.0 + SWING_NUMBERS.alike_share) * allowed + scatter
-    return not (above & known).any() and bool(np.count_nonzero(above) <= 0.5 * speeds)
+    above = line.amplitude[_rows(line)] > (1.0 + SWING_NUMBERS.alike_share) * allowed + scatter[_rows(line)]
+    return not (above & known).any() and bool(np.mean(above) * len(line.amplitude) <= 0.5 * speeds)
+
+
+def _rows(line: OrderLine) -> slice:
+    """Rows of a ``line`` that are looked at: those of a sweep are many, and alike."""
+    return slice(None, None, -(-len(line.amplitude) // MOST_ROWS))

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from crankorder.identify.above_trend import Seen, above_trend, evidence_beside, in_range, seen_all_around, width_rpm
-from crankorder.identify.false_discovery import claimed, simes
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderResponse, Verdict, Whirl
-from crankorder.identify.intervals import ENDLESS_FREEDOM, half_width, positive_interval
+from crankorder.identify.intervals import ENDLESS_FREEDOM, claimed, half_width, positive_interval, simes
 from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.responses import with_and_without
 from crankorder.identify.said import NUMBERS as SAID

@@ -9,19 +9,18 @@ from functools import partial
 import numpy as np
 
 from crankorder.findings import BearingFinding
-from crankorder.identify.angle_swings import OR_OWN, Words
+from crankorder.identify.angle_swings import Words
 from crankorder.identify.cycle_forces import CycleForce, cycle_forces, gas_half_orders
 from crankorder.identify.folds import ShownFold
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
 from crankorder.identify.intervals import half_width
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.known_lines import LineSeen, named_by, words_of
-from crankorder.identify.lines.growth import largest
+from crankorder.identify.lines.growth import is_motion, largest, order_one
 from crankorder.identify.mains import OR_ANOTHER, mains_orders, multiple_on, multiples_near, supply_told
 from crankorder.identify.modal.tones import NEAR_BINS
 from crankorder.identify.modal.tones import NUMBERS as TONES
-from crankorder.identify.order_one import is_motion, order_one
-from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, mains_words
+from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, OR_OWN, mains_words
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.sidebands import (
     BY_ITSELF,

@@ -35,6 +35,7 @@ from crankorder.identify.lines.followed_orders import (
     with_followed,
     with_track_rows,
 )
+from crankorder.identify.lines.growth import if_unbalance
 from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.order_lock import speed_source
@@ -44,7 +45,6 @@ from crankorder.identify.modal.ringing import without_swings
 from crankorder.identify.modal.sweep_modes import with_rows_of_fits
 from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
 from crankorder.identify.modal.tones import with_one_mains
-from crankorder.identify.order_one import if_unbalance
 from crankorder.identify.records import (
     avoided_records,
     crossing_records,

@@ -315,10 +315,12 @@ def _size_at(agreed: AgreedOrder, rpm: float) -> float | None:
 
 
 def _is_at(known: LineSeen, agreed: AgreedOrder) -> bool:
+    """Whether ``known`` is ``agreed``; a locked one is, if it is a whole order of the rotor, or where both are said."""
+    away, apart = abs(known.sighting.order - agreed.order), NUMBERS.apart_cycles
     if agreed.lock == "locked":
-        return _stands_on(known, agreed.order)
-    reach = half_width(agreed.degrees_of_freedom) * agreed.order_error
-    return abs(known.sighting.order - agreed.order) <= max(reach, NUMBERS.apart_cycles / known.held.span_rev)
+        exact = known.line.mains == 0 and not known.line.of
+        return away * known.held.span_rev < apart and (exact or bool(known.also))
+    return away <= max(half_width(agreed.degrees_of_freedom) * agreed.order_error, apart / known.held.span_rev)
 
 
 def _goes_with(known: LineSeen, agreed: AgreedOrder) -> bool:
@@ -327,13 +329,6 @@ def _goes_with(known: LineSeen, agreed: AgreedOrder) -> bool:
     speeds = np.unique(np.concatenate([line.speed_rpm for line in agreed.lines]))
     at = known.line.turns + 60.0 * fixed_hz / speeds
     return bool(np.mean(np.abs(at - agreed.order) < NUMBERS.same_place_orders) >= NUMBERS.most_share)
-
-
-def _stands_on(known: LineSeen, order: float) -> bool:
-    """Whether a locked ``order`` is that of ``known``: a whole one of the rotor, or where both are said."""
-    exact = known.line.mains == 0 and not known.line.of
-    near = abs(known.sighting.order - order) * known.held.span_rev < NUMBERS.apart_cycles
-    return near and (exact or bool(known.also))
 
 
 def without_known(modal: ModalFit, known: Sequence[LineSeen]) -> ModalFit:
@@ -346,15 +341,12 @@ def without_known(modal: ModalFit, known: Sequence[LineSeen]) -> ModalFit:
     kept = [
         number
         for number, mode in enumerate(modal.modes)
-        if not mode.undecided or not any(_holds(mode.frequency_ends, seen.hertz) for seen in known)
+        for low, high in [(mode.frequency_ends[0] - NUMBERS.same_hz, mode.frequency_ends[1] + NUMBERS.same_hz)]
+        if not mode.undecided or not any(low <= seen.hertz <= high for seen in known)
     ]
     at = np.array([[2 * number, 2 * number + 1] for number in kept], dtype=np.int64).ravel()
     covariance = modal.covariance[np.ix_(at, at)] if len(kept) < len(modal.modes) else modal.covariance
     return replace(modal, modes=tuple(modal.modes[number] for number in kept), covariance=covariance)
-
-
-def _holds(ends: tuple[float, float], hertz: float) -> bool:
-    return ends[0] - NUMBERS.same_hz <= hertz <= ends[1] + NUMBERS.same_hz
 
 
 def words_of(seen: LineSeen) -> str:

@@ -172,7 +172,8 @@ def _hits(lines: _Fixed, mains: float, tones_hz: Sequence[float], settings: Iden
     beside = (np.asarray(tones_hz) / others)[np.abs(np.asarray(tones_hz) - others * mains) <= wander]
     free = low & ~lines.exact
     if free.any() or len(beside):
-        base = float(np.median(np.concatenate([told[free], beside])))
+        # a line of one speed is known better than a tone, which speeds that change smear
+        base = float(np.median(told[free] if free.any() else beside))
         room = np.maximum(KNOWN_LINES.same_hz, NUMBERS.same_sigmas * lines.error_hz)
         return hits & (np.abs(lines.hertz - multiple * base) <= room)
     several = hits & ~lines.exact
@@ -241,14 +242,9 @@ def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz:
     places = [(recording, line[0]) for recording, line in lines if line is not None]
     middle = float(np.median([hertz for _, hertz in places])) if places else 0.0
     places = [(recording, hertz) for recording, hertz in places if abs(hertz - middle) <= same_hz]
-    moves = any(_moves(a[0], b[0], middle) for a, b in combinations(places, 2))
+    seen = [(recording.order_of((middle, 0.0)), recording.span_rev) for recording, _ in places]
+    moves = any(abs(a - b) * min(span, other) > NUMBERS.moved_cycles for (a, span), (b, other) in combinations(seen, 2))
     return places if len(places) >= NUMBERS.least_speeds and moves else []
-
-
-def _moves(one: Held, other: Held, hertz: float) -> bool:
-    """Whether an order that is at ``hertz`` in ``one`` is somewhere else in the ``other``."""
-    apart = abs(one.order_of((hertz, 0.0)) - other.order_of((hertz, 0.0)))
-    return apart * min(one.span_rev, other.span_rev) > NUMBERS.moved_cycles
 
 
 def without_ringing(known: Sequence[LineSeen], modes: Sequence[Mode]) -> tuple[LineSeen, ...]:

@@ -18,6 +18,9 @@ ONE_SPEED = "too few speeds to tell how it grows"
 LIKE_UNBALANCE = "unbalance, bent shaft or misalignment"
 """What order 1 is called where nothing tells these apart."""
 
+OR_OWN = "sideband by a swing of the angle or a line of its own"
+"""Words for a line that the swing of the shaft or an error of its encoder may make, which nothing proves."""
+
 NOT_AS_UNBALANCE = "does not grow as unbalance does"
 """What is said of an order 1 that surely grows more slowly."""
 

@@ -188,7 +188,7 @@ FAMILY_NUMBERS = _FamilyNumbers.load()
 
 Key = tuple[str, float]
 
-MESH = "shaft harmonic or gear mesh or blade passing: integer order with sidebands"
+MESH = "shaft harmonic or gear mesh or blade passing"
 
 BY_ITSELF = ("unexplained", "shaft harmonic")
 """Words for lines that a mesh beside them explains better."""

@@ -121,8 +121,9 @@ def speeds_to_avoid(
     low, high = speed_rpm
     if not (np.isfinite(low) and np.isfinite(high)):
         return SpeedVerdicts(tuple(avoid), (), ())
-    opened = [
-        *_by_avoided(avoid),
+    least, most = 1.0 - NUMBERS.beside_share, 1.0 + NUMBERS.beside_share
+    opened = [  # what speeds to avoid take is not open, but neither is it free
+        *(_Open(min(a.rpm_range[0], a.rpm * least), max(a.rpm_range[1], a.rpm * most), "") for a in avoid),
         *_by_modes(found, modal, unit, largest, speed_rpm, settings),
         *_by_unseen(orders, modal, speed_rpm, settings),
         *_by_ringing(modal, speed_rpm),
@@ -287,12 +288,6 @@ def _joined(group: list[AvoidedSpeed]) -> AvoidedSpeed:
         modes_hz=tuple(item.modes_hz[0] for item in by_cost),
         reason=" and ".join(item.reason for item in by_cost),
     )
-
-
-def _by_avoided(avoid: Sequence[AvoidedSpeed]) -> list[_Open]:
-    """What speeds to avoid take: these are not open, but neither are they free."""
-    low, high = 1.0 - NUMBERS.beside_share, 1.0 + NUMBERS.beside_share
-    return [_Open(min(a.rpm_range[0], a.rpm * low), max(a.rpm_range[1], a.rpm * high), "") for a in avoid]
 
 
 def _by_modes(

@@ -184,6 +184,16 @@ def noise_beside(energy: Floats, bins: Ints) -> Floats:
     return np.asarray((beside * noise).sum(axis=-1) / noise.sum(axis=-1))
 
 
+def median_of_known(values: Floats, *, axis: int) -> Floats:
+    """Median of ``values`` along ``axis`` of what is known; NaN where nothing is."""
+    ordered = np.sort(values, axis=axis)
+    count = np.count_nonzero(~np.isnan(ordered), axis=axis)
+    low = np.expand_dims(np.maximum(count - 1, 0) // 2, axis)
+    high = np.expand_dims(np.minimum(count // 2, values.shape[axis] - 1), axis)
+    both = [np.take_along_axis(ordered, at, axis=axis).squeeze(axis) for at in (low, high)]
+    return np.asarray(0.5 * (both[0] + both[1]))
+
+
 def median_beside(power: Floats, half: int) -> Floats:
     """Median of ``power`` (bins,) over ``half`` bins on each side of each bin."""
     beside = np.lib.stride_tricks.sliding_window_view(np.pad(power, half, mode="reflect"), 2 * half + 1)

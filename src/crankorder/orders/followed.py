@@ -220,7 +220,8 @@ def _frames_of_speeds(tracks: xr.Dataset, items: list[xr.Dataset]) -> list[Ints]
     """
     rows = tracks["speed"].values
     speed = np.concatenate([item["speed"].values for item in items])
-    reach = np.concatenate([_reach(item["speed"].values) for item in items])
+    steps = [np.abs(np.diff(own := item["speed"].values, prepend=own[:1], append=own[-1:])) for item in items]
+    reach = np.concatenate([np.maximum(step[:-1], step[1:]) for step in steps])  # to the frame before or after
     reach = np.maximum(reach, float(tracks.attrs.get("speed_bin_rpm", 0.0)))
     apart = np.abs(speed[:, None] - rows)
     nearest = np.where(apart.min(axis=1) <= reach, apart.argmin(axis=1), -1)
@@ -232,12 +233,6 @@ def _frames_of_speeds(tracks: xr.Dataset, items: list[xr.Dataset]) -> list[Ints]
             group = np.flatnonzero(np.isfinite(within) & (within == within.min()))
         groups.append(group)
     return groups
-
-
-def _reach(speed_rpm: Floats) -> Floats:
-    """How far the speed of each frame is from that of the frame before or after it, whichever is further."""
-    step = np.abs(np.diff(speed_rpm, prepend=speed_rpm[:1], append=speed_rpm[-1:]))
-    return np.maximum(step[:-1], step[1:])
 
 
 def _put_speed(tracks: xr.Dataset, row: int, speed: int, readings: Readings, *, comparable: bool) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import xarray as xr
 
-from crankorder.orders.averages import median_beside
+from crankorder.orders.averages import median_beside, median_of_known
 from crankorder.quantities import WHICH_IS_RIGHT, Floats, QualityFlag
 from crankorder.settings import STANDARD_GRAVITY_M_S2
 
@@ -82,7 +82,7 @@ def gain_steps(speed_rpm: Floats, blocks: Floats, lines: Floats, *, ratio: float
     if len(blocks) < 3 or blocks.shape[1] < 2 or blocks.shape[2] < _FEWEST_BLOCKS:
         return []
     moves = _moves(speed_rpm, blocks)
-    whole = _median(moves, axis=2)
+    whole = median_of_known(moves, axis=2)
     candidates = [(int(s), int(c)) for s, c in zip(*np.nonzero(np.abs(whole) >= math.log(ratio)), strict=True)]
     rest = np.ones(whole.shape, dtype=bool)
     for step, channel in candidates:
@@ -152,9 +152,9 @@ def _moves(speed_rpm: Floats, blocks: Floats) -> Floats:
     known = apart > 1e-3
     if not known.any():
         return moves
-    slopes = _median(moves[known], axis=2) / apart[known][:, None]
+    slopes = median_of_known(moves[known], axis=2) / apart[known][:, None]
     common = float(np.nanmedian(slopes)) if np.isfinite(slopes).any() else 0.0
-    own = np.nan_to_num(_median(slopes.T, axis=1), nan=common) if known.sum() >= _OWN_SLOPE else common
+    own = np.nan_to_num(median_of_known(slopes.T, axis=1), nan=common) if known.sum() >= _OWN_SLOPE else common
     return np.asarray(moves - (apart[:, None] * own)[..., None])
 
 
@@ -193,7 +193,9 @@ def _told_by_orders(lines: Floats, step: int, channel: int, jump: float, moved: 
     How orders move beside those of other channels is told by the steps without jumps (not ``moved``), and by how these
     differ from one another; heavy tails, as of the Laplace distribution, keep one order from proving much.
     """
-    moves = _beside_others(lines)
+    moves = np.diff(np.log(lines), axis=0)
+    others = [median_of_known(np.delete(moves, each, axis=1), axis=1) for each in range(moves.shape[1])]
+    moves = moves - np.stack(others, axis=1)
     own = moves[step, channel][np.isfinite(moves[step, channel])]
     if not own.size:
         return 0.0
@@ -201,26 +203,6 @@ def _told_by_orders(lines: Floats, step: int, channel: int, jump: float, moved: 
     scatter = float(np.median(np.abs(own - np.median(own))))
     scatter = max(scatter, float(np.nanmedian(elsewhere)) if np.isfinite(elsewhere).any() else 0.0)
     return float(np.sum(np.abs(own) - np.abs(own - jump))) / max(_LEAST_SCALE, scatter / math.log(2.0))
-
-
-def _beside_others(lines: Floats) -> Floats:
-    """Logarithm by which each order moves from recording to recording beside the median of the other channels.
-
-    (steps, channels, orders).
-    """
-    moves = np.diff(np.log(lines), axis=0)
-    others = [_median(np.delete(moves, channel, axis=1), axis=1) for channel in range(moves.shape[1])]
-    return np.asarray(moves - np.stack(others, axis=1))
-
-
-def _median(values: Floats, *, axis: int) -> Floats:
-    """Median along ``axis`` of what is known; NaN where nothing is."""
-    ordered = np.sort(values, axis=axis)
-    count = np.count_nonzero(~np.isnan(ordered), axis=axis)
-    low = np.expand_dims(np.maximum(count - 1, 0) // 2, axis)
-    high = np.expand_dims(np.minimum(count // 2, values.shape[axis] - 1), axis)
-    both = [np.take_along_axis(ordered, at, axis=axis).squeeze(axis) for at in (low, high)]
-    return np.asarray(0.5 * (both[0] + both[1]))
 
 
 @dataclass(frozen=True)

@@ -115,9 +115,8 @@ def reframed(item: xr.Dataset, revs: int) -> xr.Dataset | None:
     for run in np.split(np.arange(len(begin)), np.flatnonzero(np.diff(begin) >= length) + 1):
         signal, weight, top = _regained(item["spectrum"].values[:, run], begin[run], length, per_rev)
         made, first = _cut(signal, weight, revs, hop, per_rev, n_orders)
-        made[np.broadcast_to(np.arange(n_orders) / revs > _lowest(top, first, revs, per_rev)[:, None], made.shape)] = (
-            np.nan
-        )
+        lowest = np.array([top[start : start + revs * per_rev].min() for start in first]) + 1e-9
+        made[np.broadcast_to(np.arange(n_orders) / revs > lowest[:, None], made.shape)] = np.nan
         angle = begin[run[0]] + first / per_rev
         turn = np.exp(-2j * np.pi * (np.outer(angle, np.arange(n_orders) / revs) % 1.0))
         spectra.append(made * turn)
@@ -179,11 +178,6 @@ def _cut(signal: Floats, weight: Floats, revs: int, hop: int, per_rev: int, n_or
     window = hann(n).values
     pieces = sliding_window_view(signal, n, axis=1)[:, first] * window
     return np.asarray(np.fft.rfft(pieces, axis=2)[..., :n_orders] * (2.0 / window.sum())), first
-
-
-def _lowest(top: Floats, first: Ints, revs: int, per_rev: int) -> Floats:
-    """Lowest of the limits ``top`` (samples,) within each frame of ``revs`` that begins at the samples ``first``."""
-    return np.array([top[begin : begin + revs * per_rev].min() for begin in first]) + 1e-9
 
 
 def _speeds_at(middle_rev: Floats, known_rev: Floats, speed_rpm: Floats) -> Floats:

@@ -315,7 +315,9 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     sums = _sums(value, rows.noise, harmonic, expected)
     # sidebands as measured: what was taken out already is put back into the targets to first order
     sums = _put_back(sums, known)
-    grid = _grid(expected.largest_rev(harmonic))
+    radius = np.geomspace(2e-4, 1.0, RADII) * expected.largest_rev(harmonic)
+    phase = 2.0 * np.pi * np.arange(PHASES) / PHASES
+    grid = (radius[:, None] * np.exp(1j * phase)).ravel()
     settings = expected.settings
     gain = _gains(sums, grid, settings, slack=GRID_SLACK)
     total = gain.sum(axis=1) - 0.5 * np.square(np.abs(grid) / expected.usual_rev(harmonic))
@@ -392,13 +394,6 @@ def _power(sums: _Sums, size: complex | Complexes) -> Floats:
 def _product(sums: _Sums, size: complex | Complexes) -> Complexes:
     """Sum of conj(p) y over the noise."""
     return np.asarray(np.conj(size) * sums.low + size * sums.high)
-
-
-def _grid(largest_rev: float) -> Complexes:
-    """E_k up to ``largest_rev`` over which odds are weighed: even in the logarithm of the size and in the phase."""
-    radius = np.geomspace(2e-4, 1.0, RADII) * largest_rev
-    phase = 2.0 * np.pi * np.arange(PHASES) / PHASES
-    return np.asarray((radius[:, None] * np.exp(1j * phase)).ravel())
 
 
 def _seen_of(sums: _Sums, size: complex | Complexes) -> tuple[Floats, Complexes, Floats]:

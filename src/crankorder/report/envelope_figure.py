@@ -36,7 +36,9 @@ def envelope_figure(envelope: xr.Dataset, findings: Findings, *, settings: Repor
     places = [(_LEFT, bottom, width, height) for bottom, height in heights]
     mean, floor = (_mean_over_speeds(envelope, name) for name in ("amplitude", "floor"))
     panels = column_panels(drawing, places, envelope, "order", mean, " (envelope)", settings=settings)
-    seen = _found(findings)
+    records = [record for record in findings.bearings if record.seen_in == "envelope" and is_number(record.order)]
+    texts = {record.order: order_name(record, findings) for record in records}
+    seen = [(order, text, LINES[1]) for order, text in texts.items()]
     marks, found = _expected(findings, width - _room_of(seen)), False
     for panel in panels:
         for order, _, color in marks:
@@ -137,13 +139,6 @@ def _short(names: set[str], letters: int) -> dict[str, str]:
 def _room_of(marks: list[Mark]) -> float:
     """Inches that the texts of ``marks`` take side by side."""
     return sum(label_width_in(EdgeLabel(0.0, text, color)) for _, text, color in marks)
-
-
-def _found(findings: Findings) -> list[Mark]:
-    """Order, text and colour of every line that was found in the envelope."""
-    records = [record for record in findings.bearings if record.seen_in == "envelope" and is_number(record.order)]
-    texts = {record.order: order_name(record, findings) for record in records}
-    return [(order, text, LINES[1]) for order, text in texts.items()]
 
 
 def _draw_found(

@@ -192,18 +192,14 @@ def level_reference(quantity: str, unit: str, *, settings: ReportSettings) -> tu
     """
     if quantity == "acceleration" and unit in _SI_ACCELERATION:
         reference = settings.acceleration_reference_m_s2
-        return reference / _SI_ACCELERATION[unit], f"dB re {_power(reference)} m/s² (peak)"
+        mantissa, exponent = map(float, f"{reference:e}".split("e"))
+        return reference / _SI_ACCELERATION[unit], f"dB re {mantissa:g}e{exponent:g} m/s² (peak)"
     from crankorder.quantities import is_sound  # loads xarray, which numbers and names of a balance need not wait for
 
     if unit in _SI_PRESSURE and is_sound(quantity, unit):
         reference = settings.pressure_reference_pa
         return reference / _SI_PRESSURE[unit], f"dB re {number_text(reference * 1e6, digits=2)} µPa (peak)"
     return 1.0, f"dB re 1 {unit_text(unit)} (peak)".replace("1  ", "1 ")
-
-
-def _power(value: float) -> str:
-    mantissa, exponent = f"{value:e}".split("e")
-    return f"{float(mantissa):g}e{int(exponent)}"
 
 
 def listed(words: Sequence[str]) -> str:

@@ -137,7 +137,9 @@ def _table(records: tuple[Record, ...], kind: type[Record], channels: Mapping[st
 
 
 def _column(column: Column, values: list[Any]) -> tuple[tuple[str, ...], NDArray[Any], dict[str, str]]:
-    about = {"long_name": column.text} | ({"units": units} if (units := _units_of(column.key)) else {})
+    name = column.key.removesuffix("_ci95")
+    units = _UNITS_BY_NAME.get(name) or next((unit for end, unit in _UNITS_BY_END.items() if name.endswith(end)), "")
+    about = {"long_name": column.text} | ({"units": units} if units else {})
     if column.kind == "bool":
         return ("record",), np.array([-1 if value is None else int(value) for value in values], dtype=np.int8), about
     if column.kind == "number":
@@ -145,15 +147,7 @@ def _column(column: Column, values: list[Any]) -> tuple[tuple[str, ...], NDArray
     if column.kind == "interval":
         pairs = [[np.nan if end is None else end for end in (value or (None, None))] for value in values]
         return ("record", "bound"), np.array(pairs, dtype=np.float64), about
-    texts = ["" if value is None else value if isinstance(value, str) else _listed(value) for value in values]
+    texts = [
+        "" if value is None else value if isinstance(value, str) else ", ".join(map(str, value)) for value in values
+    ]
     return ("record",), np.array(texts, dtype=object), {"long_name": column.text}
-
-
-def _units_of(key: str) -> str:
-    name = key.removesuffix("_ci95")
-    by_end = next((unit for end, unit in _UNITS_BY_END.items() if name.endswith(end)), "")
-    return _UNITS_BY_NAME.get(name) or by_end
-
-
-def _listed(values: Any) -> str:
-    return ", ".join(str(value) for value in values)

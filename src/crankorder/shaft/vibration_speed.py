@@ -137,7 +137,7 @@ class Tie:
 
 @dataclass(frozen=True)
 class VibrationSpeed:
-    """Crank speed (knots,) at ``time_s`` [s] with its standard error, as the vibration tells it.
+    """Crank speed (knots,) at ``time_s`` [s], as the vibration tells it.
 
     ``confidence`` (0…1 per knot) is the probability that the speed is within 2 % of ``speed_rpm``, by the model of
     lines and noise; ``ties`` are other fundamentals that explain the lines nearly as well, best first; ``knots`` the
@@ -146,7 +146,6 @@ class VibrationSpeed:
 
     time_s: FloatArray
     speed_rpm: FloatArray
-    standard_error_rpm: FloatArray
     confidence: FloatArray
     ties: list[Tie]
     remarks: list[Remark]
@@ -209,12 +208,12 @@ def speed_from_vibration(
     # against the other fundamentals, and against no shaft at all
     others = float(share.sum()) + math.exp(-run.best)
     confidence = _confidence(evidence, run.log_odds, run.path, ratio, settings) / others
-    knots, error_rpm = run.knots, run.error_rpm
+    knots = run.knots
     if ratio[chosen] != 1.0:
-        knots, error_rpm = phase_corrected(signals, rate_hz, run.at_ratio(float(ratio[chosen])), order)
+        knots = phase_corrected(signals, rate_hz, run.at_ratio(float(ratio[chosen])), order)
     confidence = np.interp(knots.time_s, evidence.time_s, confidence)
     remarks = _told(knots.time_s, confidence, ties)
-    return VibrationSpeed(knots.time_s, knots.speed_rpm, error_rpm, confidence, ties, remarks, knots)
+    return VibrationSpeed(knots.time_s, knots.speed_rpm, confidence, ties, remarks, knots)
 
 
 def trusted_angle(found: VibrationSpeed) -> AngleKnots:
@@ -303,7 +302,6 @@ class _Run:
     log_odds: FloatArray
     path: IntArray
     knots: AngleKnots
-    error_rpm: FloatArray
     ratio: FloatArray
     family: FamilyEvidence
 
@@ -351,12 +349,11 @@ def _explained(
 ) -> _Run:
     """The run ``path``, read between speeds of the grid, and what fundamental explains its lines."""
     speed_hz = evidence.speed_hz[path] * np.exp(_step(evidence) * _parabolic(log_odds, path))
-    knots, error_rpm = phase_corrected(
-        signals, rate_hz, _angle_of(evidence.time_s, speed_hz, signals.shape[1] / rate_hz), order
-    )
+    start = _angle_of(evidence.time_s, speed_hz, signals.shape[1] / rate_hz)
+    knots = phase_corrected(signals, rate_hz, start, order)
     ratio = _possible_ratios(knots.speed_rpm / 60.0, range_hz)
     family = family_evidence(signals, rate_hz, knots, ratio=ratio, order=order, weight=weight)
-    return _Run(log_odds, path, knots, error_rpm, ratio, family)
+    return _Run(log_odds, path, knots, ratio, family)
 
 
 def _mended_path(run: _Run, evidence: SpeedEvidence, settings: ShaftSettings) -> IntArray | None:
@@ -406,23 +403,19 @@ def _angle_of(time_s: FloatArray, speed_hz: FloatArray, end_s: float) -> AngleKn
     return AngleKnots(passed_s, even, speed_rpm, np.full(even.size, np.nan), 1.0 / FRAME_REVS, float("nan"))
 
 
-def phase_corrected(
-    signals: FloatArray, rate_hz: float, run: AngleKnots, order: FloatArray
-) -> tuple[AngleKnots, FloatArray]:
-    """Angle that keeps the phases of the orders still, and the standard error [rpm] (knots,) of its speed.
+def phase_corrected(signals: FloatArray, rate_hz: float, run: AngleKnots, order: FloatArray) -> AngleKnots:
+    """Angle that keeps the phases of the orders still.
 
     ``signals``: (channels, samples), ``rate_hz`` samples per second. ``run``: an angle from 0 on whose speed is right
     to a per cent. ``order``: (orders,), orders that may show. The standard error of the angle is that between
     a knot and the middle of all: noise, what the orders differ by, and what a frame averages away.
     """
     for _ in range(PASSES):
-        run, error_rpm = _corrected(signals, rate_hz, run, order)
-    return run, error_rpm
+        run = _corrected(signals, rate_hz, run, order)
+    return run
 
 
-def _corrected(
-    signals: FloatArray, rate_hz: float, run: AngleKnots, order: FloatArray
-) -> tuple[AngleKnots, FloatArray]:
+def _corrected(signals: FloatArray, rate_hz: float, run: AngleKnots, order: FloatArray) -> AngleKnots:
     """One pass of :func:`phase_corrected`."""
     from scipy.ndimage import uniform_filter1d
 
@@ -447,8 +440,6 @@ def _corrected(
     bend = np.diff(change, prepend=change[:1], append=change[-1:]) / 4.0
     averaged = uniform_filter1d(bend**2, 2 * SNR_REACH + 1, mode="nearest")
     error = np.sqrt(spread + noise + noise[noise.size // 2] + averaged)
-    slope_error = 1.0 / np.sqrt(np.sum(vote * gain**2, axis=1) + (COARSE_ERROR * hop) ** -2.0) / hop
-    slope_error = np.append(slope_error[:1], np.maximum(slope_error, np.append(slope_error[1:], slope_error[-1])))
     # beyond the frames the run errs as where they end, give or take what it usually does
     ends = KNOTS_PER_FRAME // 2
     angle = np.concatenate(
@@ -461,9 +452,7 @@ def _corrected(
     time_s[[0, -1]] = run.time_s[[0, -1]]
     speed_rpm = 60.0 * np.gradient(true, time_s)
     error = np.hypot(np.pad(error, ends, "edge"), usual * beyond)
-    slope_error = np.hypot(np.pad(slope_error, ends, "edge"), usual * (beyond > 0.0))
-    knots = AngleKnots(time_s, true, speed_rpm, error, 1.0 / FRAME_REVS, float("nan"))
-    return knots, slope_error * speed_rpm
+    return AngleKnots(time_s, true, speed_rpm, error, 1.0 / FRAME_REVS, float("nan"))
 
 
 def _wrapped(phase: FloatArray) -> FloatArray:

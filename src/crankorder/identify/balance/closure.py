@@ -114,7 +114,8 @@ def _by_engine_orders(
     if not modal.modes:
         raise _Refused(f"no natural frequency was found, without which the path is not known; {TRIAL_MASS}")
     _check_firing(orders, engine)
-    seen = _seen(orders)
+    whole = [(order.order, round(order.order)) for order in orders if order.lock != "slips" and order.lines]
+    seen = {number for order, number in whole if number > 0 and abs(order - number) < NUMBERS.order_match}
     bins = [float(value) for value in order_map["order"].values if value <= 12]
     shaker = engine_shaker(
         engine, order_map["speed"].values.astype(float), seen=seen, highest=int(max(bins, default=0))
@@ -145,12 +146,6 @@ def _check_firing(orders: tuple[AgreedOrder, ...], engine: Engine) -> None:
             f"half orders ({', '.join(half)}) show gas torque, which rocks the crankcase at every order of the known "
             f"forces too. Motor it without compression; or {TRIAL_MASS}"
         )
-
-
-def _seen(orders: tuple[AgreedOrder, ...]) -> set[int]:
-    """Whole orders that stand above the floor and do not slip."""
-    whole = [(order, round(order.order)) for order in orders if order.lock != "slips" and order.lines]
-    return {number for order, number in whole if number > 0 and abs(order.order - number) < NUMBERS.order_match}
 
 
 def _check_scale(measured: MeasuredOrders, shaker: EngineShaker) -> None:

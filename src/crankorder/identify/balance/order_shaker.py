@@ -140,7 +140,9 @@ def shaker_fit(
         theta, fit = _solved(problem, theta)
     misfit = 0.0
     quiet, left_over = _chi_square(problem, fit), float((np.abs(fit.error) ** 2).sum())
-    if quiet > 1 + 2 * _scatter_of_chi_square(problem):  # not sound
+    # against the standard deviation of the mean square error, channels counted as telling the same
+    free = np.count_nonzero(np.isfinite(problem.measured.error).any(axis=0)) * _n_free(problem)
+    if quiet > 1 + 2 * float(1.5 / np.sqrt(max(1.0, free))):  # not sound
         misfit, problem, theta, fit = _with_misfit(problem, theta, fit)
     return _result(problem, theta, fit, misfit=misfit, quiet=(quiet, left_over), odd=odd)
 
@@ -320,12 +322,6 @@ def _n_free(problem: _Problem) -> float:
 def _chi_square(problem: _Problem, fit: _Fit) -> float:
     allowed = 2 * _allowed(problem, power=1).sum() * _n_free(problem)
     return float((np.abs(fit.error) ** 2).sum() / max(allowed, 1e-30))
-
-
-def _scatter_of_chi_square(problem: _Problem) -> float:
-    """Standard deviation of the mean square error, channels counted as telling the same."""
-    free = max(1.0, np.count_nonzero(np.isfinite(problem.measured.error).any(axis=0)) * _n_free(problem))
-    return float(1.5 / np.sqrt(free))
 
 
 def _odd_speed(problem: _Problem, fit: _Fit) -> float | None:

@@ -109,7 +109,9 @@ def measured_orders(order_map: xr.Dataset, orders: Sequence[int], *, lines: Sequ
     together = np.concatenate(correlation) if at else np.zeros((0, len(known), len(known)), dtype=np.complex128)
     speed_rpm = order_map["speed"].values.astype(np.float64)
     hertz = bins * speed_rpm[:, None] / 60.0
-    quiet = np.broadcast_to(_holds_noise(bins, lines), hertz.shape)
+    step = float(bins[1] - bins[0]) if len(bins) > 1 else 1.0
+    away = np.abs(bins[:, None] - np.array(lines, dtype=np.float64)) > (NUMBERS.nearest_bin - 0.5) * step
+    quiet = np.broadcast_to(away.all(axis=1) & (bins > NUMBERS.nearest_bin * step), hertz.shape)  # noise alone
     shape, n_bins = noise_shape(complex_map, frequency_hz=hertz, usable=quiet, at_hz=hertz[:, at].T.ravel())
     return MeasuredOrders(
         channels=tuple(str(order_map["channel"].values[c]) for c in known),
@@ -135,13 +137,6 @@ def _beside(bins: Real, centre: int, lines: Sequence[float]) -> list[int]:
         if NUMBERS.nearest_bin <= abs(i - centre) <= NUMBERS.furthest_bin and bins[i] > NUMBERS.nearest_bin * step
     ]
     return [i for i in near if all(abs(bins[i] - line) > (NUMBERS.nearest_bin - 0.5) * step for line in lines)]
-
-
-def _holds_noise(bins: Real, lines: Sequence[float]) -> NDArray[np.bool_]:
-    """Whether noise alone stands in each of ``bins``."""
-    step = float(bins[1] - bins[0]) if len(bins) > 1 else 1.0
-    away = np.abs(bins[:, None] - np.array(lines, dtype=np.float64)) > (NUMBERS.nearest_bin - 0.5) * step
-    return np.asarray(away.all(axis=1) & (bins > NUMBERS.nearest_bin * step))
 
 
 def _covariance(shape: Complex, error: Real) -> Complex:

@@ -121,13 +121,6 @@ class _Multiple:
         )
 
 
-def _paired(base: MeasuredOrders, new: MeasuredOrders) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Places of the speeds that both tests have."""
-    nearest = np.abs(base.speed_rpm[:, None] - new.speed_rpm).argmin(axis=1)
-    same = np.abs(new.speed_rpm[nearest] / base.speed_rpm - 1) <= NUMBERS.same_speed_share
-    return np.flatnonzero(same), nearest[same]
-
-
 def _in_any_unit(order_map: xr.Dataset) -> xr.Dataset:
     """``order_map`` with its own unit taken for m/s² where none of its vibration channels has one of acceleration.
 
@@ -153,14 +146,15 @@ def _multiple(base_map: xr.Dataset, new_map: xr.Dataset, order: int) -> _Multipl
         return f"the order maps have no bin at order {order}"
     if not base.channels or base.channels != new.channels:
         return "the two tests do not have the same accelerometers"
-    here, there = _paired(base, new)
+    nearest = np.abs(base.speed_rpm[:, None] - new.speed_rpm).argmin(axis=1)
+    here = np.flatnonzero(np.abs(new.speed_rpm[nearest] / base.speed_rpm - 1) <= NUMBERS.same_speed_share)
     if not here.size:
         return "the two tests have no speed in common"
     unpaired = np.ones(base.speed_rpm.size, dtype=bool)
     unpaired[here] = False
     base = base.without(unpaired)
     after, error = np.zeros_like(base.amplitude), np.full(base.error.shape, np.inf)
-    after[:, here], error[:, here] = new.amplitude[:, there], new.steady_error[:, there]
+    after[:, here], error[:, here] = new.amplitude[:, nearest[here]], new.steady_error[:, nearest[here]]
     return _solved(base.without(~np.isfinite(error).all(axis=0)), after, error)
 
 
@@ -199,20 +193,13 @@ def _solved(base: MeasuredOrders, after: Complex, error: Real) -> _Multiple | st
     bread = np.linalg.pinv(fit.jac.T @ fit.jac)
     filling = np.einsum("pcr,rcd,qdr->pq", slope.conj(), base.correlation, slope).real
     each = (np.abs(fit.jac[:n]) ** 2 + np.abs(fit.jac[n:]) ** 2).sum(axis=1)
-    wider = _for_estimated_weights(each, base.own_share[usable] ** 2 / base.freedom[usable])
+    share, unsure = each / each.sum(), base.own_share[usable] ** 2 / base.freedom[usable]
+    # for weights that were estimated from the data: Meier (1953), Biometrics 9, 59
+    wider = 1.0 + 4.0 * float(np.sum(share * (1.0 - share) * unsure))
     covariance = wider * (1.0 if sound else chi_square) * bread @ filling @ bread + missed**2 * abs(
         value
     ) ** 2 * np.eye(2)
     return _Multiple(value, covariance, base, change, missed)
-
-
-def _for_estimated_weights(information: Real, unsure: Real) -> float:
-    """Factor of a variance whose weights were estimated, from the ``information`` of each and how ``unsure`` it is.
-
-    Source: Meier (1953), Biometrics 9, 59; ``unsure`` is 1 over the degrees of freedom there.
-    """
-    share = information / information.sum()
-    return 1.0 + 4.0 * float(np.sum(share * (1.0 - share) * unsure))
 
 
 def _of_crank(record: TrialBalance, found: _Multiple, total: complex) -> TrialBalance:

@@ -95,7 +95,8 @@ def _with_races(record: BearingFinding, records: Sequence[BearingFinding]) -> Be
 
 def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per_cycle: int) -> BearingFinding | None:
     """Record of ``place`` where an order of the vibration lies in it; None where none does."""
-    near = [order for order in orders if _within(order, place)]
+    ends = [(order, half_width(order.degrees_of_freedom) * order.order_error) for order in orders]
+    near = [order for order, spare in ends if place.low - spare <= order.order <= place.high + spare]
     if place.line != "N*fs":
         near = [order for order in near if not _is_locked(order, revs_per_cycle)]
     if not near:
@@ -130,11 +131,6 @@ def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per
 def _height(line: OrderLine) -> float:
     """How far a line stands over the local floor: what compares channels of different units."""
     return line.level_over_floor_db
-
-
-def _within(order: AgreedOrder, place: Place) -> bool:
-    spare = half_width(order.degrees_of_freedom) * order.order_error
-    return place.low - spare <= order.order <= place.high + spare
 
 
 def _is_locked(order: AgreedOrder, revs_per_cycle: int) -> bool:
@@ -367,19 +363,15 @@ def _rivals(line: EnvelopeLine, found: list[EnvelopeLine]) -> list[Candidate]:
     ranked, place_line = line.ranking, line.place.line
     high = {one.place.line for one in (ranked.candidates[0], *ranked.rivals())} if ranked.candidates else set()
     kin = [other for other in found if other.place.name == line.place.name]
+    # a damaged cage has many harmonics: a line at one of them speaks for no other part
     large = {
         other.place.line
         for other in kin
         if other.place.line not in ("FTF", "N*fs")
         and other.amplitude >= NUMBERS.companion_share * line.amplitude
-        and not (place_line == "FTF" and _is_multiple(other.order, line.order))
+        and not (place_line == "FTF" and abs((n := other.order / line.order) - round(n)) <= NUMBERS.off_share)
     }
     return [one for one in ranked.candidates if one.place.line in (high | large) - {line.place.line}]
-
-
-def _is_multiple(order: float, cage: float) -> bool:
-    """Whether a line at ``order`` is one of the many harmonics that a damaged ``cage`` has."""
-    return abs(order / cage - round(order / cage)) <= NUMBERS.off_share
 
 
 def _part_words(line: EnvelopeLine, rivals: list[Candidate], slip: str) -> str:

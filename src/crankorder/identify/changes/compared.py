@@ -24,8 +24,7 @@ from crankorder.identify.changes.mass_change import Unbalance, Weighed, balance_
 from crankorder.identify.changes.order_changes import NUMBERS as ORDER_CHANGES
 from crankorder.identify.changes.order_changes import TO_DB, OrderChange, like_speeds, order_changes, orders_to_compare
 from crankorder.identify.changes.run_trends import run_trends
-from crankorder.identify.false_discovery import claimed
-from crankorder.identify.intervals import Z95, error_of, half_width, interval
+from crankorder.identify.intervals import Z95, claimed, error_of, half_width, interval
 from crankorder.records import known
 from crankorder.settings import MethodNumbers
 
@@ -320,15 +319,11 @@ def _masses_between(base: Mapping[str, Any], new: Mapping[str, Any]) -> tuple[Ad
 
     A mass that both tests have is no difference. Raises pydantic's ValidationError for a mass that no manifest states.
     """
-    stated = [Counter(_stated_masses(run)) for run in (base, new)]
+    records = [(run.get("manifest") or {}).get("added_masses") or [] for run in (base, new)]
+    stated = [Counter(AddedMass.model_validate_json(json.dumps(one)) for one in masses) for masses in records]
     put_on, taken_off = stated[1] - stated[0], stated[0] - stated[1]
     off = [mass.model_copy(update={"mass_g": -mass.mass_g}) for mass in taken_off.elements()]
     return (*put_on.elements(), *off)
-
-
-def _stated_masses(run: Mapping[str, Any]) -> list[AddedMass]:
-    records = (run.get("manifest") or {}).get("added_masses") or []
-    return [AddedMass.model_validate_json(json.dumps(record)) for record in records]
 
 
 def _engine(run: Mapping[str, Any]) -> Engine | None:

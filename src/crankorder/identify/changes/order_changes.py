@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtr
 
 from crankorder.findings import OrderFinding
-from crankorder.identify.false_discovery import claimed, simes
-from crankorder.identify.intervals import half_width, half_widths
+from crankorder.identify.intervals import claimed, half_width, half_widths, simes
 from crankorder.orders.between_recordings import LOCATED, WHOLE
 from crankorder.records import known
 from crankorder.settings import MethodNumbers

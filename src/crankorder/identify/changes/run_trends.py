@@ -17,8 +17,7 @@ from crankorder.errors import RequestError
 from crankorder.findings import Findings
 from crankorder.identify.bearings.envelope_lines import Spectra, spectra_of
 from crankorder.identify.changes.order_changes import like_speeds, line_of
-from crankorder.identify.false_discovery import claimed
-from crankorder.identify.intervals import error_of, half_width, known_freedom, positive_interval
+from crankorder.identify.intervals import claimed, error_of, half_width, known_freedom, positive_interval
 from crankorder.records import known
 from crankorder.settings import MethodNumbers
 

@@ -153,7 +153,11 @@ def orders_agreed(
     source = speed_source([*frames, order_map])
     test = _Test(recordings_of(frames), order_map, source == "pulses", source == "pulses", followed)
     held = [line for line in lines if test.holds(line.order)]
-    found = _each_once([one for group in _groups(held) for one in _parted(group, test)])
+    parted = [one for group in _groups(held) for one in _parted(group, test)]
+    orders = [one.number.order for one in parted]  # close lines, to which another group has led already, count once
+    found = [
+        one for at, one in enumerate(parted) if one.reservation != PARTED_IN_SWEEP or orders[at] not in orders[:at]
+    ]
     found = _with_close_lines(found, test, settings)
     if source == "stated":
         numbers = [one for one in found if one.number.by_phase]
@@ -211,12 +215,6 @@ def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:
         else:
             groups.append([line])
     return groups
-
-
-def _each_once(found: list[_Unnamed]) -> list[_Unnamed]:
-    """``found`` without close lines that another group of lines has led to already."""
-    orders = [one.number.order for one in found]
-    return [one for at, one in enumerate(found) if one.reservation != PARTED_IN_SWEEP or orders[at] not in orders[:at]]
 
 
 def _without_twins(agreed: list[AgreedOrder], near: float, match: float) -> list[AgreedOrder]:

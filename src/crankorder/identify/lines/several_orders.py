@@ -125,7 +125,9 @@ def several_lines(held: Held, low: float, high: float, *, beyond: float = 0.0) -
             NUMBERS.smallest_share * size.max(), NUMBERS.unsteady_share * beside
         ):
             rest = NUMBERS.unsteady_share if beside and new.sigmas > KNOWN_LINES.seen_sigmas else 0.0
-            return _if_noise(held, bins, fit, _told(held, bins, fit, rest))
+            lines = _told(held, bins, fit, rest)
+            noise = lines and _is_noise(held, bins, fit.left, np.array([one.amplitude for one in lines]))
+            return sorted(lines, key=lambda one: one.order) if noise else []
         orders = np.sort([one.order for one in lines])
         if len(orders) > 1 and np.diff(orders).min() * held.span_rev < KNOWN_LINES.apart_cycles:
             return []
@@ -141,13 +143,6 @@ def leave_noise(held: Held, low: float, high: float, orders: Sequence[float]) ->
     data, waves = data_of(held, bins), waves_of(held, bins, [(0.0, order) for order in orders])
     amplitude = np.linalg.lstsq(waves, data, rcond=None)[0]
     return _is_noise(held, bins, data - waves @ amplitude, np.abs(amplitude))
-
-
-def _if_noise(held: Held, bins: NDArray[np.int64], fit: _Fit, lines: list[SolvedLine]) -> list[SolvedLine]:
-    """``lines`` of ``fit``, lowest first, where they leave noise in ``bins``; else none."""
-    if not lines or not _is_noise(held, bins, fit.left, np.array([one.amplitude for one in lines])):
-        return []
-    return sorted(lines, key=lambda one: one.order)
 
 
 def _is_noise(held: Held, bins: NDArray[np.int64], left: Complex, told: Floats) -> bool:

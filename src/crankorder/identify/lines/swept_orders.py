@@ -114,7 +114,10 @@ def settled(orders: Sequence[float], frames: xr.Dataset, others: Sequence[float]
         phasors = turned @ np.linalg.pinv(lobes)[:, : len(numbers)]
         steady = phasors * np.exp(-2j * np.pi * (np.outer(centre, numbers) % 1.0))
         steps = np.nansum(steady[:, 1:] * steady[:, :-1].conj(), axis=0)
-        numbers = numbers + _usual_turn(steps) / float(np.median(np.diff(centre)))
+        unit = steps / np.maximum(np.abs(steps), np.finfo(float).tiny)
+        mean = np.exp(1j * np.angle(unit.sum(axis=0)))  # about which the median turn [rev] is taken
+        turn = (np.angle(mean) + np.median(np.angle(unit / mean), axis=0)) / (2.0 * np.pi)
+        numbers = numbers + turn / float(np.median(np.diff(centre)))
     moved = np.abs(numbers - np.asarray(orders)).max()
     rings = any(_keeps_frequency(step, number, frames) for step, number in zip(steps.T, numbers, strict=True))
     return None if rings or moved > LARGEST_MOVE * apart else numbers.tolist()
@@ -129,13 +132,6 @@ def _keeps_frequency(steps: NDArray[np.complex128], order: float, frames: xr.Dat
     trials = 2 + int(TRIALS_PER_TURN * order * float(np.ptp(speed) * np.median(minutes)))
     turns = np.outer(order * np.linspace(speed.min(), speed.max(), trials), minutes)
     return bool(np.abs(np.exp(-2j * np.pi * turns) @ unit).max() >= np.abs(unit.sum()))
-
-
-def _usual_turn(steps: NDArray[np.complex128]) -> Array:
-    """Median turn [rev] of ``steps`` (frames - 1, lines), about their mean."""
-    unit = steps / np.maximum(np.abs(steps), np.finfo(float).tiny)
-    mean = np.exp(1j * np.angle(unit.sum(axis=0)))
-    return np.asarray((np.angle(mean) + np.median(np.angle(unit / mean), axis=0)) / (2.0 * np.pi))
 
 
 def _bins_about(place: float, frames: xr.Dataset) -> Array:

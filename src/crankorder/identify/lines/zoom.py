@@ -140,7 +140,9 @@ def zoomed(
     turn = centre_rev - middle
     frames, given = Frames(turn, revs, swept, drift), phasors
     if swept and len(turn) >= 8:
-        phasors = _flattened(phasors, turn)
+        rows = _polynomials(turn, 2)  # over the smooth growth of a run-up, of the same mean
+        growth = np.exp((np.log(np.maximum(np.abs(phasors), 1e-300)) @ rows.T) @ rows)
+        phasors = phasors / growth * growth.mean(axis=1, keepdims=True)
     trial = _trials(span, hop_rev, near)
     kernel = np.exp(-2j * np.pi * np.outer(turn, trial))
     power = np.square(np.abs(phasors @ kernel)) / len(turn)
@@ -224,8 +226,8 @@ def _followed(phasors: Complex, frames: Frames, offset: float) -> Zoomed:
         amplitude = steady.mean(axis=1)
         size = np.maximum(np.abs(amplitude), 1e-300)
         along = (steady * (amplitude.conj() / size)[:, None]) @ rows.T / level
-        held = _channel_noise(along, size, steady_from)
-        weight = size / held
+        held = np.square(along[:, 2:].imag).sum(axis=1) + np.square(along[:, steady_from:].real).sum(axis=1)
+        weight = size / np.maximum(held, 1e-18 * size**2)  # over the noise power in the slow waves
         joined = (weight @ along) / float(weight @ size)
         offset += float(joined[1].imag) * level[1] / slope / (2.0 * np.pi)
     kept = np.concatenate([joined[2:].imag, joined[steady_from:].real])
@@ -257,12 +259,6 @@ def _polynomials_of(turn: bytes, degrees: int) -> Floats:
     return rows
 
 
-def _channel_noise(along: Complex, size: Floats, steady_from: int) -> Floats:
-    """Noise power (channels,) of the slow waves ``along`` (channels, degrees) of lines of ``size``."""
-    held = np.square(along[:, 2:].imag).sum(axis=1) + np.square(along[:, steady_from:].real).sum(axis=1)
-    return np.asarray(np.maximum(held, 1e-18 * size**2))
-
-
 def _second(phasors: Complex, frames: Frames, line: Zoomed, hop_rev: float) -> Zoomed | None:
     """A second line beside ``line``, where noise, a modulation or the skirts of ``line`` would not look like it."""
     turn, span = frames.turn, float(np.ptp(frames.turn))
@@ -290,13 +286,6 @@ def _second(phasors: Complex, frames: Frames, line: Zoomed, hop_rev: float) -> Z
     if np.linalg.norm(mirror) > NUMBERS.mirrored_share * np.linalg.norm(found.amplitude):
         return None
     return found if _in_both_halves(phasors, turn, line, found) else None
-
-
-def _flattened(phasors: Complex, turn: Floats) -> Complex:
-    """``phasors`` of a run-up over the smooth growth of their amplitude, of the same mean."""
-    rows = _polynomials(turn, 2)
-    growth = np.exp((np.log(np.maximum(np.abs(phasors), 1e-300)) @ rows.T) @ rows)
-    return np.asarray(phasors / growth * growth.mean(axis=1, keepdims=True))
 
 
 def _refined_pair(phasors: Complex, frames: Frames, line: Zoomed, offset: float) -> Zoomed:

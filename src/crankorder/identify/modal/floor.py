@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.fft.windows import window_named
 from crankorder.identify.modal.surface_fit import Sight, sight
+from crankorder.orders.averages import median_of_known
 from crankorder.settings import MethodNumbers
 
 
@@ -25,6 +26,7 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="floor"):
     line_chance: float
     usual_overlap_fraction: float
     lowest_bins: float
+    fewest_averages: float
 
 
 NUMBERS = _Numbers.load()
@@ -96,9 +98,12 @@ def quiet_floor(
     """
     frequency = campbell["frequency"].values
     seen = sight(str(campbell.attrs["window"]), float(campbell.attrs["enbw_hz"]))
-    used = np.flatnonzero(frequency > NUMBERS.lowest_bins * float(campbell.attrs["enbw_hz"]))
-    psd, share = _settled(campbell, used)
     averages = _independent(campbell)
+    used = np.flatnonzero(frequency > NUMBERS.lowest_bins * float(campbell.attrs["enbw_hz"]))
+    if len(used) > 1 and averages.sum(axis=1).max(initial=0.0) < NUMBERS.fewest_averages:
+        # padding adds bins but tells nothing: half a bin of the window apart they hold all that it lets through
+        used = used[:: max(1, int(0.5 * seen.bin_hz / float(frequency[1] - frequency[0]) + 1e-6))]
+    psd, share = _settled(campbell, used)
     known = (averages > 0.0).any(axis=0) & np.isfinite(campbell["speed"].values)
     if not known.any():
         known = (averages > 0.0).any(axis=0)
@@ -270,13 +275,3 @@ def group_width_rpm(campbell: xr.Dataset) -> float:
     """Width [rpm] of a speed group of ``campbell``, a run-up's, whose groups touch; those of steps are narrow: 0."""
     speed, width = np.sort(campbell["speed"].values), float(campbell.attrs["speed_bin_rpm"])
     return width if len(speed) > 2 and float(np.median(np.diff(speed))) < 1.5 * width else 0.0
-
-
-def median_of_known(values: Array, *, axis: int) -> Array:
-    """Median of ``values`` along ``axis`` of what is not NaN; NaN where nothing is."""
-    ordered = np.sort(values, axis=axis)  # NaN comes last
-    count = np.count_nonzero(~np.isnan(values), axis=axis)
-    low, high = (np.expand_dims(np.maximum(n, 0), axis) for n in ((count - 1) // 2, count // 2))
-    high = np.minimum(high, np.expand_dims(np.maximum(count - 1, 0), axis))
-    both = np.take_along_axis(ordered, low, axis), np.take_along_axis(ordered, high, axis)
-    return np.asarray(0.5 * (both[0] + both[1]).squeeze(axis))

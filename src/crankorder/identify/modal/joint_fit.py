@@ -42,6 +42,7 @@ from crankorder.identify.modal.search import (
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
 from crankorder.identify.modal.sweep_modes import modes_unlike, poles_of, poles_unlike, with_sweep_modes
 from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
+from crankorder.identify.modal.tones import NUMBERS as TONES
 from crankorder.identify.modal.tones import tone_of, tone_or_mode, with_one_mains, with_tones
 from crankorder.identify.modal.whirl import (
     doubt_about,
@@ -182,7 +183,7 @@ def modal_fit(
     whirls: tuple[Whirl, ...] = ()
     if floor is not None:
         floor, whirls = whirls_of(floor, settings=settings)
-        floor = with_strong_tones(floor)
+        floor = with_strong_tones(floor, least_damping=TONES.least_damping_ratio)
         for band in bands_of(floor):
             problem, fit = search(band.floor, chance=settings.false_alarm_probability)
             fitted.append(Fitted(band, problem, with_tones(problem, fit, floor, settings=settings)))

@@ -143,7 +143,9 @@ def _swept_block(agreed: AgreedOrder, item: xr.Dataset) -> Block | None:
     amplitude, error = item["amplitude"].values[:, row], item["standard_error"].values[:, row]
     poles = int(item.attrs["poles"])
     known = inside & np.isfinite(amplitude.real) & (error > 0.0) & (speed > 0.0)
-    rows = known.any(axis=0) & _independent(time, bandwidth, poles)
+    # hardly any row shares its noise with the one before: one in a reciprocal bandwidth
+    passed = np.cumsum(noise_bandwidth_share(poles) * bandwidth * np.gradient(time))
+    rows = known.any(axis=0) & (np.diff(np.floor(passed), prepend=-1.0) > 0.0)
     if np.count_nonzero(rows) < 2 * ORDER_RESPONSES.spare_amplitudes:
         return None
     number = float(names[row])
@@ -177,9 +179,3 @@ def _passage(number: float, along: Array, rows: NDArray[np.bool_], *, poles: int
     before[2] -= 0.5 * (before[1] + speed[0]) / 60.0 * first_s
     whole = np.concatenate([before[:, None], along], axis=1)
     return passage_of(number, *whole, poles=poles, rows=np.append(False, rows))
-
-
-def _independent(time: Array, bandwidth: Array, poles: int) -> NDArray[np.bool_]:
-    """Which rows to take so that hardly any shares its noise with the one before: one in a reciprocal bandwidth."""
-    passed = np.cumsum(noise_bandwidth_share(poles) * bandwidth * np.gradient(time))
-    return np.asarray(np.diff(np.floor(passed), prepend=-1.0) > 0.0)

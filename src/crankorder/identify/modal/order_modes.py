@@ -98,7 +98,9 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
                 for other in beside.get(block.recording, ())
                 if other is not block and rings_into(block, other, f, zeta)
             }
-            if _locates(block, part, poles, number):
+            # the block alone finds the pole where it is: one step from there is small, and its error too
+            step, error = _step(block, part, poles, number)
+            if error <= NUMBERS.located_widths * zeta and abs(step) <= NUMBERS.agrees_sigmas * error:
                 located.add(block.order)
             if flanks_show(block, poles, number):
                 flanked.add(block.order)
@@ -154,12 +156,6 @@ def _explains(block: Block, part: Projected, poles: Poles, number: int) -> NDArr
     )
     felt = without - left > NUMBERS.felt_share**2 * size * (4.0 if block.power else 1.0)
     return np.asarray(felt & (without - left >= (1.0 - NUMBERS.unexplained_share) * np.maximum(without - noise, noise)))
-
-
-def _locates(block: Block, part: Projected, poles: Poles, number: int) -> bool:
-    """Whether ``block`` alone finds pole ``number`` where it is: one step from there is small, and its error too."""
-    step, error = _step(block, part, poles, number)
-    return error <= NUMBERS.located_widths * float(poles.damping[number]) and abs(step) <= NUMBERS.agrees_sigmas * error
 
 
 def _step(block: Block, part: Projected, poles: Poles, number: int) -> tuple[float, float]:

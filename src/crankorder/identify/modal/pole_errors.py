@@ -56,7 +56,8 @@ def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], p
         norm = np.maximum(np.linalg.norm(part.left, axis=1), 1e-300)
         alike = (part.left @ part.left.conj().T).real / np.outer(norm, norm)
         inner += np.einsum("cd,pcki,pdkj->ij", alike, rows, rows)
-        single = _by_channel(rows, left * np.sqrt(spare))
+        hessian, score = np.einsum("pcki,pckj->cij", rows, rows), np.einsum("pcki,pck->ci", rows, left * np.sqrt(spare))
+        single = list(map(Cell, hessian, score))
         alone += single
         orders.append(Cell(_summed([cell.hessian for cell in single]), _summed([cell.score for cell in single])))
         scores = np.einsum("pcki,pck->ki", rows, left)[np.argsort(block.speed_rpm)]
@@ -97,12 +98,6 @@ def disagreement(cells: Sequence[Cell], inverse: Array, known: Array) -> Array:
         np.where(excess > 0.0, np.sqrt((known + excess) / known) * half_widths(degrees_of_freedom) / Z95, 1.0),
         dtype=np.float64,
     )
-
-
-def _by_channel(rows: Array, left: Array) -> list[Cell]:
-    """Cell of each channel of the derivatives ``rows`` (parts, C, K, P) and residuals ``left`` (parts, C, K)."""
-    hessian, score = np.einsum("pcki,pckj->cij", rows, rows), np.einsum("pcki,pck->ci", rows, left)
-    return [Cell(own, one) for own, one in zip(hessian, score, strict=True)]
 
 
 def _summed(parts: Sequence[Array]) -> Array:

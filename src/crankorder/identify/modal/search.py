@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.campbell.map import HANN_CORRELATION
+from crankorder.identify.modal.floor import NUMBERS as FLOOR
 from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.pole_errors import free_of, score_covariance
 from crankorder.identify.modal.surface_fit import (
@@ -58,10 +59,14 @@ START_WIDTHS = (0.003, 0.01, 0.03, 0.1, 0.2, 0.4, 0.8, 1.6)
 """Half widths in bins that are tried for narrow peaks."""
 
 
-def with_strong_tones(floor: Floor) -> Floor:
-    """``floor`` with frequencies, and their errors, of the lines that are far above it and as narrow as the window."""
+def with_strong_tones(floor: Floor, *, least_damping: float) -> Floor:
+    """``floor`` with frequencies, and their errors, of the lines that are far above it and as narrow as the window.
+
+    One spectrum alone tells no tone from what rings on for as long as its frame lasts: a line is a tone there only
+    where a mode of the damping ratio ``least_damping`` would be wider.
+    """
     tones: list[tuple[float, float]] = []
-    for density in floor.psd:
+    for density, averages in zip(floor.psd, floor.averages, strict=True):
         used = np.isfinite(density) & (density > 0.0)
         if np.count_nonzero(used) < 20:
             continue
@@ -69,13 +74,12 @@ def with_strong_tones(floor: Floor) -> Floor:
         for peak in local_maxima(whole):
             at = int(peak)
             beside = np.median(whole[max(at - 3 * NUMBERS.shadow_bins, 0) : at + 3 * NUMBERS.shadow_bins + 1])
-            if (
-                whole[at] - beside < NUMBERS.strong_log_ratio
-                or whole[at] < whole[max(at - NUMBERS.shadow_bins, 0) : at + NUMBERS.shadow_bins + 1].max()
-            ):
+            near = slice(max(at - NUMBERS.shadow_bins, 0), at + NUMBERS.shadow_bins + 1)
+            if whole[at] - beside < NUMBERS.strong_log_ratio or whole[at] < whole[near].max():
                 continue
             _, half = narrow_peak(whole, at, floor)
-            if half > NUMBERS.steady_width_bins * floor.seen.bin_hz:
+            least = least_damping * floor.frequency_hz[at] if averages[at] < FLOOR.fewest_averages else np.inf
+            if not half <= NUMBERS.steady_width_bins * floor.seen.bin_hz <= least:
                 continue
             frequency = float(floor.frequency_hz[at]) + _offset_hz(whole, at, floor)
             error = floor.step_hz * float(np.exp(0.5 * (beside - whole[at])))
@@ -242,14 +246,22 @@ def saves_enough(problem: Problem, less: SurfaceFit, more: SurfaceFit, *, at_hz:
 
     Bins that overlap, narrow modes and channels with common noise count the same scatter several times: the deviance
     is that many times too large as the sandwich covariance of the poles there exceeds the naive one (Rotnitzky and
-    Jewell 1990; Satorra and Bentler 1994).
+    Jewell 1990; Satorra and Bentler 1994). One spectrum alone holds a single draw of what a narrow pole scatters by:
+    whether it is there is asked against the floor without it, whose scatter bins count as often as they overlap.
     ``problem``: the floors that were fitted.
     """
     saved = (less.deviance - more.deviance) / scatter_at(problem, more, at_hz)
     limit = least_gain(len(problem.psd), chance)
     if saved < HANN_CORRELATION * limit:
         return False
+    if problem.averages.max(initial=0.0) < FLOOR.fewest_averages:
+        return saved > HANN_CORRELATION * max(1.0, problem.seen.bin_hz / _step_hz(problem)) * limit
     return saved > max(HANN_CORRELATION, counted_over(problem, more, at_hz)) * limit
+
+
+def _step_hz(problem: Problem) -> float:
+    """Distance of neighbouring bins."""
+    return float(problem.frequency_hz[1] - problem.frequency_hz[0])
 
 
 def counted_over(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
@@ -283,10 +295,9 @@ def peaks(floor: Floor) -> Poles:
         for peak in local_maxima(level):
             height, width = _prominence(level, int(peak))
             if height > NUMBERS.peak_sigmas * scatter and height > 0.1:
-                if width > NUMBERS.narrow_bins:
-                    found.append((float(floor.frequency_hz[peak]), (0.5 * width - 0.7) * step, height))
-                else:
-                    found.append((*narrow_peak(whole, int(peak), floor), height))
+                wide = (float(floor.frequency_hz[peak]), (0.5 * width - 0.7) * step)
+                resolved = width > NUMBERS.narrow_bins
+                found.append((*(wide if resolved else narrow_peak(whole, int(peak), floor)), height))
     return _joined(found, floor)
 
 
@@ -365,11 +376,9 @@ def scatter_at(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
     ``problem``: the floors that were fitted; ``fit``: the fit so far.
     """
     square = _mean_square(problem, fit, at_hz)
-    return (
-        max(1.0, square)
-        if square > NUMBERS.smooth_residual
-        else max(square / NUMBERS.smooth_residual, NUMBERS.smoothest_residual)
-    )
+    if square > NUMBERS.smooth_residual:
+        return max(1.0, square)
+    return max(square / NUMBERS.smooth_residual, NUMBERS.smoothest_residual)
 
 
 def _mean_square(problem: Problem, fit: SurfaceFit, at_hz: float | None) -> float:
@@ -427,11 +436,14 @@ def _pruned(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
 
 
 def _grown(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
-    """With poles added where the residual of ``fit`` stands out, as long as each saves enough deviance."""
+    """With poles added where the residual of ``fit`` stands out, as long as each saves enough deviance.
+
+    Each takes two linear terms of every channel: no more than there are bins for.
+    """
     tried: list[float] = []
     for _ in range(30):
         found = _standing_out(problem, fit, tried)
-        if found is None:
+        if found is None or fit.linear.shape[1] + 2 > len(problem.frequency_hz):
             break
         frequency, width = found
         poles = fit.poles.with_pole(frequency, min(0.3, width / frequency))
@@ -450,8 +462,8 @@ def _standing_out(problem: Problem, fit: SurfaceFit, tried: list[float]) -> tupl
         row[:] = np.where(n > 0.0, np.sqrt(n) * (np.nan_to_num(y) / model - 1.0), 0.0)
     best = 0.0
     found: tuple[float, float] | None = None
-    step = float(problem.frequency_hz[1] - problem.frequency_hz[0])
-    for bins in (n for n in BOXES if n < max(64, len(problem.frequency_hz) // 4)):
+    step = _step_hz(problem)
+    for bins in (n for n in BOXES if n < min(len(problem.frequency_hz), max(64, len(problem.frequency_hz) // 4))):
         box = np.ones(bins) / np.sqrt(bins * min(HANN_CORRELATION, 0.5 + 0.5 * bins))
         summed = np.stack([np.convolve(row, box, mode="same") for row in z])
         score = np.square(np.maximum(summed, 0.0)).sum(axis=0)
@@ -468,13 +480,11 @@ def _split(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
     limit = least_gain(len(problem.psd), chance)
     number = 0
     while number < len(fit.poles):
-        if fit.poles.damping[number] > NUMBERS.wide_damping_ratio:
-            number += 1
-            continue
+        full = fit.linear.shape[1] + 2 > len(problem.frequency_hz)
         f, zeta = float(fit.poles.frequency_hz[number]), float(fit.poles.damping[number])
         width = max(zeta * f, 0.3 * problem.seen.bin_hz)
         local, start = _around(problem, fit, number, width)
-        if len(local.frequency_hz) < NUMBERS.fewest_bins or not len(start):
+        if full or zeta > NUMBERS.wide_damping_ratio or len(local.frequency_hz) < NUMBERS.fewest_bins:
             number += 1
             continue
         one = fit_surface(local, start, steps=8)
@@ -525,7 +535,6 @@ def _around(problem: Problem, fit: SurfaceFit, number: int, width_hz: float) -> 
     reach = max(6.0 * width_hz, 8.0 * problem.seen.bin_hz)
     near = np.abs(problem.frequency_hz - f) <= reach
     poles = np.abs(fit.poles.frequency_hz - f) <= reach
-    keep = Poles(fit.poles.frequency_hz[poles], fit.poles.damping[poles], fit.poles.tone[poles])
     lines = problem.background[len(problem.background) - problem.n_lines :, near]
     lines = lines[(np.abs(lines) > HARDLY).any(axis=1)]
     local = replace(
@@ -536,4 +545,4 @@ def _around(problem: Problem, fit: SurfaceFit, number: int, width_hz: float) -> 
         background=np.concatenate([background_columns(int(near.sum()), 2), lines]),
         n_lines=len(lines),
     )
-    return local, keep
+    return local, fit.poles.chosen(poles)

@@ -130,6 +130,9 @@ TONE_BINS = 1e-3
 MOST_STEPS = 40
 """Steps of the fit at most."""
 
+LITTLE = 0.01
+"""Deviance of a step that tells nothing: by a tenth of a standard error it moves what it moves."""
+
 
 class Others(Protocol):
     """Further data that depend on the same poles."""
@@ -260,45 +263,44 @@ def evaluate(problem: Problem, poles: Poles, weight_by: Array) -> SurfaceFit:
     """
     n_poles = len(poles)
     columns = problem.background
-    slopes: tuple[Array, Array] = (np.zeros((0, 1)), np.zeros((0, 1)))
+    slopes: tuple[Array, Array] = (columns[:0], columns[:0])
     if n_poles:
         made = pole_columns(problem.frequency_hz, poles.frequency_hz, poles.damping, problem.seen)
         columns, slopes = np.concatenate([made[0], problem.background]), (made[1], made[2])
-    linear = np.empty((len(problem.psd), len(columns)))
-    jacobians, residuals, triangles = [], [], []
-    for channel, (y, n) in enumerate(zip(problem.psd, problem.averages, strict=True)):
-        weight = np.where(n > 0.0, np.sqrt(n) / weight_by[channel], 0.0)
-        measured = weight * np.where(n > 0.0, y, 0.0)
-        q, r = np.linalg.qr((columns * weight).T)
-        along = q.T @ measured
-        linear[channel] = _back_solved(r, along)
-        residuals.append(measured - q @ along)
-        triangles.append(r)
-        if not n_poles:
-            jacobians.append(np.zeros((len(y), 0)))
-            continue
-        pairs = linear[channel, : 2 * n_poles].reshape(n_poles, 2, 1)
-        by = [(part.reshape(n_poles, 2, -1) * pairs).sum(axis=1) for part in slopes]
-        raw = np.stack(by, axis=1).reshape(2 * n_poles, -1) * weight
-        jacobians.append(raw.T - q @ (q.T @ raw.T))
+    weight = np.where(problem.averages > 0.0, np.sqrt(problem.averages) / weight_by, 0.0)
+    measured = weight * np.where(problem.averages > 0.0, problem.psd, 0.0)
+    q, triangles = np.linalg.qr((columns * weight[:, None]).swapaxes(1, 2))
+    across = q.swapaxes(1, 2)
+    along = across @ measured[..., None]
+    linear = _back_solved(triangles, along[..., 0])
+    residuals = tuple(measured - (q @ along)[..., 0])
+    terms = linear[:, : 2 * n_poles, None]
+    by = [terms[:, ::2] * part[::2] + terms[:, 1::2] * part[1::2] for part in slopes]
+    raw = (np.stack(by, axis=2).reshape(len(weight), 2 * n_poles, len(columns.T)) * weight[:, None]).swapaxes(1, 2)
+    jacobians = tuple(raw - q @ (across @ raw))
     model = np.maximum(linear @ columns, NUMBERS.smallest_model_share * np.nan_to_num(problem.psd))
     model = np.where((problem.averages > 0.0) & (model > 0.0), model, 1.0)
     missed = float(gamma_deviance(problem.psd, problem.averages, model).sum())
     if problem.others is not None and n_poles:
         further = problem.others.evaluate(poles)
-        jacobians, residuals, missed = jacobians + further[0], residuals + further[1], missed + further[2]
-    return SurfaceFit(poles, linear, columns, model, missed, tuple(jacobians), tuple(residuals), tuple(triangles))
+        jacobians, residuals = (*jacobians, *further[0]), (*residuals, *further[1])
+        missed += further[2]
+    return SurfaceFit(poles, linear, columns, model, missed, jacobians, residuals, tuple(triangles))
 
 
 def _back_solved(r: Array, along: Array) -> Array:
-    """Solution of the triangular system ``r`` x = ``along``; columns that are hardly there get nothing.
+    """Solutions (C, n) of the triangular systems ``r`` (C, n, n) x = ``along``; columns hardly there get nothing.
 
     Where there are more columns than bins it is the smallest.
     """
-    diagonal = np.abs(np.diag(r))
-    if r.shape[0] == r.shape[1] and diagonal.min(initial=np.inf) > 1e-9 * diagonal.max(initial=0.0):
-        return np.asarray(np.linalg.solve(r, along))
-    return np.asarray(np.linalg.lstsq(r, along, rcond=1e-9)[0])
+    diagonal = np.abs(np.diagonal(r, axis1=1, axis2=2))
+    sound = diagonal.min(axis=1, initial=np.inf) > 1e-9 * diagonal.max(axis=1, initial=0.0)
+    sound &= r.shape[1] == r.shape[2]
+    made = np.empty((len(r), r.shape[2]))
+    made[sound] = np.linalg.solve(r[sound], along[sound][..., None])[..., 0]
+    for channel in np.flatnonzero(~sound):
+        made[channel] = np.linalg.lstsq(r[channel], along[channel], rcond=1e-9)[0]
+    return made
 
 
 def first_model(problem: Problem, bins: int = 2) -> Array:
@@ -334,14 +336,14 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Array | None = None, s
     for _ in range(steps):
         free = np.stack([np.ones(len(poles), dtype=bool), ~poles.tone], axis=1).ravel()
         hessian = curvature(current, free)
-        slope = np.zeros(len(hessian))
-        for j, r in zip(current.jacobian, current.residual, strict=True):
-            slope += j[:, free].T @ r
+        slope = np.asarray(sum(j[:, free].T @ r for j, r in zip(current.jacobian, current.residual, strict=True)))
         scale = np.maximum(np.diag(hessian), 1e-6 * np.trace(hessian) / len(hessian))
         if not scale.min(initial=np.inf) > 0.0:
             break
         move = np.zeros(2 * len(poles))
         move[free] = np.linalg.solve(hessian + max(factor, 1e-8) * np.diag(scale), slope)
+        if float(slope @ move[free]) < LITTLE:
+            break
         moved = _moved(poles, move, problem)
         trial = evaluate(problem, moved, current.model)
         if trial.deviance > current.deviance + 1.0:  # weights of a model that is still far off may mislead
@@ -350,7 +352,7 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Array | None = None, s
         if gained > -1e-3:
             current, poles = trial, trial.poles
             factor = max(0.1 * factor, 1e-8)
-            still = still + 1 if gained < 0.01 else 0
+            still = still + 1 if gained < LITTLE else 0
             if still > 1:
                 break
         else:
@@ -365,10 +367,7 @@ def curvature(fit: SurfaceFit, free: NDArray[np.bool_]) -> Array:
 
     ``fit``: the fit so far.
     """
-    made = np.zeros((np.count_nonzero(free),) * 2)
-    for j in fit.jacobian:
-        made += j[:, free].T @ j[:, free]
-    return made
+    return np.asarray(sum(j[:, free].T @ j[:, free] for j in fit.jacobian))
 
 
 def _deviance(fit: SurfaceFit) -> float:

@@ -13,10 +13,11 @@ from scipy.special import chdtri
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import ModalFit, Mode, OrderResponse, Whirl
-from crankorder.identify.modal.floor import Floor, median_of_known
+from crankorder.identify.modal.floor import Floor
 from crankorder.identify.modal.surface_fit import Problem, Sight, SurfaceFit, gamma_deviance, seen_pole
 from crankorder.identify.modal.tones import NUMBERS as TONES
 from crankorder.identify.modal.tones import at_one_speed, on_order
+from crankorder.orders.averages import median_of_known
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 

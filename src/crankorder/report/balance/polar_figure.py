@@ -144,7 +144,10 @@ def _draw(axes: Axes, curve: Curve, color: str, limit: float) -> None:
     axes.plot(curve.imag, curve.real, color=color, gid="polar")
     axes.plot(curve.imag[:1], curve.real[:1], color=color, marker="o", markersize=4.5, gid="top-dead-centre")
     steps = len(curve) - 1
-    if not _encloses(curve) or np.abs(curve).max() < 0.06 * limit:
+    largest = float(np.abs(curve).max())
+    area = 0.5 * abs(float(np.sum((curve[:-1].conj() * curve[1:]).imag)))
+    encloses = area > 0.12 * largest**2  # more than a line drawn there and back, so that it has a sense of rotation
+    if not encloses or largest < 0.06 * limit:
         return
     for start in (steps // 8, 5 * steps // 8):
         ahead = start + max(1, steps // 72)
@@ -160,12 +163,6 @@ def _crank_sense(axes: Axes, side: float) -> None:
     axes.annotate("", xy=(last, height), xytext=(first, height), xycoords="axes fraction", arrowprops=look)
     axes.text((first + last) / 2, height, "crank", transform=axes.transAxes, ha="center", va="top",
               fontsize=SMALL - 1, color=FAINT)  # fmt: skip
-
-
-def _encloses(curve: Curve) -> bool:
-    """Whether a curve has a sense of rotation: more area than a line drawn there and back."""
-    area = 0.5 * abs(float(np.sum((curve[:-1].conj() * curve[1:]).imag)))
-    return area > 0.12 * float(np.abs(curve).max()) ** 2
 
 
 _PARTS = {"primary": ((1.0,), LINES[0]), "secondary": ((2.0,), LINES[1]), "both": ((1.0, 2.0), INK)}

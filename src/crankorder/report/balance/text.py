@@ -19,7 +19,7 @@ def residual_rows(sheet: Mapping[str, Any], speeds: Sequence[str]) -> list[Row]:
     ``sheet``: a balance sheet; causes that it has no data for make no row. ``speeds``: crank speeds (rpm) as its texts.
     """
     rows: list[Row] = []
-    for cause, axis, order, amount, grade in (*_of_shafts(sheet), *_of_masses(sheet), *_of_geometry(sheet)):
+    for cause, axis, order, amount, grade in _single_causes(sheet):
         newtons = (_newton(amount, speed) for speed in speeds)
         rows.append([cause, axis, order, amount, *newtons, grade])
     return rows
@@ -28,14 +28,11 @@ def residual_rows(sheet: Mapping[str, Any], speeds: Sequence[str]) -> list[Row]:
 Cause = tuple[str, str, str, float, str | None]
 
 
-def _of_shafts(sheet: Mapping[str, Any]) -> Iterator[Cause]:
-    built = sheet["shafts"]["second_order_built_for_lambda"]
+def _single_causes(sheet: Mapping[str, Any]) -> Iterator[Cause]:
+    built, rod, added = sheet["shafts"]["second_order_built_for_lambda"], sheet["rod_split"], sheet["added_mass"]
+    offset, cranks = sheet["offset"], sheet["reverse_cranks"]
     if built is not None:
         yield "second-order pair built for λ, not A2", "along", "2", built["residual_x_g_mm"], None
-
-
-def _of_masses(sheet: Mapping[str, Any]) -> Iterator[Cause]:
-    rod, added = sheet["rod_split"], sheet["added_mass"]
     if rod is not None:
         for axis, text in (("x", "along"), ("y", "across")):
             for order, amount in rod[f"residual_{axis}_g_mm"].items():
@@ -44,10 +41,6 @@ def _of_masses(sheet: Mapping[str, Any]) -> Iterator[Cause]:
         cause = f"{short_number(added['mass_g'])} g that no shaft knows"
         for order, amount in list(added["residual_x_g_mm"].items())[:3]:
             yield cause, "along", order, amount, added["class"] if order == "1" else None
-
-
-def _of_geometry(sheet: Mapping[str, Any]) -> Iterator[Cause]:
-    offset, cranks = sheet["offset"], sheet["reverse_cranks"]
     if offset is not None:
         cause = f"offset of {short_number(offset['offset_mm'])} mm, shafts timed to crank"
         yield cause, "along", "1", offset["quadrature_x_g_mm"], None

@@ -55,15 +55,9 @@ def bearing_lines(findings: Findings) -> list[tuple[str, BearingFinding]]:
         names = list(dict.fromkeys(named(record.name, limit=NAME_CHARACTERS) for record in records))
         which = _LINE_NAMES.get(line, named(line, limit=NAME_CHARACTERS))
         best = max(records, key=lambda record: record.size)
-        lines.append((f"{which} line of the {listed(names)}{_noun(names)}", best))
+        noun = " bearings" if len(names) != 1 else "" if names[0].lower().endswith("bearing") else " bearing"
+        lines.append((f"{which} line of the {listed(names)}{noun}", best))
     return lines
-
-
-def _noun(names: list[str]) -> str:
-    """``" bearing"`` or ``" bearings"``; nothing where the only name says so itself."""
-    if len(names) == 1:
-        return "" if names[0].lower().endswith("bearing") else " bearing"
-    return " bearings"
 
 
 def asks_re_run(record: BearingFinding) -> bool:

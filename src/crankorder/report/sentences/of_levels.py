@@ -93,13 +93,11 @@ def share_sentences(findings: Findings) -> list[str]:
     much = [(share, one) for share, one in known if share >= _WORTH_SAYING]
     if not much:
         return [f"Less than 0.5 % of the energy of any channel lies above the band looked at{_band(end)}."]
-    said = [f"{percent_text(share)} of that of {_name(one)}" for share, one in much[:_MANY]]
+    said = [
+        f"{percent_text(share)} of that of {named(one.channel, limit=NAME_CHARACTERS)}" for share, one in much[:_MANY]
+    ]
     more = ", less in the others" if len(known) > min(len(much), _MANY) else ""
     return [f"Energy above the band looked at{_band(end)}: {listed(said)}{more}."]
-
-
-def _name(record: Level) -> str:
-    return named(record.channel, limit=NAME_CHARACTERS)
 
 
 def _band(hertz: object) -> str:

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from crankorder.findings import AvoidedSpeed, CrossingFinding, Findings, FreeBand, OpenBand, SpeedSwing
+from crankorder.findings import AvoidedSpeed, Findings, FreeBand, OpenBand, SpeedSwing
+from crankorder.identify.said import OR_OWN
 from crankorder.records import known
 from crankorder.report.notation import (
     NAME_CHARACTERS,
@@ -20,6 +21,7 @@ from crankorder.report.notation import (
     nominal_order,
     number_text,
     order_name,
+    order_texts,
     percent_text,
     unit_of,
 )
@@ -31,6 +33,8 @@ _ONE_SPEED_RPM = 1.0  # a test whose speeds span less is one at one speed
 SAME_MODE = 1e-3  # share within which two numbers are those of one natural frequency
 _OF_ENCODER = {1.0: "an eccentric", 2.0: "an oval"}  # orders that an encoder off its centre makes
 _ONE_SHARE = 0.85  # shares of the speed whose least is so much of the largest are one
+_SIDES = 8  # orders that a sentence names as likely sidebands
+_NO_SOURCES = "are no larger than sidebands that a swing of the angle makes of stronger ones: no sources for certain"
 _SHOWN = 3  # free bands that a sentence names, the widest
 
 
@@ -64,14 +68,10 @@ def _excites(order: float, mode_hz: float, findings: Findings) -> str:
     name, hertz = order_name(_Order(order), findings), frequency_text(mode_hz)
     if is_in_doubt(mode_hz, findings):
         return f"order {name} peaks at {hertz} Hz, which may be a natural frequency"
-    met = [one for one in findings.crossings if _is_pair(one, order, mode_hz)]
+    of_order = [one for one in findings.crossings if nominal_order(one) == order]
+    met = [one for one in of_order if abs(one.mode_hz - mode_hz) < SAME_MODE * mode_hz]
     verb = "peaks near" if met and not any(one.excited for one in met) else "excites"
     return f"order {name} {verb} the {hertz} Hz natural frequency"
-
-
-def _is_pair(crossing: CrossingFinding, order: float, mode_hz: float) -> bool:
-    """Whether a record of the crossings is that of ``order`` with the natural frequency ``mode_hz``."""
-    return nominal_order(crossing) == order and abs(crossing.mode_hz - mode_hz) < SAME_MODE * mode_hz
 
 
 def meetings(record: AvoidedSpeed) -> list[tuple[float, float]]:
@@ -172,8 +172,11 @@ def shaft_sentences(findings: Findings) -> list[str]:
 def swing_sentences(findings: Findings) -> list[str]:
     """How unevenly the shaft of the ``findings`` turns: the orders of the recording whose speed swings most, if any."""
     records = [one for one in findings.speed_swing if one.speed_rpm > 0.0]
+    sides = sorted({nominal_order(one) for one in findings.orders if one.explained_by == OR_OWN})
+    more = [f"{len(sides) - _SIDES} more"] if len(sides) > _SIDES else []
+    told = [f"Orders {listed([*order_texts(sides)[:_SIDES], *more])} {_NO_SOURCES}."] if sides else []
     if not records:
-        return []
+        return told
     worst = max(records, key=lambda one: one.amplitude_rpm / one.speed_rpm)
     own = [one for one in records if one.recording == worst.recording][:_SHOWN]
     rpm = worst.speed_rpm
@@ -184,7 +187,7 @@ def swing_sentences(findings: Findings) -> list[str]:
     ]
     where = f"{rpm:.0f} rpm ({named(worst.recording, limit=NAME_CHARACTERS)})"
     doubt = _of_an_encoder(records, [one.order for one in own])
-    return [f"The speed itself swings, as the encoder shows it, most at {where}: {listed(said)}.{doubt}"]
+    return [f"The speed itself swings, as the encoder shows it, most at {where}: {listed(said)}.{doubt}", *told]
 
 
 def _of_an_encoder(records: list[SpeedSwing], orders: list[float]) -> str:

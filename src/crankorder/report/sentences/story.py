@@ -18,12 +18,12 @@ from crankorder.report.sentences.of_lines import (
     lies_above,
     line_sentences,
     mode_sentences,
+    motor_sentences,
     nothing_proven,
     slow_sentences,
     strongest_sentence,
     tone_sentences,
 )
-from crankorder.report.sentences.of_motor import motor_sentences
 from crankorder.report.sentences.of_orders import law_sentences, lock_sentences
 from crankorder.report.sentences.of_speeds import (
     all_judged,
