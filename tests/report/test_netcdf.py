@@ -38,6 +38,7 @@ with netCDF4.Dataset(sys.argv[1]) as file:
 _WRITE_AGAIN = """
 import hashlib, importlib.util, sys
 import numpy as np
+sys.path.insert(0, sys.argv[2])
 spec = importlib.util.spec_from_file_location("drawn", sys.argv[1])
 drawn = importlib.util.module_from_spec(spec)
 sys.modules["drawn"] = drawn
@@ -99,7 +100,7 @@ def test_values_beyond_single_precision_keep_64_bits(tmp_path: Path) -> None:
 
 def test_the_bytes_are_the_same_in_another_process(groups: dict[str, xr.Dataset]) -> None:
     conftest = Path(__file__).with_name("conftest.py")
-    command = [sys.executable, "-c", _WRITE_AGAIN, str(conftest)]
+    command = [sys.executable, "-c", _WRITE_AGAIN, str(conftest), str(conftest.parents[1])]
     other = subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
     assert hashlib.sha256(results_bytes(groups, attrs={"title": "t"})).hexdigest() == other
 
