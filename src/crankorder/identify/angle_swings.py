@@ -49,13 +49,12 @@ Words = dict[tuple[str, float], tuple[str, str]]
 class AngleSwings:
     """Swings of the crank angle: of the shaft, by speed, and what may be left of an encoder's error.
 
-    ``size_rev`` (speeds, 1 + half orders) are peak amplitudes [rev] at 0.5, 1, 1.5 … times a turn, behind the speed, at
-    the sorted ``speed_rpm`` (speeds,); ``unseen_rev`` (1 + half orders,) those of which too few pulses show nothing;
-    ``left_rev`` by harmonic of the turn; ``proved`` says whether an encoder's error was taken out.
+    ``shown`` (speeds, 1 + half orders) are the rising speed [rpm] and, behind it, peak amplitudes [rev] at 0.5, 1, 1.5
+    … times a turn; ``unseen_rev`` (1 + half orders,) amplitudes of which too few pulses show nothing; ``left_rev`` by
+    harmonic of the turn; ``proved`` says whether an encoder's error was taken out.
     """
 
-    speed_rpm: Floats
-    size_rev: Floats
+    shown: Floats
     unseen_rev: Floats
     left_rev: dict[int, float]
     proved: bool
@@ -63,24 +62,24 @@ class AngleSwings:
     @classmethod
     def of(cls, frames: Sequence[xr.Dataset], orders: Sequence[AgreedOrder]) -> AngleSwings:
         """What the ``frames`` (OrderFrames) of a test state of the angle by which its ``orders`` were found."""
-        sizes, whole = [], [2 * harmonic for harmonic in HARMONICS]
+        recordings, whole = [], [2 * harmonic for harmonic in HARMONICS]
         for item in frames:
-            shown = np.abs(swing_shown([item]))
-            shown[:, whole] -= np.minimum(shown[:, whole], item.attrs.get(TAKEN, 0.0))
-            sizes.append(shown)
-        size = np.concatenate(sizes)
-        size = size[np.argsort(size[:, 0])]
-        unseen, highest = np.zeros(size.shape[1]), max(float(item["order"].max()) for item in frames)
+            swing = np.abs(swing_shown([item]))
+            swing[:, whole] -= np.minimum(swing[:, whole], item.attrs.get(TAKEN, 0.0))
+            recordings.append(swing)
+        shown = np.concatenate(recordings)
+        shown = shown[np.argsort(shown[:, 0])]
+        unseen, highest = np.zeros(shown.shape[1]), max(float(item["order"].max()) for item in frames)
         if any(0.0 < float(item.attrs.get(LINES, 0.0)) < LINES_PER_HARMONIC for item in frames):
-            unseen = np.where(size.any(axis=0), 0.0, _likely_swings(orders, len(unseen), highest))
+            unseen = np.where(shown.any(axis=0), 0.0, _likely_swings(orders, len(unseen), highest))
         proved = any(float(np.max(item.attrs.get(TAKEN, [0.0]))) > 0.0 for item in frames)
-        return cls(size[:, 0], size, unseen, left_of(frames), proved)
+        return cls(shown, unseen, left_of(frames), proved)
 
     def at(self, half_orders: int, rpm: Floats, *, unseen: bool) -> Floats:
         """Swing [rev] of the shaft at so many ``half_orders`` and at ``rpm`` (rows,), also where it is ``unseen``."""
         if not 0 < half_orders < len(self.unseen_rev):
             return np.zeros(len(rpm))
-        seen = np.interp(rpm, self.speed_rpm, self.size_rev[:, half_orders]) if len(self.speed_rpm) else 0.0
+        seen = np.interp(rpm, self.shown[:, 0], self.shown[:, half_orders]) if len(self.shown) else 0.0
         return seen + np.full(len(rpm), unseen * self.unseen_rev[half_orders])
 
 

@@ -174,9 +174,9 @@ def swing_sentences(findings: Findings) -> list[str]:
     records = [one for one in findings.speed_swing if one.speed_rpm > 0.0]
     sides = sorted({nominal_order(one) for one in findings.orders if one.explained_by == OR_OWN})
     more = [f"{len(sides) - _SIDES} more"] if len(sides) > _SIDES else []
-    told = [f"Orders {listed([*order_texts(sides)[:_SIDES], *more])} {_NO_SOURCES}."] if sides else []
+    unsourced = [f"Orders {listed([*order_texts(sides)[:_SIDES], *more])} {_NO_SOURCES}."] if sides else []
     if not records:
-        return told
+        return unsourced
     worst = max(records, key=lambda one: one.amplitude_rpm / one.speed_rpm)
     own = [one for one in records if one.recording == worst.recording][:_SHOWN]
     rpm = worst.speed_rpm
@@ -187,7 +187,7 @@ def swing_sentences(findings: Findings) -> list[str]:
     ]
     where = f"{rpm:.0f} rpm ({named(worst.recording, limit=NAME_CHARACTERS)})"
     doubt = _of_an_encoder(records, [one.order for one in own])
-    return [f"The speed itself swings, as the encoder shows it, most at {where}: {listed(said)}.{doubt}", *told]
+    return [f"The speed itself swings, as the encoder shows it, most at {where}: {listed(said)}.{doubt}", *unsourced]
 
 
 def _of_an_encoder(records: list[SpeedSwing], orders: list[float]) -> str:
