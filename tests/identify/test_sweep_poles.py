@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from crankorder.identify.modal import sweep_poles
 from crankorder.identify.modal.sweep_poles import SweepFits, sweep_fits
 from crankorder.identify.modal.sweep_window import SweepSpectrum
 from crankorder.settings import load_settings
@@ -99,6 +100,22 @@ def test_mains_are_no_mode() -> None:
     tones = (Tone(50.02, (0.3, 0.2), (0.4, 1.0)), Tone(100.04, (0.1, 0.2), (0.4, 1.0)))
     poles = told(replace(machine, tones=tones)).poles
     assert [round(pole.frequency_hz, 1) for pole in poles] == [81.3]
+
+
+def test_a_search_that_stops_at_its_bound_says_where_modes_may_be_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    machine = a_machine((81.3, 0.01), (120.0, 0.01), rpm=(900.0, 3000.0), seconds=8.0)
+    whole = told(machine)
+    assert whole.left_hz == () and len(whole.poles) == 2
+    used = next(n for n in range(1, 99) if not _bounded(machine, n, monkeypatch).left_hz)
+    few = _bounded(machine, used // 2, monkeypatch)
+    assert few.left_hz and all(low < high for low, high in few.left_hz)
+    assert not {*few.left_hz} & {*few.looked_hz}
+    assert _bounded(machine, used, monkeypatch).poles[0].frequency_hz == whole.poles[0].frequency_hz
+
+
+def _bounded(machine: Machine, most_starts: int, monkeypatch: pytest.MonkeyPatch) -> SweepFits:
+    monkeypatch.setitem(vars(sweep_poles.NUMBERS), "most_starts", most_starts)
+    return told(machine)
 
 
 @pytest.mark.slow

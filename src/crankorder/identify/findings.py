@@ -18,7 +18,7 @@ from crankorder.identify.crossings import crossings
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import NOT_KNOWN, Causes, explained, with_neighbours_named, without_doubles
 from crankorder.identify.folds import fold_flags, shown_folds
-from crankorder.identify.found import AgreedOrder, ModalFit, SpeedVerdicts
+from crankorder.identify.found import AgreedOrder, ModalFit, SpeedVerdicts, Unsearched
 from crankorder.identify.known_lines import Held, LineSeen, held_of, without_known
 from crankorder.identify.levels import (
     graded,
@@ -64,6 +64,9 @@ from crankorder.settings import Settings
 
 DOUBTS = ("speed_tie", "speed_doubtful")
 """Flags of recordings whose speed was read from the vibration and may be another."""
+
+SEARCHES = {"floor": "the floor", "orders": "orders over the speeds", "sweeps": "the signals of sweeps"}
+"""What a search looks at, as it is said."""
 
 IN_DOUBT = "the speed is in doubt"
 
@@ -124,7 +127,7 @@ def find(
     speeds = speeds if doubt is None else without_free(speeds)
     records = order_records(orders, causes, meetings, modal, unit=unit)
     flags += fold_flags(order_map, settings=settings, folds=folds)
-    flags += slow_flags(order_map, in_map, frames, settings=settings)
+    flags += [*slow_flags(order_map, in_map, frames, settings=settings), *map(_search_flag, modal.left)]
     shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
     has_spectra = envelope is not None and envelope.sizes["order"] > 1 and envelope.sizes["speed"] > 0
     told = Findings(
@@ -272,6 +275,15 @@ def speed_doubt(flags: Iterable[QualityFlag]) -> str | None:
     names = list(dict.fromkeys(flag["recording"] for flag in told))
     more = f" and {len(names) - 1} more" if len(names) > 1 else ""
     return f"{told[0]['detail']} ({names[0]}{more})"
+
+
+def _search_flag(left: Unsearched) -> QualityFlag:
+    """That natural frequencies may be missing where a search has ``left`` some."""
+    detail = (
+        f"the search for natural frequencies by {SEARCHES[left.by]} stopped at its bound: from {left.low_hz:.4g} to "
+        f"{left.high_hz:.4g} Hz some may be missing; fewer recordings in one test, or shorter ones, bring it to its end"
+    )
+    return {"recording": "all", "flag": "search_stopped", "severity": "suspect", "detail": detail}
 
 
 def undecided_orders(orders: tuple[AgreedOrder, ...]) -> tuple[AgreedOrder, ...]:

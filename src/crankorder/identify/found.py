@@ -269,6 +269,15 @@ class Swing:
     error: NDArray[np.float64]
 
 
+@dataclass(frozen=True)
+class Unsearched:
+    """Frequencies, from ``low_hz`` to ``high_hz``, at which a search ``by`` what tells modes stopped at its bound."""
+
+    by: Literal["floor", "orders", "sweeps"]
+    low_hz: float
+    high_hz: float
+
+
 @dataclass(frozen=True, eq=False)
 class ModalFit:
     """Modes, lowest first, with the ``covariance`` of (f_1, ζ_1, f_2, ζ_2, …); tones; responses; the floor.
@@ -279,7 +288,7 @@ class ModalFit:
 
     ``frequency_hz`` (frequencies,), ``floor_psd`` and ``fitted_psd`` (channels, frequencies): what is left of the
     Campbell map without order lines, at unit gain, and the fit of it; NaN where orders cover a bin at all speeds.
-    ``whirls`` are the natural frequencies that move with the speed, lowest first.
+    ``whirls`` are the natural frequencies that move with the speed, lowest first; ``left``: where modes may be missing.
     """
 
     modes: tuple[Mode, ...]
@@ -294,6 +303,7 @@ class ModalFit:
     floor_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     fitted_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     whirls: tuple[Whirl, ...] = ()
+    left: tuple[Unsearched, ...] = ()
 
 
 Verdict = Literal["excited", "not excited", "not decided", "not measured", "outside the tested range", "undecided mode"]

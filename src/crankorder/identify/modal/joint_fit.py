@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone, Whirl
+from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone, Unsearched, Whirl
 from crankorder.identify.modal.exclusion import FloorBound, Hiding, floor_bound, least_seen
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modal.order_blocks import blocks_of
@@ -190,7 +190,7 @@ def modal_fit(
     cycle, least = int(order_map.attrs["revs_per_cycle"]), settings.least_damping_ratio
     fixed, spread = poles_of(swept.poles)
     known, covariance = poles_unlike(_own_modes(fitted), _own_covariance(fitted), swept.poles)
-    blocks, extra = poles_of_orders(
+    blocks, extra, ended = poles_of_orders(
         blocks,
         known.joined(fixed),
         side_by_side([covariance, spread]),
@@ -213,8 +213,17 @@ def modal_fit(
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     made = _with_order_modes(found, kept, blocks, told.found, told.covariance, (floors, swept.hiding), unit, settings)
     hidden = hidden_speeds(blocks, made.modes, revs_per_cycle=cycle, least_damping=least, looked_hz=swept.looked_hz)
+    left = [Unsearched("sweeps", low, high) for low, high in swept.left_hz]
+    if not ended:
+        swept_hz = np.array([block.ends_hz for block in blocks])
+        left.append(Unsearched("orders", float(swept_hz.min()), float(swept_hz.max())))
     made = replace(
-        made, modes=of_the_air(made.modes, campbell), hidden=hidden, swings=told.swings, shown_orders=swept.shown_orders
+        made,
+        modes=of_the_air(made.modes, campbell),
+        hidden=hidden,
+        swings=told.swings,
+        shown_orders=swept.shown_orders,
+        left=tuple(left),
     )
     return without_remains(made, whirls, campbell["speed"].values) if whirls else made
 

@@ -31,6 +31,7 @@ from crankorder.settings import MethodNumbers
 
 class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_search"):
     most_poles: int
+    most_starts: int
     next_to_share: float
     rises_ratio: float
     most_blocks: int
@@ -67,6 +68,9 @@ SETTLED = 0.05
 
 STEPS = 12
 """Steps of a fit at most."""
+
+SAME_SWEEP = 0.05
+"""Share of what a sweep passes at either end by which another may stop short of it and tell the same."""
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
@@ -114,8 +118,10 @@ def poles_of_orders(
     chance: float,
     most_damping: float,
     most_poles: int | None = None,
-) -> tuple[tuple[Block, ...], tuple[OrderPole, ...]]:
-    """``blocks`` with their laws and scatter, and the poles beyond the ``known`` ones that they ask for.
+) -> tuple[tuple[Block, ...], tuple[OrderPole, ...], bool]:
+    """``blocks`` with their laws and scatter, the poles beyond the ``known`` ones that they ask for; whether these end.
+
+    They do not where as many poles were found or starts followed as are allowed: others may be left.
 
     One pole after the other is taken where it explains most that is left of all orders and channels, and moved with all
     others to where the likelihood is largest, the known ones within their ``covariance`` (of f_1, ζ_1, f_2, …). Those
@@ -125,21 +131,38 @@ def poles_of_orders(
     scatter that is left of it, so that a force which only varies from speed to speed makes no pole.
     """
     if not blocks:
-        return (), ()
+        return (), (), True
     prior = Prior.of(known, covariance)
     blocks = sorted(blocks, key=lambda block: -float(np.max(block.size / block.error)))[: NUMBERS.most_blocks]
-    state = Fitted.of([with_best_law(block, known) for block in blocks], known, prior)
-    if len(known):
+    most = NUMBERS.most_poles if most_poles is None else most_poles
+    asked = _unlike(blocks) if most else blocks
+    state = Fitted.of([with_best_law(block, known) for block in asked], known, prior)
+    if len(known) and most:
         state = state.moved()
-    tried = Tried.of(blocks)
-    while len(state.poles) - len(known) < (NUMBERS.most_poles if most_poles is None else most_poles):
-        more = _more(state, tried, chance=chance, most_damping=most_damping)
-        if more is None:
-            break
+    tried = Tried.of(asked)
+    starts, more = NUMBERS.most_starts, state if most else None
+    while more is not None and starts > 0 and len(state.poles) - len(known) < most:
         state = more
+        more, followed = _more(state, tried, chance=chance, most_damping=most_damping)
+        starts -= followed
+    state = state if more is None else more
     state = _pruned(state, chance=chance)
+    if len(asked) < len(blocks):
+        state = Fitted.of([with_best_law(block, state.poles) for block in blocks], state.poles, prior).moved()
     found = range(len(known), len(state.poles))
-    return state.blocks, tuple(named(state.blocks, state.projected, state.poles, number) for number in found)
+    poles = tuple(named(state.blocks, state.projected, state.poles, number) for number in found)
+    return state.blocks, poles, more is None
+
+
+def _unlike(blocks: Sequence[Block]) -> list[Block]:
+    """Those of ``blocks``, of sweeps the first that passes through the frequencies where an order runs again."""
+    kept: list[Block] = []
+    for block in blocks:
+        (low, high), again = block.ends_hz, [one.ends_hz for one in kept if one.order == block.order]
+        reach = SAME_SWEEP * (high - low)
+        if block.passage is None or not any(ends[0] <= low + reach and ends[1] >= high - reach for ends in again):
+            kept.append(block)
+    return kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,45 +326,46 @@ class Tried:
         return cls(np.full(len(LIGHT), frequency_hz), np.array(LIGHT))
 
 
-def _more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) -> Fitted | None:
-    """``state`` with one or a few poles more, or None where none is asked for.
+def _more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) -> tuple[Fitted | None, int]:
+    """``state`` with one or a few poles more, or None where none is asked for; and how many starts were followed.
 
     Where one does not save enough others are tried with it: each may hide in what they leave.
     """
-    more = state
+    more, followed = state, 0
     for number in range(1, NUMBERS.most_at_once + 1):
         if number > AT_ONCE and more.misses < ORDER_MODES.felt_share:
-            return None
-        trial = _one_more(more, tried, most_damping=most_damping)
+            break
+        trial, starts = _one_more(more, tried, most_damping=most_damping)
+        followed += starts
         if trial is None:
-            return None
+            break
         more = trial
         if (
             more.saves(state) > _limit(more.blocks, chance, number)
             and more.accounts_for(state) > ORDER_MODES.felt_share
         ):
-            return more
-    return None
+            return more, followed
+    return None, followed
 
 
-def _one_more(state: Fitted, tried: Tried, *, most_damping: float) -> Fitted | None:
-    """``state`` with the one pole more that saves most; None where no start promises anything."""
+def _one_more(state: Fitted, tried: Tried, *, most_damping: float) -> tuple[Fitted | None, int]:
+    """``state`` with the one pole more that saves most, None where no start promises anything; and starts followed."""
     gains = _gains(state, tried)
-    best, most = None, 0.0
+    best, most, followed = None, 0.0, 0
     promising = NUMBERS.promising_share * _limit(state.blocks, 1.0)
-    for _ in range(TRIED_STARTS):
+    while followed < TRIED_STARTS:
         at = int(np.argmax(gains))
         if not gains[at] > promising:
             break
         f, zeta = float(tried.frequency_hz[at]), float(tried.damping[at])
         gains[np.abs(np.log(tried.frequency_hz / f)) < 2.0 * zeta] = 0.0
-        trial = state.with_pole((f, zeta))
+        trial, followed = state.with_pole((f, zeta)), followed + 1
         saved = trial.saves(state)
         if saved > most and not moved_out(
             trial.poles.chosen(np.arange(len(trial.poles)) == len(state.poles)), tried, most_damping
         ):
             best, most = trial, saved
-    return None if best is None else best.moved()
+    return None if best is None else best.moved(), followed
 
 
 def orders_raised(blocks: Sequence[Block], poles: Poles, frequency_hz: float) -> tuple[float, ...]:

@@ -139,38 +139,37 @@ class Passage:
 
     @cached_property
     def _turn(self) -> tuple[Array, Complex]:
-        """Angular frequency (T - 1,) in the middle of the steps, and by how much the order turns in each."""
+        """Angular frequency (T - 1,) in the middle of the steps, and by how much the order has turned (T,) since."""
         middle = np.pi * (self.frequency_hz[1:] + self.frequency_hz[:-1])
-        return middle, np.exp(-1j * middle * self.step_s)
+        return middle, np.exp(-1j * self.step_s * np.append(0.0, np.cumsum(middle)))
 
     def _envelopes(self, growth: Complex, pole: complex, *, slopes: bool) -> tuple[Complex, Complex]:
         """Solution (T,) of a' = (λ − iω) a + ``growth`` from a steady start, λ the ``pole``, and its slope by λ.
 
-        Without ``slopes`` the latter is not reckoned.
+        Without ``slopes`` the latter is not reckoned. On axes that turn with the order each step decays alike.
         """
-        from scipy.linalg import solve_banded
+        from scipy.signal import lfilter
 
-        middle, turn = self._turn
-        step = self.step_s
+        (middle, turned), step = self._turn, self.step_s
         z = (pole - 1j * middle) * step
-        grown = turn * np.exp(pole * step)
+        decay = np.exp(pole * step)
+        grown = turned[1:] * turned[:-1].conj() * decay
         over = (grown - 1.0) / z
         slope = (over - 1.0) / z  # the force is linear within a step: exact for a steady frequency
-        band = np.ones((2, len(growth)), dtype=np.complex128)
-        band[1, :-1] = -grown
-        band[1, -1] = 0.0
         start = 1.0 / (2j * np.pi * self.frequency_hz[0] - pole)
-        pushed = step * (growth[:-1] * over + (growth[1:] - growth[:-1]) * slope)
-        own = solve_banded((1, 0), band, np.concatenate([[growth[0] * start], pushed]), check_finite=False)
+
+        def along(first: complex, pushed: Complex) -> Complex:
+            return np.asarray(turned * lfilter([1.0], [1.0, -decay], np.append(first, pushed * turned[1:].conj())))
+
+        force, rise = step * growth[:-1], step * np.diff(growth)
+        own = along(growth[0] * start, force * over + rise * slope)
         if not slopes:
             return own, own
         # the slope of each step by λ, the step itself being exact
-        by_grown = step * grown
         by_over = step * (grown - over) / z
-        by_slope = step * ((grown - over) / z - slope) / z
-        pushed = by_grown * own[:-1] + step * (growth[:-1] * by_over + (growth[1:] - growth[:-1]) * by_slope)
-        bent = solve_banded((1, 0), band, np.concatenate([[growth[0] * start**2], pushed]), check_finite=False)
-        return np.asarray(own), np.asarray(bent)
+        by_slope = (by_over - step * slope) / z
+        pushed = step * grown * own[:-1] + force * by_over + rise * by_slope
+        return own, along(growth[0] * start**2, pushed)
 
 
 def passage_of(

@@ -41,6 +41,12 @@ NOISE_ROUNDS = 4
 LEAST_REACHED = 1e-6
 """Share of a column's square beyond all others from which one pole more is told by it."""
 
+TRIED_DAMPING = (0.003, 0.015, 0.06)
+"""Damping ratios that are tried as a start; frequencies lie as far apart as each is wide."""
+
+ROUNDED = 1.0 + 1e-9
+"""Ratio up to which a start at the end of a tile is none beyond it."""
+
 LAGS = 3
 """Bins beside one another whose errors may go together."""
 
@@ -231,6 +237,58 @@ class OnePoleMore:
         spread = np.einsum("sii->si", inverse).real * np.square(scale)
         variance = np.where(reached, spread, np.inf)[:, :-1, None] * np.square(window.level)
         return cls((residues * scale[:, :, None])[:, :-1] * window.level, np.asarray(variance), np.asarray(saves))
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """Places ``natural_hz`` and ``damping`` (S,) for one pole more, from ``low_hz`` to ``high_hz`` and one beyond each.
+
+    ``saves`` (S,) is what each would save, ``unknowns`` how many numbers it would take for that.
+    """
+
+    low_hz: float
+    high_hz: float
+    natural_hz: Array
+    damping: Array
+    saves: Array
+    unknowns: int
+
+    @classmethod
+    def of(cls, fit: LocalFit, low_hz: float, high_hz: float) -> Starts:
+        """Starts from ``low_hz`` to ``high_hz`` beside the poles of ``fit``."""
+        step, wide = 1.0 / max(window.sweep.length_s for window in fit.windows) / low_hz, np.log(high_hz / low_hz)
+        counts = [max(2, int(np.ceil(wide / max(zeta, step)))) for zeta in TRIED_DAMPING]
+        places = [np.arange(-1, count + 1) / (count - 1) for count in counts]
+        natural = low_hz * np.exp(wide * np.concatenate(places))
+        damping = np.repeat(TRIED_DAMPING, np.array(counts) + 2)
+        saves, unknowns = np.zeros(len(natural)), 2
+        for one in fit.solved:
+            saves += OnePoleMore.of(one, natural, damping).saves
+            unknowns += 2 * (len(one.window.orders) + 1) * one.left.shape[1]
+        return cls(low_hz, high_hz, natural, damping, saves, unknowns)
+
+    @property
+    def best(self) -> tuple[float, float]:
+        """Natural frequency and damping ratio of the start that saves most."""
+        at = int(np.argmax(self.saves))
+        return float(self.natural_hz[at]), float(self.damping[at])
+
+    @property
+    def beyond(self) -> int:
+        """-1 or 1 where the best one lies below or above the ends: what it saves is a pole's of the tile there."""
+        return int(self.best[0] > self.high_hz * ROUNDED) - int(self.best[0] < self.low_hz / ROUNDED)
+
+    @property
+    def inside(self) -> Starts:
+        """Those that lie between the ends."""
+        inner = (self.natural_hz >= self.low_hz / ROUNDED) & (self.natural_hz <= self.high_hz * ROUNDED)
+        return replace(self, saves=np.where(inner, self.saves, 0.0))
+
+    def limit(self, chance: float) -> float:
+        """What noise saves at the best of them by ``chance``."""
+        from scipy.special import chdtri
+
+        return float(chdtri(self.unknowns, chance / len(self.saves)))
 
 
 def _shared(one: Solved, forces: list[Complex], answers: Complex, power: Array) -> Complex:

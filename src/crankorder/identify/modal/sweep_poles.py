@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
 from crankorder.identify.modal.exclusion import SAME_ORDER, Hiding
-from crankorder.identify.modal.sweep_fit import LIGHTEST, LocalFit, OnePoleMore, shares_of
+from crankorder.identify.modal.sweep_fit import LIGHTEST, LocalFit, OnePoleMore, Starts, shares_of
 from crankorder.identify.modal.sweep_window import Solved, SweepSpectrum, Window
 from crankorder.identify.resonance import resonance
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -32,6 +32,7 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_poles")
     search_degree: int
     degrees: tuple[int, int]
     most_poles: int
+    most_starts: int
     felt_share: float
     proof_chance: float
     known_share: float
@@ -44,9 +45,6 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_poles")
 
 
 NUMBERS = _Numbers.load()
-
-TRIED_DAMPING = (0.003, 0.015, 0.06)
-"""Damping ratios that are tried as a start; frequencies lie as far apart as each is wide."""
 
 ROUGHLY = {"rounds": 1, "steps": 6}
 EXACTLY = {"rounds": 2, "steps": 6}
@@ -90,26 +88,18 @@ class SweepPole:
 
 
 @dataclass(frozen=True, eq=False)
-class Starts:
-    """Places for one pole more: ``natural_hz`` and ``damping`` (S,), and what each would save (S,)."""
+class TileLooked:
+    """All poles ``found`` after a tile was looked at, and further orders that it has ``shown``.
 
-    natural_hz: Array
-    damping: Array
-    saves: Array
-    unknowns: int
+    ``fit`` is what it ended with: None where no order passes, or the search stopped before its end. ``starts`` were
+    looked at. ``sent`` is -1 or 1 where one below or above its ends saves more than any inside.
+    """
 
-    @classmethod
-    def of(cls, fit: LocalFit, low_hz: float, high_hz: float) -> Starts:
-        """Starts from ``low_hz`` to ``high_hz`` beside the poles of ``fit``."""
-        step = 1.0 / max(window.sweep.length_s for window in fit.windows) / low_hz
-        counts = [max(2, int(np.ceil(np.log(high_hz / low_hz) / max(zeta, step)))) for zeta in TRIED_DAMPING]
-        natural = np.concatenate([np.geomspace(low_hz, high_hz, count) for count in counts])
-        damping = np.repeat(TRIED_DAMPING, counts)
-        saves, unknowns = np.zeros(len(natural)), 2
-        for one in fit.solved:
-            saves += OnePoleMore.of(one, natural, damping).saves
-            unknowns += 2 * (len(one.window.orders) + 1) * one.left.shape[1]
-        return cls(natural, damping, saves, unknowns)
+    found: list[tuple[float, float]]
+    shown: set[float] = field(default_factory=set)
+    fit: LocalFit | None = None
+    starts: int = 0
+    sent: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,13 +120,15 @@ class SweepFits:
     """What the signals of all sweeps of a test tell of its modes, place by place of frequency.
 
     ``hiding`` is what a mode that they do not show could add to each order; ``looked_hz`` are places, from … to, at
-    which every multiple of the cycle was looked for beside what rings, and ``shown_orders`` are those that were found.
+    which every multiple of the cycle was looked for beside what rings, and ``shown_orders`` are those that were found;
+    ``left_hz`` are places at which the search stopped before its end.
     """
 
     groups: tuple[GroupFit, ...] = ()
     hiding: tuple[Hiding, ...] = ()
     looked_hz: tuple[tuple[float, float], ...] = ()
     shown_orders: tuple[float, ...] = ()
+    left_hz: tuple[tuple[float, float], ...] = ()
 
     @property
     def poles(self) -> tuple[SweepPole, ...]:
@@ -168,23 +160,38 @@ def sweep_fits(
     settings : false-alarm probability, the dampings of modes, and the confidence with which one is excluded
     """
     orders = {order for one in spectra for order in one.orders}
+    tiles = _tiles(spectra) if orders else []
     found: list[tuple[float, float]] = []
-    hidden: list[HiddenInSweep] = []
-    looked: list[tuple[float, float]] = []
+    looked: dict[int, TileLooked] = {}
     every = set[float]()
-    for low, high in _tiles(spectra) if orders else ():
+    asked, starts = list(range(len(tiles)))[::-1], NUMBERS.most_starts
+    while asked and starts > 0:
+        number = asked.pop()
         known = orders | every
         more = [order for order in others if all(abs(order - one) > NUMBERS.apart_share * one for one in known)]
         search = _Search(tuple(spectra), tuple(sorted(every)), tuple(more), settings)
-        found, shown, beside = search.in_tile(found, low, high)
-        every |= shown
-        hidden += beside
-        looked += [(low, high)] if beside else []
+        back = {side for side in (-1, 1) if number + side in looked and looked[number + side].sent == -side}
+        tile = looked[number] = search.in_tile(found, *tiles[number], back=back, most_starts=starts)
+        starts -= tile.starts
+        every |= tile.shown
+        if len(tile.found) > len(found):
+            asked += [at for at in (number - 1, number + 1) if at in looked and looked[at].sent]
+        found = tile.found
     groups = _groups(spectra, sorted(every), [pole for pole in found if pole[1] <= settings.max_damping_ratio])
     refined = [_refined(spectra, sorted(every), group, found, settings.max_damping_ratio) for group in groups]
     made = tuple(one for one in refined if one is not None and one.poles)
     proven = [pole.frequency_hz for one in made for pole in one.poles]
-    return SweepFits(made, tuple(item.beside(proven) for item in hidden), tuple(looked), tuple(sorted(every)))
+    hidden: list[Hiding] = []
+    ends: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
+    for at, (low, high) in enumerate(tiles):
+        fit = looked[at].fit if at in looked else None
+        least, sure = settings.least_damping_ratio, settings.free_confidence
+        unseen = hidden_in(fit, low, high, least_damping=least, confidence=sure) if fit else ()
+        hidden += [item.beside(proven) for item in unseen]
+        # one that asks for more is not searched to its end: nothing is said to be free there
+        if unseen or at not in looked or (fit is None and looked[at].starts):
+            ends[bool(unseen)].append((low, high))
+    return SweepFits(made, tuple(hidden), tuple(ends[True]), tuple(sorted(every)), tuple(ends[False]))
 
 
 def _tiles(spectra: Sequence[SweepSpectrum]) -> list[tuple[float, float]]:
@@ -241,9 +248,12 @@ class _Search:
         return self.settings.false_alarm_probability
 
     def in_tile(
-        self, found: list[tuple[float, float]], low: float, high: float
-    ) -> tuple[list[tuple[float, float]], set[float], tuple[HiddenInSweep, ...]]:
-        """``found`` poles with those of the tile ``low`` to ``high`` Hz, more orders that it shows, what they hide."""
+        self, found: list[tuple[float, float]], low: float, high: float, *, back: set[int], most_starts: int
+    ) -> TileLooked:
+        """The tile ``low`` to ``high`` Hz beside the poles ``found``, in which ``most_starts`` are followed at most.
+
+        None where a start beyond an end promises more, but if the tile there is one of those that send ``back``.
+        """
         wide = NUMBERS.blurs * _blur_hz(self.spectra, self.shown, low, high)
         ends = (
             min(low * (1.0 - NUMBERS.beside_share), low - wide),
@@ -251,36 +261,33 @@ class _Search:
         )
         windows = _windows(self.spectra, self.shown, *ends, NUMBERS.search_degree) if wide else ()
         if not windows:
-            return found, set(), ()
+            return TileLooked(found)
         near = [pole for pole in found if ends[0] < pole[0] < ends[1]]
         natural, damping = np.array(near).reshape(-1, 2).T
         strong = tuple(
             window.with_strong(natural, damping, NUMBERS.strong_share, NUMBERS.most_orders) for window in windows
         )
         fit, shown = self._with_orders(LocalFit(strong, natural, damping).settled(**ROUGHLY))
-        tried = 0
-        while tried < NUMBERS.most_poles and (trial := self._with_pole(fit, low, high)) is not None:
+        tried, most = 0, min(NUMBERS.most_poles, most_starts)
+        while tried < most:
+            starts = Starts.of(fit, low, high)
+            trial = None if starts.beyond and starts.beyond not in back else self._with_pole(fit, starts.inside)
+            tried += 1
+            if trial is None:
+                break
             fit, again = self._with_orders(trial)
-            shown, tried = shown | again, tried + 1
+            shown |= again
         others = [pole for pole in found if not ends[0] < pole[0] < ends[1]]
-        least, sure = self.settings.least_damping_ratio, self.settings.free_confidence
-        # one that asks for more is not searched to its end: nothing is said to be free there
-        searched = tried < NUMBERS.most_poles
-        hidden = hidden_in(fit, low, high, least_damping=least, confidence=sure) if searched else ()
-        return others + list(zip(fit.natural_hz.tolist(), fit.damping.tolist(), strict=True)), shown, hidden
+        found = others + list(zip(fit.natural_hz.tolist(), fit.damping.tolist(), strict=True))
+        return TileLooked(found, shown, fit if trial is None else None, tried, sent=starts.beyond)
 
-    def _with_pole(self, fit: LocalFit, low: float, high: float) -> LocalFit | None:
-        """``fit`` with the pole more that saves most in the tile; None where none saves enough, or is felt."""
-        from scipy.special import chdtri
-
-        starts = Starts.of(fit, low, high)
-        limit = float(chdtri(starts.unknowns, self.chance / len(starts.saves)))
-        best = int(np.argmax(starts.saves))
-        if starts.saves[best] < limit:
+    def _with_pole(self, fit: LocalFit, starts: Starts) -> LocalFit | None:
+        """``fit`` with the best of ``starts``; None where that saves too little, or is not felt."""
+        if starts.saves.max() < (limit := starts.limit(self.chance)):
             return None
-        trial = fit.with_pole(float(starts.natural_hz[best]), float(starts.damping[best])).settled(**ROUGHLY)
-        last = len(trial.natural_hz) - 1
-        inside = low / (1.0 + NUMBERS.beside_share) <= trial.natural_hz[last] <= high * (1.0 + NUMBERS.beside_share)
+        trial = fit.with_pole(*starts.best).settled(**ROUGHLY)
+        last, reach = len(trial.natural_hz) - 1, 1.0 + NUMBERS.beside_share
+        inside = starts.low_hz / reach <= trial.natural_hz[last] <= starts.high_hz * reach
         if not inside or trial.damping[last] > 2.0 * self.settings.max_damping_ratio or trial.gain(last) < limit:
             return None
         felt = trial.share(last) >= NUMBERS.felt_share or trial.damping[last] <= 2.0 * LIGHTEST
