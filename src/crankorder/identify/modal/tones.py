@@ -221,23 +221,17 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
     ``error_hz``: standard error of the frequency; ``floor``: in all channels; ``settings``: those in use.
     """
     known = on_order(frequency_hz, error_hz, floor, settings=settings)
+    rows = _rows_that_show(frequency_hz, floor)
+    few = rows.any() and np.count_nonzero(rows) < NUMBERS.few_of_share * len(rows)
+    if not known and few and _on_half_orders(frequency_hz, rows, floor):
+        known = "seen only at speeds where it lies on an order of the cycle, so that a swing of the speed makes it"
     if known:
         alone = multiple_on(frequency_hz, error_hz, settings=settings)
         also = f"; it is {alone[0]} x {alone[1]:g} Hz as well" if alone else ""
-        return "order", known + also
+        return "mains or order" if alone else "order", known + also
     for multiple, mains in multiples_near(frequency_hz, error_hz, settings=settings):
         same = ", the same at all speeds" if _moves(floor) else ""
         return "mains", f"no damping, {times_mains(multiple, mains)}{same}"
-    rows = _rows_that_show(frequency_hz, floor)
-    if (
-        rows.any()
-        and np.count_nonzero(rows) < NUMBERS.few_of_share * len(rows)
-        and _on_half_orders(frequency_hz, rows, floor)
-    ):
-        return (
-            "order",
-            "seen only at speeds where it lies on an order of the cycle, so that a swing of the speed makes it",
-        )
     stays = "stays at all speeds" if rows.all() else f"stands out at {np.count_nonzero(rows)} of {len(rows)} speeds"
     stays = f"; {stays}" if _moves(floor) else ""
     return "tone", f"no damping: as narrow as the window makes any tone{stays}"
