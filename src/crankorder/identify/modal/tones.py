@@ -312,9 +312,11 @@ def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> lis
     kept = [tone for tone in tones if tone.kind != "mains"]
     first: dict[tuple[float, int], Tone] = {}
     near = partial(multiples_near, settings=settings)
-    mains_tones = [(tone, near(tone.frequency_hz, tone.frequency_error_hz)) for tone in tones if tone.kind == "mains"]
-    places = [(tone, *[*found, (1, 0.0)][0]) for tone, found in mains_tones]
-    for tone, multiple, mains in sorted(places, key=lambda place: place[0].frequency_error_hz / place[1]):
+    mains_tones = [tone for tone in tones if tone.kind == "mains"]
+    places = [(one, *[*near(one.frequency_hz, one.frequency_error_hz), (1, 0.0)][0]) for one in mains_tones]
+    # of two that claim one supply that of which the whole interval lies nearest to what the supply should have
+    ends = [abs(one.frequency_hz / n - hz) + NUMBERS.same_sigmas * one.frequency_error_hz / n for one, n, hz in places]
+    for tone, multiple, mains in (places[k] for k in np.argsort(ends)):
         others = [(multiple / n, other) for (m, n), other in first.items() if m == mains]
         beside = [other for ratio, other in others if _differ(tone, other, ratio)]
         if beside:
