@@ -40,7 +40,7 @@ def test_what_a_swing_of_the_speed_makes_at_one_speed_is_an_order(seed: int) -> 
     hertz = order * speed[at] / 60.0
     size = np.where(np.arange(len(speed)) == at, 10.0 ** rng.uniform(1.5, 4), 0.0)
     kind, words = kind_of(hertz, 0.01, floor_with(hertz, speed, size, seed), settings=SETTINGS)
-    assert kind in ("order", "mains") and "at all speeds" not in words.replace("the same at all speeds", "")
+    assert "order" in kind and "at all speeds" not in words
 
 
 @pytest.mark.parametrize("seed", range(12))

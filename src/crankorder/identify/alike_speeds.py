@@ -277,7 +277,8 @@ def without_absent_mains(modal: ModalFit, held: Sequence[Held], *, settings: Ide
     """``modal`` with higher multiples of the mains called tones where one of the recordings ``held`` has none there.
 
     A supply is there at every speed; what stands near one of its many multiples at some speeds is something else, but
-    where it is the exact multiple of a supply that the test shows: a weak one is not seen in every recording.
+    where it is the exact multiple of a supply that the test shows: a weak one is not seen in every recording. What may
+    be mains or an order is an order where most recordings whose shaft has none there do not show it.
     ``settings``: the mains frequencies and how far they wander.
     """
     if len(modal.frequency_hz) < 2:
@@ -288,6 +289,7 @@ def without_absent_mains(modal: ModalFit, held: Sequence[Held], *, settings: Ide
     supplies = [tone for tone in mains if not tone.frequency_hz > alone_hz]
     high = [tone for tone in mains if tone not in supplies]
     doubted = [tone for tone in high if not any(_is_multiple(tone, one, settings) for one in supplies)]
+    doubted += [tone for tone in modal.tones if tone.kind == "mains or order"]
     tones = [_unless_absent(tone, held, step) if tone in doubted else tone for tone in modal.tones]
     return replace(modal, tones=tuple(tones))
 
@@ -303,14 +305,19 @@ def _is_multiple(tone: Tone, supply: Tone, settings: IdentifySettings) -> bool:
 
 
 def _unless_absent(tone: Tone, held: Sequence[Held], reach_hz: float) -> Tone:
-    """``tone``, or no mains where a recording has none there although no order of its shaft hides the place."""
+    """``tone``, or no mains where a recording has none there although no order of its shaft hides the place.
+
+    What may be an order as well is no mains where most of such recordings have none.
+    """
     place = tone.frequency_hz
     inside = [one for one in held if one.order_of((place + reach_hz, 0.0)) + LOBE_BINS / one.revs < one.axis[-1]]
     inside = [one for one in inside if not _is_hidden(one, place)]
     shown = sum(found_near(one, place - reach_hz, place + reach_hz) is not None for one in inside)
-    if not inside or shown == len(inside):
+    either = tone.kind == "mains or order"
+    if not inside or shown >= (0.5 if either else 1.0) * len(inside):
         return tone
-    return replace(tone, kind="tone", evidence=f"no damping; {shown} of {len(inside)} recordings show it")
+    words = f"{tone.evidence if either else 'no damping'}; {shown} of {len(inside)} recordings show it"
+    return replace(tone, kind="order" if either else "tone", evidence=words)
 
 
 def _is_hidden(held: Held, hertz: float) -> bool:

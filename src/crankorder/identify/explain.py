@@ -490,9 +490,9 @@ def _tone_words(tone: Tone, known: Sequence[LineSeen], supply_hz: float | None, 
         near = multiples_near(tone.frequency_hz, tone.frequency_error_hz, settings=settings)
         on = [multiple for multiple, mains in near if supply_hz in (None, mains)]
         return mains_words(on[0]) if len(on) == 1 else "mains"
-    if tone.kind == "order":
+    if tone.kind == "mains or order":
         alone = multiple_on(tone.frequency_hz, tone.frequency_error_hz, settings=settings)
-        return f"{mains_words(alone[0])} or order" if alone else "order"
+        return f"{mains_words(alone[0] if alone else 1)} or order"
     return words_of(of_motor[0]) if of_motor else tone.kind
 
 
@@ -555,7 +555,7 @@ def without_doubles(modal: ModalFit) -> ModalFit:
     kept = tuple(
         tone
         for tone, size in zip(modal.tones, sizes, strict=True)
-        if tone.kind != "order"
+        if "order" not in tone.kind
         or not any(
             abs(tone.frequency_hz - other.frequency_hz) < reach and size < more
             for other, more in zip(modal.tones, sizes, strict=True)

@@ -20,7 +20,7 @@ Evidence = Literal[
 Lock = Literal["locked", "slips", "undecided"]
 """Whether an order is an exact multiple of the cycle's: its phase stays, runs away, or cannot be told."""
 
-ToneKind = Literal["mains", "tone", "order"]
+ToneKind = Literal["mains", "tone", "order", "mains or order"]
 """A line of fixed frequency without damping: mains, another tone, or an order that no speed tells from one."""
 
 

@@ -328,7 +328,7 @@ def _goes_with(known: LineSeen, agreed: AgreedOrder) -> bool:
     fixed_hz = known.hertz - known.line.turns * known.held.rpm / 60.0
     speeds = np.unique(np.concatenate([line.speed_rpm for line in agreed.lines]))
     at = known.line.turns + 60.0 * fixed_hz / speeds
-    return bool(np.mean(np.abs(at - agreed.order) < NUMBERS.same_place_orders) >= NUMBERS.most_share)
+    return bool(np.mean(np.abs(at - agreed.order) < NUMBERS.same_place_orders) > NUMBERS.most_share)
 
 
 def without_known(modal: ModalFit, known: Sequence[LineSeen]) -> ModalFit:

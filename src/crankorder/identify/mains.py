@@ -288,7 +288,7 @@ def with_mains_tones(modal: ModalFit, known: Sequence[LineSeen], orders: Sequenc
         ]
         words = f"{len(group)} recordings hold it at {mains} times one mains frequency"
         for number in near:
-            if tones[number].kind == "order" and len(group) >= NUMBERS.least_speeds:
+            if "order" in tones[number].kind and len(group) >= NUMBERS.least_speeds:
                 tones[number] = replace(tones[number], kind="mains", evidence=words)
         if not near and mains not in held_by_orders:
             tones.append(_as_tone(hertz, group, words))

@@ -44,7 +44,8 @@ def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Da
 
     A fast sweep turns the phase of a line by its modes in so few revolutions that its number is known to a percent
     only; the tracks of ``followed`` (RecordingTracks) stand at a multiple of the cycle's then, or at what long frames
-    tell. A number that another of the orders has already is left to that; errors grow by what a number moves.
+    tell: that is told within the 99.9 % interval of the order, a multiple is but likely and lies within that of 95 %.
+    A number that another of the orders has already is left to that; errors grow by what a number moves.
     """
     tracks: list[NDArray[np.float64]] = [item["order"].values for item in followed if item.attrs.get("swept", 0)]
     if not tracks:
@@ -57,7 +58,9 @@ def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Da
     for one in orders:
         number = float(numbers[np.abs(numbers - one.order).argmin()]) if len(numbers) else np.inf
         off = abs(number - one.order)
-        within = NUMBERS.same_order * number < off <= sure_half_width(one.order_error, one.degrees_of_freedom)
+        half = half_width(one.degrees_of_freedom) * one.order_error
+        reach = half if (2.0 * number).is_integer() else sure_half_width(one.order_error, one.degrees_of_freedom)
+        within = NUMBERS.same_order * number < off <= reach
         if one.lock == "undecided" and within and number not in taken:
             taken.append(number)
             error = one.order_error + off / half_width(one.degrees_of_freedom)  # what was told lies within

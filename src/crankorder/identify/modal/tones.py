@@ -221,23 +221,17 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
     ``error_hz``: standard error of the frequency; ``floor``: in all channels; ``settings``: those in use.
     """
     known = on_order(frequency_hz, error_hz, floor, settings=settings)
+    rows = _rows_that_show(frequency_hz, floor)
+    few = rows.any() and np.count_nonzero(rows) < NUMBERS.few_of_share * len(rows)
+    if not known and few and _on_half_orders(frequency_hz, rows, floor):
+        known = "seen only at speeds where it lies on an order of the cycle, so that a swing of the speed makes it"
     if known:
         alone = multiple_on(frequency_hz, error_hz, settings=settings)
         also = f"; it is {alone[0]} x {alone[1]:g} Hz as well" if alone else ""
-        return "order", known + also
+        return "mains or order" if alone else "order", known + also
     for multiple, mains in multiples_near(frequency_hz, error_hz, settings=settings):
         same = ", the same at all speeds" if _moves(floor) else ""
         return "mains", f"no damping, {times_mains(multiple, mains)}{same}"
-    rows = _rows_that_show(frequency_hz, floor)
-    if (
-        rows.any()
-        and np.count_nonzero(rows) < NUMBERS.few_of_share * len(rows)
-        and _on_half_orders(frequency_hz, rows, floor)
-    ):
-        return (
-            "order",
-            "seen only at speeds where it lies on an order of the cycle, so that a swing of the speed makes it",
-        )
     stays = "stays at all speeds" if rows.all() else f"stands out at {np.count_nonzero(rows)} of {len(rows)} speeds"
     stays = f"; {stays}" if _moves(floor) else ""
     return "tone", f"no damping: as narrow as the window makes any tone{stays}"
@@ -318,9 +312,11 @@ def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> lis
     kept = [tone for tone in tones if tone.kind != "mains"]
     first: dict[tuple[float, int], Tone] = {}
     near = partial(multiples_near, settings=settings)
-    mains_tones = [(tone, near(tone.frequency_hz, tone.frequency_error_hz)) for tone in tones if tone.kind == "mains"]
-    places = [(tone, *[*found, (1, 0.0)][0]) for tone, found in mains_tones]
-    for tone, multiple, mains in sorted(places, key=lambda place: place[0].frequency_error_hz / place[1]):
+    mains_tones = [tone for tone in tones if tone.kind == "mains"]
+    places = [(one, *[*near(one.frequency_hz, one.frequency_error_hz), (1, 0.0)][0]) for one in mains_tones]
+    # of two that claim one supply that of which the whole interval lies nearest to what the supply should have
+    ends = [abs(one.frequency_hz / n - hz) + NUMBERS.same_sigmas * one.frequency_error_hz / n for one, n, hz in places]
+    for tone, multiple, mains in (places[k] for k in np.argsort(ends)):
         others = [(multiple / n, other) for (m, n), other in first.items() if m == mains]
         beside = [other for ratio, other in others if _differ(tone, other, ratio)]
         if beside:
