@@ -279,7 +279,8 @@ class ModalFit:
 
     ``frequency_hz`` (frequencies,), ``floor_psd`` and ``fitted_psd`` (channels, frequencies): what is left of the
     Campbell map without order lines, at unit gain, and the fit of it; NaN where orders cover a bin at all speeds.
-    ``whirls`` are the natural frequencies that move with the speed, lowest first.
+    ``whirls`` are the natural frequencies that move with the speed, lowest first. In each range (from, to) of
+    ``unsearched_hz`` the search ended at the bound of its work: poles may be missing there, and some were not tested.
     """
 
     modes: tuple[Mode, ...]
@@ -294,6 +295,7 @@ class ModalFit:
     floor_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     fitted_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
     whirls: tuple[Whirl, ...] = ()
+    unsearched_hz: tuple[tuple[float, float], ...] = ()
 
 
 Verdict = Literal["excited", "not excited", "not decided", "not measured", "outside the tested range", "undecided mode"]
