@@ -35,7 +35,7 @@ def test_the_skirts_of_a_giant_line_are_no_floor_and_no_mode(speeds: tuple[float
     level = np.nanmedian(floor.cells)
     assert np.nanmax(floor.cells) < 12.0 * level  # some noise of some six frames
     assert np.isfinite(floor.psd).mean() > 0.5
-    _, fit = search(floor, chance=1e-3)
+    _, fit, _ = search(floor, chance=1e-3)
     assert not len(fit.poles)
 
 

@@ -241,7 +241,7 @@ def test_more_poles_than_bins_and_widths_beyond_a_low_frequency_are_no_fault(see
         bins = (part["psd"].dims, random.gamma(0.3, 1.0, part["psd"].shape))
         fit = modal_fit(part.assign(psd=bins), no_orders(part), (), settings=_settings())
         assert all(np.isfinite(mode.frequency_hz) for mode in fit.modes)
-    problem, _ = search(quiet_floor(campbell, ()), chance=1e-3)
+    problem, *_ = search(quiet_floor(campbell, ()), chance=1e-3)
     few = replace(
         problem,
         frequency_hz=problem.frequency_hz[:5],

@@ -30,6 +30,7 @@ from crankorder.identify.modal.order_search import orders_raised, poles_of_order
 from crankorder.identify.modal.pole_errors import covariance_of_all, pole_covariance, side_by_side
 from crankorder.identify.modal.ringing import hidden_speeds
 from crankorder.identify.modal.search import (
+    EVERYWHERE,
     dispersion,
     evidence_of,
     hidden_poles,
@@ -75,20 +76,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """``floor`` of a band with what it shares with the next ones; poles from ``low_hz`` to ``high_hz`` belong to it.
+    """``floor`` of a band with what it shares with the next ones; poles in ``range_hz`` (from, to) belong to it.
 
     ``first`` and ``last`` are the bins of the whole floor that are its own, the last one excluded.
     """
 
     floor: Floor
-    low_hz: float
-    high_hz: float
+    range_hz: tuple[float, float]
     first: int
     last: int
-
-    def owns(self, poles: Poles) -> NDArray[np.bool_]:
-        """Which of ``poles`` (M,) belong to this band."""
-        return np.asarray((poles.frequency_hz >= self.low_hz) & (poles.frequency_hz < self.high_hz))
 
     def holds(self, poles: Poles) -> NDArray[np.bool_]:
         """Which of ``poles`` (M,) lie in it or in what it shares."""
@@ -101,7 +97,7 @@ def bands_of(floor: Floor) -> tuple[Band, ...]:
     n_bins = len(floor.frequency_hz)
     seen = _peaks_by_part(floor)
     if n_bins <= NUMBERS.longest_bins and len(seen) <= NUMBERS.most_peaks:
-        return (Band(floor, -math.inf, math.inf, 0, n_bins),)
+        return (Band(floor, EVERYWHERE, 0, n_bins),)
     load = 1.0 / np.maximum(NUMBERS.band_bins, NUMBERS.band_share * floor.frequency_hz / floor.step_hz)
     np.add.at(
         load, np.searchsorted(floor.frequency_hz, seen.frequency_hz).clip(0, n_bins - 1), 1.0 / NUMBERS.band_peaks
@@ -131,7 +127,7 @@ def _band(floor: Floor, first: int, last: int) -> Band:
     )
     low = floor.frequency_hz[first] - 0.5 * floor.step_hz if first else -math.inf
     high = floor.frequency_hz[last] - 0.5 * floor.step_hz if last < n_bins else math.inf
-    return Band(part, float(low), float(high), first, last)
+    return Band(part, (float(low), float(high)), first, last)
 
 
 def _peaks_by_part(floor: Floor) -> Poles:
@@ -141,7 +137,7 @@ def _peaks_by_part(floor: Floor) -> Poles:
         part = _band(floor, first, min(first + NUMBERS.band_bins, len(floor.frequency_hz)))
         if len(part.floor.frequency_hz) >= 2 * NUMBERS.shared_bins:
             here = peaks(part.floor)
-            made = made.joined(here.chosen(part.owns(here)))
+            made = made.joined(here.chosen(here.within(part.range_hz)))
     return made
 
 
@@ -185,8 +181,10 @@ def modal_fit(
         floor, whirls = whirls_of(floor, settings=settings)
         floor = with_strong_tones(floor, least_damping=TONES.least_damping_ratio)
         for band in bands_of(floor):
-            problem, fit = search(band.floor, chance=settings.false_alarm_probability)
-            fitted.append(Fitted(band, problem, with_tones(problem, fit, floor, settings=settings)))
+            own_hz = band.range_hz
+            problem, fit, stopped = search(band.floor, chance=settings.false_alarm_probability, own_hz=own_hz)
+            fit = with_tones(problem, fit, floor, own_hz=own_hz, settings=settings)
+            fitted.append(Fitted(band, problem, fit, stopped))
     cycle, least = int(order_map.attrs["revs_per_cycle"]), settings.least_damping_ratio
     fixed, spread = poles_of(swept.poles)
     known, covariance = poles_unlike(_own_modes(fitted), _own_covariance(fitted), swept.poles)
@@ -213,17 +211,13 @@ def modal_fit(
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     made = _with_order_modes(found, kept, blocks, told.found, told.covariance, (floors, swept.hiding), unit, settings)
     hidden = hidden_speeds(blocks, made.modes, revs_per_cycle=cycle, least_damping=least, looked_hz=swept.looked_hz)
-    left = [Unsearched("sweeps", low, high) for low, high in swept.left_hz]
-    if not ended:
-        swept_hz = np.array([block.ends_hz for block in blocks])
-        left.append(Unsearched("orders", float(swept_hz.min()), float(swept_hz.max())))
     made = replace(
         made,
         modes=of_the_air(made.modes, campbell),
         hidden=hidden,
         swings=told.swings,
         shown_orders=swept.shown_orders,
-        left=tuple(left),
+        left=_left(fitted, floor, blocks if not ended else (), swept),
     )
     return without_remains(made, whirls, campbell["speed"].values) if whirls else made
 
@@ -235,6 +229,20 @@ def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrde
     single = seen_at_single_speeds(order_map, top_hz=float(campbell["frequency"].values[-1]))
     floor = quiet_floor(campbell, tuple((item.order, item.order_error) for item in orders), single=single)
     return floor if floor is not None and np.isfinite(floor.psd).any() else None
+
+
+def _left(
+    fitted: list[Fitted], floor: Floor | None, unended: Sequence[Block], swept: SweepFits
+) -> tuple[Unsearched, ...]:
+    """Where the searches in bands of the ``floor``, in ``swept`` signals and by ``unended`` blocks stopped."""
+    left = [Unsearched("sweeps", low, high) for low, high in swept.left_hz]
+    if floor is not None:
+        bands = np.clip([item.band.range_hz for item in fitted if item.stopped], *floor.frequency_hz[[0, -1]])
+        left += [Unsearched("floor", float(low), float(high)) for low, high in bands]
+    if unended:
+        ends = np.array([block.ends_hz for block in unended])
+        left.append(Unsearched("orders", float(ends.min()), float(ends.max())))
+    return tuple(left)
 
 
 def _own_modes(fitted: list[Fitted]) -> Poles:
@@ -252,16 +260,17 @@ def _own_covariance(fitted: list[Fitted]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Fitted:
-    """``fit`` of the ``problem`` of a ``band``."""
+    """``fit`` of the ``problem`` of a ``band``; ``stopped``: whether the search for its poles did at its bound."""
 
     band: Band
     problem: Problem
     fit: SurfaceFit
+    stopped: bool
 
     @property
     def own(self) -> NDArray[np.bool_]:
         """Which poles belong to the band and are no tones."""
-        return np.asarray(self.band.owns(self.fit.poles) & ~self.fit.poles.tone)
+        return np.asarray(self.fit.poles.within(self.band.range_hz) & ~self.fit.poles.tone)
 
     @property
     def own_modes(self) -> Poles:
@@ -301,7 +310,7 @@ def _with_orders(item: Fitted, every: list[Fitted], blocks: tuple[Block, ...], f
         if other is not item:
             fixed = fixed.joined(other.own_modes.chosen(~item.band.holds(other.own_modes)))
     problem, fit = fitting(replace(item.problem, others=None), item.fit, blocks, fixed=fixed)
-    return Fitted(item.band, problem, fit)
+    return replace(item, problem=problem, fit=fit)
 
 
 def _with_order_modes(
@@ -388,7 +397,7 @@ def _found(
         shape[:, own] = np.where(item.problem.averages > 0.0, item.fit.model, np.nan)[:, here]
         smooth[:, own] = _without_hidden(item)[:, here]
         poles = item.fit.poles
-        tone = poles.tone & item.band.owns(poles) & ~hidden_poles(item.problem, item.fit)
+        tone = poles.tone & poles.within(item.band.range_hz) & ~hidden_poles(item.problem, item.fit)
         still += tuple(poles.frequency_hz[tone].tolist())
     tones = [tone_of(f, error, floor, smooth, settings=settings) for f, error in floor.strong]
     modes: list[Mode] = []
@@ -429,7 +438,7 @@ def _of_band(
     modes: list[Mode] = []
     tones: list[Tone] = []
     kept: list[int] = []
-    for number in np.flatnonzero(~hidden_poles(problem, fit) & item.band.owns(fit.poles)).tolist():
+    for number in np.flatnonzero(~hidden_poles(problem, fit) & fit.poles.within(item.band.range_hz)).tolist():
         f, error = float(fit.poles.frequency_hz[number]), float(np.sqrt(covariance[2 * number, 2 * number]))
         if fit.poles.tone[number]:
             if floor.frequency_hz[0] <= f <= floor.frequency_hz[-1]:

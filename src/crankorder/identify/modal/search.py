@@ -15,6 +15,7 @@ from crankorder.identify.modal.surface_fit import (
     NO_POLES,
     Poles,
     Problem,
+    Range,
     SurfaceFit,
     background_columns,
     curvature,
@@ -49,6 +50,7 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="search"):
     smoothest_residual: float
     surely_ratio: float
     doubtful_ratio: float
+    most_fits: int
 
 
 NUMBERS = _Numbers.load()
@@ -182,6 +184,9 @@ def local_maxima(level: Array) -> NDArray[np.int64]:
 PAIRS = ((0.5, 0.6), (1.0, 0.4))
 """Distance from a pole and half width, in its half widths, of the two that are tried in its place."""
 
+MOST_OF_SPLIT = 6
+"""Fits at most by which a pole is taken apart in two."""
+
 LINE_WIDTH = 0.02
 """Half width in bins of a line that is tried."""
 
@@ -192,23 +197,45 @@ BOXES = (3, 7, 15, 31, 63, 127, 255, 511)
 """Widths in bins over which the residual is summed."""
 
 
-def search(floor: Floor, *, chance: float) -> tuple[Problem, SurfaceFit]:
-    """Problem and fit of ``floor`` with every pole that the data ask for at the false-alarm level ``chance``."""
+class Fits:
+    """Fits that a search may still begin: ``left`` falls below none where it asked for more."""
+
+    def __init__(self) -> None:
+        self.left = NUMBERS.most_fits
+
+    def begin(self, number: int = 1) -> bool:
+        """Whether another may begin, or that ``number``."""
+        self.left -= number
+        return self.left >= 0
+
+
+EVERYWHERE = (-np.inf, np.inf)
+
+
+def search(floor: Floor, *, chance: float, own_hz: Range = EVERYWHERE) -> tuple[Problem, SurfaceFit, bool]:
+    """Problem and fit of ``floor`` with every pole that the data ask for at the false-alarm level ``chance``.
+
+    And whether the search ended at its bound: then poles may be missing, and some were not tested.
+    ``own_hz``: from where to where poles are taken apart and tested; beside that they but make room for those within.
+    """
     best: tuple[float, Problem, SurfaceFit] | None = None
-    start = _beside_lines(peaks(floor), floor)
+    start = peaks(floor)
+    for line, _ in floor.strong:
+        start = start.chosen(np.abs(start.frequency_hz - line) > NUMBERS.own_peak_bins * floor.seen.bin_hz)
+    looked, tested = Fits(), Fits()
     for degree in NUMBERS.background_degrees:
         problem = problem_of(floor, degree)
-        fit = fit_surface(problem, start, steps=15)
-        fit = _grown(problem, _surely_idle_left_out(problem, fit, chance), chance)
+        fit = _pruned(problem, fit_surface(problem, start, steps=15), chance, tested, EVERYWHERE, at_first=True)
+        fit = _grown(problem, fit, chance, looked)
         size = fit.linear.size + 2 * len(fit.poles)
         cost = fit.deviance + HANN_CORRELATION * size * np.log(len(floor.frequency_hz))
         if best is None or cost < best[0]:
             best = (cost, problem, fit)
     assert best is not None
     _, problem, fit = best
-    fit = _split(problem, fit, chance)
-    fit = _grown(problem, fit, chance)
-    return problem, _pruned(problem, fit, chance)
+    fit = _grown(problem, _split(problem, fit, chance, looked, own_hz), chance, looked)
+    fit = _pruned(problem, fit, chance, tested, own_hz)
+    return problem, fit, min(looked.left, tested.left) < 0
 
 
 def problem_of(floor: Floor, degree: int) -> Problem:
@@ -301,13 +328,6 @@ def peaks(floor: Floor) -> Poles:
     return _joined(found, floor)
 
 
-def _beside_lines(poles: Poles, floor: Floor) -> Poles:
-    """``poles`` but for those that stand where the strong tones of ``floor`` do."""
-    for line, _ in floor.strong:
-        poles = poles.chosen(np.abs(poles.frequency_hz - line) > NUMBERS.own_peak_bins * floor.seen.bin_hz)
-    return poles
-
-
 def _joined(found: list[tuple[float, float, float]], floor: Floor) -> Poles:
     """Peaks of several channels (frequency, half width, height) that stand for one pole made one."""
     poles = NO_POLES
@@ -392,58 +412,45 @@ def _mean_square(problem: Problem, fit: SurfaceFit, at_hz: float | None) -> floa
     return float(np.sum(residual**2)) / spare
 
 
-def _surely_idle_left_out(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
-    """Without poles whose linear terms say nothing even if the model held everywhere."""
-    limit = HANN_CORRELATION * least_gain(len(problem.psd), chance)
-    kept: list[float] = []
-    while len(fit.poles):
-        evidence = evidence_of(fit).sum(axis=1)
-        evidence[np.isin(fit.poles.frequency_hz, kept)] = np.inf
-        weakest = int(np.argmin(evidence))
-        if evidence[weakest] > limit:
-            break
-        less = fit_surface(problem, fit.poles.without(weakest), start=fit.model, steps=5)
-        if less.deviance - fit.deviance > NUMBERS.surely_ratio * limit:
-            kept.append(float(fit.poles.frequency_hz[weakest]))
-        else:
-            fit, kept = less, []
-    return fit
+def _pruned(
+    problem: Problem, fit: SurfaceFit, chance: float, fits: Fits, own_hz: Range, *, at_first: bool = False
+) -> SurfaceFit:
+    """Without the poles in ``own_hz`` that add no more than chance would, the weakest first.
 
-
-def _pruned(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
-    """Without the poles that add no more than chance would, the weakest first.
-
-    Those whose linear terms are less than some times the limit are left out on trial.
+    Those whose linear terms are less than some times the limit are left out on trial; ``at_first`` only those whose
+    linear terms say nothing even if the model held everywhere.
     """
     limit = HANN_CORRELATION * least_gain(len(problem.psd), chance)
+    most, steps = (limit, 5) if at_first else (NUMBERS.doubtful_ratio * limit, 12)
     kept: list[float] = []
     while len(fit.poles):
-        local = np.array([scatter_at(problem, fit, float(f)) for f in fit.poles.frequency_hz])
+        frequency = fit.poles.frequency_hz
+        local = 1.0 if at_first else np.array([scatter_at(problem, fit, float(f)) for f in frequency])
         evidence = evidence_of(fit).sum(axis=1) / local
-        evidence[np.isin(fit.poles.frequency_hz, kept)] = np.inf
+        evidence[np.isin(frequency, kept) | ~fit.poles.within(own_hz)] = np.inf
         weakest = int(np.argmin(evidence))
-        if evidence[weakest] > NUMBERS.doubtful_ratio * limit:
+        if evidence[weakest] > most or not fits.begin():
             break
-        at_hz = float(fit.poles.frequency_hz[weakest])
-        less = fit_surface(problem, fit.poles.without(weakest), start=fit.model, steps=12)
+        at_hz = float(frequency[weakest])
+        less = fit_surface(problem, fit.poles.without(weakest), start=fit.model, steps=steps)
         surely = less.deviance - fit.deviance > NUMBERS.surely_ratio * limit
-        idle = evidence[weakest] < limit and not surely
-        if idle or not saves_enough(problem, less, fit, at_hz=at_hz, chance=chance):
+        idle = evidence[weakest] <= limit and not surely
+        if idle or not (at_first or saves_enough(problem, less, fit, at_hz=at_hz, chance=chance)):
             fit, kept = less, []
         else:
             kept.append(at_hz)
     return fit
 
 
-def _grown(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
+def _grown(problem: Problem, fit: SurfaceFit, chance: float, fits: Fits) -> SurfaceFit:
     """With poles added where the residual of ``fit`` stands out, as long as each saves enough deviance.
 
     Each takes two linear terms of every channel: no more than there are bins for.
     """
     tried: list[float] = []
-    for _ in range(30):
+    while fit.linear.shape[1] + 2 <= len(problem.frequency_hz):
         found = _standing_out(problem, fit, tried)
-        if found is None or fit.linear.shape[1] + 2 > len(problem.frequency_hz):
+        if found is None or not fits.begin():
             break
         frequency, width = found
         poles = fit.poles.with_pole(frequency, min(0.3, width / frequency))
@@ -475,18 +482,20 @@ def _standing_out(problem: Problem, fit: SurfaceFit, tried: list[float]) -> tupl
     return found if best > 25.0 * dispersion(problem, fit, found[0] if found else None) else None
 
 
-def _split(problem: Problem, fit: SurfaceFit, chance: float) -> SurfaceFit:
+def _split(problem: Problem, fit: SurfaceFit, chance: float, fits: Fits, own_hz: Range) -> SurfaceFit:
     """With poles taken apart in two where that saves enough deviance: looked at in the bins around each."""
     limit = least_gain(len(problem.psd), chance)
     number = 0
-    while number < len(fit.poles):
-        full = fit.linear.shape[1] + 2 > len(problem.frequency_hz)
+    while number < len(fit.poles) and fit.linear.shape[1] + 2 <= len(problem.frequency_hz):
         f, zeta = float(fit.poles.frequency_hz[number]), float(fit.poles.damping[number])
         width = max(zeta * f, 0.3 * problem.seen.bin_hz)
         local, start = _around(problem, fit, number, width)
-        if full or zeta > NUMBERS.wide_damping_ratio or len(local.frequency_hz) < NUMBERS.fewest_bins:
+        few = len(local.frequency_hz) < NUMBERS.fewest_bins
+        if few or zeta > NUMBERS.wide_damping_ratio or not fit.poles.within(own_hz)[number]:
             number += 1
             continue
+        if not fits.begin(MOST_OF_SPLIT):
+            break
         one = fit_surface(local, start, steps=8)
         alone = start.without(int(np.argmin(np.abs(start.frequency_hz - f))))
         starts = PAIRS if dispersion(local, one) > NUMBERS.suspect_residual else PAIRS[:1]

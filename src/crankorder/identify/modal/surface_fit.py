@@ -26,6 +26,7 @@ FAR = 60.0
 """Size of 2πTz from which the series in 1/z is good to 1e-6."""
 
 Array = NDArray[np.float64]
+Range = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,14 +67,15 @@ def sight(window: str, enbw_hz: float) -> Sight:
 
 def _near(a: NDArray[np.complex128], seen: Sight) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
     """∫ c(t) exp(−a t) dt over a window's length, times that length, and its derivative by a."""
-    decay = np.exp(-a)[..., None]
-    sign = 1.0 - 2.0 * (seen.order % 2)
-    over = 1.0 / (a[..., None] ** 2 + (np.pi * seen.order) ** 2)
-    top = 1.0 - sign * decay
-    a_top = a[..., None] * top
-    value = (a_top * over) @ seen.weight
-    slope = ((top + a[..., None] * sign * decay) * over - 2.0 * a[..., None] * a_top * over**2) @ seen.weight
-    return seen.length_s * value, seen.length_s * slope
+    decay = np.exp(-a)
+    even = np.where(seen.order % 2 == 0, seen.weight, 0.0)
+    both = np.stack([even, seen.weight - even], axis=1)  # terms whose cosine ends at 1, and at −1
+    top = np.stack([1.0 - decay, 1.0 + decay], axis=-1)
+    over = 1.0 / ((a * a)[..., None] + (np.pi * seen.order) ** 2)
+    once, twice = over @ both, (over * over) @ both
+    value = (top * once).sum(axis=-1)
+    slope = value + a * (decay * (once[..., 0] - once[..., 1]) - 2.0 * a * (top * twice).sum(axis=-1))
+    return seen.length_s * a * value, seen.length_s * slope
 
 
 def seen_pole(z_hz: NDArray[np.complex128], seen: Sight) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
@@ -174,8 +176,7 @@ class Poles:
 
         ``number``: which pole.
         """
-        keep = np.arange(len(self)) != number
-        return Poles(self.frequency_hz[keep], self.damping[keep], self.tone[keep])
+        return self.chosen(np.arange(len(self)) != number)
 
     def with_pole(self, frequency_hz: float, damping: float) -> Poles:
         """One more, lowest first.
@@ -190,14 +191,14 @@ class Poles:
         """Those that ``which`` (M,) marks."""
         return Poles(self.frequency_hz[which], self.damping[which], self.tone[which])
 
+    def within(self, range_hz: Range) -> NDArray[np.bool_]:
+        """Which (M,) lie in ``range_hz``, its end excluded."""
+        return np.asarray((self.frequency_hz >= range_hz[0]) & (self.frequency_hz < range_hz[1]))
+
     def joined(self, others: Poles) -> Poles:
         """These, then ``others``."""
-        pairs = zip(
-            (self.frequency_hz, self.damping, self.tone),
-            (others.frequency_hz, others.damping, others.tone),
-            strict=True,
-        )
-        return Poles(*(np.concatenate(pair) for pair in pairs))
+        frequency = np.append(self.frequency_hz, others.frequency_hz)
+        return Poles(frequency, np.append(self.damping, others.damping), np.append(self.tone, others.tone))
 
     def as_tone(self, number: int, is_tone: bool, *, width_hz: float) -> Poles:
         """With number ``number`` a tone, or a mode of the half width ``width_hz``.
@@ -218,12 +219,14 @@ class SurfaceFit:
 
     ``jacobian`` and ``residual`` hold per channel (then per item of other data) the derivative (F, 2M) by (ln f, ln ζ)
     of all poles, less what the linear terms make up for, and what the fit leaves (F,), both in standard deviations of
-    a bin; ``triangle`` per channel is R (2M + B, 2M + B) of the weighted columns.
+    a bin; ``triangle`` per channel is R (2M + B, 2M + B) of the weighted columns; ``slopes`` (2M, F) are the
+    derivatives of the poles' columns by ln f and by ln ζ.
     """
 
     poles: Poles
     linear: Array
     columns: Array
+    slopes: tuple[Array, Array]
     model: Array
     deviance: float
     jacobian: tuple[Array, ...]
@@ -256,17 +259,17 @@ def gamma_deviance(psd: Array, averages: Array, model: Array) -> Array:
     return np.asarray(2.0 * np.where(used, averages * (share - 1.0 - np.log(share)), 0.0))
 
 
-def evaluate(problem: Problem, poles: Poles, weight_by: Array) -> SurfaceFit:
+def evaluate(problem: Problem, poles: Poles, weight_by: Array, same: SurfaceFit | None = None) -> SurfaceFit:
     """Linear terms of ``poles`` for weights by the model ``weight_by`` (C, F), and all that a step needs.
 
-    ``problem``: the floors that were fitted.
+    ``problem``: the floors that were fitted; ``same``: what other weights gave of these very poles, if known.
     """
     n_poles = len(poles)
-    columns = problem.background
-    slopes: tuple[Array, Array] = (columns[:0], columns[:0])
-    if n_poles:
+    if same is not None:
+        columns, slopes = same.columns, same.slopes
+    else:
         made = pole_columns(problem.frequency_hz, poles.frequency_hz, poles.damping, problem.seen)
-        columns, slopes = np.concatenate([made[0], problem.background]), (made[1], made[2])
+        columns, slopes = np.concatenate([made[0], problem.background]), made[1:]
     weight = np.where(problem.averages > 0.0, np.sqrt(problem.averages) / weight_by, 0.0)
     measured = weight * np.where(problem.averages > 0.0, problem.psd, 0.0)
     q, triangles = np.linalg.qr((columns * weight[:, None]).swapaxes(1, 2))
@@ -285,7 +288,7 @@ def evaluate(problem: Problem, poles: Poles, weight_by: Array) -> SurfaceFit:
         further = problem.others.evaluate(poles)
         jacobians, residuals = (*jacobians, *further[0]), (*residuals, *further[1])
         missed += further[2]
-    return SurfaceFit(poles, linear, columns, model, missed, jacobians, residuals, tuple(triangles))
+    return SurfaceFit(poles, linear, columns, slopes, model, missed, jacobians, residuals, tuple(triangles))
 
 
 def _back_solved(r: Array, along: Array) -> Array:
@@ -297,7 +300,8 @@ def _back_solved(r: Array, along: Array) -> Array:
     sound = diagonal.min(axis=1, initial=np.inf) > 1e-9 * diagonal.max(axis=1, initial=0.0)
     sound &= r.shape[1] == r.shape[2]
     made = np.empty((len(r), r.shape[2]))
-    made[sound] = np.linalg.solve(r[sound], along[sound][..., None])[..., 0]
+    if sound.any():
+        made[sound] = np.linalg.solve(r[sound], along[sound][..., None])[..., 0]
     for channel in np.flatnonzero(~sound):
         made[channel] = np.linalg.lstsq(r[channel], along[channel], rcond=1e-9)[0]
     return made
@@ -329,7 +333,10 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Array | None = None, s
     smooth = first_model(problem) if start is None else start
     current = evaluate(problem, poles, smooth)
     for _ in range(2):
-        current = min(current, evaluate(problem, poles, current.model), key=_deviance)
+        again = evaluate(problem, poles, current.model, current)
+        if again.deviance >= current.deviance:
+            break
+        current = again
     if not len(poles):
         return current
     factor, still = 1e-3, 0
@@ -347,7 +354,7 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Array | None = None, s
         moved = _moved(poles, move, problem)
         trial = evaluate(problem, moved, current.model)
         if trial.deviance > current.deviance + 1.0:  # weights of a model that is still far off may mislead
-            trial = min(trial, evaluate(problem, moved, smooth), key=_deviance)
+            trial = min(trial, evaluate(problem, moved, smooth, trial), key=lambda one: one.deviance)
         gained = current.deviance - trial.deviance
         if gained > -1e-3:
             current, poles = trial, trial.poles
@@ -368,10 +375,6 @@ def curvature(fit: SurfaceFit, free: NDArray[np.bool_]) -> Array:
     ``fit``: the fit so far.
     """
     return np.asarray(sum(j[:, free].T @ j[:, free] for j in fit.jacobian))
-
-
-def _deviance(fit: SurfaceFit) -> float:
-    return fit.deviance
 
 
 def _moved(poles: Poles, move: Array, problem: Problem) -> Poles:

@@ -52,8 +52,10 @@ NEAR_BINS = 2
 Array = NDArray[np.float64]
 
 
-def with_tones(problem: Problem, fit: SurfaceFit, floor: Floor, *, settings: IdentifySettings) -> SurfaceFit:
-    """``fit`` with the lines made tones whose width is none for sure.
+def with_tones(
+    problem: Problem, fit: SurfaceFit, floor: Floor, *, own_hz: tuple[float, float], settings: IdentifySettings
+) -> SurfaceFit:
+    """``fit`` with the lines in ``own_hz`` made tones whose width is none for sure.
 
     A line is a tone if giving it none costs no more deviance than chance would, and if the data exclude the width of
     a mode, or its power varies from speed to speed less than noise does. What is neither a tone nor wide for sure
@@ -62,7 +64,8 @@ def with_tones(problem: Problem, fit: SurfaceFit, floor: Floor, *, settings: Ide
     """
     for number in range(len(fit.poles)):
         f = float(fit.poles.frequency_hz[number])
-        if not fit.poles.tone[number] and _is_wide(fit, number, problem, settings):
+        wide = not fit.poles.tone[number] and _is_wide(fit, number, problem, settings)
+        if wide or not fit.poles.within(own_hz)[number]:
             continue
         tone, mode = both_ways(problem, fit, number)
         if is_steady(floor, f) or (
@@ -344,11 +347,8 @@ def on_order(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Id
         return ""
     speed = floor.speed_rpm[np.isfinite(floor.speed_rpm)]
     step = float(np.median(speed)) / 60.0 / 2.0
-    spread = (
-        (0.5 * np.ptp(speed) / np.median(speed) + NUMBERS.speed_spread_share) * frequency_hz
-        + 2.0 * error_hz
-        + floor.seen.bin_hz
-    )
+    share = 0.5 * np.ptp(speed) / np.median(speed) + NUMBERS.speed_spread_share
+    spread = share * frequency_hz + 2.0 * error_hz + floor.seen.bin_hz
     half = max(1, round(frequency_hz / step))
     if abs(frequency_hz - step * half) <= spread and step > 2.0 * spread:
         return f"lies on order {0.5 * half:g}, and the tested speeds are too alike to tell an order from a fixed line"

@@ -331,10 +331,8 @@ def narrower_than_fitted(problem: Problem, fit: SurfaceFit, number: int) -> bool
     part = fit.part(number)
     channel = int(np.argmax(part.max(axis=1)))
     away = np.abs(problem.frequency_hz - f) / bin_hz
-    flank = (
-        (away > DOUBT_NUMBERS.flank_bins[0]) & (away < DOUBT_NUMBERS.flank_bins[1]) & (problem.averages[channel] > 0.0)
-    )
-    flank &= part[channel] > 0.5 * fit.model[channel]
+    flank = (away > DOUBT_NUMBERS.flank_bins[0]) & (away < DOUBT_NUMBERS.flank_bins[1])
+    flank &= (problem.averages[channel] > 0.0) & (part[channel] > 0.5 * fit.model[channel])
     if not flank.any():
         return False
     share = problem.psd[channel, flank] / fit.model[channel, flank]
@@ -396,11 +394,8 @@ def said_wide(frequency_hz: float, error_hz: float) -> str:
     ``frequency_hz``: in Hz, with the standard error ``error_hz``.
     """
     half = NORMAL_95 * error_hz / frequency_hz
-    return (
-        f"; the 95 % interval of its frequency is ± {100.0 * half:.2g} % wide"
-        if half > DOUBT_NUMBERS.told_wide_share
-        else ""
-    )
+    told = half > DOUBT_NUMBERS.told_wide_share
+    return f"; the 95 % interval of its frequency is ± {100.0 * half:.2g} % wide" if told else ""
 
 
 def on_grid(frequency_hz: float, reach_hz: float, still: tuple[float, ...], floor: Floor) -> str:
