@@ -297,7 +297,7 @@ def _shared(one: Solved, forces: list[Complex], answers: Complex, power: Array) 
     ``power`` (B, S): squares of the answers.
     """
     basis, count = (one.columns @ one.inverse).conj().T, len(forces)
-    within = np.stack([basis @ (force[:, None] * answers) for force in forces])
+    within = np.stack([(basis * force) @ answers for force in forces])
     first, second = np.triu_indices(count)
     pairs = np.stack(forces)[first].conj() * np.stack(forces)[second]
     shared = pairs.real @ power + 1j * (pairs.imag @ power)
