@@ -23,6 +23,7 @@ class _SwingNumbers(MethodNumbers, file="5-identify-explain.toml", table="swing_
     scatter_sigmas: float
     dense_share: float
     answer_ratio: float
+    beyond_lift: float
     most_share: float
     most_half_orders: int
 
@@ -178,17 +179,19 @@ def _amplitudes(carrier: OrderLine, rpm: Floats, ratio: float) -> tuple[Floats, 
     """Amplitude of ``carrier`` at ``rpm`` (rows,), the largest from there to ``ratio`` times that speed, if known.
 
     The force behind it is taken to grow with the square of the speed. Where speeds are too coarse to tell what is
-    between them the largest of all stands for it.
+    between them the largest of all stands for it; beyond their ends a natural frequency may lift it further.
     """
     rising = np.argsort(carrier.speed_rpm)
     speed, amplitude, sought = carrier.speed_rpm[rising], carrier.amplitude[rising], ratio * rpm
     gap = np.append(np.diff(speed), np.inf)[np.searchsorted(speed, sought, side="right") - 1]
-    known = (sought >= speed[0]) & (sought <= speed[-1]) & (gap < SWING_NUMBERS.dense_share * sought)
+    inside = (sought >= speed[0]) & (sought <= speed[-1])
+    known = inside & (gap < SWING_NUMBERS.dense_share * sought)
     reach = 1.0 + SWING_NUMBERS.dense_share
     low, high = np.minimum(rpm, sought)[:, None] / reach, np.maximum(rpm, sought)[:, None] * reach
     counts = ~known[:, None] | ((speed >= low) & (speed <= high))
     scaled = amplitude * np.maximum(1.0, np.square(rpm[:, None] / speed))
-    return np.interp(rpm, speed, amplitude), np.where(counts, scaled, 0.0).max(axis=1), known
+    largest = np.where(counts, scaled, 0.0).max(axis=1) * np.where(inside, 1.0, SWING_NUMBERS.beyond_lift)
+    return np.interp(rpm, speed, amplitude), largest, known
 
 
 def _within(line: OrderLine, given: Sequence[_Given], *, speeds: int) -> bool:
