@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from crankorder.identify.above_trend import Seen, above_trend, width_rpm
@@ -29,6 +28,7 @@ from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.responses import held_amplitudes, together, with_and_without
 from crankorder.identify.said import AMPLIFIED
 from crankorder.identify.said import NUMBERS as SAID
+from crankorder.quantities import Bools
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -44,8 +44,6 @@ NUMBERS = _Numbers.load()
 
 FLANKS = 120
 """Speeds over the whole span, in equal ratios, at which the flanks of a mode are looked at."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -435,7 +433,7 @@ def _between(bound: UnseenBound, factor: float, name: str) -> list[_Open]:
     return made
 
 
-def _runs(marked: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _runs(marked: Bools) -> list[tuple[int, int]]:
     """First and last places of the runs of what is ``marked``."""
     edges = np.diff(np.concatenate([[False], marked, [False]]).astype(np.int64))
     return list(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist(), strict=True))

@@ -23,9 +23,10 @@ from crankorder.identify.balance.order_shaker import (
     shaker_fit,
 )
 from crankorder.identify.balance.record import Split, added_words, rotor_record, split_record
-from crankorder.identify.balance.transfer_path import Complex, MeasuredOrders, Real, accelerance_of, measured_orders
+from crankorder.identify.balance.transfer_path import MeasuredOrders, accelerance_of, measured_orders
 from crankorder.identify.cycle_forces import gas_half_orders
 from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -315,8 +316,8 @@ ROTOR_RADIUS_M = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class _Forces:
-    mass_kg: Complex
-    covariance: Real
+    mass_kg: Complexes
+    covariance: Floats
     freedom: float
     missed: float
     rows: int
@@ -407,7 +408,7 @@ def _forces(
     return _Forces(mass, covariance, max(1.0, 2.0 * (speeds - len(axes))), missed, speeds)
 
 
-def _noise(inverse: Complex, own: Real, correlation: Complex) -> Real:
+def _noise(inverse: Complexes, own: Floats, correlation: Complexes) -> Floats:
     """Covariance of real and imaginary parts in turn that errors ``own`` (channel, row) over their weights make."""
     swayed = (inverse * own.ravel()).reshape(len(inverse), *own.shape)
     covariance = np.einsum("acr,rcd,bdr->ab", swayed, correlation, swayed.conj())
@@ -419,7 +420,7 @@ def _noise(inverse: Complex, own: Real, correlation: Complex) -> Real:
     return parts
 
 
-def _of_doubts(doubts: Sequence[Complex]) -> Real:
+def _of_doubts(doubts: Sequence[Complexes]) -> Floats:
     """Covariance that paths wrong by a complex share make: each shifts the masses (mass,) by so much, in any phase."""
     total = np.zeros((2 * len(doubts[0]), 2 * len(doubts[0])))
     for shift in doubts:

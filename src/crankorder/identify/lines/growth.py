@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtri, gammaincc, stdtr
 
 from crankorder.findings import Balance
 from crankorder.identify.found import Mode, OrderLine
 from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width, half_widths, known_freedom
 from crankorder.identify.said import IF_UNBALANCE, LIKE_UNBALANCE, NOT_AS_UNBALANCE, ONE_SPEED
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -51,8 +51,6 @@ eccentricity at any speed; 2 in acceleration, and in all other quantities that o
 
 NO_MOTION = ("pressure", "voltage", "current", "temperature")
 """In these quantities order 1 is no motion, and no sign of an unbalance."""
-
-Floats = NDArray[np.float64]
 
 
 def remark_on(amplitude: Floats, error: Floats, degrees_of_freedom: Floats, ends: Floats) -> str:
@@ -95,7 +93,7 @@ class HeldSizes:
     ends: tuple[float, float] | None
 
 
-def held_sizes(phasors: list[NDArray[np.complex128]], *, noise: float, n_independent: float) -> HeldSizes:
+def held_sizes(phasors: list[Complexes], *, noise: float, n_independent: float) -> HeldSizes:
     """Amplitudes of a line that is not locked, by recording.
 
     Parameters
@@ -317,7 +315,7 @@ def _robust_line(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats]:
     return np.array([level, slope]), weight
 
 
-def _excess(residual: Floats, error: Floats, kept: NDArray[np.bool_]) -> float:
+def _excess(residual: Floats, error: Floats, kept: Bools) -> float:
     """Scatter beyond the errors such that the residuals of the speeds ``kept`` are as large as expected."""
     residual, error = residual[kept], error[kept]
     degrees_of_freedom = max(len(residual) - 2, 1)
