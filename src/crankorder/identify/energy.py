@@ -366,16 +366,12 @@ def _shares(channel: str, unit: str, parts: list[dict[str, float]]) -> EnergySha
     shares = {name: part / total if total > 0.0 else 0.0 for name, part in joined.items()}
     unexplained = shares["unexplained_lines"] + shares["unexplained_cells"]
     rest = max(0.0, 1.0 - shares["orders"] - shares["tones"] - unexplained)
-    floor = rest if total > 0.0 else 0.0
     return EnergyShares(
         channel=channel,
         unit=f"({unit})²",
-        orders=shares["orders"],
-        tones=shares["tones"],
-        unexplained_lines=shares["unexplained_lines"],
-        unexplained_cells=shares["unexplained_cells"],
+        **shares,
         unexplained=unexplained,
-        modes_and_floor=floor,
+        modes_and_floor=rest if total > 0.0 else 0.0,
         total=total,
     )
 

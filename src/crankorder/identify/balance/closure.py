@@ -289,9 +289,8 @@ def _record(fit: ShakerFit, shaker: EngineShaker, engine: Engine, agreement: str
     middle = np.median(measured.frequency_hz[shaker.known_rows])
     axis = fit.axes.index("Z") if "Z" in fit.axes else 0
     mass_kg = 1 / float(np.abs(fit.path(np.array([middle]))[:, axis]).max())
-    odd = f"; left out as not belonging: {', '.join(f'{rpm:.0f}' for rpm in fit.odd_speeds_rpm)} rpm" * bool(
-        fit.odd_speeds_rpm
-    )
+    odd = ", ".join(f"{rpm:.0f}" for rpm in fit.odd_speeds_rpm)
+    odd = f"; left out as not belonging: {odd} rpm" if odd else ""
     rolling = "; the masses' rolling moment acts too and was fitted" * ("RY" in fit.axes)
     misfit = f"; the path misses {100 * fit.misfit:.0f} % of the response, which the intervals hold" * bool(fit.misfit)
     evidence = (

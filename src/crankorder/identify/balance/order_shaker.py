@@ -339,13 +339,8 @@ def _odd_speed(problem: _Problem, fit: _Fit) -> float | None:
 def _with_misfit(problem: _Problem, theta: Floats, fit: _Fit) -> tuple[float, _Problem, Floats, _Fit]:
     """Share of the response that must count as error for the fit to be as good as it should, and the fit with it."""
     measured = problem.measured
-    low, high, share, widened, found = (
-        0.0,
-        NUMBERS.largest_misfit_share,
-        NUMBERS.largest_misfit_share,
-        problem,
-        (theta, fit),
-    )
+    low, high, widened, found = 0.0, NUMBERS.largest_misfit_share, problem, (theta, fit)
+    share = high
     for step in range(6):
         widened = replace(
             problem, white=whitening(measured.noise, error=measured.error, missed=share * np.abs(fit.model))

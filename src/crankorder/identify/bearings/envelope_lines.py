@@ -499,9 +499,8 @@ def _course(level: Floats, step: float, place: Place) -> tuple[Floats, Floats]:
     if place.spacing is not None:
         spacing = cage if place.line == "BSF" and cage is not None else place.spacing
         sides = 0.5 * (_levels(level, step, teeth - spacing) + _levels(level, step, teeth + spacing))
-        made = np.where(
-            np.isfinite(sides), (1.0 - CANDIDATE_NUMBERS.side_share) * made + CANDIDATE_NUMBERS.side_share * sides, made
-        )
+        share = CANDIDATE_NUMBERS.side_share
+        made = np.where(np.isfinite(sides), (1.0 - share) * made + share * sides, made)
     if place.line != "FTF" and cage is not None:
         if place.line == "BSF":
             beside = _levels(level, step, cage * np.round((teeth - 0.5 * trials) / cage), reach=2)
@@ -518,9 +517,8 @@ def _off_cage(level: Floats, step: float, place: Place, cage: float) -> float:
     """Level in dB, beyond what noise reaches, of a rolling element ``place`` off the multiples of order ``cage``."""
     trials, mean = _course(level, step, place)
     off = np.abs(trials - cage * np.round(trials / cage)) > CANDIDATE_NUMBERS.off_bins * step
-    return (
-        float(np.nanmax(np.where(off, mean, np.nan), initial=CANDIDATE_NUMBERS.noise_db)) - CANDIDATE_NUMBERS.noise_db
-    )
+    noise_db = CANDIDATE_NUMBERS.noise_db
+    return float(np.nanmax(np.where(off, mean, np.nan), initial=noise_db)) - noise_db
 
 
 def _levels(level: Floats, step: float, orders: Floats, *, reach: int = 1) -> Floats:

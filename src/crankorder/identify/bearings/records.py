@@ -465,11 +465,10 @@ def shaft_speed(spectra: Spectra, line: EnvelopeLine) -> ShaftSpeed | None:
 
 def _pair(ratio: Floats, step: float, cell: float, carrier: float, spacing: float) -> tuple[float, float] | None:
     """Distance of a ``carrier`` to its sidebands about ``spacing`` away, with its error; None without a pair."""
-    sides = [
+    low, high = (
         _peak(ratio, step, carrier + side * spacing, SIDEBAND_NUMBERS.most_off_share * spacing + cell)
         for side in (-1, 1)
-    ]
-    low, high = sides
+    )
     if low is None or high is None:
         return None
     # the pair is one of sidebands only where the carrier is in its middle

@@ -256,27 +256,24 @@ def _by_factor(known: Sequence[_Stated | None], factor: Factor) -> dict[str, Any
     by_ratio = sum(w * one.value / f for w, (one, by) in zip(share, before, strict=True) if by != 1.0)
     slope = mass - (f - 1.0) * by_ratio
     half = Z95 * float(np.hypot((f - 1.0) * error, slope * factor.error))
-    change = (f - 1.0) * mass
-    return {
-        "base": mass,
-        "new": f * mass,
-        "change": change,
-        "change_ci95": [change - half, change + half],
-        "changed": abs(change) > half,
-        "by_ratio_of_orders": list(factor.orders),
-    }
+    return _change_record(mass, f * mass, (f - 1.0) * mass, half, list(factor.orders))
 
 
 def _by_difference(known: Sequence[_Stated | None]) -> dict[str, Any] | None:
     one, two = known
     if one is None or two is None:
         return None
-    half, change = Z95 * float(np.hypot(one.error, two.error)), two.value - one.value
+    half = Z95 * float(np.hypot(one.error, two.error))
+    return _change_record(one.value, two.value, two.value - one.value, half, [])
+
+
+def _change_record(base: float, new: float, change: float, half: float, orders: list[float]) -> dict[str, Any]:
+    """A mass (g or g·mm) before and after, its ``change`` and the half width of that one's 95 % interval."""
     return {
-        "base": one.value,
-        "new": two.value,
+        "base": base,
+        "new": new,
         "change": change,
         "change_ci95": [change - half, change + half],
         "changed": abs(change) > half,
-        "by_ratio_of_orders": [],
+        "by_ratio_of_orders": orders,
     }

@@ -237,11 +237,7 @@ def order_changes(
                 speeds = base["speed"].values[pairs[0]], new["speed"].values[pairs[1]]
                 lines[1] = _for_speed(base, channel, order, pairs[0], speeds, lines[1], locked=locked, phases=told)
                 unit = str(base["unit"].values[base["channel"].values.tolist().index(channel)])
-                made.append(
-                    change(
-                        lines[0], lines[1], speeds[0], speeds[1], channel=channel, order=order, unit=unit, locked=locked
-                    )
-                )
+                made.append(change(lines[0], lines[1], *speeds, channel=channel, order=order, unit=unit, locked=locked))
     if not made:
         return made
     whole = claimed(np.array([one.p_all for one in made]), q=q)
@@ -323,7 +319,7 @@ def change(
     half = half_widths(freedom) * error
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio_db = 20.0 * np.log10(new.amplitude / base.amplitude)
-    p_value = _p_values(base, new, difference, error, freedom)
+    p_value = _p_values(base, new)
     mean = mean_ratio(base, new)
     p_all = float(np.nanmin([1.0, 2.0 * mean.p_value, 2.0 * simes(p_value)]))
     return OrderChange(
@@ -333,22 +329,17 @@ def change(
     )  # fmt: skip
 
 
-def _p_values(
-    base: Line,
-    new: Line,
-    difference: Floats,
-    error: Floats,
-    freedom: Floats,
-) -> Floats:
+def _p_values(base: Line, new: Line) -> Floats:
     """Chance of so large a difference where nothing changed: of the phasors where there are any, else amplitudes."""
-    apart = np.abs(new.vector - base.vector)
+    apart, difference = np.abs(new.vector - base.vector), np.abs(new.amplitude - base.amplitude)
+    error, freedom = welch(base.error, base.freedom, new.error, new.freedom)
     spread, vector_freedom = welch(base.vector_error, base.freedom, new.vector_error, new.freedom)
     size = np.maximum(base.amplitude, new.amplitude)
     with np.errstate(divide="ignore", invalid="ignore"):
         by_vector = fdtrc(2.0, vector_freedom, apart**2 / (2.0 * spread**2))
-        by_amplitude = 2.0 * stdtr(freedom, -np.abs(difference) / error)
+        by_amplitude = 2.0 * stdtr(freedom, -difference / error)
         by_vector = np.where(apart <= EXACT * size, 1.0, by_vector)
-        by_amplitude = np.where(np.abs(difference) <= EXACT * size, 1.0, by_amplitude)
+        by_amplitude = np.where(difference <= EXACT * size, 1.0, by_amplitude)
     return np.asarray(np.where(np.isfinite(apart), by_vector, by_amplitude))
 
 

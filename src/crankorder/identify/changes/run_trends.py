@@ -257,9 +257,8 @@ def _by_ranks(run: Floats, logs: Floats) -> tuple[float, tuple[float, float]]:
     one, two = np.triu_indices(len(run), k=1)
     slopes = np.sort((logs[two] - logs[one]) / (run[two] - run[one]))
     chance = np.cumsum(_chance_of_rises(len(run))[::-1])  # of the most rises, of one less or more, …
-    excluded = int(
-        np.count_nonzero(chance <= TREND_NUMBERS.no_change_chance / 2.0)
-    )  # numbers of rises that would exclude a slope, from the top
+    # numbers of rises that would exclude a slope, from the top
+    excluded = int(np.count_nonzero(chance <= TREND_NUMBERS.no_change_chance / 2.0))
     if excluded == 0:
         return float(np.median(slopes)), (-math.inf, math.inf)
     return float(np.median(slopes)), (float(slopes[excluded - 1]), float(slopes[-excluded]))
@@ -336,9 +335,8 @@ def run_amplitudes(envelopes: Sequence[xr.Dataset], *, order: float) -> RunAmpli
     other = (np.abs(low - low[0]) > 0.02 * high) | (np.abs(high - high[0]) > 0.02 * high)
     own = np.maximum(ratio - 1.0, 0.5)
     logs = 0.25 * np.log(power / ratio * own)
-    variance = (2.0 * ratio + 1.0) / (
-        np.maximum(count, 1.0) * (4.0 * own) ** 2
-    ) + TREND_NUMBERS.band_change_share**2 * other
+    variance = (2.0 * ratio + 1.0) / (np.maximum(count, 1.0) * (4.0 * own) ** 2)
+    variance += TREND_NUMBERS.band_change_share**2 * other
     # cells differ in level: each is taken beside its own mean over the runs
     beside = logs - logs.mean(axis=0)
     weight = np.where(clear, 1.0 / variance.mean(axis=0), 0.0)

@@ -67,19 +67,12 @@ def remark_on(amplitude: Floats, error: Floats, degrees_of_freedom: Floats, ends
     low, high = (float(end) for end in ends[at])
     reach = float(half_widths(degrees_of_freedom[at : at + 1])[0] * error[at])
     sides = float(amplitude[at]) - low, high - float(amplitude[at])
-    if (
-        not np.isfinite(high)
-        or not np.isfinite(reach)
-        or max(sides) <= NUMBERS.changing_ratio * reach
-        or min(sides) <= 0.0
-    ):
+    if not np.isfinite([high, reach]).all() or max(sides) <= NUMBERS.changing_ratio * reach or min(sides) <= 0.0:
         return ""
     if sides[1] > (1.0 + NUMBERS.changing_ratio) * sides[0]:  # the factor by which recordings differ
         return ""
-    ends_said = f"{low:.3g}", f"{high:.3g}"
-    return (
-        "" if ends_said[0] == ends_said[1] else f"its amplitude changes within the recording, {' to '.join(ends_said)}"
-    )
+    said = f"{low:.3g}", f"{high:.3g}"
+    return "" if said[0] == said[1] else f"its amplitude changes within the recording, {' to '.join(said)}"
 
 
 @dataclass(frozen=True)
@@ -286,11 +279,8 @@ def _degrees_of_freedom(error: Floats, excess: float, degrees_of_freedom: Floats
     Welch and Satterthwaite: the former is known with all of theirs, the latter with those of the residuals.
     """
     own = float(np.exp(np.mean(np.log(error**2))))
-    held = float(
-        np.clip(
-            np.sum(np.where(np.isfinite(degrees_of_freedom), degrees_of_freedom, ENDLESS_FREEDOM)), 1.0, ENDLESS_FREEDOM
-        )
-    )
+    known = np.where(np.isfinite(degrees_of_freedom), degrees_of_freedom, ENDLESS_FREEDOM)
+    held = float(np.clip(np.sum(known), 1.0, ENDLESS_FREEDOM))
     return (own + excess**2) ** 2 / (own**2 / held + excess**4 / max(len(error) - 2.0, 1.0))
 
 
