@@ -26,6 +26,7 @@ from crankorder.identify.balance.record import Split, added_words, rotor_record,
 from crankorder.identify.balance.transfer_path import MeasuredOrders, accelerance_of, measured_orders
 from crankorder.identify.cycle_forces import gas_half_orders
 from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.identify.modal.pole_errors import side_by_side
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
@@ -440,12 +441,7 @@ def _split_by_paths(found: list[_Forces], parts: list[tuple[int, tuple[str, ...]
             per_kg[number] = force_per_kg(
                 bare, order, DIRECTIONS.index(axis), along_only=along_only or (order == 2 and axis == DIRECTIONS[Z])
             )
-    size = 2 * len(sought)
-    covariance, start = np.zeros((size, size)), 0
-    for forces in found:
-        end = start + len(forces.covariance)
-        covariance[start:end, start:end] = forces.covariance
-        start = end
+    covariance = side_by_side([forces.covariance for forces in found])
     split = Split(
         mass_kg=np.concatenate([forces.mass_kg for forces in found]),
         covariance=covariance,
@@ -454,9 +450,7 @@ def _split_by_paths(found: list[_Forces], parts: list[tuple[int, tuple[str, ...]
         per_kg=np.ones_like(per_kg),
     )
     scaled = [split.combined(np.where(np.arange(len(sought)) == n, 1 / per_kg, 0)) for n in range(len(sought))]
-    turn = np.zeros((size, size))
-    for n, share in enumerate(1 / per_kg):
-        turn[2 * n : 2 * n + 2, 2 * n : 2 * n + 2] = [[share.real, -share.imag], [share.imag, share.real]]
+    turn = side_by_side([np.array([[s.real, -s.imag], [s.imag, s.real]]) for s in 1 / per_kg])
     return Split(
         mass_kg=np.array([value for value, _ in scaled]),
         covariance=turn @ covariance @ turn.T,

@@ -200,9 +200,8 @@ def accelerance_of(path: StatedPath, frequency_hz: Floats) -> Complexes:
         value = np.full(f.shape, path.rigid_per_kg, dtype=np.complex128)
         for mode in path.modes:
             residue = mode.residue_per_kg + 1j * mode.residue_imag_per_kg
-            value = (
-                value + residue * resonance(f, np.array([mode.frequency_hz]), np.array([mode.damping_ratio]))[..., 0]
-            )
+            answer = resonance(f, np.array([mode.frequency_hz]), np.array([mode.damping_ratio]))
+            value = value + residue * answer[..., 0]
     low, high = path.holds_hz
     return np.where((f >= low) & (f <= high), value, np.nan)
 

@@ -198,9 +198,8 @@ def _solved(base: MeasuredOrders, after: Complexes, error: Floats) -> _Multiple 
     share, unsure = each / each.sum(), base.own_share[usable] ** 2 / base.freedom[usable]
     # for weights that were estimated from the data: Meier (1953), Biometrics 9, 59
     wider = 1.0 + 4.0 * float(np.sum(share * (1.0 - share) * unsure))
-    covariance = wider * (1.0 if sound else chi_square) * bread @ filling @ bread + missed**2 * abs(
-        value
-    ) ** 2 * np.eye(2)
+    covariance = wider * (1.0 if sound else chi_square) * bread @ filling @ bread
+    covariance += missed**2 * abs(value) ** 2 * np.eye(2)
     return _Multiple(value, covariance, base, change, missed)
 
 

@@ -117,9 +117,8 @@ def several_lines(held: Held, low: float, high: float, *, beyond: float = 0.0) -
         new, size = lines[-1], np.array([float((one.amplitude * np.sqrt(weight)).max()) for one in lines])
         away = np.abs([one.order - new.order for one in lines[:-1]]) * held.span_rev
         beside = size[:-1][away < KNOWN_LINES.apart_cycles].max(initial=0.0)
-        if new.sigmas <= KNOWN_LINES.seen_sigmas or size[-1] < max(
-            NUMBERS.smallest_share * size.max(), NUMBERS.unsteady_share * beside
-        ):
+        least = max(NUMBERS.smallest_share * size.max(), NUMBERS.unsteady_share * beside)
+        if new.sigmas <= KNOWN_LINES.seen_sigmas or size[-1] < least:
             rest = NUMBERS.unsteady_share if beside and new.sigmas > KNOWN_LINES.seen_sigmas else 0.0
             lines = _told(held, bins, fit, rest)
             noise = lines and _is_noise(held, bins, fit.left, np.array([one.amplitude for one in lines]))
@@ -382,12 +381,8 @@ def _is_modulated(lines: Sequence[SolvedLine]) -> bool:
 def _are_alike(one: SolvedLine, other: SolvedLine) -> bool:
     """Whether both are of one size in all channels, as far as their errors and a changing speed tell."""
     room = NUMBERS.same_sigmas * np.hypot(one.amplitude_error, other.amplitude_error)
-    return bool(
-        (
-            np.abs(one.amplitude - other.amplitude)
-            <= room + NUMBERS.alike_share * np.maximum(one.amplitude, other.amplitude)
-        ).all()
-    )
+    larger = np.maximum(one.amplitude, other.amplitude)
+    return bool((np.abs(one.amplitude - other.amplitude) <= room + NUMBERS.alike_share * larger).all())
 
 
 def _peaks(order_map: xr.Dataset, reach: float) -> list[int]:
