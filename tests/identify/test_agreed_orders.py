@@ -10,7 +10,7 @@ from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
-from made.line_frames import angle_of, frames_of, wave
+from made.line_frames import agreed_in, angle_of, frames_of, wave
 
 SETTINGS = load_settings()
 
@@ -22,9 +22,7 @@ def agreed(signal, *, seed: int = 0, speeds=(1500.0,), revs: int = 150, noise: f
         line, shared = signal(angle, number), rng.standard_normal(len(angle))
         rows = [line + noise * (0.7 * shared + 0.7 * rng.standard_normal(len(angle))) for _ in range(2)]
         frames.append(frames_of(rows, speed_rpm=rpm, pulses=pulses))
-    made = order_map(frames, settings=SETTINGS.orders)
-    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
-    return orders_agreed(lines, frames=frames, order_map=made, settings=SETTINGS.identify)
+    return agreed_in(frames)
 
 
 def half_width(item) -> float:
@@ -141,9 +139,7 @@ def test_two_shafts_half_a_percent_apart_are_told_in_a_run_up() -> None:
     first, second = wave(angle, 1.0, 1.0), wave(angle, 1.005, 0.6, 2.0)
     signal = (rpm / 2000.0) ** 2 * (first + second) + 0.1 * rng.standard_normal(len(angle))
     frames = frames_of([signal], speed_rpm=900.0 + 1800.0 * np.linspace(0.0, 1.0, 149))
-    made = order_map([frames], settings=SETTINGS.orders)
-    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
-    found = orders_agreed(lines, frames=[frames], order_map=made, settings=SETTINGS.identify)
+    found = agreed_in([frames])
     assert [item.order for item in found] == pytest.approx([1.0, 1.005], abs=1e-3)
     assert [item.lock for item in found] == ["locked", "slips"]
 
@@ -162,9 +158,7 @@ def test_in_a_sweep_no_number_of_revolutions_is_asked_for() -> None:
     signal = wave(angle, 4.0, 1.0) + 0.5 * rng.standard_normal(len(angle))
     count = frames_of([signal]).sizes["frame"]
     frames = [frames_of([signal], speed_rpm=np.linspace(900.0, 2400.0, count))]
-    made = order_map(frames, settings=SETTINGS.orders)
-    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
-    found = orders_agreed(lines, frames=frames, order_map=made, settings=SETTINGS.identify)
+    found = agreed_in(frames)
     assert found and all(item.needed_revs is None for item in found)
     assert all(item.lock != "undecided" or "a recording at one speed would tell" in item.reservation for item in found)
 
@@ -204,8 +198,6 @@ def test_a_locked_line_and_one_beside_it_that_nothing_parts_are_no_line_that_sli
             frames.append(frames_of([signal]))
             count = frames[-1].sizes["frame"]
             frames[-1]["speed"].values[:] = np.linspace(900.0, 2400.0, count) if swept else rpm
-        made = order_map(frames, settings=SETTINGS.orders)
-        lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
-        found = orders_agreed(lines, frames=frames, order_map=made, settings=SETTINGS.identify)
+        found = agreed_in(frames)
         slips = [one for one in found if one.lock == "slips"]
         assert all(abs(one.order - beside) < half_width(one) + 2e-4 * exact for one in slips), (seed, exact, beside)

@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 
 from crankorder.identify.intervals import half_width
-from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.growth import largest
-from crankorder.identify.lines.order_lines import order_lines
-from crankorder.orders.map import order_map
-from crankorder.settings import load_settings
-from made.line_frames import angle_of, frames_of, wave
-
-SETTINGS = load_settings()
+from made.line_frames import agreed_in, angle_of, frames_of, wave
 
 
 def agreed(seed: int, *, revs: int, order: float, size: float, noise: float = 0.5):
@@ -22,9 +16,7 @@ def agreed(seed: int, *, revs: int, order: float, size: float, noise: float = 0.
     phases = rng.uniform(0.0, 2.0 * np.pi, 2)
     signal = wave(angle, 5.5, 1.0, phases[0]) + wave(angle, order, size, phases[1])
     frames = frames_of([signal + noise * rng.standard_normal(len(angle)) for _ in range(2)])
-    made = order_map([frames], settings=SETTINGS.orders)
-    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
-    return orders_agreed(lines, frames=[frames], order_map=made, settings=SETTINGS.identify)
+    return agreed_in([frames])
 
 
 CASES = [

@@ -5,14 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.line_evidence import keeps_its_phase
-from crankorder.identify.lines.order_lines import order_lines
-from crankorder.orders.map import order_map
-from crankorder.settings import load_settings
-from made.line_frames import HOP, angle_of, frames_of, wave
+from made.line_frames import HOP, agreed_in, angle_of, frames_of, wave
 
-SETTINGS = load_settings()
 ONE, SEVERAL = (1500.0,), (1500.0, 1530.0, 1560.0)
 
 
@@ -31,9 +26,7 @@ def found(order: float, how: str, factor: float, speeds: tuple[float, ...], *, a
     for rpm in speeds:
         signals = [size * wave(angle, order, 1.0, rng.uniform(0, 6)) + rng.standard_normal(len(angle))]
         frames.append(frames_of(signals, speed_rpm=rpm))
-    made = order_map(frames, settings=SETTINGS.orders)
-    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
-    return orders_agreed(lines, frames=frames, order_map=made, settings=SETTINGS.identify)
+    return agreed_in(frames)
 
 
 @pytest.mark.parametrize("speeds", [ONE, SEVERAL])

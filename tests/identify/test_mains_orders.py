@@ -22,17 +22,7 @@ ROTOR = Sources(revs_per_cycle=1)
 
 def at_speed(order: float, rpm: float, *, lock: str = "slips", error: float = 1e-5) -> AgreedOrder:
     """An order that was seen at one speed."""
-    made = agreed(order, lock=lock, error=error)
-    one = dataclasses.replace(
-        made.lines[0],
-        seen=np.array([0]),
-        speed_rpm=np.array([rpm]),
-        amplitude=np.array([1.0]),
-        amplitude_error=np.array([0.01]),
-        degrees_of_freedom=np.array([50.0]),
-        phase_deg=np.array([0.0]),
-    )
-    return dataclasses.replace(made, lines=(one,))
+    return agreed(order, line(order, speed_rpm=[rpm]), lock=lock, error=error)
 
 
 def said(*orders: AgreedOrder, longest_rev: float = np.inf, tones: tuple[Tone, ...] = ()) -> list[str]:

@@ -9,13 +9,14 @@ import pytest
 import xarray as xr
 from tests.made.floors import Made, campbell_of, inside, no_orders, orders_of
 
-from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine
+from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.modal import surface_fit
 from crankorder.identify.modal.floor import quiet_floor
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.search import search
 from crankorder.identify.modal.tones import WIDER, widest_hz
 from crankorder.settings import IdentifySettings, load_settings
+from made.found_lines import agreed, line
 
 THREE = Made(
     natural_hz=(60.0, 172.0, 187.0),
@@ -31,35 +32,9 @@ def _settings() -> IdentifySettings:
 
 
 def _agreed(orders: tuple[float, ...], made: Made) -> tuple[AgreedOrder, ...]:
-    speed = np.array(made.speed_rpm)
-    blank = np.zeros(len(speed))
-    channels = "XYZ"[: len(made.sensor[0])]
-    return tuple(
-        AgreedOrder(
-            order,
-            1e-5,
-            30.0,
-            "locked",
-            None,
-            tuple(
-                OrderLine(
-                    name,
-                    order,
-                    1e-5,
-                    np.arange(len(speed)),
-                    speed,
-                    blank,
-                    blank,
-                    blank,
-                    blank,
-                    "locked to the shaft",
-                    9.0,
-                )
-                for name in channels
-            ),
-        )
-        for order in orders
-    )
+    speed, channels = np.array(made.speed_rpm), "XYZ"[: len(made.sensor[0])]
+    lines = {order: [line(order, 0.0, channel=name, speed_rpm=speed) for name in channels] for order in orders}
+    return tuple(agreed(order, *lines[order], error=1e-5) for order in orders)
 
 
 def _fit(made: Made, seed: int = 1, orders: tuple[float, ...] = ()) -> ModalFit:
@@ -130,9 +105,9 @@ def test_lines_of_two_mains_frequencies_are_no_mains() -> None:
 def test_orders_that_sweep_through_a_mode_tell_its_frequency_better_than_the_floor() -> None:
     campbell = campbell_of(THREE, 1)
     by_order = orders_of(THREE, ((4.0, 20.0), (6.0, 10.0)), error=0.002, seed=2)
-    agreed = _agreed((4.0, 6.0), THREE)
-    alone = modal_fit(campbell, no_orders(campbell), agreed, settings=_settings())
-    both = modal_fit(campbell, by_order, agreed, settings=_settings())
+    orders = _agreed((4.0, 6.0), THREE)
+    alone = modal_fit(campbell, no_orders(campbell), orders, settings=_settings())
+    both = modal_fit(campbell, by_order, orders, settings=_settings())
     assert both.modes[0].reached_by == (4.0, 6.0)
     assert both.modes[0].frequency_error_hz < 0.7 * alone.modes[0].frequency_error_hz
     assert inside(both, THREE)

@@ -8,14 +8,12 @@ import numpy as np
 import pytest
 
 from crankorder.identify.found import AgreedOrder
-from crankorder.identify.lines.agreed_orders import orders_agreed
-from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.order_lock import sure_half_width
 from crankorder.identify.lines.swept_orders import swept_orders
 from crankorder.orders.followed import followed_tracks
 from crankorder.orders.frames import order_frames
-from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
+from made.line_frames import agreed_in
 from made.swept_machines import SweptMachine, drawn, recorded
 
 SETTINGS = load_settings()
@@ -27,9 +25,7 @@ def told(machine: SweptMachine, rng: np.random.Generator) -> tuple[AgreedOrder, 
     frames = order_frames(band, shaft, settings=SETTINGS.orders)
     out = swept_orders(frames, settings=SETTINGS)
     tracks = followed_tracks(band, shaft, settings=SETTINGS.orders, swept=True, standing_out=out)
-    made = order_map([frames], settings=SETTINGS.orders)
-    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
-    return orders_agreed(lines, frames=[frames], order_map=made, settings=SETTINGS.identify, followed=[tracks])
+    return agreed_in([frames], followed=[tracks])
 
 
 def pair(seed: int) -> tuple[SweptMachine, np.random.Generator, float, float]:

@@ -10,14 +10,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.growth import largest
-from crankorder.identify.lines.order_lines import order_lines
-from crankorder.orders.map import order_map
-from crankorder.settings import load_settings
-from made.line_frames import PER_REV, angle_of, frames_of
+from made.line_frames import PER_REV, agreed_in, angle_of, frames_of
 
-SETTINGS = load_settings()
 ORDERS = np.arange(1, 17) / 2.0
 
 Given = tuple[np.ndarray, np.ndarray]
@@ -26,9 +21,7 @@ Given = tuple[np.ndarray, np.ndarray]
 
 def found_in(frames: list, order: float) -> list[tuple[tuple[float, float], tuple[float, float]]]:
     """Intervals of amplitude and phase [deg] (centre, half width) of the line at ``order``, by channel."""
-    made = order_map(frames, settings=SETTINGS.orders)
-    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
-    found = orders_agreed(lines, frames=frames, order_map=made, settings=SETTINGS.identify)
+    found = agreed_in(frames)
     given = []
     for item in found:
         for line in item.lines if abs(item.order - order) < 1e-3 else ():

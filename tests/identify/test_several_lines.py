@@ -7,13 +7,12 @@ import pytest
 from scipy.signal import lfilter
 
 from crankorder.identify.known_lines import held_recordings
-from crankorder.identify.lines.agreed_orders import orders_agreed
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.several_orders import several_lines
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
-from made.line_frames import PER_REV, angle_of, frames_of, wave
+from made.line_frames import PER_REV, agreed_in, angle_of, frames_of, wave
 
 SETTINGS = load_settings()
 
@@ -64,9 +63,7 @@ def test_order_1_between_the_mains_and_both_sidebands_is_an_order_at_one_speed()
     for order, size in places.items():
         signal += wave(angle, order, size, rng.uniform(0.0, 6.0))
     frames = frames_of([signal], speed_rpm=2982.0)
-    made = order_map([frames], settings=SETTINGS.orders)
-    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
-    found = orders_agreed(lines, frames=[frames], order_map=made, settings=SETTINGS.identify)
+    found = agreed_in([frames])
     assert [one.order for one in found] == pytest.approx(list(places), abs=1e-4)
     assert [one.lock for one in found] == ["slips", "locked", "slips", "slips"]
 
@@ -97,9 +94,7 @@ def test_three_lines_far_from_the_mains_that_swell_as_one_are_told_where_pulses_
     for order, size in zip(places, rng.uniform(0.4, 1.0, 3), strict=True):
         signal += wave(angle, order, size, rng.uniform(0.0, 6.0))
     frames = frames_of([signal], speed_rpm=1482.0, pulses=pulses)
-    made = order_map([frames], settings=SETTINGS.orders)
-    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
-    found = orders_agreed(lines, frames=[frames], order_map=made, settings=SETTINGS.identify)
+    found = agreed_in([frames])
     if pulses:
         assert [one.order for one in found] == pytest.approx([1.0, *places], abs=3e-4)
     assert any("solved together" in one.reservation for one in found) is pulses
@@ -112,7 +107,5 @@ def test_a_line_whose_size_swings_stays_one(seed: int) -> None:
     swell = 1.0 + 0.4 * np.cos(2.0 * np.pi * angle * rng.uniform(3.0, 6.0) / 740.0 + rng.uniform(0.0, 6.0))
     signal = swell * wave(angle, 3.0, 1.0) + 0.1 * rng.standard_normal(len(angle))
     frames = frames_of([signal], speed_rpm=1482.0)
-    made = order_map([frames], settings=SETTINGS.orders)
-    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
-    found = orders_agreed(lines, frames=[frames], order_map=made, settings=SETTINGS.identify)
+    found = agreed_in([frames])
     assert [one.order for one in found] == pytest.approx([3.0], abs=3e-4)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from crankorder.identify.modal.exclusion import Hiding
 from crankorder.identify.modal.sweep_poles import SweepFits, sweep_fits
 from crankorder.settings import load_settings
-from identify.test_sweep_poles import HALVES, spectra_of
-from machines.machine import Encoder, Machine, Mode, Order, Profile
+from identify.test_sweep_poles import HALVES, a_machine, spectra_of
+from machines.machine import Machine, Mode
 from machines.truth import amplification
 
 pytestmark = pytest.mark.slow
@@ -31,30 +33,10 @@ def drawn(seed: int, *, hidden: float) -> Machine:
         (float(rng.uniform(-1.0, 1.0)), 0.8),
         (0.0,),
     )
-    orders = (
-        Order(2.0, 0.0, 0.5, 2.0, 30.0, 4.0, (0.02, 0.01)),
-        Order(3.5, 0.2, 0.3, 1.6, -70.0, -6.0, (-0.01, 0.03)),
-    )
     seconds = float(rng.uniform(6.0, 16.0))
     ends = (1200.0, 4500.0) if rng.random() < 0.5 else (4500.0, 1200.0)
-    noise = (float(rng.uniform(3e-5, 1e-4)),) * 2
-    profile = Profile((0.0, seconds), ends, 0.3)
-    modes = (clear, weak) if hidden else (clear,)
-    return Machine(
-        "run-up",
-        seed,
-        1024.0,
-        ("X", "Y"),
-        modes,
-        orders,
-        (),
-        (profile,),
-        Encoder("speed", "speed"),
-        noise,
-        (),
-        50.0,
-        False,
-    )
+    made = a_machine(rpm=ends, seconds=seconds, noise=float(rng.uniform(3e-5, 1e-4)))
+    return replace(made, seed=seed, modes=(clear, weak) if hidden else (clear,))
 
 
 def told(machine: Machine) -> SweepFits:

@@ -7,11 +7,9 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from crankorder.identify.lines.agreed_orders import orders_agreed
-from crankorder.identify.lines.order_lines import order_lines
 from crankorder.orders.frames import order_frames
-from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
+from made.line_frames import agreed_in
 from made.swept_machines import drawn, recorded
 
 SETTINGS = load_settings()
@@ -32,9 +30,7 @@ def judged(name: str, seed: int) -> tuple[Counter[tuple[str, str]], bool]:
     rng = np.random.default_rng([seed, *name.encode()])
     machine = drawn(rng, **SWEEPS[name])
     frames = order_frames(*recorded(machine, rng), settings=SETTINGS.orders)
-    made = order_map([frames], settings=SETTINGS.orders)
-    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=[frames])
-    found = orders_agreed(lines, frames=[frames], order_map=made, settings=SETTINGS.identify)
+    found = agreed_in([frames])
     true = machine.orders * (1.0 - machine.slip)
     said: Counter[tuple[str, str]] = Counter()
     for item in found:

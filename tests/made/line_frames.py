@@ -8,10 +8,16 @@ from collections.abc import Sequence
 import numpy as np
 import xarray as xr
 
+from crankorder.identify.found import AgreedOrder
+from crankorder.identify.lines.agreed_orders import orders_agreed
+from crankorder.identify.lines.order_lines import order_lines
+from crankorder.orders.map import order_map
 from crankorder.orders.spectra import spectra_by_angle
+from crankorder.settings import load_settings
 from made.recordings import named
 
 PER_REV, REVS, HOP = 48, 16, 8
+SETTINGS = load_settings()
 
 
 def frames_of(
@@ -65,3 +71,10 @@ def rung(noise: np.ndarray, order: float, damping: float, *, amount: float = 1.0
     at = np.fft.rfftfreq(len(noise), 1 / PER_REV)
     response = -(at**2) / (order**2 - at**2 + 2j * damping * order * at)
     return np.fft.irfft(np.fft.rfft(noise) * (1.0 + amount * response), len(noise))
+
+
+def agreed_in(frames: Sequence[xr.Dataset], *, followed: Sequence[xr.Dataset] = ()) -> tuple[AgreedOrder, ...]:
+    """Orders that the channels and recordings of ``frames`` agree on; ``followed``: OrderTracks of their sweeps."""
+    made = order_map(frames, settings=SETTINGS.orders)
+    lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
+    return orders_agreed(lines, frames=frames, order_map=made, settings=SETTINGS.identify, followed=followed)

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from crankorder.identify.found import AgreedOrder, Mode, OrderLine
 from crankorder.identify.intervals import half_width
+from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -23,8 +23,6 @@ class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="above_trend
 
 
 NUMBERS = _Numbers.load()
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -150,9 +150,8 @@ def _chain(
             room = max(room, KNOWN_LINES.same_hz * 60.0 / held.rpm)
         near = [n for n in range(len(lines)) if (k, n) in free and abs(lines[n].order - wanted) <= room]
         hidden = any(abs(one.order - wanted) * held.span_rev < 2.0 * KNOWN_LINES.apart_cycles for one in lines)
-        outside = (
-            not band_hz[0] < (wanted - room) * held.rpm / 60.0 < (wanted + 2.0 * room) * held.rpm / 60.0 < band_hz[1]
-        )
+        low, high = (wanted - room) * held.rpm / 60.0, (wanted + 2.0 * room) * held.rpm / 60.0
+        outside = not band_hz[0] < low < high < band_hz[1]
         if near:
             chain.append((k, min(near, key=lambda n: abs(lines[n].order - wanted))))
         elif not hidden and not outside:
@@ -217,20 +216,18 @@ def _agreed(one: _Parted, order_map: xr.Dataset) -> AgreedOrder:
 
 def _line(one: _Parted, channel: int, name: str, order: float, error: float, order_map: xr.Dataset) -> OrderLine | None:
     speed = np.asarray(order_map["speed"].values, dtype=np.float64)
-    rows = {int(np.nanargmin(np.abs(speed - held.rpm))): (held, line) for held, line in one.seen}
-    seen = [
-        row for row in sorted(rows) if rows[row][1].amplitude[channel] > Z95 * rows[row][1].amplitude_error[channel]
-    ]
-    if not seen:
+    rows = {int(np.nanargmin(np.abs(speed - held.rpm))): (held.rpm, line) for held, line in one.seen}
+    parts = [(row, rpm, line.amplitude[channel], line.amplitude_error[channel]) for row, (rpm, line) in rows.items()]
+    clear = sorted(part for part in parts if part[2] > Z95 * part[3])
+    if not clear:
         return None
-    size = np.array([rows[row][1].amplitude[channel] for row in seen])
-    own = np.array([rows[row][1].amplitude_error[channel] for row in seen])
+    seen, rpm, size, own = (np.array(column) for column in zip(*clear, strict=True))
     return OrderLine(
         channel=name,
         order=order,
         order_error=error,
-        seen=np.array(seen),
-        speed_rpm=np.array([rows[row][0].rpm for row in seen]),
+        seen=seen,
+        speed_rpm=rpm,
         amplitude=size,
         amplitude_error=own,
         degrees_of_freedom=np.full(len(seen), DEGREES_OF_FREEDOM),

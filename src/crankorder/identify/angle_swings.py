@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.said import OR_OWN
 from crankorder.orders.swing_evidence import HARMONICS
 from crankorder.orders.true_angle import LINES, LINES_PER_HARMONIC, TAKEN, left_of, swing_shown
-from crankorder.quantities import Floats
+from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -151,7 +150,7 @@ class _Given:
 
     carrier: float
     amplitude: Floats
-    known: NDArray[np.bool_]
+    known: Bools
     by_encoder: bool
 
 
@@ -175,7 +174,7 @@ def _given(line: OrderLine, order: float, number: float, carrier: OrderLine, swi
     return [part for part in parts if part.amplitude.any()]
 
 
-def _amplitudes(carrier: OrderLine, rpm: Floats, ratio: float) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+def _amplitudes(carrier: OrderLine, rpm: Floats, ratio: float) -> tuple[Floats, Floats, Bools]:
     """Amplitude of ``carrier`` at ``rpm`` (rows,), the largest from there to ``ratio`` times that speed, if known.
 
     The force behind it is taken to grow with the square of the speed. Where speeds are too coarse to tell what is

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from crankorder.identify.above_trend import Seen, above_trend, evidence_beside, in_range, seen_all_around, width_rpm
@@ -15,6 +14,7 @@ from crankorder.identify.intervals import ENDLESS_FREEDOM, claimed, half_width, 
 from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.responses import with_and_without
 from crankorder.identify.said import NUMBERS as SAID
+from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -27,7 +27,6 @@ class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="crossings")
 
 NUMBERS = _Numbers.load()
 
-Floats = NDArray[np.float64]
 
 EXTRAPOLATED = "extrapolated: no speed there was tested, and order and natural frequency are taken to stay as they are"
 """Evidence of a crossing outside the tested range."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import crankcase_forces, crankcase_moments
 from crankorder.engine.gas import gas_torque_by_order
 from crankorder.errors import RequestError
 from crankorder.findings import OrderFinding, Quality
+from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -24,7 +24,6 @@ class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="cycle_force
 
 NUMBERS = _Numbers.load()
 
-Floats = NDArray[np.float64]
 Maker = Literal["gas", "masses", "both"]
 
 GAS_ORDERS = (0.5, 1.5, 2.5, 3.5)

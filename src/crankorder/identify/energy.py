@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
 from crankorder.findings import Energy, EnergyShares
@@ -17,6 +16,7 @@ from crankorder.identify.lines.cfar import highest_of_three, noise_level
 from crankorder.identify.lines.line_evidence import NUMBERS as LINE_EVIDENCE
 from crankorder.identify.lines.line_evidence import log_chance_of_kurtosis
 from crankorder.identify.modal.floor import group_width_rpm
+from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -31,7 +31,6 @@ class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="energy"):
 
 NUMBERS = _Numbers.load()
 
-Floats = NDArray[np.float64]
 
 MAD_TO_SIGMA = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
@@ -103,7 +102,7 @@ class _LookedAt:
 
     made: EnergyMap
     lines: EnergyLines
-    owner: NDArray[np.int64]
+    owner: Ints
     surface: Floats
     unexplained: Floats
 
@@ -130,7 +129,7 @@ def _fraction(record: EnergyShares) -> float | None:
     return float(unexplained) if unexplained > 0.0 else None
 
 
-def _owners(axis: Floats, lines: EnergyLines) -> NDArray[np.int64]:
+def _owners(axis: Floats, lines: EnergyLines) -> Ints:
     """Line (rows, cells) to which each cell of ``axis`` belongs, the nearest within its reach; -1 for none."""
     owner = np.full((len(lines.centre), len(axis)), -1)
     for row, (centres, reaches) in enumerate(zip(lines.centre, lines.reach, strict=True)):
@@ -159,7 +158,7 @@ def _with_skirts(made: EnergyMap, lines: EnergyLines, surface: Floats) -> Energy
     )
 
 
-def _surface(made: EnergyMap, owner: NDArray[np.int64], modal: ModalFit | None) -> Floats:
+def _surface(made: EnergyMap, owner: Ints, modal: ModalFit | None) -> Floats:
     """Energy expected in each cell without lines (channels, rows, cells), from the fit ``modal`` where there is one."""
     free = np.where(owner < 0, made.energy, np.nan)
     free[..., (made.energy == 0.0).all(axis=(0, 1))] = np.nan
@@ -196,9 +195,7 @@ def _smoothed(values: Floats) -> Floats:
     return _median(np.lib.stride_tricks.sliding_window_view(padded, NUMBERS.smoothed_bins), axis=-1)
 
 
-def _over_surface(
-    made: EnergyMap, owner: NDArray[np.int64], surface: Floats, modal: ModalFit, settings: IdentifySettings
-) -> Floats:
+def _over_surface(made: EnergyMap, owner: Ints, surface: Floats, modal: ModalFit, settings: IdentifySettings) -> Floats:
     """Energy (channels, rows, cells) outside the lines that stands over the ``surface`` as noise does not."""
     free = (owner >= 0)[None] == np.zeros(made.energy.shape, dtype=bool)
     free &= (surface > 0.0) & (made.energy > 0.0)
@@ -218,7 +215,7 @@ def _over_surface(
     return np.asarray(np.nan_to_num(over) + np.nan_to_num(everywhere))
 
 
-def _lines_alone(made: EnergyMap, owner: NDArray[np.int64], surface: Floats, settings: IdentifySettings) -> Floats:
+def _lines_alone(made: EnergyMap, owner: Ints, surface: Floats, settings: IdentifySettings) -> Floats:
     """Energy (channels, rows, cells) over the ``surface`` in lines that nobody named, where no surface was fitted.
 
     Such a line is sharper, or steadier from frame to frame, than the least damped natural frequency that noise rings.
@@ -244,7 +241,7 @@ def _lines_alone(made: EnergyMap, owner: NDArray[np.int64], surface: Floats, set
     return found
 
 
-def _steady(made: EnergyMap, least: Floats, chance: float) -> NDArray[np.bool_]:
+def _steady(made: EnergyMap, least: Floats, chance: float) -> Bools:
     """Where noise that rings over 2 ``least`` cells (cells,) is so steady with less than ``chance``.
 
     Independent spectra begin half a frame apart; what rings on from one to the next makes them fewer.
@@ -311,7 +308,7 @@ def _channel(number: int, looked: _LookedAt) -> dict[str, float]:
 
 
 def _energy_of_lines(
-    made: EnergyMap, lines: EnergyLines, number: int, cells: tuple[NDArray[np.int64], NDArray[np.int64], Floats, Floats]
+    made: EnergyMap, lines: EnergyLines, number: int, cells: tuple[Ints, Ints, Floats, Floats]
 ) -> Floats:
     """Energy of each line in channel ``number``, summed over the rows.
 
@@ -342,7 +339,7 @@ def _energy_of_lines(
     return np.asarray(np.where(seen, part * both, 0.0).sum(axis=0) + np.maximum(0.0, unseen))
 
 
-def _groups(centre: Floats, near: float) -> NDArray[np.int64]:
+def _groups(centre: Floats, near: float) -> Ints:
     """Place of the group of each line (rows, lines) in an array of that shape; chains of lines ``near`` each other."""
     rank = np.argsort(centre, axis=1)
     apart = np.diff(np.take_along_axis(centre, rank, axis=1), axis=1) > near
@@ -352,7 +349,7 @@ def _groups(centre: Floats, near: float) -> NDArray[np.int64]:
     return np.asarray(made + np.arange(len(centre))[:, None] * centre.shape[1], dtype=np.int64)
 
 
-def _inside(made: EnergyMap, lines: EnergyLines) -> NDArray[np.bool_]:
+def _inside(made: EnergyMap, lines: EnergyLines) -> Bools:
     """Whether the middle of each line lies in what counts of the map (rows, lines); else only its skirts do."""
     step = float(made.axis[1] - made.axis[0])
     known = np.isfinite(lines.centre)
@@ -369,21 +366,17 @@ def _shares(channel: str, unit: str, parts: list[dict[str, float]]) -> EnergySha
     shares = {name: part / total if total > 0.0 else 0.0 for name, part in joined.items()}
     unexplained = shares["unexplained_lines"] + shares["unexplained_cells"]
     rest = max(0.0, 1.0 - shares["orders"] - shares["tones"] - unexplained)
-    floor = rest if total > 0.0 else 0.0
     return EnergyShares(
         channel=channel,
         unit=f"({unit})²",
-        orders=shares["orders"],
-        tones=shares["tones"],
-        unexplained_lines=shares["unexplained_lines"],
-        unexplained_cells=shares["unexplained_cells"],
+        **shares,
         unexplained=unexplained,
-        modes_and_floor=floor,
+        modes_and_floor=rest if total > 0.0 else 0.0,
         total=total,
     )
 
 
-def _sums(place: NDArray[np.int64], values: Floats, shape: tuple[int, ...]) -> Floats:
+def _sums(place: Ints, values: Floats, shape: tuple[int, ...]) -> Floats:
     """Sums of the ``values`` (n,) at each ``place`` (n,) of an array of the ``shape``."""
     return np.asarray(np.bincount(place, values, int(np.prod(shape))).reshape(shape), dtype=np.float64)
 
@@ -407,8 +400,8 @@ class EnergyLines:
     centre: Floats
     reach: Floats
     stated: Floats
-    known: NDArray[np.bool_]
-    is_tone: NDArray[np.bool_]
+    known: Bools
+    is_tone: Bools
 
 
 @dataclass(frozen=True)
@@ -528,7 +521,7 @@ def _put(into: Floats, speed: Floats, of_line: Floats, energy: Floats, near_rpm:
             into[row] = value if np.isnan(into[row]) else max(value, into[row])
 
 
-def _known_orders(channels: list[str], orders: tuple[AgreedOrder, ...], causes: Causes) -> NDArray[np.bool_]:
+def _known_orders(channels: list[str], orders: tuple[AgreedOrder, ...], causes: Causes) -> Bools:
     """Whether the cause of each order is known (channels, orders); where it is no line of a channel, by the others."""
     known = np.zeros((len(channels), len(orders)), dtype=bool)
     for at, agreed in enumerate(orders):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -164,10 +164,8 @@ def _electric(
     of_cycle = {agreed.order: _unparted(agreed, sources.revs_per_cycle, longest_rev) for agreed in orders}
     tones = [tone for tone in modal.tones if tone.kind == "mains"]
     exact = [order for order, multiple in of_cycle.items() if multiple is not None]
-    told = {
-        order: Cause(text, evidence)
-        for order, (text, evidence) in mains_orders(orders, tones=tones, exact=exact, settings=settings).items()
-    }
+    of_mains = mains_orders(orders, tones=tones, exact=exact, settings=settings)
+    told = {order: Cause(*words) for order, words in of_mains.items()}
     sure: set[float] = set()
     for agreed in orders:
         item = named_by(known, agreed)
@@ -241,20 +239,19 @@ def _first_cause(
         "undecided": "may be locked to the shaft",
         "slips": "not locked to the shaft",
     }[agreed.lock]
-    tests: list[Callable[[], Cause | None]] = [
-        lambda: _gas_in_pressure(of_cycle, in_cylinder, sources, proof),
-        lambda: _gas_or_masses(forces.get((line.channel, agreed.order)), proof),
-        lambda: _kinematics(of_cycle, orders, sources, proof),
-        lambda: _stated(at, "gear mesh", proof),
-        lambda: _first_order(of_cycle, line, sources, quantity, modes, proof),
-        lambda: _combustion(of_cycle, sources, proof),
-        lambda: _stated(at, "bearing", proof),
-        lambda: _race_harmonic(agreed, of_cycle, races),
-        lambda: _fold(line, folds),
-        lambda: _half_order(of_cycle, orders, sources, proof),
-        lambda: _shaft_harmonic(of_cycle, sources, proof),
-    ]
-    return next((cause for test in tests if (cause := test()) is not None), None)
+    return (
+        _gas_in_pressure(of_cycle, in_cylinder, sources, proof)
+        or _gas_or_masses(forces.get((line.channel, agreed.order)), proof)
+        or _kinematics(of_cycle, orders, sources, proof)
+        or _stated(at, "gear mesh", proof)
+        or _first_order(of_cycle, line, sources, quantity, modes, proof)
+        or _combustion(of_cycle, sources, proof)
+        or _stated(at, "bearing", proof)
+        or _race_harmonic(agreed, of_cycle, races)
+        or _fold(line, folds)
+        or _half_order(of_cycle, orders, sources, proof)
+        or _shaft_harmonic(of_cycle, sources, proof)
+    )
 
 
 def _gas_in_pressure(of_cycle: float | None, in_cylinder: bool, sources: Sources, proof: str) -> Cause | None:
@@ -523,9 +520,8 @@ def _on_one_grid(places_hz: list[float], errors_hz: list[float]) -> list[bool]:
         return nothing
     best = np.zeros(len(places), dtype=bool)
     for step in np.unique(np.diff(np.sort(places))):
-        reach = np.minimum(
-            NUMBERS.same_sigmas * np.asarray(errors_hz) + NUMBERS.grid_share * step, 2.0 * NUMBERS.grid_share * step
-        )
+        near = NUMBERS.grid_share * step
+        reach = np.minimum(NUMBERS.same_sigmas * np.asarray(errors_hz) + near, 2.0 * near)
         on = np.abs(places - step * np.round(places / step)) <= reach
         best = on if np.count_nonzero(on) > np.count_nonzero(best) else best
     return best.tolist() if np.count_nonzero(best) >= max(NUMBERS.grid_tones, 0.5 * len(places)) else nothing

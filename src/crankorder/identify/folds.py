@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderLine
 from crankorder.identify.lines.cfar import excess_over_noise
-from crankorder.quantities import QualityFlag
+from crankorder.quantities import Floats, QualityFlag
 from crankorder.settings import MethodNumbers, Settings
 from crankorder.shaft.aliasing import Fold, FoldedLine, find_folds, folded_lines
 
@@ -30,8 +29,8 @@ class ShownFold:
     """A fold and where it shows: ``speed_rpm`` and ``order`` (points,), each order known within ``order_error``."""
 
     fold: Fold
-    speed_rpm: NDArray[np.float64]
-    order: NDArray[np.float64]
+    speed_rpm: Floats
+    order: Floats
     order_error: float
 
     def is_line(self, line: OrderLine) -> bool:

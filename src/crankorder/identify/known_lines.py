@@ -13,6 +13,7 @@ from crankorder.engine.motor import MotorLine
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of
+from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
 
@@ -28,8 +29,6 @@ class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="known_lines
 
 NUMBERS = _Numbers.load()
 
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 LOBE_BINS = 2.0
 """Reciprocal frame lengths on each side of a line that the main lobe of a Hann window covers."""
@@ -223,7 +222,7 @@ def _fitted(held: Held, places: list[Place]) -> list[Sighting]:
 
 
 def noise_beside(
-    held: Held, bins: NDArray[np.int64], place: Place, left: Complex, lines: Floats, *, median: bool = False
+    held: Held, bins: Ints, place: Place, left: Complexes, lines: Floats, *, median: bool = False
 ) -> Floats:
     """Root mean square along one axis (channels,) of what a line beside ``place`` would be in what is ``left``.
 
@@ -256,19 +255,19 @@ def _shaft_orders(held: Held, places: Sequence[Place], own: Sequence[Place]) -> 
     ]
 
 
-def bins_of(held: Held, orders: Floats) -> NDArray[np.int64]:
+def bins_of(held: Held, orders: Floats) -> Ints:
     """Bins of ``held`` that lines between the least and the largest of ``orders`` reach."""
     reach = LOBE_BINS / held.revs
     return np.flatnonzero((held.axis >= orders.min() - reach) & (held.axis <= orders.max() + reach))
 
 
-def data_of(held: Held, bins: NDArray[np.int64]) -> Complex:
+def data_of(held: Held, bins: Ints) -> Complexes:
     """Phasors (frames x bins, channels) of ``held`` in ``bins``."""
     chosen = held.spectrum[:, :, bins]
     return np.asarray(chosen.reshape(len(chosen), -1).T, dtype=np.complex128)
 
 
-def waves_of(held: Held, bins: NDArray[np.int64], places: Sequence[Place]) -> Complex:
+def waves_of(held: Held, bins: Ints, places: Sequence[Place]) -> Complexes:
     """What lines of amplitude 1 at ``places`` are in the frames and ``bins`` of ``held``: (frames x bins, places).
 
     A line x reciprocal frame lengths from a bin is seen there by the response of the Hann window, sinc x / (1 - x²),
@@ -281,7 +280,7 @@ def waves_of(held: Held, bins: NDArray[np.int64], places: Sequence[Place]) -> Co
     pole = np.abs(np.abs(away) - 1.0) < 1e-6
     shape = np.where(pole, 0.5, np.sinc(away) / np.where(pole, 1.0, 1.0 - away**2))
     phase = (turns * turn + hertz * held.time_s[:, None])[:, None] - axis * turn[:, None]
-    made: Complex = shape * np.exp(2j * np.pi * (phase - np.floor(phase)))
+    made: Complexes = shape * np.exp(2j * np.pi * (phase - np.floor(phase)))
     return made.reshape(-1, len(places))
 
 

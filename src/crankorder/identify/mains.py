@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.engine.motor import SHAFT, USUAL_SLIP, Motor, MotorLine, motor_lines
 from crankorder.findings import Motor as MotorRecord
@@ -21,6 +20,7 @@ from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.said import mains_words
+from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -45,12 +45,10 @@ OR_ANOTHER = "or another tone"
 OR_RESONANCE = "or a natural frequency"
 """What is added where the recordings are too short to tell a line from a resonance that noise excites."""
 
-Floats = NDArray[np.float64]
-
 
 def nearest_multiple(
-    frequency_hz: NDArray[np.float64] | float, mains_hz: float, *, settings: IdentifySettings
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    frequency_hz: Floats | float, mains_hz: float, *, settings: IdentifySettings
+) -> tuple[Floats, Floats]:
     """The multiple of ``mains_hz`` next to each ``frequency_hz`` (any shape, Hz), and how far (Hz) it may lie from it.
 
     Those that may stand alone wander by as many times what the supply does as they are multiples of it; a higher one by
@@ -107,7 +105,7 @@ class _Fixed:
     hertz: Floats
     error_hz: Floats
     speeds_rpm: list[set[float]]
-    exact: NDArray[np.bool_]
+    exact: Bools
 
 
 def mains_orders(
@@ -161,7 +159,7 @@ def mains_orders(
     return made
 
 
-def _hits(lines: _Fixed, mains: float, tones_hz: Sequence[float], settings: IdentifySettings) -> NDArray[np.bool_]:
+def _hits(lines: _Fixed, mains: float, tones_hz: Sequence[float], settings: IdentifySettings) -> Bools:
     """Which ``lines`` are or may be multiples of ``mains``."""
     multiple, reach = nearest_multiple(lines.hertz, mains, settings=settings)
     # a line that is known less well than a supply wanders may be anything
@@ -186,7 +184,7 @@ def _hits(lines: _Fixed, mains: float, tones_hz: Sequence[float], settings: Iden
     return low
 
 
-def _rivals(lines: _Fixed, claim: NDArray[np.bool_], mains: float, tones: Sequence[Tone]) -> NDArray[np.bool_]:
+def _rivals(lines: _Fixed, claim: Bools, mains: float, tones: Sequence[Tone]) -> Bools:
     """Which of the ``lines`` that ``claim`` a multiple of ``mains`` have another line, or tone, of one speed beside."""
     hertz = np.concatenate([lines.hertz, [tone.frequency_hz for tone in tones]])
     error = np.concatenate([lines.error_hz, [tone.frequency_error_hz for tone in tones]])

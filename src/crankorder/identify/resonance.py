@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from crankorder.quantities import Complexes, Floats
 
 
-def resonance(
-    frequency_hz: NDArray[np.float64], natural_hz: NDArray[np.float64], damping_ratio: NDArray[np.float64]
-) -> NDArray[np.complex128]:
+def resonance(frequency_hz: Floats, natural_hz: Floats, damping_ratio: Floats) -> Complexes:
     """Acceleration −x² / (1 − x² + 2iζx), x = f / f_j, of modes of unit residue, shape (…, mode).
 
     ``frequency_hz``: f, any shape (…). ``natural_hz`` and ``damping_ratio``: f_j (Hz) and ζ_j, (mode,).

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from crankorder.identify.above_trend import Seen, above_trend, width_rpm
@@ -29,6 +28,7 @@ from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.responses import held_amplitudes, together, with_and_without
 from crankorder.identify.said import AMPLIFIED
 from crankorder.identify.said import NUMBERS as SAID
+from crankorder.quantities import Bools
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -44,8 +44,6 @@ NUMBERS = _Numbers.load()
 
 FLANKS = 120
 """Speeds over the whole span, in equal ratios, at which the flanks of a mode are looked at."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,11 +233,8 @@ def _fitted_peak(response: OrderResponse, rpm: float, modal: ModalFit, mode: Mod
     if mode.damping_error > ORDER_MODES.known_share * mode.damping_ratio:
         return None
     size, error = (float(one[0]) for one in held_amplitudes(response, np.array([rpm]), modal))
-    return (
-        size
-        if half_width(float(response.degrees_of_freedom)) * error <= (1.0 - 1.0 / NUMBERS.peak_within_ratio) * size
-        else None
-    )
+    half = half_width(float(response.degrees_of_freedom)) * error
+    return size if half <= (1.0 - 1.0 / NUMBERS.peak_within_ratio) * size else None
 
 
 def _amplification(
@@ -429,13 +424,12 @@ def _between(bound: UnseenBound, factor: float, name: str) -> list[_Open]:
     for first, last in _runs(~(worst <= factor)):
         begin = float(bound.speed_rpm[max(first - 1, 0)])
         end = float(bound.speed_rpm[min(last + 1, len(worst) - 1)])
-        made.append(
-            _Open(begin, end, f"not tested between: {name} could be amplified more than {factor:g} times unseen")
-        )
+        why = f"not tested between: {name} could be amplified more than {factor:g} times unseen"
+        made.append(_Open(begin, end, why))
     return made
 
 
-def _runs(marked: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def _runs(marked: Bools) -> list[tuple[int, int]]:
     """First and last places of the runs of what is ``marked``."""
     edges = np.diff(np.concatenate([[False], marked, [False]]).astype(np.int64))
     return list(zip(np.flatnonzero(edges == 1).tolist(), (np.flatnonzero(edges == -1) - 1).tolist(), strict=True))
@@ -509,9 +503,8 @@ def lone_peaks(
         for line, place, ratio in sorted(peaks, key=lambda peak: -peak[2]):
             worst = _largest_there(agreed, line, float(line.speed_rpm[place]), unit)
             item = _avoided(agreed.order, line, place, ratio, modal, worst, in_unit)
-            reach = (
-                1.0 if line.n_independent is None else 1.0 + LONE_NUMBERS.around_share
-            )  # a sweep rings behind a resonance
+            # a sweep rings behind a resonance
+            reach = 1.0 if line.n_independent is None else 1.0 + LONE_NUMBERS.around_share
             if not any(_holds(other, item, reach) for other in (*avoided, *made)):
                 made.append(item)
     return made
@@ -538,11 +531,9 @@ def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
 
 def _largest_there(agreed: AgreedOrder, shown: OrderLine, rpm: float, unit: Mapping[str, str]) -> tuple[str, float]:
     """Channel of the unit of ``shown`` in which the order is largest at ``rpm``, and how large."""
+    reach = LONE_NUMBERS.same_row_share * rpm
     there = [
-        (
-            line.channel,
-            float(line.amplitude[np.abs(line.speed_rpm - rpm) <= LONE_NUMBERS.same_row_share * rpm].max(initial=0.0)),
-        )
+        (line.channel, float(line.amplitude[np.abs(line.speed_rpm - rpm) <= reach].max(initial=0.0)))
         for line in agreed.lines
         if unit[line.channel] == unit[shown.channel]
     ]

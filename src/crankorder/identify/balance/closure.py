@@ -23,9 +23,11 @@ from crankorder.identify.balance.order_shaker import (
     shaker_fit,
 )
 from crankorder.identify.balance.record import Split, added_words, rotor_record, split_record
-from crankorder.identify.balance.transfer_path import Complex, MeasuredOrders, Real, accelerance_of, measured_orders
+from crankorder.identify.balance.transfer_path import MeasuredOrders, accelerance_of, measured_orders
 from crankorder.identify.cycle_forces import gas_half_orders
 from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.identify.modal.pole_errors import side_by_side
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -288,9 +290,8 @@ def _record(fit: ShakerFit, shaker: EngineShaker, engine: Engine, agreement: str
     middle = np.median(measured.frequency_hz[shaker.known_rows])
     axis = fit.axes.index("Z") if "Z" in fit.axes else 0
     mass_kg = 1 / float(np.abs(fit.path(np.array([middle]))[:, axis]).max())
-    odd = f"; left out as not belonging: {', '.join(f'{rpm:.0f}' for rpm in fit.odd_speeds_rpm)} rpm" * bool(
-        fit.odd_speeds_rpm
-    )
+    odd = ", ".join(f"{rpm:.0f}" for rpm in fit.odd_speeds_rpm)
+    odd = f"; left out as not belonging: {odd} rpm" if odd else ""
     rolling = "; the masses' rolling moment acts too and was fitted" * ("RY" in fit.axes)
     misfit = f"; the path misses {100 * fit.misfit:.0f} % of the response, which the intervals hold" * bool(fit.misfit)
     evidence = (
@@ -315,8 +316,8 @@ ROTOR_RADIUS_M = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class _Forces:
-    mass_kg: Complex
-    covariance: Real
+    mass_kg: Complexes
+    covariance: Floats
     freedom: float
     missed: float
     rows: int
@@ -407,7 +408,7 @@ def _forces(
     return _Forces(mass, covariance, max(1.0, 2.0 * (speeds - len(axes))), missed, speeds)
 
 
-def _noise(inverse: Complex, own: Real, correlation: Complex) -> Real:
+def _noise(inverse: Complexes, own: Floats, correlation: Complexes) -> Floats:
     """Covariance of real and imaginary parts in turn that errors ``own`` (channel, row) over their weights make."""
     swayed = (inverse * own.ravel()).reshape(len(inverse), *own.shape)
     covariance = np.einsum("acr,rcd,bdr->ab", swayed, correlation, swayed.conj())
@@ -419,7 +420,7 @@ def _noise(inverse: Complex, own: Real, correlation: Complex) -> Real:
     return parts
 
 
-def _of_doubts(doubts: Sequence[Complex]) -> Real:
+def _of_doubts(doubts: Sequence[Complexes]) -> Floats:
     """Covariance that paths wrong by a complex share make: each shifts the masses (mass,) by so much, in any phase."""
     total = np.zeros((2 * len(doubts[0]), 2 * len(doubts[0])))
     for shift in doubts:
@@ -440,12 +441,7 @@ def _split_by_paths(found: list[_Forces], parts: list[tuple[int, tuple[str, ...]
             per_kg[number] = force_per_kg(
                 bare, order, DIRECTIONS.index(axis), along_only=along_only or (order == 2 and axis == DIRECTIONS[Z])
             )
-    size = 2 * len(sought)
-    covariance, start = np.zeros((size, size)), 0
-    for forces in found:
-        end = start + len(forces.covariance)
-        covariance[start:end, start:end] = forces.covariance
-        start = end
+    covariance = side_by_side([forces.covariance for forces in found])
     split = Split(
         mass_kg=np.concatenate([forces.mass_kg for forces in found]),
         covariance=covariance,
@@ -454,9 +450,7 @@ def _split_by_paths(found: list[_Forces], parts: list[tuple[int, tuple[str, ...]
         per_kg=np.ones_like(per_kg),
     )
     scaled = [split.combined(np.where(np.arange(len(sought)) == n, 1 / per_kg, 0)) for n in range(len(sought))]
-    turn = np.zeros((size, size))
-    for n, share in enumerate(1 / per_kg):
-        turn[2 * n : 2 * n + 2, 2 * n : 2 * n + 2] = [[share.real, -share.imag], [share.imag, share.real]]
+    turn = side_by_side([np.array([[s.real, -s.imag], [s.imag, s.real]]) for s in 1 / per_kg])
     return Split(
         mass_kg=np.array([value for value, _ in scaled]),
         covariance=turn @ covariance @ turn.T,

@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, X, Y, Z, crankcase_forces, crankcase_moments
-from crankorder.identify.balance.transfer_path import Complex, MeasuredOrders, Real, whitening
+from crankorder.identify.balance.transfer_path import MeasuredOrders, whitening
 from crankorder.identify.found import ModalFit
 from crankorder.identify.resonance import resonance
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -40,8 +41,8 @@ class OrderForces:
     """Forces (N) and moments (N·m) of the rows: ``known`` (axis, row), and per kg sought ``unit`` (mass, axis, row)."""
 
     axes: tuple[str, ...]
-    known: Complex
-    unit: Complex
+    known: Complexes
+    unit: Complexes
 
     def on(self, axes: tuple[str, ...]) -> OrderForces:
         """Those along some of the ``axes``."""
@@ -61,26 +62,26 @@ class ShakerFit:
     """
 
     axes: tuple[str, ...]
-    mass_kg: Complex
-    covariance: Real
+    mass_kg: Complexes
+    covariance: Floats
     freedom: float
     chi_square: float
     by_order: dict[int, float]
     misfit: float
     odd_speeds_rpm: tuple[float, ...]
-    residue: Complex
-    natural_hz: Real
-    damping_ratio: Real
+    residue: Complexes
+    natural_hz: Floats
+    damping_ratio: Floats
     top_hz: float
     quiet_left_over: float
     allowed: float
     n_terms: int
     sound: bool
 
-    def path(self, frequency_hz: Real) -> Complex:
+    def path(self, frequency_hz: Floats) -> Complexes:
         """Accelerance (channel, axis, frequency) at ``frequency_hz`` (frequency,)."""
         terms = _terms(frequency_hz, self.natural_hz, self.damping_ratio, self.top_hz)
-        path: Complex = np.einsum("cab,fb->caf", self.residue, terms)
+        path: Complexes = np.einsum("cab,fb->caf", self.residue, terms)
         return path
 
 
@@ -88,12 +89,12 @@ class ShakerFit:
 class _Problem:
     measured: MeasuredOrders
     forces: OrderForces
-    natural: Real
-    damping: Real
-    pole_root: Real
+    natural: Floats
+    damping: Floats
+    pole_root: Floats
     top_hz: float
-    white: Complex
-    alike: Complex
+    white: Complexes
+    alike: Complexes
 
 
 def modes_with_room(modal: ModalFit, *, axes: int, top_hz: float, rows: int) -> int | None:
@@ -115,7 +116,7 @@ def rows_needed(n_modes: int, *, axes: int) -> int:
 
 
 def shaker_fit(
-    measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, *, n_modes: int, start: Complex | None = None
+    measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, *, n_modes: int, start: Complexes | None = None
 ) -> ShakerFit:
     """Masses and path that fit ``measured`` under ``forces`` best, with the lowest ``n_modes`` of ``modal``;
     the search begins at the masses ``start`` (mass,) in kg where they are given.
@@ -151,11 +152,11 @@ def shaker_fit(
 class _Fit:
     """Left-over errors (channel, row) and their slopes (channel, row, parameter) over the errors; model; residues."""
 
-    error: Complex
-    slope: Complex
-    model: Complex
-    residue: Complex
-    prior: Real
+    error: Complexes
+    slope: Complexes
+    model: Complexes
+    residue: Complexes
+    prior: Floats
 
 
 def _problem(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, n_modes: int) -> _Problem:
@@ -173,20 +174,20 @@ def _problem(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, n_m
     return _Problem(measured, forces, natural, damping, root, top_hz, white, alike)
 
 
-def _terms(frequency_hz: Real, natural: Real, damping: Real, top_hz: float) -> Complex:
+def _terms(frequency_hz: Floats, natural: Floats, damping: Floats, top_hz: float) -> Complexes:
     """Shape functions of a path (frequency, term): rigid body, the modes, and what lies above."""
     f = np.asarray(frequency_hz, dtype=np.float64)
     bent = (f / top_hz)[:, None] ** 2
     return np.concatenate([np.ones((f.size, 1)), resonance(f, natural, damping), bent], axis=1, dtype=np.complex128)
 
 
-def _poles(problem: _Problem, theta: Real) -> tuple[Real, Real]:
+def _poles(problem: _Problem, theta: Floats) -> tuple[Floats, Floats]:
     shift = problem.pole_root @ theta[2 * len(problem.forces.unit) :]
     natural = np.clip(problem.natural + shift[0::2], 0.5 * problem.natural, 2.0 * problem.natural)
     return natural, np.clip(problem.damping + shift[1::2], 0.1 * problem.damping, 0.99)
 
 
-def _evaluated(problem: _Problem, theta: Real) -> _Fit:
+def _evaluated(problem: _Problem, theta: Floats) -> _Fit:
     forces, f = problem.forces, problem.measured.frequency_hz
     n_masses = len(forces.unit)
     mass = theta[0 : 2 * n_masses : 2] + 1j * theta[1 : 2 * n_masses : 2]
@@ -217,12 +218,12 @@ def _evaluated(problem: _Problem, theta: Real) -> _Fit:
     )
 
 
-def _spread(columns: Complex, white: Complex) -> Complex:
+def _spread(columns: Complexes, white: Complexes) -> Complexes:
     """``columns`` (row, term), one set per channel, in the combinations ``white``: (row combination, channel term)."""
     return np.asarray(np.einsum("rcd,rb->rcdb", white, columns).reshape(white.shape[0] * white.shape[1], -1))
 
 
-def _factored(columns: Complex) -> tuple[Complex, Complex]:
+def _factored(columns: Complexes) -> tuple[Complexes, Complexes]:
     """Orthonormal basis of ``columns`` and what turns shares of it into coefficients."""
     size = np.sqrt((np.abs(columns) ** 2).sum(axis=0))
     size[size == 0] = 1.0
@@ -231,7 +232,7 @@ def _factored(columns: Complex) -> tuple[Complex, Complex]:
     return left[:, kept], (right[kept].conj().T / values[kept]) / size[:, None]
 
 
-def _pole_slopes(frequency_hz: Real, natural: Real, damping: Real) -> Complex:
+def _pole_slopes(frequency_hz: Floats, natural: Floats, damping: Floats) -> Complexes:
     """Slopes of the resonances by natural frequency and by damping ratio (frequency, mode, 2)."""
     f = frequency_hz[:, None]
     below = natural**2 - f**2 + 2j * damping * f * natural
@@ -240,7 +241,7 @@ def _pole_slopes(frequency_hz: Real, natural: Real, damping: Real) -> Complex:
     return np.stack([by_frequency, by_damping], axis=2)
 
 
-def _start(problem: _Problem) -> Real:
+def _start(problem: _Problem) -> Floats:
     """First guess of the masses: path from the rows of known force alone, then the masses through it."""
     forces, f = problem.forces, problem.measured.frequency_hz
     sought = np.abs(forces.unit).sum(axis=(0, 1)) > 0
@@ -262,15 +263,15 @@ def _cost(fit: _Fit) -> float:
     return float((np.abs(fit.error) ** 2).sum() + (fit.prior**2).sum())
 
 
-def _bread(problem: _Problem, slope: Complex) -> Real:
+def _bread(problem: _Problem, slope: Complexes) -> Floats:
     """Normal matrix of the parameters, with the poles' own covariance as a unit prior."""
-    matrix: Real = np.einsum("crp,crq->pq", slope.conj(), slope, optimize=True).real
+    matrix: Floats = np.einsum("crp,crq->pq", slope.conj(), slope, optimize=True).real
     n_masses = 2 * len(problem.forces.unit)
     matrix[np.arange(n_masses, len(matrix)), np.arange(n_masses, len(matrix))] += 1.0
     return matrix
 
 
-def _solved(problem: _Problem, theta: Real) -> tuple[Real, _Fit]:
+def _solved(problem: _Problem, theta: Floats) -> tuple[Floats, _Fit]:
     """Levenberg–Marquardt from ``theta``."""
     fit, damped = _evaluated(problem, theta), 1e-3
     for _ in range(STEPS):
@@ -292,7 +293,7 @@ def _solved(problem: _Problem, theta: Real) -> tuple[Real, _Fit]:
     return theta, fit
 
 
-def _allowed(problem: _Problem, *, power: int) -> Real:
+def _allowed(problem: _Problem, *, power: int) -> Floats:
     """Expected square of the real part of an error in each combination, (channel, row); 0 where nothing was measured.
 
     A weight that is made of the error itself is large where that was underestimated: what the error allows is larger
@@ -335,16 +336,11 @@ def _odd_speed(problem: _Problem, fit: _Fit) -> float | None:
     return float(speeds[worst]) if each[worst] > NUMBERS.odd_speed_ratio * typical else None
 
 
-def _with_misfit(problem: _Problem, theta: Real, fit: _Fit) -> tuple[float, _Problem, Real, _Fit]:
+def _with_misfit(problem: _Problem, theta: Floats, fit: _Fit) -> tuple[float, _Problem, Floats, _Fit]:
     """Share of the response that must count as error for the fit to be as good as it should, and the fit with it."""
     measured = problem.measured
-    low, high, share, widened, found = (
-        0.0,
-        NUMBERS.largest_misfit_share,
-        NUMBERS.largest_misfit_share,
-        problem,
-        (theta, fit),
-    )
+    low, high, widened, found = 0.0, NUMBERS.largest_misfit_share, problem, (theta, fit)
+    share = high
     for step in range(6):
         widened = replace(
             problem, white=whitening(measured.noise, error=measured.error, missed=share * np.abs(fit.model))
@@ -358,7 +354,7 @@ def _with_misfit(problem: _Problem, theta: Real, fit: _Fit) -> tuple[float, _Pro
     return high, widened, *found
 
 
-def _freedom(problem: _Problem, swayed: Complex, inverse: NDArray[np.floating]) -> float:
+def _freedom(problem: _Problem, swayed: Complexes, inverse: NDArray[np.floating]) -> float:
     """Degrees of freedom of the first mass' variance, which rows of few have a share in (Satterthwaite 1946)."""
     pulls = swayed @ inverse[0]
     shares = np.einsum("cr,rcd,dr->r", pulls.conj(), problem.alike, pulls).real
@@ -367,7 +363,7 @@ def _freedom(problem: _Problem, swayed: Complex, inverse: NDArray[np.floating]) 
 
 
 def _result(
-    problem: _Problem, theta: Real, fit: _Fit, *, misfit: float, quiet: tuple[float, float], odd: list[float]
+    problem: _Problem, theta: Floats, fit: _Fit, *, misfit: float, quiet: tuple[float, float], odd: list[float]
 ) -> ShakerFit:
     measured, n_masses = problem.measured, 2 * len(problem.forces.unit)
     inverse = np.linalg.pinv(_bread(problem, fit.slope))
@@ -425,9 +421,9 @@ class EngineShaker:
     orders: tuple[int, ...]
     known_orders: tuple[int, ...]
     sought: tuple[tuple[int, str], ...]
-    per_kg: Complex
+    per_kg: Complexes
     forces: OrderForces
-    known_rows: NDArray[np.bool_]
+    known_rows: Bools
 
     @property
     def sought_orders(self) -> tuple[int, ...]:
@@ -435,7 +431,7 @@ class EngineShaker:
         return tuple(order for order, _ in self.sought)
 
 
-def engine_shaker(engine: Engine, speed_rpm: Real, *, seen: set[int], highest: int) -> EngineShaker | str:
+def engine_shaker(engine: Engine, speed_rpm: Floats, *, seen: set[int], highest: int) -> EngineShaker | str:
     """Forces of ``engine`` at ``speed_rpm`` (speed,) by row; or, in words, why no order of it is of known force.
 
     ``seen``: orders above the floor. ``highest``: last order of the map. An order is of known force where pistons make
@@ -464,7 +460,7 @@ def engine_shaker(engine: Engine, speed_rpm: Real, *, seen: set[int], highest: i
     return _assembled(bare, engine, speed_rpm, forces, moments, known)
 
 
-def _rocks(engine: Engine, forces: Complex, moments: Complex, known: tuple[int, ...]) -> bool:
+def _rocks(engine: Engine, forces: Complexes, moments: Complexes, known: tuple[int, ...]) -> bool:
     span = max(c.position_m for c in engine.cylinders) - min(c.position_m for c in engine.cylinders)
     rocking = np.abs(moments[:, [X, Z]][:, :, list(known)]).max(axis=(0, 1))
     return bool(
@@ -474,7 +470,7 @@ def _rocks(engine: Engine, forces: Complex, moments: Complex, known: tuple[int, 
 
 
 def _assembled(
-    bare: Engine, engine: Engine, speed_rpm: Real, forces: Complex, moments: Complex, known: tuple[int, ...]
+    bare: Engine, engine: Engine, speed_rpm: Floats, forces: Complexes, moments: Complexes, known: tuple[int, ...]
 ) -> EngineShaker:
     axes = [d for d in (X, Z) if np.abs(forces[:, d][:, list(known)]).max() > NONE_LEFT * np.abs(forces).max()]
     sought = [(1, d) for d in axes] + [(2, d) for d in axes if 2 in engine.shafts.every_order and d == Z]

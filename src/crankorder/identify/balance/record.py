@@ -11,8 +11,8 @@ import numpy as np
 from crankorder.engine.definition import Engine
 from crankorder.engine.transfer_paths import AddedMass
 from crankorder.findings import Balance
-from crankorder.identify.balance.transfer_path import Complex, Real
 from crankorder.identify.intervals import half_width
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -38,13 +38,13 @@ class Split:
     ``sought``: (order, axis) of each; the force of a mass is mass · ``per_kg`` · r ω².
     """
 
-    mass_kg: Complex
-    covariance: Real
+    mass_kg: Complexes
+    covariance: Floats
     freedom: float
     sought: tuple[tuple[int, str], ...]
-    per_kg: Complex
+    per_kg: Complexes
 
-    def combined(self, shares: Complex) -> tuple[complex, Real]:
+    def combined(self, shares: Complexes) -> tuple[complex, Floats]:
         """The complex sum Σ ``shares`` (mass,) · mass and the covariance (2, 2) of its parts."""
         turn = np.array([[[s.real, -s.imag], [s.imag, s.real]] for s in shares]).transpose(1, 0, 2).reshape(2, -1)
         return complex(shares @ self.mass_kg), turn @ self.covariance @ turn.T
@@ -59,7 +59,9 @@ def with_interval(balance: B, key: str, value: float, half: float) -> B:
     return replace(balance, **told)
 
 
-def size_and_angle(balance: B, size_key: str, angle_key: str, value: complex, covariance: Real, *, freedom: float) -> B:
+def size_and_angle(
+    balance: B, size_key: str, angle_key: str, value: complex, covariance: Floats, *, freedom: float
+) -> B:
     """``balance`` with a complex unbalance ``value``, ``covariance`` (2, 2) of its parts, and its ``freedom``.
 
     ``size_key`` and ``angle_key`` name its fields; without the latter its angle is not kept. The interval of the size
@@ -108,7 +110,7 @@ def split_record(split: Split, *, engine: Engine) -> Balance:
     return replace(record, not_decided=undecided)
 
 
-def _in_kg(split: Split, number: int, share: complex) -> tuple[complex, Real]:
+def _in_kg(split: Split, number: int, share: complex) -> tuple[complex, Floats]:
     shares = np.zeros(len(split.mass_kg), dtype=np.complex128)
     shares[number] = share
     return split.combined(shares)
@@ -150,7 +152,7 @@ def _one_way(
     return with_interval(record, "residual_reciprocating_g", 1e3 * value.real, half)
 
 
-def _common(split: Split, first: int, second: int) -> tuple[complex, Real, float]:
+def _common(split: Split, first: int, second: int) -> tuple[complex, Floats, float]:
     """The one mass that two masses tell best (generalised least squares), its covariance, and χ² of their difference.
 
     χ² has two degrees of freedom.
@@ -174,7 +176,7 @@ def _both_ways(
     g_mm = 1e6 * engine.crank_radius_m
     shares = np.zeros(len(split.mass_kg), dtype=np.complex128)
 
-    def sum_of(along: complex, across: complex) -> tuple[complex, Real]:
+    def sum_of(along: complex, across: complex) -> tuple[complex, Floats]:
         shares[z], shares[x] = along * split.per_kg[z], across * split.per_kg[x]
         return split.combined(shares)
 

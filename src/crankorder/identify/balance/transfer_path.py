@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.engine.transfer_paths import StatedPath
 from crankorder.identify.resonance import resonance
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import STANDARD_GRAVITY_M_S2, MethodNumbers
 
 
@@ -22,8 +22,6 @@ class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="transfer_pa
 
 NUMBERS = _Numbers.load()
 
-Complex = NDArray[np.complex128]
-Real = NDArray[np.float64]
 
 PER_M_S2 = {"m/s2": 1.0, "mm/s2": 1e-3, "g": STANDARD_GRAVITY_M_S2}
 GRID = 1e-6
@@ -44,32 +42,32 @@ class MeasuredOrders:
 
     channels: tuple[str, ...]
     orders: tuple[int, ...]
-    speed_rpm: Real
-    amplitude: Complex
-    error: Real
-    steady_error: Real
-    own_share: Real
-    freedom: Real
-    correlation: Complex
-    noise: Complex
-    noise_bins: Real
+    speed_rpm: Floats
+    amplitude: Complexes
+    error: Floats
+    steady_error: Floats
+    own_share: Floats
+    freedom: Floats
+    correlation: Complexes
+    noise: Complexes
+    noise_bins: Floats
 
     @property
-    def order_of_row(self) -> NDArray[np.int64]:
+    def order_of_row(self) -> Ints:
         """Order of each row."""
         return np.repeat(np.array(self.orders, dtype=np.int64), self.speed_rpm.size)
 
     @property
-    def rpm_of_row(self) -> Real:
+    def rpm_of_row(self) -> Floats:
         """Speed of each row (rpm)."""
         return np.tile(self.speed_rpm, len(self.orders))
 
     @property
-    def frequency_hz(self) -> Real:
+    def frequency_hz(self) -> Floats:
         """Frequency of each row (Hz)."""
         return self.order_of_row * self.rpm_of_row / 60.0
 
-    def without(self, rows: NDArray[np.bool_]) -> MeasuredOrders:
+    def without(self, rows: Bools) -> MeasuredOrders:
         """The same with nothing measured in ``rows`` (row,)."""
         return replace(
             self,
@@ -128,7 +126,7 @@ def measured_orders(order_map: xr.Dataset, orders: Sequence[int], *, lines: Sequ
     )
 
 
-def _beside(bins: Real, centre: int, lines: Sequence[float]) -> list[int]:
+def _beside(bins: Floats, centre: int, lines: Sequence[float]) -> list[int]:
     """Bins beside the bin ``centre`` in which noise alone stands."""
     step = float(bins[1] - bins[0]) if len(bins) > 1 else 1.0
     near = [
@@ -139,7 +137,7 @@ def _beside(bins: Real, centre: int, lines: Sequence[float]) -> list[int]:
     return [i for i in near if all(abs(bins[i] - line) > (NUMBERS.nearest_bin - 0.5) * step for line in lines)]
 
 
-def _covariance(shape: Complex, error: Real) -> Complex:
+def _covariance(shape: Complexes, error: Floats) -> Complexes:
     """Covariance (row, channel, channel) of complex errors of ``shape``, as large as ``error`` (channel, row) says.
 
     Diagonal where no shape is known.
@@ -150,7 +148,7 @@ def _covariance(shape: Complex, error: Real) -> Complex:
     return np.asarray(np.where(np.isfinite(scale), shape * scale, power[:, :, None] * np.eye(len(error))))
 
 
-def _typical(beside: Real) -> Real:
+def _typical(beside: Floats) -> Floats:
     """Geometric mean (channel, speed) of errors (channel, speed, bin); NaN where too few bins tell it."""
     if beside.shape[2] < NUMBERS.fewest_bins:
         return np.full(beside.shape[:2], np.nan)
@@ -158,7 +156,7 @@ def _typical(beside: Real) -> Real:
         return np.asarray(np.exp(np.log(beside).mean(axis=2)))
 
 
-def _steadier(own: Real, beside: Real, freedom: Real) -> tuple[Real, Real]:
+def _steadier(own: Floats, beside: Floats, freedom: Floats) -> tuple[Floats, Floats]:
     """Errors ``own`` drawn towards those ``beside``, as far as these tell them, and the share left of their own.
 
     All (channel, row). The share is that of the true scatter between the two in the whole one, which ``freedom`` makes
@@ -174,7 +172,7 @@ def _steadier(own: Real, beside: Real, freedom: Real) -> tuple[Real, Real]:
     return own * np.exp(0.5 * (share - 1) * np.where(usable, apart - middle, 0.0)), share
 
 
-def _correlation(noise: Complex) -> Complex:
+def _correlation(noise: Complexes) -> Complexes:
     """Correlation (speed, channel, channel) of ``noise`` (channel, speed, bin); full where too few bins tell it."""
     n_channels, n_speeds, n_bins = noise.shape
     noise = np.where(np.isfinite(noise), noise, 0.0)
@@ -182,17 +180,17 @@ def _correlation(noise: Complex) -> Complex:
     size = np.sqrt(np.einsum("scc->sc", power).real)
     if n_bins < NUMBERS.fewest_bins or not (size > 0).all():
         return np.ones((n_speeds, n_channels, n_channels), dtype=np.complex128)
-    correlation: Complex = power / (size[:, :, None] * size[:, None, :])
+    correlation: Complexes = power / (size[:, :, None] * size[:, None, :])
     return correlation
 
 
-def accelerance_of(path: StatedPath, frequency_hz: Real) -> Complex:
+def accelerance_of(path: StatedPath, frequency_hz: Floats) -> Complexes:
     """Acceleration per force (1/kg) that a stated ``path`` has at ``frequency_hz`` (Hz, any shape); NaN where it ends.
 
     A table is joined by straight lines in its real and imaginary parts.
     """
     f = np.asarray(frequency_hz, dtype=np.float64)
-    value: Complex | Real
+    value: Complexes | Floats
     if path.points:
         hertz, real, imag = np.array(path.points).T
         value = np.interp(f, hertz, real) + 1j * np.interp(f, hertz, imag)
@@ -202,9 +200,8 @@ def accelerance_of(path: StatedPath, frequency_hz: Real) -> Complex:
         value = np.full(f.shape, path.rigid_per_kg, dtype=np.complex128)
         for mode in path.modes:
             residue = mode.residue_per_kg + 1j * mode.residue_imag_per_kg
-            value = (
-                value + residue * resonance(f, np.array([mode.frequency_hz]), np.array([mode.damping_ratio]))[..., 0]
-            )
+            answer = resonance(f, np.array([mode.frequency_hz]), np.array([mode.damping_ratio]))
+            value = value + residue * answer[..., 0]
     low, high = path.holds_hz
     return np.where((f >= low) & (f <= high), value, np.nan)
 
@@ -225,7 +222,7 @@ FILLING = 1e-9
 """Of the mean variance, added to the diagonal: no combination of channels is without noise."""
 
 
-def noise_shape(noise: Complex, *, frequency_hz: Real, usable: NDArray[np.bool_], at_hz: Real) -> tuple[Complex, Real]:
+def noise_shape(noise: Complexes, *, frequency_hz: Floats, usable: Bools, at_hz: Floats) -> tuple[Complexes, Floats]:
     """Shapes (row, channel, channel), of unit mean diagonal, of the noise's covariance at ``at_hz`` (row,), and bins.
 
     ``noise`` (channel, speed, bin): complex amplitudes; ``usable`` (speed, bin) of those that hold noise alone, at
@@ -247,7 +244,7 @@ def noise_shape(noise: Complex, *, frequency_hz: Real, usable: NDArray[np.bool_]
     return shapes, counts
 
 
-def whitening(noise: Complex, *, error: Real, missed: Real | None = None) -> Complex:
+def whitening(noise: Complexes, *, error: Floats, missed: Floats | None = None) -> Complexes:
     """Combinations (row, combination, channel) of the channels in which real and imaginary errors are 1 and apart.
 
     ``noise`` (row, channel, channel): covariance of the complex errors. ``error`` (channel, row): ∞ where nothing was
@@ -260,7 +257,7 @@ def whitening(noise: Complex, *, error: Real, missed: Real | None = None) -> Com
     return np.asarray(np.where(both, np.linalg.inv(np.linalg.cholesky(covariance)), 0.0))
 
 
-def _nearest(places: Real, hertz: float) -> NDArray[np.int64]:
+def _nearest(places: Floats, hertz: float) -> Ints:
     reach = min(NOISE_NUMBERS.furthest_hz, max(NOISE_NUMBERS.furthest_share * hertz, 1.0))
     low, high = np.searchsorted(places, [hertz - reach, hertz + reach])
     found = np.arange(low, high)
@@ -270,9 +267,9 @@ def _nearest(places: Real, hertz: float) -> NDArray[np.int64]:
     return found
 
 
-def _tyler(samples: Complex) -> Complex:
+def _tyler(samples: Complexes) -> Complexes:
     n_samples, n_channels = samples.shape
-    shape: Complex = np.eye(n_channels, dtype=np.complex128)
+    shape: Complexes = np.eye(n_channels, dtype=np.complex128)
     start = samples / np.sqrt((np.abs(samples) ** 2).mean(axis=0))
     size = np.sqrt((np.abs(samples) ** 2).mean(axis=0))
     for _ in range(ROUNDS):

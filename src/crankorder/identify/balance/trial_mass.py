@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import Z
@@ -14,8 +13,9 @@ from crankorder.engine.transfer_paths import AddedMass
 from crankorder.findings import Influence, TrialBalance
 from crankorder.identify.balance.order_shaker import force_per_kg
 from crankorder.identify.balance.record import AGREE_CHI_SQUARE, added_words, size_and_angle, with_interval
-from crankorder.identify.balance.transfer_path import PER_M_S2, Complex, MeasuredOrders, Real, measured_orders
+from crankorder.identify.balance.transfer_path import PER_M_S2, MeasuredOrders, measured_orders
 from crankorder.identify.intervals import half_width
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -97,10 +97,12 @@ def _unbalance(mass: AddedMass) -> complex:
 class _Multiple:
     """Complex multiple of the added mass that the base has, with its covariance (2, 2), and the changes it rests on."""
 
-    def __init__(self, value: complex, covariance: Real, base: MeasuredOrders, change: Complex, missed: float) -> None:
+    def __init__(
+        self, value: complex, covariance: Floats, base: MeasuredOrders, change: Complexes, missed: float
+    ) -> None:
         self.value, self.covariance, self.missed = value, covariance, missed
         self.base, self.change = base, change
-        self.usable: NDArray[np.bool_] = np.isfinite(base.error)
+        self.usable: Bools = np.isfinite(base.error)
         self.n_speeds = int(np.count_nonzero(self.usable.any(axis=0)))
         self.freedom = self.n_speeds * float(np.mean(base.freedom[self.usable])) if self.usable.any() else 1.0
         ratio = np.abs(change[self.usable]) / base.error[self.usable]
@@ -158,7 +160,7 @@ def _multiple(base_map: xr.Dataset, new_map: xr.Dataset, order: int) -> _Multipl
     return _solved(base.without(~np.isfinite(error).all(axis=0)), after, error)
 
 
-def _solved(base: MeasuredOrders, after: Complex, error: Real) -> _Multiple | str:
+def _solved(base: MeasuredOrders, after: Complexes, error: Floats) -> _Multiple | str:
     """Least sum of |base (1 + u) − u after|² over its variance, by the complex multiple u."""
     from scipy.optimize import least_squares
 
@@ -167,9 +169,9 @@ def _solved(base: MeasuredOrders, after: Complex, error: Real) -> _Multiple | st
     y_error, z_error = base.steady_error[usable], error[usable]
     change = after - base.amplitude
 
-    def left(p: Real) -> Complex:
+    def left(p: Floats) -> Complexes:
         u = complex(p[0], p[1])
-        distance: Complex = (y * (1 + u) - u * z) / np.sqrt((abs(1 + u) * y_error) ** 2 + (abs(u) * z_error) ** 2)
+        distance: Complexes = (y * (1 + u) - u * z) / np.sqrt((abs(1 + u) * y_error) ** 2 + (abs(u) * z_error) ** 2)
         return distance
 
     if (np.abs(change[usable]) ** 2).sum() < 9 * 2 * (y_error**2 + z_error**2).sum():
@@ -196,9 +198,8 @@ def _solved(base: MeasuredOrders, after: Complex, error: Real) -> _Multiple | st
     share, unsure = each / each.sum(), base.own_share[usable] ** 2 / base.freedom[usable]
     # for weights that were estimated from the data: Meier (1953), Biometrics 9, 59
     wider = 1.0 + 4.0 * float(np.sum(share * (1.0 - share) * unsure))
-    covariance = wider * (1.0 if sound else chi_square) * bread @ filling @ bread + missed**2 * abs(
-        value
-    ) ** 2 * np.eye(2)
+    covariance = wider * (1.0 if sound else chi_square) * bread @ filling @ bread
+    covariance += missed**2 * abs(value) ** 2 * np.eye(2)
     return _Multiple(value, covariance, base, change, missed)
 
 

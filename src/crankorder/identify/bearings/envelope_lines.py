@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from crankorder.identify.bearings.places import Place, made_by
@@ -25,6 +24,7 @@ from crankorder.orders.envelope_combs import (
     looked_at,
     over_skirts,
 )
+from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
 
 
@@ -58,22 +58,22 @@ class Look(NamedTuple):
     where the band is that of the spectrum that is drawn, channel by channel.
     """
 
-    ratio: NDArray[np.float64]
-    raw: NDArray[np.float64]
-    amplitude: NDArray[np.float64]
-    band_hz: NDArray[np.float64]
+    ratio: Floats
+    raw: Floats
+    amplitude: Floats
+    band_hz: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Spectra:
     """Power ratios (channel, speed, order) of line to floor, as :func:`spectra_of` reads them from an EnvelopeMap."""
 
-    ratio: NDArray[np.float64]
-    amplitude: NDArray[np.float64]
-    order: NDArray[np.float64]
-    count: NDArray[np.float64]
-    cell: NDArray[np.float64]
-    speed_rpm: NDArray[np.float64]
+    ratio: Floats
+    amplitude: Floats
+    order: Floats
+    count: Floats
+    cell: Floats
+    speed_rpm: Floats
     revs_per_cycle: int
     bands_tried: int
     looks: Mapping[Comb, Look] = field(default_factory=dict)
@@ -87,11 +87,11 @@ class Spectra:
         return Look(rows.reshape(self.ratio.shape), self.ratio, self.amplitude, drawn)
 
     @property
-    def floor_worth(self) -> NDArray[np.float64]:
+    def floor_worth(self) -> Floats:
         """Independent bins (speed,) that the floor is worth."""
         return np.array([floor_worth(float(self.order[1]), float(cell)) for cell in self.cell])
 
-    def free(self) -> NDArray[np.bool_]:
+    def free(self) -> Bools:
         """Bins (speed, order) at which strikes can be told from what is locked to the engine's cycle and from mains."""
         return np.array(
             [
@@ -100,7 +100,7 @@ class Spectra:
             ]
         )
 
-    def mean(self, ratio: NDArray[np.float64]) -> tuple[NDArray[np.float64], float, NDArray[np.bool_]]:
+    def mean(self, ratio: Floats) -> tuple[Floats, float, Bools]:
         """Mean ``ratio`` of all channels and speeds (orders,) where free, spectra it is worth, and bins that count."""
         weight = self.count[:, :, None] * self.free()[None]
         own = weight.sum(axis=(0, 1))
@@ -136,7 +136,7 @@ class EnvelopeLine:
     amplitude: float
     amplitude_error: float
     chance: float
-    seen: NDArray[np.bool_]
+    seen: Bools
     harmonics: int
     sidebands: float | None
     band_hz: tuple[float, float]
@@ -241,7 +241,7 @@ def _line(
         return None
     look = spectra.serving(place)
     mean, total, _ = spectra.mean(look.ratio)
-    seen: NDArray[np.bool_] = np.asarray(alone.min(axis=2) <= false_alarm_probability)
+    seen: Bools = np.asarray(alone.min(axis=2) <= false_alarm_probability)
     if seen.any():
         channel, speed, at = np.unravel_index(
             np.argmax(look.ratio[:, :, span] * (alone <= false_alarm_probability)), alone.shape
@@ -275,9 +275,7 @@ def _line(
     )
 
 
-def line_chances(
-    spectra: Spectra, place: Place, span: slice, bins: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def line_chances(spectra: Spectra, place: Place, span: slice, bins: int) -> tuple[Floats, Floats]:
     """Chances (channel, speed, bins of ``span``) and, in the mean of all, (bins of ``span``) of noise anywhere.
 
     That is of so high a line at ``place`` as ``spectra`` show in the band that serves it. They are those of a line's
@@ -302,14 +300,8 @@ def line_chances(
 
 
 def _comb_chances(
-    spectra: Spectra,
-    ratio: NDArray[np.float64],
-    place: Place,
-    span: slice,
-    count: NDArray[np.float64],
-    worth: float,
-    free: NDArray[np.bool_],
-) -> NDArray[np.float64]:
+    spectra: Spectra, ratio: Floats, place: Place, span: slice, count: Floats, worth: float, free: Bools
+) -> Floats:
     """Chances (rows, bins of ``span``) of the harmonics in ``ratio`` (rows, orders) whose first is nearest to each bin.
 
     Each row is the mean of ``count`` (rows,) spectra with a floor of ``worth``; the bins ``free`` count.
@@ -330,7 +322,7 @@ def _comb_chances(
     return made * TRIALS_PER_BIN
 
 
-def parabola(ratio: NDArray[np.float64], at: int) -> float:
+def parabola(ratio: Floats, at: int) -> float:
     """Where, in bins from ``at``, a parabola through a power of three of ``ratio`` has its top: right to 0.001 bins.
 
     Source: K. J. Werner and F. G. Germain (2016), Applied Sciences 6, 306: the power that suits a Hann window.
@@ -348,12 +340,7 @@ def place_error(ratio: float, cell: float) -> float:
 
 
 def _order(
-    spectra: Spectra,
-    ratio: NDArray[np.float64],
-    seen: NDArray[np.bool_],
-    mean: NDArray[np.float64],
-    peak: int,
-    total: float,
+    spectra: Spectra, ratio: Floats, seen: Bools, mean: Floats, peak: int, total: float
 ) -> tuple[float, float, float]:
     """Order of a line near bin ``peak`` with its standard error and the degrees of freedom of that.
 
@@ -377,16 +364,14 @@ def _order(
     return order, math.sqrt(max(spread, least) / float(weight.sum())), freedom
 
 
-def _wander(spectra: Spectra, order: float, speeds: NDArray[np.int64]) -> float:
+def _wander(spectra: Spectra, order: float, speeds: Ints) -> float:
     """Standard error of the mean place of a line at ``order`` by random slips over what was recorded at ``speeds``."""
     frames = spectra.count[:, speeds].max(axis=0)
     revs = float((0.5 * (frames + 1.0) / spectra.cell[speeds]).sum())
     return NUMBERS.wander_share * math.sqrt(order / max(revs, 1.0))
 
 
-def _at_speed(
-    spectra: Spectra, ratios: NDArray[np.float64], seen: NDArray[np.bool_], speed: int, peak: int
-) -> tuple[float, float]:
+def _at_speed(spectra: Spectra, ratios: Floats, seen: Bools, speed: int, peak: int) -> tuple[float, float]:
     """Order of a line near bin ``peak`` at one speed, and its error by noise: of all channels that show it."""
     step, cell = float(spectra.order[1]), float(spectra.cell[speed])
     reach = max(2, round(2.0 * cell / step))
@@ -415,7 +400,7 @@ def _family(spectra: Spectra, place: Place, order: float, channel: int, speed: i
     return multiples, spacing if any(both[:2]) or all(both[2:]) else None
 
 
-def _stands(spectra: Spectra, ratio: NDArray[np.float64], order: float, channel: int, speed: int) -> bool:
+def _stands(spectra: Spectra, ratio: Floats, order: float, channel: int, speed: int) -> bool:
     """Whether something stands over the level at ``order`` of ``ratio`` (channel, speed, order)."""
     near = spectra.near(order)
     if near.stop <= near.start or order > spectra.order[-1]:
@@ -436,8 +421,6 @@ class _CandidateNumbers(MethodNumbers, file="5-identify-bearings.toml", table="c
 
 
 CANDIDATE_NUMBERS = _CandidateNumbers.load()
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -477,7 +460,7 @@ class Ranking:
         return tuple(one for one in self.candidates[1:] if first.level_db - one.level_db < clear)
 
 
-def ranking(ratio: Array, step: float, free: NDArray[np.bool_], places: list[Place]) -> Ranking:
+def ranking(ratio: Floats, step: float, free: Bools, places: list[Place]) -> Ranking:
     """Ranking of the ``places`` of one bearing by ``ratio`` (orders,), power over the floor in bins ``step`` apart.
 
     It is that of one band, in which one of them was found: in the best of many bands noise lifts each of the others.
@@ -505,7 +488,7 @@ def ranking(ratio: Array, step: float, free: NDArray[np.bool_], places: list[Pla
     return Ranking(tuple(sorted(found, key=lambda one: -one.level_db)))
 
 
-def _course(level: Array, step: float, place: Place) -> tuple[Array, Array]:
+def _course(level: Floats, step: float, place: Place) -> tuple[Floats, Floats]:
     """Orders (trials,) at which ``place`` may be, and its level at each; NaN beyond the spectrum."""
     comb = place.comb
     trials = comb.trials(step)
@@ -516,9 +499,8 @@ def _course(level: Array, step: float, place: Place) -> tuple[Array, Array]:
     if place.spacing is not None:
         spacing = cage if place.line == "BSF" and cage is not None else place.spacing
         sides = 0.5 * (_levels(level, step, teeth - spacing) + _levels(level, step, teeth + spacing))
-        made = np.where(
-            np.isfinite(sides), (1.0 - CANDIDATE_NUMBERS.side_share) * made + CANDIDATE_NUMBERS.side_share * sides, made
-        )
+        share = CANDIDATE_NUMBERS.side_share
+        made = np.where(np.isfinite(sides), (1.0 - share) * made + share * sides, made)
     if place.line != "FTF" and cage is not None:
         if place.line == "BSF":
             beside = _levels(level, step, cage * np.round((teeth - 0.5 * trials) / cage), reach=2)
@@ -531,16 +513,15 @@ def _course(level: Array, step: float, place: Place) -> tuple[Array, Array]:
     return trials, np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
 
 
-def _off_cage(level: Array, step: float, place: Place, cage: float) -> float:
+def _off_cage(level: Floats, step: float, place: Place, cage: float) -> float:
     """Level in dB, beyond what noise reaches, of a rolling element ``place`` off the multiples of order ``cage``."""
     trials, mean = _course(level, step, place)
     off = np.abs(trials - cage * np.round(trials / cage)) > CANDIDATE_NUMBERS.off_bins * step
-    return (
-        float(np.nanmax(np.where(off, mean, np.nan), initial=CANDIDATE_NUMBERS.noise_db)) - CANDIDATE_NUMBERS.noise_db
-    )
+    noise_db = CANDIDATE_NUMBERS.noise_db
+    return float(np.nanmax(np.where(off, mean, np.nan), initial=noise_db)) - noise_db
 
 
-def _levels(level: Array, step: float, orders: Array, *, reach: int = 1) -> Array:
+def _levels(level: Floats, step: float, orders: Floats, *, reach: int = 1) -> Floats:
     """Largest level within ``reach`` bins of each of ``orders``, NaN where the spectrum ends or does not count."""
     at = np.round(orders / step).astype(np.int64)
     inside = (at >= reach) & (at < len(level) - reach)

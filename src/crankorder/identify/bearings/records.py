@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.engine.bearings import Bearing
 from crankorder.findings import BearingFinding
@@ -27,6 +26,7 @@ from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import Z95, half_width, positive_interval
 from crankorder.identify.lines.growth import growth, largest, mean_level
 from crankorder.identify.sources import StatedPart, parts_at
+from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -431,8 +431,6 @@ class _SidebandNumbers(MethodNumbers, file="5-identify-bearings.toml", table="sh
 
 SIDEBAND_NUMBERS = _SidebandNumbers.load()
 
-Array = NDArray[np.float64]
-
 
 class ShaftSpeed(NamedTuple):
     """The shaft's speed as a multiple of the stated one, with its standard error, and pairs of sidebands that tell."""
@@ -465,13 +463,12 @@ def shaft_speed(spectra: Spectra, line: EnvelopeLine) -> ShaftSpeed | None:
     return ShaftSpeed(mean / nominal, float(weight.sum() ** -0.5) / nominal, len(found))
 
 
-def _pair(ratio: Array, step: float, cell: float, carrier: float, spacing: float) -> tuple[float, float] | None:
+def _pair(ratio: Floats, step: float, cell: float, carrier: float, spacing: float) -> tuple[float, float] | None:
     """Distance of a ``carrier`` to its sidebands about ``spacing`` away, with its error; None without a pair."""
-    sides = [
+    low, high = (
         _peak(ratio, step, carrier + side * spacing, SIDEBAND_NUMBERS.most_off_share * spacing + cell)
         for side in (-1, 1)
-    ]
-    low, high = sides
+    )
     if low is None or high is None:
         return None
     # the pair is one of sidebands only where the carrier is in its middle
@@ -481,7 +478,7 @@ def _pair(ratio: Array, step: float, cell: float, carrier: float, spacing: float
     return 0.5 * (high[0] - low[0]), error
 
 
-def _peak(ratio: Array, step: float, near: float, reach: float) -> tuple[float, float] | None:
+def _peak(ratio: Floats, step: float, near: float, reach: float) -> tuple[float, float] | None:
     """Order and power ratio of the highest peak within ``reach`` of ``near``; None where none is high enough."""
     first, last = max(math.ceil((near - reach) / step), 1), math.floor((near + reach) / step)
     if last >= len(ratio) - 1 or last < first:

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtrc, fdtri
 
 from crankorder.findings import Balance, Findings
 from crankorder.identify.changes.order_changes import OrderChange, welch
 from crankorder.identify.intervals import Z95, error_of, half_width
+from crankorder.quantities import Complexes, Floats
 from crankorder.records import known
 from crankorder.settings import MethodNumbers
 
@@ -51,7 +51,7 @@ class Unbalance:
     channel: str
     order: float
     unit: str
-    speed_rpm: NDArray[np.float64]
+    speed_rpm: Floats
     factor: complex
     factor_error: float
     freedom: float
@@ -118,12 +118,7 @@ def unbalance_change(change: OrderChange) -> Unbalance | None:
     )  # fmt: skip
 
 
-def _slope(
-    before: NDArray[np.complex128],
-    after: NDArray[np.complex128],
-    error: NDArray[np.float64],
-    error2: NDArray[np.float64],
-) -> tuple[complex, float, float]:
+def _slope(before: Complexes, after: Complexes, error: Floats, error2: Floats) -> tuple[complex, float, float]:
     """Factor, chi-square of its misfit, and variance of each of its parts."""
     factor = complex(np.sum(before.conj() * after / error2**2) / np.sum(np.abs(before) ** 2 / error2**2))
     true = before
@@ -152,9 +147,9 @@ class Weighed:
     after: complex
     error: float
     freedom: float
-    speed_rpm: NDArray[np.float64]
-    per_unit: NDArray[np.complex128]
-    per_unit_error: NDArray[np.float64]
+    speed_rpm: Floats
+    per_unit: Complexes
+    per_unit_error: Floats
 
 
 def weighed(change: OrderChange, unbalance: Unbalance, added: complex) -> Weighed | None:
@@ -261,27 +256,24 @@ def _by_factor(known: Sequence[_Stated | None], factor: Factor) -> dict[str, Any
     by_ratio = sum(w * one.value / f for w, (one, by) in zip(share, before, strict=True) if by != 1.0)
     slope = mass - (f - 1.0) * by_ratio
     half = Z95 * float(np.hypot((f - 1.0) * error, slope * factor.error))
-    change = (f - 1.0) * mass
-    return {
-        "base": mass,
-        "new": f * mass,
-        "change": change,
-        "change_ci95": [change - half, change + half],
-        "changed": abs(change) > half,
-        "by_ratio_of_orders": list(factor.orders),
-    }
+    return _change_record(mass, f * mass, (f - 1.0) * mass, half, list(factor.orders))
 
 
 def _by_difference(known: Sequence[_Stated | None]) -> dict[str, Any] | None:
     one, two = known
     if one is None or two is None:
         return None
-    half, change = Z95 * float(np.hypot(one.error, two.error)), two.value - one.value
+    half = Z95 * float(np.hypot(one.error, two.error))
+    return _change_record(one.value, two.value, two.value - one.value, half, [])
+
+
+def _change_record(base: float, new: float, change: float, half: float, orders: list[float]) -> dict[str, Any]:
+    """A mass (g or g·mm) before and after, its ``change`` and the half width of that one's 95 % interval."""
     return {
-        "base": one.value,
-        "new": two.value,
+        "base": base,
+        "new": new,
         "change": change,
         "change_ci95": [change - half, change + half],
         "changed": abs(change) > half,
-        "by_ratio_of_orders": [],
+        "by_ratio_of_orders": orders,
     }

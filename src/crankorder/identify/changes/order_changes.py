@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtr
 
 from crankorder.findings import OrderFinding
 from crankorder.identify.intervals import claimed, half_width, half_widths, simes
 from crankorder.orders.between_recordings import LOCATED, WHOLE
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.records import known
 from crankorder.settings import MethodNumbers
 
@@ -42,15 +42,15 @@ class Line:
     ``vector_error`` is the standard error of each part of the phasor, ``noise`` what of it adds to its length.
     """
 
-    amplitude: NDArray[np.float64]
-    error: NDArray[np.float64]
-    freedom: NDArray[np.float64]
-    vector: NDArray[np.complex128]
-    vector_error: NDArray[np.float64]
-    noise: NDArray[np.float64] | float = 0.0
+    amplitude: Floats
+    error: Floats
+    freedom: Floats
+    vector: Complexes
+    vector_error: Floats
+    noise: Floats | float = 0.0
 
     @property
-    def size(self) -> NDArray[np.float64]:
+    def size(self) -> Floats:
         """Amplitude without what noise adds to the length of a phasor, which is ``noise``² / (2 amplitude)."""
         return np.asarray(np.sqrt(np.maximum(self.amplitude**2 - np.square(self.noise), 0.25 * self.amplitude**2)))
 
@@ -79,30 +79,28 @@ class OrderChange:
     order: float
     unit: str
     locked: bool
-    base_rpm: NDArray[np.float64]
-    new_rpm: NDArray[np.float64]
+    base_rpm: Floats
+    new_rpm: Floats
     base: Line
     new: Line
-    difference: NDArray[np.float64]
-    difference_ci95: NDArray[np.float64]
-    ratio_db: NDArray[np.float64]
-    ratio_db_ci95: NDArray[np.float64]
-    p_value: NDArray[np.float64]
+    difference: Floats
+    difference_ci95: Floats
+    ratio_db: Floats
+    ratio_db_ci95: Floats
+    p_value: Floats
     mean: MeanRatio
     p_all: float
     changed: bool = False
-    changed_at: NDArray[np.bool_] | None = None
+    changed_at: Bools | None = None
     phase_only: bool = False
 
     @property
-    def vector_change(self) -> NDArray[np.complex128]:
+    def vector_change(self) -> Complexes:
         """Phasor of the second test less that of the first; NaN where their phases cannot be compared."""
         return np.asarray(self.new.vector - self.base.vector)
 
 
-def like_speeds(
-    base_rpm: NDArray[np.float64], new_rpm: NDArray[np.float64], *, within_rpm: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def like_speeds(base_rpm: Floats, new_rpm: Floats, *, within_rpm: float) -> tuple[Ints, Ints]:
     """Positions in both lists of the speeds that are compared with one another: nearest first, each used once.
 
     Parameters
@@ -150,9 +148,7 @@ def orders_to_compare(
     return sorted(group for group in groups if 0 < group[0] <= highest + NUMBERS.same_order)
 
 
-def line_of(
-    order_map: xr.Dataset, channel: str, order: float, at: NDArray[np.int64], *, locked: bool, phases: bool
-) -> Line:
+def line_of(order_map: xr.Dataset, channel: str, order: float, at: Ints, *, locked: bool, phases: bool) -> Line:
     """Amplitude and phasor of an order in one channel, at some speeds.
 
     Parameters
@@ -168,7 +164,7 @@ def line_of(
     axis = order_map["order"].values
     peak = int(np.argmin(np.abs(axis - order)))
 
-    def values(name: str, bins: Any = peak) -> NDArray[np.float64]:
+    def values(name: str, bins: Any = peak) -> Floats:
         table = order_map[name].transpose("channel", "speed", "order").values[number][at]
         return np.asarray(table[:, bins], dtype=np.float64)
 
@@ -185,7 +181,7 @@ def line_of(
     return Line(amplitude, error, freedom, vector, np.maximum(error, np.nan_to_num(across)), error)
 
 
-def _by_energy(order_map: xr.Dataset, values: Any, peak: int, at: NDArray[np.int64]) -> Line:
+def _by_energy(order_map: xr.Dataset, values: Any, peak: int, at: Ints) -> Line:
     """Amplitude from the energy of the bin and its neighbours, so that a line between two bins loses nothing."""
     bins = slice(max(peak - 1, 0), peak + 2)
     lost = float(order_map.attrs.get("enbw_bins", 1.5))
@@ -199,7 +195,7 @@ def _by_energy(order_map: xr.Dataset, values: Any, peak: int, at: NDArray[np.int
     return Line(amplitude, error, np.maximum(frames - 1.0, 1.0), nothing.astype(np.complex128), nothing, noise)
 
 
-def _noise_beside(values: Any, peak: int, n_bins: int) -> NDArray[np.float64]:
+def _noise_beside(values: Any, peak: int, n_bins: int) -> Floats:
     """Amplitude (speeds,) of the noise in a bin, from those on both sides of the line; 0 where there are none."""
     beside = [k for k in (*range(peak - 6, peak - 2), *range(peak + 3, peak + 7)) if 0 < k < n_bins]
     if not beside:
@@ -241,11 +237,7 @@ def order_changes(
                 speeds = base["speed"].values[pairs[0]], new["speed"].values[pairs[1]]
                 lines[1] = _for_speed(base, channel, order, pairs[0], speeds, lines[1], locked=locked, phases=told)
                 unit = str(base["unit"].values[base["channel"].values.tolist().index(channel)])
-                made.append(
-                    change(
-                        lines[0], lines[1], speeds[0], speeds[1], channel=channel, order=order, unit=unit, locked=locked
-                    )
-                )
+                made.append(change(lines[0], lines[1], *speeds, channel=channel, order=order, unit=unit, locked=locked))
     if not made:
         return made
     whole = claimed(np.array([one.p_all for one in made]), q=q)
@@ -257,8 +249,8 @@ def _for_speed(
     base: xr.Dataset,
     channel: str,
     order: float,
-    at: NDArray[np.int64],
-    speeds: tuple[NDArray[np.float64], NDArray[np.float64]],
+    at: Ints,
+    speeds: tuple[Floats, Floats],
     new: Line,
     *,
     locked: bool,
@@ -290,9 +282,7 @@ def _phases_compare(base: xr.Dataset, new: xr.Dataset, order: float) -> bool:
     return len(marks) == 1 and marks <= set(LOCATED) and (whole or known)
 
 
-def welch(
-    error: NDArray[np.float64], freedom: NDArray[np.float64], error2: NDArray[np.float64], freedom2: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def welch(error: Floats, freedom: Floats, error2: Floats, freedom2: Floats) -> tuple[Floats, Floats]:
     """Standard error of a difference and its degrees of freedom, of the shape of the arguments.
 
     ``error`` and ``error2`` are the standard errors of both sides, ``freedom`` and ``freedom2`` theirs (≥ 1).
@@ -308,8 +298,8 @@ def welch(
 def change(
     base: Line,
     new: Line,
-    base_rpm: NDArray[np.float64],
-    new_rpm: NDArray[np.float64],
+    base_rpm: Floats,
+    new_rpm: Floats,
     *,
     channel: str = "",
     order: float = 1.0,
@@ -329,7 +319,7 @@ def change(
     half = half_widths(freedom) * error
     with np.errstate(divide="ignore", invalid="ignore"):
         ratio_db = 20.0 * np.log10(new.amplitude / base.amplitude)
-    p_value = _p_values(base, new, difference, error, freedom)
+    p_value = _p_values(base, new)
     mean = mean_ratio(base, new)
     p_all = float(np.nanmin([1.0, 2.0 * mean.p_value, 2.0 * simes(p_value)]))
     return OrderChange(
@@ -339,30 +329,25 @@ def change(
     )  # fmt: skip
 
 
-def _p_values(
-    base: Line,
-    new: Line,
-    difference: NDArray[np.float64],
-    error: NDArray[np.float64],
-    freedom: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _p_values(base: Line, new: Line) -> Floats:
     """Chance of so large a difference where nothing changed: of the phasors where there are any, else amplitudes."""
-    apart = np.abs(new.vector - base.vector)
+    apart, difference = np.abs(new.vector - base.vector), np.abs(new.amplitude - base.amplitude)
+    error, freedom = welch(base.error, base.freedom, new.error, new.freedom)
     spread, vector_freedom = welch(base.vector_error, base.freedom, new.vector_error, new.freedom)
     size = np.maximum(base.amplitude, new.amplitude)
     with np.errstate(divide="ignore", invalid="ignore"):
         by_vector = fdtrc(2.0, vector_freedom, apart**2 / (2.0 * spread**2))
-        by_amplitude = 2.0 * stdtr(freedom, -np.abs(difference) / error)
+        by_amplitude = 2.0 * stdtr(freedom, -difference / error)
         by_vector = np.where(apart <= EXACT * size, 1.0, by_vector)
-        by_amplitude = np.where(np.abs(difference) <= EXACT * size, 1.0, by_amplitude)
+        by_amplitude = np.where(difference <= EXACT * size, 1.0, by_amplitude)
     return np.asarray(np.where(np.isfinite(apart), by_vector, by_amplitude))
 
 
-def _clear(line: Line) -> NDArray[np.bool_]:
+def _clear(line: Line) -> Bools:
     return np.asarray((line.amplitude > NUMBERS.clear_sigmas * line.error) & (line.amplitude > 0))
 
 
-def _ratio_db_ci95(base: Line, new: Line) -> NDArray[np.float64]:
+def _ratio_db_ci95(base: Line, new: Line) -> Floats:
     """Ends (speeds, 2): by the logarithm's error where both are clear, else from both intervals at 97.5 %."""
     with np.errstate(divide="ignore", invalid="ignore"):
         one, two = base.error / base.amplitude, new.error / new.amplitude

@@ -10,7 +10,6 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.special import stdtr
 
 from crankorder.errors import RequestError
@@ -18,6 +17,7 @@ from crankorder.findings import Findings
 from crankorder.identify.bearings.envelope_lines import Spectra, spectra_of
 from crankorder.identify.changes.order_changes import like_speeds, line_of
 from crankorder.identify.intervals import claimed, error_of, half_width, known_freedom, positive_interval
+from crankorder.quantities import Floats, Ints
 from crankorder.records import known
 from crankorder.settings import MethodNumbers
 
@@ -37,8 +37,8 @@ class Series:
     kind: str
     channel: str
     order: float
-    amplitude: NDArray[np.float64]
-    error: NDArray[np.float64]
+    amplitude: Floats
+    error: Floats
     freedom: float = np.inf
 
 
@@ -98,7 +98,7 @@ def _record(one: Series) -> dict[str, Any]:
     }
 
 
-def _together(maps: Sequence[xr.Dataset], within_rpm: float) -> list[NDArray[np.int64]]:
+def _together(maps: Sequence[xr.Dataset], within_rpm: float) -> list[Ints]:
     """Positions, in each run, of the speeds that all runs have."""
     first = maps[0]["speed"].values
     kept = np.arange(len(first))
@@ -110,7 +110,7 @@ def _together(maps: Sequence[xr.Dataset], within_rpm: float) -> list[NDArray[np.
     return [kept, *(np.array([match[k] for k in kept.tolist()], dtype=np.int64) for match in matches)]
 
 
-def _geometric(amplitude: NDArray[np.float64], error: NDArray[np.float64]) -> tuple[float, float]:
+def _geometric(amplitude: Floats, error: Floats) -> tuple[float, float]:
     """Geometric mean over speeds and its standard error; NaN where an amplitude is not positive."""
     if not len(amplitude) or not np.all(amplitude > 0):
         return np.nan, np.nan
@@ -195,8 +195,8 @@ class Trend:
 class RunAmplitudes(NamedTuple):
     """Amplitudes (runs,) of one line in repeated runs, their standard errors and the degrees of freedom of these."""
 
-    amplitudes: NDArray[np.float64]
-    errors: NDArray[np.float64]
+    amplitudes: Floats
+    errors: Floats
     freedom: float
 
 
@@ -241,7 +241,7 @@ def trend(
     return _judged(slope, (slope - half, slope + half), p_value, 1.0 - p_value, len(size))
 
 
-def _check(size: NDArray[np.float64], run: NDArray[np.float64], error: NDArray[np.float64] | None) -> None:
+def _check(size: Floats, run: Floats, error: Floats | None) -> None:
     if size.ndim != 1 or run.shape != size.shape or (error is not None and error.shape != size.shape):
         raise RequestError("one amplitude, error and number for each run", found=f"{size.shape} and {run.shape}")
     if not (np.isfinite(size).all() and (size > 0.0).all() and (np.diff(run) > 0.0).all()):
@@ -252,22 +252,19 @@ def _check(size: NDArray[np.float64], run: NDArray[np.float64], error: NDArray[n
         raise RequestError("no such standard errors", found=str(error.tolist()), allowed="0 or more")
 
 
-def _by_ranks(run: NDArray[np.float64], logs: NDArray[np.float64]) -> tuple[float, tuple[float, float]]:
+def _by_ranks(run: Floats, logs: Floats) -> tuple[float, tuple[float, float]]:
     """Median of the slopes between any two runs, and the ends of the interval that Kendall's test leaves of them."""
     one, two = np.triu_indices(len(run), k=1)
     slopes = np.sort((logs[two] - logs[one]) / (run[two] - run[one]))
     chance = np.cumsum(_chance_of_rises(len(run))[::-1])  # of the most rises, of one less or more, …
-    excluded = int(
-        np.count_nonzero(chance <= TREND_NUMBERS.no_change_chance / 2.0)
-    )  # numbers of rises that would exclude a slope, from the top
+    # numbers of rises that would exclude a slope, from the top
+    excluded = int(np.count_nonzero(chance <= TREND_NUMBERS.no_change_chance / 2.0))
     if excluded == 0:
         return float(np.median(slopes)), (-math.inf, math.inf)
     return float(np.median(slopes)), (float(slopes[excluded - 1]), float(slopes[-excluded]))
 
 
-def _line(
-    run: NDArray[np.float64], logs: NDArray[np.float64], relative: NDArray[np.float64], freedom: float
-) -> tuple[float, float, float]:
+def _line(run: Floats, logs: Floats, relative: Floats, freedom: float) -> tuple[float, float, float]:
     """Slope of the straight line through ``logs``, its standard error and the degrees of freedom of that."""
     weight = relative**-2.0
     beside = run - (weight * run).sum() / weight.sum()
@@ -303,14 +300,14 @@ def _judged(slope: float, ends: tuple[float, float], p_value: float, p_fall: flo
     return Trend(growth, (low, high), p_value, change, verdict)
 
 
-def kendall_p_value(values: NDArray[np.float64]) -> float:
+def kendall_p_value(values: Floats) -> float:
     """Chance that independent ``values`` (runs,) rise at least as steadily as these; exact, ties count as no rise."""
     n = len(values)
     rises = sum(float(np.sum(values[k + 1 :] > values[k])) for k in range(n))
     return float(min(1.0, _chance_of_rises(n)[round(rises) :].sum()))
 
 
-def _chance_of_rises(n: int) -> NDArray[np.float64]:
+def _chance_of_rises(n: int) -> Floats:
     """Chance (0 … n (n - 1) / 2) of each number of rises among the pairs of ``n`` independent values."""
     ways = np.ones(1)
     for k in range(2, n + 1):
@@ -338,9 +335,8 @@ def run_amplitudes(envelopes: Sequence[xr.Dataset], *, order: float) -> RunAmpli
     other = (np.abs(low - low[0]) > 0.02 * high) | (np.abs(high - high[0]) > 0.02 * high)
     own = np.maximum(ratio - 1.0, 0.5)
     logs = 0.25 * np.log(power / ratio * own)
-    variance = (2.0 * ratio + 1.0) / (
-        np.maximum(count, 1.0) * (4.0 * own) ** 2
-    ) + TREND_NUMBERS.band_change_share**2 * other
+    variance = (2.0 * ratio + 1.0) / (np.maximum(count, 1.0) * (4.0 * own) ** 2)
+    variance += TREND_NUMBERS.band_change_share**2 * other
     # cells differ in level: each is taken beside its own mean over the runs
     beside = logs - logs.mean(axis=0)
     weight = np.where(clear, 1.0 / variance.mean(axis=0), 0.0)
@@ -351,9 +347,7 @@ def run_amplitudes(envelopes: Sequence[xr.Dataset], *, order: float) -> RunAmpli
     return RunAmplitudes(np.exp(mean), np.exp(mean) * widened, freedom if spread > 1.0 else math.inf)
 
 
-def _disagreement(
-    beside: NDArray[np.float64], weight: NDArray[np.float64], mean: NDArray[np.float64]
-) -> tuple[float, float]:
+def _disagreement(beside: Floats, weight: Floats, mean: Floats) -> tuple[float, float]:
     """By how much more than their noise the speeds disagree on the runs (ratio of variances), and degrees of freedom.
 
     ``beside`` (run, channel, speed) are logarithms beside their means over the runs, ``mean`` (runs,) those over the
@@ -368,7 +362,7 @@ def _disagreement(
     return float((of_speed[seen] * (by_speed - mean[:, None]) ** 2).sum()) / freedom, float(freedom)
 
 
-def _at(spectra: Spectra, order: float) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _at(spectra: Spectra, order: float) -> tuple[Floats, Floats, Floats]:
     """Power ratio, power of the line near ``order`` and independent spectra, each (channel, speed)."""
     near = spectra.near(order)
     at = spectra.ratio[:, :, near].argmax(axis=2)[:, :, None]

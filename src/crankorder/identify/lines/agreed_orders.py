@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width
@@ -34,6 +33,7 @@ from crankorder.identify.mains import multiples_near
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.true_angle import ERROR
+from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -54,8 +54,6 @@ UNPARTED = "too short to part a locked line from another beside it, which togeth
 """What is said of a line that would slip, if it is one."""
 
 PARTED_IN_SWEEP = "one of several lines within a quarter order, told apart as they were followed through the sweep"
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.special import gammaincc, gammainccinv, gammaincinv
 
+from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings
 
 
@@ -29,8 +29,6 @@ LOWEST_BINS = 2.5
 
 ALIKE = (1.0, 4.0 / 9.0, 1.0 / 36.0)
 """Correlation of the powers of noise in Hann bins 0, 1 and 2 apart."""
-
-Floats = NDArray[np.float64]
 
 
 class OverNoise(NamedTuple):
@@ -79,7 +77,7 @@ def excess_over_noise(order_map: xr.Dataset, *, settings: IdentifySettings, orde
     return OverNoise(excess, ratio, floor, np.where(narrowed, near, wide))
 
 
-def reference_bins(order: Floats, *, line_step: float, guard_bins: int, n_bins: int) -> NDArray[np.int64]:
+def reference_bins(order: Floats, *, line_step: float, guard_bins: int, n_bins: int) -> Ints:
     """Indices (orders, ``n_bins``), growing, of the nearest bins that hold noise, half of them on each side.
 
     ``order`` (orders,) is the axis. Bins within ``guard_bins`` of a multiple of ``line_step`` may hold lines and are
@@ -101,12 +99,12 @@ def reference_bins(order: Floats, *, line_step: float, guard_bins: int, n_bins: 
     return np.asarray(quiet[rank])
 
 
-def _nearest(bins: NDArray[np.int64]) -> NDArray[np.int64]:
+def _nearest(bins: Ints) -> Ints:
     first = max(0, (bins.shape[1] - NUMBERS.near_bins) // 2)
     return bins[:, first : first + NUMBERS.near_bins]
 
 
-def independent_bins(bins: NDArray[np.int64]) -> float:
+def independent_bins(bins: Ints) -> float:
     """How many independent ones the median of ``bins`` (orders, several) is worth.
 
     What correlates in a median are the signs about it: 2/pi arcsin of the correlation of the powers.
@@ -116,9 +114,7 @@ def independent_bins(bins: NDArray[np.int64]) -> float:
     return float(np.round(np.median(bins.shape[1] ** 2 / np.asarray(alike).sum(axis=(1, 2))), 2))
 
 
-def noise_floor(
-    power: Floats, bins: NDArray[np.int64], *, n_averages: Floats, level: NDArray[np.bool_] | None = None
-) -> tuple[Floats, NDArray[np.bool_]]:
+def noise_floor(power: Floats, bins: Ints, *, n_averages: Floats, level: Bools | None = None) -> tuple[Floats, Bools]:
     """Expected noise power at each bin of ``power`` (channels, speeds, orders), and where it is that of few bins.
 
     The median of the ``bins`` (orders, several) on both sides, which a slope does not move; where those nearest stand
@@ -175,7 +171,7 @@ def _median_distribution(n: float, bins: float) -> tuple[Floats, Floats]:
     return gammaincinv(n, share) / gammaincinv(n, 0.5), weight / weight.sum()
 
 
-def highest_of_three(energy: Floats) -> NDArray[np.bool_]:
+def highest_of_three(energy: Floats) -> Bools:
     """Where ``energy`` (…, orders) is not below either neighbour: a line that moves past a bin is no line at it."""
     filled = np.nan_to_num(energy)
     highest = np.ones(filled.shape, dtype=bool)

@@ -8,7 +8,6 @@ from functools import partial
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine, Tone, ToneKind
 from crankorder.identify.intervals import half_width, half_widths, interval
@@ -22,7 +21,7 @@ from crankorder.identify.lines.swept_orders import longest_frame
 from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.fixed_lines import FixedLine, MetRow, OrderRows
 from crankorder.orders.track_rows import TrackReader, all_tracked, track_order
-from crankorder.quantities import QualityFlag
+from crankorder.quantities import Bools, Floats, Ints, QualityFlag
 from crankorder.settings import MethodNumbers, OrderSettings, Settings
 
 
@@ -47,7 +46,7 @@ def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Da
     tell: that is told within the 99.9 % interval of the order, a multiple is but likely and lies within that of 95 %.
     A number that another of the orders has already is left to that; errors grow by what a number moves.
     """
-    tracks: list[NDArray[np.float64]] = [item["order"].values for item in followed if item.attrs.get("swept", 0)]
+    tracks: list[Floats] = [item["order"].values for item in followed if item.attrs.get("swept", 0)]
     if not tracks:
         return tuple(orders)
     numbers = np.unique(np.concatenate(tracks))
@@ -141,7 +140,7 @@ def slow_flags(
     return [{"recording": "all", "flag": "slow_lines", "severity": "info", "detail": f"{what} tell no order: {asks}"}]
 
 
-def _clear_rows(item: xr.Dataset, place: int) -> NDArray[np.bool_]:
+def _clear_rows(item: xr.Dataset, place: int) -> Bools:
     """Rows (channel, frame) in which the order at ``place`` of the tracks ``item`` stands out, of channels that do."""
     with np.errstate(invalid="ignore", divide="ignore"):
         level = np.abs(item["amplitude"].values[:, place]) / item["standard_error"].values[:, place]
@@ -150,7 +149,7 @@ def _clear_rows(item: xr.Dataset, place: int) -> NDArray[np.bool_]:
 
 
 def _lines_along(
-    item: xr.Dataset, place: int, clear: NDArray[np.bool_], error: float, order_map: xr.Dataset
+    item: xr.Dataset, place: int, clear: Bools, error: float, order_map: xr.Dataset
 ) -> tuple[OrderLine, ...]:
     """Lines of the order at ``place`` of the tracks ``item``, in rows of the map, of channels where it is ``clear``."""
     number, none = float(item["order"].values[place]), np.zeros(0)
@@ -170,8 +169,6 @@ def _lines_along(
 
 FIXED_WORDS: dict[ToneKind, str] = {"mains": "mains", "tone": "a tone"}
 """Lines that stay where they are, in a sentence; what may be an order is none."""
-
-Floats = NDArray[np.float64]
 
 
 def with_track_rows(
@@ -259,7 +256,7 @@ def _read(
     return replace(made, remark="; ".join(text for text in (remark, *_met_words(apart, made, at, channel)) if text))
 
 
-def _met_words(met: Sequence[MetRow], line: OrderLine, at: NDArray[np.int64], channel: int) -> list[str]:
+def _met_words(met: Sequence[MetRow], line: OrderLine, at: Ints, channel: int) -> list[str]:
     """What is said of rows that ``met`` lines of one frequency, of those ``at`` which ``line`` was seen."""
     said = []
     for one in met:
@@ -275,7 +272,7 @@ def _met_words(met: Sequence[MetRow], line: OrderLine, at: NDArray[np.int64], ch
     return said
 
 
-def _as_wide(made: OrderLine, line: OrderLine, is_held: NDArray[np.bool_]) -> OrderLine:
+def _as_wide(made: OrderLine, line: OrderLine, is_held: Bools) -> OrderLine:
     """``made`` with the intervals of ``line``, as shares of the amplitude, at held speeds at which these are wider."""
     place = {int(row): number for number, row in enumerate(line.seen)}
     error, degrees_of_freedom = made.amplitude_error.copy(), made.degrees_of_freedom.copy()

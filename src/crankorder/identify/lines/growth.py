@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import fdtri, gammaincc, stdtr
 
 from crankorder.findings import Balance
 from crankorder.identify.found import Mode, OrderLine
 from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width, half_widths, known_freedom
 from crankorder.identify.said import IF_UNBALANCE, LIKE_UNBALANCE, NOT_AS_UNBALANCE, ONE_SPEED
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -52,8 +52,6 @@ eccentricity at any speed; 2 in acceleration, and in all other quantities that o
 NO_MOTION = ("pressure", "voltage", "current", "temperature")
 """In these quantities order 1 is no motion, and no sign of an unbalance."""
 
-Floats = NDArray[np.float64]
-
 
 def remark_on(amplitude: Floats, error: Floats, degrees_of_freedom: Floats, ends: Floats) -> str:
     """What is said of a line whose amplitude changes at the speed at which it is largest; empty where it is steady.
@@ -69,19 +67,12 @@ def remark_on(amplitude: Floats, error: Floats, degrees_of_freedom: Floats, ends
     low, high = (float(end) for end in ends[at])
     reach = float(half_widths(degrees_of_freedom[at : at + 1])[0] * error[at])
     sides = float(amplitude[at]) - low, high - float(amplitude[at])
-    if (
-        not np.isfinite(high)
-        or not np.isfinite(reach)
-        or max(sides) <= NUMBERS.changing_ratio * reach
-        or min(sides) <= 0.0
-    ):
+    if not np.isfinite([high, reach]).all() or max(sides) <= NUMBERS.changing_ratio * reach or min(sides) <= 0.0:
         return ""
     if sides[1] > (1.0 + NUMBERS.changing_ratio) * sides[0]:  # the factor by which recordings differ
         return ""
-    ends_said = f"{low:.3g}", f"{high:.3g}"
-    return (
-        "" if ends_said[0] == ends_said[1] else f"its amplitude changes within the recording, {' to '.join(ends_said)}"
-    )
+    said = f"{low:.3g}", f"{high:.3g}"
+    return "" if said[0] == said[1] else f"its amplitude changes within the recording, {' to '.join(said)}"
 
 
 @dataclass(frozen=True)
@@ -95,7 +86,7 @@ class HeldSizes:
     ends: tuple[float, float] | None
 
 
-def held_sizes(phasors: list[NDArray[np.complex128]], *, noise: float, n_independent: float) -> HeldSizes:
+def held_sizes(phasors: list[Complexes], *, noise: float, n_independent: float) -> HeldSizes:
     """Amplitudes of a line that is not locked, by recording.
 
     Parameters
@@ -288,11 +279,8 @@ def _degrees_of_freedom(error: Floats, excess: float, degrees_of_freedom: Floats
     Welch and Satterthwaite: the former is known with all of theirs, the latter with those of the residuals.
     """
     own = float(np.exp(np.mean(np.log(error**2))))
-    held = float(
-        np.clip(
-            np.sum(np.where(np.isfinite(degrees_of_freedom), degrees_of_freedom, ENDLESS_FREEDOM)), 1.0, ENDLESS_FREEDOM
-        )
-    )
+    known = np.where(np.isfinite(degrees_of_freedom), degrees_of_freedom, ENDLESS_FREEDOM)
+    held = float(np.clip(np.sum(known), 1.0, ENDLESS_FREEDOM))
     return (own + excess**2) ** 2 / (own**2 / held + excess**4 / max(len(error) - 2.0, 1.0))
 
 
@@ -317,7 +305,7 @@ def _robust_line(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats]:
     return np.array([level, slope]), weight
 
 
-def _excess(residual: Floats, error: Floats, kept: NDArray[np.bool_]) -> float:
+def _excess(residual: Floats, error: Floats, kept: Bools) -> float:
     """Scatter beyond the errors such that the residuals of the speeds ``kept`` are as large as expected."""
     residual, error = residual[kept], error[kept]
     degrees_of_freedom = max(len(residual) - 2, 1)

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.special import gammaincc, gammaln
 
 from crankorder.identify.found import Evidence
 from crankorder.identify.lines.zoom import Zoomed
+from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
 
@@ -36,12 +36,7 @@ UNPROVEN: Evidence = "stands out, too few revolutions for proof"
 
 
 def evidence_of(
-    order_map: xr.Dataset,
-    ratio: NDArray[np.float64],
-    channel: int,
-    peak: int,
-    seen: NDArray[np.int64],
-    false_alarm_probability: float,
+    order_map: xr.Dataset, ratio: Floats, channel: int, peak: int, seen: Ints, false_alarm_probability: float
 ) -> Evidence | None:
     """What tells the line from a resonance that noise excites; None where nothing does.
 
@@ -60,7 +55,7 @@ def evidence_of(
     return None
 
 
-def _stands_out(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen: NDArray[np.int64]) -> bool:
+def _stands_out(order_map: xr.Dataset, ratio: Floats, peak: int, seen: Ints) -> bool:
     """Whether a line on an order of the cycle is far over its floor in a test too short to prove any lock.
 
     ``ratio`` (speeds, orders) is the energy over its floor. Such a line is named with its reservation rather than
@@ -78,7 +73,7 @@ def is_unprovable(order_map: xr.Dataset, peak: int) -> bool:
     return bool(off < 0.5 and provable < NUMBERS.provable_frames)
 
 
-def _follows(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen: NDArray[np.int64]) -> bool:
+def _follows(order_map: xr.Dataset, ratio: Floats, peak: int, seen: Ints) -> bool:
     """Whether the line is a sharp ridge along its order over speeds at which a fixed frequency would have moved far.
 
     ``ratio`` (speeds, orders) is the energy over its floor. A resonance sweeps over all orders and raises neighbours
@@ -100,9 +95,7 @@ def _follows(order_map: xr.Dataset, ratio: NDArray[np.float64], peak: int, seen:
     return bool(height[peak] - height[beside].mean() > NUMBERS.followed_sigmas * scatter)
 
 
-def _is_locked(
-    order_map: xr.Dataset, channel: int, peak: int, seen: NDArray[np.int64], false_alarm_probability: float
-) -> bool:
+def _is_locked(order_map: xr.Dataset, channel: int, peak: int, seen: Ints, false_alarm_probability: float) -> bool:
     """Whether the frames agree in phase as noise would only with ``false_alarm_probability``.
 
     The coherence g of n frames of noise exceeds its value with probability (1 - g)**(n - 1) (Goodman 1957); minus the
@@ -117,9 +110,7 @@ def _is_locked(
     return bool(gammaincc(len(seen), evidence) < false_alarm_probability)
 
 
-def is_steady(
-    order_map: xr.Dataset, channel: int, peak: int, seen: NDArray[np.int64], false_alarm_probability: float
-) -> bool:
+def is_steady(order_map: xr.Dataset, channel: int, peak: int, seen: Ints, false_alarm_probability: float) -> bool:
     """Whether the amplitude is far steadier from frame to frame than noise: a line that slips, or whose speed drifts.
 
     Of bin ``peak`` of the ``channel`` of ``order_map`` at the speeds ``seen``, with ``false_alarm_probability``.
@@ -143,7 +134,7 @@ def is_steady(
     return len(at) == 1 and _steadier_than_a_resonance(order_map, peak, int(at[0]), mean, false_alarm_probability)
 
 
-def log_chance_of_kurtosis(kurtosis: NDArray[np.float64], frames: NDArray[np.float64]) -> NDArray[np.float64]:
+def log_chance_of_kurtosis(kurtosis: Floats, frames: Floats) -> Floats:
     """Logarithm of the chance (at most) that ``frames`` independent ones of noise have so low a spectral ``kurtosis``.
 
     The frames' shares of their total power are uniform on a simplex (Greenwood 1946), of n - 1 dimensions; a kurtosis
@@ -172,7 +163,7 @@ def _steadier_than_a_resonance(
     return bool(np.exp(-np.sqrt(2.0 * forgotten / max(1.0 + kurtosis, 1e-12))) < false_alarm_probability)
 
 
-def has_moved(order_map: xr.Dataset, peak: int, seen: NDArray[np.int64]) -> bool:
+def has_moved(order_map: xr.Dataset, peak: int, seen: Ints) -> bool:
     """Whether a line of fixed frequency would have left its bin over the speeds ``seen``; True for a single speed.
 
     ``order_map`` is the OrderMap, ``peak`` the line's bin in it.
@@ -202,10 +193,6 @@ def keeps_one_order(found: Sequence[Zoomed], *, false_alarm_probability: float) 
     return len(found) > 0 and bool(gammaincc(len(found), evidence) < false_alarm_probability)
 
 
-Complex = NDArray[np.complex128]
-
-Floats = NDArray[np.float64]
-
 REFINEMENTS = 3
 """Steps of least squares from the best of them to where the part across the axis is least."""
 
@@ -214,7 +201,7 @@ TRIALS_PER_SPAN = 8
 
 
 def keeps_its_phase(
-    recordings: Sequence[tuple[Complex, Floats, float]],
+    recordings: Sequence[tuple[Complexes, Floats, float]],
     *,
     order: float,
     independent_share: float,
@@ -244,7 +231,7 @@ def keeps_its_phase(
 
 
 def log_chance_of_phase(
-    phasors: Complex, turn: Floats, *, offset: float, forgotten: float, independent_share: float, fitted: int = 0
+    phasors: Complexes, turn: Floats, *, offset: float, forgotten: float, independent_share: float, fitted: int = 0
 ) -> float:
     """Logarithm of the chance (at most) that noise keeps one phase over the frames as well as ``phasors`` do.
 
@@ -283,7 +270,7 @@ def log_chance_of_phase(
     return float(min(by_memory, walked))
 
 
-def best_offset(phasors: Complex, turn: Floats, *, hop_rev: float) -> tuple[float, int]:
+def best_offset(phasors: Complexes, turn: Floats, *, hop_rev: float) -> tuple[float, int]:
     """Distance from the bin [orders] at which ``phasors`` (frames,) at ``turn`` [rev] keep to one axis best.
 
     And how many distances were tried; it is told up to half the reciprocal of ``hop_rev`` on each side.

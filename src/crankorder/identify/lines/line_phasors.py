@@ -142,13 +142,8 @@ def _drift(centre_rev: Floats, speed_rpm: Floats) -> float:
 def _noise_beside(item: Recording, channels: list[int], at: int, centre_rev: Floats) -> Floats:
     """Noise power (channels, frames) from the bins on both sides of ``at`` beyond its lobe."""
     n_orders = item.spectrum.shape[2]
-    beside = [
-        at + k
-        for k in (
-            *range(-NUMBERS.noise_bins[1], -NUMBERS.noise_bins[0] + 1),
-            *range(NUMBERS.noise_bins[0], NUMBERS.noise_bins[1] + 1),
-        )
-    ]
+    first, last = NUMBERS.noise_bins
+    beside = [*range(at - last, at - first + 1), *range(at + first, at + last + 1)]
     bins = [k for k in beside if 1 < k < n_orders]
     frames = np.isin(item.centre_rev, centre_rev)
     power = np.square(np.abs(item.spectrum[channels][:, frames][:, :, bins].astype(np.complex128)))

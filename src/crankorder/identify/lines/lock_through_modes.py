@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderResponse
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
@@ -16,6 +15,7 @@ from crankorder.identify.modal.order_blocks import NUMBERS as ORDER_BLOCKS
 from crankorder.identify.modal.order_blocks import blocks_of
 from crankorder.identify.modal.order_responses import Block
 from crankorder.identify.modal.order_terms import smooth_shapes
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -29,9 +29,6 @@ class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="lock_through_
 
 
 NUMBERS = _Numbers.load()
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True)
@@ -122,8 +119,8 @@ def _told(agreed: AgreedOrder, left: _Left, cycle: int) -> AgreedOrder:
 
 def _joined(found: Sequence[_Left]) -> _Left:
     """Mean of what was ``found`` in several recordings by its errors, widened where they scatter more."""
-    turns: Array = np.array([one.turn for one in found])
-    weight: Array = np.array([1.0 / one.error**2 for one in found])
+    turns: Floats = np.array([one.turn for one in found])
+    weight: Floats = np.array([1.0 / one.error**2 for one in found])
     mean, information = float(np.average(turns, weights=weight)), float(weight.sum())
     scatter = max(1.0, float(weight @ np.square(turns - mean)) / max(len(found) - 1, 1))
     error, degrees_of_freedom = float(np.sqrt(scatter / information)), min(one.degrees_of_freedom for one in found)
@@ -155,7 +152,7 @@ def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -
     return replace(left, turn=left.turn + off, error=float(np.hypot(left.error, by_angle)))
 
 
-def _angles(block: Block, item: xr.Dataset) -> Array | None:
+def _angles(block: Block, item: xr.Dataset) -> Floats | None:
     """Crank angle [rev] of the rows of ``block``, from their middle; its rows are those of ``item`` at their speeds."""
     speed, angle = item["speed"].values.astype(np.float64), item["crank_angle"].values.astype(np.float64)
     first = np.flatnonzero(speed == block.speed_rpm[0])
@@ -170,15 +167,15 @@ class _Part:
     """One channel, or all, in standard errors: what is left of what was seen (R,), columns of slip (R,), of turns and
     poles (R, T), of each channel's own linear terms (R, P), and the rows that say how large these may be."""
 
-    left: Array
-    seen: Array
-    slip: Array
-    shared: Array
-    own: Array
-    shared_now: Array
-    shared_spread: Array
-    own_prior: Array
-    own_prior_left: Array
+    left: Floats
+    seen: Floats
+    slip: Floats
+    shared: Floats
+    own: Floats
+    shared_now: Floats
+    shared_spread: Floats
+    own_prior: Floats
+    own_prior_left: Floats
     n_laws: int
 
 
@@ -196,7 +193,7 @@ def _with_law(block: Block, response: OrderResponse) -> Block:
     )
 
 
-def _prior_of(response: OrderResponse, n_linear: int) -> tuple[Array, Array]:
+def _prior_of(response: OrderResponse, n_linear: int) -> tuple[Floats, Floats]:
     """Rows (S, 2 ``n_linear``) by which the smooth terms of ``response`` turn the first one, and what is left of 0.
 
     What is across the first term turns the phase, what is along it does not.
@@ -213,7 +210,7 @@ def _prior_of(response: OrderResponse, n_linear: int) -> tuple[Array, Array]:
     return rows, left
 
 
-def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle: Array) -> _Part:
+def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle: Floats) -> _Part:
     one = _with_law(block, response)
     hz = np.array([mode.frequency_hz for mode in modal.modes])
     damping = np.array([mode.damping_ratio for mode in modal.modes])
@@ -267,7 +264,7 @@ def _together(parts: Sequence[_Part]) -> _Part:
     )
 
 
-def _parts(values: Complex) -> Array:
+def _parts(values: Complexes) -> Floats:
     """Real parts of the rows of ``values``, then the imaginary ones."""
     return np.concatenate([values.real, values.imag])
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from crankorder.identify.found import Evidence, OrderLine
@@ -24,6 +23,7 @@ from crankorder.identify.lines.line_evidence import (
 from crankorder.identify.lines.line_phasors import Recording, is_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import Zoomed, left_of_slow_waves
 from crankorder.identify.said import UNRESOLVED
+from crankorder.quantities import Floats, Ints
 from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings
 
 
@@ -47,8 +47,6 @@ ANYWHERE_BINS = float(np.sqrt(1.0 / 12.0))
 SWELLS = "it swells and fades slowly: two lines closer than a recording can tell may stand here"
 
 ONE_SPEED = "at one speed a line of fixed frequency would look the same"
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -108,7 +106,7 @@ def order_lines(
 
 
 def _stronger(
-    search: _Search, channel: int, refused: list[tuple[int, NDArray[np.int64]]], named: list[OrderLine]
+    search: _Search, channel: int, refused: list[tuple[int, Ints]], named: list[OrderLine]
 ) -> list[OrderLine]:
     """Lines, with a reservation, of ``refused`` peaks (bin, speeds) above all that is ``named`` in the channel.
 
@@ -132,7 +130,7 @@ def _stronger(
     return made
 
 
-def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], needed: int) -> OrderLine | None:
+def _line_at(search: _Search, channel: int, peak: int, seen: Ints, needed: int) -> OrderLine | None:
     """The line in bin ``peak``; None where it is noise, a resonance or, at fewer speeds than ``needed``, doubtful."""
     chance, reservation, n_speeds = search.false_alarm_probability, "", len(search.speed)
     alone = len(seen) >= needed or _is_swept(search)
@@ -160,7 +158,7 @@ def _line_at(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], 
     return _line(search, channel, peak, seen, evidence, reservation)
 
 
-def _seen_together(search: _Search, channel: int, peak: int) -> NDArray[np.int64]:
+def _seen_together(search: _Search, channel: int, peak: int) -> Ints:
     """Speeds at which a line stands that all of them together show, though each alone does not; none where noise would.
 
     The chances of all speeds are joined (Fisher 1925) and counted over every bin and channel of the map. The half of
@@ -188,7 +186,7 @@ def _joined_chance(chances: Floats) -> float:
     return float(chdtrc(2.0 * len(chances), -2.0 * np.sum(np.log(np.maximum(chances, 1e-300)))))
 
 
-def _keeps_one_order(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], chance: float) -> bool:
+def _keeps_one_order(search: _Search, channel: int, peak: int, seen: Ints, chance: float) -> bool:
     """Whether the frames show that the line keeps one order, over speeds that no line of fixed frequency allows."""
     if not search.recordings or not has_moved(search.order_map, peak, seen):
         return False
@@ -209,7 +207,7 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: NDArray[np.
     return False
 
 
-def _by_its_phase(search: _Search, channel: int, peak: int, seen: NDArray[np.int64], chance: float) -> Evidence | None:
+def _by_its_phase(search: _Search, channel: int, peak: int, seen: Ints, chance: float) -> Evidence | None:
     """What the phase tells of a line whose amplitude changes: whether it keeps that of its bin, or turns evenly."""
     if not search.recordings or _is_swept(search):
         return None
@@ -244,7 +242,7 @@ def _leaves_noise(line: Zoomed, floor: float) -> bool:
     return bool(2.0 * line.frames * float(np.median(line.error)) ** 2 < NUMBERS.left_ratio * floor)
 
 
-def _swells_slowly(search: _Search, channel: int, peak: int, seen: NDArray[np.int64]) -> bool:
+def _swells_slowly(search: _Search, channel: int, peak: int, seen: Ints) -> bool:
     """Whether the frames hold nothing but slow waves and the noise of the floor, and the line stands far over that."""
     if float(np.median(search.ratio[channel, seen, peak])) < NUMBERS.swelling_ratio:
         return False
@@ -262,7 +260,7 @@ def _swells_slowly(search: _Search, channel: int, peak: int, seen: NDArray[np.in
     return len(known) > 0 and float(np.median(known)) < NUMBERS.left_ratio * floor
 
 
-def _beyond_chance(search: _Search, channel: int, peak: int, seen: NDArray[np.int64]) -> bool:
+def _beyond_chance(search: _Search, channel: int, peak: int, seen: Ints) -> bool:
     """Whether noise would stand as high at as many speeds, in any bin of any channel, with less than the level.
 
     With p the chance at the weakest of the speeds seen, k of n speeds are that high with at most C(n, k) p^k.
@@ -278,7 +276,7 @@ def _beyond_chance(search: _Search, channel: int, peak: int, seen: NDArray[np.in
     return bool(cells * sets * highest**k < search.false_alarm_probability)
 
 
-def _has_fixed_frequency(search: _Search, channel: int, peak: int, seen: NDArray[np.int64]) -> bool:
+def _has_fixed_frequency(search: _Search, channel: int, peak: int, seen: Ints) -> bool:
     """Whether what is seen at the speeds ``seen`` stands at the same frequency at the speeds beside them too."""
     axis, speed = search.axis, search.speed
     if not np.isfinite(speed).all():
@@ -293,7 +291,7 @@ def _has_fixed_frequency(search: _Search, channel: int, peak: int, seen: NDArray
     return len(found) > 0 and float(np.mean(found)) >= NUMBERS.fixed_share
 
 
-def _peaks(excess: Floats, axis: Floats) -> NDArray[np.int64]:
+def _peaks(excess: Floats, axis: Floats) -> Ints:
     """Bins that are above the level at a speed or more and the largest within a quarter order, or 8 bins if fewer."""
     score = np.log(np.maximum(excess, 1.0)).sum(axis=0)
     reach = min(NUMBERS.neighbour_bins, max(1, round(NUMBERS.neighbour_orders / (axis[1] - axis[0]))))
@@ -302,9 +300,7 @@ def _peaks(excess: Floats, axis: Floats) -> NDArray[np.int64]:
     return np.flatnonzero((score > 0.0) & (score >= highest))
 
 
-def _line(
-    search: _Search, channel: int, peak: int, seen: NDArray[np.int64], evidence: Evidence, reservation: str
-) -> OrderLine:
+def _line(search: _Search, channel: int, peak: int, seen: Ints, evidence: Evidence, reservation: str) -> OrderLine:
     order_map, axis = search.order_map, search.axis
     resolution = float(axis[1] - axis[0])
     beside = np.clip([peak - 1, peak, peak + 1], 0, len(axis) - 1)
@@ -343,7 +339,7 @@ def _line(
 
 
 def _by_energy(
-    search: _Search, channel: int, peak: int, seen: NDArray[np.int64], distance: float
+    search: _Search, channel: int, peak: int, seen: Ints, distance: float
 ) -> tuple[Floats, Floats, Floats, Floats | None]:
     """Amplitudes, errors, degrees of freedom and ends of a line that is not locked, ``distance`` bins from ``peak``.
 

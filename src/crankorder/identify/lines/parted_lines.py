@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderLine
 from crankorder.identify.lines.zoom import NUMBERS as ZOOM
 from crankorder.identify.lines.zoom import Course, course_of
+from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -27,8 +27,6 @@ SURE_FREEDOM = 1e6
 
 SAME_NUMBER = 1e-9
 """Numbers closer than this are one."""
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -147,7 +145,7 @@ def _course(item: xr.Dataset, place: int) -> Course | None:
 
 
 def lines_of(
-    lines: Sequence[OrderLine], followed: Sequence[Followed], *, speed_rpm: Array, order: float, order_error: float
+    lines: Sequence[OrderLine], followed: Sequence[Followed], *, speed_rpm: Floats, order: float, order_error: float
 ) -> list[OrderLine]:
     """Those of ``lines`` (one of each channel) in which the tracks of ``followed`` stand out, with their amplitudes.
 
@@ -185,7 +183,7 @@ def lines_of(
     return made
 
 
-def _rows(item: Followed, channel: str) -> tuple[Array, Array, Array, Array]:
+def _rows(item: Followed, channel: str) -> tuple[Floats, Floats, Floats, Floats]:
     """Speeds, amplitudes, their errors and degrees of freedom, of the rows of ``item`` that know its ``channel``."""
     tracks = item.tracks.isel(order=item.place).sel(channel=channel)
     size, error = np.abs(tracks["amplitude"].values), tracks["standard_error"].values

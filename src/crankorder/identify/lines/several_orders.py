@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderLine
 from crankorder.identify.intervals import Z95
@@ -26,6 +25,7 @@ from crankorder.identify.lines.line_phasors import Recording
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
 from crankorder.identify.lines.order_lines import ONE_SPEED
 from crankorder.identify.mains import NUMBERS as MAINS
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
 
@@ -59,10 +59,6 @@ SETTLED = 1e-6
 LONGEST_STEP = 0.25
 """Cycles over the recording by which a step moves a line at most."""
 
-Floats = NDArray[np.float64]
-
-Complex = NDArray[np.complex128]
-
 
 @dataclass(frozen=True, eq=False)
 class SolvedLine:
@@ -87,10 +83,10 @@ class _Fit:
     """Lines at ``places`` in data: amplitudes (lines, channels), what is ``left``, and the normal matrix of places."""
 
     places: tuple[Place, ...]
-    amplitude: Complex
-    left: Complex
+    amplitude: Complexes
+    left: Complexes
     normal: Floats
-    waves: Complex
+    waves: Complexes
 
     @property
     def power(self) -> float:
@@ -121,9 +117,8 @@ def several_lines(held: Held, low: float, high: float, *, beyond: float = 0.0) -
         new, size = lines[-1], np.array([float((one.amplitude * np.sqrt(weight)).max()) for one in lines])
         away = np.abs([one.order - new.order for one in lines[:-1]]) * held.span_rev
         beside = size[:-1][away < KNOWN_LINES.apart_cycles].max(initial=0.0)
-        if new.sigmas <= KNOWN_LINES.seen_sigmas or size[-1] < max(
-            NUMBERS.smallest_share * size.max(), NUMBERS.unsteady_share * beside
-        ):
+        least = max(NUMBERS.smallest_share * size.max(), NUMBERS.unsteady_share * beside)
+        if new.sigmas <= KNOWN_LINES.seen_sigmas or size[-1] < least:
             rest = NUMBERS.unsteady_share if beside and new.sigmas > KNOWN_LINES.seen_sigmas else 0.0
             lines = _told(held, bins, fit, rest)
             noise = lines and _is_noise(held, bins, fit.left, np.array([one.amplitude for one in lines]))
@@ -145,7 +140,7 @@ def leave_noise(held: Held, low: float, high: float, orders: Sequence[float]) ->
     return _is_noise(held, bins, data - waves @ amplitude, np.abs(amplitude))
 
 
-def _is_noise(held: Held, bins: NDArray[np.int64], left: Complex, told: Floats) -> bool:
+def _is_noise(held: Held, bins: Ints, left: Complexes, told: Floats) -> bool:
     """Whether lines of the amplitudes ``told`` (lines, channels) have ``left`` no more than stands beyond the ``bins``.
 
     Of the channels in which one of them stands out; False where none does.
@@ -185,7 +180,7 @@ def unparted_reach(held: Held, low: float, high: float, orders: Sequence[float])
     return float(near.min()), float(near.max())
 
 
-def _floor(held: Held, bins: NDArray[np.int64]) -> Floats:
+def _floor(held: Held, bins: Ints) -> Floats:
     """Median power (channels,) of the bins beside ``bins``."""
     power = np.square(np.abs(held.spectrum)).mean(axis=1)
     wide = np.arange(
@@ -194,20 +189,18 @@ def _floor(held: Held, bins: NDArray[np.int64]) -> Floats:
     return np.asarray(np.maximum(np.median(power[:, wide[~np.isin(wide, bins)]], axis=1), 1e-300))
 
 
-def _shown(held: Held, bins: NDArray[np.int64], told: Floats) -> NDArray[np.bool_]:
+def _shown(held: Held, bins: Ints, told: Floats) -> Bools:
     """In which channels one of the amplitudes ``told`` (lines, channels) stands out of what is beside the ``bins``."""
     return np.asarray(np.square(told).max(axis=0) > NUMBERS.stands_over_ratio * _floor(held, bins))
 
 
-def _strongest(held: Held, bins: NDArray[np.int64], left: Complex, low: float, high: float) -> float | None:
+def _strongest(held: Held, bins: Ints, left: Complexes, low: float, high: float) -> float | None:
     """Order between ``low`` and ``high`` at which a line would take most of what is ``left``."""
     scored = _scores(held, bins, left, low, high)
     return None if scored is None else float(scored[0][int(np.argmax(scored[1]))])
 
 
-def _scores(
-    held: Held, bins: NDArray[np.int64], left: Complex, low: float, high: float
-) -> tuple[Floats, Floats] | None:
+def _scores(held: Held, bins: Ints, left: Complexes, low: float, high: float) -> tuple[Floats, Floats] | None:
     """Orders (trials,) between ``low`` and ``high``, and the share of what is ``left`` that a line at each takes."""
     hop = float(np.median(np.diff(held.turn)))
     slot = np.rint((held.turn - held.turn[0]) / hop).astype(np.int64)
@@ -234,7 +227,7 @@ def _scores(
     return trial, np.asarray(score)
 
 
-def _joined(held: Held, bins: NDArray[np.int64], data: Complex, weight: Floats, fit: _Fit, order: float) -> _Fit:
+def _joined(held: Held, bins: Ints, data: Complexes, weight: Floats, fit: _Fit, order: float) -> _Fit:
     """``fit`` with one line more near ``order``, all solved together; as an order or a fixed frequency, what fits."""
     kinds: list[Place] = [(0.0, order)]
     apart = held.time_s * held.rpm / 60.0 - (held.turn - held.turn[0])
@@ -244,7 +237,7 @@ def _joined(held: Held, bins: NDArray[np.int64], data: Complex, weight: Floats, 
     return min(made, key=lambda one: one.power)
 
 
-def _solved(held: Held, bins: NDArray[np.int64], data: Complex, weight: Floats, places: tuple[Place, ...]) -> _Fit:
+def _solved(held: Held, bins: Ints, data: Complexes, weight: Floats, places: tuple[Place, ...]) -> _Fit:
     """Least squares of lines near ``places``: amplitudes follow linearly from these (Golub and Pereyra 1973)."""
     span = held.span_rev
     for step in range(STEPS + 1):
@@ -277,7 +270,7 @@ def _moved(held: Held, places: tuple[Place, ...], orders: Floats) -> tuple[Place
     )
 
 
-def _told(held: Held, bins: NDArray[np.int64], fit: _Fit, rest: float = 0.0) -> list[SolvedLine]:
+def _told(held: Held, bins: Ints, fit: _Fit, rest: float = 0.0) -> list[SolvedLine]:
     """The lines of ``fit`` with their errors, by the noise beside each and by what its neighbours take of it.
 
     ``rest`` is the share of a line that is left beside it.
@@ -388,12 +381,8 @@ def _is_modulated(lines: Sequence[SolvedLine]) -> bool:
 def _are_alike(one: SolvedLine, other: SolvedLine) -> bool:
     """Whether both are of one size in all channels, as far as their errors and a changing speed tell."""
     room = NUMBERS.same_sigmas * np.hypot(one.amplitude_error, other.amplitude_error)
-    return bool(
-        (
-            np.abs(one.amplitude - other.amplitude)
-            <= room + NUMBERS.alike_share * np.maximum(one.amplitude, other.amplitude)
-        ).all()
-    )
+    larger = np.maximum(one.amplitude, other.amplitude)
+    return bool((np.abs(one.amplitude - other.amplitude) <= room + NUMBERS.alike_share * larger).all())
 
 
 def _peaks(order_map: xr.Dataset, reach: float) -> list[int]:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderLine
 from crankorder.identify.lines.cfar import LOWEST_BINS
@@ -15,6 +14,7 @@ from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.like_speed import reframed
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import hann_lobe
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers, Settings
 
 
@@ -58,8 +58,6 @@ LARGEST_MOVE = 0.5
 WIDTH_BINS = 0.01
 """Step by which the shape of a line that swells or bends is differenced."""
 
-Array = NDArray[np.float64]
-
 
 def company_of(order: float, frames: xr.Dataset, others: Sequence[float] = ()) -> float:
     """Order of a line close to ``order`` in the OrderFrames ``frames`` of a sweep; NaN where there is none.
@@ -81,7 +79,7 @@ def company_of(order: float, frames: xr.Dataset, others: Sequence[float] = ()) -
     base = np.linalg.qr(np.concatenate(known).T)[0]
     left = seen - (seen @ base) @ base.T
     energy = np.maximum((np.abs(left) ** 2).sum(axis=1), np.finfo(float).tiny)
-    beside: Array = np.arange(NUMBERS.nearest_bins, NUMBERS.reach_bins - 1.0, NUMBERS.step_bins)
+    beside: Floats = np.arange(NUMBERS.nearest_bins, NUMBERS.reach_bins - 1.0, NUMBERS.step_bins)
     apart = np.concatenate([-beside[::-1], beside])
     lobes = hann_lobe(used - place - apart[:, None])
     lobes -= (lobes @ base) @ base.T
@@ -101,14 +99,14 @@ def settled(orders: Sequence[float], frames: xr.Dataset, others: Sequence[float]
     revs = float(frames.attrs["revs_per_frame"])
     middle, apart = float(np.mean(orders)), float(np.diff(sorted(orders)).min())
     used = _bins_about(middle * revs, frames)
-    centre: Array = frames["crank_angle"].values + 0.5 * revs
+    centre: Floats = frames["crank_angle"].values + 0.5 * revs
     turned = _turned(frames, used)
     near = [
         _changing_lobe(used - other * revs)[:2]
         for other in others
         if abs(other - middle) * revs < 2.0 * NUMBERS.reach_bins
     ]
-    numbers: Array = np.array(orders, dtype=np.float64)
+    numbers: Floats = np.array(orders, dtype=np.float64)
     for _ in range(SETTLING_STEPS):
         lobes = np.concatenate([hann_lobe(used - numbers[:, None] * revs), *near])
         phasors = turned @ np.linalg.pinv(lobes)[:, : len(numbers)]
@@ -123,7 +121,7 @@ def settled(orders: Sequence[float], frames: xr.Dataset, others: Sequence[float]
     return None if rings or moved > LARGEST_MOVE * apart else numbers.tolist()
 
 
-def _keeps_frequency(steps: NDArray[np.complex128], order: float, frames: xr.Dataset) -> bool:
+def _keeps_frequency(steps: Complexes, order: float, frames: xr.Dataset) -> bool:
     """Whether ``steps`` (frames - 1,) from frame to frame turn as those of one frequency near ``order``, rather than as
     those of one order: a lightly damped mode rings on at its own."""
     speed = frames["speed"].values
@@ -134,13 +132,13 @@ def _keeps_frequency(steps: NDArray[np.complex128], order: float, frames: xr.Dat
     return bool(np.abs(np.exp(-2j * np.pi * turns) @ unit).max() >= np.abs(unit.sum()))
 
 
-def _bins_about(place: float, frames: xr.Dataset) -> Array:
+def _bins_about(place: float, frames: xr.Dataset) -> Floats:
     """Numbers of the bins in reach of ``place`` (in bins)."""
     first, last = round(place) - NUMBERS.reach_bins, round(place) + NUMBERS.reach_bins + 1
     return np.arange(max(1, first), min(frames.sizes["order"], last), dtype=np.float64)
 
 
-def _turned(frames: xr.Dataset, used: Array) -> NDArray[np.complex128]:
+def _turned(frames: xr.Dataset, used: Floats) -> Complexes:
     """Spectra (channels, frames, bins) in the bins ``used``, phases counted from the middle of each frame."""
     revs = float(frames.attrs["revs_per_frame"])
     centre = frames["crank_angle"].values + 0.5 * revs
@@ -148,7 +146,7 @@ def _turned(frames: xr.Dataset, used: Array) -> NDArray[np.complex128]:
     return np.asarray(frames["spectrum"].values[:, :, used.astype(int)] * turn)
 
 
-def _changing_lobe(off_bins: Array) -> Array:
+def _changing_lobe(off_bins: Floats) -> Floats:
     """Lobe (3, bins) of a line that is steady, that grows, and that bends."""
     before, here, after = (hann_lobe(off_bins + side * WIDTH_BINS) for side in (-1.0, 0.0, 1.0))
     return np.array([here, after - before, before + after - 2.0 * here])

@@ -6,10 +6,10 @@ import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import gammainccinv
 
 from crankorder.orders.averages import frame_correlation
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -46,10 +46,6 @@ NUMBERS = _Numbers.load()
 GRID_PER_SPAN = 4
 """Trial orders per reciprocal length of the recording: between two of them a line loses at most 5 %."""
 
-Complex = NDArray[np.complex128]
-
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Zoomed:
@@ -64,7 +60,7 @@ class Zoomed:
     offset: float
     variance: float
     dof: float
-    amplitude: Complex
+    amplitude: Complexes
     error: Floats
     span_rev: float
     snr: float
@@ -104,7 +100,7 @@ class Frames:
 
 
 def zoomed(
-    phasors: Complex,
+    phasors: Complexes,
     centre_rev: Floats,
     *,
     revs: float,
@@ -178,7 +174,7 @@ def _through_modes(line: Zoomed, course: Course | None) -> Zoomed:
     return replace(line, offset=course.offset, variance=variance, dof=1e6, course=course, swept=True)
 
 
-def left_of_slow_waves(phasors: Complex, turn: Floats, *, hop_rev: float) -> float:
+def left_of_slow_waves(phasors: Complexes, turn: Floats, *, hop_rev: float) -> float:
     """Power of a frame that is left of ``phasors`` (frames,) without the slow waves of a line; NaN for few frames.
 
     ``turn`` (frames,) is the crank angle of each in rev from the middle, ``hop_rev`` that from frame to frame. Lines so
@@ -194,7 +190,7 @@ def left_of_slow_waves(phasors: Complex, turn: Floats, *, hop_rev: float) -> flo
     return left / (len(turn) - NUMBERS.noise_degrees - 1)
 
 
-def _at_zero(line: Zoomed, middle: float) -> Complex:
+def _at_zero(line: Zoomed, middle: float) -> Complexes:
     return np.asarray(line.amplitude * np.exp(-2j * np.pi * ((line.offset * middle) % 1.0)))
 
 
@@ -205,12 +201,12 @@ def _trials(span: float, hop_rev: float, near: float | None) -> Floats:
     return trial if near is None else trial[np.abs(trial - near) <= 0.5 * reach + 1.0 / span]
 
 
-def _waves(line: Zoomed, turn: Floats) -> Complex:
+def _waves(line: Zoomed, turn: Floats) -> Complexes:
     """Phasors (channels, frames) of ``line`` at ``turn`` from the middle of the recording."""
     return np.asarray(line.amplitude[:, None] * np.exp(2j * np.pi * line.offset * turn))
 
 
-def _followed(phasors: Complex, frames: Frames, offset: float) -> Zoomed:
+def _followed(phasors: Complexes, frames: Frames, offset: float) -> Zoomed:
     """The line near ``offset``: least squares of the phase along the frames, whose noise is what is left of it.
 
     All channels are joined into one series, each by its amplitude over its noise, so that noise which they share is
@@ -259,7 +255,7 @@ def _polynomials_of(turn: bytes, degrees: int) -> Floats:
     return rows
 
 
-def _second(phasors: Complex, frames: Frames, line: Zoomed, hop_rev: float) -> Zoomed | None:
+def _second(phasors: Complexes, frames: Frames, line: Zoomed, hop_rev: float) -> Zoomed | None:
     """A second line beside ``line``, where noise, a modulation or the skirts of ``line`` would not look like it."""
     turn, span = frames.turn, float(np.ptp(frames.turn))
     if len(turn) < 8:
@@ -288,7 +284,7 @@ def _second(phasors: Complex, frames: Frames, line: Zoomed, hop_rev: float) -> Z
     return found if _in_both_halves(phasors, turn, line, found) else None
 
 
-def _refined_pair(phasors: Complex, frames: Frames, line: Zoomed, offset: float) -> Zoomed:
+def _refined_pair(phasors: Complexes, frames: Frames, line: Zoomed, offset: float) -> Zoomed:
     frames, turn, first = replace(frames, swept=False), frames.turn, line
     second = _followed(phasors - _waves(first, turn), frames, offset)
     for _ in range(4):
@@ -297,7 +293,7 @@ def _refined_pair(phasors: Complex, frames: Frames, line: Zoomed, offset: float)
     return second
 
 
-def _solved_together(phasors: Complex, frames: Frames, line: Zoomed, second: Zoomed) -> tuple[Zoomed, Zoomed]:
+def _solved_together(phasors: Complexes, frames: Frames, line: Zoomed, second: Zoomed) -> tuple[Zoomed, Zoomed]:
     """``line`` and ``second`` as the least squares of both say; as they are where these do not settle."""
     pair = solved_pair(phasors, frames.turn, revs=frames.revs, offset=(line.offset, second.offset))
     if pair is None:
@@ -320,7 +316,7 @@ def _solved_together(phasors: Complex, frames: Frames, line: Zoomed, second: Zoo
     return made[0], made[1]
 
 
-def _in_both_halves(phasors: Complex, turn: Floats, line: Zoomed, second: Zoomed) -> bool:
+def _in_both_halves(phasors: Complexes, turn: Floats, line: Zoomed, second: Zoomed) -> bool:
     """Whether ``second`` beside ``line`` has one amplitude and phase in both halves of the recording."""
     waves = np.exp(2j * np.pi * np.outer(turn, [line.offset, second.offset]))
     halves = [np.linalg.lstsq(waves[part], phasors[:, part].T, rcond=None)[0][1] for part in (turn < 0, turn >= 0)]
@@ -328,7 +324,7 @@ def _in_both_halves(phasors: Complex, turn: Floats, line: Zoomed, second: Zoomed
     return bool(apart < NUMBERS.same_halves_share * (np.linalg.norm(halves[0]) + np.linalg.norm(halves[1])))
 
 
-def _wander(phasors: Complex, turn: Floats, line: Zoomed) -> float:
+def _wander(phasors: Complexes, turn: Floats, line: Zoomed) -> float:
     """Power of slow waves over that of all faster ones, in what is left of the frames without ``line``; by channel.
 
     The median over channels; NaN for few frames, or where what is left is less than ``wander_share`` of the line.
@@ -369,7 +365,7 @@ class Course:
         return float(np.mean(slope * np.sign(mean) > self.reach)) >= NUMBERS.one_way_share
 
 
-def course_of(phasors: Complex, turn: Floats, noise: Floats) -> Course | None:
+def course_of(phasors: Complexes, turn: Floats, noise: Floats) -> Course | None:
     """How the phase of the line in ``phasors`` runs over a run-up; None where too few frames show it.
 
     Its turn per revolution is that at which most stretches of the run-up agree: a mode adds up to half a turn where it
@@ -437,12 +433,12 @@ class Pair:
 
     offset: Floats
     variance: Floats
-    amplitude: Complex
+    amplitude: Complexes
     error: Floats
     degrees_of_freedom: float
 
 
-def solved_pair(phasors: Complex, turn: Floats, *, revs: float, offset: tuple[float, float]) -> Pair | None:
+def solved_pair(phasors: Complexes, turn: Floats, *, revs: float, offset: tuple[float, float]) -> Pair | None:
     """The two lines near ``offset`` that leave least of ``phasors``; None where these do not settle apart.
 
     Both turn by exact steps from frame to frame; amplitudes follow linearly from the orders and are eliminated (Golub
@@ -475,13 +471,13 @@ def solved_pair(phasors: Complex, turn: Floats, *, revs: float, offset: tuple[fl
     return _with_errors(basis, slopes, data, turn, at)
 
 
-def _bases(white: Floats, turn: Floats, at: Floats) -> tuple[Complex, Complex]:
+def _bases(white: Floats, turn: Floats, at: Floats) -> tuple[Complexes, Complexes]:
     """White waves (frames, 2) of lines ``at`` (2,) and their derivatives by it."""
     waves = np.exp(2j * np.pi * np.outer(turn, at))
     return white @ waves, white @ (2j * np.pi * turn[:, None] * waves)
 
 
-def _linear(basis: Complex, data: Complex) -> tuple[Complex, Complex, Complex]:
+def _linear(basis: Complexes, data: Complexes) -> tuple[Complexes, Complexes, Complexes]:
     """Amplitudes (2, channels) of ``basis`` in ``data`` (frames, channels), what is left, and the inverse."""
     back = basis.conj().T
     inverse = np.asarray(np.linalg.solve(back @ basis, back), dtype=np.complex128)
@@ -489,13 +485,13 @@ def _linear(basis: Complex, data: Complex) -> tuple[Complex, Complex, Complex]:
     return amplitude, data - basis @ amplitude, inverse
 
 
-def _moved(basis: Complex, slopes: Complex, amplitude: Complex, inverse: Complex) -> Complex:
+def _moved(basis: Complexes, slopes: Complexes, amplitude: Complexes, inverse: Complexes) -> Complexes:
     """What moving each line changes beyond its amplitude: (2, channels, frames)."""
     change = slopes.T[:, None, :] * amplitude[:, :, None]
     return np.asarray(change - (change @ inverse.T) @ basis.T)
 
 
-def _normal(moved: Complex, left: Complex, weight: Floats) -> tuple[Floats, Floats]:
+def _normal(moved: Complexes, left: Complexes, weight: Floats) -> tuple[Floats, Floats]:
     """Score (2,) and normal matrix (2, 2) of the orders from how these have ``moved``, channels by ``weight``."""
     scaled = moved * np.sqrt(weight)[None, :, None]
     rows = scaled.reshape(2, -1)
@@ -503,7 +499,7 @@ def _normal(moved: Complex, left: Complex, weight: Floats) -> tuple[Floats, Floa
     return score, np.asarray((rows.conj() @ rows.T).real)
 
 
-def _with_errors(basis: Complex, slopes: Complex, data: Complex, turn: Floats, at: Floats) -> Pair:
+def _with_errors(basis: Complexes, slopes: Complexes, data: Complexes, turn: Floats, at: Floats) -> Pair:
     amplitude, left, inverse = _linear(basis, data)
     n = len(left)
     degrees_of_freedom = max(2.0 * n - 4.0 - 2.0, 1.0)
@@ -524,7 +520,7 @@ def _with_errors(basis: Complex, slopes: Complex, data: Complex, turn: Floats, a
     return Pair(at, np.diag(covariance) * louder, np.asarray(amplitude.T), np.asarray(error.T), degrees_of_freedom)
 
 
-def _louder(left: Complex, turn: Floats, at: float) -> float:
+def _louder(left: Complexes, turn: Floats, at: float) -> float:
     """Power of slow waves about a line ``at`` in what is ``left`` (frames, channels) over that of all; 1 at least."""
     n = len(turn)
     if n < 4 * PAIR_NUMBERS.slow_waves:
@@ -539,7 +535,7 @@ def _louder(left: Complex, turn: Floats, at: float) -> float:
 
 
 def unaliased(
-    phasors: Complex, turn: Floats, *, offsets: tuple[float, float], resolution: float, hop_rev: float
+    phasors: Complexes, turn: Floats, *, offsets: tuple[float, float], resolution: float, hop_rev: float
 ) -> float:
     """The second of two ``offsets``, moved by whole turns a step to where the bins beside say that it is.
 

@@ -247,9 +247,8 @@ def _added(block: Block, part: Projected, speed: Array, damping: float, reach: f
     columns = seen_as.modal(natural, np.maximum(ratios, _blur(block, natural)))
     at_peak = np.abs(held_at(block, speed).growth) / (2.0 * damping)
     made = np.empty((len(block.channels), len(speed)))
-    bends = bent(
-        block, part, max(1, min(ORDER_RESPONSES.most_degree, block.fewest_rows // 4 - 1))
-    )  # any law may have taken it in
+    # any law may have taken it in
+    bends = bent(block, part, max(1, min(ORDER_RESPONSES.most_degree, block.fewest_rows // 4 - 1)))
     for number, (weight, basis, left) in enumerate(zip(block.weight, part.basis, part.left, strict=True)):
         shown = columns * weight[:, None]
         shown -= basis @ (basis.conj().T @ shown)

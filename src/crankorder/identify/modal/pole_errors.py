@@ -256,9 +256,6 @@ def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> A
 
 def side_by_side(parts: list[Array]) -> Array:
     """Square matrix with ``parts`` on its diagonal: what different bands tell is independent."""
-    whole = np.zeros((sum(len(part) for part in parts),) * 2)
-    first = 0
-    for part in parts:
-        whole[first : first + len(part), first : first + len(part)] = part
-        first += len(part)
-    return whole
+    from scipy.linalg import block_diag
+
+    return np.asarray(block_diag(np.zeros((0, 0)), *parts))
