@@ -164,7 +164,9 @@ def _electric(
     of_cycle = {agreed.order: _unparted(agreed, sources.revs_per_cycle, longest_rev) for agreed in orders}
     tones = [tone for tone in modal.tones if tone.kind == "mains"]
     exact = [order for order, multiple in of_cycle.items() if multiple is not None]
-    of_mains = mains_orders(orders, tones=tones, exact=exact, settings=settings)
+    # what errors of the angle may make beside a strong order has a cause that nothing tells from mains
+    lines = tuple(agreed for agreed in orders if not agreed.of_angle)
+    of_mains = mains_orders(lines, tones=tones, exact=exact, settings=settings)
     told = {order: Cause(*words) for order, words in of_mains.items()}
     sure: set[float] = set()
     for agreed in orders:

@@ -127,7 +127,7 @@ def find(
     speeds = speeds if doubt is None else without_free(speeds)
     records = order_records(orders, causes, meetings, modal, unit=unit)
     flags += fold_flags(order_map, settings=settings, folds=folds)
-    flags += [*slow_flags(order_map, in_map, frames, settings=settings), *map(_search_flag, modal.left)]
+    flags += [*slow_flags(order_map, in_map, frames, settings=settings), *_search_flags(modal.left)]
     shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
     has_spectra = envelope is not None and envelope.sizes["order"] > 1 and envelope.sizes["speed"] > 0
     told = Findings(
@@ -277,13 +277,19 @@ def speed_doubt(flags: Iterable[QualityFlag]) -> str | None:
     return f"{told[0]['detail']} ({names[0]}{more})"
 
 
-def _search_flag(left: Unsearched) -> QualityFlag:
-    """That natural frequencies may be missing where a search has ``left`` some."""
-    detail = (
-        f"the search for natural frequencies by {SEARCHES[left.by]} stopped at its bound: from {left.low_hz:.4g} to "
-        f"{left.high_hz:.4g} Hz some may be missing; fewer recordings in one test, or shorter ones, bring it to its end"
-    )
-    return {"recording": "all", "flag": "search_stopped", "severity": "suspect", "detail": detail}
+def _search_flags(left: Sequence[Unsearched]) -> list[QualityFlag]:
+    """That natural frequencies may be missing where searches have ``left`` some."""
+    flags: list[QualityFlag] = []
+    for by, words in SEARCHES.items():
+        ends = [(one.low_hz, one.high_hz) for one in left if one.by == by]
+        detail = (
+            f"the search for natural frequencies by {words} stopped at its bound: between {{:.4g}} and {{:.4g}} Hz "
+        )
+        detail += "some may be missing; fewer recordings in one test, or shorter ones, bring it to its end"
+        if ends:
+            detail = detail.format(min(low for low, _ in ends), max(high for _, high in ends))
+            flags.append({"recording": "all", "flag": "search_stopped", "severity": "suspect", "detail": detail})
+    return flags
 
 
 def undecided_orders(orders: tuple[AgreedOrder, ...]) -> tuple[AgreedOrder, ...]:

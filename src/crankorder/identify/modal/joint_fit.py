@@ -342,6 +342,11 @@ def _with_order_modes(
         more.append(mode)
         kept = kept.joined(NO_POLES.with_pole(mode.frequency_hz, mode.damping_ratio))
         parts.append(part)
+    proven = [mode.frequency_ends for mode in fit.modes if mode.reached_by and not mode.undecided]
+
+    def within(tone: Tone) -> bool:
+        return tone.kind == "tone" and any(low <= tone.frequency_hz <= high for low, high in proven)
+
     modes = (*fit.modes, *more)
     rank = np.argsort(kept.frequency_hz, kind="stable")
     at = np.stack([2 * rank, 2 * rank + 1], axis=1).ravel()
@@ -351,7 +356,7 @@ def _with_order_modes(
     return replace(
         fit,
         modes=tuple(modes[k] for k in rank.tolist()),
-        tones=tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in more)),
+        tones=tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in more) and not within(tone)),
         covariance=side_by_side(whole)[np.ix_(at, at)],
         responses=responses_of(blocks, poles),
         unseen=least_seen(

@@ -52,7 +52,7 @@ MOST_KEPT = 64
 OF_ROWS = ("span_rpm", "shapes", "ends_hz", "size", "rows", "fewest_rows", "measured", "_steady")
 """What a :class:`Block` works out of its rows alone, whatever its law and scatter."""
 
-OF_LAW = ("growth", "_designs")
+OF_LAW = ("growth", "_designs", "_driven")
 """What it works out of its rows and its law, whatever its scatter."""
 
 Array = NDArray[np.float64]
@@ -282,6 +282,12 @@ class Block:
         """Frequencies of the rows over those of the modes (K, M)."""
         return np.asarray(self.frequency_hz[:, None] / natural_hz)
 
+    @cached_property
+    def _driven(self) -> Complex:
+        """Force (T,) along the passage."""
+        assert self.passage is not None
+        return force(self.passage.speed_rpm, self.span_rpm, self.reference_rpm, self.exponent, self.law)
+
     def _along(self, natural_hz: Array, damping: Array, which: int) -> Complex:
         """Columns along the sweep, or their slope by ln f (1) or ln ζ (2); those made before are kept."""
         assert self.passage is not None
@@ -291,9 +297,7 @@ class Block:
             if len(self.made.get(key, ())) <= which:
                 while len(self.made) >= MOST_KEPT:
                     self.made.pop(next(iter(self.made)))
-                speed = self.passage.speed_rpm
-                grown = force(speed, self.span_rpm, self.reference_rpm, self.exponent, self.law)
-                self.made[key] = self.passage.response(grown, *pole, slopes=which > 0)
+                self.made[key] = self.passage.response(self._driven, *pole, slopes=which > 0)
             made[:, number] = self.made[key][which]
         return made
 
