@@ -15,6 +15,7 @@ from crankorder.orders.swing_evidence import (
     in_true_angle,
     rows_of,
     swings_of,
+    unless_lines_lack,
 )
 from crankorder.settings import load_settings
 
@@ -169,6 +170,20 @@ def test_pulses_part_an_error_of_the_encoder_from_a_swing_that_falls_with_speed(
     # a mode lifts all carriers, not their sidebands: in the true angle these look as an error by the swing would
     spectra = [shown(phases(rng, [2.0, 5.5, 9.0, 16.0]), {1: error + swing * (700.0 / n) ** 2}) for n in rpm[2:]]
     assert not swings_of(rows(spectra, 5e-4, rng), EXPECTED, alike)[0].proved
+
+
+def test_lines_that_lack_their_sidebands_in_other_recordings_clear_the_encoder():
+    rng = np.random.default_rng(5)
+    size = 0.2 / 360.0 * np.exp(1j)
+    of = {}
+    for name, spared in (("a", {}), ("b", {5.5: 1.0, 9.0: 1.0j, 12.0: 0.5})):
+        lines = [shown(phases(rng, [2.0, 7.0, 16.0]), {1: size}) for _ in range(4)]
+        lines = [one + (shown(spared, {1: 0j}) if spared else 0.0) for one in lines]
+        of[name] = swings_of(rows(lines, 5e-4, rng), EXPECTED, {1: (size, 1e-6)})
+    assert of["a"][0].proved
+    assert unless_lines_lack({"a": of["a"]})["a"][0].proved
+    assert of["b"][0].lacking[0] > 0.3 * of["b"][0].lacking[1]
+    assert not any(own[0].proved for own in unless_lines_lack(of).values())
 
 
 def test_a_sideband_seen_at_one_speed_alone_blames_no_encoder():

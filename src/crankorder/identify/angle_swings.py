@@ -156,6 +156,8 @@ class _Given:
 
 def _given(line: OrderLine, order: float, number: float, carrier: OrderLine, swings: AngleSwings) -> list[_Given]:
     """What ``swings`` give to ``line`` at ``order`` at most of its ``carrier`` at the order ``number``."""
+    if carrier.amplitude.max() < line.amplitude.max():
+        return []  # nothing is the sideband of what is weaker
     rpm, parts = line.speed_rpm[_rows(line)], []
     # what is not seen must not let two orders each be the sideband of the other
     unseen = number * float(carrier.amplitude.max()) > order * float(line.amplitude.max())

@@ -124,7 +124,7 @@ def explained(
             cause = first(agreed, line, at=at, quantity=quantity[name], in_cylinder=name in in_cylinder)
             causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, at, sources))
     for key, (text, evidence) in (of_swing or {}).items():
-        if causes[key].text in (*BY_ITSELF, HALF_ORDER):
+        if causes[key].text in (*BY_ITSELF, *OF_NUMBER):
             causes[key] = Cause(text, evidence)
     causes |= _electric(orders, causes, modal, known, sources, settings, longest_rev)
     families = explain_families(
@@ -147,7 +147,7 @@ def explained(
 
 HALF_ORDER = "half order of the four-stroke cycle"
 
-MAY_BE_MAINS = ("unbalance", LIKE_UNBALANCE, "shaft harmonic", HALF_ORDER)
+OF_NUMBER = ("unbalance", LIKE_UNBALANCE, "shaft harmonic", HALF_ORDER)
 """What a line is called that is an order of the shaft for no other reason than that it is one."""
 
 
@@ -188,10 +188,10 @@ def _electric(
 def _with_electric(cause: Cause, electric: Cause, of_cycle: float | None, sure: bool) -> Cause:
     """What a line is called that by itself is a ``cause`` and may be ``electric``; both where they coincide."""
     evidence = f"{electric.evidence}; {cause.evidence}"
-    if not cause.known or (sure and cause.text in MAY_BE_MAINS):
+    if not cause.known or (sure and cause.text in OF_NUMBER):
         text = electric.text if of_cycle is None else f"{electric.text} or order {of_cycle:g}"
         return Cause(text, electric.evidence)
-    if of_cycle is None or cause.text in MAY_BE_MAINS or sure:
+    if of_cycle is None or cause.text in OF_NUMBER or sure:
         return Cause(f"{cause.text} or {electric.text}", evidence)
     return cause
 

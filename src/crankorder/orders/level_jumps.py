@@ -354,6 +354,8 @@ def _floors_apart(steady: Sequence[RecordedLevel]) -> tuple[list[str], Floats, F
     inner = np.stack([below, above, 0.5 * (below + above)])
     parts = np.concatenate([ends[0][:, None], inner, ends[1][:, None]], axis=1)
     agree = (np.sign(parts) == np.sign(parts[0])).all(axis=0)
+    for at in (0, -1):
+        agree[at] &= np.abs(parts[0, at] - parts[1, at]) < 0.5 * np.abs(parts[:2, at]).max(axis=0)
     least = np.where(agree, np.sign(parts[0]) * np.abs(parts).min(axis=0), 0.0)
     moves = [np.diff(np.delete(logs, row, axis=0), axis=0) for row in range(len(logs))]
     # of two recordings left nothing parts scatter and growth

@@ -56,6 +56,9 @@ RADII, PHASES = 72, 40
 GRID_SLACK = 0.1
 """… and the share of E_k by which its points are apart, about."""
 
+CLEAR_SIDEBAND, MOST_LACKING = 64.0, 0.1
+"""Power over the noise of a sideband that must be there, and the share of these that lines of their own may cancel."""
+
 SLACKS = (0.15, 0.1, 0.06)
 """Shares of a sideband by which it may be off, step by step, while E_k is refined …"""
 
@@ -69,7 +72,8 @@ class Swing:
 
     ``error_rev`` is the standard error of each part of ``size``, ``bound_rev`` what |E_k| exceeds with a chance of 5 %;
     ``proved`` says whether several carriers agree on it, ``chance`` that they would by chance, ``carriers`` the orders
-    whose sidebands show it, strongest first; ``largest_rev`` is what no encoder errs by.
+    whose sidebands show it, strongest first; ``largest_rev`` is what no encoder errs by. ``lacking``: how many of the
+    sidebands that it would make clear of the noise are not there, and of how many.
     """
 
     harmonic: int
@@ -80,6 +84,7 @@ class Swing:
     chance: float
     carriers: tuple[float, ...]
     largest_rev: float
+    lacking: tuple[int, int] = (0, 0)
 
     @property
     def left_rev(self) -> float:
@@ -274,7 +279,8 @@ def swings_of(rows: Rows, expected: Expected, by_pulses: Mapping[int, tuple[comp
             swing = _swing(rows, harmonic, taken, expected, shown=size)
             reach = LIKELY * math.hypot(error, swing.error_rev, expected.settings.sideband_slack * abs(size))
             alike = abs(size) > LIKELY * error and abs(size - swing.size) < reach
-            found[harmonic] = replace(swing, proved=swing.proved and alike)
+            lacking = _lacking(rows, harmonic, taken, expected, size) if abs(size) > LIKELY * error else (0, 0)
+            found[harmonic] = replace(swing, proved=swing.proved and alike, lacking=lacking)
             taken.pop(harmonic, None)
             # what is likely but not proved is taken out on trial: sidebands of sidebands hide others' proof
             if abs(swing.size) > LIKELY * swing.error_rev and abs(swing.size) <= expected.largest_rev(harmonic):
@@ -340,8 +346,13 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     return Swing(harmonic, size, error, bound, bool(proved), chance, carriers, largest)
 
 
-def _sums(value: Complexes, noise: Floats, harmonic: int, expected: Expected) -> _Sums:
-    """Sums over the rows for every target that ``value`` (rows, half orders) has a neighbour for, as ``expected``."""
+def _sides(
+    value: Complexes, noise: Floats, harmonic: int, expected: Expected
+) -> tuple[Complexes, Complexes, Complexes, Floats]:
+    """Lines of ``value`` (rows, half orders), what E_k of the ``harmonic`` multiplies, its conjugate, and weights.
+
+    All (rows, half orders); weights are 1 over the ``noise``, 0 where a neighbour as ``expected`` is not known.
+    """
     n = value.shape[1]
     step = 2 * harmonic
     room = max(n - step, 0)  # a map of few orders has no neighbour for a high harmonic
@@ -358,7 +369,13 @@ def _sums(value: Complexes, noise: Floats, harmonic: int, expected: Expected) ->
     weight = np.where(np.isfinite(value.real) & (noise > 0.0), 1.0 / np.where(noise > 0.0, noise, 1.0), 0.0)
     weight[:, room:] = 0.0  # what lies above is not known
     weight[:, 0] = 0.0
-    u, v = -1j * np.pi * u, -1j * np.pi * v
+    return seen, -1j * np.pi * u, -1j * np.pi * v, weight
+
+
+def _sums(value: Complexes, noise: Floats, harmonic: int, expected: Expected) -> _Sums:
+    """Sums over the rows for every target that ``value`` (rows, half orders) has a neighbour for, as ``expected``."""
+    seen, u, v, weight = _sides(value, noise, harmonic, expected)
+    order = np.arange(value.shape[1]) / 2.0
 
     def total(product: Complexes) -> Complexes:
         return np.asarray((weight * product).sum(axis=0))
@@ -369,6 +386,36 @@ def _sums(value: Complexes, noise: Floats, harmonic: int, expected: Expected) ->
     both, low, high = (total(one)[kept] for one in (u * v.conj(), u.conj() * seen, v.conj() * seen))
     count = (weight > 0.0).sum(axis=0).astype(np.float64)
     return _Sums(below[kept], above[kept], both, low, high, own[kept], count[kept], carrier[kept])
+
+
+def _lacking(
+    rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expected, size: complex
+) -> tuple[int, int]:
+    """Of the sidebands that E_k of ``size`` makes clear of the noise, how many lack by half; and with those as told.
+
+    Row by row. Other swings that are ``taken`` are out.
+    """
+    others = {k: other for k, other in taken.items() if k != harmonic}
+    value = in_true_angle(rows.value, bins_per_order=2, swings=others) if others else rows.value
+    seen, u, v, weight = _sides(value, rows.noise, harmonic, expected)
+    told = size * u + np.conj(size) * v
+    clear = np.square(np.abs(told)) * weight > CLEAR_SIDEBAND
+    alike = clear & (np.abs(seen - told) < 0.5 * np.abs(told))
+    lacking = clear & (np.abs(seen) < 0.5 * np.abs(told))
+    return int(lacking.sum()), int((alike | lacking).sum())
+
+
+def unless_lines_lack(of: Mapping[str, tuple[Swing, ...]]) -> dict[str, tuple[Swing, ...]]:
+    """Swings ``of`` the recordings of one encoder, unproved where too many of all lines lack their sidebands.
+
+    An error of the encoder spares no line; what a swing of the shaft turns comes through the modes as they let it.
+    """
+    counts = np.array([[one.lacking for one in own] for own in of.values()]).reshape(len(of), -1, 2).sum(axis=0)
+    spares = counts[:, 0] > MOST_LACKING * counts[:, 1]
+    return {
+        name: tuple(replace(one, proved=one.proved and not no) for one, no in zip(own, spares.tolist(), strict=True))
+        for name, own in of.items()
+    }
 
 
 def _is_line(value: Complexes, noise: Floats, ratio: float) -> Bools:

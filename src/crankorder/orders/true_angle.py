@@ -24,6 +24,7 @@ from crankorder.orders.swing_evidence import (
     modulation,
     rows_of,
     swings_of,
+    unless_lines_lack,
 )
 from crankorder.quantities import Complexes, Floats, Ints, QualityFlag, with_flags
 from crankorder.settings import OrderSettings
@@ -229,7 +230,7 @@ def swings_of_test(frames: Sequence[xr.Dataset], *, settings: OrderSettings) -> 
         may = {k: part for k, part in alike.items() if lines >= LINES_PER_HARMONIC * k}
         swings = swings_of(rows, expected, may)
         made |= {str(item.attrs["recording"]): swings for item in group}
-    return Swings(made, shared)
+    return Swings(unless_lines_lack(made) if made else {}, shared)
 
 
 def angle_in_truth(shown: xr.Dataset, frames: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:

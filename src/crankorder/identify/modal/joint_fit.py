@@ -67,6 +67,7 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="joint_fit"):
     shared_share: float
     slack_share: float
     shown_db: float
+    deepest_db: float
 
 
 NUMBERS = _Numbers.load()
@@ -463,6 +464,16 @@ def _of_band(
     return modes, tones, covariance[np.ix_(at, at)], fit.poles.chosen(which)
 
 
+def _too_deep(floor: Floor, frequency_hz: float, channels: Sequence[str]) -> str:
+    """Why what ``floor`` shows at ``frequency_hz`` in ``channels`` is too far under their strongest lines; or ""."""
+    at = int(np.argmin(np.abs(floor.frequency_hz - frequency_hz)))
+    rows = [floor.channels.index(name) for name in channels]
+    under = 10.0 * np.log10(np.nanmax(floor.whole[rows], axis=1) / floor.psd[rows, at])
+    if not (least := float(np.nanmin(under, initial=np.inf))) > NUMBERS.deepest_db:
+        return ""
+    return f"{least:.0f} dB under the strongest line, of which window and angle leave as much"
+
+
 def _without_hidden(item: Fitted) -> Array:
     """Power (C, F) of a band's fit without strong tones and the poles that stand for the skirts of masked lines."""
     smooth = item.fit.without_lines(item.problem)
@@ -515,7 +526,7 @@ def _mode(
     )
     if not doubt and narrower_than_fitted(problem, fit, number):
         doubt = "its flanks are lower than a mode's of this damping: a tone with something beside it, or a mode"
-    doubt = doubt or of_lines_within(problem, fit, number, floor, settings=settings)
+    doubt = doubt or of_lines_within(problem, fit, number, floor, settings=settings) or _too_deep(floor, f, names)
     if (
         doubt
         and is_proven(proof)
