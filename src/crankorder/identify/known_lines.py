@@ -144,6 +144,12 @@ def sightings(held: Held, places: Sequence[Place]) -> list[Sighting | None]:
     return found
 
 
+def is_hidden(held: Held, hertz: float) -> bool:
+    """Whether a whole or half order of the shaft stands at ``hertz`` in a recording, so that nothing else is seen."""
+    order = held.order_of((hertz, 0.0))
+    return abs(2.0 * order - round(2.0 * order)) * 0.5 * held.span_rev < NUMBERS.apart_cycles
+
+
 def found_near(
     held: Held, low_hz: float, high_hz: float, *, known: Sequence[Place] | None = None
 ) -> tuple[float, float] | None:

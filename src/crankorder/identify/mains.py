@@ -15,7 +15,17 @@ from crankorder.findings import MotorSpeed
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone
 from crankorder.identify.intervals import Z95, positive_interval
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
-from crankorder.identify.known_lines import Held, LineSeen, Place, Sighting, found_near, named_by, sightings, words_of
+from crankorder.identify.known_lines import (
+    Held,
+    LineSeen,
+    Place,
+    Sighting,
+    found_near,
+    is_hidden,
+    named_by,
+    sightings,
+    words_of,
+)
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
 from crankorder.identify.said import NUMBERS as SAID
@@ -225,24 +235,39 @@ def mains_seen(held: Sequence[Held], *, settings: IdentifySettings) -> tuple[Lin
             places = _one_frequency(held, middle - reach, middle + reach, multiple * KNOWN_LINES.same_hz)
             line = MotorLine(mains_words(multiple), multiple, 0.0)
             if places:
-                base = float(np.median([hertz for _, hertz in places])) / multiple
-            lines += [
-                LineSeen(line, recording, hertz, sighting)
-                for recording, hertz in places
-                if (sighting := sightings(recording, [(hertz, 0.0)])[0]) is not None
-            ]
+                base = float(np.median([hertz for _, hertz, _ in places])) / multiple
+            lines += [LineSeen(line, recording, hertz, sighting) for recording, hertz, sighting in places]
     return tuple(lines)
 
 
-def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz: float) -> list[tuple[Held, float]]:
-    """Recordings, with the frequency, that show a line at one and the same one, where orders of the shaft move."""
+def _one_frequency(
+    held: Sequence[Held], low_hz: float, high_hz: float, same_hz: float
+) -> list[tuple[Held, float, Sighting]]:
+    """Recordings that show a line at one and the same frequency, where orders of the shaft move; and what they show.
+
+    None where as many others, or more, would show the least of these and do not: a supply is there at every speed.
+    """
     lines = [(recording, found_near(recording, low_hz, high_hz)) for recording in held]
-    places = [(recording, line[0]) for recording, line in lines if line is not None]
-    middle = float(np.median([hertz for _, hertz in places])) if places else 0.0
-    places = [(recording, hertz) for recording, hertz in places if abs(hertz - middle) <= same_hz]
-    seen = [(recording.order_of((middle, 0.0)), recording.span_rev) for recording, _ in places]
+    middle = float(np.median([line[0] for _, line in lines if line is not None] or [0.0]))
+    places = [
+        (recording, line[0], sighting)
+        for recording, line in lines
+        if line is not None and abs(line[0] - middle) <= same_hz
+        if (sighting := sightings(recording, [(line[0], 0.0)])[0]) is not None
+    ]
+    seen = [(recording.order_of((middle, 0.0)), recording.span_rev) for recording, *_ in places]
     moves = any(abs(a - b) * min(span, other) > NUMBERS.moved_cycles for (a, span), (b, other) in combinations(seen, 2))
-    return places if len(places) >= NUMBERS.least_speeds and moves else []
+    if len(places) < NUMBERS.least_speeds or not moves:
+        return []
+    least = np.min([sighting.amplitude - Z95 * sighting.error for *_, sighting in places], axis=0)
+    absent = sum(line is None and _excludes(recording, middle, least) for recording, line in lines)
+    return places if absent < len(places) else []
+
+
+def _excludes(held: Held, hertz: float, least: Floats) -> bool:
+    """Whether ``held`` would show a line at ``hertz`` of the amplitudes ``least`` (channels,), and does not."""
+    there = None if is_hidden(held, hertz) else sightings(held, [(hertz, 0.0)])[0]
+    return there is not None and bool(np.any(there.amplitude + KNOWN_LINES.seen_sigmas * there.error < least))
 
 
 def without_ringing(known: Sequence[LineSeen], modes: Sequence[Mode]) -> tuple[LineSeen, ...]:
