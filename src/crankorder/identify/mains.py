@@ -235,31 +235,30 @@ def mains_seen(held: Sequence[Held], *, settings: IdentifySettings) -> tuple[Lin
             places = _one_frequency(held, middle - reach, middle + reach, multiple * KNOWN_LINES.same_hz)
             line = MotorLine(mains_words(multiple), multiple, 0.0)
             if places:
-                base = float(np.median([hertz for _, hertz, _ in places])) / multiple
-            lines += [LineSeen(line, recording, hertz, sighting) for recording, hertz, sighting in places]
+                base = float(np.median([hertz for _, hertz in places])) / multiple
+            lines += [
+                LineSeen(line, recording, hertz, sighting)
+                for recording, hertz in places
+                if (sighting := sightings(recording, [(hertz, 0.0)])[0]) is not None
+            ]
     return tuple(lines)
 
 
-def _one_frequency(
-    held: Sequence[Held], low_hz: float, high_hz: float, same_hz: float
-) -> list[tuple[Held, float, Sighting]]:
-    """Recordings that show a line at one and the same frequency, where orders of the shaft move; and what they show.
+def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz: float) -> list[tuple[Held, float]]:
+    """Recordings, with the frequency, that show a line at one and the same one, where orders of the shaft move.
 
     None where as many others, or more, would show the least of these and do not: a supply is there at every speed.
     """
     lines = [(recording, found_near(recording, low_hz, high_hz)) for recording in held]
-    middle = float(np.median([line[0] for _, line in lines if line is not None] or [0.0]))
-    places = [
-        (recording, line[0], sighting)
-        for recording, line in lines
-        if line is not None and abs(line[0] - middle) <= same_hz
-        if (sighting := sightings(recording, [(line[0], 0.0)])[0]) is not None
-    ]
-    seen = [(recording.order_of((middle, 0.0)), recording.span_rev) for recording, *_ in places]
+    places = [(recording, line[0]) for recording, line in lines if line is not None]
+    middle = float(np.median([hertz for _, hertz in places])) if places else 0.0
+    places = [(recording, hertz) for recording, hertz in places if abs(hertz - middle) <= same_hz]
+    seen = [(recording.order_of((middle, 0.0)), recording.span_rev) for recording, _ in places]
     moves = any(abs(a - b) * min(span, other) > NUMBERS.moved_cycles for (a, span), (b, other) in combinations(seen, 2))
     if len(places) < NUMBERS.least_speeds or not moves:
         return []
-    least = np.min([sighting.amplitude - Z95 * sighting.error for *_, sighting in places], axis=0)
+    shown = [one for recording, hertz in places if (one := sightings(recording, [(hertz, 0.0)])[0]) is not None]
+    least = np.min([one.amplitude - Z95 * one.error for one in shown], axis=0)
     absent = sum(line is None and _excludes(recording, middle, least) for recording, line in lines)
     return places if absent < len(places) else []
 
