@@ -10,7 +10,7 @@ import xarray as xr
 
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.known_lines import LOBE_BINS, Held, found_near, is_hidden
+from crankorder.identify.known_lines import LOBE_BINS, Held, found_near
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
 from crankorder.identify.lines.several_orders import (
@@ -308,7 +308,7 @@ def _unless_absent(tone: Tone, held: Sequence[Held], reach_hz: float) -> Tone:
     """
     place = tone.frequency_hz
     inside = [one for one in held if one.order_of((place + reach_hz, 0.0)) + LOBE_BINS / one.revs < one.axis[-1]]
-    inside = [one for one in inside if not is_hidden(one, place)]
+    inside = [one for one in inside if not one.hides(place)]
     shown = sum(found_near(one, place - reach_hz, place + reach_hz) is not None for one in inside)
     either = tone.kind == "mains or order"
     if not inside or shown >= (0.5 if either else 1.0) * len(inside):

@@ -15,17 +15,7 @@ from crankorder.findings import MotorSpeed
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone
 from crankorder.identify.intervals import Z95, positive_interval
 from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
-from crankorder.identify.known_lines import (
-    Held,
-    LineSeen,
-    Place,
-    Sighting,
-    found_near,
-    is_hidden,
-    named_by,
-    sightings,
-    words_of,
-)
+from crankorder.identify.known_lines import Held, LineSeen, Place, Sighting, found_near, named_by, sightings, words_of
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
 from crankorder.identify.said import NUMBERS as SAID
@@ -265,7 +255,7 @@ def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz:
 
 def _excludes(held: Held, hertz: float, least: Floats) -> bool:
     """Whether ``held`` would show a line at ``hertz`` of the amplitudes ``least`` (channels,), and does not."""
-    there = None if is_hidden(held, hertz) else sightings(held, [(hertz, 0.0)])[0]
+    there = None if held.hides(hertz) else sightings(held, [(hertz, 0.0)])[0]
     return there is not None and bool(np.any(there.amplitude + KNOWN_LINES.seen_sigmas * there.error < least))
 
 
