@@ -308,19 +308,13 @@ def _unless_absent(tone: Tone, held: Sequence[Held], reach_hz: float) -> Tone:
     """
     place = tone.frequency_hz
     inside = [one for one in held if one.order_of((place + reach_hz, 0.0)) + LOBE_BINS / one.revs < one.axis[-1]]
-    inside = [one for one in inside if not _is_hidden(one, place)]
+    inside = [one for one in inside if not one.hides(place)]
     shown = sum(found_near(one, place - reach_hz, place + reach_hz) is not None for one in inside)
     either = tone.kind == "mains or order"
     if not inside or shown >= (0.5 if either else 1.0) * len(inside):
         return tone
     words = f"{tone.evidence if either else 'no damping'}; {shown} of {len(inside)} recordings show it"
     return replace(tone, kind="order" if either else "tone", evidence=words)
-
-
-def _is_hidden(held: Held, hertz: float) -> bool:
-    """Whether a whole or half order of the shaft stands at ``hertz`` in a recording, so that nothing else is seen."""
-    order = held.order_of((hertz, 0.0))
-    return abs(2.0 * order - round(2.0 * order)) * 0.5 * held.span_rev < KNOWN_LINES.apart_cycles
 
 
 def _is_flank(tone: Tone, other: Tone, reach_hz: float) -> bool:

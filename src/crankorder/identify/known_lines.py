@@ -68,6 +68,11 @@ class Held:
         """Order at the mean speed of a line at ``place``."""
         return place[1] + place[0] * 60.0 / self.rpm
 
+    def hides(self, hertz: float) -> bool:
+        """Whether a whole or half order of the shaft stands at ``hertz``, so that nothing else is seen."""
+        order = self.order_of((hertz, 0.0))
+        return abs(2.0 * order - round(2.0 * order)) * 0.5 * self.span_rev < NUMBERS.apart_cycles
+
 
 @dataclass(frozen=True, eq=False)
 class Sighting:

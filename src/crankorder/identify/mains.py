@@ -235,14 +235,28 @@ def mains_seen(held: Sequence[Held], *, settings: IdentifySettings) -> tuple[Lin
 
 
 def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz: float) -> list[tuple[Held, float]]:
-    """Recordings, with the frequency, that show a line at one and the same one, where orders of the shaft move."""
+    """Recordings, with the frequency, that show a line at one and the same one, where orders of the shaft move.
+
+    None where as many others, or more, would show the least of these and do not: a supply is there at every speed.
+    """
     lines = [(recording, found_near(recording, low_hz, high_hz)) for recording in held]
     places = [(recording, line[0]) for recording, line in lines if line is not None]
     middle = float(np.median([hertz for _, hertz in places])) if places else 0.0
     places = [(recording, hertz) for recording, hertz in places if abs(hertz - middle) <= same_hz]
     seen = [(recording.order_of((middle, 0.0)), recording.span_rev) for recording, _ in places]
     moves = any(abs(a - b) * min(span, other) > NUMBERS.moved_cycles for (a, span), (b, other) in combinations(seen, 2))
-    return places if len(places) >= NUMBERS.least_speeds and moves else []
+    if len(places) < NUMBERS.least_speeds or not moves:
+        return []
+    shown = [one for recording, hertz in places if (one := sightings(recording, [(hertz, 0.0)])[0]) is not None]
+    least = np.min([one.amplitude - Z95 * one.error for one in shown], axis=0)
+    absent = sum(line is None and _excludes(recording, middle, least) for recording, line in lines)
+    return places if absent < len(places) else []
+
+
+def _excludes(held: Held, hertz: float, least: Floats) -> bool:
+    """Whether ``held`` would show a line at ``hertz`` of the amplitudes ``least`` (channels,), and does not."""
+    there = None if held.hides(hertz) else sightings(held, [(hertz, 0.0)])[0]
+    return there is not None and bool(np.any(there.amplitude + KNOWN_LINES.seen_sigmas * there.error < least))
 
 
 def without_ringing(known: Sequence[LineSeen], modes: Sequence[Mode]) -> tuple[LineSeen, ...]:

@@ -128,7 +128,7 @@ def _pile_up(above: FloatArray, settings: IngestSettings) -> tuple[float, float,
     in_row = np.count_nonzero(inside) / (1 + np.count_nonzero(inside[1:] & ~inside[:-1]))
     if in_row < _FEWEST_IN_ROW or share < settings.max_clipped_fraction:
         return None
-    if _turns_smoothly(above, np.flatnonzero(inside[1:] != inside[:-1]), int(in_row) // 8):
+    if _turns_smoothly(above, np.flatnonzero(inside[1:] != inside[:-1]), max(int(in_row) // 8, _LEAST_LAG)):
         return None
     bend = np.square(above[1:-1] - 0.5 * (above[2:] + above[:-2]))
     flat = inside[2:] & inside[1:-1] & inside[:-2]
@@ -159,7 +159,7 @@ def _turns_smoothly(above: FloatArray, edges: Ints, lag: int) -> bool:
     A bend over twice the ``lag`` is then four times as large; at a corner, which a filter spreads over less, twice.
     """
     edges = edges[(edges >= 6 * lag) & (edges < above.size - 6 * lag)]
-    if lag < _LEAST_LAG or not edges.size:
+    if not edges.size:
         return False
     places = edges[:, None] + np.arange(-4 * lag, 4 * lag + 1)
     bends = [np.abs(2.0 * above[places] - above[places - k] - above[places + k]).max(axis=1) for k in (lag, 2 * lag)]
