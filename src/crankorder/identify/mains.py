@@ -248,6 +248,8 @@ def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz:
     if len(places) < NUMBERS.least_speeds or not moves:
         return []
     shown = [one for recording, hertz in places if (one := sightings(recording, [(hertz, 0.0)])[0]) is not None]
+    if not shown:
+        return places
     least = np.min([one.amplitude - Z95 * one.error for one in shown], axis=0)
     absent = sum(line is None and _excludes(recording, middle, least) for recording, line in lines)
     return places if absent < len(places) else []
