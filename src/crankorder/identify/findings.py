@@ -282,12 +282,12 @@ def _search_flags(left: Sequence[Unsearched]) -> list[QualityFlag]:
     flags: list[QualityFlag] = []
     for by, words in SEARCHES.items():
         ends = [(one.low_hz, one.high_hz) for one in left if one.by == by]
-        detail = (
-            f"the search for natural frequencies by {words} stopped at its bound: between {{:.4g}} and {{:.4g}} Hz "
-        )
-        detail += "some may be missing; fewer recordings in one test, or shorter ones, bring it to its end"
         if ends:
-            detail = detail.format(min(low for low, _ in ends), max(high for _, high in ends))
+            low, high = min(low for low, _ in ends), max(high for _, high in ends)
+            detail = (
+                f"the search for natural frequencies by {words} stopped at its bound: between {low:.4g} and {high:.4g} "
+                "Hz some may be missing; fewer recordings in one test, or shorter ones, bring it to its end"
+            )
             flags.append({"recording": "all", "flag": "search_stopped", "severity": "suspect", "detail": detail})
     return flags
 

@@ -241,7 +241,7 @@ class OnePoleMore:
 
 @dataclass(frozen=True, eq=False)
 class Starts:
-    """Places ``natural_hz`` and ``damping`` (S,) for one pole more, from ``low_hz`` to ``high_hz`` and one beyond each.
+    """Places ``natural_hz`` and ``damping`` (S,) for one pole more: ``low_hz`` to ``high_hz``, one beyond each end.
 
     ``saves`` (S,) is what each would save, ``unknowns`` how many numbers it would take for that.
     """
