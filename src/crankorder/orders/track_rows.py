@@ -15,7 +15,7 @@ import xarray as xr
 
 from crankorder.fft.windows import power_of_two
 from crankorder.findings import Findings
-from crankorder.orders.averages import beside_bins, noise_beside, noise_under
+from crankorder.orders.averages import HeldSizes, SizeRows, beside_bins, noise_beside, noise_under
 from crankorder.orders.between_recordings import one_phase_reference
 from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
 from crankorder.orders.fixed_lines import NUMBERS as FIXED_LINES
@@ -295,7 +295,7 @@ class TrackReader:
         power = (self.order_map["amplitude"].values / self._unit[..., None]) ** 2
         bins, worth = self._beside
         independent = self.order_map["n_independent"].values
-        energy, share = self._energy(place, close)
+        energy, share, held = self._energy(place, close)
         leaked = np.nan_to_num(energy)[..., None] * np.square(
             hann_lobe(np.arange(power.shape[-1], dtype=np.float64) - place)
         )
@@ -312,8 +312,10 @@ class TrackReader:
         # without noise the error is 0; without energy nothing is known of it but the upper end
         error = np.where(np.isnan(energy) | (noise > 0.0), np.where(energy > 0.0, error, np.nan), 0.0)
         nothing = np.full(energy.shape, np.nan)
+        sizes = SizeRows(line, error, dof, low, high)
+        made = sizes.with_scatter(held, noise=share * noise, independent=np.full(len(self.map_rpm), worth[nearest]))
         unit = self._unit
-        return OrderRows(unit * line, nothing, unit * error, dof, unit * low, unit * high, nothing)
+        return OrderRows(unit * line, nothing, unit * made.error, made.dof, unit * made.low, unit * made.high, nothing)
 
     @cached_property
     def _beside(self) -> tuple[Ints, Floats]:
@@ -326,8 +328,10 @@ class TrackReader:
         """Power of two (channels, 1) by which amplitudes are divided before they are squared."""
         return power_of_two(self.order_map["amplitude"].values)[..., 0]
 
-    def _energy(self, place: float, close: list[float]) -> tuple[Floats, float]:
+    def _energy(self, place: float, close: list[float]) -> tuple[Floats, float, list[HeldSizes]]:
         """Mean squared amplitude (channels, rows) of the line ``place`` bins up, and its share of a bin's noise power.
+
+        Last, its amplitudes in the frames of each recording whose speed is held.
 
         Each frame is solved for the line and those ``close`` to it by generalised least squares over the bins of their
         main lobes; without frames the map's energy is taken for that of the line alone.
@@ -337,17 +341,21 @@ class TrackReader:
         if not self._frames:
             squares = np.square(hann_lobe(used.astype(np.float64) - place))
             energy = np.square(self.order_map["amplitude"].values[..., used] / self._unit[..., None]) @ squares
-            return np.asarray(energy / float(squares @ squares)), float(squares.sum() / (squares @ squares))
+            return np.asarray(energy / float(squares @ squares)), float(squares.sum() / (squares @ squares)), []
+        held: list[HeldSizes] = []
         total, count = np.zeros(shape), np.zeros(shape)
         for item, rows in zip(self._used, self._row_of_frames, strict=True):
             squared = np.abs(self._phasors(item, used, solve)) ** 2
             seen = np.isfinite(squared)
+            for row in [] if item.attrs.get("swept", 0) else np.unique(rows).tolist():
+                own = squared[:, (rows == row) & seen.all(axis=0)]
+                held += [HeldSizes(row, np.sqrt(own))] if own.shape[1] > 1 else []
             for channel in range(shape[0]):
                 some = seen[channel]
                 total[channel] += np.bincount(rows[some], squared[channel, some], minlength=shape[1])
                 count[channel] += np.bincount(rows[some], minlength=shape[1])
         with np.errstate(invalid="ignore"):
-            return total / count, share
+            return total / count, share, held
 
     def _lobe_fit(self, place: float, close: list[float]) -> tuple[Ints, Floats, float]:
         """Bins (used,) about a line ``place`` bins up, their weights in its amplitude apart from lines ``close`` to it.

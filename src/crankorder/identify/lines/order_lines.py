@@ -10,8 +10,9 @@ import xarray as xr
 from scipy.special import chdtrc
 
 from crankorder.identify.found import Evidence, OrderLine
+from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
-from crankorder.identify.lines.growth import HeldSizes, between_of, ends_of, held_sizes, remark_on
+from crankorder.identify.lines.growth import remark_on
 from crankorder.identify.lines.line_evidence import (
     UNPROVEN,
     evidence_of,
@@ -23,6 +24,7 @@ from crankorder.identify.lines.line_evidence import (
 from crankorder.identify.lines.line_phasors import Recording, is_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import Zoomed, left_of_slow_waves
 from crankorder.identify.said import UNRESOLVED
+from crankorder.orders.averages import HeldSizes, SizeRows
 from crankorder.quantities import Floats, Ints
 from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings
 
@@ -308,12 +310,11 @@ def _line(search: _Search, channel: int, peak: int, seen: Ints, evidence: Eviden
     n_frames = order_map["n_independent"].values[seen]
     lobe = np.nan_to_num(order_map["amplitude"].values[channel][np.ix_(seen, beside)]) ** 2 - noise[:, None]
     distance, distance_error = _refined(np.sqrt(np.maximum(lobe, 0.0)), noise / n_frames)
+    ends: Floats | None = None
     if evidence == "locked to the shaft":
         amplitude = order_map["coherent_amplitude"].values[channel, seen, peak]
         error = order_map["standard_error"].values[channel, seen, peak]
         dof = order_map["degrees_of_freedom"].values[channel, seen, peak].astype(np.float64)
-        both = [order_map[f"coherent_amplitude_{end}"].values[channel, seen, peak] for end in ("low", "high")]
-        ends: Floats | None = np.stack(both, axis=1)
         half = order_map["phase_ci95"].values[channel, seen, peak]
     else:
         amplitude, error, dof, ends = _by_energy(search, channel, peak, seen, distance)
@@ -354,19 +355,19 @@ def _by_energy(
     amplitude, dof = amplitude / loss, np.full(len(seen), np.inf)  # the floor is the median of many bins
     if not search.recordings or _is_swept(search) or not np.isfinite(search.speed[seen]).all():
         return amplitude, error, dof, None
-    held = [_held_at(search, channel, peak, at) for at in seen.tolist()]
-    error, dof = (np.array(column) for column in zip(*map(between_of, held, amplitude, error), strict=True))
-    return amplitude, error, dof, ends_of(held, amplitude, error, dof, loss=loss)
-
-
-def _held_at(search: _Search, channel: int, peak: int, at: int) -> HeldSizes:
-    """What each recording held of bin ``peak`` at the speed number ``at``."""
-    width = 0.5 * float(search.order_map.attrs.get("speed_bin_rpm", 25.0))
-    found = phasors_at(
-        search.recordings, channels=[channel], at=peak, speeds_rpm=search.speed[[at]], speed_bin_rpm=width
+    half, held = half_width(np.inf) * error, list[HeldSizes]()
+    for row, speed in enumerate(search.speed[seen]):
+        width = 0.5 * float(search.order_map.attrs.get("speed_bin_rpm", 25.0))
+        found = phasors_at(
+            search.recordings, channels=[channel], at=peak, speeds_rpm=np.array([speed]), speed_bin_rpm=width
+        )
+        sizes = [np.abs(phasors[:1, np.isfinite(phasors[0].real)]) / loss for _, phasors, _, _ in found.values()]
+        held += [HeldSizes(row, size) for size in sizes if size.shape[1] > 1]
+    rows = SizeRows(
+        *(values[None] for values in (amplitude, error, dof, np.maximum(amplitude - half, 0.0), amplitude + half))
     )
-    noise, n_independent = float(search.floor[channel, at, peak]), float(search.floor_worth[channel, at, peak])
-    return held_sizes([phasors[0] for _, phasors, _, _ in found.values()], noise=noise, n_independent=n_independent)
+    rows = rows.with_scatter(held, noise=noise[None] / loss**2, independent=search.floor_worth[channel, seen, peak])
+    return amplitude, rows.error[0], rows.dof[0], np.stack([rows.low[0], rows.high[0]], axis=1)
 
 
 def _is_swept(search: _Search) -> bool:
