@@ -62,6 +62,9 @@ REACH = 2.0
 SURE_SIGMAS = 1.0
 """Standard errors of a row from which what the filter takes of it is no noise."""
 
+PARTED_SHARE = 1e-4
+"""Standard error of a row, beside its noise, over the strongest order followed there: knots, angle and speed."""
+
 SMOOTHING = ("smoothing", "smoothing_more", "smoothing_error")
 """Variables that say what the filter took."""
 
@@ -149,9 +152,13 @@ def bandwidths_hz(orders: Floats, course: SpeedCourse) -> Floats:
 
 
 def followed_error(tracks: xr.Dataset, place: int) -> Floats:
-    """Standard error (channels, frames) of order number ``place`` of ``tracks``, with what the filter took put back."""
+    """Standard error (channels, frames) of order number ``place`` of ``tracks``, with what the filter took put back.
+
+    However little noise there is, angle, speed and filter part orders by no more than :data:`PARTED_SHARE`.
+    """
     taken = np.abs(tracks["smoothing"].values[:, place]) + tracks["smoothing_error"].values[:, place]
-    return np.asarray(np.hypot(tracks["standard_error"].values[:, place], taken))
+    strongest = np.abs(np.nan_to_num(tracks["amplitude"].values)).max(axis=1)
+    return np.asarray(np.hypot(np.hypot(tracks["standard_error"].values[:, place], taken), PARTED_SHARE * strongest))
 
 
 def _covered(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, float]:
@@ -264,7 +271,7 @@ def _left_taken(amplitude: Complexes, taken: Complexes, error: Floats, plan: _Pl
     apart = np.abs(plan.orders[:, None] - plan.orders)[:, :, None] * speed / 60.0
     shared = np.maximum(1.0 - apart / np.maximum(widest * width, 1e-300)[None], 0.0)
     shared[np.arange(len(shared)), np.arange(len(shared))] = 0.0
-    return made, np.sqrt(np.einsum("ijr,cjr->cir", np.square(shared), np.square(made)))
+    return made, np.sqrt(np.einsum("ijr,cjr->cir", np.square(shared), np.square(made) + np.square(lost)))
 
 
 def _piece(
