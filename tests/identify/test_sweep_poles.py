@@ -53,6 +53,7 @@ def spectra_of(machine: Machine, orders: list[float], seed: int) -> list[SweepSp
                 spectrum,
                 angle,
                 speed,
+                2,
             )
         )
     return made
