@@ -310,11 +310,12 @@ def _line(search: _Search, channel: int, peak: int, seen: Ints, evidence: Eviden
     n_frames = order_map["n_independent"].values[seen]
     lobe = np.nan_to_num(order_map["amplitude"].values[channel][np.ix_(seen, beside)]) ** 2 - noise[:, None]
     distance, distance_error = _refined(np.sqrt(np.maximum(lobe, 0.0)), noise / n_frames)
-    ends: Floats | None = None
     if evidence == "locked to the shaft":
         amplitude = order_map["coherent_amplitude"].values[channel, seen, peak]
         error = order_map["standard_error"].values[channel, seen, peak]
         dof = order_map["degrees_of_freedom"].values[channel, seen, peak].astype(np.float64)
+        both = [order_map[f"coherent_amplitude_{end}"].values[channel, seen, peak] for end in ("low", "high")]
+        ends: Floats | None = np.stack(both, axis=1)
         half = order_map["phase_ci95"].values[channel, seen, peak]
     else:
         amplitude, error, dof, ends = _by_energy(search, channel, peak, seen, distance)
