@@ -166,7 +166,9 @@ class AvoidedSpeed(Record):
     orders: tuple[float, ...] = said("orders of all crossings in the range, the worst first", default=())
     modes_hz: tuple[float, ...] = said("natural frequencies that orders meets, in the same sequence", default=())
     channel: str = said("channel in which it is worst")
-    amplitude: float | None = said("largest peak amplitude there; null where none was measured and no fit knows it")
+    amplitude: float | None = said("largest peak amplitude there of order alone; null where it is not known")
+    amplitude_ci95: Interval | None = said(default=None)
+    by_fit: bool = said("amplitude is not as recorded but what the modal fit says of a held speed", default=False)
     unit: str | None = said("unit of amplitude", default=None, left_out=True)
     amplification: float | None = said(
         "amplitude over that without the mode by the fit, or over the trend beside, in channel; null where not known"
@@ -218,8 +220,9 @@ class BearingFinding(Record):
     )
     slip_percent_ci95: Interval | None = said(default=None)
     seen_in: Literal["vibration", "envelope"] | None = said('"vibration" or its "envelope"', default=None)
-    amplitude: float | None = said("peak amplitude in the unit of its channel")
+    amplitude: float | None = said("peak amplitude in the unit of its channel, at speed_rpm or where is_mean over all")
     amplitude_ci95: Interval | None = said(default=None)
+    is_mean: bool = said("amplitude is the mean over all speeds of a line that keeps its size", default=False)
     channel: str | None = said("channel in which it is strongest", default=None, left_out=True)
     unit: str | None = said("unit of amplitude", default=None, left_out=True)
     speed_rpm: float | None = said("speed at which it is strongest", default=None)

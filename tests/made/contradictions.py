@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 from crankorder.findings import Findings
@@ -10,6 +11,7 @@ from crankorder.identify.said import MAY_BE_ALL, is_electric, mains_words
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.records import Record, known
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
+from crankorder.report.rows import Table
 from crankorder.report.sentences.of_speeds import free_bands, open_bands
 from crankorder.report.sentences.story import has_lines, headline, story_of
 from crankorder.report.tables import tables_of
@@ -36,6 +38,8 @@ APART = {
     "is in doubt, and with it every order": ("does not follow the shaft", "Free of resonances:", "Balance it:"),
 }
 """Words, and those that no page may hold beside them."""
+ESTIMATE = re.compile(r"([−\d.e]+)(?: [^\s()]+)? \(([−\d.e]+)…([−\d.e]+)\)")
+"""An estimate with its 95 % interval, its unit before or behind."""
 MAINS = {mains_words(multiple) for multiple in range(1, 1001)}
 """What multiples of the mains are called."""
 ESTIMATES = ("order", "amplitude", "speed_exponent", "frequency_hz", "damping_ratio", "rpm", "amplification")
@@ -50,7 +54,17 @@ def contradictions(document: dict[str, Any]) -> list[str]:
     the headline and of the page against the fields that they are made from. Empty where nothing contradicts.
     """
     findings = findings_of(document)
-    checks = (_of_orders, _of_modes, _of_crossings, _of_speeds, _of_bearings, _of_mains, _of_quality, _of_sentences)
+    checks = (
+        _of_orders,
+        _of_amplitudes,
+        _of_modes,
+        _of_crossings,
+        _of_speeds,
+        _of_bearings,
+        _of_mains,
+        _of_quality,
+        _of_sentences,
+    )
     return [words for check in checks for words in check(findings)]
 
 
@@ -72,6 +86,26 @@ def _of_orders(findings: Findings) -> Iterator[str]:
         law, exponent = str(record.speed_law or ""), record.speed_exponent
         if is_number(exponent) and exponent * (law.startswith("grows") - law.startswith("falls")) < 0.0:
             yield f"{name}: it {law.split()[0]} with the speed, with an exponent of {exponent:.2g}"
+
+
+def _of_amplitudes(findings: Findings) -> Iterator[str]:
+    """The amplitude of one order in one channel by every list that tells it: means and fits of a held speed apart."""
+    orders = {(one.channel, one.order): one for one in findings.orders}
+    alike: list[tuple[Record, str]] = [(one, "lines") for one in findings.lines]
+    alike += [(one, "bearings") for one in findings.bearings if one.seen_in == "vibration" and not one.is_mean]
+    for avoided in findings.speeds_to_avoid or ():
+        own, ends = orders.get((avoided.channel, avoided.order)), known(avoided.rpm_range)
+        if own is None or ends is None or not is_number(own.speed_rpm_at_max) or avoided.by_fit:
+            continue
+        if len(avoided.orders) == 1 and _within(own.speed_rpm_at_max, ends):
+            alike.append((avoided, "speeds to avoid"))
+        elif (avoided.amplitude or 0.0) > (1.0 + SAME) * own.amplitude:
+            yield f"order {order_text(own.order)} in {own.channel}: recorded larger than its largest, to be avoided"
+    for record, where in alike:
+        own = orders.get((getattr(record, "channel", None), getattr(record, "order", None)))
+        told = getattr(record, "amplitude", None), getattr(record, "amplitude_ci95", None)
+        if own is not None and told[0] is not None and told != (own.amplitude, told[1] and own.amplitude_ci95):
+            yield f"order {order_text(own.order)} in {own.channel}: {own.amplitude:.6g}, and {told[0]:.6g} by {where}"
 
 
 def _outside(name: str, record: Record) -> Iterator[str]:
@@ -191,8 +225,10 @@ def _of_sentences(findings: Findings) -> Iterator[str]:
     """Sentences of the page against each other and against the lists that they are made from."""
     story = story_of(findings)
     said = [*headline(findings), *story["what"], *story["why"], *story["how_sure"], *story["what_to_do"]]
-    tables = [table["empty"] for _, table in tables_of(findings, limit=NAME_CHARACTERS) if not table["rows"]]
-    text = "\n".join([*said, *tables])
+    tables = [table for _, table in tables_of(findings, limit=NAME_CHARACTERS)]
+    text = "\n".join([*said, *(table["empty"] for table in tables if not table["rows"])])
+    for value, low, high in sorted(_estimates(said) - _estimates(_cells(tables))):
+        yield f"a sentence says {value} ({low}…{high}), and no table does"
     for words, others in APART.items():
         yield from (f"the page says {words!r} and {other!r}" for other in others if words in text and other in text)
     if "explained by orders and tones" in text and not has_lines(findings):
@@ -206,3 +242,15 @@ def _of_sentences(findings: Findings) -> Iterator[str]:
     decided = [mode for mode in findings.modes if not is_tone(mode) and not is_undecided(mode)]
     if any(words.startswith("Natural frequenc") and "shape" not in words for words in said) and not decided:
         yield "natural frequencies are named, and none is decided"
+
+
+def _estimates(texts: Iterable[str]) -> set[tuple[str, ...]]:
+    return {found for text in texts for found in ESTIMATE.findall(text)}
+
+
+def _cells(tables: Iterable[Table | None]) -> Iterator[str]:
+    """Text of every cell of ``tables`` and of those that are folded away under them or stand beside them."""
+    for table in tables:
+        if table is not None:
+            yield from (cell for row in table["rows"] for cell in row)
+            yield from _cells((table["more"], table["beside"]))

@@ -37,66 +37,28 @@ def full_findings(plain: dict[str, Any]) -> dict[str, Any]:
         record |= {"amplification": 12.0, "amplification_ci95": [10.0, 14.0]} if excited else {"amplification": None}
         record |= {"channels": channels[-1:], "evidence": "rises 12 times over its trend" if excited else "no rise"}
     avoid = {"channel": channels[-1], "unit": "m/s2", "amplification": 12.0, "reason": "the order rises there"}
-    findings["speeds_to_avoid"] = [
-        {
-            **avoid,
-            "rank": 1,
-            "rpm": 1800.0,
-            "rpm_range": [1755.0, 1850.0],
-            "order": 2.0,
-            "mode_hz": 60.0,
-            "amplitude": 3.7,
-        },
-        {
-            **avoid,
-            "rank": 2,
-            "rpm": 1725.0,
-            "rpm_range": [1690.0, 1752.0],
-            "order": 4.0,
-            "mode_hz": 115.0,
-            "amplitude": 3.4,
-        },
-        {
-            **avoid,
-            "rank": 3,
-            "rpm": 1725.0,
-            "rpm_range": [1695.0, 1760.0],
-            "order": 8.0,
-            "mode_hz": 230.0,
-            "amplitude": 2.1,
-        },
-    ]
+    told = ("rank", "rpm", "rpm_range", "orders", "modes_hz", "order", "mode_hz", "amplitude")
+    worst = (
+        (1, 1800.0, [1755.0, 1850.0], [2.0], [60.0], 2.0, 60.0, 3.7),
+        (2, 1725.0, [1690.0, 1760.0], [4.0, 8.0], [115.0, 230.0], 4.0, 115.0, 3.4),
+    )
+    findings["speeds_to_avoid"] = [{**avoid, "by_fit": True, **dict(zip(told, one, strict=True))} for one in worst]
     excluded = "the data exclude that an order is amplified more than 3 times (99 %)"
-    ends = ((300.0, 1690.0), (1850.0, 2000.0))
-    findings["free_bands"] = [{"low_rpm": low, "high_rpm": high, "remark": excluded} for low, high in ends]
-    said = "order 2 with 60 Hz: is amplified more than 3 times"
-    findings["open_bands"] = [{"low_rpm": 1690.0, "high_rpm": 1850.0, "remark": said}]
-    race = {"seen_in": "envelope", "band_hz": [2000.0, 4000.0], "slip_percent": -0.8, "slip_percent_ci95": [-0.9, -0.7]}
-    race |= {"line": "BPFO", "order": 3.556, "order_ci95": [3.553, 3.559], "order_expected": 3.585, "harmonics": 4}
-    race |= {
-        "sidebands": 1.0,
-        "lock": "slips",
-        "verdict": "Damage of the outer race: strikes at its own rate. Re-run the same test: it grows",
-    }
+    free = {"low_rpm": 300.0, "high_rpm": 1690.0, "remark": excluded}
+    findings["free_bands"] = [free, {**free, "low_rpm": 1850.0, "high_rpm": 2000.0}]
+    why = {"remark": "order 2 with 60 Hz: is amplified more than 3 times"}
+    findings["open_bands"] = [{"low_rpm": 1690.0, "high_rpm": 1850.0, **why}]
+    race = {"seen_in": "envelope", "is_mean": False, "band_hz": [2000.0, 4000.0], "slip_percent": -0.8}
+    race |= {"slip_percent_ci95": [-0.9, -0.7], "line": "BPFO", "order": 3.556, "order_ci95": [3.553, 3.559]}
+    race |= {"order_expected": 3.585, "harmonics": 4, "sidebands": 1.0, "lock": "slips"}
+    race["verdict"] = "Damage of the outer race: strikes at its own rate. Re-run the same test: it grows"
     for record in findings["bearings"]:
-        record |= {"seen_in": "vibration", "band_hz": None, "lock": "undecided", "slip_percent": 0.0, "harmonics": 1}
+        record |= {"seen_in": "vibration", "is_mean": True, "lock": "undecided", "slip_percent": 0.0, "harmonics": 1}
     findings["bearings"] += [{**one, **race} for one in findings["bearings"]]
-    share = {
-        "orders": 0.22,
-        "tones": 0.05,
-        "modes_and_floor": 0.7,
-        "unexplained": 0.03,
-        "total": 1.4,
-        "unit": "(m/s2)2",
-    }
-    findings["energy"] = {"channels": [{"channel": channel, **share} for channel in channels]}
-    findings["balance"] |= {
-        "source": "engine orders",
-        "orders_used": [1.0, 2.0],
-        "along_g": 9.3,
-        "along_g_ci95": [8.0, 10.6],
-    }
-    findings["balance"]["not_decided"] = {"across_g": "the horizontal path is not stated"}
+    share = {"orders": 0.22, "tones": 0.05, "modes_and_floor": 0.7, "unexplained": 0.03, "total": 1.4}
+    findings["energy"] = {"channels": [{"channel": channel, **share, "unit": "(m/s2)2"} for channel in channels]}
+    balance = {"source": "engine orders", "orders_used": [1.0, 2.0], "along_g": 9.3, "along_g_ci95": [8.0, 10.6]}
+    findings["balance"] |= {**balance, "not_decided": {"across_g": "the horizontal path is not stated"}}
     findings["looked_for"] = ["orders", "modes", "bearings", "envelope"]
     return findings
 

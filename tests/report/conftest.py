@@ -118,6 +118,11 @@ def _met_hz(order: float, rpm: float) -> float | None:
     return min(near, key=lambda mode_hz: abs(mode_hz - line_hz), default=None)
 
 
+def _within(key: str, value: float, half: float) -> dict[str, Any]:
+    """An estimate with an interval of so much on either side."""
+    return {key: value, f"{key}_ci95": [value - half, value + half]}
+
+
 def _order_records(tracks: xr.Dataset, unit: str) -> list[dict[str, Any]]:
     records = []
     for channel in tracks.channel.values.tolist():
@@ -129,16 +134,12 @@ def _order_records(tracks: xr.Dataset, unit: str) -> list[dict[str, Any]]:
             records.append(
                 {
                     "channel": channel,
-                    "order": order,
-                    "order_ci95": [order - 0.003, order + 0.003],
-                    "amplitude": value,
-                    "amplitude_ci95": [value - 1.96 * error, value + 1.96 * error],
-                    "phase_deg": -42.0,
-                    "phase_deg_ci95": [-44.0, -40.0],
+                    **_within("order", order, 0.003),
+                    **_within("amplitude", value, 1.96 * error),
+                    **_within("phase_deg", -42.0, 2.0),
                     "unit": unit,
                     "speed_rpm_at_max": float(track.speed[peak]),
-                    "speed_exponent": exponent,
-                    "speed_exponent_ci95": [exponent - 0.2, exponent + 0.2],
+                    **_within("speed_exponent", exponent, 0.2),
                     "meets_hz": _met_hz(order, float(track.speed[peak])),
                     "speed_range_rpm": [float(track.speed[0]), float(track.speed[-1])],
                     "explained_by": "bearing jack shaft N*fs" if order == 5.5 else "engine order",
@@ -150,10 +151,8 @@ def _order_records(tracks: xr.Dataset, unit: str) -> list[dict[str, Any]]:
 def _mode_records(channels: tuple[str, ...]) -> list[dict[str, Any]]:
     modes = [
         {
-            "frequency_hz": mode_hz,
-            "frequency_hz_ci95": [mode_hz - 0.3, mode_hz + 0.3],
-            "damping_ratio": DAMPING,
-            "damping_ratio_ci95": [DAMPING - 0.003, DAMPING + 0.003],
+            **_within("frequency_hz", mode_hz, 0.3),
+            **_within("damping_ratio", DAMPING, 0.003),
             "channels": list(channels),
             "evidence": "stands 9.1 dB above the broadband floor at every speed",
             "explained_by": "mode",
@@ -161,10 +160,8 @@ def _mode_records(channels: tuple[str, ...]) -> list[dict[str, Any]]:
         for mode_hz in MODES_HZ
     ]
     mains = {**modes[0], "frequency_hz": 300.0, "frequency_hz_ci95": [299.9, 300.1], "damping_ratio": None}
-    return [
-        *modes,
-        {**mains, "damping_ratio_ci95": None, "explained_by": "mains", "evidence": "5 x 60 Hz, a pure tone"},
-    ]
+    mains |= {"damping_ratio_ci95": None, "explained_by": "mains", "evidence": "5 x 60 Hz, a pure tone"}
+    return [*modes, mains]
 
 
 def _findings(tracks: xr.Dataset, channels: tuple[str, ...], unit: str, quantity: str, name: str) -> dict[str, Any]:
@@ -183,11 +180,9 @@ def _findings(tracks: xr.Dataset, channels: tuple[str, ...], unit: str, quantity
     bearing = {
         "name": "jack shaft",
         "line": "N*fs",
-        "order": 5.5,
-        "order_ci95": [5.498, 5.502],
+        **_within("order", 5.5, 0.002),
         "order_expected": 5.5,
-        "amplitude": 0.12,
-        "amplitude_ci95": [0.11, 0.13],
+        **_within("amplitude", 0.12, 0.01),
         "channel": channels[-1],
         "unit": unit,
         "verdict": "present, the same at all speeds",
@@ -206,12 +201,9 @@ def _findings(tracks: xr.Dataset, channels: tuple[str, ...], unit: str, quantity
         ],
         "unexplained_energy_fraction": 0.031,
         "balance": {
-            "residual_reciprocating_g": 116.0,
-            "residual_reciprocating_g_ci95": [110.0, 122.0],
-            "residual_rotating_gmm": 420.0,
-            "residual_rotating_gmm_ci95": [210.0, 630.0],
-            "angle_deg": 12.0,
-            "angle_deg_ci95": [-20.0, 44.0],
+            **_within("residual_reciprocating_g", 116.0, 6.0),
+            **_within("residual_rotating_gmm", 420.0, 210.0),
+            **_within("angle_deg", 12.0, 32.0),
         },
         "quality": [
             {"recording": "rpm_0450.h5", "flag": "clipped", "severity": "suspect", "detail": "0.4 % of channel X"},

@@ -191,8 +191,8 @@ def test_the_headline_has_line_bearing_speed_balance_and_unexplained_share(full:
     assert "58.3 Hz" in line
     assert "outer-race (BPFO)" in bearing and "slip −0.80 (−0.90…−0.70) %" in bearing and "2000–4000 Hz" in bearing
     assert speed == (
-        "Avoid steady running near 1800 rpm (1755 to 1850 rpm), where order 2 excites the 60 Hz natural frequency "
-        "(peak 3.70 m/s² in Z, amplified 12 times)."
+        "Avoid steady running near 1800 rpm (1755 to 1850 rpm), where order 2 excites the 60 Hz natural frequency"
+        "; order 2: peak 3.70 m/s² in Z, by the modal fit for a held speed, amplified 12 times."
     )
     assert balance == "Unbalanced reciprocating mass: 116 (110…122) g, from engine orders 1 and 2."
     assert energy == "3.1 % of the energy that is not broadband has no known cause."
@@ -499,3 +499,15 @@ def test_statements_that_exclude_each_other_are_told_and_sound_ones_give_none(fu
     full["free_bands"] = [{"low_rpm": low - 20.0, "high_rpm": high + 20.0, "remark": ""}]
     told = "\n".join(contradictions(full))
     assert "a natural frequency, and not decided" in told and "to be avoided" in told
+
+
+@pytest.mark.parametrize("where", ["lines", "bearings", "speeds_to_avoid"])
+def test_an_amplitude_of_an_order_that_is_told_in_two_ways_is_told_of(full: dict[str, Any], where: str) -> None:
+    order = next(one for one in full["orders"] if one["channel"] == "Z" and one["order"] == 5.5)
+    told = {key: order[key] for key in ("channel", "order", "amplitude", "amplitude_ci95")}
+    told |= {"orders": [5.5], "modes_hz": [60.0], "mode_hz": 60.0, "rpm_range": [order["speed_rpm_at_max"]] * 2}
+    told |= {"frequency_hz": None, "seen_in": "vibration", "is_mean": False, "by_fit": False}
+    full[where] = [full[where][0] | told]
+    assert not contradictions(full)
+    full[where][0]["amplitude"] *= 1.01
+    assert any(f"by {where.replace('_', ' ')}" in one for one in contradictions(full))

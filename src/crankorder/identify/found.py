@@ -347,9 +347,10 @@ class Crossing:
 class AvoidedSpeed:
     """A speed not to dwell at: where ``orders`` meet ``modes_hz`` (the costliest first), within ``rpm_range``.
 
-    ``amplitude`` is the largest there, in ``channel``, ``amplification`` with its 95 % interval how many times it is
-    that without the mode in the same channel; None where not known. The peak may be larger where ``at_least``: where no
-    fit knows it, the amplitude is the largest that was measured.
+    ``amplitude`` with its 95 % interval is the largest there of the first order alone, in ``channel``,
+    ``amplification`` with its 95 % interval how many times it is that without the mode in the same channel; None where
+    not known. It is what was recorded or, ``by_fit``, what the fit says of a speed that is held there. The peak may be
+    larger where ``at_least``: where no fit knows it.
     """
 
     rpm: float
@@ -363,6 +364,8 @@ class AvoidedSpeed:
     reason: str
     amplification_ci95: tuple[float, float] | None = None
     at_least: bool = False
+    amplitude_ci95: tuple[float, float] | None = None
+    by_fit: bool = False
 
 
 @dataclass(frozen=True)

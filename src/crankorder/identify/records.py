@@ -31,7 +31,7 @@ from crankorder.identify.found import (
     Whirl,
 )
 from crankorder.identify.intervals import Z95, half_width, interval, positive_interval
-from crankorder.identify.lines.growth import Growth, growth, largest, visible_range_rpm
+from crankorder.identify.lines.growth import Growth, growth, told, visible_range_rpm
 from crankorder.identify.lines.order_lock import is_half_order
 from crankorder.identify.responses import HeldPeak, held_peak
 from crankorder.records import Ends
@@ -84,7 +84,8 @@ def order_records(
 def _order_record(
     agreed: AgreedOrder, line: OrderLine, cause: Cause, meetings: Sequence[CrossingFinding], unit: str
 ) -> OrderFinding:
-    best, law = largest(line), growth(line)
+    law = growth(line)
+    best = told(line, law)
     phase = float(line.phase_deg[best.at])
     said = (
         _evidence(line.evidence, agreed.lock),
@@ -102,7 +103,7 @@ def _order_record(
         lock=agreed.lock,
         revs_to_decide=agreed.needed_revs,
         half_order=agreed.lock != "slips" and is_half_order(agreed.order, agreed.order_error),
-        amplitude=best.amplitude if law is None else law.amplitude_at(best),
+        amplitude=best.amplitude,
         amplitude_ci95=(max(0.0, best.low), best.high),
         phase_deg=None if np.isnan(phase) else phase,
         phase_deg_ci95=None if np.isnan(phase) else _phase_ends(line, best.at),
@@ -124,8 +125,7 @@ def _held(record: OrderFinding, peak: HeldPeak | None) -> OrderFinding:
     """``record`` with what its order would reach in a sweep if the speed were held at the ``peak``, where known."""
     if peak is None:
         return record
-    ends = positive_interval(peak.amplitude, half_width(peak.freedom) * peak.error)
-    return replace(record, amplitude_held=peak.amplitude, amplitude_held_ci95=ends, speed_rpm_at_held=peak.rpm)
+    return replace(record, amplitude_held=peak.amplitude, amplitude_held_ci95=peak.ends, speed_rpm_at_held=peak.rpm)
 
 
 def _phase_ends(line: OrderLine, at: int) -> Ends:

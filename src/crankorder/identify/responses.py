@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit, OrderResponse
+from crankorder.identify.intervals import half_width, positive_interval
 from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
 from crankorder.identify.modal.order_blocks import NUMBERS as ORDER_BLOCKS
 from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
@@ -167,6 +168,16 @@ class HeldPeak:
     error: float
     freedom: float
 
+    @property
+    def share(self) -> float:
+        """Error as a share of the amplitude."""
+        return self.error / max(self.amplitude, 1e-300)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """95 % interval of the amplitude."""
+        return positive_interval(self.amplitude, half_width(self.freedom) * self.error)
+
 
 def held_peak(modal: ModalFit, order: float, channel: str) -> HeldPeak | None:
     """What ``order`` would reach in ``channel`` at the worst speed of its sweeps, held, by the fit ``modal``.
@@ -174,18 +185,19 @@ def held_peak(modal: ModalFit, order: float, channel: str) -> HeldPeak | None:
     None where no response fits its sweeps. Of several recordings that counts which knows it best.
     """
     peaks = [
-        _peak_of(one, modal)
+        peak_of(one, modal)
         for one in modal.responses
         if one.fits
         and one.recording
         and one.channel == channel
         and abs(one.order - order) <= ORDER_BLOCKS.same_order_share * order
     ]
-    return min(peaks, key=lambda one: one.error / max(one.amplitude, 1e-300), default=None)
+    return min(peaks, key=lambda one: one.share, default=None)
 
 
-def _peak_of(response: OrderResponse, modal: ModalFit) -> HeldPeak:
-    rpm = _speeds(response, modal)
+def peak_of(response: OrderResponse, modal: ModalFit, ends: tuple[float, float] = (0.0, np.inf)) -> HeldPeak:
+    """Largest steady amplitude of ``response`` by the fit ``modal``, of it what lies between ``ends`` [rpm]."""
+    rpm = np.clip(_speeds(response, modal), *np.clip(ends, *response.span_rpm))
     amplitude, error = held_amplitudes(response, rpm, modal)
     at = int(np.argmax(amplitude))
     return HeldPeak(float(rpm[at]), float(amplitude[at]), float(error[at]), float(max(response.degrees_of_freedom, 1)))

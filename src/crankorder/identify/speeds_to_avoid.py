@@ -23,9 +23,10 @@ from crankorder.identify.found import (
     UnseenBound,
 )
 from crankorder.identify.intervals import Z95, half_width
+from crankorder.identify.lines.growth import Largest, largest, told_within
 from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
 from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.responses import held_amplitudes, together, with_and_without
+from crankorder.identify.responses import HeldPeak, peak_of, together, with_and_without
 from crankorder.identify.said import AMPLIFIED
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.quantities import Bools
@@ -66,10 +67,15 @@ class _Limits:
 
 @dataclass(frozen=True)
 class _Peak:
-    """Peak ``amplitude`` of an order in a channel: of the fit ``response``, or, where None, the largest measured."""
+    """Peak ``amplitude`` of an order in a channel with its 95 % interval: as recorded, or what it would be if held.
+
+    ``response`` is the fit that knows the peak, if any does; its number is told where ``by_fit``.
+    """
 
     amplitude: float
+    ends: tuple[float, float]
     response: OrderResponse | None = None
+    by_fit: bool = False
 
 
 def speeds_to_avoid(
@@ -85,7 +91,7 @@ def speeds_to_avoid(
 
     To be avoided is an excited crossing by which the order may be twice as large, and a speed at which an order towers
     over those beside it without one (:func:`lone_peaks`). What it costs is its peak amplitude
-    there (by the fit of the modes where that knows it, else the largest that was measured near), in the
+    there (:func:`_peaks`), in the
     channel where it is largest, as a share of the largest amplitude that any order has in a channel of that unit: what
     the reader sees is what ranks. It takes its half-power width, ± ζ of the speed, and the interval of its speed;
     crossings whose ranges overlap are one speed to avoid, named and ranked after the costliest.
@@ -182,13 +188,14 @@ def _cost(
     """Range, amplitude and cost of one excited crossing; ``in_unit``: largest amplitude of the unit of each channel."""
     mode = _mode_of(item, modal)
     agreed = min(orders, key=lambda one: abs(one.order - item.order))
-    peaks = _peaks(item, agreed, modal, mode, settings)
+    half = mode.damping_ratio * item.rpm
+    rpm_range = (item.rpm_ci95[0] - half, item.rpm_ci95[1] + half)
+    peaks = _peaks(item, rpm_range, agreed, modal, settings)
     sizes = {channel: peak.amplitude for channel, peak in peaks.items()}
     shares = {channel: size / in_unit[channel] for channel, size in sizes.items() if in_unit.get(channel, 0.0) > 0.0}
     channel = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
     peak = peaks.get(channel)
     times = _amplification(item, agreed, channel, peak, modal, settings)
-    half = mode.damping_ratio * item.rpm
     what = (
         f"{item.mode_hz:.4g} Hz"
         + (f" of a whirl that moves by {item.whirl.slope:.3g} orders" if item.whirl is not None else "")
@@ -196,11 +203,13 @@ def _cost(
     )
     return AvoidedSpeed(
         rpm=item.rpm,
-        rpm_range=(item.rpm_ci95[0] - half, item.rpm_ci95[1] + half),
+        rpm_range=rpm_range,
         orders=(item.order,),
         modes_hz=(item.mode_hz,),
         channel=channel,
         amplitude=None if peak is None else peak.amplitude,
+        amplitude_ci95=None if peak is None else peak.ends,
+        by_fit=peak is not None and peak.by_fit,
         at_least=peak is not None and peak.response is None,
         amplification=None if times is None else times.ratio,
         amplification_ci95=None if times is None else (times.ratio_low, times.ratio_high),
@@ -210,31 +219,39 @@ def _cost(
 
 
 def _peaks(
-    item: Crossing, agreed: AgreedOrder, modal: ModalFit, mode: Mode, settings: IdentifySettings
+    item: Crossing, rpm_range: tuple[float, float], agreed: AgreedOrder, modal: ModalFit, settings: IdentifySettings
 ) -> dict[str, _Peak]:
-    """Peak by channel at the crossing ``item``: by the fit where that knows it, else the largest measured near."""
-    peaks: dict[str, _Peak] = {}
-    for response in responses_to(agreed.order, modal) if item.whirl is None else ():
-        peak = _fitted_peak(response, item.rpm, modal, mode)
-        if peak is not None and (response.channel not in peaks or peak > peaks[response.channel].amplitude):
-            peaks[response.channel] = _Peak(peak, response)
+    """Peak by channel of the order ``agreed`` at the crossing ``item``, within ``rpm_range`` where a fit knows it.
+
+    The fit of all speeds knows a peak best, and alone what a sweep would reach if held. Yet one amplitude has one
+    number: the largest that is told of an order, recorded at held speeds, stays that unless the fit is surely above.
+    """
+    mode, peaks = _mode_of(item, modal), dict[str, _Peak]()
+    fits = responses_to(agreed.order, modal) if item.whirl is None else []
+    known = [(one, peak) for one in fits if (peak := _fitted_peak(one, item.rpm, rpm_range, modal, mode)) is not None]
+    for response, peak in sorted(known, key=lambda one: -one[1].share):  # the best known is the last
+        peaks[response.channel] = _Peak(peak.amplitude, peak.ends, response, by_fit=True)
     near = width_rpm(item.rpm, mode, settings)
     for line in agreed.lines:
-        here = np.abs(line.speed_rpm - item.rpm) <= near
-        if line.channel not in peaks and here.any():
-            peaks[line.channel] = _Peak(float(line.amplitude[here].max()))
+        fitted = peaks.get(line.channel, _Peak(0.0, (0.0, 0.0)))
+        by_fit = fitted.response
+        seen = told_within(line, *((item.rpm - near, item.rpm + near) if by_fit is None else rpm_range))
+        if seen is None or fitted.amplitude > seen.high:
+            continue
+        if by_fit is None or (not by_fit.recording and seen.at == largest(line).at):
+            peaks[line.channel] = _Peak(seen.amplitude, (seen.low, seen.high), by_fit)
     return peaks
 
 
-def _fitted_peak(response: OrderResponse, rpm: float, modal: ModalFit, mode: Mode) -> float | None:
-    """Amplitude at ``rpm``, the peak that ``mode`` makes, by the fit ``response``; None where that does not know it."""
-    if not response.fits or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
+def _fitted_peak(
+    response: OrderResponse, rpm: float, rpm_range: tuple[float, float], modal: ModalFit, mode: Mode
+) -> HeldPeak | None:
+    """Peak that ``mode`` makes at ``rpm`` by the fit ``response``; None where that does not know it."""
+    is_known = response.fits and mode.damping_error <= ORDER_MODES.known_share * mode.damping_ratio
+    if not is_known or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
         return None
-    if mode.damping_error > ORDER_MODES.known_share * mode.damping_ratio:
-        return None
-    size, error = (float(one[0]) for one in held_amplitudes(response, np.array([rpm]), modal))
-    half = half_width(float(response.degrees_of_freedom)) * error
-    return size if half <= (1.0 - 1.0 / NUMBERS.peak_within_ratio) * size else None
+    peak = peak_of(response, modal, rpm_range)
+    return peak if half_width(peak.freedom) * peak.share <= 1.0 - 1.0 / NUMBERS.peak_within_ratio else None
 
 
 def _amplification(
@@ -529,15 +546,12 @@ def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
     return found
 
 
-def _largest_there(agreed: AgreedOrder, shown: OrderLine, rpm: float, unit: Mapping[str, str]) -> tuple[str, float]:
+def _largest_there(agreed: AgreedOrder, shown: OrderLine, rpm: float, unit: Mapping[str, str]) -> tuple[str, Largest]:
     """Channel of the unit of ``shown`` in which the order is largest at ``rpm``, and how large."""
     reach = LONE_NUMBERS.same_row_share * rpm
-    there = [
-        (line.channel, float(line.amplitude[np.abs(line.speed_rpm - rpm) <= reach].max(initial=0.0)))
-        for line in agreed.lines
-        if unit[line.channel] == unit[shown.channel]
-    ]
-    return max(there, key=lambda one: one[1])
+    alike = [line for line in agreed.lines if unit[line.channel] == unit[shown.channel]]
+    there = [(line.channel, seen) for line in alike if (seen := told_within(line, rpm - reach, rpm + reach))]
+    return max(there, key=lambda one: one[1].amplitude)
 
 
 def _avoided(
@@ -546,7 +560,7 @@ def _avoided(
     place: int,
     ratio: float,
     modal: ModalFit,
-    worst: tuple[str, float],
+    worst: tuple[str, Largest],
     in_unit: Mapping[str, float],
 ) -> AvoidedSpeed:
     """Speed to avoid around row ``place`` of ``line``, half way to the rows beside, ``worst`` in a channel there."""
@@ -556,7 +570,7 @@ def _avoided(
     hz = order * rpm / 60.0
     near = [one.frequency_hz for one in modal.modes if below < 60.0 * one.frequency_hz / order < above]
     mode_hz = min(near, key=lambda one: abs(one - hz), default=hz)
-    channel, size = worst
+    channel, seen = worst
     where = f"near {mode_hz:.4g} Hz" if near else f"at {hz:.4g} Hz, which may be a natural frequency"
     return AvoidedSpeed(
         rpm=rpm,
@@ -564,10 +578,11 @@ def _avoided(
         orders=(order,),
         modes_hz=(mode_hz,),
         channel=channel,
-        amplitude=size,
+        amplitude=seen.amplitude,
+        amplitude_ci95=(seen.low, seen.high),
         at_least=True,
         amplification=ratio,
-        cost=size / max(in_unit.get(channel, size), size),
+        cost=seen.amplitude / max(in_unit.get(channel, 0.0), seen.amplitude),
         reason=f"order {order:.4g} peaks {where}: {ratio:.2g} times what it is at the speeds beside",
     )
 

@@ -48,7 +48,7 @@ from crankorder.report.notation import (
     order_name,
     scaling_text,
 )
-from crankorder.report.sentences.of_speeds import free_bands, not_judged_rpm, open_bands, speeds_together
+from crankorder.report.sentences.of_speeds import free_bands, not_judged_rpm, open_bands
 from crankorder.report.sentences.story import strongest_sentence
 from crankorder.settings import ReportSettings
 
@@ -335,12 +335,8 @@ def has_strip(findings: Findings) -> bool:
 
 def _ranges(findings: Findings) -> list[tuple[float, float, float]]:
     """Low end, high end and middle of each range to stay out of."""
-    groups = speeds_together(findings) if findings.speeds_to_avoid else []
-    return [
-        (min(low for low, _ in ends), max(high for _, high in ends), sum(one.rpm for one in group) / len(group))
-        for group in groups
-        if len(ends := [both for one in group if (both := known(one.rpm_range)) is not None]) == len(group)
-    ]
+    every = findings.speeds_to_avoid or ()
+    return [(*ends, one.rpm) for one in every if (ends := known(one.rpm_range)) is not None]
 
 
 def draw_strip(panel: Panel, findings: Findings) -> list[EdgeLabel]:

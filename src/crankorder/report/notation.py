@@ -169,6 +169,12 @@ def estimate_text(record: object, key: str, *, unit: str = "") -> str:
     return with_interval(getattr(record, key), getattr(record, f"{key}_ci95", None), unit=unit)
 
 
+def level_text(findings: Findings, record: InChannel) -> str:
+    """Amplitude of a ``record`` of the ``findings`` in a sentence: ``"0.83 m/s² (0.81…0.85)"``."""
+    value, _, interval = estimate_text(record, "amplitude").partition(" ")
+    return " ".join(part for part in (value, unit_of(findings, record), interval) if part)
+
+
 def with_interval(value: object, ends: Sequence[object] | None, *, unit: str = "") -> str:
     """``value`` with the ``ends`` of its 95 % interval, to the digits that this earns, and its ``unit`` where given."""
     if not is_number(value):

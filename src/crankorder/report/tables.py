@@ -116,14 +116,13 @@ def _avoid(findings: Findings, limit: int) -> Table:
     ]
     heads = "Rank#|Speed, rpm#|Avoid, rpm#|Order#|Natural frequency, Hz#|Channel|Peak there#|Amplification#|Why"
     beside = table_of("Free and open bands of speed", "Speeds, rpm#|Width, rpm#|Verdict|Remark", other, empty="")
-    known = findings.speeds_to_avoid is not None
     met = any(record.in_range for record in findings.crossings)
     # a natural frequency that is met beyond the tested speeds alone may amplify an order within
     by_a_flank = not met and any(AMPLIFIED in str(band.remark) for band in findings.open_bands or [])
     told = FLANK_ALONE if by_a_flank else NOTHING_TOLD
-    empty = (NOTHING_RISES if all_judged(findings) else told) if known else ""
-    ranked = "The worst first: by the peak there in any channel, of several units by its share of the largest order."
-    note = ranked if len(rows) > 1 else ""
+    empty = (NOTHING_RISES if all_judged(findings) else told) if findings.speeds_to_avoid is not None else ""
+    note = "Peak and amplification of the first order alone; by fit: what the modal fit says of a held speed."
+    note = f"{note} The worst first: by that peak, of several units by its share of the largest order." if rows else ""
     return table_of("Speeds to avoid", heads, rows, note=note, empty=empty, beside=beside if other else None)
 
 
@@ -131,7 +130,8 @@ def _peak_text(record: AvoidedSpeed, findings: Findings) -> str:
     """Peak at a speed to avoid, with ``≥`` where it may be larger; ``"–"`` where none is known."""
     if not is_number(record.amplitude) or record.amplitude <= 0:
         return "–"
-    return f"{'≥ ' * record.at_least}{estimate_text(record, 'amplitude', unit=unit_of(findings, record))}"
+    level = estimate_text(record, "amplitude", unit=unit_of(findings, record))
+    return f"{'≥ ' * record.at_least}{level}{' by fit' * record.by_fit}"
 
 
 def _orders(findings: Findings, limit: int) -> Table:
@@ -139,7 +139,10 @@ def _orders(findings: Findings, limit: int) -> Table:
     loudest = strongest_by(records, lambda one: unit_of(findings, one))
     records.sort(key=lambda one: -one.amplitude / (loudest[unit_of(findings, one)].amplitude or 1.0))
     rows = [_order_row(record, findings, limit) for record in records]
-    note = "The strongest first. Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
+    note = (
+        "The strongest first; where all speeds follow one law the amplitude is that of the law. "
+        "Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
+    )
     heads = (
         "Channel|Order#|Explained by|To the shaft|Largest amplitude (peak)#|At, rpm#|Phase there, °#|Speed exponent#|"
         "With speed|Meets, Hz#|Seen, rpm#"

@@ -69,7 +69,7 @@ def _bearing_row(record: BearingFinding, findings: Findings, limit: int) -> list
         f"{expected:.4f}".rstrip("0").rstrip(".") if is_number(expected) else "–",
         order_estimate(record, findings),
         estimate_text(record, "slip_percent") if record.slip_percent_ci95 else "–",
-        estimate_text(record, "amplitude", unit=unit_of(findings, record)),
+        estimate_text(record, "amplitude", unit=unit_of(findings, record)) + ", mean of all speeds" * record.is_mean,
         named(record.channel or "–", limit=limit),
         f"{multiples:.0f}" if is_number(multiples) else "–",
         order_text(float(apart)) if is_number(apart) else "–",

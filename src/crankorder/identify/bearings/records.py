@@ -24,7 +24,7 @@ from crankorder.identify.bearings.envelope_lines import (
 from crankorder.identify.bearings.places import Place, bearing_places
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import Z95, half_width, positive_interval
-from crankorder.identify.lines.growth import growth, largest, mean_level
+from crankorder.identify.lines.growth import growth, mean_level, told
 from crankorder.identify.sources import StatedPart, parts_at
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -103,9 +103,9 @@ def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per
         return None
     best = max(near, key=lambda order: max(_height(line) for line in order.lines))
     line = max(best.lines, key=_height)
-    law, best_seen = growth(line), largest(line)
+    law = growth(line)
     steady = law is not None and law.law == "keeps its size"
-    level = mean_level(line) if steady else best_seen
+    level = mean_level(line) if steady else told(line, law)
     part = StatedPart("bearing", place.name, best.order, half_width(best.degrees_of_freedom) * best.order_error)
     multiples = [n for n in (2, 3, 4) if any((part, n) in parts_at([part], order).near for order in orders)]
     return _record(
@@ -117,14 +117,15 @@ def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per
         amplitude=level.amplitude,
         amplitude_ci95=(level.low, level.high),
         channel=line.channel,
-        speed_rpm=best_seen.speed_rpm,
+        speed_rpm=level.speed_rpm,
+        is_mean=steady,
         band_hz=None,
         harmonics=1 + len(multiples),
         sidebands=None,
         lock=best.lock,
         verdict=vibration_verdict(place, best, revs_per_cycle=revs_per_cycle),
         evidence=f"{line.evidence}; {line.level_over_floor_db:.1f} dB over the local floor in {line.channel}, "
-        f"{len(best.lines)} channels show it" + ("; its mean over all speeds, for it keeps its size" if steady else ""),
+        f"{len(best.lines)} channels show it",
     )
 
 

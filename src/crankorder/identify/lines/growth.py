@@ -101,14 +101,14 @@ class Growth:
     level: float
     middle_rpm: float
 
-    def amplitude_at(self, best: Largest) -> float:
-        """Amplitude at the speed of ``best``: the law's where all speeds follow it, else what was seen there.
+    def at(self, best: Largest) -> Largest:
+        """``best`` with the law's amplitude at its speed where all speeds follow the law.
 
         The largest of many rows is too large by what their errors make of the choice; a law is told by all of them.
         """
         lawful = self.level * (best.speed_rpm / self.middle_rpm) ** self.exponent
         follows = not self.deviating_rpm and self.fit_chance >= NUMBERS.follows_chance
-        return lawful if follows and best.low <= lawful <= best.high else best.amplitude
+        return replace(best, amplitude=lawful) if follows and best.low <= lawful <= best.high else best
 
     @property
     def ci95(self) -> tuple[float, float]:
@@ -126,15 +126,6 @@ class Largest:
 
     at: int
     speed_rpm: float
-    amplitude: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class MeanLevel:
-    """Mean amplitude of a line over its speeds with the ends of its 95 % interval."""
-
     amplitude: float
     low: float
     high: float
@@ -332,15 +323,35 @@ def _not_surprising(cut: float, wide: float, degrees_of_freedom: float, share: f
     return float(brentq(above, -wide, wide, xtol=1e-6))
 
 
-def mean_level(line: OrderLine) -> MeanLevel:
-    """Mean amplitude of ``line`` over the speeds seen, each by its error and the scatter beyond, with its interval."""
+def told(line: OrderLine, law: Growth | None) -> Largest:
+    """The amplitude that is told of ``line``, wherever it is told: the largest, by its ``law`` where that holds."""
+    return largest(line) if law is None else law.at(largest(line))
+
+
+def told_within(line: OrderLine, low_rpm: float, high_rpm: float) -> Largest | None:
+    """The largest amplitude of ``line`` from ``low_rpm`` to ``high_rpm``; None where it is not seen there.
+
+    Where it is the largest of all speeds it is what is told of the line everywhere.
+    """
+    there = np.flatnonzero((line.speed_rpm >= low_rpm) & (line.speed_rpm <= high_rpm))
+    if largest(line).at in there:
+        return told(line, growth(line))
+    if not len(there):
+        return None
+    at = int(there[np.argmax(line.amplitude[there])])
+    low, high = (0.0, np.inf) if line.ends is None else map(float, line.ends[at])
+    return Largest(at, float(line.speed_rpm[at]), float(line.amplitude[at]), low, high)
+
+
+def mean_level(line: OrderLine) -> Largest:
+    """Mean amplitude of ``line`` over the speeds seen, each by its error and the scatter beyond, with its interval.
+
+    Two speeds or more must have an error; place and speed are those of the largest.
+    """
     shared = 1.0 if line.n_independent is None else 1.0 / np.sqrt(line.n_independent)
     amplitude, error = line.amplitude, np.hypot(shared * line.amplitude_error, NUMBERS.law_tolerance * line.amplitude)
     known = np.isfinite(error)
     amplitude, error = amplitude[known], error[known]
-    if len(amplitude) < 2:
-        one = largest(line)
-        return MeanLevel(one.amplitude, one.low, one.high)
     mean = float(np.average(amplitude, weights=1.0 / error**2))
     for _ in range(3):
         excess = _excess(amplitude - mean, error, np.ones(len(error), dtype=np.bool_))
@@ -348,7 +359,7 @@ def mean_level(line: OrderLine) -> MeanLevel:
         mean = float(np.average(amplitude, weights=weight))
     degrees_of_freedom = _degrees_of_freedom(error, excess, line.degrees_of_freedom[known])
     half = half_width(degrees_of_freedom) / float(np.sqrt(weight.sum()))
-    return MeanLevel(mean, max(0.0, mean - half), mean + half)
+    return replace(largest(line), amplitude=mean, low=max(0.0, mean - half), high=mean + half)
 
 
 def visible_range_rpm(line: OrderLine) -> tuple[float, float]:

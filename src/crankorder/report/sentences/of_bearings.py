@@ -9,12 +9,12 @@ from crankorder.report.notation import (
     estimate_text,
     interval_of,
     is_number,
+    level_text,
     listed,
     named,
     nominal_order,
     number_text,
     order_name,
-    unit_of,
 )
 
 RE_RUN_RULE = "Re-run the same test: a growing amplitude means a failing bearing."
@@ -66,11 +66,14 @@ def asks_re_run(record: BearingFinding) -> bool:
 
 
 def _seen(findings: Findings, record: BearingFinding) -> str:
-    """Amplitude, place and slip of a line."""
-    value, _, interval = estimate_text(record, "amplitude").partition(" ")
-    text = " ".join(part for part in (value, unit_of(findings, record), interval) if part)
+    """Amplitude, where and at which speed it is so large, and slip of a line."""
+    text = level_text(findings, record)
     if record.channel:
         text += f" in {named(record.channel, limit=NAME_CHARACTERS)}"
+    if record.is_mean:
+        text += ", its mean over all speeds"
+    elif is_number(record.speed_rpm):
+        text += f" at {record.speed_rpm:.0f} rpm"
     if record.seen_in == "envelope":
         band = band_text(record)
         text += f", in the envelope of {band} Hz" if band else ", in the envelope"

@@ -13,13 +13,13 @@ from crankorder.report.fixed_lines import fixed_tones, hertz_of_order, is_electr
 from crankorder.report.notation import (
     NAME_CHARACTERS,
     at_one_speed,
-    estimate_text,
     frequency_text,
     is_in_doubt,
     is_number,
     is_tone,
     is_undecided,
     is_whirl,
+    level_text,
     listed,
     named,
     nominal_order,
@@ -152,12 +152,12 @@ def strongest_sentence(findings: Findings, channel: str, *, with_cause: bool = F
     where = named(channel, limit=NAME_CHARACTERS) + ("" if above is None else " in the band that was looked at")
     if tone is not None and (order is None or tone.size > order.size):
         noun = "line at" if at_one_speed(findings) else "fixed tone of"
-        text = f"A {noun} {_tone_hz(tone)} Hz is the strongest line in {where}: {_level(findings, tone)}"
+        text = f"A {noun} {_tone_hz(tone)} Hz is the strongest line in {where}: {level_text(findings, tone)}"
         if order is not None:
             hertz = hertz_of_order(order, findings)
             name = order_name(order, findings)
             called = f"order is {name}" if hertz is None else f"other line is {_called(hertz, name)}"
-            text += f"; the strongest {called}: {_level(findings, order)}"
+            text += f"; the strongest {called}: {level_text(findings, order)}"
             rpm = order.speed_rpm_at_max
             text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""
         return f"{text}.{_cause(tone, findings) if with_cause else ''}"
@@ -175,12 +175,14 @@ def strongest_sentence(findings: Findings, channel: str, *, with_cause: bool = F
 def _unresolved(findings: Findings, order: OrderFinding, where: str) -> str:
     """What is said where something stronger than all orders that are told was not resolved."""
     near, rpm = order_name(order, findings), order.speed_rpm_at_max
-    text = f"What is strongest in {where} was not resolved: near order {near}, {_level(findings, order)}"
+    text = f"What is strongest in {where} was not resolved: near order {near}, {level_text(findings, order)}"
     text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""
     rest = [one for one in findings.orders if UNRESOLVED not in one.evidence]
     told = _strongest_of(rest, order.channel)
     if told is not None:
-        text += f"; of the orders that are told {order_name(told, findings)} is the strongest: {_level(findings, told)}"
+        text += (
+            f"; of the orders that are told {order_name(told, findings)} is the strongest: {level_text(findings, told)}"
+        )
     return f"{text}."
 
 
@@ -194,13 +196,8 @@ def _tone_hz(tone: ModeFinding | LineFinding) -> str:
     return f"{tone.frequency_hz:.1f}".removesuffix(".0")
 
 
-def _level(findings: Findings, record: OrderFinding | LineFinding) -> str:
-    value, _, interval = estimate_text(record, "amplitude").partition(" ")
-    return " ".join(part for part in (value, unit_of(findings, record), interval) if part)
-
-
 def _at(findings: Findings, record: OrderFinding) -> str:
-    text, rpm = _level(findings, record), record.speed_rpm_at_max
+    text, rpm = level_text(findings, record), record.speed_rpm_at_max
     if not is_number(rpm):
         return text
     text += f" at {rpm:.0f} rpm"
@@ -258,7 +255,7 @@ def tone_sentences(findings: Findings) -> list[str]:
         text = f"{_tone_hz(tone.record)} Hz ({kind}"
         if tone.lines and is_number(tone.lines[0].amplitude):
             line = tone.lines[0]
-            text += f", {_level(findings, line)} in {named(line.channel, limit=NAME_CHARACTERS)}"
+            text += f", {level_text(findings, line)} in {named(line.channel, limit=NAME_CHARACTERS)}"
         texts.append(f"{text}{_or_mode(tone.record, findings)})")
     texts += _mains_among_orders(findings)
     if not texts:
@@ -286,7 +283,7 @@ def _mains_among_orders(findings: Findings) -> list[str]:
     ]
     return [
         f"{one.order * (one.speed_rpm_at_max or 0.0) / 60.0:.2f} Hz "
-        f"({named(one.explained_by, limit=NAME_CHARACTERS)}, {_level(findings, one)} in "
+        f"({named(one.explained_by, limit=NAME_CHARACTERS)}, {level_text(findings, one)} in "
         f"{named(one.channel, limit=NAME_CHARACTERS)})"
         for _, one in sorted(strongest_by(lines, lambda one: one.order).items())
     ][:_SHOWN]

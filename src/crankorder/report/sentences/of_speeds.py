@@ -16,6 +16,7 @@ from crankorder.report.notation import (
     is_in_doubt,
     is_number,
     least_of,
+    level_text,
     listed,
     named,
     nominal_order,
@@ -23,10 +24,8 @@ from crankorder.report.notation import (
     order_name,
     order_texts,
     percent_text,
-    unit_of,
 )
 
-_TOGETHER_RPM = 30.0  # crossings closer than this share one sentence
 _JUDGED = ("excited", "not excited", None)
 _PAIRS = 4  # crossings that a sentence names
 _ONE_SPEED_RPM = 1.0  # a test whose speeds span less is one at one speed
@@ -39,22 +38,17 @@ _SHOWN = 3  # free bands that a sentence names, the widest
 
 
 def avoid_sentences(findings: Findings) -> list[str]:
-    """Speeds to avoid: one sentence per group of excited crossings of ``findings`` inside the tested range.
-
-    In the order of their rank where the findings rank them (``speeds_to_avoid``), else those with most crossings first.
-    """
+    """Speeds to avoid: one sentence for each of those of ``findings``, the worst first."""
     sentences = []
-    for group in speeds_together(findings):
-        rpm = sum(record.rpm for record in group) / len(group)
-        ranges = [ends for record in group if (ends := known(record.rpm_range)) is not None]
-        span = f" ({min(low for low, _ in ranges):.0f} to {max(high for _, high in ranges):.0f} rpm)" if ranges else ""
-        pairs = [
-            _excites(order, mode_hz, findings)
-            for order, mode_hz in dict.fromkeys(pair for record in group for pair in meetings(record))
-        ]
+    for record in findings.speeds_to_avoid or ():
+        ends = known(record.rpm_range)
+        span = f" ({ends[0]:.0f} to {ends[1]:.0f} rpm)" if ends is not None else ""
+        meetings = dict.fromkeys(zip(map(nominal_order, record.orders), record.modes_hz, strict=True))
+        pairs = [_excites(order, mode_hz, findings) for order, mode_hz in meetings]
         said = listed(pairs[:_PAIRS]) + (f", and {len(pairs) - _PAIRS} more meet" if len(pairs) > _PAIRS else "")
-        text = f"Avoid steady running near {rpm:.0f} rpm{span}, where {said}"
-        sentences.append(f"{text}{_peak(findings, group[0])}.")
+        text = f"Avoid steady running near {record.rpm:.0f} rpm{span}, where {said}"
+        alone = f"; order {order_name(record, findings)}{' alone' if len(pairs) > 1 else ''}: "
+        sentences.append(f"{text}{alone.join(['', *_peak(findings, record)])}.")
     return sentences
 
 
@@ -74,49 +68,16 @@ def _excites(order: float, mode_hz: float, findings: Findings) -> str:
     return f"order {name} {verb} the {hertz} Hz natural frequency"
 
 
-def meetings(record: AvoidedSpeed) -> list[tuple[float, float]]:
-    """Nominal order and natural frequency [Hz] of every crossing that a ``record`` of a speed to avoid stands for."""
-    if not record.orders or len(record.orders) != len(record.modes_hz):
-        return [(nominal_order(record), record.mode_hz)]
-    return [(nominal_order(order), mode_hz) for order, mode_hz in zip(record.orders, record.modes_hz, strict=True)]
-
-
-def speeds_together(findings: Findings) -> list[list[AvoidedSpeed]]:
-    """Records of the speeds to avoid of ``findings``, those next to one another in one group, the worst first."""
-    ranked = findings.speeds_to_avoid
-    wanted = _excited(findings) if ranked is None else ranked
-    groups: list[list[AvoidedSpeed]] = []
-    for record in wanted:
-        home = next((group for group in groups if abs(record.rpm - group[0].rpm) <= _TOGETHER_RPM), None)
-        if home is None:
-            groups.append([record])
-        else:
-            home.append(record)
-    return groups if ranked is not None else sorted(groups, key=lambda group: (-len(group), group[0].rpm))
-
-
-def _excited(findings: Findings) -> list[AvoidedSpeed]:
-    """Excited crossings within the tested speeds of ``findings`` that rank none, by speed."""
-    found = sorted((one for one in findings.crossings if one.excited and one.in_range), key=lambda one: one.rpm)
-    return [
-        AvoidedSpeed(
-            rank=rank, rpm=one.rpm, rpm_range=None, order=one.order, mode_hz=one.mode_hz, reason=one.evidence,
-            channel=one.channel or "", amplitude=None, amplification=None,
-        )
-        for rank, one in enumerate(found, start=1)
-    ]  # fmt: skip
-
-
-def _peak(findings: Findings, record: AvoidedSpeed) -> str:
-    """How bad it is there, in the findings' own numbers."""
+def _peak(findings: Findings, record: AvoidedSpeed) -> list[str]:
+    """How bad its order is there, in the findings' own numbers; nothing where that is not known."""
     said = []
     if is_number(record.amplitude) and record.amplitude > 0:
         where = f" in {named(record.channel, limit=NAME_CHARACTERS)}" if record.channel else ""
-        level = f"{number_text(record.amplitude)} {unit_of(findings, record)}".strip()
-        said.append(f"peak {'at least ' if record.at_least else ''}{level}{where}")
+        held = ", by the modal fit for a held speed" if record.by_fit else ""
+        said.append(f"peak {'at least ' if record.at_least else ''}{level_text(findings, record)}{where}{held}")
     if is_number(record.amplification) and record.amplification > 0:
         said.append(f"amplified {_amplified(record)} times")
-    return f" ({', '.join(said)})" if said else ""
+    return [", ".join(said)] if said else []
 
 
 def _amplified(record: AvoidedSpeed) -> str:

@@ -216,8 +216,7 @@ def _what_to_do(findings: Findings) -> list[str]:
     avoid = avoid_sentences(findings)
     sentences = avoid[:_MANY]
     if len(avoid) > _MANY:
-        table = "speeds to avoid" if findings.speeds_to_avoid else "crossings"
-        sentences.append(f"The table of {table} names all {len(avoid)} speeds to avoid.")
+        sentences.append(f"The table of speeds to avoid names all {len(avoid)} of them.")
     asks = [*sentences]
     if any(RE_RUN_RULE in one for one in bearing_sentences(findings)):
         asks.append(RE_RUN_RULE)
