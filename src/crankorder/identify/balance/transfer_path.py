@@ -41,7 +41,9 @@ class MeasuredOrders:
     A row is one order at one speed: ``place_of_row`` (row,) in ``orders`` and ``rpm_of_row`` (row,) say which.
     ``amplitude`` and ``error``, the standard error of its real and of its imaginary part, ∞ where nothing was measured:
     (channel, row). ``freedom``: of the errors. ``steady_error``: the same drawn towards the bins beside, less
-    scattered, for weights; ``own_share`` is what it still has of its own. ``noise`` (row, channel, channel): covariance
+    scattered, for weights; ``own_share`` is what it still has of its own. ``correlation`` (row, channel, channel):
+    of the channels' errors, Hermitian with unit
+    diagonal. ``noise`` (row, channel, channel): covariance
     of the complex errors as noise at like frequency tells it, ``noise_bins`` (row,) in number; where too few do it is
     diagonal, of ``steady_error``, and ``noise_bins`` 0. ``passages`` say how the rows from a first one on were swept
     through; the others were held.
@@ -56,16 +58,10 @@ class MeasuredOrders:
     steady_error: Floats
     own_share: Floats
     freedom: Floats
+    correlation: Complexes
     noise: Complexes
     noise_bins: Floats
     passages: tuple[tuple[int, Passage], ...] = ()
-
-    @property
-    def correlation(self) -> Complexes:
-        """Correlation (row, channel, channel) of the channels' errors; full where noise does not tell it."""
-        size = np.sqrt(np.einsum("rcc->rc", self.noise).real)
-        told = (self.noise_bins > 0)[:, None, None]
-        return np.asarray(np.where(told, self.noise / (size[:, :, None] * size[:, None, :]), 1.0))
 
     @property
     def order_of_row(self) -> Ints:
@@ -112,7 +108,10 @@ def measured_orders(
         for values in (complex_map, error_map, taken["degrees_of_freedom"].values.astype(np.float64))
     )
     sound = np.isfinite(amplitude) & np.isfinite(error) & (error > 0)
-    typical = [_typical(error_map[:, :, _beside(bins, i, lines)]) for i in at]
+    beside = [_beside(bins, i, lines) for i in at]
+    over = np.divide(complex_map, error_map, out=np.full_like(complex_map, np.nan), where=error_map > 0.0)
+    correlation = [np.zeros((0, len(known), len(known))), *(_correlation(over[:, :, near]) for near in beside)]
+    typical = [_typical(error_map[:, :, near]) for near in beside]
     around = np.stack(typical, axis=1).reshape(len(known), -1) if at else error
     freedom = np.where(sound, freedom, 1.0)
     steady, share = _steadier(np.where(sound, error, np.nan), around, freedom)
@@ -132,6 +131,7 @@ def measured_orders(
         steady_error=np.where(sound, steady, np.inf),
         freedom=freedom,
         own_share=share,
+        correlation=np.concatenate(correlation, dtype=np.complex128),
         noise=_covariance(shape, np.where(sound, steady, 1.0)),
         noise_bins=n_bins,
     )
@@ -176,6 +176,7 @@ def _swept(
         steady_error=error,
         freedom=np.where(sound, bins, 1.0),
         own_share=np.zeros_like(error),
+        correlation=np.ones_like(covariance),
         noise=covariance,
         noise_bins=bins,
         passages=((0, passage),),
@@ -185,7 +186,7 @@ def _swept(
 def _joined(parts: Sequence[MeasuredOrders]) -> MeasuredOrders:
     """All rows of the ``parts``."""
     first = np.cumsum([0, *(one.rpm_of_row.size for one in parts)]).tolist()
-    axes = dict.fromkeys(("place_of_row", "rpm_of_row", "noise", "noise_bins"), 0)
+    axes = dict.fromkeys(("place_of_row", "rpm_of_row", "correlation", "noise", "noise_bins"), 0)
     axes |= dict.fromkeys(("amplitude", "error", "steady_error", "freedom", "own_share"), 1)
     rows: Any = {k: np.concatenate([getattr(one, k) for one in parts], axis=axis) for k, axis in axes.items()}
     passages = tuple((n, passage) for n, one in zip(first, parts, strict=False) for _, passage in one.passages)
@@ -236,6 +237,18 @@ def _steadier(own: Floats, beside: Floats, freedom: Floats) -> tuple[Floats, Flo
     true = max(0.0, float(np.mean((apart[usable] - middle) ** 2)) - float(np.mean(2 / freedom[usable])))
     share = np.where(usable, np.minimum(true / (true + 2 / freedom), freedom / 8), np.minimum(1.0, freedom / 8))
     return own * np.exp(0.5 * (share - 1) * np.where(usable, apart - middle, 0.0)), share
+
+
+def _correlation(noise: Complexes) -> Complexes:
+    """Correlation (speed, channel, channel) of ``noise`` (channel, speed, bin); full where too few bins tell it."""
+    n_channels, n_speeds, n_bins = noise.shape
+    noise = np.where(np.isfinite(noise), noise, 0.0)
+    power = np.einsum("csb,dsb->scd", noise, noise.conj())
+    size = np.sqrt(np.einsum("scc->sc", power).real)
+    if n_bins < NUMBERS.fewest_bins or not (size > 0).all():
+        return np.ones((n_speeds, n_channels, n_channels), dtype=np.complex128)
+    correlation: Complexes = power / (size[:, :, None] * size[:, None, :])
+    return correlation
 
 
 def accelerance_of(path: StatedPath, frequency_hz: Floats) -> Complexes:
