@@ -64,7 +64,8 @@ class OrderLine:
     ) -> OrderLine:
         """This line of another ``number`` (order and its standard error), with other amplitudes and without phases.
 
-        All are (speeds,): positions ``seen``, speeds, amplitudes, their errors and degrees of freedom.
+        All are (speeds,): the positions ``seen``, speeds ``rpm``, amplitudes ``size``, their standard ``error`` and
+        degrees of ``freedom``.
         """
         again = replace(self, order=number[0], order_error=number[1], seen=seen, speed_rpm=rpm, amplitude=size)
         again = replace(again, amplitude_error=error, degrees_of_freedom=freedom, phase_deg=np.full(len(seen), np.nan))
