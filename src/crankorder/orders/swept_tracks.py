@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.errors import RequestError
-from crankorder.fft.band import band_limited
+from crankorder.fft.band import band_limited, sound_samples
 from crankorder.orders.averages import POLES
 from crankorder.orders.fixed_lines import steady_flag, without_steady_lines
 from crankorder.orders.intervals import NORMAL, amplitude_interval, phase_interval_deg
@@ -345,9 +345,7 @@ def _piece(
     time_s = start + np.arange(piece.start, piece.stop) / rate
     angle = angle_at(time_s, **knots_of(shaft))
     signals = band["signal"].values[:, piece]
-    usable = np.isfinite(signals) & np.isfinite(angle)
-    if "usable" in band:
-        usable &= band["usable"].values[:, piece]
+    usable = sound_samples(band)[:, piece] & np.isfinite(angle)
     channels = np.flatnonzero(usable.sum(axis=1) >= FEWEST_SAMPLES)
     if not len(channels) or signals.shape[1] < FEWEST_SAMPLES:
         return None
@@ -369,12 +367,9 @@ def _piece(
 
 def _usable_rows(band: xr.Dataset, plan: _Plan) -> Bools:
     """Whether most samples (channels, rows) within a reciprocal bandwidth about each row are usable."""
-    signals = band["signal"].values
-    usable = np.isfinite(signals)
-    if "usable" in band:
-        usable &= band["usable"].values
+    usable = sound_samples(band)
     if usable.all():
-        return np.ones((len(signals), len(plan.rows_s)), dtype=bool)
+        return np.ones((len(usable), len(plan.rows_s)), dtype=bool)
     rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
     half = 0.5 / plan.widths(plan.rows_s).max(axis=0)
     total = np.concatenate([np.zeros((len(usable), 1), dtype=np.int64), np.cumsum(usable, axis=1)], axis=1)
@@ -457,9 +452,7 @@ def _put_waveform(found: xr.Dataset, band: xr.Dataset, shaft: xr.Dataset, course
     rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
     time_s = start + np.arange(band.sizes["time"]) / rate
     angle = angle_at(time_s, **knots_of(shaft))
-    sound = np.isfinite(angle) & np.isfinite(band["signal"].values).all(axis=0)
-    if "usable" in band:
-        sound &= band["usable"].values.all(axis=0)
+    sound = np.isfinite(angle) & sound_samples(band).all(axis=0)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], sound, [False]]))).reshape(-1, 2)
     first, last = edges[np.argmax(edges[:, 1] - edges[:, 0])] if len(edges) else (0, 0)
     speed = np.interp(time_s[first:last], course.time_s, course.speed_rpm)

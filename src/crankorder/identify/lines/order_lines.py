@@ -21,7 +21,7 @@ from crankorder.identify.lines.line_evidence import (
     keeps_its_phase,
     keeps_one_order,
 )
-from crankorder.identify.lines.line_phasors import Recording, is_swept, phasors_at, recordings_of, zooms
+from crankorder.identify.lines.line_phasors import Phasors, Recording, is_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import Zoomed, left_of_slow_waves
 from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.averages import HeldSizes, SizeRows
@@ -70,6 +70,18 @@ class _Search:
     @property
     def speed(self) -> Floats:
         return np.asarray(self.order_map["speed"].values)
+
+    def chances(self, channel: int, peak: int) -> Floats:
+        """Chance (speeds,) that noise alone stands as high in the bin ``peak``."""
+        n = self.order_map["n_independent"].values
+        told = zip(self.ratio[channel, :, peak], n, self.floor_worth[channel, :, peak], strict=True)
+        return np.array([noise_chance(*map(float, one)) for one in told])
+
+    def phasors(self, channel: int, peak: int, speeds_rpm: Floats, *, bins: float) -> list[Phasors]:
+        """What the frames hold of the bin ``peak`` near ``speeds_rpm``, within so many ``bins`` of speed."""
+        width = bins * float(self.order_map.attrs.get("speed_bin_rpm", 25.0))
+        found = phasors_at(self.recordings, channels=[channel], at=peak, speeds_rpm=speeds_rpm, speed_bin_rpm=width)
+        return list(found.values())
 
 
 def order_lines(
@@ -166,15 +178,7 @@ def _seen_together(search: _Search, channel: int, peak: int) -> Ints:
     The chances of all speeds are joined (Fisher 1925) and counted over every bin and channel of the map. The half of
     the speeds that shows least must speak for it too: an order that meets resonances stands high at some, not at these.
     """
-    n = search.order_map["n_independent"].values
-    chances = np.array(
-        [
-            noise_chance(
-                float(search.ratio[channel, s, peak]), float(n[s]), float(search.floor_worth[channel, s, peak])
-            )
-            for s in range(len(search.speed))
-        ]
-    )
+    chances = search.chances(channel, peak)
     cells = search.excess.shape[0] * search.excess.shape[2]
     shown = cells * _joined_chance(chances) < search.false_alarm_probability
     least = np.sort(chances)[len(chances) // 2 :]
@@ -214,14 +218,8 @@ def _by_its_phase(search: _Search, channel: int, peak: int, seen: Ints, chance: 
     if not search.recordings or _is_swept(search):
         return None
     order_map = search.order_map
-    found = phasors_at(
-        search.recordings,
-        channels=[channel],
-        at=peak,
-        speeds_rpm=search.speed[seen],
-        speed_bin_rpm=0.5 * float(order_map.attrs.get("speed_bin_rpm", 25.0)),
-    )
-    lines = [(phasors[0], centre, item.hop_rev) for item, phasors, centre, _ in found.values()]
+    found = search.phasors(channel, peak, search.speed[seen], bins=0.5)
+    lines = [(phasors[0], centre, item.hop_rev) for item, phasors, centre, _ in found]
     share = float(np.mean(order_map["n_independent"].values / np.maximum(order_map["n_frames"].values, 1)))
     for slips in (False, True):
         if slips and not has_moved(order_map, peak, seen):
@@ -249,14 +247,11 @@ def _swells_slowly(search: _Search, channel: int, peak: int, seen: Ints) -> bool
     if float(np.median(search.ratio[channel, seen, peak])) < NUMBERS.swelling_ratio:
         return False
     floor = float(np.median(search.floor[channel, seen, peak]))
-    width = float(search.order_map.attrs.get("speed_bin_rpm", 25.0))
     at_speeds = [search.speed[seen]] if not np.isfinite(search.speed[seen]).all() else search.speed[seen][:, None]
     left = [  # each speed by itself: between those seen there is none of the line
         left_of_slow_waves(phasors[0], centre - centre.mean(), hop_rev=item.hop_rev)
         for speeds in at_speeds
-        for item, phasors, centre, _ in phasors_at(
-            search.recordings, channels=[channel], at=peak, speeds_rpm=speeds, speed_bin_rpm=width
-        ).values()
+        for item, phasors, centre, _ in search.phasors(channel, peak, speeds, bins=1.0)
     ]
     known = [value for value in left if np.isfinite(value)]
     return len(known) > 0 and float(np.median(known)) < NUMBERS.left_ratio * floor
@@ -267,11 +262,7 @@ def _beyond_chance(search: _Search, channel: int, peak: int, seen: Ints) -> bool
 
     With p the chance at the weakest of the speeds seen, k of n speeds are that high with at most C(n, k) p^k.
     """
-    n = search.order_map["n_independent"].values
-    highest = max(
-        noise_chance(float(search.ratio[channel, s, peak]), float(n[s]), float(search.floor_worth[channel, s, peak]))
-        for s in seen.tolist()
-    )
+    highest = float(search.chances(channel, peak)[seen].max())
     n_speeds, k = len(search.speed), len(seen)
     sets = np.prod([(n_speeds - j) / (j + 1.0) for j in range(k)])
     cells = search.excess.shape[0] * search.excess.shape[2]
@@ -358,11 +349,8 @@ def _by_energy(
         return amplitude, error, dof, None
     half, held = half_width(np.inf) * error, list[HeldSizes]()
     for row, speed in enumerate(search.speed[seen]):
-        width = 0.5 * float(search.order_map.attrs.get("speed_bin_rpm", 25.0))
-        found = phasors_at(
-            search.recordings, channels=[channel], at=peak, speeds_rpm=np.array([speed]), speed_bin_rpm=width
-        )
-        sizes = [np.abs(phasors[:1, np.isfinite(phasors[0].real)]) / loss for _, phasors, _, _ in found.values()]
+        found = search.phasors(channel, peak, np.array([speed]), bins=0.5)
+        sizes = [np.abs(phasors[:1, np.isfinite(phasors[0].real)]) / loss for _, phasors, _, _ in found]
         held += [HeldSizes(row, size) for size in sizes if size.shape[1] > 1]
     rows = SizeRows(
         *(values[None] for values in (amplitude, error, dof, np.maximum(amplitude - half, 0.0), amplitude + half))
