@@ -87,7 +87,7 @@ class SweepSpectrum:
 
     @cached_property
     def swing_rev(self) -> float:
-        """Standard deviation by which the angle swings within the cycle."""
+        """Standard deviation by which the angle swings within the cycle: the median of all cycles."""
         from scipy.interpolate import CubicSpline
 
         angle = np.arange(self.angle_rev[0], self.angle_rev[-1], self.cycle_rev / SWING_POINTS)
@@ -95,7 +95,10 @@ class SweepSpectrum:
             return 0.0
         time = np.interp(angle, self.angle_rev, np.arange(len(self.angle_rev)) / self.rate_hz)
         steady = CubicSpline(angle[::SWING_POINTS], time[::SWING_POINTS])
-        return float(np.std((time - steady(angle)) / np.maximum(steady(angle, 1), 1e-9)))
+        off = (time - steady(angle)) / np.maximum(steady(angle, 1), 1e-9)
+        return float(
+            np.median(np.std(off[: len(off) // SWING_POINTS * SWING_POINTS].reshape(-1, SWING_POINTS), axis=1))
+        )
 
     @property
     def length_s(self) -> float:
