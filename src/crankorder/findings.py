@@ -57,7 +57,7 @@ class OrderFinding(Record):
     phase_deg: float | None = said("phase from top dead centre at that speed", default=None)
     phase_deg_ci95: Interval | None = said(default=None)
     unit: str = said("unit of amplitude")
-    speed_rpm_at_max: float | None = said("speed of the largest amplitude, each less its standard error")
+    speed_rpm_at_max: float | None = said("speed of the largest amplitude")
     speed_exponent: float | None = said(
         "power of speed with which the amplitude grows: 2 for an unbalance, 0 for a steady source", default=None
     )

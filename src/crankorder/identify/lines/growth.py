@@ -257,14 +257,14 @@ def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, f
 def largest(line: OrderLine) -> Largest:
     """Largest amplitude of ``line`` over its speeds with a 95 % interval that allows for its having been chosen.
 
-    It is that of its track's rows which is the largest less one standard error: a row that is hardly known is no
-    maximum. What was chosen so is too large on average: given the choice it is distributed as if cut off below at what
-    the next one reaches that shares no error with it. The interval holds all true amplitudes that this makes no
-    surprise of, within a wider one that holds for all speeds at once (hybrid interval of Andrews, Kitagawa and
-    McCloskey 2024, Quarterly Journal of Economics 139), and what lies one standard error above.
+    It is the largest of its track's rows. What was chosen so is too large on average: given the choice it is
+    distributed as if cut off below at what the next one reaches that shares no error with it. The interval holds all
+    true amplitudes that this makes no surprise of, within a wider one that holds for all speeds at once (hybrid
+    interval of Andrews, Kitagawa and McCloskey 2024, Quarterly Journal of Economics 139), and what lies one standard
+    error above.
     """
     error = np.where(np.isfinite(line.amplitude_error), line.amplitude_error, np.inf)
-    known = line.amplitude - error
+    known = np.where(np.isfinite(error), line.amplitude, -np.inf)
     at = int(np.argmax(known)) if np.isfinite(known).any() else line.strongest
     seen, one = float(line.amplitude[at]), float(error[at])
     speed = float(line.speed_rpm[at])
@@ -272,7 +272,7 @@ def largest(line: OrderLine) -> Largest:
         return Largest(at, speed, seen, seen if one == 0.0 else 0.0, seen if one == 0.0 else np.inf)
     degrees_of_freedom = known_freedom(float(line.degrees_of_freedom[at]))
     others, count = _independent_of(at, known, line.n_independent)
-    cut = (float(np.max(others)) - float(known[at])) / one if len(others) else -np.inf
+    cut = (float(np.max(others)) - seen) / one if len(others) else -np.inf
     wide = half_width(degrees_of_freedom, level=1.0 - NUMBERS.simultaneous_chance / count)
     share = 0.5 * (0.05 - NUMBERS.simultaneous_chance) / (1.0 - NUMBERS.simultaneous_chance)
     parts = (LOW_SHARE * share, 1.0 - (2.0 - LOW_SHARE) * share) if len(others) else (0.025, 0.975)
