@@ -334,7 +334,7 @@ def _left_taken(amplitude: Complexes, taken: Complexes, error: Floats, plan: _Pl
     apart = np.abs(plan.orders[:, None] - plan.orders)[:, :, None] * speed / 60.0
     shared = np.maximum(1.0 - apart / np.maximum(widest * width, 1e-300)[None], 0.0)
     shared[np.arange(len(shared)), np.arange(len(shared))] = 0.0
-    return made, np.sqrt(np.einsum("ijr,cjr->cir", np.square(shared), np.square(made) + np.square(lost)))
+    return made, np.sqrt(np.einsum("ijr,cjr->cir", np.square(shared), np.square(made)))
 
 
 def _piece(
