@@ -8,7 +8,7 @@ import pytest
 from crankorder.engine.definition import BalanceShafts, GasCurve
 from crankorder.engine.transfer_paths import AddedMass
 from crankorder.identify.balance.closure import closure
-from made.order_amplitudes import Structure, engine_of, made_orders
+from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, swept
 from made.typed import as_dicts
 
 closure = as_dicts(closure)
@@ -59,15 +59,10 @@ def test_the_left_mass_is_told_with_an_interval_that_holds_it():
 
 def test_without_noise_the_mass_is_exact():
     structure = Structure(np.random.default_rng(5), complexity=0.0)
-    record = told(made(5, noise=1e-6, structure=structure, extra={}), modal=exact_modal(structure))
+    modal = modal_of(np.random.default_rng(0), structure, frequency_error=1e-12, damping_error=1e-9)
+    record = told(made(5, noise=1e-6, structure=structure, extra={}), modal=modal)
     assert record["residual_reciprocating_g"] == pytest.approx(116, rel=1e-4)
     assert record["along_quadrature_g"] == pytest.approx(0, abs=0.02)
-
-
-def exact_modal(structure):
-    from made.order_amplitudes import modal_of
-
-    return modal_of(np.random.default_rng(0), structure, frequency_error=1e-12, damping_error=1e-9)
 
 
 @pytest.mark.slow
@@ -75,6 +70,14 @@ def test_shafts_that_are_too_heavy_leave_a_mass_below_zero():
     record = told(made(7, residual_kg=-0.2))
     low, high = record["residual_reciprocating_g_ci95"]
     assert low <= -200 <= high < 0
+
+
+def test_a_sweep_tells_the_mass_though_the_response_lags_and_resonances_ring_with_noise():
+    for seed, rpm in enumerate([(300.0, 2000.0), (2000.0, 300.0)], 1):
+        item = made(seed)
+        tracks = swept(item, np.random.default_rng(seed), residual_kg=0.116, rpm=rpm)
+        low, high = told(item, followed=[tracks])["residual_reciprocating_g_ci95"]
+        assert low <= 116 <= high and high - low < 12
 
 
 def test_what_acts_across_is_not_invented():

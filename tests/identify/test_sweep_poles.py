@@ -11,8 +11,8 @@ from crankorder.identify.modal import sweep_poles
 from crankorder.identify.modal.sweep_poles import SweepFits, sweep_fits
 from crankorder.identify.modal.sweep_window import SweepSpectrum
 from crankorder.settings import load_settings
-from machines.machine import Encoder, Machine, Mode, Order, Profile, Tone
-from machines.signals import order_envelope, recorded, sample_times
+from machines.machine import Encoder, Machine, Mode, Order, Profile, Swing, Tone
+from machines.signals import as_read_by_angle, order_envelope, recorded, sample_times, swung_signal
 
 RATE_HZ = 1024.0
 SETTINGS = load_settings().identify.model_copy(update={"false_alarm_probability": 1e-4, "max_damping_ratio": 0.2})
@@ -53,6 +53,7 @@ def spectra_of(machine: Machine, orders: list[float], seed: int) -> list[SweepSp
                 spectrum,
                 angle,
                 speed,
+                2,
             )
         )
     return made
@@ -143,3 +144,17 @@ def test_the_envelope_of_the_fit_has_the_peak_that_was_there() -> None:
         largest = np.abs(true).max()
         assert np.abs(value.T - true[:, near]).max() < 0.02 * largest
         assert (np.abs(value.T - true[:, near]) < 5.0 * np.sqrt(variance.T) + 0.004 * largest).all()
+
+
+def test_an_order_of_a_swinging_shaft_is_its_mean_over_cycles() -> None:
+    machine = a_machine((81.3, 0.005), rpm=(1200.0, 3000.0), seconds=10.0)
+    profile = replace(machine.profiles[0], swing=Swing(0.5, 0.03, 1400.0))
+    machine = replace(machine, profiles=(profile,))
+    (spectrum,), time_s = spectra_of(machine, [2.0, 3.5], 0), sample_times(machine, profile)
+    assert 0.005 < spectrum.swing_rev < 0.03 / np.sqrt(2.0)
+    true = [order_envelope(machine, profile, number)[0] for number in range(2)]
+    means = np.abs(as_read_by_angle(machine, profile, true, swung_signal(machine, profile, true))[1])
+    near = np.flatnonzero(np.abs(3.5 * profile.speed(time_s) / 60.0 / 81.3 - 1.0) < 0.03)[::20]
+    value = np.abs(told(machine).groups[0].fit.solved[0].line(3.5, profile.angle(time_s[near])))
+    off, swung = np.std(value.T - means[:, near]), np.std(np.abs(true[1][:, near]) - means[:, near])
+    assert off < 0.75 * swung and swung > 0.04 * means[:, near].max()

@@ -24,6 +24,7 @@ from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_recording
 from crankorder.scratch import is_on_disk
 from crankorder.settings import IngestSettings
+from made.time_bases import LVM_HEAD
 
 RATE_HZ, LENGTH_S, REVS_PER_S, TEETH = 8192.0, 1.2, 20.5, 36
 
@@ -124,21 +125,8 @@ def as_uff(folder: Path, made: Columns) -> None:
 
 def as_lvm(folder: Path, made: Columns) -> None:
     n = made["acc"].size
-    lines = [
-        "LabVIEW Measurement\t",
-        "Writer_Version\t2",
-        "Separator\tTab",
-        "Decimal_Separator\t.",
-        "Multi_Headings\tYes",
-    ]
-    lines += [
-        "X_Columns\tOne",
-        "***End_of_Header***\t",
-        "\t",
-        "Channels\t2",
-        f"Samples\t{n}\t{n}",
-        "Y_Unit_Label\tg\tV",
-    ]
+    lines = [*LVM_HEAD, "Multi_Headings\tYes", "X_Columns\tOne", "***End_of_Header***\t", "\t"]
+    lines += ["Channels\t2", f"Samples\t{n}\t{n}", "Y_Unit_Label\tg\tV"]
     lines += ["X_Dimension\tTime\tTime", "X0\t0\t0", f"Delta_X\t{1 / RATE_HZ:.9g}\t{1 / RATE_HZ:.9g}"]
     lines += ["***End_of_Header***\t\t", "X_Value\tacc\tcrank\tComment"]
     lines += ["\t".join(f"{value:.9g}" for value in row) for row in np.column_stack(list(made.values()))]

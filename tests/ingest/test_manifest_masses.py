@@ -5,30 +5,16 @@ from pathlib import Path
 import pytest
 
 from crankorder.errors import ManyErrors
-from crankorder.ingest.manifest import Manifest, load_manifest
+from crankorder.ingest.manifest import Manifest
+from made.recordings import read_manifest
 
-HEAD = """schema_version = 1
-[test]
-cycle = "four-stroke"
-[recordings]
-files = ["a.h5"]
-[[channels]]
-name = "Z"
-unit = "m/s2"
-[[channels]]
-name = "P"
-unit = "bar"
-[encoder]
-kind = "constant"
-speed_rpm = 1000.0
-"""
+PRESSURE = '[[channels]]\nname = "P"\nunit = "bar"\n'
 PATH = '[[transfer_paths]]\nchannel = "Z"\ndirection = "Z"\n'
 RIGID = PATH + "apparent_mass_kg = 330.0\nfrequency_range_hz = [5.0, 50.0]\nuncertainty_percent = 5\n"
 
 
 def read(folder: Path, text: str) -> Manifest:
-    (folder / "run.toml").write_text(HEAD + text, encoding="utf-8")
-    return load_manifest(folder)
+    return read_manifest(folder, PRESSURE + text)
 
 
 def faults(folder: Path, text: str) -> str:

@@ -6,31 +6,13 @@ import pytest
 
 from crankorder.engine.motor import Motor, motor_lines
 from crankorder.errors import ManyErrors
-from crankorder.ingest.manifest import Manifest, load_manifest
-
-HEAD = """schema_version = 1
-[test]
-cycle = "rotor"
-[recordings]
-files = ["a.h5"]
-[[channels]]
-name = "Z"
-unit = "m/s2"
-[encoder]
-kind = "constant"
-speed_rpm = 1470.0
-"""
-
-
-def read(folder: Path, text: str) -> Manifest:
-    (folder / "run.toml").write_text(HEAD + text, encoding="utf-8")
-    return load_manifest(folder)
+from made.recordings import read_manifest
 
 
 def test_a_motor_is_read(tmp_path: Path) -> None:
-    motor = read(tmp_path, "[motor]\nsupply_hz = 50.0\npoles = 4\nrotor_bars = 44\n").motor
+    motor = read_manifest(tmp_path, "[motor]\nsupply_hz = 50.0\npoles = 4\nrotor_bars = 44\n").motor
     assert motor is not None and (motor.supply_hz, motor.poles, motor.rotor_bars, motor.shaft_ratio) == (50.0, 4, 44, 1)
-    assert read(tmp_path, "").motor is None
+    assert read_manifest(tmp_path, "").motor is None
 
 
 def test_a_wrong_motor_is_refused_with_its_line(tmp_path: Path) -> None:
@@ -44,7 +26,7 @@ def test_a_wrong_motor_is_refused_with_its_line(tmp_path: Path) -> None:
     ]
     for text, words in rows:
         with pytest.raises(ManyErrors) as caught:
-            read(tmp_path, f"[motor]\n{text}")
+            read_manifest(tmp_path, f"[motor]\n{text}")
         assert words in str(caught.value) and "run.toml:1" in str(caught.value)
 
 

@@ -11,19 +11,8 @@ import numpy as np
 import pytest
 
 from crankorder.errors import ManyErrors
-from crankorder.ingest.manifest import load_manifest
 from made.command import analysed, done
-
-MANIFEST = """schema_version = 1
-[test]
-cycle = "rotor"
-[recordings]
-files = ["a.h5"]
-[[channels]]
-name = "Z"
-unit = "m/s2"
-[encoder]
-"""
+from made.recordings import HEAD, read_manifest
 
 
 def test_a_range_of_speeds_is_one_and_belongs_to_the_kind(tmp_path: Path) -> None:
@@ -32,16 +21,15 @@ def test_a_range_of_speeds_is_one_and_belongs_to_the_kind(tmp_path: Path) -> Non
         ('kind = "constant"\nspeed_rpm = 900.0\nexpected_rpm = [800.0, 900.0]', "goes with kind"),
     ]
     for encoder, words in rows:
-        (tmp_path / "run.toml").write_text(MANIFEST + encoder)
         with pytest.raises(ManyErrors, match=words):
-            load_manifest(tmp_path)
+            read_manifest(tmp_path, "", encoder=encoder)
 
 
 def test_a_recording_without_encoder_gives_its_orders(tmp_path: Path) -> None:
     """Speed and amplitudes are those that were put in; the phase has no reference and says so."""
     (tmp_path / "in").mkdir()
     encoder = 'kind = "vibration"\nexpected_rpm = [800.0, 3000.0]'
-    (tmp_path / "in" / "run.toml").write_text(MANIFEST + encoder)
+    (tmp_path / "in" / "run.toml").write_text(HEAD + encoder)
     time_s = np.arange(8 * 4096) / 4096.0
     put_in = {1.0: 1.0, 2.0: 0.7, 3.0: 0.5}
     with h5py.File(tmp_path / "in" / "a.h5", "w") as file:

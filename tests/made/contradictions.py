@@ -38,7 +38,7 @@ APART = {
     "is in doubt, and with it every order": ("does not follow the shaft", "Free of resonances:", "Balance it:"),
 }
 """Words, and those that no page may hold beside them."""
-ESTIMATE = re.compile(r"([−\d.e]+)(?: [^\s()]+)? \(([−\d.e]+)…([−\d.e]+)\)")
+ESTIMATE = re.compile(r"(−?\d[−\d.e]*)(?: [^\s()]+)? \(([−\d.e]+)…([−\d.e]+)\)")
 """An estimate with its 95 % interval, its unit before or behind."""
 MAINS = {mains_words(multiple) for multiple in range(1, 1001)}
 """What multiples of the mains are called."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -82,20 +83,23 @@ def campbell_of(made: Made, seed: int) -> xr.Dataset:
         for start in starts:
             spectrum = np.fft.rfft(signal[:, start : start + n_frame] * window)[:, :n_bins]
             psd[:, k] += 2.0 * np.abs(spectrum) ** 2 / len(starts) / (made.rate_hz * (window @ window))
-    dims = ("channel", "speed", "frequency")
+    return campbell_map_of(psd, len(starts), made.speed_rpm, made.resolution_hz)
+
+
+def campbell_map_of(psd: Array, n_frames: int, speed_rpm: Sequence[float], resolution_hz: float) -> xr.Dataset:
+    """CampbellMap of ``psd`` (channels, speeds, bins from 0 Hz on), each the mean of ``n_frames`` Hann frames."""
+    of_frames = {"window": "hann", "enbw_hz": 1.5 * resolution_hz, "resolution_hz": resolution_hz}
     return xr.Dataset(
-        {"psd": (dims, psd), "n_frames": ("speed", np.full(len(made.speed_rpm), len(starts)))},
+        {
+            "psd": (("channel", "speed", "frequency"), psd),
+            "n_frames": ("speed", np.full(len(speed_rpm), n_frames)),
+        },
         coords={
-            "channel": list("XYZ"[: len(response)]),
-            "speed": np.array(made.speed_rpm),
-            "frequency": np.arange(n_bins) * made.resolution_hz,
+            "channel": list("XYZ"[: len(psd)]),
+            "speed": np.array(speed_rpm),
+            "frequency": np.arange(psd.shape[2]) * resolution_hz,
         },
-        attrs={
-            "window": "hann",
-            "enbw_hz": 1.5 * made.resolution_hz,
-            "resolution_hz": made.resolution_hz,
-            "speed_bin_rpm": 25.0,
-        },
+        attrs={**of_frames, "speed_bin_rpm": 25.0},
     )
 
 

@@ -9,11 +9,13 @@ import numpy as np
 import xarray as xr
 
 from crankorder.engine.definition import BalanceShafts, Cylinder, Engine
-from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments
+from crankorder.engine.forces import crankcase_forces, crankcase_moments
 from crankorder.identify.found import ModalFit, Mode
+from crankorder.identify.modal.passage import passage_of
 from made.recordings import named
 
 AXES = ("X", "Z", "RY")
+MAP_HZ = 1.5 / 16 * 5.0  # bandwidth of a bin at 300 rpm
 
 
 @dataclass
@@ -126,6 +128,32 @@ def made_orders(
     )
 
 
+def swept(item: MadeOrders, rng, *, residual_kg, rpm=(300.0, 2000.0), span_s=20.0) -> xr.Dataset:
+    """RecordingTracks of orders 1 to 4 of ``item`` while its speed sweeps, among the noise of the map's bins."""
+    time, path = np.arange(0.0, span_s, 0.08), item.path
+    speed, width, poles = np.interp(time, [0.0, span_s], rpm), np.full(time.size, 4.0), [path.natural, path.damping]
+    angle, orders = np.cumsum(speed) * 0.08 / 60.0, range(1, 5)
+    shafts = item.engine.shafts.model_copy(update={"unbalanced_mass_kg": residual_kg})
+    force = crankcase_forces(item.engine.model_copy(update={"shafts": shafts}), 30.0 / np.pi, max_order=4)[2]
+    amplitude = np.zeros((len(path.rigid), 4, time.size), dtype=complex)
+    for k in orders:
+        along = passage_of(k, time, speed, angle, width, poles=2)
+        noise = rng.normal(size=(5, along.time_s.size, 2)) @ [1.0, 1.0j] / np.sqrt(MAP_HZ * along.step_s)
+        for axis, pushed in ((1, force[k] * (along.speed_rpm * np.pi / 30.0) ** 2), (3, noise[3]), (4, noise[4])):
+            rung = [along.smoothed(pushed[:, None])[:, 0]]
+            rung += [along.response(pushed, *pole, slopes=False)[0] for pole in np.transpose(poles)]
+            amplitude[:, k - 1] += np.column_stack([path.rigid[:, axis], path.residue[:, axis]]) @ rung
+        amplitude[:, k - 1] += along.smoothed(0.0005 * noise[: len(amplitude)].T).T
+    item.order_map.attrs["enbw_bins"] = 1.5
+    item.order_map["n_independent"] = "speed", (item.order_map["speed"].values / 300.0) ** 2
+    rows = ("channel", "order", "frame")
+    tracks = {"amplitude": (rows, amplitude), "standard_error": (rows, np.ones(amplitude.shape))}
+    tracks["bandwidth_hz"] = rows[1:], np.tile(width, (4, 1))
+    named_rows = {name: ("frame", of) for name, of in (("time", time), ("speed", speed), ("crank_angle", angle))}
+    coords = {**named("XYZ"[: len(amplitude)]), "order": [float(k) for k in orders], **named_rows}
+    return xr.Dataset(tracks, coords, {"swept": 1, "poles": 2, "recording": "run-up"})
+
+
 def order_map_of(amplitude, error, freedom, rpm, order, *, reference="tdc") -> xr.Dataset:
     """OrderMap with what closure reads of it."""
     dims = ("channel", "speed", "order")
@@ -163,6 +191,3 @@ def modal_of(rng, structure, *, frequency_error=3e-4, damping_error=0.03) -> Mod
         )
         covariance += [errors[0] ** 2, errors[1] ** 2]
     return ModalFit(modes=tuple(modes), tones=(), covariance=np.diag(covariance))
-
-
-__all__ = ["AXES", "DIRECTIONS", "MadeOrders", "Structure", "engine_of", "made_orders", "modal_of", "order_map_of"]

@@ -3,14 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 import xarray as xr
 
+from crankorder.ingest.manifest import Manifest, load_manifest
 from crankorder.quantities import check_dataset
 
 Signal = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Signal from time [s] and crank angle [rev]."""
+
+HEAD = """schema_version = 1
+[test]
+cycle = "rotor"
+[recordings]
+files = ["a.h5"]
+[[channels]]
+name = "Z"
+unit = "m/s2"
+[encoder]
+"""
+"""A manifest of one channel up to what is said of its encoder."""
+
+
+def read_manifest(folder: Path, text: str, *, encoder: str = 'kind = "constant"\nspeed_rpm = 1000.0\n') -> Manifest:
+    """The manifest of one channel and an ``encoder`` with the tables of ``text``, written to ``folder``."""
+    (folder / "run.toml").write_text(HEAD + encoder + text, encoding="utf-8")
+    return load_manifest(folder)
 
 
 def named(

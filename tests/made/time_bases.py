@@ -12,6 +12,7 @@ import pytest
 import scipy.io
 
 START = np.datetime64("2024-03-05T10:00:00", "ns")
+LVM_HEAD = ["LabVIEW Measurement\t", "Writer_Version\t2", "Separator\tTab", "Decimal_Separator\t."]
 
 
 class Sampled(NamedTuple):
@@ -82,22 +83,13 @@ def as_uff(path: Path, columns: list[Sampled]) -> dict[str, str]:
 
 def as_lvm(path: Path, columns: list[Sampled]) -> dict[str, str]:
     """A segment for each column, as of ``Multi_Headings``; its start in ``X0``."""
-    text = [
-        "LabVIEW Measurement\t",
-        "Writer_Version\t2",
-        "Separator\tTab",
-        "Decimal_Separator\t.",
-        "Multi_Headings\tYes",
-    ]
-    text += ["X_Columns\tNo", "***End_of_Header***\t", "\t"]
+    text = [*LVM_HEAD, "Multi_Headings\tYes", "X_Columns\tNo", "***End_of_Header***\t", "\t"]
     for column in columns:
         rows = [("Channels", 1), ("Samples", column.values.size), ("Date", "2024/03/05"), ("Time", "10:00:00.0")]
         rows += [("Y_Unit_Label", column.unit), ("X_Dimension", "Time"), ("X0", repr(column.start_s))]
         rows += [("Delta_X", repr(1.0 / column.rate_hz))]
-        text += [f"{key}\t{value}" for key, value in rows] + [
-            "***End_of_Header***\t",
-            f"X_Value\t{column.name}\tComment",
-        ]
+        text += [f"{key}\t{value}" for key, value in rows]
+        text += ["***End_of_Header***\t", f"X_Value\t{column.name}\tComment"]
         text += [f"\t{value:.9g}" for value in column.values] + ["\t"]
     path.with_suffix(".lvm").write_text("\n".join(text) + "\n")
     return {column.name: f"{number}/{column.name}" for number, column in enumerate(columns)}
@@ -105,8 +97,7 @@ def as_lvm(path: Path, columns: list[Sampled]) -> dict[str, str]:
 
 def as_lvm_of_one_segment(path: Path, columns: list[Sampled]) -> dict[str, str]:
     """All columns side by side, of one rate and length; their starts in ``X0``."""
-    text = ["LabVIEW Measurement\t", "Writer_Version\t2", "Separator\tTab", "Decimal_Separator\t.", "X_Columns\tNo"]
-    text += ["***End_of_Header***\t", "\t"]
+    text = [*LVM_HEAD, "X_Columns\tNo", "***End_of_Header***\t", "\t"]
     rows = [("Channels", [len(columns)]), ("Samples", [column.values.size for column in columns])]
     rows += [("Y_Unit_Label", [column.unit for column in columns]), ("X0", [column.start_s for column in columns])]
     rows += [("Delta_X", [1.0 / column.rate_hz for column in columns])]

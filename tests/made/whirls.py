@@ -9,6 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.signal import lfilter, welch
 
+from made.floors import campbell_map_of
+
 Array = NDArray[np.float64]
 
 
@@ -73,18 +75,4 @@ def whirling_campbell(rotor: Rotor, seed: int) -> xr.Dataset:
         made = signals(rotor, rpm, random)
         n_frames = (made.shape[1] - n_frame) // (n_frame // 2) + 1
         psd.append(welch(made, rotor.rate_hz, "hann", n_frame, detrend=False)[1][:, :n_bins])
-    dims = ("channel", "speed", "frequency")
-    return xr.Dataset(
-        {"psd": (dims, np.stack(psd, axis=1)), "n_frames": ("speed", np.full(len(psd), n_frames))},
-        coords={
-            "channel": list("XYZ"[: psd[0].shape[0]]),
-            "speed": np.array(rotor.speed_rpm),
-            "frequency": np.arange(n_bins) * rotor.resolution_hz,
-        },
-        attrs={
-            "window": "hann",
-            "enbw_hz": 1.5 * rotor.resolution_hz,
-            "resolution_hz": rotor.resolution_hz,
-            "speed_bin_rpm": 25.0,
-        },
-    )
+    return campbell_map_of(np.stack(psd, axis=1), n_frames, rotor.speed_rpm, rotor.resolution_hz)

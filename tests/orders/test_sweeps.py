@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from crankorder.errors import InputError
 from crankorder.orders.followed import followed_tracks, with_followed
@@ -114,6 +115,22 @@ def test_amplitudes_through_a_sweep_lie_inside_their_intervals(seed):
         error += ((rows.amplitude[0, seen] - truth) / truth.max()).tolist()
     assert np.mean(inside) > 0.88
     assert np.abs(np.median(error)) < 0.01
+
+
+def test_the_noise_of_a_mode_under_an_order_is_in_its_error():
+    """What noise excites of a mode peaks within the filter's band, where what stands beside the order is less."""
+    course, near = Course((0.0, 24.0), (900.0, 2700.0)), []
+    natural, damping = 2.0 * np.pi * 60.0, 0.02
+    for seed in range(4):
+        band, shaft = recording_of(course, {2.0: lambda speed: 0.1 + 0.0 * speed}, encoder="360", seed=seed, noise=1e-4)
+        rate, white = band.attrs["rate_hz"], np.random.default_rng(seed).standard_normal(band.sizes["time"])
+        radius = np.exp(-damping * natural / rate)
+        rung = lfilter([1.0], [1.0, -2.0 * radius * np.cos(natural / rate), radius**2], white)
+        found = swept_tracks(band.assign(signal=band["signal"] + 0.1 * rung / rung.std()), shaft, [2.0])
+        off = np.abs(found["amplitude"].values[0, 0]) - 0.1
+        rows = np.abs(found["speed"].values / 1800.0 - 1.0) < damping
+        near += (off[rows] / found["standard_error"].values[0, 0, rows]).tolist()
+    assert len(near) > 12 and 0.4 < np.std(near) < 1.6  # 3 and more by what stands beside
 
 
 def test_repeated_run_ups_and_steps_of_one_test_all_take_part():

@@ -220,12 +220,8 @@ def _sweep_flags(frames: xr.Dataset, settings: CampbellSettings) -> list[Quality
     enbw_hz = float(frames.attrs["enbw_bins"]) * float(frames.attrs["resolution_hz"])
     if swept_hz <= 2.0 * enbw_hz:
         return []
-    return [
-        {
-            "recording": str(frames.attrs["recording"]),
-            "flag": "swept_lines",
-            "severity": "info",
-            "detail": f"within a frame the speed changes so far that order {settings.sweep_order:g} sweeps over "
-            f"{swept_hz:.3g} Hz, more than the noise bandwidth of {enbw_hz:.3g} Hz: its line reads low",
-        }
-    ]
+    detail = (
+        f"within a frame the speed changes so far that order {settings.sweep_order:g} sweeps over {swept_hz:.3g} Hz, "
+        f"more than the noise bandwidth of {enbw_hz:.3g} Hz: its line reads low"
+    )
+    return [QualityFlag(recording=frames.attrs["recording"], flag="swept_lines", severity="info", detail=detail)]

@@ -211,14 +211,9 @@ def _cut_flags(frames: list[xr.Dataset], n_shown: list[int], grid_hz: float) -> 
     """Remark on the recording whose sample rate ends the map, where others reach further."""
     if min(n_shown) == max(n_shown):
         return []
-    return [
-        {
-            "recording": str(frames[n_shown.index(min(n_shown))].attrs["recording"]),
-            "flag": "map_cut",
-            "severity": "info",
-            "detail": f"its sample rate ends the map of the whole test at {(min(n_shown) - 1) * grid_hz:g} Hz",
-        }
-    ]
+    name = str(frames[n_shown.index(min(n_shown))].attrs["recording"])
+    detail = f"its sample rate ends the map of the whole test at {(min(n_shown) - 1) * grid_hz:g} Hz"
+    return [QualityFlag(recording=name, flag="map_cut", severity="info", detail=detail)]
 
 
 def _groups_and_scales(frames: list[xr.Dataset], groups: list[Ints]) -> tuple[Ints, list[Floats], Floats]:

@@ -68,6 +68,12 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float, toler
     return made
 
 
+def sound_samples(band: xr.Dataset) -> Bools:
+    """Which samples (channels, samples) of the BandRecording ``band`` are finite and usable."""
+    sound = np.isfinite(band["signal"].values)
+    return np.asarray(sound & band["usable"].values if "usable" in band else sound)
+
+
 def _unusable(recording: xr.Dataset, signals: NDArray[np.floating], *, gaps: bool) -> list[Runs] | None:
     """Runs of samples of each channel that are missing or not usable; None where there is none."""
     if "usable" not in recording and not gaps:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -12,7 +12,7 @@ import xarray as xr
 from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Energy, Findings, Level, quality_of
 from crankorder.identify.alike_speeds import with_lines_of_recordings, with_tones_parted, without_absent_mains
 from crankorder.identify.angle_swings import swing_sidebands
-from crankorder.identify.balance.closure import closure
+from crankorder.identify.balance.closure import Closure, closure
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.crossings import crossings
 from crankorder.identify.energy import energy_shares
@@ -107,8 +107,10 @@ def find(
     known = (motor.lines if motor else ()) or mains_seen(held, settings=asked)
     sweeps, electric = (followed, swept), (held, known)
     in_map, modal, known = _orders_and_modes(order_map, campbell, frames, sweeps, electric, settings, doubt)
-    rows_of_sweeps = with_rows_of_fits(without_swings(followed, modal.swings), swept)
-    reader = TrackReader(order_map, frames=frames, followed=rows_of_sweeps, fixed=fixed_lines(modal.tones))
+    without = without_swings(followed, modal.swings)
+    reader = TrackReader(
+        order_map, frames=frames, followed=with_rows_of_fits(without, swept), fixed=fixed_lines(modal.tones)
+    )
     orders = with_track_rows(in_map, reader, settings=settings.orders)
     turns = sources.revs_per_cycle
     bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
@@ -147,7 +149,8 @@ def find(
         false_alarm_probability=asked.false_alarm_probability,
         quality=quality_of(flags),
     )
-    closed = _balance(order_map, orders, modal, sources, causes)
+    close = partial(closure, order_map, orders, modal, followed=without)
+    closed = _balance(close, order_map, sources, causes)
     return _with_levels(_with_sums(told, speeds, motor, shares[0], level_records(levels), closed), vibration, sources)
 
 
@@ -187,10 +190,10 @@ def _with_sums(
 
 
 def _balance(
-    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, sources: Sources, causes: Causes
+    close: Callable[..., Closure], order_map: xr.Dataset, sources: Sources, causes: Causes
 ) -> tuple[Balance | None, str]:
-    """The residual unbalance, or why it is not known."""
-    made, reason = closure(order_map, orders, modal, engine=sources.engine, paths=sources.paths, added=sources.added)
+    """The residual unbalance by what ``close`` makes of engine and paths, or why it is not known."""
+    made, reason = close(engine=sources.engine, paths=sources.paths, added=sources.added)
     if made is not None:
         made, reason = if_unbalance(made, [(cause.text, cause.evidence) for cause in causes.orders.values()])
     return graded(made, sources, float(np.nanmax(order_map["speed"].values, initial=0.0))), reason

@@ -84,21 +84,16 @@ def fold_flags(
     speed = order_map["speed"].values
     low_hz, high_hz = samples_per_rev / 120 * speed.min(), samples_per_rev / 120 * speed.max()
     mains = _folded_mains(order_map, samples_per_rev, settings)
-    could: QualityFlag = {
-        "recording": "all",
-        "flag": "lines_may_fold",
-        "severity": "info",
-        "detail": f"sampled {samples_per_rev:g} times a revolution: unless a filter kept it out, what lies above "
+    said = (
+        f"sampled {samples_per_rev:g} times a revolution: unless a filter kept it out, what lies above "
         f"{low_hz:.4g} to {high_hz:.4g} Hz (by speed) shows at |order - {samples_per_rev:g} k|"
-        + "".join(f"; mains, {line}" for line in mains),
-    }
-    found: list[QualityFlag] = [
-        {"recording": "all", "flag": flag, "severity": severity, "detail": detail}
-        for flag, severity, detail in (
-            shown.fold.remark for shown in (shown_folds(order_map, settings=settings) if folds is None else folds)
-        )
+    )
+    text = "; mains, ".join([said, *map(str, mains)])
+    shown = shown_folds(order_map, settings=settings) if folds is None else folds
+    remarks = [("lines_may_fold", "info", text), *(one.fold.remark for one in shown)]
+    return [
+        {"recording": "all", "flag": flag, "severity": severity, "detail": detail} for flag, severity, detail in remarks
     ]
-    return [could, *found]
 
 
 def _samples_per_rev(order_map: xr.Dataset) -> float | None:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.intervals import Z95, half_width, positive_interval, ratio_interval
+from crankorder.quantities import Floats, Ints
 
 Evidence = Literal[
     "locked to the shaft",
@@ -57,6 +58,18 @@ class OrderLine:
     def strongest(self) -> int:
         """Position, among the speeds seen, of the largest amplitude."""
         return int(np.argmax(self.amplitude))
+
+    def read_again(
+        self, number: tuple[float, float], seen: Ints, rpm: Floats, size: Floats, error: Floats, freedom: Floats
+    ) -> OrderLine:
+        """This line of another ``number`` (order and its standard error), with other amplitudes and without phases.
+
+        All are (speeds,): the positions ``seen``, speeds ``rpm``, amplitudes ``size``, their standard ``error`` and
+        degrees of ``freedom``.
+        """
+        again = replace(self, order=number[0], order_error=number[1], seen=seen, speed_rpm=rpm, amplitude=size)
+        again = replace(again, amplitude_error=error, degrees_of_freedom=freedom, phase_deg=np.full(len(seen), np.nan))
+        return replace(again, ends=None, phase_ci95_deg=None, remark="")
 
 
 @dataclass(frozen=True, eq=False)

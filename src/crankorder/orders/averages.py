@@ -10,10 +10,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.special import fdtri
 
-from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
+from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg, t_quantile
 from crankorder.orders.vold_kalman.bandwidth import FRAME_BANDWIDTHS, noise_correlation
 from crankorder.quantities import Bools, Complexes, Floats, Ints
+from crankorder.settings import MethodNumbers
+
+
+class _Numbers(MethodNumbers, file="3-orders-lines.toml", table="held_sizes"):
+    changing_chance: float
+    changing_over_noise: float
+
+
+NUMBERS = _Numbers.load()
 
 LARGEST_SHARE = 6
 """Slow waves over the frames, of each sign, whose power is the noise: 24 degrees of freedom, near enough to the line
@@ -281,6 +291,61 @@ def helped_by_beside(
         return noise, own
     beside = steepest_noise_beside(energy, bins)
     return pooled(noise, own, beside, np.where(np.isfinite(beside), worth * powers, 0.0), where=few)
+
+
+@dataclass(frozen=True)
+class HeldSizes:
+    """Amplitudes (channels, frames) of a line in the frames of one recording whose speed is held, in ``row`` of a map.
+
+    The line keeps no phase, so that each frame tells its amplitude only.
+    """
+
+    row: int
+    sizes: Floats
+
+    def mean(self, noise: Floats) -> Floats:
+        """Amplitude (channels,) of the line in the recording, without the ``noise`` power (channels,) of a frame."""
+        return np.asarray(np.sqrt(np.maximum(np.square(self.sizes).mean(axis=1) - noise, 0.0)))
+
+
+@dataclass(frozen=True)
+class SizeRows:
+    """Amplitudes (channels, rows) of a line with their standard errors, degrees of freedom and interval's ends."""
+
+    amplitude: Floats
+    error: Floats
+    dof: Floats
+    low: Floats
+    high: Floats
+
+    def with_scatter(self, held: list[HeldSizes], *, noise: Floats, independent: Floats) -> SizeRows:
+        """The same, as wide as recordings and frames differ.
+
+        Recordings of one row differ by a factor, that of their mean has one degree of freedom less than they are. Where
+        the amplitude surely changes within recordings, beyond what ``noise`` (channels, rows) of a frame does that
+        ``independent`` bins (rows,) tell, the interval holds all that frames held.
+        """
+        error, dof, low, high = (values.copy() for values in (self.error, self.dof, self.low, self.high))
+        for row in sorted({one.row for one in held}):
+            parts, size = [one for one in held if one.row == row], self.amplitude[:, row]
+            means = np.array([one.mean(noise[:, row]) for one in parts])
+            if len(parts) > 1:
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    share = means.std(axis=0, ddof=1) / means.mean(axis=0) / np.sqrt(len(parts))
+                    times = share * t_quantile(np.array(len(parts) - 1.0))
+                    wider = times * size > high[:, row] - size
+                low[wider, row], high[wider, row] = (size / (1.0 + times))[wider], (size * (1.0 + times))[wider]
+                error[wider, row], dof[wider, row] = (share * size)[wider], len(parts) - 1.0
+            free = float(sum(one.sizes.shape[1] - 1 for one in parts))
+            if free >= 2.0:
+                every = np.concatenate([one.sizes for one in parts], axis=1)
+                scatter = sum(one.sizes.var(axis=1) * one.sizes.shape[1] for one in parts) / free
+                surely = float(fdtri(free, 2.0 * independent[row] * (free + 1.0), 1.0 - NUMBERS.changing_chance))
+                least = noise[:, row] * max(surely, NUMBERS.changing_over_noise)
+                changes = (noise[:, row] > 0.0) & (2.0 * scatter >= least)
+                low[changes, row] = np.minimum(low[:, row], every.min(axis=1))[changes]
+                high[changes, row] = np.maximum(high[:, row], every.max(axis=1))[changes]
+        return SizeRows(self.amplitude, error, dof, low, high)
 
 
 @dataclass(frozen=True)

@@ -130,16 +130,8 @@ def _fit(one: Stretch, orders: Floats) -> _Fit:
     score = np.einsum("flc,fc,c->l", moved.conj(), left, weight).real
     follows = -np.einsum("f,flc->lc", inverse[0], change)
     own = float(np.square(np.abs(inverse[0])).sum())
-    return _Fit(
-        amplitude,
-        at_line,
-        min(2.0 * freedom, worth),
-        own,
-        follows,
-        normal,
-        score,
-        np.sqrt(unexplained) / float(one.share[0]),
-    )
+    beyond = np.sqrt(unexplained) / float(one.share[0])
+    return _Fit(amplitude, at_line, min(2.0 * freedom, worth), own, follows, normal, score, beyond)
 
 
 def _noise_at(one: Stretch, left: Complexes, orders: Floats, power: Floats) -> tuple[Floats, float]:
@@ -214,14 +206,7 @@ def joined_row(parts: Sequence[CloseRow]) -> CloseRow:
     direction = direction / np.maximum(np.abs(direction), 1e-300)
     scatter = share @ np.square(np.abs(value) - size) / max(len(used) - 1, 1)
     error = np.sqrt(np.square(share) @ np.square([one.error for one in used]) + scatter)
-    return CloseRow(
-        used[0].row,
-        used[0].parted,
-        float(weight.sum()),
-        size * direction,
-        error,
-        np.min([one.freedom for one in used], axis=0),
-        np.min([one.low for one in used], axis=0),
-        np.max([one.high for one in used], axis=0),
-        np.max([one.phase_half for one in used], axis=0),
-    )
+    freedom, low = (np.min([getattr(one, name) for one in used], axis=0) for name in ("freedom", "low"))
+    high, half = (np.max([getattr(one, name) for one in used], axis=0) for name in ("high", "phase_half"))
+    weighs, value = float(weight.sum()), size * direction
+    return CloseRow(used[0].row, used[0].parted, weighs, value, error, freedom, low, high, half)

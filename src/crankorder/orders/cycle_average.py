@@ -366,13 +366,6 @@ def _joined(parts: list[CycleStatistics]) -> CycleStatistics:
 
 
 def _left_out_flags(left_out: int) -> list[QualityFlag]:
-    if not left_out:
-        return []
-    return [
-        {
-            "recording": "",
-            "flag": "cycles_not_joined",
-            "severity": "info",
-            "detail": f"angle 0 is not known to be the same in every recording: {left_out} at like speed left out",
-        }
-    ]
+    detail = f"angle 0 is not known to be the same in every recording: {left_out} at like speed left out"
+    flag = QualityFlag(recording="", flag="cycles_not_joined", severity="info", detail=detail)
+    return [flag] if left_out else []

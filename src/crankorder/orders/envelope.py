@@ -59,13 +59,15 @@ SPECTRA = ("amplitude", "floor")
 """Variables (channel, speed, order) whose fourth powers, the powers of a squared envelope's lines, are averaged."""
 
 _WORDS = {
+    "amplitude": {"units": "see unit", "long_name": "root of the squared envelope's line"},
+    "floor": {"units": "see unit", "long_name": "what noise alone has there"},
     "level": {"units": "see unit", "long_name": "root mean square in the band"},
     "band_low": {"units": "Hz", "long_name": "lower end of the band"},
     "band_high": {"units": "Hz", "long_name": "upper end of the band"},
     "n_independent": {"units": "1", "long_name": "independent power spectra"},
     "revs_per_frame": {"units": "1", "long_name": "revolutions of a frame"},
 }
-_OF_CHANNEL = ("level", "n_independent", "band_low", "band_high")
+_OF_CHANNEL = ("level", "band_low", "band_high", "n_independent")
 
 
 class Frames(NamedTuple):
@@ -376,23 +378,17 @@ def _dataset(
     """RecordingEnvelope of the ``chosen`` bands of all channels."""
     seconds = [float(np.diff(time_at(np.array(piece), **knots_of(shaft)))[0]) for piece in pieces]
     speed = 60.0 * sum(last - first for first, last in pieces) / sum(seconds)
-    of_channel = ("channel", "speed")
-    variables: dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]] = {
-        name: (("channel", "speed", "order"), np.array(values)[:, None], {"units": "see unit", "long_name": text})
-        for name, values, text in (
-            ("amplitude", [one.power**0.25 for one in chosen], "root of the squared envelope's line"),
-            ("floor", [one.floor**0.25 for one in chosen], "what noise alone has there"),
-        )
+    values = {
+        "amplitude": np.array([[one.power**0.25] for one in chosen]),
+        "floor": np.array([[one.floor**0.25] for one in chosen]),
+        "level": np.sqrt([[one.mean_square / 2.0] for one in chosen]),
+        "band_low": np.array([[one.band.low_hz] for one in chosen]),
+        "band_high": np.array([[one.band.high_hz] for one in chosen]),
+        "n_independent": np.array([[frames.n_independent * one.share] for one in chosen]),
     }
-    level = np.sqrt([[one.mean_square / 2.0] for one in chosen])
-    independent = np.array([[frames.n_independent * one.share] for one in chosen])
-    variables |= {
-        "level": (of_channel, level, _WORDS["level"]),
-        "band_low": (of_channel, np.array([[one.band.low_hz] for one in chosen]), _WORDS["band_low"]),
-        "band_high": (of_channel, np.array([[one.band.high_hz] for one in chosen]), _WORDS["band_high"]),
-        "n_independent": (of_channel, independent, _WORDS["n_independent"]),
-        "revs_per_frame": (("speed",), np.array([frames.revs]), _WORDS["revs_per_frame"]),
-    }
+    dims = ("channel", "speed", "order")
+    variables: dict[str, Any] = {name: (dims[: one.ndim], one, _WORDS[name]) for name, one in values.items()}
+    variables["revs_per_frame"] = (("speed",), np.array([frames.revs]), _WORDS["revs_per_frame"])
     if combs:
         variables |= looks_of(combs, bands, order=frames.order, looks=np.stack([one.looks for one in chosen]))
     made = xr.Dataset(variables, coords=_coords(recording, np.array([speed]), frames.order))
@@ -425,18 +421,11 @@ def _attrs(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) ->
 def _empty(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings, reason: str) -> xr.Dataset:
     """RecordingEnvelope without speeds and orders, flagged with the ``reason``."""
     n = recording.sizes["channel"]
-    of_channel = (("channel", "speed"), np.zeros((n, 0)))
     spectrum = (("channel", "speed", "order"), np.zeros((n, 0, 0)), {"units": "see unit"})
+    of_channel = {name: (("channel", "speed"), np.zeros((n, 0)), _WORDS[name]) for name in _OF_CHANNEL}
+    revs = (("speed",), np.zeros(0, dtype=np.int64), _WORDS["revs_per_frame"])
     made = xr.Dataset(
-        {
-            "amplitude": spectrum,
-            "floor": spectrum,
-            "level": (*of_channel, _WORDS["level"]),
-            "band_low": (*of_channel, _WORDS["band_low"]),
-            "band_high": (*of_channel, _WORDS["band_high"]),
-            "n_independent": (*of_channel, _WORDS["n_independent"]),
-            "revs_per_frame": (("speed",), np.zeros(0, dtype=np.int64), _WORDS["revs_per_frame"]),
-        },
+        {**dict.fromkeys(SPECTRA, spectrum), **of_channel, "revs_per_frame": revs},
         coords=_coords(recording, np.zeros(0), np.zeros(0)),
         attrs=_attrs(recording, shaft, settings),
     )
@@ -456,16 +445,9 @@ def envelope_map(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset
         raise InputError("no envelope to average", allowed="one RecordingEnvelope or more")
     full = [item for item in items if item.sizes["order"]]
     used = [item for item in full if _alike(item, full[0])]
-    remarks: list[QualityFlag] = [
-        {
-            "recording": str(item.attrs["recording"]),
-            "flag": "left_out",
-            "severity": "bad",
-            "detail": "envelope with other channels or orders than the test's first",
-        }
-        for item in full
-        if not _alike(item, full[0])
-    ]
+    detail = "envelope with other channels or orders than the test's first"
+    left_out = [str(item.attrs["recording"]) for item in full if not _alike(item, full[0])]
+    remarks = [QualityFlag(recording=name, flag="left_out", severity="bad", detail=detail) for name in left_out]
     made = _averaged(used, speed_bin_rpm) if used else items[0].copy()
     made.attrs = _map_attrs(used or items) | {"speed_bin_rpm": speed_bin_rpm}
     return with_flags(made, [flag for item in items for flag in flags_of(item)] + remarks)

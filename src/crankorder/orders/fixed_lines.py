@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 from scipy.fft import fft, ifft, next_fast_len
 
+from crankorder.fft.band import sound_samples
 from crankorder.findings import Findings
 from crankorder.orders.averages import frame_correlation
 from crankorder.orders.intervals import LARGEST_DOF, NORMAL, amplitude_interval, phase_interval_deg
@@ -360,9 +361,7 @@ def without_steady_lines(
     """
     signals, rate = band["signal"].values, float(band.attrs["rate_hz"])
     time = float(band.attrs.get("start_s", 0.0)) + np.arange(signals.shape[1]) / rate
-    usable = np.isfinite(signals).all(axis=0)
-    if "usable" in band:
-        usable &= band["usable"].values.all(axis=0)
+    usable: Bools = np.asarray(sound_samples(band).all(axis=0))
     if not usable.any():
         return band, ()
     seen = _Seen.of(np.where(usable, signals, 0.0), usable, rate, float(band.attrs.get("band_hz", 0.4 * rate)))

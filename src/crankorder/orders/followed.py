@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.errors import InputError
+from crankorder.fft.band import sound_samples
 from crankorder.orders.averages import POLES, Readings, by_energy, by_phase, coherent_mean
 from crankorder.orders.between_recordings import phases_compare
 from crankorder.orders.method import frame_layout, is_by_angle
@@ -90,9 +91,7 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
         speed / 60.0 if settings.track_bandwidth_unit == "order" else np.ones(len(speed))
     )
     signals = band["signal"].values[:, part]
-    usable = np.isfinite(signals)
-    if "usable" in band:
-        usable = usable & band["usable"].values[:, part]
+    usable = sound_samples(band)[:, part]
     enough = np.flatnonzero(usable.sum(axis=1) >= FEWEST_SAMPLES)
     middle_rev = layout.begin_rev + 0.5 * layout.revs
     middle = np.searchsorted(angle, middle_rev)

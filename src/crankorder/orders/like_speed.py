@@ -213,42 +213,26 @@ def _dataset(
 
 
 def _length_flag(item: xr.Dataset, common: int) -> QualityFlag:
-    return {
-        "recording": item.attrs["recording"],
-        "flag": "frame_length_differs",
-        "severity": "bad",
-        "detail": f"frames of {item.attrs['revs_per_frame']} revolutions where most others have {common}: left out",
-    }
+    detail = f"frames of {item.attrs['revs_per_frame']} revolutions where most others have {common}: left out"
+    return QualityFlag(recording=item.attrs["recording"], flag="frame_length_differs", severity="bad", detail=detail)
 
 
 def _near_length_flag(item: xr.Dataset, common: int) -> QualityFlag:
-    return {
-        "recording": item.attrs["recording"],
-        "flag": "frames_on_common_orders",
-        "severity": "info",
-        "detail": f"frames of {item.attrs['revs_per_frame']} revolutions are shown on the orders of {common}, which "
-        "most others have",
-    }
+    own, name = item.attrs["revs_per_frame"], item.attrs["recording"]
+    detail = f"frames of {own} revolutions are shown on the orders of {common}, which most others have"
+    return QualityFlag(recording=name, flag="frames_on_common_orders", severity="info", detail=detail)
 
 
 def _cut_length_flag(item: xr.Dataset, common: int, *, by_sweep: bool) -> QualityFlag:
     why = "the fastest sweep of the test asks for" if by_sweep else "most others have"
-    return {
-        "recording": item.attrs["recording"],
-        "flag": "frames_cut",
-        "severity": "info",
-        "detail": f"frames of {item.attrs['revs_per_frame']} revolutions are cut into {common}, as {why}",
-    }
+    detail = f"frames of {item.attrs['revs_per_frame']} revolutions are cut into {common}, as {why}"
+    return QualityFlag(recording=item.attrs["recording"], flag="frames_cut", severity="info", detail=detail)
 
 
 def _cut_flag(item: xr.Dataset, fewest: int) -> QualityFlag:
     order = item["order"].values
-    return {
-        "recording": item.attrs["recording"],
-        "flag": "orders_cut",
-        "severity": "info",
-        "detail": f"orders from {order[fewest]:g} to {order[-1]:g} left out: another recording of the test ends there",
-    }
+    detail = f"orders from {order[fewest]:g} to {order[-1]:g} left out: another recording of the test ends there"
+    return QualityFlag(recording=item.attrs["recording"], flag="orders_cut", severity="info", detail=detail)
 
 
 @dataclass(frozen=True)

@@ -9,13 +9,17 @@ import numpy as np
 import xarray as xr
 
 from crankorder.errors import RequestError
-from crankorder.fft.band import band_limited
+from crankorder.fft.band import band_limited, sound_samples
 from crankorder.orders.averages import POLES
 from crankorder.orders.fixed_lines import steady_flag, without_steady_lines
 from crankorder.orders.intervals import NORMAL, amplitude_interval, phase_interval_deg
 from crankorder.orders.true_angle import AngleErrors, errors_along
 from crankorder.orders.vold_kalman.bandwidth import (
+    FLANK,
     FRAME_BANDWIDTHS,
+    HALF_POWER,
+    LOWER,
+    WIDEST,
     impulse_response,
     level_dof,
     student_factor,
@@ -37,6 +41,10 @@ LEAST_ORDER, MOST_ORDER = 0.05, 0.4
 
 OF_DISTANCE = 0.5
 """Bandwidth of an order over its distance from the nearest that is followed with it."""
+
+LONGEST_PIECE_S, PIECES, FEWEST_PIECES, NEAR_BINS = 4.0, 16, 4, 3.0
+"""Of the spectrum of the noise: length of a piece at most, pieces of a recording, those without an order that tell a
+bin, and bins beside an order that hold something of it."""
 
 KNOTS = 8
 """Knots of the envelopes in a reciprocal bandwidth: right to 1e-5."""
@@ -61,6 +69,9 @@ REACH = 2.0
 
 SURE_SIGMAS = 1.0
 """Standard errors of a row from which what the filter takes of it is no noise."""
+
+PARTED_SHARE = 1e-4
+"""Standard error of a row, beside its noise, over the strongest order followed there: knots, angle and speed."""
 
 SMOOTHING = ("smoothing", "smoothing_more", "smoothing_error")
 """Variables that say what the filter took."""
@@ -105,6 +116,58 @@ class _Plan:
         return np.array([np.interp(time_s, self.course.time_s, one) for one in self.bandwidth_hz])
 
 
+@dataclass(frozen=True)
+class NoiseSpectrum:
+    """Spectrum ``power`` (channels, bins) of what no order makes, at ``frequency_hz`` (bins,), over a whole recording.
+
+    NaN where orders stood at all times.
+    """
+
+    frequency_hz: Floats
+    power: Floats
+
+    @classmethod
+    def of(cls, band: xr.Dataset, course: SpeedCourse, orders: Floats) -> NoiseSpectrum:
+        """That of ``band``: the median of those pieces in which none of the ``orders`` along ``course`` was near."""
+        from scipy.signal import ShortTimeFFT
+        from scipy.signal.windows import hann
+
+        rate, signals = float(band.attrs["rate_hz"]), np.nan_to_num(band["signal"].values)
+        length = min(LONGEST_PIECE_S, signals.shape[1] / rate / PIECES)
+        pieces = ShortTimeFFT(hann(int(length * rate), sym=False), int(0.5 * length * rate) or 1, rate)
+        first, last = pieces.lower_border_end[1], pieces.upper_border_begin(signals.shape[1])[1]
+        power = np.square(np.abs(pieces.stft(signals, first, last)))
+        middle = float(band.attrs.get("start_s", 0.0)) + pieces.t(signals.shape[1], first, last)
+        speed = np.array(
+            [np.interp(middle + way * length, course.time_s, course.speed_rpm) for way in (-0.5, 0.0, 0.5)]
+        )
+        near = np.zeros(power.shape[1:], dtype=bool)
+        for order in orders.tolist():
+            ends = order * speed.min(axis=0) / 60.0, order * speed.max(axis=0) / 60.0
+            near |= np.abs(pieces.f[:, None] - np.clip(pieces.f[:, None], *ends)) < NEAR_BINS / length
+        free = np.count_nonzero(~near, axis=1) >= FEWEST_PIECES
+        typical = np.full(power.shape[:2], np.nan)
+        typical[:, free] = np.nanmedian(np.where(near, np.nan, power)[:, free], axis=2)
+        return cls(pieces.f, typical)
+
+    def under_over_beside(self, hertz: Floats, width_hz: Floats) -> Floats:
+        """Root of the noise that passes the filters over that beside them (channels, orders, rows), 1 if not known.
+
+        ``hertz`` and ``width_hz`` (orders, rows): frequencies and bandwidths. Beside is where the filters read it.
+        """
+        inside = np.linspace(-1.5, 1.5, 25)
+        weight = (1.0 / (1.0 + HALF_POWER * (2.0 * inside) ** (2 * POLES))) ** 2
+        outside = np.linspace(FLANK[0], min(FLANK[1], WIDEST * KNOTS), 16)
+        both = []
+        for offset in (inside, np.concatenate([-outside, outside])):
+            at = hertz[..., None] + offset * width_hz[..., None]
+            both.append(np.array([np.interp(at, self.frequency_hz, one) for one in self.power]))
+        lowest = np.sort(both[1].reshape(*both[1].shape[:-1], 2, -1), axis=-1)[..., : int(LOWER * len(outside))]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = (both[0] @ weight) / weight.sum() / lowest.mean(axis=(-1, -2))
+        return np.sqrt(np.where(np.isfinite(ratio) & (ratio > 0.0), ratio, 1.0))
+
+
 def swept_tracks(
     band: xr.Dataset, shaft: xr.Dataset, orders: Sequence[float], *, mains_hz: Sequence[float] = ()
 ) -> xr.Dataset:
@@ -120,6 +183,7 @@ def swept_tracks(
     named = np.asarray(sorted(orders), dtype=np.float64)
     course = speed_course(shaft)
     band, lines = without_steady_lines(band, course, named, mains_hz=mains_hz)
+    spectrum = NoiseSpectrum.of(band, course, named)
     width = bandwidths_hz(named, course)
     first, last = _covered(band, shaft)
     made: list[tuple[_Plan, Complexes, Floats]] = []
@@ -130,7 +194,9 @@ def swept_tracks(
         if len(rows):
             plan = _Plan(named, course, width, span, rows)
             try:
-                made.append((plan, *_followed(band, shaft, plan)))
+                amplitude, error = _followed(band, shaft, plan)
+                hertz = named[:, None] * np.interp(rows, course.time_s, course.speed_rpm) / 60.0
+                made.append((plan, amplitude, error * spectrum.under_over_beside(hertz, plan.widths(rows))))
             except RequestError as error:
                 notes.append(f"{span[0]:.3g} to {span[1]:.3g} s: {error}")
     found = _dataset(band, shaft, named, course, made, notes)
@@ -149,9 +215,13 @@ def bandwidths_hz(orders: Floats, course: SpeedCourse) -> Floats:
 
 
 def followed_error(tracks: xr.Dataset, place: int) -> Floats:
-    """Standard error (channels, frames) of order number ``place`` of ``tracks``, with what the filter took put back."""
+    """Standard error (channels, frames) of order number ``place`` of ``tracks``, with what the filter took put back.
+
+    However little noise there is, angle, speed and filter part orders by no more than :data:`PARTED_SHARE`.
+    """
     taken = np.abs(tracks["smoothing"].values[:, place]) + tracks["smoothing_error"].values[:, place]
-    return np.asarray(np.hypot(tracks["standard_error"].values[:, place], taken))
+    strongest = np.abs(np.nan_to_num(tracks["amplitude"].values)).max(axis=1)
+    return np.asarray(np.hypot(np.hypot(tracks["standard_error"].values[:, place], taken), PARTED_SHARE * strongest))
 
 
 def _covered(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, float]:
@@ -275,9 +345,7 @@ def _piece(
     time_s = start + np.arange(piece.start, piece.stop) / rate
     angle = angle_at(time_s, **knots_of(shaft))
     signals = band["signal"].values[:, piece]
-    usable = np.isfinite(signals) & np.isfinite(angle)
-    if "usable" in band:
-        usable &= band["usable"].values[:, piece]
+    usable = sound_samples(band)[:, piece] & np.isfinite(angle)
     channels = np.flatnonzero(usable.sum(axis=1) >= FEWEST_SAMPLES)
     if not len(channels) or signals.shape[1] < FEWEST_SAMPLES:
         return None
@@ -299,12 +367,9 @@ def _piece(
 
 def _usable_rows(band: xr.Dataset, plan: _Plan) -> Bools:
     """Whether most samples (channels, rows) within a reciprocal bandwidth about each row are usable."""
-    signals = band["signal"].values
-    usable = np.isfinite(signals)
-    if "usable" in band:
-        usable &= band["usable"].values
+    usable = sound_samples(band)
     if usable.all():
-        return np.ones((len(signals), len(plan.rows_s)), dtype=bool)
+        return np.ones((len(usable), len(plan.rows_s)), dtype=bool)
     rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
     half = 0.5 / plan.widths(plan.rows_s).max(axis=0)
     total = np.concatenate([np.zeros((len(usable), 1), dtype=np.int64), np.cumsum(usable, axis=1)], axis=1)
@@ -387,9 +452,7 @@ def _put_waveform(found: xr.Dataset, band: xr.Dataset, shaft: xr.Dataset, course
     rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
     time_s = start + np.arange(band.sizes["time"]) / rate
     angle = angle_at(time_s, **knots_of(shaft))
-    sound = np.isfinite(angle) & np.isfinite(band["signal"].values).all(axis=0)
-    if "usable" in band:
-        sound &= band["usable"].values.all(axis=0)
+    sound = np.isfinite(angle) & sound_samples(band).all(axis=0)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], sound, [False]]))).reshape(-1, 2)
     first, last = edges[np.argmax(edges[:, 1] - edges[:, 0])] if len(edges) else (0, 0)
     speed = np.interp(time_s[first:last], course.time_s, course.speed_rpm)

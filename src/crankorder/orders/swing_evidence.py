@@ -376,14 +376,11 @@ def _sums(value: Complexes, noise: Floats, harmonic: int, expected: Expected) ->
     """Sums over the rows for every target that ``value`` (rows, half orders) has a neighbour for, as ``expected``."""
     seen, u, v, weight = _sides(value, noise, harmonic, expected)
     order = np.arange(value.shape[1]) / 2.0
-
-    def total(product: Complexes) -> Complexes:
-        return np.asarray((weight * product).sum(axis=0))
-
     below, above, own = (np.asarray((weight * np.abs(one) ** 2).sum(axis=0)) for one in (u, v, seen))
     kept = (below + above) * expected.largest_rev(harmonic) ** 2 > 10.0
     carrier = np.where(below > above, np.abs(order - harmonic), order + harmonic)
-    both, low, high = (total(one)[kept] for one in (u * v.conj(), u.conj() * seen, v.conj() * seen))
+    products = (u * v.conj(), u.conj() * seen, v.conj() * seen)
+    both, low, high = ((weight * one).sum(axis=0)[kept] for one in products)
     count = (weight > 0.0).sum(axis=0).astype(np.float64)
     return _Sums(below[kept], above[kept], both, low, high, own[kept], count[kept], carrier[kept])
 

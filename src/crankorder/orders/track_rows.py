@@ -15,7 +15,7 @@ import xarray as xr
 
 from crankorder.fft.windows import power_of_two
 from crankorder.findings import Findings
-from crankorder.orders.averages import beside_bins, noise_beside, noise_under
+from crankorder.orders.averages import HeldSizes, SizeRows, beside_bins, noise_beside, noise_under
 from crankorder.orders.between_recordings import one_phase_reference
 from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
 from crankorder.orders.fixed_lines import NUMBERS as FIXED_LINES
@@ -110,6 +110,8 @@ class TrackReader:
         self.order_map = order_map
         self.items = [item for item in followed if item.attrs.get("swept", 0) and item.sizes.get("frame", 0)]
         self._frames, self._fixed = list(frames), tuple(fixed)
+        self._axis: Floats = order_map["order"].values
+        self._step = float(self._axis[1] - self._axis[0])
         self.map_rpm: Floats = order_map["speed"].values
         self.speed_rpm: Floats = np.concatenate([self.map_rpm, *(item["speed"].values for item in self.items)])
 
@@ -134,19 +136,18 @@ class TrackReader:
         found: dict[int, list[MetStretch]] = {}
         for one in self._met_stretches(order, others):
             found.setdefault(one.row, []).append(one)
-        is_coherent = bool(np.abs(self.order_map["order"].values - order).min() < ON_BIN)
+        is_coherent = bool(np.abs(self._axis - order).min() < ON_BIN)
         return [met_row(parts, unit=self._unit[:, 0], is_coherent=is_coherent) for parts in found.values()]
 
     def _met_stretches(self, order: float, others: Sequence[float]) -> list[MetStretch]:
         """Frames of held recordings about an ``order``, told from ``others``, that meets lines of one frequency."""
-        axis = self.order_map["order"].values
-        step = float(axis[1] - axis[0])
+        step = self._step
         centre = order / step
-        if not 0 <= round(centre) < len(axis):
+        if not 0 <= round(centre) < len(self._axis):
             return []
-        close = [other / step for other in others if LEAST_APART_BINS < abs(other / step - centre) < TOGETHER_BINS]
+        close = self._close(centre, others)
         used, solve, share = self._lobe_fit(centre, close)
-        if not close and abs(axis[round(centre)] - order) < ON_BIN:  # as the map reads it: its bin alone
+        if not close and abs(self._axis[round(centre)] - order) < ON_BIN:  # as the map reads it: its bin alone
             used, solve, share = np.array([round(centre)]), np.ones(1), 1.0
         power = (self.order_map["amplitude"].values / self._unit[..., None]) ** 2
         noise = np.nan_to_num(share * noise_beside(power, self._beside[0][round(centre)][None])[..., 0])
@@ -225,15 +226,14 @@ class TrackReader:
 
     def _of_map(self, order: float, others: Sequence[float]) -> OrderRows:
         """Rows of the map: its coherent average on a bin, else the frames at the exact order, by energy."""
-        axis = self.order_map["order"].values
-        step = float(axis[1] - axis[0])
+        step = self._step
         nearest = round(order / step)
-        if not 0 <= nearest < len(axis):
+        if not 0 <= nearest < len(self._axis):
             return OrderRows.nothing(self.order_map.sizes["channel"], len(self.map_rpm))
-        if abs(axis[nearest] - order) < ON_BIN:
+        if abs(self._axis[nearest] - order) < ON_BIN:
             made = OrderRows(*(self.order_map[name].values[..., nearest] for name in _ON_BIN_NAMES))
         else:
-            made = self._between_bins(order / step, [other / step for other in others], nearest)
+            made = self._between_bins(order / step, self._close(order / step, others), nearest)
         beating = [one for one in others if self._beats(one - order) and abs(one - order) < BEATING_BINS * step]
         return self._parted_by_beat(made, order, beating, others) if beating else made
 
@@ -251,8 +251,7 @@ class TrackReader:
         lines = np.array([order, *beating])
         found: dict[int, list[CloseRow]] = {}
         stretches = self._stretches(lines, [other for other in others if other not in beating])
-        step = float(np.diff(self.order_map["order"].values[:2])[0])
-        on_bin = np.abs(lines / step - np.rint(lines / step)) * step < ON_BIN
+        on_bin = np.abs(lines / self._step - np.rint(lines / self._step)) * self._step < ON_BIN
         for one in close_rows(stretches, lines, wanders=bool(not on_bin[0] and on_bin[1:].all())):
             found.setdefault(one.row, []).append(one)
         values = {item.name: getattr(made, item.name).copy() for item in fields(OrderRows)}
@@ -270,13 +269,11 @@ class TrackReader:
 
     def _stretches(self, lines: Floats, others: list[float]) -> list[Stretch]:
         """Phasors of each recording in each row, of what is about ``lines`` (lines,) apart from ``others`` [orders]."""
-        axis = self.order_map["order"].values
-        step = float(axis[1] - axis[0])
+        step = self._step
         centre = float(lines.mean()) / step
-        close = [other / step for other in others if LEAST_APART_BINS < abs(other / step - centre) < TOGETHER_BINS]
-        used, solve, share = self._lobe_fit(centre, close)
+        used, solve, share = self._lobe_fit(centre, self._close(centre, others))
         power = (self.order_map["amplitude"].values / self._unit[..., None]) ** 2
-        nearest = min(round(centre), len(axis) - 1)
+        nearest = min(round(centre), len(self._axis) - 1)
         noise = share * noise_beside(power, self._beside[0][nearest][None])[..., 0]
         kept = solve @ hann_lobe(used[:, None] - lines / step)
         made = []
@@ -289,13 +286,17 @@ class TrackReader:
                 made.append(Stretch(item, row, phasors[:, mine], begin, revs, kept, np.nan_to_num(noise[:, row])))
         return made
 
-    def _between_bins(self, place: float, others: list[float], nearest: int) -> OrderRows:
-        """Rows of a line ``place`` bins up, between two bins, solved with the ``others`` (in bins) that are near."""
-        close = [other for other in others if LEAST_APART_BINS < abs(other - place) < TOGETHER_BINS]
+    def _close(self, place: float, others: Sequence[float]) -> list[float]:
+        """Those of the ``others`` [orders], in bins, that are solved together with a line ``place`` bins up."""
+        bins = [other / self._step for other in others]
+        return [one for one in bins if LEAST_APART_BINS < abs(one - place) < TOGETHER_BINS]
+
+    def _between_bins(self, place: float, close: list[float], nearest: int) -> OrderRows:
+        """Rows of a line ``place`` bins up, between two bins, solved with those ``close`` to it (in bins)."""
         power = (self.order_map["amplitude"].values / self._unit[..., None]) ** 2
         bins, worth = self._beside
         independent = self.order_map["n_independent"].values
-        energy, share = self._energy(place, close)
+        energy, share, held = self._energy(place, close)
         leaked = np.nan_to_num(energy)[..., None] * np.square(
             hann_lobe(np.arange(power.shape[-1], dtype=np.float64) - place)
         )
@@ -312,22 +313,26 @@ class TrackReader:
         # without noise the error is 0; without energy nothing is known of it but the upper end
         error = np.where(np.isnan(energy) | (noise > 0.0), np.where(energy > 0.0, error, np.nan), 0.0)
         nothing = np.full(energy.shape, np.nan)
+        sizes = SizeRows(line, error, dof, low, high)
+        made = sizes.with_scatter(held, noise=share * noise, independent=np.full(len(self.map_rpm), worth[nearest]))
         unit = self._unit
-        return OrderRows(unit * line, nothing, unit * error, dof, unit * low, unit * high, nothing)
+        return OrderRows(unit * line, nothing, unit * made.error, made.dof, unit * made.low, unit * made.high, nothing)
 
     @cached_property
     def _beside(self) -> tuple[Ints, Floats]:
         """Bins beside each bin that hold noise, and how many independent ones they are worth."""
         cycle = int(self.order_map.attrs["revs_per_cycle"])
-        return beside_bins(self.order_map["order"].values, line_step=1.0 / cycle)
+        return beside_bins(self._axis, line_step=1.0 / cycle)
 
     @cached_property
     def _unit(self) -> Floats:
         """Power of two (channels, 1) by which amplitudes are divided before they are squared."""
         return power_of_two(self.order_map["amplitude"].values)[..., 0]
 
-    def _energy(self, place: float, close: list[float]) -> tuple[Floats, float]:
+    def _energy(self, place: float, close: list[float]) -> tuple[Floats, float, list[HeldSizes]]:
         """Mean squared amplitude (channels, rows) of the line ``place`` bins up, and its share of a bin's noise power.
+
+        Last, its amplitudes in the frames of each recording whose speed is held.
 
         Each frame is solved for the line and those ``close`` to it by generalised least squares over the bins of their
         main lobes; without frames the map's energy is taken for that of the line alone.
@@ -337,17 +342,21 @@ class TrackReader:
         if not self._frames:
             squares = np.square(hann_lobe(used.astype(np.float64) - place))
             energy = np.square(self.order_map["amplitude"].values[..., used] / self._unit[..., None]) @ squares
-            return np.asarray(energy / float(squares @ squares)), float(squares.sum() / (squares @ squares))
+            return np.asarray(energy / float(squares @ squares)), float(squares.sum() / (squares @ squares)), []
+        held: list[HeldSizes] = []
         total, count = np.zeros(shape), np.zeros(shape)
         for item, rows in zip(self._used, self._row_of_frames, strict=True):
             squared = np.abs(self._phasors(item, used, solve)) ** 2
             seen = np.isfinite(squared)
+            for row in [] if item.attrs.get("swept", 0) else np.unique(rows).tolist():
+                own = squared[:, (rows == row) & seen.all(axis=0)]
+                held += [HeldSizes(row, np.sqrt(own))] if own.shape[1] > 1 else []
             for channel in range(shape[0]):
                 some = seen[channel]
                 total[channel] += np.bincount(rows[some], squared[channel, some], minlength=shape[1])
                 count[channel] += np.bincount(rows[some], minlength=shape[1])
         with np.errstate(invalid="ignore"):
-            return total / count, share
+            return total / count, share, held
 
     def _lobe_fit(self, place: float, close: list[float]) -> tuple[Ints, Floats, float]:
         """Bins (used,) about a line ``place`` bins up, their weights in its amplitude apart from lines ``close`` to it.
@@ -356,8 +365,7 @@ class TrackReader:
         """
         lines = np.array([place, *close])
         middle = np.rint(lines).astype(int)
-        last = self.order_map.sizes["order"] - 1
-        used = np.arange(max(0, middle.min() - REACH_BINS), min(last, middle.max() + REACH_BINS) + 1)
+        used = np.arange(max(0, middle.min() - REACH_BINS), min(len(self._axis) - 1, middle.max() + REACH_BINS) + 1)
         lobes = hann_lobe(used[:, None] - lines)
         apart = np.abs(used[:, None] - used)
         noise = np.select([apart == k for k in range(3)], HANN_CORRELATION, 0.0)
@@ -447,11 +455,11 @@ def order_tracks(
     rows = [reader.rows(order, [other for other in orders if other != order]) for order in orders]
     values = {item.name: [getattr(one, item.name)[:, at] for one in rows] for item in fields(OrderRows)}
     band = _band_rms(order_map, asked, settings.band_width_orders)
-    nearest = _nearest_row(reader.map_rpm, reader.speed_rpm)[at]
+    nearest = reader.nearest_row_of_map(at)
     values["band_rms"] = [band[:, nearest, number] for number in range(len(orders))]
     used = np.any([np.isfinite(one) for one in values["amplitude"]], axis=(0, 1)) if orders else np.ones(len(at), bool)
     # rows of the map that only sweeps went through hold nothing once all orders are followed
-    kept = np.flatnonzero(used | (at < len(reader.map_rpm)) & ~_replaced(reader, at, values["amplitude"]))
+    kept = np.flatnonzero(used | (at < len(reader.map_rpm)) & (not reader.items))
     tracks = xr.Dataset(coords={k: v for k, v in order_map.coords.items() if "speed" not in v.dims and k != "order"})
     tracks["order"] = ("order", asked, {"units": "1", "long_name": "order"})
     tracks["speed"] = ("speed", reader.speed_rpm[at][kept], order_map["speed"].attrs)
@@ -470,42 +478,21 @@ def order_tracks(
     return with_flags(tracks, flags + [flag for item in reader.items for flag in flags_of(item) if flag not in flags])
 
 
-def _replaced(reader: TrackReader, at: Ints, amplitude: list[Floats]) -> Bools:
-    """Which rows hold no number of any order although there are sweeps whose rows stand in their place."""
-    if not reader.items or not amplitude:
-        return np.zeros(len(at), dtype=bool)
-    return np.asarray(~np.any(np.isfinite(amplitude), axis=(0, 1)))
-
-
-def _nearest_row(known_rpm: Floats, speed_rpm: Floats) -> Ints:
-    """Number of the row of ``known_rpm`` nearest to each of ``speed_rpm``, whose first ones they are themselves."""
-    apart = np.abs(speed_rpm[:, None] - known_rpm)
-    nearest = np.where(np.isnan(apart), np.inf, apart).argmin(axis=1)
-    nearest[: len(known_rpm)] = np.arange(len(known_rpm))
-    return np.asarray(nearest)
-
-
 def _band_rms(order_map: xr.Dataset, orders: Floats, width_orders: float) -> Floats:
-    """RMS (channels, speeds, orders) of everything within ``width_orders`` around each of ``orders``."""
+    """RMS (channels, speeds, orders) of everything within ``width_orders`` around each of ``orders``.
+
+    Part bins count in part; NaN where less than :data:`BAND_HELD` of the width holds numbers.
+    """
     level = order_map["amplitude"].values
     largest = np.nanmax(level, axis=(1, 2), keepdims=True, initial=0.0)
     unit = np.where(largest > 0.0, np.ldexp(1.0, np.frexp(largest)[1] - 1), 1.0)
     axis = order_map["order"].values
     resolution = float(axis[1] - axis[0])
-    band = _band_sum((level / unit) ** 2, orders / resolution, width_orders / resolution, least_share=BAND_HELD)
+    power, centre, width = (level / unit) ** 2, orders / resolution, width_orders / resolution
+    known = ~np.isnan(power)
+    held = np.full(1, width) if known.all() else _sum_around(known.astype(np.float64), centre, width)
+    band = np.where(held < BAND_HELD * width, np.nan, _sum_around(power, centre, width))
     return np.asarray(unit * np.sqrt(band / (2.0 * float(order_map.attrs["enbw_bins"]))))
-
-
-_VARIABLES = (
-    ("amplitude", "see unit", "peak amplitude"),
-    ("phase", "degree", "phase from top dead centre"),
-    ("standard_error", "see unit", "standard error of amplitude"),
-    ("degrees_of_freedom", "1", "degrees of freedom of standard_error"),
-    ("amplitude_low", "see unit", "lower end of the 95 % interval of amplitude"),
-    ("amplitude_high", "see unit", "upper end of the 95 % interval of amplitude"),
-    ("phase_ci95", "degree", "half width of the 95 % interval of phase; 180: unknown"),
-    ("band_rms", "see unit", "RMS within the band around the order"),
-)
 
 
 def followed_orders(findings: Findings, settings: OrderSettings) -> list[float]:
@@ -531,16 +518,6 @@ def track_order(order: float, order_ci95: Sequence[float], lock: str | None, *, 
     may_be = low <= multiple <= high and high - low < 0.5 / revs_per_cycle
     locked = lock == "locked" or (lock == "undecided" and may_be)
     return round(multiple if locked else order, 6)
-
-
-def _band_sum(power: Floats, centre: Floats, width: float, *, least_share: float) -> Floats:
-    """Sum of ``power`` (…, bins) over ``width`` bins around each ``centre`` (in bins); part bins count in part.
-
-    NaN where less than ``least_share`` of the width holds numbers.
-    """
-    missing = np.isnan(power)
-    held = _sum_around((~missing).astype(np.float64), centre, width) if missing.any() else np.full(1, width)
-    return np.where(held < least_share * width, np.nan, _sum_around(power, centre, width))
 
 
 def _sum_around(power: Floats, centre: Floats, width: float) -> Floats:

@@ -21,18 +21,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-_COLOURED = 6  # orders that the eye can follow; the others are there for comparison …
-_ALL_COLOURED = 8  # … but not for the sake of one or two
+COLOURED = 6  # orders that the eye can follow; the others are there for comparison …
+ALL_COLOURED = 8  # … but not for the sake of one or two
 _MOST = 12  # orders drawn where none are asked for
-_LOG_RATIO = 15.0  # orders whose largest amplitudes differ by more than this need a logarithmic axis
-_CLEAR = 3.0  # standard errors above zero from which a line is drawn
-_WITHOUT_MARKERS = 60  # more speeds than this are a curve, not points
+LOG_RATIO = 15.0  # orders whose largest amplitudes differ by more than this need a logarithmic axis
+CLEAR = 3.0  # standard errors above zero from which a line is drawn; its phase means nothing below
+WITHOUT_MARKERS = 60  # more speeds than this are a curve, not points
 _SAME_ORDER = 0.02  # an order asked for is the track this close to it
 
 
 @dataclass(frozen=True)
-class _Tracks:
-    """Values (order, speed), slowest speed first; NaN where a line is not clear of the noise. ``rank`` 0 is strongest.
+class DrawnTracks:
+    """Values (…, order, speed), slowest speed first; NaN where a line is not clear of the noise. ``rank`` 0: strongest.
 
     ``read`` is False at speeds at which only other orders have a row: those of a sweep stand at speeds of their own.
     """
@@ -46,10 +46,14 @@ class _Tracks:
     read: NDArray[np.bool_]
     texts: list[str]
 
+    @property
+    def coloured(self) -> NDArray[np.bool_]:
+        """True for the orders that are drawn in a colour of their own."""
+        return np.asarray(self.rank < (COLOURED if len(self.orders) > ALL_COLOURED else ALL_COLOURED))
+
     def color(self, number: int) -> str:
-        """Colour of an order by ``number``; light where it is only there for comparison."""
-        coloured = self.rank < (_COLOURED if len(self.orders) > _ALL_COLOURED else _ALL_COLOURED)
-        return LINES[int(coloured[:number].sum())] if coloured[number] else LIGHT
+        """Colour of the order ``number``, the same in all channels; light where it is only there for comparison."""
+        return LINES[int(self.coloured[:number].sum())] if self.coloured[number] else LIGHT
 
 
 def orders(
@@ -98,7 +102,7 @@ def orders(
     return axes
 
 
-def _tracks(dataset: xr.Dataset, channel: int, asked: Sequence[float] | None) -> _Tracks:
+def _tracks(dataset: xr.Dataset, channel: int, asked: Sequence[float] | None) -> DrawnTracks:
     speed = np.asarray(dataset["speed"].values, dtype=float)
     known = np.isfinite(speed)
     at = np.argsort(speed, kind="stable")[: int(known.sum()) or min(len(speed), 1)]
@@ -108,14 +112,14 @@ def _tracks(dataset: xr.Dataset, channel: int, asked: Sequence[float] | None) ->
     }
     amplitude, low, high = value["amplitude"], np.maximum(value["amplitude_low"], 0.0), value["amplitude_high"]
     # an unknown error or interval counts as clear; an interval from 0 says that noise alone could be as large
-    clear = (amplitude > 0) & ~(amplitude < _CLEAR * value["standard_error"]) & ~(low <= 0)
+    clear = (amplitude > 0) & ~(amplitude < CLEAR * value["standard_error"]) & ~(low <= 0)
     peak = np.max(np.nan_to_num(np.where(clear, amplitude, 0.0)), axis=1, initial=0.0)
     every = np.asarray(dataset["order"].values, dtype=float)
     kept = _kept(every, peak, asked)
     rank = np.argsort(np.argsort(-peak[kept], kind="stable"), kind="stable")
     shown, bottom, top = (np.where(clear, one, np.nan)[kept] for one in (amplitude, low, high))
     texts = order_texts([called_order(order) for order in every[kept].tolist()])
-    return _Tracks(speed[at], every[kept], rank, shown, bottom, top, np.isfinite(amplitude)[kept], texts)
+    return DrawnTracks(speed[at], every[kept], rank, shown, bottom, top, np.isfinite(amplitude)[kept], texts)
 
 
 def _kept(every: NDArray[np.float64], peak: NDArray[np.float64], asked: Sequence[float] | None) -> NDArray[np.intp]:
@@ -132,7 +136,7 @@ def _kept(every: NDArray[np.float64], peak: NDArray[np.float64], asked: Sequence
     return np.unique(np.array(places, dtype=np.intp))
 
 
-def _said(shown: _Tracks, there: int) -> str:
+def _said(shown: DrawnTracks, there: int) -> str:
     """Speed where it is the only one, and how many of the orders that are ``there`` are drawn; 0 of those asked for."""
     many = f"{len(shown.orders)} strongest of {there} orders, " if len(shown.orders) < there else ""
     at = ""
@@ -141,20 +145,20 @@ def _said(shown: _Tracks, there: int) -> str:
     return f"{at}{many}with 95 % intervals"
 
 
-def _scale(axes: Axes, shown: _Tracks) -> None:
+def _scale(axes: Axes, shown: DrawnTracks) -> None:
     """Linear from zero; logarithmic where orders differ much."""
     peaks = np.max(np.nan_to_num(shown.amplitude), axis=1, initial=0.0)
     if not np.any(peaks > 0):
         axes.set(ylim=(0.0, 1.0), yticks=[])
         return
-    if peaks.max() < _LOG_RATIO * peaks[peaks > 0].min():
+    if peaks.max() < LOG_RATIO * peaks[peaks > 0].min():
         highest = np.nanmax(np.where(np.isfinite(shown.high), shown.high, shown.amplitude))
         axes.set_ylim(0.0, min(1.08 * float(min(highest, 2.0 * peaks.max())), 1e307))
         return
     log_scale(axes, shown.amplitude, decades=6.0)
 
 
-def _draw_lines(axes: Axes, shown: _Tracks) -> None:
+def _draw_lines(axes: Axes, shown: DrawnTracks) -> None:
     from crankorder.plot.edge_labels import label_ends
 
     for number in np.argsort(-shown.rank):  # the strongest lies on top
@@ -168,7 +172,7 @@ def _draw_lines(axes: Axes, shown: _Tracks) -> None:
     label_ends(axes, ends, caption="order")
 
 
-def _draw_line(axes: Axes, shown: _Tracks, number: int) -> None:
+def _draw_line(axes: Axes, shown: DrawnTracks, number: int) -> None:
     read = shown.read[number]
     if not read.any():
         return
@@ -181,14 +185,14 @@ def _draw_line(axes: Axes, shown: _Tracks, number: int) -> None:
     coloured = color != LIGHT
     if coloured:
         axes.fill_between(speed, low, high, color=color, alpha=0.2, linewidth=0, gid=f"band {shown.texts[number]}")
-    marked = len(speed) <= _WITHOUT_MARKERS
+    marked = len(speed) <= WITHOUT_MARKERS
     axes.plot(
         speed, amplitude, color=color, linewidth=1.4 if coloured else 0.9, gid=f"order {shown.texts[number]}",
         marker="o" if marked else "none", markersize=3.0 if coloured else 2.0, solid_capstyle="butt",
     )  # fmt: skip
 
 
-def _draw_points(axes: Axes, shown: _Tracks) -> None:
+def _draw_points(axes: Axes, shown: DrawnTracks) -> None:
     """Points with error bars against the order, each named above."""
     from crankorder.plot.edge_labels import label_orders
 

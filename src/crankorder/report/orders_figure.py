@@ -13,18 +13,14 @@ from crankorder.findings import Findings
 from crankorder.plot.cells import gaps_before, speed_cells
 from crankorder.plot.drawing import Box, Drawing, Words
 from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
-from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
+from crankorder.plot.palette import BAND_FACTOR, FAINT, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.panel import Panel
+from crankorder.plot.tracks import ALL_COLOURED, CLEAR, COLOURED, LOG_RATIO, WITHOUT_MARKERS, DrawnTracks
 from crankorder.report.notation import nominal_order, order_texts
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _GUTTER = 1.0, 0.7, 0.98, 0.95  # margins in inches; the gutter holds labels and the next axis
 _COLUMNS = 4
-_COLOURED = 6  # orders that the eye can follow; the others are there for comparison …
-_ALL_COLOURED = 8  # … but not for the sake of one or two
-_LOG_RATIO = 15.0  # orders whose largest amplitudes differ by more than this need a logarithmic axis
-_CLEAR = 3.0  # standard errors above zero from which a line is drawn; its phase means nothing below
-_WITHOUT_MARKERS = 60  # more speeds than this are a curve, not points
 _JOINED_DEG = 90.0  # phases further apart are points, not a curve: they wrap, or nothing locks them to the shaft
 _PHASE_OF = {
     "tdc": "Phase from\ntop dead centre, °",
@@ -36,32 +32,12 @@ _PHASE_OF = {
 
 
 @dataclass(frozen=True)
-class ShownTracks:
-    """Values (channel, order, speed) of the orders that are shown, slowest speed first; ``rank`` 0 is the strongest.
+class ShownTracks(DrawnTracks):
+    """Values (channel, order, speed) of the orders that are shown, of all channels."""
 
-    ``read`` is False at speeds at which only other orders have a row: those of a sweep stand at speeds of their own.
-    """
-
-    speed: NDArray[np.float64]
-    orders: NDArray[np.float64]
-    rank: NDArray[np.int64]
-    amplitude: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
     phase: NDArray[np.float64]
-    read: NDArray[np.bool_]
     units: list[str]
     reference: str
-    texts: list[str]
-
-    @property
-    def coloured(self) -> NDArray[np.bool_]:
-        """True for the orders that are drawn in a colour of their own."""
-        return np.asarray(self.rank < (_COLOURED if len(self.orders) > _ALL_COLOURED else _ALL_COLOURED))
-
-    def color(self, number: int) -> str:
-        """Colour of the order ``number``, the same in all channels; light where it is only there for comparison."""
-        return LINES[int(self.coloured[:number].sum())] if self.coloured[number] else LIGHT
 
 
 def orders_figure(tracks: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
@@ -109,15 +85,15 @@ def shown_tracks(tracks: xr.Dataset, *, limit: int) -> ShownTracks:
     low = np.maximum(values.get("amplitude_low", amplitude - reach), 0)
     high = values.get("amplitude_high", amplitude + reach)
     # an unknown error or interval counts as clear; an interval from 0 says that noise alone could be as large
-    clear = (amplitude > 0) & ~(amplitude < _CLEAR * error) & ~(low <= 0)
+    clear = (amplitude > 0) & ~(amplitude < CLEAR * error) & ~(low <= 0)
     amplitude, low, high, phase = (
         np.where(clear, item, np.nan)[:, kept] for item in (amplitude, low, high, (values["phase"] + 180) % 360 - 180)
     )
     return ShownTracks(
         tracks["speed"].values[at], tracks["order"].values[kept], np.argsort(np.searchsorted(kept, ranked)),
-        amplitude, low, high, phase, np.isfinite(values["amplitude"])[:, kept],
+        amplitude, low, high, np.isfinite(values["amplitude"])[:, kept],
+        order_texts([nominal_order(order) for order in tracks["order"].values[kept].tolist()]), phase,
         [str(unit) for unit in tracks["unit"].values], str(tracks.attrs.get("phase_reference", "none")),
-        order_texts([nominal_order(order) for order in tracks["order"].values[kept].tolist()]),
     )  # fmt: skip
 
 
@@ -125,7 +101,7 @@ def _subtitle(n_orders: int, shown: int, *, clear: bool) -> str:
     if not clear:
         return "No order stands clear of the noise, or the recordings hold too few revolutions to tell."
     many = f" of the {shown} strongest of {n_orders} orders" if shown < n_orders else ""
-    light = f", {_COLOURED} of them in colour," if shown > _ALL_COLOURED else ""
+    light = f", {COLOURED} of them in colour," if shown > ALL_COLOURED else ""
     if light and not many:
         many = f" of {shown} orders"
     return f"Peak amplitude with 95 % band{many}{light} where it stands clear of the noise; orders at the right."
@@ -159,7 +135,7 @@ def _scale(clear: NDArray[np.float64]) -> tuple[tuple[float, float], bool]:
         return (0.0, 1.0), False
     peaks = np.max(np.nan_to_num(clear), axis=2)
     top = float(peaks.max())
-    if top < _LOG_RATIO * float(peaks[peaks > 0].min()):
+    if top < LOG_RATIO * float(peaks[peaks > 0].min()):
         return (0.0, 1.08 * top), False
     return (max(float(np.nanquantile(clear, 0.005)) / 1.5, 1e-6 * top), min(1.6 * top, 1e307)), True
 
@@ -199,7 +175,7 @@ def _draw_line(panel: Panel, shown: ShownTracks, channel: int, number: int) -> N
     if coloured:
         panel.band(along, low, high, color=color, alpha=0.2)
     panel.curve(along, line, color=color, width=1.3 if coloured else 0.9, name=f"order-{shown.texts[number]}")
-    if len(speed) <= _WITHOUT_MARKERS:
+    if len(speed) <= WITHOUT_MARKERS:
         panel.dots(speed, amplitude, color=color, radius=1.5 if coloured else 1.0)
 
 
@@ -213,7 +189,7 @@ def _draw_phase(panel: Panel, shown: ShownTracks, channel: int, number: int) -> 
     breaks = _broken(speed, phase, wrap=_JOINED_DEG if locked else 0.0)
     along, line = (np.insert(values, breaks, np.nan) for values in (speed, phase))
     panel.curve(along, line, color=color, width=0.9, name="phase")
-    panel.dots(speed, phase, color=color, radius=1.2 if len(speed) <= _WITHOUT_MARKERS else 0.6)
+    panel.dots(speed, phase, color=color, radius=1.2 if len(speed) <= WITHOUT_MARKERS else 0.6)
 
 
 def _label_lines(panel: Panel, shown: ShownTracks, channel: int) -> None:

@@ -27,7 +27,7 @@ from crankorder.identify.balance.transfer_path import MeasuredOrders, acceleranc
 from crankorder.identify.cycle_forces import gas_half_orders
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.modal.pole_errors import side_by_side
-from crankorder.quantities import Complexes, Floats
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -48,6 +48,7 @@ NUMBERS = _Numbers.load()
 
 TRIAL_MASS = "a second test with a known added mass ([[added_masses]]) tells the path instead"
 
+Tracks = Sequence[xr.Dataset]
 Closure = tuple[Balance | None, str]
 
 
@@ -63,6 +64,7 @@ def closure(
     engine: Engine | None,
     paths: tuple[StatedPath, ...] = (),
     added: tuple[AddedMass, ...] = (),
+    followed: Tracks = (),
 ) -> Closure:
     """Record ``balance`` of the findings, or None with the reason in words.
 
@@ -70,8 +72,9 @@ def closure(
     ``engine``'s own higher orders show, whose forces are known: they act along the cylinder at the same frequencies as
     orders 1 and 2 do at higher speeds, and one joint fit with the natural frequencies of ``modal`` gives the masses
     that make orders 1 and 2. ``order_map``: the OrderMap, with phases from top dead centre. ``orders``: what was found
-    in it. ``added``: masses that this test has on purpose; they are part of the residual. Intervals
-    hold for noise, natural frequencies and dampings, and the misfit of the path.
+    in it. ``added``: masses that this test has on purpose; they are part of the residual. ``followed``: orders as they
+    were followed through sweeps (RecordingTracks), which stand for the map's. Intervals hold for noise, natural
+    frequencies and dampings, and the misfit of the path.
     Source: forces by :func:`crankorder.engine.forces.crankcase_forces`; forward and reverse parts as in direct and
     reverse cranks (seed 002; Thomson and Dahleh 1998).
     """
@@ -82,7 +85,7 @@ def closure(
         elif engine is None:
             raise _Refused(f"no engine is named, so no force is known, and no path is stated; {TRIAL_MASS}")
         else:
-            record = _by_engine_orders(order_map, orders, modal, engine)
+            record = _by_engine_orders(order_map, orders, modal, engine, followed)
     except _Refused as refusal:
         return None, str(refusal)
     if isinstance(record, str):
@@ -109,7 +112,7 @@ def _check_phases(order_map: xr.Dataset, engine: Engine | None) -> None:
 
 
 def _by_engine_orders(
-    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, engine: Engine
+    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, engine: Engine, followed: Tracks
 ) -> Balance:
     if engine.cycle == "rotor" or engine.largest_piston_kg == 0:
         raise _Refused(f"a rotor has no order of known force, and no path is stated; {TRIAL_MASS}")
@@ -119,12 +122,10 @@ def _by_engine_orders(
     whole = [(order.order, round(order.order)) for order in orders if order.lock != "slips" and order.lines]
     seen = {number for order, number in whole if number > 0 and abs(order - number) < NUMBERS.order_match}
     bins = [float(value) for value in order_map["order"].values if value <= 12]
-    shaker = engine_shaker(
-        engine, order_map["speed"].values.astype(float), seen=seen, highest=int(max(bins, default=0))
-    )
+    shaker = engine_shaker(engine, seen=seen, highest=int(max(bins, default=0)))
     if isinstance(shaker, str):
         raise _Refused(f"{shaker}; {TRIAL_MASS}")
-    measured = measured_orders(order_map, shaker.orders, lines=[order.order for order in orders])
+    measured = measured_orders(order_map, shaker.orders, lines=[order.order for order in orders], followed=followed)
     if not measured.channels:
         raise _Refused("no channel measures acceleration in m/s2 or g")
     if measured.orders != shaker.orders:
@@ -152,8 +153,9 @@ def _check_firing(orders: tuple[AgreedOrder, ...], engine: Engine) -> None:
 
 def _check_scale(measured: MeasuredOrders, shaker: EngineShaker) -> None:
     """Refuse amplitudes that no machine could have under these forces."""
-    rows = shaker.known_rows & (measured.error < np.inf).any(axis=0)
-    force = np.abs(shaker.forces.known[[a != "RY" for a in shaker.forces.axes]]).max(axis=0)
+    rows = _of_known_force(measured, shaker)
+    force = np.abs(shaker.forces.known[[a != "RY" for a in shaker.forces.axes]]).max(axis=0)[measured.place_of_row]
+    force = force * (measured.rpm_of_row * np.pi / 30) ** 2
     strong = rows & (force >= 0.5 * force[rows].max(initial=0.0)) & (force > 0)
     if not strong.any():
         raise _Refused("the orders of known force were not measured")
@@ -172,7 +174,7 @@ def _check_scale(measured: MeasuredOrders, shaker: EngineShaker) -> None:
 def _fitted(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit) -> ShakerFit:
     """Fit along the forces alone, or with the rolling moment where the data ask for it."""
     plain = shaker.forces.on(tuple(axis for axis in shaker.forces.axes if axis != "RY"))
-    rows, top_hz = _known_rows(measured, shaker), float(measured.frequency_hz.max())
+    rows, top_hz = int(_of_known_force(measured, shaker).sum()), float(measured.frequency_hz.max())
     n_modes = modes_with_room(modal, axes=len(plain.axes), top_hz=top_hz, rows=rows)
     if n_modes is None:
         raise _Refused(
@@ -181,7 +183,7 @@ def _fitted(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit) -> 
         )
     fit = shaker_fit(measured, plain, modal, n_modes=n_modes)
     fewer = modes_with_room(modal, axes=len(plain.axes) + 1, top_hz=top_hz, rows=rows)
-    if "RY" not in shaker.forces.axes or fewer is None or (fewer < n_modes and fit.sound):
+    if "RY" not in shaker.forces.axes or fewer is None or (fewer < n_modes and not fit.misfit):
         return fit
     others = measured.without(measured.order_of_row == 1)
     if _rolls(others, shaker, modal, n_modes=fewer):
@@ -205,8 +207,8 @@ def _rolls(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit, *, n
     return bool(gain > 1 + NUMBERS.rolls_sigmas * np.sqrt(2 * len(measured.channels) / more))
 
 
-def _known_rows(measured: MeasuredOrders, shaker: EngineShaker) -> int:
-    return int(np.count_nonzero(shaker.known_rows & (measured.error < np.inf).any(axis=0)))
+def _of_known_force(measured: MeasuredOrders, shaker: EngineShaker) -> Bools:
+    return np.isin(measured.order_of_row, shaker.known_orders) & (measured.error < np.inf).any(axis=0)
 
 
 def _check_fit(fit: ShakerFit, shaker: EngineShaker) -> None:
@@ -233,9 +235,9 @@ def _check_orders_agree(measured: MeasuredOrders, shaker: EngineShaker, modal: M
     for order in shaker.known_orders:
         rest = measured.without(measured.order_of_row == order)
         n_modes = len(fit.natural_hz)
-        if _known_rows(rest, shaker) < rows_needed(n_modes, axes=len(fit.axes)):
+        if _of_known_force(rest, shaker).sum() < rows_needed(n_modes, axes=len(fit.axes)):
             continue
-        alone = shaker_fit(rest, shaker.forces.on(fit.axes), modal, n_modes=n_modes, start=fit.mass_kg)
+        alone = shaker_fit(rest, shaker.forces.on(fit.axes), modal, n_modes=n_modes)
         for number, sought in enumerate(shaker.sought_orders):
             part = slice(2 * number, 2 * number + 2)
             apart = abs(alone.mass_kg[number] - fit.mass_kg[number])
@@ -287,7 +289,7 @@ def _record(fit: ShakerFit, shaker: EngineShaker, engine: Engine, agreement: str
         per_kg=shaker.per_kg,
     )
     record = split_record(split, engine=engine)
-    middle = np.median(measured.frequency_hz[shaker.known_rows])
+    middle = np.median(measured.frequency_hz[np.isin(measured.order_of_row, shaker.known_orders)])
     axis = fit.axes.index("Z") if "Z" in fit.axes else 0
     mass_kg = 1 / float(np.abs(fit.path(np.array([middle]))[:, axis]).max())
     odd = ", ".join(f"{rpm:.0f}" for rpm in fit.odd_speeds_rpm)
@@ -441,20 +443,11 @@ def _split_by_paths(found: list[_Forces], parts: list[tuple[int, tuple[str, ...]
             per_kg[number] = force_per_kg(
                 bare, order, DIRECTIONS.index(axis), along_only=along_only or (order == 2 and axis == DIRECTIONS[Z])
             )
-    covariance = side_by_side([forces.covariance for forces in found])
-    split = Split(
-        mass_kg=np.concatenate([forces.mass_kg for forces in found]),
-        covariance=covariance,
-        freedom=min(forces.freedom for forces in found),
-        sought=sought,
-        per_kg=np.ones_like(per_kg),
-    )
-    scaled = [split.combined(np.where(np.arange(len(sought)) == n, 1 / per_kg, 0)) for n in range(len(sought))]
     turn = side_by_side([np.array([[s.real, -s.imag], [s.imag, s.real]]) for s in 1 / per_kg])
     return Split(
-        mass_kg=np.array([value for value, _ in scaled]),
-        covariance=turn @ covariance @ turn.T,
-        freedom=split.freedom,
+        mass_kg=np.concatenate([forces.mass_kg for forces in found]) / per_kg,
+        covariance=turn @ side_by_side([forces.covariance for forces in found]) @ turn.T,
+        freedom=min(forces.freedom for forces in found),
         sought=sought,
         per_kg=per_kg,
     )

@@ -16,7 +16,7 @@ from crankorder.engine.forces import DIRECTIONS, X, Y, Z, crankcase_forces, cran
 from crankorder.identify.balance.transfer_path import MeasuredOrders, whitening
 from crankorder.identify.found import ModalFit
 from crankorder.identify.resonance import resonance
-from crankorder.quantities import Bools, Complexes, Floats
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -38,7 +38,10 @@ BINS_WORTH = 0.5
 
 @dataclass(frozen=True, eq=False)
 class OrderForces:
-    """Forces (N) and moments (N·m) of the rows: ``known`` (axis, row), and per kg sought ``unit`` (mass, axis, row)."""
+    """Forces and moments of the orders over ω²: ``known`` (axis, order) in kg·m (kg·m²), and per kg sought ``unit``.
+
+    ``unit``: (mass, axis, order).
+    """
 
     axes: tuple[str, ...]
     known: Complexes
@@ -76,11 +79,10 @@ class ShakerFit:
     quiet_left_over: float
     allowed: float
     n_terms: int
-    sound: bool
 
     def path(self, frequency_hz: Floats) -> Complexes:
         """Accelerance (channel, axis, frequency) at ``frequency_hz`` (frequency,)."""
-        terms = _terms(frequency_hz, self.natural_hz, self.damping_ratio, self.top_hz)
+        terms = _steady_terms(frequency_hz, self.natural_hz, self.damping_ratio, self.top_hz)
         path: Complexes = np.einsum("cab,fb->caf", self.residue, terms)
         return path
 
@@ -115,11 +117,8 @@ def rows_needed(n_modes: int, *, axes: int) -> int:
     return axes * (2 + n_modes) + 2
 
 
-def shaker_fit(
-    measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, *, n_modes: int, start: Complexes | None = None
-) -> ShakerFit:
-    """Masses and path that fit ``measured`` under ``forces`` best, with the lowest ``n_modes`` of ``modal``;
-    the search begins at the masses ``start`` (mass,) in kg where they are given.
+def shaker_fit(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, *, n_modes: int) -> ShakerFit:
+    """Masses and path that fit ``measured`` under ``forces`` best, with the lowest ``n_modes`` of ``modal``.
 
     Poles float within their covariance; residues and rigid part are complex and free, per channel and axis. Errors
     count channels as going together as the noise beside the orders does. Speeds that do not belong are left out (one
@@ -128,11 +127,11 @@ def shaker_fit(
     weights are not those of its errors (White 1980).
     """
     problem = _problem(measured, forces, modal, n_modes)
-    first = _start(problem) if start is None else np.stack([start.real, start.imag], axis=1).ravel()
-    theta = np.concatenate([first, np.zeros(problem.pole_root.shape[1])])
-    theta, fit = _solved(problem, theta)
+    # from no mass, where the rows of known force alone tell the path, the first step takes the masses through it
+    theta, fit = _solved(problem, np.zeros(2 * len(forces.unit) + problem.pole_root.shape[1]))
     odd: list[float] = []
-    while len(odd) < max(1, measured.speed_rpm.size // 10) and measured.speed_rpm.size >= 8:
+    n_speeds = np.unique(measured.rpm_of_row).size
+    while len(odd) < max(1, n_speeds // 10) and n_speeds >= 8:
         worst = _odd_speed(problem, fit)
         if worst is None:
             break
@@ -164,17 +163,36 @@ def _problem(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, n_m
     near = np.arange(len(modal.modes)) < n_modes  # they stand lowest first
     natural = np.array([mode.frequency_hz for mode in modal.modes])[near]
     damping = np.array([mode.damping_ratio for mode in modal.modes])[near]
-    both = np.repeat(near, 2)
-    covariance = NUMBERS.pole_error_ratio**2 * modal.covariance[np.ix_(both, both)]
+    covariance = NUMBERS.pole_error_ratio**2 * modal.covariance[np.ix_(*2 * [np.repeat(near, 2)])]
     size, vectors = np.linalg.eigh(covariance) if near.any() else (np.zeros(0), np.zeros((0, 0)))
     root = vectors * np.sqrt(np.maximum(size, 0.0))
-    whitened = (measured.noise_bins > 0)[:, None, None]
-    alike = np.where(whitened, np.eye(len(measured.channels)), measured.correlation)
+    alike = np.where((measured.noise_bins > 0)[:, None, None], np.eye(len(measured.channels)), measured.correlation)
+    of_rows = OrderForces(forces.axes, forces.known[:, measured.place_of_row], forces.unit[..., measured.place_of_row])
     white = whitening(measured.noise, error=measured.error)
-    return _Problem(measured, forces, natural, damping, root, top_hz, white, alike)
+    return _Problem(measured, of_rows, natural, damping, root, top_hz, white, alike)
 
 
-def _terms(frequency_hz: Floats, natural: Floats, damping: Floats, top_hz: float) -> Complexes:
+def _terms(problem: _Problem, natural: Floats, damping: Floats) -> tuple[Complexes, Complexes]:
+    """What a force of ω² makes through the path in each row (row, term), and slopes by the poles (row, mode, 2).
+
+    In a sweep that is what its response, which lags behind, makes in the filter that followed it.
+    """
+    measured, top_hz = problem.measured, problem.top_hz
+    grown = (measured.rpm_of_row * np.pi / 30)[:, None] ** 2
+    terms = grown * _steady_terms(measured.frequency_hz, natural, damping, top_hz)
+    slopes = grown[:, :, None] * _pole_slopes(measured.frequency_hz, natural, damping)
+    for first, passage in measured.passages:
+        rows = range(first, first + len(passage.place))
+        pushed: Complexes = ((passage.speed_rpm * np.pi / 30) ** 2).astype(np.complex128)
+        bent = pushed * (passage.frequency_hz / top_hz) ** 2
+        terms[np.ix_(rows, [0, -1])] = passage.smoothed(np.stack([pushed, bent], axis=1))
+        for mode, (f, zeta) in enumerate(zip(natural.tolist(), damping.tolist(), strict=True)):
+            terms[rows, 1 + mode], by_f, by_zeta = passage.response(pushed, f, zeta)
+            slopes[rows, mode] = np.stack([by_f / f, by_zeta / zeta], axis=1)
+    return terms, slopes
+
+
+def _steady_terms(frequency_hz: Floats, natural: Floats, damping: Floats, top_hz: float) -> Complexes:
     """Shape functions of a path (frequency, term): rigid body, the modes, and what lies above."""
     f = np.asarray(frequency_hz, dtype=np.float64)
     bent = (f / top_hz)[:, None] ** 2
@@ -188,30 +206,28 @@ def _poles(problem: _Problem, theta: Floats) -> tuple[Floats, Floats]:
 
 
 def _evaluated(problem: _Problem, theta: Floats) -> _Fit:
-    forces, f = problem.forces, problem.measured.frequency_hz
-    n_masses = len(forces.unit)
+    n_masses, n_rows = len(problem.forces.unit), problem.measured.rpm_of_row.size
     mass = theta[0 : 2 * n_masses : 2] + 1j * theta[1 : 2 * n_masses : 2]
     natural, damping = _poles(problem, theta)
-    terms = _terms(f, natural, damping, problem.top_hz)
-    acting = forces.known + np.einsum("m,mar->ar", mass, forces.unit)
+    terms, bends = _terms(problem, natural, damping)
+    acting = problem.forces.known + np.einsum("m,mar->ar", mass, problem.forces.unit)
     design = np.einsum("ar,rb->rab", acting, terms)
-    bends = _pole_slopes(f, natural, damping)
     n_channels = len(problem.measured.channels)
-    columns = design.reshape(f.size, -1)
+    columns = design.reshape(n_rows, -1)
     basis, solve = _factored(_spread(columns, problem.white))
     target = np.einsum("rcd,dr->rc", problem.white, problem.measured.amplitude).ravel()
     shares = basis.conj().T @ target
     residue = (solve @ shares).reshape(n_channels, *design.shape[1:])
     error = target - basis @ shares
-    by_mass = np.einsum("mar,rb,cab->rcm", forces.unit, terms, residue)
-    by_pole = np.einsum("ar,rjp,caj->rcjp", acting, bends, residue[:, :, 1:-1]).reshape(f.size, n_channels, -1)
-    turned = np.stack([by_mass, 1j * by_mass], axis=3).reshape(f.size, n_channels, -1)
+    by_mass = np.einsum("mar,rb,cab->rcm", problem.forces.unit, terms, residue)
+    by_pole = np.einsum("ar,rjp,caj->rcjp", acting, bends, residue[:, :, 1:-1]).reshape(n_rows, n_channels, -1)
+    turned = np.stack([by_mass, 1j * by_mass], axis=3).reshape(n_rows, n_channels, -1)
     free = np.concatenate([turned, by_pole @ problem.pole_root], axis=2)
     free = np.einsum("rcd,rdp->rcp", problem.white, free).reshape(error.size, -1)
     slope = free - basis @ (basis.conj().T @ free)
     return _Fit(
-        error=error.reshape(f.size, n_channels).T,
-        slope=slope.reshape(f.size, n_channels, -1).transpose(1, 0, 2),
+        error=error.reshape(n_rows, n_channels).T,
+        slope=slope.reshape(n_rows, n_channels, -1).transpose(1, 0, 2),
         model=residue.reshape(n_channels, -1) @ columns.T,
         residue=residue,
         prior=theta[2 * n_masses :],
@@ -239,24 +255,6 @@ def _pole_slopes(frequency_hz: Floats, natural: Floats, damping: Floats) -> Comp
     by_frequency = f**2 * (2 * natural + 2j * damping * f) / below**2
     by_damping = f**2 * 2j * f * natural / below**2
     return np.stack([by_frequency, by_damping], axis=2)
-
-
-def _start(problem: _Problem) -> Floats:
-    """First guess of the masses: path from the rows of known force alone, then the masses through it."""
-    forces, f = problem.forces, problem.measured.frequency_hz
-    sought = np.abs(forces.unit).sum(axis=(0, 1)) > 0
-    terms = _terms(f, problem.natural, problem.damping, problem.top_hz)
-    columns = np.einsum("ar,rb->rab", forces.known, terms).reshape(f.size, -1)
-    n_channels = len(problem.measured.channels)
-    basis, solve = _factored(_spread(columns, problem.white * ~sought[:, None, None]))
-    target = np.einsum("rcd,dr->rc", problem.white * ~sought[:, None, None], problem.measured.amplitude).ravel()
-    residue = (solve @ (basis.conj().T @ target)).reshape(n_channels, len(forces.axes), -1)
-    by_mass = np.einsum("mar,rb,cab->rcm", forces.unit, terms, residue)
-    by_mass = np.einsum("rcd,rdm->rcm", problem.white, by_mass)[sought].reshape(-1, len(forces.unit))
-    model = residue.reshape(n_channels, -1) @ columns.T
-    left = np.einsum("rcd,dr->rc", problem.white, problem.measured.amplitude - model)[sought].ravel()
-    mass = np.linalg.lstsq(by_mass, left, rcond=None)[0]
-    return np.stack([mass.real, mass.imag], axis=1).ravel()
 
 
 def _cost(fit: _Fit) -> float:
@@ -315,7 +313,7 @@ def _n_free(problem: _Problem) -> float:
     """Share of the squares that the fit leaves: measured numbers less those fitted, over those measured."""
     known = np.isfinite(problem.measured.error)
     measured = 2 * np.count_nonzero(known)
-    n_terms = len(problem.forces.axes) * (problem.natural.size + 2)
+    n_terms = len(problem.forces.known) * (problem.natural.size + 2)
     fitted = 2 * n_terms * np.count_nonzero(known.any(axis=1)) + 2 * len(problem.forces.unit)
     return max(1e-3, 1.0 - float(fitted) / max(1.0, float(measured)))
 
@@ -327,7 +325,7 @@ def _chi_square(problem: _Problem, fit: _Fit) -> float:
 
 def _odd_speed(problem: _Problem, fit: _Fit) -> float | None:
     """The speed whose rows fit worst, where they fit worse than chance and than the others allow."""
-    allowed, speeds = _allowed(problem, power=1), problem.measured.speed_rpm
+    allowed, speeds = _allowed(problem, power=1), np.unique(problem.measured.rpm_of_row)
     squares = np.abs(fit.error) ** 2
     rows = problem.measured.rpm_of_row[None, :] == speeds[:, None]
     each = np.array([squares[:, at].sum() / max(2 * allowed[:, at].sum(), 1e-30) for at in rows])
@@ -369,9 +367,8 @@ def _result(
     inverse = np.linalg.pinv(_bread(problem, fit.slope))
     swayed = fit.slope * np.sqrt(_allowed(problem, power=2))[:, :, None]
     together = np.einsum("crp,rcd,drq->pq", swayed.conj(), problem.alike, swayed, optimize=True).real
-    scale = max(1.0, _chi_square(problem, fit))
     poles = np.diag((np.arange(theta.size) >= n_masses).astype(np.float64))
-    covariance = inverse @ (scale * together + poles) @ inverse
+    covariance = inverse @ (max(1.0, _chi_square(problem, fit)) * together + poles) @ inverse
     mass = theta[0:n_masses:2] + 1j * theta[1:n_masses:2]
     pairs = np.repeat(np.abs(mass) ** 2, 2)
     squares = np.abs(fit.error) ** 2
@@ -385,7 +382,6 @@ def _result(
         covariance=covariance[:n_masses, :n_masses] + np.diag(misfit**2 * pairs),
         freedom=max(1.0, min(2.0 * free, _freedom(problem, swayed, inverse))),
         chi_square=quiet[0],
-        sound=misfit == 0.0,
         by_order={k: float(squares[:, of == k].sum() / max(allowed[:, of == k].sum(), 1e-30)) for k in measured.orders},
         misfit=misfit,
         odd_speeds_rpm=tuple(sorted(odd)),
@@ -408,13 +404,15 @@ FORCE_NUMBERS = _ForceNumbers.load()
 
 NONE_LEFT = 1e-9
 """Of one cylinder's force: what is left of several is rounding."""
+UNIT_RPM = 30.0 / np.pi
+"""Speed at which ω is 1: forces there are forces over ω²."""
 
 
 @dataclass(frozen=True, eq=False)
 class EngineShaker:
-    """Orders of known force and orders whose masses are sought, with their forces by row.
+    """Orders of known force and orders whose masses are sought, with their forces.
 
-    ``orders``: sought first, then known. ``sought``: (order, axis) of each mass sought; 1 kg of it makes the force
+    ``orders``: lowest first. ``sought``: (order, axis) of each mass sought; 1 kg of it makes the force
     ``per_kg`` (mass,) · r ω².
     """
 
@@ -423,7 +421,6 @@ class EngineShaker:
     sought: tuple[tuple[int, str], ...]
     per_kg: Complexes
     forces: OrderForces
-    known_rows: Bools
 
     @property
     def sought_orders(self) -> tuple[int, ...]:
@@ -431,8 +428,8 @@ class EngineShaker:
         return tuple(order for order, _ in self.sought)
 
 
-def engine_shaker(engine: Engine, speed_rpm: Floats, *, seen: set[int], highest: int) -> EngineShaker | str:
-    """Forces of ``engine`` at ``speed_rpm`` (speed,) by row; or, in words, why no order of it is of known force.
+def engine_shaker(engine: Engine, *, seen: set[int], highest: int) -> EngineShaker | str:
+    """Forces of the orders of ``engine``; or, in words, why no order of it is of known force.
 
     ``seen``: orders above the floor. ``highest``: last order of the map. An order is of known force where pistons make
     it, no balance shaft takes it away, and it is not the first: what of that is left depends on counterweights.
@@ -440,11 +437,11 @@ def engine_shaker(engine: Engine, speed_rpm: Floats, *, seen: set[int], highest:
     if highest < 2:
         return "the order map ends below order 2"
     bare = engine.pistons_alone
-    forces = crankcase_forces(bare, speed_rpm, max_order=highest)
-    moments = crankcase_moments(bare, speed_rpm, max_order=highest)
-    size = np.abs(forces).max(axis=(0, 1))
+    forces = crankcase_forces(bare, UNIT_RPM, max_order=highest)
+    moments = crankcase_moments(bare, UNIT_RPM, max_order=highest)
+    size = np.abs(forces).max(axis=0)
     alone = bare.model_copy(update={"cylinders": bare.cylinders[:1]})
-    one = float(np.abs(crankcase_forces(alone, speed_rpm, max_order=1)).max())
+    one = float(np.abs(crankcase_forces(alone, UNIT_RPM, max_order=1)).max())
     candidates = [k for k in range(2, highest + 1) if k not in engine.shafts.every_order and size[k] > NONE_LEFT * one]
     made = [k for k in candidates if size[k] >= FORCE_NUMBERS.known_share * max(size[candidates])]
     if not made:
@@ -457,50 +454,38 @@ def engine_shaker(engine: Engine, speed_rpm: Floats, *, seen: set[int], highest:
         return (
             f"orders {known} rock the crankcase too, for the cylinders stand side by side, and that path is not known"
         )
-    return _assembled(bare, engine, speed_rpm, forces, moments, known)
+    return _assembled(bare, engine, forces, moments, known)
 
 
 def _rocks(engine: Engine, forces: Complexes, moments: Complexes, known: tuple[int, ...]) -> bool:
     span = max(c.position_m for c in engine.cylinders) - min(c.position_m for c in engine.cylinders)
-    rocking = np.abs(moments[:, [X, Z]][:, :, list(known)]).max(axis=(0, 1))
+    rocking = np.abs(moments[[X, Z]][:, list(known)]).max(axis=0)
     return bool(
-        span > 0
-        and (rocking > FORCE_NUMBERS.rocking_share * span * np.abs(forces[:, :, list(known)]).max(axis=(0, 1))).any()
+        span > 0 and (rocking > FORCE_NUMBERS.rocking_share * span * np.abs(forces[:, list(known)]).max(axis=0)).any()
     )
 
 
 def _assembled(
-    bare: Engine, engine: Engine, speed_rpm: Floats, forces: Complexes, moments: Complexes, known: tuple[int, ...]
+    bare: Engine, engine: Engine, forces: Complexes, moments: Complexes, known: tuple[int, ...]
 ) -> EngineShaker:
-    axes = [d for d in (X, Z) if np.abs(forces[:, d][:, list(known)]).max() > NONE_LEFT * np.abs(forces).max()]
+    axes = [d for d in (X, Z) if np.abs(forces[d, list(known)]).max() > NONE_LEFT * np.abs(forces).max()]
     sought = [(1, d) for d in axes] + [(2, d) for d in axes if 2 in engine.shafts.every_order and d == Z]
     orders = (*sorted({order for order, _ in sought}), *known)
-    n_speeds = len(forces)
-    rows = {k: slice(i * n_speeds, (i + 1) * n_speeds) for i, k in enumerate(orders)}
-    n_rows = n_speeds * len(orders)
-    acting = np.zeros((len(axes) + 1, n_rows), dtype=np.complex128)
-    unit = np.zeros((len(sought), len(axes) + 1, n_rows), dtype=np.complex128)
-    for k in orders:
-        acting[-1, rows[k]] = moments[:, Y, k]
-        if k in known:
-            acting[:-1, rows[k]] = forces[:, axes, k].T
-    omega_squared_r = (speed_rpm * np.pi / 30) ** 2 * bare.crank_radius_m
+    acting = np.concatenate(
+        [np.where(np.isin(orders, known), forces[np.ix_(axes, orders)], 0), moments[[Y]][:, orders]]
+    )
+    unit = np.zeros((len(sought), *acting.shape), dtype=np.complex128)
     per_kg = np.array([force_per_kg(bare, k, d, along_only=axes == [Z]) for k, d in sought])
     for m, (k, d) in enumerate(sought):
-        unit[m, axes.index(d), rows[k]] = per_kg[m] * omega_squared_r
+        unit[m, axes.index(d), orders.index(k)] = per_kg[m] * bare.crank_radius_m
     names = tuple(DIRECTIONS[d] for d in axes)
-    moves = bool(np.abs(acting[-1]).max() > 0)
-    forces_by_row = OrderForces(axes=(*names, "RY"), known=acting, unit=unit)
-    known_rows = np.zeros(n_rows, dtype=bool)
-    for k in known:
-        known_rows[rows[k]] = True
+    of_orders = OrderForces(axes=(*names, "RY"), known=acting, unit=unit)
     return EngineShaker(
         orders=orders,
         known_orders=known,
         sought=tuple((k, DIRECTIONS[d]) for k, d in sought),
         per_kg=per_kg,
-        forces=forces_by_row if moves else forces_by_row.on(names),
-        known_rows=known_rows,
+        forces=of_orders if acting[-1].any() else of_orders.on(names),
     )
 
 

@@ -130,9 +130,8 @@ def _one_way(
     record: Balance, split: Split, at: dict[tuple[int, str], int], engine: Engine, undecided: dict[str, str]
 ) -> Balance:
     """Forces along the cylinder alone: both orders tell the reciprocating mass where they ask for the same one."""
-    for key in ("across_g", "forward_gmm", "reverse_gmm"):
-        undecided[key] = NO_ACROSS
-    undecided["residual_rotating_gmm"] = undecided["angle_deg"] = NO_ACROSS
+    across = ("across_g", "forward_gmm", "reverse_gmm", "residual_rotating_gmm", "angle_deg")
+    undecided |= dict.fromkeys(across, NO_ACROSS)
     first, second = at.get((1, "Z")), at.get((2, "Z"))
     alike = "rotating and reciprocating mass act alike along the cylinder at order 1"
     if first is None or second is None:
@@ -221,11 +220,8 @@ def added_words(added: Sequence[AddedMass]) -> str:
 def rotor_record(split: Split) -> Balance:
     """Residual masses of a rotor from a ``split`` whose masses (kg) stand at 1 mm: unbalance in one plane."""
     record = Balance()
-    undecided = {
-        "residual_reciprocating_g": "a rotor has no pistons",
-        "residual_second_order_g": "a rotor has no pistons",
-        "along_g": "a rotor has no pistons",
-    }
+    of_pistons = ("residual_reciprocating_g", "residual_second_order_g", "along_g")
+    undecided = dict.fromkeys(of_pistons, "a rotor has no pistons")
     at = {place: number for number, place in enumerate(split.sought)}
     shares = np.zeros(len(split.mass_kg), dtype=np.complex128)
     both = (1, "X") in at and (1, "Z") in at

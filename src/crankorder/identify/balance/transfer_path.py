@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from crankorder.engine.transfer_paths import StatedPath
+from crankorder.identify.modal.order_blocks import swept_rows
+from crankorder.identify.modal.passage import Passage
 from crankorder.identify.resonance import resonance
+from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import STANDARD_GRAVITY_M_S2, MethodNumbers
 
@@ -23,6 +27,8 @@ class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="transfer_pa
 NUMBERS = _Numbers.load()
 
 
+Noise = tuple[Floats, Complexes]
+"""Frequencies (n,), rising, and complex amplitudes (n, channel) there."""
 PER_M_S2 = {"m/s2": 1.0, "mm/s2": 1e-3, "g": STANDARD_GRAVITY_M_S2}
 GRID = 1e-6
 """An order counts as a bin of the map within this."""
@@ -32,17 +38,21 @@ GRID = 1e-6
 class MeasuredOrders:
     """Complex amplitudes (m/s²) of some orders in the accelerometers, with errors.
 
-    A row is one order at one speed, all speeds of the first order first. ``amplitude`` and ``error``, the standard
-    error of its real and of its imaginary part, ∞ where nothing was measured: (channel, row). ``freedom``: of the
-    errors. ``steady_error``: the same drawn towards the bins beside, less scattered, for weights; ``own_share`` is what
-    it still has of its own. ``correlation`` (row, channel, channel): of the channels' errors, Hermitian with unit
-    diagonal. ``noise`` (row, channel, channel): covariance of the complex errors as noise at like frequency tells it,
-    ``noise_bins`` (row,) in number; where too few do it is diagonal, of ``steady_error``, and ``noise_bins`` 0.
+    A row is one order at one speed: ``place_of_row`` (row,) in ``orders`` and ``rpm_of_row`` (row,) say which.
+    ``amplitude`` and ``error``, the standard error of its real and of its imaginary part, ∞ where nothing was measured:
+    (channel, row). ``freedom``: of the errors. ``steady_error``: the same drawn towards the bins beside, less
+    scattered, for weights; ``own_share`` is what it still has of its own. ``correlation`` (row, channel, channel):
+    of the channels' errors, Hermitian with unit
+    diagonal. ``noise`` (row, channel, channel): covariance
+    of the complex errors as noise at like frequency tells it, ``noise_bins`` (row,) in number; where too few do it is
+    diagonal, of ``steady_error``, and ``noise_bins`` 0. ``passages`` say how the rows from a first one on were swept
+    through; the others were held.
     """
 
     channels: tuple[str, ...]
     orders: tuple[int, ...]
-    speed_rpm: Floats
+    place_of_row: Ints
+    rpm_of_row: Floats
     amplitude: Complexes
     error: Floats
     steady_error: Floats
@@ -51,16 +61,12 @@ class MeasuredOrders:
     correlation: Complexes
     noise: Complexes
     noise_bins: Floats
+    passages: tuple[tuple[int, Passage], ...] = ()
 
     @property
     def order_of_row(self) -> Ints:
         """Order of each row."""
-        return np.repeat(np.array(self.orders, dtype=np.int64), self.speed_rpm.size)
-
-    @property
-    def rpm_of_row(self) -> Floats:
-        """Speed of each row (rpm)."""
-        return np.tile(self.speed_rpm, len(self.orders))
+        return np.array(self.orders, dtype=np.int64)[self.place_of_row]
 
     @property
     def frequency_hz(self) -> Floats:
@@ -76,22 +82,27 @@ class MeasuredOrders:
         )
 
 
-def measured_orders(order_map: xr.Dataset, orders: Sequence[int], *, lines: Sequence[float] = ()) -> MeasuredOrders:
+def measured_orders(
+    order_map: xr.Dataset, orders: Sequence[int], *, lines: Sequence[float] = (), followed: Sequence[xr.Dataset] = ()
+) -> MeasuredOrders:
     """The ``orders`` of the OrderMap ``order_map`` in its accelerometers; those that are no bin of it are left out.
 
-    ``lines``: orders at which lines stand, whose bins are no noise.
+    ``lines``: orders at which lines stand, whose bins are no noise. Orders that were ``followed`` through sweeps
+    (RecordingTracks) have the rows of these.
     """
     bins = order_map["order"].values
     places = {k: int(np.argmin(np.abs(bins - k))) for k in orders}
     found = {k: i for k, i in places.items() if abs(bins[i] - k) < GRID * max(1, k)}
     unit, quantity = order_map["unit"].values.tolist(), order_map["quantity"].values.tolist()
     known = [c for c, name in enumerate(unit) if name in PER_M_S2 and "accel" in str(quantity[c]).casefold()]
-    scale = np.array([PER_M_S2[unit[c]] for c in known])[:, None, None]
+    scale = np.array([PER_M_S2[unit[c]] for c in known]).reshape(-1, 1, 1)
     taken = order_map.isel(channel=known)
     level = scale * taken["coherent_amplitude"].values.astype(np.float64)
     complex_map = level * np.exp(1j * np.radians(taken["phase"].values.astype(np.float64)))
     error_map = scale * taken["standard_error"].values.astype(np.float64)
-    at = list(found.values())
+    swept = [(i, *rows) for i, k in enumerate(found) for item in followed if (rows := swept_rows(k, item)) is not None]
+    mapped = [i for i in range(len(found)) if all(i != place for place, *_ in swept)]
+    at = [list(found.values())[i] for i in mapped]
     amplitude, error, freedom = (
         np.moveaxis(values[:, :, at], 2, 1).reshape(len(known), -1)
         for values in (complex_map, error_map, taken["degrees_of_freedom"].values.astype(np.float64))
@@ -99,31 +110,87 @@ def measured_orders(order_map: xr.Dataset, orders: Sequence[int], *, lines: Sequ
     sound = np.isfinite(amplitude) & np.isfinite(error) & (error > 0)
     beside = [_beside(bins, i, lines) for i in at]
     over = np.divide(complex_map, error_map, out=np.full_like(complex_map, np.nan), where=error_map > 0.0)
-    correlation = [_correlation(over[:, :, near]) for near in beside]
+    correlation = [np.zeros((0, len(known), len(known))), *(_correlation(over[:, :, near]) for near in beside)]
     typical = [_typical(error_map[:, :, near]) for near in beside]
     around = np.stack(typical, axis=1).reshape(len(known), -1) if at else error
     freedom = np.where(sound, freedom, 1.0)
     steady, share = _steadier(np.where(sound, error, np.nan), around, freedom)
-    together = np.concatenate(correlation) if at else np.zeros((0, len(known), len(known)), dtype=np.complex128)
     speed_rpm = order_map["speed"].values.astype(np.float64)
     hertz = bins * speed_rpm[:, None] / 60.0
     step = float(bins[1] - bins[0]) if len(bins) > 1 else 1.0
     away = np.abs(bins[:, None] - np.array(lines, dtype=np.float64)) > (NUMBERS.nearest_bin - 0.5) * step
     quiet = np.broadcast_to(away.all(axis=1) & (bins > NUMBERS.nearest_bin * step), hertz.shape)  # noise alone
     shape, n_bins = noise_shape(complex_map, frequency_hz=hertz, usable=quiet, at_hz=hertz[:, at].T.ravel())
-    return MeasuredOrders(
+    held = MeasuredOrders(
         channels=tuple(str(order_map["channel"].values[c]) for c in known),
         orders=tuple(found),
-        speed_rpm=speed_rpm,
+        place_of_row=np.repeat(np.array(mapped, dtype=np.int64), speed_rpm.size),
+        rpm_of_row=np.tile(speed_rpm, len(at)),
         amplitude=np.where(sound, amplitude, 0.0),
         error=np.where(sound, error, np.inf),
         steady_error=np.where(sound, steady, np.inf),
         freedom=freedom,
         own_share=share,
-        correlation=together,
+        correlation=np.concatenate(correlation, dtype=np.complex128),
         noise=_covariance(shape, np.where(sound, steady, 1.0)),
         noise_bins=n_bins,
     )
+    if not swept:
+        return held
+    width_hz = order_map.attrs["enbw_bins"] * step * speed_rpm / 60.0 / order_map["n_independent"].values
+    noise = _sorted(complex_map / np.sqrt(width_hz)[:, None], hertz, quiet)
+    return _joined([held, *(_swept(held, *one, scale[:, 0], noise) for one in swept)])
+
+
+def _sorted(amplitude: Complexes, frequency_hz: Floats, usable: Bools) -> Noise:
+    """Frequencies (n,), rising, of the ``usable`` bins (speed, bin), and their ``amplitude`` (n, channel)."""
+    sound = usable & np.isfinite(amplitude).all(axis=0) & (np.abs(amplitude) > 0).all(axis=0)
+    sequence = np.argsort(frequency_hz[sound], kind="stable")
+    return frequency_hz[sound][sequence], amplitude[:, sound].T[sequence]
+
+
+def _swept(
+    held: MeasuredOrders, place: int, tracks: xr.Dataset, passage: Passage, scale: Floats, noise: Noise
+) -> MeasuredOrders:
+    """Rows of one order through one sweep: its ``tracks`` (channel, frame), which ``scale`` (channel, 1) takes to m/s².
+
+    They err as the ``noise`` in the band of the filter that followed them: frequencies (n,), rising, and amplitudes
+    (n, channel) over the root of their bandwidth. That is seen at other times, when the order is elsewhere: what stands
+    beside it while it passes a resonance is less than the noise under it, and more soon after. Few bins tell nothing.
+    """
+    amplitude = scale * tracks["amplitude"].reindex(channel=list(held.channels)).values
+    rpm, band_hz = tracks["speed"].values, noise_bandwidth_share(passage.poles) * tracks["bandwidth_hz"].values
+    low, high = np.searchsorted(noise[0], held.orders[place] * rpm / 60.0 + band_hz * np.array([[-0.5], [0.5]]))
+    summed = np.cumsum(np.einsum("nc,nd->ncd", noise[1], noise[1].conj()), axis=0)
+    summed = np.concatenate([np.zeros_like(summed[:1]), summed])
+    bins = np.maximum(high - low, 1).astype(np.float64)
+    covariance = (summed[high] - summed[low]) * (band_hz / bins)[:, None, None]
+    sound = np.isfinite(amplitude) & (bins >= NOISE_NUMBERS.fewest_per_channel * len(amplitude))
+    error = np.where(sound, np.sqrt(np.einsum("rcc->cr", covariance).real / 2), np.inf)
+    return replace(
+        held,
+        place_of_row=np.full(rpm.size, place),
+        rpm_of_row=rpm,
+        amplitude=np.where(sound, amplitude, 0.0),
+        error=error,
+        steady_error=error,
+        freedom=np.where(sound, bins, 1.0),
+        own_share=np.zeros_like(error),
+        correlation=np.ones_like(covariance),
+        noise=covariance,
+        noise_bins=bins,
+        passages=((0, passage),),
+    )
+
+
+def _joined(parts: Sequence[MeasuredOrders]) -> MeasuredOrders:
+    """All rows of the ``parts``."""
+    first = np.cumsum([0, *(one.rpm_of_row.size for one in parts)]).tolist()
+    axes = dict.fromkeys(("place_of_row", "rpm_of_row", "correlation", "noise", "noise_bins"), 0)
+    axes |= dict.fromkeys(("amplitude", "error", "steady_error", "freedom", "own_share"), 1)
+    rows: Any = {k: np.concatenate([getattr(one, k) for one in parts], axis=axis) for k, axis in axes.items()}
+    passages = tuple((n, passage) for n, one in zip(first, parts, strict=False) for _, passage in one.passages)
+    return replace(parts[0], **rows, passages=passages)
 
 
 def _beside(bins: Floats, centre: int, lines: Sequence[float]) -> list[int]:
@@ -231,10 +298,7 @@ def noise_shape(noise: Complexes, *, frequency_hz: Floats, usable: Bools, at_hz:
     bins (row,) 0, where too few tell them.
     """
     n_channels = len(noise)
-    sound = usable & np.isfinite(noise).all(axis=0) & (np.abs(noise) > 0).all(axis=0)
-    samples, places = noise[:, sound].T, frequency_hz[sound]
-    sequence = np.argsort(places, kind="stable")
-    samples, places = samples[sequence], places[sequence]
+    places, samples = _sorted(noise, frequency_hz, usable)
     shapes = np.full((at_hz.size, n_channels, n_channels), np.nan, dtype=np.complex128)
     counts = np.zeros(at_hz.size)
     for row, hertz in enumerate(at_hz):

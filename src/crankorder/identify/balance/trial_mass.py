@@ -118,7 +118,7 @@ class _Multiple:
                 phase_deg=float(np.degrees(np.angle(self.change[c, s] / total))),
             )
             for c, name in enumerate(self.base.channels)
-            for s, rpm in enumerate(self.base.speed_rpm)
+            for s, rpm in enumerate(self.base.rpm_of_row)
             if self.usable[c, s]
         )
 
@@ -148,11 +148,11 @@ def _multiple(base_map: xr.Dataset, new_map: xr.Dataset, order: int) -> _Multipl
         return f"the order maps have no bin at order {order}"
     if not base.channels or base.channels != new.channels:
         return "the two tests do not have the same accelerometers"
-    nearest = np.abs(base.speed_rpm[:, None] - new.speed_rpm).argmin(axis=1)
-    here = np.flatnonzero(np.abs(new.speed_rpm[nearest] / base.speed_rpm - 1) <= NUMBERS.same_speed_share)
+    nearest = np.abs(base.rpm_of_row[:, None] - new.rpm_of_row).argmin(axis=1)
+    here = np.flatnonzero(np.abs(new.rpm_of_row[nearest] / base.rpm_of_row - 1) <= NUMBERS.same_speed_share)
     if not here.size:
         return "the two tests have no speed in common"
-    unpaired = np.ones(base.speed_rpm.size, dtype=bool)
+    unpaired = np.ones(base.rpm_of_row.size, dtype=bool)
     unpaired[here] = False
     base = base.without(unpaired)
     after, error = np.zeros_like(base.amplitude), np.full(base.error.shape, np.inf)
@@ -205,22 +205,10 @@ def _solved(base: MeasuredOrders, after: Complexes, error: Floats) -> _Multiple 
 
 def _of_crank(record: TrialBalance, found: _Multiple, total: complex) -> TrialBalance:
     turn = np.array([[total.real, -total.imag], [total.imag, total.real]])
-    record = size_and_angle(
-        record,
-        "residual_rotating_gmm",
-        "angle_deg",
-        found.value * total,
-        turn @ found.covariance @ turn.T,
-        freedom=found.freedom,
-    )
-    record = size_and_angle(
-        record,
-        "residual_after_gmm",
-        "angle_after_deg",
-        (found.value + 1.0) * total,
-        turn @ found.covariance @ turn.T,
-        freedom=found.freedom,
-    )
+    covariance = turn @ found.covariance @ turn.T
+    for name, angle, more in (("rotating", "angle_deg", 0.0), ("after", "angle_after_deg", 1.0)):
+        size, value = f"residual_{name}_gmm", (found.value + more) * total
+        record = size_and_angle(record, size, angle, value, covariance, freedom=found.freedom)
     pistons = "a mass on the crank tells nothing about masses that go up and down: add one on the piston"
     undecided = dict.fromkeys(("residual_reciprocating_g", "residual_second_order_g", "along_g"), pistons)
     undecided["reverse_gmm"] = "a mass on the crank turns forwards: all is taken to turn with the shaft"

@@ -493,22 +493,8 @@ def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], numb
         clear = amplitude > 3.0 * error
         if not clear.any():
             continue
-        lines.append(
-            replace(
-                line,
-                order=number.order,
-                order_error=number.error,
-                seen=seen_at[clear],
-                speed_rpm=rpm[clear],
-                amplitude=amplitude[clear],
-                amplitude_error=error[clear],
-                degrees_of_freedom=degrees_of_freedom[clear],
-                phase_deg=np.full(int(clear.sum()), np.nan),
-                ends=None,
-                phase_ci95_deg=None,
-                remark="",
-            )
-        )
+        told = (one[clear] for one in (seen_at, rpm, amplitude, error, degrees_of_freedom))
+        lines.append(line.read_again((number.order, number.error), *told))
     return lines or group
 
 

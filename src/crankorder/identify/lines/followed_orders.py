@@ -10,10 +10,11 @@ import numpy as np
 import xarray as xr
 
 from crankorder.identify.found import AgreedOrder, OrderLine, Tone, ToneKind
-from crankorder.identify.intervals import half_width, half_widths, interval
+from crankorder.identify.intervals import half_width, interval
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.agreed_orders import NUMBERS as AGREED_ORDERS
 from crankorder.identify.lines.cfar import LOWEST_BINS, excess_over_noise, noise_level
+from crankorder.identify.lines.growth import remark_on
 from crankorder.identify.lines.line_phasors import is_swept, recordings_of
 from crankorder.identify.lines.order_lock import nearest_multiple, sure_half_width
 from crankorder.identify.lines.parted_lines import Followed, lines_of, standing_out
@@ -178,7 +179,6 @@ def with_track_rows(
     them for all orders of the test and those that ``settings`` ask for.
 
     At held speeds these are the rows at which a line was seen; of a sweep, those that surely hold something of it.
-    Where the scatter within or between recordings makes a line's own interval wider, that stays.
     """
     cycle = int(reader.order_map.attrs["revs_per_cycle"])
     numbers = [track_number(one, revs_per_cycle=cycle) for one in orders]
@@ -251,8 +251,8 @@ def _read(
     )
     apart = [one for one in met if one.touched[channel]]
     is_as_shown = (at < held) & ~np.isin(at, [one.row for one in apart])
-    made = _as_wide(made, line, is_as_shown)
-    remark = line.remark if is_as_shown[int(np.argmax(made.amplitude))] else ""
+    shown = bool(is_as_shown[int(np.argmax(made.amplitude))])
+    remark = remark_on(made.amplitude, made.amplitude_error, made.degrees_of_freedom, ends) if shown else ""
     return replace(made, remark="; ".join(text for text in (remark, *_met_words(apart, made, at, channel)) if text))
 
 
@@ -270,26 +270,3 @@ def _met_words(met: Sequence[MetRow], line: OrderLine, at: Ints, channel: int) -
         elif high - low > NUMBERS.told_share * line.amplitude[place[0]]:
             said.append(f"{what} meets it at {rpm:.5g} rpm, where its own share is {low:.3g}…{high:.3g}")
     return said
-
-
-def _as_wide(made: OrderLine, line: OrderLine, is_held: Bools) -> OrderLine:
-    """``made`` with the intervals of ``line``, as shares of the amplitude, at held speeds at which these are wider."""
-    place = {int(row): number for number, row in enumerate(line.seen)}
-    error, degrees_of_freedom = made.amplitude_error.copy(), made.degrees_of_freedom.copy()
-    ends = np.zeros((0, 2)) if made.ends is None else made.ends.copy()
-    own_reach = half_widths(line.degrees_of_freedom) * line.amplitude_error
-    own = np.stack([np.maximum(line.amplitude - own_reach, 0.0), line.amplitude + own_reach], axis=1)
-    own = own if line.ends is None else line.ends
-    reach = half_widths(degrees_of_freedom) * error
-    for number in np.flatnonzero(is_held).tolist():
-        before = place[int(made.seen[number])]
-        size = float(line.amplitude[before])
-        if not size > 0.0 or not np.isfinite(line.amplitude_error[before]):
-            continue
-        scale = float(made.amplitude[number]) / size
-        ends[number, 0] = min(ends[number, 0], scale * float(own[before, 0]))
-        ends[number, 1] = max(ends[number, 1], scale * float(own[before, 1]))
-        if scale * own_reach[before] > reach[number]:
-            error[number] = scale * line.amplitude_error[before]
-            degrees_of_freedom[number] = line.degrees_of_freedom[before]
-    return replace(made, amplitude_error=error, degrees_of_freedom=degrees_of_freedom, ends=ends)

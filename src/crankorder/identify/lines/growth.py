@@ -10,20 +10,18 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from scipy.special import fdtri, gammaincc, stdtr
+from scipy.special import gammaincc, stdtr
 
 from crankorder.findings import Balance
 from crankorder.identify.found import Mode, OrderLine
 from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width, half_widths, known_freedom
 from crankorder.identify.said import IF_UNBALANCE, LIKE_UNBALANCE, NOT_AS_UNBALANCE, ONE_SPEED
-from crankorder.quantities import Bools, Complexes, Floats
+from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
 
 
 class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="growth"):
     changing_ratio: float
-    changing_chance: float
-    changing_over_noise: float
     fewest_speeds: int
     least_range: float
     law_tolerance: float
@@ -73,78 +71,6 @@ def remark_on(amplitude: Floats, error: Floats, degrees_of_freedom: Floats, ends
         return ""
     said = f"{low:.3g}", f"{high:.3g}"
     return "" if said[0] == said[1] else f"its amplitude changes within the recording, {' to '.join(said)}"
-
-
-@dataclass(frozen=True)
-class HeldSizes:
-    """What the frames of a line that is not locked held at one speed: ``means`` of each recording's amplitudes.
-
-    ``ends`` are the least and the largest amplitude where these surely change within a recording, else None.
-    """
-
-    means: tuple[float, ...]
-    ends: tuple[float, float] | None
-
-
-def held_sizes(phasors: list[Complexes], *, noise: float, n_independent: float) -> HeldSizes:
-    """Amplitudes of a line that is not locked, by recording.
-
-    Parameters
-    ----------
-    phasors : (frames,) of each recording at one speed
-    noise : noise power of a frame
-    n_independent : independent bins that it is told from
-    """
-    sizes = [np.abs(one[np.isfinite(one.real)]) for one in phasors]
-    sizes = [one for one in sizes if len(one) > 1]
-    means = tuple(float(np.sqrt(max(float(np.square(one).mean()) - noise, 0.0))) for one in sizes)
-    degrees_of_freedom = float(sum(len(one) - 1 for one in sizes))
-    if degrees_of_freedom < 2.0 or not noise > 0.0:
-        return HeldSizes(means, None)
-    scatter = sum(float(np.square(one - one.mean()).sum()) for one in sizes) / degrees_of_freedom
-    surely = float(
-        fdtri(degrees_of_freedom, 2.0 * n_independent * (degrees_of_freedom + 1.0), 1.0 - NUMBERS.changing_chance)
-    )
-    if 2.0 * scatter < noise * max(surely, NUMBERS.changing_over_noise):
-        return HeldSizes(means, None)
-    every = np.concatenate(sizes)
-    return HeldSizes(means, (float(every.min()), float(every.max())))
-
-
-def between_of(held: HeldSizes, amplitude: float, error: float) -> tuple[float, float]:
-    """Standard error of the mean ``amplitude`` and its degrees of freedom: of the frames or of the recordings.
-
-    Whichever errs more; ``held`` is what the recordings held, ``error`` that of the frames, with endless freedom.
-    """
-    count = len(held.means)
-    if count < 2 or not np.mean(held.means) > 0.0:
-        return error, np.inf
-    share = float(np.std(held.means, ddof=1) / np.mean(held.means) / np.sqrt(count))
-    wider = half_width(count - 1.0) * share * amplitude > half_width(np.inf) * error
-    return (share * amplitude, count - 1.0) if wider else (error, np.inf)
-
-
-def ends_of(
-    held: list[HeldSizes], amplitude: Floats, error: Floats, degrees_of_freedom: Floats, *, loss: float
-) -> Floats:
-    """Ends (speeds, 2) of the 95 % intervals of amplitudes, over all values held.
-
-    Parameters
-    ----------
-    held : of each speed
-    amplitude : (speeds,)
-    error : (speeds,), standard errors, with as many ``degrees_of_freedom``
-    degrees_of_freedom : (speeds,)
-    loss : share of the line that its bin shows, by which amplitudes are larger than those of frames
-    """
-    reach = half_widths(degrees_of_freedom) * error
-    several = np.isfinite(degrees_of_freedom)  # recordings differ by a factor
-    low = np.where(several, amplitude / (1.0 + reach / amplitude), np.maximum(amplitude - reach, 0.0))
-    ends = np.stack([low, amplitude + reach], axis=1)
-    for row, one in enumerate(held):
-        if one.ends is not None:
-            ends[row] = min(ends[row, 0], one.ends[0] / loss), max(ends[row, 1], one.ends[1] / loss)
-    return ends
 
 
 SpeedLaw = Literal["grows with speed^n", "falls with speed^n", "keeps its size", "follows no power law"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -252,16 +253,10 @@ def _together(parts: Sequence[_Part]) -> _Part:
     """Channels of one block, which share the slip, the turns of the force and the poles."""
     from scipy.linalg import block_diag
 
-    return replace(
-        parts[0],
-        left=np.concatenate([one.left for one in parts]),
-        seen=np.concatenate([one.seen for one in parts]),
-        slip=np.concatenate([one.slip for one in parts]),
-        shared=np.concatenate([one.shared for one in parts]),
-        own=np.asarray(block_diag(*(one.own for one in parts))),
-        own_prior=np.asarray(block_diag(*(one.own_prior for one in parts))),
-        own_prior_left=np.concatenate([one.own_prior_left for one in parts]),
-    )
+    stacked = ("left", "seen", "slip", "shared", "own_prior_left")
+    joined: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in parts]) for name in stacked}
+    joined |= {name: block_diag(*(getattr(one, name) for one in parts)) for name in ("own", "own_prior")}
+    return replace(parts[0], **joined)
 
 
 def _parts(values: Complexes) -> Floats:

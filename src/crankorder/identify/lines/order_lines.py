@@ -10,8 +10,9 @@ import xarray as xr
 from scipy.special import chdtrc
 
 from crankorder.identify.found import Evidence, OrderLine
+from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
-from crankorder.identify.lines.growth import HeldSizes, between_of, ends_of, held_sizes, remark_on
+from crankorder.identify.lines.growth import remark_on
 from crankorder.identify.lines.line_evidence import (
     UNPROVEN,
     evidence_of,
@@ -20,9 +21,10 @@ from crankorder.identify.lines.line_evidence import (
     keeps_its_phase,
     keeps_one_order,
 )
-from crankorder.identify.lines.line_phasors import Recording, is_swept, phasors_at, recordings_of, zooms
+from crankorder.identify.lines.line_phasors import Phasors, Recording, is_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import Zoomed, left_of_slow_waves
 from crankorder.identify.said import UNRESOLVED
+from crankorder.orders.averages import HeldSizes, SizeRows
 from crankorder.quantities import Floats, Ints
 from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings
 
@@ -68,6 +70,18 @@ class _Search:
     @property
     def speed(self) -> Floats:
         return np.asarray(self.order_map["speed"].values)
+
+    def chances(self, channel: int, peak: int) -> Floats:
+        """Chance (speeds,) that noise alone stands as high in the bin ``peak``."""
+        n = self.order_map["n_independent"].values
+        told = zip(self.ratio[channel, :, peak], n, self.floor_worth[channel, :, peak], strict=True)
+        return np.array([noise_chance(*map(float, one)) for one in told])
+
+    def phasors(self, channel: int, peak: int, speeds_rpm: Floats, *, bins: float) -> list[Phasors]:
+        """What the frames hold of the bin ``peak`` near ``speeds_rpm``, within so many ``bins`` of speed."""
+        width = bins * float(self.order_map.attrs.get("speed_bin_rpm", 25.0))
+        found = phasors_at(self.recordings, channels=[channel], at=peak, speeds_rpm=speeds_rpm, speed_bin_rpm=width)
+        return list(found.values())
 
 
 def order_lines(
@@ -164,15 +178,7 @@ def _seen_together(search: _Search, channel: int, peak: int) -> Ints:
     The chances of all speeds are joined (Fisher 1925) and counted over every bin and channel of the map. The half of
     the speeds that shows least must speak for it too: an order that meets resonances stands high at some, not at these.
     """
-    n = search.order_map["n_independent"].values
-    chances = np.array(
-        [
-            noise_chance(
-                float(search.ratio[channel, s, peak]), float(n[s]), float(search.floor_worth[channel, s, peak])
-            )
-            for s in range(len(search.speed))
-        ]
-    )
+    chances = search.chances(channel, peak)
     cells = search.excess.shape[0] * search.excess.shape[2]
     shown = cells * _joined_chance(chances) < search.false_alarm_probability
     least = np.sort(chances)[len(chances) // 2 :]
@@ -212,14 +218,8 @@ def _by_its_phase(search: _Search, channel: int, peak: int, seen: Ints, chance: 
     if not search.recordings or _is_swept(search):
         return None
     order_map = search.order_map
-    found = phasors_at(
-        search.recordings,
-        channels=[channel],
-        at=peak,
-        speeds_rpm=search.speed[seen],
-        speed_bin_rpm=0.5 * float(order_map.attrs.get("speed_bin_rpm", 25.0)),
-    )
-    lines = [(phasors[0], centre, item.hop_rev) for item, phasors, centre, _ in found.values()]
+    found = search.phasors(channel, peak, search.speed[seen], bins=0.5)
+    lines = [(phasors[0], centre, item.hop_rev) for item, phasors, centre, _ in found]
     share = float(np.mean(order_map["n_independent"].values / np.maximum(order_map["n_frames"].values, 1)))
     for slips in (False, True):
         if slips and not has_moved(order_map, peak, seen):
@@ -247,14 +247,11 @@ def _swells_slowly(search: _Search, channel: int, peak: int, seen: Ints) -> bool
     if float(np.median(search.ratio[channel, seen, peak])) < NUMBERS.swelling_ratio:
         return False
     floor = float(np.median(search.floor[channel, seen, peak]))
-    width = float(search.order_map.attrs.get("speed_bin_rpm", 25.0))
     at_speeds = [search.speed[seen]] if not np.isfinite(search.speed[seen]).all() else search.speed[seen][:, None]
     left = [  # each speed by itself: between those seen there is none of the line
         left_of_slow_waves(phasors[0], centre - centre.mean(), hop_rev=item.hop_rev)
         for speeds in at_speeds
-        for item, phasors, centre, _ in phasors_at(
-            search.recordings, channels=[channel], at=peak, speeds_rpm=speeds, speed_bin_rpm=width
-        ).values()
+        for item, phasors, centre, _ in search.phasors(channel, peak, speeds, bins=1.0)
     ]
     known = [value for value in left if np.isfinite(value)]
     return len(known) > 0 and float(np.median(known)) < NUMBERS.left_ratio * floor
@@ -265,11 +262,7 @@ def _beyond_chance(search: _Search, channel: int, peak: int, seen: Ints) -> bool
 
     With p the chance at the weakest of the speeds seen, k of n speeds are that high with at most C(n, k) p^k.
     """
-    n = search.order_map["n_independent"].values
-    highest = max(
-        noise_chance(float(search.ratio[channel, s, peak]), float(n[s]), float(search.floor_worth[channel, s, peak]))
-        for s in seen.tolist()
-    )
+    highest = float(search.chances(channel, peak)[seen].max())
     n_speeds, k = len(search.speed), len(seen)
     sets = np.prod([(n_speeds - j) / (j + 1.0) for j in range(k)])
     cells = search.excess.shape[0] * search.excess.shape[2]
@@ -354,19 +347,16 @@ def _by_energy(
     amplitude, dof = amplitude / loss, np.full(len(seen), np.inf)  # the floor is the median of many bins
     if not search.recordings or _is_swept(search) or not np.isfinite(search.speed[seen]).all():
         return amplitude, error, dof, None
-    held = [_held_at(search, channel, peak, at) for at in seen.tolist()]
-    error, dof = (np.array(column) for column in zip(*map(between_of, held, amplitude, error), strict=True))
-    return amplitude, error, dof, ends_of(held, amplitude, error, dof, loss=loss)
-
-
-def _held_at(search: _Search, channel: int, peak: int, at: int) -> HeldSizes:
-    """What each recording held of bin ``peak`` at the speed number ``at``."""
-    width = 0.5 * float(search.order_map.attrs.get("speed_bin_rpm", 25.0))
-    found = phasors_at(
-        search.recordings, channels=[channel], at=peak, speeds_rpm=search.speed[[at]], speed_bin_rpm=width
+    half, held = half_width(np.inf) * error, list[HeldSizes]()
+    for row, speed in enumerate(search.speed[seen]):
+        found = search.phasors(channel, peak, np.array([speed]), bins=0.5)
+        sizes = [np.abs(phasors[:1, np.isfinite(phasors[0].real)]) / loss for _, phasors, _, _ in found]
+        held += [HeldSizes(row, size) for size in sizes if size.shape[1] > 1]
+    rows = SizeRows(
+        *(values[None] for values in (amplitude, error, dof, np.maximum(amplitude - half, 0.0), amplitude + half))
     )
-    noise, n_independent = float(search.floor[channel, at, peak]), float(search.floor_worth[channel, at, peak])
-    return held_sizes([phasors[0] for _, phasors, _, _ in found.values()], noise=noise, n_independent=n_independent)
+    rows = rows.with_scatter(held, noise=noise[None] / loss**2, independent=search.floor_worth[channel, seen, peak])
+    return amplitude, rows.error[0], rows.dof[0], np.stack([rows.low[0], rows.high[0]], axis=1)
 
 
 def _is_swept(search: _Search) -> bool:

@@ -106,13 +106,8 @@ def _chain(item: xr.Dataset, near: float, reach: float) -> list[int]:
     numbers, places = item["order"].values, standing_out(item)
     if not places:
         return []
-    chains = [[places[0]]]
-    for place in places[1:]:
-        if numbers[place] - numbers[chains[-1][-1]] < reach:
-            chains[-1].append(place)
-        else:
-            chains.append([place])
-    distance, best = min((float(np.abs(numbers[chain] - near).min()), chain) for chain in chains)
+    chains = np.split(np.array(places), np.flatnonzero(np.diff(numbers[places]) >= reach) + 1)
+    distance, best = min((float(np.abs(numbers[chain] - near).min()), chain.tolist()) for chain in chains)
     return best if distance < reach else []
 
 
@@ -163,23 +158,8 @@ def lines_of(
         inside = (speed_rpm >= speed[clear].min()) & (speed_rpm <= speed[clear].max())
         at = np.flatnonzero(inside) if inside.any() else np.array([int(np.nanargmin(apart.min(axis=1)))])
         row = clear[apart[at].argmin(axis=1)]
-        made.append(
-            replace(
-                line,
-                order=order,
-                order_error=order_error,
-                seen=at,
-                speed_rpm=speed[row],
-                amplitude=size[row],
-                amplitude_error=error[row],
-                degrees_of_freedom=degrees_of_freedom[row],
-                phase_deg=np.full(len(row), np.nan),
-                evidence="follows the speed",
-                ends=None,
-                phase_ci95_deg=None,
-                remark="",
-            )
-        )
+        read = line.read_again((order, order_error), at, speed[row], size[row], error[row], degrees_of_freedom[row])
+        made.append(replace(read, evidence="follows the speed"))
     return made
 
 

@@ -128,13 +128,35 @@ def _block(
 
 def _swept_block(agreed: AgreedOrder, item: xr.Dataset) -> Block | None:
     """Block of one recording whose speed sweeps; None where the order was not followed there."""
+    found = swept_rows(agreed.order, item)
+    if found is None:
+        return None
+    rows, passage = found
+    amplitude, error = rows["amplitude"].values, rows["standard_error"].values
+    return _block(
+        agreed.order,
+        [str(name) for name in item["channel"].values],
+        rows["speed"].values,
+        np.nan_to_num(amplitude),
+        np.where(np.isfinite(amplitude.real) & (error > 0.0), error, np.inf),
+        followed=float(rows["order"]),
+        passage=passage,
+        recording=str(item.attrs["recording"]),
+    )
+
+
+def swept_rows(order: float, item: xr.Dataset) -> tuple[xr.Dataset, Passage] | None:
+    """Rows (channel, frame) of ``order`` in the RecordingTracks ``item``, apart in noise, and how it passed them.
+
+    None where the speed does not sweep or the order was not followed.
+    """
     if not item.attrs.get("swept", 0) or "amplitude" not in item or not item["time"].size:
         return None
     names = item["order"].values
-    found = np.flatnonzero(np.abs(names - agreed.order) <= NUMBERS.same_order_share * agreed.order)
+    found = np.flatnonzero(np.abs(names - order) <= NUMBERS.same_order_share * order)
     if not len(found):
         return None
-    row = int(found[np.argmin(np.abs(names[found] - agreed.order))])
+    row = int(found[np.argmin(np.abs(names[found] - order))])
     time, speed, angle = (item[name].values.astype(np.float64) for name in ("time", "speed", "crank_angle"))
     bandwidth = item["bandwidth_hz"].values[row].astype(np.float64)
     inside = (time - time[0] >= NUMBERS.from_ends_bandwidths / bandwidth[0]) & (
@@ -148,19 +170,9 @@ def _swept_block(agreed: AgreedOrder, item: xr.Dataset) -> Block | None:
     rows = known.any(axis=0) & (np.diff(np.floor(passed), prepend=-1.0) > 0.0)
     if np.count_nonzero(rows) < 2 * ORDER_RESPONSES.spare_amplitudes:
         return None
-    number = float(names[row])
     first = 0.5 / float(item["bandwidth_hz"].values[:, 0].max())
-    passage = _passage(number, np.stack([time, speed, angle, bandwidth]), rows, poles=poles, first_s=first)
-    return _block(
-        agreed.order,
-        [str(name) for name in item["channel"].values],
-        speed[rows],
-        np.nan_to_num(amplitude[:, rows]),
-        np.where(known, error, np.inf)[:, rows],
-        followed=number,
-        passage=passage,
-        recording=str(item.attrs["recording"]),
-    )
+    passage = _passage(float(names[row]), np.stack([time, speed, angle, bandwidth]), rows, poles=poles, first_s=first)
+    return item.isel(order=row, frame=np.flatnonzero(rows)), passage
 
 
 def _passage(number: float, along: Array, rows: NDArray[np.bool_], *, poles: int, first_s: float) -> Passage:

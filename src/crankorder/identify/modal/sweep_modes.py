@@ -118,6 +118,7 @@ class _RowNumbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_rows
     between: int
     higher_ratio: float
     begun_share: float
+    swing_rev: float
     witness_share: float
     witness_sigmas: float
     witness_widths: float
@@ -264,18 +265,26 @@ def _values(
     """Amplitudes (T, C) of ``order`` at ``time_s`` and their standard errors by part."""
     window, sweep = one.window, one.window.sweep
     turn = window.turn(order, time_s, angle_rev)
-    value, variance = one.envelope(order, turn, group.covariance)
-    other, _ = less.envelope(order, turn, None)
+    own, variance = one.envelope(order, turn, group.covariance)
     begun = one.as_started(order, time_s, angle_rev)
-    value, other = value + begun, other + less.as_started(order, time_s, angle_rev)
+    value, other = (_amplitude(fit, order, time_s, angle_rev) for fit in (one, less))
     # where a row stands is known as well as its speed is: on a flank the phase turns in no time
     at = np.clip(((time_s - sweep.start_s) * sweep.rate_hz).astype(np.int64), 0, len(sweep.speed_rpm) - 1)
     off = ROW_NUMBERS.speed_error_share * sweep.speed_rpm[at] / np.maximum(sweep.rate_rpm_per_s[at], 1e-9)
     off = np.minimum(off, ROW_NUMBERS.most_off_share / max(float(one.damping.min(initial=1.0)) * window.high_hz, 1e-9))
-    moved = one.envelope_rate(order, turn, value, sweep.speed_rpm[at] / 60.0) * off[:, None]
+    moved = one.envelope_rate(order, turn, own, sweep.speed_rpm[at] / 60.0) * off[:, None]
     error = 0.5 * variance + np.square(np.abs(value - other)) + np.square(ROW_NUMBERS.least_error_share * np.abs(value))
     error += np.square(ROW_NUMBERS.begun_share * np.abs(begun))
     return value, np.asarray(np.sqrt(error + np.square(np.abs(moved))))
+
+
+def _amplitude(one: Solved, order: float, time_s: Array, angle_rev: Array) -> Complex:
+    """Amplitudes (T, C) of ``order`` by ``one`` fit at ``time_s``, where the shaft stands at ``angle_rev``."""
+    if order * one.window.sweep.swing_rev > ROW_NUMBERS.swing_rev:
+        value = one.line(order, angle_rev)
+    else:
+        value, _ = one.envelope(order, one.window.turn(order, time_s, angle_rev), None)
+    return value + one.as_started(order, time_s, angle_rev)
 
 
 def _peak(one: Solved, order: float, time_s: Array, size: Array) -> float | None:
@@ -287,8 +296,7 @@ def _peak(one: Solved, order: float, time_s: Array, size: Array) -> float | None
     fine = np.linspace(low, high, ROW_NUMBERS.between)
     sweep = one.window.sweep
     angle = np.interp(fine, sweep.start_s + np.arange(len(sweep.angle_rev)) / sweep.rate_hz, sweep.angle_rev)
-    found = one.envelope(order, one.window.turn(order, fine, angle), None)[0] + one.as_started(order, fine, angle)
-    found = np.abs(found).max(axis=1)
+    found = np.abs(_amplitude(one, order, fine, angle)).max(axis=1)
     top = int(np.argmax(found))
     return float(fine[top]) if found[top] > ROW_NUMBERS.higher_ratio * size[best] else None
 

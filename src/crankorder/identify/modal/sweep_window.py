@@ -48,6 +48,12 @@ TAPERED = 0.8
 FORGOTTEN = 12.0
 """Time constants of a mode after which nothing rings of it."""
 
+SWING_POINTS = 32
+"""Points of a cycle at which it is looked at whether the shaft swings within."""
+
+WHOLE = 1e-6
+"""Difference of two orders from a multiple of the cycle's frequency up to which their sidebands fall on one another."""
+
 TURNED = 64
 """Bins whose turns are made at once."""
 
@@ -63,7 +69,8 @@ class SweepSpectrum:
     """Transform of one recording: ``spectrum`` (C, F) at ``frequency_hz`` (F,), ``angle_rev`` and ``speed_rpm`` (N,).
 
     ``channels`` name its rows, ``orders`` were followed through it, ``rate_hz`` is that of its samples, the first at
-    ``start_s``, ``top_hz`` the end of its band. Each recording tells the number of an order by itself.
+    ``start_s``, ``top_hz`` the end of its band. Each recording tells the number of an order by itself. ``cycle_rev`` is
+    the length of the machine's cycle.
     """
 
     recording: str
@@ -76,6 +83,22 @@ class SweepSpectrum:
     spectrum: Complex
     angle_rev: Array
     speed_rpm: Array
+    cycle_rev: int
+
+    @cached_property
+    def swing_rev(self) -> float:
+        """Standard deviation by which the angle swings within the cycle: the median of all cycles."""
+        from scipy.interpolate import CubicSpline
+
+        angle = np.arange(self.angle_rev[0], self.angle_rev[-1], self.cycle_rev / SWING_POINTS)
+        if len(angle) < 4 * SWING_POINTS:
+            return 0.0
+        time = np.interp(angle, self.angle_rev, np.arange(len(self.angle_rev)) / self.rate_hz)
+        steady = CubicSpline(angle[::SWING_POINTS], time[::SWING_POINTS])
+        off = (time - steady(angle)) / np.maximum(steady(angle, 1), 1e-9)
+        return float(
+            np.median(np.std(off[: len(off) // SWING_POINTS * SWING_POINTS].reshape(-1, SWING_POINTS), axis=1))
+        )
 
     @property
     def length_s(self) -> float:
@@ -126,6 +149,7 @@ def spectra_of(followed: Sequence[xr.Dataset], *, fewest: int) -> tuple[SweepSpe
                 rfft(signals - signals.mean(axis=1, keepdims=True), axis=1),
                 item["waveform_angle"].values[:n],
                 item["waveform_speed"].values[:n],
+                int(item.attrs["revs_per_cycle"]),
             )
         )
     return tuple(made)
@@ -465,6 +489,28 @@ class Solved:
             slope = self._slope_of_envelope(order, turn, seen)
             variance = variance + 2.0 * np.sum((slope @ covariance) * slope.conj(), axis=2).real
         return value, np.asarray(variance)
+
+    def line(self, order: float, angle_rev: Array) -> Complex:
+        """Amplitude (T, C) of ``order`` about each ``angle_rev`` (T,) as an analysis by crank angle reads it.
+
+        Where the shaft swings within the cycle, modes answer an order with sidebands, and those of other orders fall on
+        it: what counts is the mean over two cycles, weighted to their middle.
+        """
+        from scipy.fft import irfft
+
+        window, angle, cycle = self.window, self.window.sweep.angle_rev, self.window.sweep.cycle_rev
+        apart = [(other, cycle * (other - order)) for other in window.orders]
+        own = np.concatenate([self._columns_of(other) for other, off in apart if abs(off - round(off)) < WHOLE])
+        spectrum = np.zeros((len(window.sweep.frequency_hz), self.left.shape[1]), dtype=np.complex128)
+        spectrum[window.bins] = (self._unscaled(own) @ self.amplitude[own]) * window.taper[:, None]
+        signal = irfft(spectrum, len(angle), axis=0)
+        value = np.zeros((len(angle_rev), signal.shape[1]), dtype=np.complex128)
+        for row, middle in enumerate(angle_rev.tolist()):
+            first, last = np.searchsorted(angle, [middle - cycle, middle + cycle])
+            weight = np.gradient(angle[first:last]) * (cycle - np.abs(angle[first:last] - middle))
+            turned = weight * np.exp(-2j * np.pi * order * angle[first:last])
+            value[row] = 2.0 * turned @ signal[first:last] / weight.sum()
+        return value
 
     def as_started(self, order: float, time_s: Array, angle_rev: Array) -> Complex:
         """What its amplitude (T, C) lacks at ``time_s`` (T,) of an ``order`` that ran before the recording began.
