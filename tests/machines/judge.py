@@ -241,7 +241,12 @@ def _phase(machine: Machine, takes: tuple[Take, ...], record: dict[str, Any], tr
         off = np.abs(take.speed_rpm - at)
         beside = np.concatenate([[np.inf], off, [np.inf]])
         passed = (off <= beside[:-2]) & (off < beside[2:]) & (off <= max(3.0, 0.005 * at))
-        values += [complex(take.envelopes[true][channel, near]) for near in np.flatnonzero(passed)]
+        own, apart = take.envelopes[true][channel], take.speed_rpm - at
+        values += own[passed].tolist()
+        # the rows of a take are so far apart that a phase turns by degrees from one to the next
+        before = np.flatnonzero(apart[:-1] * apart[1:] < 0.0)
+        share = apart[before] / (apart[before] - apart[before + 1])
+        values += ((1.0 - share) * own[before] + share * own[before + 1]).tolist()
     # which of the two revolutions of a cycle comes first, no index tells
     turn = 360.0 if order.order.is_integer() else 180.0
     middle, half = 0.5 * (interval[0] + interval[1]), 0.5 * (interval[1] - interval[0])

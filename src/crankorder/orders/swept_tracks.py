@@ -71,7 +71,8 @@ SURE_SIGMAS = 1.0
 """Standard errors of a row from which what the filter takes of it is no noise."""
 
 PARTED_SHARE = 1e-4
-"""Standard error of a row, beside its noise, over the strongest order followed there: knots, angle and speed."""
+"""Standard error of a row, beside its noise, over the strongest order followed there: however little noise there is,
+knots, angle and speed part orders no better."""
 
 SMOOTHING = ("smoothing", "smoothing_more", "smoothing_error")
 """Variables that say what the filter took."""
@@ -196,7 +197,9 @@ def swept_tracks(
             try:
                 amplitude, error = _followed(band, shaft, plan)
                 hertz = named[:, None] * np.interp(rows, course.time_s, course.speed_rpm) / 60.0
-                made.append((plan, amplitude, error * spectrum.under_over_beside(hertz, plan.widths(rows))))
+                error *= spectrum.under_over_beside(hertz, plan.widths(rows))
+                strongest = np.abs(np.nan_to_num(amplitude)).max(axis=1, keepdims=True)
+                made.append((plan, amplitude, np.hypot(error, PARTED_SHARE * strongest)))
             except RequestError as error:
                 notes.append(f"{span[0]:.3g} to {span[1]:.3g} s: {error}")
     found = _dataset(band, shaft, named, course, made, notes)
@@ -215,13 +218,9 @@ def bandwidths_hz(orders: Floats, course: SpeedCourse) -> Floats:
 
 
 def followed_error(tracks: xr.Dataset, place: int) -> Floats:
-    """Standard error (channels, frames) of order number ``place`` of ``tracks``, with what the filter took put back.
-
-    However little noise there is, angle, speed and filter part orders by no more than :data:`PARTED_SHARE`.
-    """
+    """Standard error (channels, frames) of order number ``place`` of ``tracks``, with what the filter took put back."""
     taken = np.abs(tracks["smoothing"].values[:, place]) + tracks["smoothing_error"].values[:, place]
-    strongest = np.abs(np.nan_to_num(tracks["amplitude"].values)).max(axis=1)
-    return np.asarray(np.hypot(np.hypot(tracks["standard_error"].values[:, place], taken), PARTED_SHARE * strongest))
+    return np.asarray(np.hypot(tracks["standard_error"].values[:, place], taken))
 
 
 def _covered(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, float]:
@@ -465,26 +464,32 @@ def _put_waveform(found: xr.Dataset, band: xr.Dataset, shaft: xr.Dataset, course
     found.attrs["waveform_band_hz"] = min(top, float(band.attrs.get("band_hz", 0.5 * rate)))
 
 
-def _speed_of_rows(shaft: xr.Dataset, time_s: Floats, stretch_s: Floats) -> Floats:
+def _speed_of_rows(shaft: xr.Dataset, time_s: Floats, stretch_s: Floats) -> tuple[Floats, Floats]:
     """Speed [rpm] at ``time_s`` (rows,) over ``stretch_s`` (rows,), or so long as its pulses need to tell it.
 
-    N pulses over a length of L revolutions, each off by e, tell the slope of their parabola to e √(12/N) / L.
+    N pulses over a length of L revolutions, each off by e, tell the slope of their parabola to e √(12/N) / L. Second,
+    its standard error: half of what half the stretch tells otherwise, which errs by √8 as much in jitter and leaves a
+    quarter of what a bend of the speed makes.
     """
     near = smoothed_speed(shaft, time_s, stretch_s)
     of_one = errors_along(shaft, time_s, np.ones(len(time_s))).mean
     revs = np.cbrt(12.0 * np.square(of_one / SPEED_SHARE))
     needed = revs * 60.0 / np.maximum(near, 1e-9)
-    return smoothed_speed(shaft, time_s, np.maximum(stretch_s, needed)) if (needed > stretch_s).any() else near
+    longer = np.maximum(stretch_s, needed)
+    speed = smoothed_speed(shaft, time_s, longer) if (needed > stretch_s).any() else near
+    apart = np.square(0.5 * (speed - smoothed_speed(shaft, time_s, 0.5 * longer)))
+    return speed, np.sqrt(np.convolve(np.pad(apart, 2, mode="edge"), np.full(5, 0.2), mode="valid"))
 
 
 def _put_places(found: xr.Dataset, shaft: xr.Dataset, time_s: Floats, width_hz: Floats) -> None:
     """Put time, speed and crank angle of each row into ``found``, and the bandwidths (orders, rows) that made them."""
     empty = not len(time_s)
-    speed = np.empty(0) if empty else _speed_of_rows(shaft, time_s, 1.0 / width_hz.max(axis=0))
+    speed, speed_error = (time_s, time_s) if empty else _speed_of_rows(shaft, time_s, 1.0 / width_hz.max(axis=0))
     angle = np.empty(0) if empty else angle_at(time_s, **knots_of(shaft))
     for name, given, units, said in (
         ("time", time_s, "s", "time of the row"),
         ("speed", speed, "min-1", "speed at the row, over a reciprocal bandwidth"),
+        ("speed_error", speed_error, "min-1", "standard error of the speed"),
         ("crank_angle", angle, "rev", "crank angle of the row"),
     ):
         found.coords[name] = ("frame", given, {"units": units, "long_name": said})

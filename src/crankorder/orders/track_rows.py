@@ -57,6 +57,9 @@ HANN_CORRELATION = (1.0, 2.0 / 3.0, 1.0 / 6.0)
 OF_BANDWIDTH = 0.2
 """A followed order this near, in bandwidths, is the order itself: the filter lets it pass with a phase that turns."""
 
+MOST_LATE = 0.1
+"""Reciprocal bandwidths by which a row may stand elsewhere than its speed says at most."""
+
 LEAK_LEFT = 0.01
 """Share of what a line leaks into the bins beside that cannot be taken off."""
 
@@ -402,16 +405,19 @@ def _place_in(item: xr.Dataset, order: float) -> int:
 def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
     """Rows of the order number ``place`` of ``item`` (-1: nothing is known), its phase as that of ``order``.
 
-    What the filter took of a narrow peak (``smoothing``) is put back and part of the error, as is the angle's.
+    What the filter took of a narrow peak (``smoothing``) is put back and part of the error, as are the angle's and,
+    where the order changes fast, that of the row's speed.
     """
     if place < 0:
         return OrderRows.nothing(item.sizes["channel"], item.sizes["frame"])
     taken = item["smoothing"].values[:, place]
     value = item["amplitude"].values[:, place] + taken
-    error = followed_error(item, place)
+    along, across = _misplaced(item, place, value)
+    error = np.hypot(followed_error(item, place), along)
     dof = item["degrees_of_freedom"].values[:, place]
     magnitude, power = np.abs(value), 2.0 * error**2
     low, high = amplitude_interval(magnitude, power, dof)
+    power = power + 2.0 * (across**2 - along**2)
     more = item["smoothing_more"].values[:, place]  # a filter lowers a peak: what it may have taken is no doubt below
     high, power = high + NORMAL * more, power + 2.0 * more**2
     angle = AngleErrors(item["angle_scatter"].values, item["angle_error"].values)
@@ -426,6 +432,22 @@ def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
     if not one_phase_reference([item]):
         phase, half = np.full(phase.shape, np.nan), np.full(half.shape, np.nan)
     return OrderRows(magnitude, phase, error, dof, low, high, half)
+
+
+def _misplaced(item: xr.Dataset, place: int, value: Complexes) -> tuple[Floats, Floats]:
+    """By how much ``value`` (channels, frames) changes along and across itself as the speed of a row of ``item`` errs.
+
+    Standard errors; ``place`` is that of the order. A row is at its time: no speed puts it further than a part of the
+    filter's memory.
+    """
+    if item.sizes["frame"] < 2:
+        return np.zeros(value.shape), np.zeros(value.shape)
+    time, speed = item["time"].values, item["speed"].values
+    late = item["speed_error"].values / np.maximum(np.abs(np.gradient(speed, time)), 1e-9)
+    late = np.minimum(late, MOST_LATE / item["bandwidth_hz"].values[place])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        moved = np.nan_to_num(np.gradient(value, time, axis=1) * late * value.conj() / np.abs(value))
+    return np.abs(moved.real), np.abs(moved.imag)
 
 
 def order_tracks(

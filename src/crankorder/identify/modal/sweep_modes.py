@@ -113,8 +113,6 @@ class _RowNumbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_rows
     most_angle_rad: float
     inner_share: float
     least_error_share: float
-    speed_error_share: float
-    most_off_share: float
     between: int
     higher_ratio: float
     begun_share: float
@@ -263,19 +261,12 @@ def _values(
     group: GroupFit, one: Solved, less: Solved, order: float, time_s: Array, angle_rev: Array
 ) -> tuple[Complex, Array]:
     """Amplitudes (T, C) of ``order`` at ``time_s`` and their standard errors by part."""
-    window, sweep = one.window, one.window.sweep
-    turn = window.turn(order, time_s, angle_rev)
-    own, variance = one.envelope(order, turn, group.covariance)
+    _, variance = one.envelope(order, one.window.turn(order, time_s, angle_rev), group.covariance)
     begun = one.as_started(order, time_s, angle_rev)
     value, other = (_amplitude(fit, order, time_s, angle_rev) for fit in (one, less))
-    # where a row stands is known as well as its speed is: on a flank the phase turns in no time
-    at = np.clip(((time_s - sweep.start_s) * sweep.rate_hz).astype(np.int64), 0, len(sweep.speed_rpm) - 1)
-    off = ROW_NUMBERS.speed_error_share * sweep.speed_rpm[at] / np.maximum(sweep.rate_rpm_per_s[at], 1e-9)
-    off = np.minimum(off, ROW_NUMBERS.most_off_share / max(float(one.damping.min(initial=1.0)) * window.high_hz, 1e-9))
-    moved = one.envelope_rate(order, turn, own, sweep.speed_rpm[at] / 60.0) * off[:, None]
     error = 0.5 * variance + np.square(np.abs(value - other)) + np.square(ROW_NUMBERS.least_error_share * np.abs(value))
     error += np.square(ROW_NUMBERS.begun_share * np.abs(begun))
-    return value, np.asarray(np.sqrt(error + np.square(np.abs(moved))))
+    return value, np.asarray(np.sqrt(error))
 
 
 def _amplitude(one: Solved, order: float, time_s: Array, angle_rev: Array) -> Complex:

@@ -533,15 +533,6 @@ class Solved:
         place = window.orders.index(order)
         return np.asarray((decay * lacking) @ self.residues[place])
 
-    def envelope_rate(self, order: float, turn: Complex, value: Complex, rev_per_s: Array) -> Complex:
-        """Derivative (T, C), per second, of the amplitude ``value`` (T, C) of ``order`` where ``turn`` (T, B) says.
-
-        ``rev_per_s`` (T,) is the speed there.
-        """
-        own = self._columns_of(order)
-        risen = turn @ (self.window.frequency_hz[:, None] * (self._unscaled(own) @ self.amplitude[own]))
-        return np.asarray(2j * np.pi * (risen - order * rev_per_s[:, None] * value))
-
     def _columns_of(self, order: float) -> NDArray[np.intp]:
         """Numbers of the columns of ``order``."""
         width = self.window.order_columns(len(self.natural_hz))
