@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -89,6 +89,7 @@ def explained(
     known: Sequence[LineSeen] = (),
     of_swing: Words | None = None,
     longest_rev: float = np.inf,
+    rows: Mapping[tuple[str, float], OrderLine] | None = None,
 ) -> Causes:
     """One cause for every order line in every channel, and for every mode and tone.
 
@@ -101,7 +102,7 @@ def explained(
 
     Parameters
     ----------
-    orders : the orders of the test
+    orders : the orders of the test as the order map shows them
     modal : its modes and tones
     bearings : findings of ``bearing_records``: ``name``, ``line``, ``order``, ``order_ci95``, ``lock`` count
     sources : what is known of the machine
@@ -112,6 +113,7 @@ def explained(
     known : lines of the motor and of the mains that the frames hold where they were expected
     of_swing : lines that swings of the angle may make (:func:`crankorder.identify.angle_swings.swing_sidebands`)
     longest_rev : revolutions of the longest recording at one speed: two lines that beat less often in it look like one
+    rows : lines by channel and order with the amplitudes of their tracks, which tell how they grow
     """
     causes: dict[tuple[str, float], Cause] = {}
     races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
@@ -121,6 +123,7 @@ def explained(
         at = _stated_parts(agreed, bearings, sources)
         for line in agreed.lines:
             name = line.channel
+            line = (rows or {}).get((name, agreed.order), line)
             cause = first(agreed, line, at=at, quantity=quantity[name], in_cylinder=name in in_cylinder)
             causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, at, sources))
     for key, (text, evidence) in (of_swing or {}).items():

@@ -119,7 +119,9 @@ def find(
     explain = partial(explained, sources=sources, quantity=quantity, in_cylinder=in_cylinder, settings=asked)
     longest = max((one.span_rev for one in held), default=np.inf)
     of_swing = swing_sidebands(orders, frames)
-    causes = explain(orders, modal, bearings, folds=folds, known=known, longest_rev=longest, of_swing=of_swing)
+    rows = {(line.channel, agreed.order): line for agreed in orders for line in agreed.lines}
+    explain = partial(explain, known=known, longest_rev=longest, of_swing=of_swing, rows=rows)
+    causes = explain(in_map, modal, bearings, folds=folds)
     modal = with_neighbours_named(modal, in_map, causes)
     tested = _tested_rpm(order_map, campbell)
     moving, stated = going_with_speed(orders, causes), [gear.order for gear in sources.gears]

@@ -71,8 +71,7 @@ SURE_SIGMAS = 1.0
 """Standard errors of a row from which what the filter takes of it is no noise."""
 
 PARTED_SHARE = 1e-4
-"""Standard error of a row, beside its noise, over the strongest order followed there: however little noise there is,
-knots, angle and speed part orders no better."""
+"""Standard error of a row, beside its noise, over the strongest order followed there: knots, angle and speed."""
 
 SMOOTHING = ("smoothing", "smoothing_more", "smoothing_error")
 """Variables that say what the filter took."""
@@ -197,9 +196,7 @@ def swept_tracks(
             try:
                 amplitude, error = _followed(band, shaft, plan)
                 hertz = named[:, None] * np.interp(rows, course.time_s, course.speed_rpm) / 60.0
-                error *= spectrum.under_over_beside(hertz, plan.widths(rows))
-                strongest = np.abs(np.nan_to_num(amplitude)).max(axis=1, keepdims=True)
-                made.append((plan, amplitude, np.hypot(error, PARTED_SHARE * strongest)))
+                made.append((plan, amplitude, error * spectrum.under_over_beside(hertz, plan.widths(rows))))
             except RequestError as error:
                 notes.append(f"{span[0]:.3g} to {span[1]:.3g} s: {error}")
     found = _dataset(band, shaft, named, course, made, notes)
@@ -218,9 +215,13 @@ def bandwidths_hz(orders: Floats, course: SpeedCourse) -> Floats:
 
 
 def followed_error(tracks: xr.Dataset, place: int) -> Floats:
-    """Standard error (channels, frames) of order number ``place`` of ``tracks``, with what the filter took put back."""
+    """Standard error (channels, frames) of order number ``place`` of ``tracks``, with what the filter took put back.
+
+    However little noise there is, angle, speed and filter part orders no better than by :data:`PARTED_SHARE`.
+    """
     taken = np.abs(tracks["smoothing"].values[:, place]) + tracks["smoothing_error"].values[:, place]
-    return np.asarray(np.hypot(tracks["standard_error"].values[:, place], taken))
+    strongest = np.abs(np.nan_to_num(tracks["amplitude"].values)).max(axis=1)
+    return np.asarray(np.hypot(np.hypot(tracks["standard_error"].values[:, place], taken), PARTED_SHARE * strongest))
 
 
 def _covered(band: xr.Dataset, shaft: xr.Dataset) -> tuple[float, float]:

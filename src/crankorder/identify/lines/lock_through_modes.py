@@ -60,7 +60,11 @@ def with_locks_through_modes(
     if not sweeps or source == "vibration":
         return tuple(orders), modal
     cycle = int(order_map.attrs["revs_per_cycle"])
-    measured = [_measured(one, modal, sweeps, order_map, cycle) if one.lock == "undecided" else None for one in orders]
+    open_ones = [one.lock == "undecided" and not one.of_angle for one in orders]  # an error of the angle is locked too
+    measured = [
+        _measured(one, modal, sweeps, order_map, cycle) if is_open else None
+        for one, is_open in zip(orders, open_ones, strict=True)
+    ]
     if source == "stated" and not any(one.lock == "locked" for one in orders):
         numbers = [
             (nearest_multiple(one.order, revs_per_cycle=cycle) + left.turn, left.error, left.degrees_of_freedom)
