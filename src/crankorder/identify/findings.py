@@ -118,9 +118,8 @@ def find(
     in_cylinder = [name for name in unit if is_cylinder_pressure(quantity[name], unit[name])]
     explain = partial(explained, sources=sources, quantity=quantity, in_cylinder=in_cylinder, settings=asked)
     longest = max((one.span_rev for one in held), default=np.inf)
-    of_swing = swing_sidebands(orders, frames)
     rows = {(line.channel, agreed.order): line for agreed in orders for line in agreed.lines}
-    explain = partial(explain, known=known, longest_rev=longest, of_swing=of_swing, rows=rows)
+    explain = partial(explain, known=known, longest_rev=longest, of_swing=swing_sidebands(orders, frames), rows=rows)
     causes = explain(in_map, modal, bearings, folds=folds)
     modal = with_neighbours_named(modal, in_map, causes)
     tested = _tested_rpm(order_map, campbell)

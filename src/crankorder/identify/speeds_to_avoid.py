@@ -251,6 +251,8 @@ def _fitted_peak(
     if not is_known or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
         return None
     peak = peak_of(response, modal, rpm_range)
+    if peak.rpm in rpm_range:  # the flank of another mode, which is larger than this peak
+        peak = peak_of(response, modal, (rpm, rpm))
     return peak if half_width(peak.freedom) * peak.share <= 1.0 - 1.0 / NUMBERS.peak_within_ratio else None
 
 
