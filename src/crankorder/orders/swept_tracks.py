@@ -10,7 +10,7 @@ import xarray as xr
 
 from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited, sound_samples
-from crankorder.orders.averages import POLES
+from crankorder.orders.averages import POLES, median_of_known
 from crankorder.orders.fixed_lines import steady_flag, without_steady_lines
 from crankorder.orders.intervals import NORMAL, amplitude_interval, phase_interval_deg
 from crankorder.orders.true_angle import AngleErrors, errors_along
@@ -42,9 +42,9 @@ LEAST_ORDER, MOST_ORDER = 0.05, 0.4
 OF_DISTANCE = 0.5
 """Bandwidth of an order over its distance from the nearest that is followed with it."""
 
-LONGEST_PIECE_S, PIECES, FEWEST_PIECES, NEAR_BINS = 4.0, 16, 4, 3.0
+LONGEST_PIECE_S, PIECES, FEWEST_PIECES, NEAR_BINS, BAND_OVER = 4.0, 16, 4, 3.0, 1.5
 """Of the spectrum of the noise: length of a piece at most, pieces of a recording, those without an order that tell a
-bin, and bins beside an order that hold something of it."""
+bin, bins beside an order that hold something of it, and its band over the highest frequency of an order."""
 
 KNOTS = 8
 """Knots of the envelopes in a reciprocal bandwidth: right to 1e-5."""
@@ -132,6 +132,9 @@ class NoiseSpectrum:
         from scipy.signal import ShortTimeFFT
         from scipy.signal.windows import hann
 
+        top = BAND_OVER * float(orders.max(initial=1.0) * course.speed_rpm.max()) / 60.0
+        if top < float(band.attrs.get("band_hz", np.inf)):
+            band = band_limited(band, band_hz=top, grid_hz=1.0)
         rate, signals = float(band.attrs["rate_hz"]), np.nan_to_num(band["signal"].values)
         length = min(LONGEST_PIECE_S, signals.shape[1] / rate / PIECES)
         pieces = ShortTimeFFT(hann(int(length * rate), sym=False), int(0.5 * length * rate) or 1, rate)
@@ -147,7 +150,7 @@ class NoiseSpectrum:
             near |= np.abs(pieces.f[:, None] - np.clip(pieces.f[:, None], *ends)) < NEAR_BINS / length
         free = np.count_nonzero(~near, axis=1) >= FEWEST_PIECES
         typical = np.full(power.shape[:2], np.nan)
-        typical[:, free] = np.nanmedian(np.where(near, np.nan, power)[:, free], axis=2)
+        typical[:, free] = median_of_known(np.where(near, np.nan, power)[:, free], axis=2)
         return cls(pieces.f, typical)
 
     def under_over_beside(self, hertz: Floats, width_hz: Floats) -> Floats:

@@ -30,8 +30,9 @@ class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="order_shake
 
 NUMBERS = _Numbers.load()
 
-STEPS, SHRUNK = 25, 1e-7
-"""Steps of the fit at most, and the relative fall of its sum of squares at which it ends."""
+STEPS, SHRUNK, MOST_DAMPED, MOST_ODD = 25, 1e-6, 1e4, 4
+"""Steps of the fit at most, the relative fall of its sum of squares at which it ends, the damping beyond which none
+falls, and speeds that are left out at most: in a sweep each row has its own."""
 BINS_WORTH = 0.5
 """Independent bins that a bin of a Hann window's spectrum is worth beside its neighbours."""
 
@@ -131,7 +132,7 @@ def shaker_fit(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, *
     theta, fit = _solved(problem, np.zeros(2 * len(forces.unit) + problem.pole_root.shape[1]))
     odd: list[float] = []
     n_speeds = np.unique(measured.rpm_of_row).size
-    while len(odd) < max(1, n_speeds // 10) and n_speeds >= 8:
+    while len(odd) < min(max(1, n_speeds // 10), MOST_ODD) and n_speeds >= 8:
         worst = _odd_speed(problem, fit)
         if worst is None:
             break
@@ -284,7 +285,7 @@ def _solved(problem: _Problem, theta: Floats) -> tuple[Floats, _Fit]:
             theta, fit, damped = theta + step, tried, max(damped / 10, 1e-12)
             if done:
                 break
-        elif damped > 1e8:
+        elif damped > MOST_DAMPED:
             break
         else:
             damped *= 10
