@@ -46,6 +46,9 @@ LONGEST_PIECE_S, PIECES, FEWEST_PIECES, NEAR_BINS, BAND_OVER = 4.0, 16, 4, 3.0, 
 """Of the spectrum of the noise: length of a piece at most, pieces of a recording, those without an order that tell a
 bin, bins beside an order that hold something of it, and its band over the highest frequency of an order."""
 
+FEWEST_OF_PIECE = 16
+"""Samples of a piece below which it is no spectrum."""
+
 KNOTS = 8
 """Knots of the envelopes in a reciprocal bandwidth: right to 1e-5."""
 
@@ -137,6 +140,8 @@ class NoiseSpectrum:
             band = band_limited(band, band_hz=top, grid_hz=1.0)
         rate, signals = float(band.attrs["rate_hz"]), np.nan_to_num(band["signal"].values)
         length = min(LONGEST_PIECE_S, signals.shape[1] / rate / PIECES)
+        if length * rate < FEWEST_OF_PIECE:
+            return cls(np.zeros(1), np.full((len(signals), 1), np.nan))
         pieces = ShortTimeFFT(hann(int(length * rate), sym=False), int(0.5 * length * rate) or 1, rate)
         first, last = pieces.lower_border_end[1], pieces.upper_border_begin(signals.shape[1])[1]
         power = np.square(np.abs(pieces.stft(signals, first, last)))
@@ -197,9 +202,9 @@ def swept_tracks(
         if len(rows):
             plan = _Plan(named, course, width, span, rows)
             try:
-                amplitude, error = _followed(band, shaft, plan)
+                amplitude, beside = _followed(band, shaft, plan)
                 hertz = named[:, None] * np.interp(rows, course.time_s, course.speed_rpm) / 60.0
-                made.append((plan, amplitude, error * spectrum.under_over_beside(hertz, plan.widths(rows))))
+                made.append((plan, amplitude, beside * spectrum.under_over_beside(hertz, plan.widths(rows))))
             except RequestError as error:
                 notes.append(f"{span[0]:.3g} to {span[1]:.3g} s: {error}")
     found = _dataset(band, shaft, named, course, made, notes)
