@@ -31,7 +31,7 @@ from crankorder.identify.found import (
     Whirl,
 )
 from crankorder.identify.intervals import Z95, half_width, interval, positive_interval
-from crankorder.identify.lines.growth import Growth, growth, told, visible_range_rpm
+from crankorder.identify.lines.growth import Growth, growth, reported, visible_range_rpm
 from crankorder.identify.lines.order_lock import is_half_order
 from crankorder.identify.responses import HeldPeak, held_peak
 from crankorder.records import Ends
@@ -85,7 +85,7 @@ def _order_record(
     agreed: AgreedOrder, line: OrderLine, cause: Cause, meetings: Sequence[CrossingFinding], unit: str
 ) -> OrderFinding:
     law = growth(line)
-    best = told(line, law)
+    best = reported(line, law)
     phase = float(line.phase_deg[best.at])
     said = (
         _evidence(line.evidence, agreed.lock),

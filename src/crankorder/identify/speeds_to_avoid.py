@@ -23,7 +23,7 @@ from crankorder.identify.found import (
     UnseenBound,
 )
 from crankorder.identify.intervals import Z95, half_width
-from crankorder.identify.lines.growth import Largest, largest, told_within
+from crankorder.identify.lines.growth import Largest, largest, reported_within
 from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
 from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.responses import HeldPeak, peak_of, together, with_and_without
@@ -235,7 +235,7 @@ def _peaks(
     for line in agreed.lines:
         fitted = peaks.get(line.channel, _Peak(0.0, (0.0, 0.0)))
         by_fit = fitted.response
-        seen = told_within(line, *((item.rpm - near, item.rpm + near) if by_fit is None else rpm_range))
+        seen = reported_within(line, *((item.rpm - near, item.rpm + near) if by_fit is None else rpm_range))
         if seen is None or fitted.amplitude > seen.high:
             continue
         if by_fit is None or (not by_fit.recording and seen.at == largest(line).at):
@@ -552,7 +552,7 @@ def _largest_there(agreed: AgreedOrder, shown: OrderLine, rpm: float, unit: Mapp
     """Channel of the unit of ``shown`` in which the order is largest at ``rpm``, and how large."""
     reach = LONE_NUMBERS.same_row_share * rpm
     alike = [line for line in agreed.lines if unit[line.channel] == unit[shown.channel]]
-    there = [(line.channel, seen) for line in alike if (seen := told_within(line, rpm - reach, rpm + reach))]
+    there = [(line.channel, seen) for line in alike if (seen := reported_within(line, rpm - reach, rpm + reach))]
     return max(there, key=lambda one: one[1].amplitude)
 
 

@@ -24,7 +24,7 @@ from crankorder.identify.bearings.envelope_lines import (
 from crankorder.identify.bearings.places import Place, bearing_places
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import Z95, half_width, positive_interval
-from crankorder.identify.lines.growth import growth, mean_level, told
+from crankorder.identify.lines.growth import growth, mean_level, reported
 from crankorder.identify.sources import StatedPart, parts_at
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -105,7 +105,7 @@ def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per
     line = max(best.lines, key=_height)
     law = growth(line)
     steady = law is not None and law.law == "keeps its size"
-    level = mean_level(line) if steady else told(line, law)
+    level = mean_level(line) if steady else reported(line, law)
     part = StatedPart("bearing", place.name, best.order, half_width(best.degrees_of_freedom) * best.order_error)
     multiples = [n for n in (2, 3, 4) if any((part, n) in parts_at([part], order).near for order in orders)]
     return _record(

@@ -493,8 +493,8 @@ def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], numb
         clear = amplitude > 3.0 * error
         if not clear.any():
             continue
-        told = (one[clear] for one in (seen_at, rpm, amplitude, error, degrees_of_freedom))
-        lines.append(line.read_again((number.order, number.error), *told))
+        columns = (one[clear] for one in (seen_at, rpm, amplitude, error, degrees_of_freedom))
+        lines.append(line.read_again((number.order, number.error), *columns))
     return lines or group
 
 

@@ -323,19 +323,19 @@ def _not_surprising(cut: float, wide: float, degrees_of_freedom: float, share: f
     return float(brentq(above, -wide, wide, xtol=1e-6))
 
 
-def told(line: OrderLine, law: Growth | None) -> Largest:
+def reported(line: OrderLine, law: Growth | None) -> Largest:
     """The amplitude that is told of ``line``, wherever it is told: the largest, by its ``law`` where that holds."""
     return largest(line) if law is None else law.at(largest(line))
 
 
-def told_within(line: OrderLine, low_rpm: float, high_rpm: float) -> Largest | None:
+def reported_within(line: OrderLine, low_rpm: float, high_rpm: float) -> Largest | None:
     """The largest amplitude of ``line`` from ``low_rpm`` to ``high_rpm``; None where it is not seen there.
 
     Where it is the largest of all speeds it is what is told of the line everywhere.
     """
     there = np.flatnonzero((line.speed_rpm >= low_rpm) & (line.speed_rpm <= high_rpm))
     if largest(line).at in there:
-        return told(line, growth(line))
+        return reported(line, growth(line))
     if not len(there):
         return None
     at = int(there[np.argmax(line.amplitude[there])])

@@ -74,8 +74,8 @@ class _Search:
     def chances(self, channel: int, peak: int) -> Floats:
         """Chance (speeds,) that noise alone stands as high in the bin ``peak``."""
         n = self.order_map["n_independent"].values
-        told = zip(self.ratio[channel, :, peak], n, self.floor_worth[channel, :, peak], strict=True)
-        return np.array([noise_chance(*map(float, one)) for one in told])
+        cells = zip(self.ratio[channel, :, peak], n, self.floor_worth[channel, :, peak], strict=True)
+        return np.array([noise_chance(*map(float, cell)) for cell in cells])
 
     def phasors(self, channel: int, peak: int, speeds_rpm: Floats, *, bins: float) -> list[Phasors]:
         """What the frames hold of the bin ``peak`` near ``speeds_rpm``, within so many ``bins`` of speed."""
