@@ -225,7 +225,7 @@ class Turns:
     def plain_scipy(self) -> None:
         """One run of `plain_scipy.py`."""
         command = [sys.executable, str(HERE / "plain_scipy.py"), str(self.recordings), str(self.fresh(SCIPY))]
-        self.taken.setdefault(SCIPY, []).append(measured(command)[:3])
+        self.taken.setdefault(SCIPY, []).append(measured(command, OPENBLAS_NUM_THREADS="1")[:3])
 
     def rota_order(self) -> None:
         """One run of rota-order on some recordings, its analysis scaled to all of them."""

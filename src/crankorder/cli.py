@@ -34,6 +34,8 @@ class Guarded(click.Group):
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run a command line: ``args`` and ``kwargs`` are click's. A stream that was closed leads to nowhere."""
         _open_streams()
+        # before numpy loads: recordings run side by side, and threads that wait for small products burn the processor
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         with _guarded():
             return super().main(*args, **kwargs)
 
@@ -283,7 +285,6 @@ def _started(plans: list[Any], jobs: int) -> ReportingProcess:
     """A process that hashes inputs and loads what draws and writes, while this process loads what analyses."""
     gc.disable()  # modules that load make no garbage, and looking for it costs a fifth of the time
     atexit.register(gc.freeze)  # nor is it worth 0.4 s to take everything apart before the process ends
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # recordings run side by side; small products run in one thread
     import h5py  # noqa: F401  # this and the next are needed by both, so they are loaded before it is split off
     import xarray  # noqa: F401
 

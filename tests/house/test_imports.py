@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import importlib.util
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -18,7 +19,7 @@ HEAVY = ["numpy", "scipy", "xarray", "matplotlib", "numba", "pandas", "h5py", "h
 
 # Runs the command in a fresh interpreter and says on the last line of stderr which heavy packages it loaded.
 PROBE = """
-import json, sys
+import json, os, sys
 sys.argv[0] = "crankorder"
 from crankorder.cli import main
 try:
@@ -28,7 +29,7 @@ except SystemExit as stop:
 else:
     status = 0
 loaded = [name for name in {heavy!r} if name in sys.modules]
-print("\\n" + json.dumps({{"status": status, "loaded": loaded}}), file=sys.stderr)
+print("\\n" + json.dumps({{"status": status, "loaded": loaded, "threads": os.environ.get("OPENBLAS_NUM_THREADS")}}), file=sys.stderr)
 """
 
 
@@ -81,11 +82,13 @@ def test_no_module_is_named_for_nothing_in_particular(python_files: list) -> Non
 
 def _loaded_by(*arguments: str) -> tuple[int, list[str], str]:
     command = [sys.executable, "-c", PROBE.format(heavy=HEAVY), *arguments]
-    result = subprocess.run(command, capture_output=True, text=True)
+    surroundings = {name: value for name, value in os.environ.items() if "THREADS" not in name}
+    result = subprocess.run(command, capture_output=True, text=True, env=surroundings)
     assert result.stderr.strip(), "the probe said nothing"
     last = result.stderr.strip().splitlines()[-1]
     assert last.startswith("{"), result.stderr
     answer = json.loads(last)
+    assert answer["threads"] == "1", "numpy loads with threads that burn the processor waiting for small products"
     return answer["status"], answer["loaded"], result.stdout
 
 

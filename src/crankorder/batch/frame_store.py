@@ -12,7 +12,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
+from weakref import WeakValueDictionary
 
 import numpy as np
 import pandas as pd
@@ -31,6 +32,9 @@ LEAST_FREE_BYTES = 1 << 30
 
 AXES = 256
 """Axes that are kept for the next recording that has the same."""
+
+KEEPERS = 400
+"""So many recordings keep the datasets that were made of them, some 100 kB each; of others they are made each time."""
 
 _MAGIC = b"crankorder frames 2\n"
 _DIGEST_BYTES = 32
@@ -99,10 +103,12 @@ def settings_of_recordings(settings: Settings) -> dict[str, Any]:
 
 
 class PackedResult(RecordingResult):
-    """A recording's result in one piece of memory; its shaft and frames are made anew each time they are asked for.
+    """A recording's result in one piece of memory; its shaft and frames are made of it when they are asked for.
 
-    Thousands of these cost what lies in that memory, which may be a file's, and no more.
+    Thousands of these cost little more than what lies in that memory, which may be a file's.
     """
+
+    _keepers: ClassVar[WeakValueDictionary[int, PackedResult]] = WeakValueDictionary()
 
     def __init__(self, data: NDArray[np.uint8]) -> None:
         """Result that ``data`` (bytes,) holds as :meth:`of` packed it. ValueError or KeyError where it does not."""
@@ -110,12 +116,13 @@ class PackedResult(RecordingResult):
         place = begin + _LENGTH_BYTES
         length = int.from_bytes(data[begin:place].tobytes(), "little")
         index = json.loads(data[place : place + length].tobytes())
-        self.__dict__.update(data=data, _index=index["parts"], _first=place + length, _about=index["about"])
+        self.__dict__.update(data=data, _index=index["parts"], _first=place + length, _about=index["about"], _made={})
 
     data: NDArray[np.uint8]
     _index: dict[str, list[int]]
     _first: int
     _about: dict[str, Any]
+    _made: dict[str, xr.Dataset]
 
     @classmethod
     def of(cls, result: RecordingResult) -> PackedResult:
@@ -156,12 +163,12 @@ class PackedResult(RecordingResult):
 
     @property
     def shaft(self) -> ShaftAngle:
-        """The ShaftAngle, made anew."""
+        """The ShaftAngle; a copy of the caller's own, whose values must not be changed."""
         return ShaftAngle(self._part(""))
 
     @cached_property
     def frames(self) -> Mapping[Any, xr.Dataset]:
-        """The frames by noun, each made anew when it is asked for."""
+        """The frames by noun; each a copy of the caller's own, whose values must not be changed."""
         return _PackedFrames(self)
 
     @property
@@ -179,9 +186,15 @@ class PackedResult(RecordingResult):
         return str(self._about["histories"]["" if noun is ShaftAngle else noun.__name__])
 
     def _part(self, name: str) -> xr.Dataset:
+        if name in self._made:
+            return self._made[name].copy(deep=False)
         begin, header, size = self._index[name]
         part = self.data[self._first + begin : self._first + begin + size]
-        return _dataset(json.loads(part[:header].tobytes()), _Arrays(part[header:]))
+        dataset = _dataset(json.loads(part[:header].tobytes()), _Arrays(part[header:]))
+        if id(self) in self._keepers or len(self._keepers) < KEEPERS:
+            self._keepers[id(self)] = self
+            self._made[name] = dataset.copy(deep=False)
+        return dataset
 
 
 class _PackedFrames(Mapping[Any, xr.Dataset]):
@@ -192,6 +205,9 @@ class _PackedFrames(Mapping[Any, xr.Dataset]):
 
     def __getitem__(self, noun: Any) -> xr.Dataset:
         return self._result._part(noun.__name__)
+
+    def __contains__(self, noun: object) -> bool:
+        return getattr(noun, "__name__", "") in self._result._index
 
     def __iter__(self) -> Iterator[Any]:
         return (noun for noun in FRAMES_OF.values() if noun.__name__ in self._result._index)
