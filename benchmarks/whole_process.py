@@ -81,7 +81,7 @@ def _openblas_kernel() -> str:
 
 
 def user_environment(**more: str) -> dict[str, str]:
-    """The environment as a user's shell has it, without numbers of threads, with modules kept compiled; and ``more``."""
+    """The environment as a user's shell has it: no numbers of threads, modules kept compiled; and ``more``."""
     ours = {"PYTHONDONTWRITEBYTECODE", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"}
     return {name: value for name, value in os.environ.items() if name not in ours} | more
 

@@ -29,7 +29,8 @@ except SystemExit as stop:
 else:
     status = 0
 loaded = [name for name in {heavy!r} if name in sys.modules]
-print("\\n" + json.dumps({{"status": status, "loaded": loaded, "threads": os.environ.get("OPENBLAS_NUM_THREADS")}}), file=sys.stderr)
+threads = os.environ.get("OPENBLAS_NUM_THREADS")
+print("\\n" + json.dumps({{"status": status, "loaded": loaded, "threads": threads}}), file=sys.stderr)
 """
 
 
