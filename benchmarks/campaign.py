@@ -19,6 +19,7 @@ os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # before nu
 import json
 import re
 import shutil
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -46,6 +47,7 @@ from campaign_page import (
     figure,
     page,
 )
+from marks import marks_table, of_campaign
 from published import FOLDER, publish
 from whole_process import machine, measured
 
@@ -62,6 +64,8 @@ from crankorder.stages import analyse_recording
 HERE = Path(__file__).parent
 QUIET = 1e-6
 """Of the noise of the reference campaign, where errors of amplitudes are to be those of the program."""
+TURNS_OF_OTHERS = 3
+"""So many turns take the rows of which fewer are enough."""
 RECIPES = ((MAPS, "maps"), (FULL, "maps-full-band"), (FINDINGS, None))
 PROGRAM = [sys.executable, "-m", "crankorder"]
 ROTA_PACKAGES = ("rota-order==0.3.0", "h5py", "matplotlib")
@@ -82,13 +86,17 @@ def main() -> None:
             if not where.exists():
                 measured([*PROGRAM, "synth", scene, "--out", str(where), *(["--quick"] if options.quick else [])])
         size = sum(len(path.read_bytes()) for path in recordings.glob("*.h5"))  # also warms the page cache
-        rows = Turns(recordings, run_up, Path(scratch), rota, options.rota_recordings).rows(options.repeats)
+        turns = Turns(recordings, run_up, Path(scratch), rota, options.rota_recordings)
+        rows = turns.rows(options.repeats)
+        found["arrays_s"] = [statistics.median(each) for each in zip(*turns.arrays, strict=True)]
+        found["demo_s"] = round(statistics.median(turns.demos), 2)
         errors = Turns(quiet, run_up, Path(scratch), rota, options.rota_recordings).errors()
         found |= {"what": what_is_in(recordings), "cores": os.cpu_count(), "repeats": options.repeats}
         found |= {"rows": rows, "rota_absent": absent, "error_of_amplitudes": errors}
         found["identification_s"] = identification_s(recordings, Path(scratch), repeats=options.repeats)
     found["megabytes"] = round(size / 1e6)
-    publish("campaign", found, page(found), figure(found), into=options.into)
+    told = marks_table(of_campaign(found))
+    publish("campaign", found, page(found, told), figure(found), into=options.into)
     if not options.quick:  # other recordings
         print(costs_beside(old, rows))
     if options.all:
@@ -120,7 +128,7 @@ def quiet_scene(folder: Path) -> Path:
 def options_of() -> argparse.Namespace:
     """What the command line says."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=3, help="turns, of which the best counts")
+    parser.add_argument("--repeats", type=int, default=5, help="turns, of which the median counts")
     parser.add_argument("--keep", type=Path, help="folder with (or for) the synthesised recordings")
     parser.add_argument("--rota", type=Path, help="Python of an environment with rota-order, h5py and matplotlib")
     parser.add_argument("--rota-recordings", type=int, default=7, help="which rota-order analyses; 0: all")
@@ -170,18 +178,23 @@ class Turns:
     taken: dict[str, list[tuple[float, float, float]]] = field(default_factory=dict)
     stages: dict[str, dict[str, float]] = field(default_factory=dict)
     out: dict[str, Path] = field(default_factory=dict)
+    arrays: list[tuple[float, float]] = field(default_factory=list)
+    demos: list[float] = field(default_factory=list)
 
     def rows(self, repeats: int) -> dict[str, dict[str, Any]]:
-        """The best of every row, and how many times faster than the other programs the rows of the campaign are."""
+        """The median of every row, and how many times faster than the other programs the rows of the campaign are."""
         self.first_run()
         for number in range(repeats + 1):
             for name, recipe in RECIPES:
                 self.run(name, self.recordings, recipe)
-            self.run(RUN_UP, self.run_up, None)
+            if number <= TURNS_OF_OTHERS:
+                self.run(RUN_UP, self.run_up, None)
             if number:  # the turn before compiled kernels and modules
                 self.plain_scipy()
-                self.rota_order()
-                self.warm_runs()
+                if number <= TURNS_OF_OTHERS:
+                    self.rota_order()
+                    self.warm_runs()
+                    self.demo()
             else:
                 first = self.taken.pop(FIRST)
                 self.taken.clear()
@@ -196,8 +209,8 @@ class Turns:
         return rows
 
     def row(self, name: str) -> dict[str, Any]:
-        """Least seconds and processor seconds of the turns, rounded."""
-        seconds, processor, memory = (min(each) for each in zip(*self.taken[name], strict=True))
+        """Medians of the turns, rounded."""
+        seconds, processor, memory = (statistics.median(each) for each in zip(*self.taken[name], strict=True))
         made: dict[str, Any] = {
             "seconds": round(seconds, 2),
             "processor_seconds": round(processor, 2),
@@ -251,6 +264,14 @@ class Turns:
             if match is None:
                 raise SystemExit(f"warm_run.py did not say how long it took:\n{said}")
             self.taken.setdefault(name, []).append((float(match[1]), float(match[2]), memory))
+        match = re.search(r"^arrays: ([\d.]+) s, scipy ([\d.]+) s", said, re.M)
+        if match is None:
+            raise SystemExit(f"warm_run.py did not say how long maps of arrays took:\n{said}")
+        self.arrays.append((float(match[1]), float(match[2])))
+
+    def demo(self) -> None:
+        """Seconds of the demonstration, from the shell to the results."""
+        self.demos.append(measured([*PROGRAM, "demo", "--out", str(self.fresh("demo"))])[0])
 
     def fresh(self, name: str) -> Path:
         """A folder for the results of ``name`` that is not there yet."""

@@ -37,8 +37,8 @@ DEARER = 1.1
 OURS_COLOUR, OTHERS_COLOUR = "#1f5a8a", "#808080"
 
 
-def page(found: dict[str, Any]) -> str:
-    """Markdown: ratios first, then seconds and where they go, then the errors."""
+def page(found: dict[str, Any], marks: str) -> str:
+    """Markdown: the table of ``marks`` first, ratios, then seconds and where they go, then the errors."""
     rows = found["rows"]
     return f"""# The reference campaign as a whole process
 
@@ -46,11 +46,13 @@ Made by `make bench`; do not edit.
 
 ![time and error](campaign.png)
 
-{found["what"]}; {found["megabytes"]} MB, {found["cores"]} cores. The programs take turns, {found["repeats"]} each, and
-the best of each counts; the first run is measured once. {machine_words(found["machine"])}
+{found["what"]}; {found["megabytes"]} MB, {found["cores"]} cores. The programs take turns, up to {found["repeats"]}
+each, and the median of each counts; the first run is measured once. {machine_words(found["machine"])}
 
 Others may use the machine too: processor seconds tell what the work costs, seconds what a user waits. What remains of
 the seconds beside the stages is the start: modules and compiled kernels. {_rota_words(found)}
+
+{marks}
 
 {_ratios(rows)}
 

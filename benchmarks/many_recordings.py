@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 from whole_process import watched
 
-SECONDS = 1.0
+SECONDS, SMALL_SECONDS = 1.0, 0.5
 LEAST_RPM = 1000
 TELL_S = 5.0
 SMALL_RATE_HZ, SMALL_PULSES = 6000.0, 12
@@ -48,10 +48,10 @@ def make_small(count: int, folder: Path) -> None:
     """Write ``count`` recordings of one channel at 35 speeds, and their manifest, into ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "run.toml").write_text(SMALL_MANIFEST, encoding="utf-8")
-    time_s = np.arange(round(SECONDS * SMALL_RATE_HZ)) / SMALL_RATE_HZ
+    time_s = np.arange(round(SMALL_SECONDS * SMALL_RATE_HZ)) / SMALL_RATE_HZ
     for number in range(count):
         random = np.random.default_rng(number)
-        turns = (1000.0 + 50.0 * (number % 35)) / 60.0 * time_s + random.uniform()
+        turns = (2000.0 + 50.0 * (number % 35)) / 60.0 * time_s + random.uniform()
         level = sum(np.cos(2.0 * np.pi * order * turns) / order for order in (1.0, 2.0, 5.5))
         with h5py.File(folder / f"rpm_{number:06d}.h5", "w") as file:
             file.attrs["rate_hz"] = SMALL_RATE_HZ
@@ -80,8 +80,8 @@ def make(count: int, folder: Path) -> None:
                 file.create_dataset(name, data=part).attrs.update(attrs[name])
 
 
-def make_wide(channels: int, folder: Path) -> None:
-    """Write the short reference campaign with its accelerometers again and again, each with noise of its own."""
+def make_wide(channels: int, count: int, folder: Path) -> None:
+    """Write ``count`` recordings of the short reference campaign, accelerometers repeated with noise of their own."""
     folder.mkdir(parents=True, exist_ok=True)
     with _reference("--quick") as whole:
         head, _, rest = (whole / "run.toml").read_text(encoding="utf-8").partition("[[channels]]")
@@ -90,7 +90,8 @@ def make_wide(channels: int, folder: Path) -> None:
         bearings = "".join(rest.partition("[[bearings]]")[1:])
         manifest = head + "".join(channel.format(name) for name in names) + bearings
         (folder / "run.toml").write_text(manifest, encoding="utf-8")
-        for path in sorted(whole.glob("*.h5")):
+        paths = sorted(whole.glob("*.h5"))
+        for path in [paths[number] for number in np.linspace(0, len(paths) - 1, count).round().astype(int)]:
             arrays, attrs, top = _read(path)
             given = [name for name in sorted(arrays) if name.startswith("acc")]
             with h5py.File(folder / path.name, "w") as file:

@@ -34,6 +34,13 @@ def analyse(path: Path, channels: list[str]) -> tuple[float, list[np.ndarray], l
         rate = float(file.attrs["rate_hz"])
         signals = [file[name][:] for name in channels]
         encoder = file["encoder"][:]
+    return spectra(signals, encoder, rate)
+
+
+def spectra(
+    signals: list[np.ndarray], encoder: np.ndarray, rate: float
+) -> tuple[float, list[np.ndarray], list[np.ndarray]]:
+    """Speed, density spectra and order spectra of ``signals`` and ``encoder`` at ``rate`` samples a second."""
     high = encoder > 2.5
     edges = np.flatnonzero(high[1:] & ~high[:-1]) / rate
     revs = np.arange(len(edges)) / PULSES_PER_REV
