@@ -38,7 +38,7 @@ from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.orders.fixed_lines import lines_of_findings
 from crankorder.orders.followed import followed_tracks, with_followed
-from crankorder.orders.frames import order_frames
+from crankorder.orders.frames import band_of_orders, order_frames
 from crankorder.orders.map import order_map
 from crankorder.orders.method import METHOD_SHARE
 from crankorder.orders.shapes import operating_shapes
@@ -178,7 +178,8 @@ def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRec
 @stage
 def frames_as_shown(band: BandRecording, shaft: ShaftAngle, settings: Settings) -> FramesAsShown:
     """Spectra of whole cycles of ``band``, resampled by the crank angle of ``shaft`` (``settings`` of orders)."""
-    return FramesAsShown(with_clock_drift(order_frames(band, shaft, settings=settings.orders), recorded=band))
+    limited = band_of_orders(band, shaft, settings=settings.orders)
+    return FramesAsShown(with_clock_drift(order_frames(limited, shaft, settings=settings.orders), recorded=band))
 
 
 @stage
@@ -194,8 +195,10 @@ def true_angle(shaft: ShaftAngle, shown: FramesAsShown, settings: Settings) -> T
 @stage
 def frames_by_order(band: BandRecording, angle: TrueAngle, shown: FramesAsShown, settings: Settings) -> OrderFrames:
     """Frames ``shown`` by the encoder; where its ``angle`` was put right, ``band`` again (``settings`` of orders)."""
-    put_right = TAKEN in angle.attrs
-    return OrderFrames(order_frames(band, angle, settings=settings.orders) if put_right else shown)
+    if TAKEN not in angle.attrs:
+        return OrderFrames(shown)
+    limited = band_of_orders(band, angle, settings=settings.orders)
+    return OrderFrames(order_frames(limited, angle, settings=settings.orders))
 
 
 @stage

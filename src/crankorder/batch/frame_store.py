@@ -130,7 +130,7 @@ class PackedResult(RecordingResult):
 
         The digest is that of all that follows.
         """
-        parts, index = list[bytes](), dict[str, list[int]]()
+        parts, index = list[bytes | memoryview](), dict[str, list[int]]()
         size = 0
         named = {"": result.shaft, **{noun.__name__: frames for noun, frames in result.frames.items()}}
         for name, dataset in named.items():
@@ -216,7 +216,7 @@ class _PackedFrames(Mapping[Any, xr.Dataset]):
         return len(self._result._index) - 1
 
 
-def _packed(dataset: xr.Dataset) -> list[bytes]:
+def _packed(dataset: xr.Dataset) -> list[bytes | memoryview]:
     """Pieces of ``dataset``: header, arrays; each a multiple of the alignment. TypeError where it cannot be kept."""
     arrays: list[NDArray[Any]] = []
     variables = [
@@ -226,9 +226,9 @@ def _packed(dataset: xr.Dataset) -> list[bytes]:
     coords = [str(name) for name in dataset.coords]
     described = {"variables": variables, "coords": coords, "attrs": _attrs(dataset.attrs, arrays)}
     header = json.dumps(described).encode()
-    pieces = [header + b" " * (-len(header) % _ALIGNED)]
-    for array in arrays:
-        pieces += [array.tobytes(), b"\0" * (-array.nbytes % _ALIGNED)]
+    pieces: list[bytes | memoryview] = [header + b" " * (-len(header) % _ALIGNED)]
+    for array in filter(np.size, arrays):  # looked at where they lie, in bytes
+        pieces += [np.ascontiguousarray(array).reshape(-1).view(np.uint8).data, b"\0" * (-array.nbytes % _ALIGNED)]
     return pieces
 
 

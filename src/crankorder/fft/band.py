@@ -49,11 +49,11 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float, toler
             factor, reach = 1, 0
         error = decimation_error(rate, band_hz, factor, tolerance)
         signals, rate, start = decimate(
-            signals, rate_hz=rate, band_hz=band_hz, factor=factor, tolerance=tolerance, offset=offset
+            signals, rate_hz=rate, band_hz=band_hz, factor=factor, tolerance=tolerance, offset=offset, gaps=gaps
         )
         attrs |= {"rate_hz": rate, "start_s": float(attrs.get("start_s", 0.0)) + start}
     else:
-        signals, *_ = decimate(signals, rate_hz=1.0, band_hz=0.4, factor=1, offset=offset)
+        signals, *_ = decimate(signals, rate_hz=1.0, band_hz=0.4, factor=1, offset=offset, gaps=gaps)
     made = xr.Dataset(
         {"signal": (("channel", axis), signals, {"units": "see unit", "long_name": "signal in the analysis band"})},
         coords=channel_coords(recording),

@@ -335,17 +335,18 @@ def decimate(
     factor: int,
     tolerance: float = TOLERANCE,
     offset: Floats | None = None,
+    gaps: bool = True,
 ) -> tuple[NDArray[np.floating], float, float]:
     """Signals without their mean, low-passed to ``band_hz`` and decimated by ``factor``; then rate and start.
 
     ``signals`` is (channels, samples) at ``rate_hz``, float32 or float64, and so is what comes out: (channels, fewer
     samples), the new rate in Hz and the time in s of its first sample after the first of ``signals``. Only outputs
     whose filter lies wholly inside the record are given; they are right within ``tolerance``
-    (:func:`decimation_error`). ``offset`` (channels,) is taken away instead of the mean where given.
-    Samples that are not finite count as the mean of the others.
+    (:func:`decimation_error`). ``offset`` (channels,) is taken away instead of the mean where given, and ``gaps`` then
+    says whether a sample may not be finite. Samples that are not count as the mean of the others.
     """
     signals = signals if signals.dtype in (np.float32, np.float64) else signals.astype(np.float64)
-    offset, gaps = channel_offsets(signals) if offset is None else (offset, True)
+    offset, gaps = channel_offsets(signals) if offset is None else (offset, gaps)
     if factor == 1:
         rested = empty_like(signals, signals.shape, signals.dtype)
         for part in blocks(signals.shape[1], size=PASS_SAMPLES):

@@ -426,7 +426,7 @@ def _weighted_sums(double: bool) -> Callable[..., int]:
     positions = nb.types.Array(nb.float64, 1, "C", readonly=True)
     weights, out = (nb.types.Array(number, n_dims, "C") for n_dims in (1, 2))
     signature = nb.intp(signal, nb.intp, positions, table, weights, nb.float64, nb.float64, out)
-    compiler: Any = nb.njit(signature, cache=True, nogil=True, fastmath={"contract"})
+    compiler: Any = nb.njit(signature, cache=True, nogil=True, fastmath={"contract", "reassoc", "nsz"})
     compiled: Callable[..., int] = compiler(_sums_at)
     return compiled
 
@@ -435,10 +435,9 @@ def _sums_at(flat, row, positions, table, weights, low, high, out):  # type: ign
     """-1, or the first of ``positions`` outside ``low``…``high``; fills ``out`` (channels, positions).
 
     ``flat`` holds the channels ``row`` numbers apart, ``table`` (pieces, 4, taps) the kernel; ``weights`` (taps,) is
-    scratch. Products are summed in eight rows side by side, which are added by halves.
+    scratch.
     """
     n_pieces, _, taps = table.shape
-    rows = np.empty(8, weights.dtype)
     for i in range(len(positions)):
         position = positions[i]
         if not (low <= position <= high):
@@ -453,11 +452,8 @@ def _sums_at(flat, row, positions, table, weights, low, high, out):  # type: ign
         first = base - taps // 2 + 1
         for c in range(out.shape[0]):
             segment = flat[first + c * row : first + c * row + taps]
-            rows[:] = 0.0
-            for k in range(0, taps - 7, 8):
-                for j in range(8):
-                    rows[j] += weights[k + j] * segment[k + j]
-            for k in range(taps // 8 * 8, taps):
-                rows[k % 8] += weights[k] * segment[k]
-            out[c, i] = ((rows[0] + rows[4]) + (rows[2] + rows[6])) + ((rows[1] + rows[5]) + (rows[3] + rows[7]))
+            total = weights[0] * segment[0]
+            for k in range(1, taps):
+                total += weights[k] * segment[k]
+            out[c, i] = total
     return -1

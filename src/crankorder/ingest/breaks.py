@@ -16,6 +16,7 @@ import xarray as xr
 from scipy.ndimage import median_filter
 
 from crankorder.ingest.rawfile import FloatArray, flag
+from crankorder.ingest.shaft_signals import Gathered
 from crankorder.quantities import Floats, QualityFlag
 
 BESIDE = 4
@@ -125,7 +126,7 @@ def _told(breaks: Sequence[Break], rate_hz: float) -> str:
     return ", ".join(listed[:LISTED]) + more
 
 
-def laid_apart(recording: xr.Dataset, channels: dict[str, FloatArray], path: Path, flags: list[QualityFlag]) -> None:
+def laid_apart(recording: Gathered, channels: dict[str, FloatArray], path: Path, flags: list[QualityFlag]) -> None:
     """Lay buffers that were written one behind the other apart, in ``channels`` and the pulses of ``recording``.
 
     Where the pulses do not tell a turn the angle is lost across a break: the longest stretch is kept alone.
@@ -133,8 +134,8 @@ def laid_apart(recording: xr.Dataset, channels: dict[str, FloatArray], path: Pat
     """
     attrs, rate_hz = recording.attrs, float(recording.attrs["rate_hz"])
     teeth = len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 0) - attrs.get("missing_teeth", 0)
-    marked = "index_time" in recording and recording["index_time"].size > 1
-    turns = recording["index_time"].values if marked else recording["pulse_time"].values[:: teeth or None]
+    marked = "index_time" in recording.variables and recording.values("index_time").size > 1
+    turns = recording.values("index_time") if marked else recording.values("pulse_time")[:: teeth or None]
     breaks = find_breaks(turns * rate_hz, list(channels.values())) if marked or teeth else []
     if not breaks:
         return
@@ -160,11 +161,12 @@ def laid_apart(recording: xr.Dataset, channels: dict[str, FloatArray], path: Pat
     at = np.array([one.sample for one in breaks])
     moved = places - np.arange(n_samples) - first
     for name in ("pulse_time", "index_time", "cam_time"):
-        if name in recording:
-            place = recording[name].values * rate_hz
+        if name in recording.variables:
+            place = recording.values(name) * rate_hz
             place = place[(np.abs(place[:, None] - at) > EDGE_SAMPLES).all(axis=1)]
             place = place + moved[np.clip(np.ceil(place).astype(int), 0, n_samples - 1)]
             inside = (place >= 0) & (place <= end - first - 1)
-            recording[name] = (recording[name].dims, place[inside] / rate_hz, recording[name].attrs)
+            known = recording.variables[name]
+            recording.variables[name] = xr.Variable(known.dims, place[inside] / rate_hz, known.attrs)
     gaps = np.append(np.round(np.array(attrs.get("gap_starts_s", [])) * rate_hz).astype(int), at - 1)
     recording.attrs["gap_starts_s"] = sorted(((gaps + moved[gaps]) / rate_hz).tolist())

@@ -66,11 +66,13 @@ def _plain(name: str) -> str:
     return re.sub("[^a-z0-9]", "", name.lower())
 
 
-_ASKED = frozenset(
-    _plain(name)
+# each name that is asked for as it is known without case
+_PLAIN = {
+    name: _plain(name)
     for names in (_RATE_NAMES, _STEP_NAMES, _SPEED_NAMES, _UNIT_NAMES, *_TIME_NAMES, _PACKING_NAMES)
     for name in names
-)
+}
+_ASKED = frozenset(_PLAIN.values())
 _ALONE = frozenset(_plain(name) for names in (_RATE_NAMES, _STEP_NAMES, _SPEED_NAMES) for name in names)
 # an exception of h5py on a damaged file may be any of these
 _H5PY_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError, IndexError)
@@ -99,22 +101,22 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
         n_bytes = sum(dataset.size * max(4, dataset.dtype.itemsize) for dataset in used.values())
         check_budget(n_bytes, settings)
         attributes = _Attributes(file)
-        datasets = {source: used[columns[name].dataset] for source, name in names.items()}
-        stated, undated = _stated_in(datasets, attributes, path)
+        places = {source: columns[name].dataset for source, name in names.items()}
+        stated, undated = _stated_in(places, attributes, path)
         values = _read_columns([columns[name] for name in names.values()], used, attributes, settings, rows)
         rates, others = stated["rates_hz"], set(stated["rates_hz"].values())
-        doubts = [attributes.doubts(dataset, rates.get(source), others) for source, dataset in datasets.items()]
+        doubts = [attributes.doubts(place, rates.get(source), others) for source, place in places.items()]
         flags = [flag(path, name, "suspect", detail) for name, detail in dict.fromkeys(chain(*doubts))]
         return RawFile(dict(zip(names, values, strict=True)), **stated, flags=flags + undated)
 
 
 def _stated_in(
-    datasets: Mapping[Key, Any], attributes: _Attributes, path: Path
+    places: Mapping[Key, str], attributes: _Attributes, path: Path
 ) -> tuple[dict[str, Any], list[QualityFlag]]:
-    """Units, rates and starts of ``datasets`` by the fields of Contents and RawFile, and flags of unset clocks."""
-    rates = _stated({key: attributes.rate_hz(dataset) for key, dataset in datasets.items()})
-    starts, undated = starts_by_date(*attributes.starts(datasets), path)
-    units = {key: unit for key, dataset in datasets.items() if (unit := attributes.text(dataset, _UNIT_NAMES))}
+    """Units, rates and starts of the datasets at ``places`` by the fields of Contents; flags of unset clocks."""
+    rates = _stated({key: attributes.rate_hz(place) for key, place in places.items()})
+    starts, undated = starts_by_date(*attributes.starts(places), path)
+    units = {key: unit for key, place in places.items() if (unit := attributes.text(place, _UNIT_NAMES))}
     return {"units": units, "rates_hz": rates, "starts_s": starts}, undated
 
 
@@ -129,18 +131,16 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     """
     with _opened(path) as file:
         columns = _columns_of(file, settings)
-        datasets = {name: file[column.dataset] for name, column in columns.items()}
-        for dataset in datasets.values():
-            _check_dataset(dataset)
+        places = {name: column.dataset for name, column in columns.items()}
+        for place in dict.fromkeys(places.values()):
+            _check_dataset(file[place])
         attributes = _Attributes(file)
         return Contents(
             format="HDF5",
             names=tuple(columns),
             samples={name: column.n_samples for name, column in columns.items()},
-            **_stated_in(datasets, attributes, path)[0],
-            speed_rpm=next(
-                (rpm for dataset in datasets.values() if (rpm := attributes.number(dataset, _SPEED_NAMES))), None
-            ),
+            **_stated_in(places, attributes, path)[0],
+            speed_rpm=next((rpm for place in places.values() if (rpm := attributes.number(place, _SPEED_NAMES))), None),
         )
 
 
@@ -289,7 +289,7 @@ def _read_columns(
                 remedy="Copy the file again",
             ) from None
         for index, row, _ in asked:
-            _unpack(row, dataset, index, attributes)
+            _unpack(row, name, 0 if index is None else index, 1 if index is None else min(dataset.shape), attributes)
     return room
 
 
@@ -315,14 +315,14 @@ def _read_into(rows: list[tuple[int | None, FloatArray]], dataset: Any, first: i
             row[part] = piece if index is None else piece[:, index] if axis == 0 else piece[index]
 
 
-def _unpack(row: FloatArray, dataset: Any, index: int | None, attributes: _Attributes) -> None:
-    """Undo the packing conventions of NetCDF: fill value, scale and offset of the column ``index`` of ``dataset``."""
-    fill = attributes.number(dataset, ("_FillValue", "missing_value"), inherited=False)
+def _unpack(row: FloatArray, place: str, index: int, n_columns: int, attributes: _Attributes) -> None:
+    """Undo the packing conventions of NetCDF: fill value, scale and offset of one of the columns of a dataset."""
+    fill = attributes.number(place, ("_FillValue", "missing_value"), inherited=False)
     if fill is not None:
         for part in blocks(row.size):
             row[part][row[part] == row.dtype.type(fill)] = np.nan
-    scale = attributes.packing(dataset, "scale_factor", index)
-    offset = attributes.packing(dataset, "add_offset", index)
+    scale = attributes.packing(place, "scale_factor", index, n_columns)
+    offset = attributes.packing(place, "add_offset", index, n_columns)
     if scale is not None:
         row *= scale
     if offset is not None:
@@ -330,97 +330,93 @@ def _unpack(row: FloatArray, dataset: Any, index: int | None, attributes: _Attri
 
 
 class _Attributes:
-    """What the attributes of a file's objects say; those of each object are read once."""
+    """What the attributes of a file's objects say, by the place of these; those of each object are read once."""
 
     def __init__(self, file: Any) -> None:
         self._file = file
-        self._of: dict[str, dict[str, Any]] = {}
+        self._of: dict[str, tuple[dict[str, Any], dict[str, float]]] = {}
 
-    def rate_hz(self, dataset: Any) -> float | None:
-        """Samples per second that the attributes of ``dataset``, of a group above it or of the file state."""
-        stated = _as_rates(self._numbers(dataset, (*_RATE_NAMES, *_STEP_NAMES)))
+    def rate_hz(self, place: str) -> float | None:
+        """Samples per second that the attributes at ``place``, of a group above it or of the file state."""
+        stated = _as_rates(self._numbers(place, (*_RATE_NAMES, *_STEP_NAMES)))
         value = next(iter(stated.values()), None)
         if value is not None and any(abs(other - value) > _SAME_RATE * abs(value) for other in stated.values()):
             found = ", ".join(f"{name}: {other:.9g} Hz" for name, other in stated.items())
             remedy = "Find out which is right, and remove the other"
-            raise InputError("two sampling rates are stated", place=dataset.name, found=found, remedy=remedy)
+            raise InputError("two sampling rates are stated", place=place, found=found, remedy=remedy)
         if value is not None and not (value > 0 and np.isfinite(value)):
-            raise InputError("the sampling rate must be above 0", place=dataset.name, found=value)
+            raise InputError("the sampling rate must be above 0", place=place, found=value)
         return value
 
-    def packing(self, dataset: Any, name: str, index: int | None) -> float | None:
-        """The number that the attribute ``name`` states for the column ``index`` of ``dataset``, None without it.
+    def packing(self, place: str, name: str, index: int, n_columns: int) -> float | None:
+        """The number that the attribute ``name`` at ``place`` states for column ``index``, None without it.
 
         It may be written as text, or one for each column. Raises InputError where it is neither: the scale of the
         samples is then not known.
         """
-        value = self._at(dataset.name, dataset).get(_plain(name))
+        value = self._at(place)[0].get(_PLAIN[name])
         if value is None:
             return None
         with suppress(TypeError, ValueError, UnicodeDecodeError):
             numbers = np.atleast_1d(_number_in(value))
-            n_columns = 1 if index is None else min(dataset.shape)
             if numbers.ndim == 1 and numbers.size in (1, n_columns) and np.isfinite(numbers).all():
-                return float(numbers[(index or 0) if numbers.size > 1 else 0])
+                return float(numbers[index if numbers.size > 1 else 0])
         raise InputError(
             f"its {name} is not a number",
-            place=dataset.name,
+            place=place,
             found=printable(repr(value), 60),
             remedy="Mend the attribute, or export the samples as floats in their unit",
         )
 
-    def doubts(self, dataset: Any, rate_hz: float | None, others_hz: Collection[float]) -> Iterator[tuple[str, str]]:
-        """Flags and details of what the attributes about ``dataset``, whose rate is ``rate_hz``, contradict or hide.
+    def doubts(self, place: str, rate_hz: float | None, others_hz: Collection[float]) -> Iterator[tuple[str, str]]:
+        """Flags and details of what the attributes about ``place``, whose rate is ``rate_hz``, contradict or hide.
 
         A rate stated above it may be that of other datasets, ``others_hz``.
         """
         for name in ("scale_factor", "add_offset"):
-            value = self._at(dataset.name, dataset).get(_plain(name))
+            value = self._at(place)[0].get(_PLAIN[name])
             if value is not None and (isinstance(value, (bytes, str)) or np.size(value) > 1):
                 kind = "text" if isinstance(value, (bytes, str)) else f"{np.size(value)} numbers, one for each column"
-                yield "scale_unusual", f"{dataset.name}: its {name} is {kind}; taken as such"
-        for place in (dataset.name.rpartition("/")[0] or "/", "/"):
-            for name, other in _as_rates(self._numbers_at(place, dataset, (*_RATE_NAMES, *_STEP_NAMES))).items():
+                yield "scale_unusual", f"{place}: its {name} is {kind}; taken as such"
+        for above in (place.rpartition("/")[0] or "/", "/"):
+            for name, other in _as_rates(self._numbers_at(above, (*_RATE_NAMES, *_STEP_NAMES))).items():
                 if rate_hz and other not in others_hz and abs(other - rate_hz) > _SAME_RATE * rate_hz:
                     yield (
                         "header_rate_disagrees",
-                        f"{dataset.name} states {rate_hz:.9g} Hz, {name} of {place} {other:.9g} Hz; the first is taken",
+                        f"{place} states {rate_hz:.9g} Hz, {name} of {above} {other:.9g} Hz; the first is taken",
                     )
 
-    def number(self, dataset: Any, names: Sequence[str], *, inherited: bool = True) -> float | None:
-        """First of the attributes ``names`` that is one number, of ``dataset``, else of its group, else of the file."""
-        return next(iter(self._numbers(dataset, names, inherited=inherited).values()), None)
+    def number(self, place: str, names: Sequence[str], *, inherited: bool = True) -> float | None:
+        """First of the attributes ``names`` that is one number, at ``place``, else of its group, else of the file."""
+        return next(iter(self._numbers(place, names, inherited=inherited).values()), None)
 
-    def starts(self, datasets: Mapping[Any, Any]) -> tuple[dict[Any, np.datetime64], dict[Any, float]]:
-        """Dates of start, and times in s, that the attributes of each of ``datasets`` or of what is above it state."""
+    def starts(self, places: Mapping[Any, str]) -> tuple[dict[Any, np.datetime64], dict[Any, float]]:
+        """Dates of start, and times in s, that the attributes at each of ``places`` or of what is above it state."""
         dates: dict[Any, np.datetime64] = {}
-        for key, dataset in datasets.items():
+        for key, place in places.items():
             with suppress(ValueError):
-                dates[key] = np.datetime64(self.text(dataset, _DATE_NAMES).strip().rstrip("Z"), "ns")
-        times = _stated({key: self.number(dataset, _START_NAMES) for key, dataset in datasets.items()})
+                dates[key] = np.datetime64(self.text(place, _DATE_NAMES).strip().rstrip("Z"), "ns")
+        times = _stated({key: self.number(place, _START_NAMES) for key, place in places.items()})
         # may count from anywhere, unlike a list of pulse times beside them
-        clock = _stated({key: self.number(ds, _CLOCK_NAMES, inherited=False) for key, ds in datasets.items()})
+        clock = _stated({key: self.number(place, _CLOCK_NAMES, inherited=False) for key, place in places.items()})
         late = {key: time_s - min(clock.values()) for key, time_s in clock.items()}
         times |= {key: times.get(key, 0.0) + late_s for key, late_s in late.items()}
         return {key: date for key, date in dates.items() if not np.isnat(date)}, times
 
-    def _numbers(self, dataset: Any, names: Sequence[str], *, inherited: bool = True) -> dict[str, float]:
+    def _numbers(self, place: str, names: Sequence[str], *, inherited: bool = True) -> dict[str, float]:
         """All of these attributes by name, of the first place that has any."""
-        places = [dataset.name]
-        if inherited:
-            places += [dataset.name.rpartition("/")[0] or "/", "/"]
-        return next((found for place in places if (found := self._numbers_at(place, dataset, names))), {})
+        places = [place, place.rpartition("/")[0] or "/", "/"] if inherited else [place]
+        return next((found for place in places if (found := self._numbers_at(place, names))), {})
 
-    def _numbers_at(self, place: str, dataset: Any, names: Sequence[str]) -> dict[str, float]:
-        attrs = self._at(place, dataset)
-        found = {name: _number_of(attrs.get(_plain(name))) for name in names}
-        return {name: value for name, value in found.items() if value is not None}
+    def _numbers_at(self, place: str, names: Sequence[str]) -> dict[str, float]:
+        numbers = self._at(place)[1]
+        return {name: numbers[_PLAIN[name]] for name in names if _PLAIN[name] in numbers} if numbers else {}
 
-    def text(self, dataset: Any, names: Sequence[str]) -> str:
-        """First of the attributes ``names`` of ``dataset`` that is text, else ""."""
-        attrs = self._at(dataset.name, dataset)
+    def text(self, place: str, names: Sequence[str]) -> str:
+        """First of the attributes ``names`` at ``place`` that is text, else ""."""
+        attrs = self._at(place)[0]
         for name in names:
-            value = attrs.get(_plain(name))
+            value = attrs.get(_PLAIN[name])
             if isinstance(value, np.ndarray) and value.size == 1:
                 value = value.reshape(-1)[0]
             if isinstance(value, bytes):
@@ -429,9 +425,12 @@ class _Attributes:
                 return re.sub(r"\0.*", "", value)
         return ""
 
-    def _at(self, place: str, dataset: Any) -> dict[str, Any]:
+    def _at(self, place: str) -> tuple[dict[str, Any], dict[str, float]]:
+        """Attributes of the object at ``place``, and those of them that are one number."""
         if place not in self._of:
-            self._of[place] = _readable(dataset if place == dataset.name else self._file[place])
+            attrs = _readable(self._file[place])
+            numbers = {name: number for name, value in attrs.items() if (number := _number_of(value)) is not None}
+            self._of[place] = attrs, numbers
         return self._of[place]
 
 
@@ -469,12 +468,13 @@ def _readable(item: Any) -> dict[str, Any]:
     """Attributes of ``item`` that can be read, of those that are asked for here: others may be large."""
     found: dict[str, Any] = {}
     try:
-        names = [name for name in item.attrs if _plain(name) in _ASKED]
+        attrs = item.attrs
+        names = {name: plain for name in attrs if (plain := _plain(name)) in _ASKED}
     except _H5PY_ERRORS:
         return found
-    for name in names:
+    for name, plain in names.items():
         with suppress(*_H5PY_ERRORS):
-            found[_plain(name)] = item.attrs[name]
+            found[plain] = attrs[name]
     return _numbers_beside(item) | found if isinstance(item, h5py.Group) else found
 
 

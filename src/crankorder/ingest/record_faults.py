@@ -82,8 +82,13 @@ def find_smoothed_clipping(
     samples = _strongest(signal, survey)
     if samples.size < _PIECE:
         return []
-    middle = float(np.sort(samples)[samples.size // 2])
-    sides = [_pile_up(samples - middle, settings), _pile_up(middle - samples, settings)]
+    ordered = np.sort(samples)
+    middle = float(ordered[samples.size // 2])
+    places = (samples.size * (1.0 - np.array(_ABOVE))).astype(np.int64)
+    sides = [
+        _pile_up(samples - middle, ordered[places] - middle, settings),
+        _pile_up(middle - samples, middle - ordered[-1 - places], settings),
+    ]
     found = [side for side in sides if side is not None]
     if not found or (len(found) < 2 and not without_doubt):
         return []
@@ -110,12 +115,11 @@ def _strongest(signal: FloatArray, survey: Survey) -> FloatArray:
     return np.concatenate([np.empty(0, signal.dtype), *(signal[k * _PIECE : (k + 1) * _PIECE] for k in chosen)])
 
 
-def _pile_up(above: FloatArray, settings: IngestSettings) -> tuple[float, float, float] | None:
+def _pile_up(above: FloatArray, levels: FloatArray, settings: IngestSettings) -> tuple[float, float, float] | None:
     """Level, share of the samples, and roughness over that between the levels, of a plateau on the upper side.
 
-    ``above`` the middle lie the samples (sample,).
+    ``above`` the middle lie the samples (sample,), shares ``_ABOVE`` of them above each of the ``levels``.
     """
-    levels = np.sort(above)[(above.size * (1.0 - np.array(_ABOVE))).astype(np.int64)]
     if levels[-1] <= 0.0:
         return None
     exponents = _exponents(above, levels)
@@ -144,11 +148,13 @@ def _exponents(above: FloatArray, levels: FloatArray) -> Floats:
     The time is that of straight lines between the samples ``above`` (sample,): at a simple share of the rate the
     samples of a tone take few values, and how many of these lie within a depth is chance. 1 where too few lie near.
     """
-    ends = np.sort(np.stack([above[1:], above[:-1]]), axis=0)
-    low, high = ends[:, ends[1] > (1.0 - _FAR) * levels[-1]]
-    span = np.maximum(high - low, 1e-9 * levels[0])
+    high = np.maximum(above[1:], above[:-1])
+    chosen = np.flatnonzero(high > (1.0 - _FAR) * levels[-1])
+    high = high[chosen]
+    span = np.maximum(high - np.minimum(above[chosen], above[chosen + 1]), 1e-9 * levels[0])
     depths = np.outer(levels, 1.0 - np.array([1e-6, _NEAR, _FAR]))
-    times = np.array([[np.clip((high - depth) / span, 0.0, 1.0).sum() for depth in row] for row in depths])
+    times = (high - depths[:, :, None]) / span
+    times = np.clip(times, 0.0, 1.0, out=times).sum(axis=2)
     near, far = (times[:, 1:] - times[:, :1]).T
     return np.where(near >= _FEWEST, np.log(far / np.maximum(near, 1.0)) / math.log(_FAR / _NEAR), 1.0)
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -23,7 +24,7 @@ from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_c
 from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, judged
 from crankorder.ingest.roles import read_checked
 from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column, seconds_of
-from crankorder.ingest.shaft_signals import ShaftSignals
+from crankorder.ingest.shaft_signals import Gathered, ShaftSignals
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.ingest.time_bases import ENCODER, bases_of, on_one_base
 from crankorder.quantities import QualityFlag, Recording, Severity, with_flags
@@ -120,8 +121,8 @@ def recording_of(
     if channels and manifest.encoder.kind in TRACE_KINDS and bases[ENCODER] == base and not has_stretches:
         laid_apart(recording, channels, path, flags)
     if manifest.of_shaft_alone:
-        _add_signals(recording, np.empty((0, _trace_length(raw, manifest)), dtype=np.float32), manifest)
-        return Recording(with_flags(recording, _named(flags, manifest.name_of(path))))
+        signals = np.empty((0, _trace_length(raw, manifest)), dtype=np.float32)
+        return Recording(with_flags(_with_signals(recording, signals, manifest), _named(flags, manifest.name_of(path))))
     signals = stacked(list(channels.values()))
     faults, scalings = [], list[Scaling]()
     for channel, row in zip(manifest.channels, signals, strict=True):
@@ -136,8 +137,7 @@ def recording_of(
         elif channel.highpass_hz is not None:
             detail = f"channel {channel.name}: highpass_hz acts where a channel is integrated, which this one is not"
             flags.append(flag(path, "highpass_unused", "suspect", detail))
-    _add_signals(recording, signals, manifest)
-    return Recording(with_flags(recording, _named(flags, manifest.name_of(path))))
+    return Recording(with_flags(_with_signals(recording, signals, manifest), _named(flags, manifest.name_of(path))))
 
 
 def _named(flags: list[QualityFlag], recording: str) -> list[QualityFlag]:
@@ -147,7 +147,7 @@ def _named(flags: list[QualityFlag], recording: str) -> list[QualityFlag]:
     return flags
 
 
-def _sampled(recording: xr.Dataset, manifest: Manifest, scalings: Sequence[Scaling]) -> Sampled:
+def _sampled(recording: Gathered, manifest: Manifest, scalings: Sequence[Scaling]) -> Sampled:
     """How the signals of ``recording`` were sampled, and at which speed, for a look at their faults."""
     attrs, by_angle = recording.attrs, manifest.sampling.domain == "crank_angle"
     return Sampled(
@@ -165,16 +165,16 @@ def _sampled(recording: xr.Dataset, manifest: Manifest, scalings: Sequence[Scali
     )
 
 
-def _mean_speed_hz(recording: xr.Dataset) -> float:
+def _mean_speed_hz(recording: Gathered) -> float:
     """Mean speed of the shaft as the pulses or the manifest tell it, 0 without a shaft, NaN where unknown."""
     attrs = recording.attrs
     if not attrs.get("has_shaft", 1):
         return 0.0
     if "speed_rpm" in attrs:
         return float(attrs["speed_rpm"]) / 60.0
-    if "speed_signal" in recording:
-        return float(np.mean(recording["speed_signal"].values)) / 60.0
-    times = recording["pulse_time"].values if "pulse_time" in recording else np.empty(0)
+    if "speed_signal" in recording.variables:
+        return float(np.mean(recording.values("speed_signal"))) / 60.0
+    times = recording.values("pulse_time") if "pulse_time" in recording.variables else np.empty(0)
     teeth = len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 0) - attrs.get("missing_teeth", 0)
     if times.size < 2 or not teeth > 0:
         return math.nan
@@ -231,18 +231,18 @@ def _axis(
     path: Path,
     settings: IngestSettings,
     flags: list[QualityFlag],
-) -> tuple[xr.Dataset, float]:
-    """An empty dataset with the attributes of the sampling, and its rate in Hz (NaN by crank angle)."""
+) -> tuple[Gathered, float]:
+    """A recording with the attributes of the sampling alone, and its rate in Hz (NaN by crank angle)."""
     sampling = manifest.sampling
-    attrs: dict[str, object] = {"recording": manifest.name_of(path), "domain": sampling.domain}
+    attrs: dict[str, Any] = {"recording": manifest.name_of(path), "domain": sampling.domain}
     attrs["revs_per_cycle"] = manifest.revs_per_cycle
     if manifest.test.cycle == "none":
         attrs["has_shaft"] = 0
     if sampling.domain == "crank_angle":
         attrs |= {"samples_per_rev": sampling.samples_per_rev, "start_deg": sampling.start_deg}
-        return xr.Dataset(attrs=attrs), math.nan
+        return Gathered(attrs), math.nan
     if not manifest.has_samples:
-        return xr.Dataset(attrs=attrs), math.nan
+        return Gathered(attrs), math.nan
     if times is not None:
         flags += times.flags
     rate_hz = agreed_rate(
@@ -255,7 +255,7 @@ def _axis(
     )
     flags += _rate_flags(raw, file_hz, path, settings, stated=sampling.rate_hz is not None, timed=times is not None)
     attrs["rate_hz"] = rate_hz
-    return xr.Dataset(attrs=attrs), rate_hz
+    return Gathered(attrs), rate_hz
 
 
 def _rate_flags(
@@ -305,7 +305,7 @@ def _integrate(
     signal: FloatArray,
     channel: Channel,
     scaling: Scaling,
-    recording: xr.Dataset,
+    recording: Gathered,
     path: Path,
     settings: IngestSettings,
     place: str,
@@ -348,20 +348,19 @@ def _integrate(
     return flag(path, "integrated", "info", detail)
 
 
-def _add_signals(recording: xr.Dataset, signals: FloatArray, manifest: Manifest) -> None:
+def _with_signals(recording: Gathered, signals: FloatArray, manifest: Manifest) -> xr.Dataset:
+    """The dataset of ``recording`` with its ``signals`` (channel, sample) and what ``manifest`` says of each."""
     axis = "time" if manifest.sampling.domain == "time" else "crank_angle"
-    recording["signal"] = (("channel", axis), signals, {"units": "see unit", "long_name": "analysed signals"})
+    size = np.array([channel.analysed_unit.factor for channel in manifest.channels], dtype=np.float64)
+    recording.add("signal", ("channel", axis), signals, "see unit", "analysed signals")
+    recording.add("si_per_unit", "channel", size, "1", "SI units in one unit of the channel")
     texts = {
         "channel": [channel.name for channel in manifest.channels],
         "unit": [channel.analysed_unit.name for channel in manifest.channels],
         "quantity": [channel.measured_quantity for channel in manifest.channels],
         "direction": [channel.direction for channel in manifest.channels],
     }
-    size = np.array([channel.analysed_unit.factor for channel in manifest.channels], dtype=np.float64)
-    recording["si_per_unit"] = ("channel", size, {"units": "1", "long_name": "SI units in one unit of the channel"})
-    recording.coords.update(
-        {
-            name: ("channel", np.array(values, dtype=np.str_), {"units": "1", "long_name": name})
-            for name, values in texts.items()
-        }
-    )
+    for name, values in texts.items():
+        recording.add(name, "channel", np.array(values, dtype=np.str_), "1", name)
+    coords = {name: recording.variables.pop(name) for name in texts}
+    return xr.Dataset(recording.variables, coords, recording.attrs)

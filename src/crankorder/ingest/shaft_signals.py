@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from crankorder.errors import InputError, located
 from crankorder.ingest.channel import STATES_NO_UNIT
@@ -26,6 +28,22 @@ from crankorder.shaft.pulses import NoPulsesError, Remark, find_pulses
 
 # Pulse times that are told more finely than this are as good as those of a counter.
 _FINE_STEP_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Gathered:
+    """What becomes a Recording: its attributes and its variables by name, made a dataset when all are known."""
+
+    attrs: dict[str, Any]
+    variables: dict[str, xr.Variable] = field(default_factory=dict)
+
+    def add(self, name: str, dims: str | tuple[str, ...], values: Any, units: str, long_name: str) -> None:
+        """Add the variable ``name``: its ``values`` along ``dims``, their ``units`` and ``long_name``."""
+        self.variables[name] = xr.Variable(dims, values, {"units": units, "long_name": long_name})
+
+    def values(self, name: str) -> NDArray[Any]:
+        """Values of the variable ``name``."""
+        return np.asarray(self.variables[name].values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +68,7 @@ class ShaftSignals:
         """The table of the manifest that describes them."""
         return self.manifest.encoder
 
-    def add_to(self, recording: xr.Dataset) -> None:
+    def add_to(self, recording: Gathered) -> None:
         """Add what tells the angle or the speed of the shaft to ``recording``, and how it was told.
 
         Raises InputError where a column cannot be what the manifest calls it, or no speed is known.
@@ -71,7 +89,7 @@ class ShaftSignals:
             if own != self.base:  # it holds for one of its steps beyond its ends
                 axis, speed = "speed_sample", np.pad(speed, 1, mode="edge")
                 attrs["encoder_start_s"] = own.start_s - 1.0 / own.rate_hz - self.base.start_s
-            recording["speed_signal"] = (axis, speed, {"units": "min-1", "long_name": "speed"})
+            recording.add("speed_signal", axis, speed, "min-1", "speed")
             return
         attrs |= encoder.wheel
         if encoder.cam_to_tdc_deg is not None:
@@ -88,7 +106,7 @@ class ShaftSignals:
             if missing.any():
                 gap_s = np.flatnonzero(missing[1:] & ~missing[:-1]) / own.rate_hz
                 recording.attrs["gap_starts_s"] = (gap_s + (own.start_s - self.base.start_s)).tolist()
-        pulse_s = recording["pulse_time"].values
+        pulse_s = recording.values("pulse_time")
         if encoder.second_track is not None:
             track, levels = self.bases["the second track"], self.raw.columns[encoder.second_track]
             at = (pulse_s + (self.base.start_s - track.start_s)) * track.rate_hz
@@ -111,7 +129,7 @@ class ShaftSignals:
     def _flag(self, name: str, severity: Severity, detail: str) -> None:
         self.flags.append(flag(self.path, name, severity, detail))
 
-    def _add_stated_speed(self, recording: xr.Dataset) -> None:
+    def _add_stated_speed(self, recording: Gathered) -> None:
         """Note the speed that the manifest, or a number in the file, states; a shaft of constant speed needs one."""
         encoder, stated_rpm = self.encoder, self.manifest.speed_of(self.path)
         if encoder.kind == "constant" and encoder.source is not None and stated_rpm is None:
@@ -136,7 +154,7 @@ class ShaftSignals:
         if stated_rpm is not None or encoder.kind in SOURCELESS_KINDS:
             recording.attrs["speed_rpm"] = math.nan if stated_rpm is None else stated_rpm
 
-    def _add_position(self, recording: xr.Dataset) -> None:
+    def _add_position(self, recording: Gathered) -> None:
         """Add pulses and whole turns of an angle or a count, and how many pulses a turn has."""
         encoder, own = self.encoder, self.bases[ENCODER]
         assert encoder.source is not None  # the manifest was checked for it
@@ -147,7 +165,7 @@ class ShaftSignals:
             column, counted = self.raw.columns[encoder.source], encoder.kind == "count"
             position = position_pulses(column, rate_hz=own.rate_hz, units_per_rev=per_rev, counted=counted)
         self._flag_remarks(encoder.source, position.pulses.flags)
-        attrs = recording.attrs  # which an added variable copies
+        attrs = recording.attrs
         attrs["pulses_per_rev"], attrs["pulse_noise_s"] = position.pulses_per_rev, position.pulses.noise_s
         if encoder.index is None:
             attrs["zero_counted"] = int(not (position.is_mark or "index_to_tdc_deg" in attrs))
@@ -156,7 +174,7 @@ class ShaftSignals:
             _add_times(recording, "the cam mark", self._in_time(position.cycle_s, own))
         _add_times(recording, ENCODER, self._in_time(position.pulses.time_s, own))
 
-    def _add_pulses(self, recording: xr.Dataset, role: str, source: Source | None, per_rev: int) -> None:
+    def _add_pulses(self, recording: Gathered, role: str, source: Source | None, per_rev: int) -> None:
         """Add the pulses of the column ``source``, which are ``per_rev`` to the turn of the wheel."""
         assert source is not None  # the manifest was checked for it
         if self.encoder.kind in TIME_KINDS:
@@ -255,10 +273,10 @@ class ShaftSignals:
         return speed
 
 
-def _add_times(recording: xr.Dataset, role: str, time_s: Floats) -> None:
+def _add_times(recording: Gathered, role: str, time_s: Floats) -> None:
     """Add times [s] at which pulses, the index or the cam mark pass, as ``role`` says."""
     name, axis, long_name = _TIMES[role]
-    recording[name] = (axis, time_s, {"units": "s", "long_name": f"time of {long_name}"})
+    recording.add(name, axis, time_s, "s", f"time of {long_name}")
 
 
 _TIMES = {

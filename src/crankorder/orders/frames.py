@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.errors import InputError
+from crankorder.fft.band import band_limited
 from crankorder.fft.windows import hann
 from crankorder.orders.method import (
     METHOD_SHARE,
@@ -30,6 +31,17 @@ SWEPT_SHARE = 0.1
 
 STEADY_SHARE = 0.02
 """Share of the mean speed by which that of frames may wander in steady running."""
+
+
+def band_of_orders(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
+    """``band`` limited to the orders that ``settings`` ask for at the speeds of ``shaft``, where others need more.
+
+    Only where nothing was taken from it yet: two filters in a row would err by more than ``settings`` allow.
+    """
+    needed_hz = settings.max_order * float(np.nan_to_num(shaft["speed"].values).max()) / 60.0
+    if is_by_angle(band) or band.attrs.get("decimation_error") or not needed_hz > 0.0:
+        return band
+    return band_limited(band, band_hz=needed_hz, grid_hz=1.0, tolerance=(1.0 - METHOD_SHARE) * settings.tolerance)
 
 
 def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:

@@ -226,9 +226,9 @@ def _stride_fits(time, slope, stride, every, allowed):  # type: ignore[no-untype
 def knots_of(shaft: xr.Dataset) -> dict[str, FloatArray]:
     """Arguments of :func:`angle_at` and :func:`time_at` from the ShaftAngle ``shaft``."""
     return {
-        "knot_time_s": shaft["time"].values,
-        "knot_angle_rev": shaft["crank_angle"].values,
-        "knot_speed_rpm": shaft["speed"].values,
+        "knot_time_s": shaft.variables["time"].values,
+        "knot_angle_rev": shaft.variables["crank_angle"].values,
+        "knot_speed_rpm": shaft.variables["speed"].values,
     }
 
 
@@ -412,7 +412,7 @@ def smoothed_speed(shaft: xr.Dataset, time_s: Array, stretch_s: Array | float) -
     ``shaft`` is a ShaftAngle by time. The stretch (times,) is cut at the ends of the record, where the slope of the
     parabola is still that at ``time_s``. No single pulse says much of it, unlike of the slope between two knots.
     """
-    known = shaft["time"].values
+    known = shaft.variables["time"].values
     time_s = np.asarray(time_s, dtype=np.float64)
     half = 0.5 * np.broadcast_to(np.asarray(stretch_s, dtype=np.float64), time_s.shape)
     low, high = np.maximum(time_s - half, known[0]), np.minimum(time_s + half, known[-1])
@@ -437,7 +437,7 @@ def speed_at_angle(shaft: xr.Dataset, angle_rev: Array, stretch_rev: Array | flo
 
 def speed_course(shaft: xr.Dataset) -> SpeedCourse:
     """SpeedCourse of the ShaftAngle ``shaft`` by time, in steps of 0.05 s (fewer than that where it is shorter)."""
-    first, last = shaft["time"].values[[0, -1]]
+    first, last = shaft.variables["time"].values[[0, -1]]
     count = max(4, math.floor((last - first) / GRID_S) + 1)
     at = np.linspace(first, last, count)
     rough = np.maximum(smoothed_speed(shaft, at, STRETCH_S), 1e-9)

@@ -113,8 +113,8 @@ def reference_of(shaft: xr.Dataset, *, revs_per_frame: float) -> Reference:
 
     ``revs_per_frame`` is the length of a frame. ``teeth_per_rev`` is 0 where the angle has but two knots.
     """
-    attrs, error = shaft.attrs, shaft["standard_error"].values
-    n_pulses, revs = int(attrs["n_pulses"]), float(np.ptp(shaft["crank_angle"].values))
+    attrs, error = shaft.attrs, shaft.variables["standard_error"].values
+    n_pulses, revs = int(attrs["n_pulses"]), float(np.ptp(shaft.variables["crank_angle"].values))
     error_rev = float(np.sqrt(np.mean((error[1:-1] if error.size > 2 else error) ** 2)))
     if n_pulses == 0:  # the integral of a speed walks at random
         error_rev *= math.sqrt(min(1.0, revs_per_frame / revs))

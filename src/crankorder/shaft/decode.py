@@ -151,7 +151,7 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
         if kind == "vibration":
             return _from_vibration(recording, settings)
         if not recording.attrs.get("has_shaft", 1):
-            time_s = np.array([0.0, recording["signal"].shape[1] / float(recording.attrs["rate_hz"])])
+            time_s = np.array([0.0, recording.variables["signal"].shape[1] / float(recording.attrs["rate_hz"])])
             unknown = np.full(2, np.nan)
             knots = AngleKnots(time_s, np.zeros(2), unknown, unknown, np.nan, np.nan)
             still = _dataset(recording, knots, "none", 0, [])
@@ -175,7 +175,7 @@ def flags_named(recording: str, remarks: Iterable[Remark]) -> list[QualityFlag]:
 def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
     """Angle of all runs between standstills: each is decoded by itself, then they are laid on one angle."""
     wheel, remarks = stated_wheel(recording)
-    pulse_s = recording["pulse_time"].values.astype(np.float64)
+    pulse_s = recording.variables["pulse_time"].values.astype(np.float64, copy=False)
     parts: list[slice] = [slice(None)]
     left_out: list[Remark] = []
     if pulse_s.size > 2 and (np.diff(pulse_s) >= 0.0).all():
@@ -336,7 +336,7 @@ def _from_speed(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
             "the recording holds no speed signal", place="encoder", remedy="Check the encoder's source in run.toml"
         )
     knots, flags = integrated_speed(
-        recording["speed_signal"].values,
+        recording.variables["speed_signal"].values,
         rate_hz=float(recording.attrs.get("encoder_rate_hz", recording.attrs["rate_hz"])),
         settings=settings,
         start_s=float(recording.attrs.get("encoder_start_s", 0.0)),
@@ -362,7 +362,7 @@ def _from_vibration(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngl
     attrs = recording.attrs
     expected = attrs.get("expected_rpm")
     found = speed_from_vibration(
-        recording["signal"].values,
+        recording.variables["signal"].values,
         float(attrs["rate_hz"]),
         settings=settings,
         expected_rpm=None if expected is None else (float(expected[0]), float(expected[1])),
@@ -380,7 +380,7 @@ def _from_constant(recording: xr.Dataset) -> ShaftAngle:
             found=f"{speed:g} rpm",
             remedy="State speed_rpm in run.toml",
         )
-    time_s = np.array([0.0, recording["signal"].shape[1] / float(recording.attrs["rate_hz"])])
+    time_s = np.array([0.0, recording.variables["signal"].shape[1] / float(recording.attrs["rate_hz"])])
     knots = AngleKnots(time_s, time_s * speed / 60.0, np.full(2, speed), np.full(2, np.nan), np.nan, np.nan)
     return _dataset(recording, knots, "none", 0, [_NO_PHASE])
 
@@ -392,7 +392,7 @@ _BY_VIBRATION: Remark = ("no_index", "suspect", f"{_NO_PHASE[2]}, and the speed 
 def _sampled_by_angle(recording: xr.Dataset) -> AngleKnots:
     attrs = recording.attrs
     angle = float(attrs.get("start_deg", 0.0)) / 360.0 + np.array(
-        [0.0, (recording["signal"].shape[1] - 1) / float(attrs["samples_per_rev"])]
+        [0.0, (recording.variables["signal"].shape[1] - 1) / float(attrs["samples_per_rev"])]
     )
     speed = float(attrs.get("speed_rpm", np.nan))
     return AngleKnots((angle - angle[0]) * 60.0 / speed, angle, np.full(2, speed), np.zeros(2), np.nan, np.nan)

@@ -55,9 +55,9 @@ def silent_ends(recording: xr.Dataset, shaft: xr.Dataset) -> list[Remark]:
 
 
 def _silence(recording: xr.Dataset, shaft: xr.Dataset, *, at_end: bool) -> Silence | None:
-    pulse_s = recording["pulse_time"].values
+    pulse_s = recording.variables["pulse_time"].values
     rate_hz = float(recording.attrs["rate_hz"])
-    length_s = recording["signal"].shape[1] / rate_hz
+    length_s = recording.variables["signal"].shape[1] / rate_hz
     if pulse_s.size < 4 or not 0.0 <= pulse_s[0] < pulse_s[-1] <= length_s + 1.0 / rate_hz:
         return None
     edge_s = float(pulse_s[-1] if at_end else pulse_s[0])
@@ -71,13 +71,13 @@ def _silence(recording: xr.Dataset, shaft: xr.Dataset, *, at_end: bool) -> Silen
     if not gap_s * speed_rpm / 60.0 > LEAST_REVS:
         return None
     span = (edge_s, length_s) if at_end else (0.0, edge_s)
-    share = _vibration_share(recording["signal"].values, rate_hz, edge_s, gap_s, at_end=at_end)
+    share = _vibration_share(recording.variables["signal"].values, rate_hz, edge_s, gap_s, at_end=at_end)
     return Silence(*span, at_end, speed_rpm, may_stand, share)
 
 
 def _beside(shaft: xr.Dataset, edge_s: float, reach_s: float, gap_s: float, *, at_end: bool) -> tuple[float, bool]:
     """Speed beside the silence, rpm, and whether its slope brings it to rest within ``gap_s``."""
-    time_s, speed = shaft["time"].values, shaft["speed"].values
+    time_s, speed = shaft.variables["time"].values, shaft.variables["speed"].values
     close = (np.abs(time_s - edge_s) <= reach_s) & ((time_s <= edge_s) if at_end else (time_s >= edge_s))
     close &= np.isfinite(speed)
     if np.count_nonzero(close) < 2:

@@ -506,7 +506,7 @@ def stated_wheel(recording: xr.Dataset) -> tuple[dict[str, Any], list[Remark]]:
         raise InputError(
             "the recording holds no pulse times", place="encoder", remedy="Check the encoder's source in run.toml"
         )
-    pulse_s, index_s = recording["pulse_time"].values.astype(np.float64), times_of(recording, "index_time")
+    pulse_s, index_s = recording.variables["pulse_time"].values.astype(np.float64), times_of(recording, "index_time")
     # a gap hides pulses, again and again: between gaps the wheel shows itself
     parts = np.split(pulse_s, np.searchsorted(pulse_s, recording.attrs.get("gap_starts_s", [])))
     attrs, pulse_s = recording.attrs, max(parts, key=len)
@@ -556,8 +556,7 @@ def undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
     if recording.attrs.get("encoder_kind") not in ("square", "analogue") or "rate_hz" not in recording.attrs:
         return []
     steps = np.diff(teeth.time_s) * float(recording.attrs.get("encoder_rate_hz", recording.attrs["rate_hz"]))
-    fewest = float(np.quantile(steps, 0.02))
-    if fewest >= FEWEST_SAMPLES_PER_TOOTH:
+    if steps.min() >= FEWEST_SAMPLES_PER_TOOTH or (fewest := np.quantile(steps, 0.02)) >= FEWEST_SAMPLES_PER_TOOTH:
         return []
     start = float(teeth.time_s[int(np.argmax(steps < FEWEST_SAMPLES_PER_TOOTH))])
     detail = f"only {fewest:.1f} samples per tooth, first at {start:.3g} s: teeth pass unseen; sample faster"
@@ -566,7 +565,8 @@ def undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
 
 def numbered_part(recording: xr.Dataset, settings: ShaftSettings, wheel: dict[str, Any], part: slice) -> NumberedTeeth:
     """Pulses of the ``part`` of ``recording`` as teeth of the ``wheel`` (for ``number_teeth``, by ``settings``)."""
-    pulse_s, index_s = recording["pulse_time"].values.astype(np.float64)[part], times_of(recording, "index_time")
+    pulse_s = recording.variables["pulse_time"].values[part].astype(np.float64, copy=False)
+    index_s = times_of(recording, "index_time")
     stated, ratio = float(recording.attrs.get("pulse_noise_s", 0.0)), float(recording.attrs.get("ratio", 1.0))
     gaps_s = recording.attrs.get("gap_starts_s", ())
     given = {"index_time_s": index_s, "ratio": ratio, "noise_s": stated, "gap_starts_s": gaps_s}
@@ -585,4 +585,4 @@ def mark_flags(teeth: NumberedTeeth, recording: xr.Dataset) -> list[Remark]:
 
 def times_of(recording: xr.Dataset, name: str) -> FloatArray | None:
     """Times [s] that ``recording`` holds by that ``name``; None where it holds none."""
-    return recording[name].values.astype(np.float64) if name in recording.variables else None
+    return recording.variables[name].values.astype(np.float64) if name in recording.variables else None
