@@ -363,48 +363,49 @@ def _mean_squares(power: NDArray[Any], edges: Floats) -> Floats:
     return np.asarray((sums + parts[..., 1] - parts[..., 0]) / (at[:, 1] - at[:, 0]))
 
 
-LEVEL_TEXTS = {
+LevelKey = tuple[str, str, str, str, float, float]
+"""Channel, unit, quantity, kind and both ends of the band in Hz of a level."""
+
+_WORDS = {
     "channel": "name of the channel",
     "unit": "unit of the level",
     "quantity": "what the level is of",
     "kind": "broad band (for a limit also without and with its ends) or one-third octave",
 }
+_HERTZ = {
+    "low": "lower end of the band",
+    "high": "upper end of the band",
+    "reached": "where the band ends as the rate allows",
+}
 
 
-SI = {"units": "1", "long_name": "SI units in one unit of the level"}
+def level_coords(keys: Sequence[LevelKey], reached_hz: Any, si: Any) -> dict[str, Any]:
+    """Coordinates of the levels of these ``keys``, which end at ``reached_hz``, in units of ``si`` SI units."""
+    columns = [[key[place] for key in keys] for place in range(6)]
+    made: dict[str, Any] = {
+        name: ("level", np.array(column, dtype=np.str_), {"units": "1", "long_name": text})
+        for column, (name, text) in zip(columns[:4], _WORDS.items(), strict=True)
+    }
+    for column, (name, text) in zip([*columns[4:], reached_hz], _HERTZ.items(), strict=True):
+        words = {"units": "Hz", "long_name": text}
+        made[f"{name}_frequency"] = ("level", np.array(column, dtype=np.float64), words)
+    words = {"units": "1", "long_name": "SI units in one unit of the level"}
+    return made | {"si_per_unit": ("level", np.array(si, dtype=np.float64), words)}
 
 
 def _frames_dataset(
     recording: xr.Dataset, levels: list[_Level], square: Floats, peak: Floats, rpm: Floats, pieces: _Pieces
 ) -> xr.Dataset:
     names = recording["channel"].values.tolist()
-    texts = {
-        "channel": [names[level.channel] for level in levels],
-        "unit": [level.unit for level in levels],
-        "quantity": [level.quantity for level in levels],
-        "kind": [level.band.kind for level in levels],
-    }
-    hertz = {
-        "low": ("lower end of the band", [level.band.low_hz for level in levels]),
-        "high": ("upper end of the band", [level.band.high_hz for level in levels]),
-        "reached": ("where the band ends as the rate allows", [level.high_hz for level in levels]),
-    }
-    told = {
-        "mean_square": (square, "see unit, squared", "mean square of the piece in the band"),
-        "peak": (peak, "see unit", "largest size of the piece in the band"),
-    }
-    coords: dict[str, Any] = {
-        name: ("level", np.array(words, dtype=np.str_), {"units": "1", "long_name": LEVEL_TEXTS[name]})
-        for name, words in texts.items()
-    }
-    for name, (text, ends_hz) in hertz.items():
-        coords[f"{name}_frequency"] = ("level", np.array(ends_hz, dtype=float), {"units": "Hz", "long_name": text})
-    coords["si_per_unit"] = ("level", np.array([level.si for level in levels], dtype=np.float64), SI)
+    keys: list[LevelKey] = [
+        (names[one.channel], one.unit, one.quantity, one.band.kind, one.band.low_hz, one.band.high_hz) for one in levels
+    ]
+    coords = level_coords(keys, [level.high_hz for level in levels], [level.si for level in levels])
     coords["speed"] = ("frame", rpm, {"units": "min-1", "long_name": "mean speed of the piece"})
+    words = {"units": "see unit, squared", "long_name": "mean square of the piece in the band"}
+    made = {"mean_square": (("level", "frame"), square, words)}
+    words = {"units": "see unit", "long_name": "largest size of the piece in the band"}
+    made["peak"] = (("level", "frame"), peak, words)
     attrs = {key: recording.attrs[key] for key in ("recording", "quality") if key in recording.attrs}
     attrs["frame_s"] = pieces.length / pieces.rate_hz if pieces.length else math.nan
-    made = {
-        name: (("level", "frame"), values, {"units": units, "long_name": text})
-        for name, (values, units, text) in told.items()
-    }
     return xr.Dataset(made, coords=coords, attrs=attrs)
