@@ -7,8 +7,9 @@ mid-band frequencies of one-third octaves).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, Literal
 
@@ -19,6 +20,7 @@ from scipy import fft
 
 from crankorder.campbell.frames import frame_speeds, sample_rate_hz
 from crankorder.fft.integration import band_gain, bridged, derivative_gain, faded
+from crankorder.fft.plans import Plan, fft_library, forward, inverse
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import DERIVATIVE, MethodNumbers
 
@@ -40,6 +42,8 @@ _BLOCK = 1 << 21
 
 _WIDE_HZ = 100.0
 """Width of a one-third octave above which a sample for each bandwidth will do: there are many in every piece."""
+
+_of_thread = threading.local()
 
 WITHOUT_ENDS: Final = "broad band without its ends"
 WITH_ENDS: Final = "broad band with its ends"
@@ -153,13 +157,7 @@ def level_frames(recording: xr.Dataset, shaft: xr.Dataset, *, bands: Sequence[Le
     if len(rpm) > 1 and np.ptp(rpm) > NUMBERS.swept_share * rpm.mean():  # NaN is no sweep
         pieces = _pieces(n_samples, rate, levels, 0.0)
         rpm = _speeds(recording, shaft, pieces)
-    square = np.full((len(levels), len(pieces.starts)), np.nan)
-    peak = np.full_like(square, np.nan)
-    for channel in range(recording.sizes["channel"]):
-        mine = [number for number, level in enumerate(levels) if level.channel == channel]
-        if mine and len(pieces.starts):
-            found = _of_channel(recording["signal"].values[channel], pieces, [levels[number] for number in mine])
-            square[mine], peak[mine] = found
+    square, peak = _squares_and_peaks(recording["signal"].values, pieces, levels)
     return _frames_dataset(recording, levels, square, peak, rpm, pieces)
 
 
@@ -214,25 +212,25 @@ def _pieces(n_samples: int, rate_hz: float, levels: list[_Level], frame_s: float
     return _Pieces(first + length * np.arange(count, dtype=np.int64), min(length, n_samples), rate_hz)
 
 
-def _of_channel(signal: Any, pieces: _Pieces, levels: list[_Level]) -> tuple[Floats, Floats]:
-    """Mean square and peak (levels, frames) of one channel."""
+def _squares_and_peaks(signals: NDArray[Any], pieces: _Pieces, levels: list[_Level]) -> tuple[Floats, Floats]:
+    """Mean square and peak (levels, frames) of the ``signals`` (channels, samples), stretch by stretch."""
     count = len(pieces.starts)
-    square, peak = np.full((len(levels), count), np.nan), np.full((len(levels), count), np.nan)
-    lowest = min(level.band.low_hz for level in levels)
+    square, peak = np.full((2, len(levels), count), np.nan)
+    lowest = min((level.band.low_hz for level in levels), default=math.inf)
     margin = math.ceil(NUMBERS.ring_periods / lowest * pieces.rate_hz)
-    together = max(1, (_BLOCK - 2 * margin) // pieces.length)
+    together = max(1, (_BLOCK - 2 * margin) // max(pieces.length, 1))
     for begin in range(0, count, together):
         mine = pieces.starts[begin : begin + together]
         first = max(0, int(mine[0]) - margin) if begin else 0
-        last = min(len(signal), int(mine[-1]) + pieces.length + margin)
-        last = last if begin + together < count else len(signal)
-        part = signal[first:last]
+        last = int(mine[-1]) + pieces.length + margin if begin + together < count else signals.shape[1]
         local = _Pieces(mine - first, pieces.length, pieces.rate_hz)
-        into = slice(begin, begin + len(mine))
-        square[:, into], peak[:, into] = _of_part(part, local, levels, margin)
-        touched = _touched(np.isfinite(part), local)
-        square[:, into][:, touched] = np.nan
-        peak[:, into][:, touched] = np.nan
+        for channel, part in enumerate(signals[:, first:last]):
+            rows = [row for row, level in enumerate(levels) if level.channel == channel]
+            if rows:
+                found = _of_part(part, local, [levels[row] for row in rows], margin)
+                touched = _touched(np.isfinite(part), local)
+                for made, values in zip((square, peak), found, strict=True):
+                    made[rows, begin : begin + len(mine)] = np.where(touched, np.nan, values)
     return square, peak
 
 
@@ -246,121 +244,168 @@ def _touched(usable: Bools, pieces: _Pieces) -> Bools:
 
 def _of_part(part: Any, pieces: _Pieces, levels: list[_Level], margin: int) -> tuple[Floats, Floats]:
     """Mean square and peak (levels, frames) of one stretch of a channel, by one transform of it."""
-    before, behind = int(pieces.starts[0]), max(0, len(part) - int(pieces.starts[-1]) - pieces.length)
-    filled = bridged(part) * faded(len(part), before, behind)
-    count = fft.next_fast_len(len(filled) + margin, real=True)
-    spectrum = fft.rfft(filled.astype(part.dtype if part.dtype == np.float32 else np.float64), count)
-    step = pieces.rate_hz / count
-    square, peak = [], []
-    for level in levels:
-        made = _filtered(spectrum, count, step, level)
-        edges = (pieces.starts[:, None] + np.array([0, pieces.length])) * (len(made) / count)
-        square.append(_mean_squares(made, edges))
-        broad = level.band.kind == "broad band"
-        peak.append(_peaks(made, edges) if broad else np.full(len(pieces.starts), np.nan))
+    count = fft.next_fast_len(len(part) + margin, real=True)
+    spectrum = _spectrum(part, pieces, count)
+    square = np.full((len(levels), len(pieces.starts)), np.nan)
+    peak = np.full_like(square, np.nan)
+    edges = (pieces.starts[:, None] + np.array([0, pieces.length])) / count
+    octaves = [row for row, level in enumerate(levels) if not level.is_broad]
+    if octaves:
+        power = _octave_power(spectrum, count, pieces.rate_hz, [levels[row] for row in octaves])
+        square[octaves] = _mean_squares(power, edges * power.shape[1])
+    for row, level in enumerate(levels):
+        if level.is_broad:
+            made = _filtered(spectrum, count, pieces.rate_hz, level)
+            square[row] = _mean_squares(made * made, edges * len(made))
+        if level.band.kind == "broad band":
+            ends = np.round(edges * len(made)).astype(np.int64)
+            peak[row] = np.maximum.reduceat(np.append(np.abs(made), 0.0), ends.ravel())[::2]
     width = np.array([level.high_hz - level.band.low_hz for level in levels])
     span_s = len(pieces.starts) * pieces.length / pieces.rate_hz
-    values = np.array(square)
-    values[width * span_s < NUMBERS.fewest_bandwidths] = np.nan
-    return values, np.array(peak)
+    square[width * span_s < NUMBERS.fewest_bandwidths] = np.nan
+    return square, peak
+
+
+def _spectrum(part: Any, pieces: _Pieces, count: int) -> NDArray[np.complexfloating]:
+    """Spectrum of ``part`` and zeros behind it, ``count`` samples, faded before and behind the ``pieces``.
+
+    Gaps are bridged. It holds until the next one is made: its plan owns it.
+    """
+    plan = _plan(forward, (count,), np.float32 if part.dtype == np.float32 else np.float64)
+    filled, rest = plan.input_array[: len(part)], plan.input_array[len(part) :]
+    mean = float(part.mean(dtype=np.float64))
+    if math.isfinite(mean):
+        np.subtract(part, mean, out=filled)
+    else:
+        filled[:] = bridged(part)
+    rest[:] = 0.0
+    before, behind = int(pieces.starts[0]), max(0, len(part) - int(pieces.starts[-1]) - pieces.length)
+    fade = _fade(before + behind, before, behind)
+    filled[:before] *= fade[:before]
+    filled[len(part) - behind :] *= fade[before:]
+    plan.execute()
+    return plan.output_array
+
+
+def _plan(way: Callable[..., Plan], shape: tuple[int, ...], kind: Any) -> Plan:
+    """The plan of this thread for transforms that ``way``; it keeps the last one of each."""
+    kept: dict[Any, tuple[Any, Plan]] = _of_thread.__dict__
+    key = (shape, kind, fft_library())
+    if way not in kept or kept[way][0] != key:
+        kept[way] = key, way(shape, kind)
+    return kept[way][1]
+
+
+_fade = lru_cache(maxsize=2)(faded)
+
+
+def _band(whole: int, rate_hz: float, level: _Level, dtype: np.dtype[Any], scale: float) -> tuple[slice, NDArray[Any]]:
+    """Bins and their gains (bins,), times ``scale``, of the band of ``level`` in a spectrum of ``whole`` samples."""
+    half, (low_hz, high_hz) = NUMBERS.edge_octaves, level.ends_hz
+    low = max(1, math.floor(low_hz * 2.0**-half / rate_hz * whole))
+    last = min(whole // 2, math.ceil(high_hz * 2.0**half / rate_hz * whole)) + 1
+    return slice(low, last), _gain(low, last, rate_hz / whole, level.ends_hz, scale * level.factor, level.times, dtype)
 
 
 @lru_cache(maxsize=256)
-def _gain(first: int, last: int, step_hz: float, level: _Level, single: bool) -> NDArray[Any]:
-    """Gain (bins,) of the band of ``level`` at the bins ``first`` to ``last``, ``step_hz`` apart.
+def _gain(
+    first: int, last: int, step_hz: float, ends_hz: tuple[float, float], factor: float, times: int, dtype: np.dtype[Any]
+) -> NDArray[Any]:
+    """Gain (bins,) of a band at the bins from ``first`` to before ``last``, ``step_hz`` apart, times ``factor``.
 
-    It is complex where the level is an integral or a derivative, in ``single`` precision for such spectra.
+    It is complex where the level is an integral or a derivative, in single precision for spectra of such ``dtype``.
     """
-    frequency: Floats = np.arange(first, last + 1, dtype=np.float64) * step_hz
-    gain = band_gain(frequency, *level.ends_hz, half_octaves=NUMBERS.edge_octaves) * level.factor
-    if level.times:
-        turned = gain * derivative_gain(frequency, level.times)
-        return turned.astype(np.complex64) if single else turned
-    return gain.astype(np.float32) if single else gain
+    frequency: Floats = np.arange(first, last, dtype=np.float64) * step_hz
+    gain = band_gain(frequency, *ends_hz, half_octaves=NUMBERS.edge_octaves) * factor
+    return (gain * derivative_gain(frequency, times)).astype(dtype) if times else gain.astype(dtype.char.lower())
 
 
-def _filtered(spectrum: NDArray[np.complexfloating], whole: int, step_hz: float, level: _Level) -> NDArray[Any]:
-    """The signal in the band of ``level`` at a lower rate, from the ``spectrum`` of its ``whole`` samples.
+def _filtered(spectrum: NDArray[np.complexfloating], whole: int, rate_hz: float, level: _Level) -> NDArray[Any]:
+    """The signal in the broad band of ``level`` at a lower rate, from the ``spectrum`` of its ``whole`` samples."""
+    bins, gain = _band(whole, rate_hz, level, spectrum.dtype, 1.0 / whole)
+    n_out = fft.next_fast_len(max(2 * bins.stop, math.ceil(NUMBERS.oversampling * (bins.stop - 1))), real=True)
+    made = np.zeros(n_out // 2 + 1, dtype=spectrum.dtype)
+    np.multiply(spectrum[bins], gain, out=made[bins])
+    return np.asarray(fft.irfft(made, n_out, overwrite_x=True, norm="forward"))
 
-    In a broad band it is real; of a one-third octave it is the complex envelope over the root of two.
+
+def _octave_power(
+    spectrum: NDArray[np.complexfloating], whole: int, rate_hz: float, levels: list[_Level]
+) -> NDArray[Any]:
+    """Power (levels, times) of one-third octaves over time, from the ``spectrum`` of ``whole`` samples.
+
+    It is that of the complex envelope at one rate for all; of a wide octave the sum of bands side by side that fill
+    this rate.
     """
-    half, (low_hz, high_hz) = NUMBERS.edge_octaves, level.ends_hz
-    low = max(1, math.floor(low_hz * 2.0**-half / step_hz))
-    high = min(len(spectrum) - 1, math.ceil(high_hz * 2.0**half / step_hz))
-    alike = replace(level, channel=0)
-    inside = spectrum[low : high + 1] * _gain(low, high, step_hz, alike, spectrum.dtype == np.complex64)
-    if level.is_broad:
-        n_out = fft.next_fast_len(max(2 * (high + 1), math.ceil(NUMBERS.oversampling * high)), real=True)
-        made = np.zeros(n_out // 2 + 1, dtype=inside.dtype)
-        made[low : high + 1] = inside
-        return np.asarray(fft.irfft(made, n_out, overwrite_x=True) * (n_out / whole))
-    wide = level.high_hz - level.band.low_hz > _WIDE_HZ
-    n_out = fft.next_fast_len((1 if wide else 2) * (high - low + 1))
-    return np.asarray(fft.ifft(inside, n_out, overwrite_x=True) * (math.sqrt(2.0) * n_out / whole))
+    size = 1 << math.ceil(math.log2(2.0 * _WIDE_HZ / rate_hz * whole))
+    plan = _plan(inverse, (size,), spectrum.dtype)
+    filled, parts = plan.input_array, plan.output_array.view(spectrum.real.dtype)
+    power = np.zeros((len(levels), 2 * size), dtype=parts.dtype)
+    for into, level in zip(power, levels, strict=True):
+        bins, gain = _band(whole, rate_hz, level, spectrum.dtype, math.sqrt(2.0) / whole)
+        for begin in range(0, len(gain), size):
+            inside = gain[begin : begin + size]
+            np.multiply(spectrum[bins][begin : begin + size], inside, out=filled[: len(inside)])
+            filled[len(inside) :] = 0.0
+            plan.execute()
+            into += parts * parts
+    return np.asarray(power[:, ::2] + power[:, 1::2])
 
 
-def _mean_squares(made: NDArray[Any], edges: Floats) -> Floats:
-    """Mean square of ``made`` between the fractional ``edges`` (frames, 2)."""
-    power = np.zeros(len(made) + 2, dtype=made.real.dtype)
-    np.multiply(made.real, made.real, out=power[: len(made)])
-    if np.iscomplexobj(made):
-        power[: len(made)] += made.imag * made.imag
-    at = np.clip(edges, 0.0, len(made))
+def _mean_squares(power: NDArray[Any], edges: Floats) -> Floats:
+    """Mean (..., frames) of ``power`` (..., times) between the fractional ``edges`` (frames, 2)."""
+    at = np.clip(edges, 0.0, power.shape[-1])
     whole = at.astype(np.int64)
-    sums = np.add.reduceat(power, whole.ravel(), dtype=np.float64)[::2]
+    padded = np.concatenate([power, np.zeros((*power.shape[:-1], 1), dtype=power.dtype)], axis=-1)
+    sums = np.add.reduceat(padded, whole.ravel(), axis=-1, dtype=np.float64)[..., ::2]
     sums = np.where(whole[:, 1] > whole[:, 0], sums, 0.0)
-    parts = (at - whole) * power[whole]
-    return np.asarray((sums + parts[:, 1] - parts[:, 0]) / (at[:, 1] - at[:, 0]))
+    parts = (at - whole) * padded[..., whole]
+    return np.asarray((sums + parts[..., 1] - parts[..., 0]) / (at[:, 1] - at[:, 0]))
 
 
-def _peaks(made: Any, edges: Floats) -> Floats:
-    """Largest size of ``made`` between the ``edges`` (frames, 2)."""
-    size = np.abs(made)
-    ends = np.round(edges).astype(np.int64)
-    return np.array([size[begin : max(begin + 1, end)].max() for begin, end in ends.tolist()])
+LevelKey = tuple[str, str, str, str, float, float]
+"""Channel, unit, quantity, kind and both ends of the band in Hz of a level."""
 
-
-LEVEL_TEXTS = {
+_WORDS = {
     "channel": "name of the channel",
     "unit": "unit of the level",
     "quantity": "what the level is of",
     "kind": "broad band (for a limit also without and with its ends) or one-third octave",
 }
+_HERTZ = {
+    "low": "lower end of the band",
+    "high": "upper end of the band",
+    "reached": "where the band ends as the rate allows",
+}
 
 
-SI = {"units": "1", "long_name": "SI units in one unit of the level"}
+def level_coords(keys: Sequence[LevelKey], reached_hz: Any, si: Any) -> dict[str, Any]:
+    """Coordinates of the levels of these ``keys``, which end at ``reached_hz``, in units of ``si`` SI units."""
+    columns = [[key[place] for key in keys] for place in range(6)]
+    made: dict[str, Any] = {
+        name: ("level", np.array(column, dtype=np.str_), {"units": "1", "long_name": text})
+        for column, (name, text) in zip(columns[:4], _WORDS.items(), strict=True)
+    }
+    for column, (name, text) in zip([*columns[4:], reached_hz], _HERTZ.items(), strict=True):
+        words = {"units": "Hz", "long_name": text}
+        made[f"{name}_frequency"] = ("level", np.array(column, dtype=np.float64), words)
+    words = {"units": "1", "long_name": "SI units in one unit of the level"}
+    return made | {"si_per_unit": ("level", np.array(si, dtype=np.float64), words)}
 
 
 def _frames_dataset(
     recording: xr.Dataset, levels: list[_Level], square: Floats, peak: Floats, rpm: Floats, pieces: _Pieces
 ) -> xr.Dataset:
     names = recording["channel"].values.tolist()
-    texts = {
-        "channel": [names[level.channel] for level in levels],
-        "unit": [level.unit for level in levels],
-        "quantity": [level.quantity for level in levels],
-        "kind": [level.band.kind for level in levels],
-    }
-    hertz = {
-        "low": ("lower end of the band", [level.band.low_hz for level in levels]),
-        "high": ("upper end of the band", [level.band.high_hz for level in levels]),
-        "reached": ("where the band ends as the rate allows", [level.high_hz for level in levels]),
-    }
-    made = xr.Dataset()
-    for name, values, units, text in (
-        ("mean_square", square, "see unit, squared", "mean square of the piece in the band"),
-        ("peak", peak, "see unit", "largest size of the piece in the band"),
-    ):
-        made[name] = (("level", "frame"), values, {"units": units, "long_name": text})
-    for name, words in texts.items():
-        column = np.array(words, dtype=np.str_)
-        made.coords[name] = ("level", column, {"units": "1", "long_name": LEVEL_TEXTS[name]})
-    for name, (text, ends_hz) in hertz.items():
-        column = np.array(ends_hz, dtype=np.float64)
-        made.coords[f"{name}_frequency"] = ("level", column, {"units": "Hz", "long_name": text})
-    size = np.array([level.si for level in levels], dtype=np.float64)
-    made.coords["si_per_unit"] = ("level", size, SI)
-    made.coords["speed"] = ("frame", rpm, {"units": "min-1", "long_name": "mean speed of the piece"})
-    made.attrs = {key: recording.attrs[key] for key in ("recording", "quality") if key in recording.attrs}
-    made.attrs["frame_s"] = pieces.length / pieces.rate_hz if pieces.length else math.nan
-    return made
+    keys: list[LevelKey] = [
+        (names[one.channel], one.unit, one.quantity, one.band.kind, one.band.low_hz, one.band.high_hz) for one in levels
+    ]
+    coords = level_coords(keys, [level.high_hz for level in levels], [level.si for level in levels])
+    coords["speed"] = ("frame", rpm, {"units": "min-1", "long_name": "mean speed of the piece"})
+    words = {"units": "see unit, squared", "long_name": "mean square of the piece in the band"}
+    made = {"mean_square": (("level", "frame"), square, words)}
+    words = {"units": "see unit", "long_name": "largest size of the piece in the band"}
+    made["peak"] = (("level", "frame"), peak, words)
+    attrs = {key: recording.attrs[key] for key in ("recording", "quality") if key in recording.attrs}
+    attrs["frame_s"] = pieces.length / pieces.rate_hz if pieces.length else math.nan
+    return xr.Dataset(made, coords=coords, attrs=attrs)

@@ -7,15 +7,15 @@ Student (1908).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy import special
 
-from crankorder.campbell.band_levels import LEVEL_TEXTS, SI, WITH_ENDS
-from crankorder.quantities import Bools, Floats, Ints, flags_of, with_flags
+from crankorder.campbell.band_levels import WITH_ENDS, LevelKey, level_coords
+from crankorder.quantities import Floats, Ints, QualityFlag, flags_of, with_flags
 from crankorder.settings import MethodNumbers
 from crankorder.shaft.speed_groups import held_speeds
 
@@ -33,6 +33,12 @@ class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="levels_of_test"
 
 
 NUMBERS = _Numbers.load()
+
+
+_COLUMNS = (
+    *("channel", "unit", "quantity", "kind", "low_frequency", "high_frequency"),
+    *("reached_frequency", "si_per_unit"),
+)
 
 
 class _Group(NamedTuple):
@@ -54,56 +60,67 @@ def vibration_levels(items: Sequence[xr.Dataset], *, speed_bin_rpm: float) -> xr
     than their pieces, from the scatter of the recordings. One piece alone has no interval. Of one-third octaves the
     lower end allows for what the strongest leaks into the others.
     """
-    keys = _level_keys(items)
-    owner = np.concatenate([np.full(item.sizes["frame"], number) for number, item in enumerate(items)]).astype(np.int64)
-    rpm = np.concatenate([item["speed"].values for item in items])
-    square, peak = (_joined(items, keys, name) for name in ("mean_square", "peak"))
-    groups = _groups(rpm, owner, speed_bin_rpm)
-    shape = (len(keys), len(groups))
+    joined = _joined(items)
+    groups = _groups(joined.rpm, joined.owner, speed_bin_rpm)
+    shape = (len(joined.keys), len(groups))
     made = {name: np.full(shape, np.nan) for name in ("rms", "peak", "crest_factor", "largest_peak", "log_error")}
     made |= {f"{name}_ci95": np.full((*shape, 2), np.nan) for name in ("rms", "peak", "crest_factor")}
     made["degrees_of_freedom"] = np.zeros(shape)
     for column, group in enumerate(groups):
-        for row in range(len(keys)):
-            at = group.pieces
-            _tell(made, row, column, square[row, at], peak[row, at], group.passage if group.is_swept else owner[at])
-    _tell_sweeps(made, square, groups, np.array([key[3] == WITH_ENDS for key in keys], dtype=np.bool_))
-    for column in range(len(groups)):
-        _allow_leaks(made, column, keys)
-    mean_rpm = np.array([_mean(rpm[group.pieces]) for group in groups])
-    result = _levels_dataset(items, keys, made, mean_rpm)
-    frames = [float(item.attrs["frame_s"]) for item in items if math.isfinite(float(item.attrs["frame_s"]))]
-    result.attrs = {"frame_s": min(frames, default=math.nan), "speed_bin_rpm": speed_bin_rpm}
-    return with_flags(result, [flag for item in items for flag in flags_of(item)])
+        for rows, pieces in _alike(joined.square[:, group.pieces]):
+            at = np.ix_(rows, group.pieces[pieces])
+            _tell(made, rows, column, joined.square[at], joined.peak[at], group.passage[pieces])
+    _tell_sweeps(made, joined, groups)
+    _allow_leaks(made, joined.keys)
+    mean_rpm = np.array([_mean(joined.rpm[group.pieces]) for group in groups])
+    result = _levels_dataset(joined, made, mean_rpm)
+    result.attrs = {"frame_s": min(joined.frame_s, default=math.nan), "speed_bin_rpm": speed_bin_rpm}
+    return with_flags(result, joined.flags)
 
 
-_Key = tuple[str, str, str, str, float, float]
+class _Joined(NamedTuple):
+    """Levels of all recordings: their keys, reached frequencies and SI units (level,), values (level, piece).
+
+    And of each piece its speed and the number of its recording; lengths of pieces and flags of the recordings.
+    """
+
+    keys: list[LevelKey]
+    reached_hz: Floats
+    si: Floats
+    square: Floats
+    peak: Floats
+    rpm: Floats
+    owner: Ints
+    frame_s: list[float]
+    flags: list[QualityFlag]
 
 
-def _keys(item: xr.Dataset) -> list[_Key]:
-    names = ("channel", "unit", "quantity", "kind", "low_frequency", "high_frequency")
-    return list(zip(*(item[name].values.tolist() for name in names), strict=True))
+def _joined(items: Sequence[xr.Dataset]) -> _Joined:
+    """All ``items``, each asked for once; a level that a recording does not have is NaN in its pieces.
 
-
-def _level_keys(items: Sequence[xr.Dataset]) -> list[_Key]:
-    """Levels of all ``items``, each once: of every channel those in broad bands, then its one-third octaves."""
-    seen = list(dict.fromkeys(key for item in items for key in _keys(item)))
-    names = list(dict.fromkeys(key[0] for key in seen))
-    return sorted(seen, key=lambda key: (names.index(key[0]), key[3], key[4] if key[3] != "broad band" else 0.0))
-
-
-def _joined(items: Sequence[xr.Dataset], keys: list[_Key], name: str) -> Floats:
-    """Variable ``name`` (level, frame) of all ``items``; NaN where a recording has no such level."""
-    parts = []
+    Of every channel those in broad bands come first, then its one-third octaves.
+    """
+    ends, of_items = dict[LevelKey, tuple[float, float]](), list[tuple[Ints, Floats, Floats, Floats]]()
+    number, frame_s, flags = dict[LevelKey, int](), list[float](), list[QualityFlag]()
     for item in items:
-        rows = {key: number for number, key in enumerate(_keys(item))}
-        values = item[name].values
-        part = np.full((len(keys), item.sizes["frame"]), np.nan)
-        for row, key in enumerate(keys):
-            if key in rows:
-                part[row] = values[rows[key]]
-        parts.append(part)
-    return np.concatenate(parts, axis=1)
+        *parts, reached, si = (item.variables[name].values.tolist() for name in _COLUMNS)
+        for key, hertz, size in zip(zip(*parts, strict=True), reached, si, strict=True):
+            ends[key] = min(hertz, ends.get(key, (math.inf,))[0]), size
+        rows = np.array([number.setdefault(key, len(number)) for key in zip(*parts, strict=True)], dtype=np.int64)
+        square, peak, rpm = (item.variables[name].values for name in ("mean_square", "peak", "speed"))
+        of_items.append((rows, square, peak, rpm))
+        frame_s += [float(item.attrs["frame_s"])] if math.isfinite(float(item.attrs["frame_s"])) else []
+        flags += flags_of(item)
+    channels = list(dict.fromkeys(key[0] for key in number))
+    keys = sorted(number, key=lambda key: (channels.index(key[0]), key[3], key[4] if key[3] != "broad band" else 0.0))
+    owner = np.repeat(np.arange(len(of_items), dtype=np.int64), [len(one[3]) for one in of_items])
+    both = np.full((2, len(keys), len(owner)), np.nan)
+    for place, (rows, square, peak, _) in enumerate(of_items):
+        both[:, rows, slice(*np.searchsorted(owner, [place, place + 1]))] = square, peak
+    square, peak = both[:, [number[key] for key in keys]]
+    told = np.array([ends[key] for key in keys]).reshape(-1, 2)
+    rpm = np.concatenate([one[3] for one in of_items])
+    return _Joined(keys, told[:, 0], told[:, 1], square, peak, rpm, owner, frame_s, flags)
 
 
 def _mean(rpm: Floats) -> float:
@@ -130,175 +147,176 @@ def _passages(pieces: Ints, owner: Ints) -> Ints:
     return np.concatenate([[0], np.cumsum(fresh)]).astype(np.int64)
 
 
-def _tell(made: dict[str, Floats], row: int, column: int, square: Floats, peak: Floats, owner: Ints) -> None:
-    """Write what the pieces of one level and group say into ``made``."""
-    known = np.isfinite(square)
-    if not known.any():
-        return
-    square, peak, owner = square[known], peak[known], owner[known]
-    mean = float(square.mean())
-    made["rms"][row, column] = math.sqrt(mean)
-    error, freedom = _error_of_mean(square, owner)
-    share = error / mean if mean > 0.0 else 0.0
-    made["log_error"][row, column], made["degrees_of_freedom"][row, column] = share, freedom
-    if freedom:
-        half = 0.5 * _t(freedom) * share
-        made["rms_ci95"][row, column] = math.sqrt(mean) * np.exp([-half, half])
-    if not np.isfinite(peak).all():
-        return
-    made["largest_peak"][row, column] = peak.max()
-    with np.errstate(invalid="ignore", divide="ignore"):
-        crest = np.where(square > 0.0, peak / np.sqrt(square), np.nan)
+def _alike(square: Floats) -> Iterator[tuple[Ints, Ints]]:
+    """Rows of ``square`` (level, piece) that are known in the same pieces, and these."""
+    patterns, which = np.unique(np.isfinite(square), axis=0, return_inverse=True)
+    for number, known in enumerate(patterns):
+        if known.any():
+            yield np.flatnonzero(which.ravel() == number), np.flatnonzero(known)
+
+
+def _tell(made: dict[str, Floats], rows: Ints, column: int, square: Floats, peak: Floats, passage: Ints) -> None:
+    """Write what the pieces (level, piece) of some levels and a group say into ``rows`` of ``made``."""
+    mean = square.mean(axis=1)
+    rms = made["rms"][rows, column] = np.sqrt(mean)
+    error, freedom = _error_of_mean(square, passage)
+    share = np.divide(error, mean, out=np.zeros(len(mean)), where=mean > 0.0)
+    made["log_error"][rows, column], made["degrees_of_freedom"][rows, column] = share, freedom
+    made["rms_ci95"][rows, column] = rms_within(rms, share, freedom, chance=1.0 - CONFIDENCE)
+    told = np.isfinite(peak).all(axis=1)
+    rows, square, peak = rows[told], square[told], peak[told]
+    made["largest_peak"][rows, column] = peak.max(axis=1)
+    crest = np.divide(peak, np.sqrt(square), out=np.full(peak.shape, np.nan), where=square > 0.0)
     for name, values in (("peak", peak), ("crest_factor", crest)):
-        made[name][row, column] = values.mean()
-        error, freedom = _error_of_mean(values, owner)
-        if freedom:
-            half = _t(freedom) * error
-            made[f"{name}_ci95"][row, column] = [max(0.0, values.mean() - half), values.mean() + half]
+        middle = made[name][rows, column] = values.mean(axis=1)
+        error, freedom = _error_of_mean(values, passage)
+        half = _t(freedom) * error
+        made[f"{name}_ci95"][rows, column] = np.stack([np.maximum(0.0, middle - half), middle + half], axis=1)
 
 
-class _Scatter(NamedTuple):
-    """Sums over the pieces of a window, as shares of its mean square: squares off the lines, products of neighbours."""
-
-    power: float = 0.0
-    beside: float = 0.0
-    freedom: int = 0
-
-    @property
-    def variance(self) -> float:
-        """Variance of a piece, larger where neighbours go together; 0 where nothing is known."""
-        return self.power / self.freedom * _inflation(self.power, self.beside) if self.freedom else 0.0
-
-
-def _tell_sweeps(made: dict[str, Floats], square: Floats, groups: list[_Group], is_upper: Bools) -> None:
-    """Write the errors of the mean ``square`` (level, piece) in the swept ones of ``groups`` into ``made``.
+def _tell_sweeps(made: dict[str, Floats], joined: _Joined, groups: list[_Group]) -> None:
+    """Write the errors of the mean squares of ``joined`` in the swept ones of ``groups`` into ``made``.
 
     A few pieces tell their scatter badly, so that of the windows beside one counts too; where its own is larger, that.
-    Of levels that ``is_upper`` (level,) the one at the louder end of the window is told, by which a limit is kept: the
+    Of levels with the ends of their band the one at the louder end of the window is told, by which a limit is kept: the
     end of a straight line has twice the error of its middle.
     """
     columns = [column for column, group in enumerate(groups) if group.is_swept]
-    reach = NUMBERS.windows_beside
-    for row in range(len(square)):
-        own = [_off_lines(square[row, groups[column].pieces], groups[column].passage) for column in columns]
-        for place, column in enumerate(columns):
-            near = [sum(one) for one in zip(*own[max(0, place - reach) : place + reach + 1], strict=True)]
-            pooled, rms = _Scatter(near[0], near[1], int(near[2])), made["rms"][row, column]
-            if not pooled.freedom or not rms > 0.0:
-                continue
-            variance = max(pooled.variance, own[place].variance)
-            values = square[row, groups[column].pieces] / rms**2
-            error, freedom = _error_of_passages(values, groups[column].passage, variance, pooled.freedom)
-            if is_upper[row]:
-                rms *= math.sqrt(_louder_end(values, groups[column].passage))
-                error, made["rms"][row, column] = 2.0 * error, rms
-            made["log_error"][row, column], made["degrees_of_freedom"][row, column] = error, freedom
-            made["rms_ci95"][row, column] = rms_within(rms, error, freedom, chance=1.0 - CONFIDENCE)
+    own = np.zeros((3, len(joined.keys), len(columns)))  # squares off lines, products of neighbours, freedom
+    for place, column in enumerate(columns):
+        for rows, pieces in _alike(joined.square[:, groups[column].pieces]):
+            values = joined.square[np.ix_(rows, groups[column].pieces[pieces])]
+            own[:, rows, place] = _off_lines(values, groups[column].passage[pieces])
+    is_upper, reach = np.array([key[3] == WITH_ENDS for key in joined.keys], dtype=np.bool_), NUMBERS.windows_beside
+    for place, column in enumerate(columns):
+        pooled = own[:, :, max(0, place - reach) : place + reach + 1].sum(axis=2)
+        variance = np.maximum(_variance(*pooled), _variance(*own[:, :, place]))
+        able = (pooled[2] > 0.0) & (made["rms"][:, column] > 0.0)
+        for alike, pieces in _alike(joined.square[:, groups[column].pieces]):
+            rows, passage = alike[able[alike]], groups[column].passage[pieces]
+            rms = made["rms"][rows, column]
+            values = joined.square[np.ix_(rows, groups[column].pieces[pieces])] / rms[:, None] ** 2
+            error, freedom = _between(values, passage, variance[rows], pooled[2, rows])
+            upper = is_upper[rows]
+            rms = np.where(upper, rms * np.sqrt(_louder_end(values, passage)), rms)
+            error = np.where(upper, 2.0 * error, error)
+            made["rms"][rows, column], made["log_error"][rows, column] = rms, error
+            made["degrees_of_freedom"][rows, column] = freedom
+            made["rms_ci95"][rows, column] = rms_within(rms, error, freedom, chance=1.0 - CONFIDENCE)
 
 
-def _off_lines(values: Floats, passage: Ints) -> _Scatter:
-    """Scatter of the ``values`` (piece,) of a window about a straight line through each ``passage`` of them."""
-    known = np.isfinite(values)
-    power, beside, freedom = 0.0, 0.0, 0
-    mean = float(values[known].mean()) if known.any() else 0.0
-    for number in np.unique(passage[known]) if mean > 0.0 else ():
-        own = values[known & (passage == number)] / mean
-        terms = 2 if len(own) > 3 else 1
-        place = np.vander(np.linspace(-1.0, 1.0, len(own)), terms)
-        off = own - place @ np.linalg.lstsq(place, own, rcond=None)[0]
-        power, beside = power + float(off @ off), beside + float(off[1:] @ off[:-1])
-        freedom += len(own) - terms
-    return _Scatter(power, beside, freedom)
+def _lines(values: Floats, passage: Ints) -> Iterator[tuple[Floats, Floats, Floats]]:
+    """Middle and rise to its end (level,) of a straight line through each ``passage``, and ``values`` off it.
+
+    Through three pieces or fewer it is level.
+    """
+    for own in np.split(values, np.flatnonzero(np.diff(passage)) + 1, axis=1):
+        middle, place = own.mean(axis=1), np.linspace(-1.0, 1.0, own.shape[1])
+        rise = own @ place / (place @ place) if len(place) > 3 else np.zeros(len(own))
+        yield middle, rise, own - middle[:, None] - rise[:, None] * place
 
 
-def _louder_end(values: Floats, passage: Ints) -> float:
-    """Largest of the ``values`` (piece,) of a window along the straight line through a ``passage``; 1 at least."""
-    known = np.isfinite(values)
-    ends = [1.0]
-    for number in np.unique(passage[known]):
-        own = values[known & (passage == number)]
-        if len(own) > 3:
-            slope, middle = np.polyfit(np.linspace(-1.0, 1.0, len(own)), own, 1)
-            ends.append(float(middle + abs(slope) * len(own) / (len(own) - 1)))
-    return max(ends)
+def _off_lines(values: Floats, passage: Ints) -> Floats:
+    """Scatter (3, level) of the ``values`` (level, piece) of a window about a straight line through each ``passage``.
+
+    As shares of its mean square: squares off the lines and products of neighbours, and their freedom.
+    """
+    mean = values.mean(axis=1)
+    made = np.zeros((3, len(values)))
+    for _, rise, off in _lines(values[mean > 0.0] / mean[mean > 0.0, None], passage):
+        beside = (off[:, 1:] * off[:, :-1]).sum(axis=1)
+        freedom = np.full(len(rise), off.shape[1] - (2 if off.shape[1] > 3 else 1))
+        made[:, mean > 0.0] += (off**2).sum(axis=1), beside, freedom
+    return made
 
 
-def _error_of_passages(values: Floats, passage: Ints, variance: float, freedom: int) -> tuple[float, int]:
-    """Standard error of the mean of ``values`` of that ``variance``, of ``freedom``; larger where passages differ."""
-    known = np.isfinite(values)
-    which, sizes = np.unique(passage[known], return_inverse=True)[1], np.bincount(passage[known])
-    sizes = sizes[sizes > 0]
-    means = np.bincount(which, values[known]) / sizes
-    return _between(values[known], means, sizes, variance, freedom)
+def _louder_end(values: Floats, passage: Ints) -> Floats:
+    """Largest of the ``values`` (level, piece) of a window along straight lines through a ``passage``; 1 at least."""
+    ends = np.ones(len(values))
+    for middle, rise, off in _lines(values, passage):
+        if (count := off.shape[1]) > 3:
+            ends = np.maximum(ends, middle + np.abs(rise) * count / (count - 1))
+    return ends
 
 
-def _allow_leaks(made: dict[str, Floats], column: int, keys: list[_Key]) -> None:
+def _allow_leaks(made: dict[str, Floats], keys: list[LevelKey]) -> None:
     """Lower the lower ends of one-third octaves by what the strongest of their channel may leave in them."""
-    third = np.array([key[3] == "one-third octave" for key in keys])
-    for name in {key[0] for key in keys}:
-        rows = np.flatnonzero(third & np.array([key[0] == name for key in keys]))
-        strongest = float(np.nanmax(made["rms"][rows, column], initial=0.0))
-        low = made["rms_ci95"][rows, column, 0]
-        made["rms_ci95"][rows, column, 0] = np.maximum(low - NUMBERS.leak_share * strongest, 0.0)
+    of_channels = dict[str, list[int]]()
+    for row, key in enumerate(keys):
+        if key[3] == "one-third octave":
+            of_channels.setdefault(key[0], []).append(row)
+    for rows in of_channels.values():
+        strongest = np.nanmax(made["rms"][rows], axis=0, initial=0.0)
+        low = made["rms_ci95"][rows, :, 0] - NUMBERS.leak_share * strongest
+        made["rms_ci95"][rows, :, 0] = np.maximum(low, 0.0)
 
 
-def _error_of_mean(values: Floats, owner: Ints) -> tuple[float, int]:
-    """Standard error of the mean of ``values`` (pieces,) and its degrees of freedom; 0 of these where it is unknown.
+def _error_of_mean(values: Floats, passage: Ints) -> tuple[Floats, Floats]:
+    """Standard errors of the means (level,) of ``values`` (level, piece), and their degrees of freedom.
 
-    ``owner`` numbers the recording of each.
+    0 of these where it is unknown. ``passage`` (piece,) numbers what each piece belongs to, such as its recording.
     """
-    count = len(values)
-    if count < 2 or not np.isfinite(values).all():
-        return math.nan, 0
-    names, which = np.unique(owner, return_inverse=True)
-    sizes = np.bincount(which)
-    means = np.bincount(which, values) / sizes
-    inside = values - means[which]
-    freedom = count - len(names)
-    if freedom < 1:
-        return float(np.std(values, ddof=1) / math.sqrt(count)), count - 1
-    power, neighbours = float(inside @ inside), which[1:] == which[:-1]
-    variance = power / freedom * _inflation(power, float(inside[1:][neighbours] @ inside[:-1][neighbours]))
-    return _between(values, means, sizes, variance, freedom)
+    count, known = values.shape[1], np.isfinite(values).all(axis=1)
+    first = _firsts(passage)
+    freedom = np.where(known & (count > 1), float(count - len(first) or count - 1), 0.0)
+    if count == 1:
+        return np.full(len(values), np.nan), freedom
+    if count == len(first):
+        return np.std(values, ddof=1, axis=1) / math.sqrt(count), freedom
+    sizes = np.diff(first, append=count)
+    off = values - np.repeat(np.add.reduceat(values, first, axis=1) / sizes, sizes, axis=1)
+    beside = off[:, 1:] * off[:, :-1] * (passage[1:] == passage[:-1])
+    variance = _variance((off**2).sum(axis=1), beside.sum(axis=1), freedom)
+    return _between(values, passage, variance, freedom)
 
 
-def _between(values: Floats, means: Floats, sizes: Ints, variance: float, freedom: int) -> tuple[float, int]:
-    """Standard error and freedom of the mean of ``values`` of that ``variance`` and ``freedom`` inside recordings.
+def _firsts(passage: Ints) -> Ints:
+    """First piece of each ``passage`` (piece,), which rises."""
+    return np.flatnonzero(np.diff(passage, prepend=passage[0] - 1))
 
-    Where the ``means`` of recordings of those ``sizes`` differ by more, they are those between these.
+
+def _between(values: Floats, passage: Ints, variance: Floats, freedom: Floats) -> tuple[Floats, Floats]:
+    """Standard error and freedom of the means of ``values`` (level, piece) of that ``variance`` and ``freedom``.
+
+    Where the means of each ``passage`` differ by more, they are those between these.
     """
-    if len(means) > 1 and variance > 0.0:
-        between = float(np.sum(sizes * (means - values.mean()) ** 2)) / (len(means) - 1)
-        if special.fdtrc(len(means) - 1, freedom, between / variance) < NUMBERS.like_pieces_chance:
-            return math.sqrt(between / len(values)), len(means) - 1
-    return math.sqrt(variance / len(values)), freedom
+    count, first = values.shape[1], _firsts(passage)
+    error, sizes = np.sqrt(variance / count), np.diff(first, append=count)
+    if len(first) == 1:
+        return error, freedom
+    means = np.add.reduceat(values, first, axis=1) / sizes
+    between = (sizes * (means - values.mean(axis=1, keepdims=True)) ** 2).sum(axis=1) / (len(first) - 1)
+    ratio = np.divide(between, variance, out=np.zeros(len(variance)), where=variance > 0.0)
+    differ = special.fdtrc(len(first) - 1, freedom, ratio) < NUMBERS.like_pieces_chance
+    return np.where(differ, np.sqrt(between / count), error), np.where(differ, len(first) - 1.0, freedom)
 
 
-def _inflation(power: float, beside: float) -> float:
-    """By how much the variance of a mean grows because neighbours go together: (1 + r) / (1 - r).
+def _variance(power: Floats, beside: Floats, freedom: Floats) -> Floats:
+    """Variance (level,) of a piece, from sums of squares and of products of neighbours; 0 where nothing is known.
 
-    r is ``beside``, the sum of products of neighbours, over ``power``, the sum of squares.
+    It grows where neighbours go together, by (1 + r) / (1 - r), r the one sum over the other.
     """
-    if power == 0.0:
-        return 1.0
-    shared = min(max(beside / power, NUMBERS.least_shared), NUMBERS.most_shared)
-    return (1.0 + shared) / (1.0 - shared)
+    shared = np.divide(beside, power, out=np.zeros(len(power)), where=power > 0.0)
+    shared = np.where(power > 0.0, np.clip(shared, NUMBERS.least_shared, NUMBERS.most_shared), 0.0)
+    inflated = power * (1.0 + shared) / (1.0 - shared)
+    return np.divide(inflated, freedom, out=np.zeros(len(power)), where=freedom > 0)
 
 
-def _t(freedom: float, *, chance: float = 1.0 - CONFIDENCE) -> float:
-    """Half width, in standard errors, of an interval that a mean of so many degrees of ``freedom`` leaves by chance."""
-    return float(special.stdtrit(freedom, 1.0 - 0.5 * chance))
+def _t(freedom: Floats, *, chance: float = 1.0 - CONFIDENCE) -> Floats:
+    """Half width, in standard errors, of an interval that a mean of so many degrees of ``freedom`` leaves by chance.
+
+    NaN where there are none.
+    """
+    return np.asarray(special.stdtrit(freedom, 1.0 - 0.5 * chance))
 
 
-def rms_within(rms: float, log_error: float, freedom: float, *, chance: float) -> tuple[float, float]:
-    """Interval of an ``rms`` that it leaves by ``chance``, from the error of the logarithm of its square.
+def rms_within(rms: Floats, log_error: Floats, freedom: Floats, *, chance: float) -> Floats:
+    """Interval (level, 2) of each ``rms`` that it leaves by ``chance``, from the error of the logarithm of its square.
 
     ``log_error`` and ``freedom`` are those of VibrationLevels; both ends are NaN where nothing is known of the error.
     """
-    if not freedom > 0.0 or not math.isfinite(log_error):
-        return math.nan, math.nan
     half = 0.5 * _t(freedom, chance=chance) * log_error
-    return rms * math.exp(-half), rms * math.exp(half)
+    return rms[:, None] * np.exp(np.stack([-half, half], axis=1))
 
 
 _TOLD = {
@@ -311,28 +329,13 @@ _TOLD = {
 }
 
 
-def _levels_dataset(items: Sequence[xr.Dataset], keys: list[_Key], made: dict[str, Floats], rpm: Floats) -> xr.Dataset:
-    result = xr.Dataset()
-    for place, name in enumerate(("channel", "unit", "quantity", "kind")):
-        values = np.array([key[place] for key in keys], dtype=np.str_)
-        result.coords[name] = ("level", values, {"units": "1", "long_name": LEVEL_TEXTS[name]})
-    reached, size = dict[_Key, float](), dict[_Key, float]()
-    for item in items:
-        pairs = zip(item["reached_frequency"].values.tolist(), item["si_per_unit"].values.tolist(), strict=True)
-        for key, (hertz, si) in zip(_keys(item), pairs, strict=True):
-            reached[key], size[key] = min(hertz, reached.get(key, math.inf)), si
-    result.coords["si_per_unit"] = ("level", np.array([size[key] for key in keys], dtype=np.float64), SI)
-    ends = {
-        "low_frequency": ("lower end of the band", [key[4] for key in keys]),
-        "high_frequency": ("upper end of the band", [key[5] for key in keys]),
-        "reached_frequency": ("where the band ends as the slowest rate allows", [reached[key] for key in keys]),
-    }
-    for name, (text, hertz_of) in ends.items():
-        result.coords[name] = ("level", np.array(hertz_of, dtype=np.float64), {"units": "Hz", "long_name": text})
-    result.coords["speed"] = ("speed", rpm, {"units": "min-1", "long_name": "mean speed"})
+def _levels_dataset(joined: _Joined, made: dict[str, Floats], rpm: Floats) -> xr.Dataset:
+    coords = level_coords(joined.keys, joined.reached_hz, joined.si)
+    coords["speed"] = ("speed", rpm, {"units": "min-1", "long_name": "mean speed"})
+    told = dict[str, Any]()
     for name, (units, text) in _TOLD.items():
-        result[name] = (("level", "speed"), made[name], {"units": units, "long_name": text})
+        told[name] = (("level", "speed"), made[name], {"units": units, "long_name": text})
         if f"{name}_ci95" in made:
             words = {"units": units, "long_name": f"95 % interval of {name}: low, high"}
-            result[f"{name}_ci95"] = (("level", "speed", "bound"), made[f"{name}_ci95"], words)
-    return result
+            told[f"{name}_ci95"] = (("level", "speed", "bound"), made[f"{name}_ci95"], words)
+    return xr.Dataset(told, coords=coords)

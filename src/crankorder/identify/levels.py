@@ -210,8 +210,8 @@ def _beside(vibration: xr.Dataset, row: int, kind: str) -> int:
 
 def _surely(at: xr.Dataset, there: Ints, chance: float) -> Floats:
     """Ends (low and high, speed) that the level ``at`` leaves by ``chance`` at each speed of ``there``."""
-    columns = (at[name].values[there].tolist() for name in ("rms", "log_error", "degrees_of_freedom"))
-    return np.array([rms_within(*one, chance=chance) for one in zip(*columns, strict=True)]).reshape(-1, 2).T
+    columns = (at[name].values[there] for name in ("rms", "log_error", "degrees_of_freedom"))
+    return rms_within(*columns, chance=chance).T
 
 
 def _judged(
