@@ -112,10 +112,8 @@ def _chance(powers: list[tuple[NDArray[np.floating], int]], frame: int) -> Float
 
 def _beside(power: Floats) -> Floats:
     """Sum of ``power`` (C, B) over some bins."""
-    padded = np.pad(power, ((0, 0), (NUMBERS.beside_bins, NUMBERS.beside_bins)), mode="edge")
-    return np.asarray(
-        np.lib.stride_tricks.sliding_window_view(padded, 2 * NUMBERS.beside_bins + 1, axis=1).sum(axis=-1)
-    )
+    at, half = np.arange(power.shape[1]), NUMBERS.beside_bins
+    return np.asarray(sum(power[:, np.clip(at + k, 0, at[-1])] for k in range(-half, half + 1)))
 
 
 def _level(ratio: Floats) -> Floats:
@@ -266,13 +264,13 @@ def _settled(
     first = np.concatenate([[0], np.cumsum(n_frames)[:-1]])
     left, share = density * counts[..., None], np.ones(density.shape) * counts[..., None]
     for item, scale, count, begin in zip(frames, scales, leading, first, strict=True):
-        for number in range(int(count.max(initial=0))):
-            power = item["power"].values[:, number].astype(np.float64)
-            used = np.isfinite(power[:, :1]) & (count > number)
-            taken = np.where(used, power * ((common / scale) ** 2)[:, None], 0.0)
-            into = group_of[begin + number]
-            left[:, into] -= _density_on_grid(item, taken[:, None], frequency)[:, 0]
-            share[:, into] -= _on_grid(item, used[:, None].astype(np.float64), frequency)[:, 0]
+        power = item["power"].values[:, : count.max(initial=0)].astype(np.float64)
+        used = np.isfinite(power[..., :1]) & (count > np.arange(power.shape[1])[:, None])
+        taken = _density_on_grid(item, np.where(used, power * ((common / scale) ** 2)[:, None, None], 0.0), frequency)
+        known = _on_grid(item, used.astype(np.float64), frequency)
+        for number, into in enumerate(group_of[begin : begin + power.shape[1]]):
+            left[:, into] -= taken[:, number]
+            share[:, into] -= known[:, number]
     with np.errstate(invalid="ignore", divide="ignore"):
         held = share / counts[..., None]
         made = np.where(share > NUMBERS.least_left_share, np.maximum(left, 0.0) / share, np.nan)

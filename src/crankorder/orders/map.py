@@ -104,7 +104,8 @@ def held_values(
         return held
     centre = mean[channel, order]
     size = np.abs(centre)
-    apart = spectrum[channel, :, order] * (centre.conj() / size)[:, None]
+    turned_back = spectrum[channel, :, order] * (centre.conj() / size)[:, None]
+    apart = turned_back.copy()
     for name in owners:
         mine = owner == name
         apart[:, mine] -= apart[:, mine].mean(axis=1, keepdims=True)
@@ -113,7 +114,7 @@ def held_values(
     surely = float(fdtri(freedom, freedom, 1.0 - CHANGE_CHANCE))
     swells, turns = along > surely * across, across > surely * along
     both = _changes_both(along + across, channel, order, beside=beside, shape=shape)
-    low, high, turn = _extremes(spectrum[channel, :, order] * (centre.conj() / size)[:, None], owner)
+    low, high, turn = _extremes(turned_back, owner)
     longer, turned = swells | both, turns | both
     held.least[channel[longer], order[longer]] = low[longer]
     held.most[channel[longer], order[longer]] = high[longer]
