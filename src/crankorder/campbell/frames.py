@@ -123,9 +123,7 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     speeds = frame_speeds(band, shaft, starts, length, rate)
     if not shaft.attrs.get("has_shaft", 1):
         speeds = FrameSpeeds(np.full(len(starts), np.nan), np.zeros(len(starts)))
-    frames = _dataset(band, power, np.arange(power.shape[2], dtype=np.float64) * resolution, speeds)
-    if np.any(scales != 1.0):
-        frames["scale"] = ("channel", scales, {"units": "1", "long_name": "power is that of the signal times this"})
+    frames = _dataset(band, power, np.arange(power.shape[2], dtype=np.float64) * resolution, speeds, scales)
     frames.attrs = {key: band.attrs[key] for key in ("recording", "history", "quality") if key in band.attrs}
     frames.attrs |= {
         "window": plan.window.name,
@@ -198,14 +196,18 @@ def _scales(signals: NDArray[np.floating]) -> Floats:
     return scales
 
 
-def _dataset(band: xr.Dataset, power: NDArray[np.floating], frequency: Floats, speeds: FrameSpeeds) -> xr.Dataset:
+def _dataset(
+    band: xr.Dataset, power: NDArray[np.floating], frequency: Floats, speeds: FrameSpeeds, scales: Floats
+) -> xr.Dataset:
     tone = {"units": "see unit, squared", "long_name": "tone power"}
     change = {"units": "min-1", "long_name": "change of speed within the frame"}
+    words = {"units": "1", "long_name": "power is that of the signal times this"}
     return xr.Dataset(
         {
             "power": (("channel", "frame", "frequency"), power, tone),
             "speed_change": ("frame", speeds.change_rpm, change),
-        },
+        }
+        | ({"scale": ("channel", scales, words)} if np.any(scales != 1.0) else {}),
         coords={
             **channel_coords(band),
             "frequency": ("frequency", frequency, {"units": "Hz", "long_name": "frequency"}),

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numba as nb
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import MethodNumbers
@@ -67,8 +69,9 @@ def _count_leading(items: list[xr.Dataset]) -> Ints:
     """How many frames (bins,) of recordings with like bins take no part, where a recording has so many."""
     leading = np.zeros(items[0].sizes["frequency"], dtype=np.int64)
     on = np.ones(len(leading), dtype=bool)
-    for frame in range(max(item.sizes["frame"] for item in items)):
-        chance = _chance(items, frame)
+    powers = [(item["power"].values, _apart(item)) for item in items]
+    for frame in range(max(power.shape[1] for power, _ in powers)):
+        chance = _chance(powers, frame)
         if chance is None:
             break
         seen = on & (chance < (NUMBERS.next_chance if frame else NUMBERS.start_chance))
@@ -81,9 +84,10 @@ def _count_leading(items: list[xr.Dataset]) -> Ints:
     return leading
 
 
-def _chance(items: list[xr.Dataset], frame: int) -> Floats | None:
+def _chance(powers: list[tuple[NDArray[np.floating], int]], frame: int) -> Floats | None:
     """Chance (bins,) of noise so strong in the frames of number ``frame`` over later ones; None where too few are.
 
+    ``powers``: power (channel, frame, bin) of each recording, and the frames from one to the next that is apart.
     The share u = P_0 / (P_0 + P_1 + … + P_n) of a frame in itself and n others has a beta distribution with the mean
     1 / (n + 1) behind noise, whatever its level: its mean over recordings and the bins beside is all but normal.
     """
@@ -91,8 +95,7 @@ def _chance(items: list[xr.Dataset], frame: int) -> Floats | None:
 
     total: Floats | float = 0.0
     variance = 0.0
-    for item in items:
-        power, apart = item["power"].values, _apart(item)
+    for power, apart in powers:
         beyond = power[:, frame + apart : frame + apart + NUMBERS.later_frames : apart]
         n = beyond.shape[1]
         if n < NUMBERS.fewest_later or not np.isfinite(beyond[:, :, 0]).all() or np.isnan(power[:, frame]).any():
@@ -109,10 +112,8 @@ def _chance(items: list[xr.Dataset], frame: int) -> Floats | None:
 
 def _beside(power: Floats) -> Floats:
     """Sum of ``power`` (C, B) over some bins."""
-    padded = np.pad(power, ((0, 0), (NUMBERS.beside_bins, NUMBERS.beside_bins)), mode="edge")
-    return np.asarray(
-        np.lib.stride_tricks.sliding_window_view(padded, 2 * NUMBERS.beside_bins + 1, axis=1).sum(axis=-1)
-    )
+    at, half = np.arange(power.shape[1]), NUMBERS.beside_bins
+    return np.asarray(sum(power[:, np.clip(at + k, 0, at[-1])] for k in range(-half, half + 1)))
 
 
 def _level(ratio: Floats) -> Floats:
@@ -121,7 +122,7 @@ def _level(ratio: Floats) -> Floats:
     padded = np.pad(ratio, ((0, 0), (half, half)), mode="reflect" if ratio.shape[1] > half else "edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=1)
     at = np.arange(0, ratio.shape[1], 8)
-    middle = np.maximum(np.median(windows[:, at], axis=-1), 1e-12)
+    middle = np.maximum(np.sort(windows[:, at], axis=-1)[..., half], 1e-12)  # a fifth of the time of np.median
     return np.stack([np.interp(np.arange(ratio.shape[1]), at, row) for row in middle])
 
 
@@ -157,29 +158,25 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     groups = speed_groups(speed, width_rpm=speed_bin_rpm)
     mean_rpm = np.array([speed[group].mean() for group in groups])
     tone, density, counts, scale = _group_means(frames, groups, frequency)
-    settled = _settled(frames, groups, frequency, density, counts)
-    result = xr.Dataset(
-        coords={
-            **channel_coords(first),
-            "frequency": ("frequency", frequency, first["frequency"].attrs),
-            "speed": ("speed", mean_rpm, {"units": "min-1", "long_name": "speed"}),
-        }
-    )
     dims = ("channel", "speed", "frequency")
     rms = first.attrs["amplitude_scaling"] == "rms"
-    amplitude = np.sqrt(tone * (0.5 if rms else 1.0)) / scale
     name = "root mean square" if rms else "peak amplitude"
-    result["amplitude"] = (dims, amplitude, {"units": "see unit", "long_name": f"{name} of a tone"})
+    lengths = np.array([len(group) for group in groups], dtype=np.int64)
     with np.errstate(over="ignore"):
         psd = density / scale / scale
-    result["psd"] = (dims, psd, {"units": "see unit, squared per Hz", "long_name": "power spectral density"})
-    if settled is not None:
-        _add_settled(result, *settled, scale)
-    lengths = np.array([len(group) for group in groups], dtype=np.int64)
-    result["n_frames"] = (("speed",), lengths, {"units": "1", "long_name": "frames averaged"})
+    made = {
+        "amplitude": _variable(dims, np.sqrt(tone * (0.5 if rms else 1.0)) / scale, "see unit", f"{name} of a tone"),
+        "psd": _variable(dims, psd, "see unit, squared per Hz", "power spectral density"),
+        **_settled_variables(_settled(frames, groups, frequency, density, counts), frequency, scale),
+        "n_frames": _variable(("speed",), lengths, "1", "frames averaged"),
+    }
     if np.any(counts != lengths):
-        words = {"units": "1", "long_name": "frames averaged that no gap touches"}
-        result["n_frames_used"] = (("channel", "speed"), counts, words)
+        made["n_frames_used"] = _variable(dims[:2], counts, "1", "frames averaged that no gap touches")
+    axes = {
+        "frequency": ("frequency", frequency, first["frequency"].attrs),
+        "speed": _variable(("speed",), mean_rpm, "min-1", "speed"),
+    }
+    result = xr.Dataset(made, coords={**channel_coords(first), **axes})  # at once: each that is added merges anew
     result.attrs = {
         "window": first.attrs["window"],
         "enbw_hz": max(_enbw_hz(item) for item in frames),
@@ -267,13 +264,13 @@ def _settled(
     first = np.concatenate([[0], np.cumsum(n_frames)[:-1]])
     left, share = density * counts[..., None], np.ones(density.shape) * counts[..., None]
     for item, scale, count, begin in zip(frames, scales, leading, first, strict=True):
-        for number in range(int(count.max(initial=0))):
-            power = item["power"].values[:, number].astype(np.float64)
-            used = np.isfinite(power[:, :1]) & (count > number)
-            taken = np.where(used, power * ((common / scale) ** 2)[:, None], 0.0)
-            into = group_of[begin + number]
-            left[:, into] -= _density_on_grid(item, taken[:, None], frequency)[:, 0]
-            share[:, into] -= _on_grid(item, used[:, None].astype(np.float64), frequency)[:, 0]
+        power = item["power"].values[:, : count.max(initial=0)].astype(np.float64)
+        used = np.isfinite(power[..., :1]) & (count > np.arange(power.shape[1])[:, None])
+        taken = _density_on_grid(item, np.where(used, power * ((common / scale) ** 2)[:, None, None], 0.0), frequency)
+        known = _on_grid(item, used.astype(np.float64), frequency)
+        for number, into in enumerate(group_of[begin : begin + power.shape[1]]):
+            left[:, into] -= taken[:, number]
+            share[:, into] -= known[:, number]
     with np.errstate(invalid="ignore", divide="ignore"):
         held = share / counts[..., None]
         made = np.where(share > NUMBERS.least_left_share, np.maximum(left, 0.0) / share, np.nan)
@@ -281,15 +278,27 @@ def _settled(
     return bins, made[..., bins], np.where(share > NUMBERS.least_left_share, held, 0.0)[..., bins]
 
 
-def _add_settled(result: xr.Dataset, bins: Ints, density: Floats, share: Floats, scale: Floats) -> None:
-    """Add to ``result`` what is left at ``bins`` without start transients."""
-    dims = ("channel", "speed", "settled_frequency")
-    words = {"units": "Hz", "long_name": "frequency at which recordings begin with a transient"}
-    result.coords["settled_frequency"] = ("settled_frequency", result["frequency"].values[bins], words)
+def _settled_variables(
+    settled: tuple[Ints, Floats, Floats] | None, frequency: Floats, scale: Floats
+) -> dict[str, xr.Variable]:
+    """Variables of what is ``settled``: left at bins of ``frequency`` without start transients; none where none is."""
+    if settled is None:
+        return {}
+    (bins, density, share), dims = settled, ("channel", "speed", "settled_frequency")
     with np.errstate(over="ignore"):
-        words = {"units": "see unit, squared per Hz", "long_name": "power spectral density without start transients"}
-        result["settled_psd"] = (dims, density / scale / scale, words)
-    result["settled_share"] = (dims, share, {"units": "1", "long_name": "share of the frames that it is of"})
+        psd = density / scale / scale
+    at = "frequency at which recordings begin with a transient"
+    return {
+        "settled_frequency": _variable(dims[2:], frequency[bins], "Hz", at),
+        "settled_psd": _variable(
+            dims, psd, "see unit, squared per Hz", "power spectral density without start transients"
+        ),
+        "settled_share": _variable(dims, share, "1", "share of the frames that it is of"),
+    }
+
+
+def _variable(dims: tuple[str, ...], values: NDArray[Any], units: str, long_name: str) -> xr.Variable:
+    return xr.Variable(dims, values, {"units": units, "long_name": long_name})
 
 
 def _without_image(item: xr.Dataset) -> list[int]:

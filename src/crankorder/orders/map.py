@@ -104,7 +104,8 @@ def held_values(
         return held
     centre = mean[channel, order]
     size = np.abs(centre)
-    apart = spectrum[channel, :, order] * (centre.conj() / size)[:, None]
+    turned_back = spectrum[channel, :, order] * (centre.conj() / size)[:, None]
+    apart = turned_back.copy()
     for name in owners:
         mine = owner == name
         apart[:, mine] -= apart[:, mine].mean(axis=1, keepdims=True)
@@ -113,7 +114,7 @@ def held_values(
     surely = float(fdtri(freedom, freedom, 1.0 - CHANGE_CHANCE))
     swells, turns = along > surely * across, across > surely * along
     both = _changes_both(along + across, channel, order, beside=beside, shape=shape)
-    low, high, turn = _extremes(spectrum[channel, :, order] * (centre.conj() / size)[:, None], owner)
+    low, high, turn = _extremes(turned_back, owner)
     longer, turned = swells | both, turns | both
     held.least[channel[longer], order[longer]] = low[longer]
     held.most[channel[longer], order[longer]] = high[longer]
@@ -204,8 +205,6 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     )
     parts = [_average(every.of(group), comparable, used[0].attrs, settings, bins) for group in groups]
     speed = np.array([np.mean(every.speed_rpm[group]) for group in groups])
-    result = _dataset(used, order, speed, settings)
-    result.attrs |= _accuracy(used)
     whole = Average(*(np.stack([getattr(part, item.name) for part in parts], axis=1) for item in fields(Average)))
     unit = np.ldexp(1.0, every.exponent)[:, None, None]
     made: Variables = {}
@@ -215,7 +214,7 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     _put_intervals(made, whole, unit, (bins, worth), angle, order, given)
     if not one_phase_reference(used):
         made["phase"][1][:], made["phase_ci95"][1][:] = np.nan, np.nan
-    result = result.assign(made)
+    result = _dataset(made, used, order, speed, settings)
     return with_flags(result, [flag for item in frames for flag in flags_of(item)] + remarks)
 
 
@@ -431,18 +430,22 @@ def _put(
     target[name] = (dims, values, {"units": units, "long_name": long_name})
 
 
-def _dataset(used: list[xr.Dataset], order: Floats, speed: Floats, settings: OrderSettings) -> xr.Dataset:
+def _dataset(
+    made: Variables, used: list[xr.Dataset], order: Floats, speed: Floats, settings: OrderSettings
+) -> xr.Dataset:
     first = used[0]
     result = xr.Dataset(
+        made,
         coords={
             **channel_coords(first),
             "order": ("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
             "speed": ("speed", speed, {"units": "min-1", "long_name": "speed"}),
-        }
+        },
     )
     kept = ("window", "enbw_bins", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "revs_per_cycle")
     result.attrs = {key: first.attrs[key] for key in (*kept, "samples_per_rev") if key in first.attrs}
     result.attrs |= {"phase_reference": phase_reference_of(used), "speed_bin_rpm": settings.speed_bin_rpm}
+    result.attrs |= _accuracy(used)
     return result
 
 

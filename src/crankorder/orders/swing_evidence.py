@@ -322,8 +322,7 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     # sidebands as measured: what was taken out already is put back into the targets to first order
     sums = _put_back(sums, known)
     radius = np.geomspace(2e-4, 1.0, RADII) * expected.largest_rev(harmonic)
-    phase = 2.0 * np.pi * np.arange(PHASES) / PHASES
-    grid = (radius[:, None] * np.exp(1j * phase)).ravel()
+    grid = (radius[:, None] * np.exp(2j * np.pi * np.arange(PHASES) / PHASES)).ravel()
     settings = expected.settings
     gain = _gains(sums, grid, settings, slack=GRID_SLACK)
     total = gain.sum(axis=1) - 0.5 * np.square(np.abs(grid) / expected.usual_rev(harmonic))
@@ -333,12 +332,10 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     of_carrier = [float(gain_here[sums.carrier == number].sum()) for number in set(sums.carrier.tolist())]
     proof = sum(of_carrier) - max(of_carrier, default=0.0)
     chance = float(np.exp(-min(max(proof, 0.0), 700.0)))
-    posterior = np.exp(total - total.max())
-    posterior *= np.abs(grid) ** 2  # cells of a polar grid, even in the logarithm of the radius
-    posterior /= posterior.sum()
-    order = np.argsort(np.abs(grid))
-    reach = np.cumsum(posterior[order])
-    bound = float(np.abs(grid[order[min(int(np.searchsorted(reach, 0.95)), len(order) - 1)]]))
+    # cells of a polar grid, even in the logarithm of the radius
+    posterior = np.exp(total - total.max()).reshape(RADII, PHASES).sum(axis=1) * np.square(radius)
+    reach = np.cumsum(posterior / posterior.sum())
+    bound = float(radius[min(int(np.searchsorted(reach, 0.95)), RADII - 1)])
     agreed = [float(c) for c, w, g in zip(sums.carrier, weights, gain_here, strict=True) if w > 0.5 and g > 1.0]
     carriers = tuple(sorted(set(agreed), key=lambda c: -float(gain_here[sums.carrier == c].sum())))
     largest = expected.largest_rev(harmonic)
@@ -467,7 +464,7 @@ def _gains(sums: _Sums, grid: Complexes, settings: OrderSettings, *, slack: floa
 def _refined(sums: _Sums, start: complex, settings: OrderSettings) -> tuple[complex, float, Floats]:
     """E_k by least squares over the targets that are sidebands, from ``start``; its standard error; their weights."""
     size, error = start, np.inf
-    weights = np.zeros(len(sums.own))
+    weights, sides, straight = np.zeros(len(sums.own)), sums.below + sums.above, sums.low + sums.high.conj()
     for slack in (*SLACKS, *(settings.sideband_slack,) * LAST_STEPS):
         power, ratio, spread = _seen_of(sums, size)
         square = np.abs(ratio - 1.0) ** 2
@@ -475,16 +472,12 @@ def _refined(sums: _Sums, start: complex, settings: OrderSettings) -> tuple[comp
         alone = np.exp(-np.minimum(square / variance, 700.0)) / (np.pi * variance)
         weights = alone / (alone + 1.0 / (2.0 * np.pi * (square + variance) * settings.own_line_range))
         share = weights / (spread + slack**2 * power)
-        a = float(np.sum(share * (sums.below + sums.above)))
-        b = complex(np.sum(share * sums.both))
-        c = complex(np.sum(share * (sums.low + sums.high.conj())))
-        # normal equations of |y - E u - conj(E) v|² in the real and imaginary part of E
-        matrix = np.array([[a + 2.0 * b.real, -2.0 * b.imag], [-2.0 * b.imag, a - 2.0 * b.real]])
-        if not np.isfinite(matrix).all() or np.linalg.det(matrix) <= 1e-12 * a * a:
+        a, b, c = float(share @ sides), complex(share @ sums.both), complex(share @ straight)
+        # normal equation of |y - E u - conj(E) v|²: a E + 2 conj(b E) = c
+        determinant = a * a - 4.0 * (b * b.conjugate()).real
+        if not determinant > 1e-12 * a * a:
             return size, np.inf, weights
-        solved = np.linalg.solve(matrix, np.array([c.real, c.imag]))
-        size = complex(solved[0], solved[1])
-        off = float(np.sum(share * square * power)) / max(2.0 * float(weights.sum()) - 2.0, 1.0)
-        covariance = np.linalg.inv(matrix) * max(0.5, off)
-        error = float(np.sqrt(0.5 * np.trace(covariance)))
+        size = (a * c - 2.0 * (b * c).conjugate()) / determinant
+        off = float((share * square) @ power) / max(2.0 * float(weights.sum()) - 2.0, 1.0)
+        error = math.sqrt(a / determinant * max(0.5, off))
     return size, error, weights

@@ -226,7 +226,7 @@ def _stride_fits(time, slope, stride, every, allowed):  # type: ignore[no-untype
 def knots_of(shaft: xr.Dataset) -> dict[str, FloatArray]:
     """Arguments of :func:`angle_at` and :func:`time_at` from the ShaftAngle ``shaft``."""
     return {
-        "knot_time_s": shaft.variables["time"].values,
+        "knot_time_s": shaft.variables["time"].values,  # not shaft["time"], which gathers coordinates at a great cost
         "knot_angle_rev": shaft.variables["crank_angle"].values,
         "knot_speed_rpm": shaft.variables["speed"].values,
     }

@@ -87,9 +87,10 @@ def shaft_summary(shafts: Sequence[xr.Dataset], *, knots: int = KNOTS) -> xr.Dat
         {
             name: xr.Variable("recording", [of(shaft) for shaft in shafts], {"units": unit, "long_name": text})
             for name, (of, unit, text) in rows.items()
-        },
+        }
+        | trace_variables(shafts, knots=knots),
         coords={"recording": xr.Variable("recording", names, {"units": "1", "long_name": "file name"})},
-    ).assign(trace_variables(shafts, knots=knots))
+    )
 
 
 def _known(of: Callable[[NDArray[np.float64]], float], values: NDArray[np.float64]) -> float:
