@@ -6,7 +6,8 @@ what lies where.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import struct
+import zlib
 from dataclasses import dataclass, field
 from io import BytesIO
 from typing import TYPE_CHECKING, Any, Literal
@@ -19,7 +20,6 @@ from crankorder.plot.palette import CAP_HEIGHT, FAINT, INK, LARGE, MAINS, NORMAL
 from crankorder.settings import PictureFormat
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
 Box = tuple[float, float, float, float]
@@ -44,19 +44,6 @@ class Stroke:
     name: str = ""
     values: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
-    def artists(self, figure: Figure) -> Iterator[Artist]:
-        """The line for ``figure``; a ``square`` one (upright or level) lies on whole pixels."""
-        from matplotlib.lines import Line2D
-
-        from crankorder.plot.whole_pixels import PixelLine
-
-        yield (PixelLine if self.square else Line2D)(
-            self.points[:, 0], self.points[:, 1], color=self.color, alpha=self.alpha, linewidth=self.width,
-            linestyle=(0.0, self.dashes) if self.dashes[0] else "-", dash_capstyle="butt",
-            snap=self.square, solid_capstyle="butt" if self.square else "round", solid_joinstyle="round",
-            **_placed(figure, self.within),
-        )  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Area:
@@ -69,20 +56,6 @@ class Area:
     alpha: float = 1.0
     within: Box | None = None
     name: str = ""
-
-    def artists(self, figure: Figure) -> Iterator[Artist]:
-        """One patch for ``figure`` for each run of places where both curves are known."""
-        from matplotlib.patches import Polygon
-
-        known = np.isfinite(self.along) & np.isfinite(self.low) & np.isfinite(self.high)
-        low, high = (np.column_stack([self.along, edge]) for edge in (self.low, self.high))
-        for run in np.split(np.flatnonzero(known), np.flatnonzero(np.diff(np.flatnonzero(known)) > 1) + 1):
-            if len(run) > 1:
-                outline = np.concatenate([low[run], high[run][::-1]])
-                yield Polygon(
-                    outline, closed=True, facecolor=self.color, edgecolor="none", alpha=self.alpha,
-                    **_placed(figure, self.within),
-                )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -97,16 +70,6 @@ class Rings:
     within: Box | None = None
     name: str = ""
     values: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
-
-    def artists(self, figure: Figure) -> Iterator[Artist]:
-        """The circles for ``figure``."""
-        from matplotlib.lines import Line2D
-
-        yield Line2D(
-            self.points[:, 0], self.points[:, 1], linestyle="none", marker="o", markersize=2 * self.radius,
-            markeredgewidth=self.width, markeredgecolor=self.color, alpha=self.alpha,
-            markerfacecolor="none" if self.width else self.color, **_placed(figure, self.within),
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -125,25 +88,18 @@ class Words:
     name: str = ""
 
     @property
+    def start(self) -> tuple[float, float]:
+        """Where its baseline begins."""
+        back = _ALONG[self.along] * text_width_in(self.text, self.size, bold=self.bold) if self.along != "left" else 0.0
+        drop = _BASELINE[self.across] * self.size / 72
+        return (self.x + drop, self.y - back) if self.upward else (self.x - back, self.y - drop)
+
+    @property
     def box(self) -> Box:
         """Room that it takes."""
-        width, em = text_width_in(self.text, self.size, bold=self.bold), self.size / 72
-        start, base = -_ALONG[self.along] * width, -_BASELINE[self.across] * em
-        if self.upward:
-            return self.x - base - CAP_HEIGHT * em, self.y + start, (CAP_HEIGHT + _DESCENT) * em, width
-        return self.x + start, self.y + base - _DESCENT * em, width, (CAP_HEIGHT + _DESCENT) * em
-
-    def artists(self, figure: Figure) -> Iterator[Artist]:
-        """The text for ``figure``, by its baseline."""
-        from matplotlib.text import Text
-
-        drop = _BASELINE[self.across] * self.size / 72
-        yield Text(
-            self.x + drop * self.upward, self.y - drop * (not self.upward), self.text, color=self.color,
-            fontsize=self.size, fontweight="bold" if self.bold else "normal",
-            horizontalalignment="center" if self.along == "centre" else self.along, verticalalignment="baseline",
-            rotation=90.0 if self.upward else 0.0, rotation_mode="anchor", parse_math=False, **_placed(figure, None),
-        )  # fmt: skip
+        (x, y), em = self.start, self.size / 72
+        width, height = text_width_in(self.text, self.size, bold=self.bold), (CAP_HEIGHT + _DESCENT) * em
+        return (x - CAP_HEIGHT * em, y, height, width) if self.upward else (x, y - _DESCENT * em, width, height)
 
 
 @dataclass(frozen=True)
@@ -152,12 +108,6 @@ class Field:
 
     rgb: NDArray[np.uint8]
     box: Box
-
-    def artists(self, figure: Figure) -> Iterator[Artist]:
-        """The image for ``figure``, from whole pixel to whole pixel."""
-        from crankorder.plot.whole_pixels import PixelImage
-
-        yield PixelImage(self.rgb, self.box)
 
 
 @dataclass
@@ -180,26 +130,6 @@ class Drawing:
     def strokes(self, prefix: str) -> list[Stroke]:
         """Lines whose names begin with ``prefix``."""
         return [part for part in self.parts if isinstance(part, Stroke) and part.name.startswith(prefix)]
-
-    def figure(self) -> Figure:
-        """The picture as a figure of matplotlib."""
-        from crankorder.plot.style import new_figure
-
-        figure = new_figure(self.width_in, self.height_in)
-        for number, part in enumerate(self.parts):
-            for artist in part.artists(figure):
-                artist.set_zorder(number)
-                figure.add_artist(artist)
-        return figure
-
-
-def _placed(figure: Figure, within: Box | None) -> dict[str, Any]:
-    """Properties of an artist of ``figure`` whose places are inches, cut off beyond ``within``."""
-    from matplotlib.transforms import Bbox, TransformedBbox
-
-    inches = figure.dpi_scale_trans
-    clip = None if within is None else TransformedBbox(Bbox.from_bounds(*within), inches)
-    return {"transform": inches, "clip_box": clip, "clip_on": clip is not None}
 
 
 def title_lines(drawing: Drawing, left_in: float, title: str, sentence: str) -> None:
@@ -241,16 +171,44 @@ def picture_bytes(figure: Drawing | Figure, *, dpi: int, kind: PictureFormat = "
 
     ``figure`` of the house or of matplotlib; ``dpi`` pixels per inch; ``kind`` of file.
     """
-    from crankorder.plot.style import house_style
+    from crankorder.plot.style import house_style, new_figure
 
     buffer = BytesIO()
     with house_style():
-        drawn = figure.figure() if isinstance(figure, Drawing) else figure
+        if isinstance(figure, Drawing):
+            from crankorder.plot.painter import Painted, shown_pixels
+
+            if kind == "png":
+                return png_bytes(shown_pixels(figure, dpi), dpi)
+            drawing, figure = figure, new_figure(figure.width_in, figure.height_in)
+            figure.add_artist(Painted(drawing))
         if kind == "png":
-            drawn.savefig(
-                buffer, format="png", dpi=dpi, metadata={"Software": "crankorder"}, pil_kwargs={"compress_level": 4}
-            )
-        else:
-            dated = "Date" if kind == "svg" else "CreationDate"
-            drawn.savefig(buffer, format=kind, dpi=dpi, metadata={"Creator": "crankorder", dated: None})
+            figure.set_dpi(dpi)
+            canvas: Any = figure.canvas
+            canvas.draw()
+            return png_bytes(np.asarray(canvas.buffer_rgba()), dpi)
+        dated = "Date" if kind == "svg" else "CreationDate"
+        figure.savefig(buffer, format=kind, dpi=dpi, metadata={"Creator": "crankorder", dated: None})
     return buffer.getvalue()
+
+
+def png_bytes(shown: NDArray[np.uint8], dpi: int) -> bytes:
+    """PNG of ``shown`` colours (rows from the top, columns, 3 or more) at ``dpi`` pixels per inch.
+
+    Rows are not filtered: pictures of lines, type and repeated colours are as small without, in a fifth of the time.
+    """
+    height, width = shown.shape[:2]
+    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)
+    rows[:, 1:].reshape(height, width, 3)[:] = shown[..., :3]
+    per_metre = round(dpi / 0.0254)
+    chunks = (
+        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),
+        (b"tEXt", b"Software\0crankorder"),
+        (b"pHYs", struct.pack(">IIB", per_metre, per_metre, 1)),
+        (b"IDAT", zlib.compress(rows.data, 3)),
+        (b"IEND", b""),
+    )
+    parts = [
+        struct.pack(">I", len(said)) + name + said + struct.pack(">I", zlib.crc32(name + said)) for name, said in chunks
+    ]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)

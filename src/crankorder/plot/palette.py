@@ -74,24 +74,44 @@ CAP_HEIGHT = 0.729
 _PLAIN = frozenset(map(chr, range(0x20, 0x7F)))
 
 
-def _font(*, bold: bool) -> FT2Font:
-    """DejaVu Sans, which ships with matplotlib: the same bytes anywhere.
-
-    One for each thread, and anew after a fork: processes that share an open font read it from under each other.
-    """
+def font_file(*, bold: bool) -> str:
+    """Path of DejaVu Sans, which ships with matplotlib: the same bytes anywhere."""
     from matplotlib import get_data_path
+
+    return f"{get_data_path()}/fonts/ttf/{'DejaVuSans-Bold.ttf' if bold else 'DejaVuSans.ttf'}"
+
+
+def _font(*, bold: bool) -> FT2Font:
+    """One for each thread, and anew after a fork: processes that share an open font read it from under each other."""
     from matplotlib.font_manager import get_font
 
-    return get_font(f"{get_data_path()}/fonts/ttf/{'DejaVuSans-Bold.ttf' if bold else 'DejaVuSans.ttf'}")
+    return get_font(font_file(bold=bold))
+
+
+def _set(text: str, size: float, dpi: float, *, bold: bool) -> FT2Font:
+    from matplotlib.ft2font import LoadFlags
+
+    font = _font(bold=bold)
+    font.set_size(size, dpi)
+    font.set_text(text, 0.0, flags=LoadFlags.DEFAULT)
+    return font
 
 
 @lru_cache(maxsize=4096)
 def text_width_in(text: str, size: float, *, bold: bool = False) -> float:
     """Width in inches of ``text`` in the house's font, ``bold`` or regular, at ``size`` points."""
-    font = _font(bold=bold)
-    font.set_size(size, LAYOUT_DPI)
-    font.set_text(text, 0.0)
-    return float(font.get_width_height()[0]) / 64 / LAYOUT_DPI
+    return float(_set(text, size, LAYOUT_DPI, bold=bold).get_width_height()[0]) / 64 / LAYOUT_DPI
+
+
+@lru_cache(maxsize=1024)
+def text_ink(text: str, size: float, dpi: float, *, bold: bool) -> tuple[NDArray[np.uint8], float, float]:
+    """Ink of ``text`` at ``dpi`` pixels per inch (rows from the top, columns; 255 is full), and where it stands.
+
+    In pixels: its left edge right of the place that the text begins at, its lower edge below the baseline.
+    """
+    font = _set(text, size, dpi, bold=bold)
+    font.draw_glyphs_to_bitmap(antialiased=True)
+    return np.array(font.get_image()), font.get_bitmap_offset()[0] / 64, font.get_descent() / 64
 
 
 def shortened(text: str, size: float, width_in: float, *, bold: bool = False) -> str:

@@ -6,13 +6,9 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
-from matplotlib.text import Text
 
 from crankorder.findings import Findings
 from crankorder.plot.drawing import quality_text
@@ -31,6 +27,11 @@ from crankorder.plot.palette import (
     text_width_in,
 )
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.text import Text
+
 __all__ = [
     "BAND_FACTOR", "FAINT", "GRID", "INK", "LARGE", "LINES", "MAINS", "NORMAL", "NOTE", "SMALL", "axes_at", "drawable",
     "house_style", "new_figure", "quality_note", "quiet_frame", "shortened", "text_width_in",
@@ -48,7 +49,7 @@ _LOCK = threading.RLock()  # rc settings are global to matplotlib, and tests are
 _HOUSE: dict[str, Any] = {
     "font.family": ["DejaVu Sans"], "font.size": NORMAL, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
     "axes.linewidth": 0.8, "axes.titlelocation": "left", "axes.axisbelow": True, "grid.color": GRID,
-    "grid.linewidth": 0.6, "text.color": INK, "text.parse_math": False, "text.usetex": False,
+    "grid.linewidth": 0.6, "text.color": INK, "text.parse_math": False, "text.usetex": False, "text.hinting": "default",
     "xtick.color": FAINT, "ytick.color": FAINT, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
     "xtick.labelsize": 8.5, "ytick.labelsize": 8.5,
     "lines.linewidth": 1.3, "figure.facecolor": "white", "axes.facecolor": "white", "savefig.facecolor": "white",
@@ -91,6 +92,9 @@ def quality_note(figure: Figure, findings: Findings) -> None:
 
 def new_figure(width_in: float, height_in: float) -> Figure:
     """Empty figure on the Agg canvas, ``width_in`` by ``height_in`` inches."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width_in, height_in))
     FigureCanvasAgg(figure)
     return figure

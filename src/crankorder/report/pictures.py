@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from crankorder.findings import Findings, nothing_sought
-from crankorder.plot.drawing import picture_bytes
+from crankorder.findings import Findings
+from crankorder.plot.drawing import Drawing, Words, picture_bytes
 from crankorder.report.campbell_figure import campbell_figure
 from crankorder.report.orders_figure import orders_figure
 from crankorder.report.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
@@ -41,19 +41,8 @@ class Picture:
 
 
 def prepare() -> None:
-    """Load fonts and shapes that every page needs: call it in a thread of its own while recordings are analysed."""
-    speeds, ones = np.array([1000.0, 2000.0]), np.ones((1, 2, 3))
-    dims = ("channel", "speed", "frequency")
-    map_ = xr.Dataset(
-        {"amplitude": (dims, ones)},
-        {"channel": ["Z"], "unit": ("channel", ["m/s2"]), "quantity": ("channel", ["acceleration"])}
-        | {"speed": speeds, "frequency": np.array([0.0, 250.0, 500.0])},
-    )
-    from crankorder.settings import load_settings
-
-    settings = load_settings().report
-    figure = partial(campbell_figure, map_, "Z", nothing_sought("", reason=""), settings=settings)
-    Picture("", figure, settings).drawn()
+    """Load what draws, with its fonts: worth doing before there is anything to show."""
+    picture_bytes(Drawing(1.0, 1.0, [Words(0.0, 0.0, "1"), Words(0.0, 0.0, "1", bold=True)]), dpi=50)
 
 
 def pictures_of(

@@ -1,0 +1,137 @@
+"""What a drawing is made of, drawn with a renderer of matplotlib: no axes, figure or artist, nothing measured anew."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.backends.backend_agg import RendererAgg
+from matplotlib.colors import to_rgba
+from matplotlib.font_manager import FontProperties
+from matplotlib.path import Path
+from matplotlib.transforms import Affine2D, Bbox
+from numpy.typing import NDArray
+
+from crankorder.plot.drawing import Area, Box, Drawing, Field, Rings, Stroke, Words, pixels_of, whole
+from crankorder.plot.palette import font_file, rgb_of, text_ink
+
+
+class Painter:
+    """Draws parts that are placed in inches with ``renderer``, of pixels or of vectors, of ``dpi`` points per inch."""
+
+    def __init__(self, renderer: Any, dpi: float) -> None:
+        self._to, self._dpi = renderer, dpi
+        self._inches = Affine2D().scale(dpi)
+        self._has_pixels = hasattr(renderer, "buffer_rgba")
+
+    def paint(self, drawing: Drawing) -> None:
+        """Draw all parts of ``drawing``, the later ones on top."""
+        draw: dict[type, Any] = {
+            Stroke: self.stroke,
+            Area: self.area,
+            Rings: self.rings,
+            Words: self.words,
+            Field: self.field,
+        }
+        for part in drawing.parts:
+            draw[type(part)](part)
+
+    def _pen(self, color: str, alpha: float, width: float, within: Box | None = None) -> Any:
+        pen = self._to.new_gc()
+        pen.set_foreground(to_rgba(color, alpha), isRGBA=True)
+        pen.set_linewidth(width)
+        if within is not None:
+            pen.set_clip_rectangle(Bbox.from_bounds(*(self._dpi * edge for edge in within)))
+        return pen
+
+    def stroke(self, part: Stroke) -> None:
+        """Draw a line; a ``square`` one (upright or level) lies on whole pixels, where there are any, one at least."""
+        points, width = self._dpi / 72, part.width
+        if part.square and self._has_pixels:
+            width = max(1, round(width * points)) / points
+        pen = self._pen(part.color, part.alpha, width, part.within)
+        pen.set_snap(part.square)
+        if part.dashes[0]:
+            pen.set_dashes(0.0, [width * length for length in part.dashes])
+        elif not part.square:
+            pen.set_capstyle("round")
+        self._to.draw_path(pen, Path(part.points), self._inches)
+        pen.restore()
+
+    def area(self, part: Area) -> None:
+        """Draw one patch for each run of places where both curves are known."""
+        known = np.flatnonzero(np.isfinite(part.along) & np.isfinite(part.low) & np.isfinite(part.high))
+        low, high = (np.column_stack([part.along, edge]) for edge in (part.low, part.high))
+        pen = self._pen(part.color, part.alpha, 0.0, part.within)
+        for run in np.split(known, np.flatnonzero(np.diff(known) > 1) + 1):
+            if len(run) > 1:
+                outline = np.concatenate([low[run], high[run][::-1], low[run[:1]]])
+                self._to.draw_path(pen, Path(outline, closed=True), self._inches, to_rgba(part.color, part.alpha))
+        pen.restore()
+
+    def rings(self, part: Rings) -> None:
+        """Draw circles, or discs where the line has no width."""
+        pen = self._pen(part.color, part.alpha, part.width, part.within)
+        pen.set_snap(False)
+        disc = None if part.width else to_rgba(part.color, part.alpha)
+        size = Affine2D().scale(self._to.points_to_pixels(part.radius))
+        self._to.draw_markers(pen, Path.unit_circle(), size, Path(part.points), self._inches, disc)
+        pen.restore()
+
+    def words(self, part: Words) -> None:
+        """Draw a text by its baseline; where there are pixels, from a whole one on."""
+        x, y = (self._dpi * place for place in part.start)
+        pen = self._pen(part.color, 1.0, 1.0)
+        if self._has_pixels:
+            ink, right, down = text_ink(part.text, part.size, self._dpi, bold=part.bold)
+            shown = np.full((*ink.shape, 4), (*rgb_of(part.color), 0), dtype=np.uint8)
+            shown[..., 3] = ink[::-1]  # renderers count rows upwards
+            corner = np.array([x + down, y + right] if part.upward else [x + right, y - down])
+            if part.upward:
+                shown = np.ascontiguousarray(np.rot90(shown, -1))
+                corner[0] -= shown.shape[1]
+            self._to.draw_image(pen, *whole(corner), shown)
+        else:
+            height = self._to.get_canvas_width_height()[1]
+            font = FontProperties(fname=font_file(bold=part.bold), size=part.size)
+            at = height - y if self._to.flipy() else y
+            self._to.draw_text(pen, x, at, part.text, font, 90.0 if part.upward else 0.0)
+        pen.restore()
+
+    def field(self, part: Field) -> None:
+        """Draw colours from whole pixel to whole pixel, each repeated, or the nearest taken, to as many as there are.
+
+        An image in a vector file has pixels of its own.
+        """
+        scale = self._dpi * self._to.get_image_magnification()  # pixels per inch
+        size, corner = pixels_of(part.box, scale), whole(scale * np.array(part.box[:2])) / scale
+        rows, columns = (np.arange(n) * have // n for n, have in zip(size, part.rgb.shape[:2], strict=True))
+        shown = np.full((*size, 4), 255, dtype=np.uint8)
+        shown[..., :3] = part.rgb[rows[:, None], columns][::-1]  # renderers count rows upwards
+        pen = self._to.new_gc()
+        self._to.draw_image(pen, *(corner * self._dpi), shown)
+        pen.restore()
+
+
+def shown_pixels(drawing: Drawing, dpi: int) -> NDArray[np.uint8]:
+    """Colours (rows from the top, columns, 4) of ``drawing`` at ``dpi`` pixels per inch, on white."""
+    size = int(drawing.width_in * dpi), int(drawing.height_in * dpi)
+    renderer: Any = RendererAgg(*size, dpi)  # type: ignore[no-untyped-call]
+    shown = np.asarray(renderer.buffer_rgba())
+    shown[:] = 255
+    Painter(renderer, dpi).paint(drawing)
+    return shown
+
+
+class Painted(Artist):
+    """A ``drawing`` on a figure of matplotlib, for its files of vectors."""
+
+    def __init__(self, drawing: Drawing) -> None:
+        super().__init__()
+        self._drawing = drawing
+
+    def draw(self, renderer: Any) -> None:
+        """Draw it with ``renderer``."""
+        figure: Any = self.get_figure()
+        Painter(renderer, figure.dpi).paint(self._drawing)
