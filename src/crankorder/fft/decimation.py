@@ -202,8 +202,8 @@ def _filtered(signal, offset, rest, taps, offsets, factor, phases, out):  # type
         into, read = out[first : first + STRIP], signal[first * factor :]
         n = into.size
         for p in range(factor):
-            a = phases[p * row : p * row + min(n + n_taps // factor + 1, (read.size - p + factor - 1) // factor)]
-            for k in range(a.size):
+            a, there = phases[p * row : (p + 1) * row], (read.size - p + factor - 1) // factor
+            for k in range(there if there < n + n_taps // factor + 1 else n + n_taps // factor + 1):
                 a[k] = read[factor * k + p] - offset - rest
         for k in range(n):
             into[k] = 0.0
