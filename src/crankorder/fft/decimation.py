@@ -12,7 +12,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.quantities import Floats
+from crankorder.quantities import Floats, Ints
 from crankorder.scratch import blocks, empty_like
 
 TOLERANCE = 1e-6
@@ -191,75 +191,46 @@ def _response(taps: Floats, share_of_rate: Floats) -> Floats:
 
 
 @nb.njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
-def _weighted_sum(phases, offsets, taps, out):  # type: ignore[no-untyped-def]
-    """``out`` [k] = sum of taps[j] phases[offsets[j] + k]: eight taps a sweep, vectorised along the outputs."""
-    n, n_taps, j = out.shape[0], len(taps), 0
-    for k in range(n):
-        out[k] = 0.0
-    while j + 8 <= n_taps:
-        o = offsets[j : j + 8]
-        t0, t1, t2, t3, t4, t5, t6, t7 = (
-            taps[j], taps[j + 1], taps[j + 2], taps[j + 3], taps[j + 4], taps[j + 5], taps[j + 6], taps[j + 7],
-        )  # fmt: skip
-        a, b, c, d = phases[o[0] : o[0] + n], phases[o[1] : o[1] + n], phases[o[2] : o[2] + n], phases[o[3] : o[3] + n]
-        e, f, g, h = phases[o[4] : o[4] + n], phases[o[5] : o[5] + n], phases[o[6] : o[6] + n], phases[o[7] : o[7] + n]
-        for k in range(n):
-            first = (t0 * a[k] + t1 * b[k]) + (t2 * c[k] + t3 * d[k])
-            out[k] += first + ((t4 * e[k] + t5 * f[k]) + (t6 * g[k] + t7 * h[k]))
-        j += 8
-    while j < n_taps:
-        t0 = taps[j]
-        a = phases[offsets[j] : offsets[j] + n]
-        for k in range(n):
-            out[k] += t0 * a[k]
-        j += 1
+def _filtered(signal, offset, rest, taps, offsets, factor, phases, out):  # type: ignore[no-untyped-def]
+    """``out`` [k] = sum of taps[j] (signal[k factor + j] - offset - rest), strip by strip.
 
-
-@nb.njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
-def _split_four(signal, offset, rest, phases, row, whole, stride):  # type: ignore[no-untyped-def]
-    """The first four phases of a known ``stride`` in one sweep."""
-    a, b = phases[:whole], phases[row : row + whole]
-    c, d = phases[2 * row : 2 * row + whole], phases[3 * row : 3 * row + whole]
-    for k in range(whole):
-        a[k] = signal[stride * k] - offset - rest
-        b[k] = signal[stride * k + 1] - offset - rest
-        c[k] = signal[stride * k + 2] - offset - rest
-        d[k] = signal[stride * k + 3] - offset - rest
-
-
-@nb.njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
-def _split(signal, offset, rest, factor, phases, row, count):  # type: ignore[no-untyped-def]
-    """``phases`` [p row + k] = signal[k factor + p] - offset - rest for all samples there are of ``count`` groups."""
-    whole = min(count, signal.shape[0] // factor)
-    if factor == 4:  # a stride that the compiler knows is read three times faster
-        _split_four(signal, offset, rest, phases, row, whole, 4)
-    elif factor == 5:
-        _split_four(signal, offset, rest, phases, row, whole, 5)
-        a = phases[4 * row : 4 * row + whole]
-        for k in range(whole):
-            a[k] = signal[5 * k + 4] - offset - rest
-    else:
+    ``phases`` [p row + k] takes signal[k factor + p] - offset - rest, so that tap j finds its samples from
+    ``offsets`` [j] on: eight taps a sweep, vectorised along the outputs.
+    """
+    n_taps, row = taps.size, phases.size // factor
+    for first in range(0, out.size, STRIP):
+        into, read = out[first : first + STRIP], signal[first * factor :]
+        n = into.size
         for p in range(factor):
-            a = phases[p * row : p * row + whole]
-            for k in range(whole):
-                a[k] = signal[factor * k + p] - offset - rest
-    for i in range(whole * factor, min(signal.shape[0], count * factor)):
-        phases[(i % factor) * row + i // factor] = signal[i] - offset - rest
-
-
-@nb.njit(cache=True, nogil=True)
-def _filtered(signal, offset, rest, taps, factor, phases, out):  # type: ignore[no-untyped-def]
-    """``out`` [k] = sum of taps[j] (signal[k factor + j] - offset - rest), strip by strip."""
-    n_taps = len(taps)
-    reach = (n_taps - 1) // factor + 1
-    row = phases.shape[0] // factor
-    offsets = np.empty(n_taps, dtype=np.int64)
-    for j in range(n_taps):
-        offsets[j] = (j % factor) * row + j // factor
-    for first in range(0, out.shape[0], STRIP):
-        n = min(STRIP, out.shape[0] - first)
-        _split(signal[first * factor :], offset, rest, factor, phases, row, n + reach)
-        _weighted_sum(phases, offsets, taps, out[first : first + n])
+            a, there = phases[p * row : (p + 1) * row], (read.size - p + factor - 1) // factor
+            for k in range(there if there < n + n_taps // factor + 1 else n + n_taps // factor + 1):
+                a[k] = read[factor * k + p] - offset - rest
+        for k in range(n):
+            into[k] = 0.0
+        for j in range(0, n_taps - 7, 8):
+            o = offsets[j : j + 8]
+            t0, t1, t2, t3, t4, t5, t6, t7 = (
+                taps[j], taps[j + 1], taps[j + 2], taps[j + 3], taps[j + 4], taps[j + 5], taps[j + 6], taps[j + 7],
+            )  # fmt: skip
+            a, b, c, d = (
+                phases[o[0] : o[0] + n],
+                phases[o[1] : o[1] + n],
+                phases[o[2] : o[2] + n],
+                phases[o[3] : o[3] + n],
+            )
+            e, f, g, h = (
+                phases[o[4] : o[4] + n],
+                phases[o[5] : o[5] + n],
+                phases[o[6] : o[6] + n],
+                phases[o[7] : o[7] + n],
+            )
+            for k in range(n):
+                four = (t0 * a[k] + t1 * b[k]) + (t2 * c[k] + t3 * d[k])
+                into[k] += four + ((t4 * e[k] + t5 * f[k]) + (t6 * g[k] + t7 * h[k]))
+        for j in range(n_taps // 8 * 8, n_taps):
+            t0, a = taps[j], phases[offsets[j] : offsets[j] + n]
+            for k in range(n):
+                into[k] += t0 * a[k]
 
 
 @nb.njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
@@ -305,13 +276,13 @@ def decimation_reach(stages: tuple[DecimationStage, ...]) -> int:
 
 
 def _passed(
-    signal: NDArray[np.floating], offset: float, filters: Sequence[tuple[int, NDArray[Any], NDArray[Any]]], gaps: bool
+    signal: NDArray[np.floating], offset: float, filters: Sequence[tuple[int, Any, Ints, Any]], gaps: bool
 ) -> NDArray[np.floating]:
     """All stages over a piece of one channel that holds what its outputs need and no more.
 
     ``offset`` is taken away, the channel's mean as a rule, so that a constant of a million times the signal costs no
-    digits. ``filters``: factor, taps and room for the phases of each stage. With ``gaps`` samples that are not finite
-    count as ``offset``; without, nobody looks for them.
+    digits. ``filters``: factor, taps, where the samples of each begin among the phases, and room for these, of each
+    stage. With ``gaps`` samples that are not finite count as ``offset``; without, nobody looks for them.
     """
     signal = np.ascontiguousarray(signal)
     if gaps and not np.isfinite(_mean(signal)):
@@ -320,9 +291,9 @@ def _passed(
     # two terms, so that in float32 nothing of a large constant is left over
     high = kind(offset)
     low = kind(offset - float(high))
-    for factor, taps, phases in filters:
+    for factor, taps, offsets, phases in filters:
         out = np.empty((len(signal) - len(taps)) // factor + 1, dtype=taps.dtype)
-        _filtered(signal, high, low, taps, factor, phases, out)
+        _filtered(signal, high, low, taps, offsets, factor, phases, out)
         signal, high, low = out, kind(0.0), kind(0.0)
     return signal
 
@@ -357,11 +328,12 @@ def decimate(
         return rested, rate_hz, 0.0
     stages = decimation_stages(rate_hz, band_hz, factor, tolerance)
     sums = np.dtype(np.float32 if signals.dtype == np.float32 and tolerance >= SINGLE_SUMS else np.float64)
-    rooms = [(STRIP + len(stage.taps) // stage.factor + 9) * stage.factor for stage in stages]
-    filters = [
-        (stage.factor, stage.taps.astype(sums), np.zeros(room, dtype=sums))
-        for stage, room in zip(stages, rooms, strict=True)
-    ]
+    filters = []
+    for stage in stages:
+        row = STRIP + len(stage.taps) // stage.factor + 9
+        group, phase = np.divmod(np.arange(len(stage.taps)), stage.factor)
+        room = np.zeros(row * stage.factor, dtype=sums)
+        filters.append((stage.factor, stage.taps.astype(sums), phase * row + group, room))
     # output k lies on sample k * factor and needs the samples within reach of it
     reach = decimation_reach(stages)
     first = -(-reach // factor)

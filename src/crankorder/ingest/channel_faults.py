@@ -148,7 +148,7 @@ def grouped(values: Floats, group: int) -> Floats:
     return made
 
 
-@nb.njit(cache=True, nogil=True, fastmath={"nsz", "reassoc", "contract"})
+@nb.njit(inline="always")
 def _sums(piece):  # type: ignore[no-untyped-def]
     """Sums of what the samples lie above the first, and of its square."""
     first, total, square = piece[0], piece[0] * 0, piece[0] * 0
@@ -159,7 +159,7 @@ def _sums(piece):  # type: ignore[no-untyped-def]
     return total, square
 
 
-@nb.njit(cache=True, nogil=True, fastmath={"nsz", "reassoc", "contract"})
+@nb.njit(inline="always")
 def _bends(piece, half, least):  # type: ignore[no-untyped-def]
     """Sums of the second and the fourth power of the bend, in units of ``least`` so that no fourth power overflows."""
     square = fourth = piece[0] * 0
@@ -171,9 +171,9 @@ def _bends(piece, half, least):  # type: ignore[no-untyped-def]
     return square, fourth
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, fastmath={"nsz", "reassoc", "contract"})
 def _look(signal, size, told):  # type: ignore[no-untyped-def]
-    half, n = signal.dtype.type(0.5), signal.shape[0]
+    half = signal.dtype.type(0.5)
     for number in range(told.shape[1]):
         start = number * size
         total, square = _sums(signal[start : start + size])
@@ -182,7 +182,7 @@ def _look(signal, size, told):  # type: ignore[no-untyped-def]
         variance = np.float64(square) / size - mean * mean
         told[1, number] = variance if not variance < 0.0 else 0.0
         scale = 1.0 / np.sqrt(variance) if variance > 0.0 else 1.0
-        square, fourth = _bends(signal[max(start - 1, 0) : min(start + size + 1, n)], half, signal.dtype.type(scale))
+        square, fourth = _bends(signal[start - (start > 0) : start + size + 1], half, signal.dtype.type(scale))
         told[2, number] = np.float64(square) / size / scale**2
         told[3, number] = np.float64(fourth) / size / scale**4
 

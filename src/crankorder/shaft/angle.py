@@ -336,7 +336,7 @@ def _cubics(wanted, knots, value, rate, inverse, out):  # type: ignore[no-untype
     return end
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(inline="always")
 def _newton_is_sure(c1, c2, c3):  # type: ignore[no-untyped-def]
     """Whether two steps of Newton's method, the second with the slope of the first, end at round-off from the guess.
 
@@ -349,7 +349,7 @@ def _newton_is_sure(c1, c2, c3):  # type: ignore[no-untyped-def]
     return swing < 0.3 and bend * bend * guess * guess * guess < 1e-17
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(inline="always")
 def _share_of_step(y, c1, c2, c3):  # type: ignore[no-untyped-def]
     """Where the cubic reaches ``y``: Newton's method from a fixed-point step, kept in the interval by bisection."""
     bend = abs(c2) + 3.0 * abs(c3)

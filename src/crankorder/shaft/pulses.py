@@ -256,7 +256,7 @@ def _fire(trace, sign, arm, fire, carry, at):  # type: ignore[no-untyped-def]
     return n, missing, carry
 
 
-@njit(cache=True, nogil=True)
+@njit(inline="always")
 def _bits(word):  # type: ignore[no-untyped-def]
     """How many bits of ``word`` are set (Warren 2013, figure 5-2)."""
     word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)

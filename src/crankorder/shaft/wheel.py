@@ -355,7 +355,9 @@ def _count(time_s, recent, double_ratio, lost_ratio, whole_ratio, slack_s, kept,
     The time of one tooth is followed as the mean over ``recent``, the last few intervals, the oldest first.
     """
     n, window, m, slot, count, last = time_s.size, recent.size, 1, 0, 0, time_s[0]
-    share, total = 1.0 / window, recent.sum()
+    share, total = 1.0 / window, 0.0
+    for interval in recent:
+        total += interval
     for i in range(1, n):
         tooth_s, interval = total * share, time_s[i] - last
         teeth = 1
@@ -388,7 +390,7 @@ def _count(time_s, recent, double_ratio, lost_ratio, whole_ratio, slack_s, kept,
     return m
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(inline="always")
 def _coasts(recent, slot, interval):  # type: ignore[no-untyped-def]
     """Whether a shaft that goes on slowing down as in the ``recent`` intervals turns but one tooth in ``interval``.
 
