@@ -132,31 +132,31 @@ class NoiseSpectrum:
     @classmethod
     def of(cls, band: xr.Dataset, course: SpeedCourse, orders: Floats) -> NoiseSpectrum:
         """That of ``band``: the median of those pieces in which none of the ``orders`` along ``course`` was near."""
-        from scipy.signal import ShortTimeFFT
-        from scipy.signal.windows import hann
+        from scipy.fft import rfft, rfftfreq
 
         top = BAND_OVER * float(orders.max(initial=1.0) * course.speed_rpm.max()) / 60.0
         if top < float(band.attrs.get("band_hz", np.inf)):
             band = band_limited(band, band_hz=top, grid_hz=1.0)
         rate, signals = float(band.attrs["rate_hz"]), np.nan_to_num(band["signal"].values)
         length = min(LONGEST_PIECE_S, signals.shape[1] / rate / PIECES)
+        size, apart = int(length * rate), int(0.5 * length * rate) or 1
         if length * rate < FEWEST_OF_PIECE:
             return cls(np.zeros(1), np.full((len(signals), 1), np.nan))
-        pieces = ShortTimeFFT(hann(int(length * rate), sym=False), int(0.5 * length * rate) or 1, rate)
-        first, last = pieces.lower_border_end[1], pieces.upper_border_begin(signals.shape[1])[1]
-        power = np.square(np.abs(pieces.stft(signals, first, last)))
-        middle = float(band.attrs.get("start_s", 0.0)) + pieces.t(signals.shape[1], first, last)
-        speed = np.array(
-            [np.interp(middle + way * length, course.time_s, course.speed_rpm) for way in (-0.5, 0.0, 0.5)]
-        )
-        near = np.zeros(power.shape[1:], dtype=bool)
+        first = range(0, signals.shape[1] - size + 1, apart)
+        window = np.sin(np.pi / size * np.arange(size)) ** 2  # Hann
+        power = [np.square(np.abs(rfft(signals[:, at : at + size] * window))).astype(np.float32) for at in first]
+        hertz, middle = rfftfreq(size, 1.0 / rate), np.array(first) / rate + 0.5 * size / rate
+        middle += float(band.attrs.get("start_s", 0.0))
+        speed = [np.interp(middle + way * length, course.time_s, course.speed_rpm) for way in (-0.5, 0.0, 0.5)]
+        slowest, fastest = np.min(speed, axis=0) / 60.0, np.max(speed, axis=0) / 60.0
+        near = np.zeros((len(hertz), len(first)), dtype=bool)
         for order in orders.tolist():
-            ends = order * speed.min(axis=0) / 60.0, order * speed.max(axis=0) / 60.0
-            near |= np.abs(pieces.f[:, None] - np.clip(pieces.f[:, None], *ends)) < NEAR_BINS / length
+            off = hertz[:, None] - np.clip(hertz[:, None], order * slowest, order * fastest)
+            near |= np.abs(off) < NEAR_BINS / length
         free = np.count_nonzero(~near, axis=1) >= FEWEST_PIECES
-        typical = np.full(power.shape[:2], np.nan)
-        typical[:, free] = median_of_known(np.where(near, np.nan, power)[:, free], axis=2)
-        return cls(pieces.f, typical)
+        typical = np.full((len(signals), len(hertz)), np.nan)
+        typical[:, free] = median_of_known(np.where(near, np.nan, np.stack(power, axis=2))[:, free], axis=2)
+        return cls(hertz, typical)
 
     def under_over_beside(self, hertz: Floats, width_hz: Floats) -> Floats:
         """Root of the noise that passes the filters over that beside them (channels, orders, rows), 1 if not known.

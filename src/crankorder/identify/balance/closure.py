@@ -19,8 +19,8 @@ from crankorder.identify.balance.order_shaker import (
     engine_shaker,
     force_per_kg,
     modes_with_room,
+    quiet_fit,
     rows_needed,
-    shaker_fit,
 )
 from crankorder.identify.balance.record import Split, added_words, rotor_record, split_record
 from crankorder.identify.balance.transfer_path import MeasuredOrders, accelerance_of, measured_orders
@@ -181,29 +181,26 @@ def _fitted(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit) -> 
             f"too few speeds: the orders of known force were measured {rows} times, which is not enough for a path of "
             f"{sum(mode.frequency_hz < top_hz for mode in modal.modes)} modes; {TRIAL_MASS}"
         )
-    fit = shaker_fit(measured, plain, modal, n_modes=n_modes)
+    fit = quiet_fit(measured, plain, modal, n_modes=n_modes)
     fewer = modes_with_room(modal, axes=len(plain.axes) + 1, top_hz=top_hz, rows=rows)
-    if "RY" not in shaker.forces.axes or fewer is None or (fewer < n_modes and not fit.misfit):
-        return fit
+    if "RY" not in shaker.forces.axes or fewer is None or (fewer < n_modes and fit.is_sound):
+        return fit.widened()
     others = measured.without(measured.order_of_row == 1)
     if _rolls(others, shaker, modal, n_modes=fewer):
-        return shaker_fit(measured, shaker.forces, modal, n_modes=fewer)
+        return quiet_fit(measured, shaker.forces, modal, n_modes=fewer).widened()
     if _rolls(measured, shaker, modal, n_modes=fewer):
         raise _Refused(
             "order 1 does not go through the path of the other orders: something acts across the cylinder or along the "
             f"shaft too, such as a rotating unbalance, and that path is not known; {TRIAL_MASS}"
         )
-    return fit
+    return fit.widened()
 
 
 def _rolls(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit, *, n_modes: int) -> bool:
     """Whether the rolling moment's path explains more of ``measured`` than chance would."""
     plain = shaker.forces.on(tuple(axis for axis in shaker.forces.axes if axis != "RY"))
-    without = shaker_fit(measured, plain, modal, n_modes=n_modes)
-    rolling = shaker_fit(measured, shaker.forces, modal, n_modes=n_modes)
-    more = 2 * len(measured.channels) * (rolling.n_terms - without.n_terms)
-    fall = without.quiet_left_over - rolling.quiet_left_over
-    gain = fall / more / (max(1.0, rolling.chi_square) * without.allowed)
+    without = quiet_fit(measured, plain, modal, n_modes=n_modes)
+    gain, more = without.gain_by(quiet_fit(measured, shaker.forces, modal, n_modes=n_modes))
     return bool(gain > 1 + NUMBERS.rolls_sigmas * np.sqrt(2 * len(measured.channels) / more))
 
 
@@ -237,7 +234,7 @@ def _check_orders_agree(measured: MeasuredOrders, shaker: EngineShaker, modal: M
         n_modes = len(fit.natural_hz)
         if _of_known_force(rest, shaker).sum() < rows_needed(n_modes, axes=len(fit.axes)):
             continue
-        alone = shaker_fit(rest, shaker.forces.on(fit.axes), modal, n_modes=n_modes)
+        alone = quiet_fit(rest, shaker.forces.on(fit.axes), modal, n_modes=n_modes).widened()
         for number, sought in enumerate(shaker.sought_orders):
             part = slice(2 * number, 2 * number + 2)
             apart = abs(alone.mass_kg[number] - fit.mass_kg[number])

@@ -15,6 +15,7 @@ from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, X, Y, Z, crankcase_forces, crankcase_moments
 from crankorder.identify.balance.transfer_path import MeasuredOrders, whitening
 from crankorder.identify.found import ModalFit
+from crankorder.identify.modal.order_terms import resonance_slopes
 from crankorder.identify.resonance import resonance
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
@@ -77,9 +78,6 @@ class ShakerFit:
     natural_hz: Floats
     damping_ratio: Floats
     top_hz: float
-    quiet_left_over: float
-    allowed: float
-    n_terms: int
 
     def path(self, frequency_hz: Floats) -> Complexes:
         """Accelerance (channel, axis, frequency) at ``frequency_hz`` (frequency,)."""
@@ -118,12 +116,12 @@ def rows_needed(n_modes: int, *, axes: int) -> int:
     return axes * (2 + n_modes) + 2
 
 
-def shaker_fit(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, *, n_modes: int) -> ShakerFit:
+def quiet_fit(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, *, n_modes: int) -> QuietFit:
     """Masses and path that fit ``measured`` under ``forces`` best, with the lowest ``n_modes`` of ``modal``.
 
     Poles float within their covariance; residues and rigid part are complex and free, per channel and axis. Errors
     count channels as going together as the noise beside the orders does. Speeds that do not belong are left out (one
-    in ten at most); what misfit is left widens the errors.
+    in ten at most).
     Source: separable least squares (Golub and Pereyra 1973, in Kaufman's form 1975); covariance of an estimator whose
     weights are not those of its errors (White 1980).
     """
@@ -138,25 +136,68 @@ def shaker_fit(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, *
             break
         odd.append(worst)
         problem = _problem(problem.measured.without(problem.measured.rpm_of_row == worst), forces, modal, n_modes)
-        theta, fit = _solved(problem, theta)
-    misfit = 0.0
-    quiet, left_over = _chi_square(problem, fit), float((np.abs(fit.error) ** 2).sum())
-    # against the standard deviation of the mean square error, channels counted as telling the same
-    free = np.count_nonzero(np.isfinite(problem.measured.error).any(axis=0)) * _n_free(problem)
-    if quiet > 1 + 2 * float(1.5 / np.sqrt(max(1.0, free))):  # not sound
-        misfit, problem, theta, fit = _with_misfit(problem, theta, fit)
-    return _result(problem, theta, fit, misfit=misfit, quiet=(quiet, left_over), odd=odd)
+        theta, fit = _solved(problem, theta, fit)
+    return QuietFit(problem, theta, fit, tuple(sorted(odd)))
 
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """Left-over errors (channel, row) and their slopes (channel, row, parameter) over the errors; model; residues."""
+    """Left-over errors (channel, row) and their slopes (channel, row, parameter) over the errors; model; residues.
+
+    ``path``: what :func:`_terms` made.
+    """
 
     error: Complexes
     slope: Complexes
     model: Complexes
     residue: Complexes
     prior: Floats
+    path: tuple[Complexes, Complexes]
+
+
+@dataclass(frozen=True, eq=False)
+class QuietFit:
+    """Masses and path as the orders' own errors have them, without ``odd_speeds_rpm``, before a misfit widens them."""
+
+    problem: _Problem
+    theta: Floats
+    fit: _Fit
+    odd_speeds_rpm: tuple[float, ...]
+
+    @property
+    def chi_square(self) -> float:
+        """Mean square of the errors over what the orders' own errors allow."""
+        return _chi_square(self.problem, self.fit)
+
+    @property
+    def left_over(self) -> float:
+        """Sum of the squares that are left."""
+        return float((np.abs(self.fit.error) ** 2).sum())
+
+    @property
+    def n_terms(self) -> int:
+        """Terms of the path of a channel."""
+        return int(self.fit.residue[0].size)
+
+    def gain_by(self, more: QuietFit) -> tuple[float, int]:
+        """Squares that each number saves which ``more`` has, over what noise would; and how many these are."""
+        measured = self.problem.measured
+        numbers = 2 * len(measured.channels) * (more.n_terms - self.n_terms)
+        allowed = _allowed(self.problem, power=1).sum() / max(1, np.count_nonzero(np.isfinite(measured.error)))
+        return (self.left_over - more.left_over) / numbers / (max(1.0, more.chi_square) * allowed), numbers
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether errors explain all that is left."""
+        # against the standard deviation of the mean square error, channels counted as telling the same
+        return not self.chi_square > 1 + 2 * float(1.5 / np.sqrt(max(1.0, _free_rows(self.problem))))
+
+    def widened(self) -> ShakerFit:
+        """With the errors that the misfit of the path asks for."""
+        if self.is_sound:
+            return _result(self, self.problem, self.theta, self.fit, misfit=0.0)
+        misfit, problem, theta, fit = _with_misfit(self.problem, self.theta, self.fit)
+        return _result(self, problem, theta, fit, misfit=misfit)
 
 
 def _problem(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, n_modes: int) -> _Problem:
@@ -181,16 +222,15 @@ def _terms(problem: _Problem, natural: Floats, damping: Floats) -> tuple[Complex
     measured, top_hz = problem.measured, problem.top_hz
     grown = (measured.rpm_of_row * np.pi / 30)[:, None] ** 2
     terms = grown * _steady_terms(measured.frequency_hz, natural, damping, top_hz)
-    slopes = grown[:, :, None] * _pole_slopes(measured.frequency_hz, natural, damping)
+    slopes = grown[:, :, None] * np.stack(resonance_slopes(measured.frequency_hz, natural, damping), axis=2)
     for first, passage in measured.passages:
         rows = range(first, first + len(passage.place))
         pushed: Complexes = ((passage.speed_rpm * np.pi / 30) ** 2).astype(np.complex128)
         bent = pushed * (passage.frequency_hz / top_hz) ** 2
         terms[np.ix_(rows, [0, -1])] = passage.smoothed(np.stack([pushed, bent], axis=1))
         for mode, (f, zeta) in enumerate(zip(natural.tolist(), damping.tolist(), strict=True)):
-            terms[rows, 1 + mode], by_f, by_zeta = passage.response(pushed, f, zeta)
-            slopes[rows, mode] = np.stack([by_f / f, by_zeta / zeta], axis=1)
-    return terms, slopes
+            terms[rows, 1 + mode], slopes[rows, mode, 0], slopes[rows, mode, 1] = passage.response(pushed, f, zeta)
+    return terms, slopes / np.stack([natural, damping], axis=1)
 
 
 def _steady_terms(frequency_hz: Floats, natural: Floats, damping: Floats, top_hz: float) -> Complexes:
@@ -206,11 +246,11 @@ def _poles(problem: _Problem, theta: Floats) -> tuple[Floats, Floats]:
     return natural, np.clip(problem.damping + shift[1::2], 0.1 * problem.damping, 0.99)
 
 
-def _evaluated(problem: _Problem, theta: Floats) -> _Fit:
+def _evaluated(problem: _Problem, theta: Floats, like: _Fit | None = None) -> _Fit:
+    """Fit of ``problem`` where masses and poles are ``theta``; ``like``: one with these poles, whose path it has."""
     n_masses, n_rows = len(problem.forces.unit), problem.measured.rpm_of_row.size
     mass = theta[0 : 2 * n_masses : 2] + 1j * theta[1 : 2 * n_masses : 2]
-    natural, damping = _poles(problem, theta)
-    terms, bends = _terms(problem, natural, damping)
+    terms, bends = _terms(problem, *_poles(problem, theta)) if like is None else like.path
     acting = problem.forces.known + np.einsum("m,mar->ar", mass, problem.forces.unit)
     design = np.einsum("ar,rb->rab", acting, terms)
     n_channels = len(problem.measured.channels)
@@ -232,6 +272,7 @@ def _evaluated(problem: _Problem, theta: Floats) -> _Fit:
         model=residue.reshape(n_channels, -1) @ columns.T,
         residue=residue,
         prior=theta[2 * n_masses :],
+        path=(terms, bends),
     )
 
 
@@ -249,15 +290,6 @@ def _factored(columns: Complexes) -> tuple[Complexes, Complexes]:
     return left[:, kept], (right[kept].conj().T / values[kept]) / size[:, None]
 
 
-def _pole_slopes(frequency_hz: Floats, natural: Floats, damping: Floats) -> Complexes:
-    """Slopes of the resonances by natural frequency and by damping ratio (frequency, mode, 2)."""
-    f = frequency_hz[:, None]
-    below = natural**2 - f**2 + 2j * damping * f * natural
-    by_frequency = f**2 * (2 * natural + 2j * damping * f) / below**2
-    by_damping = f**2 * 2j * f * natural / below**2
-    return np.stack([by_frequency, by_damping], axis=2)
-
-
 def _cost(fit: _Fit) -> float:
     return float((np.abs(fit.error) ** 2).sum() + (fit.prior**2).sum())
 
@@ -270,9 +302,9 @@ def _bread(problem: _Problem, slope: Complexes) -> Floats:
     return matrix
 
 
-def _solved(problem: _Problem, theta: Floats) -> tuple[Floats, _Fit]:
-    """Levenberg–Marquardt from ``theta``."""
-    fit, damped = _evaluated(problem, theta), 1e-3
+def _solved(problem: _Problem, theta: Floats, like: _Fit | None = None) -> tuple[Floats, _Fit]:
+    """Levenberg–Marquardt from ``theta``, where ``like`` is the fit to the same rows otherwise weighted."""
+    fit, damped = _evaluated(problem, theta, like), 1e-3
     for _ in range(STEPS):
         matrix = _bread(problem, fit.slope)
         pull = np.einsum("crp,cr->p", fit.slope.conj(), fit.error).real
@@ -319,6 +351,11 @@ def _n_free(problem: _Problem) -> float:
     return max(1e-3, 1.0 - float(fitted) / max(1.0, float(measured)))
 
 
+def _free_rows(problem: _Problem) -> float:
+    """Rows that are measured, less what the fit takes of them."""
+    return np.count_nonzero(np.isfinite(problem.measured.error).any(axis=0)) * _n_free(problem)
+
+
 def _chi_square(problem: _Problem, fit: _Fit) -> float:
     allowed = 2 * _allowed(problem, power=1).sum() * _n_free(problem)
     return float((np.abs(fit.error) ** 2).sum() / max(allowed, 1e-30))
@@ -326,10 +363,9 @@ def _chi_square(problem: _Problem, fit: _Fit) -> float:
 
 def _odd_speed(problem: _Problem, fit: _Fit) -> float | None:
     """The speed whose rows fit worst, where they fit worse than chance and than the others allow."""
-    allowed, speeds = _allowed(problem, power=1), np.unique(problem.measured.rpm_of_row)
-    squares = np.abs(fit.error) ** 2
-    rows = problem.measured.rpm_of_row[None, :] == speeds[:, None]
-    each = np.array([squares[:, at].sum() / max(2 * allowed[:, at].sum(), 1e-30) for at in rows])
+    speeds, of = np.unique(problem.measured.rpm_of_row, return_inverse=True)
+    allowed, squares = _allowed(problem, power=1).sum(axis=0), np.square(np.abs(fit.error)).sum(axis=0)
+    each = np.bincount(of, squares) / np.maximum(2.0 * np.bincount(of, allowed), 1e-30)
     worst = int(np.argmax(each))
     typical = max(1.0, float(np.median(each)))
     return float(speeds[worst]) if each[worst] > NUMBERS.odd_speed_ratio * typical else None
@@ -344,7 +380,7 @@ def _with_misfit(problem: _Problem, theta: Floats, fit: _Fit) -> tuple[float, _P
         widened = replace(
             problem, white=whitening(measured.noise, error=measured.error, missed=share * np.abs(fit.model))
         )
-        found = _solved(widened, theta)
+        found = _solved(widened, theta, fit)
         too_little = _chi_square(widened, found[1]) > 1
         if step == 0 and too_little:
             break
@@ -361,9 +397,7 @@ def _freedom(problem: _Problem, swayed: Complexes, inverse: NDArray[np.floating]
     return float(shares.sum() ** 2 / max((shares**2 / np.maximum(freedom, 1.0)).sum(), 1e-300))
 
 
-def _result(
-    problem: _Problem, theta: Floats, fit: _Fit, *, misfit: float, quiet: tuple[float, float], odd: list[float]
-) -> ShakerFit:
+def _result(quiet: QuietFit, problem: _Problem, theta: Floats, fit: _Fit, *, misfit: float) -> ShakerFit:
     measured, n_masses = problem.measured, 2 * len(problem.forces.unit)
     inverse = np.linalg.pinv(_bread(problem, fit.slope))
     swayed = fit.slope * np.sqrt(_allowed(problem, power=2))[:, :, None]
@@ -376,23 +410,19 @@ def _result(
     allowed = 2 * _allowed(problem, power=1)
     of = measured.order_of_row
     natural, damping = _poles(problem, theta)
-    free = np.count_nonzero(np.isfinite(problem.measured.error).any(axis=0)) * _n_free(problem)
     return ShakerFit(
         axes=problem.forces.axes,
         mass_kg=mass,
         covariance=covariance[:n_masses, :n_masses] + np.diag(misfit**2 * pairs),
-        freedom=max(1.0, min(2.0 * free, _freedom(problem, swayed, inverse))),
-        chi_square=quiet[0],
+        freedom=max(1.0, min(2.0 * _free_rows(problem), _freedom(problem, swayed, inverse))),
+        chi_square=quiet.chi_square,
         by_order={k: float(squares[:, of == k].sum() / max(allowed[:, of == k].sum(), 1e-30)) for k in measured.orders},
         misfit=misfit,
-        odd_speeds_rpm=tuple(sorted(odd)),
+        odd_speeds_rpm=quiet.odd_speeds_rpm,
         residue=fit.residue,
         natural_hz=natural,
         damping_ratio=damping,
         top_hz=problem.top_hz,
-        quiet_left_over=quiet[1],
-        allowed=float(allowed.sum() / 2 / max(1, np.count_nonzero(np.isfinite(measured.error)))),
-        n_terms=len(problem.forces.axes) * (natural.size + 2),
     )
 
 

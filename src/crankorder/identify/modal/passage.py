@@ -85,13 +85,12 @@ class Passage:
         for a steady rate); so does its slope by λ, with a in place of the force. The counter-rotating part is that of
         steady running. All is then smoothed as the tracking filter smooths it.
         """
-        omega = 2.0 * np.pi * self.frequency_hz
         natural, turned = 2.0 * np.pi * natural_hz, np.sqrt(max(1.0 - damping**2, 1e-12))
         pole = natural * complex(-damping, turned)
         # of ln ζ, natural held: the real part grows with ζ, the imaginary one falls
         by_damping = natural * complex(-damping, -(damping**2) / turned)
         weight = -(pole**2) / (2j * pole.imag)
-        back = 1.0 / (1j * omega - np.conj(pole))
+        back = 1.0 / (2j * np.pi * self.frequency_hz - np.conj(pole))
         own, slope = self._envelopes(growth, pole, slopes=slopes)
         made = growth - weight * own - np.conj(weight) * growth * back
         parts = [made]
@@ -138,36 +137,37 @@ class Passage:
         return _factor(self.bandwidth_hz, self.step_s, self.poles)
 
     @cached_property
-    def _turn(self) -> tuple[Array, Complex]:
-        """Angular frequency (T - 1,) in the middle of the steps, and by how much the order has turned (T,) since."""
+    def _turn(self) -> tuple[Array, Complex, Complex]:
+        """Angular frequency (T - 1,) in the middle of the steps, the order's turn (T,) since the first, and in each."""
         middle = np.pi * (self.frequency_hz[1:] + self.frequency_hz[:-1])
-        return middle, np.exp(-1j * self.step_s * np.append(0.0, np.cumsum(middle)))
+        turned = np.exp(-1j * self.step_s * np.append(0.0, np.cumsum(middle)))
+        return middle, turned, turned[1:] * turned[:-1].conj()
 
     def _envelopes(self, growth: Complex, pole: complex, *, slopes: bool) -> tuple[Complex, Complex]:
         """Solution (T,) of a' = (λ − iω) a + ``growth`` from a steady start, λ the ``pole``, and its slope by λ.
 
         Without ``slopes`` the latter is not reckoned. On axes that turn with the order each step decays alike.
         """
-        from scipy.signal import lfilter
+        from scipy.linalg.blas import ztbsv
 
-        (middle, turned), step = self._turn, self.step_s
-        z = (pole - 1j * middle) * step
-        decay = np.exp(pole * step)
-        grown = turned[1:] * turned[:-1].conj() * decay
-        over = (grown - 1.0) / z
-        slope = (over - 1.0) / z  # the force is linear within a step: exact for a steady frequency
+        (middle, turned, turn), step = self._turn, self.step_s
+        z = 1.0 / ((pole - 1j * middle) * step)
+        grown = turn * np.exp(pole * step)
+        over = (grown - 1.0) * z
+        slope = (over - 1.0) * z  # the force is linear within a step: exact for a steady frequency
         start = 1.0 / (2j * np.pi * self.frequency_hz[0] - pole)
+        steps = np.full((2, len(turned)), -np.exp(pole * step), order="F")  # each is the one before times that, pushed
 
         def along(first: complex, pushed: Complex) -> Complex:
-            return np.asarray(turned * lfilter([1.0], [1.0, -decay], np.append(first, pushed * turned[1:].conj())))
+            return np.asarray(turned * ztbsv(1, steps, np.append(first, pushed * turned[1:].conj()), lower=1, diag=1))
 
         force, rise = step * growth[:-1], step * np.diff(growth)
         own = along(growth[0] * start, force * over + rise * slope)
         if not slopes:
             return own, own
         # the slope of each step by λ, the step itself being exact
-        by_over = step * (grown - over) / z
-        by_slope = (by_over - step * slope) / z
+        by_over = step * (grown - over) * z
+        by_slope = (by_over - step * slope) * z
         pushed = step * grown * own[:-1] + force * by_over + rise * by_slope
         return own, along(growth[0] * start**2, pushed)
 
