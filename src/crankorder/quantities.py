@@ -150,10 +150,10 @@ def with_flags(dataset: xr.Dataset, flags: Iterable[QualityFlag]) -> xr.Dataset:
     return dataset
 
 
-def channel_coords(dataset: xr.Dataset) -> dict[str, xr.DataArray]:
+def channel_coords(dataset: xr.Dataset) -> dict[str, xr.Variable]:
     """Coordinates of ``dataset`` that say what each channel is: name, unit, quantity and, where known, direction."""
     names = ("channel", "unit", "quantity", "direction")
-    return {name: dataset[name] for name in names if name in dataset.variables}
+    return {name: dataset.variables[name] for name in names if name in dataset.variables}
 
 
 @cache
