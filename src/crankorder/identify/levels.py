@@ -81,10 +81,9 @@ def vibration_records(vibration: xr.Dataset) -> tuple[VibrationLevel, ...]:
     """Records of the broad-band levels of the VibrationLevels ``vibration``: one per channel, band and speed."""
     made, told = list[VibrationLevel](), _values(vibration)
     for row in _rows(told, "broad band"):
-        rms = told["rms"][row]
-        there = np.flatnonzero(np.isfinite(rms))
+        there = np.flatnonzero(np.isfinite(told["rms"][row]))
         if len(there):
-            loudest = int(there[np.argmax(rms[there])])
+            loudest = int(np.nanargmax(told["rms"][row]))
             shown = there.tolist() if len(there) <= MOST_SPEEDS else [loudest]
             made += [_vibration_record(told, row, column, largest=column == loudest) for column in shown]
     return tuple(made)
@@ -186,9 +185,8 @@ def _verdict(told: Told, row: int, limit: Limit) -> LimitVerdict:
     inner, whole = told["rms"][[least, most]][:, there]
     doubted = (whole > value) & (inner <= value)
     at_ends = bool(np.any(doubted & (rms[there] ** 2 - inner**2 > _AT_ENDS * (whole**2 - inner**2))))
-    rpm = told["speed"][there]
     verdict, evidence = _judged(
-        low, high, value, rpm, cut=reached_hz < limit.high_hz, reached_hz=reached_hz, at_ends=at_ends
+        low, high, value, told["speed"][there], cut=reached_hz < limit.high_hz, reached_hz=reached_hz, at_ends=at_ends
     )
     if verdict == "above":
         over = there[np.nan_to_num(low) > value]
