@@ -366,7 +366,7 @@ def _mean_squares(power: NDArray[Any], edges: Floats) -> Floats:
 LevelKey = tuple[str, str, str, str, float, float]
 """Channel, unit, quantity, kind and both ends of the band in Hz of a level."""
 
-_WORDS = {
+LEVEL_WORDS = {
     "channel": "name of the channel",
     "unit": "unit of the level",
     "quantity": "what the level is of",
@@ -384,7 +384,7 @@ def level_coords(keys: Sequence[LevelKey], reached_hz: Any, si: Any) -> dict[str
     columns = [[key[place] for key in keys] for place in range(6)]
     made: dict[str, Any] = {
         name: ("level", np.array(column, dtype=np.str_), {"units": "1", "long_name": text})
-        for column, (name, text) in zip(columns[:4], _WORDS.items(), strict=True)
+        for column, (name, text) in zip(columns[:4], LEVEL_WORDS.items(), strict=True)
     }
     for column, (name, text) in zip([*columns[4:], reached_hz], _HERTZ.items(), strict=True):
         words = {"units": "Hz", "long_name": text}

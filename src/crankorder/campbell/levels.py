@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -88,17 +88,15 @@ def recording_levels(
     if per_rev:
         limit = np.full(len(rpm), orders.max_order)
     above = bins >= limit[:, None]
-    usable = np.isfinite(power).all(axis=2)
-    total = np.where(usable, power.sum(axis=2), 0.0).sum(axis=0)
-    high = np.where(usable, np.einsum("pck,pk->pc", np.nan_to_num(power), above), 0.0).sum(axis=0)
+    usable = np.isfinite(power).all(axis=2, keepdims=True)
+    told = np.where(usable, power, 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        rms, share = np.sqrt(total / usable.sum(axis=0)), high / total
-    floor = np.array([_floor(power[:, channel]) for channel in range(len(share))])
-    floors = np.stack([_floors(power[:, channel]) for channel in range(len(share))])
-    peaks = [_strongest(power[:, channel], bins, limit, rpm, per_rev=per_rev) for channel in range(len(share))]
+        mean = told.sum(axis=0) / usable.sum(axis=0)
+        share = (told @ above[:, :, None].astype(np.float64)).sum(axis=(0, 2)) / told.sum(axis=(0, 2))
+    peaks = [_strongest(power[:, channel], bins, limit, rpm, per_rev=per_rev) for channel in range(len(mean))]
     ends = limit[np.isfinite(limit)]
     end = np.nan if per_rev or not ends.size else min(float(ends.max()), 0.5 * rate)
-    return _dataset(recording, rms, share, floor, floors, peaks, rate, end)
+    return _dataset(recording, mean, share, peaks, rate, end)
 
 
 def _rate_and_speeds(recording: xr.Dataset, shaft: xr.Dataset, starts: Ints, length: int) -> tuple[float, Floats]:
@@ -210,36 +208,28 @@ def _stays(power: Floats, piece: int, place: int, rpm: Floats) -> bool:
     return len(sizes) > 1 and min(sizes) >= STEADY * float(np.mean(sizes))
 
 
-def _floor(power: Floats) -> float:
-    """Root of the middling bin of the mean ``power`` (pieces, bins): what neither lines nor modes raise."""
-    whole = power[np.isfinite(power).all(axis=1)]
-    return float(np.sqrt(np.median(whole.mean(axis=0)))) if whole.size else math.nan
+def _floors(mean: Floats, blocks: int) -> Floats:
+    """Root (channel, block) of the middling bin of each of ``blocks`` of the ``mean`` power (channel, bin).
 
-
-def _floors(power: Floats) -> Floats:
-    """As the floor of all, of each of FLOOR_BLOCKS blocks of the mean ``power`` (pieces, bins); NaN where too short."""
-    whole = power[np.isfinite(power).all(axis=1)]
-    size = power.shape[1] // FLOOR_BLOCKS
-    if not whole.size or size < BLOCK // 4:
-        return np.full(FLOOR_BLOCKS, math.nan)
-    blocks = whole.mean(axis=0)[: FLOOR_BLOCKS * size].reshape(FLOOR_BLOCKS, size)
-    return np.asarray(np.sqrt(np.median(blocks, axis=1)))
+    Neither lines nor modes raise it. NaN where they are too short.
+    """
+    size = mean.shape[1] // blocks
+    if blocks > 1 and size < BLOCK // 4:
+        return np.full((len(mean), blocks), math.nan)
+    return np.sqrt(np.median(mean[:, : blocks * size].reshape(len(mean), blocks, size), axis=2))
 
 
 def _dataset(
-    recording: xr.Dataset,
-    rms: Floats,
-    share: Floats,
-    floor: Floats,
-    floors: Floats,
-    peaks: list[Peak],
-    rate: float,
-    band_hz: float,
+    recording: xr.Dataset, mean: Floats, share: Floats, peaks: list[Peak], rate: float, band_hz: float
 ) -> xr.Dataset:
-    lines = np.array(peaks, dtype=np.float64).reshape(len(rms), len(Peak._fields))
+    lines = np.array(peaks, dtype=np.float64).reshape(len(mean), len(Peak._fields))
     told = {
-        "rms": (rms, "see unit", "root mean square without the mean"),
-        "floor": (floor, "see unit", "root of the middling bin of the power spectrum, which lines do not raise"),
+        "rms": (np.sqrt(mean.sum(axis=1)), "see unit", "root mean square without the mean"),
+        "floor": (
+            _floors(mean, 1)[:, 0],
+            "see unit",
+            "root of the middling bin of the power spectrum, which lines do not raise",
+        ),
         "share_above": (share, "1", "share of the mean square above the band looked at"),
         "peak_above": (lines[:, 0], "see unit", "peak amplitude of the strongest line above the band; 0 for none"),
         "peak_frequency": (lines[:, 1], "Hz", "its frequency"),
@@ -247,13 +237,12 @@ def _dataset(
         "peak_order": (lines[:, 3], "1", "its order"),
         "peak_speed": (lines[:, 4], "min-1", "the speed there"),
     }
-    variables = {
+    made: dict[str, Any] = {
         name: ("channel", values, {"units": units, "long_name": text}) for name, (values, units, text) in told.items()
     }
-    made = xr.Dataset(variables, coords=channel_coords(recording))
-    words = {"units": "Hz", "long_name": "middle of a block of the spectrum; per revolution by crank angle"}
-    made.coords["block"] = ("block", 0.5 * rate * (np.arange(FLOOR_BLOCKS) + 0.5) / FLOOR_BLOCKS, words)
     words = {"units": "see unit", "long_name": "root of the middling bin of each block of the power spectrum"}
-    made["block_floor"] = (("channel", "block"), floors, words)
-    made.attrs = {"recording": str(recording.attrs["recording"]), "band_hz": band_hz}
-    return made
+    made["block_floor"] = (("channel", "block"), _floors(mean, FLOOR_BLOCKS), words)
+    words = {"units": "Hz", "long_name": "middle of a block of the spectrum; per revolution by crank angle"}
+    block = ("block", 0.5 * rate * (np.arange(FLOOR_BLOCKS) + 0.5) / FLOOR_BLOCKS, words)
+    attrs = {"recording": str(recording.attrs["recording"]), "band_hz": band_hz}
+    return xr.Dataset(made, coords={**channel_coords(recording), "block": block}, attrs=attrs)

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
-from crankorder.campbell.band_levels import WITH_ENDS, LevelKey, level_coords
+from crankorder.campbell.band_levels import LEVEL_WORDS, WITH_ENDS, LevelKey, level_coords
 from crankorder.quantities import Floats, Ints, QualityFlag, flags_of, with_flags
 from crankorder.settings import MethodNumbers
 from crankorder.shaft.speed_groups import held_speeds
@@ -35,10 +35,7 @@ class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="levels_of_test"
 NUMBERS = _Numbers.load()
 
 
-_COLUMNS = (
-    *("channel", "unit", "quantity", "kind", "low_frequency", "high_frequency"),
-    *("reached_frequency", "si_per_unit"),
-)
+_COLUMNS = (*LEVEL_WORDS, "low_frequency", "high_frequency", "reached_frequency", "si_per_unit")
 
 
 class _Group(NamedTuple):
@@ -72,7 +69,7 @@ def vibration_levels(items: Sequence[xr.Dataset], *, speed_bin_rpm: float) -> xr
             _tell(made, rows, column, joined.square[at], joined.peak[at], group.passage[pieces])
     _tell_sweeps(made, joined, groups)
     _allow_leaks(made, joined.keys)
-    mean_rpm = np.array([_mean(joined.rpm[group.pieces]) for group in groups])
+    mean_rpm = np.array([joined.rpm[group.pieces].mean() for group in groups])
     result = _levels_dataset(joined, made, mean_rpm)
     result.attrs = {"frame_s": min(joined.frame_s, default=math.nan), "speed_bin_rpm": speed_bin_rpm}
     return with_flags(result, joined.flags)
@@ -123,10 +120,6 @@ def _joined(items: Sequence[xr.Dataset]) -> _Joined:
     return _Joined(keys, told[:, 0], told[:, 1], square, peak, rpm, owner, frame_s, flags)
 
 
-def _mean(rpm: Floats) -> float:
-    return float(rpm.mean()) if np.isfinite(rpm).all() else math.nan
-
-
 def _groups(rpm: Floats, owner: Ints, speed_bin_rpm: float) -> list[_Group]:
     """Pieces of like speed: those held, each speed by itself; those swept, in windows; those of unknown speed."""
     held = held_speeds(rpm, owner, width_rpm=speed_bin_rpm)
@@ -138,7 +131,7 @@ def _groups(rpm: Floats, owner: Ints, speed_bin_rpm: float) -> list[_Group]:
     made = [_Group(group, owner[group], is_swept=False) for group in held]
     made += [_Group(np.sort(one), _passages(np.sort(one), owner), is_swept=True) for one in windows]
     made += [_Group(unknown, owner[unknown], is_swept=False)] if len(unknown) else []
-    return sorted(made, key=lambda group: float(np.nan_to_num(_mean(rpm[group.pieces]), nan=np.inf)))
+    return sorted(made, key=lambda group: float(np.nan_to_num(rpm[group.pieces].mean(), nan=np.inf)))
 
 
 def _passages(pieces: Ints, owner: Ints) -> Ints:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from crankorder.campbell.band_levels import UNITS, WITH_ENDS, WITHOUT_ENDS, nominal_hz
 from crankorder.campbell.vibration_levels import CONFIDENCE, rms_within
@@ -31,111 +32,118 @@ def level_records(levels: Sequence[xr.Dataset]) -> tuple[Level, ...]:
     ``rms_max`` is that of the loudest recording; ``share_above`` that of all energy of the recordings alike; of the
     lines above the band the strongest is told.
     """
-    if not levels:
-        return ()
-    names = levels[0]["channel"].values.tolist()
-    return tuple(
-        _record(name, [one.sel(channel=name) for one in levels if name in one["channel"].values]) for name in names
-    )
+    rows, units = dict[str, list[Floats]](), dict[str, str]()
+    for one in levels:
+        table = np.stack([one.variables[name].values for name in _LEVELS], axis=1)
+        table = np.column_stack([table, np.full(len(table), one.attrs["band_hz"])])
+        names, own = (one.variables[name].values.tolist() for name in ("channel", "unit"))
+        units = units or dict(zip(names, own, strict=True))
+        for name, row in zip(names, table, strict=True):
+            rows.setdefault(name, []).append(row)
+    return tuple(_record(name, unit, np.array(rows[name])) for name, unit in units.items())
 
 
-def _record(name: str, levels: list[xr.Dataset]) -> Level:
-    rms = np.array([float(one["rms"]) for one in levels])
-    share = np.array([float(one["share_above"]) for one in levels])
+_LEVELS = ("rms", "share_above", "peak_above", "peak_frequency", "peak_band", "peak_order", "peak_speed")
+
+
+def _record(name: str, unit: str, table: Floats) -> Level:
+    rms, share, above, *_, band_hz = table.T
     finite = np.isfinite(rms) & np.isfinite(share)
     energy = rms[finite] ** 2
-    ends = [one.attrs["band_hz"] for one in levels if math.isfinite(one.attrs["band_hz"])]
-    strongest = max(levels, key=lambda one: float(one["peak_above"]))
-    amplitude = float(strongest["peak_above"])
+    strongest = table[max(range(len(table)), key=lambda row: above[row])].tolist()
     return Level(
         channel=name,
-        unit=str(levels[0]["unit"].item()),
+        unit=unit,
         rms_max=float(rms[finite].max()) if finite.any() else None,
-        band_hz=max(ends) if ends else None,
+        band_hz=float(np.nanmax(band_hz)) if np.isfinite(band_hz).any() else None,
         share_above=float(energy @ share[finite] / energy.sum()) if energy.sum() > 0.0 else None,
-        amplitude_above=amplitude if amplitude > 0.0 else None,
-        frequency_hz_above=_told(strongest["peak_frequency"]),
-        band_hz_there=_told(strongest["peak_band"]),
-        order_above=_told(strongest["peak_order"]),
-        speed_rpm_above=_told(strongest["peak_speed"]),
+        amplitude_above=strongest[2] if strongest[2] > 0.0 else None,
+        frequency_hz_above=_told(strongest[3]),
+        band_hz_there=_told(strongest[4]),
+        order_above=_told(strongest[5]),
+        speed_rpm_above=_told(strongest[6]),
     )
 
 
-def _told(value: xr.DataArray) -> float | None:
-    number = float(value)
-    return number if math.isfinite(number) else None
+def _told(number: float) -> float | None:
+    return float(number) if math.isfinite(number) else None
+
+
+Told = Mapping[str, NDArray[Any]]
+"""Values of VibrationLevels by name: of the levels (level,), the speeds (speed,) or both (level, speed)."""
+
+
+def _values(vibration: xr.Dataset) -> Told:
+    return {str(name): variable.values for name, variable in vibration.variables.items()}
 
 
 def vibration_records(vibration: xr.Dataset) -> tuple[VibrationLevel, ...]:
     """Records of the broad-band levels of the VibrationLevels ``vibration``: one per channel, band and speed."""
-    made: list[VibrationLevel] = []
-    for row in _rows(vibration, "broad band"):
-        rms = vibration["rms"].values[row]
-        there = np.flatnonzero(np.isfinite(rms))
+    made, told = list[VibrationLevel](), _values(vibration)
+    for row in _rows(told, "broad band"):
+        there = np.flatnonzero(np.isfinite(told["rms"][row]))
         if len(there):
-            loudest = int(there[np.argmax(rms[there])])
+            loudest = int(np.nanargmax(told["rms"][row]))
             shown = there.tolist() if len(there) <= MOST_SPEEDS else [loudest]
-            made += [_vibration_record(vibration, row, column, largest=column == loudest) for column in shown]
+            made += [_vibration_record(told, row, column, largest=column == loudest) for column in shown]
     return tuple(made)
 
 
-def _vibration_record(vibration: xr.Dataset, row: int, column: int, *, largest: bool) -> VibrationLevel:
-    at = vibration.isel(level=row, speed=column)
+def _vibration_record(told: Told, row: int, column: int, *, largest: bool) -> VibrationLevel:
     return VibrationLevel(
-        channel=str(at["channel"].item()),
-        quantity=str(at["quantity"].item()),
-        unit=str(at["unit"].item()),
-        band_hz=(float(at["low_frequency"]), float(at["high_frequency"])),
-        reached_hz=float(at["reached_frequency"]),
-        speed_rpm=_told(at["speed"]),
-        rms=float(at["rms"]),
-        rms_ci95=_ends(at["rms_ci95"]),
-        peak=_told(at["peak"]),
-        peak_ci95=_ends(at["peak_ci95"]),
-        largest_peak=_told(at["largest_peak"]),
-        crest_factor=_told(at["crest_factor"]),
-        crest_factor_ci95=_ends(at["crest_factor_ci95"]),
+        channel=str(told["channel"][row]),
+        quantity=str(told["quantity"][row]),
+        unit=str(told["unit"][row]),
+        band_hz=(float(told["low_frequency"][row]), float(told["high_frequency"][row])),
+        reached_hz=float(told["reached_frequency"][row]),
+        speed_rpm=_told(told["speed"][column]),
+        rms=float(told["rms"][row, column]),
+        rms_ci95=_ends(told["rms_ci95"][row, column]),
+        peak=_told(told["peak"][row, column]),
+        peak_ci95=_ends(told["peak_ci95"][row, column]),
+        largest_peak=_told(told["largest_peak"][row, column]),
+        crest_factor=_told(told["crest_factor"][row, column]),
+        crest_factor_ci95=_ends(told["crest_factor_ci95"][row, column]),
         largest=largest,
     )
 
 
 def third_octave_records(vibration: xr.Dataset) -> tuple[ThirdOctave, ...]:
     """Records of the one-third octaves in the VibrationLevels ``vibration``, at each channel's loudest speed."""
-    made: list[ThirdOctave] = []
-    rms, names = vibration["rms"].values, vibration["channel"].values.astype(str)
+    made, told = list[ThirdOctave](), _values(vibration)
+    rms, names = told["rms"], told["channel"].astype(str)
     for name in dict.fromkeys(names.tolist()):
-        rows = [row for row in _rows(vibration, "one-third octave") if names[row] == name]
+        rows = [row for row in _rows(told, "one-third octave") if names[row] == name]
         if not rows or not np.isfinite(rms[rows]).any():
             continue
         column = int(np.argmax(np.nansum(rms[rows] ** 2, axis=0)))
-        for row in rows:
-            at = vibration.isel(level=row, speed=column)
-            if np.isfinite(rms[row, column]):
-                middle = math.sqrt(float(at["low_frequency"]) * float(at["high_frequency"]))
-                made.append(
-                    ThirdOctave(
-                        channel=name,
-                        unit=str(at["unit"].item()),
-                        speed_rpm=_told(at["speed"]),
-                        nominal_hz=nominal_hz(middle),
-                        rms=float(rms[row, column]),
-                        rms_ci95=_ends(at["rms_ci95"]),
-                    )
-                )
+        made += [
+            ThirdOctave(
+                channel=name,
+                unit=str(told["unit"][row]),
+                speed_rpm=_told(told["speed"][column]),
+                nominal_hz=nominal_hz(math.sqrt(told["low_frequency"][row] * told["high_frequency"][row])),
+                rms=float(rms[row, column]),
+                rms_ci95=_ends(told["rms_ci95"][row, column]),
+            )
+            for row in rows
+            if np.isfinite(rms[row, column])
+        ]
     return tuple(made)
 
 
 def limit_verdicts(vibration: xr.Dataset, balance: Balance | None, sources: Sources) -> tuple[LimitVerdict, ...]:
     """What each limit of ``sources`` comes to in every channel of ``vibration`` that it is for, and for ``balance``."""
     made: list[LimitVerdict] = []
+    held = _values(vibration) if sources.limits else {}
     for limit in sources.limits:
         if limit.quantity == "balance grade":
             made.append(_grade_verdict(limit, balance))
             continue
-        rows = [row for row in _rows(vibration, "broad band") if _is_for(vibration, row, limit)]
-        made += [_verdict(vibration, row, limit) for row in rows]
-        told = {str(vibration["channel"].values[row]) for row in rows}
-        everywhere = dict.fromkeys(vibration["channel"].values.astype(str).tolist())
+        names = held["channel"].astype(str).tolist()
+        rows = [row for row in _rows(held, "broad band") if _is_for(held, row, limit)]
+        made += [_verdict(held, row, limit) for row in rows]
+        told, everywhere = {names[row] for row in rows}, dict.fromkeys(names)
         unit, size = UNITS[limit.quantity]
         made += [
             LimitVerdict(
@@ -154,63 +162,62 @@ def limit_verdicts(vibration: xr.Dataset, balance: Balance | None, sources: Sour
     return tuple(made)
 
 
-def _is_for(vibration: xr.Dataset, row: int, limit: Limit) -> bool:
-    at = vibration.isel(level=row)
-    same = str(at["quantity"].item()) == limit.quantity
-    ends = (float(at["low_frequency"]), float(at["high_frequency"])) == (limit.low_hz, limit.high_hz)
-    return same and ends and (not limit.channels or str(at["channel"].item()) in limit.channels)
+def _is_for(told: Told, row: int, limit: Limit) -> bool:
+    same = str(told["quantity"][row]) == limit.quantity
+    ends = (float(told["low_frequency"][row]), float(told["high_frequency"][row])) == (limit.low_hz, limit.high_hz)
+    return same and ends and (not limit.channels or str(told["channel"][row]) in limit.channels)
 
 
-def _verdict(vibration: xr.Dataset, row: int, limit: Limit) -> LimitVerdict:
+def _verdict(told: Told, row: int, limit: Limit) -> LimitVerdict:
     """What ``limit`` comes to at the level ``row`` over all speeds, which share the chance of a wrong verdict.
 
     A filter has no walls: what lies at the ends of the band counts whole where the level is to be surely within, and
     not at all where it is to be surely above.
     """
-    at = vibration.isel(level=row)
-    value, unit = limit.value_si / float(at["si_per_unit"]), str(at["unit"].item())
-    least, most = (vibration.isel(level=_beside(vibration, row, kind)) for kind in (WITHOUT_ENDS, WITH_ENDS))
-    rms = at["rms"].values
-    there = np.flatnonzero(np.isfinite(rms) & np.isfinite(least["rms"].values) & np.isfinite(most["rms"].values))
+    value, unit = limit.value_si / float(told["si_per_unit"][row]), str(told["unit"][row])
+    least, most = (_beside(told, row, kind) for kind in (WITHOUT_ENDS, WITH_ENDS))
+    rms = told["rms"][row]
+    there = np.flatnonzero(np.isfinite(told["rms"][[row, least, most]]).all(axis=0))
     chance = (1.0 - CONFIDENCE) / max(1, len(there))
-    low, high = _surely(least, there, chance)[0], _surely(most, there, chance)[1]
+    low, high = _surely(told, least, there, chance)[0], _surely(told, most, there, chance)[1]
     loudest = int(there[np.argmax(rms[there])]) if len(there) else -1
-    cut, reached_hz = float(at["reached_frequency"]) < limit.high_hz, float(at["reached_frequency"])
-    inner, whole = (one["rms"].values[there] for one in (least, most))
+    reached_hz = float(told["reached_frequency"][row])
+    inner, whole = told["rms"][[least, most]][:, there]
     doubted = (whole > value) & (inner <= value)
     at_ends = bool(np.any(doubted & (rms[there] ** 2 - inner**2 > _AT_ENDS * (whole**2 - inner**2))))
-    rpm = at["speed"].values[there]
-    verdict, evidence = _judged(low, high, value, rpm, cut=cut, reached_hz=reached_hz, at_ends=at_ends)
+    verdict, evidence = _judged(
+        low, high, value, told["speed"][there], cut=reached_hz < limit.high_hz, reached_hz=reached_hz, at_ends=at_ends
+    )
     if verdict == "above":
         over = there[np.nan_to_num(low) > value]
         loudest = int(over[np.argmax(rms[over])])
-    ends = None if loudest < 0 else (_ends(least["rms_ci95"][loudest]), _ends(most["rms_ci95"][loudest]))
+    ends = None if loudest < 0 else tuple(_ends(told["rms_ci95"][one, loudest]) for one in (least, most))
     return LimitVerdict(
         quantity=limit.quantity,
         band_hz=(limit.low_hz, limit.high_hz),
         value=value,
         unit=unit,
         source=limit.source,
-        channel=str(at["channel"].item()),
+        channel=str(told["channel"][row]),
         verdict=verdict,
         level=float(rms[loudest]) if loudest >= 0 else None,
         level_ci95=None if ends is None or ends[0] is None or ends[1] is None else (ends[0][0], ends[1][1]),
-        speed_rpm=_told(at["speed"][loudest]) if loudest >= 0 else None,
+        speed_rpm=_told(told["speed"][loudest]) if loudest >= 0 else None,
         evidence=evidence,
     )
 
 
-def _beside(vibration: xr.Dataset, row: int, kind: str) -> int:
-    """The level of ``kind`` in ``vibration`` that is else as that of ``row``."""
-    same = vibration["kind"].values.astype(str) == kind
+def _beside(told: Told, row: int, kind: str) -> int:
+    """The level of ``kind`` that is else as that of ``row``."""
+    same = told["kind"].astype(str) == kind
     for name in ("channel", "quantity", "low_frequency", "high_frequency"):
-        same &= vibration[name].values == vibration[name].values[row]
+        same &= told[name] == told[name][row]
     return int(np.flatnonzero(same)[0])
 
 
-def _surely(at: xr.Dataset, there: Ints, chance: float) -> Floats:
-    """Ends (low and high, speed) that the level ``at`` leaves by ``chance`` at each speed of ``there``."""
-    columns = (at[name].values[there] for name in ("rms", "log_error", "degrees_of_freedom"))
+def _surely(told: Told, row: int, there: Ints, chance: float) -> Floats:
+    """Ends (low and high, speed) that the level of ``row`` leaves by ``chance`` at each speed of ``there``."""
+    columns = (told[name][row, there] for name in ("rms", "log_error", "degrees_of_freedom"))
     return rms_within(*columns, chance=chance).T
 
 
@@ -277,10 +284,10 @@ def _grade_verdict(limit: Limit, balance: Balance | None) -> LimitVerdict:
     )
 
 
-def _rows(vibration: xr.Dataset, kind: str) -> list[int]:
-    return [int(row) for row in np.flatnonzero(vibration["kind"].values.astype(str) == kind)]
+def _rows(told: Told, kind: str) -> list[int]:
+    return [int(row) for row in np.flatnonzero(told["kind"].astype(str) == kind)]
 
 
-def _ends(values: xr.DataArray) -> Interval | None:
-    low, high = (float(value) for value in values.values)
+def _ends(values: Floats) -> Interval | None:
+    low, high = values.tolist()
     return (low, high) if math.isfinite(low) and math.isfinite(high) else None
