@@ -321,12 +321,9 @@ def _unpack(row: FloatArray, place: str, index: int, n_columns: int, attributes:
     if fill is not None:
         for part in blocks(row.size):
             row[part][row[part] == row.dtype.type(fill)] = np.nan
-    scale = attributes.packing(place, "scale_factor", index, n_columns)
-    offset = attributes.packing(place, "add_offset", index, n_columns)
-    if scale is not None:
-        row *= scale
-    if offset is not None:
-        row += offset
+    for name, applied in (("scale_factor", np.multiply), ("add_offset", np.add)):
+        if (number := attributes.packing(place, name, index, n_columns)) is not None:
+            applied(row, number, out=row)
 
 
 class _Attributes:

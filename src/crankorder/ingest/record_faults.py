@@ -85,10 +85,8 @@ def find_smoothed_clipping(
     ordered = np.sort(samples)
     middle = float(ordered[samples.size // 2])
     places = (samples.size * (1.0 - np.array(_ABOVE))).astype(np.int64)
-    sides = [
-        _pile_up(samples - middle, ordered[places] - middle, settings),
-        _pile_up(middle - samples, middle - ordered[-1 - places], settings),
-    ]
+    apart, ordered = samples - middle, ordered - middle
+    sides = [_pile_up(sign * apart, sign * ordered[at], settings) for sign, at in ((1, places), (-1, -1 - places))]
     found = [side for side in sides if side is not None]
     if not found or (len(found) < 2 and not without_doubt):
         return []
