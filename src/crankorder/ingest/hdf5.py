@@ -465,13 +465,12 @@ def _readable(item: Any) -> dict[str, Any]:
     """Attributes of ``item`` that can be read, of those that are asked for here: others may be large."""
     found: dict[str, Any] = {}
     try:
-        attrs = item.attrs
-        names = {name: plain for name in attrs if (plain := _plain(name)) in _ASKED}
+        names = {name: plain for name in item.attrs if (plain := _plain(name)) in _ASKED}
     except _H5PY_ERRORS:
         return found
     for name, plain in names.items():
         with suppress(*_H5PY_ERRORS):
-            found[plain] = attrs[name]
+            found[plain] = item.attrs[name]
     return _numbers_beside(item) | found if isinstance(item, h5py.Group) else found
 
 
