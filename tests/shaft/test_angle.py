@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, angle_knots, time_at
 from crankorder.shaft.pulses import find_pulses
-from crankorder.shaft.smoother import leverage, penalty_of, smoothed
+from crankorder.shaft.smoother import Smoother, penalty_of
 
 SETTINGS = load_settings().shaft
 
@@ -141,10 +141,10 @@ def test_the_banded_solution_is_the_dense_one():
         weight = np.ones(size)
         weight[size // 3 : size // 3 + (size > 10)] = 0.0
         value, penalty = rng.standard_normal(size), penalty_of(cut_off)
-        third = np.diff(np.eye(size), n=3, axis=0)
+        third, smoother = np.diff(np.eye(size), n=3, axis=0), Smoother(weight, penalty)
         system = np.diag(weight) + penalty * third.T @ third
-        np.testing.assert_allclose(smoothed(value, weight, penalty), np.linalg.solve(system, weight * value), atol=1e-8)
-        np.testing.assert_allclose(leverage(weight, penalty), np.diag(np.linalg.inv(system)), rtol=1e-8)
+        np.testing.assert_allclose(smoother.smoothed(value), np.linalg.solve(system, weight * value), atol=1e-8)
+        np.testing.assert_allclose(smoother.leverage(), np.diag(np.linalg.inv(system)), rtol=1e-8)
 
 
 @given(

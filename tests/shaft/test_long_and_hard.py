@@ -9,7 +9,7 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, angle_knots, time_at
 from crankorder.shaft.pulses import find_pulses
-from crankorder.shaft.smoother import Smoother, leverage, penalty_of, smoothed
+from crankorder.shaft.smoother import Smoother, penalty_of
 
 SETTINGS = load_settings().shaft
 
@@ -144,10 +144,10 @@ def test_settled_factors_give_the_solution_of_all_equations(cut_off, holes):
     value, penalty = np.sin(np.arange(n) / 70.0) + 0.05 * rng.standard_normal(n), penalty_of(cut_off)
     third = np.diff(np.eye(n), n=3, axis=0)
     system = np.diag(weight) + penalty * third.T @ third
-    found = smoothed(value, weight, penalty)
+    found = Smoother(weight, penalty).smoothed(value)
     direct = value - np.linalg.solve(system, penalty * third.T @ (third @ value))
     np.testing.assert_allclose(found, direct, rtol=0, atol=2e-6)
-    np.testing.assert_allclose(leverage(weight, penalty), np.diag(np.linalg.inv(system)), rtol=1e-4)
+    np.testing.assert_allclose(Smoother(weight, penalty).leverage(), np.diag(np.linalg.inv(system)), rtol=1e-4)
     assert len(Smoother(weight, penalty).table) < 0.7 * n
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 
 from crankorder.ingest.rawfile import FloatArray, flag
 from crankorder.ingest.shaft_signals import Gathered
@@ -64,7 +64,7 @@ def find_breaks(turns: Floats, channels: Sequence[FloatArray]) -> list[Break]:
     step = np.diff(turns)
     if step.size <= 2 * BESIDE:
         return []
-    usual = median_filter(step, 2 * BESIDE + 1, mode="reflect")
+    usual = np.median(sliding_window_view(np.pad(step, BESIDE, mode="symmetric"), 2 * BESIDE + 1), axis=1)
     off = np.abs(step - usual)
     slack = max(ODD_SAMPLES, ODD_SIGMAS * 1.4826 * float(np.median(off)))
     odd = np.flatnonzero(off > slack)
@@ -134,8 +134,9 @@ def laid_apart(recording: Gathered, channels: dict[str, FloatArray], path: Path,
     """
     attrs, rate_hz = recording.attrs, float(recording.attrs["rate_hz"])
     teeth = len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 0) - attrs.get("missing_teeth", 0)
-    marked = "index_time" in recording.variables and recording.values("index_time").size > 1
-    turns = recording.values("index_time") if marked else recording.values("pulse_time")[:: teeth or None]
+    told = recording.variables
+    marked = "index_time" in told and told["index_time"].size > 1
+    turns = told["index_time"].values if marked else told["pulse_time"].values[:: teeth or None]
     breaks = find_breaks(turns * rate_hz, list(channels.values())) if marked or teeth else []
     if not breaks:
         return
@@ -161,12 +162,11 @@ def laid_apart(recording: Gathered, channels: dict[str, FloatArray], path: Path,
     at = np.array([one.sample for one in breaks])
     moved = places - np.arange(n_samples) - first
     for name in ("pulse_time", "index_time", "cam_time"):
-        if name in recording.variables:
-            place = recording.values(name) * rate_hz
+        if name in told:
+            place = told[name].values * rate_hz
             place = place[(np.abs(place[:, None] - at) > EDGE_SAMPLES).all(axis=1)]
             place = place + moved[np.clip(np.ceil(place).astype(int), 0, n_samples - 1)]
             inside = (place >= 0) & (place <= end - first - 1)
-            known = recording.variables[name]
-            recording.variables[name] = xr.Variable(known.dims, place[inside] / rate_hz, known.attrs)
+            told[name] = xr.Variable(told[name].dims, place[inside] / rate_hz, told[name].attrs)
     gaps = np.append(np.round(np.array(attrs.get("gap_starts_s", [])) * rate_hz).astype(int), at - 1)
     recording.attrs["gap_starts_s"] = sorted(((gaps + moved[gaps]) / rate_hz).tolist())

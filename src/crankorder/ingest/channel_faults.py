@@ -148,41 +148,28 @@ def grouped(values: Floats, group: int) -> Floats:
     return made
 
 
-@nb.njit(inline="always")
-def _sums(piece):  # type: ignore[no-untyped-def]
-    """Sums of what the samples lie above the first, and of its square."""
-    first, total, square = piece[0], piece[0] * 0, piece[0] * 0
-    for k in range(piece.shape[0]):
-        apart = piece[k] - first
-        total += apart
-        square += apart * apart
-    return total, square
-
-
-@nb.njit(inline="always")
-def _bends(piece, half, least):  # type: ignore[no-untyped-def]
-    """Sums of the second and the fourth power of the bend, in units of ``least`` so that no fourth power overflows."""
-    square = fourth = piece[0] * 0
-    for k in range(1, piece.shape[0] - 1):
-        bend = (piece[k] - half * (piece[k - 1] + piece[k + 1])) * least
-        bend = bend * bend
-        square += bend
-        fourth += bend * bend
-    return square, fourth
-
-
 @nb.njit(cache=True, nogil=True, fastmath={"nsz", "reassoc", "contract"})
 def _look(signal, size, told):  # type: ignore[no-untyped-def]
-    half = signal.dtype.type(0.5)
+    half, n = signal.dtype.type(0.5), signal.shape[0]
     for number in range(told.shape[1]):
         start = number * size
-        total, square = _sums(signal[start : start + size])
+        piece, first, total, square = signal[start : start + size], signal[start], signal[start] * 0, signal[start] * 0
+        for k in range(size):
+            apart = piece[k] - first
+            total += apart
+            square += apart * apart
         mean = np.float64(total) / size
         told[0, number] = np.float64(signal[start]) + mean
         variance = np.float64(square) / size - mean * mean
         told[1, number] = variance if not variance < 0.0 else 0.0
         scale = 1.0 / np.sqrt(variance) if variance > 0.0 else 1.0
-        square, fourth = _bends(signal[start - (start > 0) : start + size + 1], half, signal.dtype.type(scale))
+        # in units in which no fourth power overflows
+        piece, least = signal[max(start - 1, 0) : min(start + size + 1, n)], signal.dtype.type(scale)
+        square = fourth = first * 0
+        for k in range(1, piece.shape[0] - 1):
+            bend = (piece[k] - half * (piece[k - 1] + piece[k + 1])) * least
+            square += bend * bend
+            fourth += (bend * bend) * (bend * bend)
         told[2, number] = np.float64(square) / size / scale**2
         told[3, number] = np.float64(fourth) / size / scale**4
 

@@ -321,12 +321,9 @@ def _unpack(row: FloatArray, place: str, index: int, n_columns: int, attributes:
     if fill is not None:
         for part in blocks(row.size):
             row[part][row[part] == row.dtype.type(fill)] = np.nan
-    scale = attributes.packing(place, "scale_factor", index, n_columns)
-    offset = attributes.packing(place, "add_offset", index, n_columns)
-    if scale is not None:
-        row *= scale
-    if offset is not None:
-        row += offset
+    for name, applied in (("scale_factor", np.multiply), ("add_offset", np.add)):
+        if (number := attributes.packing(place, name, index, n_columns)) is not None:
+            applied(row, number, out=row)
 
 
 class _Attributes:
@@ -468,13 +465,12 @@ def _readable(item: Any) -> dict[str, Any]:
     """Attributes of ``item`` that can be read, of those that are asked for here: others may be large."""
     found: dict[str, Any] = {}
     try:
-        attrs = item.attrs
-        names = {name: plain for name in attrs if (plain := _plain(name)) in _ASKED}
+        names = {name: plain for name in item.attrs if (plain := _plain(name)) in _ASKED}
     except _H5PY_ERRORS:
         return found
     for name, plain in names.items():
         with suppress(*_H5PY_ERRORS):
-            found[plain] = attrs[name]
+            found[plain] = item.attrs[name]
     return _numbers_beside(item) | found if isinstance(item, h5py.Group) else found
 
 

@@ -85,10 +85,8 @@ def find_smoothed_clipping(
     ordered = np.sort(samples)
     middle = float(ordered[samples.size // 2])
     places = (samples.size * (1.0 - np.array(_ABOVE))).astype(np.int64)
-    sides = [
-        _pile_up(samples - middle, ordered[places] - middle, settings),
-        _pile_up(middle - samples, middle - ordered[-1 - places], settings),
-    ]
+    apart, ordered = samples - middle, ordered - middle
+    sides = [_pile_up(sign * apart, sign * ordered[at], settings) for sign, at in ((1, places), (-1, -1 - places))]
     found = [side for side in sides if side is not None]
     if not found or (len(found) < 2 and not without_doubt):
         return []
@@ -153,8 +151,7 @@ def _exponents(above: FloatArray, levels: FloatArray) -> Floats:
     high = high[chosen]
     span = np.maximum(high - np.minimum(above[chosen], above[chosen + 1]), 1e-9 * levels[0])
     depths = np.outer(levels, 1.0 - np.array([1e-6, _NEAR, _FAR]))
-    times = (high - depths[:, :, None]) / span
-    times = np.clip(times, 0.0, 1.0, out=times).sum(axis=2)
+    times = np.clip((high - depths[:, :, None]) / span, 0.0, 1.0).sum(axis=2)
     near, far = (times[:, 1:] - times[:, :1]).T
     return np.where(near >= _FEWEST, np.log(far / np.maximum(near, 1.0)) / math.log(_FAR / _NEAR), 1.0)
 

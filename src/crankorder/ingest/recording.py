@@ -122,7 +122,7 @@ def recording_of(
         laid_apart(recording, channels, path, flags)
     if manifest.of_shaft_alone:
         signals = np.empty((0, _trace_length(raw, manifest)), dtype=np.float32)
-        return Recording(with_flags(_with_signals(recording, signals, manifest), _named(flags, manifest.name_of(path))))
+        return _with_signals(recording, signals, manifest, flags)
     signals = stacked(list(channels.values()))
     faults, scalings = [], list[Scaling]()
     for channel, row in zip(manifest.channels, signals, strict=True):
@@ -137,14 +137,7 @@ def recording_of(
         elif channel.highpass_hz is not None:
             detail = f"channel {channel.name}: highpass_hz acts where a channel is integrated, which this one is not"
             flags.append(flag(path, "highpass_unused", "suspect", detail))
-    return Recording(with_flags(_with_signals(recording, signals, manifest), _named(flags, manifest.name_of(path))))
-
-
-def _named(flags: list[QualityFlag], recording: str) -> list[QualityFlag]:
-    """``flags`` of a file under the name of its ``recording``: files of one name may lie in several folders."""
-    for one in flags:
-        one["recording"] = recording
-    return flags
+    return _with_signals(recording, signals, manifest, flags)
 
 
 def _sampled(recording: Gathered, manifest: Manifest, scalings: Sequence[Scaling]) -> Sampled:
@@ -173,8 +166,8 @@ def _mean_speed_hz(recording: Gathered) -> float:
     if "speed_rpm" in attrs:
         return float(attrs["speed_rpm"]) / 60.0
     if "speed_signal" in recording.variables:
-        return float(np.mean(recording.values("speed_signal"))) / 60.0
-    times = recording.values("pulse_time") if "pulse_time" in recording.variables else np.empty(0)
+        return float(np.mean(recording.variables["speed_signal"].values)) / 60.0
+    times = recording.variables["pulse_time"].values if "pulse_time" in recording.variables else np.empty(0)
     teeth = len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 0) - attrs.get("missing_teeth", 0)
     if times.size < 2 or not teeth > 0:
         return math.nan
@@ -240,8 +233,7 @@ def _axis(
         attrs["has_shaft"] = 0
     if sampling.domain == "crank_angle":
         attrs |= {"samples_per_rev": sampling.samples_per_rev, "start_deg": sampling.start_deg}
-        return Gathered(attrs), math.nan
-    if not manifest.has_samples:
+    if sampling.domain == "crank_angle" or not manifest.has_samples:
         return Gathered(attrs), math.nan
     if times is not None:
         flags += times.flags
@@ -348,8 +340,13 @@ def _integrate(
     return flag(path, "integrated", "info", detail)
 
 
-def _with_signals(recording: Gathered, signals: FloatArray, manifest: Manifest) -> xr.Dataset:
-    """The dataset of ``recording`` with its ``signals`` (channel, sample) and what ``manifest`` says of each."""
+def _with_signals(
+    recording: Gathered, signals: FloatArray, manifest: Manifest, flags: Sequence[QualityFlag]
+) -> Recording:
+    """The dataset of ``recording`` with its ``signals`` (channel, sample) and what ``manifest`` says of each.
+
+    The ``flags`` of the file get the name of the recording: files of one name may lie in several folders.
+    """
     axis = "time" if manifest.sampling.domain == "time" else "crank_angle"
     size = np.array([channel.analysed_unit.factor for channel in manifest.channels], dtype=np.float64)
     recording.add("signal", ("channel", axis), signals, "see unit", "analysed signals")
@@ -363,4 +360,6 @@ def _with_signals(recording: Gathered, signals: FloatArray, manifest: Manifest) 
     for name, values in texts.items():
         recording.add(name, "channel", np.array(values, dtype=np.str_), "1", name)
     coords = {name: recording.variables.pop(name) for name in texts}
-    return xr.Dataset(recording.variables, coords, recording.attrs)
+    for one in flags:
+        one["recording"] = recording.attrs["recording"]
+    return Recording(with_flags(xr.Dataset(recording.variables, coords, recording.attrs), flags))

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.errors import InputError, located
 from crankorder.ingest.channel import STATES_NO_UNIT
@@ -40,10 +39,6 @@ class Gathered:
     def add(self, name: str, dims: str | tuple[str, ...], values: Any, units: str, long_name: str) -> None:
         """Add the variable ``name``: its ``values`` along ``dims``, their ``units`` and ``long_name``."""
         self.variables[name] = xr.Variable(dims, values, {"units": units, "long_name": long_name})
-
-    def values(self, name: str) -> NDArray[Any]:
-        """Values of the variable ``name``."""
-        return np.asarray(self.variables[name].values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +101,7 @@ class ShaftSignals:
             if missing.any():
                 gap_s = np.flatnonzero(missing[1:] & ~missing[:-1]) / own.rate_hz
                 recording.attrs["gap_starts_s"] = (gap_s + (own.start_s - self.base.start_s)).tolist()
-        pulse_s = recording.values("pulse_time")
+        pulse_s = recording.variables["pulse_time"].values
         if encoder.second_track is not None:
             track, levels = self.bases["the second track"], self.raw.columns[encoder.second_track]
             at = (pulse_s + (self.base.start_s - track.start_s)) * track.rate_hz

@@ -10,6 +10,7 @@ import xarray as xr
 
 from crankorder.errors import InputError
 from crankorder.fft.band import band_limited
+from crankorder.fft.decimation import decimation_factor
 from crankorder.fft.windows import hann
 from crankorder.orders.method import (
     METHOD_SHARE,
@@ -29,6 +30,9 @@ from crankorder.shaft.angle import SpeedCourse, knots_of, speed_at_angle, speed_
 SWEPT_SHARE = 0.1
 """Change of speed within a frame, as a share, from which it is told: a resonance of 5 % damping is as wide."""
 
+LEAST_FACTOR = 4
+"""Factor from which on a band is decimated for its orders: a smaller one saves less than the ends that it costs."""
+
 STEADY_SHARE = 0.02
 """Share of the mean speed by which that of frames may wander in steady running."""
 
@@ -39,7 +43,8 @@ def band_of_orders(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettin
     Only where nothing was taken from it yet: two filters in a row would err by more than ``settings`` allow.
     """
     needed_hz = settings.max_order * float(np.nan_to_num(shaft["speed"].values).max()) / 60.0
-    if is_by_angle(band) or band.attrs.get("decimation_error") or not needed_hz > 0.0:
+    taken = is_by_angle(band) or band.attrs.get("decimation_error") or not needed_hz > 0.0
+    if taken or decimation_factor(float(band.attrs["rate_hz"]), needed_hz, grid_hz=1.0) < LEAST_FACTOR:
         return band
     return band_limited(band, band_hz=needed_hz, grid_hz=1.0, tolerance=(1.0 - METHOD_SHARE) * settings.tolerance)
 

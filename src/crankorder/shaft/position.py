@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
 
 from crankorder.errors import InputError
 from crankorder.shaft.pulses import QUANTISED_EDGE_SAMPLES, FloatArray, Pulses, Remark
@@ -135,6 +134,8 @@ def _followed(position: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.int64]
         step, gap = np.diff(value), np.diff(at)
         if not step.any():
             raise InputError("the position does not change", found=f"{at.size} samples", remedy="Mend encoder.source")
+        from scipy.ndimage import median_filter  # loads slowly, and few encoders ask for it
+
         expected = gap * median_filter(step / gap, USUAL_STEPS)
         abrupt = np.pad(_is_abrupt(step, expected), 1, constant_values=True)
         wrong = np.flatnonzero(abrupt[1:] & abrupt[:-1])

@@ -111,26 +111,6 @@ def _is_white(residual: FloatArray, white: FloatArray, count: float) -> bool:
     return bool(np.max(np.abs(found - white[1 : lags + 1] / white[0])) < 3.0 / np.sqrt(count))
 
 
-def smoothed(value: FloatArray, weight: FloatArray, penalty: float) -> FloatArray:
-    """Solution z (teeth,) of (W + penalty D'D) z = W value, D the third difference; O(n).
-
-    Parameters
-    ----------
-    value : (teeth,), s; where ``weight`` is 0, anything not far from its neighbours
-    weight : (teeth,), 1 where a tooth has a pulse, else 0; at least three are 1
-    penalty : above 0
-    """
-    return Smoother(weight, penalty).smoothed(value)
-
-
-def leverage(weight: FloatArray, penalty: float) -> FloatArray:
-    """Variance of each smoothed time over that of one pulse time: the diagonal of (W + penalty D'D)^-1; O(n).
-
-    ``weight`` (teeth,) is 1 where a tooth has a pulse, else 0; ``penalty`` is above 0.
-    """
-    return Smoother(weight, penalty).leverage()
-
-
 class Smoother:
     """W + penalty D'D for given teeth, factored once as L diag(d) L'.
 
@@ -139,6 +119,7 @@ class Smoother:
     """
 
     def __init__(self, weight: FloatArray, penalty: float) -> None:
+        """For ``weight`` (teeth,), 1 where a tooth has a pulse (three at least), else 0, and a ``penalty`` above 0."""
         self.weight, self.penalty = weight, penalty
         table, self.row = np.empty((weight.size, 4)), np.empty(weight.size, dtype=np.int32)
         settled = max(2e-16, min(SETTLED_SHARE, SETTLED / penalty))
@@ -150,13 +131,16 @@ class Smoother:
         return penalty == self.penalty and np.array_equal(weight, self.weight)
 
     def smoothed(self, value: FloatArray) -> FloatArray:
-        """Smoothed ``value`` (teeth,), see :func:`smoothed`."""
+        """Solution z (teeth,) of (W + penalty D'D) z = W ``value``, D the third difference; O(n).
+
+        ``value`` (teeth,), s; where the weight is 0, anything not far from its neighbours.
+        """
         result = np.empty(value.size)
         _solve(value, self.penalty, self.table, self.row, result)
         return result
 
     def leverage(self) -> FloatArray:
-        """Variance of each smoothed time over that of one pulse time, see :func:`leverage`."""
+        """Variance of each smoothed time over that of one pulse time: the diagonal of (W + penalty D'D)^-1; O(n)."""
         result = np.empty(self.row.size)
         _inverse_diagonal(self.table, self.row, result)
         return result
