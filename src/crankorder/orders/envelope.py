@@ -332,20 +332,20 @@ def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Tu
         used += len(good)
         mean_square += unit * sum(float(squared[0, k : k + long].mean(dtype=np.float64)) for k in good)
         squared -= squared.mean(axis=1, keepdims=True)
-        lines = transform.power(_tree_of(squared, level=level), good).sum(axis=1).astype(np.float64)
+        lines = np.concatenate([transform.power(sums, good).sum(axis=1) for sums in _tree_of(squared, level=level)])
         # what the mean over each step and the staircase of the envelope take from a line
         lost = np.sinc(order / frames.steps) * np.sinc(order * turn.mean_hz / rates[0])
         power = power + lines * np.square(unit / lost)
     return Spectra(power / max(used, 1), mean_square / max(used, 1), used)
 
 
-def _tree_of(parts: NDArray[np.float32], *, level: int) -> NDArray[np.float32]:
+def _tree_of(parts: NDArray[np.float32], *, level: int) -> list[NDArray[np.float32]]:
     """Sums of the first ``level`` of ``parts`` (bands, angles), widest first, and all of them."""
     made, sums = [parts], parts[:level]
     while len(sums) > 1:
         sums = sums[::2] + sums[1::2]
         made.insert(0, sums)
-    return np.concatenate(made)
+    return made
 
 
 def _dataset(
