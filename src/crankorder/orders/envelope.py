@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError
+from crankorder.fft.transforms import FrameTransform
 from crankorder.fft.windows import hann
 from crankorder.orders.envelope_band import (
     GUARD_SAMPLES,
@@ -51,6 +51,8 @@ PIECES = 4
 FRAMES_PER_PIECE = 2
 """Frames that a piece holds at least, where that is not more than is analysed: cut pieces lose what overlaps."""
 
+SEARCH_REACH = 1.25
+"""Multiple of the highest order looked at to which the spectra of all bands go: what folds at their end is far away."""
 
 SURE_OF_COMB = 0.01
 """Chance that noise makes a comb in any band of a channel below which the band that shows it best is taken."""
@@ -104,20 +106,27 @@ class Stretch(NamedTuple):
     begins: Ints
 
 
+class Grid(NamedTuple):
+    """Frames of envelopes up to an order, where they lie in each piece, and the highest frequency of that order."""
+
+    frames: Frames
+    stretches: list[Stretch]
+    reach_hz: float
+
+
 class Turn(NamedTuple):
-    """How a recording was sampled and how it turned: mean speed, highest frequency of its envelope's orders."""
+    """How a recording was sampled and how it turned: samples and turns a second, on average, turns of a cycle."""
 
     rate_hz: float
     mean_hz: float
-    reach_hz: float
     revs_per_cycle: int
 
 
 class Spectra(NamedTuple):
-    """Power (bands, orders) of the lines of envelopes, their mean squares (bands,), and how many frames were used."""
+    """Power (bands, orders) of envelopes' lines, mean square of the first of them, and how many frames were used."""
 
     power: Floats
-    level: Floats
+    level: float
     used: int
 
 
@@ -156,17 +165,29 @@ def recording_envelope(
     bands, pieces, reason = _bands_and_pieces(recording, shaft, settings)
     if reason:
         return _empty(recording, shaft, settings, reason)
-    frames = _frames(pieces, settings, revs_per_cycle=int(shaft.attrs["revs_per_cycle"]))
-    speed_hz = shaft["speed"].values / 60.0
-    turn = Turn(
-        rate_hz=float(recording.attrs["rate_hz"]),
-        mean_hz=float(speed_hz.mean()),
-        reach_hz=settings.envelope_max_order * float(speed_hz.max()),
-        revs_per_cycle=int(shaft.attrs["revs_per_cycle"]),
-    )
-    stretches = _stretches(recording, shaft, pieces, frames)
-    chosen = [_choose(row, bands, stretches, frames, turn, combs) for row in recording["signal"].values]
-    return _dataset(recording, shaft, settings, chosen, frames, pieces, bands, combs)
+    mean_hz = float(shaft["speed"].values.mean()) / 60.0
+    turn = Turn(float(recording.attrs["rate_hz"]), mean_hz, int(shaft.attrs["revs_per_cycle"]))
+    shown = _grid(recording, shaft, pieces, settings, settings.envelope_max_order)
+    order = shown.frames.order
+    bins = looked_at(combs, step=float(order[1]), n_orders=len(order))
+    farthest = min(SEARCH_REACH * order[bins[-1]], order[-1]) if len(bins) else order[-1]
+    searched = _grid(recording, shaft, pieces, settings, float(farthest))
+    chosen = [_choose(row, bands, shown, searched, turn, combs, bins) for row in recording["signal"].values]
+    return _dataset(recording, shaft, settings, chosen, shown.frames, pieces, bands, combs)
+
+
+def _grid(
+    recording: xr.Dataset, shaft: xr.Dataset, pieces: list[tuple[float, float]], settings: OrderSettings, highest: float
+) -> Grid:
+    """Frames for orders up to the ``highest``, and where the steps of crank angle of each of the ``pieces`` end."""
+    frames = _frames(pieces, settings, highest, revs_per_cycle=int(shaft.attrs["revs_per_cycle"]))
+    rate, start = float(recording.attrs["rate_hz"]), float(recording.attrs.get("start_s", 0.0))
+    stretches = []
+    for (first, last), begins in zip(pieces, frames.begin_rev, strict=True):
+        angle = first + np.arange(int(last - first) * frames.steps + 1) / frames.steps
+        edges = (time_at(np.minimum(angle, last), **knots_of(shaft)) - start) * rate
+        stretches.append(Stretch(edges, begins * frames.steps))
+    return Grid(frames, stretches, highest * float(shaft["speed"].values.max()) / 60.0)
 
 
 def _bands_and_pieces(
@@ -218,8 +239,12 @@ def _pieces(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -
     return [(first, last) for first, last in angles if last - first >= LEAST_REVS]
 
 
-def _frames(pieces: list[tuple[float, float]], settings: OrderSettings, *, revs_per_cycle: int) -> Frames:
+def _frames(
+    pieces: list[tuple[float, float]], settings: OrderSettings, max_order: float, *, revs_per_cycle: int
+) -> Frames:
     """Frames of whole cycles, overlapping by one half or a little more so that each piece is used to its end."""
+    from scipy.fft import next_fast_len
+
     shortest = min(last - first for first, last in pieces)
     revs = max(int(min(settings.envelope_revs_per_frame, shortest)) // revs_per_cycle * revs_per_cycle, 1)
     begins = []
@@ -227,79 +252,53 @@ def _frames(pieces: list[tuple[float, float]], settings: OrderSettings, *, revs_
         spare = int(last - first) - revs
         count = 1 + math.ceil(spare / max(revs // 2, 1))
         begins.append(np.linspace(0, spare, count).round().astype(np.int64))
-    steps = _smooth_from(2.0 * settings.envelope_max_order + 4.0)
+    steps = next_fast_len(math.ceil(2.0 * max_order + 4.0), real=True)
     n_fft = max(settings.envelope_revs_per_frame, revs) * steps
-    n_orders = math.floor(settings.envelope_max_order * n_fft / steps) + 1
+    n_orders = math.floor(max_order * n_fft / steps) + 1
     return Frames(revs, tuple(begins), steps, n_fft, n_orders)
-
-
-def _smooth_from(least: float) -> int:
-    """Smallest number from ``least`` on that is fast to transform."""
-    number = math.ceil(least)
-    while number > 1:
-        rest = number
-        for prime in (2, 3, 5):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1:
-            break
-        number += 1
-    return number
-
-
-def _stretches(
-    recording: xr.Dataset, shaft: xr.Dataset, pieces: list[tuple[float, float]], frames: Frames
-) -> list[Stretch]:
-    """Where the steps of crank angle of each piece end, in samples, and where its frames begin, in steps."""
-    rate, start = float(recording.attrs["rate_hz"]), float(recording.attrs.get("start_s", 0.0))
-    made = []
-    for (first, last), begins in zip(pieces, frames.begin_rev, strict=True):
-        angle = first + np.arange(int(last - first) * frames.steps + 1) / frames.steps
-        edges = (time_at(np.minimum(angle, last), **knots_of(shaft)) - start) * rate
-        made.append(Stretch(edges, begins * frames.steps))
-    return made
 
 
 def _choose(
     signal: NDArray[np.floating],
     bands: tuple[Band, ...],
-    stretches: list[Stretch],
-    frames: Frames,
+    shown: Grid,
+    searched: Grid,
     turn: Turn,
     combs: tuple[Comb, ...],
+    bins: Ints,
 ) -> Choice:
     """The band of one channel in whose envelope ``combs`` or, failing these, most stands out, with its spectrum.
 
-    The choice and what is seen in the other bands are made without the tones of the signal, the spectrum is that of all
-    of it.
+    The choice and what is seen in the other bands are made without the tones of the signal, up to the order at which
+    ``searched`` ends; the spectrum is that of all of it, as far as ``shown`` goes.
     """
-    blocks = [block_spectra(signal, begin=float(one.edges[0]), end=float(one.edges[-1])) for one in stretches]
+    blocks = [block_spectra(signal, begin=float(one.edges[0]), end=float(one.edges[-1])) for one in shown.stretches]
     finest = tuple(band for band in bands if band.level == bands[-1].level)
     toneless = [without_tones(some) for some in blocks]
-    screened = _spectra(toneless, finest, stretches, frames, turn, level=finest[0].level)
-    bins = looked_at(combs, step=float(frames.order[1]), n_orders=frames.n_orders)
+    screened = _spectra(toneless, finest, searched, turn, level=finest[0].level)
+    frames = searched.frames
     if not screened.used:
-        missing = np.full(frames.n_orders, np.nan)
+        missing = np.full(shown.frames.n_orders, np.nan)
         nothing = np.full((3, len(bands), len(bins)), np.nan, dtype=np.float32)
         return Choice(bands[0], missing, missing, math.nan, 0.0, nothing)
-    share = screened.used / sum(len(one.begins) for one in stretches)
+    share = screened.used / sum(len(one.begins) for one in searched.stretches)
     n_independent = frames.n_independent * share
     floor = line_floor(screened.power, frames.order, n_independent)
-    height = screened.power / np.maximum(floor, np.finfo(np.float64).tiny)
+    height = (screened.power / np.maximum(floor, np.finfo(np.float64).tiny)).astype(np.float32)
     free = free_orders(frames.order, frames.revs, turn.revs_per_cycle)
     free &= off_mains(frames.order, speed_hz=turn.mean_hz, cell=1.0 / frames.revs)
     seen = over_skirts(height)[:, bins]
-    best = _band_of_combs(seen, bins, combs, frames, n_independent, free) if combs else None
+    best = _band_of_combs(seen, bins, combs, frames, n_independent, free) if len(bins) else None
     if best is None:
         best = best_band(np.where(free, height, 0.0).max(axis=1))
-    exact = _spectra(blocks, (bands[best],), stretches, frames, turn, level=1)
+    exact = _spectra(blocks, (bands[best],), shown, turn, level=1)
     looks = np.stack([seen, height[:, bins], floor[:, bins] ** 0.25]).astype(np.float32)
-    floor = line_floor(exact.power, frames.order, n_independent)
-    return Choice(bands[best], exact.power[0], floor[0], float(exact.level[0]), share, looks)
+    floor = line_floor(exact.power, shown.frames.order, n_independent)
+    return Choice(bands[best], exact.power[0], floor[0], exact.level, share, looks)
 
 
 def _band_of_combs(
-    seen: Floats, bins: Ints, combs: tuple[Comb, ...], frames: Frames, n_independent: float, free: Bools
+    seen: NDArray[np.floating], bins: Ints, combs: tuple[Comb, ...], frames: Frames, n_independent: float, free: Bools
 ) -> int | None:
     """Band (row of ``seen``) that shows one of ``combs`` best; None where noise may well make all that is shown."""
     step = float(frames.order[1])
@@ -312,56 +311,40 @@ def _band_of_combs(
     return int(np.flatnonzero(shown >= WIDER_EVIDENCE * shown.max())[0])
 
 
-def _spectra(
-    blocks: list[Blocks], bands: tuple[Band, ...], stretches: list[Stretch], frames: Frames, turn: Turn, *, level: int
-) -> Spectra:
-    """Power of the envelopes' lines and mean squares of ``bands``, after those of the sums of the first ``level``.
+def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Turn, *, level: int) -> Spectra:
+    """Power of the envelopes' lines of ``bands`` on ``grid``, after those of the sums of the first ``level``.
 
     The squared envelope of a wide band is nearly the sum of those of its parts: of a line at the frequency f the share
     of f in the width of a part is lost, in lines and noise alike.
     """
-    from scipy.fft import rfft
-
+    frames, order = grid.frames, grid.frames.order
     long = frames.revs * frames.steps
-    window = hann(long)
-    taper = (window.values * window.tone_scale).astype(np.float32)
-    power, mean_square, used = np.zeros(1), np.zeros(1), 0
-    for some, (edges, begins) in zip(blocks, stretches, strict=True):
+    transform = FrameTransform(hann(long), n_fft=frames.n_fft, n_bins=frames.n_orders)
+    power, mean_square, used = np.zeros(1), 0.0, 0
+    for some, (edges, begins) in zip(blocks, grid.stretches, strict=True):
         squared, rates, unit, bad = envelopes_of(
-            some, rate_hz=turn.rate_hz, bands=bands, edges=edges, reach_hz=turn.reach_hz
+            some, rate_hz=turn.rate_hz, bands=bands, edges=edges, reach_hz=grid.reach_hz
         )
-        good = [k for k in begins if not ((bad[:, 1] > edges[k]) & (bad[:, 0] < edges[k + long])).any()]
-        if not good:
+        touched = (bad[:, 1] > edges[begins, None]) & (bad[:, 0] < edges[begins + long, None])
+        good = begins[~touched.any(axis=1)]
+        if not len(good):
             continue
         used += len(good)
-        pieces = np.stack([squared[:, k : k + long] for k in good], axis=1)
-        mean = pieces.mean(axis=2, keepdims=True)
-        pieces -= mean
-        pieces *= taper
-        lines = rfft(pieces, frames.n_fft, axis=2)
+        mean_square += unit * sum(float(squared[0, k : k + long].mean(dtype=np.float64)) for k in good)
+        squared -= squared.mean(axis=1, keepdims=True)
+        lines = np.concatenate([transform.power(sums, good).sum(axis=1) for sums in _tree_of(squared, level=level)])
         # what the mean over each step and the staircase of the envelope take from a line
-        lost = np.sinc(frames.order / frames.steps) * np.sinc(frames.order * turn.mean_hz / rates[0])
-        power = power + _tree_of(lines, _power, level=level)[:, : frames.n_orders] * np.square(unit / lost)
-        mean_square = (
-            mean_square + _tree_of(mean, lambda means: means.sum(axis=(1, 2), dtype=np.float64), level=level) * unit
-        )
+        lost = np.sinc(order / frames.steps) * np.sinc(order * turn.mean_hz / rates[0])
+        power = power + lines * np.square(unit / lost)
     return Spectra(power / max(used, 1), mean_square / max(used, 1), used)
 
 
-def _tree_of(parts: NDArray[Any], of: Callable[[NDArray[Any]], Floats], *, level: int) -> Floats:
-    """What ``of`` makes of sums of the first ``level`` of ``parts`` (bands, …), widest first, and of all of them."""
-    made = [of(parts)]
-    parts = parts[:level]
-    while len(parts) > 1:
-        parts = parts[::2] + parts[1::2]
-        made.insert(0, of(parts))
-    return np.concatenate(made)
-
-
-def _power(lines: NDArray[np.complex64]) -> Floats:
-    """Sum of the power over the frames of ``lines`` (bands, frames, orders)."""
-    both = np.square(lines.view(np.float32)).sum(axis=1).astype(np.float64)
-    made: Floats = both[:, ::2] + both[:, 1::2]
+def _tree_of(parts: NDArray[np.float32], *, level: int) -> list[NDArray[np.float32]]:
+    """Sums of the first ``level`` of ``parts`` (bands, angles), widest first, and all of them."""
+    made, sums = [parts], parts[:level]
+    while len(sums) > 1:
+        sums = sums[::2] + sums[1::2]
+        made.insert(0, sums)
     return made
 
 
@@ -444,9 +427,10 @@ def envelope_map(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset
     if not items:
         raise InputError("no envelope to average", allowed="one RecordingEnvelope or more")
     full = [item for item in items if item.sizes["order"]]
-    used = [item for item in full if _alike(item, full[0])]
+    alike = [_alike(item, full[0]) for item in full]
+    used = [item for item, is_alike in zip(full, alike, strict=True) if is_alike]
     detail = "envelope with other channels or orders than the test's first"
-    left_out = [str(item.attrs["recording"]) for item in full if not _alike(item, full[0])]
+    left_out = [str(item.attrs["recording"]) for item, is_alike in zip(full, alike, strict=True) if not is_alike]
     remarks = [QualityFlag(recording=name, flag="left_out", severity="bad", detail=detail) for name in left_out]
     made = _averaged(used, speed_bin_rpm) if used else items[0].copy()
     made.attrs = _map_attrs(used or items) | {"speed_bin_rpm": speed_bin_rpm}
@@ -454,17 +438,20 @@ def envelope_map(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset
 
 
 def _alike(item: xr.Dataset, other: xr.Dataset) -> bool:
-    return all(np.array_equal(item[name].values, other[name].values) for name in ("channel", "unit", "order"))
+    return all(
+        np.array_equal(item.variables[name].values, other.variables[name].values)
+        for name in ("channel", "unit", "order")
+    )
 
 
 def _averaged(used: list[xr.Dataset], speed_bin_rpm: float) -> xr.Dataset:
     """Average of ``used`` recordings by group of like speed."""
-    speed = np.array([float(item["speed"].values[0]) for item in used])
+    speed = np.array([float(item.variables["speed"].values[0]) for item in used])
     groups = [group for group in speed_groups(speed, width_rpm=speed_bin_rpm) if len(group)]
     first = used[0]
 
     def stacked(name: str, group: Ints) -> Floats:
-        return np.array([used[k][name].values[:, 0] for k in group])
+        return np.array([used[k].variables[name].values[:, 0] for k in group])
 
     columns: dict[str, list[Floats]] = {name: [] for name in (*SPECTRA, *_OF_CHANNEL)}
     revs = []
@@ -479,9 +466,10 @@ def _averaged(used: list[xr.Dataset], speed_bin_rpm: float) -> xr.Dataset:
         columns["n_independent"].append(count.sum(axis=0))
         columns["band_low"].append(stacked("band_low", group).min(axis=0))
         columns["band_high"].append(stacked("band_high", group).max(axis=0))
-        revs.append(min(int(used[k]["revs_per_frame"].values[0]) for k in group))
+        revs.append(min(int(used[k].variables["revs_per_frame"].values[0]) for k in group))
     variables: dict[str, Any] = {
-        name: (first[name].dims, np.stack(values, axis=1), dict(first[name].attrs)) for name, values in columns.items()
+        name: (first.variables[name].dims, np.stack(values, axis=1), dict(first.variables[name].attrs))
+        for name, values in columns.items()
     }
     variables |= joined_looks([[used[k] for k in group] for group in groups])
     variables["revs_per_frame"] = (("speed",), np.array(revs), dict(first["revs_per_frame"].attrs))

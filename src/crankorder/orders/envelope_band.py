@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from crankorder.fft.plans import Plan, forward, inverse
 from crankorder.quantities import Floats, Ints
 
-BLOCK_SAMPLES = 65_536
-"""Samples transformed at a time: they, their spectrum and the bands of one level stay in the second-level cache."""
+BLOCK_SAMPLES = 51_200
+"""Samples transformed at a time: they and their spectrum stay in the second-level cache. Made of 2, 3 and 5: of such a
+length a planned transform takes two thirds of the time per sample of one of a power of two."""
 
 GUARD_SAMPLES = 1024
 """Samples at each end of a block that are computed and not used: there the bands' filters see what is not there."""
@@ -31,6 +32,9 @@ HIGHEST_SHARE = 0.49
 TONE_BINS, TONE_RATIO = 256, 5.0
 """Bins of a block's spectrum whose median is its level there, and the multiple of it above which a line is a tone: of
 noise one bin in 1e7 is."""
+
+ROWS = 8
+"""Bands of a level that are transformed at a time: they and their envelopes stay in the second-level cache."""
 
 MOST_PLANS = 24
 """Plans of inverse transforms that a thread keeps: enough for four record layouts."""
@@ -99,11 +103,15 @@ def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> 
     made = np.empty((len(firsts), BLOCK_SAMPLES // 2 + 1), dtype=np.complex64)
     scale, bad = 0.0, []
     for row, first in zip(made, firsts, strict=True):
-        block, gap = _block(signal, first - GUARD_SAMPLES)
-        if len(gap):
-            bad.append(gap)
-        scale = scale or _scale_of(block)
-        np.multiply(block, block.dtype.type(scale), out=plan.input_array, casting="same_kind")
+        at = max(first - GUARD_SAMPLES, 0)
+        piece, gaps = _centred(signal[at : first - GUARD_SAMPLES + BLOCK_SAMPLES])
+        if len(gaps):
+            bad.append(gaps + at)
+        scale = scale or _scale_of(piece)
+        begins = at - (first - GUARD_SAMPLES)
+        plan.input_array[:begins] = plan.input_array[begins + len(piece) :] = 0.0
+        into = plan.input_array[begins : begins + len(piece)]
+        np.multiply(piece, piece.dtype.type(scale), out=into, casting="same_kind")
         plan.execute()
         row[:] = plan.output_array
     gaps = np.concatenate(bad) if bad else np.zeros((0, 2), dtype=np.int64)
@@ -118,13 +126,12 @@ def without_tones(blocks: Blocks) -> Blocks:
     Processing 36, p. 370 (all magnitudes made equal); here only what stands out is lowered.
     """
     made = blocks.spectra.copy()
-    whole = made.shape[1] // TONE_BINS * TONE_BINS
     for row in made:
         size = np.abs(row)
-        middle = np.float32(TONE_RATIO) * middles(size[:whole].reshape(-1, TONE_BINS))
-        limit = np.append(np.repeat(middle, TONE_BINS), np.full(len(size) - whole, middle[-1]))
-        over = size > limit
-        row[over] *= limit[over] / size[over]
+        pieces = size[: len(size) // TONE_BINS * TONE_BINS].reshape(-1, TONE_BINS)
+        limit = np.float32(TONE_RATIO) * middles(pieces)
+        over = np.flatnonzero(pieces > limit[:, None])
+        row[over] *= limit[over // TONE_BINS] / size[over]
     return blocks._replace(spectra=made)
 
 
@@ -144,59 +151,65 @@ def envelopes_of(
     edges : (angles + 1,), increasing positions in samples (with fractions) where the steps of crank angle end
     reach_hz : highest frequency of the envelope that must be free of what folds
     """
-    squared = np.zeros((len(bands), len(edges) - 1), dtype=np.float64)
+    squared = np.zeros((len(bands), len(edges) - 1), dtype=np.float32)
     hop = BLOCK_SAMPLES - 2 * GUARD_SAMPLES
-    levels = _levels(bands, rate_hz, reach_hz=reach_hz)
+    runs = _runs(bands, rate_hz, reach_hz=reach_hz)
     for first, spectrum in zip(blocks.firsts, blocks.spectra, strict=True):
         begin, end = np.searchsorted(edges, [first, first + hop])
         steps = slice(max(int(begin) - 1, 0), min(int(end), len(edges) - 1))
         if steps.stop <= steps.start:
             continue
         local = np.clip(edges[steps.start : steps.stop + 1], first, first + hop) - (first - GUARD_SAMPLES)
-        for rows, low, taper, n_out in levels:
-            plan = _inverse(len(low), n_out)
-            slices = plan.input_array
-            slices[:, len(taper) :] = 0.0
-            for into, at in zip(slices, low, strict=True):
-                np.multiply(spectrum[at : at + len(taper)], taper, out=into[: len(taper)])
-            plan.execute()
+        for rows, low, apart, taper, n_out in runs:
+            plan = _inverse(min(rows.stop - rows.start, ROWS), n_out)
+            slices, waves = plan.input_array.view(np.float32), plan.output_array.view(np.float32)
             ratio = n_out / BLOCK_SAMPLES
             # the inverse is a plain sum; the analytic signal is twice the sum over the block's length
             weight = np.float32((2.0 / BLOCK_SAMPLES) ** 2 / ratio)
             places = local * ratio + 0.5
-            _gather(plan.output_array.view(np.float32), places, weight, squared, rows.start, steps.start)
-    made = (squared / np.diff(edges)).astype(np.float32)
-    rates = np.concatenate([np.full(len(low), n_out * rate_hz / BLOCK_SAMPLES) for _, low, _, n_out in levels])
-    return Envelopes(made, rates, blocks.unit, blocks.bad)
+            for row in range(rows.start, rows.stop, ROWS):
+                shape, at = (min(ROWS, rows.stop - row), len(taper)), low + (row - rows.start) * apart
+                parts = np.ndarray(shape, np.float32, buffer=spectrum, offset=8 * at, strides=(8 * apart, 4))
+                np.multiply(parts, taper, out=slices[: shape[0], : shape[1]])
+                slices[:, shape[1] :] = 0.0
+                plan.execute()
+                _gather(waves[: shape[0]], places, weight, squared, row, steps.start)
+    squared /= np.diff(edges).astype(np.float32)
+    rates = np.concatenate(
+        [np.full(rows.stop - rows.start, n_out * rate_hz / BLOCK_SAMPLES) for rows, *_, n_out in runs]
+    )
+    return Envelopes(squared, rates, blocks.unit, blocks.bad)
 
 
-def _levels(
+def _runs(
     bands: tuple[Band, ...], rate_hz: float, *, reach_hz: float
-) -> list[tuple[slice, Ints, NDArray[np.float32], int]]:
-    """Of each level: its rows among ``bands``, the bands' first bins in a block, their taper, samples of an envelope.
+) -> list[tuple[slice, int, int, NDArray[np.float32], int]]:
+    """Of each run of ``bands`` (a level, or those between): its rows, the first bin of its first band in a block.
 
-    What folds in a squared envelope sampled at the rate r lies above r less the band's width: r leaves ``reach_hz``.
+    Then how many bins the bands are apart, what their bins are taken times (twice each, for real and imaginary parts),
+    and the samples of an envelope. What folds in a squared envelope sampled at the rate r lies above r less the band's
+    width: r leaves ``reach_hz``.
     """
-    made, at = [], 0
+    made = []
     per_hz = BLOCK_SAMPLES / rate_hz
-    while at < len(bands):
-        count = sum(band.level == bands[at].level for band in bands)
-        low = np.array([round(band.low_hz * per_hz) for band in bands[at : at + count]])
-        width = int((bands[at].high_hz - bands[at].low_hz) * per_hz)
-        width = min(width, BLOCK_SAMPLES // 2 + 1 - int(low[-1]))
-        n_out = _size_from(width + int(np.ceil(reach_hz * per_hz)))
+    begins = [k for k, band in enumerate(bands) if not k or band.low_hz <= bands[k - 1].low_hz]
+    for begun, end in pairwise([*begins, len(bands)]):
+        low, spaces = round(bands[begun].low_hz * per_hz), end - begun - 1
+        apart = int((bands[end - 1].low_hz - bands[begun].low_hz) * per_hz / max(spaces, 1))
+        width = int((bands[begun].high_hz - bands[begun].low_hz) * per_hz)
+        width = min(width, BLOCK_SAMPLES // 2 + 1 - low - spaces * apart)
         fade = max(int(TAPER_SHARE * width), 1)
         edge = 0.5 - 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
         taper = np.concatenate([edge, np.ones(width - 2 * fade), edge[::-1]]).astype(np.float32)
-        made.append((slice(at, at + count), low, taper, n_out))
-        at += count
+        n_out = _size_from(width + int(np.ceil(reach_hz * per_hz)))
+        made.append((slice(begun, end), low, apart, np.repeat(taper, 2), n_out))
     return made
 
 
 def _size_from(least: int) -> int:
-    """Next power of two, or 9, 10 or 12 eighths of one, from ``least`` on: few sizes, so that plans are used again."""
+    """Next power of two, or 10 or 12 eighths of one, from ``least`` on: few fast sizes, so that plans serve again."""
     power = 1 << max(least - 1, 1).bit_length() >> 1
-    return next(size for eighths in (8, 9, 10, 12, 16) if (size := power * eighths // 8) >= least)
+    return next(size for eighths in (8, 10, 12, 16) if (size := power * eighths // 8) >= least)
 
 
 def _forward() -> Plan:
@@ -217,32 +230,25 @@ def _inverse(rows: int, n_out: int) -> Plan:
     return plans[rows, n_out]
 
 
-def _block(signal: NDArray[np.floating], first: int) -> tuple[NDArray[Any], Ints]:
-    """Samples of one block from ``first`` on, zero where there are none, and what a gap in it reaches.
+def _centred(piece: NDArray[np.floating]) -> tuple[NDArray[np.floating], Ints]:
+    """``piece`` without its mean, zero where it has no number, and the first and last sample that each gap reaches.
 
     Single precision stays so; double stays until it is scaled, for small numbers would vanish and large ones overflow.
     """
-    kind = np.float32 if signal.dtype == np.float32 else np.float64
-    block: NDArray[Any] = np.zeros(BLOCK_SAMPLES, dtype=kind)
-    none = np.zeros((0, 2), dtype=np.int64)
-    begin, end = max(first, 0), min(first + BLOCK_SAMPLES, len(signal))
-    if end <= begin:
-        return block, none
-    piece: NDArray[Any] = np.asarray(signal[begin:end], dtype=kind)
-    middle = float(piece.mean(dtype=np.float64))
+    piece = np.asarray(piece, dtype=np.float32 if piece.dtype == np.float32 else np.float64)
+    middle = float(piece.mean(dtype=np.float64)) if len(piece) else 0.0
     if np.isfinite(middle):
-        block[begin - first : end - first] = piece - piece.dtype.type(middle)
-        return block, none
+        return piece - piece.dtype.type(middle), np.zeros((0, 2), dtype=np.int64)
     good = np.isfinite(piece)
     middle = float(piece[good].mean()) if good.any() else 0.0
-    block[begin - first : end - first] = np.where(good, piece - piece.dtype.type(middle), 0.0)
     jumps = np.flatnonzero(np.diff(np.concatenate([[True], good, [True]]).astype(np.int8)))
-    return block, jumps.reshape(-1, 2) + begin + np.array([-GUARD_SAMPLES, GUARD_SAMPLES])
+    reach = jumps.reshape(-1, 2) + np.array([-GUARD_SAMPLES, GUARD_SAMPLES])
+    return np.where(good, piece - piece.dtype.type(middle), piece.dtype.type(0.0)), reach
 
 
 def _scale_of(block: NDArray[np.floating]) -> float:
     """Power of two that brings ``block`` to about 1; 0 where it is all zero."""
-    size = float(np.abs(block).max())
+    size = float(np.abs(block).max(initial=0.0))
     return 0.0 if size == 0.0 else float(2.0 ** -np.round(np.log2(size)))
 
 
@@ -255,16 +261,18 @@ def _gather(waves, edges, weight, out, row, column):  # type: ignore[no-untyped-
     """
     for band in range(waves.shape[0]):
         wave = waves[band]
+        k = int(edges[0])
+        here = wave[2 * k] * wave[2 * k] + wave[2 * k + 1] * wave[2 * k + 1]
+        total = np.float32(k - edges[0]) * here
         for step in range(len(edges) - 1):
-            low, high = edges[step], edges[step + 1]
-            first, last = int(low), int(high)
-            inner = np.float32(0.0)
-            for k in range(2 * first, 2 * last):
-                inner += wave[k] * wave[k]
-            left = wave[2 * first] * wave[2 * first] + wave[2 * first + 1] * wave[2 * first + 1]
-            right = wave[2 * last] * wave[2 * last] + wave[2 * last + 1] * wave[2 * last + 1]
-            total = inner - (low - first) * left + (high - last) * right
-            out[row + band, column + step] += weight * total
+            last = int(edges[step + 1])
+            while k < last:
+                total += here
+                k += 1
+                here = wave[2 * k] * wave[2 * k] + wave[2 * k + 1] * wave[2 * k + 1]
+            begun = np.float32(edges[step + 1] - last) * here
+            out[row + band, column + step] += weight * (total + begun)
+            total = -begun
 
 
 def middles(pieces: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -64,8 +65,9 @@ NEAR_TRIALS = 2.2
 SPARE_BINS = 4
 """Bins beside those of a comb's lines that are kept of a spectrum: for the places of its peaks and of sidebands."""
 
-TABLE_STEP, TABLE_END = 0.004, 12.0
-"""Steps and end of the table of chances, in the logarithm of the power ratio: nats are right to 1e-4 of themselves."""
+TABLE_STEP, TABLE_END = 0.004, 1.6e5
+"""Steps of the table of chances in the logarithm of the power ratio, and the ratio at its end: nats are right to 1e-4
+of themselves."""
 
 WIDER_EVIDENCE = 0.9
 """Share of the best band's evidence, in logarithms, that a wider band must show to be taken instead."""
@@ -133,9 +135,10 @@ def line_floor(power: Floats, order: Floats, n_independent: float) -> Floats:
     pieces = power[:, : count * width].reshape(len(power), count, -1)
     shape = max(n_independent, 1.0)
     middle = middles(pieces) * shape / float(gammaincinv(shape, 0.5))
-    at = (np.arange(count) + 0.5) * pieces.shape[2]
-    bins = np.arange(power.shape[1])
-    made: Floats = np.stack([np.interp(bins, at, row) for row in middle])
+    at = np.clip((np.arange(power.shape[1]) + 0.0) / pieces.shape[2] - 0.5, 0.0, count - 1.0)
+    before = np.minimum(at.astype(np.int64), max(count - 2, 0))
+    after = np.minimum(before + 1, count - 1)
+    made: Floats = middle[:, before] * (1.0 - (at - before)) + middle[:, after] * (at - before)
     return made
 
 
@@ -205,23 +208,26 @@ def look_nats(ratio: NDArray[np.floating], bins: Ints, *, count: float, floor_wo
     floor_worth : independent bins that its floor is worth
     free : (looks,), bins off the multiples of the cycle's order: no other counts, nor as a neighbour
     """
-    log_ratio, nats = _table(max(count, 1e-3), floor_worth)
-    own = np.interp(np.log(np.maximum(ratio, 1.0)), log_ratio, nats)
+    nats, rise = _table(max(count, 1e-3), floor_worth)
+    place = np.log(np.fmin(np.fmax(ratio, 1.0), TABLE_END)) / TABLE_STEP
+    below = np.floor(place)
+    at = below.astype(np.int64)
+    own = nats[at] + (place - below) * rise[at]
     own *= np.where(free, np.minimum(ratio, 1.0), 0.0)
     beside = np.diff(bins) == 1
     high = own.copy()
     high[:, 1:] = np.maximum(high[:, 1:], np.where(beside, own[:, :-1], 0.0))
     high[:, :-1] = np.maximum(high[:, :-1], np.where(beside, own[:, 1:], 0.0))
-    made: Floats = np.clip(high - np.log(NEAR_TRIALS), 0.0, MOST_NATS)
+    made: Floats = np.clip(high - math.log(NEAR_TRIALS), 0.0, MOST_NATS)
     return made
 
 
 @lru_cache(maxsize=512)
-def _table(count: float, floor_worth: float) -> tuple[Floats, Floats]:
-    """Logarithms of power ratios from 0 on and those, with a minus, of their chances in noise (F-distribution)."""
-    log_ratio = np.arange(0.0, TABLE_END, TABLE_STEP)
-    chance = fdtrc(2.0 * count, 2.0 * floor_worth * count, np.exp(log_ratio))
-    return log_ratio, -np.log(np.maximum(chance, 1e-300))
+def _table(count: float, floor_worth: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Logarithms of power ratios' chances in noise (F-distribution), with a minus, and how they rise in a step."""
+    log_ratio = np.arange(0.0, np.log(TABLE_END) + 3.0 * TABLE_STEP, TABLE_STEP)
+    nats = -np.log(np.maximum(fdtrc(2.0 * count, 2.0 * floor_worth * count, np.exp(log_ratio)), 1e-300))
+    return nats[:-1].astype(np.float32), np.diff(nats).astype(np.float32)
 
 
 def comb_nats(nats: Floats, bins: Ints, comb: Comb, *, step: float, free: Bools) -> Floats:
@@ -238,30 +244,27 @@ def comb_nats(nats: Floats, bins: Ints, comb: Comb, *, step: float, free: Bools)
     free : (looks,), bins off the multiples of the cycle's order: no other counts
     """
     trials = comb.trials(step) / step
-    sets = _sets(nats, bins, free, comb, trials, spacing=0.0)
-    if comb.spacing:
-        sets += _sets(nats, bins, free, comb, trials, spacing=comb.spacing / step)
-    made: Floats = np.maximum(np.max(sets, axis=0) - np.log(len(sets)), 0.0)
+    sets = [_sets(nats, bins, free, comb, trials, spacing=spacing / step) for spacing in {0.0, comb.spacing}]
+    shown = np.concatenate(sets, axis=1)
+    made: Floats = np.maximum(shown.max(axis=1) - math.log(shown.shape[1]), 0.0)
     return made
 
 
-def _sets(nats: Floats, bins: Ints, free: Bools, comb: Comb, trials: Floats, *, spacing: float) -> list[Floats]:
-    """Nats (rows, trials) of the first harmonics of ``comb`` that begin at ``trials``: of more and more of them."""
-    total, lines = np.zeros((len(nats), len(trials))), np.zeros(len(trials), dtype=np.int64)
-    first = np.ones(total.shape, dtype=np.bool_)
-    made = []
-    for harmonic in range(1, comb.teeth + 1):
-        for side in (0.0, -spacing, spacing) if spacing else (0.0,):
-            at = np.round(harmonic * trials + side).astype(np.int64)
-            look = np.minimum(np.searchsorted(bins, at), len(bins) - 1)
-            counts = (bins[look] == at) & free[look]
-            own = np.where(counts, nats[:, look], 0.0)
-            if harmonic == 1 and not side and not comb.is_slow:
-                first = own > LEAST_NATS
-            total += own
-            lines += counts
-        if spacing or harmonic in (LEAST_TEETH, comb.teeth):
-            made.append(np.where((lines >= LEAST_TEETH) & first, _fisher(total, lines), 0.0))
+def _sets(nats: Floats, bins: Ints, free: Bools, comb: Comb, trials: Floats, *, spacing: float) -> Floats:
+    """Nats (rows, sets, trials) of the first harmonics of ``comb`` that begin at ``trials``: of more and more of them.
+
+    With sidebands ``spacing`` bins beside, where it is not 0.
+    """
+    teeth = np.arange(1, comb.teeth + 1)
+    sides = np.array([0.0, -spacing, spacing] if spacing else [0.0])
+    at = np.round(teeth[:, None, None] * trials + sides[:, None]).astype(np.int64)
+    look = np.minimum(np.searchsorted(bins, at), len(bins) - 1)
+    counts = (bins[look] == at) & free[look]
+    own = np.where(counts, nats[:, look], 0.0)
+    first = (own[:, :1, 0] > LEAST_NATS) | comb.is_slow
+    kept = slice(None) if spacing else [LEAST_TEETH - 1, comb.teeth - 1]
+    total, lines = own.sum(axis=2).cumsum(axis=1)[:, kept], counts.sum(axis=1).cumsum(axis=0)[kept]
+    made: Floats = np.where((lines >= LEAST_TEETH) & first, _fisher(total, lines), 0.0)
     return made
 
 
@@ -278,7 +281,7 @@ def _fisher(total: Floats, lines: Ints) -> Floats:
     return made
 
 
-def over_skirts(ratio: Floats) -> Floats:
+def over_skirts(ratio: NDArray[np.floating]) -> Floats:
     """``ratio`` (rows, orders) over the median of the bins about each where that is higher: on a skirt no line is."""
     pieces = ratio.shape[1] // SKIRT_BINS
     middle = middles(ratio[:, : pieces * SKIRT_BINS].reshape(len(ratio), pieces, SKIRT_BINS))
@@ -318,7 +321,7 @@ def combs_in(dataset: xr.Dataset) -> tuple[Comb, ...]:
     """Combs that ``dataset`` holds; none where it has none."""
     if "comb_low" not in dataset:
         return ()
-    columns = [dataset[f"comb_{name}"].values.tolist() for name in Comb._fields]
+    columns = [dataset.variables[f"comb_{name}"].values.tolist() for name in Comb._fields]
     return tuple(Comb(*row) for row in zip(*columns, strict=True))
 
 
@@ -335,19 +338,25 @@ def joined_looks(groups: list[list[xr.Dataset]]) -> dict[str, Any]:
     like = max(items, key=lambda item: item.sizes["band"])
     kept = np.stack([_averaged(group, like) for group in groups], axis=2)
     chosen = _bands_of(kept[0], groups, combs, items[0])
-    made = comb_variables(combs) | {"look": (("look",), items[0]["look"].values, dict(items[0]["look"].attrs))}
+    made = comb_variables(combs) | {
+        "look": (("look",), items[0].variables["look"].values, dict(items[0]["look"].attrs))
+    }
     for number, (name, units) in enumerate(_UNITS.items()):
         values = np.stack([kept[number][:, :, at] for at in chosen])
         made[f"comb_{name}"] = (("comb", "channel", "speed", "look"), values, {"units": units})
     for end in ("low", "high"):
-        edges = np.array([group[0][f"look_band_{end}"].values[0, _nearest(group[0], like)] for group in groups])
+        edges = np.array(
+            [group[0].variables[f"look_band_{end}"].values[0, _nearest(group[0], like)] for group in groups]
+        )
         about = {"units": "Hz", "long_name": f"{end} end of the band"}
         made[f"comb_band_{end}"] = (("comb", "speed"), edges[:, chosen].T, about)
     return made
 
 
 def _alike(item: xr.Dataset, other: xr.Dataset) -> bool:
-    return combs_in(item) == combs_in(other) and np.array_equal(item["look"].values, other["look"].values)
+    return combs_in(item) == combs_in(other) and np.array_equal(
+        item.variables["look"].values, other.variables["look"].values
+    )
 
 
 def _nearest(item: xr.Dataset, like: xr.Dataset) -> Ints:
@@ -360,24 +369,27 @@ def _nearest(item: xr.Dataset, like: xr.Dataset) -> Ints:
 
 def _averaged(group: list[xr.Dataset], like: xr.Dataset) -> NDArray[np.float32]:
     """Means (3, channel, band, look) of what is kept of the recordings of a ``group``, as often as each counts."""
-    total, made = 0.0, 0.0
+    total, made = np.full(1, 1e-9, dtype=np.float32), np.zeros(1, dtype=np.float32)
     for item in group:
-        count = np.nan_to_num(item["n_independent"].values[:, 0])[:, None, None]
+        count = np.nan_to_num(item.variables["n_independent"].values[:, 0]).astype(np.float32)[:, None, None]
         at = _nearest(item, like)
-        made = made + count * np.nan_to_num(np.stack([item[f"look_{name}"].values[:, 0][:, at] for name in _UNITS]))
+        kept = np.stack([item.variables[f"look_{name}"].values[:, 0][:, at] for name in _UNITS])
+        made = made + np.where(count > 0.0, count * kept, np.float32(0.0))
         total = total + count
-    return np.asarray(made / np.maximum(total, 1e-9), dtype=np.float32)
+    return np.asarray(made / total)
 
 
 def _bands_of(
     ratio: NDArray[np.float32], groups: list[list[xr.Dataset]], combs: tuple[Comb, ...], first: xr.Dataset
 ) -> list[int]:
     """For each comb the band of ``ratio`` (channel, speed, band, look) that serves it best: in a spectrum or in all."""
-    order = first["order"].values
-    step, bins = float(order[1]), np.round(first["look"].values / order[1]).astype(np.int64)
-    count = np.array([sum(np.nan_to_num(item["n_independent"].values[:, 0]) for item in group) for group in groups]).T
-    revs = [min(int(item["revs_per_frame"].values[0]) for item in group) for group in groups]
-    speed_hz = [float(np.mean([item["speed"].values[0] for item in group])) / 60.0 for group in groups]
+    order = first.variables["order"].values
+    step, bins = float(order[1]), np.round(first.variables["look"].values / order[1]).astype(np.int64)
+    count = np.array(
+        [sum(np.nan_to_num(item.variables["n_independent"].values[:, 0]) for item in group) for group in groups]
+    ).T
+    revs = [min(int(item.variables["revs_per_frame"].values[0]) for item in group) for group in groups]
+    speed_hz = [float(np.mean([item.variables["speed"].values[0] for item in group])) / 60.0 for group in groups]
     cycle = int(first.attrs["revs_per_cycle"])
     free = np.array(
         [
@@ -388,11 +400,11 @@ def _bands_of(
     best = np.zeros((len(combs), ratio.shape[2]))
     several = np.log(max(count.size, 1))
     if count.size > 1:
-        weight = count[:, :, None, None] * free[None, :, None, bins]
+        weight = (count[:, :, None] * free[None][:, :, bins]).astype(np.float32)
         own = weight.sum(axis=(0, 1))
-        mean = (weight * ratio).sum(axis=(0, 1)) / np.maximum(own, 1e-9)
+        mean = np.einsum("csl,csbl->bl", weight, ratio) / np.maximum(own, 1e-9)
         counts = np.zeros(len(order), dtype=np.bool_)
-        counts[bins] = own[0] >= 0.5 * count.sum()
+        counts[bins] = own >= 0.5 * count.sum()
         worth = floor_worth(step, 1.0 / max(revs))
         total = np.array([float(count.sum())])
         best = served(mean[None], combs, bins, step=step, count=total, worth=worth, free=counts)[:, 0]
