@@ -233,7 +233,8 @@ def search(floor: Floor, *, chance: float, own_hz: Range = EVERYWHERE) -> tuple[
             best = (cost, problem, fit)
     assert best is not None
     _, problem, fit = best
-    fit = _grown(problem, _split(problem, fit, chance, looked, own_hz), chance, looked)
+    split = _split(problem, fit, chance, looked, own_hz)
+    fit = fit if split is fit else _grown(problem, split, chance, looked)
     fit = _pruned(problem, fit, chance, tested, own_hz)
     return problem, fit, min(looked.left, tested.left) < 0
 
@@ -449,7 +450,7 @@ def _grown(problem: Problem, fit: SurfaceFit, chance: float, fits: Fits) -> Surf
     """
     tried: list[float] = []
     while fit.linear.shape[1] + 2 <= len(problem.frequency_hz):
-        found = _standing_out(problem, fit, tried)
+        found = _standing_out(problem, fit, tried, chance)
         if found is None or not fits.begin():
             break
         frequency, width = found
@@ -462,11 +463,16 @@ def _grown(problem: Problem, fit: SurfaceFit, chance: float, fits: Fits) -> Surf
     return fit
 
 
-def _standing_out(problem: Problem, fit: SurfaceFit, tried: list[float]) -> tuple[float, float] | None:
-    """Frequency and half width of the most significant hump of the residual, away from those ``tried``."""
-    z = np.zeros(problem.psd.shape)
-    for row, n, y, model in zip(z, problem.averages, problem.psd, fit.model, strict=True):
-        row[:] = np.where(n > 0.0, np.sqrt(n) * (np.nan_to_num(y) / model - 1.0), 0.0)
+def _standing_out(problem: Problem, fit: SurfaceFit, tried: list[float], chance: float) -> tuple[float, float] | None:
+    """Frequency and half width of the most significant hump of the residual, away from those ``tried``.
+
+    None where noise would make as much in as many channels by ``chance``.
+    """
+    from scipy.special import chdtri
+
+    z = np.where(
+        problem.averages > 0.0, np.sqrt(problem.averages) * (np.nan_to_num(problem.psd) / fit.model - 1.0), 0.0
+    )
     best = 0.0
     found: tuple[float, float] | None = None
     step = _step_hz(problem)
@@ -479,7 +485,8 @@ def _standing_out(problem: Problem, fit: SurfaceFit, tried: list[float]) -> tupl
         at = int(np.argmax(score))
         if score[at] > best:
             best, found = float(score[at]), (float(problem.frequency_hz[at]), 0.25 * bins * problem.seen.bin_hz)
-    return found if best > 25.0 * dispersion(problem, fit, found[0] if found else None) else None
+    least = float(chdtri(len(z), chance))
+    return found if best > least * dispersion(problem, fit, found[0] if found else None) else None
 
 
 def _split(problem: Problem, fit: SurfaceFit, chance: float, fits: Fits, own_hz: Range) -> SurfaceFit:
