@@ -285,6 +285,10 @@ def _factored(columns: Complexes) -> tuple[Complexes, Complexes]:
     """Orthonormal basis of ``columns`` and what turns shares of it into coefficients."""
     size = np.sqrt((np.abs(columns) ** 2).sum(axis=0))
     size[size == 0] = 1.0
+    basis, triangle = np.linalg.qr(columns / size)
+    diagonal = np.abs(np.diag(triangle))
+    if len(columns) >= len(size) and diagonal.min(initial=1.0) > 1e-9 * diagonal.max(initial=0.0):
+        return basis, np.linalg.inv(triangle) / size[:, None]
     left, values, right = np.linalg.svd(columns / size, full_matrices=False)
     kept = values > 1e-9 * values.max(initial=0.0)
     return left[:, kept], (right[kept].conj().T / values[kept]) / size[:, None]

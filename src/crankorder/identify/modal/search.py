@@ -218,7 +218,7 @@ def search(floor: Floor, *, chance: float, own_hz: Range = EVERYWHERE) -> tuple[
     And whether the search ended at its bound: then poles may be missing, and some were not tested.
     ``own_hz``: from where to where poles are taken apart and tested; beside that they but make room for those within.
     """
-    best: tuple[float, Problem, SurfaceFit] | None = None
+    made: list[tuple[float, Problem, SurfaceFit]] = []
     start = peaks(floor)
     for line, _ in floor.strong:
         start = start.chosen(np.abs(start.frequency_hz - line) > NUMBERS.own_peak_bins * floor.seen.bin_hz)
@@ -229,11 +229,10 @@ def search(floor: Floor, *, chance: float, own_hz: Range = EVERYWHERE) -> tuple[
         fit = _grown(problem, fit, chance, looked)
         size = fit.linear.size + 2 * len(fit.poles)
         cost = fit.deviance + HANN_CORRELATION * size * np.log(len(floor.frequency_hz))
-        if best is None or cost < best[0]:
-            best = (cost, problem, fit)
-    assert best is not None
-    _, problem, fit = best
-    fit = _grown(problem, _split(problem, fit, chance, looked, own_hz), chance, looked)
+        made.append((cost, problem, fit))
+    _, problem, fit = min(made, key=lambda one: one[0])
+    split = _split(problem, fit, chance, looked, own_hz)
+    fit = fit if split is fit else _grown(problem, split, chance, looked)
     fit = _pruned(problem, fit, chance, tested, own_hz)
     return problem, fit, min(looked.left, tested.left) < 0
 
@@ -360,8 +359,7 @@ def hidden_poles(problem: Problem, fit: SurfaceFit) -> NDArray[np.bool_]:
     used = problem.frequency_hz[(problem.averages > 0.0).any(axis=0)]
     nearest = np.abs(fit.poles.frequency_hz[:, None] - used).min(axis=1, initial=np.inf)
     inside = (fit.poles.frequency_hz > problem.frequency_hz[0]) & (fit.poles.frequency_hz < problem.frequency_hz[-1])
-    reach = problem.seen.bin_hz + fit.poles.damping * fit.poles.frequency_hz
-    return np.asarray(inside & (nearest > reach))
+    return np.asarray(inside & (nearest > problem.seen.bin_hz + fit.poles.damping * fit.poles.frequency_hz))
 
 
 def evidence_of(fit: SurfaceFit) -> Array:
@@ -449,7 +447,7 @@ def _grown(problem: Problem, fit: SurfaceFit, chance: float, fits: Fits) -> Surf
     """
     tried: list[float] = []
     while fit.linear.shape[1] + 2 <= len(problem.frequency_hz):
-        found = _standing_out(problem, fit, tried)
+        found = _standing_out(problem, fit, tried, chance)
         if found is None or not fits.begin():
             break
         frequency, width = found
@@ -462,24 +460,27 @@ def _grown(problem: Problem, fit: SurfaceFit, chance: float, fits: Fits) -> Surf
     return fit
 
 
-def _standing_out(problem: Problem, fit: SurfaceFit, tried: list[float]) -> tuple[float, float] | None:
-    """Frequency and half width of the most significant hump of the residual, away from those ``tried``."""
-    z = np.zeros(problem.psd.shape)
-    for row, n, y, model in zip(z, problem.averages, problem.psd, fit.model, strict=True):
-        row[:] = np.where(n > 0.0, np.sqrt(n) * (np.nan_to_num(y) / model - 1.0), 0.0)
+def _standing_out(problem: Problem, fit: SurfaceFit, tried: list[float], chance: float) -> tuple[float, float] | None:
+    """Frequency and half width of the most significant hump of the residual, away from those ``tried``.
+
+    None where noise would make as much in as many channels by ``chance``.
+    """
+    from scipy.special import chdtri
+
+    z = np.where(
+        problem.averages > 0.0, np.sqrt(problem.averages) * (np.nan_to_num(problem.psd) / fit.model - 1.0), 0.0
+    )
     best = 0.0
     found: tuple[float, float] | None = None
-    step = _step_hz(problem)
     for bins in (n for n in BOXES if n < min(len(problem.frequency_hz), max(64, len(problem.frequency_hz) // 4))):
         box = np.ones(bins) / np.sqrt(bins * min(HANN_CORRELATION, 0.5 + 0.5 * bins))
-        summed = np.stack([np.convolve(row, box, mode="same") for row in z])
-        score = np.square(np.maximum(summed, 0.0)).sum(axis=0)
+        score = np.square(np.maximum([np.convolve(row, box, mode="same") for row in z], 0.0)).sum(axis=0)
         for frequency in tried:
-            score[np.abs(problem.frequency_hz - frequency) < 2.0 * bins * step] = 0.0
+            score[np.abs(problem.frequency_hz - frequency) < 2.0 * bins * _step_hz(problem)] = 0.0
         at = int(np.argmax(score))
         if score[at] > best:
             best, found = float(score[at]), (float(problem.frequency_hz[at]), 0.25 * bins * problem.seen.bin_hz)
-    return found if best > 25.0 * dispersion(problem, fit, found[0] if found else None) else None
+    return found if best > chdtri(len(z), chance) * dispersion(problem, fit, found[0] if found else None) else None
 
 
 def _split(problem: Problem, fit: SurfaceFit, chance: float, fits: Fits, own_hz: Range) -> SurfaceFit:
@@ -506,8 +507,7 @@ def _split(problem: Problem, fit: SurfaceFit, chance: float, fits: Fits, own_hz:
             two = min([two, *beside], key=lambda trial: trial.deviance)
         if one.deviance - two.deviance > NUMBERS.gate_share * HANN_CORRELATION * limit * dispersion(local, two):
             poles = fit.poles.without(number)
-            near = np.argsort(np.abs(two.poles.frequency_hz - f))[:2]
-            for k in near:
+            for k in np.argsort(np.abs(two.poles.frequency_hz - f))[:2]:
                 poles = poles.with_pole(float(two.poles.frequency_hz[k]), float(two.poles.damping[k]))
             more = fit_surface(problem, poles, start=fit.model, steps=20)
             if saves_enough(problem, fit, more, at_hz=f, chance=chance):
