@@ -54,25 +54,24 @@ def with_real_units(dataset: xr.Dataset) -> xr.Dataset:
     """
     if not any(variable.attrs.get("units") in FORMS for variable in dataset.variables.values()):
         return dataset
-    import xarray as xr
-
     along, parts = _parts(dataset)
-    made: dict[str, Any] = {}
+    whole, made = dataset.copy(), {}
     for key, variable in dataset.variables.items():
         name, inside = str(key), str(variable.attrs.get("units"))
         of_channel = "{}" in FORMS.get(inside, "")
         if inside not in FORMS or (of_channel and along not in variable.dims):
-            made[name] = variable
-        elif len(parts) == 1 or not of_channel:
+            continue
+        if len(parts) == 1 or not of_channel:
             unit = next(iter(parts.values()))[0] if of_channel else "1"
-            made[name] = (variable.dims, variable.values, _outside(variable.attrs, unit))
+            whole.variables[key].attrs = _outside(variable.attrs, unit)
         else:
+            whole = whole.drop_vars(name)
             for part, (unit, of_part) in parts.items():
                 values = _only(variable.values, of_part, variable.dims.index(along))
                 if unit or not np.isnan(values).all():
                     about = {**_outside(variable.attrs, unit), PART_OF: name}
                     made[f"{name}_{part}"] = (variable.dims, values, about)
-    return xr.Dataset(made, attrs=dataset.attrs).set_coords([name for name in dataset.coords if name in made])
+    return whole.assign(made) if made else whole
 
 
 def by_channel(dataset: xr.Dataset) -> xr.Dataset:

@@ -324,7 +324,7 @@ def diagnose(
     """
     tables = {"bearings": bearings, "gears": gears, "motor": motor}
     settings = _settings("findings", recipe=recipe)
-    return _analysed(recordings, settings, tables=tables, engine=engine, test=test)[1]
+    return _diagnosis(_analysed(recordings, settings, tables=tables, engine=engine, test=test)[1])
 
 
 def run(
@@ -379,8 +379,9 @@ def run(
     tables = {"bearings": bearings, "gears": gears, "motor": motor}
     options = {"tables": tables, "engine": engine, "test": test, "strict": strict}
     groups, findings = _analysed(tests, settings, **options)  # type: ignore[arg-type]
-    root = xr.Dataset(attrs=root_attrs(findings, groups))
-    made = {name: plain_attrs(published(one)) for name, one in {**groups, **findings_datasets(findings)}.items()}
+    told = _diagnosis(findings)
+    root = xr.Dataset(attrs=root_attrs(told, groups))
+    made = {name: plain_attrs(published(one)) for name, one in {**groups, **findings_datasets(told)}.items()}
     return xr.DataTree.from_dict({"/": root, **made}, name=test)
 
 
@@ -516,13 +517,18 @@ def _plain(value: Any) -> Any:
 
 def _analysed(
     recordings: Recordings, settings: Settings, *, tables: Mapping[str, Any] | None = None, **options: Any
-) -> tuple[dict[str, xr.Dataset], Diagnosis]:
+) -> tuple[dict[str, xr.Dataset], Findings]:
     """Groups and findings of ``recordings``; what was left out and what is suspect is warned of."""
     groups, findings, faults = analysed(recordings, settings, tables=tables or {}, **options)
     _warn(faults)
     suspect = [flag for flag in findings.quality if flag.severity == "suspect" and flag.flag != NO_MARK]
     _warn([f"{flag.recording}: {flag.flag}: {flag.detail}" for flag in suspect])
-    return groups, Diagnosis.from_dict(_document(json_bytes(findings.as_dict())))
+    return groups, findings
+
+
+def _diagnosis(findings: Findings) -> Diagnosis:
+    """``findings`` as the file of them holds them."""
+    return Diagnosis.from_dict(_document(json_bytes(findings.as_dict())))
 
 
 def _tree(file: Path) -> xr.DataTree:

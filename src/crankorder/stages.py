@@ -556,10 +556,9 @@ def analyse_test(
         Sources: sources,
         Settings: settings,
         Findings: nothing_sought(test, reason=""),
+        AllShaftAngles: Gathered(recordings, ShaftAngle),
+        **{gathered: Gathered(recordings, noun) for gathered, noun in FRAMES_OF.items()},
     }
-    given[AllShaftAngles] = Gathered(recordings, ShaftAngle)
-    for gathered, noun in FRAMES_OF.items():
-        given[gathered] = Gathered(recordings, noun)
     made = _plan_of_test(results).run(given)
     # what every band shows of every train of strikes is for the findings alone: it would double the results
     datasets = {

@@ -167,7 +167,7 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     made = {
         "amplitude": _variable(dims, np.sqrt(tone * (0.5 if rms else 1.0)) / scale, "see unit", f"{name} of a tone"),
         "psd": _variable(dims, psd, "see unit, squared per Hz", "power spectral density"),
-        **_settled_variables(_settled(frames, groups, frequency, density, counts), frequency, scale),
+        **_settled(frames, groups, frequency, density, counts, scale),
         "n_frames": _variable(("speed",), lengths, "1", "frames averaged"),
     }
     if np.any(counts != lengths):
@@ -249,16 +249,16 @@ def _group_means(
 
 
 def _settled(
-    frames: list[xr.Dataset], groups: list[Ints], frequency: Floats, density: Floats, counts: Ints
-) -> tuple[Ints, Floats, Floats] | None:
-    """Bins at which recordings begin with a transient; density there without it, and the share of frames that it is of.
+    frames: list[xr.Dataset], groups: list[Ints], frequency: Floats, density: Floats, counts: Ints, unit: Floats
+) -> dict[str, xr.Variable]:
+    """What is left, at the bins where recordings begin with a transient, without it: density, share of the frames.
 
     Both (channel, group, bin), from the mean ``density`` (channel, group, frequency) of all ``counts`` (channel, group)
-    frames; None where no recording begins with a transient.
+    frames, whose signals were taken times ``unit``. Nothing where no recording begins with a transient.
     """
     leading = leading_frames(frames)
     if leading is None:
-        return None
+        return {}
     n_frames = [item.sizes["frame"] for item in frames]
     group_of, scales, common = _groups_and_scales(frames, groups)
     first = np.concatenate([[0], np.cumsum(n_frames)[:-1]])
@@ -271,29 +271,17 @@ def _settled(
         for number, into in enumerate(group_of[begin : begin + power.shape[1]]):
             left[:, into] -= taken[:, number]
             share[:, into] -= known[:, number]
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
         held = share / counts[..., None]
-        made = np.where(share > NUMBERS.least_left_share, np.maximum(left, 0.0) / share, np.nan)
+        made = np.where(share > NUMBERS.least_left_share, np.maximum(left, 0.0) / share, np.nan) / unit / unit
     bins = np.flatnonzero((held < 1.0 - 1e-9).any(axis=(0, 1)))
-    return bins, made[..., bins], np.where(share > NUMBERS.least_left_share, held, 0.0)[..., bins]
-
-
-def _settled_variables(
-    settled: tuple[Ints, Floats, Floats] | None, frequency: Floats, scale: Floats
-) -> dict[str, xr.Variable]:
-    """Variables of what is ``settled``: left at bins of ``frequency`` without start transients; none where none is."""
-    if settled is None:
-        return {}
-    (bins, density, share), dims = settled, ("channel", "speed", "settled_frequency")
-    with np.errstate(over="ignore"):
-        psd = density / scale / scale
-    at = "frequency at which recordings begin with a transient"
+    held = np.where(share > NUMBERS.least_left_share, held, 0.0)
+    dims, at = ("channel", "speed", "settled_frequency"), "frequency at which recordings begin with a transient"
+    words = "see unit, squared per Hz", "power spectral density without start transients"
     return {
         "settled_frequency": _variable(dims[2:], frequency[bins], "Hz", at),
-        "settled_psd": _variable(
-            dims, psd, "see unit, squared per Hz", "power spectral density without start transients"
-        ),
-        "settled_share": _variable(dims, share, "1", "share of the frames that it is of"),
+        "settled_psd": _variable(dims, made[..., bins], *words),
+        "settled_share": _variable(dims, held[..., bins], "1", "share of the frames that it is of"),
     }
 
 

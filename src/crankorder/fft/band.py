@@ -54,20 +54,16 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float, toler
         attrs |= {"rate_hz": rate, "start_s": float(attrs.get("start_s", 0.0)) + start}
     else:
         signals, *_ = decimate(signals, rate_hz=1.0, band_hz=0.4, factor=1, offset=offset, gaps=gaps)
+    # an error of an earlier decimation stays
+    attrs |= {"band_hz": band_hz, "decimation_error": error + float(attrs.get("decimation_error", 0.0))}
     words = {"units": "see unit", "long_name": "signal in the analysis band"}
-    made = {"signal": xr.Variable(("channel", axis), signals, words)}
+    made: dict[str, Any] = {"signal": (("channel", axis), signals, words)}
     if bad is not None:
         usable = empty_like(signals, signals.shape, np.bool_)
         for row, (starts, ends) in zip(usable, bad, strict=True):
             _mark_untouched(row, starts, ends, factor, reach)
-        words = {"units": "1", "long_name": "free of gaps and of their filtering"}
-        made["usable"] = xr.Variable(("channel", axis), usable, words)
-    return xr.Dataset(
-        made,
-        coords=channel_coords(recording),
-        # an error of an earlier decimation stays
-        attrs=attrs | {"band_hz": band_hz, "decimation_error": error + float(attrs.get("decimation_error", 0.0))},
-    )
+        made["usable"] = (("channel", axis), usable, {"units": "1", "long_name": "free of gaps and of their filtering"})
+    return xr.Dataset(made, coords=channel_coords(recording), attrs=attrs)
 
 
 def sound_samples(band: xr.Dataset) -> Bools:

@@ -7,6 +7,7 @@ are too few the bins beside a line help out.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -177,15 +178,21 @@ def beside_bins(order: Floats, *, line_step: float, count: int = BESIDE_BINS) ->
     ``order`` (orders,) is the axis; bins within one of a multiple of ``line_step`` may hold lines and are left out
     where enough others are left, those within one of the bin itself and of zero always.
     """
-    n = len(order)
+    return _beside_bins(tuple(order.tolist()), line_step, count)
+
+
+@lru_cache(maxsize=4)
+def _beside_bins(axis: tuple[float, ...], line_step: float, count: int) -> tuple[Ints, Floats]:
+    order, n = np.array(axis), len(axis)
     distance = np.abs(np.arange(n)[:, None] - np.arange(n))
     off = np.abs(order / line_step - np.round(order / line_step)) * line_step / (order[1] - order[0])
     cost = distance + np.where(off > 1.5, 0, 3 * n) + np.where(distance < 2, 9 * n, 0)
     cost[:, :2] += 9 * n
     bins = np.sort(np.argpartition(cost, min(count, n) - 1, axis=1)[:, :count], axis=1)
-    apart = np.abs(bins[:, :, None] - bins[:, None])
-    alike = np.where(apart == 0, 1.0, np.where(apart == 1, 4.0 / 9.0, np.where(apart == 2, 1.0 / 36.0, 0.0)))
-    return bins, bins.shape[1] ** 2 / alike.sum(axis=(1, 2))
+    apart = np.minimum(np.abs(bins[:, :, None] - bins[:, None]), 3)
+    worth = bins.shape[1] ** 2 / np.array([1.0, 4.0 / 9.0, 1.0 / 36.0, 0.0])[apart].sum(axis=(1, 2))
+    bins.flags.writeable = worth.flags.writeable = False  # kept for the next map
+    return bins, worth
 
 
 def noise_beside(energy: Floats, bins: Ints) -> Floats:

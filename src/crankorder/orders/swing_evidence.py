@@ -50,8 +50,8 @@ WORST_CONDITION = 1e9
 TEETH_LARGEST = 3.0
 """Times the root of its mean square that a harmonic of teeth which sit wrongly may have: by chance one in 8000 more."""
 
-RADII, PHASES = 72, 40
-"""Grid of E_k over which the odds are summed …"""
+RADII, PHASES = np.geomspace(2e-4, 1.0, 72), np.exp(2j * np.pi * np.arange(40) / 40)
+"""Grid of E_k, over the largest, over which the odds are summed …"""
 
 GRID_SLACK = 0.1
 """… and the share of E_k by which its points are apart, about."""
@@ -321,8 +321,8 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     sums = _sums(value, rows.noise, harmonic, expected)
     # sidebands as measured: what was taken out already is put back into the targets to first order
     sums = _put_back(sums, known)
-    radius = np.geomspace(2e-4, 1.0, RADII) * expected.largest_rev(harmonic)
-    grid = (radius[:, None] * np.exp(2j * np.pi * np.arange(PHASES) / PHASES)).ravel()
+    radius = RADII * expected.largest_rev(harmonic)
+    grid = (radius[:, None] * PHASES).ravel()
     settings = expected.settings
     gain = _gains(sums, grid, settings, slack=GRID_SLACK)
     total = gain.sum(axis=1) - 0.5 * np.square(np.abs(grid) / expected.usual_rev(harmonic))
@@ -333,9 +333,9 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     proof = sum(of_carrier) - max(of_carrier, default=0.0)
     chance = float(np.exp(-min(max(proof, 0.0), 700.0)))
     # cells of a polar grid, even in the logarithm of the radius
-    posterior = np.exp(total - total.max()).reshape(RADII, PHASES).sum(axis=1) * np.square(radius)
+    posterior = np.exp(total - total.max()).reshape(len(RADII), -1).sum(axis=1) * np.square(radius)
     reach = np.cumsum(posterior / posterior.sum())
-    bound = float(radius[min(int(np.searchsorted(reach, 0.95)), RADII - 1)])
+    bound = float(radius[min(int(np.searchsorted(reach, 0.95)), len(RADII) - 1)])
     agreed = [float(c) for c, w, g in zip(sums.carrier, weights, gain_here, strict=True) if w > 0.5 and g > 1.0]
     carriers = tuple(sorted(set(agreed), key=lambda c: -float(gain_here[sums.carrier == c].sum())))
     largest = expected.largest_rev(harmonic)

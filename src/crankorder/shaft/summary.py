@@ -83,14 +83,12 @@ def shaft_summary(shafts: Sequence[xr.Dataset], *, knots: int = KNOTS) -> xr.Dat
         "n_pulses": (lambda shaft: float(shaft.attrs["n_pulses"]), "1", "encoder pulses used"),
     }
     names = [printable(shaft.attrs["recording"]) for shaft in shafts]
-    return xr.Dataset(
-        {
-            name: xr.Variable("recording", [of(shaft) for shaft in shafts], {"units": unit, "long_name": text})
-            for name, (of, unit, text) in rows.items()
-        }
-        | trace_variables(shafts, knots=knots),
-        coords={"recording": xr.Variable("recording", names, {"units": "1", "long_name": "file name"})},
-    )
+    made = {
+        name: xr.Variable("recording", [of(shaft) for shaft in shafts], {"units": unit, "long_name": text})
+        for name, (of, unit, text) in rows.items()
+    }
+    named = {"recording": xr.Variable("recording", names, {"units": "1", "long_name": "file name"})}
+    return xr.Dataset(made | trace_variables(shafts, knots=knots), coords=named)
 
 
 def _known(of: Callable[[NDArray[np.float64]], float], values: NDArray[np.float64]) -> float:
