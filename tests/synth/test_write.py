@@ -3,6 +3,7 @@
 import json
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -150,10 +151,10 @@ def test_a_write_that_is_cut_off_leaves_no_manifest_and_can_be_repeated(
     whole = contents(folder)
     publish = write._publish
 
-    def full_disk(path: Path, content: bytes) -> None:
+    def full_disk(path: Path, fill: Any) -> None:
         if path.name == "rpm_0612.5.h5":
             raise OSError(28, "No space left on device", str(path))
-        publish(path, content)
+        publish(path, fill)
 
     monkeypatch.setattr(write, "_publish", full_disk)
     with pytest.raises(EnvironmentFailure, match="No space left") as caught:

@@ -133,6 +133,7 @@ def analogue_filter(acquisition: Acquisition | None) -> AnalogueFilter | None:
 
 
 INT16_BITS = 16
+SAMPLES_AT_ONCE = 1 << 16
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -177,13 +178,16 @@ def recorded(signal: NDArray[np.float64], acquisition: Acquisition) -> Recorded:
     samples = np.empty(signal.shape, dtype=acquisition.stored_as)
     clipped_share = np.zeros(len(signal))
     for channel, row in enumerate(signal):
-        values = np.multiply(row, per_m_s2, dtype=np.float64)
-        clipped_share[channel] = _convert(values, full_scale, step) / max(1, values.size)
-        if step is not None and count_value is None:
-            values *= step
-        if count_value is not None and np.isnan(values).any():
-            raise ValueError("int16 has no code for a missing sample")
-        samples[channel] = values
+        n_clipped = 0
+        for start in range(0, row.size, SAMPLES_AT_ONCE):
+            values = np.multiply(row[start : start + SAMPLES_AT_ONCE], per_m_s2, dtype=np.float64)
+            n_clipped += _convert(values, full_scale, step)
+            if step is not None and count_value is None:
+                values *= step
+            if count_value is not None and np.isnan(values).any():
+                raise ValueError("int16 has no code for a missing sample")
+            samples[channel, start : start + values.size] = values
+        clipped_share[channel] = n_clipped / max(1, row.size)
     return Recorded(
         samples=samples,
         scale=count_value,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,22 +71,32 @@ def padded_length(n_samples: int, tail_samples: int) -> int:
 
 
 def coloured_noise(
-    spectra: Sequence[NDArray[np.complex64]], response: NDArray[np.complex64], *, n_padded: int, n_samples: int
+    spectra: list[NDArray[np.complex64]],
+    response: Iterable[NDArray[np.complex64]],
+    *,
+    n_channels: int,
+    n_padded: int,
+    n_samples: int,
 ) -> NDArray[np.float32]:
     """What white forces become behind a response, shape (channel, n_samples).
 
-    ``spectra``: the half spectrum of each force. ``response``: shape (channel, force, bin). ``n_padded``: length that
-    the spectra stand for. ``n_samples``: how many are kept.
+    ``spectra``: the half spectrum of each force; the list is emptied, for they are large. ``response``: shape (channel,
+    force, some bins), one after the other, for ``n_channels``. ``n_padded``: length that the spectra stand for.
+    ``n_samples``: how many are kept.
     """
     from scipy.fft import irfft
 
-    noise = np.zeros((response.shape[0], n_samples), dtype=np.float32)
-    for channel, row in enumerate(response):
-        total = np.zeros(response.shape[2], dtype=np.complex64)
-        for gain, spectrum in zip(row, spectra, strict=True):
-            total += gain * spectrum
+    totals, start = np.zeros((n_channels, n_padded // 2 + 1), dtype=np.complex64), 0
+    for gain in response:
+        some = slice(start, start + gain.shape[2])
+        for force, spectrum in enumerate(spectra):
+            totals[:, some] += gain[:, force] * spectrum[some]
+        start = some.stop
+    spectra.clear()
+    noise = np.zeros((n_channels, n_samples), dtype=np.float32)
+    for row, total in zip(noise, totals, strict=True):
         if total.any():
-            noise[channel] = irfft(total, n=n_padded, overwrite_x=True)[:n_samples]
+            row[:] = irfft(total, n=n_padded, overwrite_x=True)[:n_samples]
     return noise
 
 
@@ -164,20 +174,23 @@ RINGING_TIMES = 6.0
 SHAPED_TAIL = 8
 """Part of a recording by which the transform of its sensors' noise is longer: its end does not meet its start."""
 BINS_AT_ONCE = 65536
+MOST_HELD_BINS = 16 * BINS_AT_ONCE
+"""Bins up to which the response is held for the recordings that share it; that of longer ones is worked out each time.
+"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Floor:
     """What turns white noise into the floor at one rate: recordings of one rate and length share it.
 
-    ``n_padded``: samples of the transform of the forces. ``response`` (channel, axis, bin): of the structure to the
-    white forces, for the axes of ``broadband``; ``sensor`` (bin,): what the filter leaves of a sensor's white noise of
-    density 1; ``coloured``: density (bin,) of each coloured noise. None where there is no such noise or nothing shapes
-    it.
+    ``n_padded``: samples of the transform of the forces. ``response``: of the structure to the white forces, for the
+    axes of ``broadband``, (channel, axis, some bins) one after the other; ``sensor`` (bin,): what the filter leaves of
+    a sensor's white noise of density 1; ``coloured``: density (bin,) of each coloured noise. None where there is no
+    such noise or nothing shapes it.
     """
 
     n_padded: int
-    response: NDArray[np.complex64] | None
+    response: Callable[[], Iterable[NDArray[np.complex64]]] | None
     sensor: Density | None
     coloured: tuple[Density, ...]
 
@@ -189,19 +202,20 @@ def floor_of(scene: Scene, rate_hz: float) -> Floor:
         decay_s = np.max(1 / (2 * np.pi * scene.structure.frequency_hz * scene.structure.damping_ratio), initial=0.0)
     n_padded = padded_length(scene.n_samples, min(int(RINGING_TIMES * decay_s * rate_hz), scene.n_samples))
     n_bins = n_padded // 2 + 1
-    response = None
-    if scene.broadband is not None:
-        response = np.empty((len(scene.channels), len(_driven_axes(scene)), n_bins), dtype=np.complex64)
+
+    def response() -> Iterator[NDArray[np.complex64]]:
         for start in range(0, n_bins, BINS_AT_ONCE):
             some: Density = np.arange(start, min(start + BINS_AT_ONCE, n_bins), dtype=np.float64) * (rate_hz / n_padded)
-            response[:, :, start : start + some.size] = _gain(scene, scene.structure, some)
+            yield _gain(scene, scene.structure, some).astype(np.complex64)
+
+    held = tuple(response()) if scene.broadband is not None and n_bins <= MOST_HELD_BINS else ()
     # the sensors' noise has a length of its own: that of the forces' transform depends on whether there are any
     n_shaped = padded_length(scene.n_samples, scene.n_samples // SHAPED_TAIL)
     frequency: Density = np.arange(n_shaped // 2 + 1, dtype=np.float64) * (rate_hz / n_shaped)
     shapes_sensors = scene.sensor_noise and scene.filter
     return Floor(
         n_padded=n_padded,
-        response=response,
+        response=None if scene.broadband is None else (lambda: held) if held else response,
         sensor=folded_density(np.ones_like, scene.filter, rate_hz, frequency) if shapes_sensors else None,
         coloured=tuple(_coloured_density(scene, k, frequency, rate_hz) for k in range(len(scene.coloured_noise))),
     )
@@ -224,7 +238,9 @@ def noise_signal(scene: Scene, run: Run, floor: Floor) -> NDArray[np.float32]:
             )
             for axis in _driven_axes(scene)
         ]
-        noise = coloured_noise(white, floor.response, n_padded=floor.n_padded, n_samples=n_samples)
+        noise = coloured_noise(
+            white, floor.response(), n_channels=len(scene.channels), n_padded=floor.n_padded, n_samples=n_samples
+        )
     else:
         noise = np.zeros((len(scene.channels), n_samples), dtype=np.float32)
     for row, name in zip(noise, scene.channel_names, strict=True):

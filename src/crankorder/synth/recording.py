@@ -186,17 +186,23 @@ def _integrated(scene: Scene, run: Run, sources: list[tuple[ForceLines, Motion]]
     """
     delay_s = scene.by_channel(scene.acquisition.delay_s)
     poles, rate_hz = poles_of(scene.structure, scene.filter), scene.rate_hz(run.speed_rpm)
-    signal = np.empty((len(scene.channels), scene.n_samples))
-    for delay in sorted(set(delay_s.tolist())):
-        late = np.flatnonzero(delay_s == delay)
-        signal[late] = driven_signal(
-            poles.seen_by(late),
+
+    def late_by(delay: float) -> Signal:
+        return driven_signal(
+            poles.seen_by(np.flatnonzero(delay_s == delay)),
             [(forces, begun_earlier(motion, delay)) for forces, motion in sources],
             rate_hz=rate_hz,
             n_samples=scene.n_samples,
             gain_of_cycle=gain_of_cycle(scene, run),
             revs_per_cycle=scene.engine.revs_per_cycle,
         )
+
+    delays = sorted(set(delay_s.tolist()))
+    if len(delays) == 1:
+        return late_by(delays[0])
+    signal = np.empty((len(scene.channels), scene.n_samples))
+    for delay in delays:
+        signal[delay_s == delay] = late_by(delay)
     return signal
 
 
@@ -215,7 +221,9 @@ def sensed(scene: Scene, run: Run, floor: Floor) -> Signal:
     ``floor``: of :func:`crankorder.synth.noise.floor_of` at the rate of the run. An effect that is not named is not
     looked at; the effects add up.
     """
-    motion = crank_motion(scene, run)
+    motion, noise = crank_motion(scene, run), None
+    if scene.broadband or scene.sensor_noise or scene.coloured_noise:
+        noise = noise_signal(scene, run, floor)  # first: its transforms take the most memory
     signal = order_signal(scene, run, motion)
     if scene.bearing_lines:
         signal += bearing_signal(scene, run, motion)
@@ -223,8 +231,8 @@ def sensed(scene: Scene, run: Run, floor: Floor) -> Signal:
         signal += tone_signal(scene, run, motion)
     if scene.bearing_impacts:
         signal += impact_signal(scene, run, motion)
-    if scene.broadband or scene.sensor_noise or scene.coloured_noise:
-        signal += noise_signal(scene, run, floor)
+    if noise is not None:
+        signal += noise
     return signal
 
 

@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -152,9 +153,11 @@ def write_scene(
             ours = scene.engine_file in shipped("engines")
             if not ours:
                 engine = scene.engine.model_dump(exclude_none=True, exclude_defaults=True)
-                _publish(place / ENGINE, toml_text(engine).encode())
+                _publish(place / ENGINE, partial(Path.write_bytes, data=toml_text(engine).encode()))
             engine_name = scene.engine_file if ours else ENGINE
-            _publish(place / MANIFEST, manifest_text(scene, engine_name, repeat).encode())
+            _publish(
+                place / MANIFEST, partial(Path.write_bytes, data=manifest_text(scene, engine_name, repeat).encode())
+            )
         return folders
     except OSError as error:
         if isinstance(error, EnvironmentFailure):
@@ -167,10 +170,11 @@ def write_scene(
         ) from error
 
 
-def recording_image(scene: Scene, run: Run, recording: SyntheticRecording) -> bytes:
-    """Bytes of the HDF5 file of one recording: a contiguous dataset per channel, encoder and index where there are any.
+def write_recording(path: Path, scene: Scene, run: Run, recording: SyntheticRecording) -> None:
+    """Make the HDF5 file of one recording: a contiguous dataset per channel, encoder and index where there are any.
 
-    ``scene``: names, units and sampling, as its labels say. ``run``: name and speed. ``recording``: the samples.
+    ``path``: of a new file. ``scene``: names, units and sampling, as its labels say. ``run``: name and speed.
+    ``recording``: the samples.
     """
     axis: dict[str, Any]
     if isinstance(scene.sampling, TimeSampling):
@@ -187,20 +191,16 @@ def recording_image(scene: Scene, run: Run, recording: SyntheticRecording) -> by
     if recording.encoder is not None:
         columns[TRACE] = recording.encoder.trace, {"unit": "V", **axis}
         columns[INDEX] = recording.encoder.index, {"unit": "1", **axis}
-    # in memory only; HDF5 still refuses one name twice at a time, so repeats need names of their own
-    with h5py.File(f"{run.stream}.h5", "w", driver="core", backing_store=False, libver=("v110", "v110")) as file:
+    with h5py.File(path, "x", libver=("v110", "v110")) as file:
         for source, (values, attrs) in columns.items():
             if values is not None:
                 file.create_dataset(source, data=values).attrs.update(attrs)
         file.attrs.update({**axis, **stated})
-        file.flush()
-        image: bytes = file.id.get_file_image()
-    return image
 
 
 def _write_truth(truth: Truth, folder: Path) -> None:
     text = json.dumps(truth, ensure_ascii=False, indent=1, allow_nan=False)
-    _publish(folder / TRUTH, f"{text}\n".encode())
+    _publish(folder / TRUTH, partial(Path.write_bytes, data=f"{text}\n".encode()))
 
 
 def _write_recordings(
@@ -213,7 +213,11 @@ def _write_recordings(
 
     def write(run: Run) -> list[dict[str, Any]]:
         recording = synthesise(scene, run, shared or floor_of(scene, scene.rate_hz(run.speed_rpm)))
-        _publish(folders[run.repeat] / f"{run.name}.h5", recording_image(scene, run, recording))
+        path = folders[run.repeat] / f"{run.name}.h5"
+        try:
+            _publish(path, lambda part: write_recording(part, scene, run, recording))
+        except RuntimeError as error:  # HDF5's, where it cannot finish a file
+            raise OSError(str(error)) from error
         return recording.faults
 
     with ThreadPoolExecutor(max_workers=min(MAX_WORKERS, os.cpu_count() or 1)) as pool:
@@ -288,13 +292,12 @@ def _former_recordings(truth: Path) -> set[str] | None:
     return {name for name in names if RECORDING_NAME.fullmatch(name)} if "scene" in content else None
 
 
-def _publish(path: Path, content: bytes) -> None:
-    """Write beside and rename, so that a file is there whole or not at all."""
+def _publish(path: Path, fill: Callable[[Path], object]) -> None:
+    """Have ``fill`` make a file beside ``path`` and rename it, so that a file is there whole or not at all."""
     part = path.with_name(f".{path.name}.part")
     part.unlink(missing_ok=True)
     try:
-        with part.open("xb") as file:
-            file.write(content)
+        fill(part)
         part.replace(path)
     except BaseException:
         part.unlink(missing_ok=True)
