@@ -28,7 +28,7 @@ from crankorder.fft.band import band_limited
 from crankorder.findings import Findings, nothing_sought
 from crankorder.flow import StagePlan
 from crankorder.identify.bearings.places import bearing_combs
-from crankorder.identify.modal.sweep_poles import SweepFits
+from crankorder.identify.found import SweepFits
 from crankorder.identify.sources import Sources
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
