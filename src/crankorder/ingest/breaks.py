@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from scipy.ndimage import median_filter
 
 from crankorder.ingest.rawfile import FloatArray, flag
 from crankorder.ingest.shaft_signals import Gathered
@@ -64,7 +63,8 @@ def find_breaks(turns: Floats, channels: Sequence[FloatArray]) -> list[Break]:
     step = np.diff(turns)
     if step.size <= 2 * BESIDE:
         return []
-    usual = median_filter(step, 2 * BESIDE + 1, mode="reflect")
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(step, BESIDE, mode="symmetric"), 2 * BESIDE + 1)
+    usual = np.median(around, axis=1)
     off = np.abs(step - usual)
     slack = max(ODD_SAMPLES, ODD_SIGMAS * 1.4826 * float(np.median(off)))
     odd = np.flatnonzero(off > slack)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.ndimage import median_filter
 
 from crankorder.errors import InputError
 from crankorder.shaft.pulses import QUANTISED_EDGE_SAMPLES, FloatArray, Pulses, Remark
@@ -129,6 +128,8 @@ def _onwards(turns: FloatArray, quantum: float, flags: list[Remark]) -> FloatArr
 
 def _followed(position: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray, FloatArray]:
     """Samples that are right, their positions, the step from each to the next, and the usual step there."""
+    from scipy.ndimage import median_filter
+
     at = np.flatnonzero(np.isfinite(position))
     for left in (2, 1, 0):  # a wrong sample beside a wrap shows once others are gone
         value = position[at].astype(np.float64)
