@@ -28,8 +28,7 @@ from crankorder.fft.band import band_limited
 from crankorder.findings import Findings, nothing_sought
 from crankorder.flow import StagePlan
 from crankorder.identify.bearings.places import bearing_combs
-from crankorder.identify.lines.swept_orders import swept_orders
-from crankorder.identify.modal.sweep_poles import SweepFits
+from crankorder.identify.found import SweepFits
 from crankorder.identify.sources import Sources
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
@@ -215,6 +214,8 @@ def tracks_of_recording(
 
     ``settings``: of orders, and of identify for what stands out.
     """
+    from crankorder.identify.lines.swept_orders import swept_orders  # with much that maps alone need not wait for
+
     swept = settings.orders.track_method == "auto" and bool(frames.attrs.get("swept", 0))
     found = swept_orders(frames, settings=settings) if swept else []
     tracks = functools.partial(followed_tracks, band, angle, settings=settings.orders)

@@ -115,14 +115,18 @@ def test_numbers_of_a_balance_load_no_package_for_tables() -> None:
     assert not {"xarray", "pandas", "matplotlib", "h5py"} & {*loaded}
 
 
-def test_pages_and_pictures_load_nothing_that_finds() -> None:
-    """They are written in a process beside the analysis: what it loads too is paid for twice."""
-    code = (
-        "import sys\n"
-        "from crankorder.batch.publish import files_of_test, prepare; prepare()\n"
-        "print(*(name for name in ('scipy', 'numba', 'pyfftw', 'crankorder.orders') if name in sys.modules))"
-    )
+@pytest.mark.parametrize(
+    ("loaded", "spared"),
+    [
+        ("from crankorder.batch.publish import prepare; prepare()", "scipy numba pyfftw crankorder.orders"),
+        ("import crankorder.batch.execute", "matplotlib jinja2 scipy.ndimage scipy.signal scipy.optimize"),
+        ("import crankorder.batch.execute", "crankorder.identify.lines crankorder.identify.modal crankorder.plot"),
+    ],
+)
+def test_processes_of_a_run_load_what_they_need(loaded: str, spared: str) -> None:
+    """Pages and pictures are made beside the analysis, and maps need not what finds: what loads is paid for."""
     if importlib.util.find_spec("dask"):
         pytest.skip("dask is installed (extra dist): xarray loads it, and it loads scipy, with the first dataset")
+    code = f"import sys\n{loaded}\nprint(*(name for name in {spared.split()} if name in sys.modules))"
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert result.stdout.split() == []

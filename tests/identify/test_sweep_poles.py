@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from crankorder.identify.found import SweepFits
 from crankorder.identify.modal import sweep_poles
-from crankorder.identify.modal.sweep_poles import SweepFits, sweep_fits
+from crankorder.identify.modal.sweep_poles import sweep_fits
 from crankorder.identify.modal.sweep_window import SweepSpectrum
 from crankorder.settings import load_settings
 from machines.machine import Encoder, Machine, Mode, Order, Profile, Swing, Tone

@@ -18,7 +18,7 @@ from crankorder.identify.crossings import crossings
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.explain import NOT_KNOWN, Causes, explained, with_neighbours_named, without_doubles
 from crankorder.identify.folds import fold_flags, shown_folds
-from crankorder.identify.found import AgreedOrder, ModalFit, SpeedVerdicts, Unsearched
+from crankorder.identify.found import NO_FITS, AgreedOrder, ModalFit, SpeedVerdicts, SweepFits, Unsearched
 from crankorder.identify.known_lines import Held, LineSeen, held_of, without_known
 from crankorder.identify.levels import (
     graded,
@@ -43,7 +43,6 @@ from crankorder.identify.mains import MotorSeen, mains_seen, motor_seen, with_ma
 from crankorder.identify.modal.joint_fit import modal_fit
 from crankorder.identify.modal.ringing import without_swings
 from crankorder.identify.modal.sweep_modes import with_rows_of_fits
-from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
 from crankorder.identify.modal.tones import with_one_mains
 from crankorder.identify.records import (
     avoided_records,

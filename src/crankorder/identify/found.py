@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.identify.intervals import Z95, half_width, positive_interval, ratio_interval
 from crankorder.quantities import Floats, Ints
+
+if TYPE_CHECKING:
+    from crankorder.identify.modal.exclusion import Hiding
+    from crankorder.identify.modal.sweep_poles import GroupFit, SweepPole
 
 Evidence = Literal[
     "locked to the shaft",
@@ -397,3 +401,28 @@ class SpeedVerdicts:
     avoid: tuple[AvoidedSpeed, ...]
     free: tuple[SpeedBand, ...]
     open: tuple[SpeedBand, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SweepFits:
+    """What the signals of all sweeps of a test tell of its modes, place by place of frequency.
+
+    ``hiding`` is what a mode that they do not show could add to each order; ``looked_hz`` are places, from … to, at
+    which every multiple of the cycle was looked for beside what rings, and ``shown_orders`` are those that were found;
+    ``left_hz`` are places at which the search stopped before its end.
+    """
+
+    groups: tuple[GroupFit, ...] = ()
+    hiding: tuple[Hiding, ...] = ()
+    looked_hz: tuple[tuple[float, float], ...] = ()
+    shown_orders: tuple[float, ...] = ()
+    left_hz: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def poles(self) -> tuple[SweepPole, ...]:
+        """All poles, lowest first."""
+        return tuple(sorted((pole for group in self.groups for pole in group.poles), key=lambda one: one.frequency_hz))
+
+
+NO_FITS = SweepFits()
+"""What a test without sweeps tells."""

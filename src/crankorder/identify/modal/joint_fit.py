@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone, Unsearched, Whirl
+from crankorder.identify.found import NO_FITS, AgreedOrder, ModalFit, Mode, SweepFits, Tone, Unsearched, Whirl
 from crankorder.identify.modal.exclusion import FloorBound, Hiding, floor_bound, least_seen
 from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modal.order_blocks import blocks_of
@@ -42,7 +42,6 @@ from crankorder.identify.modal.search import (
 )
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
 from crankorder.identify.modal.sweep_modes import modes_unlike, poles_of, poles_unlike, with_sweep_modes
-from crankorder.identify.modal.sweep_poles import NO_FITS, SweepFits
 from crankorder.identify.modal.tones import NUMBERS as TONES
 from crankorder.identify.modal.tones import tone_of, tone_or_mode, with_one_mains, with_tones
 from crankorder.identify.modal.whirl import (

@@ -9,11 +9,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.found import ModalFit, Mode
+from crankorder.identify.found import ModalFit, Mode, SweepFits
 from crankorder.identify.modal.order_modes import is_shown
 from crankorder.identify.modal.pole_errors import side_by_side
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles
-from crankorder.identify.modal.sweep_poles import GroupFit, SweepFits, SweepPole, sweep_fits
+from crankorder.identify.modal.sweep_poles import GroupFit, SweepPole, sweep_fits
 from crankorder.identify.modal.sweep_window import Solved, spectra_of
 from crankorder.orders.swept_tracks import SMOOTHING, followed_error
 from crankorder.settings import IdentifySettings, MethodNumbers

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.identify.found import SweepFits
 from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
 from crankorder.identify.modal.exclusion import SAME_ORDER, Hiding
 from crankorder.identify.modal.sweep_fit import LIGHTEST, LocalFit, OnePoleMore, Starts, shares_of
@@ -113,31 +114,6 @@ class GroupFit:
     less: LocalFit
     covariance: Array
     poles: tuple[SweepPole, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class SweepFits:
-    """What the signals of all sweeps of a test tell of its modes, place by place of frequency.
-
-    ``hiding`` is what a mode that they do not show could add to each order; ``looked_hz`` are places, from … to, at
-    which every multiple of the cycle was looked for beside what rings, and ``shown_orders`` are those that were found;
-    ``left_hz`` are places at which the search stopped before its end.
-    """
-
-    groups: tuple[GroupFit, ...] = ()
-    hiding: tuple[Hiding, ...] = ()
-    looked_hz: tuple[tuple[float, float], ...] = ()
-    shown_orders: tuple[float, ...] = ()
-    left_hz: tuple[tuple[float, float], ...] = ()
-
-    @property
-    def poles(self) -> tuple[SweepPole, ...]:
-        """All poles, lowest first."""
-        return tuple(sorted((pole for group in self.groups for pole in group.poles), key=lambda one: one.frequency_hz))
-
-
-NO_FITS = SweepFits()
-"""What a test without sweeps tells."""
 
 
 def sweep_fits(
