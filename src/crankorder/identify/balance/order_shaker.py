@@ -169,22 +169,13 @@ class QuietFit:
         """Mean square of the errors over what the orders' own errors allow."""
         return _chi_square(self.problem, self.fit)
 
-    @property
-    def left_over(self) -> float:
-        """Sum of the squares that are left."""
-        return float((np.abs(self.fit.error) ** 2).sum())
-
-    @property
-    def n_terms(self) -> int:
-        """Terms of the path of a channel."""
-        return int(self.fit.residue[0].size)
-
     def gain_by(self, more: QuietFit) -> tuple[float, int]:
         """Squares that each number saves which ``more`` has, over what noise would; and how many these are."""
-        measured = self.problem.measured
-        numbers = 2 * len(measured.channels) * (more.n_terms - self.n_terms)
+        measured, (own, other) = self.problem.measured, (self.fit, more.fit)
+        numbers = 2 * (other.residue.size - own.residue.size)
         allowed = _allowed(self.problem, power=1).sum() / max(1, np.count_nonzero(np.isfinite(measured.error)))
-        return (self.left_over - more.left_over) / numbers / (max(1.0, more.chi_square) * allowed), numbers
+        fall = np.vdot(own.error, own.error).real - np.vdot(other.error, other.error).real
+        return float(fall / numbers / (max(1.0, more.chi_square) * allowed)), numbers
 
     @property
     def is_sound(self) -> bool:
