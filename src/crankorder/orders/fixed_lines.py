@@ -376,8 +376,9 @@ def without_steady_lines(
         return band, ()
     less = signals.copy()
     for line in found:
-        turn = np.exp(2j * np.pi * (line.frequency_hz * np.arange(len(time)) / rate % 1.0))
-        less -= (line.amplitude[:, None] * turn).real.astype(less.dtype)
+        phase = 2.0 * np.pi * (line.frequency_hz * np.arange(len(time)) / rate % 1.0)
+        for signal, amplitude in zip(less, line.amplitude, strict=True):
+            signal -= (np.abs(amplitude) * np.cos(phase + np.angle(amplitude))).astype(less.dtype)
     return band.assign(signal=(band["signal"].dims, less, band["signal"].attrs)), tuple(found)
 
 

@@ -52,7 +52,7 @@ FEWEST_OF_PIECE = 16
 KNOTS = 8
 """Knots of the envelopes in a reciprocal bandwidth: right to 1e-5."""
 
-MOST_VALUES = 1 << 22
+MOST_VALUES = 1 << 20
 """Samples, times orders and channels, that are followed at a time: the memory does not grow with the recording."""
 
 MOST_CHANGE = 1.0
@@ -493,23 +493,20 @@ def _speed_of_rows(shaft: xr.Dataset, time_s: Floats, stretch_s: Floats) -> tupl
 def _put_places(found: xr.Dataset, shaft: xr.Dataset, time_s: Floats, width_hz: Floats) -> None:
     """Put time, speed and crank angle of each row into ``found``, and the bandwidths (orders, rows) that made them."""
     empty = not len(time_s)
+    errors, angle = AngleErrors(time_s, time_s), time_s
     speed, speed_error = (time_s, time_s) if empty else _speed_of_rows(shaft, time_s, 1.0 / width_hz.max(axis=0))
-    angle = np.empty(0) if empty else angle_at(time_s, **knots_of(shaft))
+    if not empty:
+        errors = errors_along(shaft, time_s, speed / 60.0 / width_hz.max(axis=0))
+        angle = angle_at(time_s, **knots_of(shaft))
     for name, given, units, said in (
         ("time", time_s, "s", "time of the row"),
         ("speed", speed, "min-1", "speed at the row, over a reciprocal bandwidth"),
         ("speed_error", speed_error, "min-1", "standard error of the speed"),
         ("crank_angle", angle, "rev", "crank angle of the row"),
+        ("angle_scatter", errors.random, "rev", "standard error of the crank angle, beside that of its mean"),
+        ("angle_error", errors.mean, "rev", "standard error of the crank angle's mean over a reciprocal bandwidth"),
     ):
         found.coords[name] = ("frame", given, {"units": units, "long_name": said})
-    errors = (
-        errors_along(shaft, time_s, speed / 60.0 / width_hz.max(axis=0)) if not empty else AngleErrors(time_s, time_s)
-    )
-    for name, given, said in (
-        ("angle_scatter", errors.random, "standard error of the crank angle, beside that of its mean"),
-        ("angle_error", errors.mean, "standard error of the crank angle's mean over a reciprocal bandwidth"),
-    ):
-        found.coords[name] = ("frame", given, {"units": "rev", "long_name": said})
     words = {"units": "Hz", "long_name": "bandwidth of the filter, between its half-power points"}
     found.coords["bandwidth_hz"] = (("order", "frame"), width_hz, words)
 

@@ -169,22 +169,13 @@ class QuietFit:
         """Mean square of the errors over what the orders' own errors allow."""
         return _chi_square(self.problem, self.fit)
 
-    @property
-    def left_over(self) -> float:
-        """Sum of the squares that are left."""
-        return float((np.abs(self.fit.error) ** 2).sum())
-
-    @property
-    def n_terms(self) -> int:
-        """Terms of the path of a channel."""
-        return int(self.fit.residue[0].size)
-
     def gain_by(self, more: QuietFit) -> tuple[float, int]:
         """Squares that each number saves which ``more`` has, over what noise would; and how many these are."""
-        measured = self.problem.measured
-        numbers = 2 * len(measured.channels) * (more.n_terms - self.n_terms)
+        measured, (own, other) = self.problem.measured, (self.fit, more.fit)
+        numbers = 2 * (other.residue.size - own.residue.size)
         allowed = _allowed(self.problem, power=1).sum() / max(1, np.count_nonzero(np.isfinite(measured.error)))
-        return (self.left_over - more.left_over) / numbers / (max(1.0, more.chi_square) * allowed), numbers
+        fall = np.vdot(own.error, own.error).real - np.vdot(other.error, other.error).real
+        return float(fall / numbers / (max(1.0, more.chi_square) * allowed)), numbers
 
     @property
     def is_sound(self) -> bool:
@@ -194,10 +185,8 @@ class QuietFit:
 
     def widened(self) -> ShakerFit:
         """With the errors that the misfit of the path asks for."""
-        if self.is_sound:
-            return _result(self, self.problem, self.theta, self.fit, misfit=0.0)
-        misfit, problem, theta, fit = _with_misfit(self.problem, self.theta, self.fit)
-        return _result(self, problem, theta, fit, misfit=misfit)
+        sound = (0.0, self.problem, self.theta, self.fit)
+        return _result(self, *(sound if self.is_sound else _with_misfit(*sound[1:])))
 
 
 def _problem(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, n_modes: int) -> _Problem:
@@ -235,9 +224,8 @@ def _terms(problem: _Problem, natural: Floats, damping: Floats) -> tuple[Complex
 
 def _steady_terms(frequency_hz: Floats, natural: Floats, damping: Floats, top_hz: float) -> Complexes:
     """Shape functions of a path (frequency, term): rigid body, the modes, and what lies above."""
-    f = np.asarray(frequency_hz, dtype=np.float64)
-    bent = (f / top_hz)[:, None] ** 2
-    return np.concatenate([np.ones((f.size, 1)), resonance(f, natural, damping), bent], axis=1, dtype=np.complex128)
+    rigid, bent = np.ones((frequency_hz.size, 1)), (frequency_hz / top_hz)[:, None] ** 2
+    return np.concatenate([rigid, resonance(frequency_hz, natural, damping), bent], axis=1, dtype=np.complex128)
 
 
 def _poles(problem: _Problem, theta: Floats) -> tuple[Floats, Floats]:
@@ -283,8 +271,7 @@ def _spread(columns: Complexes, white: Complexes) -> Complexes:
 
 def _factored(columns: Complexes) -> tuple[Complexes, Complexes]:
     """Orthonormal basis of ``columns`` and what turns shares of it into coefficients."""
-    size = np.sqrt((np.abs(columns) ** 2).sum(axis=0))
-    size[size == 0] = 1.0
+    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     basis, triangle = np.linalg.qr(columns / size)
     diagonal = np.abs(np.diag(triangle))
     if len(columns) >= len(size) and diagonal.min(initial=1.0) > 1e-9 * diagonal.max(initial=0.0):
@@ -361,8 +348,7 @@ def _free_rows(problem: _Problem) -> float:
 
 
 def _chi_square(problem: _Problem, fit: _Fit) -> float:
-    allowed = 2 * _allowed(problem, power=1).sum() * _n_free(problem)
-    return float((np.abs(fit.error) ** 2).sum() / max(allowed, 1e-30))
+    return float((np.abs(fit.error) ** 2).sum() / max(2 * _allowed(problem, power=1).sum() * _n_free(problem), 1e-30))
 
 
 def _odd_speed(problem: _Problem, fit: _Fit) -> float | None:
@@ -377,12 +363,12 @@ def _odd_speed(problem: _Problem, fit: _Fit) -> float | None:
 
 def _with_misfit(problem: _Problem, theta: Floats, fit: _Fit) -> tuple[float, _Problem, Floats, _Fit]:
     """Share of the response that must count as error for the fit to be as good as it should, and the fit with it."""
-    measured = problem.measured
     low, high, widened, found = 0.0, NUMBERS.largest_misfit_share, problem, (theta, fit)
     share = high
     for step in range(6):
         widened = replace(
-            problem, white=whitening(measured.noise, error=measured.error, missed=share * np.abs(fit.model))
+            problem,
+            white=whitening(problem.measured.noise, error=problem.measured.error, missed=share * np.abs(fit.model)),
         )
         found = _solved(widened, theta, fit)
         too_little = _chi_square(widened, found[1]) > 1
@@ -401,7 +387,7 @@ def _freedom(problem: _Problem, swayed: Complexes, inverse: NDArray[np.floating]
     return float(shares.sum() ** 2 / max((shares**2 / np.maximum(freedom, 1.0)).sum(), 1e-300))
 
 
-def _result(quiet: QuietFit, problem: _Problem, theta: Floats, fit: _Fit, *, misfit: float) -> ShakerFit:
+def _result(quiet: QuietFit, misfit: float, problem: _Problem, theta: Floats, fit: _Fit) -> ShakerFit:
     measured, n_masses = problem.measured, 2 * len(problem.forces.unit)
     inverse = np.linalg.pinv(_bread(problem, fit.slope))
     swayed = fit.slope * np.sqrt(_allowed(problem, power=2))[:, :, None]
@@ -409,7 +395,6 @@ def _result(quiet: QuietFit, problem: _Problem, theta: Floats, fit: _Fit, *, mis
     poles = np.diag((np.arange(theta.size) >= n_masses).astype(np.float64))
     covariance = inverse @ (max(1.0, _chi_square(problem, fit)) * together + poles) @ inverse
     mass = theta[0:n_masses:2] + 1j * theta[1:n_masses:2]
-    pairs = np.repeat(np.abs(mass) ** 2, 2)
     squares = np.abs(fit.error) ** 2
     allowed = 2 * _allowed(problem, power=1)
     of = measured.order_of_row
@@ -417,7 +402,7 @@ def _result(quiet: QuietFit, problem: _Problem, theta: Floats, fit: _Fit, *, mis
     return ShakerFit(
         axes=problem.forces.axes,
         mass_kg=mass,
-        covariance=covariance[:n_masses, :n_masses] + np.diag(misfit**2 * pairs),
+        covariance=covariance[:n_masses, :n_masses] + np.diag(misfit**2 * np.repeat(np.abs(mass) ** 2, 2)),
         freedom=max(1.0, min(2.0 * _free_rows(problem), _freedom(problem, swayed, inverse))),
         chi_square=quiet.chi_square,
         by_order={k: float(squares[:, of == k].sum() / max(allowed[:, of == k].sum(), 1e-30)) for k in measured.orders},

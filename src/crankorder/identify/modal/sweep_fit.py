@@ -50,6 +50,9 @@ ROUNDED = 1.0 + 1e-9
 LAGS = 3
 """Bins beside one another whose errors may go together."""
 
+MOST_VALUES = 1 << 20
+"""Bins, times places of one pole more, that are told at a time."""
+
 Array = NDArray[np.float64]
 Complex = NDArray[np.complexfloating]
 
@@ -216,7 +219,15 @@ class OnePoleMore:
 
     @classmethod
     def of(cls, one: Solved, natural_hz: Array, damping: Array) -> OnePoleMore:
-        """In ``one`` window at ``natural_hz``, ``damping`` (S,), with amplitudes of its own in each channel."""
+        """In ``one`` window at ``natural_hz``, ``damping`` (S,), with amplitudes of its own in each channel.
+
+        So many places are told at a time that the memory does not grow with the recording.
+        """
+        parts = min(1 + len(one.left) * len(natural_hz) // MOST_VALUES, len(natural_hz))
+        if parts > 1:
+            places = zip(np.array_split(natural_hz, parts), np.array_split(damping, parts), strict=True)
+            made = (vars(cls.of(one, *some)).values() for some in places)
+            return cls(*(np.concatenate(each) for each in zip(*made, strict=True)))
         window = one.window
         answers = resonance(window.frequency_hz, natural_hz, damping)
         power = np.square(np.abs(answers))

@@ -184,7 +184,6 @@ class Window:
     bends: dict[float, complex] = field(default_factory=dict)
     _made: dict[tuple[float, complex], tuple[Complex, Complex]] = field(default_factory=dict, repr=False)
     _passages: dict[float, tuple[Array, Complex, int]] = field(default_factory=dict, repr=False)
-    _middles: dict[float, float] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -236,10 +235,7 @@ class Window:
 
     def _middle_of(self, order: float) -> float:
         """Mean logarithm of the speed while ``order`` passes the window."""
-        if order not in self._middles:
-            passing = self.sweep.passing(order, self.low_hz, self.high_hz)
-            self._middles[order] = float(self.sweep.logarithm[passing].mean())
-        return self._middles[order]
+        return float(self.sweep.logarithm[self.sweep.passing(order, self.low_hz, self.high_hz)].mean())
 
     def force(self, order: float) -> tuple[Complex, Complex]:
         """Transform (B,) of a force of unit size that turns by ``order``, and its slope by the order's bend."""
@@ -284,11 +280,10 @@ class Window:
     def _carrier(self, order: float) -> tuple[Array, Complex]:
         """Logarithm of the speed over that at which ``order`` passes, and its carrier, (N / thinned,)."""
         sweep, part = self.sweep, slice(None, None, self.thinned)
-        speed, carrier = sweep.speed_rpm[part], np.zeros(len(sweep.speed_rpm[part]), dtype=np.complex128)
-        whole = (DROPPED_OVER - order / 60.0 / self.high_hz * speed) / (DROPPED_OVER - KEPT_OVER)
-        some = np.flatnonzero((whole > 0.0) & (speed > SLOWEST_SHARE * sweep.speed_rpm.max()))
-        kept = np.sin(0.5 * np.pi * np.minimum(whole[some], 1.0)) ** 2
-        carrier[some] = kept * np.exp(2j * np.pi * order * sweep.angle_rev[part][some])
+        speed, hz = sweep.speed_rpm[part], order * sweep.speed_rpm[part] / 60.0
+        whole = np.clip((DROPPED_OVER - hz / self.high_hz) / (DROPPED_OVER - KEPT_OVER), 0.0, 1.0)
+        whole[speed <= SLOWEST_SHARE * sweep.speed_rpm.max()] = 0.0
+        carrier = np.sin(0.5 * np.pi * whole) ** 2 * np.exp(2j * np.pi * order * sweep.angle_rev[part])
         return sweep.logarithm[part] - self._middle_of(order), carrier
 
     def is_passed(self, order: float) -> bool:
