@@ -128,8 +128,6 @@ def _onwards(turns: FloatArray, quantum: float, flags: list[Remark]) -> FloatArr
 
 def _followed(position: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray, FloatArray]:
     """Samples that are right, their positions, the step from each to the next, and the usual step there."""
-    from scipy.ndimage import median_filter
-
     at = np.flatnonzero(np.isfinite(position))
     for left in (2, 1, 0):  # a wrong sample beside a wrap shows once others are gone
         value = position[at].astype(np.float64)
