@@ -216,6 +216,8 @@ def _squares_and_peaks(signals: NDArray[Any], pieces: _Pieces, levels: list[_Lev
     """Mean square and peak (levels, frames) of the ``signals`` (channels, samples), stretch by stretch."""
     count = len(pieces.starts)
     square, peak = np.full((2, len(levels), count), np.nan)
+    if not count:
+        return square, peak
     lowest = min((level.band.low_hz for level in levels), default=math.inf)
     margin = math.ceil(NUMBERS.ring_periods / lowest * pieces.rate_hz)
     together = max(1, (_BLOCK - 2 * margin) // max(pieces.length, 1))

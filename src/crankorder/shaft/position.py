@@ -134,6 +134,7 @@ def _followed(position: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.int64]
         step, gap = np.diff(value), np.diff(at)
         if not step.any():
             raise InputError("the position does not change", found=f"{at.size} samples", remedy="Mend encoder.source")
+        from scipy.ndimage import median_filter  # loads slowly, and few encoders ask for it
 
         expected = gap * median_filter(step / gap, USUAL_STEPS)
         abrupt = np.pad(_is_abrupt(step, expected), 1, constant_values=True)
