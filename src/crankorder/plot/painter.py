@@ -46,7 +46,7 @@ class Painter:
         return pen
 
     def stroke(self, part: Stroke) -> None:
-        """Draw a line; a ``square`` one (upright or level) lies on whole pixels, where there are any, one at least."""
+        """Draw the line ``part``; a square one (upright or level) lies on whole pixels, where there are any."""
         points, width = self._dpi / 72, part.width
         if part.square and self._has_pixels:
             width = max(1, round(width * points)) / points
@@ -60,7 +60,7 @@ class Painter:
         pen.restore()
 
     def area(self, part: Area) -> None:
-        """Draw one patch for each run of places where both curves are known."""
+        """Draw one patch for each run of places where both curves of ``part`` are known."""
         known = np.flatnonzero(np.isfinite(part.along) & np.isfinite(part.low) & np.isfinite(part.high))
         low, high = (np.column_stack([part.along, edge]) for edge in (part.low, part.high))
         pen = self._pen(part.color, part.alpha, 0.0, part.within)
@@ -71,7 +71,7 @@ class Painter:
         pen.restore()
 
     def rings(self, part: Rings) -> None:
-        """Draw circles, or discs where the line has no width."""
+        """Draw the circles of ``part``, or discs where its line has no width."""
         pen = self._pen(part.color, part.alpha, part.width, part.within)
         pen.set_snap(False)
         disc = None if part.width else to_rgba(part.color, part.alpha)
@@ -80,7 +80,7 @@ class Painter:
         pen.restore()
 
     def words(self, part: Words) -> None:
-        """Draw a text by its baseline; where there are pixels, from a whole one on."""
+        """Draw the text of ``part`` by its baseline; where there are pixels, from a whole one on."""
         x, y = (self._dpi * place for place in part.start)
         pen = self._pen(part.color, 1.0, 1.0)
         if self._has_pixels:
@@ -100,7 +100,7 @@ class Painter:
         pen.restore()
 
     def field(self, part: Field) -> None:
-        """Draw colours from whole pixel to whole pixel, each repeated, or the nearest taken, to as many as there are.
+        """Draw the colours of ``part`` from whole pixel to whole pixel, each repeated, or the nearest taken.
 
         An image in a vector file has pixels of its own.
         """

@@ -75,7 +75,7 @@ _PLAIN = frozenset(map(chr, range(0x20, 0x7F)))
 
 
 def font_file(*, bold: bool) -> str:
-    """Path of DejaVu Sans, which ships with matplotlib: the same bytes anywhere."""
+    """Path of DejaVu Sans, ``bold`` or regular, which ships with matplotlib: the same bytes anywhere."""
     from matplotlib import get_data_path
 
     return f"{get_data_path()}/fonts/ttf/{'DejaVuSans-Bold.ttf' if bold else 'DejaVuSans.ttf'}"
@@ -105,9 +105,9 @@ def text_width_in(text: str, size: float, *, bold: bool = False) -> float:
 
 @lru_cache(maxsize=1024)
 def text_ink(text: str, size: float, dpi: float, *, bold: bool) -> tuple[NDArray[np.uint8], float, float]:
-    """Ink of ``text`` at ``dpi`` pixels per inch (rows from the top, columns; 255 is full), and where it stands.
+    """Ink of ``text``, of ``size`` points, ``bold`` or not, (rows from the top, columns; 255 is full), and its place.
 
-    In pixels: its left edge right of the place that the text begins at, its lower edge below the baseline.
+    At ``dpi`` pixels per inch; its place in pixels: its left edge right of the place that the text begins at, its lower edge below the baseline.
     """
     font = _set(text, size, dpi, bold=bold)
     font.draw_glyphs_to_bitmap(antialiased=True)
