@@ -40,7 +40,7 @@ def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_a
 
     ``whole``: a frame on all sides and no grid, as around maps. ``rows_above``: of labels between axes and title.
     """
-    from crankorder.plot.edge_labels import TIER_PT
+    from crankorder.plot.artists import TIER_PT
 
     axes.set_facecolor(WHITE)
     axes.set_axisbelow(True)
