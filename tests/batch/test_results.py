@@ -26,7 +26,7 @@ from crankorder.quantities import (
 )
 from crankorder.settings import load_settings
 from crankorder.stages import OF_RECORDING, frames_wanted
-from made.command import crankorder
+from made.command import crankorder, done
 
 
 @pytest.fixture
@@ -51,8 +51,7 @@ def groups_in(out):
 
 def test_maps_alone_make_page_and_index_and_say_that_findings_were_not_asked_for(two_speeds, tmp_path):
     out = tmp_path / "out"
-    outcome = crankorder("run", two_speeds, "--out", out, "--recipe", "maps")
-    assert outcome.exit_code == 0, outcome.output
+    outcome = done("run", two_speeds, "--out", out, "--recipe", "maps")
     assert "not asked for: the recipe wants order map, campbell map only" in outcome.output
     assert "above the noise" not in outcome.output
     assert groups_in(out) == {"order_map", "campbell_map", "shaft", "findings"}

@@ -14,7 +14,7 @@ import xarray as xr
 from scipy.special import ndtr, stdtrit
 
 from crankorder.quantities import schema_of
-from made.command import crankorder, findings_in
+from made.command import crankorder, done, findings_in
 
 
 def run(*arguments: object):
@@ -29,8 +29,7 @@ def speeds_in(out: Path) -> list[int]:
 @pytest.fixture(scope="module")
 def analysed(campaign, tmp_path_factory):
     out = tmp_path_factory.mktemp("analysed")
-    outcome = crankorder("run", campaign, "--out", out)
-    assert outcome.exit_code == 0, outcome.output
+    done("run", campaign, "--out", out)
     return out
 
 
@@ -200,8 +199,7 @@ class TestBadInput:
 
     def test_the_same_recording_twice_is_counted_once(self, four_speeds, tmp_path):
         shutil.copy(four_speeds / "rpm_1500.h5", four_speeds / "rpm_1500_copy.h5")
-        outcome = run(four_speeds, "--out", tmp_path / "out")
-        assert outcome.exit_code == 0
+        done("run", four_speeds, "--out", tmp_path / "out", "--recipe", "maps", "--no-pictures")
         assert "duplicate_of" in {flag["flag"] for flag in findings_in(tmp_path / "out")["quality"]}
 
     def test_results_inside_the_recordings_are_refused(self, four_speeds):
@@ -260,10 +258,8 @@ class TestWhatIsLeftOut:
         text = (four_speeds / "run.toml").read_text()
         head, z = text.split('source = "acc_z"')
         (four_speeds / "run.toml").write_text(head + 'source = "acc_z"\nsensitivity = "10 mV/(m/s2)"' + z)
-        outcome = run(four_speeds, "--out", tmp_path / "out")
-        assert outcome.exit_code == 0, outcome.output
-        flags = {flag["flag"] for flag in findings_in(tmp_path / "out")["quality"]}
-        assert "non_finite_interpolated" in flags
+        done("run", four_speeds, "--out", tmp_path / "out", "--recipe", "maps", "--no-pictures")
+        assert "non_finite_interpolated" in {flag["flag"] for flag in findings_in(tmp_path / "out")["quality"]}
 
     @pytest.mark.slow
     def test_faults_come_in_the_order_of_the_files_whatever_the_workers(self, four_speeds, tmp_path):
@@ -320,8 +316,7 @@ class TestCrankAngleData:
         for path in folder.glob("*.h5"):
             with h5py.File(path, "r+") as file:
                 file.attrs.pop("speed_rpm", None)
-        outcome = crankorder("run", folder, "--out", tmp_path / "out")
-        assert outcome.exit_code == 0, outcome.output
+        done("run", folder, "--out", tmp_path / "out")
         assert {round(record["order"], 1) for record in findings_in(tmp_path / "out")["orders"]} >= {2.0, 5.5}
         assert not list((tmp_path / "out").glob("*/campbell_*.png"))
         assert list((tmp_path / "out").glob("*/order_spectra.png"))

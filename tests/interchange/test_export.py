@@ -21,7 +21,7 @@ from crankorder.interchange.tables import Column, csv_bytes, tables_of
 from crankorder.interchange.uff58 import uff58_bytes
 from crankorder.report.netcdf import read_results, results_bytes
 from crankorder.report.published import findings_datasets, published, root_attrs
-from made.command import crankorder
+from made.command import crankorder, done
 from made.typed import findings_of
 
 pyuff = pytest.importorskip("pyuff", reason="pyuff is a development dependency")
@@ -216,8 +216,7 @@ def test_what_cannot_be_is_refused(result: Path, tmp_path: Path) -> None:
 
 
 def test_the_command_names_what_it_wrote(result: Path, tmp_path: Path) -> None:
-    ended = crankorder("export", result, "--to", "uff58", "--out", tmp_path)
-    assert ended.exit_code == 0, ended.output
+    ended = done("export", result, "--to", "uff58", "--out", tmp_path)
     assert ended.output.splitlines() == [str(tmp_path / "some-test-uff58" / "results.uff")]
     assert crankorder("export", tmp_path / "no", "--to", "csv").exit_code == 2
 

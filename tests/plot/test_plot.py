@@ -23,8 +23,8 @@ import crankorder as co
 from crankorder import plot
 from crankorder.errors import RequestError
 from crankorder.plot import palette
+from crankorder.plot.artists import EdgeLabels
 from crankorder.plot.cells import bin_edges, gaps_between, pooled, speed_cells, with_gaps
-from crankorder.plot.edge_labels import EdgeLabels
 from crankorder.plot.records import called_order, found_in, order_texts
 from crankorder.report import notation as report_notation
 

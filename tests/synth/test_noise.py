@@ -5,10 +5,10 @@ import pytest
 
 from crankorder.synth.analogue import low_pass
 from crankorder.synth.noise import (
-    coloured_noise,
     density_through_points,
     folded_density,
     padded_length,
+    put_coloured_noise,
     seed_stream,
     shaped_noise,
     white_noise,
@@ -47,7 +47,8 @@ def test_noise_behind_a_response_has_its_density() -> None:
     frequency = np.arange(n_padded // 2 + 1) * RATE_HZ / n_padded
     response = np.zeros((2, 2, frequency.size), dtype=np.complex64)
     response[0, 0], response[0, 1] = 3j, 1 / (1 + 1j * frequency / 500)
-    noise = coloured_noise(white, [response], n_channels=2, n_padded=n_padded, n_samples=n_samples)
+    noise = np.zeros((2, n_samples), dtype=np.float32)
+    put_coloured_noise(noise, white, [response])
     bins = np.arange(401) * 10.0
     exact = 2 * np.sqrt(9 + 1 / (1 + (bins / 500) ** 2))
     assert density_of(noise[0])[2:-2] == pytest.approx(exact[2:-2], rel=0.1)

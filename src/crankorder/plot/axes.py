@@ -40,7 +40,7 @@ def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_a
 
     ``whole``: a frame on all sides and no grid, as around maps. ``rows_above``: of labels between axes and title.
     """
-    from crankorder.plot.edge_labels import TIER_PT
+    from crankorder.plot.artists import TIER_PT
 
     axes.set_facecolor(WHITE)
     axes.set_axisbelow(True)
@@ -60,15 +60,22 @@ def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_a
 
 def log_scale(axes: Axes, values: Any, *, decades: float = 7.0) -> bool:
     """Logarithmic y axis of ``axes`` for the positive ``values``, at most ``decades``; False where there are none."""
-    positive = values[np.isfinite(values) & (values > 0)]
-    if not len(positive):
+    limits = log_limits(values, decades, room=2.0)
+    if limits is None:
         axes.set_ylim(0.0, 1.0)
         axes.set_yticks([])
         return False
-    top, quiet = float(positive.max()), float(np.quantile(positive, 0.01))
-    low, high = max(quiet / 2, top * 10**-decades), min(2.0 * top, 1e307)
-    log_axis(axes, low, high, most_ticks=9)
+    log_axis(axes, *limits, most_ticks=9)
     return True
+
+
+def log_limits(values: Any, decades: float, *, room: float) -> tuple[float, float] | None:
+    """Ends of a logarithmic axis for the positive ``values``, at most ``decades`` and a factor ``room`` above them."""
+    positive = values[np.isfinite(values) & (values > 0)]
+    if not len(positive):
+        return None
+    top, quiet = float(positive.max()), float(np.quantile(positive, 0.01))
+    return max(quiet / 2, top * 10**-decades), min(room * top, 1e307)
 
 
 def log_axis(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:

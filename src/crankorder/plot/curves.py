@@ -63,7 +63,7 @@ def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | 
         positive = np.where(values > 0, values, np.nan)
         axes.plot(frequency, positive, color=color, linewidth=0.9, gid=text, label=text)
     if several and len(lines) < dataset.sizes["speed"]:
-        from crankorder.plot.edge_labels import label_ends
+        from crankorder.plot.artists import label_ends
 
         named = zip(lines.items(), LINES, strict=False)
         label_ends(axes, [(frequency, values, text, color, 0.0) for (text, values), color in named])
@@ -141,7 +141,7 @@ def envelope(
     for place, _ in named:
         axes.axvline(place, color=LINES[1], linewidth=0.7, alpha=0.35, zorder=1)
     if named:
-        from crankorder.plot.edge_labels import label_orders
+        from crankorder.plot.artists import label_orders
 
         texts = order_texts([called_order(place) for place, _ in named])
         label_orders(axes, [(place, text, power) for (place, power), text in zip(named, texts, strict=True)], LINES[1])

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings
-from crankorder.plot.palette import CAP_HEIGHT, FAINT, INK, LARGE, MAINS, NORMAL, SMALL, shortened, text_width_in
+from crankorder.plot.palette import CAP_HEIGHT, FAINT, INK, LARGE, NORMAL, shortened, text_width_in
 from crankorder.settings import PictureFormat
 
 if TYPE_CHECKING:
@@ -146,13 +146,6 @@ def quality_text(findings: Findings) -> str:
     """How many suspect or bad data the ``findings`` carry, in words; empty without any."""
     doubtful = sum(flag.severity in ("suspect", "bad") for flag in findings.quality)
     return f"{doubtful} quality remark{'s' if doubtful > 1 else ''}: see the report" if doubtful else ""
-
-
-def quality_note(drawing: Drawing, findings: Findings) -> None:
-    """Note at the foot of ``drawing`` when the ``findings`` carry suspect or bad data."""
-    text = quality_text(findings)
-    if text:
-        drawing.add(Words(drawing.width_in - 0.2, 0.14, text, SMALL + 0.5, MAINS, along="right"))
 
 
 def whole(places: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings
-from crankorder.plot.drawing import Box, Drawing, Rings, Stroke, Words, quality_note, title_lines
-from crankorder.plot.palette import CAP_HEIGHT, INK, LARGE, SMALL, drawable, shortened, text_width_in
+from crankorder.plot.drawing import Box, Drawing, Rings, Stroke, Words, quality_text, title_lines
+from crankorder.plot.palette import CAP_HEIGHT, INK, LARGE, MAINS, SMALL, drawable, shortened, text_width_in
 
 GAP_IN = 0.05
 LINE_HEIGHT_IN = 0.125
@@ -139,11 +139,12 @@ def head_of_test(
 ) -> None:
     """Title of ``drawing``: the test of ``findings`` and ``what`` is shown of it, a ``sentence`` below, their doubts.
 
-    From ``left_in`` inches; the name of the test is cut at ``longest`` characters.
+    From ``left_in`` inches; the name of the test is cut at ``longest`` characters. The doubts stand at the foot.
     """
     name = shortened(drawable(findings.test, longest), LARGE, 0.62 * drawing.width_in, bold=True)
     title_lines(drawing, left_in, f"{name} · {what}", sentence)
-    quality_note(drawing, findings)
+    if doubts := quality_text(findings):
+        drawing.add(Words(drawing.width_in - 0.2, 0.14, doubts, SMALL + 0.5, MAINS, along="right"))
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from crankorder.plot.records import FixedLine, Found, FoundOrder, found_in
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from crankorder.plot.edge_labels import EdgeLabel
+    from crankorder.plot.artists import EdgeLabel
 
 _STRIP_IN, _HEIGHT_IN = 3.2, 5.6  # heights of a figure of one speed, and of several
 _CURVE_POINTS = 200
@@ -188,7 +188,7 @@ def _map_of(dataset: xr.Dataset, along: str, channel: str | None, picture: str) 
 def _draw_map(
     axes: Axes, one: _Map, x_label: str, depth_db: float, *, rows_above: int, labels_beside: bool = False
 ) -> None:
-    from crankorder.plot.whole_pixels import LevelImage
+    from crankorder.plot.artists import LevelImage
 
     cells, x = one.cells, bin_edges(one.place)
     ends = (one.place[0], one.place[-1]) if len(one.place) > 1 else (x[0], x[-1])
@@ -252,7 +252,7 @@ def _ring(axes: Axes, places: Sequence[tuple[float, float]]) -> None:
 
 def _label(axes: Axes, one: _Map, found: Found, labels: Any) -> None:
     """Names of orders and frequencies where they leave ``axes``, and what the lines are below."""
-    from crankorder.plot.edge_labels import EdgeLabels
+    from crankorder.plot.artists import EdgeLabels
 
     if not (found.orders or found.fixed):
         return
@@ -290,7 +290,7 @@ def _keys(found: Found) -> list[Any]:
 
 def _order_label(order: FoundOrder, found: Found, place: tuple[float, float]) -> EdgeLabel:
     """Label of an ``order`` of ``found`` at a ``place``; the strongest is bold."""
-    from crankorder.plot.edge_labels import EdgeLabel
+    from crankorder.plot.artists import EdgeLabel
 
     bold = 0 < order.amplitude == max(one.amplitude for one in found.orders)
     return EdgeLabel(place, order.text, INK, bold, order.amplitude)
@@ -298,7 +298,7 @@ def _order_label(order: FoundOrder, found: Found, place: tuple[float, float]) ->
 
 def _fixed_labels(axes: Axes, lines: Sequence[FixedLine], places: Sequence[float]) -> list[EdgeLabel]:
     """Labels above ``axes`` of ``lines`` that reach their upper edge at ``places``."""
-    from crankorder.plot.edge_labels import EdgeLabel
+    from crankorder.plot.artists import EdgeLabel
 
     (left, right), high = sorted(axes.get_xlim()), max(axes.get_ylim())
     return [

@@ -12,31 +12,12 @@ import matplotlib
 
 from crankorder.findings import Findings
 from crankorder.plot.drawing import quality_text
-from crankorder.plot.palette import (
-    BAND_FACTOR,
-    FAINT,
-    GRID,
-    INK,
-    LARGE,
-    LINES,
-    MAINS,
-    NORMAL,
-    SMALL,
-    drawable,
-    shortened,
-    text_width_in,
-)
+from crankorder.plot.palette import FAINT, GRID, INK, LARGE, MAINS, NORMAL, SMALL, shortened
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.text import Text
-
-__all__ = [
-    "BAND_FACTOR", "FAINT", "GRID", "INK", "LARGE", "LINES", "MAINS", "NORMAL", "NOTE", "SMALL", "axes_at", "drawable",
-    "house_style", "new_figure", "quality_note", "quiet_frame", "shortened", "text_width_in",
-    "title_lines", "write",
-]  # fmt: skip
 
 NOTE: dict[str, Any] = {
     "ha": "center",

@@ -159,7 +159,7 @@ def _scale(axes: Axes, shown: DrawnTracks) -> None:
 
 
 def _draw_lines(axes: Axes, shown: DrawnTracks) -> None:
-    from crankorder.plot.edge_labels import label_ends
+    from crankorder.plot.artists import label_ends
 
     for number in np.argsort(-shown.rank):  # the strongest lies on top
         _draw_line(axes, shown, int(number))
@@ -194,7 +194,7 @@ def _draw_line(axes: Axes, shown: DrawnTracks, number: int) -> None:
 
 def _draw_points(axes: Axes, shown: DrawnTracks) -> None:
     """Points with error bars against the order, each named above."""
-    from crankorder.plot.edge_labels import label_orders
+    from crankorder.plot.artists import label_orders
 
     for number, order in enumerate(shown.orders):
         amplitude = shown.amplitude[number]

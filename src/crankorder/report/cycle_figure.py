@@ -16,23 +16,8 @@ from numpy.typing import NDArray
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings
 from crankorder.orders.intervals import t_quantile
-from crankorder.plot.style import (
-    FAINT,
-    INK,
-    LINES,
-    NORMAL,
-    NOTE,
-    SMALL,
-    axes_at,
-    drawable,
-    house_style,
-    new_figure,
-    quality_note,
-    quiet_frame,
-    shortened,
-    title_lines,
-    write,
-)
+from crankorder.plot.palette import FAINT, INK, LINES, NORMAL, SMALL, drawable, shortened
+from crankorder.plot.style import NOTE, axes_at, house_style, new_figure, quality_note, quiet_frame, title_lines, write
 from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings
 

@@ -14,23 +14,8 @@ from matplotlib.patches import Circle, Wedge
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings
-from crankorder.plot.style import (
-    FAINT,
-    GRID,
-    INK,
-    LINES,
-    NORMAL,
-    SMALL,
-    axes_at,
-    drawable,
-    house_style,
-    new_figure,
-    quality_note,
-    shortened,
-    text_width_in,
-    title_lines,
-    write,
-)
+from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, drawable, shortened, text_width_in
+from crankorder.plot.style import axes_at, house_style, new_figure, quality_note, title_lines, write
 from crankorder.report.notation import nominal_order, number_text, order_text
 from crankorder.settings import ReportSettings
 

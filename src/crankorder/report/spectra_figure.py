@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings, ModeFinding
+from crankorder.plot.axes import log_limits
 from crankorder.plot.drawing import Box, Drawing, Words
 from crankorder.plot.labels import Key, draw_keys, fitted, head_of_test, label_top
 from crankorder.plot.palette import (
@@ -174,7 +175,8 @@ def column_panels(
     title = "Frequency, Hz" if along == "frequency" else _ORDER
     panels = []
     for number, box in enumerate(boxes):
-        limits = _log_limits(values[units == units[number]], _DECADES * (1.5 if "²/Hz" in unit_tail else 1.0))
+        decades = _DECADES * (1.5 if "²/Hz" in unit_tail else 1.0)
+        limits = log_limits(values[units == units[number]], decades, room=2.5)
         panel = Panel(drawing, box, (float(place[0]), float(place[-1])), limits or (0.0, 1.0), limits is not None)
         last = number == len(boxes) - 1
         panel.x_axis(title if last else "", most=10, named=last)
@@ -195,14 +197,6 @@ def draw_spectra(panels: list[Panel], place: NDArray[Any], values: NDArray[Any])
             panel.curve(place, np.where(own > 0, own, np.nan), color=INK, width=0.8, name="spectrum")
         else:
             panel.note("no signal")
-
-
-def _log_limits(values: NDArray[Any], decades: float) -> tuple[float, float] | None:
-    positive = values[np.isfinite(values) & (values > 0)]
-    if not len(positive):
-        return None
-    top, quiet = float(positive.max()), float(np.quantile(positive, 0.01))
-    return max(quiet / 2, top * 10**-decades), min(2.5 * top, 1e307)
 
 
 def _mark_modes(panels: list[Panel], modes: list[ModeFinding]) -> list[Mark]:

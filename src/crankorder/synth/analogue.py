@@ -176,23 +176,21 @@ def recorded(signal: NDArray[np.float64], acquisition: Acquisition) -> Recorded:
     step = None if bits is None else full_scale / 2 ** (bits - 1)
     count_value = step if acquisition.stored_as == "int16" else None
     samples = np.empty(signal.shape, dtype=acquisition.stored_as)
-    clipped_share = np.zeros(len(signal))
+    n_clipped = np.zeros(len(signal))
     for channel, row in enumerate(signal):
-        n_clipped = 0
         for start in range(0, row.size, SAMPLES_AT_ONCE):
             values = np.multiply(row[start : start + SAMPLES_AT_ONCE], per_m_s2, dtype=np.float64)
-            n_clipped += _convert(values, full_scale, step)
+            n_clipped[channel] += _convert(values, full_scale, step)
             if step is not None and count_value is None:
                 values *= step
             if count_value is not None and np.isnan(values).any():
                 raise ValueError("int16 has no code for a missing sample")
             samples[channel, start : start + values.size] = values
-        clipped_share[channel] = n_clipped / max(1, row.size)
     return Recorded(
         samples=samples,
         scale=count_value,
         unit="m/s2" if sensitivity is None else "V",
-        clipped_share=clipped_share,
+        clipped_share=n_clipped / max(1, signal.shape[1]),
     )
 
 

@@ -70,34 +70,26 @@ def padded_length(n_samples: int, tail_samples: int) -> int:
     return 2 * int(next_fast_len((n_samples + tail_samples + 1) // 2, real=True))
 
 
-def coloured_noise(
-    spectra: list[NDArray[np.complex64]],
-    response: Iterable[NDArray[np.complex64]],
-    *,
-    n_channels: int,
-    n_padded: int,
-    n_samples: int,
-) -> NDArray[np.float32]:
-    """What white forces become behind a response, shape (channel, n_samples).
+def put_coloured_noise(
+    noise: NDArray[np.float32], spectra: list[NDArray[np.complex64]], response: Iterable[NDArray[np.complex64]]
+) -> None:
+    """Put into ``noise``, zeros of shape (channel, sample), what white forces become behind a response.
 
-    ``spectra``: the half spectrum of each force; the list is emptied, for they are large. ``response``: shape (channel,
-    force, some bins), one after the other, for ``n_channels``. ``n_padded``: length that the spectra stand for.
-    ``n_samples``: how many are kept.
+    ``spectra``: the half spectrum of each force, of an even length of at least as many samples; the list is emptied,
+    for they are large. ``response``: shape (channel, force, some bins), one after the other.
     """
     from scipy.fft import irfft
 
-    totals, start = np.zeros((n_channels, n_padded // 2 + 1), dtype=np.complex64), 0
+    totals, start = np.zeros((len(noise), spectra[0].size), dtype=np.complex64), 0
     for gain in response:
         some = slice(start, start + gain.shape[2])
         for force, spectrum in enumerate(spectra):
             totals[:, some] += gain[:, force] * spectrum[some]
         start = some.stop
     spectra.clear()
-    noise = np.zeros((n_channels, n_samples), dtype=np.float32)
     for row, total in zip(noise, totals, strict=True):
         if total.any():
-            row[:] = irfft(total, n=n_padded, overwrite_x=True)[:n_samples]
-    return noise
+            row[:] = irfft(total, n=2 * (total.size - 1), overwrite_x=True)[: row.size]
 
 
 def shaped_noise(
@@ -185,12 +177,12 @@ class Floor:
 
     ``n_padded``: samples of the transform of the forces. ``response``: of the structure to the white forces, for the
     axes of ``broadband``, (channel, axis, some bins) one after the other; ``sensor`` (bin,): what the filter leaves of
-    a sensor's white noise of density 1; ``coloured``: density (bin,) of each coloured noise. None where there is no
-    such noise or nothing shapes it.
+    a sensor's white noise of density 1, None where there is no such noise or nothing shapes it; ``coloured``: density
+    (bin,) of each coloured noise.
     """
 
     n_padded: int
-    response: Callable[[], Iterable[NDArray[np.complex64]]] | None
+    response: Callable[[], Iterable[NDArray[np.complex64]]]
     sensor: Density | None
     coloured: tuple[Density, ...]
 
@@ -215,7 +207,7 @@ def floor_of(scene: Scene, rate_hz: float) -> Floor:
     shapes_sensors = scene.sensor_noise and scene.filter
     return Floor(
         n_padded=n_padded,
-        response=None if scene.broadband is None else (lambda: held) if held else response,
+        response=(lambda: held) if held else response,
         sensor=folded_density(np.ones_like, scene.filter, rate_hz, frequency) if shapes_sensors else None,
         coloured=tuple(_coloured_density(scene, k, frequency, rate_hz) for k in range(len(scene.coloured_noise))),
     )
@@ -228,7 +220,8 @@ def noise_signal(scene: Scene, run: Run, floor: Floor) -> NDArray[np.float32]:
     :func:`floor_of` at the rate of the run.
     """
     rate_hz, n_samples = scene.rate_hz(run.speed_rpm), scene.n_samples
-    if scene.broadband is not None and floor.response is not None:
+    noise = np.zeros((len(scene.channels), n_samples), dtype=np.float32)
+    if scene.broadband is not None and _driven_axes(scene):
         white = [
             white_spectrum(
                 seed_stream(scene.seed, "broadband", run.stream, axis),
@@ -238,11 +231,7 @@ def noise_signal(scene: Scene, run: Run, floor: Floor) -> NDArray[np.float32]:
             )
             for axis in _driven_axes(scene)
         ]
-        noise = coloured_noise(
-            white, floor.response(), n_channels=len(scene.channels), n_padded=floor.n_padded, n_samples=n_samples
-        )
-    else:
-        noise = np.zeros((len(scene.channels), n_samples), dtype=np.float32)
+        put_coloured_noise(noise, white, floor.response())
     for row, name in zip(noise, scene.channel_names, strict=True):
         level = scene.sensor_noise.m_s2_per_root_hz.get(name, 0.0) if scene.sensor_noise else 0.0
         stream = seed_stream(scene.seed, "sensor_noise", run.stream, name)

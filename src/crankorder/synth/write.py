@@ -7,7 +7,6 @@ import os
 import re
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -153,11 +152,9 @@ def write_scene(
             ours = scene.engine_file in shipped("engines")
             if not ours:
                 engine = scene.engine.model_dump(exclude_none=True, exclude_defaults=True)
-                _publish(place / ENGINE, partial(Path.write_bytes, data=toml_text(engine).encode()))
+                _publish_text(place / ENGINE, toml_text(engine))
             engine_name = scene.engine_file if ours else ENGINE
-            _publish(
-                place / MANIFEST, partial(Path.write_bytes, data=manifest_text(scene, engine_name, repeat).encode())
-            )
+            _publish_text(place / MANIFEST, manifest_text(scene, engine_name, repeat))
         return folders
     except OSError as error:
         if isinstance(error, EnvironmentFailure):
@@ -200,7 +197,7 @@ def write_recording(path: Path, scene: Scene, run: Run, recording: SyntheticReco
 
 def _write_truth(truth: Truth, folder: Path) -> None:
     text = json.dumps(truth, ensure_ascii=False, indent=1, allow_nan=False)
-    _publish(folder / TRUTH, partial(Path.write_bytes, data=f"{text}\n".encode()))
+    _publish_text(folder / TRUTH, f"{text}\n")
 
 
 def _write_recordings(
@@ -290,6 +287,10 @@ def _former_recordings(truth: Path) -> set[str] | None:
     except (OSError, ValueError, LookupError, TypeError):
         return None
     return {name for name in names if RECORDING_NAME.fullmatch(name)} if "scene" in content else None
+
+
+def _publish_text(path: Path, text: str) -> None:
+    _publish(path, lambda part: part.write_bytes(text.encode()))
 
 
 def _publish(path: Path, fill: Callable[[Path], object]) -> None:

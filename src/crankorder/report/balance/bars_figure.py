@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
 from crankorder.plot.axes import log_axis
-from crankorder.plot.style import NOTE, SMALL, axes_at, drawable, house_style, new_figure, quiet_frame, title_lines
+from crankorder.plot.palette import SMALL, drawable
+from crankorder.plot.style import NOTE, axes_at, house_style, new_figure, quiet_frame, title_lines
 from crankorder.report.balance.look import alike, axis_names, called, color_key, system_color
 from crankorder.report.notation import number_text, order_text
 from crankorder.settings import ReportSettings

@@ -15,19 +15,8 @@ from numpy.typing import NDArray
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.cycle_tables import cycle_curves
 from crankorder.engine.definition import Engine
-from crankorder.plot.style import (
-    FAINT,
-    INK,
-    LINES,
-    SMALL,
-    axes_at,
-    drawable,
-    house_style,
-    new_figure,
-    quiet_frame,
-    title_lines,
-    write,
-)
+from crankorder.plot.palette import FAINT, INK, LINES, SMALL, drawable
+from crankorder.plot.style import axes_at, house_style, new_figure, quiet_frame, title_lines, write
 from crankorder.report.balance.look import color_key, cross_hairs, frame_around
 from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings

@@ -9,19 +9,8 @@ from matplotlib.figure import Figure
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
-from crankorder.plot.style import (
-    FAINT,
-    INK,
-    LINES,
-    NOTE,
-    SMALL,
-    axes_at,
-    drawable,
-    house_style,
-    new_figure,
-    quiet_frame,
-    title_lines,
-)
+from crankorder.plot.palette import FAINT, INK, LINES, SMALL, drawable
+from crankorder.plot.style import NOTE, axes_at, house_style, new_figure, quiet_frame, title_lines
 from crankorder.report.balance.dataset import SYSTEMS, order_sum
 from crankorder.report.balance.look import (
     COUNTERWEIGHTS,

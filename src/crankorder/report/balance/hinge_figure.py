@@ -28,21 +28,8 @@ from crankorder.engine.hinged_crank import (
     potential_torque,
     torque_extrema,
 )
-from crankorder.plot.style import (
-    FAINT,
-    GRID,
-    INK,
-    LINES,
-    NORMAL,
-    SMALL,
-    axes_at,
-    drawable,
-    house_style,
-    new_figure,
-    quiet_frame,
-    title_lines,
-    write,
-)
+from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, drawable
+from crankorder.plot.style import axes_at, house_style, new_figure, quiet_frame, title_lines, write
 from crankorder.report.balance.look import Box, color_key
 from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings

@@ -9,7 +9,8 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from crankorder.plot.style import GRID, INK, LINES, text_width_in, write
+from crankorder.plot.palette import GRID, INK, LINES, text_width_in
+from crankorder.plot.style import write
 from crankorder.report.balance.dataset import PLAIN, SYSTEMS
 from crankorder.report.notation import listed
 

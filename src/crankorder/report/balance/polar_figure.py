@@ -10,21 +10,8 @@ from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
-from crankorder.plot.style import (
-    FAINT,
-    INK,
-    LINES,
-    NORMAL,
-    NOTE,
-    SMALL,
-    axes_at,
-    drawable,
-    house_style,
-    new_figure,
-    quiet_frame,
-    title_lines,
-    write,
-)
+from crankorder.plot.palette import FAINT, INK, LINES, NORMAL, SMALL, drawable
+from crankorder.plot.style import NOTE, axes_at, house_style, new_figure, quiet_frame, title_lines, write
 from crankorder.report.balance.dataset import order_sum
 from crankorder.report.balance.look import (
     COUNTERWEIGHTS,
