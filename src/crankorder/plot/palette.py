@@ -107,7 +107,8 @@ def text_width_in(text: str, size: float, *, bold: bool = False) -> float:
 def text_ink(text: str, size: float, dpi: float, *, bold: bool) -> tuple[NDArray[np.uint8], float, float]:
     """Ink of ``text``, of ``size`` points, ``bold`` or not, (rows from the top, columns; 255 is full), and its place.
 
-    At ``dpi`` pixels per inch; its place in pixels: its left edge right of the place that the text begins at, its lower edge below the baseline.
+    At ``dpi`` pixels per inch; its place in pixels: its left edge right of the place that the text begins at, its lower
+    edge below the baseline.
     """
     font = _set(text, size, dpi, bold=bold)
     font.draw_glyphs_to_bitmap(antialiased=True)
