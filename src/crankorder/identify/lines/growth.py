@@ -14,7 +14,7 @@ from scipy.special import gammaincc, stdtr
 
 from crankorder.findings import Balance
 from crankorder.identify.found import Mode, OrderLine
-from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width, half_widths, known_freedom
+from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width, half_widths, known_freedom, root
 from crankorder.identify.said import IF_UNBALANCE, LIKE_UNBALANCE, NOT_AS_UNBALANCE, ONE_SPEED
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
@@ -232,9 +232,7 @@ def _excess(residual: Floats, error: Floats, kept: Bools) -> float:
 
     if over(0.0) <= 0.0:
         return 0.0
-    from scipy.optimize import brentq  # loads slowly, and few recordings ask for it
-
-    return float(brentq(over, 0.0, float(np.sqrt(np.sum(residual**2))) + 1e-12, xtol=1e-9))
+    return root(over, 0.0, float(np.sqrt(np.sum(residual**2))) + 1e-12, within=1e-9)
 
 
 def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, float, float, float]:
@@ -318,9 +316,7 @@ def _not_surprising(cut: float, wide: float, degrees_of_freedom: float, share: f
         return -wide
     if above(wide) <= 0.0:
         return wide
-    from scipy.optimize import brentq  # loads slowly, and few recordings ask for it
-
-    return float(brentq(above, -wide, wide, xtol=1e-6))
+    return root(above, -wide, wide, within=1e-6)
 
 
 def reported(line: OrderLine, law: Growth | None) -> Largest:

@@ -65,16 +65,16 @@ class _Search:
 
     @property
     def axis(self) -> Floats:
-        return np.asarray(self.order_map["order"].values)
+        return np.asarray(self.order_map.variables["order"].values)
 
     @property
     def speed(self) -> Floats:
-        return np.asarray(self.order_map["speed"].values)
+        return np.asarray(self.order_map.variables["speed"].values)
 
-    def chances(self, channel: int, peak: int) -> Floats:
-        """Chance (speeds,) that noise alone stands as high in the bin ``peak``."""
-        n = self.order_map["n_independent"].values
-        cells = zip(self.ratio[channel, :, peak], n, self.floor_worth[channel, :, peak], strict=True)
+    def chances(self, channel: int, peak: int, speeds: Ints) -> Floats:
+        """Chance that noise alone stands as high in the bin ``peak`` at each of the ``speeds`` (numbers)."""
+        n = self.order_map.variables["n_independent"].values[speeds]
+        cells = zip(self.ratio[channel, speeds, peak], n, self.floor_worth[channel, speeds, peak], strict=True)
         return np.array([noise_chance(*map(float, cell)) for cell in cells])
 
     def phasors(self, channel: int, peak: int, speeds_rpm: Floats, *, bins: float) -> list[Phasors]:
@@ -178,7 +178,7 @@ def _seen_together(search: _Search, channel: int, peak: int) -> Ints:
     The chances of all speeds are joined (Fisher 1925) and counted over every bin and channel of the map. The half of
     the speeds that shows least must speak for it too: an order that meets resonances stands high at some, not at these.
     """
-    chances = search.chances(channel, peak)
+    chances = search.chances(channel, peak, np.arange(len(search.speed)))
     cells = search.excess.shape[0] * search.excess.shape[2]
     shown = cells * _joined_chance(chances) < search.false_alarm_probability
     least = np.sort(chances)[len(chances) // 2 :]
@@ -262,7 +262,7 @@ def _beyond_chance(search: _Search, channel: int, peak: int, seen: Ints) -> bool
 
     With p the chance at the weakest of the speeds seen, k of n speeds are that high with at most C(n, k) p^k.
     """
-    highest = float(search.chances(channel, peak)[seen].max())
+    highest = float(search.chances(channel, peak, seen).max())
     n_speeds, k = len(search.speed), len(seen)
     sets = np.prod([(n_speeds - j) / (j + 1.0) for j in range(k)])
     cells = search.excess.shape[0] * search.excess.shape[2]
