@@ -5,6 +5,7 @@ Of order 1 it says whether it grows as an unbalance does.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -131,6 +132,7 @@ class Largest:
     high: float
 
 
+@functools.lru_cache(maxsize=256)
 def growth(line: OrderLine) -> Growth | None:
     """How the amplitude of ``line`` grows with speed; None for fewer than four speeds, or all nearly alike.
 
@@ -252,6 +254,7 @@ def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, f
     return slope, float(1.0 / np.sqrt(weight @ (x - mean) ** 2)), level, excess, chance
 
 
+@functools.lru_cache(maxsize=256)
 def largest(line: OrderLine) -> Largest:
     """Largest amplitude of ``line`` over its speeds with a 95 % interval that allows for its having been chosen.
 
