@@ -400,8 +400,7 @@ def scatter_at(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
 
 
 def _mean_square(problem: Problem, fit: SurfaceFit, at_hz: float | None) -> float:
-    residual = np.stack(fit.residual[: len(problem.psd)])
-    used = problem.averages > 0.0
+    residual, used = fit.left, problem.averages > 0.0
     free = 1.0 - (fit.linear.size + 2.0 * len(fit.poles)) / max(1.0, float(np.count_nonzero(used)))
     if at_hz is not None:
         near = np.argsort(np.abs(problem.frequency_hz - at_hz), kind="stable")[: NUMBERS.local_bins]
