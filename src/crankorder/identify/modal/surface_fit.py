@@ -250,13 +250,26 @@ class SurfaceFit:
         return (*self.left, *self._further[1])
 
     @cached_property
-    def jacobian(self) -> tuple[Array, ...]:
-        """Derivatives (F, 2M) per channel and item by (ln f, ln ζ) of all poles, less what linear terms make up for."""
+    def _bent(self) -> Array:
+        """Derivatives (C, 2M, F) of the floors by (ln f, ln ζ) of all poles, in standard deviations of a bin."""
         terms = self.linear[:, : 2 * len(self.poles), None]
         by = [terms[:, ::2] * part[::2] + terms[:, 1::2] * part[1::2] for part in self.slopes]
-        raw = np.stack(by, axis=2).reshape(len(terms), 2 * len(self.poles), -1) * self.weight[:, None]
-        raw -= (raw @ self.basis) @ self.basis.swapaxes(1, 2)
-        return (*raw.swapaxes(1, 2), *self._further[0])
+        return np.stack(by, axis=2).reshape(len(terms), 2 * len(self.poles), -1) * self.weight[:, None]
+
+    @cached_property
+    def jacobian(self) -> tuple[Array, ...]:
+        """Derivatives (F, 2M) per channel and item by (ln f, ln ζ) of all poles, less what linear terms make up for."""
+        left = self._bent - (self._bent @ self.basis) @ self.basis.swapaxes(1, 2)
+        return (*left.swapaxes(1, 2), *self._further[0])
+
+    def normal(self) -> tuple[Array, Array]:
+        """Sums (2M, 2M) and (2M,) over all data of the products of the derivatives with each other and what is left."""
+        along = self._bent @ self.basis
+        hessian = (self._bent @ self._bent.swapaxes(1, 2)).sum(axis=0) - (along @ along.swapaxes(1, 2)).sum(axis=0)
+        slope = (self._bent @ self.left[..., None]).sum(axis=0)[:, 0]
+        for j, r in zip(*self._further, strict=True):
+            hessian, slope = hessian + j.T @ j, slope + j.T @ r
+        return hessian, slope
 
     def part(self, number: int) -> Array:
         """Power (C, F) that pole ``number`` adds."""
@@ -356,11 +369,11 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Array | None = None, s
         current = again
     if not len(poles):
         return current
-    factor, still = 1e-3, 0
+    factor, still, taken = 1e-3, 0, True
     for _ in range(steps):
         free = np.stack([np.ones(len(poles), dtype=bool), ~poles.tone], axis=1).ravel()
-        hessian = curvature(current, free)
-        slope = np.asarray(sum(j[:, free].T @ r for j, r in zip(current.jacobian, current.residual, strict=True)))
+        hessian, slope = current.normal()
+        hessian, slope = hessian[np.ix_(free, free)], slope[free]
         scale = np.maximum(np.diag(hessian), 1e-6 * np.trace(hessian) / len(hessian))
         if not scale.min(initial=np.inf) > 0.0:
             break
@@ -370,10 +383,11 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Array | None = None, s
             break
         moved = _moved(poles, move, problem)
         trial = evaluate(problem, moved, current.model)
-        if trial.deviance > current.deviance + 1.0:  # weights of a model that is still far off may mislead
+        if taken and trial.deviance > current.deviance + 1.0:  # weights of a model that is far off may mislead
             trial = min(trial, evaluate(problem, moved, smooth, trial), key=lambda one: one.deviance)
         gained = current.deviance - trial.deviance
-        if gained > -1e-3:
+        taken = gained > -1e-3
+        if taken:
             current, poles = trial, trial.poles
             factor = max(0.1 * factor, 1e-8)
             still = still + 1 if gained < LITTLE else 0
@@ -391,7 +405,7 @@ def curvature(fit: SurfaceFit, free: NDArray[np.bool_]) -> Array:
 
     ``fit``: the fit so far.
     """
-    return np.asarray(sum(j[:, free].T @ j[:, free] for j in fit.jacobian))
+    return np.asarray(sum(j.T @ j for j in fit.jacobian))[np.ix_(free, free)]
 
 
 def _moved(poles: Poles, move: Array, problem: Problem) -> Poles:
