@@ -218,9 +218,10 @@ def _robust_line(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats]:
         strength = weight / scale**2
         if np.count_nonzero(weight) < 3:
             break
-        mean = float(np.average(x, weights=strength))
-        slope = float(strength @ ((x - mean) * y) / (strength @ (x - mean) ** 2))
-        level = float(np.average(y - slope * x, weights=strength))
+        total = strength.sum()
+        away = x - strength @ x / total
+        slope = float(strength @ (away * y) / (strength @ away**2))
+        level = float(strength @ (y - slope * x) / total)
     return np.array([level, slope]), weight
 
 
