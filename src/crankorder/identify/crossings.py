@@ -258,9 +258,7 @@ def _unless_excited(
     quiet &= all(seen_all_around(line, rpm, tested) for line in agreed.lines)
     known = [item for item in fitted if number in item.reached and item.span_rpm[0] <= rpm <= item.span_rpm[1]]
     if {item.channel for item in known} >= {line.channel for line in agreed.lines} and known:
-        ends = [
-            _beside_mode(item, number, modal).ends(half_width(float(item.degrees_of_freedom)))[1] for item in known
-        ]
+        ends = [_beside_mode(item, number, modal).ends(half_width(float(item.degrees_of_freedom)))[1] for item in known]
         quiet |= max(float(high.max()) for high in ends) < SAID.clearly_excited_ratio
     by_fit = [one for item in fitted if (one := fitted_excess(item, number, modal)) is not None]
     quiet &= all(one.ratio_low < SAID.clearly_excited_ratio for one in by_fit)

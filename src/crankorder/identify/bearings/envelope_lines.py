@@ -316,7 +316,7 @@ def _comb_chances(
     chance = np.exp(-comb_nats(nats, looks, comb, step=step, free=free[looks]))
     nearest = np.clip(np.round(comb.trials(step) / step).astype(int), span.start, span.stop - 1)
     made = np.ones((len(ratio), span.stop - span.start))
-    np.minimum.at(made, (slice(None), nearest - span.start), chance)
+    np.minimum.at(made.T, nearest - span.start, chance.T)
     return made * TRIALS_PER_BIN
 
 

@@ -446,7 +446,7 @@ def _anew(block: Block, part: Projected, poles: Poles) -> tuple[Block, Projected
 
 
 def _explained(columns: Complex, weight: Array, part: Projected, per: int) -> Array:
-    """Squares of what is left of each channel of a ``part`` that each ``per`` neighbours of ``columns`` explain, (C, S).
+    """Squares (C, S) of what is left of each channel of a ``part`` that each ``per`` neighbours of ``columns`` explain.
 
     These (K, S · per), times ``weight`` (C, K), count as far as they are beyond the basis of the part.
     """
@@ -456,7 +456,8 @@ def _explained(columns: Complex, weight: Array, part: Projected, per: int) -> Ar
     made = np.abs(along[:, ::per]) ** 2 / norm[:, ::per]
     if per == 1:
         return np.asarray(made)
-    both = weight**2 @ (columns[:, ::2].conj() * columns[:, 1::2]) - (seen[..., ::2].conj() * seen[..., 1::2]).sum(axis=1)
+    both = weight**2 @ (columns[:, ::2].conj() * columns[:, 1::2])
+    both -= (seen[..., ::2].conj() * seen[..., 1::2]).sum(axis=1)
     rest = np.maximum(norm[:, 1::2] - np.abs(both) ** 2 / norm[:, ::2], 1e-6 * norm[:, 1::2])
     return np.asarray(made + np.abs(along[:, 1::2] - along[:, ::2] * both / norm[:, ::2]) ** 2 / rest)
 

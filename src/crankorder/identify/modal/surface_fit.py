@@ -253,8 +253,12 @@ class SurfaceFit:
     def _bent(self) -> Array:
         """Derivatives (C, 2M, F) of the floors by (ln f, ln ζ) of all poles, in standard deviations of a bin."""
         terms = self.linear[:, : 2 * len(self.poles), None]
-        by = [terms[:, ::2] * part[::2] + terms[:, 1::2] * part[1::2] for part in self.slopes]
-        return np.stack(by, axis=2).reshape(len(terms), 2 * len(self.poles), -1) * self.weight[:, None]
+        made = np.empty((len(terms), len(self.poles), 2, self.weight.shape[1]))
+        for number, part in enumerate(self.slopes):
+            np.multiply(terms[:, ::2], part[::2], out=made[:, :, number])
+            made[:, :, number] += terms[:, 1::2] * part[1::2]
+        made *= self.weight[:, None, None]
+        return made.reshape(len(terms), 2 * len(self.poles), -1)
 
     @cached_property
     def jacobian(self) -> tuple[Array, ...]:
