@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from crankorder.identify.above_trend import Seen, above_trend, evidence_beside, 
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderResponse, Verdict, Whirl
 from crankorder.identify.intervals import ENDLESS_FREEDOM, claimed, half_width, positive_interval, simes
 from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.responses import with_and_without
+from crankorder.identify.responses import WithAndWithout, with_and_without
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -211,16 +212,16 @@ def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen
     rpm = 60.0 * mode.frequency_hz / response.order
     if not response.fits or number not in response.reached or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
         return None
-    both = with_and_without(response, number, np.array([rpm]), modal)
-    sigmas = half_width(float(response.degrees_of_freedom))
-    size, size_error, without, without_error, least = (
-        float(one.flat[0]) for one in (both.with_mode, both.with_error, both.without, both.without_error, both.least)
+    both = _beside_mode(response, number, modal)
+    sigmas, least = half_width(float(response.degrees_of_freedom)), float(both.least[0])
+    size, size_error, without, without_error = (
+        float(one[0, AT_MODE]) for one in (both.with_mode, both.with_error, both.without, both.without_error)
     )
     unsure = sigmas * without_error + NUMBERS.shape_share * size
     low = max(size - sigmas * size_error, 0.0) / max(without + unsure, least, 1e-300)
     high = (size + sigmas * size_error) / (without - unsure) if without - unsure > least else np.inf
     quality = 1.0 / (2.0 * max(mode.damping_ratio, 1e-6))
-    ratio = min(float(both.ratio[0]), quality)
+    ratio = min(float(both.ratio[AT_MODE]), quality)
     return Seen(response.channel, np.nan, rpm, ratio, min(low, quality), high)
 
 
@@ -255,13 +256,9 @@ def _unless_excited(
     resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
     quiet = resolved and bool(trends) and max(item.ratio_high for item in trends) < SAID.clearly_excited_ratio
     quiet &= all(seen_all_around(line, rpm, tested) for line in agreed.lines)
-    near = rpm * (1.0 + mode.damping_ratio * np.linspace(-1.0, 1.0, 5))
     known = [item for item in fitted if number in item.reached and item.span_rpm[0] <= rpm <= item.span_rpm[1]]
     if {item.channel for item in known} >= {line.channel for line in agreed.lines} and known:
-        ends = [
-            with_and_without(item, number, near, modal).ends(half_width(float(item.degrees_of_freedom)))[1]
-            for item in known
-        ]
+        ends = [_beside_mode(item, number, modal).ends(half_width(float(item.degrees_of_freedom)))[1] for item in known]
         quiet |= max(float(high.max()) for high in ends) < SAID.clearly_excited_ratio
     by_fit = [one for item in fitted if (one := fitted_excess(item, number, modal)) is not None]
     quiet &= all(one.ratio_low < SAID.clearly_excited_ratio for one in by_fit)
@@ -288,8 +285,22 @@ def amplification(response: OrderResponse, number: int, modal: ModalFit) -> floa
 
     Over the noise of a row where less would be left without it.
     """
-    rpm = np.array([60.0 * modal.modes[number].frequency_hz / response.order])
-    return float(with_and_without(response, number, rpm, modal).ratio[0])
+    return float(_beside_mode(response, number, modal).ratio[AT_MODE])
+
+
+BESIDE = np.linspace(-1.0, 1.0, 5)
+"""Distances from a natural frequency, in damping ratios of it, at which a response is looked at."""
+
+AT_MODE = 2
+"""Which of them is none."""
+
+
+@functools.lru_cache(maxsize=1024)
+def _beside_mode(response: OrderResponse, number: int, modal: ModalFit) -> WithAndWithout:
+    """What ``response`` is with mode ``number`` of ``modal`` and without it, at its frequency and beside it."""
+    mode = modal.modes[number]
+    rpm = 60.0 * mode.frequency_hz / response.order * (1.0 + mode.damping_ratio * BESIDE)
+    return with_and_without(response, number, rpm, modal)
 
 
 def _by_residue(response: OrderResponse, number: int, modal: ModalFit) -> list[Seen]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -59,7 +60,12 @@ class Held:
     rpm: float
     channels: tuple[str, ...]
 
-    @property
+    @cached_property
+    def pace_s(self) -> Floats:
+        """Seconds that a revolution takes at each frame (frames, 1)."""
+        return np.asarray(np.gradient(self.time_s, self.turn)[:, None])
+
+    @cached_property
     def span_rev(self) -> float:
         """Revolutions from the middle of the first frame to that of the last, and a frame more."""
         return float(np.ptp(self.turn)) + self.revs
@@ -278,14 +284,14 @@ def waves_of(held: Held, bins: Ints, places: Sequence[Place]) -> Complexes:
     A line x reciprocal frame lengths from a bin is seen there by the response of the Hann window, sinc x / (1 - x²),
     and turns from frame to frame with its own phase less that of the bin.
     """
-    axis, turn = held.axis[bins][:, None], held.turn[:, None]
+    axis, turn = held.axis[bins], held.turn[:, None]
     hertz, turns = np.array(places, dtype=np.float64).reshape(-1, 2).T
-    pace = np.gradient(held.time_s, held.turn)[:, None]
-    away = ((turns + hertz * pace)[:, None] - axis) * held.revs
+    away = ((turns + hertz * held.pace_s)[:, None] - axis[:, None]) * held.revs
     pole = np.abs(np.abs(away) - 1.0) < 1e-6
     shape = np.where(pole, 0.5, np.sinc(away) / np.where(pole, 1.0, 1.0 - away**2))
-    phase = (turns * turn + hertz * held.time_s[:, None])[:, None] - axis * turn[:, None]
-    made: Complexes = shape * np.exp(2j * np.pi * (phase - np.floor(phase)))
+    phase, of_bin = turns * turn + hertz * held.time_s[:, None], axis * turn
+    waves, back = (np.exp(2j * np.pi * (one - np.floor(one))) for one in (phase, of_bin))
+    made: Complexes = shape * (waves[:, None] * back.conj()[..., None])
     return made.reshape(-1, len(places))
 
 

@@ -86,7 +86,7 @@ def held_amplitudes(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tu
     """
     smooth, parts, columns = _parts(response, rpm, modal)
     whole = smooth + parts.sum(axis=1)
-    return np.abs(whole), _error(response, whole, columns, _by_poles(response, rpm, modal, columns), modal)
+    return np.abs(whole), _errors(response, rpm, modal, whole[None], columns[None])[0]
 
 
 def with_and_without(response: OrderResponse, number: int, rpm: Floats, modal: ModalFit) -> WithAndWithout:
@@ -94,51 +94,40 @@ def with_and_without(response: OrderResponse, number: int, rpm: Floats, modal: M
     smooth, parts, columns = _parts(response, rpm, modal)
     whole = smooth + parts.sum(axis=1)
     without = whole - parts[:, number]
-    fewer = columns.copy()
-    fewer[:, len(response.smooth) + np.flatnonzero(response.reached == number)] = 0.0
-    errors = (
-        _error(response, whole, columns, _by_poles(response, rpm, modal, columns), modal),
-        _error(response, without, fewer, _by_poles(response, rpm, modal, fewer, but=number), modal),
-    )
+    both = np.stack([columns, columns])
+    both[1, :, len(response.smooth) + np.flatnonzero(response.reached == number)] = 0.0
+    errors = _errors(response, rpm, modal, np.stack([whole, without]), both, but=number)
     ambiguous = NUMBERS.shape_error_share * np.sqrt(len(response.smooth) - 1) * np.abs(without)
-    rows = (np.abs(whole)[None], np.abs(without)[None], errors[0][None], np.hypot(errors[1], ambiguous)[None])
+    rows = (np.abs(whole)[None], np.abs(without)[None], errors[:1], np.hypot(errors[1], ambiguous)[None])
     return WithAndWithout(*rows, np.array([EXCLUSION.noise_sigmas * response.error]))
 
 
-def _error(response: OrderResponse, value: Complex, columns: Complex, by_poles: Complex, modal: ModalFit) -> Floats:
-    """Standard error (G,) of the amplitude of ``value`` (G,), which ``columns`` (G, terms) make of the linear terms.
+def _errors(
+    response: OrderResponse, rpm: Floats, modal: ModalFit, values: Complex, columns: Complex, *, but: int = -1
+) -> Floats:
+    """Standard errors (V, G) of the amplitudes of ``values`` at ``rpm`` (G,), the second of them without mode ``but``.
 
-    ``by_poles`` (G, 2 reached) are its derivatives by (ln f, ln ζ) of the modes reached, the terms moving with them.
+    ``columns`` (V, G, terms) make them of the linear terms, which move with the poles.
     """
-    linear = np.einsum("gi,ij,gj->g", columns, response.covariance, columns.conj()).real
-    modes = [modal.modes[number] for number in response.reached.tolist()]
-    at = np.stack([2 * response.reached, 2 * response.reached + 1], axis=1).ravel()
+    squared = np.maximum(((columns @ response.covariance) * columns.conj()).sum(axis=2).real, 0.0)
+    reached = response.reached
+    at = np.stack([2 * reached, 2 * reached + 1], axis=1).ravel()
     if not len(at) or int(at.max()) >= len(modal.covariance):
-        return np.asarray(np.sqrt(np.maximum(linear, 0.0)))
-    scale = np.array([[mode.frequency_hz, mode.damping_ratio] for mode in modes]).ravel()
-    spread = modal.covariance[np.ix_(at, at)] / np.outer(scale, scale)
+        return np.asarray(np.sqrt(squared))
+    poles = np.array([(modal.modes[k].frequency_hz, modal.modes[k].damping_ratio) for k in reached.tolist()])
+    spread = modal.covariance[np.ix_(at, at)] / np.outer(poles.ravel(), poles.ravel())
     # of a pole that is not determined a derivative says nothing: that it is not decided is said elsewhere
     told = np.repeat(np.diag(spread)[1::2] <= ORDER_MODES.known_share**2, 2)
     spread = np.where(told[:, None] & told, spread, 0.0)
-    along = (by_poles * (value.conj() / np.maximum(np.abs(value), 1e-300))[:, None]).real
-    poles = np.einsum("gi,ij,gj->g", along, spread, along)
-    return np.asarray(np.sqrt(np.maximum(linear, 0.0) + np.maximum(poles, 0.0)))
-
-
-def _by_poles(
-    response: OrderResponse, rpm: Floats, modal: ModalFit, columns: Complex, *, but: int | None = None
-) -> Complex:
-    """Derivatives (G, 2 reached) of ``response`` at ``rpm`` by (ln f, ln ζ) of its modes, without mode ``but``."""
-    modes = [modal.modes[number] for number in response.reached.tolist()]
-    natural, damping = (np.array([getattr(mode, name) for mode in modes]) for name in ("frequency_hz", "damping_ratio"))
-    made = np.zeros((len(rpm), 2 * len(modes)), dtype=np.complex128)
-    if not modes:
-        return made
     grown = _force_of(response, rpm)[:, None]
-    residue = np.where(response.reached == but, 0.0, response.residue[response.reached])
-    for offset, slope in enumerate(resonance_slopes(response.order * rpm / 60.0, natural, damping)):
-        made[:, offset::2] = grown * slope * residue
-    return made if response.slopes is None else made + columns @ response.slopes
+    residues = np.array([response.residue[reached], np.where(reached == but, 0.0, response.residue[reached])])
+    by_poles = np.zeros((*values.shape, len(at)), dtype=np.complex128)  # derivatives by (ln f, ln ζ) of the modes
+    for offset, slope in enumerate(resonance_slopes(response.order * rpm / 60.0, *poles.T)):
+        by_poles[..., offset::2] = grown * slope * residues[: len(values), None]
+    if response.slopes is not None:
+        by_poles += columns @ response.slopes
+    along = (by_poles * (values.conj() / np.maximum(np.abs(values), 1e-300))[..., None]).real
+    return np.asarray(np.sqrt(squared + np.maximum(((along @ spread) * along).sum(axis=2), 0.0)))
 
 
 def _force_of(response: OrderResponse, rpm: Floats) -> Complex:
@@ -198,9 +187,10 @@ def held_peak(modal: ModalFit, order: float, channel: str) -> HeldPeak | None:
 def peak_of(response: OrderResponse, modal: ModalFit, ends: tuple[float, float] = (0.0, np.inf)) -> HeldPeak:
     """Largest steady amplitude of ``response`` by the fit ``modal``, of it what lies between ``ends`` [rpm]."""
     rpm = np.clip(_speeds(response, modal), *np.clip(ends, *response.span_rpm))
-    amplitude, error = held_amplitudes(response, rpm, modal)
-    at = int(np.argmax(amplitude))
-    return HeldPeak(float(rpm[at]), float(amplitude[at]), float(error[at]), float(max(response.degrees_of_freedom, 1)))
+    smooth, parts, _ = _parts(response, rpm, modal)
+    at = int(np.argmax(np.abs(smooth + parts.sum(axis=1))))
+    amplitude, error = held_amplitudes(response, rpm[at : at + 1], modal)
+    return HeldPeak(float(rpm[at]), float(amplitude[0]), float(error[0]), float(max(response.degrees_of_freedom, 1)))
 
 
 def _speeds(response: OrderResponse, modal: ModalFit) -> NDArray[np.float64]:

@@ -237,7 +237,7 @@ class TrackReader:
             made = OrderRows(*(self.order_map[name].values[..., nearest] for name in _ON_BIN_NAMES))
         else:
             made = self._between_bins(order / step, self._close(order / step, others), nearest)
-        beating = [one for one in others if self._beats(one - order) and abs(one - order) < BEATING_BINS * step]
+        beating = [one for one in others if abs(one - order) < BEATING_BINS * step and self._beats(one - order)]
         return self._parted_by_beat(made, order, beating, others) if beating else made
 
     def _beats(self, apart: float) -> bool:

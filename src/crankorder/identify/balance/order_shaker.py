@@ -244,7 +244,7 @@ def _evaluated(problem: _Problem, theta: Floats, like: _Fit | None = None) -> _F
     n_channels = len(problem.measured.channels)
     columns = design.reshape(n_rows, -1)
     basis, solve = _factored(_spread(columns, problem.white))
-    target = np.einsum("rcd,dr->rc", problem.white, problem.measured.amplitude).ravel()
+    target = (problem.white @ problem.measured.amplitude.T[..., None]).ravel()
     shares = basis.conj().T @ target
     residue = (solve @ shares).reshape(n_channels, *design.shape[1:])
     error = target - basis @ shares
@@ -252,7 +252,7 @@ def _evaluated(problem: _Problem, theta: Floats, like: _Fit | None = None) -> _F
     by_pole = np.einsum("ar,rjp,caj->rcjp", acting, bends, residue[:, :, 1:-1]).reshape(n_rows, n_channels, -1)
     turned = np.stack([by_mass, 1j * by_mass], axis=3).reshape(n_rows, n_channels, -1)
     free = np.concatenate([turned, by_pole @ problem.pole_root], axis=2)
-    free = np.einsum("rcd,rdp->rcp", problem.white, free).reshape(error.size, -1)
+    free = (problem.white @ free).reshape(error.size, -1)
     slope = free - basis @ (basis.conj().T @ free)
     return _Fit(
         error=error.reshape(n_rows, n_channels).T,

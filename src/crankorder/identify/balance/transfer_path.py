@@ -337,8 +337,8 @@ def _tyler(samples: Complexes) -> Complexes:
     start = samples / np.sqrt((np.abs(samples) ** 2).mean(axis=0))
     size = np.sqrt((np.abs(samples) ** 2).mean(axis=0))
     for _ in range(ROUNDS):
-        inner = np.einsum("nc,cd,nd->n", start.conj(), np.linalg.inv(shape), start).real
-        shape = np.einsum("nc,nd->cd", start / inner[:, None], start.conj()) * (n_channels / n_samples)
+        inner = ((start.conj() @ np.linalg.inv(shape)) * start).sum(axis=1).real
+        shape = (start / inner[:, None]).T @ start.conj() * (n_channels / n_samples)
         shape = shape / (np.trace(shape).real / n_channels) + FILLING * np.eye(n_channels)
     shape = shape * size[:, None] * size
     return np.asarray(shape / (np.trace(shape).real / n_channels))

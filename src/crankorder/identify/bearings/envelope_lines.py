@@ -308,17 +308,15 @@ def _comb_chances(
     """
     step, comb = float(spectra.order[1]), place.comb
     looks = looked_at((comb,), step=step, n_orders=ratio.shape[1])
-    nats = np.concatenate(
-        [
-            look_nats(row[None, looks], looks, count=float(own), floor_worth=worth, free=free[looks])
-            for row, own in zip(ratio, count, strict=True)
-        ]
-    )
+    nats = np.empty((len(ratio), len(looks)))
+    for own in np.unique(count):
+        rows = count == own
+        part = ratio[np.ix_(rows, looks)]
+        nats[rows] = look_nats(part, looks, count=float(own), floor_worth=worth, free=free[looks])
     chance = np.exp(-comb_nats(nats, looks, comb, step=step, free=free[looks]))
     nearest = np.clip(np.round(comb.trials(step) / step).astype(int), span.start, span.stop - 1)
     made = np.ones((len(ratio), span.stop - span.start))
-    for row, own_chance in zip(made, chance, strict=True):
-        np.minimum.at(row, nearest - span.start, own_chance)
+    np.minimum.at(made.T, nearest - span.start, chance.T)
     return made * TRIALS_PER_BIN
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.identify.found import AgreedOrder, OrderLine
-from crankorder.identify.intervals import half_width
+from crankorder.identify.intervals import half_width, root
 from crankorder.identify.lines.cfar import LOBE_BINS
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
@@ -371,9 +371,7 @@ def _between(order: Floats, variance: Floats) -> float:
 
     if over(0.0) <= 0.0:
         return 0.0
-    from scipy.optimize import brentq  # loads slowly, and few recordings ask for it
-
-    return float(brentq(over, 0.0, float(np.ptp(order)) ** 2 * len(order) + 1e-30, xtol=1e-24, rtol=1e-9))
+    return root(over, 0.0, float(np.ptp(order)) ** 2 * len(order) + 1e-30, within=1e-24)
 
 
 def _named(found: _Unnamed, test: _Test) -> AgreedOrder:

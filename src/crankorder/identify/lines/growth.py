@@ -5,6 +5,7 @@ Of order 1 it says whether it grows as an unbalance does.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -14,7 +15,7 @@ from scipy.special import gammaincc, stdtr
 
 from crankorder.findings import Balance
 from crankorder.identify.found import Mode, OrderLine
-from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width, half_widths, known_freedom
+from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width, half_widths, known_freedom, root
 from crankorder.identify.said import IF_UNBALANCE, LIKE_UNBALANCE, NOT_AS_UNBALANCE, ONE_SPEED
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
@@ -131,6 +132,7 @@ class Largest:
     high: float
 
 
+@functools.lru_cache(maxsize=256)
 def growth(line: OrderLine) -> Growth | None:
     """How the amplitude of ``line`` grows with speed; None for fewer than four speeds, or all nearly alike.
 
@@ -216,9 +218,10 @@ def _robust_line(x: Floats, y: Floats, error: Floats) -> tuple[Floats, Floats]:
         strength = weight / scale**2
         if np.count_nonzero(weight) < 3:
             break
-        mean = float(np.average(x, weights=strength))
-        slope = float(strength @ ((x - mean) * y) / (strength @ (x - mean) ** 2))
-        level = float(np.average(y - slope * x, weights=strength))
+        total = strength.sum()
+        away = x - strength @ x / total
+        slope = float(strength @ (away * y) / (strength @ away**2))
+        level = float(strength @ (y - slope * x) / total)
     return np.array([level, slope]), weight
 
 
@@ -232,9 +235,7 @@ def _excess(residual: Floats, error: Floats, kept: Bools) -> float:
 
     if over(0.0) <= 0.0:
         return 0.0
-    from scipy.optimize import brentq  # loads slowly, and few recordings ask for it
-
-    return float(brentq(over, 0.0, float(np.sqrt(np.sum(residual**2))) + 1e-12, xtol=1e-9))
+    return root(over, 0.0, float(np.sqrt(np.sum(residual**2))) + 1e-12, within=1e-9)
 
 
 def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, float, float, float]:
@@ -254,6 +255,7 @@ def _weighted_line(x: Floats, y: Floats, error: Floats) -> tuple[float, float, f
     return slope, float(1.0 / np.sqrt(weight @ (x - mean) ** 2)), level, excess, chance
 
 
+@functools.lru_cache(maxsize=256)
 def largest(line: OrderLine) -> Largest:
     """Largest amplitude of ``line`` over its speeds with a 95 % interval that allows for its having been chosen.
 
@@ -318,9 +320,7 @@ def _not_surprising(cut: float, wide: float, degrees_of_freedom: float, share: f
         return -wide
     if above(wide) <= 0.0:
         return wide
-    from scipy.optimize import brentq  # loads slowly, and few recordings ask for it
-
-    return float(brentq(above, -wide, wide, xtol=1e-6))
+    return root(above, -wide, wide, within=1e-6)
 
 
 def reported(line: OrderLine, law: Growth | None) -> Largest:

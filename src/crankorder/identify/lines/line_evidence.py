@@ -9,7 +9,7 @@ import xarray as xr
 from scipy.special import gammaincc, gammaln
 
 from crankorder.identify.found import Evidence
-from crankorder.identify.lines.zoom import Zoomed
+from crankorder.identify.lines.zoom import Zoomed, turned_back
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
@@ -278,7 +278,7 @@ def best_offset(phasors: Complexes, turn: Floats, *, hop_rev: float) -> tuple[fl
     reach = 0.5 / hop_rev
     count = 2 * int(np.ceil(TRIALS_PER_SPAN * reach * max(float(np.ptp(turn)), hop_rev))) + 1
     trial = np.linspace(-reach, reach, count)
-    wave = np.exp(-2j * np.pi * np.outer(turn, trial))
+    wave = turned_back(turn, trial)
     kept = np.abs(np.square(phasors) @ np.square(wave))
     # a phase that alternates from frame to frame is the same on one axis: the longer mean is the line
     mean = np.abs(phasors @ wave)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import xarray as xr
@@ -65,16 +66,24 @@ class _Search:
 
     @property
     def axis(self) -> Floats:
-        return np.asarray(self.order_map["order"].values)
+        return np.asarray(self.order_map.variables["order"].values)
 
     @property
     def speed(self) -> Floats:
-        return np.asarray(self.order_map["speed"].values)
+        return np.asarray(self.order_map.variables["speed"].values)
 
-    def chances(self, channel: int, peak: int) -> Floats:
-        """Chance (speeds,) that noise alone stands as high in the bin ``peak``."""
-        n = self.order_map["n_independent"].values
-        cells = zip(self.ratio[channel, :, peak], n, self.floor_worth[channel, :, peak], strict=True)
+    @cached_property
+    def is_swept(self) -> bool:
+        """Whether the speeds are those of a run-up or coast-down and not steps: by the frames, or as groups touch."""
+        if self.recordings:
+            return any(is_swept(item.speed_rpm) for item in self.recordings)
+        speed = np.sort(self.speed)
+        return len(speed) > 2 and bool(np.median(np.diff(speed)) < 1.5 * float(self.order_map.attrs["speed_bin_rpm"]))
+
+    def chances(self, channel: int, peak: int, speeds: Ints) -> Floats:
+        """Chance that noise alone stands as high in the bin ``peak`` at each of the ``speeds`` (numbers)."""
+        n = self.order_map.variables["n_independent"].values[speeds]
+        cells = zip(self.ratio[channel, speeds, peak], n, self.floor_worth[channel, speeds, peak], strict=True)
         return np.array([noise_chance(*map(float, cell)) for cell in cells])
 
     def phasors(self, channel: int, peak: int, speeds_rpm: Floats, *, bins: float) -> list[Phasors]:
@@ -127,7 +136,7 @@ def _stronger(
     No rule tells what they are, but nothing weaker may pass for the strongest beside them: they stand far over the
     floor, and not at the same frequency at the speeds beside.
     """
-    if len(search.speed) < 2 or not _is_swept(search):
+    if len(search.speed) < 2 or not search.is_swept:
         return []  # at speeds that are held the rules tell lines
     # at the last bins skirts of others end
     refused = [one for one in refused if one[0] < len(search.axis) - NUMBERS.neighbour_bins]
@@ -147,7 +156,7 @@ def _stronger(
 def _line_at(search: _Search, channel: int, peak: int, seen: Ints, needed: int) -> OrderLine | None:
     """The line in bin ``peak``; None where it is noise, a resonance or, at fewer speeds than ``needed``, doubtful."""
     chance, reservation, n_speeds = search.false_alarm_probability, "", len(search.speed)
-    alone = len(seen) >= needed or _is_swept(search)
+    alone = len(seen) >= needed or search.is_swept
     together = seen if alone else _seen_together(search, channel, peak)
     if len(together) >= needed and not (len(seen) < needed and _has_fixed_frequency(search, channel, peak, seen)):
         seen = together
@@ -158,7 +167,7 @@ def _line_at(search: _Search, channel: int, peak: int, seen: Ints, needed: int) 
         reservation = f"seen at {len(seen)} of {n_speeds} speeds only"
     evidence = evidence_of(search.order_map, search.ratio[channel], channel, peak, seen, chance)
     if evidence is None and _keeps_one_order(search, channel, peak, seen, chance):
-        steady: Evidence = "follows the speed" if _is_swept(search) else "steady, not locked"
+        steady: Evidence = "follows the speed" if search.is_swept else "steady, not locked"
         evidence = UNPROVEN if is_unprovable(search.order_map, peak) else steady
     if evidence is None:
         evidence = _by_its_phase(search, channel, peak, seen, chance)
@@ -178,7 +187,7 @@ def _seen_together(search: _Search, channel: int, peak: int) -> Ints:
     The chances of all speeds are joined (Fisher 1925) and counted over every bin and channel of the map. The half of
     the speeds that shows least must speak for it too: an order that meets resonances stands high at some, not at these.
     """
-    chances = search.chances(channel, peak)
+    chances = search.chances(channel, peak, np.arange(len(search.speed)))
     cells = search.excess.shape[0] * search.excess.shape[2]
     shown = cells * _joined_chance(chances) < search.false_alarm_probability
     least = np.sort(chances)[len(chances) // 2 :]
@@ -215,7 +224,7 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: Ints, chanc
 
 def _by_its_phase(search: _Search, channel: int, peak: int, seen: Ints, chance: float) -> Evidence | None:
     """What the phase tells of a line whose amplitude changes: whether it keeps that of its bin, or turns evenly."""
-    if not search.recordings or _is_swept(search):
+    if not search.recordings or search.is_swept:
         return None
     order_map = search.order_map
     found = search.phasors(channel, peak, search.speed[seen], bins=0.5)
@@ -262,7 +271,7 @@ def _beyond_chance(search: _Search, channel: int, peak: int, seen: Ints) -> bool
 
     With p the chance at the weakest of the speeds seen, k of n speeds are that high with at most C(n, k) p^k.
     """
-    highest = float(search.chances(channel, peak)[seen].max())
+    highest = float(search.chances(channel, peak, seen).max())
     n_speeds, k = len(search.speed), len(seen)
     sets = np.prod([(n_speeds - j) / (j + 1.0) for j in range(k)])
     cells = search.excess.shape[0] * search.excess.shape[2]
@@ -315,7 +324,7 @@ def _line(search: _Search, channel: int, peak: int, seen: Ints, evidence: Eviden
         channel=str(order_map["channel"].values[channel]),
         order=float(axis[peak]) + resolution * distance,
         order_error=resolution
-        * float(np.hypot(distance_error, NUMBERS.swept_bins if _is_swept(search) else NUMBERS.least_bins)),
+        * float(np.hypot(distance_error, NUMBERS.swept_bins if search.is_swept else NUMBERS.least_bins)),
         seen=seen,
         speed_rpm=order_map["speed"].values[seen],
         amplitude=amplitude,
@@ -339,13 +348,13 @@ def _by_energy(
     The power of a line A in noise N varies by 2 A^2 N + N^2 from frame to frame.
     """
     energy, noise = search.order_map["amplitude"].values[channel, seen, peak] ** 2, search.floor[channel, seen, peak]
-    n_frames = search.order_map["n_independent"].values[seen]
+    n_frames = search.order_map.variables["n_independent"].values[seen]
     loss = float(np.sinc(distance) / (1.0 - distance**2))  # between two bins a window shows less of a line
     amplitude = np.sqrt(np.maximum(energy - noise, 1e-3 * energy))
     varies = np.maximum(2.0 * noise * energy - noise**2, noise**2)
     error = np.sqrt(varies / n_frames) / (2.0 * amplitude) / loss
     amplitude, dof = amplitude / loss, np.full(len(seen), np.inf)  # the floor is the median of many bins
-    if not search.recordings or _is_swept(search) or not np.isfinite(search.speed[seen]).all():
+    if not search.recordings or search.is_swept or not np.isfinite(search.speed[seen]).all():
         return amplitude, error, dof, None
     half, held = half_width(np.inf) * error, list[HeldSizes]()
     for row, speed in enumerate(search.speed[seen]):
@@ -357,14 +366,6 @@ def _by_energy(
     )
     rows = rows.with_scatter(held, noise=noise[None] / loss**2, independent=search.floor_worth[channel, seen, peak])
     return amplitude, rows.error[0], rows.dof[0], np.stack([rows.low[0], rows.high[0]], axis=1)
-
-
-def _is_swept(search: _Search) -> bool:
-    """Whether the speeds are those of a run-up or coast-down and not steps: by the frames, or as its groups touch."""
-    if search.recordings:
-        return any(is_swept(item.speed_rpm) for item in search.recordings)
-    speed = np.sort(search.speed)
-    return len(speed) > 2 and bool(np.median(np.diff(speed)) < 1.5 * float(search.order_map.attrs["speed_bin_rpm"]))
 
 
 def _refined(lobe: Floats, noise: Floats) -> tuple[float, float]:

@@ -140,8 +140,7 @@ def zoomed(
         growth = np.exp((np.log(np.maximum(np.abs(phasors), 1e-300)) @ rows.T) @ rows)
         phasors = phasors / growth * growth.mean(axis=1, keepdims=True)
     trial = _trials(span, hop_rev, near)
-    kernel = np.exp(-2j * np.pi * np.outer(turn, trial))
-    power = np.square(np.abs(phasors @ kernel)) / len(turn)
+    power = np.square(np.abs(phasors @ turned_back(turn, trial))) / len(turn)
     total = np.maximum(np.square(np.abs(phasors)).sum(axis=1), 1e-300)
     left = np.maximum(total - power.max(axis=1), 1e-9 * total)
     found = float(trial[int(np.argmax((power / left[:, None]).sum(axis=0)))])
@@ -183,7 +182,7 @@ def left_of_slow_waves(phasors: Complexes, turn: Floats, *, hop_rev: float) -> f
     if len(turn) < 2 * (NUMBERS.noise_degrees + 1):
         return np.nan
     trial = _trials(float(np.ptp(turn)), hop_rev, None)
-    best = trial[int(np.argmax(np.abs(phasors @ np.exp(-2j * np.pi * np.outer(turn, trial)))))]
+    best = trial[int(np.argmax(np.abs(phasors @ turned_back(turn, trial))))]
     rows = _polynomials(turn, NUMBERS.noise_degrees)
     slow = rows @ (phasors * np.exp(-2j * np.pi * best * turn))
     left = float(np.square(np.abs(phasors)).sum() - np.square(np.abs(slow)).sum())
@@ -199,6 +198,17 @@ def _trials(span: float, hop_rev: float, near: float | None) -> Floats:
     count = 2 * int(np.ceil(GRID_PER_SPAN * reach * span)) + 1
     trial = np.linspace(-reach, reach, count)
     return trial if near is None else trial[np.abs(trial - near) <= 0.5 * reach + 1.0 / span]
+
+
+COARSE = 16
+"""Every so manieth trial is worked out by itself, the others by one product."""
+
+
+def turned_back(turn: Floats, trial: Floats) -> Complexes:
+    """Waves exp(-2πi ``turn`` ``trial``) (frames, trials) of frames (frames,) at trials (trials,) evenly spaced."""
+    fine = (trial[1] - trial[0] if len(trial) > 1 else 0.0) * np.arange(COARSE)
+    coarse, beside = (np.exp(-2j * np.pi * np.outer(turn, one)) for one in (trial[::COARSE], fine))
+    return np.asarray((coarse[:, :, None] * beside[:, None]).reshape(len(turn), -1)[:, : len(trial)])
 
 
 def _waves(line: Zoomed, turn: Floats) -> Complexes:
@@ -262,10 +272,10 @@ def _second(phasors: Complexes, frames: Frames, line: Zoomed, hop_rev: float) ->
         return None
     left = phasors - _waves(line, turn)
     trial = _trials(span, hop_rev, None)
-    trial = trial[np.abs(trial - line.offset) >= NUMBERS.second_cycles / span]
-    if len(trial) < 8:
+    away = np.abs(trial - line.offset) >= NUMBERS.second_cycles / span
+    if np.count_nonzero(away) < 8:
         return None
-    power = np.square(np.abs(left @ np.exp(-2j * np.pi * np.outer(turn, trial))))
+    power, trial = np.square(np.abs(left @ turned_back(turn, trial)))[:, away], trial[away]
     score = (power / np.maximum(np.median(power, axis=1, keepdims=True), 1e-300)).sum(axis=0)
     n = float(len(phasors))
     level = n * gammainccinv(n, NUMBERS.second_chance / len(turn)) / gammainccinv(n, 0.5)

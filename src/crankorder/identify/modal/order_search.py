@@ -427,13 +427,10 @@ def _gains(state: Fitted, tried: Tried) -> Array:
             block, part = _anew(block, part, state.poles)
         columns = replace(block, passage=None).modal(tried.frequency_hz[near], _widened(block, tried, near))
         degrees_of_freedom = max(part.degrees_of_freedom / len(block.channels) - 2.0, 0.0)
-        for weight, basis, left in zip(block.weight, part.basis, part.left, strict=True):
-            made = columns * weight[:, None]
-            made -= basis @ (basis.conj().T @ made)
-            explained = _explained(made, left, block.columns_per_mode)
-            share = np.minimum(explained / max(float(np.sum(np.abs(left) ** 2)), 1e-300), 1.0 - 1e-9)
-            gain = explained if settled else -degrees_of_freedom * np.log1p(-share)
-            total[near] += np.maximum(gain - NUMBERS.expected_gain, 0.0)
+        explained = _explained(columns, block.weight, part, block.columns_per_mode)
+        left = np.maximum(np.sum(np.abs(part.left) ** 2, axis=1), 1e-300)[:, None]
+        gain = explained if settled else -degrees_of_freedom * np.log1p(-np.minimum(explained / left, 1.0 - 1e-9))
+        total[near] += np.maximum(gain - NUMBERS.expected_gain, 0.0).sum(axis=0)
     return total
 
 
@@ -448,17 +445,21 @@ def _anew(block: Block, part: Projected, poles: Poles) -> tuple[Block, Projected
     return block, project(block, poles)
 
 
-def _explained(columns: Complex, left: Complex, per: int) -> Array:
-    """Squares of ``left`` (K,) that each ``per`` neighbours of ``columns`` (K, S · per), one or two, explain, (S,)."""
-    norm = np.maximum(np.sum(np.abs(columns) ** 2, axis=0), 1e-300)
-    first = columns[:, ::per]
-    along = np.abs(left.conj() @ first) ** 2 / norm[::per]
+def _explained(columns: Complex, weight: Array, part: Projected, per: int) -> Array:
+    """Squares (C, S) of what is left of each channel of a ``part`` that each ``per`` neighbours of ``columns`` explain.
+
+    These (K, S · per), times ``weight`` (C, K), count as far as they are beyond the basis of the part.
+    """
+    seen = (np.swapaxes(part.basis, 1, 2).conj() * weight[:, None]) @ columns
+    whole, along = weight**2 @ np.abs(columns) ** 2, (part.left.conj() * weight) @ columns
+    norm = np.maximum(whole - np.sum(np.abs(seen) ** 2, axis=1), 1e-9 * whole + 1e-300)
+    made = np.abs(along[:, ::per]) ** 2 / norm[:, ::per]
     if per == 1:
-        return np.asarray(along)
-    turned = np.sum(first.conj() * columns[:, 1::per], axis=0) / norm[::per]
-    second = columns[:, 1::per] - first * turned
-    rest = np.maximum(np.sum(np.abs(second) ** 2, axis=0), 1e-6 * norm[1::per])
-    return np.asarray(along + np.abs(left.conj() @ second) ** 2 / rest)
+        return np.asarray(made)
+    both = weight**2 @ (columns[:, ::2].conj() * columns[:, 1::2])
+    both -= (seen[..., ::2].conj() * seen[..., 1::2]).sum(axis=1)
+    rest = np.maximum(norm[:, 1::2] - np.abs(both) ** 2 / norm[:, ::2], 1e-6 * norm[:, 1::2])
+    return np.asarray(made + np.abs(along[:, 1::2] - along[:, ::2] * both / norm[:, ::2]) ** 2 / rest)
 
 
 def _widened(block: Block, tried: Tried, near: NDArray[np.int64]) -> Array:

@@ -132,8 +132,8 @@ def free_of(fit: SurfaceFit) -> NDArray[np.bool_]:
     return np.stack([np.ones(len(fit.poles), dtype=bool), ~fit.poles.tone], axis=1).ravel()
 
 
-def score_covariance(problem: Problem, fit: SurfaceFit) -> Array:
-    """Covariance (2M, 2M) of the score Σ Jᵀ r of ``fit``: of the derivatives of its log likelihood by the poles.
+def score_covariance(problem: Problem, fit: SurfaceFit, along: Array) -> Array:
+    """Covariance (P, P) ``along`` (2M, P) of the score Σ Jᵀ r of ``fit``: of its log likelihood's slopes by the poles.
 
     The score is a weighted sum of periodogram ordinates with weights φ(ν), so its covariance is ∫ φφᵀ S² dν / T, T the
     time recorded (Brillinger 1981, theorem 5.10.1): overlapping bins and frames and the memory of narrow modes are in
@@ -154,14 +154,17 @@ def score_covariance(problem: Problem, fit: SurfaceFit) -> Array:
     # ∫ kernel² is what one average makes of white noise: it turns averages into time
     lags = np.linspace(-4.0, 4.0, 801) * seen.bin_hz
     squared = float(np.sum(seen.kernel(lags) ** 2) * (lags[1] - lags[0]))
-    phis = np.empty((len(nodes), len(problem.psd), 2 * len(fit.poles)))
-    for channel, of_channel in enumerate(fit.jacobian[: len(problem.psd)]):
-        n = problem.averages[channel]
-        by_bin = of_channel * np.where(n > 0.0, np.sqrt(n) / fit.model[channel], 0.0)[:, None]
-        phi = (kernel[:, None] @ by_bin[at])[:, 0]
-        used = n > 0.0  # what a masked frequency leaks into kept bins was recorded as long as those
-        time = np.interp(nodes, problem.frequency_hz[used], n[used]) * squared if used.any() else np.inf
-        phis[:, channel] = phi * (power[channel] * np.sqrt(weights / time))[:, None]
+    n, n_channels = problem.averages, len(problem.psd)
+    by_bin = np.stack(fit.jacobian[:n_channels]) @ along * np.where(n > 0.0, np.sqrt(n) / fit.model, 0.0)[..., None]
+    by_bin = np.ascontiguousarray(by_bin.swapaxes(0, 1))
+    phis = np.zeros((len(nodes), *by_bin.shape[1:]))
+    for place, share in zip(at.T, kernel.T, strict=True):
+        phis += share[:, None, None] * by_bin[place]
+    times = np.full((n_channels, len(nodes)), np.inf)
+    for row, some in zip(times, n, strict=True):
+        if (some > 0.0).any():  # what a masked frequency leaks into kept bins was recorded as long as those
+            row[:] = np.interp(nodes, problem.frequency_hz[some > 0.0], some[some > 0.0]) * squared
+    phis *= (power * np.sqrt(weights / times)).T[..., None]
     roots = np.sqrt(shares).transpose(2, 0, 1)
     total = np.zeros((phis.shape[2],) * 2)
     for at_once in np.array_split(np.arange(len(nodes)), max(1, phis.size // MOST_VALUES)):
@@ -225,7 +228,7 @@ def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Arr
     if not len(free):
         return np.zeros((0, 0))
     inverse = np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True)
-    inner = score_covariance(problem, fit)[np.ix_(free, free)]
+    inner = score_covariance(problem, fit, np.eye(len(free))[:, free])
     for j in fit.jacobian[len(problem.psd) :]:
         # channels may share the noise of an order's amplitude: as if all did
         inner = inner + len(problem.psd) * j[:, free].T @ j[:, free]

@@ -296,13 +296,11 @@ def counted_over(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
     ``problem``: the floors that were fitted; ``fit``: the fit so far.
     """
     free = free_of(fit)
-    hessian = curvature(fit, free)
-    inverse = np.linalg.pinv(hessian, rcond=1e-13, hermitian=True)
-    sandwich = inverse @ score_covariance(problem, fit)[np.ix_(free, free)] @ inverse
+    inverse = np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True)
     near = np.argsort(np.abs(fit.poles.frequency_hz - at_hz))[:2]
     own = np.flatnonzero(np.isin(np.repeat(np.arange(len(fit.poles)), 2)[free], near))
-    at = np.ix_(own, own)
-    return float(np.trace(np.linalg.pinv(inverse[at], rcond=1e-12) @ sandwich[at])) / len(own)
+    sandwich = score_covariance(problem, fit, np.eye(len(free))[:, free] @ inverse[:, own])
+    return float(np.trace(np.linalg.pinv(inverse[np.ix_(own, own)], rcond=1e-12) @ sandwich)) / len(own)
 
 
 def peaks(floor: Floor) -> Poles:
@@ -400,8 +398,7 @@ def scatter_at(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
 
 
 def _mean_square(problem: Problem, fit: SurfaceFit, at_hz: float | None) -> float:
-    residual = np.stack(fit.residual[: len(problem.psd)])
-    used = problem.averages > 0.0
+    residual, used = fit.left, problem.averages > 0.0
     free = 1.0 - (fit.linear.size + 2.0 * len(fit.poles)) / max(1.0, float(np.count_nonzero(used)))
     if at_hz is not None:
         near = np.argsort(np.abs(problem.frequency_hz - at_hz), kind="stable")[: NUMBERS.local_bins]

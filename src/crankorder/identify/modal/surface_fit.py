@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -139,6 +141,9 @@ LITTLE = 0.01
 class Others(Protocol):
     """Further data that depend on the same poles."""
 
+    def misfit(self, poles: Poles) -> float:
+        """Sum of the squared residuals, in standard errors."""
+
     def evaluate(self, poles: Poles) -> tuple[list[Array], list[Array], float]:
         """Jacobians by (ln f, ln ζ) of all poles, residuals (in standard errors) and the sum of their squares."""
 
@@ -217,10 +222,9 @@ NO_POLES = Poles(np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool))
 class SurfaceFit:
     """``poles``, ``linear`` terms (C, 2M + B) of ``columns`` (2M + B, F), ``model`` (C, F) and its ``deviance``.
 
-    ``jacobian`` and ``residual`` hold per channel (then per item of other data) the derivative (F, 2M) by (ln f, ln ζ)
-    of all poles, less what the linear terms make up for, and what the fit leaves (F,), both in standard deviations of
-    a bin; ``triangle`` per channel is R (2M + B, 2M + B) of the weighted columns; ``slopes`` (2M, F) are the
-    derivatives of the poles' columns by ln f and by ln ζ.
+    ``slopes`` (2M, F) are the derivatives of the poles' columns by ln f and by ln ζ; ``weight`` (C, F) are those of the
+    bins, ``basis`` (C, F, 2M + B) and ``triangle`` (C, 2M + B, 2M + B) Q and R of the weighted columns; ``left`` (C, F)
+    is what the fit leaves, in standard deviations of a bin; ``others`` are other data.
     """
 
     poles: Poles
@@ -229,9 +233,47 @@ class SurfaceFit:
     slopes: tuple[Array, Array]
     model: Array
     deviance: float
-    jacobian: tuple[Array, ...]
-    residual: tuple[Array, ...]
-    triangle: tuple[Array, ...]
+    weight: Array
+    basis: Array
+    triangle: Array
+    left: Array
+    others: Others | None
+
+    @cached_property
+    def _further(self) -> tuple[Sequence[Array], Sequence[Array]]:
+        """Jacobians and residuals of the other data."""
+        return self.others.evaluate(self.poles)[:2] if self.others is not None and len(self.poles) else ((), ())
+
+    @property
+    def residual(self) -> tuple[Array, ...]:
+        """What is left (F,) per channel, then per item of other data, in standard deviations."""
+        return (*self.left, *self._further[1])
+
+    @cached_property
+    def _bent(self) -> Array:
+        """Derivatives (C, 2M, F) of the floors by (ln f, ln ζ) of all poles, in standard deviations of a bin."""
+        terms = self.linear[:, : 2 * len(self.poles), None]
+        made = np.empty((len(terms), len(self.poles), 2, self.weight.shape[1]))
+        for number, part in enumerate(self.slopes):
+            np.multiply(terms[:, ::2], part[::2], out=made[:, :, number])
+            made[:, :, number] += terms[:, 1::2] * part[1::2]
+        made *= self.weight[:, None, None]
+        return made.reshape(len(terms), 2 * len(self.poles), -1)
+
+    @cached_property
+    def jacobian(self) -> tuple[Array, ...]:
+        """Derivatives (F, 2M) per channel and item by (ln f, ln ζ) of all poles, less what linear terms make up for."""
+        left = self._bent - (self._bent @ self.basis) @ self.basis.swapaxes(1, 2)
+        return (*left.swapaxes(1, 2), *self._further[0])
+
+    def normal(self) -> tuple[Array, Array]:
+        """Sums (2M, 2M) and (2M,) over all data of the products of the derivatives with each other and what is left."""
+        along = self._bent @ self.basis
+        hessian = (self._bent @ self._bent.swapaxes(1, 2)).sum(axis=0) - (along @ along.swapaxes(1, 2)).sum(axis=0)
+        slope = (self._bent @ self.left[..., None]).sum(axis=0)[:, 0]
+        for j, r in zip(*self._further, strict=True):
+            hessian, slope = hessian + j.T @ j, slope + j.T @ r
+        return hessian, slope
 
     def part(self, number: int) -> Array:
         """Power (C, F) that pole ``number`` adds."""
@@ -264,7 +306,6 @@ def evaluate(problem: Problem, poles: Poles, weight_by: Array, same: SurfaceFit 
 
     ``problem``: the floors that were fitted; ``same``: what other weights gave of these very poles, if known.
     """
-    n_poles = len(poles)
     if same is not None:
         columns, slopes = same.columns, same.slopes
     else:
@@ -273,22 +314,15 @@ def evaluate(problem: Problem, poles: Poles, weight_by: Array, same: SurfaceFit 
     weight = np.where(problem.averages > 0.0, np.sqrt(problem.averages) / weight_by, 0.0)
     measured = weight * np.where(problem.averages > 0.0, problem.psd, 0.0)
     q, triangles = np.linalg.qr((columns * weight[:, None]).swapaxes(1, 2))
-    across = q.swapaxes(1, 2)
-    along = across @ measured[..., None]
+    along = q.swapaxes(1, 2) @ measured[..., None]
     linear = _back_solved(triangles, along[..., 0])
-    residuals = tuple(measured - (q @ along)[..., 0])
-    terms = linear[:, : 2 * n_poles, None]
-    by = [terms[:, ::2] * part[::2] + terms[:, 1::2] * part[1::2] for part in slopes]
-    raw = (np.stack(by, axis=2).reshape(len(weight), 2 * n_poles, len(columns.T)) * weight[:, None]).swapaxes(1, 2)
-    jacobians = tuple(raw - q @ (across @ raw))
+    left = measured - (q @ along)[..., 0]
     model = np.maximum(linear @ columns, NUMBERS.smallest_model_share * np.nan_to_num(problem.psd))
     model = np.where((problem.averages > 0.0) & (model > 0.0), model, 1.0)
     missed = float(gamma_deviance(problem.psd, problem.averages, model).sum())
-    if problem.others is not None and n_poles:
-        further = problem.others.evaluate(poles)
-        jacobians, residuals = (*jacobians, *further[0]), (*residuals, *further[1])
-        missed += further[2]
-    return SurfaceFit(poles, linear, columns, slopes, model, missed, jacobians, residuals, tuple(triangles))
+    if problem.others is not None and len(poles):
+        missed += problem.others.misfit(poles)
+    return SurfaceFit(poles, linear, columns, slopes, model, missed, weight, q, triangles, left, problem.others)
 
 
 def _back_solved(r: Array, along: Array) -> Array:
@@ -339,11 +373,11 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Array | None = None, s
         current = again
     if not len(poles):
         return current
-    factor, still = 1e-3, 0
+    factor, still, taken = 1e-3, 0, True
     for _ in range(steps):
         free = np.stack([np.ones(len(poles), dtype=bool), ~poles.tone], axis=1).ravel()
-        hessian = curvature(current, free)
-        slope = np.asarray(sum(j[:, free].T @ r for j, r in zip(current.jacobian, current.residual, strict=True)))
+        hessian, slope = current.normal()
+        hessian, slope = hessian[np.ix_(free, free)], slope[free]
         scale = np.maximum(np.diag(hessian), 1e-6 * np.trace(hessian) / len(hessian))
         if not scale.min(initial=np.inf) > 0.0:
             break
@@ -353,10 +387,11 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Array | None = None, s
             break
         moved = _moved(poles, move, problem)
         trial = evaluate(problem, moved, current.model)
-        if trial.deviance > current.deviance + 1.0:  # weights of a model that is still far off may mislead
+        if taken and trial.deviance > current.deviance + 1.0:  # weights of a model that is far off may mislead
             trial = min(trial, evaluate(problem, moved, smooth, trial), key=lambda one: one.deviance)
         gained = current.deviance - trial.deviance
-        if gained > -1e-3:
+        taken = gained > -1e-3
+        if taken:
             current, poles = trial, trial.poles
             factor = max(0.1 * factor, 1e-8)
             still = still + 1 if gained < LITTLE else 0
@@ -374,7 +409,7 @@ def curvature(fit: SurfaceFit, free: NDArray[np.bool_]) -> Array:
 
     ``fit``: the fit so far.
     """
-    return np.asarray(sum(j[:, free].T @ j[:, free] for j in fit.jacobian))
+    return np.asarray(sum(j.T @ j for j in fit.jacobian))[np.ix_(free, free)]
 
 
 def _moved(poles: Poles, move: Array, problem: Problem) -> Poles:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 from scipy.special import chdtri
 
 from crankorder.campbell.map import HANN_CORRELATION
@@ -169,7 +168,7 @@ def _best_line(excess: Array, cells: _Cells) -> tuple[Array | None, int]:
     n_tried = sums.size * len(BOXES)
     best, line = float(np.sqrt(2.0 * np.log(max(n_tried, 2)))), None
     for box in BOXES if len(slopes) else ():
-        along, independent = (box * uniform_filter1d(one, box, mode="constant") for one in (sums, counts))
+        along, independent = (_sums_over(one, box) for one in (sums, counts))
         score = along / np.sqrt(HANN_CORRELATION * np.maximum(independent, 0.5 * box * len(excess)))
         score /= max(1.0, 1.4826 * float(np.median(np.abs(score))))
         row, column = np.unravel_index(int(np.argmax(score)), score.shape)
@@ -177,6 +176,12 @@ def _best_line(excess: Array, cells: _Cells) -> tuple[Array | None, int]:
             best, hz = float(score[row, column]), float(cells.frequency_hz[column])
             line = np.array([hz, slopes[row], 0.25 * box * step / hz])
     return line, n_tried
+
+
+def _sums_over(values: Array, box: int) -> Array:
+    """Sums of so many ``values`` (rows, places) about each place: a ``box`` that is empty beyond the ends."""
+    beside = np.pad(values, ((0, 0), (box // 2 + 1, box - box // 2 - 1))).cumsum(axis=1)
+    return np.asarray(beside[:, box:] - beside[:, :-box])
 
 
 def _fitted(start: Array, cells: _Cells, chance: float, *, moves: bool = True) -> _Fit:
