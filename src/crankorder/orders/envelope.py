@@ -21,7 +21,6 @@ from crankorder.orders.envelope_band import (
     between,
     block_spectra,
     envelopes_of,
-    without_tones,
 )
 from crankorder.orders.envelope_combs import (
     WIDER_EVIDENCE,
@@ -216,6 +215,7 @@ def _bands_and_pieces(
         )
     pieces = _pieces(recording, shaft, settings)
     bands += between(tuple(band for band in bands if band.level == bands[-1].level))
+    bands = tuple(sorted(bands, key=lambda band: (band.level, band.low_hz)))
     return bands, pieces, "" if pieces else f"fewer than {LEAST_REVS} revolutions were recorded"
 
 
@@ -274,8 +274,7 @@ def _choose(
     """
     blocks = [block_spectra(signal, begin=float(one.edges[0]), end=float(one.edges[-1])) for one in shown.stretches]
     finest = tuple(band for band in bands if band.level == bands[-1].level)
-    toneless = [without_tones(some) for some in blocks]
-    screened = _spectra(toneless, finest, searched, turn, level=finest[0].level)
+    screened = _spectra(blocks, finest, searched, turn, toneless=True)
     frames = searched.frames
     if not screened.used:
         missing = np.full(shown.frames.n_orders, np.nan)
@@ -291,7 +290,7 @@ def _choose(
     best = _band_of_combs(seen, bins, combs, frames, n_independent, free) if len(bins) else None
     if best is None:
         best = best_band(np.where(free, height, 0.0).max(axis=1))
-    exact = _spectra(blocks, (bands[best],), shown, turn, level=1)
+    exact = _spectra(blocks, (bands[best],), shown, turn, toneless=False)
     looks = np.stack([seen, height[:, bins], floor[:, bins] ** 0.25]).astype(np.float32)
     floor = line_floor(exact.power, shown.frames.order, n_independent)
     return Choice(bands[best], exact.power[0], floor[0], exact.level, share, looks)
@@ -311,8 +310,8 @@ def _band_of_combs(
     return int(np.flatnonzero(shown >= WIDER_EVIDENCE * shown.max())[0])
 
 
-def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Turn, *, level: int) -> Spectra:
-    """Power of the envelopes' lines of ``bands`` on ``grid``, after those of the sums of the first ``level``.
+def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Turn, *, toneless: bool) -> Spectra:
+    """Power of the envelopes' lines of ``bands`` on ``grid``, after those of the sums of every second one.
 
     The squared envelope of a wide band is nearly the sum of those of its parts: of a line at the frequency f the share
     of f in the width of a part is lost, in lines and noise alike.
@@ -323,7 +322,7 @@ def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Tu
     power, mean_square, used = np.zeros(1), 0.0, 0
     for some, (edges, begins) in zip(blocks, grid.stretches, strict=True):
         squared, rates, unit, bad = envelopes_of(
-            some, rate_hz=turn.rate_hz, bands=bands, edges=edges, reach_hz=grid.reach_hz
+            some, rate_hz=turn.rate_hz, bands=bands, edges=edges, reach_hz=grid.reach_hz, toneless=toneless
         )
         touched = (bad[:, 1] > edges[begins, None]) & (bad[:, 0] < edges[begins + long, None])
         good = begins[~touched.any(axis=1)]
@@ -332,16 +331,16 @@ def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Tu
         used += len(good)
         mean_square += unit * sum(float(squared[0, k : k + long].mean(dtype=np.float64)) for k in good)
         squared -= squared.mean(axis=1, keepdims=True)
-        lines = np.concatenate([transform.power(sums, good).sum(axis=1) for sums in _tree_of(squared, level=level)])
+        lines = np.concatenate([transform.power(sums, good).sum(axis=1) for sums in _tree_of(squared)])
         # what the mean over each step and the staircase of the envelope take from a line
         lost = np.sinc(order / frames.steps) * np.sinc(order * turn.mean_hz / rates[0])
         power = power + lines * np.square(unit / lost)
     return Spectra(power / max(used, 1), mean_square / max(used, 1), used)
 
 
-def _tree_of(parts: NDArray[np.float32], *, level: int) -> list[NDArray[np.float32]]:
-    """Sums of the first ``level`` of ``parts`` (bands, angles), widest first, and all of them."""
-    made, sums = [parts], parts[:level]
+def _tree_of(parts: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Sums of every second one of ``parts`` (bands, angles), which meet, widest first, and all of them."""
+    made, sums = [parts], parts[::2]
     while len(sums) > 1:
         sums = sums[::2] + sums[1::2]
         made.insert(0, sums)

@@ -29,11 +29,11 @@ TAPER_SHARE = 0.1
 HIGHEST_SHARE = 0.49
 """Of the sampling rate, up to which bands reach."""
 
-TONE_BINS, TONE_RATIO = 256, 5.0
-"""Bins of a block's spectrum whose median is its level there, and the multiple of it above which a line is a tone: of
-noise one bin in 1e7 is."""
+TONE_BINS, TONE_EVERY, TONE_RATIO = 256, 4, 5.0
+"""Bins of a block's spectrum of which the median of each fourth is its level there, and the multiple of it above which
+a line is a tone: of noise one bin in 1e5 is."""
 
-ROWS = 8
+ROWS = 16
 """Bands of a level that are transformed at a time: they and their envelopes stay in the second-level cache."""
 
 MOST_PLANS = 24
@@ -118,25 +118,24 @@ def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> 
     return Blocks(firsts, made, (scale or 1.0) ** -2, gaps)
 
 
-def without_tones(blocks: Blocks) -> Blocks:
-    """``blocks`` with no line higher than ``TONE_RATIO`` times the median of the bins about it.
+def without_tones(spectrum: NDArray[np.complex64]) -> NDArray[np.complex64]:
+    """``spectrum`` (bins,) of a block with no line higher than ``TONE_RATIO`` times the median of the bins about it.
 
     Two steady tones in one band, such as those of a mesh and of the mains, beat in its envelope as strikes do; strikes
     whose intervals wander have no such lines. Source: P. Borghesani et al. (2013), Mechanical Systems and Signal
     Processing 36, p. 370 (all magnitudes made equal); here only what stands out is lowered.
     """
-    made = blocks.spectra.copy()
-    for row in made:
-        size = np.abs(row)
-        pieces = size[: len(size) // TONE_BINS * TONE_BINS].reshape(-1, TONE_BINS)
-        limit = np.float32(TONE_RATIO) * middles(pieces)
-        over = np.flatnonzero(pieces > limit[:, None])
-        row[over] *= limit[over // TONE_BINS] / size[over]
-    return blocks._replace(spectra=made)
+    size = np.abs(spectrum)
+    pieces = size[: len(size) // TONE_BINS * TONE_BINS].reshape(-1, TONE_BINS)
+    limit = np.float32(TONE_RATIO) * middles(pieces[:, ::TONE_EVERY])
+    over = np.flatnonzero(pieces > limit[:, None])
+    made = spectrum.copy()
+    made[over] *= limit[over // TONE_BINS] / size[over]
+    return made
 
 
 def envelopes_of(
-    blocks: Blocks, *, rate_hz: float, bands: tuple[Band, ...], edges: Floats, reach_hz: float
+    blocks: Blocks, *, rate_hz: float, bands: tuple[Band, ...], edges: Floats, reach_hz: float, toneless: bool = False
 ) -> Envelopes:
     """Mean of the squared envelope of each of ``bands`` between neighbouring ``edges``, of the signal squared.
 
@@ -150,6 +149,7 @@ def envelopes_of(
     bands : from :func:`band_tree`, level by level
     edges : (angles + 1,), increasing positions in samples (with fractions) where the steps of crank angle end
     reach_hz : highest frequency of the envelope that must be free of what folds
+    toneless : whether tones are taken out first, as :func:`without_tones` does
     """
     squared = np.zeros((len(bands), len(edges) - 1), dtype=np.float32)
     hop = BLOCK_SAMPLES - 2 * GUARD_SAMPLES
@@ -160,6 +160,8 @@ def envelopes_of(
         if steps.stop <= steps.start:
             continue
         local = np.clip(edges[steps.start : steps.stop + 1], first, first + hop) - (first - GUARD_SAMPLES)
+        if toneless:
+            spectrum = without_tones(spectrum)
         for rows, low, apart, taper, n_out in runs:
             plan = _inverse(min(rows.stop - rows.start, ROWS), n_out)
             slices, waves = plan.input_array.view(np.float32), plan.output_array.view(np.float32)
@@ -236,7 +238,7 @@ def _centred(piece: NDArray[np.floating]) -> tuple[NDArray[np.floating], Ints]:
     Single precision stays so; double stays until it is scaled, for small numbers would vanish and large ones overflow.
     """
     piece = np.asarray(piece, dtype=np.float32 if piece.dtype == np.float32 else np.float64)
-    middle = float(piece.mean(dtype=np.float64)) if len(piece) else 0.0
+    middle = float(piece.mean()) if len(piece) else 0.0
     if np.isfinite(middle):
         return piece - piece.dtype.type(middle), np.zeros((0, 2), dtype=np.int64)
     good = np.isfinite(piece)
