@@ -106,11 +106,16 @@ class Stretch(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Frames of envelopes up to an order, where they lie in each piece, and the highest frequency of that order."""
+    """Frames of envelopes up to an order, where they lie in each piece, and the highest frequency of that order.
+
+    With their ``transform``, and the independent power spectra that all of them are worth.
+    """
 
     frames: Frames
     stretches: list[Stretch]
     reach_hz: float
+    transform: FrameTransform
+    n_independent: float
 
 
 class Turn(NamedTuple):
@@ -172,7 +177,7 @@ def recording_envelope(
     farthest = min(SEARCH_REACH * order[bins[-1]], order[-1]) if len(bins) else order[-1]
     searched = _grid(recording, shaft, pieces, settings, float(farthest))
     chosen = [_choose(row, bands, shown, searched, turn, combs, bins) for row in recording["signal"].values]
-    return _dataset(recording, shaft, settings, chosen, shown.frames, pieces, bands, combs)
+    return _dataset(recording, shaft, settings, chosen, shown, pieces, bands, combs)
 
 
 def _grid(
@@ -186,7 +191,9 @@ def _grid(
         angle = first + np.arange(int(last - first) * frames.steps + 1) / frames.steps
         edges = (time_at(np.minimum(angle, last), **knots_of(shaft)) - start) * rate
         stretches.append(Stretch(edges, begins * frames.steps))
-    return Grid(frames, stretches, highest * float(shaft["speed"].values.max()) / 60.0)
+    reach_hz = highest * float(shaft["speed"].values.max()) / 60.0
+    transform = FrameTransform(hann(frames.revs * frames.steps), n_fft=frames.n_fft, n_bins=frames.n_orders)
+    return Grid(frames, stretches, reach_hz, transform, frames.n_independent)
 
 
 def _bands_and_pieces(
@@ -281,9 +288,11 @@ def _choose(
         nothing = np.full((3, len(bands), len(bins)), np.nan, dtype=np.float32)
         return Choice(bands[0], missing, missing, math.nan, 0.0, nothing)
     share = screened.used / sum(len(one.begins) for one in searched.stretches)
-    n_independent = frames.n_independent * share
-    floor = line_floor(screened.power, frames.order, n_independent)
-    height = (screened.power / np.maximum(floor, np.finfo(np.float64).tiny)).astype(np.float32)
+    n_independent = searched.n_independent * share
+    unit = float(screened.power.mean()) or 1.0
+    power = (screened.power / unit).astype(np.float32)
+    floor = line_floor(power, frames.order, n_independent)
+    height = power / np.maximum(floor, np.finfo(np.float32).tiny)
     free = free_orders(frames.order, frames.revs, turn.revs_per_cycle)
     free &= off_mains(frames.order, speed_hz=turn.mean_hz, cell=1.0 / frames.revs)
     seen = over_skirts(height)[:, bins]
@@ -291,7 +300,7 @@ def _choose(
     if best is None:
         best = best_band(np.where(free, height, 0.0).max(axis=1))
     exact = _spectra(blocks, (bands[best],), shown, turn, toneless=False)
-    looks = np.stack([seen, height[:, bins], floor[:, bins] ** 0.25]).astype(np.float32)
+    looks = np.stack([seen, height[:, bins], np.sqrt(np.sqrt(floor[:, bins])) * np.float32(unit**0.25)])
     floor = line_floor(exact.power, shown.frames.order, n_independent)
     return Choice(bands[best], exact.power[0], floor[0], exact.level, share, looks)
 
@@ -318,7 +327,6 @@ def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Tu
     """
     frames, order = grid.frames, grid.frames.order
     long = frames.revs * frames.steps
-    transform = FrameTransform(hann(long), n_fft=frames.n_fft, n_bins=frames.n_orders)
     power, mean_square, used = np.zeros(1), 0.0, 0
     for some, (edges, begins) in zip(blocks, grid.stretches, strict=True):
         squared, rates, unit, bad = envelopes_of(
@@ -331,7 +339,7 @@ def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Tu
         used += len(good)
         mean_square += unit * sum(float(squared[0, k : k + long].mean(dtype=np.float64)) for k in good)
         squared -= squared.mean(axis=1, keepdims=True)
-        lines = np.concatenate([transform.power(sums, good).sum(axis=1) for sums in _tree_of(squared)])
+        lines = np.concatenate([grid.transform.power(sums, good).sum(axis=1) for sums in _tree_of(squared)])
         # what the mean over each step and the staircase of the envelope take from a line
         lost = np.sinc(order / frames.steps) * np.sinc(order * turn.mean_hz / rates[0])
         power = power + lines * np.square(unit / lost)
@@ -352,7 +360,7 @@ def _dataset(
     shaft: xr.Dataset,
     settings: OrderSettings,
     chosen: list[Choice],
-    frames: Frames,
+    shown: Grid,
     pieces: list[tuple[float, float]],
     bands: tuple[Band, ...],
     combs: tuple[Comb, ...],
@@ -366,9 +374,9 @@ def _dataset(
         "level": np.sqrt([[one.mean_square / 2.0] for one in chosen]),
         "band_low": np.array([[one.band.low_hz] for one in chosen]),
         "band_high": np.array([[one.band.high_hz] for one in chosen]),
-        "n_independent": np.array([[frames.n_independent * one.share] for one in chosen]),
+        "n_independent": np.array([[shown.n_independent * one.share] for one in chosen]),
     }
-    dims = ("channel", "speed", "order")
+    frames, dims = shown.frames, ("channel", "speed", "order")
     variables: dict[str, Any] = {name: (dims[: one.ndim], one, _WORDS[name]) for name, one in values.items()}
     variables["revs_per_frame"] = (("speed",), np.array([frames.revs]), _WORDS["revs_per_frame"])
     if combs:

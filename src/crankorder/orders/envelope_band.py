@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from functools import lru_cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -111,7 +112,7 @@ def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> 
         begins = at - (first - GUARD_SAMPLES)
         plan.input_array[:begins] = plan.input_array[begins + len(piece) :] = 0.0
         into = plan.input_array[begins : begins + len(piece)]
-        np.multiply(piece, piece.dtype.type(scale), out=into, casting="same_kind")
+        np.multiply(piece, scale, out=into, casting="same_kind")
         plan.execute()
         row[:] = plan.output_array
     gaps = np.concatenate(bad) if bad else np.zeros((0, 2), dtype=np.int64)
@@ -127,10 +128,9 @@ def without_tones(spectrum: NDArray[np.complex64]) -> NDArray[np.complex64]:
     """
     size = np.abs(spectrum)
     pieces = size[: len(size) // TONE_BINS * TONE_BINS].reshape(-1, TONE_BINS)
-    limit = np.float32(TONE_RATIO) * middles(pieces[:, ::TONE_EVERY])
-    over = np.flatnonzero(pieces > limit[:, None])
-    made = spectrum.copy()
-    made[over] *= limit[over // TONE_BINS] / size[over]
+    limit = np.maximum(TONE_RATIO * middles(pieces[:, ::TONE_EVERY]), np.finfo(np.float32).tiny)
+    made, held = spectrum.copy(), np.flatnonzero(pieces.max(axis=1) > limit)
+    made[: pieces.size].reshape(pieces.shape)[held] *= limit[held, None] / np.maximum(pieces[held], limit[held, None])
     return made
 
 
@@ -155,11 +155,12 @@ def envelopes_of(
     hop = BLOCK_SAMPLES - 2 * GUARD_SAMPLES
     runs = _runs(bands, rate_hz, reach_hz=reach_hz)
     for first, spectrum in zip(blocks.firsts, blocks.spectra, strict=True):
-        begin, end = np.searchsorted(edges, [first, first + hop])
-        steps = slice(max(int(begin) - 1, 0), min(int(end), len(edges) - 1))
+        begin, end = edges.searchsorted((first, first + hop)).tolist()
+        steps = slice(max(begin - 1, 0), min(end, len(edges) - 1))
         if steps.stop <= steps.start:
             continue
-        local = np.clip(edges[steps.start : steps.stop + 1], first, first + hop) - (first - GUARD_SAMPLES)
+        local = edges[steps.start : steps.stop + 1] - (first - GUARD_SAMPLES)
+        local[0], local[-1] = max(local[0], GUARD_SAMPLES), min(local[-1], GUARD_SAMPLES + hop)
         if toneless:
             spectrum = without_tones(spectrum)
         for rows, low, apart, taper, n_out in runs:
@@ -183,6 +184,7 @@ def envelopes_of(
     return Envelopes(squared, rates, blocks.unit, blocks.bad)
 
 
+@lru_cache(maxsize=16)
 def _runs(
     bands: tuple[Band, ...], rate_hz: float, *, reach_hz: float
 ) -> list[tuple[slice, int, int, NDArray[np.float32], int]]:
@@ -259,22 +261,28 @@ def _gather(waves, edges, weight, out, row, column):  # type: ignore[no-untyped-
     """Add to ``out`` from ``row`` and ``column`` on the integrals of |wave|² between ``edges``, times ``weight``.
 
     ``waves`` (bands, real and imaginary in turn) fill a row each, the spaces of the edges a column each; a sample
-    holds from its place to the next. A slice of ``out`` would be compiled twice: contiguous and not.
+    holds from its place to the next. Two bands go side by side: neither waits for the other's sum. A slice of ``out``
+    would be compiled twice: contiguous and not.
     """
-    for band in range(waves.shape[0]):
-        wave = waves[band]
+    for band in range(0, waves.shape[0], 2):
+        one, two = waves[band], waves[min(band + 1, waves.shape[0] - 1)]
         k = int(edges[0])
-        here = wave[2 * k] * wave[2 * k] + wave[2 * k + 1] * wave[2 * k + 1]
-        total = np.float32(k - edges[0]) * here
+        here = one[2 * k] * one[2 * k] + one[2 * k + 1] * one[2 * k + 1]
+        there = two[2 * k] * two[2 * k] + two[2 * k + 1] * two[2 * k + 1]
+        total, other = np.float32(k - edges[0]) * here, np.float32(k - edges[0]) * there
         for step in range(len(edges) - 1):
             last = int(edges[step + 1])
             while k < last:
                 total += here
+                other += there
                 k += 1
-                here = wave[2 * k] * wave[2 * k] + wave[2 * k + 1] * wave[2 * k + 1]
-            begun = np.float32(edges[step + 1] - last) * here
-            out[row + band, column + step] += weight * (total + begun)
-            total = -begun
+                here = one[2 * k] * one[2 * k] + one[2 * k + 1] * one[2 * k + 1]
+                there = two[2 * k] * two[2 * k] + two[2 * k + 1] * two[2 * k + 1]
+            rest = np.float32(edges[step + 1] - last)
+            out[row + band, column + step] += weight * (total + rest * here)
+            if band + 1 < waves.shape[0]:
+                out[row + band + 1, column + step] += weight * (other + rest * there)
+            total, other = -rest * here, -rest * there
 
 
 def middles(pieces: NDArray[np.floating]) -> NDArray[np.floating]:
