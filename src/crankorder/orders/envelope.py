@@ -18,7 +18,6 @@ from crankorder.orders.envelope_band import (
     Band,
     Blocks,
     band_tree,
-    between,
     block_spectra,
     envelopes_of,
 )
@@ -221,8 +220,6 @@ def _bands_and_pieces(
             ),
         )
     pieces = _pieces(recording, shaft, settings)
-    bands += between(tuple(band for band in bands if band.level == bands[-1].level))
-    bands = tuple(sorted(bands, key=lambda band: (band.level, band.low_hz)))
     return bands, pieces, "" if pieces else f"fewer than {LEAST_REVS} revolutions were recorded"
 
 
@@ -329,7 +326,7 @@ def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Tu
     long = frames.revs * frames.steps
     power, mean_square, used = np.zeros(1), 0.0, 0
     for some, (edges, begins) in zip(blocks, grid.stretches, strict=True):
-        squared, rates, unit, bad = envelopes_of(
+        squared, rate_hz, unit, bad = envelopes_of(
             some, rate_hz=turn.rate_hz, bands=bands, edges=edges, reach_hz=grid.reach_hz, toneless=toneless
         )
         touched = (bad[:, 1] > edges[begins, None]) & (bad[:, 0] < edges[begins + long, None])
@@ -341,7 +338,7 @@ def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Tu
         squared -= squared.mean(axis=1, keepdims=True)
         lines = np.concatenate([grid.transform.power(sums, good).sum(axis=1) for sums in _tree_of(squared)])
         # what the mean over each step and the staircase of the envelope take from a line
-        lost = np.sinc(order / frames.steps) * np.sinc(order * turn.mean_hz / rates[0])
+        lost = np.sinc(order / frames.steps) * np.sinc(order * turn.mean_hz / rate_hz)
         power = power + lines * np.square(unit / lost)
     return Spectra(power / max(used, 1), mean_square / max(used, 1), used)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from functools import lru_cache
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -54,12 +53,12 @@ class Band(NamedTuple):
 class Envelopes(NamedTuple):
     """Mean squared envelopes (bands, angles) of the bands by crank angle, as multiples of ``unit``, and bad samples.
 
-    ``rate_hz`` (bands,) is how often a second the envelope was known: it holds from each sample to the next. Each row
-    of ``bad`` (k, 2) is the first sample and the one after the last that a gap reaches, filters included.
+    ``rate_hz`` is how often a second the envelope was known: it holds from each sample to the next. Each row of ``bad``
+    (k, 2) is the first sample and the one after the last that a gap reaches, filters included.
     """
 
     squared: NDArray[np.float32]
-    rate_hz: Floats
+    rate_hz: float
     unit: float
     bad: Ints
 
@@ -80,20 +79,16 @@ def band_tree(low_hz: float, high_hz: float, *, least_width_hz: float) -> tuple[
     """Bands between ``low_hz`` and ``high_hz``, cut into 1, 2, 4, 8, 16 equal ones as long as they stay wide enough.
 
     ``least_width_hz``: a narrower band cannot follow the highest order of its envelope. Empty where even the whole
-    range is narrower. Source: J. Antoni (2007), Mechanical Systems and Signal Processing 21, p. 108 (binary tree).
+    range is narrower. Of the narrowest, one more begins half way up each: what rings at a border is in its middle.
+    Source: J. Antoni (2007), Mechanical Systems and Signal Processing 21, p. 108 (binary tree).
     """
+    levels = [level for level in TREE_LEVELS if high_hz - low_hz >= level * least_width_hz > 0.0]
     bands = []
-    for level in TREE_LEVELS:
-        width = (high_hz - low_hz) / level
-        if width >= least_width_hz > 0.0:
-            bands += [Band(low_hz + k * width, low_hz + (k + 1) * width, level) for k in range(level)]
+    for level in levels:
+        width, parts = (high_hz - low_hz) / level, 2 if level == levels[-1] else 1
+        begins = [low_hz + k / parts * width for k in range(parts * (level - 1) + 1)]
+        bands += [Band(begin, begin + width, level) for begin in begins]
     return tuple(bands)
-
-
-def between(bands: tuple[Band, ...]) -> tuple[Band, ...]:
-    """Bands that begin half way up each of the neighbouring ``bands``: what rings at a border is in the middle here."""
-    middles = [(band.low_hz + band.high_hz) / 2.0 for band in bands]
-    return tuple(Band(low, high, bands[0].level) for low, high in pairwise(middles))
 
 
 def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> Blocks:
@@ -146,14 +141,18 @@ def envelopes_of(
     ----------
     blocks : of the signal, from the first of the edges to the last
     rate_hz : samples per second
-    bands : from :func:`band_tree`, level by level
+    bands : as wide as each other and as far apart, of a level of :func:`band_tree`
     edges : (angles + 1,), increasing positions in samples (with fractions) where the steps of crank angle end
     reach_hz : highest frequency of the envelope that must be free of what folds
     toneless : whether tones are taken out first, as :func:`without_tones` does
     """
     squared = np.zeros((len(bands), len(edges) - 1), dtype=np.float32)
     hop = BLOCK_SAMPLES - 2 * GUARD_SAMPLES
-    runs = _runs(bands, rate_hz, reach_hz=reach_hz)
+    low, apart, taper, n_out = _slices(bands, rate_hz, reach_hz=reach_hz)
+    plan, ratio = _inverse(min(len(bands), ROWS), n_out), n_out / BLOCK_SAMPLES
+    slices, waves = plan.input_array.view(np.float32), plan.output_array.view(np.float32)
+    # the inverse is a plain sum; the analytic signal is twice the sum over the block's length
+    weight = np.float32((2.0 / BLOCK_SAMPLES) ** 2 / ratio)
     for first, spectrum in zip(blocks.firsts, blocks.spectra, strict=True):
         begin, end = edges.searchsorted((first, first + hop)).tolist()
         steps = slice(max(begin - 1, 0), min(end, len(edges) - 1))
@@ -161,53 +160,36 @@ def envelopes_of(
             continue
         local = edges[steps.start : steps.stop + 1] - (first - GUARD_SAMPLES)
         local[0], local[-1] = max(local[0], GUARD_SAMPLES), min(local[-1], GUARD_SAMPLES + hop)
+        places = local * ratio + 0.5
         if toneless:
             spectrum = without_tones(spectrum)
-        for rows, low, apart, taper, n_out in runs:
-            plan = _inverse(min(rows.stop - rows.start, ROWS), n_out)
-            slices, waves = plan.input_array.view(np.float32), plan.output_array.view(np.float32)
-            ratio = n_out / BLOCK_SAMPLES
-            # the inverse is a plain sum; the analytic signal is twice the sum over the block's length
-            weight = np.float32((2.0 / BLOCK_SAMPLES) ** 2 / ratio)
-            places = local * ratio + 0.5
-            for row in range(rows.start, rows.stop, ROWS):
-                shape, at = (min(ROWS, rows.stop - row), len(taper)), low + (row - rows.start) * apart
-                parts = np.ndarray(shape, np.float32, buffer=spectrum, offset=8 * at, strides=(8 * apart, 4))
-                np.multiply(parts, taper, out=slices[: shape[0], : shape[1]])
-                slices[:, shape[1] :] = 0.0
-                plan.execute()
-                _gather(waves[: shape[0]], places, weight, squared, row, steps.start)
+        for row in range(0, len(bands), ROWS):
+            shape, at = (min(ROWS, len(bands) - row), len(taper)), low + row * apart
+            parts = np.ndarray(shape, np.float32, buffer=spectrum, offset=8 * at, strides=(8 * apart, 4))
+            np.multiply(parts, taper, out=slices[: shape[0], : shape[1]])
+            slices[:, shape[1] :] = 0.0
+            plan.execute()
+            _gather(waves[: shape[0]], places, weight, squared, row, steps.start)
     squared /= np.diff(edges).astype(np.float32)
-    rates = np.concatenate(
-        [np.full(rows.stop - rows.start, n_out * rate_hz / BLOCK_SAMPLES) for rows, *_, n_out in runs]
-    )
-    return Envelopes(squared, rates, blocks.unit, blocks.bad)
+    return Envelopes(squared, n_out * rate_hz / BLOCK_SAMPLES, blocks.unit, blocks.bad)
 
 
 @lru_cache(maxsize=16)
-def _runs(
-    bands: tuple[Band, ...], rate_hz: float, *, reach_hz: float
-) -> list[tuple[slice, int, int, NDArray[np.float32], int]]:
-    """Of each run of ``bands`` (a level, or those between): its rows, the first bin of its first band in a block.
+def _slices(bands: tuple[Band, ...], rate_hz: float, *, reach_hz: float) -> tuple[int, int, NDArray[np.float32], int]:
+    """First bin of the first of ``bands`` in a block, how many bins they are apart, what their bins are taken times.
 
-    Then how many bins the bands are apart, what their bins are taken times (twice each, for real and imaginary parts),
-    and the samples of an envelope. What folds in a squared envelope sampled at the rate r lies above r less the band's
-    width: r leaves ``reach_hz``.
+    That twice each, for real and imaginary parts. Then the samples of an envelope: what folds in a squared envelope
+    sampled at the rate r lies above r less the band's width: r leaves ``reach_hz``.
     """
-    made = []
     per_hz = BLOCK_SAMPLES / rate_hz
-    begins = [k for k, band in enumerate(bands) if not k or band.low_hz <= bands[k - 1].low_hz]
-    for begun, end in pairwise([*begins, len(bands)]):
-        low, spaces = round(bands[begun].low_hz * per_hz), end - begun - 1
-        apart = int((bands[end - 1].low_hz - bands[begun].low_hz) * per_hz / max(spaces, 1))
-        width = int((bands[begun].high_hz - bands[begun].low_hz) * per_hz)
-        width = min(width, BLOCK_SAMPLES // 2 + 1 - low - spaces * apart)
-        fade = max(int(TAPER_SHARE * width), 1)
-        edge = 0.5 - 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
-        taper = np.concatenate([edge, np.ones(width - 2 * fade), edge[::-1]]).astype(np.float32)
-        n_out = _size_from(width + int(np.ceil(reach_hz * per_hz)))
-        made.append((slice(begun, end), low, apart, np.repeat(taper, 2), n_out))
-    return made
+    low, spaces = round(bands[0].low_hz * per_hz), len(bands) - 1
+    apart = int((bands[-1].low_hz - bands[0].low_hz) * per_hz / max(spaces, 1))
+    width = int((bands[0].high_hz - bands[0].low_hz) * per_hz)
+    width = min(width, BLOCK_SAMPLES // 2 + 1 - low - spaces * apart)
+    fade = max(int(TAPER_SHARE * width), 1)
+    edge = 0.5 - 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
+    taper = np.concatenate([edge, np.ones(width - 2 * fade), edge[::-1]]).astype(np.float32)
+    return low, apart, np.repeat(taper, 2), _size_from(width + int(np.ceil(reach_hz * per_hz)))
 
 
 def _size_from(least: int) -> int:
