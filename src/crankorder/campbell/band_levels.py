@@ -40,7 +40,7 @@ HALF_THIRD_OCTAVE = 10.0**0.05
 _BLOCK = 1 << 21
 """Samples that are transformed at once."""
 
-_WIDE_HZ = 50.0
+_WIDE_HZ = 100.0
 """Width of a one-third octave above which a sample for each bandwidth will do: there are many in every piece."""
 
 _of_thread = threading.local()
