@@ -229,8 +229,9 @@ def _squares_and_peaks(signals: NDArray[Any], pieces: _Pieces, levels: list[_Lev
         for channel, part in enumerate(signals[:, first:last]):
             rows = [row for row, level in enumerate(levels) if level.channel == channel]
             if rows:
-                found = _of_part(part, local, [levels[row] for row in rows], margin)
-                touched = _touched(np.isfinite(part), local)
+                mean = float(part.mean())
+                found = _of_part(part, mean, local, [levels[row] for row in rows], margin)
+                touched = not math.isfinite(mean) and _touched(np.isfinite(part), local)
                 for made, values in zip((square, peak), found, strict=True):
                     made[rows, begin : begin + len(mine)] = np.where(touched, np.nan, values)
     return square, peak
@@ -238,16 +239,14 @@ def _squares_and_peaks(signals: NDArray[Any], pieces: _Pieces, levels: list[_Lev
 
 def _touched(usable: Bools, pieces: _Pieces) -> Bools:
     """Which of ``pieces`` hold a sample that is not ``usable``."""
-    if usable.all():
-        return np.zeros(len(pieces.starts), dtype=bool)
     lost = np.concatenate([[0], np.cumsum(~usable)])
     return np.asarray(lost[pieces.starts + pieces.length] > lost[pieces.starts])
 
 
-def _of_part(part: Any, pieces: _Pieces, levels: list[_Level], margin: int) -> tuple[Floats, Floats]:
-    """Mean square and peak (levels, frames) of one stretch of a channel, by one transform of it."""
+def _of_part(part: Any, mean: float, pieces: _Pieces, levels: list[_Level], margin: int) -> tuple[Floats, Floats]:
+    """Mean square and peak (levels, frames) of one stretch of a channel with this ``mean``, by one transform of it."""
     count = fft.next_fast_len(len(part) + margin, real=True)
-    spectrum = _spectrum(part, pieces, count)
+    spectrum = _spectrum(part, mean, pieces, count)
     square = np.full((len(levels), len(pieces.starts)), np.nan)
     peak = np.full_like(square, np.nan)
     edges = (pieces.starts[:, None] + np.array([0, pieces.length])) / count
@@ -268,14 +267,13 @@ def _of_part(part: Any, pieces: _Pieces, levels: list[_Level], margin: int) -> t
     return square, peak
 
 
-def _spectrum(part: Any, pieces: _Pieces, count: int) -> NDArray[np.complexfloating]:
-    """Spectrum of ``part`` and zeros behind it, ``count`` samples, faded before and behind the ``pieces``.
+def _spectrum(part: Any, mean: float, pieces: _Pieces, count: int) -> NDArray[np.complexfloating]:
+    """Spectrum of ``part`` less its ``mean`` with zeros behind it, ``count`` samples, faded beside the ``pieces``.
 
     Gaps are bridged. It holds until the next one is made: its plan owns it.
     """
     plan = _plan(forward, (count,), np.float32 if part.dtype == np.float32 else np.float64)
     filled, rest = plan.input_array[: len(part)], plan.input_array[len(part) :]
-    mean = float(part.mean(dtype=np.float64))
     if math.isfinite(mean):
         np.subtract(part, mean, out=filled)
     else:
@@ -302,24 +300,26 @@ _fade = lru_cache(maxsize=2)(faded)
 
 
 def _band(whole: int, rate_hz: float, level: _Level, dtype: np.dtype[Any], scale: float) -> tuple[slice, NDArray[Any]]:
-    """Bins and their gains (bins,), times ``scale``, of the band of ``level`` in a spectrum of ``whole`` samples."""
+    """Bins and their gains, times ``scale``, of the band of ``level`` in a spectrum of ``whole`` samples."""
     half, (low_hz, high_hz) = NUMBERS.edge_octaves, level.ends_hz
     low = max(1, math.floor(low_hz * 2.0**-half / rate_hz * whole))
     last = min(whole // 2, math.ceil(high_hz * 2.0**half / rate_hz * whole)) + 1
     return slice(low, last), _gain(low, last, rate_hz / whole, level.ends_hz, scale * level.factor, level.times, dtype)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=128)
 def _gain(
     first: int, last: int, step_hz: float, ends_hz: tuple[float, float], factor: float, times: int, dtype: np.dtype[Any]
 ) -> NDArray[Any]:
-    """Gain (bins,) of a band at the bins from ``first`` to before ``last``, ``step_hz`` apart, times ``factor``.
+    """Gain of a band at the bins from ``first`` to before ``last``, ``step_hz`` apart, times ``factor``.
 
-    It is complex where the level is an integral or a derivative, in single precision for spectra of such ``dtype``.
+    It is complex (bins,) where the level is an integral or a derivative, else one for each real and each imaginary part
+    (2 bins,); in single precision for spectra of such ``dtype``.
     """
     frequency: Floats = np.arange(first, last, dtype=np.float64) * step_hz
     gain = band_gain(frequency, *ends_hz, half_octaves=NUMBERS.edge_octaves) * factor
-    return (gain * derivative_gain(frequency, times)).astype(dtype) if times else gain.astype(dtype.char.lower())
+    made = gain * derivative_gain(frequency, times) if times else np.repeat(gain, 2)
+    return made.astype(dtype if times else dtype.char.lower())
 
 
 def _filtered(spectrum: NDArray[np.complexfloating], whole: int, rate_hz: float, level: _Level) -> NDArray[Any]:
@@ -327,7 +327,7 @@ def _filtered(spectrum: NDArray[np.complexfloating], whole: int, rate_hz: float,
     bins, gain = _band(whole, rate_hz, level, spectrum.dtype, 1.0 / whole)
     n_out = fft.next_fast_len(max(2 * bins.stop, math.ceil(NUMBERS.oversampling * (bins.stop - 1))), real=True)
     made = np.zeros(n_out // 2 + 1, dtype=spectrum.dtype)
-    np.multiply(spectrum[bins], gain, out=made[bins])
+    np.multiply(spectrum[bins].view(gain.dtype), gain, out=made[bins].view(gain.dtype))
     return np.asarray(fft.irfft(made, n_out, overwrite_x=True, norm="forward"))
 
 
@@ -341,16 +341,17 @@ def _octave_power(
     """
     size = 1 << math.ceil(math.log2(2.0 * _WIDE_HZ / rate_hz * whole))
     plan = _plan(inverse, (size,), spectrum.dtype)
-    filled, parts = plan.input_array, plan.output_array.view(spectrum.real.dtype)
+    filled, parts = (array.view(spectrum.real.dtype) for array in (plan.input_array, plan.output_array))
     power = np.zeros((len(levels), 2 * size), dtype=parts.dtype)
     for into, level in zip(power, levels, strict=True):
         bins, gain = _band(whole, rate_hz, level, spectrum.dtype, math.sqrt(2.0) / whole)
-        for begin in range(0, len(gain), size):
-            inside = gain[begin : begin + size]
-            np.multiply(spectrum[bins][begin : begin + size], inside, out=filled[: len(inside)])
+        for begin in range(0, len(gain), 2 * size):
+            inside = gain[begin : begin + 2 * size]
+            np.multiply(spectrum[bins].view(gain.dtype)[begin : begin + 2 * size], inside, out=filled[: len(inside)])
             filled[len(inside) :] = 0.0
             plan.execute()
-            into += parts * parts
+            np.multiply(parts, parts, out=parts)
+            into += parts
     return np.asarray(power[:, ::2] + power[:, 1::2])
 
 

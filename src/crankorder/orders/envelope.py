@@ -18,10 +18,8 @@ from crankorder.orders.envelope_band import (
     Band,
     Blocks,
     band_tree,
-    between,
     block_spectra,
     envelopes_of,
-    without_tones,
 )
 from crankorder.orders.envelope_combs import (
     WIDER_EVIDENCE,
@@ -107,11 +105,16 @@ class Stretch(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Frames of envelopes up to an order, where they lie in each piece, and the highest frequency of that order."""
+    """Frames of envelopes up to an order, where they lie in each piece, and the highest frequency of that order.
+
+    With their ``transform``, and the independent power spectra that all of them are worth.
+    """
 
     frames: Frames
     stretches: list[Stretch]
     reach_hz: float
+    transform: FrameTransform
+    n_independent: float
 
 
 class Turn(NamedTuple):
@@ -173,7 +176,7 @@ def recording_envelope(
     farthest = min(SEARCH_REACH * order[bins[-1]], order[-1]) if len(bins) else order[-1]
     searched = _grid(recording, shaft, pieces, settings, float(farthest))
     chosen = [_choose(row, bands, shown, searched, turn, combs, bins) for row in recording["signal"].values]
-    return _dataset(recording, shaft, settings, chosen, shown.frames, pieces, bands, combs)
+    return _dataset(recording, shaft, settings, chosen, shown, pieces, bands, combs)
 
 
 def _grid(
@@ -187,7 +190,9 @@ def _grid(
         angle = first + np.arange(int(last - first) * frames.steps + 1) / frames.steps
         edges = (time_at(np.minimum(angle, last), **knots_of(shaft)) - start) * rate
         stretches.append(Stretch(edges, begins * frames.steps))
-    return Grid(frames, stretches, highest * float(shaft["speed"].values.max()) / 60.0)
+    reach_hz = highest * float(shaft["speed"].values.max()) / 60.0
+    transform = FrameTransform(hann(frames.revs * frames.steps), n_fft=frames.n_fft, n_bins=frames.n_orders)
+    return Grid(frames, stretches, reach_hz, transform, frames.n_independent)
 
 
 def _bands_and_pieces(
@@ -215,7 +220,6 @@ def _bands_and_pieces(
             ),
         )
     pieces = _pieces(recording, shaft, settings)
-    bands += between(tuple(band for band in bands if band.level == bands[-1].level))
     return bands, pieces, "" if pieces else f"fewer than {LEAST_REVS} revolutions were recorded"
 
 
@@ -274,25 +278,26 @@ def _choose(
     """
     blocks = [block_spectra(signal, begin=float(one.edges[0]), end=float(one.edges[-1])) for one in shown.stretches]
     finest = tuple(band for band in bands if band.level == bands[-1].level)
-    toneless = [without_tones(some) for some in blocks]
-    screened = _spectra(toneless, finest, searched, turn, level=finest[0].level)
+    screened = _spectra(blocks, finest, searched, turn, toneless=True)
     frames = searched.frames
     if not screened.used:
         missing = np.full(shown.frames.n_orders, np.nan)
         nothing = np.full((3, len(bands), len(bins)), np.nan, dtype=np.float32)
         return Choice(bands[0], missing, missing, math.nan, 0.0, nothing)
     share = screened.used / sum(len(one.begins) for one in searched.stretches)
-    n_independent = frames.n_independent * share
-    floor = line_floor(screened.power, frames.order, n_independent)
-    height = (screened.power / np.maximum(floor, np.finfo(np.float64).tiny)).astype(np.float32)
+    n_independent = searched.n_independent * share
+    unit = float(screened.power.mean()) or 1.0
+    power = (screened.power / unit).astype(np.float32)
+    floor = line_floor(power, frames.order, n_independent)
+    height = power / np.maximum(floor, np.finfo(np.float32).tiny)
     free = free_orders(frames.order, frames.revs, turn.revs_per_cycle)
     free &= off_mains(frames.order, speed_hz=turn.mean_hz, cell=1.0 / frames.revs)
     seen = over_skirts(height)[:, bins]
     best = _band_of_combs(seen, bins, combs, frames, n_independent, free) if len(bins) else None
     if best is None:
         best = best_band(np.where(free, height, 0.0).max(axis=1))
-    exact = _spectra(blocks, (bands[best],), shown, turn, level=1)
-    looks = np.stack([seen, height[:, bins], floor[:, bins] ** 0.25]).astype(np.float32)
+    exact = _spectra(blocks, (bands[best],), shown, turn, toneless=False)
+    looks = np.stack([seen, height[:, bins], np.sqrt(np.sqrt(floor[:, bins])) * np.float32(unit**0.25)])
     floor = line_floor(exact.power, shown.frames.order, n_independent)
     return Choice(bands[best], exact.power[0], floor[0], exact.level, share, looks)
 
@@ -311,19 +316,18 @@ def _band_of_combs(
     return int(np.flatnonzero(shown >= WIDER_EVIDENCE * shown.max())[0])
 
 
-def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Turn, *, level: int) -> Spectra:
-    """Power of the envelopes' lines of ``bands`` on ``grid``, after those of the sums of the first ``level``.
+def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Turn, *, toneless: bool) -> Spectra:
+    """Power of the envelopes' lines of ``bands`` on ``grid``, after those of the sums of every second one.
 
     The squared envelope of a wide band is nearly the sum of those of its parts: of a line at the frequency f the share
     of f in the width of a part is lost, in lines and noise alike.
     """
     frames, order = grid.frames, grid.frames.order
     long = frames.revs * frames.steps
-    transform = FrameTransform(hann(long), n_fft=frames.n_fft, n_bins=frames.n_orders)
     power, mean_square, used = np.zeros(1), 0.0, 0
     for some, (edges, begins) in zip(blocks, grid.stretches, strict=True):
-        squared, rates, unit, bad = envelopes_of(
-            some, rate_hz=turn.rate_hz, bands=bands, edges=edges, reach_hz=grid.reach_hz
+        squared, rate_hz, unit, bad = envelopes_of(
+            some, rate_hz=turn.rate_hz, bands=bands, edges=edges, reach_hz=grid.reach_hz, toneless=toneless
         )
         touched = (bad[:, 1] > edges[begins, None]) & (bad[:, 0] < edges[begins + long, None])
         good = begins[~touched.any(axis=1)]
@@ -332,16 +336,16 @@ def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Tu
         used += len(good)
         mean_square += unit * sum(float(squared[0, k : k + long].mean(dtype=np.float64)) for k in good)
         squared -= squared.mean(axis=1, keepdims=True)
-        lines = np.concatenate([transform.power(sums, good).sum(axis=1) for sums in _tree_of(squared, level=level)])
+        lines = np.concatenate([grid.transform.power(sums, good).sum(axis=1) for sums in _tree_of(squared)])
         # what the mean over each step and the staircase of the envelope take from a line
-        lost = np.sinc(order / frames.steps) * np.sinc(order * turn.mean_hz / rates[0])
+        lost = np.sinc(order / frames.steps) * np.sinc(order * turn.mean_hz / rate_hz)
         power = power + lines * np.square(unit / lost)
     return Spectra(power / max(used, 1), mean_square / max(used, 1), used)
 
 
-def _tree_of(parts: NDArray[np.float32], *, level: int) -> list[NDArray[np.float32]]:
-    """Sums of the first ``level`` of ``parts`` (bands, angles), widest first, and all of them."""
-    made, sums = [parts], parts[:level]
+def _tree_of(parts: NDArray[np.float32]) -> list[NDArray[np.float32]]:
+    """Sums of every second one of ``parts`` (bands, angles), which meet, widest first, and all of them."""
+    made, sums = [parts], parts[::2]
     while len(sums) > 1:
         sums = sums[::2] + sums[1::2]
         made.insert(0, sums)
@@ -353,7 +357,7 @@ def _dataset(
     shaft: xr.Dataset,
     settings: OrderSettings,
     chosen: list[Choice],
-    frames: Frames,
+    shown: Grid,
     pieces: list[tuple[float, float]],
     bands: tuple[Band, ...],
     combs: tuple[Comb, ...],
@@ -367,9 +371,9 @@ def _dataset(
         "level": np.sqrt([[one.mean_square / 2.0] for one in chosen]),
         "band_low": np.array([[one.band.low_hz] for one in chosen]),
         "band_high": np.array([[one.band.high_hz] for one in chosen]),
-        "n_independent": np.array([[frames.n_independent * one.share] for one in chosen]),
+        "n_independent": np.array([[shown.n_independent * one.share] for one in chosen]),
     }
-    dims = ("channel", "speed", "order")
+    frames, dims = shown.frames, ("channel", "speed", "order")
     variables: dict[str, Any] = {name: (dims[: one.ndim], one, _WORDS[name]) for name, one in values.items()}
     variables["revs_per_frame"] = (("speed",), np.array([frames.revs]), _WORDS["revs_per_frame"])
     if combs:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from itertools import pairwise
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -29,11 +29,11 @@ TAPER_SHARE = 0.1
 HIGHEST_SHARE = 0.49
 """Of the sampling rate, up to which bands reach."""
 
-TONE_BINS, TONE_RATIO = 256, 5.0
-"""Bins of a block's spectrum whose median is its level there, and the multiple of it above which a line is a tone: of
-noise one bin in 1e7 is."""
+TONE_BINS, TONE_EVERY, TONE_RATIO = 256, 4, 5.0
+"""Bins of a block's spectrum of which the median of each fourth is its level there, and the multiple of it above which
+a line is a tone: of noise one bin in 1e5 is."""
 
-ROWS = 8
+ROWS = 16
 """Bands of a level that are transformed at a time: they and their envelopes stay in the second-level cache."""
 
 MOST_PLANS = 24
@@ -53,12 +53,12 @@ class Band(NamedTuple):
 class Envelopes(NamedTuple):
     """Mean squared envelopes (bands, angles) of the bands by crank angle, as multiples of ``unit``, and bad samples.
 
-    ``rate_hz`` (bands,) is how often a second the envelope was known: it holds from each sample to the next. Each row
-    of ``bad`` (k, 2) is the first sample and the one after the last that a gap reaches, filters included.
+    ``rate_hz`` is how often a second the envelope was known: it holds from each sample to the next. Each row of ``bad``
+    (k, 2) is the first sample and the one after the last that a gap reaches, filters included.
     """
 
     squared: NDArray[np.float32]
-    rate_hz: Floats
+    rate_hz: float
     unit: float
     bad: Ints
 
@@ -79,20 +79,16 @@ def band_tree(low_hz: float, high_hz: float, *, least_width_hz: float) -> tuple[
     """Bands between ``low_hz`` and ``high_hz``, cut into 1, 2, 4, 8, 16 equal ones as long as they stay wide enough.
 
     ``least_width_hz``: a narrower band cannot follow the highest order of its envelope. Empty where even the whole
-    range is narrower. Source: J. Antoni (2007), Mechanical Systems and Signal Processing 21, p. 108 (binary tree).
+    range is narrower. Of the narrowest, one more begins half way up each: what rings at a border is in its middle.
+    Source: J. Antoni (2007), Mechanical Systems and Signal Processing 21, p. 108 (binary tree).
     """
+    levels = [level for level in TREE_LEVELS if high_hz - low_hz >= level * least_width_hz > 0.0]
     bands = []
-    for level in TREE_LEVELS:
-        width = (high_hz - low_hz) / level
-        if width >= least_width_hz > 0.0:
-            bands += [Band(low_hz + k * width, low_hz + (k + 1) * width, level) for k in range(level)]
+    for level in levels:
+        width, parts = (high_hz - low_hz) / level, 2 if level == levels[-1] else 1
+        begins = [low_hz + k / parts * width for k in range(parts * (level - 1) + 1)]
+        bands += [Band(begin, begin + width, level) for begin in begins]
     return tuple(bands)
-
-
-def between(bands: tuple[Band, ...]) -> tuple[Band, ...]:
-    """Bands that begin half way up each of the neighbouring ``bands``: what rings at a border is in the middle here."""
-    middles = [(band.low_hz + band.high_hz) / 2.0 for band in bands]
-    return tuple(Band(low, high, bands[0].level) for low, high in pairwise(middles))
 
 
 def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> Blocks:
@@ -111,32 +107,30 @@ def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> 
         begins = at - (first - GUARD_SAMPLES)
         plan.input_array[:begins] = plan.input_array[begins + len(piece) :] = 0.0
         into = plan.input_array[begins : begins + len(piece)]
-        np.multiply(piece, piece.dtype.type(scale), out=into, casting="same_kind")
+        np.multiply(piece, scale, out=into, casting="same_kind")
         plan.execute()
         row[:] = plan.output_array
     gaps = np.concatenate(bad) if bad else np.zeros((0, 2), dtype=np.int64)
     return Blocks(firsts, made, (scale or 1.0) ** -2, gaps)
 
 
-def without_tones(blocks: Blocks) -> Blocks:
-    """``blocks`` with no line higher than ``TONE_RATIO`` times the median of the bins about it.
+def without_tones(spectrum: NDArray[np.complex64]) -> NDArray[np.complex64]:
+    """``spectrum`` (bins,) of a block with no line higher than ``TONE_RATIO`` times the median of the bins about it.
 
     Two steady tones in one band, such as those of a mesh and of the mains, beat in its envelope as strikes do; strikes
     whose intervals wander have no such lines. Source: P. Borghesani et al. (2013), Mechanical Systems and Signal
     Processing 36, p. 370 (all magnitudes made equal); here only what stands out is lowered.
     """
-    made = blocks.spectra.copy()
-    for row in made:
-        size = np.abs(row)
-        pieces = size[: len(size) // TONE_BINS * TONE_BINS].reshape(-1, TONE_BINS)
-        limit = np.float32(TONE_RATIO) * middles(pieces)
-        over = np.flatnonzero(pieces > limit[:, None])
-        row[over] *= limit[over // TONE_BINS] / size[over]
-    return blocks._replace(spectra=made)
+    size = np.abs(spectrum)
+    pieces = size[: len(size) // TONE_BINS * TONE_BINS].reshape(-1, TONE_BINS)
+    limit = np.maximum(TONE_RATIO * middles(pieces[:, ::TONE_EVERY]), np.finfo(np.float32).tiny)
+    made, held = spectrum.copy(), np.flatnonzero(pieces.max(axis=1) > limit)
+    made[: pieces.size].reshape(pieces.shape)[held] *= limit[held, None] / np.maximum(pieces[held], limit[held, None])
+    return made
 
 
 def envelopes_of(
-    blocks: Blocks, *, rate_hz: float, bands: tuple[Band, ...], edges: Floats, reach_hz: float
+    blocks: Blocks, *, rate_hz: float, bands: tuple[Band, ...], edges: Floats, reach_hz: float, toneless: bool = False
 ) -> Envelopes:
     """Mean of the squared envelope of each of ``bands`` between neighbouring ``edges``, of the signal squared.
 
@@ -147,63 +141,55 @@ def envelopes_of(
     ----------
     blocks : of the signal, from the first of the edges to the last
     rate_hz : samples per second
-    bands : from :func:`band_tree`, level by level
+    bands : as wide as each other and as far apart, of a level of :func:`band_tree`
     edges : (angles + 1,), increasing positions in samples (with fractions) where the steps of crank angle end
     reach_hz : highest frequency of the envelope that must be free of what folds
+    toneless : whether tones are taken out first, as :func:`without_tones` does
     """
     squared = np.zeros((len(bands), len(edges) - 1), dtype=np.float32)
     hop = BLOCK_SAMPLES - 2 * GUARD_SAMPLES
-    runs = _runs(bands, rate_hz, reach_hz=reach_hz)
+    low, apart, taper, n_out = _slices(bands, rate_hz, reach_hz=reach_hz)
+    plan, ratio = _inverse(min(len(bands), ROWS), n_out), n_out / BLOCK_SAMPLES
+    slices, waves = plan.input_array.view(np.float32), plan.output_array.view(np.float32)
+    # the inverse is a plain sum; the analytic signal is twice the sum over the block's length
+    weight = np.float32((2.0 / BLOCK_SAMPLES) ** 2 / ratio)
     for first, spectrum in zip(blocks.firsts, blocks.spectra, strict=True):
-        begin, end = np.searchsorted(edges, [first, first + hop])
-        steps = slice(max(int(begin) - 1, 0), min(int(end), len(edges) - 1))
+        begin, end = edges.searchsorted((first, first + hop)).tolist()
+        steps = slice(max(begin - 1, 0), min(end, len(edges) - 1))
         if steps.stop <= steps.start:
             continue
-        local = np.clip(edges[steps.start : steps.stop + 1], first, first + hop) - (first - GUARD_SAMPLES)
-        for rows, low, apart, taper, n_out in runs:
-            plan = _inverse(min(rows.stop - rows.start, ROWS), n_out)
-            slices, waves = plan.input_array.view(np.float32), plan.output_array.view(np.float32)
-            ratio = n_out / BLOCK_SAMPLES
-            # the inverse is a plain sum; the analytic signal is twice the sum over the block's length
-            weight = np.float32((2.0 / BLOCK_SAMPLES) ** 2 / ratio)
-            places = local * ratio + 0.5
-            for row in range(rows.start, rows.stop, ROWS):
-                shape, at = (min(ROWS, rows.stop - row), len(taper)), low + (row - rows.start) * apart
-                parts = np.ndarray(shape, np.float32, buffer=spectrum, offset=8 * at, strides=(8 * apart, 4))
-                np.multiply(parts, taper, out=slices[: shape[0], : shape[1]])
-                slices[:, shape[1] :] = 0.0
-                plan.execute()
-                _gather(waves[: shape[0]], places, weight, squared, row, steps.start)
+        local = edges[steps.start : steps.stop + 1] - (first - GUARD_SAMPLES)
+        local[0], local[-1] = max(local[0], GUARD_SAMPLES), min(local[-1], GUARD_SAMPLES + hop)
+        places = local * ratio + 0.5
+        if toneless:
+            spectrum = without_tones(spectrum)
+        for row in range(0, len(bands), ROWS):
+            shape, at = (min(ROWS, len(bands) - row), len(taper)), low + row * apart
+            parts = np.ndarray(shape, np.float32, buffer=spectrum, offset=8 * at, strides=(8 * apart, 4))
+            np.multiply(parts, taper, out=slices[: shape[0], : shape[1]])
+            slices[:, shape[1] :] = 0.0
+            plan.execute()
+            _gather(waves[: shape[0]], places, weight, squared, row, steps.start)
     squared /= np.diff(edges).astype(np.float32)
-    rates = np.concatenate(
-        [np.full(rows.stop - rows.start, n_out * rate_hz / BLOCK_SAMPLES) for rows, *_, n_out in runs]
-    )
-    return Envelopes(squared, rates, blocks.unit, blocks.bad)
+    return Envelopes(squared, n_out * rate_hz / BLOCK_SAMPLES, blocks.unit, blocks.bad)
 
 
-def _runs(
-    bands: tuple[Band, ...], rate_hz: float, *, reach_hz: float
-) -> list[tuple[slice, int, int, NDArray[np.float32], int]]:
-    """Of each run of ``bands`` (a level, or those between): its rows, the first bin of its first band in a block.
+@lru_cache(maxsize=16)
+def _slices(bands: tuple[Band, ...], rate_hz: float, *, reach_hz: float) -> tuple[int, int, NDArray[np.float32], int]:
+    """First bin of the first of ``bands`` in a block, how many bins they are apart, what their bins are taken times.
 
-    Then how many bins the bands are apart, what their bins are taken times (twice each, for real and imaginary parts),
-    and the samples of an envelope. What folds in a squared envelope sampled at the rate r lies above r less the band's
-    width: r leaves ``reach_hz``.
+    That twice each, for real and imaginary parts. Then the samples of an envelope: what folds in a squared envelope
+    sampled at the rate r lies above r less the band's width: r leaves ``reach_hz``.
     """
-    made = []
     per_hz = BLOCK_SAMPLES / rate_hz
-    begins = [k for k, band in enumerate(bands) if not k or band.low_hz <= bands[k - 1].low_hz]
-    for begun, end in pairwise([*begins, len(bands)]):
-        low, spaces = round(bands[begun].low_hz * per_hz), end - begun - 1
-        apart = int((bands[end - 1].low_hz - bands[begun].low_hz) * per_hz / max(spaces, 1))
-        width = int((bands[begun].high_hz - bands[begun].low_hz) * per_hz)
-        width = min(width, BLOCK_SAMPLES // 2 + 1 - low - spaces * apart)
-        fade = max(int(TAPER_SHARE * width), 1)
-        edge = 0.5 - 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
-        taper = np.concatenate([edge, np.ones(width - 2 * fade), edge[::-1]]).astype(np.float32)
-        n_out = _size_from(width + int(np.ceil(reach_hz * per_hz)))
-        made.append((slice(begun, end), low, apart, np.repeat(taper, 2), n_out))
-    return made
+    low, spaces = round(bands[0].low_hz * per_hz), len(bands) - 1
+    apart = int((bands[-1].low_hz - bands[0].low_hz) * per_hz / max(spaces, 1))
+    width = int((bands[0].high_hz - bands[0].low_hz) * per_hz)
+    width = min(width, BLOCK_SAMPLES // 2 + 1 - low - spaces * apart)
+    fade = max(int(TAPER_SHARE * width), 1)
+    edge = 0.5 - 0.5 * np.cos(np.pi * (np.arange(fade) + 0.5) / fade)
+    taper = np.concatenate([edge, np.ones(width - 2 * fade), edge[::-1]]).astype(np.float32)
+    return low, apart, np.repeat(taper, 2), _size_from(width + int(np.ceil(reach_hz * per_hz)))
 
 
 def _size_from(least: int) -> int:
@@ -236,7 +222,7 @@ def _centred(piece: NDArray[np.floating]) -> tuple[NDArray[np.floating], Ints]:
     Single precision stays so; double stays until it is scaled, for small numbers would vanish and large ones overflow.
     """
     piece = np.asarray(piece, dtype=np.float32 if piece.dtype == np.float32 else np.float64)
-    middle = float(piece.mean(dtype=np.float64)) if len(piece) else 0.0
+    middle = float(piece.mean()) if len(piece) else 0.0
     if np.isfinite(middle):
         return piece - piece.dtype.type(middle), np.zeros((0, 2), dtype=np.int64)
     good = np.isfinite(piece)
@@ -257,22 +243,28 @@ def _gather(waves, edges, weight, out, row, column):  # type: ignore[no-untyped-
     """Add to ``out`` from ``row`` and ``column`` on the integrals of |wave|² between ``edges``, times ``weight``.
 
     ``waves`` (bands, real and imaginary in turn) fill a row each, the spaces of the edges a column each; a sample
-    holds from its place to the next. A slice of ``out`` would be compiled twice: contiguous and not.
+    holds from its place to the next. Two bands go side by side: neither waits for the other's sum. A slice of ``out``
+    would be compiled twice: contiguous and not.
     """
-    for band in range(waves.shape[0]):
-        wave = waves[band]
+    for band in range(0, waves.shape[0], 2):
+        one, two = waves[band], waves[min(band + 1, waves.shape[0] - 1)]
         k = int(edges[0])
-        here = wave[2 * k] * wave[2 * k] + wave[2 * k + 1] * wave[2 * k + 1]
-        total = np.float32(k - edges[0]) * here
+        here = one[2 * k] * one[2 * k] + one[2 * k + 1] * one[2 * k + 1]
+        there = two[2 * k] * two[2 * k] + two[2 * k + 1] * two[2 * k + 1]
+        total, other = np.float32(k - edges[0]) * here, np.float32(k - edges[0]) * there
         for step in range(len(edges) - 1):
             last = int(edges[step + 1])
             while k < last:
                 total += here
+                other += there
                 k += 1
-                here = wave[2 * k] * wave[2 * k] + wave[2 * k + 1] * wave[2 * k + 1]
-            begun = np.float32(edges[step + 1] - last) * here
-            out[row + band, column + step] += weight * (total + begun)
-            total = -begun
+                here = one[2 * k] * one[2 * k] + one[2 * k + 1] * one[2 * k + 1]
+                there = two[2 * k] * two[2 * k] + two[2 * k + 1] * two[2 * k + 1]
+            rest = np.float32(edges[step + 1] - last)
+            out[row + band, column + step] += weight * (total + rest * here)
+            if band + 1 < waves.shape[0]:
+                out[row + band + 1, column + step] += weight * (other + rest * there)
+            total, other = -rest * here, -rest * there
 
 
 def middles(pieces: NDArray[np.floating]) -> NDArray[np.floating]:

@@ -123,7 +123,7 @@ def floor_worth(step: float, cell: float) -> float:
     return max(round(FLOOR_ORDERS / step), 8) * FLOOR_WORTH * step / cell
 
 
-def line_floor(power: Floats, order: Floats, n_independent: float) -> Floats:
+def line_floor(power: NDArray[np.floating], order: Floats, n_independent: float) -> Floats:
     """Local mean power of the noise (bands, orders): medians of pieces one order wide, joined by straight lines.
 
     ``power`` (bands, orders) at each ``order``, of which the spacing is even, is the mean of ``n_independent`` spectra.
@@ -138,7 +138,8 @@ def line_floor(power: Floats, order: Floats, n_independent: float) -> Floats:
     at = np.clip((np.arange(power.shape[1]) + 0.0) / pieces.shape[2] - 0.5, 0.0, count - 1.0)
     before = np.minimum(at.astype(np.int64), max(count - 2, 0))
     after = np.minimum(before + 1, count - 1)
-    made: Floats = middle[:, before] * (1.0 - (at - before)) + middle[:, after] * (at - before)
+    share = (at - before).astype(power.dtype)
+    made: Floats = middle[:, before] * (1.0 - share) + middle[:, after] * share
     return made
 
 
@@ -243,28 +244,21 @@ def comb_nats(nats: Floats, bins: Ints, comb: Comb, *, step: float, free: Bools)
     step : orders from one bin of the spectra to the next
     free : (looks,), bins off the multiples of the cycle's order: no other counts
     """
-    trials = comb.trials(step) / step
-    sets = [_sets(nats, bins, free, comb, trials, spacing=spacing / step) for spacing in {0.0, comb.spacing}]
-    shown = np.concatenate(sets, axis=1)
-    made: Floats = np.maximum(shown.max(axis=1) - math.log(shown.shape[1]), 0.0)
-    return made
-
-
-def _sets(nats: Floats, bins: Ints, free: Bools, comb: Comb, trials: Floats, *, spacing: float) -> Floats:
-    """Nats (rows, sets, trials) of the first harmonics of ``comb`` that begin at ``trials``: of more and more of them.
-
-    With sidebands ``spacing`` bins beside, where it is not 0.
-    """
+    trials, spacing = comb.trials(step) / step, comb.spacing / step
     teeth = np.arange(1, comb.teeth + 1)
     sides = np.array([0.0, -spacing, spacing] if spacing else [0.0])
     at = np.round(teeth[:, None, None] * trials + sides[:, None]).astype(np.int64)
-    look = np.minimum(np.searchsorted(bins, at), len(bins) - 1)
+    look = np.minimum(bins.searchsorted(at), len(bins) - 1)
     counts = (bins[look] == at) & free[look]
-    own = np.where(counts, nats[:, look], 0.0)
+    own = nats[:, look] * counts
     first = (own[:, :1, 0] > LEAST_NATS) | comb.is_slow
-    kept = slice(None) if spacing else [LEAST_TEETH - 1, comb.teeth - 1]
-    total, lines = own.sum(axis=2).cumsum(axis=1)[:, kept], counts.sum(axis=1).cumsum(axis=0)[kept]
-    made: Floats = np.where((lines >= LEAST_TEETH) & first, _fisher(total, lines), 0.0)
+    shown = []
+    for n_sides, kept in ((1, [LEAST_TEETH - 1, comb.teeth - 1]), (3, slice(None)))[: 1 + bool(spacing)]:
+        total = own[:, :, :n_sides].sum(axis=2).cumsum(axis=1)[:, kept]
+        lines = counts[:, :n_sides].sum(axis=1).cumsum(axis=0)[kept]
+        shown.append(np.where((lines >= LEAST_TEETH) & first, _fisher(total, lines), 0.0))
+    best = np.max([one.max(axis=1) for one in shown], axis=0)
+    made: Floats = np.maximum(best - math.log(sum(one.shape[1] for one in shown)), 0.0)
     return made
 
 
