@@ -88,13 +88,32 @@ def frame_correlation(begin_rev: Floats, recording: Ints, *, revs_per_frame: flo
     revs_per_frame : length of a frame, rev
     window : "hann"; any other is taken for rectangular, which correlates more
     """
-    lag = np.minimum(np.abs(begin_rev[:, None] - begin_rev) / revs_per_frame, 1.0)
-    if window == "hann":
-        turn = 2.0 * np.pi * lag
-        both = ((1.0 - lag) * (2.0 + np.cos(turn)) + 1.5 / np.pi * np.sin(turn)) / 3.0
-    else:
-        both = 1.0 - lag
-    return np.asarray(np.where(recording[:, None] == recording, both, 0.0))
+    apart = np.abs(begin_rev[:, None] - begin_rev) / revs_per_frame
+    return np.asarray(np.where(recording[:, None] == recording, _alike(apart, window), 0.0))
+
+
+def neighbour_correlation(begin_rev: Floats, recording: Ints, *, revs_per_frame: float, window: str) -> Floats:
+    """The same of each frame with itself, the next, the one after that … (lags, frames), as far as any overlap.
+
+    Frames of a recording go on with the crank angle; 0 where there is none so far on.
+    """
+    made = [np.ones(len(begin_rev))]
+    for lag in range(1, len(begin_rev)):
+        beside = _alike((begin_rev[lag:] - begin_rev[:-lag]) / revs_per_frame, window)
+        beside[(recording[lag:] != recording[:-lag]) | (begin_rev[lag:] - begin_rev[:-lag] >= revs_per_frame)] = 0.0
+        if not beside.any():
+            break
+        made.append(np.pad(beside, (0, lag)))
+    return np.stack(made)
+
+
+def _alike(apart: Floats, window: str) -> Floats:
+    """Correlation of white noise in frames whose begins lie ``apart``, in lengths of a frame."""
+    lag = np.minimum(apart, 1.0)
+    if window != "hann":
+        return 1.0 - lag
+    turn = 2.0 * np.pi * lag
+    return np.asarray(((1.0 - lag) * (2.0 + np.cos(turn)) + 1.5 / np.pi * np.sin(turn)) / 3.0)
 
 
 def contrasts(correlation: Floats, trend: Floats | None = None) -> Contrasts:
@@ -105,10 +124,10 @@ def contrasts(correlation: Floats, trend: Floats | None = None) -> Contrasts:
 
     Parameters
     ----------
-    correlation : (frames, frames), of white noise in the frames
+    correlation : (lags, frames), that of :func:`neighbour_correlation`
     trend : (frames,), speed of the frames, whose linear influence is no noise; None where all are alike
     """
-    n = len(correlation)
+    n = correlation.shape[1]
     given = [np.ones(n)] if trend is None else [np.ones(n), trend - trend.mean()]
     waves = min(LARGEST_SHARE, max(2, n // 8))
     turns = 2.0 * np.pi * np.outer(np.arange(1, min(waves, n // 2) + 1), np.arange(n) + 0.5) / n
@@ -118,9 +137,11 @@ def contrasts(correlation: Floats, trend: Floats | None = None) -> Contrasts:
         unit, triangle = np.linalg.qr(np.concatenate([given, rows]).T)
         adds = np.abs(np.diag(triangle)) > 1e-6 * np.sqrt(n)
         rows = unit.T[len(given) :][adds[len(given) :]]
-    expected = rows @ correlation @ rows.T
-    mean_variance = float(correlation.sum()) / n**2
-    powers = n**2 / float(np.square(correlation).sum())
+    later = [(rows[:, : n - lag] * shared[: n - lag]) @ rows[:, lag:].T for lag, shared in enumerate(correlation)]
+    expected = later[0] + sum(one + one.T for one in later[1:])
+    pairs = np.where(np.arange(len(correlation)) > 0, 2.0, 1.0)
+    mean_variance = float(pairs @ correlation.sum(axis=1)) / n**2
+    powers = n**2 / float(pairs @ np.square(correlation).sum(axis=1))
     if len(rows) == 0:
         return Contrasts(rows, mean_variance, powers, 0.0)
     scale = np.sqrt(mean_variance / np.diag(expected))
@@ -136,8 +157,8 @@ def noise_of_mean(spectrum: Complexes, shape: Contrasts) -> Floats:
     """
     if len(shape.rows) == 0:
         return np.full((len(spectrum), spectrum.shape[2]), np.nan)
-    parts = np.ascontiguousarray(spectrum, dtype=np.complex128).view(np.float64)
-    seen = np.matmul(shape.rows, parts)
+    channels = (np.ascontiguousarray(one, dtype=np.complex128).view(np.float64) for one in spectrum)
+    seen = np.stack([shape.rows @ parts for parts in channels])
     power = np.einsum("cko,cko->co", seen, seen).reshape(len(spectrum), -1, 2).sum(axis=-1)
     return np.asarray(power / len(shape.rows))
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from crankorder.fft.windows import hann
 from crankorder.orders.averages import (
     contrasts,
-    frame_correlation,
     helped_by_beside,
+    neighbour_correlation,
     noise_of_mean,
     steepest_noise_beside,
 )
@@ -421,7 +421,7 @@ def _agreeing(shown: list[tuple[Indices, AtSpeed]], bins: Bins) -> list[Indices]
 
 def _at_speed(frames: Frames, bins: Bins, revs_per_frame: float, window: str) -> AtSpeed:
     """What ``frames`` held at one speed show."""
-    correlation = frame_correlation(frames.begin_rev, frames.owner, revs_per_frame=revs_per_frame, window=window)
+    correlation = neighbour_correlation(frames.begin_rev, frames.owner, revs_per_frame=revs_per_frame, window=window)
     shape, spectrum = contrasts(correlation), frames.spectrum
     mean, energy = spectrum.mean(axis=1), np.square(np.abs(spectrum)).mean(axis=1)
     own = np.full(energy.shape, 0.5 * shape.dof)

@@ -16,9 +16,9 @@ from crankorder.orders.averages import (
     Contrasts,
     beside_bins,
     contrasts,
-    frame_correlation,
     helped_by_beside,
     independent_by_memory,
+    neighbour_correlation,
     noise_of_mean,
     steepest_noise_beside,
 )
@@ -365,7 +365,7 @@ def _average_whole(
 
 def _shape(frames: Frames, attrs: dict[str, Any], settings: OrderSettings) -> Contrasts:
     """How ``frames`` overlap, and whether their speeds differ so much that amplitudes may follow them."""
-    correlation = frame_correlation(
+    correlation = neighbour_correlation(
         frames.begin_rev, frames.owner, revs_per_frame=float(attrs["revs_per_frame"]), window=str(attrs["window"])
     )
     swept = float(np.ptp(frames.speed_rpm)) > SWEPT_SHARE * settings.speed_bin_rpm  # False where unknown

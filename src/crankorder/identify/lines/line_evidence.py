@@ -9,7 +9,7 @@ import xarray as xr
 from scipy.special import gammaincc, gammaln
 
 from crankorder.identify.found import Evidence
-from crankorder.identify.lines.zoom import Zoomed, turned_back
+from crankorder.identify.lines.zoom import Zoomed, turned_sums
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
@@ -278,10 +278,9 @@ def best_offset(phasors: Complexes, turn: Floats, *, hop_rev: float) -> tuple[fl
     reach = 0.5 / hop_rev
     count = 2 * int(np.ceil(TRIALS_PER_SPAN * reach * max(float(np.ptp(turn)), hop_rev))) + 1
     trial = np.linspace(-reach, reach, count)
-    wave = turned_back(turn, trial)
-    kept = np.abs(np.square(phasors) @ np.square(wave))
+    kept = np.abs(turned_sums(np.square(phasors)[None], turn, trial, times=2)[0])
     # a phase that alternates from frame to frame is the same on one axis: the longer mean is the line
-    mean = np.abs(phasors @ wave)
+    mean = np.abs(turned_sums(phasors[None], turn, trial)[0])
     offset = float(trial[int(np.argmax(kept * (1.0 + mean / max(float(np.abs(phasors).sum()), 1e-300))))])
     for _ in range(REFINEMENTS):
         steady = phasors * np.exp(-2j * np.pi * offset * turn)

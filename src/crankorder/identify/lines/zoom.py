@@ -6,6 +6,7 @@ import functools
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.fft import fft
 from scipy.special import gammainccinv
 
 from crankorder.orders.averages import frame_correlation
@@ -45,6 +46,9 @@ NUMBERS = _Numbers.load()
 
 GRID_PER_SPAN = 4
 """Trial orders per reciprocal length of the recording: between two of them a line loses at most 5 %."""
+
+MOST_TERMS, LEAST_TERM = 40, 1e-12
+"""Terms of the series for frames that lie off even places, and the share of a frame from which one counts."""
 
 
 @dataclass(frozen=True)
@@ -139,8 +143,9 @@ def zoomed(
         rows = _polynomials(turn, 2)  # over the smooth growth of a run-up, of the same mean
         growth = np.exp((np.log(np.maximum(np.abs(phasors), 1e-300)) @ rows.T) @ rows)
         phasors = phasors / growth * growth.mean(axis=1, keepdims=True)
-    trial = _trials(span, hop_rev, near)
-    power = np.square(np.abs(phasors @ turned_back(turn, trial))) / len(turn)
+    trial = _trials(span, hop_rev)
+    expected = slice(None) if near is None else np.abs(trial - near) <= 0.25 / hop_rev + 1.0 / span
+    trial, power = trial[expected], np.square(np.abs(turned_sums(phasors, turn, trial)))[:, expected] / len(turn)
     total = np.maximum(np.square(np.abs(phasors)).sum(axis=1), 1e-300)
     left = np.maximum(total - power.max(axis=1), 1e-9 * total)
     found = float(trial[int(np.argmax((power / left[:, None]).sum(axis=0)))])
@@ -181,8 +186,8 @@ def left_of_slow_waves(phasors: Complexes, turn: Floats, *, hop_rev: float) -> f
     """
     if len(turn) < 2 * (NUMBERS.noise_degrees + 1):
         return np.nan
-    trial = _trials(float(np.ptp(turn)), hop_rev, None)
-    best = trial[int(np.argmax(np.abs(phasors @ turned_back(turn, trial))))]
+    trial = _trials(float(np.ptp(turn)), hop_rev)
+    best = trial[int(np.argmax(np.abs(turned_sums(phasors[None], turn, trial))))]
     rows = _polynomials(turn, NUMBERS.noise_degrees)
     slow = rows @ (phasors * np.exp(-2j * np.pi * best * turn))
     left = float(np.square(np.abs(phasors)).sum() - np.square(np.abs(slow)).sum())
@@ -193,22 +198,31 @@ def _at_zero(line: Zoomed, middle: float) -> Complexes:
     return np.asarray(line.amplitude * np.exp(-2j * np.pi * ((line.offset * middle) % 1.0)))
 
 
-def _trials(span: float, hop_rev: float, near: float | None) -> Floats:
+def _trials(span: float, hop_rev: float) -> Floats:
     reach = 0.5 / hop_rev
-    count = 2 * int(np.ceil(GRID_PER_SPAN * reach * span)) + 1
-    trial = np.linspace(-reach, reach, count)
-    return trial if near is None else trial[np.abs(trial - near) <= 0.5 * reach + 1.0 / span]
+    return np.linspace(-reach, reach, 2 * int(np.ceil(GRID_PER_SPAN * reach * span)) + 1)
 
 
-COARSE = 16
-"""Every so manieth trial is worked out by itself, the others by one product."""
+def turned_sums(phasors: Complexes, turn: Floats, trial: Floats, *, times: int = 1) -> Complexes:
+    """Sums (channels, trials) of ``phasors`` (channels, frames) that turn back by ``times`` each ``trial`` distance.
 
-
-def turned_back(turn: Floats, trial: Floats) -> Complexes:
-    """Waves exp(-2πi ``turn`` ``trial``) (frames, trials) of frames (frames,) at trials (trials,) evenly spaced."""
-    fine = (trial[1] - trial[0] if len(trial) > 1 else 0.0) * np.arange(COARSE)
-    coarse, beside = (np.exp(-2j * np.pi * np.outer(turn, one)) for one in (trial[::COARSE], fine))
-    return np.asarray((coarse[:, :, None] * beside[:, None]).reshape(len(turn), -1)[:, : len(trial)])
+    ``turn`` (frames,) says where the frames lie, in rev, ``trial`` (trials,) all distances that a hop between them can
+    tell, evenly, an odd number. It is a transform of the frames where they lie a hop apart, to begin with; how far each
+    lies off there goes into a Taylor series.
+    """
+    count, hop_rev = len(trial) - 1, 0.5 / trial[-1]
+    place = np.round((turn - turn[0]) / hop_rev).astype(np.int64)
+    off, wave = turn - turn[0] - hop_rev * place, -2j * np.pi * times * trial
+    reached = times * (np.arange(count + 1) - count // 2) % count
+    made, part, factor = np.zeros((len(phasors), len(trial)), dtype=np.complex128), phasors + 0j, np.ones(len(trial))
+    for power in range(1, MOST_TERMS):
+        grid = np.zeros((count, len(phasors)), dtype=np.complex128)
+        np.add.at(grid, place % count, part.T)
+        made += factor * fft(grid, axis=0)[reached].T
+        part, factor = part * off, factor * wave / power
+        if np.abs(part).max() * np.abs(factor).max() <= LEAST_TERM * np.abs(phasors).max():
+            break
+    return np.asarray(made * np.exp(turn[0] * wave))
 
 
 def _waves(line: Zoomed, turn: Floats) -> Complexes:
@@ -271,11 +285,11 @@ def _second(phasors: Complexes, frames: Frames, line: Zoomed, hop_rev: float) ->
     if len(turn) < 8:
         return None
     left = phasors - _waves(line, turn)
-    trial = _trials(span, hop_rev, None)
-    away = np.abs(trial - line.offset) >= NUMBERS.second_cycles / span
-    if np.count_nonzero(away) < 8:
+    trial = _trials(span, hop_rev)
+    apart = np.abs(trial - line.offset) >= NUMBERS.second_cycles / span
+    if np.count_nonzero(apart) < 8:
         return None
-    power, trial = np.square(np.abs(left @ turned_back(turn, trial)))[:, away], trial[away]
+    trial, power = trial[apart], np.square(np.abs(turned_sums(left, turn, trial)))[:, apart]
     score = (power / np.maximum(np.median(power, axis=1, keepdims=True), 1e-300)).sum(axis=0)
     n = float(len(phasors))
     level = n * gammainccinv(n, NUMBERS.second_chance / len(turn)) / gammainccinv(n, 0.5)
