@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import pairwise
 
 import numpy as np
@@ -247,10 +248,7 @@ def _left(
 
 def _own_modes(fitted: list[Fitted]) -> Poles:
     """Poles of all bands that are no tones."""
-    known = NO_POLES
-    for item in fitted:
-        known = known.joined(item.own_modes)
-    return known
+    return reduce(Poles.joined, (item.own_modes for item in fitted), NO_POLES)
 
 
 def _own_covariance(fitted: list[Fitted]) -> Array:

@@ -57,14 +57,13 @@ def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], p
         alike = (part.left @ part.left.conj().T).real / np.outer(norm, norm)
         inner += np.einsum("cd,pcki,pdkj->ij", alike, rows, rows)
         hessian, score = np.einsum("pcki,pckj->cij", rows, rows), np.einsum("pcki,pck->ci", rows, left * np.sqrt(spare))
-        single = list(map(Cell, hessian, score))
-        alone += single
-        orders.append(Cell(_summed([cell.hessian for cell in single]), _summed([cell.score for cell in single])))
+        alone += map(Cell, hessian, score)
+        orders.append(Cell(np.sum(hessian, axis=0), np.sum(score, axis=0)))
         scores = np.einsum("pcki,pck->ki", rows, left)[np.argsort(block.speed_rpm)]
         beside += spare * _scores_together(scores)
     if not orders:
         return np.zeros((size, size))
-    curved = _summed([cell.hessian for cell in orders])
+    curved = np.sum([cell.hessian for cell in orders], axis=0)
     inverse = np.asarray(np.linalg.pinv(curved, hermitian=True), dtype=np.float64)
     made = inverse @ inner @ inverse
     known = np.asarray(np.maximum(np.diag(made), 1e-300), dtype=np.float64)
@@ -98,10 +97,6 @@ def disagreement(cells: Sequence[Cell], inverse: Array, known: Array) -> Array:
         np.where(excess > 0.0, np.sqrt((known + excess) / known) * half_widths(degrees_of_freedom) / Z95, 1.0),
         dtype=np.float64,
     )
-
-
-def _summed(parts: Sequence[Array]) -> Array:
-    return np.asarray(np.sum(parts, axis=0))
 
 
 def _scores_together(scores: Array) -> Array:

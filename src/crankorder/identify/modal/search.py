@@ -365,15 +365,10 @@ def evidence_of(fit: SurfaceFit) -> Array:
 
     ``fit``: the fit so far.
     """
-    made = np.empty((len(fit.poles), len(fit.linear)))
-    for channel, r in enumerate(fit.triangle):
-        inverse = np.linalg.pinv(r, rcond=1e-9)
-        for number in range(len(fit.poles)):
-            at = slice(2 * number, 2 * number + 2)
-            covariance = inverse[at] @ inverse[at].T
-            x = fit.linear[channel, at]
-            made[number, channel] = float(x @ np.linalg.pinv(covariance) @ x)
-    return made
+    inverse = np.linalg.pinv(fit.triangle, rcond=1e-9)
+    inverse = inverse[:, : 2 * len(fit.poles)].reshape(len(inverse), len(fit.poles), 2, inverse.shape[2])
+    x = fit.linear[:, : 2 * len(fit.poles)].reshape(*inverse.shape[:2], 2, 1)
+    return np.asarray((x.swapaxes(2, 3) @ np.linalg.pinv(inverse @ inverse.swapaxes(2, 3)) @ x)[..., 0, 0].T)
 
 
 def dispersion(problem: Problem, fit: SurfaceFit, at_hz: float | None = None) -> float:

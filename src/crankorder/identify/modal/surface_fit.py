@@ -346,14 +346,12 @@ def first_model(problem: Problem, bins: int = 2) -> Array:
 
     ``problem``: the floors that were fitted; ``bins``: on each side.
     """
-    made = np.ones_like(problem.psd)
-    box = np.ones(2 * bins + 1)
-    for row, y, n in zip(made, problem.psd, problem.averages, strict=True):
-        weight = (n > 0.0).astype(np.float64)
-        total = np.convolve(weight, box, mode="same")
-        mean = np.convolve(np.where(n > 0.0, y, 0.0), box, mode="same") / np.maximum(total, 1e-9)
-        row[:] = np.where((n > 0.0) & (mean > 0.0), mean, 1.0)
-    return made
+    used, edge = problem.averages > 0.0, ((0, 0), (bins, bins))
+    count, power = (
+        np.lib.stride_tricks.sliding_window_view(np.pad(one, edge), 2 * bins + 1, axis=1).sum(axis=2)
+        for one in (used, np.where(used, problem.psd, 0.0))
+    )
+    return np.asarray(np.where(used & (power > 0.0), power / np.maximum(count, 1), 1.0))
 
 
 def fit_surface(problem: Problem, poles: Poles, *, start: Array | None = None, steps: int = MOST_STEPS) -> SurfaceFit:
