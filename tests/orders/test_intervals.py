@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.orders.averages import contrasts, frame_correlation, neighbour_correlation, noise_of_mean
+from crankorder.orders.averages import contrasts, neighbour_correlation, noise_of_mean
 from crankorder.orders.between_recordings import between_recordings, wider_of
 from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
 from crankorder.orders.map import order_map
@@ -69,9 +69,10 @@ def test_the_interval_of_an_amplitude_without_phase_holds_the_truth(true):
 def test_contrasts_are_blind_to_a_steady_line_and_know_the_noise_of_the_mean():
     for frames in (2, 3, 12):
         begin = 8.0 * np.arange(frames)
-        correlation = frame_correlation(begin, np.zeros(frames, dtype=int), revs_per_frame=16.0, window="hann")
-        assert correlation[0, 1] == pytest.approx(1.0 / 6.0)
-        shape = contrasts(neighbour_correlation(begin, np.zeros(frames, dtype=int), revs_per_frame=16.0, window="hann"))
+        near = neighbour_correlation(begin, np.zeros(frames, dtype=int), revs_per_frame=16.0, window="hann")
+        assert near[1, 0] == pytest.approx(1.0 / 6.0)
+        correlation = np.eye(frames) + np.diag(near[1, :-1], 1) + np.diag(near[1, :-1], -1)
+        shape = contrasts(near)
         np.testing.assert_allclose(shape.rows.sum(axis=1), 0.0, atol=1e-12)
         drawn = np.random.default_rng(3).multivariate_normal(np.zeros(frames), correlation / 2.0, size=(2, 20_000))
         spectrum = (drawn[0] + 1j * drawn[1]).T[None]

@@ -78,24 +78,24 @@ class Contrasts:
     dof: float
 
 
-def frame_correlation(begin_rev: Floats, recording: Ints, *, revs_per_frame: float, window: str) -> Floats:
-    """Correlation (frames, frames) of white noise in frames that overlap.
+def whitening(begin_rev: Floats, *, revs_per_frame: float) -> Floats:
+    """What makes white noise white again (frames, frames) in Hann frames of a recording that overlap.
 
-    Parameters
-    ----------
-    begin_rev : (frames,), rev, crank angle at which each frame begins
-    recording : (frames,), number of the recording of each; frames of different ones do not correlate
-    revs_per_frame : length of a frame, rev
-    window : "hann"; any other is taken for rectangular, which correlates more
+    ``begin_rev`` (frames,) is where each begins, ``revs_per_frame`` how long it is.
     """
-    apart = np.abs(begin_rev[:, None] - begin_rev) / revs_per_frame
-    return np.asarray(np.where(recording[:, None] == recording, _alike(apart, window), 0.0))
+    shared = _alike(np.abs(begin_rev[:, None] - begin_rev) / revs_per_frame, "hann")
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(shared + 1e-9 * np.eye(len(begin_rev)))))
 
 
 def neighbour_correlation(begin_rev: Floats, recording: Ints, *, revs_per_frame: float, window: str) -> Floats:
-    """The same of each frame with itself, the next, the one after that … (lags, frames), as far as any overlap.
+    """Correlation of white noise in each frame and itself, the next … (lags, frames), as far as frames overlap.
 
-    Frames of a recording go on with the crank angle; 0 where there is none so far on.
+    Parameters
+    ----------
+    begin_rev : (frames,), rev, crank angle at which each frame begins, rising within a recording
+    recording : (frames,), number of the recording of each; frames of different ones do not correlate
+    revs_per_frame : length of a frame, rev
+    window : "hann"; any other is taken for rectangular, which correlates more
     """
     made = [np.ones(len(begin_rev))]
     for lag in range(1, len(begin_rev)):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from crankorder.orders.averages import frame_correlation
+from crankorder.orders.averages import neighbour_correlation, whitening
 from crankorder.orders.intervals import amplitude_interval, phase_interval_deg, t_quantile
 from crankorder.orders.true_angle import UNKNOWN_DEG, errors_of_rows
 from crankorder.quantities import Complexes, Floats
@@ -106,9 +106,7 @@ def close_rows(stretches: Sequence[Stretch], orders: Floats, *, wanders: bool = 
 
 def _fit(one: Stretch, orders: Floats) -> _Fit:
     n, count = len(one.turn), len(orders)
-    owner = np.zeros(n, dtype=np.int64)
-    shared = frame_correlation(one.begin_rev, owner, revs_per_frame=one.revs, window="hann")
-    white = np.linalg.inv(np.linalg.cholesky(shared + 1e-9 * np.eye(n)))
+    white = whitening(one.begin_rev, revs_per_frame=one.revs)
     middle = one.turn - one.turn.mean()
     waves = one.share * np.exp(2j * np.pi * np.outer(one.turn, orders))
     basis, slopes = white @ waves, white @ (2j * np.pi * middle[:, None] * waves)
@@ -144,9 +142,10 @@ def _noise_at(one: Stretch, left: Complexes, orders: Floats, power: Floats) -> t
         return np.maximum(power, one.beside), np.inf
     steps = np.array([k for k in range(-SLOW_WAVES, SLOW_WAVES + 1) if k])
     near = (orders[:, None] + steps / span).ravel()
-    shared = frame_correlation(one.begin_rev, np.zeros(n, dtype=np.int64), revs_per_frame=one.revs, window="hann")
+    owner = np.zeros(n, dtype=np.int64)
+    shared = neighbour_correlation(one.begin_rev, owner, revs_per_frame=one.revs, window="hann")
     slow = np.square(np.abs(np.exp(-2j * np.pi * np.outer(near, one.turn)) @ left)).mean(axis=0)
-    return np.maximum(power, slow / float(shared.sum())), 2.0 * len(steps)
+    return np.maximum(power, slow / (2.0 * float(shared.sum()) - n)), 2.0 * len(steps)
 
 
 def _off(normal: Floats, score: Floats) -> tuple[Floats, Floats]:

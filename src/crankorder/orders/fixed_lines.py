@@ -16,7 +16,7 @@ from scipy.fft import fft, ifft, next_fast_len
 
 from crankorder.fft.band import sound_samples
 from crankorder.findings import Findings
-from crankorder.orders.averages import frame_correlation
+from crankorder.orders.averages import whitening
 from crankorder.orders.intervals import LARGEST_DOF, NORMAL, amplitude_interval, phase_interval_deg
 from crankorder.orders.true_angle import UNKNOWN_DEG
 from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag
@@ -226,9 +226,7 @@ def _parted(one: MetStretch) -> tuple[Complexes, Floats, Floats]:
     that their covariance over the frames is that of a wave whose phase wanders.
     """
     n = len(one.begin_rev)
-    owner = np.zeros(n, dtype=np.int64)
-    shared = frame_correlation(one.begin_rev, owner, revs_per_frame=one.revs, window="hann")
-    white = np.linalg.inv(np.linalg.cholesky(shared + 1e-9 * np.eye(n)))
+    white = whitening(one.begin_rev, revs_per_frame=one.revs)
     wave, data = white @ one.wave, white @ one.phasor.T
     lag = one.time_s[:, None] - one.time_s
     found = []

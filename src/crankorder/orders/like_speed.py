@@ -26,6 +26,9 @@ from crankorder.shaft.speed_groups import Indices, held_speeds, speed_groups
 LEAST_WINDOW = 0.1
 """Sum of the windows at an angle below which the signal is not regained there: its noise would be ten times as high."""
 
+MOST_VALUES = 1 << 18
+"""Samples of frames that are transformed back at a time: the memory does not grow with the recording."""
+
 CUT_OVERLAP = 0.5
 """Share of a shorter frame, cut from longer ones, that the next one repeats."""
 
@@ -135,15 +138,16 @@ def _regained(spectrum: Complexes, begin_rev: Floats, length: int, per_rev: int)
     frames of a channel that a gap touches; the limits (samples,) are the orders up to which a frame there is known.
     """
     n = length * per_rev
-    pieces, window, limit = _pieces(spectrum, begin_rev, length, per_rev)
     place = np.round((begin_rev - begin_rev[0]) * per_rev).astype(int)
     signal, weight = np.zeros((len(spectrum), place[-1] + n)), np.zeros(place[-1] + n)
     top = np.full(place[-1] + n, np.inf)
-    for frame, first in enumerate(place):
-        part = slice(first, first + n)
-        signal[:, part] += pieces[:, frame]
-        weight[part] += window
-        top[part] = np.minimum(top[part], limit[frame])
+    for some in np.array_split(np.arange(len(place)), 1 + len(place) * n // MOST_VALUES):
+        pieces, window, limit = _pieces(spectrum[:, some], begin_rev[some], length, per_rev)
+        for frame, first in enumerate(place[some]):
+            part = slice(first, first + n)
+            signal[:, part] += pieces[:, frame]
+            weight[part] += window
+            top[part] = np.minimum(top[part], limit[frame])
     return signal / np.maximum(weight, LEAST_WINDOW), weight, top
 
 

@@ -267,6 +267,9 @@ class SpeedSwing:
         return sure & (self.steady_rpm > LEAST_SHARE * self.speed_rpm)
 
 
+MOST_VALUES = 1 << 18
+"""Speeds within cycles that are told at a time: the memory does not grow with the recording."""
+
 WHOLE = 1e-6
 """An order of the encoder this close to a whole number is one."""
 
@@ -303,12 +306,16 @@ def swing_of_cycles(shaft: xr.Dataset) -> tuple[Floats, Floats, npt.NDArray[np.c
         return None
     steps = int(np.ceil(2.0 * max(per_rev, 2.0 * HIGHEST) * revs))
     place = (np.arange(steps) + 0.5) / steps * revs
-    at = angle[0] + revs * np.arange(cycles)[:, None] + place
-    value = np.interp(at, *_between(time, angle, speed))
+    turn = 2.0 / steps * np.exp(-2j * np.pi * np.outer(angle[0] + place, orders))
+    means, lines = np.empty(cycles), np.empty((cycles, len(orders)), dtype=np.complex128)
+    for part in np.array_split(np.arange(cycles), 1 + cycles * steps // MOST_VALUES):
+        begin = angle[0] + revs * part
+        near = slice(*(np.searchsorted(angle, [begin[0], begin[-1] + revs]) + np.array([-1, 1])).clip(0))
+        value = np.interp(begin[:, None] + place, *_between(time[near], angle[near], speed[near]))
+        means[part] = value.mean(axis=1)
+        lines[part] = (value - means[part, None]) @ turn
     # from cycle to cycle: a slope fitted within one would take the swing at its own order along
-    means = value.mean(axis=1)
-    value = value - means[:, None] - np.gradient(means)[:, None] * (place / revs - 0.5)
-    return orders, means, 2.0 / steps * value @ np.exp(-2j * np.pi * np.outer(angle[0] + place, orders))
+    return orders, means, lines - np.gradient(means)[:, None] * ((place / revs - 0.5) @ turn)
 
 
 def swing_remarks(shaft: xr.Dataset, settings: ShaftSettings) -> list[Remark]:

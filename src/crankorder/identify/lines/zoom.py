@@ -9,7 +9,7 @@ import numpy as np
 from scipy.fft import fft
 from scipy.special import gammainccinv
 
-from crankorder.orders.averages import frame_correlation
+from crankorder.orders.averages import whitening
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
@@ -476,9 +476,7 @@ def solved_pair(phasors: Complexes, turn: Floats, *, revs: float, offset: tuple[
     revs : rev, length of a frame
     offset : orders from the bin at which the search begins
     """
-    n, span = len(turn), float(np.ptp(turn))
-    shared = frame_correlation(turn, np.zeros(n, dtype=np.int64), revs_per_frame=revs, window="hann")
-    white = np.linalg.inv(np.linalg.cholesky(shared + 1e-9 * np.eye(n)))
+    span, white = float(np.ptp(turn)), whitening(turn, revs_per_frame=revs)
     data, at = white @ phasors.T, np.array(offset)
     for _ in range(STEPS):
         basis, slopes = _bases(white, turn, at)
