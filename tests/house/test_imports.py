@@ -113,7 +113,7 @@ def test_numbers_of_a_balance_load_no_package_for_tables() -> None:
 @pytest.mark.parametrize(
     ("loaded", "spared"),
     [
-        ("from crankorder.batch.publish import prepare; prepare()", "scipy numba pyfftw crankorder.orders"),
+        ("from crankorder.batch.publish import prepare; prepare(draws=True)", "scipy numba pyfftw crankorder.orders"),
         ("import crankorder.batch.execute", "matplotlib jinja2 scipy.ndimage scipy.signal scipy.optimize"),
         ("import crankorder.batch.execute", "crankorder.identify.lines crankorder.identify.modal crankorder.plot"),
     ],

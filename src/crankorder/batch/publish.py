@@ -25,12 +25,14 @@ if TYPE_CHECKING:
     from crankorder.report.pictures import Picture
 
 
-def prepare() -> None:
-    """Load what draws and writes, with its fonts and templates: worth doing before there is anything to show."""
+def prepare(*, draws: bool) -> None:
+    """Load what writes and, where it ``draws``, its fonts too: worth doing before there is anything to show."""
     from crankorder.report.page import index_page
-    from crankorder.report.pictures import prepare
 
-    prepare()
+    if draws:
+        from crankorder.report import pictures
+
+        pictures.prepare()
     index_page([])
 
 

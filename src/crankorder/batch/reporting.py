@@ -82,11 +82,10 @@ class ReportingProcess:
         from crankorder.report.page import index_page
 
         if name == "load":
-            return prepare()
+            return prepare(draws=any(plan.settings.report.pictures for plan in self._plans))
         if name == "index":
             return index_page(*given)
-        groups, findings, provenance, settings = given
-        return files_of_test(groups, findings, provenance, settings=settings, jobs=self._jobs)
+        return files_of_test(*given[:3], settings=given[3], jobs=self._jobs)
 
     def program(self) -> tuple[str, dict[str, str]]:
         """SHA-256 of the program, and the versions of it and of the libraries that results may depend on."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba as nb
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -126,19 +125,6 @@ def _level(ratio: Floats) -> Floats:
     return np.stack([np.interp(np.arange(ratio.shape[1]), at, row) for row in middle])
 
 
-@nb.njit(cache=True, nogil=True)
-def _add_frames(power, group, sums, counts):  # type: ignore[no-untyped-def]
-    """Add ``power`` (channel, frame, bin) to ``sums`` (channel, group, bin), but for frames that are NaN."""
-    for channel in range(power.shape[0]):
-        for frame in range(power.shape[1]):
-            row = power[channel, frame]
-            if not np.isnan(row[0]):
-                into = sums[channel, group[frame]]
-                counts[channel, group[frame]] += 1
-                for k in range(row.shape[0]):
-                    into[k] += row[k]
-
-
 def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset:
     """CampbellMap of a test from the FrequencyFrames of its recordings.
 
@@ -239,7 +225,10 @@ def _group_means(
         first += item.sizes["frame"]
         sums = np.zeros((n_channels, len(mine), item.sizes["frequency"]))
         used = np.zeros(sums.shape[:2], dtype=np.int64)
-        _add_frames(item["power"].values, local, sums, used)
+        power = item["power"].values
+        for channel, frame in np.argwhere(~np.isnan(power[..., 0])):
+            sums[channel, local[frame]] += power[channel, frame]
+            used[channel, local[frame]] += 1
         sums *= ((common / scale) ** 2)[:, None, None]
         tone[:, mine] += _tone_on_grid(item, sums, frequency)
         density[:, mine] += _density_on_grid(item, sums, frequency)

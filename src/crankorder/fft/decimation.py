@@ -44,9 +44,6 @@ SINGLE_SUMS = 5e-7
 PASS_SAMPLES = 65_536
 """Samples filtered at a time: they and what becomes of them stay in the second-level cache."""
 
-STRIP = 1024
-"""Outputs made at a time in a stage: their phases stay in the first-level cache."""
-
 
 @dataclass(frozen=True)
 class DecimationStage:
@@ -190,63 +187,34 @@ def _response(taps: Floats, share_of_rate: Floats) -> Floats:
     return np.asarray(taps[len(taps) // 2] + 2.0 * (np.cos(2.0 * np.pi * np.outer(share_of_rate, k)) @ side))
 
 
-@nb.njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def _filtered(signal, offset, rest, taps, offsets, factor, phases, out):  # type: ignore[no-untyped-def]
-    """``out`` [k] = sum of taps[j] (signal[k factor + j] - offset - rest), strip by strip.
+    """Add to ``out`` [k] the sum of taps[j] (signal[k factor + j] - offset - rest), eight taps at a time.
 
     ``phases`` [p row + k] takes signal[k factor + p] - offset - rest, so that tap j finds its samples from
-    ``offsets`` [j] on: eight taps a sweep, vectorised along the outputs.
+    ``offsets`` [j] on: each sweep is vectorised along the outputs.
     """
-    n_taps, row = taps.size, phases.size // factor
-    for first in range(0, out.size, STRIP):
-        into, read = out[first : first + STRIP], signal[first * factor :]
-        n = into.size
-        for p in range(factor):
-            a, there = phases[p * row : (p + 1) * row], (read.size - p + factor - 1) // factor
-            for k in range(there if there < n + n_taps // factor + 1 else n + n_taps // factor + 1):
-                a[k] = read[factor * k + p] - offset - rest
-        for k in range(n):
-            into[k] = 0.0
-        for j in range(0, n_taps - 7, 8):
-            o = offsets[j : j + 8]
-            t0, t1, t2, t3, t4, t5, t6, t7 = (
-                taps[j], taps[j + 1], taps[j + 2], taps[j + 3], taps[j + 4], taps[j + 5], taps[j + 6], taps[j + 7],
-            )  # fmt: skip
-            a, b, c, d = (
-                phases[o[0] : o[0] + n],
-                phases[o[1] : o[1] + n],
-                phases[o[2] : o[2] + n],
-                phases[o[3] : o[3] + n],
-            )
-            e, f, g, h = (
-                phases[o[4] : o[4] + n],
-                phases[o[5] : o[5] + n],
-                phases[o[6] : o[6] + n],
-                phases[o[7] : o[7] + n],
-            )
-            for k in range(n):
-                four = (t0 * a[k] + t1 * b[k]) + (t2 * c[k] + t3 * d[k])
-                into[k] += four + ((t4 * e[k] + t5 * f[k]) + (t6 * g[k] + t7 * h[k]))
-        for j in range(n_taps // 8 * 8, n_taps):
-            t0, a = taps[j], phases[offsets[j] : offsets[j] + n]
-            for k in range(n):
-                into[k] += t0 * a[k]
+    row = phases.size // factor
+    for p in range(factor):
+        a, read = phases[p * row :], signal[p:]
+        for k in range((read.size + factor - 1) // factor):
+            a[k] = read[factor * k] - offset - rest
+    for j in range(0, taps.size, 8):
+        a, b, c, d = phases[offsets[j] :], phases[offsets[j + 1] :], phases[offsets[j + 2] :], phases[offsets[j + 3] :]
+        t0, t1, t2, t3, o, t = taps[j], taps[j + 1], taps[j + 2], taps[j + 3], offsets[j + 4 :], taps[j + 4 :]
+        e, f, g, h = phases[o[0] :], phases[o[1] :], phases[o[2] :], phases[o[3] :]
+        t4, t5, t6, t7 = t[0], t[1], t[2], t[3]
+        for k in range(out.size):
+            four = (t0 * a[k] + t1 * b[k]) + (t2 * c[k] + t3 * d[k])
+            out[k] += four + ((t4 * e[k] + t5 * f[k]) + (t6 * g[k] + t7 * h[k]))
 
 
-@nb.njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz"})
+@nb.njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
 def _mean(signal):  # type: ignore[no-untyped-def]
-    """Mean, summed in float64 but for quadruples; not finite where a sample is not."""
-    mean, n = 0.0, signal.shape[0]
-    whole = n // 4096 * 4096
-    for first in range(0, whole, 4096):
-        a, b = signal[first : first + 1024], signal[first + 1024 : first + 2048]
-        c, d = signal[first + 2048 : first + 3072], signal[first + 3072 : first + 4096]
-        total = 0.0
-        for k in range(1024):
-            total += np.float64((a[k] + b[k]) + (c[k] + d[k]))
-        mean += total / n  # divided here, so that sums of 1e300 do not overflow
-    for k in range(whole, n):
-        mean += np.float64(signal[k]) / n
+    """Mean, summed in float64; not finite where a sample is not."""
+    mean, share = 0.0, 1.0 / signal.size
+    for k in range(signal.size):
+        mean += np.float64(signal[k]) * share  # so that sums of 1e300 do not overflow
     return mean
 
 
@@ -276,13 +244,13 @@ def decimation_reach(stages: tuple[DecimationStage, ...]) -> int:
 
 
 def _passed(
-    signal: NDArray[np.floating], offset: float, filters: Sequence[tuple[int, Any, Ints, Any]], gaps: bool
+    signal: NDArray[np.floating], offset: float, filters: Sequence[tuple[DecimationStage, Any, Ints, Any]], gaps: bool
 ) -> NDArray[np.floating]:
     """All stages over a piece of one channel that holds what its outputs need and no more.
 
     ``offset`` is taken away, the channel's mean as a rule, so that a constant of a million times the signal costs no
-    digits. ``filters``: factor, taps, where the samples of each begin among the phases, and room for these, of each
-    stage. With ``gaps`` samples that are not finite count as ``offset``; without, nobody looks for them.
+    digits. ``filters``: each stage, its taps in eights, where the samples of each begin among the phases, and room
+    for these. With ``gaps`` samples that are not finite count as ``offset``; without, nobody looks for them.
     """
     signal = np.ascontiguousarray(signal)
     if gaps and not np.isfinite(_mean(signal)):
@@ -291,9 +259,9 @@ def _passed(
     # two terms, so that in float32 nothing of a large constant is left over
     high = kind(offset)
     low = kind(offset - float(high))
-    for factor, taps, offsets, phases in filters:
-        out = np.empty((len(signal) - len(taps)) // factor + 1, dtype=taps.dtype)
-        _filtered(signal, high, low, taps, offsets, factor, phases, out)
+    for stage, taps, offsets, phases in filters:
+        out = np.zeros((len(signal) - len(stage.taps)) // stage.factor + 1, dtype=taps.dtype)
+        _filtered(signal, high, low, taps, offsets, stage.factor, phases, out)
         signal, high, low = out, kind(0.0), kind(0.0)
     return signal
 
@@ -328,18 +296,19 @@ def decimate(
         return rested, rate_hz, 0.0
     stages = decimation_stages(rate_hz, band_hz, factor, tolerance)
     sums = np.dtype(np.float32 if signals.dtype == np.float32 and tolerance >= SINGLE_SUMS else np.float64)
-    filters = []
-    for stage in stages:
-        row = STRIP + len(stage.taps) // stage.factor + 9
-        group, phase = np.divmod(np.arange(len(stage.taps)), stage.factor)
-        room = np.zeros(row * stage.factor, dtype=sums)
-        filters.append((stage.factor, stage.taps.astype(sums), phase * row + group, room))
     # output k lies on sample k * factor and needs the samples within reach of it
-    reach = decimation_reach(stages)
+    reach, size = decimation_reach(stages), max(1, PASS_SAMPLES // factor)
+    filters, most = [], (size - 1) * factor + 2 * reach + 1
+    for stage in stages:
+        row, spare = most // stage.factor + 1, (0, -len(stage.taps) % 8)
+        group, phase = np.divmod(np.arange(len(stage.taps)), stage.factor)
+        taps, offsets = np.pad(stage.taps.astype(sums), spare), np.pad(phase * row + group, spare)
+        filters.append((stage, taps, offsets, np.zeros(row * stage.factor, dtype=sums)))
+        most = (most - len(stage.taps)) // stage.factor + 1
     first = -(-reach // factor)
     stop = (signals.shape[1] - 1 - reach) // factor + 1
     made = empty_like(signals, (len(signals), max(0, stop - first)), signals.dtype)
-    for part in blocks(made.shape[1], size=max(1, PASS_SAMPLES // factor)):
+    for part in blocks(made.shape[1], size=size):
         needed = slice((first + part.start) * factor - reach, (first + part.stop - 1) * factor + reach + 1)
         for row, signal, mean in zip(made, signals, np.asarray(offset, dtype=np.float64), strict=True):
             row[part] = _passed(signal[needed], mean, filters, gaps)

@@ -27,15 +27,14 @@ _planner = threading.Lock()
 _of_thread = threading.local()
 
 
-@nb.njit(cache=True, nogil=True)
+@nb.njit(cache=True, nogil=True, error_model="numpy")
 def _fill(signals, starts, window, scales, first, frames):  # type: ignore[no-untyped-def]
     """Windowed ``frames`` (frame, sample) from number ``first`` on, counted channel by channel."""
-    n = len(window)
     for row in range(frames.shape[0]):
-        channel, frame = divmod(first + row, len(starts))
-        piece = signals[channel, starts[frame] : starts[frame] + n]
-        into, scale = frames[row, :n], scales[channel]
-        for k in range(n):
+        channel = (first + row) // starts.size
+        piece = signals[channel, starts[first + row - channel * starts.size] :]
+        into, scale = frames[row], scales[channel]
+        for k in range(window.size):
             into[k] = (piece[k] * scale) * window[k]
 
 
