@@ -26,7 +26,7 @@ WHAT = {
     ROTA: "order map (≤ 20), frequency map (≤ 1.25 kHz), one PNG per channel",
     WARM_MAPS: "the maps in an interpreter that has analysed the campaign; without its start; memory of all its runs",
     WARM: "the default run likewise",
-    FIRST: "the default run with no compiled module, neither its own nor of a library, and no compiled kernel",
+    FIRST: "the default run with no compiled kernel, as after an installation, which compiles the modules",
     RUN_UP: "the default run of one recording of 60 s, 3 channels, 300 to 6000 rpm",
 }
 MARK_RATIO = {SCIPY: 10.0, ROTA: 40.0}
