@@ -142,7 +142,7 @@ class Others(Protocol):
     """Further data that depend on the same poles."""
 
     def misfit(self, poles: Poles) -> float:
-        """Sum of the squared residuals, in standard errors."""
+        """Sum of the squared residuals of ``poles``, in standard errors."""
 
     def evaluate(self, poles: Poles) -> tuple[list[Array], list[Array], float]:
         """Jacobians by (ln f, ln ζ) of all poles, residuals (in standard errors) and the sum of their squares."""
