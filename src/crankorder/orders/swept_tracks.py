@@ -88,10 +88,6 @@ WAVEFORM_BAND, WAVEFORM_ORDER = 1.1, 10.0
 MOST_WAVEFORM = 1 << 18
 """Samples of a channel that are kept of the waveform at most: a longer recording keeps a narrower band."""
 
-STILL_SHARE, KEPT_SHARE = 0.005, 0.1
-"""Share of its speed at an end of the recording up to which the shaft counts as holding it, and of the sweep between,
-for which the waveform goes on into that: what is held longer tells nothing of modes."""
-
 RATE_PER_BAND = 2.6
 """Samples per second that a hertz of band takes, about."""
 
@@ -450,17 +446,6 @@ def filtered_tracks(
     return xr.Dataset(variables, coords=coords, attrs=attrs)
 
 
-def _swept_span(course: SpeedCourse) -> tuple[float, float]:
-    """Begin and end [s] of what a ``course`` sweeps, with some of what it holds before and after."""
-    speed, time_s = course.speed_rpm, course.time_s
-    first, last = (np.abs(speed - speed[end]) > STILL_SHARE * abs(speed[end]) for end in (0, -1))
-    if not first.any():
-        return float(time_s[0]), float(time_s[-1])
-    begin, end = time_s[np.argmax(first)], time_s[len(time_s) - 1 - np.argmax(last[::-1])]
-    more = KEPT_SHARE * abs(end - begin)
-    return max(float(time_s[0]), begin - more), min(float(time_s[-1]), end + more)
-
-
 def _put_waveform(found: xr.Dataset, band: xr.Dataset, shaft: xr.Dataset, course: SpeedCourse) -> None:
     """Put the longest sound stretch of the signals into ``found``, in the band of its orders, with angle and speed.
 
@@ -468,14 +453,14 @@ def _put_waveform(found: xr.Dataset, band: xr.Dataset, shaft: xr.Dataset, course
     """
     fastest_hz = float(course.speed_rpm.max()) / 60.0
     top = WAVEFORM_BAND * float(found["order"].values.max(initial=WAVEFORM_ORDER)) * fastest_hz
-    begin, end = _swept_span(course)
-    top = min(top, MOST_WAVEFORM / (end - begin) / RATE_PER_BAND)
+    seconds = band.sizes["time"] / float(band.attrs["rate_hz"])
+    top = min(top, MOST_WAVEFORM / seconds / RATE_PER_BAND)
     if top < 0.8 * float(band.attrs.get("band_hz", np.inf)):
         band = band_limited(band, band_hz=top, grid_hz=1.0)
     rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
     time_s = start + np.arange(band.sizes["time"]) / rate
     angle = angle_at(time_s, **knots_of(shaft))
-    sound = np.isfinite(angle) & sound_samples(band).all(axis=0) & (time_s >= begin) & (time_s <= end)
+    sound = np.isfinite(angle) & sound_samples(band).all(axis=0)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], sound, [False]]))).reshape(-1, 2)
     first, last = edges[np.argmax(edges[:, 1] - edges[:, 0])] if len(edges) else (0, 0)
     speed = np.interp(time_s[first:last], course.time_s, course.speed_rpm)
