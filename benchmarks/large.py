@@ -1,9 +1,9 @@
 """Default runs of many, wide and long recordings: seconds, processor seconds and memory, beside plain scipy.
 
 Usage: python benchmarks/large.py [--recordings N] [--small-recordings N] [--channels N] [--seconds S] [--into FOLDER]
-Writes `reports/speed-error/large.{json,md,png}`; `campaign.py --all` does so too. Each is run once. Recordings (2 GB at
-most at a time) are made in /var/tmp and removed. Plain scipy holds a whole recording and reads one kind of encoder: it
-analyses the many and the wide ones.
+Writes `reports/speed-error/large.{json,md,png}`; `campaign.py --all` does so too. Each is run once. Recordings (4.5 GB
+at most at a time) are made in /var/tmp and removed. Plain scipy holds a whole recording and reads one kind of encoder:
+it analyses the many and the wide ones.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Case:
 def add_options(parser: argparse.ArgumentParser) -> None:
     """How many of each."""
     group = parser.add_argument_group("many, wide and long recordings")
-    group.add_argument("--recordings", type=int, default=350, help="of 1 s, 3 channels at 50 kHz")
+    group.add_argument("--recordings", type=int, default=350, help="of 15 s, 3 channels at 50 kHz")
     group.add_argument("--small-recordings", type=int, default=10_000, help="of 0.5 s, one channel at 6 kHz")
     group.add_argument("--channels", type=int, default=24, help="of 12 recordings of 6 s")
     group.add_argument("--seconds", type=float, default=600.0, help="length of one run-up of 3 channels at 50 kHz")
@@ -74,7 +74,7 @@ def cases_of(options: argparse.Namespace) -> dict[str, Case]:
         options.seconds,
     )
     return {
-        MANY: Case(f"{count} recordings of 1 s", partial(make, count), (DEFAULT, MAPS, SCIPY)),
+        MANY: Case(f"{count} recordings of 15 s", partial(make, count), (DEFAULT, MAPS, SCIPY)),
         WIDE: Case(f"12 recordings of 6 s, {channels} channels", partial(make_wide, channels, 12), (DEFAULT, SCIPY)),
         NARROW: Case("12 recordings of 6 s, 3 channels", partial(make_wide, 3, 12)),
         FIXED: Case("2 recordings of 6 s, 3 channels", partial(make_wide, 3, 2)),
