@@ -8,6 +8,7 @@ at the door (schema, metadata only) and signs what it gives with a line of histo
 from __future__ import annotations
 
 import functools
+import hashlib
 import inspect
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -79,8 +80,8 @@ from crankorder.quantities import (
 )
 from crankorder.settings import Settings
 from crankorder.shaft.audit import reference_audit
-from crankorder.shaft.decode import flags_named, shaft_angle
-from crankorder.shaft.standstill import silent_ends
+from crankorder.shaft.decode import PULSE_KINDS, flags_named, shaft_angle
+from crankorder.shaft.standstill import NO_PULSES, silent_ends
 from crankorder.shaft.summary import named_speed_remarks, shaft_summary
 
 RecordingFile = NewType("RecordingFile", Path)
@@ -517,15 +518,36 @@ def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
 
 
 @functools.cache
-def _plan_of_recording(wanted: tuple[Any, ...], source: Any = RecordingFile) -> StagePlan:
-    return StagePlan(OF_RECORDING, wanted=wanted, given=(source, Manifest, Settings, TestBearings))
+def _plan_of_recording(wanted: tuple[Any, ...], given: tuple[Any, ...]) -> StagePlan:
+    return StagePlan(OF_RECORDING, wanted=wanted, given=given)
+
+
+SHAFTS = 64
+"""Shaft angles that are kept for the next map of the same recordings, some 100 kB each."""
+
+_shafts: dict[Any, ShaftAngle] = {}
 
 
 def analyse_shaft(recording: xr.Dataset, settings: Settings) -> ShaftAngle:
-    """Crank angle and speed of the ``recording`` alone, with ``settings``."""
-    given = {Recording: recording, Settings: settings}
-    made: ShaftAngle = _plan_of_recording((ShaftAngle,), Recording).run(given)[ShaftAngle]
-    return made
+    """Crank angle and speed of the ``recording`` alone, with ``settings``; the caller's own.
+
+    Worked out once for all maps that are made of the same pulses.
+    """
+    attrs, held = recording.attrs, recording.variables
+    digest = hashlib.sha256(repr((attrs, held["signal"].shape)).encode())
+    for name in [name for name in held if name != "signal"]:
+        digest.update(np.ascontiguousarray(held[name].values).tobytes())
+    key = (digest.digest(), settings.shaft, settings.orders.max_order, settings.orders.revs_per_frame)
+    made: ShaftAngle | None = _shafts.get(key)
+    if made is None:
+        given = {Recording: recording, Settings: settings}
+        made = ShaftAngle(_plan_of_recording((ShaftAngle,), tuple(given)).run(given)[ShaftAngle])
+        # beside pulses that begin late, and where they are lacking, the signals are looked at too
+        if attrs.get("encoder_kind") in PULSE_KINDS and not any(flag["flag"] == NO_PULSES for flag in flags_of(made)):
+            _shafts[key] = made
+            for old in list(_shafts)[:-SHAFTS]:
+                _shafts.pop(old, None)
+    return ShaftAngle(made.copy(deep=True))
 
 
 def analyse_recording(
@@ -537,10 +559,13 @@ def analyse_recording(
     names none. Raises InputError, naming the file, where the recording cannot be used.
     """
     frames = frames_wanted(settings)
-    noun = RecordingFile if isinstance(source, Path) else Recording
     bearings = manifest.bearings or (engine.bearings if engine is not None else ())
-    given = {noun: source, Manifest: manifest, Settings: settings, TestBearings: bearings}
-    made = _plan_of_recording((ShaftAngle, *frames), noun).run(given)
+    given: dict[Any, Any] = {Manifest: manifest, Settings: settings, TestBearings: bearings}
+    if isinstance(source, Path):
+        given[RecordingFile] = source
+    else:
+        given |= {Recording: source, ShaftAngle: analyse_shaft(source, settings)}
+    made = _plan_of_recording((ShaftAngle, *frames), tuple(given)).run(given)
     return RecordingResult(made[ShaftAngle], {noun: made[noun] for noun in frames})
 
 
