@@ -292,14 +292,25 @@ def swing_of_cycles(shaft: xr.Dataset) -> tuple[Floats, Floats, npt.NDArray[np.c
     Phases are from angle 0. The trend over each cycle is taken out, so that a run-up is no swing. Orders reach to
     HIGHEST, to those that the knots resolve, and to the cut-off of the smoother where it says one.
     """
+    if float(shaft.attrs.get("n_pulses", 0)) <= 0:
+        return None
     knots = np.array([shaft.variables[name].values for name in ("time", "crank_angle", "speed")], dtype=float)
-    time, angle, speed = knots[:, np.isfinite(knots).all(axis=0)]
-    revs = int(shaft.attrs.get("revs_per_cycle", 1))
-    if float(shaft.attrs.get("n_pulses", 0)) <= 0 or len(angle) < 3 or not (np.diff(angle) > 0.0).all():
+    return _swing_of_knots(
+        knots.tobytes(), int(shaft.attrs.get("revs_per_cycle", 1)), float(shaft.attrs.get("cut_off_order", np.inf))
+    )
+
+
+@functools.lru_cache(maxsize=1)
+def _swing_of_knots(
+    knots: bytes, revs: int, cut_off: float
+) -> tuple[Floats, Floats, npt.NDArray[np.complex128]] | None:
+    """What :func:`swing_of_cycles` gives, of time, angle and speed (3, knots) as bytes: asked for again and again."""
+    held = np.frombuffer(knots).reshape(3, -1)
+    time, angle, speed = held[:, np.isfinite(held).all(axis=0)]
+    if len(angle) < 3 or not (np.diff(angle) > 0.0).all():
         return None
     cycles = int((angle[-1] - angle[0]) / revs + 1e-9)
     per_rev = (len(angle) - 1) / (angle[-1] - angle[0])
-    cut_off = float(shaft.attrs.get("cut_off_order", np.inf))
     highest = min(HIGHEST, per_rev / KNOTS_PER_PERIOD, cut_off if cut_off > 0.0 else np.inf)
     orders = np.arange(1, int(highest * revs + 1e-9) + 1) / revs
     if cycles < FEWEST_CYCLES or not orders.size:
