@@ -40,6 +40,11 @@ def fft_library() -> Library:
 
 
 @cache
+def _has_finufft() -> bool:
+    return find_spec("finufft") is not None
+
+
+@cache
 def _library(asked: str) -> Library:
     there = find_spec("pyfftw") is not None
     if asked not in ("", "fftw", "scipy"):
@@ -53,7 +58,7 @@ def _library(asked: str) -> Library:
 
 def can_transform_uneven() -> bool:
     """Whether samples at uneven places can be transformed: finufft does so, which carries FFTW too."""
-    return fft_library() == "fftw" and find_spec("finufft") is not None
+    return fft_library() == "fftw" and _has_finufft()
 
 
 def forward(shape: tuple[int, ...], kind: Any) -> Plan:
