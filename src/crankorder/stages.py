@@ -10,6 +10,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import inspect
+import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -522,32 +523,29 @@ def _plan_of_recording(wanted: tuple[Any, ...], given: tuple[Any, ...]) -> Stage
     return StagePlan(OF_RECORDING, wanted=wanted, given=given)
 
 
-SHAFTS = 64
-"""Shaft angles that are kept for the next map of the same recordings, some 100 kB each."""
-
-_shafts: dict[Any, ShaftAngle] = {}
+_shafts: dict[int, tuple[Any, ShaftAngle]] = {}
+"""What the pulses of each Recording in memory told last, by the array of their times, and from what."""
 
 
 def analyse_shaft(recording: xr.Dataset, settings: Settings) -> ShaftAngle:
-    """Crank angle and speed of the ``recording`` alone, with ``settings``; the caller's own.
-
-    Worked out once for all maps that are made of the same pulses.
-    """
-    attrs, held = recording.attrs, recording.variables
+    """Crank angle and speed of the ``recording`` alone, with ``settings``: worked out once for all of its maps."""
+    attrs, held, orders = recording.attrs, recording.variables, settings.orders
     digest = hashlib.sha256(repr((attrs, held["signal"].shape)).encode())
     for name in [name for name in held if name != "signal"]:
         digest.update(np.ascontiguousarray(held[name].values).tobytes())
-    key = (digest.digest(), settings.shaft, settings.orders.max_order, settings.orders.revs_per_frame)
-    made: ShaftAngle | None = _shafts.get(key)
-    if made is None:
-        given = {Recording: recording, Settings: settings}
-        made = ShaftAngle(_plan_of_recording((ShaftAngle,), tuple(given)).run(given)[ShaftAngle])
-        # beside pulses that begin late, and where they are lacking, the signals are looked at too
-        if attrs.get("encoder_kind") in PULSE_KINDS and not any(flag["flag"] == NO_PULSES for flag in flags_of(made)):
-            _shafts[key] = made
-            for old in list(_shafts)[:-SHAFTS]:
-                _shafts.pop(old, None)
-    return ShaftAngle(made.copy(deep=True))
+    key = (digest.digest(), settings.shaft, orders.max_order, orders.revs_per_frame)
+    pulses = held["pulse_time" if attrs.get("encoder_kind") in PULSE_KINDS else "signal"].values
+    known = _shafts.get(id(pulses))
+    if known is not None and known[0] == key:
+        return ShaftAngle(known[1].copy(deep=True))
+    given = {Recording: recording, Settings: settings}
+    made = ShaftAngle(_plan_of_recording((ShaftAngle,), tuple(given)).run(given)[ShaftAngle])
+    # where pulses are lacking, and where there are none, the signals are looked at, which may have changed
+    if pulses.ndim == 1 and not any(flag["flag"] == NO_PULSES for flag in flags_of(made)):
+        if known is None:
+            weakref.finalize(pulses, _shafts.pop, id(pulses), None)
+        _shafts[id(pulses)] = (key, ShaftAngle(made.copy(deep=True)))
+    return made
 
 
 def analyse_recording(
