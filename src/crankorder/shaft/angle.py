@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -406,6 +407,13 @@ class SpeedCourse:
         return [(float(self.time_s[a]), float(self.time_s[b - 1])) for a, b in edges.reshape(-1, 2) if b - a > 1]
 
 
+@cache
+def _parabola() -> tuple[FloatArray, FloatArray]:
+    """Places (points,) from -1 to 1 and the matrix (3, points) from values there to the parabola through them."""
+    u = np.linspace(-1.0, 1.0, POINTS)
+    return u, np.linalg.pinv(np.stack([np.ones(POINTS), u, u * u], axis=1))
+
+
 def smoothed_speed(shaft: xr.Dataset, time_s: Array, stretch_s: Array | float) -> Array:
     """Speed [rpm] at ``time_s`` (times,): slope of the parabola through the angle over ``stretch_s`` around each.
 
@@ -416,12 +424,11 @@ def smoothed_speed(shaft: xr.Dataset, time_s: Array, stretch_s: Array | float) -
     time_s = np.asarray(time_s, dtype=np.float64)
     half = 0.5 * np.broadcast_to(np.asarray(stretch_s, dtype=np.float64), time_s.shape)
     low, high = np.maximum(time_s - half, known[0]), np.minimum(time_s + half, known[-1])
-    u = np.linspace(-1.0, 1.0, POINTS)
+    u, fit = _parabola()
     centre, reach = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-12)
     at = np.clip(centre[:, None] + reach[:, None] * u, known[0], known[-1])
     angle = angle_at(at.ravel(), **knots_of(shaft)).reshape(at.shape)
     angle -= angle[:, POINTS // 2, None]
-    fit = np.linalg.pinv(np.stack([np.ones(POINTS), u, u * u], axis=1))
     _, slope, bend = (angle @ fit.T).T
     return np.asarray(60.0 * (slope + 2.0 * bend * (time_s - centre) / reach) / reach)
 
