@@ -12,7 +12,7 @@ Conventions shared by all of them:
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import cache
 from importlib.resources import files
 from typing import Any, Literal, NewType, NotRequired, TypedDict
@@ -156,7 +156,7 @@ def channel_coords(dataset: xr.Dataset) -> dict[str, xr.Variable]:
     return {name: dataset.variables[name] for name in names if name in dataset.variables}
 
 
-def unindexed(coords: Mapping[str, Any]) -> xr.Coordinates:
+def unindexed(**coords: Any) -> xr.Coordinates:
     """``coords`` of a dataset in which nothing is looked up by label: indexes cost half of the time that it takes."""
     return xr.Coordinates(coords, indexes={})
 

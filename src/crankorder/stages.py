@@ -8,7 +8,6 @@ at the door (schema, metadata only) and signs what it gives with a line of histo
 from __future__ import annotations
 
 import functools
-import hashlib
 import inspect
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -530,22 +529,19 @@ _shafts: dict[int, tuple[Any, ShaftAngle]] = {}
 def analyse_shaft(recording: xr.Dataset, settings: Settings) -> ShaftAngle:
     """Crank angle and speed of the ``recording`` alone, with ``settings``: worked out once for all of its maps."""
     attrs, held, orders = recording.attrs, recording.variables, settings.orders
-    digest = hashlib.sha256(repr((attrs, held["signal"].shape)).encode())
-    for name in [name for name in held if name != "signal"]:
-        digest.update(np.ascontiguousarray(held[name].values).tobytes())
-    key = (digest.digest(), settings.shaft, orders.max_order, orders.revs_per_frame)
-    pulses = held["pulse_time" if attrs.get("encoder_kind") in PULSE_KINDS else "signal"].values
-    known = _shafts.get(id(pulses))
-    if known is not None and known[0] == key:
-        return ShaftAngle(known[1].copy(deep=True))
-    given = {Recording: recording, Settings: settings}
-    made = ShaftAngle(_plan_of_recording((ShaftAngle,), tuple(given)).run(given)[ShaftAngle])
-    # where pulses are lacking, and where there are none, the signals are looked at, which may have changed
-    if pulses.ndim == 1 and not any(flag["flag"] == NO_PULSES for flag in flags_of(made)):
-        if known is None:
-            weakref.finalize(pulses, _shafts.pop, id(pulses), None)
-        _shafts[id(pulses)] = (key, ShaftAngle(made.copy(deep=True)))
-    return made
+    told = [held[name].values.tobytes() for name in held if name != "signal"]
+    key = (repr(attrs), held["signal"].shape, told, settings.shaft, orders.max_order, orders.revs_per_frame)
+    pulses, by_pulses = held.get("pulse_time", held["signal"]).values, attrs.get("encoder_kind") in PULSE_KINDS
+    known, made = _shafts.get(id(pulses), (None, None))
+    if made is None or known != key:
+        given = {Recording: recording, Settings: settings}
+        made = _plan_of_recording((ShaftAngle,), tuple(given)).run(given)[ShaftAngle]
+        # where pulses are lacking, and where there are none, the signals are looked at, which may have changed
+        if by_pulses and pulses.ndim == 1 and not any(flag["flag"] == NO_PULSES for flag in flags_of(made)):
+            if known is None:
+                weakref.finalize(pulses, _shafts.pop, id(pulses), None)
+            _shafts[id(pulses)] = key, ShaftAngle(made)
+    return ShaftAngle(made.copy(deep=True))
 
 
 def analyse_recording(
@@ -558,11 +554,10 @@ def analyse_recording(
     """
     frames = frames_wanted(settings)
     bearings = manifest.bearings or (engine.bearings if engine is not None else ())
-    given: dict[Any, Any] = {Manifest: manifest, Settings: settings, TestBearings: bearings}
-    if isinstance(source, Path):
-        given[RecordingFile] = source
-    else:
-        given |= {Recording: source, ShaftAngle: analyse_shaft(source, settings)}
+    known: dict[Any, Any] = {RecordingFile: source}
+    if not isinstance(source, Path):
+        known = {Recording: source, ShaftAngle: analyse_shaft(source, settings)}
+    given = {**known, Manifest: manifest, Settings: settings, TestBearings: bearings}
     made = _plan_of_recording((ShaftAngle, *frames), tuple(given)).run(given)
     return RecordingResult(made[ShaftAngle], {noun: made[noun] for noun in frames})
 

@@ -265,7 +265,7 @@ def _dataset(described: dict[str, Any], arrays: _Arrays) -> xr.Dataset:
     variables: dict[str, xr.Variable] = {}
     for name, dims, array, attrs in described["variables"]:
         variables[name] = xr.Variable(dims, arrays.take(*array), _attrs_of(attrs, arrays))
-    made = xr.Dataset(coords=unindexed(variables), attrs=_attrs_of(described["attrs"], arrays))
+    made = xr.Dataset(coords=unindexed(**variables), attrs=_attrs_of(described["attrs"], arrays))
     return made.reset_coords([name for name in variables if name not in described["coords"]])
 
 

@@ -209,11 +209,9 @@ def _dataset(
         }
         | ({"scale": ("channel", scales, words)} if np.any(scales != 1.0) else {}),
         coords=unindexed(
-            {
-                **channel_coords(band),
-                "frequency": ("frequency", frequency, {"units": "Hz", "long_name": "frequency"}),
-                "speed": ("frame", speeds.mean_rpm, {"units": "min-1", "long_name": "mean speed of the frame"}),
-            }
+            **channel_coords(band),
+            frequency=("frequency", frequency, {"units": "Hz", "long_name": "frequency"}),
+            speed=("frame", speeds.mean_rpm, {"units": "min-1", "long_name": "mean speed of the frame"}),
         ),
     )
 

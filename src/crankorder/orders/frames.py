@@ -162,12 +162,10 @@ def _dataset(band: xr.Dataset, spectrum: Complexes, order: Floats, speed: Floats
             )
         },
         coords=unindexed(
-            {
-                **channel_coords(band),
-                "order": ("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
-                "speed": ("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"}),
-                "crank_angle": ("frame", start_angle, {"units": "rev", "long_name": "crank angle at the start"}),
-            }
+            **channel_coords(band),
+            order=("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
+            speed=("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"}),
+            crank_angle=("frame", start_angle, {"units": "rev", "long_name": "crank angle at the start"}),
         ),
     )
 
