@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import inspect
+import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,8 +80,8 @@ from crankorder.quantities import (
 )
 from crankorder.settings import Settings
 from crankorder.shaft.audit import reference_audit
-from crankorder.shaft.decode import flags_named, shaft_angle
-from crankorder.shaft.standstill import silent_ends
+from crankorder.shaft.decode import PULSE_KINDS, flags_named, shaft_angle
+from crankorder.shaft.standstill import NO_PULSES, silent_ends
 from crankorder.shaft.summary import named_speed_remarks, shaft_summary
 
 RecordingFile = NewType("RecordingFile", Path)
@@ -517,15 +518,30 @@ def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
 
 
 @functools.cache
-def _plan_of_recording(wanted: tuple[Any, ...], source: Any = RecordingFile) -> StagePlan:
-    return StagePlan(OF_RECORDING, wanted=wanted, given=(source, Manifest, Settings, TestBearings))
+def _plan_of_recording(wanted: tuple[Any, ...], given: tuple[Any, ...]) -> StagePlan:
+    return StagePlan(OF_RECORDING, wanted=wanted, given=given)
+
+
+_shafts: dict[int, tuple[Any, ShaftAngle]] = {}
+"""What the pulses of each Recording in memory told last, by the array of their times, and from what."""
 
 
 def analyse_shaft(recording: xr.Dataset, settings: Settings) -> ShaftAngle:
-    """Crank angle and speed of the ``recording`` alone, with ``settings``."""
-    given = {Recording: recording, Settings: settings}
-    made: ShaftAngle = _plan_of_recording((ShaftAngle,), Recording).run(given)[ShaftAngle]
-    return made
+    """Crank angle and speed of the ``recording`` alone, with ``settings``: worked out once for all of its maps."""
+    attrs, held, orders = recording.attrs, recording.variables, settings.orders
+    told = [held[name].values.tobytes() for name in held if name != "signal"]
+    key = (repr(attrs), held["signal"].shape, told, settings.shaft, orders.max_order, orders.revs_per_frame)
+    pulses, by_pulses = held.get("pulse_time", held["signal"]).values, attrs.get("encoder_kind") in PULSE_KINDS
+    known, made = _shafts.get(id(pulses), (None, None))
+    if made is None or known != key:
+        given = {Recording: recording, Settings: settings}
+        made = _plan_of_recording((ShaftAngle,), tuple(given)).run(given)[ShaftAngle]
+        # where pulses are lacking, and where there are none, the signals are looked at, which may have changed
+        if by_pulses and pulses.ndim == 1 and not any(flag["flag"] == NO_PULSES for flag in flags_of(made)):
+            if known is None:
+                weakref.finalize(pulses, _shafts.pop, id(pulses), None)
+            _shafts[id(pulses)] = key, ShaftAngle(made)
+    return ShaftAngle(made.copy(deep=True))
 
 
 def analyse_recording(
@@ -537,10 +553,12 @@ def analyse_recording(
     names none. Raises InputError, naming the file, where the recording cannot be used.
     """
     frames = frames_wanted(settings)
-    noun = RecordingFile if isinstance(source, Path) else Recording
     bearings = manifest.bearings or (engine.bearings if engine is not None else ())
-    given = {noun: source, Manifest: manifest, Settings: settings, TestBearings: bearings}
-    made = _plan_of_recording((ShaftAngle, *frames), noun).run(given)
+    known: dict[Any, Any] = {RecordingFile: source}
+    if not isinstance(source, Path):
+        known = {Recording: source, ShaftAngle: analyse_shaft(source, settings)}
+    given = {**known, Manifest: manifest, Settings: settings, TestBearings: bearings}
+    made = _plan_of_recording((ShaftAngle, *frames), tuple(given)).run(given)
     return RecordingResult(made[ShaftAngle], {noun: made[noun] for noun in frames})
 
 

@@ -10,17 +10,16 @@ import shutil
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 from weakref import WeakValueDictionary
 
 import numpy as np
-import pandas as pd
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.quantities import QualityFlag, ShaftAngle
+from crankorder.quantities import QualityFlag, ShaftAngle, unindexed
 from crankorder.settings import Settings
 from crankorder.stages import FRAMES_OF, RecordingResult
 
@@ -29,9 +28,6 @@ STORE = ".crankorder-frames"
 
 LEAST_FREE_BYTES = 1 << 30
 """Space that is left on the disk for the results themselves."""
-
-AXES = 256
-"""Axes that are kept for the next recording that has the same."""
 
 KEEPERS = 400
 """So many recordings keep the datasets that were made of them, some 100 kB each; of others they are made each time."""
@@ -268,20 +264,9 @@ class _Arrays:
 def _dataset(described: dict[str, Any], arrays: _Arrays) -> xr.Dataset:
     variables: dict[str, xr.Variable] = {}
     for name, dims, array, attrs in described["variables"]:
-        values, about = arrays.take(*array), _attrs_of(attrs, arrays)
-        if dims == [name] and values.dtype.kind in "fiu":
-            axis = _axis(values.dtype.str, values.tobytes())
-            variables[name] = xr.IndexVariable(dims, axis, about)  # type: ignore[no-untyped-call]
-        else:
-            variables[name] = xr.Variable(dims, values, about)
-    made = xr.Dataset(variables, attrs=_attrs_of(described["attrs"], arrays))
-    return made.set_coords(described["coords"])
-
-
-@lru_cache(maxsize=AXES)
-def _axis(kind: str, values: bytes) -> pd.Index:
-    """Index of the ``values`` of an axis, one for all recordings that share it: each of its own would be a copy."""
-    return pd.Index(np.frombuffer(values, dtype=np.dtype(kind)))
+        variables[name] = xr.Variable(dims, arrays.take(*array), _attrs_of(attrs, arrays))
+    made = xr.Dataset(coords=unindexed(**variables), attrs=_attrs_of(described["attrs"], arrays))
+    return made.reset_coords([name for name in variables if name not in described["coords"]])
 
 
 def _attrs_of(described: list[Any], arrays: _Arrays) -> dict[str, Any]:

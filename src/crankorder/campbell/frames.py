@@ -13,7 +13,7 @@ from crankorder.fft.band import band_limited
 from crankorder.fft.decimation import decimation_factor
 from crankorder.fft.transforms import FrameTransform, frame_starts, whole_frames
 from crankorder.fft.windows import Window, window_named
-from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, with_flags
+from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, unindexed, with_flags
 from crankorder.settings import CampbellSettings, MethodNumbers
 from crankorder.shaft.angle import angle_at, knots_of
 
@@ -208,11 +208,11 @@ def _dataset(
             "speed_change": ("frame", speeds.change_rpm, change),
         }
         | ({"scale": ("channel", scales, words)} if np.any(scales != 1.0) else {}),
-        coords={
+        coords=unindexed(
             **channel_coords(band),
-            "frequency": ("frequency", frequency, {"units": "Hz", "long_name": "frequency"}),
-            "speed": ("frame", speeds.mean_rpm, {"units": "min-1", "long_name": "mean speed of the frame"}),
-        },
+            frequency=("frequency", frequency, {"units": "Hz", "long_name": "frequency"}),
+            speed=("frame", speeds.mean_rpm, {"units": "min-1", "long_name": "mean speed of the frame"}),
+        ),
     )
 
 

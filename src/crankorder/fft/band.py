@@ -17,7 +17,7 @@ from crankorder.fft.decimation import (
     decimation_reach,
     decimation_stages,
 )
-from crankorder.quantities import Bools, Ints, channel_coords
+from crankorder.quantities import Bools, Ints, channel_coords, unindexed
 from crankorder.scratch import blocks, empty_like
 
 Runs = tuple[Ints, Ints]
@@ -63,7 +63,7 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float, toler
         for row, (starts, ends) in zip(usable, bad, strict=True):
             _mark_untouched(row, starts, ends, factor, reach)
         made["usable"] = (("channel", axis), usable, {"units": "1", "long_name": "free of gaps and of their filtering"})
-    return xr.Dataset(made, coords=channel_coords(recording), attrs=attrs)
+    return xr.Dataset(made, coords=unindexed(**channel_coords(recording)), attrs=attrs)
 
 
 def sound_samples(band: xr.Dataset) -> Bools:

@@ -20,6 +20,8 @@ VARIABLE = "CRANKORDER_FFT"
 
 Library = Literal["fftw", "scipy"]
 
+_spec_of = cache(find_spec)
+
 
 class Plan(Protocol):
     """A planned transform: fill ``input_array``, ``execute``, read ``output_array``; the input may be overwritten."""
@@ -53,7 +55,7 @@ def _library(asked: str) -> Library:
 
 def can_transform_uneven() -> bool:
     """Whether samples at uneven places can be transformed: finufft does so, which carries FFTW too."""
-    return fft_library() == "fftw" and find_spec("finufft") is not None
+    return fft_library() == "fftw" and _spec_of("finufft") is not None
 
 
 def forward(shape: tuple[int, ...], kind: Any) -> Plan:

@@ -81,6 +81,7 @@ _H5PY_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, Attribut
 @dataclass(frozen=True, slots=True)
 class _Column:
     dataset: str
+    opened: Any
     index: int | None  # of the shorter axis of a 2-D dataset
     n_samples: int
 
@@ -95,12 +96,12 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
     with _opened(path) as file:
         columns = _columns_of(file, settings)
         names = names_of(sources, list(columns), path)
-        used = {columns[name].dataset: file[columns[name].dataset] for name in names.values()}
+        used = {columns[name].dataset: columns[name].opened for name in names.values()}
         for dataset in used.values():
             _check_dataset(dataset)
         n_bytes = sum(dataset.size * max(4, dataset.dtype.itemsize) for dataset in used.values())
         check_budget(n_bytes, settings)
-        attributes = _Attributes(file)
+        attributes = _Attributes(file, used)
         places = {source: columns[name].dataset for source, name in names.items()}
         stated, undated = _stated_in(places, attributes, path)
         values = _read_columns([columns[name] for name in names.values()], used, attributes, settings, rows)
@@ -132,9 +133,10 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     with _opened(path) as file:
         columns = _columns_of(file, settings)
         places = {name: column.dataset for name, column in columns.items()}
-        for place in dict.fromkeys(places.values()):
-            _check_dataset(file[place])
-        attributes = _Attributes(file)
+        opened = {column.dataset: column.opened for column in columns.values()}
+        for dataset in opened.values():
+            _check_dataset(dataset)
+        attributes = _Attributes(file, opened)
         return Contents(
             format="HDF5",
             names=tuple(columns),
@@ -220,17 +222,18 @@ def _columns_of(file: Any, settings: IngestSettings) -> dict[str, _Column]:
 
 
 def _columns_in(dataset: Any, settings: IngestSettings) -> dict[str, _Column]:
-    name = dataset.name.lstrip("/")
-    if dataset.dtype.kind not in "iufb" or dataset.shape is None or dataset.ndim not in (1, 2):
+    place, shape = dataset.name, dataset.shape
+    name = place.lstrip("/")
+    if dataset.dtype.kind not in "iufb" or shape is None or len(shape) not in (1, 2):
         return {}
-    if dataset.ndim == 1:
-        return {name: _Column(dataset.name, None, int(dataset.shape[0]))}
-    n_columns, n_samples = sorted(int(length) for length in dataset.shape)
+    if len(shape) == 1:
+        return {name: _Column(place, dataset, None, int(shape[0]))}
+    n_columns, n_samples = sorted(int(length) for length in shape)
     if n_columns == 1:
-        return {name: _Column(dataset.name, 0, n_samples)}
+        return {name: _Column(place, dataset, 0, n_samples)}
     if n_columns > min(settings.max_objects, 1000):
         return {}
-    return {f"{name}[{index}]": _Column(dataset.name, index, n_samples) for index in range(n_columns)}
+    return {f"{name}[{index}]": _Column(place, dataset, index, n_samples) for index in range(n_columns)}
 
 
 def _check_dataset(dataset: Any) -> None:
@@ -329,8 +332,9 @@ def _unpack(row: FloatArray, place: str, index: int, n_columns: int, attributes:
 class _Attributes:
     """What the attributes of a file's objects say, by the place of these; those of each object are read once."""
 
-    def __init__(self, file: Any) -> None:
-        self._file = file
+    def __init__(self, file: Any, opened: Mapping[str, Any]) -> None:
+        """Of the objects of ``file``, some of which are ``opened`` already, by place."""
+        self._file, self._opened = file, opened
         self._of: dict[str, tuple[dict[str, Any], dict[str, float]]] = {}
 
     def rate_hz(self, place: str) -> float | None:
@@ -425,7 +429,7 @@ class _Attributes:
     def _at(self, place: str) -> tuple[dict[str, Any], dict[str, float]]:
         """Attributes of the object at ``place``, and those of them that are one number."""
         if place not in self._of:
-            attrs = _readable(self._file[place])
+            attrs = _readable(self._opened[place] if place in self._opened else self._file[place])
             numbers = {name: number for name, value in attrs.items() if (number := _number_of(value)) is not None}
             self._of[place] = attrs, numbers
         return self._of[place]

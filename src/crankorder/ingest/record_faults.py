@@ -82,9 +82,9 @@ def find_smoothed_clipping(
     samples = _strongest(signal, survey)
     if samples.size < _PIECE:
         return []
-    ordered = np.sort(samples)
-    middle = float(ordered[samples.size // 2])
     places = (samples.size * (1.0 - np.array(_ABOVE))).astype(np.int64)
+    ordered = np.partition(samples, np.concatenate([places, samples.size - 1 - places, [samples.size // 2]]))
+    middle = float(ordered[samples.size // 2])
     apart, ordered = samples - middle, ordered - middle
     sides = [_pile_up(sign * apart, sign * ordered[at], settings) for sign, at in ((1, places), (-1, -1 - places))]
     found = [side for side in sides if side is not None]

@@ -312,7 +312,9 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
         kept_speed.append(float(each @ weight / weight.sum()) if weight.sum() else float(each.mean()))
         excluded.append(sum(item["n_excluded"].values[:, row] for item, row in rows))
         highest.append(min(float(item["highest_order"].values[row]) for item, row in rows))
-        parts.append(_joined([_row(item, row) for item, row in rows]))
+        parts.append(
+            _joined([{name: item[name].values[:, row] for name in (*SPREAD, "n_cycles")} for item, row in rows])
+        )
     revs = int(items[0].attrs["revs_per_cycle"])
     points = items[0].sizes["cycle_angle"] // revs
     made = _dataset(parts, np.array(kept_speed), np.stack(excluded, axis=1), np.array(highest), items[0], points)
@@ -326,10 +328,6 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
 def _is_one_turn(item: xr.Dataset) -> bool:
     """Whether the mark of ``item`` is passed in one turn of the cycle, or which one is known."""
     return bool(int(item.attrs["cycle_known"]) or int(item.attrs["revs_per_cycle"]) == 1)
-
-
-def _row(item: xr.Dataset, row: int) -> CycleStatistics:
-    return {name: item[name].values[:, row] for name in (*SPREAD, "n_cycles")}
 
 
 def _joined(parts: list[CycleStatistics]) -> CycleStatistics:

@@ -23,7 +23,7 @@ from crankorder.orders.method import (
 )
 from crankorder.orders.spectra import DENSER, achieved_error, spectra, spectra_by_angle
 from crankorder.orders.true_angle import stated_errors
-from crankorder.quantities import Complexes, Floats, QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.quantities import Complexes, Floats, QualityFlag, channel_coords, flags_of, unindexed, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import SpeedCourse, knots_of, speed_at_angle, speed_course, time_at
 
@@ -161,12 +161,12 @@ def _dataset(band: xr.Dataset, spectrum: Complexes, order: Floats, speed: Floats
                 {"units": "see unit", "long_name": "complex peak amplitude by order"},
             )
         },
-        coords={
+        coords=unindexed(
             **channel_coords(band),
-            "order": ("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
-            "speed": ("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"}),
-            "crank_angle": ("frame", start_angle, {"units": "rev", "long_name": "crank angle at the start"}),
-        },
+            order=("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
+            speed=("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"}),
+            crank_angle=("frame", start_angle, {"units": "rev", "long_name": "crank angle at the start"}),
+        ),
     )
 
 

@@ -378,6 +378,10 @@ def _share_of_step(y, c1, c2, c3):  # type: ignore[no-untyped-def]
 POINTS = 33
 """Angles that are read in a stretch: rounded pulses average out over them."""
 
+PLACES = np.linspace(-1.0, 1.0, POINTS)
+PARABOLA = np.linalg.pinv(np.stack([np.ones(POINTS), PLACES, PLACES * PLACES], axis=1))
+"""Matrix (3, points) from values at ``PLACES`` (points,) of a stretch to the parabola through them."""
+
 GRID_S, STRETCH_S, STRETCH_REV, LONGEST_S = 0.05, 0.2, 4.0, 2.0
 """Step of the speeds along a recording, and the stretch that each is read over: at least so long, and so many
 revolutions (two engine cycles: uneven running averages out), at most so long."""
@@ -416,13 +420,11 @@ def smoothed_speed(shaft: xr.Dataset, time_s: Array, stretch_s: Array | float) -
     time_s = np.asarray(time_s, dtype=np.float64)
     half = 0.5 * np.broadcast_to(np.asarray(stretch_s, dtype=np.float64), time_s.shape)
     low, high = np.maximum(time_s - half, known[0]), np.minimum(time_s + half, known[-1])
-    u = np.linspace(-1.0, 1.0, POINTS)
     centre, reach = 0.5 * (low + high), np.maximum(0.5 * (high - low), 1e-12)
-    at = np.clip(centre[:, None] + reach[:, None] * u, known[0], known[-1])
+    at = np.clip(centre[:, None] + reach[:, None] * PLACES, known[0], known[-1])
     angle = angle_at(at.ravel(), **knots_of(shaft)).reshape(at.shape)
     angle -= angle[:, POINTS // 2, None]
-    fit = np.linalg.pinv(np.stack([np.ones(POINTS), u, u * u], axis=1))
-    _, slope, bend = (angle @ fit.T).T
+    _, slope, bend = (angle @ PARABOLA.T).T
     return np.asarray(60.0 * (slope + 2.0 * bend * (time_s - centre) / reach) / reach)
 
 

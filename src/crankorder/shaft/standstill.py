@@ -28,6 +28,10 @@ LOOK_S = 1.0
 """Length of the silence, from where the pulses are, whose vibration is looked at."""
 
 
+NO_PULSES = "no_pulses"
+"""Flag of a stretch without pulses."""
+
+
 class Silence(NamedTuple):
     """A stretch without pulses, s, the ``speed_rpm`` beside it, and the share of the ``vibration`` that goes on in it.
 
@@ -111,10 +115,10 @@ def _said(found: Silence) -> Remark:
     goes_on = found.vibration >= GOES_ON
     level = f"the vibration goes on at {100.0 * found.vibration:.0f} % of its amplitude" if goes_on else ""
     if found.may_stand and not goes_on:
-        return ("no_pulses", "info", f"{when}: standstill or encoder lost; {beside}; {length}")
+        return (NO_PULSES, "info", f"{when}: standstill or encoder lost; {beside}; {length}")
     told = "encoder lost while the machine ran" if goes_on and not found.may_stand else "encoder lost or standstill"
     reasons = "; ".join(part for part in (beside, level, length) if part)
-    return ("no_pulses", "suspect", f"{when}: {told}; {reasons}")
+    return (NO_PULSES, "suspect", f"{when}: {told}; {reasons}")
 
 
 STEP_SHARE = 1e-3
