@@ -9,6 +9,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from crankorder.errors import InputError, RequestError
 from crankorder.fft.plans import can_transform_uneven
@@ -163,17 +164,7 @@ def samples_per_rev_for(samples: TimeSamples, kernel: Kernel, *, slowest_hz: flo
     1 - the pass band; ``slowest_hz`` is the lowest rotational frequency. The number is fast to transform.
     """
     images_from = (1.0 - min(kernel.pass_band, 0.5)) * samples.rate_hz / slowest_hz
-    least = math.ceil(max(images_from + max_order, 2.0 * max_order)) + 2
-    while not _is_smooth(least):
-        least += 1
-    return least
-
-
-def _is_smooth(number: int) -> bool:
-    for prime in (2, 3, 5):
-        while number % prime == 0:
-            number //= prime
-    return number == 1
+    return int(next_fast_len(math.ceil(max(images_from + max_order, 2.0 * max_order)) + 2, real=True))
 
 
 def rev_frequencies(shaft: xr.Dataset, edges_rev: Floats) -> Floats:
