@@ -159,7 +159,7 @@ def with_rows_of_fits(followed: Sequence[xr.Dataset], fits: SweepFits) -> list[x
     made = []
     for item in followed:
         for group in fits.groups if "waveform" in item else ():
-            for one, less in zip(group.fit.solved, group.less.solved, strict=True):
+            for one, less in zip(group.fit.bare.solved, group.less.bare.solved, strict=True):
                 if one.window.sweep.recording == item.attrs["recording"]:
                     item = _with_group(item, group, one, less)
         made.append(item)
