@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import math
 import mmap
 import os
@@ -17,6 +19,9 @@ from crankorder.errors import EnvironmentFailure
 
 BLOCK_SAMPLES = 1 << 16
 """Samples that are worked on at a time: few enough for the second-level cache, many enough that calls cost nothing."""
+
+_MUCH_BYTES = 1 << 28
+"""Memory of a process from which on what it no longer uses is worth giving back."""
 
 _LASTING = Path("/var/tmp")
 
@@ -63,6 +68,14 @@ def is_on_disk(array: NDArray[Any]) -> bool:
     while isinstance(owner, np.ndarray):
         owner = owner.base
     return isinstance(owner, mmap.mmap)
+
+
+def give_back() -> None:
+    """Give memory that is free, but kept by the allocator between what is in use, back to the system (glibc)."""
+    with contextlib.suppress(OSError, AttributeError, ValueError):
+        resident, shared = Path("/proc/self/statm").read_text(encoding="ascii").split()[1:3]
+        if (int(resident) - int(shared)) * mmap.PAGESIZE > _MUCH_BYTES:
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 def scratch_folder() -> Path:

@@ -292,8 +292,10 @@ def swing_of_cycles(shaft: xr.Dataset) -> tuple[Floats, Floats, npt.NDArray[np.c
     Phases are from angle 0. The trend over each cycle is taken out, so that a run-up is no swing. Orders reach to
     HIGHEST, to those that the knots resolve, and to the cut-off of the smoother where it says one.
     """
-    knots = np.array([shaft.variables[name].values for name in ("time", "crank_angle", "speed")], dtype=float)
-    time, angle, speed = knots[:, np.isfinite(knots).all(axis=0)]
+    time, angle, speed = (shaft.variables[name].values for name in ("time", "crank_angle", "speed"))
+    known = np.isfinite(time) & np.isfinite(angle) & np.isfinite(speed)
+    if not known.all():
+        time, angle, speed = time[known], angle[known], speed[known]
     revs = int(shaft.attrs.get("revs_per_cycle", 1))
     if float(shaft.attrs.get("n_pulses", 0)) <= 0 or len(angle) < 3 or not (np.diff(angle) > 0.0).all():
         return None

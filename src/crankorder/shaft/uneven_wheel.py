@@ -378,7 +378,7 @@ def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> tuple[FollowedWhee
     pulses too, and the pulses before are counted back from there. The way that costs less is taken. ``time_s``:
     (pulses,), s.
     """
-    ways = []
+    best: tuple[float, FollowedWheel, IntArray, IntArray] | None = None
     for first in range(max(0, min(LATEST_START, time_s.size - 8)) + 1):
         followed = followed_wheel(time_s[first:], (wheel.places + wheel.offsets) / wheel.grid, repeats=wheel.repeats)
         turn, place = np.divmod(followed.count, wheel.places.size)
@@ -389,8 +389,10 @@ def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> tuple[FollowedWhee
             head = tooth[: np.searchsorted(kept, first) + 1]
             n_lost = np.count_nonzero(np.isin(np.arange(head[0], head[-1]) % wheel.grid, wheel.places)) - head.size + 1
             cost += REPAIR_COST * (n_lost + first + 1 - head.size) + CLEARLY_CHEAPER
-        ways.append((cost, first, followed, kept, tooth))
-    return min(ways, key=lambda way: way[:2])[2:]
+        if best is None or cost < best[0]:
+            best = cost, followed, kept, tooth
+    assert best is not None
+    return best[1:]
 
 
 def _with_first_pulses(
