@@ -126,9 +126,7 @@ def reframed(item: xr.Dataset, revs: int) -> xr.Dataset | None:
     return _dataset(item, joined, place, np.concatenate(speeds), revs) if len(place) else None
 
 
-def _regained(
-    spectrum: Complexes, begin_rev: Floats, place: Ints, length: int, per_rev: int
-) -> tuple[Floats, Floats]:
+def _regained(spectrum: Complexes, begin_rev: Floats, place: Ints, length: int, per_rev: int) -> tuple[Floats, Floats]:
     """Signals (channels, samples) ``per_rev`` times in a revolution from the first frame on, and their limits.
 
     ``spectrum`` (channels, frames, orders) of frames of ``length`` revolutions from ``begin_rev`` (frames,) on, which

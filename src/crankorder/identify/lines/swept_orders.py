@@ -15,6 +15,7 @@ from crankorder.orders.like_speed import reframed
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import hann_lobe
 from crankorder.quantities import Complexes, Floats
+from crankorder.scratch import give_back
 from crankorder.settings import MethodNumbers, Settings
 
 
@@ -211,4 +212,5 @@ def _lengthened(frames: xr.Dataset) -> Iterator[xr.Dataset]:
         item = reframed(frames, round(revs))
         if item is not None and item.sizes["frame"]:
             yield item
+        give_back()
     yield frames
