@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, get_type_hints
 
 from crankorder.errors import SchemaError
+from crankorder.scratch import give_back
 
 
 class StagePlan:
@@ -58,4 +59,5 @@ class StagePlan:
             for kind in set(takes.values()):
                 if self._last_use[kind] == number and kind not in self.wanted:
                     del held[kind]
+            give_back()
         return {noun: held[noun] for noun in self.wanted}

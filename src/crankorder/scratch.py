@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import math
 import mmap
 import os
@@ -17,6 +19,12 @@ from crankorder.errors import EnvironmentFailure
 
 BLOCK_SAMPLES = 1 << 16
 """Samples that are worked on at a time: few enough for the second-level cache, many enough that calls cost nothing."""
+
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
+"""Names that glibc's malloc.h gives to limits of its memory."""
+
+_MUCH_BYTES = 1 << 28
+"""Memory of a process from which on what it no longer uses is worth giving back."""
 
 _LASTING = Path("/var/tmp")
 
@@ -63,6 +71,21 @@ def is_on_disk(array: NDArray[Any]) -> bool:
     while isinstance(owner, np.ndarray):
         owner = owner.base
     return isinstance(owner, mmap.mmap)
+
+
+def keep_freed_memory() -> None:
+    """Have glibc keep what a task frees for the next one: each page that it takes anew costs a fault."""
+    with contextlib.suppress(OSError, AttributeError):
+        for limit, size in ((_MMAP_THRESHOLD, 1 << 25), (_TRIM_THRESHOLD, 1 << 26)):
+            ctypes.CDLL(None).mallopt(limit, size)
+
+
+def give_back() -> None:
+    """Have glibc give free memory back to the system where this process has much."""
+    with contextlib.suppress(OSError, AttributeError, ValueError):
+        resident, shared = Path("/proc/self/statm").read_text(encoding="ascii").split()[1:3]
+        if (int(resident) - int(shared)) * mmap.PAGESIZE > _MUCH_BYTES:
+            ctypes.CDLL(None).malloc_trim(0)
 
 
 def scratch_folder() -> Path:

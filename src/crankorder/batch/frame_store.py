@@ -20,6 +20,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.quantities import QualityFlag, ShaftAngle, unindexed
+from crankorder.scratch import empty
 from crankorder.settings import Settings
 from crankorder.stages import FRAMES_OF, RecordingResult
 
@@ -31,6 +32,9 @@ LEAST_FREE_BYTES = 1 << 30
 
 KEEPERS = 400
 """So many recordings keep the datasets that were made of them, some 100 kB each; of others they are made each time."""
+
+IN_MEMORY_BYTES = 1 << 26
+"""A larger result lies in a file without a name: it is packed beside what it is made of."""
 
 _MAGIC = b"crankorder frames 2\n"
 _DIGEST_BYTES = 32
@@ -142,7 +146,12 @@ class PackedResult(RecordingResult):
         digest = hashlib.sha256()
         for part in parts:
             digest.update(part)
-        return cls(np.frombuffer(bytearray().join([_MAGIC, digest.digest(), *parts]), dtype=np.uint8))
+        parts = [_MAGIC, digest.digest(), *parts]
+        ends = np.cumsum([len(part) for part in parts])
+        data = empty((int(ends[-1]),), np.uint8, on_disk=int(ends[-1]) > IN_MEMORY_BYTES)
+        for part, end in zip(parts, ends.tolist(), strict=True):
+            data[end - len(part) : end] = np.frombuffer(part, dtype=np.uint8)
+        return cls(data)
 
     @classmethod
     def checked(cls, data: NDArray[np.uint8]) -> PackedResult:

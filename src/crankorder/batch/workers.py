@@ -7,7 +7,6 @@ safe fork (Windows, macOS) the same calls run in threads.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import gc
 import mmap
 import os
@@ -24,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from crankorder.batch.locks import forget_locks
-from crankorder.scratch import scratch_folder
+from crankorder.scratch import keep_freed_memory, scratch_folder
 
 FORKS = sys.platform == "linux"
 """Whether workers are processes; the libraries used here survive a fork on Linux alone."""
@@ -65,9 +64,6 @@ ALIGNED = 64
 
 NO_RESERVE = 0x4000
 """``MAP_NORESERVE`` of Linux, which the module mmap does not name."""
-
-TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3
-"""Names that glibc's malloc.h gives to limits of its memory."""
 
 Place = tuple[bool, int, int]
 """Whether an array lies in the file, its first byte there, and the byte after its last."""
@@ -232,17 +228,6 @@ class Worker:
             os.waitpid(self.pid, 0)
 
 
-def _keep_freed_memory() -> None:
-    """Have the C library keep what a task frees for the next one: each page that it takes anew costs a fault.
-
-    Only glibc has such limits.
-    """
-    with contextlib.suppress(OSError, AttributeError):
-        set_limit = ctypes.CDLL(None).mallopt
-        for limit, size in ((MMAP_THRESHOLD, 1 << 25), (TRIM_THRESHOLD, 1 << 26)):
-            set_limit(limit, size)
-
-
 def _serve(task: Callable[[Any], Any], connection: Connection, requests: SharedPages, answers: SharedPages) -> None:
     """Answer requests until the other end closes; never return."""
     status = 1
@@ -250,7 +235,7 @@ def _serve(task: Callable[[Any], Any], connection: Connection, requests: SharedP
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal tells the whole group; the parent ends its workers
         signal.signal(signal.SIGTERM, signal.SIG_DFL)
         forget_locks()
-        _keep_freed_memory()
+        keep_freed_memory()
         while _ours:
             _ours.pop().close()
         _ours.append(connection)  # for the workers of this worker

@@ -116,29 +116,24 @@ def reframed(item: xr.Dataset, revs: int) -> xr.Dataset | None:
     hop = max(1, round(revs * (1.0 - CUT_OVERLAP)))
     spectra, starts, speeds = [], [], []
     for run in np.split(np.arange(len(begin)), np.flatnonzero(np.diff(begin) >= length) + 1):
-        signal, weight, top = _regained(item["spectrum"].values[:, run], begin[run], length, per_rev)
-        made, first = _cut(signal, weight, revs, hop, per_rev, n_orders)
-        lowest = np.array([top[start : start + revs * per_rev].min() for start in first]) + 1e-9
-        made[np.broadcast_to(np.arange(n_orders) / revs > lowest[:, None], made.shape)] = np.nan
-        angle = begin[run[0]] + first / per_rev
-        turn = np.exp(-2j * np.pi * (np.outer(angle, np.arange(n_orders) / revs) % 1.0))
-        spectra.append(made * turn)
+        spectrum = item["spectrum"].values[:, run[0] : run[-1] + 1]
+        made, angle = _cut(spectrum, begin[run], (length, revs), hop, per_rev, n_orders)
+        spectra.append(made)
         starts.append(angle)
         speeds.append(_speeds_at(angle + 0.5 * revs, begin[run] + 0.5 * length, item["speed"].values[run]))
     place = np.concatenate(starts)
-    return (
-        None if not len(place) else _dataset(item, np.concatenate(spectra, axis=1), place, np.concatenate(speeds), revs)
-    )
+    joined = spectra[0] if len(spectra) == 1 else np.concatenate(spectra, axis=1)
+    return _dataset(item, joined, place, np.concatenate(speeds), revs) if len(place) else None
 
 
-def _regained(spectrum: Complexes, begin_rev: Floats, length: int, per_rev: int) -> tuple[Floats, Floats, Floats]:
-    """Signals (channels, samples) ``per_rev`` times in a revolution from the first frame on, the windows' sum, limits.
+def _regained(spectrum: Complexes, begin_rev: Floats, place: Ints, length: int, per_rev: int) -> tuple[Floats, Floats]:
+    """Signals (channels, samples) ``per_rev`` times in a revolution from the first frame on, and their limits.
 
-    ``spectrum`` (channels, frames, orders) of frames of ``length`` revolutions from ``begin_rev`` (frames,) on. NaN are
-    frames of a channel that a gap touches; the limits (samples,) are the orders up to which a frame there is known.
+    ``spectrum`` (channels, frames, orders) of frames of ``length`` revolutions from ``begin_rev`` (frames,) on, which
+    are the samples from ``place`` (frames,) on. NaN are frames of a channel that a gap touches; the limits (samples,)
+    are the orders up to which a frame there is known.
     """
     n = length * per_rev
-    place = np.round((begin_rev - begin_rev[0]) * per_rev).astype(int)
     signal, weight = np.zeros((len(spectrum), place[-1] + n)), np.zeros(place[-1] + n)
     top = np.full(place[-1] + n, np.inf)
     for some in np.array_split(np.arange(len(place)), 1 + len(place) * n // MOST_VALUES):
@@ -148,7 +143,7 @@ def _regained(spectrum: Complexes, begin_rev: Floats, length: int, per_rev: int)
             signal[:, part] += pieces[:, frame]
             weight[part] += window
             top[part] = np.minimum(top[part], limit[frame])
-    return signal / np.maximum(weight, LEAST_WINDOW), weight, top
+    return signal / np.maximum(weight, LEAST_WINDOW), top
 
 
 def _pieces(spectrum: Complexes, begin_rev: Floats, length: int, per_rev: int) -> tuple[Floats, Floats, Floats]:
@@ -168,20 +163,33 @@ def _pieces(spectrum: Complexes, begin_rev: Floats, length: int, per_rev: int) -
     return pieces, window, np.where(known.any(axis=0), axis, 0.0).max(axis=1)
 
 
-def _cut(signal: Floats, weight: Floats, revs: int, hop: int, per_rev: int, n_orders: int) -> tuple[Complexes, Ints]:
-    """Spectra (channels, frames, ``n_orders``) of frames of ``revs`` every ``hop`` revolutions, and where they begin.
+def _cut(
+    spectrum: Complexes, begin_rev: Floats, revs: tuple[int, int], hop: int, per_rev: int, n_orders: int
+) -> tuple[Complexes, Floats]:
+    """Spectra (channels, frames, ``n_orders``) of frames every ``hop`` revolutions, and where [rev] they begin.
 
-    Only where ``weight`` (samples,) allows; phases count from the begin of each frame.
+    Made of the ``spectrum`` of frames without a hole between them from ``begin_rev`` on; ``revs``: the lengths of these
+    and of those made. Some are made at a time: the signal between is larger than the spectra of a long recording.
     """
-    n = revs * per_rev
-    seen = np.flatnonzero(weight >= LEAST_WINDOW)
-    start = math.ceil(seen[0] / per_rev) * per_rev
-    first = np.arange(start, seen[-1] + 2 - n, hop * per_rev)
-    if not len(first):
-        return np.empty((len(signal), 0, n_orders), dtype=np.complex128), first
-    window = hann(n).values
-    pieces = sliding_window_view(signal, n, axis=1)[:, first] * window
-    return np.asarray(np.fft.rfft(pieces, axis=2)[..., :n_orders] * (2.0 / window.sum())), first
+    known, n = revs[0] * per_rev, revs[1] * per_rev
+    place = np.round((begin_rev - begin_rev[0]) * per_rev).astype(int)
+    weight, window = np.zeros(place[-1] + known), hann(known).values
+    for at in place:
+        weight[at : at + known] += window
+    seen = np.flatnonzero(weight >= LEAST_WINDOW)[[0, -1]]
+    first = np.arange(math.ceil(seen[0] / per_rev) * per_rev, seen[1] + 2 - n, hop * per_rev)
+    angle, axis, window = begin_rev[0] + first / per_rev, np.arange(n_orders) / revs[1], hann(n).values
+    made = np.empty((len(spectrum), len(first), n_orders), dtype=np.complex128)
+    for some in np.array_split(np.arange(len(first)), 1 + len(first) * n // MOST_VALUES) if len(first) else ():
+        used = slice(*np.searchsorted(place, [first[some[0]] - known, first[some[-1]] + n], side="right"))
+        near = place[used] - place[used][0]
+        signal, top = _regained(spectrum[:, used], begin_rev[used], near, revs[0], per_rev)
+        begin = first[some] - place[used][0]
+        cut = np.fft.rfft(sliding_window_view(signal, n, axis=1)[:, begin] * window, axis=2)[..., :n_orders]
+        cut *= 2.0 / window.sum()
+        cut[:, axis > sliding_window_view(top, n)[begin].min(axis=1)[:, None] + 1e-9] = np.nan
+        made[:, some] = cut * np.exp(-2j * np.pi * (np.outer(angle[some], axis) % 1.0))
+    return made, angle
 
 
 def _speeds_at(middle_rev: Floats, known_rev: Floats, speed_rpm: Floats) -> Floats:

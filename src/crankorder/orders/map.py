@@ -61,6 +61,10 @@ Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]]
 """Variables of a dataset to be: dims, values, attributes. Put in at once, for a dataset aligns at every turn."""
 
 
+MOST_VALUES = 1 << 20
+"""Values of frames that are averaged at a time: the memory does not grow with their number."""
+
+
 @dataclass(frozen=True)
 class Held:
     """Noise power of the mean without what the line itself does, and the values that it held.
@@ -292,8 +296,13 @@ def _put_intervals(
 def _average(frames: Frames, comparable: Bools, attrs: dict[str, Any], settings: OrderSettings, bins: Ints) -> Average:
     """Average of a group of ``frames``; those that are NaN, by channel and order, take no part.
 
-    Where some are, columns (one channel, one order) with the same frames are averaged together.
+    Where some are, columns (one channel, one order) with the same frames are averaged together; of very many frames the
+    channels are averaged one by one.
     """
+    if len(frames.spectrum) > 1 and frames.spectrum.size > MOST_VALUES:
+        each = (replace(frames, spectrum=one[None]) for one in frames.spectrum)
+        made_of = [_average(one, comparable, attrs, settings, bins) for one in each]
+        return Average(*(np.concatenate([getattr(one, item.name) for one in made_of]) for item in fields(Average)))
     seen = np.isfinite(frames.spectrum.real)
     if seen.all():
         return _average_whole(frames, comparable, attrs, settings, bins)

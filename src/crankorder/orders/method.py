@@ -15,6 +15,7 @@ from crankorder.errors import InputError, RequestError
 from crankorder.fft.plans import can_transform_uneven
 from crankorder.fft.resampling import Kernel, cheapest_kernel, kernel_named, values_at
 from crankorder.quantities import Bools, Floats
+from crankorder.scratch import BLOCK_SAMPLES
 from crankorder.settings import LEAST_TOLERANCE, OrderSettings
 from crankorder.shaft.angle import ROUNDING_REV, SpeedCourse, angle_at, knots_of, time_at
 
@@ -141,7 +142,9 @@ def signals_at(
 
     The second is None where ``samples`` have no gap.
     """
-    positions = (time_at(angle_rev, **knots_of(shaft)) - samples.start_s) * samples.rate_hz
+    parts = np.array_split(angle_rev, 1 + len(angle_rev) // BLOCK_SAMPLES)
+    positions = np.concatenate([time_at(part, **knots_of(shaft)) for part in parts])
+    positions = (positions - samples.start_s) * samples.rate_hz
     values = values_at(samples.signals, positions, kernel=kernel)
     if samples.usable is None:
         return values, None

@@ -155,7 +155,10 @@ class NoiseSpectrum:
             near |= np.abs(off) < NEAR_BINS / length
         free = np.count_nonzero(~near, axis=1) >= FEWEST_PIECES
         typical = np.full((len(signals), len(hertz)), np.nan)
-        typical[:, free] = median_of_known(np.where(near, np.nan, np.stack(power, axis=2))[:, free], axis=2)
+        for channel, row in enumerate(typical):
+            seen = np.stack([one[channel] for one in power], axis=1)
+            seen[near] = np.nan
+            row[free] = median_of_known(seen[free], axis=1)
         return cls(hertz, typical)
 
     def under_over_beside(self, hertz: Floats, width_hz: Floats) -> Floats:

@@ -274,9 +274,6 @@ WHOLE = 1e-6
 """An order of the encoder this close to a whole number is one."""
 
 
-CycleLines = tuple[Floats, Floats, npt.NDArray[np.complex128]]
-
-
 def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
     """Swing of the speed of ``shaft`` (ShaftAngle) at the multiples of its cycle's order; None where not known."""
     known = swing_of_cycles(shaft)
@@ -288,25 +285,21 @@ def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
     return SpeedSwing(mean, len(means), orders, size, steady, doubt_rpm=_of_teeth(shaft, orders) * mean)
 
 
-def swing_of_cycles(shaft: xr.Dataset) -> CycleLines | None:
+def swing_of_cycles(shaft: xr.Dataset) -> tuple[Floats, Floats, npt.NDArray[np.complex128]] | None:
     """Orders, mean speed [rpm] (cycles,) and complex amplitude [rpm] (cycles, orders) in each whole cycle of ``shaft``.
 
     None without pulses, in fewer than FEWEST_CYCLES, and where a standstill or a reversal leaves no angle that grows.
     Phases are from angle 0. The trend over each cycle is taken out, so that a run-up is no swing. Orders reach to
     HIGHEST, to those that the knots resolve, and to the cut-off of the smoother where it says one.
     """
-    knots = np.array([shaft.variables[name].values for name in ("time", "crank_angle", "speed")], dtype=float)
-    revs, cut_off = shaft.attrs.get("revs_per_cycle", 1), float(shaft.attrs.get("cut_off_order", np.inf))
-    return _swing_of_knots(knots.tobytes(), int(revs), cut_off) if float(shaft.attrs.get("n_pulses", 0)) > 0 else None
-
-
-@functools.lru_cache(maxsize=1)
-def _swing_of_knots(knots: bytes, revs: int, cut_off: float) -> CycleLines | None:
-    """What :func:`swing_of_cycles` gives, of time, angle and speed (3, knots) as bytes: asked for again and again."""
-    held = np.frombuffer(knots).reshape(3, -1)
-    time, angle, speed = held[:, np.isfinite(held).all(axis=0)]
-    if len(angle) < 3 or not (np.diff(angle) > 0.0).all():
+    time, angle, speed = (shaft.variables[name].values for name in ("time", "crank_angle", "speed"))
+    known = np.isfinite(time) & np.isfinite(angle) & np.isfinite(speed)
+    if not known.all():
+        time, angle, speed = time[known], angle[known], speed[known]
+    revs = int(shaft.attrs.get("revs_per_cycle", 1))
+    if float(shaft.attrs.get("n_pulses", 0)) <= 0 or len(angle) < 3 or not (np.diff(angle) > 0.0).all():
         return None
+    cut_off = float(shaft.attrs.get("cut_off_order", np.inf))
     cycles = int((angle[-1] - angle[0]) / revs + 1e-9)
     per_rev = (len(angle) - 1) / (angle[-1] - angle[0])
     highest = min(HIGHEST, per_rev / KNOTS_PER_PERIOD, cut_off if cut_off > 0.0 else np.inf)

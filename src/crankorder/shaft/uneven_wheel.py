@@ -12,7 +12,7 @@ short change of speed by as much. Where the speed is steady otherwise, it was no
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -378,8 +378,8 @@ def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> tuple[FollowedWhee
     pulses too, and the pulses before are counted back from there. The way that costs less is taken. ``time_s``:
     (pulses,), s.
     """
-    ways = []
-    for first in range(max(0, min(LATEST_START, time_s.size - 8)) + 1):
+
+    def way(first: int) -> tuple[float, FollowedWheel, IntArray, IntArray]:
         followed = followed_wheel(time_s[first:], (wheel.places + wheel.offsets) / wheel.grid, repeats=wheel.repeats)
         turn, place = np.divmod(followed.count, wheel.places.size)
         kept, tooth = followed.kept + first, turn * wheel.grid + wheel.places[place]
@@ -389,8 +389,10 @@ def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> tuple[FollowedWhee
             head = tooth[: np.searchsorted(kept, first) + 1]
             n_lost = np.count_nonzero(np.isin(np.arange(head[0], head[-1]) % wheel.grid, wheel.places)) - head.size + 1
             cost += REPAIR_COST * (n_lost + first + 1 - head.size) + CLEARLY_CHEAPER
-        ways.append((cost, first, followed, kept, tooth))
-    return min(ways, key=lambda way: way[:2])[2:]
+        return cost, replace(followed, kept=kept, count=tooth), kept, tooth
+
+    # one beside the best at a time: each holds numbers of all pulses
+    return min(map(way, range(max(0, min(LATEST_START, time_s.size - 8)) + 1)), key=lambda one: one[0])[1:]
 
 
 def _with_first_pulses(

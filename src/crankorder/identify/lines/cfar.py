@@ -122,10 +122,13 @@ def noise_floor(power: Floats, bins: Ints, *, n_averages: Floats, level: Bools |
     independent spectra in each power: the median of their mean, a gamma variable, is below its mean. Where ``level``,
     of the shape of ``power``, all bins count whatever the hump: what stands there does so by its phase too.
     """
-    beside = power[..., bins]
     n = np.maximum(n_averages, 1e-3)[None, :, None]
     scale = gammaincinv(n, 0.5) / n
-    wide, near = (_nanmedian(part) / scale for part in (beside, power[..., _nearest(bins)]))
+    # speed by speed: the bins beside all of a long sweep fill the memory
+    wide, near = (
+        np.stack([_nanmedian(power[:, row][..., beside]) for row in range(power.shape[1])], axis=1) / scale
+        for beside in (bins, _nearest(bins))
+    )
     few = independent_bins(_nearest(bins))
     sigma = np.sqrt(np.pi / 2.0 / n * (1.0 / few - 1.0 / max(independent_bins(bins), few + 1e-9)))
     with np.errstate(invalid="ignore", divide="ignore"):

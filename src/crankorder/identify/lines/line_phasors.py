@@ -145,7 +145,7 @@ def _noise_beside(item: Recording, channels: list[int], at: int, centre_rev: Flo
     first, last = NUMBERS.noise_bins
     beside = [*range(at - last, at - first + 1), *range(at + first, at + last + 1)]
     bins = [k for k in beside if 1 < k < n_orders]
-    frames = np.isin(item.centre_rev, centre_rev)
-    power = np.square(np.abs(item.spectrum[channels][:, frames][:, :, bins].astype(np.complex128)))
+    frames = np.flatnonzero(np.isin(item.centre_rev, centre_rev))
+    power = np.square(np.abs(item.spectrum[np.ix_(np.array(channels), frames, np.array(bins))].astype(np.complex128)))
     median = np.nanmedian(np.where(np.isfinite(power), power, np.nan), axis=2) / np.log(2.0)
     return np.asarray(np.nan_to_num(median))

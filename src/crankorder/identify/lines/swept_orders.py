@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import xarray as xr
@@ -15,6 +15,7 @@ from crankorder.orders.like_speed import reframed
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import hann_lobe
 from crankorder.quantities import Complexes, Floats
+from crankorder.scratch import give_back
 from crankorder.settings import MethodNumbers, Settings
 
 
@@ -165,14 +166,13 @@ def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
         return []
     cycle = int(frames.attrs["revs_per_cycle"])
     kept: list[tuple[float, float]] = []
-    lengths = _lengthened(frames)
-    for item in lengths:
+    for item in _lengthened(frames):
         step = 1.0 / float(item.attrs["revs_per_frame"])
         for line in sorted(_lines(item, settings), key=lambda line: -line.level_over_floor_db):
             order = _on_multiple(line.order, cycle, step)
             if order > 0.0 and all(abs(order - other) > step for other, _ in kept):
                 kept.append((order, line.level_over_floor_db))
-    for item in lengths:
+    for item in _lengthened(frames):
         step = 1.0 / float(item.attrs["revs_per_frame"])
         lowest = LOWEST_BINS * step  # below it is the mean
         for order, level in list(kept):
@@ -201,12 +201,16 @@ def _lines(frames: xr.Dataset, settings: Settings) -> list[OrderLine]:
     return [line for line in lines if UNRESOLVED not in line.reservation]  # no number to follow
 
 
-def _lengthened(frames: xr.Dataset) -> list[xr.Dataset]:
-    """``frames`` and those of twice, four times … their length that the recording holds, the longest first."""
+def _lengthened(frames: xr.Dataset) -> Iterator[xr.Dataset]:
+    """``frames`` and those of twice, four times … their length that the recording holds, the longest first.
+
+    Each is made when it is asked for: those of a long recording fill the memory.
+    """
     begin, length = frames["crank_angle"].values, int(frames.attrs["revs_per_frame"])
     held = float(np.ptp(begin)) + length
-    items = [frames]
-    for revs in longer_frames(length, held)[1:]:
+    for revs in longer_frames(length, held)[:0:-1]:
         item = reframed(frames, round(revs))
-        items += [] if item is None or not item.sizes["frame"] else [item]
-    return items[::-1]
+        if item is not None and item.sizes["frame"]:
+            yield item
+        give_back()
+    yield frames

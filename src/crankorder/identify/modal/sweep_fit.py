@@ -70,6 +70,12 @@ class LocalFit:
         """Each window with its amplitudes."""
         return tuple(window.solved(self.natural_hz, self.damping) for window in self.windows)
 
+    @property
+    def bare(self) -> LocalFit:
+        """The fit without what was reckoned of it: columns and forces of a long recording are large."""
+        windows = tuple(replace(window, _made={}, _passages={}) for window in self.windows)
+        return LocalFit(windows, self.natural_hz, self.damping)
+
     @cached_property
     def orders(self) -> tuple[float, ...]:
         """Orders that pass any of the windows."""

@@ -13,6 +13,7 @@ from crankorder.identify.found import ModalFit, Mode, SweepFits
 from crankorder.identify.modal.order_modes import is_shown
 from crankorder.identify.modal.pole_errors import side_by_side
 from crankorder.identify.modal.surface_fit import NO_POLES, Poles
+from crankorder.identify.modal.sweep_fit import MOST_VALUES
 from crankorder.identify.modal.sweep_poles import GroupFit, SweepPole, sweep_fits
 from crankorder.identify.modal.sweep_window import Solved, spectra_of
 from crankorder.orders.swept_tracks import SMOOTHING, followed_error
@@ -159,7 +160,7 @@ def with_rows_of_fits(followed: Sequence[xr.Dataset], fits: SweepFits) -> list[x
     made = []
     for item in followed:
         for group in fits.groups if "waveform" in item else ():
-            for one, less in zip(group.fit.solved, group.less.solved, strict=True):
+            for one, less in zip(group.fit.bare.solved, group.less.bare.solved, strict=True):
                 if one.window.sweep.recording == item.attrs["recording"]:
                     item = _with_group(item, group, one, less)
         made.append(item)
@@ -260,7 +261,14 @@ def _rung(item: xr.Dataset, place: int, near: NDArray[np.bool_], one: Solved) ->
 def _values(
     group: GroupFit, one: Solved, less: Solved, order: float, time_s: Array, angle_rev: Array
 ) -> tuple[Complex, Array]:
-    """Amplitudes (T, C) of ``order`` at ``time_s`` and their standard errors by part."""
+    """Amplitudes (T, C) of ``order`` at ``time_s`` and their standard errors by part.
+
+    So many are told at a time that the memory does not grow with the recording.
+    """
+    if (parts := min(1 + len(time_s) * len(one.left) // MOST_VALUES, len(time_s))) > 1:
+        places = zip(np.array_split(time_s, parts), np.array_split(angle_rev, parts), strict=True)
+        made = [_values(group, one, less, order, *some) for some in places]
+        return np.concatenate([part for part, _ in made]), np.concatenate([part for _, part in made])
     _, variance = one.envelope(order, one.window.turn(order, time_s, angle_rev), group.covariance)
     begun = one.as_started(order, time_s, angle_rev)
     value, other = (_amplitude(fit, order, time_s, angle_rev) for fit in (one, less))

@@ -162,7 +162,7 @@ def sweep_fits(
     for at, (low, high) in enumerate(tiles):
         fit = looked[at].fit if at in looked else None
         least, sure = settings.least_damping_ratio, settings.free_confidence
-        unseen = hidden_in(fit, low, high, least_damping=least, confidence=sure) if fit else ()
+        unseen = hidden_in(fit.bare, low, high, least_damping=least, confidence=sure) if fit else ()
         hidden += [item.beside(proven) for item in unseen]
         # one that asks for more is not searched to its end: nothing is said to be free there
         if unseen or at not in looked or (fit is None and looked[at].starts):
@@ -255,7 +255,7 @@ class _Search:
             shown |= again
         others = [pole for pole in found if not ends[0] < pole[0] < ends[1]]
         found = others + list(zip(fit.natural_hz.tolist(), fit.damping.tolist(), strict=True))
-        return TileLooked(found, shown, fit if trial is None else None, tried, sent=starts.beyond)
+        return TileLooked(found, shown, fit.bare if trial is None else None, tried, sent=starts.beyond)
 
     def _with_pole(self, fit: LocalFit, starts: Starts) -> LocalFit | None:
         """``fit`` with the best of ``starts``; None where that saves too little, or is not felt."""
@@ -361,7 +361,8 @@ def _refined(
         _pole(more, number, covariance[2 * number : 2 * number + 2, 2 * number : 2 * number + 2])
         for number in range(len(group))
     ]
-    return GroupFit(more, less, covariance, tuple(pole for pole in told if _is_sure(pole, most_damping)))
+    sure = tuple(pole for pole in told if _is_sure(pole, most_damping))
+    return GroupFit(more.bare, less.bare, covariance, sure)
 
 
 def _covariance(less: LocalFit, more: LocalFit) -> Array:

@@ -552,10 +552,13 @@ class Solved:
         force, place = window.force(order)[0], window.orders.index(order)
         residues = np.repeat(self.residues[place].T, 2, axis=1)  # (C, 2 M)
         direct = (turn @ (answered * force[:, None]))[:, None, :] * residues
-        full = (self._bent / window.shape[:, None, None]).reshape(len(self.left), -1)
-        taken = self.inverse @ (self.inverse.conj().T @ _against(self.columns, full))
-        taken = (taken / self.scale[:, None])[own]
-        return np.asarray(direct - (seen @ taken).reshape(direct.shape))
+        return np.asarray(direct - (seen @ self._bent_amplitude[own]).reshape(direct.shape))
+
+    @cached_property
+    def _bent_amplitude(self) -> Complex:
+        """Derivatives (K, C 2 M), with the other sign, of the amplitudes by ln f and ln ζ of each mode."""
+        full = (self._bent / self.window.shape[:, None, None]).reshape(len(self.left), -1)
+        return (self.inverse @ (self.inverse.conj().T @ _against(self.columns, full))) / self.scale[:, None]
 
     def gain_of(self, order: float) -> float:
         """What one ``order`` more, answered smoothly and by the modes, saves of twice the negative log likelihood."""
