@@ -6,6 +6,7 @@ through the same path at the same frequencies.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -34,6 +35,8 @@ NUMBERS = _Numbers.load()
 STEPS, SHRUNK, MOST_DAMPED, MOST_ODD = 25, 1e-6, 1e4, 4
 """Steps of the fit at most, the relative fall of its sum of squares at which it ends, the damping beyond which none
 falls, and speeds that are left out at most: in a sweep each row has its own."""
+LEAST_PIVOT = 1e-5
+"""Smallest pivot of a normal matrix's factor of which two rounds leave rounding alone."""
 BINS_WORTH = 0.5
 """Independent bins that a bin of a Hann window's spectrum is worth beside its neighbours."""
 
@@ -243,20 +246,16 @@ def _evaluated(problem: _Problem, theta: Floats, like: _Fit | None = None) -> _F
     design = np.einsum("ar,rb->rab", acting, terms)
     n_channels = len(problem.measured.channels)
     columns = design.reshape(n_rows, -1)
-    basis, solve = _factored(_spread(columns, problem.white))
-    target = (problem.white @ problem.measured.amplitude.T[..., None]).ravel()
-    shares = basis.conj().T @ target
-    residue = (solve @ shares).reshape(n_channels, *design.shape[1:])
-    error = target - basis @ shares
+    fitted = _fitting(columns, problem.white)
+    terms_of, error = fitted(problem.white @ problem.measured.amplitude.T[..., None])
+    residue = terms_of.reshape(n_channels, *design.shape[1:])
     by_mass = np.einsum("mar,rb,cab->rcm", problem.forces.unit, terms, residue)
     by_pole = np.einsum("ar,rjp,caj->rcjp", acting, bends, residue[:, :, 1:-1]).reshape(n_rows, n_channels, -1)
     turned = np.stack([by_mass, 1j * by_mass], axis=3).reshape(n_rows, n_channels, -1)
     free = np.concatenate([turned, by_pole @ problem.pole_root], axis=2)
-    free = (problem.white @ free).reshape(error.size, -1)
-    slope = free - basis @ (basis.conj().T @ free)
     return _Fit(
-        error=error.reshape(n_rows, n_channels).T,
-        slope=slope.reshape(n_rows, n_channels, -1).transpose(1, 0, 2),
+        error=error[..., 0].T,
+        slope=fitted(problem.white @ free)[1].transpose(1, 0, 2),
         model=residue.reshape(n_channels, -1) @ columns.T,
         residue=residue,
         prior=theta[2 * n_masses :],
@@ -264,21 +263,39 @@ def _evaluated(problem: _Problem, theta: Floats, like: _Fit | None = None) -> _F
     )
 
 
-def _spread(columns: Complexes, white: Complexes) -> Complexes:
-    """``columns`` (row, term), one set per channel, in the combinations ``white``: (row combination, channel term)."""
-    return np.asarray(np.einsum("rcd,rb->rcdb", white, columns).reshape(white.shape[0] * white.shape[1], -1))
+def _fitting(columns: Complexes, white: Complexes) -> Callable[[Complexes], tuple[Complexes, Complexes]]:
+    """What fits ``columns`` (row, term), one set per channel, to values in the combinations ``white`` of channels.
 
+    It takes values (row, combination, any) and gives coefficients (channel, term, any) and what these leave of them.
+    The normal matrix of an orthogonal basis for one channel, common to all, is the smaller by the rows; what it leaves,
+    fitted again, is as good as by a basis of all, which is asked where the columns hardly tell their coefficients.
+    """
+    from scipy.linalg import lapack
 
-def _factored(columns: Complexes) -> tuple[Complexes, Complexes]:
-    """Orthonormal basis of ``columns`` and what turns shares of it into coefficients."""
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    basis, triangle = np.linalg.qr(columns / size)
-    diagonal = np.abs(np.diag(triangle))
-    if len(columns) >= len(size) and diagonal.min(initial=1.0) > 1e-9 * diagonal.max(initial=0.0):
-        return basis, np.linalg.inv(triangle) / size[:, None]
-    left, values, right = np.linalg.svd(columns / size, full_matrices=False)
-    kept = values > 1e-9 * values.max(initial=0.0)
-    return left[:, kept], (right[kept].conj().T / values[kept]) / size[:, None]
+    shape = (white.shape[2], columns.shape[1], -1)
+    size, weight = np.maximum(np.linalg.norm(columns, axis=0), 1e-300), np.linalg.norm(white, axis=(1, 2))[:, None]
+    basis, triangle = np.linalg.qr(columns / size * weight)
+    white_of = white / np.maximum(weight, 1e-300)[..., None]
+    back = np.swapaxes(white_of.conj(), 1, 2)
+    products = (basis.conj()[:, :, None] * basis[:, None]).reshape(len(basis), -1)
+    normal = ((back @ white_of).reshape(len(basis), -1).T @ products).reshape(2 * shape[:1] + 2 * basis.shape[1:])
+    root, failed = lapack.zpotrf(normal.swapaxes(1, 2).reshape(2 * (shape[0] * basis.shape[1],)), lower=1)
+    ranks = [(np.abs(np.diag(root)), LEAST_PIVOT), (np.abs(np.diag(triangle)), 1e-9)]
+    sound = not failed and len(basis) >= len(size) and all(one.min() > least * one.max() for one, least in ranks)
+
+    def fitted(values: Complexes) -> tuple[Complexes, Complexes]:
+        if not sound:
+            every = np.einsum("rcd,rb->rcdb", white, columns / size).reshape(-1, shape[0] * shape[1])
+            shares = np.linalg.lstsq(every, values.reshape(len(every), -1), rcond=1e-9)[0]
+            return shares.reshape(shape) / size[:, None], values - (every @ shares).reshape(values.shape)
+        shares, left = np.zeros((*shape[:2], values.shape[2]), dtype=np.complex128), values
+        for _ in range(2):
+            pulled = np.tensordot(back @ left, basis.conj(), (0, 0)).swapaxes(1, 2)
+            more = lapack.zpotrs(root, pulled.reshape(len(root), -1), lower=1)[0].reshape(shape)
+            shares, left = shares + more, left - white_of @ np.tensordot(basis, more, (1, 1))
+        return np.linalg.solve(triangle, shares) / size[:, None], left
+
+    return fitted
 
 
 def _cost(fit: _Fit) -> float:

@@ -118,8 +118,8 @@ POINTS_PER_MODE = 49
 NEAR_BINS = 3
 """Bins on each side that a point of the integral is seen in."""
 
-MOST_VALUES = 1 << 21
-"""Derivatives at points of the integral that are joined over channels at a time."""
+NODES_AT_ONCE = 64
+"""Points of the integral at which derivatives are joined over channels at a time."""
 
 
 def free_of(fit: SurfaceFit) -> NDArray[np.bool_]:
@@ -144,29 +144,30 @@ def score_covariance(problem: Problem, fit: SurfaceFit, along: Array) -> Array:
     offsets = np.arange(-NEAR_BINS * reach, NEAR_BINS * reach + 1)
     at = np.rint((nodes - problem.frequency_hz[0]) / bin_hz).astype(np.int64)[:, None] + offsets
     inside = (at >= 0) & (at < len(problem.frequency_hz))
-    at = np.where(inside, at, 0)
-    kernel = np.where(inside, seen.kernel(problem.frequency_hz[at] - nodes[:, None]), 0.0)
+    kernel = seen.kernel(problem.frequency_hz[0] + bin_hz * at - nodes[:, None])
     # ∫ kernel² is what one average makes of white noise: it turns averages into time
     lags = np.linspace(-4.0, 4.0, 801) * seen.bin_hz
     squared = float(np.sum(seen.kernel(lags) ** 2) * (lags[1] - lags[0]))
     n, n_channels = problem.averages, len(problem.psd)
-    by_bin = np.stack(fit.jacobian[:n_channels]) @ along * np.where(n > 0.0, np.sqrt(n) / fit.model, 0.0)[..., None]
-    by_bin = np.ascontiguousarray(by_bin.swapaxes(0, 1))
-    phis = np.zeros((len(nodes), *by_bin.shape[1:]))
-    for place, share in zip(at.T, kernel.T, strict=True):
-        phis += share[:, None, None] * by_bin[place]
+    by_bin = along.T @ np.stack([j.T for j in fit.jacobian[:n_channels]])
+    by_bin *= np.where(n > 0.0, np.sqrt(n) / fit.model, 0.0)[:, None]
+    by_bin = np.ascontiguousarray(by_bin.transpose(2, 0, 1)).reshape(len(problem.frequency_hz), -1)
     times = np.full((n_channels, len(nodes)), np.inf)
     for row, some in zip(times, n, strict=True):
         if (some > 0.0).any():  # what a masked frequency leaks into kept bins was recorded as long as those
             row[:] = np.interp(nodes, problem.frequency_hz[some > 0.0], some[some > 0.0]) * squared
-    phis *= (power * np.sqrt(weights / times)).T[..., None]
+    scale = (power * np.sqrt(weights / times)).T[..., None]
     roots = np.sqrt(shares).transpose(2, 0, 1)
-    total = np.zeros((phis.shape[2],) * 2)
-    for at_once in np.array_split(np.arange(len(nodes)), max(1, phis.size // MOST_VALUES)):
-        common = np.minimum((roots[at_once] @ roots[at_once].transpose(0, 2, 1)) ** 2, 1.0)
-        common[:, np.arange(len(problem.psd)), np.arange(len(problem.psd))] = 1.0
-        some = phis[at_once]
-        total += some.reshape(-1, phis.shape[2]).T @ (common @ some).reshape(-1, phis.shape[2])
+    total = np.zeros((along.shape[1],) * 2)
+    for some in np.array_split(np.arange(len(nodes)), max(1, len(nodes) // NODES_AT_ONCE)):
+        first, last = at[some].clip(0, len(by_bin) - 1)[[0, -1], [0, -1]]
+        node, tap = np.nonzero(inside[some])
+        spread = np.zeros((len(some), last + 1 - first))
+        spread[node, at[some][node, tap] - first] = kernel[some][node, tap]
+        phi = (spread @ by_bin[first : last + 1]).reshape(len(some), n_channels, -1) * scale[some]
+        common = np.minimum((roots[some] @ roots[some].transpose(0, 2, 1)) ** 2, 1.0)
+        common[:, np.arange(n_channels), np.arange(n_channels)] = 1.0
+        total += phi.reshape(-1, len(total)).T @ (common @ phi).reshape(-1, len(total))
     return total
 
 
