@@ -10,6 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.campbell.frames import frame_speeds
+from crankorder.fft.transforms import FrameTransform
 from crankorder.fft.windows import window_named
 from crankorder.quantities import Floats, Ints, channel_coords
 from crankorder.settings import CampbellSettings, OrderSettings
@@ -116,14 +117,16 @@ def _power(signals: NDArray[np.floating], starts: Ints, length: int) -> Floats:
     """Mean square (pieces, channels, bins) of the signals in each bin, without the mean of each piece."""
     if not len(starts):
         return np.full((0, len(signals), 1), np.nan)
-    window = window_named("hann", length).values
-    pieces = np.stack([signals[:, start : start + length] for start in starts]).astype(np.float64)
+    transform = FrameTransform(window_named("hann", length))
+    pieces = np.stack([signals[:, start : start + length] for start in starts], axis=1)
     with np.errstate(invalid="ignore"):
-        pieces -= pieces.mean(axis=2, keepdims=True)
-        pieces *= window
-        power: Floats = np.abs(np.fft.rfft(pieces, axis=2)) ** 2
-    power *= 2.0 / (length * float(window @ window))
-    return power
+        pieces = pieces - pieces.mean(axis=2, keepdims=True, dtype=np.float64).astype(pieces.dtype)
+        size = np.abs(pieces).max(axis=2, keepdims=True)
+        size[size == 0.0] = 1.0
+        pieces /= size  # their squares stay in range
+    power = transform.power(pieces.reshape(len(signals), -1), length * np.arange(len(starts)))
+    made: Floats = power * np.square(size, dtype=np.float64) * (0.5 / transform.window.enbw_bins)
+    return made.swapaxes(0, 1)
 
 
 def _strongest(power: Floats, bins: Floats, limit: Floats, rpm: Floats, *, per_rev: bool) -> Peak:
