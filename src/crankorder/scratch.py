@@ -76,7 +76,7 @@ def is_on_disk(array: NDArray[Any]) -> bool:
 def keep_freed_memory() -> None:
     """Have glibc keep what a task frees for the next one: each page that it takes anew costs a fault."""
     with contextlib.suppress(OSError, AttributeError):
-        for limit, size in ((_MMAP_THRESHOLD, 1 << 25), (_TRIM_THRESHOLD, 1 << 26)):
+        for limit, size in ((_MMAP_THRESHOLD, 1 << 23), (_TRIM_THRESHOLD, 1 << 26)):
             ctypes.CDLL(None).mallopt(limit, size)
 
 

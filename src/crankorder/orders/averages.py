@@ -205,9 +205,11 @@ def beside_bins(order: Floats, *, line_step: float, count: int = BESIDE_BINS) ->
 @lru_cache(maxsize=4)
 def _beside_bins(axis: tuple[float, ...], line_step: float, count: int) -> tuple[Ints, Floats]:
     order, n = np.array(axis), len(axis)
-    distance = np.abs(np.arange(n)[:, None] - np.arange(n))
+    at = np.arange(n, dtype=np.int32)  # half of what int64 takes, of all pairs of bins
+    distance = np.abs(at[:, None] - at)
     off = np.abs(order / line_step - np.round(order / line_step)) * line_step / (order[1] - order[0])
-    cost = distance + np.where(off > 1.5, 0, 3 * n) + np.where(distance < 2, 9 * n, 0)
+    cost = distance + np.where(off > 1.5, 0, 3 * n).astype(np.int32)
+    cost[distance < 2] += 9 * n
     cost[:, :2] += 9 * n
     bins = np.sort(np.argpartition(cost, min(count, n) - 1, axis=1)[:, :count], axis=1)
     apart = np.minimum(np.abs(bins[:, :, None] - bins[:, None]), 3)

@@ -207,9 +207,11 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
         window=str(used[0].attrs["window"]),
         speed_bin_rpm=settings.speed_bin_rpm,
     )
-    parts = [_average(every.of(group), comparable, used[0].attrs, settings, bins) for group in groups]
+    parts = (_average(every.of(group), comparable, used[0].attrs, settings, bins) for group in groups)
+    columns = list(zip(*([getattr(part, item.name) for item in fields(Average)] for part in parts), strict=True))
+    # each is let go as it is joined: twice the averages of a long sweep fill the memory
+    whole = Average(*(np.stack(columns.pop(0), axis=1) for _ in fields(Average)))
     speed = np.array([np.mean(every.speed_rpm[group]) for group in groups])
-    whole = Average(*(np.stack([getattr(part, item.name) for part in parts], axis=1) for item in fields(Average)))
     unit = np.ldexp(1.0, every.exponent)[:, None, None]
     made: Variables = {}
     _put_averages(made, whole, unit)

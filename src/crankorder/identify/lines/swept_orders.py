@@ -172,6 +172,7 @@ def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
             order = _on_multiple(line.order, cycle, step)
             if order > 0.0 and all(abs(order - other) > step for other, _ in kept):
                 kept.append((order, line.level_over_floor_db))
+        del item  # before the next is made
     for item in _lengthened(frames):
         step = 1.0 / float(item.attrs["revs_per_frame"])
         lowest = LOWEST_BINS * step  # below it is the mean
@@ -185,6 +186,7 @@ def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
                 placed = [_on_multiple(number, cycle, step) for number in numbers]
                 kept.remove((order, level))
                 kept += [(number, level) for number in (placed if placed[0] != placed[1] else numbers)]
+        del item
     strongest = sorted(kept, key=lambda one: -one[1])[: NUMBERS.most_followed]
     return sorted(order for order, _ in strongest)
 
@@ -212,5 +214,6 @@ def _lengthened(frames: xr.Dataset) -> Iterator[xr.Dataset]:
         item = reframed(frames, round(revs))
         if item is not None and item.sizes["frame"]:
             yield item
+        del item
         give_back()
     yield frames
