@@ -77,7 +77,7 @@ def cases_of(options: argparse.Namespace) -> dict[str, Case]:
         MANY: Case(f"{count} recordings of 15 s", partial(make, count), (DEFAULT, MAPS, SCIPY)),
         WIDE: Case(f"12 recordings of 6 s, {channels} channels", partial(make_wide, channels, 12), (DEFAULT, SCIPY)),
         NARROW: Case("12 recordings of 6 s, 3 channels", partial(make_wide, 3, 12)),
-        FIXED: Case("2 recordings of 6 s, 3 channels", partial(make_wide, 3, 2)),
+        FIXED: Case("2 recordings of 6 s, 3 channels", partial(make_wide, 3, 2), (MAPS,)),
         LONG: Case(f"run-up of {seconds:g} s", partial(make_run_up, seconds)),
         SHORT: Case(f"run-up of {seconds / 10.0:g} s", partial(make_run_up, seconds / 10.0)),
         SMALL: Case(f"{small} recordings of 0.5 s, one channel at 6 kHz", partial(make_small, small)),

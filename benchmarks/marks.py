@@ -55,15 +55,16 @@ def of_large(rows: dict[str, Any]) -> list[Mark]:
     """Marks of many, wide and long recordings, from the ``rows`` of `large.py` by what they are for."""
     many, plain = rows[MANY]["programs"], rows[MANY]["programs"][SCIPY]["processor_seconds"]
     default, maps = many["default"], many["maps"]
-    own = {name: rows[name]["programs"]["default"]["processor_seconds"] for name in (WIDE, NARROW, FIXED, LONG, SHORT)}
+    own = {name: rows[name]["programs"]["default"]["processor_seconds"] for name in (WIDE, NARROW, LONG, SHORT)}
+    start = rows[FIXED]["programs"]["maps"]["processor_seconds"]
     together = max(default["together_mb"], maps["together_mb"])
     return [
         Mark("350 recordings, maps: scipy's processor seconds over its", plain / maps["processor_seconds"], least=3.5),
         Mark("the same, default", plain / default["processor_seconds"], least=1.6),
         Mark("the same, memory of all processes", together, most=800.0, unit="MB"),
         Mark(
-            "default of 24 channels over 3, without the cost of two recordings",
-            (own[WIDE] - own[FIXED]) / (own[NARROW] - own[FIXED]),
+            "default of 24 channels over 3, without the cost of a start (maps of two recordings)",
+            (own[WIDE] - start) / (own[NARROW] - start),
             most=9.0,
         ),
         Mark("run-up of 600 s over 60 s, processor", own[LONG] / own[SHORT], most=7.0),
