@@ -140,8 +140,7 @@ def _gas(engine: Engine, orders: Floats, torque: NDArray[np.complex128]) -> dict
     force = None
     if engine.gas is not None and engine.gas.torque_n_m is None:
         angles = np.arange(revs * ANGLES_PER_REV) / ANGLES_PER_REV
-        one = engine.each[0]
-        curve = gas_force(one, angles)
+        curve = gas_force(engine.each[0], angles)
         lines = 2 * np.abs(np.fft.rfft(curve))[: orders.size] / curve.size
         at = int(np.argmax(curve))
         force = {"peak_n": float(curve[at]), "peak_deg": 360 * float(angles[at]), "by_order_n": _kept(lines, orders)}

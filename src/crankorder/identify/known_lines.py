@@ -130,8 +130,7 @@ def held_recordings(recordings: Sequence[Recording], axis: Floats, channels: Seq
         pace = 60.0 / speed
         time_s = np.concatenate([[0.0], np.cumsum(0.5 * (pace[1:] + pace[:-1]) * np.diff(turn))])
         rpm = 60.0 * float(np.ptp(turn)) / float(time_s[-1])
-        spectrum = item.spectrum[:, whole]
-        made.append(Held(spectrum, axis, turn, time_s, item.revs, rpm, tuple(channels)))
+        made.append(Held(item.spectrum[:, whole], axis, turn, time_s, item.revs, rpm, tuple(channels)))
     return made
 
 

@@ -56,8 +56,7 @@ def with_gaps(
     """
     gap = np.flatnonzero(gaps_before(cells))
     rows = np.insert(values, gap, empty, axis=0)
-    edges = np.concatenate([cells[:1, 0], np.sort(np.concatenate([cells[:, 1], cells[gap, 0]]))])
-    return rows, edges
+    return rows, np.concatenate([cells[:1, 0], np.sort(np.concatenate([cells[:, 1], cells[gap, 0]]))])
 
 
 def bin_edges(centres: NDArray[np.float64]) -> NDArray[np.float64]:

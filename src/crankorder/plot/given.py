@@ -91,8 +91,7 @@ def number_of(value: object, key: str, picture: str, *, above: float) -> float:
 
 def values_of(dataset: xr.Dataset, name: str, *dims: str, channel: int) -> NDArray[np.float64]:
     """Values of variable ``name`` of ``dataset`` of one ``channel`` (its number), in the order of ``dims``."""
-    picked = dataset[name].isel(channel=channel).transpose(*dims)
-    return np.asarray(picked.values, dtype=np.float64)
+    return np.asarray(dataset[name].isel(channel=channel).transpose(*dims).values, dtype=np.float64)
 
 
 def unit_of(dataset: xr.Dataset, channel: int) -> str:

@@ -133,8 +133,7 @@ def reference_of(shaft: xr.Dataset, *, revs_per_frame: float) -> Reference:
 def pulse_noise(reference: Reference, *, revs_per_frame: float) -> Modulation:
     """Random error of the angle of ``reference`` within frames of ``revs_per_frame``."""
     left = min(reference.error_rev, reference.pulse_error_rev / math.sqrt(reference.teeth_per_rev * revs_per_frame))
-    within = math.sqrt(reference.error_rev**2 - left**2)
-    return Modulation("the noise of the pulses", random_rev=within)
+    return Modulation("the noise of the pulses", random_rev=math.sqrt(reference.error_rev**2 - left**2))
 
 
 def seen_motion(shaft: xr.Dataset, reference: Reference) -> dict[float, float]:

@@ -149,8 +149,7 @@ def joined(runs: list[ShaftRun], teeth_per_rev: float) -> AngleKnots:
     """
     made = _within(runs[0].knots, -np.inf, runs[0].ends_s[1]) if len(runs) > 1 else runs[0].knots
     for before, run in pairwise(runs):
-        last = run is runs[-1]
-        own = _within(run.knots, run.ends_s[0], np.inf if last else run.ends_s[1])
+        own = _within(run.knots, run.ends_s[0], np.inf if run is runs[-1] else run.ends_s[1])
         turned = (run.first - before.last) / teeth_per_rev
         shift = made.angle_rev[-1] + turned - own.angle_rev[0]
         period = run.period_rev

@@ -98,8 +98,7 @@ def tooth_errors(
         return None
     # what teeth and motion make together is known once the teeth are
     added = first_order(pattern, found.line_error_rev)
-    again = _told(added, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1)
-    return again or found
+    return _told(added, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1) or found
 
 
 def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedTeeth:

@@ -186,8 +186,7 @@ def speed_from_vibration(
     weights = dict(ORDER_WEIGHTS if order_weights is None else order_weights)
     order = np.array(sorted(weights))
     weight = np.clip([weights[each] for each in sorted(weights)], 0.0, 0.95)
-    stated = expected_rpm or settings.vibration_range_rpm
-    range_hz = _range_hz(stated, signals.shape[1], rate_hz, settings)
+    range_hz = _range_hz(expected_rpm or settings.vibration_range_rpm, signals.shape[1], rate_hz, settings)
     evidence = comb_evidence(
         signals, rate_hz, range_hz=range_hz, order=order, weight=weight, settings=settings, fixed_hz=fixed_hz
     )

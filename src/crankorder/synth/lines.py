@@ -288,8 +288,7 @@ def _leading_causes(scene: Scene, forces: ForceLines, speed_rpm: float) -> dict[
     """What makes most of each order of ``forces``, by its response alone in the channel where that is largest."""
     response = accelerance(scene.structure, forces.order * speed_rpm / 60)
     alone = np.abs(np.einsum("cal,al->cl", response, forces.at_speed(speed_rpm))).max(axis=0, initial=0.0)
-    by_size = np.argsort(alone, kind="stable")
-    return {float(forces.order[place]): forces.cause[place] for place in by_size}
+    return {float(forces.order[place]): forces.cause[place] for place in np.argsort(alone, kind="stable")}
 
 
 def fixed_lines(scene: Scene, run: Run) -> OrderLines:

@@ -51,8 +51,7 @@ def order_signal(scene: Scene, run: Run, motion: Motion) -> Floats:
     for forces, turning in sources:
         speed_rpm = turning.corners[0][1]
         lines = driven_lines(scene, forces, speed_rpm, turning.lag)
-        start_rev = turning.mean_rev(0.0)
-        at_start = lines.amplitude * np.exp(2j * np.pi * lines.order * start_rev)
+        at_start = lines.amplitude * np.exp(2j * np.pi * lines.order * turning.mean_rev(0.0))
         signal += _steady(scene, run, motion, lines.order * speed_rpm / 60, at_start)
     return signal
 
