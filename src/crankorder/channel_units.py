@@ -132,9 +132,6 @@ def _outside(attrs: dict[Any, Any], unit: str) -> dict[str, Any]:
     return {**about, **({"units": FORMS[inside].format(udunits(unit))} if unit else {}), _INSIDE: inside}
 
 
-def _along(of_part: NDArray[np.bool_], ndim: int, axis: int) -> NDArray[np.bool_]:
-    return of_part.reshape([-1 if place == axis else 1 for place in range(ndim)])
-
-
 def _only(values: NDArray[Any], of_part: NDArray[np.bool_], axis: int) -> NDArray[Any]:
-    return np.where(_along(of_part, values.ndim, axis), values, np.asarray(np.nan, dtype=values.dtype))
+    along = of_part.reshape([-1 if place == axis else 1 for place in range(values.ndim)])
+    return np.where(along, values, np.asarray(np.nan, dtype=values.dtype))

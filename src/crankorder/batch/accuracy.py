@@ -109,8 +109,7 @@ def publish_accuracy(out: Path, *, on: Path | None = None, draws: int = 1) -> tu
 
 def speed_against_error() -> Iterator[Timed]:
     """Order maps of one recording at each tolerance, timed, against the amplitudes and phases that were put in."""
-    rng = np.random.default_rng(1)
-    phases = rng.uniform(-np.pi, np.pi, (3, len(LINES)))
+    phases = np.random.default_rng(1).uniform(-np.pi, np.pi, (3, len(LINES)))
     seconds = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
     signals = [
         np.array(list(LINES.values())) @ np.cos(2 * np.pi * np.outer(list(LINES), _turns(seconds)) + row[:, None])

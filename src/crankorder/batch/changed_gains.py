@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.orders.level_jumps import RecordedLevel, level_jumps, line_sizes
-from crankorder.quantities import OrderFrames, QualityFlag, RecordingLevels, ShaftAngle, with_flags
+from crankorder.quantities import Floats, OrderFrames, QualityFlag, RecordingLevels, ShaftAngle, with_flags
 from crankorder.settings import IngestSettings
 from crankorder.stages import RecordingResult
 
@@ -66,7 +65,7 @@ def _emptied(frame: xr.Dataset, names: list[str]) -> xr.Dataset:
 def _levels(results: Mapping[Path, RecordingResult]) -> list[RecordedLevel]:
     """Speed and level of every recording whose level was looked at."""
     made: list[RecordedLevel] = []
-    places: NDArray[np.float64] | None = None
+    places: Floats | None = None
     for result in results.values():
         levels = result.frames.get(RecordingLevels)
         speed = result.shaft["speed"].values

@@ -48,8 +48,7 @@ def _files(folder: Path, to: str, binary: bool) -> dict[str, bytes]:
             found = ", ".join(sorted(groups)) or "no group"
             raise RequestError("holds no orders and no map", file=folder / "results.nc", found=found)
         return {"results.uff": uff58_bytes(groups, test=test, binary=binary)}
-    shown = {name: published(dataset) for name, dataset in groups.items()}
-    tables = tables_of(shown, maps=to == "parquet")
+    tables = tables_of({name: published(dataset) for name, dataset in groups.items()}, maps=to == "parquet")
     if not tables:
         raise RequestError("holds nothing to put into a table", file=folder / "results.nc")
     written = csv_bytes if to == "csv" else parquet_bytes

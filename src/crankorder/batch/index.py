@@ -64,8 +64,7 @@ def publish_index(
             records |= {name: record for name, record in known.items() if name not in done} | now
             document = _document([records[name] for name in sorted(records, key=lambda name: natural_key(Path(name)))])
             write_atomically(out / BATCH, json_bytes(document))
-            page = page_of(document["tests"])
-            write_atomically(out / INDEX, page.encode("utf-8", "backslashreplace"))
+            write_atomically(out / INDEX, page_of(document["tests"]).encode("utf-8", "backslashreplace"))
         except OSError as error:
             if isinstance(error, EnvironmentFailure):
                 raise

@@ -116,8 +116,7 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     highest_hz = min(settings.max_frequency_hz, (plan.n_fft // 2) * resolution)
     n_bins = math.ceil(highest_hz / resolution * (1 - 1e-9)) + 1 + plan.spacing
     scales = _scales(signals)
-    transform = FrameTransform(plan.window, n_fft=plan.n_fft, n_bins=n_bins)
-    power = transform.power(signals, starts, scales=scales)
+    power = FrameTransform(plan.window, n_fft=plan.n_fft, n_bins=n_bins).power(signals, starts, scales=scales)
     if "usable" in band:
         power[~whole_frames(band["usable"].values, starts, length)] = np.nan
     speeds = frame_speeds(band, shaft, starts, length, rate)

@@ -69,8 +69,7 @@ def vibration_levels(items: Sequence[xr.Dataset], *, speed_bin_rpm: float) -> xr
             _tell(made, rows, column, joined.square[at], joined.peak[at], group.passage[pieces])
     _tell_sweeps(made, joined, groups)
     _allow_leaks(made, joined.keys)
-    mean_rpm = np.array([joined.rpm[group.pieces].mean() for group in groups])
-    result = _levels_dataset(joined, made, mean_rpm)
+    result = _levels_dataset(joined, made, np.array([joined.rpm[group.pieces].mean() for group in groups]))
     result.attrs = {"frame_s": min(joined.frame_s, default=math.nan), "speed_bin_rpm": speed_bin_rpm}
     return with_flags(result, joined.flags)
 
@@ -259,8 +258,7 @@ def _error_of_mean(values: Floats, passage: Ints) -> tuple[Floats, Floats]:
     sizes = np.diff(first, append=count)
     off = values - np.repeat(np.add.reduceat(values, first, axis=1) / sizes, sizes, axis=1)
     beside = off[:, 1:] * off[:, :-1] * (passage[1:] == passage[:-1])
-    variance = _variance((off**2).sum(axis=1), beside.sum(axis=1), freedom)
-    return _between(values, passage, variance, freedom)
+    return _between(values, passage, _variance((off**2).sum(axis=1), beside.sum(axis=1), freedom), freedom)
 
 
 def _firsts(passage: Ints) -> Ints:

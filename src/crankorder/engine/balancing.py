@@ -237,8 +237,7 @@ def counterweights(masses: ReducedMasses, strategy: Strategy, places: Counterwei
     if strategy == "none":
         return Counterweights(crank_g=0.0)
     if strategy != "d":
-        against = masses.rotating_g + RECIPROCATING_SHARE[strategy] * masses.reciprocating_g
-        return _on_crank(leverage, against)
+        return _on_crank(leverage, masses.rotating_g + RECIPROCATING_SHARE[strategy] * masses.reciprocating_g)
     if places.rod_mm is None:
         raise RequestError("strategy d needs a counterweight on the rod", place="rod_mm", remedy="State its radius")
     on_rod = masses.reciprocating_g * masses.rod_length_mm / places.rod_mm

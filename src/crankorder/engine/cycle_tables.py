@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.definition import Engine
@@ -22,10 +21,8 @@ from crankorder.engine.forces import (
 )
 from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
 from crankorder.engine.harmonics import last_order_above_round_off
-from crankorder.engine.in_cycle import TORQUE_ORDERS, lag_from_torque, over_a_cycle
+from crankorder.engine.in_cycle import TORQUE_ORDERS, Complex, Floats, lag_from_torque, over_a_cycle
 from crankorder.errors import RequestError, plain_number
-
-Floats = NDArray[np.float64]
 
 ANGLES_PER_REV = 720
 """Of the curves over a cycle: half a degree."""
@@ -135,13 +132,12 @@ def _firing(engine: Engine) -> dict[str, Any] | None:
     }
 
 
-def _gas(engine: Engine, orders: Floats, torque: NDArray[np.complex128]) -> dict[str, Any]:
+def _gas(engine: Engine, orders: Floats, torque: Complex) -> dict[str, Any]:
     revs = engine.revs_per_cycle
     force = None
     if engine.gas is not None and engine.gas.torque_n_m is None:
         angles = np.arange(revs * ANGLES_PER_REV) / ANGLES_PER_REV
-        one = engine.each[0]
-        curve = gas_force(one, angles)
+        curve = gas_force(engine.each[0], angles)
         lines = 2 * np.abs(np.fft.rfft(curve))[: orders.size] / curve.size
         at = int(np.argmax(curve))
         force = {"peak_n": float(curve[at]), "peak_deg": 360 * float(angles[at]), "by_order_n": _kept(lines, orders)}
@@ -162,7 +158,7 @@ def _kept(sizes: Floats, orders: Floats) -> dict[str, float]:
     return {key: float(sizes[n]) for key, n in _lines(sizes, orders)}
 
 
-def _turning(engine: Engine, curves: CycleCurves, gas: NDArray[np.complex128], masses: Floats) -> dict[str, Any]:
+def _turning(engine: Engine, curves: CycleCurves, gas: Complex, masses: Floats) -> dict[str, Any]:
     """Turning moment at one speed: extremes, orders of gas and masses side by side, power and swing of the speed."""
     total, omega = curves.total_n_m, curves.speed_rpm * math.pi / 30
     inertia = masses * omega**2

@@ -127,8 +127,7 @@ def tolerance_of(subject: BalancedEngine, max_order: int) -> dict[str, Any] | No
         return None
     made = () if engine.shafts.every_order or len(engine.cylinders) == 1 else designs_for(subject)
     studied = made[-1].on(engine) if made else engine
-    top = max([max_order, *studied.shafts.every_order])
-    table = tolerance_table(studied, tolerances, max_order=top)
+    table = tolerance_table(studied, tolerances, max_order=max([max_order, *studied.shafts.every_order]))
     return {"of": made[-1].name if made else "own" if engine.shafts.every_order else "none", **table}
 
 

@@ -13,10 +13,9 @@ from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.gas import firing_angle_deg, gas_force
 from crankorder.engine.harmonics import acceleration_harmonics, last_order_above_round_off, rod_acceleration_harmonics
 from crankorder.engine.rod import rod_couple, two_masses
-from crankorder.engine.slider_crank import plain_piston_acceleration, rod_direction, sine_cosine
+from crankorder.engine.slider_crank import Angles, plain_piston_acceleration, rod_direction, sine_cosine
 from crankorder.errors import RequestError
 
-Angles = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 DIRECTIONS: tuple[Literal["X", "Y", "Z"], ...] = ("X", "Y", "Z")

@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import Cylinder, Engine, IdealCycle
-from crankorder.engine.slider_crank import dead_centres, piston_drop, piston_velocity
+from crankorder.engine.slider_crank import Angles, dead_centres, piston_drop, piston_velocity
 from crankorder.errors import RequestError
-
-Angles = NDArray[np.float64]
 
 SAMPLES_PER_REV = 1 << 14
 """Angles per revolution on which a torque is transformed: a straight-line curve's orders alias by order²/this²."""

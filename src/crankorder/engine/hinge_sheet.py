@@ -150,8 +150,7 @@ def _guides(
 ) -> dict[str, Any] | None:
     if data is None:
         return None
-    table = hinge_table(crank, curve, joint=joint, speed_rpm=speed_rpm, n_steps=GUIDE_STEPS)
-    found = hinge_guides(table, data)
+    found = hinge_guides(hinge_table(crank, curve, joint=joint, speed_rpm=speed_rpm, n_steps=GUIDE_STEPS), data)
     rows = slice(None, None, GUIDE_STEPS // TABLE_STEPS)
     return {
         "speed_rpm": speed_rpm,

@@ -85,8 +85,7 @@ def designs(
     ``max_order``: ≥ every order.
     Source: two-plane balancing of each rotating vector: w₁ + w₂ = −F/n², y₁w₁ + y₂w₂ = −C/n².
     """
-    bare = engine.model_copy(update={"shafts": BalanceShafts()})
-    motions = order_motions(bare, max_order)
+    motions = order_motions(engine.model_copy(update={"shafts": BalanceShafts()}), max_order)
     webs = _weights(motions[0], 1, planes_m)
     made = [Design(name="webs", webs=webs, shafts=())] if webs else []
     shafts: tuple[SingleShaft, ...] = ()

@@ -13,10 +13,9 @@ from pydantic import Field
 
 from crankorder.engine.definition import BalanceShafts, Engine, EngineData, NonNegative, SingleShaft, Weight
 from crankorder.engine.forces import Z, crankcase_forces
-from crankorder.engine.harmonics import acceleration_harmonics
+from crankorder.engine.harmonics import Complex, acceleration_harmonics
 from crankorder.errors import plain_number
 
-Complex = NDArray[np.complex128]
 Floats = NDArray[np.float64]
 Parts = NDArray[np.complex128]
 """Direct and reverse part by sample and order 1, 2, …: shape (2, sample, order)."""

@@ -137,8 +137,7 @@ def real_signals(signals: NDArray[np.floating]) -> NDArray[np.floating]:
 def _paired(signals, first, scale, mean, weights, out):  # type: ignore[no-untyped-def]
     """Weighted channels, two by two the real and imaginary parts of ``out`` (pairs, 2 x samples, real view)."""
     for c in range(signals.shape[0]):
-        values = signals[c, first : first + weights.size]
-        _weighted(values, scale[c], mean[c], weights, out[c // 2, c % 2 :: 2])
+        _weighted(signals[c, first : first + weights.size], scale[c], mean[c], weights, out[c // 2, c % 2 :: 2])
     if signals.shape[0] % 2:
         out[-1, 1::2] = 0.0
 
@@ -235,8 +234,7 @@ def _hann(turns, turns_per_sample, out):  # type: ignore[no-untyped-def]
     for i in range(turns.size):
         half = 0.5 * turns[i]
         sine = sine_of_quarter(0.25 - abs(half - 0.25))
-        weight = 4.0 * sine * sine * turns_per_sample[i]
-        out[i] = weight if 0.0 <= half <= 0.5 else 0.0
+        out[i] = 4.0 * sine * sine * turns_per_sample[i] if 0.0 <= half <= 0.5 else 0.0
 
 
 def hann_of_turns(turns: Floats, turns_per_sample: Floats) -> Floats:

@@ -194,8 +194,7 @@ def _relative(amplitude: Floats, error: Floats) -> Floats:
 
 def _weighted(design: Floats, y: Floats, weight: Floats) -> tuple[Floats, Floats, float]:
     """Weighted least squares: solution, inverse of the normal matrix, weighted sum of squares that is left."""
-    normal = design.T @ (design * weight[:, None])
-    inverse: Floats = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    inverse: Floats = np.asarray(np.linalg.inv(design.T @ (design * weight[:, None])), dtype=np.float64)
     solution = inverse @ (design.T @ (weight * y))
     residual = y - design @ solution
     return solution, inverse, float(np.sum(weight * residual**2))

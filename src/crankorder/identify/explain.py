@@ -144,8 +144,7 @@ def explained(
     )
     rpm = _one_speed(orders)
     modes = tuple(_of_race(mode, cause, races, rpm) for mode, cause in zip(modal.modes, modes, strict=True))
-    tones = _explained_tones(modal.tones, races, sources.gears, rpm, known, settings)
-    return Causes(causes, modes, tones)
+    return Causes(causes, modes, _explained_tones(modal.tones, races, sources.gears, rpm, known, settings))
 
 
 HALF_ORDER = "half order of the four-stroke cycle"

@@ -149,8 +149,7 @@ def find(
         false_alarm_probability=asked.false_alarm_probability,
         quality=quality_of(flags),
     )
-    close = partial(closure, order_map, orders, modal, followed=without)
-    closed = _balance(close, order_map, sources, causes)
+    closed = _balance(partial(closure, order_map, orders, modal, followed=without), order_map, sources, causes)
     return _with_levels(_with_sums(told, speeds, motor, shares[0], level_records(levels), closed), vibration, sources)
 
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.identify.intervals import Z95, half_width, positive_interval, ratio_interval
-from crankorder.quantities import Floats, Ints
+from crankorder.quantities import Complexes, Floats, Ints
 
 if TYPE_CHECKING:
     from crankorder.identify.modal.exclusion import Hiding
@@ -44,19 +43,19 @@ class OrderLine:
     channel: str
     order: float
     order_error: float
-    seen: NDArray[np.int64]
-    speed_rpm: NDArray[np.float64]
-    amplitude: NDArray[np.float64]
-    amplitude_error: NDArray[np.float64]
-    degrees_of_freedom: NDArray[np.float64]
-    phase_deg: NDArray[np.float64]
+    seen: Ints
+    speed_rpm: Floats
+    amplitude: Floats
+    amplitude_error: Floats
+    degrees_of_freedom: Floats
+    phase_deg: Floats
     evidence: Evidence
     level_over_floor_db: float
     reservation: str = ""
-    ends: NDArray[np.float64] | None = None
-    phase_ci95_deg: NDArray[np.float64] | None = None
+    ends: Floats | None = None
+    phase_ci95_deg: Floats | None = None
     remark: str = ""
-    n_independent: NDArray[np.float64] | None = None
+    n_independent: Floats | None = None
 
     @property
     def strongest(self) -> int:
@@ -240,15 +239,15 @@ class OrderResponse:
     law: tuple[complex, ...]
     reference_rpm: float
     span_rpm: tuple[float, float]
-    smooth: NDArray[np.complex128]
-    residue: NDArray[np.complex128]
-    reached: NDArray[np.int64]
-    covariance: NDArray[np.complex128]
+    smooth: Complexes
+    residue: Complexes
+    reached: Ints
+    covariance: Complexes
     degrees_of_freedom: int
     error: float
     fits: bool
     recording: str = ""
-    slopes: NDArray[np.complex128] | None = None
+    slopes: Complexes | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,8 +255,8 @@ class UnseenBound:
     """How many times a mode that nobody saw could amplify one order: ``amplification`` (speeds,) at ``speed_rpm``."""
 
     order: float
-    speed_rpm: NDArray[np.float64]
-    amplification: NDArray[np.float64]
+    speed_rpm: Floats
+    amplification: Floats
 
 
 @dataclass(frozen=True)
@@ -281,9 +280,9 @@ class Swing:
     order: float
     channel: str
     recording: str
-    time_s: NDArray[np.float64]
-    taken: NDArray[np.complex128]
-    error: NDArray[np.float64]
+    time_s: Floats
+    taken: Complexes
+    error: Floats
 
 
 @dataclass(frozen=True)
@@ -310,15 +309,15 @@ class ModalFit:
 
     modes: tuple[Mode, ...]
     tones: tuple[Tone, ...]
-    covariance: NDArray[np.float64]
+    covariance: Floats
     responses: tuple[OrderResponse, ...] = ()
     unseen: tuple[UnseenBound, ...] = ()
     hidden: tuple[HiddenSpeeds, ...] = ()
     shown_orders: tuple[float, ...] = ()
     swings: tuple[Swing, ...] = ()
-    frequency_hz: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    floor_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
-    fitted_psd: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 0)))
+    frequency_hz: Floats = field(default_factory=lambda: np.zeros(0))
+    floor_psd: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    fitted_psd: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     whirls: tuple[Whirl, ...] = ()
     left: tuple[Unsearched, ...] = ()
 

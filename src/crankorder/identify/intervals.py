@@ -85,8 +85,7 @@ def adjusted(p_values: NDArray[np.float64]) -> NDArray[np.float64]:
     if n:
         rank = np.argsort(flat[known], kind="stable")
         factor = n / np.arange(1.0, n + 1.0)
-        stepped = np.minimum.accumulate((flat[known][rank] * factor)[::-1])[::-1]
-        made[known[rank]] = np.minimum(stepped, 1.0)
+        made[known[rank]] = np.minimum(np.minimum.accumulate((flat[known][rank] * factor)[::-1])[::-1], 1.0)
     return made.reshape(np.shape(p_values))
 
 

@@ -14,6 +14,7 @@ from crankorder.engine.motor import MotorLine
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of
+from crankorder.orders.track_rows import hann_lobe
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
@@ -130,8 +131,7 @@ def held_recordings(recordings: Sequence[Recording], axis: Floats, channels: Seq
         pace = 60.0 / speed
         time_s = np.concatenate([[0.0], np.cumsum(0.5 * (pace[1:] + pace[:-1]) * np.diff(turn))])
         rpm = 60.0 * float(np.ptp(turn)) / float(time_s[-1])
-        spectrum = item.spectrum[:, whole]
-        made.append(Held(spectrum, axis, turn, time_s, item.revs, rpm, tuple(channels)))
+        made.append(Held(item.spectrum[:, whole], axis, turn, time_s, item.revs, rpm, tuple(channels)))
     return made
 
 
@@ -287,11 +287,9 @@ def waves_of(held: Held, bins: Ints, places: Sequence[Place]) -> Complexes:
     axis, turn = held.axis[bins], held.turn[:, None]
     hertz, turns = np.array(places, dtype=np.float64).reshape(-1, 2).T
     away = ((turns + hertz * held.pace_s)[:, None] - axis[:, None]) * held.revs
-    pole = np.abs(np.abs(away) - 1.0) < 1e-6
-    shape = np.where(pole, 0.5, np.sinc(away) / np.where(pole, 1.0, 1.0 - away**2))
     phase, of_bin = turns * turn + hertz * held.time_s[:, None], axis * turn
     waves, back = (np.exp(2j * np.pi * (one - np.floor(one))) for one in (phase, of_bin))
-    made: Complexes = shape * (waves[:, None] * back.conj()[..., None])
+    made: Complexes = hann_lobe(away) * (waves[:, None] * back.conj()[..., None])
     return made.reshape(-1, len(places))
 
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit, OrderResponse
 from crankorder.identify.intervals import half_width, positive_interval
@@ -15,6 +14,7 @@ from crankorder.identify.modal.order_blocks import NUMBERS as ORDER_BLOCKS
 from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modal.order_terms import force, resonance_slopes, smooth_shapes
 from crankorder.identify.resonance import resonance
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -29,9 +29,6 @@ SPEEDS = 800
 
 ABOUT_MODE, PER_MODE = 4.0, 81
 """… and those within so many half-power widths of each mode."""
-
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +69,7 @@ def together(parts: Sequence[WithAndWithout]) -> WithAndWithout:
     return WithAndWithout(*joined)
 
 
-def shapes(frequency_hz: Floats, modal: ModalFit) -> Complex:
+def shapes(frequency_hz: Floats, modal: ModalFit) -> Complexes:
     """Response (frequencies, modes) of each mode of ``modal`` at ``frequency_hz``: −x² / (1 − x² + 2iζx), x = f/f_j."""
     natural = np.array([mode.frequency_hz for mode in modal.modes])
     damping = np.array([mode.damping_ratio for mode in modal.modes])
@@ -103,7 +100,7 @@ def with_and_without(response: OrderResponse, number: int, rpm: Floats, modal: M
 
 
 def _errors(
-    response: OrderResponse, rpm: Floats, modal: ModalFit, values: Complex, columns: Complex, *, but: int = -1
+    response: OrderResponse, rpm: Floats, modal: ModalFit, values: Complexes, columns: Complexes, *, but: int = -1
 ) -> Floats:
     """Standard errors (V, G) of the amplitudes of ``values`` at ``rpm`` (G,), the second of them without mode ``but``.
 
@@ -130,13 +127,13 @@ def _errors(
     return np.asarray(np.sqrt(squared + np.maximum(((along @ spread) * along).sum(axis=2), 0.0)))
 
 
-def _force_of(response: OrderResponse, rpm: Floats) -> Complex:
+def _force_of(response: OrderResponse, rpm: Floats) -> Complexes:
     """Force (G,) of ``response`` at ``rpm``."""
     grown = force(rpm, response.span_rpm, response.reference_rpm, response.exponent, response.law)
     return np.asarray(grown, dtype=np.complex128)
 
 
-def _parts(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tuple[Complex, Complex, Complex]:
+def _parts(response: OrderResponse, rpm: Floats, modal: ModalFit) -> tuple[Complexes, Complexes, Complexes]:
     """Smooth part (G,), that of each mode (G, M), and the columns (G, terms) behind the linear terms."""
     grown = _force_of(response, rpm)[:, None]
     smooth = grown * smooth_shapes(rpm, response.span_rpm, len(response.smooth) - 1)
@@ -193,7 +190,7 @@ def peak_of(response: OrderResponse, modal: ModalFit, ends: tuple[float, float] 
     return HeldPeak(float(rpm[at]), float(amplitude[0]), float(error[0]), float(max(response.degrees_of_freedom, 1)))
 
 
-def _speeds(response: OrderResponse, modal: ModalFit) -> NDArray[np.float64]:
+def _speeds(response: OrderResponse, modal: ModalFit) -> Floats:
     """Speeds [rpm] at which ``response`` is looked at: over its range, and closer about the modes of ``modal``."""
     low, high = response.span_rpm
     reach = ABOUT_MODE * np.linspace(-1.0, 1.0, PER_MODE)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.findings import BearingFinding
 from crankorder.identify.angle_swings import Words
@@ -29,8 +28,6 @@ class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="sidebands")
 
 
 NUMBERS = _Numbers.load()
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -413,8 +413,7 @@ class _Walk:
     def _count(self, name: str) -> None:
         self._n += 1
         if self._n > self._settings.max_objects:
-            limit = f"holds more than {self._settings.max_objects} objects"
-            raise UnsafeInputError(limit, place=name)
+            raise UnsafeInputError(f"holds more than {self._settings.max_objects} objects", place=name)
 
 
 def _columns(name: str, leaf: Matrix) -> dict[str, _Column]:

@@ -99,8 +99,7 @@ def _layout_of(path: Path) -> _Layout:
     for number, line in enumerate(lines):
         if not _is_comment(line) and (found := _separation(line)):
             separator, decimal_comma = found
-            fields = _fields(line, separator)
-            names, units = _header(lines[:number], separator, len(fields))
+            names, units = _header(lines[:number], separator, len(_fields(line, separator)))
             comments = "\n".join(line for line in lines[:number] if _is_comment(line))
             return _Layout(encoding, separator, decimal_comma, names, units, number, _rate_in(comments))
     shown = next((line for line in lines if line.strip() and not _is_comment(line)), "")

@@ -99,6 +99,8 @@ def cycle_average(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSetting
 
 def _cycles(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> _Cycles:
     """Whole cycles of ``band``, as many as ``shaft`` covers, on the grid of angles."""
+    from scipy.fft import next_fast_len
+
     revs = int(shaft.attrs["revs_per_cycle"])
     evenly = signals_by_angle(band, shaft, max_order=FADED_AT * settings.max_order, tolerance=settings.tolerance)
     count = len(evenly.angle_rev) // (revs * evenly.samples_per_rev)
@@ -109,7 +111,8 @@ def _cycles(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> _Cy
             found=f"{len(evenly.angle_rev) / evenly.samples_per_rev:.2f} revolutions",
             allowed=f"at least {revs}",
         )
-    points = _points_per_rev(settings.max_order)
+    # points of the grid per revolution: enough for the highest order, and quick to transform
+    points = next_fast_len(max(LEAST_POINTS_PER_REV, math.ceil(POINTS_PER_TURN * settings.max_order)), real=True)
     begin = float(evenly.angle_rev[0])
     first = math.ceil(begin * points - 1e-6)
     signals, usable = _sound(evenly, count * revs * evenly.samples_per_rev, settings.max_order)
@@ -138,13 +141,6 @@ def _cycles_of(values: NDArray, samples_per_cycle: int) -> NDArray:  # type: ign
     """Whole cycles (channels, cycles, samples_per_cycle) of ``values`` (channels, samples) from its first sample on."""
     count = values.shape[1] // samples_per_cycle
     return values[:, : count * samples_per_cycle].reshape(len(values), count, samples_per_cycle)
-
-
-def _points_per_rev(max_order: float) -> int:
-    """Points of the angle grid per revolution: enough for ``max_order``, and quick to transform."""
-    from scipy.fft import next_fast_len
-
-    return int(next_fast_len(max(LEAST_POINTS_PER_REV, math.ceil(POINTS_PER_TURN * max_order)), real=True))
 
 
 def _sound(evenly: SignalsByAngle, n_samples: int, max_order: float) -> tuple[Floats, Bools | None]:
@@ -295,10 +291,8 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
     comparable = len(items) == 1 or (one_phase_reference(items) and all(_is_one_turn(item) for item in items))
     groups = speed_groups(speed, width_rpm=speed_bin_rpm)
     if groups and np.isnan(speed[groups[-1][0]]):
-        groups = [
-            *groups[:-1],
-            *(np.array([index]) for index in groups[-1]),
-        ]  # nothing says that two unknown speeds are alike
+        # nothing says that two unknown speeds are alike
+        groups = [*groups[:-1], *(np.array([index]) for index in groups[-1])]
     parts, kept_speed, excluded, highest, left_out = [], [], [], [], 0
     for group in groups:
         rows = [place[index] for index in group]

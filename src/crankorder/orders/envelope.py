@@ -258,8 +258,7 @@ def _frames(
         begins.append(np.linspace(0, spare, count).round().astype(np.int64))
     steps = next_fast_len(math.ceil(2.0 * max_order + 4.0), real=True)
     n_fft = max(settings.envelope_revs_per_frame, revs) * steps
-    n_orders = math.floor(max_order * n_fft / steps) + 1
-    return Frames(revs, tuple(begins), steps, n_fft, n_orders)
+    return Frames(revs, tuple(begins), steps, n_fft, math.floor(max_order * n_fft / steps) + 1)
 
 
 def _choose(

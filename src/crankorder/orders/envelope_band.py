@@ -106,8 +106,7 @@ def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> 
         scale = scale or _scale_of(piece)
         begins = at - (first - GUARD_SAMPLES)
         plan.input_array[:begins] = plan.input_array[begins + len(piece) :] = 0.0
-        into = plan.input_array[begins : begins + len(piece)]
-        np.multiply(piece, scale, out=into, casting="same_kind")
+        np.multiply(piece, scale, out=plan.input_array[begins : begins + len(piece)], casting="same_kind")
         plan.execute()
         row[:] = plan.output_array
     gaps = np.concatenate(bad) if bad else np.zeros((0, 2), dtype=np.int64)

@@ -269,8 +269,7 @@ def beside_fixed(rows: OrderRows, speed_rpm: Floats, met: Sequence[MetRow]) -> O
     """
     if not met:
         return rows
-    values = {item.name: getattr(rows, item.name).copy() for item in fields(OrderRows)}
-    made = OrderRows(**values)
+    made = OrderRows(**{item.name: getattr(rows, item.name).copy() for item in fields(OrderRows)})
     open_rows = np.zeros(made.amplitude.shape, dtype=bool)
     for one in met:
         _put(made, one, one.touched & np.isfinite(rows.amplitude[:, one.row]))

@@ -447,8 +447,7 @@ def _seen_of(sums: _Sums, size: complex | Complexes) -> tuple[Floats, Complexes,
 
 def _gains(sums: _Sums, grid: Complexes, settings: OrderSettings, *, slack: float) -> Floats:
     """Logarithm of the odds (grid, targets) of each E_k, right to the share ``slack``, against none."""
-    size = grid[:, None]
-    power, ratio, spread = _seen_of(sums, size)
+    power, ratio, spread = _seen_of(sums, grid[:, None])
     # beside the rows' own noise, what is of second order and how coarse the grid is
     variance = spread / power + slack**2
 

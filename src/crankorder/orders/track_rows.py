@@ -324,8 +324,7 @@ class TrackReader:
     @cached_property
     def _beside(self) -> tuple[Ints, Floats]:
         """Bins beside each bin that hold noise, and how many independent ones they are worth."""
-        cycle = int(self.order_map.attrs["revs_per_cycle"])
-        return beside_bins(self._axis, line_step=1.0 / cycle)
+        return beside_bins(self._axis, line_step=1.0 / int(self.order_map.attrs["revs_per_cycle"]))
 
     @cached_property
     def _unit(self) -> Floats:
@@ -410,8 +409,7 @@ def _followed_rows(item: xr.Dataset, place: int, order: float) -> OrderRows:
     """
     if place < 0:
         return OrderRows.nothing(item.sizes["channel"], item.sizes["frame"])
-    taken = item["smoothing"].values[:, place]
-    value = item["amplitude"].values[:, place] + taken
+    value = item["amplitude"].values[:, place] + item["smoothing"].values[:, place]
     along, across = _misplaced(item, place, value)
     error = np.hypot(followed_error(item, place), along)
     dof = item["degrees_of_freedom"].values[:, place]

@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.quantities import Bools, Floats
+
 _REACH_STEPS = 2.0  # speeds more than twice so many typical steps apart leave a gap in the tested range …
 _REACH_SHARE = 0.03  # … and more than twice this share of it
 LEAST_RANGE_DB = 20.0
 """A colour scale spans at least this, so that noise alone looks like noise."""
 
 
-def speed_cells(speeds_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
+def speed_cells(speeds_rpm: Floats) -> Floats:
     """Lower and upper edge [rpm] of each speed's cell, shape (speed, 2): half-way to its neighbours.
 
     ``speeds_rpm`` ascending, at least one; a single speed gets a cell of 5 %. The first and the last of several end at
@@ -36,31 +38,28 @@ def speed_cells(speeds_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.clip(np.stack([speeds - down, speeds + up], axis=1), low, high))
 
 
-def gaps_before(cells: NDArray[np.float64]) -> NDArray[np.bool_]:
+def gaps_before(cells: Floats) -> Bools:
     """True for each of ``cells`` (speed, 2) [rpm] before which a range lies that no cell covers."""
     apart = cells[1:, 0] - cells[:-1, 1] > 1e-9 * np.maximum(np.abs(cells[1:, 0]), 1.0)
     return np.concatenate([[False], apart])
 
 
-def gaps_between(cells: NDArray[np.float64]) -> list[tuple[float, float]]:
+def gaps_between(cells: Floats) -> list[tuple[float, float]]:
     """Ranges [rpm] between neighbouring ``cells`` (speed, 2) that no cell covers."""
     return [(float(cells[at - 1, 1]), float(cells[at, 0])) for at in np.flatnonzero(gaps_before(cells))]
 
 
-def with_gaps(
-    values: NDArray[Any], cells: NDArray[np.float64], *, empty: float = np.nan
-) -> tuple[NDArray[Any], NDArray[np.float64]]:
+def with_gaps(values: NDArray[Any], cells: Floats, *, empty: float = np.nan) -> tuple[NDArray[Any], Floats]:
     """Rows of a map and their edges, with a row of ``empty`` for every gap.
 
     ``values`` shape (speed, bins); ``cells`` shape (speed, 2) [rpm] from :func:`speed_cells`.
     """
     gap = np.flatnonzero(gaps_before(cells))
     rows = np.insert(values, gap, empty, axis=0)
-    edges = np.concatenate([cells[:1, 0], np.sort(np.concatenate([cells[:, 1], cells[gap, 0]]))])
-    return rows, edges
+    return rows, np.concatenate([cells[:1, 0], np.sort(np.concatenate([cells[:, 1], cells[gap, 0]]))])
 
 
-def bin_edges(centres: NDArray[np.float64]) -> NDArray[np.float64]:
+def bin_edges(centres: Floats) -> Floats:
     """Edges of bins around ascending ``centres``, one more than these; the first and last bin are symmetric."""
     if len(centres) < 2:
         return np.array([centres[0] - 0.5, centres[0] + 0.5])
@@ -68,7 +67,7 @@ def bin_edges(centres: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])
 
 
-def pooled(values: NDArray[Any], edges: NDArray[np.float64], pixels: NDArray[np.float64], *, axis: int) -> NDArray[Any]:
+def pooled(values: NDArray[Any], edges: Floats, pixels: Floats, *, axis: int) -> NDArray[Any]:
     """Largest value under each pixel: thin lines survive, pixels narrower than a cell repeat it, outside is -inf.
 
     A cell belongs to the pixels that begin in it, else to the one that it lies in, so that no line grows wider.

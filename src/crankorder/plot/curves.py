@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.plot.axes import axes_for, dress, log_scale, note
 from crankorder.plot.given import channel_number, dataset_of, number_of, quantity_text, unit_of, values_of
 from crankorder.plot.palette import FAINT, INK, LINES, SMALL
 from crankorder.plot.records import called_order, order_texts
+from crankorder.quantities import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -73,7 +73,7 @@ def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | 
     return axes
 
 
-def _spectra(dataset: xr.Dataset, channel: int) -> dict[str, NDArray[np.float64]]:
+def _spectra(dataset: xr.Dataset, channel: int) -> dict[str, Floats]:
     """Spectra to draw, by what they are called."""
     amplitude = values_of(dataset, "amplitude", "speed", "frequency", channel=channel)
     speed = np.asarray(dataset["speed"].values, dtype=float)
@@ -82,7 +82,7 @@ def _spectra(dataset: xr.Dataset, channel: int) -> dict[str, NDArray[np.float64]
     if len(measured) > _MOST_SPEEDS:
         known = np.nan_to_num(amplitude[measured])
         return {"largest": known.max(axis=0), "median": np.median(known, axis=0)}
-    lines: dict[str, NDArray[np.float64]] = {}
+    lines: dict[str, Floats] = {}
     for number in measured:
         text = f"{speed[number]:.0f} rpm" if np.isfinite(speed[number]) else "speed not known"
         lines[text if text not in lines else f"{text} ({number + 1})"] = amplitude[number]
@@ -150,9 +150,9 @@ def envelope(
 
 def _speed_at(
     dataset: xr.Dataset,
-    order: NDArray[np.float64],
-    amplitude: NDArray[np.float64],
-    floor: NDArray[np.float64],
+    order: Floats,
+    amplitude: Floats,
+    floor: Floats,
     asked: float | None,
 ) -> int:
     """Place of the speed to draw: nearest to that ``asked`` for, else where a line stands highest over the floor."""
@@ -176,9 +176,7 @@ def _where(dataset: xr.Dataset, channel: int, at: int) -> str:
     return f"{said}, band {low:.0f}–{high:.0f} Hz" if np.isfinite(low) and np.isfinite(high) else said
 
 
-def _standing_out(
-    order: NDArray[np.float64], amplitude: NDArray[np.float64], floor: NDArray[np.float64]
-) -> list[tuple[float, float]]:
+def _standing_out(order: Floats, amplitude: Floats, floor: Floats) -> list[tuple[float, float]]:
     """Order and amplitude of the highest lines that noise would not make: its power is at worst exponential.
 
     The amplitude is the root of the squared envelope's line: its fourth power is the power that the floor refers to.
@@ -241,14 +239,14 @@ def speed(crank_angle: xr.Dataset, *, ax: Axes | None = None) -> Axes:
     return axes
 
 
-def _range_text(values: NDArray[np.float64]) -> str:
+def _range_text(values: Floats) -> str:
     if not len(values):
         return ""
     low, high = f"{values.min():.0f}", f"{values.max():.0f}"
     return f"{low} rpm" if low == high else f"{low} to {high} rpm"
 
 
-def _pieces(time: NDArray[np.float64], values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _pieces(time: Floats, values: Floats) -> Floats:
     """Middle, mean, lowest and highest value, (4, pieces), of equal pieces of ``time`` that hold any."""
     number = np.minimum(((time - time[0]) / (time[-1] - time[0]) * _PIECES).astype(int), _PIECES - 1)
     first = np.flatnonzero(np.diff(number, prepend=-1))

@@ -7,12 +7,11 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.channel_units import by_channel, unit_text
 from crankorder.errors import RequestError, SchemaError
 from crankorder.findings import Findings
-from crankorder.quantities import check_dataset
+from crankorder.quantities import Floats, check_dataset
 
 _NOUNS = {
     "recording": "a Recording",
@@ -89,10 +88,9 @@ def number_of(value: object, key: str, picture: str, *, above: float) -> float:
     return float(value)
 
 
-def values_of(dataset: xr.Dataset, name: str, *dims: str, channel: int) -> NDArray[np.float64]:
+def values_of(dataset: xr.Dataset, name: str, *dims: str, channel: int) -> Floats:
     """Values of variable ``name`` of ``dataset`` of one ``channel`` (its number), in the order of ``dims``."""
-    picked = dataset[name].isel(channel=channel).transpose(*dims)
-    return np.asarray(picked.values, dtype=np.float64)
+    return np.asarray(dataset[name].isel(channel=channel).transpose(*dims).values, dtype=np.float64)
 
 
 def unit_of(dataset: xr.Dataset, channel: int) -> str:

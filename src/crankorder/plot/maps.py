@@ -102,8 +102,7 @@ def campbell(
     >>> axes.get_xlabel(), axes.get_ylabel()
     ('Frequency, Hz', 'Speed, rpm')
     """
-    dataset = dataset_of(campbell_map, "campbell_map", "campbell")
-    one = _map_of(dataset, "frequency", channel, "campbell")
+    one = _map_of(dataset_of(campbell_map, "campbell_map", "campbell"), "frequency", channel, "campbell")
     found = found_in(findings_of(findings, "campbell"), one.channel)
     depth = number_of(dynamic_range_db, "dynamic_range_db", "campbell", above=0.0)
     axes = axes_for(ax, "campbell", height_in=_HEIGHT_IN if len(one.speed) > 1 else _STRIP_IN)
@@ -151,8 +150,7 @@ def order_map(
     >>> axes.get_xlabel()
     'Order (cycles per crank revolution)'
     """
-    dataset = dataset_of(order_map, "order_map", "order_map")
-    one = _map_of(dataset, "order", channel, "order_map")
+    one = _map_of(dataset_of(order_map, "order_map", "order_map"), "order", channel, "order_map")
     found = found_in(findings_of(findings, "order_map"), one.channel)
     depth = number_of(dynamic_range_db, "dynamic_range_db", "order_map", above=0.0)
     axes = axes_for(ax, "order_map", height_in=_HEIGHT_IN if len(one.speed) > 1 else _STRIP_IN)
@@ -178,8 +176,7 @@ def _map_of(dataset: xr.Dataset, along: str, channel: str | None, picture: str) 
     known = measured & np.isfinite(speed)
     kept = np.flatnonzero(known if known.any() else measured)
     kept = kept[np.argsort(speed[kept], kind="stable")]
-    unit = unit_of(dataset, number)
-    label = f"{quantity_text(dataset, number)}, dB re 1 {unit}".removesuffix(" ")
+    label = f"{quantity_text(dataset, number)}, dB re 1 {unit_of(dataset, number)}".removesuffix(" ")
     unknown = int(np.sum(measured & ~np.isfinite(speed))) if known.any() else 0
     name = str(dataset["channel"].values[number])
     return _Map(name, np.asarray(dataset[along].values, dtype=float), speed[kept], amplitude[kept], label, unknown)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.plot.axes import FEW_DECADES, decade_text
 from crankorder.plot.drawing import Area, Box, Drawing, Rings, Stroke, Words
 from crankorder.plot.palette import FAINT, GRID, NORMAL, text_width_in
+from crankorder.quantities import Floats
 
 TICK_SIZE = 8.5
 _TICK_IN, _PAD_IN = 3 / 72, 0.05
@@ -30,13 +30,13 @@ class Panel:
     y: tuple[float, float]
     log_y: bool = False
 
-    def at(self, x: NDArray[np.float64] | float, y: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    def at(self, x: Floats | float, y: Floats | float) -> Floats:
         """Places (n, 2) in inches of values ``x``, ``y``; values ≤ 0 of a logarithmic axis are NaN."""
         left, bottom, width, height = self.box
         along = left + width * (np.asarray(x, dtype=float) - self.x[0]) / (self.x[1] - self.x[0])
         return np.stack(np.broadcast_arrays(along, bottom + height * self.share(y)), axis=-1).reshape(-1, 2)
 
-    def share(self, y: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    def share(self, y: Floats | float) -> Floats:
         """Height of values ``y`` as a share of the panel."""
         values = np.asarray(y, dtype=float)
         if not self.log_y:
@@ -46,8 +46,8 @@ class Panel:
 
     def curve(
         self,
-        x: NDArray[np.float64],
-        y: NDArray[np.float64],
+        x: Floats,
+        y: Floats,
         *,
         color: str,
         width: float = 1.3,
@@ -58,15 +58,13 @@ class Panel:
         places, values = self.at(x, y), (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
         self.drawing.add(Stroke(places, color, width, alpha=alpha, within=self.box, name=name, values=values))
 
-    def band(
-        self, x: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64], *, color: str, alpha: float
-    ) -> None:
+    def band(self, x: Floats, low: Floats, high: Floats, *, color: str, alpha: float) -> None:
         """Area over ``x`` from ``low`` to ``high`` in ``color`` with opacity ``alpha``."""
         bottom = self.y[0] if self.log_y else -np.inf
         ends = [self.at(x, np.where(np.isfinite(end), np.maximum(end, bottom), np.nan))[:, 1] for end in (low, high)]
         self.drawing.add(Area(self.at(x, self.y[1])[:, 0], ends[0], ends[1], color, alpha, self.box, "band"))
 
-    def dots(self, x: NDArray[np.float64], y: NDArray[np.float64], *, color: str, radius: float) -> None:
+    def dots(self, x: Floats, y: Floats, *, color: str, radius: float) -> None:
         """Discs at ``x``, ``y`` in ``color``; ``radius`` in points."""
         values = (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
         left, bottom, width, height = self.box
@@ -164,7 +162,7 @@ class Panel:
             self.drawing.add(Words(x, bottom + height / 2, line, NORMAL, along="centre", upward=True, name="y label"))
 
 
-def linear_ticks(low: float, high: float, *, most: int, whole: bool = False) -> NDArray[np.float64]:
+def linear_ticks(low: float, high: float, *, most: int, whole: bool = False) -> Floats:
     """Round places from ``low`` to ``high``, at most ``most`` + 1 of them, whole numbers where ``whole``."""
     raw = max((high - low) / max(most, 1), 1e-300)
     if whole:
@@ -175,7 +173,7 @@ def linear_ticks(low: float, high: float, *, most: int, whole: bool = False) -> 
     return np.asarray(np.arange(first, last + 1) * step, dtype=np.float64)
 
 
-def linear_texts(places: NDArray[np.float64]) -> list[str]:
+def linear_texts(places: Floats) -> list[str]:
     """Texts of evenly spaced ``places``: decimals that tell them apart, powers of ten far off 1."""
     if not len(places):
         return []
@@ -187,7 +185,7 @@ def linear_texts(places: NDArray[np.float64]) -> list[str]:
     return [f"{value:.{decimals}f}".replace("-", "−") if value else f"{0:.{decimals}f}" for value in places]
 
 
-def log_ticks(low: float, high: float, *, most: int) -> NDArray[np.float64]:
+def log_ticks(low: float, high: float, *, most: int) -> Floats:
     """Decades from ``low`` to ``high``, at most ``most``; 2 and 5 between where they are few."""
     decades = np.arange(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     stride = max(1, math.ceil(math.log10(high / low) / most))

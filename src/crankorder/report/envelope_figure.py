@@ -6,13 +6,13 @@ from itertools import takewhile
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.findings import Findings
 from crankorder.plot.drawing import Drawing, Rings, Words
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, head_of_test, label_width_in
 from crankorder.plot.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES, drawable, shortened
 from crankorder.plot.panel import Panel
+from crankorder.quantities import Floats
 from crankorder.report.campbell_figure import Mark
 from crankorder.report.notation import is_number, order_name, order_text
 from crankorder.report.spectra_figure import column_boxes, column_panels, draw_spectra, label_column
@@ -77,7 +77,7 @@ def _subtitle(n_speeds: int, marks: bool, found: bool) -> str:
     return said if found else f"{said} No bearing line stands over the floor."
 
 
-def _mean_over_speeds(envelope: xr.Dataset, name: str) -> NDArray[np.float64]:
+def _mean_over_speeds(envelope: xr.Dataset, name: str) -> Floats:
     """Mean over the speeds (channels, orders) of variable ``name`` by power of the squared envelope; 0 if unknown.
 
     The amplitude is the root of the squared envelope's line: its fourth power is the power that the floor refers to.
@@ -141,9 +141,7 @@ def _room_of(marks: list[Mark]) -> float:
     return sum(label_width_in(EdgeLabel(0.0, text, color)) for _, text, color in marks)
 
 
-def _draw_found(
-    panel: Panel, orders: NDArray[np.float64], values: NDArray[np.float64], findings: Findings, channel: str
-) -> bool:
+def _draw_found(panel: Panel, orders: Floats, values: Floats, findings: Findings, channel: str) -> bool:
     """Ring the lines that were found in the envelope of a ``channel``; thin lines at their multiples."""
     places = []
     for record in findings.bearings:

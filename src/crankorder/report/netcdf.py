@@ -79,8 +79,7 @@ def _write_group(group: h5py.Group, dataset: xr.Dataset, number: Iterator[int]) 
         dims = tuple(str(dim) for dim in variable.dims)
         for suffix, values in _stored(name, np.asarray(variable.values)):
             packed = values.ndim > 0 and values.size > 0 and values.dtype.kind in "iuf"
-            chunks = _chunks(values) if packed else None
-            variables[name + suffix] = Variable(dims, values, about, chunks)
+            variables[name + suffix] = Variable(dims, values, about, _chunks(values) if packed else None)
     write_variables(group, {str(name): size for name, size in dataset.sizes.items()}, variables, number)
 
 
@@ -330,8 +329,7 @@ def _attribute(owner: Any, name: str, value: Any) -> None:
         stored = np.asarray(value)
         kind = memory = h5t.py_create(stored.dtype, logical=True)
     space = h5s.create_simple(stored.shape) if stored.ndim else h5s.create(h5s.SCALAR)
-    made = h5a.create(owner, name.encode("utf-8", "backslashreplace"), kind, space)
-    made.write(stored, mtype=memory)
+    h5a.create(owner, name.encode("utf-8", "backslashreplace"), kind, space).write(stored, mtype=memory)
 
 
 def dims_of(dataset: h5py.Dataset) -> tuple[str, ...]:

@@ -118,8 +118,7 @@ def _draw_channel(drawing: Drawing, shown: ShownTracks, channel: int, box: Box) 
     upper_box = (left, bottom + phase_height + 0.22, width, height - phase_height - 0.22)
     upper = Panel(drawing, upper_box, ends, limits, logarithmic)
     lower = Panel(drawing, (left, bottom, width, phase_height), ends, (-190.0, 190.0))
-    first = left == _LEFT
-    _draw_axes(upper, lower, shown, channel, first=first)
+    _draw_axes(upper, lower, shown, channel, first=left == _LEFT)
     for number in np.argsort(-shown.rank):  # the strongest lies on top
         _draw_line(upper, shown, channel, int(number))
         if shown.reference in _PHASE_OF and shown.coloured[number]:

@@ -58,8 +58,7 @@ def shapes_figure(
     with the largest amplitude of all.
     """
     with house_style():
-        row = _speed_row(shapes, speed_rpm)
-        one = shapes.isel(speed=row)
+        one = shapes.isel(speed=_speed_row(shapes, speed_rpm))
         orders = _strongest(one)
         channels = range(one.sizes["channel"])
         blocks = [channels[first : first + _CHANNELS] for first in range(0, len(channels), _CHANNELS)]
@@ -135,8 +134,7 @@ def _draw_block(
     """Rows of orders for ``channels``; ``size`` is the top of the block, width and height of a cell, in inches."""
     top, width, height = size
     for column, channel in enumerate(channels):
-        left = _LEFT + column * width
-        _name_column(figure, one.isel(channel=channel), left, top, width, settings)
+        _name_column(figure, one.isel(channel=channel), _LEFT + column * width, top, width, settings)
     for row, order in enumerate(orders):
         middle = top - _HEADER - (row + 0.5) * height
         canvas.plot([0.25, _LEFT + len(channels) * width], [middle + height / 2] * 2, color=GRID, linewidth=0.8)
@@ -178,8 +176,7 @@ def _two_lines(name: str, width_in: float) -> list[str]:
 
 def _name_row(figure: Figure, order: xr.Dataset, middle: float, *, mixed: bool) -> None:
     """Order of a row and, where rows differ in that, what its phases are from."""
-    value = nominal_order(order.order)
-    write(figure, 0.25, middle + 0.03, f"order {order_text(value)}", fontweight="bold")
+    write(figure, 0.25, middle + 0.03, f"order {order_text(nominal_order(order.order))}", fontweight="bold")
     origin = str(order.phase_from.item())
     if mixed:
         text = shortened(f"from {_SHORT.get(origin, drawable(origin, 24))}", SMALL, _LEFT - 0.3)

@@ -15,9 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from crankorder.errors import RequestError
-from crankorder.shaft.pulses import FloatArray, Remark
-
-IntArray = npt.NDArray[np.int64]
+from crankorder.quantities import Bools, Floats, Ints
+from crankorder.shaft.pulses import Remark
 
 # A fold is taken for found where chance would make so few of it in a test.
 FALSE_FOLDS = 0.01
@@ -36,9 +35,9 @@ class FoldedLine:
 
     kind: str
     value: float
-    speed_rpm: FloatArray
-    shown_order: FloatArray
-    folds: npt.NDArray[np.bool_]
+    speed_rpm: Floats
+    shown_order: Floats
+    folds: Bools
 
     def __str__(self) -> str:
         """The line and where it shows, in words."""
@@ -59,7 +58,7 @@ class Fold:
 
     kind: str
     value: float
-    points: IntArray
+    points: Ints
     false_folds: float
     sure: bool
     evidence: str
@@ -70,7 +69,7 @@ class Fold:
         return (f"folded_{self.kind}", "suspect" if self.sure else "info", self.evidence)
 
 
-def folded_order(order: npt.ArrayLike, samples_per_rev: float) -> FloatArray:
+def folded_order(order: npt.ArrayLike, samples_per_rev: float) -> Floats:
     """Orders at which lines at ``order`` (any shape) show when sampled ``samples_per_rev`` times a revolution."""
     true = np.asarray(order, dtype=np.float64)
     return np.asarray(np.abs(true - samples_per_rev * np.rint(true / samples_per_rev)))
@@ -78,7 +77,7 @@ def folded_order(order: npt.ArrayLike, samples_per_rev: float) -> FloatArray:
 
 def folded_lines(
     samples_per_rev: float,
-    speeds_rpm: Sequence[float] | FloatArray,
+    speeds_rpm: Sequence[float] | Floats,
     *,
     frequencies_hz: Sequence[float] = (),
     orders: Sequence[float] = (),
@@ -109,8 +108,8 @@ def folded_lines(
 
 
 def find_folds(
-    speed_rpm: FloatArray,
-    order: FloatArray,
+    speed_rpm: Floats,
+    order: Floats,
     *,
     samples_per_rev: float,
     order_error: float,
@@ -169,14 +168,14 @@ def find_folds(
 class _Track:
     """The lines of a test and what a fixed frequency would look like among them."""
 
-    speed_rpm: FloatArray
-    order: FloatArray
+    speed_rpm: Floats
+    order: Floats
     samples_per_rev: float
     order_error: float
     shown_to_order: float
     speed_error: float
 
-    def fold(self, frequency_hz: float, free: npt.NDArray[np.bool_], *, tried: int) -> Fold | None:
+    def fold(self, frequency_hz: float, free: Bools, *, tried: int) -> Fold | None:
         """The Fold of ``frequency_hz`` among the ``free`` points where it is sure after ``tried`` frequencies."""
         speeds = np.unique(self.speed_rpm)
         true = 60.0 * frequency_hz / speeds
@@ -207,7 +206,7 @@ class _Track:
         )
         return Fold("frequency", frequency_hz, points, false_folds, True, evidence)
 
-    def refined_hz(self, frequency_hz: float, points: IntArray) -> float:
+    def refined_hz(self, frequency_hz: float, points: Ints) -> float:
         """Frequency that fits the ``points`` of a fold near ``frequency_hz`` best."""
         true = 60.0 * frequency_hz / self.speed_rpm[points]
         turns = np.rint(true / self.samples_per_rev)
@@ -217,7 +216,7 @@ class _Track:
         return float(np.average(each, weights=width**-2.0))
 
 
-def _unnamed(track: _Track, free: npt.NDArray[np.bool_], highest_hz: float) -> list[Fold]:
+def _unnamed(track: _Track, free: Bools, highest_hz: float) -> list[Fold]:
     """Folds of frequencies that nobody named, among the ``free`` points; the least likely by chance is taken first."""
     folds: list[Fold] = []
     lowest_hz = 0.5 * track.samples_per_rev * float(track.speed_rpm.min(initial=np.inf)) / 60.0
@@ -241,7 +240,7 @@ def _unnamed(track: _Track, free: npt.NDArray[np.bool_], highest_hz: float) -> l
     return folds
 
 
-def _proposed(track: _Track, free: npt.NDArray[np.bool_], lowest_hz: float, highest_hz: float) -> FloatArray:
+def _proposed(track: _Track, free: Bools, lowest_hz: float, highest_hz: float) -> Floats:
     """Frequencies on which most free lines agree, whatever of their folds they are: those worth a closer look."""
     turn_hz, order = track.speed_rpm[free] / 60.0, track.order[free]
     turns = np.arange(1, int(highest_hz / (track.samples_per_rev * turn_hz.min())) + 2)[:, None]
@@ -255,7 +254,7 @@ def _proposed(track: _Track, free: npt.NDArray[np.bool_], lowest_hz: float, high
     return np.asarray((total[last[best]] - total[best]) / votes[best])[votes[best] > 1]
 
 
-def _staying(speed_rpm: FloatArray, order: FloatArray, order_error: float) -> list[list[int]]:
+def _staying(speed_rpm: Floats, order: Floats, order_error: float) -> list[list[int]]:
     """Points that stay at one order over most speeds: lines of the shaft."""
     n_speeds, groups = np.unique(speed_rpm).size, []
     sequence = np.argsort(order, kind="stable")

@@ -10,12 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import xarray as xr
 from numba import njit
-from numpy.typing import NDArray
 
 from crankorder.errors import InputError
+from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import ShaftSettings
-from crankorder.shaft.pulses import FloatArray, Remark
-from crankorder.shaft.repair import IntArray
+from crankorder.shaft.pulses import Remark
 from crankorder.shaft.smoother import (
     HIGHEST_CUT_OFF,
     LOWEST_CUT_OFF,
@@ -48,17 +47,17 @@ class AngleKnots:
     standard deviation of one pulse time that it rests on (NaN where there are no pulses).
     """
 
-    time_s: FloatArray
-    angle_rev: FloatArray
-    speed_rpm: FloatArray
-    standard_error_rev: FloatArray
+    time_s: Floats
+    angle_rev: Floats
+    speed_rpm: Floats
+    standard_error_rev: Floats
     cut_off_order: float
     noise_s: float
 
 
 def angle_knots(
-    time_s: FloatArray,
-    tooth: IntArray,
+    time_s: Floats,
+    tooth: Ints,
     *,
     teeth_per_rev: float,
     noise_s: float | None,
@@ -112,7 +111,7 @@ def _resolution_s(time_s: npt.NDArray[Any]) -> float:
     return float(np.spacing(largest))
 
 
-def _on_grid(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, FloatArray]:
+def _on_grid(time_s: Floats, tooth: Ints) -> tuple[Floats, Floats]:
     """Pulse times on the even grid of teeth, and weights: 0 where a tooth has no pulse (its time is bridged)."""
     n = int(tooth[-1] - tooth[0]) + 1
     if n == time_s.size:
@@ -123,7 +122,7 @@ def _on_grid(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, FloatArra
     return np.interp(np.arange(n), place, time_s), weight
 
 
-def _smoothed(grid: FloatArray, weight: FloatArray, cut_off: float, noise_s: float) -> tuple[FloatArray, FloatArray]:
+def _smoothed(grid: Floats, weight: Floats, cut_off: float, noise_s: float) -> tuple[Floats, Floats]:
     """Smoothed times of all teeth, and their variances over that of one pulse.
 
     A tooth without a pulse follows a motion as rough as the smoothed times show it, not one as rough as may be: then
@@ -142,7 +141,7 @@ def _smoothed(grid: FloatArray, weight: FloatArray, cut_off: float, noise_s: flo
     return smooth, np.where(weight > 0.0, leverage, smoother.leverage())
 
 
-def _with_slopes(value: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _with_slopes(value: Floats) -> tuple[Floats, Floats]:
     """Evenly spaced values and the slopes per step of their cubic spline, both with one step more at either end.
 
     The end slopes of the spline are those of the cubic through the four outermost values; beyond it goes on straight. A
@@ -187,7 +186,7 @@ def _spline_slopes(value, share, slope):  # type: ignore[no-untyped-def]
         slope[i + 1] = least if now > 0.0 else np.inf
 
 
-def _sparse(time_s: FloatArray, slope_s: FloatArray, allowed_teeth: float, cut_off: float) -> IntArray:
+def _sparse(time_s: Floats, slope_s: Floats, allowed_teeth: float, cut_off: float) -> Ints:
     """Which knots to keep so that cubics over the others err by no more than ``allowed_teeth``."""
     last = time_s.size - 1
     stride = 1 << max(0, int(np.log2(max(1.0, 0.1 / min(cut_off, 0.5)))))
@@ -223,7 +222,7 @@ def _stride_fits(time, slope, stride, every, allowed):  # type: ignore[no-untype
     return True
 
 
-def knots_of(shaft: xr.Dataset) -> dict[str, FloatArray]:
+def knots_of(shaft: xr.Dataset) -> dict[str, Floats]:
     """Arguments of :func:`angle_at` and :func:`time_at` from the ShaftAngle ``shaft``."""
     return {
         "knot_time_s": shaft.variables["time"].values,  # not shaft["time"], which gathers coordinates at a great cost
@@ -232,9 +231,7 @@ def knots_of(shaft: xr.Dataset) -> dict[str, FloatArray]:
     }
 
 
-def angle_at(
-    time_s: npt.ArrayLike, knot_time_s: FloatArray, knot_angle_rev: FloatArray, knot_speed_rpm: FloatArray
-) -> FloatArray:
+def angle_at(time_s: npt.ArrayLike, knot_time_s: Floats, knot_angle_rev: Floats, knot_speed_rpm: Floats) -> Floats:
     """Crank angle [rev] at given times, NaN outside the knots; fastest for times that grow.
 
     Parameters
@@ -248,8 +245,8 @@ def angle_at(
 
 
 def time_at(
-    crank_angle_rev: npt.ArrayLike, knot_time_s: FloatArray, knot_angle_rev: FloatArray, knot_speed_rpm: FloatArray
-) -> FloatArray:
+    crank_angle_rev: npt.ArrayLike, knot_time_s: Floats, knot_angle_rev: Floats, knot_speed_rpm: Floats
+) -> Floats:
     """Time [s] at which given crank angles are passed: the exact inverse of :func:`angle_at`, NaN outside the knots.
 
     An angle outside them by rounding is their end, as that of a frame that ends with the record.
@@ -267,9 +264,7 @@ def time_at(
     return _interpolated(angle, knot_angle_rev, knot_time_s, knot_speed_rpm, inverse=True)
 
 
-def _interpolated(
-    given: npt.ArrayLike, knots: FloatArray, value: FloatArray, speed_rpm: FloatArray, *, inverse: bool
-) -> FloatArray:
+def _interpolated(given: npt.ArrayLike, knots: Floats, value: Floats, speed_rpm: Floats, *, inverse: bool) -> Floats:
     """``value`` where ``knots`` take the ``given`` values, whose slopes are speeds; with ``inverse`` one over these."""
     wanted = np.atleast_1d(np.asarray(given, dtype=np.float64))
     out = np.empty(wanted.size)
@@ -392,17 +387,15 @@ CHANGE_S = 0.5
 RUNNING_SHARE, SLOWEST_RPM = 0.03, 20.0
 """Share of the highest speed, and speed, below which a shaft counts as standing."""
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class SpeedCourse:
     """Speed [rpm] of a recording at ``time_s``, its rate of change [rpm/s], and whether the shaft turns (times,)."""
 
-    time_s: Array
-    speed_rpm: Array
-    rate_rpm_per_s: Array
-    runs: NDArray[np.bool_]
+    time_s: Floats
+    speed_rpm: Floats
+    rate_rpm_per_s: Floats
+    runs: Bools
 
     def parts(self) -> list[tuple[float, float]]:
         """Begin and end [s] of each stretch of time in which the shaft turns."""
@@ -410,7 +403,7 @@ class SpeedCourse:
         return [(float(self.time_s[a]), float(self.time_s[b - 1])) for a, b in edges.reshape(-1, 2) if b - a > 1]
 
 
-def smoothed_speed(shaft: xr.Dataset, time_s: Array, stretch_s: Array | float) -> Array:
+def smoothed_speed(shaft: xr.Dataset, time_s: Floats, stretch_s: Floats | float) -> Floats:
     """Speed [rpm] at ``time_s`` (times,): slope of the parabola through the angle over ``stretch_s`` around each.
 
     ``shaft`` is a ShaftAngle by time. The stretch (times,) is cut at the ends of the record, where the slope of the
@@ -428,7 +421,7 @@ def smoothed_speed(shaft: xr.Dataset, time_s: Array, stretch_s: Array | float) -
     return np.asarray(60.0 * (slope + 2.0 * bend * (time_s - centre) / reach) / reach)
 
 
-def speed_at_angle(shaft: xr.Dataset, angle_rev: Array, stretch_rev: Array | float) -> Array:
+def speed_at_angle(shaft: xr.Dataset, angle_rev: Floats, stretch_rev: Floats | float) -> Floats:
     """Speed [rpm] at ``angle_rev`` (angles,) of ``shaft``, over the time that ``stretch_rev`` around each takes."""
     knots = knots_of(shaft)
     first, last = knots["knot_angle_rev"][[0, -1]]
@@ -459,7 +452,7 @@ NOISE_SIGMAS = 6.0
 
 
 def integrated_speed(
-    speed_rpm: FloatArray, *, rate_hz: float, settings: ShaftSettings, start_s: float = 0.0
+    speed_rpm: Floats, *, rate_hz: float, settings: ShaftSettings, start_s: float = 0.0
 ) -> tuple[AngleKnots, list[Remark]]:
     """Knots of crank angle, 0 at the first sample, from the integral of a speed signal, and remarks.
 

@@ -15,9 +15,10 @@ import numpy as np
 import xarray as xr
 from scipy.special import j0, j1
 
+from crankorder.quantities import Floats
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import knots_of, time_at
-from crankorder.shaft.pulses import FloatArray, Remark
+from crankorder.shaft.pulses import Remark
 from crankorder.shaft.smoother import HIGHEST_CUT_OFF
 
 # Cycles whose common motion is looked at, points of a revolution that show it, frames that are looked at for steps.
@@ -46,16 +47,16 @@ class Modulation:
     cause: str
     random_rev: float = 0.0
     still_rev: float = 0.0
-    tone_order: FloatArray = field(default_factory=lambda: np.empty(0))
-    tone_rev: FloatArray = field(default_factory=lambda: np.empty(0))
+    tone_order: Floats = field(default_factory=lambda: np.empty(0))
+    tone_rev: Floats = field(default_factory=lambda: np.empty(0))
 
-    def loss(self, order: FloatArray) -> FloatArray:
+    def loss(self, order: Floats) -> Floats:
         """Share of its amplitude that a line at each ``order`` (orders,) loses, 0 to 1."""
         turn = 2.0 * np.pi * order
         left = np.exp(-0.5 * (turn * self.random_rev) ** 2) * np.prod(j0(np.outer(turn, self.tone_rev)), axis=1)
         return np.asarray(1.0 - np.abs(left))
 
-    def sideband(self, order: FloatArray) -> FloatArray:
+    def sideband(self, order: Floats) -> Floats:
         """Largest share of its amplitude that a line at each ``order`` (orders,) gives to an order beside it."""
         depth = np.outer(2.0 * np.pi * order, np.append(self.tone_rev, 0.0))
         return np.asarray(np.max(j1(np.minimum(depth, DEEPEST_RAD)), axis=1))
@@ -80,7 +81,7 @@ class Reference:
         """Standard deviation of one pulse: smoothing has divided it by the root of the pulses that it joins."""
         return self.error_rev * math.sqrt(max(1.0, self.teeth_per_rev / (2.1 * self.cut_off_order)))
 
-    def smoothing(self, cycles_per_tooth: FloatArray) -> FloatArray:
+    def smoothing(self, cycles_per_tooth: Floats) -> Floats:
         """Gain of the smoother at each of ``cycles_per_tooth``."""
         cut_off = self.cut_off_order / self.teeth_per_rev
         if cut_off > HIGHEST_CUT_OFF:
@@ -91,7 +92,7 @@ class Reference:
         """Lowest order of the engine cycle that is beyond the order ``above``."""
         return (math.floor(above * self.revs_per_cycle + 1e-9) + 1) / self.revs_per_cycle
 
-    def error_of_motion(self, order: float, amplitude_rev: float) -> tuple[FloatArray, FloatArray]:
+    def error_of_motion(self, order: float, amplitude_rev: float) -> tuple[Floats, Floats]:
         """Orders and amplitudes [rev] of the error of the angle where it swings by ``amplitude_rev`` at ``order``.
 
         Teeth sample the motion, so it shows at order - n teeth_per_rev for every whole n, with the gain that the cubic
@@ -132,8 +133,7 @@ def reference_of(shaft: xr.Dataset, *, revs_per_frame: float) -> Reference:
 def pulse_noise(reference: Reference, *, revs_per_frame: float) -> Modulation:
     """Random error of the angle of ``reference`` within frames of ``revs_per_frame``."""
     left = min(reference.error_rev, reference.pulse_error_rev / math.sqrt(reference.teeth_per_rev * revs_per_frame))
-    within = math.sqrt(reference.error_rev**2 - left**2)
-    return Modulation("the noise of the pulses", random_rev=within)
+    return Modulation("the noise of the pulses", random_rev=math.sqrt(reference.error_rev**2 - left**2))
 
 
 def seen_motion(shaft: xr.Dataset, reference: Reference) -> dict[float, float]:
@@ -246,7 +246,7 @@ def rounding_in_step(
     )
 
 
-def _passed(reference: Reference, place: FloatArray, reach: FloatArray) -> FloatArray:
+def _passed(reference: Reference, place: Floats, reach: Floats) -> Floats:
     """Share of the power of a line at ``place``, swept by ``reach`` to either side, that passes the smoother."""
     cut_off = min(0.5, reference.cut_off_order / reference.teeth_per_rev)
     within = np.clip(np.minimum(place + reach, cut_off) - np.maximum(place - reach, -cut_off), 0.0, None)
@@ -274,7 +274,7 @@ class ReferenceAudit:
 def reference_audit(
     shaft: xr.Dataset,
     *,
-    orders: Sequence[float] | FloatArray,
+    orders: Sequence[float] | Floats,
     revs_per_frame: float,
     settings: ShaftSettings,
 ) -> ReferenceAudit:
@@ -312,11 +312,11 @@ def reference_audit(
     return ReferenceAudit(highest_carried_order=carried, causes=causes, remarks=tuple(remarks))
 
 
-def _loss(causes: Sequence[Modulation], order: FloatArray) -> FloatArray:
+def _loss(causes: Sequence[Modulation], order: Floats) -> Floats:
     return np.asarray(1.0 - np.prod([1.0 - cause.loss(order) for cause in causes], axis=0))
 
 
-def _sideband(causes: Sequence[Modulation], order: FloatArray) -> FloatArray:
+def _sideband(causes: Sequence[Modulation], order: Floats) -> Floats:
     return np.asarray(np.max([cause.sideband(order) for cause in causes], axis=0))
 
 

@@ -21,10 +21,9 @@ from crankorder.fft.decimation import decimate, decimation_factor
 from crankorder.fft.resampling import PASS_BAND, margin, values_at
 from crankorder.fft.transforms import FrameTransform, frame_starts
 from crankorder.fft.windows import hann
-from crankorder.quantities import Bools, Complexes, Ints
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots, time_at
-from crankorder.shaft.pulses import FloatArray
 
 # Frames follow each other by this share of their length; spectra are padded so many times.
 HOP_SHARE, PADDING = 0.375, 2
@@ -55,20 +54,20 @@ class SpeedEvidence:
     ``frames_per_knot`` is the number of independent frames that a knot is worth. The speeds are even in the logarithm.
     """
 
-    time_s: FloatArray
-    speed_hz: FloatArray
-    every: FloatArray
-    moving: FloatArray
+    time_s: Floats
+    speed_hz: Floats
+    every: Floats
+    moving: Floats
     frames_per_knot: float
 
 
 def comb_evidence(
-    signals: FloatArray,
+    signals: Floats,
     rate_hz: float,
     *,
     range_hz: tuple[float, float],
-    order: FloatArray,
-    weight: FloatArray,
+    order: Floats,
+    weight: Floats,
     settings: ShaftSettings,
     fixed_hz: Sequence[float] = (),
 ) -> SpeedEvidence:
@@ -107,20 +106,20 @@ def comb_evidence(
     return SpeedEvidence(time_s, speed, every, moving, worth)
 
 
-def _between(time_s: FloatArray, frame_s: FloatArray, values: FloatArray) -> FloatArray:
+def _between(time_s: Floats, frame_s: Floats, values: Floats) -> Floats:
     """``values`` (frames, …) at ``time_s``, linear between the frames' times ``frame_s``, constant beyond them."""
     if frame_s.size == 1:
         return np.repeat(values, time_s.size, axis=0)
     k = np.clip(np.searchsorted(frame_s, time_s) - 1, 0, frame_s.size - 2)
     share = np.clip((time_s - frame_s[k]) / (frame_s[k + 1] - frame_s[k]), 0.0, 1.0)[:, None]
-    between: FloatArray = (1.0 - share) * values[k] + share * values[k + 1]
+    between: Floats = (1.0 - share) * values[k] + share * values[k + 1]
     return between
 
 
 class _Frames:
     """Spectra of overlapping frames of one length, with any slew, from a signal decimated to its band."""
 
-    def __init__(self, signals: FloatArray, rate_hz: float, *, length_s: float, top_hz: float) -> None:
+    def __init__(self, signals: Floats, rate_hz: float, *, length_s: float, top_hz: float) -> None:
         band = min(top_hz * (1.0 + 0.5 * MOST_WARP), PASS_BAND * rate_hz)
         reduced, self.rate_hz, start_s = decimate(
             signals, rate_hz=rate_hz, band_hz=band, factor=decimation_factor(rate_hz, band)
@@ -137,7 +136,7 @@ class _Frames:
         self.bin_hz = self.rate_hz / self._transform.n_fft
         self.peak_bins = max(1, round(PEAK_BINS * self._transform.n_fft / self.n_frame))
 
-    def power(self, slew_per_s: float, which: slice) -> FloatArray:
+    def power(self, slew_per_s: float, which: slice) -> Floats:
         """Power (channels, frames, bins) of the frames ``which``, warped so that orders with that slew stand still."""
         centre = self._centre[which]
         ticks = np.arange(self.n_frame) - self.n_frame // 2
@@ -150,7 +149,7 @@ class _Frames:
             source = values_at(self._padded, (centre[:, None] + offset).ravel())
             starts = frame_starts(source.shape[1], self.n_frame, self.n_frame)
         spectra = self._transform.spectra(source, starts)
-        power: FloatArray = spectra.real**2 + spectra.imag**2
+        power: Floats = spectra.real**2 + spectra.imag**2
         return power
 
 
@@ -165,11 +164,11 @@ def _even_size(n: int) -> int:
 class _LogOdds:
     """Log odds of combs of ``order`` that show with probability ``weight``."""
 
-    order: FloatArray
-    weight: FloatArray
+    order: Floats
+    weight: Floats
     fixed_hz: Sequence[float]
 
-    def of_frames(self, frames: _Frames, speed_hz: FloatArray, slew_per_s: float) -> tuple[FloatArray, FloatArray]:
+    def of_frames(self, frames: _Frames, speed_hz: Floats, slew_per_s: float) -> tuple[Floats, Floats]:
         """Log odds (frames, speeds) over the noise beside, and over the usual power too; the best of the slews."""
         count = frames.time_s.size
         most = min(slew_per_s, MOST_WARP / frames.length_s)
@@ -192,7 +191,7 @@ class _LogOdds:
                     best_combs(power, noise, frames.peak_bins, neutral, place, self.weight, ODDS, best[some])
         return every, moving
 
-    def _floors(self, frames: _Frames, block: int) -> tuple[FloatArray, FloatArray]:
+    def _floors(self, frames: _Frames, block: int) -> tuple[Floats, Floats]:
         """Noise power (channels, frames, bins) beside each bin, and the usual power (channels, 1, bins)."""
         parts = [
             frames.power(0.0, slice(first, first + FRAMES_AT_ONCE))
@@ -211,7 +210,7 @@ class _LogOdds:
         after = np.minimum(k + 1, n_blocks - 1)
         return np.exp((1.0 - share) * log_median[..., k] + share * log_median[..., after]), usual
 
-    def _neutral(self, frames: _Frames, slew_per_s: float, n_bins: int) -> FloatArray:
+    def _neutral(self, frames: _Frames, slew_per_s: float, n_bins: int) -> Floats:
         """1.0 for bins (bins,) that a fixed tone may reach, else 0.0."""
         frequency = np.arange(n_bins) * frames.bin_hz
         neutral = np.zeros(n_bins)
@@ -221,14 +220,14 @@ class _LogOdds:
         return neutral
 
 
-def _odds_table() -> FloatArray:
+def _odds_table() -> Floats:
     """Odds of a line against noise and stray lines for power over floor from 0 on, ODDS_STEPS to one.
 
     Lines are as likely at every size: their power, one plus line over noise, is log-uniform up to HIGHEST_LINE.
     """
     over_floor = np.maximum((np.arange(16 * ODDS_STEPS) + 0.5) / ODDS_STEPS, 1e-9)
     line = -np.expm1(-over_floor) / (over_floor * math.log(HIGHEST_LINE))
-    odds: FloatArray = line / ((1.0 - STRAY_SHARE) * np.exp(-over_floor) + STRAY_SHARE * line)
+    odds: Floats = line / ((1.0 - STRAY_SHARE) * np.exp(-over_floor) + STRAY_SHARE * line)
     return odds
 
 
@@ -293,19 +292,19 @@ PROMINENCE = (1.0, 2.0)
 class FamilyEvidence:
     """Log odds (ratios,) of each fundamental against none, and of single frames (frames, ratios) at ``time_s``."""
 
-    log_odds: FloatArray
-    time_s: FloatArray
-    of_frames: FloatArray
+    log_odds: Floats
+    time_s: Floats
+    of_frames: Floats
 
 
 def family_evidence(
-    signals: FloatArray,
+    signals: Floats,
     rate_hz: float,
     knots: AngleKnots,
     *,
-    ratio: FloatArray,
-    order: FloatArray,
-    weight: FloatArray,
+    ratio: Floats,
+    order: Floats,
+    weight: Floats,
 ) -> FamilyEvidence:
     """Log odds of the fundamentals at ``ratio`` times the speed of ``knots``, all from the same order spectra.
 
@@ -343,7 +342,7 @@ def family_evidence(
     return FamilyEvidence(total, time_s, of_frames)
 
 
-def _order_power(signals: FloatArray, rate_hz: float, knots: AngleKnots, revs: float) -> tuple[FloatArray, FloatArray]:
+def _order_power(signals: Floats, rate_hz: float, knots: AngleKnots, revs: float) -> tuple[Floats, Floats]:
     """Times [s] of frames of ``revs`` revolutions, and their power over the noise beside it (channels, frames, bins).
 
     A bin is half of a line's resolution; the power is NaN outside the band.
@@ -361,7 +360,7 @@ def _order_power(signals: FloatArray, rate_hz: float, knots: AngleKnots, revs: f
 
 
 def order_spectra(
-    signals: FloatArray, rate_hz: float, knots: AngleKnots, centre: FloatArray, *, revs: float, bins: Ints
+    signals: Floats, rate_hz: float, knots: AngleKnots, centre: Floats, *, revs: float, bins: Ints
 ) -> tuple[Complexes, Bools]:
     """Spectra (channels, frames, bins) by Hann frames evenly sampled in angle, and the bins (frames, bins) in the band.
 
@@ -385,10 +384,10 @@ def order_spectra(
     return spectra, order * speed_hz[:, None] <= min(band, PASS_BAND * rate)
 
 
-def _median_beside(power: FloatArray, reach: int) -> FloatArray:
+def _median_beside(power: Floats, reach: int) -> Floats:
     """Median of ``power`` (channels, bins) within ``reach`` bins of each, as a mean of noise."""
     reach = min(reach, power.shape[1] - 1)
     padded = np.pad(power, ((0, 0), (reach, reach)), mode="reflect")
     median = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=1), axis=-1) / math.log(2.0)
-    floor: FloatArray = np.maximum(median, 1e-12 * power.max() + 1e-300)
+    floor: Floats = np.maximum(median, 1e-12 * power.max() + 1e-300)
     return floor

@@ -11,10 +11,10 @@ import numpy as np
 import xarray as xr
 
 from crankorder.errors import InputError, located
-from crankorder.quantities import QualityFlag, ShaftAngle, check_dataset, with_flags
+from crankorder.quantities import Floats, QualityFlag, ShaftAngle, check_dataset, with_flags
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots, angle_knots, integrated_speed
-from crankorder.shaft.pulses import FloatArray, Remark
+from crankorder.shaft.pulses import Remark
 from crankorder.shaft.repair import FEW_PULSES, listed_times, running_parts
 from crankorder.shaft.standstill import ShaftRun, joined
 from crankorder.shaft.tooth_errors import stated_teeth, swing_remarks, tooth_errors, tooth_remark, without_tooth_errors
@@ -49,7 +49,7 @@ class CamMark:
     flags: list[Remark]
 
 
-def cam_mark(place_rev: FloatArray, time_s: FloatArray) -> CamMark:
+def cam_mark(place_rev: Floats, time_s: Floats) -> CamMark:
     """The place of the one mark per cycle of a camshaft, by the majority of the cycles.
 
     ``place_rev``: (marks,), crank angle of the marks in revolutions, NaN where it is not known. ``time_s``: (marks,),
@@ -110,9 +110,9 @@ def firing_tdc(mark_rev: float, tdc_rev: float, cam_to_tdc_deg: float | None) ->
     return tdc_rev + turns, [("cam_off", "suspect", detail)]
 
 
-def _wrapped(place_rev: FloatArray) -> FloatArray:
+def _wrapped(place_rev: Floats) -> Floats:
     """``place_rev`` within one revolution of 0, on the cycle of two."""
-    wrapped: FloatArray = place_rev - 2.0 * np.round(place_rev / 2.0)
+    wrapped: Floats = place_rev - 2.0 * np.round(place_rev / 2.0)
     return wrapped
 
 

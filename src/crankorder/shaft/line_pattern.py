@@ -10,10 +10,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
-from crankorder.shaft.pulses import FloatArray
-from crankorder.shaft.repair import IntArray
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 
 # Teeth that are enough: a hundred-thousandth of a revolution per pulse is then known to a hundred-millionth.
 MOST_TEETH = 1 << 20
@@ -46,16 +44,16 @@ class LinePattern:
     """
 
     lines: int
-    harmonic_rev: npt.NDArray[np.complex128]
-    harmonic_variance: FloatArray
-    cycle_rev: npt.NDArray[np.complex128]
+    harmonic_rev: Complexes
+    harmonic_variance: Floats
+    cycle_rev: Complexes
     period_revs: int
     n_revs: int
 
 
 def line_pattern(
-    time_s: FloatArray,
-    tooth: IntArray,
+    time_s: Floats,
+    tooth: Ints,
     *,
     teeth_per_encoder_rev: int,
     ratio: float = 1.0,
@@ -99,7 +97,7 @@ def line_pattern(
     return _averaged(by_period, shift, lines, fixed)
 
 
-def first_order(pattern: LinePattern, line_error_rev: FloatArray) -> LinePattern:
+def first_order(pattern: LinePattern, line_error_rev: Floats) -> LinePattern:
     """``pattern`` without what is of second order in line errors and motion, so that both add up and follow the torque.
 
     Taken out is the motion between where a line is and where it should be, and what a flywheel does because it is its
@@ -124,7 +122,7 @@ def first_order(pattern: LinePattern, line_error_rev: FloatArray) -> LinePattern
     return replace(pattern, harmonic_rev=harmonic, harmonic_variance=variance)
 
 
-def even_line_times(time_s: FloatArray, tooth: IntArray, line_error_rev: FloatArray) -> FloatArray:
+def even_line_times(time_s: Floats, tooth: Ints, line_error_rev: Floats) -> Floats:
     """Times [s] (pulses,) at which the lines would have come if each stood where it should.
 
     What a tooth number means stays: angle 0 is where line 0 should be, by the mean of all lines.
@@ -157,7 +155,7 @@ def _period_revs(ratio: float, revs_per_cycle: int) -> int:
     return 1
 
 
-def _even_grid(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, float]:
+def _even_grid(time_s: Floats, tooth: Ints) -> tuple[Floats, float]:
     """Times less those of even rotation, on the grid of all teeth, and the mean time of a tooth [s]."""
     place = tooth - tooth[0]
     tooth_s = float((time_s[-1] - time_s[0]) / place[-1])
@@ -167,7 +165,7 @@ def _even_grid(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, float]:
     return rest, tooth_s
 
 
-def _deviation(rest_s: FloatArray, tooth_s: float, lines: int, period: int) -> tuple[FloatArray, int, FloatArray]:
+def _deviation(rest_s: Floats, tooth_s: float, lines: int, period: int) -> tuple[Floats, int, Floats]:
     """What is left [s] of twice subtracting the mean over a revolution, the tooth of its first value, revolution times.
 
     ``rest_s``: (teeth,), times less those of even rotation at ``tooth_s``. The revolution time [s] of each value is the
@@ -184,7 +182,7 @@ def _deviation(rest_s: FloatArray, tooth_s: float, lines: int, period: int) -> t
     return twice[skip : skip + n], at, (long + period * tooth_s) * (lines / period)
 
 
-def _tick_s(time_s: FloatArray) -> float:
+def _tick_s(time_s: Floats) -> float:
     """Tick [s] of the clock that all ``time_s`` are counts of; 0 where none is seen."""
     step = np.abs(np.diff(time_s[:SOME_TIMES], n=2))
     resolution = 4.0 * float(np.spacing(np.abs(time_s[:SOME_TIMES]).max()))
@@ -196,16 +194,16 @@ def _tick_s(time_s: FloatArray) -> float:
     return tick if np.abs(counts - np.rint(counts)).max() < COUNT_SLACK else 0.0
 
 
-def _revolution_mean(value: FloatArray, lines: int) -> FloatArray:
+def _revolution_mean(value: Floats, lines: int) -> Floats:
     """Mean over the revolution around each value, the first and last ``lines // 2`` of them left out."""
     if value.size <= lines:
         return np.empty(max(0, value.size - 2 * (lines // 2)))
     total = np.concatenate([np.zeros(1), np.cumsum(value)])
-    over: FloatArray = (total[lines:] - total[:-lines]) / lines
+    over: Floats = (total[lines:] - total[:-lines]) / lines
     return over if lines % 2 else 0.5 * (over[:-1] + over[1:])
 
 
-def _fill(by_period: FloatArray, present: npt.NDArray[np.bool_]) -> None:
+def _fill(by_period: Floats, present: Bools) -> None:
     """Give teeth without a pulse, in ``by_period`` (period, tooth), the mean of their line in its place."""
     if present.all():
         return
@@ -218,7 +216,7 @@ def _fill(by_period: FloatArray, present: npt.NDArray[np.bool_]) -> None:
     by_period[~there] = np.broadcast_to(mean, by_period.shape)[~there]
 
 
-def _fixed_noise(smooth_s: FloatArray, by_period: FloatArray, noise_s: float, rev_s: float) -> float:
+def _fixed_noise(smooth_s: Floats, by_period: Floats, noise_s: float, rev_s: float) -> float:
     """Variance [rev²] of a line by sampling that is the same in every period, so that no mean takes it away.
 
     Sampling rounds a time by a sawtooth of its place between two samples; harmonic k of it averages out as far as the
@@ -243,7 +241,7 @@ def _fixed_noise(smooth_s: FloatArray, by_period: FloatArray, noise_s: float, re
     return GATHERED * max(0.0, min(kept * rounding, rounding - seen))
 
 
-def _averaged(by_period: FloatArray, shift: int, lines: int, fixed: float) -> LinePattern:
+def _averaged(by_period: Floats, shift: int, lines: int, fixed: float) -> LinePattern:
     """The pattern of deviations [rev] ``by_period`` (period, tooth of the period), whose first tooth is line ``shift``.
 
     Errors by order come from the scatter between groups of periods: slow motion, which falls on low orders, shows
@@ -268,7 +266,7 @@ def _averaged(by_period: FloatArray, shift: int, lines: int, fixed: float) -> Li
     return LinePattern(lines, mean, variance, cycle, revs, n_revs)
 
 
-def _cycle_amplitudes(value: FloatArray, lines: int) -> npt.NDArray[np.complex128]:
+def _cycle_amplitudes(value: Floats, lines: int) -> Complexes:
     """Complex amplitudes of the low orders of ``value`` (tooth of the period,), as before the means were subtracted."""
     revs = value.size // lines
     spectrum = np.fft.rfft(value)[: min(LOW_ORDERS, lines // 4) * revs + 1] * (2.0 / value.size)

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from crankorder.errors import InputError
-from crankorder.shaft.pulses import QUANTISED_EDGE_SAMPLES, FloatArray, Pulses, Remark
+from crankorder.quantities import Bools, Floats, Ints
+from crankorder.shaft.pulses import QUANTISED_EDGE_SAMPLES, Pulses, Remark
 from crankorder.shaft.repair import listed_times
 from crankorder.shaft.wheel import FEWEST_SAMPLES_PER_TOOTH
 
@@ -50,8 +51,8 @@ class Position:
 
     pulses: Pulses
     pulses_per_rev: int
-    turn_s: FloatArray
-    cycle_s: FloatArray | None
+    turn_s: Floats
+    cycle_s: Floats | None
     is_mark: bool
 
 
@@ -111,7 +112,7 @@ def position_pulses(
     return Position(Pulses(pulse_at / rate_hz, noise / rate_hz, flags), per_rev, turn_at / rate_hz, cycle_s, is_mark)
 
 
-def _onwards(turns: FloatArray, quantum: float, flags: list[Remark]) -> FloatArray:
+def _onwards(turns: Floats, quantum: float, flags: list[Remark]) -> Floats:
     """``turns`` (sample,) that never fall: half-way between the first and the last time that each is passed.
 
     ``quantum`` [rev] is the step in which they come; a shaft that turns back joins the ``flags``, or is refused.
@@ -122,11 +123,11 @@ def _onwards(turns: FloatArray, quantum: float, flags: list[Remark]) -> FloatArr
         raise InputError("the shaft turns both ways", found=f"{back:.3g} revolutions back", remedy="Leave it out")
     if back > max(BACKWARDS_REV, 2.0 * quantum):
         flags.append(("direction_changes", "suspect", f"the position goes back by {back:.3g} revolutions"))
-    onwards: FloatArray = 0.5 * (highest + np.minimum.accumulate(turns[::-1])[::-1])
+    onwards: Floats = 0.5 * (highest + np.minimum.accumulate(turns[::-1])[::-1])
     return onwards
 
 
-def _followed(position: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.int64], FloatArray, FloatArray, FloatArray]:
+def _followed(position: npt.NDArray[np.floating]) -> tuple[Ints, Floats, Floats, Floats]:
     """Samples that are right, their positions, the step from each to the next, and the usual step there."""
     at = np.flatnonzero(np.isfinite(position))
     for left in (2, 1, 0):  # a wrong sample beside a wrap shows once others are gone
@@ -145,7 +146,7 @@ def _followed(position: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.int64]
     return at, value, step, expected
 
 
-def _motion(at: npt.NDArray[np.int64], step: FloatArray, expected: FloatArray) -> tuple[float, float]:
+def _motion(at: Ints, step: Floats, expected: Floats) -> tuple[float, float]:
     """Which way a position followed at samples ``at`` goes, 1 or -1, and by how much it jumps back; 0 for never."""
     abrupt = _is_abrupt(step, expected)
     sign = 1.0 if np.sum(step[~abrupt]) > 0.0 else -1.0
@@ -170,7 +171,7 @@ def wrap_seen(values: npt.NDArray[np.floating]) -> tuple[float, bool] | None:
     return max(float(round(jump)), float(np.ptp(value)) + 1.0) if jump else 0.0, bool(np.ptp(steps) == 0.0)
 
 
-def _is_abrupt(step: FloatArray, expected: FloatArray) -> npt.NDArray[np.bool_]:
+def _is_abrupt(step: Floats, expected: Floats) -> Bools:
     off = np.abs(step - expected)
     typical = float(np.median(np.abs(step[step != 0.0])))
     return np.asarray(off > ABRUPT_STEPS * typical + ABRUPT_DIFFERENCES * float(np.median(off)))
@@ -203,7 +204,7 @@ def _wrap(jump: float, span: float, units_per_rev: Sequence[float], counted: boo
     )
 
 
-def _quantum(turns: FloatArray) -> float:
+def _quantum(turns: Floats) -> float:
     """Step [rev] of an angle that comes in steps: the gap that covers half of the circle; 0 where it has no steps."""
     some = np.sort(turns[:: 1 + turns.size // QUANTUM_SAMPLES] % 1.0)
     gaps = np.sort(np.diff(some, append=some[0] + 1.0))

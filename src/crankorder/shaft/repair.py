@@ -81,8 +81,7 @@ def running_parts(
     stops = sorted({at for at in holes if lossless or not _same_count(step, at, limit)} | set(turned))
     if not stops:
         return [slice(0, time_s.size)], []
-    edges = [0, *(at + 1 for at in stops), time_s.size]
-    parts = [slice(first, end) for first, end in pairwise(edges)]
+    parts = [slice(first, end) for first, end in pairwise([0, *(at + 1 for at in stops), time_s.size])]
     longest = max(parts, key=lambda part: part.stop - part.start)
     still = [at for at in stops if lossless or at in turned or _speed_is_low(step, at, limit)]
     used = [longest]

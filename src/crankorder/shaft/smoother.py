@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numba import njit
 
-from crankorder.shaft.pulses import FloatArray
+from crankorder.quantities import Floats
 
 # Pulses in a block on which the cut-off is sought, and the most blocks that are looked at.
 BLOCK_PULSES, MAX_BLOCKS = 2048, 12
@@ -33,7 +33,7 @@ SETTLED, SETTLED_SHARE, SETTLED_VARIANCE = 1e-4, 1e-11, 1e-11
 SEARCH_FACTOR = 2.0**0.25
 
 
-def noise_from_differences(time_s: FloatArray) -> float:
+def noise_from_differences(time_s: Floats) -> float:
     """Standard deviation of pulse times ``time_s`` (pulses,) [s] from their fourth differences, by the median."""
     if time_s.size < 8:
         return 0.0
@@ -52,18 +52,16 @@ def penalty_of(cut_off: float, spacing: float = 1.0) -> float:
 
 
 @functools.lru_cache(maxsize=64)
-def _residual_moments(penalty: float) -> FloatArray:
+def _residual_moments(penalty: float) -> Floats:
     """Autocovariance at lags 0 to WHITE_LAGS of the residual that white noise of variance 1 leaves, ends apart."""
     frequency = (np.arange(1024) + 0.5) / 2048.0
     kept = 1.0 - 1.0 / (1.0 + penalty * (2.0 * np.sin(np.pi * frequency)) ** 6)
     lags = np.arange(WHITE_LAGS + 1)[:, None]
-    moments: FloatArray = np.mean(kept**2 * np.cos(2.0 * np.pi * frequency * lags), axis=1)
+    moments: Floats = np.mean(kept**2 * np.cos(2.0 * np.pi * frequency * lags), axis=1)
     return moments
 
 
-def cut_off_of(
-    grid: FloatArray, weight: FloatArray, *, noise_s: float, floor: float, margin: float
-) -> tuple[float, float]:
+def cut_off_of(grid: Floats, weight: Floats, *, noise_s: float, floor: float, margin: float) -> tuple[float, float]:
     """Cut-off [cycles per pulse] at which the residual of every block is noise, and the noise [s] of a pulse.
 
     A residual is noise when it is no larger than ``noise_s`` explains or, whatever its size, uncorrelated: then it is
@@ -101,7 +99,7 @@ def cut_off_of(
     return (cut_off if cut_off == floor else margin * cut_off), noise
 
 
-def _is_white(residual: FloatArray, white: FloatArray, count: float) -> bool:
+def _is_white(residual: Floats, white: Floats, count: float) -> bool:
     """Whether the correlation of ``residual`` at every lag is what white noise would leave, within three deviations."""
     lags = min(WHITE_LAGS, int(count) // 4)
     if lags < 3:
@@ -118,7 +116,7 @@ class Smoother:
     d and the three bands of L below its unit diagonal; ``row`` (teeth,) says which of them a tooth has.
     """
 
-    def __init__(self, weight: FloatArray, penalty: float) -> None:
+    def __init__(self, weight: Floats, penalty: float) -> None:
         """For ``weight`` (teeth,), 1 where a tooth has a pulse (three at least), else 0, and a ``penalty`` above 0."""
         self.weight, self.penalty = weight, penalty
         table, self.row = np.empty((weight.size, 4)), np.empty(weight.size, dtype=np.int32)
@@ -126,11 +124,11 @@ class Smoother:
         used = _factors(weight, penalty, _penalty_rows(min(weight.size, 8)), settled, table, self.row)
         self.table = table[:used]
 
-    def is_of(self, weight: FloatArray, penalty: float) -> bool:
+    def is_of(self, weight: Floats, penalty: float) -> bool:
         """Whether this is the smoother of ``weight`` (teeth,) and ``penalty``."""
         return penalty == self.penalty and np.array_equal(weight, self.weight)
 
-    def smoothed(self, value: FloatArray) -> FloatArray:
+    def smoothed(self, value: Floats) -> Floats:
         """Solution z (teeth,) of (W + penalty D'D) z = W ``value``, D the third difference; O(n).
 
         ``value`` (teeth,), s; where the weight is 0, anything not far from its neighbours.
@@ -139,7 +137,7 @@ class Smoother:
         _solve(value, self.penalty, self.table, self.row, result)
         return result
 
-    def leverage(self) -> FloatArray:
+    def leverage(self) -> Floats:
         """Variance of each smoothed time over that of one pulse time: the diagonal of (W + penalty D'D)^-1; O(n)."""
         result = np.empty(self.row.size)
         _inverse_diagonal(self.table, self.row, result)
@@ -147,7 +145,7 @@ class Smoother:
 
 
 @functools.cache
-def _penalty_rows(n: int) -> FloatArray:
+def _penalty_rows(n: int) -> Floats:
     """Entries (i, i) to (i, i + 3) of each row i of D'D for the third difference of ``n`` values, 0 beyond its edge."""
     third = np.diff(np.eye(n), n=3, axis=0)
     product = np.pad(third.T @ third, ((0, 0), (0, 3)))

@@ -9,8 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
+from crankorder.quantities import Floats
 from crankorder.shaft.angle import AngleKnots, angle_at
-from crankorder.shaft.pulses import FloatArray, Remark
+from crankorder.shaft.pulses import Remark
 
 LEAST_REVS = 2.0
 """Turns, at the speed beside it, that a stretch without pulses must last to be worth a remark …"""
@@ -92,7 +93,7 @@ def _beside(shaft: xr.Dataset, edge_s: float, reach_s: float, gap_s: float, *, a
     return speed_rpm, bool(slope * gap_s > max(float(at_edge), 0.0))
 
 
-def _vibration_share(signal: FloatArray, rate_hz: float, edge_s: float, gap_s: float, *, at_end: bool) -> float:
+def _vibration_share(signal: Floats, rate_hz: float, edge_s: float, gap_s: float, *, at_end: bool) -> float:
     """Amplitude beside the pulses' end within the silence over that of all before, where a channel falls least.
 
     Over all before: of a shaft that comes to rest the last turns are as quiet as a sensor's noise.
@@ -148,8 +149,7 @@ def joined(runs: list[ShaftRun], teeth_per_rev: float) -> AngleKnots:
     """
     made = _within(runs[0].knots, -np.inf, runs[0].ends_s[1]) if len(runs) > 1 else runs[0].knots
     for before, run in pairwise(runs):
-        last = run is runs[-1]
-        own = _within(run.knots, run.ends_s[0], np.inf if last else run.ends_s[1])
+        own = _within(run.knots, run.ends_s[0], np.inf if run is runs[-1] else run.ends_s[1])
         turned = (run.first - before.last) / teeth_per_rev
         shift = made.angle_rev[-1] + turned - own.angle_rev[0]
         period = run.period_rev
@@ -199,10 +199,10 @@ def _stopped_between(one: AngleKnots, two: AngleKnots) -> AngleKnots:
     return _of(both, columns)
 
 
-def _columns(knots: AngleKnots) -> list[FloatArray]:
+def _columns(knots: AngleKnots) -> list[Floats]:
     return [knots.time_s, knots.angle_rev, knots.speed_rpm, knots.standard_error_rev]
 
 
-def _of(knots: AngleKnots, columns: list[FloatArray]) -> AngleKnots:
+def _of(knots: AngleKnots, columns: list[Floats]) -> AngleKnots:
     time_s, angle_rev, speed_rpm, error_rev = columns
     return replace(knots, time_s=time_s, angle_rev=angle_rev, speed_rpm=speed_rpm, standard_error_rev=error_rev)

@@ -8,9 +8,9 @@ from pathlib import PurePath
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.errors import printable
+from crankorder.quantities import Floats
 from crankorder.shaft.pulses import Remark
 
 KNOTS = 500
@@ -24,9 +24,7 @@ _UNITS = {
 }
 
 
-def speed_trace(
-    time_s: NDArray[np.float64], speed_rpm: NDArray[np.float64], *, knots: int = KNOTS
-) -> tuple[NDArray[np.float64], ...]:
+def speed_trace(time_s: Floats, speed_rpm: Floats, *, knots: int = KNOTS) -> tuple[Floats, ...]:
     """Time, mean, lowest and highest speed of ``knots`` equal pieces of time, NaN where a piece holds nothing.
 
     ``time_s`` ascending and ``speed_rpm``, both (n,). The mean is that over time (trapezes), so that knots that crowd
@@ -91,7 +89,7 @@ def shaft_summary(shafts: Sequence[xr.Dataset], *, knots: int = KNOTS) -> xr.Dat
     return xr.Dataset(made | trace_variables(shafts, knots=knots), coords=named)
 
 
-def _known(of: Callable[[NDArray[np.float64]], float], values: NDArray[np.float64]) -> float:
+def _known(of: Callable[[Floats], float], values: Floats) -> float:
     """What ``of`` makes of those ``values`` that are numbers; NaN of none."""
     known = values[~np.isnan(values)]
     return float(of(known)) if known.size else np.nan

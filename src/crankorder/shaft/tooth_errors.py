@@ -14,13 +14,12 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import xarray as xr
-from numpy.typing import NDArray
 
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.line_pattern import LinePattern, even_line_times, first_order, line_pattern
-from crankorder.shaft.pulses import FloatArray, Remark
+from crankorder.shaft.pulses import Remark
 from crankorder.shaft.wheel import NumberedTeeth
 
 # Crank order up to which masses and gas turn the shaft noticeably; the share of the wheel's lines that is "high" too.
@@ -60,7 +59,7 @@ class ToothErrors:
     ``first_printed`` one on, by which a wheel is known again.
     """
 
-    line_error_rev: FloatArray
+    line_error_rev: Floats
     rms_share: float
     level_rev: float
     kept: tuple[int, ...]
@@ -68,7 +67,7 @@ class ToothErrors:
     least_motion_rev: float
     standard_error_rev: float
     n_revs: int
-    print_rev: npt.NDArray[np.complex128]
+    print_rev: Complexes
     first_printed: int
 
 
@@ -99,8 +98,7 @@ def tooth_errors(
         return None
     # what teeth and motion make together is known once the teeth are
     added = first_order(pattern, found.line_error_rev)
-    again = _told(added, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1)
-    return again or found
+    return _told(added, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1) or found
 
 
 def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedTeeth:
@@ -171,7 +169,7 @@ def _told(pattern: LinePattern, ratio: float, least_share: float, *, engine: boo
     # where a shaft swings at one low order it may at all of them: sidebands tell how much of these is the teeth's
     kept = stands | (low & (engine or bool((stands & low).any()) or _swings_between(pattern, ratio, level)))
     own = np.where(kept | (harmonic == 0), 0.0, pattern.harmonic_rev)
-    error: FloatArray = np.fft.irfft(own * (lines / 2.0), lines)
+    error: Floats = np.fft.irfft(own * (lines / 2.0), lines)
     left = (
         float(np.sum(kept)) * level + float(np.sum(power[low & ~kept])) + float(np.sum(pattern.harmonic_variance[1:]))
     )
@@ -204,9 +202,7 @@ def _swings_between(pattern: LinePattern, ratio: float, level: float) -> bool:
     return bool((np.abs(pattern.cycle_rev[between]) ** 2 > level).any())
 
 
-def _white_level(
-    power: FloatArray, variance: FloatArray, low: npt.NDArray[np.bool_], high: npt.NDArray[np.bool_]
-) -> float:
+def _white_level(power: Floats, variance: Floats, low: Bools, high: Bools) -> float:
     """Mean ``power`` (harmonics,) [rev²] of the teeth's errors by their ``high`` ones; 0 where these are not white."""
     own, noise = power[high], variance[high]
     if own.size < 4:
@@ -221,8 +217,6 @@ def _white_level(
     white = second > LEAST_FLATNESS * first and beyond > motion
     return level if white and level > SURE_POWER * float(np.median(noise)) else 0.0
 
-
-Floats = NDArray[np.float64]
 
 HIGHEST = 12.0
 """Order up to which the swing is told: gas and inertia of a few cylinders lie below."""
@@ -260,7 +254,7 @@ class SpeedSwing:
     doubt_rpm: Floats
 
     @property
-    def told(self) -> NDArray[np.bool_]:
+    def told(self) -> Bools:
         """Which ``orders`` swing for certain: far more than the cycles scatter or teeth make, and worth mention."""
         scatter = np.sqrt(np.maximum(self.amplitude_rpm**2 - self.steady_rpm**2, 0.0) / self.cycles)
         sure = (self.steady_rpm > SURE * scatter) & (self.steady_rpm > self.doubt_rpm)
@@ -285,7 +279,7 @@ def speed_swing(shaft: xr.Dataset) -> SpeedSwing | None:
     return SpeedSwing(mean, len(means), orders, size, steady, doubt_rpm=_of_teeth(shaft, orders) * mean)
 
 
-def swing_of_cycles(shaft: xr.Dataset) -> tuple[Floats, Floats, npt.NDArray[np.complex128]] | None:
+def swing_of_cycles(shaft: xr.Dataset) -> tuple[Floats, Floats, Complexes] | None:
     """Orders, mean speed [rpm] (cycles,) and complex amplitude [rpm] (cycles, orders) in each whole cycle of ``shaft``.
 
     None without pulses, in fewer than FEWEST_CYCLES, and where a standstill or a reversal leaves no angle that grows.

@@ -20,14 +20,14 @@ from functools import partial
 import numpy as np
 
 from crankorder.errors import InputError
+from crankorder.quantities import Floats, Ints
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots, time_at
 from crankorder.shaft.comb_evidence import FamilyEvidence, SpeedEvidence, comb_evidence, family_evidence, order_spectra
-from crankorder.shaft.pulses import FloatArray, Remark
-from crankorder.shaft.repair import IntArray
+from crankorder.shaft.pulses import Remark
 
 
-def likeliest_run(log_odds: FloatArray, jump: int, cost: float) -> IntArray:
+def likeliest_run(log_odds: Floats, jump: int, cost: float) -> Ints:
     """States (knots,) of the likeliest run through a grid (Viterbi 1967).
 
     ``log_odds``: (knots, states). ``jump``: most states between two knots. ``cost``: what a step of n states costs is n
@@ -52,9 +52,7 @@ def likeliest_run(log_odds: FloatArray, jump: int, cost: float) -> IntArray:
     return path
 
 
-def run_probability(
-    log_odds: FloatArray, path: IntArray, offsets: IntArray, jump: int, cost: float, near: int
-) -> FloatArray:
+def run_probability(log_odds: Floats, path: Ints, offsets: Ints, jump: int, cost: float, near: int) -> Floats:
     """Probability (knots,) that the state is that of a run, or beside it by an offset (Baum et al. 1970).
 
     ``log_odds``, ``jump``, ``cost``: as for :func:`likeliest_run`. ``path``: (knots,), the run. ``offsets``: states
@@ -144,16 +142,16 @@ class VibrationSpeed:
     crank angle, whose slope the speed is.
     """
 
-    time_s: FloatArray
-    speed_rpm: FloatArray
-    confidence: FloatArray
+    time_s: Floats
+    speed_rpm: Floats
+    confidence: Floats
     ties: list[Tie]
     remarks: list[Remark]
     knots: AngleKnots
 
 
 def speed_from_vibration(
-    signals: FloatArray,
+    signals: Floats,
     rate_hz: float,
     *,
     settings: ShaftSettings,
@@ -188,8 +186,7 @@ def speed_from_vibration(
     weights = dict(ORDER_WEIGHTS if order_weights is None else order_weights)
     order = np.array(sorted(weights))
     weight = np.clip([weights[each] for each in sorted(weights)], 0.0, 0.95)
-    stated = expected_rpm or settings.vibration_range_rpm
-    range_hz = _range_hz(stated, signals.shape[1], rate_hz, settings)
+    range_hz = _range_hz(expected_rpm or settings.vibration_range_rpm, signals.shape[1], rate_hz, settings)
     evidence = comb_evidence(
         signals, rate_hz, range_hz=range_hz, order=order, weight=weight, settings=settings, fixed_hz=fixed_hz
     )
@@ -232,7 +229,7 @@ def trusted_angle(found: VibrationSpeed) -> AngleKnots:
     return found.knots
 
 
-def _possible_ratios(speed_hz: FloatArray, range_hz: tuple[float, float]) -> FloatArray:
+def _possible_ratios(speed_hz: Floats, range_hz: tuple[float, float]) -> Floats:
     """1 and those of TIE_RATIOS that keep nearly all of the speeds in the range."""
     low, high = np.quantile(speed_hz, [0.05, 0.95])
     slack = 1.0 + SAME_SPEED
@@ -242,20 +239,18 @@ def _possible_ratios(speed_hz: FloatArray, range_hz: tuple[float, float]) -> Flo
 
 
 def _confidence(
-    evidence: SpeedEvidence, log_odds: FloatArray, path: IntArray, ratio: FloatArray, settings: ShaftSettings
-) -> FloatArray:
+    evidence: SpeedEvidence, log_odds: Floats, path: Ints, ratio: Floats, settings: ShaftSettings
+) -> Floats:
     """Probability (knots,) that the speed is one of those at ``ratio`` times that of ``path``."""
     jump, cost = _transition(evidence, settings)
     step = _step(evidence)
     offsets = np.round(np.log(ratio) / step).astype(np.int64)
     near = math.ceil(math.log1p(SAME_SPEED) / step)
-    result: FloatArray = run_probability(
-        log_odds * np.float32(evidence.frames_per_knot), path, offsets, jump, cost, near
-    )
+    result: Floats = run_probability(log_odds * np.float32(evidence.frames_per_knot), path, offsets, jump, cost, near)
     return result
 
 
-def _checked(signals: FloatArray) -> FloatArray:
+def _checked(signals: Floats) -> Floats:
     """``signals`` as float64 rows, those that are constant or lack samples left out."""
     signals = np.atleast_2d(np.asarray(signals, dtype=np.float64))
     signals = signals[np.isfinite(signals).all(axis=1)]
@@ -299,10 +294,10 @@ def _transition(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[int, 
 class _Run:
     """A run of speeds ``path``, its angle, and how well fundamentals at ``ratio`` to it explain it."""
 
-    log_odds: FloatArray
-    path: IntArray
+    log_odds: Floats
+    path: Ints
     knots: AngleKnots
-    ratio: FloatArray
+    ratio: Floats
     family: FamilyEvidence
 
     @property
@@ -320,7 +315,7 @@ class _Run:
         return replace(self.knots, angle_rev=ratio * self.knots.angle_rev, speed_rpm=ratio * self.knots.speed_rpm)
 
 
-def _likely_run(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[FloatArray, IntArray]:
+def _likely_run(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[Floats, Ints]:
     """Log odds that decide, of all lines or of moving ones only, and the likeliest run of speeds by them."""
     jump, cost = _transition(evidence, settings)
     worth = np.float32(evidence.frames_per_knot)
@@ -337,15 +332,15 @@ def _likely_run(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[Float
 
 
 def _explained(
-    signals: FloatArray,
+    signals: Floats,
     rate_hz: float,
     evidence: SpeedEvidence,
-    log_odds: FloatArray,
-    path: IntArray,
+    log_odds: Floats,
+    path: Ints,
     *,
     range_hz: tuple[float, float],
-    order: FloatArray,
-    weight: FloatArray,
+    order: Floats,
+    weight: Floats,
 ) -> _Run:
     """The run ``path``, read between speeds of the grid, and what fundamental explains its lines."""
     speed_hz = evidence.speed_hz[path] * np.exp(_step(evidence) * _parabolic(log_odds, path))
@@ -356,7 +351,7 @@ def _explained(
     return _Run(log_odds, path, knots, ratio, family)
 
 
-def _mended_path(run: _Run, evidence: SpeedEvidence, settings: ShaftSettings) -> IntArray | None:
+def _mended_path(run: _Run, evidence: SpeedEvidence, settings: ShaftSettings) -> Ints | None:
     """The likeliest run beside the fundamental that each stretch of ``run`` asks for; None where they ask for one."""
     log_odds = run.family.of_frames
     came = np.zeros(log_odds.shape, dtype=np.int64)
@@ -377,18 +372,18 @@ def _mended_path(run: _Run, evidence: SpeedEvidence, settings: ShaftSettings) ->
     return likeliest_run(near * np.float32(evidence.frames_per_knot), *_transition(evidence, settings))
 
 
-def _parabolic(log_odds: FloatArray, path: IntArray) -> FloatArray:
+def _parabolic(log_odds: Floats, path: Ints) -> Floats:
     """Place of the maximum beside ``path``, in steps -0.5…0.5, of the parabola through three log odds."""
     knots = np.arange(path.size)
     at = np.clip(path, 1, log_odds.shape[1] - 2)
     low, mid, high = (log_odds[knots, at + s].astype(np.float64) for s in (-1, 0, 1))
     bend = low - 2.0 * mid + high
     offset = np.where(bend < 0.0, 0.5 * (low - high) / np.where(bend < 0.0, bend, -1.0), 0.0)
-    result: FloatArray = np.where(at == path, np.clip(offset, -0.5, 0.5), 0.0)
+    result: Floats = np.where(at == path, np.clip(offset, -0.5, 0.5), 0.0)
     return result
 
 
-def _angle_of(time_s: FloatArray, speed_hz: FloatArray, end_s: float) -> AngleKnots:
+def _angle_of(time_s: Floats, speed_hz: Floats, end_s: float) -> AngleKnots:
     """The angle from 0 to ``end_s`` of a speed that is linear between knots and constant beyond them, smoothed.
 
     A run on a grid of speeds jumps from knot to knot, faster than frames of the phases follow.
@@ -403,7 +398,7 @@ def _angle_of(time_s: FloatArray, speed_hz: FloatArray, end_s: float) -> AngleKn
     return AngleKnots(passed_s, even, speed_rpm, np.full(even.size, np.nan), 1.0 / FRAME_REVS, float("nan"))
 
 
-def phase_corrected(signals: FloatArray, rate_hz: float, run: AngleKnots, order: FloatArray) -> AngleKnots:
+def phase_corrected(signals: Floats, rate_hz: float, run: AngleKnots, order: Floats) -> AngleKnots:
     """Angle that keeps the phases of the orders still.
 
     ``signals``: (channels, samples), ``rate_hz`` samples per second. ``run``: an angle from 0 on whose speed is right
@@ -415,7 +410,7 @@ def phase_corrected(signals: FloatArray, rate_hz: float, run: AngleKnots, order:
     return run
 
 
-def _corrected(signals: FloatArray, rate_hz: float, run: AngleKnots, order: FloatArray) -> AngleKnots:
+def _corrected(signals: Floats, rate_hz: float, run: AngleKnots, order: Floats) -> AngleKnots:
     """One pass of :func:`phase_corrected`."""
     from scipy.ndimage import uniform_filter1d
 
@@ -455,15 +450,15 @@ def _corrected(signals: FloatArray, rate_hz: float, run: AngleKnots, order: Floa
     return AngleKnots(time_s, true, speed_rpm, error, 1.0 / FRAME_REVS, float("nan"))
 
 
-def _wrapped(phase: FloatArray) -> FloatArray:
+def _wrapped(phase: Floats) -> Floats:
     """``phase`` [rad] within half a turn of 0."""
-    wrapped: FloatArray = np.angle(np.exp(1j * phase))
+    wrapped: Floats = np.angle(np.exp(1j * phase))
     return wrapped
 
 
 def _turns(
-    signals: FloatArray, rate_hz: float, run: AngleKnots, centre: FloatArray, order: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+    signals: Floats, rate_hz: float, run: AngleKnots, centre: Floats, order: Floats
+) -> tuple[Floats, Floats, Floats]:
     """Turn [rad] of the orders between frames (steps, orders), their weight, and power over noise (frames, orders)."""
     from scipy.ndimage import median_filter, uniform_filter1d
 
@@ -485,7 +480,7 @@ def _turns(
     return np.angle(np.sum(lines[:, 1:] * np.conj(lines[:, :-1]), axis=0)), weight, snr
 
 
-def _outvoted(turn: FloatArray, weight: FloatArray, gain: FloatArray, hop: float) -> tuple[FloatArray, FloatArray]:
+def _outvoted(turn: Floats, weight: Floats, gain: Floats, hop: float) -> tuple[Floats, Floats]:
     """Change of angle [rev] per step (steps,) that most orders agree on, and the vote of each order (steps, orders).
 
     ``turn``, ``weight``: (steps, orders); ``gain``: (orders,), turn per change, rad/rev. A resonance turns an order
@@ -501,7 +496,7 @@ def _outvoted(turn: FloatArray, weight: FloatArray, gain: FloatArray, hop: float
     return np.clip(change, -0.2 * hop, 0.2 * hop), vote
 
 
-def _told(time_s: FloatArray, confidence: FloatArray, ties: list[Tie]) -> list[Remark]:
+def _told(time_s: Floats, confidence: Floats, ties: list[Tie]) -> list[Remark]:
     """Remarks on what is not certain."""
     remarks: list[Remark] = []
     if ties:

@@ -13,9 +13,10 @@ import xarray as xr
 from numba import njit
 
 from crankorder.errors import InputError
+from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import ShaftSettings
-from crankorder.shaft.pulses import FloatArray, Remark
-from crankorder.shaft.repair import IntArray, listed_times, running_part
+from crankorder.shaft.pulses import Remark
+from crankorder.shaft.repair import listed_times, running_part
 from crankorder.shaft.uneven_wheel import (
     WHOLE_TEETH,
     Wheel,
@@ -30,14 +31,14 @@ from crankorder.shaft.uneven_wheel import (
 
 
 def at_index(
-    time_s: FloatArray,
-    tooth: IntArray,
-    index_time_s: FloatArray,
+    time_s: Floats,
+    tooth: Ints,
+    index_time_s: Floats,
     wanted: tuple[float, float],
     flags: list[Remark],
     *,
     renumber: bool,
-) -> tuple[IntArray, float, float]:
+) -> tuple[Ints, float, float]:
     """Teeth renumbered by the index marks, the tooth number of a mark, and the teeth between marks.
 
     ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers. ``index_time_s``: (marks,), s. ``wanted``: counts of
@@ -85,13 +86,13 @@ def at_index(
     return renumbered if renumber else tooth, anchor, period
 
 
-def _wrapped(value: FloatArray, period: float) -> FloatArray:
+def _wrapped(value: Floats, period: float) -> Floats:
     """``value`` less whole periods, within half a period of 0."""
-    wrapped: FloatArray = value - period * np.round(value / period)
+    wrapped: Floats = value - period * np.round(value / period)
     return wrapped
 
 
-def _slips(place: FloatArray, period: float) -> tuple[float, FloatArray]:
+def _slips(place: Floats, period: float) -> tuple[float, Floats]:
     """Place of the marks within a period, and by how many whole teeth each mark differs from it."""
     first = place[: max(3, place.size // 10)]
     values, counts = np.unique(np.round(first % period), return_counts=True)
@@ -104,9 +105,7 @@ def _slips(place: FloatArray, period: float) -> tuple[float, FloatArray]:
     return anchor + float(np.mean(rest[near <= 4.5 * np.median(near)])), slip
 
 
-def _unslipped(
-    tooth: IntArray, mark_pulse: IntArray, slip: FloatArray
-) -> tuple[IntArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+def _unslipped(tooth: Ints, mark_pulse: Ints, slip: Floats) -> tuple[Ints, Bools, Bools]:
     """Teeth renumbered where a slip lasts over two marks or more, which marks show such a slip, which are odd ones."""
     shift, current = np.zeros(tooth.size, dtype=np.int64), 0
     slipped, odd = np.zeros(slip.size, dtype=np.bool_), np.zeros(slip.size, dtype=np.bool_)
@@ -152,8 +151,8 @@ class NumberedTeeth:
     grid on which uneven teeth stand; ``index_period`` are those from one mark to the next.
     """
 
-    time_s: FloatArray
-    tooth: IntArray
+    time_s: Floats
+    tooth: Ints
     index_tooth: float
     n_repaired: int
     flags: list[Remark]
@@ -162,13 +161,13 @@ class NumberedTeeth:
 
 
 def number_teeth(
-    time_s: FloatArray,
+    time_s: Floats,
     *,
     pulses_per_rev: int,
     settings: ShaftSettings,
     missing_teeth: int = 0,
     tooth_angles_deg: Sequence[float] | None = None,
-    index_time_s: FloatArray | None = None,
+    index_time_s: Floats | None = None,
     ratio: float = 1.0,
     noise_s: float = 0.0,
     gap_starts_s: npt.ArrayLike = (),
@@ -235,9 +234,7 @@ def number_teeth(
     return NumberedTeeth(kept_time, tooth, index_tooth, n_repaired, flags, wheel.grid, index_period)
 
 
-def _followed_even(
-    time_s: FloatArray, teeth: int, settings: ShaftSettings, noise_s: float
-) -> tuple[IntArray, IntArray]:
+def _followed_even(time_s: Floats, teeth: int, settings: ShaftSettings, noise_s: float) -> tuple[Ints, Ints]:
     """Pulses that are true and the number of the tooth of each, on a wheel of even teeth."""
     window = max(2, min(8, teeth // 8))
     slack_s = noise_s * math.sqrt(12.0)
@@ -251,7 +248,7 @@ def _followed_even(
         min(1.0 + SPLIT_SHARE, 2.0 - reach),
     )
 
-    def counted(times: FloatArray, recent: FloatArray) -> tuple[IntArray, IntArray]:
+    def counted(times: Floats, recent: Floats) -> tuple[Ints, Ints]:
         kept, tooth = np.zeros(times.size, dtype=np.int64), np.zeros(times.size, dtype=np.int64)
         n = _count(times, recent, *ratios, slack_s, kept, tooth)
         return kept[:n], tooth[:n]
@@ -267,7 +264,7 @@ def _followed_even(
     return kept, np.concatenate([-back[:0:-1], number]) + back[-1]
 
 
-def _jitter(step: FloatArray) -> float:
+def _jitter(step: Floats) -> float:
     """Standard deviation of a pulse as a share of the interval ``step`` (intervals,), lost and false ones apart."""
     if step.size < 3:
         return 0.0
@@ -275,7 +272,7 @@ def _jitter(step: FloatArray) -> float:
     return float(np.median(change)) / (MEDIAN_OF_NORMAL * math.sqrt(6.0))
 
 
-def _steady_start(step: FloatArray, window: int) -> int:
+def _steady_start(step: Floats, window: int) -> int:
     """First pulse from which a few neighbouring intervals are alike, best the first and the last of them too; else -1.
 
     Of a start from rest the neighbours are alike early, but their mean is not yet the time of the next tooth.
@@ -290,7 +287,7 @@ def _steady_start(step: FloatArray, window: int) -> int:
     return int(found[0]) if found.size else -1
 
 
-def _followed_uneven(time_s: FloatArray, wheel: Wheel, settings: ShaftSettings) -> tuple[IntArray, IntArray, bool]:
+def _followed_uneven(time_s: Floats, wheel: Wheel, settings: ShaftSettings) -> tuple[Ints, Ints, bool]:
     """Pulses that are true, the number of the tooth of each, and whether the wheel tells which tooth is the first."""
     followed, kept, tooth = followed_from_steady(time_s, wheel)
     if followed.misfit > MOST_MISFIT:
@@ -310,7 +307,7 @@ def _no_phase(wheel: Wheel) -> Remark:
     return ("tooth_phase_uncertain", "suspect", detail)
 
 
-def _uncertain(time_s: FloatArray, n_lost: int, n_false: int, wheel: Wheel, settings: ShaftSettings) -> InputError:
+def _uncertain(time_s: Floats, n_lost: int, n_false: int, wheel: Wheel, settings: ShaftSettings) -> InputError:
     found = f"{n_lost} pulses lost and {n_false} false of {time_s.size}" if n_lost + n_false else "no steady speed"
     if not wheel.even:
         return _other_wheel(f"{found}: the count is not certain", time_s, wheel)
@@ -322,7 +319,7 @@ def _uncertain(time_s: FloatArray, n_lost: int, n_false: int, wheel: Wheel, sett
     )
 
 
-def _other_wheel(problem: str, time_s: FloatArray, wheel: Wheel) -> InputError:
+def _other_wheel(problem: str, time_s: Floats, wheel: Wheel) -> InputError:
     """The pulses do not fit the wheel; what they do fit, where that can be told."""
     found = find_pattern(time_s)
     return InputError(
@@ -334,7 +331,7 @@ def _other_wheel(problem: str, time_s: FloatArray, wheel: Wheel) -> InputError:
     )
 
 
-def _check_times(time_s: FloatArray) -> None:
+def _check_times(time_s: Floats) -> None:
     if time_s.size < 3:
         raise InputError("too few encoder pulses", found=time_s.size, allowed="3 or more", remedy="Record longer")
     bad = np.flatnonzero(~(time_s[1:] >= time_s[:-1]))
@@ -415,7 +412,7 @@ def _coasts(recent, slot, interval):  # type: ignore[no-untyped-def]
     return speed * time - 0.5 * slower * time * time < 1.5
 
 
-def _growing(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, IntArray]:
+def _growing(time_s: Floats, tooth: Ints) -> tuple[Floats, Ints]:
     """Pulses whose tooth numbers grow: where a count was put right, the pulses that it counted twice are left out."""
     if (np.diff(tooth) > 0).all():
         return time_s, tooth
@@ -423,7 +420,7 @@ def _growing(time_s: FloatArray, tooth: IntArray) -> tuple[FloatArray, IntArray]
     return time_s[new], tooth[new]
 
 
-def _flag_false(time_s: FloatArray, kept: IntArray, flags: list[Remark]) -> int:
+def _flag_false(time_s: Floats, kept: Ints, flags: list[Remark]) -> int:
     """Remarks on false pulses, single and in bursts; their number."""
     n_false = int(time_s.size - kept.size)
     if n_false == 0:
@@ -438,7 +435,7 @@ def _flag_false(time_s: FloatArray, kept: IntArray, flags: list[Remark]) -> int:
     return n_false
 
 
-def _lost_teeth(tooth: IntArray, wheel: Wheel) -> IntArray:
+def _lost_teeth(tooth: Ints, wheel: Wheel) -> Ints:
     """Numbers of the teeth without a pulse, those that the wheel does not have left out."""
     n = wheel.places.size
     held = np.searchsorted(wheel.places, [tooth[0] % wheel.grid, tooth[-1] % wheel.grid])
@@ -452,11 +449,11 @@ def _lost_teeth(tooth: IntArray, wheel: Wheel) -> IntArray:
     holes = np.flatnonzero(steps != usual)
     if holes.size == 0:
         return np.empty(0, dtype=np.int64)
-    lost: IntArray = np.concatenate([np.arange(tooth[k] + 1, tooth[k + 1]) for k in holes])
+    lost: Ints = np.concatenate([np.arange(tooth[k] + 1, tooth[k + 1]) for k in holes])
     return lost[place_of[lost % wheel.grid] >= 0]
 
 
-def _differs_each_turn(false_s: FloatArray, time_s: FloatArray, tooth: IntArray, lost: IntArray, wheel: Wheel) -> bool:
+def _differs_each_turn(false_s: Floats, time_s: Floats, tooth: Ints, lost: Ints, wheel: Wheel) -> bool:
     """Whether most turns show a tooth more in a gap, or one less beside it: then the pulses are those of another wheel.
 
     ``false_s``: (false pulses,), s. ``time_s`` and ``tooth``: (pulses,), of the true ones. ``lost``: teeth without any.
@@ -472,9 +469,7 @@ def _differs_each_turn(false_s: FloatArray, time_s: FloatArray, tooth: IntArray,
     return any(own.size >= most and np.unique(own).size > 1 for own in each)
 
 
-def _flag_lost(
-    lost: IntArray, time_s: FloatArray, tooth: IntArray, wheel: Wheel, index_tooth: float, flags: list[Remark]
-) -> None:
+def _flag_lost(lost: Ints, time_s: Floats, tooth: Ints, wheel: Wheel, index_tooth: float, flags: list[Remark]) -> None:
     """Remarks on lost teeth: how many and when, and those that are lost again and again at the same angle."""
     if lost.size == 0:
         return
@@ -534,7 +529,7 @@ def stated_wheel(recording: xr.Dataset) -> tuple[dict[str, Any], list[Remark]]:
     return {"pulses_per_rev": len(angles), "tooth_angles_deg": angles}, [remark]
 
 
-def uneven_noise_s(time_s: FloatArray, tooth: IntArray) -> float:
+def uneven_noise_s(time_s: Floats, tooth: Ints) -> float:
     """Standard deviation [s] of the pulse times of uneven teeth, from their fourth divided differences, by the median.
 
     ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers, growing.
@@ -585,6 +580,6 @@ def mark_flags(teeth: NumberedTeeth, recording: xr.Dataset) -> list[Remark]:
     return [("index_not_on_crank", "suspect", detail)]
 
 
-def times_of(recording: xr.Dataset, name: str) -> FloatArray | None:
+def times_of(recording: xr.Dataset, name: str) -> Floats | None:
     """Times [s] that ``recording`` holds by that ``name``; None where it holds none."""
     return recording.variables[name].values.astype(np.float64) if name in recording.variables else None

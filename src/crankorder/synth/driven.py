@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.synth.order_forces import ForceLines, force_at
 from crankorder.synth.poles import Poles, steady_state
 
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from crankorder.synth.motion import Motion
 
 
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 STENCILS = (2, 4, 6, 8, 10, 12)
 MAX_SUBSTEPS = 64
 BLOCK = 512
@@ -88,7 +86,7 @@ def integration_for(highest_force_hz: float, rate_hz: float, tolerance: float) -
     )
 
 
-def step_weights(pole_per_s: Complex, step_s: float, integration: Integration) -> tuple[Complex, Complex]:
+def step_weights(pole_per_s: Complexes, step_s: float, integration: Integration) -> tuple[Complexes, Complexes]:
     """What a step of the output makes of the state, e^{λΔ} − 1 (pole,), and of the samples of the input (pole, tap).
 
     ``pole_per_s``: λ. ``step_s``: between samples of the forces; Δ is ``substeps`` of them. ``integration``: its
@@ -109,7 +107,7 @@ def step_weights(pole_per_s: Complex, step_s: float, integration: Integration) -
     return np.expm1(decay * substeps), taps
 
 
-def unit_quadrature(decay: float) -> tuple[Real, Real]:
+def unit_quadrature(decay: float) -> tuple[Floats, Floats]:
     """Points and weights on 0 … 1 that integrate to round-off what a step integrates.
 
     ``decay``: largest |λ|·step of the poles. Source: Gauss and Legendre.
@@ -119,8 +117,8 @@ def unit_quadrature(decay: float) -> tuple[Real, Real]:
 
 
 def advance(
-    poles: Poles, force: Real, *, growth: Complex, taps: Complex, integration: Integration, state: Complex
-) -> tuple[Real, Complex]:
+    poles: Poles, force: Floats, *, growth: Complexes, taps: Complexes, integration: Integration, state: Complexes
+) -> tuple[Floats, Complexes]:
     """Acceleration (channel, n) at the output samples, and the state (pole,) one output step behind the last.
 
     ``poles``: of structure and filter. ``force``: samples (axis, margin + n · substeps + margin), a step apart; the one
@@ -209,7 +207,7 @@ def _fill_pushes(acting, taps, n, re, im):  # type: ignore[no-untyped-def]
 
 
 Pieces = tuple[int, ...]
-GainOfCycle = Callable[[NDArray[np.int64]], Real]
+GainOfCycle = Callable[[Ints], Floats]
 BLOCK_STEPS = 16_384
 """Samples of the forces at once: memory does not grow with the record, and a block stays in the second cache."""
 MEMORY = 24.0
@@ -231,7 +229,7 @@ def driven_signal(
     gain_of_cycle: GainOfCycle | None = None,
     revs_per_cycle: float = 2.0,
     block_steps: int = BLOCK_STEPS,
-) -> Real:
+) -> Floats:
     """Acceleration of every channel under forces that follow shafts, shape (channel, sample); first sample at t = 0.
 
     ``poles``: structure and filter. ``sources``: forces, and the motion of the shaft they follow. ``rate_hz``: samples
@@ -303,14 +301,14 @@ class _Shafts:
         uneven = any(motion.wobbles or motion.lag is not None for _, motion in self.sources)
         return uneven or self.gas_shaft is not None
 
-    def axes(self, n_axes: int) -> NDArray[np.bool_]:
+    def axes(self, n_axes: int) -> Bools:
         """Axes (axis,) along which anything acts."""
         acts = np.zeros(n_axes, dtype=np.bool_)
         for lines, _ in self.sources:
             acts |= lines.amplitude.any(axis=1)
         return acts
 
-    def steady(self, poles: Poles, time_s: float) -> Complex:
+    def steady(self, poles: Poles, time_s: float) -> Complexes:
         """State at ``time_s`` after an endless past at the first speed of every motion."""
         state = np.zeros(poles.pole_per_s.size, dtype=np.complex128)
         for lines, motion in self.sources:
@@ -353,7 +351,7 @@ class _Shafts:
             first, pieces = last, following
         yield _Stretch(first, n_samples, pieces, n_samples / rate_hz, pieces)
 
-    def at(self, time_s: Real, pieces: Pieces) -> tuple[Real, Real | None, Real | None]:
+    def at(self, time_s: Floats, pieces: Pieces) -> tuple[Floats, Floats | None, Floats | None]:
         """Forces (axis, n) without those that gains multiply, these with a gain of 1, and the angle of their shaft."""
         total = np.zeros((self.sources[0][0].amplitude.shape[0], time_s.size))
         gas = gas_angle_rev = None
@@ -373,7 +371,7 @@ class _Stepping:
         self.growth, self.taps = step_weights(poles.pole_per_s, 1 / (rate_hz * integration.substeps), integration)
         self.points, self.shares = unit_quadrature(float(np.max(np.abs(poles.pole_per_s), initial=0.0)) / rate_hz)
 
-    def block(self, start: int, stop: int, pieces: Pieces, state: Complex) -> tuple[Real, Complex]:
+    def block(self, start: int, stop: int, pieces: Pieces, state: Complexes) -> tuple[Floats, Complexes]:
         """Signal (channel, n) at output steps ``start`` … ``stop``, and the state at ``stop``."""
         margin, substeps = self.integration.margin, self.integration.substeps
         number = np.arange(start * substeps - margin, stop * substeps + margin)
@@ -397,7 +395,7 @@ class _Stepping:
             done = end
         return np.concatenate(parts, axis=1), state
 
-    def after_corner(self, stretch: _Stretch) -> Complex:
+    def after_corner(self, stretch: _Stretch) -> Complexes:
         """What the state at the end of ``stretch`` lacks because the corner came before that sample."""
         if stretch.last - stretch.corner_s * self.rate_hz <= ON_SAMPLE:
             return np.zeros_like(self.poles.pole_per_s)
@@ -407,30 +405,30 @@ class _Stepping:
             lambda time: self._all(time, stretch.next_pieces) - self._all(time, stretch.pieces),
         )
 
-    def _advance(self, force: Real, state: Complex) -> tuple[Real, Complex]:
+    def _advance(self, force: Floats, state: Complexes) -> tuple[Floats, Complexes]:
         return advance(self.poles, force, growth=self.growth, taps=self.taps, integration=self.integration, state=state)
 
-    def _late(self, from_s: float, step: int, force: Callable[[Real], Real]) -> Complex:
+    def _late(self, from_s: float, step: int, force: Callable[[Floats], Floats]) -> Complexes:
         """State at output ``step`` that a ``force`` of time leaves which acts from ``from_s`` on."""
         to_s = step / self.rate_hz
         acting = self.poles.input @ force(from_s + (to_s - from_s) * self.points)
         fading = np.exp(np.outer(self.poles.pole_per_s, (to_s - from_s) * (1 - self.points)))
-        late: Complex = (to_s - from_s) * (fading * acting) @ self.shares
+        late: Complexes = (to_s - from_s) * (fading * acting) @ self.shares
         return late
 
-    def _all(self, time_s: Real, pieces: Pieces) -> Real:
+    def _all(self, time_s: Floats, pieces: Pieces) -> Floats:
         force, gas, angle_rev = self.shafts.at(time_s, pieces)
         if gas is None or angle_rev is None or self.shafts.gain_of_cycle is None:
             return force
         cycle = np.floor(angle_rev / self.shafts.revs_per_cycle).astype(np.int64)
         return force + gas * self.shafts.gain_of_cycle(cycle)
 
-    def _gas(self, time_s: Real, pieces: Pieces) -> Real:
+    def _gas(self, time_s: Floats, pieces: Pieces) -> Floats:
         gas = self.shafts.at(time_s, pieces)[1]
         assert gas is not None  # only called where there are gas lines with gains
         return gas
 
-    def _borders(self, step: NDArray[np.int64], old: NDArray[np.int64], new: NDArray[np.int64], pieces: Pieces) -> Real:
+    def _borders(self, step: Ints, old: Ints, new: Ints, pieces: Pieces) -> Floats:
         """Times within output steps ``step`` at which one cycle becomes the other: Newton's method from the middle."""
         assert self.shafts.gas_shaft is not None  # only called where there are gas lines with gains
         motion, piece = self.shafts.sources[self.shafts.gas_shaft][1], pieces[self.shafts.gas_shaft]

@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.quantities import Bools, Floats, Ints
 from crankorder.synth.motion import Motion
 from crankorder.synth.noise import seed_stream
 from crankorder.synth.parts import AnyEncoderFault, DamagedLine, DoublePulses, Encoder, LostPulses
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 FALSE_PULSE = int(np.iinfo(np.int64).min)
 """Number of a pulse that no line gave."""
@@ -33,9 +31,9 @@ class Wheel:
     near 0. ``pitch``: of the full wheel. ``nominal``: where the lines should be.
     """
 
-    rise: FloatArray
-    fall: FloatArray
-    nominal: FloatArray
+    rise: Floats
+    fall: Floats
+    nominal: Floats
     pitch: float
 
 
@@ -47,11 +45,11 @@ class Pulses:
     lines over all turns (line 0 of turn 0 is number 0), FALSE_PULSE where no line gave the pulse.
     """
 
-    rise_s: FloatArray
-    fall_s: FloatArray
-    number: IntArray
+    rise_s: Floats
+    fall_s: Floats
+    number: Ints
 
-    def where(self, keep: NDArray[np.bool_]) -> Pulses:
+    def where(self, keep: Bools) -> Pulses:
         """The pulses for which ``keep``, shape (pulse,), is true."""
         return Pulses(rise_s=self.rise_s[keep], fall_s=self.fall_s[keep], number=self.number[keep])
 
@@ -75,7 +73,7 @@ def wheel_of(encoder: Encoder, *, seed: int) -> Wheel:
     """
     pitch = 1 / encoder.pulses_per_rev
     nominal = np.arange(encoder.pulses_per_rev - encoder.missing_teeth, dtype=np.float64) * pitch
-    following: FloatArray = np.append(nominal[1:], nominal[0] + 1)
+    following: Floats = np.append(nominal[1:], nominal[0] + 1)
     room = np.minimum(pitch, following - nominal)
     error = np.zeros(nominal.size)
     if encoder.line_error_deg:
@@ -93,7 +91,7 @@ def index_wheel(wheel: Wheel) -> Wheel:
     return Wheel(rise=rise, fall=rise + min(wheel.pitch, 0.5), nominal=rise, pitch=1.0)
 
 
-def _true_turn(shown: FloatArray, encoder: Encoder) -> FloatArray:
+def _true_turn(shown: Floats, encoder: Encoder) -> Floats:
     """Turns at which an eccentric wheel shows the turns ``shown``."""
     amplitude, phase = encoder.eccentricity_deg / 360, np.radians(encoder.eccentricity_phase_deg)
     turn = shown.copy()
@@ -104,7 +102,7 @@ def _true_turn(shown: FloatArray, encoder: Encoder) -> FloatArray:
     return turn
 
 
-def encoder_turn(crank_rev: FloatArray, encoder: Encoder) -> FloatArray:
+def encoder_turn(crank_rev: Floats, encoder: Encoder) -> Floats:
     """Turns of the encoder's shaft, 0 at its first line, at the crank angles ``crank_rev``.
 
     ``encoder``: its ratio, and the angle from its index to top dead centre.
@@ -142,7 +140,7 @@ def passed_pulses(wheel: Wheel, motion: Motion, encoder: Encoder, *, duration_s:
     return Pulses(rise_s=time_s[whole], fall_s=time_s[1::2], number=number[whole])
 
 
-def _edges_passed(turn: FloatArray, edge: FloatArray) -> int:
+def _edges_passed(turn: Floats, edge: Floats) -> int:
     """Number of the last edge at or below ``turn``: even where it is a rise."""
     whole = int(np.floor(turn[0] - edge[0]))
     return whole * edge.size + int(np.searchsorted(edge, turn[0] - whole, side="right")) - 1
@@ -260,9 +258,7 @@ def _double_pulses(track: Track, fault: DoublePulses, stream: np.random.Generato
     return replace(track, lines=replace(lines, fall_s=fall_s).joined(false)), record
 
 
-def _room_in_level(
-    track: Track, time_s: FloatArray, host: NDArray[np.intp], delay_s: float
-) -> tuple[FloatArray, NDArray[np.bool_]]:
+def _room_in_level(track: Track, time_s: Floats, host: NDArray[np.intp], delay_s: float) -> tuple[Floats, Bools]:
     """How long the level of a square wave differs for false pulses at ``time_s``, and whether all levels are seen."""
     rise_s, fall_s = track.lines.rise_s[host], track.lines.fall_s[host]
     within = time_s < fall_s

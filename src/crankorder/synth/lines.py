@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from crankorder.engine.bearings import bearing_orders
 from crankorder.engine.forces import crankcase_forces, crankcase_moments
@@ -17,6 +16,7 @@ from crankorder.engine.in_cycle import Lag
 from crankorder.engine.rod import two_masses
 from crankorder.engine.slider_crank import piston_velocity, rod_angle, sine_cosine
 from crankorder.errors import RequestError
+from crankorder.quantities import Complexes, Floats
 from crankorder.synth.analogue import POLES_APART, AnalogueFilter
 from crankorder.synth.crank import crank_motion
 from crankorder.synth.noise import seed_stream
@@ -24,9 +24,6 @@ from crankorder.synth.order_forces import ForceLines, lines_in_angle, lines_in_t
 from crankorder.synth.parts import AXES, OtherShaft
 from crankorder.synth.poles import accelerance
 from crankorder.synth.scene import Run, Scene
-
-Real = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
 SHORTEST_STEP = 0.05
 """Of the period between strikes, left by jitter at least (4.75 σ at the most jitter): strikes do not swap places."""
@@ -52,7 +49,7 @@ def strike_angles(
     start_rev: float,
     end_rev: float,
     stream: np.random.Generator,
-) -> Real:
+) -> Floats:
     """Crank angles (rev) at which a damaged place strikes, ascending, from ``start_rev`` to ``end_rev``, shape (k,).
 
     Angles, not times: the same under any motion. The periods between strikes vary independently and so add up to a
@@ -81,7 +78,7 @@ def strike_angles(
     return period_rev * place[(place >= start) & (place <= end)]
 
 
-def _walk(stream: np.random.Generator, jitter_percent: float, distance: float) -> Real:
+def _walk(stream: np.random.Generator, jitter_percent: float, distance: float) -> Floats:
     """Distances from one strike to those after it, itself first, as far as ``distance``; all in periods."""
     walk, count = np.zeros(1), max(int(distance), 0) + 2
     while True:
@@ -90,7 +87,7 @@ def _walk(stream: np.random.Generator, jitter_percent: float, distance: float) -
         steps = np.maximum(excess, SHORTEST_STEP - 1)
         # from the last value on, as one sum would: how many are drawn at a time changes no bit
         walk = np.concatenate([walk, np.cumsum(np.concatenate([walk[-1:], steps]))[1:]])
-        place: Real = np.arange(walk.size) + walk
+        place: Floats = np.arange(walk.size) + walk
         if place[-1] > distance:
             return place[: max(int(np.searchsorted(place, distance, side="right")), 1)]
         count = walk.size + int(distance - place[-1]) + 2
@@ -98,13 +95,13 @@ def _walk(stream: np.random.Generator, jitter_percent: float, distance: float) -
 
 def modulation(
     line: Literal["BPFO", "BPFI", "BSF", "FTF"],
-    strike_rev: Real,
+    strike_rev: Floats,
     *,
     load_zone: float,
     shaft_ratio: float,
     cage_order: float,
     phase_rev: float = 0.0,
-) -> Real:
+) -> Floats:
     """Size of each strike relative to the average one, as the load zone makes it, shape (k,).
 
     1 + load_zone · cos: over the angle of the shaft where the damage turns with the inner ring (BPFI), over that of the
@@ -123,15 +120,15 @@ def modulation(
 
 
 def ringing(
-    strike_s: Real,
-    size: Real,
+    strike_s: Floats,
+    size: Floats,
     *,
     resonance_hz: float,
     damping_ratio: float,
     rate_hz: float,
     n_samples: int,
     filter: AnalogueFilter | None = None,
-) -> Real:
+) -> Floats:
     """Sum of the ringings that strikes set off, sampled where it is, also between the samples struck, (n_samples,).
 
     One ringing is exp(−ζ ωn τ) sin(ωd τ) since its strike, scaled so that its largest value is the strike's size. What
@@ -167,7 +164,7 @@ def ringing_s(
     return float(times.max())
 
 
-def _poles(resonance_hz: float, damping_ratio: float, filter: AnalogueFilter | None) -> tuple[Complex, Complex]:
+def _poles(resonance_hz: float, damping_ratio: float, filter: AnalogueFilter | None) -> tuple[Complexes, Complexes]:
     """Poles and weights such that Re Σ weight · exp(pole τ) is one ringing of size 1; of a pair of poles the upper.
 
     By partial fractions: what stands in series adds up. Source: any text on the Laplace transform.
@@ -233,8 +230,8 @@ class OrderLines:
     ``order`` (line); ``amplitude`` complex peak (channel, line), m/s²; ``cause`` (line): what made each.
     """
 
-    order: NDArray[np.float64]
-    amplitude: Complex
+    order: Floats
+    amplitude: Complexes
     cause: tuple[str, ...]
 
 
@@ -243,7 +240,7 @@ class _Force:
     """One line of a force: complex peak by axis (6,) at a speed, how it grows with speed, and what it is."""
 
     order: float
-    amplitude: Complex
+    amplitude: Complexes
     cause: str
     at_speed_rpm: float = 1000.0
     exponent: float = 2.0
@@ -291,8 +288,7 @@ def _leading_causes(scene: Scene, forces: ForceLines, speed_rpm: float) -> dict[
     """What makes most of each order of ``forces``, by its response alone in the channel where that is largest."""
     response = accelerance(scene.structure, forces.order * speed_rpm / 60)
     alone = np.abs(np.einsum("cal,al->cl", response, forces.at_speed(speed_rpm))).max(axis=0, initial=0.0)
-    by_size = np.argsort(alone, kind="stable")
-    return {float(forces.order[place]): forces.cause[place] for place in by_size}
+    return {float(forces.order[place]): forces.cause[place] for place in np.argsort(alone, kind="stable")}
 
 
 def fixed_lines(scene: Scene, run: Run) -> OrderLines:
@@ -371,7 +367,7 @@ def _masses(scene: Scene) -> list[_Force]:
     return forces
 
 
-def _acceleration_moment(scene: Scene, top: int) -> Complex:
+def _acceleration_moment(scene: Scene, top: int) -> Complexes:
     """Rolling moment per angular acceleration (kg·m²) that inertia lines lack, by axis and order 0 … ``top``.
 
     The masses' torque on the crank is −(½ I′ω² + I α), I(φ) their inertia about it, and rolls the crankcase the other

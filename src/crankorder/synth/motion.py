@@ -17,11 +17,11 @@ from itertools import pairwise
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from crankorder.engine.compiled_slider_crank import fast_sine_cosine
 from crankorder.engine.in_cycle import Lag, stops_within_cycle
 from crankorder.errors import RequestError
+from crankorder.quantities import Floats
 
 TWO_PI = 2 * math.pi
 BLOCK = 512
@@ -290,7 +290,6 @@ def fill_times(  # type: ignore[no-untyped-def]
         out[i] = time
 
 
-Floats = NDArray[np.float64]
 Corner = tuple[float, float]
 
 MOST_WOBBLES = 256

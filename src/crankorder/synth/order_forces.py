@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 from crankorder.engine.compiled_slider_crank import fast_sine_cosine
 from crankorder.engine.in_cycle import Lag
 from crankorder.errors import RequestError
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.synth.motion import Motion
 
-Real = NDArray[np.float64]
 BLOCK = 256
 """Samples at once: the phasors and sums of a block stay in the fastest cache."""
 LONGEST_JUMP = 8
@@ -42,14 +42,14 @@ class ForceLines:
     Raises RequestError where an inertia line has no order above 0, and where a line is of both kinds.
     """
 
-    order: Real
-    amplitude: NDArray[np.complex128]
-    at_speed_rpm: Real
-    exponent: Real
-    inertia: NDArray[np.bool_]
-    gas: NDArray[np.bool_]
+    order: Floats
+    amplitude: Complexes
+    at_speed_rpm: Floats
+    exponent: Floats
+    inertia: Bools
+    gas: Bools
     cause: tuple[str, ...]
-    acceleration: NDArray[np.bool_] | None = None
+    acceleration: Bools | None = None
 
     def __post_init__(self) -> None:
         if np.any(self.order[self.inertia] <= 0):
@@ -58,11 +58,11 @@ class ForceLines:
             raise RequestError("a line is one of inertia or one of acceleration", found="both")
 
     @property
-    def accelerates(self) -> NDArray[np.bool_]:
+    def accelerates(self) -> Bools:
         """Which lines (line,) go with the angular acceleration alone."""
         return np.zeros(self.order.size, dtype=np.bool_) if self.acceleration is None else self.acceleration
 
-    def only(self, chosen: NDArray[np.bool_]) -> ForceLines:
+    def only(self, chosen: Bools) -> ForceLines:
         """The ``chosen`` (line,) lines."""
         return ForceLines(
             order=self.order[chosen],
@@ -75,7 +75,7 @@ class ForceLines:
             acceleration=self.accelerates[chosen],
         )
 
-    def at_speed(self, speed_rpm: float) -> NDArray[np.complex128]:
+    def at_speed(self, speed_rpm: float) -> Complexes:
         """Complex peaks (axis, line) at a constant ``speed_rpm``, backwards negative, every gain 1.
 
         Raises RequestError where a force that falls with speed meets a standstill.
@@ -102,11 +102,11 @@ class _Sums:
     """
 
     unit: float
-    jump: NDArray[np.int64]
-    order: Real
-    first_term: NDArray[np.int64]
-    weight: Real
-    goes_to: NDArray[np.int64]
+    jump: Ints
+    order: Floats
+    first_term: Ints
+    weight: Floats
+    goes_to: Ints
     factors: tuple[_Factor, ...]
 
 
@@ -119,7 +119,7 @@ class _Factor:
     at_speed_rpm: float
     gas: bool
 
-    def at(self, speed_rpm: Real, acceleration_rpm_per_s: Real, gain: Real | float) -> Real:
+    def at(self, speed_rpm: Floats, acceleration_rpm_per_s: Floats, gain: Floats | float) -> Floats:
         if self.of == "acceleration":
             factor = acceleration_rpm_per_s
         elif self.exponent == 0:
@@ -131,11 +131,11 @@ class _Factor:
 
 def force_at(
     lines: ForceLines,
-    angle_rev: Real,
-    speed_rpm: Real,
-    acceleration_rpm_per_s: Real,
-    gain: Real | float = 1.0,
-) -> Real:
+    angle_rev: Floats,
+    speed_rpm: Floats,
+    acceleration_rpm_per_s: Floats,
+    gain: Floats | float = 1.0,
+) -> Floats:
     """Forces and moments of ``lines`` (N, N·m), shape (axis, n), where the shaft moves as stated.
 
     ``angle_rev``, ``speed_rpm``, ``acceleration_rpm_per_s``: of the shaft, each (n,), backwards negative. ``gain``: of
@@ -244,9 +244,6 @@ def fill_forces(angle_rev, unit, jump, order, first_term, weight, goes_to, rows,
                     out[start + i] += factor[start + i] * summed[s, i]
 
 
-Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
-
 SMALLEST = 1e-13
 """Of the largest line: what is below is left out."""
 SAME = 1e-9
@@ -255,7 +252,7 @@ RESOLVED = 1e-14
 MOST_ANGLES = 1 << 22
 
 
-def lines_in_time(lines: ForceLines, lag: Lag, *, speed_rpm: float) -> tuple[Floats, Complex]:
+def lines_in_time(lines: ForceLines, lag: Lag, *, speed_rpm: float) -> tuple[Floats, Complexes]:
     """Mean orders (line,), ascending, and complex amplitude (axis, line) of forces of a shaft that turns with a lag.
 
     The force is Re Σ amplitude · exp(2πi order mean_angle), the mean angle (rev) as of :meth:`Motion.mean_rev`: lines
@@ -277,10 +274,10 @@ def lines_in_time(lines: ForceLines, lag: Lag, *, speed_rpm: float) -> tuple[Flo
         crank_rev, rise, bend = turning.at(mean_rev - start_rev)
         return crank_rev, rise / 60, bend / 60
 
-    def scale(line: int, rise: Floats, bend: Floats) -> Complex | Floats:
+    def scale(line: int, rise: Floats, bend: Floats) -> Complexes | Floats:
         ratio = abs(speed_rpm) / float(at_speed_rpm[line])
         if lines.inertia[line]:
-            masses: Complex = ratio**2 * (rise**2 - 1j / (2 * np.pi * lines.order[line]) * bend)
+            masses: Complexes = ratio**2 * (rise**2 - 1j / (2 * np.pi * lines.order[line]) * bend)
             return masses
         if lines.accelerates[line]:
             return ratio**2 / (2 * np.pi) * bend
@@ -289,7 +286,7 @@ def lines_in_time(lines: ForceLines, lag: Lag, *, speed_rpm: float) -> tuple[Flo
     return _expanded(lines.order, lines.amplitude, step, crank, scale)
 
 
-def lines_in_angle(order: Floats, amplitude: Complex, lag: Lag, *, speed_rpm: float) -> tuple[Floats, Complex]:
+def lines_in_angle(order: Floats, amplitude: Complexes, lag: Lag, *, speed_rpm: float) -> tuple[Floats, Complexes]:
     """Crank orders (k,), ascending, and complex amplitude (axis, k) of a signal of lines of the mean rotation.
 
     This is what a perfect order analysis, by crank angle, finds of Re Σ amplitude · exp(2πi order mean_angle). Left
@@ -316,11 +313,11 @@ def _step(lag: Lag, speed_rpm: float) -> float:
 
 def _expanded(
     order: Floats,
-    amplitude: Complex,
+    amplitude: Complexes,
     step: float,
     other: Callable[[Floats], tuple[Floats, ...]],
-    scale: Callable[..., Complex | Floats | float],
-) -> tuple[Floats, Complex]:
+    scale: Callable[..., Complexes | Floats | float],
+) -> tuple[Floats, Complexes]:
     """Lines over an angle of a signal whose lines are over the angle that ``other`` gives of it.
 
     ``other`` returns with it what ``scale`` takes after the number of a line: the factor of the line at each angle.
@@ -329,7 +326,7 @@ def _expanded(
     beside = np.mod(order, step)
     beside[step - beside < SAME] = 0.0
     found_order: list[Floats] = [np.zeros(0)]
-    found: list[Complex] = [np.zeros((len(amplitude), 0), dtype=np.complex128)]
+    found: list[Complexes] = [np.zeros((len(amplitude), 0), dtype=np.complex128)]
     left = np.flatnonzero(amplitude.any(axis=0))
     while left.size:
         here = np.abs(beside[left] - beside[left[0]]) < SAME
@@ -349,11 +346,11 @@ def _expanded(
 def _spectrum(
     lines: NDArray[np.intp],
     order: Floats,
-    amplitude: Complex,
+    amplitude: Complexes,
     grid: tuple[float, float, int],
     other: Callable[[Floats], tuple[Floats, ...]],
-    scale: Callable[..., Complex | Floats | float],
-) -> Complex:
+    scale: Callable[..., Complexes | Floats | float],
+) -> Complexes:
     """Complex lines at carrier + m · step, shape (axis, n_angles), of ``lines`` that share a carrier."""
     carrier, step, n_angles = grid
     angle = np.arange(n_angles) / (n_angles * step)
@@ -367,12 +364,12 @@ def _spectrum(
     return np.fft.fft(total, axis=1) / n_angles
 
 
-def _is_resolved(spectrum: Complex) -> bool:
+def _is_resolved(spectrum: Complexes) -> bool:
     size, n = np.abs(spectrum).max(axis=0), spectrum.shape[1]
     return bool(size[3 * n // 8 : 5 * n // 8].max() <= RESOLVED * size.max())
 
 
-def _merged(order: Floats, amplitude: Complex, known: Floats) -> tuple[Floats, Complex]:
+def _merged(order: Floats, amplitude: Complexes, known: Floats) -> tuple[Floats, Complexes]:
     """Lines of ascending orders ≥ 0, those of one order added up, and none below ``SMALLEST`` of the largest."""
     kept = np.abs(amplitude).max(axis=0, initial=0.0) > 0
     order, amplitude = order[kept], amplitude[:, kept]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from crankorder.errors import RequestError
+from crankorder.quantities import Bools, Complexes, Floats
 
 if TYPE_CHECKING:
     from crankorder.synth.analogue import AnalogueFilter
@@ -28,14 +29,14 @@ class Structure:
     ``sensor_per_kg · drive`` (1/kg).
     """
 
-    frequency_hz: NDArray[np.float64]
-    damping_ratio: NDArray[np.float64]
-    sensor_per_kg: NDArray[np.complex128]
-    drive: NDArray[np.float64]
-    rigid_body_per_kg: NDArray[np.float64]
+    frequency_hz: Floats
+    damping_ratio: Floats
+    sensor_per_kg: Complexes
+    drive: Floats
+    rigid_body_per_kg: Floats
 
 
-def accelerance(structure: Structure, frequency_hz: ArrayLike) -> NDArray[np.complex128]:
+def accelerance(structure: Structure, frequency_hz: ArrayLike) -> Complexes:
     """Complex acceleration per force (1/kg), shape (channel, axis, frequency): the exact steady state.
 
     ``structure``: modes and rigid-body part. ``frequency_hz``: any sign, shape (frequency,).
@@ -45,7 +46,7 @@ def accelerance(structure: Structure, frequency_hz: ArrayLike) -> NDArray[np.com
     return transfer_function(structure, 1j * omega)
 
 
-def transfer_function(structure: Structure, s_per_s: ArrayLike) -> NDArray[np.complex128]:
+def transfer_function(structure: Structure, s_per_s: ArrayLike) -> Complexes:
     """Acceleration per force (1/kg) at points of the complex plane, shape (channel, axis, point).
 
     ``structure``: modes and rigid-body part. ``s_per_s``: points (rad/s), shape (point,), none of them a pole.
@@ -73,9 +74,7 @@ def transfer_function(structure: Structure, s_per_s: ArrayLike) -> NDArray[np.co
     return response
 
 
-def tones(
-    amplitude: NDArray[np.complex128], frequency_hz: NDArray[np.float64], *, rate_hz: float, n_samples: int
-) -> NDArray[np.float64]:
+def tones(amplitude: Complexes, frequency_hz: Floats, *, rate_hz: float, n_samples: int) -> Floats:
     """Sum of steady tones Re Σ amplitude · exp(2πi frequency t), t = sample / rate, shape (channel, n_samples).
 
     ``amplitude``: complex peak at the first sample, shape (channel, line). ``frequency_hz``: shape (line,), any sign.
@@ -91,11 +90,10 @@ def tones(
     start = np.exp(2j * np.pi * (block_rev - np.rint(block_rev)))
     phasor = (amplitude[:, :, None] * start).transpose(0, 2, 1)
     weights = np.concatenate([phasor.real, -phasor.imag], axis=2).reshape(n_channels * n_blocks, 2 * n_lines)
-    summed: NDArray[np.float64] = (weights @ table).reshape(n_channels, n_blocks * BLOCK_SAMPLES)
+    summed: Floats = (weights @ table).reshape(n_channels, n_blocks * BLOCK_SAMPLES)
     return summed[:, :n_samples]
 
 
-Complex = NDArray[np.complex128]
 CLOSEST = 1e-6
 """Distance of a mode from a pole of the filter, as a share of either, below which partial fractions lose their digits:
 residues grow as the inverse of the distance and then cancel."""
@@ -109,10 +107,10 @@ class Poles:
     ``direct`` (channel, axis): what follows the force at once.
     """
 
-    pole_per_s: Complex
-    input: NDArray[np.float64]
-    output: Complex
-    direct: NDArray[np.float64]
+    pole_per_s: Complexes
+    input: Floats
+    output: Complexes
+    direct: Floats
 
     @property
     def decay_s(self) -> float:
@@ -128,7 +126,7 @@ class Poles:
             direct=self.direct[channels],
         )
 
-    def driven_on(self, axes: NDArray[np.bool_]) -> Poles:
+    def driven_on(self, axes: Bools) -> Poles:
         """The poles that forces on some ``axes`` (axis,) move, all others left out."""
         moved = self.input[:, axes].any(axis=1)
         return Poles(
@@ -183,7 +181,7 @@ def _behind(modes: Poles, structure: Structure, filter: AnalogueFilter) -> Poles
     )
 
 
-def steady_state(poles: Poles, force: Complex, frequency_hz: NDArray[np.float64]) -> Complex:
+def steady_state(poles: Poles, force: Complexes, frequency_hz: Floats) -> Complexes:
     """State (pole,) at t = 0 of the steady response of ``poles`` to Re Σ force · exp(2πi frequency t).
 
     ``force``: complex peak, shape (axis, line). ``frequency_hz``: shape (line,), any sign; 0 is a constant force.
@@ -191,5 +189,5 @@ def steady_state(poles: Poles, force: Complex, frequency_hz: NDArray[np.float64]
     s = 2j * np.pi * np.asarray(frequency_hz, dtype=np.float64)
     acting = poles.input @ force
     apart = poles.pole_per_s[:, None]
-    state: Complex = 0.5 * (acting / (s - apart) - acting.conj() / (s + apart)).sum(axis=1)
+    state: Complexes = 0.5 * (acting / (s - apart) - acting.conj() / (s + apart)).sum(axis=1)
     return state

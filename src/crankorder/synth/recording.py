@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.engine.bearings import bearing_orders
+from crankorder.quantities import Complexes, Floats
 from crankorder.synth.analogue import Recorded, recorded
 from crankorder.synth.crank import begun_earlier, crank_motion, gain_of_cycle, other_motion
 from crankorder.synth.driven import driven_signal
@@ -33,12 +33,10 @@ from crankorder.synth.poles import poles_of, tones
 from crankorder.synth.scene import Run, Scene
 from crankorder.synth.signal_faults import converter_records, with_signal_faults
 
-Signal = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 SAMPLES_AT_ONCE = 1 << 18
 
 
-def order_signal(scene: Scene, run: Run, motion: Motion) -> Signal:
+def order_signal(scene: Scene, run: Run, motion: Motion) -> Floats:
     """Response of the structure to every force that follows a shaft, shape (channel, sample).
 
     At a steady mean speed the exact sum of the steady states; else an integration of the modes. ``scene``: forces,
@@ -53,13 +51,12 @@ def order_signal(scene: Scene, run: Run, motion: Motion) -> Signal:
     for forces, turning in sources:
         speed_rpm = turning.corners[0][1]
         lines = driven_lines(scene, forces, speed_rpm, turning.lag)
-        start_rev = turning.mean_rev(0.0)
-        at_start = lines.amplitude * np.exp(2j * np.pi * lines.order * start_rev)
+        at_start = lines.amplitude * np.exp(2j * np.pi * lines.order * turning.mean_rev(0.0))
         signal += _steady(scene, run, motion, lines.order * speed_rpm / 60, at_start)
     return signal
 
 
-def bearing_signal(scene: Scene, run: Run, motion: Motion) -> Signal:
+def bearing_signal(scene: Scene, run: Run, motion: Motion) -> Floats:
     """Bearing lines, which follow the crank angle and are given as recorded, shape (channel, sample).
 
     ``scene``: the lines. ``run``: the recording. ``motion``: of its crank.
@@ -81,7 +78,7 @@ def bearing_signal(scene: Scene, run: Run, motion: Motion) -> Signal:
     return signal
 
 
-def tone_signal(scene: Scene, run: Run, motion: Motion) -> Signal:
+def tone_signal(scene: Scene, run: Run, motion: Motion) -> Floats:
     """Mains and other tones that follow no shaft, given as recorded, shape (channel, sample).
 
     ``scene``: the tones. ``run``: the recording. ``motion``: of its crank, for samples by crank angle.
@@ -96,7 +93,7 @@ def tone_signal(scene: Scene, run: Run, motion: Motion) -> Signal:
     return _steady(scene, run, motion, np.array(frequency), np.array(amplitude).T)
 
 
-def impact_signal(scene: Scene, run: Run, motion: Motion) -> Signal:
+def impact_signal(scene: Scene, run: Run, motion: Motion) -> Floats:
     """Strikes of damaged bearings and what they ring, shape (channel, sample).
 
     ``scene``: the damages. ``run``: the recording. ``motion``: of its crank.
@@ -121,7 +118,7 @@ def impact_signal(scene: Scene, run: Run, motion: Motion) -> Signal:
     return signal
 
 
-def _strikes(scene: Scene, run: Run, motion: Motion, number: int) -> tuple[Signal, Signal]:
+def _strikes(scene: Scene, run: Run, motion: Motion, number: int) -> tuple[Floats, Floats]:
     """Times (s) and relative sizes of the strikes of one damage, those before the recording that still ring too."""
     part = scene.bearing_impacts[number]
     bearing = next(bearing for bearing in scene.engine.bearings if bearing.name == part.bearing)
@@ -166,7 +163,7 @@ def _mean_is_steady(motion: Motion) -> bool:
     return not motion.wobbles and not motion.corner_s
 
 
-def _steady(scene: Scene, run: Run, motion: Motion, frequency_hz: Signal, amplitude: Complex) -> Signal:
+def _steady(scene: Scene, run: Run, motion: Motion, frequency_hz: Floats, amplitude: Complexes) -> Floats:
     """Steady tones of complex ``amplitude`` (channel, line) at the first sample, with the channels' delays."""
     delay_s = scene.by_channel(scene.acquisition.delay_s)
     late = amplitude * np.exp(-2j * np.pi * np.outer(delay_s, frequency_hz))
@@ -179,7 +176,7 @@ def _steady(scene: Scene, run: Run, motion: Motion, frequency_hz: Signal, amplit
     return tones(by_angle, order, rate_hz=scene.sampling.samples_per_rev, n_samples=n_samples)
 
 
-def _integrated(scene: Scene, run: Run, sources: list[tuple[ForceLines, Motion]]) -> Signal:
+def _integrated(scene: Scene, run: Run, sources: list[tuple[ForceLines, Motion]]) -> Floats:
     """Response of the structure to forces of shafts whose speed changes, by integration of its modes.
 
     Channels of one delay are integrated together, on a clock that starts so much earlier: exact between samples too.
@@ -187,7 +184,7 @@ def _integrated(scene: Scene, run: Run, sources: list[tuple[ForceLines, Motion]]
     delay_s = scene.by_channel(scene.acquisition.delay_s)
     poles, rate_hz = poles_of(scene.structure, scene.filter), scene.rate_hz(run.speed_rpm)
 
-    def late_by(delay: float) -> Signal:
+    def late_by(delay: float) -> Floats:
         return driven_signal(
             poles.seen_by(np.flatnonzero(delay_s == delay)),
             [(forces, begun_earlier(motion, delay)) for forces, motion in sources],
@@ -215,7 +212,7 @@ class SyntheticRecording:
     faults: list[dict[str, Any]]
 
 
-def sensed(scene: Scene, run: Run, floor: Floor) -> Signal:
+def sensed(scene: Scene, run: Run, floor: Floor) -> Floats:
     """What the sensors of ``scene`` give in ``run``, filtered, neither faulty nor converted: (channel, sample), m/s².
 
     ``floor``: of :func:`crankorder.synth.noise.floor_of` at the rate of the run. An effect that is not named is not

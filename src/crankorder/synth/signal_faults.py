@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from crankorder.quantities import Severity
+from crankorder.quantities import Floats, Severity
 from crankorder.settings import IngestSettings, load_settings
 from crankorder.synth.noise import seed_stream
 from crankorder.synth.parts import (
@@ -26,14 +26,12 @@ from crankorder.synth.parts import (
     Spikes,
 )
 
-Signal = NDArray[np.float64]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Channel:
     """Samples of one channel (changed in place) and what its faults refer to."""
 
-    samples: Signal
+    samples: Floats
     peak: float
     """Largest absolute value of the finite samples without faults."""
     rate_hz: float
@@ -61,7 +59,7 @@ class _Mark:
 
 
 def with_signal_faults(
-    signal: Signal,
+    signal: Floats,
     faults: Sequence[AnySignalFault],
     *,
     names: Sequence[str],
@@ -69,7 +67,7 @@ def with_signal_faults(
     stream: str,
     rate_hz: float,
     seed: int,
-) -> tuple[Signal, list[dict[str, Any]]]:
+) -> tuple[Floats, list[dict[str, Any]]]:
     """``signal`` with its ``faults``, one after the other, and a record of each fault of each channel.
 
     A record has the keys of a quality flag (recording, flag, severity, detail), the channel, ``first_sample`` and
@@ -103,9 +101,7 @@ def with_signal_faults(
     return faulty, [_record(mark, name, recording, rate_hz) for name, mark in marks]
 
 
-def converter_records(
-    clipped_share: NDArray[np.float64], *, names: Sequence[str], recording: str
-) -> list[dict[str, Any]]:
+def converter_records(clipped_share: Floats, *, names: Sequence[str], recording: str) -> list[dict[str, Any]]:
     """Records of the channels that went beyond the range of the converter, as of :func:`with_signal_faults`.
 
     ``clipped_share``: 0 … 1, shape (channel,). ``names``: of the channels. ``recording``: its name.

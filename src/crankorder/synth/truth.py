@@ -7,12 +7,11 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.engine.bearings import bearing_orders
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.harmonics import acceleration_harmonics
-from crankorder.quantities import Truth
+from crankorder.quantities import Complexes, Floats, Truth
 from crankorder.synth.lines import OrderLines, crank_forces, fixed_lines, order_lines, slipping_line, strikes_per_rev
 from crankorder.synth.noise import floor_density
 from crankorder.synth.parts import BearingImpacts, BearingLine
@@ -132,7 +131,7 @@ def _orders(scene: Scene, runs: tuple[Run, ...]) -> list[dict[str, Any]]:
     return records
 
 
-def _gathered(lines: list[OrderLines]) -> tuple[NDArray[np.float64], NDArray[np.complex128]]:
+def _gathered(lines: list[OrderLines]) -> tuple[Floats, Complexes]:
     """Every order of ``lines``, and their amplitudes (speed, order, channel), those of one order added up."""
     orders = np.unique(np.concatenate([part.order for part in lines]))
     amplitudes = np.zeros((len(lines), orders.size, len(lines[0].amplitude)), dtype=np.complex128)

@@ -153,8 +153,7 @@ def write_scene(
             if not ours:
                 engine = scene.engine.model_dump(exclude_none=True, exclude_defaults=True)
                 _publish_text(place / ENGINE, toml_text(engine))
-            engine_name = scene.engine_file if ours else ENGINE
-            _publish_text(place / MANIFEST, manifest_text(scene, engine_name, repeat))
+            _publish_text(place / MANIFEST, manifest_text(scene, scene.engine_file if ours else ENGINE, repeat))
         return folders
     except OSError as error:
         if isinstance(error, EnvironmentFailure):
@@ -196,8 +195,7 @@ def write_recording(path: Path, scene: Scene, run: Run, recording: SyntheticReco
 
 
 def _write_truth(truth: Truth, folder: Path) -> None:
-    text = json.dumps(truth, ensure_ascii=False, indent=1, allow_nan=False)
-    _publish_text(folder / TRUTH, f"{text}\n")
+    _publish_text(folder / TRUTH, f"{json.dumps(truth, ensure_ascii=False, indent=1, allow_nan=False)}\n")
 
 
 def _write_recordings(

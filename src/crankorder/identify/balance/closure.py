@@ -133,8 +133,7 @@ def _by_engine_orders(
     _check_scale(measured, shaker)
     fit = _fitted(measured, shaker, modal)
     _check_fit(fit, shaker)
-    agreement = _check_orders_agree(measured, shaker, modal, fit)
-    return _record(fit, shaker, engine, agreement, measured)
+    return _record(fit, shaker, engine, _check_orders_agree(measured, shaker, modal, fit), measured)
 
 
 def _check_firing(orders: tuple[AgreedOrder, ...], engine: Engine) -> None:

@@ -326,8 +326,7 @@ def _nearest(places: Floats, hertz: float) -> Ints:
     low, high = np.searchsorted(places, [hertz - reach, hertz + reach])
     found = np.arange(low, high)
     if found.size > NOISE_NUMBERS.most_bins:
-        away = np.abs(places[found] - hertz)
-        found = found[np.argsort(away, kind="stable")[: NOISE_NUMBERS.most_bins]]
+        found = found[np.argsort(np.abs(places[found] - hertz), kind="stable")[: NOISE_NUMBERS.most_bins]]
     return found
 
 

@@ -220,8 +220,7 @@ def _of_crank(record: TrialBalance, found: _Multiple, total: complex) -> TrialBa
 def _of_piston(
     record: TrialBalance, found: _Multiple, mass_g: float, engine: Engine, second: _Multiple | str
 ) -> TrialBalance:
-    bare = engine.pistons_alone
-    per_g = abs(force_per_kg(bare, 1, Z, along_only=True))
+    per_g = abs(force_per_kg(engine.pistons_alone, 1, Z, along_only=True))
     half = np.abs(mass_g) * half_width(found.freedom) * np.sqrt(np.diag(found.covariance))
     record = with_interval(record, "along_g", per_g * mass_g * found.value.real, per_g * float(half[0]))
     record = with_interval(record, "along_after_g", per_g * mass_g * (found.value.real + 1.0), per_g * float(half[0]))

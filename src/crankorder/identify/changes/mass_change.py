@@ -236,8 +236,7 @@ def factor_of(unbalances: Sequence[Unbalance], orders: Sequence[float]) -> Facto
     apart = [abs(one.factor - mean) ** 2 / (one.factor_error**2 + error**2) for one in mine]
     if max(apart) > ONE_FACTOR or mean.imag**2 > ONE_FACTOR * error**2 or mean.real <= 0:
         return None
-    least = min(one.freedom for one in best)
-    return Factor(mean.real, error * half_width(least) / Z95, tuple(orders))
+    return Factor(mean.real, error * half_width(min(one.freedom for one in best)) / Z95, tuple(orders))
 
 
 def _by_factor(known: Sequence[_Stated | None], factor: Factor) -> dict[str, Any] | None:

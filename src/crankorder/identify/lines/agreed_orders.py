@@ -199,8 +199,7 @@ def _may_be_mains(one: _Unnamed, settings: IdentifySettings) -> bool:
     speeds = np.concatenate([line.speed_rpm for line in one.lines])
     if not np.isfinite(speeds).all() or speeds.max() > SAID.alike_speeds_ratio * speeds.min():
         return False
-    hertz = one.number.order * float(speeds.mean()) / 60.0
-    return bool(multiples_near(hertz, 0.0, settings=settings))
+    return bool(multiples_near(one.number.order * float(speeds.mean()) / 60.0, 0.0, settings=settings))
 
 
 def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:

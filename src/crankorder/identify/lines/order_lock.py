@@ -55,8 +55,7 @@ def lock_of(
     multiple = nearest_multiple(order, revs_per_cycle=revs_per_cycle)
     half, distance = sure_half_width(order_error, degrees_of_freedom), abs(order - multiple)
     if distance > half:
-        of_two = nearest_multiple(order, revs_per_cycle=2)
-        return "slips" if abs(order - of_two) > half else "undecided"
+        return "slips" if abs(order - nearest_multiple(order, revs_per_cycle=2)) > half else "undecided"
     return "locked" if by_phase and distance + half < NUMBERS.least_slip * multiple else "undecided"
 
 

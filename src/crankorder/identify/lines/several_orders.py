@@ -25,6 +25,7 @@ from crankorder.identify.lines.line_phasors import Recording
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
 from crankorder.identify.lines.order_lines import ONE_SPEED
 from crankorder.identify.mains import NUMBERS as MAINS
+from crankorder.orders.track_rows import hann_lobe
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
@@ -215,9 +216,7 @@ def _scores(held: Held, bins: Ints, left: Complexes, low: float, high: float) ->
     total = np.zeros((len(trial), left.shape[1]), dtype=np.complex128)
     gain = np.zeros(len(trial))
     for number, at in enumerate(held.axis[bins]):
-        away = (trial - at) * held.revs
-        pole = np.abs(np.abs(away) - 1.0) < 1e-6
-        shape = np.where(pole, 0.5, np.sinc(away) / np.where(pole, 1.0, 1.0 - away**2))
+        shape = hann_lobe((trial - at) * held.revs)
         index = np.rint((trial - at) * n * hop).astype(np.int64) % n
         phase = np.exp(-2j * np.pi * (trial - at) * held.turn[0])
         total += (shape * phase)[:, None] * spectrum[index, number]

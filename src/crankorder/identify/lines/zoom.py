@@ -515,16 +515,14 @@ def _moved(basis: Complexes, slopes: Complexes, amplitude: Complexes, inverse: C
 
 def _normal(moved: Complexes, left: Complexes, weight: Floats) -> tuple[Floats, Floats]:
     """Score (2,) and normal matrix (2, 2) of the orders from how these have ``moved``, channels by ``weight``."""
-    scaled = moved * np.sqrt(weight)[None, :, None]
-    rows = scaled.reshape(2, -1)
+    rows = (moved * np.sqrt(weight)[None, :, None]).reshape(2, -1)
     score = (rows.conj() @ (left.T * np.sqrt(weight)[:, None]).ravel()).real
     return score, np.asarray((rows.conj() @ rows.T).real)
 
 
 def _with_errors(basis: Complexes, slopes: Complexes, data: Complexes, turn: Floats, at: Floats) -> Pair:
     amplitude, left, inverse = _linear(basis, data)
-    n = len(left)
-    degrees_of_freedom = max(2.0 * n - 4.0 - 2.0, 1.0)
+    degrees_of_freedom = max(2.0 * len(left) - 4.0 - 2.0, 1.0)
     shared = left.conj().T @ left * (2.0 / degrees_of_freedom)  # noise power of the channels and what they share
     power = np.maximum(np.diag(shared).real, 1e-24 * np.square(np.abs(data)).mean(axis=0))
     weight = 1.0 / power

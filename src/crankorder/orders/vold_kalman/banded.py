@@ -250,13 +250,8 @@ def evaluate(  # type: ignore[no-untyped-def]
         n = min(CHUNK, end - at, starts[i + 1] - at)
         first, step, size = at - begin, 2.0 / (starts[i + 1] - starts[i]), _padded(n)
         mask = usable[first : first + n]
-        product, weight, left, real, imag = (
-            room[0, :size],
-            room[1, :size],
-            room[2, :size],
-            room[3, :size],
-            room[4, :size],
-        )
+        product, weight, left = room[0, :size], room[1, :size], room[2, :size]
+        real, imag = room[3, :size], room[4, :size]
         _powers((at - starts[i] + 0.5) * step - 1.0, step, size, powers)
         _waves(phase_rev, first, mask, left, weight, waves)
         left[n:] = 0.0

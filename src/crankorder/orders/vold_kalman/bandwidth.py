@@ -261,8 +261,7 @@ class Knots:
         lengths = np.diff(self.starts)
         changed = np.flatnonzero(np.diff(lengths)) + 1
         changed = np.concatenate([[0], changed, [self.intervals]])
-        near = np.clip(changed[:, None] + np.arange(-DEGREE, DEGREE + 1), 0, self.intervals - 1)
-        return np.unique(near)
+        return np.unique(np.clip(changed[:, None] + np.arange(-DEGREE, DEGREE + 1), 0, self.intervals - 1))
 
 
 def place_knots(spacing: Floats, n_samples: int, *, fewest: int = FEWEST_INTERVALS) -> Knots:

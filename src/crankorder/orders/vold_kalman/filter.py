@@ -417,8 +417,7 @@ def standard_errors(system: EnvelopeSystem, solution: Solution) -> Floats:
         )
         spread = 0.5 * (solution.variance[:, k] + solution.variance[:, system.n_orders + k])
         for channel in range(len(sums)):
-            noise = np.sqrt(np.interp(place, at, level[channel]) * spread)
-            found[channel, k] = noise / system.scale[channel]
+            found[channel, k] = np.sqrt(np.interp(place, at, level[channel]) * spread) / system.scale[channel]
     return found
 
 

@@ -288,8 +288,7 @@ class EnvelopeSystem:
         middle = 0.5 * (self.knots.starts[1:] + self.knots.starts[:-1])
         points = np.linspace(0.0, n_samples, bandwidth_hz.shape[1])
         at_knots = np.array([np.interp(middle, points, one) for one in bandwidth_hz])
-        weight = structural_weight(at_knots, rate_hz=rate_hz, poles=self.poles)
-        return np.ascontiguousarray(weight.T)
+        return np.ascontiguousarray(structural_weight(at_knots, rate_hz=rate_hz, poles=self.poles).T)
 
     def _place_splines(self) -> None:
         runs, knots = self.knots.runs, self.knots

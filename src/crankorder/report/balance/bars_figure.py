@@ -6,24 +6,22 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
 from crankorder.plot.axes import log_axis
 from crankorder.plot.palette import SMALL, drawable
 from crankorder.plot.style import NOTE, axes_at, house_style, new_figure, quiet_frame, title_lines
+from crankorder.quantities import Floats
 from crankorder.report.balance.look import alike, axis_names, called, color_key, system_color
 from crankorder.report.notation import number_text, order_text
 from crankorder.settings import ReportSettings
-
-Values = NDArray[np.float64]
 
 _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.95, 1.0, 1.25, 0.6, 0.62  # inches
 _WIDEST = 0.22  # bar, in orders
 
 
-Group = tuple[str, str, float, list[Values], list[str]]
+Group = tuple[str, str, float, list[Floats], list[str]]
 
 
 def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -> Figure:
@@ -106,8 +104,8 @@ def _groups(balance: xr.Dataset, systems: list[list[str]], moments: list[list[st
 
 def _bars(
     axes: Axes,
-    orders: Values,
-    values: list[Values],
+    orders: Floats,
+    values: list[Floats],
     colors: list[str],
     *,
     kind: str,

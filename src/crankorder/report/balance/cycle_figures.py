@@ -10,18 +10,17 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.cycle_tables import cycle_curves
 from crankorder.engine.definition import Engine
 from crankorder.plot.palette import FAINT, INK, LINES, SMALL, drawable
 from crankorder.plot.style import axes_at, house_style, new_figure, quiet_frame, title_lines, write
+from crankorder.quantities import Floats
 from crankorder.report.balance.look import color_key, cross_hairs, frame_around
 from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings
 
-Floats = NDArray[np.float64]
 Box = tuple[float, float, float, float]
 """Left, bottom, width, height in inches."""
 

@@ -144,8 +144,7 @@ def guide_figure(
             table = hinge_table(mechanism.crank, engine.curve, joint=joint, speed_rpm=speed_rpm, n_steps=GUIDE_STEPS)
             guides = hinge_guides(table, data)
             left = 0.3 + number * step
-            axes = axes_at(figure, left, 0.2, side, side)
-            _draw_guides(axes, guides, data)
+            _draw_guides(axes_at(figure, left, 0.2, side, side), guides, data)
             place = "at the crank pin" if joint == "pin" else "between strut and crank"
             write(figure, left + side / 2, side + 0.62, f"Hinge {place}", ha="center", fontsize=NORMAL,
                   fontweight="bold")  # fmt: skip

@@ -6,12 +6,12 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
 from crankorder.plot.palette import FAINT, INK, LINES, NORMAL, SMALL, drawable
 from crankorder.plot.style import NOTE, axes_at, house_style, new_figure, quiet_frame, title_lines, write
+from crankorder.quantities import Complexes
 from crankorder.report.balance.dataset import order_sum
 from crankorder.report.balance.look import (
     COUNTERWEIGHTS,
@@ -27,8 +27,6 @@ from crankorder.report.balance.look import (
 )
 from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings
-
-Curve = NDArray[np.complex128]
 
 TURNS = {
     "with crank": "turns with the crank",
@@ -85,7 +83,7 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
         return figure
 
 
-Panel = tuple[str, str, Curve, str, str, str]
+Panel = tuple[str, str, Complexes, str, str, str]
 
 
 def _panels(balance: xr.Dataset, speed: float) -> list[tuple[str, list[Panel]]]:
@@ -99,7 +97,7 @@ def _panels(balance: xr.Dataset, speed: float) -> list[tuple[str, list[Panel]]]:
     first = per_omega * (along + 1j * across)
     names = [str(name) for name in balance["system"].values]
 
-    def panel(name: str, drawn: Curve) -> Panel:
+    def panel(name: str, drawn: Complexes) -> Panel:
         at = names.index(name)
         turns = TURNS[str(balance["rotation"].values[at])]
         head, meaning = (head_of(name, balance), meaning_of(name, balance)) if len(names) > 1 else ("force", "")
@@ -118,14 +116,14 @@ def _panels(balance: xr.Dataset, speed: float) -> list[tuple[str, list[Panel]]]:
     return [row for row in rows if row[1]]
 
 
-def _largest(curve: Curve, unit: str, limit: float) -> str:
+def _largest(curve: Complexes, unit: str, limit: float) -> str:
     most = float(np.abs(curve).max())
     if most <= NO_FORCE * limit:
         return "no force" if unit == "N" else "no moment"
     return f"up to {number_text(most)} {unit}"
 
 
-def _draw(axes: Axes, curve: Curve, color: str, limit: float) -> None:
+def _draw(axes: Axes, curve: Complexes, color: str, limit: float) -> None:
     """One diagram: cross hairs, curve, dot at top dead centre, arrows in the sense of rotation."""
     cross_hairs(axes, limit)
     axes.plot(curve.imag, curve.real, color=color, gid="polar")

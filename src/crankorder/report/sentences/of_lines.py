@@ -177,8 +177,7 @@ def _unresolved(findings: Findings, order: OrderFinding, where: str) -> str:
     near, rpm = order_name(order, findings), order.speed_rpm_at_max
     text = f"What is strongest in {where} was not resolved: near order {near}, {level_text(findings, order)}"
     text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""
-    rest = [one for one in findings.orders if UNRESOLVED not in one.evidence]
-    told = _strongest_of(rest, order.channel)
+    told = _strongest_of([one for one in findings.orders if UNRESOLVED not in one.evidence], order.channel)
     if told is not None:
         text += (
             f"; of the orders that are told {order_name(told, findings)} is the strongest: {level_text(findings, told)}"

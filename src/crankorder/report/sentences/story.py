@@ -231,8 +231,7 @@ def _what_to_do(findings: Findings) -> list[str]:
     if not asks and nothing_proven(findings):
         asks = [TOO_SHORT]
     if not asks and all_judged(findings):
-        sought = findings.looked_for
-        asks = [ALL_CLEAR_WITH_ENVELOPE if "envelope" in sought else ALL_CLEAR]
+        asks = [ALL_CLEAR_WITH_ENVELOPE if "envelope" in findings.looked_for else ALL_CLEAR]
     return [*asks[: len(sentences)], *free_sentences(findings), *asks[len(sentences) :]]
 
 
