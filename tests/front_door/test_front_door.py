@@ -85,16 +85,17 @@ def test_lines_have_their_amplitude_however_the_shaft_is_told(told: str) -> None
 def test_phases_count_from_the_mark_and_its_angle_to_top_dead_centre() -> None:
     marks = np.arange(0.0, 6.0, 60.0 / SPEED_RPM)
     for to_tdc_deg in (0.0, 30.0):
-        made = co.recording(
-            line(2.0, 1.0, 40.0),
-            rate_hz=RATE_HZ,
-            pulse_times_s=np.arange(0.0, 6.0, 60.0 / SPEED_RPM / 60),
-            pulses_per_rev=60,
-            index=marks,
-            index_to_tdc_deg=to_tdc_deg,
-        )
+        told = TOLD["pulse times"] | {"index": marks, "index_to_tdc_deg": to_tdc_deg}
+        made = co.recording(line(2.0, 1.0, 40.0), rate_hz=RATE_HZ, **told)
         tracks = co.order_tracks(made, orders=[2.0])
         assert float(tracks["phase"].item()) == pytest.approx(40.0 + 2.0 * to_tdc_deg, abs=0.3)
+
+
+def test_pulses_that_change_are_worked_out_anew() -> None:
+    made = co.recording(line(2.0, 1.0), rate_hz=RATE_HZ, **TOLD["pulse times"])
+    first = float(co.order_map(made)["speed"].mean())
+    made["pulse_time"].values[:] *= 1.25
+    assert float(co.order_map(made)["speed"].mean()) == pytest.approx(first / 1.25)
 
 
 def test_samples_by_crank_angle_need_no_speed() -> None:
