@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -132,9 +131,6 @@ def pole_columns(frequency_hz: Array, natural_hz: Array, damping: Array, seen: S
 TONE_BINS = 1e-3
 """Half width in bins that stands for none: the line of a tone."""
 
-LEAST_PIVOT = 1e-3
-"""Smallest pivot over the largest of a Gram matrix's factor that is good to 1e-10."""
-
 MOST_STEPS = 40
 """Steps of the fit at most."""
 
@@ -227,9 +223,8 @@ class SurfaceFit:
     """``poles``, ``linear`` terms (C, 2M + B) of ``columns`` (2M + B, F), ``model`` (C, F) and its ``deviance``.
 
     ``slopes`` (2M, F) are the derivatives of the poles' columns by ln f and by ln ζ; ``weight`` (C, F) are those of the
-    bins; ``span`` (C, 2M + B, F) and ``turn`` (C, 2M + B, 2M + B), whose product is Q of the weighted columns, and
-    ``triangle``, their R; ``left`` (C, F) is what the fit leaves, in standard deviations of a bin; ``others`` are other
-    data.
+    bins, ``basis`` (C, F, 2M + B) and ``triangle`` (C, 2M + B, 2M + B) Q and R of the weighted columns; ``left`` (C, F)
+    is what the fit leaves, in standard deviations of a bin; ``others`` are other data.
     """
 
     poles: Poles
@@ -239,8 +234,7 @@ class SurfaceFit:
     model: Array
     deviance: float
     weight: Array
-    span: Array
-    turn: Array
+    basis: Array
     triangle: Array
     left: Array
     others: Others | None
@@ -258,28 +252,25 @@ class SurfaceFit:
     @cached_property
     def _bent(self) -> Array:
         """Derivatives (C, 2M, F) of the floors by (ln f, ln ζ) of all poles, in standard deviations of a bin."""
-        n_poles, (n_channels, n_bins) = len(self.poles), self.weight.shape
-        terms = self.linear[:, : 2 * n_poles].reshape(n_channels, n_poles, 1, 2).transpose(1, 2, 0, 3)
-        slopes = np.stack([part.reshape(n_poles, 2, n_bins) for part in self.slopes], axis=1)
-        made = terms @ slopes
-        made *= self.weight
-        return np.asarray(made.reshape(2 * n_poles, n_channels, n_bins).swapaxes(0, 1))
-
-    @cached_property
-    def _along(self) -> Array:
-        """Shares (C, 2M, 2M + B) of these derivatives that linear terms make up for."""
-        return np.asarray(self._bent @ self.span.swapaxes(1, 2) @ self.turn)
+        terms = self.linear[:, : 2 * len(self.poles), None]
+        made = np.empty((len(terms), len(self.poles), 2, self.weight.shape[1]))
+        for number, part in enumerate(self.slopes):
+            np.multiply(terms[:, ::2], part[::2], out=made[:, :, number])
+            made[:, :, number] += terms[:, 1::2] * part[1::2]
+        made *= self.weight[:, None, None]
+        return made.reshape(len(terms), 2 * len(self.poles), -1)
 
     @cached_property
     def jacobian(self) -> tuple[Array, ...]:
         """Derivatives (F, 2M) per channel and item by (ln f, ln ζ) of all poles, less what linear terms make up for."""
-        left = self._bent - self._along @ self.turn.swapaxes(1, 2) @ self.span
+        left = self._bent - (self._bent @ self.basis) @ self.basis.swapaxes(1, 2)
         return (*left.swapaxes(1, 2), *self._further[0])
 
     def normal(self) -> tuple[Array, Array]:
         """Sums (2M, 2M) and (2M,) over all data of the products of the derivatives with each other and what is left."""
-        bent, along = (part.swapaxes(0, 1).reshape(part.shape[1], -1) for part in (self._bent, self._along))
-        hessian, slope = bent @ bent.T - along @ along.T, bent @ self.left.ravel()
+        along = self._bent @ self.basis
+        hessian = (self._bent @ self._bent.swapaxes(1, 2)).sum(axis=0) - (along @ along.swapaxes(1, 2)).sum(axis=0)
+        slope = (self._bent @ self.left[..., None]).sum(axis=0)[:, 0]
         for j, r in zip(*self._further, strict=True):
             hessian, slope = hessian + j.T @ j, slope + j.T @ r
         return hessian, slope
@@ -322,36 +313,16 @@ def evaluate(problem: Problem, poles: Poles, weight_by: Array, same: SurfaceFit 
         columns, slopes = np.concatenate([made[0], problem.background]), made[1:]
     weight = np.where(problem.averages > 0.0, np.sqrt(problem.averages) / weight_by, 0.0)
     measured = weight * np.where(problem.averages > 0.0, problem.psd, 0.0)
-    factors = span, turn, triangles = _factored(columns, weight)
-    along = measured[:, None] @ span.swapaxes(1, 2) @ turn
-    linear = _back_solved(triangles, along[:, 0])
-    left = measured - (along @ turn.swapaxes(1, 2) @ span)[:, 0]
+    q, triangles = np.linalg.qr((columns * weight[:, None]).swapaxes(1, 2))
+    along = q.swapaxes(1, 2) @ measured[..., None]
+    linear = _back_solved(triangles, along[..., 0])
+    left = measured - (q @ along)[..., 0]
     model = np.maximum(linear @ columns, NUMBERS.smallest_model_share * np.nan_to_num(problem.psd))
     model = np.where((problem.averages > 0.0) & (model > 0.0), model, 1.0)
     missed = float(gamma_deviance(problem.psd, problem.averages, model).sum())
     if problem.others is not None and len(poles):
         missed += problem.others.misfit(poles)
-    return SurfaceFit(poles, linear, columns, slopes, model, missed, weight, *factors, left, problem.others)
-
-
-def _factored(columns: Array, weight: Array) -> tuple[Array, Array, Array]:
-    """Span (C, K, F), turn and triangle (C, K, K) of ``columns`` (K, F) in the ``weight`` (C, F) of each channel.
-
-    Their factors for typical weights leave little to do: the Gram matrix of a channel is then near one, and its
-    Cholesky factor as good as an orthogonal one. Where weights of a channel are too far from typical it is that.
-    """
-    square = weight * weight
-    size = np.maximum(square.mean(axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    typical = np.sqrt((square / size).mean(axis=0))
-    basis, triangle = np.linalg.qr((columns * typical).T)
-    span = np.ascontiguousarray(basis.T) * (weight / np.where(typical > 0.0, typical, 1.0))[:, None]
-    with suppress(np.linalg.LinAlgError):
-        lower = np.linalg.cholesky(span @ span.swapaxes(1, 2))
-        pivots = np.diagonal(lower, axis1=1, axis2=2)
-        if (pivots.min(axis=1) > LEAST_PIVOT * pivots.max(axis=1)).all():
-            return span, np.linalg.inv(lower).swapaxes(1, 2), lower.swapaxes(1, 2) @ triangle
-    each, triangles = np.linalg.qr((columns * weight[:, None]).swapaxes(1, 2))
-    return each.swapaxes(1, 2), np.eye(each.shape[2])[None], triangles
+    return SurfaceFit(poles, linear, columns, slopes, model, missed, weight, q, triangles, left, problem.others)
 
 
 def _back_solved(r: Array, along: Array) -> Array:
