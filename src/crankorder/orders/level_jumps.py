@@ -131,14 +131,15 @@ def left_out(steps: Sequence[GainStep], n_recordings: int, channel: int) -> tupl
         level[one.after :] += one.log
     if not own:
         return {}, False
-    alike = np.abs(level[:, None] - level) < 0.5 * min(abs(one.log) for one in own)
-    count = alike.sum(axis=1)
+    near = 0.5 * min(abs(one.log) for one in own)
+    count = [int(np.count_nonzero(np.abs(level - here) < near)) for here in level]
     most = int(np.argmax(count))
+    alike = np.abs(level - level[most]) < near
     switched = len(own) == 1 and min(own[0].after, n_recordings - own[0].after) > 1
     if switched or 2 * count[most] <= n_recordings:
         return {row: float(level[row] - np.median(level)) for row in range(n_recordings)}, True
-    middle = float(np.median(level[alike[most]]))
-    return {row: float(level[row] - middle) for row in np.flatnonzero(~alike[most]).tolist()}, False
+    middle = float(np.median(level[alike]))
+    return {row: float(level[row] - middle) for row in np.flatnonzero(~alike).tolist()}, False
 
 
 def _moves(speed_rpm: Floats, blocks: Floats) -> Floats:
@@ -357,11 +358,15 @@ def _floors_apart(steady: Sequence[RecordedLevel]) -> tuple[list[str], Floats, F
     for at in (0, -1):
         agree[at] &= np.abs(parts[0, at] - parts[1, at]) < 0.5 * np.abs(parts[:2, at]).max(axis=0)
     least = np.where(agree, np.sign(parts[0]) * np.abs(parts).min(axis=0), 0.0)
-    moves = [np.diff(np.delete(logs, row, axis=0), axis=0) for row in range(len(logs))]
-    # of two recordings left nothing parts scatter and growth
-    rest = np.abs([each - (np.median(each, axis=0) if len(each) > 1 else 0.0) for each in moves])
-    sigma = np.maximum(_LEAST_SIGMA, _MAD_TO_SIGMA * np.median(rest, axis=1))
-    return names, least, np.where(agree, parts[2], 0.0), sigma
+    rest = np.array([_scatter(np.delete(logs, row, axis=0)) for row in range(len(logs))])
+    return names, least, np.where(agree, parts[2], 0.0), np.maximum(_LEAST_SIGMA, _MAD_TO_SIGMA * rest)
+
+
+def _scatter(logs: Floats) -> Floats:
+    """Median (channels,) of how far floors (recording, channel) move from one to the next beyond their growth."""
+    moves = np.diff(logs, axis=0)
+    # of two recordings nothing parts scatter and growth
+    return np.asarray(np.median(np.abs(moves - (np.median(moves, axis=0) if len(moves) > 1 else 0.0)), axis=0))
 
 
 def _beyond(logs: Floats, speed: Floats, at: int, near: tuple[int, int]) -> Floats:
