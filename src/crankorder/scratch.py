@@ -23,7 +23,7 @@ BLOCK_SAMPLES = 1 << 16
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """Names that glibc's malloc.h gives to limits of its memory."""
 
-_MUCH_BYTES = 1 << 28
+_MUCH_BYTES = 3 << 27
 """Memory of a process from which on what it no longer uses is worth giving back."""
 
 _LASTING = Path("/var/tmp")
