@@ -252,7 +252,8 @@ def _read_all(folder: Path) -> tuple[dict[str, list[tuple[Contents, Path]]], lis
         if is_note or is_leftover(path.name) or is_companion(path.name) or path.is_dir():
             continue
         try:
-            groups.setdefault(path.suffix, []).append((contents_of(path, settings=settings), path))
+            contents = contents_of(path, settings=settings)
+            groups.setdefault(path.suffix, []).append((contents, path))
         except CrankorderError as error:
             faults.append(error)
     return groups, faults
