@@ -85,10 +85,12 @@ def cases_of(options: argparse.Namespace) -> dict[str, Case]:
 
 
 def make_run_up(seconds: float, folder: Path) -> None:
-    """The scene of the run-up over ``seconds``, synthesised in ``folder``."""
+    """The scene of the run-up, its speed rising over all of ``seconds``, synthesised in ``folder``."""
     text = (HERE.parent / "pipeline" / "scenes" / "run-up.toml").read_text(encoding="utf-8")
     scene = folder.with_name("longer.toml")
-    scene.write_text(text.replace("duration_s = 60.0", f"duration_s = {seconds}", 1), encoding="utf-8")
+    for key in ("duration_s = ", "time_s = [0.0, "):
+        text = text.replace(f"{key}60.0", f"{key}{seconds}", 1)
+    scene.write_text(text, encoding="utf-8")
     subprocess.run([*PROGRAM, "synth", str(scene), "--out", str(folder), "-q"], check=True)
 
 

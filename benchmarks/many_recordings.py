@@ -70,9 +70,9 @@ def make(count: int, folder: Path) -> None:
             with h5py.File(folder / f"rpm_{number:06d}.h5", "w") as file:
                 file.attrs.update(top)
                 for name, values in arrays.items():
-                    noise = np.float32(0.01) * random.standard_normal(len(values), dtype=np.float32)
-                    data = values + noise if name.startswith("acc") else values
-                    file.create_dataset(name, data=data).attrs.update(attrs[name])
+                    if name.startswith("acc"):
+                        values += np.float32(0.01) * random.standard_normal(len(values), dtype=np.float32)
+                    file.create_dataset(name, data=values).attrs.update(attrs[name])
 
 
 def make_wide(channels: int, count: int, folder: Path) -> None:

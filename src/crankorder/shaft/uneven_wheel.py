@@ -370,8 +370,8 @@ LATEST_START, MOST_BACK = 3, 4
 CLEARLY_CHEAPER = 0.5
 
 
-def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> tuple[FollowedWheel, IntArray, IntArray]:
-    """The uneven ``wheel`` laid on the train of pulses, the pulses that were kept, and their numbers on its grid.
+def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> FollowedWheel:
+    """The uneven ``wheel`` laid on the train of pulses; ``count`` are their numbers on its grid.
 
     The first interval sets the speed by which all others are judged. Where it hides a lost pulse, or starts from rest
     so that the next ones shrink too fast to follow, it is a bad start: the train is followed from each of the next few
@@ -379,7 +379,7 @@ def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> tuple[FollowedWhee
     (pulses,), s.
     """
 
-    def way(first: int) -> tuple[float, FollowedWheel, IntArray, IntArray]:
+    def way(first: int) -> tuple[float, FollowedWheel]:
         followed = followed_wheel(time_s[first:], (wheel.places + wheel.offsets) / wheel.grid, repeats=wheel.repeats)
         turn, place = np.divmod(followed.count, wheel.places.size)
         kept, tooth = followed.kept + first, turn * wheel.grid + wheel.places[place]
@@ -389,10 +389,10 @@ def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> tuple[FollowedWhee
             head = tooth[: np.searchsorted(kept, first) + 1]
             n_lost = np.count_nonzero(np.isin(np.arange(head[0], head[-1]) % wheel.grid, wheel.places)) - head.size + 1
             cost += REPAIR_COST * (n_lost + first + 1 - head.size) + CLEARLY_CHEAPER
-        return cost, replace(followed, kept=kept, count=tooth), kept, tooth
+        return cost, replace(followed, kept=kept, count=tooth)
 
     # one beside the best at a time: each holds numbers of all pulses
-    return min(map(way, range(max(0, min(LATEST_START, time_s.size - 8)) + 1)), key=lambda one: one[0])[1:]
+    return min(map(way, range(max(0, min(LATEST_START, time_s.size - 8)) + 1)), key=lambda each: each[0])[1]
 
 
 def _with_first_pulses(

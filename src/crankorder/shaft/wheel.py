@@ -289,13 +289,13 @@ def _steady_start(step: Floats, window: int) -> int:
 
 def _followed_uneven(time_s: Floats, wheel: Wheel, settings: ShaftSettings) -> tuple[Ints, Ints, bool]:
     """Pulses that are true, the number of the tooth of each, and whether the wheel tells which tooth is the first."""
-    followed, kept, tooth = followed_from_steady(time_s, wheel)
+    followed = followed_from_steady(time_s, wheel)
     if followed.misfit > MOST_MISFIT:
         raise _uncertain(time_s, 0, 0, wheel, settings)
-    if gap_is_absent(time_s, kept, tooth, wheel):
+    if gap_is_absent(time_s, followed.kept, followed.count, wheel):
         raise _other_wheel("no gap found in the pulse train", time_s, wheel)
     certain = wheel.repeats == 1 and followed.margin >= CERTAIN_MARGIN
-    kept, tooth = ends_put_right(time_s, kept, tooth, wheel)
+    kept, tooth = ends_put_right(time_s, followed.kept, followed.count, wheel)
     return kept, tooth, certain
 
 

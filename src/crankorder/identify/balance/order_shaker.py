@@ -264,11 +264,12 @@ def _evaluated(problem: _Problem, theta: Floats, like: _Fit | None = None) -> _F
 
 
 def _fitting(columns: Complexes, white: Complexes) -> Callable[[Complexes], tuple[Complexes, Complexes]]:
-    """What fits ``columns`` (row, term), one set per channel, to values in the combinations ``white`` of channels.
+    """Least-squares fit of ``columns`` (row, term), with coefficients for each channel, to ``white`` sums of channels.
 
-    It takes values (row, combination, any) and gives coefficients (channel, term, any) and what these leave of them.
-    The normal matrix of an orthogonal basis for one channel, common to all, is the smaller by the rows; what it leaves,
-    fitted again, is as good as by a basis of all, which is asked where the columns hardly tell their coefficients.
+    ``white`` is (row, combination, channel). The function that is returned takes values (row, combination, any) and
+    gives coefficients (channel, term, any) and residuals. The normal matrix, on an orthogonal basis of the columns of
+    one channel, is factored once; a second fit, to the residuals, leaves rounding alone (iterative refinement). Where
+    the matrix is nearly singular the whole design is solved by singular values instead.
     """
     from scipy.linalg import lapack
 
