@@ -184,8 +184,8 @@ def _run(test: SweepTest, name: str, asked: dict[str, dict]) -> tuple[CampaignPl
 def ours(test: SweepTest) -> Said:
     """The findings and the order tracks, by the default recipe."""
     result = _run(test, "ours", {})[1]
-    findings = result.findings
-    assert findings is not None
+    assert result.findings is not None
+    findings = result.findings.as_dict()
     maxima, held = {}, {}
     for record in findings["orders"]:
         number = _order_at(test, record["order"])

@@ -32,7 +32,8 @@ def found(seed, orders=True):
         campbell_map(made.by_frequency, speed_bin_rpm=settings.orders.speed_bin_rpm),
     )
     sources = Sources(revs_per_cycle=2, engine=engine, bearings=engine.bearings)
-    return find(*maps, made.by_order, None, test="made", sources=sources, settings=settings), made.truth
+    findings = find(*maps, made.by_order, None, test="made", sources=sources, settings=settings)
+    return findings.as_dict(), made.truth
 
 
 def modes(seed):
