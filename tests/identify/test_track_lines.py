@@ -10,7 +10,7 @@ import pytest
 
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
 from crankorder.identify.lines.followed_orders import track_number
-from crankorder.identify.responses import held_peak
+from crankorder.identify.responses import HeldPeak, held_peak
 from crankorder.orders.track_rows import track_order
 from machines.draw import draw_machine
 from machines.folder import write_folder
@@ -78,18 +78,28 @@ def _fit(damping_error: float, *responses: OrderResponse) -> ModalFit:
     return ModalFit((mode,), (), np.diag([0.0, damping_error**2]), responses)
 
 
+def _held(modal: ModalFit, order: float = 2.0, channel: str = "X", largest_rpm: float = 1800.0) -> HeldPeak | None:
+    return held_peak(modal, order, channel, largest_rpm=largest_rpm)
+
+
+def test_of_several_sweeps_that_counts_which_passes_the_mode_and_none_beyond_their_speeds() -> None:
+    passing, beside = _response(), replace(_response(recording="b", error=1e-9), span_rpm=(2500.0, 3000.0))
+    assert _held(_fit(0.0, passing, beside)) == _held(_fit(0.0, passing))
+    assert _held(_fit(0.0, beside), largest_rpm=1800.0) is None
+
+
 def test_a_held_order_reaches_what_its_mode_amplifies() -> None:
-    peak = held_peak(_fit(0.0, _response()), 2.0, "X")
+    peak = _held(_fit(0.0, _response()))
     assert peak is not None
     assert peak.amplitude == pytest.approx(50.0, rel=2e-3)  # 1 / (2 damping)
     assert peak.rpm == pytest.approx(1800.0, rel=2e-3)
-    wider = held_peak(_fit(0.001, _response()), 2.0, "X")
+    wider = _held(_fit(0.001, _response()))
     assert wider is not None and wider.error == pytest.approx(np.hypot(5.0, 0.5), rel=2e-2)
 
 
 @pytest.mark.slow
 def test_no_response_of_a_sweep_says_nothing_of_held_speeds() -> None:
-    assert held_peak(_fit(0.0, _response(recording="")), 2.0, "X") is None
-    assert held_peak(_fit(0.0, _response(fits=False)), 2.0, "X") is None
-    assert held_peak(_fit(0.0, _response()), 2.0, "Y") is None
-    assert held_peak(_fit(0.0, _response()), 2.5, "X") is None
+    assert _held(_fit(0.0, _response(recording=""))) is None
+    assert _held(_fit(0.0, _response(fits=False))) is None
+    assert _held(_fit(0.0, _response()), channel="Y") is None
+    assert _held(_fit(0.0, _response()), order=2.5) is None

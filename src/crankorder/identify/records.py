@@ -33,7 +33,7 @@ from crankorder.identify.found import (
 from crankorder.identify.intervals import Z95, half_width, interval, positive_interval
 from crankorder.identify.lines.growth import Growth, growth, reported, visible_range_rpm
 from crankorder.identify.lines.order_lock import is_half_order
-from crankorder.identify.responses import HeldPeak, held_peak
+from crankorder.identify.responses import held_peak
 from crankorder.records import Ends
 from crankorder.settings import MethodNumbers
 
@@ -70,15 +70,13 @@ def order_records(
     held speeds; ``unit`` is that of each channel.
     """
     records = [
-        _held(
-            _order_record(agreed, line, causes.orders[line.channel, agreed.order], meetings, unit[line.channel]),
-            held_peak(modal, agreed.order, line.channel),
-        )
+        _order_record(agreed, line, causes.orders[line.channel, agreed.order], meetings, unit[line.channel])
         for agreed in orders
         for line in agreed.lines
     ]
     place = {name: number for number, name in enumerate(unit)}
-    return tuple(sorted(records, key=lambda record: (place[record.channel], record.order)))
+    records.sort(key=lambda record: (place[record.channel], record.order))
+    return tuple(_held(record, modal) for record in records)
 
 
 def _order_record(
@@ -121,8 +119,10 @@ def _order_record(
     )
 
 
-def _held(record: OrderFinding, peak: HeldPeak | None) -> OrderFinding:
-    """``record`` with what its order would reach in a sweep if the speed were held at the ``peak``, where known."""
+def _held(record: OrderFinding, modal: ModalFit) -> OrderFinding:
+    """``record`` with the amplitude that its order would reach in a sweep if the speed were held, where it is known."""
+    largest_rpm = record.speed_rpm_at_max
+    peak = None if largest_rpm is None else held_peak(modal, record.order, record.channel, largest_rpm=largest_rpm)
     if peak is None:
         return record
     return replace(record, amplitude_held=peak.amplitude, amplitude_held_ci95=peak.ends, speed_rpm_at_held=peak.rpm)

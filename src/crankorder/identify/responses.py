@@ -165,20 +165,27 @@ class HeldPeak:
         return positive_interval(self.amplitude, half_width(self.freedom) * self.error)
 
 
-def held_peak(modal: ModalFit, order: float, channel: str) -> HeldPeak | None:
-    """What ``order`` would reach in ``channel`` at the worst speed of its sweeps, held, by the fit ``modal``.
+def held_peak(modal: ModalFit, order: float, channel: str, *, largest_rpm: float) -> HeldPeak | None:
+    """Amplitude that ``order`` would reach in ``channel`` at the worst speed of its sweeps, held, by the fit ``modal``.
 
-    None where no response fits its sweeps. Of several recordings that counts which knows it best.
+    None where no response fits its sweeps over the speed ``largest_rpm`` at which it was seen largest. Of several
+    recordings that pass the worst speed that counts which knows it best.
     """
-    peaks = [
-        peak_of(one, modal)
-        for one in modal.responses
-        if one.fits
-        and one.recording
-        and one.channel == channel
-        and abs(one.order - order) <= ORDER_BLOCKS.same_order_share * order
+    near = [
+        response
+        for response in modal.responses
+        if response.fits
+        and response.recording
+        and response.channel == channel
+        and abs(response.order - order) <= ORDER_BLOCKS.same_order_share * order
     ]
-    return min(peaks, key=lambda one: one.share, default=None)
+    peaks = [peak_of(response, modal) for response in near]
+    spans = [response.span_rpm for response in near]
+    if not any(low <= largest_rpm <= high for low, high in spans):
+        return None
+    worst = max(peaks, key=lambda peak: peak.amplitude)
+    passing = [peak for peak, (low, high) in zip(peaks, spans, strict=True) if low <= worst.rpm <= high]
+    return min(passing, key=lambda peak: peak.share)
 
 
 def peak_of(response: OrderResponse, modal: ModalFit, ends: tuple[float, float] = (0.0, np.inf)) -> HeldPeak:
