@@ -10,7 +10,7 @@ import pytest
 
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
 from crankorder.identify.lines.followed_orders import track_number
-from crankorder.identify.responses import held_peak
+from crankorder.identify.modes.responses import held_peak
 from crankorder.orders.track_rows import track_order
 from machines.draw import draw_machine
 from machines.folder import write_folder

@@ -11,8 +11,8 @@ from crankorder.identify.intervals import Z95, half_width, positive_interval, ra
 from crankorder.quantities import Complexes, Floats, Ints
 
 if TYPE_CHECKING:
-    from crankorder.identify.modal.exclusion import Hiding
-    from crankorder.identify.modal.sweep_poles import GroupFit, SweepPole
+    from crankorder.identify.modes.exclusion import Hiding
+    from crankorder.identify.modes.sweep_poles import GroupFit, SweepPole
 
 Evidence = Literal[
     "locked to the shaft",

@@ -78,7 +78,7 @@ class _Map:
 
 
 def campbell_figure(campbell: xr.Dataset, channel: str, findings: Findings, *, settings: ReportSettings) -> Drawing:
-    """Campbell diagram of one channel, ready for :func:`crankorder.plot.drawing.picture_bytes`.
+    """Campbell diagram of one channel, ready for :func:`crankorder.plot.painter.picture_bytes`.
 
     Speed [rpm] upwards, frequency [Hz] to the right, level in dB (reference on the colour bar) as colour; steps of
     speed reach half-way to their neighbours. Found orders are thin lines labelled where they leave the diagram,
