@@ -302,7 +302,7 @@ def modes_of_sweeps(filtered: FilteredTracks, settings: Settings) -> SweepModes:
     """Modes that the signals of sweeps tell behind the orders of ``filtered`` (``settings`` of identify)."""
     if not any("waveform" in item for item in filtered):
         return SweepModes(SweepFits())
-    from crankorder.identify.modal.sweep_modes import fits_of_sweeps
+    from crankorder.identify.modes.sweep_modes import fits_of_sweeps
 
     return SweepModes(fits_of_sweeps(filtered, settings=settings.identify))
 
@@ -312,7 +312,7 @@ def tracks_of_test(filtered: FilteredTracks, modes: SweepModes) -> AllRecordingT
     """Tracks of all recordings: ``filtered``, and beside the ``modes`` of sweeps as their signals tell them."""
     if not modes.groups:
         return AllRecordingTracks(filtered)
-    from crankorder.identify.modal.sweep_modes import with_rows_of_fits
+    from crankorder.identify.modes.sweep_modes import with_rows_of_fits
 
     return AllRecordingTracks(with_rows_of_fits(filtered, modes))
 

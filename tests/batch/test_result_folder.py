@@ -12,10 +12,11 @@ from pathlib import Path
 import pytest
 
 from crankorder.batch import result_folder
-from crankorder.batch.index import BATCH, INDEX, publish_index
+from crankorder.batch.index import publish_index
 from crankorder.batch.result_folder import DONE, Owner, belongs, finished_with, publish, refuse_foreign, settle
 from crankorder.errors import EnvironmentFailure, RequestError
 
+BATCH, INDEX = result_folder.BATCH, result_folder.INDEX
 OLD = {"a.json": b"old {}\n", "b.png": b"old \x89PNG" * 50, "gone.png": b"old"}
 NEW = {"a.json": b"{}\n", "b.png": b"\x89PNG" * 50}
 

@@ -106,6 +106,7 @@ def check_one(scene: Path, place: Path, name: str, fault: str, at: float, more: 
     assert not list(out.glob("*.part"))
 
 
+WITHOUT_SHRINKING = (Phase.explicit, Phase.generate)
 drawn = given(
     name=NAMES,
     fault=st.sampled_from(sorted(FAULTS)),
@@ -115,9 +116,7 @@ drawn = given(
 )
 
 
-@settings(
-    max_examples=4, phases=[Phase.explicit, Phase.generate], suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+@settings(max_examples=4, phases=WITHOUT_SHRINKING, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @drawn
 def test_whatever_is_wrong_with_one_recording_its_file_is_named_and_nothing_else_suffers(
     scene: Path, tmp_path_factory: pytest.TempPathFactory, **case: object
@@ -126,11 +125,7 @@ def test_whatever_is_wrong_with_one_recording_its_file_is_named_and_nothing_else
 
 
 @pytest.mark.slow
-@settings(
-    max_examples=100,
-    phases=[Phase.explicit, Phase.generate],
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+@settings(max_examples=100, phases=WITHOUT_SHRINKING, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @drawn
 def test_a_hundred_times_whatever_is_wrong_its_file_is_named_and_nothing_else_suffers(
     scene: Path, tmp_path_factory: pytest.TempPathFactory, **case: object

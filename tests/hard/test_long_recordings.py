@@ -19,7 +19,7 @@ import xarray as xr
 
 from crankorder.batch.plan import plan_tests
 from crankorder.fft.band import band_limited
-from crankorder.identify.explain import Sources
+from crankorder.identify.causes.explain import Sources
 from crankorder.ingest.recording import read_recording
 from crankorder.scratch import is_on_disk
 from crankorder.stages import CampaignResult, analyse_recording, analyse_test

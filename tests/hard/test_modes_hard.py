@@ -9,7 +9,7 @@ import pytest
 from tests.made.floors import Made, campbell_of, inside, no_orders, orders_of
 
 from crankorder.identify.found import AgreedOrder, ModalFit
-from crankorder.identify.modal.joint_fit import modal_fit
+from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.settings import load_settings
 
 ONE = Made(

@@ -115,7 +115,7 @@ def test_numbers_of_a_balance_load_no_package_for_tables() -> None:
     [
         ("from crankorder.batch.publish import prepare; prepare(draws=True)", "scipy numba pyfftw crankorder.orders"),
         ("import crankorder.batch.execute", "matplotlib jinja2 scipy.ndimage scipy.signal scipy.optimize"),
-        ("import crankorder.batch.execute", "crankorder.identify.lines crankorder.identify.modal crankorder.plot"),
+        ("import crankorder.batch.execute", "crankorder.identify.lines crankorder.identify.modes crankorder.plot"),
     ],
 )
 def test_processes_of_a_run_load_what_they_need(loaded: str, spared: str) -> None:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.identify.alike_speeds import with_lines_of_recordings
 from crankorder.identify.found import AgreedOrder, ModalFit, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.known_lines import Held, held_recordings
+from crankorder.identify.lines.known_lines import Held, held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
+from crankorder.identify.modes.alike_speeds import with_lines_of_recordings
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line
 from made.line_frames import angle_of, frames_of, wave

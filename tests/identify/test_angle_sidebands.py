@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.identify.explain import multiple_of_cycle
+from crankorder.identify.causes.explain import multiple_of_cycle
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.lines.agreed_orders import sideband_of, unless_sidebands
 

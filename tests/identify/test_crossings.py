@@ -7,10 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from crankorder.identify.above_trend import power_law
-from crankorder.identify.crossings import amplification, crossings
+from crankorder.identify.modes.responses import held_amplitudes, shapes
 from crankorder.identify.records import crossing_records
-from crankorder.identify.responses import held_amplitudes, shapes
+from crankorder.identify.speeds.above_trend import power_law
+from crankorder.identify.speeds.crossings import amplification, crossings
 from crankorder.settings import load_settings
 from made.found_lines import SPEEDS_RPM, agreed, fit, fitted_response, line, made_response, mode, resonant
 from made.typed import as_dicts

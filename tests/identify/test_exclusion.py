@@ -10,9 +10,9 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.identify.found import UnseenBound
-from crankorder.identify.modal.exclusion import least_seen
-from crankorder.identify.modal.order_responses import Block, with_best_law
-from crankorder.identify.modal.surface_fit import NO_POLES
+from crankorder.identify.modes.exclusion import least_seen
+from crankorder.identify.modes.order_responses import Block, with_best_law
+from crankorder.identify.modes.surface_fit import NO_POLES
 from crankorder.settings import load_settings
 from made.drawn_orders import CHANNELS, DrawnMachine, blocks_from, drawn_machine
 

@@ -11,12 +11,12 @@ from scipy.io import loadmat
 
 from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.findings import BearingFinding
-from crankorder.identify.explain import Sources, explained
-from crankorder.identify.folds import ShownFold
+from crankorder.identify.causes.explain import Sources, explained
+from crankorder.identify.causes.folds import ShownFold
+from crankorder.identify.causes.sidebands import harmonic_words, struck_races
 from crankorder.identify.found import Tone
 from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
-from crankorder.identify.sidebands import harmonic_words, struck_races
 from crankorder.identify.sources import StatedPart
 from crankorder.ingest.manifest import Gear
 from crankorder.quantities import is_cylinder_pressure

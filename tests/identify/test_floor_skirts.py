@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.identify.modal.floor import quiet_floor
-from crankorder.identify.modal.search import search
+from crankorder.identify.modes.floor import quiet_floor
+from crankorder.identify.modes.search import search
 from made.floors import Made, campbell_of
 
 pytestmark = pytest.mark.slow

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.folds import fold_flags, shown_folds
+from crankorder.identify.causes.folds import fold_flags, shown_folds
 from crankorder.settings import load_settings
 from crankorder.shaft.aliasing import folded_order
 from made.found_lines import line

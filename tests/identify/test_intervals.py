@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from crankorder.identify.crossings import crossings
 from crankorder.identify.intervals import Z95, error_of, half_width, half_widths, interval, positive_interval
+from crankorder.identify.speeds.crossings import crossings
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, mode
 

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from crankorder.identify.found import AgreedOrder, ModalFit
-from crankorder.identify.modal.joint_fit import modal_fit
+from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.settings import load_settings
 from made.floor_bound import whittle_bound
 from made.floors import no_orders

@@ -7,8 +7,8 @@ import pytest
 import xarray as xr
 
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
-from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
-from crankorder.identify.modal.order_blocks import blocks_of
+from crankorder.identify.modes.lock_through_modes import with_locks_through_modes
+from crankorder.identify.modes.order_blocks import blocks_of
 
 pytestmark = pytest.mark.slow
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.identify.found import AvoidedSpeed
-from crankorder.identify.speeds_to_avoid import lone_peaks
+from crankorder.identify.speeds.speeds_to_avoid import lone_peaks
 from identify.test_speeds_to_avoid import SPEEDS_RPM, agreed, fit, line, mode, resonant
 
 UNIT = {"A": "m/s²", "B": "m/s²"}

@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from crankorder.identify.explain import explained
+from crankorder.identify.causes.explain import explained
 from crankorder.identify.findings import going_with_speed
 from crankorder.identify.found import AgreedOrder, Tone
 from crankorder.identify.lines.line_evidence import UNPROVEN

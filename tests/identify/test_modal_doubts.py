@@ -8,7 +8,7 @@ import pytest
 from tests.made.floors import Made, campbell_of, no_orders
 
 from crankorder.identify.found import ModalFit
-from crankorder.identify.modal.joint_fit import modal_fit
+from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.settings import load_settings
 
 ONE = Made(natural_hz=(115.0,), damping=(0.016,), sensor=((0.008, 0.010),), drive=((0.5, -0.7),), rate_hz=640.0)

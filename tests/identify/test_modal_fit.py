@@ -10,11 +10,11 @@ import xarray as xr
 from tests.made.floors import Made, campbell_of, inside, no_orders, orders_of
 
 from crankorder.identify.found import AgreedOrder, ModalFit
-from crankorder.identify.modal import surface_fit
-from crankorder.identify.modal.floor import quiet_floor
-from crankorder.identify.modal.joint_fit import modal_fit
-from crankorder.identify.modal.search import search
-from crankorder.identify.modal.tones import WIDER, widest_hz
+from crankorder.identify.modes import surface_fit
+from crankorder.identify.modes.floor import quiet_floor
+from crankorder.identify.modes.joint_fit import modal_fit
+from crankorder.identify.modes.search import search
+from crankorder.identify.modes.tones import WIDER, widest_hz
 from crankorder.settings import IdentifySettings, load_settings
 from made.found_lines import agreed, line
 

@@ -9,12 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.identify.found import Mode
-from crankorder.identify.modal import order_search
-from crankorder.identify.modal.order_modes import mode_of
-from crankorder.identify.modal.order_responses import Block
-from crankorder.identify.modal.order_search import poles_of_orders, settled
-from crankorder.identify.modal.surface_fit import NO_POLES
-from crankorder.identify.resonance import resonance
+from crankorder.identify.modes import order_search
+from crankorder.identify.modes.order_modes import mode_of
+from crankorder.identify.modes.order_responses import Block
+from crankorder.identify.modes.order_search import poles_of_orders, settled
+from crankorder.identify.modes.order_terms import resonance
+from crankorder.identify.modes.surface_fit import NO_POLES
 from crankorder.settings import load_settings
 from made.drawn_orders import DrawnMachine, DrawnOrder, blocks_from, drawn_machine, judged
 

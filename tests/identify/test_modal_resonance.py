@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.fft.windows import window_named
-from crankorder.identify.modal.surface_fit import pole_columns, sight
+from crankorder.identify.modes.surface_fit import pole_columns, sight
 
 BIN_HZ = 0.5
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from crankorder.engine.motor import Motor
-from crankorder.identify.known_lines import Held, held_recordings
+from crankorder.identify.lines.known_lines import Held, held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
-from crankorder.identify.mains import motor_seen
+from crankorder.identify.lines.mains import motor_seen
 from crankorder.settings import load_settings
 from made.command import analysed
 from made.contradictions import contradictions

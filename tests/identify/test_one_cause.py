@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.identify.explain import Cause, Causes, with_neighbours_named, without_doubles
+from crankorder.identify.causes.explain import Cause, Causes, with_neighbours_named, without_doubles
 from crankorder.identify.found import Tone
 from crankorder.identify.said import MAY_BE_ALL
 from made.found_lines import agreed, fit, line, mode

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit
-from crankorder.identify.modal.order_responses import (
+from crankorder.identify.modes.order_responses import (
     Block,
     Blocks,
     project,
@@ -17,9 +17,9 @@ from crankorder.identify.modal.order_responses import (
     with_best_law,
     with_scatter,
 )
-from crankorder.identify.modal.order_terms import NUMBERS as ORDER_TERMS
-from crankorder.identify.modal.surface_fit import Poles
-from crankorder.identify.responses import held_amplitudes, with_and_without
+from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
+from crankorder.identify.modes.responses import held_amplitudes, with_and_without
+from crankorder.identify.modes.surface_fit import Poles
 from made.found_lines import mode, poles_of
 
 TRUE = poles_of((mode(60.0, 0.02), mode(75.0, 0.01)))

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from crankorder.identify.alike_speeds import UNPARTED, with_tones_parted, without_absent_mains
 from crankorder.identify.found import ModalFit, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.known_lines import Held, held_recordings
+from crankorder.identify.lines.known_lines import Held, held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
-from crankorder.identify.modal.tones import with_one_mains
+from crankorder.identify.modes.alike_speeds import UNPARTED, with_tones_parted, without_absent_mains
+from crankorder.identify.modes.tones import with_one_mains
 from crankorder.settings import load_settings
 from made.found_lines import fit
 from made.line_frames import angle_of, frames_of, wave

@@ -7,7 +7,7 @@ import pytest
 
 from crankorder.identify.found import Mode
 from crankorder.identify.intervals import Z95, ratio_interval
-from crankorder.identify.modal.pole_errors import Cell, disagreement
+from crankorder.identify.modes.pole_errors import Cell, disagreement
 
 pytestmark = pytest.mark.slow
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from crankorder.identify.found import Mode
-from crankorder.identify.modal.order_responses import Block
-from crankorder.identify.modal.passage import passage_of
-from crankorder.identify.modal.ringing import hidden_speeds
+from crankorder.identify.modes.order_responses import Block
+from crankorder.identify.modes.passage import passage_of
+from crankorder.identify.modes.ringing import hidden_speeds
 
 pytestmark = pytest.mark.slow
 

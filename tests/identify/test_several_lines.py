@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from crankorder.identify.known_lines import held_recordings
+from crankorder.identify.lines.known_lines import held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.several_orders import several_lines

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.identify.angle_swings import swing_sidebands
-from crankorder.identify.sidebands import meshes, sidebands
+from crankorder.identify.causes.angle_swings import swing_sidebands
+from crankorder.identify.causes.sidebands import meshes, sidebands
 from crankorder.orders.true_angle import HALF_ORDERS, SHOWN
 from made.found_lines import agreed, line
 

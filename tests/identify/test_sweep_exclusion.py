@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from crankorder.identify.found import SweepFits
-from crankorder.identify.modal.exclusion import Hiding
-from crankorder.identify.modal.sweep_poles import sweep_fits
+from crankorder.identify.modes.exclusion import Hiding
+from crankorder.identify.modes.sweep_poles import sweep_fits
 from crankorder.settings import load_settings
 from identify.test_sweep_poles import HALVES, a_machine, spectra_of
 from machines.machine import Machine, Mode

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.identify.modal.order_modes import named
-from crankorder.identify.modal.order_responses import Block, project
-from crankorder.identify.modal.order_search import NO_PRIOR, Fitted
-from crankorder.identify.modal.passage import Passage, passage_of
-from crankorder.identify.modal.ringing import swings_of, without_swings
-from crankorder.identify.modal.surface_fit import NO_POLES
+from crankorder.identify.modes.order_modes import named
+from crankorder.identify.modes.order_responses import Block, project
+from crankorder.identify.modes.order_search import NO_PRIOR, Fitted
+from crankorder.identify.modes.passage import Passage, passage_of
+from crankorder.identify.modes.ringing import swings_of, without_swings
+from crankorder.identify.modes.surface_fit import NO_POLES
 
 pytestmark = pytest.mark.slow
 

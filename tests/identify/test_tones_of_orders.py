@@ -9,8 +9,8 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.tones import kind_of
+from crankorder.identify.modes.floor import Floor
+from crankorder.identify.modes.tones import kind_of
 from crankorder.settings import load_settings
 
 pytestmark = pytest.mark.slow

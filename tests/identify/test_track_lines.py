@@ -10,7 +10,7 @@ import pytest
 
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
 from crankorder.identify.lines.followed_orders import track_number
-from crankorder.identify.responses import HeldPeak, held_peak
+from crankorder.identify.modes.responses import HeldPeak, held_peak
 from crankorder.orders.track_rows import track_order
 from machines.draw import draw_machine
 from machines.folder import write_folder
@@ -73,33 +73,23 @@ def _response(*, recording: str = "r1", fits: bool = True, error: float = 0.01) 
     )
 
 
-def _fit(damping_error: float, *responses: OrderResponse) -> ModalFit:
-    mode = Mode(60.0, 0.1, 0.01, damping_error, ("X",), 20.0, "")
-    return ModalFit((mode,), (), np.diag([0.0, damping_error**2]), responses)
-
-
-def _held(modal: ModalFit, order: float = 2.0, channel: str = "X", largest_rpm: float = 1800.0) -> HeldPeak | None:
-    return held_peak(modal, order, channel, largest_rpm=largest_rpm)
-
-
-def test_of_several_sweeps_that_counts_which_passes_the_mode_and_none_beyond_their_speeds() -> None:
-    passing, beside = _response(), replace(_response(recording="b", error=1e-9), span_rpm=(2500.0, 3000.0))
-    assert _held(_fit(0.0, passing, beside)) == _held(_fit(0.0, passing))
-    assert _held(_fit(0.0, beside), largest_rpm=1800.0) is None
+def _held(*responses: OrderResponse, error: float = 0.0, order: float = 2.0, channel: str = "X") -> HeldPeak | None:
+    mode = Mode(60.0, 0.1, 0.01, error, ("X",), 20.0, "")
+    modal = ModalFit((mode,), (), np.diag([0.0, error**2]), responses or (_response(),))
+    return held_peak(modal, order, channel, largest_rpm=1800.0)
 
 
 def test_a_held_order_reaches_what_its_mode_amplifies() -> None:
-    peak = _held(_fit(0.0, _response()))
-    assert peak is not None
+    peak, wider = _held(), _held(error=0.001)
+    assert peak is not None and wider is not None
     assert peak.amplitude == pytest.approx(50.0, rel=2e-3)  # 1 / (2 damping)
     assert peak.rpm == pytest.approx(1800.0, rel=2e-3)
-    wider = _held(_fit(0.001, _response()))
-    assert wider is not None and wider.error == pytest.approx(np.hypot(5.0, 0.5), rel=2e-2)
+    assert wider.error == pytest.approx(np.hypot(5.0, 0.5), rel=2e-2)
 
 
-@pytest.mark.slow
-def test_no_response_of_a_sweep_says_nothing_of_held_speeds() -> None:
-    assert _held(_fit(0.0, _response(recording=""))) is None
-    assert _held(_fit(0.0, _response(fits=False))) is None
-    assert _held(_fit(0.0, _response()), channel="Y") is None
-    assert _held(_fit(0.0, _response()), order=2.5) is None
+def test_no_response_beside_the_largest_amplitude_says_anything_of_held_speeds() -> None:
+    beside = replace(_response(recording="b", error=1e-9), span_rpm=(2500.0, 3000.0))
+    assert _held(_response(), beside) == _held()
+    for silent in (beside, _response(recording=""), _response(fits=False)):
+        assert _held(silent) is None
+    assert _held(channel="Y") is None and _held(order=2.5) is None

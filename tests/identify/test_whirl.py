@@ -10,16 +10,16 @@ import pytest
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
-from crankorder.identify.crossings import crossings
-from crankorder.identify.explain import Causes
+from crankorder.identify.causes.explain import Causes
 from crankorder.identify.findings import find
 from crankorder.identify.found import ModalFit, Mode, UnseenBound, Whirl
-from crankorder.identify.modal.floor import quiet_floor
-from crankorder.identify.modal.joint_fit import modal_fit
-from crankorder.identify.modal.whirl import whirls_of, without_remains
+from crankorder.identify.modes.floor import quiet_floor
+from crankorder.identify.modes.joint_fit import modal_fit
+from crankorder.identify.modes.whirl import whirls_of, without_remains
 from crankorder.identify.records import mode_records
 from crankorder.identify.sources import Sources
-from crankorder.identify.speeds_to_avoid import speeds_to_avoid
+from crankorder.identify.speeds.crossings import crossings
+from crankorder.identify.speeds.speeds_to_avoid import speeds_to_avoid
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.report.sentences.of_lines import mode_sentences

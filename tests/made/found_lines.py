@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from crankorder.identify.found import AgreedOrder, Lock, ModalFit, Mode, OrderLine, OrderResponse
-from crankorder.identify.modal.order_responses import Block, responses_of
-from crankorder.identify.modal.surface_fit import NO_POLES, Poles
+from crankorder.findings import Lock
+from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, OrderResponse
+from crankorder.identify.modes.order_responses import Block, responses_of
+from crankorder.identify.modes.surface_fit import NO_POLES, Poles
 
 SPEEDS_RPM = np.arange(600.0, 2001.0, 50.0)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.identify.modal.joint_fit import modal_fit
+from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.settings import load_settings
 
 TOWER_HZ = (1.228, 1.436, 2.100, 4.018, 4.770, 6.682, 7.616, 9.665, 12.166, 12.598, 13.854)

@@ -17,7 +17,7 @@ from crankorder.engine.balancing import unbalance_force_n
 from crankorder.engine.definition import Engine, Weight
 from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.engine.slider_crank import plain_piston_acceleration
-from crankorder.plot.drawing import picture_bytes
+from crankorder.plot.painter import picture_bytes
 from crankorder.report.balance.bars_figure import order_bars_figure
 from crankorder.report.balance.cycle_figures import cycle_dataset, loads_figure
 from crankorder.report.balance.dataset import balance_dataset

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from crankorder.orders.cycle_average import cycle_average, cycle_averages
-from crankorder.plot.drawing import picture_bytes
+from crankorder.plot.painter import picture_bytes
 from crankorder.report.cycle_figure import cycle_figure
 from crankorder.settings import load_settings
 from made.recordings import line, steady, total

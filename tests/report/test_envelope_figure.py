@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.plot.drawing import Drawing, Rings, picture_bytes
+from crankorder.plot.drawing import Drawing, Rings
+from crankorder.plot.painter import picture_bytes
 from crankorder.report.envelope_figure import envelope_figure
 from crankorder.report.pictures import pictures_of
 from made.typed import from_dicts

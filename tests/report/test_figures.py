@@ -14,7 +14,8 @@ import pytest
 import xarray as xr
 from PIL import Image
 
-from crankorder.plot.drawing import Drawing, Field, Rings, picture_bytes
+from crankorder.plot.drawing import Drawing, Field, Rings
+from crankorder.plot.painter import picture_bytes
 from crankorder.plot.palette import LIGHT, level_colours
 from crankorder.report.campbell_figure import campbell_figure
 from crankorder.report.orders_figure import orders_figure

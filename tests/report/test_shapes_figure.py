@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from crankorder.orders.shapes import operating_shapes
-from crankorder.plot.drawing import picture_bytes
+from crankorder.plot.painter import picture_bytes
 from crankorder.report.shapes_figure import shapes_figure
 from crankorder.settings import load_settings
 from made.recordings import frames_of

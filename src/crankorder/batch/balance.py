@@ -94,7 +94,7 @@ def publish_balance(balance: Balance, out: Path, *, report: dict[str, Any] | Non
     ``balance`` as :func:`balance_of` makes it; ``report``: settings of the report by key, before the defaults. Raises
     EnvironmentFailure where the folder cannot be written.
     """
-    from crankorder.plot.drawing import picture_bytes
+    from crankorder.plot.painter import picture_bytes
     from crankorder.report.netcdf import results_bytes
 
     settings = load_settings(asked={"report": report or {}}).report

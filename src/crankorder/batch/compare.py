@@ -149,7 +149,7 @@ def refuse_results(out: Path, folders: Sequence[Path]) -> None:
 
 
 def _files(comparison: Comparison, settings: ReportSettings) -> dict[str, bytes]:
-    from crankorder.plot.drawing import picture_bytes
+    from crankorder.plot.painter import picture_bytes
     from crankorder.report.comparison.figure import order_change_figure, trend_figure
     from crankorder.report.comparison.page import comparison_page
     from crankorder.report.netcdf import as_stored, results_bytes

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from crankorder.batch.locks import locked
-from crankorder.batch.result_folder import finished_tests
+from crankorder.batch.plan import Outcome
+from crankorder.batch.result_folder import BATCH, BATCH_VERSION, INDEX, finished_tests, records_in
 from crankorder.batch.store import json_bytes, write_atomically
-from crankorder.errors import EnvironmentFailure, RequestError
+from crankorder.errors import EnvironmentFailure
 from crankorder.ingest.folder import natural_key
-
-if TYPE_CHECKING:
-    from crankorder.batch.plan import Outcome
-
-BATCH, INDEX = "batch.json", "index.html"
-VERSION = 1
 
 
 def summary(outcomes: list[Outcome]) -> dict[str, Any]:
@@ -26,20 +20,7 @@ def summary(outcomes: list[Outcome]) -> dict[str, Any]:
 
 
 def _document(records: list[dict[str, Any]]) -> dict[str, Any]:
-    return {"schema_version": VERSION, "tests": records}
-
-
-def refuse_foreign_index(out: Path) -> None:
-    """Refuse a folder ``out`` of results whose batch.json or index.html no run wrote: RequestError."""
-    ours = _records_in(out) is not None
-    found = [name for name in (BATCH, INDEX) if not ours and (out / name).exists()]
-    if found:
-        raise RequestError(
-            "holds a file that no earlier run wrote, where the index of the results would stand",
-            file=out,
-            found=", ".join(found),
-            remedy="Choose another --out: nothing of yours is overwritten",
-        )
+    return {"schema_version": BATCH_VERSION, "tests": records}
 
 
 def publish_index(
@@ -59,7 +40,7 @@ def publish_index(
         try:
             now = {outcome.plan.out.name: outcome.record for outcome in outcomes if outcome.status == "failed"}
             done = {outcome.plan.out.name for outcome in outcomes} - set(now)
-            known = {record["folder"]: record for record in _records_in(out) or [] if record["status"] == "failed"}
+            known = {record["folder"]: record for record in records_in(out) or [] if record["status"] == "failed"}
             records = {folder.name: marker["record"] for folder, marker in finished_tests(out) if "record" in marker}
             records |= {name: record for name, record in known.items() if name not in done} | now
             document = _document([records[name] for name in sorted(records, key=lambda name: natural_key(Path(name)))])
@@ -69,16 +50,3 @@ def publish_index(
             if isinstance(error, EnvironmentFailure):
                 raise
             raise EnvironmentFailure(f"cannot write ({error.strerror})", file=error.filename or out) from error
-
-
-def _records_in(out: Path) -> list[dict[str, Any]] | None:
-    """Records of the tests that ``batch.json`` in ``out`` names; None where there is none that a run wrote."""
-    try:
-        document = json.loads((out / BATCH).read_bytes())
-        records = document["tests"]
-        known = document["schema_version"] == VERSION and all(
-            isinstance(one, Mapping) and {"name", "status", "folder"} <= set(one) for one in records
-        )
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return None
-    return list(records) if known else None

@@ -12,8 +12,16 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from crankorder.batch.index import BATCH, INDEX, refuse_foreign_index
-from crankorder.batch.result_folder import Owner, finished_tests, owner_recorded, refuse_foreign, refuse_others
+from crankorder.batch.result_folder import (
+    BATCH,
+    INDEX,
+    Owner,
+    finished_tests,
+    owner_recorded,
+    refuse_foreign,
+    refuse_foreign_index,
+    refuse_others,
+)
 from crankorder.batch.store import text_sha256
 from crankorder.errors import CrankorderError, ManyErrors, RequestError, printable
 from crankorder.ingest.checksums import checksum_faults

@@ -30,6 +30,12 @@ TIMINGS = "timings.json"
 FORMER = "former.json"
 """Marker of the results that are being replaced, while files are moved in among those of others."""
 
+BATCH, INDEX = "batch.json", "index.html"
+"""What all tests of a folder gave, and its page."""
+
+BATCH_VERSION = 1
+"""Of ``batch.json``."""
+
 EXCHANGE = 2
 """``RENAME_EXCHANGE`` of Linux's renameat2."""
 
@@ -339,3 +345,29 @@ def read_findings(folder: Path) -> Findings:
     """
     file = folder / FINDINGS
     return Findings.from_dict(read_document(file), file=file)
+
+
+def refuse_foreign_index(out: Path) -> None:
+    """Refuse a folder ``out`` of results whose batch.json or index.html no run wrote: RequestError."""
+    ours = records_in(out) is not None
+    found = [name for name in (BATCH, INDEX) if not ours and (out / name).exists()]
+    if found:
+        raise RequestError(
+            "holds a file that no earlier run wrote, where the index of the results would stand",
+            file=out,
+            found=", ".join(found),
+            remedy="Choose another --out: nothing of yours is overwritten",
+        )
+
+
+def records_in(out: Path) -> list[dict[str, Any]] | None:
+    """Records of the tests that ``batch.json`` in ``out`` names; None where there is none that a run wrote."""
+    try:
+        document = json.loads((out / BATCH).read_bytes())
+        records = document["tests"]
+        known = document["schema_version"] == BATCH_VERSION and all(
+            isinstance(one, Mapping) and {"name", "status", "folder"} <= set(one) for one in records
+        )
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return list(records) if known else None

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field, ValidationInfo, field_validator
 
 from crankorder.engine.definition import Engine, EngineData, Positive
 from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.engine.slider_crank import SliderCrank, rod_angle
+from crankorder.quantities import Floats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +43,7 @@ def two_masses(engine: Engine) -> TwoMasses:
     return TwoMasses(big_end_kg=rod.mass_kg - small, small_end_kg=small, missing_inertia_kg_m2=missing)
 
 
-def rod_couple(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float) -> NDArray[np.float64]:
+def rod_couple(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float) -> Floats:
     """Couple (N·m) on a rod, in the crank's sense, that its true inertia needs beyond that of its two masses.
 
     ``engine``: with ``rod``. ``crank_angle_rev``: of its own crank, any shape. ``speed_rpm``: steady. Returns the shape

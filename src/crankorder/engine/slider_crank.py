@@ -11,11 +11,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from crankorder.errors import RequestError
+from crankorder.quantities import Floats
 
-Angles = NDArray[np.float64]
+Angles = Floats
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from crankorder.quantities import Floats
+from crankorder.quantities import Complexes, Floats
 
 _BLOCK = 1 << 22
 """Samples that are transformed at once."""
@@ -35,7 +35,7 @@ def band_gain(frequency_hz: Floats, low_hz: float, high_hz: float, *, half_octav
     return made
 
 
-def derivative_gain(frequency_hz: Floats, times: int) -> NDArray[np.complex128]:
+def derivative_gain(frequency_hz: Floats, times: int) -> Complexes:
     """Gain (n,) at each of ``frequency_hz`` of differentiating ``times`` times; negative integrates, 0 at 0 Hz."""
     turning = 2j * np.pi * frequency_hz
     gain = np.zeros(len(turning), dtype=np.complex128)

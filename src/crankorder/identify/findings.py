@@ -10,16 +10,13 @@ import numpy as np
 import xarray as xr
 
 from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Energy, Findings, Level, quality_of
-from crankorder.identify.alike_speeds import with_lines_of_recordings, with_tones_parted, without_absent_mains
-from crankorder.identify.angle_swings import swing_sidebands
 from crankorder.identify.balance.closure import Closure, closure
 from crankorder.identify.bearings.records import bearing_records
-from crankorder.identify.crossings import crossings
+from crankorder.identify.causes.angle_swings import swing_sidebands
+from crankorder.identify.causes.explain import NOT_KNOWN, Causes, explained, with_neighbours_named, without_doubles
+from crankorder.identify.causes.folds import fold_flags, shown_folds
 from crankorder.identify.energy import energy_shares
-from crankorder.identify.explain import NOT_KNOWN, Causes, explained, with_neighbours_named, without_doubles
-from crankorder.identify.folds import fold_flags, shown_folds
 from crankorder.identify.found import NO_FITS, AgreedOrder, ModalFit, SpeedVerdicts, SweepFits, Unsearched
-from crankorder.identify.known_lines import Held, LineSeen, held_of, without_known
 from crankorder.identify.levels import (
     graded,
     level_records,
@@ -36,14 +33,16 @@ from crankorder.identify.lines.followed_orders import (
     with_track_rows,
 )
 from crankorder.identify.lines.growth import if_unbalance
-from crankorder.identify.lines.lock_through_modes import with_locks_through_modes
+from crankorder.identify.lines.known_lines import Held, LineSeen, held_of, without_known
+from crankorder.identify.lines.mains import MotorSeen, mains_seen, motor_seen, with_mains_tones, without_ringing
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.order_lock import speed_source
-from crankorder.identify.mains import MotorSeen, mains_seen, motor_seen, with_mains_tones, without_ringing
-from crankorder.identify.modal.joint_fit import modal_fit
-from crankorder.identify.modal.ringing import without_swings
-from crankorder.identify.modal.sweep_modes import with_rows_of_fits
-from crankorder.identify.modal.tones import with_one_mains
+from crankorder.identify.modes.alike_speeds import with_lines_of_recordings, with_tones_parted, without_absent_mains
+from crankorder.identify.modes.joint_fit import modal_fit
+from crankorder.identify.modes.lock_through_modes import with_locks_through_modes
+from crankorder.identify.modes.ringing import without_swings
+from crankorder.identify.modes.sweep_modes import with_rows_of_fits
+from crankorder.identify.modes.tones import with_one_mains
 from crankorder.identify.records import (
     avoided_records,
     crossing_records,
@@ -56,7 +55,8 @@ from crankorder.identify.records import (
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.said import is_electric
 from crankorder.identify.sources import Sources
-from crankorder.identify.speeds_to_avoid import as_avoided, speeds_to_avoid
+from crankorder.identify.speeds.crossings import crossings
+from crankorder.identify.speeds.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
 from crankorder.quantities import QualityFlag, flags_of, is_cylinder_pressure
 from crankorder.settings import Settings

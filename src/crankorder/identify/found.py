@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from crankorder.findings import Lock, Verdict
 from crankorder.identify.intervals import Z95, half_width, positive_interval, ratio_interval
 from crankorder.quantities import Complexes, Floats, Ints
 
 if TYPE_CHECKING:
-    from crankorder.identify.modal.exclusion import Hiding
-    from crankorder.identify.modal.sweep_poles import GroupFit, SweepPole
+    from crankorder.identify.modes.exclusion import Hiding
+    from crankorder.identify.modes.sweep_poles import GroupFit, SweepPole
 
 Evidence = Literal[
     "locked to the shaft",
@@ -20,9 +21,6 @@ Evidence = Literal[
     "follows the speed",
     "stands out, too few revolutions for proof",
 ]
-
-Lock = Literal["locked", "slips", "undecided"]
-"""Whether an order is an exact multiple of the cycle's: its phase stays, runs away, or cannot be told."""
 
 ToneKind = Literal["mains", "tone", "order", "mains or order"]
 """A line of fixed frequency without damping: mains, another tone, or an order that no speed tells from one."""
@@ -320,9 +318,6 @@ class ModalFit:
     fitted_psd: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     whirls: tuple[Whirl, ...] = ()
     left: tuple[Unsearched, ...] = ()
-
-
-Verdict = Literal["excited", "not excited", "not decided", "not measured", "outside the tested range", "undecided mode"]
 
 
 @dataclass(frozen=True)

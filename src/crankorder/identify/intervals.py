@@ -9,8 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
+
+from crankorder.quantities import Bools, Floats
 
 Z95 = float(ndtri(0.975))
 """Half width of a 95 % interval in standard deviations of a normal distribution."""
@@ -36,7 +37,7 @@ def half_width(freedom: float, *, level: float = 0.95) -> float:
     return float(stdtrit(known_freedom(freedom), 0.5 + 0.5 * level))
 
 
-def half_widths(freedom: NDArray[np.float64], *, level: float = 0.95) -> NDArray[np.float64]:
+def half_widths(freedom: Floats, *, level: float = 0.95) -> Floats:
     """Half widths as of :func:`half_width`, of the shape of ``freedom``, at one ``level``."""
     held = np.where(freedom > 1.0, np.minimum(freedom, ENDLESS_FREEDOM), 1.0)
     return np.asarray(stdtrit(held, 0.5 + 0.5 * level))
@@ -71,7 +72,7 @@ def ratio_interval(value: float, error: float, *, most: float = np.inf) -> tuple
     return value / factor, max(min(value * factor, most), value)
 
 
-def adjusted(p_values: NDArray[np.float64]) -> NDArray[np.float64]:
+def adjusted(p_values: Floats) -> Floats:
     """Smallest false-discovery rate at which each comparison would be claimed, of the shape of ``p_values``.
 
     ``p_values`` lie between 0 and 1; NaN, where nothing was compared, stays NaN and counts as no comparison. It holds
@@ -89,7 +90,7 @@ def adjusted(p_values: NDArray[np.float64]) -> NDArray[np.float64]:
     return made.reshape(np.shape(p_values))
 
 
-def claimed(p_values: NDArray[np.float64], *, q: float) -> NDArray[np.bool_]:
+def claimed(p_values: Floats, *, q: float) -> Bools:
     """True for comparisons that may be claimed with a false-discovery rate of at most ``q``.
 
     Parameters
@@ -102,7 +103,7 @@ def claimed(p_values: NDArray[np.float64], *, q: float) -> NDArray[np.bool_]:
         return np.asarray(adjusted(p_values) <= q)
 
 
-def simes(p_values: NDArray[np.float64]) -> float:
+def simes(p_values: Floats) -> float:
     """P-value of "none of these differs", from ``p_values`` of any shape; NaN takes no part, of none it is NaN.
 
     Source: Simes (1986), Biometrika 73, 751.

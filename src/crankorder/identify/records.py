@@ -12,16 +12,16 @@ from crankorder.findings import (
     CrossingFinding,
     FreeBand,
     LineFinding,
+    Lock,
     ModeFinding,
     OpenBand,
     OrderFinding,
 )
-from crankorder.identify.explain import Cause, Causes
+from crankorder.identify.causes.explain import Cause, Causes
 from crankorder.identify.found import (
     AgreedOrder,
     Crossing,
     Evidence,
-    Lock,
     ModalFit,
     Mode,
     OrderLine,
@@ -33,7 +33,7 @@ from crankorder.identify.found import (
 from crankorder.identify.intervals import Z95, half_width, interval, positive_interval
 from crankorder.identify.lines.growth import Growth, growth, reported, visible_range_rpm
 from crankorder.identify.lines.order_lock import is_half_order
-from crankorder.identify.responses import held_peak
+from crankorder.identify.modes.responses import held_peak
 from crankorder.records import Ends
 from crankorder.settings import MethodNumbers
 

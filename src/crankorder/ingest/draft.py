@@ -28,10 +28,11 @@ from crankorder.ingest.roles import (
     pulse_files,
 )
 from crankorder.ingest.sampling import read_time_column, rows_before_zeros
+from crankorder.quantities import Floats
 from crankorder.settings import load_settings
 from crankorder.shaft.pattern import known_names
 from crankorder.shaft.position import COUNTER_BITS
-from crankorder.shaft.pulses import FloatArray, find_pulses
+from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.summary import speed_in_name
 from crankorder.shaft.uneven_wheel import FoundPattern, find_pattern
 
@@ -117,7 +118,7 @@ def _likely(found: FoundPattern | None) -> tuple[int, float]:
 
 def _edges(
     raw: RawFile, source: Source, time: Source | None, rate_hz: float | None, path: Path
-) -> tuple[str, str, dict[str, FloatArray]]:
+) -> tuple[str, str, dict[str, Floats]]:
     """Kind of a column, the edge to prefer, and the pulse times of each edge, of samples in the longest stretch."""
     values = raw.columns[source][:MOST_SAMPLES].astype(np.float64)
     if values.size > 3 and np.isfinite(values).all() and (np.diff(values) >= 0.0).all() and np.ptp(values) > 0.0:

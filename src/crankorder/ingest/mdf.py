@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from crankorder.ingest.child import in_child, package
 from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, distinct, names_of
+from crankorder.quantities import Floats
 from crankorder.settings import IngestSettings
 
 _MASTERS = {1: ("time", "s"), 2: ("angle", "deg"), 4: ("index", "1")}
@@ -98,7 +99,7 @@ def _places(parser: Any, path: Path) -> dict[str, _Place]:
     return dict(zip(distinct([name for name, _ in found]), (place for _, place in found), strict=True))
 
 
-def _rate(stamps: NDArray[np.float64]) -> float | None:
+def _rate(stamps: Floats) -> float | None:
     """Samples per second of even ``stamps``, None where they are not."""
     if stamps.size < 3 or not np.isfinite(stamps).all() or not stamps[-1] > stamps[0]:
         return None

@@ -105,7 +105,7 @@ def on_one_base(
     flags = _start_flags(bases, path, settings)
     if all(base == grid for base in told.values()):
         return grid, flags
-    from crankorder.fft.rate_change import reach_of, resampled  # heavy: of one base it is not wanted
+    from crankorder.fft.resampling import reach_of, resampled  # heavy: of one base it is not wanted
 
     step = {role: bases[role].rate_hz / lowest_hz for role in columns}
     moved = [role for role in columns if step[role] != 1.0 or grid.place(bases[role].start_s, settings) % 1.0]
@@ -145,7 +145,7 @@ def _start_flags(bases: Mapping[str, TimeBase], path: Path, settings: IngestSett
 
 def _loss_flags(bases: Mapping[str, TimeBase], moved: list[str], base: TimeBase, path: Path) -> list[QualityFlag]:
     """What was lost when channels on ``bases`` came to ``base``, of which some were ``moved`` between samples."""
-    from crankorder.fft.rate_change import PASS
+    from crankorder.fft.resampling import PASS
 
     flags: list[QualityFlag] = []
     seconds, longest_s = (max(one.n_samples / one.rate_hz for one in some) for some in ([base], bases.values()))

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.errors import InputError, UnsafeInputError, printable
 from crankorder.ingest.rawfile import (
@@ -28,6 +27,7 @@ from crankorder.ingest.rawfile import (
 )
 from crankorder.ingest.sampling import TimeColumn, read_time_column
 from crankorder.ingest.units import known_unit
+from crankorder.quantities import Floats
 from crankorder.settings import IngestSettings
 
 _DELIMITER = re.compile(rb"(?m)^[ \t]{0,8}-1[ \t]*\r?$\n?")
@@ -302,7 +302,7 @@ def _sampled(
     return samples, column
 
 
-def _numbers(block: bytes, history: _History) -> NDArray[np.float64]:
+def _numbers(block: bytes, history: _History) -> Floats:
     """Numbers of a ``block`` of lines in columns of even width, or between blanks as where pairs mix two widths."""
     lines = [line.rstrip() for line in block.replace(b"D", b"E").replace(b"d", b"e").splitlines()]
     width = 13 if history.point.itemsize == 4 else 20

@@ -17,6 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.ingest.units import base_unit, known_unit
+from crankorder.quantities import Floats
 
 SPECTRUM, ORDER_CUT = 12, 27
 """Function types of record 6: "Spectrum" and "Order Function"."""
@@ -81,7 +82,7 @@ class _Function:
     abscissa: _Axis
     z_axis: _Axis
     z: float
-    x: NDArray[np.float64]
+    x: Floats
     y: NDArray[Any]
 
 
@@ -214,7 +215,7 @@ def _axis_record(axis: _Axis) -> str:
     return f"{axis.kind:10d}{length:5d}{force:5d}{temperature:5d} {_text(axis.label, 20)} {_text(axis.unit, 20)}"
 
 
-def _numbers(values: NDArray[np.float64], parts: list[NDArray[Any]], even: bool) -> Iterator[str]:
+def _numbers(values: Floats, parts: list[NDArray[Any]], even: bool) -> Iterator[str]:
     """Lines of ``values`` in the columns of record 12: E13.5 for an uneven abscissa, E20.12 for the rest."""
     in_line = 4 if even or len(parts) == 2 else 3
     of_part = ["{:20.12E}".format] * len(parts)
@@ -225,7 +226,7 @@ def _numbers(values: NDArray[np.float64], parts: list[NDArray[Any]], even: bool)
         yield "".join(of_part[(first + place) % len(parts)](value) for place, value in enumerate(line))
 
 
-def _even_axis(x: NDArray[np.float64]) -> tuple[bool, float, float]:
+def _even_axis(x: Floats) -> tuple[bool, float, float]:
     """Whether ``x`` has even steps that six digits tell, with its first value and step."""
     if len(x) < 2:
         return False, 0.0, 0.0

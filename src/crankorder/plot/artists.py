@@ -18,11 +18,11 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox, IdentityTransform
-from numpy.typing import NDArray
 
 from crankorder.plot.cells import pooled
 from crankorder.plot.labels import spread
 from crankorder.plot.palette import FAINT, NOT_MEASURED, SMALL, level_colours
+from crankorder.quantities import Floats
 
 TIER_PT = 20.0
 """Height of one row of labels above the axes with its leaders, in points."""
@@ -171,7 +171,7 @@ class EdgeLabels(Artist):
 
 def label_ends(
     axes: Axes,
-    lines: Sequence[tuple[NDArray[np.float64], NDArray[np.float64], str, str, float]],
+    lines: Sequence[tuple[Floats, Floats, str, str, float]],
     *,
     caption: str = "",
 ) -> None:
@@ -207,8 +207,8 @@ class LevelImage(AxesImage):
     def __init__(
         self,
         axes: Axes,
-        level: NDArray[np.float64],
-        edges: tuple[NDArray[np.float64], NDArray[np.float64]],
+        level: Floats,
+        edges: tuple[Floats, Floats],
         limits: tuple[float, float],
     ) -> None:
         x, y = edges

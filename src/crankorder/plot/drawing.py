@@ -6,21 +6,15 @@ what lies where.
 
 from __future__ import annotations
 
-import struct
-import zlib
 from dataclasses import dataclass, field
-from io import BytesIO
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings
 from crankorder.plot.palette import CAP_HEIGHT, FAINT, INK, LARGE, NORMAL, shortened, text_width_in
-from crankorder.settings import PictureFormat
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from crankorder.quantities import Floats, Ints
 
 Box = tuple[float, float, float, float]
 """Left, bottom, width and height in inches."""
@@ -34,7 +28,7 @@ _DESCENT = 0.236  # of DejaVu Sans, in sizes of the type
 class Stroke:
     """A line in inches, broken at NaN; ``values`` are what it stands for, in the units of its axes."""
 
-    points: NDArray[np.float64]
+    points: Floats
     color: str
     width: float
     dashes: tuple[float, float] = (0.0, 0.0)
@@ -42,16 +36,16 @@ class Stroke:
     within: Box | None = None
     square: bool = False
     name: str = ""
-    values: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+    values: tuple[Floats, Floats] | None = None
 
 
 @dataclass(frozen=True)
 class Area:
     """The area between two curves over the same places along, in inches; nothing where one is NaN."""
 
-    along: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
+    along: Floats
+    low: Floats
+    high: Floats
     color: str
     alpha: float = 1.0
     within: Box | None = None
@@ -62,14 +56,14 @@ class Area:
 class Rings:
     """Circles around points in inches; radius and line in points of type, full discs where ``width`` is 0."""
 
-    points: NDArray[np.float64]
+    points: Floats
     radius: float
     color: str
     width: float = 0.0
     alpha: float = 1.0
     within: Box | None = None
     name: str = ""
-    values: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+    values: tuple[Floats, Floats] | None = None
 
 
 @dataclass(frozen=True)
@@ -148,7 +142,7 @@ def quality_text(findings: Findings) -> str:
     return f"{doubtful} quality remark{'s' if doubtful > 1 else ''}: see the report" if doubtful else ""
 
 
-def whole(places: NDArray[np.float64]) -> NDArray[np.int64]:
+def whole(places: Floats) -> Ints:
     """Whole pixels of ``places`` in pixels, a half upwards, as matplotlib snaps lines to them."""
     return np.asarray(np.floor(places + 0.5), dtype=np.int64)
 
@@ -157,51 +151,3 @@ def pixels_of(box: Box, dpi: float) -> tuple[int, int]:
     """Rows and columns that a :class:`Field` over ``box`` has at ``dpi``."""
     left, right, bottom, top = whole(dpi * np.array([box[0], box[0] + box[2], box[1], box[1] + box[3]]))
     return int(top - bottom), int(right - left)
-
-
-def picture_bytes(figure: Drawing | Figure, *, dpi: int, kind: PictureFormat = "png") -> bytes:
-    """Bytes of a picture, the same for the same figure (no date, fixed software name).
-
-    ``figure`` of the house or of matplotlib; ``dpi`` pixels per inch; ``kind`` of file.
-    """
-    from crankorder.plot.style import house_style, new_figure
-
-    buffer = BytesIO()
-    with house_style():
-        if isinstance(figure, Drawing):
-            from crankorder.plot.painter import Painted, shown_pixels
-
-            if kind == "png":
-                return png_bytes(shown_pixels(figure, dpi), dpi)
-            drawing, figure = figure, new_figure(figure.width_in, figure.height_in)
-            figure.add_artist(Painted(drawing))
-        if kind == "png":
-            figure.set_dpi(dpi)
-            canvas: Any = figure.canvas
-            canvas.draw()
-            return png_bytes(np.asarray(canvas.buffer_rgba()), dpi)
-        dated = "Date" if kind == "svg" else "CreationDate"
-        figure.savefig(buffer, format=kind, dpi=dpi, metadata={"Creator": "crankorder", dated: None})
-    return buffer.getvalue()
-
-
-def png_bytes(shown: NDArray[np.uint8], dpi: int) -> bytes:
-    """PNG of ``shown`` colours (rows from the top, columns, 3 or more) at ``dpi`` pixels per inch.
-
-    Rows are not filtered: pictures of lines, type and repeated colours are as small without, in a fifth of the time.
-    """
-    height, width = shown.shape[:2]
-    rows = np.zeros((height, 1 + 3 * width), dtype=np.uint8)
-    rows[:, 1:].reshape(height, width, 3)[:] = shown[..., :3]
-    per_metre = round(dpi / 0.0254)
-    chunks = (
-        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)),
-        (b"tEXt", b"Software\0crankorder"),
-        (b"pHYs", struct.pack(">IIB", per_metre, per_metre, 1)),
-        (b"IDAT", zlib.compress(rows.data, 3)),
-        (b"IEND", b""),
-    )
-    parts = [
-        struct.pack(">I", len(said)) + name + said + struct.pack(">I", zlib.crc32(name + said)) for name, said in chunks
-    ]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.findings import Findings
 from crankorder.plot.drawing import Box, Drawing, Rings, Stroke, Words, quality_text, title_lines
 from crankorder.plot.palette import CAP_HEIGHT, INK, LARGE, MAINS, SMALL, drawable, shortened, text_width_in
+from crankorder.quantities import Floats
 
 GAP_IN = 0.05
 LINE_HEIGHT_IN = 0.125
@@ -112,7 +112,7 @@ def label_right(drawing: Drawing, box_in: Box, labels: Sequence[EdgeLabel]) -> N
         drawing.add(_words(label, edge + 0.15, float(place), across="centre"))
 
 
-def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, high: float) -> NDArray[np.float64]:
+def spread(targets: Sequence[float], widths: Sequence[float], *, low: float, high: float) -> Floats:
     """Centres nearest to their targets (least squares) with no overlap, in the same order, inside low…high.
 
     ``targets`` wanted centres, ascending; ``widths`` room that each needs; ``low`` and ``high`` ends of the edge, all

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.findings import Findings
 from crankorder.plot.axes import axes_for, dress, key_below, note, whole_ticks
@@ -28,6 +27,7 @@ from crankorder.plot.palette import (
     WHITE,
 )
 from crankorder.plot.records import FixedLine, Found, FoundOrder, found_in
+from crankorder.quantities import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,9 +47,9 @@ class _Map:
     """Amplitudes (speed, bin) of one channel, slowest speed first; ``unknown`` spectra have no speed and no place."""
 
     channel: str
-    place: NDArray[np.float64]
-    speed: NDArray[np.float64]
-    amplitude: NDArray[np.float64]
+    place: Floats
+    speed: Floats
+    amplitude: Floats
     label: str
     unknown: int
 
@@ -59,7 +59,7 @@ class _Map:
         return not np.isfinite(self.speed).any()
 
     @property
-    def cells(self) -> NDArray[np.float64]:
+    def cells(self) -> Floats:
         """Lower and upper edge of each spectrum, (speed, 2): in rpm, or by number where no speed is known."""
         if self.timeless:
             number = np.arange(max(len(self.speed), 1), dtype=float)
@@ -224,11 +224,11 @@ def _colour_bar(axes: Axes, image: Any, label: str, gap_pt: float) -> None:
     bar.outline.set(edgecolor=FAINT, linewidth=0.8)
 
 
-def _thin(axes: Axes, x: NDArray[np.float64], y: NDArray[np.float64], name: str) -> None:
+def _thin(axes: Axes, x: Floats, y: Floats, name: str) -> None:
     axes.plot(x, y, color=WHITE, linewidth=0.8, alpha=0.6, gid=name, scalex=False, scaley=False)
 
 
-def _fixed(axes: Axes, line: FixedLine, x: NDArray[np.float64], y: NDArray[np.float64]) -> None:
+def _fixed(axes: Axes, line: FixedLine, x: Floats, y: Floats) -> None:
     dashes = (0.0, TONE_DASHES if line.tone else DOUBT_DASHES if line.undecided else MODE_DASHES)
     axes.plot(
         x, y, color=MAINS_ON_MAP if line.tone else MODE_ON_MAP, linewidth=0.9, alpha=0.85 if line.here else 0.45,

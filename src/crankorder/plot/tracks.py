@@ -16,6 +16,7 @@ from crankorder.plot.cells import gaps_before, speed_cells
 from crankorder.plot.given import channel_number, dataset_of, quantity_text, unit_of, values_of
 from crankorder.plot.palette import FAINT, LIGHT, LINES
 from crankorder.plot.records import called_order, order_texts
+from crankorder.quantities import Bools, Floats, Ints
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,17 +38,17 @@ class DrawnTracks:
     ``read`` is False at speeds at which only other orders have a row: those of a sweep stand at speeds of their own.
     """
 
-    speed: NDArray[np.float64]
-    orders: NDArray[np.float64]
-    rank: NDArray[np.int64]
-    amplitude: NDArray[np.float64]
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-    read: NDArray[np.bool_]
+    speed: Floats
+    orders: Floats
+    rank: Ints
+    amplitude: Floats
+    low: Floats
+    high: Floats
+    read: Bools
     texts: list[str]
 
     @property
-    def coloured(self) -> NDArray[np.bool_]:
+    def coloured(self) -> Bools:
         """True for the orders that are drawn in a colour of their own."""
         return np.asarray(self.rank < (COLOURED if len(self.orders) > ALL_COLOURED else ALL_COLOURED))
 
@@ -122,7 +123,7 @@ def _tracks(dataset: xr.Dataset, channel: int, asked: Sequence[float] | None) ->
     return DrawnTracks(speed[at], every[kept], rank, shown, bottom, top, np.isfinite(amplitude)[kept], texts)
 
 
-def _kept(every: NDArray[np.float64], peak: NDArray[np.float64], asked: Sequence[float] | None) -> NDArray[np.intp]:
+def _kept(every: Floats, peak: Floats, asked: Sequence[float] | None) -> NDArray[np.intp]:
     """Places of the orders to draw, ascending: those ``asked`` for, else the strongest."""
     if asked is None:
         return np.sort(np.argsort(-peak, kind="stable")[:_MOST])

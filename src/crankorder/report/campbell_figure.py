@@ -37,6 +37,7 @@ from crankorder.plot.palette import (
     rgb_of,
 )
 from crankorder.plot.panel import Panel
+from crankorder.quantities import Floats
 from crankorder.records import known
 from crankorder.report.fixed_lines import fixed_frequencies
 from crankorder.report.notation import (
@@ -66,19 +67,19 @@ Mark = tuple[float, str, str]
 class _Map:
     """Amplitudes (speed, frequency) of one channel where its speed is known, slowest first."""
 
-    speed: NDArray[np.float64]
-    frequency: NDArray[np.float64]
-    amplitude: NDArray[np.float64]
+    speed: Floats
+    frequency: Floats
+    amplitude: Floats
     reference: float
     unit: str
 
     @property
-    def cells(self) -> NDArray[np.float64]:
+    def cells(self) -> Floats:
         return speed_cells(self.speed)
 
 
 def campbell_figure(campbell: xr.Dataset, channel: str, findings: Findings, *, settings: ReportSettings) -> Drawing:
-    """Campbell diagram of one channel, ready for :func:`crankorder.plot.drawing.picture_bytes`.
+    """Campbell diagram of one channel, ready for :func:`crankorder.plot.painter.picture_bytes`.
 
     Speed [rpm] upwards, frequency [Hz] to the right, level in dB (reference on the colour bar) as colour; steps of
     speed reach half-way to their neighbours. Found orders are thin lines labelled where they leave the diagram,

@@ -11,13 +11,13 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator
-from numpy.typing import NDArray
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings
 from crankorder.orders.intervals import t_quantile
 from crankorder.plot.palette import FAINT, INK, LINES, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.style import NOTE, axes_at, house_style, new_figure, quality_note, quiet_frame, title_lines, write
+from crankorder.quantities import Floats
 from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings
 
@@ -164,7 +164,7 @@ def _draw(axes: Axes, one: xr.Dataset, color: str, height_in: float) -> None:
         axes.text(0.995, 0.97, f"± {number_text(usual, digits=2)}", transform=axes.transAxes, **look)
 
 
-def _value_axis(axes: Axes, mean: NDArray[np.float64], deviation: NDArray[np.float64], height_in: float) -> bool:
+def _value_axis(axes: Axes, mean: Floats, deviation: Floats, height_in: float) -> bool:
     """Set limits that show the mean large; False where its spread would make a line of it and is not shown."""
     least, most = float(mean.min()), float(mean.max())
     half = max(0.5 * (most - least), _FLAT * max(abs(least), abs(most)), 1e-300)
@@ -179,11 +179,11 @@ def _value_axis(axes: Axes, mean: NDArray[np.float64], deviation: NDArray[np.flo
     return fits
 
 
-def _size(values: NDArray[np.float64]) -> float:
+def _size(values: Floats) -> float:
     """Largest of ``values``, 1 where all are 0: what to divide by before squaring."""
     largest = float(values.max())
     return largest if largest > 0.0 else 1.0
 
 
-def _closed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _closed(values: Floats) -> Floats:
     return np.append(values, values[0])

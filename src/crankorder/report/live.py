@@ -16,6 +16,7 @@ from crankorder.channel_units import unit_text
 from crankorder.findings import CrossingFinding, Findings, ModeFinding
 from crankorder.plot.cells import level_limits, speed_cells
 from crankorder.plot.palette import level_colours
+from crankorder.quantities import Floats
 from crankorder.records import known
 from crankorder.report.fixed_lines import fixed_frequencies
 from crankorder.report.notation import (
@@ -164,7 +165,7 @@ def _share_of_page(cells: int, columns: int, channels: int, most: int) -> tuple[
     return pool, min(channels, int(most / each)) if each else 0
 
 
-def _codes(values: NDArray[np.float64], top: float) -> NDArray[np.uint16]:
+def _codes(values: Floats, top: float) -> NDArray[np.uint16]:
     """Codes of the script: 0 for nothing, 60000 for ``top``, one less for every 0.005 dB below."""
     if top <= 0:
         return np.zeros(values.shape, dtype="<u2")
@@ -187,7 +188,7 @@ def _tracks(tracks: xr.Dataset | None, channels: int, *, limit: int) -> Record |
     amplitude = np.where(shown.read, shown.amplitude, -np.inf)[:kept]
     largest = np.nan_to_num(np.where(np.isfinite(amplitude), amplitude, 0.0)).max(axis=(1, 2))
 
-    def packed(values: NDArray[np.float64]) -> str:
+    def packed(values: Floats) -> str:
         with np.errstate(over="ignore"):
             return base64.b64encode(values[:kept].astype("<f4").tobytes()).decode("ascii")
 

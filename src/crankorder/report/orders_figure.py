@@ -16,6 +16,7 @@ from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
 from crankorder.plot.palette import BAND_FACTOR, FAINT, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.panel import Panel
 from crankorder.plot.tracks import ALL_COLOURED, CLEAR, COLOURED, LOG_RATIO, WITHOUT_MARKERS, DrawnTracks
+from crankorder.quantities import Floats
 from crankorder.report.notation import nominal_order, order_texts
 from crankorder.settings import ReportSettings
 
@@ -35,7 +36,7 @@ _PHASE_OF = {
 class ShownTracks(DrawnTracks):
     """Values (channel, order, speed) of the orders that are shown, of all channels."""
 
-    phase: NDArray[np.float64]
+    phase: Floats
     units: list[str]
     reference: str
 
@@ -128,7 +129,7 @@ def _draw_channel(drawing: Drawing, shown: ShownTracks, channel: int, box: Box) 
     _label_lines(upper, shown, channel)
 
 
-def _scale(clear: NDArray[np.float64]) -> tuple[tuple[float, float], bool]:
+def _scale(clear: Floats) -> tuple[tuple[float, float], bool]:
     """Limits of the amplitude axis for values (channels, orders, speeds) of one unit, and whether it is logarithmic."""
     if not np.any(np.isfinite(clear)):
         return (0.0, 1.0), False
@@ -153,7 +154,7 @@ def _draw_axes(upper: Panel, lower: Panel, shown: ShownTracks, channel: int, *, 
     lower.frame()
 
 
-def _broken(speed: NDArray[np.float64], values: NDArray[np.float64], *, wrap: float = np.inf) -> NDArray[np.intp]:
+def _broken(speed: Floats, values: Floats, *, wrap: float = np.inf) -> NDArray[np.intp]:
     """Places before which a curve must break: gaps of the tested range, and jumps of more than ``wrap``."""
     gap = gaps_before(speed_cells(speed))[1:]
     with np.errstate(invalid="ignore"):

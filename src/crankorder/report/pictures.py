@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.findings import Findings
-from crankorder.plot.drawing import Drawing, Words, picture_bytes
+from crankorder.plot.drawing import Drawing, Words
 from crankorder.report.campbell_figure import campbell_figure
 from crankorder.report.orders_figure import orders_figure
 from crankorder.report.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
@@ -35,6 +35,8 @@ class Picture:
 
     def drawn(self) -> tuple[bytes, bytes]:
         """The picture in its format, and as PNG for the page; any thread or process makes the same bytes."""
+        from crankorder.plot.painter import picture_bytes
+
         figure, kind = self.figure(), self.settings.picture_format
         png = picture_bytes(figure, dpi=self.settings.dpi)
         return png if kind == "png" else picture_bytes(figure, dpi=self.settings.dpi, kind=kind), png
@@ -42,6 +44,8 @@ class Picture:
 
 def prepare() -> None:
     """Load what draws, with its fonts: worth doing before there is anything to show."""
+    from crankorder.plot.painter import picture_bytes
+
     picture_bytes(Drawing(1.0, 1.0, [Words(0.0, 0.0, "1"), Words(0.0, 0.0, "1", bold=True)]), dpi=50)
 
 

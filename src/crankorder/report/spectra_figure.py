@@ -31,6 +31,7 @@ from crankorder.plot.palette import (
     shortened,
 )
 from crankorder.plot.panel import Panel
+from crankorder.quantities import Floats
 from crankorder.report.campbell_figure import Mark, edge_labels, mode_keys, mode_marks, orders_of
 from crankorder.report.fixed_lines import fixed_frequencies
 from crankorder.report.notation import (
@@ -267,7 +268,7 @@ def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings:
     return drawing
 
 
-def _above_floor(order_map: xr.Dataset) -> NDArray[np.float64]:
+def _above_floor(order_map: xr.Dataset) -> Floats:
     """Ratio (channels, orders) of an amplitude to the median of those around it, its mean level over the speeds.
 
     NaN where the rate carried the order at no speed, or nothing lies around it. The mean tells a small line that

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.findings import Findings
 from crankorder.plot.drawing import Drawing
 from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
 from crankorder.plot.palette import FAINT, LIGHT, LINES, SMALL, drawable, shortened
 from crankorder.plot.panel import Panel
+from crankorder.quantities import Floats
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _RIGHT, _HEIGHT = 0.95, 0.7, 0.84, 1.6, 3.8  # inches
@@ -39,7 +39,7 @@ def shown_recordings(shaft: xr.Dataset) -> list[int]:
     return np.flatnonzero((shaft["n_pulses"].values > 0) & drawn).tolist()
 
 
-def _spread(trace: NDArray[np.float64]) -> float:
+def _spread(trace: Floats) -> float:
     known = trace[np.isfinite(trace)]
     if len(known) < 2:
         return 1.0
@@ -86,7 +86,7 @@ def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSetti
     return drawing
 
 
-def _ends(low: NDArray[np.float64], high: NDArray[np.float64], *, from_zero: bool) -> tuple[float, float]:
+def _ends(low: Floats, high: Floats, *, from_zero: bool) -> tuple[float, float]:
     """Ends of the axis of speed: from standstill where the speed changes, else close about what is drawn."""
     top, bottom = float(np.nanmax(high, initial=1.0)), float(np.nanmin(low, initial=np.inf))
     if from_zero or not np.isfinite(bottom):

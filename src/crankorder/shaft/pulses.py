@@ -19,10 +19,9 @@ import numpy.typing as npt
 from numba import njit
 
 from crankorder.errors import InputError
-from crankorder.quantities import Severity
+from crankorder.quantities import Floats, Ints, Severity
 from crankorder.settings import ShaftSettings
 
-FloatArray = npt.NDArray[np.float64]
 Remark = tuple[str, Severity, str]
 
 # Standard deviation, in samples, of a linearly interpolated crossing of a band-limited edge: 7.1e-3 degrees at 0.24
@@ -65,7 +64,7 @@ class Pulses:
     ``flags`` holds (flag, severity, detail): severity is "info", "suspect" or "bad".
     """
 
-    time_s: FloatArray
+    time_s: Floats
     noise_s: float
     flags: list[Remark] = field(default_factory=list)
 
@@ -143,7 +142,7 @@ def find_pulses(
 
 def _fired_square(
     samples: npt.NDArray[Any], sign: float, middle: float, half: float
-) -> Iterator[tuple[npt.NDArray[np.int64], FloatArray, int]]:
+) -> Iterator[tuple[Ints, Floats, int]]:
     """Samples at which ``sign * samples`` fires, the level to cut, and the count of NaN, piece by piece."""
     at = np.empty(min(samples.size, PIECE_SAMPLES) // 2 + 2, dtype=np.int64)
     carry = 1
@@ -157,11 +156,11 @@ def _fired_square(
 def _crossings(
     samples: npt.NDArray[Any],
     sign: float,
-    pieces: Iterable[tuple[npt.NDArray[np.int64], FloatArray, int]],
+    pieces: Iterable[tuple[Ints, Floats, int]],
     settled_at: tuple[float, float],
-) -> tuple[FloatArray, int, int]:
+) -> tuple[Floats, int, int]:
     """Places [samples] of the edges of all ``pieces``, how many lie between settled samples, and the count of NaN."""
-    found: list[FloatArray] = []
+    found: list[Floats] = []
     settled = n_missing = 0
     for fired, level, missing in pieces:
         position = np.empty(fired.size)

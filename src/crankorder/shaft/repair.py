@@ -11,12 +11,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
-from crankorder.shaft.pulses import FloatArray, Remark
-
-IntArray = npt.NDArray[np.int64]
+from crankorder.quantities import Floats, Ints
+from crankorder.shaft.pulses import Remark
 
 # A crank slower than this stands still for our purpose; of a slow machine, one a tenth as fast as it is mostly.
 STANDSTILL_RPM, STANDSTILL_SHARE = 30.0, 0.1
@@ -53,14 +51,14 @@ class FollowedWheel:
     ``misfit`` the mean change from tooth to tooth.
     """
 
-    kept: IntArray
-    count: IntArray
+    kept: Ints
+    count: Ints
     margin: float
     misfit: float
 
 
 def running_parts(
-    time_s: FloatArray, *, pulses_per_rev: float, gap: float = 1.0, joined: bool = False, lossless: bool = False
+    time_s: Floats, *, pulses_per_rev: float, gap: float = 1.0, joined: bool = False, lossless: bool = False
 ) -> tuple[list[slice], list[Remark]]:
     """The runs of pulses without a standstill, in turn, and remarks on what was left out.
 
@@ -91,14 +89,14 @@ def running_parts(
     return used, _left_out(time_s, parts, used, still, [at for at in stops if at not in still], pulses_per_rev)
 
 
-def running_part(time_s: FloatArray, *, pulses_per_rev: float, gap: float = 1.0) -> tuple[slice, list[Remark]]:
+def running_part(time_s: Floats, *, pulses_per_rev: float, gap: float = 1.0) -> tuple[slice, list[Remark]]:
     """The longest of the :func:`running_parts` of ``time_s``, and remarks; ``pulses_per_rev`` and ``gap`` as there."""
     parts, flags = running_parts(time_s, pulses_per_rev=pulses_per_rev, gap=gap)
     return parts[0], flags
 
 
 def _left_out(
-    time_s: FloatArray,
+    time_s: Floats,
     parts: list[slice],
     used: list[slice],
     still: list[int],
@@ -124,7 +122,7 @@ def _left_out(
     return flags
 
 
-def _turning_points(step: FloatArray) -> list[int]:
+def _turning_points(step: Floats) -> list[int]:
     """Intervals of a few pulses per revolution that are far longer than those beside, into which the shaft slows."""
     longer = [
         at
@@ -134,20 +132,20 @@ def _turning_points(step: FloatArray) -> list[int]:
     return [at for at in longer if np.all(np.diff(step[max(0, at - BESIDE) : at]) > 0.0)]
 
 
-def _beside(step: FloatArray, at: int) -> tuple[float, float]:
+def _beside(step: Floats, at: int) -> tuple[float, float]:
     """Pulse intervals before and after the hole ``at``; infinite where there is none."""
     before, after = step[max(0, at - BESIDE) : at], step[at + 1 : at + 1 + BESIDE]
     return float(np.median(before)) if before.size else np.inf, float(np.median(after)) if after.size else np.inf
 
 
-def _same_count(step: FloatArray, at: int, limit: float) -> bool:
+def _same_count(step: Floats, at: int, limit: float) -> bool:
     before, after = _beside(step, at)
     if _stops_and_starts(step, at) or step[at] > FILLED_SHARE * step.size * before:
         return False
     return max(before, after) < limit and abs(step[at] / before - step[at] / after) < SAME_COUNT_TEETH
 
 
-def _stops_and_starts(step: FloatArray, at: int) -> bool:
+def _stops_and_starts(step: Floats, at: int) -> bool:
     """Whether the shaft slows down into the hole ``at`` and speeds up out of it: symmetric, but no steady running."""
     before, after = step[max(0, at - BESIDE) : at], step[at + 1 : at + 1 + BESIDE]
     if min(before.size, after.size) < LEAST_BESIDE:
@@ -155,12 +153,12 @@ def _stops_and_starts(step: FloatArray, at: int) -> bool:
     return bool(before[-1] > SLOWED * before[0] and after[0] > SLOWED * after[-1])
 
 
-def _speed_is_low(step: FloatArray, at: int, limit: float) -> bool:
+def _speed_is_low(step: Floats, at: int, limit: float) -> bool:
     """Whether the shaft slows before or starts after the hole, rather than runs as usual on both sides."""
     return max(_beside(step, at)) > min(limit / 5.0, 3.0 * float(np.median(step)))
 
 
-def _spans(time_s: FloatArray, holes: list[int], stray: list[slice]) -> str:
+def _spans(time_s: Floats, holes: list[int], stray: list[slice]) -> str:
     """Words for the times of ``holes``; those with nothing but a ``stray`` part between them are one."""
     spans = [[holes[0], holes[0]]]
     for at in holes[1:]:
@@ -172,19 +170,19 @@ def _spans(time_s: FloatArray, holes: list[int], stray: list[slice]) -> str:
     return ", ".join(words[:4]) + (f" and {len(words) - 4} times more" if len(words) > 4 else "")
 
 
-def _times(time_s: FloatArray, parts: list[slice]) -> str:
+def _times(time_s: Floats, parts: list[slice]) -> str:
     if len(parts) > 4:
         return f"in {len(parts)} parts from {time_s[parts[0].start]:.6g} to {time_s[parts[-1].stop - 1]:.6g} s"
     return ", ".join(f"{time_s[part.start]:.6g} to {time_s[part.stop - 1]:.6g} s" for part in parts)
 
 
-def listed_times(time_s: FloatArray) -> str:
+def listed_times(time_s: Floats) -> str:
     """Words for the times ``time_s`` [s] of events: the first five, and how many more."""
     listed = ", ".join(f"{value:.6g}" for value in time_s[:5])
     return f"at {listed} s" + (f" and {time_s.size - 5} more" if time_s.size > 5 else "")
 
 
-def followed_wheel(time_s: FloatArray, places: FloatArray, *, repeats: int) -> FollowedWheel:
+def followed_wheel(time_s: Floats, places: Floats, *, repeats: int) -> FollowedWheel:
     """The teeth of an uneven wheel laid on a pulse train, whatever tooth comes first.
 
     Parameters

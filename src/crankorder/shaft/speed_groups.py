@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+
+from crankorder.quantities import Floats, Ints
 
 SAME_SPEED = 0.001
 """Speeds that differ by less than this share are one: a quarter of the width of a resonance damped by 0.2 %."""
@@ -14,12 +15,10 @@ GAP_RATIO = 8.0
 FEWEST_HELD = 3
 """… where so many frames lie on each side."""
 
-Indices = NDArray[np.int64]
+Indices = Ints
 
 
-def speed_groups(
-    speed_rpm: NDArray[np.float64], *, width_rpm: float, owner: NDArray[np.int64] | None = None
-) -> list[Indices]:
+def speed_groups(speed_rpm: Floats, *, width_rpm: float, owner: Ints | None = None) -> list[Indices]:
     """Indices of ``speed_rpm`` (frames,) in groups that span at most ``width_rpm``, slowest group first.
 
     A group begins at the slowest frame that none has taken, so that the steps of a stepped test stay whole wherever
@@ -46,7 +45,7 @@ def speed_groups(
     return [*made, np.sort(unknown)] if len(unknown) else made
 
 
-def _pieces(speed_rpm: NDArray[np.float64], owner: Indices, known: Indices, *, width_rpm: float) -> list[Indices]:
+def _pieces(speed_rpm: Floats, owner: Indices, known: Indices, *, width_rpm: float) -> list[Indices]:
     """Speeds that are held, whole, and single frames of those that are swept; slowest first."""
     held = held_speeds(speed_rpm, owner, width_rpm=width_rpm)
     taken = np.concatenate(held) if held else np.empty(0, dtype=np.int64)
@@ -54,7 +53,7 @@ def _pieces(speed_rpm: NDArray[np.float64], owner: Indices, known: Indices, *, w
     return sorted(pieces, key=lambda piece: (float(speed_rpm[piece].min()), int(piece[0])))
 
 
-def held_speeds(speed_rpm: NDArray[np.float64], owner: Indices, *, width_rpm: float) -> list[Indices]:
+def held_speeds(speed_rpm: Floats, owner: Indices, *, width_rpm: float) -> list[Indices]:
     """Indices of the frames of each speed that recordings hold, slowest first; frames of sweeps are in none.
 
     Parameters
@@ -80,7 +79,7 @@ def held_speeds(speed_rpm: NDArray[np.float64], owner: Indices, *, width_rpm: fl
     return held
 
 
-def _steps(speed_rpm: NDArray[np.float64], mine: Indices) -> list[Indices]:
+def _steps(speed_rpm: Floats, mine: Indices) -> list[Indices]:
     """The frames ``mine`` of one recording, parted where their speeds leave a gap as between two steps."""
     if len(mine) < 2 * FEWEST_HELD:
         return [mine] if len(mine) else []

@@ -15,15 +15,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from crankorder.quantities import Bools, Floats, Ints
 from crankorder.shaft.pattern import ToothPattern, grid_of, known_names, pattern_of
-from crankorder.shaft.pulses import FloatArray, Remark
+from crankorder.shaft.pulses import Remark
 from crankorder.shaft.repair import (
     REPAIR_COST,
     STANDSTILL_RPM,
     FollowedWheel,
-    IntArray,
     followed_wheel,
     running_part,
 )
@@ -62,7 +61,7 @@ class FoundPattern:
         return seen if self.by_index else f"{seen}, if it is not the same several times per revolution"
 
 
-def find_pattern(time_s: FloatArray, *, index_time_s: FloatArray | None = None) -> FoundPattern | None:
+def find_pattern(time_s: Floats, *, index_time_s: Floats | None = None) -> FoundPattern | None:
     """The wheel that gives the pulses at ``time_s``, or None where they do not tell.
 
     Parameters
@@ -101,14 +100,14 @@ def find_pattern(time_s: FloatArray, *, index_time_s: FloatArray | None = None) 
     return FoundPattern(pattern, revs, agreement, by_index) if agreement >= 0.5 else None
 
 
-def _fastest(time_s: FloatArray) -> FloatArray:
+def _fastest(time_s: Floats) -> Floats:
     """The block of pulses with the shortest intervals: there the speed is steadiest."""
     starts = range(0, max(1, time_s.size - BLOCK_PULSES + 1), BLOCK_PULSES // 2)
     first = min(starts, key=lambda at: float(np.median(np.diff(time_s[at : at + BLOCK_PULSES]))))
     return time_s[first : first + BLOCK_PULSES]
 
 
-def _repeating(time_s: FloatArray) -> int:
+def _repeating(time_s: Floats) -> int:
     """Shortest period, in pulses, of the intervals relative to their neighbours; 0 where there is none."""
     step = np.log(np.diff(time_s))
     if step.size < 2 * NEIGHBOURS + 4:
@@ -124,14 +123,14 @@ def _repeating(time_s: FloatArray) -> int:
     return 0
 
 
-def _repeats(value: FloatArray, teeth: int) -> bool:
+def _repeats(value: Floats, teeth: int) -> bool:
     spread = 2.0 * float(np.mean(np.minimum((value - np.median(value)) ** 2, 1.0)))
     change = np.minimum((value[teeth:] - value[:-teeth]) ** 2, 1.0)
     uneven = np.log(UNEVEN_RATIO) ** 2 / teeth
     return bool(np.mean(change) < REPEAT_SHARE * spread) and spread > uneven
 
 
-def _pattern(time_s: FloatArray, teeth: int) -> ToothPattern | None:
+def _pattern(time_s: Floats, teeth: int) -> ToothPattern | None:
     """The wheel of ``teeth`` teeth in the mean revolution of the train, from the tooth behind its widest gap."""
     step = _undisturbed(np.diff(time_s), teeth)
     revs = step.size // teeth
@@ -154,7 +153,7 @@ def _pattern(time_s: FloatArray, teeth: int) -> ToothPattern | None:
     return ToothPattern("unnamed", tuple(float(angle) for angle in np.round(angles, 1)))
 
 
-def _undisturbed(step: FloatArray, teeth: int) -> FloatArray:
+def _undisturbed(step: Floats, teeth: int) -> Floats:
     """The longest stretch of intervals in which each is like the one a revolution later."""
     odd = np.flatnonzero(np.abs(np.log(step[teeth:] / step[:-teeth])) > np.log(UNEVEN_RATIO))
     edges = np.concatenate(([-1], odd, [step.size - teeth]))
@@ -162,17 +161,17 @@ def _undisturbed(step: FloatArray, teeth: int) -> FloatArray:
     return step[edges[longest] + 1 : edges[longest + 1] + teeth]
 
 
-def _usual(share: FloatArray) -> FloatArray:
+def _usual(share: Floats) -> Floats:
     """Usual length of the intervals around each one; the shortest of all on a wheel of few teeth."""
     if share.size <= FEW_TEETH:
         return np.full(share.size, share.min())
     around = NEIGHBOURS + 1
     padded = np.concatenate([share[-around:], share, share[:around]])
-    usual: FloatArray = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1), axis=1)
+    usual: Floats = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * around + 1), axis=1)
     return usual
 
 
-def _whole_teeth(share: FloatArray) -> FloatArray | None:
+def _whole_teeth(share: Floats) -> Floats | None:
     """Tooth pitches in each interval, where each is a whole number of the intervals beside it; else None."""
     pitches = share / _usual(share)
     whole = np.maximum(np.round(pitches), 1.0)
@@ -180,7 +179,7 @@ def _whole_teeth(share: FloatArray) -> FloatArray | None:
     return whole if near.all() and np.mean(whole == 1.0) >= 0.5 and whole.max() > 1.0 else None
 
 
-def _of_whole(whole: FloatArray) -> ToothPattern:
+def _of_whole(whole: Floats) -> ToothPattern:
     total = int(whole.sum())
     places = np.concatenate(([0.0], np.cumsum(whole)[:-1]))
     angles = tuple(float(place) * 360.0 / total for place in places)
@@ -195,15 +194,15 @@ def _of_whole(whole: FloatArray) -> ToothPattern:
     return ToothPattern(f"{total}-{gaps} (unnamed)", angles)
 
 
-def _scatter(share: FloatArray, other: FloatArray) -> float:
+def _scatter(share: Floats, other: Floats) -> float:
     return float(np.sqrt(np.mean(np.log(share / other) ** 2)))
 
 
-def _rotation_scatter(share: FloatArray, other: FloatArray) -> float:
+def _rotation_scatter(share: Floats, other: Floats) -> float:
     return min(_scatter(share, np.roll(other, at)) for at in range(other.size))
 
 
-def _named_scatter(share: FloatArray, name: str) -> float:
+def _named_scatter(share: Floats, name: str) -> float:
     """Scatter of the log intervals about those of a named wheel, at its best rotation; infinite for another count."""
     known = pattern_of(name)
     spans = np.diff(known.angles_deg, append=360.0) / 360.0
@@ -234,8 +233,8 @@ class Wheel:
     """Teeth as they stand on an even grid: steps of the grid per revolution, step and offset of each tooth."""
 
     grid: int
-    places: IntArray
-    offsets: FloatArray
+    places: Ints
+    offsets: Floats
     repeats: int
     name: str
 
@@ -250,11 +249,11 @@ class Wheel:
         return self.places.size >= 8 and float(np.median(self.spans)) == 1.0 and not self.offsets.any()
 
     @property
-    def spans(self) -> IntArray:
+    def spans(self) -> Ints:
         """Steps from each tooth to the next."""
         return np.diff(self.places, append=self.grid)
 
-    def angle_of(self, tooth: IntArray) -> FloatArray:
+    def angle_of(self, tooth: Ints) -> Floats:
         """Where ``tooth`` (numbers on the grid) stand, in steps of it, with their offsets."""
         offset = np.zeros(self.grid)
         offset[self.places] = self.offsets
@@ -274,7 +273,7 @@ def wheel_of(pulses_per_rev: int, missing_teeth: int, tooth_angles_deg: Sequence
     return Wheel(grid, np.array(places), np.array(offsets), pattern.repeats, name)
 
 
-def gap_is_absent(time_s: FloatArray, kept: IntArray, tooth: IntArray, wheel: Wheel) -> bool:
+def gap_is_absent(time_s: Floats, kept: Ints, tooth: Ints, wheel: Wheel) -> bool:
     """Whether the longest interval in one of the gaps of the wheel is mostly no longer than a tooth.
 
     ``time_s``: (pulses,), s. ``kept``: which of them are true. ``tooth``: their numbers on the grid of ``wheel``.
@@ -291,7 +290,7 @@ def gap_is_absent(time_s: FloatArray, kept: IntArray, tooth: IntArray, wheel: Wh
     return any(own.size > 1 and np.median(own) < ABSENT_SHARE for own in each)
 
 
-def displaced_teeth(time_s: FloatArray, tooth: IntArray, wheel: Wheel, flags: list[Remark]) -> npt.NDArray[np.bool_]:
+def displaced_teeth(time_s: Floats, tooth: Ints, wheel: Wheel, flags: list[Remark]) -> Bools:
     """Which pulses are of a tooth beside a gap that stands off the line of the next three (a pickup bends there).
 
     ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers on the grid of ``wheel``. ``flags``: takes the remark.
@@ -326,7 +325,7 @@ def displaced_teeth(time_s: FloatArray, tooth: IntArray, wheel: Wheel, flags: li
     return displaced
 
 
-def _usual_off(time_s: FloatArray, tooth: IntArray, wheel: Wheel) -> float:
+def _usual_off(time_s: Floats, tooth: Ints, wheel: Wheel) -> float:
     """How far [tooth] the teeth away from gaps usually stand off the line of the next three."""
     off = np.diff(time_s, n=3) / np.maximum(time_s[3:] - time_s[:-3], np.finfo(np.float64).tiny) * 3.0
     together, place = tooth[3:] - tooth[:-3] == 3, tooth[:-3] % wheel.grid
@@ -337,7 +336,7 @@ def _usual_off(time_s: FloatArray, tooth: IntArray, wheel: Wheel) -> float:
     return float(np.median(np.abs(usual))) if usual else 0.0
 
 
-def times_on_grid(time_s: FloatArray, tooth: IntArray, wheel: Wheel) -> FloatArray:
+def times_on_grid(time_s: Floats, tooth: Ints, wheel: Wheel) -> Floats:
     """Times at which the even teeth would pass, by the cubic through the four nearest true ones.
 
     ``time_s``: (pulses,), s. ``tooth``: (pulses,), their numbers on the grid of ``wheel``.
@@ -370,7 +369,7 @@ LATEST_START, MOST_BACK = 3, 4
 CLEARLY_CHEAPER = 0.5
 
 
-def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> FollowedWheel:
+def followed_from_steady(time_s: Floats, wheel: Wheel) -> FollowedWheel:
     """The uneven ``wheel`` laid on the train of pulses; ``count`` are their numbers on its grid.
 
     The first interval sets the speed by which all others are judged. Where it hides a lost pulse, or starts from rest
@@ -395,9 +394,7 @@ def followed_from_steady(time_s: FloatArray, wheel: Wheel) -> FollowedWheel:
     return min(map(way, range(max(0, min(LATEST_START, time_s.size - 8)) + 1)), key=lambda each: each[0])[1]
 
 
-def _with_first_pulses(
-    time_s: FloatArray, first: int, kept: IntArray, tooth: IntArray, wheel: Wheel
-) -> tuple[IntArray, IntArray]:
+def _with_first_pulses(time_s: Floats, first: int, kept: Ints, tooth: Ints, wheel: Wheel) -> tuple[Ints, Ints]:
     """``kept`` and ``tooth`` with those of the ``first`` pulses that stand on a tooth, counted back."""
     for pulse in range(first - 1, -1, -1):
         place = wheel.angle_of(tooth[:5:2])
@@ -416,7 +413,7 @@ def _with_first_pulses(
     return kept, tooth
 
 
-def ends_put_right(time_s: FloatArray, kept: IntArray, tooth: IntArray, wheel: Wheel) -> tuple[IntArray, IntArray]:
+def ends_put_right(time_s: Floats, kept: Ints, tooth: Ints, wheel: Wheel) -> tuple[Ints, Ints]:
     """Pulses that are kept and their numbers, put right before the first gap and behind the last one.
 
     ``time_s``: (pulses,), s. ``kept``: which of them are true. ``tooth``: (kept,), their numbers on the grid of
@@ -432,9 +429,7 @@ def ends_put_right(time_s: FloatArray, kept: IntArray, tooth: IntArray, wheel: W
     return kept, tooth
 
 
-def _put_right(
-    true_s: FloatArray, tooth: IntArray, wheel: Wheel, *, first: bool
-) -> tuple[npt.NDArray[np.bool_], IntArray]:
+def _put_right(true_s: Floats, tooth: Ints, wheel: Wheel, *, first: bool) -> tuple[Bools, Ints]:
     """Which pulses are true, and the numbers of all; ``first``: of two neighbours that may be false, the first is."""
     end = min(tooth.size, END_REVS * wheel.places.size)
     right, true = tooth.copy(), np.ones(tooth.size, dtype=np.bool_)
@@ -449,9 +444,7 @@ def _put_right(
     return true, right
 
 
-def _miscounted(
-    time_s: FloatArray, tooth: IntArray, wheel: Wheel, *, first: bool
-) -> tuple[IntArray, IntArray, IntArray]:
+def _miscounted(time_s: Floats, tooth: Ints, wheel: Wheel, *, first: bool) -> tuple[Ints, Ints, Ints]:
     """Teeth (intervals,) that each interval holds beyond those counted, false pulses, and which intervals are gaps.
 
     What a false pulse (by its number) has split counts for the interval behind it.

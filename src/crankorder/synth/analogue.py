@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import STANDARD_GRAVITY_M_S2
 from crankorder.synth.parts import Acquisition
 
@@ -30,23 +31,23 @@ class AnalogueFilter:
     exact to 1e-13 of 1, not of themselves: a filter that damps by 1e-20 gives round-off there.
     """
 
-    pole_per_s: NDArray[np.complex128]
-    residue: NDArray[np.complex128]
+    pole_per_s: Complexes
+    residue: Complexes
     direct: float
 
-    def at(self, s_per_s: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    def at(self, s_per_s: Complexes) -> Complexes:
         """Complex gain at points of the complex plane, shape of ``s_per_s`` (rad/s); none of them may be a pole."""
         s = np.asarray(s_per_s, dtype=np.complex128)
-        gain: NDArray[np.complex128] = np.full(s.shape, self.direct, dtype=np.complex128)
+        gain: Complexes = np.full(s.shape, self.direct, dtype=np.complex128)
         for pole, residue in zip(self.pole_per_s, self.residue, strict=True):
             gain += residue / (s - pole)
         return gain
 
-    def response(self, frequency_hz: NDArray[np.float64]) -> NDArray[np.complex128]:
+    def response(self, frequency_hz: Floats) -> Complexes:
         """Complex gain in the steady state, shape of ``frequency_hz`` (Hz, any sign)."""
         return self.at(np.asarray(2j * np.pi * np.asarray(frequency_hz), dtype=np.complex128))
 
-    def folded_power(self, rate_hz: float, frequency_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+    def folded_power(self, rate_hz: float, frequency_hz: Floats) -> Floats:
         """Σ |H(f + k · rate)|² over all whole k: power of white noise after filter and sampling, per power before.
 
         ``rate_hz``: samples per second, > 0. ``frequency_hz``: f in Hz, any shape, which is the result's. The error is
@@ -74,7 +75,7 @@ def low_pass(order: int, corner_hz: float) -> AnalogueFilter:
     if not (1 <= order <= MAX_ORDER and corner_hz > 0):
         raise ValueError(f"a low-pass filter has an order of 1 … {MAX_ORDER} and a corner above 0")
     upper = np.exp(0.5j * np.pi * (2 * np.arange(1, order // 2 + 1) + order - 1) / order)
-    pole: NDArray[np.complex128] = np.concatenate([upper, [-1.0] if order % 2 else [], upper.conj()])
+    pole: Complexes = np.concatenate([upper, [-1.0] if order % 2 else [], upper.conj()])
     apart = pole[:, None] - pole[None, :]
     np.fill_diagonal(apart, 1.0)
     residue = 1 / apart.prod(axis=1)
@@ -148,7 +149,7 @@ class Recorded:
     samples: NDArray[Any]
     scale: float | None
     unit: str
-    clipped_share: NDArray[np.float64]
+    clipped_share: Floats
 
 
 def true_rate_hz(acquisition: Acquisition, rate_hz: float) -> float:
@@ -159,7 +160,7 @@ def true_rate_hz(acquisition: Acquisition, rate_hz: float) -> float:
     return rate_hz * (1 + acquisition.clock_error_ppm * 1e-6)
 
 
-def recorded(signal: NDArray[np.float64], acquisition: Acquisition) -> Recorded:
+def recorded(signal: Floats, acquisition: Acquisition) -> Recorded:
     """``signal`` in the unit of the file, cut off at full scale, in steps of the converter, in the number type stored.
 
     The converter is mid-tread: codes −2^(bits − 1) … 2^(bits − 1) − 1 of full_scale / 2^(bits − 1) each, so that 0 is a
@@ -194,7 +195,7 @@ def recorded(signal: NDArray[np.float64], acquisition: Acquisition) -> Recorded:
     )
 
 
-def _convert(values: NDArray[np.float64], full_scale: float, step: float | None) -> int:
+def _convert(values: Floats, full_scale: float, step: float | None) -> int:
     """Cut ``values`` off and, where there is a ``step``, turn them into codes, in place; how many were out of range."""
     low, high = -full_scale, full_scale
     if step is not None:

@@ -6,10 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.engine.in_cycle import TORQUE_ORDERS, Lag, lag_from_torque, lag_of_speed
 from crankorder.errors import RequestError
+from crankorder.quantities import Floats, Ints
 from crankorder.synth.motion import Motion, wander_wobbles
 from crankorder.synth.noise import seed_stream
 from crankorder.synth.parts import OtherShaft, SpeedOrder, TimeSampling
@@ -117,7 +117,7 @@ def begun_earlier(motion: Motion, seconds: float) -> Motion:
     )
 
 
-def gain_of_cycle(scene: Scene, run: Run) -> Callable[[NDArray[np.int64]], NDArray[np.float64]] | None:
+def gain_of_cycle(scene: Scene, run: Run) -> Callable[[Ints], Floats] | None:
     """Factor of the gas torque in every cycle, by the cycle's number, or None where all cycles of ``run`` are alike.
 
     ``scene``: its scatter and seed. A cycle's factor does not depend on which others are asked for.
@@ -126,7 +126,7 @@ def gain_of_cycle(scene: Scene, run: Run) -> Callable[[NDArray[np.int64]], NDArr
         return None
     scatter = scene.gas_torque.scatter_percent / 100
 
-    def gain(cycle: NDArray[np.int64]) -> NDArray[np.float64]:
+    def gain(cycle: Ints) -> Floats:
         drawn = np.zeros(cycle.size)
         for way, side in (("after", cycle >= 0), ("before", cycle < 0)):
             if side.any():

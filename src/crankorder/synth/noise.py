@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.quantities import Complexes, Floats
 from crankorder.synth.analogue import AnalogueFilter
 from crankorder.synth.parts import AXES, Axis, ColouredNoise
 from crankorder.synth.poles import Structure, accelerance
@@ -93,7 +94,7 @@ def put_coloured_noise(
 
 
 def shaped_noise(
-    stream: np.random.Generator, density: NDArray[np.float64], *, rate_hz: float, n_samples: int
+    stream: np.random.Generator, density: Floats, *, rate_hz: float, n_samples: int
 ) -> NDArray[np.float32]:
     """Gaussian noise of a one-sided density (unit/√Hz) that changes with frequency, shape (n_samples,), without mean.
 
@@ -112,7 +113,7 @@ def shaped_noise(
     return noise
 
 
-def density_through_points(part: ColouredNoise, frequency_hz: NDArray[np.float64]) -> NDArray[np.float64]:
+def density_through_points(part: ColouredNoise, frequency_hz: Floats) -> Floats:
     """One-sided density (m/s²/√Hz) straight on log scales from point to point, level outside; ``frequency_hz``'s shape.
 
     ``part``: the points. ``frequency_hz``: ≥ 0.
@@ -123,11 +124,11 @@ def density_through_points(part: ColouredNoise, frequency_hz: NDArray[np.float64
 
 
 def folded_density(
-    density: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    density: Callable[[Floats], Floats],
     filter: AnalogueFilter | None,
     rate_hz: float,
-    frequency_hz: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    frequency_hz: Floats,
+) -> Floats:
     """One-sided density of noise behind an analogue filter after sampling, shape of ``frequency_hz``.
 
     Before a low-pass filter the noise goes on for ever above half the rate; what the filter leaves of it folds back,
@@ -155,12 +156,12 @@ def folded_density(
     return np.sqrt(power)
 
 
-def _is_level(density: Callable[[NDArray[np.float64]], NDArray[np.float64]], from_hz: float) -> bool:
+def _is_level(density: Callable[[Floats], Floats], from_hz: float) -> bool:
     values = density(np.geomspace(from_hz, 1e4 * from_hz, 257))
     return bool(np.ptp(values) <= 1e-9 * np.max(values))
 
 
-Density = NDArray[np.float64]
+Density = Floats
 RINGING_TIMES = 6.0
 """Decay times of the slowest mode after which a noise record no longer remembers its other end (e⁻⁶ = 0.25 %)."""
 SHAPED_TAIL = 8
@@ -271,7 +272,7 @@ def _driven_axes(scene: Scene) -> tuple[Axis, ...]:
     return tuple(axis for axis in AXES if forces.get(axis))
 
 
-def _gain(scene: Scene, structure: Structure, frequency_hz: Density) -> NDArray[np.complex128]:
+def _gain(scene: Scene, structure: Structure, frequency_hz: Density) -> Complexes:
     """Response (channel, driven axis, frequency) of the recorded channels to the white part of the forces."""
     assert scene.broadband is not None
     rows = [AXES.index(axis) for axis in _driven_axes(scene)]

@@ -7,11 +7,11 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.harmonics import orders_for
+from crankorder.quantities import Floats
 from crankorder.synth.analogue import AnalogueFilter, analogue_filter, true_rate_hz
 from crankorder.synth.parts import (
     AXES,
@@ -157,7 +157,7 @@ class Scene(Part):
         """The recordings of the first repeat."""
         return self.runs_of(0)
 
-    def by_channel(self, values: ByChannel) -> NDArray[np.float64]:
+    def by_channel(self, values: ByChannel) -> Floats:
         """``values`` in the sequence of the channels, zero where a channel is not named, shape (channel,)."""
         return np.array([values.get(name, 0.0) for name in self.channel_names])
 

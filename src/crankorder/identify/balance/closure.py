@@ -24,9 +24,9 @@ from crankorder.identify.balance.order_shaker import (
 )
 from crankorder.identify.balance.record import Split, added_words, rotor_record, split_record
 from crankorder.identify.balance.transfer_path import MeasuredOrders, accelerance_of, measured_orders
-from crankorder.identify.cycle_forces import gas_half_orders
+from crankorder.identify.causes.cycle_forces import gas_half_orders
 from crankorder.identify.found import AgreedOrder, ModalFit
-from crankorder.identify.modal.pole_errors import side_by_side
+from crankorder.identify.modes.pole_errors import side_by_side
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 

@@ -16,8 +16,7 @@ from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, X, Y, Z, crankcase_forces, crankcase_moments
 from crankorder.identify.balance.transfer_path import MeasuredOrders, whitening
 from crankorder.identify.found import ModalFit
-from crankorder.identify.modal.order_terms import resonance_slopes
-from crankorder.identify.resonance import resonance
+from crankorder.identify.modes.order_terms import resonance, resonance_slopes
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
@@ -214,7 +213,8 @@ def _terms(problem: _Problem, natural: Floats, damping: Floats) -> tuple[Complex
     measured, top_hz = problem.measured, problem.top_hz
     grown = (measured.rpm_of_row * np.pi / 30)[:, None] ** 2
     terms = grown * _steady_terms(measured.frequency_hz, natural, damping, top_hz)
-    slopes = grown[:, :, None] * np.stack(resonance_slopes(measured.frequency_hz, natural, damping), axis=2)
+    resonant: Complexes = np.stack(resonance_slopes(measured.frequency_hz, natural, damping), axis=2)
+    slopes: Complexes = np.multiply(grown[:, :, None], resonant, dtype=np.complex128)
     for first, passage in measured.passages:
         rows = range(first, first + len(passage.place))
         pushed: Complexes = ((passage.speed_rpm * np.pi / 30) ** 2).astype(np.complex128)

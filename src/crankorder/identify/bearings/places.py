@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.orders.envelope_combs import Comb
+from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -49,7 +49,7 @@ class Place:
         """How much slower than in pure rolling ``order`` is, in percent."""
         return 100.0 * (1.0 - order / self.expected)
 
-    def cage_at(self, order: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def cage_at(self, order: Floats) -> Floats | None:
         """Order of the cage where the line is at ``order``; None where the bearing's data do not tell.
 
         The outer race is struck as often as elements pass, the inner one and an element as often as the shaft turns

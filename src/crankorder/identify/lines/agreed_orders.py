@@ -12,6 +12,7 @@ from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import half_width, root
 from crankorder.identify.lines.cfar import LOBE_BINS
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
+from crankorder.identify.lines.mains import multiples_near
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
 from crankorder.identify.lines.order_lines import SWELLS
 from crankorder.identify.lines.order_lock import (
@@ -29,7 +30,6 @@ from crankorder.identify.lines.several_orders import DEGREES_OF_FREEDOM, SOLVED,
 from crankorder.identify.lines.swept_orders import NUMBERS as SWEPT_ORDERS
 from crankorder.identify.lines.swept_orders import longest_frame
 from crankorder.identify.lines.zoom import Course, Zoomed
-from crankorder.identify.mains import multiples_near
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.true_angle import ERROR

@@ -13,6 +13,7 @@ from crankorder.identify.lines.zoom import NUMBERS as ZOOM
 from crankorder.identify.lines.zoom import PAIR_NUMBERS as CLOSE_PAIR
 from crankorder.identify.lines.zoom import Zoomed, unaliased, zoomed
 from crankorder.orders.like_speed import common_frames
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -21,8 +22,6 @@ class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="line_phasors"
 
 
 NUMBERS = _Numbers.load()
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ def _recording(item: xr.Dataset) -> Recording:
     return Recording(item["spectrum"].values, begin + 0.5 * revs, item["speed"].values, revs, max(hop, 1e-9))
 
 
-Phasors = tuple[Recording, NDArray[np.complex128], Floats, Floats]
+Phasors = tuple[Recording, Complexes, Floats, Floats]
 
 
 def phasors_at(

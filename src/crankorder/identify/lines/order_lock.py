@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 from scipy.special import exp1
 
-from crankorder.identify.found import Lock
+from crankorder.findings import Lock
 from crankorder.identify.intervals import half_width
 from crankorder.quantities import flags_of
 from crankorder.settings import MethodNumbers

@@ -10,7 +10,7 @@ import xarray as xr
 
 from crankorder.identify.found import OrderLine
 from crankorder.identify.intervals import Z95
-from crankorder.identify.known_lines import (
+from crankorder.identify.lines.known_lines import (
     LOBE_BINS,
     Held,
     Place,
@@ -20,11 +20,11 @@ from crankorder.identify.known_lines import (
     noise_beside,
     waves_of,
 )
-from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
+from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.line_phasors import Recording
+from crankorder.identify.lines.mains import NUMBERS as MAINS
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
 from crankorder.identify.lines.order_lines import ONE_SPEED
-from crankorder.identify.mains import NUMBERS as MAINS
 from crankorder.orders.track_rows import hann_lobe
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers

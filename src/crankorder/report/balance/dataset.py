@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.engine.balance_data import BalancedEngine, reduced_masses
 from crankorder.engine.balance_sheet import POSSIBILITIES, STRATEGIES, plain_state
@@ -17,6 +16,7 @@ from crankorder.engine.engine_tables import MOMENT_AXES, designs_for, whole_forc
 from crankorder.engine.forces import DIRECTIONS, crankcase_moments
 from crankorder.engine.shaft_design import ONE_RADIAN_PER_S_RPM
 from crankorder.engine.shafts import shaft_layout
+from crankorder.quantities import Complexes, Floats
 
 Forces = tuple[OrderForce, ...]
 
@@ -131,12 +131,12 @@ def _with_moments(dataset: xr.Dataset, subject: BalancedEngine, sheet: Mapping[s
     )
 
 
-def phase_deg(amplitudes: NDArray[np.complex128]) -> NDArray[np.float64]:
+def phase_deg(amplitudes: Complexes) -> Floats:
     """Phases (degrees, −180 to 180) of complex ``amplitudes`` of any shape; NaN where there is nothing."""
     return np.where(np.abs(amplitudes) > 0, np.degrees(np.angle(amplitudes)), np.nan)
 
 
-def order_sum(amplitudes: NDArray[np.complex128], crank_angle_rev: NDArray[np.float64]) -> NDArray[np.float64]:
+def order_sum(amplitudes: Complexes, crank_angle_rev: Floats) -> Floats:
     """Sum over the orders 1, 2, …: shape (…, angle).
 
     ``amplitudes`` complex, shape (…, order); ``crank_angle_rev`` revolutions, shape (angle,).

@@ -12,6 +12,7 @@ from crankorder.plot.drawing import Box, Drawing, Words, title_lines
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, label_right
 from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.panel import Panel
+from crankorder.quantities import Floats
 from crankorder.report.notation import order_text
 from crankorder.settings import ReportSettings
 
@@ -183,14 +184,14 @@ def _told_apart(claims: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return list(kept.values())
 
 
-def _over_first(one: dict[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _over_first(one: dict[str, Any]) -> tuple[Floats, Floats]:
     """Amplitudes (runs,) and their intervals (runs, 2) over the amplitude of the first run, in dB."""
     size = np.array(one["amplitude"], dtype=np.float64)
     ends = np.maximum(np.array(one["amplitude_ci95"], dtype=np.float64), 1e-3 * size[:, None])
     return 20.0 * np.log10(size / size[0]), 20.0 * np.log10(ends / size[0])
 
 
-def _draw_trend(panel: Panel, runs: NDArray[np.float64], one: dict[str, Any], color: str, number: int) -> EdgeLabel:
+def _draw_trend(panel: Panel, runs: Floats, one: dict[str, Any], color: str, number: int) -> EdgeLabel:
     """Draw one line with its intervals and its fitted growth; returns its label at the last run."""
     values, ends = _over_first(one)
     growth = 20.0 * np.log10(1.0 + one["growth_per_run"])

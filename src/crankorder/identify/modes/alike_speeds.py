@@ -10,8 +10,10 @@ import xarray as xr
 
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.known_lines import LOBE_BINS, Held, found_near
-from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
+from crankorder.identify.lines.known_lines import LOBE_BINS, Held, found_near
+from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
+from crankorder.identify.lines.mains import NUMBERS as MAINS
+from crankorder.identify.lines.mains import multiples_near
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
 from crankorder.identify.lines.several_orders import (
     DEGREES_OF_FREEDOM,
@@ -20,9 +22,7 @@ from crankorder.identify.lines.several_orders import (
     several_lines,
     unparted_reach,
 )
-from crankorder.identify.mains import NUMBERS as MAINS
-from crankorder.identify.mains import multiples_near
-from crankorder.identify.modal.tones import NEAR_BINS, times_mains, with_one_mains
+from crankorder.identify.modes.tones import NEAR_BINS, times_mains, with_one_mains
 from crankorder.settings import IdentifySettings
 
 PARTED = "parted by each of {} recordings, in which the orders of the shaft move and it does not"

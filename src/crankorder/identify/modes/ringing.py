@@ -8,13 +8,13 @@ from itertools import groupby
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.identify.found import HiddenSpeeds, Mode, Swing
-from crankorder.identify.modal.order_responses import Block, Projected
-from crankorder.identify.modal.order_terms import force
-from crankorder.identify.modal.passage import Passage
-from crankorder.identify.modal.surface_fit import Poles
+from crankorder.identify.modes.order_responses import Block, Projected
+from crankorder.identify.modes.order_terms import force
+from crankorder.identify.modes.passage import Passage
+from crankorder.identify.modes.surface_fit import Poles
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -28,9 +28,6 @@ NUMBERS = _Numbers.load()
 
 MOST_KEPT = 256
 """Passages that are kept."""
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complexfloating]
 
 
 def without_ringing(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles) -> tuple[Block, ...]:
@@ -106,7 +103,7 @@ def _without(block: Block, others: Sequence[tuple[Block, Projected]], poles: Pol
     )
 
 
-def _rung(block: Block, others: Sequence[tuple[Block, Projected]], poles: Poles) -> tuple[Complex, Array]:
+def _rung(block: Block, others: Sequence[tuple[Block, Projected]], poles: Poles) -> tuple[Complexes, Floats]:
     """What the ``others`` leave of ``poles`` in ``block``, and its variance (C, K), at the places of its passage."""
     rows = 0 if block.passage is None else len(block.passage.place)
     total, variance = np.zeros((len(block.channels), rows), dtype=np.complex128), np.zeros((len(block.channels), rows))
@@ -187,7 +184,7 @@ def hidden_speeds(
     return tuple(found)
 
 
-def _taken(block: Block, other: Block, natural_hz: float, damping: float) -> Complex:
+def _taken(block: Block, other: Block, natural_hz: float, damping: float) -> Complexes:
     """What the filter of ``block`` takes (K,) of a mode behind the force of the ``other``, of unit residue."""
     assert block.passage is not None
     key = (block.order, len(block.passage.place), natural_hz, damping, other.exponent, other.law)

@@ -11,11 +11,12 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, OrderLine
-from crankorder.identify.modal.order_responses import NUMBERS as ORDER_RESPONSES
-from crankorder.identify.modal.order_responses import Block
-from crankorder.identify.modal.passage import Passage, passage_of
+from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
+from crankorder.identify.modes.order_responses import Block
+from crankorder.identify.modes.passage import Passage, passage_of
 from crankorder.orders.between_recordings import WHOLE, one_phase_reference, phases_compare
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -28,9 +29,6 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_blocks"
 
 
 NUMBERS = _Numbers.load()
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complexfloating]
 
 
 def blocks_of(
@@ -76,7 +74,7 @@ def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | Non
     return [made and made.squared]
 
 
-def _without_turns(amplitude: Complex) -> Complex:
+def _without_turns(amplitude: Complexes) -> Complexes:
     """``amplitude`` (C, K) with the signs of its rows by which each turns least from the one before."""
     beside = np.sum((amplitude[:, :-1].conj() * amplitude[:, 1:]).real, axis=0)
     return np.asarray(amplitude * np.cumprod(np.append(1.0, np.where(beside < 0.0, -1.0, 1.0))))
@@ -93,9 +91,9 @@ def _of_sizes(order: float, line: OrderLine) -> Block | None:
 def _block(
     order: float,
     names: list[str],
-    speed: Array,
+    speed: Floats,
     amplitude: NDArray[np.inexact[Any]],
-    error: Array,
+    error: Floats,
     *,
     power: bool = False,
     followed: float | None = None,
@@ -175,7 +173,7 @@ def swept_rows(order: float, item: xr.Dataset) -> tuple[xr.Dataset, Passage] | N
     return item.isel(order=row, frame=np.flatnonzero(rows)), passage
 
 
-def _passage(number: float, along: Array, rows: NDArray[np.bool_], *, poles: int, first_s: float) -> Passage:
+def _passage(number: float, along: Floats, rows: Bools, *, poles: int, first_s: float) -> Passage:
     """Passage of order ``number`` with time, speed, angle and bandwidth ``along`` (4, N), of which ``rows`` are read.
 
     It begins ``first_s`` before the first row, with the recording, as the speed runs there: what the order passed then

@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.identify.found import UnseenBound
-from crankorder.identify.modal.order_responses import NUMBERS as ORDER_RESPONSES
-from crankorder.identify.modal.order_responses import Block, Projected, bent, with_scatter
-from crankorder.identify.modal.surface_fit import Poles, Problem
+from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
+from crankorder.identify.modes.order_responses import Block, Projected, bent, with_scatter
+from crankorder.identify.modes.surface_fit import Poles, Problem
+from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -33,9 +33,6 @@ ALONG_SWEEP = 160
 
 SAME_ORDER = 1e-3
 """Share of an order within which another number stands for it."""
-
-Array = NDArray[np.float64]
-Complex = NDArray[np.complexfloating]
 
 
 def least_seen(
@@ -94,13 +91,13 @@ class Hiding:
     """
 
     order: float
-    frequency_hz: Array
+    frequency_hz: Floats
     channels: tuple[str, ...]
-    base: Array
-    added: Array
-    noise: Array
+    base: Floats
+    added: Floats
+    noise: Floats
 
-    def amplification(self, unit: Mapping[str, str], matters: Mapping[str, float]) -> Array:
+    def amplification(self, unit: Mapping[str, str], matters: Mapping[str, float]) -> Floats:
         """Largest amplification (G,), in the channel that has most of each ``unit``.
 
         ``matters``: amplitude, by unit, below which none counts; any does of a unit without one.
@@ -120,14 +117,14 @@ class Hiding:
 class FloorBound:
     """Largest ``amplification`` (F,) that a mode at ``frequency_hz`` (F,), rising, could have without being seen."""
 
-    frequency_hz: Array
-    amplification: Array
+    frequency_hz: Floats
+    amplification: Floats
 
-    def at(self, hz: Array) -> Array:
+    def at(self, hz: Floats) -> Floats:
         """That at ``hz`` (G,); infinite where nothing is known."""
         return np.asarray(np.interp(hz, self.frequency_hz, self.amplification, left=np.inf, right=np.inf))
 
-    def worst_about(self, hz: Array) -> Array:
+    def worst_about(self, hz: Floats) -> Floats:
         """The largest nearer to each of ``hz`` (G,), rising, than to its neighbours."""
         worst = self.at(hz)
         inside = (self.frequency_hz >= hz[0]) & (self.frequency_hz <= hz[-1])
@@ -137,7 +134,7 @@ class FloorBound:
 
 
 def floor_bound(
-    problem: Problem, model: Array, *, poles: Poles, least_damping: float, confidence: float
+    problem: Problem, model: Floats, *, poles: Poles, least_damping: float, confidence: float
 ) -> FloorBound | None:
     """What the floor of a band (``problem``, as fitted by ``model`` (C, F)) excludes; None where nothing shakes it.
 
@@ -205,7 +202,7 @@ def _bound(
     return UnseenBound(block.order, speed, hiding.amplification(unit, matters))
 
 
-def _asked(block: Block) -> Array:
+def _asked(block: Block) -> Floats:
     """Speeds (G,) that are asked about."""
     low, high = block.span_rpm
     if block.passage is not None:
@@ -216,7 +213,7 @@ def _asked(block: Block) -> Array:
     return np.append(between.ravel(), rows[-1])
 
 
-def _fitted(block: Block, part: Projected, poles: Poles, speed: Array) -> Array:
+def _fitted(block: Block, part: Projected, poles: Poles, speed: Floats) -> Floats:
     """Amplitude (C, G) of the fit at ``speed``; of squares their square."""
     held = held_at(block, speed)
     natural, damping = poles.frequency_hz[part.reached], poles.damping[part.reached]
@@ -225,7 +222,7 @@ def _fitted(block: Block, part: Projected, poles: Poles, speed: Array) -> Array:
     return np.asarray(made.real if block.power else np.abs(made))
 
 
-def held_at(block: Block, speed_rpm: Array) -> Block:
+def held_at(block: Block, speed_rpm: Floats) -> Block:
     """``block`` as if its order were held at ``speed_rpm`` (G,); it holds no amplitudes."""
     nothing = np.zeros((len(block.channels), len(speed_rpm)))
     return replace(
@@ -239,7 +236,7 @@ def held_at(block: Block, speed_rpm: Array) -> Block:
     )
 
 
-def _added(block: Block, part: Projected, speed: Array, damping: float, reach: float) -> Array:
+def _added(block: Block, part: Projected, speed: Floats, damping: float, reach: float) -> Floats:
     """Largest amplitude (C, G) that a mode on the order at ``speed`` adds there unseen; of squares their square."""
     natural = block.order * speed / 60.0
     ratios = np.full(len(speed), damping)
@@ -262,7 +259,7 @@ def _added(block: Block, part: Projected, speed: Array, damping: float, reach: f
     return made
 
 
-def _blur(block: Block, natural: Array) -> Array:
+def _blur(block: Block, natural: Floats) -> Floats:
     """Damping ratio that a sweep makes any resonance at ``natural`` (G,) look like at least."""
     if block.passage is None:
         return np.zeros(len(natural))

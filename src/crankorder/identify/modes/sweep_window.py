@@ -17,7 +17,8 @@ import xarray as xr
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
-from crankorder.identify.resonance import resonance
+from crankorder.identify.modes.order_terms import resonance
+from crankorder.quantities import Bools, Complexes, Floats
 
 FORCE_EXPONENT = 2.0
 """Power of the speed with which the force of an order grows in a window, before its bend is told."""
@@ -60,9 +61,6 @@ TURNED = 64
 LEAST_NORM = 1e-12
 """Share of a column's square that is added to it: amplitudes of columns that others make are kept small."""
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complexfloating]
-
 
 @dataclass(frozen=True, eq=False)
 class SweepSpectrum:
@@ -79,10 +77,10 @@ class SweepSpectrum:
     start_s: float
     rate_hz: float
     top_hz: float
-    frequency_hz: Array
-    spectrum: Complex
-    angle_rev: Array
-    speed_rpm: Array
+    frequency_hz: Floats
+    spectrum: Complexes
+    angle_rev: Floats
+    speed_rpm: Floats
     cycle_rev: int
 
     @cached_property
@@ -106,12 +104,12 @@ class SweepSpectrum:
         return len(self.angle_rev) / self.rate_hz
 
     @cached_property
-    def logarithm(self) -> Array:
+    def logarithm(self) -> Floats:
         """Logarithm (N,) of the speed, as far as it turns."""
         return np.asarray(np.log(np.maximum(self.speed_rpm, SLOWEST_SHARE * self.speed_rpm.max())))
 
     @cached_property
-    def rate_rpm_per_s(self) -> Array:
+    def rate_rpm_per_s(self) -> Floats:
         """Rate (N,) at which the speed changes, without sign."""
         return np.asarray(np.abs(np.gradient(self.speed_rpm)) * self.rate_hz)
 
@@ -119,7 +117,7 @@ class SweepSpectrum:
         """Whether the ``order`` lies from ``low_hz`` to ``high_hz`` at any time."""
         return bool(order * self.speed_rpm.min() <= 60.0 * high_hz and order * self.speed_rpm.max() >= 60.0 * low_hz)
 
-    def passing(self, order: float, low_hz: float, high_hz: float) -> NDArray[np.bool_]:
+    def passing(self, order: float, low_hz: float, high_hz: float) -> Bools:
         """At which samples (N,) the ``order`` lies from ``low_hz`` to ``high_hz``."""
         hz = order * self.speed_rpm / 60.0
         return np.asarray((hz >= low_hz) & (hz <= high_hz))
@@ -179,11 +177,11 @@ class Window:
     high_hz: float
     orders: tuple[float, ...]
     degree: int
-    shape: Array
-    level: Array
+    shape: Floats
+    level: Floats
     bends: dict[float, complex] = field(default_factory=dict)
-    _made: dict[tuple[float, complex], tuple[Complex, Complex]] = field(default_factory=dict, repr=False)
-    _passages: dict[float, tuple[Array, Complex, int]] = field(default_factory=dict, repr=False)
+    _made: dict[tuple[float, complex], tuple[Complexes, Complexes]] = field(default_factory=dict, repr=False)
+    _passages: dict[float, tuple[Floats, Complexes, int]] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(
@@ -209,26 +207,26 @@ class Window:
         return slice(int(at[0]), int(at[-1]) + 1)
 
     @cached_property
-    def frequency_hz(self) -> Array:
+    def frequency_hz(self) -> Floats:
         """Frequencies (B,) of the bins."""
         return self.sweep.frequency_hz[self.bins]
 
     @cached_property
-    def measured(self) -> Complex:
+    def measured(self) -> Complexes:
         """The transform (C, B)."""
         return self.sweep.spectrum[:, self.bins]
 
     @cached_property
-    def powers(self) -> Array:
+    def powers(self) -> Floats:
         """Polynomials (B, degree + 1) of the frequency."""
         return self.powers_at(self.frequency_hz)
 
-    def powers_at(self, frequency_hz: Array) -> Array:
+    def powers_at(self, frequency_hz: Floats) -> Floats:
         """Polynomials (G, degree + 1) of ``frequency_hz`` (G,)."""
         place = (2.0 * frequency_hz - self.low_hz - self.high_hz) / (self.high_hz - self.low_hz)
         return np.asarray(legendre.legvander(place, self.degree))
 
-    def force_at(self, order: float, frequency_hz: Array) -> Complex:
+    def force_at(self, order: float, frequency_hz: Floats) -> Complexes:
         """Force (G,) of ``order`` where it stands at ``frequency_hz`` (G,), in the unit of :meth:`force`."""
         logarithm = np.log(60.0 * frequency_hz / order) - self._middle_of(order)
         return np.asarray(np.exp((FORCE_EXPONENT + self.bends.get(order, 0j)) * logarithm))
@@ -237,7 +235,7 @@ class Window:
         """Mean logarithm of the speed while ``order`` passes the window."""
         return float(self.sweep.logarithm[self.sweep.passing(order, self.low_hz, self.high_hz)].mean())
 
-    def force(self, order: float) -> tuple[Complex, Complex]:
+    def force(self, order: float) -> tuple[Complexes, Complexes]:
         """Transform (B,) of a force of unit size that turns by ``order``, and its slope by the order's bend."""
         bend = self.bends.get(order, 0j)
         if (order, bend) not in self._made:
@@ -250,7 +248,7 @@ class Window:
             self._made[order, bend] = (both[0], both[1])
         return self._made[order, bend]
 
-    def _passage(self, order: float) -> tuple[Array, Complex, int]:
+    def _passage(self, order: float) -> tuple[Floats, Complexes, int]:
         """Logarithm of the speed and unbent force (T,) of ``order``, both as far as the window's bins tell them.
 
         Bins beside it go with these, so that a bend finds its neighbours; the third is the number of those below. The
@@ -277,7 +275,7 @@ class Window:
         enough = self.sweep.rate_hz / (1.1 * DROPPED_OVER * self.high_hz)
         return int(2 ** np.clip(np.floor(np.log2(max(enough, 1.0))), 0, np.log2(THINNED)))
 
-    def _carrier(self, order: float) -> tuple[Array, Complex]:
+    def _carrier(self, order: float) -> tuple[Floats, Complexes]:
         """Logarithm of the speed over that at which ``order`` passes, and its carrier, (N / thinned,)."""
         sweep, part = self.sweep, slice(None, None, self.thinned)
         speed, hz = sweep.speed_rpm[part], order * sweep.speed_rpm[part] / 60.0
@@ -291,12 +289,12 @@ class Window:
         return self.sweep.passes(order, self.low_hz, self.high_hz)
 
     @cached_property
-    def taper(self) -> Array:
+    def taper(self) -> Floats:
         """Weight (B,) that falls to nothing at both ends of the window."""
         place = np.abs(2.0 * self.frequency_hz - self.low_hz - self.high_hz) / (self.high_hz - self.low_hz)
         return np.asarray(np.cos(0.5 * np.pi * np.clip((place - TAPERED) / (1.0 - TAPERED), 0.0, 1.0)) ** 2)
 
-    def turn(self, order: float, time_s: Array, angle_rev: Array) -> Complex:
+    def turn(self, order: float, time_s: Floats, angle_rev: Floats) -> Complexes:
         """What makes the amplitude (T,) of ``order`` at ``time_s`` (T,) out of the window's bins: (T, B).
 
         ``angle_rev`` (T,) is that of the shaft there. The order must lie well within the window then: its ends are
@@ -313,7 +311,7 @@ class Window:
         """The window with one ``order`` more."""
         return replace(self, orders=tuple(sorted({*self.orders, order})))
 
-    def with_strong(self, natural_hz: Array, damping: Array, share: float, most: int) -> Window:
+    def with_strong(self, natural_hz: Floats, damping: Floats, share: float, most: int) -> Window:
         """The window with ``most`` of its orders at most, those that make ``share`` of what the strongest does or more.
 
         In any channel, behind the modes ``natural_hz``, ``damping`` (M,) that are known.
@@ -325,7 +323,7 @@ class Window:
         least = max(share, float(np.sort(size)[-most:].min()))
         return replace(self, orders=tuple(np.array(self.orders)[size >= least].tolist()))
 
-    def ringing(self, natural_hz: Array, damping: Array) -> Complex:
+    def ringing(self, natural_hz: Floats, damping: Floats) -> Complexes:
         """What modes ring at the ends of the recording (B, M), of about the size of a bin.
 
         ``natural_hz`` and ``damping`` (M,): of the modes.
@@ -333,7 +331,7 @@ class Window:
         turn = np.exp((_pole(natural_hz, damping) - 2j * np.pi * self.frequency_hz[:, None]) / self.sweep.rate_hz)
         return np.asarray(1.0 / (1.0 - turn))
 
-    def design(self, natural_hz: Array, damping: Array) -> Complex:
+    def design(self, natural_hz: Floats, damping: Floats) -> Complexes:
         """Columns (B, K): of each order its polynomials and modes, what rings of each mode, and two of leakage.
 
         ``natural_hz`` and ``damping`` (M,): of the modes.
@@ -342,7 +340,7 @@ class Window:
         columns = [self.force(order)[0][:, None] * basis for order in self.orders]
         return np.concatenate([*columns, self.ringing(natural_hz, damping), self.powers[:, :2] + 0j], axis=1)
 
-    def paths(self, natural_hz: Array, damping: Array) -> Complex:
+    def paths(self, natural_hz: Floats, damping: Floats) -> Complexes:
         """How the channels may answer an order: polynomials (B, degree + 1 + M), then ``natural_hz``, ``damping``."""
         return np.concatenate([self.powers, resonance(self.frequency_hz, natural_hz, damping)], axis=1)
 
@@ -350,7 +348,7 @@ class Window:
         """Columns of one order where ``count`` modes take part."""
         return self.degree + 1 + count
 
-    def solved(self, natural_hz: Array, damping: Array) -> Solved:
+    def solved(self, natural_hz: Floats, damping: Floats) -> Solved:
         """Least-squares amplitudes of all columns in all channels behind the modes ``natural_hz``, ``damping`` (M,)."""
         from scipy.linalg.blas import zherk
 
@@ -358,20 +356,21 @@ class Window:
         scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         columns /= scale
         # of the columns' conjugates, one half alone: an array in the other memory order is no copy
-        gram: Complex = zherk(1.0, columns.T, lower=True).conj() + LEAST_NORM * np.eye(len(scale))
-        inverse = np.linalg.inv(np.linalg.cholesky(gram)).conj().T  # upper: columns @ inverse are orthonormal
+        gram: Complexes = zherk(1.0, columns.T, lower=True).conj() + LEAST_NORM * np.eye(len(scale))
+        # upper: columns @ inverse are orthonormal
+        inverse = np.asarray(np.linalg.inv(np.linalg.cholesky(gram)).conj().T, dtype=np.complex128)
         wanted = (self.measured / self.shape).T
         amplitude = inverse @ (inverse.conj().T @ _against(columns, wanted))
         left = (wanted - columns @ amplitude) / self.level
         return Solved(self, natural_hz, damping, amplitude / scale[:, None], left, columns, inverse, scale)
 
 
-def _against(columns: Complex, rows: Complex) -> Complex:
+def _against(columns: Complexes, rows: Complexes) -> Complexes:
     """Products (K, …) of the conjugate ``columns`` (B, K) with ``rows`` (B, …), which are fewer: no copy is made."""
     return np.asarray((columns.T @ rows.conj()).conj())
 
 
-def _pole(natural_hz: Array, damping: Array) -> Complex:
+def _pole(natural_hz: Floats, damping: Floats) -> Complexes:
     """Poles (M,) [rad/s] in the upper half plane of modes ``natural_hz``, ``damping`` (M,)."""
     return np.asarray(2.0 * np.pi * natural_hz * (-damping + 1j * np.sqrt(1.0 - damping**2)))
 
@@ -385,13 +384,13 @@ class Solved:
     """
 
     window: Window
-    natural_hz: Array
-    damping: Array
-    amplitude: Complex
-    left: Complex
-    columns: Complex
-    inverse: Complex
-    scale: Array
+    natural_hz: Floats
+    damping: Floats
+    amplitude: Complexes
+    left: Complexes
+    columns: Complexes
+    inverse: Complexes
+    scale: Floats
 
     @cached_property
     def misfit(self) -> float:
@@ -400,21 +399,21 @@ class Solved:
 
     @property
     def freedom(self) -> int:
-        """Complex numbers beyond the unknowns."""
+        """Complexes numbers beyond the unknowns."""
         return int((len(self.left) - len(self.scale)) * self.left.shape[1])
 
     @cached_property
-    def residues(self) -> Complex:
+    def residues(self) -> Complexes:
         """Amplitudes (orders, M, C) of the modes behind each order."""
         return self.by_order[:, self.window.degree + 1 :]
 
     @cached_property
-    def by_order(self) -> Complex:
+    def by_order(self) -> Complexes:
         """Amplitudes (orders, degree + 1 + M, C) of what is smooth and of the modes behind each order."""
         size, width = len(self.window.orders), self.window.order_columns(len(self.natural_hz))
         return self.amplitude[: size * width].reshape(size, width, -1)
 
-    def normal(self, orders: Sequence[float]) -> tuple[Array, Array]:
+    def normal(self, orders: Sequence[float]) -> tuple[Floats, Floats]:
         """Normal matrix (P, P) and right side (P,) of what is left, the amplitudes as good as they get.
 
         By ln f and ln ζ of each mode, then by the bend (real, imaginary) of each of ``orders``; 0 of those elsewhere.
@@ -426,13 +425,13 @@ class Solved:
         gram = _against(flat, flat) - _against(within, within)
         return (turned.conj().T @ gram @ turned).real, (turned.conj().T @ _against(flat, self.left.ravel())).real
 
-    def scores(self, orders: Sequence[float]) -> Array:
+    def scores(self, orders: Sequence[float]) -> Floats:
         """Right side of :meth:`normal` of ``orders`` by bin (B, P)."""
         rows, turned = self._rows(orders)
         beyond = self._beyond(rows.reshape(len(rows), -1)).reshape(rows.shape)
         return np.asarray((np.einsum("bcq,bc->bq", beyond, self.left.conj()) @ turned).real)
 
-    def _rows(self, orders: Sequence[float]) -> tuple[Complex, Complex]:
+    def _rows(self, orders: Sequence[float]) -> tuple[Complexes, Complexes]:
         """Derivatives (B, C, Q) of the columns, in standard deviations, by the modes and the bends of its own orders.
 
         And what (Q, P) makes of them those by the modes and the bends, real and imaginary, of all ``orders``.
@@ -446,11 +445,11 @@ class Solved:
             bent[..., at] = window.force(order)[1][:, None] * (path @ self.by_order[at])
             place = modes + 2 * orders.index(order)
             turned[modes + at, place : place + 2] = 1.0, 1j
-        every: Complex = np.concatenate([self._bent, bent], axis=2)
+        every: Complexes = np.concatenate([self._bent, bent], axis=2)
         return every / (window.shape[:, None] * window.level)[:, :, None], turned
 
     @cached_property
-    def _answers_bent(self) -> tuple[Complex, Complex]:
+    def _answers_bent(self) -> tuple[Complexes, Complexes]:
         """Derivatives (B, 2 M), by ln f and ln ζ in turns, of what each mode answers and of what it rings."""
         window = self.window
         made = np.empty((2, len(window.frequency_hz), 2 * len(self.natural_hz)), dtype=np.complex128)
@@ -463,7 +462,7 @@ class Solved:
         return made[0], made[1]
 
     @cached_property
-    def _bent(self) -> Complex:
+    def _bent(self) -> Complexes:
         """Derivatives (B, C, 2 M) of the columns by ln f and ln ζ of each mode, with their amplitudes."""
         answered, rung = self._answers_bent
         forces = np.stack([self.window.force(order)[0] for order in self.window.orders], axis=1)
@@ -472,14 +471,14 @@ class Solved:
         made = np.repeat(driven, 2, axis=1) * answered[:, :, None] + rung[:, :, None] * np.repeat(rings, 2, axis=0)
         return np.asarray(np.swapaxes(made, 1, 2))
 
-    def envelope(self, order: float, turn: Complex, covariance: Array | None) -> tuple[Complex, Array]:
-        """Complex amplitude (T, C) of ``order`` where ``turn`` (T, B) says; its variance (T, C) by noise and poles.
+    def envelope(self, order: float, turn: Complexes, covariance: Floats | None) -> tuple[Complexes, Floats]:
+        """Complexes amplitude (T, C) of ``order`` where ``turn`` (T, B) says; its variance (T, C) by noise and poles.
 
         ``covariance`` (2 M, 2 M) is that of (ln f, ln ζ) of the modes, None where nobody asks for the variance.
         """
         own = self._columns_of(order)
         seen = turn @ self._unscaled(own)
-        value: Complex = np.asarray(seen @ self.amplitude[own])
+        value: Complexes = np.asarray(seen @ self.amplitude[own])
         if covariance is None:
             return value, np.zeros(value.shape)
         power = np.sum(np.abs(self.left) ** 2, axis=0) / max(len(self.left) - len(self.scale), 1)
@@ -490,7 +489,7 @@ class Solved:
             variance = variance + 2.0 * np.sum((slope @ covariance) * slope.conj(), axis=2).real
         return value, np.asarray(variance)
 
-    def line(self, order: float, angle_rev: Array) -> Complex:
+    def line(self, order: float, angle_rev: Floats) -> Complexes:
         """Amplitude (T, C) of ``order`` about each ``angle_rev`` (T,) as an analysis by crank angle reads it.
 
         Where the shaft swings within the cycle, modes answer an order with sidebands, and those of other orders fall on
@@ -512,7 +511,7 @@ class Solved:
             value[row] = 2.0 * turned @ signal[first:last] / weight.sum()
         return value
 
-    def as_started(self, order: float, time_s: Array, angle_rev: Array) -> Complex:
+    def as_started(self, order: float, time_s: Floats, angle_rev: Floats) -> Complexes:
         """What its amplitude (T, C) lacks at ``time_s`` (T,) of an ``order`` that ran before the recording began.
 
         ``angle_rev`` (T,) is that of the shaft there. The transform goes round: as if the force began with the
@@ -538,11 +537,11 @@ class Solved:
         width = self.window.order_columns(len(self.natural_hz))
         return self.window.orders.index(order) * width + np.arange(width)
 
-    def _unscaled(self, own: NDArray[np.intp]) -> Complex:
+    def _unscaled(self, own: NDArray[np.intp]) -> Complexes:
         """The columns (B, own) in the unit of the transform."""
         return np.asarray(self.columns[:, own] * self.scale[own] * self.window.shape[:, None])
 
-    def _slope_of_envelope(self, order: float, turn: Complex, seen: Complex) -> Complex:
+    def _slope_of_envelope(self, order: float, turn: Complexes, seen: Complexes) -> Complexes:
         """Derivatives (T, C, 2 M) of the amplitude of ``order`` by ln f and ln ζ of each mode.
 
         ``turn`` (T, B) says where, ``seen`` (T, K) are its columns there.
@@ -555,7 +554,7 @@ class Solved:
         return np.asarray(direct - (seen @ self._bent_amplitude[own]).reshape(direct.shape))
 
     @cached_property
-    def _bent_amplitude(self) -> Complex:
+    def _bent_amplitude(self) -> Complexes:
         """Derivatives (K, C 2 M), with the other sign, of the amplitudes by ln f and ln ζ of each mode."""
         full = (self._bent / self.window.shape[:, None, None]).reshape(len(self.left), -1)
         return (self.inverse @ (self.inverse.conj().T @ _against(self.columns, full))) / self.scale[:, None]
@@ -571,6 +570,6 @@ class Solved:
         seen = beyond.conj().T @ self.left
         return float(2.0 * np.sum(seen.conj() * np.linalg.solve(gram, seen)).real)
 
-    def _beyond(self, rows: Complex) -> Complex:
+    def _beyond(self, rows: Complexes) -> Complexes:
         """``rows`` (B, P) without what the columns can make themselves."""
         return np.asarray(rows - self.columns @ (self.inverse @ (self.inverse.conj().T @ _against(self.columns, rows))))

@@ -9,12 +9,20 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import fdtrc
 
-from crankorder.identify.above_trend import Seen, above_trend, evidence_beside, in_range, seen_all_around, width_rpm
-from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderResponse, Verdict, Whirl
+from crankorder.findings import Verdict
+from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderResponse, Whirl
 from crankorder.identify.intervals import ENDLESS_FREEDOM, claimed, half_width, positive_interval, simes
-from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.responses import WithAndWithout, with_and_without
+from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
+from crankorder.identify.modes.responses import WithAndWithout, with_and_without
 from crankorder.identify.said import NUMBERS as SAID
+from crankorder.identify.speeds.above_trend import (
+    Seen,
+    above_trend,
+    evidence_beside,
+    in_range,
+    seen_all_around,
+    width_rpm,
+)
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 

@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.fft.windows import WIDEST_LOBE_BINS, window_named
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -27,7 +27,6 @@ SMALLEST_TERM = 1e-7
 FAR = 60.0
 """Size of 2πTz from which the series in 1/z is good to 1e-6."""
 
-Array = NDArray[np.float64]
 Range = tuple[float, float]
 
 
@@ -38,8 +37,8 @@ class Sight:
     ``order`` (terms,) holds the k, ``weight`` (terms,) the b_k; ``bin_hz`` is the distance of independent bins.
     """
 
-    order: Array
-    weight: Array
+    order: Floats
+    weight: Floats
     length_s: float
 
     @property
@@ -47,9 +46,9 @@ class Sight:
         """Width in Hz of a bin of an unpadded transform."""
         return 1.0 / self.length_s
 
-    def kernel(self, offset_hz: Array) -> Array:
+    def kernel(self, offset_hz: Floats) -> Floats:
         """Power response per Hz, its integral over all offsets being one, at ``offset_hz`` from a tone."""
-        real: Array = 2.0 * _near(1e-4j + 2j * np.pi * self.length_s * np.abs(offset_hz), self)[0].real
+        real: Floats = 2.0 * _near(1e-4j + 2j * np.pi * self.length_s * np.abs(offset_hz), self)[0].real
         return real
 
 
@@ -67,7 +66,7 @@ def sight(window: str, enbw_hz: float) -> Sight:
     return Sight(order[kept], power[kept] / power[kept].sum(), shape.enbw_bins / enbw_hz)
 
 
-def _near(a: NDArray[np.complex128], seen: Sight) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+def _near(a: Complexes, seen: Sight) -> tuple[Complexes, Complexes]:
     """∫ c(t) exp(−a t) dt over a window's length, times that length, and its derivative by a."""
     decay = np.exp(-a)
     even = np.where(seen.order % 2 == 0, seen.weight, 0.0)
@@ -80,7 +79,7 @@ def _near(a: NDArray[np.complex128], seen: Sight) -> tuple[NDArray[np.complex128
     return seen.length_s * a * value, seen.length_s * slope
 
 
-def seen_pole(z_hz: NDArray[np.complex128], seen: Sight) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+def seen_pole(z_hz: Complexes, seen: Sight) -> tuple[Complexes, Complexes]:
     """What the window makes of 1 / (2π z): value and derivative by z at ``z_hz`` = σ + i (f − f_d), σ > 0.
 
     The autocorrelation exp(2π (i f_d − σ) τ) of a resonance is cut by the window's own, whatever its decay, so that
@@ -100,7 +99,9 @@ def seen_pole(z_hz: NDArray[np.complex128], seen: Sight) -> tuple[NDArray[np.com
     return value, scale * slope
 
 
-def pole_columns(frequency_hz: Array, natural_hz: Array, damping: Array, seen: Sight) -> tuple[Array, Array, Array]:
+def pole_columns(
+    frequency_hz: Floats, natural_hz: Floats, damping: Floats, seen: Sight
+) -> tuple[Floats, Floats, Floats]:
     """Columns (2 modes, frequencies) of the power spectrum of modes, and their derivatives by ln f_j and by ln ζ_j.
 
     Behind white forces the spectrum of a mode with ``natural_hz`` and ``damping`` (modes,) at ``frequency_hz`` is
@@ -144,7 +145,7 @@ class Others(Protocol):
     def misfit(self, poles: Poles) -> float:
         """Sum of the squared residuals of ``poles``, in standard errors."""
 
-    def evaluate(self, poles: Poles) -> tuple[list[Array], list[Array], float]:
+    def evaluate(self, poles: Poles) -> tuple[list[Floats], list[Floats], float]:
         """Jacobians by (ln f, ln ζ) of all poles, residuals (in standard errors) and the sum of their squares."""
 
 
@@ -156,11 +157,11 @@ class Problem:
     the window's sight; ``others`` what else the same poles must explain.
     """
 
-    frequency_hz: Array
-    psd: Array
-    averages: Array
+    frequency_hz: Floats
+    psd: Floats
+    averages: Floats
     seen: Sight
-    background: Array
+    background: Floats
     others: Others | None = None
     n_lines: int = 0
 
@@ -169,9 +170,9 @@ class Problem:
 class Poles:
     """Natural frequencies in Hz and damping ratios, each (M,); ``tone`` (M,) marks lines that have no damping."""
 
-    frequency_hz: Array
-    damping: Array
-    tone: NDArray[np.bool_]
+    frequency_hz: Floats
+    damping: Floats
+    tone: Bools
 
     def __len__(self) -> int:
         return len(self.frequency_hz)
@@ -192,11 +193,11 @@ class Poles:
         order = np.argsort(frequency, kind="stable")
         return Poles(frequency[order], np.append(self.damping, damping)[order], np.append(self.tone, False)[order])
 
-    def chosen(self, which: NDArray[np.bool_]) -> Poles:
+    def chosen(self, which: Bools) -> Poles:
         """Those that ``which`` (M,) marks."""
         return Poles(self.frequency_hz[which], self.damping[which], self.tone[which])
 
-    def within(self, range_hz: Range) -> NDArray[np.bool_]:
+    def within(self, range_hz: Range) -> Bools:
         """Which (M,) lie in ``range_hz``, its end excluded."""
         return np.asarray((self.frequency_hz >= range_hz[0]) & (self.frequency_hz < range_hz[1]))
 
@@ -228,29 +229,29 @@ class SurfaceFit:
     """
 
     poles: Poles
-    linear: Array
-    columns: Array
-    slopes: tuple[Array, Array]
-    model: Array
+    linear: Floats
+    columns: Floats
+    slopes: tuple[Floats, Floats]
+    model: Floats
     deviance: float
-    weight: Array
-    basis: Array
-    triangle: Array
-    left: Array
+    weight: Floats
+    basis: Floats
+    triangle: Floats
+    left: Floats
     others: Others | None
 
     @cached_property
-    def _further(self) -> tuple[Sequence[Array], Sequence[Array]]:
+    def _further(self) -> tuple[Sequence[Floats], Sequence[Floats]]:
         """Jacobians and residuals of the other data."""
         return self.others.evaluate(self.poles)[:2] if self.others is not None and len(self.poles) else ((), ())
 
     @property
-    def residual(self) -> tuple[Array, ...]:
+    def residual(self) -> tuple[Floats, ...]:
         """What is left (F,) per channel, then per item of other data, in standard deviations."""
         return (*self.left, *self._further[1])
 
     @cached_property
-    def _bent(self) -> Array:
+    def _bent(self) -> Floats:
         """Derivatives (C, 2M, F) of the floors by (ln f, ln ζ) of all poles, in standard deviations of a bin."""
         terms = self.linear[:, : 2 * len(self.poles), None]
         made = np.empty((len(terms), len(self.poles), 2, self.weight.shape[1]))
@@ -261,12 +262,12 @@ class SurfaceFit:
         return made.reshape(len(terms), 2 * len(self.poles), -1)
 
     @cached_property
-    def jacobian(self) -> tuple[Array, ...]:
+    def jacobian(self) -> tuple[Floats, ...]:
         """Derivatives (F, 2M) per channel and item by (ln f, ln ζ) of all poles, less what linear terms make up for."""
         left = self._bent - (self._bent @ self.basis) @ self.basis.swapaxes(1, 2)
         return (*left.swapaxes(1, 2), *self._further[0])
 
-    def normal(self) -> tuple[Array, Array]:
+    def normal(self) -> tuple[Floats, Floats]:
         """Sums (2M, 2M) and (2M,) over all data of the products of the derivatives with each other and what is left."""
         along = self._bent @ self.basis
         hessian = (self._bent @ self._bent.swapaxes(1, 2)).sum(axis=0) - (along @ along.swapaxes(1, 2)).sum(axis=0)
@@ -275,12 +276,12 @@ class SurfaceFit:
             hessian, slope = hessian + j.T @ j, slope + j.T @ r
         return hessian, slope
 
-    def part(self, number: int) -> Array:
+    def part(self, number: int) -> Floats:
         """Power (C, F) that pole ``number`` adds."""
         at = slice(2 * number, 2 * number + 2)
         return np.asarray(self.linear[:, at] @ self.columns[at])
 
-    def without_lines(self, problem: Problem) -> Array:
+    def without_lines(self, problem: Problem) -> Floats:
         """Power (C, F) of the whole fit but for the strong tones.
 
         ``problem``: the floors that were fitted.
@@ -289,19 +290,19 @@ class SurfaceFit:
         return np.asarray(self.linear[:, :last] @ self.columns[:last])
 
 
-def background_columns(n_bins: int, degree: int) -> Array:
+def background_columns(n_bins: int, degree: int) -> Floats:
     """Legendre polynomials over the band up to ``degree`` (degree + 1, n_bins)."""
     return np.ascontiguousarray(np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n_bins), degree).T)
 
 
-def gamma_deviance(psd: Array, averages: Array, model: Array) -> Array:
+def gamma_deviance(psd: Floats, averages: Floats, model: Floats) -> Floats:
     """Twice the log likelihood by which the powers ``psd`` miss ``model``, each averaged ``averages`` times."""
     used = averages > 0.0
     share = np.where(used, psd, 1.0) / np.where(used, model, 1.0)
     return np.asarray(2.0 * np.where(used, averages * (share - 1.0 - np.log(share)), 0.0))
 
 
-def evaluate(problem: Problem, poles: Poles, weight_by: Array, same: SurfaceFit | None = None) -> SurfaceFit:
+def evaluate(problem: Problem, poles: Poles, weight_by: Floats, same: SurfaceFit | None = None) -> SurfaceFit:
     """Linear terms of ``poles`` for weights by the model ``weight_by`` (C, F), and all that a step needs.
 
     ``problem``: the floors that were fitted; ``same``: what other weights gave of these very poles, if known.
@@ -325,7 +326,7 @@ def evaluate(problem: Problem, poles: Poles, weight_by: Array, same: SurfaceFit 
     return SurfaceFit(poles, linear, columns, slopes, model, missed, weight, q, triangles, left, problem.others)
 
 
-def _back_solved(r: Array, along: Array) -> Array:
+def _back_solved(r: Floats, along: Floats) -> Floats:
     """Solutions (C, n) of the triangular systems ``r`` (C, n, n) x = ``along``; columns hardly there get nothing.
 
     Where there are more columns than bins it is the smallest.
@@ -341,7 +342,7 @@ def _back_solved(r: Array, along: Array) -> Array:
     return made
 
 
-def first_model(problem: Problem, bins: int = 2) -> Array:
+def first_model(problem: Problem, bins: int = 2) -> Floats:
     """Powers (C, F) smoothed over a window's main lobe, in whose place a fit's own come later.
 
     ``problem``: the floors that were fitted; ``bins``: on each side.
@@ -354,7 +355,7 @@ def first_model(problem: Problem, bins: int = 2) -> Array:
     return np.asarray(np.where(used & (power > 0.0), power / np.maximum(count, 1), 1.0))
 
 
-def fit_surface(problem: Problem, poles: Poles, *, start: Array | None = None, steps: int = MOST_STEPS) -> SurfaceFit:
+def fit_surface(problem: Problem, poles: Poles, *, start: Floats | None = None, steps: int = MOST_STEPS) -> SurfaceFit:
     """Best fit of ``problem`` from ``poles`` on in at most ``steps`` steps; ``start`` (C, F): model to weight by first.
 
     The power of noise averaged n times scatters by 1/√n of itself, so residuals are weighted by the model, which
@@ -402,7 +403,7 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Array | None = None, s
     return current
 
 
-def curvature(fit: SurfaceFit, free: NDArray[np.bool_]) -> Array:
+def curvature(fit: SurfaceFit, free: Bools) -> Floats:
     """Second derivatives of half the deviance by the ``free`` ones of (ln f_1, ln ζ_1, …), linear terms eliminated.
 
     ``fit``: the fit so far.
@@ -410,7 +411,7 @@ def curvature(fit: SurfaceFit, free: NDArray[np.bool_]) -> Array:
     return np.asarray(sum(j.T @ j for j in fit.jacobian))[np.ix_(free, free)]
 
 
-def _moved(poles: Poles, move: Array, problem: Problem) -> Poles:
+def _moved(poles: Poles, move: Floats, problem: Problem) -> Poles:
     """``poles`` after a step in (ln f, ln ζ), no further than they are wide, inside the band."""
     by = move.reshape(-1, 2)
     reach = np.maximum(poles.damping, problem.seen.bin_hz / poles.frequency_hz)

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.identify.intervals import Z95, half_widths
-from crankorder.identify.modal.order_responses import NUMBERS as ORDER_RESPONSES
-from crankorder.identify.modal.order_responses import Block, Projected, jacobian
-from crankorder.identify.modal.surface_fit import Poles, Problem, SurfaceFit, curvature
+from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
+from crankorder.identify.modes.order_responses import Block, Projected, jacobian
+from crankorder.identify.modes.surface_fit import Poles, Problem, SurfaceFit, curvature
+from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -22,18 +22,16 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="pole_errors")
 
 NUMBERS = _Numbers.load()
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class Cell:
     """A part of the data that tells poles by itself: its ``hessian`` (P, P) and ``score`` (P,) by ln f_1, ln ζ_1, …"""
 
-    hessian: Array
-    score: Array
+    hessian: Floats
+    score: Floats
 
 
-def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles, *, fixed: int) -> Array:
+def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles, *, fixed: int) -> Floats:
     """Covariance of (f_1, ζ_1, f_2, …) of the ``poles`` after the ``fixed`` ones, which ``blocks`` tell.
 
     Curvature, and scores as they are seen to scatter (White 1982). Channels are correlated, and so are speeds side by
@@ -74,7 +72,7 @@ def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], p
     return np.asarray(made * np.outer(scale * more, scale * more))
 
 
-def disagreement(cells: Sequence[Cell], inverse: Array, known: Array) -> Array:
+def disagreement(cells: Sequence[Cell], inverse: Floats, known: Floats) -> Floats:
     """Factor (P,), 1 or more, by which poles err more than is ``known``, as their ``cells`` disagree about them.
 
     ``known`` (P,) is the variance of the parameters without that, ``inverse`` (P, P) that of the whole curvature. What
@@ -99,7 +97,7 @@ def disagreement(cells: Sequence[Cell], inverse: Array, known: Array) -> Array:
     )
 
 
-def _scores_together(scores: Array) -> Array:
+def _scores_together(scores: Floats) -> Floats:
     """Sum of the products of ``scores`` (K, parameters) with themselves and their neighbours by speed."""
     reach = min(len(scores) - 1, round(len(scores) ** (1.0 / 3.0)))
     total = scores.T @ scores
@@ -122,12 +120,12 @@ NODES_AT_ONCE = 64
 """Points of the integral at which derivatives are joined over channels at a time."""
 
 
-def free_of(fit: SurfaceFit) -> NDArray[np.bool_]:
+def free_of(fit: SurfaceFit) -> Bools:
     """Which of (ln f_1, ln ζ_1, …) the fit was free to move: not the damping of tones."""
     return np.stack([np.ones(len(fit.poles), dtype=bool), ~fit.poles.tone], axis=1).ravel()
 
 
-def score_covariance(problem: Problem, fit: SurfaceFit, along: Array) -> Array:
+def score_covariance(problem: Problem, fit: SurfaceFit, along: Floats) -> Floats:
     """Covariance (P, P) ``along`` (2M, P) of the score Σ Jᵀ r of ``fit``: of its log likelihood's slopes by the poles.
 
     The score is a weighted sum of periodogram ordinates with weights φ(ν), so its covariance is ∫ φφᵀ S² dν / T, T the
@@ -171,7 +169,7 @@ def score_covariance(problem: Problem, fit: SurfaceFit, along: Array) -> Array:
     return total
 
 
-def _nodes(problem: Problem, fit: SurfaceFit) -> tuple[Array, Array]:
+def _nodes(problem: Problem, fit: SurfaceFit) -> tuple[Floats, Floats]:
     """Points in Hz and weights of the integral: denser where modes are narrow."""
     frequency, bin_hz = problem.frequency_hz, problem.seen.bin_hz
     step = bin_hz / POINTS_PER_BIN
@@ -185,7 +183,7 @@ def _nodes(problem: Problem, fit: SurfaceFit) -> tuple[Array, Array]:
     return every, np.gradient(every)
 
 
-def _resolved(problem: Problem, fit: SurfaceFit, nodes: Array) -> tuple[Array, Array]:
+def _resolved(problem: Problem, fit: SurfaceFit, nodes: Floats) -> tuple[Floats, Floats]:
     """Power (C, V) at ``nodes`` as no window blurs it, and the modes' shares (C, M, V) in it."""
     n_poles, n_channels = len(fit.poles), len(fit.linear)
     parts = np.zeros((n_channels, n_poles, len(nodes)))
@@ -214,7 +212,7 @@ def _resolved(problem: Problem, fit: SurfaceFit, nodes: Array) -> tuple[Array, A
     return power, np.clip(parts / power[:, None], 0.0, 1.0)
 
 
-def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Array:
+def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Floats) -> Floats:
     """Covariance (2M, 2M) of (f_1, ζ_1, f_2, …), inflated by the mean square residual ``scatter`` (M,) around each.
 
     The sandwich of the fit's own curvature and the covariance of its score (White 1982).
@@ -235,7 +233,7 @@ def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Arr
     return np.asarray(made * np.outer(scale, scale))
 
 
-def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> Array:
+def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Floats) -> Floats:
     """Covariance as of :func:`pole_covariance`, more where channels and orders disagree about a pole beyond that.
 
     ``problem``: the floors that were fitted; ``fit`` and ``scatter`` (M,): as there.
@@ -253,7 +251,7 @@ def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Array) -> A
     return np.asarray(made * np.outer(more, more))
 
 
-def side_by_side(parts: list[Array]) -> Array:
+def side_by_side(parts: list[Floats]) -> Floats:
     """Square matrix with ``parts`` on its diagonal: what different bands tell is independent."""
     from scipy.linalg import block_diag
 

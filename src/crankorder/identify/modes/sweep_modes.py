@@ -7,16 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit, Mode, SweepFits
-from crankorder.identify.modal.order_modes import is_shown
-from crankorder.identify.modal.pole_errors import side_by_side
-from crankorder.identify.modal.surface_fit import NO_POLES, Poles
-from crankorder.identify.modal.sweep_fit import MOST_VALUES
-from crankorder.identify.modal.sweep_poles import GroupFit, SweepPole, sweep_fits
-from crankorder.identify.modal.sweep_window import Solved, spectra_of
+from crankorder.identify.modes.order_modes import is_shown
+from crankorder.identify.modes.pole_errors import side_by_side
+from crankorder.identify.modes.surface_fit import NO_POLES, Poles
+from crankorder.identify.modes.sweep_fit import MOST_VALUES
+from crankorder.identify.modes.sweep_poles import GroupFit, SweepPole, sweep_fits
+from crankorder.identify.modes.sweep_window import Solved, spectra_of
 from crankorder.orders.swept_tracks import SMOOTHING, followed_error
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -28,10 +28,8 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_modes")
 
 NUMBERS = _Numbers.load()
 
-Array = NDArray[np.float64]
 
-
-def poles_of(swept: Sequence[SweepPole]) -> tuple[Poles, Array]:
+def poles_of(swept: Sequence[SweepPole]) -> tuple[Poles, Floats]:
     """Poles of ``swept`` and their covariance (of f_1, ζ_1, f_2, …)."""
     made = NO_POLES
     for pole in swept:
@@ -48,7 +46,7 @@ def _is_one_of(frequency_hz: float, error_hz: float, damping: float, swept: Sequ
     )
 
 
-def poles_unlike(poles: Poles, covariance: Array, swept: Sequence[SweepPole]) -> tuple[Poles, Array]:
+def poles_unlike(poles: Poles, covariance: Floats, swept: Sequence[SweepPole]) -> tuple[Poles, Floats]:
     """Those of ``poles`` with their ``covariance`` that are none of ``swept``."""
     errors = np.sqrt(np.maximum(np.diag(covariance)[::2], 0.0))
     each = zip(poles.frequency_hz.tolist(), errors.tolist(), poles.damping.tolist(), strict=True)
@@ -125,8 +123,6 @@ class _RowNumbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_rows
 
 
 ROW_NUMBERS = _RowNumbers.load()
-
-Complex = NDArray[np.complexfloating]
 
 
 def fits_of_sweeps(followed: Sequence[xr.Dataset], *, settings: IdentifySettings) -> SweepFits:
@@ -220,8 +216,8 @@ def _with_order(
 
 
 def _with_witness(
-    item: xr.Dataset, place: int, near: NDArray[np.bool_], value: Complex, error: Array, *, rung: NDArray[np.bool_]
-) -> tuple[Complex, Array]:
+    item: xr.Dataset, place: int, near: Bools, value: Complexes, error: Floats, *, rung: Bools
+) -> tuple[Complexes, Floats]:
     """``value`` (T, C) of a fit and its ``error`` beside what the filter of ``item`` took in the rows ``near``.
 
     Where the filter takes little off and says surely something else, the model of the fit is off there by as much: the
@@ -242,7 +238,7 @@ def _with_witness(
     return np.where(doubted, mixed, value), np.where(doubted, mixed_error, error)
 
 
-def _rung(item: xr.Dataset, place: int, near: NDArray[np.bool_], one: Solved) -> NDArray[np.bool_]:
+def _rung(item: xr.Dataset, place: int, near: Bools, one: Solved) -> Bools:
     """In which rows (T,), of those ``near``, a mode that another order has passed still rings in the filter."""
     order, sweep = float(item["order"].values[place]), one.window.sweep
     time, width = item["time"].values[near], item["bandwidth_hz"].values[place, near]
@@ -259,8 +255,8 @@ def _rung(item: xr.Dataset, place: int, near: NDArray[np.bool_], one: Solved) ->
 
 
 def _values(
-    group: GroupFit, one: Solved, less: Solved, order: float, time_s: Array, angle_rev: Array
-) -> tuple[Complex, Array]:
+    group: GroupFit, one: Solved, less: Solved, order: float, time_s: Floats, angle_rev: Floats
+) -> tuple[Complexes, Floats]:
     """Amplitudes (T, C) of ``order`` at ``time_s`` and their standard errors by part.
 
     So many are told at a time that the memory does not grow with the recording.
@@ -277,7 +273,7 @@ def _values(
     return value, np.asarray(np.sqrt(error))
 
 
-def _amplitude(one: Solved, order: float, time_s: Array, angle_rev: Array) -> Complex:
+def _amplitude(one: Solved, order: float, time_s: Floats, angle_rev: Floats) -> Complexes:
     """Amplitudes (T, C) of ``order`` by ``one`` fit at ``time_s``, where the shaft stands at ``angle_rev``."""
     if order * one.window.sweep.swing_rev > ROW_NUMBERS.swing_rev:
         value = one.line(order, angle_rev)
@@ -286,7 +282,7 @@ def _amplitude(one: Solved, order: float, time_s: Array, angle_rev: Array) -> Co
     return value + one.as_started(order, time_s, angle_rev)
 
 
-def _peak(one: Solved, order: float, time_s: Array, size: Array) -> float | None:
+def _peak(one: Solved, order: float, time_s: Floats, size: Floats) -> float | None:
     """Time between the rows ``time_s`` at which ``order`` is clearly larger than their largest ``size``; or None."""
     best = int(np.argmax(size))
     low, high = time_s[max(best - 1, 0)], time_s[min(best + 1, len(time_s) - 1)]

@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.campbell.map import HANN_CORRELATION
-from crankorder.identify.modal.floor import NUMBERS as FLOOR
-from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.pole_errors import free_of, score_covariance
-from crankorder.identify.modal.surface_fit import (
+from crankorder.identify.modes.floor import NUMBERS as FLOOR
+from crankorder.identify.modes.floor import Floor
+from crankorder.identify.modes.pole_errors import free_of, score_covariance
+from crankorder.identify.modes.surface_fit import (
     NO_POLES,
     Poles,
     Problem,
@@ -22,6 +21,7 @@ from crankorder.identify.modal.surface_fit import (
     fit_surface,
     pole_columns,
 )
+from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
 
 
@@ -54,8 +54,6 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="search"):
 
 
 NUMBERS = _Numbers.load()
-
-Array = NDArray[np.float64]
 
 START_WIDTHS = (0.003, 0.01, 0.03, 0.1, 0.2, 0.4, 0.8, 1.6)
 """Half widths in bins that are tried for narrow peaks."""
@@ -90,7 +88,7 @@ def with_strong_tones(floor: Floor, *, least_damping: float) -> Floor:
     return replace(floor, strong=tuple(sorted(tones)))
 
 
-def line_columns(floor: Floor) -> Array:
+def line_columns(floor: Floor) -> Floats:
     """Columns (3 lines, F) of the power of the strong tones of ``floor``, each a little off and wandering a little.
 
     The window's response and its first two derivatives by frequency: what a small error of the frequency and a small
@@ -108,7 +106,7 @@ def line_columns(floor: Floor) -> Array:
     return made
 
 
-def ruled_by_lines(floor: Floor) -> NDArray[np.bool_]:
+def ruled_by_lines(floor: Floor) -> Bools:
     """Which bins (C, F) of ``floor`` hold more of a strong tone than of all else."""
     made = np.zeros(floor.psd.shape, dtype=bool)
     columns = line_columns(floor)[::3]
@@ -120,7 +118,7 @@ def ruled_by_lines(floor: Floor) -> NDArray[np.bool_]:
     return made
 
 
-def unsure_power(floor: Floor) -> Array:
+def unsure_power(floor: Floor) -> Floats:
     """Power (C, F) by which the strong lines of ``floor`` may miss what is made of them, for tones wander a little.
 
     A line that wanders is smeared: where its power bends most over the frequency, it is least known.
@@ -140,7 +138,7 @@ def unsure_power(floor: Floor) -> Array:
     return made
 
 
-def _offset_hz(level: Array, at: int, floor: Floor) -> float:
+def _offset_hz(level: Floats, at: int, floor: Floor) -> float:
     """Distance of a tone from the bin ``at`` at which ``level`` (ln of power) peaks.
 
     From the two strongest bins of a Hann window (Rife and Vincent 1970), or, where the spectrum was padded, from the
@@ -155,7 +153,7 @@ def _offset_hz(level: Array, at: int, floor: Floor) -> float:
     return side * max(2.0 * share - 1.0, 0.0) / (share + 1.0) * floor.step_hz
 
 
-def narrow_peak(level: Array, peak: int, floor: Floor) -> tuple[float, float]:
+def narrow_peak(level: Floats, peak: int, floor: Floor) -> tuple[float, float]:
     """Frequency and half width of the resonance that in dB is most like the narrow ``peak`` of ``level``.
 
     ``floor``: the floor in all channels.
@@ -173,7 +171,7 @@ def narrow_peak(level: Array, peak: int, floor: Floor) -> tuple[float, float]:
     return float(natural[best]), float(half[best])
 
 
-def local_maxima(level: Array) -> NDArray[np.int64]:
+def local_maxima(level: Floats) -> Ints:
     """Bins of ``level`` that are the largest within some on both sides, the ends excluded."""
     padded = np.pad(level, NUMBERS.peak_reach_bins, constant_values=-np.inf)
     highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * NUMBERS.peak_reach_bins + 1).max(axis=-1)
@@ -336,7 +334,7 @@ def _joined(found: list[tuple[float, float, float]], floor: Floor) -> Poles:
     return poles
 
 
-def _prominence(level: Array, peak: int) -> tuple[float, float]:
+def _prominence(level: Floats, peak: int) -> tuple[float, float]:
     """Height over the higher of the two valleys that part a peak from higher ground; width at half power, in bins."""
     higher = np.flatnonzero(level > level[peak])
     at = int(np.searchsorted(higher, peak))
@@ -349,7 +347,7 @@ def _prominence(level: Array, peak: int) -> tuple[float, float]:
     return height, float(2 * min(high - peak, peak - low))
 
 
-def hidden_poles(problem: Problem, fit: SurfaceFit) -> NDArray[np.bool_]:
+def hidden_poles(problem: Problem, fit: SurfaceFit) -> Bools:
     """Which poles of ``fit`` (M,) lie where no channel has a bin: they stand for the skirts of what is masked there.
 
     ``problem``: the floors that were fitted.
@@ -360,7 +358,7 @@ def hidden_poles(problem: Problem, fit: SurfaceFit) -> NDArray[np.bool_]:
     return np.asarray(inside & (nearest > problem.seen.bin_hz + fit.poles.damping * fit.poles.frequency_hz))
 
 
-def evidence_of(fit: SurfaceFit) -> Array:
+def evidence_of(fit: SurfaceFit) -> Floats:
     """Wald statistic (M, C) of the two linear terms of each pole, in units of the bins' own scatter.
 
     ``fit``: the fit so far.

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from crankorder.identify.modal.sweep_window import BEND_SPREAD, Solved, Window
-from crankorder.identify.resonance import resonance
+from crankorder.identify.modes.order_terms import resonance
+from crankorder.identify.modes.sweep_window import BEND_SPREAD, Solved, Window
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -53,17 +53,14 @@ LAGS = 3
 MOST_VALUES = 1 << 20
 """Bins, times places of one pole more, that are told at a time."""
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complexfloating]
-
 
 @dataclass(frozen=True, eq=False)
 class LocalFit:
     """``windows`` of all recordings at one place of frequency behind common poles ``natural_hz``, ``damping`` (M,)."""
 
     windows: tuple[Window, ...]
-    natural_hz: Array
-    damping: Array
+    natural_hz: Floats
+    damping: Floats
 
     @cached_property
     def solved(self) -> tuple[Solved, ...]:
@@ -82,7 +79,7 @@ class LocalFit:
         return tuple(sorted({order for window in self.windows for order in window.orders}))
 
     @cached_property
-    def bends(self) -> Complex:
+    def bends(self) -> Complexes:
         """Bend of the force of each of the orders."""
         every = {order: bend for window in self.windows for order, bend in window.bends.items()}
         return np.array([every.get(order, 0j) for order in self.orders], dtype=np.complex128)
@@ -95,10 +92,10 @@ class LocalFit:
 
     @cached_property
     def freedom(self) -> int:
-        """Complex numbers beyond the amplitudes."""
+        """Complexes numbers beyond the amplitudes."""
         return sum(one.freedom for one in self.solved)
 
-    def normal(self) -> tuple[Array, Array]:
+    def normal(self) -> tuple[Floats, Floats]:
         """Normal matrix (P, P) and right side (P,) of poles, then bends (real, imaginary)."""
         parts = [one.normal(self.orders) for one in self.solved]
         matrix, side = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
@@ -107,7 +104,7 @@ class LocalFit:
         side[place] -= np.stack([self.bends.real, self.bends.imag], axis=1).ravel() / (2.0 * BEND_SPREAD**2)
         return matrix, side
 
-    def moved(self, step: Array) -> LocalFit:
+    def moved(self, step: Floats) -> LocalFit:
         """The fit after ``step`` (P,) of the poles and bends."""
         count = 2 * len(self.natural_hz)
         by_f = np.clip(step[:count:2], -LARGEST_STEP * self.damping, LARGEST_STEP * self.damping)
@@ -154,7 +151,7 @@ class LocalFit:
         return fit
 
     @property
-    def model_variance(self) -> Array:
+    def model_variance(self) -> Floats:
         """Variance (2 M, 2 M) of (ln f, ln ζ) of the poles that no model knows better."""
         shares = NUMBERS.frequency_model_share * self.damping, np.full(len(self.damping), NUMBERS.damping_model_share)
         return np.diag(np.square(np.stack(shares, axis=1)).ravel())
@@ -182,7 +179,7 @@ class LocalFit:
         kept = np.arange(len(self.natural_hz)) != number
         return LocalFit(self.windows, self.natural_hz[kept], self.damping[kept])
 
-    def covariance(self) -> Array:
+    def covariance(self) -> Floats:
         """Covariance (2 M, 2 M) of (ln f, ln ζ) of the poles: what the scores of the bins really scatter by.
 
         Channels share what excites the structure beside the orders, and neighbouring bins what no model knows.
@@ -219,12 +216,12 @@ class OnePoleMore:
     the order does not reach the place. What is saved is of twice the negative log likelihood.
     """
 
-    residues: Complex
-    variance: Array
-    saves: Array
+    residues: Complexes
+    variance: Floats
+    saves: Floats
 
     @classmethod
-    def of(cls, one: Solved, natural_hz: Array, damping: Array) -> OnePoleMore:
+    def of(cls, one: Solved, natural_hz: Floats, damping: Floats) -> OnePoleMore:
         """In ``one`` window at ``natural_hz``, ``damping`` (S,), with amplitudes of its own in each channel.
 
         So many places are told at a time that the memory does not grow with the recording.
@@ -265,9 +262,9 @@ class Starts:
 
     low_hz: float
     high_hz: float
-    natural_hz: Array
-    damping: Array
-    saves: Array
+    natural_hz: Floats
+    damping: Floats
+    saves: Floats
     unknowns: int
 
     @classmethod
@@ -308,7 +305,7 @@ class Starts:
         return float(chdtri(self.unknowns, chance / len(self.saves)))
 
 
-def _shared(one: Solved, forces: list[Complex], answers: Complex, power: Array) -> Complex:
+def _shared(one: Solved, forces: list[Complexes], answers: Complexes, power: Floats) -> Complexes:
     """Gram matrices (S, orders, orders) of ``forces`` (each (B,)) times ``answers`` (B, S), beyond ``one``'s columns.
 
     ``power`` (B, S): squares of the answers.
@@ -325,7 +322,7 @@ def _shared(one: Solved, forces: list[Complex], answers: Complex, power: Array) 
     return np.asarray(matrix - within.conj() @ np.swapaxes(within, 1, 2))
 
 
-def _noise_power(power: Array, frequency_hz: Array, natural_hz: Array, damping: Array) -> Array:
+def _noise_power(power: Floats, frequency_hz: Floats, natural_hz: Floats, damping: Floats) -> Floats:
     """Power (B,) of the noise at ``frequency_hz`` (B,), of which ``power`` (B,) is a sample.
 
     What excites the modes beside the orders peaks where they answer, in fewer bins than smoothing leaves apart.
@@ -345,7 +342,7 @@ def _noise_power(power: Array, frequency_hz: Array, natural_hz: Array, damping: 
     return np.asarray(_smoothed(power / peaked) * peaked)
 
 
-def _smoothed(power: Array) -> Array:
+def _smoothed(power: Floats) -> Floats:
     """``power`` (B,) over the bins, smoothed; no less anywhere than a share of its mean."""
     half = int(np.clip(NUMBERS.smoothed_share * len(power), 12, len(power) - 1))
     window = np.hanning(2 * half + 3)[1:-1]
@@ -354,7 +351,7 @@ def _smoothed(power: Array) -> Array:
     return np.asarray(np.maximum(smooth, NUMBERS.least_noise_share * power.mean()))
 
 
-def shares_of(one: Solved, number: int) -> Array:
+def shares_of(one: Solved, number: int) -> Floats:
     """Part (orders, C) of each order's amplitude in ``one`` window that pole ``number`` makes at its peak.
 
     It is 0 of those that miss it.

@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.identify.found import Swing
-from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.modal.order_modes import OrderPole, Proof, named
-from crankorder.identify.modal.order_responses import NUMBERS as ORDER_RESPONSES
-from crankorder.identify.modal.order_responses import (
+from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
+from crankorder.identify.modes.order_modes import OrderPole, Proof, named
+from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
+from crankorder.identify.modes.order_responses import (
     Block,
     Blocks,
     Projected,
@@ -22,10 +21,11 @@ from crankorder.identify.modal.order_responses import (
     with_best_law,
     with_scatter,
 )
-from crankorder.identify.modal.order_terms import NUMBERS as ORDER_TERMS
-from crankorder.identify.modal.pole_errors import order_pole_covariance
-from crankorder.identify.modal.ringing import swings_of, without_ringing
-from crankorder.identify.modal.surface_fit import NO_POLES, Poles
+from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
+from crankorder.identify.modes.pole_errors import order_pole_covariance
+from crankorder.identify.modes.ringing import swings_of, without_ringing
+from crankorder.identify.modes.surface_fit import NO_POLES, Poles
+from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
 
@@ -72,19 +72,16 @@ STEPS = 12
 SAME_SWEEP = 0.05
 """Share of what a sweep passes at either end by which another may stop short of it and tell the same."""
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complexfloating]
-
 
 @dataclass(frozen=True, eq=False)
 class Prior:
     """What the floor says of the first poles: ``place`` (P, 2), their ln f and ln ζ, with its ``error`` (P, 2)."""
 
-    place: Array
-    error: Array
+    place: Floats
+    error: Floats
 
     @classmethod
-    def of(cls, poles: Poles, covariance: Array) -> Prior:
+    def of(cls, poles: Poles, covariance: Floats) -> Prior:
         """Of ``poles`` whose (f_1, ζ_1, f_2, …) have the ``covariance`` (2 P, 2 P)."""
         place = np.log(np.stack([poles.frequency_hz, poles.damping], axis=1))
         spread = np.sqrt(np.maximum(np.diag(covariance).reshape(-1, 2), 0.0)) / np.exp(place)
@@ -94,7 +91,7 @@ class Prior:
         )
         return cls(place, np.hypot(spread, least))
 
-    def rows(self, poles: Poles) -> tuple[Array, Array]:
+    def rows(self, poles: Poles) -> tuple[Floats, Floats]:
         """Jacobian (2 P, 2 M) and residual (2 P,) of ``poles``, of which these are the first."""
         count = len(self.place)
         now = np.log(np.stack([poles.frequency_hz, poles.damping], axis=1))[:count]
@@ -113,7 +110,7 @@ NO_PRIOR = Prior(np.zeros((0, 2)), np.zeros((0, 2)))
 def poles_of_orders(
     blocks: Sequence[Block],
     known: Poles,
-    covariance: Array,
+    covariance: Floats,
     *,
     chance: float,
     most_damping: float,
@@ -176,7 +173,7 @@ class Settled:
     blocks: tuple[Block, ...]
     proofs: tuple[Proof, ...]
     found: tuple[OrderPole, ...]
-    covariance: Array
+    covariance: Floats
     swings: tuple[Swing, ...]
 
 
@@ -259,7 +256,7 @@ class Fitted:
         pairs = zip(less._left_shares(), self._left_shares(clear=False), strict=True)
         return max((float((before - after).max()) for before, after in pairs), default=0.0)
 
-    def _left_shares(self, *, clear: bool = True) -> list[Array]:
+    def _left_shares(self, *, clear: bool = True) -> list[Floats]:
         """What is left of each row (C, K) of each block as a share of the amplitude; 0 where that is small.
 
         And, of what must be ``clear``, where noise may have made it.
@@ -308,8 +305,8 @@ def _told_with(block: Block, poles: Poles, frequency_hz: float) -> Block:
 class Tried:
     """Starts for a pole: ``frequency_hz`` and ``damping`` (S,)."""
 
-    frequency_hz: Array
-    damping: Array
+    frequency_hz: Floats
+    damping: Floats
 
     @classmethod
     def of(cls, blocks: Sequence[Block]) -> Tried:
@@ -408,7 +405,7 @@ def moved_out(poles: Poles, tried: Tried, most_damping: float) -> bool:
     return bool(outside.any())
 
 
-def _gains(state: Fitted, tried: Tried) -> Array:
+def _gains(state: Fitted, tried: Tried) -> Floats:
     """What a pole at each start would save, beyond what noise saves, summed over orders and channels.
 
     The steady response stands for that of a sweep here: it only has to find the start.
@@ -445,7 +442,7 @@ def _anew(block: Block, part: Projected, poles: Poles) -> tuple[Block, Projected
     return block, project(block, poles)
 
 
-def _explained(columns: Complex, weight: Array, part: Projected, per: int) -> Array:
+def _explained(columns: Complexes, weight: Floats, part: Projected, per: int) -> Floats:
     """Squares (C, S) of what is left of each channel of a ``part`` that each ``per`` neighbours of ``columns`` explain.
 
     These (K, S · per), times ``weight`` (C, K), count as far as they are beyond the basis of the part.
@@ -462,7 +459,7 @@ def _explained(columns: Complex, weight: Array, part: Projected, per: int) -> Ar
     return np.asarray(made + np.abs(along[:, 1::2] - along[:, ::2] * both / norm[:, ::2]) ** 2 / rest)
 
 
-def _widened(block: Block, tried: Tried, near: NDArray[np.int64]) -> Array:
+def _widened(block: Block, tried: Tried, near: Ints) -> Floats:
     """Damping ratios of the starts ``near``, as wide as a sweep makes a resonance look."""
     damping = tried.damping[near]
     if block.passage is None:
@@ -497,7 +494,7 @@ def _moved(joint: Blocks, free: Poles, prior: Prior) -> Poles:
     return free
 
 
-def _evaluated(joint: Blocks, poles: Poles, prior: Prior) -> tuple[list[Array], list[Array], float]:
+def _evaluated(joint: Blocks, poles: Poles, prior: Prior) -> tuple[list[Floats], list[Floats], float]:
     jacobians, residuals, cost = joint.evaluate(poles)
     slopes, left = prior.rows(poles)
     return [*jacobians, slopes], [*residuals, left], cost + float(np.sum(left**2))
@@ -542,7 +539,7 @@ def _told_anew(state: Fitted, poles: Poles) -> Fitted:
     return Fitted.of([with_best_law(block, poles) for block in state.blocks], poles, state.prior).moved()
 
 
-def _neighbours(poles: Poles, first: int) -> list[NDArray[np.int64]]:
+def _neighbours(poles: Poles, first: int) -> list[Ints]:
     """Numbers of the ``poles`` from ``first`` on that lie side by side, two or more."""
     rank = first + np.argsort(poles.frequency_hz[first:], kind="stable")
     gaps = np.flatnonzero(np.diff(np.log(poles.frequency_hz[rank])) > ORDER_MODES.side_by_side_share) + 1

@@ -7,24 +7,24 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderResponse
-from crankorder.identify.modal.order_terms import NUMBERS as ORDER_TERMS
-from crankorder.identify.modal.order_terms import (
+from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
+from crankorder.identify.modes.order_terms import (
     beyond,
     beyond_law,
     force,
     grown_by,
     of_squares,
     orthonormal,
+    resonance,
     resonance_slopes,
     scatter_of,
     smooth_shapes,
 )
-from crankorder.identify.modal.passage import Passage
-from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, fit_surface
-from crankorder.identify.resonance import resonance
+from crankorder.identify.modes.passage import Passage
+from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, fit_surface
+from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
 
@@ -55,9 +55,6 @@ OF_ROWS = ("span_rpm", "shapes", "ends_hz", "size", "rows", "fewest_rows", "meas
 OF_LAW = ("growth", "_designs", "_driven")
 """What it works out of its rows and its law, whatever its scatter."""
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complexfloating]
-
 
 @dataclass(frozen=True, eq=False)
 class Block:
@@ -76,10 +73,10 @@ class Block:
 
     order: float
     channels: tuple[str, ...]
-    frequency_hz: Array
-    speed_rpm: Array
-    amplitude: Complex
-    error: Array
+    frequency_hz: Floats
+    speed_rpm: Floats
+    amplitude: Complexes
+    error: Floats
     reference_rpm: float
     exponent: float = EXPONENTS[0]
     law: tuple[complex, ...] = ()
@@ -91,9 +88,9 @@ class Block:
     sign_free: bool = False
     recording: str = ""
     law_span_rpm: tuple[float, float] | None = None
-    as_read: tuple[Complex, Array] | None = None
-    made: dict[tuple[object, ...], tuple[Complex, ...]] = field(default_factory=dict, repr=False)
-    rung: dict[tuple[object, ...], Complex] = field(default_factory=dict, repr=False)
+    as_read: tuple[Complexes, Floats] | None = None
+    made: dict[tuple[object, ...], tuple[Complexes, ...]] = field(default_factory=dict, repr=False)
+    rung: dict[tuple[object, ...], Complexes] = field(default_factory=dict, repr=False)
 
     def varied(
         self,
@@ -127,17 +124,17 @@ class Block:
         return self.law_span_rpm or (float(self.speed_rpm.min()), float(self.speed_rpm.max()))
 
     @cached_property
-    def growth(self) -> Complex:
+    def growth(self) -> Complexes:
         """What the force's law makes of the speeds (K,); of squares its square."""
         grown = grown_by(self.speed_rpm / self.reference_rpm, self.shapes_to(len(self.law)), self.exponent, self.law)
         return np.asarray(np.abs(grown) ** 2 if self.power else grown)
 
     @cached_property
-    def shapes(self) -> Array:
+    def shapes(self) -> Floats:
         """Polynomials (K, degree + 1) of the speeds up to the highest degree that is tried."""
         return smooth_shapes(self.speed_rpm, self.span_rpm, NUMBERS.most_degree)
 
-    def shapes_to(self, degree: int) -> Array:
+    def shapes_to(self, degree: int) -> Floats:
         """Polynomials (K, ``degree`` + 1) of the speeds."""
         if degree > NUMBERS.most_degree:
             return smooth_shapes(self.speed_rpm, self.span_rpm, degree)
@@ -149,7 +146,7 @@ class Block:
         return float(self.frequency_hz.min()), float(self.frequency_hz.max())
 
     @cached_property
-    def size(self) -> Array:
+    def size(self) -> Floats:
         """What the scatter is a share of (C, K): the amplitude, or half that of its neighbours where it vanishes."""
         known = np.where(np.isfinite(self.error), np.abs(self.amplitude), 0.0)
         beside = np.pad(known, ((0, 0), (2, 2)), mode="edge")
@@ -157,12 +154,12 @@ class Block:
         return np.asarray(np.maximum(known, 0.5 * around))
 
     @cached_property
-    def weight(self) -> Array:
+    def weight(self) -> Floats:
         """Reciprocal standard error (C, K) of each part, the scatter of the force included; 0 where unknown."""
         return np.asarray(1.0 / np.hypot(self.noise * self.error, self.scatter * self.size))
 
     @cached_property
-    def rows(self) -> NDArray[np.int64]:
+    def rows(self) -> Ints:
         """How many amplitudes each channel (C,) has."""
         return np.asarray(np.count_nonzero(np.isfinite(self.error), axis=1))
 
@@ -172,7 +169,7 @@ class Block:
         return int(self.rows.min())
 
     @cached_property
-    def measured(self) -> Complex:
+    def measured(self) -> Complexes:
         """The amplitudes (C, K), 0 where unknown."""
         return np.asarray(np.where(np.isfinite(self.error), self.amplitude, 0.0))
 
@@ -200,13 +197,13 @@ class Block:
         sign = np.where(self.frequency_hz > frequency_hz, -1.0, 1.0)
         return replace(self, amplitude=self.amplitude * sign)
 
-    def of(self, channels: NDArray[np.int64]) -> Block:
+    def of(self, channels: Ints) -> Block:
         """The block of some ``channels`` (numbers) alone."""
         names = tuple(self.channels[number] for number in channels.tolist())
         amplitude, error = self.amplitude[channels], self.error[channels]
         return replace(self, channels=names, amplitude=amplitude, error=error, as_read=None)
 
-    def reached(self, poles: Poles) -> NDArray[np.int64]:
+    def reached(self, poles: Poles) -> Ints:
         """Numbers of the ``poles`` that the order sweeps through or near, the nearest where its rows are few."""
         low, high = NUMBERS.reach_shares[0] * self.ends_hz[0], NUMBERS.reach_shares[1] * self.ends_hz[1]
         found = np.flatnonzero((poles.frequency_hz >= low) & (poles.frequency_hz <= high) & ~poles.tone)
@@ -216,11 +213,11 @@ class Block:
             found = np.sort(found[np.argsort(away, kind="stable")[:room]])
         return found
 
-    def smooth(self) -> Complex:
+    def smooth(self) -> Complexes:
         """Columns (K, degree + 1) of what is smooth."""
         return self.growth[:, None] * self.shapes_to(self.degree)
 
-    def design(self, natural_hz: Array, damping: Array) -> Complex:
+    def design(self, natural_hz: Floats, damping: Floats) -> Complexes:
         """All columns (K, terms): those that are smooth, then those of :meth:`modal`; those made last are kept.
 
         ``natural_hz`` and ``damping`` (M,): of the modes.
@@ -234,7 +231,7 @@ class Block:
         return made
 
     @cached_property
-    def _designs(self) -> dict[bytes, Complex]:
+    def _designs(self) -> dict[bytes, Complexes]:
         return {}
 
     @cached_property
@@ -242,28 +239,28 @@ class Block:
         """The block as projected with the poles that were asked for last."""
         return {}
 
-    def modal(self, natural_hz: Array, damping: Array) -> Complex:
+    def modal(self, natural_hz: Floats, damping: Floats) -> Complexes:
         """Columns (K, M · columns per mode) of modes with ``natural_hz`` and ``damping`` (M,)."""
         if self.passage is not None:
             return self._along(natural_hz, damping, 0)
         return np.asarray(self.growth[:, None] * self._held(natural_hz, damping))
 
     @cached_property
-    def _steady(self) -> dict[bytes, Complex]:
+    def _steady(self) -> dict[bytes, Complexes]:
         return {}
 
-    def _held(self, natural_hz: Array, damping: Array) -> Complex:
+    def _held(self, natural_hz: Floats, damping: Floats) -> Complexes:
         """Columns of :meth:`modal` at speeds that are held, behind a steady force; those made last are kept."""
         key = natural_hz.tobytes() + damping.tobytes()
         made = self._steady.get(key)
         if made is None:
-            h: Complex = resonance(self.frequency_hz, natural_hz, damping)
+            h: Complexes = resonance(self.frequency_hz, natural_hz, damping)
             made = of_squares(h, self._ratio(natural_hz)) if self.power else h
             self._steady.clear()
             self._steady[key] = made
         return made
 
-    def modal_slopes(self, natural_hz: Array, damping: Array) -> tuple[Complex, Complex]:
+    def modal_slopes(self, natural_hz: Floats, damping: Floats) -> tuple[Complexes, Complexes]:
         """Derivatives of :meth:`modal` by ln f_j and by ln ζ_j.
 
         ``natural_hz`` and ``damping`` (M,): of the modes.
@@ -273,22 +270,22 @@ class Block:
         by_f, by_zeta = resonance_slopes(self.frequency_hz, natural_hz, damping)
         if self.power:
             x = self._ratio(natural_hz)
-            h: Complex = resonance(self.frequency_hz, natural_hz, damping)
+            h: Complexes = resonance(self.frequency_hz, natural_hz, damping)
             by_f = by_f + 1j * h.imag  # the imaginary part is over x, which moves with f
             return self.growth[:, None] * of_squares(by_f, x), self.growth[:, None] * of_squares(by_zeta, x)
         return self.growth[:, None] * by_f, self.growth[:, None] * by_zeta
 
-    def _ratio(self, natural_hz: Array) -> Array:
+    def _ratio(self, natural_hz: Floats) -> Floats:
         """Frequencies of the rows over those of the modes (K, M)."""
         return np.asarray(self.frequency_hz[:, None] / natural_hz)
 
     @cached_property
-    def _driven(self) -> Complex:
+    def _driven(self) -> Complexes:
         """Force (T,) along the passage."""
         assert self.passage is not None
         return force(self.passage.speed_rpm, self.span_rpm, self.reference_rpm, self.exponent, self.law)
 
-    def _along(self, natural_hz: Array, damping: Array, which: int) -> Complex:
+    def _along(self, natural_hz: Floats, damping: Floats, which: int) -> Complexes:
         """Columns along the sweep, or their slope by ln f (1) or ln ζ (2); those made before are kept."""
         assert self.passage is not None
         made = np.empty((len(self.frequency_hz), len(natural_hz)), dtype=np.complex128)
@@ -317,7 +314,7 @@ class Blocks:
         every = poles.joined(self.fixed)
         return float(sum(project(block, every).chi2 for block in self.items))
 
-    def evaluate(self, poles: Poles) -> tuple[list[Array], list[Array], float]:
+    def evaluate(self, poles: Poles) -> tuple[list[Floats], list[Floats], float]:
         """Jacobians by (ln f, ln ζ), residuals (both in standard errors, real parts first) and their squares' sum.
 
         ``poles``: those of the fit.
@@ -341,29 +338,29 @@ class Projected:
     ``degrees_of_freedom``: the real numbers that it holds beyond the terms.
     """
 
-    reached: NDArray[np.int64]
-    basis: Complex
-    triangle: Complex
-    scale: Array
-    along: Complex
-    left: Complex
+    reached: Ints
+    basis: Complexes
+    triangle: Complexes
+    scale: Floats
+    along: Complexes
+    left: Complexes
     chi2: float
     degrees_of_freedom: int
 
     @cached_property
-    def linear(self) -> Complex:
+    def linear(self) -> Complexes:
         """Linear terms (C, terms)."""
         return np.asarray((self.solve @ self.along[..., None])[..., 0] / self.scale)
 
     @property
-    def covariance(self) -> Complex:
+    def covariance(self) -> Complexes:
         """Covariance (C, terms, terms) of the linear terms per real part, at the block's scatter."""
         inverse = self.solve
         outer = self.scale[:, :, None] * self.scale[:, None, :]
         return np.asarray(inverse @ np.swapaxes(inverse, 1, 2).conj() / outer)
 
     @cached_property
-    def solve(self) -> Complex:
+    def solve(self) -> Complexes:
         """Inverse (C, terms, terms) of the triangle: it takes what lies along the basis to the scaled linear terms."""
         return np.asarray(np.linalg.pinv(np.triu(self.triangle), rcond=1e-10))
 
@@ -384,7 +381,7 @@ def project(block: Block, poles: Poles) -> Projected:
     return made
 
 
-def _eliminated(block: Block, reached: NDArray[np.int64], design: Complex) -> Projected:
+def _eliminated(block: Block, reached: Ints, design: Complexes) -> Projected:
     """``block`` with the terms of ``design`` (K, terms) eliminated, those of the modes ``reached`` the last of them."""
     weight = block.weight
     weighted = design.T * weight[:, None]
@@ -398,7 +395,7 @@ def _eliminated(block: Block, reached: NDArray[np.int64], design: Complex) -> Pr
     return Projected(reached, basis, triangle, scale, along, left, float(np.vdot(left, left).real), degrees_of_freedom)
 
 
-def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
+def jacobian(block: Block, poles: Poles, part: Projected) -> Floats:
     """Derivatives (rows, 2 poles) of the residual of ``block`` by (ln f, ln ζ) of ``poles``, its sign reversed.
 
     Linear terms make up for what they can, and so does the law of the force, to first order. ``part``: the block as
@@ -409,7 +406,7 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
     if not len(reached):
         return every
     linear = part.linear[:, block.degree + 1 :]
-    turned: Complex = np.empty((*block.amplitude.shape, 2 * len(reached)), dtype=np.complex128)
+    turned: Complexes = np.empty((*block.amplitude.shape, 2 * len(reached)), dtype=np.complex128)
     for offset, slope in enumerate(block.modal_slopes(poles.frequency_hz[reached], poles.damping[reached])):
         made = slope[None] * linear[:, None]
         turned[..., offset::2] = made.reshape(*made.shape[:2], len(reached), per).sum(axis=3)
@@ -422,14 +419,14 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Array:
     return every
 
 
-def bent(block: Block, part: Projected, degree: int) -> Complex:
+def bent(block: Block, part: Projected, degree: int) -> Complexes:
     """Derivatives (C, K, ``degree``) of ``block`` by the law of its force, less what linear terms of ``part`` take."""
     fitted = block.measured * block.weight - part.left
     bends = fitted[..., None] * block.shapes_to(degree)[:, 1:] * (2.0 if block.power else 1.0)
     return beyond(part.basis, bends)
 
 
-def as_real(values: Complex, block: Block) -> Array:
+def as_real(values: Complexes, block: Block) -> Floats:
     """``values`` (C, K, …) of ``block`` as rows of real numbers, real parts first; of squares these alone."""
     rows = values.reshape(values.shape[0] * values.shape[1], *values.shape[2:])
     return np.asarray(rows.real if block.power else np.concatenate([rows.real, rows.imag]))
@@ -582,7 +579,7 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
     return tuple(made)
 
 
-def _terms_by_poles(block: Block, poles: Poles, part: Projected) -> Complex:
+def _terms_by_poles(block: Block, poles: Poles, part: Projected) -> Complexes:
     """Derivatives (C, terms, 2 reached) of the linear terms by (ln f, ln ζ) of each of the ``poles`` reached.
 
     The terms are those that explain best what was measured, wherever the poles are. ``part``: the block as projected.

@@ -6,18 +6,18 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import Tone, ToneKind
-from crankorder.identify.mains import NUMBERS as MAINS
-from crankorder.identify.mains import multiple_on, multiples_near, supply_told
-from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.search import dispersion
-from crankorder.identify.modal.surface_fit import NUMBERS as SURFACE_FIT
-from crankorder.identify.modal.surface_fit import TONE_BINS as NO_WIDTH
-from crankorder.identify.modal.surface_fit import Problem, SurfaceFit, evaluate, fit_surface
+from crankorder.identify.lines.mains import NUMBERS as MAINS
+from crankorder.identify.lines.mains import multiple_on, multiples_near, supply_told
+from crankorder.identify.modes.floor import Floor
+from crankorder.identify.modes.search import dispersion
+from crankorder.identify.modes.surface_fit import NUMBERS as SURFACE_FIT
+from crankorder.identify.modes.surface_fit import TONE_BINS as NO_WIDTH
+from crankorder.identify.modes.surface_fit import Problem, SurfaceFit, evaluate, fit_surface
 from crankorder.identify.said import NUMBERS as SAID
+from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -48,8 +48,6 @@ MOST_WIDTHS = 16
 
 NEAR_BINS = 2
 """Bins on each side that hold a tone's power in a spectrum seen through a Hann window."""
-
-Array = NDArray[np.float64]
 
 
 def with_tones(
@@ -176,7 +174,7 @@ def is_steady(floor: Floor, frequency_hz: float) -> bool:
     return False
 
 
-def tone_of(frequency_hz: float, error_hz: float, floor: Floor, fitted: Array, *, settings: IdentifySettings) -> Tone:
+def tone_of(frequency_hz: float, error_hz: float, floor: Floor, fitted: Floats, *, settings: IdentifySettings) -> Tone:
     """Tone at ``frequency_hz`` with its kind and its amplitude in every channel that shows it.
 
     ``fitted`` (C, F) is the power of the fit without the tone, which is taken off.
@@ -186,7 +184,7 @@ def tone_of(frequency_hz: float, error_hz: float, floor: Floor, fitted: Array, *
     return Tone(frequency_hz, error_hz, kind, amplitudes(frequency_hz, floor, fitted), words)
 
 
-def amplitudes(frequency_hz: float, floor: Floor, fitted: Array) -> dict[str, tuple[float, float]]:
+def amplitudes(frequency_hz: float, floor: Floor, fitted: Floats) -> dict[str, tuple[float, float]]:
     """Peak amplitude of a tone and its standard error in the channels where it stands out of the noise.
 
     The power within the main lobe, less the ``fitted`` floor's, is A²/2 times the share of it that the bins hold;
@@ -246,7 +244,7 @@ def _moves(floor: Floor) -> bool:
     return len(speed) > 1 and bool(speed.max() > SAID.alike_speeds_ratio * speed.min())
 
 
-def _rows_that_show(frequency_hz: float, floor: Floor) -> NDArray[np.bool_]:
+def _rows_that_show(frequency_hz: float, floor: Floor) -> Bools:
     """At which speeds the channel that shows a line at ``frequency_hz`` best has it: with a tenth of the most, or more.
 
     A tone of a source of its own is there at all speeds, as large as ever; all where nothing can be compared.
@@ -264,7 +262,7 @@ def _rows_that_show(frequency_hz: float, floor: Floor) -> NDArray[np.bool_]:
     return np.asarray(excess[best] >= NUMBERS.shown_share * max(float(excess[best].max()), 1e-300))
 
 
-def _on_half_orders(frequency_hz: float, rows: NDArray[np.bool_], floor: Floor) -> bool:
+def _on_half_orders(frequency_hz: float, rows: Bools, floor: Floor) -> bool:
     """Whether ``frequency_hz`` lies within a bin of a half order at every speed of ``rows``, and hardly by chance."""
     halves_hz = floor.speed_rpm[rows] / 120.0
     if not np.isfinite(halves_hz).all() or floor.seen.bin_hz > 0.1 * halves_hz.min():

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.orders.vold_kalman.bandwidth import structural_weight
+from crankorder.quantities import Bools, Complexes, Floats
 
 MOST_TURN = 0.02
 """Largest product of the rate of the angular frequency and the square of a step: an error of 1e-3 of the response."""
@@ -25,9 +25,6 @@ MOST_STEPS = 200_000
 NEAR_ENOUGH, FARTHEST = 0.25, 0.45
 """Cycles in a step of the grid up to which an envelope is told by it, and beyond which it is another one's alias."""
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complexfloating]
-
 
 @dataclass(frozen=True, eq=False)
 class Passage:
@@ -40,11 +37,11 @@ class Passage:
 
     start_s: float
     step_s: float
-    frequency_hz: Array
-    speed_rpm: Array
-    angle_rev: Array
-    place: Array
-    bandwidth_hz: Array
+    frequency_hz: Floats
+    speed_rpm: Floats
+    angle_rev: Floats
+    place: Floats
+    bandwidth_hz: Floats
     poles: int
 
     @property
@@ -53,7 +50,7 @@ class Passage:
         return float(60.0 * self.frequency_hz[0] / self.speed_rpm[0])
 
     @cached_property
-    def time_s(self) -> Array:
+    def time_s(self) -> Floats:
         """Times (T,) of the grid."""
         return np.asarray(self.start_s + self.step_s * np.arange(len(self.frequency_hz)))
 
@@ -75,8 +72,8 @@ class Passage:
         return 0.5 * float(np.sqrt(rate))
 
     def response(
-        self, growth: Complex, natural_hz: float, damping: float, *, slopes: bool = True
-    ) -> tuple[Complex, ...]:
+        self, growth: Complexes, natural_hz: float, damping: float, *, slopes: bool = True
+    ) -> tuple[Complexes, ...]:
         """Acceleration (K,) of a mode of unit residue behind a force ``growth`` (T,), and its slopes by ln f and ln ζ.
 
         ``natural_hz`` and ``damping``: of the mode; ``slopes``: whether these are asked for.
@@ -100,7 +97,7 @@ class Passage:
             parts.append(-bend * own - weight * step * slope - growth * counter)
         return tuple(self.smoothed(np.stack(parts, axis=1)).T)
 
-    def left_over(self, growth: Complex, natural_hz: float, damping: float) -> Complex:
+    def left_over(self, growth: Complexes, natural_hz: float, damping: float) -> Complexes:
         """What the filter does not take (T,) of the :meth:`response` of a mode, on the grid: it rings on beside it.
 
         ``growth`` (T,), ``natural_hz`` and ``damping`` are those of the response.
@@ -110,7 +107,7 @@ class Passage:
         made = (pole**2) / (2j * pole.imag) * self._envelopes(growth, pole, slopes=False)[0]
         return np.asarray(made - _filtered(made, self._filter))
 
-    def taken_from(self, other: Passage, left: Complex, natural_hz: float) -> Complex:
+    def taken_from(self, other: Passage, left: Complexes, natural_hz: float) -> Complexes:
         """What this order's filter takes (K,) for its own of ``left`` (T',) over the passage of an ``other`` order.
 
         Both are of one recording; ``left`` is the envelope of what the other order's filter leaves of the mode
@@ -125,7 +122,7 @@ class Passage:
         rows = self.start_s + self.step_s * self.place
         return np.asarray(np.interp(rows, time, through, left=0.0, right=0.0))
 
-    def smoothed(self, envelope: Complex) -> Complex:
+    def smoothed(self, envelope: Complexes) -> Complexes:
         """``envelope`` (T, M) of the grid as the filter lets it through, at the rows (K, M)."""
         through = _filtered(envelope, self._filter)
         low = np.clip(np.floor(self.place).astype(np.int64), 0, len(through) - 2)
@@ -133,17 +130,17 @@ class Passage:
         return np.asarray((1.0 - share) * through[low] + share * through[low + 1])
 
     @cached_property
-    def _filter(self) -> Array:
+    def _filter(self) -> Floats:
         return _factor(self.bandwidth_hz, self.step_s, self.poles)
 
     @cached_property
-    def _turn(self) -> tuple[Array, Complex, Complex]:
+    def _turn(self) -> tuple[Floats, Complexes, Complexes]:
         """Angular frequency (T - 1,) in the middle of the steps, the order's turn (T,) since the first, and in each."""
         middle = np.pi * (self.frequency_hz[1:] + self.frequency_hz[:-1])
         turned = np.exp(-1j * self.step_s * np.append(0.0, np.cumsum(middle)))
         return middle, turned, turned[1:] * turned[:-1].conj()
 
-    def _envelopes(self, growth: Complex, pole: complex, *, slopes: bool) -> tuple[Complex, Complex]:
+    def _envelopes(self, growth: Complexes, pole: complex, *, slopes: bool) -> tuple[Complexes, Complexes]:
         """Solution (T,) of a' = (λ − iω) a + ``growth`` from a steady start, λ the ``pole``, and its slope by λ.
 
         Without ``slopes`` the latter is not reckoned. On axes that turn with the order each step decays alike.
@@ -158,7 +155,7 @@ class Passage:
         start = 1.0 / (2j * np.pi * self.frequency_hz[0] - pole)
         steps = np.full((2, len(turned)), -np.exp(pole * step), order="F")  # each is the one before times that, pushed
 
-        def along(first: complex, pushed: Complex) -> Complex:
+        def along(first: complex, pushed: Complexes) -> Complexes:
             return np.asarray(turned * ztbsv(1, steps, np.append(first, pushed * turned[1:].conj()), lower=1, diag=1))
 
         force, rise = step * growth[:-1], step * np.diff(growth)
@@ -174,13 +171,13 @@ class Passage:
 
 def passage_of(
     order: float,
-    time_s: Array,
-    speed_rpm: Array,
-    angle_rev: Array,
-    bandwidth_hz: Array,
+    time_s: Floats,
+    speed_rpm: Floats,
+    angle_rev: Floats,
+    bandwidth_hz: Floats,
     *,
     poles: int,
-    rows: NDArray[np.bool_] | None = None,
+    rows: Bools | None = None,
 ) -> Passage:
     """Passage of ``order`` through a recording at the times ``time_s`` (N,), rising, of which ``rows`` (N,) are read.
 
@@ -204,7 +201,7 @@ def passage_of(
     return Passage(float(time_s[0]), step, order * speed / 60.0, speed, angle, place, width, poles)
 
 
-def _factor(bandwidth_hz: Array, step_s: float, poles: int) -> Array:
+def _factor(bandwidth_hz: Floats, step_s: float, poles: int) -> Floats:
     """Cholesky factor of a filter's normal equations on a grid of ``step_s``, its ``bandwidth_hz`` (T,) there."""
     from scipy.linalg import cholesky_banded
 
@@ -213,14 +210,14 @@ def _factor(bandwidth_hz: Array, step_s: float, poles: int) -> Array:
     return np.asarray(cholesky_banded(_normal_band(weight, poles), lower=True, check_finite=False))
 
 
-def _filtered(envelope: Complex, factor: Array) -> Complex:
+def _filtered(envelope: Complexes, factor: Floats) -> Complexes:
     """``envelope`` (T, …) of a grid as the filter of the ``factor`` lets it through."""
     from scipy.linalg import cho_solve_banded
 
     return np.asarray(cho_solve_banded((factor, True), envelope, check_finite=False))
 
 
-def _normal_band(weight: Array, poles: int) -> Array:
+def _normal_band(weight: Floats, poles: int) -> Floats:
     """Lower band (poles + 1, T) of 1 + Dᵀ r² D for differences of ``poles``, ``weight`` (T,) being r²."""
     steps = np.array([1.0])
     for _ in range(poles):

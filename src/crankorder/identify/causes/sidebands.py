@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from crankorder.findings import BearingFinding
-from crankorder.identify.angle_swings import Words
+from crankorder.identify.causes.angle_swings import Words
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.order_lock import NO_PULSES

@@ -10,14 +10,13 @@ from itertools import pairwise
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.identify.found import NO_FITS, AgreedOrder, ModalFit, Mode, SweepFits, Tone, Unsearched, Whirl
-from crankorder.identify.modal.exclusion import FloorBound, Hiding, floor_bound, least_seen
-from crankorder.identify.modal.floor import Floor, quiet_floor, seen_at_single_speeds
-from crankorder.identify.modal.order_blocks import blocks_of
-from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.modal.order_modes import (
+from crankorder.identify.modes.exclusion import FloorBound, Hiding, floor_bound, least_seen
+from crankorder.identify.modes.floor import Floor, quiet_floor, seen_at_single_speeds
+from crankorder.identify.modes.order_blocks import blocks_of
+from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
+from crankorder.identify.modes.order_modes import (
     OrderPole,
     Proof,
     is_proven,
@@ -26,11 +25,11 @@ from crankorder.identify.modal.order_modes import (
     proven_by,
     tone_as_mode,
 )
-from crankorder.identify.modal.order_responses import Block, fitting, responses_of
-from crankorder.identify.modal.order_search import orders_raised, poles_of_orders, settled
-from crankorder.identify.modal.pole_errors import covariance_of_all, pole_covariance, side_by_side
-from crankorder.identify.modal.ringing import hidden_speeds
-from crankorder.identify.modal.search import (
+from crankorder.identify.modes.order_responses import Block, fitting, responses_of
+from crankorder.identify.modes.order_search import orders_raised, poles_of_orders, settled
+from crankorder.identify.modes.pole_errors import covariance_of_all, pole_covariance, side_by_side
+from crankorder.identify.modes.ringing import hidden_speeds
+from crankorder.identify.modes.search import (
     EVERYWHERE,
     dispersion,
     evidence_of,
@@ -41,11 +40,11 @@ from crankorder.identify.modal.search import (
     search,
     with_strong_tones,
 )
-from crankorder.identify.modal.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
-from crankorder.identify.modal.sweep_modes import modes_unlike, poles_of, poles_unlike, with_sweep_modes
-from crankorder.identify.modal.tones import NUMBERS as TONES
-from crankorder.identify.modal.tones import tone_of, tone_or_mode, with_one_mains, with_tones
-from crankorder.identify.modal.whirl import (
+from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
+from crankorder.identify.modes.sweep_modes import modes_unlike, poles_of, poles_unlike, with_sweep_modes
+from crankorder.identify.modes.tones import NUMBERS as TONES
+from crankorder.identify.modes.tones import tone_of, tone_or_mode, with_one_mains, with_tones
+from crankorder.identify.modes.whirl import (
     doubt_about,
     narrower_than_fitted,
     of_lines_within,
@@ -54,6 +53,7 @@ from crankorder.identify.modal.whirl import (
     whirls_of,
     without_remains,
 )
+from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -72,8 +72,6 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="joint_fit"):
 
 NUMBERS = _Numbers.load()
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class Band:
@@ -87,7 +85,7 @@ class Band:
     first: int
     last: int
 
-    def holds(self, poles: Poles) -> NDArray[np.bool_]:
+    def holds(self, poles: Poles) -> Bools:
         """Which of ``poles`` (M,) lie in it or in what it shares."""
         at, step = poles.frequency_hz, self.floor.step_hz
         return np.asarray((at > self.floor.frequency_hz[0] - step) & (at < self.floor.frequency_hz[-1] + step))
@@ -142,7 +140,7 @@ def _peaks_by_part(floor: Floor) -> Poles:
     return made
 
 
-def _quiet_cut(floor: Floor, seen: Poles, load: Array, share: float, n_bands: int) -> int:
+def _quiet_cut(floor: Floor, seen: Poles, load: Floats, share: float, n_bands: int) -> int:
     """Bin near that at ``share`` of the ``load`` which lies the most widths away from any peak."""
     low, high = np.searchsorted(load, load[-1] * (share + NUMBERS.slack_share / n_bands * np.array([-1.0, 1.0])))
     bins = np.arange(max(int(low), 1), min(max(int(high), int(low) + 1), len(load) - 1) + 1)
@@ -251,7 +249,7 @@ def _own_modes(fitted: list[Fitted]) -> Poles:
     return reduce(Poles.joined, (item.own_modes for item in fitted), NO_POLES)
 
 
-def _own_covariance(fitted: list[Fitted]) -> Array:
+def _own_covariance(fitted: list[Fitted]) -> Floats:
     """Covariance of (f_1, ζ_1, f_2, …) of the poles of all bands that are no tones."""
     return side_by_side([item.covariance_of(item.own) for item in fitted])
 
@@ -266,7 +264,7 @@ class Fitted:
     stopped: bool
 
     @property
-    def own(self) -> NDArray[np.bool_]:
+    def own(self) -> Bools:
         """Which poles belong to the band and are no tones."""
         return np.asarray(self.fit.poles.within(self.band.range_hz) & ~self.fit.poles.tone)
 
@@ -285,7 +283,7 @@ class Fitted:
             confidence=settings.free_confidence,
         )
 
-    def covariance_of(self, which: NDArray[np.bool_]) -> Array:
+    def covariance_of(self, which: Bools) -> Floats:
         """Covariance of (f_1, ζ_1, f_2, …) of the poles marked by ``which``."""
         scatter = np.array([dispersion(self.problem, self.fit, float(f)) for f in self.fit.poles.frequency_hz])
         at = np.flatnonzero(np.repeat(which, 2))
@@ -316,7 +314,7 @@ def _with_order_modes(
     kept: Poles,
     blocks: tuple[Block, ...],
     extra: tuple[OrderPole, ...],
-    covariance: Array,
+    covariance: Floats,
     excluded: tuple[Sequence[FloorBound], Sequence[Hiding]],
     unit: Mapping[str, str],
     settings: IdentifySettings,
@@ -404,7 +402,7 @@ def _found(
         still += tuple(poles.frequency_hz[tone].tolist())
     tones = [tone_of(f, error, floor, smooth, settings=settings) for f, error in floor.strong]
     modes: list[Mode] = []
-    parts: list[Array] = []
+    parts: list[Floats] = []
     kept = NO_POLES
     for item in fitted:
         said = _of_band(item, floor, smooth, still, proofs, settings)
@@ -426,11 +424,11 @@ def _found(
 def _of_band(
     item: Fitted,
     floor: Floor,
-    smooth: Array,
+    smooth: Floats,
     still: tuple[float, ...],
     proofs: dict[float, Proof],
     settings: IdentifySettings,
-) -> tuple[list[Mode], list[Tone], Array, Poles]:
+) -> tuple[list[Mode], list[Tone], Floats, Poles]:
     """Modes of a band, its tones, the covariance of the modes and their poles."""
     problem, fit = item.problem, item.fit
     scatter = np.array([dispersion(problem, fit, float(f)) for f in fit.poles.frequency_hz])
@@ -471,7 +469,7 @@ def _too_deep(floor: Floor, frequency_hz: float, channels: Sequence[str]) -> str
     return f"{least:.0f} dB under the strongest line, of which window and angle leave as much"
 
 
-def _without_hidden(item: Fitted) -> Array:
+def _without_hidden(item: Fitted) -> Floats:
     """Power (C, F) of a band's fit without strong tones and the poles that stand for the skirts of masked lines."""
     smooth = item.fit.without_lines(item.problem)
     for number in np.flatnonzero(hidden_poles(item.problem, item.fit)).tolist():
@@ -479,7 +477,7 @@ def _without_hidden(item: Fitted) -> Array:
     return np.asarray(np.maximum(smooth, 0.02 * _typical(item.problem)))
 
 
-def _typical(problem: Problem) -> Array:
+def _typical(problem: Problem) -> Floats:
     """A middling power (C, 1) of each channel."""
     used = [
         np.median(y[n > 0.0]) if (n > 0.0).any() else 0.0 for y, n in zip(problem.psd, problem.averages, strict=True)
@@ -492,8 +490,8 @@ def _mode(
     problem: Problem,
     fit: SurfaceFit,
     floor: Floor,
-    covariance: Array,
-    strength: Array,
+    covariance: Floats,
+    strength: Floats,
     still: tuple[float, ...],
     proof: Proof,
     settings: IdentifySettings,

@@ -14,8 +14,17 @@ from crankorder.findings import MotorLine as LineRecord
 from crankorder.findings import MotorSpeed
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone
 from crankorder.identify.intervals import Z95, positive_interval
-from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
-from crankorder.identify.known_lines import Held, LineSeen, Place, Sighting, found_near, named_by, sightings, words_of
+from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
+from crankorder.identify.lines.known_lines import (
+    Held,
+    LineSeen,
+    Place,
+    Sighting,
+    found_near,
+    named_by,
+    sightings,
+    words_of,
+)
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
 from crankorder.identify.said import NUMBERS as SAID

@@ -7,11 +7,11 @@ from functools import lru_cache
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.fft.windows import window_named
-from crankorder.identify.modal.surface_fit import Sight, sight
+from crankorder.identify.modes.surface_fit import Sight, sight
 from crankorder.orders.averages import median_of_known
+from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
 
 
@@ -31,8 +31,6 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="floor"):
 
 NUMBERS = _Numbers.load()
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class Floor:
@@ -46,18 +44,18 @@ class Floor:
     its error) of lines that are tones for sure.
     """
 
-    frequency_hz: Array
-    psd: Array
-    averages: Array
-    gain: Array
-    cells: Array
-    cell_averages: Array
+    frequency_hz: Floats
+    psd: Floats
+    averages: Floats
+    gain: Floats
+    cells: Floats
+    cell_averages: Floats
     channels: tuple[str, ...]
-    speed_rpm: Array
+    speed_rpm: Floats
     seen: Sight
-    whole: Array
+    whole: Floats
     quantity: tuple[str, ...]
-    moving: Array
+    moving: Floats
     strong: tuple[tuple[float, float], ...] = ()
 
     @property
@@ -133,7 +131,7 @@ def quiet_floor(
     return Floor(frequency[used], mean, total, gain, psd, averages, names, speed, seen, whole, quantity, unclipped)
 
 
-def _settled(campbell: xr.Dataset, used: NDArray[np.int64]) -> tuple[Array, Array]:
+def _settled(campbell: xr.Dataset, used: Ints) -> tuple[Floats, Floats]:
     """Densities (channels, speeds, ``used`` bins) without start transients, and the share of the frames they are of."""
     psd = campbell["psd"].values.astype(np.float64)
     share = np.ones(psd.shape)
@@ -143,7 +141,7 @@ def _settled(campbell: xr.Dataset, used: NDArray[np.int64]) -> tuple[Array, Arra
     return psd[..., used], share[..., used]
 
 
-def _mean(psd: Array, averages: Array) -> tuple[Array, Array]:
+def _mean(psd: Floats, averages: Floats) -> tuple[Floats, Floats]:
     """Mean of ``psd`` over the speeds, weighted by ``averages``, and the sum of those; NaN takes no part."""
     weight = np.where(np.isnan(psd), 0.0, averages)
     total = weight.sum(axis=1)
@@ -151,7 +149,7 @@ def _mean(psd: Array, averages: Array) -> tuple[Array, Array]:
         return np.nansum(weight * np.nan_to_num(psd), axis=1) / total, total
 
 
-def _independent(campbell: xr.Dataset) -> Array:
+def _independent(campbell: xr.Dataset) -> Floats:
     """Independent power spectra (channels, speeds) that the frames of the map are worth."""
     overlap = float(campbell.attrs.get("overlap", NUMBERS.usual_overlap_fraction))
     window = window_named(str(campbell.attrs["window"]), 256)
@@ -164,14 +162,14 @@ def _independent(campbell: xr.Dataset) -> Array:
 
 
 def _order_mask(
-    psd: Array,
-    every: Array,
-    frequency: Array,
-    speed: Array,
+    psd: Floats,
+    every: Floats,
+    frequency: Floats,
+    speed: Floats,
     orders: tuple[tuple[float, float], ...],
     campbell: xr.Dataset,
     seen: Sight,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Cells (channels, speeds, frequencies) of ``psd`` that lines of ``orders`` cover, skirts included.
 
     ``every`` is the density with start transients.
@@ -197,7 +195,7 @@ def _order_mask(
     return mask
 
 
-def _level(psd: Array) -> Array:
+def _level(psd: Floats) -> Floats:
     """Running median of ``psd`` (channels, speeds, frequencies) over some bins of each speed; NaN takes no part."""
     half = NUMBERS.level_bins // 2
     padded = np.pad(psd, ((0, 0), (0, 0), (half, half)), constant_values=np.nan)
@@ -205,14 +203,14 @@ def _level(psd: Array) -> Array:
 
 
 @lru_cache
-def _skirt(window: str) -> tuple[Array, Array]:
+def _skirt(window: str) -> tuple[Floats, Floats]:
     """Distances in bins, and the largest power response of ``window`` from each on: what a line leaks that far away."""
     away = np.arange(0.0, NUMBERS.skirt_bins + 1.0, 0.25)
     response = window_named(window, 8 * NUMBERS.skirt_bins).response(away) ** 2
     return away, np.asarray(np.maximum.accumulate(response[::-1])[::-1])
 
 
-def _at_unit_gain(psd: Array, averages: Array) -> tuple[Array, Array]:
+def _at_unit_gain(psd: Floats, averages: Floats) -> tuple[Floats, Floats]:
     """``psd`` divided by the gain of each speed, and those gains (channels, speeds), 1 on average."""
     level = median_of_known(psd, axis=1)
     gain = median_of_known(psd / level[:, None], axis=2)
@@ -224,7 +222,7 @@ def _at_unit_gain(psd: Array, averages: Array) -> tuple[Array, Array]:
     return psd / gain[:, :, None], gain
 
 
-def _clip(psd: Array, averages: Array) -> None:
+def _clip(psd: Floats, averages: Floats) -> None:
     """NaN into cells (and their neighbours) of ``psd`` that stand over their bin's median as noise hardly ever does."""
     from scipy.special import gammainccinv
 
@@ -240,7 +238,7 @@ def _clip(psd: Array, averages: Array) -> None:
     psd[wide] = np.nan
 
 
-def _mask_feet(psd: Array, averages: Array, moving: NDArray[np.bool_]) -> None:
+def _mask_feet(psd: Floats, averages: Floats, moving: Bools) -> None:
     """NaN into cells of ``psd`` beside ``moving`` lines as far as they stand over the same bins at other speeds.
 
     From the mask of a line outwards as long as it goes on: a line whose speed or amplitude wanders has a wider foot

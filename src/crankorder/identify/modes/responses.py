@@ -9,11 +9,10 @@ import numpy as np
 
 from crankorder.identify.found import ModalFit, OrderResponse
 from crankorder.identify.intervals import half_width, positive_interval
-from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
-from crankorder.identify.modal.order_blocks import NUMBERS as ORDER_BLOCKS
-from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.modal.order_terms import force, resonance_slopes, smooth_shapes
-from crankorder.identify.resonance import resonance
+from crankorder.identify.modes.exclusion import NUMBERS as EXCLUSION
+from crankorder.identify.modes.order_blocks import NUMBERS as ORDER_BLOCKS
+from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
+from crankorder.identify.modes.order_terms import force, resonance, resonance_slopes, smooth_shapes
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 

@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.identify.found import SweepFits
-from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
-from crankorder.identify.modal.exclusion import SAME_ORDER, Hiding
-from crankorder.identify.modal.sweep_fit import LIGHTEST, LocalFit, OnePoleMore, Starts, shares_of
-from crankorder.identify.modal.sweep_window import Solved, SweepSpectrum, Window
-from crankorder.identify.resonance import resonance
+from crankorder.identify.modes.exclusion import NUMBERS as EXCLUSION
+from crankorder.identify.modes.exclusion import SAME_ORDER, Hiding
+from crankorder.identify.modes.order_terms import resonance
+from crankorder.identify.modes.sweep_fit import LIGHTEST, LocalFit, OnePoleMore, Starts, shares_of
+from crankorder.identify.modes.sweep_window import Solved, SweepSpectrum, Window
+from crankorder.quantities import Complexes, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -51,9 +51,6 @@ ROUGHLY = {"rounds": 1, "steps": 6}
 EXACTLY = {"rounds": 2, "steps": 6}
 """Times that the noise is told anew, and steps between: while poles are looked for, and in the end."""
 
-Array = NDArray[np.float64]
-Complex = NDArray[np.complexfloating]
-
 
 @dataclass(frozen=True, eq=False)
 class SweepPole:
@@ -65,14 +62,14 @@ class SweepPole:
 
     frequency_hz: float
     damping: float
-    covariance: Array
+    covariance: Floats
     channels: tuple[str, ...]
     orders: tuple[float, ...]
     span_hz: tuple[float, float]
     share: float
 
     @property
-    def covariance_of_values(self) -> Array:
+    def covariance_of_values(self) -> Floats:
         """Covariance (2, 2) of frequency, Hz, and damping ratio."""
         values = np.array([self.frequency_hz, self.damping])
         return np.asarray(self.covariance * values * values[:, None])
@@ -112,7 +109,7 @@ class GroupFit:
 
     fit: LocalFit
     less: LocalFit
-    covariance: Array
+    covariance: Floats
     poles: tuple[SweepPole, ...]
 
 
@@ -365,7 +362,7 @@ def _refined(
     return GroupFit(more.bare, less.bare, covariance, sure)
 
 
-def _covariance(less: LocalFit, more: LocalFit) -> Array:
+def _covariance(less: LocalFit, more: LocalFit) -> Floats:
     """Covariance (2 M, 2 M) of (ln f, ln ζ) of the poles of ``more``, with what one degree ``less`` moves."""
     moved = np.stack([np.log(more.natural_hz / less.natural_hz), np.log(more.damping / less.damping)], axis=1)
     return np.asarray(more.covariance() + np.diag(np.square(moved).ravel()) + more.model_variance)
@@ -387,7 +384,7 @@ def _witnesses(orders: Sequence[float]) -> int:
     return sum(apart) + bool(orders)
 
 
-def _pole(fit: LocalFit, number: int, covariance: Array) -> SweepPole:
+def _pole(fit: LocalFit, number: int, covariance: Floats) -> SweepPole:
     """Pole ``number`` of ``fit`` with the orders that prove it."""
     from scipy.special import fdtrc
 
@@ -409,7 +406,7 @@ def _pole(fit: LocalFit, number: int, covariance: Array) -> SweepPole:
     return SweepPole(f, zeta, covariance, tuple(channels), tuple(sorted(orders)), span, fit.share(number))
 
 
-def _variance(one: Solved, number: int) -> Array:
+def _variance(one: Solved, number: int) -> Floats:
     """Variance (orders, C) of the residues of mode ``number``, a complex number's whole one."""
     width = one.window.order_columns(len(one.natural_hz))
     at = np.arange(len(one.window.orders)) * width + one.window.degree + 1 + number
@@ -437,13 +434,13 @@ class HiddenInSweep:
 
     order: float
     channels: tuple[str, ...]
-    frequency_hz: Array
-    smooth: Complex
-    own: Complex
-    natural_hz: Array
-    damping: Array
-    added: Array
-    noise: Array
+    frequency_hz: Floats
+    smooth: Complexes
+    own: Complexes
+    natural_hz: Floats
+    damping: Floats
+    added: Floats
+    noise: Floats
 
     def beside(self, proven_hz: Sequence[float]) -> Hiding:
         """With those of its poles as known that are modes of ``proven_hz``; any other may be a mode that is to come."""
@@ -482,7 +479,7 @@ def hidden_in(
     return tuple(item for item in made if len(item.frequency_hz) > 1)
 
 
-def _added(one: Solved, cells: Array, damping: float, reach: float) -> Array:
+def _added(one: Solved, cells: Floats, damping: float, reach: float) -> Floats:
     """Largest amplitude (orders, C, G) that a mode about each of ``cells`` adds at its peak to an order held there.
 
     Per unit of the order's force. ``reach``: standard errors that count as unseen.
@@ -497,7 +494,7 @@ def _added(one: Solved, cells: Array, damping: float, reach: float) -> Array:
     return np.asarray(worst.reshape(*most.shape[1:], len(cells)))
 
 
-def _of_order(one: Solved, place: int, cells: Array, added: Array) -> HiddenInSweep:
+def _of_order(one: Solved, place: int, cells: Floats, added: Floats) -> HiddenInSweep:
     """What order number ``place`` of ``one`` window hides at those of ``cells`` (G,) that it passes.
 
     ``added`` (C, G): the most that a mode adds per unit of its force.

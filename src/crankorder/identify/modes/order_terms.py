@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -18,12 +18,8 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_terms")
 
 NUMBERS = _Numbers.load()
 
-Array = NDArray[np.float64]
 
-Complex = NDArray[np.complexfloating]
-
-
-def smooth_shapes(speed_rpm: Array, span_rpm: tuple[float, float], degree: int) -> Array:
+def smooth_shapes(speed_rpm: Floats, span_rpm: tuple[float, float], degree: int) -> Floats:
     """Legendre polynomials (K, degree + 1) of ln ``speed_rpm`` (K,), which runs from -1 to 1 over ``span_rpm``.
 
     ``degree``: the highest, 0 or more.
@@ -34,8 +30,8 @@ def smooth_shapes(speed_rpm: Array, span_rpm: tuple[float, float], degree: int) 
 
 
 def force(
-    speed_rpm: Array, span_rpm: tuple[float, float], reference_rpm: float, exponent: float, law: tuple[complex, ...]
-) -> Complex:
+    speed_rpm: Floats, span_rpm: tuple[float, float], reference_rpm: float, exponent: float, law: tuple[complex, ...]
+) -> Complexes:
     """Force (K,) at ``speed_rpm`` (K,) by the law of a block: 1 at ``reference_rpm`` where ``law`` is empty.
 
     ``span_rpm``, ``exponent`` and ``law`` are those of :class:`Block`.
@@ -43,18 +39,27 @@ def force(
     return grown_by(speed_rpm / reference_rpm, smooth_shapes(speed_rpm, span_rpm, len(law)), exponent, law)
 
 
-def grown_by(ratio: Array, shapes: Array, exponent: float, law: tuple[complex, ...]) -> Complex:
+def grown_by(ratio: Floats, shapes: Floats, exponent: float, law: tuple[complex, ...]) -> Complexes:
     """Force (K,) by ``exponent`` and ``law`` at speeds ``ratio`` (K,) times that of reference.
 
     ``shapes`` (K, law + 1): the polynomials of these speeds.
     """
-    grown: Complex = np.asarray(ratio**exponent, dtype=np.complex128)
+    grown: Complexes = np.asarray(ratio**exponent, dtype=np.complex128)
     if law:
         grown *= np.exp(shapes[:, 1:] @ np.array(law))
     return grown
 
 
-def resonance_slopes(frequency_hz: Array, natural_hz: Array, damping: Array) -> tuple[Complex, Complex]:
+def resonance(frequency_hz: Floats, natural_hz: Floats, damping_ratio: Floats) -> Complexes:
+    """Acceleration −x² / (1 − x² + 2iζx), x = f / f_j, of modes of unit residue, shape (…, mode).
+
+    ``frequency_hz``: f, any shape (…). ``natural_hz`` and ``damping_ratio``: f_j (Hz) and ζ_j, (mode,).
+    """
+    x = np.asarray(frequency_hz)[..., None] / natural_hz
+    return np.asarray(-(x**2) / (1 - x**2 + 2j * damping_ratio * x), dtype=np.complex128)
+
+
+def resonance_slopes(frequency_hz: Floats, natural_hz: Floats, damping: Floats) -> tuple[Complexes, Complexes]:
     """Derivatives of h_j (K, M) = −x² / (1 − x² + 2iζx), x = f / f_j, by ln f_j and by ln ζ_j.
 
     ``frequency_hz``: in Hz; ``natural_hz``: of the modes in Hz; ``damping``: their ratios.
@@ -65,7 +70,7 @@ def resonance_slopes(frequency_hz: Array, natural_hz: Array, damping: Array) -> 
     return np.asarray(-x * by_x, dtype=np.complex128), np.asarray(2j * damping * x**3 * over**2, dtype=np.complex128)
 
 
-def of_squares(columns: Complex, ratio: Array) -> Complex:
+def of_squares(columns: Complexes, ratio: Floats) -> Complexes:
     """Real part and imaginary part over ``ratio`` (K, 2 M) of ``columns`` (K, M), in turn.
 
     They span the square of any response with real residues, beside a constant.
@@ -75,7 +80,7 @@ def of_squares(columns: Complex, ratio: Array) -> Complex:
     return made
 
 
-def orthonormal(columns: Complex) -> tuple[Complex, Complex]:
+def orthonormal(columns: Complexes) -> tuple[Complexes, Complexes]:
     """QR of each channel's ``columns`` (C, K, terms): bases (C, K, terms) and triangles (C, terms, terms).
 
     As :func:`numpy.linalg.qr` does it, whose stacking takes longer than the factors of matrices as small as these. What
@@ -96,12 +101,12 @@ def orthonormal(columns: Complex) -> tuple[Complex, Complex]:
     return np.swapaxes(turned, 1, 2), triangle
 
 
-def beyond(basis: Complex, values: Complex) -> Complex:
+def beyond(basis: Complexes, values: Complexes) -> Complexes:
     """``values`` (C, K, M) less what lies along ``basis`` (C, K, terms)."""
     return np.asarray(values - basis @ (np.swapaxes(basis, 1, 2).conj() @ values))
 
 
-def beyond_law(values: Complex, bent: Complex, *, power: bool) -> Complex:
+def beyond_law(values: Complexes, bent: Complexes, *, power: bool) -> Complexes:
     """``values`` (C, K, M) less what a step of a law common to the channels makes up for.
 
     ``bent`` (C, K, degree) are the derivatives by its numbers. These are complex, and real behind squares (``power``),
@@ -109,7 +114,7 @@ def beyond_law(values: Complex, bent: Complex, *, power: bool) -> Complex:
     """
     flat, moved = values.reshape(-1, values.shape[2]), bent.reshape(-1, bent.shape[2])
     if power:
-        flat, moved = flat.real + 0j, moved.real + 0j
+        flat, moved = flat.real.astype(np.complex128), moved.real.astype(np.complex128)
     unit = np.linalg.qr(moved / np.maximum(np.linalg.norm(moved, axis=0), 1e-300))[0]
     return np.asarray(beyond(unit[None], flat[None])[0].reshape(values.shape))
 
@@ -121,7 +126,7 @@ FRACTIONS = np.arange(CUTS + 1) / CUTS
 """Where those cuts lie, as shares of the range."""
 
 
-def scatter_of(squared: Array, error: Array, size: Array, degrees_of_freedom: int) -> tuple[float, float]:
+def scatter_of(squared: Floats, error: Floats, size: Floats, degrees_of_freedom: int) -> tuple[float, float]:
     """Scatter s and share n of the errors for which Σ ``squared`` / (n² ``error`` + s² ``size``) is as expected.
 
     That is the ``degrees_of_freedom``. n is one as long as s is more than the least.
@@ -129,7 +134,7 @@ def scatter_of(squared: Array, error: Array, size: Array, degrees_of_freedom: in
     known = np.isfinite(error)
     squared, error, size = squared[known], error[known], size[known]
 
-    def above(scatter: Array, noise: Array) -> NDArray[np.bool_]:
+    def above(scatter: Floats, noise: Floats) -> Bools:
         sizes = np.square(noise)[:, None] * error + np.square(scatter)[:, None] * size
         return np.asarray(np.sum(squared / sizes, axis=1) > degrees_of_freedom)
 
@@ -141,7 +146,7 @@ def scatter_of(squared: Array, error: Array, size: Array, degrees_of_freedom: in
     return NUMBERS.least_scatter, _halved(lambda noise: above(least, noise), NUMBERS.least_noise_share, 1.0)
 
 
-def _halved(is_below: Callable[[Array], NDArray[np.bool_]], low: float, high: float) -> float:
+def _halved(is_below: Callable[[Floats], Bools], low: float, high: float) -> float:
     """Where ``is_below`` turns false between ``low`` and ``high``, by halving the logarithm twenty times.
 
     Four halvings are one: all places that they could ask at are asked at once.

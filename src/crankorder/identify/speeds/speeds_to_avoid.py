@@ -8,8 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtri
 
-from crankorder.identify.above_trend import Seen, above_trend, width_rpm
-from crankorder.identify.crossings import fitted_excess, higher, responses_to
 from crankorder.identify.found import (
     AgreedOrder,
     AvoidedSpeed,
@@ -24,11 +22,13 @@ from crankorder.identify.found import (
 )
 from crankorder.identify.intervals import Z95, half_width
 from crankorder.identify.lines.growth import Largest, largest, reported_within
-from crankorder.identify.modal.exclusion import NUMBERS as EXCLUSION
-from crankorder.identify.modal.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.responses import HeldPeak, peak_of, together, with_and_without
+from crankorder.identify.modes.exclusion import NUMBERS as EXCLUSION
+from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
+from crankorder.identify.modes.responses import HeldPeak, peak_of, together, with_and_without
 from crankorder.identify.said import AMPLIFIED
 from crankorder.identify.said import NUMBERS as SAID
+from crankorder.identify.speeds.above_trend import Seen, above_trend, width_rpm
+from crankorder.identify.speeds.crossings import fitted_excess, higher, responses_to
 from crankorder.quantities import Bools
 from crankorder.settings import IdentifySettings, MethodNumbers
 

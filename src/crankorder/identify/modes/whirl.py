@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import ModalFit, Mode, OrderResponse, Whirl
-from crankorder.identify.modal.floor import Floor
-from crankorder.identify.modal.surface_fit import Problem, Sight, SurfaceFit, gamma_deviance, seen_pole
-from crankorder.identify.modal.tones import NUMBERS as TONES
-from crankorder.identify.modal.tones import at_one_speed, on_order
+from crankorder.identify.modes.floor import Floor
+from crankorder.identify.modes.surface_fit import Problem, Sight, SurfaceFit, gamma_deviance, seen_pole
+from crankorder.identify.modes.tones import NUMBERS as TONES
+from crankorder.identify.modes.tones import at_one_speed, on_order
 from crankorder.orders.averages import median_of_known
+from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -41,8 +41,6 @@ ROUNDS = 2
 BOXES = (3, 7, 15, 31)
 """Widths in bins over which the sums along a line are smoothed."""
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
@@ -52,14 +50,14 @@ class _Cells:
     that are known; ``seen``: how the window sees power.
     """
 
-    frequency_hz: Array
-    revs_per_s: Array
-    psd: Array
-    averages: Array
-    beside: Array
+    frequency_hz: Floats
+    revs_per_s: Floats
+    psd: Floats
+    averages: Floats
+    beside: Floats
     seen: Sight
 
-    def around(self, line: Array) -> _Cells:
+    def around(self, line: Floats) -> _Cells:
         """Those that ``line`` sweeps over, and what is beside."""
         at = line[0] + line[1] * self.revs_per_s
         reach = max(10.0 * self.seen.bin_hz, 5.0 * line[2] * line[0])
@@ -77,13 +75,13 @@ class _Fit:
     ``deviance`` (K,) of independent bins.
     """
 
-    line: Array
+    line: Floats
     cells: _Cells
-    power: Array
-    fixed: Array
-    covariance: Array
-    shown: NDArray[np.bool_]
-    deviance: Array
+    power: Floats
+    fixed: Floats
+    covariance: Floats
+    shown: Bools
+    deviance: Floats
 
 
 def whirls_of(floor: Floor, *, settings: IdentifySettings) -> tuple[Floor, tuple[Whirl, ...]]:
@@ -125,7 +123,7 @@ def whirls_of(floor: Floor, *, settings: IdentifySettings) -> tuple[Floor, tuple
     return floor, tuple(_whirl(fit, floor.channels, middle) for fit in sorted(kept, key=lambda fit: float(fit.line[0])))
 
 
-def _shape(line: Array, cells: _Cells) -> tuple[Array, Array]:
+def _shape(line: Floats, cells: _Cells) -> tuple[Floats, Floats]:
     """Spectrum (K, F) of a ``line`` of unit power, and its derivatives (3, K, F) by Hz, slope and ln damping."""
     at = np.maximum(line[0] + line[1] * cells.revs_per_s, cells.frequency_hz[0])[:, None]
     sigma = line[2] * at
@@ -136,12 +134,12 @@ def _shape(line: Array, cells: _Cells) -> tuple[Array, Array]:
     return scale * value.real, np.stack([by_hz, by_hz * cells.revs_per_s[:, None], by_damping])
 
 
-def _parts(fits: list[_Fit], cells: _Cells) -> Array:
+def _parts(fits: list[_Fit], cells: _Cells) -> Floats:
     """Power densities (C, K, F) of the lines of ``fits``."""
     return np.asarray(sum(fit.power[:, :, None] * _shape(fit.line, cells)[0] for fit in fits))
 
 
-def _excess(cells: _Cells) -> Array:
+def _excess(cells: _Cells) -> Floats:
     """What each cell (K, F) stands over its bin's median over the speeds, all channels, in standard deviations."""
     known = np.where(cells.averages > 0.0, cells.psd, np.nan)
     over = np.sqrt(cells.averages) * (known / median_of_known(known, axis=1)[:, None] - 1.0)
@@ -150,7 +148,7 @@ def _excess(cells: _Cells) -> Array:
     return np.asarray(np.where(count > 0, np.nansum(over, axis=0) / np.sqrt(np.maximum(count, 1)), np.nan))
 
 
-def _best_line(excess: Array, cells: _Cells) -> tuple[Array | None, int]:
+def _best_line(excess: Floats, cells: _Cells) -> tuple[Floats | None, int]:
     """The line along which ``excess`` sums up to most, None where noise alone does so; how many were tried."""
     step = float(cells.frequency_hz[1] - cells.frequency_hz[0])
     span = float(np.ptp(cells.revs_per_s))
@@ -178,13 +176,13 @@ def _best_line(excess: Array, cells: _Cells) -> tuple[Array | None, int]:
     return line, n_tried
 
 
-def _sums_over(values: Array, box: int) -> Array:
+def _sums_over(values: Floats, box: int) -> Floats:
     """Sums of so many ``values`` (rows, places) about each place: a ``box`` that is empty beyond the ends."""
     beside = np.pad(values, ((0, 0), (box // 2 + 1, box - box // 2 - 1))).cumsum(axis=1)
     return np.asarray(beside[:, box:] - beside[:, :-box])
 
 
-def _fitted(start: Array, cells: _Cells, chance: float, *, moves: bool = True) -> _Fit:
+def _fitted(start: Floats, cells: _Cells, chance: float, *, moves: bool = True) -> _Fit:
     """Best line from ``start`` on, of that slope unless it ``moves``; ``chance`` that noise shows it in a channel.
 
     Fisher scoring of the gamma likelihood in turn by the spectrum that stays, by the power at every speed, and by
@@ -229,13 +227,13 @@ def _outdoes_staying(fit: _Fit, chance: float) -> bool:
     return bool(gain.sum() - max(gain.max(), 0.0) > chdtri(2, chance))
 
 
-def _weighed(cells: _Cells, fixed: Array, part: Array | float) -> tuple[Array, Array]:
+def _weighed(cells: _Cells, fixed: Floats, part: Floats | float) -> tuple[Floats, Floats]:
     """Weights (C, K, F) by the variance of ``fixed`` + ``part`` + what is beside, and what is left over that."""
     model = np.maximum(fixed[:, None] + cells.beside + part, 1e-150)
     return cells.averages / model**2, np.where(cells.averages > 0.0, cells.psd - model, 0.0)
 
 
-def _stays(cells: _Cells, fixed: Array, part: Array | float) -> Array:
+def _stays(cells: _Cells, fixed: Floats, part: Floats | float) -> Floats:
     """``fixed`` (C, F) after a step of Fisher scoring with ``part`` (C, K, F) held."""
     weight, left = _weighed(cells, fixed, part)
     step = (weight * left).sum(axis=1) / np.maximum(weight.sum(axis=1), 1e-300)
@@ -476,7 +474,7 @@ def of_the_air(modes: tuple[Mode, ...], campbell: xr.Dataset) -> tuple[Mode, ...
     )
 
 
-def without_remains(fit: ModalFit, whirls: tuple[Whirl, ...], speed_rpm: NDArray[np.float64]) -> ModalFit:
+def without_remains(fit: ModalFit, whirls: tuple[Whirl, ...], speed_rpm: Floats) -> ModalFit:
     """``fit`` with its ``whirls``, without the modes that are only what these make of an order or leave in the floor.
 
     The former stand where an order that shows them meets a whirl; what that order passes through is then not known: its
@@ -504,7 +502,7 @@ def _is_meeting(mode: Mode, whirl: Whirl) -> bool:
     return any(rpm is not None and abs(order * rpm / 60.0 - mode.frequency_hz) <= near for order, rpm in met)
 
 
-def _is_hump(mode: Mode, whirl: Whirl, speed_rpm: NDArray[np.float64]) -> bool:
+def _is_hump(mode: Mode, whirl: Whirl, speed_rpm: Floats) -> bool:
     """Whether ``mode``, shown by no order, is on the path of ``whirl`` and broader than it."""
     half = mode.damping_ratio * mode.frequency_hz
     ends = sorted(whirl.line_at(float(rpm)) for rpm in (np.nanmin(speed_rpm), np.nanmax(speed_rpm)))

@@ -9,20 +9,10 @@ from functools import partial
 import numpy as np
 
 from crankorder.findings import BearingFinding
-from crankorder.identify.angle_swings import Words
-from crankorder.identify.cycle_forces import CycleForce, cycle_forces, gas_half_orders
-from crankorder.identify.folds import ShownFold
-from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
-from crankorder.identify.intervals import half_width
-from crankorder.identify.known_lines import NUMBERS as KNOWN_LINES
-from crankorder.identify.known_lines import LineSeen, named_by, words_of
-from crankorder.identify.lines.growth import is_motion, largest, order_one
-from crankorder.identify.mains import OR_ANOTHER, mains_orders, multiple_on, multiples_near, supply_told
-from crankorder.identify.modal.tones import NEAR_BINS
-from crankorder.identify.modal.tones import NUMBERS as TONES
-from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, OR_OWN, mains_words
-from crankorder.identify.said import NUMBERS as SAID
-from crankorder.identify.sidebands import (
+from crankorder.identify.causes.angle_swings import Words
+from crankorder.identify.causes.cycle_forces import CycleForce, cycle_forces, gas_half_orders
+from crankorder.identify.causes.folds import ShownFold
+from crankorder.identify.causes.sidebands import (
     BY_ITSELF,
     StruckRace,
     explain_families,
@@ -30,6 +20,16 @@ from crankorder.identify.sidebands import (
     sidebands,
     struck_races,
 )
+from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
+from crankorder.identify.intervals import half_width
+from crankorder.identify.lines.growth import is_motion, largest, order_one
+from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
+from crankorder.identify.lines.known_lines import LineSeen, named_by, words_of
+from crankorder.identify.lines.mains import OR_ANOTHER, mains_orders, multiple_on, multiples_near, supply_told
+from crankorder.identify.modes.tones import NEAR_BINS
+from crankorder.identify.modes.tones import NUMBERS as TONES
+from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, OR_OWN, mains_words
+from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.sources import PartsAt, Sources, StatedPart, parts_at
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -109,9 +109,9 @@ def explained(
     quantity : quantity of each channel by its name, such as "acceleration" or "sound pressure"
     in_cylinder : channels that measure the pressure in a cylinder, where the machine is a piston engine
     settings : mains frequencies and how far they wander
-    folds : what was found to fold (:func:`crankorder.identify.folds.shown_folds`)
+    folds : what was found to fold (:func:`crankorder.identify.causes.folds.shown_folds`)
     known : lines of the motor and of the mains that the frames hold where they were expected
-    of_swing : lines that swings of the angle may make (:func:`crankorder.identify.angle_swings.swing_sidebands`)
+    of_swing : lines that swings of the angle may make (:func:`crankorder.identify.causes.angle_swings.swing_sidebands`)
     longest_rev : revolutions of the longest recording at one speed: two lines that beat less often in it look like one
     rows : lines by channel and order with the amplitudes of their tracks, which tell how they grow
     """

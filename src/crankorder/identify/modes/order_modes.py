@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.identify.found import Mode, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.modal.order_responses import NUMBERS as ORDER_RESPONSES
-from crankorder.identify.modal.order_responses import Block, Projected, as_real, jacobian, project
-from crankorder.identify.modal.ringing import rings_into
-from crankorder.identify.modal.surface_fit import Poles
+from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
+from crankorder.identify.modes.order_responses import Block, Projected, as_real, jacobian, project
+from crankorder.identify.modes.ringing import rings_into
+from crankorder.identify.modes.surface_fit import Poles
+from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -38,8 +38,6 @@ class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_modes")
 
 
 NUMBERS = _Numbers.load()
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -128,7 +126,7 @@ def _by_sweep(blocks: Sequence[Block]) -> dict[str, list[Block]]:
     return made
 
 
-def _explains(block: Block, part: Projected, poles: Poles, number: int) -> NDArray[np.bool_]:
+def _explains(block: Block, part: Projected, poles: Poles, number: int) -> Bools:
     """Whether pole ``number``, with its neighbours, is what a sweep of ``block`` shows there, in each channel (C,).
 
     What the other poles leave there is felt, and with it most of that is gone, beyond the noise. Where the swing of
@@ -208,7 +206,7 @@ def _rows_within(block: Block, f: float, zeta: float) -> int:
     return max(rows, NUMBERS.rows_of_sweep) if whole else rows
 
 
-def residue_chances(block: Block, part: Projected, number: int) -> Array:
+def residue_chances(block: Block, part: Projected, number: int) -> Floats:
     """Chances (C,) that the residue of pole ``number`` in ``block`` is so large without the mode (F test).
 
     ``part``: the block as projected.
@@ -259,7 +257,7 @@ def _peaks_prove(proof: Proof) -> bool:
     return len(proof.passed) > 1 and (proof.rows >= NUMBERS.rows_of_two or proof.located > 1)
 
 
-def mode_of(pole: OrderPole, covariance: Array, every: Poles, *, settings: IdentifySettings) -> Mode | None:
+def mode_of(pole: OrderPole, covariance: Floats, every: Poles, *, settings: IdentifySettings) -> Mode | None:
     """Mode of a ``pole`` that only orders show, with its ``covariance`` (2, 2); None where it is a part of the shape.
 
     So is one of unknown damping that lies no further from another pole than it is known: both are one.
@@ -284,7 +282,7 @@ def mode_of(pole: OrderPole, covariance: Array, every: Poles, *, settings: Ident
     )
 
 
-def tone_as_mode(tone: Tone, orders: tuple[float, ...], *, settings: IdentifySettings) -> tuple[Mode, Array]:
+def tone_as_mode(tone: Tone, orders: tuple[float, ...], *, settings: IdentifySettings) -> tuple[Mode, Floats]:
     """A ``tone`` at which ``orders`` rise as an undecided mode, with its covariance (2, 2).
 
     ``settings``: the least damping that a mode is reckoned with, which stands for one that nobody saw.

@@ -12,10 +12,10 @@ import xarray as xr
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderResponse
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, proves_speed, speed_source
-from crankorder.identify.modal.order_blocks import NUMBERS as ORDER_BLOCKS
-from crankorder.identify.modal.order_blocks import blocks_of
-from crankorder.identify.modal.order_responses import Block
-from crankorder.identify.modal.order_terms import smooth_shapes
+from crankorder.identify.modes.order_blocks import NUMBERS as ORDER_BLOCKS
+from crankorder.identify.modes.order_blocks import blocks_of
+from crankorder.identify.modes.order_responses import Block
+from crankorder.identify.modes.order_terms import smooth_shapes
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
