@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field, ValidationError, field_validator
 
 from crankorder.engine.balancing import (
@@ -41,7 +42,6 @@ from crankorder.engine.shafts import (
 from crankorder.engine.slider_crank import SliderCrank
 from crankorder.engine.tolerance_study import BalanceTolerances
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
-from crankorder.quantities import Floats
 from crankorder.settings import toml_table, validation_fault
 
 DesignOrder = Annotated[int, Field(ge=1, le=12)]
@@ -69,7 +69,7 @@ class OffsetEffects:
     third_over_fourth: float
 
 
-def leading_harmonics(count: int, crank_ratio: float) -> Floats:
+def leading_harmonics(count: int, crank_ratio: float) -> NDArray[np.float64]:
     """First terms of the series of A2, A4, …: λ, λ³/4, 9λ⁵/128, 5λ⁷/256, …, shape (count,).
 
     They are what textbooks and shafts built by them use, 2 % to 15 % below the exact harmonics at λ = 0.3.

@@ -9,13 +9,12 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import EngineData, NonNegative, Positive
 from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.engine.slider_crank import SliderCrank, plain_piston_acceleration
 from crankorder.errors import RequestError
-from crankorder.quantities import Complexes, Floats
 
 Rotation = Literal["with crank", "against crank", "line", "none"]
 
@@ -100,7 +99,7 @@ def _sum(parts: list[complex]) -> complex:
     return total if abs(total) > CANCELLED * max(abs(part) for part in parts) else 0j
 
 
-def polar_diagram(forces: Iterable[OrderForce], crank_angle_rev: ArrayLike) -> Complexes:
+def polar_diagram(forces: Iterable[OrderForce], crank_angle_rev: ArrayLike) -> NDArray[np.complex128]:
     """Curve that the sum of the forces draws, over ω² (g·mm): real part along the cylinder, imaginary part across.
 
     ``forces``: by order. ``crank_angle_rev``: revolutions from top dead centre, any shape. Returns that shape; with
@@ -114,7 +113,7 @@ def polar_diagram(forces: Iterable[OrderForce], crank_angle_rev: ArrayLike) -> C
     return curve
 
 
-def unbalance_force_n(unbalance_g_mm: ArrayLike, speed_rpm: ArrayLike) -> Floats:
+def unbalance_force_n(unbalance_g_mm: ArrayLike, speed_rpm: ArrayLike) -> NDArray[np.float64]:
     """Force (N) of an unbalance at a speed: 1e-6 · unbalance · ω², with no division by g.
 
     ``unbalance_g_mm``: mass times radius, or an amplitude over ω². ``speed_rpm``: speed of the shaft that carries it
@@ -284,7 +283,7 @@ def force_by_order(masses: ReducedMasses, *, max_order: int) -> tuple[OrderForce
 
 def rod_counterweight_couple(
     masses: ReducedMasses, added: Counterweights, places: CounterweightPlaces, crank_angle_rev: ArrayLike
-) -> Floats:
+) -> NDArray[np.float64]:
     """Couple over ω² on the frame (g·mm²) that a counterweight on the rod leaves where all forces cancel.
 
     ``masses``: lengths (an offset is not treated: RequestError). ``added``, ``places``: counterweights and radii.
@@ -303,5 +302,5 @@ def rod_counterweight_couple(
     place_x, place_y = radius * cosine - beyond * rod_cosine, (radius + beyond * ratio) * sine
     second_x = -radius * cosine + beyond / length * swing
     second_y = -place_y
-    couple: Floats = -added.rod_g * (place_x * second_y - place_y * second_x)
+    couple: NDArray[np.float64] = -added.rod_g * (place_x * second_y - place_y * second_x)
     return couple

@@ -15,12 +15,11 @@ from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
 from crankorder.engine.definition import NOT_EMPTY, EngineData, NonNegative, Positive
 from crankorder.errors import RequestError
-from crankorder.quantities import Floats
 
 
 class CrankshaftSection(EngineData):
@@ -264,7 +263,7 @@ def crankshaft_sums(sections: Sequence[CrankshaftSection]) -> CrankshaftSums:
     )
 
 
-def couple_n_m(dynamic_kg_mm2: complex, speed_rpm: ArrayLike) -> Floats:
+def couple_n_m(dynamic_kg_mm2: complex, speed_rpm: ArrayLike) -> NDArray[np.float64]:
     """Rocking couple (N·m) that turns with the shaft.
 
     ``dynamic_kg_mm2``: dynamic sum, x + iy. ``speed_rpm``: scalar or any shape; the result has that shape.

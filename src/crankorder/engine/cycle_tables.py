@@ -21,9 +21,8 @@ from crankorder.engine.forces import (
 )
 from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
 from crankorder.engine.harmonics import last_order_above_round_off
-from crankorder.engine.in_cycle import TORQUE_ORDERS, lag_from_torque, over_a_cycle
+from crankorder.engine.in_cycle import TORQUE_ORDERS, Complex, Floats, lag_from_torque, over_a_cycle
 from crankorder.errors import RequestError, plain_number
-from crankorder.quantities import Complexes, Floats
 
 ANGLES_PER_REV = 720
 """Of the curves over a cycle: half a degree."""
@@ -133,7 +132,7 @@ def _firing(engine: Engine) -> dict[str, Any] | None:
     }
 
 
-def _gas(engine: Engine, orders: Floats, torque: Complexes) -> dict[str, Any]:
+def _gas(engine: Engine, orders: Floats, torque: Complex) -> dict[str, Any]:
     revs = engine.revs_per_cycle
     force = None
     if engine.gas is not None and engine.gas.torque_n_m is None:
@@ -159,7 +158,7 @@ def _kept(sizes: Floats, orders: Floats) -> dict[str, float]:
     return {key: float(sizes[n]) for key, n in _lines(sizes, orders)}
 
 
-def _turning(engine: Engine, curves: CycleCurves, gas: Complexes, masses: Floats) -> dict[str, Any]:
+def _turning(engine: Engine, curves: CycleCurves, gas: Complex, masses: Floats) -> dict[str, Any]:
     """Turning moment at one speed: extremes, orders of gas and masses side by side, power and swing of the speed."""
     total, omega = curves.total_n_m, curves.speed_rpm * math.pi / 30
     inertia = masses * omega**2

@@ -15,7 +15,7 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.hinged_crank import (
     CrankTorque,
@@ -29,9 +29,8 @@ from crankorder.engine.hinged_crank import (
     rod_motion,
 )
 from crankorder.errors import RequestError
-from crankorder.quantities import Complexes, Floats
 
-Angles = Floats
+Angles = NDArray[np.float64]
 
 PinHinge = Literal["full", "potential", "printed"]
 """What the hinge at the crank pin gives. ``"full"``: all of M12, so that no side force is left; only where G = 0 can a
@@ -444,9 +443,9 @@ class Guides:
     """Of the spring."""
     length_m: Angles
     """Length of the spring."""
-    outer_m: Complexes
+    outer_m: NDArray[np.complex128]
     """Surface of the outer guide, x + iy from the hinge's axis: the path of the roller, moved by its radius."""
-    inner_m: Complexes
+    inner_m: NDArray[np.complex128]
     """Surface of the inner guide."""
     steepest_deg: float
     """Largest angle between the force on a roller and the spring: above some 45° the rollers jam."""

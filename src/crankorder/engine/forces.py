@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.gas import firing_angle_deg, gas_force
@@ -15,7 +15,8 @@ from crankorder.engine.harmonics import acceleration_harmonics, last_order_above
 from crankorder.engine.rod import rod_couple, two_masses
 from crankorder.engine.slider_crank import Angles, plain_piston_acceleration, rod_direction, sine_cosine
 from crankorder.errors import RequestError
-from crankorder.quantities import Complexes, Floats
+
+Complex = NDArray[np.complex128]
 
 DIRECTIONS: tuple[Literal["X", "Y", "Z"], ...] = ("X", "Y", "Z")
 """X across, Y along the crankshaft, Z along the cylinder away from the crankshaft; the crank turns from Z to X."""
@@ -24,8 +25,8 @@ CANCELLED = 1e-12
 """Of one cylinder's largest force: what is left below it of several that cancel is rounding."""
 
 
-def crankcase_forces(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) -> Complexes:
-    """Complexes peak force (N) on the crankcase at orders 0 … ``max_order``, shape (…, 3, max_order + 1).
+def crankcase_forces(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) -> Complex:
+    """Complex peak force (N) on the crankcase at orders 0 … ``max_order``, shape (…, 3, max_order + 1).
 
     The second axis from the right is the direction, in the sequence of ``DIRECTIONS``. A line is
     Re(force · exp(2πi order rev)), rev counted from the engine's crank angle zero: top dead centre of a cylinder whose
@@ -45,8 +46,8 @@ def crankcase_forces(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) ->
     return _at_speed(speed_rpm, per_omega_squared)
 
 
-def crankcase_moments(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) -> Complexes:
-    """Complexes peak inertia moment (N·m) on the crankcase at orders 0 … ``max_order``, shape (…, 3, max_order + 1).
+def crankcase_moments(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) -> Complex:
+    """Complex peak inertia moment (N·m) on the crankcase at orders 0 … ``max_order``, shape (…, 3, max_order + 1).
 
     About X and Z the rocking moments of forces that act at different places along the crankshaft, counted from
     position 0; about Y (in the sense of rotation) the rolling moment, the reaction to the masses' torque. A line is
@@ -75,7 +76,7 @@ class TurningWeight:
     """A weight of a crank web or single balance shaft: its order, force over ω² (kg·m) by direction, and place (m)."""
 
     order: int
-    force_kg_m: Complexes
+    force_kg_m: Complex
     x_m: float
     position_m: float
     z_m: float
@@ -100,19 +101,19 @@ def turning_weights(engine: Engine) -> tuple[TurningWeight, ...]:
     return tuple(made)
 
 
-def inertia_torque(engine: Engine, max_order: int) -> Complexes:
-    """Complexes peak torque over ω² (kg·m²) that all masses of ``engine`` give to its crank, shape (max_order + 1,).
+def inertia_torque(engine: Engine, max_order: int) -> Complex:
+    """Complex peak torque over ω² (kg·m²) that all masses of ``engine`` give to its crank, shape (max_order + 1,).
 
     A line is Re(torque · exp(2πi order rev)), rev the engine's crank angle. ``max_order``: ≥ 1.
     """
     each = _for_each(engine, inertia_torque_by_order, max_order)
-    torque: Complexes = (_phases(engine, max_order) * each).sum(axis=0)
+    torque: Complex = (_phases(engine, max_order) * each).sum(axis=0)
     return torque
 
 
-def _for_each(engine: Engine, made_by: Callable[[Engine, int], Complexes], max_order: int) -> Complexes:
+def _for_each(engine: Engine, made_by: Callable[[Engine, int], Complex], max_order: int) -> Complex:
     """What ``made_by`` gives for each cylinder, shape (cylinder, max_order + 1); for those that are alike once."""
-    found: dict[tuple[float, float], Complexes] = {}
+    found: dict[tuple[float, float], Complex] = {}
     for one in engine.each:
         key = (one.reciprocating_mass_kg, one.offset_m)
         if key not in found:
@@ -120,8 +121,8 @@ def _for_each(engine: Engine, made_by: Callable[[Engine, int], Complexes], max_o
     return np.array([found[one.reciprocating_mass_kg, one.offset_m] for one in engine.each])
 
 
-def inertia_torque_by_order(engine: Engine, max_order: int) -> Complexes:
-    """Complexes peak torque over ω² (kg·m²) that the masses of one cylinder give to the crank, shape (max_order + 1,).
+def inertia_torque_by_order(engine: Engine, max_order: int) -> Complex:
+    """Complex peak torque over ω² (kg·m²) that the masses of one cylinder give to the crank, shape (max_order + 1,).
 
     Counted from the cylinder's own dead centre, in the sense of rotation. ``engine``: lengths, masses and rod, those of
     a cylinder of its own aside; ``max_order``: ≥ 1.
@@ -156,12 +157,12 @@ def orders_made(engine: Engine, *, share: float, max_order: int) -> tuple[float,
     return tuple(float(order) for order in np.flatnonzero(made) if order > 0)
 
 
-def _at_speed(speed_rpm: ArrayLike, per_omega_squared: Complexes) -> Complexes:
+def _at_speed(speed_rpm: ArrayLike, per_omega_squared: Complex) -> Complex:
     omega = np.asarray(speed_rpm, dtype=np.float64) * (np.pi / 30)
     return (omega**2)[..., None, None] * per_omega_squared
 
 
-def _phases(engine: Engine, max_order: int) -> Complexes:
+def _phases(engine: Engine, max_order: int) -> Complex:
     """exp(i k angle) of each cylinder's crank from its own axis at crank angle zero, shape (cylinder, max_order + 1).
 
     Exact at quarter turns: what cancels in a flat or cross crankshaft cancels to nothing.
@@ -171,22 +172,22 @@ def _phases(engine: Engine, max_order: int) -> Complexes:
     return cosine + 1j * sine
 
 
-def _pistons(engine: Engine, max_order: int) -> Complexes:
-    """Complexes mass of each cylinder by direction and order, shape (cylinder, 3, max_order + 1)."""
+def _pistons(engine: Engine, max_order: int) -> Complex:
+    """Complex mass of each cylinder by direction and order, shape (cylinder, 3, max_order + 1)."""
     shaken = _phases(engine, max_order) * _shaken(engine, max_order)
     across, along = sine_cosine(np.array([cylinder.bank_deg / 360 for cylinder in engine.cylinders]))
     axes = np.stack([across, np.zeros_like(along), along], axis=1)
     return axes[:, :, None] * shaken[:, None, :]
 
 
-def _shaken(engine: Engine, max_order: int) -> Complexes:
+def _shaken(engine: Engine, max_order: int) -> Complex:
     """Mass of each piston times the harmonics of its acceleration, shape (cylinder, max_order + 1)."""
     harmonics = {one.offset_m: acceleration_harmonics(one.mechanism, max_order) for one in engine.each}
     return np.array([one.reciprocating_mass_kg * harmonics[one.offset_m] for one in engine.each])
 
 
-def _shafts(engine: Engine, max_order: int) -> Complexes:
-    """Complexes mass along Z that the pairs of balance shafts set against the pistons, shape (max_order + 1,).
+def _shafts(engine: Engine, max_order: int) -> Complex:
+    """Complex mass along Z that the pairs of balance shafts set against the pistons, shape (max_order + 1,).
 
     Raises RequestError for a pair at an order of which the pistons together make no force along Z.
     """
@@ -219,7 +220,7 @@ def _shafts(engine: Engine, max_order: int) -> Complexes:
     return against
 
 
-def _rotating(engine: Engine) -> Complexes:
+def _rotating(engine: Engine) -> Complex:
     """First-order force over ω² of each throw's unbalance, shape (cylinder, 3)."""
     angle_rev = [(one.cylinders[0].crank_deg + one.rotating_unbalance_deg) / 360 for one in engine.each]
     sine, cosine = sine_cosine(np.array(angle_rev))
@@ -227,7 +228,7 @@ def _rotating(engine: Engine) -> Complexes:
     return np.stack([-1j * unbalance, np.zeros_like(unbalance), unbalance], axis=1)
 
 
-def _rolling(engine: Engine, max_order: int) -> Complexes:
+def _rolling(engine: Engine, max_order: int) -> Complex:
     """Moment about Y over ω² of one cylinder, by order, counted from its own dead centre."""
     missing = two_masses(engine).missing_inertia_kg_m2
     moment = -inertia_torque_by_order(engine, max_order)
@@ -239,12 +240,12 @@ def _rolling(engine: Engine, max_order: int) -> Complexes:
     return moment
 
 
-def _squared(series: Complexes) -> Complexes:
+def _squared(series: Complex) -> Complex:
     """Harmonics of the square of Re Σ series_k exp(ikφ); the mean is not needed and left at zero."""
     n = series.size
     sums = np.convolve(series, series)[:n]
     differences = np.correlate(series, series, mode="full")[n - 1 :]
-    squared: Complexes = 0.5 * sums + differences
+    squared: Complex = 0.5 * sums + differences
     squared[0] = 0
     return squared
 
@@ -272,7 +273,7 @@ def cylinder_loads(
     speed_rpm: float,
     *,
     cylinder: int = 0,
-    gas_n: Floats | None = None,
+    gas_n: NDArray[np.float64] | None = None,
 ) -> CylinderLoads:
     """Loads of one cylinder of ``engine`` at steady speed, from exact kinematics, gas and the rod's true inertia.
 

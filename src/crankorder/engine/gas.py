@@ -8,12 +8,11 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import Cylinder, Engine, IdealCycle
 from crankorder.engine.slider_crank import Angles, dead_centres, piston_drop, piston_velocity
 from crankorder.errors import RequestError
-from crankorder.quantities import Complexes
 
 SAMPLES_PER_REV = 1 << 14
 """Angles per revolution on which a torque is transformed: a straight-line curve's orders alias by order²/this²."""
@@ -63,7 +62,7 @@ def gas_torque(engine: Engine, cycle_angle_rev: ArrayLike) -> Angles:
     return -gas_force(engine, angles) * piston_velocity(angles, engine.mechanism)
 
 
-def gas_torque_by_order(engine: Engine, max_order: int) -> tuple[Angles, Complexes]:
+def gas_torque_by_order(engine: Engine, max_order: int) -> tuple[Angles, NDArray[np.complex128]]:
     """Orders and complex peak torque (N·m) of all cylinders' gas on the crank; half orders where a cycle has two turns.
 
     Each of shape (max_order · revolutions of a cycle + 1,); order 0 is the mean. A line is
@@ -76,7 +75,7 @@ def gas_torque_by_order(engine: Engine, max_order: int) -> tuple[Angles, Complex
     cycle = engine.revs_per_cycle
     lines = np.arange(max_order * cycle + 1)
     total = np.zeros(lines.size, dtype=np.complex128)
-    alone: dict[float, Complexes] = {}
+    alone: dict[float, NDArray[np.complex128]] = {}
     for one, cylinder in zip(engine.each, engine.cylinders, strict=True):
         if one.offset_m not in alone:
             alone[one.offset_m] = _spectrum(one)[lines]
@@ -86,10 +85,10 @@ def gas_torque_by_order(engine: Engine, max_order: int) -> tuple[Angles, Complex
 
 
 @lru_cache(maxsize=8)
-def _spectrum(engine: Engine) -> Complexes:
+def _spectrum(engine: Engine) -> NDArray[np.complex128]:
     """Gas torque of one cylinder by line of its cycle; the same for every speed, so it is kept."""
     angles = np.arange(engine.revs_per_cycle * SAMPLES_PER_REV) / SAMPLES_PER_REV
-    torque: Complexes = 2 * np.fft.rfft(gas_torque(engine, angles)) / angles.size
+    torque: NDArray[np.complex128] = 2 * np.fft.rfft(gas_torque(engine, angles)) / angles.size
     torque[0] /= 2
     torque.flags.writeable = False
     return torque

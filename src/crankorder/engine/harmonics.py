@@ -6,10 +6,12 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from crankorder.engine.slider_crank import SliderCrank, piston_acceleration
 from crankorder.errors import RequestError
-from crankorder.quantities import Complexes, Floats
+
+Complex = NDArray[np.complex128]
 
 ROUND_OFF = 1e-17
 """A harmonic this far below the crank radius no longer changes a sum in double precision."""
@@ -19,7 +21,7 @@ SMALLEST_DECAY = 5e-4
 """Decay per order below which harmonics are refused: a million of them would still not be enough."""
 
 
-def even_harmonics(count: int, crank_ratio: float) -> Floats:
+def even_harmonics(count: int, crank_ratio: float) -> NDArray[np.float64]:
     """A2, A4, … A_2count of an engine without offset, each with full relative precision, shape (count,).
 
     −ẍ/(rω²) = cos φ + A2 cos 2φ − A4 cos 4φ + A6 cos 6φ − …
@@ -37,7 +39,7 @@ def even_harmonics(count: int, crank_ratio: float) -> Floats:
     return _even_harmonics(count, crank_ratio, 1 - crank_ratio)
 
 
-def _even_harmonics(count: int, crank_ratio: float, margin: float) -> Floats:
+def _even_harmonics(count: int, crank_ratio: float, margin: float) -> NDArray[np.float64]:
     """The same where 1 − λ is known better than λ tells it: from the lengths."""
     from scipy.special import hyp2f1
 
@@ -49,7 +51,7 @@ def _even_harmonics(count: int, crank_ratio: float, margin: float) -> Floats:
     return first * k**2 * np.cumprod(steps) * np.exp(-decay * k)
 
 
-def _coefficient_shortfalls(count: int, decay: float) -> Floats:
+def _coefficient_shortfalls(count: int, decay: float) -> NDArray[np.float64]:
     """d_k = 1 − |c_k / c_k−1| / q for k = 2 … ``count``, c_k the coefficient of cos 2kφ in √(1 − λ² sin²φ).
 
     From 2kβ c_k + (k − 3/2) c_k−1 + (k + 3/2) c_k+1 = 0, 2β = q + 1/q: no terms that cancel, and
@@ -69,8 +71,8 @@ def _coefficient_shortfalls(count: int, decay: float) -> Floats:
     return found
 
 
-def acceleration_harmonics(mechanism: SliderCrank, max_order: int) -> Complexes:
-    """Complexes harmonics of −ẍ/(rω²) by order 0 … ``max_order``, shape (max_order + 1,).
+def acceleration_harmonics(mechanism: SliderCrank, max_order: int) -> Complex:
+    """Complex harmonics of −ẍ/(rω²) by order 0 … ``max_order``, shape (max_order + 1,).
 
     Term k of the acceleration is Re(c_k exp(2πi k rev)). An offset brings odd orders above 1 and a quadrature part of
     the first: odd orders are 1 (first order only) minus i times a sine part, even orders are real.
@@ -93,8 +95,8 @@ def acceleration_harmonics(mechanism: SliderCrank, max_order: int) -> Complexes:
     return harmonics
 
 
-def rod_acceleration_harmonics(mechanism: SliderCrank, max_order: int) -> Complexes:
-    """Complexes harmonics of the rod's angular acceleration over ω², counted in the crank's sense, (max_order + 1,).
+def rod_acceleration_harmonics(mechanism: SliderCrank, max_order: int) -> Complex:
+    """Complex harmonics of the rod's angular acceleration over ω², counted in the crank's sense, (max_order + 1,).
 
     This is −ψ''; without offset it has sine parts of odd orders only. It drives the couple that two masses in place of
     the rod miss.
@@ -163,9 +165,7 @@ def _decay(mechanism: SliderCrank) -> float:
     return decay
 
 
-def _fourier(
-    motion: Callable[[Complexes, Complexes, SliderCrank], Complexes], mechanism: SliderCrank, top: int
-) -> Complexes:
+def _fourier(motion: Callable[[Complex, Complex, SliderCrank], Complex], mechanism: SliderCrank, top: int) -> Complex:
     """Harmonics 0 … ``top`` of ``motion``, given by sine and cosine of the crank angle.
 
     On the path φ − iy a harmonic is exp(ky) larger: as large as the others, instead of far below their round-off. Each
@@ -185,19 +185,19 @@ def _fourier(
     return harmonics
 
 
-def _inverse_rod_cosines(sine: Complexes, mechanism: SliderCrank) -> tuple[Complexes, Complexes]:
+def _inverse_rod_cosines(sine: Complex, mechanism: SliderCrank) -> tuple[Complex, Complex]:
     """1 / cos ψ with the offset as it is and on the other side."""
     across, offset = mechanism.crank_ratio * sine, mechanism.offset_ratio
     return _inverse_rod_cosine(across - offset), _inverse_rod_cosine(across + offset)
 
 
-def _inverse_rod_cosine(rod_sine: Complexes) -> Complexes:
+def _inverse_rod_cosine(rod_sine: Complex) -> Complex:
     # the root of the product would take the wrong branch beside the branch points
-    inverse: Complexes = np.reciprocal(np.sqrt(1 - rod_sine) * np.sqrt(1 + rod_sine), dtype=np.complex128)
+    inverse: Complex = np.reciprocal(np.sqrt(1 - rod_sine) * np.sqrt(1 + rod_sine), dtype=np.complex128)
     return inverse
 
 
-def _swing_shared(sine: Complexes, cosine: Complexes, mechanism: SliderCrank) -> Complexes:
+def _swing_shared(sine: Complex, cosine: Complex, mechanism: SliderCrank) -> Complex:
     """Part of −ẍ/(rω²) − cos φ that both sides of the offset share: the even orders."""
     ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio
     this, other = _inverse_rod_cosines(sine, mechanism)
@@ -205,7 +205,7 @@ def _swing_shared(sine: Complexes, cosine: Complexes, mechanism: SliderCrank) ->
     return 0.5 * (ratio * cosine**2 * (this**3 + other**3) - sine * rising)
 
 
-def _swing_by_offset(sine: Complexes, cosine: Complexes, mechanism: SliderCrank) -> Complexes:
+def _swing_by_offset(sine: Complex, cosine: Complex, mechanism: SliderCrank) -> Complex:
     """Part that changes sign with the offset, as a product with it: the odd orders, exact for the smallest offset."""
     ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio
     this, other = _inverse_rod_cosines(sine, mechanism)
@@ -214,7 +214,7 @@ def _swing_by_offset(sine: Complexes, cosine: Complexes, mechanism: SliderCrank)
     return 0.5 * (ratio * (cosine**2 * cubes - sine**2 * gap) + offset * sine * (this + other))
 
 
-def _rod_acceleration(sine: Complexes, _cosine: Complexes, mechanism: SliderCrank) -> Complexes:
+def _rod_acceleration(sine: Complex, _cosine: Complex, mechanism: SliderCrank) -> Complex:
     ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio
     this, _ = _inverse_rod_cosines(sine, mechanism)
     kappa_squared = mechanism.margin * (1 + ratio)

@@ -26,7 +26,6 @@ from pydantic import Field, ValidationError, ValidationInfo, field_validator
 from crankorder.engine.definition import EngineData, NonNegative, Positive
 from crankorder.engine.slider_crank import Angles, SliderCrank, sine_cosine
 from crankorder.errors import ManyErrors, RequestError
-from crankorder.quantities import Complexes
 from crankorder.settings import toml_table, validation_fault
 
 
@@ -154,7 +153,7 @@ def potential_torque(crank_angle_rev: ArrayLike, curve: CrankTorque) -> Angles:
     return np.asarray(torque - curve.mean_nm, dtype=np.float64)
 
 
-def torque_harmonics(orders: ArrayLike, curve: CrankTorque) -> Complexes:
+def torque_harmonics(orders: ArrayLike, curve: CrankTorque) -> NDArray[np.complex128]:
     """Complex amplitude (N·m) of the crank torque at each order: torque = mean + Σ Re(amplitude · exp(2πi order rev)).
 
     The real part goes with the cosine, minus the imaginary part with the sine. Closed form: each branch as a sum of

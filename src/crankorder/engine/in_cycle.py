@@ -8,13 +8,15 @@ from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import inertia_torque
 from crankorder.engine.gas import gas_torque_by_order
 from crankorder.errors import RequestError
-from crankorder.quantities import Complexes, Floats
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 SHORTEST_STEP = 1e-4
 """Finest step that orders of a lag may share."""
@@ -38,8 +40,8 @@ class Lag:
     """
 
     order: Floats
-    inertia: Complexes
-    gas: Complexes
+    inertia: Complex
+    gas: Complex
     reference_rpm: float = 1.0
 
     def __post_init__(self) -> None:
@@ -52,8 +54,8 @@ class Lag:
         """Whether some of the lag depends on the speed."""
         return bool(np.any(self.gas))
 
-    def by_order(self, speed_rpm: float) -> Complexes:
-        """Complexes lag (rev) of each order, shape (k,), at the mean ``speed_rpm`` (rpm, not 0 where there is gas)."""
+    def by_order(self, speed_rpm: float) -> Complex:
+        """Complex lag (rev) of each order, shape (k,), at the mean ``speed_rpm`` (rpm, not 0 where there is gas)."""
         return self.inertia + self.gas * (self.reference_rpm / speed_rpm) ** 2 if self.has_gas else self.inertia + 0
 
     def at(self, crank_angle_rev: ArrayLike, speed_rpm: float) -> Floats:
@@ -87,7 +89,7 @@ class Lag:
             return math.inf
         return self.reference_rpm * math.sqrt(max(0.0, float(np.max(-gas / inertia))))
 
-    def _slope(self, part: Complexes) -> Floats:
+    def _slope(self, part: Complex) -> Floats:
         """Slope of a part of the lag over the crank angle, at 64 angles for each period of the highest order."""
         if not np.any(part):
             return np.zeros(1)
@@ -156,7 +158,7 @@ def lag_from_torque(
         n_angles *= 2
 
 
-def lag_of_speed(speed: Complexes, *, step: float) -> Lag:
+def lag_of_speed(speed: Complex, *, step: float) -> Lag:
     """Lag of a shaft whose speed is Ω · (1 + Re Σ speed_k · exp(2πi k step crank_angle)), at any mean speed.
 
     Ω is the mean of the speed over the crank angle; the mean over time is a little lower, and the mean speed of the
@@ -188,7 +190,7 @@ def stops_within_cycle(speed_rpm: float, slowest_rpm: float) -> RequestError:
     )
 
 
-def _work(torque: Complexes, orders: Floats) -> Complexes:
+def _work(torque: Complex, orders: Floats) -> Complex:
     """∫ torque dφ by order, without its mean."""
     work = np.zeros_like(torque)
     work[1:] = torque[1:] / (1j * orders[1:])
@@ -214,7 +216,7 @@ def _enough_angles(highest_line: int) -> int:
     return 1 << max(10, math.ceil(math.log2(16 * (highest_line + 1))))
 
 
-def over_a_cycle(lines: Complexes, n_angles: int) -> Floats:
+def over_a_cycle(lines: Complex, n_angles: int) -> Floats:
     """Re Σ lines_k · exp(2πi k j / n) for j = 0 … n − 1, n = ``n_angles``, shape (n,); ``lines``: at most n/2 + 1."""
     padded = np.zeros(n_angles // 2 + 1, dtype=np.complex128)
     padded[: lines.size] = lines
@@ -222,17 +224,17 @@ def over_a_cycle(lines: Complexes, n_angles: int) -> Floats:
     return np.fft.irfft(padded, n_angles) * n_angles
 
 
-def _lines(values: Floats) -> Complexes:
-    lines: Complexes = np.fft.rfft(values) * (2 / values.size)
+def _lines(values: Floats) -> Complex:
+    lines: Complex = np.fft.rfft(values) * (2 / values.size)
     lines[0] /= 2
     return lines
 
 
-def _is_resolved(lines: Complexes) -> bool:
+def _is_resolved(lines: Complex) -> bool:
     return bool(np.abs(lines[lines.size // 2 :]).max() <= NOTHING)
 
 
-def _lag(inertia: Complexes, gas: Complexes, step: float, reference_rpm: float) -> Lag:
+def _lag(inertia: Complex, gas: Complex, step: float, reference_rpm: float) -> Lag:
     """Lag from the lines of mean speed over speed: their integral over the crank angle."""
     kept = np.flatnonzero(np.maximum(np.abs(inertia), np.abs(gas)) > NOTHING)
     kept = kept[kept > 0]

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationInfo, field_validator
 
 from crankorder.engine.definition import Engine, EngineData, Positive
 from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.engine.slider_crank import SliderCrank, rod_angle
-from crankorder.quantities import Floats
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +42,7 @@ def two_masses(engine: Engine) -> TwoMasses:
     return TwoMasses(big_end_kg=rod.mass_kg - small, small_end_kg=small, missing_inertia_kg_m2=missing)
 
 
-def rod_couple(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float) -> Floats:
+def rod_couple(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float) -> NDArray[np.float64]:
     """Couple (N·m) on a rod, in the crank's sense, that its true inertia needs beyond that of its two masses.
 
     ``engine``: with ``rod``. ``crank_angle_rev``: of its own crank, any shape. ``speed_rpm``: steady. Returns the shape

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from crankorder.engine.balancing import OrderForce
 from crankorder.engine.definition import BalanceShafts, Engine, SingleShaft, Weight
 from crankorder.engine.forces import CANCELLED, X, Z, crankcase_forces, crankcase_moments
 from crankorder.engine.harmonics import acceleration_harmonics
-from crankorder.quantities import Floats
 
 ONE_RADIAN_PER_S_RPM = 30 / math.pi
 NOTHING = 1e-12
@@ -184,7 +184,7 @@ def _clean(value: complex, size: float) -> complex:
     return value if abs(value) > NOTHING * size else 0j
 
 
-def _terms_g_mm(engine: Engine, max_order: int) -> Floats:
+def _terms_g_mm(engine: Engine, max_order: int) -> NDArray[np.float64]:
     """Size of what is summed at each order 0 … ``max_order``: every piston, throw, web and shaft by itself."""
     terms = np.zeros(max_order + 1)
     for one in engine.each:
@@ -199,11 +199,11 @@ def _terms_g_mm(engine: Engine, max_order: int) -> Floats:
     return terms
 
 
-def reach_g_mm2(engine: Engine, max_order: int) -> Floats:
+def reach_g_mm2(engine: Engine, max_order: int) -> NDArray[np.float64]:
     """Size of what is summed in the moments of ``engine`` at orders 0 … ``max_order``: forces on the farthest lever."""
     places = [cylinder.position_m for cylinder in engine.cylinders] + [weight.position_m for weight in engine.webs]
     places += [weight.position_m for shaft in engine.shafts.single for weight in shaft.weights]
     lever_m = max(map(abs, [*places, engine.shafts.position_m])) + engine.rod_length_m
-    reach: Floats = 1e3 * lever_m * _terms_g_mm(engine, max_order)
+    reach: NDArray[np.float64] = 1e3 * lever_m * _terms_g_mm(engine, max_order)
     reach[1:] = np.maximum(reach[1:], NOTHING * reach[1:].max())
     return reach

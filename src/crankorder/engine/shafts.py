@@ -10,7 +10,7 @@ from functools import partial
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
 from crankorder.engine.balancing import (
@@ -27,7 +27,6 @@ from crankorder.engine.definition import NOT_EMPTY, EngineData, NonNegative, Pos
 from crankorder.engine.harmonics import even_harmonics
 from crankorder.engine.slider_crank import plain_piston_acceleration
 from crankorder.errors import RequestError
-from crankorder.quantities import Complexes, Floats
 
 Possibility = Literal["1", "2", "3", "4", "4+2"]
 
@@ -274,9 +273,9 @@ class ToleranceStudy:
     """
 
     orders: tuple[float, ...]
-    along_g_mm: Floats
-    across_g_mm: Floats
-    couple_g_mm2: Floats
+    along_g_mm: NDArray[np.float64]
+    across_g_mm: NDArray[np.float64]
+    couple_g_mm2: NDArray[np.float64]
 
 
 def gear_speed_ratios(train: GearTrain) -> dict[str, float]:
@@ -334,7 +333,7 @@ def weighted_wheels(train: GearTrain, masses: ReducedMasses, *, second: Series =
     return wheels
 
 
-def wheels_force(wheels: Mapping[str, Shaft], crank_angle_rev: ArrayLike) -> Complexes:
+def wheels_force(wheels: Mapping[str, Shaft], crank_angle_rev: ArrayLike) -> NDArray[np.complex128]:
     """Force over ω² (g·mm) of all ``wheels``: real part along the cylinder, imaginary part across.
 
     ``crank_angle_rev``: revolutions, any shape; the result has that shape.
@@ -353,7 +352,9 @@ def wheels_couple(wheels: Mapping[str, Shaft]) -> dict[float, complex]:
     return couples
 
 
-def residual_along(masses: ReducedMasses, wheels: Mapping[str, Shaft], crank_angle_rev: ArrayLike) -> Floats:
+def residual_along(
+    masses: ReducedMasses, wheels: Mapping[str, Shaft], crank_angle_rev: ArrayLike
+) -> NDArray[np.float64]:
     """Exact force over ω² (g·mm) along the cylinder that remains with ``wheels``.
 
     ``masses``: engine, its rotating part balanced on the crank. ``crank_angle_rev``: revolutions, any shape; the result
@@ -363,7 +364,9 @@ def residual_along(masses: ReducedMasses, wheels: Mapping[str, Shaft], crank_ang
     return sliding + wheels_force(wheels, crank_angle_rev).real
 
 
-def gear_errors_deg(train: GearTrain, mesh_errors_deg: Mapping[str, float | Floats]) -> dict[str, ArrayLike]:
+def gear_errors_deg(
+    train: GearTrain, mesh_errors_deg: Mapping[str, float | NDArray[np.float64]]
+) -> dict[str, ArrayLike]:
     """Angle (degrees, in the sense of the crank) by which each gear stands wrong, as errors travel through the train.
 
     ``train``: gears. ``mesh_errors_deg``: by name of the driven gear, scalars or arrays of one shape; a missing one is

@@ -11,12 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from crankorder.errors import RequestError
-from crankorder.quantities import Floats
 
-Angles = Floats
+Angles = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

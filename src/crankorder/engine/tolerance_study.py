@@ -8,15 +8,16 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from crankorder.engine.definition import BalanceShafts, Engine, EngineData, NonNegative, SingleShaft, Weight
 from crankorder.engine.forces import Z, crankcase_forces
-from crankorder.engine.harmonics import acceleration_harmonics
+from crankorder.engine.harmonics import Complex, acceleration_harmonics
 from crankorder.errors import plain_number
-from crankorder.quantities import Complexes, Floats
 
-Parts = Complexes
+Floats = NDArray[np.float64]
+Parts = NDArray[np.complex128]
 """Direct and reverse part by sample and order 1, 2, …: shape (2, sample, order)."""
 
 ONE_RADIAN_PER_S_RPM = 30 / math.pi
@@ -51,7 +52,7 @@ class Errors:
     """Errors drawn for a series: each (sample, cylinder) or (sample, shaft) or (sample, weight), between −1 and 1."""
 
     mass: Floats
-    throw: Complexes
+    throw: Complex
     pin: Floats
     weight: Floats
     gear: Floats
@@ -143,13 +144,13 @@ def _left(engine: Engine, errors: Errors, size: dict[str, float], max_order: int
     return parts[0], parts[1]
 
 
-def _add(parts: Complexes, direct: Complexes, reverse: Complexes | float, position_m: float, at: int | slice) -> None:
+def _add(parts: Complex, direct: Complex, reverse: Complex | float, position_m: float, at: int | slice) -> None:
     for row, lever in ((0, 1.0), (1, 1e3 * position_m)):
         parts[row, 0, :, at] += lever * direct
         parts[row, 1, :, at] += lever * reverse
 
 
-def _add_cylinders(parts: Complexes, engine: Engine, errors: Errors, size: dict[str, float]) -> None:
+def _add_cylinders(parts: Complex, engine: Engine, errors: Errors, size: dict[str, float]) -> None:
     max_order = parts.shape[-1]
     for n, one in enumerate(engine.each):
         where = one.cylinders[0]
@@ -167,7 +168,7 @@ def _add_cylinders(parts: Complexes, engine: Engine, errors: Errors, size: dict[
         _add(parts, throw, 0.0, where.position_m, 0)
 
 
-def _add_shafts(parts: Complexes, engine: Engine, errors: Errors, size: dict[str, float]) -> None:
+def _add_shafts(parts: Complex, engine: Engine, errors: Errors, size: dict[str, float]) -> None:
     counted = 0
     for number, shaft in enumerate(engine.shafts.single):
         ahead, k = math.copysign(1, shaft.speed_ratio), abs(shaft.speed_ratio)
