@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.identify.changes.compared import change_datasets, compared
-from crankorder.report.comparison.figure import order_change_figure
-from crankorder.report.comparison.page import comparison_page
-from crankorder.report.comparison.sentences import comparison_headline, comparison_story
+from crankorder.identify.changes.compared import compared
+from crankorder.report.comparison.page import comparison_page, order_change_figure
+from crankorder.report.comparison.sentences import comparison_story, with_sentences
 from crankorder.settings import load_settings
 from made.two_tests import made_test
 
@@ -17,9 +16,8 @@ LINES = {1.0: lambda rpm: 0.5, 5.5: lambda rpm: 0.4}
 
 
 def documented(*tests):
-    made = compared(tests, q=0.05)
-    made.document["headline"] = comparison_headline(made.document)
-    return made.document, change_datasets(made)
+    document, datasets = compared(tests, q=0.05)
+    return with_sentences(document), datasets
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +39,8 @@ def test_orders_that_turned_alone_are_told_from_those_whose_amplitude_changed():
         made_test({order: lambda rpm, k=k: (1j**k) * 0.5 for order in (1.0, 2.0, 5.5)}, seed=k) for k in (0, 1)
     )
     document = documented(base, turned)[0]
-    assert document["cause"] == {"cause": "orders", "orders": [1.0, 2.0, 5.5]}
-    assert document["headline"][0].startswith("The phase of orders 1, 2 and 5.5 turned, and no amplitude changed")
+    assert (document.cause.cause, document.cause.orders) == ("orders", (1.0, 2.0, 5.5))
+    assert document.headline[0].startswith("The phase of orders 1, 2 and 5.5 turned, and no amplitude changed")
 
 
 def test_the_order_that_changed_is_coloured_and_labelled_and_the_others_are_light(doubled):
@@ -66,8 +64,8 @@ def test_the_page_answers_first_and_escapes_what_comes_from_files(doubled):
 def test_tests_that_are_alike_have_a_page_too(alike):
     document, _ = alike
     assert comparison_story(document)["what"] == []
-    assert document["headline"] == [
+    assert document.headline == (
         "No order and no natural frequency that both tests show changed by more than chance alone would change it; "
-        "other lines, tones and noise are not compared."
-    ]
-    assert document["headline"][0] in comparison_page(document, pictures=[], settings=SETTINGS)
+        "other lines, tones and noise are not compared.",
+    )
+    assert document.headline[0] in comparison_page(document, pictures=[], settings=SETTINGS)
