@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from crankorder.comparison import Comparison, Trend
 from crankorder.identify.changes.compared import compared
 from crankorder.report.comparison.page import comparison_page, order_change_figure
-from crankorder.report.comparison.sentences import comparison_story, with_sentences
+from crankorder.report.comparison.sentences import comparison_story, trend_verdict, with_sentences
 from crankorder.settings import load_settings
 from made.two_tests import made_test
+from made.typed import record_of
 
 SETTINGS = load_settings().report
 LINES = {1.0: lambda rpm: 0.5, 5.5: lambda rpm: 0.4}
@@ -51,6 +53,24 @@ def test_the_order_that_changed_is_coloured_and_labelled_and_the_others_are_ligh
     for line in lines:
         np.testing.assert_allclose(line.values[1], 6.02, atol=0.5)
     assert any(word.text == "5.5" for word in drawing.words)
+
+
+@pytest.mark.parametrize(
+    ("kind", "ends", "says"),
+    [
+        ("bearing", (0.3, 0.7), "grows by 50.0% a run"), ("bearing", (0.3, 0.7), "failing"),
+        ("bearing", (0.01, 0.9), "too little"), ("bearing", (-0.4, -0.1), "no sign"),
+        ("bearing", (-0.1, 1.1), "not decided: "), ("order", (-0.1, 1.1), "not decided"),
+    ],
+)  # fmt: skip
+def test_the_verdict_on_a_line_is_that_of_its_interval(kind, ends, says):
+    trend = {"kind": kind, "growth_per_run": 0.5, "growth_per_run_ci95": ends, "amplitude": (1.0, 1.5)}
+    verdict = trend_verdict(record_of(Trend, trend))
+    assert says in verdict and (kind == "bearing" or verdict == says)
+
+
+def test_the_document_is_read_back_as_it_was_written(doubled):
+    assert Comparison.from_dict(doubled[0].as_dict()) == doubled[0]
 
 
 def test_the_page_answers_first_and_escapes_what_comes_from_files(doubled):

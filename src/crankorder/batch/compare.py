@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -57,13 +58,11 @@ def compare_results(base: Path, new: Sequence[Path], *, q: float) -> ComparedRes
 
 def _refuse_twice(folders: Sequence[Path]) -> None:
     """Refuse a test beside itself: nothing could differ, and a trend would count one run as two."""
-    known: set[Path] = set()
-    for folder in folders:
-        if folder.resolve() in known:
+    for folder, times in Counter(folder.resolve() for folder in folders).items():
+        if times > 1:
             allowed = "each test once, in time order"
             remedy = "Name the folder of the other test; results of two runs need two --out folders"
             raise RequestError("the same results are named twice", file=folder, allowed=allowed, remedy=remedy)
-        known.add(folder.resolve())
 
 
 def _refuse_nothing_in_common(folders: Sequence[Path], tests: Sequence[Tested]) -> None:

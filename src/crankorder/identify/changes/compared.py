@@ -87,7 +87,7 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     }
     channels = [channel.name for channel in base.findings.channels if channel.name not in refused]
     within = max(float(test.run["settings"]["orders"]["speed_bin_rpm"]) for test in (base, new))
-    orders, changes = _orders(base, new, channels, within, q, doubts)
+    speeds, orders, changes = _orders(base, new, channels, doubts, within=within, q=q)
     modes = _mode_shifts(base.findings, new.findings) if "modes" in base.comparable & new.comparable else []
     units = [{channel.name: channel.unit for channel in test.findings.channels} for test in tests]
     shared = [name for name in channels if all(of_test.get(name) == units[0][name] for of_test in units)]
@@ -107,7 +107,7 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     document = Comparison(
         schema_version=SCHEMA_VERSION, base=base.name, new=new.name, runs=tuple(test.name for test in tests),
         false_discovery_rate=q, headline=(), cause=_explanation(order_records, mode_records, records, trends),
-        speeds=_speeds(base, new, within), channels=tuple(compared_channels), orders=order_records,
+        speeds=speeds, channels=tuple(compared_channels), orders=order_records,
         modes=mode_records, unbalance=records, masses=tuple(mass for mass in masses if mass),
         trial_mass=trial, trial_mass_reason=unreadable or trial_reason,
         balance=balance_changes(base.findings, new.findings, explaining), balance_reason=_why_not_closed(base, new),
@@ -122,22 +122,16 @@ def _with_claims(records: Sequence[R], *, q: float) -> list[R]:
     return [replace(record, changed=bool(claim)) for record, claim in zip(records, claims, strict=True)]
 
 
-def _speeds(base: Tested, new: Tested, within: float) -> tuple[SpeedPair, ...]:
-    speeds = [order_map["speed"].values for order_map in order_maps((base, new))]
-    if not speeds:
-        return ()
-    places = like_speeds(*speeds, within_rpm=within)
-    pairs = zip(*(rpm[at].tolist() for rpm, at in zip(speeds, places, strict=True)), strict=True)
-    return tuple(SpeedPair(base_rpm=finite(a), new_rpm=finite(b)) for a, b in pairs)
-
-
 def _orders(
-    base: Tested, new: Tested, channels: Sequence[str], within: float, q: float, doubts: Sequence[Confound]
-) -> tuple[list[tuple[float, bool]], list[OrderChange]]:
-    """The orders, and the changes of all of them; by amplitude alone where ``doubts`` are of the phases."""
+    base: Tested, new: Tested, channels: Sequence[str], doubts: Sequence[Confound], *, within: float, q: float
+) -> tuple[tuple[SpeedPair, ...], list[tuple[float, bool]], list[OrderChange]]:
+    """Speeds and orders that are compared, and the changes; by amplitude alone where ``doubts`` are of the phases."""
     maps = order_maps((base, new))
     if not maps:
-        return [], []
+        return (), [], []
+    rpm = [order_map["speed"].values for order_map in maps]
+    pairs = zip(*like_speeds(*rpm, within_rpm=within), strict=True)
+    speeds = tuple(SpeedPair(base_rpm=finite(rpm[0][at]), new_rpm=finite(rpm[1][to])) for at, to in pairs)
     highest = min(float(order_map["order"].values[-1]) for order_map in maps)
     orders = orders_to_compare(base.findings.orders, new.findings.orders, highest)
     with_phases = not any(doubt.part == "phases" and doubt.severity == "weakens" for doubt in doubts)
@@ -145,8 +139,8 @@ def _orders(
         order_changes(maps[0], maps[1], orders, channels, within_rpm=within, q=q, phases=phases)
         for phases in (with_phases, False)
     )
-    pairs = zip(changes, of_amplitude, strict=True)
-    return orders, [replace(change, phase_only=change.changed and not size.changed) for change, size in pairs]
+    both = zip(changes, of_amplitude, strict=True)
+    return speeds, orders, [replace(change, phase_only=change.changed and not size.changed) for change, size in both]
 
 
 def _explanation(
@@ -190,12 +184,13 @@ def _explained(change: OrderChange, base: Tested, new: Tested) -> str | None:
 
 def _order_record(change: OrderChange, explained: str | None) -> OrderChangeRecord:
     best = int(np.nanargmax(np.abs(change.difference) / np.maximum(change.base.error + change.new.error, 1e-300)))
-    ratio, *ends = (finite(np.exp(decibels / TO_DB)) for decibels in (change.mean.ratio_db, *change.mean.ci95_db))
+    ratio_db, low_db, high_db = (finite(decibels) for decibels in (change.mean.ratio_db, *change.mean.ci95_db))
+    ratio, low, high = (finite(np.exp(decibels / TO_DB)) for decibels in (change.mean.ratio_db, *change.mean.ci95_db))
     return OrderChangeRecord(
         channel=change.channel, order=change.order, unit=change.unit, locked=change.locked, explained_by=explained,
         changed=change.changed, phase_only=change.phase_only, p_value=change.p_all,
-        ratio=ratio, ratio_ci95=(ends[0], ends[1]),
-        ratio_db=finite(change.mean.ratio_db), ratio_db_ci95=change.mean.ci95_db, alike_p=finite(change.mean.p_alike),
+        ratio=ratio, ratio_ci95=(low, high), ratio_db=ratio_db, ratio_db_ci95=(low_db, high_db),
+        alike_p=finite(change.mean.p_alike),
         speed_rpm=finite(change.base_rpm[best]), base_amplitude=float(change.base.amplitude[best]),
         new_amplitude=float(change.new.amplitude[best]), difference=float(change.difference[best]),
         difference_ci95=(float(change.difference_ci95[best, 0]), float(change.difference_ci95[best, 1])),

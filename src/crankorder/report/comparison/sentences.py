@@ -48,22 +48,18 @@ _QUANTITY = {
 
 def with_sentences(comparison: Comparison) -> Comparison:
     """The ``comparison`` with its headline and the verdict on each line over the runs."""
-    n_runs = len(comparison.runs)
-    trends = tuple(replace(trend, verdict=trend_verdict(trend, n_runs=n_runs)) for trend in comparison.trend)
+    trends = tuple(replace(trend, verdict=trend_verdict(trend)) for trend in comparison.trend)
     return replace(comparison, headline=tuple(_headline(comparison)), trend=trends)
 
 
-def trend_verdict(trend: Trend, *, n_runs: int) -> str:
-    """What a ``trend`` over ``n_runs`` runs means: that the line grows, shrinks, or that nothing is decided."""
+def trend_verdict(trend: Trend) -> str:
+    """What a ``trend`` means: that the line grows, shrinks, or that nothing is decided; of bearings with the reason."""
     growth, (low, high) = trend.growth_per_run, trend.growth_per_run_ci95
-    interval = f"{low:+.1%} to {high:+.1%} a run with 95 % certainty, {n_runs} runs"
+    interval = f"{low:+.1%} to {high:+.1%} a run with 95 % certainty, {len(trend.amplitude)} runs"
     if low > 0:
-        verdict, meaning = (
-            f"grows by {growth:.1%} a run ({interval})",
-            "too little to tell a damage from load or temperature",
-        )
-        if low >= TREND_NUMBERS.least_growth_share:
-            meaning = "the bearing is failing"
+        failing = low >= TREND_NUMBERS.least_growth_share
+        verdict = f"grows by {growth:.1%} a run ({interval})"
+        meaning = "the bearing is failing" if failing else "too little to tell a damage from load or temperature"
     elif high < 0:
         verdict, meaning = f"shrinks by {-growth:.1%} a run ({interval})", "no sign of a failing bearing"
     else:
