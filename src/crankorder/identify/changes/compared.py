@@ -104,13 +104,15 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
         ChannelCompared(name=name, unit=unit, compared=name in channels, reason=refused.get(name, ""))
         for name, unit in {**units[-1], **units[0]}.items()
     )
+    closed = base.findings.balance or new.findings.balance
+    why_not = "" if closed else new.findings.balance_reason or base.findings.balance_reason or ""
     document = Comparison(
         schema_version=SCHEMA_VERSION, base=base.name, new=new.name, runs=tuple(test.name for test in tests),
         false_discovery_rate=q, headline=(), cause=_explanation(order_records, mode_records, records, trends),
         speeds=speeds, channels=tuple(compared_channels), orders=order_records,
         modes=mode_records, unbalance=records, masses=tuple(mass for mass in masses if mass),
         trial_mass=trial, trial_mass_reason=unreadable or trial_reason,
-        balance=balance_changes(base.findings, new.findings, explaining), balance_reason=_why_not_closed(base, new),
+        balance=balance_changes(base.findings, new.findings, explaining), balance_reason=why_not,
         trend=trends, confounds=tuple(doubts),
     )  # fmt: skip
     return Compared(document, {"order_change": _order_dataset(changes)} if changes else {})
@@ -275,13 +277,6 @@ def _trial_mass(base: Tested, new: Tested, added: tuple[AddedMass, ...]) -> tupl
         with suppress(ValidationError):
             engine = Engine.model_validate_json(json.dumps(base.run["engine"]))
     return trial_mass(*maps, added=added, engine=engine)
-
-
-def _why_not_closed(base: Tested, new: Tested) -> str:
-    """Why neither test closed its balance; empty where one did."""
-    if any(test.findings.balance for test in (base, new)):
-        return ""
-    return new.findings.balance_reason or base.findings.balance_reason or ""
 
 
 def _order_dataset(changes: Sequence[OrderChange]) -> xr.Dataset:

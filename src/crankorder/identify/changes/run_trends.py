@@ -160,8 +160,9 @@ def growth_over(runs: RunAmplitudes) -> Growth:
     runs scatter more than they say, and the interval is Student's.
     Source: MSU thesis: re-run the same test, growth means failing.
     """
-    logs, run = np.log(runs.amplitudes), np.arange(len(runs.amplitudes), dtype=np.float64)
-    weight = np.maximum(runs.errors / runs.amplitudes, 1e-9) ** -2.0
+    sizes, errors = (np.asarray(values, dtype=np.float64) for values in (runs.amplitudes, runs.errors))
+    logs, run = np.log(sizes), np.arange(len(sizes), dtype=np.float64)
+    weight = np.maximum(errors / sizes, 1e-9) ** -2.0
     beside = run - (weight * run).sum() / weight.sum()
     variance = 1.0 / float((weight * beside**2).sum())
     slope, freedom = float((weight * beside * logs).sum()) * variance, runs.freedom
