@@ -16,7 +16,7 @@ from crankorder.comparison import (
     Trend,
     UnbalanceRecord,
 )
-from crankorder.identify.changes.run_trends import TREND_NUMBERS
+from crankorder.identify.changes.run_trends import TREND_NUMBERS as TREND
 from crankorder.records import Record, known
 from crankorder.report.notation import (
     NAME_CHARACTERS,
@@ -57,7 +57,7 @@ def trend_verdict(trend: Trend) -> str:
     growth, (low, high) = trend.growth_per_run, trend.growth_per_run_ci95
     interval = f"{low:+.1%} to {high:+.1%} a run with 95 % certainty, {len(trend.amplitude)} runs"
     if low > 0:
-        failing = low >= TREND_NUMBERS.least_growth_share
+        failing = low >= TREND.least_growth_share
         verdict = f"grows by {growth:.1%} a run ({interval})"
         meaning = "the bearing is failing" if failing else "too little to tell a damage from load or temperature"
     elif high < 0:
