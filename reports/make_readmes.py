@@ -1,4 +1,4 @@
-"""README pages of ``pipeline/`` and ``data_schema/`` and the schema of the findings, made from what they describe.
+"""README pages of ``pipeline/`` and ``data_schema/`` and schemas of what is written, made from what they describe.
 
 Run ``python reports/make_readmes.py`` after a change there; a house test compares the pages with a fresh rendering.
 """
@@ -17,6 +17,7 @@ from typing import Any
 from model_keys import Row, default_of, kind_of, tables_of, toml_of
 from pydantic.fields import FieldInfo
 
+from crankorder.comparison import Comparison
 from crankorder.engine.balance_data import BalanceData
 from crankorder.engine.definition import Engine
 from crankorder.findings import Findings
@@ -303,16 +304,34 @@ def manifest_schema() -> str:
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
-def findings_schema() -> str:
-    """The JSON Schema of ``findings.json``, as the types of the findings give it."""
-    schema = {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        "title": "Findings",
-        "description": "What a test says (findings.json). Every estimate x may have x_ci95, its 95 % interval; null "
-        "stands for not known. More keys are allowed.",
-        "per": "test",
-        **Findings.json_schema(),
-    }
+WRITTEN = {
+    "findings": (
+        Findings,
+        {
+            "title": "Findings",
+            "description": "What a test says (findings.json). Every estimate x may have x_ci95, its 95 % interval; "
+            "null stands for not known. More keys are allowed.",
+            "per": "test",
+        },
+    ),
+    "comparison": (
+        Comparison,
+        {
+            "title": "Comparison",
+            "description": "What differs between two tests, or changes over the runs of one (comparison.json, and "
+            "stdout of `crankorder compare --json`). The last run is compared with the first; x_ci95 is the 95 % "
+            "interval of x; null where nothing can be said. More keys are allowed.",
+            "per": "comparison",
+        },
+    ),
+}
+"""Types of the files that are written, by name, with what heads their schema."""
+
+
+def record_schema(name: str) -> str:
+    """The JSON Schema of the file ``name`` of ``data_schema/`` that is written, as the types of its records give it."""
+    kind, head = WRITTEN[name]
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **head, **kind.json_schema()}
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
@@ -435,7 +454,7 @@ def pages(root: Path = ROOT) -> dict[Path, str]:
     """Path and text of every generated page of the tree at ``root``."""
     return {
         root / "README.md": render_readme(root),
-        root / "data_schema" / "findings.json": findings_schema(),
+        **{root / "data_schema" / f"{name}.json": record_schema(name) for name in WRITTEN},
         root / "data_schema" / "manifest.json": manifest_schema(),
         root / "docs" / "reference" / "manifest.md": render_manifest_keys(),
         root / "pipeline" / "README.md": render_pipeline_readme(root),
@@ -449,7 +468,8 @@ def pages(root: Path = ROOT) -> dict[Path, str]:
 
 
 if __name__ == "__main__":
-    for name, text in (("findings", findings_schema()), ("manifest", manifest_schema())):  # a page is made of them
+    schemas = {name: record_schema(name) for name in WRITTEN} | {"manifest": manifest_schema()}
+    for name, text in schemas.items():  # a page is made of them
         (ROOT / "data_schema" / f"{name}.json").write_text(text, encoding="utf-8")
     for page, text in pages().items():
         page.write_text(text, encoding="utf-8")

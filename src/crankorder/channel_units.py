@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.errors import printable
-from crankorder.quantities import Bools
 
 if TYPE_CHECKING:  # a third of a second that the names of units need not wait for
     import xarray as xr
@@ -99,7 +98,7 @@ def by_channel(dataset: xr.Dataset) -> xr.Dataset:
     return xr.Dataset(made, attrs=dataset.attrs).set_coords([name for name in dataset.coords if name in made])
 
 
-def _parts(dataset: xr.Dataset) -> tuple[str, dict[str, tuple[str, Bools]]]:
+def _parts(dataset: xr.Dataset) -> tuple[str, dict[str, tuple[str, NDArray[np.bool_]]]]:
     """The dimension that has units, then unit and places of each part, by the end of its variables' names.
 
     That end is the quantity, with the unit where one quantity has several. Without units there is no such dimension.
@@ -112,7 +111,7 @@ def _parts(dataset: xr.Dataset) -> tuple[str, dict[str, tuple[str, Bools]]]:
     known = list(dict.fromkeys(units[units != ""].tolist()))
     if len(known) < 2:
         return along, {"": ("".join(known), np.ones(units.shape, dtype=bool))}
-    made: dict[str, tuple[str, Bools]] = {}
+    made: dict[str, tuple[str, NDArray[np.bool_]]] = {}
     for quantity, unit in dict.fromkeys(zip(quantities.tolist(), units.tolist(), strict=True)):
         alike = quantities == quantity
         one_unit = bool(quantity) and len(set(units[alike].tolist())) == 1
@@ -133,6 +132,6 @@ def _outside(attrs: dict[Any, Any], unit: str) -> dict[str, Any]:
     return {**about, **({"units": FORMS[inside].format(udunits(unit))} if unit else {}), _INSIDE: inside}
 
 
-def _only(values: NDArray[Any], of_part: Bools, axis: int) -> NDArray[Any]:
+def _only(values: NDArray[Any], of_part: NDArray[np.bool_], axis: int) -> NDArray[Any]:
     along = of_part.reshape([-1 if place == axis else 1 for place in range(values.ndim)])
     return np.where(along, values, np.asarray(np.nan, dtype=values.dtype))

@@ -484,18 +484,18 @@ def compare(
     """Compare results: two builds, or one build over time (NEW... in time order; the last is compared with BASE)."""
     from crankorder.batch.compare import compare_results, document_text, publish_comparison
 
-    made = compare_results(base, new, q=q)
-    for path in publish_comparison(made, out, report=report):
+    results = compare_results(base, new, q=q)
+    for path in publish_comparison(results, out, report=report):
         if not quiet:
             click.echo(str(path), err=True)
     if as_json:
-        click.echo(document_text(made), nl=False)
+        click.echo(document_text(results), nl=False)
     elif not quiet:
-        click.echo("\n".join(made.document["headline"]))
-    if made.document["cause"]["cause"] == "not comparable":
-        click.echo(f"crankorder: {made.document['headline'][0]}", err=True)
-        for found in (one for one in made.document["confounds"] if one["severity"] == "invalid"):
-            click.echo(f"crankorder: not comparable: {found['what']}: {found['words']}", err=True)
+        click.echo("\n".join(results.document.headline))
+    if results.document.cause.cause == "not comparable":
+        click.echo(f"crankorder: {results.document.headline[0]}", err=True)
+        for confound in (c for c in results.document.confounds if c.severity == "invalid"):
+            click.echo(f"crankorder: not comparable: {confound.what}: {confound.words}", err=True)
         sys.exit(4)
 
 

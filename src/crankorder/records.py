@@ -42,6 +42,11 @@ def known(interval: Interval | None) -> Ends | None:
     return low, high
 
 
+def finite(number: float) -> float | None:
+    """``number`` where it is finite, else None."""
+    return float(number) if isfinite(number) else None
+
+
 _LIMITS = {"minimum": "≥", "maximum": "≤", "exclusiveMinimum": ">", "exclusiveMaximum": "<"}
 _PLAIN: dict[object, tuple[str, str]] = {
     float: ("number", "a number"),

@@ -38,7 +38,7 @@ def _fields(stage: str) -> dict[str, Any]:
 
 def test_each_generated_page_and_schema_is_up_to_date(readmes: ModuleType) -> None:
     pages = readmes.pages()
-    assert len(pages) == 8
+    assert len(pages) == 9
     stale = [
         str(path) for path, text in pages.items() if not path.is_file() or path.read_text(encoding="utf-8") != text
     ]

@@ -37,7 +37,7 @@ def test_the_interval_of_the_change_covers_it_in_95_of_100_cases(sides: tuple[bo
         ratio = after / before + error[2] * complex(*rng.standard_normal(2))
         records = balance_changes(*found, [unbalance(1.0, ratio, error[2])])
         for record in records:  # one ratio in some thousands is taken for a turned one and refused
-            low, high = record["change_ci95"]
+            low, high = record.change_ci95
             held.append(low <= after - before <= high)
     assert len(held) >= 995
     assert 0.93 <= np.mean(held) <= 0.97
@@ -54,5 +54,5 @@ def test_orders_that_disagree_are_no_one_mass() -> None:
 
 def test_without_a_ratio_two_closed_balances_are_subtracted() -> None:
     (record,) = balance_changes(closed("forward_gmm", 500.0, 10.0), closed("forward_gmm", 800.0, 10.0), [])
-    assert record["change"] == 300.0 and record["changed"] and record["by_ratio_of_orders"] == []
-    assert balance_changes({"balance": None}, closed("forward_gmm", 800.0, 10.0), []) == []
+    assert record.change == 300.0 and record.changed and record.by_ratio_of_orders == ()
+    assert balance_changes({"balance": None}, closed("forward_gmm", 800.0, 10.0), []) == ()

@@ -77,18 +77,18 @@ def base():
 
 def test_the_line_that_doubled_is_named_and_nothing_else(base):
     new = made_test({**BASE, 5.5: lambda rpm: 0.8}, name="doubled", seed=2)
-    made = compared([base, new], q=Q)
-    (record,) = [one for one in made.document["orders"] if one["changed"]]
-    assert record["order"] == 5.5 and record["ratio_ci95"][0] < 2.0 < record["ratio_ci95"][1]
-    assert record["n_changed"] == len(SPEEDS_RPM)
-    assert made.document["cause"] == {"cause": "orders", "orders": [5.5]}
+    document = compared([base, new], q=Q).document
+    (record,) = [record for record in document.orders if record.changed]
+    assert record.order == 5.5 and record.ratio_ci95[0] < 2.0 < record.ratio_ci95[1]
+    assert record.n_changed == len(SPEEDS_RPM)
+    assert (document.cause.cause, document.cause.orders) == ("orders", (5.5,))
 
 
 def test_a_test_beside_itself_differs_in_nothing(base):
     document = compared([base, base], q=Q).document
-    assert document["cause"]["cause"] == "nothing changed"
-    assert not any(one["changed"] or one["difference"] for one in document["orders"])
-    assert {one["p_value"] for one in document["orders"]} == {1.0}
+    assert document.cause.cause == "nothing changed"
+    assert not any(record.changed or record.difference for record in document.orders)
+    assert {record.p_value for record in document.orders} == {1.0}
 
 
 @pytest.mark.slow
@@ -98,15 +98,14 @@ def test_a_repeat_of_a_test_claims_an_order_no_more_often_than_stated():
     any_claim = 0
     for one, two in zip(tests[::2], tests[1::2], strict=True):
         document = compared([one, two], q=Q).document
-        any_claim += any(record["changed"] for record in document["orders"])
+        any_claim += any(record.changed for record in document.orders)
     assert any_claim <= 8  # of 60: twice that of a chance of 5 % has a chance of 1 %
 
 
 def test_a_phasor_that_turned_is_a_change_though_its_amplitude_is_not(base):
     new = made_test({**BASE, 1.0: lambda rpm: 0.5j * (rpm / 1000) ** 2}, name="turned", seed=3)
-    changed = [one for one in compared([base, new], q=Q).document["orders"] if one["changed"]]
-    assert [one["order"] for one in changed] == [1.0]
-    assert changed[0]["ratio_ci95"][0] < 1 < changed[0]["ratio_ci95"][1]
+    (changed,) = [record for record in compared([base, new], q=Q).document.orders if record.changed]
+    assert changed.order == 1.0 and changed.ratio_ci95[0] < 1 < changed.ratio_ci95[1]
 
 
 def test_modes_that_moved_are_claimed_and_those_of_one_test_are_not(base):
@@ -118,11 +117,11 @@ def test_modes_that_moved_are_claimed_and_those_of_one_test_are_not(base):
 
     one = made_test(BASE, name="one", modes=[mode(115.0, 0.1), mode(172.0, 0.1), mode(187.0, 0.1)])
     two = made_test(BASE, name="two", modes=[mode(116.5, 0.1), mode(172.1, 0.1)])
-    records = {round(r["frequency_hz"]): r for r in compared([one, two], q=Q).document["modes"]}
-    assert records[115]["changed"] and records[115]["shift_hz"] == pytest.approx(1.5)
-    assert records[115]["shift_hz_ci95"] == pytest.approx([1.5 - 0.2828, 1.5 + 0.2828], abs=0.01)
-    assert not records[172]["changed"]
-    assert records[187]["only_in"] == "base" and not records[187]["changed"]
+    records = {round(mode.frequency_hz): mode for mode in compared([one, two], q=Q).document.modes}
+    assert records[115].changed and records[115].shift_hz == pytest.approx(1.5)
+    assert records[115].shift_hz_ci95 == pytest.approx([1.5 - 0.2828, 1.5 + 0.2828], abs=0.01)
+    assert not records[172].changed
+    assert records[187].only_in == "base" and not records[187].changed
 
 
 def test_a_bearing_line_that_grows_from_run_to_run_is_the_cause_where_no_order_changed():
@@ -137,9 +136,9 @@ def test_a_bearing_line_that_grows_from_run_to_run_is_the_cause_where_no_order_c
         findings = replace(test.findings, bearings=(record_of(BearingFinding, told),))
         runs.append(replace(test, findings=findings))
     document = compared(runs, q=0.01).document
-    assert document["cause"] == {"cause": "growing line", "orders": [2.183]}
-    (record,) = [one for one in document["trend"] if one["changed"]]
-    assert record["line"] == "jack shaft BPFO"
-    assert record["growth_per_run_ci95"][0] < 0.5 < record["growth_per_run_ci95"][1]
-    two = compared(runs[:2], q=0.01).document["trend"]  # of two runs only bearing lines: orders are compared already
-    assert {record["kind"] for record in two} <= {"bearing", "bearing, envelope"}
+    assert (document.cause.cause, document.cause.orders) == ("growing line", (2.183,))
+    (record,) = [trend for trend in document.trend if trend.changed]
+    assert record.line == "jack shaft BPFO"
+    assert record.growth_per_run_ci95[0] < 0.5 < record.growth_per_run_ci95[1]
+    two = compared(runs[:2], q=0.01).document.trend  # of two runs only bearing lines: orders are compared already
+    assert {trend.kind for trend in two} <= {"bearing", "bearing, envelope"}

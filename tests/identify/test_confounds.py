@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import pytest
 
@@ -56,9 +57,9 @@ DIFFERENCES = [
 
 
 def test_every_difference_of_how_the_tests_were_made_is_named_and_no_other(base):
-    one, wrong = stated("motoring", ("A", "B")), []
+    one, wrong = replace(base, run=stated("motoring", ("A", "B"))), []
     for path, value, what, severity in DIFFERENCES:
-        found = {c.what: c for c in confounds(one, differing(path, value), base.maps, base.maps)}
+        found = {c.what: c for c in confounds(one, replace(base, run=differing(path, value)))}
         named = what in found and found[what].severity == severity and found[what].words is not None
         if not named or set(found) - {what, "repeats"}:
             wrong.append((what, {name: c.severity for name, c in found.items()}))
@@ -66,7 +67,7 @@ def test_every_difference_of_how_the_tests_were_made_is_named_and_no_other(base)
 
 
 def test_tests_made_alike_have_only_the_doubt_that_nothing_was_repeated(base):
-    found = confounds(stated("a", ("A", "B")), stated("b", ("A", "B")), base.maps, base.maps)
+    found = confounds(*(replace(base, run=stated(name, ("A", "B"))) for name in "ab"))
     assert [(c.what, c.severity) for c in found] == [("repeats", "weakens")]
 
 
@@ -76,8 +77,8 @@ def test_a_channel_in_another_unit_is_refused_and_the_others_are_compared(base):
         run=differing(("manifest", "channels", 1, "unit"), "g"),
     )  # fmt: skip
     document = compared([base, other], q=0.05).document
-    assert {c["name"]: c["compared"] for c in document["channels"]} == {"A": True, "B": False}
-    assert {o["channel"] for o in document["orders"]} == {"A"}
+    assert {c.name: c.compared for c in document.channels} == {"A": True, "B": False}
+    assert {record.channel for record in document.orders} == {"A"}
 
 
 def test_where_the_mark_may_have_moved_amplitudes_alone_are_compared(base):
@@ -86,19 +87,19 @@ def test_where_the_mark_may_have_moved_amplitudes_alone_are_compared(base):
     same, other = (
         made_test(turned, name="turned", seed=3, channels=("A", "B"), duration_s=8.0, run=run) for run in (None, moved)
     )
-    found = [compared([base, test], q=0.05).document["cause"]["orders"] for test in (same, other)]
-    assert found == [[1.0], []]
+    found = [compared([base, test], q=0.05).document.cause.orders for test in (same, other)]
+    assert found == [(1.0,), ()]
 
 
 def test_speeds_of_one_test_only_are_left_out_and_named():
     one = made_test(LINES, name="one", speeds=(900.0, 1200.0), duration_s=8.0)
     two = made_test(LINES, name="two", speeds=(1205.0, 1800.0), duration_s=8.0)
     document = compared([one, two], q=0.05).document
-    assert [(round(s["base_rpm"]), round(s["new_rpm"])) for s in document["speeds"]] == [(1200, 1205)]
-    assert any(c["what"] == "speeds" and c["severity"] == "weakens" for c in document["confounds"])
+    assert [(round(s.base_rpm), round(s.new_rpm)) for s in document.speeds] == [(1200, 1205)]
+    assert any(c.what == "speeds" and c.severity == "weakens" for c in document.confounds)
 
 
 def test_tests_without_a_common_speed_are_not_compared():
     one = made_test(LINES, name="one", speeds=(900.0,), duration_s=8.0)
     two = made_test(LINES, name="two", speeds=(1800.0,), duration_s=8.0)
-    assert compared([one, two], q=0.05).document["cause"]["cause"] == "not comparable"
+    assert compared([one, two], q=0.05).document.cause.cause == "not comparable"

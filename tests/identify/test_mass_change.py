@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.identify.changes.mass_change import unbalance_change, weighed
+from crankorder.engine.transfer_paths import AddedMass
+from crankorder.identify.changes.mass_change import mass_record, size_interval, unbalance_change
 from crankorder.identify.changes.order_changes import Line, change
 
 SPEED_RPM = np.array([900.0, 1200.0, 1500.0, 1800.0, 2100.0])
@@ -34,12 +35,17 @@ def made(rng, *, natural_rpm=2400.0, error=0.6, after=BEFORE + ADDED, moved=1.0)
     return change(*lines, SPEED_RPM, SPEED_RPM, order=1.0)
 
 
+def weighed(change):
+    added = AddedMass(mass_g=abs(ADDED), radius_mm=40.0, angle_deg=np.degrees(np.angle(ADDED)))
+    return mass_record(change, unbalance_change(change), [added])
+
+
 def test_one_factor_fits_through_any_path_and_its_interval_covers():
     rng, n, inside, fits = np.random.default_rng(1), 600, 0, 0
     true = abs((BEFORE + ADDED) / BEFORE)
     for _ in range(n):
         found = unbalance_change(made(rng))
-        low, high = found.size_ci95
+        low, high = size_interval(found.factor, found.half)
         inside += low <= true <= high
         fits += found.factor_fits > 0.05
     assert inside / n == pytest.approx(0.95, abs=0.025)
@@ -49,19 +55,21 @@ def test_one_factor_fits_through_any_path_and_its_interval_covers():
 def test_grams_before_and_after_follow_from_the_mass_that_is_stated():
     rng, n, inside = np.random.default_rng(2), 600, np.zeros(2)
     for _ in range(n):
-        one = made(rng)
-        grams = weighed(one, unbalance_change(one), ADDED)
-        reach = 2.2 * grams.error
-        inside += [abs(abs(grams.before) - abs(BEFORE)) < reach, abs(abs(grams.after) - abs(BEFORE + ADDED)) < reach]
+        grams = weighed(made(rng))
+        ends = (grams.before_ci95, abs(BEFORE)), (grams.after_ci95, abs(BEFORE + ADDED))
+        inside += [low <= true <= high for (low, high), true in ends]
     assert np.all(np.abs(inside / n - 0.95) < 0.04)
-    np.testing.assert_allclose(grams.per_unit, path(SPEED_RPM, natural_rpm=2400.0), atol=6 * 0.6 * 1.5 / abs(ADDED))
+    response = [per.response for per in grams.response_per_unit]
+    true = np.abs(path(SPEED_RPM, natural_rpm=2400.0))
+    np.testing.assert_allclose(response, true, atol=6 * 0.6 * 1.5 / abs(ADDED))
 
 
 def test_without_noise_grams_are_exact():
-    one = made(np.random.default_rng(3), error=1e-9)
-    grams = weighed(one, unbalance_change(one), ADDED)
-    assert grams.before == pytest.approx(BEFORE, rel=1e-6)
-    assert grams.after == pytest.approx(BEFORE + ADDED, rel=1e-6)
+    grams = weighed(made(np.random.default_rng(3), error=1e-9))
+    for size, angle, true in (
+        (grams.before, grams.before_angle_deg, BEFORE), (grams.after, grams.after_angle_deg, BEFORE + ADDED)
+    ):  # fmt: skip
+        assert size * np.exp(1j * np.radians(angle)) == pytest.approx(true, rel=1e-6)
 
 
 @pytest.mark.slow

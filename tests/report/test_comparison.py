@@ -5,21 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.identify.changes.compared import change_datasets, compared
-from crankorder.report.comparison.figure import order_change_figure
-from crankorder.report.comparison.page import comparison_page
-from crankorder.report.comparison.sentences import comparison_headline, comparison_story
+from crankorder.comparison import Comparison, Trend
+from crankorder.identify.changes.compared import compared
+from crankorder.report.comparison.page import comparison_page, order_change_figure
+from crankorder.report.comparison.sentences import comparison_story, trend_verdict, with_sentences
 from crankorder.settings import load_settings
 from made.two_tests import made_test
+from made.typed import record_of
 
 SETTINGS = load_settings().report
 LINES = {1.0: lambda rpm: 0.5, 5.5: lambda rpm: 0.4}
 
 
 def documented(*tests):
-    made = compared(tests, q=0.05)
-    made.document["headline"] = comparison_headline(made.document)
-    return made.document, change_datasets(made)
+    document, datasets = compared(tests, q=0.05)
+    return with_sentences(document), datasets
 
 
 @pytest.fixture(scope="module")
@@ -41,8 +41,8 @@ def test_orders_that_turned_alone_are_told_from_those_whose_amplitude_changed():
         made_test({order: lambda rpm, k=k: (1j**k) * 0.5 for order in (1.0, 2.0, 5.5)}, seed=k) for k in (0, 1)
     )
     document = documented(base, turned)[0]
-    assert document["cause"] == {"cause": "orders", "orders": [1.0, 2.0, 5.5]}
-    assert document["headline"][0].startswith("The phase of orders 1, 2 and 5.5 turned, and no amplitude changed")
+    assert (document.cause.cause, document.cause.orders) == ("orders", (1.0, 2.0, 5.5))
+    assert document.headline[0].startswith("The phase of orders 1, 2 and 5.5 turned, and no amplitude changed")
 
 
 def test_the_order_that_changed_is_coloured_and_labelled_and_the_others_are_light(doubled):
@@ -53,6 +53,24 @@ def test_the_order_that_changed_is_coloured_and_labelled_and_the_others_are_ligh
     for line in lines:
         np.testing.assert_allclose(line.values[1], 6.02, atol=0.5)
     assert any(word.text == "5.5" for word in drawing.words)
+
+
+@pytest.mark.parametrize(
+    ("kind", "ends", "says"),
+    [
+        ("bearing", (0.3, 0.7), "grows by 50.0% a run"), ("bearing", (0.3, 0.7), "failing"),
+        ("bearing", (0.01, 0.9), "too little"), ("bearing", (-0.4, -0.1), "no sign"),
+        ("bearing", (-0.1, 1.1), "not decided: "), ("order", (-0.1, 1.1), "not decided"),
+    ],
+)  # fmt: skip
+def test_the_verdict_on_a_line_is_that_of_its_interval(kind, ends, says):
+    trend = {"kind": kind, "growth_per_run": 0.5, "growth_per_run_ci95": ends, "amplitude": (1.0, 1.5)}
+    verdict = trend_verdict(record_of(Trend, trend))
+    assert says in verdict and (kind == "bearing" or verdict == says)
+
+
+def test_the_document_is_read_back_as_it_was_written(doubled):
+    assert Comparison.from_dict(doubled[0].as_dict()) == doubled[0]
 
 
 def test_the_page_answers_first_and_escapes_what_comes_from_files(doubled):
@@ -66,8 +84,8 @@ def test_the_page_answers_first_and_escapes_what_comes_from_files(doubled):
 def test_tests_that_are_alike_have_a_page_too(alike):
     document, _ = alike
     assert comparison_story(document)["what"] == []
-    assert document["headline"] == [
+    assert document.headline == (
         "No order and no natural frequency that both tests show changed by more than chance alone would change it; "
-        "other lines, tones and noise are not compared."
-    ]
-    assert document["headline"][0] in comparison_page(document, pictures=[], settings=SETTINGS)
+        "other lines, tones and noise are not compared.",
+    )
+    assert document.headline[0] in comparison_page(document, pictures=[], settings=SETTINGS)

@@ -2,43 +2,42 @@
 
 from __future__ import annotations
 
-import json
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from crankorder.batch.result_folder import DONE, FINDINGS, RESULTS, publish, read_document, read_findings
 from crankorder.batch.store import file_sha256, json_bytes, text_sha256
+from crankorder.comparison import Comparison
 from crankorder.errors import InputError, RequestError
-from crankorder.identify.changes.compared import Compared, Tested, change_datasets, compared
-from crankorder.report.comparison.sentences import comparison_headline
+from crankorder.identify.changes.compared import compared
+from crankorder.identify.changes.order_changes import Tested
+from crankorder.report.comparison.sentences import with_sentences
 from crankorder.report.netcdf import read_results
 from crankorder.settings import ReportSettings, load_settings
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from crankorder.plot.drawing import Drawing
 
 NAME = "comparison.json"
 MAPS = ("order_map", "envelope_map", "shaft")
 
 
-@dataclass(frozen=True)
-class Comparison:
-    """The folders of the tests that were compared, and all that their comparison gives."""
+class ComparedResults(NamedTuple):
+    """The ``folders`` of the tests that were compared, the ``document`` of their comparison, and its ``datasets``."""
 
     folders: tuple[Path, ...]
-    made: Compared
-
-    @property
-    def document(self) -> dict[str, Any]:
-        """The document of ``data_schema/comparison.json``."""
-        return self.made.document
+    document: Comparison
+    datasets: dict[str, xr.Dataset]
 
 
-def compare_results(base: Path, new: Sequence[Path], *, q: float) -> Comparison:
+def compare_results(base: Path, new: Sequence[Path], *, q: float) -> ComparedResults:
     """Comparison of the results in ``base`` with the last of ``new``; of several, in time order, the trend over all.
 
     Each is a test's result folder, or the ``--out`` of a run of one test. ``q`` is the false-discovery rate of all
@@ -48,25 +47,22 @@ def compare_results(base: Path, new: Sequence[Path], *, q: float) -> Comparison:
     """
     folders = tuple(_test_folder(folder) for folder in (base, *new))
     _refuse_twice(folders)
-    found = [_tested(folder) for folder in folders]
-    _refuse_nothing_in_common(folders, found)
-    names = [test.name for test in found]
+    tests = [_tested(folder) for folder in folders]
+    _refuse_nothing_in_common(folders, tests)
+    names = [test.name for test in tests]
     # tests of one name get the number of their run
     numbered = [f"{name} (run {at})" if names.count(name) > 1 else name for at, name in enumerate(names, start=1)]
-    made = compared([replace(test, name=name) for test, name in zip(found, numbered, strict=True)], q=q)
-    made.document["headline"] = comparison_headline(made.document)
-    return Comparison(folders, made)
+    document, datasets = compared([replace(test, name=name) for test, name in zip(tests, numbered, strict=True)], q=q)
+    return ComparedResults(folders, with_sentences(document), datasets)
 
 
 def _refuse_twice(folders: Sequence[Path]) -> None:
     """Refuse a test beside itself: nothing could differ, and a trend would count one run as two."""
-    known: set[Path] = set()
-    for folder in folders:
-        if folder.resolve() in known:
+    for folder, times in Counter(folder.resolve() for folder in folders).items():
+        if times > 1:
             allowed = "each test once, in time order"
             remedy = "Name the folder of the other test; results of two runs need two --out folders"
             raise RequestError("the same results are named twice", file=folder, allowed=allowed, remedy=remedy)
-        known.add(folder.resolve())
 
 
 def _refuse_nothing_in_common(folders: Sequence[Path], tests: Sequence[Tested]) -> None:
@@ -113,21 +109,21 @@ def _tested(folder: Path) -> Tested:
     return Tested(str(run["test"]), findings, run, {key: groups[key] for key in MAPS if key in groups})
 
 
-def document_text(comparison: Comparison) -> str:
-    """The document of ``comparison`` as JSON, as it is published."""
-    return json_bytes(comparison.document).decode("utf-8")
+def document_text(results: ComparedResults) -> str:
+    """The document of the compared ``results`` as JSON, as it is published."""
+    return json_bytes(results.document.as_dict()).decode("utf-8")
 
 
-def publish_comparison(comparison: Comparison, out: Path, *, report: dict[str, Any] | None = None) -> list[Path]:
+def publish_comparison(results: ComparedResults, out: Path, *, report: dict[str, Any] | None = None) -> list[Path]:
     """Paths of the files written into ``out``: comparison.json, comparison.nc, pictures, page; whole or not at all.
 
-    ``comparison`` as :func:`compare_results` makes it; ``report``: settings of the report by key, before the defaults.
+    ``results`` as :func:`compare_results` makes them; ``report``: settings of the report by key, before the defaults.
     Raises RequestError where ``out`` holds results of a run, EnvironmentFailure where it cannot be written.
     """
-    refuse_results(out, comparison.folders)
-    files = _files(comparison, load_settings(asked={"report": report or {}}).report)
-    marks = [file_sha256(folder / name) for folder in comparison.folders for name in (RESULTS, FINDINGS)]
-    publish(out, files, key=text_sha256(version("crankorder"), json.dumps(comparison.document, default=str), *marks))
+    refuse_results(out, results.folders)
+    files = _files(results, load_settings(asked={"report": report or {}}).report)
+    marks = [file_sha256(folder / name) for folder in results.folders for name in (RESULTS, FINDINGS)]
+    publish(out, files, key=text_sha256(version("crankorder"), document_text(results), *marks))
     return [out / name for name in files]
 
 
@@ -148,31 +144,28 @@ def refuse_results(out: Path, folders: Sequence[Path]) -> None:
         )
 
 
-def _files(comparison: Comparison, settings: ReportSettings) -> dict[str, bytes]:
+def _files(results: ComparedResults, settings: ReportSettings) -> dict[str, bytes]:
     from crankorder.plot.painter import picture_bytes
-    from crankorder.report.comparison.figure import order_change_figure, trend_figure
-    from crankorder.report.comparison.page import comparison_page
+    from crankorder.report.comparison.page import comparison_page, order_change_figure, trend_figure
     from crankorder.report.netcdf import as_stored, results_bytes
 
-    made, document = comparison.made, comparison.document
-    groups = change_datasets(made)
-    shown = as_stored(groups)
+    document, shown = results.document, as_stored(results.datasets)
     pictures: list[tuple[str, str]] = []
-    files: dict[str, bytes] = {NAME: json_bytes(document)}
+    files: dict[str, bytes] = {NAME: document_text(results).encode()}
 
     def draw(name: str, caption: str, figure: Callable[[], Drawing]) -> None:
         file = f"{name}.{settings.picture_format}"
         files[file] = picture_bytes(figure(), dpi=settings.dpi, kind=settings.picture_format)
         pictures.append((file, caption))
 
-    if any(one["changed"] for one in document["trend"]) and settings.pictures:  # without growth it would be empty
+    if any(trend.changed for trend in document.trend) and settings.pictures:  # without growth it would be empty
         caption = "How the lines went from run to run, with 95 % intervals and the fitted growth"
         draw("trend", caption, partial(trend_figure, document, settings=settings))
     if "order_change" in shown and settings.pictures:
         caption = "What changed, order by order: second test over first, with 95 % intervals"
         draw("orders_change", caption, partial(order_change_figure, shown["order_change"], document, settings=settings))
-    attrs = {"title": f"{document['base']} / {document['new']}", "source": f"crankorder {version('crankorder')}"}
-    files["comparison.nc"] = results_bytes(groups, attrs=attrs)
+    attrs = {"title": f"{document.base} / {document.new}", "source": f"crankorder {version('crankorder')}"}
+    files["comparison.nc"] = results_bytes(results.datasets, attrs=attrs)
     page = comparison_page(document, pictures=pictures, settings=settings)
     files["comparison.html"] = page.encode("utf-8", "backslashreplace")
     return files

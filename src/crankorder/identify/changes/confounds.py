@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, Literal
+from functools import partial
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
+from crankorder.comparison import FIRING, PROGRAM, REPEATS, Confound, Part, Severity
+from crankorder.identify.changes.order_changes import Tested, order_maps
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.settings import MethodNumbers
 
@@ -21,27 +23,7 @@ class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="confounds")
 
 NUMBERS = _Numbers.load()
 
-Weight = Literal["invalid", "weakens", "harmless"]
-"""What a confound does to a comparison: nothing can be compared, claims need care, or none."""
-
-Part = Literal["all", "orders", "phases", "channel"]
-"""What of the comparison is concerned."""
-
-
-@dataclass(frozen=True)
-class Confound:
-    """One difference of how two tests were made: ``what``, its value in both, how much it matters, and in words."""
-
-    what: str
-    severity: Weight
-    part: Part
-    base: str
-    new: str
-    words: str
-    channel: str = ""
-
-
-_RULES: tuple[tuple[str, str, Weight, Part, str], ...] = (
+_RULES: tuple[tuple[str, str, Severity, Part, str], ...] = (
     ("sampling domain", "manifest.sampling.domain", "weakens", "all",
      "data by crank angle have no filter in front: fixed frequencies fold into their orders"),
     ("sampling rate", "manifest.sampling.rate_hz", "weakens", "all",
@@ -75,30 +57,41 @@ _RULES: tuple[tuple[str, str, Weight, Part, str], ...] = (
 )  # fmt: skip
 
 
-def confounds(
-    base: Mapping[str, Any],
-    new: Mapping[str, Any],
-    base_maps: Mapping[str, xr.Dataset],
-    new_maps: Mapping[str, xr.Dataset],
-) -> list[Confound]:
-    """Everything that differs in how two tests were made, the worst first.
+_CHANNEL_RULES: tuple[tuple[str, Severity, str], ...] = (
+    ("unit", "invalid", "amplitudes in other units cannot be compared"),
+    ("quantity", "invalid", "other quantities cannot be compared"),
+    ("direction", "weakens", "the sensor looked another way"),
+    ("sensitivity", "weakens", "another sensor, or another setting of it: a wrong one scales all orders alike"),
+    ("offset", "harmless", "the mean of a signal is no vibration"),
+    ("source", "harmless", "the same signal under another name, if it was wired so"),
+)
 
-    ``base`` and ``new`` are what ``run.json`` states of both, ``base_maps`` and ``new_maps`` the datasets of their
-    results by name: ``order_map`` where orders were wanted, and ``shaft`` where it is known.
-    """
-    found = [
-        Confound(what, severity, part, _text(one), _text(two), words)
+
+def confounds(base: Tested, new: Tested) -> list[Confound]:
+    """Everything that differs in how the tests ``base`` and ``new`` were made, the worst first."""
+    tests = (base, new)
+    differences = [
+        _confound(what, severity, part, [_text(value) for value in values], words)
         for what, path, severity, part, words in _RULES
-        if (one := _at(base, path)) != (two := _at(new, path))
+        if (values := [_at(test, path) for test in tests]) and values[0] != values[1]
     ]
-    found += _channels(base, new) + _maps(base_maps, new_maps) + _firing(base, new, base_maps, new_maps)
-    found += _repeats(base_maps, new_maps) + _quality(base, new) + _versions(base, new) + _same_inputs(base, new)
+    for concerns in (_channels, _maps, _firing, _repeats, _quality, _versions, _same_inputs):
+        differences += concerns(tests)
     rank = {"invalid": 0, "weakens": 1, "harmless": 2}
-    return sorted(found, key=lambda one: rank[one.severity])
+    return sorted(differences, key=lambda confound: rank[confound.severity])
 
 
-def _at(document: Mapping[str, Any], path: str) -> Any:
-    value: Any = document
+Tests = tuple[Tested, Tested]
+Values = tuple[str, str] | list[str]
+
+
+def _confound(what: str, severity: Severity, part: Part, values: Values, words: str, channel: str = "") -> Confound:
+    base, new = values
+    return Confound(what=what, severity=severity, part=part, channel=channel, base=base, new=new, words=words)
+
+
+def _at(test: Tested, path: str) -> Any:
+    value: Any = test.run
     for key in path.split("."):
         value = value.get(key) if isinstance(value, Mapping) else None
     return value
@@ -110,135 +103,119 @@ def _text(value: Any) -> str:
     return "not stated" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def _channels(base: Mapping[str, Any], new: Mapping[str, Any]) -> list[Confound]:
+def _channels(tests: Tests) -> list[Confound]:
     """Channels of one test only, and those whose unit, sensor or direction is another."""
-    one, two = ({c["name"]: c for c in _at(run, "manifest.channels") or []} for run in (base, new))
-    found = []
-    for name in dict.fromkeys([*one, *two]):
-        if name not in one or name not in two:
-            where = "the first test" if name in one else "the second test"
-            given = ("measured", "missing") if name in one else ("missing", "measured")
-            found.append(
-                Confound("channel", "invalid", "channel", given[0], given[1], f"only {where} has this channel", name)
-            )
-            continue
-        for key, severity, words in (
-            ("unit", "invalid", "amplitudes in other units cannot be compared"),
-            ("quantity", "invalid", "other quantities cannot be compared"),
-            ("direction", "weakens", "the sensor looked another way"),
-            ("sensitivity", "weakens", "another sensor, or another setting of it: a wrong one scales all orders alike"),
-            ("offset", "harmless", "the mean of a signal is no vibration"),
-            ("source", "harmless", "the same signal under another name, if it was wired so"),
-        ):
-            a, b = one[name].get(key), two[name].get(key)
-            if a != b:
-                found.append(Confound(key, severity, "channel", _text(a), _text(b), words, name))  # type: ignore[arg-type]
-    return found
+    base, new = ({channel["name"]: channel for channel in _at(test, "manifest.channels") or []} for test in tests)
+    differences = []
+    for name in {**base, **new}:
+        of_channel = partial(_confound, part="channel", channel=name)
+        if name in base and name in new:
+            pairs = ((rule, (base[name].get(rule[0]), new[name].get(rule[0]))) for rule in _CHANNEL_RULES)
+            differences += [
+                of_channel(key, severity, values=[_text(value) for value in values], words=words)
+                for (key, severity, words), values in pairs if values[0] != values[1]
+            ]  # fmt: skip
+        else:
+            where, values = ("first", ["measured", "missing"]) if name in base else ("second", ["missing", "measured"])
+            words = f"only the {where} test has this channel"
+            differences.append(of_channel("channel", "invalid", values=values, words=words))
+    return differences
 
 
-def _maps(base: Mapping[str, xr.Dataset], new: Mapping[str, xr.Dataset]) -> list[Confound]:
+def _maps(tests: Tests) -> list[Confound]:
     """Highest order, speeds, frames and phase marks as the order maps have them."""
-    has = ["order_map" in maps for maps in (base, new)]
-    if not all(has):
-        texts = ["held" if one else "missing" for one in has]
+    maps = order_maps(tests)
+    if not maps:
+        values = ["held" if "order_map" in test.maps else "missing" for test in tests]
         words = "orders are compared where the results of both tests hold an order map"
-        return [Confound("order map", "invalid", "orders", texts[0], texts[1], words)] if any(has) else []
-    found: list[Confound] = []
-    maps = base["order_map"], new["order_map"]
-    highest = [float(item["order"].values[-1]) for item in maps]
-    if highest[0] != highest[1]:
-        words = "orders are compared up to the lower"
-        found.append(Confound("highest order", "harmless", "orders", f"{highest[0]:g}", f"{highest[1]:g}", words))
-    marks = [str(item.attrs.get("phase_reference")) for item in maps]
-    if marks[0] != marks[1]:
-        words = "phases count from other marks: amplitudes only are compared"
-        found.append(Confound("phase reference", "weakens", "phases", marks[0], marks[1], words))
-    ranges = [item["speed"].values[np.isfinite(item["speed"].values)] for item in maps]
-    if all(len(speed) for speed in ranges):
-        texts = [f"{len(speed)} speeds, {speed.min():.0f} to {speed.max():.0f} rpm" for speed in ranges]
-        if texts[0] != texts[1]:
-            words = "only speeds that both have are compared; nothing is interpolated"
-            found.append(Confound("speeds", "weakens", "all", texts[0], texts[1], words))
-    counts = [int(item["n_frames"].values.sum()) for item in maps]
+        return [_confound("order map", "invalid", "orders", values, words)] if "held" in values else []
+    speeds = [order_map["speed"].values[np.isfinite(order_map["speed"].values)] for order_map in maps]
+    ranges = [f"{len(rpm)} speeds, {rpm.min():.0f} to {rpm.max():.0f} rpm" if len(rpm) else "" for rpm in speeds]
+    rules: tuple[tuple[str, Severity, Part, list[str], str], ...] = (
+        ("highest order", "harmless", "orders", [f"{float(order_map['order'].values[-1]):g}" for order_map in maps],
+         "orders are compared up to the lower"),
+        ("phase reference", "weakens", "phases", [str(order_map.attrs.get("phase_reference")) for order_map in maps],
+         "phases count from other marks: amplitudes only are compared"),
+        ("speeds", "weakens", "all", ranges, "only speeds that both have are compared; nothing is interpolated"),
+    )  # fmt: skip
+    differences = [_confound(*rule) for rule in rules if all(rule[3]) and rule[3][0] != rule[3][1]]
+    counts = [int(order_map["n_frames"].values.sum()) for order_map in maps]
     if max(counts) > NUMBERS.few_frames_ratio * max(min(counts), 1):
         words = "the intervals allow for it: small changes may hide in the shorter test"
-        found.append(Confound("frames averaged", "harmless", "all", str(counts[0]), str(counts[1]), words))
-    return found
+        differences.append(_confound("frames averaged", "harmless", "all", [str(n) for n in counts], words))
+    return differences
 
 
-def _firing(
-    base: Mapping[str, Any],
-    new: Mapping[str, Any],
-    base_maps: Mapping[str, xr.Dataset],
-    new_maps: Mapping[str, xr.Dataset],
-) -> list[Confound]:
+def _firing(tests: Tests) -> list[Confound]:
     """Firing against motoring, or another load: by the names of the tests and by pressure channels."""
     words = "combustion changes half orders and whole ones: differences are not the machine's alone"
     states = []
-    for run in (base, new):
-        told = f"{run.get('test', '')} {_at(run, 'manifest.test.engine') or ''}".casefold()
-        states.append("firing" if "firing" in told or "fired" in told else "motoring" if "motor" in told else "")
+    for test in tests:
+        names = f"{_at(test, 'test') or ''} {_at(test, 'manifest.test.engine') or ''}".casefold()
+        states.append("firing" if "firing" in names or "fired" in names else "motoring" if "motor" in names else "")
     if all(states) and states[0] != states[1]:
-        return [Confound("firing or motoring", "weakens", "all", states[0], states[1], words)]
-    levels = [_pressure(maps["order_map"]) if "order_map" in maps else 0.0 for maps in (base_maps, new_maps)]
-    if all(level > 0 for level in levels) and max(levels) > NUMBERS.fired_ratio * min(levels):
-        texts = [f"{level:.3g} (median)" for level in levels]
-        return [Confound("pressure of the cycle", "weakens", "all", texts[0], texts[1], words)]
+        return [_confound(FIRING, "weakens", "all", states, words)]
+    levels = [_pressure(test.maps["order_map"]) if "order_map" in test.maps else 0.0 for test in tests]
+    if min(levels) > 0 and max(levels) > NUMBERS.fired_ratio * min(levels):
+        values = [f"{level:.3g} (median)" for level in levels]
+        return [_confound("pressure of the cycle", "weakens", "all", values, words)]
     return []
 
 
 def _pressure(order_map: xr.Dataset) -> float:
     """Median over speeds of the cylinder pressures' total amplitude; 0 where there is none."""
-    told = zip(order_map["quantity"].values.tolist(), order_map["unit"].values.tolist(), strict=True)
-    rows = [n for n, (quantity, unit) in enumerate(told) if is_cylinder_pressure(quantity, unit)]
+    channels = zip(order_map["quantity"].values.tolist(), order_map["unit"].values.tolist(), strict=True)
+    rows = [n for n, (quantity, unit) in enumerate(channels) if is_cylinder_pressure(quantity, unit)]
     energy = order_map["amplitude"].values[rows] ** 2
     return float(np.median(np.sqrt(np.nansum(energy, axis=2)))) if rows else 0.0
 
 
-def _repeats(base: Mapping[str, xr.Dataset], new: Mapping[str, xr.Dataset]) -> list[Confound]:
+def _repeats(tests: Tests) -> list[Confound]:
     """Whether recordings were repeated at a speed: only then is known by how much a test differs from itself."""
-    said = []
-    for maps in (base, new):
-        if not {"shaft", "order_map"} <= set(maps):
-            return []
-        recordings, speeds = maps["shaft"].sizes["recording"], maps["order_map"].sizes["speed"]
-        said.append((recordings > speeds, f"{recordings} recordings at {speeds} speeds"))
-    if all(repeated for repeated, _ in said):
+    if not all({"shaft", "order_map"} <= set(test.maps) for test in tests):
         return []
+    counts = [(test.maps["shaft"].sizes["recording"], test.maps["order_map"].sizes["speed"]) for test in tests]
+    if all(recordings > speeds for recordings, speeds in counts):
+        return []
+    values = [f"{recordings} recordings at {speeds} speeds" for recordings, speeds in counts]
     words = "intervals hold for the recordings: by how much a test differs when it is set up again, they do not know"
-    return [Confound("repeats", "weakens", "all", said[0][1], said[1][1], words)]
+    return [_confound(REPEATS, "weakens", "all", values, words)]
 
 
-def _quality(base: Mapping[str, Any], new: Mapping[str, Any]) -> list[Confound]:
+def _quality(tests: Tests) -> list[Confound]:
     """Remarks on the recordings that only one of the tests has."""
-    counts = [Counter((flag["flag"], flag["severity"]) for flag in run.get("quality") or []) for run in (base, new)]
-    found = []
-    for flag, severity in sorted({*counts[0], *counts[1]}):
-        one, two = (count[flag, severity] for count in counts)
-        if (one == 0) != (two == 0):
-            weight: Weight = "harmless" if severity == "info" else "weakens"
-            words = f"recordings of one test only have this remark ({severity})"
-            name = str(flag).replace("_", " ")
-            found.append(Confound(f"quality: {name}", weight, "all", f"{one} recordings", f"{two} recordings", words))
-    return found
-
-
-def _versions(base: Mapping[str, Any], new: Mapping[str, Any]) -> list[Confound]:
-    if base.get("code_sha256") != new.get("code_sha256"):
-        texts = [f"{_at(run, 'versions.crankorder')} ({str(run.get('code_sha256'))[:8]})" for run in (base, new)]
-        words = "analysed by other versions of the program: run both again with one"
-        return [Confound("program", "weakens", "all", texts[0], texts[1], words)]
+    remarks = [Counter((flag["flag"], flag["severity"]) for flag in _at(test, "quality") or []) for test in tests]
     return [
-        Confound(f"library {name}", "harmless", "all", _text(one), _text(_at(new, f"versions.{name}")), "")
-        for name, one in (base.get("versions") or {}).items()
-        if one != _at(new, f"versions.{name}")
+        _confound(
+            f"quality: {str(flag).replace('_', ' ')}",
+            "harmless" if severity == "info" else "weakens",
+            "all",
+            [f"{count[flag, severity]} recordings" for count in remarks],
+            f"recordings of one test only have this remark ({severity})",
+        )
+        for flag, severity in sorted(set(remarks[0]) ^ set(remarks[1]))
     ]
 
 
-def _same_inputs(base: Mapping[str, Any], new: Mapping[str, Any]) -> list[Confound]:
-    one, two = ({item["sha256"] for item in run.get("inputs") or []} - {None} for run in (base, new))
-    if not one & two:
+def _versions(tests: Tests) -> list[Confound]:
+    codes = [_at(test, "code_sha256") for test in tests]
+    base, new = (_at(test, "versions") or {} for test in tests)
+    if codes[0] != codes[1]:
+        programs = zip((base.get("crankorder"), new.get("crankorder")), codes, strict=True)
+        values = [f"{version} ({str(code)[:8]})" for version, code in programs]
+        words = "analysed by other versions of the program: run both again with one"
+        return [_confound(PROGRAM, "weakens", "all", values, words)]
+    return [
+        _confound(f"library {name}", "harmless", "all", (_text(version), _text(new.get(name))), "")
+        for name, version in base.items()
+        if version != new.get(name)
+    ]
+
+
+def _same_inputs(tests: Tests) -> list[Confound]:
+    base, new = ({recording["sha256"] for recording in _at(test, "inputs") or []} - {None} for test in tests)
+    if not base & new:
         return []
-    texts = [f"{len(one & two)} of {len(inputs)} recordings" for inputs in (one, two)]
+    values = [f"{len(base & new)} of {len(inputs)} recordings" for inputs in (base, new)]
     words = "the same bytes in both tests: they cannot differ"
-    return [Confound("shared recordings", "harmless" if one == two else "weakens", "all", texts[0], texts[1], words)]
+    return [_confound("shared recordings", "harmless" if base == new else "weakens", "all", values, words)]

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import cmath
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import fdtrc, fdtri
 
+from crankorder.comparison import BalanceChange, MassRecord, MassResponse, UnbalanceRecord
+from crankorder.engine.transfer_paths import AddedMass
 from crankorder.findings import Balance, Findings
 from crankorder.identify.changes.order_changes import OrderChange, welch
-from crankorder.identify.intervals import Z95, error_of, half_width
+from crankorder.identify.intervals import Z95, error_of, half_width, interval
 from crankorder.quantities import Complexes, Floats
-from crankorder.records import known
+from crankorder.records import Ends, finite, known
 from crankorder.settings import MethodNumbers
 
 
@@ -62,23 +65,16 @@ class Unbalance:
     square_law_fits: float
 
     @property
-    def size_ci95(self) -> tuple[float, float]:
-        """95 % interval of the factor's size, from 0."""
-        half = half_width(self.freedom) * self.factor_error
-        return max(abs(self.factor) - half, 0.0), abs(self.factor) + half
-
-    @property
-    def turned_deg_ci95(self) -> float:
-        """Half width of the 95 % interval of the factor's angle, degrees; 180 where it is unknown."""
-        half = half_width(self.freedom) * self.factor_error
-        return float(np.degrees(np.arcsin(half / abs(self.factor)))) if half < abs(self.factor) else 180.0
+    def half(self) -> float:
+        """Half width of the 95 % interval of the factor's size."""
+        return half_width(self.freedom) * self.factor_error
 
     @property
     def explains(self) -> bool:
         """Whether one factor fits at all speeds and is not 1 within its 95 % interval."""
-        told = np.isnan(self.factor_fits) or self.factor_fits >= NUMBERS.fit_chance
+        fits = np.isnan(self.factor_fits) or self.factor_fits >= NUMBERS.fit_chance
         radius = float(np.sqrt(2.0 * fdtri(2.0, self.freedom, 0.95))) * self.factor_error
-        return bool(told and abs(self.factor - 1.0) > radius)
+        return bool(fits and abs(self.factor - 1.0) > radius)
 
 
 def unbalance_change(change: OrderChange) -> Unbalance | None:
@@ -135,144 +131,153 @@ def _slope(before: Complexes, after: Complexes, error: Floats, error2: Floats) -
     return factor, misfit, float(1.0 / np.sum(np.abs(true) ** 2 / total))
 
 
-@dataclass(frozen=True)
-class Weighed:
-    """Unbalance before and after a known change of mass, in the units of that mass; angles from where it was put.
-
-    Standard error ``error`` of each part of both; ``per_unit`` the response to one unit of mass at each speed.
-    """
-
-    added: complex
-    before: complex
-    after: complex
-    error: float
-    freedom: float
-    speed_rpm: Floats
-    per_unit: Complexes
-    per_unit_error: Floats
+def size_interval(value: complex, half: float) -> Ends:
+    """95 % interval of the size of a phasor ``value``, from 0, where ``half`` is its half width."""
+    return max(abs(value) - half, 0.0), abs(value) + half
 
 
-def weighed(change: OrderChange, unbalance: Unbalance, added: complex) -> Weighed | None:
-    """Unbalance before and after in grams, from a known ``added`` mass, by its influence on the order.
+def unbalance_record(unbalance: Unbalance, *, changed: bool) -> UnbalanceRecord:
+    """Record of an ``unbalance`` whose order ``changed`` or not."""
+    factor, law, half = unbalance.factor, unbalance.square_law, unbalance.half
+    turned, known_angle = _degrees(factor), half < abs(factor)
+    half_angle = float(np.degrees(np.arcsin(half / abs(factor)))) if known_angle else 180.0
+    return UnbalanceRecord(
+        channel=unbalance.channel, order=unbalance.order, unit=unbalance.unit, changed=changed,
+        explains=changed and unbalance.explains, factor=abs(factor), factor_ci95=size_interval(factor, half),
+        turned_deg=turned if known_angle else None,
+        turned_deg_ci95=(turned - half_angle, turned + half_angle) if known_angle else None,
+        one_factor_p=finite(unbalance.factor_fits), square_law_amplitude=abs(law),
+        square_law_amplitude_ci95=size_interval(law, half_width(unbalance.freedom) * unbalance.square_law_error),
+        square_law_phase_deg=_degrees(law), square_law_p=finite(unbalance.square_law_fits),
+        reference_rpm=unbalance.reference_rpm, n_speeds=len(unbalance.speed_rpm),
+    )  # fmt: skip
+
+
+def _degrees(value: complex) -> float:
+    return float(np.degrees(cmath.phase(value)))
+
+
+def mass_record(change: OrderChange, unbalance: Unbalance, masses: Sequence[AddedMass]) -> MassRecord | None:
+    """Unbalance before and after ``masses`` were added, by their influence on the order; angles from where they sit.
 
     Parameters
     ----------
     change : the order's change
     unbalance : what became of it, from :func:`unbalance_change`
-    added : mass put on (g, or g·mm) times exp(i angle); not 0
+    masses : masses put on; told in grams at their radius where all sit at one, in g·mm where they do not
 
     With U before and U + added after, seen through one path, factor = 1 + added / U (influence coefficients: Goodman
-    1964, Trans. ASME B 86, 273). None where the factor cannot be told from 1.
+    1964, Trans. ASME B 86, 273). None where the factor cannot be told from 1, where the masses add up to none, and of
+    masses on the crank and on a piston together.
     """
-    apart = unbalance.factor - 1.0
-    if abs(apart) <= NUMBERS.clear_sigmas * unbalance.factor_error:
+    at_one_radius = len({mass.radius_mm for mass in masses}) == 1
+    arms = [1.0 if at_one_radius else mass.radius_mm or 0.0 for mass in masses]
+    turned = (cmath.rect(arm * mass.mass_g, np.radians(mass.angle_deg)) for arm, mass in zip(arms, masses, strict=True))
+    added, apart = sum(turned, 0j), unbalance.factor - 1.0
+    if (
+        len({mass.on for mass in masses}) != 1
+        or not added
+        or abs(apart) <= NUMBERS.clear_sigmas * unbalance.factor_error
+    ):
         return None
     before = added / apart
+    after = unbalance.factor * before
+    half = abs(added) * unbalance.half / abs(apart) ** 2
     error, _ = welch(change.base.vector_error, change.base.freedom, change.new.vector_error, change.new.freedom)
-    return Weighed(
-        added=added,
-        before=before,
-        after=unbalance.factor * before,
-        error=abs(added) * unbalance.factor_error / abs(apart) ** 2,
-        freedom=unbalance.freedom,
-        speed_rpm=change.base_rpm,
-        per_unit=change.vector_change / added,
-        per_unit_error=error / abs(added),
-    )
+    responses = zip(change.base_rpm, change.vector_change / added, Z95 * error / abs(added), strict=True)
+    return MassRecord(
+        channel=change.channel, unit="g" if at_one_radius else "g·mm", response_unit=change.unit, added=abs(added),
+        before=abs(before), before_ci95=size_interval(before, half),
+        before_angle_deg=_degrees(before) if half < abs(before) else None,
+        after=abs(after), after_ci95=size_interval(after, half),
+        after_angle_deg=_degrees(after) if half < abs(after) else None,
+        response_per_unit=tuple(
+            MassResponse(speed_rpm=finite(rpm), response=finite(abs(value)), response_ci95=size_interval(value, reach))
+            for rpm, value, reach in responses
+        ),
+    )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Factor:
-    """Mass after over mass before: its value, standard error and the orders that agree on it."""
+class Estimate(NamedTuple):
+    """A number with its standard error."""
 
-    value: float
-    error: float
-    orders: tuple[float, ...]
-
-
-class _Stated(NamedTuple):
     value: float
     error: float
 
 
-def balance_changes(base: Findings, new: Findings, unbalances: Sequence[Unbalance]) -> list[dict[str, Any]]:
-    """Records of how the masses of the closed balance changed, the surest way of telling each.
+def balance_changes(base: Findings, new: Findings, unbalances: Sequence[Unbalance]) -> tuple[BalanceChange, ...]:
+    """How the masses of the closed balance changed, the surest way of telling each.
 
     ``base`` and ``new`` are the findings of both tests; ``unbalances`` what became of orders 1 and 2 in the channels
     that a change of unbalance explains. Seen through one path the ratio of an order is that of the masses behind it: a
     balance closed in one test alone tells both, and the error of its path counts for the change only, not for the mass.
     Quantities without such a ratio are subtracted where both tests closed the balance.
     """
-    sides = [_closed(found.balance) for found in (base, new)]
-    records = []
-    for key in _QUANTITIES:
-        known = [side.get(key) for side in sides]
-        factor = factor_of(unbalances, _ORDERS_OF.get(key, ()))
-        record = _by_factor(known, factor) if factor is not None else _by_difference(known)
-        if record is not None:
-            records.append({"quantity": key, **record})
-    return records
+    changes = []
+    for quantity in _QUANTITIES:
+        masses = [_closed(findings.balance, quantity) for findings in (base, new)]
+        factor = factor_of(unbalances, _ORDERS_OF.get(quantity, ()))
+        changes.append(_by_factor(quantity, masses, factor) if factor else _by_difference(quantity, masses))
+    return tuple(change for change in changes if change is not None)
 
 
-def _closed(balance: Balance | None) -> dict[str, _Stated]:
-    """Masses of a closed balance with their standard errors."""
-    made: dict[str, _Stated] = {}
-    for key in _QUANTITIES if balance is not None else ():
-        value, ends = getattr(balance, key), known(getattr(balance, f"{key}_ci95"))
-        if value is not None and ends is not None:
-            made[key] = _Stated(float(value), error_of(float(value), ends))
-    return made
+def _closed(balance: Balance | None, quantity: str) -> Estimate | None:
+    """A mass of a closed balance."""
+    value, ends = getattr(balance, quantity, None), known(getattr(balance, f"{quantity}_ci95", None))
+    return None if value is None or ends is None else Estimate(float(value), error_of(float(value), ends))
 
 
-def factor_of(unbalances: Sequence[Unbalance], orders: Sequence[float]) -> Factor | None:
-    """The one real factor of ``orders`` that all their ``unbalances`` agree on; None where they do not, or lack one."""
-    if not orders or not set(orders) <= {one.order for one in unbalances}:
+def factor_of(unbalances: Sequence[Unbalance], orders: Sequence[float]) -> Estimate | None:
+    """Mass after over mass before, the one real factor of ``orders`` that all their ``unbalances`` agree on.
+
+    None where they do not, or lack one of the orders.
+    """
+    if not orders or not set(orders) <= {unbalance.order for unbalance in unbalances}:
         return None
-    mine = [one for one in unbalances if one.order in orders]
-    best = [min((one for one in mine if one.order == order), key=lambda one: one.factor_error) for order in orders]
-    weight = np.array([1.0 / max(one.factor_error, 1e-12) ** 2 for one in best])
-    mean = complex(np.sum(weight * np.array([one.factor for one in best])) / weight.sum())
+    own = [unbalance for unbalance in unbalances if unbalance.order in orders]
+    best = [min((u for u in own if u.order == order), key=lambda u: u.factor_error) for order in orders]
+    weight = np.array([1.0 / max(unbalance.factor_error, 1e-12) ** 2 for unbalance in best])
+    mean = complex(np.sum(weight * np.array([unbalance.factor for unbalance in best])) / weight.sum())
     error = float(weight.sum() ** -0.5)
-    apart = [abs(one.factor - mean) ** 2 / (one.factor_error**2 + error**2) for one in mine]
+    apart = [abs(unbalance.factor - mean) ** 2 / (unbalance.factor_error**2 + error**2) for unbalance in own]
     if max(apart) > ONE_FACTOR or mean.imag**2 > ONE_FACTOR * error**2 or mean.real <= 0:
         return None
-    return Factor(mean.real, error * half_width(min(one.freedom for one in best)) / Z95, tuple(orders))
+    return Estimate(mean.real, error * half_width(min(unbalance.freedom for unbalance in best)) / Z95)
 
 
-def _by_factor(known: Sequence[_Stated | None], factor: Factor) -> dict[str, Any] | None:
+def _by_factor(quantity: str, masses: Sequence[Estimate | None], factor: Estimate) -> BalanceChange | None:
     """Both masses and their change, from those that are known and their ratio."""
     f = factor.value
-    before = [(_Stated(one.value / by, one.error / by), by) for one, by in zip(known, (1.0, f), strict=True) if one]
-    if not before or not all(one.error > 0 for one, _ in before):
+    before = [(Estimate(m.value / by, m.error / by), by) for m, by in zip(masses, (1.0, f), strict=True) if m]
+    if not before or not all(mass.error > 0 for mass, _ in before):
         return None
-    weight = np.array([one.error**-2.0 for one, _ in before])
+    weight = np.array([mass.error**-2.0 for mass, _ in before])
     share = weight / weight.sum()
-    mass = float(sum(w * one.value for w, (one, _) in zip(share, before, strict=True)))
+    mean = float(sum(w * mass.value for w, (mass, _) in zip(share, before, strict=True)))
     error = float(weight.sum() ** -0.5)
-    if any(abs(one.value - mass) > 3.0 * np.hypot(one.error, error) for one, _ in before):
-        return _by_difference(known)
+    if any(abs(mass.value - mean) > 3.0 * np.hypot(mass.error, error) for mass, _ in before):
+        return _by_difference(quantity, masses)
     # of what was closed in the second test, the mass before falls as the factor rises
-    by_ratio = sum(w * one.value / f for w, (one, by) in zip(share, before, strict=True) if by != 1.0)
-    slope = mass - (f - 1.0) * by_ratio
-    half = Z95 * float(np.hypot((f - 1.0) * error, slope * factor.error))
-    return _change_record(mass, f * mass, (f - 1.0) * mass, half, list(factor.orders))
+    by_ratio = sum(w * mass.value / f for w, (mass, by) in zip(share, before, strict=True) if by != 1.0)
+    slope = mean - (f - 1.0) * by_ratio
+    change = Estimate((f - 1.0) * mean, float(np.hypot((f - 1.0) * error, slope * factor.error)))
+    return _balance_change(quantity, mean, f * mean, change, _ORDERS_OF[quantity])
 
 
-def _by_difference(known: Sequence[_Stated | None]) -> dict[str, Any] | None:
-    one, two = known
-    if one is None or two is None:
+def _by_difference(quantity: str, masses: Sequence[Estimate | None]) -> BalanceChange | None:
+    base, new = masses
+    if base is None or new is None:
         return None
-    half = Z95 * float(np.hypot(one.error, two.error))
-    return _change_record(one.value, two.value, two.value - one.value, half, [])
+    change = Estimate(new.value - base.value, float(np.hypot(base.error, new.error)))
+    return _balance_change(quantity, base.value, new.value, change)
 
 
-def _change_record(base: float, new: float, change: float, half: float, orders: list[float]) -> dict[str, Any]:
-    """A mass (g or g·mm) before and after, its ``change`` and the half width of that one's 95 % interval."""
-    return {
-        "base": base,
-        "new": new,
-        "change": change,
-        "change_ci95": [change - half, change + half],
-        "changed": abs(change) > half,
-        "by_ratio_of_orders": orders,
-    }
+def _balance_change(
+    quantity: str, base: float, new: float, change: Estimate, orders: tuple[float, ...] = ()
+) -> BalanceChange:
+    """Record of a mass (g or g·mm) before and after, and its change."""
+    low, high = interval(change.value, change.error)
+    return BalanceChange(
+        quantity=quantity, base=base, new=new, change=change.value, change_ci95=(low, high),
+        changed=not low <= 0.0 <= high, by_ratio_of_orders=orders,
+    )  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,11 +10,11 @@ import numpy as np
 import xarray as xr
 from scipy.special import fdtrc, stdtr
 
-from crankorder.findings import OrderFinding
+from crankorder.findings import Findings, OrderFinding
 from crankorder.identify.intervals import claimed, half_width, half_widths, simes
 from crankorder.orders.between_recordings import LOCATED, WHOLE
 from crankorder.quantities import Bools, Complexes, Floats, Ints
-from crankorder.records import known
+from crankorder.records import Document, known
 from crankorder.settings import MethodNumbers
 
 
@@ -33,6 +33,26 @@ TO_DB = 20.0 / np.log(10.0)
 
 EXACT = 1e-9
 """Relative size of a difference that is rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tested:
+    """The results of one test: its name, findings, what ``run.json`` states, and its datasets by name."""
+
+    name: str
+    findings: Findings
+    run: Document
+    maps: Mapping[str, xr.Dataset]
+
+    @property
+    def comparable(self) -> set[str]:
+        """What a comparison can take from these results: "orders" of an order map, "modes" where they were sought."""
+        return ({"orders"} if "order_map" in self.maps else set()) | ({"modes"} & set(self.findings.looked_for))
+
+
+def order_maps(tests: Sequence[Tested]) -> list[xr.Dataset]:
+    """OrderMaps of the ``tests``; none where any of them has none."""
+    return [test.maps["order_map"] for test in tests] if all("orders" in test.comparable for test in tests) else []
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +110,8 @@ class OrderChange:
     p_value: Floats
     mean: MeanRatio
     p_all: float
+    changed_at: Bools
     changed: bool = False
-    changed_at: Bools | None = None
     phase_only: bool = False
 
     @property
@@ -113,13 +133,12 @@ def like_speeds(base_rpm: Floats, new_rpm: Floats, *, within_rpm: float) -> tupl
     apart = np.abs(base_rpm[:, None] - new_rpm[None, :])
     taken: list[tuple[int, int]] = []
     for at in np.argsort(apart, axis=None, kind="stable"):
-        one, two = (int(k) for k in np.unravel_index(at, apart.shape))
-        if not apart[one, two] <= within_rpm:
+        in_base, in_new = (int(k) for k in np.unravel_index(at, apart.shape))
+        if not apart[in_base, in_new] <= within_rpm:
             break
-        if all(one != a and two != b for a, b in taken):
-            taken.append((one, two))
-    taken.sort()
-    pairs = np.array(taken, dtype=np.int64).reshape(-1, 2)
+        if all(in_base != a and in_new != b for a, b in taken):
+            taken.append((in_base, in_new))
+    pairs = np.array(sorted(taken), dtype=np.int64).reshape(-1, 2)
     return pairs[:, 0], pairs[:, 1]
 
 
@@ -225,24 +244,26 @@ def order_changes(
     phases : False where the marks from which phases count are not the same place in both tests
     """
     pairs = like_speeds(base["speed"].values, new["speed"].values, within_rpm=within_rpm)
-    made: list[OrderChange] = []
+    changes: list[OrderChange] = []
     for channel in channels if len(pairs[0]) else ():
         for order, locked in orders:
-            told = phases and locked and _phases_compare(base, new, order)
+            with_phases = phases and locked and _phases_compare(base, new, order)
             lines = [
-                line_of(item, channel, order, at, locked=locked, phases=told)
-                for item, at in zip((base, new), pairs, strict=True)
+                line_of(order_map, channel, order, at, locked=locked, phases=with_phases)
+                for order_map, at in zip((base, new), pairs, strict=True)
             ]
             if all(np.isfinite(line.amplitude).any() for line in lines):
-                speeds = base["speed"].values[pairs[0]], new["speed"].values[pairs[1]]
-                lines[1] = _for_speed(base, channel, order, pairs[0], speeds, lines[1], locked=locked, phases=told)
+                rpm = base["speed"].values[pairs[0]], new["speed"].values[pairs[1]]
+                lines[1] = _for_speed(base, channel, order, pairs[0], rpm, lines[1], locked=locked, phases=with_phases)
                 unit = str(base["unit"].values[base["channel"].values.tolist().index(channel)])
-                made.append(change(lines[0], lines[1], *speeds, channel=channel, order=order, unit=unit, locked=locked))
-    if not made:
-        return made
-    whole = claimed(np.array([one.p_all for one in made]), q=q)
-    each = claimed(np.stack([one.p_value for one in made]), q=q)
-    return [replace(one, changed=bool(all_), changed_at=at) for one, all_, at in zip(made, whole, each, strict=True)]
+                before, after = lines
+                changes.append(change(before, after, *rpm, channel=channel, order=order, unit=unit, locked=locked))
+    if not changes:
+        return changes
+    whole = claimed(np.array([each.p_all for each in changes]), q=q)
+    by_speed = claimed(np.stack([each.p_value for each in changes]), q=q)
+    claims = zip(changes, whole, by_speed, strict=True)
+    return [replace(each, changed=bool(claim), changed_at=at) for each, claim, at in claims]
 
 
 def _for_speed(
@@ -265,20 +286,20 @@ def _for_speed(
         return new
     whole = line_of(base, channel, order, known, locked=locked, phases=phases)
     added = []
+    slopes = np.zeros(len(speed))
     for values in (whole.amplitude, whole.vector):
         with np.errstate(divide="ignore", invalid="ignore"):
             steps = np.abs(np.diff(values)) / np.diff(speed[known])
         steps = np.where(np.isfinite(steps), steps, 0.0)
-        slope = np.maximum(np.append(steps, 0.0), np.insert(steps, 0, 0.0))
-        place = {int(position): k for k, position in enumerate(known)}
-        added.append(np.array([slope[place[int(k)]] for k in at]) * apart)
+        slopes[known] = np.maximum(np.append(steps, 0.0), np.insert(steps, 0, 0.0))
+        added.append(slopes[at] * apart)
     return replace(new, error=np.hypot(new.error, added[0]), vector_error=np.hypot(new.vector_error, added[1]))
 
 
 def _phases_compare(base: xr.Dataset, new: xr.Dataset, order: float) -> bool:
-    marks = {str(item.attrs.get("phase_reference")) for item in (base, new)}
+    marks = {str(order_map.attrs.get("phase_reference")) for order_map in (base, new)}
     whole = abs(order - round(order)) < WHOLE
-    known = all(int(item.attrs.get("cycle_known", 0)) for item in (base, new))
+    known = all(int(order_map.attrs.get("cycle_known", 0)) for order_map in (base, new))
     return len(marks) == 1 and marks <= set(LOCATED) and (whole or known)
 
 
@@ -325,7 +346,7 @@ def change(
     return OrderChange(
         channel, order, unit, locked, base_rpm, new_rpm, base, new,
         difference, np.stack([difference - half, difference + half], axis=1),
-        ratio_db, _ratio_db_ci95(base, new), p_value, mean, p_all,
+        ratio_db, _ratio_db_ci95(base, new), p_value, mean, p_all, np.zeros(len(base_rpm), dtype=np.bool_),
     )  # fmt: skip
 
 
@@ -350,8 +371,8 @@ def _clear(line: Line) -> Bools:
 def _ratio_db_ci95(base: Line, new: Line) -> Floats:
     """Ends (speeds, 2): by the logarithm's error where both are clear, else from both intervals at 97.5 %."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        one, two = base.error / base.amplitude, new.error / new.amplitude
-        error, freedom = welch(one, base.freedom, two, new.freedom)
+        relative, relative2 = base.error / base.amplitude, new.error / new.amplitude
+        error, freedom = welch(relative, base.freedom, relative2, new.freedom)
         middle = np.log(new.amplitude / base.amplitude)
         half = half_widths(freedom) * error
         near = np.stack([middle - half, middle + half], axis=1)
@@ -372,8 +393,8 @@ def mean_ratio(base: Line, new: Line) -> MeanRatio:
     kept = _clear(base) & _clear(new)
     if not kept.any():
         return MeanRatio(np.nan, (np.nan, np.nan), np.nan, np.nan)
-    one, two = (line.error[kept] / line.amplitude[kept] for line in (base, new))
-    error, freedom = welch(one, base.freedom[kept], two, new.freedom[kept])
+    relative, relative2 = (line.error[kept] / line.amplitude[kept] for line in (base, new))
+    error, freedom = welch(relative, base.freedom[kept], relative2, new.freedom[kept])
     values = np.log(new.size[kept] / base.size[kept])
     values = np.where(np.abs(values) <= EXACT, 0.0, values)
     weight = 1.0 / np.maximum(error, 1e-12) ** 2

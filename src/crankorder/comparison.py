@@ -1,0 +1,239 @@
+"""A comparison of tests as types: what differs between two, or changes over the runs of one, and how sure that is.
+
+Every estimate ``x`` has ``x_ci95``; None stands for not known. Units stand in the names. The schema
+``data_schema/comparison.json`` is made from these types, and the file ``comparison.json`` is their ``as_dict``.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from crankorder.findings import TrialBalance
+from crankorder.records import Ends, Interval, Record, record, said
+
+SCHEMA_VERSION = 1
+"""Of ``comparison.json``."""
+
+Cause = Literal[
+    "nothing changed", "unbalance", "moving masses", "orders", "growing line", "natural frequencies", "not comparable",
+]  # fmt: skip
+
+Severity = Literal["invalid", "weakens", "harmless"]
+"""What a confound does to a comparison: nothing can be compared, claims need care, or none."""
+
+Part = Literal["all", "orders", "phases", "channel"]
+"""What of the comparison a confound concerns."""
+
+FIRING = "firing or motoring"
+"""Confound: one test was fired, the other motored."""
+
+REPEATS = "repeats"
+"""Confound: not both tests were repeated at a speed."""
+
+PROGRAM = "program"
+"""Confound: other versions of the program analysed them."""
+
+LineKind = Literal["order", "bearing", "bearing, envelope"]
+"""What is followed from run to run: an order, a bearing line, or one in the envelope."""
+
+
+@record
+class Explanation(Record):
+    """What explains the changes."""
+
+    cause: Cause = said("in one word or two")
+    orders: tuple[float, ...] = said("orders that changed, or of the lines that grow from run to run")
+
+
+@record
+class SpeedPair(Record):
+    """Speeds of the two tests that were compared with one another."""
+
+    base_rpm: float | None = said("in the first test")
+    new_rpm: float | None = said("in the second test")
+
+
+@record
+class ChannelCompared(Record):
+    """A channel of either test, and whether it was compared."""
+
+    name: str = said("name")
+    unit: str = said("its unit")
+    compared: bool = said("whether it was compared")
+    reason: str = said("why it was not compared; else empty")
+
+
+@record
+class OrderChangeRecord(Record):
+    """Change of one order in one channel."""
+
+    channel: str = said("name of the channel")
+    order: float = said("cycles per crank revolution")
+    unit: str = said("unit of the amplitudes")
+    locked: bool = said("compared by its coherent amplitude and phase; else by its energy")
+    explained_by: str | None = said("what makes it, as the findings say")
+    changed: bool = said("whether a change is claimed")
+    phase_only: bool = said("claimed of amplitude and phase together, and not of the amplitude alone: the phase turned")
+    p_value: float = said("chance of so large a change where nothing changed, over all speeds")
+    ratio: float | None = said("second amplitude over first, mean of the speeds at which both are clear of the noise")
+    ratio_ci95: Interval = said()
+    ratio_db: float | None = said("the same in dB")
+    ratio_db_ci95: Interval = said()
+    alike_p: float | None = said("chance of ratios that differ so much between speeds where they are all alike")
+    speed_rpm: float | None = said("speed of the clearest change, to which the amplitudes belong")
+    base_amplitude: float = said("peak amplitude in the first test")
+    new_amplitude: float = said("peak amplitude in the second test")
+    difference: float = said("second amplitude less first")
+    difference_ci95: Interval = said()
+    n_speeds: int = said("speeds that were compared")
+    n_changed: int = said("speeds at which a change is claimed")
+
+
+@record
+class ModeShift(Record):
+    """A natural frequency of both tests and how it moved, or of one test alone."""
+
+    only_in: Literal["base", "new"] | None = said("the test that alone shows it (no claim); null where both do")
+    frequency_hz: float = said("natural frequency in the first test that shows it")
+    new_frequency_hz: float | None = said("in the second test, where both show it", default=None, left_out=True)
+    shift_hz: float | None = said("second frequency less first", default=None, left_out=True)
+    shift_hz_ci95: Interval | None = said(default=None, left_out=True)
+    damping_change: float | None = said("second damping ratio less first", default=None, left_out=True)
+    damping_change_ci95: Interval | None = said(default=None, left_out=True)
+    p_value: float | None = said("chance of so large a change where nothing changed")
+    changed: bool = said("whether a change is claimed", default=False)
+
+
+@record
+class UnbalanceRecord(Record):
+    """What became of the unbalance that an order shows in a channel."""
+
+    channel: str = said("name of the channel")
+    order: float = said("1 or 2")
+    unit: str = said("unit of the channel")
+    changed: bool = said("whether the order changed")
+    explains: bool = said("the order changed, and one factor of unbalance fits at all speeds and is not 1")
+    factor: float = said("unbalance after over before: one factor at all speeds, whatever the path to the sensor")
+    factor_ci95: Ends = said()
+    turned_deg: float | None = said("angle by which it turned; null where that is not known")
+    turned_deg_ci95: Interval | None = said()
+    one_factor_p: float | None = said("chance of a worse fit of one factor; null for one speed")
+    square_law_amplitude: float = said("change at reference_rpm where it grows with the square of speed at one phase")
+    square_law_amplitude_ci95: Interval = said()
+    square_law_phase_deg: float = said("its phase")
+    square_law_p: float | None = said("chance of a worse fit of the square law; null for one speed")
+    reference_rpm: float = said("the fastest speed")
+    n_speeds: int = said("speeds with phases in both tests")
+
+
+@record
+class MassResponse(Record):
+    """What one unit of mass does at a speed."""
+
+    speed_rpm: float | None = said("the speed")
+    response: float | None = said("amplitude per unit of mass")
+    response_ci95: Interval = said()
+
+
+@record
+class MassRecord(Record):
+    """Unbalance before and after a stated change of mass, as order 1 of a channel tells it."""
+
+    channel: str = said("name of the channel")
+    unit: str = said("g at the radius of the stated masses, or g·mm")
+    response_unit: str = said("unit of the channel")
+    added: float = said("mass that was put on")
+    before: float = said("unbalance before")
+    before_ci95: Interval = said()
+    before_angle_deg: float | None = said("its angle; null where that is not known")
+    after: float = said("unbalance after")
+    after_ci95: Interval = said()
+    after_angle_deg: float | None = said("its angle; null where that is not known")
+    response_per_unit: tuple[MassResponse, ...] = said("influence of one unit of mass by speed")
+
+
+@record
+class BalanceChange(Record):
+    """Change of a mass of the closed balance."""
+
+    quantity: str = said("its name among the findings on the balance")
+    base: float = said("in the first test, in g or g·mm as its name says")
+    new: float = said("in the second test")
+    change: float = said("second less first")
+    change_ci95: Interval = said()
+    changed: bool = said("whether the interval excludes 0")
+    by_ratio_of_orders: tuple[float, ...] = said(
+        "orders whose ratio in the two tests tells one mass from the other; empty: both closed, and subtracted"
+    )
+
+
+@record
+class Trend(Record):
+    """A line over the runs."""
+
+    line: str = said("its name")
+    kind: LineKind = said("an order, a bearing line, or one in the envelope")
+    channel: str = said("empty: of all channels together, as shares of the mean")
+    order: float = said("cycles per crank revolution")
+    amplitude: tuple[float, ...] = said("peak amplitude by run")
+    amplitude_ci95: tuple[Interval, ...] = said("95 % interval of amplitude by run: low, high")
+    growth_per_run: float = said("share by which it grows from run to run")
+    growth_per_run_ci95: Ends = said()
+    p_value: float = said("chance of so large a trend where there is none")
+    verdict: str = said("what that means, in words", default="")
+    changed: bool = said("whether growth or fall is claimed", default=False)
+
+    @property
+    def grows(self) -> bool:
+        """Whether growth is claimed."""
+        return self.changed and self.growth_per_run > 0
+
+
+@record
+class Confound(Record):
+    """A difference of how two tests were made."""
+
+    what: str = said("what differs")
+    severity: Severity = said("nothing can be compared, claims need care, or none")
+    part: Part = said("what of the comparison is concerned")
+    channel: str = said("name of the channel, where one is concerned; else empty")
+    base: str = said("value in the first test")
+    new: str = said("value in the second test")
+    words: str = said("what it does to the comparison")
+
+
+@record
+class Comparison(Record):
+    """What differs between two tests, or changes over the runs of one."""
+
+    schema_version: int = said("version of this schema", least=1)
+    base: str = said("name of the first test")
+    new: str = said("name of the test that is compared with it: the last run")
+    runs: tuple[str, ...] = said("names of all tests, in time order")
+    false_discovery_rate: float = said(
+        "share of the claimed changes (changed: true) that may be chance; over orders, modes and trends, each"
+    )
+    headline: tuple[str, ...] = said("what matters most, in sentences")
+    cause: Explanation = said(
+        'what explains the changes; "nothing changed" is said of the orders, natural frequencies and bearing lines '
+        "that were compared, and of nothing else"
+    )
+    speeds: tuple[SpeedPair, ...] = said("speeds that were compared with one another")
+    channels: tuple[ChannelCompared, ...] = said("channels of both tests")
+    orders: tuple[OrderChangeRecord, ...] = said("change of every order that either test shows, and of orders 1 and 2")
+    modes: tuple[ModeShift, ...] = said("natural frequencies of both tests")
+    unbalance: tuple[UnbalanceRecord, ...] = said("what became of the unbalance that orders 1 and 2 show")
+    masses: tuple[MassRecord, ...] = said("unbalance in grams, where the manifests differ by stated masses")
+    trial_mass: TrialBalance | None = said(
+        "residual unbalance before and after the change of mass that the manifests state, of all channels and speeds "
+        "together: the record balance of findings.json with residual_after_*; null where none is stated or it cannot "
+        "be told"
+    )
+    trial_mass_reason: str = said("why a stated change of mass tells nothing; empty where it does or none is stated")
+    balance: tuple[BalanceChange, ...] = said(
+        "change of the mass behind orders 1 and 2, from the balance that was closed with the engine model in both "
+        "findings, or in one of them and the ratio of the orders"
+    )
+    balance_reason: str = said("why neither test closed its balance; empty where one did")
+    trend: tuple[Trend, ...] = said("lines over the runs: bearing lines of two or more, orders of three or more")
+    confounds: tuple[Confound, ...] = said("what else than the machine differs")
