@@ -25,7 +25,7 @@ from published import publish, table
 from crankorder.campbell.map import campbell_map
 from crankorder.engine.definition import load_engine
 from crankorder.identify.findings import find
-from crankorder.identify.sources import Sources
+from crankorder.identify.machine_model import MachineModel
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
 
@@ -56,7 +56,7 @@ def one_scene(job: tuple[int, float, bool, str]) -> tuple[Found, dict[str, int],
         campbell_map(made.by_frequency, speed_bin_rpm=SETTINGS.orders.speed_bin_rpm),
     )
     start = time.thread_time()
-    sources = Sources(revs_per_cycle=2, engine=ENGINE, bearings=ENGINE.bearings)
+    sources = MachineModel(revs_per_cycle=2, engine=ENGINE, bearings=ENGINE.bearings)
     findings = find(*maps, made.by_order, None, test="made", sources=sources, settings=SETTINGS).as_dict()
     spent = time.thread_time() - start
     if keep:

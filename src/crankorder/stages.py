@@ -30,7 +30,7 @@ from crankorder.findings import Findings, nothing_sought
 from crankorder.flow import StagePlan
 from crankorder.identify.bearings.places import bearing_combs
 from crankorder.identify.found import SweepFits
-from crankorder.identify.sources import Sources
+from crankorder.identify.machine_model import MachineModel
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.recording import read_recording
 from crankorder.orders.clock_drift import with_clock_drift
@@ -340,7 +340,7 @@ def findings(
     vibration: VibrationLevels,
     modes: SweepModes,
     test: TestName,
-    sources: Sources,
+    sources: MachineModel,
     settings: Settings,
 ) -> Findings:
     """What ``order_map``, ``campbell``, ``frames``, ``envelope`` show of ``test``, explained by ``sources``.
@@ -512,7 +512,7 @@ def frames_wanted(settings: Settings) -> tuple[Any, ...]:
 @functools.cache
 def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
     """Plan of the results of that name; tracks follow only orders asked for by name where findings are not wanted."""
-    given = [*FRAMES_OF, AllShaftAngles, TestName, Sources, Settings]
+    given = [*FRAMES_OF, AllShaftAngles, TestName, MachineModel, Settings]
     given += [] if "findings" in results else [Findings]
     return StagePlan(OF_TEST, wanted=[*(RESULTS[name] for name in results), ShaftSummary], given=given)
 
@@ -563,7 +563,7 @@ def analyse_recording(
 
 
 def analyse_test(
-    recordings: list[RecordingResult], *, test: str, sources: Sources, settings: Settings
+    recordings: list[RecordingResult], *, test: str, sources: MachineModel, settings: Settings
 ) -> CampaignResult:
     """The results of the test named ``test`` that its ``settings`` ask for, from those of its ``recordings``.
 
@@ -572,7 +572,7 @@ def analyse_test(
     results = settings.report.results
     given: dict[Any, Any] = {
         TestName: test,
-        Sources: sources,
+        MachineModel: sources,
         Settings: settings,
         Findings: nothing_sought(test, reason=""),
         AllShaftAngles: Gathered(recordings, ShaftAngle),

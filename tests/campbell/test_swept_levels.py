@@ -10,7 +10,7 @@ from scipy import signal
 from crankorder.campbell.band_levels import LevelBand, level_frames, limit_bands
 from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.identify.levels import limit_verdicts
-from crankorder.identify.sources import Limit, Sources
+from crankorder.identify.machine_model import Limit, MachineModel
 from made.recordings import sampled, shaft
 
 RATE_HZ = 5120.0
@@ -101,7 +101,7 @@ def test_a_limit_that_the_end_of_a_window_passes_is_not_kept_by_its_mean(seeds: 
         last_piece = np.sqrt(float(frames["mean_square"][0, -1]))  # what was there at the end
         loudest = float(made["rms"].values[0].max())
         assert last_piece > 1.04 * loudest
-        sources = [Sources(1, limits=(Limit("acceleration", 10.0, 1000.0, one, "x", ()),)) for one in
+        sources = [MachineModel(1, limits=(Limit("acceleration", 10.0, 1000.0, one, "x", ()),)) for one in
                    (1.02 * loudest, 0.99 * last_piece, 1.2 * last_piece)]  # fmt: skip
         told = [limit_verdicts(made, None, one)[0] for one in sources]
         assert [one.verdict for one in told] == ["not decided", "not decided", "within"]

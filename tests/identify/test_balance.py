@@ -1,4 +1,4 @@
-"""Closure finds the mass that was left, with an interval that holds, or says why it cannot."""
+"""UnbalanceFit finds the mass that was left, with an interval that holds, or says why it cannot."""
 
 from types import SimpleNamespace
 
@@ -7,17 +7,17 @@ import pytest
 
 from crankorder.engine.definition import BalanceShafts, GasCurve
 from crankorder.engine.transfer_paths import AddedMass
-from crankorder.identify.balance.closure import closure
+from crankorder.identify.balance.unbalance_fit import unbalance_fit
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, swept
 from made.typed import as_dicts
 
-closure = as_dicts(closure)
+unbalance_fit = as_dicts(unbalance_fit)
 
 OFFSET_GAIN = 1.002325  # of the first order by an offset of 10 mm: truth sheet 2.6
 
 
 def closed(made, **changes):
-    return closure(
+    return unbalance_fit(
         made.order_map,
         changes.pop("orders", made.orders),
         changes.pop("modal", made.modal),

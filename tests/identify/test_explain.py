@@ -11,24 +11,24 @@ from scipy.io import loadmat
 
 from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.findings import BearingFinding
-from crankorder.identify.causes.explain import Sources, explained
-from crankorder.identify.causes.folds import ShownFold
+from crankorder.identify.causes.aliasing import ShownAlias
+from crankorder.identify.causes.explain import MachineModel, explained
 from crankorder.identify.causes.sidebands import harmonic_words, struck_races
 from crankorder.identify.found import Tone
 from crankorder.identify.lines.order_lock import NO_PULSES
+from crankorder.identify.machine_model import StatedPart
 from crankorder.identify.said import LIKE_UNBALANCE, NOT_AS_UNBALANCE
-from crankorder.identify.sources import StatedPart
 from crankorder.ingest.manifest import Gear
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.settings import load_settings
-from crankorder.shaft.aliasing import Fold
+from crankorder.shaft.aliasing import Alias
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, mode
 from made.typed import record_of
 
 SETTINGS = load_settings().identify
-FOUR_STROKE = Sources(revs_per_cycle=2)
-ROTOR = Sources(revs_per_cycle=1)
-ENGINE = Sources(revs_per_cycle=2, engine_orders=(1.0, 2.0, 4.0))
+FOUR_STROKE = MachineModel(revs_per_cycle=2)
+ROTOR = MachineModel(revs_per_cycle=1)
+ENGINE = MachineModel(revs_per_cycle=2, engine_orders=(1.0, 2.0, 4.0))
 JACK_SHAFT = Bearing(name="jack shaft", shaft_ratio=0.5, rolling_elements=11, ball_over_pitch=0.2)
 
 
@@ -274,8 +274,8 @@ def test_each_channel_has_its_own_cause():
 
 
 def test_an_order_that_is_a_fold_is_called_one():
-    fold = Fold("frequency", 7200.0, np.arange(3), 1e-4, True, "lines are one of 7200 Hz folded")
-    shown = ShownFold(fold, SPEEDS_RPM, np.full(SPEEDS_RPM.size, 7.31), 0.02)
+    fold = Alias("frequency", 7200.0, np.arange(3), 1e-4, True, "lines are one of 7200 Hz folded")
+    shown = ShownAlias(fold, SPEEDS_RPM, np.full(SPEEDS_RPM.size, 7.31), 0.02)
     orders = [agreed(7.31, lock="slips"), agreed(9.2, lock="slips")]
     assert texts(orders, ROTOR, folds=(shown,)) == {7.31: "fold of 7200 Hz", 9.2: "unexplained"}
 

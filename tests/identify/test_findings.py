@@ -9,7 +9,7 @@ from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
 from crankorder.engine.bearings import Bearing
 from crankorder.identify.findings import find
-from crankorder.identify.sources import Sources
+from crankorder.identify.machine_model import MachineModel
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
@@ -46,7 +46,7 @@ def findings_of(signals_at, *, speeds=SPEEDS_RPM, duration_s=12.0, bearings=(), 
         frequencies.append(frequency_frames(*recording, settings=SETTINGS.campbell))
     made_map = order_map(orders, settings=SETTINGS.orders)
     campbell = campbell_map(frequencies, speed_bin_rpm=25.0)
-    sources = Sources(revs_per_cycle=2, bearings=tuple(bearings), **given)
+    sources = MachineModel(revs_per_cycle=2, bearings=tuple(bearings), **given)
     return find(made_map, campbell, orders, None, test="made", sources=sources, settings=SETTINGS)
 
 

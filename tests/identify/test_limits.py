@@ -12,7 +12,7 @@ from crankorder.campbell.band_levels import level_frames, limit_bands
 from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.findings import Balance
 from crankorder.identify.levels import graded, limit_verdicts, third_octave_records, vibration_records
-from crankorder.identify.sources import Limit, Sources
+from crankorder.identify.machine_model import Limit, MachineModel
 from made.recordings import sampled, shaft
 
 RATE_HZ = 5120.0
@@ -34,8 +34,8 @@ def measured(
     return vibration_levels(items, speed_bin_rpm=25.0)
 
 
-def sources(value: float, *, quantity: str = "acceleration", channels: tuple[str, ...] = ()) -> Sources:
-    return Sources(1, limits=(Limit(quantity, 10.0, 1000.0, value, "contract", channels),), rotor_kg=20.0)
+def sources(value: float, *, quantity: str = "acceleration", channels: tuple[str, ...] = ()) -> MachineModel:
+    return MachineModel(1, limits=(Limit(quantity, 10.0, 1000.0, value, "contract", channels),), rotor_kg=20.0)
 
 
 def test_the_speed_that_is_above_is_named_and_what_is_below_is_within() -> None:
@@ -79,7 +79,7 @@ def test_the_balance_grade_is_unbalance_over_mass_times_speed() -> None:
     levels = measured({900.0: 1.0}, seed=3)
     above, within = (limit_verdicts(levels, made, sources(g, quantity="balance grade"))[0] for g in (6.3e-3, 16e-3))
     assert (above.verdict, within.verdict) == ("above", "within")
-    assert graded(balance, Sources(1), 3000.0) is balance
+    assert graded(balance, MachineModel(1), 3000.0) is balance
 
 
 def test_the_largest_level_of_each_band_is_marked_once() -> None:
@@ -116,13 +116,13 @@ def test_a_line_at_an_end_of_the_band_is_never_surely_within_or_above(seed: int)
     at = band[int(rng.integers(2))] * float(rng.choice([1.0, 1.0, 1.0 - 1e-4, 1.0 + 1e-4]))
     made = with_a_line(seed, at, band=band)
     for value in (0.8, 0.95, 0.5, 0.2):
-        (told,) = limit_verdicts(made, None, Sources(1, limits=(Limit("acceleration", *band, value, "x", ()),)))
+        (told,) = limit_verdicts(made, None, MachineModel(1, limits=(Limit("acceleration", *band, value, "x", ()),)))
         assert told.verdict == "not decided", (value, band, at)
         assert "end of the band" in told.evidence
         assert told.level_ci95 is not None
         assert told.level_ci95[0] < 0.1
         assert told.level_ci95[1] > 0.999
-    (told,) = limit_verdicts(made, None, Sources(1, limits=(Limit("acceleration", *band, 1.1, "x", ()),)))
+    (told,) = limit_verdicts(made, None, MachineModel(1, limits=(Limit("acceleration", *band, 1.1, "x", ()),)))
     assert told.verdict == "within"
 
 
@@ -139,7 +139,7 @@ def test_a_line_well_inside_or_outside_the_band_is_decided(seed: int) -> None:
         (3.8, 0.5, "within"),
     ):
         made = with_a_line(seed, low * hertz, band=band)
-        (told,) = limit_verdicts(made, None, Sources(1, limits=(Limit("acceleration", *band, value, "x", ()),)))
+        (told,) = limit_verdicts(made, None, MachineModel(1, limits=(Limit("acceleration", *band, value, "x", ()),)))
         assert told.verdict == verdict
 
 
@@ -154,6 +154,6 @@ def test_a_band_too_narrow_for_so_short_a_recording_is_not_decided() -> None:
         items.append(level_frames(one, angle, bands=limit_bands("acceleration", 10.0, 12.6), frame_s=0.5))
     made = vibration_levels(items, speed_bin_rpm=25.0)
     limits = (Limit("acceleration", 10.0, 12.6, 100.0, "x", ()),)
-    (told,) = limit_verdicts(made, None, Sources(1, limits=limits))
+    (told,) = limit_verdicts(made, None, MachineModel(1, limits=limits))
     assert told.verdict == "not decided"
     assert "too short for that band" in told.evidence

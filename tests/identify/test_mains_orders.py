@@ -11,13 +11,13 @@ from crankorder.identify.causes.explain import explained
 from crankorder.identify.findings import going_with_speed
 from crankorder.identify.found import AgreedOrder, Tone
 from crankorder.identify.lines.line_evidence import UNPROVEN
+from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.said import LIKE_UNBALANCE
-from crankorder.identify.sources import Sources
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line
 
 SETTINGS = load_settings().identify
-ROTOR = Sources(revs_per_cycle=1)
+ROTOR = MachineModel(revs_per_cycle=1)
 
 
 def at_speed(order: float, rpm: float, *, lock: str = "slips", error: float = 1e-5) -> AgreedOrder:

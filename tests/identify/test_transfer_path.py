@@ -6,12 +6,12 @@ import pytest
 from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.transfer_paths import PathMode, StatedPath
-from crankorder.identify.balance.closure import closure
 from crankorder.identify.balance.transfer_path import accelerance_of, measured_orders, noise_shape, whitening
+from crankorder.identify.balance.unbalance_fit import unbalance_fit
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, order_map_of
 from made.typed import as_dicts
 
-closure = as_dicts(closure)
+unbalance_fit = as_dicts(unbalance_fit)
 
 RPM = np.arange(300.0, 2001.0, 50.0)
 ORDER = np.arange(8, 49) / 16
@@ -37,7 +37,7 @@ def order_map(engine, path, *, noise=1e-4, seed=0, reference="tdc"):
 
 
 def closed(item, paths, engine):
-    record, reason = closure(item, (), NOTHING, engine=engine, paths=tuple(paths))
+    record, reason = unbalance_fit(item, (), NOTHING, engine=engine, paths=tuple(paths))
     assert record is not None, reason
     return record
 
@@ -105,7 +105,7 @@ def test_wrong_paths_are_refused():
         ([stated("X", "Y", apparent_mass_kg=330.0)], "direction X or Z"),
         ([stated("X", "Z", apparent_mass_kg=330.0), stated("X", "X", apparent_mass_kg=330.0)], "apart"),
     ):
-        record, reason = closure(item, (), NOTHING, engine=engine, paths=tuple(paths))
+        record, reason = unbalance_fit(item, (), NOTHING, engine=engine, paths=tuple(paths))
         assert record is None and words in reason
 
 

@@ -13,11 +13,11 @@ from crankorder.campbell.map import campbell_map
 from crankorder.identify.causes.explain import Causes
 from crankorder.identify.findings import find
 from crankorder.identify.found import ModalFit, Mode, UnseenBound, Whirl
+from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.floor import quiet_floor
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.whirl import whirls_of, without_remains
 from crankorder.identify.records import mode_records
-from crankorder.identify.sources import Sources
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import speeds_to_avoid
 from crankorder.orders.frames import order_frames
@@ -263,7 +263,7 @@ def _rotor_test(seed: int) -> dict[str, Any]:
         order_map(by_order, settings=whole.orders),
         campbell_map(by_frequency, speed_bin_rpm=whole.orders.speed_bin_rpm),
     )
-    return find(*maps, by_order, None, test="rotor", sources=Sources(revs_per_cycle=1), settings=whole)
+    return find(*maps, by_order, None, test="rotor", sources=MachineModel(revs_per_cycle=1), settings=whole)
 
 
 def test_a_rotor_that_unbalance_drives_through_its_forward_whirl_is_told_to_avoid_that_speed() -> None:

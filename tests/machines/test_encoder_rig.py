@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from crankorder.batch.plan import plan_tests
-from crankorder.identify.sources import Sources
+from crankorder.identify.machine_model import MachineModel
 from crankorder.stages import CampaignResult, analyse_recording, analyse_test
 from machines.encoder_rig import Encoder, EncoderRig, draw_rig, quiet, write_rig
 
@@ -33,7 +33,7 @@ def said(rig: EncoderRig, place: Path) -> CampaignResult:
     write_rig(rig, place)
     plan = plan_tests([place], place.with_suffix(".out")).tests[0]
     results = [analyse_recording(path, plan.manifest, plan.settings) for path in plan.recordings]
-    return analyse_test(results, test=plan.name, sources=Sources(1), settings=plan.settings)
+    return analyse_test(results, test=plan.name, sources=MachineModel(1), settings=plan.settings)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.errors import RequestError
-from crankorder.shaft.aliasing import find_folds, folded_lines, folded_order
+from crankorder.shaft.aliasing import aliased_lines, aliased_order, find_aliases
 from crankorder.synth.load import load_scene
 from crankorder.synth.noise import floor_of
 from crankorder.synth.recording import sensed
@@ -41,12 +41,12 @@ def test_a_sampled_line_and_its_fold_are_the_same_samples():
     for order in [0.0, 5.5, 180.0, 185.0, 353.5, 360.0, 366.5, 713.5, 1066.67]:
         angle = np.arange(3 * 360) / 360
         np.testing.assert_allclose(
-            np.cos(2 * np.pi * order * angle), np.cos(2 * np.pi * folded_order(order, 360) * angle), atol=1e-9
+            np.cos(2 * np.pi * order * angle), np.cos(2 * np.pi * aliased_order(order, 360) * angle), atol=1e-9
         )
 
 
 def test_frequencies_fold_at_the_speeds_that_are_too_slow_for_them():
-    mains, supply = folded_lines(360, SPEEDS, frequencies_hz=(2500.0, 16_000.0))
+    mains, supply = aliased_lines(360, SPEEDS, frequencies_hz=(2500.0, 16_000.0))
     np.testing.assert_array_equal(mains.folds, [True, False, False, False])  # Nyquist: 2.4, 3, 4.5, 6 kHz
     np.testing.assert_allclose(mains.shown_order[0], 360 - 60 * 2500 / 800)
     np.testing.assert_allclose(supply.shown_order, [120.0, 120.0, 80.0, 120.0])
@@ -56,7 +56,7 @@ def test_frequencies_fold_at_the_speeds_that_are_too_slow_for_them():
 
 def test_the_scene_of_folding_shows_its_lines_where_they_are_foretold(scene_points):
     speed, order = scene_points
-    tone, mesh = folded_lines(360, np.unique(speed), frequencies_hz=(16_000.0,), orders=(353.5,))
+    tone, mesh = aliased_lines(360, np.unique(speed), frequencies_hz=(16_000.0,), orders=(353.5,))
     for rpm, shown in zip(tone.speed_rpm, tone.shown_order, strict=True):
         assert np.abs(order[speed == rpm] - shown).min() < 0.003
     for rpm in (900.0, 1300.0):
@@ -65,7 +65,7 @@ def test_the_scene_of_folding_shows_its_lines_where_they_are_foretold(scene_poin
 
 def test_the_switched_supply_of_the_scene_is_found_though_nobody_named_it(scene_points):
     speed, order = scene_points
-    (fold,) = find_folds(speed, order, samples_per_rev=360, order_error=0.004, shown_to_order=180.0, highest_hz=50e3)
+    (fold,) = find_aliases(speed, order, samples_per_rev=360, order_error=0.004, shown_to_order=180.0, highest_hz=50e3)
     assert fold.kind == "frequency"
     assert fold.value == pytest.approx(16_000.0, abs=0.1)
     assert fold.sure
@@ -75,7 +75,7 @@ def test_the_switched_supply_of_the_scene_is_found_though_nobody_named_it(scene_
 
 def test_the_mesh_of_the_scene_is_told_as_one_of_two_readings(scene_points):
     speed, order = scene_points
-    folds = find_folds(
+    folds = find_aliases(
         speed,
         order,
         samples_per_rev=360,
@@ -86,15 +86,15 @@ def test_the_mesh_of_the_scene_is_told_as_one_of_two_readings(scene_points):
     )
     (mesh,) = [fold for fold in folds if fold.kind == "order"]
     assert mesh.value == 353.5
-    assert mesh.remark[:2] == ("folded_order", "info")
+    assert mesh.remark[:2] == ("aliased_order", "info")
     np.testing.assert_allclose(order[mesh.points], 6.5, atol=0.01)
 
 
 def test_a_named_frequency_needs_fewer_speeds_than_an_unnamed_one():
     speed, order = np.repeat([900.0, 1300.0], 4), np.array([1.3, 13.333, 7.9, 4.4, 2.2, 18.4615, 11.2, 9.1])
     same = {"samples_per_rev": 360, "order_error": 0.01, "shown_to_order": 20.0, "highest_hz": 50e3}
-    assert find_folds(speed, order, **same) == []
-    (fold,) = find_folds(speed, order, **same, frequencies_hz=(16_000.0,))
+    assert find_aliases(speed, order, **same) == []
+    (fold,) = find_aliases(speed, order, **same, frequencies_hz=(16_000.0,))
     np.testing.assert_array_equal(fold.points, [1, 5])
 
 
@@ -103,11 +103,11 @@ def test_a_named_frequency_needs_fewer_speeds_than_an_unnamed_one():
 def test_a_tone_is_found_among_lines_of_the_shaft_and_strays(tone_hz):
     rng = np.random.default_rng(5)
     rpm = np.arange(600.0, 2000.0, 170.0)
-    shown = folded_order(60.0 * tone_hz / rpm, 360)
+    shown = aliased_order(60.0 * tone_hz / rpm, 360)
     lines = [
         np.concatenate(([2.0, 4.0, 5.5, s], rng.uniform(0, 180, 6))) + 0.003 * rng.standard_normal(10) for s in shown
     ]
-    folds = find_folds(
+    folds = find_aliases(
         np.repeat(rpm, 10),
         np.concatenate(lines),
         samples_per_rev=360,
@@ -124,23 +124,23 @@ def test_strays_alone_make_no_fold():
     rng = np.random.default_rng(6)
     rpm = np.repeat(np.arange(600.0, 2000.0, 170.0), 8)
     same = {"samples_per_rev": 360, "order_error": 0.01, "shown_to_order": 180.0, "highest_hz": 50e3}
-    assert [find_folds(rpm, rng.uniform(0, 180, rpm.size), **same) for _ in range(40)] == [[]] * 40
+    assert [find_aliases(rpm, rng.uniform(0, 180, rpm.size), **same) for _ in range(40)] == [[]] * 40
 
 
 def test_a_speed_that_is_known_poorly_hides_a_fold_and_says_so_by_finding_none():
     rpm = np.array([900.0, 1100.0, 1300.0, 1700.0, 1900.0])
     true_rpm = rpm * (1 + 2e-4 * np.array([1, -1, 1, 1, -1]))
-    order = folded_order(60.0 * 16_000.0 / true_rpm, 360)
+    order = aliased_order(60.0 * 16_000.0 / true_rpm, 360)
     same = {"samples_per_rev": 360, "order_error": 0.004, "shown_to_order": 180.0, "highest_hz": 50e3}
-    assert not [fold for fold in find_folds(rpm, order, **same) if len(fold.points) == 5]
-    (fold,) = find_folds(rpm, order, **same, speed_error=4e-4, frequencies_hz=(16_000.0,))
+    assert not [fold for fold in find_aliases(rpm, order, **same) if len(fold.points) == 5]
+    (fold,) = find_aliases(rpm, order, **same, speed_error=4e-4, frequencies_hz=(16_000.0,))
     assert len(fold.points) == 5
 
 
 def test_speeds_in_simple_ratios_leave_two_frequencies_and_both_are_named():
     rpm = np.array([1000.0, 1500.0, 2000.0, 3000.0])
-    order = folded_order(60.0 * 16_000.0 / rpm, 360)
-    (fold,) = find_folds(rpm, order, samples_per_rev=360, order_error=0.002, shown_to_order=180.0, highest_hz=30e3)
+    order = aliased_order(60.0 * 16_000.0 / rpm, 360)
+    (fold,) = find_aliases(rpm, order, samples_per_rev=360, order_error=0.002, shown_to_order=180.0, highest_hz=30e3)
     assert {round(fold.value), 36_000 - round(fold.value)} == {16_000, 20_000}
     assert f"{36_000 - fold.value:.5g} Hz would fold alike" in fold.evidence
 
@@ -149,13 +149,13 @@ def test_lines_of_the_shaft_are_no_folds():
     rpm = np.repeat(SPEEDS, 4)
     order = np.tile([0.5, 2.0, 5.5, 11.0], SPEEDS.size)
     same = {"samples_per_rev": 360, "order_error": 0.01, "shown_to_order": 20.0, "highest_hz": 50e3}
-    assert find_folds(rpm, order, **same) == []
+    assert find_aliases(rpm, order, **same) == []
 
 
 def test_no_lines_have_no_folds_and_lines_without_a_speed_are_refused():
     same = {"samples_per_rev": 360, "order_error": 0.01, "shown_to_order": 20.0, "highest_hz": 50e3}
-    assert find_folds(np.empty(0), np.empty(0), **same) == []
+    assert find_aliases(np.empty(0), np.empty(0), **same) == []
     with pytest.raises(RequestError):
-        find_folds(np.array([np.nan]), np.array([1.0]), **same)
+        find_aliases(np.array([np.nan]), np.array([1.0]), **same)
     with pytest.raises(RequestError):
-        folded_lines(360, [0.0], orders=(353.5,))
+        aliased_lines(360, [0.0], orders=(353.5,))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.engine.in_cycle import Lag
+from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.errors import RequestError
 from crankorder.synth.motion import Motion
 from crankorder.synth.order_forces import ForceLines, lines_in_angle, lines_in_time

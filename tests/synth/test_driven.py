@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from crankorder.engine.in_cycle import Lag
+from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.synth.analogue import in_series, low_pass
 from crankorder.synth.driven import driven_signal
 from crankorder.synth.motion import Motion

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.engine.in_cycle import Lag
+from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.errors import RequestError
 from crankorder.synth.crank import crank_motion, lag_by_order
 from crankorder.synth.load import load_scene

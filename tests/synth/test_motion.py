@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from crankorder.engine.in_cycle import Lag
+from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.errors import RequestError
 from crankorder.synth.motion import Motion, wander_wobbles
 

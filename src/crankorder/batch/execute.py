@@ -40,7 +40,7 @@ from crankorder.engine.definition import Engine, with_gas_file
 from crankorder.errors import CrankorderError, EnvironmentFailure, InputError, NoUsableRecordingError, printable
 from crankorder.findings import Channel, Findings, Quality, SpeedSwing, nothing_sought, quality_of
 from crankorder.identify.causes.cycle_forces import cycle_doubts
-from crankorder.identify.sources import Sources
+from crankorder.identify.machine_model import MachineModel
 from crankorder.orders.true_angle import NAMES
 from crankorder.quantities import QualityFlag, Severity, flags_of
 from crankorder.settings import Settings, toml_table
@@ -192,7 +192,7 @@ def results_of_test(
     results: dict[Path, RecordingResult],
     *,
     test: str,
-    sources: Sources,
+    sources: MachineModel,
     settings: Settings,
     flags: list[QualityFlag],
     faults: list[CrankorderError],

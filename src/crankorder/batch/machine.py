@@ -5,7 +5,7 @@ from __future__ import annotations
 from crankorder.batch.plan import CampaignPlan
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import orders_made
-from crankorder.identify.sources import Limit, Sources, StatedPart
+from crankorder.identify.machine_model import Limit, MachineModel, StatedPart
 from crankorder.ingest.manifest import Manifest
 from crankorder.settings import Settings
 
@@ -19,7 +19,7 @@ def engine_of_test(plan: CampaignPlan) -> Engine | None:
     return None if name is None else load_engine(name, beside=plan.folder)
 
 
-def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) -> Sources:
+def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) -> MachineModel:
     """What ``manifest`` and ``engine`` say of the machine; less where ``settings`` ask for no findings that need it."""
     orders: tuple[float, ...] = ()
     bearings = manifest.bearings
@@ -27,7 +27,7 @@ def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) ->
         orders = orders_made(engine, share=KINEMATIC_SHARE, max_order=int(settings.orders.max_order))
         named = {bearing.name for bearing in bearings}
         bearings += tuple(bearing for bearing in engine.bearings if bearing.name not in named)
-    return Sources(
+    return MachineModel(
         revs_per_cycle=manifest.revs_per_cycle,
         engine_orders=orders,
         bearings=bearings,

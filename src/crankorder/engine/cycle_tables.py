@@ -21,7 +21,7 @@ from crankorder.engine.forces import (
 )
 from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
 from crankorder.engine.harmonics import last_order_above_round_off
-from crankorder.engine.in_cycle import TORQUE_ORDERS, Complex, Floats, lag_from_torque, over_a_cycle
+from crankorder.engine.torsional_fluctuation import TORQUE_ORDERS, Complex, Floats, lag_from_torque, over_a_cycle
 from crankorder.errors import RequestError, plain_number
 
 ANGLES_PER_REV = 720

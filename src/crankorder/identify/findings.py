@@ -10,11 +10,11 @@ import numpy as np
 import xarray as xr
 
 from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Energy, Findings, Level, quality_of
-from crankorder.identify.balance.closure import Closure, closure
+from crankorder.identify.balance.unbalance_fit import UnbalanceFit, unbalance_fit
 from crankorder.identify.bearings.records import bearing_records
+from crankorder.identify.causes.aliasing import alias_flags, shown_aliases
 from crankorder.identify.causes.angle_swings import swing_sidebands
 from crankorder.identify.causes.explain import NOT_KNOWN, Causes, explained, with_neighbours_named, without_doubles
-from crankorder.identify.causes.folds import fold_flags, shown_folds
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.found import NO_FITS, AgreedOrder, ModalFit, SpeedVerdicts, SweepFits, Unsearched
 from crankorder.identify.levels import (
@@ -37,6 +37,7 @@ from crankorder.identify.lines.known_lines import Held, LineSeen, held_of, witho
 from crankorder.identify.lines.mains import MotorSeen, mains_seen, motor_seen, with_mains_tones, without_ringing
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.order_lock import speed_source
+from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.alike_speeds import with_lines_of_recordings, with_tones_parted, without_absent_mains
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.lock_through_modes import with_locks_through_modes
@@ -54,7 +55,6 @@ from crankorder.identify.records import (
 )
 from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.said import is_electric
-from crankorder.identify.sources import Sources
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
@@ -77,7 +77,7 @@ def find(
     envelope: xr.Dataset | None,
     *,
     test: str,
-    sources: Sources,
+    sources: MachineModel,
     settings: Settings,
     followed: Sequence[xr.Dataset] = (),
     levels: Sequence[xr.Dataset] = (),
@@ -113,7 +113,7 @@ def find(
     orders = with_track_rows(in_map, reader, settings=settings.orders)
     turns = sources.revs_per_cycle
     bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
-    folds = shown_folds(order_map, settings=settings)
+    folds = shown_aliases(order_map, settings=settings)
     in_cylinder = [name for name in unit if is_cylinder_pressure(quantity[name], unit[name])]
     explain = partial(explained, sources=sources, quantity=quantity, in_cylinder=in_cylinder, settings=asked)
     longest = max((one.span_rev for one in held), default=np.inf)
@@ -128,7 +128,7 @@ def find(
     meetings = crossing_records(as_avoided(found, speeds.avoid))
     speeds = speeds if doubt is None else without_free(speeds)
     records = order_records(orders, causes, meetings, modal, unit=unit)
-    flags += fold_flags(order_map, settings=settings, folds=folds)
+    flags += alias_flags(order_map, settings=settings, folds=folds)
     flags += [*slow_flags(order_map, in_map, frames, settings=settings), *_search_flags(modal.left)]
     shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
     has_spectra = envelope is not None and envelope.sizes["order"] > 1 and envelope.sizes["speed"] > 0
@@ -149,11 +149,11 @@ def find(
         false_alarm_probability=asked.false_alarm_probability,
         quality=quality_of(flags),
     )
-    closed = _balance(partial(closure, order_map, orders, modal, followed=without), order_map, sources, causes)
+    closed = _balance(partial(unbalance_fit, order_map, orders, modal, followed=without), order_map, sources, causes)
     return _with_levels(_with_sums(told, speeds, motor, shares[0], level_records(levels), closed), vibration, sources)
 
 
-def _with_levels(told: Findings, vibration: xr.Dataset | None, sources: Sources) -> Findings:
+def _with_levels(told: Findings, vibration: xr.Dataset | None, sources: MachineModel) -> Findings:
     """What was ``told``, with the levels in ``vibration`` and what the limits of ``sources`` make of them."""
     if vibration is None:
         return told
@@ -189,7 +189,7 @@ def _with_sums(
 
 
 def _balance(
-    close: Callable[..., Closure], order_map: xr.Dataset, sources: Sources, causes: Causes
+    close: Callable[..., UnbalanceFit], order_map: xr.Dataset, sources: MachineModel, causes: Causes
 ) -> tuple[Balance | None, str]:
     """The residual unbalance by what ``close`` makes of engine and paths, or why it is not known."""
     made, reason = close(engine=sources.engine, paths=sources.paths, added=sources.added)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from crankorder.campbell.band_levels import UNITS, WITH_ENDS, WITHOUT_ENDS, nominal_hz
 from crankorder.campbell.vibration_levels import CONFIDENCE, rms_within
 from crankorder.findings import Balance, Level, LimitVerdict, ThirdOctave, VibrationLevel
-from crankorder.identify.sources import Limit, Sources
+from crankorder.identify.machine_model import Limit, MachineModel
 from crankorder.quantities import Floats, Ints
 from crankorder.records import Interval, known
 
@@ -132,7 +132,7 @@ def third_octave_records(vibration: xr.Dataset) -> tuple[ThirdOctave, ...]:
     return tuple(made)
 
 
-def limit_verdicts(vibration: xr.Dataset, balance: Balance | None, sources: Sources) -> tuple[LimitVerdict, ...]:
+def limit_verdicts(vibration: xr.Dataset, balance: Balance | None, sources: MachineModel) -> tuple[LimitVerdict, ...]:
     """What each limit of ``sources`` comes to in every channel of ``vibration`` that it is for, and for ``balance``."""
     made: list[LimitVerdict] = []
     held = _values(vibration) if sources.limits else {}
@@ -244,7 +244,7 @@ def _judged(
     return "not decided", "the limit lies inside the interval at some speed: record longer there, or sweep more slowly"
 
 
-def graded(balance: Balance | None, sources: Sources, fastest_rpm: float) -> Balance | None:
+def graded(balance: Balance | None, sources: MachineModel, fastest_rpm: float) -> Balance | None:
     """``balance`` with its grade G = e · ω (ISO 21940-11), where its unbalance and the mass of the rotor are known.
 
     ``sources`` state the mass and, if at all, the speed in service; else it is that of ``fastest_rpm``.

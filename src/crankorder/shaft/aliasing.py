@@ -19,7 +19,7 @@ from crankorder.quantities import Bools, Floats, Ints
 from crankorder.shaft.pulses import Remark
 
 # A fold is taken for found where chance would make so few of it in a test.
-FALSE_FOLDS = 0.01
+FALSE_ALIASES = 0.01
 # An order is a line of the shaft where it shows at this share of the speeds.
 ORDER_SHARE = 0.6
 # Frequencies without a name that are looked at closely: those on which most lines agree.
@@ -27,7 +27,7 @@ MOST_PROPOSED = 400
 
 
 @dataclass(frozen=True)
-class FoldedLine:
+class AliasedLine:
     """Where a line shows at each of ``speed_rpm`` (speeds,), and whether it ``folds`` (speeds,) there.
 
     ``kind``: "frequency" (``value`` in Hz) or "order". ``shown_order``: (speeds,).
@@ -49,17 +49,17 @@ class FoldedLine:
 
 
 @dataclass(frozen=True)
-class Fold:
+class Alias:
     """Found lines that are, or may be, a fold: of a fixed frequency (Hz) or of an order (``kind`` and ``value``).
 
-    ``points``: which of the found lines; ``false_folds``: how many such would be found by chance (NaN where chance does
-    not enter); ``sure``: whether that is few and nothing else explains them; ``evidence``: in words.
+    ``points``: which of the found lines; ``false_aliases``: how many such would be found by chance (NaN where chance
+    does not enter); ``sure``: whether that is few and nothing else explains them; ``evidence``: in words.
     """
 
     kind: str
     value: float
     points: Ints
-    false_folds: float
+    false_aliases: float
     sure: bool
     evidence: str
 
@@ -69,20 +69,20 @@ class Fold:
         return (f"folded_{self.kind}", "suspect" if self.sure else "info", self.evidence)
 
 
-def folded_order(order: npt.ArrayLike, samples_per_rev: float) -> Floats:
+def aliased_order(order: npt.ArrayLike, samples_per_rev: float) -> Floats:
     """Orders at which lines at ``order`` (any shape) show when sampled ``samples_per_rev`` times a revolution."""
     true = np.asarray(order, dtype=np.float64)
     return np.asarray(np.abs(true - samples_per_rev * np.rint(true / samples_per_rev)))
 
 
-def folded_lines(
+def aliased_lines(
     samples_per_rev: float,
     speeds_rpm: Sequence[float] | Floats,
     *,
     frequencies_hz: Sequence[float] = (),
     orders: Sequence[float] = (),
     shown_to_order: float = math.inf,
-) -> list[FoldedLine]:
+) -> list[AliasedLine]:
     """Lines that fold at one speed or more to an order that is looked at, with their place at every speed.
 
     Parameters
@@ -100,14 +100,14 @@ def folded_lines(
     lines += [("order", order, np.full(speed.shape, float(order))) for order in orders]
     found = []
     for kind, value, true in lines:
-        shown = folded_order(true, samples_per_rev)
+        shown = aliased_order(true, samples_per_rev)
         folds = (true > 0.5 * samples_per_rev) & (shown <= shown_to_order)
         if folds.any():
-            found.append(FoldedLine(kind, float(value), speed, shown, folds))
+            found.append(AliasedLine(kind, float(value), speed, shown, folds))
     return found
 
 
-def find_folds(
+def find_aliases(
     speed_rpm: Floats,
     order: Floats,
     *,
@@ -118,7 +118,7 @@ def find_folds(
     speed_error: float = 0.0,
     frequencies_hz: Sequence[float] = (),
     orders: Sequence[float] = (),
-) -> list[Fold]:
+) -> list[Alias]:
     """Which found lines are folds of fixed frequencies, and which may be folds of ``orders``; the surest first.
 
     A frequency is believed where chance would put so many lines on its track in fewer than one test of a hundred,
@@ -160,7 +160,7 @@ def find_folds(
             free[fold.points] = False
     folds += _unnamed(track, free, highest_hz)
     for points in staying:
-        folds += _fold_of_order(float(np.median(order[points])), points, samples_per_rev, order_error, orders)
+        folds += _alias_of_order(float(np.median(order[points])), points, samples_per_rev, order_error, orders)
     return sorted(folds, key=lambda fold: (not fold.sure, fold.kind, fold.value))
 
 
@@ -175,11 +175,11 @@ class _Track:
     shown_to_order: float
     speed_error: float
 
-    def fold(self, frequency_hz: float, free: Bools, *, tried: int) -> Fold | None:
-        """The Fold of ``frequency_hz`` among the ``free`` points where it is sure after ``tried`` frequencies."""
+    def fold(self, frequency_hz: float, free: Bools, *, tried: int) -> Alias | None:
+        """The Alias of ``frequency_hz`` among the ``free`` points where it is sure after ``tried`` frequencies."""
         speeds = np.unique(self.speed_rpm)
         true = 60.0 * frequency_hz / speeds
-        shown = folded_order(true, self.samples_per_rev)
+        shown = aliased_order(true, self.samples_per_rev)
         error = np.hypot(self.order_error, self.speed_error * true)
         looked = (shown < self.shown_to_order) & (true > 0.5 * self.samples_per_rev)
         hits, log_chance = [], 0.0
@@ -193,8 +193,8 @@ class _Track:
         n_looked = int(looked.sum())
         if len(hits) < 2 or 2 * len(hits) < n_looked:
             return None
-        false_folds = tried * math.comb(n_looked, len(hits)) * math.exp(log_chance)
-        if false_folds > FALSE_FOLDS:
+        false_aliases = tried * math.comb(n_looked, len(hits)) * math.exp(log_chance)
+        if false_aliases > FALSE_ALIASES:
             return None
         points = np.array(hits)
         at_speeds = ", ".join(f"{self.order[k]:.4g} ({self.speed_rpm[k]:g} rpm)" for k in hits[:4])
@@ -202,9 +202,9 @@ class _Track:
         evidence = (
             f"lines at order {at_speeds}{more} are one of {frequency_hz:.6g} Hz folded at {self.samples_per_rev:g} "
             f"samples per revolution: at {len(hits)} of {n_looked} speeds where it would show, "
-            f"{false_folds:.1g} by chance"
+            f"{false_aliases:.1g} by chance"
         )
-        return Fold("frequency", frequency_hz, points, false_folds, True, evidence)
+        return Alias("frequency", frequency_hz, points, false_aliases, True, evidence)
 
     def refined_hz(self, frequency_hz: float, points: Ints) -> float:
         """Frequency that fits the ``points`` of a fold near ``frequency_hz`` best."""
@@ -216,9 +216,9 @@ class _Track:
         return float(np.average(each, weights=width**-2.0))
 
 
-def _unnamed(track: _Track, free: Bools, highest_hz: float) -> list[Fold]:
+def _unnamed(track: _Track, free: Bools, highest_hz: float) -> list[Alias]:
     """Folds of frequencies that nobody named, among the ``free`` points; the least likely by chance is taken first."""
-    folds: list[Fold] = []
+    folds: list[Alias] = []
     lowest_hz = 0.5 * track.samples_per_rev * float(track.speed_rpm.min(initial=np.inf)) / 60.0
     while np.unique(track.speed_rpm[free]).size >= 2 and highest_hz > lowest_hz:
         step_hz = 2.0 * track.order_error * float(track.speed_rpm.min()) / 60.0
@@ -227,7 +227,7 @@ def _unnamed(track: _Track, free: Bools, highest_hz: float) -> list[Fold]:
         sure = [fold for f in proposed if (fold := track.fold(float(f), free, tried=math.ceil(tried))) is not None]
         if not sure:
             break
-        best = min(sure, key=lambda fold: fold.false_folds)
+        best = min(sure, key=lambda fold: fold.false_aliases)
         exact = track.refined_hz(best.value, best.points)
         # where speeds are in simple ratios, several frequencies fold alike at all of them
         near_hz = 1e-3 * best.value
@@ -272,13 +272,13 @@ def _staying(speed_rpm: Floats, order: Floats, order_error: float) -> list[list[
     return groups
 
 
-def _fold_of_order(
+def _alias_of_order(
     shown: float, points: list[int], samples_per_rev: float, order_error: float, orders: Sequence[float]
-) -> list[Fold]:
+) -> list[Alias]:
     """Of the ``orders`` of the machine those that would show where a line of the shaft is ``shown``."""
     high = [float(order) for order in orders if order > 0.5 * samples_per_rev]
     return [
-        Fold(
+        Alias(
             "order",
             order,
             np.array(points),
@@ -288,5 +288,5 @@ def _fold_of_order(
             f"revolution: it may be either; another number of samples per revolution decides",
         )
         for order in high
-        if abs(float(folded_order(order, samples_per_rev)) - shown) <= order_error
+        if abs(float(aliased_order(order, samples_per_rev)) - shown) <= order_error
     ]

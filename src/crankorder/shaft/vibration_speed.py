@@ -1,6 +1,6 @@
 """Speed from the vibration itself: the run of speeds whose orders the spectra show best, and how sure it is.
 
-Per knot every speed has log odds (``comb_evidence``). Speed changes no faster than a slew limit, so the most likely
+Per knot every speed has log odds (``tooth_odds``). Speed changes no faster than a slew limit, so the most likely
 run of speeds is found by dynamic programming. Which simple ratio of it explains the lines best is decided along its
 angle, by order spectra with frames of the same length, where frames of the search for the speed are longer for lower
 speeds and so show more lines of them. Other ratios that do nearly as well are told as ties.
@@ -23,8 +23,8 @@ from crankorder.errors import InputError
 from crankorder.quantities import Floats, Ints
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots, time_at
-from crankorder.shaft.comb_evidence import FamilyEvidence, SpeedEvidence, comb_evidence, family_evidence, order_spectra
 from crankorder.shaft.pulses import Remark
+from crankorder.shaft.tooth_harmonics import FamilyEvidence, SpeedEvidence, family_evidence, order_spectra, tooth_odds
 
 
 def likeliest_run(log_odds: Floats, jump: int, cost: float) -> Ints:
@@ -187,7 +187,7 @@ def speed_from_vibration(
     order = np.array(sorted(weights))
     weight = np.clip([weights[each] for each in sorted(weights)], 0.0, 0.95)
     range_hz = _range_hz(expected_rpm or settings.vibration_range_rpm, signals.shape[1], rate_hz, settings)
-    evidence = comb_evidence(
+    evidence = tooth_odds(
         signals, rate_hz, range_hz=range_hz, order=order, weight=weight, settings=settings, fixed_hz=fixed_hz
     )
     explained = partial(_explained, signals, rate_hz, evidence, range_hz=range_hz, order=order, weight=weight)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from crankorder.engine.in_cycle import TORQUE_ORDERS, Lag, lag_from_torque, lag_of_speed
+from crankorder.engine.torsional_fluctuation import TORQUE_ORDERS, Lag, lag_from_torque, lag_of_speed
 from crankorder.errors import RequestError
 from crankorder.quantities import Floats, Ints
 from crankorder.synth.motion import Motion, wander_wobbles

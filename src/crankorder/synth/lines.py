@@ -12,9 +12,9 @@ from numba import njit
 from crankorder.engine.bearings import bearing_orders
 from crankorder.engine.forces import crankcase_forces, crankcase_moments
 from crankorder.engine.gas import gas_torque_by_order
-from crankorder.engine.in_cycle import Lag
 from crankorder.engine.rod import two_masses
 from crankorder.engine.slider_crank import piston_velocity, rod_angle, sine_cosine
+from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.errors import RequestError
 from crankorder.quantities import Complexes, Floats
 from crankorder.synth.analogue import POLES_APART, AnalogueFilter

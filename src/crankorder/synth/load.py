@@ -39,7 +39,7 @@ Fault = tuple[str, str, str, str]
 """Problem, place, found, allowed."""
 
 
-def unmet_demands(scene: Scene, source: str, kept: dict[str, list[int]]) -> list[RequestError]:
+def validation_errors(scene: Scene, source: str, kept: dict[str, list[int]]) -> list[RequestError]:
     """Every fault of ``scene`` that its parts alone do not show.
 
     ``source``: the file's name for the messages. ``kept``: for a list of effects that lost faulty items, the places in
@@ -363,9 +363,9 @@ def load_scene(name: str, beside: Path | None = None) -> Scene:
     kept: dict[str, list[int]] = {}
     scene = _validated(table, source, faults, kept)
     if scene is not None:
-        faults += unmet_demands(scene, source, kept)
+        faults += validation_errors(scene, source, kept)
         told = {(fault.problem, fault.place) for fault in faults}
-        quick = unmet_demands(scene.first_look(), source, kept)
+        quick = validation_errors(scene.first_look(), source, kept)
         faults += [fault for fault in quick if (fault.problem, fault.place) not in told]
     if faults or scene is None:
         raise ManyErrors(faults)

@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 
 from crankorder.engine.compiled_slider_crank import fast_sine_cosine
-from crankorder.engine.in_cycle import Lag, stops_within_cycle
+from crankorder.engine.torsional_fluctuation import Lag, stops_within_cycle
 from crankorder.errors import RequestError
 from crankorder.quantities import Floats
 

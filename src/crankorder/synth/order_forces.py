@@ -17,7 +17,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from crankorder.engine.compiled_slider_crank import fast_sine_cosine
-from crankorder.engine.in_cycle import Lag
+from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.errors import RequestError
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.synth.motion import Motion

@@ -10,7 +10,7 @@ import pytest
 from crankorder.campbell.map import campbell_map
 from crankorder.engine.definition import load_engine
 from crankorder.identify.findings import find
-from crankorder.identify.sources import Sources
+from crankorder.identify.machine_model import MachineModel
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
 from made.scenes import made_scene, scene_named, without_orders
@@ -31,7 +31,7 @@ def found(seed, orders=True):
         order_map(made.by_order, settings=settings.orders),
         campbell_map(made.by_frequency, speed_bin_rpm=settings.orders.speed_bin_rpm),
     )
-    sources = Sources(revs_per_cycle=2, engine=engine, bearings=engine.bearings)
+    sources = MachineModel(revs_per_cycle=2, engine=engine, bearings=engine.bearings)
     findings = find(*maps, made.by_order, None, test="made", sources=sources, settings=settings)
     return findings.as_dict(), made.truth
 

@@ -1,1 +1,1 @@
-"""Closure with the engine model: what unbalance is left, in grams."""
+"""What unbalance is left, in grams, by the engine model or stated paths."""

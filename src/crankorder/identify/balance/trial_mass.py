@@ -11,7 +11,7 @@ from crankorder.engine.definition import Engine
 from crankorder.engine.forces import Z
 from crankorder.engine.transfer_paths import AddedMass
 from crankorder.findings import Influence, TrialBalance
-from crankorder.identify.balance.order_shaker import force_per_kg
+from crankorder.identify.balance.known_forces import force_per_kg
 from crankorder.identify.balance.record import AGREE_CHI_SQUARE, added_words, size_and_angle, with_interval
 from crankorder.identify.balance.transfer_path import PER_M_S2, MeasuredOrders, measured_orders
 from crankorder.identify.intervals import half_width

@@ -25,7 +25,7 @@ from crankorder.identify.bearings.places import Place, bearing_places
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import Z95, half_width, positive_interval
 from crankorder.identify.lines.growth import growth, mean_level, reported
-from crankorder.identify.sources import StatedPart, parts_at
+from crankorder.identify.machine_model import StatedPart, parts_at
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 

@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 
 from crankorder.findings import BearingFinding
+from crankorder.identify.causes.aliasing import ShownAlias
 from crankorder.identify.causes.angle_swings import Words
 from crankorder.identify.causes.cycle_forces import CycleForce, cycle_forces, gas_half_orders
-from crankorder.identify.causes.folds import ShownFold
 from crankorder.identify.causes.sidebands import (
     BY_ITSELF,
     StruckRace,
@@ -26,11 +26,11 @@ from crankorder.identify.lines.growth import is_motion, largest, order_one
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.known_lines import LineSeen, named_by, words_of
 from crankorder.identify.lines.mains import OR_ANOTHER, mains_orders, multiple_on, multiples_near, supply_told
+from crankorder.identify.machine_model import MachineModel, PartsAt, StatedPart, parts_at
 from crankorder.identify.modes.tones import NEAR_BINS
 from crankorder.identify.modes.tones import NUMBERS as TONES
 from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, OR_OWN, mains_words
 from crankorder.identify.said import NUMBERS as SAID
-from crankorder.identify.sources import PartsAt, Sources, StatedPart, parts_at
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -81,11 +81,11 @@ def explained(
     modal: ModalFit,
     bearings: Sequence[BearingFinding],
     *,
-    sources: Sources,
+    sources: MachineModel,
     quantity: dict[str, str],
     settings: IdentifySettings,
     in_cylinder: Collection[str] = (),
-    folds: Sequence[ShownFold] = (),
+    folds: Sequence[ShownAlias] = (),
     known: Sequence[LineSeen] = (),
     of_swing: Words | None = None,
     longest_rev: float = np.inf,
@@ -109,7 +109,7 @@ def explained(
     quantity : quantity of each channel by its name, such as "acceleration" or "sound pressure"
     in_cylinder : channels that measure the pressure in a cylinder, where the machine is a piston engine
     settings : mains frequencies and how far they wander
-    folds : what was found to fold (:func:`crankorder.identify.causes.folds.shown_folds`)
+    folds : what was found to fold (:func:`crankorder.identify.causes.aliasing.shown_folds`)
     known : lines of the motor and of the mains that the frames hold where they were expected
     of_swing : lines that swings of the angle may make (:func:`crankorder.identify.causes.angle_swings.swing_sidebands`)
     longest_rev : revolutions of the longest recording at one speed: two lines that beat less often in it look like one
@@ -158,7 +158,7 @@ def _electric(
     causes: dict[tuple[str, float], Cause],
     modal: ModalFit,
     known: Sequence[LineSeen],
-    sources: Sources,
+    sources: MachineModel,
     settings: IdentifySettings,
     longest_rev: float,
 ) -> dict[tuple[str, float], Cause]:
@@ -229,10 +229,10 @@ def _first_cause(
     orders: tuple[AgreedOrder, ...],
     at: PartsAt,
     races: list[StruckRace],
-    sources: Sources,
+    sources: MachineModel,
     quantity: str,
     in_cylinder: bool,
-    folds: Sequence[ShownFold],
+    folds: Sequence[ShownAlias],
     forces: ForcesOfCycle,
     modes: Sequence[Mode],
 ) -> Cause | None:
@@ -258,7 +258,7 @@ def _first_cause(
     )
 
 
-def _gas_in_pressure(of_cycle: float | None, in_cylinder: bool, sources: Sources, proof: str) -> Cause | None:
+def _gas_in_pressure(of_cycle: float | None, in_cylinder: bool, sources: MachineModel, proof: str) -> Cause | None:
     """The gas cycle in the pressure of a cylinder itself; a rotor has none, whatever its pressures are."""
     if not in_cylinder or of_cycle is None or not sources.has_pistons:
         return None
@@ -266,7 +266,7 @@ def _gas_in_pressure(of_cycle: float | None, in_cylinder: bool, sources: Sources
     return Cause("gas cycle", f"order {of_cycle:g}, a multiple of the {cycle}, in the pressure itself; {proof}")
 
 
-def _forces_of_cycle(orders: tuple[AgreedOrder, ...], sources: Sources) -> ForcesOfCycle:
+def _forces_of_cycle(orders: tuple[AgreedOrder, ...], sources: MachineModel) -> ForcesOfCycle:
     """Gas and inertia by channel and order, at the speed where each line is largest; empty without gas or engine."""
     if sources.engine is None or not sources.firing:
         return {}
@@ -286,10 +286,10 @@ def _gas_or_masses(force: CycleForce | None, proof: str) -> Cause | None:
     return Cause(text, f"{force.words}; {proof}")
 
 
-def _kinematics(of_cycle: float | None, orders: tuple[AgreedOrder, ...], sources: Sources, proof: str) -> Cause | None:
-    if of_cycle is None or not any(abs(of_cycle - known) < 1e-6 for known in sources.engine_orders):
+def _kinematics(cycle: float | None, orders: Sequence[AgreedOrder], sources: MachineModel, proof: str) -> Cause | None:
+    if cycle is None or not any(abs(cycle - known) < 1e-6 for known in sources.engine_orders):
         return None
-    made = f"the engine's moving masses make order {of_cycle:g}"
+    made = f"the engine's moving masses make order {cycle:g}"
     gas = "the engine fires" if sources.firing else ""
     if not gas and sources.revs_per_cycle == 2 and len(half := gas_half_orders(one.order for one in orders)) > 1:
         gas = f"half orders ({', '.join(half)}) show gas torque"
@@ -300,7 +300,7 @@ def _kinematics(of_cycle: float | None, orders: tuple[AgreedOrder, ...], sources
     return Cause("engine kinematics", f"{made}; {proof}")
 
 
-def _stated_parts(agreed: AgreedOrder, bearings: Sequence[BearingFinding], sources: Sources) -> PartsAt:
+def _stated_parts(agreed: AgreedOrder, bearings: Sequence[BearingFinding], sources: MachineModel) -> PartsAt:
     """The stated gears, and the lines of bearings by their records, that have a multiple where ``agreed`` lies.
 
     Of a bearing only the line itself may be a multiple of the cycle's order: some multiple of a rolling line is near
@@ -333,7 +333,7 @@ def _stated(at: PartsAt, kind: str, proof: str) -> Cause | None:
 
 
 def _first_order(
-    of_cycle: float | None, line: OrderLine, sources: Sources, quantity: str, modes: Sequence[Mode], proof: str
+    of_cycle: float | None, line: OrderLine, sources: MachineModel, quantity: str, modes: Sequence[Mode], proof: str
 ) -> Cause | None:
     """What order 1 is by how it grows; a harmonic of the shaft, or unexplained, where that is not as unbalance does."""
     if of_cycle != 1.0 or not is_motion(quantity):
@@ -346,7 +346,7 @@ def _first_order(
     return Cause("unexplained" if sources.engine_orders else "shaft harmonic", f"order 1, {proof}, but {why}")
 
 
-def _combustion(of_cycle: float | None, sources: Sources, proof: str) -> Cause | None:
+def _combustion(of_cycle: float | None, sources: MachineModel, proof: str) -> Cause | None:
     if not sources.firing or of_cycle is None:
         return None
     return Cause(
@@ -377,7 +377,7 @@ def _article(number: int) -> str:
     return "an" if str(number).startswith(("8", "11", "18")) else "a"
 
 
-def _fold(line: OrderLine, folds: Sequence[ShownFold]) -> Cause | None:
+def _fold(line: OrderLine, folds: Sequence[ShownAlias]) -> Cause | None:
     for shown in folds:
         if shown.is_line(line):
             unit = "Hz" if shown.fold.kind == "frequency" else ""
@@ -387,9 +387,9 @@ def _fold(line: OrderLine, folds: Sequence[ShownFold]) -> Cause | None:
     return None
 
 
-def _half_order(of_cycle: float | None, orders: tuple[AgreedOrder, ...], sources: Sources, proof: str) -> Cause | None:
+def _half_order(cycle: float | None, orders: Sequence[AgreedOrder], sources: MachineModel, proof: str) -> Cause | None:
     """Half orders of a four-stroke machine; of a motored engine only where there is more than one."""
-    if of_cycle is None or sources.revs_per_cycle != 2 or of_cycle == round(of_cycle):
+    if cycle is None or sources.revs_per_cycle != 2 or cycle == round(cycle):
         return None
     multiples = [multiple_of_cycle(agreed, 2) for agreed in orders]
     family = sorted({m for m in multiples if m is not None and m != round(m)})
@@ -399,13 +399,13 @@ def _half_order(of_cycle: float | None, orders: tuple[AgreedOrder, ...], sources
     return Cause(HALF_ORDER, f"{proof}; half orders found: {listed}")
 
 
-def _shaft_harmonic(of_cycle: float | None, sources: Sources, proof: str) -> Cause | None:
+def _shaft_harmonic(of_cycle: float | None, sources: MachineModel, proof: str) -> Cause | None:
     if of_cycle is None or of_cycle != round(of_cycle) or sources.engine_orders:
         return None
     return Cause("shaft harmonic", f"whole order, {proof}")
 
 
-def _why_not(agreed: AgreedOrder, at: PartsAt, sources: Sources) -> str:
+def _why_not(agreed: AgreedOrder, at: PartsAt, sources: MachineModel) -> str:
     if at.unparted:
         names = " and ".join(part.name for part in at.unparted)
         return f"the multiples of {names} lie closer together than the line's interval and what is stated tell apart"
@@ -419,7 +419,7 @@ def _why_not(agreed: AgreedOrder, at: PartsAt, sources: Sources) -> str:
     return "turns with the cycle, and nothing that was stated makes this order"
 
 
-def _spacings(sources: Sources, bearings: Sequence[BearingFinding]) -> dict[str, float]:
+def _spacings(sources: MachineModel, bearings: Sequence[BearingFinding]) -> dict[str, float]:
     """What may modulate a line, as names and orders: the shafts, the cycle, the cages."""
     spacings = {"shaft": 1.0} | ({"half-speed shaft": 0.5} if sources.revs_per_cycle == 2 else {})
     for bearing in sources.bearings:

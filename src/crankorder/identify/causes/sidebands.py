@@ -13,8 +13,8 @@ from crankorder.identify.causes.angle_swings import Words
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.order_lock import NO_PULSES
+from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.said import IF_WRONG
-from crankorder.identify.sources import Sources
 from crankorder.settings import MethodNumbers
 
 
@@ -385,7 +385,7 @@ class StruckRace:
 
 
 def struck_races(
-    bearings: Sequence[BearingFinding], sources: Sources, lines: Sequence[tuple[float, float]]
+    bearings: Sequence[BearingFinding], sources: MachineModel, lines: Sequence[tuple[float, float]]
 ) -> list[StruckRace]:
     """Races and rolling elements that ``bearings`` (their findings) show, as fine as ``lines`` (order, error) tell.
 

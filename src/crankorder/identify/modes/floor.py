@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.fft.windows import window_named
-from crankorder.identify.modes.surface_fit import Sight, sight
+from crankorder.identify.modes.surface_fit import SpectralWindow, sight
 from crankorder.orders.averages import median_of_known
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
@@ -52,7 +52,7 @@ class Floor:
     cell_averages: Floats
     channels: tuple[str, ...]
     speed_rpm: Floats
-    seen: Sight
+    seen: SpectralWindow
     whole: Floats
     quantity: tuple[str, ...]
     moving: Floats
@@ -168,7 +168,7 @@ def _order_mask(
     speed: Floats,
     orders: tuple[tuple[float, float], ...],
     campbell: xr.Dataset,
-    seen: Sight,
+    seen: SpectralWindow,
 ) -> Bools:
     """Cells (channels, speeds, frequencies) of ``psd`` that lines of ``orders`` cover, skirts included.
 

@@ -31,7 +31,7 @@ Range = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
+class SpectralWindow:
     """How a window sees power: its autocorrelation over the lag t (1 at its length ``length_s``) is Σ b_k cos(πkt).
 
     ``order`` (terms,) holds the k, ``weight`` (terms,) the b_k; ``bin_hz`` is the distance of independent bins.
@@ -52,8 +52,8 @@ class Sight:
         return real
 
 
-def sight(window: str, enbw_hz: float) -> Sight:
-    """Sight of the window ``window`` whose noise bandwidth is ``enbw_hz``.
+def sight(window: str, enbw_hz: float) -> SpectralWindow:
+    """SpectralWindow of the window ``window`` whose noise bandwidth is ``enbw_hz``.
 
     A sum of cosines of half a period is complete, for the autocorrelation vanishes at its end: its coefficients are
     the window's power response at every half bin.
@@ -63,10 +63,10 @@ def sight(window: str, enbw_hz: float) -> Sight:
     power = shape.response(0.5 * order) ** 2
     power[0] = 0.5
     kept = power > SMALLEST_TERM
-    return Sight(order[kept], power[kept] / power[kept].sum(), shape.enbw_bins / enbw_hz)
+    return SpectralWindow(order[kept], power[kept] / power[kept].sum(), shape.enbw_bins / enbw_hz)
 
 
-def _near(a: Complexes, seen: Sight) -> tuple[Complexes, Complexes]:
+def _near(a: Complexes, seen: SpectralWindow) -> tuple[Complexes, Complexes]:
     """∫ c(t) exp(−a t) dt over a window's length, times that length, and its derivative by a."""
     decay = np.exp(-a)
     even = np.where(seen.order % 2 == 0, seen.weight, 0.0)
@@ -79,7 +79,7 @@ def _near(a: Complexes, seen: Sight) -> tuple[Complexes, Complexes]:
     return seen.length_s * a * value, seen.length_s * slope
 
 
-def seen_pole(z_hz: Complexes, seen: Sight) -> tuple[Complexes, Complexes]:
+def seen_pole(z_hz: Complexes, seen: SpectralWindow) -> tuple[Complexes, Complexes]:
     """What the window makes of 1 / (2π z): value and derivative by z at ``z_hz`` = σ + i (f − f_d), σ > 0.
 
     The autocorrelation exp(2π (i f_d − σ) τ) of a resonance is cut by the window's own, whatever its decay, so that
@@ -100,7 +100,7 @@ def seen_pole(z_hz: Complexes, seen: Sight) -> tuple[Complexes, Complexes]:
 
 
 def pole_columns(
-    frequency_hz: Floats, natural_hz: Floats, damping: Floats, seen: Sight
+    frequency_hz: Floats, natural_hz: Floats, damping: Floats, seen: SpectralWindow
 ) -> tuple[Floats, Floats, Floats]:
     """Columns (2 modes, frequencies) of the power spectrum of modes, and their derivatives by ln f_j and by ln ζ_j.
 
@@ -160,7 +160,7 @@ class Problem:
     frequency_hz: Floats
     psd: Floats
     averages: Floats
-    seen: Sight
+    seen: SpectralWindow
     background: Floats
     others: Others | None = None
     n_lines: int = 0

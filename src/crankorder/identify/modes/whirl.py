@@ -12,7 +12,7 @@ from scipy.special import chdtri
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import ModalFit, Mode, OrderResponse, Whirl
 from crankorder.identify.modes.floor import Floor
-from crankorder.identify.modes.surface_fit import Problem, Sight, SurfaceFit, gamma_deviance, seen_pole
+from crankorder.identify.modes.surface_fit import Problem, SpectralWindow, SurfaceFit, gamma_deviance, seen_pole
 from crankorder.identify.modes.tones import NUMBERS as TONES
 from crankorder.identify.modes.tones import at_one_speed, on_order
 from crankorder.orders.averages import median_of_known
@@ -55,7 +55,7 @@ class _Cells:
     psd: Floats
     averages: Floats
     beside: Floats
-    seen: Sight
+    seen: SpectralWindow
 
     def around(self, line: Floats) -> _Cells:
         """Those that ``line`` sweeps over, and what is beside."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.causes.folds import fold_flags, shown_folds
+from crankorder.identify.causes.aliasing import alias_flags, shown_aliases
 from crankorder.settings import load_settings
-from crankorder.shaft.aliasing import folded_order
+from crankorder.shaft.aliasing import aliased_order
 from made.found_lines import line
 
 SPEEDS = np.arange(1150.0, 1260.0, 10.0)
@@ -19,7 +19,7 @@ def map_with(frequency_hz: float, *, samples_per_rev: float | None = 360.0, ampl
     axis = np.arange(0.0, 20.0, 1 / 16)
     noise = np.random.default_rng(1).gamma(40.0, 1 / 40.0, size=(1, SPEEDS.size, axis.size))
     energy = 1e-6 * noise
-    shown = folded_order(60 * frequency_hz / SPEEDS, 360.0)
+    shown = aliased_order(60 * frequency_hz / SPEEDS, 360.0)
     for at, order in enumerate(shown):
         nearest = round(order * 16)
         if nearest < axis.size:
@@ -39,30 +39,30 @@ def test_a_harmonic_of_mains_that_folds_is_named() -> None:
     settings = SETTINGS.model_copy(
         update={"identify": SETTINGS.identify.model_copy(update={"mains_hz": (3600.0,), "fold_search_hz": 8000.0})}
     )
-    flags = {flag["flag"]: flag for flag in fold_flags(map_with(7200.0), settings=settings)}
+    flags = {flag["flag"]: flag for flag in alias_flags(map_with(7200.0), settings=settings)}
     assert "7200" in flags["folded_frequency"]["detail"]
     assert flags["folded_frequency"]["severity"] == "suspect"
 
 
 def test_what_may_fold_is_told_of_every_test_by_crank_angle_and_of_no_other() -> None:
     quiet = map_with(7200.0, amplitude=0.0)
-    assert [flag["flag"] for flag in fold_flags(quiet, settings=SETTINGS)] == ["lines_may_fold"]
-    assert "3450 to 3750 Hz" in fold_flags(quiet, settings=SETTINGS)[0]["detail"]
-    coarse = fold_flags(map_with(7200.0, amplitude=0.0, samples_per_rev=36.0), settings=SETTINGS)[0]["detail"]
+    assert [flag["flag"] for flag in alias_flags(quiet, settings=SETTINGS)] == ["lines_may_fold"]
+    assert "3450 to 3750 Hz" in alias_flags(quiet, settings=SETTINGS)[0]["detail"]
+    coarse = alias_flags(map_with(7200.0, amplitude=0.0, samples_per_rev=36.0), settings=SETTINGS)[0]["detail"]
     assert "; mains, 400 Hz shows at order 15.13 (1150 rpm)" in coarse  # 36 - 60 x 400 / 1150
-    assert fold_flags(map_with(7200.0, samples_per_rev=None), settings=SETTINGS) == []
+    assert alias_flags(map_with(7200.0, samples_per_rev=None), settings=SETTINGS) == []
 
 
 def test_a_test_of_unknown_speed_says_nothing() -> None:
     unknown = map_with(7200.0).assign_coords(speed=np.full(SPEEDS.size, np.nan))
-    assert fold_flags(unknown, settings=SETTINGS) == []
+    assert alias_flags(unknown, settings=SETTINGS) == []
 
 
 def test_a_fold_is_the_cause_of_a_line_that_lies_on_it_and_of_no_other() -> None:
     made = map_with(7200.0).isel(speed=[5])  # 1200 rpm: order 360, where it shows at order 0: no line
-    assert shown_folds(made, settings=SETTINGS) == ()
+    assert shown_aliases(made, settings=SETTINGS) == ()
     whole = map_with(7200.0)
-    shown = [item for item in shown_folds(whole, settings=SETTINGS) if item.fold.kind == "frequency"]
+    shown = [item for item in shown_aliases(whole, settings=SETTINGS) if item.fold.kind == "frequency"]
     assert len(shown) == 1
     at = int(np.argmax(shown[0].order))
     near = line(float(shown[0].order[at]), speed_rpm=[float(shown[0].speed_rpm[at])])
@@ -74,6 +74,6 @@ def test_a_fold_is_the_cause_of_a_line_that_lies_on_it_and_of_no_other() -> None
 def test_an_order_of_a_gear_above_half_the_samples_may_be_what_shows_below() -> None:
     made = map_with(7200.0, amplitude=0.0)
     made["amplitude"][0, :, 16 * 7] = 1.0  # order 7, where order 353 would show
-    named = shown_folds(made, settings=SETTINGS, orders=(353.0,))
+    named = shown_aliases(made, settings=SETTINGS, orders=(353.0,))
     assert [(item.fold.kind, item.fold.value, item.fold.sure) for item in named] == [("order", 353.0, False)]
     assert named[0].is_line(line(7.0, speed_rpm=SPEEDS))

@@ -28,7 +28,7 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class Sources:
+class MachineModel:
     """What is known of the machine: its cycle, the orders that its kinematics make, its bearings, gears and masses.
 
     ``firing``: whether gas is burnt in it, so that every multiple of the cycle may be the gas cycle; ``gears``: stated

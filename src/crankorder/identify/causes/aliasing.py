@@ -12,7 +12,7 @@ from crankorder.identify.found import OrderLine
 from crankorder.identify.lines.cfar import excess_over_noise
 from crankorder.quantities import Floats, QualityFlag
 from crankorder.settings import MethodNumbers, Settings
-from crankorder.shaft.aliasing import Fold, FoldedLine, find_folds, folded_lines
+from crankorder.shaft.aliasing import Alias, AliasedLine, aliased_lines, find_aliases
 
 
 class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="folds"):
@@ -25,10 +25,10 @@ NUMBERS = _Numbers.load()
 
 
 @dataclass(frozen=True, eq=False)
-class ShownFold:
+class ShownAlias:
     """A fold and where it shows: ``speed_rpm`` and ``order`` (points,), each order known within ``order_error``."""
 
-    fold: Fold
+    fold: Alias
     speed_rpm: Floats
     order: Floats
     order_error: float
@@ -41,7 +41,7 @@ class ShownFold:
         return bool(np.mean(same) > NUMBERS.of_line_share)
 
 
-def shown_folds(order_map: xr.Dataset, *, settings: Settings, orders: Sequence[float] = ()) -> tuple[ShownFold, ...]:
+def shown_aliases(order_map: xr.Dataset, *, settings: Settings, orders: Sequence[float] = ()) -> tuple[ShownAlias, ...]:
     """What is found to fold in ``order_map``, the surest first; nothing where it was sampled by time or lacks a speed.
 
     ``settings``: those of identify (mains frequencies, highest frequency looked for) and of orders (the floor's width).
@@ -54,42 +54,42 @@ def shown_folds(order_map: xr.Dataset, *, settings: Settings, orders: Sequence[f
     excess = excess_over_noise(order_map, settings=settings.identify, orders=settings.orders).excess
     at_speed, at_order = np.nonzero((excess > 1.0).any(axis=0))
     order_error = NUMBERS.order_error_bins * float(axis[1] - axis[0])
-    folds = find_folds(
+    folds = find_aliases(
         speed[at_speed],
         axis[at_order],
         samples_per_rev=samples_per_rev,
         order_error=order_error,
         shown_to_order=float(axis[-1]),
         highest_hz=settings.identify.fold_search_hz,
-        frequencies_hz=[line.value for line in _folded_mains(order_map, samples_per_rev, settings)],
+        frequencies_hz=[line.value for line in _aliased_mains(order_map, samples_per_rev, settings)],
         orders=orders,
     )
     return tuple(
-        ShownFold(fold, speed[at_speed][fold.points], axis[at_order][fold.points], order_error) for fold in folds
+        ShownAlias(fold, speed[at_speed][fold.points], axis[at_order][fold.points], order_error) for fold in folds
     )
 
 
-def fold_flags(
-    order_map: xr.Dataset, *, settings: Settings, folds: tuple[ShownFold, ...] | None = None
+def alias_flags(
+    order_map: xr.Dataset, *, settings: Settings, folds: tuple[ShownAlias, ...] | None = None
 ) -> list[QualityFlag]:
     """What may fold at the speeds of ``order_map``, and fixed frequencies above half the rate that show as lines in it.
 
     Nothing where the map is of recordings sampled by time, or of unknown speed. ``settings``: those of identify (mains
     frequencies, highest frequency looked for) and of orders (the floor's width). ``folds``: those of
-    :func:`shown_folds`, where they are at hand.
+    :func:`shown_aliases`, where they are at hand.
     """
     samples_per_rev = _samples_per_rev(order_map)
     if samples_per_rev is None:
         return []
     speed = order_map["speed"].values
     low_hz, high_hz = samples_per_rev / 120 * speed.min(), samples_per_rev / 120 * speed.max()
-    mains = _folded_mains(order_map, samples_per_rev, settings)
+    mains = _aliased_mains(order_map, samples_per_rev, settings)
     said = (
         f"sampled {samples_per_rev:g} times a revolution: unless a filter kept it out, what lies above "
         f"{low_hz:.4g} to {high_hz:.4g} Hz (by speed) shows at |order - {samples_per_rev:g} k|"
     )
     text = "; mains, ".join([said, *map(str, mains)])
-    shown = shown_folds(order_map, settings=settings) if folds is None else folds
+    shown = shown_aliases(order_map, settings=settings) if folds is None else folds
     remarks = [("lines_may_fold", "info", text), *(one.fold.remark for one in shown)]
     return [
         {"recording": "all", "flag": flag, "severity": severity, "detail": detail} for flag, severity, detail in remarks
@@ -102,10 +102,10 @@ def _samples_per_rev(order_map: xr.Dataset) -> float | None:
     return samples_per_rev if samples_per_rev and np.isfinite(order_map["speed"].values).all() else None
 
 
-def _folded_mains(order_map: xr.Dataset, samples_per_rev: float, settings: Settings) -> list[FoldedLine]:
+def _aliased_mains(order_map: xr.Dataset, samples_per_rev: float, settings: Settings) -> list[AliasedLine]:
     """Multiples of mains that fold into the orders of the map."""
     multiples = np.multiply.outer(settings.identify.mains_hz, np.arange(1, NUMBERS.mains_harmonics + 1))
-    return folded_lines(
+    return aliased_lines(
         samples_per_rev,
         order_map["speed"].values,
         frequencies_hz=np.unique(multiples[multiples <= settings.identify.fold_search_hz]).tolist(),

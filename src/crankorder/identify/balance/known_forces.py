@@ -58,7 +58,7 @@ class OrderForces:
 
 
 @dataclass(frozen=True, eq=False)
-class ShakerFit:
+class KnownForcesFit:
     """Masses sought and the path.
 
     ``mass_kg`` (mass,) complex, ``covariance`` (2 mass, 2 mass) of real and imaginary part in turn, with
@@ -185,7 +185,7 @@ class QuietFit:
         # against the standard deviation of the mean square error, channels counted as telling the same
         return not self.chi_square > 1 + 2 * float(1.5 / np.sqrt(max(1.0, _free_rows(self.problem))))
 
-    def widened(self) -> ShakerFit:
+    def widened(self) -> KnownForcesFit:
         """With the errors that the misfit of the path asks for."""
         sound = (0.0, self.problem, self.theta, self.fit)
         return _result(self, *(sound if self.is_sound else _with_misfit(*sound[1:])))
@@ -405,7 +405,7 @@ def _freedom(problem: _Problem, swayed: Complexes, inverse: NDArray[np.floating]
     return float(shares.sum() ** 2 / max((shares**2 / np.maximum(freedom, 1.0)).sum(), 1e-300))
 
 
-def _result(quiet: QuietFit, misfit: float, problem: _Problem, theta: Floats, fit: _Fit) -> ShakerFit:
+def _result(quiet: QuietFit, misfit: float, problem: _Problem, theta: Floats, fit: _Fit) -> KnownForcesFit:
     measured, n_masses = problem.measured, 2 * len(problem.forces.unit)
     inverse = np.linalg.pinv(_bread(problem, fit.slope))
     swayed = fit.slope * np.sqrt(_allowed(problem, power=2))[:, :, None]
@@ -417,7 +417,7 @@ def _result(quiet: QuietFit, misfit: float, problem: _Problem, theta: Floats, fi
     allowed = 2 * _allowed(problem, power=1)
     of = measured.order_of_row
     natural, damping = _poles(problem, theta)
-    return ShakerFit(
+    return KnownForcesFit(
         axes=problem.forces.axes,
         mass_kg=mass,
         covariance=covariance[:n_masses, :n_masses] + np.diag(misfit**2 * np.repeat(np.abs(mass) ** 2, 2)),
@@ -447,7 +447,7 @@ UNIT_RPM = 30.0 / np.pi
 
 
 @dataclass(frozen=True, eq=False)
-class EngineShaker:
+class KnownForces:
     """Orders of known force and orders whose masses are sought, with their forces.
 
     ``orders``: lowest first. ``sought``: (order, axis) of each mass sought; 1 kg of it makes the force
@@ -466,7 +466,7 @@ class EngineShaker:
         return tuple(order for order, _ in self.sought)
 
 
-def engine_shaker(engine: Engine, *, seen: set[int], highest: int) -> EngineShaker | str:
+def known_forces(engine: Engine, *, seen: set[int], highest: int) -> KnownForces | str:
     """Forces of the orders of ``engine``; or, in words, why no order of it is of known force.
 
     ``seen``: orders above the floor. ``highest``: last order of the map. An order is of known force where pistons make
@@ -505,7 +505,7 @@ def _rocks(engine: Engine, forces: Complexes, moments: Complexes, known: tuple[i
 
 def _assembled(
     bare: Engine, engine: Engine, forces: Complexes, moments: Complexes, known: tuple[int, ...]
-) -> EngineShaker:
+) -> KnownForces:
     axes = [d for d in (X, Z) if np.abs(forces[d, list(known)]).max() > NONE_LEFT * np.abs(forces).max()]
     sought = [(1, d) for d in axes] + [(2, d) for d in axes if 2 in engine.shafts.every_order and d == Z]
     orders = (*sorted({order for order, _ in sought}), *known)
@@ -518,7 +518,7 @@ def _assembled(
         unit[m, axes.index(d), orders.index(k)] = per_kg[m] * bare.crank_radius_m
     names = tuple(DIRECTIONS[d] for d in axes)
     of_orders = OrderForces(axes=(*names, "RY"), known=acting, unit=unit)
-    return EngineShaker(
+    return KnownForces(
         orders=orders,
         known_orders=known,
         sought=tuple((k, DIRECTIONS[d]) for k, d in sought),

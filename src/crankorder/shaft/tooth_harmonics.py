@@ -61,7 +61,7 @@ class SpeedEvidence:
     frames_per_knot: float
 
 
-def comb_evidence(
+def tooth_odds(
     signals: Floats,
     rate_hz: float,
     *,

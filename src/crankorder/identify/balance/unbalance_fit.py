@@ -1,4 +1,4 @@
-"""Closure with the engine model or stated paths: unbalance left, in grams and g·mm, from measured orders 1 and 2."""
+"""Unbalance left, in grams and g·mm, from measured orders 1 and 2 by the engine model or stated paths."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, Z
 from crankorder.engine.transfer_paths import AddedMass, StatedPath
 from crankorder.findings import Balance
-from crankorder.identify.balance.order_shaker import NUMBERS as ORDER_SHAKER
-from crankorder.identify.balance.order_shaker import (
-    EngineShaker,
-    ShakerFit,
-    engine_shaker,
+from crankorder.identify.balance.known_forces import NUMBERS as ORDER_SHAKER
+from crankorder.identify.balance.known_forces import (
+    KnownForces,
+    KnownForcesFit,
     force_per_kg,
+    known_forces,
     modes_with_room,
     quiet_fit,
     rows_needed,
@@ -49,14 +49,14 @@ NUMBERS = _Numbers.load()
 TRIAL_MASS = "a second test with a known added mass ([[added_masses]]) tells the path instead"
 
 Tracks = Sequence[xr.Dataset]
-Closure = tuple[Balance | None, str]
+UnbalanceFit = tuple[Balance | None, str]
 
 
 class _Refused(Exception):
-    """Why there is no closure."""
+    """Why there is no fit of the unbalance."""
 
 
-def closure(
+def unbalance_fit(
     order_map: xr.Dataset,
     orders: tuple[AgreedOrder, ...],
     modal: ModalFit,
@@ -65,7 +65,7 @@ def closure(
     paths: tuple[StatedPath, ...] = (),
     added: tuple[AddedMass, ...] = (),
     followed: Tracks = (),
-) -> Closure:
+) -> UnbalanceFit:
     """Record ``balance`` of the findings, or None with the reason in words.
 
     The path from force to acceleration is the one that ``paths`` state; where they state none, the one that the
@@ -122,7 +122,7 @@ def _by_engine_orders(
     whole = [(order.order, round(order.order)) for order in orders if order.lock != "slips" and order.lines]
     seen = {number for order, number in whole if number > 0 and abs(order - number) < NUMBERS.order_match}
     bins = [float(value) for value in order_map["order"].values if value <= 12]
-    shaker = engine_shaker(engine, seen=seen, highest=int(max(bins, default=0)))
+    shaker = known_forces(engine, seen=seen, highest=int(max(bins, default=0)))
     if isinstance(shaker, str):
         raise _Refused(f"{shaker}; {TRIAL_MASS}")
     measured = measured_orders(order_map, shaker.orders, lines=[order.order for order in orders], followed=followed)
@@ -150,7 +150,7 @@ def _check_firing(orders: tuple[AgreedOrder, ...], engine: Engine) -> None:
         )
 
 
-def _check_scale(measured: MeasuredOrders, shaker: EngineShaker) -> None:
+def _check_scale(measured: MeasuredOrders, shaker: KnownForces) -> None:
     """Refuse amplitudes that no machine could have under these forces."""
     rows = _of_known_force(measured, shaker)
     force = np.abs(shaker.forces.known[[a != "RY" for a in shaker.forces.axes]]).max(axis=0)[measured.place_of_row]
@@ -170,7 +170,7 @@ def _check_scale(measured: MeasuredOrders, shaker: EngineShaker) -> None:
     )
 
 
-def _fitted(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit) -> ShakerFit:
+def _fitted(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit) -> KnownForcesFit:
     """Fit along the forces alone, or with the rolling moment where the data ask for it."""
     plain = shaker.forces.on(tuple(axis for axis in shaker.forces.axes if axis != "RY"))
     rows, top_hz = int(_of_known_force(measured, shaker).sum()), float(measured.frequency_hz.max())
@@ -195,7 +195,7 @@ def _fitted(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit) -> 
     return fit.widened()
 
 
-def _rolls(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit, *, n_modes: int) -> bool:
+def _rolls(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit, *, n_modes: int) -> bool:
     """Whether the rolling moment's path explains more of ``measured`` than chance would."""
     plain = shaker.forces.on(tuple(axis for axis in shaker.forces.axes if axis != "RY"))
     without = quiet_fit(measured, plain, modal, n_modes=n_modes)
@@ -203,11 +203,11 @@ def _rolls(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit, *, n
     return bool(gain > 1 + NUMBERS.rolls_sigmas * np.sqrt(2 * len(measured.channels) / more))
 
 
-def _of_known_force(measured: MeasuredOrders, shaker: EngineShaker) -> Bools:
+def _of_known_force(measured: MeasuredOrders, shaker: KnownForces) -> Bools:
     return np.isin(measured.order_of_row, shaker.known_orders) & (measured.error < np.inf).any(axis=0)
 
 
-def _check_fit(fit: ShakerFit, shaker: EngineShaker) -> None:
+def _check_fit(fit: KnownForcesFit, shaker: KnownForces) -> None:
     if fit.misfit < ORDER_SHAKER.largest_misfit_share:
         return
     worst = max(fit.by_order, key=lambda k: fit.by_order[k])
@@ -223,7 +223,7 @@ def _check_fit(fit: ShakerFit, shaker: EngineShaker) -> None:
     )
 
 
-def _check_orders_agree(measured: MeasuredOrders, shaker: EngineShaker, modal: ModalFit, fit: ShakerFit) -> str:
+def _check_orders_agree(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit, fit: KnownForcesFit) -> str:
     """Words on how the orders of known force agree; refuse where they do not, or where one alone is not checked."""
     if len(shaker.known_orders) < 2 * len(fit.axes):  # none can be spared
         return _check_single(shaker, fit)
@@ -255,7 +255,7 @@ def _check_orders_agree(measured: MeasuredOrders, shaker: EngineShaker, modal: M
     return f"orders {_listed(shaker.known_orders)} agree"
 
 
-def _check_single(shaker: EngineShaker, fit: ShakerFit) -> str:
+def _check_single(shaker: KnownForces, fit: KnownForcesFit) -> str:
     """None of the orders of known force can be spared: their phase alone checks them, by masses in step with them."""
     limit = NUMBERS.single_angle_rad if len(shaker.known_orders) == 1 else NUMBERS.several_angle_rad
     for number, sought in enumerate(shaker.sought_orders):
@@ -276,7 +276,7 @@ def _listed(orders: tuple[int, ...]) -> str:
     return ", ".join(str(order) for order in orders)
 
 
-def _record(fit: ShakerFit, shaker: EngineShaker, engine: Engine, agreement: str, measured: MeasuredOrders) -> Balance:
+def _record(fit: KnownForcesFit, shaker: KnownForces, engine: Engine, remark: str, measured: MeasuredOrders) -> Balance:
     split = Split(
         mass_kg=fit.mass_kg,
         covariance=fit.covariance,
@@ -294,7 +294,7 @@ def _record(fit: ShakerFit, shaker: EngineShaker, engine: Engine, agreement: str
     misfit = f"; the path misses {100 * fit.misfit:.0f} % of the response, which the intervals hold" * bool(fit.misfit)
     evidence = (
         f"the engine's own orders {_listed(shaker.known_orders)}, of known force, tell the path (apparent mass "
-        f"{mass_kg:.3g} kg at {middle:.0f} Hz): {agreement}; mean square misfit {fit.chi_square:.2f} of what the "
+        f"{mass_kg:.3g} kg at {middle:.0f} Hz): {remark}; mean square misfit {fit.chi_square:.2f} of what the "
         f"errors allow{misfit}{rolling}{odd}"
         + "; order 1 is taken to act along the cylinder alone, which the fit does not contradict"
         * (fit.axes[0] == "Z")
