@@ -86,7 +86,7 @@ def test_the_mesh_of_the_scene_is_told_as_one_of_two_readings(scene_points):
     )
     (mesh,) = [fold for fold in folds if fold.kind == "order"]
     assert mesh.value == 353.5
-    assert mesh.remark[:2] == ("aliased_order", "info")
+    assert mesh.remark[:2] == ("folded_order", "info")
     np.testing.assert_allclose(order[mesh.points], 6.5, atol=0.01)
 
 
