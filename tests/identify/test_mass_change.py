@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
-from crankorder.identify.changes.mass_change import unbalance_change, weighed
+from crankorder.identify.changes.mass_change import Unbalance, balance_changes, factor_of, unbalance_change, weighed
 from crankorder.identify.changes.order_changes import Line, change
+from made.typed import from_dicts
 
 SPEED_RPM = np.array([900.0, 1200.0, 1500.0, 1800.0, 2100.0])
 BEFORE = 3.0 * np.exp(0.4j)  # grams at their radius
@@ -87,3 +90,54 @@ def test_the_same_unbalance_explains_nothing():
 @pytest.mark.slow
 def test_an_order_that_drowns_tells_no_factor():
     assert unbalance_change(made(np.random.default_rng(7), error=1e3)) is None
+
+
+# The change of mass from one closed balance and the ratio of an order covers the true one.
+
+
+balance_changes = from_dicts(balance_changes)
+
+
+def unbalance(order: float, factor: complex, error: float, channel: str = "Z") -> Unbalance:
+    nothing = (1.0, 2000.0, 0j, 1.0, 1.0)
+    return Unbalance(channel, order, "m/s2", np.array([1000.0]), factor, error, 1e6, *nothing)
+
+
+def closed(key: str, value: float, error: float) -> dict[str, Any]:
+    half = 1.959964 * error
+    return {"balance": {key: value, f"{key}_ci95": [value - half, value + half]}}
+
+
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("sides", [(True, False), (False, True), (True, True)])
+def test_the_interval_of_the_change_covers_it_in_95_of_100_cases(sides: tuple[bool, bool]) -> None:
+    rng, held = np.random.default_rng(7), []
+    for _ in range(1000):
+        before, after = rng.uniform(50, 200), rng.uniform(50, 400)
+        error = rng.uniform(0.01, 0.1, 3) * (before, after, after / before)
+        found = [
+            closed("along_g", mass + spread * rng.standard_normal(), spread) if has else {"balance": None}
+            for mass, spread, has in zip((before, after), error, sides, strict=False)
+        ]
+        ratio = after / before + error[2] * complex(*rng.standard_normal(2))
+        records = balance_changes(*found, [unbalance(1.0, ratio, error[2])])
+        for record in records:  # one ratio in some thousands is taken for a turned one and refused
+            low, high = record["change_ci95"]
+            held.append(low <= after - before <= high)
+    assert len(held) >= 995
+    assert 0.93 <= np.mean(held) <= 0.97
+
+
+def test_orders_that_disagree_are_no_one_mass() -> None:
+    alike = [unbalance(1.0, 1.86, 0.01), unbalance(2.0, 1.80, 0.05)]
+    assert factor_of(alike, (1.0, 2.0)).value == pytest.approx(1.86, abs=0.01)
+    for other in (unbalance(2.0, 1.4, 0.05), unbalance(2.0, 1.86 + 0.4j, 0.05)):
+        assert factor_of([alike[0], other], (1.0, 2.0)) is None
+    assert factor_of([alike[0], unbalance(1.0, 1.2, 0.01, "X")], (1.0,)) is None  # another way in another channel
+    assert factor_of([unbalance(1.0, 1.86 + 0.3j, 0.01)], (1.0,)) is None  # turned: no mass along the cylinder alone
+
+
+def test_without_a_ratio_two_closed_balances_are_subtracted() -> None:
+    (record,) = balance_changes(closed("forward_gmm", 500.0, 10.0), closed("forward_gmm", 800.0, 10.0), [])
+    assert record["change"] == 300.0 and record["changed"] and record["by_ratio_of_orders"] == []
+    assert balance_changes({"balance": None}, closed("forward_gmm", 800.0, 10.0), []) == []

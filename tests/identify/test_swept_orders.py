@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from crankorder.identify.found import AgreedOrder
+from crankorder.identify.lines.order_lock import sure_half_width
+from crankorder.identify.lines.swept_orders import swept_orders
+from crankorder.orders.followed import followed_tracks
 from crankorder.orders.frames import order_frames
 from crankorder.settings import load_settings
 from made.line_frames import agreed_in
-from made.swept_machines import drawn, recorded
+from made.swept_machines import SweptMachine, drawn, recorded
 
 SETTINGS = load_settings()
 SWEEPS = {
@@ -68,3 +73,66 @@ def test_modes_that_are_crossed_turn_no_locked_order_into_a_slip_and_hide_no_sli
         total = sum(count for (what, _), count in said.items() if what == kind)
         assert (total > 0) == promised
         assert said[kind, kind] >= decided * total  # silence is no answer
+
+
+# Two orders of a sweep in one bin: both are found and named as they are, and none is made up.
+
+
+def told(machine: SweptMachine, rng: np.random.Generator) -> tuple[AgreedOrder, ...]:
+    """What is said of the orders of ``machine`` from its frames and its tracks."""
+    band, shaft = recorded(machine, rng)
+    frames = order_frames(band, shaft, settings=SETTINGS.orders)
+    out = swept_orders(frames, settings=SETTINGS)
+    tracks = followed_tracks(band, shaft, settings=SETTINGS.orders, swept=True, standing_out=out)
+    return agreed_in([frames], followed=[tracks])
+
+
+def pair(seed: int) -> tuple[SweptMachine, np.random.Generator, float, float]:
+    """A machine of one multiple and one order beside it, and both numbers."""
+    rng = np.random.default_rng([seed, 77])
+    base, slip = float(rng.integers(4, 13)) / 2.0, float(rng.choice([-1.0, 1.0]) * rng.uniform(0.007, 0.015))
+    machine = drawn(rng, rpm=(800.0, 4200.0) if seed % 2 else (4200.0, 800.0), duration_s=20.0)
+    made = replace(
+        machine,
+        orders=np.array([base, base]),
+        size=np.exp(rng.uniform(np.log(0.3), 0.0, 2)),
+        slip=np.array([0.0, slip]),
+        noise=0.05,
+    )
+    return made, rng, base, base * (1.0 - slip)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [3, pytest.param(60, marks=pytest.mark.accuracy)])
+def test_two_close_orders_are_both_found_and_neither_is_called_what_it_is_not(n: int) -> None:
+    both = 0
+    for seed in range(n):
+        machine, rng, base, slipping = pair(seed)
+        found = told(machine, rng)
+        for item in found:
+            true = min((base, slipping), key=lambda number: abs(number - item.order))
+            assert item.lock in ("undecided", "locked" if true == base else "slips"), (seed, item.order, item.lock)
+            if item.lock == "slips":
+                assert abs(item.order - true) <= sure_half_width(item.order_error, item.degrees_of_freedom)
+        near = [min(abs(item.order - true) for item in found) < 1e-3 * true for true in (base, slipping)]
+        both += len(found) == 2 and all(near)
+    assert both >= 0.6 * n
+
+
+@pytest.mark.slow
+def test_a_mode_that_rings_on_at_its_own_frequency_is_no_second_order() -> None:
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        machine = replace(
+            drawn(rng, rpm=(1057.0, 1336.0), duration_s=5.8, modes=1),
+            orders=np.array([1.5, 5.5]),
+            size=np.array([1.0, 0.5]),
+            slip=np.zeros(2),
+            natural_hz=np.array([27.4]),
+            damping=np.array([0.005]),
+            shares=np.array([[1.0], [0.7], [-0.5]]),
+        )
+        assert [item.order for item in told(machine, rng) if item.lock == "slips"] == []
+        frames = order_frames(*recorded(machine, rng), settings=SETTINGS.orders)
+        out = swept_orders(frames, settings=SETTINGS)
+        assert np.allclose(out, [1.5, 5.5], atol=0.03), out
