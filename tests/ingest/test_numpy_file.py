@@ -56,14 +56,6 @@ def test_fields_are_columns_by_name(saved, limits):
     assert read_file(path, sources=["acc"], settings=limits).columns["acc"][-1] == 49.0
 
 
-def test_the_real_recording_is_read_as_numpy_reads_it(real_data, limits):
-    path = real_data / "oma_tower" / "m1_measurement_1.npy"
-    expected = np.load(path)
-    columns = read_file(path, sources=[0, 5], settings=limits).columns
-    np.testing.assert_array_equal(columns[0], expected[:, 0])
-    np.testing.assert_array_equal(columns[5], expected[:, 5])
-
-
 class Canary:
     def __init__(self, path):
         self.path = path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from crankorder.errors import InputError
 from crankorder.quantities import check_dataset, flags_of
@@ -11,6 +12,7 @@ from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, integrated_speed
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
+from crankorder.shaft.summary import speed_trace, trace_variables
 from made.recordings import sampled
 
 SETTINGS = load_settings().shaft
@@ -129,3 +131,51 @@ def test_an_encoder_with_too_few_samples_per_tooth_is_bad_and_says_when():
     except InputError:
         return  # refused outright is as good
     assert "encoder_undersampled" in {flag["flag"] for flag in flags if flag["severity"] == "bad"}
+
+
+# Crank angle from a speed signal: noise about standstill turns no shaft.
+
+
+RATE_HZ = 2000.0
+
+
+def _stopped(noise_rpm: float) -> tuple[np.ndarray, float]:
+    """A speed that falls from 900 rpm to 0, stays for 2 s and rises again, and the revolutions it makes."""
+    time = np.arange(0.0, 6.0, 1.0 / RATE_HZ)
+    speed = np.interp(time, [0.0, 2.0, 4.0, 6.0], [900.0, 0.0, 0.0, 900.0])
+    noise = noise_rpm * np.random.default_rng(5).standard_normal(len(time))
+    return speed + noise, float(speed.sum() / RATE_HZ / 60.0)
+
+
+def test_the_noise_of_a_shaft_that_stands_does_not_add_up() -> None:
+    speed, revs = _stopped(5.0)
+    knots, flags = integrated_speed(speed, rate_hz=RATE_HZ, settings=SETTINGS)
+    # cut off at 0 it would have added 0.067 rev
+    assert abs(knots.angle_rev[-1] - revs) < 0.02
+    assert flags == [] and (np.diff(knots.angle_rev) > 0.0).all() and (np.diff(knots.time_s) > 0.0).all()
+
+
+def test_a_shaft_that_turns_back_is_flagged_and_taken_to_stand() -> None:
+    speed, revs = _stopped(0.5)
+    speed[5000:6000] = -100.0
+    knots, flags = integrated_speed(speed, rate_hz=RATE_HZ, settings=SETTINGS)
+    assert [name for name, _, _ in flags] == ["speed_negative"]
+    assert abs(knots.angle_rev[-1] - revs) < 0.05
+
+
+# The summary of all shafts of a test: one row each, as the traces of each alone.
+
+
+def test_traces_of_a_test_are_those_of_each_recording() -> None:
+    rng = np.random.default_rng(3)
+    shafts = [
+        xr.Dataset({"time": ("knot", np.sort(rng.uniform(0, 5, n))), "speed": ("knot", rng.uniform(900, 1100, n))})
+        for n in (20, 300, 4)
+    ]
+    made = trace_variables(shafts, knots=50)
+    for row, shaft in enumerate(shafts):
+        alone = speed_trace(shaft["time"].values, shaft["speed"].values, knots=50)
+        for values, variable in zip(alone, made.values(), strict=True):
+            assert variable.dims == ("recording", "knot") and variable.dtype == np.float32
+            np.testing.assert_array_equal(variable.values[row], values.astype(np.float32))
+    assert all(variable.shape == (0, 50) for variable in trace_variables([], knots=50).values())

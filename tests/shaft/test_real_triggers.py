@@ -218,14 +218,6 @@ def test_real_wheels_are_found_by_themselves(trace):
         assert found.agreement > 0.9
 
 
-@pytest.mark.slow
-def test_the_genset_wheel_is_found_by_itself(genset_pickup):
-    found = analogue_pulses(genset_pickup("E0FULLOAD1.txt"), "rising", rate_hz=100_000.0)
-    wheel = find_pattern(found.time_s)
-    assert wheel is not None
-    assert wheel.pattern.name == "60-2"
-
-
 @pytest.mark.cases(2)
 @pytest.mark.parametrize(
     ("manifest", "speeds_rpm", "reference", "cycle_known"),
