@@ -7,13 +7,7 @@ import pytest
 import xarray as xr
 from scipy import integrate, signal
 
-from crankorder.campbell.band_levels import (
-    THIRD_OCTAVES_HZ,
-    LevelBand,
-    level_frames,
-    nominal_hz,
-    third_octaves,
-)
+from crankorder.campbell.band_levels import THIRD_OCTAVES_HZ, LevelBand, level_frames, nominal_hz, third_octaves
 from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.quantities import check_dataset
 from made.recordings import sampled, shaft

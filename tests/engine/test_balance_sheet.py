@@ -52,12 +52,7 @@ def test_forces_of_the_sheet_are_those_of_the_crankcase_without_shafts(name: str
 def test_literature_task_5_shows_its_strategies_side_by_side() -> None:
     sheet = sheet_of("task5")
     rows = {name: (row["counterweight_g"], row["rotation"]) for name, row in sheet["strategies"].items()}
-    assert rows == {
-        "a": (962.5, "line"),
-        "b": (562.5, "line"),
-        "c": (762.5, "against crank"),
-        "d": (1962.5, "none"),
-    }
+    assert rows == {"a": (962.5, "line"), "b": (562.5, "line"), "c": (762.5, "against crank"), "d": (1962.5, "none")}
     assert sheet["strategies"]["d"]["total_g"] == 2762.5
     assert sheet["masses_g"] == {
         "reciprocating": 320,

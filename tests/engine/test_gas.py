@@ -308,10 +308,7 @@ def test_a_gas_file_beside_the_engine_is_its_curve_and_its_faults_are_named(tmp_
     (tmp_path / "it.toml").write_text(text + '[gas]\nfile = "p.csv"\n')
     rows = "crank_angle_deg,pressure_pa\n-360,1e5\n0,3e6\n30,4e6\n180,2e5\n"
     (tmp_path / "p.csv").write_text(rows)
-    for model in (
-        load_engine("it.toml", beside=tmp_path),
-        load_balanced_engine(str(tmp_path / "it.toml")).engine,
-    ):
+    for model in (load_engine("it.toml", beside=tmp_path), load_balanced_engine(str(tmp_path / "it.toml")).engine):
         assert model.gas is not None
         assert model.gas.pressure_pa == (1e5, 3e6, 4e6, 2e5)
     for wrong, says in (

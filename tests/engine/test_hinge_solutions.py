@@ -23,13 +23,7 @@ from crankorder.engine.elastic_hinge import (
     weight_without_side_force,
 )
 from crankorder.engine.hinge_sheet import hinge_sheet
-from crankorder.engine.hinged_crank import (
-    CrankTorque,
-    GuideData,
-    TorqueBranch,
-    load_hinged_engine,
-    rod_motion,
-)
+from crankorder.engine.hinged_crank import CrankTorque, GuideData, TorqueBranch, load_hinged_engine, rod_motion
 from crankorder.errors import RequestError
 
 ENGINE = load_hinged_engine("elastic-hinge")

@@ -10,13 +10,7 @@ from hypothesis import strategies as st
 from crankorder.errors import RequestError
 from crankorder.fft.resampling import LENGTHS, kernel_named, margin, shifted, values_at
 
-SHORT_KERNELS = (
-    "sinc-8",
-    "sinc-10",
-    "sinc-16",
-    "sinc-48",
-    "kaiser-48",
-)
+SHORT_KERNELS = ("sinc-8", "sinc-10", "sinc-16", "sinc-48", "kaiser-48")
 N_SAMPLES = 700
 
 

@@ -12,13 +12,7 @@ from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.settings import load_settings
 
-ONE = Made(
-    natural_hz=(115.0,),
-    damping=(0.016,),
-    sensor=((0.008, 0.010),),
-    drive=((0.5, -0.7),),
-    rate_hz=640.0,
-)
+ONE = Made(natural_hz=(115.0,), damping=(0.016,), sensor=((0.008, 0.010),), drive=((0.5, -0.7),), rate_hz=640.0)
 
 
 def _fit(made: Made, orders: tuple[float, ...] = (), seed: int = 3) -> ModalFit:

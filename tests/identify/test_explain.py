@@ -57,12 +57,7 @@ def bearing_record(bearing, name, order, *, half=1e-3, seen_in="vibration"):
 
 def test_orders_of_the_moving_masses_are_engine_kinematics_and_others_are_not():
     found = texts([agreed(k) for k in (1.0, 2.0, 4.0, 8.0)], ENGINE)
-    assert found == {
-        1.0: "engine kinematics",
-        2.0: "engine kinematics",
-        4.0: "engine kinematics",
-        8.0: "unexplained",
-    }
+    assert found == {1.0: "engine kinematics", 2.0: "engine kinematics", 4.0: "engine kinematics", 8.0: "unexplained"}
 
 
 def test_a_line_near_an_order_of_the_engine_that_slips_is_not_made_by_it():

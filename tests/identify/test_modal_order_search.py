@@ -134,10 +134,7 @@ def _one_order(seed: int, shape: NDArray[np.complex128], speed: NDArray[np.float
 
 
 @pytest.mark.cases(1)
-@pytest.mark.parametrize(
-    ("width", "seed"),
-    [(width, seed) for width in (0.01, 0.03, 0.1) for seed in range(4)],
-)
+@pytest.mark.parametrize(("width", "seed"), [(width, seed) for width in (0.01, 0.03, 0.1) for seed in range(4)])
 def test_a_force_that_peaks_without_the_phase_of_a_resonance_is_no_decided_mode(width: float, seed: int) -> None:
     speed = np.linspace(600.0, 3000.0, 61)
     at = np.random.default_rng(seed).uniform(1200.0, 2400.0)

@@ -23,10 +23,7 @@ HALVES = [0.5 * number for number in range(1, 25)]
 def a_machine(*modes: tuple[float, float], rpm: tuple[float, float], seconds: float, noise: float = 0.002) -> Machine:
     """Orders 2 and 3.5 in two channels through ``modes`` (Hz, damping ratio), from ``rpm`` to ``rpm``."""
     made = tuple(Mode(f, zeta, (0.02, -0.015), (1.0, 0.7), (0.0,)) for f, zeta in modes)
-    orders = (
-        Order(2.0, 0.0, 0.5, 2.0, 30.0, 4.0, (0.02, 0.01)),
-        Order(3.5, 0.2, 0.3, 1.6, -70.0, -6.0, (-0.01, 0.03)),
-    )
+    orders = (Order(2.0, 0.0, 0.5, 2.0, 30.0, 4.0, (0.02, 0.01)), Order(3.5, 0.2, 0.3, 1.6, -70.0, -6.0, (-0.01, 0.03)))
     profile = Profile((0.0, seconds), rpm, 0.3)
     encoder = Encoder("speed", "speed")
     density = (noise, noise)

@@ -366,11 +366,7 @@ def test_parts_that_do_not_pair_are_refused(tmp_path):
         ("ACC_step_{number}_{rpm}rpm.csv", "HALL_step_{number}_{rpm}rpm.csv", ""),
         ("ACC_{run}.csv", "HALL_{step}.csv", "found {step}; allowed: {run}. Write {step} in each pattern"),
         ("ACC_*.csv", "HALL_{step}.csv", "found {step}; allowed: * alone"),
-        (
-            "ACC_{run}.csv",
-            "HALL_step_01_900rpm.csv",
-            "HALL_step_01_900rpm.csv for ACC_step_01_900rpm.csv, ACC_step_02",
-        ),
+        ("ACC_{run}.csv", "HALL_step_01_900rpm.csv", "HALL_step_01_900rpm.csv for ACC_step_01_900rpm.csv, ACC_step_02"),
         ("ACC_{run}.csv", "PULSE_{run}.csv", "PULSE_step_01_900rpm.csv: no such file"),
         ("ACCEL_{run}.csv", "HALL_{run}.csv", "no recording found; looked for ACCEL_{run}.csv"),
     ]

@@ -164,11 +164,7 @@ def order_map_of(amplitude, error, freedom, rpm, order, *, reference="tdc") -> x
             "standard_error": (dims, error),
             "degrees_of_freedom": (dims, np.array(freedom)),
         },
-        coords={
-            **named("XYZ"[: len(amplitude)]),
-            "speed": rpm,
-            "order": order,
-        },
+        coords={**named("XYZ"[: len(amplitude)]), "speed": rpm, "order": order},
         attrs={"phase_reference": reference, "cycle_known": 1, "revs_per_cycle": 2},
     )
 

@@ -48,10 +48,7 @@ def made_test(
         ]
         recording = steady(signals, speed_rpm=rpm, duration_s=duration_s, rate_hz=RATE_HZ)
         orders.append(order_frames(*recording, settings=SETTINGS.orders))
-    maps = {
-        "order_map": order_map(orders, settings=SETTINGS.orders),
-        "shaft": _shaft(speeds),
-    }
+    maps = {"order_map": order_map(orders, settings=SETTINGS.orders), "shaft": _shaft(speeds)}
     maps = {
         key: one.assign_coords(channel=list(channels)) if "channel" in one.sizes else one for key, one in maps.items()
     }

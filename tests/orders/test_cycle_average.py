@@ -102,12 +102,6 @@ def test_spread_and_error_are_those_of_the_noise_over_many_recordings():
     assert deviation == pytest.approx(sigma * np.sqrt((20 + 0.375 * 20) * 1000 / 60 / 1000), rel=0.05)
 
 
-def test_the_error_of_the_mean_falls_with_the_root_of_the_cycles():
-    short, long = (of(noise(3, 1.0), duration_s=duration) for duration in (6.0, 96.0))
-    ratio = np.sqrt(np.mean(short["standard_error"].values ** 2) / np.mean(long["standard_error"].values ** 2))
-    assert ratio == pytest.approx(4.0, rel=0.15)
-
-
 def test_half_orders_cancel_in_the_average_over_one_revolution():
     band, angle = steady([LOCKED], speed_rpm=1000.0, duration_s=8.0, rate_hz=2000.0)
     angle.attrs["revs_per_cycle"] = 1

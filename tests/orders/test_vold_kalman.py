@@ -51,14 +51,6 @@ def test_the_gain_is_half_the_power_at_half_the_bandwidth() -> None:
             assert 1.0 / (1.0 + 2.0 * weight * off ** (2 * poles)) == pytest.approx(np.sqrt(0.5), rel=1e-14)
 
 
-def test_the_weight_equals_tumas_where_his_form_does_not_cancel() -> None:
-    turn = np.pi * 40.0 / RATE_HZ
-    one = (np.sqrt(2.0) - 1.0) / (2.0 * (1.0 - np.cos(turn)))
-    two = (np.sqrt(2.0) - 1.0) / (6.0 - 8.0 * np.cos(turn) + 2.0 * np.cos(2.0 * turn))
-    found = [2.0 * float(structural_weight(np.array(40.0), rate_hz=RATE_HZ, poles=poles)) for poles in (1, 2)]
-    assert found == pytest.approx([one, two], rel=1e-9)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("poles", [1, 2, 3, 4])
 def test_the_noise_bandwidth_is_the_integral_of_the_squared_gain(poles: int) -> None:

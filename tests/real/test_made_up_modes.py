@@ -31,10 +31,7 @@ def test_what_is_called_a_mode_was_measured_by_somebody_else_too(analysed, name,
         assert any(abs(frequency / known - 1.0) <= 0.01 for known in known_hz), f"{frequency:.3f} Hz is made up"
 
 
-@pytest.mark.parametrize(
-    ("name", "folder", "only"),
-    [item[:3] for item in RECORDINGS],
-)
+@pytest.mark.parametrize(("name", "folder", "only"), [item[:3] for item in RECORDINGS])
 def test_what_is_not_decidable_is_said_to_be_so_and_why(analysed, name, folder, only):
     for record in analysed(name, folder, only).findings["modes"]:
         assert record["evidence"], f"{record['frequency_hz']:.3f} Hz without evidence"

@@ -171,8 +171,7 @@ def test_a_natural_frequency_that_shapes_the_rotors_first_order_is_reported_with
 
 
 @pytest.mark.parametrize(
-    ("name", "folder"),
-    [("tue_genset", "tue_genset"), ("tue_training", "tue_genset"), ("auth_360ppr", "auth_360ppr")],
+    ("name", "folder"), [("tue_genset", "tue_genset"), ("tue_training", "tue_genset"), ("auth_360ppr", "auth_360ppr")]
 )
 def test_cylinder_pressure_at_one_speed_shows_no_mode(analysed, name, folder):
     assert analysed(name, folder).modes_hz() == []

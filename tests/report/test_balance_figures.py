@@ -70,11 +70,7 @@ def test_the_same_balance_gives_the_same_bytes_and_another_gives_others(draw: An
 @pytest.mark.parametrize("draw", PICTURES)
 @pytest.mark.parametrize(
     "hard",
-    [
-        {"rod_length_m": 0.0251},
-        {"reciprocating_mass_kg": 1e-9},
-        {"title": "$\\frac{x}$ \x1b[31m 漢字 " + "w" * 300},
-    ],
+    [{"rod_length_m": 0.0251}, {"reciprocating_mass_kg": 1e-9}, {"title": "$\\frac{x}$ \x1b[31m 漢字 " + "w" * 300}],
 )
 def test_extreme_engines_and_hostile_titles_are_drawn(draw: Any, hard: dict[str, Any], settings: Any) -> None:
     subject = _changed("task5", **hard)

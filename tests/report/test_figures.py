@@ -27,8 +27,7 @@ from crankorder.shaft.summary import speed_trace, trace_variables
 from made.typed import from_dicts
 
 campbell_figure, order_spectra_figure, orders_figure, spectra_figure, speed_figure, pictures_of = map(
-    from_dicts,
-    (campbell_figure, order_spectra_figure, orders_figure, spectra_figure, speed_figure, pictures_of),
+    from_dicts, (campbell_figure, order_spectra_figure, orders_figure, spectra_figure, speed_figure, pictures_of)
 )
 spectrum_figure = from_dicts(spectrum_figure)
 

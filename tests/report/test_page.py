@@ -18,10 +18,7 @@ from crankorder.report.sentences.story import headline, story_of
 from crankorder.report.tables import tables_of
 from made.typed import from_dicts
 
-report_page, headline, story_of, tables_of = map(
-    from_dicts,
-    (report_page, headline, story_of, tables_of),
-)
+report_page, headline, story_of, tables_of = map(from_dicts, (report_page, headline, story_of, tables_of))
 
 PNG = b"\x89PNG picture"
 HOSTILE = (
@@ -259,12 +256,7 @@ def test_a_page_stays_under_five_megabytes_whatever_its_test_holds(make_test: An
 @pytest.mark.slow
 def test_quality_has_one_row_per_kind_with_its_count_and_worst_case(campaign: Any) -> None:
     quality = [
-        {
-            "recording": f"{k}.h5",
-            "flag": "lost",
-            "severity": "suspect",
-            "detail": f"{lost} of {100 * k} are lost",
-        }
+        {"recording": f"{k}.h5", "flag": "lost", "severity": "suspect", "detail": f"{lost} of {100 * k} are lost"}
         for k, lost in ((1, 3), (2, 50), (3, 9))
     ]
     quality += [{"recording": "4.h5", "flag": "short", "severity": "bad", "detail": "only 2 revolutions"}]

@@ -195,11 +195,7 @@ def test_a_filter_in_a_run_up_is_the_filter_equation_driven_by_the_unfiltered_re
     gain = accelerance(STRUCTURE, frequency) * low_pass(2, 700.0).response(frequency)
     tone = np.einsum("cal,al->cl", gain, lines().at_speed(300.0)) * np.exp(2j * np.pi * ORDERS * 0.2)
     begin = np.concatenate(
-        [
-            steady_start(300.0, 0.4 * np.pi),
-            tone.real.sum(axis=1),
-            (2j * np.pi * frequency * tone).real.sum(axis=1),
-        ]
+        [steady_start(300.0, 0.4 * np.pi), tone.real.sum(axis=1), (2j * np.pi * frequency * tone).real.sum(axis=1)]
     )
     solved = solve_ivp(motion, (0, times[-1]), begin, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-16)
     found = driven_signal(
@@ -293,7 +289,6 @@ def test_gains_step_between_cycles_to_the_very_angle(corners: tuple[tuple[float,
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
 
-@pytest.mark.slow
 def test_equal_gains_change_nothing_but_the_size() -> None:
     sources = [(lines(gas=True), Motion(start_rev=0.3, corners=((0.1, 600.0), (0.4, 3000.0))))]
     plain, same, double = (
