@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -9,18 +10,21 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from crankorder.identify.found import ModalFit, Tone
+from crankorder.identify.causes.explain import explained
+from crankorder.identify.findings import going_with_speed
+from crankorder.identify.found import AgreedOrder, ModalFit, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.known_lines import Held, held_recordings
+from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.modes.alike_speeds import UNPARTED, with_tones_parted, without_absent_mains
 from crankorder.identify.modes.floor import Floor
 from crankorder.identify.modes.tones import kind_of, with_one_mains
+from crankorder.identify.said import LIKE_UNBALANCE
+from crankorder.identify.sources import Sources
 from crankorder.settings import load_settings
-from made.found_lines import fit
+from made.found_lines import agreed, fit, line
 from made.line_frames import angle_of, frames_of, wave
-
-pytestmark = pytest.mark.slow
 
 SETTINGS = load_settings().identify
 RPM = 1777.0
@@ -41,6 +45,7 @@ def told(*tones: tuple[float, float]) -> ModalFit:
     return replace(fit(), tones=made, frequency_hz=np.arange(1.0, 400.0, 0.5))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flank", [149.41, 149.58, 150.76])
 def test_the_flank_of_a_strong_tone_is_none(flank: float) -> None:
     made = with_tones_parted(told((150.03, 3.0), (flank, 1.6)), recorded((150.03, 3.0)))
@@ -48,6 +53,7 @@ def test_the_flank_of_a_strong_tone_is_none(flank: float) -> None:
     assert len(with_tones_parted(told((150.03, 3.0), (flank, 1.6)), []).tones) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beside", [149.4, 150.8])
 def test_a_line_that_a_recording_shows_beside_a_stronger_tone_stays(beside: float) -> None:
     held = recorded((150.03, 3.0), (beside, 0.8))
@@ -55,6 +61,7 @@ def test_a_line_that_a_recording_shows_beside_a_stronger_tone_stays(beside: floa
     assert len(made.tones) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_the_interval_of_a_tone_that_is_two_lines_holds_both(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -66,11 +73,13 @@ def test_the_interval_of_a_tone_that_is_two_lines_holds_both(seed: int) -> None:
     assert low <= first and first + apart <= high and "more than one line" in tone.evidence
 
 
+@pytest.mark.slow
 def test_a_tone_of_one_line_stays_as_it_is() -> None:
     modal = told((50.01, 1.0))
     assert with_tones_parted(modal, recorded((50.01, 1.0))).tones == modal.tones
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_a_tone_that_is_lines_too_close_to_part_has_intervals_that_hold_them(seed: int) -> None:
     """Three lines within two cycles of a recording: no number of them can be told, and none is."""
@@ -87,6 +96,7 @@ def test_a_tone_that_is_lines_too_close_to_part_has_intervals_that_hold_them(see
     assert parted or (UNPARTED in tone.evidence and amplitude - Z95 * error <= size.min())
 
 
+@pytest.mark.slow
 def test_a_high_multiple_of_the_mains_that_a_recording_lacks_is_a_tone() -> None:
     with_it, without = recorded((349.8, 0.5)), recorded((100.0, 1.0))
     modal = replace(told((349.8, 0.5)), tones=(Tone(349.8, 0.01, "mains", {"A": (0.5, 0.01)}, "7 times"),))
@@ -95,6 +105,7 @@ def test_a_high_multiple_of_the_mains_that_a_recording_lacks_is_a_tone() -> None
     assert without_absent_mains(modal, with_it, settings=SETTINGS).tones == modal.tones
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("hertz", "kind"), [(250.2, "mains"), (250.3, "tone")])
 def test_a_weak_multiple_of_a_supply_that_is_seen_stays_mains_where_it_fits(hertz: float, kind: str) -> None:
     tones = told((50.04, 1.0), (hertz, 0.5))
@@ -103,11 +114,13 @@ def test_a_weak_multiple_of_a_supply_that_is_seen_stays_mains_where_it_fits(hert
     assert high.kind == kind
 
 
+@pytest.mark.slow
 def test_what_the_longest_recording_does_not_have_is_not_called_several_lines() -> None:
     (tone,) = with_tones_parted(told((95.3, 0.5)), recorded((150.0, 1.0))).tones
     assert UNPARTED not in tone.evidence and tone.amplitude["A"] == (0.5, 0.01)
 
 
+@pytest.mark.slow
 def test_a_multiple_that_tells_another_frequency_than_one_told_better_is_no_mains() -> None:
     def kinds(*tones: tuple[float, float]) -> list[str]:
         made = [Tone(hertz, error, "mains", {"A": (1.0, 0.01)}, "no damping") for hertz, error in tones]
@@ -136,6 +149,7 @@ def floor_with(line_hz: float, speed_rpm: np.ndarray, size: np.ndarray, seed: in
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_what_a_swing_of_the_speed_makes_at_one_speed_is_an_order(seed: int) -> None:
     rng = np.random.default_rng(100 + seed)
@@ -147,6 +161,7 @@ def test_what_a_swing_of_the_speed_makes_at_one_speed_is_an_order(seed: int) -> 
     assert "order" in kind and "at all speeds" not in words
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_a_tone_that_is_there_at_all_speeds_stays_one(seed: int) -> None:
     rng = np.random.default_rng(200 + seed)
@@ -163,14 +178,114 @@ def test_a_tone_that_is_there_at_all_speeds_stays_one(seed: int) -> None:
     assert (kind != "order" and f"at 1 of {len(speed)} speeds" in words) or kind == "mains"
 
 
+@pytest.mark.slow
 def test_without_a_speed_every_narrow_line_is_a_tone() -> None:
     floor = floor_with(37.5, np.array([1500.0, 2000.0, 900.0]), np.array([900.0, 0.0, 0.0]), 1)
     still = replace(floor, speed_rpm=np.full(3, np.nan))
     assert kind_of(37.5, 0.01, still, settings=SETTINGS)[0] == "tone"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hertz", [33.7, 50.03])
 def test_at_one_speed_no_line_is_said_to_stay(hertz: float) -> None:
     speed = np.array([1777.0, 1777.5])
     kind, words = kind_of(hertz, 0.01, floor_with(hertz, speed, np.full(2, 300.0), 1), settings=SETTINGS)
     assert kind in ("tone", "mains") and "speeds" not in words
+
+
+# Mains among the orders of a test at one speed: alone they are named, where an order stands too both are said.
+
+
+ROTOR = Sources(revs_per_cycle=1)
+
+
+def at_speed(order: float, rpm: float, *, lock: str = "slips", error: float = 1e-5) -> AgreedOrder:
+    """An order that was seen at one speed."""
+    return agreed(order, line(order, speed_rpm=[rpm]), lock=lock, error=error)
+
+
+def said(*orders: AgreedOrder, longest_rev: float = np.inf, tones: tuple[Tone, ...] = ()) -> list[str]:
+    sources = {"sources": ROTOR, "quantity": {"A": "acceleration"}, "longest_rev": longest_rev}
+    causes = explained(orders, fit(tones=tones), [], settings=SETTINGS, **sources)
+    return [causes.orders["A", one.order].text for one in orders]
+
+
+@pytest.mark.cases(2)
+@pytest.mark.parametrize("mains", [50.0, 60.0])
+@pytest.mark.parametrize(("multiple", "words"), [(1, "mains"), (2, "twice mains")])
+@pytest.mark.parametrize("off", [-0.004, 0.0, 0.004])
+def test_one_line_at_the_mains_or_its_double_is_mains(mains: float, multiple: int, words: str, off: float) -> None:
+    rpm = 1713.0
+    assert said(at_speed(60.0 * multiple * mains * (1.0 + off) / rpm, rpm)) == [words]
+
+
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("hertz", [49.2, 51.0, 58.9, 98.6, 121.5, 48.35])
+def test_a_tone_beside_the_mains_is_none(hertz: float) -> None:
+    assert said(at_speed(60.0 * hertz / 1713.0, 1713.0)) == ["unexplained"]
+
+
+def test_a_third_multiple_alone_is_not_called_mains_and_beside_the_first_it_is() -> None:
+    rpm = 1713.0
+    third, first = at_speed(60.0 * 150.06 / rpm, rpm), at_speed(60.0 * 50.02 / rpm, rpm)
+    assert said(third) == ["unexplained"]
+    assert said(first, third) == ["mains", "3 x mains"]
+
+
+def test_at_one_speed_an_order_on_the_mains_is_said_with_them() -> None:
+    assert said(at_speed(2.0, 1500.0, lock="locked")) == ["shaft harmonic or mains"]
+    assert said(at_speed(4.0, 1500.0, lock="locked")) == ["shaft harmonic or twice mains"]
+    assert said(at_speed(1.0, 3000.0, lock="locked")) == [f"{LIKE_UNBALANCE} or mains"]
+
+
+@pytest.mark.slow
+def test_lines_on_two_mains_frequencies_are_said_to_be_one_or_a_tone() -> None:
+    rpm = 1713.0
+    assert said(at_speed(60.0 * 50.0 / rpm, rpm), at_speed(60.0 * 60.0 / rpm, rpm)) == ["mains or another tone"] * 2
+
+
+def test_an_order_at_many_speeds_is_no_mains() -> None:
+    assert said(agreed(2.0, line(2.0))) == ["shaft harmonic"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+def test_of_two_lines_at_one_multiple_neither_is_mains_for_certain(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rpm, multiple, apart = rng.uniform(1200.0, 2900.0), int(rng.integers(1, 3)), rng.uniform(0.03, 0.08)
+    first = 50.0 * multiple + rng.uniform(-0.05, 0.05)
+    words = f"{'twice mains' if multiple == 2 else 'mains'} or another tone"
+    assert said(at_speed(60.0 * first / rpm, rpm), at_speed(60.0 * (first + apart) / rpm, rpm)) == [words] * 2
+    # in two recordings the supply may have moved
+    other = rpm * 1.02
+    both = said(at_speed(60.0 * first / rpm, rpm), at_speed(60.0 * (first + apart) / other, other))
+    assert both == [words.split(" or ")[0]] * 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("away_hz", [-0.04, 0.03])
+def test_two_lines_that_no_recording_parts_may_be_the_order_as_well(away_hz: float) -> None:
+    """Twice mains beside 2 x 2999 rpm in 20 s: what is found lies between the two, and holds neither."""
+    rpm = 60.0 * (50.0 + 0.5 * away_hz)
+    between = at_speed(60.0 * (100.0 + 0.4 * away_hz) / rpm, rpm, lock="undecided", error=2e-5)
+    assert said(between, longest_rev=1000.0) == ["twice mains or order 2"]
+    assert said(between, longest_rev=1e6) == ["twice mains"]
+
+
+def test_only_what_goes_with_the_speed_meets_natural_frequencies() -> None:
+    rpm = 1713.0
+    mains, tone = at_speed(6000.0 / rpm, rpm), at_speed(60.0 * 87.3 / rpm, rpm)
+    second, doubtful = at_speed(2.0, rpm, lock="locked"), at_speed(60.0 * 41.0 / rpm, rpm, lock="undecided")
+    swept = agreed(3.3, line(3.3), lock="slips")
+    orders = (mains, tone, second, doubtful, swept)
+    causes = explained(orders, fit(), [], sources=ROTOR, quantity={"A": "acceleration"}, settings=SETTINGS)
+    assert going_with_speed(orders, causes) == (second, swept)
+
+
+@pytest.mark.slow
+def test_a_line_of_too_few_revolutions_on_the_mains_may_be_a_natural_frequency() -> None:
+    """Noise rings a mode of 60 Hz: in half a second nothing tells it from mains."""
+    made = at_speed(12.1125, 300.0, error=0.05)
+    lines = tuple(dataclasses.replace(one, evidence=UNPROVEN) for one in made.lines)
+    assert said(dataclasses.replace(made, lines=lines)) == ["mains or a natural frequency"]
+    assert said(made) == ["mains"]

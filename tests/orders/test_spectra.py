@@ -139,17 +139,6 @@ def test_frames_that_touch_an_unusable_sample_are_missing_in_that_channel_only()
     np.testing.assert_allclose(found[1], clean[1, :, 12], atol=2e-6)
 
 
-def test_very_small_and_very_large_amplitudes_survive():
-    truth = {2.5: 1.0 + 0j, 13.0: 1j}
-    for rate_hz in (1785.0, 20_000.0):
-        band, angle = steady([parts(truth)], speed_rpm=2000.0, duration_s=4.0, rate_hz=rate_hz)
-        asked = request(band, angle, begin_rev=[30.0, 41.3], revs=4.0, tolerance=1e-9)
-        plain = order_frames_nufft(band["signal"].values, n_orders=60, **asked)
-        for size in (1e-300, 1e300):
-            found = order_frames_nufft(band["signal"].values * size, n_orders=60, **asked) / size
-            np.testing.assert_allclose(found, plain, atol=1e-13)
-
-
 def test_a_part_of_the_record_gives_the_same_frames():
     """Streaming: a block needs the frame and its neighbours only."""
     truth = {2.5: 1.0 + 0j, 13.0: 1j}
@@ -174,7 +163,7 @@ def test_frames_outside_the_record_are_refused():
 
 def test_what_cannot_be_is_refused():
     band, angle = steady([line(2.0, 1.0)], speed_rpm=2000.0, duration_s=2.0, rate_hz=1785.0)
-    for given in ({"tolerance": 1e-13}, {"revs": 0.0}, {"rate_hz": np.nan}, {"n_orders": 0}):
+    for given in ({"tolerance": 1e-13}, {"tolerance": 0.5}, {"revs": 0.0}, {"rate_hz": np.nan}, {"n_orders": 0}):
         with pytest.raises(RequestError):
             asked = {"tolerance": 1e-9, "n_orders": 9} | given
             order_frames_nufft(band["signal"].values, **request(band, angle, begin_rev=[10.0], revs=4.0) | asked)
