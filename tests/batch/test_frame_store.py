@@ -1,7 +1,5 @@
 """What recordings gave is kept by content: exact, damaged by nobody, and reused where nothing that matters changed."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import time

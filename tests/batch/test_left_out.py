@@ -1,7 +1,5 @@
 """A useless channel is left out alone, a lost stretch alone: the rest of the recording stays in the averages."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Recordings are called by their paths inside the folder: files of one name in several folders stay apart."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

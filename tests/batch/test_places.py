@@ -1,7 +1,5 @@
 """Where results go: each test at its own place, nothing of anybody overwritten, several processes beside each other."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Result folders: whole or not at all, of one input, never over files of others."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib

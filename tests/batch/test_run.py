@@ -1,7 +1,5 @@
 """The command line, end to end, on a small synthetic test: results, reruns, bad input, exit status."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Overall levels in bands and one-third octaves, against analytic signals, Parseval and integration by others."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

@@ -1,7 +1,5 @@
 """Overall levels and lines above the band, against what was put in."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Levels of run-ups: windows that follow the sweep, with intervals that hold the level that was put in."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

@@ -1,7 +1,5 @@
 """The crank turns within its cycle as its torques and its flywheel say."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

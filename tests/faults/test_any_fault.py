@@ -1,7 +1,5 @@
 """A folder, a fault and settings, drawn at random: a documented exit status, the file named, no input changed."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 from collections.abc import Callable

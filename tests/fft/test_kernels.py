@@ -1,7 +1,5 @@
 """Stated errors of kernels are the errors measured, and the shortest that meets a tolerance is found."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Order spectra from samples at uneven angles: the tolerance asked for is met, and the laws of a transform hold."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 
 import numpy as np

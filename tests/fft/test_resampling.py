@@ -1,7 +1,5 @@
 """Values between samples: laws, error against analytic tones, both precisions, bad input."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Laws of the windows and their scalings, and the figures that their authors give."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

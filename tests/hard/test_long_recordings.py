@@ -1,7 +1,5 @@
 """A recording larger than memory is analysed in blocks; what comes out is what comes out of memory."""
 
-from __future__ import annotations
-
 import gc
 import json
 import os

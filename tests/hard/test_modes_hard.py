@@ -1,7 +1,5 @@
 """Hard cases of natural frequencies, each with its truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

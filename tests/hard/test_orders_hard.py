@@ -1,7 +1,5 @@
 """Every hard case of the order rooms is held to its mark (figure: reports/speed-error/hard-cases.png)."""
 
-from __future__ import annotations
-
 import pytest
 
 from made.hard_cases import CASES

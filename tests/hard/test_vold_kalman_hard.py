@@ -1,7 +1,5 @@
 """The Vold-Kalman filter where others lose it: close and crossing orders, gaps, long records, far amplitudes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

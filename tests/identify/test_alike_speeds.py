@@ -1,7 +1,5 @@
 """Lines at speeds that differ by some percent: what stays and what goes with the shaft, each at its size."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Noise stands over the level as often as is stated, the floor's own error included."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Where the energy of a made test lies, against what was put in."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

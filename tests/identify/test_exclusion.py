@@ -1,7 +1,5 @@
 """What the orders exclude: a hidden mode that amplifies never, fine steps with small errors everything else."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Every line has one cause, and only one that the evidence supports."""
 
-from __future__ import annotations
-
 import dataclasses
 import warnings
 

@@ -1,7 +1,5 @@
 """Exponent, law, largest and mean amplitude: intervals hold the truth as often as they say."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Half widths of intervals: those of the tables, and of the normal distribution where freedom has no end."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

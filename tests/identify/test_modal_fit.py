@@ -1,7 +1,5 @@
 """Natural frequencies and damping of made structures, whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Natural frequencies that only orders show: found where speeds reach them, within their errors, and never invented."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Order lines: none vanishes in silence, none of fixed frequency passes for an order, slipping ones are seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Locked, slipping or undecided, and how long one must measure to tell."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

@@ -1,7 +1,5 @@
 """Blocks of orders: what is linear is eliminated, the law of the force and its scatter are told from the data."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

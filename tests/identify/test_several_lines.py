@@ -1,7 +1,5 @@
 """Lines within one bin at a held speed are solved together, as many as there are; a resonance is no set of lines."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

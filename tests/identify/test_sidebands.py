@@ -1,7 +1,5 @@
 """Sidebands, meshes and shafts of their own: lines that other lines explain."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Speeds to avoid, worst first; bands that are free because the data exclude an amplification; and those left open."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Poles that the signals of sweeps tell, against the exact signals of ``tests/machines``."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Run-ups and run-downs: no locked order is said to slip, no slip to be locked, and the strongest order is found."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tracks of sweeps less what modes that other orders struck add to them, and poles that only such a rest asks for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Tones of the map beside the recordings: no flank of a stronger tone, and no narrow interval between two lines."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Stated paths turn amplitudes into masses; what channels measure is read as it is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

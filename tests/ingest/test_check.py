@@ -1,7 +1,5 @@
 """``check`` lists every fault of a folder at once."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Times of edges are a test of the shaft by themselves, and give the angle of signals that another file holds."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Velocity and displacement from an accelerometer, as the manifest asks for them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

@@ -1,7 +1,5 @@
 """LabVIEW measurement files: columns, decimals, segments, and a header that does not always tell the truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

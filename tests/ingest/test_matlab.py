@@ -1,7 +1,5 @@
 """MATLAB files read as SciPy reads them, and nothing that a file claims can end the process or fill the memory."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 

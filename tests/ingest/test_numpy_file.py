@@ -1,7 +1,5 @@
 """NumPy array files: rows or columns as channels, and never an object."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Encoders that tell the angle with every sample, counters that tell none, and speeds that names of files state."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which statements of the findings exclude each other: of their fields, and of the sentences made from them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Orders through random structures, as complex amplitudes over the speeds: an exactly known truth for modal fits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Campbell maps of a structure under white forces, made in the time domain: an exactly known truth for modal fits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

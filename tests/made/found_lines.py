@@ -1,7 +1,5 @@
 """Order lines, modes and fits as identification would hand them on, made by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 ``tests/hard`` holds each to its mark; ``benchmarks/hard_cases.py`` draws them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """OrderFrames of lines and noise made by crank angle: what identification of orders is tried on, cheaply."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 

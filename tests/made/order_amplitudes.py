@@ -1,7 +1,5 @@
 """Order maps made at the level of complex amplitudes: an engine's orders through a random structure, with noise."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Signals given by crank angle, many draws at once as channels: order frames made without the program's, and tracks."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 

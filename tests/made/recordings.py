@@ -1,7 +1,5 @@
 """Recordings made from analytic signals, with the shaft angle known exactly."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 

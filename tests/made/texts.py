@@ -1,7 +1,5 @@
 """The texts of a matplotlib figure, and those that are not legible."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from matplotlib.text import Text

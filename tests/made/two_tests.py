@@ -1,7 +1,5 @@
 """Results of made tests, as a run leaves them: maps from analytic recordings, findings that name what was put in."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

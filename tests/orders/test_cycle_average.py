@@ -1,7 +1,5 @@
 """The average cycle of recordings: exact for what is locked, honest about what is not, joined only where it may be."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The envelope spectrum by order: its scale, its choice of band, its memory, and where it refuses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

@@ -1,7 +1,5 @@
 """Rows of orders that meet lines of one frequency: told apart by their beat, or left open by what the line is."""
 
-from __future__ import annotations
-
 import warnings
 
 import numpy as np

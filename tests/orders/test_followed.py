@@ -1,7 +1,5 @@
 """Orders followed by name through each recording, joined by speed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """95 % intervals: the truth lies in them 95 times in 100, whatever the noise and however few the frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

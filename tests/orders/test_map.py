@@ -1,7 +1,5 @@
 """Order map and tracks: averages, floors and bands against analytic signals in known noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

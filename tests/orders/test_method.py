@@ -1,7 +1,5 @@
 """The choice of a method by the accuracy asked for, and whether it is reached."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

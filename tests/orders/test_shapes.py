@@ -1,7 +1,5 @@
 """Operating shapes: amplitudes and phases of a truth, intervals that cover it, origins that are said."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Order frames straight from the samples, against analytic signals and the resampled frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Sidebands of an angle that swings are taken out exactly, and told from lines of their own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

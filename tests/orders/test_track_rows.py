@@ -1,7 +1,5 @@
 """Every track stands at the order that was found: amplitudes at exact orders, beside others, and through sweeps."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

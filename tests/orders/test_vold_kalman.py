@@ -1,7 +1,5 @@
 """The Vold-Kalman filter: its laws, its bandwidth, and the solution of the equations as they stand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """No recording gets a made-up mode: what is called one is known to be one, and what is not decidable says why."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -4,8 +4,6 @@ By hand: SciPy, Butterworth band-pass of 2.5 to 4 kHz (CWRU) or of the highest k
 window, spectrum padded eightfold; orders are over the speed that the file or its publisher states.
 """
 
-from __future__ import annotations
-
 import pytest
 
 RACES = ("BPFI", "BPFO")

@@ -1,7 +1,5 @@
 """Natural frequencies of real structures and machines; what a recording does not show is not made up."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

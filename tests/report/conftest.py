@@ -1,7 +1,5 @@
 """Synthetic maps, tracks and findings to draw: what a report must show is put in here, so that the tests know it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

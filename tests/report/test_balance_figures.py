@@ -1,7 +1,5 @@
 """The pictures of a balance show the forces of the model, legibly, and with the same bytes each time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The pictures show what the findings hold, at the right place, legibly, and with the same bytes each time."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Callable

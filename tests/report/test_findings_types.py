@@ -1,7 +1,5 @@
 """Findings are types: JSON goes in and out of them unchanged, and a wrong file is refused by file, place and value."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

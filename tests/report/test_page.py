@@ -1,7 +1,5 @@
 """The page says what shakes first, escapes everything, refers to nothing outside and is whole without its script."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """The sentences say what the findings hold, in one way of writing numbers."""
 
-from __future__ import annotations
-
 import copy
 import math
 from typing import Any

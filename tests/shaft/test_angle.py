@@ -1,7 +1,5 @@
 """Smoothed angle against shafts whose angle is known, and the interpolation between knots."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """What the audit expects a reference to do to each order is what it does, cause by cause."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

@@ -1,7 +1,5 @@
 """A mark on the camshaft tells which top dead centre fires, by the majority of the cycles."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from crankorder.quantities import flags_of

@@ -1,7 +1,5 @@
 """ShaftAngle of every kind of recording: dims, units, references and refusals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

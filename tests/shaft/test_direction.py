@@ -1,7 +1,5 @@
 """A shaft that turns backwards is told by the second track of its encoder, and by nothing else."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

@@ -1,7 +1,5 @@
 """What folds in a recording by crank angle is said beforehand and recognised afterwards."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

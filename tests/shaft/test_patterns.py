@@ -1,7 +1,5 @@
 """Every wheel decodes from its pulses, wherever they start, and is found by itself; clean trains are never repaired."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Measured encoder traces decode to what their sources and the data's own README say."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

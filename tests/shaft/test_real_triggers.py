@@ -4,8 +4,6 @@ The stated speeds are those of rusEFI's unit tests on the same traces: means ove
 the named edge, as that program takes them.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

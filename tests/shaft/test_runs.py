@@ -1,7 +1,5 @@
 """A test that stops and starts again: both runs stand on one angle."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

@@ -1,7 +1,5 @@
 """Teeth that sit wrongly are the wheel's: taken out of the angle, while the shaft's own swing stays."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

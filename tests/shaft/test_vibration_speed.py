@@ -1,7 +1,5 @@
 """Speed and angle from the vibration itself: against shafts whose motion is known, scenes, and measured speeds."""
 
-from __future__ import annotations
-
 import wave
 from collections.abc import Callable
 from functools import cache

@@ -1,7 +1,5 @@
 """Repair of the pulse train: what is lost is found, counted and put right, and what cannot be is refused."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

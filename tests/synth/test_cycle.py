@@ -1,7 +1,5 @@
 """Lines over one angle are lines over the other, as many samples and a Fourier transform find them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A shaft's motion is one smooth formula: its rates are its derivatives, and every angle has its time."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from itertools import pairwise
 
