@@ -113,13 +113,9 @@ def test_a_mean_over_the_revolution_is_exact_however_short_the_rod(gap: float) -
 @pytest.mark.parametrize("gap", [1e-2, 1e-6, 1e-12])
 def test_the_gas_moment_keeps_its_digits_where_the_rod_is_hardly_longer_than_the_crank(gap: float) -> None:
     crank = HingedCrank(
-        crank_radius_m=1.0,
-        pin_to_rod_centre_m=0.5,
-        rod_centre_to_piston_m=0.5 + gap,
-        rod_weight_n=1.0,
-        piston_weight_n=1.0,
-        rod_inertia_kg_m2=1.0,
-    )
+        crank_radius_m=1.0, pin_to_rod_centre_m=0.5, rod_centre_to_piston_m=0.5 + gap, rod_weight_n=1.0,
+        piston_weight_n=1.0, rod_inertia_kg_m2=1.0,
+    )  # fmt: skip
     margin = crank.mechanism.margin
     for angle_deg in (89.0, 91.0, 120.0, 179.0):
         # 1/(1+u) = cos ψ (cos ψ − λ cos φ)/κ'², which does not cancel in the lower half

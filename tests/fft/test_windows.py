@@ -50,17 +50,6 @@ def test_a_window_is_periodic_and_finds_an_amplitude():
         assert magnitude * window.tone_scale == pytest.approx(0.7, rel=1e-6), name
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("n_samples", [999, 1000])
-def test_a_window_finds_the_density_of_noise(name, n_samples):
-    window = window_named(name, n_samples)
-    noise = np.random.default_rng(3).standard_normal((2000, n_samples))
-    power = np.mean(np.abs(np.fft.rfft(noise * window.values)[:, 20:400]) ** 2) * window.tone_scale**2
-    # white noise of variance 1, one-sided, in bins of 1 / n_samples
-    assert power == pytest.approx(4.0 * window.enbw_bins / n_samples, rel=0.01)
-
-
 @pytest.mark.cases(2)
 @pytest.mark.parametrize(
     ("name", "largest_db"), [("hann", 0.0075), ("flat-top", 0.0022), ("blackman-harris", 0.005), ("kaiser", 0.005)]

@@ -210,17 +210,11 @@ def two_maps(seed, unbalances, *, engine=ROTOR, residuals=(0.0, 0.0), noise=0.02
     structure = Structure(rng)
     return [
         made_orders(
-            rng,
-            residual_kg=residual,
-            engine=engine,
-            structure=structure,
-            noise=noise,
-            speeds=speeds,
-            rotating_kg_m=1e-6 * abs(unbalance),
-            rotating_deg=float(np.degrees(np.angle(unbalance))),
+            rng, residual_kg=residual, engine=engine, structure=structure, noise=noise, speeds=speeds,
+            rotating_kg_m=1e-6 * abs(unbalance), rotating_deg=float(np.degrees(np.angle(unbalance))),
         ).order_map
         for unbalance, residual in zip(unbalances, residuals, strict=True)
-    ]
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("mass_g", "engine"), [(20.0, None), (-20.0, ROTOR)])

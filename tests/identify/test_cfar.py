@@ -120,15 +120,9 @@ def test_reference_bins_are_the_nearest_quiet_ones_half_of_them_on_each_side() -
 
 def _made(speeds: tuple[float, ...], amplitude: float) -> Made:
     return Made(
-        natural_hz=(300.0,),
-        damping=(0.02,),
-        sensor=((0.0,),),
-        drive=((0.0,),),
-        speed_rpm=speeds,
-        lines=((6.0, amplitude),),
-        duration_s=6.0,
-        noise=1e-3,
-    )
+        natural_hz=(300.0,), damping=(0.02,), sensor=((0.0,),), drive=((0.0,),), speed_rpm=speeds,
+        lines=((6.0, amplitude),), duration_s=6.0, noise=1e-3,
+    )  # fmt: skip
 
 
 @pytest.mark.slow

@@ -245,14 +245,9 @@ def test_a_shaft_of_its_own_speed_is_told_by_its_multiples():
 def test_each_channel_has_its_own_cause():
     order = agreed(1.0, line(1.0, channel="A", speed_rpm=[1500.0]), line(1.0, channel="B", speed_rpm=[1500.0]))
     found = explained(
-        (order,),
-        fit(),
-        [],
-        sources=FOUR_STROKE,
-        quantity={"A": "acceleration", "B": "pressure"},
-        in_cylinder=["B"],
+        (order,), fit(), [], sources=FOUR_STROKE, quantity={"A": "acceleration", "B": "pressure"}, in_cylinder=["B"],
         settings=SETTINGS,
-    ).orders
+    ).orders  # fmt: skip
     assert {key: cause.text for key, cause in found.items()} == {("A", 1.0): LIKE_UNBALANCE, ("B", 1.0): "gas cycle"}
 
 

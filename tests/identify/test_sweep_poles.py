@@ -42,19 +42,10 @@ def spectra_of(machine: Machine, orders: list[float], seed: int) -> list[SweepSp
         angle, speed = profile.angle(time_s), profile.speed(time_s)
         made.append(
             SweepSpectrum(
-                str(number),
-                machine.channels,
-                tuple(orders),
-                0.0,
-                RATE_HZ,
-                0.4 * RATE_HZ,
-                frequency,
-                spectrum,
-                angle,
-                speed,
-                2,
+                str(number), machine.channels, tuple(orders), 0.0, RATE_HZ, 0.4 * RATE_HZ, frequency, spectrum, angle,
+                speed, 2,
             )
-        )
+        )  # fmt: skip
     return made
 
 

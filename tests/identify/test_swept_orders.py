@@ -125,14 +125,10 @@ def test_a_mode_that_rings_on_at_its_own_frequency_is_no_second_order() -> None:
     for seed in range(4):
         rng = np.random.default_rng(seed)
         machine = replace(
-            drawn(rng, rpm=(1057.0, 1336.0), duration_s=5.8, modes=1),
-            orders=np.array([1.5, 5.5]),
-            size=np.array([1.0, 0.5]),
-            slip=np.zeros(2),
-            natural_hz=np.array([27.4]),
-            damping=np.array([0.005]),
+            drawn(rng, rpm=(1057.0, 1336.0), duration_s=5.8, modes=1), orders=np.array([1.5, 5.5]),
+            size=np.array([1.0, 0.5]), slip=np.zeros(2), natural_hz=np.array([27.4]), damping=np.array([0.005]),
             shares=np.array([[1.0], [0.7], [-0.5]]),
-        )
+        )  # fmt: skip
         assert [item.order for item in told(machine, rng) if item.lock == "slips"] == []
         frames = order_frames(*recorded(machine, rng), settings=SETTINGS.orders)
         out = swept_orders(frames, settings=SETTINGS)

@@ -102,13 +102,9 @@ def test_a_rate_that_is_no_positive_number_is_refused(tmp_path):
 
 def test_numbers_that_no_encoder_has_are_refused_before_anything_is_read(tmp_path):
     rows = [
-        ("pulses_per_rev", "99999999999999999999999999"),
-        ("pulses_per_rev", "1000000000"),
-        ("ratio", "1e300"),
-        ("ratio", "1e-300"),
-        ("index_to_tdc_deg", "1e308"),
-        ("missing_teeth", "5000000000"),
-    ]
+        ("pulses_per_rev", "99999999999999999999999999"), ("pulses_per_rev", "1000000000"), ("ratio", "1e300"),
+        ("ratio", "1e-300"), ("index_to_tdc_deg", "1e308"), ("missing_teeth", "5000000000"),
+    ]  # fmt: skip
     for key, value in rows:
         text = GOOD.replace("pulses_per_rev = 360\n", "") if key == "pulses_per_rev" else GOOD
         faults = faults_of(tmp_path, text.replace("[encoder]\n", f"[encoder]\n{key} = {value}\n"))

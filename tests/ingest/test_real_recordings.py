@@ -13,13 +13,9 @@ from crankorder.quantities import check_dataset, flags_of
 
 MANIFESTS = Path(__file__).parents[1] / "real"
 FOLDERS = {
-    "ansys_accel": "ansys_accel",
-    "rotorbalancer": "rotorbalancer",
-    "rotor_groups": "rotorbalancer",
-    "tue_genset": "tue_genset",
-    "tue_training": "tue_genset",
-    "auth_360ppr": "auth_360ppr",
-}
+    "ansys_accel": "ansys_accel", "rotorbalancer": "rotorbalancer", "rotor_groups": "rotorbalancer",
+    "tue_genset": "tue_genset", "tue_training": "tue_genset", "auth_360ppr": "auth_360ppr",
+}  # fmt: skip
 
 
 @pytest.fixture

@@ -30,13 +30,9 @@ class MadeOrders:
 def engine_of(**changes) -> Engine:
     """A single-cylinder engine with offset whose shafts take orders 1 and 2 away."""
     data = {
-        "crank_radius_m": 0.0449,
-        "rod_length_m": 0.152,
-        "offset_m": 0.010,
-        "reciprocating_mass_kg": 4.304,
-        "cylinders": (Cylinder(),),
-        "shafts": BalanceShafts(orders=(1, 2)),
-    }
+        "crank_radius_m": 0.0449, "rod_length_m": 0.152, "offset_m": 0.010, "reciprocating_mass_kg": 4.304,
+        "cylinders": (Cylinder(),), "shafts": BalanceShafts(orders=(1, 2)),
+    }  # fmt: skip
     return Engine(**(data | changes))
 
 
@@ -174,14 +170,10 @@ def modal_of(rng, structure, *, frequency_error=3e-4, damping_error=0.03) -> Mod
         errors = frequency_error * natural, damping_error * damping
         modes.append(
             Mode(
-                frequency_hz=natural + errors[0] * rng.normal(),
-                frequency_error_hz=errors[0],
-                damping_ratio=damping + errors[1] * rng.normal(),
-                damping_error=errors[1],
-                channels=("X",),
-                prominence_db=20.0,
-                evidence="made",
+                frequency_hz=natural + errors[0] * rng.normal(), frequency_error_hz=errors[0],
+                damping_ratio=damping + errors[1] * rng.normal(), damping_error=errors[1], channels=("X",),
+                prominence_db=20.0, evidence="made",
             )
-        )
+        )  # fmt: skip
         covariance += [errors[0] ** 2, errors[1] ** 2]
     return ModalFit(modes=tuple(modes), tones=(), covariance=np.diag(covariance))

@@ -49,16 +49,9 @@ def angle_frames(signals: np.ndarray, *, speed: np.ndarray | float = 1200.0, nam
         },
     )
     made.attrs = {
-        "recording": name,
-        "amplitude_scaling": "peak",
-        "phase_reference": "tdc",
-        "cycle_known": 1,
-        "revs_per_cycle": 2,
-        "window": "hann",
-        "enbw_bins": 1.5,
-        "revs_per_frame": REVS,
-        "overlap": 0.5,
-    }
+        "recording": name, "amplitude_scaling": "peak", "phase_reference": "tdc", "cycle_known": 1,
+        "revs_per_cycle": 2, "window": "hann", "enbw_bins": 1.5, "revs_per_frame": REVS, "overlap": 0.5,
+    }  # fmt: skip
     return made
 
 

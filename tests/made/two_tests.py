@@ -86,13 +86,9 @@ def findings(
         "schema_version": 1,
         "test": name,
         "channels": [{"name": channel, "unit": "m/s2", "quantity": "acceleration"} for channel in channels],
-        "orders": records,
-        "modes": list(modes),
-        "looked_for": ["modes"] if modes else [],
-        "bearings": [],
-        "balance": None,
-        "quality": [],
-    }
+        "orders": records, "modes": list(modes), "looked_for": ["modes"] if modes else [], "bearings": [],
+        "balance": None, "quality": [],
+    }  # fmt: skip
 
 
 def stated(name: str, channels: Sequence[str] = ("A",)) -> dict[str, Any]:

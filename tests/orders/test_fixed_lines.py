@@ -85,19 +85,10 @@ def test_steps_past_mains_hold_what_the_orders_are(with_mode):
 
 
 BESIDE = MainsMet(
-    kind="steps",
-    orders=np.array([1.0, 2.0, 3.0, 5.0]),
-    size=np.array([0.3, 0.2, 0.4, 0.15]),
-    meets=3.0,
-    mains_hz=60.02,
-    nominal_hz=60.0,
-    multiple=1,
-    mains={1: 0.3, 5: 0.1},
-    at_rpm=1200.4,
-    speeds_rpm=np.arange(1000.0, 1501.0, 50.0),
-    duration_s=12.0,
-    noise=0.02,
-)
+    kind="steps", orders=np.array([1.0, 2.0, 3.0, 5.0]), size=np.array([0.3, 0.2, 0.4, 0.15]), meets=3.0,
+    mains_hz=60.02, nominal_hz=60.0, multiple=1, mains={1: 0.3, 5: 0.1}, at_rpm=1200.4,
+    speeds_rpm=np.arange(1000.0, 1501.0, 50.0), duration_s=12.0, noise=0.02,
+)  # fmt: skip
 
 
 def test_an_order_is_not_told_with_the_mains_that_it_meets_and_multiples_are_of_the_supply_that_is_there():

@@ -131,12 +131,6 @@ def test_noise_as_strong_as_a_steady_line_does_not_raise_its_amplitude_where_pha
         assert np.abs(made["phase"].values[0, 0]).max() < 1e-9
 
 
-def test_a_line_that_wanders_against_the_crank_keeps_its_amplitude():
-    wandering = np.exp(2j * np.pi * np.random.default_rng(3).uniform(0, 1, (1, 40, 9)))
-    made = shapes_of(steady_frames(40) * wandering, (0.5, 1.0), "A", overlap=0.0)
-    np.testing.assert_allclose(made["amplitude"].values[:, 0, 1], np.abs(PHASORS), rtol=1e-12)
-
-
 @pytest.mark.slow
 def test_overlapping_frames_of_noise_do_not_narrow_the_interval():
     rng = np.random.default_rng(9)

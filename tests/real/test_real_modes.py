@@ -202,18 +202,12 @@ def test_what_is_called_a_mode_of_a_machine_is_narrow_certain_and_off_its_orders
 
 # manifest, folder, file, and the natural frequencies that may be called modes: those that somebody else measured
 RECORDINGS = [
-    ("beam", "beam_dropbear4", "", (6.62, 41.4, 117.5)),
-    ("hammer", "modal_vtb", "", (212.09,)),
-    ("oma_tower", "oma_tower", "", TOWER_HZ),
-    ("auth_360ppr", "auth_360ppr", "", ()),
-    ("tue_genset", "tue_genset", "", ()),
-    ("tue_training", "tue_genset", "", ()),
-    ("gear0", "gear0", "", ()),
-    ("rotor_without", "rotorbalancer", "", ()),
-    ("rotor_with", "rotorbalancer", "", ()),
-    ("rotorbalancer", "rotorbalancer", "", ()),
-    ("ansys_accel", "ansys_accel", "", ()),
-]
+    ("beam", "beam_dropbear4", "", (6.62, 41.4, 117.5)), ("hammer", "modal_vtb", "", (212.09,)),
+    ("oma_tower", "oma_tower", "", TOWER_HZ), ("auth_360ppr", "auth_360ppr", "", ()),
+    ("tue_genset", "tue_genset", "", ()), ("tue_training", "tue_genset", "", ()), ("gear0", "gear0", "", ()),
+    ("rotor_without", "rotorbalancer", "", ()), ("rotor_with", "rotorbalancer", "", ()),
+    ("rotorbalancer", "rotorbalancer", "", ()), ("ansys_accel", "ansys_accel", "", ()),
+]  # fmt: skip
 
 
 @pytest.mark.slow

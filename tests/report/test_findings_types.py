@@ -126,15 +126,9 @@ def test_everything_that_identification_may_give_is_accepted_and_wrong_values_ar
 
 
 NEEDED = (
-    ("orders", "amplitude_ci95"),
-    ("orders", "explained_by"),
-    ("modes", "frequency_hz_ci95"),
-    ("modes", "evidence"),
-    ("crossings", "excited"),
-    ("bearings", "order_expected"),
-    ("lines", "explained_by"),
-    ("quality", "severity"),
-)
+    ("orders", "amplitude_ci95"), ("orders", "explained_by"), ("modes", "frequency_hz_ci95"), ("modes", "evidence"),
+    ("crossings", "excited"), ("bearings", "order_expected"), ("lines", "explained_by"), ("quality", "severity"),
+)  # fmt: skip
 
 
 def test_a_record_without_a_key_of_the_design_is_refused(campaign: Any) -> None:

@@ -341,15 +341,6 @@ def test_findings_that_were_not_asked_for_are_neither_denied_nor_cleared(setting
     assert "a.h5" in text
 
 
-@pytest.mark.slow
-def test_the_page_is_the_same_each_time(campaign: Any, settings: Any, page: str, provenance: dict[str, Any]) -> None:
-    pictures = [
-        ShownPicture("campbell_Z.png", "Campbell diagram of channel Z", PNG),
-        ShownPicture("orders.png", "Orders against speed", PNG),
-    ]
-    assert report_page(campaign.findings, pictures=pictures, provenance=provenance, settings=settings) == page
-
-
 def test_the_index_lists_every_test_its_headline_and_the_recordings_that_failed() -> None:
     made = index_page(
         [

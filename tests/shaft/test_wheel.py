@@ -234,15 +234,11 @@ def test_an_index_without_a_place_gives_no_phase_and_says_so(known_shaft, record
             index_s = np.sort(np.random.default_rng(4).uniform(0.0, 3.0, 40)) if marks == "anywhere" else np.empty(0)
             angle = shaft_angle(
                 recording_of(
-                    pulse_s,
-                    index_time_s=index_s,
-                    pulses_per_rev=60,
-                    missing_teeth=missing,
-                    pulse_noise_s=1e-7,
+                    pulse_s, index_time_s=index_s, pulses_per_rev=60, missing_teeth=missing, pulse_noise_s=1e-7,
                     index_to_tdc_deg=10.0,
                 ),
                 settings=SETTINGS,
-            )
+            )  # fmt: skip
             assert angle.attrs["phase_reference"] == "none"
             assert "no reference" in detail_of(angle, "no_index")
             reached = angle_of(angle, pulse_s[[0, -1]])

@@ -95,14 +95,9 @@ def test_a_perfect_order_analysis_finds_the_lines_in_angle() -> None:
 def test_there_and_back_gives_the_lines_that_were_given() -> None:
     lag, lines = _lag(), _forces().only(np.array([False] * 6 + [True]))
     steady = ForceLines(
-        order=lines.order,
-        amplitude=lines.amplitude,
-        at_speed_rpm=lines.at_speed_rpm,
-        exponent=np.zeros(1),
-        inertia=lines.inertia,
-        gas=lines.gas,
-        cause=lines.cause,
-    )
+        order=lines.order, amplitude=lines.amplitude, at_speed_rpm=lines.at_speed_rpm, exponent=np.zeros(1),
+        inertia=lines.inertia, gas=lines.gas, cause=lines.cause,
+    )  # fmt: skip
     order, amplitude = lines_in_time(steady, lag, speed_rpm=RPM)
     assert order.size > 20
     again, back = lines_in_angle(order, amplitude, lag, speed_rpm=RPM)

@@ -37,14 +37,10 @@ def lines(*, gas: bool = False) -> ForceLines:
     omega = AT_RPM * np.pi / 30
     place, push = (part[:, 0] - 1j * part[:, 1] for part in (PLACES, PUSHES))
     return ForceLines(
-        order=ORDERS,
-        amplitude=push - (ORDERS * omega) ** 2 * place,
-        at_speed_rpm=np.full(5, AT_RPM),
-        exponent=np.array([2.0, 2.0, 2.0, 2.0, 0.0]),
-        inertia=np.array([True, True, True, False, False]),
-        gas=np.array([False, False, False, True, True]) & gas,
-        cause=("mass", "mass", "mass", "push", "push"),
-    )
+        order=ORDERS, amplitude=push - (ORDERS * omega) ** 2 * place, at_speed_rpm=np.full(5, AT_RPM),
+        exponent=np.array([2.0, 2.0, 2.0, 2.0, 0.0]), inertia=np.array([True, True, True, False, False]),
+        gas=np.array([False, False, False, True, True]) & gas, cause=("mass", "mass", "mass", "push", "push"),
+    )  # fmt: skip
 
 
 def plain_force(phi: float, omega: float, alpha: float, gas_gain: float = 1.0) -> np.ndarray:

@@ -241,13 +241,9 @@ def numbered(made: EncoderSignals, encoder: Encoder) -> NumberedTeeth:
     pulses = find_pulses(made.trace, pulses_per_rev=encoder.pulses_per_rev, **how)
     index_s = None if made.index is None else find_pulses(made.index, pulses_per_rev=1, **how).time_s
     return number_teeth(
-        pulses.time_s,
-        pulses_per_rev=encoder.pulses_per_rev,
-        missing_teeth=encoder.missing_teeth,
-        index_time_s=index_s,
-        noise_s=pulses.noise_s,
-        settings=SHAFT,
-    )
+        pulses.time_s, pulses_per_rev=encoder.pulses_per_rev, missing_teeth=encoder.missing_teeth,
+        index_time_s=index_s, noise_s=pulses.noise_s, settings=SHAFT,
+    )  # fmt: skip
 
 
 def found(made: EncoderSignals, encoder: Encoder) -> dict[str, str]:
