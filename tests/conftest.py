@@ -1,7 +1,5 @@
 """What all tests share: where the shared recordings and the truth sheet are, and surroundings that do not vary."""
 
-from __future__ import annotations
-
 import json
 import os
 from pathlib import Path

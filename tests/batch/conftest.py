@@ -1,7 +1,5 @@
 """The short version of the reference campaign, which several files of this room take recordings from."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

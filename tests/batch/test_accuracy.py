@@ -1,7 +1,5 @@
 """Accuracy as a command: what was put in is known, and the numbers that are said follow from it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The command `balance`, end to end: exact numbers, one document, whole folders, clear faults."""
 
-from __future__ import annotations
-
 import json
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A Dask cluster of a scheduler and two workers, started here: the bytes of a run at home, whoever dies meanwhile."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """What recordings gave is kept by content: exact, damaged by nobody, and reused where nothing that matters changed."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import time
@@ -69,13 +67,9 @@ def test_every_frame_of_a_recording_comes_back_to_the_last_bit(three, tmp_path):
 
 def test_odd_attributes_and_shapes_come_back_too(tmp_path):
     attrs = {
-        "tuple": (1, "a"),
-        "list": [1.5, None],
-        "scalar": np.float32(0.1),
-        "array": np.arange(3),
-        "nan": np.nan,
+        "tuple": (1, "a"), "list": [1.5, None], "scalar": np.float32(0.1), "array": np.arange(3), "nan": np.nan,
         "yes": True,
-    }
+    }  # fmt: skip
     empty = xr.Dataset(
         {"none": ("x", np.empty(0, complex)), "text": ("y", ["é漢", "b"]), "point": ((), np.int8(3))},
         attrs={"recording": "é", **attrs},

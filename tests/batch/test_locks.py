@@ -1,7 +1,5 @@
 """One process at a time where several write."""
 
-from __future__ import annotations
-
 import errno
 import multiprocessing
 import os

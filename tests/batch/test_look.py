@@ -1,7 +1,5 @@
 """`check` finds what `run` would find: it reads a bounded part of the samples, and decodes them by the same code."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

@@ -1,7 +1,5 @@
 """Where results go: each test at its own place, nothing of anybody overwritten, several processes beside each other."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -14,7 +12,7 @@ import pytest
 
 from crankorder.batch import execute
 from crankorder.batch.run_log import LOGS
-from made.command import crankorder, done
+from made.command import crankorder
 from made.processes import started
 
 
@@ -163,15 +161,6 @@ def test_a_test_that_kills_the_reporting_process_every_time_takes_no_other_along
     assert owners(tmp_path / "out") == {"same-2": "../data/b"}
     tests = json.loads((tmp_path / "out" / "batch.json").read_bytes())["tests"]
     assert [(test["folder"], test["status"]) for test in tests] == [("same", "failed"), ("same-2", "done")]
-
-
-def test_names_reach_the_terminal_and_json_without_their_escapes(two, tmp_path):
-    manifest = two[0] / "run.toml"
-    manifest.write_text(manifest.read_text().replace('name = "same"', 'name = "a\\u001b[31mred\\u202Eon"'))
-    outcome = done("run", two[0], "--out", tmp_path / "out", "--recipe", "maps", "--json")
-    dry = crankorder("run", two[0], "--out", tmp_path / "out", "--dry-run")
-    for text in (outcome.output, dry.output, (tmp_path / "out" / "batch.json").read_text()):
-        assert "red" in text and all(char.isprintable() or char == "\n" for char in text)
 
 
 @pytest.mark.cases(1)

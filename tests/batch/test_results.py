@@ -1,7 +1,5 @@
 """Only the results that a recipe asks for are made, and what is missing breaks nothing."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

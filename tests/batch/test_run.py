@@ -1,7 +1,5 @@
 """The command line, end to end, on a small synthetic test: results, reruns, bad input, exit status."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -74,15 +72,9 @@ class TestResults:
         (folder,) = [path.parent for path in analysed.glob("*/findings.json")]
         names = {path.name for path in folder.iterdir()}
         pictures = {
-            "campbell_X.png",
-            "campbell_Y.png",
-            "campbell_Z.png",
-            "orders.png",
-            "envelope.png",
-            "order_spectra.png",
-            "spectra.png",
-            "speed.png",
-        }
+            "campbell_X.png", "campbell_Y.png", "campbell_Z.png", "orders.png", "envelope.png", "order_spectra.png",
+            "spectra.png", "speed.png",
+        }  # fmt: skip
         assert names == pictures | {
             "results.nc",
             "findings.json",

@@ -1,7 +1,5 @@
 """The log of a run: what was computed, reused and left out, and why; it is no result and harms none."""
 
-from __future__ import annotations
-
 import errno
 import json
 import logging

@@ -1,7 +1,5 @@
 """A line is a stated part's only where the data and the statement put it: from files to the report's first sentence."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Workers: answers, faults and deaths of processes that are forked from this one."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

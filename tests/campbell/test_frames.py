@@ -1,7 +1,5 @@
 """Frames by time and what they become on the map: precision, windows, gaps, sweeps, extremes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Overall levels and lines above the band, against what was put in."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -9,13 +7,6 @@ import pytest
 import xarray as xr
 
 from crankorder.campbell.levels import (
-    BLOCK,
-    LINE_RATIO,
-    LOBE_BINS,
-    RING_BINS,
-    RING_PLACES,
-    _lobe,
-    _sharp,
     recording_levels,
 )
 from crankorder.identify.levels import level_records
@@ -142,46 +133,3 @@ def test_records_take_the_strongest_line_and_all_energy() -> None:
     assert record["share_above"] == pytest.approx(10.0 / 26.0, abs=0.02)
     assert record["rms_max"] == pytest.approx(4.0 / np.sqrt(2.0), rel=0.01)
     assert level_records([]) == [] and json.dumps(record)
-
-
-def plainly_sharp(power: np.ndarray, bins: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As the docstring says it: every bin's lobe, floor and ring, whether or not a line may be there."""
-    whole = power.shape[1] // BLOCK * BLOCK
-    shifted = np.stack([np.roll(power, shift, axis=1) for shift in range(-LOBE_BINS, LOBE_BINS + 1)])
-    lobe = shifted.sum(axis=0)
-    floor = np.median(power[:, :whole].reshape(len(power), -1, BLOCK), axis=2) / np.log(2.0)
-    floor = np.pad(np.repeat(floor, BLOCK, axis=1), ((0, 0), (0, power.shape[1] - whole)), mode="edge")
-    beside = [
-        np.maximum(np.roll(lobe, k, axis=1), np.roll(lobe, -k, axis=1)) * (k / RING_BINS) ** 2 for k in RING_PLACES
-    ]
-    ring = np.min(beside, axis=0)
-    inside = (bins > limit[:, None] + bins[LOBE_BINS]) & (bins < bins[-RING_BINS - LOBE_BINS])
-    clear = lobe > LINE_RATIO * np.maximum((2 * LOBE_BINS + 1) * floor, ring)
-    at = np.argwhere(inside & clear & (power >= shifted.max(axis=0)))
-    return at, lobe[at[:, 0], at[:, 1]]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("n_bins", [65, 128, 200, 1000, 4097])
-def test_the_quick_look_for_sharp_lines_finds_what_the_plain_one_does(n_bins: int) -> None:
-    found = 0
-    for seed in range(40):
-        rng = np.random.default_rng([seed, n_bins])
-        power = rng.exponential(size=(int(rng.integers(1, 13)), n_bins))
-        for _ in range(int(rng.integers(0, 12))):
-            rows = slice(None) if rng.random() < 0.7 else int(rng.integers(0, len(power)))
-            place, height = int(rng.integers(2, n_bins - 2)), 10.0 ** rng.uniform(0, 6)
-            power[rows, place - 2 : place + 3] += height * np.array([0.02, 0.25, 1.0, 0.25, 0.02])
-        if rng.random() < 0.2:
-            power = np.round(power)  # ties, and floors of nothing
-        if rng.random() < 0.3:
-            power[int(rng.integers(0, len(power)))] = np.nan  # a piece with a gap
-        power *= 10.0 ** rng.uniform(-6, 6)
-        bins = np.arange(n_bins) * rng.uniform(0.5, 5.0)
-        limit = bins[-1] * rng.uniform(0.0, 1.05, 1 if rng.random() < 0.5 else len(power)) * np.ones(len(power))
-        at, lobe = plainly_sharp(power, bins, limit)
-        quick = _sharp(power, bins, limit)
-        np.testing.assert_array_equal(quick, at)
-        np.testing.assert_array_equal(_lobe(power, *quick.T), lobe)
-        found += len(at)
-    assert found

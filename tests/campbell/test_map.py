@@ -1,7 +1,5 @@
 """The Campbell map: scalings, stripes, densities."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A structure on which nothing turns: frequencies without speeds, and no orders."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,13 +1,17 @@
 """Counterweights: Task 5 as printed, the exact forces of the truth sheet, and the laws behind the strategies."""
 
+import math
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from crankorder.engine.balance_data import load_balanced_engine, reduced_masses
+from crankorder.engine.balance_data import leading_harmonics, load_balanced_engine, offset_effects, reduced_masses
 from crankorder.engine.balancing import (
     CounterweightPlaces,
+    OrderForce,
     ReducedMasses,
     balanced,
     counterweights,
@@ -15,7 +19,9 @@ from crankorder.engine.balancing import (
     phasor,
     polar_diagram,
     rod_counterweight_couple,
+    sum_by_order,
 )
+from crankorder.engine.harmonics import even_harmonics
 from crankorder.engine.slider_crank import SliderCrank, plain_piston_acceleration
 from crankorder.errors import RequestError
 
@@ -28,38 +34,6 @@ PLACES = TASK5.balance.places
 def masses() -> ReducedMasses:
     """Task 5 before balancing."""
     return reduced_masses(TASK5)
-
-
-def test_literature_counterweights_are_those_printed(masses: ReducedMasses) -> None:
-    strategies: tuple[Any, ...] = ("a", "b", "c", "d")
-    added = {strategy: counterweights(masses, strategy, PLACES) for strategy in strategies}
-    assert {key: one.crank_g for key, one in added.items()} == {"a": 962.5, "b": 562.5, "c": 762.5, "d": 1962.5}
-    assert (added["d"].rod_g, added["d"].total_g) == (800, 2762.5)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("strategy", ["none", "a", "b", "c", "d"])
-def test_residual_first_orders_are_those_of_the_truth_sheet(
-    masses: ReducedMasses, strategy: Any, shared_truth: dict[str, Any]
-) -> None:
-    key = "unbalanced" if strategy == "none" else strategy
-    x_g, y_g = shared_truth["seed000"]["residual_first_harmonic_over_l1w2"]["amplitudes_g"][key]
-    first = force_by_order(balanced(masses, strategy), max_order=2)[0]
-    assert abs(first.x_g_mm) == 25 * x_g
-    assert abs(first.y_g_mm) == 25 * y_g
-
-
-@pytest.mark.slow
-def test_strategy_c_leaves_a_constant_force_that_turns_against_the_crank(masses: ReducedMasses) -> None:
-    first = force_by_order(balanced(masses, "c"), max_order=1)[0]
-    assert first.rotation == "against crank"
-    assert np.abs(polar_diagram([first], ANGLES)) == pytest.approx(np.full(720, 160.0 * 25), rel=1e-14)
-    assert [force_by_order(balanced(masses, name), max_order=1)[0].rotation for name in ("none", "a", "b", "d")] == [
-        "with crank",
-        "line",
-        "line",
-        "none",
-    ]
 
 
 def test_frame_forces_are_those_of_the_truth_sheet(masses: ReducedMasses, shared_truth: dict[str, Any]) -> None:
@@ -109,3 +83,104 @@ def test_analytic_counterweights_end_an_unbalance_at_any_angle(strategy: Any, an
     on_crank = added.crank_g * PLACES.crank_mm / turned.crank_radius_mm * phasor(added.crank_deg)
     assert abs(turned.rotating_g + added.rod_g * (1 + lever) - on_crank - meant.rotating_g) < 1e-12 * 1000
     assert turned.reciprocating_g - added.rod_g * lever == pytest.approx(meant.reciprocating_g, abs=1e-12 * 1000)
+
+
+# Forces by order as rotating parts: axes, ellipses, direction of rotation, and their sums.
+
+
+PARTS = st.complex_numbers(max_magnitude=1e6, allow_nan=False, allow_infinity=False)
+ANGLES_POLAR = np.arange(360) / 360
+
+
+@given(x=PARTS, y=PARTS, order=st.integers(1, 6))
+def test_analytic_rotating_parts_draw_the_curve_of_their_axes(x: complex, y: complex, order: int) -> None:
+    force = OrderForce.of_axes(order=order, x_g_mm=x, y_g_mm=y)
+    turn = np.exp(2j * np.pi * order * ANGLES_POLAR)
+    expected = (x * turn).real + 1j * (y * turn).real
+    scale = abs(x) + abs(y) + 1e-300
+    assert np.abs(polar_diagram([force], ANGLES_POLAR) - expected).max() <= 1e-12 * scale
+    assert abs(force.x_g_mm - x) + abs(force.y_g_mm - y) <= 1e-14 * scale
+
+
+@pytest.mark.slow
+def test_analytic_semi_axes_bound_the_curve() -> None:
+    force = OrderForce.of_axes(order=1, x_g_mm=3 + 1j, y_g_mm=0.5 - 2j)
+    size = np.abs(polar_diagram([force], np.arange(100_000) / 100_000))
+    largest, smallest = force.semi_axes_g_mm
+    assert size.max() == pytest.approx(largest, rel=1e-8)
+    assert size.min() == pytest.approx(smallest, rel=1e-6)
+
+
+def test_the_direction_of_rotation_is_that_of_the_drawn_curve() -> None:
+    turning = {(2, -2j): "with crank", (2, 2j): "against crank", (5, -1j): "with crank"}
+    for (x, y), rotation in (turning | {(2, 0): "line", (0, -3j): "line", (0, 0): "none"}).items():
+        force = OrderForce.of_axes(order=1, x_g_mm=x, y_g_mm=y)
+        assert force.rotation == rotation
+        curve = polar_diagram([force], ANGLES_POLAR)
+        area = float(np.sum((curve.conj() * np.roll(curve, -1)).imag))
+        assert np.sign(round(area, 9)) == {"with crank": 1, "against crank": -1}.get(rotation, 0)
+
+
+@pytest.mark.slow
+def test_what_cancels_to_round_off_is_zero_and_what_does_not_is_kept() -> None:
+    third = OrderForce(order=1, direct_g_mm=1 / 3)
+    total = sum_by_order(
+        [third, third, third, OrderForce(order=1, direct_g_mm=-1.0), OrderForce(order=2, reverse_g_mm=1)]
+    )
+    assert [force.order for force in total] == [1, 2]
+    assert total[0].direct_g_mm == 0
+    kept = sum_by_order([OrderForce(order=1, direct_g_mm=1.0), OrderForce(order=1, direct_g_mm=-1.0 + 1e-12)])
+    assert kept[0].direct_g_mm == pytest.approx(1e-12, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_phasors_are_exact_at_quarter_turns() -> None:
+    assert [phasor(angle) for angle in (0, 90, 180, 270, -90, 540)] == [1, 1j, -1, -1j, -1j, -1]
+    assert phasor(30.0) == pytest.approx(complex(math.sqrt(3) / 2, 0.5), rel=1e-15)
+
+
+# What stays unbalanced in the thesis engines: leading terms, spacer and offset.
+
+
+CONFIGURATIONS = {
+    "r=44.9,l=152": SliderCrank(crank_radius_m=0.0449, rod_length_m=0.152),
+    "r=47.3,lambda=15001.4/49822.3": SliderCrank(crank_radius_m=0.0473, rod_length_m=0.0473 * 49822.3 / 15001.4),
+}
+
+
+def offset_by_10_mm(name: str) -> SliderCrank:
+    """A configuration with the offset of the thesis."""
+    straight = CONFIGURATIONS[name]
+    return SliderCrank(crank_radius_m=straight.crank_radius_m, rod_length_m=straight.rod_length_m, offset_m=0.01)
+
+
+def test_analytic_leading_harmonics_are_the_limit_of_the_exact_ones() -> None:
+    assert leading_harmonics(4, 0.5) == pytest.approx([0.5, 0.5**3 / 4, 9 * 0.5**5 / 128, 5 * 0.5**7 / 256], rel=1e-15)
+    assert leading_harmonics(6, 1e-4) == pytest.approx(even_harmonics(6, 1e-4), rel=1e-6)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "ratio"), [(-1, 0.3), (3, 0.0), (3, 1.0), (3, math.nan)])
+def test_leading_harmonics_outside_their_range_are_refused(count: int, ratio: float) -> None:
+    with pytest.raises(RequestError, match="harmonics"):
+        leading_harmonics(count, ratio)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CONFIGURATIONS)
+def test_the_offset_does_what_the_truth_sheet_says(name: str, shared_truth: dict[str, Any]) -> None:
+    known = shared_truth["seed001"]["offset_10mm"][name]
+    effects = offset_effects(offset_by_10_mm(name))
+    assert effects.quadrature_share == pytest.approx(float(known["sin"]["1"]), rel=1e-12)
+    assert effects.amplitude_ratio == pytest.approx(float(known["amplitude"]["1"]), rel=1e-12)
+    assert effects.rephasing_deg == pytest.approx(known["phase_first_order_deg"], rel=1e-12)
+    assert effects.third_over_fourth == pytest.approx(known["third_over_fourth"], rel=1e-12)
+
+
+def test_analytic_shafts_that_lag_by_the_rephasing_leave_no_first_order() -> None:
+    effects = offset_effects(offset_by_10_mm("r=44.9,l=152"))
+    angle = 2 * np.pi * np.arange(360) / 360
+    first = np.cos(angle) + effects.quadrature_share * np.sin(angle)
+    shafts = effects.amplitude_ratio * np.cos(angle - np.radians(effects.rephasing_deg))
+    assert np.abs(first - shafts).max() < 1e-14
+    assert round(effects.rephasing_deg, 1) == 3.9

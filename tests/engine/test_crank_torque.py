@@ -77,15 +77,6 @@ def test_harmonics_are_the_true_ones_up_to_order_64(shared_truth: dict[str, Any]
     np.testing.assert_allclose(np.abs(harmonics), [float(line["amp"]) for line in listed.values()], rtol=1e-12)
 
 
-def test_mean_and_harmonics_add_up_to_the_torque() -> None:
-    orders = np.arange(1, 2001)
-    angles = np.array([0.05, 0.2, 0.37, 0.62, 0.9])
-    waves = np.exp(2j * np.pi * orders * angles[:, None])
-    total = CURVE.mean_nm + (torque_harmonics(orders, CURVE) * waves).real.sum(axis=1)
-    # orders beyond 2000 fall as 2.1e3/n² and alternate: what is left is about 2.1e3/2000² per radian of phase
-    np.testing.assert_allclose(total, crank_torque(angles, CURVE), atol=2e-3)
-
-
 def test_the_potential_torque_does_no_work_in_a_revolution() -> None:
     nodes, weights = np.polynomial.legendre.leggauss(16)
     halves = np.concatenate([0.25 + 0.25 * nodes, 0.75 + 0.25 * nodes])

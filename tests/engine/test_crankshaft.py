@@ -16,7 +16,6 @@ from crankorder.engine.crankshaft import (
     CrankshaftSums,
     FanCounterweight,
     crankshaft_sums,
-    slug_unbalance_kg_mm,
     two_plane_correction,
 )
 from crankorder.errors import ManyErrors, RequestError
@@ -86,13 +85,6 @@ def test_a_counterweight_that_cannot_be_is_refused(wrong: dict[str, float]) -> N
     sizes = {"radius_mm": 60.0, "thickness_mm": 18.0, "fan_angle_deg": 120.0, "density_kg_m3": 7850.0}
     with pytest.raises(ValidationError, match=next(iter(wrong))):
         FanCounterweight(**(sizes | wrong))
-
-
-def test_analytic_a_slug_counts_by_the_difference_of_the_densities() -> None:
-    slug = {"diameter_mm": 20.0, "length_mm": 30.0, "radius_mm": 50.0, "crank_density_kg_m3": 7850.0}
-    found = slug_unbalance_kg_mm(**slug, slug_density_kg_m3=17850.0)
-    assert found == pytest.approx(np.pi * 100 * 30 * 1e-9 * 10_000 * 50, rel=1e-14)
-    assert slug_unbalance_kg_mm(**slug, slug_density_kg_m3=7850.0) == 0
 
 
 def test_table_2_is_an_output_of_the_engine_file_row_by_row(shared_truth: dict[str, Any]) -> None:

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.engine.definition import Engine
-from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments
-from crankorder.engine.harmonics import orders_for
+from crankorder.engine.definition import Engine, load_engine
+from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments, orders_made
+from crankorder.engine.harmonics import even_harmonics, orders_for
 from crankorder.engine.slider_crank import piston_acceleration
 
 Z, X = DIRECTIONS.index("Z"), DIRECTIONS.index("X")
@@ -36,27 +36,6 @@ def test_shafts_timed_to_the_crank_leave_the_quadrature_of_the_offset(shared_tru
     assert np.abs(to_force[1:]).max() == 0
 
 
-@pytest.mark.parametrize(("name", "mass_kg"), [("standard", 1.216), ("optical", 4.304)])
-def test_table_1_of_the_thesis_has_its_exact_values(shared_truth: dict[str, Any], name: str, mass_kg: float) -> None:
-    model = engine(reciprocating_mass_kg=mass_kg)
-    per_omega = np.abs(crankcase_forces(model, 30 / np.pi, max_order=8)[Z]) * 1e6
-    in_newton = np.abs(crankcase_forces(model, 2000, max_order=8)[Z])
-    for row in shared_truth["seed001"]["table1"]["rows_g_mm"][name]:
-        assert per_omega[row["order"]] == pytest.approx(row["exact_Fourier"], rel=1e-12)
-    for order, known in shared_truth["seed001"]["table1"]["force_N_at_2000rpm"][name].items():
-        assert in_newton[int(order)] == pytest.approx(known, rel=1e-12)
-
-
-@pytest.mark.parametrize(("radius_m", "rod_m", "row"), [(0.0449, 0.152, 0), (0.0473, 0.0473 * 49822.3 / 15001.4, 1)])
-def test_the_forces_of_the_offset_engine_are_those_of_the_truth_sheet(
-    shared_truth: dict[str, Any], radius_m: float, rod_m: float, row: int
-) -> None:
-    known = list(shared_truth["seed001"]["offset_10mm"].values())[row]["force_N_2000rpm_optical_4304g"]
-    model = engine(crank_radius_m=radius_m, rod_length_m=rod_m, offset_m=0.01)
-    forces = np.abs(crankcase_forces(model, 2000, max_order=12)[Z])
-    assert forces[1:] == pytest.approx([known[str(order)] for order in range(1, 13)], rel=1e-12)
-
-
 def test_the_inertia_of_the_rod_makes_a_moment_and_no_force() -> None:
     rod = {"mass_kg": 1.6738, "centre_from_big_end_m": 0.03736}
     plain, true = (engine(rod=rod | inertia) for inertia in ({}, {"inertia_kg_m2": 0.0032}))
@@ -79,6 +58,65 @@ def test_the_orders_add_up_to_mass_times_exact_acceleration() -> None:
     assert not force[DIRECTIONS.index("Y")].any()
 
 
-def test_forces_grow_with_the_square_of_speed() -> None:
-    slow, fast = crankcase_forces(engine(offset_m=0.01), [700.0, 2100.0], max_order=8)
-    assert np.abs(fast - 9 * slow).max() < 1e-13 * np.abs(fast).max()
+# Several cylinders: what textbooks say cancels does, and what remains has its textbook size.
+
+
+X_SEVERAL, Y, Z_SEVERAL = (DIRECTIONS.index(name) for name in ("X", "Y", "Z"))
+SPEED_RPM = 3000.0
+RADIUS_M, ROD_M, MASS_KG, PITCH_M = 0.0449, 0.152, 1.216, 0.1
+FIRST_N = MASS_KG * RADIUS_M * (SPEED_RPM * np.pi / 30) ** 2
+A2, A4, A6 = even_harmonics(3, RADIUS_M / ROD_M)
+
+
+def sizes(engine: Engine) -> tuple[np.ndarray, np.ndarray]:
+    forces = np.abs(crankcase_forces(engine, SPEED_RPM, max_order=8)) / FIRST_N
+    moments = np.abs(crankcase_moments(engine, SPEED_RPM, max_order=8)) / (FIRST_N * PITCH_M)
+    return forces, moments
+
+
+def row(crank_deg: list[float], **differences: Any) -> Engine:
+    """Cylinders side by side, 100 mm apart, about the middle of the engine."""
+    places = PITCH_M * (np.arange(len(crank_deg)) - (len(crank_deg) - 1) / 2)
+    cylinders = [
+        {"crank_deg": angle, "position_m": float(place)} for angle, place in zip(crank_deg, places, strict=True)
+    ]
+    lengths = {"crank_radius_m": RADIUS_M, "rod_length_m": ROD_M, "reciprocating_mass_kg": MASS_KG}
+    return Engine.model_validate({**lengths, "cylinders": cylinders, **differences})
+
+
+@pytest.mark.slow
+def test_the_shipped_examples_are_the_textbook_arrangements() -> None:
+    for name, cranks in {"inline-2": [0, 180], "inline-3": [0, 120, 240], "inline-4": [0, 180, 180, 0]}.items():
+        textbook, example = row([float(crank) for crank in cranks]), load_engine(name)
+        shipped = crankcase_moments(example, SPEED_RPM, max_order=8)
+        assert np.abs(shipped - crankcase_moments(textbook, SPEED_RPM, max_order=8)).max() < 1e-10 * FIRST_N
+        assert [cylinder.crank_deg for cylinder in example.cylinders] == cranks
+
+
+def test_a_counterweight_takes_the_whole_first_order_of_a_90_degree_v_twin() -> None:
+    forces, _ = sizes(load_engine("v-twin"))
+    assert forces[:, 1].max() < 1e-7  # the shipped counterweight is rounded to 0.1 g·mm
+    without = load_engine("v-twin").model_copy(update={"rotating_unbalance_kg_m": 0.0})
+    first = crankcase_forces(without, SPEED_RPM, max_order=8)[:, 1] / FIRST_N
+    assert first[Z_SEVERAL] == pytest.approx(1.0, rel=1e-12)
+    assert first[X_SEVERAL] == pytest.approx(-1j, rel=1e-12)  # constant size, turning with the crank
+    assert forces[X_SEVERAL, 2] == pytest.approx(np.sqrt(2) * A2, rel=1e-12)
+    assert forces[Z_SEVERAL, 2] < 1e-15
+    assert forces[Z_SEVERAL, 4] == pytest.approx(np.sqrt(2) * A4, rel=1e-12)
+
+
+def test_shafts_take_the_second_order_of_an_inline_four() -> None:
+    shafts = {"orders": [2], "unbalanced_mass_kg": 0.1}
+    with_shafts, without = row([0.0, 180.0, 180.0, 0.0], shafts=shafts), row([0.0, 180.0, 180.0, 0.0])
+    left = crankcase_forces(with_shafts, SPEED_RPM, max_order=6)[Z_SEVERAL]
+    whole = crankcase_forces(without, SPEED_RPM, max_order=6)[Z_SEVERAL]
+    assert left[2] == pytest.approx(whole[2] * 0.1 / MASS_KG, rel=1e-12)
+    assert left[4] == whole[4]
+
+
+def test_what_cancels_to_round_off_is_no_order_that_the_engine_makes() -> None:
+    in_one_plane = [{"crank_deg": angle} for angle in (0.0, 120.0, 240.0)]
+    engine = row([0.0]).model_copy(update={"cylinders": row([0.0] * 3, cylinders=in_one_plane).cylinders})
+    assert orders_made(engine, share=1e-3, max_order=5) == ()
+    assert orders_made(engine, share=1e-3, max_order=6) == (6.0,)
+    assert orders_made(load_engine("inline-3"), share=1e-3, max_order=5) == (1.0, 2.0, 4.0)

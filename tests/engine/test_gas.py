@@ -1,12 +1,19 @@
 """Gas forces and torques: work, orders and superposition."""
 
+import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
-from crankorder.engine.definition import Engine
-from crankorder.engine.gas import firing_angle_deg, gas_force, gas_torque, gas_torque_by_order
+from crankorder.engine.balance_data import BalanceData, BalancedEngine, load_balanced_engine
+from crankorder.engine.balance_sheet import balance_sheet
+from crankorder.engine.cycle_tables import cycle_curves, cycle_table
+from crankorder.engine.definition import Engine, load_engine
+from crankorder.engine.forces import cylinder_loads
+from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
 from crankorder.engine.slider_crank import piston_drop
 from crankorder.errors import RequestError
 
@@ -40,13 +47,6 @@ def test_the_work_of_the_torque_is_the_area_of_the_indicator_diagram() -> None:
     assert torque[0].imag == 0
     assert 4 * np.pi * torque[0].real == pytest.approx(area, rel=1e-6)
     assert area > 30
-
-
-def test_a_gas_spring_makes_no_mean_torque() -> None:
-    orders, torque = gas_torque_by_order(genset(gas=closed_cycle()), 3)
-    assert orders.tolist() == [0, 0.5, 1, 1.5, 2, 2.5, 3]
-    assert abs(torque[0]) < 1e-9 * np.abs(torque).max()
-    assert np.abs(torque.real).max() < 1e-9 * np.abs(torque).max()  # odd about the dead centre: sines only
 
 
 def test_a_torque_curve_is_taken_as_it_is() -> None:
@@ -89,3 +89,236 @@ def test_a_single_cylinder_fires_where_it_stands() -> None:
 def test_without_gas_there_is_no_force() -> None:
     assert not gas_force(genset(), np.linspace(0, 2, 9)).any()
     assert not gas_torque(genset(), np.linspace(0, 2, 9)).any()
+
+
+# Gas, turning moment and loads of any engine, against quadrature, closed forms and Newton and Euler by hand.
+
+
+IDEAL = {"compression_ratio": 9.5, "intake_pa": 8e4, "heat_j": 900.0, "exponent": 1.35, "exhaust_pa": 1.1e5}
+DATA_CYCLE: dict[str, Any] = {
+    "crank_radius_m": 0.043,
+    "rod_length_m": 0.141,
+    "reciprocating_mass_kg": 0.6,
+    "rotating_unbalance_kg_m": 0.006,
+    "rotating_unbalance_deg": 20.0,
+    "rod": {"mass_kg": 0.55, "centre_from_big_end_m": 0.04, "inertia_kg_m2": 0.002},
+    "bore_m": 0.086,
+    "gas": {"ideal": IDEAL},
+}
+
+
+def engine(**differences: Any) -> Engine:
+    return Engine.model_validate({**DATA_CYCLE, **differences})
+
+
+def volume(model: Engine, turned: Any, ratio: float) -> Any:
+    """Volume over the piston by hand, from the length of crank and rod in one line."""
+    r, rod, e = model.crank_radius_m, model.rod_length_m, model.offset_m
+    height = r * np.cos(turned) + np.sqrt(rod**2 - (r * np.sin(turned) - e) ** 2)
+    top, bottom = math.sqrt((rod + r) ** 2 - e**2), math.sqrt((rod - r) ** 2 - e**2)
+    area = math.pi / 4 * model.bore_m**2 if model.bore_m else math.nan
+    return area * ((top - bottom) / (ratio - 1) + top - height)
+
+
+def pressure(model: Engine, degrees: Any) -> Any:
+    assert model.bore_m is not None
+    return gas_force(model, np.asarray(degrees) / 360) / (math.pi / 4 * model.bore_m**2) + 101325.0
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 0.008])
+def test_an_ideal_cycle_does_the_work_of_the_textbook(offset_m: float) -> None:
+    model = engine(offset_m=offset_m)
+    ends = volume(model, np.array([math.asin(offset_m / 0.184), math.pi + math.asin(offset_m / 0.098)]), 9.5)
+    assert ends[1] / ends[0] == pytest.approx(9.5, rel=1e-9)
+    otto = 900.0 * (1 - 9.5 ** (1 - 1.35))
+    pumping = (8e4 - 1.1e5) * (ends[1] - ends[0])
+    mean = gas_torque_by_order(model, 1)[1][0].real
+    burnt_at = math.asin(offset_m / 0.184) / (2 * math.pi)
+    assert 4 * math.pi * mean == pytest.approx(otto + pumping, rel=3e-5)
+    assert burnt_at >= 0
+
+
+@pytest.mark.slow
+def test_heat_over_some_angle_follows_the_first_law() -> None:
+    burn = {"burn_start_deg": -20.0, "burn_duration_deg": 60.0}
+    model = engine(gas={"ideal": IDEAL | burn})
+    start, length = math.radians(-20), math.radians(60)
+
+    def rise(turned: float, p: np.ndarray) -> np.ndarray:
+        step = 1e-5
+        slope = (volume(model, turned + step, 9.5) - volume(model, turned - step, 9.5)) / (2 * step)
+        heat = 900.0 * 0.5 * math.pi / length * math.sin(math.pi * (turned - start) / length)
+        return np.array([(0.35 * heat - 1.35 * p[0] * slope) / volume(model, turned, 9.5)])
+
+    before = 8e4 * (volume(model, math.pi, 9.5) / volume(model, start, 9.5)) ** 1.35
+    solved = solve_ivp(rise, (start, start + length), [before], rtol=1e-11, atol=1e-3, dense_output=True)
+    degrees = np.linspace(-20, 40, 25)
+    assert pressure(model, degrees) == pytest.approx(solved.sol(np.radians(degrees))[0], rel=1e-7)
+    assert pressure(model, [-100.0, 100.0, 250.0, 500.0]) == pytest.approx(
+        [
+            8e4 * (volume(model, math.pi, 9.5) / volume(model, math.radians(-100), 9.5)) ** 1.35,
+            solved.y[0, -1] * (volume(model, math.radians(40), 9.5) / volume(model, math.radians(100), 9.5)) ** 1.35,
+            1.1e5,
+            8e4,
+        ],
+        rel=1e-8,
+    )
+
+
+def test_a_two_stroke_cycle_is_closed_all_the_way_round() -> None:
+    ideal = {key: value for key, value in IDEAL.items() if key != "exhaust_pa"}
+    model = engine(cycle="two-stroke", gas={"ideal": ideal})
+    mean = gas_torque_by_order(model, 1)[1][0].real
+    assert 2 * math.pi * mean == pytest.approx(900.0 * (1 - 9.5 ** (1 - 1.35)), rel=3e-5)
+    with pytest.raises(ValueError, match="exhaust"):
+        engine(cycle="two-stroke")
+
+
+def test_the_gas_torque_by_order_is_that_of_a_quadrature() -> None:
+    cylinders = [{"firing_deg": 0.0}, {"crank_deg": 180.0, "firing_deg": 180.0}]
+    model = engine(cylinders=cylinders, gas={"ideal": IDEAL | {"burn_start_deg": -20.0, "burn_duration_deg": 60.0}})
+    ends = np.radians([0, 40, 160, 180, 220, 340, 360, 540, 700, 720])  # the torque is smooth between them
+    nodes, weights = np.polynomial.legendre.leggauss(60)
+    half = np.diff(ends)[:, None] / 2
+    turned, share = (ends[:-1, None] + half * (1 + nodes)).ravel(), (half * weights).ravel()
+    torque = np.zeros_like(turned)
+    for fires in (0.0, math.pi):
+        own = turned - fires
+        slope = (volume(model, own + 1e-5, 9.5) - volume(model, own - 1e-5, 9.5)) / 2e-5
+        torque += (pressure(model, np.degrees(own)) - 101325.0) * slope
+    orders, ours = gas_torque_by_order(model, 4)
+    for order in (0.5, 1.0, 2.0, 3.5):
+        known = np.sum(share * torque * np.exp(-1j * order * turned)) / (2 * math.pi)
+        line = ours[orders.tolist().index(order)]
+        assert line == pytest.approx(known, abs=2e-6 * float(np.abs(ours).max())), order
+
+
+def newton_euler(model: Engine, turned: float, omega: float, gas_n: float) -> dict[str, np.ndarray]:
+    """Forces of one upright cylinder from the nine equations of rod, piston and crank, accelerations by hand."""
+    assert model.rod is not None
+    r, rod, e, m = model.crank_radius_m, model.rod_length_m, model.offset_m, model.rod
+    a = m.centre_from_big_end_m
+    pin = r * np.array([math.cos(turned), math.sin(turned)])  # along, across
+    pin_acc = -(omega**2) * pin
+    sine = (r * math.sin(turned) - e) / rod
+    psi = math.asin(sine)
+    rate = r * math.cos(turned) / (rod * math.cos(psi)) * omega
+    bend = (-r * math.sin(turned) * omega**2 / rod + sine * rate**2) / math.cos(psi)
+    along, side = np.array([math.cos(psi), -math.sin(psi)]), np.array([-math.sin(psi), -math.cos(psi)])
+    at_centre = pin_acc + a * (side * bend - along * rate**2)
+    at_piston = pin_acc + rod * (side * bend - along * rate**2)
+    piston_kg = model.reciprocating_mass_kg - m.mass_kg * a / rod
+    # unknown: pin on rod (2), piston on rod (2), wall on piston (1)
+    big, small = -a * along, (rod - a) * along
+    system = np.zeros((5, 5))
+    right = np.zeros(5)
+    system[0, [0, 2]], right[0] = 1, m.mass_kg * at_centre[0]
+    system[1, [1, 3]], right[1] = 1, m.mass_kg * at_centre[1]
+    # moment along × across, in the crank's sense; the rod turns by −ψ
+    system[2] = [-big[1], big[0], -small[1], small[0], 0]
+    assert m.inertia_kg_m2 is not None
+    right[2] = -m.inertia_kg_m2 * bend
+    system[3, 2], right[3] = -1, piston_kg * at_piston[0] + gas_n
+    system[4, 3], system[4, 4], right[4] = -1, 1, piston_kg * at_piston[1]
+    solved = np.linalg.solve(system, right)
+    # what rotates beside the rod's big end: the given unbalance less the share of the rod that it includes
+    rest = turned + math.radians(model.rotating_unbalance_deg)
+    rotating = model.rotating_unbalance_kg_m * np.array([math.cos(rest), math.sin(rest)])
+    rotating = rotating - m.mass_kg * (1 - a / rod) * pin
+    return {
+        "crank_pin_n": -solved[:2],
+        "piston_pin_n": -solved[2:4],
+        "wall_n": np.array([-solved[4]]),
+        "main_n": -solved[:2] + omega**2 * rotating,
+    }
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_loads_are_those_of_an_independent_newton_euler_solution(seed: int) -> None:
+    draw = np.random.default_rng(seed)
+    rod = {"mass_kg": 0.55, "centre_from_big_end_m": float(draw.uniform(0, 0.12)), "inertia_kg_m2": 0.003}
+    model = engine(offset_m=float(draw.uniform(-0.02, 0.02)), rod=rod)
+    speed = float(draw.uniform(0, 9000))
+    angles = draw.uniform(0, 2, 40)
+    loads = cylinder_loads(model, angles, speed)
+    gas = gas_force(model, angles)
+    scale = max(float(np.abs(loads.crank_pin_n).max()), float(np.abs(gas).max()))
+    for number, angle in enumerate(angles):
+        known = newton_euler(model, 2 * math.pi * angle, speed * math.pi / 30, float(gas[number]))
+        assert np.abs(loads.crank_pin_n[:, number] - known["crank_pin_n"]).max() < 1e-9 * scale
+        assert np.abs(loads.piston_pin_n[:, number] - known["piston_pin_n"]).max() < 1e-9 * scale
+        assert abs(loads.side_thrust_n[number] - known["wall_n"][0]) < 1e-9 * scale
+        assert np.abs(loads.main_n[:, number] - known["main_n"]).max() < 1e-9 * scale
+
+
+@pytest.mark.slow
+def test_gas_and_masses_are_side_by_side_and_alike_where_it_says() -> None:
+    model = load_engine("inline-4-firing")
+    table = cycle_table(model, max_order=8, speeds=[1000.0, 6000.0])
+    slow, fast = (table["turning"][key]["by_order"]["2"] for key in ("1000", "6000"))
+    assert (slow["dominates"], fast["dominates"]) == ("gas", "inertia")
+    assert slow["alike_at_rpm"] == pytest.approx(fast["alike_at_rpm"], rel=1e-12)
+    alike = cycle_table(model, max_order=8, speeds=[slow["alike_at_rpm"]])["turning"]
+    (one,) = alike.values()
+    assert one["by_order"]["2"]["gas_n_m"] == pytest.approx(one["by_order"]["2"]["inertia_n_m"], rel=1e-12)
+    assert "0.5" not in table["turning"]["1000"]["by_order"]  # four alike cylinders at even intervals
+
+
+def test_the_speed_swings_by_the_energy_that_the_flywheel_takes() -> None:
+    model = load_engine("inline-4-firing")
+    speed, inertia = 2500.0, 50.0
+    stiff = model.model_copy(update={"flywheel_inertia_kg_m2": inertia})
+    found = cycle_table(stiff, max_order=8, speeds=[speed])["turning"]["2500"]["speed_fluctuation"]
+    total = cycle_curves(stiff, [speed])[0].total_n_m
+    energy = np.cumsum(total - total.mean()) * 2 * np.pi / 720
+    assert found == pytest.approx(np.ptp(energy) / (inertia * (speed * np.pi / 30) ** 2), rel=5e-3)
+    assert (
+        cycle_table(load_engine("inline-4"), max_order=4, speeds=[1000.0])["turning"]["1000"]["speed_fluctuation"]
+        is None
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("firing", "intervals"),
+    [((0.0, 180.0, 360.0, 540.0), [180.0] * 4), ((0.0, 360.0, 180.0, 180.0), [180.0, 0.0, 180.0, 360.0])],
+)
+def test_firing_intervals_are_told_with_their_evenness(firing: tuple[float, ...], intervals: list[float]) -> None:
+    pins = [-angle % 360 for angle in firing]
+    cylinders = [{"crank_deg": pin, "firing_deg": angle} for pin, angle in zip(pins, firing, strict=True)]
+    model = engine(cylinders=cylinders)
+    assert list(firing_intervals_deg(model)) == intervals
+    assert cycle_table(model, max_order=4, speeds=[1000.0])["firing"]["even"] == (len(set(intervals)) == 1)
+
+
+@pytest.mark.slow
+def test_a_bearing_place_and_a_bore_change_what_the_sheet_says() -> None:
+    def loads(**differences: Any) -> Any:
+        model = load_engine("inline-4-firing").model_copy(update=differences)
+        sheet = balance_sheet(BalancedEngine(name="it", engine=model, balance=BalanceData()))
+        return sheet["cycle"]["loads"]["2000"]
+
+    plain = loads()
+    assert loads(main_bearings_m=(-0.186, -0.08, 0.0, 0.08, 0.186))["main_bearings"] != plain["main_bearings"]
+    assert loads(bore_m=0.09)["cylinders"] != plain["cylinders"]
+
+
+def test_a_gas_file_beside_the_engine_is_its_curve_and_its_faults_are_named(tmp_path: Path) -> None:
+    text = "crank_radius_m = 0.043\nrod_length_m = 0.141\nreciprocating_mass_kg = 0.6\nbore_m = 0.086\n"
+    (tmp_path / "it.toml").write_text(text + '[gas]\nfile = "p.csv"\n')
+    rows = "crank_angle_deg,pressure_pa\n-360,1e5\n0,3e6\n30,4e6\n180,2e5\n"
+    (tmp_path / "p.csv").write_text(rows)
+    for model in (load_engine("it.toml", beside=tmp_path), load_balanced_engine(str(tmp_path / "it.toml")).engine):
+        assert model.gas is not None
+        assert model.gas.pressure_pa == (1e5, 3e6, 4e6, 2e5)
+    for wrong, says in (
+        (rows.replace("3e6", "high"), "high"),
+        (rows.replace("pressure_pa", "bar"), "bar"),
+        ("", "no rows"),
+    ):
+        (tmp_path / "p.csv").write_text(wrong)
+        with pytest.raises(RequestError, match=says):
+            load_engine("it.toml", beside=tmp_path)
+    (tmp_path / "p.csv").unlink()
+    with pytest.raises(RequestError, match="no such gas file"):
+        load_engine("it.toml", beside=tmp_path)

@@ -72,26 +72,20 @@ def test_the_torque_of_the_rod_is_the_work_of_gas_and_inertia(offset_m: float) -
     assert np.abs(torque - gas_torque(model, ANGLES) - inertia).max() < 1e-12 * np.abs(torque).max()
 
 
-@pytest.mark.slow
-def test_the_inertia_torque_leads_with_its_textbook_terms() -> None:
-    ratio = 0.01
-    model = Engine(crank_radius_m=0.05, rod_length_m=0.05 / ratio, reciprocating_mass_kg=2.0)
-    torque = inertia_torque_by_order(model, 4) / (2.0 * 0.05**2)
-    textbook = -1j * np.array([0, ratio / 4, -1 / 2, -3 * ratio / 4, -(ratio**2) / 4])
-    assert np.abs(torque - textbook).max() < ratio**3
-
-
-def test_the_main_bearings_together_carry_all_throws_in_force_and_moment() -> None:
+def test_the_main_bearings_together_carry_throws_of_their_own_masses_and_webs_in_force_and_moment() -> None:
     cylinders = [
-        {"crank_deg": 0.0, "bank_deg": -30.0, "position_m": -0.09, "firing_deg": 330.0},
-        {"crank_deg": 90.0, "bank_deg": 45.0, "position_m": 0.02, "firing_deg": 315.0},
-        {"crank_deg": 180.0, "bank_deg": 0.0, "position_m": 0.1, "firing_deg": 540.0},
+        {"crank_deg": 0.0, "bank_deg": -30.0, "position_m": -0.09, "firing_deg": 330.0, "reciprocating_mass_kg": 0.9},
+        {"crank_deg": 90.0, "bank_deg": 45.0, "position_m": 0.02, "firing_deg": 315.0, "rotating_unbalance_kg_m": 0.02},
+        {"crank_deg": 180.0, "bank_deg": 0.0, "position_m": 0.1, "firing_deg": 540.0, "offset_m": 0.01},
     ]
     places = [-0.1, 0.0, 0.1]
-    model = engine(cylinders=cylinders, main_bearings_m=places)
+    webs = [{"unbalance_g_mm": 2e4, "angle_deg": 70.0, "position_m": 0.12}]
+    model = engine(cylinders=cylinders, webs=webs, main_bearings_m=places)
     bearings = main_bearing_loads(model, ANGLES, SPEED_RPM)
     assert bearings.shape == (3, 3, ANGLES.size)
-    force, moment = np.zeros((3, ANGLES.size)), np.zeros((3, ANGLES.size))
+    turned = 2 * np.pi * ANGLES + np.radians(70.0)
+    force = 2e4 * 1e-6 * OMEGA**2 * np.stack([np.sin(turned), 0 * turned, np.cos(turned)])
+    moment = 0.12 * force
     for number, cylinder in enumerate(model.cylinders):
         along, across = cylinder_loads(model, ANGLES, SPEED_RPM, cylinder=number).main_n
         lean = np.radians(cylinder.bank_deg)

@@ -1,7 +1,5 @@
 """A folder, a fault and settings, drawn at random: a documented exit status, the file named, no input changed."""
 
-from __future__ import annotations
-
 import hashlib
 import shutil
 from collections.abc import Callable
@@ -106,31 +104,19 @@ def check_one(scene: Path, place: Path, name: str, fault: str, at: float, more: 
     assert not list(out.glob("*.part"))
 
 
-WITHOUT_SHRINKING = (Phase.explicit, Phase.generate)
-drawn = given(
-    name=NAMES,
-    fault=st.sampled_from(sorted(FAULTS)),
-    at=st.floats(0.0, 1.0),
-    more=st.sampled_from(SETTINGS),
-    whole=st.integers(0, 2),
-)
-
-
-@settings(max_examples=4, phases=WITHOUT_SHRINKING, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@drawn
+@pytest.mark.parametrize("examples", [4, pytest.param(100, marks=pytest.mark.slow)])
 def test_whatever_is_wrong_with_one_recording_its_file_is_named_and_nothing_else_suffers(
-    scene: Path, tmp_path_factory: pytest.TempPathFactory, **case: object
+    scene: Path, tmp_path_factory: pytest.TempPathFactory, examples: int
 ) -> None:
-    check_one(scene, tmp_path_factory.mktemp("case"), **case)  # type: ignore[arg-type]
+    @settings(max_examples=examples, phases=[Phase.explicit, Phase.generate])
+    @given(
+        name=NAMES, fault=st.sampled_from(sorted(FAULTS)), at=st.floats(0.0, 1.0), more=st.sampled_from(SETTINGS),
+        whole=st.integers(0, 2),
+    )  # fmt: skip
+    def check(**case: object) -> None:
+        check_one(scene, tmp_path_factory.mktemp("case"), **case)  # type: ignore[arg-type]
 
-
-@pytest.mark.slow
-@settings(max_examples=100, phases=WITHOUT_SHRINKING, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@drawn
-def test_a_hundred_times_whatever_is_wrong_its_file_is_named_and_nothing_else_suffers(
-    scene: Path, tmp_path_factory: pytest.TempPathFactory, **case: object
-) -> None:
-    check_one(scene, tmp_path_factory.mktemp("case"), **case)  # type: ignore[arg-type]
+    check()
 
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])

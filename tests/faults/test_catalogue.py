@@ -1,7 +1,5 @@
 """The list of faults beside this file is whole, and every test that it names is there."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

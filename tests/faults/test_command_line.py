@@ -1,7 +1,5 @@
 """Faults of the shared catalogue that only a whole command shows, each named by its entry."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

@@ -1,7 +1,5 @@
 """A disk that fails at the n-th call of a whole run: exit status 5, and what stands there is whole, old or new."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -1,7 +1,5 @@
 """Runs that are killed at random moments, and runs that share a folder: nothing lost, nothing mixed."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """The band-limited recording: precision kept, error stated, gaps marked as far as the filters reach."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

@@ -1,7 +1,5 @@
 """Decimation keeps the band, the time and nothing else."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

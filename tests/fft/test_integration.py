@@ -1,7 +1,5 @@
 """Integration in the frequency domain, against analytic signals and a trapezoidal integral."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import integrate, signal

@@ -1,7 +1,5 @@
 """FFTW and scipy carry out the same plans; without FFTW nothing of it is loaded."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The planned transform against other programs', its laws in both precisions, and the scaling of a tone."""
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np

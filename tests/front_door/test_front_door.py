@@ -1,7 +1,5 @@
 """The front door: what it gives of arrays is what a run gives of files, and of signals whose truth is known."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 import json

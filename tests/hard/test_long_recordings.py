@@ -1,7 +1,5 @@
 """A recording larger than memory is analysed in blocks; what comes out is what comes out of memory."""
 
-from __future__ import annotations
-
 import gc
 import json
 import os
@@ -19,7 +17,7 @@ import xarray as xr
 
 from crankorder.batch.plan import plan_tests
 from crankorder.fft.band import band_limited
-from crankorder.identify.causes.explain import Sources
+from crankorder.identify.machine_model import MachineModel
 from crankorder.ingest.recording import read_recording
 from crankorder.scratch import is_on_disk
 from crankorder.stages import CampaignResult, analyse_recording, analyse_test
@@ -36,7 +34,7 @@ def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 def analysed(folder: Path, recipe: str | None, max_memory_mb: int) -> CampaignResult:
     plan = plan_tests([folder], folder.parent / "out", recipe=recipe, max_memory_mb=max_memory_mb).tests[0]
     made = analyse_recording(plan.recordings[0], plan.manifest, plan.settings)
-    return analyse_test([made], test="long", sources=Sources(revs_per_cycle=2), settings=plan.settings)
+    return analyse_test([made], test="long", sources=MachineModel(revs_per_cycle=2), settings=plan.settings)
 
 
 @pytest.mark.slow

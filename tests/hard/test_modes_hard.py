@@ -1,7 +1,5 @@
 """Hard cases of natural frequencies, each with its truth."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -12,13 +10,7 @@ from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.settings import load_settings
 
-ONE = Made(
-    natural_hz=(115.0,),
-    damping=(0.016,),
-    sensor=((0.008, 0.010),),
-    drive=((0.5, -0.7),),
-    rate_hz=640.0,
-)
+ONE = Made(natural_hz=(115.0,), damping=(0.016,), sensor=((0.008, 0.010),), drive=((0.5, -0.7),), rate_hz=640.0)
 
 
 def _fit(made: Made, orders: tuple[float, ...] = (), seed: int = 3) -> ModalFit:
@@ -40,13 +32,9 @@ def test_modes_one_hertz_apart_are_two() -> None:
 
 def test_a_damping_of_a_thousandth_and_one_of_a_fifth_are_both_found() -> None:
     made = replace(
-        ONE,
-        natural_hz=(60.0, 150.0),
-        damping=(0.001, 0.2),
-        sensor=((0.006, 0.010), (0.006, 0.007)),
-        drive=((0.2, 1.7), (-0.8, 0.8)),
-        duration_s=30.0,
-    )
+        ONE, natural_hz=(60.0, 150.0), damping=(0.001, 0.2), sensor=((0.006, 0.010), (0.006, 0.007)),
+        drive=((0.2, 1.7), (-0.8, 0.8)), duration_s=30.0,
+    )  # fmt: skip
     fit = _fit(made)
     assert inside(fit, made)
     assert not fit.tones

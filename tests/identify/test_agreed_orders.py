@@ -1,7 +1,5 @@
 """The number of an order: its interval, its lock, two lines where one seems to be, and what it is without pulses."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import stdtrit

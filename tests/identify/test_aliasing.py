@@ -1,7 +1,5 @@
 """Fixed frequencies that fold into a test sampled by crank angle are told; a test sampled by time has none."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 

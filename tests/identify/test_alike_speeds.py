@@ -1,19 +1,24 @@
 """Lines at speeds that differ by some percent: what stays and what goes with the shaft, each at its size."""
 
-from __future__ import annotations
-
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.identify.found import AgreedOrder, ModalFit, Tone
+from crankorder.findings import Findings
+from crankorder.identify.findings import IN_DOUBT, speed_doubt, undecided_orders, without_free
+from crankorder.identify.found import AgreedOrder, ModalFit, SpeedBand, SpeedVerdicts, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.known_lines import Held, held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.modes.alike_speeds import with_lines_of_recordings
+from crankorder.report.sentences.story import headline, story_of
 from crankorder.settings import load_settings
+from made.command import analysed
 from made.found_lines import agreed, fit, line
 from made.line_frames import angle_of, frames_of, wave
 
@@ -114,3 +119,60 @@ def test_the_interval_of_a_tone_that_stands_alone_holds_it() -> None:
         _, modal = told(held, [hertz - 0.08])
         off += [abs(tone.frequency_hz - hertz) / (Z95 * tone.frequency_error_hz) for tone in modal.tones]
     assert len(off) == 12 and np.mean(np.array(off) < 1.0) >= 0.8 and max(off) < 2.5
+
+
+# A speed that the vibration tells only in doubt carries no sentence that is sure of it.
+
+
+RATE_HZ = 8192
+MANIFEST = """schema_version = 1
+[test]
+name = "no encoder"
+cycle = "rotor"
+[recordings]
+files = ["*.h5"]
+[sampling]
+domain = "time"
+rate_hz = 8192
+[[channels]]
+name = "Z"
+source = "z"
+quantity = "acceleration"
+unit = "m/s2"
+[encoder]
+kind = "vibration"
+"""
+
+
+def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed() -> None:
+    tie = {"recording": "a.h5", "flag": "speed_tie", "severity": "suspect", "detail": "0.5 x fits nearly as well"}
+    assert speed_doubt([]) is None and speed_doubt([{**tie, "flag": "no_index"}]) is None
+    assert speed_doubt([tie, {**tie, "recording": "b.h5"}]) == "0.5 x fits nearly as well (a.h5 and 1 more)"
+    orders = undecided_orders((agreed(2.0), agreed(3.41, lock="slips")))
+    assert [one.lock for one in orders] == ["undecided", "undecided"]
+    assert all(IN_DOUBT in one.reservation for one in orders)
+    verdicts = without_free(SpeedVerdicts((), (SpeedBand(500, 900),), (SpeedBand(900, 950, "open"),)))
+    assert verdicts.free == () and verdicts.open == (SpeedBand(500, 900, IN_DOUBT), SpeedBand(900, 950, "open"))
+
+
+def findings_of(folder: Path, orders: dict[float, float]) -> dict[str, Any]:
+    """Findings of one recording at 1500 rpm without an encoder that holds ``orders``, noise and a tone of 73.3 Hz."""
+    rng, at = np.random.default_rng(3), np.arange(4 * RATE_HZ) / RATE_HZ
+    signal = sum(size * np.cos(2 * np.pi * k * 25.0 * at + k) for k, size in orders.items())
+    signal = signal + 3.0 * np.cos(2 * np.pi * 73.3 * at) + 0.5 * rng.standard_normal(at.size)
+    (folder / "in").mkdir(parents=True)
+    with h5py.File(folder / "in" / "a.h5", "w") as file:
+        file["z"] = signal
+    (folder / "in" / "run.toml").write_text(MANIFEST, encoding="utf-8")
+    return analysed(folder / "in", folder / "out")
+
+
+def test_even_orders_alone_leave_the_speed_open_and_the_page_says_so(tmp_path: Path) -> None:
+    findings = findings_of(tmp_path, {2.0: 1.0, 4.0: 0.6, 6.0: 0.4})
+    assert findings["speed_doubt"] and not findings["free_bands"]
+    assert {record["lock"] for record in findings["orders"]} <= {"undecided"}
+    typed = Findings.from_dict(findings)
+    said = [*headline(typed), *(one for part in story_of(typed).values() for one in part)]
+    assert "is in doubt" in said[0]
+    for sure in ("does not follow the shaft", "Balance it", "Free of resonances", " slips", "Cause: "):
+        assert not any(sure in one for one in said), sure

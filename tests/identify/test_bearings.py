@@ -1,7 +1,5 @@
 """Bearing lines in orders and envelopes: named with slip and interval, told from what keeps step, and not made up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

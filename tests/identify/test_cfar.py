@@ -1,7 +1,5 @@
 """Noise stands over the level as often as is stated, the floor's own error included."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -14,8 +12,11 @@ from crankorder.identify.lines.cfar import (
     reference_bins,
 )
 from crankorder.identify.lines.order_lines import order_lines
+from crankorder.identify.modes.floor import quiet_floor
+from crankorder.identify.modes.search import search
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
+from made.floors import Made, campbell_of
 from made.line_frames import PER_REV, frames_of, rung
 
 SETTINGS = load_settings()
@@ -63,13 +64,6 @@ def test_away_from_a_resonance_the_chance_is_the_stated_one() -> None:
     assert np.r_[share[16:90], share[150:]].mean() < 1.35e-3
 
 
-@pytest.mark.accuracy
-@pytest.mark.parametrize("n_frames", [1, 5, 20])
-def test_the_chance_holds_at_one_in_ten_thousand(n_frames: int) -> None:
-    share = share_over(n_frames, np.ones(len(AXIS)), 1e-4, repeats=300 // n_frames + 20)[16:].mean()
-    assert 0.25e-4 < share < 1.3e-4
-
-
 def test_level_and_chance_are_one_anothers_inverse() -> None:
     for n, bins, chance in ((1.0, 4.6, 1e-6), (12.5, 11.6, 1e-6), (80.0, 11.6, 1e-3)):
         assert noise_chance(noise_level(n, bins, chance), n, bins) == pytest.approx(chance, rel=1e-3)
@@ -80,12 +74,6 @@ def test_with_a_floor_of_ever_more_bins_the_level_becomes_that_of_a_known_floor(
     over = [noise_level(1.0, bins, 1e-6) / known - 1.0 for bins in (10.0, 100.0, 1000.0)]
     assert over[0] > 5 * over[1] > 25 * over[2] > 0.0
     assert over[2] < 0.02
-
-
-def test_no_bin_of_a_line_takes_part_in_its_own_floor() -> None:
-    assert (np.abs(BINS - np.arange(len(AXIS))[:, None]) > 2).all()
-    inner = BINS[60:260] - np.arange(60, 260)[:, None]
-    assert ((inner < 0).sum(axis=1) == 8).all()
 
 
 def noise_only(seed: int) -> int:
@@ -101,11 +89,6 @@ def noise_only(seed: int) -> int:
 
 def test_noise_through_resonances_makes_no_line_in_forty_tests() -> None:
     assert sum(noise_only(seed) for seed in range(40)) == 0
-
-
-@pytest.mark.accuracy
-def test_noise_through_resonances_makes_no_line_in_two_hundred_tests() -> None:
-    assert sum(noise_only(seed) for seed in range(1000, 1200)) == 0
 
 
 @pytest.mark.slow
@@ -130,3 +113,43 @@ def test_reference_bins_are_the_nearest_quiet_ones_half_of_them_on_each_side() -
         left = min(12 - right, len(below))
         right = 12 - left
         assert sorted(below[:left] + above[:right]) == bins.tolist()
+
+
+# What strong lines leak: no cell of the floor holds it, at however few speeds.
+
+
+def _made(speeds: tuple[float, ...], amplitude: float) -> Made:
+    return Made(
+        natural_hz=(300.0,), damping=(0.02,), sensor=((0.0,),), drive=((0.0,),), speed_rpm=speeds,
+        lines=((6.0, amplitude),), duration_s=6.0, noise=1e-3,
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("speeds", [(1113.5,), (1113.5, 2467.0), (573.0, 1541.0, 2475.0)])
+def test_the_skirts_of_a_giant_line_are_no_floor_and_no_mode(speeds: tuple[float, ...], seed: int) -> None:
+    """130 dB over the noise of a bin a Hann window leaks over sixty bins."""
+    campbell = campbell_of(_made(speeds, 10.0 ** np.random.default_rng(seed).uniform(2.0, 3.3)), seed)
+    floor = quiet_floor(campbell, ((6.0, 1e-6),))
+    assert floor is not None
+    level = np.nanmedian(floor.cells)
+    assert np.nanmax(floor.cells) < 12.0 * level  # some noise of some six frames
+    assert np.isfinite(floor.psd).mean() > 0.5
+    _, fit, _ = search(floor, chance=1e-3)
+    assert not len(fit.poles)
+
+
+@pytest.mark.slow
+def test_a_line_leaks_though_the_frames_that_hold_it_are_taken_for_a_start() -> None:
+    campbell = campbell_of(_made((1200.0, 2400.0), 300.0), 5)
+    bins = np.flatnonzero(np.abs(campbell["frequency"].values - 120.0) < 4.0)
+    none = np.full((1, 2, len(bins)), np.nan)
+    moved = campbell.assign(
+        settled_psd=(("channel", "speed", "settled_frequency"), none),
+        settled_share=(("channel", "speed", "settled_frequency"), np.zeros(none.shape)),
+    ).assign_coords(settled_frequency=campbell["frequency"].values[bins])
+    floor = quiet_floor(moved, ((6.0, 1e-6),))
+    assert floor is not None
+    beside = np.abs(floor.frequency_hz - 120.0) < 12.0
+    assert not np.isfinite(floor.cells[0, 0, beside]).any()

@@ -1,7 +1,5 @@
 """Whatever else than the machine differs is named, with what it does to the comparison."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Orders that meet natural frequencies: where, with which interval, and whether they are excited."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gas or masses: the forces of the model against closed forms, and which of the two is said to make an order."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Findings of made tests whose truth is analytic."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What limits of the user come to: above, within and not decided, beside a truth that was put in."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

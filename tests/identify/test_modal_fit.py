@@ -1,7 +1,5 @@
 """Natural frequencies and damping of made structures, whose truth is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +7,13 @@ import pytest
 import xarray as xr
 from tests.made.floors import Made, campbell_of, inside, no_orders, orders_of
 
+from crankorder.fft.windows import window_named
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.modes import surface_fit
 from crankorder.identify.modes.floor import quiet_floor
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.search import search
+from crankorder.identify.modes.surface_fit import pole_columns, sight
 from crankorder.identify.modes.tones import WIDER, widest_hz
 from crankorder.settings import IdentifySettings, load_settings
 from made.found_lines import agreed, line
@@ -231,3 +231,84 @@ def test_more_poles_than_bins_and_widths_beyond_a_low_frequency_are_no_fault(see
     assert np.isfinite(made.deviance) and (made.poles.damping < 1.0).all()
     lowest = surface_fit.fit_surface(problem, surface_fit.NO_POLES.with_pole(0.6 * problem.frequency_hz[0], 0.5))
     assert widest_hz(problem, lowest, 0, lowest.deviance) < lowest.poles.frequency_hz[0] * WIDER
+
+
+# What speaks against a mode is said: pressure alone, a grid of tones, one speed.
+
+
+ONE = Made(natural_hz=(115.0,), damping=(0.016,), sensor=((0.008, 0.010),), drive=((0.5, -0.7),), rate_hz=640.0)
+
+
+def _fit_doubts(made: Made, quantity: tuple[str, ...] = ()) -> ModalFit:
+    campbell = campbell_of(made, 3)
+    if quantity:
+        campbell = campbell.assign_coords(quantity=("channel", list(quantity)))
+    return modal_fit(campbell, no_orders(campbell), (), settings=load_settings().identify)
+
+
+def test_a_hump_in_sound_pressure_alone_is_undecided() -> None:
+    (mode,) = _fit_doubts(ONE, ("sound pressure", "sound pressure")).modes
+    assert "pressure alone" in mode.undecided
+    (mode,) = _fit_doubts(ONE, ("acceleration", "sound pressure")).modes
+    assert mode.undecided == ""
+
+
+def test_a_mode_as_narrow_as_an_order_wanders_is_undecided_at_one_speed_and_a_mode_at_many() -> None:
+    narrow = replace(ONE, damping=(0.0008,), duration_s=120.0, resolution_hz=0.05)
+    (mode,) = _fit_doubts(replace(narrow, speed_rpm=(1010.0,))).modes
+    assert "at one speed a modulated order looks so" in mode.undecided
+    (mode,) = _fit_doubts(replace(narrow, speed_rpm=(1010.0, 1300.0, 1800.0))).modes
+    assert mode.undecided == ""
+
+
+@pytest.mark.slow
+def test_a_well_damped_mode_at_one_speed_is_a_mode() -> None:
+    (mode,) = _fit_doubts(replace(ONE, speed_rpm=(1010.0,), duration_s=120.0)).modes
+    assert mode.undecided == ""
+
+
+# What a window makes of a resonance: against numerical convolution and differences.
+
+
+BIN_HZ = 0.5
+
+
+@pytest.mark.cases(2)
+@pytest.mark.parametrize("name", ["hann", "blackman-harris"])
+@pytest.mark.parametrize("damping", [0.0005, 0.003, 0.05])
+def test_a_resonance_is_seen_through_the_window_as_the_lags_that_the_window_lets_through(
+    name: str, damping: float
+) -> None:
+    """Wiener and Khinchin: the decaying autocorrelation of the mode times that of the window, transformed by sums."""
+    window = window_named(name, 32768)
+    seen = sight(name, window.enbw_bins * BIN_HZ)
+    at = np.array([50.0, 59.5, 60.0, 61.5])
+    columns = pole_columns(at, np.array([60.0]), np.array([damping]), seen)[0]
+    spectrum = np.fft.rfft(window.values, 65536)
+    lagged = np.fft.irfft(np.abs(spectrum) ** 2)[:32768]  # zeros beyond the window's end: nothing wraps around
+    lag_s = np.arange(32768) / 32768.0 / BIN_HZ
+    sigma, damped = damping * 60.0, 60.0 * np.sqrt(1.0 - damping**2)
+    weight = lagged / lagged[0] / 32768.0 / BIN_HZ
+    weight[0] *= 0.5  # the trapezoid rule
+    decay = 2.0 * np.pi * sigma * weight * np.exp(2j * np.pi * (damped + 1j * sigma) * lag_s)
+    near = np.exp(-2j * np.pi * np.outer(at, lag_s)) @ decay
+    far = np.exp(-2j * np.pi * np.outer(at, lag_s)) @ decay.conj()
+    assert columns[0] == pytest.approx((near + far).real, abs=2e-5)
+    assert columns[1] == pytest.approx((far - near).imag, abs=2e-5)
+
+
+def test_the_derivatives_of_a_resonance_are_its_differences() -> None:
+    seen, step = sight("hann", 1.5 * BIN_HZ), 1e-6
+    at = np.arange(2.0, 200.0, 0.5)
+    f, zeta = np.array([60.0, 115.0]), np.array([0.001, 0.2])
+    _, by_f, by_zeta = pole_columns(at, f, zeta, seen)
+    for derivative, (df, dz) in ((by_f, (step, 0.0)), (by_zeta, (0.0, step))):
+        up = pole_columns(at, f * np.exp(df), zeta * np.exp(dz), seen)[0]
+        down = pole_columns(at, f * np.exp(-df), zeta * np.exp(-dz), seen)[0]
+        assert derivative == pytest.approx((up - down) / (2 * step), abs=1e-6 * np.abs(derivative).max())
+
+
+def test_the_kernel_of_a_window_holds_a_tone_s_whole_power() -> None:
+    seen = sight("hann", 1.5 * BIN_HZ)
+    offsets = np.arange(-200.0, 200.0, 0.01)
+    assert np.sum(seen.kernel(offsets)) * 0.01 == pytest.approx(1.0, abs=1e-4)

@@ -1,7 +1,5 @@
 """The slip of a motor whose speed was only stated: by the one line just below its field, and by nothing else."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

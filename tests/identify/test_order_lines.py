@@ -1,15 +1,24 @@
 """Order lines: none vanishes in silence, none of fixed frequency passes for an order, slipping ones are seen."""
 
-from __future__ import annotations
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from crankorder.identify.lines.line_evidence import is_steady, log_chance_of_kurtosis
+from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
+from crankorder.identify.lines.followed_orders import track_number
+from crankorder.identify.lines.line_evidence import is_steady, keeps_its_phase, log_chance_of_kurtosis
 from crankorder.identify.lines.order_lines import order_lines
+from crankorder.identify.modes.responses import HeldPeak, held_peak
 from crankorder.orders.map import order_map
+from crankorder.orders.track_rows import track_order
 from crankorder.settings import load_settings
-from made.line_frames import PER_REV, angle_of, frames_of, wave
+from machines.draw import draw_machine
+from machines.folder import write_folder
+from machines.judge import Said
+from machines.score import run_program
+from made.line_frames import HOP, PER_REV, agreed_in, angle_of, frames_of, wave
 
 SETTINGS = load_settings()
 SPEEDS = np.arange(600.0, 1800.0, 50.0)
@@ -179,3 +188,142 @@ def test_an_order_that_resonances_raise_at_some_speeds_is_none_of_all_together(s
         return np.fft.irfft(path * np.fft.rfft(rng.standard_normal(len(angle))), len(angle))
 
     assert lines_of(ringing, speeds=np.arange(300.0, 2001.0, 50.0), revs=300) == []
+
+
+# Lines whose amplitude changes while it is measured are seen by the phase that they keep; noise is not.
+
+
+ONE, SEVERAL = (1500.0,), (1500.0, 1530.0, 1560.0)
+
+
+def swelling(angle: np.ndarray, how: str, factor: float) -> np.ndarray:
+    share = (angle - angle[0]) / (angle[-1] - angle[0])
+    if how == "step":
+        return np.where(share > 0.5, factor, 1.0)
+    if how == "early step":
+        return np.where(share > 0.3, factor, 1.0)
+    return 1.0 + (factor - 1.0) * share
+
+
+def found(order: float, how: str, factor: float, speeds: tuple[float, ...], *, amplitude: float = 3.0):
+    rng, angle, frames = np.random.default_rng(int(100 * factor)), angle_of(250), []
+    size = amplitude * swelling(angle, how, factor)
+    for rpm in speeds:
+        signals = [size * wave(angle, order, 1.0, rng.uniform(0, 6)) + rng.standard_normal(len(angle))]
+        frames.append(frames_of(signals, speed_rpm=rpm))
+    return agreed_in(frames)
+
+
+@pytest.mark.parametrize("speeds", [ONE, SEVERAL])
+@pytest.mark.parametrize(("how", "factor"), [("step", 1.2), ("step", 2.0), ("step", 10.0), ("early step", 3.0)])
+@pytest.mark.parametrize("order", [1.0, 5.5, 5.467])
+def test_an_order_whose_amplitude_changes_is_found(order: float, how: str, factor: float, speeds) -> None:
+    (agreed,) = found(order, how, factor, speeds)
+    assert agreed.order == pytest.approx(order, abs=0.02)
+    assert agreed.lock == "slips" if order == 5.467 else agreed.lock != "slips"
+
+
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("speeds", [ONE, SEVERAL])
+@pytest.mark.parametrize("order", [1.0, 5.5])
+@pytest.mark.parametrize("factor", [2.0, 5.0])
+def test_its_interval_reaches_over_the_amplitudes_that_it_held(order: float, factor: float, speeds) -> None:
+    (agreed,) = found(order, "step", factor, speeds)
+    (line,) = agreed.lines
+    assert line.ends is not None
+    assert (line.ends[:, 0] < 1.03 * 3.0).all() and (line.ends[:, 1] > 0.97 * 3.0 * factor).all()
+
+
+def test_a_resonance_that_noise_excites_keeps_no_phase() -> None:
+    """A thousand recordings of thirty frames each, of a mode at order 5.5 that is damped by one percent."""
+    rng, hits, kept = np.random.default_rng(3), 0, np.exp(-2 * np.pi * 0.01 * 5.5 * HOP)
+    centre = HOP * np.arange(30.0)
+    for _ in range(1000):
+        phasor = rng.standard_normal(30) + 1j * rng.standard_normal(30)
+        for k in range(1, 30):
+            phasor[k] = kept * phasor[k - 1] + np.sqrt(1.0 - kept**2) * phasor[k]
+        hits += keeps_its_phase(
+            [(phasor, centre, float(HOP))], order=5.5, independent_share=0.95, slips=False, false_alarm_probability=1e-2
+        )
+    assert hits <= 25
+
+
+# Findings and tracks: one number for both, at the order that was found; how large a held speed would make it.
+
+
+FLOAT32 = 2e-7
+DRAWN = [
+    ("run-up", 11),
+    pytest.param("repeated sweep", 12, marks=pytest.mark.slow),
+    ("stepped few", 13),
+    pytest.param("one speed", 14, marks=pytest.mark.slow),
+]
+
+
+@pytest.mark.cases(1)
+@pytest.mark.parametrize(("class_name", "seed"), DRAWN)
+def test_the_largest_value_of_each_track_is_that_of_the_findings(class_name: str, seed: int, tmp_path: Path) -> None:
+    machine = draw_machine(class_name, seed)
+    write_folder(machine, tmp_path / "test")
+    assert run_program(tmp_path / "test", tmp_path / "out") == ""
+    said = Said.read(tmp_path / "out")
+    assert said.tracks is not None and said.findings["orders"]
+    for record in said.findings["orders"]:
+        assert abs(record["tracked_order"] - record["order"]) <= max(1e-6, record["order_ci95"][1] - record["order"])
+        off = np.abs(said.tracks["order"].values - record["tracked_order"])
+        assert off.min() < 1e-6
+        track = said.tracks.isel(order=int(off.argmin())).sel(channel=record["channel"])
+        sure = track["amplitude"].values[track["amplitude_low"].values > 0.0]
+        lawful = record["amplitude"] != pytest.approx(sure.max(), rel=FLOAT32)  # where all speeds follow one law
+        assert not lawful or record["speed_law"] != "follows no power law"
+        assert record["amplitude_ci95"][0] <= record["amplitude"] <= record["amplitude_ci95"][1]
+        row = track.isel(speed=int(np.nanargmax(np.where(track["amplitude_low"] > 0.0, track["amplitude"], np.nan))))
+        assert record["speed_rpm_at_max"] == pytest.approx(float(row["speed"]), rel=FLOAT32)
+        phase = np.nan if record["phase_deg"] is None else record["phase_deg"]
+        assert phase == pytest.approx(float(row["phase"]), rel=FLOAT32, abs=1e-4, nan_ok=True)
+
+
+def test_an_order_whose_number_is_not_known_has_its_track_where_it_was_found() -> None:
+    assert track_order(2.001, (1.99, 2.01), "undecided", revs_per_cycle=2) == 2.0
+    assert track_order(2.02, (2.01, 2.03), "undecided", revs_per_cycle=2) == 2.02
+    assert track_order(2.76, (2.48, 3.04), "undecided", revs_per_cycle=2) == 2.76
+    assert track_order(2.001, (1.99, 2.01), "slips", revs_per_cycle=2) == 2.001
+
+
+@pytest.mark.slow
+def test_a_line_between_multiples_is_read_where_it_stands_however_little_is_known_of_the_speed() -> None:
+    slow = AgreedOrder(2.54, 0.033, 1e6, "undecided", None, (), own_error=1e-5)
+    assert track_number(slow, revs_per_cycle=2) == 2.54
+    assert track_number(replace(slow, own_error=0.03), revs_per_cycle=2) == 2.5
+    assert track_number(replace(slow, order=2.50001), revs_per_cycle=2) == 2.5
+
+
+def _response(*, recording: str = "r1", fits: bool = True, error: float = 0.01) -> OrderResponse:
+    one = np.array([1.0 + 0j])
+    covariance = np.diag([error**2, error**2]).astype(complex)
+    reached = np.array([0])
+    return OrderResponse(
+        2.0, "X", 0.0, (), 1800.0, (900.0, 3000.0), 0.0 * one, one, reached, covariance, 40, error, fits, recording
+    )
+
+
+def _held(*responses: OrderResponse, error: float = 0.0, order: float = 2.0, channel: str = "X") -> HeldPeak | None:
+    mode = Mode(60.0, 0.1, 0.01, error, ("X",), 20.0, "")
+    modal = ModalFit((mode,), (), np.diag([0.0, error**2]), responses or (_response(),))
+    return held_peak(modal, order, channel, largest_rpm=1800.0)
+
+
+def test_a_held_order_reaches_what_its_mode_amplifies() -> None:
+    peak, wider = _held(), _held(error=0.001)
+    assert peak is not None and wider is not None
+    assert peak.amplitude == pytest.approx(50.0, rel=2e-3)  # 1 / (2 damping)
+    assert peak.rpm == pytest.approx(1800.0, rel=2e-3)
+    assert wider.error == pytest.approx(np.hypot(5.0, 0.5), rel=2e-2)
+
+
+def test_no_response_beside_the_largest_amplitude_says_anything_of_held_speeds() -> None:
+    beside = replace(_response(recording="b", error=1e-9), span_rpm=(2500.0, 3000.0))
+    assert _held(_response(), beside) == _held()
+    for silent in (beside, _response(recording=""), _response(fits=False)):
+        assert _held(silent) is None
+    assert _held(channel="Y") is None and _held(order=2.5) is None

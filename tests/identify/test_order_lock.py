@@ -1,11 +1,13 @@
 """Locked, slipping or undecided, and how long one must measure to tell."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
+import xarray as xr
 
-from crankorder.identify.lines.order_lock import lock_of, revs_to_decide
+from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
+from crankorder.identify.lines.order_lock import lock_of, proves_speed, revs_to_decide
+from crankorder.identify.modes.lock_through_modes import with_locks_through_modes
+from crankorder.identify.modes.order_blocks import blocks_of
 
 
 def lock(order: float, error: float, **given) -> str:
@@ -30,3 +32,133 @@ def test_after_the_revolutions_needed_the_interval_is_narrow_enough(relative: fl
     needed = revs_to_decide(5.5, relative_error=relative, span_rev=span, revs_per_frame=16)
     then = relative * np.sqrt(span / needed) * np.sqrt(12.0) / (2 * np.pi * needed)  # noise averages with the length
     assert lock(5.5, then * 0.99) == "locked" or needed == 32.0
+
+
+# A speed that no pulses tell, proven by orders that stand on multiples; never by orders of another shaft.
+
+
+ERROR = 3e-6
+
+
+def _numbers(orders, share: float, rng: np.random.Generator) -> list[tuple[float, float, float]]:
+    return [(order * (1.0 + share + ERROR * rng.standard_normal()), order * ERROR, 50.0) for order in orders]
+
+
+def test_orders_on_multiples_prove_the_speed_and_one_that_slips_does_not_disturb() -> None:
+    rng = np.random.default_rng(0)
+    assert proves_speed(_numbers((0.5, 4.5, 11.0), 0.0, rng), revs_per_cycle=2)
+    assert proves_speed([*_numbers((2.0, 3.5), 0.0, rng), (5.4356, 1e-5, 50.0)], revs_per_cycle=2)
+
+
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("share", [3e-4, -1e-3, 4e-3])
+def test_a_speed_that_is_off_or_a_shaft_that_slips_proves_nothing(share: float) -> None:
+    assert not proves_speed(_numbers((2.0, 3.5, 6.0), share, np.random.default_rng(1)), revs_per_cycle=2)
+
+
+def test_one_order_or_coarse_numbers_prove_nothing() -> None:
+    assert not proves_speed([(4.0, 4 * ERROR, 50.0)], revs_per_cycle=2)
+    assert not proves_speed([(4.0, 1e-3, 50.0), (6.5, 1e-3, 50.0)], revs_per_cycle=2)
+
+
+@pytest.mark.slow
+def test_shafts_that_slip_behind_a_speed_that_errs_hardly_ever_prove_it() -> None:
+    rng, proven = np.random.default_rng(2), 0
+    for _ in range(3000):
+        slip = rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(0.001), np.log(0.05)))
+        share = (1.0 + slip) * (1.0 + 0.002 * rng.standard_normal()) - 1.0
+        proven += proves_speed(_numbers((2.0, 4.0), share, rng), revs_per_cycle=2)
+    assert proven <= 6  # of these a tenth of all tests at most
+
+
+# Locks that a sweep through modes proves: never of an order that slips, whatever modes and forces turn.
+
+
+ORDER_MAP = xr.Dataset(attrs={"revs_per_cycle": 2})
+BANDWIDTH_HZ, NOISE = 5.0, 0.02
+
+
+def _followed(order: float, revs: float, bandwidth_hz: float) -> xr.Dataset:
+    """An order of amplitude 1 followed from 900 to 3000 rpm in so many ``revs``."""
+    duration_s = 60.0 * revs / 1950.0
+    time = np.arange(0.2, duration_s - 0.2, 0.5 / bandwidth_hz)
+    speed = 900.0 + 2100.0 * time / duration_s
+    angle = (900.0 * time + 1050.0 * time**2 / duration_s) / 60.0
+    shape = (1, 1, len(time))
+    return xr.Dataset(
+        {
+            "amplitude": (("channel", "order", "frame"), np.ones(shape, dtype=complex)),
+            "standard_error": (("channel", "order", "frame"), np.full(shape, NOISE)),
+        },
+        coords={
+            "channel": ["X"],
+            "order": [order],
+            "time": ("frame", time),
+            "speed": ("frame", speed),
+            "crank_angle": ("frame", angle),
+            "bandwidth_hz": (("order", "frame"), np.full((1, len(time)), bandwidth_hz)),
+        },
+        attrs={"recording": "r1", "swept": 1, "poles": 2, "phase_reference": "index"},
+    )
+
+
+def _scene(
+    rng: np.random.Generator, slip: float, *, revs: float = 800.0, bandwidth_hz: float = BANDWIDTH_HZ
+) -> tuple[AgreedOrder, ModalFit, xr.Dataset]:
+    """An order through two modes that slips by the share ``slip``, with the fit of what modes and force do to it."""
+    order = float(rng.choice([1.5, 2.0, 3.0, 5.5]))
+    agreed = AgreedOrder(order, 0.01, 1e6, "undecided", 30.0, ())
+    item = _followed(order, revs, bandwidth_hz)
+    (block,) = blocks_of(ORDER_MAP, (agreed,), [item])
+    rows = np.flatnonzero(np.isin(item["speed"].values, block.speed_rpm))
+    hz = order * np.array([rng.uniform(1000, 1600), rng.uniform(1800, 2800)]) / 60.0
+    damping = np.exp(rng.uniform(np.log(0.005), np.log(0.05), 2))
+    smooth, residue = np.array([1.0 + 0.0j]), 0.3 * (rng.normal(size=2) + 1j * rng.normal(size=2))
+    value = block.smooth() @ smooth + block.modal(hz, damping) @ residue
+    turned = np.exp(1j * rng.normal() * 0.1 * np.linspace(-1.0, 1.0, len(value)))
+    run_away = np.exp(2j * np.pi * slip * order * item["crank_angle"].values[rows])
+    noise = NOISE * (rng.standard_normal(len(value)) + 1j * rng.standard_normal(len(value)))
+    item["amplitude"].values[0, 0, rows] = value * turned * run_away + noise
+    modes = tuple(
+        Mode(float(f), 1e-4 * float(f), float(z), 0.01 * float(z), ("X",), 20.0, "")
+        for f, z in zip(hz, damping, strict=True)
+    )
+    covariance = 1e-4 * np.eye(3, dtype=complex)
+    response = OrderResponse(
+        order, "X", block.exponent, (), block.reference_rpm, block.span_rpm, smooth, residue, np.arange(2),
+        covariance, 100, NOISE, True, "r1",
+    )  # fmt: skip
+    return agreed, ModalFit(modes, (), np.zeros((4, 4)), (response,)), item
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(6))
+def test_a_locked_order_is_proven_locked_and_its_records_keep_together(seed: int) -> None:
+    agreed, modal, item = _scene(np.random.default_rng(seed), 0.0)
+    (told,), fit = with_locks_through_modes((agreed,), modal, [item], ORDER_MAP)
+    assert told.lock == "locked"
+    assert told.order == agreed.order and fit.responses[0].order == told.order
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slip", [0.0015, 0.003, -0.003, 0.01])
+def test_no_order_that_slips_is_called_locked(slip: float) -> None:
+    for seed in range(6):
+        agreed, modal, item = _scene(np.random.default_rng(seed), slip)
+        (told,), _ = with_locks_through_modes((agreed,), modal, [item], ORDER_MAP)
+        assert told.lock == "undecided"
+
+
+@pytest.mark.slow
+def test_a_sweep_of_few_turns_tells_nothing() -> None:
+    # a bandwidth as a sweep so fast asks for: rows enough to be looked at
+    agreed, modal, item = _scene(np.random.default_rng(3), 0.0, revs=40.0, bandwidth_hz=40.0)
+    (told,), _ = with_locks_through_modes((agreed,), modal, [item], ORDER_MAP)
+    assert told.lock == "undecided" and told.needed_revs == 30.0
+
+
+@pytest.mark.slow
+def test_without_a_fit_nothing_is_told() -> None:
+    agreed, modal, item = _scene(np.random.default_rng(4), 0.0)
+    (told,), fit = with_locks_through_modes((agreed,), ModalFit(modal.modes, (), modal.covariance), [item], ORDER_MAP)
+    assert told is agreed and fit.responses == ()

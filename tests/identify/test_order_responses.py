@@ -1,7 +1,5 @@
 """Blocks of orders: what is linear is eliminated, the law of the force and its scatter are told from the data."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,14 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit
-from crankorder.identify.modes.order_responses import (
-    Block,
-    Blocks,
-    project,
-    responses_of,
-    with_best_law,
-    with_scatter,
-)
+from crankorder.identify.modes.order_responses import Block, Blocks, project, responses_of, with_best_law, with_scatter
 from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
 from crankorder.identify.modes.responses import held_amplitudes, with_and_without
 from crankorder.identify.modes.surface_fit import Poles

@@ -1,7 +1,5 @@
 """A swept oscillator as a tracking filter sees it, against integration of its equation and against steady running."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

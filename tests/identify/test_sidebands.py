@@ -1,13 +1,16 @@
 """Sidebands, meshes and shafts of their own: lines that other lines explain."""
 
-from __future__ import annotations
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import xarray as xr
 
 from crankorder.identify.causes.angle_swings import swing_sidebands
+from crankorder.identify.causes.explain import multiple_of_cycle
 from crankorder.identify.causes.sidebands import meshes, sidebands
+from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.lines.agreed_orders import sideband_of, unless_sidebands
 from crankorder.orders.true_angle import HALF_ORDERS, SHOWN
 from made.found_lines import agreed, line
 
@@ -76,3 +79,67 @@ def test_what_a_swing_of_the_shaft_makes_through_a_mode_is_no_order_of_its_own(s
         for amplitude in (made, 0.5 * np.abs(response(side)))
     ]
     assert [len(words) for words in told] == [1, 0]
+
+
+# Lines that the rounded edges of an encoder make beside a strong order.
+
+
+REVS = 32
+
+
+def _spectrum(signal: np.ndarray, per_rev: int) -> np.ndarray:
+    window = np.hanning(len(signal) + 1)[:-1]
+    return 2.0 * np.abs(np.fft.rfft(signal * window))[: 16 * REVS] / window.sum()
+
+
+def _line(order: float, amplitude: float) -> OrderLine:
+    at, one = np.zeros(1, dtype=np.int64), np.ones(1)
+    size = np.array([amplitude])
+    return OrderLine("X", order, 1e-3, at, 1200.0 * one, size, 0.1 * size, one, one, "steady, not locked", 20.0)
+
+
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("seed", range(5))
+def test_no_sideband_of_rounded_edges_is_a_line_for_sure_and_a_larger_one_is(seed: int) -> None:
+    """Order 9 read over edges that are rounded to the samples of the recording: 60 teeth, some 280 samples a turn."""
+    random = np.random.default_rng(seed)
+    samples_per_rev = float(random.uniform(150.0, 600.0))
+    teeth, per_rev = 60, 240
+    edge = np.arange(teeth * REVS + 1) / teeth
+    read = np.round(edge * samples_per_rev + random.random()) / samples_per_rev
+    angle = np.arange(per_rev * REVS) / per_rev
+    true = np.interp(angle, edge, read)  # where the shaft was when the reader thought it was at `angle`
+    size = _spectrum(np.cos(2.0 * np.pi * 9.0 * true), per_rev)
+    axis = np.arange(len(size)) / REVS
+    error = float(np.std(read - edge))
+    order_map = xr.Dataset(
+        {"amplitude": (("channel", "speed", "order"), size[None, None])},
+        coords={"channel": ["X"], "speed": [1200.0], "order": axis},
+        attrs={"speed_bin_rpm": 25.0},
+    )
+    frames = [xr.Dataset({"speed": ("frame", np.full(4, 1200.0))}, attrs={"angle_error_rev": error})]
+    ghosts = np.flatnonzero((size > 1e-4) & (np.abs(axis - 9.0) > 0.2))
+    assert len(ghosts) > 5 and size[ghosts].max() > 3e-3
+    assert all(sideband_of([_line(axis[k], size[k])], order_map, frames) == 9.0 for k in ghosts.tolist())
+    large = 4.0 * 9.0 * error
+    assert sideband_of([_line(7.3, large)], order_map, frames) is None
+    exact = [frames[0].assign_attrs(angle_error_rev=0.0)]
+    assert sideband_of([_line(7.3, 1e-3)], order_map, exact) is None
+
+
+@pytest.mark.parametrize(("seen", "size", "is_own"), [((3,), 0.01, False), ((3,), 5.0, True), ((0, 1, 3), 0.01, True)])
+def test_only_what_is_larger_or_seen_at_most_speeds_keeps_its_lock_and_its_number(
+    seen: tuple[int, ...], size: float, is_own: bool
+) -> None:
+    axis, rpm = np.arange(400) / REVS, 1000.0 + 100.0 * np.arange(4)
+    amplitude = np.where(np.abs(axis - 9.0) < 1e-9, 1.0, 0.0)[None, None].repeat(4, axis=1)
+    order_map = xr.Dataset(
+        {"amplitude": (("channel", "speed", "order"), amplitude)},
+        coords={"channel": ["X"], "speed": rpm, "order": axis},
+    )
+    frames = [xr.Dataset({"speed": ("frame", rpm)}, attrs={"angle_error_rev": 1e-3})]
+    at, sizes = np.array(seen), np.full(len(seen), size)
+    line = replace(_line(8.5, size), seen=at, speed_rpm=rpm[at], amplitude=sizes, amplitude_error=0.1 * sizes)
+    agreed = AgreedOrder(8.5, 1e-4, 30.0, "locked", None, (line,))
+    (kept,) = unless_sidebands([agreed], order_map, frames)
+    assert (kept.lock, multiple_of_cycle(kept, 2)) == (("locked", 8.5) if is_own else ("undecided", None))

@@ -1,18 +1,16 @@
 """Speeds to avoid, worst first; bands that are free because the data exclude an amplification; and those left open."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from crankorder.identify.found import SpeedVerdicts, UnseenBound
+from crankorder.identify.found import AvoidedSpeed, SpeedVerdicts, UnseenBound
 from crankorder.identify.modes.responses import held_amplitudes
 from crankorder.identify.records import avoided_records, open_records
 from crankorder.identify.speeds.crossings import crossings
-from crankorder.identify.speeds.speeds_to_avoid import as_avoided, speeds_to_avoid
+from crankorder.identify.speeds.speeds_to_avoid import as_avoided, lone_peaks, speeds_to_avoid
 from crankorder.settings import load_settings
 from made.drawn_orders import DrawnMachine, drawn_machine, judged
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, made_response, mode, resonant
@@ -297,3 +295,34 @@ def test_of_a_quiet_machine_in_fine_steps_most_speeds_are_free(seed: int):
     assert not [item for item in modal.modes if not item.undecided]
     assert not [item for item in found if item.excited] and verdicts.avoid == ()
     assert free > 0.8 * np.ptp(machine.speed_rpm)
+
+
+# An order that towers over the speeds beside is a speed to avoid, though no natural frequency was found there.
+
+
+UNIT_PEAKS = {"A": "m/s²", "B": "m/s²"}
+
+
+def _peaks(sizes: np.ndarray, avoided: tuple[AvoidedSpeed, ...] = (), **channels: float) -> list[AvoidedSpeed]:
+    lines = [line(4.0, share * sizes, channel=name) for name, share in (channels or {"A": 1.0}).items()]
+    largest = {one.channel: float(one.amplitude.max()) for one in lines}
+    return lone_peaks(
+        [agreed(4.0, *lines)], fit(), avoided, largest=largest, in_unit=largest, unit=UNIT_PEAKS, factor=3.0
+    )
+
+
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("times", [3.5, 30.0])
+def test_one_speed_that_towers_over_its_neighbours_is_to_be_avoided(times: float) -> None:
+    sizes = np.ones(len(SPEEDS_RPM))
+    at = len(sizes) // 2
+    sizes[at] = times
+    (found,) = _peaks(sizes, A=1.0, B=2.0)
+    assert found.rpm == SPEEDS_RPM[at] and found.channel == "B" and found.amplitude == pytest.approx(2.0 * times)
+    assert SPEEDS_RPM[at - 1] < found.rpm_range[0] < found.rpm < found.rpm_range[1] < SPEEDS_RPM[at + 1]
+    assert "may be a natural frequency" in found.reason
+    assert not _peaks(sizes, (found,))
+
+
+def test_a_resonance_that_the_speeds_resolve_is_one_peak() -> None:
+    assert len(_peaks(resonant(4.0, SPEEDS_RPM, [mode(100.0, 0.01)]))) == 1

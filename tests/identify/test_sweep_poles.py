@@ -1,14 +1,15 @@
 """Poles that the signals of sweeps tell, against the exact signals of ``tests/machines``."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from crankorder.identify.found import Mode as FoundMode
 from crankorder.identify.found import SweepFits
+from crankorder.identify.intervals import Z95, ratio_interval
 from crankorder.identify.modes import sweep_poles
+from crankorder.identify.modes.pole_errors import Cell, disagreement
 from crankorder.identify.modes.sweep_poles import sweep_fits
 from crankorder.identify.modes.sweep_window import SweepSpectrum
 from crankorder.settings import load_settings
@@ -23,10 +24,7 @@ HALVES = [0.5 * number for number in range(1, 25)]
 def a_machine(*modes: tuple[float, float], rpm: tuple[float, float], seconds: float, noise: float = 0.002) -> Machine:
     """Orders 2 and 3.5 in two channels through ``modes`` (Hz, damping ratio), from ``rpm`` to ``rpm``."""
     made = tuple(Mode(f, zeta, (0.02, -0.015), (1.0, 0.7), (0.0,)) for f, zeta in modes)
-    orders = (
-        Order(2.0, 0.0, 0.5, 2.0, 30.0, 4.0, (0.02, 0.01)),
-        Order(3.5, 0.2, 0.3, 1.6, -70.0, -6.0, (-0.01, 0.03)),
-    )
+    orders = (Order(2.0, 0.0, 0.5, 2.0, 30.0, 4.0, (0.02, 0.01)), Order(3.5, 0.2, 0.3, 1.6, -70.0, -6.0, (-0.01, 0.03)))
     profile = Profile((0.0, seconds), rpm, 0.3)
     encoder = Encoder("speed", "speed")
     density = (noise, noise)
@@ -44,19 +42,10 @@ def spectra_of(machine: Machine, orders: list[float], seed: int) -> list[SweepSp
         angle, speed = profile.angle(time_s), profile.speed(time_s)
         made.append(
             SweepSpectrum(
-                str(number),
-                machine.channels,
-                tuple(orders),
-                0.0,
-                RATE_HZ,
-                0.4 * RATE_HZ,
-                frequency,
-                spectrum,
-                angle,
-                speed,
-                2,
+                str(number), machine.channels, tuple(orders), 0.0, RATE_HZ, 0.4 * RATE_HZ, frequency, spectrum, angle,
+                speed, 2,
             )
-        )
+        )  # fmt: skip
     return made
 
 
@@ -159,3 +148,41 @@ def test_an_order_of_a_swinging_shaft_is_its_mean_over_cycles() -> None:
     value = np.abs(told(machine).groups[0].fit.solved[0].line(3.5, profile.angle(time_s[near])))
     off, swung = np.std(value.T - means[:, near]), np.std(np.abs(true[1][:, near]) - means[:, near])
     assert off < 0.75 * swung and swung > 0.04 * means[:, near].max()
+
+
+# What disagreeing orders add to the error of a pole, and how its interval carries an unknown damping.
+
+
+def _cells(values: list[float], weight: float = 1.0) -> tuple[list[Cell], np.ndarray, np.ndarray]:
+    """Cells that ask for ``values`` of one parameter, as of their mean, with the same weight each."""
+    off = np.array(values) - np.mean(values)
+    cells = [Cell(np.full((1, 1), weight), np.full(1, weight * one)) for one in off]
+    total = weight * len(values)
+    return cells, np.full((1, 1), 1.0 / total), np.full(1, 1.0 / total)
+
+
+@pytest.mark.slow
+def test_intervals_of_cells_that_differ_cover_their_mean() -> None:
+    rng = np.random.default_rng(7)
+    covered = 0
+    for _ in range(2000):
+        values = rng.normal(0.0, 4.0, 5).tolist()
+        covered += abs(np.mean(values)) <= Z95 * np.sqrt(1.0 / 5.0) * disagreement(*_cells(values))[0]
+    assert 0.92 < covered / 2000 < 0.98
+
+
+@pytest.mark.slow
+def test_a_damping_ratio_errs_by_a_factor() -> None:
+    low, high = ratio_interval(0.02, 0.01)
+    assert low > 0.0
+    assert low * high == pytest.approx(0.02**2)
+    assert ratio_interval(0.02, 0.5, most=1.0)[1] == 1.0
+    assert ratio_interval(0.02, 1e-4) == pytest.approx([0.02 - Z95 * 1e-4, 0.02 + Z95 * 1e-4], rel=1e-4)
+
+
+@pytest.mark.slow
+def test_where_the_damping_is_not_known_the_error_of_the_frequency_is_not() -> None:
+    known = FoundMode(100.0, 0.1, 0.01, 1e-4, ("X",), 10.0, "")
+    unknown = FoundMode(100.0, 0.1, 0.01, 0.02, ("X",), 10.0, "")
+    assert known.frequency_half_hz == pytest.approx(Z95 * 0.1, rel=1e-2)
+    assert unknown.frequency_half_hz > 10.0 * 0.1

@@ -1,7 +1,5 @@
 """Whirl modes: resonances whose natural frequency moves with the speed, told from modes that stay and from orders."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What the ingest tests share: settings, a manifest from its text, and the place of the real recordings."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

@@ -1,11 +1,21 @@
 """``check`` lists every fault of a folder at once."""
 
+import hashlib
+from pathlib import Path
+
 import h5py
 import numpy as np
 import pytest
 
-from crankorder.errors import RequestError
+from crankorder.errors import InputError, RequestError
 from crankorder.ingest.check import check_folder
+from crankorder.ingest.draft import draft_manifest
+from crankorder.ingest.folder import recordings_of
+from crankorder.ingest.formats import read_file
+from crankorder.ingest.manifest import load_manifest
+from crankorder.ingest.recording import recording_of
+from crankorder.quantities import flags_of
+from made.command import crankorder, findings_in
 
 MANIFEST = """schema_version = 1
 [test]
@@ -73,27 +83,179 @@ def test_a_wrong_manifest_is_all_that_is_checked(tmp_path, limits):
 
 
 @pytest.mark.slow
-def test_lengths_that_differ_are_found_without_reading(tmp_path, limits):
-    (tmp_path / "run.toml").write_text(
-        MANIFEST.replace(', "absent.h5", "../out.h5"', "").replace("h6", "h5")
-        + '[encoder]\nkind = "square"\nsource = "enc"\npulses_per_rev = 4\n'
-    )
-    recorded(tmp_path / "good.h5", acc=np.arange(10.0), enc=np.arange(9.0))
-    (fault,) = check_folder(tmp_path, settings=limits)
-    assert "lengths differ: Z has 10 samples, the encoder has 9" in str(fault)
-
-
-@pytest.mark.slow
-def test_a_cam_mark_that_is_absent_or_of_another_length_is_found_without_reading(tmp_path, limits):
+def test_an_encoder_or_cam_mark_that_is_absent_or_of_another_length_is_found_without_reading(tmp_path, limits):
     rows = [
         ({}, "channel cam not in file"),
         ({"cam": np.arange(9.0)}, "lengths differ: Z has 10 samples, the cam mark has 9"),
+        ({"cam": np.arange(10.0), "enc": np.arange(9.0)}, "lengths differ: Z has 10 samples, the encoder has 9"),
     ]
     for columns, words in rows:
         (tmp_path / "run.toml").write_text(
             MANIFEST.replace(', "absent.h5", "../out.h5"', "").replace("h6", "h5").replace("rotor", "four-stroke")
             + '[encoder]\nkind = "square"\nsource = "enc"\npulses_per_rev = 4\ncam = "cam"\n'
         )
-        recorded(tmp_path / "good.h5", acc=np.arange(10.0), enc=np.arange(10.0), **columns)
+        recorded(tmp_path / "good.h5", acc=np.arange(10.0), **({"enc": np.arange(10.0)} | columns))
         (fault,) = check_folder(tmp_path, settings=limits)
         assert words in str(fault)
+
+
+# What a file contradicts is told and never resolved in silence: rates, scales, counts, lists of checksums.
+
+
+N = 5000
+TONE = np.round(1000.0 * np.sin(np.arange(N) / 7.0))
+
+
+def stored(path: Path, values: np.ndarray, file_attrs: dict | None = None, **attrs) -> Path:
+    with h5py.File(path, "w") as file:
+        file.attrs.update(file_attrs or {})
+        file["a"] = values
+        file["a"].attrs.update(attrs)
+    return path
+
+
+def test_rates_of_two_places_that_differ_are_told(tmp_path, limits):
+    rows = [
+        ({"rate_hz": 51_200.0}, {"fs": 50_000.0}, 50_000.0, True),
+        ({"dt": 1 / 51_200.0}, {"fs": 50_000.0}, 50_000.0, True),
+        ({"rate_hz": 50_000.0}, {"dt": 2e-5}, 50_000.0, False),
+        ({"SampleRate": "51.2 kHz"}, {}, 51_200.0, False),
+        ({"SampleRate": "51.2 kHz"}, {"fs": 50_000.0}, 50_000.0, True),
+        ({"dt": b"20 us"}, {}, 50_000.0, False),
+        ({"rate_hz": "unknown"}, {}, None, False),
+    ]
+    for of_file, of_data, rate_hz, told in rows:
+        raw = read_file(stored(tmp_path / "a.h5", TONE, of_file, **of_data), sources=["a"], settings=limits)
+        assert raw.rates_hz.get("a") == (None if rate_hz is None else pytest.approx(rate_hz))
+        assert [flag["flag"] for flag in raw.flags] == ["header_rate_disagrees"] * told
+        if told:
+            assert "51200 Hz" in raw.flags[0]["detail"] and "50000 Hz" in raw.flags[0]["detail"]
+
+
+def test_a_scale_as_text_is_taken_and_told(tmp_path, limits):
+    path = stored(tmp_path / "a.h5", TONE.astype("i2"), scale_factor="0.5", add_offset=b"3")
+    raw = read_file(path, sources=["a"], settings=limits)
+    np.testing.assert_allclose(raw.columns["a"], 0.5 * TONE + 3.0)
+    assert [flag["flag"] for flag in raw.flags] == ["scale_unusual"] * 2 and "text" in raw.flags[0]["detail"]
+
+
+def test_a_scale_for_each_column_is_taken_and_told(tmp_path, limits):
+    path = stored(tmp_path / "a.h5", np.column_stack([TONE, TONE]), scale_factor=[1.0, 3.0])
+    raw = read_file(path, sources=["a[1]", "a[0]"], settings=limits)
+    np.testing.assert_allclose(raw.columns["a[1]"], 3.0 * TONE)
+    np.testing.assert_allclose(raw.columns["a[0]"], TONE)
+    assert [flag["flag"] for flag in raw.flags] == ["scale_unusual"]
+
+
+def test_a_scale_that_is_no_number_is_refused(tmp_path, limits):
+    for scale in ["about 2", [1.0, 2.0], [[1.0], [2.0]], np.nan, "1,5", b"\xff"]:
+        path = stored(tmp_path / "a.h5", TONE, scale_factor=scale)
+        with pytest.raises(InputError, match=r"a\.h5: /a: its scale_factor is not a number"):
+            read_file(path, sources=["a"], settings=limits)
+
+
+MANIFEST_TOLD = '[sampling]\nrate_hz = 1000.0\n[[channels]]\nname = "a"\nunit = "{unit}"\n{more}'
+
+
+def test_whole_numbers_without_a_unit_are_asked_about(tmp_path, manifest_of, settings):
+    rows = [
+        (TONE.astype("i2"), {}, "m/s2", "", True),
+        (TONE, {}, "g", "", True),
+        (TONE.astype("i2"), {}, "counts", "", False),
+        (TONE.astype("i2"), {"units": "m/s2"}, "m/s2", "", False),
+        (TONE.astype("i2"), {"scale_factor": 0.01}, "m/s2", "", False),
+        (TONE.astype("i2"), {"units": "mV"}, "m/s2", 'sensitivity = "100 mV/g"', False),
+        (0.37 * TONE, {}, "m/s2", "", False),
+        (np.sign(TONE), {}, "m/s2", "", False),
+    ]
+    for values, attrs, unit, more, told in rows:
+        path = stored(tmp_path / "a.h5", values, **attrs)
+        manifest = manifest_of(MANIFEST_TOLD.format(unit=unit, more=more), head=_HEAD)
+        raw = read_file(path, sources=["a"], settings=settings.ingest)
+        recording = recording_of(raw, path, manifest, settings=settings.ingest, shaft=settings.shaft)
+        assert ("counts_without_unit" in [flag["flag"] for flag in flags_of(recording)]) == told
+
+
+_HEAD = 'schema_version = 1\n[test]\ncycle = "none"\n[recordings]\nfiles = ["*"]\n'
+
+
+@pytest.mark.slow
+def test_a_draft_calls_whole_numbers_counts(tmp_path):
+    stored(tmp_path / "a.h5", TONE.astype("i2"), fs=1000.0)
+    assert 'unit = "counts"                   # ? whole numbers without a unit' in draft_manifest(tmp_path)
+
+
+def digest_of(path: Path, kind: str = "sha256") -> str:
+    return hashlib.new(kind, path.read_bytes()).hexdigest()
+
+
+@pytest.fixture
+def campaign(tmp_path) -> Path:
+    folder = tmp_path / "bag" / "data"
+    folder.mkdir(parents=True)
+    for number, name in enumerate(("a.h5", "b.h5", "c d.h5")):
+        stored(folder / name, np.random.default_rng(number).standard_normal(N), fs=1000.0)
+    tables = MANIFEST_TOLD.format(unit="m/s2", more="").replace("rate_hz = 1000.0", "")
+    (folder / "run.toml").write_text(_HEAD.replace('"*"', '"*.h5"') + tables, encoding="utf-8")
+    return folder
+
+
+def listed(folder: Path, style: str, kind: str = "sha256") -> None:
+    """A list of the recordings of ``folder`` as programs write it."""
+    paths = sorted(folder.glob("*.h5"))
+    if style == "bag":
+        (folder.parent / "bagit.txt").write_text("BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n")
+        lines = [f"{digest_of(path, kind)}  data/{path.name}" for path in paths]
+        (folder.parent / f"manifest-{kind}.txt").write_text("\n".join(lines) + "\n")
+    elif style == "sums":
+        lines = [f"{digest_of(path, kind).upper()} *{path.name}" for path in paths]
+        (folder / f"{kind.upper()}SUMS").write_text("\r\n".join(lines))
+    elif style == "tagged":
+        lines = [f"{kind.upper()} ({path.name}) = {digest_of(path, kind)}" for path in paths]
+        (folder / f"manifest-{kind}.txt").write_text("# made by hand\n" + "\n".join(lines))
+    else:
+        for path in paths:
+            (folder / f"{path.name}.{kind}").write_text(digest_of(path, kind) + "\n")
+
+
+@pytest.mark.parametrize("style", ["bag", "sums", "tagged", "each"])
+@pytest.mark.parametrize("kind", ["sha256", "md5", "sha512"])
+def test_a_list_of_checksums_tells_what_is_altered_and_what_is_missing(campaign, settings, style, kind):
+    listed(campaign, style, kind)
+    assert check_folder(campaign, settings=settings.ingest) == []
+    data = bytearray((campaign / "b.h5").read_bytes())
+    data[-9] ^= 1
+    (campaign / "b.h5").write_bytes(data)
+    (campaign / "c d.h5").unlink()
+    altered, missing = check_folder(campaign, settings=settings.ingest)
+    assert altered.file == str(campaign / "b.h5") and f"its {kind.upper()} differs from" in str(altered)
+    assert missing.file == str(campaign / "c d.h5") and "is listed in" in str(missing)
+
+
+@pytest.mark.slow
+def test_what_a_list_names_beside_recordings_is_no_matter(campaign, settings):
+    outside = [f"{64 * '0'}  ../secret.h5", f"{64 * '1'}  /etc/passwd", f"{64 * '2'}  notes.pdf", f"{64 * '3'}  x/y.h5"]
+    (campaign / "manifest-sha256.txt").write_text("\n".join(outside))
+    assert check_folder(campaign, settings=settings.ingest) == []
+    manifest = load_manifest(campaign)
+    (campaign / "b.h5.md5").write_text("x")
+    assert [path.name for path in recordings_of(campaign, manifest).paths] == ["a.h5", "b.h5", "c d.h5"]
+
+
+def test_a_list_that_holds_no_checksums_is_a_fault_of_its_own(campaign, settings):
+    for text in [b"hello", b"12345  a.h5", 70 * b"0" + b"  a.h5", b"\0\0", b"\xff\xfe"]:
+        (campaign / "SHA256SUMS").write_bytes(text)
+        (fault,) = check_folder(campaign, settings=settings.ingest)
+        assert "SHA256SUMS: line 1: is no sha256 checksum" in str(fault)
+
+
+@pytest.mark.slow
+def test_a_run_leaves_out_what_a_list_says_is_altered(campaign, tmp_path):
+    listed(campaign, "sums")
+    stored(campaign / "b.h5", np.random.default_rng(9).standard_normal(N), fs=1000.0)
+    outcome = crankorder("run", campaign, "--out", tmp_path / "out", "-q", "--no-pictures")
+    assert outcome.exit_code == 3 and "b.h5: its SHA256 differs from SHA256SUMS" in outcome.stderr
+    quality = findings_in(tmp_path / "out")["quality"]
+    assert [one["recording"] for one in quality if "SHA256 differs" in one["detail"]] == ["b.h5"]
+    checked = crankorder("check", campaign)
+    assert checked.exit_code == 3 and "b.h5: its SHA256 differs" in checked.stderr

@@ -1,7 +1,5 @@
 """Parsers of others run in a process of their own: bombs and crashes end in an error within the limits."""
 
-from __future__ import annotations
-
 import os
 import resource
 import signal

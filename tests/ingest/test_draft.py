@@ -110,14 +110,8 @@ def test_a_draft_leaves_even_pulses_without_an_index_to_be_stated(tmp_path):
 
 RATE_HZ, RPM, TEETH = 8000.0, 1500.0, 36
 TIME_NAMES = {
-    "time_s": 1.0,
-    "Time (ms)": 1e-3,
-    "t [s]": 1.0,
-    "timestamp": 1.0,
-    "Time": 1.0,
-    "t_us": 1e-6,
-    "Zeit [s]": 1.0,
-}
+    "time_s": 1.0, "Time (ms)": 1e-3, "t [s]": 1.0, "timestamp": 1.0, "Time": 1.0, "t_us": 1e-6, "Zeit [s]": 1.0,
+}  # fmt: skip
 SIGNAL_NAMES = {"Acc_Mount_Z (g)": "g", "a1 [m/s^2]": "m/s2", "Vib X (mm/s)": "mm/s", "p_cyl_bar": "bar"}
 
 
@@ -165,19 +159,10 @@ def test_a_table_with_pulses_of_any_names_and_order_is_read_as_drafted(tmp_path,
 
 def test_a_speed_is_read_off_a_name_and_no_other_number_is():
     rows = [
-        ("800rpm", 800),
-        ("n1500_full load", 1500),
-        ("rpm_300", 300),
-        ("test 3 1250 rpm", 1250),
-        ("idle_900U_min", 900),
-        ("run 3", None),
-        ("Fan_12", None),
-        ("2024-11-03", None),
-        ("speed=2400", 2400),
-        ("1500.5rpm", 1500.5),
-        ("run 3 450-1150 rpm 2024", None),
-        ("up_600to3000rpm", None),
-    ]
+        ("800rpm", 800), ("n1500_full load", 1500), ("rpm_300", 300), ("test 3 1250 rpm", 1250),
+        ("idle_900U_min", 900), ("run 3", None), ("Fan_12", None), ("2024-11-03", None), ("speed=2400", 2400),
+        ("1500.5rpm", 1500.5), ("run 3 450-1150 rpm 2024", None), ("up_600to3000rpm", None),
+    ]  # fmt: skip
     for name, rpm in rows:
         assert speed_in_name(name) == rpm
 

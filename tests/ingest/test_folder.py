@@ -113,17 +113,9 @@ def test_pipes_folders_sockets_and_devices_are_refused_without_opening(tmp_path,
 
 def test_odd_names_are_files_like_any_other(tmp_path, found_in):
     names = [
-        "run 1.h5",
-        "a\nb.h5",
-        "-rf.h5",
-        "é.h5",
-        "e\u0301.h5",
-        "x" * 250 + ".h5",
-        "CON.h5",
-        "a\\b.h5",
-        "run [2].h5",
+        "run 1.h5", "a\nb.h5", "-rf.h5", "é.h5", "e\u0301.h5", "x" * 250 + ".h5", "CON.h5", "a\\b.h5", "run [2].h5",
         "%2e%2e.h5",
-    ]
+    ]  # fmt: skip
     for name in names:
         touched(tmp_path, name)
         assert [path.name for path in found_in(tmp_path, "*.h5").paths] == [name]

@@ -1,7 +1,5 @@
 """One suite for all readers: one signal is one recording in every format; what is cut, damaged or too large is told."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import re

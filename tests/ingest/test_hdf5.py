@@ -246,14 +246,6 @@ def _span(dataset):
     return range(start, start + dataset.nbytes)
 
 
-def test_reading_changes_nothing_in_the_folder(recorded, limits):
-    path, _ = recorded
-    path.chmod(0o400)
-    before = (path.read_bytes(), path.stat().st_mtime_ns, sorted(path.parent.iterdir()))
-    read_file(path, sources=["acc_x"], settings=limits)
-    assert before == (path.read_bytes(), path.stat().st_mtime_ns, sorted(path.parent.iterdir()))
-
-
 def test_a_rate_that_lies_beside_the_samples_as_a_number_of_its_own_is_read(tmp_path, limits):
     """As MATLAB 7.3 and scripts write it; an attribute goes before it, and what must be followed is not read."""
     path = tmp_path / "a.mat"

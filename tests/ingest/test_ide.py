@@ -1,7 +1,5 @@
 """IDE recordings: what idelib, the format's own library, reads; blocks that are missing; files that are none."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,9 +1,8 @@
 """Velocity and displacement from an accelerometer, as the manifest asks for them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 
@@ -12,6 +11,9 @@ from crankorder.errors import ManyErrors
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_recording
 from crankorder.settings import load_settings
+from made.command import analysed
+from made.recordings import HEAD as HEAD_VIBRATION
+from made.recordings import read_manifest
 
 SETTINGS = load_settings()
 RATE_HZ = 2560.0
@@ -144,3 +146,36 @@ def test_a_high_pass_that_does_nothing_is_told(tmp_path: Path) -> None:
     folder = folder_of(tmp_path, 'unit = "m/s2"\nhighpass_hz = 5.0', head="acc", values=tone(40.0))
     made = read_recording(folder / "a.csv", load_manifest(folder), settings=SETTINGS.ingest, shaft=SETTINGS.shaft)
     assert "highpass_unused" in made.attrs["quality"]
+
+
+# A manifest without an encoder may ask for the speed from the vibration itself.
+
+
+def test_a_range_of_speeds_is_one_and_belongs_to_the_kind(tmp_path: Path) -> None:
+    rows = [
+        ('kind = "vibration"\nexpected_rpm = [900.0, 800.0]', "the lowest and the highest speed"),
+        ('kind = "constant"\nspeed_rpm = 900.0\nexpected_rpm = [800.0, 900.0]', "goes with kind"),
+    ]
+    for encoder, words in rows:
+        with pytest.raises(ManyErrors, match=words):
+            read_manifest(tmp_path, "", encoder=encoder)
+
+
+def test_a_recording_without_encoder_gives_its_orders(tmp_path: Path) -> None:
+    """Speed and amplitudes are those that were put in; the phase has no reference and says so."""
+    (tmp_path / "in").mkdir()
+    encoder = 'kind = "vibration"\nexpected_rpm = [800.0, 3000.0]'
+    (tmp_path / "in" / "run.toml").write_text(HEAD_VIBRATION + encoder)
+    time_s = np.arange(8 * 4096) / 4096.0
+    put_in = {1.0: 1.0, 2.0: 0.7, 3.0: 0.5}
+    with h5py.File(tmp_path / "in" / "a.h5", "w") as file:
+        file.attrs["rate_hz"] = 4096.0
+        turning = sum(size * np.cos(2 * np.pi * order * 25.0 * time_s) for order, size in put_in.items())
+        file["Z"] = turning + 0.1 * np.random.default_rng(1).standard_normal(time_s.size)
+    findings = analysed(tmp_path / "in", tmp_path / "out", "--no-pictures")
+    assert findings["speed_range_rpm"] == pytest.approx([1500.0, 1500.0], rel=1e-3)
+    found = {round(record["order"], 1): record for record in findings["orders"]}
+    for order, size in put_in.items():
+        assert found[order]["amplitude"] == pytest.approx(size, rel=0.02)
+        assert found[order]["phase_deg"] is None
+    assert "no_index" in {flag["flag"] for flag in findings["quality"]}

@@ -34,13 +34,9 @@ def written(folder: Path, suffix: str, **columns: np.ndarray) -> Path:
                 file[name] = column
     else:
         np.savetxt(
-            path,
-            np.stack(list(columns.values()), axis=1),
-            delimiter=",",
-            header=",".join(columns),
-            comments="",
+            path, np.stack(list(columns.values()), axis=1), delimiter=",", header=",".join(columns), comments="",
             fmt="%.6f",
-        )
+        )  # fmt: skip
     return folder
 
 

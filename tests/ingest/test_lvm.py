@@ -1,7 +1,5 @@
 """LabVIEW measurement files: columns, decimals, segments, and a header that does not always tell the truth."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -148,15 +146,6 @@ def test_what_is_no_measurement_is_said_to_be_so(written, limits):
 def test_a_line_without_end_is_refused_before_it_fills_the_memory(written, limits):
     with pytest.raises(UnsafeInputError, match="a line is longer than any table has"):
         contents_of(written(lvm(VALUES) + "1" * 3_000_000), settings=limits)
-
-
-def test_the_real_beams_header_is_stale_and_its_times_are_right(real_data, limits):
-    path = real_data / "beam_dropbear4" / "data_set_1_downsampled_by_16.lvm"
-    raw = read_file(path, sources=["Acceleratio"], settings=limits)
-    expected = np.loadtxt(path, skiprows=23, usecols=3, encoding="utf-8")
-    np.testing.assert_array_equal(raw.columns["Acceleratio"], expected)
-    assert raw.rates_hz["Acceleratio"] == pytest.approx(3200.0, rel=1e-7)
-    assert raw.attrs["header_rate_hz"] == 51200.0
 
 
 def test_real_files_of_old_and_new_writers_are_read(real_data, limits):

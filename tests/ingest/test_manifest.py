@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from crankorder.engine.motor import Motor, motor_lines
 from crankorder.errors import ManyErrors, RequestError
 from crankorder.ingest.manifest import Manifest, key_lines, load_manifest
 from crankorder.quantities import schema_of
+from made.recordings import read_manifest
 
 GOOD = """schema_version = 1
 [test]
@@ -100,13 +102,9 @@ def test_a_rate_that_is_no_positive_number_is_refused(tmp_path):
 
 def test_numbers_that_no_encoder_has_are_refused_before_anything_is_read(tmp_path):
     rows = [
-        ("pulses_per_rev", "99999999999999999999999999"),
-        ("pulses_per_rev", "1000000000"),
-        ("ratio", "1e300"),
-        ("ratio", "1e-300"),
-        ("index_to_tdc_deg", "1e308"),
-        ("missing_teeth", "5000000000"),
-    ]
+        ("pulses_per_rev", "99999999999999999999999999"), ("pulses_per_rev", "1000000000"), ("ratio", "1e300"),
+        ("ratio", "1e-300"), ("index_to_tdc_deg", "1e308"), ("missing_teeth", "5000000000"),
+    ]  # fmt: skip
     for key, value in rows:
         text = GOOD.replace("pulses_per_rev = 360\n", "") if key == "pulses_per_rev" else GOOD
         faults = faults_of(tmp_path, text.replace("[encoder]\n", f"[encoder]\n{key} = {value}\n"))
@@ -179,3 +177,129 @@ def test_a_wrong_manifest_is_refused_before_numpy_is_loaded(tmp_path):
 def test_the_schema_file_is_that_of_the_model():
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **Manifest.model_json_schema()}
     assert json.dumps(schema_of("manifest"), sort_keys=True) == json.dumps(schema, sort_keys=True)
+
+
+# Transfer paths and added masses of a manifest are checked, and their tables read.
+
+
+PRESSURE = '[[channels]]\nname = "P"\nunit = "bar"\n'
+PATH = '[[transfer_paths]]\nchannel = "Z"\ndirection = "Z"\n'
+RIGID = PATH + "apparent_mass_kg = 330.0\nfrequency_range_hz = [5.0, 50.0]\nuncertainty_percent = 5\n"
+
+
+def read(folder: Path, text: str) -> Manifest:
+    return read_manifest(folder, PRESSURE + text)
+
+
+def faults(folder: Path, text: str) -> str:
+    with pytest.raises(ManyErrors) as caught:
+        read(folder, text)
+    return str(caught.value)
+
+
+def test_paths_and_masses_are_read(tmp_path):
+    text = RIGID + (
+        "[[added_masses]]\nmass_g = 20.0\nradius_mm = 50.0\nangle_deg = 90.0\n"
+        '[[added_masses]]\nmass_g = 116\non = "piston"\n'
+    )
+    manifest = read(tmp_path, text)
+    (path,) = manifest.transfer_paths
+    assert (path.apparent_mass_kg, path.frequency_range_hz, path.uncertainty_percent) == (330.0, (5.0, 50.0), 5.0)
+    assert [mass.on for mass in manifest.added_masses] == ["crank", "piston"]
+
+
+def test_a_table_is_read_from_beside_the_manifest(tmp_path):
+    (tmp_path / "z.csv").write_text("frequency_hz, real, imag\n5, 0.003, 0\n50, 0.004, -1e-4\n", encoding="utf-8")
+    (path,) = read(tmp_path, PATH + 'table = "z.csv"\n').transfer_paths
+    assert path.points == ((5.0, 0.003, 0.0), (50.0, 0.004, -1e-4))
+    assert path.holds_hz == (5.0, 50.0)
+
+
+def test_a_table_with_a_fault_is_refused_by_name(tmp_path):
+    rows = [
+        ("f,r,i\n1,2,3\n", "frequency_hz, real, imag"),
+        ("", "wrong columns"),
+        ("frequency_hz,real,imag\n1,2\n3,4,5\n", "line 2"),
+        ("frequency_hz,real,imag\n1,2,x\n", "line 2"),
+        ("frequency_hz,real,imag\n1,2,3\n", "two or more rows"),
+        ("frequency_hz,real,imag\n2,2,3\n1,2,3\n", "ascending"),
+        ("frequency_hz,real,imag\n1,nan,3\n2,2,3\n", "finite"),
+    ]
+    for text, words in rows:
+        (tmp_path / "z.csv").write_text(text, encoding="utf-8")
+        message = faults(tmp_path, PATH + 'table = "z.csv"\n')
+        assert words in message and "z.csv" in message and "transfer_paths.0.table" in message
+
+
+def test_a_table_elsewhere_is_refused(tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (tmp_path / "outside.csv").write_text("frequency_hz,real,imag\n1,1,1\n2,1,1\n", encoding="utf-8")
+    for name in ["missing.csv", "../outside.csv", "/etc/passwd", "a\\u0000b"]:
+        assert "transfer_paths.0.table" in faults(folder, PATH + f'table = "{name}"\n')
+
+
+def test_what_is_wrong_is_said_with_its_key(tmp_path):
+    rows = [
+        (RIGID.replace('channel = "Z"', 'channel = "W"'), "no such channel"),
+        (RIGID.replace('channel = "Z"', 'channel = "P"'), "not of pressure"),
+        (RIGID + RIGID, "a second path from Z to Z"),
+        (PATH, "one of apparent_mass_kg, table or modes"),
+        (PATH + "apparent_mass_kg = 330.0\n", "where the path holds"),
+        (RIGID.replace("[5.0, 50.0]", "[50.0, 5.0]"), "must ascend"),
+        (RIGID.replace("apparent_mass_kg = 330.0", "apparent_mass_kg = -3.0"), "greater than 0"),
+        (RIGID.replace('direction = "Z"', 'direction = "up"'), "'X', 'Y' or 'Z'"),
+        (RIGID.replace("apparent_mass_kg", "aparent_mass_kg"), "apparent_mass_kg"),
+        ("[[added_masses]]\nmass_g = 20.0\n", "radius_mm"),
+        ("[[added_masses]]\nmass_g = 0.0\nradius_mm = 5.0\n", "0 g"),
+        ('[[added_masses]]\nmass_g = 2.0\non = "piston"\nangle_deg = 5.0\n', "neither"),
+    ]
+    for text, words in rows:
+        message = faults(tmp_path, text)
+        assert (
+            words in message and ("transfer_paths" in message or "added_masses" in message) and "run.toml:" in message
+        )
+
+
+# The motor of a manifest is checked, and its lines stand where supply, poles and speed put them.
+
+
+def test_a_motor_is_read(tmp_path: Path) -> None:
+    motor = read_manifest(tmp_path, "[motor]\nsupply_hz = 50.0\npoles = 4\nrotor_bars = 44\n").motor
+    assert motor is not None and (motor.supply_hz, motor.poles, motor.rotor_bars, motor.shaft_ratio) == (50.0, 4, 44, 1)
+    assert read_manifest(tmp_path, "").motor is None
+
+
+def test_a_wrong_motor_is_refused_with_its_line(tmp_path: Path) -> None:
+    rows = [
+        ("supply_hz = 50.0\npoles = 3\n", "poles come in pairs"),
+        ("supply_hz = 50.0\npoles = 0\n", "greater than 0"),
+        ("supply_hz = -50.0\npoles = 4\n", "greater than 0"),
+        ("supply_hz = 50.0\n", "a motor needs poles, rotor_bars or stator_slots"),
+        ("poles = 4\nrotor_bar = 44\n", "Did you mean 'rotor_bars'?"),
+        ('poles = "4"\n', "motor.poles"),
+    ]
+    for text, words in rows:
+        with pytest.raises(ManyErrors) as caught:
+            read_manifest(tmp_path, f"[motor]\n{text}")
+        assert words in str(caught.value) and "run.toml:1" in str(caught.value)
+
+
+def test_lines_of_a_four_pole_motor_at_2_percent_slip() -> None:
+    """By hand: 1500 rpm less 2 % is 24.5 Hz; the pole pass is 4 x 0.5 = 2 Hz; 44 bars pass at 1078 Hz."""
+    motor = Motor(supply_hz=50.0, poles=4, rotor_bars=44)
+    found = {(line.name, line.side): line.hertz_at(50.0, 1470.0) for line in motor_lines(motor)}
+    assert motor.synchronous_rpm(50.0) == 1500.0
+    assert found == pytest.approx(
+        {
+            ("mains", ""): 50.0,
+            ("twice mains", ""): 100.0,
+            ("pole-pass sideband of order 1 of the motor", "below"): 22.5,
+            ("pole-pass sideband of order 1 of the motor", "above"): 26.5,
+            ("pole-pass sideband of twice mains", "below"): 98.0,
+            ("pole-pass sideband of twice mains", "above"): 102.0,
+            ("bar pass", ""): 1078.0,
+            ("sideband of bar pass at twice mains", "below"): 978.0,
+            ("sideband of bar pass at twice mains", "above"): 1178.0,
+        }
+    )

@@ -1,7 +1,5 @@
 """MATLAB files read as SciPy reads them, and nothing that a file claims can end the process or fill the memory."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 
@@ -69,15 +67,10 @@ def test_what_lies_in_structs_and_cells_has_a_name_of_its_own(saved, limits):
 
 def test_a_number_beside_the_samples_states_the_rate_unless_two_contradict(saved, limits):
     rows = [
-        ({"fs": 1000.0}, 1000.0),
-        ({"dt": 0.002}, 500.0),
-        ({"Time_Sample_Rate": 1280.0}, 1280.0),
-        ({"fs": 1000.0, "dt": 0.001}, 1000.0),
-        ({"fs": 1000.0, "dt": 0.002}, None),
-        ({"head": {"SampFreq": np.float32(25600.0)}}, 25600.0),
-        ({"offset": 3.0}, None),
-        ({"fs": -1.0}, None),
-    ]
+        ({"fs": 1000.0}, 1000.0), ({"dt": 0.002}, 500.0), ({"Time_Sample_Rate": 1280.0}, 1280.0),
+        ({"fs": 1000.0, "dt": 0.001}, 1000.0), ({"fs": 1000.0, "dt": 0.002}, None),
+        ({"head": {"SampFreq": np.float32(25600.0)}}, 25600.0), ({"offset": 3.0}, None), ({"fs": -1.0}, None),
+    ]  # fmt: skip
     for beside, rate_hz in rows:
         path = saved(x=np.arange(100.0), **beside)
         assert read_file(path, sources=["x"], settings=limits).rates_hz.get("x") == rate_hz

@@ -1,7 +1,5 @@
 """Samples beyond the memory allowed lie in a file without a name, and are the same samples."""
 
-from __future__ import annotations
-
 import errno
 import os
 import wave

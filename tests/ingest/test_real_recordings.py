@@ -13,13 +13,9 @@ from crankorder.quantities import check_dataset, flags_of
 
 MANIFESTS = Path(__file__).parents[1] / "real"
 FOLDERS = {
-    "ansys_accel": "ansys_accel",
-    "rotorbalancer": "rotorbalancer",
-    "rotor_groups": "rotorbalancer",
-    "tue_genset": "tue_genset",
-    "tue_training": "tue_genset",
-    "auth_360ppr": "auth_360ppr",
-}
+    "ansys_accel": "ansys_accel", "rotorbalancer": "rotorbalancer", "rotor_groups": "rotorbalancer",
+    "tue_genset": "tue_genset", "tue_training": "tue_genset", "auth_360ppr": "auth_360ppr",
+}  # fmt: skip
 
 
 @pytest.fixture
@@ -58,37 +54,3 @@ def test_the_run_up_has_the_speeds_of_its_reference(recordings, real_data):
     assert str(recording["unit"].values[0]) == "Pa"
     # full scale is 1 Pa x 0.99655
     assert np.abs(recording["signal"]).max() < 0.99655
-
-
-@pytest.mark.slow
-def test_every_coast_down_has_a_pulse_per_revolution(recordings):
-    for name, n in [("rotorbalancer", 60), ("rotor_groups", 18)]:
-        found = recordings(name)
-        assert len(found) == n
-        for recording in found:
-            assert recording.sizes["time"] == 952
-            interval_s = np.median(np.diff(recording["pulse_time"]))
-            assert 1 / 95 < interval_s < 1 / 28
-
-
-def test_no_tooth_of_the_genset_is_lost(recordings):
-    for name in ("tue_genset", "tue_training"):
-        for recording in recordings(name):
-            times = recording["pulse_time"].values
-            steps = np.diff(times)
-            gaps = np.flatnonzero(steps > 2.2 * np.median(steps))
-            assert set(np.diff(gaps)) == {58}
-            rpm = 60 / np.diff(times[gaps])
-            assert rpm.min() > 2800
-            assert rpm.max() < 3250
-            assert recording.attrs["rate_hz"] == 100_000.0
-
-
-def test_there_are_360_pulses_between_the_marks_of_top_dead_centre(recordings):
-    (recording,) = recordings("auth_360ppr")
-    marks, pulses = recording["index_time"].values, recording["pulse_time"].values
-    assert marks.size == 4
-    assert list(np.diff(np.searchsorted(pulses, marks - 1e-5))) == [360, 360, 360]
-    rpm = 60 / np.diff(marks)
-    assert rpm.min() > 1199
-    assert rpm.max() < 1200

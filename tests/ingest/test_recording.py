@@ -407,8 +407,7 @@ def test_pulse_times_in_float32_say_how_coarse_they_are(write, read):
         assert flagged(recording) == [("pulse_times_single_precision", severity)]
         assert recording.attrs["pulse_noise_s"] == pytest.approx(np.spacing(times[-1]) / np.sqrt(12.0))
         fine = read(
-            write(name="b.h5", acc=TONE, enc=times.astype(np.float64), idx=times[::36].astype(np.float64)),
-            TIMES,
+            write(name="b.h5", acc=TONE, enc=times.astype(np.float64), idx=times[::36].astype(np.float64)), TIMES
         )
         assert (flagged(fine), fine.attrs["pulse_noise_s"]) == ([], 0.0)
 

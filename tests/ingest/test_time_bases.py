@@ -1,7 +1,5 @@
 """Columns of one file with rates and starts of their own: angle, speed and signals at one time belong together."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Universal files: text and binary histories as written by hand, and what is none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -282,19 +282,3 @@ def test_odd_samples_may_be_filled_up_or_not(tmp_path, limits):
             (tmp_path / f"{name}.wav").write_bytes(data)
             raw = read_file(tmp_path / f"{name}.wav", sources=["mic"], settings=limits)
             assert raw.units["mic"] == "Pa" and raw.columns["mic"].size == n
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("beyond", [False, True])
-@pytest.mark.parametrize("factor", [1, 2])
-def test_a_real_calibrated_file_reads_alike_in_the_forms_of_its_family(tmp_path, limits, real_data, beyond, factor):
-    whole = (real_data / "ansys_accel" / "accel_with_rpm.wav").read_bytes()
-    expected = read_file(real_data / "ansys_accel" / "accel_with_rpm.wav", sources=[0], settings=limits)
-    at = whole.index(b"data")
-    length = struct.unpack_from("<I", whole, at + 4)[0]
-    samples = (np.frombuffer(whole[at + 8 : at + 8 + length], "<i2") // factor).astype("<i2")
-    lea = calibration((1.0 * factor, "a", "Pa", 0.0, 0.99655), (4821.43 * factor, "b", "rpm", 0.0, 1.0))
-    (tmp_path / "a.wav").write_bytes(as_its_makers_write(samples.tobytes(), b"odd", lea, beyond=beyond))
-    raw = read_file(tmp_path / "a.wav", sources=["a"], settings=limits)
-    level = 20.0 * np.log10(np.std(raw.columns["a"]) / np.std(expected.columns[0]))
-    assert abs(level) < 0.01 and raw.units["a"] == "Pa"

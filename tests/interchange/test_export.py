@@ -1,7 +1,5 @@
 """Exported files hold the values of the results, as readers of others have them."""
 
-from __future__ import annotations
-
 import csv
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A headless Chromium that a test drives over its debugging pipe, with real mouse and keys."""
 
-from __future__ import annotations
-
 import base64
 import fcntl
 import json

@@ -1,7 +1,5 @@
 """The command line as a user calls it, and the findings that it leaves."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Which statements of the findings exclude each other: of their fields, and of the sentences made from them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -55,16 +53,9 @@ def contradictions(document: dict[str, Any]) -> list[str]:
     """
     findings = findings_of(document)
     checks = (
-        _of_orders,
-        _of_amplitudes,
-        _of_modes,
-        _of_crossings,
-        _of_speeds,
-        _of_bearings,
-        _of_mains,
-        _of_quality,
+        _of_orders, _of_amplitudes, _of_modes, _of_crossings, _of_speeds, _of_bearings, _of_mains, _of_quality,
         _of_sentences,
-    )
+    )  # fmt: skip
     return [words for check in checks for words in check(findings)]
 
 

@@ -1,7 +1,5 @@
 """Orders through random structures, as complex amplitudes over the speeds: an exactly known truth for modal fits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -158,16 +156,10 @@ def blocks_from(machine: DrawnMachine, seed: int, *, power: bool = False) -> lis
             amplitude = np.abs(amplitude) ** 2 - 2.0 * error**2 + 0j
         blocks.append(
             Block(
-                item.order,
-                CHANNELS,
-                item.order * speed / 60.0,
-                speed,
-                amplitude,
-                errors,
-                float(speed.max()),
+                item.order, CHANNELS, item.order * speed / 60.0, speed, amplitude, errors, float(speed.max()),
                 power=power,
             )
-        )
+        )  # fmt: skip
     return blocks
 
 
@@ -187,19 +179,11 @@ def orders_and_map(machine: DrawnMachine, seed: int) -> tuple[tuple[AgreedOrder,
             if len(seen):
                 lines.append(
                     OrderLine(
-                        name,
-                        number,
-                        1e-6,
-                        seen,
-                        speed[seen],
-                        size[seen],
-                        np.full(len(seen), machine.error),
-                        np.full(len(seen), 400.0),
-                        np.degrees(np.angle(measured[row, seen, column])),
-                        "locked to the shaft",
-                        20.0,
+                        name, number, 1e-6, seen, speed[seen], size[seen], np.full(len(seen), machine.error),
+                        np.full(len(seen), 400.0), np.degrees(np.angle(measured[row, seen, column])),
+                        "locked to the shaft", 20.0,
                     )
-                )
+                )  # fmt: skip
         if lines:
             agreed.append(AgreedOrder(number, 1e-6, 30.0, "locked", None, tuple(lines)))
     return tuple(agreed), order_map

@@ -1,7 +1,5 @@
 """Cramér-Rao bound of natural frequencies and damping in averaged power spectra: Whittle's likelihood, by numbers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

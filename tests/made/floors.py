@@ -1,7 +1,5 @@
 """Campbell maps of a structure under white forces, made in the time domain: an exactly known truth for modal fits."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -90,10 +88,7 @@ def campbell_map_of(psd: Array, n_frames: int, speed_rpm: Sequence[float], resol
     """CampbellMap of ``psd`` (channels, speeds, bins from 0 Hz on), each the mean of ``n_frames`` Hann frames."""
     of_frames = {"window": "hann", "enbw_hz": 1.5 * resolution_hz, "resolution_hz": resolution_hz}
     return xr.Dataset(
-        {
-            "psd": (("channel", "speed", "frequency"), psd),
-            "n_frames": ("speed", np.full(len(speed_rpm), n_frames)),
-        },
+        {"psd": (("channel", "speed", "frequency"), psd), "n_frames": ("speed", np.full(len(speed_rpm), n_frames))},
         coords={
             "channel": list("XYZ"[: len(psd)]),
             "speed": np.array(speed_rpm),
@@ -132,10 +127,6 @@ def orders_of(made: Made, forces: tuple[tuple[float, float], ...], *, error: flo
             "standard_error": (dims, np.full(shape, error)),
             "degrees_of_freedom": (dims, np.full(shape, 200.0)),
         },
-        coords={
-            **named("XYZ"[: shape[0]]),
-            "speed": speed,
-            "order": np.array([order for order, _ in forces]),
-        },
+        coords={**named("XYZ"[: shape[0]]), "speed": speed, "order": np.array([order for order, _ in forces])},
         attrs=OF_ONE_MARK,
     )

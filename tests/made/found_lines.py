@@ -1,7 +1,5 @@
 """Order lines, modes and fits as identification would hand them on, made by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 
@@ -80,20 +78,12 @@ def made_response(
     """A response known without error: its force grows with speed squared and is one at 1000 rpm."""
     terms = 1 + len(residue)
     return OrderResponse(
-        order=order,
-        channel=channel,
-        exponent=2.0,
-        law=(),
-        reference_rpm=1000.0,
-        span_rpm=(float(SPEEDS_RPM[0]), float(SPEEDS_RPM[-1])),
-        smooth=np.array([smooth], dtype=complex),
-        residue=np.array(residue, dtype=complex),
-        reached=np.arange(len(modal.modes)),
-        covariance=np.zeros((terms, terms), dtype=complex),
-        degrees_of_freedom=2 * (len(SPEEDS_RPM) - terms),
-        error=0.0,
-        fits=True,
-    )
+        order=order, channel=channel, exponent=2.0, law=(), reference_rpm=1000.0,
+        span_rpm=(float(SPEEDS_RPM[0]), float(SPEEDS_RPM[-1])), smooth=np.array([smooth], dtype=complex),
+        residue=np.array(residue, dtype=complex), reached=np.arange(len(modal.modes)),
+        covariance=np.zeros((terms, terms), dtype=complex), degrees_of_freedom=2 * (len(SPEEDS_RPM) - terms),
+        error=0.0, fits=True,
+    )  # fmt: skip
 
 
 def fitted_response(

@@ -1,7 +1,5 @@
 """Findings with every key that identification may give, and an envelope map to go with them."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -3,8 +3,6 @@
 ``tests/hard`` holds each to its mark; ``benchmarks/hard_cases.py`` draws them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -150,15 +148,9 @@ def bin_edge() -> HardCase:
     band, angle = steady([signal], speed_rpm=1000.0, duration_s=15.0, rate_hz=2000.0)
     begin = np.ceil(angle["crank_angle"].values[0] + 0.5) + 8.0 * np.arange(27)
     found = order_frames_nufft(
-        band["signal"].values,
-        rate_hz=2000.0,
-        start_s=0.0,
-        knots=knots_of(angle),
-        begin_rev=begin,
-        revs=32,
-        n_orders=round(32 * order) + 1,
-        tolerance=1e-9,
-    )[0, :, -1]
+        band["signal"].values, rate_hz=2000.0, start_s=0.0, knots=knots_of(angle), begin_rev=begin, revs=32,
+        n_orders=round(32 * order) + 1, tolerance=1e-9,
+    )[0, :, -1]  # fmt: skip
     frames = order_frames(band, angle, settings=SETTINGS)
     shown = np.abs(frames["spectrum"].values[0]).mean(axis=0)
     near = np.abs(frames["order"].values - order) < 0.5
@@ -332,14 +324,9 @@ def extreme_amplitudes() -> HardCase:
         worst = max(worst, float(np.abs(found - [1.0, 0.2]).max()))
         curves.append((made["order"].values, made["coherent_amplitude"].values[0, 0] / scale, f"times {scale:g}"))
     return HardCase(
-        asked="amplitudes of 1e-300 and 1e300 in the order map",
-        error=worst,
-        mark=1e-6,
-        x_label="order",
-        y_label="amplitude over scale",
-        curves=curves,
-        logarithmic=True,
-    )
+        asked="amplitudes of 1e-300 and 1e300 in the order map", error=worst, mark=1e-6, x_label="order",
+        y_label="amplitude over scale", curves=curves, logarithmic=True,
+    )  # fmt: skip
 
 
 def heavy_smoothing() -> HardCase:
@@ -355,34 +342,18 @@ def heavy_smoothing() -> HardCase:
         errors.append(float(np.abs(tracks.amplitude[0, 0] - np.exp(0.3j)).max()))
     return HardCase(
         asked="Vold–Kalman from rate/500 to rate/2,000,000 (r² 1e9…1e23): largest error",
-        error=max(errors),
-        mark=1e-6,
-        x_label="sample rate over bandwidth",
-        y_label="error of the amplitude",
-        curves=[(shares, np.array(errors), "by knots or samples")],
-        logarithmic=True,
-        wide=True,
-    )
+        error=max(errors), mark=1e-6, x_label="sample rate over bandwidth", y_label="error of the amplitude",
+        curves=[(shares, np.array(errors), "by knots or samples")], logarithmic=True, wide=True,
+    )  # fmt: skip
 
 
 CASES: dict[str, Callable[[], HardCase]] = {
     case.__name__: case
     for case in (
-        close_orders,
-        crossing_shafts,
-        fast_ramps,
-        two_revolutions,
-        bin_edge,
-        near_nyquist,
-        large_offset,
-        range_of_24_bits,
-        long_phase,
-        gaps,
-        single_precision,
-        extreme_amplitudes,
-        heavy_smoothing,
+        close_orders, crossing_shafts, fast_ramps, two_revolutions, bin_edge, near_nyquist, large_offset,
+        range_of_24_bits, long_phase, gaps, single_precision, extreme_amplitudes, heavy_smoothing,
     )
-}
+}  # fmt: skip
 
 
 def joined(x: np.ndarray, rows: np.ndarray, label: str) -> tuple[np.ndarray, np.ndarray, str]:

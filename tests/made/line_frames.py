@@ -1,7 +1,5 @@
 """OrderFrames of lines and noise made by crank angle: what identification of orders is tried on, cheaply."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 
@@ -42,18 +40,11 @@ def frames_of(
             "crank_angle": ("frame", begin),
         },
         attrs={
-            "recording": "made",
-            "window": "hann",
-            "enbw_bins": 1.5,
-            "revs_per_frame": REVS,
-            "overlap": 0.5,
-            "amplitude_scaling": "peak",
-            "phase_reference": "tdc",
-            "cycle_known": 1,
-            "revs_per_cycle": 2,
+            "recording": "made", "window": "hann", "enbw_bins": 1.5, "revs_per_frame": REVS, "overlap": 0.5,
+            "amplitude_scaling": "peak", "phase_reference": "tdc", "cycle_known": 1, "revs_per_cycle": 2,
             "quality": json.dumps([] if pulses else [flag]),
         },
-    )
+    )  # fmt: skip
 
 
 def angle_of(revs: int, *, start_rev: float = 3.25) -> np.ndarray:

@@ -3,8 +3,6 @@
 ``tests/hard`` analyses them in less memory than they are large; ``benchmarks/long_recordings.py`` measures how much.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import h5py

@@ -1,7 +1,5 @@
 """Rotors whose orders meet a line of fixed frequency, held or in sweeps, with or without a mode where they meet."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

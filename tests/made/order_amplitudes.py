@@ -1,7 +1,5 @@
 """Order maps made at the level of complex amplitudes: an engine's orders through a random structure, with noise."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 
@@ -32,13 +30,9 @@ class MadeOrders:
 def engine_of(**changes) -> Engine:
     """A single-cylinder engine with offset whose shafts take orders 1 and 2 away."""
     data = {
-        "crank_radius_m": 0.0449,
-        "rod_length_m": 0.152,
-        "offset_m": 0.010,
-        "reciprocating_mass_kg": 4.304,
-        "cylinders": (Cylinder(),),
-        "shafts": BalanceShafts(orders=(1, 2)),
-    }
+        "crank_radius_m": 0.0449, "rod_length_m": 0.152, "offset_m": 0.010, "reciprocating_mass_kg": 4.304,
+        "cylinders": (Cylinder(),), "shafts": BalanceShafts(orders=(1, 2)),
+    }  # fmt: skip
     return Engine(**(data | changes))
 
 
@@ -164,11 +158,7 @@ def order_map_of(amplitude, error, freedom, rpm, order, *, reference="tdc") -> x
             "standard_error": (dims, error),
             "degrees_of_freedom": (dims, np.array(freedom)),
         },
-        coords={
-            **named("XYZ"[: len(amplitude)]),
-            "speed": rpm,
-            "order": order,
-        },
+        coords={**named("XYZ"[: len(amplitude)]), "speed": rpm, "order": order},
         attrs={"phase_reference": reference, "cycle_known": 1, "revs_per_cycle": 2},
     )
 
@@ -180,14 +170,10 @@ def modal_of(rng, structure, *, frequency_error=3e-4, damping_error=0.03) -> Mod
         errors = frequency_error * natural, damping_error * damping
         modes.append(
             Mode(
-                frequency_hz=natural + errors[0] * rng.normal(),
-                frequency_error_hz=errors[0],
-                damping_ratio=damping + errors[1] * rng.normal(),
-                damping_error=errors[1],
-                channels=("X",),
-                prominence_db=20.0,
-                evidence="made",
+                frequency_hz=natural + errors[0] * rng.normal(), frequency_error_hz=errors[0],
+                damping_ratio=damping + errors[1] * rng.normal(), damping_error=errors[1], channels=("X",),
+                prominence_db=20.0, evidence="made",
             )
-        )
+        )  # fmt: skip
         covariance += [errors[0] ** 2, errors[1] ** 2]
     return ModalFit(modes=tuple(modes), tones=(), covariance=np.diag(covariance))

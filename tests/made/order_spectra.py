@@ -1,7 +1,5 @@
 """Signals given by crank angle, many draws at once as channels: order frames made without the program's, and tracks."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 
@@ -51,16 +49,9 @@ def angle_frames(signals: np.ndarray, *, speed: np.ndarray | float = 1200.0, nam
         },
     )
     made.attrs = {
-        "recording": name,
-        "amplitude_scaling": "peak",
-        "phase_reference": "tdc",
-        "cycle_known": 1,
-        "revs_per_cycle": 2,
-        "window": "hann",
-        "enbw_bins": 1.5,
-        "revs_per_frame": REVS,
-        "overlap": 0.5,
-    }
+        "recording": name, "amplitude_scaling": "peak", "phase_reference": "tdc", "cycle_known": 1,
+        "revs_per_cycle": 2, "window": "hann", "enbw_bins": 1.5, "revs_per_frame": REVS, "overlap": 0.5,
+    }  # fmt: skip
     return made
 
 

@@ -1,7 +1,5 @@
 """Processes that end with the block that started them, whatever happens in it."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Recordings made from analytic signals, with the shaft angle known exactly."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -129,17 +127,9 @@ def frames_of(
             "crank_angle": ("frame", np.arange(n_frames) * revs * (1.0 - overlap), {"units": "rev"}),
         },
         attrs={
-            "recording": "made",
-            "window": "hann",
-            "enbw_bins": 1.5,
-            "revs_per_frame": revs,
-            "overlap": overlap,
-            "amplitude_scaling": "peak",
-            "phase_reference": "tdc",
-            "cycle_known": 1,
-            "revs_per_cycle": 2,
-            **attrs,
+            "recording": "made", "window": "hann", "enbw_bins": 1.5, "revs_per_frame": revs, "overlap": overlap,
+            "amplitude_scaling": "peak", "phase_reference": "tdc", "cycle_known": 1, "revs_per_cycle": 2, **attrs,
         },
-    )
+    )  # fmt: skip
     check_dataset(made, "order_frames")
     return made

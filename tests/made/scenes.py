@@ -1,7 +1,5 @@
 """Frames of a scene whose shaft is known exactly: its sensors' signals without files, encoder and decimation."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

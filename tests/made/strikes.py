@@ -1,7 +1,5 @@
 """Recordings of strikes with a known order in noise, at constant speed: made by a sum of ringings, strike by strike."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 

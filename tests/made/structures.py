@@ -1,7 +1,5 @@
 """Structures that white noise and the orders of a shaft drive: digital filters in the time domain, drawn by seed."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

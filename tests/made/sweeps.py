@@ -1,7 +1,5 @@
 """Recordings of any course of the speed with any encoder, made from closed forms and independent of the scenes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

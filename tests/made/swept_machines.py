@@ -1,7 +1,5 @@
 """Machines of random modes and orders that run up or down: the structure answers forces of the shaft exactly."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The texts of a matplotlib figure, and those that are not legible."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from matplotlib.text import Text
@@ -13,10 +11,31 @@ def words(figure: Any) -> list[str]:
 
 
 def overlaps(figure: Any) -> list[tuple[str, str]]:
-    """Pairs of texts of the figure itself whose boxes overlap by more than a hair, and texts that leave the sheet."""
+    """Pairs of drawn texts that lie on one another, and texts that leave the canvas."""
     figure.draw_without_rendering()
     renderer = figure.canvas.get_renderer()
-    boxes = [(text.get_text(), text.get_window_extent(renderer).shrunk(0.94, 0.94)) for text in figure.texts]
-    beyond = [(text, "edge") for text, box in boxes if not figure.bbox.fully_containsx(box.x1 * 0.9999)]
-    pairs = [(a, b) for k, (a, one) in enumerate(boxes) for b, two in boxes[k + 1 :] if one.overlaps(two)]
-    return beyond + pairs
+    hidden = set()
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = sorted(axis.get_view_interval())
+            for tick in [*axis.majorTicks, *axis.minorTicks]:
+                if not low * (1 - 1e-9) <= tick.get_loc() <= high * (1 + 1e-9):
+                    hidden |= {id(tick.label1), id(tick.label2)}
+    texts = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
+    boxes = [
+        (text.get_text(), text.get_window_extent(renderer).shrunk(0.94, 0.94))
+        for text in texts
+        if id(text) not in hidden
+    ]
+    width, height = figure.bbox.width, figure.bbox.height
+    beyond = [
+        (text, "edge of the canvas")
+        for text, box in boxes
+        if box.x0 < 0 or box.y0 < 0 or box.x1 > width + 1 or box.y1 > height + 1
+    ]
+    return beyond + [
+        (one, two)
+        for number, (one, first) in enumerate(boxes)
+        for two, second in boxes[number + 1 :]
+        if first.overlaps(second)
+    ]

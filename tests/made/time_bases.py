@@ -1,7 +1,5 @@
 """Columns with rates and starts of their own, in every format that can hold them in one file."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple

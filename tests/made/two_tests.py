@@ -1,7 +1,5 @@
 """Results of made tests, as a run leaves them: maps from analytic recordings, findings that name what was put in."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -48,10 +46,7 @@ def made_test(
         ]
         recording = steady(signals, speed_rpm=rpm, duration_s=duration_s, rate_hz=RATE_HZ)
         orders.append(order_frames(*recording, settings=SETTINGS.orders))
-    maps = {
-        "order_map": order_map(orders, settings=SETTINGS.orders),
-        "shaft": _shaft(speeds),
-    }
+    maps = {"order_map": order_map(orders, settings=SETTINGS.orders), "shaft": _shaft(speeds)}
     maps = {
         key: one.assign_coords(channel=list(channels)) if "channel" in one.sizes else one for key, one in maps.items()
     }
@@ -91,13 +86,9 @@ def findings(
         "schema_version": 1,
         "test": name,
         "channels": [{"name": channel, "unit": "m/s2", "quantity": "acceleration"} for channel in channels],
-        "orders": records,
-        "modes": list(modes),
-        "looked_for": ["modes"] if modes else [],
-        "bearings": [],
-        "balance": None,
-        "quality": [],
-    }
+        "orders": records, "modes": list(modes), "looked_for": ["modes"] if modes else [], "bearings": [],
+        "balance": None, "quality": [],
+    }  # fmt: skip
 
 
 def stated(name: str, channels: Sequence[str] = ("A",)) -> dict[str, Any]:

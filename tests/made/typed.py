@@ -1,7 +1,5 @@
 """Findings and their records from dicts that hold no more than what a test is about."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Rotors whose natural frequencies move with the speed, made sample by sample: Campbell maps of known truth."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The average cycle of recordings: exact for what is locked, honest about what is not, joined only where it may be."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -100,12 +98,6 @@ def test_spread_and_error_are_those_of_the_noise_over_many_recordings():
     # white noise up to 1000 Hz through |H|^2 = 1 up to 20 orders and a raised cosine to 40, 3/8 of that band
     deviation = np.sqrt(np.mean(made[0]["standard_deviation"].values ** 2))
     assert deviation == pytest.approx(sigma * np.sqrt((20 + 0.375 * 20) * 1000 / 60 / 1000), rel=0.05)
-
-
-def test_the_error_of_the_mean_falls_with_the_root_of_the_cycles():
-    short, long = (of(noise(3, 1.0), duration_s=duration) for duration in (6.0, 96.0))
-    ratio = np.sqrt(np.mean(short["standard_error"].values ** 2) / np.mean(long["standard_error"].values ** 2))
-    assert ratio == pytest.approx(4.0, rel=0.15)
 
 
 def test_half_orders_cancel_in_the_average_over_one_revolution():

@@ -1,7 +1,5 @@
 """Orders followed by name through each recording, joined by speed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -70,15 +68,15 @@ def test_a_channel_that_is_missing_at_a_speed_stays_missing():
     assert np.isnan(tracks["amplitude"].sel(order=2.0).values[0]).tolist() == [False, True, False]
 
 
-def test_recordings_without_a_common_phase_are_joined_by_energy():
-    recordings = [steady([SIGNAL], speed_rpm=900.0, duration_s=40.0, rate_hz=1000.0, start_rev=r) for r in (0.0, 0.3)]
-    for _, angle in recordings:
-        angle.attrs["phase_reference"] = "none"
-        angle["crank_angle"].values[:] += 0.21 * len(angle.attrs)
-    recordings[1][1]["crank_angle"].values[:] += 0.37
-    tracks = joined(recordings, asked("vold_kalman", revs_per_frame=120))
-    assert np.isnan(tracks["phase"].sel(order=2.0).values).all()
-    np.testing.assert_allclose(tracks["amplitude"].sel(order=2.0).values, 1.0, atol=1e-6)
+@pytest.mark.parametrize("references", [("none", "none"), ("tdc", "pulse")])
+def test_recordings_without_a_common_mark_are_joined_by_energy(references):
+    recordings = [steady([SIGNAL], speed_rpm=900.0, duration_s=40.0, rate_hz=1000.0) for _ in references]
+    for (_, angle), reference in zip(recordings, references, strict=True):
+        angle.attrs["phase_reference"] = reference
+    recordings[1][1]["crank_angle"].values[:] += 0.25  # half a cycle of order 2: a mean with phase would be 0
+    tracks = joined(recordings, asked("vold_kalman", revs_per_frame=120)).sel(order=2.0)
+    np.testing.assert_allclose(tracks["amplitude"].values, 1.0, atol=1e-6)
+    assert np.isnan(tracks["phase"].values).all()
 
 
 def test_by_crank_angle_without_a_speed_a_filter_by_time_is_refused():
@@ -158,15 +156,6 @@ def test_frames_of_a_filter_that_lie_in_a_gap_are_nan_and_do_not_count():
     assert not lost[1].any()
     tracks = joined([(band, angle)], settings).sel(order=2.0)
     np.testing.assert_allclose(tracks["amplitude"].values[:, 0], 1.0, atol=0.002)
-
-
-def test_phases_from_different_marks_are_not_averaged():
-    recordings = [steady([SIGNAL], speed_rpm=900.0, duration_s=40.0, rate_hz=1000.0) for _ in range(2)]
-    recordings[1][1].attrs["phase_reference"] = "pulse"
-    recordings[1][1]["crank_angle"].values[:] += 0.25  # half a cycle of order 2: a mean with phase would be 0
-    tracks = joined(recordings, asked("vold_kalman", revs_per_frame=120)).sel(order=2.0)
-    np.testing.assert_allclose(tracks["amplitude"].values, 1.0, atol=1e-6)
-    assert np.isnan(tracks["phase"].values).all()
 
 
 def test_every_speed_of_a_run_up_is_followed_at_its_own_amplitude():

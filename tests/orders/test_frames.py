@@ -1,7 +1,5 @@
 """Order frames against analytic signals."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

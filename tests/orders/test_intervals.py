@@ -1,7 +1,5 @@
 """95 % intervals: the truth lies in them 95 times in 100, whatever the noise and however few the frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -88,17 +86,9 @@ def test_a_trend_with_speed_is_no_noise():
 
 SHORT, LONG = 400, 2000
 CASES = [
-    ("white", 1),
-    ("white", 2),
-    ("white", 3),
-    ("white", 5),
-    ("white", 36),
-    ("pink", 2),
-    ("pink", 5),
-    ("pink", 36),
-    ("resonance", 20),
-    ("resonance", 36),
-]
+    ("white", 1), ("white", 2), ("white", 3), ("white", 5), ("white", 36), ("pink", 2), ("pink", 5), ("pink", 36),
+    ("resonance", 20), ("resonance", 36),
+]  # fmt: skip
 
 
 @pytest.mark.cases(2)

@@ -1,7 +1,5 @@
 """A channel whose gain changed between recordings at one speed is named; loads, sweeps and modes are not."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

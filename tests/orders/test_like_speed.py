@@ -1,7 +1,5 @@
 """Frames of unequal length in one test: what the longer ones become, and what they may not lose."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

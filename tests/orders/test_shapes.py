@@ -1,20 +1,13 @@
 """Operating shapes: amplitudes and phases of a truth, intervals that cover it, origins that are said."""
 
-from __future__ import annotations
-
-import json
-
 import numpy as np
 import pytest
 
 from crankorder.errors import RequestError
-from crankorder.ingest.manifest import load_manifest
 from crankorder.orders.frames import order_frames
 from crankorder.orders.shapes import coherence_level, expected_coherence, operating_shapes, unbiased_coherence
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
-from crankorder.stages import band, ingest, shaft
-from made.command import done
 from made.recordings import frames_of, line, steady
 
 SETTINGS = load_settings().orders
@@ -138,12 +131,6 @@ def test_noise_as_strong_as_a_steady_line_does_not_raise_its_amplitude_where_pha
         assert np.abs(made["phase"].values[0, 0]).max() < 1e-9
 
 
-def test_a_line_that_wanders_against_the_crank_keeps_its_amplitude():
-    wandering = np.exp(2j * np.pi * np.random.default_rng(3).uniform(0, 1, (1, 40, 9)))
-    made = shapes_of(steady_frames(40) * wandering, (0.5, 1.0), "A", overlap=0.0)
-    np.testing.assert_allclose(made["amplitude"].values[:, 0, 1], np.abs(PHASORS), rtol=1e-12)
-
-
 @pytest.mark.slow
 def test_overlapping_frames_of_noise_do_not_narrow_the_interval():
     rng = np.random.default_rng(9)
@@ -245,43 +232,6 @@ def test_frames_of_a_run_up_fall_into_rows_of_like_speed():
     made = shapes_of(steady_frames(n_frames=9), speed_rpm=np.repeat([900.0, 500.0, 700.0], 3))
     assert made["speed"].values.tolist() == [500.0, 700.0, 900.0]
     assert made["n_frames"].values.tolist() == [3, 3, 3]
-
-
-@pytest.mark.slow
-def test_shapes_of_the_reference_campaign_are_those_of_its_truth(tmp_path):
-    done("synth", "thesis-second-motoring", "--quick", "--out", tmp_path, "-q")
-    truth = json.loads((tmp_path / "truth.json").read_text(encoding="utf-8"))
-    manifest, settings = load_manifest(tmp_path), load_settings()
-    frames = []
-    for file in sorted(tmp_path.glob("rpm_*.h5")):
-        recording = ingest(file, manifest, settings)
-        angle = shaft(recording, settings)
-        frames.append(order_frames(band(recording, angle, settings), angle, settings=settings.orders))
-    orders = sorted({record["order"] for record in truth["orders"] if record["order"] == round(record["order"])})
-    made = operating_shapes(frames, orders, settings=settings.orders)
-    scores = np.array(list(_scores(made, truth["orders"])))
-    assert len(scores) > 140
-    assert np.mean(scores[:, 0] <= 1.0) > 0.90  # lines between two channels of noise and tones: measured below 0.95
-    assert np.mean(scores[:, 1] <= 1.0) > 0.90
-
-
-def _scores(made, records):
-    """Error over half interval of amplitude and phase, where a line stands clear of the noise."""
-    for record in records:
-        if record["order"] not in made["order"].values:
-            continue
-        one = made.sel(channel=record["channel"], order=record["order"])
-        for speed, amplitude, phase in zip(
-            record["speed_rpm"], record["amplitude_by_speed"], record["phase_deg_by_speed"], strict=True
-        ):
-            at = one.isel(speed=int(np.argmin(np.abs(one["speed"].values - speed))))
-            low, high = at["amplitude_ci95"].values
-            first, last = at["phase_ci95"].values
-            if low > 0.5 * at["amplitude"].item():
-                yield (
-                    abs(at["amplitude"].item() - amplitude) / (0.5 * (high - low)),
-                    abs(degrees_apart(at["phase"].item(), phase)) / (0.5 * (last - first)),
-                )
 
 
 @pytest.mark.cases(1)

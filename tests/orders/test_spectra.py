@@ -1,15 +1,11 @@
 """Order frames straight from the samples, against analytic signals and the resampled frames."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
 from crankorder.errors import RequestError
 from crankorder.fft.nonuniform import folding_error
-from crankorder.orders.frames import order_frames
 from crankorder.orders.spectra import frame_factor, order_frames_nufft
-from crankorder.settings import load_settings
 from crankorder.shaft.angle import knots_of
 from made.recordings import line, run_up, shaft, steady, total
 
@@ -99,22 +95,6 @@ def test_a_mean_a_million_times_the_signal_does_not_leak():
     np.testing.assert_allclose(np.abs(mean[0]), np.tile([2e6, 1e6], (3, 1)), rtol=1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("run", ["steady", "run-up"])
-def test_the_resampled_frames_agree(run):
-    truth = {0.5: 0.1j, 1.0: 2.0 + 0j, 5.5: 0.03j, 10.0: 0.7j}
-    made = {"rate_hz": 2000.0, "duration_s": 10.0}
-    if run == "steady":
-        band, angle = steady([parts(truth), line(3.0, 1.0)], speed_rpm=1200.0, **made)
-    else:
-        band, angle = run_up([parts(truth), line(3.0, 1.0)], from_rpm=600.0, to_rpm=1500.0, **made)
-    frames = order_frames(band, angle, settings=load_settings().orders)
-    revs, order = int(frames.attrs["revs_per_frame"]), frames["order"].values
-    asked = request(band, angle, begin_rev=frames["crank_angle"].values, revs=revs, tolerance=1e-9)
-    found = order_frames_nufft(band["signal"].values, n_orders=len(order), **asked)
-    np.testing.assert_allclose(found, frames["spectrum"].values, atol=3e-6)
-
-
 def test_content_far_above_the_orders_does_not_fold_onto_them():
     """Tones up to the Nyquist frequency, read at low orders, leave what the Hann window lets through there: nothing."""
     for share in (0.3, 0.42, 0.47, 0.4999):
@@ -157,27 +137,6 @@ def test_frames_that_touch_an_unusable_sample_are_missing_in_that_channel_only()
     np.testing.assert_allclose(found[1], clean[1, :, 12], atol=2e-6)
 
 
-def test_very_small_and_very_large_amplitudes_survive():
-    truth = {2.5: 1.0 + 0j, 13.0: 1j}
-    for rate_hz in (1785.0, 20_000.0):
-        band, angle = steady([parts(truth)], speed_rpm=2000.0, duration_s=4.0, rate_hz=rate_hz)
-        asked = request(band, angle, begin_rev=[30.0, 41.3], revs=4.0, tolerance=1e-9)
-        plain = order_frames_nufft(band["signal"].values, n_orders=60, **asked)
-        for size in (1e-300, 1e300):
-            found = order_frames_nufft(band["signal"].values * size, n_orders=60, **asked) / size
-            np.testing.assert_allclose(found, plain, atol=1e-13)
-
-
-def test_both_precisions_agree():
-    truth = {2.5: 1.0 + 0j, 13.0: 1j}
-    band, angle = steady([parts(truth)], speed_rpm=2000.0, duration_s=4.0, rate_hz=1785.0)
-    asked = request(band, angle, begin_rev=[30.0, 41.3], revs=4.0, tolerance=1e-9)
-    single = band["signal"].values.astype(np.float32)
-    found = order_frames_nufft(single, n_orders=60, **asked)
-    # 2^-25 of 2 m/s2, averaged over 214 samples and more
-    np.testing.assert_allclose(found, order_frames_nufft(band["signal"].values, n_orders=60, **asked), atol=3e-8)
-
-
 def test_a_part_of_the_record_gives_the_same_frames():
     """Streaming: a block needs the frame and its neighbours only."""
     truth = {2.5: 1.0 + 0j, 13.0: 1j}
@@ -202,7 +161,7 @@ def test_frames_outside_the_record_are_refused():
 
 def test_what_cannot_be_is_refused():
     band, angle = steady([line(2.0, 1.0)], speed_rpm=2000.0, duration_s=2.0, rate_hz=1785.0)
-    for given in ({"tolerance": 1e-13}, {"revs": 0.0}, {"rate_hz": np.nan}, {"n_orders": 0}):
+    for given in ({"tolerance": 1e-13}, {"tolerance": 0.5}, {"revs": 0.0}, {"rate_hz": np.nan}, {"n_orders": 0}):
         with pytest.raises(RequestError):
             asked = {"tolerance": 1e-9, "n_orders": 9} | given
             order_frames_nufft(band["signal"].values, **request(band, angle, begin_rev=[10.0], revs=4.0) | asked)

@@ -1,7 +1,5 @@
 """Sweeps of every kind, with every encoder: rows at the right speeds, amplitudes inside their intervals, no crash."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.signal import lfilter

@@ -1,7 +1,5 @@
 """The Vold-Kalman filter: its laws, its bandwidth, and the solution of the equations as they stand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -49,14 +47,6 @@ def test_the_gain_is_half_the_power_at_half_the_bandwidth() -> None:
             weight = float(structural_weight(np.array(bandwidth_hz), rate_hz=RATE_HZ, poles=poles))
             off = 2.0 * np.sin(np.pi * 0.5 * bandwidth_hz / RATE_HZ)
             assert 1.0 / (1.0 + 2.0 * weight * off ** (2 * poles)) == pytest.approx(np.sqrt(0.5), rel=1e-14)
-
-
-def test_the_weight_equals_tumas_where_his_form_does_not_cancel() -> None:
-    turn = np.pi * 40.0 / RATE_HZ
-    one = (np.sqrt(2.0) - 1.0) / (2.0 * (1.0 - np.cos(turn)))
-    two = (np.sqrt(2.0) - 1.0) / (6.0 - 8.0 * np.cos(turn) + 2.0 * np.cos(2.0 * turn))
-    found = [2.0 * float(structural_weight(np.array(40.0), rate_hz=RATE_HZ, poles=poles)) for poles in (1, 2)]
-    assert found == pytest.approx([one, two], rel=1e-9)
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """Pictures of the front door: what is drawn is what the data say, every label is legible, and no setting is touched."""
 
-from __future__ import annotations
-
 import doctest
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What the tests on real recordings share: one analysis of each, as `crankorder run` makes it."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Callable

@@ -4,8 +4,6 @@ By hand: SciPy, Butterworth band-pass of 2.5 to 4 kHz (CWRU) or of the highest k
 window, spectrum padded eightfold; orders are over the speed that the file or its publisher states.
 """
 
-from __future__ import annotations
-
 import pytest
 
 RACES = ("BPFI", "BPFO")
@@ -20,15 +18,11 @@ SEEDED = [
     ("0.021-OuterRace6.mat", "BPFO", 3.5908, +0.17),
 ]
 UNDER_LOAD = [
-    ("InnerRaceFault_vload_1.mat", "BPFI", 4.715, -0.84),
-    ("InnerRaceFault_vload_2.mat", "BPFI", 4.720, -0.74),
-    ("InnerRaceFault_vload_3.mat", "BPFI", 4.720, -0.74),
-    ("InnerRaceFault_vload_4.mat", "BPFI", 4.717, -0.80),
-    ("OuterRaceFault_vload_1.mat", "BPFO", 3.203, -1.29),
-    ("OuterRaceFault_vload_2.mat", "BPFO", 3.207, -1.17),
-    ("OuterRaceFault_vload_3.mat", "BPFO", 3.208, -1.14),
-    ("OuterRaceFault_vload_4.mat", "BPFO", 3.210, -1.08),
-]
+    ("InnerRaceFault_vload_1.mat", "BPFI", 4.715, -0.84), ("InnerRaceFault_vload_2.mat", "BPFI", 4.720, -0.74),
+    ("InnerRaceFault_vload_3.mat", "BPFI", 4.720, -0.74), ("InnerRaceFault_vload_4.mat", "BPFI", 4.717, -0.80),
+    ("OuterRaceFault_vload_1.mat", "BPFO", 3.203, -1.29), ("OuterRaceFault_vload_2.mat", "BPFO", 3.207, -1.17),
+    ("OuterRaceFault_vload_3.mat", "BPFO", 3.208, -1.14), ("OuterRaceFault_vload_4.mat", "BPFO", 3.210, -1.08),
+]  # fmt: skip
 
 
 def races(result, seen_in="envelope"):

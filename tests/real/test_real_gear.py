@@ -1,7 +1,5 @@
 """A gearbox with 23 teeth at 2000 rpm: facts of one long spectrum by hand (Hann window over all 11 s)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Natural frequencies of real structures and machines; what a recording does not show is not made up."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -171,8 +169,7 @@ def test_a_natural_frequency_that_shapes_the_rotors_first_order_is_reported_with
 
 
 @pytest.mark.parametrize(
-    ("name", "folder"),
-    [("tue_genset", "tue_genset"), ("tue_training", "tue_genset"), ("auth_360ppr", "auth_360ppr")],
+    ("name", "folder"), [("tue_genset", "tue_genset"), ("tue_training", "tue_genset"), ("auth_360ppr", "auth_360ppr")]
 )
 def test_cylinder_pressure_at_one_speed_shows_no_mode(analysed, name, folder):
     assert analysed(name, folder).modes_hz() == []
@@ -198,3 +195,36 @@ def test_what_is_called_a_mode_of_a_machine_is_narrow_certain_and_off_its_orders
             assert record["undecided"] == ""
             assert 0.5 * (high - low) < 0.02 * record["frequency_hz"]
             assert record["damping_ratio_ci95"][0] > 0.0
+
+
+# No recording gets a made-up mode: what is called one is known to be one, and what is not decidable says why.
+
+
+# manifest, folder, file, and the natural frequencies that may be called modes: those that somebody else measured
+RECORDINGS = [
+    ("beam", "beam_dropbear4", "", (6.62, 41.4, 117.5)), ("hammer", "modal_vtb", "", (212.09,)),
+    ("oma_tower", "oma_tower", "", TOWER_HZ), ("auth_360ppr", "auth_360ppr", "", ()),
+    ("tue_genset", "tue_genset", "", ()), ("tue_training", "tue_genset", "", ()), ("gear0", "gear0", "", ()),
+    ("rotor_without", "rotorbalancer", "", ()), ("rotor_with", "rotorbalancer", "", ()),
+    ("rotorbalancer", "rotorbalancer", "", ()), ("ansys_accel", "ansys_accel", "", ()),
+]  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "folder", "only", "known_hz"), RECORDINGS)
+def test_what_is_called_a_mode_was_measured_by_somebody_else_too(analysed, name, folder, only, known_hz):
+    for frequency in analysed(name, folder, only).modes_hz():
+        assert any(abs(frequency / known - 1.0) <= 0.01 for known in known_hz), f"{frequency:.3f} Hz is made up"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "folder", "only"), [item[:3] for item in RECORDINGS])
+def test_what_is_not_decidable_is_said_to_be_so_and_why(analysed, name, folder, only):
+    for record in analysed(name, folder, only).findings["modes"]:
+        assert record["evidence"], f"{record['frequency_hz']:.3f} Hz without evidence"
+        if record["explained_by"] == "undecided":
+            assert record["undecided"]
+        if record["explained_by"] == "mode":
+            low, high = record["frequency_hz_ci95"]
+            assert record["undecided"] == ""
+            assert np.isfinite([low, high]).all() and low <= record["frequency_hz"] <= high

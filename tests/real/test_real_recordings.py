@@ -1,7 +1,5 @@
 """The main job on real recordings, read in place; facts of `../shared/data/README.md` and of a commercial program."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

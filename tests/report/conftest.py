@@ -1,7 +1,5 @@
 """Synthetic maps, tracks and findings to draw: what a report must show is put in here, so that the tests know it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -133,18 +131,13 @@ def _order_records(tracks: xr.Dataset, unit: str) -> list[dict[str, Any]]:
             exponent = 0.0 if order == 5.5 else 2.0
             records.append(
                 {
-                    "channel": channel,
-                    **_within("order", order, 0.003),
-                    **_within("amplitude", value, 1.96 * error),
-                    **_within("phase_deg", -42.0, 2.0),
-                    "unit": unit,
-                    "speed_rpm_at_max": float(track.speed[peak]),
-                    **_within("speed_exponent", exponent, 0.2),
-                    "meets_hz": _met_hz(order, float(track.speed[peak])),
+                    "channel": channel, **_within("order", order, 0.003), **_within("amplitude", value, 1.96 * error),
+                    **_within("phase_deg", -42.0, 2.0), "unit": unit, "speed_rpm_at_max": float(track.speed[peak]),
+                    **_within("speed_exponent", exponent, 0.2), "meets_hz": _met_hz(order, float(track.speed[peak])),
                     "speed_range_rpm": [float(track.speed[0]), float(track.speed[-1])],
                     "explained_by": "bearing jack shaft N*fs" if order == 5.5 else "engine order",
                 }
-            )
+            )  # fmt: skip
     return records
 
 
@@ -178,15 +171,10 @@ def _findings(tracks: xr.Dataset, channels: tuple[str, ...], unit: str, quantity
         for mode_hz in MODES_HZ
     ]
     bearing = {
-        "name": "jack shaft",
-        "line": "N*fs",
-        **_within("order", 5.5, 0.002),
-        "order_expected": 5.5,
-        **_within("amplitude", 0.12, 0.01),
-        "channel": channels[-1],
-        "unit": unit,
+        "name": "jack shaft", "line": "N*fs", **_within("order", 5.5, 0.002), "order_expected": 5.5,
+        **_within("amplitude", 0.12, 0.01), "channel": channels[-1], "unit": unit,
         "verdict": "present, the same at all speeds",
-    }
+    }  # fmt: skip
     return {
         "schema_version": 1,
         "test": name,

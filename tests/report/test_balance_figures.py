@@ -1,14 +1,11 @@
 """The pictures of a balance show the forces of the model, legibly, and with the same bytes each time."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.figure import Figure
 from matplotlib.text import Text
 
 from crankorder.engine.balance_data import BalancedEngine, balanced_engine, load_balanced_engine, reduced_masses
@@ -26,6 +23,7 @@ from crankorder.report.balance.hinge_figure import guide_figure, hinge_figure
 from crankorder.report.balance.look import alike, called, system_color
 from crankorder.report.balance.polar_figure import harmonics_figure, polar_figure
 from crankorder.settings import shipped, toml_table
+from made.texts import overlaps
 
 CRANK_ENGINES = sorted(set(shipped("engines")) - {"elastic-hinge"})
 PICTURES = [polar_figure, force_figure, order_bars_figure, harmonics_figure]
@@ -49,43 +47,12 @@ def task5() -> xr.Dataset:
     return _dataset(load_balanced_engine("task5"))
 
 
-def _overlaps(figure: Figure) -> list[tuple[str, str]]:
-    """Pairs of drawn texts that lie on one another, and texts that leave the canvas."""
-    figure.draw_without_rendering()
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
-    hidden = set()
-    for axes in figure.axes:
-        for axis in (axes.xaxis, axes.yaxis):
-            low, high = sorted(axis.get_view_interval())
-            for tick in [*axis.majorTicks, *axis.minorTicks]:
-                if not low * (1 - 1e-9) <= tick.get_loc() <= high * (1 + 1e-9):
-                    hidden |= {id(tick.label1), id(tick.label2)}
-    texts = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
-    boxes = [
-        (text.get_text(), text.get_window_extent(renderer).shrunk(0.94, 0.94))
-        for text in texts
-        if id(text) not in hidden
-    ]
-    width, height = figure.bbox.width, figure.bbox.height
-    beyond = [
-        (text, "edge of the canvas")
-        for text, box in boxes
-        if box.x0 < 0 or box.y0 < 0 or box.x1 > width + 1 or box.y1 > height + 1
-    ]
-    return beyond + [
-        (one, two)
-        for number, (one, first) in enumerate(boxes)
-        for two, second in boxes[number + 1 :]
-        if first.overlaps(second)
-    ]
-
-
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("name", CRANK_ENGINES)
 @pytest.mark.parametrize("draw", PICTURES)
 def test_no_text_lies_on_another_for_any_engine(name: str, draw: Any, settings: Any) -> None:
     figure = draw(_dataset(load_balanced_engine(name)), title=name, settings=settings)
-    assert _overlaps(figure) == []
+    assert overlaps(figure) == []
 
 
 @pytest.mark.cases(1)
@@ -101,16 +68,12 @@ def test_the_same_balance_gives_the_same_bytes_and_another_gives_others(draw: An
 @pytest.mark.parametrize("draw", PICTURES)
 @pytest.mark.parametrize(
     "hard",
-    [
-        {"rod_length_m": 0.0251},
-        {"reciprocating_mass_kg": 1e-9},
-        {"title": "$\\frac{x}$ \x1b[31m 漢字 " + "w" * 300},
-    ],
+    [{"rod_length_m": 0.0251}, {"reciprocating_mass_kg": 1e-9}, {"title": "$\\frac{x}$ \x1b[31m 漢字 " + "w" * 300}],
 )
 def test_extreme_engines_and_hostile_titles_are_drawn(draw: Any, hard: dict[str, Any], settings: Any) -> None:
     subject = _changed("task5", **hard)
     figure = draw(_dataset(subject, max_order=100), title=subject.engine.title, settings=settings)
-    assert _overlaps(figure) == []
+    assert overlaps(figure) == []
     assert len(picture_bytes(figure, dpi=50)) > 1000
     assert not any("\x1b" in text.get_text() for text in figure.findobj(Text))
 
@@ -119,7 +82,7 @@ def test_extreme_engines_and_hostile_titles_are_drawn(draw: Any, hard: dict[str,
 @pytest.mark.parametrize("draw", PICTURES)
 def test_an_engine_without_any_force_is_drawn(draw: Any, settings: Any, task5: Any) -> None:
     still = task5.assign(force=0 * task5["force"], curve=0 * task5["curve"])
-    assert _overlaps(draw(still, title="t", settings=settings)) == []
+    assert overlaps(draw(still, title="t", settings=settings)) == []
 
 
 def test_the_polar_curve_of_the_bare_engine_is_the_exact_force(task5: Any) -> None:
@@ -291,7 +254,7 @@ def test_the_picture_of_each_hinge_mechanism_has_no_text_on_another(number: int,
     engine = load_hinged_engine("elastic-hinge")
     mechanism = engine.mechanisms[number]
     figure = hinge_figure(engine, mechanism, mechanism.speeds_rpm, settings=settings)
-    assert _overlaps(figure) == []
+    assert overlaps(figure) == []
     lines = [line for axes in figure.axes for line in axes.lines if str(line.get_gid()).startswith("pin-")]
     assert len(lines) == len(mechanism.speeds_rpm)
     drawn = {str(line.get_gid()) for axes in figure.axes for line in axes.lines}
@@ -303,7 +266,7 @@ def test_the_guides_of_both_hinges_are_drawn_to_scale(settings: Any) -> None:
     engine = load_hinged_engine("elastic-hinge")
     mechanism = next(one for one in engine.mechanisms if one.pin_guides is not None)
     figure = guide_figure(engine, mechanism, 2865.0, settings=settings)
-    assert _overlaps(figure) == []
+    assert overlaps(figure) == []
     assert len(figure.axes) == 2
     for axes in figure.axes:
         guides = [line for line in axes.lines if line.get_gid() == "guide"]

@@ -1,7 +1,5 @@
 """The text of a balance fits a terminal, shows what the document holds and nothing that it does not."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

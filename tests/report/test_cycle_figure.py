@@ -1,7 +1,5 @@
 """The picture of the average cycle: true values, named marks, legible with one channel and with twelve."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

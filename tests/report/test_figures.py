@@ -1,7 +1,5 @@
 """The pictures show what the findings hold, at the right place, legibly, and with the same bytes each time."""
 
-from __future__ import annotations
-
 import io
 import struct
 from collections.abc import Callable
@@ -18,6 +16,7 @@ from crankorder.plot.drawing import Drawing, Field, Rings
 from crankorder.plot.painter import picture_bytes
 from crankorder.plot.palette import LIGHT, level_colours
 from crankorder.report.campbell_figure import campbell_figure
+from crankorder.report.envelope_figure import envelope_figure
 from crankorder.report.orders_figure import orders_figure
 from crankorder.report.pictures import pictures_of
 from crankorder.report.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
@@ -26,8 +25,7 @@ from crankorder.shaft.summary import speed_trace, trace_variables
 from made.typed import from_dicts
 
 campbell_figure, order_spectra_figure, orders_figure, spectra_figure, speed_figure, pictures_of = map(
-    from_dicts,
-    (campbell_figure, order_spectra_figure, orders_figure, spectra_figure, speed_figure, pictures_of),
+    from_dicts, (campbell_figure, order_spectra_figure, orders_figure, spectra_figure, speed_figure, pictures_of)
 )
 spectrum_figure = from_dicts(spectrum_figure)
 
@@ -369,3 +367,165 @@ def test_a_steady_line_below_a_sweeping_natural_frequency_stands_out_of_the_orde
     (curve,) = figure.strokes("spectrum")
     assert int(np.nanargmax(curve.values[1])) == line
     assert int(np.nanargmax(amplitude.max(axis=0))) != line  # the largest over the speeds buries it
+
+
+# Beside the Campbell diagram stand the speeds to avoid and the free ones, at their place on its scale.
+
+
+def _box(figure: Drawing) -> tuple[float, float, float, float]:
+    return next(part for part in figure.parts if isinstance(part, Field)).box
+
+
+def test_the_strip_holds_the_ranges_of_the_findings_at_their_speeds(campaign: Any, full: Any, settings: Any) -> None:
+    figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
+    left, bottom, width, height = _box(figure)
+    ranges = {stroke.name: stroke for stroke in figure.strokes("avoid-")}
+    assert [tuple(stroke.values[1]) for stroke in ranges.values()] == [(1755.0, 1850.0), (1690.0, 1760.0)]
+    assert [tuple(stroke.values[1]) for stroke in figure.strokes("free-")] == [(300.0, 1690.0), (1850.0, 2000.0)]
+    for stroke in [*ranges.values(), *figure.strokes("free-")]:
+        assert (stroke.points[:, 0] > left + width).all()
+        np.testing.assert_allclose(stroke.points[:, 1], bottom + height * (stroke.values[1] - 300) / 1700)
+    words = {words.text for words in figure.words}
+    assert {"1800", "1725", "speed to avoid", "free speeds"} <= words
+
+
+def test_a_crossing_that_was_not_judged_leaves_its_speed_neither_free_nor_to_avoid(
+    campaign: Any, full: Any, settings: Any
+) -> None:
+    full["crossings"] = [{"order": 4.0, "mode_hz": 60.0, "rpm": 900.0, "in_range": True, "excited": False}]
+    full["crossings"][0]["verdict"] = "not decided"
+    figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
+    (mark,) = figure.strokes("open-")
+    assert tuple(mark.values[1]) == pytest.approx((895.5, 904.5))
+    assert "not free, or not known" in {words.text for words in figure.words}
+
+
+@pytest.mark.slow
+def test_without_such_lists_there_is_no_strip(campaign: Any, settings: Any) -> None:
+    figure = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
+    assert not [*figure.strokes("avoid-"), *figure.strokes("free-")]
+    assert not {"speed to avoid", "free speeds"} & {words.text for words in figure.words}
+
+
+def test_decided_undecided_and_tones_look_different(campaign: Any, full: Any, settings: Any) -> None:
+    figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
+    (doubt,) = figure.strokes("doubt")
+    assert doubt.values[0][0] == 265.0
+    assert sorted(line.values[0][0] for line in figure.strokes("tone")) == [58.3, 300.0]
+    looks = {(line.color, line.dashes) for kind in ("mode", "doubt", "tone") for line in figure.strokes(kind)}
+    assert len(looks) == 3
+    assert {"265? Hz", "58.3 Hz", "not decided"} <= {words.text for words in figure.words}
+
+
+def test_orders_that_are_close_have_different_labels(campaign: Any, full: Any, settings: Any) -> None:
+    for record in full["orders"]:
+        if record["order"] == 2.0:
+            record |= {"order": 1.005, "order_ci95": [1.0049, 1.0051], "lock": "slips"}
+    figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
+    labels = [words.text for words in figure.words if words.name.startswith("label-")]
+    assert {"1", "1.005"} <= set(labels)
+    assert labels.count("1") == 1
+
+
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("name", ["run-up", "sixty orders"])
+def test_keys_and_notes_stay_on_the_sheet_and_apart(name: str, hard: Any, full: Any, settings: Any) -> None:
+    drawn = hard[name]
+    channel = str(drawn.campbell["channel"].values[-1])
+    figure = campbell_figure(drawn.campbell, channel, {**full, "orders": drawn.findings["orders"]}, settings=settings)
+    assert _overlaps(figure) == []
+
+
+# The envelope's order spectra show the lines that bearings would make and ring those that were found.
+
+
+envelope_figure = from_dicts(envelope_figure)
+
+
+def _rings(figure: Drawing) -> list[Rings]:
+    return [part for part in figure.parts if isinstance(part, Rings) and part.name == "found"]
+
+
+def test_expected_lines_are_marked_in_every_channel_and_the_found_one_is_ringed_at_its_peak(
+    full: Any, make_envelope: Callable[..., Any], settings: Any
+) -> None:
+    envelope = make_envelope(("X", "Y", "Z"))
+    figure = envelope_figure(envelope, full, settings=settings)
+    assert sorted(stroke.values[0][0] for stroke in figure.strokes("expected")) == 3 * [3.585] + 3 * [5.5]
+    (ring,) = _rings(figure)
+    mean = (envelope["amplitude"].sel(channel="Z") ** 4).mean("speed") ** 0.25
+    near = mean.sel(order=slice(3.4, 3.7))
+    assert ring.values is not None
+    assert (ring.values[0][0], ring.values[1][0]) == (3.556, pytest.approx(float(near.max())))
+    multiples = [stroke.values[0][0] for stroke in figure.strokes("multiple-")]
+    assert multiples == pytest.approx([2 * 3.556, 3 * 3.556, 4 * 3.556])
+    sidebands = [stroke.values[0][0] for stroke in figure.strokes("sideband")]
+    assert sidebands == pytest.approx([1.556, 2.556, 4.556, 5.556])
+    words = {words.text for words in figure.words}
+    assert {"BPFO 3.585", "3.556", "its sidebands", "N·fs 5.5", "band 2000–4000 Hz", "found"} <= words
+
+
+def test_the_mean_is_by_power_of_the_squared_envelope_and_unknown_speeds_take_no_part(
+    full: Any, make_envelope: Callable[..., Any], settings: Any
+) -> None:
+    envelope = make_envelope(("Z",), speeds=2)
+    envelope["amplitude"][0, 0], envelope["amplitude"][0, 1] = 3.0, 4.0
+    (line,) = envelope_figure(envelope, full, settings=settings).strokes("spectrum")
+    np.testing.assert_allclose(line.values[1], ((3**4 + 4**4) / 2) ** 0.25)
+    envelope["amplitude"][0, 1] = np.nan
+    (line,) = envelope_figure(envelope, full, settings=settings).strokes("spectrum")
+    np.testing.assert_allclose(line.values[1], 3.0)
+
+
+def test_nothing_found_is_said(full: Any, make_envelope: Callable[..., Any], settings: Any) -> None:
+    envelope = make_envelope(("Z",), speeds=1)
+    full["bearings"] = [record for record in full["bearings"] if record["seen_in"] == "vibration"]
+    figure = envelope_figure(envelope, full, settings=settings)
+    assert not _rings(figure)
+    (subtitle,) = (words.text for words in figure.words if words.name == "subtitle")
+    assert "No bearing line stands over the floor." in subtitle
+    assert "speeds" not in subtitle
+    full["bearings"] = []
+    (subtitle,) = (
+        words.text for words in envelope_figure(envelope, full, settings=settings).words if words.name == "subtitle"
+    )
+    assert "No bearing was named, or none" in subtitle
+
+
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("factor", [1e290, 0.0, 1e-290])
+def test_any_size_becomes_a_picture(factor: float, full: Any, make_envelope: Callable[..., Any], settings: Any) -> None:
+    envelope = make_envelope(("X", "Z"))
+    for name in ("amplitude", "floor"):
+        envelope[name] = envelope[name] * factor
+    assert picture_bytes(envelope_figure(envelope, full, settings=settings), dpi=50).startswith(b"\x89PNG")
+
+
+def test_it_is_drawn_only_where_there_is_an_envelope(
+    full: Any, make_envelope: Callable[..., Any], settings: Any
+) -> None:
+    envelope = make_envelope(("X",))
+    for given, wanted in ((envelope, ["envelope.png"]), (envelope.isel(speed=slice(0)), [])):
+        assert list(pictures_of({"envelope_map": given}, full, settings=settings, name_of=str)) == wanted
+
+
+@pytest.mark.slow
+def test_names_of_bearings_are_whole_where_there_is_room_and_else_told_apart(
+    full: Any, make_envelope: Callable[..., Any], settings: Any
+) -> None:
+    record = next(one for one in full["bearings"] if one["seen_in"] == "envelope")
+
+    def labels(names: list[str], lines: int) -> list[str]:
+        full["bearings"] = [
+            {**record, "name": name, "seen_in": "vibration", "order": None, "order_expected": 2.0 + 3 * k + 0.4 * n}
+            for n, name in enumerate(names)
+            for k in range(lines)
+        ]
+        figure = envelope_figure(make_envelope(("Z",), speeds=1), full, settings=settings)
+        return [words.text for words in figure.words if words.text.startswith(record["line"])]
+
+    names = ["gearbox, intermediate shaft, drive end", "gearbox, intermediate shaft, fan end"]
+    assert [any(name in text for text in labels(names, 1)) for name in names] == [True, True]
+    crowded = labels(names, 4)
+    assert len(crowded) == 8
+    assert len({text.rpartition(" ")[0] for text in crowded}) == 2

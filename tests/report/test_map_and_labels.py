@@ -1,7 +1,5 @@
 """Cells reach half-way, thin lines survive the pixels, labels never overlap."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The results file: the same bytes each time, checksummed, readable by others, and back without loss."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """The page says what shakes first, escapes everything, refers to nothing outside and is whole without its script."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
@@ -18,10 +16,7 @@ from crankorder.report.sentences.story import headline, story_of
 from crankorder.report.tables import tables_of
 from made.typed import from_dicts
 
-report_page, headline, story_of, tables_of = map(
-    from_dicts,
-    (report_page, headline, story_of, tables_of),
-)
+report_page, headline, story_of, tables_of = map(from_dicts, (report_page, headline, story_of, tables_of))
 
 PNG = b"\x89PNG picture"
 HOSTILE = (
@@ -259,12 +254,7 @@ def test_a_page_stays_under_five_megabytes_whatever_its_test_holds(make_test: An
 @pytest.mark.slow
 def test_quality_has_one_row_per_kind_with_its_count_and_worst_case(campaign: Any) -> None:
     quality = [
-        {
-            "recording": f"{k}.h5",
-            "flag": "lost",
-            "severity": "suspect",
-            "detail": f"{lost} of {100 * k} are lost",
-        }
+        {"recording": f"{k}.h5", "flag": "lost", "severity": "suspect", "detail": f"{lost} of {100 * k} are lost"}
         for k, lost in ((1, 3), (2, 50), (3, 9))
     ]
     quality += [{"recording": "4.h5", "flag": "short", "severity": "bad", "detail": "only 2 revolutions"}]
@@ -349,15 +339,6 @@ def test_findings_that_were_not_asked_for_are_neither_denied_nor_cleared(setting
         assert falsehood not in text
     assert "Repeat the recordings that are marked bad." in text
     assert "a.h5" in text
-
-
-@pytest.mark.slow
-def test_the_page_is_the_same_each_time(campaign: Any, settings: Any, page: str, provenance: dict[str, Any]) -> None:
-    pictures = [
-        ShownPicture("campbell_Z.png", "Campbell diagram of channel Z", PNG),
-        ShownPicture("orders.png", "Orders against speed", PNG),
-    ]
-    assert report_page(campaign.findings, pictures=pictures, provenance=provenance, settings=settings) == page
 
 
 def test_the_index_lists_every_test_its_headline_and_the_recordings_that_failed() -> None:

@@ -1,7 +1,5 @@
 """The report page in a real browser: it hovers, zooms, listens to keys, and fetches nothing."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from pathlib import Path

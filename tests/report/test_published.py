@@ -1,7 +1,5 @@
 """What leaves the program: real units, linked intervals, words that travel; read by the CF compliance checker."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

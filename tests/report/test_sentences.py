@@ -1,7 +1,5 @@
 """The sentences say what the findings hold, in one way of writing numbers."""
 
-from __future__ import annotations
-
 import copy
 import math
 from typing import Any
@@ -13,8 +11,10 @@ from hypothesis import strategies as st
 from crankorder.identify.lines import growth
 from crankorder.identify.said import IF_UNBALANCE, LIKE_UNBALANCE, NOT_AS_UNBALANCE, ONE_SPEED, UNRESOLVED
 from crankorder.report import notation, tables
-from crankorder.report.notation import level_reference, named, order_texts, percent_text
+from crankorder.report.notation import level_reference, order_texts, percent_text
 from crankorder.report.sentences import of_balance, of_orders, of_speeds, story
+from crankorder.report.sentences.of_lines import SHAFT_SIDES, motor_sentences, tone_sentences
+from crankorder.report.sentences.of_orders import lock_sentences
 from crankorder.report.sentences.story import ALL_CLEAR, ALL_CLEAR_WITH_ENVELOPE, MORE_SPEEDS, TOO_SHORT
 from made.contradictions import contradictions
 from made.typed import from_dicts
@@ -378,11 +378,6 @@ def test_an_all_clear_covers_the_envelope_only_where_it_was_looked_for_and_needs
     assert story_of({**nothing, "quality": short})["what_to_do"] == [TOO_SHORT]
 
 
-def test_names_from_files_are_cut_and_control_characters_shown() -> None:
-    assert named("a\x1b[31mb\n", limit=60) == "a\\x1b[31mb\\x0a"
-    assert named("x" * 10_000, limit=60) == "x" * 59 + "…"
-
-
 @pytest.mark.slow
 def test_of_what_does_not_turn_the_natural_frequencies_go_first_and_nothing_is_said_of_shafts(full: Any) -> None:
     still = {**full, "orders": [], "bearings": [], "crossings": [], "speed_range_rpm": [None, None]}
@@ -511,3 +506,64 @@ def test_an_amplitude_of_an_order_that_is_told_in_two_ways_is_told_of(full: dict
     assert not contradictions(full)
     full[where][0]["amplitude"] *= 1.01
     assert any(f"by {where.replace('_', ' ')}" in one for one in contradictions(full))
+
+
+# What a page says of a motor and of lines at one speed: the frequency first, doubts said, no share of another line.
+
+
+tone_sentences, motor_sentences, lock_sentences = map(from_dicts, (tone_sentences, motor_sentences, lock_sentences))
+
+
+def line(name: str, hertz: float, size: float, *, side: str = "", others: tuple[str, ...] = ()) -> dict[str, Any]:
+    return {
+        "name": name, "side": side, "channel": "Z", "frequency_hz": hertz, "order": hertz / 24.5, "speed_rpm": 1470.0,
+        "amplitude": size, "amplitude_ci95": [size, size], "or": list(others), "n_recordings": 1,
+    }  # fmt: skip
+
+
+def order(number: float, size: float, *, lock: str, cause: str) -> dict[str, Any]:
+    return {
+        "channel": "Z", "order": number, "order_ci95": [number - 1e-4, number + 1e-4], "lock": lock, "amplitude": size,
+        "amplitude_ci95": [size, size], "unit": "m/s2", "speed_rpm_at_max": 1470.0, "explained_by": cause,
+        "speed_law": "keeps its size",
+    }  # fmt: skip
+
+
+def findings(*lines: dict[str, Any], orders: tuple[dict[str, Any], ...] = (), **more: Any) -> dict[str, Any]:
+    motor = {
+        "supply_hz": 50.0, "supply_hz_ci95": [50.0, 50.0], "supply_measured": True, "poles": 4, "rotor_bars": 44,
+        "misfit": "", "lines": list(lines),
+        "speeds": [{"speed_rpm": 1470.0, "synchronous_rpm": 1500.0, "slip": 0.02, "slip_ci95": [0.02, 0.02],
+                    "pole_pass_hz": 2.0, "fits": True}],
+    }  # fmt: skip
+    channels = [{"name": "Z", "unit": "m/s2"}]
+    return {"channels": channels, "orders": list(orders), "motor": motor | more, "speed_range_rpm": [1470.0, 1470.0]}
+
+
+def test_the_slip_and_the_pole_pass_are_said() -> None:
+    assert motor_sentences(findings())[0] == (
+        "The motor (4 poles at 50 Hz, as its own lines measure) slips by 2 % at 1470 rpm; "
+        "its pole-pass frequency is 2 Hz."
+    )
+
+
+def test_sidebands_are_said_with_their_share_and_with_what_they_speak_for() -> None:
+    sides = (line(SHAFT_SIDES, 22.5, 0.1, side="below"), line(SHAFT_SIDES, 26.5, 0.12, side="above"))
+    one = order(1.0, 2.0, lock="locked", cause="unbalance")
+    (text,) = [text for text in motor_sentences(findings(*sides, orders=(one,))) if "Beside" in text]
+    assert "22.50 Hz and 26.50 Hz are its pole-pass sidebands" in text and "6.0 % of it" in text and "rotor bar" in text
+
+
+def test_a_line_at_one_speed_leads_with_its_frequency() -> None:
+    loose = order(5.492, 1.0, lock="slips", cause="unexplained")
+    said = findings(orders=(loose,))
+    assert strongest_sentence(said, "Z").startswith("A line at 134.55 Hz (order 5.492) is the strongest line in Z: 1")
+    (text,) = lock_sentences(said)
+    assert text.startswith("134.55 Hz (order 5.492") and text.endswith("nothing tells whether it follows the shaft.")
+
+
+def test_mains_among_the_orders_are_told_as_mains_and_as_nothing_else() -> None:
+    said = findings(orders=(order(4.0816, 1.0, lock="slips", cause="twice mains"),))
+    del said["motor"]
+    assert "99.999 Hz" not in str(lock_sentences(said)) and lock_sentences(said) == [] and law_sentences(said) == []
+    assert tone_sentences(said)[0].startswith("A tone, no natural frequency: 100.00 Hz (twice mains, 1")

@@ -1,7 +1,5 @@
 """The picture of the operating shapes: hands that point where the phases do, numbers that fit, one to many channels."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

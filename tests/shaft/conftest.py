@@ -1,7 +1,5 @@
 """Shafts whose angle is known, the traces that encoders on them give, and measured traces read without the program."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,16 +1,23 @@
 """Smoothed angle against shafts whose angle is known, and the interpolation between knots."""
 
-from __future__ import annotations
+from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import CubicSpline
 
+from crankorder.ingest.manifest import load_manifest
+from crankorder.ingest.recording import read_recording
+from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, angle_knots, time_at
+from crankorder.shaft.pattern import pattern_of
 from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.smoother import Smoother, penalty_of
+from crankorder.shaft.wheel import number_teeth
 
 SETTINGS = load_settings().shaft
 
@@ -27,13 +34,9 @@ def evaluated(knots, time_s):
 def from_square(shaft, pulses_per_rev=360):
     """Knots and the error of the angle [rev] from the sampled square wave of a shaft, the zero of the count aside."""
     found = find_pulses(
-        shaft.square(pulses_per_rev),
-        rate_hz=shaft.rate_hz,
-        kind="square",
-        edge="rising",
-        pulses_per_rev=pulses_per_rev,
-        settings=SETTINGS,
-    )
+        shaft.square(pulses_per_rev), rate_hz=shaft.rate_hz, kind="square", edge="rising",
+        pulses_per_rev=pulses_per_rev, settings=SETTINGS,
+    )  # fmt: skip
     knots = knots_of(found.time_s, teeth_per_rev=pulses_per_rev, noise_s=found.noise_s)
     error = evaluated(knots, shaft.time_s) - shaft.angle_rev()
     error = error[np.isfinite(error)]
@@ -183,10 +186,131 @@ def test_knots_reach_one_tooth_beyond_the_pulses_and_no_further(known_shaft):
 def test_the_outermost_knot_alone_is_known():
     for place in [0, -1]:
         time_s = np.linspace(0.0, 8.0, 50)
-        knots = {
-            "knot_time_s": time_s,
-            "knot_angle_rev": -0.3 + 5.0 * time_s,
-            "knot_speed_rpm": np.full(50, 300.0),
-        }
+        knots = {"knot_time_s": time_s, "knot_angle_rev": -0.3 + 5.0 * time_s, "knot_speed_rpm": np.full(50, 300.0)}
         assert time_at(knots["knot_angle_rev"][place], **knots) == pytest.approx(time_s[place], abs=1e-12)
         assert angle_at(time_s[place], **knots) == pytest.approx(knots["knot_angle_rev"][place], abs=1e-12)
+
+
+# Angle on wheels whose teeth are few and uneven: no worse than a spline through the pulses, with an honest error.
+
+
+REVS_PER_S = 15.0
+
+
+def swinging_angle(time_s):
+    """Crank angle [rev] at 900 rpm, uneven by 1 % in orders 0.5 and 1.5."""
+    steady = 0.37 + REVS_PER_S * time_s
+    return steady + sum(0.005 / (2 * np.pi * k) * np.sin(2 * np.pi * k * steady + k) for k in (0.5, 1.5))
+
+
+def pulses_of(name, duration_s=4.0):
+    places = np.array(pattern_of(name).angles_deg) / 360.0
+    last = swinging_angle(duration_s)
+    wanted = (np.arange(int(last) + 1)[:, None] + places).ravel()
+    wanted = wanted[(wanted > swinging_angle(0.0)) & (wanted < last)]
+    time_s = (wanted - 0.37) / REVS_PER_S
+    for _ in range(50):
+        time_s -= (swinging_angle(time_s) - wanted) / REVS_PER_S
+    return time_s, wanted
+
+
+def knots_and_error(name, noise_s, at):
+    """Knots, the error of the angle at ``at``, and that of the cubic spline through the same pulses."""
+    exact, place = pulses_of(name)
+    pulse_s = exact + noise_s * np.random.default_rng(3).standard_normal(exact.size)
+    angles = pattern_of(name).angles_deg
+    teeth = number_teeth(pulse_s, pulses_per_rev=1, tooth_angles_deg=angles, settings=SETTINGS)
+    knots = angle_knots(
+        teeth.time_s, teeth.tooth, teeth_per_rev=teeth.teeth_per_rev, noise_s=max(noise_s, 1e-9), settings=SETTINGS
+    )
+    turned = pattern_of(name).repeats
+    error = angle_at(at, knots.time_s, knots.angle_rev, knots.speed_rpm) - swinging_angle(at)
+    error -= np.round(np.median(error) * teeth.teeth_per_rev * turned) / (teeth.teeth_per_rev * turned)
+    return knots, error, CubicSpline(pulse_s, place)(at) - swinging_angle(at)
+
+
+@pytest.mark.parametrize("noise_s", [0.0, 1e-6, 1e-5])
+@pytest.mark.parametrize("name", ["12+1", "gm-7x", "gm-24x", "gm-24x-3", "subaru-6", "36-2-1", "36-1-1-1-1", "60-2"])
+def test_between_the_teeth_of_any_wheel_the_angle_is_as_good_as_a_spline_and_its_error_is_stated(name, noise_s):
+    at = np.linspace(0.5, 3.5, 30_011)
+    knots, error, splined = knots_and_error(name, noise_s, at)
+    assert np.std(error) < 1.02 * np.std(splined)
+    stated = np.interp(at, knots.time_s, knots.standard_error_rev)
+    assert np.quantile(np.abs(error) / stated, 0.95) < 2.3
+    # stated for the teeth that have a pulse, and for the others by how the shaft moves, not by how it might
+    assert knots.standard_error_rev.min() < 1.01 * max(noise_s, 1e-9) * REVS_PER_S * 1.01
+    assert np.median(stated) < 2.0 * noise_s * REVS_PER_S + 1e-4
+
+
+def test_exact_pulses_of_any_wheel_are_passed_through():
+    for name in ["12+1", "gm-7x", "gm-24x", "36-2-1"]:
+        exact, place = pulses_of(name)
+        _, error, _ = knots_and_error(name, 0.0, exact[10:-10])
+        assert place.size > 300
+        np.testing.assert_allclose(error, 0.0, atol=2e-9)
+
+
+# A shaft that turns backwards is told by the second track of its encoder, and by nothing else.
+
+
+SETTINGS_DIRECTION = load_settings()
+RATE_HZ, LINES = 20_000.0, 60
+MANIFEST = """schema_version = 1
+[test]
+name = "two tracks"
+cycle = "rotor"
+[recordings]
+files = ["*.h5"]
+[[channels]]
+name = "Z"
+source = "z"
+unit = "m/s2"
+[encoder]
+kind = "square"
+source = "a"
+second_track = "b"
+pulses_per_rev = 60
+edge = "{edge}"
+"""
+
+
+def flags(folder: Path, turns: np.ndarray, *, edge: str = "rising", second: np.ndarray | None = None) -> dict[str, str]:
+    """Flags on the direction of a shaft at ``turns`` (sample,), A leading B by a quarter of a line forwards."""
+    folder.mkdir(exist_ok=True)
+    (folder / "run.toml").write_text(MANIFEST.format(edge=edge), encoding="utf-8")
+    with h5py.File(folder / "a.h5", "w") as file:
+        file.attrs["rate_hz"] = RATE_HZ
+        file["z"] = np.random.default_rng(1).standard_normal(turns.size)
+        file["a"] = ((turns * LINES) % 1.0 < 0.5).astype(np.float32)
+        file["b"] = ((turns * LINES - 0.25) % 1.0 < 0.5).astype(np.float32) if second is None else second
+    manifest = load_manifest(folder)
+    read = read_recording(folder / "a.h5", manifest, settings=SETTINGS_DIRECTION.ingest, shaft=SETTINGS_DIRECTION.shaft)
+    return {one["flag"]: one["detail"] for one in flags_of(read) if "direction" in one["flag"] or "back" in one["flag"]}
+
+
+TIME_S = np.arange(int(2.0 * RATE_HZ)) / RATE_HZ
+
+
+@pytest.mark.parametrize("edge", ["rising", "falling"])
+def test_d8_a_shaft_that_turns_backwards_is_told_and_one_that_turns_forwards_is_not(tmp_path: Path, edge: str) -> None:
+    assert flags(tmp_path / "forwards", 20.0 * TIME_S + 0.003, edge=edge) == {}
+    told = flags(tmp_path / "backwards", -20.0 * TIME_S + 0.003, edge=edge)
+    assert list(told) == ["turns_backwards"] and "100.0%" in told["turns_backwards"]
+
+
+def test_d8_a_shaft_that_turns_round_is_told_with_its_place(tmp_path: Path) -> None:
+    there_and_back = np.where(TIME_S < 1.5, 20.0 * TIME_S, 60.0 - 20.0 * TIME_S) + 0.003
+    told = flags(tmp_path / "round", there_and_back)
+    assert list(told) == ["direction_changes"]
+    assert "25.0%" in told["direction_changes"] and "at pulse 1800" in told["direction_changes"]
+
+
+def test_d8_a_dead_second_track_says_nothing(tmp_path: Path) -> None:
+    assert list(flags(tmp_path / "dead", 20.0 * TIME_S + 0.003, second=np.ones(TIME_S.size))) == ["direction_unknown"]
+
+
+def test_a_second_track_goes_with_a_sampled_one(tmp_path: Path) -> None:
+    text = MANIFEST.format(edge="rising").replace('"square"', '"pulse_times"')
+    (tmp_path / "run.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(Exception, match="a second track is a sampled trace"):
+        load_manifest(tmp_path)

@@ -1,7 +1,5 @@
 """What the audit expects a reference to do to each order is what it does, cause by cause."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -37,15 +35,10 @@ def decoded(pulse_s: np.ndarray, pulses_per_rev: int, *, noise_s: float, edge_st
         "standard_error": (knots.standard_error_rev, "rev"),
     }
     attrs = {
-        "recording": "made",
-        "phase_reference": "none",
-        "cycle_known": 0,
-        "revs_per_cycle": 2,
-        "n_pulses": pulse_s.size,
-        "teeth_per_rev": float(pulses_per_rev),
-        "cut_off_order": knots.cut_off_order,
+        "recording": "made", "phase_reference": "none", "cycle_known": 0, "revs_per_cycle": 2,
+        "n_pulses": pulse_s.size, "teeth_per_rev": float(pulses_per_rev), "cut_off_order": knots.cut_off_order,
         "edge_step_s": edge_step_s,
-    }
+    }  # fmt: skip
     return xr.Dataset({name: ("knot", value, {"units": unit}) for name, (value, unit) in values.items()}, attrs=attrs)
 
 

@@ -1,7 +1,5 @@
 """What folds in a recording by crank angle is said beforehand and recognised afterwards."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -76,14 +74,9 @@ def test_the_switched_supply_of_the_scene_is_found_though_nobody_named_it(scene_
 def test_the_mesh_of_the_scene_is_told_as_one_of_two_readings(scene_points):
     speed, order = scene_points
     folds = find_aliases(
-        speed,
-        order,
-        samples_per_rev=360,
-        order_error=0.004,
-        shown_to_order=20.0,
-        highest_hz=50e3,
+        speed, order, samples_per_rev=360, order_error=0.004, shown_to_order=20.0, highest_hz=50e3,
         orders=(353.5, 340.0),
-    )
+    )  # fmt: skip
     (mesh,) = [fold for fold in folds if fold.kind == "order"]
     assert mesh.value == 353.5
     assert mesh.remark[:2] == ("folded_order", "info")
@@ -108,13 +101,9 @@ def test_a_tone_is_found_among_lines_of_the_shaft_and_strays(tone_hz):
         np.concatenate(([2.0, 4.0, 5.5, s], rng.uniform(0, 180, 6))) + 0.003 * rng.standard_normal(10) for s in shown
     ]
     folds = find_aliases(
-        np.repeat(rpm, 10),
-        np.concatenate(lines),
-        samples_per_rev=360,
-        order_error=0.01,
-        shown_to_order=180.0,
+        np.repeat(rpm, 10), np.concatenate(lines), samples_per_rev=360, order_error=0.01, shown_to_order=180.0,
         highest_hz=50e3,
-    )
+    )  # fmt: skip
     (fold,) = folds
     assert fold.value == pytest.approx(tone_hz, abs=0.2)
     np.testing.assert_array_equal(fold.points, 3 + 10 * np.flatnonzero(60.0 * tone_hz / rpm > 180.0))

@@ -1,7 +1,5 @@
 """Angle over ten hours, at time stamps of 1e9 s, from float32, and the fast kernels against plain ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline, CubicSpline

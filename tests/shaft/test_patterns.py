@@ -1,7 +1,5 @@
 """Every wheel decodes from its pulses, wherever they start, and is found by itself; clean trains are never repaired."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np
@@ -215,13 +213,9 @@ def test_clean_trains_are_never_repaired(name, start_rev, start_rpm, ratio, irre
     """Jitter is a share of the shortest tooth; the speed changes threefold at most, over 60 revolutions or more."""
     duration_s = 60.0 / (start_rpm * (1.0 + ratio) / 120.0)
     pulse_s, true_rev = pulses_of(
-        name,
-        start_rev=start_rev,
-        start_rpm=start_rpm,
-        end_rpm=start_rpm * ratio,
-        irregularity=irregularity,
+        name, start_rev=start_rev, start_rpm=start_rpm, end_rpm=start_rpm * ratio, irregularity=irregularity,
         duration_s=duration_s,
-    )
+    )  # fmt: skip
     noise = np.random.default_rng(seed).uniform(-1.0, 1.0, pulse_s.size)
     teeth = numbered(name, pulse_s + jitter * np.diff(pulse_s).min() * noise)
     assert teeth.n_repaired == 0

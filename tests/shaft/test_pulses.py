@@ -1,7 +1,5 @@
 """Pulses from sampled traces: counts, positions and their stated noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Speed and angle from the vibration itself: against shafts whose motion is known, scenes, and measured speeds."""
 
-from __future__ import annotations
-
 import wave
 from collections.abc import Callable
 from functools import cache
@@ -15,12 +13,7 @@ from scipy.io import loadmat
 from crankorder.errors import InputError
 from crankorder.settings import load_settings
 from crankorder.shaft.pulses import find_pulses
-from crankorder.shaft.vibration_speed import (
-    FOUR_STROKE_WEIGHTS,
-    VibrationSpeed,
-    speed_from_vibration,
-    trusted_angle,
-)
+from crankorder.shaft.vibration_speed import FOUR_STROKE_WEIGHTS, VibrationSpeed, speed_from_vibration, trusted_angle
 from crankorder.synth.load import load_scene
 from crankorder.synth.noise import floor_of
 from crankorder.synth.recording import synthesise

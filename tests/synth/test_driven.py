@@ -37,14 +37,10 @@ def lines(*, gas: bool = False) -> ForceLines:
     omega = AT_RPM * np.pi / 30
     place, push = (part[:, 0] - 1j * part[:, 1] for part in (PLACES, PUSHES))
     return ForceLines(
-        order=ORDERS,
-        amplitude=push - (ORDERS * omega) ** 2 * place,
-        at_speed_rpm=np.full(5, AT_RPM),
-        exponent=np.array([2.0, 2.0, 2.0, 2.0, 0.0]),
-        inertia=np.array([True, True, True, False, False]),
-        gas=np.array([False, False, False, True, True]) & gas,
-        cause=("mass", "mass", "mass", "push", "push"),
-    )
+        order=ORDERS, amplitude=push - (ORDERS * omega) ** 2 * place, at_speed_rpm=np.full(5, AT_RPM),
+        exponent=np.array([2.0, 2.0, 2.0, 2.0, 0.0]), inertia=np.array([True, True, True, False, False]),
+        gas=np.array([False, False, False, True, True]) & gas, cause=("mass", "mass", "mass", "push", "push"),
+    )  # fmt: skip
 
 
 def plain_force(phi: float, omega: float, alpha: float, gas_gain: float = 1.0) -> np.ndarray:
@@ -195,11 +191,7 @@ def test_a_filter_in_a_run_up_is_the_filter_equation_driven_by_the_unfiltered_re
     gain = accelerance(STRUCTURE, frequency) * low_pass(2, 700.0).response(frequency)
     tone = np.einsum("cal,al->cl", gain, lines().at_speed(300.0)) * np.exp(2j * np.pi * ORDERS * 0.2)
     begin = np.concatenate(
-        [
-            steady_start(300.0, 0.4 * np.pi),
-            tone.real.sum(axis=1),
-            (2j * np.pi * frequency * tone).real.sum(axis=1),
-        ]
+        [steady_start(300.0, 0.4 * np.pi), tone.real.sum(axis=1), (2j * np.pi * frequency * tone).real.sum(axis=1)]
     )
     solved = solve_ivp(motion, (0, times[-1]), begin, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-16)
     found = driven_signal(
@@ -293,7 +285,6 @@ def test_gains_step_between_cycles_to_the_very_angle(corners: tuple[tuple[float,
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
 
-@pytest.mark.slow
 def test_equal_gains_change_nothing_but_the_size() -> None:
     sources = [(lines(gas=True), Motion(start_rev=0.3, corners=((0.1, 600.0), (0.4, 3000.0))))]
     plain, same, double = (

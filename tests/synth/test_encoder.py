@@ -1,5 +1,8 @@
 """The encoder against the counts and angles that its motion implies, and as it is decoded."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -9,8 +12,11 @@ from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
+from crankorder.shaft.wheel import NumberedTeeth, number_teeth
 from crankorder.synth.encoder import (
     EncoderSignals,
+    Pulses,
+    Record,
     encoder_signals,
     encoder_turn,
     index_wheel,
@@ -19,7 +25,7 @@ from crankorder.synth.encoder import (
     wheel_of,
 )
 from crankorder.synth.motion import Motion
-from crankorder.synth.parts import Encoder
+from crankorder.synth.parts import AnyEncoderFault, DamagedLine, DoublePulses, Encoder, LostPulses
 from made.recordings import sampled as recording_of
 
 RATE_HZ = 50_000.0
@@ -132,3 +138,172 @@ def test_a_shaft_that_stands_still_keeps_its_level() -> None:
     trace = signals(stop, Encoder(pulses_per_rev=60)).trace
     assert np.ptp(trace[100_001:]) == 0
     assert np.ptp(trace[:90_000]) == 5
+
+
+# Wheels line by line: where each pulse comes against the angle of the motion, and how the decoder numbers it.
+
+
+TURNING = Motion(start_rev=0.321, corners=((0.5, 600.0), (4.5, 3000.0)), wobbles=((1.3, 40.0, 20.0),))
+DURATION_S = 5.0
+
+
+def pulses_of(encoder: Encoder, motion: Motion, seed: int = 1) -> Pulses:
+    return passed_pulses(wheel_of(encoder, seed=seed), motion, encoder, duration_s=DURATION_S)
+
+
+def turn_at(time_s: np.ndarray, motion: Motion, encoder: Encoder) -> np.ndarray:
+    return encoder_turn(motion.at(time_s)[0], encoder)
+
+
+def test_every_line_comes_when_the_shaft_is_at_its_angle() -> None:
+    for ratio in (0.5, 1.0, 2.0):
+        encoder = Encoder(pulses_per_rev=60, ratio=ratio, index_to_tdc_deg=37.0)
+        pulses = pulses_of(encoder, TURNING)
+        inside = np.isfinite(pulses.rise_s)
+        rise, fall = pulses.rise_s[inside], pulses.fall_s[np.isfinite(pulses.fall_s)]
+        np.testing.assert_allclose(turn_at(rise, TURNING, encoder) * 60, pulses.number[inside], atol=1e-9)
+        np.testing.assert_allclose(turn_at(fall, TURNING, encoder) * 60 % 1, 0.5, atol=1e-9)
+        first, last = turn_at(np.array([0.0, DURATION_S]), TURNING, encoder) * 60
+        np.testing.assert_array_equal(pulses.number, np.arange(np.floor(first + 0.5), np.floor(last) + 1))
+
+
+@pytest.mark.parametrize(("teeth", "missing"), [(60, 2), (36, 1)])
+def test_the_decoder_finds_the_first_tooth_behind_the_gap_at_whole_turns(teeth: int, missing: int) -> None:
+    encoder = Encoder(pulses_per_rev=teeth, missing_teeth=missing)
+    rise_s = pulses_of(encoder, TURNING).rise_s
+    numbered = number_teeth(rise_s[rise_s > 0], pulses_per_rev=teeth, settings=SHAFT, missing_teeth=missing)
+    assert numbered.index_tooth == 0
+    assert numbered.n_repaired == 0
+    assert numbered.flags == []
+    shown = turn_at(numbered.time_s, TURNING, encoder) - numbered.tooth / teeth
+    np.testing.assert_allclose(shown, round(shown[0]), atol=1e-10)
+    assert set(numbered.tooth % teeth) == set(range(teeth - missing))
+
+
+@pytest.mark.parametrize("amplitude_deg", [0.4, 40.0])
+def test_an_eccentric_wheel_shows_its_turn_and_a_sine_of_it(amplitude_deg: float) -> None:
+    encoder = Encoder(pulses_per_rev=60, eccentricity_deg=amplitude_deg, eccentricity_phase_deg=30.0)
+    pulses = pulses_of(encoder, TURNING)
+    inside = np.isfinite(pulses.rise_s)
+    turn = turn_at(pulses.rise_s[inside], TURNING, encoder)
+    error = amplitude_deg / 360 * np.sin(2 * np.pi * turn + np.pi / 6)
+    np.testing.assert_allclose(turn + error, pulses.number[inside] / 60, atol=1e-11)
+
+
+@pytest.mark.slow
+def test_errors_of_lines_are_those_of_the_wheel_and_have_their_spread() -> None:
+    encoder = Encoder(pulses_per_rev=3600, line_error_deg=0.01)
+    wheel, again, other = (wheel_of(encoder, seed=seed) for seed in (1, 1, 2))
+    error_deg = (wheel.nominal - wheel.rise) * 360
+    assert error_deg.std() == pytest.approx(0.01, rel=0.05)
+    np.testing.assert_array_equal(wheel.rise, again.rise)
+    assert np.abs(np.corrcoef(error_deg, (other.nominal - other.rise) * 360)[0, 1]) < 0.05
+
+
+def test_a_shaft_that_turns_back_passes_its_lines_in_reverse() -> None:
+    encoder = Encoder(pulses_per_rev=60, missing_teeth=2, ratio=2.0, index_to_tdc_deg=10.0)
+    pulses = pulses_of(encoder, THERE_AND_BACK)
+    inside = np.isfinite(pulses.rise_s)
+    rise_s, number = pulses.rise_s[inside], pulses.number[inside]
+    assert (np.diff(rise_s) > 0).all()
+    backwards = THERE_AND_BACK.at(rise_s)[1] < 0
+    assert backwards.sum() > 500
+    turns = turn_at(rise_s, THERE_AND_BACK, encoder)
+    place = turns * 60 - np.where(backwards, 0.5, 0.0)
+    np.testing.assert_allclose(place, np.rint(place), atol=1e-8)
+    assert (np.rint(place) % 60 < 58).all()
+    assert set(np.diff(number[backwards])) == {-1}
+
+
+@pytest.mark.slow
+def test_a_shaft_at_standstill_gives_no_pulse() -> None:
+    still = Motion(start_rev=0.33, corners=((0.0, 0.0),))
+    assert pulses_of(Encoder(pulses_per_rev=60), still).rise_s.size == 0
+    high = pulses_of(Encoder(pulses_per_rev=1), still)
+    assert (high.rise_s, high.fall_s) == ([-np.inf], [np.inf])
+
+
+# Faults of the encoder: what was put in is what the decoder of the analysis finds, in number and place.
+
+
+LONG_RUN = Motion(start_rev=0.321, corners=((0.5, 900.0), (4.5, 1800.0)))
+ENCODER = Encoder(pulses_per_rev=60)
+
+
+def faulty(encoder: Encoder, faults: Sequence[AnyEncoderFault], *, recording: str = "made") -> EncoderSignals:
+    return encoder_signals(
+        LONG_RUN, encoder, faults, seed=3, recording=recording, stream=recording, rate_hz=RATE_HZ, n_samples=250_000
+    )
+
+
+def numbered(made: EncoderSignals, encoder: Encoder) -> NumberedTeeth:
+    how: dict[str, Any] = {"rate_hz": RATE_HZ, "kind": "square", "edge": "rising", "settings": SHAFT}
+    pulses = find_pulses(made.trace, pulses_per_rev=encoder.pulses_per_rev, **how)
+    index_s = None if made.index is None else find_pulses(made.index, pulses_per_rev=1, **how).time_s
+    return number_teeth(
+        pulses.time_s, pulses_per_rev=encoder.pulses_per_rev, missing_teeth=encoder.missing_teeth,
+        index_time_s=index_s, noise_s=pulses.noise_s, settings=SHAFT,
+    )  # fmt: skip
+
+
+def found(made: EncoderSignals, encoder: Encoder) -> dict[str, str]:
+    """Flag and detail of everything that the decoder remarks on."""
+    return {flag: detail for flag, _, detail in numbered(made, encoder).flags}
+
+
+def only_record(made: EncoderSignals, flag: str) -> Record:
+    (record,) = made.records
+    assert (record["recording"], record["flag"], record["severity"]) == ("made", flag, "suspect")
+    return record
+
+
+@pytest.mark.parametrize("wheel", [{}, {"missing_teeth": 2, "index": False}], ids=["60", "60-2"])
+def test_lost_pulses_are_found_by_number_and_tooth(wheel: dict[str, Any]) -> None:
+    encoder = ENCODER.model_copy(update=wheel)
+    made = faulty(encoder, [LostPulses(kind="lost_pulses", count=7)])
+    record = only_record(made, "encoder_missing_pulse")
+    assert record["count"] == len(record["times_s"]) == len(record["lines"]) == 7
+    teeth = numbered(made, encoder)
+    assert [flag for flag, _, _ in teeth.flags] == ["encoder_missing_pulse"]
+    assert teeth.flags[0][2].startswith("7 lost pulses")
+    assert teeth.n_repaired == 7
+    lost = np.setdiff1d(np.arange(teeth.tooth[0], teeth.tooth[-1]), teeth.tooth)
+    places = np.rint(lost - teeth.index_tooth).astype(int) % 60
+    np.testing.assert_array_equal(places[places < 60 - encoder.missing_teeth], record["lines"])
+
+
+def test_a_damaged_line_is_found_at_its_angle() -> None:
+    made = faulty(ENCODER, [DamagedLine(kind="damaged_line", lines=(13, 70))])
+    record = only_record(made, "encoder_damaged_line")
+    assert (record["lines"], record["angles_deg"]) == ([13], [78.0])
+    remarks = found(made, ENCODER)
+    assert set(remarks) == {"encoder_missing_pulse", "encoder_damaged_line"}
+    assert remarks["encoder_missing_pulse"].startswith(f"{record['count']} lost pulses")
+    angle_deg = float(remarks["encoder_damaged_line"].split(" at ")[1].split()[0].rstrip(","))
+    assert angle_deg == pytest.approx(78.0, abs=0.15)
+
+
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("delay_s", [2e-4, 3e-4])
+def test_double_pulses_are_found_and_removed(delay_s: float) -> None:
+    made = faulty(ENCODER, [DoublePulses(kind="double_pulses", count=12, delay_s=delay_s)])
+    record = only_record(made, "encoder_double_pulse")
+    assert record["count"] == len(record["times_s"]) == 12
+    remarks = found(made, ENCODER)
+    assert set(remarks) == {"encoder_double_pulse"}
+    assert remarks["encoder_double_pulse"].startswith("12 false pulses")
+    teeth = numbered(made, ENCODER)
+    crank_rev = LONG_RUN.at(teeth.time_s)[0] - teeth.tooth / 60
+    assert np.ptp(crank_rev) * 360 < 0.25
+
+
+def test_faults_act_on_their_recordings_only_and_one_changes_no_other() -> None:
+    lost = LostPulses(kind="lost_pulses", count=5, recordings=("a", "b"))
+    double = DoublePulses(kind="double_pulses", count=5)
+    in_a, in_b = (faulty(ENCODER, [lost], recording=name).records[0]["times_s"] for name in ("a", "b"))
+    assert in_a != in_b
+    assert faulty(ENCODER, [lost], recording="c").records == []
+    np.testing.assert_array_equal(faulty(ENCODER, [lost], recording="c").trace, faulty(ENCODER, []).trace)
+    both = faulty(ENCODER, [lost, double], recording="a").records
+    assert [record["flag"] for record in both] == ["encoder_missing_pulse", "encoder_double_pulse"]
+    assert both[0]["times_s"] == in_a

@@ -8,13 +8,7 @@ from scipy.integrate import quad
 
 from crankorder.errors import RequestError
 from crankorder.synth import driven
-from crankorder.synth.driven import (
-    STENCILS,
-    Integration,
-    integration_for,
-    interpolation_error,
-    step_weights,
-)
+from crankorder.synth.driven import STENCILS, Integration, integration_for, interpolation_error, step_weights
 from crankorder.synth.poles import Poles, steady_state
 from made.structures import frequency_response
 
@@ -154,13 +148,3 @@ def test_a_free_pole_rings_as_the_exponential() -> None:
     states = start[:, None] * np.exp(POLES.pole_per_s[:, None] * times)
     assert np.abs(signal - (POLES.output @ states[:, :-1]).real).max() < 1e-12
     assert np.abs(after - states[:, -1]).max() < 1e-12
-
-
-def test_the_integration_is_linear_in_force_and_state() -> None:
-    def run(force: np.ndarray, state: np.ndarray) -> np.ndarray:
-        return advance(POLES, force, step_s=1 / RATE_HZ, integration=Integration(8, 1), state=state)[0]
-
-    forces, states = RNG.normal(size=(2, 6, 600)), RNG.normal(size=(2, 5)) + 0j
-    together = run(2 * forces[0] - forces[1], 2 * states[0] - states[1])
-    apart = 2 * run(forces[0], states[0]) - run(forces[1], states[1])
-    assert np.abs(together - apart).max() < 1e-13 * np.abs(apart).max()

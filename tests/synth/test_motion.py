@@ -1,7 +1,5 @@
 """A shaft's motion is one smooth formula: its rates are its derivatives, and every angle has its time."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from itertools import pairwise
 
@@ -97,19 +95,6 @@ def test_mean_angle_is_crank_angle_plus_lag_and_so_are_their_rates(orders: tuple
         + lag["by_share"] * share_bend
     )
     np.testing.assert_allclose(second, bend, atol=1e-12 * np.abs(acceleration).max())
-
-
-def test_speed_and_acceleration_are_derivatives_of_angle() -> None:
-    motion = Motion(start_rev=0.0, corners=FORWARDS, wobbles=WOBBLES, lag=_lag())
-    step, weights = 2e-4, np.array([4 / 5, -1 / 5, 4 / 105, -1 / 280])
-    middle = np.linspace(0.6, 1.9, 41)
-    offsets = step * np.arange(1, 5)
-    ahead = motion.at((middle[:, None] + offsets).ravel())
-    behind = motion.at((middle[:, None] - offsets).ravel())
-    slopes = [(a - b).reshape(41, 4) @ weights / step for a, b in zip(ahead, behind, strict=True)]
-    _, speed, acceleration = motion.at(middle)
-    np.testing.assert_allclose(60 * slopes[0], speed, rtol=1e-9)
-    np.testing.assert_allclose(slopes[1], acceleration, atol=1e-9 * np.abs(acceleration).max())
 
 
 def test_the_start_is_the_angle_at_time_zero() -> None:

@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+import xarray as xr
+from scipy.signal import welch
 
 from crankorder.synth.analogue import low_pass
 from crankorder.synth.noise import (
@@ -15,6 +17,7 @@ from crankorder.synth.noise import (
     white_spectrum,
 )
 from crankorder.synth.parts import ColouredNoise
+from crankorder.synth.twin import Twin, _floor
 
 RATE_HZ = 8000.0
 
@@ -91,19 +94,22 @@ def test_images_of_a_shaped_density_add_by_power_above_and_below_the_points() ->
         assert folded == pytest.approx(np.sqrt(brute), rel=1e-9)
 
 
-@pytest.mark.slow
-def test_oversampled_shaped_noise_that_is_decimated_has_the_folded_density() -> None:
-    """Independent: every 16th sample of noise that was made at 16 times the rate with density and filter."""
-    part = ColouredNoise(channels=("Y",), frequency_hz=(100.0, 2e3, 3e4), m_s2_per_root_hz=(1.0, 0.2, 2.0))
-    filter_, n_samples = low_pass(6, 4500.0), 640_000
-    n_fine = 16 * n_samples
-    fine_hz = np.arange(n_fine // 2 + 1) * (16 * RATE_HZ / n_fine)
-    gain = 1 / np.sqrt(1 + (fine_hz / 4500.0) ** 12)
-    random = np.random.default_rng(12)
-    scale = np.sqrt(16 * RATE_HZ * n_fine) / 2
-    spectrum = (random.normal(size=fine_hz.size) + 1j * random.normal(size=fine_hz.size)) * scale
-    sampled = np.fft.irfft(spectrum * density_through_points(part, fine_hz) * gain)[::16]
-    bins = np.arange(401) * 10.0
-    folded = folded_density(lambda f: density_through_points(part, f), filter_, RATE_HZ, bins)
-    assert density_of(sampled)[12:-2] == pytest.approx(folded[12:-2], rel=0.15)
-    assert density_of(sampled)[300:-2].mean() == pytest.approx(folded[300:-2].mean(), rel=0.01)
+# The synthetic twin of a test: its floor has no line of its own where the test's orders stood.
+
+
+def test_the_floor_under_an_order_is_that_beside_it() -> None:
+    rate, rpm, order = 2048.0, 1300.0, 3.57
+    frequency = np.arange(0.0, 800.0, 0.5)
+    line = order * rpm / 60.0
+    density = 1e-4 * (1.0 + 1e4 * np.exp(-0.5 * ((frequency - line) / 0.4) ** 2))  # a line as Hann's window shows it
+    campbell = xr.Dataset(
+        {"psd": (("channel", "speed", "frequency"), density[None, None])},
+        coords={"speed": [rpm], "frequency": frequency},
+    )
+    tracks = xr.Dataset(coords={"order": [order]})
+    twin = Twin(tracks, campbell, xr.Dataset(), xr.Dataset(), rate, 1, 0.0)
+    (signal,) = _floor(twin, rpm, int(400 * rate), np.random.default_rng(1))
+    at, found = welch(signal, rate, nperseg=4096)
+    under = found[np.abs(at - line) < 1.5].mean()
+    beside = found[(np.abs(at - line) > 10.0) & (np.abs(at - line) < 60.0)].mean()
+    assert 0.9 < under / beside < 1.1  # it was up to four times as much

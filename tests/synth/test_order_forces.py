@@ -5,8 +5,24 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from crankorder.engine.definition import Engine
 from crankorder.errors import RequestError
+from crankorder.synth.crank import crank_motion
+from crankorder.synth.lines import crank_forces, driven_lines, order_lines
+from crankorder.synth.noise import floor_of
 from crankorder.synth.order_forces import ForceLines, force_at
+from crankorder.synth.parts import (
+    AXES,
+    Acquisition,
+    EngineForces,
+    InCycleSpeed,
+    InjectedOrder,
+    SpeedOrder,
+    SpeedProfile,
+)
+from crankorder.synth.recording import sensed
+from crankorder.synth.scene import Scene
+from crankorder.synth.truth import truth_of
 
 RNG = np.random.default_rng(3)
 ORDERS = (0.5, 1.0, 1.5, 2.0, 4.0, 20.0, 5.37, -1.0, 0.0, 33.5, 2.0)
@@ -112,3 +128,108 @@ def test_a_force_that_falls_with_speed_is_refused_at_standstill() -> None:
         force_at(lines, np.zeros(2), np.array([1.0, 0.0]), np.zeros(2))
     with pytest.raises(RequestError, match="stands still"):
         lines.at_speed(0.0)
+
+
+# Forces of a whole engine against its mechanics, and order lines behind a late channel.
+
+
+SceneWith = Callable[..., Scene]
+IN_CYCLE = InCycleSpeed(by_order=(SpeedOrder(order=0.5, percent=1.0), SpeedOrder(order=2.0, percent=1.5)))
+
+
+def pushed(engine: Engine, angle: np.ndarray, omega: float, alpha: float) -> tuple[np.ndarray, np.ndarray]:
+    """Force along Z and moment about Y on the crankcase: piston and wall of one cylinder, rod without mass of its own.
+
+    The rod pulls along itself; its part across is what the wall takes, at the height of the piston pin. The forces in
+    the main bearing pass through the axis of the crank and make no moment about it.
+    """
+    across = engine.crank_radius_m * np.sin(angle) - engine.offset_m
+    rise = np.sqrt(engine.rod_length_m**2 - across**2)
+    slope = engine.crank_radius_m * np.cos(angle)
+    bend = -engine.crank_radius_m * np.sin(angle)
+    rise_slope = -across * slope / rise
+    rise_bend = -(slope**2 + across * bend + rise_slope**2) / rise
+    acceleration = (rise_bend - slope) * omega**2 + (rise_slope + bend) * alpha
+    height = engine.crank_radius_m * np.cos(angle) + rise
+    force = engine.reciprocating_mass_kg * acceleration
+    return -force, -force * height * across / rise
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 0.01])
+@pytest.mark.parametrize(("omega", "alpha"), [(100.0, 0.0), (100.0, 6000.0), (0.0, 500.0), (-50.0, -900.0)])
+def test_a_piston_shakes_and_rolls_the_crankcase_under_any_motion(
+    scene_with: SceneWith, offset_m: float, omega: float, alpha: float
+) -> None:
+    moving = {"engine_forces": EngineForces(tolerance=1e-15, moments=True), "in_cycle_speed": IN_CYCLE}
+    scene = scene_with("engine_forces", **moving)
+    alone = Engine(**{**scene.engine.model_dump(exclude={"shafts"}), "offset_m": offset_m})
+    forces = crank_forces(scene.model_copy(update={"engine": alone}))
+    rev = np.linspace(0, 1, 101)
+    per_rad_s = np.full(101, 30 / np.pi)
+    found = force_at(forces, rev, omega * per_rad_s, alpha * per_rad_s)
+    for axis, expected in zip(("Z", "RY"), pushed(alone, 2 * np.pi * rev, omega, alpha), strict=True):
+        assert np.abs(found[AXES.index(axis)] - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+@pytest.mark.slow
+def test_the_rolling_moment_in_the_cycle_is_the_same_by_lines_and_by_integration(scene_with: SceneWith) -> None:
+    moving = {"engine_forces": EngineForces(tolerance=1e-9, moments=True), "in_cycle_speed": IN_CYCLE}
+    steady = scene_with("engine_forces", **moving)
+    held = SpeedProfile(rpm=(600.0, 600.0 + 1e-9), time_s=(2.9, 2.99))  # as good as steady, but integrated
+    run_up = scene_with("engine_forces", **moving, speeds=None, speed_profile=held)
+    by_lines, by_steps = (
+        sensed(scene, scene.runs[0], floor_of(scene, 8000.0))[:, :20_000] for scene in (steady, run_up)
+    )
+    motions = [crank_motion(scene, scene.runs[0]) for scene in (steady, run_up)]
+    shift = (motions[1].mean_rev(0.0) - motions[0].mean_rev(0.0)) / 10.0 * 8000  # each recording starts by chance
+    lines = driven_lines(steady, crank_forces(steady), 600.0, motions[0].lag)
+    time_s = (np.arange(20_000) + shift) / 8000
+    late = lines.amplitude * np.exp(2j * np.pi * lines.order * motions[0].mean_rev(0.0))
+    expected = (late @ np.exp(2j * np.pi * np.outer(lines.order * 10.0, time_s))).real
+    assert np.abs(by_steps - expected).max() < 1e-8 * np.abs(by_lines).max()
+
+
+@pytest.mark.parametrize("more", [{}, {"in_cycle_speed": IN_CYCLE}])
+def test_the_order_lines_of_a_late_channel_are_those_of_its_samples(scene_with: SceneWith, more: dict) -> None:
+    late = Acquisition(delay_s={"Z": 7.7e-4})
+    effects = ["engine_forces", "injected_orders"] + ([] if more else ["bearing_lines"])
+    scene = scene_with(*effects, acquisition=late, **more)
+    run = scene.runs[1]
+    signal = sensed(scene, run, floor_of(scene, 8000.0))
+    rev = crank_motion(scene, run).at(np.arange(scene.n_samples) / 8000.0)[0]
+    lines = order_lines(scene, run)
+    expected = (lines.amplitude @ np.exp(2j * np.pi * np.outer(lines.order, rev))).real
+    assert np.abs(signal - expected).max() < 1e-10 * np.abs(signal).max()
+
+
+@pytest.mark.slow
+def test_a_force_that_turns_the_same_way_backwards_is_told_for_backwards_speeds(scene_with: SceneWith) -> None:
+    backwards = SpeedProfile(rpm=(-800.0, -500.0), time_s=(0.5, 2.0))
+    more = {"speeds": None, "speed_profile": backwards}
+    scene = scene_with("injected_orders", injected_orders=(_force("Z"),), **more)
+    record = next(record for record in truth_of(scene)["orders"] if record["channel"] == "Z")
+    assert (min(record["speed_rpm"]), max(record["speed_rpm"])) == (-800.0, -500.0)
+    held = scene.model_copy(update={"speed_profile": SpeedProfile(rpm=(-500.0, -500.0), time_s=(0.5, 2.0))})
+    run = held.runs[0]
+    rev = crank_motion(held, run).at(np.arange(held.n_samples) / 8000.0)[0]
+    line = record["amplitude_by_speed"][-1] * np.exp(1j * np.radians(record["phase_deg_by_speed"][-1]))
+    signal = sensed(held, run, floor_of(held, 8000.0))[1]
+    assert np.abs(signal - (line * np.exp(2j * np.pi * 6.5 * rev)).real).max() < 1e-9 * np.abs(signal).max()
+
+
+def test_a_crossing_is_excited_where_a_force_of_the_order_drives_the_mode(scene_with: SceneWith) -> None:
+    scene = scene_with("injected_orders", "bearing_lines", injected_orders=(_force("RY"), _force("Z", order=4.0)))
+    line = scene.bearing_lines[0].model_copy(update={"line": "N*fs"})
+    force = _force("Z", order=5.5)
+    alone = truth_of(scene.model_copy(update={"bearing_lines": (line,)}))
+    both = truth_of(
+        scene.model_copy(update={"bearing_lines": (line,), "injected_orders": (*scene.injected_orders, force)})
+    )
+    excited = [{(r["order"], r["mode_hz"]) for r in truth["crossings"] if r["excited"]} for truth in (alone, both)]
+    # RY drives the mode at 60 Hz alone
+    assert excited[0] == {(6.5, 60.0), (4.0, 60.0), (4.0, 230.0)}
+    assert excited[1] - excited[0] == {(5.5, 60.0), (5.5, 230.0)}
+
+
+def _force(direction: str, *, order: float = 6.5) -> InjectedOrder:
+    return InjectedOrder(order=order, direction=direction, force_n=30.0, at_speed_rpm=600.0)

@@ -1,7 +1,5 @@
 """Every shipped scene through the whole analysis: what it put in is found, what it made faulty is told."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

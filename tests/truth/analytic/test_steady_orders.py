@@ -1,7 +1,5 @@
 """Steady orders against the Cramér–Rao bound, and how often the truth lies in the stated intervals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The tables of docs/sources.md: made of the program's own output, and every number that of the truth sheet."""
 
-from __future__ import annotations
-
 from types import ModuleType
 
 import pytest

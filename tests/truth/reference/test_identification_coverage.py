@@ -1,7 +1,5 @@
 """Reference scene with other seeds: what is found lies in its stated interval as often as stated, within the marks."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The whole reference campaign (35 speeds x 15 s) against the truth that travels with it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
