@@ -10,6 +10,7 @@ import math
 from collections.abc import Collection, Iterable, Mapping
 from typing import ClassVar, Literal
 
+from crankorder.cause import CauseKind, DoubtKind, Explained
 from crankorder.level_findings import Energy as Energy
 from crankorder.level_findings import EnergyShares as EnergyShares
 from crankorder.level_findings import Level as Level
@@ -20,6 +21,8 @@ from crankorder.records import Document, Ends, Interval, Record, record, said
 
 SCHEMA_VERSION = 1
 """Of ``findings.json``."""
+
+CAUSES = "kinds of all that may make it, the likeliest first"
 
 Lock = Literal["locked", "slips", "undecided"]
 """Whether an order is an exact multiple of the cycle's: its phase stays, runs away, or cannot be told."""
@@ -38,7 +41,7 @@ class Channel(Record):
 
 
 @record
-class OrderFinding(Record):
+class OrderFinding(Explained, Record):
     """An order line in one channel."""
 
     channel: str = said("name of the channel")
@@ -73,6 +76,8 @@ class OrderFinding(Record):
     evidence: str = said("why it is taken for an order", default="")
     level_over_floor_db: float | None = said("level over the local noise floor", default=None)
     explained_by: str | None = said('what makes the line, or "unexplained"')
+    causes: tuple[CauseKind, ...] = said(CAUSES, default=())
+    doubts: tuple[DoubtKind, ...] = said("what speaks against the line or its cause", default=())
     amplitude_held: float | None = said(
         "largest peak amplitude that the order would reach if the speed were held there, by the modal fit of its "
         "sweeps; null where none fits",
@@ -89,7 +94,7 @@ class OrderFinding(Record):
 
 
 @record
-class ModeFinding(Record):
+class ModeFinding(Explained, Record):
     """A line that stays where it is, or moves with the speed by a whirl's law: a natural frequency, mains, a tone."""
 
     frequency_hz: float = said("frequency", above=0)
@@ -119,6 +124,8 @@ class ModeFinding(Record):
         '"mode" for a natural frequency, "whirl" for one that moves with the speed, "undecided", else "mains", '
         '"twice mains", "3 x mains", "tone", "order", or what else is known'
     )
+    causes: tuple[CauseKind, ...] = said(CAUSES, default=())
+    lines_there_hz: tuple[float, ...] = said("of one that is undecided: known lines that may be all of it", default=())
 
 
 @record
@@ -203,6 +210,7 @@ class OpenBand(Record):
     low_rpm: float = said("slowest speed")
     high_rpm: float = said("fastest speed")
     remark: str = said("why nothing can be said, or which order is amplified")
+    amplified: bool = said("whether a mode is seen to amplify an order there", default=False)
 
 
 @record
@@ -236,6 +244,8 @@ class BearingFinding(Record):
         default=None,
     )
     verdict: str = said("what it means, in words")
+    damage: bool = said("whether it is called damage of that part", default=False)
+    re_run: bool = said("whether running the same test again tells more", default=False)
     evidence: str = said("why it is taken for this line", default="")
 
     @property
@@ -303,7 +313,7 @@ class Motor(Record):
 
 
 @record
-class LineFinding(Record):
+class LineFinding(Explained, Record):
     """A line above the false-alarm level, by order or by frequency."""
 
     ALSO: ClassVar[Document] = {"anyOf": [{"required": ["frequency_hz"]}, {"required": ["order"]}]}
@@ -314,6 +324,7 @@ class LineFinding(Record):
     frequency_hz: float | None = said("frequency of a line that stays", default=None, left_out=True)
     frequency_hz_ci95: Interval | None = said(default=None, left_out=True)
     explained_by: str | None = said('what makes it, or "unexplained"')
+    causes: tuple[CauseKind, ...] = said(CAUSES, default=())
     amplitude: float | None = said("peak amplitude in the unit of its channel")
     amplitude_ci95: Interval | None = said(default=None, left_out=True)
 
@@ -365,6 +376,10 @@ class Balance(Record):
     )
     not_decided: dict[str, str] | None = said("reason by key of what could not be decided", default=None)
     evidence: str = said("what the numbers rest on", default="")
+    if_unbalance: bool = said(
+        "whether the numbers hold only if order 1 is unbalance, which nothing tells from a bent shaft or misalignment",
+        default=False,
+    )
 
 
 @record

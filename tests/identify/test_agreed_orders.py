@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtrit
 
-from crankorder.identify.lines.agreed_orders import orders_agreed
+from crankorder.identify.lines.agreed_orders import IN_SWEEP, orders_agreed
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
@@ -76,7 +76,7 @@ def test_two_lines_a_fifth_of_a_percent_apart_are_found_as_two() -> None:
 @pytest.mark.slow
 def test_two_lines_that_no_recording_parts_are_one_with_a_reservation() -> None:
     (item,) = agreed(lambda angle, _: wave(angle, 4.0, 1.0) + wave(angle, 4.002, 0.5, 1.0), revs=200, noise=0.3)
-    assert "two lines" in item.reservation and "may stand here" in item.reservation
+    assert [doubt.kind for doubt in item.doubts] == ["swells"]
 
 
 def test_an_amplitude_that_is_modulated_is_no_second_line() -> None:
@@ -91,7 +91,7 @@ def test_without_pulses_the_number_is_as_good_as_the_stated_speed() -> None:
     (item,) = agreed(lambda angle, _: wave(angle, 3.9938, 1.0), pulses=False)
     assert abs(item.order - 4.0) < half_width(item)
     assert item.lock == "undecided" and item.needed_revs is None
-    assert "no encoder pulses" in item.reservation
+    assert "no pulses" in [doubt.kind for doubt in item.doubts]
 
 
 def test_gaps_in_the_frames_do_no_harm() -> None:
@@ -158,7 +158,7 @@ def test_in_a_sweep_no_number_of_revolutions_is_asked_for() -> None:
     frames = [frames_of([signal], speed_rpm=np.linspace(900.0, 2400.0, count))]
     found = agreed_in(frames)
     assert found and all(item.needed_revs is None for item in found)
-    assert all(item.lock != "undecided" or "a recording at one speed would tell" in item.reservation for item in found)
+    assert all(item.lock != "undecided" or IN_SWEEP in item.doubts for item in found)
 
 
 @pytest.mark.slow

@@ -150,7 +150,7 @@ def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed() -> None:
     assert speed_doubt([tie, {**tie, "recording": "b.h5"}]) == "0.5 x fits nearly as well (a.h5 and 1 more)"
     orders = undecided_orders((agreed(2.0), agreed(3.41, lock="slips")))
     assert [one.lock for one in orders] == ["undecided", "undecided"]
-    assert all(IN_DOUBT in one.reservation for one in orders)
+    assert all(IN_DOUBT in [doubt.words for doubt in one.doubts] for one in orders)
     verdicts = without_free(SpeedVerdicts((), (SpeedBand(500, 900),), (SpeedBand(900, 950, "open"),)))
     assert verdicts.free == () and verdicts.open == (SpeedBand(500, 900, IN_DOUBT), SpeedBand(900, 950, "open"))
 

@@ -34,10 +34,10 @@ def lines_of(signal, *, speeds=SPEEDS, revs: int = 120, with_frames: bool = True
     return order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, **given)
 
 
-def test_a_line_at_one_speed_of_many_is_kept_with_its_reservation() -> None:
+def test_a_line_at_one_speed_of_many_is_kept_with_its_doubt() -> None:
     (line,) = lines_of(lambda angle, rpm: wave(angle, 4.0, 1.0 if rpm == 1200.0 else 0.0))
     assert (len(line.seen), float(line.speed_rpm[0])) == (1, 1200.0)
-    assert line.reservation == "seen at 1 of 24 speeds only"
+    assert [doubt.words for doubt in line.doubts] == ["seen at 1 of 24 speeds only"]
 
 
 def test_a_tone_of_fixed_frequency_is_no_order_though_it_meets_one() -> None:
@@ -80,7 +80,7 @@ def one_speed(signal, *, channels: int = 1, revs: int = 92):
 
 
 @pytest.mark.slow
-def test_a_line_whose_speed_drifts_is_seen_in_ten_frames_by_its_steadiness_and_with_its_reservation() -> None:
+def test_a_line_whose_speed_drifts_is_seen_in_ten_frames_by_its_steadiness_and_with_its_doubt() -> None:
     """As in a gearbox whose speed is nominal: the phase turns by 72 degrees to and fro, over ten frames."""
 
     def drifting(angle, channel):
@@ -92,7 +92,7 @@ def test_a_line_whose_speed_drifts_is_seen_in_ten_frames_by_its_steadiness_and_w
     assert made.sizes["speed"] == 1 and made["n_independent"].item() < 12.0
     assert line.order == pytest.approx(19.0, abs=0.03)
     assert line.evidence == "steady, not locked"
-    assert "at one speed a line of fixed frequency would look the same" in line.reservation
+    assert "one speed" in [doubt.kind for doubt in line.doubts]
 
 
 @pytest.mark.cases(1)

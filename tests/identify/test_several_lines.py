@@ -97,7 +97,7 @@ def test_three_lines_far_from_the_mains_that_swell_as_one_are_told_where_pulses_
     found = agreed_in([frames])
     if pulses:
         assert [one.order for one in found] == pytest.approx([1.0, *places], abs=3e-4)
-    assert any("solved together" in one.reservation for one in found) is pulses
+    assert any("solved together" in doubt.words for one in found for doubt in one.doubts) is pulses
 
 
 @pytest.mark.cases(1)
@@ -153,7 +153,7 @@ def test_both_lines_are_found_and_lie_in_their_intervals(revs, order, size, n, l
 @pytest.mark.parametrize("seed", range(6))
 def test_lines_that_a_recording_cannot_part_are_one_whose_intervals_hold_both_and_say_so(seed: int) -> None:
     (item,) = agreed(seed, revs=60, order=5.467, size=0.5)
-    assert "two lines closer than a recording can tell may stand here" in item.reservation
+    assert "swells" in [doubt.kind for doubt in item.doubts]
     within = half_width(item.degrees_of_freedom) * item.order_error
     assert abs(item.order - 5.5) < within and abs(item.order - 5.467) < within
     assert item.lock != "slips"

@@ -1,6 +1,6 @@
 """Speeds to avoid, worst first; bands that are free because the data exclude an amplification; and those left open."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
 
 import numpy as np
@@ -246,9 +246,7 @@ def test_free_and_open_bands_and_speeds_to_avoid_cover_the_tested_range():
         beside = [(item.rpm * 0.96, item.rpm * 1.04) for item in verdicts.avoid]  # not free, and named by what they are
         assert all(any(low <= rpm <= high for low, high in [*covered, *beside]) for rpm in at)
         assert not any(f[0] < o[1] and o[0] < f[1] for f in ends(verdicts.free) for o in ends(verdicts.open))
-        assert open_records(verdicts.open) == [
-            {"low_rpm": item.low_rpm, "high_rpm": item.high_rpm, "remark": item.remark} for item in verdicts.open
-        ]
+        assert open_records(verdicts.open) == [asdict(item) for item in verdicts.open]
 
 
 def called_free(machine: DrawnMachine, verdicts: SpeedVerdicts) -> tuple[int, list[tuple[float, float, float]]]:

@@ -19,7 +19,7 @@ from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.alike_speeds import UNPARTED, with_tones_parted, without_absent_mains
 from crankorder.identify.modes.floor import Floor
 from crankorder.identify.modes.tones import kind_of, with_one_mains
-from crankorder.identify.said import LIKE_UNBALANCE
+from crankorder.report.sentences.of_lines import LIKE_UNBALANCE
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line
 from made.line_frames import angle_of, frames_of, wave

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from crankorder.identify.said import LIKE_UNBALANCE
+from crankorder.report.sentences.of_lines import LIKE_UNBALANCE
 from machines.lines import PARTS
 from machines.motor_rig import Line, MotorRig, write_folder
 from made.command import analysed

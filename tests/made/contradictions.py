@@ -4,9 +4,9 @@ import re
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from crankorder.cause import mains_words
 from crankorder.findings import Findings
-from crankorder.identify.said import MAY_BE_ALL, is_electric, mains_words
-from crankorder.identify.said import NUMBERS as SAID
+from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
 from crankorder.records import Record, known
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.report.rows import Table
@@ -130,7 +130,7 @@ def _of_modes(findings: Findings) -> Iterator[str]:
         if ends is None:
             continue
         # open, known well enough to stand at one place, and names no line there
-        may_be = bool(doubt) and not is_tone(record) and MAY_BE_ALL not in doubt
+        may_be = bool(doubt) and not is_tone(record) and not record.lines_there_hz
         if is_mode or (may_be and ends[1] - ends[0] <= BESIDE * ends[1]):
             for tone in findings.modes:
                 if is_tone(tone) and _within(tone.frequency_hz, ends):
@@ -142,7 +142,7 @@ def _of_crossings(findings: Findings) -> Iterator[str]:
     """Crossings against the tested range, the speeds to avoid, what their orders are called, and the modes."""
     speeds = [rpm for rpm in findings.speed_range_rpm or () if is_number(rpm)]
     modes_hz = [mode.frequency_hz for mode in findings.modes if not is_tone(mode)]
-    electric = {line.order for line in findings.orders if is_electric(line.explained_by or "")}
+    electric = {line.order for line in findings.orders if line.electric}
     for record in findings.crossings:
         name, times = f"order {order_text(record.order)} with {record.mode_hz:.5g} Hz", record.amplification
         if record.in_range is True and speeds:
@@ -171,7 +171,7 @@ def _of_speeds(findings: Findings) -> Iterator[str]:
                 yield f"{name}, and {begin:.0f} to {end:.0f} rpm {words}"
         for record in findings.crossings:
             times = interval_of(record, "amplification")
-            felt = bool(record.excited) and (times is None or times[1] >= SAID.clearly_excited_ratio)
+            felt = bool(record.excited) and (times is None or times[1] >= CROSSINGS.clearly_excited_ratio)
             if felt and is_number(record.rpm) and low < record.rpm < high:
                 yield f"{name}, and an excited crossing at {record.rpm:.0f} rpm"
 

@@ -49,7 +49,8 @@ def full_findings(plain: dict[str, Any]) -> dict[str, Any]:
     race = {"seen_in": "envelope", "is_mean": False, "band_hz": [2000.0, 4000.0], "slip_percent": -0.8}
     race |= {"slip_percent_ci95": [-0.9, -0.7], "line": "BPFO", "order": 3.556, "order_ci95": [3.553, 3.559]}
     race |= {"order_expected": 3.585, "harmonics": 4, "sidebands": 1.0, "lock": "slips"}
-    race["verdict"] = "Damage of the outer race: strikes at its own rate. Re-run the same test: it grows"
+    verdict = "Damage of the outer race: strikes at its own rate. Re-run the same test: it grows"
+    race |= {"verdict": verdict, "damage": True, "re_run": True}
     for record in findings["bearings"]:
         record |= {"seen_in": "vibration", "is_mean": True, "lock": "undecided", "slip_percent": 0.0, "harmonics": 1}
     findings["bearings"] += [{**one, **race} for one in findings["bearings"]]

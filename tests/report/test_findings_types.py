@@ -43,7 +43,7 @@ def test_what_a_record_leaves_out_has_no_key() -> None:
     )
     assert line.as_dict() == {
         "channel": "Z", "frequency_hz": 50.0, "frequency_hz_ci95": [49.9, None], "explained_by": None,
-        "amplitude": None,
+        "amplitude": None, "causes": [],
     }  # fmt: skip
 
 

@@ -9,14 +9,15 @@ from functools import partial
 import numpy as np
 import xarray as xr
 
+from crankorder.cause import ELECTRIC, alike_speeds, electric
 from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Energy, Findings, Level, quality_of
 from crankorder.identify.balance.unbalance_fit import UnbalanceFit, unbalance_fit
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.causes.aliasing import alias_flags, shown_aliases
 from crankorder.identify.causes.angle_swings import swing_sidebands
-from crankorder.identify.causes.explain import NOT_KNOWN, Causes, explained, with_neighbours_named, without_doubles
+from crankorder.identify.causes.explain import Causes, explained, with_neighbours_named, without_doubles
 from crankorder.identify.energy import energy_shares
-from crankorder.identify.found import NO_FITS, AgreedOrder, ModalFit, SpeedVerdicts, SweepFits, Unsearched
+from crankorder.identify.found import NO_FITS, AgreedOrder, Doubt, ModalFit, SpeedVerdicts, SweepFits, Unsearched
 from crankorder.identify.levels import (
     graded,
     level_records,
@@ -53,8 +54,6 @@ from crankorder.identify.records import (
     open_records,
     order_records,
 )
-from crankorder.identify.said import NUMBERS as SAID
-from crankorder.identify.said import is_electric
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
@@ -194,7 +193,7 @@ def _balance(
     """The residual unbalance by what ``close`` makes of engine and paths, or why it is not known."""
     made, reason = close(engine=sources.engine, paths=sources.paths, added=sources.added)
     if made is not None:
-        made, reason = if_unbalance(made, [(cause.text, cause.evidence) for cause in causes.orders.values()])
+        made, reason = if_unbalance(made, causes.orders.values())
     return graded(made, sources, float(np.nanmax(order_map["speed"].values, initial=0.0))), reason
 
 
@@ -260,13 +259,12 @@ def going_with_speed(orders: Sequence[AgreedOrder], causes: Causes) -> tuple[Agr
 
 def _stays(agreed: AgreedOrder, causes: Causes) -> bool:
     """Whether a line stays where it is when the speed moves, or nothing tells that it would not."""
-    texts = [causes.orders[line.channel, agreed.order].text for line in agreed.lines]
-    if any(is_electric(text) for text in texts):
+    makers = [causes.orders[line.channel, agreed.order] for line in agreed.lines]
+    if any(electric(cause.kinds) for cause in makers):
         return True
-    speeds = np.concatenate([line.speed_rpm for line in agreed.lines])
-    at_one = bool(len(speeds)) and bool(speeds.max() <= SAID.alike_speeds_ratio * speeds.min())
-    says_nothing = all(text in NOT_KNOWN or text.startswith("sideband of") or "mains" in text for text in texts)
-    return at_one and agreed.lock != "locked" and says_nothing
+    at_one_speed = alike_speeds(np.concatenate([line.speed_rpm for line in agreed.lines]))
+    unbound = all(not cause.known or not {"sideband", *ELECTRIC}.isdisjoint(cause.kinds) for cause in makers)
+    return at_one_speed and agreed.lock != "locked" and unbound
 
 
 def speed_doubt(flags: Iterable[QualityFlag]) -> str | None:
@@ -297,12 +295,7 @@ def _search_flags(left: Sequence[Unsearched]) -> list[QualityFlag]:
 def undecided_orders(orders: tuple[AgreedOrder, ...]) -> tuple[AgreedOrder, ...]:
     """``orders`` of which none is said to be locked or to slip, for the speed that they count by is in doubt."""
     return tuple(
-        replace(
-            one,
-            lock="undecided",
-            needed_revs=None,
-            reservation="; ".join(part for part in (one.reservation, IN_DOUBT) if part),
-        )
+        replace(one, lock="undecided", needed_revs=None, doubts=(*one.doubts, Doubt("speed in doubt", IN_DOUBT)))
         for one in orders
     )
 

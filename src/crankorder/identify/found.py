@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
+from crankorder.cause import DoubtKind
 from crankorder.findings import Lock, Verdict
 from crankorder.identify.intervals import Z95, half_width, positive_interval, ratio_interval
 from crankorder.quantities import Complexes, Floats, Ints
@@ -26,12 +27,26 @@ ToneKind = Literal["mains", "tone", "order", "mains or order"]
 """A line of fixed frequency without damping: mains, another tone, or an order that no speed tells from one."""
 
 
+class Doubt(NamedTuple):
+    """What speaks against a line, by its ``kind`` and in ``words``."""
+
+    kind: DoubtKind
+    words: str
+
+
+UNRESOLVED = Doubt(
+    "unresolved",
+    "stronger than all that is told in this channel, but not resolved: lines too close to be parted, or a resonance",
+)
+"""Of a peak that no rule names and beside which all that is named is weaker."""
+
+
 @dataclass(frozen=True, eq=False)
 class OrderLine:
     """One order in one channel, over the speeds (``seen``) at which it stands above the false-alarm level.
 
     ``degrees_of_freedom`` are those of ``amplitude_error``; ``phase_deg`` is NaN where there is no phase reference.
-    ``reservation`` says, where it is not empty, what speaks against the line. ``ends`` (speeds, 2) are those of the
+    ``doubts`` are what speaks against the line. ``ends`` (speeds, 2) are those of the
     amplitude's 95 % intervals, over all values that it held, and ``phase_ci95_deg`` (speeds,) the half widths of those
     of the phase; None where ``amplitude_error`` says it all. ``remark`` is what else there is to say of this channel.
     ``n_independent`` (speeds,) is how many independent values each one stands for, None for 1: rows of an order that
@@ -49,7 +64,7 @@ class OrderLine:
     phase_deg: Floats
     evidence: Evidence
     level_over_floor_db: float
-    reservation: str = ""
+    doubts: tuple[Doubt, ...] = ()
     ends: Floats | None = None
     phase_ci95_deg: Floats | None = None
     remark: str = ""
@@ -79,8 +94,8 @@ class AgreedOrder:
 
     ``order`` with its ``order_error`` (standard, with ``degrees_of_freedom``); ``lock`` says whether it is an exact
     multiple of the cycle's frequency; ``needed_revs`` are the revolutions of one recording after which that could be
-    told, where it is undecided. ``lines`` holds one line per channel that shows it. ``reservation`` says, where it is
-    not empty, what speaks against the number or against its being one line. ``own_error`` is the standard error but for
+    told, where it is undecided. ``lines`` holds one line per channel that shows it. ``doubts`` are what
+    speaks against the number or against its being one line. ``own_error`` is the standard error but for
     that of the speed, which shifts all orders by one share; None where it is the whole one. ``tracked`` is the number
     at which its track stands, once that was read. ``of_angle``: errors of the crank angle may have made it of another.
     """
@@ -91,7 +106,7 @@ class AgreedOrder:
     lock: Lock
     needed_revs: float | None
     lines: tuple[OrderLine, ...]
-    reservation: str = ""
+    doubts: tuple[Doubt, ...] = ()
     own_error: float | None = None
     tracked: float | None = None
     of_angle: bool = False
@@ -107,7 +122,7 @@ class Mode:
     """A natural frequency in Hz and its damping ratio with standard errors; ``channels`` that show it.
 
     ``reached_by``: orders whose response took part in the fit; ``undecided`` says, where it is not empty, why the line
-    may be something else than a mode.
+    may be something else than a mode, ``lines_there_hz`` which known lines may be all of it.
     """
 
     frequency_hz: float
@@ -119,6 +134,7 @@ class Mode:
     evidence: str
     reached_by: tuple[float, ...] = ()
     undecided: str = ""
+    lines_there_hz: tuple[float, ...] = ()
 
     @property
     def frequency_half_hz(self) -> float:
@@ -381,11 +397,15 @@ class AvoidedSpeed:
 
 @dataclass(frozen=True)
 class SpeedBand:
-    """Speeds from ``low_rpm`` to ``high_rpm`` of which one thing is known; ``remark`` says what, and why."""
+    """Speeds from ``low_rpm`` to ``high_rpm`` of which one thing is known; ``remark`` says what, and why.
+
+    ``amplified``: whether a mode is seen to amplify an order there.
+    """
 
     low_rpm: float
     high_rpm: float
     remark: str = ""
+    amplified: bool = False
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from crankorder.cause import Cause, CauseKind
 from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.engine.definition import Engine
 from crankorder.engine.motor import Motor
@@ -80,7 +81,7 @@ class StatedPart:
     multiple; ``elements``: what else with so many teeth may make a line that keeps step, None where nothing else.
     """
 
-    kind: str
+    kind: CauseKind
     name: str
     order: float
     order_half: float = 0.0
@@ -96,14 +97,16 @@ class PartsAt:
     near: tuple[tuple[StatedPart, int], ...]
     unparted: tuple[StatedPart, ...]
 
-    @property
-    def words(self) -> str:
-        """What the line is called: "gear mesh pinion, harmonic 2 or wheel"."""
-        by_kind: dict[str, list[str]] = {}
+    def cause(self, evidence: str) -> Cause:
+        """What makes the line, with the ``evidence`` for it: "gear mesh pinion, harmonic 2 or wheel"."""
+        by_kind: dict[CauseKind, list[str]] = {}
         for part, multiple in self.near:
-            words = part.name + (f", harmonic {multiple}" if multiple > 1 else "")
-            by_kind.setdefault(part.kind, []).append(words)
-        return " or ".join(f"{kind} {' or '.join(dict.fromkeys(names))}" for kind, names in by_kind.items())
+            name = part.name + (f", harmonic {multiple}" if multiple > 1 else "")
+            by_kind.setdefault(part.kind, []).append(name)
+        first, *others = [
+            Cause(kind, evidence, {"names": " or ".join(dict.fromkeys(names))}) for kind, names in by_kind.items()
+        ]
+        return first.either(*others)
 
 
 def parts_at(parts: Iterable[StatedPart], agreed: AgreedOrder) -> PartsAt:

@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from crankorder.cause import Cause
 from crankorder.findings import (
     AvoidedSpeed,
     CrossingFinding,
@@ -17,7 +18,7 @@ from crankorder.findings import (
     OpenBand,
     OrderFinding,
 )
-from crankorder.identify.causes.explain import Cause, Causes
+from crankorder.identify.causes.explain import Causes
 from crankorder.identify.found import (
     AgreedOrder,
     Crossing,
@@ -85,11 +86,12 @@ def _order_record(
     law = growth(line)
     best = reported(line, law)
     phase = float(line.phase_deg[best.at])
+    doubts = (*agreed.doubts, *line.doubts)
+    kinds = [doubt.kind for doubt in doubts] + ([] if cause.doubt is None else [cause.doubt])
     said = (
         _evidence(line.evidence, agreed.lock),
         f"{line.level_over_floor_db:.1f} dB over the local floor",
-        agreed.reservation,
-        line.reservation,
+        *(doubt.words for doubt in doubts),
         line.remark,
     )
     met_hz = _met_hz(agreed.order, line.channel, best.speed_rpm, meetings)
@@ -116,6 +118,8 @@ def _order_record(
         evidence=_once(*said, cause.evidence),
         level_over_floor_db=line.level_over_floor_db,
         explained_by=cause.text,
+        causes=cause.kinds,
+        doubts=tuple(dict.fromkeys(kinds)),
     )
 
 
@@ -187,6 +191,8 @@ def _mode_record(mode: Mode, cause: Cause, meetings: Sequence[CrossingFinding]) 
         reached_by_orders=tuple(sorted({*mode.reached_by, *excites})),
         undecided=mode.undecided,
         explained_by=cause.text,
+        causes=cause.kinds,
+        lines_there_hz=mode.lines_there_hz,
     )
 
 
@@ -204,6 +210,7 @@ def _whirl_record(whirl: Whirl) -> ModeFinding:
         prominence_db=whirl.prominence_db,
         undecided="",
         explained_by="whirl",
+        causes=("whirl",),
     )
 
 
@@ -221,6 +228,7 @@ def _tone_record(tone: Tone, cause: Cause) -> ModeFinding:
         amplitude_ci95=(max(0.0, amplitude - Z95 * error), amplitude + Z95 * error),
         evidence=_once(tone.evidence, cause.evidence),
         explained_by=cause.text,
+        causes=cause.kinds,
     )
 
 
@@ -231,7 +239,7 @@ def line_records(
 
     ``causes`` explain them; ``channels`` are the names of all, in the sequence of the map.
     """
-    kept = ("channel", "order", "order_ci95", "explained_by", "amplitude", "amplitude_ci95")
+    kept = ("channel", "order", "order_ci95", "explained_by", "causes", "amplitude", "amplitude_ci95")
     records = [LineFinding(**{key: getattr(record, key) for key in kept}) for record in orders]
     for tone, cause in zip(modal.tones, causes.tones, strict=True):
         for channel, (amplitude, error) in tone.amplitude.items():
@@ -241,6 +249,7 @@ def line_records(
                     frequency_hz=tone.frequency_hz,
                     frequency_hz_ci95=positive_interval(tone.frequency_hz, Z95 * tone.frequency_error_hz),
                     explained_by=cause.text,
+                    causes=cause.kinds,
                     amplitude=amplitude,
                     amplitude_ci95=(max(0.0, amplitude - Z95 * error), amplitude + Z95 * error),
                 )
@@ -264,6 +273,7 @@ def _modes_as_lines(modal: ModalFit, causes: Causes, channels: list[str]) -> lis
                     frequency_hz=mode.frequency_hz,
                     frequency_hz_ci95=mode.frequency_ends,
                     explained_by=cause.text,
+                    causes=cause.kinds,
                     amplitude=None if rms is None else float(np.sqrt(2.0)) * rms,
                 )
             )
@@ -298,4 +308,7 @@ def free_records(bands: Sequence[SpeedBand]) -> tuple[FreeBand, ...]:
 
 def open_records(bands: Sequence[SpeedBand]) -> tuple[OpenBand, ...]:
     """Findings of ``bands`` of speed that are neither free nor to be avoided."""
-    return tuple(OpenBand(low_rpm=one.low_rpm, high_rpm=one.high_rpm, remark=one.remark) for one in bands)
+    return tuple(
+        OpenBand(low_rpm=one.low_rpm, high_rpm=one.high_rpm, remark=one.remark, amplified=one.amplified)
+        for one in bands
+    )

@@ -39,9 +39,6 @@ NOISE_STEPS = np.geomspace(1e-3, 1e3, 61)
 RIGHT_ANGLE_DEG = 90.0
 """By which a line as large as the order may turn it; beyond, its phase is not known."""
 
-NOT_FIXED = "order"
-"""Word in the cause of a line at one speed that may as well go with the shaft."""
-
 
 @dataclass(frozen=True)
 class OrderRows:
@@ -149,7 +146,7 @@ def lines_of_findings(findings: Findings) -> tuple[FixedLine, ...]:
         if one.frequency_hz is None or ends is None or size is None or one.amplitude is None:
             continue
         hertz, high = ends[1], size[1]
-        if NOT_FIXED in (one.explained_by or "") or hertz is None or high is None:
+        if "order" in one.kinds or hertz is None or high is None:
             continue
         error = (hertz - one.frequency_hz) / NORMAL
         line = found.setdefault(one.frequency_hz, FixedLine(one.frequency_hz, error, str(one.explained_by), {}))

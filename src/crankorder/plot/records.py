@@ -11,7 +11,7 @@ from typing import Any, TypeGuard
 _LOCKED_WITHIN = 0.05  # an order further from a half order than this is not called by it
 _SAME_SHARE = 0.002  # of its frequency: a line this close to a tone or a mode is that one
 _MOST_ORDERS = 12
-_DAMPED = ("mode", "undecided", "natural")
+_DAMPED = ("mode", "undecided")
 
 
 @dataclass(frozen=True)
@@ -132,7 +132,7 @@ def _fixed(findings: Mapping[str, Any], channel: str) -> list[FixedLine]:
         made.append(FixedLine(float(mode["frequency_hz"]), tone, undecided, slope, reference, here))
     for line in findings.get("lines") or []:
         hz, why = line.get("frequency_hz"), str(line.get("explained_by") or "")
-        if not _is_number(hz) or line.get("channel") != channel or why.startswith(_DAMPED):
+        if not _is_number(hz) or line.get("channel") != channel or why in _DAMPED:
             continue
         if all(abs(other.frequency_hz - hz) > _SAME_SHARE * hz for other in made):
             made.append(FixedLine(float(hz), tone=True))

@@ -127,8 +127,9 @@ def orders_of(findings: Findings, channel: str, *, limit: int) -> list[OrderFind
 
 def is_of_cycle(record: OrderFinding | Guide) -> bool:
     """Whether an order ``record`` is a half order that combustion or the camshaft of a four-stroke engine makes."""
-    cause = record.explained_by or "" if isinstance(record, OrderFinding) and record.half_order else ""
-    return "gas cycle" in cause or "half order" in cause
+    if not isinstance(record, OrderFinding) or not record.half_order:
+        return False
+    return not {"gas cycle", "half order of the four-stroke cycle"}.isdisjoint(record.kinds)
 
 
 def _map_of(campbell: xr.Dataset, channel: str, settings: ReportSettings) -> _Map:
@@ -311,10 +312,9 @@ def mode_keys(modes: list[ModeFinding]) -> list[Key]:
         keys.append(Key("natural frequency", MODE, MODE_DASHES))
     if any(is_undecided(mode) for mode in modes):
         keys.append(Key("not decided", MODE, DOUBT_DASHES))
-    tones = {mode.explained_by for mode in modes if is_tone(mode)}
-    if tones:
-        of_mains = {cause for cause in tones if cause.endswith("mains")}
-        label = "mains" if tones == of_mains else "fixed tone" if not of_mains else "mains or fixed tone"
+    of_mains = {mode.kinds == ("mains",) for mode in modes if is_tone(mode)}
+    if of_mains:
+        label = "mains or fixed tone" if len(of_mains) > 1 else "mains" if True in of_mains else "fixed tone"
         keys.append(Key(label, MAINS, TONE_DASHES))
     return keys
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from crankorder.findings import Findings, LineFinding, ModeFinding, OrderFinding
-from crankorder.identify import said
 from crankorder.report.notation import at_one_speed, interval_of, is_number, is_tone
 
 _SAME_HZ = 0.5  # a line this close to a tone is that tone …
 _SAME_SHARE = 0.002  # … or this share of its frequency
-_DAMPED = ("mode", "undecided", "natural")
 
 
 @dataclass(frozen=True)
@@ -23,13 +21,7 @@ class FixedTone:
 
 def is_fixed_tone(line: LineFinding) -> bool:
     """True for a ``line`` of the findings at a fixed frequency that is no natural frequency."""
-    cause = str(line.explained_by or "").split()
-    return is_number(line.frequency_hz) and not (cause and cause[0].strip(",:;") in _DAMPED)
-
-
-def is_electric(record: OrderFinding | LineFinding) -> bool:
-    """True for a ``record`` of the findings whose cause is the mains or the field of a motor, and nothing else."""
-    return said.is_electric(record.explained_by or "")
+    return is_number(line.frequency_hz) and line.kinds[0] not in ("mode", "undecided")
 
 
 def hertz_of_order(record: OrderFinding, findings: Findings) -> float | None:
@@ -41,9 +33,9 @@ def hertz_of_order(record: OrderFinding, findings: Findings) -> float | None:
     rpm = record.speed_rpm_at_max
     if not is_number(rpm):
         return None
-    cause = str(record.explained_by or "unexplained")
-    loose = at_one_speed(findings) and record.lock == "slips" and not cause.startswith(("bearing", "gear"))
-    return record.order * rpm / 60.0 if loose or is_electric(record) else None
+    of_part = record.kinds[0] in ("bearing", "gear mesh")
+    loose = at_one_speed(findings) and record.lock == "slips" and not of_part
+    return record.order * rpm / 60.0 if loose or record.electric else None
 
 
 def strongest_tone(findings: Findings, channel: str) -> LineFinding | None:
@@ -82,6 +74,7 @@ def _alone(line: LineFinding, hertz: float) -> ModeFinding:
         channels=(),
         evidence="",
         explained_by=line.explained_by or "unexplained",
+        causes=line.causes,
     )
 
 

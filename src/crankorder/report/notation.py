@@ -6,10 +6,10 @@ import math
 from collections.abc import Callable, Hashable, Sequence
 from typing import Any, Protocol, TypeGuard, TypeVar
 
+from crankorder.cause import alike_speeds
 from crankorder.channel_units import unit_text
 from crankorder.errors import printable
 from crankorder.findings import Findings, ModeFinding, MotorLine, OrderFinding
-from crankorder.identify.said import NUMBERS as SAID
 from crankorder.plot.records import called_order, decimals_of
 from crankorder.plot.records import order_text as order_text
 from crankorder.plot.records import order_texts as order_texts
@@ -84,17 +84,17 @@ def order_estimate(record: Numbered, findings: Findings) -> str:
 
 def is_tone(mode: ModeFinding) -> bool:
     """True for a ``mode`` of the findings that is no natural frequency: mains or another fixed tone."""
-    return mode.explained_by not in ("mode", "whirl", "undecided")
+    return mode.kinds[0] not in ("mode", "whirl", "undecided")
 
 
 def is_whirl(mode: ModeFinding) -> bool:
     """True for a ``mode`` of the findings that moves with the speed."""
-    return mode.explained_by == "whirl" and is_number(mode.speed_slope)
+    return mode.kinds[0] == "whirl" and is_number(mode.speed_slope)
 
 
 def is_undecided(mode: ModeFinding) -> bool:
     """True for a ``mode`` of the findings that may be a natural frequency or something else."""
-    return not is_tone(mode) and (mode.explained_by == "undecided" or bool(mode.undecided))
+    return not is_tone(mode) and (mode.kinds[0] == "undecided" or bool(mode.undecided))
 
 
 def is_in_doubt(mode_hz: float, findings: Findings) -> bool:
@@ -153,7 +153,7 @@ def least_of(record: object, key: str) -> float | None:
 def at_one_speed(findings: Findings) -> bool:
     """True where the test of the ``findings`` ran at one speed: nothing tells a line that stays from one that goes."""
     low, high = findings.speed_range_rpm
-    return is_number(low) and is_number(high) and high <= SAID.alike_speeds_ratio * low
+    return is_number(low) and is_number(high) and alike_speeds((low, high))
 
 
 def is_number(value: object) -> TypeGuard[float]:

@@ -17,7 +17,6 @@ from crankorder.findings import (
     OrderFinding,
     Quality,
 )
-from crankorder.identify.said import AMPLIFIED
 from crankorder.records import Record
 from crankorder.report.fixed_lines import hertz_of_order
 from crankorder.report.notation import (
@@ -118,7 +117,7 @@ def _avoid(findings: Findings, limit: int) -> Table:
     beside = table_of("Free and open bands of speed", "Speeds, rpm#|Width, rpm#|Verdict|Remark", other, empty="")
     met = any(record.in_range for record in findings.crossings)
     # a natural frequency that is met beyond the tested speeds alone may amplify an order within
-    by_a_flank = not met and any(AMPLIFIED in str(band.remark) for band in findings.open_bands or [])
+    by_a_flank = not met and any(band.amplified for band in findings.open_bands or [])
     told = FLANK_ALONE if by_a_flank else NOTHING_TOLD
     empty = (NOTHING_RISES if all_judged(findings) else told) if findings.speeds_to_avoid is not None else ""
     note = "Peak and amplification of the first order alone; by fit: what the modal fit says of a held speed."

@@ -123,7 +123,7 @@ def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per
         harmonics=1 + len(multiples),
         sidebands=None,
         lock=best.lock,
-        verdict=vibration_verdict(place, best, revs_per_cycle=revs_per_cycle),
+        judged=vibration_verdict(place, best, revs_per_cycle=revs_per_cycle),
         evidence=f"{line.evidence}; {line.level_over_floor_db:.1f} dB over the local floor in {line.channel}, "
         f"{len(best.lines)} channels show it",
     )
@@ -153,11 +153,18 @@ def _shaft_speeds(spectra: Spectra, found: list[EnvelopeLine]) -> dict[tuple[str
 
 
 def _record(
-    place: Place, order: float, error: float, freedom: float, shaft: ShaftSpeed | None = None, **seen: Any
+    place: Place,
+    order: float,
+    error: float,
+    freedom: float,
+    shaft: ShaftSpeed | None = None,
+    *,
+    judged: Judged,
+    **seen: Any,
 ) -> BearingFinding:
     """Finding of a line at ``order`` with its standard ``error`` of so many degrees of ``freedom``, as it was ``seen``.
 
-    Slip is that beside the true speed of the ``shaft``, where it was read.
+    ``judged`` is the verdict on it. Slip is that beside the true speed of the ``shaft``, where it was read.
     """
     half = error * half_width(freedom)
     factor, factor_error = (shaft.factor, shaft.error) if shaft is not None else (1.0, 0.0)
@@ -171,6 +178,9 @@ def _record(
         order_expected=place.expected,
         slip_percent=slip,
         slip_percent_ci95=(slip - half_slip, slip + half_slip),
+        verdict=judged.verdict,
+        damage=judged.damage,
+        re_run=judged.re_run,
         **seen,
     )
 
@@ -191,7 +201,6 @@ def _envelope_record(
     band = list(line.band_hz) if math.isfinite(line.band_hz[0]) else drawn
     half = Z95 * line.amplitude_error
     shaft = shafts.get((line.place.name, line.speed))
-    spoken = envelope_verdict(line, found, speed_is_nominal=nominal, shaft=shaft)
     return _record(
         line.place,
         line.order,
@@ -208,7 +217,7 @@ def _envelope_record(
         sidebands=line.sidebands,
         lock="slips",
         shaft_order=shaft.factor * line.place.shaft_order if shaft is not None else None,
-        verdict=spoken,
+        judged=envelope_verdict(line, found, speed_is_nominal=nominal, shaft=shaft),
         evidence=envelope_evidence(line, names, band, level=level, n_speeds=len(spectra.speed_rpm)),
     )
 
@@ -230,7 +239,15 @@ DAMAGED = {
 RE_RUN = "Re-run the same test: a growing amplitude means a failing bearing."
 
 
-def vibration_verdict(place: Place, order: AgreedOrder, *, revs_per_cycle: int) -> str:
+class Judged(NamedTuple):
+    """A verdict in words, whether it calls the line damage, and whether running the test again tells more."""
+
+    verdict: str
+    damage: bool = False
+    re_run: bool = False
+
+
+def vibration_verdict(place: Place, order: AgreedOrder, *, revs_per_cycle: int) -> Judged:
     """Verdict on an ``order`` of the vibration at ``place``: a bearing, or a part that keeps step with the shaft.
 
     ``revs_per_cycle``: crank revolutions of an engine cycle, whose multiples combustion makes.
@@ -241,10 +258,10 @@ def vibration_verdict(place: Place, order: AgreedOrder, *, revs_per_cycle: int) 
     text = f"Order {order.order:.4g} may be {DAMAGED[place.line]} of {place.name}: {_slip_words(slip)}."
     if order.lock == "undecided":
         text += f" Whether it slips is not decided{_revs_words(order)}."
-    return f"{text} {RE_RUN}"
+    return Judged(f"{text} {RE_RUN}", re_run=True)
 
 
-def _passage_verdict(place: Place, order: AgreedOrder, revs_per_cycle: int) -> str:
+def _passage_verdict(place: Place, order: AgreedOrder, revs_per_cycle: int) -> Judged:
     """Verdict on N*fs, which is BPFO + BPFI for every geometry, and a multiple of the shaft's order as well."""
     n, shaft = place.elements or 0, place.shaft_order
     whose = "the crankshaft" if shaft == 1.0 else f"the shaft that turns at {shaft:g} of the crank's speed"
@@ -256,14 +273,15 @@ def _passage_verdict(place: Place, order: AgreedOrder, revs_per_cycle: int) -> s
         cycle = place.expected * revs_per_cycle
         if abs(cycle - round(cycle)) < 1e-9:
             text += " In a firing engine combustion makes this order too."
-        return text
+        return Judged(text)
     if order.lock == "slips":
         slip = place.slip_percent(order.order)
-        return (
+        text = (
             f"Slips ({_slip_words(slip)}), so no part that keeps step with {whose}, nor BPFO + BPFI on it: "
-            f"the {n} rolling elements of {place.name}, passing more slowly or faster than it turns. {RE_RUN}"
+            f"the {n} rolling elements of {place.name}, passing more slowly or faster than it turns."
         )
-    return (
+        return Judged(f"{text} {RE_RUN}", re_run=True)
+    return Judged(
         f"Either the {n} rolling elements of {place.name} (N*fs = BPFO + BPFI) or a part with {n} teeth or lobes on "
         f"{whose}: not decided{_revs_words(order)}."
     )
@@ -302,7 +320,7 @@ def _slip_words(slip_percent: float) -> str:
 
 def envelope_verdict(
     line: EnvelopeLine, found: list[EnvelopeLine], *, speed_is_nominal: bool, shaft: ShaftSpeed | None = None
-) -> str:
+) -> Judged:
     """Verdict on a ``line`` of the envelope among all ``found``: which part is damaged, and how sure that is.
 
     ``speed_is_nominal``: where the speed was stated and not measured, its error looks like slip; ``shaft``: what the
@@ -315,11 +333,12 @@ def envelope_verdict(
         share = line.amplitude / lead.amplitude
         sure = not _rivals(lead, found)
         goes = f"{_damage(lead.place)} as the load passes the rolling elements" if sure else "the strikes there"
-        return (
+        return Judged(
             f"{place.title} of {place.name} ({slip}) with {share:.0%} of the amplitude of {lead.place.title}: it goes "
             f"with {goes}; no second damage is concluded."
         )
-    text = _part_words(line, _rivals(line, found), slip)
+    rivals = _rivals(line, found)
+    text = _part_words(line, rivals, slip)
     if speed_is_nominal:
         text += f" {_speed_words(shaft)}"
     others = [other for other in found if other is not line]
@@ -331,7 +350,8 @@ def envelope_verdict(
     if same:
         names = ", ".join(f"{other.place.name} {other.place.title}" for other in same)
         text += f" {names} cannot be told from it."
-    return f"{text} {RE_RUN}"
+    damage = place.line != "N*fs" and (not rivals or line.ranking.of(place.line) is None)
+    return Judged(f"{text} {RE_RUN}", damage, re_run=True)
 
 
 def _speed_words(shaft: ShaftSpeed | None) -> str:

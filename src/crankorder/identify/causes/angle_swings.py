@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
 
+from crankorder.cause import BY_A_SWING, Cause
 from crankorder.identify.found import AgreedOrder, OrderLine
-from crankorder.identify.said import OR_OWN
 from crankorder.orders.swing_evidence import HARMONICS
 from crankorder.orders.true_angle import LINES, LINES_PER_HARMONIC, TAKEN, left_of, swing_shown
 from crankorder.quantities import Bools, Floats
@@ -37,12 +37,6 @@ MOST_ROWS = 128
 
 MOST_TIMES = 4
 """Most turns of a swing by which a line lies beside its order: the n-th sideband is as large as the n-th power."""
-
-OF_ENCODER = "encoder eccentricity: sideband of order"
-"""Begin of the words for what is left of sidebands whose cause is proved."""
-
-Words = dict[tuple[str, float], tuple[str, str]]
-"""Cause and evidence by channel and order."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +100,8 @@ def _likely_swings(orders: Sequence[AgreedOrder], count: int, highest: float) ->
     return likely
 
 
-def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset]) -> Words:
-    """Cause and evidence of the lines of ``orders`` that are no larger than what swings of the angle may give them.
+def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset]) -> dict[tuple[str, float], Cause]:
+    """Causes of lines of ``orders`` that are no larger than swings of the angle may make them, by channel and order.
 
     A force at order n of a shaft that swings by ε sin(k θ) has sidebands π n ε at n ± k in time. The structure
     responds to each at its own frequency, so that π n ε (H(n ± k) / H(n) - 1) times the order is left of them in the
@@ -115,12 +109,12 @@ def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset])
     encoder leaves π n ε. What the order itself has where the speed brings it to the frequency of the sideband tells the
     response there. ``frames`` (OrderFrames) say how the angle swings.
     """
-    words = Words()
+    causes: dict[tuple[str, float], Cause] = {}
     if not orders:
-        return words
+        return causes
     swings = AngleSwings.of(frames, orders)
     for agreed in orders:
-        of_order: Words = {}
+        of_order: dict[tuple[str, float], Cause] = {}
         within = 0
         for line in agreed.lines:
             beside = [(other.order, item) for other in orders for item in other.lines if item.channel == line.channel]
@@ -133,12 +127,15 @@ def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset])
             maker = (
                 "an error of the encoder that the data do not exclude" if most.by_encoder else "a swing of the shaft"
             )
-            text = f"{OF_ENCODER} {most.carrier:g}" if most.by_encoder and swings.proved else OR_OWN
             evidence = f"no larger in most channels than what {maker} gives it beside order {most.carrier:g}"
-            of_order[line.channel, agreed.order] = text, evidence
+            of_order[line.channel, agreed.order] = (
+                Cause("sideband of an encoder", evidence, {"carrier": most.carrier})
+                if most.by_encoder and swings.proved
+                else replace(BY_A_SWING, evidence=evidence)
+            )
         # an order is one thing in all channels
-        words |= of_order if 2 * within >= len(agreed.lines) else {}
-    return words
+        causes |= of_order if 2 * within >= len(agreed.lines) else {}
+    return causes
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,35 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from crankorder.findings import BearingFinding
+from crankorder.cause import OF_ITS_OWN, Cause, CauseKind, alike_speeds, of_mains, of_order
+from crankorder.findings import BearingFinding, Lock
 from crankorder.identify.causes.aliasing import ShownAlias
-from crankorder.identify.causes.angle_swings import Words
 from crankorder.identify.causes.cycle_forces import CycleForce, cycle_forces, gas_half_orders
 from crankorder.identify.causes.sidebands import (
     BY_ITSELF,
+    LineCauses,
     StruckRace,
     explain_families,
-    harmonic_words,
+    race_cause,
+    sideband_of,
     sidebands,
+    spacings_of,
     struck_races,
 )
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.growth import is_motion, largest, order_one
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
-from crankorder.identify.lines.known_lines import LineSeen, named_by, words_of
-from crankorder.identify.lines.mains import OR_ANOTHER, mains_orders, multiple_on, multiples_near, supply_told
+from crankorder.identify.lines.known_lines import LineSeen, named_by
+from crankorder.identify.lines.mains import mains_orders, multiple_on, multiples_near, supply_told
 from crankorder.identify.machine_model import MachineModel, PartsAt, StatedPart, parts_at
 from crankorder.identify.modes.tones import NEAR_BINS
 from crankorder.identify.modes.tones import NUMBERS as TONES
-from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, OR_OWN, mains_words
-from crankorder.identify.said import NUMBERS as SAID
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -44,36 +44,67 @@ class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="explain"):
 
 NUMBERS = _Numbers.load()
 
-NOT_KNOWN = ("unexplained", "tone", "undecided", OR_OWN)
-"""Words for lines whose cause is not known."""
-
 ForcesOfCycle = dict[tuple[str, float], CycleForce]
 """What gas and masses make of a line, by channel and AgreedOrder.order."""
 
-EITHER = "gas cycle or engine kinematics"
-"""What makes an order that gas and masses of an engine both do, as far as is known."""
+OF_NUMBER: tuple[CauseKind, ...] = (
+    "unbalance",
+    "unbalance, bent shaft or misalignment",
+    "shaft harmonic",
+    "half order of the four-stroke cycle",
+)
+"""Causes of a line that is an order of the shaft for no other reason than that it is one."""
 
-
-@dataclass(frozen=True)
-class Cause:
-    """What makes a line, in words that stay the same (``text``), and what says so (``evidence``)."""
-
-    text: str
-    evidence: str
-
-    @property
-    def known(self) -> bool:
-        """Whether the words name a cause."""
-        return self.text not in NOT_KNOWN
+_PROOF: dict[Lock, str] = {
+    "locked": "locked to the shaft",
+    "undecided": "may be locked to the shaft",
+    "slips": "not locked to the shaft",
+}
 
 
 @dataclass(frozen=True)
 class Causes:
     """One cause for every line: ``orders`` by channel and AgreedOrder.order, ``modes`` and ``tones`` as in ModalFit."""
 
-    orders: dict[tuple[str, float], Cause]
+    orders: LineCauses
     modes: tuple[Cause, ...]
     tones: tuple[Cause, ...]
+
+
+@dataclass(frozen=True)
+class _Test:
+    """What the rules know of a test: its ``orders``, the machine, and what was found of it before.
+
+    ``races`` that are struck, ``folds`` that show, ``forces`` of gas and masses, ``modes``; ``bearings``: findings.
+    """
+
+    orders: tuple[AgreedOrder, ...]
+    machine: MachineModel
+    bearings: Sequence[BearingFinding]
+    races: list[StruckRace]
+    folds: Sequence[ShownAlias]
+    forces: ForcesOfCycle
+    modes: Sequence[Mode]
+
+
+@dataclass(frozen=True)
+class _Line:
+    """What the rules know of one line: ``of_cycle`` is the multiple of the cycle's order that it is or may be, or None.
+
+    ``at`` are the stated parts there; ``in_cylinder``: whether its channel is the pressure in a cylinder.
+    """
+
+    agreed: AgreedOrder
+    line: OrderLine
+    at: PartsAt
+    of_cycle: float | None
+    quantity: str
+    in_cylinder: bool
+
+    @property
+    def proof(self) -> str:
+        """What is known of its lock, in words."""
+        return _PROOF[self.agreed.lock]
 
 
 def explained(
@@ -87,18 +118,15 @@ def explained(
     in_cylinder: Collection[str] = (),
     folds: Sequence[ShownAlias] = (),
     known: Sequence[LineSeen] = (),
-    of_swing: Words | None = None,
+    of_swing: LineCauses | None = None,
     longest_rev: float = np.inf,
     rows: Mapping[tuple[str, float], OrderLine] | None = None,
 ) -> Causes:
     """One cause for every order line in every channel, and for every mode and tone.
 
-    The first that the evidence supports, in this order: the gas cycle in the pressure of a cylinder; in a firing
-    engine gas or engine kinematics, whichever its model makes far more of; engine kinematics; a gear that was
-    stated; unbalance; the gas cycle of a firing engine; a bearing (by the records of the bearings, within their
-    intervals); a fold of something else in data sampled by crank angle; a half order of the cycle; a mesh of teeth
-    by its sidebands; a shaft harmonic; a harmonic or sideband of another line; a second shaft. What is left is
-    "unexplained". A line that slips is no multiple of the cycle, one that is locked is no race of a bearing.
+    The first of the :data:`RULES` that the evidence supports; then what lines of the motor and the mains, swings of the
+    angle and other lines say of it. What is left is unexplained. A line that slips is no multiple of the cycle, one
+    that is locked is no race of a bearing.
 
     Parameters
     ----------
@@ -109,92 +137,83 @@ def explained(
     quantity : quantity of each channel by its name, such as "acceleration" or "sound pressure"
     in_cylinder : channels that measure the pressure in a cylinder, where the machine is a piston engine
     settings : mains frequencies and how far they wander
-    folds : what was found to fold (:func:`crankorder.identify.causes.aliasing.shown_folds`)
+    folds : what was found to fold (:func:`crankorder.identify.causes.aliasing.shown_aliases`)
     known : lines of the motor and of the mains that the frames hold where they were expected
     of_swing : lines that swings of the angle may make (:func:`crankorder.identify.causes.angle_swings.swing_sidebands`)
     longest_rev : revolutions of the longest recording at one speed: two lines that beat less often in it look like one
     rows : lines by channel and order with the amplitudes of their tracks, which tell how they grow
     """
-    causes: dict[tuple[str, float], Cause] = {}
+    causes: LineCauses = {}
     races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
-    first = partial(_first_cause, orders=orders, races=races, sources=sources, folds=folds)
-    first = partial(first, forces=_forces_of_cycle(orders, sources), modes=modal.modes)
+    test = _Test(orders, sources, bearings, races, folds, _forces_of_cycle(orders, sources), modal.modes)
+    of_cycle = {agreed.order: multiple_of_cycle(agreed, sources.revs_per_cycle) for agreed in orders}
     for agreed in orders:
         at = _stated_parts(agreed, bearings, sources)
         for line in agreed.lines:
-            name = line.channel
-            line = (rows or {}).get((name, agreed.order), line)
-            cause = first(agreed, line, at=at, quantity=quantity[name], in_cylinder=name in in_cylinder)
-            causes[line.channel, agreed.order] = cause or Cause("unexplained", _why_not(agreed, at, sources))
-    for key, (text, evidence) in (of_swing or {}).items():
-        if causes[key].text in (*BY_ITSELF, *OF_NUMBER):
-            causes[key] = Cause(text, evidence)
+            key = line.channel, agreed.order
+            grown = (rows or {}).get(key, line)
+            known_of = _Line(agreed, grown, at, of_cycle[agreed.order], quantity[key[0]], key[0] in in_cylinder)
+            causes[key] = next(
+                (cause for rule in RULES if (cause := rule(known_of, test)) is not None), _unexplained(known_of, test)
+            )
+    for key, cause in (of_swing or {}).items():
+        if causes[key].is_just(*BY_ITSELF, *OF_NUMBER):
+            causes[key] = cause
     causes |= _electric(orders, causes, modal, known, sources, settings, longest_rev)
-    families = explain_families(
+    causes |= explain_families(
         orders,
-        {key: cause.text for key, cause in causes.items()},
-        {agreed.order: multiple_of_cycle(agreed, sources.revs_per_cycle) for agreed in orders},
-        spacings=_spacings(sources, bearings),
+        causes,
+        of_cycle,
+        spacings=spacings_of(sources, bearings),
         modes_hz=[mode.frequency_hz for mode in modal.modes],
         of_swing=of_swing or {},
     )
-    causes |= {key: Cause(text, evidence) for key, (text, evidence) in families.items()}
-    modes = tuple(
-        Cause("undecided", mode.undecided) if mode.undecided else Cause("mode", mode.evidence) for mode in modal.modes
-    )
     rpm = _one_speed(orders)
-    modes = tuple(_of_race(mode, cause, races, rpm) for mode, cause in zip(modal.modes, modes, strict=True))
+    modes = tuple(_of_mode(mode, races, rpm) for mode in modal.modes)
     return Causes(causes, modes, _explained_tones(modal.tones, races, sources.gears, rpm, known, settings))
-
-
-HALF_ORDER = "half order of the four-stroke cycle"
-
-OF_NUMBER = ("unbalance", LIKE_UNBALANCE, "shaft harmonic", HALF_ORDER)
-"""What a line is called that is an order of the shaft for no other reason than that it is one."""
 
 
 def _electric(
     orders: tuple[AgreedOrder, ...],
-    causes: dict[tuple[str, float], Cause],
+    causes: LineCauses,
     modal: ModalFit,
     known: Sequence[LineSeen],
     sources: MachineModel,
     settings: IdentifySettings,
     longest_rev: float,
-) -> dict[tuple[str, float], Cause]:
+) -> LineCauses:
     """Causes of the lines of the mains and of the motor; with what else each may be, where the data do not tell."""
     of_cycle = {agreed.order: _unparted(agreed, sources.revs_per_cycle, longest_rev) for agreed in orders}
     tones = [tone for tone in modal.tones if tone.kind == "mains"]
     exact = [order for order, multiple in of_cycle.items() if multiple is not None]
     # what errors of the angle may make beside a strong order has a cause that nothing tells from mains
     lines = tuple(agreed for agreed in orders if not agreed.of_angle)
-    of_mains = mains_orders(lines, tones=tones, exact=exact, settings=settings)
-    told = {order: Cause(*words) for order, words in of_mains.items()}
+    electric = mains_orders(lines, tones=tones, exact=exact, settings=settings)
     sure: set[float] = set()
     for agreed in orders:
-        item = named_by(known, agreed)
-        in_doubt = agreed.order in told and OR_ANOTHER in told[agreed.order].text
-        if item is not None and not in_doubt:
-            text = " or ".join([words_of(item), *(other for other in item.also if not other.startswith("order "))])
-            told[agreed.order] = Cause(text, f"{item.hertz:.6g} Hz at {item.held.rpm:.5g} rpm, where it was expected")
-            if not item.also:
+        seen = named_by(known, agreed)
+        in_doubt = agreed.order in electric and "another tone" in electric[agreed.order].kinds
+        if seen is not None and not in_doubt:
+            electric[agreed.order] = seen.cause(
+                f"{seen.hertz:.6g} Hz at {seen.held.rpm:.5g} rpm, where it was expected"
+            )
+            if seen.alone:
                 sure.add(agreed.order)
-    made: dict[tuple[str, float], Cause] = {}
-    for key, cause in causes.items():
-        if key[1] in told:
-            other = None if key[1] in sure else of_cycle[key[1]]
-            made[key] = _with_electric(cause, told[key[1]], other, key[1] in sure)
-    return made
+    return {
+        (channel, order): _with_electric(
+            cause, electric[order], None if order in sure else of_cycle[order], order in sure
+        )
+        for (channel, order), cause in causes.items()
+        if order in electric
+    }
 
 
 def _with_electric(cause: Cause, electric: Cause, of_cycle: float | None, sure: bool) -> Cause:
-    """What a line is called that by itself is a ``cause`` and may be ``electric``; both where they coincide."""
-    evidence = f"{electric.evidence}; {cause.evidence}"
-    if not cause.known or (sure and cause.text in OF_NUMBER):
-        text = electric.text if of_cycle is None else f"{electric.text} or order {of_cycle:g}"
-        return Cause(text, electric.evidence)
-    if of_cycle is None or cause.text in OF_NUMBER or sure:
-        return Cause(f"{cause.text} or {electric.text}", evidence)
+    """Cause of a line that by itself is a ``cause`` and may be ``electric``; both where they coincide."""
+    if not cause.known or (sure and cause.is_just(*OF_NUMBER)):
+        return electric if of_cycle is None else electric.either(of_order(f"order {of_cycle:g}"))
+    if of_cycle is None or cause.is_just(*OF_NUMBER) or sure:
+        return replace(cause.either(electric), evidence=f"{electric.evidence}; {cause.evidence}")
     return cause
 
 
@@ -223,47 +242,12 @@ def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:
     return nearest
 
 
-def _first_cause(
-    agreed: AgreedOrder,
-    line: OrderLine,
-    orders: tuple[AgreedOrder, ...],
-    at: PartsAt,
-    races: list[StruckRace],
-    sources: MachineModel,
-    quantity: str,
-    in_cylinder: bool,
-    folds: Sequence[ShownAlias],
-    forces: ForcesOfCycle,
-    modes: Sequence[Mode],
-) -> Cause | None:
-    """The first cause that the evidence supports for one line by itself."""
-    of_cycle = multiple_of_cycle(agreed, sources.revs_per_cycle)
-    proof = {
-        "locked": "locked to the shaft",
-        "undecided": "may be locked to the shaft",
-        "slips": "not locked to the shaft",
-    }[agreed.lock]
-    return (
-        _gas_in_pressure(of_cycle, in_cylinder, sources, proof)
-        or _gas_or_masses(forces.get((line.channel, agreed.order)), proof)
-        or _kinematics(of_cycle, orders, sources, proof)
-        or _stated(at, "gear mesh", proof)
-        or _first_order(of_cycle, line, sources, quantity, modes, proof)
-        or _combustion(of_cycle, sources, proof)
-        or _stated(at, "bearing", proof)
-        or _race_harmonic(agreed, of_cycle, races)
-        or _fold(line, folds)
-        or _half_order(of_cycle, orders, sources, proof)
-        or _shaft_harmonic(of_cycle, sources, proof)
-    )
-
-
-def _gas_in_pressure(of_cycle: float | None, in_cylinder: bool, sources: MachineModel, proof: str) -> Cause | None:
+def _gas_in_pressure(of: _Line, test: _Test) -> Cause | None:
     """The gas cycle in the pressure of a cylinder itself; a rotor has none, whatever its pressures are."""
-    if not in_cylinder or of_cycle is None or not sources.has_pistons:
+    if not of.in_cylinder or of.of_cycle is None or not test.machine.has_pistons:
         return None
-    cycle = "four-stroke cycle" if sources.revs_per_cycle == 2 else "cycle"
-    return Cause("gas cycle", f"order {of_cycle:g}, a multiple of the {cycle}, in the pressure itself; {proof}")
+    cycle = "four-stroke cycle" if test.machine.revs_per_cycle == 2 else "cycle"
+    return Cause("gas cycle", f"order {of.of_cycle:g}, a multiple of the {cycle}, in the pressure itself; {of.proof}")
 
 
 def _forces_of_cycle(orders: tuple[AgreedOrder, ...], sources: MachineModel) -> ForcesOfCycle:
@@ -272,32 +256,36 @@ def _forces_of_cycle(orders: tuple[AgreedOrder, ...], sources: MachineModel) -> 
         return {}
     of_cycle = [(multiple_of_cycle(agreed, sources.revs_per_cycle), agreed) for agreed in orders]
     lines = [(number, agreed.order, line) for number, agreed in of_cycle if number is not None for line in agreed.lines]
-    made = cycle_forces(sources.engine, [(number, largest(line).speed_rpm) for number, _, line in lines])
+    forces = cycle_forces(sources.engine, [(number, largest(line).speed_rpm) for number, _, line in lines])
     return {
-        (line.channel, order): force for (_, order, line), force in zip(lines, made, strict=True) if force is not None
+        (line.channel, order): force for (_, order, line), force in zip(lines, forces, strict=True) if force is not None
     }
 
 
-def _gas_or_masses(force: CycleForce | None, proof: str) -> Cause | None:
+def _gas_or_masses(of: _Line, test: _Test) -> Cause | None:
     """Which of a firing engine's gas and masses makes a line, or that either may."""
+    force = test.forces.get((of.line.channel, of.agreed.order))
     if force is None:
         return None
-    text = {"gas": "gas cycle", "masses": "engine kinematics", "both": EITHER}[force.maker]
-    return Cause(text, f"{force.words}; {proof}")
+    evidence = f"{force.words}; {of.proof}"
+    if force.maker == "masses":
+        return Cause("engine kinematics", evidence)
+    gas = Cause("gas cycle", evidence)
+    return gas if force.maker == "gas" else gas.either(Cause("engine kinematics"))
 
 
-def _kinematics(cycle: float | None, orders: Sequence[AgreedOrder], sources: MachineModel, proof: str) -> Cause | None:
-    if cycle is None or not any(abs(cycle - known) < 1e-6 for known in sources.engine_orders):
+def _kinematics(of: _Line, test: _Test) -> Cause | None:
+    machine, cycle = test.machine, of.of_cycle
+    if cycle is None or not any(abs(cycle - known) < 1e-6 for known in machine.engine_orders):
         return None
-    made = f"the engine's moving masses make order {cycle:g}"
-    gas = "the engine fires" if sources.firing else ""
-    if not gas and sources.revs_per_cycle == 2 and len(half := gas_half_orders(one.order for one in orders)) > 1:
+    masses = f"the engine's moving masses make order {cycle:g}"
+    gas = "the engine fires" if machine.firing else ""
+    if not gas and machine.revs_per_cycle == 2 and len(half := gas_half_orders(o.order for o in test.orders)) > 1:
         gas = f"half orders ({', '.join(half)}) show gas torque"
     if gas:
-        return Cause(
-            EITHER, f"{made}; {gas}, and nothing that was stated tells how much of this order it makes; {proof}"
-        )
-    return Cause("engine kinematics", f"{made}; {proof}")
+        told = "nothing that was stated tells how much of this order it makes"
+        return Cause("gas cycle", f"{masses}; {gas}, and {told}; {of.proof}").either(Cause("engine kinematics"))
+    return Cause("engine kinematics", f"{masses}; {of.proof}")
 
 
 def _stated_parts(agreed: AgreedOrder, bearings: Sequence[BearingFinding], sources: MachineModel) -> PartsAt:
@@ -320,117 +308,120 @@ def _stated_parts(agreed: AgreedOrder, bearings: Sequence[BearingFinding], sourc
     return parts_at(parts, agreed)
 
 
-def _stated(at: PartsAt, kind: str, proof: str) -> Cause | None:
+def _mesh(of: _Line, _: _Test) -> Cause | None:
+    """A gear that the manifest states."""
+    return _stated(of.at, "gear mesh", of.proof)
+
+
+def _bearing(of: _Line, _: _Test) -> Cause | None:
+    """A line of a bearing, by the records of the bearings."""
+    return _stated(of.at, "bearing", of.proof)
+
+
+def _stated(at: PartsAt, kind: CauseKind, proof: str) -> Cause | None:
     """The parts ``at`` a line, if one is of the ``kind``."""
     if not any(part.kind == kind for part, _ in at.near):
         return None
     like = sorted({part.elements for part, _ in at.near if part.elements is not None})
-    alike = f" or {' or '.join(f'{_article(n)} {n}-fold' for n in like)} part of that shaft" if like else ""
     gears = [part for part, _ in at.near if part.kind == "gear mesh"]
     stated = [f"the manifest states {gear.name} at order {gear.order:g}" for gear in gears]
-    evidence = [*(stated or ["within the interval of the bearing's line"]), proof]
-    return Cause(at.words + alike, "; ".join(evidence))
+    cause = at.cause("; ".join([*(stated or ["within the interval of the bearing's line"]), proof]))
+    names = " or ".join(f"{'an' if str(n).startswith(('8', '11', '18')) else 'a'} {n}-fold" for n in like)
+    return cause.either(Cause("part of a shaft", parameters={"names": names})) if like else cause
 
 
-def _first_order(
-    of_cycle: float | None, line: OrderLine, sources: MachineModel, quantity: str, modes: Sequence[Mode], proof: str
-) -> Cause | None:
+def _first_order(of: _Line, test: _Test) -> Cause | None:
     """What order 1 is by how it grows; a harmonic of the shaft, or unexplained, where that is not as unbalance does."""
-    if of_cycle != 1.0 or not is_motion(quantity):
+    if of.of_cycle != 1.0 or not is_motion(of.quantity):
         return None
-    text, why = order_one(line, quantity, modes)
-    if text is not None:
-        return Cause(text, f"order 1, {proof}; {why}")
-    if sources.firing:
+    cause = order_one(of.line, of.quantity, test.modes)
+    if cause.kind != "unexplained":
+        return replace(cause, evidence=f"order 1, {of.proof}; {cause.evidence}")
+    if test.machine.firing:
         return None
-    return Cause("unexplained" if sources.engine_orders else "shaft harmonic", f"order 1, {proof}, but {why}")
+    kind: CauseKind = "unexplained" if test.machine.engine_orders else "shaft harmonic"
+    return replace(cause, kind=kind, evidence=f"order 1, {of.proof}, but {cause.evidence}")
 
 
-def _combustion(of_cycle: float | None, sources: MachineModel, proof: str) -> Cause | None:
-    if not sources.firing or of_cycle is None:
+def _combustion(of: _Line, test: _Test) -> Cause | None:
+    if not test.machine.firing or of.of_cycle is None:
         return None
-    return Cause(
-        "gas cycle", f"the engine fires, which makes every multiple of order {1 / sources.revs_per_cycle:g}; {proof}"
-    )
+    cycle = 1 / test.machine.revs_per_cycle
+    return Cause("gas cycle", f"the engine fires, which makes every multiple of order {cycle:g}; {of.proof}")
 
 
-RACE_EVIDENCE = "where the strikes that were found have a harmonic, or one with turns of the shaft beside it"
-"""Why a line is a struck race's: strikes have many harmonics, and come and go with the load as the shaft turns."""
-
-
-def _race_harmonic(agreed: AgreedOrder, of_cycle: float | None, races: list[StruckRace]) -> Cause | None:
+def _race_harmonic(of: _Line, test: _Test) -> Cause | None:
     """Harmonic of a struck race or a sideband of one, which a line on a multiple of the cycle's order is not."""
-    if of_cycle is not None or agreed.lock == "locked":
+    if of.of_cycle is not None or of.agreed.lock == "locked":
         return None
-    text = harmonic_words(races, agreed.order, agreed.order_error)
-    return Cause(text, RACE_EVIDENCE) if text else None
+    return race_cause(test.races, of.agreed.order, of.agreed.order_error)
+
+
+def _fold(of: _Line, test: _Test) -> Cause | None:
+    for shown in test.folds:
+        if shown.is_line(of.line):
+            fold = shown.fold
+            name = f"{fold.value:.6g} Hz" if fold.kind == "frequency" else f"order {fold.value:.6g}"
+            cause = Cause("fold", fold.evidence, {"name": name})
+            return cause if fold.sure else cause.either(OF_ITS_OWN)
+    return None
+
+
+def _half_order(of: _Line, test: _Test) -> Cause | None:
+    """Half orders of a four-stroke machine; of a motored engine only where there is more than one."""
+    cycle = of.of_cycle
+    if cycle is None or test.machine.revs_per_cycle != 2 or cycle == round(cycle):
+        return None
+    multiples = [multiple_of_cycle(agreed, 2) for agreed in test.orders]
+    family = sorted({m for m in multiples if m is not None and m != round(m)})
+    if test.machine.engine_orders and len(family) < 2:
+        return None
+    listed = ", ".join(f"{m:g}" for m in family[:6])
+    return Cause("half order of the four-stroke cycle", f"{of.proof}; half orders found: {listed}")
+
+
+def _shaft_harmonic(of: _Line, test: _Test) -> Cause | None:
+    if of.of_cycle is None or of.of_cycle != round(of.of_cycle) or test.machine.engine_orders:
+        return None
+    return Cause("shaft harmonic", f"whole order, {of.proof}")
+
+
+RULES: tuple[Callable[[_Line, _Test], Cause | None], ...] = (
+    _gas_in_pressure,
+    _gas_or_masses,
+    _kinematics,
+    _mesh,
+    _first_order,
+    _combustion,
+    _bearing,
+    _race_harmonic,
+    _fold,
+    _half_order,
+    _shaft_harmonic,
+)
+"""What a line may be by itself, in the order in which it is tried; None where the evidence does not support it."""
+
+
+def _unexplained(of: _Line, test: _Test) -> Cause:
+    agreed, machine = of.agreed, test.machine
+    if of.at.unparted:
+        names = " and ".join(part.name for part in of.at.unparted)
+        why = f"the multiples of {names} lie closer together than the line's interval and what is stated tell apart"
+    elif of.of_cycle is None and agreed.lock == "slips":
+        why = "not locked to the shaft, and nothing that was stated makes this order"
+    elif of.of_cycle is None:
+        why = "no multiple of the cycle as far as can be told, and nothing that was stated makes this order"
+    elif machine.engine_orders and of.of_cycle == round(of.of_cycle):
+        why = f"turns with the shaft, but the engine's kinematics make no order {of.of_cycle:g} worth mention"
+    else:
+        why = "turns with the cycle, and nothing that was stated makes this order"
+    return Cause("unexplained", why)
 
 
 def _one_speed(orders: Sequence[AgreedOrder]) -> float | None:
     """Speed in rpm of a test at one speed, where a tone may as well be a line that goes with it; else None."""
     speed = np.array([rpm for agreed in orders for line in agreed.lines for rpm in line.speed_rpm])
-    alike = len(speed) > 0 and bool(np.isfinite(speed).all()) and speed.max() <= SAID.alike_speeds_ratio * speed.min()
-    return float(speed.mean()) if alike else None
-
-
-def _article(number: int) -> str:
-    return "an" if str(number).startswith(("8", "11", "18")) else "a"
-
-
-def _fold(line: OrderLine, folds: Sequence[ShownAlias]) -> Cause | None:
-    for shown in folds:
-        if shown.is_line(line):
-            unit = "Hz" if shown.fold.kind == "frequency" else ""
-            name = f"{shown.fold.value:.6g} {unit}".strip() if unit else f"order {shown.fold.value:.6g}"
-            text = f"fold of {name}" if shown.fold.sure else f"fold of {name} or a line of its own"
-            return Cause(text, shown.fold.evidence)
-    return None
-
-
-def _half_order(cycle: float | None, orders: Sequence[AgreedOrder], sources: MachineModel, proof: str) -> Cause | None:
-    """Half orders of a four-stroke machine; of a motored engine only where there is more than one."""
-    if cycle is None or sources.revs_per_cycle != 2 or cycle == round(cycle):
-        return None
-    multiples = [multiple_of_cycle(agreed, 2) for agreed in orders]
-    family = sorted({m for m in multiples if m is not None and m != round(m)})
-    if sources.engine_orders and len(family) < 2:
-        return None
-    listed = ", ".join(f"{m:g}" for m in family[:6])
-    return Cause(HALF_ORDER, f"{proof}; half orders found: {listed}")
-
-
-def _shaft_harmonic(of_cycle: float | None, sources: MachineModel, proof: str) -> Cause | None:
-    if of_cycle is None or of_cycle != round(of_cycle) or sources.engine_orders:
-        return None
-    return Cause("shaft harmonic", f"whole order, {proof}")
-
-
-def _why_not(agreed: AgreedOrder, at: PartsAt, sources: MachineModel) -> str:
-    if at.unparted:
-        names = " and ".join(part.name for part in at.unparted)
-        return f"the multiples of {names} lie closer together than the line's interval and what is stated tell apart"
-    of_cycle = multiple_of_cycle(agreed, sources.revs_per_cycle)
-    if of_cycle is None and agreed.lock == "slips":
-        return "not locked to the shaft, and nothing that was stated makes this order"
-    if of_cycle is None:
-        return "no multiple of the cycle as far as can be told, and nothing that was stated makes this order"
-    if sources.engine_orders and of_cycle == round(of_cycle):
-        return f"turns with the shaft, but the engine's kinematics make no order {of_cycle:g} worth mention"
-    return "turns with the cycle, and nothing that was stated makes this order"
-
-
-def _spacings(sources: MachineModel, bearings: Sequence[BearingFinding]) -> dict[str, float]:
-    """What may modulate a line, as names and orders: the shafts, the cycle, the cages."""
-    spacings = {"shaft": 1.0} | ({"half-speed shaft": 0.5} if sources.revs_per_cycle == 2 else {})
-    for bearing in sources.bearings:
-        if bearing.shaft_ratio not in spacings.values():
-            spacings[bearing.name] = bearing.shaft_ratio
-    cages = [(record.name, record.order) for record in bearings if record.line == "FTF"]
-    expected = [(name, order) for (name, line), order in sources.known_bearing_orders.items() if line == "FTF"]
-    for gear in sources.gears:
-        if gear.shaft_order not in spacings.values():
-            spacings[gear.name] = gear.shaft_order
-    return spacings | {f"cage of {name}": order for name, order in [*expected, *cages]}
+    return float(speed.mean()) if alike_speeds(speed) else None
 
 
 def _explained_tones(
@@ -462,16 +453,15 @@ def _explained_tones(
     causes = []
     for number, tone in enumerate(tones):
         band = of.get(number)
-        race = _race_of_tone(tone, races, rpm)
-        if race:
-            causes.append(Cause(race, RACE_EVIDENCE))
-        elif tone.kind == "tone" and band is not None:
-            text = f"sideband of {places[band.carrier]:.4g} Hz spaced by {band.spacing:.4g} Hz"
-            causes.append(Cause(text, f"one of a pair about a stronger tone; chance {band.chance:.1g}"))
-        else:
-            words = _tone_words(tone, known, supply, settings)
-            gear = None if rpm is None or words not in ("tone", "order") else _gear_of_tone(tone, gears, rpm)
-            causes.append(gear or Cause(words, tone.evidence))
+        cause = _race_of_tone(tone, races, rpm)
+        if cause is None and tone.kind == "tone" and band is not None:
+            evidence = f"one of a pair about a stronger tone; chance {band.chance:.1g}"
+            cause = sideband_of(places[band.carrier], band.spacing, evidence, unit=" Hz")
+        if cause is None:
+            cause = _tone_cause(tone, known, supply, settings)
+            if rpm is not None and cause.is_just("tone", "order"):
+                cause = _gear_of_tone(tone, gears, rpm) or cause
+        causes.append(cause)
     return tuple(causes)
 
 
@@ -483,38 +473,40 @@ def _gear_of_tone(tone: Tone, gears: Sequence[StatedPart], rpm: float) -> Cause 
     return _stated(at, "gear mesh", tone.evidence)
 
 
-def _tone_words(tone: Tone, known: Sequence[LineSeen], supply_hz: float | None, settings: IdentifySettings) -> str:
-    """What a tone is called: which multiple of the supply, or the line of the motor that is there at some speed."""
+def _tone_cause(tone: Tone, known: Sequence[LineSeen], supply_hz: float | None, settings: IdentifySettings) -> Cause:
+    """What makes a tone: which multiple of the supply, or the line of the motor that is there at some speed."""
     reach = NUMBERS.same_sigmas * tone.frequency_error_hz
-    of_motor = [item for item in known if item.line.turns and abs(item.hertz - tone.frequency_hz) <= reach]
     if tone.kind == "mains":
         near = multiples_near(tone.frequency_hz, tone.frequency_error_hz, settings=settings)
         on = [multiple for multiple, mains in near if supply_hz in (None, mains)]
-        return mains_words(on[0]) if len(on) == 1 else "mains"
+        return of_mains(on[0] if len(on) == 1 else 1, tone.evidence)
     if tone.kind == "mains or order":
         alone = multiple_on(tone.frequency_hz, tone.frequency_error_hz, settings=settings)
-        return f"{mains_words(alone[0] if alone else 1)} or order"
-    return words_of(of_motor[0]) if of_motor else tone.kind
+        return of_mains(alone[0] if alone else 1, tone.evidence).either(of_order())
+    for seen in known:
+        if seen.line.turns and abs(seen.hertz - tone.frequency_hz) <= reach:
+            return replace(seen.cause(tone.evidence), others=())
+    return replace(of_order(), evidence=tone.evidence) if tone.kind == "order" else Cause("tone", tone.evidence)
 
 
-def _race_of_tone(tone: Tone, races: list[StruckRace], rpm: float | None) -> str:
-    """What a ``tone`` is called that at the only speed ``rpm`` of a test lies where one of ``races`` puts a line."""
+def _race_of_tone(tone: Tone, races: list[StruckRace], rpm: float | None) -> Cause | None:
+    """The one of ``races`` that puts a line at a ``tone`` at the only speed ``rpm`` of a test."""
     mains = tone.kind == "mains"
     if rpm is None or tone.kind not in ("tone", "mains") or (mains and tone.frequency_hz < NUMBERS.low_mains_hz):
-        return ""
-    return harmonic_words(races, tone.frequency_hz * 60.0 / rpm, tone.frequency_error_hz * 60.0 / rpm, few=mains)
+        return None
+    return race_cause(races, tone.frequency_hz * 60.0 / rpm, tone.frequency_error_hz * 60.0 / rpm, few=mains)
 
 
-def _of_race(mode: Mode, cause: Cause, races: list[StruckRace], rpm: float | None) -> Cause:
-    """``cause`` of a ``mode``, or, where it may be none, the line that one of ``races`` has there at the only speed.
+def _of_mode(mode: Mode, races: list[StruckRace], rpm: float | None) -> Cause:
+    """Cause of a ``mode``; where it may be none, the line that one of ``races`` has there at the only speed ``rpm``.
 
     Strikes that wander make harmonics as wide as a natural frequency of little damping.
     """
-    if not mode.undecided or rpm is None:
-        return cause
-    turns = 60.0 / rpm
-    words = harmonic_words(races, mode.frequency_hz * turns, mode.frequency_error_hz * turns, few=True)
-    return Cause(words, RACE_EVIDENCE) if words else cause
+    if not mode.undecided:
+        return Cause("mode", mode.evidence)
+    turns = 60.0 / rpm if rpm is not None else 0.0
+    race = race_cause(races, mode.frequency_hz * turns, mode.frequency_error_hz * turns, few=True) if turns else None
+    return race or Cause("undecided", mode.undecided)
 
 
 def _on_one_grid(places_hz: list[float], errors_hz: list[float]) -> list[bool]:
@@ -539,8 +531,8 @@ class _NeighbourNumbers(MethodNumbers, file="5-identify-explain.toml", table="on
 
 NEIGHBOUR_NUMBERS = _NeighbourNumbers.load()
 
-_CALLED = {"tone": "a fixed tone", "order": "an order or a tone"}
-_AT_ONE_SPEED = {"tone": "a line without width", "order": "an order or a tone"}
+_CALLED: dict[CauseKind, str] = {"tone": "a fixed tone", "order": "an order or a tone"}
+_AT_ONE_SPEED: dict[CauseKind, str] = {"tone": "a line without width", "order": "an order or a tone"}
 
 
 def without_doubles(modal: ModalFit) -> ModalFit:
@@ -572,12 +564,12 @@ def with_neighbours_named(modal: ModalFit, orders: Sequence[AgreedOrder], causes
     rpm = _one_speed(orders)
     called = _AT_ONE_SPEED if rpm is not None else _CALLED
     lines = [
-        (tone.frequency_hz, called.get(cause.text, cause.text))
+        (tone.frequency_hz, called.get(cause.kind, cause.text))
         for tone, cause in zip(modal.tones, causes.tones, strict=True)
     ]
     if rpm is not None:
-        found = [(one.order * rpm / 60.0, causes.orders[one.lines[0].channel, one.order].text) for one in orders]
-        lines += [(hertz, text) for hertz, text in found if text not in NOT_KNOWN]
+        of_orders = [(one.order * rpm / 60.0, causes.orders[one.lines[0].channel, one.order]) for one in orders]
+        lines += [(hertz, cause.text) for hertz, cause in of_orders if cause.known]
     modes = tuple(_beside(mode, lines) if mode.undecided else mode for mode in modal.modes)
     return replace(modal, modes=modes)
 
@@ -594,5 +586,7 @@ def _beside(mode: Mode, lines: Sequence[tuple[float, str]]) -> Mode:
     )
     if not near:
         return mode
-    said = " and ".join(f"{text} at {hertz:.5g} Hz" for _, hertz, text in near[: NEIGHBOUR_NUMBERS.most_named])
-    return replace(mode, undecided=f"{mode.undecided}; {said} {MAY_BE_ALL}")
+    near = near[: NEIGHBOUR_NUMBERS.most_named]
+    lines_there = " and ".join(f"{text} at {hertz:.5g} Hz" for _, hertz, text in near)
+    undecided = f"{mode.undecided}; {lines_there} stands there, and may be all of it"
+    return replace(mode, undecided=undecided, lines_there_hz=tuple(hertz for _, hertz, _ in near))

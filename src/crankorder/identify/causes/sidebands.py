@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from crankorder.cause import Cause, CauseKind
 from crankorder.findings import BearingFinding
-from crankorder.identify.causes.angle_swings import Words
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.machine_model import MachineModel
-from crankorder.identify.said import IF_WRONG
 from crankorder.settings import MethodNumbers
 
 
@@ -121,6 +120,20 @@ def _known(spacing: float, error: float, spacings: dict[str, float]) -> tuple[st
     return "", 1
 
 
+def spacings_of(sources: MachineModel, bearings: Sequence[BearingFinding]) -> dict[str, float]:
+    """Names and orders of what may modulate a line: shafts and cycle of ``sources``, and the cages of ``bearings``."""
+    spacings = {"shaft": 1.0} | ({"half-speed shaft": 0.5} if sources.revs_per_cycle == 2 else {})
+    for bearing in sources.bearings:
+        if bearing.shaft_ratio not in spacings.values():
+            spacings[bearing.name] = bearing.shaft_ratio
+    cages = [(record.name, record.order) for record in bearings if record.line == "FTF"]
+    expected = [(name, order) for (name, line), order in sources.known_bearing_orders.items() if line == "FTF"]
+    for gear in sources.gears:
+        if gear.shaft_order not in spacings.values():
+            spacings[gear.name] = gear.shaft_order
+    return spacings | {f"cage of {name}": order for name, order in [*expected, *cages]}
+
+
 def meshes(amplitude_of: dict[int, float]) -> list[int]:
     """Whole orders that are a mesh of teeth or a passing of blades, by their sidebands.
 
@@ -183,73 +196,79 @@ class _FamilyNumbers(MethodNumbers, file="5-identify-explain.toml", table="expla
 
 FAMILY_NUMBERS = _FamilyNumbers.load()
 
-Key = tuple[str, float]
+LineCauses = dict[tuple[str, float], Cause]
+"""Causes of lines by channel and AgreedOrder.order."""
 
-MESH = "shaft harmonic or gear mesh or blade passing"
-
-BY_ITSELF = ("unexplained", "shaft harmonic")
-"""Words for lines that a mesh beside them explains better."""
+BY_ITSELF: tuple[CauseKind, ...] = ("unexplained", "shaft harmonic")
+"""Causes of lines that a mesh beside them explains better."""
 
 
 def explain_families(
     orders: tuple[AgreedOrder, ...],
-    texts: dict[Key, str],
+    causes: LineCauses,
     of_cycle: dict[float, float | None],
     *,
     spacings: dict[str, float],
     modes_hz: Sequence[float],
-    of_swing: Words,
-) -> Words:
+    of_swing: LineCauses,
+) -> LineCauses:
     """Causes of the lines that other lines explain, by channel and order; lines that none explains are not in it.
 
     Parameters
     ----------
     orders : the orders of the test
-    texts : what explains each line by itself, "unexplained" and "shaft harmonic" among them
+    causes : what explains each line by itself
     of_cycle : by order, the multiple of the order of the cycle that it is or may be, or None
     spacings : names and orders of what turns and may modulate a line
     modes_hz : natural frequencies; a harmonic that one of them lifts at every speed is no mesh
     of_swing : lines that swings of the angle may make, which are no sidebands of a mesh
     """
-    words: Words = {}
+    families: LineCauses = {}
     for channel in sorted({line.channel for agreed in orders for line in agreed.lines}):
         lines = [(agreed, line) for agreed in orders for line in agreed.lines if line.channel == channel]
-        words |= _meshes(
-            channel, [pair for pair in lines if (channel, pair[0].order) not in of_swing], texts, of_cycle, modes_hz
+        families |= _meshes(
+            channel, [pair for pair in lines if (channel, pair[0].order) not in of_swing], causes, of_cycle, modes_hz
         )
-        words |= _sidebands(channel, lines, texts, of_cycle, spacings)
-    return words | _shafts(orders, texts, words, of_cycle)
+        families |= _sidebands(channel, lines, causes, of_cycle, spacings)
+    return families | _shafts(orders, causes, families, of_cycle)
 
 
 def _meshes(
     channel: str,
     lines: list[tuple[AgreedOrder, OrderLine]],
-    texts: dict[Key, str],
+    causes: LineCauses,
     of_cycle: dict[float, float | None],
     modes_hz: Sequence[float],
-) -> Words:
+) -> LineCauses:
     """Whole orders of one channel that are a mesh by their sidebands, and these; stated meshes have sidebands too."""
     whole: dict[int, tuple[float, OrderLine]] = {}
     for agreed, line in lines:
         multiple = of_cycle[agreed.order]
         if multiple is not None and multiple == round(multiple):
             whole[round(multiple)] = (agreed.order, line)
-    words: Words = {}
-    known = {number for number, (order, _) in whole.items() if texts[channel, order].startswith("gear mesh")}
+    family: LineCauses = {}
+    known = {number for number, (order, _) in whole.items() if causes[channel, order].kind == "gear mesh"}
     for mesh in sorted({*meshes({number: float(line.amplitude.max()) for number, (_, line) in whole.items()}), *known}):
         order, line = whole[mesh]
         stated = mesh in known
-        if not stated and (texts[channel, order] not in BY_ITSELF or _lifted(line, mesh, modes_hz)):
+        if not stated and (not causes[channel, order].is_just(*BY_ITSELF) or _lifted(line, mesh, modes_hz)):
             continue
         sides = list(_sides(mesh, whole, line))
         if not stated:
             about = ", ".join(str(number) for number in sorted(sides))
-            words[channel, order] = (MESH, f"order {mesh} stands over its sidebands at orders {about}")
+            evidence = f"order {mesh} stands over its sidebands at orders {about}"
+            family[channel, order] = Cause("gear mesh or blade passing", evidence)
         for number in sides:
-            if texts[channel, whole[number][0]] in BY_ITSELF:
+            if causes[channel, whole[number][0]].is_just(*BY_ITSELF):
                 evidence = f"{abs(number - mesh)} shaft orders from order {mesh}, which stands over it; also whole"
-                words[channel, whole[number][0]] = (f"sideband of order {mesh} spaced by 1", evidence)
-    return words
+                family[channel, whole[number][0]] = sideband_of(mesh, 1.0, evidence)
+    return family
+
+
+def sideband_of(carrier: float, spacing: float, evidence: str, *, unit: str = "") -> Cause:
+    """A sideband of the line ``carrier`` at a ``spacing``, in orders or in that ``unit``, with the ``evidence``."""
+    of = "" if unit else "order "
+    return Cause("sideband", evidence, {"of": of, "carrier": carrier, "unit": unit, "spacing": spacing})
 
 
 def _sides(mesh: int, whole: dict[int, tuple[float, OrderLine]], carrier: OrderLine) -> list[int]:
@@ -276,12 +295,12 @@ def _lifted(line: OrderLine, order: int, modes_hz: Sequence[float]) -> bool:
 def _sidebands(
     channel: str,
     lines: list[tuple[AgreedOrder, OrderLine]],
-    texts: dict[Key, str],
+    causes: LineCauses,
     of_cycle: dict[float, float | None],
     spacings: dict[str, float],
-) -> Words:
+) -> LineCauses:
     """Unexplained lines of one channel, off the multiples of the cycle, that stand in pairs about a stronger line."""
-    free = [texts[channel, a.order] == "unexplained" and of_cycle[a.order] is None for a, _ in lines]
+    free = [causes[channel, a.order].is_just("unexplained") and of_cycle[a.order] is None for a, _ in lines]
     places = [agreed.order for agreed, _ in lines]
     found = sidebands(
         places,
@@ -291,46 +310,43 @@ def _sidebands(
         highest=max(places, default=1.0),
         sides=free,
     )
-    words: Words = {}
+    family: LineCauses = {}
     for band in found:
         named = f" ({band.spacing_name})" if band.spacing_name else ""
-        words[channel, places[band.at]] = (
-            f"sideband of order {places[band.carrier]:.4g} spaced by {band.spacing:.4g}",
-            f"one of a pair about a stronger line{named}; {band.chance:.1g} such pairs by chance",
-        )
-    return words
+        evidence = f"one of a pair about a stronger line{named}; {band.chance:.1g} such pairs by chance"
+        family[channel, places[band.at]] = sideband_of(places[band.carrier], band.spacing, evidence)
+    return family
 
 
 def _shafts(
-    orders: tuple[AgreedOrder, ...], texts: dict[Key, str], words: Words, of_cycle: dict[float, float | None]
-) -> Words:
+    orders: tuple[AgreedOrder, ...], causes: LineCauses, families: LineCauses, of_cycle: dict[float, float | None]
+) -> LineCauses:
     """Lines not locked to the shaft, in whole ratios to one another: those of another shaft."""
 
-    def open_lines(agreed: AgreedOrder) -> list[Key]:
+    def open_lines(agreed: AgreedOrder) -> list[tuple[str, float]]:
         keys = [(line.channel, agreed.order) for line in agreed.lines]
-        return [key for key in keys if texts[key] == "unexplained" and key not in words]
+        return [key for key in keys if causes[key].is_just("unexplained") and key not in families]
 
     free = [agreed for agreed in orders if of_cycle[agreed.order] is None and open_lines(agreed)]
     found = other_shafts([agreed.order for agreed in free], [agreed.order_error for agreed in free])
-    made: Words = {}
+    shafts: LineCauses = {}
     has_first = any(
         abs(agreed.order - 1.0) < FAMILY_NUMBERS.first_reach_orders
-        and not any("mains" in texts[line.channel, agreed.order] for line in agreed.lines)
+        and not any("mains" in causes[line.channel, agreed.order].kinds for line in agreed.lines)
         for agreed in orders
     )
-    speed_may_be_wrong = not has_first and all(NO_PULSES in agreed.reservation for agreed in free)
+    speed_may_be_wrong = not has_first and all(NO_PULSES in agreed.doubts for agreed in free)
     for at, (first, multiple) in found.items():
         base = free[first].order
         count = sum(1 for other, _ in found.values() if other == first)
         evidence = f"not locked to the shaft; {count} lines are whole multiples of order {base:.5g}"
         if speed_may_be_wrong:
-            text = f"a shaft at {base:.4g} times the stated speed, {IF_WRONG}"
             evidence += "; nothing stands at order 1, and no pulses prove the speed"
-        else:
-            text = f"a second shaft at {base:.4g}"
-        for key in open_lines(free[at]):
-            made[key] = (text if multiple == 1 else f"harmonic {multiple} of {text}", evidence)
-    return made
+        harmonic = "" if multiple == 1 else f"harmonic {multiple} of "
+        kind: CauseKind = "stated shaft" if speed_may_be_wrong else "another shaft"
+        cause = Cause(kind, evidence, {"harmonic": harmonic, "ratio": base})
+        shafts |= dict.fromkeys(open_lines(free[at]), cause)
+    return shafts
 
 
 class _RaceNumbers(MethodNumbers, file="5-identify-explain.toml", table="race_harmonics"):
@@ -378,10 +394,12 @@ class StruckRace:
                 best = harmonic, turns, away
         return best
 
-    def words(self, harmonic: int, turns: int) -> str:
-        """What the line of that ``harmonic``, so many ``turns`` of the shaft beside, is called."""
-        text = f"bearing {self.name} {self.title}" + (f", harmonic {harmonic}" if harmonic > 1 else "")
-        return text + (f" {'+' if turns > 0 else '-'} {abs(turns)} x shaft" if turns else "")
+    def cause(self, harmonic: int, turns: int) -> Cause:
+        """The line of that ``harmonic``, so many ``turns`` of the shaft beside: strikes have many of both."""
+        names = f"{self.name} {self.title}" + (f", harmonic {harmonic}" if harmonic > 1 else "")
+        names += f" {'+' if turns > 0 else '-'} {abs(turns)} x shaft" if turns else ""
+        evidence = "where the strikes that were found have a harmonic, or one with turns of the shaft beside it"
+        return Cause("bearing", evidence, {"names": names})
 
 
 def struck_races(
@@ -413,19 +431,18 @@ def struck_races(
     return [_refined(race, lines) for race in made.values()]
 
 
-def harmonic_words(races: Sequence[StruckRace], order: float, error: float, *, few: bool = False) -> str:
-    """What a line at ``order`` with its standard ``error`` is called by the ``races`` that put one there; empty: none.
+def race_cause(races: Sequence[StruckRace], order: float, error: float, *, few: bool = False) -> Cause | None:
+    """What makes a line at ``order`` with its standard ``error`` of the ``races`` that put one there; None: none does.
 
     ``few``: only of the lowest harmonics and turns, where something else is as likely.
     """
-    told = []
+    near = []
     for race in races:
-        found = race.nearest(order, error)
-        if found is not None and not (
-            few and (found[0] > RACE_NUMBERS.sure_harmonics or abs(found[1]) > RACE_NUMBERS.sure_turns)
-        ):
-            told.append((found[0] + abs(found[1]), race.words(found[0], found[1])))
-    return min(told)[1] if told else ""
+        harmonic, turns, _ = race.nearest(order, error) or (0, 0, 0.0)
+        many = harmonic > RACE_NUMBERS.sure_harmonics or abs(turns) > RACE_NUMBERS.sure_turns
+        if harmonic and not (few and many):
+            near.append((harmonic + abs(turns), race.cause(harmonic, turns)))
+    return min(near, key=lambda pair: (pair[0], pair[1].text))[1] if near else None
 
 
 def _refined(race: StruckRace, lines: Sequence[tuple[float, float]]) -> StruckRace:

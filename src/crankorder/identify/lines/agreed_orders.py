@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.cause import alike_speeds
+from crankorder.identify.found import UNRESOLVED, AgreedOrder, Doubt, OrderLine
 from crankorder.identify.intervals import half_width, root
 from crankorder.identify.lines.cfar import LOBE_BINS
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
@@ -30,8 +31,6 @@ from crankorder.identify.lines.several_orders import DEGREES_OF_FREEDOM, SOLVED,
 from crankorder.identify.lines.swept_orders import NUMBERS as SWEPT_ORDERS
 from crankorder.identify.lines.swept_orders import longest_frame
 from crankorder.identify.lines.zoom import Course, Zoomed
-from crankorder.identify.said import NUMBERS as SAID
-from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.true_angle import ERROR
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -47,13 +46,22 @@ class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="agreed_orders
 
 NUMBERS = _Numbers.load()
 
-IN_SWEEP = "the modes that it crosses may turn its phase as much as a slip would: a recording at one speed would tell"
-"""What is said of an order of a sweep that is undecided: no longer sweep tells, a held speed does."""
+IN_SWEEP = Doubt(
+    "in a sweep",
+    "the modes that it crosses may turn its phase as much as a slip would: a recording at one speed would tell",
+)
+"""Of an undecided order of a sweep: no longer sweep tells, a held speed does."""
 
-UNPARTED = "too short to part a locked line from another beside it, which together would look like this"
-"""What is said of a line that would slip, if it is one."""
+UNPARTED = Doubt(
+    "close lines", "too short to part a locked line from another beside it, which together would look like this"
+)
+"""Of a line that would slip, if it is one."""
 
-PARTED_IN_SWEEP = "one of several lines within a quarter order, told apart as they were followed through the sweep"
+PARTED_IN_SWEEP = Doubt(
+    "close lines", "one of several lines within a quarter order, told apart as they were followed through the sweep"
+)
+
+BY_THEIR_BEAT = (Doubt("close lines", "two lines within a quarter order, told apart by their beat"),)
 
 
 @dataclass(frozen=True)
@@ -120,7 +128,7 @@ class _Unnamed:
 
     number: _Number
     lines: list[OrderLine]
-    reservation: str
+    doubts: tuple[Doubt, ...] = ()
 
 
 def orders_agreed(
@@ -153,9 +161,7 @@ def orders_agreed(
     held = [line for line in lines if test.holds(line.order)]
     parted = [one for group in _groups(held) for one in _parted(group, test)]
     orders = [one.number.order for one in parted]  # close lines, to which another group has led already, count once
-    found = [
-        one for at, one in enumerate(parted) if one.reservation != PARTED_IN_SWEEP or orders[at] not in orders[:at]
-    ]
+    found = [one for at, one in enumerate(parted) if PARTED_IN_SWEEP not in one.doubts or orders[at] not in orders[:at]]
     found = _with_close_lines(found, test, settings)
     if source == "stated":
         numbers = [one for one in found if one.number.by_phase]
@@ -176,14 +182,14 @@ def _with_close_lines(found: list[_Unnamed], test: _Test, settings: IdentifySett
 
     def doubtful(low: float, high: float) -> bool:
         near = [one for one in found if low <= one.number.order <= high]
-        swells = any(SWELLS in one.reservation or _may_be_two(one.lines) for one in near)
+        swells = any(SWELLS in one.doubts or _may_be_two(one.lines) for one in near)
         # a speed that wanders unseen makes several lines of one, and those would prove the speed
         return test.by_pulses and (swells or not near)
 
     for close in close_lines(test.recordings, test.order_map, told=told, doubtful=doubtful, mains_hz=settings.mains_hz):
-        text = f"{len(close.solved)} {SOLVED}"
+        doubts = (Doubt("close lines", f"{len(close.solved)} {SOLVED}"),)
         added = [
-            _Unnamed(_Number(one.order, one.error, DEGREES_OF_FREEDOM, True, parted_rev=close.span_rev), lines, text)
+            _Unnamed(_Number(one.order, one.error, DEGREES_OF_FREEDOM, True, parted_rev=close.span_rev), lines, doubts)
             for one in close.solved
             if (lines := lines_at(close, one, test.order_map))
         ]
@@ -197,7 +203,7 @@ def _may_be_mains(one: _Unnamed, settings: IdentifySettings) -> bool:
     A motor's stated speed is often that of the field, whose multiples the mains make however the shaft turns.
     """
     speeds = np.concatenate([line.speed_rpm for line in one.lines])
-    if not np.isfinite(speeds).all() or speeds.max() > SAID.alike_speeds_ratio * speeds.min():
+    if not alike_speeds(speeds):
         return False
     return bool(multiples_near(one.number.order * float(speeds.mean()) / 60.0, 0.0, settings=settings))
 
@@ -219,7 +225,7 @@ def _without_twins(agreed: list[AgreedOrder], near: float, match: float) -> list
     kept: list[AgreedOrder] = []
     for item in agreed:
         twin = bool(kept) and item.order - kept[-1].order < min(near, match)
-        twin = twin and not all(PARTED_IN_SWEEP in one.reservation for one in (item, kept[-1]))
+        twin = twin and not all(PARTED_IN_SWEEP in one.doubts for one in (item, kept[-1]))
         error = np.hypot(item.line_error, kept[-1].line_error) if twin else 0.0
         if twin and item.order - kept[-1].order < 4.0 * error:
             kept[-1] = max(kept[-1], item, key=lambda one: sum(len(line.seen) for line in one.lines))
@@ -249,7 +255,7 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
         by_lobe = replace(by_lobe, swept=((bin_order, None),))
     if not seen:
         two = _may_be_two(group)
-        return [_Unnamed(_unparted(by_lobe, test) if two else by_lobe, group, SWELLS if two else "")]
+        return [_Unnamed(_unparted(by_lobe, test) if two else by_lobe, group, (SWELLS,) * two)]
     first = _joined([(bin_order + z.offset, z.variance, z.dof) for z in seen.values()])
     if all(z.swept for z in seen.values()):
         first = replace(first, swept=tuple((bin_order, z.course) for z in seen.values()))
@@ -269,13 +275,12 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
             wide = group
         firsts = _rebuilt(wide, test, seen, first) if steps else group
         seconds = _rebuilt(wide, test, pairs, second)
-        text = "two lines within a quarter order, told apart by their beat"
-        return [_Unnamed(first, firsts, text), _Unnamed(second, seconds, text)]
+        return [_Unnamed(first, firsts, BY_THEIR_BEAT), _Unnamed(second, seconds, BY_THEIR_BEAT)]
     known = [z.wander for z in seen.values() if np.isfinite(z.wander)]
     swells = bool(known) and float(np.median(known)) > NUMBERS.wander_ratio
     if not known and _may_be_two(group):
         first, swells = _unparted(first, test), True
-    return [_Unnamed(first, group, SWELLS if swells else "")]
+    return [_Unnamed(first, group, (SWELLS,) * swells)]
 
 
 def _followed(group: list[OrderLine], found: list[Followed], test: _Test) -> _Unnamed:
@@ -297,7 +302,7 @@ def _followed(group: list[OrderLine], found: list[Followed], test: _Test) -> _Un
         order=number.order,
         order_error=number.error,
     )
-    return _Unnamed(number, lines or group, PARTED_IN_SWEEP)
+    return _Unnamed(number, lines or group, (PARTED_IN_SWEEP,))
 
 
 def _may_be_two(group: list[OrderLine]) -> bool:
@@ -376,10 +381,10 @@ def _between(order: Floats, variance: Floats) -> float:
 def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
     number, lines = found.number, found.lines
     order, error = number.order, number.error
-    reasons = [found.reservation] if found.reservation else []
+    doubts = [*found.doubts]
     if not test.speed_is_sure:
         error = float(np.hypot(error, ORDER_LOCK.stated_speed_error * order))
-        reasons.append(NO_PULSES)
+        doubts.append(NO_PULSES)
     elif not test.by_pulses:
         error = float(np.hypot(error, ORDER_LOCK.proven_speed_error * order))
     by_phase = number.by_phase and test.speed_is_sure
@@ -390,11 +395,11 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
     if lock == "slips" and (hidden or not number.slips_from(multiple)):
         lock = "undecided"
         error = max(error, abs(order - multiple) / half_width(number.degrees_of_freedom))
-        reasons.append(IN_SWEEP)
+        doubts.append(IN_SWEEP)
     if lock == "slips" and _may_be_a_pair(found, abs(order - multiple), test):
         lock = "undecided"
-        reasons.append(UNPARTED)
-    if lock == "slips" and any(UNRESOLVED in line.reservation for line in lines):
+        doubts.append(UNPARTED)
+    if lock == "slips" and any(UNRESOLVED in line.doubts for line in lines):
         lock = "undecided"  # a resonance that passes has no order to slip from
     if lock == "locked":
         order = multiple
@@ -403,11 +408,11 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
         error = max(error, abs(number.order - order) / within)
     elif lock == "undecided":
         needed = _needed_revs(order, lines, test)
-        if needed is None and any(is_swept(item.speed_rpm) for item in test.recordings) and IN_SWEEP not in reasons:
-            reasons.append(IN_SWEEP)
-    reasons += sorted({line.reservation for line in lines if line.reservation})
+        if needed is None and any(is_swept(item.speed_rpm) for item in test.recordings) and IN_SWEEP not in doubts:
+            doubts.append(IN_SWEEP)
+    doubts += sorted({doubt for line in lines for doubt in line.doubts}, key=lambda doubt: doubt.words)
     own = None if test.by_pulses else number.error
-    return AgreedOrder(order, error, number.degrees_of_freedom, lock, needed, tuple(lines), "; ".join(reasons), own)
+    return AgreedOrder(order, error, number.degrees_of_freedom, lock, needed, tuple(lines), tuple(doubts), own)
 
 
 def _may_be_a_pair(found: _Unnamed, off: float, test: _Test) -> bool:
@@ -421,7 +426,7 @@ def _may_be_a_pair(found: _Unnamed, off: float, test: _Test) -> bool:
     spans = [float(np.ptp(item.centre_rev)) + item.revs for item in test.recordings if len(item.centre_rev)]
     if found.number.swept:
         return off * longest_frame(float(test.recordings[0].revs), max(spans, default=0.0)) < SWEPT_ORDERS.nearest_bins
-    return SWELLS in found.reservation and off * max(spans, default=0.0) < NUMBERS.beats_of_a_pair
+    return SWELLS in found.doubts and off * max(spans, default=0.0) < NUMBERS.beats_of_a_pair
 
 
 def unless_sidebands(
@@ -435,9 +440,8 @@ def unless_sidebands(
         few = 2 * len({at for line in one.lines for at in line.seen.tolist()}) <= order_map.sizes["speed"]
         carrier = sideband_of(one.lines, order_map, frames) if few or one.lock != "locked" else None
         if carrier is not None:
-            why = f"no larger than what errors of the crank angle make of order {carrier:g}"
-            reservation = "; ".join(filter(None, (one.reservation, why)))
-            one = replace(one, lock="undecided", reservation=reservation, of_angle=True)
+            doubt = Doubt("angle in error", f"no larger than what errors of the crank angle make of order {carrier:g}")
+            one = replace(one, lock="undecided", doubts=(*one.doubts, doubt), of_angle=True)
         made.append(one)
     return tuple(made)
 

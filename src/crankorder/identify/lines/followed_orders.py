@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.found import AgreedOrder, OrderLine, Tone, ToneKind
+from crankorder.identify.found import UNRESOLVED, AgreedOrder, Doubt, OrderLine, Tone, ToneKind
 from crankorder.identify.intervals import half_width, interval
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.agreed_orders import NUMBERS as AGREED_ORDERS
@@ -19,7 +19,6 @@ from crankorder.identify.lines.line_phasors import is_swept, recordings_of
 from crankorder.identify.lines.order_lock import nearest_multiple, sure_half_width
 from crankorder.identify.lines.parted_lines import Followed, lines_of, standing_out
 from crankorder.identify.lines.swept_orders import longest_frame
-from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.fixed_lines import FixedLine, MetRow, OrderRows
 from crankorder.orders.track_rows import TrackReader, all_tracked, track_order
 from crankorder.quantities import Bools, Floats, Ints, QualityFlag
@@ -35,8 +34,9 @@ class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="followed_orde
 
 NUMBERS = _Numbers.load()
 
-ONLY_FOLLOWED = "seen along the sweep only, where it was followed: no frame of the map holds it for long"
-"""What is said of an order that the map does not show."""
+ONLY_FOLLOWED = Doubt(
+    "followed only", "seen along the sweep only, where it was followed: no frame of the map holds it for long"
+)
 
 
 def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset]) -> tuple[AgreedOrder, ...]:
@@ -99,8 +99,8 @@ def with_followed(
                 span = float(np.ptp(item["crank_angle"].values[clear.any(axis=0)]))
                 error = min(apart, AGREED_ORDERS.most_mode_turns / span) / half_width(np.inf)
                 lines = _lines_along(item, place, clear, error, order_map)
-                why = f"{ONLY_FOLLOWED}; {IN_SWEEP}"
-                found.append(AgreedOrder(number, error, np.inf, "undecided", None, lines, why))
+                doubts = (ONLY_FOLLOWED, IN_SWEEP)
+                found.append(AgreedOrder(number, error, np.inf, "undecided", None, lines, doubts))
     return tuple(sorted(found, key=lambda one: one.order))
 
 
@@ -226,7 +226,7 @@ def _read(
 
     Rows that ``met`` lines of one frequency are no longer what the frames showed there.
     """
-    if line.reservation == UNRESOLVED:
+    if line.doubts == (UNRESOLVED,):
         return line
     amplitude, error = rows.amplitude[channel], rows.standard_error[channel]
     known = np.isfinite(amplitude) & np.isfinite(error) & (amplitude > 0.0)

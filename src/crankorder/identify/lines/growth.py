@@ -13,10 +13,10 @@ from typing import Literal
 import numpy as np
 from scipy.special import gammaincc, stdtr
 
+from crankorder.cause import Cause
 from crankorder.findings import Balance
 from crankorder.identify.found import Mode, OrderLine
 from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width, half_widths, known_freedom, root
-from crankorder.identify.said import IF_UNBALANCE, LIKE_UNBALANCE, NOT_AS_UNBALANCE, ONE_SPEED
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
 
@@ -380,42 +380,44 @@ def is_motion(quantity: str) -> bool:
     return not any(word in quantity for word in NO_MOTION)
 
 
-def order_one(line: OrderLine, quantity: str, modes: Sequence[Mode]) -> tuple[str | None, str]:
+def order_one(line: OrderLine, quantity: str, modes: Sequence[Mode]) -> Cause:
     """What the growth of order 1, the ``line``, says of it in that ``quantity``, and why.
 
-    "unbalance" where it grows as one does; LIKE_UNBALANCE where nothing tells it from a bent shaft or misalignment;
-    None where it surely grows more slowly, which a natural frequency of ``modes`` does not explain.
+    Unbalance where it grows as one does; an unbalance, a bent shaft or a misalignment where nothing tells these apart;
+    unexplained where it surely grows more slowly, which a natural frequency of ``modes`` does not explain.
     """
     grown, least = growth(line), UNBALANCE_EXPONENT.get(quantity, 2.0)
+    like = functools.partial(Cause, "unbalance, bent shaft or misalignment")
     if grown is None:
-        return LIKE_UNBALANCE, f"{ONE_SPEED}{_between_few(line, least, modes)}"
+        return like(f"too few speeds to tell how it grows{_between_few(line, least, modes)}", doubt="few speeds")
     low, high = grown.ci95
     if len(grown.deviating_rpm) > NUMBERS.largest_deviating_share * np.count_nonzero(line.amplitude > 0.0):
-        return LIKE_UNBALANCE, "no power of the speed describes how it grows"
+        return like("no power of the speed describes how it grows")
     grows = f"goes with speed to the {grown.exponent:.2f} ({low:.2f} to {high:.2f})"
     would = f"which alone would with {least:g} or more"
     lowest = _least_beside(line.speed_rpm, least, modes, grown)
     if high < lowest - ORDER_ONE_NUMBERS.slower_exponent:
-        return None, f"{grows}: it {NOT_AS_UNBALANCE}, {would}"
+        slower = f"{grows}: it does not grow as unbalance does, {would}"
+        return Cause("unexplained", slower, doubt="slower than unbalance")
     if high < lowest - ORDER_ONE_NUMBERS.little_slower_exponent:
-        return LIKE_UNBALANCE, f"{grows}, more slowly than unbalance, {would}, far from natural frequencies"
+        return like(f"{grows}, more slowly than unbalance, {would}, far from natural frequencies")
     if grown.law == "follows no power law":
-        return LIKE_UNBALANCE, f"{grows}, and no power of the speed describes it"
-    return "unbalance", grows
+        return like(f"{grows}, and no power of the speed describes it")
+    return Cause("unbalance", grows)
 
 
-def if_unbalance(balance: Balance, causes: Collection[tuple[str, str]]) -> tuple[Balance | None, str]:
+def if_unbalance(balance: Balance, causes: Collection[Cause]) -> tuple[Balance | None, str]:
     """The ``balance`` as far as order 1 may be unbalance; None and why where it surely is none.
 
-    ``causes``: text and evidence of every line of the test.
+    ``causes``: those of every line of the test.
     """
-    texts = {text for text, _ in causes}
-    beside = [why for text, why in causes if NOT_AS_UNBALANCE in why and text != LIKE_UNBALANCE]
-    if beside and not {"unbalance", LIKE_UNBALANCE} & texts:
-        return None, f"order 1 is no unbalance, or not alone: {beside[0]}"
-    if beside or LIKE_UNBALANCE in texts:
-        told = f"{IF_UNBALANCE}, which nothing tells from a bent shaft or misalignment"
-        return replace(balance, evidence=f"{balance.evidence}; {told}"), ""
+    slower = [cause.evidence for cause in causes if cause.doubt == "slower than unbalance"]
+    like = any(cause.is_just("unbalance, bent shaft or misalignment") for cause in causes)
+    if slower and not like and not any(cause.is_just("unbalance") for cause in causes):
+        return None, f"order 1 is no unbalance, or not alone: {slower[0]}"
+    if slower or like:
+        told = "if order 1 is unbalance, which nothing tells from a bent shaft or misalignment"
+        return replace(balance, evidence=f"{balance.evidence}; {told}", if_unbalance=True), ""
     return balance, ""
 
 
@@ -447,6 +449,5 @@ def _between_few(line: OrderLine, least: float, modes: Sequence[Mode]) -> str:
     slopes = [_slope(rpm[[slow, fast]], mode.frequency_hz, mode.damping_ratio) for mode in modes]
     if high >= least + min([0.0, *slopes]) - ORDER_ONE_NUMBERS.slower_exponent:
         return ""
-    return (
-        f"; from {rpm[slow]:.0f} to {rpm[fast]:.0f} rpm it {NOT_AS_UNBALANCE}, unless a natural frequency is near one"
-    )
+    speeds = f"from {rpm[slow]:.0f} to {rpm[fast]:.0f} rpm"
+    return f"; {speeds} it does not grow as unbalance does, unless a natural frequency is near one"

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from crankorder.cause import Cause, CauseKind
 from crankorder.engine.motor import MotorLine
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.intervals import half_width
@@ -102,13 +103,47 @@ class Sighting:
 
 @dataclass(frozen=True, eq=False)
 class LineSeen:
-    """A known line in one recording: its order, frequency and amplitudes; ``also``: what else may stand there."""
+    """A known line in one recording: its order, frequency and amplitudes.
+
+    ``also``: other known lines that may stand there; ``also_order``: the order of the shaft that may, or None.
+    """
 
     line: MotorLine
     held: Held
     hertz: float
     sighting: Sighting
-    also: tuple[str, ...] = ()
+    also: tuple[MotorLine, ...] = ()
+    also_order: float | None = None
+
+    @property
+    def alone(self) -> bool:
+        """Whether nothing else that is known may stand there."""
+        return not self.also and self.also_order is None
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """Names of what else may stand there."""
+        names = [line.name for line in self.also]
+        return tuple(dict.fromkeys(names if self.also_order is None else [*names, f"order {self.also_order:g}"]))
+
+    def cause(self, evidence: str) -> Cause:
+        """What makes the line, with the ``evidence`` for it: the motor, its field or the supply."""
+        others = [
+            Cause(_kind(line), parameters={"name": line.name})
+            for line in {other.name: other for other in self.also}.values()
+        ]
+        return Cause(_kind(self.line), evidence, {"name": self.name}).either(*others)
+
+    @property
+    def name(self) -> str:
+        """What the line is called: "twice mains", "motor, bar pass"."""
+        return self.line.name if _kind(self.line) == "mains" else f"motor, {self.line.name}"
+
+
+def _kind(line: MotorLine) -> CauseKind:
+    if line.turns == 0.0 and not line.of:
+        return "mains"
+    return "motor" if line.mains == 0 else "field of a motor"
 
 
 def held_of(frames: Sequence[xr.Dataset], order_map: xr.Dataset) -> list[Held]:
@@ -327,7 +362,7 @@ def _is_at(known: LineSeen, agreed: AgreedOrder) -> bool:
     away, apart = abs(known.sighting.order - agreed.order), NUMBERS.apart_cycles
     if agreed.lock == "locked":
         exact = known.line.mains == 0 and not known.line.of
-        return away * known.held.span_rev < apart and (exact or bool(known.also))
+        return away * known.held.span_rev < apart and (exact or not known.alone)
     return away <= max(half_width(agreed.degrees_of_freedom) * agreed.order_error, apart / known.held.span_rev)
 
 
@@ -355,9 +390,3 @@ def without_known(modal: ModalFit, known: Sequence[LineSeen]) -> ModalFit:
     at = np.array([[2 * number, 2 * number + 1] for number in kept], dtype=np.int64).ravel()
     covariance = modal.covariance[np.ix_(at, at)] if len(kept) < len(modal.modes) else modal.covariance
     return replace(modal, modes=tuple(modal.modes[number] for number in kept), covariance=covariance)
-
-
-def words_of(seen: LineSeen) -> str:
-    """What a line that was ``seen`` is called."""
-    name = seen.line.name
-    return name if seen.line.turns == 0.0 and not seen.line.of else f"motor, {name}"

@@ -8,6 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
+from crankorder.cause import Cause, alike_speeds, mains_words, of_mains
 from crankorder.engine.motor import SHAFT, USUAL_SLIP, Motor, MotorLine, motor_lines
 from crankorder.findings import Motor as MotorRecord
 from crankorder.findings import MotorLine as LineRecord
@@ -23,12 +24,9 @@ from crankorder.identify.lines.known_lines import (
     found_near,
     named_by,
     sightings,
-    words_of,
 )
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
-from crankorder.identify.said import NUMBERS as SAID
-from crankorder.identify.said import mains_words
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -47,12 +45,6 @@ class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="mains"):
 
 
 NUMBERS = _Numbers.load()
-
-OR_ANOTHER = "or another tone"
-"""What is added where two lines have as good a claim: a supply has one frequency, and a place one supply."""
-
-OR_RESONANCE = "or a natural frequency"
-"""What is added where the recordings are too short to tell a line from a resonance that noise excites."""
 
 
 def nearest_multiple(
@@ -123,13 +115,14 @@ def mains_orders(
     tones: Sequence[Tone] = (),
     exact: Sequence[float] = (),
     settings: IdentifySettings,
-) -> dict[float, tuple[str, str]]:
-    """Words and evidence of those of ``orders`` that are or may be multiples of a mains frequency, by order.
+) -> dict[float, Cause]:
+    """Causes of those of ``orders`` that are or may be multiples of a mains frequency, by order.
 
     Only of lines seen at speeds too alike to tell an order from a fixed frequency. The mains frequency and its double
     stand alone; further multiples only beside one of these, on the same grid, or where more of them are there than
     chance would bring. Where one line is surely mains, those that may be orders of the shaft must lie on its grid. Two
-    lines at one multiple of a supply, or lines of two supplies, may each be another tone as well.
+    lines at one multiple of a supply, or lines of two supplies, may each be another tone as well; where the
+    recordings are too short to tell a line from a resonance that noise excites it may be a natural frequency.
 
     Parameters
     ----------
@@ -148,24 +141,26 @@ def mains_orders(
         np.array([order in exact for order in names]),
     )
     tones_hz = [tone.frequency_hz for tone in tones]
-    hits = {mains: found for mains in settings.mains_hz if (found := _hits(lines, mains, tones_hz, settings)).any()}
-    sure = [mains for mains, found in hits.items() if (found & ~lines.exact).any()]
-    grids = [mains for mains in sure if np.unique(np.rint(lines.hertz / mains)[hits[mains] & ~lines.exact]).size > 1]
+    hits = {hertz: hit for hertz in settings.mains_hz if (hit := _hits(lines, hertz, tones_hz, settings)).any()}
+    sure = [hertz for hertz, hit in hits.items() if (hit & ~lines.exact).any()]
+    grids = [hertz for hertz in sure if np.unique(np.rint(lines.hertz / hertz)[hits[hertz] & ~lines.exact]).size > 1]
     if len(grids) == 1:  # a plant has one supply: that of which several multiples stand on one grid
-        sure, hits = grids, {mains: hits[mains] for mains in grids}
+        sure, hits = grids, {hertz: hits[hertz] for hertz in grids}
     unproven = {one.order for one in orders if all(line.evidence == UNPROVEN for line in one.lines)}
-    made: dict[float, tuple[str, str]] = {}
-    for mains, found in hits.items():
-        multiple, _ = nearest_multiple(lines.hertz, mains, settings=settings)
-        rivals = _rivals(lines, found & ~lines.exact, mains, tones)
-        for at in np.flatnonzero(found).tolist():
+    causes: dict[float, Cause] = {}
+    for hertz, hit in hits.items():
+        multiple, _ = nearest_multiple(lines.hertz, hertz, settings=settings)
+        rivals = _rivals(lines, hit & ~lines.exact, hertz, tones)
+        for at in np.flatnonzero(hit).tolist():
             number = int(multiple[at])
-            words = mains_words(number if len(sure) < 2 else 1)
-            words = f"{words} {OR_ANOTHER}" if len(sure) > 1 or rivals[at] else words
-            words = f"{words} {OR_RESONANCE}" if names[at] in unproven else words
-            text = f"{lines.hertz[at]:.6g} Hz, {number} x {mains:g} Hz within what mains wander by"
-            made.setdefault(names[at], (words, f"{text}; at one speed mains look like orders"))
-    return made
+            text = f"{lines.hertz[at]:.6g} Hz, {number} x {hertz:g} Hz within what mains wander by"
+            cause = of_mains(number if len(sure) < 2 else 1, f"{text}; at one speed mains look like orders")
+            if len(sure) > 1 or rivals[at]:
+                cause = cause.either(Cause("another tone"))
+            if names[at] in unproven:
+                cause = cause.either(Cause("a natural frequency"))
+            causes.setdefault(names[at], cause)
+    return causes
 
 
 def _hits(lines: _Fixed, mains: float, tones_hz: Sequence[float], settings: IdentifySettings) -> Bools:
@@ -209,7 +204,7 @@ def _rivals(lines: _Fixed, claim: Bools, mains: float, tones: Sequence[Tone]) ->
 def _fixed_hz(agreed: AgreedOrder) -> tuple[float, float] | None:
     """Frequency and error of a line that may as well be fixed; None where several speeds say otherwise."""
     speed = np.concatenate([line.speed_rpm for line in agreed.lines])
-    if not np.isfinite(speed).all() or speed.max() > SAID.alike_speeds_ratio * speed.min():
+    if not alike_speeds(speed):
         return None
     rpm = float(speed.mean())
     error = float(np.hypot(agreed.line_error * rpm, agreed.order * np.ptp(speed) / 4.0))
@@ -299,7 +294,7 @@ def with_mains_tones(modal: ModalFit, known: Sequence[LineSeen], orders: Sequenc
     tones = list(modal.tones)
     fixed: dict[int, list[LineSeen]] = {}
     for seen in known:
-        if seen.line.turns == 0.0 and not seen.also:
+        if seen.line.turns == 0.0 and seen.alone:
             fixed.setdefault(seen.line.mains, []).append(seen)
     held_by_orders = {named.line.mains for one in orders if (named := named_by(known, one)) and not named.line.turns}
     for mains, group in fixed.items():
@@ -493,7 +488,7 @@ def _seen_in(held: Held, lines: Sequence[MotorLine], supply_hz: float) -> list[L
     at_places = sightings(held, places)
     shown = {
         number: LineSeen(
-            line, held, line.hertz_at(supply_hz, held.rpm), sighting, _also(held, number, lines, places, at_places)
+            line, held, line.hertz_at(supply_hz, held.rpm), sighting, *_also(held, number, lines, places, at_places)
         )
         for number, (line, sighting) in enumerate(zip(lines, at_places, strict=True))
         if sighting is not None and sighting.seen
@@ -504,7 +499,7 @@ def _seen_in(held: Held, lines: Sequence[MotorLine], supply_hz: float) -> list[L
         if seen.line.of and seen.line.of not in carriers:
             continue
         partner = [k for k in shown if k != number and seen.line.of and lines[k].name == seen.line.name]
-        if seen.also and seen.line.of and not any(not shown[k].also for k in partner):
+        if not seen.alone and seen.line.of and not any(shown[k].alone for k in partner):
             continue
         kept.append(seen)
     return kept
@@ -516,22 +511,21 @@ def _also(
     lines: Sequence[MotorLine],
     places: Sequence[Place],
     at_places: Sequence[Sighting | None],
-) -> tuple[str, ...]:
-    """What else stands so near to line ``number`` that the recording does not tell them apart."""
+) -> tuple[tuple[MotorLine, ...], float | None]:
+    """Other lines, and the order of the shaft, so near to line ``number`` that the recording does not part them."""
     order = held.order_of(places[number])
-    names = [
-        line.name
+    near = tuple(
+        line
         for other, line in enumerate(lines)
         if other != number
         and line.of != lines[number].name
         and at_places[other] is not None
         and abs(held.order_of(places[other]) - order) * held.span_rev < KNOWN_LINES.apart_cycles
-    ]
+    )
     whole = round(order)
     fixed = lines[number].mains != 0 or lines[number].of != ""
-    if fixed and whole >= 1 and abs(order - whole) * held.span_rev < KNOWN_LINES.apart_cycles:
-        names.append(f"order {whole}")
-    return tuple(dict.fromkeys(names))
+    on_order = fixed and whole >= 1 and abs(order - whole) * held.span_rev < KNOWN_LINES.apart_cycles
+    return near, float(whole) if on_order else None
 
 
 def _records(lines: Sequence[LineSeen]) -> tuple[LineRecord, ...]:
@@ -544,7 +538,7 @@ def _records(lines: Sequence[LineSeen]) -> tuple[LineRecord, ...]:
                 continue
             key = seen.line.name, seen.line.mains, seen.line.turns, channel
             record = LineRecord(
-                name=words_of(seen),
+                name=seen.name,
                 side=seen.line.side,
                 channel=channel,
                 frequency_hz=seen.hertz,
@@ -552,7 +546,7 @@ def _records(lines: Sequence[LineSeen]) -> tuple[LineRecord, ...]:
                 speed_rpm=seen.held.rpm,
                 amplitude=size,
                 amplitude_ci95=(max(0.0, size - Z95 * error), size + Z95 * error),
-                others=tuple(seen.also),
+                others=seen.others,
                 n_recordings=1,
             )
             old = records.get(key)

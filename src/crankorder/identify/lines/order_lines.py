@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from scipy.special import chdtrc
 
-from crankorder.identify.found import Evidence, OrderLine
+from crankorder.identify.found import UNRESOLVED, Doubt, Evidence, OrderLine
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
 from crankorder.identify.lines.growth import remark_on
@@ -24,7 +24,6 @@ from crankorder.identify.lines.line_evidence import (
 )
 from crankorder.identify.lines.line_phasors import Phasors, Recording, is_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import Zoomed, left_of_slow_waves
-from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.averages import HeldSizes, SizeRows
 from crankorder.quantities import Floats, Ints
 from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings
@@ -47,9 +46,9 @@ NUMBERS = _Numbers.load()
 ANYWHERE_BINS = float(np.sqrt(1.0 / 12.0))
 """Standard deviation, in bins, of the place of a line that may lie anywhere within one."""
 
-SWELLS = "it swells and fades slowly: two lines closer than a recording can tell may stand here"
+SWELLS = Doubt("swells", "it swells and fades slowly: two lines closer than a recording can tell may stand here")
 
-ONE_SPEED = "at one speed a line of fixed frequency would look the same"
+ONE_SPEED = Doubt("one speed", "at one speed a line of fixed frequency would look the same")
 
 
 @dataclass(frozen=True)
@@ -103,11 +102,11 @@ def order_lines(
     eight bins if these are less, and is no resonance that noise excites: its frames agree in phase (locked to the
     shaft), or in amplitude over speeds at which a fixed frequency would have left its bin (it slips), or at one speed
     more than the least damped resonance would; or it follows the speed far. In a test too short for such
-    proof, a high line on an order of the cycle is named with that reservation; and so is one at too few speeds, where
+    proof, a high line on an order of the cycle is named with that doubt; and so is one at too few speeds, where
     noise would make one like it somewhere in the map with less than ``settings.false_alarm_probability``.
     ``orders`` give the floor's width. With the ``frames`` (OrderFrames of all recordings) a line also counts that keeps
     one order, though no exact multiple of the shaft's, by the turn of its phase (a map alone shows that of long lines
-    only); one that swells and fades slowly, as two do that are too close to be parted, is kept with that reservation.
+    only); one that swells and fades slowly, as two do that are too close to be parted, is kept with that doubt.
     """
     over = excess_over_noise(order_map, settings=settings, orders=orders)
     search = _Search(order_map, recordings_of(frames), *over, settings.false_alarm_probability)
@@ -131,7 +130,7 @@ def order_lines(
 def _stronger(
     search: _Search, channel: int, refused: list[tuple[int, Ints]], named: list[OrderLine]
 ) -> list[OrderLine]:
-    """Lines, with a reservation, of ``refused`` peaks (bin, speeds) above all that is ``named`` in the channel.
+    """Lines, with a doubt, of ``refused`` peaks (bin, speeds) above all that is ``named`` in the channel.
 
     No rule tells what they are, but nothing weaker may pass for the strongest beside them: they stand far over the
     floor, and not at the same frequency at the speeds beside.
@@ -146,7 +145,7 @@ def _stronger(
     for peak, seen in refused:
         far = float(search.ratio[channel, seen, peak].max()) > NUMBERS.swelling_ratio
         if far and amplitude[seen, peak].max() > largest and not _has_fixed_frequency(search, channel, peak, seen):
-            line = _line(search, channel, peak, seen, UNPROVEN, UNRESOLVED)
+            line = _line(search, channel, peak, seen, UNPROVEN, (UNRESOLVED,))
             # two lines in one bin may be nothing, or twice what it holds
             ends = line.amplitude[:, None] * np.array([0.0, 2.0])
             made.append(replace(line, amplitude_error=0.5 * line.amplitude, ends=ends))
@@ -155,7 +154,7 @@ def _stronger(
 
 def _line_at(search: _Search, channel: int, peak: int, seen: Ints, needed: int) -> OrderLine | None:
     """The line in bin ``peak``; None where it is noise, a resonance or, at fewer speeds than ``needed``, doubtful."""
-    chance, reservation, n_speeds = search.false_alarm_probability, "", len(search.speed)
+    chance, n_speeds, doubts = search.false_alarm_probability, len(search.speed), list[Doubt]()
     alone = len(seen) >= needed or search.is_swept
     together = seen if alone else _seen_together(search, channel, peak)
     if len(together) >= needed and not (len(seen) < needed and _has_fixed_frequency(search, channel, peak, seen)):
@@ -164,7 +163,7 @@ def _line_at(search: _Search, channel: int, peak: int, seen: Ints, needed: int) 
         if not _beyond_chance(search, channel, peak, seen) or _has_fixed_frequency(search, channel, peak, seen):
             return None
         chance /= search.excess[0].size
-        reservation = f"seen at {len(seen)} of {n_speeds} speeds only"
+        doubts.append(Doubt("seldom seen", f"seen at {len(seen)} of {n_speeds} speeds only"))
     evidence = evidence_of(search.order_map, search.ratio[channel], channel, peak, seen, chance)
     if evidence is None and _keeps_one_order(search, channel, peak, seen, chance):
         steady: Evidence = "follows the speed" if search.is_swept else "steady, not locked"
@@ -172,13 +171,14 @@ def _line_at(search: _Search, channel: int, peak: int, seen: Ints, needed: int) 
     if evidence is None:
         evidence = _by_its_phase(search, channel, peak, seen, chance)
     if evidence is None and _swells_slowly(search, channel, peak, seen):
-        evidence, reservation = UNPROVEN, "; ".join(filter(None, (reservation, SWELLS)))
+        evidence = UNPROVEN
+        doubts.append(SWELLS)
     few = 2 * len(seen) < n_speeds and evidence == "steady, not locked"
     if evidence is None or (few and _has_fixed_frequency(search, channel, peak, seen)):
         return None
     if evidence == "steady, not locked" and n_speeds == 1:
-        reservation = "; ".join(filter(None, (reservation, ONE_SPEED)))
-    return _line(search, channel, peak, seen, evidence, reservation)
+        doubts.append(ONE_SPEED)
+    return _line(search, channel, peak, seen, evidence, tuple(doubts))
 
 
 def _seen_together(search: _Search, channel: int, peak: int) -> Ints:
@@ -302,7 +302,9 @@ def _peaks(excess: Floats, axis: Floats) -> Ints:
     return np.flatnonzero((score > 0.0) & (score >= highest))
 
 
-def _line(search: _Search, channel: int, peak: int, seen: Ints, evidence: Evidence, reservation: str) -> OrderLine:
+def _line(
+    search: _Search, channel: int, peak: int, seen: Ints, evidence: Evidence, doubts: tuple[Doubt, ...]
+) -> OrderLine:
     order_map, axis = search.order_map, search.axis
     resolution = float(axis[1] - axis[0])
     beside = np.clip([peak - 1, peak, peak + 1], 0, len(axis) - 1)
@@ -333,7 +335,7 @@ def _line(search: _Search, channel: int, peak: int, seen: Ints, evidence: Eviden
         phase_deg=order_map["phase"].values[channel, seen, peak],
         evidence=evidence,
         level_over_floor_db=float(10.0 * np.log10(search.ratio[channel, seen, peak].max())),
-        reservation=reservation,
+        doubts=doubts,
         ends=ends,
         phase_ci95_deg=half,
         remark="" if ends is None else remark_on(amplitude, error, dof, ends),

@@ -10,6 +10,7 @@ import xarray as xr
 from scipy.special import exp1
 
 from crankorder.findings import Lock
+from crankorder.identify.found import Doubt
 from crankorder.identify.intervals import half_width
 from crankorder.quantities import flags_of
 from crankorder.settings import MethodNumbers
@@ -77,8 +78,8 @@ def revs_to_decide(order: float, *, relative_error: float, span_rev: float, revs
     return float(max(span_rev * (error / wanted) ** (2.0 / 3.0), NUMBERS.fewest_frames * revs_per_frame))
 
 
-NO_PULSES = "no encoder pulses: the number is as good as the speed from which the crank angle comes"
-"""Reservation of an order whose speed was stated or read from something else than a shaft's pulses."""
+NO_PULSES = Doubt("no pulses", "no encoder pulses: the number is as good as the speed from which the crank angle comes")
+"""Of an order whose speed was stated or read from something else than a shaft's pulses."""
 
 SpeedSource = Literal["pulses", "stated", "vibration"]
 

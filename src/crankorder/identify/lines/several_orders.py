@@ -416,7 +416,7 @@ def lines_at(close: CloseLines, one: SolvedLine, order_map: xr.Dataset) -> list[
                 phase_deg=np.array([np.nan]),
                 evidence="steady, not locked",
                 level_over_floor_db=float(20.0 * np.log10(size / max(error, 1e-300))),
-                reservation=ONE_SPEED,
+                doubts=(ONE_SPEED,),
             )
         )
     return made

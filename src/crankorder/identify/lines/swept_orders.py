@@ -7,10 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.found import OrderLine
+from crankorder.identify.found import UNRESOLVED, OrderLine
 from crankorder.identify.lines.cfar import LOWEST_BINS
 from crankorder.identify.lines.order_lines import order_lines
-from crankorder.identify.said import UNRESOLVED
 from crankorder.orders.like_speed import reframed
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import hann_lobe
@@ -200,7 +199,7 @@ def _on_multiple(order: float, cycle: int, step: float) -> float:
 def _lines(frames: xr.Dataset, settings: Settings) -> list[OrderLine]:
     found = order_map([frames], settings=settings.orders)
     lines = order_lines(found, settings=settings.identify, orders=settings.orders, frames=[frames])
-    return [line for line in lines if UNRESOLVED not in line.reservation]  # no number to follow
+    return [line for line in lines if UNRESOLVED not in line.doubts]  # no number to follow
 
 
 def _lengthened(frames: xr.Dataset) -> Iterator[xr.Dataset]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, Tone
+from crankorder.identify.found import AgreedOrder, Doubt, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.known_lines import LOBE_BINS, Held, found_near
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
@@ -207,11 +207,11 @@ def _agreed(one: _Parted, order_map: xr.Dataset) -> AgreedOrder:
     if lock == "locked":
         exact = nearest_multiple(order, revs_per_cycle=turns)
         order, error = exact, max(error, abs(order - exact) / Z95)
-    text = f"{len(one.seen)} recordings part it from what stands beside it"
+    parted = Doubt("close lines", f"{len(one.seen)} recordings part it from what stands beside it")
     lines = tuple(
         line for k, name in enumerate(one.seen[0][0].channels) if (line := _line(one, k, name, order, error, order_map))
     )
-    return AgreedOrder(order, error, DEGREES_OF_FREEDOM, lock, None, lines, text)
+    return AgreedOrder(order, error, DEGREES_OF_FREEDOM, lock, None, lines, (parted,))
 
 
 def _line(one: _Parted, channel: int, name: str, order: float, error: float, order_map: xr.Dataset) -> OrderLine | None:

@@ -118,7 +118,7 @@ def _told(agreed: AgreedOrder, left: _Left, cycle: int) -> AgreedOrder:
         degrees_of_freedom=degrees_of_freedom,
         lock="locked",
         needed_revs=None,
-        reservation="; ".join(part for part in agreed.reservation.split("; ") if part != IN_SWEEP),
+        doubts=tuple(doubt for doubt in agreed.doubts if doubt != IN_SWEEP),
     )
 
 

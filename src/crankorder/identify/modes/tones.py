@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from crankorder.campbell.map import HANN_CORRELATION
+from crankorder.cause import alike_speeds
 from crankorder.identify.found import Tone, ToneKind
 from crankorder.identify.lines.mains import NUMBERS as MAINS
 from crankorder.identify.lines.mains import multiple_on, multiples_near, supply_told
@@ -16,7 +17,6 @@ from crankorder.identify.modes.search import dispersion
 from crankorder.identify.modes.surface_fit import NUMBERS as SURFACE_FIT
 from crankorder.identify.modes.surface_fit import TONE_BINS as NO_WIDTH
 from crankorder.identify.modes.surface_fit import Problem, SurfaceFit, evaluate, fit_surface
-from crankorder.identify.said import NUMBERS as SAID
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -241,7 +241,7 @@ def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: Ide
 def _moves(floor: Floor) -> bool:
     """Whether several speeds were tested, between which an order would have moved: one cannot tell what stays."""
     speed = floor.speed_rpm[np.isfinite(floor.speed_rpm)]
-    return len(speed) > 1 and bool(speed.max() > SAID.alike_speeds_ratio * speed.min())
+    return len(speed) > 1 and not alike_speeds(speed)
 
 
 def _rows_that_show(frequency_hz: float, floor: Floor) -> Bools:

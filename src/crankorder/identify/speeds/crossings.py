@@ -14,7 +14,6 @@ from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, Ord
 from crankorder.identify.intervals import ENDLESS_FREEDOM, claimed, half_width, positive_interval, simes
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.responses import WithAndWithout, with_and_without
-from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.speeds.above_trend import (
     Seen,
     above_trend,
@@ -29,6 +28,7 @@ from crankorder.settings import IdentifySettings, MethodNumbers
 
 class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="crossings"):
     false_discovery_rate: float
+    clearly_excited_ratio: float
     shape_share: float
     same_response_orders: float
     same_stated_share: float
@@ -262,14 +262,14 @@ def _unless_excited(
     if not inside:
         return "outside the tested range"
     resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
-    quiet = resolved and bool(trends) and max(item.ratio_high for item in trends) < SAID.clearly_excited_ratio
+    quiet = resolved and bool(trends) and max(item.ratio_high for item in trends) < NUMBERS.clearly_excited_ratio
     quiet &= all(seen_all_around(line, rpm, tested) for line in agreed.lines)
     known = [item for item in fitted if number in item.reached and item.span_rpm[0] <= rpm <= item.span_rpm[1]]
     if {item.channel for item in known} >= {line.channel for line in agreed.lines} and known:
         ends = [_beside_mode(item, number, modal).ends(half_width(float(item.degrees_of_freedom)))[1] for item in known]
-        quiet |= max(float(high.max()) for high in ends) < SAID.clearly_excited_ratio
+        quiet |= max(float(high.max()) for high in ends) < NUMBERS.clearly_excited_ratio
     by_fit = [one for item in fitted if (one := fitted_excess(item, number, modal)) is not None]
-    quiet &= all(one.ratio_low < SAID.clearly_excited_ratio for one in by_fit)
+    quiet &= all(one.ratio_low < NUMBERS.clearly_excited_ratio for one in by_fit)
     if mode.undecided:
         return "undecided mode"
     if quiet:

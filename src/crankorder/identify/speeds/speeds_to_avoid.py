@@ -25,9 +25,8 @@ from crankorder.identify.lines.growth import Largest, largest, reported_within
 from crankorder.identify.modes.exclusion import NUMBERS as EXCLUSION
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.responses import HeldPeak, peak_of, together, with_and_without
-from crankorder.identify.said import AMPLIFIED
-from crankorder.identify.said import NUMBERS as SAID
 from crankorder.identify.speeds.above_trend import Seen, above_trend, width_rpm
+from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
 from crankorder.identify.speeds.crossings import fitted_excess, higher, responses_to
 from crankorder.quantities import Bools
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -49,11 +48,12 @@ FLANKS = 120
 
 @dataclass(frozen=True, eq=False)
 class _Open:
-    """Speeds ``low_rpm`` to ``high_rpm`` that are not free, and why."""
+    """Speeds ``low_rpm`` to ``high_rpm`` that are not free, and why; ``amplified``: a mode is seen to amplify there."""
 
     low_rpm: float
     high_rpm: float
     why: str
+    amplified: bool = False
 
 
 @dataclass(frozen=True)
@@ -156,13 +156,12 @@ def _as_peak(item: Crossing, peak: AvoidedSpeed) -> Crossing:
     low, high = peak.amplification_ci95
     times = f"{peak.amplification:.2g} times" if np.isfinite(high) else f"at least {low:.2g} times"
     words = f"in {peak.channel}, where it is largest, {times} what it is without the mode"
-    kept = [part for part in item.evidence.split("; ") if part.startswith("chance")]
     return replace(
         item,
         amplification=peak.amplification,
         amplification_ci95=peak.amplification_ci95,
         channels=tuple(sorted({*item.channels, peak.channel})),
-        evidence="; ".join([words, *kept]),
+        evidence=words if item.chance is None else f"{words}; chance without the mode {item.chance:.1g}",
     )
 
 
@@ -175,7 +174,7 @@ def _counts(item: Crossing) -> bool:
     if not (item.excited and item.in_range) or _is_vague(item):
         return False
     measured = item.amplification_ci95[1] if item.amplification_ci95 is not None else 0.0
-    return max(measured, item.amplification_predicted) >= SAID.clearly_excited_ratio
+    return max(measured, item.amplification_predicted) >= CROSSINGS.clearly_excited_ratio
 
 
 def _cost(
@@ -278,7 +277,8 @@ def _amplification(
         best: Seen | None = by_fit if trend is None else higher(by_fit, [trend])
     else:
         best = trend
-    return best if best is not None and best.ratio is not None and best.ratio >= SAID.clearly_excited_ratio else None
+    clear = best is not None and best.ratio is not None and best.ratio >= CROSSINGS.clearly_excited_ratio
+    return best if clear else None
 
 
 def _overlapping(met: list[AvoidedSpeed]) -> list[list[AvoidedSpeed]]:
@@ -359,13 +359,14 @@ def _amplified(group: list[OrderResponse], number: int, modal: ModalFit, limits:
     over = (least > limits.factor) | ((most > limits.factor) & (grid >= first) & (grid <= last))
     if not over.any():
         return []
-    said = AMPLIFIED if (least > limits.factor).any() else "may be amplified more than"
+    amplified = bool((least > limits.factor).any())
+    what += f": {'is' if amplified else 'may be'} amplified more than {limits.factor:g} times"
     made = []
     for place, end_place in _runs(over):
         begin, end = float(grid[max(place - 1, 0)]), float(grid[min(end_place + 1, len(grid) - 1)])
         if begin <= rpm * (1.0 + beside) and end >= rpm * (1.0 - beside):
             begin, end = min(begin, rpm * (1.0 - beside)), max(end, rpm * (1.0 + beside))
-        made.append(_Open(begin, end, f"{what}: {said} {limits.factor:g} times"))
+        made.append(_Open(begin, end, what, amplified))
     return made
 
 
@@ -478,9 +479,10 @@ def _open_bands(opened: list[_Open], free: list[SpeedBand], speed_rpm: tuple[flo
     ends = [low, *(end for band in free for end in (band.low_rpm, band.high_rpm)), high]
     made = []
     for begin, end in zip(ends[::2], ends[1::2], strict=True):
-        reasons = [item.why for item in opened if item.why and item.low_rpm < end and item.high_rpm > begin]
-        if end > begin and reasons:
-            made.append(SpeedBand(begin, end, "; ".join(dict.fromkeys(reasons))))
+        within = [item for item in opened if item.why and item.low_rpm < end and item.high_rpm > begin]
+        if end > begin and within:
+            reasons = "; ".join(dict.fromkeys(item.why for item in within))
+            made.append(SpeedBand(begin, end, reasons, any(item.amplified for item in within)))
     return tuple(made)
 
 

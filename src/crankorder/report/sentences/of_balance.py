@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from crankorder.findings import Balance, Findings
-from crankorder.identify.said import IF_UNBALANCE
 from crankorder.report.notation import NAME_CHARACTERS, estimate_text, is_number, listed, named, order_texts
 
 QUANTITIES = {
@@ -35,7 +34,7 @@ def balance_sentences(findings: Findings) -> list[str]:
         reason = named(findings.balance_reason or "", limit=_LETTERS).rstrip(".")
         return [f"Residual unbalance in grams is not known: {reason}."] if reason else []
     sentences = []
-    but = f", {IF_UNBALANCE}" if IF_UNBALANCE in balance.evidence else ""
+    but = ", if order 1 is unbalance" if balance.if_unbalance else ""
     if is_number(balance.residual_reciprocating_g):
         text = f"Unbalanced reciprocating mass: {estimate_text(balance, 'residual_reciprocating_g', unit='g')}"
         sentences.append(f"{text}{source_text(balance)}.")

@@ -62,7 +62,7 @@ def bearing_lines(findings: Findings) -> list[tuple[str, BearingFinding]]:
 
 def asks_re_run(record: BearingFinding) -> bool:
     """True where the verdict of a bearing ``record`` asks to run the test again, or where none was worked out."""
-    return record.lock is None or "re-run" in record.verdict.lower()
+    return record.lock is None or record.re_run
 
 
 def _seen(findings: Findings, record: BearingFinding) -> str:

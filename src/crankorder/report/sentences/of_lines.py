@@ -8,8 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from crankorder.findings import Findings, Level, LineFinding, ModeFinding, Motor, MotorLine, MotorSpeed, OrderFinding
-from crankorder.identify.said import LIKE_UNBALANCE, MAY_BE_ALL, ONE_SPEED, UNRESOLVED
-from crankorder.report.fixed_lines import fixed_tones, hertz_of_order, is_electric, strongest_tone
+from crankorder.report.fixed_lines import fixed_tones, hertz_of_order, strongest_tone
 from crankorder.report.notation import (
     NAME_CHARACTERS,
     at_one_speed,
@@ -31,6 +30,9 @@ from crankorder.report.notation import (
 )
 from crankorder.report.sentences.of_bearings import bearing_lines
 from crankorder.report.sentences.of_levels import above_sentence, look_above, stronger_above
+
+LIKE_UNBALANCE = "unbalance, bent shaft or misalignment"
+"""Cause of an order 1 of which nothing tells what it is."""
 
 _MEETING_SHARE = 0.03  # an order line this close to a natural frequency is said to meet it
 _MANY = 3  # channels that a summary names one by one
@@ -55,7 +57,7 @@ def line_sentences(findings: Findings) -> list[str]:
     if len(names) > _MANY:
         sentences.append("The tables hold the other channels.")
     orders = sorted(
-        {nominal_order(record) for record in findings.orders if is_number(record.order) and not is_electric(record)}
+        {nominal_order(record) for record in findings.orders if is_number(record.order) and not record.electric}
     )
     if orders:
         texts = order_texts(orders)
@@ -163,7 +165,7 @@ def strongest_sentence(findings: Findings, channel: str, *, with_cause: bool = F
         return f"{text}.{_cause(tone, findings) if with_cause else ''}"
     if order is None:
         return ""
-    if UNRESOLVED in order.evidence:
+    if "unresolved" in order.doubts:
         return _unresolved(findings, order, where)
     hertz = hertz_of_order(order, findings)
     name = order_name(order, findings)
@@ -177,7 +179,7 @@ def _unresolved(findings: Findings, order: OrderFinding, where: str) -> str:
     near, rpm = order_name(order, findings), order.speed_rpm_at_max
     text = f"What is strongest in {where} was not resolved: near order {near}, {level_text(findings, order)}"
     text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""
-    told = _strongest_of([one for one in findings.orders if UNRESOLVED not in one.evidence], order.channel)
+    told = _strongest_of([one for one in findings.orders if "unresolved" not in one.doubts], order.channel)
     if told is not None:
         text += (
             f"; of the orders that are told {order_name(told, findings)} is the strongest: {level_text(findings, told)}"
@@ -224,9 +226,9 @@ def met_mode_hz(record: OrderFinding) -> float | None:
 
 def _cause(record: OrderFinding | LineFinding, findings: Findings) -> str:
     cause, in_doubt = str(record.explained_by or "unexplained"), bool(findings.speed_doubt)
-    if cause == "unexplained":
+    if record.kinds == ("unexplained",):
         return " Its cause is not known."
-    if cause == "tone":
+    if record.kinds == ("tone",):
         if in_doubt:
             return " Whether it follows the shaft is not decided, for the speed is in doubt."
         if at_one_speed(findings):
@@ -239,9 +241,9 @@ def _cause(record: OrderFinding | LineFinding, findings: Findings) -> str:
 
 def _untold(record: OrderFinding | LineFinding, findings: Findings) -> str:
     """Why nothing tells which of the causes of an order ``record`` it is, where these are those of order 1."""
-    if record.explained_by != LIKE_UNBALANCE:
+    if not isinstance(record, OrderFinding) or record.kinds != (LIKE_UNBALANCE,):
         return ""
-    if ONE_SPEED not in getattr(record, "evidence", ""):
+    if "few speeds" not in record.doubts:
         return "; how it grows does not tell which"
     return "; one speed cannot tell which" if at_one_speed(findings) else "; so few speeds cannot tell which"
 
@@ -266,9 +268,7 @@ def tone_sentences(findings: Findings) -> list[str]:
 
 def _or_mode(tone: ModeFinding, findings: Findings) -> str:
     """That a natural frequency may stand at a ``tone`` too, where the ``findings`` do not decide it."""
-    hertz = f" at {tone.frequency_hz:.5g} Hz"
-    doubts = (str(mode.undecided or "").split("; ")[-1] for mode in findings.modes)
-    beside = any(last.endswith(MAY_BE_ALL) and hertz in last for last in doubts)
+    beside = any(tone.frequency_hz in mode.lines_there_hz for mode in findings.modes)
     return "; a natural frequency may be there too" if beside else ""
 
 
@@ -278,7 +278,7 @@ def _mains_among_orders(findings: Findings) -> list[str]:
         record
         for record in findings.orders
         # a motor has sentences of its own
-        if "mains" in str(record.explained_by or "") and not findings.motor and hertz_of_order(record, findings)
+        if "mains" in record.kinds and not findings.motor and hertz_of_order(record, findings)
     ]
     return [
         f"{one.order * (one.speed_rpm_at_max or 0.0) / 60.0:.2f} Hz "
@@ -330,11 +330,10 @@ def mode_sentences(findings: Findings) -> list[str]:
 
 def _once_each(doubts: list[ModeFinding]) -> list[ModeFinding]:
     """``doubts`` of which those beside one and the same named line are one."""
-    said: dict[str, ModeFinding] = {}
+    beside: dict[tuple[float, ...], ModeFinding] = {}
     for number, mode in enumerate(doubts):
-        last = str(mode.undecided or "").split("; ")[-1]
-        said.setdefault(last if last.endswith(MAY_BE_ALL) else str(number), mode)
-    return list(said.values())
+        beside.setdefault(mode.lines_there_hz or (-1.0 - number,), mode)
+    return list(beside.values())
 
 
 def _of_whirl(mode: ModeFinding) -> str:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from crankorder.findings import Findings, OrderFinding
-from crankorder.identify.said import NOT_AS_UNBALANCE
-from crankorder.report.fixed_lines import hertz_of_order, is_electric
+from crankorder.report.fixed_lines import hertz_of_order
 from crankorder.report.notation import (
     at_one_speed,
     estimate_text,
@@ -20,7 +19,7 @@ from crankorder.report.notation import (
 
 _CLEAR_EXPONENT = 1.5  # an interval of the speed exponent wider than this tells nothing
 _SHOWN = 8  # orders that a sentence names
-_STEADY_CAUSES = ("unexplained", "bearing", "gear", "tooth", "teeth")  # words of causes that keep their size
+_STEADY_CAUSES = ("unexplained", "bearing", "gear mesh")  # what may keep its size
 
 
 def law_sentences(findings: Findings) -> list[str]:
@@ -33,7 +32,7 @@ def law_sentences(findings: Findings) -> list[str]:
         law, name = str(record.speed_law or ""), order_name(record, findings)
         if order in (1.0, 2.0) and _is_square(record) and (law.startswith("grows") or not law):
             square.append(name)
-        if law == "keeps its size" and _may_be_steady(record) and not is_electric(record):
+        if law == "keeps its size" and record.kinds[0] in _STEADY_CAUSES:
             steady.append(name)
         if is_number(record.meets_hz) and not is_in_doubt(record.meets_hz, findings):
             met.setdefault(record.meets_hz, []).append(name)
@@ -58,15 +57,10 @@ def law_sentences(findings: Findings) -> list[str]:
 def _unlike_unbalance(strongest: dict[float, OrderFinding]) -> list[str]:
     """That order 1 surely grows more slowly than an unbalance, by the exponent of its record."""
     record = strongest.get(1.0)
-    if record is None or f"it {NOT_AS_UNBALANCE}" not in record.evidence or not is_number(record.speed_exponent):
+    if record is None or "slower than unbalance" not in record.doubts or not is_number(record.speed_exponent):
         return []
-    return [f"Order 1 {NOT_AS_UNBALANCE}: it goes with speed to the {estimate_text(record, 'speed_exponent')}."]
-
-
-def _may_be_steady(record: OrderFinding) -> bool:
-    """Whether what explains a ``record`` does not contradict that it is rather a bearing or a gear."""
-    cause = str(record.explained_by or "")
-    return not cause or cause.startswith(_STEADY_CAUSES)
+    exponent = estimate_text(record, "speed_exponent")
+    return [f"Order 1 does not grow as unbalance does: it goes with speed to the {exponent}."]
 
 
 def _is_square(record: OrderFinding) -> bool:
@@ -79,7 +73,7 @@ def _half_orders(strongest: dict[float, OrderFinding], findings: Findings) -> li
     names = [
         order_name(record, findings)
         for _, record in sorted(strongest.items())
-        if "half order" in str(record.explained_by or "").lower()
+        if "half order of the four-stroke cycle" in record.kinds
     ]
     if not names:
         return []
@@ -98,7 +92,7 @@ def lock_sentences(findings: Findings) -> list[str]:
     loose = []
     for _, record in sorted(strongest_by(findings.orders, nominal_order).items()):
         name, hertz = order_name(record, findings), hertz_of_order(record, findings)
-        if is_electric(record):
+        if record.electric:
             continue
         if hertz is not None and record.lock == "undecided":
             continue  # it speaks for another speed than the one that was stated
@@ -110,7 +104,7 @@ def lock_sentences(findings: Findings) -> list[str]:
             open_.append(name)
             needed = record.revs_to_decide
             longest = max(longest, float(needed)) if is_number(needed) else longest
-            swept = swept or "a recording at one speed would tell" in str(record.evidence or "")
+            swept = swept or "in a sweep" in record.doubts
     sentences = []
     if slips:
         several = len(slips) > 1

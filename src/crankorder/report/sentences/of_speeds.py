@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from crankorder.findings import AvoidedSpeed, Findings, FreeBand, OpenBand, SpeedSwing
-from crankorder.identify.said import OR_OWN
 from crankorder.records import known
 from crankorder.report.notation import (
     NAME_CHARACTERS,
@@ -133,7 +132,7 @@ def shaft_sentences(findings: Findings) -> list[str]:
 def swing_sentences(findings: Findings) -> list[str]:
     """How unevenly the shaft of the ``findings`` turns: the orders of the recording whose speed swings most, if any."""
     records = [one for one in findings.speed_swing if one.speed_rpm > 0.0]
-    sides = sorted({nominal_order(one) for one in findings.orders if one.explained_by == OR_OWN})
+    sides = sorted({nominal_order(one) for one in findings.orders if "sideband by a swing of the angle" in one.kinds})
     more = [f"{len(sides) - _SIDES} more"] if len(sides) > _SIDES else []
     unsourced = [f"Orders {listed([*order_texts(sides)[:_SIDES], *more])} {_NO_SOURCES}."] if sides else []
     if not records:

@@ -6,14 +6,14 @@ from collections import Counter
 from typing import TypedDict
 
 from crankorder.findings import Findings
-from crankorder.identify.said import LIKE_UNBALANCE, ONE_SPEED
 from crankorder.quantities import WHICH_IS_RIGHT
 from crankorder.report.fixed_lines import fixed_tones
 from crankorder.report.notation import NAME_CHARACTERS, is_number, listed, named, percent_text, strongest_by
 from crankorder.report.sentences.of_balance import balance_sentences
-from crankorder.report.sentences.of_bearings import RE_RUN_RULE, bearing_sentences
+from crankorder.report.sentences.of_bearings import RE_RUN_RULE, asks_re_run, bearing_lines, bearing_sentences
 from crankorder.report.sentences.of_levels import level_sentences, limit_sentences, share_sentences, undecided_limits
 from crankorder.report.sentences.of_lines import (
+    LIKE_UNBALANCE,
     above_asks,
     lies_above,
     line_sentences,
@@ -145,7 +145,7 @@ def stands_still(findings: Findings) -> bool:
 
 def strikes(findings: Findings) -> bool:
     """Whether a bearing of ``findings`` strikes: a line of its envelope is called damage."""
-    return any(record.verdict.startswith("Damage") for record in findings.bearings)
+    return any(record.damage for record in findings.bearings)
 
 
 def energy_sentence(findings: Findings) -> str:
@@ -218,7 +218,7 @@ def _what_to_do(findings: Findings) -> list[str]:
     if len(avoid) > _MANY:
         sentences.append(f"The table of speeds to avoid names all {len(avoid)} of them.")
     asks = [*sentences]
-    if any(RE_RUN_RULE in one for one in bearing_sentences(findings)):
+    if any(asks_re_run(record) for _, record in bearing_lines(findings)):
         asks.append(RE_RUN_RULE)
     asks += above_asks(findings)
     asks += _balance_asks(findings)
@@ -237,13 +237,13 @@ def _what_to_do(findings: Findings) -> list[str]:
 
 def _has_unexplained(findings: Findings) -> bool:
     """Whether any line of ``findings`` is called unexplained."""
-    return any(record.explained_by == "unexplained" for record in findings.lines)
+    return any(record.kinds == ("unexplained",) for record in findings.lines)
 
 
 def _balance_asks(findings: Findings) -> list[str]:
     """That an unbalanced mass asks for balancing: in the channels in which its order is the strongest."""
     strongest = strongest_by(findings.orders, lambda one: one.channel)
-    leads = [name for name, record in strongest.items() if record.explained_by == "unbalance"]
+    leads = [name for name, record in strongest.items() if record.kinds == ("unbalance",)]
     if not leads or not _leads(findings, "unbalance"):
         return []
     if len(leads) == len(strongest):
@@ -256,8 +256,8 @@ def _leads(findings: Findings, cause: str) -> bool:
     if findings.speed_doubt or lies_above(findings):
         return False
     strongest = strongest_by(findings.orders, lambda one: one.channel).values()
-    told = [record for record in strongest if record.explained_by == cause]
-    return any(cause != LIKE_UNBALANCE or ONE_SPEED in record.evidence for record in told)
+    leading = [record for record in strongest if record.kinds == (cause,)]
+    return any(cause != LIKE_UNBALANCE or "few speeds" in record.doubts for record in leading)
 
 
 def _repeat_sentences(findings: Findings) -> list[str]:
