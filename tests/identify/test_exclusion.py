@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.identify.found import SweepFits, UnseenBound
-from crankorder.identify.modes.exclusion import Hiding, least_seen
 from crankorder.identify.modes.order_responses import Block, with_best_law
+from crankorder.identify.modes.responses import Hiding, least_seen
 from crankorder.identify.modes.surface_fit import NO_POLES
 from crankorder.identify.modes.sweep_poles import sweep_fits
 from crankorder.settings import load_settings

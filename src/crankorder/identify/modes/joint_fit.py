@@ -12,13 +12,13 @@ import numpy as np
 import xarray as xr
 
 from crankorder.identify.found import NO_FITS, AgreedOrder, ModalFit, Mode, SweepFits, Tone, Unsearched, Whirl
-from crankorder.identify.modes.exclusion import FloorBound, Hiding, floor_bound, least_seen
 from crankorder.identify.modes.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modes.order_blocks import blocks_of
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.order_modes import (
     OrderPole,
     Proof,
+    hidden_speeds,
     is_proven,
     is_shown,
     mode_of,
@@ -28,7 +28,7 @@ from crankorder.identify.modes.order_modes import (
 from crankorder.identify.modes.order_responses import Block, fitting, responses_of
 from crankorder.identify.modes.order_search import orders_raised, poles_of_orders, settled
 from crankorder.identify.modes.pole_errors import covariance_of_all, pole_covariance, side_by_side
-from crankorder.identify.modes.ringing import hidden_speeds
+from crankorder.identify.modes.responses import FloorBound, Hiding, floor_bound, least_seen
 from crankorder.identify.modes.search import (
     EVERYWHERE,
     dispersion,

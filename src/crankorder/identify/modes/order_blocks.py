@@ -1,19 +1,21 @@
-"""What the orders of a test give to a modal fit: their amplitudes over held speeds and along sweeps."""
+"""What the orders of a test give to a modal fit along speeds and sweeps, and whether its modes leave them locked."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, OrderResponse
+from crankorder.identify.lines.agreed_orders import IN_SWEEP
+from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, proves_speed, speed_source
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import Block
-from crankorder.identify.modes.passage import Passage, passage_of
+from crankorder.identify.modes.order_terms import Passage, passage_of, smooth_shapes
 from crankorder.orders.between_recordings import WHOLE, one_phase_reference, phases_compare
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.quantities import Bools, Complexes, Floats
@@ -189,3 +191,276 @@ def _passage(number: float, along: Floats, rows: Bools, *, poles: int, first_s: 
     before[2] -= 0.5 * (before[1] + speed[0]) / 60.0 * first_s
     whole = np.concatenate([before[:, None], along], axis=1)
     return passage_of(number, *whole, poles=poles, rows=np.append(False, rows))
+
+
+class _LockNumbers(MethodNumbers, file="5-identify-lines.toml", table="lock_through_modes"):
+    force_turn_rad: float
+    smoother_ratio: float
+    force_terms: int
+    far_turn_rad: float
+    most_left_share: float
+    fewest_free: int
+
+
+LOCK_NUMBERS = _LockNumbers.load()
+
+
+@dataclass(frozen=True)
+class _Left:
+    """Turn per revolution that is left beside that of the modes, its standard error and degrees of freedom."""
+
+    turn: float
+    error: float
+    degrees_of_freedom: float
+
+
+def with_locks_through_modes(
+    orders: Sequence[AgreedOrder],
+    modal: ModalFit,
+    followed: Sequence[xr.Dataset],
+    order_map: xr.Dataset,
+) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
+    """``orders`` of which some that were undecided are proven locked by the fit ``modal`` of their sweeps, and the fit
+    by their numbers.
+
+    ``followed`` (RecordingTracks) hold them along their sweeps, ``order_map`` says what they may be locked to. The
+    slope of the phase over the crank angle is fitted beside all that modes and forces may turn; where the 99.9 %
+    interval of it leaves out a slip of 0.1 % of the order, it is locked. Nothing is called slipping by this. Without
+    pulses the orders must prove the speed first (:func:`proves_speed`).
+    """
+    sweeps = [item for item in followed if item.attrs.get("swept", 0)]
+    source = speed_source([*sweeps, order_map])
+    if not sweeps or source == "vibration":
+        return tuple(orders), modal
+    cycle = int(order_map.attrs["revs_per_cycle"])
+    open_ones = [one.lock == "undecided" and not one.of_angle for one in orders]  # an error of the angle is locked too
+    measured = [
+        _measured(one, modal, sweeps, order_map, cycle) if is_open else None
+        for one, is_open in zip(orders, open_ones, strict=True)
+    ]
+    if source == "stated" and not any(one.lock == "locked" for one in orders):
+        numbers = [
+            (nearest_multiple(one.order, revs_per_cycle=cycle) + left.turn, left.error, left.degrees_of_freedom)
+            for one, left in zip(orders, measured, strict=True)
+            if left is not None
+        ]
+        if not proves_speed(numbers, revs_per_cycle=cycle):
+            return tuple(orders), modal
+    told = tuple(one if left is None else _told(one, left, cycle) for one, left in zip(orders, measured, strict=True))
+    moved = {old.order: new.order for old, new in zip(orders, told, strict=True) if old.order != new.order}
+    return told, _renumbered(modal, moved) if moved else modal
+
+
+def _renumbered(modal: ModalFit, moved: Mapping[float, float]) -> ModalFit:
+    """``modal`` whose orders have the numbers to which they ``moved``."""
+    return replace(
+        modal,
+        modes=tuple(
+            replace(one, reached_by=tuple(moved.get(order, order) for order in one.reached_by)) for one in modal.modes
+        ),
+        responses=tuple(replace(one, order=moved.get(one.order, one.order)) for one in modal.responses),
+        unseen=tuple(replace(one, order=moved.get(one.order, one.order)) for one in modal.unseen),
+    )
+
+
+def _measured(
+    agreed: AgreedOrder, modal: ModalFit, sweeps: Sequence[xr.Dataset], order_map: xr.Dataset, cycle: int
+) -> _Left | None:
+    """What all ``sweeps`` tell of how ``agreed`` turns from the nearest multiple; None where none tells anything."""
+    multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
+    found = [
+        left
+        for item in sweeps
+        for block in blocks_of(order_map, (agreed,), [item])
+        if block.recording and (left := _left_of(block, modal, item, multiple)) is not None
+    ]
+    return _joined(found) if found else None
+
+
+def _told(agreed: AgreedOrder, left: _Left, cycle: int) -> AgreedOrder:
+    """``agreed``, which is locked where what is ``left`` proves it."""
+    multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
+    error, degrees_of_freedom = left.error, left.degrees_of_freedom
+    lock = lock_of(multiple + left.turn, error, degrees_of_freedom, revs_per_cycle=cycle, by_phase=True)
+    if lock != "locked":
+        return agreed
+    return replace(
+        agreed,
+        order=multiple,
+        order_error=error,
+        degrees_of_freedom=degrees_of_freedom,
+        lock="locked",
+        needed_revs=None,
+        reservation="; ".join(part for part in agreed.reservation.split("; ") if part != IN_SWEEP),
+    )
+
+
+def _joined(found: Sequence[_Left]) -> _Left:
+    """Mean of what was ``found`` in several recordings by its errors, widened where they scatter more."""
+    turns: Floats = np.array([one.turn for one in found])
+    weight: Floats = np.array([1.0 / one.error**2 for one in found])
+    mean, information = float(np.average(turns, weights=weight)), float(weight.sum())
+    scatter = max(1.0, float(weight @ np.square(turns - mean)) / max(len(found) - 1, 1))
+    error, degrees_of_freedom = float(np.sqrt(scatter / information)), min(one.degrees_of_freedom for one in found)
+    return _Left(mean, error, degrees_of_freedom)
+
+
+def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -> _Left | None:
+    """What turns the phase of ``block`` along ``item`` beside the modes, from ``multiple``; None: not fitted."""
+    fits = {
+        one.channel: one
+        for one in modal.responses
+        if one.fits
+        and one.recording == block.recording
+        and abs(one.order - block.order) <= NUMBERS.same_order_share * block.order
+    }
+    channels = [name for name in block.channels if name in fits]
+    if not channels:
+        return None
+    angle = _angles(block, item)
+    if angle is None:
+        return None
+    followed = item["order"].values
+    off = float(followed[np.abs(followed - block.order).argmin()]) - multiple
+    # the channels see one force and the same modes: what turns one turns them all
+    left = _solved(_together([_channel_part(block, fits[name], modal, angle) for name in channels]))
+    if left is None:
+        return None
+    by_angle = block.order * float(item.attrs.get("crank_angle_error_rev", 0.0)) / float(np.ptp(angle))
+    return replace(left, turn=left.turn + off, error=float(np.hypot(left.error, by_angle)))
+
+
+def _angles(block: Block, item: xr.Dataset) -> Floats | None:
+    """Crank angle [rev] of the rows of ``block``, from their middle; its rows are those of ``item`` at their speeds."""
+    speed, angle = item["speed"].values.astype(np.float64), item["crank_angle"].values.astype(np.float64)
+    first = np.flatnonzero(speed == block.speed_rpm[0])
+    rows = np.flatnonzero(np.isin(speed, block.speed_rpm))
+    if not len(first) or len(rows) != len(block.speed_rpm):
+        return None
+    return np.asarray(angle[rows] - angle[rows].mean())
+
+
+@dataclass(frozen=True)
+class _Part:
+    """One channel, or all, in standard errors: what is left of what was seen (R,), columns of slip (R,), of turns and
+    poles (R, T), of each channel's own linear terms (R, P), and the rows that say how large these may be."""
+
+    left: Floats
+    seen: Floats
+    slip: Floats
+    shared: Floats
+    own: Floats
+    shared_now: Floats
+    shared_spread: Floats
+    own_prior: Floats
+    own_prior_left: Floats
+    n_laws: int
+
+
+def _with_law(block: Block, response: OrderResponse) -> Block:
+    """The channel of ``response`` in ``block``, with the law that was fitted to it."""
+    one = block.of(np.array([block.channels.index(response.channel)]))
+    return replace(
+        one,
+        exponent=response.exponent,
+        law=response.law,
+        degree=len(response.smooth) - 1,
+        reference_rpm=response.reference_rpm,
+        law_span_rpm=response.span_rpm,
+        made={},
+    )
+
+
+def _prior_of(response: OrderResponse, n_linear: int) -> tuple[Floats, Floats]:
+    """Rows (S, 2 ``n_linear``) by which the smooth terms of ``response`` turn the first one, and what is left of 0.
+
+    What is across the first term turns the phase, what is along it does not.
+    """
+    first = complex(response.smooth[0])
+    size, count = max(abs(first), 1e-300), len(response.smooth) - 1
+    across = 1j * first / size
+    rows, left = np.zeros((count, 2 * n_linear)), np.zeros(count)
+    for k in range(count):
+        rows[k, 1 + k], rows[k, n_linear + 1 + k] = np.array([across.real, across.imag]) / (
+            LOCK_NUMBERS.force_turn_rad * size
+        )
+        left[k] = -(complex(response.smooth[1 + k]) * across.conjugate()).real / (LOCK_NUMBERS.force_turn_rad * size)
+    return rows, left
+
+
+def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle: Floats) -> _Part:
+    one = _with_law(block, response)
+    hz = np.array([mode.frequency_hz for mode in modal.modes])
+    damping = np.array([mode.damping_ratio for mode in modal.modes])
+    smooth, modes = one.smooth(), one.modal(hz, damping)
+    fitted = smooth @ response.smooth + modes @ response.residue
+    weight = one.weight[0]
+    by_f, by_zeta = (slope * response.residue for slope in one.modal_slopes(hz, damping))
+    shapes = smooth_shapes(one.speed_rpm, one.span_rpm, max(len(response.law), LOCK_NUMBERS.force_terms))[:, 1:]
+    laws = np.zeros(shapes.shape[1], dtype=complex)
+    laws[: len(response.law)] = response.law
+    grown = fitted[:, None] * shapes
+    shared = [grown * 1j, grown, by_f[:, response.reached], by_zeta[:, response.reached]]
+    reached = [modal.modes[number] for number in response.reached]
+    spread = [
+        LOCK_NUMBERS.force_turn_rad * LOCK_NUMBERS.smoother_ratio ** np.arange(len(laws)),
+        np.full(len(laws), 10.0),
+        np.array([mode.frequency_error_hz / mode.frequency_hz for mode in reached]),
+        np.array([mode.damping_error / mode.damping_ratio for mode in reached]),
+    ]
+    now = np.concatenate([laws.imag, laws.real * 0.0, np.zeros(2 * len(reached))])
+    linear = np.concatenate([smooth, modes[:, response.reached]], axis=1)
+    own = np.concatenate([linear, 1j * linear], axis=1)
+    prior, prior_left = _prior_of(response, linear.shape[1])
+    return _Part(
+        _parts((one.amplitude[0] - fitted) * weight),
+        _parts(one.amplitude[0] * weight),
+        _parts(2j * np.pi * angle * fitted * weight),
+        _parts(np.concatenate(shared, axis=1) * weight[:, None]),
+        _parts(own * weight[:, None]),
+        now,
+        np.concatenate(spread),
+        prior,
+        prior_left,
+        len(laws),
+    )
+
+
+def _together(parts: Sequence[_Part]) -> _Part:
+    """Channels of one block, which share the slip, the turns of the force and the poles."""
+    from scipy.linalg import block_diag
+
+    stacked = ("left", "seen", "slip", "shared", "own_prior_left")
+    joined: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in parts]) for name in stacked}
+    joined |= {name: block_diag(*(getattr(one, name) for one in parts)) for name in ("own", "own_prior")}
+    return replace(parts[0], **joined)
+
+
+def _parts(values: Complexes) -> Floats:
+    """Real parts of the rows of ``values``, then the imaginary ones."""
+    return np.concatenate([values.real, values.imag])
+
+
+def _solved(part: _Part) -> _Left | None:
+    """Slip of a channel beside all else that turns it; None where the fit is not near enough to tell."""
+    spread = np.maximum(part.shared_spread, 1e-12)
+    n_own, n_shared = part.own.shape[1], len(spread)
+    held = np.concatenate([np.zeros((n_shared, 1)), np.diag(1.0 / spread), np.zeros((n_shared, n_own))], axis=1)
+    prior = np.concatenate([np.zeros((len(part.own_prior), 1 + n_shared)), part.own_prior], axis=1)
+    matrix = np.concatenate([np.concatenate([part.slip[:, None], part.shared, part.own], axis=1), held, prior])
+    wanted = np.concatenate([part.left, -part.shared_now / spread, part.own_prior_left])
+    scale = np.sqrt(np.square(matrix).sum(axis=0))
+    scaled = matrix / np.where(scale > 0.0, scale, 1.0)
+    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
+    solution = np.linalg.lstsq(scaled, wanted, rcond=1e-12)[0]
+    found, left = solution / np.where(scale > 0.0, scale, 1.0), wanted - scaled @ solution
+    free = len(part.left) - matrix.shape[1]
+    bent = np.abs(found[1 : 1 + part.n_laws] + part.shared_now[: part.n_laws]).max()
+    if free < LOCK_NUMBERS.fewest_free or bent > LOCK_NUMBERS.far_turn_rad or not scale[0] > 0.0:
+        return None
+    beyond = max(0.0, float(np.square(left[: len(part.left)]).sum()) - free) / float(np.square(part.seen).sum())
+    if beyond > LOCK_NUMBERS.most_left_share:
+        return None
+    worse = max(1.0, float(left @ left) / free)
+    error = np.hypot(np.sqrt(inverse[0, 0] * worse), np.sqrt(beyond) * np.linalg.norm(part.seen) / scale[0])
+    return _Left(float(found[0]), float(error / scale[0]), float(free))

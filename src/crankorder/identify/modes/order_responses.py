@@ -11,6 +11,7 @@ import numpy as np
 from crankorder.identify.found import OrderResponse
 from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
 from crankorder.identify.modes.order_terms import (
+    Passage,
     beyond,
     beyond_law,
     force,
@@ -22,7 +23,6 @@ from crankorder.identify.modes.order_terms import (
     scatter_of,
     smooth_shapes,
 )
-from crankorder.identify.modes.passage import Passage
 from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, fit_surface
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers

@@ -9,7 +9,7 @@ import numpy as np
 
 from crankorder.identify.found import Swing
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.modes.order_modes import OrderPole, Proof, named
+from crankorder.identify.modes.order_modes import OrderPole, Proof, named, swings_of, without_ringing
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import (
     Block,
@@ -23,7 +23,6 @@ from crankorder.identify.modes.order_responses import (
 )
 from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
 from crankorder.identify.modes.pole_errors import order_pole_covariance
-from crankorder.identify.modes.ringing import swings_of, without_ringing
 from crankorder.identify.modes.surface_fit import NO_POLES, Poles
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers

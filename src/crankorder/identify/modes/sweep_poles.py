@@ -9,9 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from crankorder.identify.found import SweepFits
-from crankorder.identify.modes.exclusion import NUMBERS as EXCLUSION
-from crankorder.identify.modes.exclusion import SAME_ORDER, Hiding
 from crankorder.identify.modes.order_terms import resonance
+from crankorder.identify.modes.responses import EXCLUSION, SAME_ORDER, Hiding
 from crankorder.identify.modes.sweep_fit import LIGHTEST, LocalFit, OnePoleMore, Starts, shares_of
 from crankorder.identify.modes.sweep_window import Solved, SweepSpectrum, Window
 from crankorder.quantities import Complexes, Floats
