@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderResponse
 from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
@@ -23,7 +25,7 @@ from crankorder.identify.modes.order_terms import (
     scatter_of,
     smooth_shapes,
 )
-from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, fit_surface
+from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, fit_surface, parameters_of
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
@@ -49,11 +51,23 @@ MOST_ROUNDS, MOST_TURNS = 3, 8
 MOST_KEPT = 64
 """Columns along a sweep that are kept."""
 
+Kept = TypeVar("Kept")
+
 OF_ROWS = ("span_rpm", "shapes", "ends_hz", "size", "rows", "fewest_rows", "measured", "_steady")
 """What a :class:`Block` works out of its rows alone, whatever its law and scatter."""
 
 OF_LAW = ("growth", "_designs", "_driven")
 """What it works out of its rows and its law, whatever its scatter."""
+
+
+def _latest(made: dict[bytes, Kept], arguments: tuple[NDArray[Any], ...], make: Callable[[], Kept]) -> Kept:
+    """What ``make`` makes of these ``arguments``: of ``made``, which keeps the latest alone, if they were the last."""
+    key = b"".join(values.tobytes() for values in arguments)
+    if key not in made:
+        latest = make()
+        made.clear()
+        made[key] = latest
+    return made[key]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,29 +106,13 @@ class Block:
     made: dict[tuple[object, ...], tuple[Complexes, ...]] = field(default_factory=dict, repr=False)
     rung: dict[tuple[object, ...], Complexes] = field(default_factory=dict, repr=False)
 
-    def varied(
-        self,
-        *,
-        exponent: float | None = None,
-        law: tuple[complex, ...] | None = None,
-        degree: int | None = None,
-        scatter: float | None = None,
-        noise: float | None = None,
-    ) -> Block:
+    def varied(self, **changes: Any) -> Block:
         """The block with another ``exponent``, ``law``, ``degree``, ``scatter`` or ``noise``.
 
         What is worked out of the rest is kept.
         """
-        made = replace(
-            self,
-            exponent=self.exponent if exponent is None else exponent,
-            law=self.law if law is None else law,
-            degree=self.degree if degree is None else degree,
-            scatter=self.scatter if scatter is None else scatter,
-            noise=self.noise if noise is None else noise,
-        )
-        same_law = exponent is None and law is None and degree is None
-        kept = OF_ROWS + OF_LAW if same_law else OF_ROWS
+        made = replace(self, **changes)
+        kept = OF_ROWS if changes.keys() & {"exponent", "law", "degree"} else OF_ROWS + OF_LAW
         made.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
         return made
 
@@ -222,13 +220,11 @@ class Block:
 
         ``natural_hz`` and ``damping`` (M,): of the modes.
         """
-        key = natural_hz.tobytes() + damping.tobytes()
-        made = self._designs.get(key)
-        if made is None:
-            made = np.concatenate([self.smooth(), self.modal(natural_hz, damping)], axis=1)
-            self._designs.clear()
-            self._designs[key] = made
-        return made
+
+        def columns() -> Complexes:
+            return np.concatenate([self.smooth(), self.modal(natural_hz, damping)], axis=1)
+
+        return _latest(self._designs, (natural_hz, damping), columns)
 
     @cached_property
     def _designs(self) -> dict[bytes, Complexes]:
@@ -251,14 +247,12 @@ class Block:
 
     def _held(self, natural_hz: Floats, damping: Floats) -> Complexes:
         """Columns of :meth:`modal` at speeds that are held, behind a steady force; those made last are kept."""
-        key = natural_hz.tobytes() + damping.tobytes()
-        made = self._steady.get(key)
-        if made is None:
+
+        def columns() -> Complexes:
             h: Complexes = resonance(self.frequency_hz, natural_hz, damping)
-            made = of_squares(h, self._ratio(natural_hz)) if self.power else h
-            self._steady.clear()
-            self._steady[key] = made
-        return made
+            return of_squares(h, self._ratio(natural_hz)) if self.power else h
+
+        return _latest(self._steady, (natural_hz, damping), columns)
 
     def modal_slopes(self, natural_hz: Floats, damping: Floats) -> tuple[Complexes, Complexes]:
         """Derivatives of :meth:`modal` by ln f_j and by ln ζ_j.
@@ -372,13 +366,11 @@ def project(block: Block, poles: Poles) -> Projected:
     """
     reached = block.reached(poles)
     natural_hz, damping = poles.frequency_hz[reached], poles.damping[reached]
-    key = reached.tobytes() + natural_hz.tobytes() + damping.tobytes()
-    made = block.projections.get(key)
-    if made is None:
-        made = _eliminated(block, reached, block.design(natural_hz, damping))
-        block.projections.clear()
-        block.projections[key] = made
-    return made
+
+    def eliminated() -> Projected:
+        return _eliminated(block, reached, block.design(natural_hz, damping))
+
+    return _latest(block.projections, (reached, natural_hz, damping), eliminated)
 
 
 def _eliminated(block: Block, reached: Ints, design: Complexes) -> Projected:
@@ -414,8 +406,7 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Floats:
     turned = beyond(part.basis, turned)
     if part.degrees_of_freedom >= ORDER_TERMS.enough_degrees_of_freedom:
         turned = beyond_law(turned, bent(block, part, max(len(block.law), 1)), power=block.power)
-    places = np.stack([2 * reached, 2 * reached + 1], axis=1).ravel()
-    every[:, places] = as_real(turned, block)
+    every[:, parameters_of(reached)] = as_real(turned, block)
     return every
 
 

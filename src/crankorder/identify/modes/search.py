@@ -9,7 +9,7 @@ import numpy as np
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.modes.floor import NUMBERS as FLOOR
 from crankorder.identify.modes.floor import Floor
-from crankorder.identify.modes.pole_errors import free_of, score_covariance
+from crankorder.identify.modes.pole_errors import score_covariance
 from crankorder.identify.modes.surface_fit import (
     NO_POLES,
     Poles,
@@ -17,8 +17,8 @@ from crankorder.identify.modes.surface_fit import (
     Range,
     SurfaceFit,
     background_columns,
-    curvature,
     fit_surface,
+    inverse_curvature,
     pole_columns,
 )
 from crankorder.quantities import Bools, Floats, Ints
@@ -293,8 +293,7 @@ def counted_over(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
 
     ``problem``: the floors that were fitted; ``fit``: the fit so far.
     """
-    free = free_of(fit)
-    inverse = np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True)
+    free, inverse = fit.poles.free, inverse_curvature(fit)
     near = np.argsort(np.abs(fit.poles.frequency_hz - at_hz))[:2]
     own = np.flatnonzero(np.isin(np.repeat(np.arange(len(fit.poles)), 2)[free], near))
     sandwich = score_covariance(problem, fit, np.eye(len(free))[:, free] @ inverse[:, own])

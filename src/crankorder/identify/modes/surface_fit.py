@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from crankorder.fft.windows import WIDEST_LOBE_BINS, window_named
-from crankorder.quantities import Bools, Complexes, Floats
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
 
@@ -206,6 +207,16 @@ class Poles:
         frequency = np.append(self.frequency_hz, others.frequency_hz)
         return Poles(frequency, np.append(self.damping, others.damping), np.append(self.tone, others.tone))
 
+    @property
+    def values(self) -> Floats:
+        """Frequency and damping ratio (M, 2) of each."""
+        return np.stack([self.frequency_hz, self.damping], axis=1)
+
+    @property
+    def free(self) -> Bools:
+        """Which (2 M,) of (ln f_1, ln ζ_1, …) a fit is free to move: not the damping of tones."""
+        return np.stack([np.ones(len(self), dtype=bool), ~self.tone], axis=1).ravel()
+
     def as_tone(self, number: int, is_tone: bool, *, width_hz: float) -> Poles:
         """With number ``number`` a tone, or a mode of the half width ``width_hz``.
 
@@ -217,6 +228,23 @@ class Poles:
 
 
 NO_POLES = Poles(np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool))
+
+
+def poles_at(values: Iterable[tuple[float, float]]) -> Poles:
+    """Poles, lowest first, of the ``values``: frequency in Hz and damping ratio of each."""
+    return reduce(lambda poles, pole: poles.with_pole(*pole), values, NO_POLES)
+
+
+def parameters_of(numbers: ArrayLike) -> Ints:
+    """Numbers (2 N,) among (f_1, ζ_1, f_2, …) of the parameters of the poles ``numbers`` (N,)."""
+    first = 2 * np.asarray(numbers, dtype=np.int64)
+    return np.stack([first, first + 1], axis=1).ravel()
+
+
+def covariance_among(covariance: Floats, numbers: ArrayLike) -> Floats:
+    """Part (2 N, 2 N) of the ``covariance`` of (f_1, ζ_1, f_2, …) that is of the poles ``numbers`` (N,)."""
+    at = parameters_of(numbers)
+    return covariance[np.ix_(at, at)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,7 +402,7 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Floats | None = None, 
         return current
     factor, still, taken = 1e-3, 0, True
     for _ in range(steps):
-        free = np.stack([np.ones(len(poles), dtype=bool), ~poles.tone], axis=1).ravel()
+        free = poles.free
         hessian, slope = current.normal()
         hessian, slope = hessian[np.ix_(free, free)], slope[free]
         scale = np.maximum(np.diag(hessian), 1e-6 * np.trace(hessian) / len(hessian))
@@ -403,12 +431,14 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Floats | None = None, 
     return current
 
 
-def curvature(fit: SurfaceFit, free: Bools) -> Floats:
-    """Second derivatives of half the deviance by the ``free`` ones of (ln f_1, ln ζ_1, …), linear terms eliminated.
+def inverse_curvature(fit: SurfaceFit) -> Floats:
+    """Inverse of the second derivatives of half the deviance of ``fit`` by its free ones of (ln f_1, ln ζ_1, …).
 
-    ``fit``: the fit so far.
+    Linear terms are eliminated.
     """
-    return np.asarray(sum(j.T @ j for j in fit.jacobian))[np.ix_(free, free)]
+    free = fit.poles.free
+    curved = np.asarray(sum(j.T @ j for j in fit.jacobian))[np.ix_(free, free)]
+    return np.asarray(np.linalg.pinv(curved, rcond=1e-13, hermitian=True), dtype=np.float64)
 
 
 def _moved(poles: Poles, move: Floats, problem: Problem) -> Poles:
