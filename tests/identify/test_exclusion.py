@@ -29,9 +29,7 @@ LARGE = 0.05
 
 def _bounds(blocks: list[Block]) -> tuple[UnseenBound, ...]:
     told = [with_best_law(block, NO_POLES) for block in blocks]
-    return least_seen(
-        told, NO_POLES, unit=UNIT, least_damping=SETTINGS.least_damping_ratio, confidence=SETTINGS.free_confidence
-    )
+    return least_seen(told, NO_POLES, unit=UNIT, settings=SETTINGS)
 
 
 def _planted(seed: int, *, rows: tuple[int, int], **drawn: object) -> tuple[DrawnMachine, float]:

@@ -23,9 +23,9 @@ from crankorder.identify.modes.order_responses import (
 )
 from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
 from crankorder.identify.modes.pole_errors import order_pole_covariance
-from crankorder.identify.modes.surface_fit import NO_POLES, Poles
+from crankorder.identify.modes.surface_fit import Poles, poles_at
 from crankorder.quantities import Complexes, Floats, Ints
-from crankorder.settings import MethodNumbers
+from crankorder.settings import IdentifySettings, MethodNumbers
 
 
 class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_search"):
@@ -82,7 +82,7 @@ class Prior:
     @classmethod
     def of(cls, poles: Poles, covariance: Floats) -> Prior:
         """Of ``poles`` whose (f_1, ζ_1, f_2, …) have the ``covariance`` (2 P, 2 P)."""
-        place = np.log(np.stack([poles.frequency_hz, poles.damping], axis=1))
+        place = np.log(poles.values)
         spread = np.sqrt(np.maximum(np.diag(covariance).reshape(-1, 2), 0.0)) / np.exp(place)
         # what the floor takes for random may have rung from a start: its widths are not believed further
         least = np.stack(
@@ -93,7 +93,7 @@ class Prior:
     def rows(self, poles: Poles) -> tuple[Floats, Floats]:
         """Jacobian (2 P, 2 M) and residual (2 P,) of ``poles``, of which these are the first."""
         count = len(self.place)
-        now = np.log(np.stack([poles.frequency_hz, poles.damping], axis=1))[:count]
+        now = np.log(poles.values)[:count]
         slopes = np.zeros((2 * count, 2 * len(poles)))
         slopes[np.arange(2 * count), np.arange(2 * count)] = 1.0 / self.error.ravel()
         return slopes, ((self.place - now) / self.error).ravel()
@@ -111,8 +111,7 @@ def poles_of_orders(
     known: Poles,
     covariance: Floats,
     *,
-    chance: float,
-    most_damping: float,
+    settings: IdentifySettings,
     most_poles: int | None = None,
 ) -> tuple[tuple[Block, ...], tuple[OrderPole, ...], bool]:
     """``blocks`` with their laws and scatter, the poles beyond the ``known`` ones that they ask for; whether these end.
@@ -121,13 +120,14 @@ def poles_of_orders(
 
     One pole after the other is taken where it explains most that is left of all orders and channels, and moved with all
     others to where the likelihood is largest, the known ones within their ``covariance`` (of f_1, ζ_1, f_2, …). Those
-    are kept in the end that save more than the false-alarm level ``chance`` would let noise save at any of the
-    frequencies tried: while others are missing, what one explains hides in what they leave. ``most_damping`` is the
-    largest damping ratio, ``most_poles`` how many are looked for at most, if not the usual number. Each order has the
+    are kept in the end that save more than the false-alarm level of the ``settings`` would let noise save at any of the
+    frequencies tried: while others are missing, what one explains hides in what they leave. ``settings`` also state the
+    largest damping ratio; ``most_poles`` says how many are looked for, if not the usual number. Each order has the
     scatter that is left of it, so that a force which only varies from speed to speed makes no pole.
     """
     if not blocks:
         return (), (), True
+    chance, most_damping = settings.false_alarm_probability, settings.max_damping_ratio
     prior = Prior.of(known, covariance)
     blocks = sorted(blocks, key=lambda block: -float(np.max(block.size / block.error)))[: NUMBERS.most_blocks]
     most = NUMBERS.most_poles if most_poles is None else most_poles
@@ -183,10 +183,8 @@ def settled(blocks: Sequence[Block], known: Poles, found: Sequence[OrderPole], *
     poles that no order shows are left out, and so are those that came to lie beside another one and save no more than
     the false-alarm level ``chance`` would let noise save.
     """
-    free = NO_POLES
-    for item in found:
-        free = free.with_pole(item.frequency_hz, item.damping)
-    state = Fitted.of(blocks, known.joined(free), NO_PRIOR)
+    free = poles_at((pole.frequency_hz, pole.damping) for pole in found)
+    state = Fitted.of(blocks, known.joined(free.chosen(free.rank)), NO_PRIOR)
     if len(free):
         state = state.moved(fixed=len(known))
     every = [named(state.blocks, state.projected, state.poles, number) for number in range(len(state.poles))]
@@ -241,7 +239,7 @@ class Fitted:
 
     def with_pole(self, start: tuple[float, float]) -> Fitted:
         """With one pole more, near a ``start`` (Hz, damping ratio), the others staying where they are."""
-        more = self.poles.joined(NO_POLES.with_pole(*start))
+        more = self.poles.joined(poles_at([start]))
         told = [_told_with(block, more, start[0]) for block in self.blocks]
         return Fitted.of(told, more, self.prior).moved(fixed=len(self.poles))
 

@@ -14,9 +14,9 @@ from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import Block, Projected, bent, with_scatter
 from crankorder.identify.modes.order_terms import force, resonance, resonance_slopes, smooth_shapes
-from crankorder.identify.modes.surface_fit import Poles, Problem
+from crankorder.identify.modes.surface_fit import Poles, Problem, parameters_of
 from crankorder.quantities import Complexes, Floats
-from crankorder.settings import MethodNumbers
+from crankorder.settings import IdentifySettings, MethodNumbers
 
 
 class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="responses"):
@@ -109,7 +109,7 @@ def _errors(
     """
     squared = np.maximum(((columns @ response.covariance) * columns.conj()).sum(axis=2).real, 0.0)
     reached = response.reached
-    at = np.stack([2 * reached, 2 * reached + 1], axis=1).ravel()
+    at = parameters_of(reached)
     if not len(at) or int(at.max()) >= len(modal.covariance):
         return np.asarray(np.sqrt(squared))
     poles = np.array([(modal.modes[k].frequency_hz, modal.modes[k].damping_ratio) for k in reached.tolist()])
@@ -232,15 +232,15 @@ def least_seen(
     poles: Poles,
     *,
     unit: Mapping[str, str],
-    least_damping: float,
-    confidence: float,
+    settings: IdentifySettings,
     floors: Sequence[FloorBound] = (),
     sweeps: Sequence[Hiding] = (),
 ) -> tuple[UnseenBound, ...]:
     """For each of ``blocks``, how much a mode beside the ``poles`` could amplify its order without being seen.
 
-    At speeds between the tested ones a mode is imagined on the order, damped by ``least_damping`` or some times that;
-    its residue is what the data give it, and as much more as they leave open at the ``confidence`` (0 to 1). What it
+    At speeds between the tested ones a mode is imagined on the order, damped by the least ratio of the
+    ``settings`` or some times that; its residue is what the data give it, and as much more as they leave open at the
+    confidence with which a speed is called free. What it
     adds at its peak, over what is there without it, is the amplification, in the channel that has most of each
     ``unit``. Amplitudes below the noise, or below a small share of the largest of any order, count as so large. An
     order of which the poles leave too much excludes nothing.
@@ -252,14 +252,14 @@ def least_seen(
     """
     from scipy.special import chdtri
 
-    reach = float(np.sqrt(chdtri(2.0, 1.0 - confidence)))
+    reach = float(np.sqrt(chdtri(2.0, 1.0 - settings.free_confidence)))
     largest = dict.fromkeys(unit.values(), 0.0)
     for block in blocks:
         size = np.sqrt(block.size) if block.power else block.size
         for name, most in zip(block.channels, size.max(axis=1).tolist(), strict=True):
             largest[unit[name]] = max(EXCLUSION.matters_share * most, largest.get(unit[name], 0.0))
     along = [(item.order, FloorBound(item.frequency_hz, item.amplification(unit, largest))) for item in sweeps]
-    alone = [_less(_bound(block, poles, least_damping, reach, unit, largest), along) for block in blocks]
+    alone = [_less(_bound(block, poles, settings.least_damping_ratio, reach, unit, largest), along) for block in blocks]
     have = {block.order for block in blocks}
     more = {order for order, _ in along if all(abs(order - one) >= SAME_ORDER * one for one in have)}
     alone += [_less(UnseenBound(order, np.empty(0), np.empty(0)), along) for order in sorted(more)]
@@ -325,14 +325,12 @@ class FloorBound:
         return worst
 
 
-def floor_bound(
-    problem: Problem, model: Floats, *, poles: Poles, least_damping: float, confidence: float
-) -> FloorBound | None:
+def floor_bound(problem: Problem, model: Floats, *, poles: Poles, settings: IdentifySettings) -> FloorBound | None:
     """What the floor of a band (``problem``, as fitted by ``model`` (C, F)) excludes; None where nothing shakes it.
 
     Only where a mode among the ``poles`` stands clear of it does what is broadband excite the structure, and would show
-    others. A resonance of the damping ``least_damping`` fills a share of a bin; what stands over the model, and as much
-    more as its scatter hides at ``confidence``, is its power.
+    others. A resonance of the least damping of the ``settings`` fills a share of a bin; what stands over the model, and
+    as much more as its scatter hides at their confidence, is its power.
     """
     from scipy.special import ndtri
 
@@ -346,9 +344,9 @@ def floor_bound(
     used = problem.averages > 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
         over = np.where(used, np.nan_to_num(problem.psd) / model - 1.0, np.inf)
-        hidden = np.where(used, float(ndtri(confidence)) / np.sqrt(problem.averages), np.inf)
+        hidden = np.where(used, float(ndtri(settings.free_confidence)) / np.sqrt(problem.averages), np.inf)
     best = np.min(np.maximum(over, 0.0) + hidden, axis=0)
-    filled = np.minimum(np.pi * least_damping * problem.frequency_hz / problem.seen.bin_hz, 1.0)
+    filled = np.minimum(np.pi * settings.least_damping_ratio * problem.frequency_hz / problem.seen.bin_hz, 1.0)
     return FloorBound(problem.frequency_hz, np.sqrt(1.0 + best / filled))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -190,12 +190,16 @@ class Poles:
 
         ``frequency_hz``: in Hz; ``damping``: their ratios.
         """
-        frequency = np.append(self.frequency_hz, frequency_hz)
-        order = np.argsort(frequency, kind="stable")
-        return Poles(frequency[order], np.append(self.damping, damping)[order], np.append(self.tone, False)[order])
+        every = self.joined(poles_at([(frequency_hz, damping)]))
+        return every.chosen(every.rank)
 
-    def chosen(self, which: Bools) -> Poles:
-        """Those that ``which`` (M,) marks."""
+    @property
+    def rank(self) -> Ints:
+        """Numbers (M,) of the poles, lowest first."""
+        return np.argsort(self.frequency_hz, kind="stable")
+
+    def chosen(self, which: Bools | Ints) -> Poles:
+        """Those that ``which`` marks (M,) or numbers."""
         return Poles(self.frequency_hz[which], self.damping[which], self.tone[which])
 
     def within(self, range_hz: Range) -> Bools:
@@ -231,8 +235,9 @@ NO_POLES = Poles(np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool))
 
 
 def poles_at(values: Iterable[tuple[float, float]]) -> Poles:
-    """Poles, lowest first, of the ``values``: frequency in Hz and damping ratio of each."""
-    return reduce(lambda poles, pole: poles.with_pole(*pole), values, NO_POLES)
+    """Poles of the ``values``, frequency in Hz and damping ratio of each, in that order."""
+    frequency, damping = np.array(list(values), dtype=np.float64).reshape(-1, 2).T
+    return Poles(frequency, damping, np.zeros(len(frequency), dtype=bool))
 
 
 def parameters_of(numbers: ArrayLike) -> Ints:

@@ -73,6 +73,11 @@ class LocalFit:
         windows = tuple(replace(window, _made={}, _passages={}) for window in self.windows)
         return LocalFit(windows, self.natural_hz, self.damping)
 
+    @property
+    def poles(self) -> list[tuple[float, float]]:
+        """Natural frequency and damping ratio of each pole."""
+        return list(zip(self.natural_hz.tolist(), self.damping.tolist(), strict=True))
+
     @cached_property
     def orders(self) -> tuple[float, ...]:
         """Orders that pass any of the windows."""

@@ -11,7 +11,7 @@ import xarray as xr
 from crankorder.identify.found import ModalFit, Mode, SweepFits
 from crankorder.identify.modes.order_modes import is_shown
 from crankorder.identify.modes.pole_errors import side_by_side
-from crankorder.identify.modes.surface_fit import NO_POLES, Poles
+from crankorder.identify.modes.surface_fit import Poles, covariance_among, poles_at
 from crankorder.identify.modes.sweep_fit import MOST_VALUES
 from crankorder.identify.modes.sweep_poles import GroupFit, SweepPole, sweep_fits
 from crankorder.identify.modes.sweep_window import Solved, spectra_of
@@ -31,10 +31,9 @@ NUMBERS = _Numbers.load()
 
 def poles_of(swept: Sequence[SweepPole]) -> tuple[Poles, Floats]:
     """Poles of ``swept`` and their covariance (of f_1, ζ_1, f_2, …)."""
-    made = NO_POLES
-    for pole in swept:
-        made = made.with_pole(pole.frequency_hz, pole.damping)
-    return made, side_by_side([pole.covariance_of_values for pole in swept])
+    poles = poles_at((pole.frequency_hz, pole.damping) for pole in swept)
+    values = poles.values.ravel()
+    return poles, np.asarray(side_by_side([pole.covariance for pole in swept]) * values * values[:, None])
 
 
 def _is_one_of(frequency_hz: float, error_hz: float, damping: float, swept: Sequence[SweepPole]) -> bool:
@@ -51,8 +50,7 @@ def poles_unlike(poles: Poles, covariance: Floats, swept: Sequence[SweepPole]) -
     errors = np.sqrt(np.maximum(np.diag(covariance)[::2], 0.0))
     each = zip(poles.frequency_hz.tolist(), errors.tolist(), poles.damping.tolist(), strict=True)
     own = np.array([not _is_one_of(*pole, swept) for pole in each], dtype=np.bool_)
-    at = np.flatnonzero(np.repeat(own, 2))
-    return poles.chosen(own), covariance[np.ix_(at, at)]
+    return poles.chosen(own), covariance_among(covariance, np.flatnonzero(own))
 
 
 def modes_unlike(fit: ModalFit, kept: Poles, swept: Sequence[SweepPole]) -> tuple[ModalFit, Poles]:
@@ -62,10 +60,8 @@ def modes_unlike(fit: ModalFit, kept: Poles, swept: Sequence[SweepPole]) -> tupl
         for k, mode in enumerate(fit.modes)
         if not _is_one_of(mode.frequency_hz, mode.frequency_error_hz, mode.damping_ratio, swept)
     ]
-    at = np.array([[2 * k, 2 * k + 1] for k in own], dtype=np.int64).ravel()
-    modes = tuple(fit.modes[k] for k in own)
-    which = np.isin(np.arange(len(kept)), own)
-    return replace(fit, modes=modes, covariance=fit.covariance[np.ix_(at, at)]), kept.chosen(which)
+    modes, covariance = tuple(fit.modes[k] for k in own), covariance_among(fit.covariance, own)
+    return replace(fit, modes=modes, covariance=covariance), kept.chosen(np.array(own, dtype=np.int64))
 
 
 def with_sweep_modes(
@@ -135,11 +131,7 @@ def fits_of_sweeps(followed: Sequence[xr.Dataset], *, settings: IdentifySettings
     if not highest:
         return SweepFits()
     cycle = int(followed[0].attrs["revs_per_cycle"])
-    return sweep_fits(
-        spectra,
-        others=(np.arange(1, cycle * highest + 1) / cycle).tolist(),
-        settings=settings,
-    )
+    return sweep_fits(spectra, others=(np.arange(1, cycle * highest + 1) / cycle).tolist(), settings=settings)
 
 
 def _turns_surely(item: xr.Dataset) -> bool:
@@ -156,21 +148,15 @@ def with_rows_of_fits(followed: Sequence[xr.Dataset], fits: SweepFits) -> list[x
     made = []
     for item in followed:
         for group in fits.groups if "waveform" in item else ():
+            numbers = item["order"].values.tolist()
+            proven = {order for pole in group.poles for order in pole.orders}
             for one, less in zip(group.fit.bare.solved, group.less.bare.solved, strict=True):
-                if one.window.sweep.recording == item.attrs["recording"]:
-                    item = _with_group(item, group, one, less)
+                of_item = one.window.sweep.recording == item.attrs["recording"]
+                for order in one.window.orders if of_item else ():
+                    if order in numbers and order in less.window.orders:
+                        item = _with_order(item, numbers.index(order), group, (one, less), alone=order not in proven)
         made.append(item)
     return made
-
-
-def _with_group(item: xr.Dataset, group: GroupFit, one: Solved, less: Solved) -> xr.Dataset:
-    """``item`` with the rows of one window of a ``group``; ``less`` is that with one degree less."""
-    proven = {order for pole in group.poles for order in pole.orders}
-    numbers = item["order"].values.tolist()
-    for order in one.window.orders:
-        if order in numbers and order in less.window.orders:
-            item = _with_order(item, numbers.index(order), group, (one, less), alone=order not in proven)
-    return item
 
 
 def _with_order(
@@ -197,12 +183,12 @@ def _with_order(
         if not better.any():
             return item
     peak = None if alone else _peak(one, order, item["time"].values[near], np.abs(value).max(axis=1))
-    if peak is not None:
+    if peak is None:
+        item = item.copy(deep=True)
+    else:
         item, at = _with_row(item, peak, one)
         near = np.insert(near, at, True)
         value, error = _values(group, one, less, order, item["time"].values[near], item["crank_angle"].values[near])
-    else:
-        item = item.copy(deep=True)
     value, error = _with_witness(item, place, near, value, error, rung=_rung(item, place, near, one))
     usable = np.isfinite(item["amplitude"].values[:, place][:, near].real).any(axis=1)
     rows = np.ix_(np.flatnonzero(usable), np.array([place]), np.flatnonzero(near))
@@ -290,10 +276,9 @@ def _peak(one: Solved, order: float, time_s: Floats, size: Floats) -> float | No
         return None
     fine = np.linspace(low, high, ROW_NUMBERS.between)
     sweep = one.window.sweep
-    angle = np.interp(fine, sweep.start_s + np.arange(len(sweep.angle_rev)) / sweep.rate_hz, sweep.angle_rev)
-    found = np.abs(_amplitude(one, order, fine, angle)).max(axis=1)
-    top = int(np.argmax(found))
-    return float(fine[top]) if found[top] > ROW_NUMBERS.higher_ratio * size[best] else None
+    between = np.abs(_amplitude(one, order, fine, np.interp(fine, sweep.time_s, sweep.angle_rev))).max(axis=1)
+    top = int(np.argmax(between))
+    return float(fine[top]) if between[top] > ROW_NUMBERS.higher_ratio * size[best] else None
 
 
 def _with_row(item: xr.Dataset, time_s: float, one: Solved) -> tuple[xr.Dataset, int]:
@@ -303,15 +288,11 @@ def _with_row(item: xr.Dataset, time_s: float, one: Solved) -> tuple[xr.Dataset,
     beside = min(at, len(time) - 1)
     made = item.isel(frame=np.insert(np.arange(len(time)), at, beside)).copy(deep=True)
     sweep = one.window.sweep
-    sampled = sweep.start_s + np.arange(len(sweep.angle_rev)) / sweep.rate_hz
-    for name, value in (
-        ("time", time_s),
-        ("speed", np.interp(time_s, sampled, sweep.speed_rpm)),
-        ("crank_angle", np.interp(time_s, sampled, sweep.angle_rev)),
-    ):
-        made.coords[name].values[at] = value
-    for name, nothing in (("amplitude", np.nan), ("standard_error", np.nan), ("degrees_of_freedom", 0.0)):
-        made[name].values[:, :, at] = nothing
-    for name in SMOOTHING:
+    made.coords["time"].values[at] = time_s
+    made.coords["speed"].values[at] = np.interp(time_s, sweep.time_s, sweep.speed_rpm)
+    made.coords["crank_angle"].values[at] = np.interp(time_s, sweep.time_s, sweep.angle_rev)
+    for name in ("amplitude", "standard_error"):
+        made[name].values[:, :, at] = np.nan
+    for name in ("degrees_of_freedom", *SMOOTHING):
         made[name].values[:, :, at] = 0.0
     return made, at

@@ -13,7 +13,7 @@ from crankorder.identify.modes.order_terms import resonance
 from crankorder.identify.modes.responses import EXCLUSION, SAME_ORDER, Hiding
 from crankorder.identify.modes.sweep_fit import LIGHTEST, LocalFit, OnePoleMore, Starts, shares_of
 from crankorder.identify.modes.sweep_window import Solved, SweepSpectrum, Window
-from crankorder.quantities import Complexes, Floats
+from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -66,12 +66,6 @@ class SweepPole:
     orders: tuple[float, ...]
     span_hz: tuple[float, float]
     share: float
-
-    @property
-    def covariance_of_values(self) -> Floats:
-        """Covariance (2, 2) of frequency, Hz, and damping ratio."""
-        values = np.array([self.frequency_hz, self.damping])
-        return np.asarray(self.covariance * values * values[:, None])
 
     @property
     def frequency_error_hz(self) -> float:
@@ -157,9 +151,8 @@ def sweep_fits(
     ends: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
     for at, (low, high) in enumerate(tiles):
         fit = looked[at].fit if at in looked else None
-        least, sure = settings.least_damping_ratio, settings.free_confidence
-        unseen = hidden_in(fit.bare, low, high, least_damping=least, confidence=sure) if fit else ()
-        hidden += [item.beside(proven) for item in unseen]
+        unseen = hidden_in(fit.bare, low, high, proven, settings=settings) if fit else []
+        hidden += unseen
         # one that asks for more is not searched to its end: nothing is said to be free there
         if unseen or at not in looked or (fit is None and looked[at].starts):
             ends[bool(unseen)].append((low, high))
@@ -250,7 +243,7 @@ class _Search:
             fit, again = self._with_orders(trial)
             shown |= again
         others = [pole for pole in found if not ends[0] < pole[0] < ends[1]]
-        found = others + list(zip(fit.natural_hz.tolist(), fit.damping.tolist(), strict=True))
+        found = others + fit.poles
         return TileLooked(found, shown, fit.bare if trial is None else None, tried, sent=starts.beyond)
 
     def _with_pole(self, fit: LocalFit, starts: Starts) -> LocalFit | None:
@@ -423,59 +416,29 @@ STARTS_APART = 0.5
 """Distance of the poles that are imagined, in half-power widths of a mode or of a bin: hardly any is lower between."""
 
 
-@dataclass(frozen=True, eq=False)
-class HiddenInSweep:
-    """What a mode that nobody saw could add to ``order`` in one recording, at ``frequency_hz`` (G,), rising.
-
-    ``smooth`` (C, G) is the amplitude that the order would have there without any mode, ``own`` (M, C, G) what the
-    poles ``natural_hz`` (M,) of the fit make of it; ``added`` and ``noise`` (C, G) are those of a Hiding.
-    """
-
-    order: float
-    channels: tuple[str, ...]
-    frequency_hz: Floats
-    smooth: Complexes
-    own: Complexes
-    natural_hz: Floats
-    damping: Floats
-    added: Floats
-    noise: Floats
-
-    def beside(self, proven_hz: Sequence[float]) -> Hiding:
-        """With those of its poles as known that are modes of ``proven_hz``; any other may be a mode that is to come."""
-        proven = np.array(proven_hz)
-        known = np.array(
-            [
-                bool(np.any(np.abs(proven - f) <= zeta * f))
-                for f, zeta in zip(self.natural_hz.tolist(), self.damping.tolist(), strict=True)
-            ],
-            dtype=np.bool_,
-        )
-        base = np.abs(self.smooth + self.own[known].sum(axis=0))
-        added = self.added + np.abs(self.own[~known]).sum(axis=0)
-        return Hiding(self.order, self.frequency_hz, self.channels, base, added, self.noise)
-
-
 def hidden_in(
-    fit: LocalFit, low_hz: float, high_hz: float, *, least_damping: float, confidence: float
-) -> tuple[HiddenInSweep, ...]:
+    fit: LocalFit, low_hz: float, high_hz: float, proven_hz: Sequence[float], *, settings: IdentifySettings
+) -> list[Hiding]:
     """What each order of ``fit`` hides from ``low_hz`` to ``high_hz``, recording by recording.
 
-    Poles of ``least_damping`` and some times that are imagined side by side, with an amplitude behind every order and
-    one that rings: what the signals give them, and as much more as they leave open at the ``confidence`` (0 to 1).
+    Poles of the least damping of the ``settings`` and some times that are imagined side by side, with an amplitude
+    behind every order and one that rings: what the signals give them, and as much more as they leave open at the
+    confidence with which a speed is called free. Of the fit's own poles those of ``proven_hz`` are known; any other may
+    be a mode that is to come.
     """
     from scipy.special import chdtri
 
-    reach = float(np.sqrt(0.5 * chdtri(2.0, 1.0 - confidence)))
+    reach = float(np.sqrt(0.5 * chdtri(2.0, 1.0 - settings.free_confidence)))
     cells = np.geomspace(low_hz, high_hz, max(3, int(np.ceil(np.log(high_hz / low_hz) / CELL))))
-    made: list[HiddenInSweep] = []
+    proven, made = np.array(proven_hz), list[Hiding]()
+    known = [bool(np.any(np.abs(proven - f) <= zeta * f)) for f, zeta in fit.poles]
     for one in fit.solved:
         spread = float(np.sqrt(max(1.0, one.misfit / max(one.freedom, 1))))
         added = np.zeros((len(one.window.orders), one.left.shape[1], len(cells)))
         for times in EXCLUSION.tried_damping_ratios:
-            added = np.maximum(added, _added(one, cells, least_damping * times, reach * spread))
-        made += [_of_order(one, place, cells, added[place]) for place in range(len(one.window.orders))]
-    return tuple(item for item in made if len(item.frequency_hz) > 1)
+            added = np.maximum(added, _added(one, cells, settings.least_damping_ratio * times, reach * spread))
+        made += [_of_order(one, place, cells, added[place], known) for place in range(len(one.window.orders))]
+    return [item for item in made if len(item.frequency_hz) > 1]
 
 
 def _added(one: Solved, cells: Floats, damping: float, reach: float) -> Floats:
@@ -493,10 +456,10 @@ def _added(one: Solved, cells: Floats, damping: float, reach: float) -> Floats:
     return np.asarray(worst.reshape(*most.shape[1:], len(cells)))
 
 
-def _of_order(one: Solved, place: int, cells: Floats, added: Floats) -> HiddenInSweep:
+def _of_order(one: Solved, place: int, cells: Floats, added: Floats, known: Sequence[bool]) -> Hiding:
     """What order number ``place`` of ``one`` window hides at those of ``cells`` (G,) that it passes.
 
-    ``added`` (C, G): the most that a mode adds per unit of its force.
+    ``added`` (C, G): the most that a mode adds per unit of its force; ``known`` (M,): which poles are modes for sure.
     """
     window, order = one.window, one.window.orders[place]
     hz = order * window.sweep.speed_rpm / 60.0
@@ -510,14 +473,7 @@ def _of_order(one: Solved, place: int, cells: Floats, added: Floats) -> HiddenIn
     amplitude, degree = one.amplitude[own], window.degree + 1
     scatter = np.square(window.level) * one.misfit / max(one.freedom, 1)
     error = np.sqrt(np.sum(np.abs(path @ (one.inverse[own] / one.scale[own, None])) ** 2, axis=1) * scatter[:, None])
-    return HiddenInSweep(
-        order,
-        window.sweep.channels,
-        at,
-        (path[:, :degree] @ amplitude[:degree]).T,
-        np.einsum("gm,mc->mcg", path[:, degree:], amplitude[degree:]),
-        one.natural_hz,
-        one.damping,
-        added[:, kept] * np.abs(force),
-        EXCLUSION.noise_sigmas * error,
-    )
+    by_mode, is_known = np.einsum("gm,mc->mcg", path[:, degree:], amplitude[degree:]), np.array(known, dtype=np.bool_)
+    base = np.abs((path[:, :degree] @ amplitude[:degree]).T + by_mode[is_known].sum(axis=0))
+    most = added[:, kept] * np.abs(force) + np.abs(by_mode[~is_known]).sum(axis=0)
+    return Hiding(order, at, window.sweep.channels, base, most, EXCLUSION.noise_sigmas * error)

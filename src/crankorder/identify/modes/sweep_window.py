@@ -103,6 +103,11 @@ class SweepSpectrum:
         """Length of the recording."""
         return len(self.angle_rev) / self.rate_hz
 
+    @property
+    def time_s(self) -> Floats:
+        """Times (N,) of the samples."""
+        return np.asarray(self.start_s + np.arange(len(self.angle_rev)) / self.rate_hz)
+
     @cached_property
     def logarithm(self) -> Floats:
         """Logarithm (N,) of the speed, as far as it turns."""

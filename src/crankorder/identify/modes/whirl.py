@@ -12,7 +12,14 @@ from scipy.special import chdtri
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import ModalFit, Mode, OrderResponse, Whirl
 from crankorder.identify.modes.floor import Floor
-from crankorder.identify.modes.surface_fit import Problem, SpectralWindow, SurfaceFit, gamma_deviance, seen_pole
+from crankorder.identify.modes.surface_fit import (
+    Problem,
+    SpectralWindow,
+    SurfaceFit,
+    covariance_among,
+    gamma_deviance,
+    seen_pole,
+)
 from crankorder.identify.modes.tones import NUMBERS as TONES
 from crankorder.identify.modes.tones import at_one_speed, on_order
 from crankorder.orders.averages import median_of_known
@@ -484,12 +491,11 @@ def without_remains(fit: ModalFit, whirls: tuple[Whirl, ...], speed_rpm: Floats)
     remains = [any(_is_meeting(mode, w) or _is_hump(mode, w, speed_rpm) for w in whirls) for mode in fit.modes]
     lost = {order for mode in fit.modes if any(_is_meeting(mode, w) for w in whirls) for order in mode.reached_by}
     at = [k for k, mode in enumerate(fit.modes) if not (remains[k] and (mode.undecided or mode.reached_by))]
-    pairs = np.array([[2 * k, 2 * k + 1] for k in at], dtype=np.int64).ravel()
     why = "it is on the path of a whirl and broader, and may be what the whirl leaves"
     return replace(
         fit,
         modes=tuple(replace(fit.modes[k], undecided=why) if remains[k] else fit.modes[k] for k in at),
-        covariance=fit.covariance[np.ix_(pairs, pairs)],
+        covariance=covariance_among(fit.covariance, at),
         responses=tuple(_of_modes(one, at, fits=one.fits and one.order not in lost) for one in fit.responses),
         whirls=whirls,
     )
