@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
 
 import numpy as np
 import xarray as xr
@@ -13,7 +12,6 @@ from crankorder.identify.found import HiddenSpeeds, Mode, Swing, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import Block, Projected, as_real, jacobian, project
-from crankorder.identify.modes.order_terms import Passage, force
 from crankorder.identify.modes.surface_fit import Poles
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -38,15 +36,18 @@ def without_ringing(blocks: Sequence[Block], parts: Sequence[Projected], poles: 
     where a lower order finds it later (a higher one where the speed falls). What is taken away is known as well as the
     residue of the other order, and by as much as that one scatters: the errors of the rows grow by it.
     """
-    made = list(blocks)
-    swept = [number for number, block in enumerate(blocks) if block.passage is not None]
-    swept.sort(key=lambda number: blocks[number].recording)
-    for _, group in groupby(swept, key=lambda number: blocks[number].recording):
-        together = list(group)
-        for number in together:
-            others = [(blocks[other], parts[other]) for other in together if other != number]
-            made[number] = _without(blocks[number], others, poles)
-    return tuple(made)
+    return tuple(
+        block if block.passage is None else _without(block, _others(block, blocks, parts), poles) for block in blocks
+    )
+
+
+def _others(block: Block, blocks: Sequence[Block], parts: Sequence[Projected]) -> list[tuple[Block, Projected]]:
+    """The other orders among ``blocks`` that sweep in the recording of ``block``, and their ``parts``."""
+    return [
+        (other, part)
+        for other, part in zip(blocks, parts, strict=True)
+        if other is not block and other.passage is not None and other.recording == block.recording
+    ]
 
 
 def swings_of(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles) -> tuple[Swing, ...]:
@@ -58,15 +59,9 @@ def swings_of(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles)
     for block in blocks:
         if block.passage is None or block.as_read is None:
             continue
-        along = replace(
-            block, passage=replace(block.passage, place=np.arange(len(block.passage.time_s), dtype=np.float64))
-        )
-        others = [
-            (other, part)
-            for other, part in zip(blocks, parts, strict=True)
-            if other is not block and other.passage is not None and other.recording == block.recording
-        ]
-        total, variance = _rung(along, others, poles)
+        every = np.arange(len(block.passage.time_s), dtype=np.float64)
+        along = replace(block, passage=replace(block.passage, place=every))
+        total, variance = _rung(along, _others(block, blocks, parts), poles)
         made += [
             Swing(block.order, name, block.recording, block.passage.time_s, taken, np.sqrt(spread))
             for name, taken, spread in zip(block.channels, total, variance, strict=True)
@@ -118,9 +113,7 @@ def _rung(block: Block, others: Sequence[tuple[Block, Projected]], poles: Poles)
             took = _taken(block, other, f, zeta)
             column = other.degree + 1 + place
             residue = part.linear[from_rows, column]
-            spread = part.covariance[from_rows, column, column].real * max(
-                1.0, part.chi2 / max(part.degrees_of_freedom, 1)
-            )
+            spread = part.covariance[from_rows, column, column].real * part.beyond_errors
             total[shared] += residue[:, None] * took
             variance[shared] += (spread + np.square(other.scatter * np.abs(residue)))[:, None] * np.abs(took) ** 2
     return total, variance
@@ -190,13 +183,11 @@ def _taken(block: Block, other: Block, natural_hz: float, damping: float) -> Com
     assert block.passage is not None
     key = (block.order, len(block.passage.place), natural_hz, damping, other.exponent, other.law)
     if key not in other.rung:
-        passage: Passage | None = other.passage
-        assert passage is not None
-        grown = force(passage.speed_rpm, other.span_rpm, other.reference_rpm, other.exponent, other.law)
+        assert other.passage is not None
         if len(other.rung) >= MOST_KEPT:
             other.rung.pop(next(iter(other.rung)))
-        left = passage.left_over(grown, natural_hz, damping)
-        other.rung[key] = block.passage.taken_from(passage, left, natural_hz)
+        left = other.passage.left_over(other.driven, natural_hz, damping)
+        other.rung[key] = block.passage.taken_from(other.passage, left, natural_hz)
     return other.rung[key]
 
 
@@ -256,13 +247,12 @@ class OrderPole:
 
 def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles, number: int) -> OrderPole:
     """Pole ``number`` of ``poles`` with the orders that prove it; ``blocks`` as ``projected`` with all poles."""
-    f, zeta = float(poles.frequency_hz[number]), float(poles.damping[number])
+    f, zeta = poles.values[number].tolist()
     reach = NUMBERS.within_widths * zeta
     rows: dict[float, int] = {}
     ends: list[float] = []
     shown: list[str] = []
     located, passed, rung_by, flanked = set[float](), set[float](), set[float](), set[float]()
-    beside = _by_sweep(blocks)
     for block, part in zip(blocks, projected, strict=True):
         shows = residue_chances(block, part, number) <= NUMBERS.proof_chance
         if shows.any():
@@ -271,13 +261,13 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
             continue
         shown += [name for name, yes in zip(block.channels, shows, strict=True) if yes]
         rows[block.order] = max(_rows_within(block, f, zeta), rows.get(block.order, 0))
-        ends += [float(block.frequency_hz.min()), float(block.frequency_hz.max())]
-        if (1.0 - reach) * block.frequency_hz.min() <= f <= (1.0 + reach) * block.frequency_hz.max():
+        ends += block.ends_hz
+        if (1.0 - reach) * block.ends_hz[0] <= f <= (1.0 + reach) * block.ends_hz[1]:
             passed.add(block.order)
             rung_by |= {
                 other.order
-                for other in beside.get(block.recording, ())
-                if other is not block and rings_into(block, other, f, zeta)
+                for other, _ in _others(block, blocks, projected)
+                if block.passage is not None and rings_into(block, other, f, zeta)
             }
             # the block alone finds the pole where it is: one step from there is small, and its error too
             step, error = _step(block, part, poles, number)
@@ -300,15 +290,6 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
     return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
 
 
-def _by_sweep(blocks: Sequence[Block]) -> dict[str, list[Block]]:
-    """The ``blocks`` of sweeps by their recording."""
-    made: dict[str, list[Block]] = {}
-    for block in blocks:
-        if block.passage is not None:
-            made.setdefault(block.recording, []).append(block)
-    return made
-
-
 def _explains(block: Block, part: Projected, poles: Poles, number: int) -> Bools:
     """Whether pole ``number``, with its neighbours, is what a sweep of ``block`` shows there, in each channel (C,).
 
@@ -317,7 +298,7 @@ def _explains(block: Block, part: Projected, poles: Poles, number: int) -> Bools
     """
     if block.passage is None:
         return np.ones(len(block.channels), dtype=np.bool_)
-    f, zeta = float(poles.frequency_hz[number]), float(poles.damping[number])
+    f, zeta = poles.values[number].tolist()
     away = np.abs(block.frequency_hz / f - 1.0)
     reach = max(
         NUMBERS.within_widths * zeta,
@@ -379,13 +360,9 @@ def flanks_show(block: Block, poles: Poles, number: int) -> bool:
 
 def _rows_within(block: Block, f: float, zeta: float) -> int:
     """How many rows of ``block`` lie within some widths of a pole; a sweep through both its flanks has enough."""
-    rows = int(np.count_nonzero(np.abs(block.frequency_hz / f - 1.0) <= NUMBERS.within_widths * zeta))
-    low, high = block.frequency_hz.min(), block.frequency_hz.max()
-    whole = (
-        block.passage is not None
-        and low < f * (1.0 - NUMBERS.within_widths * zeta)
-        and high > f * (1.0 + NUMBERS.within_widths * zeta)
-    )
+    reach, (low, high) = NUMBERS.within_widths * zeta, block.ends_hz
+    rows = int(np.count_nonzero(np.abs(block.frequency_hz / f - 1.0) <= reach))
+    whole = block.passage is not None and low < f * (1.0 - reach) and high > f * (1.0 + reach)
     return max(rows, NUMBERS.rows_of_sweep) if whole else rows
 
 
@@ -413,17 +390,16 @@ def proven_by(proof: Proof) -> str:
     """
     if not proof.orders:
         return ""
-    names = ", ".join(f"{order:g}" for order in proof.passed)
-    if not names:
-        return f"no order passes it; it shapes orders {', '.join(f'{order:g}' for order in proof.orders)} from afar"
+    if not proof.passed:
+        return f"no order passes it; it shapes orders {_listed(proof.orders)} from afar"
+    names = _listed(proof.passed)
     if len(proof.passed) > 1:
         told = f"orders {names} peak there, each at its own speed, with the phase of a resonance"
     else:
         near = f"at {proof.most_rows} speeds around it" if proof.most_rows else "seen on its flanks"
         told = f"order {names} has amplitude and phase of a resonance there, {near}"
-    flanks = ", ".join(f"{order:g}" for order in proof.flanked)
-    if flanks and proof.most_rows < NUMBERS.rows_of_turn and not _peaks_prove(proof):
-        told += f"; the flanks of order {flanks}, without the rows at its peak, place it there"
+    if proof.flanked and proof.most_rows < NUMBERS.rows_of_turn and not _peaks_prove(proof):
+        told += f"; the flanks of order {_listed(proof.flanked)}, without the rows at its peak, place it there"
     return told
 
 
@@ -452,17 +428,8 @@ def mode_of(pole: OrderPole, covariance: Floats, every: Poles, *, settings: Iden
     is_another = zeta_error > NUMBERS.known_share * zeta and bool((np.abs(others - f) <= Z95 * error).any())
     if not proof.orders or zeta > settings.max_damping_ratio or is_another:
         return None
-    return Mode(
-        f,
-        error,
-        zeta,
-        zeta_error,
-        pole.channels,
-        0.0,
-        proven_by(proof),
-        proof.orders,
-        _doubt(pole, error, zeta_error, every),
-    )
+    doubt = _doubt(pole, error, zeta_error, every)
+    return Mode(f, error, zeta, zeta_error, pole.channels, 0.0, proven_by(proof), proof.orders, doubt)
 
 
 def tone_as_mode(tone: Tone, orders: tuple[float, ...], *, settings: IdentifySettings) -> tuple[Mode, Floats]:
@@ -470,14 +437,15 @@ def tone_as_mode(tone: Tone, orders: tuple[float, ...], *, settings: IdentifySet
 
     ``settings``: the least damping that a mode is reckoned with, which stands for one that nobody saw.
     """
-    names = ", ".join(f"{order:g}" for order in orders)
-    word = "orders" if len(orders) > 1 else "order"
-    zeta = settings.least_damping_ratio
-    doubt = f"tone or mode: {word} {names} {'rise' if len(orders) > 1 else 'rises'} there"
-    covariance = np.diag([tone.frequency_error_hz**2, zeta**2])
-    channels = tuple(tone.amplitude)
-    mode = Mode(tone.frequency_hz, tone.frequency_error_hz, zeta, zeta, channels, 0.0, tone.evidence, orders, doubt)
-    return mode, covariance
+    f, error, zeta = tone.frequency_hz, tone.frequency_error_hz, settings.least_damping_ratio
+    rise = f"orders {_listed(orders)} rise" if len(orders) > 1 else f"order {_listed(orders)} rises"
+    doubt = f"tone or mode: {rise} there"
+    mode = Mode(f, error, zeta, zeta, tuple(tone.amplitude), 0.0, tone.evidence, orders, doubt)
+    return mode, np.diag([error**2, zeta**2])
+
+
+def _listed(orders: Sequence[float]) -> str:
+    return ", ".join(f"{order:g}" for order in orders)
 
 
 def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> str:
@@ -492,10 +460,9 @@ def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> st
         and not proof.flanked
         and (proof.most_rows < NUMBERS.rows_of_turn or zeta_error > NUMBERS.known_alone_share * zeta)
     ):
-        name = f"{proof.passed[0]:g}"
-        said.append(f"passed by order {name} alone, at {proof.most_rows} speeds: its force may peak there")
+        said.append(f"passed by order {proof.passed[0]:g} alone, at {proof.most_rows} speeds: its force may peak there")
     elif len(proof.passed) == 1 and proof.rung_by:
-        before = ", ".join(f"{order:g}" for order in proof.rung_by)
+        before = _listed(proof.rung_by)
         said.append(f"passed by order {proof.passed[0]:g} alone, while it would still ring from order {before}")
     elif len(proof.passed) > 1 and not is_proven(proof):
         said.append("too few speeds lie near it: a force that differs at one of them looks the same")

@@ -56,7 +56,7 @@ Kept = TypeVar("Kept")
 OF_ROWS = ("span_rpm", "shapes", "ends_hz", "size", "rows", "fewest_rows", "measured", "_steady")
 """What a :class:`Block` works out of its rows alone, whatever its law and scatter."""
 
-OF_LAW = ("growth", "_designs", "_driven")
+OF_LAW = ("growth", "_designs", "driven")
 """What it works out of its rows and its law, whatever its scatter."""
 
 
@@ -274,7 +274,7 @@ class Block:
         return np.asarray(self.frequency_hz[:, None] / natural_hz)
 
     @cached_property
-    def _driven(self) -> Complexes:
+    def driven(self) -> Complexes:
         """Force (T,) along the passage."""
         assert self.passage is not None
         return force(self.passage.speed_rpm, self.span_rpm, self.reference_rpm, self.exponent, self.law)
@@ -288,7 +288,7 @@ class Block:
             if len(self.made.get(key, ())) <= which:
                 while len(self.made) >= MOST_KEPT:
                     self.made.pop(next(iter(self.made)))
-                self.made[key] = self.passage.response(self._driven, *pole, slopes=which > 0)
+                self.made[key] = self.passage.response(self.driven, *pole, slopes=which > 0)
             made[:, number] = self.made[key][which]
         return made
 
@@ -352,6 +352,11 @@ class Projected:
         inverse = self.solve
         outer = self.scale[:, :, None] * self.scale[:, None, :]
         return np.asarray(inverse @ np.swapaxes(inverse, 1, 2).conj() / outer)
+
+    @property
+    def beyond_errors(self) -> float:
+        """What the squares that are left are over those expected; 1 or more."""
+        return max(1.0, self.chi2 / max(self.degrees_of_freedom, 1))
 
     @cached_property
     def solve(self) -> Complexes:
@@ -543,7 +548,7 @@ def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, 
             continue
         item, part = with_scatter(block, modes)
         first = item.degree + 1
-        linear, covariance = part.linear, part.covariance * max(1.0, part.chi2 / max(part.degrees_of_freedom, 1))
+        linear, covariance = part.linear, part.covariance * part.beyond_errors
         slopes = _terms_by_poles(item, modes, part)
         for number, channel in enumerate(item.channels):
             residue = np.zeros(len(modes), dtype=complex)

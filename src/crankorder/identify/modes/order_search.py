@@ -289,7 +289,7 @@ def _told_with(block: Block, poles: Poles, frequency_hz: float) -> Block:
 
     Signs stay as they are, or turn at that frequency: what the poles fit better.
     """
-    passed = float(block.frequency_hz.min()) < frequency_hz < float(block.frequency_hz.max())
+    passed = block.ends_hz[0] < frequency_hz < block.ends_hz[1]
     if passed and block.sign_free:
         both = [with_scatter(one, poles) for one in (block, block.turned_above(frequency_hz))]
         block = min(both, key=lambda pair: missed(*pair))[0]
@@ -308,16 +308,10 @@ class Tried:
     @classmethod
     def of(cls, blocks: Sequence[Block]) -> Tried:
         """Starts as far as the rows of any of ``blocks`` reach."""
-        low = min(float(block.frequency_hz.min()) for block in blocks)
-        high = max(float(block.frequency_hz.max()) for block in blocks)
+        low, high = min(block.ends_hz[0] for block in blocks), max(block.ends_hz[1] for block in blocks)
         counts = [max(2, int(np.ceil(np.log(1.06 * high / low) / zeta))) for zeta in TRIED_DAMPING]
         frequency = [np.geomspace(0.97 * low, 1.03 * high, count) for count in counts]
         return cls(np.concatenate(frequency), np.repeat(TRIED_DAMPING, counts))
-
-    @classmethod
-    def near(cls, frequency_hz: float) -> Tried:
-        """Light resonances at ``frequency_hz``."""
-        return cls(np.full(len(LIGHT), frequency_hz), np.array(LIGHT))
 
 
 def _more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) -> tuple[Fitted | None, int]:
@@ -354,10 +348,9 @@ def _one_more(state: Fitted, tried: Tried, *, most_damping: float) -> tuple[Fitt
         f, zeta = float(tried.frequency_hz[at]), float(tried.damping[at])
         gains[np.abs(np.log(tried.frequency_hz / f)) < 2.0 * zeta] = 0.0
         trial, followed = state.with_pole((f, zeta)), followed + 1
-        saved = trial.saves(state)
-        if saved > most and not moved_out(
-            trial.poles.chosen(np.arange(len(trial.poles)) == len(state.poles)), tried, most_damping
-        ):
+        saved, (new_hz, new_damping) = trial.saves(state), trial.poles.values[len(state.poles)]
+        inside = tried.frequency_hz.min() <= new_hz <= tried.frequency_hz.max() and new_damping <= most_damping
+        if saved > most and inside:
             best, most = trial, saved
     return None if best is None else best.moved(), followed
 
@@ -370,7 +363,7 @@ def orders_raised(blocks: Sequence[Block], poles: Poles, frequency_hz: float) ->
     """
     from scipy.special import chdtri
 
-    tried = Tried.near(frequency_hz)
+    tried = Tried(np.full(len(LIGHT), frequency_hz), np.array(LIGHT))
     found = []
     for block in blocks:
         gains = _gains(Fitted.of((block,), poles, NO_PRIOR), tried)
@@ -395,13 +388,6 @@ def _stands_out(block: Block, frequency_hz: float) -> bool:
     return bool((size[:, near].max(axis=1) > NUMBERS.rises_ratio * size[:, sides].max(axis=1)).any())
 
 
-def moved_out(poles: Poles, tried: Tried, most_damping: float) -> bool:
-    """Whether any of ``poles`` left the frequencies ``tried``, or is damped by more than ``most_damping``."""
-    low, high = float(tried.frequency_hz.min()), float(tried.frequency_hz.max())
-    outside = (poles.frequency_hz < low) | (poles.frequency_hz > high) | (poles.damping > most_damping)
-    return bool(outside.any())
-
-
 def _gains(state: Fitted, tried: Tried) -> Floats:
     """What a pole at each start would save, beyond what noise saves, summed over orders and channels.
 
@@ -411,7 +397,7 @@ def _gains(state: Fitted, tried: Tried) -> Floats:
     for block, part in zip(state.blocks, state.projected, strict=True):
         if block.rows.min() < NUMBERS.fewest_rows or part.degrees_of_freedom < 4:
             continue
-        low, high = float(block.frequency_hz.min()), float(block.frequency_hz.max())
+        low, high = block.ends_hz
         near = np.flatnonzero((tried.frequency_hz > 0.97 * low) & (tried.frequency_hz < 1.03 * high))
         settled = block.scatter < NUMBERS.felt_error_share
         if settled:
@@ -419,7 +405,10 @@ def _gains(state: Fitted, tried: Tried) -> Floats:
             part = project(block, state.poles)
         else:
             block, part = _anew(block, part, state.poles)
-        columns = replace(block, passage=None).modal(tried.frequency_hz[near], _widened(block, tried, near))
+        natural, damping = tried.frequency_hz[near], tried.damping[near]
+        if block.passage is not None:  # as wide as a sweep makes a resonance look
+            damping = np.maximum(damping, block.passage.blurred_hz / natural)
+        columns = replace(block, passage=None).modal(natural, damping)
         degrees_of_freedom = max(part.degrees_of_freedom / len(block.channels) - 2.0, 0.0)
         explained = _explained(columns, block.weight, part, block.columns_per_mode)
         left = np.maximum(np.sum(np.abs(part.left) ** 2, axis=1), 1e-300)[:, None]
@@ -454,14 +443,6 @@ def _explained(columns: Complexes, weight: Floats, part: Projected, per: int) ->
     both -= (seen[..., ::2].conj() * seen[..., 1::2]).sum(axis=1)
     rest = np.maximum(norm[:, 1::2] - np.abs(both) ** 2 / norm[:, ::2], 1e-6 * norm[:, 1::2])
     return np.asarray(made + np.abs(along[:, 1::2] - along[:, ::2] * both / norm[:, ::2]) ** 2 / rest)
-
-
-def _widened(block: Block, tried: Tried, near: Ints) -> Floats:
-    """Damping ratios of the starts ``near``, as wide as a sweep makes a resonance look."""
-    damping = tried.damping[near]
-    if block.passage is None:
-        return np.asarray(damping)
-    return np.asarray(np.maximum(damping, block.passage.blurred_hz / tried.frequency_hz[near]))
 
 
 def _moved(joint: Blocks, free: Poles, prior: Prior) -> Poles:
