@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -71,15 +71,14 @@ def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | Non
     half = abs(2.0 * agreed.order - round(2.0 * agreed.order)) < 2.0 * WHOLE  # after a turn as it was, or of other sign
     if told and one_phase_reference([order_map]) and half:
         made = _block(agreed.order, names, speed, phasor, wide)
-        return [made and replace(made, amplitude=_without_turns(made.amplitude), sign_free=True)]
+        if made is None:
+            return []
+        # signs by which each row turns least from the one before
+        beside = np.sum((made.amplitude[:, :-1].conj() * made.amplitude[:, 1:]).real, axis=0)
+        sign = np.cumprod(np.append(1.0, np.where(beside < 0.0, -1.0, 1.0)))
+        return [replace(made, amplitude=made.amplitude * sign, sign_free=True)]
     made = _block(agreed.order, names, speed, phasor, wide, power=True)
     return [made and made.squared]
-
-
-def _without_turns(amplitude: Complexes) -> Complexes:
-    """``amplitude`` (C, K) with the signs of its rows by which each turns least from the one before."""
-    beside = np.sum((amplitude[:, :-1].conj() * amplitude[:, 1:]).real, axis=0)
-    return np.asarray(amplitude * np.cumprod(np.append(1.0, np.where(beside < 0.0, -1.0, 1.0))))
 
 
 def _of_sizes(order: float, line: OrderLine) -> Block | None:
@@ -248,61 +247,58 @@ def with_locks_through_modes(
             return tuple(orders), modal
     told = tuple(one if left is None else _told(one, left, cycle) for one, left in zip(orders, measured, strict=True))
     moved = {old.order: new.order for old, new in zip(orders, told, strict=True) if old.order != new.order}
-    return told, _renumbered(modal, moved) if moved else modal
+    if not moved:
+        return told, modal
 
+    def number(order: float) -> float:
+        return moved.get(order, order)
 
-def _renumbered(modal: ModalFit, moved: Mapping[float, float]) -> ModalFit:
-    """``modal`` whose orders have the numbers to which they ``moved``."""
-    return replace(
+    return told, replace(
         modal,
-        modes=tuple(
-            replace(one, reached_by=tuple(moved.get(order, order) for order in one.reached_by)) for one in modal.modes
-        ),
-        responses=tuple(replace(one, order=moved.get(one.order, one.order)) for one in modal.responses),
-        unseen=tuple(replace(one, order=moved.get(one.order, one.order)) for one in modal.unseen),
+        modes=tuple(replace(one, reached_by=tuple(map(number, one.reached_by))) for one in modal.modes),
+        responses=tuple(replace(one, order=number(one.order)) for one in modal.responses),
+        unseen=tuple(replace(one, order=number(one.order)) for one in modal.unseen),
     )
 
 
 def _measured(
     agreed: AgreedOrder, modal: ModalFit, sweeps: Sequence[xr.Dataset], order_map: xr.Dataset, cycle: int
 ) -> _Left | None:
-    """What all ``sweeps`` tell of how ``agreed`` turns from the nearest multiple; None where none tells anything."""
+    """What all ``sweeps`` tell of how ``agreed`` turns from the nearest multiple; None where none tells anything.
+
+    The mean over the recordings by their errors, widened where they scatter more.
+    """
     multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
-    found = [
+    seen = [
         left
         for item in sweeps
         for block in blocks_of(order_map, (agreed,), [item])
         if block.recording and (left := _left_of(block, modal, item, multiple)) is not None
     ]
-    return _joined(found) if found else None
+    if not seen:
+        return None
+    turns: Floats = np.array([left.turn for left in seen])
+    weight: Floats = np.array([1.0 / left.error**2 for left in seen])
+    mean, information = float(np.average(turns, weights=weight)), float(weight.sum())
+    scatter = max(1.0, float(weight @ np.square(turns - mean)) / max(len(seen) - 1, 1))
+    return _Left(mean, float(np.sqrt(scatter / information)), min(left.degrees_of_freedom for left in seen))
 
 
 def _told(agreed: AgreedOrder, left: _Left, cycle: int) -> AgreedOrder:
     """``agreed``, which is locked where what is ``left`` proves it."""
     multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
-    error, degrees_of_freedom = left.error, left.degrees_of_freedom
-    lock = lock_of(multiple + left.turn, error, degrees_of_freedom, revs_per_cycle=cycle, by_phase=True)
+    lock = lock_of(multiple + left.turn, left.error, left.degrees_of_freedom, revs_per_cycle=cycle, by_phase=True)
     if lock != "locked":
         return agreed
     return replace(
         agreed,
         order=multiple,
-        order_error=error,
-        degrees_of_freedom=degrees_of_freedom,
-        lock="locked",
+        order_error=left.error,
+        degrees_of_freedom=left.degrees_of_freedom,
+        lock=lock,
         needed_revs=None,
         reservation="; ".join(part for part in agreed.reservation.split("; ") if part != IN_SWEEP),
     )
-
-
-def _joined(found: Sequence[_Left]) -> _Left:
-    """Mean of what was ``found`` in several recordings by its errors, widened where they scatter more."""
-    turns: Floats = np.array([one.turn for one in found])
-    weight: Floats = np.array([1.0 / one.error**2 for one in found])
-    mean, information = float(np.average(turns, weights=weight)), float(weight.sum())
-    scatter = max(1.0, float(weight @ np.square(turns - mean)) / max(len(found) - 1, 1))
-    error, degrees_of_freedom = float(np.sqrt(scatter / information)), min(one.degrees_of_freedom for one in found)
-    return _Left(mean, error, degrees_of_freedom)
 
 
 def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -> _Left | None:
@@ -317,9 +313,11 @@ def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -
     channels = [name for name in block.channels if name in fits]
     if not channels:
         return None
-    angle = _angles(block, item)
-    if angle is None:
+    speed, angle = (item[name].values.astype(np.float64) for name in ("speed", "crank_angle"))
+    rows = np.flatnonzero(np.isin(speed, block.speed_rpm))  # those of the block, at their speeds
+    if len(rows) != len(block.speed_rpm) or block.speed_rpm[0] not in speed:
         return None
+    angle = np.asarray(angle[rows] - angle[rows].mean())
     followed = item["order"].values
     off = float(followed[np.abs(followed - block.order).argmin()]) - multiple
     # the channels see one force and the same modes: what turns one turns them all
@@ -328,16 +326,6 @@ def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -
         return None
     by_angle = block.order * float(item.attrs.get("crank_angle_error_rev", 0.0)) / float(np.ptp(angle))
     return replace(left, turn=left.turn + off, error=float(np.hypot(left.error, by_angle)))
-
-
-def _angles(block: Block, item: xr.Dataset) -> Floats | None:
-    """Crank angle [rev] of the rows of ``block``, from their middle; its rows are those of ``item`` at their speeds."""
-    speed, angle = item["speed"].values.astype(np.float64), item["crank_angle"].values.astype(np.float64)
-    first = np.flatnonzero(speed == block.speed_rpm[0])
-    rows = np.flatnonzero(np.isin(speed, block.speed_rpm))
-    if not len(first) or len(rows) != len(block.speed_rpm):
-        return None
-    return np.asarray(angle[rows] - angle[rows].mean())
 
 
 @dataclass(frozen=True)
@@ -355,20 +343,6 @@ class _Part:
     own_prior: Floats
     own_prior_left: Floats
     n_laws: int
-
-
-def _with_law(block: Block, response: OrderResponse) -> Block:
-    """The channel of ``response`` in ``block``, with the law that was fitted to it."""
-    one = block.of(np.array([block.channels.index(response.channel)]))
-    return replace(
-        one,
-        exponent=response.exponent,
-        law=response.law,
-        degree=len(response.smooth) - 1,
-        reference_rpm=response.reference_rpm,
-        law_span_rpm=response.span_rpm,
-        made={},
-    )
 
 
 def _prior_of(response: OrderResponse, n_linear: int) -> tuple[Floats, Floats]:
@@ -389,7 +363,15 @@ def _prior_of(response: OrderResponse, n_linear: int) -> tuple[Floats, Floats]:
 
 
 def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle: Floats) -> _Part:
-    one = _with_law(block, response)
+    one = replace(
+        block.of(np.array([block.channels.index(response.channel)])),
+        exponent=response.exponent,
+        law=response.law,
+        degree=len(response.smooth) - 1,
+        reference_rpm=response.reference_rpm,
+        law_span_rpm=response.span_rpm,
+        made={},
+    )
     hz = np.array([mode.frequency_hz for mode in modal.modes])
     damping = np.array([mode.damping_ratio for mode in modal.modes])
     smooth, modes = one.smooth(), one.modal(hz, damping)

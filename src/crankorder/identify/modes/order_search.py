@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from crankorder.identify.found import Swing
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
@@ -361,8 +362,6 @@ def orders_raised(blocks: Sequence[Block], poles: Poles, frequency_hz: float) ->
     More than noise beside the ``poles`` makes them, with a light resonance tried there; or to twice what they are on
     both sides, where rows are too far apart for that.
     """
-    from scipy.special import chdtri
-
     tried = Tried(np.full(len(LIGHT), frequency_hz), np.array(LIGHT))
     found = []
     for block in blocks:
@@ -483,8 +482,6 @@ def _limit(blocks: Sequence[Block], chance: float, number: int = 1) -> float:
 
     Each has two numbers of its own and two for each order and channel.
     """
-    from scipy.special import chdtri
-
     degrees_of_freedom = number * (2.0 + 2.0 * sum(len(block.channels) for block in blocks))
     return float(chdtri(degrees_of_freedom, chance / NUMBERS.independent_trials**number))
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
+from scipy.special import chdtri, ndtri
 
 from crankorder.identify.found import ModalFit, OrderResponse, UnseenBound
 from crankorder.identify.intervals import half_width, positive_interval
@@ -250,8 +251,6 @@ def least_seen(
     and no more: what one of them excludes by far is excluded for all. What the signals of ``sweeps`` leave open counts
     where it is less, and of orders that they alone show.
     """
-    from scipy.special import chdtri
-
     reach = float(np.sqrt(chdtri(2.0, 1.0 - settings.free_confidence)))
     largest = dict.fromkeys(unit.values(), 0.0)
     for block in blocks:
@@ -332,8 +331,6 @@ def floor_bound(problem: Problem, model: Floats, *, poles: Poles, settings: Iden
     others. A resonance of the least damping of the ``settings`` fills a share of a bin; what stands over the model, and
     as much more as its scatter hides at their confidence, is its power.
     """
-    from scipy.special import ndtri
-
     clear = [
         float((model[:, at] / np.median(model, axis=1)).max())
         for f in poles.frequency_hz

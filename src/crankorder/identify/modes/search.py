@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.modes.floor import NUMBERS as FLOOR
@@ -260,8 +261,6 @@ def least_gain(n_channels: int, chance: float) -> float:
 
     ``n_channels``: how many channels there are.
     """
-    from scipy.special import chdtri
-
     return float(chdtri(2.0 + 2.0 * n_channels, chance))
 
 
@@ -454,8 +453,6 @@ def _standing_out(problem: Problem, fit: SurfaceFit, tried: list[float], chance:
 
     None where noise would make as much in as many channels by ``chance``.
     """
-    from scipy.special import chdtri
-
     z = np.where(
         problem.averages > 0.0, np.sqrt(problem.averages) * (np.nan_to_num(problem.psd) / fit.model - 1.0), 0.0
     )

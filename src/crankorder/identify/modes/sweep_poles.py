@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import chdtri, fdtrc
 
 from crankorder.identify.found import SweepFits
 from crankorder.identify.modes.order_terms import resonance
@@ -260,8 +261,6 @@ class _Search:
 
     def _with_orders(self, fit: LocalFit) -> tuple[LocalFit, set[float]]:
         """``fit`` with those of the further orders that its windows show, one after the other, and which these are."""
-        from scipy.special import chdtri
-
         shown = set[float]()
         reached = [order for order in self.more if any(window.is_passed(order) for window in fit.windows)]
         while left := [order for order in reached if order not in fit.orders]:
@@ -378,8 +377,6 @@ def _witnesses(orders: Sequence[float]) -> int:
 
 def _pole(fit: LocalFit, number: int, covariance: Floats) -> SweepPole:
     """Pole ``number`` of ``fit`` with the orders that prove it."""
-    from scipy.special import fdtrc
-
     f, zeta = float(fit.natural_hz[number]), float(fit.damping[number])
     orders, channels, ends = set[float](), dict[str, None](), list[float]()
     for one in fit.solved:
@@ -426,8 +423,6 @@ def hidden_in(
     confidence with which a speed is called free. Of the fit's own poles those of ``proven_hz`` are known; any other may
     be a mode that is to come.
     """
-    from scipy.special import chdtri
-
     reach = float(np.sqrt(0.5 * chdtri(2.0, 1.0 - settings.free_confidence)))
     cells = np.geomspace(low_hz, high_hz, max(3, int(np.ceil(np.log(high_hz / low_hz) / CELL))))
     proven, made = np.array(proven_hz), list[Hiding]()

@@ -16,6 +16,9 @@ import numpy as np
 import xarray as xr
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
+from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
+from scipy.interpolate import CubicSpline
+from scipy.linalg.blas import zherk
 
 from crankorder.identify.modes.order_terms import resonance
 from crankorder.quantities import Bools, Complexes, Floats
@@ -86,8 +89,6 @@ class SweepSpectrum:
     @cached_property
     def swing_rev(self) -> float:
         """Standard deviation by which the angle swings within the cycle: the median of all cycles."""
-        from scipy.interpolate import CubicSpline
-
         angle = np.arange(self.angle_rev[0], self.angle_rev[-1], self.cycle_rev / SWING_POINTS)
         if len(angle) < 4 * SWING_POINTS:
             return 0.0
@@ -130,8 +131,6 @@ class SweepSpectrum:
 
 def spectra_of(followed: Sequence[xr.Dataset], *, fewest: int) -> tuple[SweepSpectrum, ...]:
     """SweepSpectrum of those ``followed`` (RecordingTracks) that hold ``fewest`` samples of a sweep or more."""
-    from scipy.fft import rfft
-
     made = []
     for item in followed:
         if "waveform" not in item or item.sizes["sample"] < fewest:
@@ -160,8 +159,6 @@ def spectra_of(followed: Sequence[xr.Dataset], *, fewest: int) -> tuple[SweepSpe
 
 def _even_length(n: int) -> int:
     """Largest length up to ``n`` that a transform likes and that can be thinned."""
-    from scipy.fft import next_fast_len
-
     parts = n // THINNED
     while parts > 1 and next_fast_len(parts) != parts:
         parts -= 1
@@ -244,8 +241,6 @@ class Window:
         """Transform (B,) of a force of unit size that turns by ``order``, and its slope by the order's bend."""
         bend = self.bends.get(order, 0j)
         if (order, bend) not in self._made:
-            from scipy.fft import fft
-
             logarithm, carrier, first = self._passage(order)
             turned = carrier * np.exp(bend * logarithm)
             both = fft(np.stack([turned, turned * logarithm]), axis=1)[:, first : first + len(self.frequency_hz)]
@@ -260,8 +255,6 @@ class Window:
         logarithm ends where the order has passed them: what it leaves from there is smooth.
         """
         if order not in self._passages:
-            from scipy.fft import fft, ifft, next_fast_len
-
             logarithm, carrier = self._carrier(order)
             whole = fft(carrier * np.exp(FORCE_EXPONENT * logarithm)) * (0.5 * self.thinned)
             beside = int(BESIDE_SHARE * len(self.frequency_hz))
@@ -355,8 +348,6 @@ class Window:
 
     def solved(self, natural_hz: Floats, damping: Floats) -> Solved:
         """Least-squares amplitudes of all columns in all channels behind the modes ``natural_hz``, ``damping`` (M,)."""
-        from scipy.linalg.blas import zherk
-
         columns = self.design(natural_hz, damping) / self.shape[:, None]
         scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         columns /= scale
@@ -500,8 +491,6 @@ class Solved:
         Where the shaft swings within the cycle, modes answer an order with sidebands, and those of other orders fall on
         it: what counts is the mean over two cycles, weighted to their middle.
         """
-        from scipy.fft import irfft
-
         window, angle, cycle = self.window, self.window.sweep.angle_rev, self.window.sweep.cycle_rev
         apart = [(other, cycle * (other - order)) for other in window.orders]
         own = np.concatenate([self._columns_of(other) for other, off in apart if abs(off - round(off)) < WHOLE])

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from scipy.special import chdtr, chdtri
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import Tone, ToneKind
@@ -127,8 +128,6 @@ def _is_wide(fit: SurfaceFit, number: int, problem: Problem, settings: IdentifyS
 
 def _width_is_seen(problem: Problem, tone: SurfaceFit, mode: SurfaceFit, at_hz: float) -> bool:
     """Whether no width costs more deviance than chance would."""
-    from scipy.special import chdtri
-
     least = HANN_CORRELATION * float(chdtri(1.0, NUMBERS.width_chance))
     return tone.deviance - mode.deviance > least * dispersion(problem, mode, at_hz)
 
@@ -138,8 +137,6 @@ def widest_hz(problem: Problem, fit: SurfaceFit, number: int, least: float) -> f
 
     ``problem``: the floors that were fitted; ``least``: deviance of the best fit.
     """
-    from scipy.special import chdtri
-
     f = float(fit.poles.frequency_hz[number])
     allowed = HANN_CORRELATION * float(chdtri(1.0, TWO_SIDED)) * dispersion(problem, fit, f)
     width = max(float(fit.poles.damping[number]) * f, 0.5 * NUMBERS.least_damping_ratio * f)
@@ -159,8 +156,6 @@ def is_steady(floor: Floor, frequency_hz: float) -> bool:
     Ordinates of noise averaged n times have the relative variance 1/n; a tone's has less.
     ``floor``: the floor in all channels.
     """
-    from scipy.special import chdtr
-
     at = int(np.argmin(np.abs(floor.frequency_hz - frequency_hz)))
     for channel in range(len(floor.channels)):
         power = floor.cells[channel, :, at] * floor.gain[channel]
