@@ -363,8 +363,13 @@ def _prior_of(response: OrderResponse, n_linear: int) -> tuple[Floats, Floats]:
 
 
 def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle: Floats) -> _Part:
+    row = [block.channels.index(response.channel)]
     one = replace(
-        block.of(np.array([block.channels.index(response.channel)])),
+        block,
+        channels=(response.channel,),
+        amplitude=block.amplitude[row],
+        error=block.error[row],
+        as_read=None,
         exponent=response.exponent,
         law=response.law,
         degree=len(response.smooth) - 1,

@@ -190,17 +190,6 @@ class Block:
         square = np.asarray(size**2 - 2.0 * noise**2, dtype=np.complex128)
         return replace(self, amplitude=square, error=beats, power=True, sign_free=False, scatter=2.0 * self.scatter)
 
-    def turned_above(self, frequency_hz: float) -> Block:
-        """The block with the other sign in the rows above ``frequency_hz``: a resonance there turns the phase."""
-        sign = np.where(self.frequency_hz > frequency_hz, -1.0, 1.0)
-        return replace(self, amplitude=self.amplitude * sign)
-
-    def of(self, channels: Ints) -> Block:
-        """The block of some ``channels`` (numbers) alone."""
-        names = tuple(self.channels[number] for number in channels.tolist())
-        amplitude, error = self.amplitude[channels], self.error[channels]
-        return replace(self, channels=names, amplitude=amplitude, error=error, as_read=None)
-
     def reached(self, poles: Poles) -> Ints:
         """Numbers of the ``poles`` that the order sweeps through or near, the nearest where its rows are few."""
         low, high = NUMBERS.reach_shares[0] * self.ends_hz[0], NUMBERS.reach_shares[1] * self.ends_hz[1]

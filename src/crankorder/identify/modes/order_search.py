@@ -292,7 +292,8 @@ def _told_with(block: Block, poles: Poles, frequency_hz: float) -> Block:
     """
     passed = block.ends_hz[0] < frequency_hz < block.ends_hz[1]
     if passed and block.sign_free:
-        both = [with_scatter(one, poles) for one in (block, block.turned_above(frequency_hz))]
+        sign = np.where(block.frequency_hz > frequency_hz, -1.0, 1.0)  # a resonance there turns the phase
+        both = [with_scatter(one, poles) for one in (block, replace(block, amplitude=block.amplitude * sign))]
         block = min(both, key=lambda pair: missed(*pair))[0]
     if block.scatter <= NUMBERS.well_laid_scatter or block.passage is not None or not passed:
         return with_bent_law(block, poles)  # the rows of a sweep are many: a step does

@@ -97,7 +97,7 @@ class LocalFit:
 
     @cached_property
     def freedom(self) -> int:
-        """Complexes numbers beyond the amplitudes."""
+        """Complex numbers beyond the amplitudes."""
         return sum(one.freedom for one in self.solved)
 
     def normal(self) -> tuple[Floats, Floats]:
@@ -179,11 +179,6 @@ class LocalFit:
         """With one pole more, of ``natural_hz`` and ``damping``."""
         return LocalFit(self.windows, np.append(self.natural_hz, natural_hz), np.append(self.damping, damping))
 
-    def without(self, number: int) -> LocalFit:
-        """Without the pole ``number``, the noise being as it is."""
-        kept = np.arange(len(self.natural_hz)) != number
-        return LocalFit(self.windows, self.natural_hz[kept], self.damping[kept])
-
     def covariance(self) -> Floats:
         """Covariance (2 M, 2 M) of (ln f, ln ζ) of the poles: what the scores of the bins really scatter by.
 
@@ -206,7 +201,8 @@ class LocalFit:
 
     def gain(self, number: int) -> float:
         """What the pole ``number`` saves of twice the negative log likelihood, the others staying where they are."""
-        return 2.0 * (self.without(number).misfit - self.misfit)
+        kept = np.arange(len(self.natural_hz)) != number
+        return 2.0 * (LocalFit(self.windows, self.natural_hz[kept], self.damping[kept]).misfit - self.misfit)
 
     def share(self, number: int) -> float:
         """Largest part of the amplitude of an order, in any channel, that pole ``number`` makes at its peak."""

@@ -12,6 +12,7 @@ from scipy.special import chdtri, fdtrc
 from crankorder.identify.found import SweepFits
 from crankorder.identify.modes.order_terms import resonance
 from crankorder.identify.modes.responses import EXCLUSION, SAME_ORDER, Hiding
+from crankorder.identify.modes.surface_fit import covariance_among
 from crankorder.identify.modes.sweep_fit import LIGHTEST, LocalFit, OnePoleMore, Starts, shares_of
 from crankorder.identify.modes.sweep_window import Solved, SweepSpectrum, Window
 from crankorder.quantities import Floats
@@ -208,11 +209,6 @@ class _Search:
     more: tuple[float, ...]
     settings: IdentifySettings
 
-    @property
-    def chance(self) -> float:
-        """False-alarm probability."""
-        return self.settings.false_alarm_probability
-
     def in_tile(
         self, found: list[tuple[float, float]], low: float, high: float, *, back: set[int], most_starts: int
     ) -> TileLooked:
@@ -249,7 +245,7 @@ class _Search:
 
     def _with_pole(self, fit: LocalFit, starts: Starts) -> LocalFit | None:
         """``fit`` with the best of ``starts``; None where that saves too little, or is not felt."""
-        if starts.saves.max() < (limit := starts.limit(self.chance)):
+        if starts.saves.max() < (limit := starts.limit(self.settings.false_alarm_probability)):
             return None
         trial = fit.with_pole(*starts.best).settled(**ROUGHLY)
         last, reach = len(trial.natural_hz) - 1, 1.0 + NUMBERS.beside_share
@@ -262,21 +258,28 @@ class _Search:
     def _with_orders(self, fit: LocalFit) -> tuple[LocalFit, set[float]]:
         """``fit`` with those of the further orders that its windows show, one after the other, and which these are."""
         shown = set[float]()
-        reached = [order for order in self.more if any(window.is_passed(order) for window in fit.windows)]
+        reached = [order for order in self.more if any(_is_passed(window, order) for window in fit.windows)]
         while left := [order for order in reached if order not in fit.orders]:
-            inside = [[one for one in fit.solved if one.window.is_passed(order)] for order in left]
+            inside = [[one for one in fit.solved if _is_passed(one.window, order)] for order in left]
             gains = [sum(one.gain_of(order) for one in some) for order, some in zip(left, inside, strict=True)]
-            columns = [one.left.shape[1] * one.window.order_columns(len(fit.natural_hz)) for one in fit.solved]
-            unknowns = 2.0 * sum(columns)
+            unknowns = 2.0 * sum(one.left.shape[1] * one.width for one in fit.solved)
             best = int(np.argmax(gains))
             least = 2.0 * NUMBERS.order_share * sum(one.misfit for one in fit.solved)
-            if gains[best] < max(least, float(chdtri(unknowns, self.chance / len(left)))):
+            if gains[best] < max(least, float(chdtri(unknowns, self.settings.false_alarm_probability / len(left)))):
                 break
             shown.add(left[best])
-            joined = {id(one.window) for one in inside[best]}
-            windows = tuple(one.with_order(left[best]) if id(one) in joined else one for one in fit.windows)
+            windows = tuple(
+                replace(window, orders=tuple(sorted({*window.orders, left[best]})))
+                if _is_passed(window, left[best])
+                else window
+                for window in fit.windows
+            )
             fit = LocalFit(windows, fit.natural_hz, fit.damping).settled(**ROUGHLY)
         return fit, shown
+
+
+def _is_passed(window: Window, order: float) -> bool:
+    return window.sweep.passes(order, window.low_hz, window.high_hz)
 
 
 def _half_width(spectra: Sequence[SweepSpectrum], more: Sequence[float], pole: tuple[float, float]) -> float:
@@ -344,19 +347,11 @@ def _refined(
         fits.append(LocalFit(windows, natural, damping).settled(**EXACTLY))
         natural, damping = fits[-1].natural_hz, fits[-1].damping
     less, more = fits
-    covariance = _covariance(less, more)
-    told = [
-        _pole(more, number, covariance[2 * number : 2 * number + 2, 2 * number : 2 * number + 2])
-        for number in range(len(group))
-    ]
-    sure = tuple(pole for pole in told if _is_sure(pole, most_damping))
-    return GroupFit(more.bare, less.bare, covariance, sure)
-
-
-def _covariance(less: LocalFit, more: LocalFit) -> Floats:
-    """Covariance (2 M, 2 M) of (ln f, ln ζ) of the poles of ``more``, with what one degree ``less`` moves."""
     moved = np.stack([np.log(more.natural_hz / less.natural_hz), np.log(more.damping / less.damping)], axis=1)
-    return np.asarray(more.covariance() + np.diag(np.square(moved).ravel()) + more.model_variance)
+    covariance = np.asarray(more.covariance() + np.diag(np.square(moved).ravel()) + more.model_variance)
+    poles = [_pole(more, number, covariance_among(covariance, [number])) for number in range(len(group))]
+    sure = tuple(pole for pole in poles if _is_sure(pole, most_damping))
+    return GroupFit(more.bare, less.bare, covariance, sure)
 
 
 def _is_sure(pole: SweepPole, most_damping: float) -> bool:
@@ -397,8 +392,7 @@ def _pole(fit: LocalFit, number: int, covariance: Floats) -> SweepPole:
 
 def _variance(one: Solved, number: int) -> Floats:
     """Variance (orders, C) of the residues of mode ``number``, a complex number's whole one."""
-    width = one.window.order_columns(len(one.natural_hz))
-    at = np.arange(len(one.window.orders)) * width + one.window.degree + 1 + number
+    at = np.arange(len(one.window.orders)) * one.width + one.window.degree + 1 + number
     inverse = one.inverse[at] / one.scale[at, None]
     scatter = (
         np.square(one.window.level) * np.sum(np.abs(one.left) ** 2, axis=0) / max(len(one.left) - len(one.scale), 1)
@@ -461,8 +455,7 @@ def _of_order(one: Solved, place: int, cells: Floats, added: Floats, known: Sequ
     at = cells[(cells >= hz.min()) & (cells <= hz.max())]
     kept = np.searchsorted(cells, at)
     force = window.force_at(order, at)
-    width = window.order_columns(len(one.natural_hz))
-    own = slice(place * width, (place + 1) * width)
+    own = slice(place * one.width, (place + 1) * one.width)
     smooth, answers = window.powers_at(at), resonance(at, one.natural_hz, one.damping)
     path = np.concatenate([smooth, answers], axis=1) * force[:, None]
     amplitude, degree = one.amplitude[own], window.degree + 1

@@ -282,10 +282,6 @@ class Window:
         carrier = np.sin(0.5 * np.pi * whole) ** 2 * np.exp(2j * np.pi * order * sweep.angle_rev[part])
         return sweep.logarithm[part] - self._middle_of(order), carrier
 
-    def is_passed(self, order: float) -> bool:
-        """Whether ``order`` passes the window."""
-        return self.sweep.passes(order, self.low_hz, self.high_hz)
-
     @cached_property
     def taper(self) -> Floats:
         """Weight (B,) that falls to nothing at both ends of the window."""
@@ -304,10 +300,6 @@ class Window:
         coarse = np.exp(2j * np.pi * (np.outer(since, first) - order * angle_rev[:, None]))
         every = (coarse[:, :, None] * fine[:, None, :]).reshape(len(since), -1)[:, :bins]
         return np.asarray(every * (self.taper * (2.0 / len(self.sweep.angle_rev))))
-
-    def with_order(self, order: float) -> Window:
-        """The window with one ``order`` more."""
-        return replace(self, orders=tuple(sorted({*self.orders, order})))
 
     def with_strong(self, natural_hz: Floats, damping: Floats, share: float, most: int) -> Window:
         """The window with ``most`` of its orders at most, those that make ``share`` of what the strongest does or more.
@@ -341,10 +333,6 @@ class Window:
     def paths(self, natural_hz: Floats, damping: Floats) -> Complexes:
         """How the channels may answer an order: polynomials (B, degree + 1 + M), then ``natural_hz``, ``damping``."""
         return np.concatenate([self.powers, resonance(self.frequency_hz, natural_hz, damping)], axis=1)
-
-    def order_columns(self, count: int) -> int:
-        """Columns of one order where ``count`` modes take part."""
-        return self.degree + 1 + count
 
     def solved(self, natural_hz: Floats, damping: Floats) -> Solved:
         """Least-squares amplitudes of all columns in all channels behind the modes ``natural_hz``, ``damping`` (M,)."""
@@ -395,7 +383,7 @@ class Solved:
 
     @property
     def freedom(self) -> int:
-        """Complexes numbers beyond the unknowns."""
+        """Complex numbers beyond the unknowns."""
         return int((len(self.left) - len(self.scale)) * self.left.shape[1])
 
     @cached_property
@@ -406,8 +394,13 @@ class Solved:
     @cached_property
     def by_order(self) -> Complexes:
         """Amplitudes (orders, degree + 1 + M, C) of what is smooth and of the modes behind each order."""
-        size, width = len(self.window.orders), self.window.order_columns(len(self.natural_hz))
-        return self.amplitude[: size * width].reshape(size, width, -1)
+        size = len(self.window.orders)
+        return self.amplitude[: size * self.width].reshape(size, self.width, -1)
+
+    @property
+    def width(self) -> int:
+        """Columns of each order: its polynomials, then the modes."""
+        return self.window.degree + 1 + len(self.natural_hz)
 
     def normal(self, orders: Sequence[float]) -> tuple[Floats, Floats]:
         """Normal matrix (P, P) and right side (P,) of what is left, the amplitudes as good as they get.
@@ -468,7 +461,7 @@ class Solved:
         return np.asarray(np.swapaxes(made, 1, 2))
 
     def envelope(self, order: float, turn: Complexes, covariance: Floats | None) -> tuple[Complexes, Floats]:
-        """Complexes amplitude (T, C) of ``order`` where ``turn`` (T, B) says; its variance (T, C) by noise and poles.
+        """Complex amplitude (T, C) of ``order`` where ``turn`` (T, B) says; its variance (T, C) by noise and poles.
 
         ``covariance`` (2 M, 2 M) is that of (ln f, ln ζ) of the modes, None where nobody asks for the variance.
         """
@@ -528,8 +521,7 @@ class Solved:
 
     def _columns_of(self, order: float) -> NDArray[np.intp]:
         """Numbers of the columns of ``order``."""
-        width = self.window.order_columns(len(self.natural_hz))
-        return self.window.orders.index(order) * width + np.arange(width)
+        return self.window.orders.index(order) * self.width + np.arange(self.width)
 
     def _unscaled(self, own: NDArray[np.intp]) -> Complexes:
         """The columns (B, own) in the unit of the transform."""
