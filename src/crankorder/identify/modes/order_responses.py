@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,14 +60,15 @@ OF_LAW = ("growth", "_designs", "driven")
 """What it works out of its rows and its law, whatever its scatter."""
 
 
-def _latest(made: dict[bytes, Kept], arguments: tuple[NDArray[Any], ...], make: Callable[[], Kept]) -> Kept:
-    """What ``make`` makes of these ``arguments``: of ``made``, which keeps the latest alone, if they were the last."""
+def _latest(block: Block, kind: str, arguments: tuple[NDArray[Any], ...], compute: Callable[[], Kept]) -> Kept:
+    """What ``compute`` gives for these ``arguments``; the latest of each ``kind`` is kept with the ``block``."""
+    kept = block.__dict__.setdefault(kind, {})
     key = b"".join(values.tobytes() for values in arguments)
-    if key not in made:
-        latest = make()
-        made.clear()
-        made[key] = latest
-    return made[key]
+    if key not in kept:
+        latest = compute()
+        kept.clear()
+        kept[key] = latest
+    return cast(Kept, kept[key])
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,26 +214,13 @@ class Block:
         def columns() -> Complexes:
             return np.concatenate([self.smooth(), self.modal(natural_hz, damping)], axis=1)
 
-        return _latest(self._designs, (natural_hz, damping), columns)
-
-    @cached_property
-    def _designs(self) -> dict[bytes, Complexes]:
-        return {}
-
-    @cached_property
-    def projections(self) -> dict[bytes, Projected]:
-        """The block as projected with the poles that were asked for last."""
-        return {}
+        return _latest(self, "_designs", (natural_hz, damping), columns)
 
     def modal(self, natural_hz: Floats, damping: Floats) -> Complexes:
         """Columns (K, M · columns per mode) of modes with ``natural_hz`` and ``damping`` (M,)."""
         if self.passage is not None:
             return self._along(natural_hz, damping, 0)
         return np.asarray(self.growth[:, None] * self._held(natural_hz, damping))
-
-    @cached_property
-    def _steady(self) -> dict[bytes, Complexes]:
-        return {}
 
     def _held(self, natural_hz: Floats, damping: Floats) -> Complexes:
         """Columns of :meth:`modal` at speeds that are held, behind a steady force; those made last are kept."""
@@ -241,7 +229,7 @@ class Block:
             h: Complexes = resonance(self.frequency_hz, natural_hz, damping)
             return of_squares(h, self._ratio(natural_hz)) if self.power else h
 
-        return _latest(self._steady, (natural_hz, damping), columns)
+        return _latest(self, "_steady", (natural_hz, damping), columns)
 
     def modal_slopes(self, natural_hz: Floats, damping: Floats) -> tuple[Complexes, Complexes]:
         """Derivatives of :meth:`modal` by ln f_j and by ln ζ_j.
@@ -364,7 +352,7 @@ def project(block: Block, poles: Poles) -> Projected:
     def eliminated() -> Projected:
         return _eliminated(block, reached, block.design(natural_hz, damping))
 
-    return _latest(block.projections, (reached, natural_hz, damping), eliminated)
+    return _latest(block, "_projections", (reached, natural_hz, damping), eliminated)
 
 
 def _eliminated(block: Block, reached: Ints, design: Complexes) -> Projected:

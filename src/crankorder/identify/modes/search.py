@@ -318,15 +318,10 @@ def peaks(floor: Floor) -> Poles:
                 wide = (float(floor.frequency_hz[peak]), (0.5 * width - 0.7) * step)
                 resolved = width > NUMBERS.narrow_bins
                 found.append((*(wide if resolved else narrow_peak(whole, int(peak), floor)), height))
-    return _joined(found, floor)
-
-
-def _joined(found: list[tuple[float, float, float]], floor: Floor) -> Poles:
-    """Peaks of several channels (frequency, half width, height) that stand for one pole made one."""
     poles = NO_POLES
     taken: list[tuple[float, float]] = []
-    for frequency, width, _ in sorted(found, key=lambda item: -item[2]):
-        if all(abs(frequency - other) > max(2.5 * floor.step_hz, 0.7 * min(width, wide)) for other, wide in taken):
+    for frequency, width, _ in sorted(found, key=lambda peak: -peak[2]):
+        if all(abs(frequency - other) > max(2.5 * step, 0.7 * min(width, wide)) for other, wide in taken):
             taken.append((frequency, width))
             poles = poles.with_pole(frequency, min(width / frequency, 0.3))
     return poles
