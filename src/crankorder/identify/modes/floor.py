@@ -10,7 +10,7 @@ import xarray as xr
 from scipy.special import fdtrc, fdtri, gammainccinv
 
 from crankorder.fft.windows import window_named
-from crankorder.identify.modes.surface_fit import SpectralWindow, sight
+from crankorder.identify.modes.surface_fit import SpectralWindow, spectral_window
 from crankorder.orders.averages import median_of_known
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
@@ -94,7 +94,7 @@ def quiet_floor(
     speed has a gain of its own.
     """
     frequency = campbell["frequency"].values
-    seen = sight(str(campbell.attrs["window"]), float(campbell.attrs["enbw_hz"]))
+    seen = spectral_window(str(campbell.attrs["window"]), float(campbell.attrs["enbw_hz"]))
     averages = _independent(campbell)
     used = np.flatnonzero(frequency > NUMBERS.lowest_bins * float(campbell.attrs["enbw_hz"]))
     if len(used) > 1 and averages.sum(axis=1).max(initial=0.0) < NUMBERS.fewest_averages:
@@ -149,7 +149,7 @@ def _mean(psd: Floats, averages: Floats) -> tuple[Floats, Floats]:
 
 
 def _independent(campbell: xr.Dataset) -> Floats:
-    """Independent power spectra (channels, speeds) that the frames of the map are worth."""
+    """Equivalent number of independent power spectra (channels, speeds) in the overlapping frames of the map."""
     overlap = float(campbell.attrs.get("overlap", NUMBERS.usual_overlap_fraction))
     window = window_named(str(campbell.attrs["window"]), 256)
     hop = max(1, round(256 * (1.0 - overlap)))

@@ -140,13 +140,13 @@ def _band(floor: Floor, first: int, last: int) -> Band:
 
 def _peaks_by_part(floor: Floor) -> Poles:
     """Peaks of ``floor``, looked for part by part, which takes a time that grows as the floor does."""
-    made = NO_POLES
+    poles = NO_POLES
     for first in range(0, len(floor.frequency_hz), NUMBERS.band_bins):
         part = _band(floor, first, min(first + NUMBERS.band_bins, len(floor.frequency_hz)))
         if len(part.floor.frequency_hz) >= 2 * NUMBERS.shared_bins:
             here = peaks(part.floor)
-            made = made.joined(here.chosen(here.within(part.range_hz)))
-    return made
+            poles = poles.joined(here.chosen(here.within(part.range_hz)))
+    return poles
 
 
 def _quiet_cut(floor: Floor, seen: Poles, load: Floats, share: float, n_bands: int) -> int:
@@ -200,16 +200,16 @@ def modal_fit(
     of_orders = poles_at((pole.frequency_hz, pole.damping) for pole in extra)
     of_orders = of_orders.chosen(of_orders.rank)
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
-        fitted = [_with_orders(item, fitted, blocks, fixed.joined(of_orders)) for item in fitted]
+        fitted = [_with_orders(local, fitted, blocks, fixed.joined(of_orders)) for local in fitted]
     known, _ = _known(fitted, swept)
-    told = settled(blocks, known.joined(fixed), extra, chance=settings.false_alarm_probability)
-    found = ModalFit((), (), np.zeros((0, 0)))
+    by_orders = settled(blocks, known.joined(fixed), extra, chance=settings.false_alarm_probability)
+    by_floor = ModalFit((), (), np.zeros((0, 0)))
     kept = NO_POLES
     if floor is not None:
-        proof = dict(zip(known.frequency_hz.tolist(), told.proofs, strict=False))
-        found, kept = _found(fitted, floor, proof, settings)
-    found, kept = with_sweep_modes(*modes_unlike(found, kept, swept.poles), swept.poles, settings)
-    bounds = [floor_bound(item.problem, item.fit.model, poles=item.own_modes, settings=settings) for item in fitted]
+        proof = dict(zip(known.frequency_hz.tolist(), by_orders.proofs, strict=False))
+        by_floor, kept = _found(fitted, floor, proof, settings)
+    by_floor, kept = with_sweep_modes(*modes_unlike(by_floor, kept, swept.poles), swept.poles, settings)
+    bounds = [floor_bound(local.problem, local.fit.model, poles=local.own_modes, settings=settings) for local in fitted]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
     excluded = partial(
         least_seen,
@@ -218,22 +218,22 @@ def modal_fit(
         floors=[bound for bound in bounds if bound is not None],
         sweeps=swept.hiding,
     )
-    made = _with_order_modes(found, kept, told, excluded, settings)
-    made = replace(
-        made,
-        modes=of_the_air(made.modes, campbell),
+    modal = _with_order_modes(by_floor, kept, by_orders, excluded, settings)
+    modal = replace(
+        modal,
+        modes=of_the_air(modal.modes, campbell),
         hidden=hidden_speeds(
-            told.blocks,
-            made.modes,
+            by_orders.blocks,
+            modal.modes,
             revs_per_cycle=int(order_map.attrs["revs_per_cycle"]),
             least_damping=settings.least_damping_ratio,
             looked_hz=swept.looked_hz,
         ),
-        swings=told.swings,
+        swings=by_orders.swings,
         shown_orders=swept.shown_orders,
-        left=_left(fitted, floor, told.blocks if not ended else (), swept),
+        left=_left(fitted, floor, by_orders.blocks if not ended else (), swept),
     )
-    return without_remains(made, whirls, campbell["speed"].values) if whirls else made
+    return without_remains(modal, whirls, campbell["speed"].values) if whirls else modal
 
 
 def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...]) -> Floor | None:
@@ -241,7 +241,7 @@ def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrde
     if not campbell.sizes["speed"] or not campbell.sizes["channel"]:
         return None
     single = seen_at_single_speeds(order_map, top_hz=float(campbell["frequency"].values[-1]))
-    floor = quiet_floor(campbell, tuple((item.order, item.order_error) for item in orders), single=single)
+    floor = quiet_floor(campbell, tuple((agreed.order, agreed.order_error) for agreed in orders), single=single)
     return floor if floor is not None and np.isfinite(floor.psd).any() else None
 
 
@@ -251,7 +251,7 @@ def _left(
     """Where the searches in bands of the ``floor``, in ``swept`` signals and by ``unended`` blocks stopped."""
     left = [Unsearched("sweeps", low, high) for low, high in swept.left_hz]
     if floor is not None:
-        bands = np.clip([item.band.range_hz for item in fitted if item.stopped], *floor.frequency_hz[[0, -1]])
+        bands = np.clip([local.band.range_hz for local in fitted if local.stopped], *floor.frequency_hz[[0, -1]])
         left += [Unsearched("floor", float(low), float(high)) for low, high in bands]
     if unended:
         ends = np.array([block.ends_hz for block in unended])
@@ -262,10 +262,10 @@ def _left(
 def _known(fitted: list[Fitted], swept: SweepFits) -> tuple[Poles, Floats]:
     """Poles of all bands that are neither tones nor those of ``swept``, and covariance of their (f_1, ζ_1, f_2, …)."""
     covariance = [
-        covariance_among(pole_covariance(item.problem, item.fit, scatter=item.scatter), np.flatnonzero(item.own))
-        for item in fitted
+        covariance_among(pole_covariance(local.problem, local.fit, scatter=local.scatter), np.flatnonzero(local.own))
+        for local in fitted
     ]
-    own = reduce(Poles.joined, (item.own_modes for item in fitted), NO_POLES)
+    own = reduce(Poles.joined, (local.own_modes for local in fitted), NO_POLES)
     return poles_unlike(own, side_by_side(covariance), swept.poles)
 
 
@@ -294,36 +294,37 @@ class Fitted:
         return np.array([dispersion(self.problem, self.fit, float(f)) for f in self.fit.poles.frequency_hz])
 
 
-def _with_orders(item: Fitted, every: list[Fitted], blocks: tuple[Block, ...], fixed: Poles) -> Fitted:
+def _with_orders(local: Fitted, every: list[Fitted], blocks: tuple[Block, ...], fixed: Poles) -> Fitted:
     """The fit of a band together with the orders that sweep through its modes; other bands stay as they are."""
-    if not blocks or not len(item.own_modes):
-        return item
+    if not blocks or not len(local.own_modes):
+        return local
     for other in every:
-        if other is not item:
-            fixed = fixed.joined(other.own_modes.chosen(~item.band.holds(other.own_modes)))
-    problem, fit = fitting(replace(item.problem, others=None), item.fit, blocks, fixed=fixed)
-    return replace(item, problem=problem, fit=fit)
+        if other is not local:
+            fixed = fixed.joined(other.own_modes.chosen(~local.band.holds(other.own_modes)))
+    problem, fit = fitting(replace(local.problem, others=None), local.fit, blocks, fixed=fixed)
+    return replace(local, problem=problem, fit=fit)
 
 
 def _with_order_modes(
     fit: ModalFit,
     kept: Poles,
-    told: Settled,
+    by_orders: Settled,
     excluded: Callable[[Sequence[Block], Poles], tuple[UnseenBound, ...]],
     settings: IdentifySettings,
 ) -> ModalFit:
-    """``fit``, whose modes are the poles ``kept``, with those that only orders show (``told``), lowest first.
+    """``fit``, whose modes are the poles ``kept``, with those that only orders show (``by_orders``), lowest first.
 
     ``excluded`` says what blocks leave open beside poles.
     """
-    extra, blocks = told.found, told.blocks
+    extra, blocks = by_orders.found, by_orders.blocks
     every = kept.joined(poles_at((pole.frequency_hz, pole.damping) for pole in extra))
     said = [
-        mode_of(pole, covariance_among(told.covariance, [k]), every, settings=settings) for k, pole in enumerate(extra)
+        mode_of(pole, covariance_among(by_orders.covariance, [k]), every, settings=settings)
+        for k, pole in enumerate(extra)
     ]
     own = [k for k, mode in enumerate(said) if mode is not None]
     more = [mode for mode in said if mode is not None]
-    parts = [fit.covariance, covariance_among(told.covariance, own)]
+    parts = [fit.covariance, covariance_among(by_orders.covariance, own)]
     raised = _raised_tones(fit, more, blocks, kept.joined(_poles_of(more)))
     for tone, orders in raised.items():
         mode, part = tone_as_mode(tone, orders, settings=settings)
@@ -369,17 +370,17 @@ def _found(
     shape = np.full(floor.psd.shape, np.nan)
     smooth = np.empty(floor.psd.shape)
     still = tuple(f for f, _ in floor.strong)
-    for item in fitted:
-        own = slice(item.band.first, item.band.last)
-        from_here = item.band.first - int(np.searchsorted(floor.frequency_hz, item.problem.frequency_hz[0]))
-        here = slice(from_here, from_here + item.band.last - item.band.first)
-        shape[:, own] = np.where(item.problem.averages > 0.0, item.fit.model, np.nan)[:, here]
-        smooth[:, own] = _without_hidden(item)[:, here]
-        poles = item.fit.poles
-        tone = poles.tone & poles.within(item.band.range_hz) & ~hidden_poles(item.problem, item.fit)
+    for local in fitted:
+        own = slice(local.band.first, local.band.last)
+        from_here = local.band.first - int(np.searchsorted(floor.frequency_hz, local.problem.frequency_hz[0]))
+        here = slice(from_here, from_here + local.band.last - local.band.first)
+        shape[:, own] = np.where(local.problem.averages > 0.0, local.fit.model, np.nan)[:, here]
+        smooth[:, own] = _without_hidden(local)[:, here]
+        poles = local.fit.poles
+        tone = poles.tone & poles.within(local.band.range_hz) & ~hidden_poles(local.problem, local.fit)
         still += tuple(poles.frequency_hz[tone].tolist())
     tones = [tone_of(f, error, floor, smooth, settings=settings) for f, error in floor.strong]
-    said = [_of_band(item, floor, smooth, still, proofs, settings) for item in fitted]
+    said = [_of_band(local, floor, smooth, still, proofs, settings) for local in fitted]
     modes = tuple(mode for own, *_ in said for mode in own)
     tones += [tone for _, own, *_ in said for tone in own]
     tones = sorted((tone for tone in tones if tone.amplitude), key=lambda tone: tone.frequency_hz)
@@ -390,7 +391,7 @@ def _found(
 
 
 def _of_band(
-    item: Fitted,
+    local: Fitted,
     floor: Floor,
     smooth: Floats,
     still: tuple[float, ...],
@@ -398,13 +399,13 @@ def _of_band(
     settings: IdentifySettings,
 ) -> tuple[list[Mode], list[Tone], Floats, Poles]:
     """Modes of a band, its tones, the covariance of the modes and their poles."""
-    problem, fit = item.problem, item.fit
-    covariance = covariance_of_all(problem, fit, scatter=item.scatter)
+    problem, fit = local.problem, local.fit
+    covariance = covariance_of_all(problem, fit, scatter=local.scatter)
     scatter = np.array([scatter_at(problem, fit, float(f)) for f in fit.poles.frequency_hz])
     strength = evidence_of(fit) / scatter[:, None]
     modes: dict[int, Mode] = {}
     tones: list[Tone] = []
-    for number in np.flatnonzero(~hidden_poles(problem, fit) & fit.poles.within(item.band.range_hz)).tolist():
+    for number in np.flatnonzero(~hidden_poles(problem, fit) & fit.poles.within(local.band.range_hz)).tolist():
         f, error = float(fit.poles.frequency_hz[number]), float(np.sqrt(covariance[2 * number, 2 * number]))
         if fit.poles.tone[number]:
             if floor.frequency_hz[0] <= f <= floor.frequency_hz[-1]:
@@ -415,7 +416,7 @@ def _of_band(
                 tones.append(tone_of(f, error, floor, rest, settings=settings))
             continue
         proof = proofs.get(f, Proof())
-        mode = _mode(number, item, floor, covariance, strength[number], still, proof, settings)
+        mode = _mode(number, local, floor, covariance, strength[number], still, proof, settings)
         modes |= {number: mode} if mode is not None else {}
     kept = np.array(list(modes), dtype=np.int64)
     return list(modes.values()), tones, covariance_among(covariance, kept), fit.poles.chosen(kept)
@@ -431,11 +432,11 @@ def _too_deep(floor: Floor, frequency_hz: float, channels: Sequence[str]) -> str
     return f"{least:.0f} dB under the strongest line, of which window and angle leave as much"
 
 
-def _without_hidden(item: Fitted) -> Floats:
+def _without_hidden(local: Fitted) -> Floats:
     """Power (C, F) of a band's fit without strong tones and the poles that stand for the skirts of masked lines."""
-    problem, smooth = item.problem, item.fit.without_lines(item.problem)
-    for number in np.flatnonzero(hidden_poles(problem, item.fit)).tolist():
-        smooth = smooth - item.fit.part(number)
+    problem, smooth = local.problem, local.fit.without_lines(local.problem)
+    for number in np.flatnonzero(hidden_poles(problem, local.fit)).tolist():
+        smooth = smooth - local.fit.part(number)
     used = (y[n > 0.0] for y, n in zip(problem.psd, problem.averages, strict=True))
     typical = np.array([np.median(power) if power.size else 0.0 for power in used])[:, None]
     return np.asarray(np.maximum(smooth, 0.02 * typical))
@@ -443,7 +444,7 @@ def _without_hidden(item: Fitted) -> Floats:
 
 def _mode(
     number: int,
-    item: Fitted,
+    local: Fitted,
     floor: Floor,
     covariance: Floats,
     strength: Floats,
@@ -452,7 +453,7 @@ def _mode(
     settings: IdentifySettings,
 ) -> Mode | None:
     """Mode of pole ``number``; None where it is but a part of the floor's shape."""
-    problem, fit = item.problem, item.fit
+    problem, fit = local.problem, local.fit
     f, zeta = fit.poles.values[number].tolist()
     error, zeta_error = (float(np.sqrt(covariance[2 * number + k, 2 * number + k])) for k in (0, 1))
     outside = not floor.frequency_hz[0] <= f <= floor.frequency_hz[-1]

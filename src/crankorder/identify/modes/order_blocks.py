@@ -42,11 +42,11 @@ def blocks_of(
     OrderMap ``order_map``. Where the phases say nothing, as of a line that slips or where recordings have no common
     mark, squares stand for them. Orders at fewer speeds than the model has unknowns have none.
     """
-    made: list[Block | None] = []
+    blocks: list[Block | None] = []
     for agreed in orders:
-        swept = [block for item in followed if (block := _swept_block(agreed, item)) is not None]
-        made += swept or _held_blocks(agreed, order_map)
-    return tuple(block for block in made if block is not None)
+        swept = [block for tracks in followed if (block := _swept_block(agreed, tracks)) is not None]
+        blocks += swept or _held_blocks(agreed, order_map)
+    return tuple(block for block in blocks if block is not None)
 
 
 def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | None]:
@@ -65,28 +65,28 @@ def _held_blocks(agreed: AgreedOrder, order_map: xr.Dataset) -> list[Block | Non
     wide = np.where(known, error * np.sqrt(degrees_of_freedom / np.maximum(degrees_of_freedom - 2.0, 1.0)), np.inf)
     names = [str(name) for name in order_map["channel"].values]
     phasor = size * np.exp(1j * np.radians(np.nan_to_num(phase)))
-    told = bool(np.isfinite(phase[known]).all())
-    if told and phases_compare([order_map], np.array([agreed.order]))[0]:
+    has_phase = bool(np.isfinite(phase[known]).all())
+    if has_phase and phases_compare([order_map], np.array([agreed.order]))[0]:
         return [_block(agreed.order, names, speed, phasor, wide)]
     half = abs(2.0 * agreed.order - round(2.0 * agreed.order)) < 2.0 * WHOLE  # after a turn as it was, or of other sign
-    if told and one_phase_reference([order_map]) and half:
-        made = _block(agreed.order, names, speed, phasor, wide)
-        if made is None:
+    if has_phase and one_phase_reference([order_map]) and half:
+        block = _block(agreed.order, names, speed, phasor, wide)
+        if block is None:
             return []
         # signs by which each row turns least from the one before
-        beside = np.sum((made.amplitude[:, :-1].conj() * made.amplitude[:, 1:]).real, axis=0)
+        beside = np.sum((block.amplitude[:, :-1].conj() * block.amplitude[:, 1:]).real, axis=0)
         sign = np.cumprod(np.append(1.0, np.where(beside < 0.0, -1.0, 1.0)))
-        return [replace(made, amplitude=made.amplitude * sign, sign_free=True)]
-    made = _block(agreed.order, names, speed, phasor, wide, power=True)
-    return [made and made.squared]
+        return [replace(block, amplitude=block.amplitude * sign, sign_free=True)]
+    block = _block(agreed.order, names, speed, phasor, wide, power=True)
+    return [block and block.squared]
 
 
 def _of_sizes(order: float, line: OrderLine) -> Block | None:
     """Block of the squares of ``line``, whose phase is none of the shaft's."""
     error = line.amplitude_error[None]
     error = np.where(np.isfinite(error) & (error > 0.0) & (line.speed_rpm > 0.0), error, np.inf)
-    made = _block(order, [line.channel], line.speed_rpm, line.amplitude[None], error, power=True)
-    return made and made.squared
+    block = _block(order, [line.channel], line.speed_rpm, line.amplitude[None], error, power=True)
+    return block and block.squared
 
 
 def _block(
@@ -125,53 +125,53 @@ def _block(
     )
 
 
-def _swept_block(agreed: AgreedOrder, item: xr.Dataset) -> Block | None:
+def _swept_block(agreed: AgreedOrder, tracks: xr.Dataset) -> Block | None:
     """Block of one recording whose speed sweeps; None where the order was not followed there."""
-    found = swept_rows(agreed.order, item)
-    if found is None:
+    swept = swept_rows(agreed.order, tracks)
+    if swept is None:
         return None
-    rows, passage = found
+    rows, passage = swept
     amplitude, error = rows["amplitude"].values, rows["standard_error"].values
     return _block(
         agreed.order,
-        [str(name) for name in item["channel"].values],
+        [str(name) for name in tracks["channel"].values],
         rows["speed"].values,
         np.nan_to_num(amplitude),
         np.where(np.isfinite(amplitude.real) & (error > 0.0), error, np.inf),
         followed=float(rows["order"]),
         passage=passage,
-        recording=str(item.attrs["recording"]),
+        recording=str(tracks.attrs["recording"]),
     )
 
 
-def swept_rows(order: float, item: xr.Dataset) -> tuple[xr.Dataset, Passage] | None:
-    """Rows (channel, frame) of ``order`` in the RecordingTracks ``item``, apart in noise, and how it passed them.
+def swept_rows(order: float, tracks: xr.Dataset) -> tuple[xr.Dataset, Passage] | None:
+    """Rows (channel, frame) of ``order`` in the RecordingTracks ``tracks``, apart in noise, and how it passed them.
 
     None where the speed does not sweep or the order was not followed.
     """
-    if not item.attrs.get("swept", 0) or "amplitude" not in item or not item["time"].size:
+    if not tracks.attrs.get("swept", 0) or "amplitude" not in tracks or not tracks["time"].size:
         return None
-    names = item["order"].values
-    found = np.flatnonzero(np.abs(names - order) <= NUMBERS.same_order_share * order)
-    if not len(found):
+    names = tracks["order"].values
+    near = np.flatnonzero(np.abs(names - order) <= NUMBERS.same_order_share * order)
+    if not len(near):
         return None
-    row = int(found[np.argmin(np.abs(names[found] - order))])
-    time, speed, angle = (item[name].values.astype(np.float64) for name in ("time", "speed", "crank_angle"))
-    bandwidth = item["bandwidth_hz"].values[row].astype(np.float64)
+    row = int(near[np.argmin(np.abs(names[near] - order))])
+    time, speed, angle = (tracks[name].values.astype(np.float64) for name in ("time", "speed", "crank_angle"))
+    bandwidth = tracks["bandwidth_hz"].values[row].astype(np.float64)
     inside = (time - time[0] >= NUMBERS.from_ends_bandwidths / bandwidth[0]) & (
         time[-1] - time >= NUMBERS.from_ends_bandwidths / bandwidth[-1]
     )
-    amplitude, error = item["amplitude"].values[:, row], item["standard_error"].values[:, row]
-    poles = int(item.attrs["poles"])
+    amplitude, error = tracks["amplitude"].values[:, row], tracks["standard_error"].values[:, row]
+    poles = int(tracks.attrs["poles"])
     known = inside & np.isfinite(amplitude.real) & (error > 0.0) & (speed > 0.0)
     # hardly any row shares its noise with the one before: one in a reciprocal bandwidth
     passed = np.cumsum(noise_bandwidth_share(poles) * bandwidth * np.gradient(time))
     rows = known.any(axis=0) & (np.diff(np.floor(passed), prepend=-1.0) > 0.0)
     if np.count_nonzero(rows) < 2 * ORDER_RESPONSES.spare_amplitudes:
         return None
-    first = 0.5 / float(item["bandwidth_hz"].values[:, 0].max())
+    first = 0.5 / float(tracks["bandwidth_hz"].values[:, 0].max())
     passage = _passage(float(names[row]), np.stack([time, speed, angle, bandwidth]), rows, poles=poles, first_s=first)
-    return item.isel(order=row, frame=np.flatnonzero(rows)), passage
+    return tracks.isel(order=row, frame=np.flatnonzero(rows)), passage
 
 
 def _passage(number: float, along: Floats, rows: Bools, *, poles: int, first_s: float) -> Passage:
@@ -206,7 +206,7 @@ LOCK_NUMBERS = _LockNumbers.load()
 
 @dataclass(frozen=True)
 class _Left:
-    """Turn per revolution that is left beside that of the modes, its standard error and degrees of freedom."""
+    """Slip [turns per revolution] of an order beside the phase of the modes; standard error and degrees of freedom."""
 
     turn: float
     error: float
@@ -227,7 +227,7 @@ def with_locks_through_modes(
     interval of it leaves out a slip of 0.1 % of the order, it is locked. Nothing is called slipping by this. Without
     pulses the orders must prove the speed first (:func:`proves_speed`).
     """
-    sweeps = [item for item in followed if item.attrs.get("swept", 0)]
+    sweeps = [tracks for tracks in followed if tracks.attrs.get("swept", 0)]
     source = speed_source([*sweeps, order_map])
     if not sweeps or source == "vibration":
         return tuple(orders), modal
@@ -245,15 +245,18 @@ def with_locks_through_modes(
         ]
         if not proves_speed(numbers, revs_per_cycle=cycle):
             return tuple(orders), modal
-    told = tuple(one if left is None else _told(one, left, cycle) for one, left in zip(orders, measured, strict=True))
-    moved = {old.order: new.order for old, new in zip(orders, told, strict=True) if old.order != new.order}
+    decided = tuple(
+        one if left is None else _locked_where_proven(one, left, cycle)
+        for one, left in zip(orders, measured, strict=True)
+    )
+    moved = {old.order: new.order for old, new in zip(orders, decided, strict=True) if old.order != new.order}
     if not moved:
-        return told, modal
+        return decided, modal
 
     def number(order: float) -> float:
         return moved.get(order, order)
 
-    return told, replace(
+    return decided, replace(
         modal,
         modes=tuple(replace(one, reached_by=tuple(map(number, one.reached_by))) for one in modal.modes),
         responses=tuple(replace(one, order=number(one.order)) for one in modal.responses),
@@ -271,9 +274,9 @@ def _measured(
     multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
     seen = [
         left
-        for item in sweeps
-        for block in blocks_of(order_map, (agreed,), [item])
-        if block.recording and (left := _left_of(block, modal, item, multiple)) is not None
+        for tracks in sweeps
+        for block in blocks_of(order_map, (agreed,), [tracks])
+        if block.recording and (left := _left_of(block, modal, tracks, multiple)) is not None
     ]
     if not seen:
         return None
@@ -284,7 +287,7 @@ def _measured(
     return _Left(mean, float(np.sqrt(scatter / information)), min(left.degrees_of_freedom for left in seen))
 
 
-def _told(agreed: AgreedOrder, left: _Left, cycle: int) -> AgreedOrder:
+def _locked_where_proven(agreed: AgreedOrder, left: _Left, cycle: int) -> AgreedOrder:
     """``agreed``, which is locked where what is ``left`` proves it."""
     multiple = nearest_multiple(agreed.order, revs_per_cycle=cycle)
     lock = lock_of(multiple + left.turn, left.error, left.degrees_of_freedom, revs_per_cycle=cycle, by_phase=True)
@@ -301,30 +304,30 @@ def _told(agreed: AgreedOrder, left: _Left, cycle: int) -> AgreedOrder:
     )
 
 
-def _left_of(block: Block, modal: ModalFit, item: xr.Dataset, multiple: float) -> _Left | None:
-    """What turns the phase of ``block`` along ``item`` beside the modes, from ``multiple``; None: not fitted."""
+def _left_of(block: Block, modal: ModalFit, tracks: xr.Dataset, multiple: float) -> _Left | None:
+    """What turns the phase of ``block`` along ``tracks`` beside the modes, from ``multiple``; None: not fitted."""
     fits = {
-        one.channel: one
-        for one in modal.responses
-        if one.fits
-        and one.recording == block.recording
-        and abs(one.order - block.order) <= NUMBERS.same_order_share * block.order
+        response.channel: response
+        for response in modal.responses
+        if response.fits
+        and response.recording == block.recording
+        and abs(response.order - block.order) <= NUMBERS.same_order_share * block.order
     }
     channels = [name for name in block.channels if name in fits]
     if not channels:
         return None
-    speed, angle = (item[name].values.astype(np.float64) for name in ("speed", "crank_angle"))
+    speed, angle = (tracks[name].values.astype(np.float64) for name in ("speed", "crank_angle"))
     rows = np.flatnonzero(np.isin(speed, block.speed_rpm))  # those of the block, at their speeds
     if len(rows) != len(block.speed_rpm) or block.speed_rpm[0] not in speed:
         return None
     angle = np.asarray(angle[rows] - angle[rows].mean())
-    followed = item["order"].values
+    followed = tracks["order"].values
     off = float(followed[np.abs(followed - block.order).argmin()]) - multiple
     # the channels see one force and the same modes: what turns one turns them all
     left = _solved(_together([_channel_part(block, fits[name], modal, angle) for name in channels]))
     if left is None:
         return None
-    by_angle = block.order * float(item.attrs.get("crank_angle_error_rev", 0.0)) / float(np.ptp(angle))
+    by_angle = block.order * float(tracks.attrs.get("crank_angle_error_rev", 0.0)) / float(np.ptp(angle))
     return replace(left, turn=left.turn + off, error=float(np.hypot(left.error, by_angle)))
 
 
@@ -364,7 +367,7 @@ def _prior_of(response: OrderResponse, n_linear: int) -> tuple[Floats, Floats]:
 
 def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle: Floats) -> _Part:
     row = [block.channels.index(response.channel)]
-    one = replace(
+    alone = replace(
         block,
         channels=(response.channel,),
         amplitude=block.amplitude[row],
@@ -379,11 +382,12 @@ def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle:
     )
     hz = np.array([mode.frequency_hz for mode in modal.modes])
     damping = np.array([mode.damping_ratio for mode in modal.modes])
-    smooth, modes = one.smooth(), one.modal(hz, damping)
+    smooth, modes = alone.smooth(), alone.modal(hz, damping)
     fitted = smooth @ response.smooth + modes @ response.residue
-    weight = one.weight[0]
-    by_f, by_zeta = (slope * response.residue for slope in one.modal_slopes(hz, damping))
-    shapes = smooth_shapes(one.speed_rpm, one.span_rpm, max(len(response.law), LOCK_NUMBERS.force_terms))[:, 1:]
+    weight = alone.weight[0]
+    by_f, by_zeta = (slope * response.residue for slope in alone.modal_slopes(hz, damping))
+    terms = max(len(response.law), LOCK_NUMBERS.force_terms)
+    shapes = smooth_shapes(alone.speed_rpm, alone.span_rpm, terms)[:, 1:]
     laws = np.zeros(shapes.shape[1], dtype=complex)
     laws[: len(response.law)] = response.law
     grown = fitted[:, None] * shapes
@@ -400,8 +404,8 @@ def _channel_part(block: Block, response: OrderResponse, modal: ModalFit, angle:
     own = np.concatenate([linear, 1j * linear], axis=1)
     prior, prior_left = _prior_of(response, linear.shape[1])
     return _Part(
-        _parts((one.amplitude[0] - fitted) * weight),
-        _parts(one.amplitude[0] * weight),
+        _parts((alone.amplitude[0] - fitted) * weight),
+        _parts(alone.amplitude[0] * weight),
         _parts(2j * np.pi * angle * fitted * weight),
         _parts(np.concatenate(shared, axis=1) * weight[:, None]),
         _parts(own * weight[:, None]),
@@ -418,8 +422,8 @@ def _together(parts: Sequence[_Part]) -> _Part:
     from scipy.linalg import block_diag
 
     stacked = ("left", "seen", "slip", "shared", "own_prior_left")
-    joined: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in parts]) for name in stacked}
-    joined |= {name: block_diag(*(getattr(one, name) for one in parts)) for name in ("own", "own_prior")}
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in stacked}
+    joined |= {name: block_diag(*(getattr(part, name) for part in parts)) for name in ("own", "own_prior")}
     return replace(parts[0], **joined)
 
 
@@ -440,9 +444,9 @@ def _solved(part: _Part) -> _Left | None:
     scaled = matrix / np.where(scale > 0.0, scale, 1.0)
     inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-13, hermitian=True)
     solution = np.linalg.lstsq(scaled, wanted, rcond=1e-12)[0]
-    found, left = solution / np.where(scale > 0.0, scale, 1.0), wanted - scaled @ solution
+    unknowns, left = solution / np.where(scale > 0.0, scale, 1.0), wanted - scaled @ solution
     free = len(part.left) - matrix.shape[1]
-    bent = np.abs(found[1 : 1 + part.n_laws] + part.shared_now[: part.n_laws]).max()
+    bent = np.abs(unknowns[1 : 1 + part.n_laws] + part.shared_now[: part.n_laws]).max()
     if free < LOCK_NUMBERS.fewest_free or bent > LOCK_NUMBERS.far_turn_rad or not scale[0] > 0.0:
         return None
     beyond = max(0.0, float(np.square(left[: len(part.left)]).sum()) - free) / float(np.square(part.seen).sum())
@@ -450,4 +454,4 @@ def _solved(part: _Part) -> _Left | None:
         return None
     worse = max(1.0, float(left @ left) / free)
     error = np.hypot(np.sqrt(inverse[0, 0] * worse), np.sqrt(beyond) * np.linalg.norm(part.seen) / scale[0])
-    return _Left(float(found[0]), float(error / scale[0]), float(free))
+    return _Left(float(unknowns[0]), float(error / scale[0]), float(free))

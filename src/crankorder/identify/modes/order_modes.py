@@ -55,37 +55,39 @@ def swings_of(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles)
 
     ``parts`` are the blocks as projected with the poles. Empty for orders that hold nothing of others.
     """
-    made = []
+    swings = []
     for block in blocks:
         if block.passage is None or block.as_read is None:
             continue
         every = np.arange(len(block.passage.time_s), dtype=np.float64)
         along = replace(block, passage=replace(block.passage, place=every))
         total, variance = _rung(along, _others(block, blocks, parts), poles)
-        made += [
+        swings += [
             Swing(block.order, name, block.recording, block.passage.time_s, taken, np.sqrt(spread))
             for name, taken, spread in zip(block.channels, total, variance, strict=True)
         ]
-    return tuple(made)
+    return tuple(swings)
 
 
 def without_swings(followed: Sequence[xr.Dataset], swings: Sequence[Swing]) -> tuple[xr.Dataset, ...]:
     """``followed`` (RecordingTracks) less the ``swings`` of their orders, whose errors theirs grow by."""
-    made = []
-    for item in followed:
-        own = [swing for swing in swings if swing.recording == item.attrs.get("recording")]
+    cleaned = []
+    for tracks in followed:
+        own = [swing for swing in swings if swing.recording == tracks.attrs.get("recording")]
         if own:
-            item = item.copy(deep=True)
+            tracks = tracks.copy(deep=True)
         for swing in own:
-            names = item["order"].values
+            names = tracks["order"].values
             row = int(np.argmin(np.abs(names - swing.order)))
-            channel = item["channel"].values.tolist().index(swing.channel)
-            time = item["time"].values
+            channel = tracks["channel"].values.tolist().index(swing.channel)
+            time = tracks["time"].values
             taken, error = (np.interp(time, swing.time_s, values) for values in (swing.taken, swing.error))
-            item["amplitude"].values[channel, row] -= taken
-            item["standard_error"].values[channel, row] = np.hypot(item["standard_error"].values[channel, row], error)
-        made.append(item)
-    return tuple(made)
+            tracks["amplitude"].values[channel, row] -= taken
+            tracks["standard_error"].values[channel, row] = np.hypot(
+                tracks["standard_error"].values[channel, row], error
+            )
+        cleaned.append(tracks)
+    return tuple(cleaned)
 
 
 def _without(block: Block, others: Sequence[tuple[Block, Projected]], poles: Poles) -> Block:
@@ -163,7 +165,7 @@ def hidden_speeds(
     have = np.array(sorted({block.order for block in swept}))
     multiples = np.arange(1, int(revs_per_cycle * (have.max() + 1.0)) + 1) / revs_per_cycle
     unknown = multiples[np.abs(multiples[:, None] - have).min(axis=1) > 0.25 / revs_per_cycle]
-    found: list[HiddenSpeeds] = []
+    hidden: list[HiddenSpeeds] = []
     for mode in modes:
         f, zeta = mode.frequency_hz, max(mode.damping_ratio, least_damping)
         if any(low <= f <= high for low, high in looked_hz):
@@ -174,8 +176,8 @@ def hidden_speeds(
             if rung:
                 loudest = max(rung, key=lambda block: float(block.size.max()))
                 ends = 60.0 * (f - reach) / number, 60.0 * (f + reach) / number
-                found.append(HiddenSpeeds(ends[0], ends[1], f, loudest.order))
-    return tuple(found)
+                hidden.append(HiddenSpeeds(ends[0], ends[1], f, loudest.order))
+    return tuple(hidden)
 
 
 def _taken(block: Block, other: Block, natural_hz: float, damping: float) -> Complexes:
@@ -313,8 +315,8 @@ def _explains(block: Block, part: Projected, poles: Poles, number: int) -> Bools
     size = np.where(used, np.square(block.size[:, near]), 0.0).sum(axis=1)
     beside = np.abs(np.log(poles.frequency_hz / f)) <= NUMBERS.side_by_side_share
     left, without = (
-        np.where(used, np.abs(one.left[:, near]) ** 2 / np.where(used, weight, 1.0) ** 2, 0.0).sum(axis=1)
-        for one in (part, project(block, poles.chosen(~beside)))
+        np.where(used, np.abs(each.left[:, near]) ** 2 / np.where(used, weight, 1.0) ** 2, 0.0).sum(axis=1)
+        for each in (part, project(block, poles.chosen(~beside)))
     )
     felt = without - left > NUMBERS.felt_share**2 * size * (4.0 if block.power else 1.0)
     return np.asarray(felt & (without - left >= (1.0 - NUMBERS.unexplained_share) * np.maximum(without - noise, noise)))
@@ -394,13 +396,13 @@ def proven_by(proof: Proof) -> str:
         return f"no order passes it; it shapes orders {_listed(proof.orders)} from afar"
     names = _listed(proof.passed)
     if len(proof.passed) > 1:
-        told = f"orders {names} peak there, each at its own speed, with the phase of a resonance"
+        words = f"orders {names} peak there, each at its own speed, with the phase of a resonance"
     else:
         near = f"at {proof.most_rows} speeds around it" if proof.most_rows else "seen on its flanks"
-        told = f"order {names} has amplitude and phase of a resonance there, {near}"
+        words = f"order {names} has amplitude and phase of a resonance there, {near}"
     if proof.flanked and proof.most_rows < NUMBERS.rows_of_turn and not _peaks_prove(proof):
-        told += f"; the flanks of order {_listed(proof.flanked)}, without the rows at its peak, place it there"
-    return told
+        words += f"; the flanks of order {_listed(proof.flanked)}, without the rows at its peak, place it there"
+    return words
 
 
 def is_proven(proof: Proof) -> bool:

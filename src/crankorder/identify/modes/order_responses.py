@@ -19,7 +19,7 @@ from crankorder.identify.modes.order_terms import (
     force,
     grown_by,
     of_squares,
-    orthonormal,
+    qr_by_channel,
     resonance,
     resonance_slopes,
     scatter_of,
@@ -112,10 +112,10 @@ class Block:
 
         What is worked out of the rest is kept.
         """
-        made = replace(self, **changes)
+        block = replace(self, **changes)
         kept = OF_ROWS if changes.keys() & {"exponent", "law", "degree"} else OF_ROWS + OF_LAW
-        made.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
-        return made
+        block.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
+        return block
 
     @cached_property
     def span_rpm(self) -> tuple[float, float]:
@@ -194,12 +194,12 @@ class Block:
     def reached(self, poles: Poles) -> Ints:
         """Numbers of the ``poles`` that the order sweeps through or near, the nearest where its rows are few."""
         low, high = NUMBERS.reach_shares[0] * self.ends_hz[0], NUMBERS.reach_shares[1] * self.ends_hz[1]
-        found = np.flatnonzero((poles.frequency_hz >= low) & (poles.frequency_hz <= high) & ~poles.tone)
+        reached = np.flatnonzero((poles.frequency_hz >= low) & (poles.frequency_hz <= high) & ~poles.tone)
         room = max(0, (self.fewest_rows - 1 - self.degree - NUMBERS.spare_amplitudes) // self.columns_per_mode)
-        if len(found) > room:
-            away = np.abs(np.log(poles.frequency_hz[found, None] / self.frequency_hz)).min(axis=1)
-            found = np.sort(found[np.argsort(away, kind="stable")[:room]])
-        return found
+        if len(reached) > room:
+            away = np.abs(np.log(poles.frequency_hz[reached, None] / self.frequency_hz)).min(axis=1)
+            reached = np.sort(reached[np.argsort(away, kind="stable")[:room]])
+        return reached
 
     def smooth(self) -> Complexes:
         """Columns (K, degree + 1) of what is smooth."""
@@ -259,15 +259,15 @@ class Block:
     def _along(self, natural_hz: Floats, damping: Floats, which: int) -> Complexes:
         """Columns along the sweep, or their slope by ln f (1) or ln ζ (2); those made before are kept."""
         assert self.passage is not None
-        made = np.empty((len(self.frequency_hz), len(natural_hz)), dtype=np.complex128)
+        columns = np.empty((len(self.frequency_hz), len(natural_hz)), dtype=np.complex128)
         for number, pole in enumerate(zip(natural_hz.tolist(), damping.tolist(), strict=True)):
             key = (*pole, self.exponent, self.law)
             if len(self.made.get(key, ())) <= which:
                 while len(self.made) >= MOST_KEPT:
                     self.made.pop(next(iter(self.made)))
                 self.made[key] = self.passage.response(self.driven, *pole, slopes=which > 0)
-            made[:, number] = self.made[key][which]
-        return made
+            columns[:, number] = self.made[key][which]
+        return columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -361,7 +361,7 @@ def _eliminated(block: Block, reached: Ints, design: Complexes) -> Projected:
     weighted = design.T * weight[:, None]
     scale = np.maximum(np.linalg.norm(weighted, axis=2), 1e-300)
     weighted /= scale[..., None]
-    basis, triangle = orthonormal(np.swapaxes(weighted, 1, 2))
+    basis, triangle = qr_by_channel(np.swapaxes(weighted, 1, 2))
     measured = block.measured * weight
     along = (np.swapaxes(basis, 1, 2).conj() @ measured[..., None])[..., 0]
     left = measured - (basis @ along[..., None])[..., 0]
@@ -382,18 +382,18 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Floats:
     linear = part.linear[:, block.degree + 1 :]
     turned: Complexes = np.empty((*block.amplitude.shape, 2 * len(reached)), dtype=np.complex128)
     for offset, slope in enumerate(block.modal_slopes(poles.frequency_hz[reached], poles.damping[reached])):
-        made = slope[None] * linear[:, None]
-        turned[..., offset::2] = made.reshape(*made.shape[:2], len(reached), per).sum(axis=3)
+        by_pole = slope[None] * linear[:, None]
+        turned[..., offset::2] = by_pole.reshape(*by_pole.shape[:2], len(reached), per).sum(axis=3)
     turned *= block.weight[..., None]
     turned = beyond(part.basis, turned)
     if part.degrees_of_freedom >= ORDER_TERMS.enough_degrees_of_freedom:
-        turned = beyond_law(turned, bent(block, part, max(len(block.law), 1)), power=block.power)
+        turned = beyond_law(turned, force_slopes(block, part, max(len(block.law), 1)), power=block.power)
     every[:, parameters_of(reached)] = as_real(turned, block)
     return every
 
 
-def bent(block: Block, part: Projected, degree: int) -> Complexes:
-    """Derivatives (C, K, ``degree``) of ``block`` by the law of its force, less what linear terms of ``part`` take."""
+def force_slopes(block: Block, part: Projected, degree: int) -> Complexes:
+    """Derivatives (C, K, ``degree``) of ``block`` by the law of its force, beyond the linear terms of ``part``."""
     fitted = block.measured * block.weight - part.left
     bends = fitted[..., None] * block.shapes_to(degree)[:, 1:] * (2.0 if block.power else 1.0)
     return beyond(part.basis, bends)
@@ -405,8 +405,8 @@ def as_real(values: Complexes, block: Block) -> Floats:
     return np.asarray(rows.real if block.power else np.concatenate([rows.real, rows.imag]))
 
 
-def missed(block: Block, part: Projected) -> float:
-    """Twice the negative log likelihood of ``block`` as projected (``part``), up to a constant."""
+def deviance_of(block: Block, part: Projected) -> float:
+    """Minus twice the log likelihood of ``block`` as projected (``part``), up to a constant."""
     weight = block.weight
     return block.parts * -2.0 * float(np.log(weight[weight > 0.0]).sum()) + part.chi2
 
@@ -475,7 +475,7 @@ def with_best_law(block: Block, poles: Poles) -> Block:
             trial = with_bent_law(trial, poles)
         trial, part = with_scatter(trial, poles)
         terms = block.parts * (len(block.channels) * (trial.degree + 1) + bends)
-        new = missed(trial, part) + terms * float(np.log(block.parts * int(block.rows.sum())))
+        new = deviance_of(trial, part) + terms * float(np.log(block.parts * int(block.rows.sum())))
         if new < cost:
             best, cost = trial, new
         if best.scatter <= ORDER_TERMS.least_scatter:
@@ -488,7 +488,7 @@ def with_bent_law(block: Block, poles: Poles) -> Block:
     if not block.law:
         return block
     part = project(block, poles)
-    bends = bent(block, part, len(block.law))
+    bends = force_slopes(block, part, len(block.law))
     rows, left = bends.reshape(-1, len(block.law)), part.left.ravel()
     solved = (
         np.linalg.lstsq(rows.real, left.real, rcond=1e-6) if block.power else np.linalg.lstsq(rows, left, rcond=1e-6)
@@ -519,37 +519,37 @@ def fitting(
 
 def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, ...]:
     """OrderResponse of each channel of ``blocks`` that have phases, for the ``modes``."""
-    made = []
+    responses = []
     for block in blocks:
         if block.power:
             continue
-        item, part = with_scatter(block, modes)
-        first = item.degree + 1
+        scattered, part = with_scatter(block, modes)
+        first = scattered.degree + 1
         linear, covariance = part.linear, part.covariance * part.beyond_errors
-        slopes = _terms_by_poles(item, modes, part)
-        for number, channel in enumerate(item.channels):
+        slopes = _terms_by_poles(scattered, modes, part)
+        for number, channel in enumerate(scattered.channels):
             residue = np.zeros(len(modes), dtype=complex)
             residue[part.reached] = linear[number, first:]
-            made.append(
+            responses.append(
                 OrderResponse(
-                    item.order,
+                    scattered.order,
                     channel,
-                    item.exponent,
-                    item.law,
-                    item.reference_rpm,
-                    item.span_rpm,
+                    scattered.exponent,
+                    scattered.law,
+                    scattered.reference_rpm,
+                    scattered.span_rpm,
                     np.asarray(linear[number, :first], dtype=np.complex128),
                     residue,
                     part.reached,
                     np.asarray(covariance[number], dtype=np.complex128),
-                    part.degrees_of_freedom // len(item.channels),
-                    item.noise * float(np.median(item.error[number][np.isfinite(item.error[number])])),
-                    part.degrees_of_freedom > 0 and item.scatter <= NUMBERS.most_scatter,
-                    item.recording,
+                    part.degrees_of_freedom // len(scattered.channels),
+                    scattered.noise * float(np.median(scattered.error[number][np.isfinite(scattered.error[number])])),
+                    part.degrees_of_freedom > 0 and scattered.scatter <= NUMBERS.most_scatter,
+                    scattered.recording,
                     slopes[number],
                 )
             )
-    return tuple(made)
+    return tuple(responses)
 
 
 def _terms_by_poles(block: Block, poles: Poles, part: Projected) -> Complexes:
@@ -558,12 +558,12 @@ def _terms_by_poles(block: Block, poles: Poles, part: Projected) -> Complexes:
     The terms are those that explain best what was measured, wherever the poles are. ``part``: the block as projected.
     """
     reached = part.reached
-    made = np.zeros((*part.linear.shape, 2 * len(reached)), dtype=np.complex128)
+    bent = np.zeros((*part.linear.shape, 2 * len(reached)), dtype=np.complex128)
     if not len(reached):
-        return made
+        return bent
     residue = part.linear[:, None, block.degree + 1 :]
     adjoint = np.swapaxes(part.basis, 1, 2).conj()
     for offset, slope in enumerate(block.modal_slopes(poles.frequency_hz[reached], poles.damping[reached])):
         turned = slope[None] * residue * block.weight[..., None]
-        made[..., offset::2] = -(part.solve @ (adjoint @ turned)) / part.scale[..., None]
-    return made
+        bent[..., offset::2] = -(part.solve @ (adjoint @ turned)) / part.scale[..., None]
+    return bent

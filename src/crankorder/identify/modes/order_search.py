@@ -16,7 +16,7 @@ from crankorder.identify.modes.order_responses import (
     Block,
     Blocks,
     Projected,
-    missed,
+    deviance_of,
     project,
     with_bent_law,
     with_best_law,
@@ -146,8 +146,8 @@ def poles_of_orders(
     state = _pruned(state, chance=chance)
     if len(asked) < len(blocks):
         state = Fitted.of([with_best_law(block, state.poles) for block in blocks], state.poles, prior).moved()
-    found = range(len(known), len(state.poles))
-    poles = tuple(named(state.blocks, state.projected, state.poles, number) for number in found)
+    new = range(len(known), len(state.poles))
+    poles = tuple(named(state.blocks, state.projected, state.poles, number) for number in new)
     return state.blocks, poles, more is None
 
 
@@ -155,7 +155,7 @@ def _unlike(blocks: Sequence[Block]) -> list[Block]:
     """Those of ``blocks``, of sweeps the first that passes through the frequencies where an order runs again."""
     kept: list[Block] = []
     for block in blocks:
-        (low, high), again = block.ends_hz, [one.ends_hz for one in kept if one.order == block.order]
+        (low, high), again = block.ends_hz, [other.ends_hz for other in kept if other.order == block.order]
         reach = SAME_SWEEP * (high - low)
         if block.passage is None or not any(ends[0] <= low + reach and ends[1] >= high - reach for ends in again):
             kept.append(block)
@@ -177,27 +177,27 @@ class Settled:
     swings: tuple[Swing, ...]
 
 
-def settled(blocks: Sequence[Block], known: Poles, found: Sequence[OrderPole], *, chance: float) -> Settled:
-    """``blocks`` behind the ``known`` poles and the ``found`` ones, which are moved once more behind those.
+def settled(blocks: Sequence[Block], known: Poles, candidates: Sequence[OrderPole], *, chance: float) -> Settled:
+    """``blocks`` behind the ``known`` poles and the ``candidates`` ones, which are moved once more behind those.
 
     Channels share what an order's force varies by: their residuals are as alike as they are seen to be. Of sweeps,
     poles that no order shows are left out, and so are those that came to lie beside another one and save no more than
     the false-alarm level ``chance`` would let noise save.
     """
-    free = poles_at((pole.frequency_hz, pole.damping) for pole in found)
+    free = poles_at((pole.frequency_hz, pole.damping) for pole in candidates)
     state = Fitted.of(blocks, known.joined(free.chosen(free.rank)), NO_PRIOR)
     if len(free):
         state = state.moved(fixed=len(known))
     every = [named(state.blocks, state.projected, state.poles, number) for number in range(len(state.poles))]
-    shown = [item for item in every[len(known) :] if item.proof.orders]
-    if len(shown) < len(found) and any(block.passage is not None for block in blocks):
+    shown = [pole for pole in every[len(known) :] if pole.proof.orders]
+    if len(shown) < len(candidates) and any(block.passage is not None for block in blocks):
         # what none shows took a part of what the others ring on with
         return settled(state.blocks, known, shown, chance=chance)
     for number in range(len(known), len(state.poles)):
         if _is_beside(state.poles, number) and not _without(state, number, chance=chance)[1]:
-            rest = [item for at, item in enumerate(every[len(known) :], len(known)) if at != number]
+            rest = [pole for at, pole in enumerate(every[len(known) :], len(known)) if at != number]
             return settled(state.blocks, known, rest, chance=chance)
-    proofs = tuple(item.proof for item in every[: len(known)])
+    proofs = tuple(pole.proof for pole in every[: len(known)])
     swings = swings_of(state.blocks, state.projected, state.poles)
     covariance = order_pole_covariance(state.blocks, state.projected, state.poles, fixed=len(known))
     return Settled(state.blocks, proofs, tuple(every[len(known) :]), covariance, swings)
@@ -225,7 +225,9 @@ class Fitted:
         """State of ``blocks`` behind ``poles`` with their ``prior``."""
         pairs = [with_scatter(block, poles) for block in blocks]
         left = without_ringing([block for block, _ in pairs], [part for _, part in pairs], poles)
-        pairs = [pair if one is pair[0] else with_scatter(one, poles) for one, pair in zip(left, pairs, strict=True)]
+        pairs = [
+            pair if block is pair[0] else with_scatter(block, poles) for block, pair in zip(left, pairs, strict=True)
+        ]
         return cls(tuple(block for block, _ in pairs), tuple(part for _, part in pairs), poles, prior)
 
     def moved(self, *, fixed: int = 0) -> Fitted:
@@ -241,8 +243,8 @@ class Fitted:
     def with_pole(self, start: tuple[float, float]) -> Fitted:
         """With one pole more, near a ``start`` (Hz, damping ratio), the others staying where they are."""
         more = self.poles.joined(poles_at([start]))
-        told = [_told_with(block, more, start[0]) for block in self.blocks]
-        return Fitted.of(told, more, self.prior).moved(fixed=len(self.poles))
+        blocks = [_refitted_with(block, more, start[0]) for block in self.blocks]
+        return Fitted.of(blocks, more, self.prior).moved(fixed=len(self.poles))
 
     @property
     def misses(self) -> float:
@@ -259,7 +261,7 @@ class Fitted:
 
         And, of what must be ``clear``, where noise may have made it.
         """
-        made = []
+        shares = []
         for block, part in zip(self.blocks, self.projected, strict=True):
             left = np.abs(part.left) / np.where(block.weight > 0.0, block.weight, np.inf)
             size = np.sqrt(block.size) if block.power else block.size
@@ -267,8 +269,8 @@ class Fitted:
             counts = size > NUMBERS.matters_share * size.max()
             if clear:
                 counts &= left > NUMBERS.clear_sigmas * block.noise * block.error
-            made.append(np.where(counts, share, 0.0))
-        return made
+            shares.append(np.where(counts, share, 0.0))
+        return shares
 
     def saves(self, less: Fitted) -> float:
         """What the poles save of twice the negative log likelihood over ``less``, as of the freedom that is left."""
@@ -281,11 +283,11 @@ class Fitted:
             share = max(many.degrees_of_freedom, 0) / (after.parts * int(after.rows.sum()))
             if after.passage is not None:
                 share *= _independent_share(many)
-            saved += (missed(before, few) - missed(after, many)) * share
+            saved += (deviance_of(before, few) - deviance_of(after, many)) * share
         return saved
 
 
-def _told_with(block: Block, poles: Poles, frequency_hz: float) -> Block:
+def _refitted_with(block: Block, poles: Poles, frequency_hz: float) -> Block:
     """``block`` with law and signs told anew where a pole that is new among ``poles``, at ``frequency_hz``, hid them.
 
     Signs stay as they are, or turn at that frequency: what the poles fit better.
@@ -293,8 +295,8 @@ def _told_with(block: Block, poles: Poles, frequency_hz: float) -> Block:
     passed = block.ends_hz[0] < frequency_hz < block.ends_hz[1]
     if passed and block.sign_free:
         sign = np.where(block.frequency_hz > frequency_hz, -1.0, 1.0)  # a resonance there turns the phase
-        both = [with_scatter(one, poles) for one in (block, replace(block, amplitude=block.amplitude * sign))]
-        block = min(both, key=lambda pair: missed(*pair))[0]
+        both = [with_scatter(choice, poles) for choice in (block, replace(block, amplitude=block.amplitude * sign))]
+        block = min(both, key=lambda pair: deviance_of(*pair))[0]
     if block.scatter <= NUMBERS.well_laid_scatter or block.passage is not None or not passed:
         return with_bent_law(block, poles)  # the rows of a sweep are many: a step does
     return with_best_law(block, poles)
@@ -364,13 +366,13 @@ def orders_raised(blocks: Sequence[Block], poles: Poles, frequency_hz: float) ->
     both sides, where rows are too far apart for that.
     """
     tried = Tried(np.full(len(LIGHT), frequency_hz), np.array(LIGHT))
-    found = []
+    raised = []
     for block in blocks:
         gains = _gains(Fitted.of((block,), poles, NO_PRIOR), tried)
         proven = float(gains.max()) > float(chdtri(2.0 + 2.0 * len(block.channels), ORDER_MODES.proof_chance))
         if proven or _stands_out(block, frequency_hz):
-            found.append(block.order)
-    return tuple(dict.fromkeys(found))
+            raised.append(block.order)
+    return tuple(dict.fromkeys(raised))
 
 
 def _stands_out(block: Block, frequency_hz: float) -> bool:
@@ -436,13 +438,13 @@ def _explained(columns: Complexes, weight: Floats, part: Projected, per: int) ->
     seen = (np.swapaxes(part.basis, 1, 2).conj() * weight[:, None]) @ columns
     whole, along = weight**2 @ np.abs(columns) ** 2, (part.left.conj() * weight) @ columns
     norm = np.maximum(whole - np.sum(np.abs(seen) ** 2, axis=1), 1e-9 * whole + 1e-300)
-    made = np.abs(along[:, ::per]) ** 2 / norm[:, ::per]
+    explained = np.abs(along[:, ::per]) ** 2 / norm[:, ::per]
     if per == 1:
-        return np.asarray(made)
+        return np.asarray(explained)
     both = weight**2 @ (columns[:, ::2].conj() * columns[:, 1::2])
     both -= (seen[..., ::2].conj() * seen[..., 1::2]).sum(axis=1)
     rest = np.maximum(norm[:, 1::2] - np.abs(both) ** 2 / norm[:, ::2], 1e-6 * norm[:, 1::2])
-    return np.asarray(made + np.abs(along[:, 1::2] - along[:, ::2] * both / norm[:, ::2]) ** 2 / rest)
+    return np.asarray(explained + np.abs(along[:, 1::2] - along[:, ::2] * both / norm[:, ::2]) ** 2 / rest)
 
 
 def _moved(joint: Blocks, free: Poles, prior: Prior) -> Poles:
@@ -495,13 +497,13 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
     """
     first = number = len(state.prior.place)
     for group in _neighbours(state.poles, first):
-        alone = _told_anew(state, state.poles.chosen(~np.isin(np.arange(len(state.poles)), group)))
+        alone = _refitted(state, state.poles.chosen(~np.isin(np.arange(len(state.poles)), group)))
         if state.accounts_for(alone) <= ORDER_MODES.felt_share:
             return _pruned(alone, chance=chance)
     while number < len(state.poles):
         fewer, needed = _without(state, number, chance=chance)
         if needed and _is_beside(state.poles, number):
-            fewer = _told_anew(state, fewer.poles)
+            fewer = _refitted(state, fewer.poles)
             needed = state.saves(fewer) > _limit(state.blocks, chance)
         if needed:
             number += 1
@@ -510,7 +512,7 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
     return state
 
 
-def _told_anew(state: Fitted, poles: Poles) -> Fitted:
+def _refitted(state: Fitted, poles: Poles) -> Fitted:
     """``state`` with these ``poles`` where they and the laws of the forces fit best."""
     return Fitted.of([with_best_law(block, poles) for block in state.blocks], poles, state.prior).moved()
 

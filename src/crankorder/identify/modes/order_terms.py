@@ -78,12 +78,12 @@ def of_squares(columns: Complexes, ratio: Floats) -> Complexes:
 
     They span the square of any response with real residues, beside a constant.
     """
-    made = np.empty((len(columns), 2 * columns.shape[1]), dtype=np.complex128)
-    made[:, ::2], made[:, 1::2] = columns.real, columns.imag / ratio
-    return made
+    both = np.empty((len(columns), 2 * columns.shape[1]), dtype=np.complex128)
+    both[:, ::2], both[:, 1::2] = columns.real, columns.imag / ratio
+    return both
 
 
-def orthonormal(columns: Complexes) -> tuple[Complexes, Complexes]:
+def qr_by_channel(columns: Complexes) -> tuple[Complexes, Complexes]:
     """QR of each channel's ``columns`` (C, K, terms): bases (C, K, terms) and triangles (C, terms, terms).
 
     As :func:`numpy.linalg.qr` does it, whose stacking takes longer than the factors of matrices as small as these. What
@@ -97,8 +97,8 @@ def orthonormal(columns: Complexes) -> tuple[Complexes, Complexes]:
         return np.asarray(basis, dtype=np.complex128), np.asarray(triangle, dtype=np.complex128)
     turned = np.empty((count, terms, rows), dtype=np.complex128)
     triangle = np.empty((count, terms, terms), dtype=np.complex128)
-    for number, one in enumerate(columns):
-        reflected, factor, _, _ = lapack.zgeqrf(one)
+    for number, channel in enumerate(columns):
+        reflected, factor, _, _ = lapack.zgeqrf(channel)
         triangle[number] = reflected[:terms]
         turned[number] = lapack.zungqr(reflected, factor, overwrite_a=True)[0].T
     return np.swapaxes(turned, 1, 2), triangle
@@ -241,8 +241,8 @@ class Passage:
         weight = -(pole**2) / (2j * pole.imag)
         back = 1.0 / (2j * np.pi * self.frequency_hz - np.conj(pole))
         own, slope = self._envelopes(growth, pole, slopes=slopes)
-        made = growth - weight * own - np.conj(weight) * growth * back
-        parts = [made]
+        driven = growth - weight * own - np.conj(weight) * growth * back
+        parts = [driven]
         for step in (pole, by_damping) if slopes else ():
             bend = weight * (2.0 * step / pole - step.imag / pole.imag)
             counter = np.conj(bend) * back + np.conj(weight * step) * back**2
@@ -256,8 +256,8 @@ class Passage:
         """
         natural = 2.0 * np.pi * natural_hz
         pole = natural * complex(-damping, np.sqrt(max(1.0 - damping**2, 1e-12)))
-        made = (pole**2) / (2j * pole.imag) * self._envelopes(growth, pole, slopes=False)[0]
-        return np.asarray(made - _filtered(made, self._filter))
+        rung = (pole**2) / (2j * pole.imag) * self._envelopes(growth, pole, slopes=False)[0]
+        return np.asarray(rung - _filtered(rung, self._filter))
 
     def taken_from(self, other: Passage, left: Complexes, natural_hz: float) -> Complexes:
         """What this order's filter takes (K,) for its own of ``left`` (T',) over the passage of an ``other`` order.
@@ -359,21 +359,10 @@ def _factor(bandwidth_hz: Floats, step_s: float, poles: int) -> Floats:
 
     rate = 1.0 / step_s
     weight = 2.0 * structural_weight(np.minimum(bandwidth_hz, 0.9 * rate), rate_hz=rate, poles=poles)
-    return np.asarray(cholesky_banded(_normal_band(weight, poles), lower=True, check_finite=False))
-
-
-def _filtered(envelope: Complexes, factor: Floats) -> Complexes:
-    """``envelope`` (T, …) of a grid as the filter of the ``factor`` lets it through."""
-    from scipy.linalg import cho_solve_banded
-
-    return np.asarray(cho_solve_banded((factor, True), envelope, check_finite=False))
-
-
-def _normal_band(weight: Floats, poles: int) -> Floats:
-    """Lower band (poles + 1, T) of 1 + Dᵀ r² D for differences of ``poles``, ``weight`` (T,) being r²."""
     steps = np.array([1.0])
     for _ in range(poles):
         steps = np.convolve(steps, [1.0, -1.0])
+    # lower band (poles + 1, T) of 1 + Dᵀ r² D for differences of that many poles, the weight being r²
     n = len(weight)
     band = np.zeros((poles + 1, n))
     band[0] = 1.0
@@ -381,4 +370,11 @@ def _normal_band(weight: Floats, poles: int) -> Floats:
     for lag in range(poles + 1):
         for k in range(poles + 1 - lag):
             band[lag, k : n - poles + k] += steps[k] * steps[k + lag] * pulled
-    return band
+    return np.asarray(cholesky_banded(band, lower=True, check_finite=False))
+
+
+def _filtered(envelope: Complexes, factor: Floats) -> Complexes:
+    """``envelope`` (T, …) of a grid as the filter of the ``factor`` lets it through."""
+    from scipy.linalg import cho_solve_banded
+
+    return np.asarray(cho_solve_banded((factor, True), envelope, check_finite=False))

@@ -63,13 +63,13 @@ def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], p
         return np.zeros((size, size))
     curved = np.sum([cell.hessian for cell in orders], axis=0)
     inverse = np.asarray(np.linalg.pinv(curved, hermitian=True), dtype=np.float64)
-    made = inverse @ inner @ inverse
-    known = np.asarray(np.maximum(np.diag(made), 1e-300), dtype=np.float64)
+    covariance = inverse @ inner @ inverse
+    known = np.asarray(np.maximum(np.diag(covariance), 1e-300), dtype=np.float64)
     scale = poles.values.ravel()[own]
     more = np.sqrt(np.maximum(np.diag(inverse @ beside @ inverse) / known, 1.0))
     for cells in (orders, alone):
         more = np.maximum(more, disagreement(cells, inverse, known))
-    return np.asarray(made * np.outer(scale * more, scale * more))
+    return np.asarray(covariance * np.outer(scale * more, scale * more))
 
 
 def disagreement(cells: Sequence[Cell], inverse: Floats, known: Floats) -> Floats:
@@ -221,10 +221,10 @@ def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Floats) -> Fl
     for j in fit.jacobian[len(problem.psd) :]:
         # channels may share the noise of an order's amplitude: as if all did
         inner = inner + len(problem.psd) * j[:, free].T @ j[:, free]
-    made = np.zeros((len(free), len(free)))
-    made[np.ix_(free, free)] = inverse @ inner @ inverse
+    covariance = np.zeros((len(free), len(free)))
+    covariance[np.ix_(free, free)] = inverse @ inner @ inverse
     scale = fit.poles.values.ravel() * np.sqrt(np.repeat(scatter, 2))
-    return np.asarray(made * np.outer(scale, scale))
+    return np.asarray(covariance * np.outer(scale, scale))
 
 
 def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Floats) -> Floats:
@@ -232,14 +232,14 @@ def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Floats) -> 
 
     ``problem``: the floors that were fitted; ``fit`` and ``scatter`` (M,): as there.
     """
-    made, free = pole_covariance(problem, fit, scatter=scatter), fit.poles.free
+    covariance, free = pole_covariance(problem, fit, scatter=scatter), fit.poles.free
     if not len(free):
-        return made
+        return covariance
     cells = [Cell(j[:, free].T @ j[:, free], j[:, free].T @ r) for j, r in zip(fit.jacobian, fit.residual, strict=True)]
-    known = np.asarray(np.maximum(np.diag(made)[free] / fit.poles.values.ravel()[free] ** 2, 1e-300))
+    known = np.asarray(np.maximum(np.diag(covariance)[free] / fit.poles.values.ravel()[free] ** 2, 1e-300))
     more = np.ones(len(free))
     more[free] = disagreement(cells, inverse_curvature(fit), known)
-    return np.asarray(made * np.outer(more, more))
+    return np.asarray(covariance * np.outer(more, more))
 
 
 def side_by_side(parts: list[Floats]) -> Floats:

@@ -13,7 +13,7 @@ from crankorder.identify.intervals import half_width, positive_interval
 from crankorder.identify.modes.order_blocks import NUMBERS as ORDER_BLOCKS
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
-from crankorder.identify.modes.order_responses import Block, Projected, bent, with_scatter
+from crankorder.identify.modes.order_responses import Block, Projected, force_slopes, with_scatter
 from crankorder.identify.modes.order_terms import force, resonance, resonance_slopes, smooth_shapes
 from crankorder.identify.modes.surface_fit import Poles, Problem, parameters_of
 from crankorder.quantities import Complexes, Floats
@@ -67,7 +67,7 @@ class WithAndWithout:
 
 def together(parts: Sequence[WithAndWithout]) -> WithAndWithout:
     """``parts`` of several channels of one unit as one."""
-    joined = (np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(WithAndWithout))
+    joined = (np.concatenate([getattr(part, attribute.name) for part in parts]) for attribute in fields(WithAndWithout))
     return WithAndWithout(*joined)
 
 
@@ -116,8 +116,8 @@ def _errors(
     poles = np.array([(modal.modes[k].frequency_hz, modal.modes[k].damping_ratio) for k in reached.tolist()])
     spread = modal.covariance[np.ix_(at, at)] / np.outer(poles.ravel(), poles.ravel())
     # of a pole that is not determined a derivative says nothing: that it is not decided is said elsewhere
-    told = np.repeat(np.diag(spread)[1::2] <= ORDER_MODES.known_share**2, 2)
-    spread = np.where(told[:, None] & told, spread, 0.0)
+    known = np.repeat(np.diag(spread)[1::2] <= ORDER_MODES.known_share**2, 2)
+    spread = np.where(known[:, None] & known, spread, 0.0)
     grown = _force_of(response, rpm)[:, None]
     residues = np.array([response.residue[reached], np.where(reached == but, 0.0, response.residue[reached])])
     by_poles = np.zeros((*values.shape, len(at)), dtype=np.complex128)  # derivatives by (ln f, ln ζ) of the modes
@@ -257,20 +257,20 @@ def least_seen(
         size = np.sqrt(block.size) if block.power else block.size
         for name, most in zip(block.channels, size.max(axis=1).tolist(), strict=True):
             largest[unit[name]] = max(EXCLUSION.matters_share * most, largest.get(unit[name], 0.0))
-    along = [(item.order, FloorBound(item.frequency_hz, item.amplification(unit, largest))) for item in sweeps]
+    along = [(unseen.order, FloorBound(unseen.frequency_hz, unseen.amplification(unit, largest))) for unseen in sweeps]
     alone = [_less(_bound(block, poles, settings.least_damping_ratio, reach, unit, largest), along) for block in blocks]
     have = {block.order for block in blocks}
-    more = {order for order, _ in along if all(abs(order - one) >= SAME_ORDER * one for one in have)}
+    more = {order for order, _ in along if all(abs(order - other) >= SAME_ORDER * other for other in have)}
     alone += [_less(UnseenBound(order, np.empty(0), np.empty(0)), along) for order in sorted(more)]
-    known = [FloorBound(item.order * item.speed_rpm / 60.0, item.amplification) for item in alone]
-    made = []
-    for number, item in enumerate(alone):
-        others = [bound for k, bound in enumerate(known) if k != number and alone[k].order != item.order]
-        hz = item.order * item.speed_rpm / 60.0
+    known = [FloorBound(unseen.order * unseen.speed_rpm / 60.0, unseen.amplification) for unseen in alone]
+    bounds = []
+    for number, unseen in enumerate(alone):
+        others = [bound for k, bound in enumerate(known) if k != number and alone[k].order != unseen.order]
+        hz = unseen.order * unseen.speed_rpm / 60.0
         shared = np.min([bound.at(hz) for bound in (*others, *floors)], axis=0, initial=np.inf)
         allowed = 1.0 + EXCLUSION.selective_ratio * (shared - 1.0)
-        made.append(replace(item, amplification=np.minimum(item.amplification, allowed)))
-    return tuple(made)
+        bounds.append(replace(unseen, amplification=np.minimum(unseen.amplification, allowed)))
+    return tuple(bounds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +312,7 @@ class FloorBound:
     amplification: Floats
 
     def at(self, hz: Floats) -> Floats:
-        """That at ``hz`` (G,); infinite where nothing is known."""
+        """Bound at ``hz`` (G,) by interpolation; infinite outside."""
         return np.asarray(np.interp(hz, self.frequency_hz, self.amplification, left=np.inf, right=np.inf))
 
     def worst_about(self, hz: Floats) -> Floats:
@@ -347,20 +347,20 @@ def floor_bound(problem: Problem, model: Floats, *, poles: Poles, settings: Iden
     return FloorBound(problem.frequency_hz, np.sqrt(1.0 + best / filled))
 
 
-def _less(item: UnseenBound, along: Sequence[tuple[float, FloorBound]]) -> UnseenBound:
-    """``item``, or what sweeps leave open of its order where that is less: ``along`` holds (order, bound) of each.
+def _less(unseen: UnseenBound, along: Sequence[tuple[float, FloorBound]]) -> UnseenBound:
+    """``unseen``, or what sweeps leave open of its order where that is less: ``along`` holds (order, bound) of each.
 
     Sweeps tell of speeds too that no row of the order reaches.
     """
-    own = [bound for order, bound in along if abs(order - item.order) < SAME_ORDER * item.order]
-    speed = item.speed_rpm
-    more = np.unique(np.concatenate([60.0 / item.order * bound.frequency_hz for bound in own] or [np.empty(0)]))
+    own = [bound for order, bound in along if abs(order - unseen.order) < SAME_ORDER * unseen.order]
+    speed = unseen.speed_rpm
+    more = np.unique(np.concatenate([60.0 / unseen.order * bound.frequency_hz for bound in own] or [np.empty(0)]))
     below, above = (more[more < speed[0]], more[more > speed[-1]]) if len(speed) else (more, more[:0])
     speed = np.concatenate([below, speed, above])
-    least = np.pad(item.amplification, (len(below), len(above)), constant_values=np.inf)
+    least = np.pad(unseen.amplification, (len(below), len(above)), constant_values=np.inf)
     for bound in own:
-        least = np.minimum(least, bound.worst_about(item.order * speed / 60.0))
-    return replace(item, speed_rpm=speed, amplification=least)
+        least = np.minimum(least, bound.worst_about(unseen.order * speed / 60.0))
+    return replace(unseen, speed_rpm=speed, amplification=least)
 
 
 def _bound(
@@ -405,8 +405,8 @@ def _fitted(block: Block, part: Projected, poles: Poles, speed: Floats) -> Float
     held = held_at(block, speed)
     natural, damping = poles.frequency_hz[part.reached], poles.damping[part.reached]
     columns = np.concatenate([held.smooth(), held.modal(natural, damping)], axis=1)
-    made = part.linear @ columns.T
-    return np.asarray(made.real if block.power else np.abs(made))
+    fitted = part.linear @ columns.T
+    return np.asarray(fitted.real if block.power else np.abs(fitted))
 
 
 def held_at(block: Block, speed_rpm: Floats) -> Block:
@@ -430,9 +430,9 @@ def _added(block: Block, part: Projected, speed: Floats, damping: float, reach: 
     seen_as = replace(block, passage=None, law_span_rpm=block.span_rpm)
     columns = seen_as.modal(natural, np.maximum(ratios, _blur(block, natural)))
     at_peak = np.abs(held_at(block, speed).growth) / (2.0 * damping)
-    made = np.empty((len(block.channels), len(speed)))
+    added = np.empty((len(block.channels), len(speed)))
     # any law may have taken it in
-    bends = bent(block, part, max(1, min(ORDER_RESPONSES.most_degree, block.fewest_rows // 4 - 1)))
+    bends = force_slopes(block, part, max(1, min(ORDER_RESPONSES.most_degree, block.fewest_rows // 4 - 1)))
     for number, (weight, basis, left) in enumerate(zip(block.weight, part.basis, part.left, strict=True)):
         shown = columns * weight[:, None]
         shown -= basis @ (basis.conj().T @ shown)
@@ -442,8 +442,8 @@ def _added(block: Block, part: Projected, speed: Floats, damping: float, reach: 
         along = np.abs(left.conj() @ shown) / norm + reach / np.sqrt(norm)
         if block.power:  # the real part is half as high as the imaginary one
             along = along.reshape(-1, 2) @ np.array([0.5, 1.0])
-        made[number] = along * at_peak
-    return made
+        added[number] = along * at_peak
+    return added
 
 
 def _blur(block: Block, natural: Floats) -> Floats:

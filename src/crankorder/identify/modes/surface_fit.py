@@ -33,7 +33,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class SpectralWindow:
-    """How a window sees power: its autocorrelation over the lag t (1 at its length ``length_s``) is Σ b_k cos(πkt).
+    """Power response of a window: its autocorrelation over the lag t (1 at its length ``length_s``) is Σ b_k cos(πkt).
 
     ``order`` (terms,) holds the k, ``weight`` (terms,) the b_k; ``bin_hz`` is the distance of independent bins.
     """
@@ -53,7 +53,7 @@ class SpectralWindow:
         return real
 
 
-def sight(window: str, enbw_hz: float) -> SpectralWindow:
+def spectral_window(window: str, enbw_hz: float) -> SpectralWindow:
     """SpectralWindow of the window ``window`` whose noise bandwidth is ``enbw_hz``.
 
     A sum of cosines of half a period is complete, for the autocorrelation vanishes at its end: its coefficients are
@@ -117,7 +117,7 @@ def pole_columns(
     far, far_slope = seen_pole(sigma + 1j * (frequency_hz + damped), seen)
     scale = 2.0 * np.pi * sigma
     by_damping = natural_hz[:, None] * (-(damping[:, None] ** 2) / turned)  # of f_d by ln ζ
-    made = []
+    parts = []
     for near_part, far_part in (
         (near, far),
         (near_slope * (sigma - 1j * damped) + near, far_slope * (sigma + 1j * damped) + far),
@@ -126,8 +126,8 @@ def pole_columns(
         columns = np.empty((len(natural_hz), 2, len(frequency_hz)))
         columns[:, 0] = scale * (near_part.real + far_part.real)
         columns[:, 1] = scale * (far_part.imag - near_part.imag)
-        made.append(columns.reshape(-1, len(frequency_hz)))
-    return made[0], made[1], made[2]
+        parts.append(columns.reshape(-1, len(frequency_hz)))
+    return parts[0], parts[1], parts[2]
 
 
 TONE_BINS = 1e-3
@@ -155,7 +155,7 @@ class Problem:
     """Floors to be fitted: ``frequency_hz`` (F,), ``psd`` and ``averages`` (C, F; none where masked), ``background``.
 
     ``background`` (B, F) are the columns of what is smooth, the last ``n_lines`` those of strong tones; ``seen`` is
-    the window's sight; ``others`` what else the same poles must explain.
+    the spectral window; ``others`` what else the same poles must explain.
     """
 
     frequency_hz: Floats
@@ -287,12 +287,12 @@ class SurfaceFit:
     def _bent(self) -> Floats:
         """Derivatives (C, 2M, F) of the floors by (ln f, ln ζ) of all poles, in standard deviations of a bin."""
         terms = self.linear[:, : 2 * len(self.poles), None]
-        made = np.empty((len(terms), len(self.poles), 2, self.weight.shape[1]))
+        bent = np.empty((len(terms), len(self.poles), 2, self.weight.shape[1]))
         for number, part in enumerate(self.slopes):
-            np.multiply(terms[:, ::2], part[::2], out=made[:, :, number])
-            made[:, :, number] += terms[:, 1::2] * part[1::2]
-        made *= self.weight[:, None, None]
-        return made.reshape(len(terms), 2 * len(self.poles), -1)
+            np.multiply(terms[:, ::2], part[::2], out=bent[:, :, number])
+            bent[:, :, number] += terms[:, 1::2] * part[1::2]
+        bent *= self.weight[:, None, None]
+        return bent.reshape(len(terms), 2 * len(self.poles), -1)
 
     @cached_property
     def jacobian(self) -> tuple[Floats, ...]:
@@ -343,8 +343,8 @@ def evaluate(problem: Problem, poles: Poles, weight_by: Floats, same: SurfaceFit
     if same is not None:
         columns, slopes = same.columns, same.slopes
     else:
-        made = pole_columns(problem.frequency_hz, poles.frequency_hz, poles.damping, problem.seen)
-        columns, slopes = np.concatenate([made[0], problem.background]), made[1:]
+        own = pole_columns(problem.frequency_hz, poles.frequency_hz, poles.damping, problem.seen)
+        columns, slopes = np.concatenate([own[0], problem.background]), own[1:]
     weight = np.where(problem.averages > 0.0, np.sqrt(problem.averages) / weight_by, 0.0)
     measured = weight * np.where(problem.averages > 0.0, problem.psd, 0.0)
     q, triangles = np.linalg.qr((columns * weight[:, None]).swapaxes(1, 2))
@@ -367,12 +367,12 @@ def _back_solved(r: Floats, along: Floats) -> Floats:
     diagonal = np.abs(np.diagonal(r, axis1=1, axis2=2))
     sound = diagonal.min(axis=1, initial=np.inf) > 1e-9 * diagonal.max(axis=1, initial=0.0)
     sound &= r.shape[1] == r.shape[2]
-    made = np.empty((len(r), r.shape[2]))
+    solution = np.empty((len(r), r.shape[2]))
     if sound.any():
-        made[sound] = np.linalg.solve(r[sound], along[sound][..., None])[..., 0]
+        solution[sound] = np.linalg.solve(r[sound], along[sound][..., None])[..., 0]
     for channel in np.flatnonzero(~sound):
-        made[channel] = np.linalg.lstsq(r[channel], along[channel], rcond=1e-9)[0]
-    return made
+        solution[channel] = np.linalg.lstsq(r[channel], along[channel], rcond=1e-9)[0]
+    return solution
 
 
 def first_model(problem: Problem, bins: int = 2) -> Floats:
@@ -382,19 +382,19 @@ def first_model(problem: Problem, bins: int = 2) -> Floats:
     """
     used, edge = problem.averages > 0.0, ((0, 0), (bins, bins))
     count, power = (
-        np.lib.stride_tricks.sliding_window_view(np.pad(one, edge), 2 * bins + 1, axis=1).sum(axis=2)
-        for one in (used, np.where(used, problem.psd, 0.0))
+        np.lib.stride_tricks.sliding_window_view(np.pad(values, edge), 2 * bins + 1, axis=1).sum(axis=2)
+        for values in (used, np.where(used, problem.psd, 0.0))
     )
     return np.asarray(np.where(used & (power > 0.0), power / np.maximum(count, 1), 1.0))
 
 
 def fit_surface(problem: Problem, poles: Poles, *, start: Floats | None = None, steps: int = MOST_STEPS) -> SurfaceFit:
-    """Best fit of ``problem`` from ``poles`` on in at most ``steps`` steps; ``start`` (C, F): model to weight by first.
+    """Maximum-likelihood fit of ``problem`` from ``poles`` on; ``start`` (C, F): model to weight by first.
 
     The power of noise averaged n times scatters by 1/√n of itself, so residuals are weighted by the model, which
     every step renews (quasi-likelihood of the gamma distribution, whose score has no bias); linear terms are
-    eliminated at every step (Golub and Pereyra 1973, derivative of Kaufman 1975); poles move by Levenberg-Marquardt
-    steps in ln f and ln ζ.
+    eliminated at every step (Golub and Pereyra 1973, derivative of Kaufman 1975); poles move by at most ``steps``
+    Levenberg-Marquardt steps in ln f and ln ζ.
     """
     smooth = first_model(problem) if start is None else start
     current = evaluate(problem, poles, smooth)
@@ -420,7 +420,7 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Floats | None = None, 
         moved = _moved(poles, move, problem)
         trial = evaluate(problem, moved, current.model)
         if taken and trial.deviance > current.deviance + 1.0:  # weights of a model that is far off may mislead
-            trial = min(trial, evaluate(problem, moved, smooth, trial), key=lambda one: one.deviance)
+            trial = min(trial, evaluate(problem, moved, smooth, trial), key=lambda fit: fit.deviance)
         gained = current.deviance - trial.deviance
         taken = gained > -1e-3
         if taken:

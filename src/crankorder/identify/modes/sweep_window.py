@@ -131,30 +131,30 @@ class SweepSpectrum:
 
 def spectra_of(followed: Sequence[xr.Dataset], *, fewest: int) -> tuple[SweepSpectrum, ...]:
     """SweepSpectrum of those ``followed`` (RecordingTracks) that hold ``fewest`` samples of a sweep or more."""
-    made = []
-    for item in followed:
-        if "waveform" not in item or item.sizes["sample"] < fewest:
+    spectra = []
+    for tracks in followed:
+        if "waveform" not in tracks or tracks.sizes["sample"] < fewest:
             continue
-        signals, rate = item["waveform"].values.astype(np.float64), float(item.attrs["waveform_rate_hz"])
-        names = tuple(str(name) for name in item["channel"].values)
+        signals, rate = tracks["waveform"].values.astype(np.float64), float(tracks.attrs["waveform_rate_hz"])
+        names = tuple(str(name) for name in tracks["channel"].values)
         n = _even_length(signals.shape[1])
         signals = signals[:, :n]
-        made.append(
+        spectra.append(
             SweepSpectrum(
-                str(item.attrs["recording"]),
+                str(tracks.attrs["recording"]),
                 names,
-                tuple(sorted(item["order"].values.tolist())),
-                float(item.attrs["waveform_start_s"]),
+                tuple(sorted(tracks["order"].values.tolist())),
+                float(tracks.attrs["waveform_start_s"]),
                 rate,
-                min(float(item.attrs["waveform_band_hz"]), 0.47 * rate),
+                min(float(tracks.attrs["waveform_band_hz"]), 0.47 * rate),
                 np.arange(n // 2 + 1) * rate / n,
                 rfft(signals - signals.mean(axis=1, keepdims=True), axis=1),
-                item["waveform_angle"].values[:n],
-                item["waveform_speed"].values[:n],
-                int(item.attrs["revs_per_cycle"]),
+                tracks["waveform_angle"].values[:n],
+                tracks["waveform_speed"].values[:n],
+                int(tracks.attrs["revs_per_cycle"]),
             )
         )
-    return tuple(made)
+    return tuple(spectra)
 
 
 def _even_length(n: int) -> int:
@@ -198,9 +198,9 @@ class Window:
         fewest = 4 * (len(passing) * (degree + 2) + 4)
         if not passing or np.count_nonzero(at) < fewest:
             return None
-        made = cls(sweep, low_hz, high_hz, passing, degree, np.ones(int(at.sum())), np.ones(len(sweep.channels)))
-        made.level = np.sqrt(np.mean(np.abs(made.measured) ** 2, axis=1))
-        return made
+        window = cls(sweep, low_hz, high_hz, passing, degree, np.ones(int(at.sum())), np.ones(len(sweep.channels)))
+        window.level = np.sqrt(np.mean(np.abs(window.measured) ** 2, axis=1))
+        return window
 
     @cached_property
     def bins(self) -> slice:
@@ -306,9 +306,9 @@ class Window:
 
         In any channel, behind the modes ``natural_hz``, ``damping`` (M,) that are known.
         """
-        one, path = self.solved(natural_hz, damping), self.paths(natural_hz, damping)
+        solved, path = self.solved(natural_hz, damping), self.paths(natural_hz, damping)
         forces = np.stack([self.force(order)[0] for order in self.orders])
-        size = np.linalg.norm(forces[:, :, None] * (path @ one.by_order), axis=1)
+        size = np.linalg.norm(forces[:, :, None] * (path @ solved.by_order), axis=1)
         size = (size / np.maximum(size.max(axis=0), 1e-300)).max(axis=1)
         least = max(share, float(np.sort(size)[-most:].min()))
         return replace(self, orders=tuple(np.array(self.orders)[size >= least].tolist()))
@@ -361,7 +361,7 @@ def _pole(natural_hz: Floats, damping: Floats) -> Complexes:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A ``window`` behind modes: ``amplitude`` (K, C) of its columns, ``left`` (B, C) in standard deviations.
+    """Least-squares fit of a ``window`` for given modes: ``amplitude`` (K, C), residual ``left`` (B, C) in sigmas.
 
     ``columns`` (B, K) are those over the noise's shape, each over its ``scale`` (K,); ``inverse`` (K, K) makes them
     orthonormal.
@@ -378,7 +378,7 @@ class Solved:
 
     @cached_property
     def misfit(self) -> float:
-        """Sum of the squares that are left."""
+        """Sum of the squared residuals."""
         return float(np.sum(np.abs(self.left) ** 2))
 
     @property
@@ -441,14 +441,14 @@ class Solved:
     def _answers_bent(self) -> tuple[Complexes, Complexes]:
         """Derivatives (B, 2 M), by ln f and ln ζ in turns, of what each mode answers and of what it rings."""
         window = self.window
-        made = np.empty((2, len(window.frequency_hz), 2 * len(self.natural_hz)), dtype=np.complex128)
+        slopes = np.empty((2, len(window.frequency_hz), 2 * len(self.natural_hz)), dtype=np.complex128)
         for which, (by_f, by_zeta) in enumerate(((STEP, 0.0), (0.0, STEP))):
             up = self.natural_hz * (1.0 + by_f), self.damping * (1.0 + by_zeta)
             down = self.natural_hz * (1.0 - by_f), self.damping * (1.0 - by_zeta)
-            made[0, :, which::2] = resonance(window.frequency_hz, *up) - resonance(window.frequency_hz, *down)
-            made[1, :, which::2] = window.ringing(*up) - window.ringing(*down)
-        made /= 2.0 * STEP
-        return made[0], made[1]
+            slopes[0, :, which::2] = resonance(window.frequency_hz, *up) - resonance(window.frequency_hz, *down)
+            slopes[1, :, which::2] = window.ringing(*up) - window.ringing(*down)
+        slopes /= 2.0 * STEP
+        return slopes[0], slopes[1]
 
     @cached_property
     def _bent(self) -> Complexes:
@@ -457,8 +457,8 @@ class Solved:
         forces = np.stack([self.window.force(order)[0] for order in self.window.orders], axis=1)
         driven = np.tensordot(forces, self.residues, axes=1)  # (B, M, C)
         rings = self.amplitude[-2 - len(self.natural_hz) : -2]
-        made = np.repeat(driven, 2, axis=1) * answered[:, :, None] + rung[:, :, None] * np.repeat(rings, 2, axis=0)
-        return np.asarray(np.swapaxes(made, 1, 2))
+        bent = np.repeat(driven, 2, axis=1) * answered[:, :, None] + rung[:, :, None] * np.repeat(rings, 2, axis=0)
+        return np.asarray(np.swapaxes(bent, 1, 2))
 
     def envelope(self, order: float, turn: Complexes, covariance: Floats | None) -> tuple[Complexes, Floats]:
         """Complex amplitude (T, C) of ``order`` where ``turn`` (T, B) says; its variance (T, C) by noise and poles.

@@ -188,7 +188,7 @@ def amplitudes(frequency_hz: float, floor: Floor, fitted: Floats) -> dict[str, t
     """
     near = np.flatnonzero(np.abs(floor.frequency_hz - frequency_hz) <= (NEAR_BINS + 0.5) * floor.seen.bin_hz)
     kernel = floor.seen.kernel(floor.frequency_hz[near] - frequency_hz)
-    made: dict[str, tuple[float, float]] = {}
+    standing_out: dict[str, tuple[float, float]] = {}
     for channel, name in enumerate(floor.channels):
         cells = floor.cells[channel][:, near]
         whole = np.isfinite(cells).all(axis=1)
@@ -207,8 +207,8 @@ def amplitudes(frequency_hz: float, floor: Floor, fitted: Floats) -> dict[str, t
         error = max(float(by_noise), between)
         if mean > 4.0 * by_noise:
             amplitude = float(np.sqrt(2.0 * mean))
-            made[name] = (amplitude, error / amplitude)
-    return made
+            standing_out[name] = (amplitude, error / amplitude)
+    return standing_out
 
 
 def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: IdentifySettings) -> tuple[ToneKind, str]:
@@ -309,9 +309,11 @@ def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> lis
     first: dict[tuple[float, int], Tone] = {}
     near = partial(multiples_near, settings=settings)
     mains_tones = [tone for tone in tones if tone.kind == "mains"]
-    places = [(one, *[*near(one.frequency_hz, one.frequency_error_hz), (1, 0.0)][0]) for one in mains_tones]
+    places = [(tone, *[*near(tone.frequency_hz, tone.frequency_error_hz), (1, 0.0)][0]) for tone in mains_tones]
     # of two that claim one supply that of which the whole interval lies nearest to what the supply should have
-    ends = [abs(one.frequency_hz / n - hz) + NUMBERS.same_sigmas * one.frequency_error_hz / n for one, n, hz in places]
+    ends = [
+        abs(tone.frequency_hz / n - hz) + NUMBERS.same_sigmas * tone.frequency_error_hz / n for tone, n, hz in places
+    ]
     for tone, multiple, mains in (places[k] for k in np.argsort(ends)):
         others = [(multiple / n, other) for (m, n), other in first.items() if m == mains]
         beside = [other for ratio, other in others if _differ(tone, other, ratio)]
@@ -321,7 +323,7 @@ def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> lis
         elif (mains, multiple) not in first:
             kept.append(tone)
             first |= {(mains, multiple): tone} if mains else {}
-    return sorted(kept, key=lambda one: one.frequency_hz)
+    return sorted(kept, key=lambda tone: tone.frequency_hz)
 
 
 def _differ(tone: Tone, other: Tone, ratio: float) -> bool:
