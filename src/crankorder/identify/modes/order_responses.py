@@ -108,7 +108,7 @@ class Block:
     rung: dict[tuple[object, ...], Complexes] = field(default_factory=dict, repr=False)
 
     def varied(self, **changes: Any) -> Block:
-        """The block with another ``exponent``, ``law``, ``degree``, ``scatter`` or ``noise``.
+        """The block with ``changes`` of its ``exponent``, ``law``, ``degree``, ``scatter`` or ``noise``.
 
         What is worked out of the rest is kept.
         """
