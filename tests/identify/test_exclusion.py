@@ -8,8 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.identify.found import SweepFits, UnseenBound
-from crankorder.identify.modes.exclusion import Hiding, least_seen
 from crankorder.identify.modes.order_responses import Block, with_best_law
+from crankorder.identify.modes.responses import Hiding, least_seen
 from crankorder.identify.modes.surface_fit import NO_POLES
 from crankorder.identify.modes.sweep_poles import sweep_fits
 from crankorder.settings import load_settings
@@ -29,9 +29,7 @@ LARGE = 0.05
 
 def _bounds(blocks: list[Block]) -> tuple[UnseenBound, ...]:
     told = [with_best_law(block, NO_POLES) for block in blocks]
-    return least_seen(
-        told, NO_POLES, unit=UNIT, least_damping=SETTINGS.least_damping_ratio, confidence=SETTINGS.free_confidence
-    )
+    return least_seen(told, NO_POLES, unit=UNIT, settings=SETTINGS)
 
 
 def _planted(seed: int, *, rows: tuple[int, int], **drawn: object) -> tuple[DrawnMachine, float]:

@@ -13,7 +13,7 @@ from crankorder.identify.modes import surface_fit
 from crankorder.identify.modes.floor import quiet_floor
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.search import search
-from crankorder.identify.modes.surface_fit import pole_columns, sight
+from crankorder.identify.modes.surface_fit import pole_columns, spectral_window
 from crankorder.identify.modes.tones import WIDER, widest_hz
 from crankorder.settings import IdentifySettings, load_settings
 from made.found_lines import agreed, line
@@ -281,7 +281,7 @@ def test_a_resonance_is_seen_through_the_window_as_the_lags_that_the_window_lets
 ) -> None:
     """Wiener and Khinchin: the decaying autocorrelation of the mode times that of the window, transformed by sums."""
     window = window_named(name, 32768)
-    seen = sight(name, window.enbw_bins * BIN_HZ)
+    seen = spectral_window(name, window.enbw_bins * BIN_HZ)
     at = np.array([50.0, 59.5, 60.0, 61.5])
     columns = pole_columns(at, np.array([60.0]), np.array([damping]), seen)[0]
     spectrum = np.fft.rfft(window.values, 65536)
@@ -298,7 +298,7 @@ def test_a_resonance_is_seen_through_the_window_as_the_lags_that_the_window_lets
 
 
 def test_the_derivatives_of_a_resonance_are_its_differences() -> None:
-    seen, step = sight("hann", 1.5 * BIN_HZ), 1e-6
+    seen, step = spectral_window("hann", 1.5 * BIN_HZ), 1e-6
     at = np.arange(2.0, 200.0, 0.5)
     f, zeta = np.array([60.0, 115.0]), np.array([0.001, 0.2])
     _, by_f, by_zeta = pole_columns(at, f, zeta, seen)
@@ -309,6 +309,6 @@ def test_the_derivatives_of_a_resonance_are_its_differences() -> None:
 
 
 def test_the_kernel_of_a_window_holds_a_tone_s_whole_power() -> None:
-    seen = sight("hann", 1.5 * BIN_HZ)
+    seen = spectral_window("hann", 1.5 * BIN_HZ)
     offsets = np.arange(-200.0, 200.0, 0.01)
     assert np.sum(seen.kernel(offsets)) * 0.01 == pytest.approx(1.0, abs=1e-4)

@@ -38,8 +38,7 @@ class Told:
 
 
 def _modes(blocks: list[Block]) -> list[Mode]:
-    chance, most = SETTINGS.false_alarm_probability, SETTINGS.max_damping_ratio
-    laid, poles, _ = poles_of_orders(blocks, NO_POLES, np.zeros((0, 0)), chance=chance, most_damping=most)
+    laid, poles, _ = poles_of_orders(blocks, NO_POLES, np.zeros((0, 0)), settings=SETTINGS)
     told = settled(laid, NO_POLES, poles, chance=SETTINGS.false_alarm_probability)
     poles, covariance = told.found, told.covariance
     parts = [covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(poles))]
@@ -256,21 +255,21 @@ def test_noise_in_place_of_an_order_has_no_mode() -> None:
 
 
 def test_a_search_that_stops_at_its_bound_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    blocks, chance = blocks_from(_by_order_one((61.0,), (0.08,)), 1), SETTINGS.false_alarm_probability
+    blocks, settings = (
+        blocks_from(_by_order_one((61.0,), (0.08,)), 1),
+        SETTINGS.model_copy(update={"max_damping_ratio": 0.2}),
+    )
     for most, ends in ((0, False), (1, False), (9, True)):
         monkeypatch.setitem(vars(order_search.NUMBERS), "most_starts", most)
-        *_, ended = poles_of_orders(blocks, NO_POLES, np.zeros((0, 0)), chance=chance, most_damping=0.2)
+        *_, ended = poles_of_orders(blocks, NO_POLES, np.zeros((0, 0)), settings=settings)
         assert ended == ends
 
 
 @pytest.mark.slow
 def test_a_mode_that_is_known_is_not_found_again() -> None:
     blocks = blocks_from(_by_order_one((61.0,), (0.08,)), 1)
-    chance, most = SETTINGS.false_alarm_probability, SETTINGS.max_damping_ratio
     known = NO_POLES.with_pole(61.0, 0.08)
-    laid, poles, _ = poles_of_orders(
-        blocks, known, np.diag([1e-4, 1e-6] * len(known)), chance=chance, most_damping=most
-    )
+    laid, poles, _ = poles_of_orders(blocks, known, np.diag([1e-4, 1e-6] * len(known)), settings=SETTINGS)
     assert poles == ()
     proofs = settled(laid, known, poles, chance=SETTINGS.false_alarm_probability).proofs
     assert proofs[0].orders == (1.0,) and proofs[0].most_rows > 5

@@ -6,8 +6,7 @@ import xarray as xr
 
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
 from crankorder.identify.lines.order_lock import lock_of, proves_speed, revs_to_decide
-from crankorder.identify.modes.lock_through_modes import with_locks_through_modes
-from crankorder.identify.modes.order_blocks import blocks_of
+from crankorder.identify.modes.order_blocks import blocks_of, with_locks_through_modes
 
 
 def lock(order: float, error: float, **given) -> str:

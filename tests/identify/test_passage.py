@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson, solve_ivp
 
-from crankorder.identify.modes.passage import Passage, passage_of
+from crankorder.identify.modes.order_terms import Passage, passage_of
 from crankorder.orders.vold_kalman.filter import vold_kalman
 
 WIDE_HZ = 400.0

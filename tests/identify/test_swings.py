@@ -7,11 +7,10 @@ import pytest
 import xarray as xr
 
 from crankorder.identify.found import Mode
-from crankorder.identify.modes.order_modes import named
+from crankorder.identify.modes.order_modes import hidden_speeds, named, swings_of, without_swings
 from crankorder.identify.modes.order_responses import Block, project
 from crankorder.identify.modes.order_search import NO_PRIOR, Fitted
-from crankorder.identify.modes.passage import Passage, passage_of
-from crankorder.identify.modes.ringing import hidden_speeds, swings_of, without_swings
+from crankorder.identify.modes.order_terms import Passage, passage_of
 from crankorder.identify.modes.surface_fit import NO_POLES
 
 pytestmark = pytest.mark.slow

@@ -9,7 +9,7 @@ import xarray as xr
 from crankorder.engine.definition import BalanceShafts, Cylinder, Engine
 from crankorder.engine.forces import crankcase_forces, crankcase_moments
 from crankorder.identify.found import ModalFit, Mode
-from crankorder.identify.modes.passage import passage_of
+from crankorder.identify.modes.order_terms import passage_of
 from made.recordings import named
 
 AXES = ("X", "Z", "RY")

@@ -41,8 +41,8 @@ from crankorder.identify.lines.order_lock import speed_source
 from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.alike_speeds import with_lines_of_recordings, with_tones_parted, without_absent_mains
 from crankorder.identify.modes.joint_fit import modal_fit
-from crankorder.identify.modes.lock_through_modes import with_locks_through_modes
-from crankorder.identify.modes.ringing import without_swings
+from crankorder.identify.modes.order_blocks import with_locks_through_modes
+from crankorder.identify.modes.order_modes import without_swings
 from crankorder.identify.modes.sweep_modes import with_rows_of_fits
 from crankorder.identify.modes.tones import with_one_mains
 from crankorder.identify.records import (

@@ -13,7 +13,7 @@ from crankorder.identify.intervals import Z95, half_width, positive_interval, ra
 from crankorder.quantities import Complexes, Floats, Ints
 
 if TYPE_CHECKING:
-    from crankorder.identify.modes.exclusion import Hiding
+    from crankorder.identify.modes.responses import Hiding
     from crankorder.identify.modes.sweep_poles import GroupFit, SweepPole
 
 Evidence = Literal[

@@ -11,8 +11,7 @@ import xarray as xr
 
 from crankorder.engine.transfer_paths import StatedPath
 from crankorder.identify.modes.order_blocks import swept_rows
-from crankorder.identify.modes.order_terms import resonance
-from crankorder.identify.modes.passage import Passage
+from crankorder.identify.modes.order_terms import Passage, resonance
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import STANDARD_GRAVITY_M_S2, MethodNumbers

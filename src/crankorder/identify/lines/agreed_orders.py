@@ -147,7 +147,7 @@ def orders_agreed(
     with the speed, the number is the mean over recordings and its error that of such a mean. A number that is proven
     an exact multiple of the cycle's (``lock`` "locked") is given as that multiple; no other is rounded. Two lines
     within a bin are told apart where they beat within a recording; where a line only swells and fades, the
-    reservation says that two may stand there. Close lines of a sweep, which its short frames hold as one, are told
+    doubt says that two may stand there. Close lines of a sweep, which its short frames hold as one, are told
     apart where they were ``followed`` jointly (RecordingTracks, may be empty).
 
     Without pulses the crank angle itself comes from a stated speed, a speed signal or the vibration: an order is only

@@ -58,7 +58,7 @@ def evidence_of(
 def _stands_out(order_map: xr.Dataset, ratio: Floats, peak: int, seen: Ints) -> bool:
     """Whether a line on an order of the cycle is far over its floor in a test too short to prove any lock.
 
-    ``ratio`` (speeds, orders) is the energy over its floor. Such a line is named with its reservation rather than
+    ``ratio`` (speeds, orders) is the energy over its floor. Such a line is named with its doubt rather than
     kept back: a resonance that noise excites could be as high, but seldom on an order of the cycle at every speed.
     """
     high = float(np.median(ratio[seen, peak])) > NUMBERS.standing_ratio and len(seen) == order_map.sizes["speed"]

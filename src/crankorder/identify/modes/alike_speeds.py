@@ -38,12 +38,12 @@ class _Parted:
     @property
     def places(self) -> np.ndarray:
         """Frequency in Hz of what stays, order of what goes with the shaft, by recording."""
-        return np.array([one.order * (held.rpm / 60.0 if self.fixed else 1.0) for held, one in self.seen])
+        return np.array([line.order * (held.rpm / 60.0 if self.fixed else 1.0) for held, line in self.seen])
 
     @property
     def error(self) -> float:
         """Standard error of the mean place, by the lines' own errors and their scatter."""
-        own = [one.error * (held.rpm / 60.0 if self.fixed else 1.0) for held, one in self.seen]
+        own = [line.error * (held.rpm / 60.0 if self.fixed else 1.0) for held, line in self.seen]
         n = len(own)
         return float(np.hypot(np.sqrt(np.sum(np.square(own))) / n, self.places.std() / np.sqrt(max(n - 1, 1))))
 
@@ -75,20 +75,20 @@ def with_lines_of_recordings(
     if len(held) < 2 or len(modal.frequency_hz) < 2 or max(speeds) > settings.mode_speed_ratio * min(speeds):
         return orders, modal
     step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
-    tones, made, changed = list(modal.tones), list(orders), False
+    tones, agreed, changed = list(modal.tones), list(orders), False
     for low, high in _regions(modal.tones, NEAR_BINS * step):
-        found = _parted(held, low, high)
-        if not found:
+        lines = _parted(held, low, high)
+        if not lines:
             continue
         tones = [tone for tone in tones if not low <= tone.frequency_hz <= high]
-        tones += [tone for one in found if one.fixed and (tone := _tone(one, settings)).amplitude]
+        tones += [tone for one in lines if one.fixed and (tone := _tone(one, settings)).amplitude]
         changed = True
-        made = _with_orders(made, [one for one in found if not one.fixed], (low, high), held, order_map)
+        agreed = _with_orders(agreed, [one for one in lines if not one.fixed], (low, high), held, order_map)
     if not changed:
         return orders, modal
     tones.sort(key=lambda tone: tone.frequency_hz)
     parted = replace(modal, tones=with_one_mains(tones, settings=settings))
-    return tuple(sorted(made, key=lambda one: one.order)), parted
+    return tuple(sorted(agreed, key=lambda one: one.order)), parted
 
 
 def _regions(tones: Sequence[Tone], reach_hz: float) -> list[tuple[float, float]]:
@@ -106,14 +106,14 @@ def _regions(tones: Sequence[Tone], reach_hz: float) -> list[tuple[float, float]
 def _parted(held: Sequence[Held], low_hz: float, high_hz: float) -> list[_Parted]:
     """Lines between both frequencies as the recordings agree on them; none where they do not, or do not tell."""
     solved = [
-        (one, lines)
-        for one in held
-        if (lines := lines_within(one, low_hz / (one.rpm / 60.0), high_hz / (one.rpm / 60.0)))
+        (run, lines)
+        for run in held
+        if (lines := lines_within(run, low_hz / (run.rpm / 60.0), high_hz / (run.rpm / 60.0)))
     ]
     if len(solved) < MAINS.least_speeds:
         return []
     free = {(k, n) for k, (_, lines) in enumerate(solved) for n in range(len(lines))}
-    made: list[_Parted] = []
+    parted: list[_Parted] = []
     while free:
         first = max(free, key=lambda at: solved[at[0]][1][at[1]].sigmas)
         chains = [_chain(solved, first, free, (low_hz, high_hz), fixed=fixed) for fixed in (True, False)]
@@ -121,9 +121,9 @@ def _parted(held: Sequence[Held], low_hz: float, high_hz: float) -> list[_Parted
         if len(whole) != 1:  # neither, or both: the speeds are too alike for the length of the recordings
             return []
         fixed = chains[0] is not None
-        made.append(_Parted(fixed, tuple((solved[k][0], solved[k][1][n]) for k, n in whole[0])))
+        parted.append(_Parted(fixed, tuple((solved[k][0], solved[k][1][n]) for k, n in whole[0])))
         free -= set(whole[0])
-    return made
+    return parted
 
 
 def _chain(
@@ -149,7 +149,7 @@ def _chain(
         if fixed:
             room = max(room, KNOWN_LINES.same_hz * 60.0 / held.rpm)
         near = [n for n in range(len(lines)) if (k, n) in free and abs(lines[n].order - wanted) <= room]
-        hidden = any(abs(one.order - wanted) * held.span_rev < 2.0 * KNOWN_LINES.apart_cycles for one in lines)
+        hidden = any(abs(other.order - wanted) * held.span_rev < 2.0 * KNOWN_LINES.apart_cycles for other in lines)
         low, high = (wanted - room) * held.rpm / 60.0, (wanted + 2.0 * room) * held.rpm / 60.0
         outside = not band_hz[0] < low < high < band_hz[1]
         if near:
@@ -160,20 +160,20 @@ def _chain(
     return chain if len(chain) >= MAINS.least_speeds or alone else None
 
 
-def _tone(one: _Parted, settings: IdentifySettings) -> Tone:
-    """The fixed line ``one``, in the channels that show it; mains where it may be."""
-    hertz, error = float(one.places.mean()), one.error
-    size = np.array([line.amplitude for _, line in one.seen])
-    own = np.sqrt(np.mean([line.amplitude_error**2 for _, line in one.seen], axis=0) / len(size))
+def _tone(parted: _Parted, settings: IdentifySettings) -> Tone:
+    """The fixed line ``parted``, in the channels that show it; mains where it may be."""
+    hertz, error = float(parted.places.mean()), parted.error
+    size = np.array([line.amplitude for _, line in parted.seen])
+    own = np.sqrt(np.mean([line.amplitude_error**2 for _, line in parted.seen], axis=0) / len(size))
     spread = size.std(axis=0) / np.sqrt(max(len(size) - 1, 1))
     amplitude = {
         name: (float(size[:, k].mean()), float(np.hypot(own[k], spread[k])))
-        for k, name in enumerate(one.seen[0][0].channels)
+        for k, name in enumerate(parted.seen[0][0].channels)
         if size[:, k].mean() > Z95 * own[k]
     }
     near = multiples_near(hertz, error, settings=settings)
     words = f"no damping, {times_mains(*near[0])}" if near else "no damping"
-    return Tone(hertz, error, "mains" if near else "tone", amplitude, f"{words}; {PARTED.format(len(one.seen))}")
+    return Tone(hertz, error, "mains" if near else "tone", amplitude, f"{words}; {PARTED.format(len(parted.seen))}")
 
 
 def _with_orders(
@@ -199,24 +199,26 @@ def _with_orders(
     return kept + [_agreed(one, order_map) for one in new]
 
 
-def _agreed(one: _Parted, order_map: xr.Dataset) -> AgreedOrder:
-    """The order ``one`` with a line for each channel that shows it."""
+def _agreed(parted: _Parted, order_map: xr.Dataset) -> AgreedOrder:
+    """The order ``parted`` with a line for each channel that shows it."""
     turns = int(order_map.attrs["revs_per_cycle"])
-    order, error = float(one.places.mean()), one.error
+    order, error = float(parted.places.mean()), parted.error
     lock = lock_of(order, error, DEGREES_OF_FREEDOM, revs_per_cycle=turns, by_phase=True)
     if lock == "locked":
         exact = nearest_multiple(order, revs_per_cycle=turns)
         order, error = exact, max(error, abs(order - exact) / Z95)
-    parted = Doubt("close lines", f"{len(one.seen)} recordings part it from what stands beside it")
-    lines = tuple(
-        line for k, name in enumerate(one.seen[0][0].channels) if (line := _line(one, k, name, order, error, order_map))
-    )
-    return AgreedOrder(order, error, DEGREES_OF_FREEDOM, lock, None, lines, (parted,))
+    doubt = Doubt("close lines", f"{len(parted.seen)} recordings part it from what stands beside it")
+    channels = enumerate(parted.seen[0][0].channels)
+    lines = tuple(line for k, name in channels if (line := _line(parted, k, name, order, error, order_map)))
+    return AgreedOrder(order, error, DEGREES_OF_FREEDOM, lock, None, lines, (doubt,))
 
 
-def _line(one: _Parted, channel: int, name: str, order: float, error: float, order_map: xr.Dataset) -> OrderLine | None:
+def _line(
+    parted: _Parted, channel: int, name: str, order: float, error: float, order_map: xr.Dataset
+) -> OrderLine | None:
+    """Order line of ``parted`` in the channel number ``channel``, by its ``name``; None where no row shows it."""
     speed = np.asarray(order_map["speed"].values, dtype=np.float64)
-    rows = {int(np.nanargmin(np.abs(speed - held.rpm))): (held.rpm, line) for held, line in one.seen}
+    rows = {int(np.nanargmin(np.abs(speed - held.rpm))): (held.rpm, line) for held, line in parted.seen}
     parts = [(row, rpm, line.amplitude[channel], line.amplitude_error[channel]) for row, (rpm, line) in rows.items()]
     clear = sorted(part for part in parts if part[2] > Z95 * part[3])
     if not clear:
@@ -261,13 +263,13 @@ def with_tones_parted(modal: ModalFit, held: Sequence[Held]) -> ModalFit:
         or not any(_is_flank(tone, other, NEAR_BINS * step) for other in modal.tones)
     ]
     centres = [tone.frequency_hz for tone in kept]
-    made = []
+    tones = []
     for tone in kept:
         near = [f for f in lines[tone.frequency_hz] if abs(f - tone.frequency_hz) <= step]
         own = [f for f in near if min(centres, key=lambda one: abs(one - f)) == tone.frequency_hz]
         held_of_it = _holding(tone, own) if len(own) > 1 else tone
-        made.append(held_of_it if near else _unless_several(held_of_it, centres, longest, NEAR_BINS * step))
-    return replace(modal, tones=tuple(made))
+        tones.append(held_of_it if near else _unless_several(held_of_it, centres, longest, NEAR_BINS * step))
+    return replace(modal, tones=tuple(tones))
 
 
 def without_absent_mains(modal: ModalFit, held: Sequence[Held], *, settings: IdentifySettings) -> ModalFit:
@@ -285,7 +287,7 @@ def without_absent_mains(modal: ModalFit, held: Sequence[Held], *, settings: Ide
     alone_hz = MAINS.alone_multiples * max(settings.mains_hz) + 2.0 * settings.mains_tolerance_hz
     supplies = [tone for tone in mains if not tone.frequency_hz > alone_hz]
     high = [tone for tone in mains if tone not in supplies]
-    doubted = [tone for tone in high if not any(_is_multiple(tone, one, settings) for one in supplies)]
+    doubted = [tone for tone in high if not any(_is_multiple(tone, supply, settings) for supply in supplies)]
     doubted += [tone for tone in modal.tones if tone.kind == "mains or order"]
     tones = [_unless_absent(tone, held, step) if tone in doubted else tone for tone in modal.tones]
     return replace(modal, tones=tuple(tones))
@@ -307,9 +309,9 @@ def _unless_absent(tone: Tone, held: Sequence[Held], reach_hz: float) -> Tone:
     What may be an order as well is no mains where most of such recordings have none.
     """
     place = tone.frequency_hz
-    inside = [one for one in held if one.order_of((place + reach_hz, 0.0)) + LOBE_BINS / one.revs < one.axis[-1]]
-    inside = [one for one in inside if not one.hides(place)]
-    shown = sum(found_near(one, place - reach_hz, place + reach_hz) is not None for one in inside)
+    inside = [run for run in held if run.order_of((place + reach_hz, 0.0)) + LOBE_BINS / run.revs < run.axis[-1]]
+    inside = [run for run in inside if not run.hides(place)]
+    shown = sum(found_near(run, place - reach_hz, place + reach_hz) is not None for run in inside)
     either = tone.kind == "mains or order"
     if not inside or shown >= (0.5 if either else 1.0) * len(inside):
         return tone
@@ -358,19 +360,19 @@ def _lines_near(held: Held | None, hertz: float, reach_hz: float) -> list[float]
     low, high = (hertz - reach_hz) / turn_hz, (hertz + reach_hz) / turn_hz
     if low - beyond <= 0.0 or high + beyond >= held.axis[-1]:
         return []
-    found = several_lines(held, low, high, beyond=beyond)
+    lines = several_lines(held, low, high, beyond=beyond)
     free = [
-        one.order
-        for one in found
-        if abs(2.0 * one.order - round(2.0 * one.order)) * held.span_rev > KNOWN_LINES.apart_cycles
+        line.order
+        for line in lines
+        if abs(2.0 * line.order - round(2.0 * line.order)) * held.span_rev > KNOWN_LINES.apart_cycles
     ]
     return [order * turn_hz for order in free]
 
 
 def _holding(tone: Tone, hertz: Sequence[float]) -> Tone:
     """``tone`` with an interval that holds all lines at ``hertz``, of which it is made."""
-    far = max(abs(one - tone.frequency_hz) for one in hertz)
-    named = " and ".join(f"{one:.6g}" for one in sorted(hertz))
+    far = max(abs(hz - tone.frequency_hz) for hz in hertz)
+    named = " and ".join(f"{hz:.6g}" for hz in sorted(hertz))
     words = f"{tone.evidence}; more than one line: the longest recording parts {named} Hz"
     error = max(tone.frequency_error_hz, 1.05 * far / Z95)
     return replace(tone, frequency_error_hz=error, evidence=words)

@@ -7,9 +7,10 @@ from functools import lru_cache
 
 import numpy as np
 import xarray as xr
+from scipy.special import fdtrc, fdtri, gammainccinv
 
 from crankorder.fft.windows import window_named
-from crankorder.identify.modes.surface_fit import SpectralWindow, sight
+from crankorder.identify.modes.surface_fit import SpectralWindow, spectral_window
 from crankorder.orders.averages import median_of_known
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
@@ -70,8 +71,6 @@ def seen_at_single_speeds(order_map: xr.Dataset, *, top_hz: float) -> list[tuple
     Too weak for a line of the test, they would still lift single bins of the floor.
     ``order_map``: the OrderMap.
     """
-    from scipy.special import fdtrc
-
     order, speed = order_map["order"].values, order_map["speed"].values
     half = np.flatnonzero((np.abs(2.0 * order - np.rint(2.0 * order)) < 1e-6) & (order > 0.0))
     size, error = (
@@ -95,7 +94,7 @@ def quiet_floor(
     speed has a gain of its own.
     """
     frequency = campbell["frequency"].values
-    seen = sight(str(campbell.attrs["window"]), float(campbell.attrs["enbw_hz"]))
+    seen = spectral_window(str(campbell.attrs["window"]), float(campbell.attrs["enbw_hz"]))
     averages = _independent(campbell)
     used = np.flatnonzero(frequency > NUMBERS.lowest_bins * float(campbell.attrs["enbw_hz"]))
     if len(used) > 1 and averages.sum(axis=1).max(initial=0.0) < NUMBERS.fewest_averages:
@@ -150,7 +149,7 @@ def _mean(psd: Floats, averages: Floats) -> tuple[Floats, Floats]:
 
 
 def _independent(campbell: xr.Dataset) -> Floats:
-    """Independent power spectra (channels, speeds) that the frames of the map are worth."""
+    """Equivalent number of independent power spectra (channels, speeds) in the overlapping frames of the map."""
     overlap = float(campbell.attrs.get("overlap", NUMBERS.usual_overlap_fraction))
     window = window_named(str(campbell.attrs["window"]), 256)
     hop = max(1, round(256 * (1.0 - overlap)))
@@ -224,8 +223,6 @@ def _at_unit_gain(psd: Floats, averages: Floats) -> tuple[Floats, Floats]:
 
 def _clip(psd: Floats, averages: Floats) -> None:
     """NaN into cells (and their neighbours) of ``psd`` that stand over their bin's median as noise hardly ever does."""
-    from scipy.special import gammainccinv
-
     shape, of = np.unique(np.maximum(averages, 1.0), return_inverse=True)
     median = gammainccinv(shape, 0.5) / shape
     limit = (gammainccinv(shape, NUMBERS.clip_chance) / shape / median)[of.reshape(averages.shape)]
@@ -244,8 +241,6 @@ def _mask_feet(psd: Floats, averages: Floats, moving: Bools) -> None:
     From the mask of a line outwards as long as it goes on: a line whose speed or amplitude wanders has a wider foot
     than the window, and no mode is seen at one speed alone. Two speeds are held against the lower of them.
     """
-    from scipy.special import fdtri, gammainccinv
-
     shape, of = np.unique(np.maximum(1.5 * averages, 1.0), return_inverse=True)
     if psd.shape[1] > 2:
         level = median_of_known(psd, axis=1)

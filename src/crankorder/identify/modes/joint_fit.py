@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
 from itertools import pairwise
 
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.found import NO_FITS, AgreedOrder, ModalFit, Mode, SweepFits, Tone, Unsearched, Whirl
-from crankorder.identify.modes.exclusion import FloorBound, Hiding, floor_bound, least_seen
+from crankorder.identify.found import (
+    NO_FITS,
+    AgreedOrder,
+    ModalFit,
+    Mode,
+    SweepFits,
+    Tone,
+    Unsearched,
+    UnseenBound,
+    Whirl,
+)
 from crankorder.identify.modes.floor import Floor, quiet_floor, seen_at_single_speeds
 from crankorder.identify.modes.order_blocks import blocks_of
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.order_modes import (
-    OrderPole,
     Proof,
+    hidden_speeds,
     is_proven,
     is_shown,
     mode_of,
@@ -26,9 +35,9 @@ from crankorder.identify.modes.order_modes import (
     tone_as_mode,
 )
 from crankorder.identify.modes.order_responses import Block, fitting, responses_of
-from crankorder.identify.modes.order_search import orders_raised, poles_of_orders, settled
+from crankorder.identify.modes.order_search import Settled, orders_raised, poles_of_orders, settled
 from crankorder.identify.modes.pole_errors import covariance_of_all, pole_covariance, side_by_side
-from crankorder.identify.modes.ringing import hidden_speeds
+from crankorder.identify.modes.responses import floor_bound, least_seen
 from crankorder.identify.modes.search import (
     EVERYWHERE,
     dispersion,
@@ -40,7 +49,7 @@ from crankorder.identify.modes.search import (
     search,
     with_strong_tones,
 )
-from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, SurfaceFit
+from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, covariance_among, poles_at
 from crankorder.identify.modes.sweep_modes import modes_unlike, poles_of, poles_unlike, with_sweep_modes
 from crankorder.identify.modes.tones import NUMBERS as TONES
 from crankorder.identify.modes.tones import tone_of, tone_or_mode, with_one_mains, with_tones
@@ -131,13 +140,13 @@ def _band(floor: Floor, first: int, last: int) -> Band:
 
 def _peaks_by_part(floor: Floor) -> Poles:
     """Peaks of ``floor``, looked for part by part, which takes a time that grows as the floor does."""
-    made = NO_POLES
+    poles = NO_POLES
     for first in range(0, len(floor.frequency_hz), NUMBERS.band_bins):
         part = _band(floor, first, min(first + NUMBERS.band_bins, len(floor.frequency_hz)))
         if len(part.floor.frequency_hz) >= 2 * NUMBERS.shared_bins:
             here = peaks(part.floor)
-            made = made.joined(here.chosen(here.within(part.range_hz)))
-    return made
+            poles = poles.joined(here.chosen(here.within(part.range_hz)))
+    return poles
 
 
 def _quiet_cut(floor: Floor, seen: Poles, load: Floats, share: float, n_bands: int) -> int:
@@ -184,41 +193,47 @@ def modal_fit(
             problem, fit, stopped = search(band.floor, chance=settings.false_alarm_probability, own_hz=own_hz)
             fit = with_tones(problem, fit, floor, own_hz=own_hz, settings=settings)
             fitted.append(Fitted(band, problem, fit, stopped))
-    cycle, least = int(order_map.attrs["revs_per_cycle"]), settings.least_damping_ratio
     fixed, spread = poles_of(swept.poles)
-    known, covariance = poles_unlike(_own_modes(fitted), _own_covariance(fitted), swept.poles)
-    blocks, extra, ended = poles_of_orders(
-        blocks,
-        known.joined(fixed),
-        side_by_side([covariance, spread]),
-        chance=settings.false_alarm_probability,
-        most_damping=settings.max_damping_ratio,
-        most_poles=0 if swept.poles else None,
-    )
+    known, covariance = _known(fitted, swept)
+    both, most = side_by_side([covariance, spread]), 0 if swept.poles else None
+    blocks, extra, ended = poles_of_orders(blocks, known.joined(fixed), both, settings=settings, most_poles=most)
+    of_orders = poles_at((pole.frequency_hz, pole.damping) for pole in extra)
+    of_orders = of_orders.chosen(of_orders.rank)
     for _ in range(1 if len(fitted) == 1 else ROUNDS):
-        fitted = [_with_orders(item, fitted, blocks, fixed.joined(_of_orders(extra))) for item in fitted]
-    known, _ = poles_unlike(_own_modes(fitted), _own_covariance(fitted), swept.poles)
-    told = settled(blocks, known.joined(fixed), extra, chance=settings.false_alarm_probability)
-    blocks = told.blocks
-    found = ModalFit((), (), np.zeros((0, 0)))
+        fitted = [_with_orders(local, fitted, blocks, fixed.joined(of_orders)) for local in fitted]
+    known, _ = _known(fitted, swept)
+    by_orders = settled(blocks, known.joined(fixed), extra, chance=settings.false_alarm_probability)
+    by_floor = ModalFit((), (), np.zeros((0, 0)))
     kept = NO_POLES
     if floor is not None:
-        proof = dict(zip(known.frequency_hz.tolist(), told.proofs, strict=False))
-        found, kept = _found(fitted, floor, proof, settings)
-    found, kept = with_sweep_modes(*modes_unlike(found, kept, swept.poles), swept.poles, settings)
-    floors = [bound for item in fitted if (bound := item.excludes(settings)) is not None]
+        proof = dict(zip(known.frequency_hz.tolist(), by_orders.proofs, strict=False))
+        by_floor, kept = _found(fitted, floor, proof, settings)
+    by_floor, kept = with_sweep_modes(*modes_unlike(by_floor, kept, swept.poles), swept.poles, settings)
+    bounds = [floor_bound(local.problem, local.fit.model, poles=local.own_modes, settings=settings) for local in fitted]
     unit = dict(zip(order_map["channel"].values.tolist(), order_map["unit"].values.tolist(), strict=True))
-    made = _with_order_modes(found, kept, blocks, told.found, told.covariance, (floors, swept.hiding), unit, settings)
-    hidden = hidden_speeds(blocks, made.modes, revs_per_cycle=cycle, least_damping=least, looked_hz=swept.looked_hz)
-    made = replace(
-        made,
-        modes=of_the_air(made.modes, campbell),
-        hidden=hidden,
-        swings=told.swings,
-        shown_orders=swept.shown_orders,
-        left=_left(fitted, floor, blocks if not ended else (), swept),
+    excluded = partial(
+        least_seen,
+        unit=unit,
+        settings=settings,
+        floors=[bound for bound in bounds if bound is not None],
+        sweeps=swept.hiding,
     )
-    return without_remains(made, whirls, campbell["speed"].values) if whirls else made
+    modal = _with_order_modes(by_floor, kept, by_orders, excluded, settings)
+    modal = replace(
+        modal,
+        modes=of_the_air(modal.modes, campbell),
+        hidden=hidden_speeds(
+            by_orders.blocks,
+            modal.modes,
+            revs_per_cycle=int(order_map.attrs["revs_per_cycle"]),
+            least_damping=settings.least_damping_ratio,
+            looked_hz=swept.looked_hz,
+        ),
+        swings=by_orders.swings,
+        shown_orders=swept.shown_orders,
+        left=_left(fitted, floor, by_orders.blocks if not ended else (), swept),
+    )
+    return without_remains(modal, whirls, campbell["speed"].values) if whirls else modal
 
 
 def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...]) -> Floor | None:
@@ -226,7 +241,7 @@ def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrde
     if not campbell.sizes["speed"] or not campbell.sizes["channel"]:
         return None
     single = seen_at_single_speeds(order_map, top_hz=float(campbell["frequency"].values[-1]))
-    floor = quiet_floor(campbell, tuple((item.order, item.order_error) for item in orders), single=single)
+    floor = quiet_floor(campbell, tuple((agreed.order, agreed.order_error) for agreed in orders), single=single)
     return floor if floor is not None and np.isfinite(floor.psd).any() else None
 
 
@@ -236,7 +251,7 @@ def _left(
     """Where the searches in bands of the ``floor``, in ``swept`` signals and by ``unended`` blocks stopped."""
     left = [Unsearched("sweeps", low, high) for low, high in swept.left_hz]
     if floor is not None:
-        bands = np.clip([item.band.range_hz for item in fitted if item.stopped], *floor.frequency_hz[[0, -1]])
+        bands = np.clip([local.band.range_hz for local in fitted if local.stopped], *floor.frequency_hz[[0, -1]])
         left += [Unsearched("floor", float(low), float(high)) for low, high in bands]
     if unended:
         ends = np.array([block.ends_hz for block in unended])
@@ -244,14 +259,14 @@ def _left(
     return tuple(left)
 
 
-def _own_modes(fitted: list[Fitted]) -> Poles:
-    """Poles of all bands that are no tones."""
-    return reduce(Poles.joined, (item.own_modes for item in fitted), NO_POLES)
-
-
-def _own_covariance(fitted: list[Fitted]) -> Floats:
-    """Covariance of (f_1, ζ_1, f_2, …) of the poles of all bands that are no tones."""
-    return side_by_side([item.covariance_of(item.own) for item in fitted])
+def _known(fitted: list[Fitted], swept: SweepFits) -> tuple[Poles, Floats]:
+    """Poles of all bands that are neither tones nor those of ``swept``, and covariance of their (f_1, ζ_1, f_2, …)."""
+    covariance = [
+        covariance_among(pole_covariance(local.problem, local.fit, scatter=local.scatter), np.flatnonzero(local.own))
+        for local in fitted
+    ]
+    own = reduce(Poles.joined, (local.own_modes for local in fitted), NO_POLES)
+    return poles_unlike(own, side_by_side(covariance), swept.poles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,112 +288,76 @@ class Fitted:
         """Poles that belong to the band and are no tones."""
         return self.fit.poles.chosen(self.own)
 
-    def excludes(self, settings: IdentifySettings) -> FloorBound | None:
-        """What the floor of the band excludes at the damping and the confidence of the ``settings``."""
-        return floor_bound(
-            self.problem,
-            self.fit.model,
-            poles=self.own_modes,
-            least_damping=settings.least_damping_ratio,
-            confidence=settings.free_confidence,
-        )
-
-    def covariance_of(self, which: Bools) -> Floats:
-        """Covariance of (f_1, ζ_1, f_2, …) of the poles marked by ``which``."""
-        scatter = np.array([dispersion(self.problem, self.fit, float(f)) for f in self.fit.poles.frequency_hz])
-        at = np.flatnonzero(np.repeat(which, 2))
-        return pole_covariance(self.problem, self.fit, scatter=scatter)[np.ix_(at, at)]
+    @property
+    def scatter(self) -> Floats:
+        """Mean square residual (M,) around each pole, in variances; 1 or more."""
+        return np.array([dispersion(self.problem, self.fit, float(f)) for f in self.fit.poles.frequency_hz])
 
 
-def _of_orders(extra: Sequence[OrderPole]) -> Poles:
-    """Poles of what only orders show."""
-    made = NO_POLES
-    for pole in extra:
-        made = made.with_pole(pole.frequency_hz, pole.damping)
-    return made
-
-
-def _with_orders(item: Fitted, every: list[Fitted], blocks: tuple[Block, ...], fixed: Poles) -> Fitted:
+def _with_orders(local: Fitted, every: list[Fitted], blocks: tuple[Block, ...], fixed: Poles) -> Fitted:
     """The fit of a band together with the orders that sweep through its modes; other bands stay as they are."""
-    if not blocks or not len(item.own_modes):
-        return item
+    if not blocks or not len(local.own_modes):
+        return local
     for other in every:
-        if other is not item:
-            fixed = fixed.joined(other.own_modes.chosen(~item.band.holds(other.own_modes)))
-    problem, fit = fitting(replace(item.problem, others=None), item.fit, blocks, fixed=fixed)
-    return replace(item, problem=problem, fit=fit)
+        if other is not local:
+            fixed = fixed.joined(other.own_modes.chosen(~local.band.holds(other.own_modes)))
+    problem, fit = fitting(replace(local.problem, others=None), local.fit, blocks, fixed=fixed)
+    return replace(local, problem=problem, fit=fit)
 
 
 def _with_order_modes(
     fit: ModalFit,
     kept: Poles,
-    blocks: tuple[Block, ...],
-    extra: tuple[OrderPole, ...],
-    covariance: Floats,
-    excluded: tuple[Sequence[FloorBound], Sequence[Hiding]],
-    unit: Mapping[str, str],
+    by_orders: Settled,
+    excluded: Callable[[Sequence[Block], Poles], tuple[UnseenBound, ...]],
     settings: IdentifySettings,
 ) -> ModalFit:
-    """``fit``, whose modes are the poles ``kept``, with those that only orders show, lowest first.
+    """``fit``, whose modes are the poles ``kept``, with those that only orders show (``by_orders``), lowest first.
 
-    ``excluded``: what floors and sweeps leave open.
+    ``excluded`` says what blocks leave open beside poles.
     """
-    parts = [covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(extra))]
-    every = kept
-    for pole in extra:
-        every = every.joined(NO_POLES.with_pole(pole.frequency_hz, pole.damping))
-    said = [mode_of(pole, part, every, settings=settings) for pole, part in zip(extra, parts, strict=True)]
+    extra, blocks = by_orders.found, by_orders.blocks
+    every = kept.joined(poles_at((pole.frequency_hz, pole.damping) for pole in extra))
+    said = [
+        mode_of(pole, covariance_among(by_orders.covariance, [k]), every, settings=settings)
+        for k, pole in enumerate(extra)
+    ]
     own = [k for k, mode in enumerate(said) if mode is not None]
     more = [mode for mode in said if mode is not None]
-    for mode in more:
-        kept = kept.joined(NO_POLES.with_pole(mode.frequency_hz, mode.damping_ratio))
-    doubted = _raised_tones(fit, more, blocks, kept)
-    for tone in doubted:
-        mode, part = tone_as_mode(tone, doubted[tone], settings=settings)
+    parts = [fit.covariance, covariance_among(by_orders.covariance, own)]
+    raised = _raised_tones(fit, more, blocks, kept.joined(_poles_of(more)))
+    for tone, orders in raised.items():
+        mode, part = tone_as_mode(tone, orders, settings=settings)
         more.append(mode)
-        kept = kept.joined(NO_POLES.with_pole(mode.frequency_hz, mode.damping_ratio))
         parts.append(part)
+    kept = kept.joined(_poles_of(more))
     proven = [mode.frequency_ends for mode in fit.modes if mode.reached_by and not mode.undecided]
 
     def within(tone: Tone) -> bool:
         return tone.kind == "tone" and any(low <= tone.frequency_hz <= high for low, high in proven)
 
-    modes = (*fit.modes, *more)
-    rank = np.argsort(kept.frequency_hz, kind="stable")
-    at = np.stack([2 * rank, 2 * rank + 1], axis=1).ravel()
-    of_own = np.array([[2 * k, 2 * k + 1] for k in own], dtype=np.int64).ravel()
-    whole = [fit.covariance, covariance[np.ix_(of_own, of_own)], *parts[len(extra) :]]
-    poles = Poles(kept.frequency_hz[rank], kept.damping[rank], kept.tone[rank])
+    modes, rank = (*fit.modes, *more), kept.rank
+    poles = kept.chosen(rank)
     return replace(
         fit,
         modes=tuple(modes[k] for k in rank.tolist()),
         tones=tuple(tone for tone in fit.tones if not any(is_shown(tone, mode) for mode in more) and not within(tone)),
-        covariance=side_by_side(whole)[np.ix_(at, at)],
+        covariance=covariance_among(side_by_side(parts), rank),
         responses=responses_of(blocks, poles),
-        unseen=least_seen(
-            blocks,
-            poles,
-            unit=unit,
-            least_damping=settings.least_damping_ratio,
-            confidence=settings.free_confidence,
-            floors=excluded[0],
-            sweeps=excluded[1],
-        ),
+        unseen=excluded(blocks, poles),
     )
+
+
+def _poles_of(modes: Sequence[Mode]) -> Poles:
+    return poles_at((mode.frequency_hz, mode.damping_ratio) for mode in modes)
 
 
 def _raised_tones(
     fit: ModalFit, more: list[Mode], blocks: tuple[Block, ...], poles: Poles
 ) -> dict[Tone, tuple[float, ...]]:
     """Tones of ``fit`` that are none of the modes ``more``, at which orders rise, and these orders."""
-    found = {}
-    for tone in fit.tones:
-        if tone.kind != "tone" or any(is_shown(tone, mode) for mode in more):
-            continue
-        orders = orders_raised(blocks, poles, tone.frequency_hz)
-        if orders:
-            found[tone] = orders
-    return found
+    unknown = [tone for tone in fit.tones if tone.kind == "tone" and not any(is_shown(tone, mode) for mode in more)]
+    return {tone: orders for tone in unknown if (orders := orders_raised(blocks, poles, tone.frequency_hz))}
 
 
 def _found(
@@ -391,38 +370,28 @@ def _found(
     shape = np.full(floor.psd.shape, np.nan)
     smooth = np.empty(floor.psd.shape)
     still = tuple(f for f, _ in floor.strong)
-    for item in fitted:
-        own = slice(item.band.first, item.band.last)
-        from_here = item.band.first - int(np.searchsorted(floor.frequency_hz, item.problem.frequency_hz[0]))
-        here = slice(from_here, from_here + item.band.last - item.band.first)
-        shape[:, own] = np.where(item.problem.averages > 0.0, item.fit.model, np.nan)[:, here]
-        smooth[:, own] = _without_hidden(item)[:, here]
-        poles = item.fit.poles
-        tone = poles.tone & poles.within(item.band.range_hz) & ~hidden_poles(item.problem, item.fit)
+    for local in fitted:
+        own = slice(local.band.first, local.band.last)
+        from_here = local.band.first - int(np.searchsorted(floor.frequency_hz, local.problem.frequency_hz[0]))
+        here = slice(from_here, from_here + local.band.last - local.band.first)
+        shape[:, own] = np.where(local.problem.averages > 0.0, local.fit.model, np.nan)[:, here]
+        smooth[:, own] = _without_hidden(local)[:, here]
+        poles = local.fit.poles
+        tone = poles.tone & poles.within(local.band.range_hz) & ~hidden_poles(local.problem, local.fit)
         still += tuple(poles.frequency_hz[tone].tolist())
     tones = [tone_of(f, error, floor, smooth, settings=settings) for f, error in floor.strong]
-    modes: list[Mode] = []
-    parts: list[Floats] = []
-    kept = NO_POLES
-    for item in fitted:
-        said = _of_band(item, floor, smooth, still, proofs, settings)
-        modes += said[0]
-        tones += said[1]
-        parts.append(said[2])
-        kept = kept.joined(said[3])
-    found = ModalFit(
-        tuple(modes),
-        with_one_mains(sorted((t for t in tones if t.amplitude), key=lambda t: t.frequency_hz), settings=settings),
-        side_by_side(parts),
-        frequency_hz=floor.frequency_hz,
-        floor_psd=floor.psd,
-        fitted_psd=shape,
-    )
-    return found, kept
+    said = [_of_band(local, floor, smooth, still, proofs, settings) for local in fitted]
+    modes = tuple(mode for own, *_ in said for mode in own)
+    tones += [tone for _, own, *_ in said for tone in own]
+    tones = sorted((tone for tone in tones if tone.amplitude), key=lambda tone: tone.frequency_hz)
+    covariance = side_by_side([part for *_, part, _ in said])
+    fit = ModalFit(modes, with_one_mains(tones, settings=settings), covariance)
+    fit = replace(fit, frequency_hz=floor.frequency_hz, floor_psd=floor.psd, fitted_psd=shape)
+    return fit, reduce(Poles.joined, (poles for *_, poles in said), NO_POLES)
 
 
 def _of_band(
-    item: Fitted,
+    local: Fitted,
     floor: Floor,
     smooth: Floats,
     still: tuple[float, ...],
@@ -430,16 +399,13 @@ def _of_band(
     settings: IdentifySettings,
 ) -> tuple[list[Mode], list[Tone], Floats, Poles]:
     """Modes of a band, its tones, the covariance of the modes and their poles."""
-    problem, fit = item.problem, item.fit
-    scatter = np.array([dispersion(problem, fit, float(f)) for f in fit.poles.frequency_hz])
-    covariance = covariance_of_all(problem, fit, scatter=scatter)
-    strength = (
-        evidence_of(fit) / np.array([scatter_at(problem, fit, float(f)) for f in fit.poles.frequency_hz])[:, None]
-    )
-    modes: list[Mode] = []
+    problem, fit = local.problem, local.fit
+    covariance = covariance_of_all(problem, fit, scatter=local.scatter)
+    scatter = np.array([scatter_at(problem, fit, float(f)) for f in fit.poles.frequency_hz])
+    strength = evidence_of(fit) / scatter[:, None]
+    modes: dict[int, Mode] = {}
     tones: list[Tone] = []
-    kept: list[int] = []
-    for number in np.flatnonzero(~hidden_poles(problem, fit) & fit.poles.within(item.band.range_hz)).tolist():
+    for number in np.flatnonzero(~hidden_poles(problem, fit) & fit.poles.within(local.band.range_hz)).tolist():
         f, error = float(fit.poles.frequency_hz[number]), float(np.sqrt(covariance[2 * number, 2 * number]))
         if fit.poles.tone[number]:
             if floor.frequency_hz[0] <= f <= floor.frequency_hz[-1]:
@@ -450,13 +416,10 @@ def _of_band(
                 tones.append(tone_of(f, error, floor, rest, settings=settings))
             continue
         proof = proofs.get(f, Proof())
-        mode = _mode(number, problem, fit, floor, covariance, strength[number], still, proof, settings)
-        if mode is not None:
-            modes.append(mode)
-            kept.append(number)
-    at = np.array([[2 * number, 2 * number + 1] for number in kept], dtype=np.int64).ravel()
-    which = np.isin(np.arange(len(fit.poles)), kept)
-    return modes, tones, covariance[np.ix_(at, at)], fit.poles.chosen(which)
+        mode = _mode(number, local, floor, covariance, strength[number], still, proof, settings)
+        modes |= {number: mode} if mode is not None else {}
+    kept = np.array(list(modes), dtype=np.int64)
+    return list(modes.values()), tones, covariance_among(covariance, kept), fit.poles.chosen(kept)
 
 
 def _too_deep(floor: Floor, frequency_hz: float, channels: Sequence[str]) -> str:
@@ -469,26 +432,19 @@ def _too_deep(floor: Floor, frequency_hz: float, channels: Sequence[str]) -> str
     return f"{least:.0f} dB under the strongest line, of which window and angle leave as much"
 
 
-def _without_hidden(item: Fitted) -> Floats:
+def _without_hidden(local: Fitted) -> Floats:
     """Power (C, F) of a band's fit without strong tones and the poles that stand for the skirts of masked lines."""
-    smooth = item.fit.without_lines(item.problem)
-    for number in np.flatnonzero(hidden_poles(item.problem, item.fit)).tolist():
-        smooth = smooth - item.fit.part(number)
-    return np.asarray(np.maximum(smooth, 0.02 * _typical(item.problem)))
-
-
-def _typical(problem: Problem) -> Floats:
-    """A middling power (C, 1) of each channel."""
-    used = [
-        np.median(y[n > 0.0]) if (n > 0.0).any() else 0.0 for y, n in zip(problem.psd, problem.averages, strict=True)
-    ]
-    return np.array(used)[:, None]
+    problem, smooth = local.problem, local.fit.without_lines(local.problem)
+    for number in np.flatnonzero(hidden_poles(problem, local.fit)).tolist():
+        smooth = smooth - local.fit.part(number)
+    used = (y[n > 0.0] for y, n in zip(problem.psd, problem.averages, strict=True))
+    typical = np.array([np.median(power) if power.size else 0.0 for power in used])[:, None]
+    return np.asarray(np.maximum(smooth, 0.02 * typical))
 
 
 def _mode(
     number: int,
-    problem: Problem,
-    fit: SurfaceFit,
+    local: Fitted,
     floor: Floor,
     covariance: Floats,
     strength: Floats,
@@ -497,7 +453,8 @@ def _mode(
     settings: IdentifySettings,
 ) -> Mode | None:
     """Mode of pole ``number``; None where it is but a part of the floor's shape."""
-    f, zeta = float(fit.poles.frequency_hz[number]), float(fit.poles.damping[number])
+    problem, fit = local.problem, local.fit
+    f, zeta = fit.poles.values[number].tolist()
     error, zeta_error = (float(np.sqrt(covariance[2 * number + k, 2 * number + k])) for k in (0, 1))
     outside = not floor.frequency_hz[0] <= f <= floor.frequency_hz[-1]
     if outside or zeta - 3.0 * zeta_error > settings.max_damping_ratio or zeta > 1.5 * settings.max_damping_ratio:
@@ -522,11 +479,6 @@ def _mode(
     if not doubt and narrower_than_fitted(problem, fit, number):
         doubt = "its flanks are lower than a mode's of this damping: a tone with something beside it, or a mode"
     doubt = doubt or of_lines_within(problem, fit, number, floor, settings=settings) or _too_deep(floor, f, names)
-    if (
-        doubt
-        and is_proven(proof)
-        and error <= ORDER_MODES.uncertain_share * f
-        and zeta_error <= ORDER_MODES.known_share * zeta
-    ):
-        doubt = ""
+    known = error <= ORDER_MODES.uncertain_share * f and zeta_error <= ORDER_MODES.known_share * zeta
+    doubt = "" if is_proven(proof) and known else doubt
     return Mode(f, error, zeta, zeta_error, names, prominence, words, proof.orders, doubt)

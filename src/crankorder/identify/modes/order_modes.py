@@ -1,4 +1,4 @@
-"""What orders say of a natural frequency, in words: which ones prove it, and what doubt is left."""
+"""What orders say of a natural frequency: what proves it, what doubt is left, and what of it rings on in others."""
 
 from __future__ import annotations
 
@@ -6,15 +6,191 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import xarray as xr
 
-from crankorder.identify.found import Mode, Tone
+from crankorder.identify.found import HiddenSpeeds, Mode, Swing, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import Block, Projected, as_real, jacobian, project
-from crankorder.identify.modes.ringing import rings_into
 from crankorder.identify.modes.surface_fit import Poles
-from crankorder.quantities import Bools, Floats
+from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
+
+
+class _RingingNumbers(MethodNumbers, file="5-identify-modal.toml", table="ringing"):
+    rings_share: float
+    hides_share: float
+    near_share: float
+
+
+RINGING = _RingingNumbers.load()
+
+MOST_KEPT = 256
+"""Passages that are kept."""
+
+
+def without_ringing(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles) -> tuple[Block, ...]:
+    """``blocks`` less what the other orders of the same recording leave in their filters behind ``poles``.
+
+    ``parts`` are the blocks as projected with them. A mode that one order has passed rings on at its own frequency,
+    where a lower order finds it later (a higher one where the speed falls). What is taken away is known as well as the
+    residue of the other order, and by as much as that one scatters: the errors of the rows grow by it.
+    """
+    return tuple(
+        block if block.passage is None else _without(block, _others(block, blocks, parts), poles) for block in blocks
+    )
+
+
+def _others(block: Block, blocks: Sequence[Block], parts: Sequence[Projected]) -> list[tuple[Block, Projected]]:
+    """The other orders among ``blocks`` that sweep in the recording of ``block``, and their ``parts``."""
+    return [
+        (other, part)
+        for other, part in zip(blocks, parts, strict=True)
+        if other is not block and other.passage is not None and other.recording == block.recording
+    ]
+
+
+def swings_of(blocks: Sequence[Block], parts: Sequence[Projected], poles: Poles) -> tuple[Swing, ...]:
+    """What the orders of ``blocks`` leave in one another's filters behind ``poles``, all along their recordings.
+
+    ``parts`` are the blocks as projected with the poles. Empty for orders that hold nothing of others.
+    """
+    swings = []
+    for block in blocks:
+        if block.passage is None or block.as_read is None:
+            continue
+        every = np.arange(len(block.passage.time_s), dtype=np.float64)
+        along = replace(block, passage=replace(block.passage, place=every))
+        total, variance = _rung(along, _others(block, blocks, parts), poles)
+        swings += [
+            Swing(block.order, name, block.recording, block.passage.time_s, taken, np.sqrt(spread))
+            for name, taken, spread in zip(block.channels, total, variance, strict=True)
+        ]
+    return tuple(swings)
+
+
+def without_swings(followed: Sequence[xr.Dataset], swings: Sequence[Swing]) -> tuple[xr.Dataset, ...]:
+    """``followed`` (RecordingTracks) less the ``swings`` of their orders, whose errors theirs grow by."""
+    cleaned = []
+    for tracks in followed:
+        own = [swing for swing in swings if swing.recording == tracks.attrs.get("recording")]
+        if own:
+            tracks = tracks.copy(deep=True)
+        for swing in own:
+            names = tracks["order"].values
+            row = int(np.argmin(np.abs(names - swing.order)))
+            channel = tracks["channel"].values.tolist().index(swing.channel)
+            time = tracks["time"].values
+            taken, error = (np.interp(time, swing.time_s, values) for values in (swing.taken, swing.error))
+            tracks["amplitude"].values[channel, row] -= taken
+            tracks["standard_error"].values[channel, row] = np.hypot(
+                tracks["standard_error"].values[channel, row], error
+            )
+        cleaned.append(tracks)
+    return tuple(cleaned)
+
+
+def _without(block: Block, others: Sequence[tuple[Block, Projected]], poles: Poles) -> Block:
+    """``block`` as it was measured, less what the ``others`` leave of ``poles``."""
+    total, variance = _rung(block, others, poles)
+    amplitude, error = block.as_read or (block.amplitude, block.error)
+    if not total.any():
+        return block if block.as_read is None else replace(block, amplitude=amplitude, error=error, as_read=None)
+    return replace(
+        block, amplitude=amplitude - total, error=np.hypot(error, np.sqrt(variance)), as_read=(amplitude, error)
+    )
+
+
+def _rung(block: Block, others: Sequence[tuple[Block, Projected]], poles: Poles) -> tuple[Complexes, Floats]:
+    """What the ``others`` leave of ``poles`` in ``block``, and its variance (C, K), at the places of its passage."""
+    rows = 0 if block.passage is None else len(block.passage.place)
+    total, variance = np.zeros((len(block.channels), rows), dtype=np.complex128), np.zeros((len(block.channels), rows))
+    for other, part in others:
+        shared = [block.channels.index(name) for name in other.channels if name in block.channels]
+        from_rows = [other.channels.index(block.channels[row]) for row in shared]
+        for place, pole in enumerate(part.reached.tolist()):
+            f, zeta = float(poles.frequency_hz[pole]), float(poles.damping[pole])
+            if not shared or not rings_into(block, other, f, zeta):
+                continue
+            took = _taken(block, other, f, zeta)
+            column = other.degree + 1 + place
+            residue = part.linear[from_rows, column]
+            spread = part.covariance[from_rows, column, column].real * part.beyond_errors
+            total[shared] += residue[:, None] * took
+            variance[shared] += (spread + np.square(other.scatter * np.abs(residue)))[:, None] * np.abs(took) ** 2
+    return total, variance
+
+
+def rings_into(block: Block, other: Block, natural_hz: float, damping: float) -> bool:
+    """Whether a mode that the ``other`` order has passed still rings when ``block`` passes it.
+
+    ``natural_hz`` and ``damping``: of the mode.
+    """
+    if not block.ends_hz[0] < natural_hz < block.ends_hz[1]:
+        return False
+    return _rings(other, block.order, natural_hz, damping, RINGING.rings_share)
+
+
+def _rings(block: Block, later: float, natural_hz: float, damping: float, share: float) -> bool:
+    """Whether more than a ``share`` of what ``block`` left of a mode still rings when the order ``later`` passes it."""
+    passage = block.passage
+    assert passage is not None
+    if not passage.ends_hz[0] < natural_hz < passage.ends_hz[1]:
+        return False
+    slowest, fastest = passage.rates_rpm_per_s
+    if (slowest > 0.0 and block.order < later) or (fastest < 0.0 and block.order > later):
+        return False
+    rate = max(abs(slowest), abs(fastest)) / 60.0
+    delay = natural_hz * abs(1.0 / later - 1.0 / block.order) / max(rate, 1e-12)
+    return bool(2.0 * np.pi * damping * natural_hz * delay < -np.log(share))
+
+
+def hidden_speeds(
+    blocks: Sequence[Block],
+    modes: Sequence[Mode],
+    *,
+    revs_per_cycle: int,
+    least_damping: float,
+    looked_hz: Sequence[tuple[float, float]] = (),
+) -> tuple[HiddenSpeeds, ...]:
+    """Speeds at which orders that nobody found could meet ``modes`` that still ring from the orders of ``blocks``.
+
+    Every multiple of the cycle's frequency (``revs_per_cycle`` 1 or 2) may be such an order, if it is none of
+    ``blocks``. No mode is taken to be damped by less than ``least_damping``. At ``looked_hz``, from … to, all of them
+    were looked for beside what rings.
+    """
+    swept = [block for block in blocks if block.passage is not None]
+    if not swept:
+        return ()
+    have = np.array(sorted({block.order for block in swept}))
+    multiples = np.arange(1, int(revs_per_cycle * (have.max() + 1.0)) + 1) / revs_per_cycle
+    unknown = multiples[np.abs(multiples[:, None] - have).min(axis=1) > 0.25 / revs_per_cycle]
+    hidden: list[HiddenSpeeds] = []
+    for mode in modes:
+        f, zeta = mode.frequency_hz, max(mode.damping_ratio, least_damping)
+        if any(low <= f <= high for low, high in looked_hz):
+            continue
+        reach = mode.frequency_half_hz + RINGING.near_share * f
+        for number in unknown.tolist():
+            rung = [block for block in swept if _rings(block, number, f, zeta, RINGING.hides_share)]
+            if rung:
+                loudest = max(rung, key=lambda block: float(block.size.max()))
+                ends = 60.0 * (f - reach) / number, 60.0 * (f + reach) / number
+                hidden.append(HiddenSpeeds(ends[0], ends[1], f, loudest.order))
+    return tuple(hidden)
+
+
+def _taken(block: Block, other: Block, natural_hz: float, damping: float) -> Complexes:
+    """What the filter of ``block`` takes (K,) of a mode behind the force of the ``other``, of unit residue."""
+    assert block.passage is not None
+    key = (block.order, len(block.passage.place), natural_hz, damping, other.exponent, other.law)
+    if key not in other.rung:
+        assert other.passage is not None
+        if len(other.rung) >= MOST_KEPT:
+            other.rung.pop(next(iter(other.rung)))
+        left = other.passage.left_over(other.driven, natural_hz, damping)
+        other.rung[key] = block.passage.taken_from(other.passage, left, natural_hz)
+    return other.rung[key]
 
 
 class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_modes"):
@@ -73,13 +249,12 @@ class OrderPole:
 
 def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles, number: int) -> OrderPole:
     """Pole ``number`` of ``poles`` with the orders that prove it; ``blocks`` as ``projected`` with all poles."""
-    f, zeta = float(poles.frequency_hz[number]), float(poles.damping[number])
+    f, zeta = poles.values[number].tolist()
     reach = NUMBERS.within_widths * zeta
     rows: dict[float, int] = {}
     ends: list[float] = []
     shown: list[str] = []
     located, passed, rung_by, flanked = set[float](), set[float](), set[float](), set[float]()
-    beside = _by_sweep(blocks)
     for block, part in zip(blocks, projected, strict=True):
         shows = residue_chances(block, part, number) <= NUMBERS.proof_chance
         if shows.any():
@@ -88,13 +263,13 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
             continue
         shown += [name for name, yes in zip(block.channels, shows, strict=True) if yes]
         rows[block.order] = max(_rows_within(block, f, zeta), rows.get(block.order, 0))
-        ends += [float(block.frequency_hz.min()), float(block.frequency_hz.max())]
-        if (1.0 - reach) * block.frequency_hz.min() <= f <= (1.0 + reach) * block.frequency_hz.max():
+        ends += block.ends_hz
+        if (1.0 - reach) * block.ends_hz[0] <= f <= (1.0 + reach) * block.ends_hz[1]:
             passed.add(block.order)
             rung_by |= {
                 other.order
-                for other in beside.get(block.recording, ())
-                if other is not block and rings_into(block, other, f, zeta)
+                for other, _ in _others(block, blocks, projected)
+                if block.passage is not None and rings_into(block, other, f, zeta)
             }
             # the block alone finds the pole where it is: one step from there is small, and its error too
             step, error = _step(block, part, poles, number)
@@ -117,15 +292,6 @@ def named(blocks: Sequence[Block], projected: Sequence[Projected], poles: Poles,
     return OrderPole(f, zeta, tuple(dict.fromkeys(shown)), proof)
 
 
-def _by_sweep(blocks: Sequence[Block]) -> dict[str, list[Block]]:
-    """The ``blocks`` of sweeps by their recording."""
-    made: dict[str, list[Block]] = {}
-    for block in blocks:
-        if block.passage is not None:
-            made.setdefault(block.recording, []).append(block)
-    return made
-
-
 def _explains(block: Block, part: Projected, poles: Poles, number: int) -> Bools:
     """Whether pole ``number``, with its neighbours, is what a sweep of ``block`` shows there, in each channel (C,).
 
@@ -134,7 +300,7 @@ def _explains(block: Block, part: Projected, poles: Poles, number: int) -> Bools
     """
     if block.passage is None:
         return np.ones(len(block.channels), dtype=np.bool_)
-    f, zeta = float(poles.frequency_hz[number]), float(poles.damping[number])
+    f, zeta = poles.values[number].tolist()
     away = np.abs(block.frequency_hz / f - 1.0)
     reach = max(
         NUMBERS.within_widths * zeta,
@@ -149,8 +315,8 @@ def _explains(block: Block, part: Projected, poles: Poles, number: int) -> Bools
     size = np.where(used, np.square(block.size[:, near]), 0.0).sum(axis=1)
     beside = np.abs(np.log(poles.frequency_hz / f)) <= NUMBERS.side_by_side_share
     left, without = (
-        np.where(used, np.abs(one.left[:, near]) ** 2 / np.where(used, weight, 1.0) ** 2, 0.0).sum(axis=1)
-        for one in (part, project(block, poles.chosen(~beside)))
+        np.where(used, np.abs(each.left[:, near]) ** 2 / np.where(used, weight, 1.0) ** 2, 0.0).sum(axis=1)
+        for each in (part, project(block, poles.chosen(~beside)))
     )
     felt = without - left > NUMBERS.felt_share**2 * size * (4.0 if block.power else 1.0)
     return np.asarray(felt & (without - left >= (1.0 - NUMBERS.unexplained_share) * np.maximum(without - noise, noise)))
@@ -196,13 +362,9 @@ def flanks_show(block: Block, poles: Poles, number: int) -> bool:
 
 def _rows_within(block: Block, f: float, zeta: float) -> int:
     """How many rows of ``block`` lie within some widths of a pole; a sweep through both its flanks has enough."""
-    rows = int(np.count_nonzero(np.abs(block.frequency_hz / f - 1.0) <= NUMBERS.within_widths * zeta))
-    low, high = block.frequency_hz.min(), block.frequency_hz.max()
-    whole = (
-        block.passage is not None
-        and low < f * (1.0 - NUMBERS.within_widths * zeta)
-        and high > f * (1.0 + NUMBERS.within_widths * zeta)
-    )
+    reach, (low, high) = NUMBERS.within_widths * zeta, block.ends_hz
+    rows = int(np.count_nonzero(np.abs(block.frequency_hz / f - 1.0) <= reach))
+    whole = block.passage is not None and low < f * (1.0 - reach) and high > f * (1.0 + reach)
     return max(rows, NUMBERS.rows_of_sweep) if whole else rows
 
 
@@ -230,18 +392,17 @@ def proven_by(proof: Proof) -> str:
     """
     if not proof.orders:
         return ""
-    names = ", ".join(f"{order:g}" for order in proof.passed)
-    if not names:
-        return f"no order passes it; it shapes orders {', '.join(f'{order:g}' for order in proof.orders)} from afar"
+    if not proof.passed:
+        return f"no order passes it; it shapes orders {_listed(proof.orders)} from afar"
+    names = _listed(proof.passed)
     if len(proof.passed) > 1:
-        told = f"orders {names} peak there, each at its own speed, with the phase of a resonance"
+        words = f"orders {names} peak there, each at its own speed, with the phase of a resonance"
     else:
         near = f"at {proof.most_rows} speeds around it" if proof.most_rows else "seen on its flanks"
-        told = f"order {names} has amplitude and phase of a resonance there, {near}"
-    flanks = ", ".join(f"{order:g}" for order in proof.flanked)
-    if flanks and proof.most_rows < NUMBERS.rows_of_turn and not _peaks_prove(proof):
-        told += f"; the flanks of order {flanks}, without the rows at its peak, place it there"
-    return told
+        words = f"order {names} has amplitude and phase of a resonance there, {near}"
+    if proof.flanked and proof.most_rows < NUMBERS.rows_of_turn and not _peaks_prove(proof):
+        words += f"; the flanks of order {_listed(proof.flanked)}, without the rows at its peak, place it there"
+    return words
 
 
 def is_proven(proof: Proof) -> bool:
@@ -269,17 +430,8 @@ def mode_of(pole: OrderPole, covariance: Floats, every: Poles, *, settings: Iden
     is_another = zeta_error > NUMBERS.known_share * zeta and bool((np.abs(others - f) <= Z95 * error).any())
     if not proof.orders or zeta > settings.max_damping_ratio or is_another:
         return None
-    return Mode(
-        f,
-        error,
-        zeta,
-        zeta_error,
-        pole.channels,
-        0.0,
-        proven_by(proof),
-        proof.orders,
-        _doubt(pole, error, zeta_error, every),
-    )
+    doubt = _doubt(pole, error, zeta_error, every)
+    return Mode(f, error, zeta, zeta_error, pole.channels, 0.0, proven_by(proof), proof.orders, doubt)
 
 
 def tone_as_mode(tone: Tone, orders: tuple[float, ...], *, settings: IdentifySettings) -> tuple[Mode, Floats]:
@@ -287,14 +439,15 @@ def tone_as_mode(tone: Tone, orders: tuple[float, ...], *, settings: IdentifySet
 
     ``settings``: the least damping that a mode is reckoned with, which stands for one that nobody saw.
     """
-    names = ", ".join(f"{order:g}" for order in orders)
-    word = "orders" if len(orders) > 1 else "order"
-    zeta = settings.least_damping_ratio
-    doubt = f"tone or mode: {word} {names} {'rise' if len(orders) > 1 else 'rises'} there"
-    covariance = np.diag([tone.frequency_error_hz**2, zeta**2])
-    channels = tuple(tone.amplitude)
-    mode = Mode(tone.frequency_hz, tone.frequency_error_hz, zeta, zeta, channels, 0.0, tone.evidence, orders, doubt)
-    return mode, covariance
+    f, error, zeta = tone.frequency_hz, tone.frequency_error_hz, settings.least_damping_ratio
+    rise = f"orders {_listed(orders)} rise" if len(orders) > 1 else f"order {_listed(orders)} rises"
+    doubt = f"tone or mode: {rise} there"
+    mode = Mode(f, error, zeta, zeta, tuple(tone.amplitude), 0.0, tone.evidence, orders, doubt)
+    return mode, np.diag([error**2, zeta**2])
+
+
+def _listed(orders: Sequence[float]) -> str:
+    return ", ".join(f"{order:g}" for order in orders)
 
 
 def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> str:
@@ -309,10 +462,9 @@ def _doubt(pole: OrderPole, error: float, zeta_error: float, every: Poles) -> st
         and not proof.flanked
         and (proof.most_rows < NUMBERS.rows_of_turn or zeta_error > NUMBERS.known_alone_share * zeta)
     ):
-        name = f"{proof.passed[0]:g}"
-        said.append(f"passed by order {name} alone, at {proof.most_rows} speeds: its force may peak there")
+        said.append(f"passed by order {proof.passed[0]:g} alone, at {proof.most_rows} speeds: its force may peak there")
     elif len(proof.passed) == 1 and proof.rung_by:
-        before = ", ".join(f"{order:g}" for order in proof.rung_by)
+        before = _listed(proof.rung_by)
         said.append(f"passed by order {proof.passed[0]:g} alone, while it would still ring from order {before}")
     elif len(proof.passed) > 1 and not is_proven(proof):
         said.append("too few speeds lie near it: a force that differs at one of them looks the same")

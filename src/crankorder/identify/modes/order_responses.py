@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from crankorder.identify.found import OrderResponse
 from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
 from crankorder.identify.modes.order_terms import (
+    Passage,
     beyond,
     beyond_law,
     force,
     grown_by,
     of_squares,
-    orthonormal,
+    qr_by_channel,
     resonance,
     resonance_slopes,
     scatter_of,
     smooth_shapes,
 )
-from crankorder.identify.modes.passage import Passage
-from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, fit_surface
+from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, SurfaceFit, fit_surface, parameters_of
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
@@ -49,11 +51,24 @@ MOST_ROUNDS, MOST_TURNS = 3, 8
 MOST_KEPT = 64
 """Columns along a sweep that are kept."""
 
+Kept = TypeVar("Kept")
+
 OF_ROWS = ("span_rpm", "shapes", "ends_hz", "size", "rows", "fewest_rows", "measured", "_steady")
 """What a :class:`Block` works out of its rows alone, whatever its law and scatter."""
 
-OF_LAW = ("growth", "_designs", "_driven")
+OF_LAW = ("growth", "_designs", "driven")
 """What it works out of its rows and its law, whatever its scatter."""
+
+
+def _latest(block: Block, kind: str, arguments: tuple[NDArray[Any], ...], compute: Callable[[], Kept]) -> Kept:
+    """What ``compute`` gives for these ``arguments``; the latest of each ``kind`` is kept with the ``block``."""
+    kept = block.__dict__.setdefault(kind, {})
+    key = b"".join(values.tobytes() for values in arguments)
+    if key not in kept:
+        latest = compute()
+        kept.clear()
+        kept[key] = latest
+    return cast(Kept, kept[key])
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,31 +107,15 @@ class Block:
     made: dict[tuple[object, ...], tuple[Complexes, ...]] = field(default_factory=dict, repr=False)
     rung: dict[tuple[object, ...], Complexes] = field(default_factory=dict, repr=False)
 
-    def varied(
-        self,
-        *,
-        exponent: float | None = None,
-        law: tuple[complex, ...] | None = None,
-        degree: int | None = None,
-        scatter: float | None = None,
-        noise: float | None = None,
-    ) -> Block:
-        """The block with another ``exponent``, ``law``, ``degree``, ``scatter`` or ``noise``.
+    def varied(self, **changes: Any) -> Block:
+        """The block with ``changes`` of its ``exponent``, ``law``, ``degree``, ``scatter`` or ``noise``.
 
         What is worked out of the rest is kept.
         """
-        made = replace(
-            self,
-            exponent=self.exponent if exponent is None else exponent,
-            law=self.law if law is None else law,
-            degree=self.degree if degree is None else degree,
-            scatter=self.scatter if scatter is None else scatter,
-            noise=self.noise if noise is None else noise,
-        )
-        same_law = exponent is None and law is None and degree is None
-        kept = OF_ROWS + OF_LAW if same_law else OF_ROWS
-        made.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
-        return made
+        block = replace(self, **changes)
+        kept = OF_ROWS if changes.keys() & {"exponent", "law", "degree"} else OF_ROWS + OF_LAW
+        block.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
+        return block
 
     @cached_property
     def span_rpm(self) -> tuple[float, float]:
@@ -192,26 +191,15 @@ class Block:
         square = np.asarray(size**2 - 2.0 * noise**2, dtype=np.complex128)
         return replace(self, amplitude=square, error=beats, power=True, sign_free=False, scatter=2.0 * self.scatter)
 
-    def turned_above(self, frequency_hz: float) -> Block:
-        """The block with the other sign in the rows above ``frequency_hz``: a resonance there turns the phase."""
-        sign = np.where(self.frequency_hz > frequency_hz, -1.0, 1.0)
-        return replace(self, amplitude=self.amplitude * sign)
-
-    def of(self, channels: Ints) -> Block:
-        """The block of some ``channels`` (numbers) alone."""
-        names = tuple(self.channels[number] for number in channels.tolist())
-        amplitude, error = self.amplitude[channels], self.error[channels]
-        return replace(self, channels=names, amplitude=amplitude, error=error, as_read=None)
-
     def reached(self, poles: Poles) -> Ints:
         """Numbers of the ``poles`` that the order sweeps through or near, the nearest where its rows are few."""
         low, high = NUMBERS.reach_shares[0] * self.ends_hz[0], NUMBERS.reach_shares[1] * self.ends_hz[1]
-        found = np.flatnonzero((poles.frequency_hz >= low) & (poles.frequency_hz <= high) & ~poles.tone)
+        reached = np.flatnonzero((poles.frequency_hz >= low) & (poles.frequency_hz <= high) & ~poles.tone)
         room = max(0, (self.fewest_rows - 1 - self.degree - NUMBERS.spare_amplitudes) // self.columns_per_mode)
-        if len(found) > room:
-            away = np.abs(np.log(poles.frequency_hz[found, None] / self.frequency_hz)).min(axis=1)
-            found = np.sort(found[np.argsort(away, kind="stable")[:room]])
-        return found
+        if len(reached) > room:
+            away = np.abs(np.log(poles.frequency_hz[reached, None] / self.frequency_hz)).min(axis=1)
+            reached = np.sort(reached[np.argsort(away, kind="stable")[:room]])
+        return reached
 
     def smooth(self) -> Complexes:
         """Columns (K, degree + 1) of what is smooth."""
@@ -222,22 +210,11 @@ class Block:
 
         ``natural_hz`` and ``damping`` (M,): of the modes.
         """
-        key = natural_hz.tobytes() + damping.tobytes()
-        made = self._designs.get(key)
-        if made is None:
-            made = np.concatenate([self.smooth(), self.modal(natural_hz, damping)], axis=1)
-            self._designs.clear()
-            self._designs[key] = made
-        return made
 
-    @cached_property
-    def _designs(self) -> dict[bytes, Complexes]:
-        return {}
+        def columns() -> Complexes:
+            return np.concatenate([self.smooth(), self.modal(natural_hz, damping)], axis=1)
 
-    @cached_property
-    def projections(self) -> dict[bytes, Projected]:
-        """The block as projected with the poles that were asked for last."""
-        return {}
+        return _latest(self, "_designs", (natural_hz, damping), columns)
 
     def modal(self, natural_hz: Floats, damping: Floats) -> Complexes:
         """Columns (K, M · columns per mode) of modes with ``natural_hz`` and ``damping`` (M,)."""
@@ -245,20 +222,14 @@ class Block:
             return self._along(natural_hz, damping, 0)
         return np.asarray(self.growth[:, None] * self._held(natural_hz, damping))
 
-    @cached_property
-    def _steady(self) -> dict[bytes, Complexes]:
-        return {}
-
     def _held(self, natural_hz: Floats, damping: Floats) -> Complexes:
         """Columns of :meth:`modal` at speeds that are held, behind a steady force; those made last are kept."""
-        key = natural_hz.tobytes() + damping.tobytes()
-        made = self._steady.get(key)
-        if made is None:
+
+        def columns() -> Complexes:
             h: Complexes = resonance(self.frequency_hz, natural_hz, damping)
-            made = of_squares(h, self._ratio(natural_hz)) if self.power else h
-            self._steady.clear()
-            self._steady[key] = made
-        return made
+            return of_squares(h, self._ratio(natural_hz)) if self.power else h
+
+        return _latest(self, "_steady", (natural_hz, damping), columns)
 
     def modal_slopes(self, natural_hz: Floats, damping: Floats) -> tuple[Complexes, Complexes]:
         """Derivatives of :meth:`modal` by ln f_j and by ln ζ_j.
@@ -280,7 +251,7 @@ class Block:
         return np.asarray(self.frequency_hz[:, None] / natural_hz)
 
     @cached_property
-    def _driven(self) -> Complexes:
+    def driven(self) -> Complexes:
         """Force (T,) along the passage."""
         assert self.passage is not None
         return force(self.passage.speed_rpm, self.span_rpm, self.reference_rpm, self.exponent, self.law)
@@ -288,15 +259,15 @@ class Block:
     def _along(self, natural_hz: Floats, damping: Floats, which: int) -> Complexes:
         """Columns along the sweep, or their slope by ln f (1) or ln ζ (2); those made before are kept."""
         assert self.passage is not None
-        made = np.empty((len(self.frequency_hz), len(natural_hz)), dtype=np.complex128)
+        columns = np.empty((len(self.frequency_hz), len(natural_hz)), dtype=np.complex128)
         for number, pole in enumerate(zip(natural_hz.tolist(), damping.tolist(), strict=True)):
             key = (*pole, self.exponent, self.law)
             if len(self.made.get(key, ())) <= which:
                 while len(self.made) >= MOST_KEPT:
                     self.made.pop(next(iter(self.made)))
-                self.made[key] = self.passage.response(self._driven, *pole, slopes=which > 0)
-            made[:, number] = self.made[key][which]
-        return made
+                self.made[key] = self.passage.response(self.driven, *pole, slopes=which > 0)
+            columns[:, number] = self.made[key][which]
+        return columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,6 +330,11 @@ class Projected:
         outer = self.scale[:, :, None] * self.scale[:, None, :]
         return np.asarray(inverse @ np.swapaxes(inverse, 1, 2).conj() / outer)
 
+    @property
+    def beyond_errors(self) -> float:
+        """What the squares that are left are over those expected; 1 or more."""
+        return max(1.0, self.chi2 / max(self.degrees_of_freedom, 1))
+
     @cached_property
     def solve(self) -> Complexes:
         """Inverse (C, terms, terms) of the triangle: it takes what lies along the basis to the scaled linear terms."""
@@ -372,13 +348,11 @@ def project(block: Block, poles: Poles) -> Projected:
     """
     reached = block.reached(poles)
     natural_hz, damping = poles.frequency_hz[reached], poles.damping[reached]
-    key = reached.tobytes() + natural_hz.tobytes() + damping.tobytes()
-    made = block.projections.get(key)
-    if made is None:
-        made = _eliminated(block, reached, block.design(natural_hz, damping))
-        block.projections.clear()
-        block.projections[key] = made
-    return made
+
+    def eliminated() -> Projected:
+        return _eliminated(block, reached, block.design(natural_hz, damping))
+
+    return _latest(block, "_projections", (reached, natural_hz, damping), eliminated)
 
 
 def _eliminated(block: Block, reached: Ints, design: Complexes) -> Projected:
@@ -387,7 +361,7 @@ def _eliminated(block: Block, reached: Ints, design: Complexes) -> Projected:
     weighted = design.T * weight[:, None]
     scale = np.maximum(np.linalg.norm(weighted, axis=2), 1e-300)
     weighted /= scale[..., None]
-    basis, triangle = orthonormal(np.swapaxes(weighted, 1, 2))
+    basis, triangle = qr_by_channel(np.swapaxes(weighted, 1, 2))
     measured = block.measured * weight
     along = (np.swapaxes(basis, 1, 2).conj() @ measured[..., None])[..., 0]
     left = measured - (basis @ along[..., None])[..., 0]
@@ -408,19 +382,18 @@ def jacobian(block: Block, poles: Poles, part: Projected) -> Floats:
     linear = part.linear[:, block.degree + 1 :]
     turned: Complexes = np.empty((*block.amplitude.shape, 2 * len(reached)), dtype=np.complex128)
     for offset, slope in enumerate(block.modal_slopes(poles.frequency_hz[reached], poles.damping[reached])):
-        made = slope[None] * linear[:, None]
-        turned[..., offset::2] = made.reshape(*made.shape[:2], len(reached), per).sum(axis=3)
+        by_pole = slope[None] * linear[:, None]
+        turned[..., offset::2] = by_pole.reshape(*by_pole.shape[:2], len(reached), per).sum(axis=3)
     turned *= block.weight[..., None]
     turned = beyond(part.basis, turned)
     if part.degrees_of_freedom >= ORDER_TERMS.enough_degrees_of_freedom:
-        turned = beyond_law(turned, bent(block, part, max(len(block.law), 1)), power=block.power)
-    places = np.stack([2 * reached, 2 * reached + 1], axis=1).ravel()
-    every[:, places] = as_real(turned, block)
+        turned = beyond_law(turned, force_slopes(block, part, max(len(block.law), 1)), power=block.power)
+    every[:, parameters_of(reached)] = as_real(turned, block)
     return every
 
 
-def bent(block: Block, part: Projected, degree: int) -> Complexes:
-    """Derivatives (C, K, ``degree``) of ``block`` by the law of its force, less what linear terms of ``part`` take."""
+def force_slopes(block: Block, part: Projected, degree: int) -> Complexes:
+    """Derivatives (C, K, ``degree``) of ``block`` by the law of its force, beyond the linear terms of ``part``."""
     fitted = block.measured * block.weight - part.left
     bends = fitted[..., None] * block.shapes_to(degree)[:, 1:] * (2.0 if block.power else 1.0)
     return beyond(part.basis, bends)
@@ -432,8 +405,8 @@ def as_real(values: Complexes, block: Block) -> Floats:
     return np.asarray(rows.real if block.power else np.concatenate([rows.real, rows.imag]))
 
 
-def missed(block: Block, part: Projected) -> float:
-    """Twice the negative log likelihood of ``block`` as projected (``part``), up to a constant."""
+def deviance_of(block: Block, part: Projected) -> float:
+    """Minus twice the log likelihood of ``block`` as projected (``part``), up to a constant."""
     weight = block.weight
     return block.parts * -2.0 * float(np.log(weight[weight > 0.0]).sum()) + part.chi2
 
@@ -502,7 +475,7 @@ def with_best_law(block: Block, poles: Poles) -> Block:
             trial = with_bent_law(trial, poles)
         trial, part = with_scatter(trial, poles)
         terms = block.parts * (len(block.channels) * (trial.degree + 1) + bends)
-        new = missed(trial, part) + terms * float(np.log(block.parts * int(block.rows.sum())))
+        new = deviance_of(trial, part) + terms * float(np.log(block.parts * int(block.rows.sum())))
         if new < cost:
             best, cost = trial, new
         if best.scatter <= ORDER_TERMS.least_scatter:
@@ -515,7 +488,7 @@ def with_bent_law(block: Block, poles: Poles) -> Block:
     if not block.law:
         return block
     part = project(block, poles)
-    bends = bent(block, part, len(block.law))
+    bends = force_slopes(block, part, len(block.law))
     rows, left = bends.reshape(-1, len(block.law)), part.left.ravel()
     solved = (
         np.linalg.lstsq(rows.real, left.real, rcond=1e-6) if block.power else np.linalg.lstsq(rows, left, rcond=1e-6)
@@ -546,37 +519,37 @@ def fitting(
 
 def responses_of(blocks: Sequence[Block], modes: Poles) -> tuple[OrderResponse, ...]:
     """OrderResponse of each channel of ``blocks`` that have phases, for the ``modes``."""
-    made = []
+    responses = []
     for block in blocks:
         if block.power:
             continue
-        item, part = with_scatter(block, modes)
-        first = item.degree + 1
-        linear, covariance = part.linear, part.covariance * max(1.0, part.chi2 / max(part.degrees_of_freedom, 1))
-        slopes = _terms_by_poles(item, modes, part)
-        for number, channel in enumerate(item.channels):
+        scattered, part = with_scatter(block, modes)
+        first = scattered.degree + 1
+        linear, covariance = part.linear, part.covariance * part.beyond_errors
+        slopes = _terms_by_poles(scattered, modes, part)
+        for number, channel in enumerate(scattered.channels):
             residue = np.zeros(len(modes), dtype=complex)
             residue[part.reached] = linear[number, first:]
-            made.append(
+            responses.append(
                 OrderResponse(
-                    item.order,
+                    scattered.order,
                     channel,
-                    item.exponent,
-                    item.law,
-                    item.reference_rpm,
-                    item.span_rpm,
+                    scattered.exponent,
+                    scattered.law,
+                    scattered.reference_rpm,
+                    scattered.span_rpm,
                     np.asarray(linear[number, :first], dtype=np.complex128),
                     residue,
                     part.reached,
                     np.asarray(covariance[number], dtype=np.complex128),
-                    part.degrees_of_freedom // len(item.channels),
-                    item.noise * float(np.median(item.error[number][np.isfinite(item.error[number])])),
-                    part.degrees_of_freedom > 0 and item.scatter <= NUMBERS.most_scatter,
-                    item.recording,
+                    part.degrees_of_freedom // len(scattered.channels),
+                    scattered.noise * float(np.median(scattered.error[number][np.isfinite(scattered.error[number])])),
+                    part.degrees_of_freedom > 0 and scattered.scatter <= NUMBERS.most_scatter,
+                    scattered.recording,
                     slopes[number],
                 )
             )
-    return tuple(made)
+    return tuple(responses)
 
 
 def _terms_by_poles(block: Block, poles: Poles, part: Projected) -> Complexes:
@@ -585,12 +558,12 @@ def _terms_by_poles(block: Block, poles: Poles, part: Projected) -> Complexes:
     The terms are those that explain best what was measured, wherever the poles are. ``part``: the block as projected.
     """
     reached = part.reached
-    made = np.zeros((*part.linear.shape, 2 * len(reached)), dtype=np.complex128)
+    bent = np.zeros((*part.linear.shape, 2 * len(reached)), dtype=np.complex128)
     if not len(reached):
-        return made
+        return bent
     residue = part.linear[:, None, block.degree + 1 :]
     adjoint = np.swapaxes(part.basis, 1, 2).conj()
     for offset, slope in enumerate(block.modal_slopes(poles.frequency_hz[reached], poles.damping[reached])):
         turned = slope[None] * residue * block.weight[..., None]
-        made[..., offset::2] = -(part.solve @ (adjoint @ turned)) / part.scale[..., None]
-    return made
+        bent[..., offset::2] = -(part.solve @ (adjoint @ turned)) / part.scale[..., None]
+    return bent

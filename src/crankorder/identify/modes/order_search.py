@@ -6,16 +6,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from crankorder.identify.found import Swing
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
-from crankorder.identify.modes.order_modes import OrderPole, Proof, named
+from crankorder.identify.modes.order_modes import OrderPole, Proof, named, swings_of, without_ringing
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import (
     Block,
     Blocks,
     Projected,
-    missed,
+    deviance_of,
     project,
     with_bent_law,
     with_best_law,
@@ -23,10 +24,9 @@ from crankorder.identify.modes.order_responses import (
 )
 from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
 from crankorder.identify.modes.pole_errors import order_pole_covariance
-from crankorder.identify.modes.ringing import swings_of, without_ringing
-from crankorder.identify.modes.surface_fit import NO_POLES, Poles
+from crankorder.identify.modes.surface_fit import Poles, poles_at
 from crankorder.quantities import Complexes, Floats, Ints
-from crankorder.settings import MethodNumbers
+from crankorder.settings import IdentifySettings, MethodNumbers
 
 
 class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_search"):
@@ -83,7 +83,7 @@ class Prior:
     @classmethod
     def of(cls, poles: Poles, covariance: Floats) -> Prior:
         """Of ``poles`` whose (f_1, ζ_1, f_2, …) have the ``covariance`` (2 P, 2 P)."""
-        place = np.log(np.stack([poles.frequency_hz, poles.damping], axis=1))
+        place = np.log(poles.values)
         spread = np.sqrt(np.maximum(np.diag(covariance).reshape(-1, 2), 0.0)) / np.exp(place)
         # what the floor takes for random may have rung from a start: its widths are not believed further
         least = np.stack(
@@ -94,7 +94,7 @@ class Prior:
     def rows(self, poles: Poles) -> tuple[Floats, Floats]:
         """Jacobian (2 P, 2 M) and residual (2 P,) of ``poles``, of which these are the first."""
         count = len(self.place)
-        now = np.log(np.stack([poles.frequency_hz, poles.damping], axis=1))[:count]
+        now = np.log(poles.values)[:count]
         slopes = np.zeros((2 * count, 2 * len(poles)))
         slopes[np.arange(2 * count), np.arange(2 * count)] = 1.0 / self.error.ravel()
         return slopes, ((self.place - now) / self.error).ravel()
@@ -112,8 +112,7 @@ def poles_of_orders(
     known: Poles,
     covariance: Floats,
     *,
-    chance: float,
-    most_damping: float,
+    settings: IdentifySettings,
     most_poles: int | None = None,
 ) -> tuple[tuple[Block, ...], tuple[OrderPole, ...], bool]:
     """``blocks`` with their laws and scatter, the poles beyond the ``known`` ones that they ask for; whether these end.
@@ -122,13 +121,14 @@ def poles_of_orders(
 
     One pole after the other is taken where it explains most that is left of all orders and channels, and moved with all
     others to where the likelihood is largest, the known ones within their ``covariance`` (of f_1, ζ_1, f_2, …). Those
-    are kept in the end that save more than the false-alarm level ``chance`` would let noise save at any of the
-    frequencies tried: while others are missing, what one explains hides in what they leave. ``most_damping`` is the
-    largest damping ratio, ``most_poles`` how many are looked for at most, if not the usual number. Each order has the
+    are kept in the end that save more than the false-alarm level of the ``settings`` would let noise save at any of the
+    frequencies tried: while others are missing, what one explains hides in what they leave. ``settings`` also state the
+    largest damping ratio; ``most_poles`` says how many are looked for, if not the usual number. Each order has the
     scatter that is left of it, so that a force which only varies from speed to speed makes no pole.
     """
     if not blocks:
         return (), (), True
+    chance, most_damping = settings.false_alarm_probability, settings.max_damping_ratio
     prior = Prior.of(known, covariance)
     blocks = sorted(blocks, key=lambda block: -float(np.max(block.size / block.error)))[: NUMBERS.most_blocks]
     most = NUMBERS.most_poles if most_poles is None else most_poles
@@ -146,8 +146,8 @@ def poles_of_orders(
     state = _pruned(state, chance=chance)
     if len(asked) < len(blocks):
         state = Fitted.of([with_best_law(block, state.poles) for block in blocks], state.poles, prior).moved()
-    found = range(len(known), len(state.poles))
-    poles = tuple(named(state.blocks, state.projected, state.poles, number) for number in found)
+    new = range(len(known), len(state.poles))
+    poles = tuple(named(state.blocks, state.projected, state.poles, number) for number in new)
     return state.blocks, poles, more is None
 
 
@@ -155,7 +155,7 @@ def _unlike(blocks: Sequence[Block]) -> list[Block]:
     """Those of ``blocks``, of sweeps the first that passes through the frequencies where an order runs again."""
     kept: list[Block] = []
     for block in blocks:
-        (low, high), again = block.ends_hz, [one.ends_hz for one in kept if one.order == block.order]
+        (low, high), again = block.ends_hz, [other.ends_hz for other in kept if other.order == block.order]
         reach = SAME_SWEEP * (high - low)
         if block.passage is None or not any(ends[0] <= low + reach and ends[1] >= high - reach for ends in again):
             kept.append(block)
@@ -177,29 +177,27 @@ class Settled:
     swings: tuple[Swing, ...]
 
 
-def settled(blocks: Sequence[Block], known: Poles, found: Sequence[OrderPole], *, chance: float) -> Settled:
-    """``blocks`` behind the ``known`` poles and the ``found`` ones, which are moved once more behind those.
+def settled(blocks: Sequence[Block], known: Poles, candidates: Sequence[OrderPole], *, chance: float) -> Settled:
+    """``blocks`` behind the ``known`` poles and the ``candidates`` ones, which are moved once more behind those.
 
     Channels share what an order's force varies by: their residuals are as alike as they are seen to be. Of sweeps,
     poles that no order shows are left out, and so are those that came to lie beside another one and save no more than
     the false-alarm level ``chance`` would let noise save.
     """
-    free = NO_POLES
-    for item in found:
-        free = free.with_pole(item.frequency_hz, item.damping)
-    state = Fitted.of(blocks, known.joined(free), NO_PRIOR)
+    free = poles_at((pole.frequency_hz, pole.damping) for pole in candidates)
+    state = Fitted.of(blocks, known.joined(free.chosen(free.rank)), NO_PRIOR)
     if len(free):
         state = state.moved(fixed=len(known))
     every = [named(state.blocks, state.projected, state.poles, number) for number in range(len(state.poles))]
-    shown = [item for item in every[len(known) :] if item.proof.orders]
-    if len(shown) < len(found) and any(block.passage is not None for block in blocks):
+    shown = [pole for pole in every[len(known) :] if pole.proof.orders]
+    if len(shown) < len(candidates) and any(block.passage is not None for block in blocks):
         # what none shows took a part of what the others ring on with
         return settled(state.blocks, known, shown, chance=chance)
     for number in range(len(known), len(state.poles)):
         if _is_beside(state.poles, number) and not _without(state, number, chance=chance)[1]:
-            rest = [item for at, item in enumerate(every[len(known) :], len(known)) if at != number]
+            rest = [pole for at, pole in enumerate(every[len(known) :], len(known)) if at != number]
             return settled(state.blocks, known, rest, chance=chance)
-    proofs = tuple(item.proof for item in every[: len(known)])
+    proofs = tuple(pole.proof for pole in every[: len(known)])
     swings = swings_of(state.blocks, state.projected, state.poles)
     covariance = order_pole_covariance(state.blocks, state.projected, state.poles, fixed=len(known))
     return Settled(state.blocks, proofs, tuple(every[len(known) :]), covariance, swings)
@@ -227,7 +225,9 @@ class Fitted:
         """State of ``blocks`` behind ``poles`` with their ``prior``."""
         pairs = [with_scatter(block, poles) for block in blocks]
         left = without_ringing([block for block, _ in pairs], [part for _, part in pairs], poles)
-        pairs = [pair if one is pair[0] else with_scatter(one, poles) for one, pair in zip(left, pairs, strict=True)]
+        pairs = [
+            pair if block is pair[0] else with_scatter(block, poles) for block, pair in zip(left, pairs, strict=True)
+        ]
         return cls(tuple(block for block, _ in pairs), tuple(part for _, part in pairs), poles, prior)
 
     def moved(self, *, fixed: int = 0) -> Fitted:
@@ -242,9 +242,9 @@ class Fitted:
 
     def with_pole(self, start: tuple[float, float]) -> Fitted:
         """With one pole more, near a ``start`` (Hz, damping ratio), the others staying where they are."""
-        more = self.poles.joined(NO_POLES.with_pole(*start))
-        told = [_told_with(block, more, start[0]) for block in self.blocks]
-        return Fitted.of(told, more, self.prior).moved(fixed=len(self.poles))
+        more = self.poles.joined(poles_at([start]))
+        blocks = [_refitted_with(block, more, start[0]) for block in self.blocks]
+        return Fitted.of(blocks, more, self.prior).moved(fixed=len(self.poles))
 
     @property
     def misses(self) -> float:
@@ -261,7 +261,7 @@ class Fitted:
 
         And, of what must be ``clear``, where noise may have made it.
         """
-        made = []
+        shares = []
         for block, part in zip(self.blocks, self.projected, strict=True):
             left = np.abs(part.left) / np.where(block.weight > 0.0, block.weight, np.inf)
             size = np.sqrt(block.size) if block.power else block.size
@@ -269,8 +269,8 @@ class Fitted:
             counts = size > NUMBERS.matters_share * size.max()
             if clear:
                 counts &= left > NUMBERS.clear_sigmas * block.noise * block.error
-            made.append(np.where(counts, share, 0.0))
-        return made
+            shares.append(np.where(counts, share, 0.0))
+        return shares
 
     def saves(self, less: Fitted) -> float:
         """What the poles save of twice the negative log likelihood over ``less``, as of the freedom that is left."""
@@ -283,19 +283,20 @@ class Fitted:
             share = max(many.degrees_of_freedom, 0) / (after.parts * int(after.rows.sum()))
             if after.passage is not None:
                 share *= _independent_share(many)
-            saved += (missed(before, few) - missed(after, many)) * share
+            saved += (deviance_of(before, few) - deviance_of(after, many)) * share
         return saved
 
 
-def _told_with(block: Block, poles: Poles, frequency_hz: float) -> Block:
+def _refitted_with(block: Block, poles: Poles, frequency_hz: float) -> Block:
     """``block`` with law and signs told anew where a pole that is new among ``poles``, at ``frequency_hz``, hid them.
 
     Signs stay as they are, or turn at that frequency: what the poles fit better.
     """
-    passed = float(block.frequency_hz.min()) < frequency_hz < float(block.frequency_hz.max())
+    passed = block.ends_hz[0] < frequency_hz < block.ends_hz[1]
     if passed and block.sign_free:
-        both = [with_scatter(one, poles) for one in (block, block.turned_above(frequency_hz))]
-        block = min(both, key=lambda pair: missed(*pair))[0]
+        sign = np.where(block.frequency_hz > frequency_hz, -1.0, 1.0)  # a resonance there turns the phase
+        both = [with_scatter(choice, poles) for choice in (block, replace(block, amplitude=block.amplitude * sign))]
+        block = min(both, key=lambda pair: deviance_of(*pair))[0]
     if block.scatter <= NUMBERS.well_laid_scatter or block.passage is not None or not passed:
         return with_bent_law(block, poles)  # the rows of a sweep are many: a step does
     return with_best_law(block, poles)
@@ -311,16 +312,10 @@ class Tried:
     @classmethod
     def of(cls, blocks: Sequence[Block]) -> Tried:
         """Starts as far as the rows of any of ``blocks`` reach."""
-        low = min(float(block.frequency_hz.min()) for block in blocks)
-        high = max(float(block.frequency_hz.max()) for block in blocks)
+        low, high = min(block.ends_hz[0] for block in blocks), max(block.ends_hz[1] for block in blocks)
         counts = [max(2, int(np.ceil(np.log(1.06 * high / low) / zeta))) for zeta in TRIED_DAMPING]
         frequency = [np.geomspace(0.97 * low, 1.03 * high, count) for count in counts]
         return cls(np.concatenate(frequency), np.repeat(TRIED_DAMPING, counts))
-
-    @classmethod
-    def near(cls, frequency_hz: float) -> Tried:
-        """Light resonances at ``frequency_hz``."""
-        return cls(np.full(len(LIGHT), frequency_hz), np.array(LIGHT))
 
 
 def _more(state: Fitted, tried: Tried, *, chance: float, most_damping: float) -> tuple[Fitted | None, int]:
@@ -357,10 +352,9 @@ def _one_more(state: Fitted, tried: Tried, *, most_damping: float) -> tuple[Fitt
         f, zeta = float(tried.frequency_hz[at]), float(tried.damping[at])
         gains[np.abs(np.log(tried.frequency_hz / f)) < 2.0 * zeta] = 0.0
         trial, followed = state.with_pole((f, zeta)), followed + 1
-        saved = trial.saves(state)
-        if saved > most and not moved_out(
-            trial.poles.chosen(np.arange(len(trial.poles)) == len(state.poles)), tried, most_damping
-        ):
+        saved, (new_hz, new_damping) = trial.saves(state), trial.poles.values[len(state.poles)]
+        inside = tried.frequency_hz.min() <= new_hz <= tried.frequency_hz.max() and new_damping <= most_damping
+        if saved > most and inside:
             best, most = trial, saved
     return None if best is None else best.moved(), followed
 
@@ -371,16 +365,14 @@ def orders_raised(blocks: Sequence[Block], poles: Poles, frequency_hz: float) ->
     More than noise beside the ``poles`` makes them, with a light resonance tried there; or to twice what they are on
     both sides, where rows are too far apart for that.
     """
-    from scipy.special import chdtri
-
-    tried = Tried.near(frequency_hz)
-    found = []
+    tried = Tried(np.full(len(LIGHT), frequency_hz), np.array(LIGHT))
+    raised = []
     for block in blocks:
         gains = _gains(Fitted.of((block,), poles, NO_PRIOR), tried)
         proven = float(gains.max()) > float(chdtri(2.0 + 2.0 * len(block.channels), ORDER_MODES.proof_chance))
         if proven or _stands_out(block, frequency_hz):
-            found.append(block.order)
-    return tuple(dict.fromkeys(found))
+            raised.append(block.order)
+    return tuple(dict.fromkeys(raised))
 
 
 def _stands_out(block: Block, frequency_hz: float) -> bool:
@@ -398,13 +390,6 @@ def _stands_out(block: Block, frequency_hz: float) -> bool:
     return bool((size[:, near].max(axis=1) > NUMBERS.rises_ratio * size[:, sides].max(axis=1)).any())
 
 
-def moved_out(poles: Poles, tried: Tried, most_damping: float) -> bool:
-    """Whether any of ``poles`` left the frequencies ``tried``, or is damped by more than ``most_damping``."""
-    low, high = float(tried.frequency_hz.min()), float(tried.frequency_hz.max())
-    outside = (poles.frequency_hz < low) | (poles.frequency_hz > high) | (poles.damping > most_damping)
-    return bool(outside.any())
-
-
 def _gains(state: Fitted, tried: Tried) -> Floats:
     """What a pole at each start would save, beyond what noise saves, summed over orders and channels.
 
@@ -414,7 +399,7 @@ def _gains(state: Fitted, tried: Tried) -> Floats:
     for block, part in zip(state.blocks, state.projected, strict=True):
         if block.rows.min() < NUMBERS.fewest_rows or part.degrees_of_freedom < 4:
             continue
-        low, high = float(block.frequency_hz.min()), float(block.frequency_hz.max())
+        low, high = block.ends_hz
         near = np.flatnonzero((tried.frequency_hz > 0.97 * low) & (tried.frequency_hz < 1.03 * high))
         settled = block.scatter < NUMBERS.felt_error_share
         if settled:
@@ -422,7 +407,10 @@ def _gains(state: Fitted, tried: Tried) -> Floats:
             part = project(block, state.poles)
         else:
             block, part = _anew(block, part, state.poles)
-        columns = replace(block, passage=None).modal(tried.frequency_hz[near], _widened(block, tried, near))
+        natural, damping = tried.frequency_hz[near], tried.damping[near]
+        if block.passage is not None:  # as wide as a sweep makes a resonance look
+            damping = np.maximum(damping, block.passage.blurred_hz / natural)
+        columns = replace(block, passage=None).modal(natural, damping)
         degrees_of_freedom = max(part.degrees_of_freedom / len(block.channels) - 2.0, 0.0)
         explained = _explained(columns, block.weight, part, block.columns_per_mode)
         left = np.maximum(np.sum(np.abs(part.left) ** 2, axis=1), 1e-300)[:, None]
@@ -450,21 +438,13 @@ def _explained(columns: Complexes, weight: Floats, part: Projected, per: int) ->
     seen = (np.swapaxes(part.basis, 1, 2).conj() * weight[:, None]) @ columns
     whole, along = weight**2 @ np.abs(columns) ** 2, (part.left.conj() * weight) @ columns
     norm = np.maximum(whole - np.sum(np.abs(seen) ** 2, axis=1), 1e-9 * whole + 1e-300)
-    made = np.abs(along[:, ::per]) ** 2 / norm[:, ::per]
+    explained = np.abs(along[:, ::per]) ** 2 / norm[:, ::per]
     if per == 1:
-        return np.asarray(made)
+        return np.asarray(explained)
     both = weight**2 @ (columns[:, ::2].conj() * columns[:, 1::2])
     both -= (seen[..., ::2].conj() * seen[..., 1::2]).sum(axis=1)
     rest = np.maximum(norm[:, 1::2] - np.abs(both) ** 2 / norm[:, ::2], 1e-6 * norm[:, 1::2])
-    return np.asarray(made + np.abs(along[:, 1::2] - along[:, ::2] * both / norm[:, ::2]) ** 2 / rest)
-
-
-def _widened(block: Block, tried: Tried, near: Ints) -> Floats:
-    """Damping ratios of the starts ``near``, as wide as a sweep makes a resonance look."""
-    damping = tried.damping[near]
-    if block.passage is None:
-        return np.asarray(damping)
-    return np.asarray(np.maximum(damping, block.passage.blurred_hz / tried.frequency_hz[near]))
+    return np.asarray(explained + np.abs(along[:, 1::2] - along[:, ::2] * both / norm[:, ::2]) ** 2 / rest)
 
 
 def _moved(joint: Blocks, free: Poles, prior: Prior) -> Poles:
@@ -505,8 +485,6 @@ def _limit(blocks: Sequence[Block], chance: float, number: int = 1) -> float:
 
     Each has two numbers of its own and two for each order and channel.
     """
-    from scipy.special import chdtri
-
     degrees_of_freedom = number * (2.0 + 2.0 * sum(len(block.channels) for block in blocks))
     return float(chdtri(degrees_of_freedom, chance / NUMBERS.independent_trials**number))
 
@@ -519,13 +497,13 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
     """
     first = number = len(state.prior.place)
     for group in _neighbours(state.poles, first):
-        alone = _told_anew(state, state.poles.chosen(~np.isin(np.arange(len(state.poles)), group)))
+        alone = _refitted(state, state.poles.chosen(~np.isin(np.arange(len(state.poles)), group)))
         if state.accounts_for(alone) <= ORDER_MODES.felt_share:
             return _pruned(alone, chance=chance)
     while number < len(state.poles):
         fewer, needed = _without(state, number, chance=chance)
         if needed and _is_beside(state.poles, number):
-            fewer = _told_anew(state, fewer.poles)
+            fewer = _refitted(state, fewer.poles)
             needed = state.saves(fewer) > _limit(state.blocks, chance)
         if needed:
             number += 1
@@ -534,7 +512,7 @@ def _pruned(state: Fitted, *, chance: float) -> Fitted:
     return state
 
 
-def _told_anew(state: Fitted, poles: Poles) -> Fitted:
+def _refitted(state: Fitted, poles: Poles) -> Fitted:
     """``state`` with these ``poles`` where they and the laws of the forces fit best."""
     return Fitted.of([with_best_law(block, poles) for block in state.blocks], poles, state.prior).moved()
 

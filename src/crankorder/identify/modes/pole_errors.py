@@ -10,8 +10,8 @@ import numpy as np
 from crankorder.identify.intervals import Z95, half_widths
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import Block, Projected, jacobian
-from crankorder.identify.modes.surface_fit import Poles, Problem, SurfaceFit, curvature
-from crankorder.quantities import Bools, Floats
+from crankorder.identify.modes.surface_fit import Poles, Problem, SurfaceFit, inverse_curvature
+from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
 
 
@@ -63,13 +63,13 @@ def order_pole_covariance(blocks: Sequence[Block], parts: Sequence[Projected], p
         return np.zeros((size, size))
     curved = np.sum([cell.hessian for cell in orders], axis=0)
     inverse = np.asarray(np.linalg.pinv(curved, hermitian=True), dtype=np.float64)
-    made = inverse @ inner @ inverse
-    known = np.asarray(np.maximum(np.diag(made), 1e-300), dtype=np.float64)
-    scale = np.stack([poles.frequency_hz, poles.damping], axis=1).ravel()[own]
+    covariance = inverse @ inner @ inverse
+    known = np.asarray(np.maximum(np.diag(covariance), 1e-300), dtype=np.float64)
+    scale = poles.values.ravel()[own]
     more = np.sqrt(np.maximum(np.diag(inverse @ beside @ inverse) / known, 1.0))
     for cells in (orders, alone):
         more = np.maximum(more, disagreement(cells, inverse, known))
-    return np.asarray(made * np.outer(scale * more, scale * more))
+    return np.asarray(covariance * np.outer(scale * more, scale * more))
 
 
 def disagreement(cells: Sequence[Cell], inverse: Floats, known: Floats) -> Floats:
@@ -118,11 +118,6 @@ NEAR_BINS = 3
 
 NODES_AT_ONCE = 64
 """Points of the integral at which derivatives are joined over channels at a time."""
-
-
-def free_of(fit: SurfaceFit) -> Bools:
-    """Which of (ln f_1, ln ζ_1, …) the fit was free to move: not the damping of tones."""
-    return np.stack([np.ones(len(fit.poles), dtype=bool), ~fit.poles.tone], axis=1).ravel()
 
 
 def score_covariance(problem: Problem, fit: SurfaceFit, along: Floats) -> Floats:
@@ -218,19 +213,18 @@ def pole_covariance(problem: Problem, fit: SurfaceFit, *, scatter: Floats) -> Fl
     The sandwich of the fit's own curvature and the covariance of its score (White 1982).
     ``problem``: the floors that were fitted.
     """
-    free = free_of(fit)
+    free = fit.poles.free
     if not len(free):
         return np.zeros((0, 0))
-    inverse = np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True)
+    inverse = inverse_curvature(fit)
     inner = score_covariance(problem, fit, np.eye(len(free))[:, free])
     for j in fit.jacobian[len(problem.psd) :]:
         # channels may share the noise of an order's amplitude: as if all did
         inner = inner + len(problem.psd) * j[:, free].T @ j[:, free]
-    made = np.zeros((len(free), len(free)))
-    made[np.ix_(free, free)] = inverse @ inner @ inverse
-    scale = np.stack([fit.poles.frequency_hz, fit.poles.damping], axis=1).ravel()
-    scale *= np.sqrt(np.repeat(scatter, 2))
-    return np.asarray(made * np.outer(scale, scale))
+    covariance = np.zeros((len(free), len(free)))
+    covariance[np.ix_(free, free)] = inverse @ inner @ inverse
+    scale = fit.poles.values.ravel() * np.sqrt(np.repeat(scatter, 2))
+    return np.asarray(covariance * np.outer(scale, scale))
 
 
 def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Floats) -> Floats:
@@ -238,17 +232,14 @@ def covariance_of_all(problem: Problem, fit: SurfaceFit, *, scatter: Floats) -> 
 
     ``problem``: the floors that were fitted; ``fit`` and ``scatter`` (M,): as there.
     """
-    made = pole_covariance(problem, fit, scatter=scatter)
-    free = free_of(fit)
+    covariance, free = pole_covariance(problem, fit, scatter=scatter), fit.poles.free
     if not len(free):
-        return made
-    scale = np.stack([fit.poles.frequency_hz, fit.poles.damping], axis=1).ravel()
-    inverse = np.asarray(np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True), dtype=np.float64)
+        return covariance
     cells = [Cell(j[:, free].T @ j[:, free], j[:, free].T @ r) for j, r in zip(fit.jacobian, fit.residual, strict=True)]
-    known = np.asarray(np.maximum(np.diag(made)[free] / scale[free] ** 2, 1e-300))
-    more = np.ones(len(scale))
-    more[free] = disagreement(cells, inverse, known)
-    return np.asarray(made * np.outer(more, more))
+    known = np.asarray(np.maximum(np.diag(covariance)[free] / fit.poles.values.ravel()[free] ** 2, 1e-300))
+    more = np.ones(len(free))
+    more[free] = disagreement(cells, inverse_curvature(fit), known)
+    return np.asarray(covariance * np.outer(more, more))
 
 
 def side_by_side(parts: list[Floats]) -> Floats:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import chdtri
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.modes.floor import NUMBERS as FLOOR
 from crankorder.identify.modes.floor import Floor
-from crankorder.identify.modes.pole_errors import free_of, score_covariance
+from crankorder.identify.modes.pole_errors import score_covariance
 from crankorder.identify.modes.surface_fit import (
     NO_POLES,
     Poles,
@@ -17,8 +18,8 @@ from crankorder.identify.modes.surface_fit import (
     Range,
     SurfaceFit,
     background_columns,
-    curvature,
     fit_surface,
+    inverse_curvature,
     pole_columns,
 )
 from crankorder.quantities import Bools, Floats, Ints
@@ -95,27 +96,27 @@ def line_columns(floor: Floor) -> Floats:
     wander make of it, whatever their size.
     """
     step = 0.02 * floor.seen.bin_hz
-    made = np.zeros((3 * len(floor.strong), len(floor.frequency_hz)))
+    columns = np.zeros((3 * len(floor.strong), len(floor.frequency_hz)))
     top = float(floor.seen.kernel(np.zeros(1))[0])
     for number, (tone, _) in enumerate(floor.strong):
         away = floor.frequency_hz - tone + step * np.array([[-1.0], [0.0], [1.0]])
         low, middle, high = floor.seen.kernel(away) / top
-        made[3 * number] = middle
-        made[3 * number + 1] = (high - low) / 0.04
-        made[3 * number + 2] = (high - 2.0 * middle + low) / 0.02**2
-    return made
+        columns[3 * number] = middle
+        columns[3 * number + 1] = (high - low) / 0.04
+        columns[3 * number + 2] = (high - 2.0 * middle + low) / 0.02**2
+    return columns
 
 
 def ruled_by_lines(floor: Floor) -> Bools:
     """Which bins (C, F) of ``floor`` hold more of a strong tone than of all else."""
-    made = np.zeros(floor.psd.shape, dtype=bool)
+    ruled = np.zeros(floor.psd.shape, dtype=bool)
     columns = line_columns(floor)[::3]
     for (tone, _), column in zip(floor.strong, columns, strict=True):
         peak = np.abs(floor.frequency_hz - tone) <= floor.seen.bin_hz
         top = np.nan_to_num(floor.psd[:, peak] / column[peak]).mean(axis=1)
-        made |= top[:, None] * column > NUMBERS.rules_share * np.nan_to_num(floor.psd, nan=np.inf)
-        made[:, np.abs(floor.frequency_hz - tone) <= floor.seen.bin_hz] = True
-    return made
+        ruled |= top[:, None] * column > NUMBERS.rules_share * np.nan_to_num(floor.psd, nan=np.inf)
+        ruled[:, np.abs(floor.frequency_hz - tone) <= floor.seen.bin_hz] = True
+    return ruled
 
 
 def unsure_power(floor: Floor) -> Floats:
@@ -123,7 +124,7 @@ def unsure_power(floor: Floor) -> Floats:
 
     A line that wanders is smeared: where its power bends most over the frequency, it is least known.
     """
-    made = np.zeros(floor.psd.shape)
+    unsure = np.zeros(floor.psd.shape)
     away = np.array([-NUMBERS.wander_hz, 0.0, NUMBERS.wander_hz])
     for tone, _ in floor.strong:
         near = np.flatnonzero(np.abs(floor.frequency_hz - tone) <= 3 * NUMBERS.shadow_bins * floor.seen.bin_hz)
@@ -132,10 +133,10 @@ def unsure_power(floor: Floor) -> Floats:
         low, middle, high = floor.seen.kernel(floor.frequency_hz[near] - tone + away[:, None])
         smeared = np.abs(0.5 * (low + high) - middle) / float(floor.seen.kernel(np.zeros(1))[0])
         peak = near[np.abs(floor.frequency_hz[near] - tone) <= floor.seen.bin_hz]
-        made[:, near] += (
+        unsure[:, near] += (
             NUMBERS.smear_left_share * np.nan_to_num(floor.psd[:, peak]).max(axis=1, initial=0.0)[:, None] * smeared
         )
-    return made
+    return unsure
 
 
 def _offset_hz(level: Floats, at: int, floor: Floor) -> float:
@@ -163,10 +164,10 @@ def narrow_peak(level: Floats, peak: int, floor: Floor) -> tuple[float, float]:
     shift, width = (part.ravel() for part in np.meshgrid(np.linspace(-0.5, 0.5, 11), START_WIDTHS))
     natural = floor.frequency_hz[peak] + shift * floor.step_hz
     half = width * floor.seen.bin_hz
-    made = pole_columns(floor.frequency_hz[near], natural, np.minimum(half / natural, 0.3), floor.seen)[0][::2]
-    at_peak = made[:, np.searchsorted(near, peak)][:, None]
+    shapes = pole_columns(floor.frequency_hz[near], natural, np.minimum(half / natural, 0.3), floor.seen)[0][::2]
+    at_peak = shapes[:, np.searchsorted(near, peak)][:, None]
     under = np.exp(level[near].min())
-    model = np.log(np.maximum(made / at_peak, 0.0) * (np.exp(level[peak]) - under) + under)
+    model = np.log(np.maximum(shapes / at_peak, 0.0) * (np.exp(level[peak]) - under) + under)
     best = int(np.argmin(np.square(model - level[near]).sum(axis=1)))
     return float(natural[best]), float(half[best])
 
@@ -216,7 +217,7 @@ def search(floor: Floor, *, chance: float, own_hz: Range = EVERYWHERE) -> tuple[
     And whether the search ended at its bound: then poles may be missing, and some were not tested.
     ``own_hz``: from where to where poles are taken apart and tested; beside that they but make room for those within.
     """
-    made: list[tuple[float, Problem, SurfaceFit]] = []
+    candidates: list[tuple[float, Problem, SurfaceFit]] = []
     start = peaks(floor)
     for line, _ in floor.strong:
         start = start.chosen(np.abs(start.frequency_hz - line) > NUMBERS.own_peak_bins * floor.seen.bin_hz)
@@ -227,8 +228,8 @@ def search(floor: Floor, *, chance: float, own_hz: Range = EVERYWHERE) -> tuple[
         fit = _grown(problem, fit, chance, looked)
         size = fit.linear.size + 2 * len(fit.poles)
         cost = fit.deviance + HANN_CORRELATION * size * np.log(len(floor.frequency_hz))
-        made.append((cost, problem, fit))
-    _, problem, fit = min(made, key=lambda one: one[0])
+        candidates.append((cost, problem, fit))
+    _, problem, fit = min(candidates, key=lambda candidate: candidate[0])
     split = _split(problem, fit, chance, looked, own_hz)
     fit = fit if split is fit else _grown(problem, split, chance, looked)
     fit = _pruned(problem, fit, chance, tested, own_hz)
@@ -260,8 +261,6 @@ def least_gain(n_channels: int, chance: float) -> float:
 
     ``n_channels``: how many channels there are.
     """
-    from scipy.special import chdtri
-
     return float(chdtri(2.0 + 2.0 * n_channels, chance))
 
 
@@ -280,7 +279,7 @@ def saves_enough(problem: Problem, less: SurfaceFit, more: SurfaceFit, *, at_hz:
         return False
     if problem.averages.max(initial=0.0) < FLOOR.fewest_averages:
         return saved > HANN_CORRELATION * max(1.0, problem.seen.bin_hz / _step_hz(problem)) * limit
-    return saved > max(HANN_CORRELATION, counted_over(problem, more, at_hz)) * limit
+    return saved > max(HANN_CORRELATION, overcounting(problem, more, at_hz)) * limit
 
 
 def _step_hz(problem: Problem) -> float:
@@ -288,13 +287,12 @@ def _step_hz(problem: Problem) -> float:
     return float(problem.frequency_hz[1] - problem.frequency_hz[0])
 
 
-def counted_over(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
-    """How many times the likelihood counts the scatter that moves the two poles nearest to ``at_hz``.
+def overcounting(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
+    """Factor by which the likelihood overstates what the data tell of the two poles nearest to ``at_hz``.
 
     ``problem``: the floors that were fitted; ``fit``: the fit so far.
     """
-    free = free_of(fit)
-    inverse = np.linalg.pinv(curvature(fit, free), rcond=1e-13, hermitian=True)
+    free, inverse = fit.poles.free, inverse_curvature(fit)
     near = np.argsort(np.abs(fit.poles.frequency_hz - at_hz))[:2]
     own = np.flatnonzero(np.isin(np.repeat(np.arange(len(fit.poles)), 2)[free], near))
     sandwich = score_covariance(problem, fit, np.eye(len(free))[:, free] @ inverse[:, own])
@@ -303,7 +301,7 @@ def counted_over(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
 
 def peaks(floor: Floor) -> Poles:
     """Peaks of all channels of ``floor`` clear of the scatter, joined where they are nearer than they are wide."""
-    found: list[tuple[float, float, float]] = []
+    seen: list[tuple[float, float, float]] = []
     step = floor.step_hz
     ruled = ruled_by_lines(floor)
     for density, averages, by_line in zip(floor.psd, floor.averages, ruled, strict=True):
@@ -319,16 +317,11 @@ def peaks(floor: Floor) -> Poles:
             if height > NUMBERS.peak_sigmas * scatter and height > 0.1:
                 wide = (float(floor.frequency_hz[peak]), (0.5 * width - 0.7) * step)
                 resolved = width > NUMBERS.narrow_bins
-                found.append((*(wide if resolved else narrow_peak(whole, int(peak), floor)), height))
-    return _joined(found, floor)
-
-
-def _joined(found: list[tuple[float, float, float]], floor: Floor) -> Poles:
-    """Peaks of several channels (frequency, half width, height) that stand for one pole made one."""
+                seen.append((*(wide if resolved else narrow_peak(whole, int(peak), floor)), height))
     poles = NO_POLES
     taken: list[tuple[float, float]] = []
-    for frequency, width, _ in sorted(found, key=lambda item: -item[2]):
-        if all(abs(frequency - other) > max(2.5 * floor.step_hz, 0.7 * min(width, wide)) for other, wide in taken):
+    for frequency, width, _ in sorted(seen, key=lambda peak: -peak[2]):
+        if all(abs(frequency - other) > max(2.5 * step, 0.7 * min(width, wide)) for other, wide in taken):
             taken.append((frequency, width))
             poles = poles.with_pole(frequency, min(width / frequency, 0.3))
     return poles
@@ -437,10 +430,10 @@ def _grown(problem: Problem, fit: SurfaceFit, chance: float, fits: Fits) -> Surf
     """
     tried: list[float] = []
     while fit.linear.shape[1] + 2 <= len(problem.frequency_hz):
-        found = _standing_out(problem, fit, tried, chance)
-        if found is None or not fits.begin():
+        hump = _standing_out(problem, fit, tried, chance)
+        if hump is None or not fits.begin():
             break
-        frequency, width = found
+        frequency, width = hump
         poles = fit.poles.with_pole(frequency, min(0.3, width / frequency))
         more = fit_surface(problem, poles, start=fit.model, steps=20)
         if saves_enough(problem, fit, more, at_hz=frequency, chance=chance):
@@ -455,13 +448,11 @@ def _standing_out(problem: Problem, fit: SurfaceFit, tried: list[float], chance:
 
     None where noise would make as much in as many channels by ``chance``.
     """
-    from scipy.special import chdtri
-
     z = np.where(
         problem.averages > 0.0, np.sqrt(problem.averages) * (np.nan_to_num(problem.psd) / fit.model - 1.0), 0.0
     )
     best = 0.0
-    found: tuple[float, float] | None = None
+    hump: tuple[float, float] | None = None
     for bins in (n for n in BOXES if n < min(len(problem.frequency_hz), max(64, len(problem.frequency_hz) // 4))):
         box = np.ones(bins) / np.sqrt(bins * min(HANN_CORRELATION, 0.5 + 0.5 * bins))
         score = np.square(np.maximum([np.convolve(row, box, mode="same") for row in z], 0.0)).sum(axis=0)
@@ -469,8 +460,8 @@ def _standing_out(problem: Problem, fit: SurfaceFit, tried: list[float], chance:
             score[np.abs(problem.frequency_hz - frequency) < 2.0 * bins * _step_hz(problem)] = 0.0
         at = int(np.argmax(score))
         if score[at] > best:
-            best, found = float(score[at]), (float(problem.frequency_hz[at]), 0.25 * bins * problem.seen.bin_hz)
-    return found if best > chdtri(len(z), chance) * dispersion(problem, fit, found[0] if found else None) else None
+            best, hump = float(score[at]), (float(problem.frequency_hz[at]), 0.25 * bins * problem.seen.bin_hz)
+    return hump if best > chdtri(len(z), chance) * dispersion(problem, fit, hump[0] if hump else None) else None
 
 
 def _split(problem: Problem, fit: SurfaceFit, chance: float, fits: Fits, own_hz: Range) -> SurfaceFit:
@@ -487,15 +478,15 @@ def _split(problem: Problem, fit: SurfaceFit, chance: float, fits: Fits, own_hz:
             continue
         if not fits.begin(MOST_OF_SPLIT):
             break
-        one = fit_surface(local, start, steps=8)
+        single = fit_surface(local, start, steps=8)
         alone = start.without(int(np.argmin(np.abs(start.frequency_hz - f))))
-        starts = PAIRS if dispersion(local, one) > NUMBERS.suspect_residual else PAIRS[:1]
+        starts = PAIRS if dispersion(local, single) > NUMBERS.suspect_residual else PAIRS[:1]
         trials = [fit_surface(local, _pair(alone, f, width, *shape), steps=20) for shape in starts]
         two = min(trials, key=lambda trial: trial.deviance)
-        if dispersion(local, one) > NUMBERS.misfit_residual:
+        if dispersion(local, single) > NUMBERS.misfit_residual:
             beside = [fit_surface(local, poles, steps=20) for poles in _line_and_mode(local, alone, f)]
             two = min([two, *beside], key=lambda trial: trial.deviance)
-        if one.deviance - two.deviance > NUMBERS.gate_share * HANN_CORRELATION * limit * dispersion(local, two):
+        if single.deviance - two.deviance > NUMBERS.gate_share * HANN_CORRELATION * limit * dispersion(local, two):
             poles = fit.poles.without(number)
             for k in np.argsort(np.abs(two.poles.frequency_hz - f))[:2]:
                 poles = poles.with_pole(float(two.poles.frequency_hz[k]), float(two.poles.damping[k]))

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from crankorder.fft.windows import WIDEST_LOBE_BINS, window_named
-from crankorder.quantities import Bools, Complexes, Floats
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
 
@@ -32,7 +33,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class SpectralWindow:
-    """How a window sees power: its autocorrelation over the lag t (1 at its length ``length_s``) is Σ b_k cos(πkt).
+    """Power response of a window: its autocorrelation over the lag t (1 at its length ``length_s``) is Σ b_k cos(πkt).
 
     ``order`` (terms,) holds the k, ``weight`` (terms,) the b_k; ``bin_hz`` is the distance of independent bins.
     """
@@ -52,7 +53,7 @@ class SpectralWindow:
         return real
 
 
-def sight(window: str, enbw_hz: float) -> SpectralWindow:
+def spectral_window(window: str, enbw_hz: float) -> SpectralWindow:
     """SpectralWindow of the window ``window`` whose noise bandwidth is ``enbw_hz``.
 
     A sum of cosines of half a period is complete, for the autocorrelation vanishes at its end: its coefficients are
@@ -116,7 +117,7 @@ def pole_columns(
     far, far_slope = seen_pole(sigma + 1j * (frequency_hz + damped), seen)
     scale = 2.0 * np.pi * sigma
     by_damping = natural_hz[:, None] * (-(damping[:, None] ** 2) / turned)  # of f_d by ln ζ
-    made = []
+    parts = []
     for near_part, far_part in (
         (near, far),
         (near_slope * (sigma - 1j * damped) + near, far_slope * (sigma + 1j * damped) + far),
@@ -125,8 +126,8 @@ def pole_columns(
         columns = np.empty((len(natural_hz), 2, len(frequency_hz)))
         columns[:, 0] = scale * (near_part.real + far_part.real)
         columns[:, 1] = scale * (far_part.imag - near_part.imag)
-        made.append(columns.reshape(-1, len(frequency_hz)))
-    return made[0], made[1], made[2]
+        parts.append(columns.reshape(-1, len(frequency_hz)))
+    return parts[0], parts[1], parts[2]
 
 
 TONE_BINS = 1e-3
@@ -154,7 +155,7 @@ class Problem:
     """Floors to be fitted: ``frequency_hz`` (F,), ``psd`` and ``averages`` (C, F; none where masked), ``background``.
 
     ``background`` (B, F) are the columns of what is smooth, the last ``n_lines`` those of strong tones; ``seen`` is
-    the window's sight; ``others`` what else the same poles must explain.
+    the spectral window; ``others`` what else the same poles must explain.
     """
 
     frequency_hz: Floats
@@ -189,12 +190,16 @@ class Poles:
 
         ``frequency_hz``: in Hz; ``damping``: their ratios.
         """
-        frequency = np.append(self.frequency_hz, frequency_hz)
-        order = np.argsort(frequency, kind="stable")
-        return Poles(frequency[order], np.append(self.damping, damping)[order], np.append(self.tone, False)[order])
+        every = self.joined(poles_at([(frequency_hz, damping)]))
+        return every.chosen(every.rank)
 
-    def chosen(self, which: Bools) -> Poles:
-        """Those that ``which`` (M,) marks."""
+    @property
+    def rank(self) -> Ints:
+        """Numbers (M,) of the poles, lowest first."""
+        return np.argsort(self.frequency_hz, kind="stable")
+
+    def chosen(self, which: Bools | Ints) -> Poles:
+        """Those that ``which`` marks (M,) or numbers."""
         return Poles(self.frequency_hz[which], self.damping[which], self.tone[which])
 
     def within(self, range_hz: Range) -> Bools:
@@ -205,6 +210,16 @@ class Poles:
         """These, then ``others``."""
         frequency = np.append(self.frequency_hz, others.frequency_hz)
         return Poles(frequency, np.append(self.damping, others.damping), np.append(self.tone, others.tone))
+
+    @property
+    def values(self) -> Floats:
+        """Frequency and damping ratio (M, 2) of each."""
+        return np.stack([self.frequency_hz, self.damping], axis=1)
+
+    @property
+    def free(self) -> Bools:
+        """Which (2 M,) of (ln f_1, ln ζ_1, …) a fit is free to move: not the damping of tones."""
+        return np.stack([np.ones(len(self), dtype=bool), ~self.tone], axis=1).ravel()
 
     def as_tone(self, number: int, is_tone: bool, *, width_hz: float) -> Poles:
         """With number ``number`` a tone, or a mode of the half width ``width_hz``.
@@ -217,6 +232,24 @@ class Poles:
 
 
 NO_POLES = Poles(np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool))
+
+
+def poles_at(values: Iterable[tuple[float, float]]) -> Poles:
+    """Poles of the ``values``, frequency in Hz and damping ratio of each, in that order."""
+    frequency, damping = np.array(list(values), dtype=np.float64).reshape(-1, 2).T
+    return Poles(frequency, damping, np.zeros(len(frequency), dtype=bool))
+
+
+def parameters_of(numbers: ArrayLike) -> Ints:
+    """Numbers (2 N,) among (f_1, ζ_1, f_2, …) of the parameters of the poles ``numbers`` (N,)."""
+    first = 2 * np.asarray(numbers, dtype=np.int64)
+    return np.stack([first, first + 1], axis=1).ravel()
+
+
+def covariance_among(covariance: Floats, numbers: ArrayLike) -> Floats:
+    """Part (2 N, 2 N) of the ``covariance`` of (f_1, ζ_1, f_2, …) that is of the poles ``numbers`` (N,)."""
+    at = parameters_of(numbers)
+    return covariance[np.ix_(at, at)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,12 +287,12 @@ class SurfaceFit:
     def _bent(self) -> Floats:
         """Derivatives (C, 2M, F) of the floors by (ln f, ln ζ) of all poles, in standard deviations of a bin."""
         terms = self.linear[:, : 2 * len(self.poles), None]
-        made = np.empty((len(terms), len(self.poles), 2, self.weight.shape[1]))
+        bent = np.empty((len(terms), len(self.poles), 2, self.weight.shape[1]))
         for number, part in enumerate(self.slopes):
-            np.multiply(terms[:, ::2], part[::2], out=made[:, :, number])
-            made[:, :, number] += terms[:, 1::2] * part[1::2]
-        made *= self.weight[:, None, None]
-        return made.reshape(len(terms), 2 * len(self.poles), -1)
+            np.multiply(terms[:, ::2], part[::2], out=bent[:, :, number])
+            bent[:, :, number] += terms[:, 1::2] * part[1::2]
+        bent *= self.weight[:, None, None]
+        return bent.reshape(len(terms), 2 * len(self.poles), -1)
 
     @cached_property
     def jacobian(self) -> tuple[Floats, ...]:
@@ -310,8 +343,8 @@ def evaluate(problem: Problem, poles: Poles, weight_by: Floats, same: SurfaceFit
     if same is not None:
         columns, slopes = same.columns, same.slopes
     else:
-        made = pole_columns(problem.frequency_hz, poles.frequency_hz, poles.damping, problem.seen)
-        columns, slopes = np.concatenate([made[0], problem.background]), made[1:]
+        own = pole_columns(problem.frequency_hz, poles.frequency_hz, poles.damping, problem.seen)
+        columns, slopes = np.concatenate([own[0], problem.background]), own[1:]
     weight = np.where(problem.averages > 0.0, np.sqrt(problem.averages) / weight_by, 0.0)
     measured = weight * np.where(problem.averages > 0.0, problem.psd, 0.0)
     q, triangles = np.linalg.qr((columns * weight[:, None]).swapaxes(1, 2))
@@ -334,12 +367,12 @@ def _back_solved(r: Floats, along: Floats) -> Floats:
     diagonal = np.abs(np.diagonal(r, axis1=1, axis2=2))
     sound = diagonal.min(axis=1, initial=np.inf) > 1e-9 * diagonal.max(axis=1, initial=0.0)
     sound &= r.shape[1] == r.shape[2]
-    made = np.empty((len(r), r.shape[2]))
+    solution = np.empty((len(r), r.shape[2]))
     if sound.any():
-        made[sound] = np.linalg.solve(r[sound], along[sound][..., None])[..., 0]
+        solution[sound] = np.linalg.solve(r[sound], along[sound][..., None])[..., 0]
     for channel in np.flatnonzero(~sound):
-        made[channel] = np.linalg.lstsq(r[channel], along[channel], rcond=1e-9)[0]
-    return made
+        solution[channel] = np.linalg.lstsq(r[channel], along[channel], rcond=1e-9)[0]
+    return solution
 
 
 def first_model(problem: Problem, bins: int = 2) -> Floats:
@@ -349,19 +382,19 @@ def first_model(problem: Problem, bins: int = 2) -> Floats:
     """
     used, edge = problem.averages > 0.0, ((0, 0), (bins, bins))
     count, power = (
-        np.lib.stride_tricks.sliding_window_view(np.pad(one, edge), 2 * bins + 1, axis=1).sum(axis=2)
-        for one in (used, np.where(used, problem.psd, 0.0))
+        np.lib.stride_tricks.sliding_window_view(np.pad(values, edge), 2 * bins + 1, axis=1).sum(axis=2)
+        for values in (used, np.where(used, problem.psd, 0.0))
     )
     return np.asarray(np.where(used & (power > 0.0), power / np.maximum(count, 1), 1.0))
 
 
 def fit_surface(problem: Problem, poles: Poles, *, start: Floats | None = None, steps: int = MOST_STEPS) -> SurfaceFit:
-    """Best fit of ``problem`` from ``poles`` on in at most ``steps`` steps; ``start`` (C, F): model to weight by first.
+    """Maximum-likelihood fit of ``problem`` from ``poles`` on; ``start`` (C, F): model to weight by first.
 
     The power of noise averaged n times scatters by 1/√n of itself, so residuals are weighted by the model, which
     every step renews (quasi-likelihood of the gamma distribution, whose score has no bias); linear terms are
-    eliminated at every step (Golub and Pereyra 1973, derivative of Kaufman 1975); poles move by Levenberg-Marquardt
-    steps in ln f and ln ζ.
+    eliminated at every step (Golub and Pereyra 1973, derivative of Kaufman 1975); poles move by at most ``steps``
+    Levenberg-Marquardt steps in ln f and ln ζ.
     """
     smooth = first_model(problem) if start is None else start
     current = evaluate(problem, poles, smooth)
@@ -374,7 +407,7 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Floats | None = None, 
         return current
     factor, still, taken = 1e-3, 0, True
     for _ in range(steps):
-        free = np.stack([np.ones(len(poles), dtype=bool), ~poles.tone], axis=1).ravel()
+        free = poles.free
         hessian, slope = current.normal()
         hessian, slope = hessian[np.ix_(free, free)], slope[free]
         scale = np.maximum(np.diag(hessian), 1e-6 * np.trace(hessian) / len(hessian))
@@ -387,7 +420,7 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Floats | None = None, 
         moved = _moved(poles, move, problem)
         trial = evaluate(problem, moved, current.model)
         if taken and trial.deviance > current.deviance + 1.0:  # weights of a model that is far off may mislead
-            trial = min(trial, evaluate(problem, moved, smooth, trial), key=lambda one: one.deviance)
+            trial = min(trial, evaluate(problem, moved, smooth, trial), key=lambda fit: fit.deviance)
         gained = current.deviance - trial.deviance
         taken = gained > -1e-3
         if taken:
@@ -403,12 +436,14 @@ def fit_surface(problem: Problem, poles: Poles, *, start: Floats | None = None, 
     return current
 
 
-def curvature(fit: SurfaceFit, free: Bools) -> Floats:
-    """Second derivatives of half the deviance by the ``free`` ones of (ln f_1, ln ζ_1, …), linear terms eliminated.
+def inverse_curvature(fit: SurfaceFit) -> Floats:
+    """Inverse of the second derivatives of half the deviance of ``fit`` by its free ones of (ln f_1, ln ζ_1, …).
 
-    ``fit``: the fit so far.
+    Linear terms are eliminated.
     """
-    return np.asarray(sum(j.T @ j for j in fit.jacobian))[np.ix_(free, free)]
+    free = fit.poles.free
+    curved = np.asarray(sum(j.T @ j for j in fit.jacobian))[np.ix_(free, free)]
+    return np.asarray(np.linalg.pinv(curved, rcond=1e-13, hermitian=True), dtype=np.float64)
 
 
 def _moved(poles: Poles, move: Floats, problem: Problem) -> Poles:

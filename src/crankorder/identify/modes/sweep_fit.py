@@ -73,6 +73,11 @@ class LocalFit:
         windows = tuple(replace(window, _made={}, _passages={}) for window in self.windows)
         return LocalFit(windows, self.natural_hz, self.damping)
 
+    @property
+    def poles(self) -> list[tuple[float, float]]:
+        """Natural frequency and damping ratio of each pole."""
+        return list(zip(self.natural_hz.tolist(), self.damping.tolist(), strict=True))
+
     @cached_property
     def orders(self) -> tuple[float, ...]:
         """Orders that pass any of the windows."""
@@ -87,17 +92,17 @@ class LocalFit:
     @cached_property
     def misfit(self) -> float:
         """Squares that are left, and those by which the forces differ from what is usual."""
-        left = sum(one.misfit for one in self.solved)
+        left = sum(solved.misfit for solved in self.solved)
         return float(left + np.sum(np.abs(self.bends) ** 2) / (2.0 * BEND_SPREAD**2))
 
     @cached_property
     def freedom(self) -> int:
-        """Complexes numbers beyond the amplitudes."""
-        return sum(one.freedom for one in self.solved)
+        """Complex numbers beyond the amplitudes."""
+        return sum(solved.freedom for solved in self.solved)
 
     def normal(self) -> tuple[Floats, Floats]:
         """Normal matrix (P, P) and right side (P,) of poles, then bends (real, imaginary)."""
-        parts = [one.normal(self.orders) for one in self.solved]
+        parts = [solved.normal(self.orders) for solved in self.solved]
         matrix, side = (np.sum(part, axis=0) for part in zip(*parts, strict=True))
         place = np.arange(2 * len(self.natural_hz), len(side))
         matrix[place, place] += 1.0 / (2.0 * BEND_SPREAD**2)
@@ -152,17 +157,17 @@ class LocalFit:
 
     @property
     def model_variance(self) -> Floats:
-        """Variance (2 M, 2 M) of (ln f, ln ζ) of the poles that no model knows better."""
+        """Model-error variance (2 M, 2 M) of (ln f, ln ζ) of the poles."""
         shares = NUMBERS.frequency_model_share * self.damping, np.full(len(self.damping), NUMBERS.damping_model_share)
         return np.diag(np.square(np.stack(shares, axis=1)).ravel())
 
     def with_noise(self) -> LocalFit:
-        """With shape and level of the noise as what is left has them, and what no model knows better."""
+        """The fit with shape and level of the noise estimated from the residuals, and the model error."""
         windows = []
-        for one in self.solved:
-            window = one.window
-            left = np.square(np.abs(one.left) * window.shape[:, None] * window.level)
-            left *= len(left) / max(len(left) - len(one.scale), 1)
+        for solved in self.solved:
+            window = solved.window
+            left = np.square(np.abs(solved.left) * window.shape[:, None] * window.level)
+            left *= len(left) / max(len(left) - len(solved.scale), 1)
             left += np.square(NUMBERS.bin_model_share * np.abs(window.measured.T))
             level = np.sqrt(np.maximum(left.mean(axis=0), 1e-300))
             power = (left / np.maximum(left.mean(axis=0), 1e-300)).mean(axis=1)
@@ -174,11 +179,6 @@ class LocalFit:
         """With one pole more, of ``natural_hz`` and ``damping``."""
         return LocalFit(self.windows, np.append(self.natural_hz, natural_hz), np.append(self.damping, damping))
 
-    def without(self, number: int) -> LocalFit:
-        """Without the pole ``number``, the noise being as it is."""
-        kept = np.arange(len(self.natural_hz)) != number
-        return LocalFit(self.windows, self.natural_hz[kept], self.damping[kept])
-
     def covariance(self) -> Floats:
         """Covariance (2 M, 2 M) of (ln f, ln ζ) of the poles: what the scores of the bins really scatter by.
 
@@ -186,14 +186,14 @@ class LocalFit:
         """
         matrix, _ = self.normal()
         scatter = np.zeros_like(matrix)
-        for score in (one.scores(self.orders) for one in self.solved):
+        for score in (solved.scores(self.orders) for solved in self.solved):
             scatter += score.T @ score
             for lag in range(1, LAGS + 1):
                 beside = score[lag:].T @ score[:-lag]
                 scatter += (1.0 - lag / (LAGS + 1.0)) * (beside + beside.T)
         inverse = np.linalg.pinv(matrix, hermitian=True)
         robust = inverse @ scatter @ inverse
-        plain = 0.5 * inverse * max(1.0, sum(one.misfit for one in self.solved) / max(self.freedom, 1))
+        plain = 0.5 * inverse * max(1.0, sum(solved.misfit for solved in self.solved) / max(self.freedom, 1))
         count = 2 * len(self.natural_hz)
         # the larger of both: few bins scatter by chance less than they may
         wide = np.sqrt(np.maximum(np.diag(robust), np.diag(plain)) / np.maximum(np.diag(robust), 1e-300))
@@ -201,11 +201,14 @@ class LocalFit:
 
     def gain(self, number: int) -> float:
         """What the pole ``number`` saves of twice the negative log likelihood, the others staying where they are."""
-        return 2.0 * (self.without(number).misfit - self.misfit)
+        kept = np.arange(len(self.natural_hz)) != number
+        return 2.0 * (LocalFit(self.windows, self.natural_hz[kept], self.damping[kept]).misfit - self.misfit)
 
     def share(self, number: int) -> float:
         """Largest part of the amplitude of an order, in any channel, that pole ``number`` makes at its peak."""
-        return max((float(part.max()) for one in self.solved if (part := shares_of(one, number)).size), default=0.0)
+        return max(
+            (float(part.max()) for solved in self.solved if (part := shares_of(solved, number)).size), default=0.0
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,24 +224,24 @@ class OnePoleMore:
     saves: Floats
 
     @classmethod
-    def of(cls, one: Solved, natural_hz: Floats, damping: Floats) -> OnePoleMore:
-        """In ``one`` window at ``natural_hz``, ``damping`` (S,), with amplitudes of its own in each channel.
+    def of(cls, solved: Solved, natural_hz: Floats, damping: Floats) -> OnePoleMore:
+        """In ``solved`` window at ``natural_hz``, ``damping`` (S,), with amplitudes of its own in each channel.
 
         So many places are told at a time that the memory does not grow with the recording.
         """
-        parts = min(1 + len(one.left) * len(natural_hz) // MOST_VALUES, len(natural_hz))
+        parts = min(1 + len(solved.left) * len(natural_hz) // MOST_VALUES, len(natural_hz))
         if parts > 1:
             places = zip(np.array_split(natural_hz, parts), np.array_split(damping, parts), strict=True)
-            made = (vars(cls.of(one, *some)).values() for some in places)
-            return cls(*(np.concatenate(each) for each in zip(*made, strict=True)))
-        window = one.window
+            pieces = (vars(cls.of(solved, *some)).values() for some in places)
+            return cls(*(np.concatenate(each) for each in zip(*pieces, strict=True)))
+        window = solved.window
         answers = resonance(window.frequency_hz, natural_hz, damping)
         power = np.square(np.abs(answers))
         # what rings is, but for a smooth factor, a response to a force that falls with the square of the frequency
         rung = np.full(len(window.frequency_hz), 1.0 + 0j) / np.square(window.frequency_hz / window.frequency_hz.mean())
         forces = [window.force(order)[0] / window.shape for order in window.orders] + [rung / window.shape]
-        matrix = _shared(one, forces, answers, power)
-        side = np.stack([(one.left.T * force.conj()) @ answers.conj() for force in forces])  # (orders, C, S)
+        matrix = _shared(solved, forces, answers, power)
+        side = np.stack([(solved.left.T * force.conj()) @ answers.conj() for force in forces])  # (orders, C, S)
         own = np.einsum("sii->si", matrix).real
         whole = np.stack([np.square(np.abs(force)) @ power for force in forces], axis=1)
         reached = own > LEAST_REACHED * whole
@@ -276,9 +279,9 @@ class Starts:
         natural = low_hz * np.exp(wide * np.concatenate(places))
         damping = np.repeat(TRIED_DAMPING, np.array(counts) + 2)
         saves, unknowns = np.zeros(len(natural)), 2
-        for one in fit.solved:
-            saves += OnePoleMore.of(one, natural, damping).saves
-            unknowns += 2 * (len(one.window.orders) + 1) * one.left.shape[1]
+        for solved in fit.solved:
+            saves += OnePoleMore.of(solved, natural, damping).saves
+            unknowns += 2 * (len(solved.window.orders) + 1) * solved.left.shape[1]
         return cls(low_hz, high_hz, natural, damping, saves, unknowns)
 
     @property
@@ -305,12 +308,12 @@ class Starts:
         return float(chdtri(self.unknowns, chance / len(self.saves)))
 
 
-def _shared(one: Solved, forces: list[Complexes], answers: Complexes, power: Floats) -> Complexes:
-    """Gram matrices (S, orders, orders) of ``forces`` (each (B,)) times ``answers`` (B, S), beyond ``one``'s columns.
+def _shared(solved: Solved, forces: list[Complexes], answers: Complexes, power: Floats) -> Complexes:
+    """Gram matrices (S, orders, orders) of ``forces`` (each (B,)) times ``answers`` (B, S), beyond the columns.
 
     ``power`` (B, S): squares of the answers.
     """
-    basis, count = (one.columns @ one.inverse).conj().T, len(forces)
+    basis, count = (solved.columns @ solved.inverse).conj().T, len(forces)
     within = np.stack([(basis * force) @ answers for force in forces])
     first, second = np.triu_indices(count)
     pairs = np.stack(forces)[first].conj() * np.stack(forces)[second]
@@ -351,19 +354,19 @@ def _smoothed(power: Floats) -> Floats:
     return np.asarray(np.maximum(smooth, NUMBERS.least_noise_share * power.mean()))
 
 
-def shares_of(one: Solved, number: int) -> Floats:
-    """Part (orders, C) of each order's amplitude in ``one`` window that pole ``number`` makes at its peak.
+def shares_of(solved: Solved, number: int) -> Floats:
+    """Part (orders, C) of each order's amplitude in ``solved`` window that pole ``number`` makes at its peak.
 
     It is 0 of those that miss it.
     """
-    window = one.window
-    peak, zeta = one.natural_hz[number], one.damping[number]
+    window = solved.window
+    peak, zeta = solved.natural_hz[number], solved.damping[number]
     at = np.array([peak])
-    basis = np.concatenate([window.powers_at(at), resonance(at, one.natural_hz, one.damping)], axis=1)[0]
-    made = np.zeros((len(window.orders), one.left.shape[1]))
+    basis = np.concatenate([window.powers_at(at), resonance(at, solved.natural_hz, solved.damping)], axis=1)[0]
+    shares = np.zeros((len(window.orders), solved.left.shape[1]))
     for row, order in enumerate(window.orders):
         if window.sweep.passes(order, (1.0 - zeta) * peak, (1.0 + zeta) * peak):
-            parts = basis[:, None] * one.by_order[row]
+            parts = basis[:, None] * solved.by_order[row]
             own = parts[window.degree + 1 + number]
-            made[row] = np.abs(own) / np.maximum(np.abs(own) + np.abs(parts.sum(axis=0) - own), 1e-300)
-    return made
+            shares[row] = np.abs(own) / np.maximum(np.abs(own) + np.abs(parts.sum(axis=0) - own), 1e-300)
+    return shares

@@ -11,7 +11,7 @@ import xarray as xr
 from crankorder.identify.found import ModalFit, Mode, SweepFits
 from crankorder.identify.modes.order_modes import is_shown
 from crankorder.identify.modes.pole_errors import side_by_side
-from crankorder.identify.modes.surface_fit import NO_POLES, Poles
+from crankorder.identify.modes.surface_fit import Poles, covariance_among, poles_at
 from crankorder.identify.modes.sweep_fit import MOST_VALUES
 from crankorder.identify.modes.sweep_poles import GroupFit, SweepPole, sweep_fits
 from crankorder.identify.modes.sweep_window import Solved, spectra_of
@@ -31,10 +31,9 @@ NUMBERS = _Numbers.load()
 
 def poles_of(swept: Sequence[SweepPole]) -> tuple[Poles, Floats]:
     """Poles of ``swept`` and their covariance (of f_1, ζ_1, f_2, …)."""
-    made = NO_POLES
-    for pole in swept:
-        made = made.with_pole(pole.frequency_hz, pole.damping)
-    return made, side_by_side([pole.covariance_of_values for pole in swept])
+    poles = poles_at((pole.frequency_hz, pole.damping) for pole in swept)
+    values = poles.values.ravel()
+    return poles, np.asarray(side_by_side([pole.covariance for pole in swept]) * values * values[:, None])
 
 
 def _is_one_of(frequency_hz: float, error_hz: float, damping: float, swept: Sequence[SweepPole]) -> bool:
@@ -51,8 +50,7 @@ def poles_unlike(poles: Poles, covariance: Floats, swept: Sequence[SweepPole]) -
     errors = np.sqrt(np.maximum(np.diag(covariance)[::2], 0.0))
     each = zip(poles.frequency_hz.tolist(), errors.tolist(), poles.damping.tolist(), strict=True)
     own = np.array([not _is_one_of(*pole, swept) for pole in each], dtype=np.bool_)
-    at = np.flatnonzero(np.repeat(own, 2))
-    return poles.chosen(own), covariance[np.ix_(at, at)]
+    return poles.chosen(own), covariance_among(covariance, np.flatnonzero(own))
 
 
 def modes_unlike(fit: ModalFit, kept: Poles, swept: Sequence[SweepPole]) -> tuple[ModalFit, Poles]:
@@ -62,10 +60,8 @@ def modes_unlike(fit: ModalFit, kept: Poles, swept: Sequence[SweepPole]) -> tupl
         for k, mode in enumerate(fit.modes)
         if not _is_one_of(mode.frequency_hz, mode.frequency_error_hz, mode.damping_ratio, swept)
     ]
-    at = np.array([[2 * k, 2 * k + 1] for k in own], dtype=np.int64).ravel()
-    modes = tuple(fit.modes[k] for k in own)
-    which = np.isin(np.arange(len(kept)), own)
-    return replace(fit, modes=modes, covariance=fit.covariance[np.ix_(at, at)]), kept.chosen(which)
+    modes, covariance = tuple(fit.modes[k] for k in own), covariance_among(fit.covariance, own)
+    return replace(fit, modes=modes, covariance=covariance), kept.chosen(np.array(own, dtype=np.int64))
 
 
 def with_sweep_modes(
@@ -130,103 +126,94 @@ def fits_of_sweeps(followed: Sequence[xr.Dataset], *, settings: IdentifySettings
 
     ``settings``: the false-alarm level, the dampings of modes, and the confidence with which one is excluded.
     """
-    spectra = spectra_of([item for item in followed if _turns_surely(item)], fewest=ROW_NUMBERS.fewest_samples)
-    highest = max((order for one in spectra for order in one.orders), default=0.0)
+    spectra = spectra_of([tracks for tracks in followed if _turns_surely(tracks)], fewest=ROW_NUMBERS.fewest_samples)
+    highest = max((order for sweep in spectra for order in sweep.orders), default=0.0)
     if not highest:
         return SweepFits()
     cycle = int(followed[0].attrs["revs_per_cycle"])
-    return sweep_fits(
-        spectra,
-        others=(np.arange(1, cycle * highest + 1) / cycle).tolist(),
-        settings=settings,
-    )
+    return sweep_fits(spectra, others=(np.arange(1, cycle * highest + 1) / cycle).tolist(), settings=settings)
 
 
-def _turns_surely(item: xr.Dataset) -> bool:
-    """Whether the shaft's angle in ``item`` is known so well that its highest order keeps its phase.
+def _turns_surely(tracks: xr.Dataset) -> bool:
+    """Whether the shaft's angle in ``tracks`` is known so well that its highest order keeps its phase.
 
     What a strong order is off by has amplitude and phase over the whole sweep, and would be taken for many light modes.
     """
-    error = 2.0 * np.pi * float(item.attrs.get("crank_angle_error_rev", 0.0))
-    return "waveform" in item and error * float(item["order"].values.max(initial=0.0)) <= ROW_NUMBERS.most_angle_rad
+    error = 2.0 * np.pi * float(tracks.attrs.get("crank_angle_error_rev", 0.0))
+    return "waveform" in tracks and error * float(tracks["order"].values.max(initial=0.0)) <= ROW_NUMBERS.most_angle_rad
 
 
 def with_rows_of_fits(followed: Sequence[xr.Dataset], fits: SweepFits) -> list[xr.Dataset]:
     """``followed`` (RecordingTracks) whose rows near the modes of ``fits`` are theirs, with one more at each peak."""
-    made = []
-    for item in followed:
-        for group in fits.groups if "waveform" in item else ():
+    replaced = []
+    for tracks in followed:
+        for group in fits.groups if "waveform" in tracks else ():
+            numbers = tracks["order"].values.tolist()
+            proven = {order for pole in group.poles for order in pole.orders}
             for one, less in zip(group.fit.bare.solved, group.less.bare.solved, strict=True):
-                if one.window.sweep.recording == item.attrs["recording"]:
-                    item = _with_group(item, group, one, less)
-        made.append(item)
-    return made
-
-
-def _with_group(item: xr.Dataset, group: GroupFit, one: Solved, less: Solved) -> xr.Dataset:
-    """``item`` with the rows of one window of a ``group``; ``less`` is that with one degree less."""
-    proven = {order for pole in group.poles for order in pole.orders}
-    numbers = item["order"].values.tolist()
-    for order in one.window.orders:
-        if order in numbers and order in less.window.orders:
-            item = _with_order(item, numbers.index(order), group, (one, less), alone=order not in proven)
-    return item
+                of_item = one.window.sweep.recording == tracks.attrs["recording"]
+                for order in one.window.orders if of_item else ():
+                    if order in numbers and order in less.window.orders:
+                        place, alone = numbers.index(order), order not in proven
+                        tracks = _with_order(tracks, place, group, (one, less), alone=alone)
+        replaced.append(tracks)
+    return replaced
 
 
 def _with_order(
-    item: xr.Dataset, place: int, group: GroupFit, solved: tuple[Solved, Solved], *, alone: bool
+    tracks: xr.Dataset, place: int, group: GroupFit, solved: tuple[Solved, Solved], *, alone: bool
 ) -> xr.Dataset:
-    """``item`` with the rows of its order number ``place`` from a window ``solved`` twice, and one at its peak.
+    """``tracks`` with the rows of its order number ``place`` from a window ``solved`` twice, and one at its peak.
 
     Of an order that stands ``alone``, as no mode is proved by it, only those that others ring into the filter of, or
     that the fit knows better.
     """
     one, less = solved
-    window, order = one.window, float(item["order"].values[place])
+    window, order = one.window, float(tracks["order"].values[place])
     half = 0.5 * ROW_NUMBERS.inner_share * (window.high_hz - window.low_hz)
     middle = 0.5 * (window.high_hz + window.low_hz)
-    near = np.abs(order * item["speed"].values / 60.0 - middle) <= half
+    near = np.abs(order * tracks["speed"].values / 60.0 - middle) <= half
     last = window.sweep.start_s + len(window.sweep.angle_rev) / window.sweep.rate_hz
-    near &= (item["time"].values >= window.sweep.start_s) & (item["time"].values <= last)
+    near &= (tracks["time"].values >= window.sweep.start_s) & (tracks["time"].values <= last)
     if not near.any():
-        return item
-    value, error = _values(group, one, less, order, item["time"].values[near], item["crank_angle"].values[near])
+        return tracks
+    value, error = _values(group, one, less, order, tracks["time"].values[near], tracks["crank_angle"].values[near])
     if alone:
-        better = _rung(item, place, near, one) | (error < followed_error(item, place)[:, near].T).all(axis=1)
+        better = _rung(tracks, place, near, one) | (error < followed_error(tracks, place)[:, near].T).all(axis=1)
         near[near], value, error = better, value[better], error[better]
         if not better.any():
-            return item
-    peak = None if alone else _peak(one, order, item["time"].values[near], np.abs(value).max(axis=1))
-    if peak is not None:
-        item, at = _with_row(item, peak, one)
-        near = np.insert(near, at, True)
-        value, error = _values(group, one, less, order, item["time"].values[near], item["crank_angle"].values[near])
+            return tracks
+    peak = None if alone else _peak(one, order, tracks["time"].values[near], np.abs(value).max(axis=1))
+    if peak is None:
+        tracks = tracks.copy(deep=True)
     else:
-        item = item.copy(deep=True)
-    value, error = _with_witness(item, place, near, value, error, rung=_rung(item, place, near, one))
-    usable = np.isfinite(item["amplitude"].values[:, place][:, near].real).any(axis=1)
+        tracks, at = _with_row(tracks, peak, one)
+        near = np.insert(near, at, True)
+        value, error = _values(group, one, less, order, tracks["time"].values[near], tracks["crank_angle"].values[near])
+    value, error = _with_witness(tracks, place, near, value, error, rung=_rung(tracks, place, near, one))
+    usable = np.isfinite(tracks["amplitude"].values[:, place][:, near].real).any(axis=1)
     rows = np.ix_(np.flatnonzero(usable), np.array([place]), np.flatnonzero(near))
     for name, given in (("amplitude", value), ("standard_error", error)):
-        item[name].values[rows] = given.T[usable][:, None]
+        tracks[name].values[rows] = given.T[usable][:, None]
     for name in SMOOTHING:
-        item[name].values[rows] = 0.0
-    freedom = item["degrees_of_freedom"].values
+        tracks[name].values[rows] = 0.0
+    freedom = tracks["degrees_of_freedom"].values
     freedom[rows] = np.nanmax(freedom[:, place], initial=1.0)
-    return item
+    return tracks
 
 
 def _with_witness(
-    item: xr.Dataset, place: int, near: Bools, value: Complexes, error: Floats, *, rung: Bools
+    tracks: xr.Dataset, place: int, near: Bools, value: Complexes, error: Floats, *, rung: Bools
 ) -> tuple[Complexes, Floats]:
-    """``value`` (T, C) of a fit and its ``error`` beside what the filter of ``item`` took in the rows ``near``.
+    """``value`` (T, C) of a fit and its ``error`` beside what the filter of ``tracks`` took in the rows ``near``.
 
     Where the filter takes little off and says surely something else, the model of the fit is off there by as much: the
     error grows by that, and the two are averaged by their errors (DerSimonian and Laird 1986). Not where what is
     ``rung`` (T,) reaches into the filter.
     """
-    taken = item["smoothing"].values[:, place][:, near].T
-    seen = item["amplitude"].values[:, place][:, near].T + taken
-    own = np.hypot(followed_error(item, place), item["smoothing_more"].values[:, place])[:, near].T
+    taken = tracks["smoothing"].values[:, place][:, near].T
+    seen = tracks["amplitude"].values[:, place][:, near].T + taken
+    own = np.hypot(followed_error(tracks, place), tracks["smoothing_more"].values[:, place])[:, near].T
     apart = np.square(np.abs(value - seen))
     with np.errstate(invalid="ignore", divide="ignore"):
         knows = (own < ROW_NUMBERS.witness_share * np.abs(seen)) & (own > 0.0) & ~rung[:, None]
@@ -238,15 +225,15 @@ def _with_witness(
     return np.where(doubted, mixed, value), np.where(doubted, mixed_error, error)
 
 
-def _rung(item: xr.Dataset, place: int, near: Bools, one: Solved) -> Bools:
+def _rung(tracks: xr.Dataset, place: int, near: Bools, solved: Solved) -> Bools:
     """In which rows (T,), of those ``near``, a mode that another order has passed still rings in the filter."""
-    order, sweep = float(item["order"].values[place]), one.window.sweep
-    time, width = item["time"].values[near], item["bandwidth_hz"].values[place, near]
-    hz = order * item["speed"].values[near] / 60.0
+    order, sweep = float(tracks["order"].values[place]), solved.window.sweep
+    time, width = tracks["time"].values[near], tracks["bandwidth_hz"].values[place, near]
+    hz = order * tracks["speed"].values[near] / 60.0
     rung = np.zeros(len(time), dtype=bool)
-    for f, zeta in zip(one.natural_hz.tolist(), one.damping.tolist(), strict=True):
+    for f, zeta in zip(solved.natural_hz.tolist(), solved.damping.tolist(), strict=True):
         inside = np.abs(hz - f) < ROW_NUMBERS.witness_widths * width
-        for other in one.window.orders if inside.any() else ():
+        for other in solved.window.orders if inside.any() else ():
             over = other * sweep.speed_rpm > 60.0 * f
             passed = sweep.start_s + np.flatnonzero(over[1:] != over[:-1]) / sweep.rate_hz
             since = 2.0 * np.pi * zeta * f * (time[:, None] - passed)
@@ -255,63 +242,58 @@ def _rung(item: xr.Dataset, place: int, near: Bools, one: Solved) -> Bools:
 
 
 def _values(
-    group: GroupFit, one: Solved, less: Solved, order: float, time_s: Floats, angle_rev: Floats
+    group: GroupFit, solved: Solved, less: Solved, order: float, time_s: Floats, angle_rev: Floats
 ) -> tuple[Complexes, Floats]:
     """Amplitudes (T, C) of ``order`` at ``time_s`` and their standard errors by part.
 
     So many are told at a time that the memory does not grow with the recording.
     """
-    if (parts := min(1 + len(time_s) * len(one.left) // MOST_VALUES, len(time_s))) > 1:
+    if (parts := min(1 + len(time_s) * len(solved.left) // MOST_VALUES, len(time_s))) > 1:
         places = zip(np.array_split(time_s, parts), np.array_split(angle_rev, parts), strict=True)
-        made = [_values(group, one, less, order, *some) for some in places]
-        return np.concatenate([part for part, _ in made]), np.concatenate([part for _, part in made])
-    _, variance = one.envelope(order, one.window.turn(order, time_s, angle_rev), group.covariance)
-    begun = one.as_started(order, time_s, angle_rev)
-    value, other = (_amplitude(fit, order, time_s, angle_rev) for fit in (one, less))
+        pieces = [_values(group, solved, less, order, *some) for some in places]
+        return np.concatenate([part for part, _ in pieces]), np.concatenate([part for _, part in pieces])
+    _, variance = solved.envelope(order, solved.window.turn(order, time_s, angle_rev), group.covariance)
+    begun = solved.as_started(order, time_s, angle_rev)
+    value, other = (_amplitude(fit, order, time_s, angle_rev) for fit in (solved, less))
     error = 0.5 * variance + np.square(np.abs(value - other)) + np.square(ROW_NUMBERS.least_error_share * np.abs(value))
     error += np.square(ROW_NUMBERS.begun_share * np.abs(begun))
     return value, np.asarray(np.sqrt(error))
 
 
-def _amplitude(one: Solved, order: float, time_s: Floats, angle_rev: Floats) -> Complexes:
-    """Amplitudes (T, C) of ``order`` by ``one`` fit at ``time_s``, where the shaft stands at ``angle_rev``."""
-    if order * one.window.sweep.swing_rev > ROW_NUMBERS.swing_rev:
-        value = one.line(order, angle_rev)
+def _amplitude(solved: Solved, order: float, time_s: Floats, angle_rev: Floats) -> Complexes:
+    """Amplitudes (T, C) of ``order`` by ``solved`` fit at ``time_s``, where the shaft stands at ``angle_rev``."""
+    if order * solved.window.sweep.swing_rev > ROW_NUMBERS.swing_rev:
+        value = solved.line(order, angle_rev)
     else:
-        value, _ = one.envelope(order, one.window.turn(order, time_s, angle_rev), None)
-    return value + one.as_started(order, time_s, angle_rev)
+        value, _ = solved.envelope(order, solved.window.turn(order, time_s, angle_rev), None)
+    return value + solved.as_started(order, time_s, angle_rev)
 
 
-def _peak(one: Solved, order: float, time_s: Floats, size: Floats) -> float | None:
+def _peak(solved: Solved, order: float, time_s: Floats, size: Floats) -> float | None:
     """Time between the rows ``time_s`` at which ``order`` is clearly larger than their largest ``size``; or None."""
     best = int(np.argmax(size))
     low, high = time_s[max(best - 1, 0)], time_s[min(best + 1, len(time_s) - 1)]
     if high <= low:
         return None
     fine = np.linspace(low, high, ROW_NUMBERS.between)
-    sweep = one.window.sweep
-    angle = np.interp(fine, sweep.start_s + np.arange(len(sweep.angle_rev)) / sweep.rate_hz, sweep.angle_rev)
-    found = np.abs(_amplitude(one, order, fine, angle)).max(axis=1)
-    top = int(np.argmax(found))
-    return float(fine[top]) if found[top] > ROW_NUMBERS.higher_ratio * size[best] else None
+    sweep = solved.window.sweep
+    between = np.abs(_amplitude(solved, order, fine, np.interp(fine, sweep.time_s, sweep.angle_rev))).max(axis=1)
+    top = int(np.argmax(between))
+    return float(fine[top]) if between[top] > ROW_NUMBERS.higher_ratio * size[best] else None
 
 
-def _with_row(item: xr.Dataset, time_s: float, one: Solved) -> tuple[xr.Dataset, int]:
-    """``item`` with one row more at ``time_s``, in which nothing is known yet, and its number."""
-    time = item["time"].values
+def _with_row(tracks: xr.Dataset, time_s: float, solved: Solved) -> tuple[xr.Dataset, int]:
+    """``tracks`` with one row more at ``time_s``, in which nothing is known yet, and its number."""
+    time = tracks["time"].values
     at = int(np.searchsorted(time, time_s))
     beside = min(at, len(time) - 1)
-    made = item.isel(frame=np.insert(np.arange(len(time)), at, beside)).copy(deep=True)
-    sweep = one.window.sweep
-    sampled = sweep.start_s + np.arange(len(sweep.angle_rev)) / sweep.rate_hz
-    for name, value in (
-        ("time", time_s),
-        ("speed", np.interp(time_s, sampled, sweep.speed_rpm)),
-        ("crank_angle", np.interp(time_s, sampled, sweep.angle_rev)),
-    ):
-        made.coords[name].values[at] = value
-    for name, nothing in (("amplitude", np.nan), ("standard_error", np.nan), ("degrees_of_freedom", 0.0)):
-        made[name].values[:, :, at] = nothing
-    for name in SMOOTHING:
-        made[name].values[:, :, at] = 0.0
-    return made, at
+    longer = tracks.isel(frame=np.insert(np.arange(len(time)), at, beside)).copy(deep=True)
+    sweep = solved.window.sweep
+    longer.coords["time"].values[at] = time_s
+    longer.coords["speed"].values[at] = np.interp(time_s, sweep.time_s, sweep.speed_rpm)
+    longer.coords["crank_angle"].values[at] = np.interp(time_s, sweep.time_s, sweep.angle_rev)
+    for name in ("amplitude", "standard_error"):
+        longer[name].values[:, :, at] = np.nan
+    for name in ("degrees_of_freedom", *SMOOTHING):
+        longer[name].values[:, :, at] = 0.0
+    return longer, at

@@ -7,14 +7,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.special import chdtri, fdtrc
 
 from crankorder.identify.found import SweepFits
-from crankorder.identify.modes.exclusion import NUMBERS as EXCLUSION
-from crankorder.identify.modes.exclusion import SAME_ORDER, Hiding
 from crankorder.identify.modes.order_terms import resonance
+from crankorder.identify.modes.responses import EXCLUSION, SAME_ORDER, Hiding
+from crankorder.identify.modes.surface_fit import covariance_among
 from crankorder.identify.modes.sweep_fit import LIGHTEST, LocalFit, OnePoleMore, Starts, shares_of
 from crankorder.identify.modes.sweep_window import Solved, SweepSpectrum, Window
-from crankorder.quantities import Complexes, Floats
+from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 
@@ -67,12 +68,6 @@ class SweepPole:
     orders: tuple[float, ...]
     span_hz: tuple[float, float]
     share: float
-
-    @property
-    def covariance_of_values(self) -> Floats:
-        """Covariance (2, 2) of frequency, Hz, and damping ratio."""
-        values = np.array([self.frequency_hz, self.damping])
-        return np.asarray(self.covariance * values * values[:, None])
 
     @property
     def frequency_error_hz(self) -> float:
@@ -134,7 +129,7 @@ def sweep_fits(
     """
     orders = {order for one in spectra for order in one.orders}
     tiles = _tiles(spectra) if orders else []
-    found: list[tuple[float, float]] = []
+    poles: list[tuple[float, float]] = []
     looked: dict[int, TileLooked] = {}
     every = set[float]()
     asked, starts = list(range(len(tiles)))[::-1], NUMBERS.most_starts
@@ -144,34 +139,33 @@ def sweep_fits(
         more = [order for order in others if all(abs(order - one) > NUMBERS.apart_share * one for one in known)]
         search = _Search(tuple(spectra), tuple(sorted(every)), tuple(more), settings)
         back = {side for side in (-1, 1) if number + side in looked and looked[number + side].sent == -side}
-        tile = looked[number] = search.in_tile(found, *tiles[number], back=back, most_starts=starts)
+        tile = looked[number] = search.in_tile(poles, *tiles[number], back=back, most_starts=starts)
         starts -= tile.starts
         every |= tile.shown
-        if len(tile.found) > len(found):
+        if len(tile.found) > len(poles):
             asked += [at for at in (number - 1, number + 1) if at in looked and looked[at].sent]
-        found = tile.found
-    groups = _groups(spectra, sorted(every), [pole for pole in found if pole[1] <= settings.max_damping_ratio])
-    refined = [_refined(spectra, sorted(every), group, found, settings.max_damping_ratio) for group in groups]
-    made = tuple(one for one in refined if one is not None and one.poles)
-    proven = [pole.frequency_hz for one in made for pole in one.poles]
+        poles = tile.found
+    groups = _groups(spectra, sorted(every), [pole for pole in poles if pole[1] <= settings.max_damping_ratio])
+    refined = [_refined(spectra, sorted(every), group, poles, settings.max_damping_ratio) for group in groups]
+    sure = tuple(one for one in refined if one is not None and one.poles)
+    proven = [pole.frequency_hz for one in sure for pole in one.poles]
     hidden: list[Hiding] = []
     ends: dict[bool, list[tuple[float, float]]] = {True: [], False: []}
     for at, (low, high) in enumerate(tiles):
         fit = looked[at].fit if at in looked else None
-        least, sure = settings.least_damping_ratio, settings.free_confidence
-        unseen = hidden_in(fit.bare, low, high, least_damping=least, confidence=sure) if fit else ()
-        hidden += [item.beside(proven) for item in unseen]
+        unseen = hidden_in(fit.bare, low, high, proven, settings=settings) if fit else []
+        hidden += unseen
         # one that asks for more is not searched to its end: nothing is said to be free there
         if unseen or at not in looked or (fit is None and looked[at].starts):
             ends[bool(unseen)].append((low, high))
-    return SweepFits(made, tuple(hidden), tuple(ends[True]), tuple(sorted(every)), tuple(ends[False]))
+    return SweepFits(sure, tuple(hidden), tuple(ends[True]), tuple(sorted(every)), tuple(ends[False]))
 
 
 def _tiles(spectra: Sequence[SweepSpectrum]) -> list[tuple[float, float]]:
     """Tiles of frequency that any order passes."""
-    orders = [order for one in spectra for order in one.orders]
-    top = min(NUMBERS.highest_hz, min(one.top_hz for one in spectra))
-    turning = [one.speed_rpm[one.speed_rpm > 0.01 * one.speed_rpm.max()] for one in spectra]
+    orders = [order for sweep in spectra for order in sweep.orders]
+    top = min(NUMBERS.highest_hz, min(sweep.top_hz for sweep in spectra))
+    turning = [sweep.speed_rpm[sweep.speed_rpm > 0.01 * sweep.speed_rpm.max()] for sweep in spectra]
     low = max(NUMBERS.lowest_hz, min(orders) * min(float(speed.min()) for speed in turning) / 60.0)
     high = min(top, max(orders) * max(float(speed.max()) for speed in turning) / 60.0)
     if high <= low:
@@ -187,11 +181,11 @@ def _blur_hz(spectra: Sequence[SweepSpectrum], more: Sequence[float], low_hz: fl
     ``more``: orders beside those of the recordings.
     """
     fastest = 0.0
-    for one in spectra:
-        for order in (*one.orders, *more):
-            if one.passes(order, low_hz, high_hz):
-                inside = one.passing(order, low_hz, high_hz)
-                fastest = max(fastest, order / 60.0 * float(one.rate_rpm_per_s[inside].max(initial=0.0)))
+    for sweep in spectra:
+        for order in (*sweep.orders, *more):
+            if sweep.passes(order, low_hz, high_hz):
+                inside = sweep.passing(order, low_hz, high_hz)
+                fastest = max(fastest, order / 60.0 * float(sweep.rate_rpm_per_s[inside].max(initial=0.0)))
     return float(np.sqrt(fastest))
 
 
@@ -199,11 +193,11 @@ def _windows(
     spectra: Sequence[SweepSpectrum], more: Sequence[float], low_hz: float, high_hz: float, degree: int
 ) -> tuple[Window, ...]:
     """Windows of all recordings in which any order, ``more`` among them, passes, cut at the ends of their bands."""
-    made = [
-        Window.of(one, more, max(low_hz, 0.3 * NUMBERS.lowest_hz), min(high_hz, one.top_hz), degree=degree)
-        for one in spectra
+    windows = [
+        Window.of(sweep, more, max(low_hz, 0.3 * NUMBERS.lowest_hz), min(high_hz, sweep.top_hz), degree=degree)
+        for sweep in spectra
     ]
-    return tuple(window for window in made if window is not None)
+    return tuple(window for window in windows if window is not None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,15 +209,10 @@ class _Search:
     more: tuple[float, ...]
     settings: IdentifySettings
 
-    @property
-    def chance(self) -> float:
-        """False-alarm probability."""
-        return self.settings.false_alarm_probability
-
     def in_tile(
-        self, found: list[tuple[float, float]], low: float, high: float, *, back: set[int], most_starts: int
+        self, poles: list[tuple[float, float]], low: float, high: float, *, back: set[int], most_starts: int
     ) -> TileLooked:
-        """The tile ``low`` to ``high`` Hz beside the poles ``found``, in which ``most_starts`` are followed at most.
+        """The tile ``low`` to ``high`` Hz beside the poles ``poles``, in which ``most_starts`` are followed at most.
 
         None where a start beyond an end promises more, but if the tile there is one of those that send ``back``.
         """
@@ -234,8 +223,8 @@ class _Search:
         )
         windows = _windows(self.spectra, self.shown, *ends, NUMBERS.search_degree) if wide else ()
         if not windows:
-            return TileLooked(found)
-        near = [pole for pole in found if ends[0] < pole[0] < ends[1]]
+            return TileLooked(poles)
+        near = [pole for pole in poles if ends[0] < pole[0] < ends[1]]
         natural, damping = np.array(near).reshape(-1, 2).T
         strong = tuple(
             window.with_strong(natural, damping, NUMBERS.strong_share, NUMBERS.most_orders) for window in windows
@@ -250,13 +239,13 @@ class _Search:
                 break
             fit, again = self._with_orders(trial)
             shown |= again
-        others = [pole for pole in found if not ends[0] < pole[0] < ends[1]]
-        found = others + list(zip(fit.natural_hz.tolist(), fit.damping.tolist(), strict=True))
-        return TileLooked(found, shown, fit.bare if trial is None else None, tried, sent=starts.beyond)
+        others = [pole for pole in poles if not ends[0] < pole[0] < ends[1]]
+        poles = others + fit.poles
+        return TileLooked(poles, shown, fit.bare if trial is None else None, tried, sent=starts.beyond)
 
     def _with_pole(self, fit: LocalFit, starts: Starts) -> LocalFit | None:
         """``fit`` with the best of ``starts``; None where that saves too little, or is not felt."""
-        if starts.saves.max() < (limit := starts.limit(self.chance)):
+        if starts.saves.max() < (limit := starts.limit(self.settings.false_alarm_probability)):
             return None
         trial = fit.with_pole(*starts.best).settled(**ROUGHLY)
         last, reach = len(trial.natural_hz) - 1, 1.0 + NUMBERS.beside_share
@@ -268,24 +257,29 @@ class _Search:
 
     def _with_orders(self, fit: LocalFit) -> tuple[LocalFit, set[float]]:
         """``fit`` with those of the further orders that its windows show, one after the other, and which these are."""
-        from scipy.special import chdtri
-
         shown = set[float]()
-        reached = [order for order in self.more if any(window.is_passed(order) for window in fit.windows)]
+        reached = [order for order in self.more if any(_is_passed(window, order) for window in fit.windows)]
         while left := [order for order in reached if order not in fit.orders]:
-            inside = [[one for one in fit.solved if one.window.is_passed(order)] for order in left]
-            gains = [sum(one.gain_of(order) for one in some) for order, some in zip(left, inside, strict=True)]
-            columns = [one.left.shape[1] * one.window.order_columns(len(fit.natural_hz)) for one in fit.solved]
-            unknowns = 2.0 * sum(columns)
+            inside = [[solved for solved in fit.solved if _is_passed(solved.window, order)] for order in left]
+            gains = [sum(solved.gain_of(order) for solved in some) for order, some in zip(left, inside, strict=True)]
+            unknowns = 2.0 * sum(solved.left.shape[1] * solved.width for solved in fit.solved)
             best = int(np.argmax(gains))
-            least = 2.0 * NUMBERS.order_share * sum(one.misfit for one in fit.solved)
-            if gains[best] < max(least, float(chdtri(unknowns, self.chance / len(left)))):
+            least = 2.0 * NUMBERS.order_share * sum(solved.misfit for solved in fit.solved)
+            if gains[best] < max(least, float(chdtri(unknowns, self.settings.false_alarm_probability / len(left)))):
                 break
             shown.add(left[best])
-            joined = {id(one.window) for one in inside[best]}
-            windows = tuple(one.with_order(left[best]) if id(one) in joined else one for one in fit.windows)
+            windows = tuple(
+                replace(window, orders=tuple(sorted({*window.orders, left[best]})))
+                if _is_passed(window, left[best])
+                else window
+                for window in fit.windows
+            )
             fit = LocalFit(windows, fit.natural_hz, fit.damping).settled(**ROUGHLY)
         return fit, shown
+
+
+def _is_passed(window: Window, order: float) -> bool:
+    return window.sweep.passes(order, window.low_hz, window.high_hz)
 
 
 def _half_width(spectra: Sequence[SweepSpectrum], more: Sequence[float], pole: tuple[float, float]) -> float:
@@ -293,25 +287,25 @@ def _half_width(spectra: Sequence[SweepSpectrum], more: Sequence[float], pole: t
     f, zeta = pole
     reach = max(zeta, 0.02)
     blur = _blur_hz(spectra, more, f * (1.0 - reach), f * (1.0 + reach))
-    shortest = min(one.length_s for one in spectra)
+    shortest = min(sweep.length_s for sweep in spectra)
     wide = min(NUMBERS.widths * zeta, NUMBERS.widest_share) * f
     return float(max(wide, NUMBERS.blurs * blur, NUMBERS.fewest_bins / shortest))
 
 
 def _groups(
-    spectra: Sequence[SweepSpectrum], more: Sequence[float], found: Sequence[tuple[float, float]]
+    spectra: Sequence[SweepSpectrum], more: Sequence[float], poles: Sequence[tuple[float, float]]
 ) -> list[list[tuple[float, float]]]:
-    """``found`` poles by those that are told together: whose windows reach to one another."""
-    made: list[list[tuple[float, float]]] = []
+    """``poles`` poles by those that are told together: whose windows reach to one another."""
+    groups: list[list[tuple[float, float]]] = []
     reached = -np.inf
-    for pole in sorted(found):
+    for pole in sorted(poles):
         half = _half_width(spectra, more, pole)
-        if made and pole[0] - 0.5 * half < reached:
-            made[-1].append(pole)
+        if groups and pole[0] - 0.5 * half < reached:
+            groups[-1].append(pole)
         else:
-            made.append([pole])
-        reached = max(reached, pole[0] + 0.5 * half) if len(made[-1]) > 1 else pole[0] + 0.5 * half
-    return [part for group in made for part in _parted(group)]
+            groups.append([pole])
+        reached = max(reached, pole[0] + 0.5 * half) if len(groups[-1]) > 1 else pole[0] + 0.5 * half
+    return [part for group in groups for part in _parted(group)]
 
 
 def _parted(group: list[tuple[float, float]]) -> list[list[tuple[float, float]]]:
@@ -326,20 +320,20 @@ def _refined(
     spectra: Sequence[SweepSpectrum],
     shown: Sequence[float],
     group: Sequence[tuple[float, float]],
-    found: Sequence[tuple[float, float]],
+    known: Sequence[tuple[float, float]],
     most_damping: float,
 ) -> GroupFit | None:
     """The poles of a ``group`` fitted in a window of their own, with what the degree of the smooth part moves.
 
-    Others of those ``found`` that lie in the window take part, but are told in a group of their own. ``shown``:
+    Others of those ``known`` that lie in the window take part, but are told in a group of their own. ``shown``:
     orders beside those of the recordings; ``most_damping``: the largest damping ratio of a mode.
     """
     halves = [_half_width(spectra, shown, pole) for pole in group]
     low = min(pole[0] - half for pole, half in zip(group, halves, strict=True))
     high = max(pole[0] + half for pole, half in zip(group, halves, strict=True))
-    held = [one for one in spectra if _windows([one], shown, low, high, max(NUMBERS.degrees))]
+    held = [sweep for sweep in spectra if _windows([sweep], shown, low, high, max(NUMBERS.degrees))]
     fits: list[LocalFit] = []
-    beside = [pole for pole in found if low < pole[0] < high and pole not in group]
+    beside = [pole for pole in known if low < pole[0] < high and pole not in group]
     natural, damping = np.array([*group, *beside]).T
     for degree in NUMBERS.degrees:
         windows = _windows(held, shown, low, high, degree)
@@ -353,19 +347,11 @@ def _refined(
         fits.append(LocalFit(windows, natural, damping).settled(**EXACTLY))
         natural, damping = fits[-1].natural_hz, fits[-1].damping
     less, more = fits
-    covariance = _covariance(less, more)
-    told = [
-        _pole(more, number, covariance[2 * number : 2 * number + 2, 2 * number : 2 * number + 2])
-        for number in range(len(group))
-    ]
-    sure = tuple(pole for pole in told if _is_sure(pole, most_damping))
-    return GroupFit(more.bare, less.bare, covariance, sure)
-
-
-def _covariance(less: LocalFit, more: LocalFit) -> Floats:
-    """Covariance (2 M, 2 M) of (ln f, ln ζ) of the poles of ``more``, with what one degree ``less`` moves."""
     moved = np.stack([np.log(more.natural_hz / less.natural_hz), np.log(more.damping / less.damping)], axis=1)
-    return np.asarray(more.covariance() + np.diag(np.square(moved).ravel()) + more.model_variance)
+    covariance = np.asarray(more.covariance() + np.diag(np.square(moved).ravel()) + more.model_variance)
+    poles = [_pole(more, number, covariance_among(covariance, [number])) for number in range(len(group))]
+    sure = tuple(pole for pole in poles if _is_sure(pole, most_damping))
+    return GroupFit(more.bare, less.bare, covariance, sure)
 
 
 def _is_sure(pole: SweepPole, most_damping: float) -> bool:
@@ -386,34 +372,31 @@ def _witnesses(orders: Sequence[float]) -> int:
 
 def _pole(fit: LocalFit, number: int, covariance: Floats) -> SweepPole:
     """Pole ``number`` of ``fit`` with the orders that prove it."""
-    from scipy.special import fdtrc
-
     f, zeta = float(fit.natural_hz[number]), float(fit.damping[number])
     orders, channels, ends = set[float](), dict[str, None](), list[float]()
-    for one in fit.solved:
-        shares, spread = shares_of(one, number), _variance(one, number)
-        ratio = np.square(np.abs(one.residues[:, number])) / np.maximum(spread, 1e-300)
-        dof = 2.0 * max(len(one.left) - len(one.scale), 1)
+    for solved in fit.solved:
+        shares, spread = shares_of(solved, number), _variance(solved, number)
+        ratio = np.square(np.abs(solved.residues[:, number])) / np.maximum(spread, 1e-300)
+        dof = 2.0 * max(len(solved.left) - len(solved.scale), 1)
         shown = (fdtrc(2.0, dof, ratio) <= NUMBERS.proof_chance) & (shares >= NUMBERS.felt_share)
-        for row, order in enumerate(one.window.orders):
+        for row, order in enumerate(solved.window.orders):
             if shown[row].any():
                 if all(abs(order - other) > SAME_ORDER * order for other in orders):  # told by each recording
                     orders.add(order)
-                hz = order * one.window.sweep.speed_rpm / 60.0
+                hz = order * solved.window.sweep.speed_rpm / 60.0
                 ends += [float(hz[hz > 0.0].min()), float(hz.max())]
-                channels |= {name: None for name, yes in zip(one.window.sweep.channels, shown[row], strict=True) if yes}
+                names = zip(solved.window.sweep.channels, shown[row], strict=True)
+                channels |= {name: None for name, is_shown in names if is_shown}
     span = (min(ends), max(ends)) if ends else (0.0, 0.0)
     return SweepPole(f, zeta, covariance, tuple(channels), tuple(sorted(orders)), span, fit.share(number))
 
 
-def _variance(one: Solved, number: int) -> Floats:
+def _variance(solved: Solved, number: int) -> Floats:
     """Variance (orders, C) of the residues of mode ``number``, a complex number's whole one."""
-    width = one.window.order_columns(len(one.natural_hz))
-    at = np.arange(len(one.window.orders)) * width + one.window.degree + 1 + number
-    inverse = one.inverse[at] / one.scale[at, None]
-    scatter = (
-        np.square(one.window.level) * np.sum(np.abs(one.left) ** 2, axis=0) / max(len(one.left) - len(one.scale), 1)
-    )
+    at = np.arange(len(solved.window.orders)) * solved.width + solved.window.degree + 1 + number
+    inverse = solved.inverse[at] / solved.scale[at, None]
+    left, free = solved.left, max(len(solved.left) - len(solved.scale), 1)
+    scatter = np.square(solved.window.level) * np.sum(np.abs(left) ** 2, axis=0) / free
     return np.asarray(np.sum(np.abs(inverse) ** 2, axis=1)[:, None] * scatter)
 
 
@@ -424,69 +407,37 @@ STARTS_APART = 0.5
 """Distance of the poles that are imagined, in half-power widths of a mode or of a bin: hardly any is lower between."""
 
 
-@dataclass(frozen=True, eq=False)
-class HiddenInSweep:
-    """What a mode that nobody saw could add to ``order`` in one recording, at ``frequency_hz`` (G,), rising.
-
-    ``smooth`` (C, G) is the amplitude that the order would have there without any mode, ``own`` (M, C, G) what the
-    poles ``natural_hz`` (M,) of the fit make of it; ``added`` and ``noise`` (C, G) are those of a Hiding.
-    """
-
-    order: float
-    channels: tuple[str, ...]
-    frequency_hz: Floats
-    smooth: Complexes
-    own: Complexes
-    natural_hz: Floats
-    damping: Floats
-    added: Floats
-    noise: Floats
-
-    def beside(self, proven_hz: Sequence[float]) -> Hiding:
-        """With those of its poles as known that are modes of ``proven_hz``; any other may be a mode that is to come."""
-        proven = np.array(proven_hz)
-        known = np.array(
-            [
-                bool(np.any(np.abs(proven - f) <= zeta * f))
-                for f, zeta in zip(self.natural_hz.tolist(), self.damping.tolist(), strict=True)
-            ],
-            dtype=np.bool_,
-        )
-        base = np.abs(self.smooth + self.own[known].sum(axis=0))
-        added = self.added + np.abs(self.own[~known]).sum(axis=0)
-        return Hiding(self.order, self.frequency_hz, self.channels, base, added, self.noise)
-
-
 def hidden_in(
-    fit: LocalFit, low_hz: float, high_hz: float, *, least_damping: float, confidence: float
-) -> tuple[HiddenInSweep, ...]:
+    fit: LocalFit, low_hz: float, high_hz: float, proven_hz: Sequence[float], *, settings: IdentifySettings
+) -> list[Hiding]:
     """What each order of ``fit`` hides from ``low_hz`` to ``high_hz``, recording by recording.
 
-    Poles of ``least_damping`` and some times that are imagined side by side, with an amplitude behind every order and
-    one that rings: what the signals give them, and as much more as they leave open at the ``confidence`` (0 to 1).
+    Poles of the least damping of the ``settings`` and some times that are imagined side by side, with an amplitude
+    behind every order and one that rings: what the signals give them, and as much more as they leave open at the
+    confidence with which a speed is called free. Of the fit's own poles those of ``proven_hz`` are known; any other may
+    be a mode that is to come.
     """
-    from scipy.special import chdtri
-
-    reach = float(np.sqrt(0.5 * chdtri(2.0, 1.0 - confidence)))
+    reach = float(np.sqrt(0.5 * chdtri(2.0, 1.0 - settings.free_confidence)))
     cells = np.geomspace(low_hz, high_hz, max(3, int(np.ceil(np.log(high_hz / low_hz) / CELL))))
-    made: list[HiddenInSweep] = []
-    for one in fit.solved:
-        spread = float(np.sqrt(max(1.0, one.misfit / max(one.freedom, 1))))
-        added = np.zeros((len(one.window.orders), one.left.shape[1], len(cells)))
+    proven, hidden = np.array(proven_hz), list[Hiding]()
+    known = [bool(np.any(np.abs(proven - f) <= zeta * f)) for f, zeta in fit.poles]
+    for solved in fit.solved:
+        spread = float(np.sqrt(max(1.0, solved.misfit / max(solved.freedom, 1))))
+        added = np.zeros((len(solved.window.orders), solved.left.shape[1], len(cells)))
         for times in EXCLUSION.tried_damping_ratios:
-            added = np.maximum(added, _added(one, cells, least_damping * times, reach * spread))
-        made += [_of_order(one, place, cells, added[place]) for place in range(len(one.window.orders))]
-    return tuple(item for item in made if len(item.frequency_hz) > 1)
+            added = np.maximum(added, _added(solved, cells, settings.least_damping_ratio * times, reach * spread))
+        hidden += [_of_order(solved, place, cells, added[place], known) for place in range(len(solved.window.orders))]
+    return [hiding for hiding in hidden if len(hiding.frequency_hz) > 1]
 
 
-def _added(one: Solved, cells: Floats, damping: float, reach: float) -> Floats:
+def _added(solved: Solved, cells: Floats, damping: float, reach: float) -> Floats:
     """Largest amplitude (orders, C, G) that a mode about each of ``cells`` adds at its peak to an order held there.
 
     Per unit of the order's force. ``reach``: standard errors that count as unseen.
     """
-    step = STARTS_APART * max(2.0 * damping, 1.0 / one.window.sweep.length_s / cells[0])
+    step = STARTS_APART * max(2.0 * damping, 1.0 / solved.window.sweep.length_s / cells[0])
     natural = np.geomspace(cells[0], cells[-1], max(2, int(np.ceil(np.log(cells[-1] / cells[0]) / step))))
-    more = OnePoleMore.of(one, natural, np.full(len(natural), damping))
+    more = OnePoleMore.of(solved, natural, np.full(len(natural), damping))
     most = (np.abs(more.residues) + reach * np.sqrt(more.variance)) / (2.0 * damping)
     worst = np.stack([np.interp(cells, natural, values) for values in most.reshape(len(natural), -1).T])
     nearest = np.abs(np.log(natural[:, None] / cells)).argmin(axis=1)
@@ -494,31 +445,24 @@ def _added(one: Solved, cells: Floats, damping: float, reach: float) -> Floats:
     return np.asarray(worst.reshape(*most.shape[1:], len(cells)))
 
 
-def _of_order(one: Solved, place: int, cells: Floats, added: Floats) -> HiddenInSweep:
-    """What order number ``place`` of ``one`` window hides at those of ``cells`` (G,) that it passes.
+def _of_order(solved: Solved, place: int, cells: Floats, added: Floats, known: Sequence[bool]) -> Hiding:
+    """What order number ``place`` of ``solved`` window hides at those of ``cells`` (G,) that it passes.
 
-    ``added`` (C, G): the most that a mode adds per unit of its force.
+    ``added`` (C, G): the most that a mode adds per unit of its force; ``known`` (M,): which poles are modes for sure.
     """
-    window, order = one.window, one.window.orders[place]
+    window, order = solved.window, solved.window.orders[place]
     hz = order * window.sweep.speed_rpm / 60.0
     at = cells[(cells >= hz.min()) & (cells <= hz.max())]
     kept = np.searchsorted(cells, at)
     force = window.force_at(order, at)
-    width = window.order_columns(len(one.natural_hz))
-    own = slice(place * width, (place + 1) * width)
-    smooth, answers = window.powers_at(at), resonance(at, one.natural_hz, one.damping)
+    own = slice(place * solved.width, (place + 1) * solved.width)
+    smooth, answers = window.powers_at(at), resonance(at, solved.natural_hz, solved.damping)
     path = np.concatenate([smooth, answers], axis=1) * force[:, None]
-    amplitude, degree = one.amplitude[own], window.degree + 1
-    scatter = np.square(window.level) * one.misfit / max(one.freedom, 1)
-    error = np.sqrt(np.sum(np.abs(path @ (one.inverse[own] / one.scale[own, None])) ** 2, axis=1) * scatter[:, None])
-    return HiddenInSweep(
-        order,
-        window.sweep.channels,
-        at,
-        (path[:, :degree] @ amplitude[:degree]).T,
-        np.einsum("gm,mc->mcg", path[:, degree:], amplitude[degree:]),
-        one.natural_hz,
-        one.damping,
-        added[:, kept] * np.abs(force),
-        EXCLUSION.noise_sigmas * error,
-    )
+    amplitude, degree = solved.amplitude[own], window.degree + 1
+    scatter = np.square(window.level) * solved.misfit / max(solved.freedom, 1)
+    spread = np.sum(np.abs(path @ (solved.inverse[own] / solved.scale[own, None])) ** 2, axis=1)
+    error = np.sqrt(spread * scatter[:, None])
+    by_mode, is_known = np.einsum("gm,mc->mcg", path[:, degree:], amplitude[degree:]), np.array(known, dtype=np.bool_)
+    base = np.abs((path[:, :degree] @ amplitude[:degree]).T + by_mode[is_known].sum(axis=0))
+    most = added[:, kept] * np.abs(force) + np.abs(by_mode[~is_known]).sum(axis=0)
+    return Hiding(order, at, window.sweep.channels, base, most, EXCLUSION.noise_sigmas * error)

@@ -16,6 +16,9 @@ import numpy as np
 import xarray as xr
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
+from scipy.fft import fft, ifft, irfft, next_fast_len, rfft
+from scipy.interpolate import CubicSpline
+from scipy.linalg.blas import zherk
 
 from crankorder.identify.modes.order_terms import resonance
 from crankorder.quantities import Bools, Complexes, Floats
@@ -86,8 +89,6 @@ class SweepSpectrum:
     @cached_property
     def swing_rev(self) -> float:
         """Standard deviation by which the angle swings within the cycle: the median of all cycles."""
-        from scipy.interpolate import CubicSpline
-
         angle = np.arange(self.angle_rev[0], self.angle_rev[-1], self.cycle_rev / SWING_POINTS)
         if len(angle) < 4 * SWING_POINTS:
             return 0.0
@@ -102,6 +103,11 @@ class SweepSpectrum:
     def length_s(self) -> float:
         """Length of the recording."""
         return len(self.angle_rev) / self.rate_hz
+
+    @property
+    def time_s(self) -> Floats:
+        """Times (N,) of the samples."""
+        return np.asarray(self.start_s + np.arange(len(self.angle_rev)) / self.rate_hz)
 
     @cached_property
     def logarithm(self) -> Floats:
@@ -125,38 +131,34 @@ class SweepSpectrum:
 
 def spectra_of(followed: Sequence[xr.Dataset], *, fewest: int) -> tuple[SweepSpectrum, ...]:
     """SweepSpectrum of those ``followed`` (RecordingTracks) that hold ``fewest`` samples of a sweep or more."""
-    from scipy.fft import rfft
-
-    made = []
-    for item in followed:
-        if "waveform" not in item or item.sizes["sample"] < fewest:
+    spectra = []
+    for tracks in followed:
+        if "waveform" not in tracks or tracks.sizes["sample"] < fewest:
             continue
-        signals, rate = item["waveform"].values.astype(np.float64), float(item.attrs["waveform_rate_hz"])
-        names = tuple(str(name) for name in item["channel"].values)
+        signals, rate = tracks["waveform"].values.astype(np.float64), float(tracks.attrs["waveform_rate_hz"])
+        names = tuple(str(name) for name in tracks["channel"].values)
         n = _even_length(signals.shape[1])
         signals = signals[:, :n]
-        made.append(
+        spectra.append(
             SweepSpectrum(
-                str(item.attrs["recording"]),
+                str(tracks.attrs["recording"]),
                 names,
-                tuple(sorted(item["order"].values.tolist())),
-                float(item.attrs["waveform_start_s"]),
+                tuple(sorted(tracks["order"].values.tolist())),
+                float(tracks.attrs["waveform_start_s"]),
                 rate,
-                min(float(item.attrs["waveform_band_hz"]), 0.47 * rate),
+                min(float(tracks.attrs["waveform_band_hz"]), 0.47 * rate),
                 np.arange(n // 2 + 1) * rate / n,
                 rfft(signals - signals.mean(axis=1, keepdims=True), axis=1),
-                item["waveform_angle"].values[:n],
-                item["waveform_speed"].values[:n],
-                int(item.attrs["revs_per_cycle"]),
+                tracks["waveform_angle"].values[:n],
+                tracks["waveform_speed"].values[:n],
+                int(tracks.attrs["revs_per_cycle"]),
             )
         )
-    return tuple(made)
+    return tuple(spectra)
 
 
 def _even_length(n: int) -> int:
     """Largest length up to ``n`` that a transform likes and that can be thinned."""
-    from scipy.fft import next_fast_len
-
     parts = n // THINNED
     while parts > 1 and next_fast_len(parts) != parts:
         parts -= 1
@@ -196,9 +198,9 @@ class Window:
         fewest = 4 * (len(passing) * (degree + 2) + 4)
         if not passing or np.count_nonzero(at) < fewest:
             return None
-        made = cls(sweep, low_hz, high_hz, passing, degree, np.ones(int(at.sum())), np.ones(len(sweep.channels)))
-        made.level = np.sqrt(np.mean(np.abs(made.measured) ** 2, axis=1))
-        return made
+        window = cls(sweep, low_hz, high_hz, passing, degree, np.ones(int(at.sum())), np.ones(len(sweep.channels)))
+        window.level = np.sqrt(np.mean(np.abs(window.measured) ** 2, axis=1))
+        return window
 
     @cached_property
     def bins(self) -> slice:
@@ -239,8 +241,6 @@ class Window:
         """Transform (B,) of a force of unit size that turns by ``order``, and its slope by the order's bend."""
         bend = self.bends.get(order, 0j)
         if (order, bend) not in self._made:
-            from scipy.fft import fft
-
             logarithm, carrier, first = self._passage(order)
             turned = carrier * np.exp(bend * logarithm)
             both = fft(np.stack([turned, turned * logarithm]), axis=1)[:, first : first + len(self.frequency_hz)]
@@ -255,8 +255,6 @@ class Window:
         logarithm ends where the order has passed them: what it leaves from there is smooth.
         """
         if order not in self._passages:
-            from scipy.fft import fft, ifft, next_fast_len
-
             logarithm, carrier = self._carrier(order)
             whole = fft(carrier * np.exp(FORCE_EXPONENT * logarithm)) * (0.5 * self.thinned)
             beside = int(BESIDE_SHARE * len(self.frequency_hz))
@@ -284,10 +282,6 @@ class Window:
         carrier = np.sin(0.5 * np.pi * whole) ** 2 * np.exp(2j * np.pi * order * sweep.angle_rev[part])
         return sweep.logarithm[part] - self._middle_of(order), carrier
 
-    def is_passed(self, order: float) -> bool:
-        """Whether ``order`` passes the window."""
-        return self.sweep.passes(order, self.low_hz, self.high_hz)
-
     @cached_property
     def taper(self) -> Floats:
         """Weight (B,) that falls to nothing at both ends of the window."""
@@ -307,18 +301,14 @@ class Window:
         every = (coarse[:, :, None] * fine[:, None, :]).reshape(len(since), -1)[:, :bins]
         return np.asarray(every * (self.taper * (2.0 / len(self.sweep.angle_rev))))
 
-    def with_order(self, order: float) -> Window:
-        """The window with one ``order`` more."""
-        return replace(self, orders=tuple(sorted({*self.orders, order})))
-
     def with_strong(self, natural_hz: Floats, damping: Floats, share: float, most: int) -> Window:
         """The window with ``most`` of its orders at most, those that make ``share`` of what the strongest does or more.
 
         In any channel, behind the modes ``natural_hz``, ``damping`` (M,) that are known.
         """
-        one, path = self.solved(natural_hz, damping), self.paths(natural_hz, damping)
+        solved, path = self.solved(natural_hz, damping), self.paths(natural_hz, damping)
         forces = np.stack([self.force(order)[0] for order in self.orders])
-        size = np.linalg.norm(forces[:, :, None] * (path @ one.by_order), axis=1)
+        size = np.linalg.norm(forces[:, :, None] * (path @ solved.by_order), axis=1)
         size = (size / np.maximum(size.max(axis=0), 1e-300)).max(axis=1)
         least = max(share, float(np.sort(size)[-most:].min()))
         return replace(self, orders=tuple(np.array(self.orders)[size >= least].tolist()))
@@ -344,14 +334,8 @@ class Window:
         """How the channels may answer an order: polynomials (B, degree + 1 + M), then ``natural_hz``, ``damping``."""
         return np.concatenate([self.powers, resonance(self.frequency_hz, natural_hz, damping)], axis=1)
 
-    def order_columns(self, count: int) -> int:
-        """Columns of one order where ``count`` modes take part."""
-        return self.degree + 1 + count
-
     def solved(self, natural_hz: Floats, damping: Floats) -> Solved:
         """Least-squares amplitudes of all columns in all channels behind the modes ``natural_hz``, ``damping`` (M,)."""
-        from scipy.linalg.blas import zherk
-
         columns = self.design(natural_hz, damping) / self.shape[:, None]
         scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
         columns /= scale
@@ -377,7 +361,7 @@ def _pole(natural_hz: Floats, damping: Floats) -> Complexes:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """A ``window`` behind modes: ``amplitude`` (K, C) of its columns, ``left`` (B, C) in standard deviations.
+    """Least-squares fit of a ``window`` for given modes: ``amplitude`` (K, C), residual ``left`` (B, C) in sigmas.
 
     ``columns`` (B, K) are those over the noise's shape, each over its ``scale`` (K,); ``inverse`` (K, K) makes them
     orthonormal.
@@ -394,12 +378,12 @@ class Solved:
 
     @cached_property
     def misfit(self) -> float:
-        """Sum of the squares that are left."""
+        """Sum of the squared residuals."""
         return float(np.sum(np.abs(self.left) ** 2))
 
     @property
     def freedom(self) -> int:
-        """Complexes numbers beyond the unknowns."""
+        """Complex numbers beyond the unknowns."""
         return int((len(self.left) - len(self.scale)) * self.left.shape[1])
 
     @cached_property
@@ -410,8 +394,13 @@ class Solved:
     @cached_property
     def by_order(self) -> Complexes:
         """Amplitudes (orders, degree + 1 + M, C) of what is smooth and of the modes behind each order."""
-        size, width = len(self.window.orders), self.window.order_columns(len(self.natural_hz))
-        return self.amplitude[: size * width].reshape(size, width, -1)
+        size = len(self.window.orders)
+        return self.amplitude[: size * self.width].reshape(size, self.width, -1)
+
+    @property
+    def width(self) -> int:
+        """Columns of each order: its polynomials, then the modes."""
+        return self.window.degree + 1 + len(self.natural_hz)
 
     def normal(self, orders: Sequence[float]) -> tuple[Floats, Floats]:
         """Normal matrix (P, P) and right side (P,) of what is left, the amplitudes as good as they get.
@@ -452,14 +441,14 @@ class Solved:
     def _answers_bent(self) -> tuple[Complexes, Complexes]:
         """Derivatives (B, 2 M), by ln f and ln ζ in turns, of what each mode answers and of what it rings."""
         window = self.window
-        made = np.empty((2, len(window.frequency_hz), 2 * len(self.natural_hz)), dtype=np.complex128)
+        slopes = np.empty((2, len(window.frequency_hz), 2 * len(self.natural_hz)), dtype=np.complex128)
         for which, (by_f, by_zeta) in enumerate(((STEP, 0.0), (0.0, STEP))):
             up = self.natural_hz * (1.0 + by_f), self.damping * (1.0 + by_zeta)
             down = self.natural_hz * (1.0 - by_f), self.damping * (1.0 - by_zeta)
-            made[0, :, which::2] = resonance(window.frequency_hz, *up) - resonance(window.frequency_hz, *down)
-            made[1, :, which::2] = window.ringing(*up) - window.ringing(*down)
-        made /= 2.0 * STEP
-        return made[0], made[1]
+            slopes[0, :, which::2] = resonance(window.frequency_hz, *up) - resonance(window.frequency_hz, *down)
+            slopes[1, :, which::2] = window.ringing(*up) - window.ringing(*down)
+        slopes /= 2.0 * STEP
+        return slopes[0], slopes[1]
 
     @cached_property
     def _bent(self) -> Complexes:
@@ -468,11 +457,11 @@ class Solved:
         forces = np.stack([self.window.force(order)[0] for order in self.window.orders], axis=1)
         driven = np.tensordot(forces, self.residues, axes=1)  # (B, M, C)
         rings = self.amplitude[-2 - len(self.natural_hz) : -2]
-        made = np.repeat(driven, 2, axis=1) * answered[:, :, None] + rung[:, :, None] * np.repeat(rings, 2, axis=0)
-        return np.asarray(np.swapaxes(made, 1, 2))
+        bent = np.repeat(driven, 2, axis=1) * answered[:, :, None] + rung[:, :, None] * np.repeat(rings, 2, axis=0)
+        return np.asarray(np.swapaxes(bent, 1, 2))
 
     def envelope(self, order: float, turn: Complexes, covariance: Floats | None) -> tuple[Complexes, Floats]:
-        """Complexes amplitude (T, C) of ``order`` where ``turn`` (T, B) says; its variance (T, C) by noise and poles.
+        """Complex amplitude (T, C) of ``order`` where ``turn`` (T, B) says; its variance (T, C) by noise and poles.
 
         ``covariance`` (2 M, 2 M) is that of (ln f, ln ζ) of the modes, None where nobody asks for the variance.
         """
@@ -495,8 +484,6 @@ class Solved:
         Where the shaft swings within the cycle, modes answer an order with sidebands, and those of other orders fall on
         it: what counts is the mean over two cycles, weighted to their middle.
         """
-        from scipy.fft import irfft
-
         window, angle, cycle = self.window, self.window.sweep.angle_rev, self.window.sweep.cycle_rev
         apart = [(other, cycle * (other - order)) for other in window.orders]
         own = np.concatenate([self._columns_of(other) for other, off in apart if abs(off - round(off)) < WHOLE])
@@ -534,8 +521,7 @@ class Solved:
 
     def _columns_of(self, order: float) -> NDArray[np.intp]:
         """Numbers of the columns of ``order``."""
-        width = self.window.order_columns(len(self.natural_hz))
-        return self.window.orders.index(order) * width + np.arange(width)
+        return self.window.orders.index(order) * self.width + np.arange(self.width)
 
     def _unscaled(self, own: NDArray[np.intp]) -> Complexes:
         """The columns (B, own) in the unit of the transform."""

@@ -6,6 +6,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from scipy.special import chdtr, chdtri
 
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.cause import alike_speeds
@@ -127,8 +128,6 @@ def _is_wide(fit: SurfaceFit, number: int, problem: Problem, settings: IdentifyS
 
 def _width_is_seen(problem: Problem, tone: SurfaceFit, mode: SurfaceFit, at_hz: float) -> bool:
     """Whether no width costs more deviance than chance would."""
-    from scipy.special import chdtri
-
     least = HANN_CORRELATION * float(chdtri(1.0, NUMBERS.width_chance))
     return tone.deviance - mode.deviance > least * dispersion(problem, mode, at_hz)
 
@@ -138,8 +137,6 @@ def widest_hz(problem: Problem, fit: SurfaceFit, number: int, least: float) -> f
 
     ``problem``: the floors that were fitted; ``least``: deviance of the best fit.
     """
-    from scipy.special import chdtri
-
     f = float(fit.poles.frequency_hz[number])
     allowed = HANN_CORRELATION * float(chdtri(1.0, TWO_SIDED)) * dispersion(problem, fit, f)
     width = max(float(fit.poles.damping[number]) * f, 0.5 * NUMBERS.least_damping_ratio * f)
@@ -159,8 +156,6 @@ def is_steady(floor: Floor, frequency_hz: float) -> bool:
     Ordinates of noise averaged n times have the relative variance 1/n; a tone's has less.
     ``floor``: the floor in all channels.
     """
-    from scipy.special import chdtr
-
     at = int(np.argmin(np.abs(floor.frequency_hz - frequency_hz)))
     for channel in range(len(floor.channels)):
         power = floor.cells[channel, :, at] * floor.gain[channel]
@@ -193,7 +188,7 @@ def amplitudes(frequency_hz: float, floor: Floor, fitted: Floats) -> dict[str, t
     """
     near = np.flatnonzero(np.abs(floor.frequency_hz - frequency_hz) <= (NEAR_BINS + 0.5) * floor.seen.bin_hz)
     kernel = floor.seen.kernel(floor.frequency_hz[near] - frequency_hz)
-    made: dict[str, tuple[float, float]] = {}
+    standing_out: dict[str, tuple[float, float]] = {}
     for channel, name in enumerate(floor.channels):
         cells = floor.cells[channel][:, near]
         whole = np.isfinite(cells).all(axis=1)
@@ -212,8 +207,8 @@ def amplitudes(frequency_hz: float, floor: Floor, fitted: Floats) -> dict[str, t
         error = max(float(by_noise), between)
         if mean > 4.0 * by_noise:
             amplitude = float(np.sqrt(2.0 * mean))
-            made[name] = (amplitude, error / amplitude)
-    return made
+            standing_out[name] = (amplitude, error / amplitude)
+    return standing_out
 
 
 def kind_of(frequency_hz: float, error_hz: float, floor: Floor, *, settings: IdentifySettings) -> tuple[ToneKind, str]:
@@ -314,9 +309,11 @@ def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> lis
     first: dict[tuple[float, int], Tone] = {}
     near = partial(multiples_near, settings=settings)
     mains_tones = [tone for tone in tones if tone.kind == "mains"]
-    places = [(one, *[*near(one.frequency_hz, one.frequency_error_hz), (1, 0.0)][0]) for one in mains_tones]
+    places = [(tone, *[*near(tone.frequency_hz, tone.frequency_error_hz), (1, 0.0)][0]) for tone in mains_tones]
     # of two that claim one supply that of which the whole interval lies nearest to what the supply should have
-    ends = [abs(one.frequency_hz / n - hz) + NUMBERS.same_sigmas * one.frequency_error_hz / n for one, n, hz in places]
+    ends = [
+        abs(tone.frequency_hz / n - hz) + NUMBERS.same_sigmas * tone.frequency_error_hz / n for tone, n, hz in places
+    ]
     for tone, multiple, mains in (places[k] for k in np.argsort(ends)):
         others = [(multiple / n, other) for (m, n), other in first.items() if m == mains]
         beside = [other for ratio, other in others if _differ(tone, other, ratio)]
@@ -326,7 +323,7 @@ def _each_multiple_once(tones: list[Tone], *, settings: IdentifySettings) -> lis
         elif (mains, multiple) not in first:
             kept.append(tone)
             first |= {(mains, multiple): tone} if mains else {}
-    return sorted(kept, key=lambda one: one.frequency_hz)
+    return sorted(kept, key=lambda tone: tone.frequency_hz)
 
 
 def _differ(tone: Tone, other: Tone, ratio: float) -> bool:

@@ -12,7 +12,14 @@ from scipy.special import chdtri
 from crankorder.campbell.map import HANN_CORRELATION
 from crankorder.identify.found import ModalFit, Mode, OrderResponse, Whirl
 from crankorder.identify.modes.floor import Floor
-from crankorder.identify.modes.surface_fit import Problem, SpectralWindow, SurfaceFit, gamma_deviance, seen_pole
+from crankorder.identify.modes.surface_fit import (
+    Problem,
+    SpectralWindow,
+    SurfaceFit,
+    covariance_among,
+    gamma_deviance,
+    seen_pole,
+)
 from crankorder.identify.modes.tones import NUMBERS as TONES
 from crankorder.identify.modes.tones import at_one_speed, on_order
 from crankorder.orders.averages import median_of_known
@@ -107,7 +114,7 @@ def whirls_of(floor: Floor, *, settings: IdentifySettings) -> tuple[Floor, tuple
             break
         chance = settings.false_alarm_probability / n_tried
         fit = _fitted(line, cells.around(line), chance)
-        again = any(abs(fit.line[0] - one.line[0]) < fit.line[0] * (fit.line[2] + one.line[2]) for one in fits)
+        again = any(abs(fit.line[0] - other.line[0]) < fit.line[0] * (fit.line[2] + other.line[2]) for other in fits)
         if fit.shown.any() and not again and _outdoes_staying(fit, chance):
             line = fit.line
             fits.append(fit)
@@ -166,7 +173,7 @@ def _best_line(excess: Floats, cells: _Cells) -> tuple[Floats | None, int]:
     n_tried = sums.size * len(BOXES)
     best, line = float(np.sqrt(2.0 * np.log(max(n_tried, 2)))), None
     for box in BOXES if len(slopes) else ():
-        along, independent = (_sums_over(one, box) for one in (sums, counts))
+        along, independent = (_sums_over(values, box) for values in (sums, counts))
         score = along / np.sqrt(HANN_CORRELATION * np.maximum(independent, 0.5 * box * len(excess)))
         score /= max(1.0, 1.4826 * float(np.median(np.abs(score))))
         row, column = np.unravel_index(int(np.argmax(score)), score.shape)
@@ -397,8 +404,8 @@ def said_wide(frequency_hz: float, error_hz: float) -> str:
     ``frequency_hz``: in Hz, with the standard error ``error_hz``.
     """
     half = NORMAL_95 * error_hz / frequency_hz
-    told = half > DOUBT_NUMBERS.told_wide_share
-    return f"; the 95 % interval of its frequency is ± {100.0 * half:.2g} % wide" if told else ""
+    is_wide = half > DOUBT_NUMBERS.told_wide_share
+    return f"; the 95 % interval of its frequency is ± {100.0 * half:.2g} % wide" if is_wide else ""
 
 
 def on_grid(frequency_hz: float, reach_hz: float, still: tuple[float, ...], floor: Floor) -> str:
@@ -484,13 +491,14 @@ def without_remains(fit: ModalFit, whirls: tuple[Whirl, ...], speed_rpm: Floats)
     remains = [any(_is_meeting(mode, w) or _is_hump(mode, w, speed_rpm) for w in whirls) for mode in fit.modes]
     lost = {order for mode in fit.modes if any(_is_meeting(mode, w) for w in whirls) for order in mode.reached_by}
     at = [k for k, mode in enumerate(fit.modes) if not (remains[k] and (mode.undecided or mode.reached_by))]
-    pairs = np.array([[2 * k, 2 * k + 1] for k in at], dtype=np.int64).ravel()
     why = "it is on the path of a whirl and broader, and may be what the whirl leaves"
     return replace(
         fit,
         modes=tuple(replace(fit.modes[k], undecided=why) if remains[k] else fit.modes[k] for k in at),
-        covariance=fit.covariance[np.ix_(pairs, pairs)],
-        responses=tuple(_of_modes(one, at, fits=one.fits and one.order not in lost) for one in fit.responses),
+        covariance=covariance_among(fit.covariance, at),
+        responses=tuple(
+            _of_modes(response, at, fits=response.fits and response.order not in lost) for response in fit.responses
+        ),
         whirls=whirls,
     )
 
