@@ -80,15 +80,6 @@ def test_a_tone_beside_an_order_is_no_mains_and_a_line_that_slips_is_an_order() 
 
 
 @pytest.mark.slow
-def test_lines_on_two_mains_frequencies_are_both_called_tones() -> None:
-    """No place has two supplies."""
-    held = recorded([985.0, 1003.0, 1017.0], {50.0: 0.5, 60.0: 0.4}, {1.0: 0.6}, seed=4)
-    _, modal = told(held, [49.9, 60.1])
-    assert [tone.frequency_hz for tone in modal.tones] == pytest.approx([50.0, 60.0], abs=0.01)
-    assert [tone.kind for tone in modal.tones] == ["tone", "tone"]
-
-
-@pytest.mark.slow
 def test_what_is_neither_fixed_nor_an_order_leaves_all_as_it_was() -> None:
     """A pole-pass sideband moves with the slip: no frequency and no order of its own."""
     held = [

@@ -190,20 +190,6 @@ def test_a_race_is_matched_within_its_interval_and_never_by_a_locked_line():
     assert texts([agreed(2.0)], sources, bearings=[on_order_two]) == {2.0: "shaft harmonic"}
 
 
-def test_a_race_modulated_by_its_shaft_has_sidebands():
-    inner = 3.317
-    sources = dataclasses.replace(ROTOR, bearings=(JACK_SHAFT,))
-    orders = [
-        agreed(inner - 0.5, line(inner - 0.5, 0.3), lock="slips"),
-        agreed(inner, line(inner, 1.0), lock="slips"),
-        agreed(inner + 0.5, line(inner + 0.5, 0.3), lock="slips"),
-    ]
-    found = texts(orders, sources, bearings=[bearing_record(JACK_SHAFT, "BPFI", inner)])
-    assert found[inner] == "bearing jack shaft BPFI"
-    assert found[inner - 0.5] == "bearing jack shaft BPFI - 1 x shaft"
-    assert found[inner + 0.5] == "bearing jack shaft BPFI + 1 x shaft"
-
-
 def test_a_mesh_is_told_by_its_sidebands_and_named_where_it_was_stated():
     sizes = {1: 1.0, 22: 0.2, 23: 1.0, 24: 0.3}
     orders = [agreed(float(k), line(float(k), a, speed_rpm=[2000.0])) for k, a in sizes.items()]

@@ -102,11 +102,6 @@ def test_crossings_inside_and_outside_the_tested_range_are_told_apart(reference)
     assert not table[1.0, 350]["in_range"]
 
 
-def test_noise_alone_gives_no_order():
-    made = findings_of(lambda rpm, number: [shaken(5000 + number)])
-    assert made["orders"] == []
-
-
 def test_a_tone_of_fixed_frequency_is_mains_and_neither_order_nor_mode():
     made = findings_of(lambda rpm, k: [total(lambda t, _: 0.2 * np.cos(2 * np.pi * 60.0 * t + k), shaken(k))])
     assert made["orders"] == []

@@ -51,14 +51,6 @@ def test_close_modes_are_told_apart_with_their_damping() -> None:
         assert mode.frequency_hz == pytest.approx(f, rel=2e-3)
 
 
-@pytest.mark.slow
-def test_the_covariance_is_that_of_the_modes_errors() -> None:
-    fit = _fit(THREE)
-    errors = [error for mode in fit.modes for error in (mode.frequency_error_hz, mode.damping_error)]
-    assert np.sqrt(np.diag(fit.covariance)) == pytest.approx(errors, rel=1e-12)
-    assert np.linalg.eigvalsh(fit.covariance).min() > 0.0
-
-
 def test_a_floor_that_grows_with_speed_moves_nothing() -> None:
     made = replace(THREE, gains=tuple(np.linspace(1.0, 4.0, len(THREE.speed_rpm))))
     assert inside(_fit(made), made)
@@ -295,20 +287,3 @@ def test_a_resonance_is_seen_through_the_window_as_the_lags_that_the_window_lets
     far = np.exp(-2j * np.pi * np.outer(at, lag_s)) @ decay.conj()
     assert columns[0] == pytest.approx((near + far).real, abs=2e-5)
     assert columns[1] == pytest.approx((far - near).imag, abs=2e-5)
-
-
-def test_the_derivatives_of_a_resonance_are_its_differences() -> None:
-    seen, step = sight("hann", 1.5 * BIN_HZ), 1e-6
-    at = np.arange(2.0, 200.0, 0.5)
-    f, zeta = np.array([60.0, 115.0]), np.array([0.001, 0.2])
-    _, by_f, by_zeta = pole_columns(at, f, zeta, seen)
-    for derivative, (df, dz) in ((by_f, (step, 0.0)), (by_zeta, (0.0, step))):
-        up = pole_columns(at, f * np.exp(df), zeta * np.exp(dz), seen)[0]
-        down = pole_columns(at, f * np.exp(-df), zeta * np.exp(-dz), seen)[0]
-        assert derivative == pytest.approx((up - down) / (2 * step), abs=1e-6 * np.abs(derivative).max())
-
-
-def test_the_kernel_of_a_window_holds_a_tone_s_whole_power() -> None:
-    seen = sight("hann", 1.5 * BIN_HZ)
-    offsets = np.arange(-200.0, 200.0, 0.01)
-    assert np.sum(seen.kernel(offsets)) * 0.01 == pytest.approx(1.0, abs=1e-4)

@@ -16,7 +16,7 @@ from crankorder.identify.modes.order_search import poles_of_orders, settled
 from crankorder.identify.modes.order_terms import resonance
 from crankorder.identify.modes.surface_fit import NO_POLES
 from crankorder.settings import load_settings
-from made.drawn_orders import DrawnMachine, DrawnOrder, blocks_from, drawn_machine, judged
+from made.drawn_orders import DrawnMachine, DrawnOrder, blocks_from, drawn_machine
 from made.floor_bound import whittle_bound
 from made.floors import no_orders
 from made.structures import RATE_HZ, Structure, drawn, recorded, swept_up, with_pair
@@ -274,19 +274,6 @@ def test_a_mode_that_is_known_is_not_found_again() -> None:
     assert poles == ()
     proofs = settled(laid, known, poles, chance=SETTINGS.false_alarm_probability).proofs
     assert proofs[0].orders == (1.0,) and proofs[0].most_rows > 5
-
-
-@pytest.mark.slow
-def test_the_modes_of_a_test_without_a_floor_stand_in_order_with_their_covariance() -> None:
-    machine = drawn_machine(4, n_modes=(3, 3))
-    modal, _, _ = judged(machine, 4)
-    assert len(modal.modes) >= 2
-    frequencies = [mode.frequency_hz for mode in modal.modes]
-    assert frequencies == sorted(frequencies)
-    errors = np.sqrt(np.diag(modal.covariance)).reshape(-1, 2)
-    for mode, (by_f, by_zeta) in zip(modal.modes, errors, strict=True):
-        assert by_f == pytest.approx(mode.frequency_error_hz)
-        assert by_zeta == pytest.approx(mode.damping_error)
 
 
 # Lightly damped modes and tones: a tone only where the data exclude a width, and both side by side.

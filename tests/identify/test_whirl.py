@@ -100,15 +100,6 @@ def test_forward_and_backward_whirl_of_one_mode_are_told_beside_modes_that_stay(
     assert not any(mode.undecided for mode in fit.modes)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_a_whirl_leaves_no_mode_that_stays_where_it_sweeps(seed: int) -> None:
-    fit = _fit(Rotor(modes=(FORWARD, STAYS[0])), seed)
-    assert len(fit.whirls) == 1
-    assert [round(mode.frequency_hz) for mode in fit.modes] == [90]
-    assert not fit.tones
-
-
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("growth", [0.0, 2.0])
 def test_modes_that_stay_make_no_whirl_however_their_level_grows(growth: float) -> None:
