@@ -8,7 +8,7 @@ import xarray as xr
 
 from crankorder import front_door
 from crankorder.front_door import Diagnosis
-from crankorder.orders.fixed_lines import MetRow, OrderRows, beside_fixed, without_steady_lines
+from crankorder.orders.fixed_lines import without_steady_lines
 from crankorder.shaft.angle import speed_course
 from made.mains_met import MainsMet, drawn, recordings
 from made.recordings import sampled, shaft
@@ -19,37 +19,6 @@ CLOSE_HZ = 2.5
 
 OF_MODEL = 4e-4
 """Share to which what is behind a mode is known: its force is straight between samples; rows far from mains show it."""
-
-
-def _rows(size: list[float]) -> OrderRows:
-    amplitude = np.array([size])
-    error = np.full(amplitude.shape, 0.001)
-    return OrderRows(
-        amplitude.copy(), np.full(amplitude.shape, np.nan), error, np.full(amplitude.shape, 20.0),
-        amplitude - 0.002, amplitude + 0.002, np.full(amplitude.shape, np.nan),
-    )  # fmt: skip
-
-
-def _met(row: int, doubt: float) -> MetRow:
-    no, yes = np.array([False]), np.array([True])
-    nothing = np.array([1.0])
-    return MetRow(row, (), nothing + 0j, nothing, nothing, np.array([doubt]), no, yes, yes)
-
-
-SPEEDS = np.array([1100.0, 1200.0, 1300.0])
-
-
-def test_a_row_that_a_line_explains_is_as_large_as_the_speeds_beside_and_its_interval_holds_both():
-    made = beside_fixed(_rows([0.4, 0.68, 0.42]), SPEEDS, [_met(1, 0.3)])
-    assert made.amplitude[0, 1] == pytest.approx(0.41)
-    assert made.amplitude_low[0, 1] == pytest.approx(0.378) and made.amplitude_high[0, 1] == pytest.approx(0.982)
-    np.testing.assert_array_equal(made.amplitude[0, [0, 2]], [0.4, 0.42])
-
-
-def test_a_row_that_a_line_is_too_small_to_explain_stays_and_its_interval_grows_by_the_line():
-    made = beside_fixed(_rows([1.0, 68.0, 2.0]), SPEEDS, [_met(1, 0.1)])
-    assert made.amplitude[0, 1] == 68.0
-    assert made.amplitude_low[0, 1] == pytest.approx(67.898) and made.amplitude_high[0, 1] == pytest.approx(68.102)
 
 
 def _found(met: MainsMet, rng: np.random.Generator) -> tuple[list[bool], Diagnosis]:
