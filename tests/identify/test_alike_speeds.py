@@ -21,6 +21,7 @@ from crankorder.settings import load_settings
 from made.command import analysed
 from made.found_lines import agreed, fit, line
 from made.line_frames import angle_of, frames_of, wave
+from made.recordings import manifest
 
 SETTINGS = load_settings().identify
 
@@ -116,23 +117,7 @@ def test_the_interval_of_a_tone_that_stands_alone_holds_it() -> None:
 
 
 RATE_HZ = 8192
-MANIFEST = """schema_version = 1
-[test]
-name = "no encoder"
-cycle = "rotor"
-[recordings]
-files = ["*.h5"]
-[sampling]
-domain = "time"
-rate_hz = 8192
-[[channels]]
-name = "Z"
-source = "z"
-quantity = "acceleration"
-unit = "m/s2"
-[encoder]
-kind = "vibration"
-"""
+MANIFEST = manifest("*.h5", channels={"Z": {"source": "z"}}, sampling={"rate_hz": 8192}, encoder={"kind": "vibration"})
 
 
 def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed() -> None:

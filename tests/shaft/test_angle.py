@@ -17,6 +17,7 @@ from crankorder.shaft.angle import angle_at, angle_knots, time_at
 from crankorder.shaft.pattern import pattern_of
 from crankorder.shaft.pulses import find_pulses
 from crankorder.shaft.wheel import number_teeth
+from made.recordings import manifest
 
 SETTINGS = load_settings().shaft
 
@@ -227,36 +228,22 @@ def test_exact_pulses_of_any_wheel_are_passed_through():
 
 SETTINGS_DIRECTION = load_settings()
 RATE_HZ, LINES = 20_000.0, 60
-MANIFEST = """schema_version = 1
-[test]
-name = "two tracks"
-cycle = "rotor"
-[recordings]
-files = ["*.h5"]
-[[channels]]
-name = "Z"
-source = "z"
-unit = "m/s2"
-[encoder]
-kind = "square"
-source = "a"
-second_track = "b"
-pulses_per_rev = 60
-edge = "{edge}"
-"""
+ENCODER = {"kind": "square", "source": "a", "second_track": "b", "pulses_per_rev": 60}
 
 
 def flags(folder: Path, turns: np.ndarray, *, edge: str = "rising", second: np.ndarray | None = None) -> dict[str, str]:
     """Flags on the direction of a shaft at ``turns`` (sample,), A leading B by a quarter of a line forwards."""
     folder.mkdir(exist_ok=True)
-    (folder / "run.toml").write_text(MANIFEST.format(edge=edge), encoding="utf-8")
+    text = manifest("*.h5", channels={"Z": {"source": "z"}}, encoder=ENCODER | {"edge": edge})
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     with h5py.File(folder / "a.h5", "w") as file:
         file.attrs["rate_hz"] = RATE_HZ
         file["z"] = np.random.default_rng(1).standard_normal(turns.size)
         file["a"] = ((turns * LINES) % 1.0 < 0.5).astype(np.float32)
         file["b"] = ((turns * LINES - 0.25) % 1.0 < 0.5).astype(np.float32) if second is None else second
-    manifest = load_manifest(folder)
-    read = read_recording(folder / "a.h5", manifest, settings=SETTINGS_DIRECTION.ingest, shaft=SETTINGS_DIRECTION.shaft)
+    read = read_recording(
+        folder / "a.h5", load_manifest(folder), settings=SETTINGS_DIRECTION.ingest, shaft=SETTINGS_DIRECTION.shaft
+    )
     return {one["flag"]: one["detail"] for one in flags_of(read) if "direction" in one["flag"] or "back" in one["flag"]}
 
 
@@ -282,7 +269,7 @@ def test_d8_a_dead_second_track_says_nothing(tmp_path: Path) -> None:
 
 
 def test_a_second_track_goes_with_a_sampled_one(tmp_path: Path) -> None:
-    text = MANIFEST.format(edge="rising").replace('"square"', '"pulse_times"')
+    text = manifest(channels={"Z": {"source": "z"}}, encoder=ENCODER | {"kind": "pulse_times"})
     (tmp_path / "run.toml").write_text(text, encoding="utf-8")
     with pytest.raises(Exception, match="a second track is a sampled trace"):
         load_manifest(tmp_path)
