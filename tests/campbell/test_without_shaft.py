@@ -43,13 +43,6 @@ def parts(folder):
     return settings, [band_limited(item, band_hz=100.0, grid_hz=0.5) for item in recordings], shafts
 
 
-def test_its_angle_stays_and_its_speed_is_unknown(parts):
-    for shaft in parts[2]:
-        assert shaft.attrs["has_shaft"] == 0
-        assert np.ptp(shaft["crank_angle"].values) == 0.0
-        assert np.isnan(shaft["speed"].values).all()
-
-
 def test_all_its_frames_make_one_spectrum_of_unknown_speed(parts):
     settings, bands, shafts = parts
     frames = [frequency_frames(*pair, settings=settings.campbell) for pair in zip(bands, shafts, strict=True)]

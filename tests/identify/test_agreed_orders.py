@@ -58,14 +58,6 @@ def test_too_few_revolutions_leave_it_undecided_and_say_how_many_are_needed() ->
     assert longer.lock == "locked"
 
 
-def test_two_lines_a_fifth_of_a_percent_apart_are_found_as_two() -> None:
-    found = agreed(lambda angle, _: wave(angle, 5.5, 1.0) + wave(angle, 5.489, 0.5, 1.0), revs=600)
-    assert [item.lock for item in found] == ["slips", "locked"]
-    assert found[0].order == pytest.approx(5.489, abs=2e-4)
-    amplitudes = [float(line.amplitude[0]) for item in found for line in item.lines]
-    assert amplitudes == pytest.approx([0.5, 0.5, 1.0, 1.0], rel=0.05)
-
-
 def test_without_pulses_the_number_is_as_good_as_the_stated_speed() -> None:
     (item,) = agreed(lambda angle, _: wave(angle, 3.9938, 1.0), pulses=False)
     assert abs(item.order - 4.0) < half_width(item)

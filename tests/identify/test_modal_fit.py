@@ -12,9 +12,7 @@ from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.modes import surface_fit
 from crankorder.identify.modes.floor import quiet_floor
 from crankorder.identify.modes.joint_fit import modal_fit
-from crankorder.identify.modes.search import search
 from crankorder.identify.modes.surface_fit import pole_columns, sight
-from crankorder.identify.modes.tones import WIDER, widest_hz
 from crankorder.settings import IdentifySettings, load_settings
 from made.found_lines import agreed, line
 
@@ -200,7 +198,7 @@ def test_bins_of_padded_frames_are_taken_no_closer_than_they_tell_of() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
-def test_more_poles_than_bins_and_widths_beyond_a_low_frequency_are_no_fault(seed: int) -> None:
+def test_more_poles_than_bins_are_no_fault(seed: int) -> None:
     random = np.random.default_rng(seed)
     campbell = campbell_of(replace(THREE, speed_rpm=(1000.0, 1010.0)), seed)
     for n_bins in random.integers(4, 16, 4).tolist():
@@ -208,21 +206,6 @@ def test_more_poles_than_bins_and_widths_beyond_a_low_frequency_are_no_fault(see
         bins = (part["psd"].dims, random.gamma(0.3, 1.0, part["psd"].shape))
         fit = modal_fit(part.assign(psd=bins), no_orders(part), (), settings=_settings())
         assert all(np.isfinite(mode.frequency_hz) for mode in fit.modes)
-    problem, *_ = search(quiet_floor(campbell, ()), chance=1e-3)
-    few = replace(
-        problem,
-        frequency_hz=problem.frequency_hz[:5],
-        psd=problem.psd[:, :5],
-        averages=problem.averages[:, :5],
-        background=problem.background[:, :5],
-    )
-    poles = surface_fit.NO_POLES
-    for f in random.uniform(few.frequency_hz[0], few.frequency_hz[-1], 5).tolist():
-        poles = poles.with_pole(f, 0.02)
-    made = surface_fit.fit_surface(few, poles)
-    assert np.isfinite(made.deviance) and (made.poles.damping < 1.0).all()
-    lowest = surface_fit.fit_surface(problem, surface_fit.NO_POLES.with_pole(0.6 * problem.frequency_hz[0], 0.5))
-    assert widest_hz(problem, lowest, 0, lowest.deviance) < lowest.poles.frequency_hz[0] * WIDER
 
 
 # What speaks against a mode is said: pressure alone, a grid of tones, one speed.
