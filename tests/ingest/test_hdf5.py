@@ -144,6 +144,14 @@ def test_an_impossible_size_is_refused_before_allocation(tmp_path, limits):
         read_file(tmp_path / "a.h5", sources=["b"], settings=limits)
 
 
+def test_a_well_compressed_bomb_is_held_by_the_budget(tmp_path, limits):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file.create_dataset("a", data=np.zeros(10**6), compression="gzip")
+    tight = limits.model_copy(update={"max_bytes": 10**6})
+    with pytest.raises(UnsafeInputError, match="claims 8000000 bytes of samples; allowed: 1000000 bytes"):
+        read_file(tmp_path / "a.h5", sources=["a"], settings=tight)
+
+
 def test_blocks_that_were_never_written_are_missing_data_not_zeros(tmp_path, limits):
     with h5py.File(tmp_path / "a.h5", "w") as file:
         file.create_dataset("a", (4000,), "f4", chunks=(1000,))[:2000] = 1.0

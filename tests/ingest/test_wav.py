@@ -190,6 +190,13 @@ def test_a_cut_wav_is_refused_or_flagged_but_never_silently_short(tmp_path, limi
             assert raw.columns[0].size >= 900
 
 
+def test_half_a_wav_is_refused_with_both_counts(tmp_path, limits):
+    content = riff(layout(1, 2, 16), (b"data", STEREO.tobytes()))
+    (tmp_path / "a.wav").write_bytes(content[: 44 + 2000])
+    with pytest.raises(InputError, match=r"a\.wav: truncated: 500 of 1000 samples"):
+        read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+
+
 def test_a_lost_calibration_is_not_taken_for_none(tmp_path, limits):
     data = riff(layout(1, 2, 16), (b"data", STEREO.tobytes()))
     whole = riff(layout(1, 2, 16), (b"data", STEREO.tobytes()), calibration((1.0, "a", "Pa", 0.0, 1.0)))

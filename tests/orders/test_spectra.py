@@ -83,6 +83,18 @@ def test_ramps_of_10_krpm_per_second_over_a_minute():
     np.testing.assert_allclose(found[0][:, [2, 16, 22, 160]], exact, atol=1e-9)
 
 
+def test_a_mean_a_million_times_the_signal_does_not_leak():
+    truth = {2.0: 1.0 + 0j, 5.5: 0.5j}
+    quiet, angle = steady([parts(truth)], speed_rpm=1500.0, duration_s=3.0, rate_hz=5000.0)
+    band = quiet.copy(deep=True)
+    band["signal"].values[:] += 1e6
+    begin = np.array([5.0, 5.4, 40.0])
+    assert errors(band, angle, truth, begin_rev=begin, revs=4.0, tolerance=1e-6) < 1e-6
+    asked = request(band, angle, begin_rev=begin, revs=4.0, tolerance=1e-6)
+    mean = order_frames_nufft(band["signal"].values, n_orders=2, **asked)
+    np.testing.assert_allclose(np.abs(mean[0]), np.tile([2e6, 1e6], (3, 1)), rtol=1e-6)
+
+
 def test_bins_at_the_edges_of_the_grid_are_as_right_as_others():
     n_orders = 41
     for revs in (1.0, 2.0, 3.5, 16.0):
