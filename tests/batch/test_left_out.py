@@ -10,26 +10,15 @@ import xarray as xr
 
 from made.command import analysed, crankorder, findings_in
 from made.contradictions import contradictions
+from made.recordings import manifest
 
 RATE, SECONDS = 5000.0, 10.0
-MANIFEST = """schema_version = 1
-[test]
-name = "left out"
-cycle = "rotor"
-[sampling]
-rate_hz = 5000.0
-[encoder]
-kind = "constant"
-[[channels]]
-name = "X"
-unit = "m/s2"
-[[channels]]
-name = "Y"
-unit = "m/s2"
-[recordings]
-files = ["*.h5"]
-speed_rpm = { "a.h5" = 1500.0, "b.h5" = 1800.0 }
-"""
+MANIFEST = manifest(
+    channels={"X": {}, "Y": {}},
+    recordings={"files": ["*.h5"], "speed_rpm": {"a.h5": 1500.0, "b.h5": 1800.0}},
+    sampling={"rate_hz": RATE},
+    encoder={"kind": "constant"},
+)
 
 
 def signals(rpm: float, seed: int) -> np.ndarray:
@@ -154,19 +143,12 @@ def test_a_channel_of_which_too_much_is_missing_is_left_out_alone(tmp_path: Path
 ROTOR_RATE, ROTOR_SECONDS = 2048.0, 8.0
 SPEEDS = np.linspace(800.0, 2600.0, 8)
 NATURAL_HZ, DAMPING = 90.0, 0.02
-ROTOR = """schema_version = 1
-[test]
-name = "gains"
-cycle = "rotor"
-[recordings]
-files = ["rec_*.h5"]
-[sampling]
-rate_hz = 2048.0
-[encoder]
-source = "mark"
-kind = "pulse_times"
-pulses_per_rev = 1
-""" + "".join(f'[[channels]]\nname = "{name}"\nsource = "{name}"\nunit = "m/s2"\n' for name in "XYZ")
+ROTOR = manifest(
+    "rec_*.h5",
+    channels={"X": {}, "Y": {}, "Z": {}},
+    sampling={"rate_hz": ROTOR_RATE},
+    encoder={"source": "mark", "kind": "pulse_times", "pulses_per_rev": 1},
+)
 
 
 def findings_of(folder: Path, changed: dict[int, float], seed: int = 5) -> dict[str, Any]:

@@ -11,22 +11,11 @@ from crankorder.batch import look
 from crankorder.cli import main
 from crankorder.ingest.manifest import load_manifest
 from crankorder.settings import load_settings
+from made.recordings import manifest
 
 RATE_HZ, RPM, TEETH, LENGTH_S = 10_000.0, 1500.0, 24, 4.0
 
-MANIFEST = """schema_version = 1
-[test]
-cycle = "rotor"
-[recordings]
-files = ["*.h5"]
-[[channels]]
-name = "acc"
-unit = "m/s2"
-[encoder]
-source = "encoder"
-kind = "square"
-pulses_per_rev = 24
-"""
+MANIFEST = manifest("*.h5", channels={"acc": {}}, encoder={"source": "encoder", "kind": "square", "pulses_per_rev": 24})
 
 
 def columns(seed: int, *, length_s: float = LENGTH_S, rpm: float = RPM) -> dict[str, np.ndarray]:

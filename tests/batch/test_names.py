@@ -13,22 +13,8 @@ from crankorder.batch.short_recordings import short_recordings
 from crankorder.quantities import ShaftAngle
 from crankorder.stages import RecordingResult
 from made.command import crankorder
+from made.recordings import manifest
 
-HEAD = """schema_version = 1
-[test]
-name = "names"
-cycle = "rotor"
-[recordings]
-files = ["**/*.h5"]
-[recordings.speed_rpm]
-{speeds}
-[[channels]]
-name = "A"
-source = "a"
-unit = "m/s2"
-[encoder]
-kind = "constant"
-"""
 SPEEDS = {"a/x.h5": 1500.0, "b/x.h5": 2100.0, "x.h5": 1800.0}
 
 
@@ -46,8 +32,9 @@ def campaign(folder: Path, speeds: dict[str, float]) -> Path:
         with h5py.File(path, "w") as file:
             made = file.create_dataset("a", data=signal + 0.05 * np.random.default_rng(3).standard_normal(time_s.size))
             made.attrs["rate_hz"] = 2000.0
-    stated = "\n".join(f"{json.dumps(name)} = {rpm}" for name, rpm in speeds.items())
-    (folder / "run.toml").write_text(HEAD.format(speeds=stated), encoding="utf-8")
+    recordings, channels = {"files": ["**/*.h5"], "speed_rpm": speeds}, {"A": {"source": "a"}}
+    text = manifest(name="names", recordings=recordings, channels=channels, encoder={"kind": "constant"})
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     return folder
 
 

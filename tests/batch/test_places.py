@@ -65,14 +65,6 @@ def test_another_test_of_the_same_name_is_refused_until_it_gets_a_name_of_its_ow
     assert run(*two, "--out", out, "--name", "x").exit_code == 2
 
 
-@pytest.mark.slow
-def test_data_that_moved_with_its_manifest_keeps_its_results(two, tmp_path):
-    assert run(two[0], "--out", tmp_path / "out").exit_code == 0
-    two[0].rename(tmp_path / "moved")
-    assert run(tmp_path / "moved", "--out", tmp_path / "out").exit_code == 0
-    assert owners(tmp_path / "out") == {"same": "../moved"} or owners(tmp_path / "out") == {"same": "../data/a"}
-
-
 def test_results_never_land_in_an_input_folder_of_the_call_nor_over_files_of_others(two, tmp_path):
     (two[1] / "run.toml").write_text((two[1] / "run.toml").read_text().replace('name = "same"', 'name = "a"'))
     data = tmp_path / "data"

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.campbell.levels import (
-    recording_levels,
-)
+from crankorder.campbell.levels import recording_levels
 from crankorder.identify.levels import level_records
 from crankorder.quantities import check_dataset
 from crankorder.settings import load_settings

@@ -14,20 +14,7 @@ from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
 from crankorder.shaft.decode import shaft_angle
-
-MANIFEST = """schema_version = 1
-[test]
-cycle = "{cycle}"
-[recordings]
-files = ["*.npy"]
-[sampling]
-rate_hz = 256
-[[channels]]
-name = "acc"
-source = 0
-unit = "m/s2"
-{encoder}
-"""
+from made.recordings import manifest
 
 
 @pytest.fixture
@@ -37,7 +24,8 @@ def folder(tmp_path):
     def write(cycle="none", encoder=""):
         for name in ("a", "b"):
             np.save(tmp_path / f"{name}.npy", 3.0 * np.sin(2 * np.pi * 7.0 * np.arange(256 * 20) / 256))
-        (tmp_path / "run.toml").write_text(MANIFEST.format(cycle=cycle, encoder=encoder))
+        text = manifest("*.npy", cycle=cycle, channels={"acc": {"source": 0}}, sampling={"rate_hz": 256})
+        (tmp_path / "run.toml").write_text(text + encoder)
         return tmp_path
 
     return write
@@ -53,13 +41,6 @@ def parts(folder):
     ]
     shafts = [shaft_angle(recording, settings=settings.shaft) for recording in recordings]
     return settings, [band_limited(item, band_hz=100.0, grid_hz=0.5) for item in recordings], shafts
-
-
-def test_its_angle_stays_and_its_speed_is_unknown(parts):
-    for shaft in parts[2]:
-        assert shaft.attrs["has_shaft"] == 0
-        assert np.ptp(shaft["crank_angle"].values) == 0.0
-        assert np.isnan(shaft["speed"].values).all()
 
 
 def test_all_its_frames_make_one_spectrum_of_unknown_speed(parts):

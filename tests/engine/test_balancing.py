@@ -133,12 +133,6 @@ def test_what_cancels_to_round_off_is_zero_and_what_does_not_is_kept() -> None:
     assert kept[0].direct_g_mm == pytest.approx(1e-12, rel=1e-3)
 
 
-@pytest.mark.slow
-def test_phasors_are_exact_at_quarter_turns() -> None:
-    assert [phasor(angle) for angle in (0, 90, 180, 270, -90, 540)] == [1, 1j, -1, -1j, -1j, -1]
-    assert phasor(30.0) == pytest.approx(complex(math.sqrt(3) / 2, 0.5), rel=1e-15)
-
-
 # What stays unbalanced in the thesis engines: leading terms, spacer and offset.
 
 

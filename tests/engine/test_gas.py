@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from crankorder.engine.balance_data import BalanceData, BalancedEngine, load_balanced_engine
-from crankorder.engine.balance_sheet import balance_sheet
+from crankorder.engine.balance_data import load_balanced_engine
 from crankorder.engine.cycle_tables import cycle_curves, cycle_table
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import cylinder_loads
@@ -64,19 +63,6 @@ def test_the_orders_of_a_straight_line_curve_are_exact() -> None:
     known = np.where(np.arange(11) % 2, 8 / np.pi**2 / np.maximum(np.arange(11), 1) ** 2, 0)
     assert orders[1] == 0.5
     assert np.abs(torque - known).max() < 1e-8
-
-
-def test_four_cylinders_leave_the_orders_that_they_share() -> None:
-    curve = {"crank_angle_deg": [0.0, 20.0, 200.0, 500.0], "torque_n_m": [0.0, 50.0, -3.0, -10.0]}
-    cylinders = [
-        {"crank_deg": crank, "firing_deg": firing}
-        for crank, firing in ((0.0, 0.0), (180.0, 540.0), (180.0, 180.0), (0.0, 360.0))
-    ]
-    orders, one = gas_torque_by_order(genset(gas=curve), 8)
-    _, four = gas_torque_by_order(genset(gas=curve, cylinders=cylinders), 8)
-    shared = np.mod(orders, 2) == 0
-    assert four[shared] == pytest.approx(4 * one[shared])
-    assert np.abs(four[~shared]).max() < 1e-12 * np.abs(one).max()
 
 
 def test_a_single_cylinder_fires_where_it_stands() -> None:
@@ -289,18 +275,6 @@ def test_firing_intervals_are_told_with_their_evenness(firing: tuple[float, ...]
     model = engine(cylinders=cylinders)
     assert list(firing_intervals_deg(model)) == intervals
     assert cycle_table(model, max_order=4, speeds=[1000.0])["firing"]["even"] == (len(set(intervals)) == 1)
-
-
-@pytest.mark.slow
-def test_a_bearing_place_and_a_bore_change_what_the_sheet_says() -> None:
-    def loads(**differences: Any) -> Any:
-        model = load_engine("inline-4-firing").model_copy(update=differences)
-        sheet = balance_sheet(BalancedEngine(name="it", engine=model, balance=BalanceData()))
-        return sheet["cycle"]["loads"]["2000"]
-
-    plain = loads()
-    assert loads(main_bearings_m=(-0.186, -0.08, 0.0, 0.08, 0.186))["main_bearings"] != plain["main_bearings"]
-    assert loads(bore_m=0.09)["cylinders"] != plain["cylinders"]
 
 
 def test_a_gas_file_beside_the_engine_is_its_curve_and_its_faults_are_named(tmp_path: Path) -> None:

@@ -113,21 +113,6 @@ def test_the_compiled_acceleration_is_that_of_plain_numpy(mechanism: SliderCrank
     assert np.abs(piston_acceleration(angles, mechanism) - plain).max() <= 2e-15 * np.abs(plain).max()
 
 
-@pytest.mark.slow
-def test_every_form_of_call_gives_the_same_acceleration() -> None:
-    angles = np.linspace(0, 3, 240)
-    known = piston_acceleration(angles, THESIS)
-    frozen = angles.copy()
-    frozen.flags.writeable = False
-    assert np.array_equal(piston_acceleration(angles.reshape(4, 60).T, THESIS), known.reshape(4, 60).T)
-    assert np.array_equal(piston_acceleration(frozen, THESIS), known)
-    assert np.array_equal(piston_acceleration(list(angles), THESIS), known)
-    assert piston_acceleration(angles[7], THESIS) == known[7]
-    assert np.array_equal(
-        piston_acceleration(np.float32([0.125, 0.5]), THESIS), piston_acceleration([0.125, 0.5], THESIS)
-    )
-
-
 @given(SHAPES)
 def test_the_piston_turns_at_its_dead_centres_a_stroke_apart(mechanism: SliderCrank) -> None:
     turns = dead_centres(mechanism)
@@ -168,14 +153,6 @@ def engine(**rod: float) -> Engine:
     return Engine.model_validate({**data, "rod": {"mass_kg": MASS_KG, "centre_from_big_end_m": SCALE_CENTRE_M, **rod}})
 
 
-@pytest.mark.slow
-def test_the_weighed_rod_splits_as_weighed() -> None:
-    masses = two_masses(engine())
-    assert masses.big_end_kg == pytest.approx(1.2624, rel=1e-14)
-    assert masses.small_end_kg == pytest.approx(0.4114, rel=1e-14)
-    assert masses.missing_inertia_kg_m2 == 0
-
-
 def test_two_masses_have_the_inertia_of_the_truth_sheet(shared_truth: dict[str, Any]) -> None:
     known = shared_truth["seed001"]["rod_inertia"]
     of_two = known["two_mass_J_about_cg_kg_m2 (m a b, scale split, l=152)"]
@@ -196,13 +173,6 @@ def test_the_couple_has_the_sine_harmonics_of_the_truth_sheet(shared_truth: dict
     angles = np.arange(64) / 64
     summed = (couple[:, None] * np.exp(2j * np.pi * np.arange(41)[:, None] * angles)).real.sum(axis=0)
     assert np.abs(summed - rod_couple(model, angles, 2000.0)).max() < 1e-13 * np.abs(summed).max()
-
-
-@pytest.mark.slow
-def test_a_rod_of_two_masses_misses_nothing() -> None:
-    assert not rod_couple(engine(), np.linspace(0, 1, 7), 3000.0).any()
-    bare = Engine(crank_radius_m=0.0449, rod_length_m=LENGTH_M, reciprocating_mass_kg=1.0)
-    assert two_masses(bare).big_end_kg == two_masses(bare).small_end_kg == 0
 
 
 def test_what_the_cut_implies_is_that_of_the_truth_sheet(shared_truth: dict[str, Any]) -> None:

@@ -41,45 +41,6 @@ def test_pyfftw_equals_scipy_in_both_precisions_whatever_the_batch(n_frames, len
     np.testing.assert_allclose(power, np.abs(planned.astype(np.complex128)) ** 2, rtol=10 * largest, atol=1e-12)
 
 
-def test_a_tone_on_a_bin_reads_its_peak_amplitude_and_phase():
-    for dtype, largest in PRECISIONS:
-        t = np.arange(1000) / 1000
-        signal = (0.37 * np.cos(2 * np.pi * 40 * t - 0.9)[None]).astype(dtype)
-        value = FrameTransform(hann(1000)).spectra(signal, np.array([0]))[0, 0, 40]
-        assert abs(value) == pytest.approx(0.37, rel=10 * largest)
-        assert np.angle(value) == pytest.approx(-0.9, abs=10 * largest)
-
-
-def test_parseval_holds_for_every_frame():
-    for dtype, largest in PRECISIONS:
-        signals = np.random.default_rng(2).standard_normal((1, 5120)).astype(dtype)
-        transform = FrameTransform(hann(512))
-        starts = frame_starts(5120, 512, 256)
-        power = transform.power(signals, starts)[0].astype(np.float64) / transform.window.tone_scale**2
-        twice = np.concatenate([[1.0], np.full(255, 2.0), [1.0]])
-        for frame, start in enumerate(starts):
-            energy = np.sum((signals[0, start : start + 512] * transform.window.values) ** 2, dtype=np.float64)
-            assert np.sum(twice * power[frame]) / 512 == pytest.approx(energy, rel=10 * largest)
-
-
-def test_the_spectrum_of_a_sum_is_the_sum_of_the_spectra():
-    for dtype, largest in PRECISIONS:
-        a, b = np.random.default_rng(4).standard_normal((2, 1, 3000)).astype(dtype)
-        transform, starts = FrameTransform(hann(1000)), frame_starts(3000, 1000, 500)
-        of_sum = transform.spectra(2 * a - 3 * b, starts)
-        difference = of_sum - (2 * transform.spectra(a, starts) - 3 * transform.spectra(b, starts))
-        assert np.abs(difference).max() < 5 * largest * np.abs(of_sum).max()
-
-
-def test_a_circular_shift_only_turns_the_phase():
-    for dtype, largest in PRECISIONS:
-        signal = np.random.default_rng(5).standard_normal(1000).astype(dtype)
-        transform = FrameTransform(rectangular(1000))
-        plain, shifted = (transform.spectra(s[None], np.array([0]))[0, 0] for s in (signal, np.roll(signal, 137)))
-        expected = plain * np.exp(-2j * np.pi * np.arange(501) * 137 / 1000)
-        assert np.abs(shifted - expected).max() < 5 * largest * np.abs(expected).max()
-
-
 def test_channels_do_not_touch_each_other():
     signals = np.random.default_rng(6).standard_normal((3, 5000))
     transform, starts = FrameTransform(hann(256)), frame_starts(5000, 256, 128)

@@ -102,12 +102,6 @@ def test_samples_by_crank_angle_need_no_speed() -> None:
     assert float(co.order_map(made)["amplitude"].sel(order=3.5).item()) == pytest.approx(1.0, rel=1e-3)
 
 
-def test_units_are_those_stated() -> None:
-    made = made_of({"a": line(1.0, 1.0), "p": line(1.0, 1.0)}, unit={"a": "g", "p": "bar"})
-    assert made["unit"].values.tolist() == ["g", "bar"]
-    assert made["quantity"].values.tolist() == ["acceleration", "pressure"]
-
-
 def test_the_arrays_of_the_caller_stay_as_they_are() -> None:
     signal = line(1.0, 1.0)
     signal[1000:1003] = np.nan

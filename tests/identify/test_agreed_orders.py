@@ -41,13 +41,6 @@ def test_a_half_order_is_proven_locked_and_given_as_it_is() -> None:
     assert len(item.lines) == 2
 
 
-def test_five_and_a_half_is_told_from_what_slips_by_a_third_of_a_percent() -> None:
-    (item,) = agreed(lambda angle, _: wave(angle, 5.482, 0.7))
-    assert item.lock == "slips"
-    assert item.order == pytest.approx(5.482, abs=1e-3)
-    assert abs(item.order - 5.482) < 2 * half_width(item)
-
-
 def test_a_bearing_whose_slip_changes_with_speed_has_the_interval_of_the_mean() -> None:
     slips = 5.48 + 0.01 * np.array([-1.0, 0.3, 1.0, -0.6, 0.3])
     (item,) = agreed(lambda angle, k: wave(angle, slips[k], 0.7), speeds=(800.0, 900.0, 1000.0, 1100.0, 1200.0))
@@ -63,28 +56,6 @@ def test_too_few_revolutions_leave_it_undecided_and_say_how_many_are_needed() ->
     assert 32.0 <= item.needed_revs < 200.0
     (longer,) = agreed(lambda angle, _: wave(angle, 4.0, 1.0), revs=int(2 * item.needed_revs), noise=0.1)
     assert longer.lock == "locked"
-
-
-def test_two_lines_a_fifth_of_a_percent_apart_are_found_as_two() -> None:
-    found = agreed(lambda angle, _: wave(angle, 5.5, 1.0) + wave(angle, 5.489, 0.5, 1.0), revs=600)
-    assert [item.lock for item in found] == ["slips", "locked"]
-    assert found[0].order == pytest.approx(5.489, abs=2e-4)
-    amplitudes = [float(line.amplitude[0]) for item in found for line in item.lines]
-    assert amplitudes == pytest.approx([0.5, 0.5, 1.0, 1.0], rel=0.05)
-
-
-@pytest.mark.slow
-def test_two_lines_that_no_recording_parts_are_one_with_a_reservation() -> None:
-    (item,) = agreed(lambda angle, _: wave(angle, 4.0, 1.0) + wave(angle, 4.002, 0.5, 1.0), revs=200, noise=0.3)
-    assert [doubt.kind for doubt in item.doubts] == ["swells"]
-
-
-def test_an_amplitude_that_is_modulated_is_no_second_line() -> None:
-    def modulated(angle, _):
-        return (1.0 + 0.4 * np.cos(2 * np.pi * 0.01 * angle)) * wave(angle, 4.0, 1.0)
-
-    found = agreed(modulated, revs=600, noise=0.3)
-    assert [item.order for item in found] == [4.0]
 
 
 def test_without_pulses_the_number_is_as_good_as_the_stated_speed() -> None:
@@ -105,10 +76,6 @@ def test_gaps_in_the_frames_do_no_harm() -> None:
     (alone,) = orders_agreed(lines, frames=[], order_map=made, settings=SETTINGS.identify)
     assert alone.lock == "undecided"
     assert abs(alone.order - 5.5) < half_width(alone)
-
-
-def test_no_lines_are_no_orders() -> None:
-    assert agreed(lambda angle, _: 0.0 * angle) == ()
 
 
 @pytest.mark.parametrize(("n", "least"), [(50, 0.88), pytest.param(100, 0.9, marks=pytest.mark.slow)])

@@ -49,9 +49,6 @@ def test_what_may_fold_is_told_of_every_test_by_crank_angle_and_of_no_other() ->
     coarse = alias_flags(map_with(7200.0, amplitude=0.0, samples_per_rev=36.0), settings=SETTINGS)[0]["detail"]
     assert "; mains, 400 Hz shows at order 15.13 (1150 rpm)" in coarse  # 36 - 60 x 400 / 1150
     assert alias_flags(map_with(7200.0, samples_per_rev=None), settings=SETTINGS) == []
-
-
-def test_a_test_of_unknown_speed_says_nothing() -> None:
     unknown = map_with(7200.0).assign_coords(speed=np.full(SPEEDS.size, np.nan))
     assert alias_flags(unknown, settings=SETTINGS) == []
 

@@ -21,6 +21,7 @@ from crankorder.settings import load_settings
 from made.command import analysed
 from made.found_lines import agreed, fit, line
 from made.line_frames import angle_of, frames_of, wave
+from made.recordings import manifest
 
 SETTINGS = load_settings().identify
 
@@ -80,15 +81,6 @@ def test_a_tone_beside_an_order_is_no_mains_and_a_line_that_slips_is_an_order() 
 
 
 @pytest.mark.slow
-def test_lines_on_two_mains_frequencies_are_both_called_tones() -> None:
-    """No place has two supplies."""
-    held = recorded([985.0, 1003.0, 1017.0], {50.0: 0.5, 60.0: 0.4}, {1.0: 0.6}, seed=4)
-    _, modal = told(held, [49.9, 60.1])
-    assert [tone.frequency_hz for tone in modal.tones] == pytest.approx([50.0, 60.0], abs=0.01)
-    assert [tone.kind for tone in modal.tones] == ["tone", "tone"]
-
-
-@pytest.mark.slow
 def test_what_is_neither_fixed_nor_an_order_leaves_all_as_it_was() -> None:
     """A pole-pass sideband moves with the slip: no frequency and no order of its own."""
     held = [
@@ -125,23 +117,7 @@ def test_the_interval_of_a_tone_that_stands_alone_holds_it() -> None:
 
 
 RATE_HZ = 8192
-MANIFEST = """schema_version = 1
-[test]
-name = "no encoder"
-cycle = "rotor"
-[recordings]
-files = ["*.h5"]
-[sampling]
-domain = "time"
-rate_hz = 8192
-[[channels]]
-name = "Z"
-source = "z"
-quantity = "acceleration"
-unit = "m/s2"
-[encoder]
-kind = "vibration"
-"""
+MANIFEST = manifest("*.h5", channels={"Z": {"source": "z"}}, sampling={"rate_hz": 8192}, encoder={"kind": "vibration"})
 
 
 def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed() -> None:

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from crankorder.identify.lines.cfar import (
-    excess_over_noise,
     independent_bins,
-    noise_chance,
     noise_floor,
     noise_level,
     reference_bins,
@@ -57,25 +55,6 @@ def test_a_slope_of_a_decade_in_ten_orders_changes_the_chance_by_less_than_a_thi
     assert share < 1.35e-3
 
 
-@pytest.mark.slow
-def test_away_from_a_resonance_the_chance_is_the_stated_one() -> None:
-    off = (np.arange(len(AXIS)) - 120) / 4.0
-    share = share_over(15, 1.0 + 300.0 / (1.0 + off**2), 1e-3, repeats=20)
-    assert np.r_[share[16:90], share[150:]].mean() < 1.35e-3
-
-
-def test_level_and_chance_are_one_anothers_inverse() -> None:
-    for n, bins, chance in ((1.0, 4.6, 1e-6), (12.5, 11.6, 1e-6), (80.0, 11.6, 1e-3)):
-        assert noise_chance(noise_level(n, bins, chance), n, bins) == pytest.approx(chance, rel=1e-3)
-
-
-def test_with_a_floor_of_ever_more_bins_the_level_becomes_that_of_a_known_floor() -> None:
-    known = -np.log(1e-6)  # of exponential energy
-    over = [noise_level(1.0, bins, 1e-6) / known - 1.0 for bins in (10.0, 100.0, 1000.0)]
-    assert over[0] > 5 * over[1] > 25 * over[2] > 0.0
-    assert over[2] < 0.02
-
-
 def noise_only(seed: int) -> int:
     """Lines found in a test of ten speeds and two channels of noise, resonances included."""
     rng, frames = np.random.default_rng(seed), []
@@ -89,30 +68,6 @@ def noise_only(seed: int) -> int:
 
 def test_noise_through_resonances_makes_no_line_in_forty_tests() -> None:
     assert sum(noise_only(seed) for seed in range(40)) == 0
-
-
-@pytest.mark.slow
-def test_on_a_hump_the_floor_is_worth_fewer_bins_than_beside_it() -> None:
-    noise = np.random.default_rng(4).standard_normal(400 * PER_REV)
-    made = order_map([frames_of([rung(noise, 8.0, 0.02)], speed_rpm=1000.0)], settings=SETTINGS.orders)
-    over = excess_over_noise(made, settings=SETTINGS.identify, orders=SETTINGS.orders)
-    on_hump, beside = (over.floor_worth[0, 0, np.abs(made["order"].values - order) < 0.1] for order in (8.0, 16.0))
-    assert on_hump.min() < 0.5 * beside.min()
-
-
-def test_reference_bins_are_the_nearest_quiet_ones_half_of_them_on_each_side() -> None:
-    """Bin by bin: the nearest below and above beyond the lobe, more of one side only where the other ends."""
-    axis = np.arange(0.0, 12.0 + 1e-9, 1.0 / 16.0)
-    chosen = reference_bins(axis, line_step=0.5, guard_bins=2, n_bins=12)
-    off = np.abs(axis / 0.5 - np.round(axis / 0.5)) * 0.5 * 16.0
-    quiet = [k for k in range(len(axis)) if off[k] > 2.5 and axis[k] >= 0.5]
-    for at, bins in enumerate(chosen):
-        below = [k for k in quiet if k < at - 2][::-1]
-        above = [k for k in quiet if k > at + 2]
-        right = min(6, len(above))
-        left = min(12 - right, len(below))
-        right = 12 - left
-        assert sorted(below[:left] + above[:right]) == bins.tolist()
 
 
 # What strong lines leak: no cell of the floor holds it, at however few speeds.

@@ -7,7 +7,6 @@ import pytest
 
 from crankorder.identify.modes.responses import held_amplitudes, shapes
 from crankorder.identify.records import crossing_records
-from crankorder.identify.speeds.above_trend import power_law
 from crankorder.identify.speeds.crossings import amplification, crossings
 from crankorder.settings import load_settings
 from made.found_lines import SPEEDS_RPM, agreed, fit, fitted_response, line, made_response, mode, resonant
@@ -183,14 +182,6 @@ def test_a_residue_fitted_to_noise_proves_no_mode():
 
 def test_without_a_known_speed_nothing_meets():
     assert crossings((agreed(4.0),), fit(mode(100.0)), speed_rpm=(np.nan, np.nan), settings=SETTINGS) == ()
-
-
-def test_a_power_law_is_recovered_exactly_and_says_what_is_above_it():
-    law = power_law(SPEEDS_RPM, 3.0 * (SPEEDS_RPM / 1000) ** 1.7, np.full(SPEEDS_RPM.size, 0.01))
-    assert law is not None and law.exponent == pytest.approx(1.7, abs=1e-12)
-    excess, _ = law.excess(np.array([1234.0]), np.array([6.0 * 1.234**1.7]), np.array([0.01]))
-    assert np.exp(excess[0]) == pytest.approx(2.0)
-    assert power_law(np.full(5, 900.0), np.ones(5), np.full(5, 0.1)) is None
 
 
 def test_amplitudes_of_nothing_and_without_an_error_take_no_part():

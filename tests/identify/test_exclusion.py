@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from crankorder.identify.found import SweepFits, UnseenBound
 from crankorder.identify.modes.order_responses import Block, with_best_law
@@ -98,27 +97,6 @@ def test_fine_steps_and_small_errors_exclude(seed: int) -> None:
     for bound in _bounds(blocks_from(machine, seed)):
         inside = bound.amplification[8:-8]
         assert np.mean(inside < FACTOR) > 0.95
-
-
-def _steps(seed: int, count: int) -> float:
-    machine = drawn_machine(seed, n_modes=(0, 0), n_orders=(1, 1), n_speeds=(count, count), scatter=(0.05,))
-    (bound,) = _bounds(blocks_from(machine, seed))
-    return float(np.median(bound.amplification))
-
-
-def test_finer_steps_exclude_more() -> None:
-    by_count = [np.median([_steps(seed, count) for seed in range(6)]) for count in (12, 50, 200)]
-    assert by_count == sorted(by_count, reverse=True)
-    assert by_count[0] > FACTOR > by_count[-1]
-
-
-def test_larger_errors_exclude_less() -> None:
-    def bound(error: float) -> NDArray[np.float64]:
-        machine = drawn_machine(3, n_modes=(0, 0), n_orders=(1, 1), n_speeds=(300, 300), scatter=(0.0,), error=error)
-        return _bounds(blocks_from(machine, 3))[0].amplification
-
-    small, large = np.median(bound(1e-3)), np.median(bound(5e-2))
-    assert small < large
 
 
 def test_two_speeds_exclude_nothing_between_them() -> None:

@@ -62,13 +62,9 @@ def reference():
     return findings_of(signals, bearings=[bearing], engine_orders=(1.0, 2.0))
 
 
-def test_every_order_put_in_is_found_and_none_else(reference):
-    found = [(record["channel"], round(record["order"], 2)) for record in reference["orders"]]
-    assert found == [("A", 1.0), ("A", 2.0), ("A", 5.5), ("B", 5.5)]
-
-
-def test_the_truth_lies_in_the_intervals_of_amplitude_order_and_exponent(reference):
+def test_every_order_is_found_and_none_else_and_the_truth_lies_in_their_intervals(reference):
     truth = {("A", 1.0): (0.2, 2.0), ("A", 2.0): (0.1, 2.0), ("A", 5.5): (0.05, 0.0), ("B", 5.5): (0.08, 0.0)}
+    assert [(record["channel"], round(record["order"], 2)) for record in reference["orders"]] == list(truth)
     for record in reference["orders"]:
         amplitude, exponent = truth[record["channel"], round(record["order"], 1)]
         expected = amplitude * (record["speed_rpm_at_max"] / 1000) ** exponent
@@ -96,36 +92,6 @@ def test_a_locked_bearing_line_is_said_to_be_as_likely_an_11_fold_part(reference
     assert reference["unexplained_energy_fraction"] == 0.0
 
 
-def test_crossings_inside_and_outside_the_tested_range_are_told_apart(reference):
-    table = {(round(record["order"], 1), round(record["mode_hz"])): record for record in reference["crossings"]}
-    assert table[5.5, 115]["in_range"] and table[5.5, 115]["rpm"] == pytest.approx(1254.5, rel=0.01)
-    assert not table[1.0, 350]["in_range"]
-
-
-def test_noise_alone_gives_no_order():
-    made = findings_of(lambda rpm, number: [shaken(5000 + number)])
-    assert made["orders"] == []
-
-
-def test_a_tone_of_fixed_frequency_is_mains_and_neither_order_nor_mode():
-    made = findings_of(lambda rpm, k: [total(lambda t, _: 0.2 * np.cos(2 * np.pi * 60.0 * t + k), shaken(k))])
-    assert made["orders"] == []
-    (mains,) = [record for record in made["modes"] if record["explained_by"] != "mode"]
-    assert mains["explained_by"] == "mains"
-    assert mains["frequency_hz"] == pytest.approx(60.0, abs=0.05)
-
-
-def test_an_order_that_meets_a_mode_is_called_excited():
-    def signals(rpm, number):
-        f = 4.0 * rpm / 60.0
-        gain = abs(f**2 / (115.0**2 - f**2 + 2j * 0.012 * 115.0 * f))
-        return [total(line(4.0, 0.3 * gain), shaken(number))]
-
-    made = findings_of(signals, speeds=np.arange(1400.0, 2001.0, 25.0), duration_s=8.0)
-    excited = [(round(r["order"], 1), round(r["mode_hz"])) for r in made["crossings"] if r["excited"]]
-    assert excited == [(4.0, 115)]
-
-
 def test_one_speed_and_one_channel_are_enough_to_name_orders():
     made = findings_of(lambda rpm, k: [total(line(2.0, 1.0), shaken(k))], speeds=[1500.0])
     assert [round(record["order"], 2) for record in made["orders"]] == [2.0]
@@ -138,19 +104,6 @@ def test_a_line_in_too_short_a_test_is_named_with_its_reservation():
     )
     assert [round(record["order"], 2) for record in made["orders"]] == [0.5, 2.0]
     assert all("too few revolutions" in record["evidence"] for record in made["orders"])
-
-
-@pytest.mark.slow
-def test_a_white_noise_interval_holds_the_truth_as_often_as_it_says():
-    hits = 0
-    for seed in range(60):
-        noise = np.random.default_rng(seed).standard_normal(24_000)
-        made = findings_of(
-            lambda rpm, k, noise=noise: [total(line(3.0, 1.0), lambda t, _: 0.3 * noise)], speeds=[1500.0]
-        )
-        (record,) = [item for item in made["orders"] if round(item["order"], 1) == 3.0]
-        hits += record["amplitude_ci95"][0] <= 1.0 <= record["amplitude_ci95"][1]
-    assert hits >= 52  # 57 expected; fewer than 52 of 60 has a chance of 1 % at 95 % coverage
 
 
 @pytest.mark.cases(1)

@@ -14,7 +14,6 @@ from crankorder.identify.intervals import (
     half_width,
     half_widths,
     interval,
-    positive_interval,
     simes,
 )
 from crankorder.identify.speeds.crossings import crossings
@@ -44,12 +43,6 @@ def test_an_interval_cut_off_at_zero_still_tells_its_error():
     low, high = interval(0.001, 0.002)
     assert error_of(0.001, [low, high]) == pytest.approx(0.002, rel=1e-5)
     assert error_of(0.001, [max(0.0, low), high]) == pytest.approx(0.002, rel=1e-5)
-
-
-def test_the_interval_of_a_positive_quantity_stays_above_zero():
-    assert positive_interval(50.0, 2.0) == (48.0, 52.0)
-    low, high = positive_interval(50.0, 70.0)
-    assert 0.0 < low < 1e-12 and high == 120.0
 
 
 @pytest.mark.parametrize("error_hz", [0.1, 30.0, 400.0])

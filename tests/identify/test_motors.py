@@ -15,6 +15,7 @@ from crankorder.settings import load_settings
 from made.command import analysed
 from made.contradictions import contradictions
 from made.line_frames import angle_of, frames_of, wave
+from made.recordings import manifest
 
 SETTINGS = load_settings().identify
 LENGTH_S = 20.0
@@ -84,24 +85,6 @@ def test_a_speed_of_the_shaft_tells_the_slip_by_itself() -> None:
     assert "faster than the 1000 rpm of 6 poles" in wrong.record.misfit and not wrong.lines and not wrong.record.lines
 
 
-MANIFEST = """schema_version = 1
-[test]
-cycle = "rotor"
-[recordings]
-files = ["a.h5"]
-[[channels]]
-name = "A"
-source = "a"
-unit = "mm/s"
-[encoder]
-kind = "constant"
-speed_rpm = {stated_rpm}
-[motor]
-supply_hz = 50.0
-poles = 4
-"""
-
-
 def findings_of(folder: Path, stated_rpm: float) -> dict[str, Any]:
     """Findings of a motor of four poles that turns at 1464 rpm on 50 Hz where ``stated_rpm`` is stated."""
     rng, time_s = np.random.default_rng(3), np.arange(8 * 4000) / 4000.0
@@ -111,7 +94,9 @@ def findings_of(folder: Path, stated_rpm: float) -> dict[str, Any]:
     with h5py.File(folder / "a.h5", "w") as file:
         file["a"] = signal + 0.05 * rng.standard_normal(time_s.size)
         file["a"].attrs["rate_hz"] = 4000
-    (folder / "run.toml").write_text(MANIFEST.format(stated_rpm=stated_rpm), encoding="utf-8")
+    encoder, motor = {"kind": "constant", "speed_rpm": stated_rpm}, {"supply_hz": 50.0, "poles": 4}
+    text = manifest(channels={"A": {"source": "a", "unit": "mm/s"}}, encoder=encoder, motor=motor)
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     return analysed(folder, Path(f"{folder}-out"))
 
 

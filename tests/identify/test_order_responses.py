@@ -7,10 +7,8 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit
-from crankorder.identify.modes.order_responses import Block, Blocks, project, responses_of, with_best_law, with_scatter
-from crankorder.identify.modes.order_terms import NUMBERS as ORDER_TERMS
+from crankorder.identify.modes.order_responses import Block, project, responses_of, with_best_law, with_scatter
 from crankorder.identify.modes.responses import held_amplitudes, with_and_without
-from crankorder.identify.modes.surface_fit import Poles
 from made.found_lines import mode, poles_of
 
 TRUE = poles_of((mode(60.0, 0.02), mode(75.0, 0.01)))
@@ -84,31 +82,6 @@ def test_the_scatter_of_the_force_is_told_without_bias(scatter: float) -> None:
     assert np.mean(found) == pytest.approx(scatter, rel=0.08)
     # 54 complex numbers tell a standard deviation within a tenth
     assert np.std(found) < 0.2 * scatter
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("power", [False, True])
-def test_the_slopes_of_the_residuals_are_those_of_differences(power: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    # the law of the force stays as it is
-    monkeypatch.setitem(ORDER_TERMS.__dict__, "enough_degrees_of_freedom", 10**9)
-    block, _, _ = _block(3, error=0.05, power=power)
-    poles = Poles(np.array([60.4, 74.5]), np.array([0.025, 0.012]), np.zeros(2, dtype=bool))
-    (slopes,), (left,), cost = Blocks((block,)).evaluate(poles)
-    assert cost == pytest.approx(float(left @ left))
-    step = 1e-6
-    for number in range(2):
-        for column, field in ((2 * number, "frequency_hz"), (2 * number + 1, "damping")):
-            moved = [getattr(poles, field) * np.exp(sign * step * (np.arange(2) == number)) for sign in (1.0, -1.0)]
-            costs = [Blocks((block,)).misfit(replace(poles, **{field: value})) for value in moved]
-            change = (costs[0] - costs[1]) / (2.0 * step)
-            # variable projection after Kaufman: the slope of the squares is exact at any point
-            assert -2.0 * float(slopes[:, column] @ left) == pytest.approx(change, rel=1e-4, abs=1e-3)
-
-
-@pytest.mark.slow
-def test_noise_alone_is_no_scatter() -> None:
-    found = [with_scatter(_block(seed, error=0.02)[0], TRUE)[0].scatter for seed in range(40)]
-    assert np.median(found) < 0.01
 
 
 @pytest.mark.slow

@@ -82,51 +82,6 @@ def test_a_passage_is_what_integration_of_the_equation_gives(rate_rpm_s: float, 
     assert np.abs(seen[inside]).max() == pytest.approx(np.abs(truth[inside]).max(), rel=0.005), case
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("direction", [1.0, -1.0])
-@pytest.mark.parametrize("damping", [0.01, 0.03, 0.1])
-def test_at_a_vanishing_rate_a_passage_is_the_steady_response(damping: float, direction: float) -> None:
-    natural, order = 20.0, 2.0
-    # a sweep lags by its rate over the square of the decay rate: a thousandth
-    rate = 1e-3 * (damping * 2.0 * np.pi * natural) ** 2 / (2.0 * np.pi) * 60.0 / order
-    time, speed = _ramp(direction * rate, natural, order, beside=min(0.3, 15.0 * damping), rows=4000)
-    passage = passage_of(order, time, speed, _angle(time, speed), np.full(len(time), 10.0 * damping * natural), poles=2)
-    x = order * speed / 60.0 / natural
-    steady = (speed / speed.max()) ** 2 * -(x**2) / (1.0 - x**2 + 2j * damping * x)
-    seen = _seen(passage, natural, damping)
-    assert np.abs(seen - steady)[20:-20].max() < 0.003 * np.abs(steady).max()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
-def test_the_slopes_are_those_of_differences(seed: int) -> None:
-    random = np.random.default_rng(seed)
-    natural, damping = float(random.uniform(20.0, 80.0)), float(random.uniform(0.003, 0.1))
-    time, speed = _ramp(float(random.uniform(50.0, 600.0)), natural, 1.0, rows=200)
-    passage = passage_of(
-        1.0, time, speed, _angle(time, speed), np.full(len(time), float(random.uniform(3.0, 40.0))), poles=2
-    )
-    growth = (passage.speed_rpm / 1000.0).astype(complex) ** 2
-    _, by_f, by_zeta = passage.response(growth, natural, damping)
-    step = 1e-5
-    for slope, up, down in (
-        (by_f, (natural * np.exp(step), damping), (natural * np.exp(-step), damping)),
-        (by_zeta, (natural, damping * np.exp(step)), (natural, damping * np.exp(-step))),
-    ):
-        change = (passage.response(growth, *up)[0] - passage.response(growth, *down)[0]) / (2.0 * step)
-        assert np.abs(slope - change).max() < 1e-5 * np.abs(change).max()
-
-
-def test_a_passage_is_linear_in_the_force() -> None:
-    time, speed = _ramp(200.0, 40.0, 1.0)
-    passage = passage_of(1.0, time, speed, _angle(time, speed), np.full(len(time), 10.0), poles=2)
-    random = np.random.default_rng(1)
-    one, other = random.standard_normal((2, len(passage.speed_rpm))) * (1.0 + 0.5j)
-    both = passage.response(2.0 * one + 3j * other, 40.0, 0.02)[0]
-    apart = 2.0 * passage.response(one, 40.0, 0.02)[0] + 3j * passage.response(other, 40.0, 0.02)[0]
-    assert np.abs(both - apart).max() < 1e-10 * np.abs(both).max()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("poles", [1, 2, 3])
 def test_the_filter_lets_a_steady_envelope_through_and_halves_the_power_at_its_bandwidth(poles: int) -> None:

@@ -8,26 +8,11 @@ import xarray as xr
 
 from crankorder.identify.causes.angle_swings import swing_sidebands
 from crankorder.identify.causes.explain import multiple_of_cycle
-from crankorder.identify.causes.sidebands import meshes, sidebands
+from crankorder.identify.causes.sidebands import sidebands
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.lines.agreed_orders import sideband_of, unless_sidebands
 from crankorder.orders.true_angle import HALF_ORDERS, SHOWN
 from made.found_lines import agreed, line
-
-
-def modulated(carrier: float, spacing: float, depth: float) -> tuple[list[float], list[float]]:
-    """Places and amplitudes of (1 + depth cos) · cos: the carrier and both sides at half the depth."""
-    return [carrier - spacing, carrier, carrier + spacing], [depth / 2, 1.0, depth / 2]
-
-
-def test_amplitude_modulation_by_the_shaft_makes_a_pair_about_its_carrier():
-    places, amplitudes = modulated(3.317, 1.0, 0.6)
-    found = sidebands(places, [1e-3] * 3, amplitudes, spacings={"shaft": 1.0}, highest=20.0)
-    assert [(item.at, item.carrier, item.multiple, item.spacing_name) for item in found] == [
-        (0, 1, -1, "shaft"),
-        (2, 1, 1, "shaft"),
-    ]
-    assert [item.spacing for item in found] == pytest.approx([1.0, 1.0])
 
 
 def test_a_line_alone_lines_stronger_than_their_carrier_and_lopsided_lines_are_no_sidebands():
@@ -46,14 +31,6 @@ def test_lines_that_lie_anywhere_are_seldom_called_sidebands():
         places, amplitudes = rng.uniform(0.5, 20.0, 6).tolist(), rng.uniform(0.1, 1.0, 6).tolist()
         false += bool(sidebands(places, [2e-3] * 6, amplitudes, spacings={"shaft": 1.0, "half": 0.5}, highest=20.0))
     assert false <= 24  # 3 % are seen; 6 % would be too many
-
-
-def test_a_mesh_stands_over_its_neighbours_and_harmonics_of_a_shaft_do_not():
-    gear = {1: 2.0, 2: 1.0, 21: 0.05, 22: 0.2, 23: 1.0, 24: 0.3, 25: 0.1}
-    assert meshes(gear) == [23]
-    assert meshes({k: 1.0 / k for k in range(1, 20)}) == []
-    assert meshes(dict.fromkeys(range(1, 20), 1.0)) == []
-    assert meshes({22: 0.2, 23: 1.0}) == []  # one side alone
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -9,7 +9,6 @@ from crankorder.identify.found import Mode as FoundMode
 from crankorder.identify.found import SweepFits
 from crankorder.identify.intervals import Z95, ratio_interval
 from crankorder.identify.modes import sweep_poles
-from crankorder.identify.modes.pole_errors import Cell, disagreement
 from crankorder.identify.modes.sweep_poles import sweep_fits
 from crankorder.identify.modes.sweep_window import SweepSpectrum
 from crankorder.settings import load_settings
@@ -151,24 +150,6 @@ def test_an_order_of_a_swinging_shaft_is_its_mean_over_cycles() -> None:
 
 
 # What disagreeing orders add to the error of a pole, and how its interval carries an unknown damping.
-
-
-def _cells(values: list[float], weight: float = 1.0) -> tuple[list[Cell], np.ndarray, np.ndarray]:
-    """Cells that ask for ``values`` of one parameter, as of their mean, with the same weight each."""
-    off = np.array(values) - np.mean(values)
-    cells = [Cell(np.full((1, 1), weight), np.full(1, weight * one)) for one in off]
-    total = weight * len(values)
-    return cells, np.full((1, 1), 1.0 / total), np.full(1, 1.0 / total)
-
-
-@pytest.mark.slow
-def test_intervals_of_cells_that_differ_cover_their_mean() -> None:
-    rng = np.random.default_rng(7)
-    covered = 0
-    for _ in range(2000):
-        values = rng.normal(0.0, 4.0, 5).tolist()
-        covered += abs(np.mean(values)) <= Z95 * np.sqrt(1.0 / 5.0) * disagreement(*_cells(values))[0]
-    assert 0.92 < covered / 2000 < 0.98
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from crankorder.orders.frames import order_frames
 from crankorder.settings import load_settings
 from made.command import done, findings_in
 from made.line_frames import agreed_in
+from made.recordings import manifest
 from made.swept_machines import SweptMachine, drawn, recorded
 
 SETTINGS = load_settings()
@@ -138,22 +139,12 @@ def test_a_mode_that_rings_on_at_its_own_frequency_is_no_second_order() -> None:
 # Lines of few periods in a frame: half orders of fast run-ups and slow shafts are named, or it is said why not.
 
 
-MANIFEST = """schema_version = 1
-[test]
-name = "slow"
-cycle = "rotor"
-[recordings]
-files = ["*.csv"]
-[sampling]
-time_source = "t"
-[[channels]]
-name = "Z"
-source = "z"
-unit = "m/s2"
-[encoder]
-source = "rpm"
-kind = "speed"
-"""
+MANIFEST = manifest(
+    "*.csv",
+    channels={"Z": {"source": "z"}},
+    sampling={"time_source": "t"},
+    encoder={"source": "rpm", "kind": "speed"},
+)
 
 
 def folder_of(folder: Path, lines: dict[float, float], *, rate_hz: float, rpm: np.ndarray, noise: float = 0.0) -> Path:

@@ -6,7 +6,7 @@ import pytest
 from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.transfer_paths import PathMode, StatedPath
-from crankorder.identify.balance.transfer_path import accelerance_of, measured_orders, noise_shape, whitening
+from crankorder.identify.balance.transfer_path import accelerance_of, measured_orders, noise_shape
 from crankorder.identify.balance.unbalance_fit import unbalance_fit
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, order_map_of
 from made.typed import as_dicts
@@ -155,15 +155,3 @@ def test_the_combination_of_channels_almost_without_noise_is_found_beside_noise_
         weakest = np.linalg.eigh(shape[0])[1][:, 0]
         assert bins[0] >= 24
         assert (weakest.conj() @ true @ weakest).real < 1.5 * np.linalg.eigvalsh(true)[0]
-
-
-def test_whitened_errors_are_one_and_apart_and_a_channel_that_measured_nothing_takes_no_part() -> None:
-    rng = np.random.default_rng(6)
-    mixed = rng.normal(size=(3, 2)) + 1j * rng.normal(size=(3, 2))
-    true = mixed @ mixed.conj().T + 1e-4 * np.eye(3)
-    for error, measured in (([1.0, 1.0, 1.0], [0, 1, 2]), ([1.0, np.inf, 1.0], [0, 2])):
-        white = whitening(2.0 * true[None], error=np.array(error)[:, None])[0]
-        held = np.zeros((3, 3))
-        held[measured, measured] = 1.0
-        np.testing.assert_allclose(white @ true @ white.conj().T, held, atol=1e-6)
-        assert not np.delete(white, measured, axis=1).any()

@@ -16,21 +16,13 @@ from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import recording_of
 from crankorder.quantities import flags_of
 from made.command import crankorder, findings_in
+from made.recordings import manifest
 
-MANIFEST = """schema_version = 1
-[test]
-cycle = "rotor"
-[recordings]
-files = ["*.h5", "absent.h5", "../out.h5"]
-[recordings.speed_rpm]
-"good.h6" = 1000
-[sampling]
-rate_hz = 1000
-[[channels]]
-name = "Z"
-source = "acc"
-unit = "m/s2"
-"""
+MANIFEST = manifest(
+    channels={"Z": {"source": "acc"}},
+    recordings={"files": ["*.h5", "absent.h5", "../out.h5"], "speed_rpm": {"good.h6": 1000}},
+    sampling={"rate_hz": 1000},
+)
 
 
 def recorded(path, *, rate=1000.0, unit="m/s2", **columns):

@@ -12,8 +12,7 @@ from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_recording
 from crankorder.settings import load_settings
 from made.command import analysed
-from made.recordings import HEAD as HEAD_VIBRATION
-from made.recordings import read_manifest
+from made.recordings import manifest, read_manifest
 
 SETTINGS = load_settings()
 RATE_HZ = 2560.0
@@ -165,7 +164,7 @@ def test_a_recording_without_encoder_gives_its_orders(tmp_path: Path) -> None:
     """Speed and amplitudes are those that were put in; the phase has no reference and says so."""
     (tmp_path / "in").mkdir()
     encoder = 'kind = "vibration"\nexpected_rpm = [800.0, 3000.0]'
-    (tmp_path / "in" / "run.toml").write_text(HEAD_VIBRATION + encoder)
+    (tmp_path / "in" / "run.toml").write_text(f"{manifest()}[encoder]\n{encoder}")
     time_s = np.arange(8 * 4096) / 4096.0
     put_in = {1.0: 1.0, 2.0: 0.7, 3.0: 0.5}
     with h5py.File(tmp_path / "in" / "a.h5", "w") as file:

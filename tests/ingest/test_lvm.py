@@ -8,6 +8,7 @@ from crankorder.ingest.formats import contents_of, read_file
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_recording
 from crankorder.quantities import flags_of
+from made.recordings import manifest
 
 HEAD = "LabVIEW Measurement\t\nWriter_Version\t2\nSeparator\tTab\nDecimal_Separator\t{comma}\nMulti_Headings\tYes\n"
 SEGMENT = (
@@ -77,15 +78,7 @@ def test_segments_are_columns_of_their_own(written, limits):
     np.testing.assert_array_equal(read_file(path, sources=["1/acc"], settings=limits).columns["1/acc"], VALUES[:, 1])
 
 
-MANIFEST = """schema_version = 1
-[test]
-cycle = "none"
-[recordings]
-files = ["a.lvm"]
-[[channels]]
-name = "acc"
-unit = "m/s2"
-"""
+MANIFEST = manifest("a.lvm", cycle="none", channels={"acc": {}})
 
 
 def recording_of(path, settings, rate_hz=None):

@@ -13,6 +13,7 @@ from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.formats import contents_of, read_file
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_recording
+from made.recordings import manifest
 
 TYPES = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?")
 
@@ -184,21 +185,12 @@ def test_more_objects_than_a_recording_has_are_refused(tmp_path, limits):
         contents_of(crafted(tmp_path, body), settings=few)
 
 
-MANIFEST = """schema_version = 1
-[test]
-cycle = "rotor"
-[recordings]
-files = ["*.mat"]
-[sampling]
-rate_hz = 12000
-[[channels]]
-name = "DE"
-source = "*_DE_time"
-unit = "m/s2"
-[encoder]
-kind = "constant"
-source = "*RPM"
-"""
+MANIFEST = manifest(
+    "*.mat",
+    channels={"DE": {"source": "*_DE_time"}},
+    sampling={"rate_hz": 12000},
+    encoder={"kind": "constant", "source": "*RPM"},
+)
 
 
 def test_a_constant_speed_is_that_which_the_file_states(saved, tmp_path, settings):

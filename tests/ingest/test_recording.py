@@ -371,16 +371,6 @@ def test_samples_by_crank_angle_have_no_time(write, read):
     assert "rate_hz" not in recording.attrs
 
 
-@pytest.mark.slow
-def test_a_square_index_beside_a_pickup_is_cut_half_way(write, read):
-    pickup = np.sin(2 * np.pi * 36 * (TIME * 1000 / 60 + 0.01)).astype(np.float32)
-    index = ((TIME * 1000 / 60) % 1.0 < 0.02).astype(np.float32)
-    tables = CHANNEL + ENCODER.replace("square", "analogue")
-    recording = read(write(acc=TIME, enc=pickup, idx=index), tables)
-    rises = np.flatnonzero(np.diff(index) > 0) + 0.5
-    np.testing.assert_allclose(recording["index_time"].values * RATE, rises)
-
-
 def test_a_silent_index_or_cam_is_flagged_and_the_rest_is_read(write, read):
     for role, flag in [("index", "no_index"), ("cam", "no_cam")]:
         for level in [0.0, 4.9, np.nan]:

@@ -57,17 +57,6 @@ def test_every_sample_format_gives_fractions_of_full_scale(tmp_path, limits):
         assert not raw.flags
 
 
-def test_a_calibration_is_applied_wherever_its_chunk_stands(tmp_path, limits):
-    for last in [True, False]:
-        table = calibration((2.0, "mic", "Pa", 0.0, 0.5), (4821.5, "speed", "tr/min", 0.0, 1.0))
-        data = (b"data", STEREO.tobytes())
-        (tmp_path / "a.wav").write_bytes(riff(layout(1, 2, 16), *((data, table) if last else (table, data))))
-        raw = read_file(tmp_path / "a.wav", sources=["mic", 1], settings=limits)
-        np.testing.assert_allclose(raw.columns["mic"], STEREO[:, 0] / 32768, rtol=1e-7)
-        np.testing.assert_allclose(raw.columns[1], STEREO[:, 1] / 32768 * 4821.5, rtol=1e-6)
-        assert dict(raw.units) == {"mic": "Pa", 1: "tr/min"}
-
-
 DATA = (b"data", STEREO.tobytes())
 
 

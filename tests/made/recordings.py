@@ -1,6 +1,6 @@
 """Recordings made from analytic signals, with the shaft angle known exactly."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,26 +8,29 @@ import xarray as xr
 
 from crankorder.ingest.manifest import Manifest, load_manifest
 from crankorder.quantities import check_dataset
+from crankorder.synth.write import toml_text
 
 Signal = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Signal from time [s] and crank angle [rev]."""
 
-HEAD = """schema_version = 1
-[test]
-cycle = "rotor"
-[recordings]
-files = ["a.h5"]
-[[channels]]
-name = "Z"
-unit = "m/s2"
-[encoder]
-"""
-"""A manifest of one channel up to what is said of its encoder."""
+
+def manifest(
+    files: str = "a.h5",
+    *,
+    name: str = "made",
+    cycle: str = "rotor",
+    channels: Mapping[str, Mapping[str, object]] | None = None,
+    **tables: object,
+) -> str:
+    """Text of a manifest: its ``channels`` by name, in m/s2 where nothing else is said, and its other ``tables``."""
+    listed = [{"name": key, "unit": "m/s2", **more} for key, more in (channels or {"Z": {}}).items()]
+    head = {"schema_version": 1, "test": {"name": name, "cycle": cycle}, "recordings": {"files": [files]}}
+    return toml_text({**head, "channels": listed, **tables})
 
 
 def read_manifest(folder: Path, text: str, *, encoder: str = 'kind = "constant"\nspeed_rpm = 1000.0\n') -> Manifest:
     """The manifest of one channel and an ``encoder`` with the tables of ``text``, written to ``folder``."""
-    (folder / "run.toml").write_text(HEAD + encoder + text, encoding="utf-8")
+    (folder / "run.toml").write_text(f"{manifest()}[encoder]\n{encoder}{text}", encoding="utf-8")
     return load_manifest(folder)
 
 

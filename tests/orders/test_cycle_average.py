@@ -156,26 +156,6 @@ def test_amplitudes_from_the_least_to_the_largest_keep_their_mean_and_spread():
                 np.testing.assert_allclose(other[name].values / size, one[name].values, rtol=1e-9, atol=1e-9)
 
 
-def test_joining_two_halves_of_the_cycles_gives_the_statistics_of_all():
-    band, angle = steady(
-        [total(LOCKED, noise(5, 0.5))], speed_rpm=1200.0, duration_s=12.0, rate_hz=2000.0, start_rev=0.0
-    )
-    whole = cycle_average(band, angle, settings=SETTINGS)
-    cut = 0.1 * 60  # 60 cycles of 0.1 s
-    halves = []
-    for part in (slice(0, round((cut + 0.02) * 2000)), slice(round((cut - 0.02) * 2000), None)):
-        piece = band.isel(time=part).assign_attrs(start_s=(part.start or 0) / 2000)
-        halves.append(cycle_average(piece, angle, settings=SETTINGS))
-    made = cycle_averages(halves, speed_bin_rpm=25.0)
-    check_dataset(made, "cycle_average")
-    assert made.sizes["speed"] == 1
-    counts = [int(item["n_cycles"].item()) for item in halves]
-    assert made["n_cycles"].item() == sum(counts)
-    assert abs(sum(counts) - whole["n_cycles"].item()) <= 1
-    for name, allowed in (("mean", 0.02), ("standard_deviation", 0.06), ("standard_error", 0.02)):
-        np.testing.assert_allclose(made[name].values, whole[name].values, atol=allowed)
-
-
 def test_pooled_mean_and_deviation_are_those_of_the_cycles_themselves():
     rng = np.random.default_rng(2)
     items, cycles = [], []
@@ -223,16 +203,6 @@ def test_recordings_whose_cycles_may_begin_half_a_cycle_apart_are_not_averaged_t
     known = [item.assign_attrs(cycle_known=1) for item in items]
     joined = cycle_averages(known, speed_bin_rpm=25.0)
     assert np.abs(joined["mean"].values - items[0]["mean"].values).max() > 0.1
-
-
-def test_channels_are_independent_and_single_precision_stays_within_its_tolerance():
-    one, two = of(LOCKED), of(LOCKED, noise(1, 100.0))
-    np.testing.assert_allclose(two["mean"].values[0], one["mean"].values[0], rtol=0, atol=1e-12)
-    band, angle = steady([LOCKED], speed_rpm=1000.0, duration_s=8.0, rate_hz=2000.0)
-    band["signal"] = band["signal"].astype(np.float32)
-    band["signal"].attrs["units"] = "see unit"
-    made = cycle_average(band, angle, settings=SETTINGS)
-    np.testing.assert_allclose(made["mean"].values[0, 0], truth(made["cycle_angle"].values), atol=6e-6)
 
 
 def test_a_test_of_several_speeds_has_one_row_each_slowest_first():

@@ -6,8 +6,7 @@ import xarray as xr
 from scipy.special import fdtrc, gammaincc
 
 from crankorder.orders.envelope import envelope_map, recording_envelope
-from crankorder.orders.envelope_band import BLOCK_SAMPLES, Band, block_spectra, envelopes_of
-from crankorder.orders.envelope_combs import MOST_NATS, NEAR_TRIALS, Comb, comb_nats, look_nats, looked_at, served
+from crankorder.orders.envelope_combs import MOST_NATS, NEAR_TRIALS, Comb, comb_nats, look_nats, looked_at
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
 from made.recordings import shaft
@@ -186,14 +185,6 @@ def test_a_silent_channel_is_no_fault():
     assert not np.nan_to_num(made["amplitude"].values).any()
 
 
-def test_the_squared_envelope_of_a_tone_is_its_square_across_blocks():
-    tone = 2.5 * np.cos(2.0 * np.pi * 0.2 * np.arange(3 * BLOCK_SAMPLES))
-    edges = np.arange(2000.0, len(tone) - 2000.0, 77.7)
-    blocks = block_spectra(tone, begin=edges[0], end=edges[-1])
-    found = envelopes_of(blocks, rate_hz=1.0, bands=(Band(0.1, 0.3, 1),), edges=edges, reach_hz=0.01)
-    assert found.unit * found.squared[0] == pytest.approx(2.5**2, rel=2e-4)
-
-
 def test_a_map_averages_recordings_of_like_speed_and_keeps_its_schema():
     settings = ORDERS
     items = [
@@ -242,13 +233,6 @@ def test_the_table_holds_the_chances_of_the_f_distribution(count):
     assert made[above] == pytest.approx(wanted[above], abs=0.01)
 
 
-def test_bins_that_are_not_free_count_neither_themselves_nor_as_neighbours():
-    ratio, free = np.ones((1, 9)), np.ones(9, dtype=np.bool_)
-    ratio[0, 4], free[4] = 1e4, False
-    made = look_nats(ratio, np.arange(9), count=4.0, floor_worth=25.6, free=free)
-    assert made.max() < 1.0
-
-
 def test_two_harmonics_are_as_unlikely_as_fishers_method_says():
     comb = Comb(3.2, 3.2)
     bins = looked_at((comb,), step=STEP, n_orders=1921)
@@ -259,29 +243,6 @@ def test_two_harmonics_are_as_unlikely_as_fishers_method_says():
     wanted = -np.log(gammaincc(2, 18.0)) - np.log(2.0)
     made = comb_nats(nats, bins, comb, step=STEP, free=ALL[: len(bins)])
     assert made.max() == pytest.approx(wanted, rel=1e-6)
-
-
-def test_sidebands_are_evidence_only_of_what_comes_and_goes():
-    plain, swelling = Comb(5.4, 5.4), Comb(5.4, 5.4, 1.0)
-    bins = looked_at((plain, swelling), step=STEP, n_orders=1921)
-    nats = np.zeros((1, len(bins)))
-    for order in (5.4, 4.4, 6.4, 10.8, 9.8, 11.8):
-        nats[0, np.searchsorted(bins, round(order / STEP))] = 6.0
-    one, both = (comb_nats(nats, bins, comb, step=STEP, free=ALL[: len(bins)]).max() for comb in (plain, swelling))
-    assert both > one + 5.0
-
-
-def test_channels_tried_together_show_what_each_shows_alone():
-    rng = np.random.default_rng(8)
-    combs = (Comb(3.2, 3.4), Comb(5.1, 5.3, 1.0), Comb(0.38, 0.42))
-    bins = looked_at(combs, step=STEP, n_orders=1921)
-    ratio, count = rng.gamma(2.0, 1.0, (3, 4, bins.size)), rng.uniform(2.0, 30.0, 3)
-    free = rng.random(1921) < 0.9
-    together = served(ratio, combs, bins, step=STEP, count=count, worth=20.0, free=free)
-    for row, own, shown in zip(ratio, count, together.swapaxes(0, 1), strict=True):
-        nats = look_nats(row, bins, count=float(own), floor_worth=20.0, free=free[bins])
-        alone = [comb_nats(nats, bins, comb, step=STEP, free=free[bins]).max(axis=1, initial=0.0) for comb in combs]
-        np.testing.assert_array_equal(shown, alone)
 
 
 def rung(orders_at_hz: list[tuple[float, float]], *, size: float, seed: int, speed_rpm: float) -> xr.Dataset:

@@ -1,17 +1,116 @@
 """Rows of orders that meet lines of one frequency: told apart by their beat, or left open by what the line is."""
 
 import warnings
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import pytest
 import xarray as xr
 
+import crankorder as co
 from crankorder import front_door
 from crankorder.front_door import Diagnosis
-from crankorder.orders.fixed_lines import MetRow, OrderRows, beside_fixed, without_steady_lines
+from crankorder.orders.fixed_lines import without_steady_lines
 from crankorder.shaft.angle import speed_course
-from made.mains_met import MainsMet, drawn, recordings
 from made.recordings import sampled, shaft
+from made.swept_machines import RATE_HZ, acceleration
+
+Kind = Literal["steps", "sweep"]
+
+
+@dataclass(frozen=True)
+class MainsMet:
+    """What was put in: ``orders`` with ``size`` in the signal, ``mains_hz`` with multiples, a mode where they meet.
+
+    Order ``meets`` is at ``multiple`` times ``mains_hz`` at the speed ``at_rpm``. ``mains`` holds the amplitude of each
+    multiple, ``nominal_hz`` the supply that it belongs to. ``mode_hz`` 0: no mode.
+    """
+
+    kind: Kind
+    orders: np.ndarray
+    size: np.ndarray
+    meets: float
+    mains_hz: float
+    nominal_hz: float
+    multiple: int
+    mains: dict[int, float]
+    at_rpm: float
+    speeds_rpm: np.ndarray
+    duration_s: float
+    noise: float
+    mode_hz: float = 0.0
+    damping: float = 0.01
+
+    def amplitude(self, order: float, rpm: np.ndarray) -> np.ndarray:
+        """What ``order`` is in the signal at held speeds ``rpm``."""
+        size = float(self.size[self.orders == order][0])
+        return size * np.abs(self.response(order * rpm / 60.0))
+
+    def response(self, hertz: np.ndarray) -> np.ndarray:
+        """What a steady force of 1 at ``hertz`` is in the signal."""
+        if not self.mode_hz:
+            return np.ones(np.shape(hertz))
+        ratio = np.asarray(hertz) / self.mode_hz
+        straight = np.sinc(np.asarray(hertz) / RATE_HZ) ** 2  # the force is straight between samples
+        return 1.0 + 0.5 * straight * ratio**2 / (1.0 - ratio**2 + 2j * self.damping * ratio)
+
+
+def drawn(rng: np.random.Generator, kind: Kind, *, with_mode: bool = False) -> MainsMet:
+    """A rotor of three orders, one of which meets mains (of ``kind`` runs; ``with_mode``: beside a mode)."""
+    orders = np.array([1.0, 2.0, 3.0, 4.0]) if kind == "steps" else np.array([1.0, 2.0, 3.0, 5.0])
+    nominal = float(rng.choice([50.0, 60.0]))
+    mains_hz = nominal * (1.0 + rng.choice([-1.0, 1.0]) * rng.uniform(0.0, 0.0008))
+    multiple, meets = int(rng.integers(1, 3)), float(rng.choice(orders[1:]))
+    at_rpm = 60.0 * mains_hz * multiple / meets
+    size = np.exp(rng.uniform(np.log(0.1), np.log(1.0), len(orders)))
+    own = float(size[orders == meets][0])
+    mains = {multiple: own * float(np.exp(rng.uniform(np.log(0.05), np.log(2.0))))}
+    for other in {1, 2, 3} - {multiple}:
+        if rng.random() < 0.6:
+            mains[other] = float(np.exp(rng.uniform(np.log(0.02), np.log(0.5))))
+    if kind == "steps":
+        step = float(rng.choice([20.0, 50.0]))
+        shift = 0.0 if rng.random() < 0.6 else float(rng.uniform(-6.0, 6.0))
+        speeds = at_rpm + shift + step * np.arange(-5, 6)
+        duration = float(rng.uniform(8.0, 16.0))
+    else:
+        speeds = at_rpm * np.array([rng.uniform(0.75, 0.9), rng.uniform(1.1, 1.3)])
+        speeds = speeds if rng.random() < 0.7 else speeds[::-1]
+        duration = float(rng.uniform(20.0, 60.0))
+    mode = multiple * mains_hz * float(1.0 + rng.uniform(-0.01, 0.01)) if with_mode else 0.0
+    damping = float(np.exp(rng.uniform(np.log(0.005), np.log(0.03))))
+    noise = float(np.exp(rng.uniform(np.log(0.005), np.log(0.1))))
+    return MainsMet(
+        kind, orders, size, meets, mains_hz, nominal, multiple, mains, at_rpm, speeds, duration, noise, mode, damping
+    )
+
+
+def recordings(met: MainsMet, rng: np.random.Generator) -> list[xr.Dataset]:
+    """The recordings of ``met``: one for each held speed, or one sweep."""
+    ends = met.speeds_rpm[None] if met.kind == "sweep" else np.stack([met.speeds_rpm, met.speeds_rpm], axis=1)
+    phases = rng.uniform(0.0, 2.0 * np.pi, len(met.orders))
+    made = []
+    for number, (first, last) in enumerate(ends.tolist()):
+        before_s = 3.0  # so that a mode swings already when the recording begins
+        time = np.arange(-round(before_s * RATE_HZ), round(met.duration_s * RATE_HZ)) / RATE_HZ
+        held = np.clip(time, 0.0, None)
+        turn = (first * time + 0.5 * (last - first) * held**2 / met.duration_s) / 60.0 + rng.uniform(0.0, 1.0)
+        force = np.sum(met.size[:, None] * np.cos(2.0 * np.pi * met.orders[:, None] * turn + phases[:, None]), axis=0)
+        signal = force - (0.5 * acceleration(force, met.mode_hz, met.damping) if met.mode_hz else 0.0)
+        for multiple, size in met.mains.items():
+            signal = signal + size * np.cos(2.0 * np.pi * multiple * met.mains_hz * time + rng.uniform(0.0, 7.0))
+        signal = signal + met.noise * rng.standard_normal(len(time))
+        kept = time >= 0.0
+        knots = np.arange(int(turn[kept][0]) + 1.0, turn[kept][-1], 1.0 / 60.0)
+        pulses = np.interp(knots, turn[kept], time[kept])
+        made.append(
+            co.recording(
+                {"A": signal[kept]}, rate_hz=RATE_HZ, pulse_times_s=pulses, pulses_per_rev=60, name=f"made {number}"
+            )
+        )
+    return made
+
 
 CLOSE_HZ = 2.5
 """Distance of an order from a line within which one shows in the other."""
@@ -19,37 +118,6 @@ CLOSE_HZ = 2.5
 
 OF_MODEL = 4e-4
 """Share to which what is behind a mode is known: its force is straight between samples; rows far from mains show it."""
-
-
-def _rows(size: list[float]) -> OrderRows:
-    amplitude = np.array([size])
-    error = np.full(amplitude.shape, 0.001)
-    return OrderRows(
-        amplitude.copy(), np.full(amplitude.shape, np.nan), error, np.full(amplitude.shape, 20.0),
-        amplitude - 0.002, amplitude + 0.002, np.full(amplitude.shape, np.nan),
-    )  # fmt: skip
-
-
-def _met(row: int, doubt: float) -> MetRow:
-    no, yes = np.array([False]), np.array([True])
-    nothing = np.array([1.0])
-    return MetRow(row, (), nothing + 0j, nothing, nothing, np.array([doubt]), no, yes, yes)
-
-
-SPEEDS = np.array([1100.0, 1200.0, 1300.0])
-
-
-def test_a_row_that_a_line_explains_is_as_large_as_the_speeds_beside_and_its_interval_holds_both():
-    made = beside_fixed(_rows([0.4, 0.68, 0.42]), SPEEDS, [_met(1, 0.3)])
-    assert made.amplitude[0, 1] == pytest.approx(0.41)
-    assert made.amplitude_low[0, 1] == pytest.approx(0.378) and made.amplitude_high[0, 1] == pytest.approx(0.982)
-    np.testing.assert_array_equal(made.amplitude[0, [0, 2]], [0.4, 0.42])
-
-
-def test_a_row_that_a_line_is_too_small_to_explain_stays_and_its_interval_grows_by_the_line():
-    made = beside_fixed(_rows([1.0, 68.0, 2.0]), SPEEDS, [_met(1, 0.1)])
-    assert made.amplitude[0, 1] == 68.0
-    assert made.amplitude_low[0, 1] == pytest.approx(67.898) and made.amplitude_high[0, 1] == pytest.approx(68.102)
 
 
 def _found(met: MainsMet, rng: np.random.Generator) -> tuple[list[bool], Diagnosis]:
@@ -104,8 +172,8 @@ def test_an_order_is_not_told_with_the_mains_that_it_meets_and_multiples_are_of_
 # Lines of one frequency in a sweep: taken out as they are, and nothing else with them.
 
 
-RATE_HZ, SECONDS, NOISE = 2048.0, 20.0, 0.02
-TIME = np.arange(round(RATE_HZ * SECONDS)) / RATE_HZ
+SWEEP_HZ, SECONDS, NOISE = 2048.0, 20.0, 0.02
+TIME = np.arange(round(SWEEP_HZ * SECONDS)) / SWEEP_HZ
 ORDER = np.array([2.0])
 
 
@@ -121,7 +189,7 @@ def _sweep(rng: np.random.Generator) -> tuple[xr.Dataset, np.ndarray]:
 
 
 def _band(signals: np.ndarray) -> xr.Dataset:
-    return sampled(signals, rate_hz=RATE_HZ, band_hz=800.0)
+    return sampled(signals, rate_hz=SWEEP_HZ, band_hz=800.0)
 
 
 @pytest.mark.cases(1)

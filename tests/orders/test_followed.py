@@ -42,12 +42,6 @@ def test_close_orders_are_followed_jointly_at_every_speed():
     assert tracks["track_method"].values.tolist() == ["vold_kalman"] * 3 + ["frames"]
 
 
-def test_the_map_alone_mixes_them():
-    tracks = joined(stepped(), asked("frames"))
-    assert tracks["track_method"].values.tolist() == ["frames"] * 4
-    assert np.abs(tracks["amplitude"].sel(order=5.48).values - 0.3).min() > 0.05
-
-
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("unit", ["order", "Hz"])
 def test_a_run_up_is_followed_from_sample_to_sample(unit):
@@ -158,22 +152,6 @@ def test_frames_of_a_filter_that_lie_in_a_gap_are_nan_and_do_not_count():
     np.testing.assert_allclose(tracks["amplitude"].values[:, 0], 1.0, atol=0.002)
 
 
-def test_every_speed_of_a_run_up_is_followed_at_its_own_amplitude():
-    def grows(time_s, angle):
-        speed = 900.0 + 1800.0 * time_s / 30.0
-        return (speed / 1000.0) * np.cos(2 * np.pi * 2.0 * angle)
-
-    recording = run_up([grows], from_rpm=900, to_rpm=2700, duration_s=30.0, rate_hz=1000.0)
-    settings = asked("vold_kalman", track_orders=(2.0,), track_bandwidth=0.1, speed_bin_rpm=5.0)
-    made = order_map([order_frames(*recording, settings=settings)], settings=settings)
-    followed = followed_tracks(*recording, settings=settings)
-    tracks = with_followed(order_tracks(made, [2.0], settings=settings), [followed])
-    assert np.isfinite(tracks["amplitude"].values).all()
-    np.testing.assert_allclose(tracks["amplitude"].values[0, 0], tracks["speed"].values / 1000.0, rtol=0.015)
-    truth = followed["speed"].values[2:-2] / 1000.0
-    np.testing.assert_allclose(np.abs(followed["amplitude"].values[0, 0, 2:-2]), truth, rtol=1e-4)
-
-
 def test_what_is_said_of_a_recording_and_of_its_orders_reaches_the_tracks():
     recording = steady([SIGNAL], speed_rpm=1200.0, duration_s=20.0, rate_hz=500.0)
     names = [flag["flag"] for flag in flags_of(joined([recording], asked("vold_kalman", track_orders=(2.0, 50.0))))]
@@ -186,14 +164,6 @@ def test_orders_beyond_half_the_sample_rate_alone_are_nan_for_a_filter():
     made = followed_tracks(*recording, settings=asked("vold_kalman", track_orders=(50.0, 60.0)))
     assert np.isnan(made["amplitude"].values).all()
     assert [flag["flag"] for flag in flags_of(made)] == ["order_not_tracked"] * 2
-
-
-def test_an_order_that_is_asked_for_twice_is_followed_once():
-    recording = steady([SIGNAL], speed_rpm=1200.0, duration_s=60.0, rate_hz=1000.0)
-    settings = asked("vold_kalman", track_orders=(*ORDERS, 2.0, 5.5), revs_per_frame=400)
-    made = followed_tracks(*recording, settings=settings)
-    assert made["order"].values.tolist() == list(ORDERS)
-    np.testing.assert_allclose(made["amplitude"].values[0].mean(axis=1), TRUTH, atol=1e-5)
 
 
 def test_a_filter_names_the_orders_that_it_cannot_tell_apart():

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from crankorder.orders.averages import contrasts, neighbour_correlation, noise_of_mean
 from crankorder.orders.between_recordings import between_recordings, wider_of
 from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
 from crankorder.orders.map import order_map
@@ -62,26 +61,6 @@ def test_the_interval_of_an_amplitude_without_phase_holds_the_truth(true):
         power, noise=np.array(1 / frames), bias=np.array(1.0), noise_variance=np.array(1 / frames), dof=dof
     )
     assert beyond((low <= true) & (true <= high), least=0.94, most=1.0 if true == 0.0 else 0.96) < 1.0
-
-
-def test_contrasts_are_blind_to_a_steady_line_and_know_the_noise_of_the_mean():
-    for frames in (2, 3, 12):
-        begin = 8.0 * np.arange(frames)
-        near = neighbour_correlation(begin, np.zeros(frames, dtype=int), revs_per_frame=16.0, window="hann")
-        assert near[1, 0] == pytest.approx(1.0 / 6.0)
-        correlation = np.eye(frames) + np.diag(near[1, :-1], 1) + np.diag(near[1, :-1], -1)
-        shape = contrasts(near)
-        np.testing.assert_allclose(shape.rows.sum(axis=1), 0.0, atol=1e-12)
-        drawn = np.random.default_rng(3).multivariate_normal(np.zeros(frames), correlation / 2.0, size=(2, 20_000))
-        spectrum = (drawn[0] + 1j * drawn[1]).T[None]
-        expected = np.mean(np.abs(spectrum.mean(axis=1)) ** 2)
-        assert np.mean(noise_of_mean(spectrum, shape)) == pytest.approx(expected, rel=0.05)
-
-
-def test_a_trend_with_speed_is_no_noise():
-    speed = np.linspace(1000.0, 1024.0, 6)
-    shape = contrasts(np.ones((1, 6)), speed)
-    np.testing.assert_allclose(shape.rows @ speed, 0.0, atol=1e-9)
 
 
 SHORT, LONG = 400, 2000

@@ -99,14 +99,6 @@ def test_a_run_up_falls_into_bins_of_the_stated_width():
     assert np.diff(speed).max() < 2 * SETTINGS.speed_bin_rpm
 
 
-def test_a_track_between_two_bins_keeps_the_amplitude_of_its_line():
-    made = order_map([frames_of(line(6.13, 0.8), duration_s=20.0)], settings=SETTINGS)
-    track = order_tracks(made, [6.13, 25.0], settings=SETTINGS)
-    check_dataset(track, "order_tracks")
-    assert track["amplitude"].sel(order=6.13).item() == pytest.approx(0.8, rel=0.012)  # 0.1 dB
-    assert np.isnan(track["amplitude"].sel(order=25.0).item())
-
-
 def test_the_band_rms_holds_the_energy_of_tones_and_of_noise():
     quiet = order_map([frames_of(line(6.0, 0.8), duration_s=20.0)], settings=SETTINGS)
     rms = order_tracks(quiet, [6.0], settings=SETTINGS)["band_rms"].item()

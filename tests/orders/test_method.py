@@ -5,7 +5,6 @@ import pytest
 
 from crankorder.errors import RequestError
 from crankorder.fft.band import band_limited
-from crankorder.orders.cycle_average import cycle_average
 from crankorder.orders.followed import followed_tracks
 from crankorder.orders.frames import order_frames
 from crankorder.orders.method import frame_layout, time_samples
@@ -60,22 +59,6 @@ def test_single_precision_samples_are_widened_where_the_tolerance_asks_for_more(
     # what is left is the rounding of the samples themselves
     assert worst_error(tight) < 1e-8
     assert tight.attrs["achieved_error"] < 1e-9
-
-
-def test_a_recording_too_short_for_a_kernel_goes_straight_from_its_samples():
-    recording = steady([line(2, 1)], speed_rpm=600.0, duration_s=0.201, rate_hz=2000.0)
-    assert frame_layout(*recording, settings=SETTINGS).method.name == "nufft"
-    longer = steady([line(2, 1)], speed_rpm=600.0, duration_s=4.3, rate_hz=2000.0)
-    assert frame_layout(*longer, settings=SETTINGS).method.name == "resample"
-
-
-def test_frames_begin_at_the_first_angle_that_is_known():
-    band, angle = steady([line(2, 1.0, 0.3)], speed_rpm=300.0, duration_s=0.45, rate_hz=5000.0, start_rev=0.37)
-    for method, begin_rev in (("nufft", 0.37), ("resample", 0.37 + 5.0 * 25 / 5000.0)):
-        frames = order_frames(band, angle, settings=asked(method=method))
-        assert frames.attrs["revs_per_frame"] == 2
-        assert frames["crank_angle"].values[0] == pytest.approx(begin_rev, abs=1e-9)
-        np.testing.assert_allclose(frames["spectrum"].sel(order=2.0).values[0, 0], np.exp(0.3j), atol=1e-6)
 
 
 def test_a_method_that_cannot_do_what_is_asked_is_refused():
@@ -192,32 +175,6 @@ def test_all_methods_agree_within_their_stated_errors(recording):
     np.testing.assert_allclose(filtered, np.broadcast_to(TRUTH, filtered.shape), atol=1e-6)
 
 
-def test_the_mean_cycle_holds_the_same_orders():
-    band, angle = steady([LOCKED_SIGNAL], speed_rpm=1487.0, duration_s=20.0, rate_hz=2000.0)
-    made = cycle_average(band, angle, settings=SETTINGS)
-    cycle = made["mean"].values.reshape(-1, made.sizes["cycle_angle"])[0]
-    turns = made["cycle_angle"].values / (360.0 if made["cycle_angle"].attrs["units"] == "degree" else 1.0)
-    for order, value in zip(LOCKED, TRUTH, strict=True):
-        found = 2.0 * np.mean(cycle * np.exp(-2j * np.pi * order * turns))
-        assert abs(found - value) < 2e-6, order
-
-
-def test_twice_the_signal_is_twice_the_amplitude_to_the_last_bit():
-    for method in METHODS:
-        band, angle = noisy()
-        twice = band.copy(data={**band.data_vars, "signal": 2.0 * band["signal"]})
-        np.testing.assert_array_equal(spectrum(twice, angle, method), 2.0 * spectrum(band, angle, method))
-
-
-def test_channels_do_not_touch_each_other():
-    for method in METHODS:
-        band, angle = noisy(n_channels=3)
-        together = spectrum(band, angle, method)
-        for k in range(3):
-            alone = spectrum(band.isel(channel=[k]), angle, method)
-            np.testing.assert_allclose(together[k : k + 1], alone, atol=1e-9)
-
-
 def test_a_turned_shaft_turns_every_phase_and_nothing_else():
     for method in METHODS:
         band, angle = noisy()
@@ -234,11 +191,3 @@ def test_the_energy_of_frames_is_that_of_the_signal():
     frames = order_frames(band, angle, settings=asked(max_order=18.0))
     power = (np.abs(frames["spectrum"].values[0]) ** 2).sum(axis=1).mean() / (2.0 * frames.attrs["enbw_bins"])
     assert power == pytest.approx(sum(a**2 for a, _ in LOCKED.values()) / 2.0, rel=1e-6)
-
-
-def test_both_precisions_agree():
-    for method in METHODS:
-        band, angle = noisy()
-        single = band.copy(data={**band.data_vars, "signal": band["signal"].astype(np.float32)})
-        difference = np.abs(spectrum(single, angle, method) - spectrum(band, angle, method)).max()
-        assert difference < 1e-6 * np.abs(band["signal"].values).max()

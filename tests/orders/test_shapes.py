@@ -5,7 +5,7 @@ import pytest
 
 from crankorder.errors import RequestError
 from crankorder.orders.frames import order_frames
-from crankorder.orders.shapes import coherence_level, expected_coherence, operating_shapes, unbiased_coherence
+from crankorder.orders.shapes import coherence_level, expected_coherence, operating_shapes
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
 from made.recordings import frames_of, line, steady
@@ -247,14 +247,3 @@ def test_the_expected_estimate_is_the_mean_over_many_draws(n_frames):
         if true == 0.0:
             passing = np.mean(estimate > coherence_level(np.array(float(n_frames))))
             assert passing == pytest.approx(0.05, abs=0.005)  # 40,000 draws know it to 0.1 %
-
-
-def test_taking_off_the_bias_is_the_inverse_of_expecting_it():
-    true = np.linspace(0.0, 1.0, 41)
-    for n_frames in (2.0, 5.5, 30.0):
-        expected = expected_coherence(true, n_frames=n_frames)
-        expected[-1] = 1.0
-        np.testing.assert_allclose(unbiased_coherence(expected, n_frames=np.array(n_frames)), true, atol=2e-3)
-    assert unbiased_coherence(np.array(0.1), n_frames=np.array(5.0)) == 0.0
-    assert np.isnan(unbiased_coherence(np.array(1.0), n_frames=np.array(1.0)))
-    assert np.isnan(coherence_level(np.array(1.5)))

@@ -7,7 +7,7 @@ from crankorder.errors import RequestError
 from crankorder.fft.nonuniform import folding_error
 from crankorder.orders.spectra import frame_factor, order_frames_nufft
 from crankorder.shaft.angle import knots_of
-from made.recordings import line, run_up, shaft, steady, total
+from made.recordings import line, shaft, steady, total
 
 
 def request(band, angle, *, begin_rev, revs, **given):
@@ -95,18 +95,6 @@ def test_a_mean_a_million_times_the_signal_does_not_leak():
     np.testing.assert_allclose(np.abs(mean[0]), np.tile([2e6, 1e6], (3, 1)), rtol=1e-6)
 
 
-def test_content_far_above_the_orders_does_not_fold_onto_them():
-    """Tones up to the Nyquist frequency, read at low orders, leave what the Hann window lets through there: nothing."""
-    for share in (0.3, 0.42, 0.47, 0.4999):
-        tone = [lambda t, _, hz=share * 1785.0: np.cos(2 * np.pi * hz * t)]
-        band, angle = steady(tone, speed_rpm=2000.0, duration_s=4.0, rate_hz=1785.0)
-        asked = request(band, angle, begin_rev=np.array([30.0, 41.3, 60.0]), revs=16.0, tolerance=1e-9)
-        found = order_frames_nufft(band["signal"].values, n_orders=81, **asked)
-        # distance of the tone from the order, in bins
-        allowed = folding_error((share * 1785.0 * 60.0 / 2000.0 - 5.0) * 16.0)
-        assert np.abs(found).max() < 2.0 * allowed + 1e-9
-
-
 def test_bins_at_the_edges_of_the_grid_are_as_right_as_others():
     n_orders = 41
     for revs in (1.0, 2.0, 3.5, 16.0):
@@ -117,35 +105,6 @@ def test_bins_at_the_edges_of_the_grid_are_as_right_as_others():
             asked = request(band, angle, begin_rev=[6.3, 7.0], revs=revs, tolerance=1e-9)
             found = order_frames_nufft(band["signal"].values, n_orders=n_orders, **asked)
             np.testing.assert_allclose(found[0, :, edge], np.exp(0.5j), atol=1e-9)
-
-
-def test_frames_that_touch_an_unusable_sample_are_missing_in_that_channel_only():
-    signals = [line(3.0, 1.0, 0.2), line(3.0, 2.0)]
-    band, angle = steady(signals, speed_rpm=2000.0, duration_s=6.0, rate_hz=1785.0)
-    values, begin = band["signal"].values.copy(), np.arange(5.0, 190.0, 2.0)
-    usable = np.ones(values.shape, dtype=bool)
-    usable[0, 5000:5040] = False
-    asked = request(band, angle, begin_rev=begin, revs=4.0, tolerance=1e-6)
-    clean = order_frames_nufft(values, n_orders=20, **asked)
-    values[0, 5000:5040] = 1e3
-    found = order_frames_nufft(values, n_orders=20, usable=usable, **asked)[:, :, 12]
-    place = (begin[:, None] + [0.0, 4.0] + 0.3) / 2000.0 * 60.0 * 1785.0
-    touched = (np.ceil(place[:, 0]) <= 5039) & (np.floor(place[:, 1]) >= 5000)
-    assert 0 < np.count_nonzero(touched) < len(begin)
-    np.testing.assert_array_equal(np.isnan(found[0]), touched)
-    np.testing.assert_allclose(found[0, ~touched], clean[0, ~touched, 12], atol=2e-6)
-    np.testing.assert_allclose(found[1], clean[1, :, 12], atol=2e-6)
-
-
-def test_a_part_of_the_record_gives_the_same_frames():
-    """Streaming: a block needs the frame and its neighbours only."""
-    truth = {2.5: 1.0 + 0j, 13.0: 1j}
-    band, angle = run_up([parts(truth)], from_rpm=900.0, to_rpm=2400.0, duration_s=8.0, rate_hz=1785.0)
-    asked = request(band, angle, begin_rev=[60.0, 64.0], revs=4.0, tolerance=1e-6, n_orders=60)
-    whole = order_frames_nufft(band["signal"].values, **asked)
-    cut = 2000
-    part = order_frames_nufft(band["signal"].values[:, cut:9000], **asked | {"start_s": cut / 1785.0})
-    np.testing.assert_allclose(part, whole, atol=1e-12)
 
 
 def test_frames_outside_the_record_are_refused():

@@ -9,7 +9,6 @@ from crankorder.orders.swing_evidence import (
     Expected,
     Rows,
     alike_at_all_speeds,
-    given_by_neighbours,
     in_true_angle,
     rows_of,
     swings_of,
@@ -44,20 +43,6 @@ def test_lines_are_brought_back_to_where_they_belong():
         wanted[round(order * PER_ORDER)] = size
     np.testing.assert_allclose(made, wanted, atol=2e-4)
     assert np.abs(shown(lines, swings) - wanted).max() > 0.02
-
-
-def test_what_is_not_known_stays_so_and_gives_nothing():
-    spectrum = np.ones(60, dtype=complex)
-    spectrum[50:] = np.nan
-    made = in_true_angle(spectrum, bins_per_order=4, swings={1: 1e-3 + 0j})
-    assert np.isnan(made[50:]).all() and np.isfinite(made[:50]).all()
-
-
-def test_a_rest_of_the_swing_gives_each_line_what_carson_says():
-    amplitude = np.zeros(30 * PER_ORDER)
-    amplitude[10 * PER_ORDER] = 2.0
-    given = given_by_neighbours(amplitude, bins_per_order=PER_ORDER, left_rev={1: 1e-3})
-    assert given[9 * PER_ORDER] == given[11 * PER_ORDER] == pytest.approx(np.pi * 10.0 * 1e-3 * 2.0)
 
 
 def rows(spectra: list[np.ndarray], noise: float, rng: np.random.Generator) -> Rows:

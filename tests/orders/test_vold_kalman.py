@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError, RequestError
-from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share, structural_weight
+from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.orders.vold_kalman.filter import vold_kalman
 from crankorder.orders.vold_kalman.system import EnvelopeSystem
 
@@ -39,14 +39,6 @@ def run_up(n: int, *, order: float = 1.0) -> NDArray[np.float64]:
 
 def line(envelope: NDArray[np.complex128], phase_rev: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.real(envelope * np.exp(2j * np.pi * (phase_rev - np.floor(phase_rev))))
-
-
-def test_the_gain_is_half_the_power_at_half_the_bandwidth() -> None:
-    for poles in (1, 2, 3, 4):
-        for bandwidth_hz in (0.001, 4.0, 300.0):
-            weight = float(structural_weight(np.array(bandwidth_hz), rate_hz=RATE_HZ, poles=poles))
-            off = 2.0 * np.sin(np.pi * 0.5 * bandwidth_hz / RATE_HZ)
-            assert 1.0 / (1.0 + 2.0 * weight * off ** (2 * poles)) == pytest.approx(np.sqrt(0.5), rel=1e-14)
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crankorder.plot.cells import gaps_between, pooled, speed_cells, with_gaps
+from crankorder.plot.cells import gaps_between, speed_cells, with_gaps
 from crankorder.plot.labels import EdgeLabel, fitted, spread
 from crankorder.plot.palette import drawable, text_width_in
 from crankorder.plot.panel import linear_texts, linear_ticks
@@ -23,19 +23,6 @@ def test_a_wide_gap_of_the_run_up_is_left_open_and_regular_steps_leave_none() ->
     rows, edges = with_gaps(np.ones((len(speeds), 4)), speed_cells(speeds), empty=-1.0)
     assert len(rows) == len(speeds) + 1 == len(edges) - 1
     assert (rows < 0).all(axis=1).sum() == 1
-
-
-@given(st.integers(1, 400), st.integers(1, 300), st.integers(0, 10_000))
-def test_the_largest_value_of_a_map_is_in_its_pixels_and_no_pixel_makes_one_up(
-    cells: int, pixels: int, seed: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    values = rng.random((2, cells))
-    edges = np.concatenate([[0.0], np.cumsum(rng.uniform(0.1, 2, cells))])
-    shown = pooled(values, edges, np.linspace(0.0, float(edges[-1]), pixels + 1), axis=1)
-    assert shown.shape == (2, pixels)
-    assert shown.max() == values.max()
-    assert np.isin(shown, values).all()
 
 
 @given(st.lists(st.floats(0, 10), min_size=1, max_size=25), st.floats(0.05, 0.3))

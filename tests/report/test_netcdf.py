@@ -82,13 +82,6 @@ def test_what_is_read_back_is_what_was_written_and_fits_its_schema(groups: dict[
         check_dataset(read[noun], noun)
 
 
-@pytest.mark.slow
-def test_axes_keep_all_their_digits_and_estimates_carry_seven(file: Path) -> None:
-    read = read_results(file)["campbell_map"]
-    assert (read["speed"].dtype, read["frequency"].dtype) == (np.float64, np.float64)
-    assert read["amplitude"].dtype == np.float32
-
-
 def test_values_beyond_single_precision_keep_64_bits(tmp_path: Path) -> None:
     values = np.array([[1e-300, 0.0], [1e300, 1.0]])
     path = tmp_path / "r.nc"
@@ -123,13 +116,6 @@ def test_netcdf4_reads_the_same_values_and_finds_the_checksums(file: Path, group
     assert (said["filters"]["zlib"], said["filters"]["shuffle"], said["filters"]["fletcher32"]) == (True, True, True)
     assert said["order"] == groups["findings/orders"]["order"].values.tolist()
     assert said["explained"] == groups["findings/orders"]["explained_by"].values.tolist()
-
-
-@pytest.mark.slow
-def test_xarray_opens_a_group(file: Path, groups: dict[str, xr.Dataset]) -> None:
-    with xr.open_dataset(file, engine="h5netcdf", group="order_tracks") as tracks:
-        assert set(tracks.coords) == {"channel", "unit", "quantity", "order", "speed"}
-        np.testing.assert_allclose(tracks["amplitude"], groups["order_tracks"]["amplitude"], rtol=1e-6)
 
 
 @pytest.mark.slow

@@ -124,13 +124,6 @@ def test_what_was_parted_is_joined_again(channels: list[tuple[str, str, str]], t
     np.testing.assert_array_equal(by_channel(part)["amplitude"].values, given["amplitude"].values[:1])
 
 
-@pytest.mark.slow
-def test_values_that_were_missing_stay_missing() -> None:
-    given = mixed(("X", "acceleration", "m/s2"), ("p", "pressure", "bar"))
-    given["amplitude"][0, 1] = np.nan
-    xr.testing.assert_identical(by_channel(with_real_units(given)), given)
-
-
 def test_tables_say_what_a_column_is_and_a_missing_number_is_no_text(campaign: Any) -> None:
     tables = findings_datasets(Findings.from_dict(campaign.findings))
     for name, table in tables.items():

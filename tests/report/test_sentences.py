@@ -96,15 +96,6 @@ def test_an_order_is_called_by_the_digits_that_its_interval_carries_in_every_sen
     assert strongest_sentence(findings, "Z").startswith(f"Order {text} is the strongest")
 
 
-@pytest.mark.slow
-def test_two_orders_are_never_written_alike() -> None:
-    assert order_texts([1.0, 1.005, 2.0]) == ["1", "1.005", "2"]
-    assert order_texts([1.0, 1.0004]) == ["1", "1.0004"]
-    assert order_texts([2.0, 2.0, 5.4998]) == ["2", "2", "5.5"]
-    records = [{"order": 1.0, "order_ci95": [0.999, 1.001]}, {"order": 1.0049, "order_ci95": [1.0044, 1.0054]}]
-    assert [order_name(record, {"orders": records}) for record in records] == ["1", "1.005"]
-
-
 @given(st.lists(st.integers(1, 20_000_000), min_size=1, max_size=12, unique=True))
 def test_different_orders_have_different_texts_that_are_their_values(millionths: list[int]) -> None:
     orders = [number / 1e6 for number in millionths]
@@ -456,10 +447,6 @@ def test_a_peak_near_a_natural_frequency_that_was_not_judged_excites_nothing(ful
     crossings = [{**one, "excited": False, "verdict": "not decided"} for one in full["crossings"]]
     said = avoid_sentences({**full, "crossings": crossings})
     assert said and not any("excites" in one for one in said)
-
-
-def test_free_bands_are_told(full: Any) -> None:
-    assert f"Free of resonances: 300 to 1690 and 1850 to 2000 rpm; {EXCLUDED}." in story_of(full)["what_to_do"]
 
 
 def test_balancing_is_asked_for_in_the_channels_in_which_unbalance_leads(full) -> None:

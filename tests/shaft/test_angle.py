@@ -16,8 +16,8 @@ from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, angle_knots, time_at
 from crankorder.shaft.pattern import pattern_of
 from crankorder.shaft.pulses import find_pulses
-from crankorder.shaft.smoother import Smoother, penalty_of
 from crankorder.shaft.wheel import number_teeth
+from made.recordings import manifest
 
 SETTINGS = load_settings().shaft
 
@@ -84,21 +84,6 @@ def test_in_cycle_irregularity_survives_smoothing(known_shaft):
         assert left < (0.01 if order < 10 else 0.05) * swing
 
 
-def test_exact_pulse_times_give_an_exact_angle(known_shaft):
-    shaft = known_shaft(1500.0)
-    time_s = shaft.pulse_time_s(360)
-    knots = knots_of(time_s, noise_s=1e-12)
-    middle = time_s[:-1] + 0.37 * np.diff(time_s)
-    error = evaluated(knots, middle) - shaft.angle_rev(middle)
-    np.testing.assert_allclose(error, error[0], atol=2e-9)
-
-
-def test_a_steady_shaft_needs_few_knots(known_shaft):
-    knots, _, _ = from_square(known_shaft(2000.3, irregularity={}, duration_s=6.0))
-    assert knots.time_s.size < 20 * 6.0 * 2000.0 / 60.0
-    assert knots.cut_off_order == pytest.approx(SETTINGS.kept_order)
-
-
 def test_the_standard_error_is_that_of_many_draws():
     rng = np.random.default_rng(4)
     noise_s, exact = 1e-5, np.arange(400) / 6000.0
@@ -136,18 +121,6 @@ def test_holes_in_the_teeth_widen_the_standard_error_and_keep_the_angle(known_sh
     between = shaft.time_s[(shaft.time_s > time_s[0]) & (shaft.time_s < time_s[-1])]
     error = evaluated(knots, between) - shaft.angle_rev(between)
     np.testing.assert_allclose(error, np.mean(error), atol=3e-6)
-
-
-def test_the_banded_solution_is_the_dense_one():
-    for size, cut_off in [(3, 0.1), (4, 0.1), (5, 0.02), (60, 0.03), (150, 0.2)]:
-        rng = np.random.default_rng(size)
-        weight = np.ones(size)
-        weight[size // 3 : size // 3 + (size > 10)] = 0.0
-        value, penalty = rng.standard_normal(size), penalty_of(cut_off)
-        third, smoother = np.diff(np.eye(size), n=3, axis=0), Smoother(weight, penalty)
-        system = np.diag(weight) + penalty * third.T @ third
-        np.testing.assert_allclose(smoother.smoothed(value), np.linalg.solve(system, weight * value), atol=1e-8)
-        np.testing.assert_allclose(smoother.leverage(), np.diag(np.linalg.inv(system)), rtol=1e-8)
 
 
 @given(
@@ -255,36 +228,22 @@ def test_exact_pulses_of_any_wheel_are_passed_through():
 
 SETTINGS_DIRECTION = load_settings()
 RATE_HZ, LINES = 20_000.0, 60
-MANIFEST = """schema_version = 1
-[test]
-name = "two tracks"
-cycle = "rotor"
-[recordings]
-files = ["*.h5"]
-[[channels]]
-name = "Z"
-source = "z"
-unit = "m/s2"
-[encoder]
-kind = "square"
-source = "a"
-second_track = "b"
-pulses_per_rev = 60
-edge = "{edge}"
-"""
+ENCODER = {"kind": "square", "source": "a", "second_track": "b", "pulses_per_rev": 60}
 
 
 def flags(folder: Path, turns: np.ndarray, *, edge: str = "rising", second: np.ndarray | None = None) -> dict[str, str]:
     """Flags on the direction of a shaft at ``turns`` (sample,), A leading B by a quarter of a line forwards."""
     folder.mkdir(exist_ok=True)
-    (folder / "run.toml").write_text(MANIFEST.format(edge=edge), encoding="utf-8")
+    text = manifest("*.h5", channels={"Z": {"source": "z"}}, encoder=ENCODER | {"edge": edge})
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     with h5py.File(folder / "a.h5", "w") as file:
         file.attrs["rate_hz"] = RATE_HZ
         file["z"] = np.random.default_rng(1).standard_normal(turns.size)
         file["a"] = ((turns * LINES) % 1.0 < 0.5).astype(np.float32)
         file["b"] = ((turns * LINES - 0.25) % 1.0 < 0.5).astype(np.float32) if second is None else second
-    manifest = load_manifest(folder)
-    read = read_recording(folder / "a.h5", manifest, settings=SETTINGS_DIRECTION.ingest, shaft=SETTINGS_DIRECTION.shaft)
+    read = read_recording(
+        folder / "a.h5", load_manifest(folder), settings=SETTINGS_DIRECTION.ingest, shaft=SETTINGS_DIRECTION.shaft
+    )
     return {one["flag"]: one["detail"] for one in flags_of(read) if "direction" in one["flag"] or "back" in one["flag"]}
 
 
@@ -310,7 +269,7 @@ def test_d8_a_dead_second_track_says_nothing(tmp_path: Path) -> None:
 
 
 def test_a_second_track_goes_with_a_sampled_one(tmp_path: Path) -> None:
-    text = MANIFEST.format(edge="rising").replace('"square"', '"pulse_times"')
+    text = manifest(channels={"Z": {"source": "z"}}, encoder=ENCODER | {"kind": "pulse_times"})
     (tmp_path / "run.toml").write_text(text, encoding="utf-8")
     with pytest.raises(Exception, match="a second track is a sampled trace"):
         load_manifest(tmp_path)

@@ -111,31 +111,24 @@ def test_random_jitter_costs_what_is_expected(known_shaft, pulses_per_rev, jitte
     assert_within_factor(expected["loss"], found["loss"], 1.6)
 
 
-def assert_motion_costs_what_is_expected(true, pulses_per_rev: int, *, loss: float, sideband: float) -> None:
-    """Within the factors ``loss`` and ``sideband``, of a shaft that swings at one order."""
-    dataset = decoded(true.pulse_time_s(pulses_per_rev), pulses_per_rev, noise_s=0.0)
-    found = achieved(dataset, true, pulses_per_rev)
-    ((order, irregularity),) = true.irregularity.items()
-    expected = expected_of_motion(dataset, order, irregularity)
-    assert_within_factor(expected["loss"], found["loss"], loss)
-    assert_within_factor(expected["sideband"], found["sideband"], sideband)
-
-
 @pytest.mark.parametrize("irregularity", [0.001, 0.01, 0.03])
 @pytest.mark.parametrize(
-    ("pulses_per_rev", "order"), [(1, 1.0), (1, 2.0), (1, 5.5), (2, 1.5), (2, 2.0), (6, 3.5), (6, 4.0), (60, 40.0)]
+    ("pulses_per_rev", "order"),
+    # between the pulses, and between the knots
+    [
+        *((1, 1.0), (1, 2.0), (1, 5.5), (2, 1.5), (2, 2.0), (6, 3.5), (6, 4.0), (60, 40.0)),
+        *((6, 1.0), (2, 0.5), (6, 2.0), (60, 15.0), (360, 100.0)),
+    ],
 )
-def test_motion_between_the_pulses_costs_what_is_expected(known_shaft, pulses_per_rev, order, irregularity):
+def test_motion_that_the_pulses_or_the_knots_do_not_show_costs_what_is_expected(
+    known_shaft, pulses_per_rev, order, irregularity
+):
     true = known_shaft(1000.0, irregularity={order: irregularity}, duration_s=6.0)
-    assert_motion_costs_what_is_expected(true, pulses_per_rev, loss=1.1, sideband=1.25)
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("irregularity", [0.03, 0.01, 0.001])
-@pytest.mark.parametrize(("pulses_per_rev", "order"), [(6, 1.0), (2, 0.5), (6, 2.0), (60, 15.0), (360, 100.0)])
-def test_interpolation_between_knots_costs_what_is_expected(known_shaft, pulses_per_rev, order, irregularity):
-    true = known_shaft(1000.0, irregularity={order: irregularity}, duration_s=6.0)
-    assert_motion_costs_what_is_expected(true, pulses_per_rev, loss=2.0, sideband=2.0)
+    dataset = decoded(true.pulse_time_s(pulses_per_rev), pulses_per_rev, noise_s=0.0)
+    found, expected = achieved(dataset, true, pulses_per_rev), expected_of_motion(dataset, order, irregularity)
+    between_pulses = 2.0 * order >= pulses_per_rev
+    assert_within_factor(expected["loss"], found["loss"], 1.1 if between_pulses else 2.0)
+    assert_within_factor(expected["sideband"], found["sideband"], 1.25 if between_pulses else 2.0)
 
 
 @pytest.mark.cases(2)
@@ -216,16 +209,6 @@ def test_one_pulse_per_revolution_carries_few_orders_and_says_so(known_shaft):
     assert "no motion at order 1 and above shows, 1 % of which would cost order 40 4 %" in detail
     below = reference_audit(dataset, orders=(1.0, 5.5), revs_per_frame=REVS, settings=SETTINGS)
     assert below.remarks == ()
-
-
-def test_the_limit_is_that_of_the_settings(known_shaft):
-    dataset = decoded(known_shaft(1000.0).pulse_time_s(1), 1, noise_s=0.0)
-    strict = SETTINGS.model_copy(update={"reference_bias_limit": 0.01})
-    audit = reference_audit(dataset, orders=(1.5,), revs_per_frame=REVS, settings=strict)
-    assert audit.highest_carried_order == pytest.approx(2.0, rel=0.02)
-    calm = SETTINGS.model_copy(update={"reference_irregularity_percent": 0.1})
-    audit = reference_audit(dataset, orders=(1.5,), revs_per_frame=REVS, settings=calm)
-    assert audit.highest_carried_order == pytest.approx(100.0, rel=0.02)
 
 
 @pytest.mark.cases(1)

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from crankorder.errors import InputError
 from crankorder.quantities import check_dataset, flags_of
@@ -10,7 +9,6 @@ from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, integrated_speed
 from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.pulses import find_pulses
-from crankorder.shaft.summary import speed_trace, trace_variables
 from made.recordings import sampled
 
 SETTINGS = load_settings().shaft
@@ -155,24 +153,6 @@ def test_a_shaft_that_turns_back_is_flagged_and_taken_to_stand() -> None:
     knots, flags = integrated_speed(speed, rate_hz=RATE_HZ, settings=SETTINGS)
     assert [name for name, _, _ in flags] == ["speed_negative"]
     assert abs(knots.angle_rev[-1] - revs) < 0.05
-
-
-# The summary of all shafts of a test: one row each, as the traces of each alone.
-
-
-def test_traces_of_a_test_are_those_of_each_recording() -> None:
-    rng = np.random.default_rng(3)
-    shafts = [
-        xr.Dataset({"time": ("knot", np.sort(rng.uniform(0, 5, n))), "speed": ("knot", rng.uniform(900, 1100, n))})
-        for n in (20, 300, 4)
-    ]
-    made = trace_variables(shafts, knots=50)
-    for row, shaft in enumerate(shafts):
-        alone = speed_trace(shaft["time"].values, shaft["speed"].values, knots=50)
-        for values, variable in zip(alone, made.values(), strict=True):
-            assert variable.dims == ("recording", "knot") and variable.dtype == np.float32
-            np.testing.assert_array_equal(variable.values[row], values.astype(np.float32))
-    assert all(variable.shape == (0, 50) for variable in trace_variables([], knots=50).values())
 
 
 # A mark on the camshaft tells which top dead centre fires, by the majority of the cycles.

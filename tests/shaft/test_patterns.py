@@ -1,7 +1,5 @@
 """Every wheel decodes from its pulses, wherever they start, and is found by itself; clean trains are never repaired."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -12,7 +10,7 @@ from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at
 from crankorder.shaft.decode import shaft_angle
-from crankorder.shaft.pattern import angles_fault, grid_of, known_names, pattern_of
+from crankorder.shaft.pattern import grid_of, known_names, pattern_of
 from crankorder.shaft.repair import running_part
 from crankorder.shaft.uneven_wheel import find_pattern
 from crankorder.shaft.wheel import number_teeth
@@ -277,16 +275,6 @@ def test_an_unknown_wheel_is_refused():
     for name in ["36-2-l", "3-3", "gm", "", "60-2-", "-2", "$60-2"]:
         with pytest.raises(RequestError, match="unknown wheel"):
             pattern_of(name)
-
-
-def test_the_angles_of_every_named_wheel_are_a_wheel():
-    for name in WHEELS:
-        wheel = pattern_of(name)
-        assert angles_fault(wheel.angles_deg) == ""
-        grid, places, offsets = grid_of(wheel.angles_deg)
-        assert not any(offsets)
-        np.testing.assert_allclose(np.array(places) * 360.0 / grid, wheel.angles_deg, atol=1e-9)
-        assert all(later > earlier for earlier, later in pairwise(places))
 
 
 def cranking(name, seed, *, revs=4.3):

@@ -95,14 +95,6 @@ def test_d4_pulses_doubled_by_ringing_are_removed_and_counted(known_shaft, recor
     assert abs(np.degrees(np.angle(error))) < 0.01
 
 
-def test_pulses_lost_in_a_row_leave_the_count_right(known_shaft):
-    for in_a_row in [1, 2, 5]:
-        pulse_s = known_shaft(1000.0).pulse_time_s(60)
-        teeth = number_teeth(np.delete(pulse_s, range(700, 700 + in_a_row)), pulses_per_rev=60, settings=SETTINGS)
-        assert teeth.n_repaired == in_a_row
-        assert teeth.tooth[-1] - teeth.tooth[0] == pulse_s.size - 1
-
-
 def test_d5_without_an_index_orders_are_right_and_the_phase_is_flagged(known_shaft, recording_of, order_error):
     shaft = known_shaft(1000.0)
     angle = decoded(recording_of, shaft.square(360))
@@ -164,19 +156,6 @@ def wheel_with_gap(shaft, pulses_per_rev, missing):
     pulse_s = shaft.pulse_time_s(pulses_per_rev)
     tooth = np.round(shaft.angle_rev(pulse_s) * pulses_per_rev).astype(int) % pulses_per_rev
     return pulse_s[tooth < pulses_per_rev - missing]
-
-
-def test_tooth_one_behind_the_gap_is_the_mark_of_a_missing_tooth_wheel(known_shaft, recording_of):
-    for teeth, missing in [(60, 2), (36, 1), (24, 1), (12, 3)]:
-        shaft = known_shaft(1500.0)
-        pulse_s = wheel_with_gap(shaft, teeth, missing)
-        angle = shaft_angle(
-            recording_of(pulse_s, pulses_per_rev=teeth, missing_teeth=missing, pulse_noise_s=1e-7), settings=SETTINGS
-        )
-        difference = angle_of(angle, pulse_s) - shaft.angle_rev(pulse_s)
-        np.testing.assert_allclose(difference, np.round(difference), atol=2e-5)
-        assert angle.attrs["phase_reference"] == "index"
-        assert not {"encoder_missing_pulse", "encoder_double_pulse"} & {item["flag"] for item in flags_of(angle)}
 
 
 def test_the_wrong_wheel_is_refused(known_shaft):

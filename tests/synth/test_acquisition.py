@@ -117,19 +117,6 @@ def test_filters_in_series_have_the_product_of_their_gains_everywhere() -> None:
         assert both.at(anywhere) == pytest.approx(a.at(anywhere) * b.at(anywhere), abs=1e-12)
 
 
-def test_a_step_through_the_poles_is_the_step_response_of_scipy() -> None:
-    filter_ = in_series(low_pass(3, 100.0), high_pass(5.0))
-    time = np.linspace(0.0, 0.2, 400)
-    ours = filter_.at(np.zeros(1, dtype=complex)).real + np.sum(
-        filter_.residue / filter_.pole_per_s * np.exp(np.outer(time, filter_.pole_per_s)), axis=1
-    )
-    zeros, poles, gain = scipy_signal.butter(3, 2 * np.pi * 100, analog=True, output="zpk")
-    system = scipy_signal.ZerosPolesGain([*zeros, 0.0], [*poles, -2 * np.pi * 5], gain)
-    _, theirs = scipy_signal.step(system.to_ss(), T=time)
-    assert ours.real == pytest.approx(theirs, abs=1e-9)
-    assert np.abs(ours.imag).max() < 1e-12
-
-
 def test_white_noise_folds_to_the_sum_of_all_images() -> None:
     rate, filter_ = 1000.0, low_pass(3, 450.0)
     frequency = np.linspace(0, rate / 2, 11)

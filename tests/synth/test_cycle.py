@@ -92,20 +92,6 @@ def test_a_perfect_order_analysis_finds_the_lines_in_angle() -> None:
     assert _worst(order, amplitude, signal, revs) < 2e-12
 
 
-def test_there_and_back_gives_the_lines_that_were_given() -> None:
-    lag, lines = _lag(), _forces().only(np.array([False] * 6 + [True]))
-    steady = ForceLines(
-        order=lines.order, amplitude=lines.amplitude, at_speed_rpm=lines.at_speed_rpm, exponent=np.zeros(1),
-        inertia=lines.inertia, gas=lines.gas, cause=lines.cause,
-    )  # fmt: skip
-    order, amplitude = lines_in_time(steady, lag, speed_rpm=RPM)
-    assert order.size > 20
-    again, back = lines_in_angle(order, amplitude, lag, speed_rpm=RPM)
-    size = np.abs(back).max(axis=0)
-    np.testing.assert_allclose(back[:, again == 5.3], lines.amplitude, rtol=1e-11)
-    assert size[again != 5.3].max(initial=0) < 1e-11 * size.max()
-
-
 def test_an_even_rotation_changes_nothing_but_the_speed() -> None:
     lines = _forces()
     even = Lag(order=np.array([0.5]), inertia=np.zeros(1, dtype=complex), gas=np.zeros(1, dtype=complex))
@@ -117,15 +103,6 @@ def test_an_even_rotation_changes_nothing_but_the_speed() -> None:
     np.testing.assert_allclose(amplitude[:, 0], lines.amplitude[:, 0].real, atol=1e-15)
     none = Lag(order=np.zeros(0), inertia=np.zeros(0, dtype=complex), gas=np.zeros(0, dtype=complex))
     np.testing.assert_allclose(lines_in_time(lines, none, speed_rpm=RPM)[1], amplitude, rtol=1e-12, atol=1e-13)
-
-
-def test_a_small_lag_modulates_the_phase() -> None:
-    lag = Lag(order=np.array([2.0]), inertia=np.array([1e-6 + 0j]), gas=np.zeros(1, dtype=complex))
-    order, amplitude = lines_in_angle(np.array([5.0]), np.ones((1, 1), dtype=complex), lag, speed_rpm=RPM)
-    line = dict(zip(order.tolist(), amplitude[0].tolist(), strict=True))
-    assert line[5.0] == pytest.approx(1, abs=1e-9)
-    for side in (3.0, 7.0):
-        assert line[side] == pytest.approx(1j * np.pi * 5 * 1e-6, rel=1e-4)
 
 
 def test_a_lag_without_a_cycle_and_a_shaft_that_stops_are_refused() -> None:
@@ -160,11 +137,6 @@ def test_the_speed_has_the_given_orders_by_crank_angle_and_no_others(parts: tupl
     shape = 1 + sum(p / 100 * np.cos(2 * np.pi * o * angle + np.radians(d)) for o, p, d in parts)
     np.testing.assert_allclose(speed / shape, speed[0] / shape[0], rtol=3e-13)
     assert angle[-1] - angle[0] == pytest.approx(10, abs=1e-13)
-
-
-def test_shares_that_add_up_to_a_standstill_are_refused() -> None:
-    with pytest.raises(RequestError, match="stop within the cycle"):
-        lag_by_order(tuple(SpeedOrder(order=o, percent=46.0, phase_deg=180.0) for o in (1.0, 2.0)))
 
 
 def _lag_of(scene: Scene, flywheel_inertia_kg_m2: float | None, in_cycle: InCycleSpeed) -> Lag:

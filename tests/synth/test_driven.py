@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from crankorder.engine.torsional_fluctuation import Lag
-from crankorder.synth.analogue import in_series, low_pass
+from crankorder.synth.analogue import low_pass
 from crankorder.synth.driven import driven_signal
 from crankorder.synth.motion import Motion
 from crankorder.synth.order_forces import ForceLines
@@ -159,19 +159,6 @@ def test_at_a_constant_speed_the_response_is_the_accelerance_to_round_off(rpm: f
     assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
 
 
-def test_behind_a_filter_the_response_is_accelerance_times_filter() -> None:
-    filter, rpm, n_samples = in_series(low_pass(8, 900.0), low_pass(1, 200.0)), 2000.0, 5000
-    motion = Motion(start_rev=0.1, corners=((0.0, rpm),))
-    poles = poles_of(STRUCTURE, filter)
-    found = driven_signal(poles, [(lines(), motion)], rate_hz=RATE_HZ, n_samples=n_samples, tolerance=1e-14)
-    frequency = ORDERS * rpm / 60
-    response = accelerance(STRUCTURE, frequency) * filter.response(frequency)
-    amplitude = np.einsum("cal,al->cl", response, lines().at_speed(rpm))
-    turns = ORDERS[:, None] * (0.1 + rpm / 60 * np.arange(n_samples) / RATE_HZ)
-    expected = (amplitude @ np.exp(2j * np.pi * turns)).real
-    assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
-
-
 @pytest.mark.slow
 def test_a_filter_in_a_run_up_is_the_filter_equation_driven_by_the_unfiltered_response() -> None:
     """v̈ + √2 ω v̇ + ω² v = ω² a, a two-pole Butterworth filter, integrated with the modes as further states."""
@@ -285,18 +272,6 @@ def test_gains_step_between_cycles_to_the_very_angle(corners: tuple[tuple[float,
     assert np.abs(found - expected).max() < 1e-11 * np.abs(expected).max()
 
 
-def test_equal_gains_change_nothing_but_the_size() -> None:
-    sources = [(lines(gas=True), Motion(start_rev=0.3, corners=((0.1, 600.0), (0.4, 3000.0))))]
-    plain, same, double = (
-        driven_signal(POLES, sources, rate_hz=RATE_HZ, n_samples=3000, gain_of_cycle=gain)
-        for gain in (None, lambda c: np.ones(c.size), lambda c: np.full(c.size, 2.0))
-    )
-    gas_only = [(lines(gas=True).only(lines(gas=True).gas), sources[0][1])]
-    gas = driven_signal(POLES, gas_only, rate_hz=RATE_HZ, n_samples=3000)
-    assert np.abs(same - plain).max() < 1e-10 * np.abs(plain).max()  # of a past that is integrated, not known
-    assert np.abs(double - plain - gas).max() < 1e-10 * np.abs(plain).max()
-
-
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("gain", [None, factor], ids=["no gains", "gains"])
 def test_blocks_leave_no_seam(gain: Callable[[np.ndarray], np.ndarray] | None) -> None:
@@ -310,13 +285,3 @@ def test_blocks_leave_no_seam(gain: Callable[[np.ndarray], np.ndarray] | None) -
     )
     for part in parts:
         assert np.abs(part - whole).max() < 1e-13 * np.abs(whole).max()
-
-
-def test_sources_add_up() -> None:
-    shafts = [
-        (lines(), Motion(start_rev=0.3, corners=((0.1, 600.0), (0.4, 3000.0)))),
-        (lines(), Motion(start_rev=0.7, corners=((0.2, -700.0), (0.5, -1710.0)))),
-    ]
-    both = driven_signal(POLES, shafts, rate_hz=RATE_HZ, n_samples=4000, tolerance=1e-12)
-    apart = [driven_signal(POLES, [one], rate_hz=RATE_HZ, n_samples=4000, tolerance=1e-12) for one in shafts]
-    assert np.abs(both - apart[0] - apart[1]).max() < 1e-11 * np.abs(both).max()

@@ -167,19 +167,6 @@ def test_every_line_comes_when_the_shaft_is_at_its_angle() -> None:
         np.testing.assert_array_equal(pulses.number, np.arange(np.floor(first + 0.5), np.floor(last) + 1))
 
 
-@pytest.mark.parametrize(("teeth", "missing"), [(60, 2), (36, 1)])
-def test_the_decoder_finds_the_first_tooth_behind_the_gap_at_whole_turns(teeth: int, missing: int) -> None:
-    encoder = Encoder(pulses_per_rev=teeth, missing_teeth=missing)
-    rise_s = pulses_of(encoder, TURNING).rise_s
-    numbered = number_teeth(rise_s[rise_s > 0], pulses_per_rev=teeth, settings=SHAFT, missing_teeth=missing)
-    assert numbered.index_tooth == 0
-    assert numbered.n_repaired == 0
-    assert numbered.flags == []
-    shown = turn_at(numbered.time_s, TURNING, encoder) - numbered.tooth / teeth
-    np.testing.assert_allclose(shown, round(shown[0]), atol=1e-10)
-    assert set(numbered.tooth % teeth) == set(range(teeth - missing))
-
-
 @pytest.mark.parametrize("amplitude_deg", [0.4, 40.0])
 def test_an_eccentric_wheel_shows_its_turn_and_a_sine_of_it(amplitude_deg: float) -> None:
     encoder = Encoder(pulses_per_rev=60, eccentricity_deg=amplitude_deg, eccentricity_phase_deg=30.0)
@@ -213,14 +200,6 @@ def test_a_shaft_that_turns_back_passes_its_lines_in_reverse() -> None:
     np.testing.assert_allclose(place, np.rint(place), atol=1e-8)
     assert (np.rint(place) % 60 < 58).all()
     assert set(np.diff(number[backwards])) == {-1}
-
-
-@pytest.mark.slow
-def test_a_shaft_at_standstill_gives_no_pulse() -> None:
-    still = Motion(start_rev=0.33, corners=((0.0, 0.0),))
-    assert pulses_of(Encoder(pulses_per_rev=60), still).rise_s.size == 0
-    high = pulses_of(Encoder(pulses_per_rev=1), still)
-    assert (high.rise_s, high.fall_s) == ([-np.inf], [np.inf])
 
 
 # Faults of the encoder: what was put in is what the decoder of the analysis finds, in number and place.

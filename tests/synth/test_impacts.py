@@ -43,14 +43,6 @@ def test_without_jitter_strikes_come_evenly_at_the_slipping_line() -> None:
     assert slipping_line(BPFO, slip_percent=-2.0) > BPFO
 
 
-def test_the_mean_rate_of_strikes_is_that_of_the_slipping_line() -> None:
-    for slip, jitter in ((0.0, 1.0), (2.0, 5.0), (-3.0, 20.0)):
-        found = strikes(slip_percent=slip, jitter_percent=jitter, start_rev=0.0, end_rev=40_000.0)
-        expected = 40_000 * BPFO * (1 - slip / 100)
-        assert abs(found.size - expected) < 1 + 4 * 0.01 * jitter * np.sqrt(expected)
-        assert np.diff(found).min() > 0
-
-
 @pytest.mark.slow
 def test_jitter_adds_up_to_a_random_walk() -> None:
     stream = seed_stream(7, "walks")

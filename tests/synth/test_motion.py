@@ -105,17 +105,6 @@ def test_the_start_is_the_angle_at_time_zero() -> None:
         assert Motion(start_rev=start_rev, corners=corners).at(np.zeros(1))[0][0] == start_rev
 
 
-def test_pieces_meet_at_their_corners() -> None:
-    motion = Motion(start_rev=0.2, corners=PROFILE, wobbles=WOBBLES, lag=_lag(gas=False))
-    assert motion.corner_s == (0.5, 2.0, 3.0, 4.5)
-    for k, corner_s in enumerate(motion.corner_s):
-        before, after = (motion.at(np.array([corner_s]), piece=piece) for piece in (k, k + 1))
-        np.testing.assert_allclose(before[0], after[0], rtol=4 * EPS)
-        np.testing.assert_allclose(before[1], after[1], rtol=1e-13)
-        assert abs(before[2] - after[2]) > 100
-        np.testing.assert_array_equal(motion.at(np.array([corner_s])), after)
-
-
 def test_a_day_of_turning_loses_no_digits() -> None:
     motion = Motion(start_rev=0.1, corners=((0.0, 701.3), (1e5, 6001.7)))
     time = np.linspace(0, 99_999.9, 101)

@@ -100,28 +100,6 @@ def test_the_compiled_sum_is_the_sum_of_cosines() -> None:
     assert np.abs(found - expected).max() < 1e-12 * largest  # the angle itself is good to 1e-13 rev only
 
 
-def test_backwards_the_same_mass_makes_the_same_force_at_the_same_angle() -> None:
-    lines = some_lines((1.0, 2.0), inertia=np.ones(2, dtype=bool))
-    rev, speed = RNG.uniform(size=50), RNG.uniform(100, 900, 50)
-    forward, backward = (force_at(lines, rev, way * speed, 3 * speed) for way in (1, -1))
-    assert np.array_equal(forward, backward)
-
-
-def test_at_a_constant_speed_the_peaks_are_those_of_the_force() -> None:
-    lines = some_lines((1.0, 2.5), inertia=np.array([True, False]))
-    rev = np.linspace(0, 2, 101)
-    expected = (lines.at_speed(640.0) @ np.exp(2j * np.pi * np.outer(lines.order, rev))).real
-    found = force_at(lines, rev, np.full(101, 640.0), np.zeros(101))
-    assert np.abs(found - expected).max() < 1e-14 * np.abs(expected).max()
-
-
-def test_a_gain_multiplies_the_gas_lines_and_no_others() -> None:
-    lines = some_lines()
-    moves = RNG.uniform(1, 2, (3, 40))
-    apart = [force_at(lines.only(chosen), *moves) for chosen in (lines.gas, ~lines.gas)]
-    assert np.allclose(force_at(lines, *moves, 3.0), 3 * apart[0] + apart[1], rtol=1e-13, atol=1e-13)
-
-
 def test_a_force_that_falls_with_speed_is_refused_at_standstill() -> None:
     lines = some_lines((1.0,), exponent=np.array([-1.0]))
     with pytest.raises(RequestError, match="stands still"):

@@ -151,24 +151,6 @@ def test_only_the_named_recordings_and_channels_have_a_fault() -> None:
     assert (signal[0] == CLEAN[0]).all()
 
 
-def test_every_record_is_a_quality_flag() -> None:
-    every: tuple[AnySignalFault, ...] = (
-        Clipping(kind="clipping", of_peak=0.9),
-        IepeOverload(kind="iepe_overload", at_s=1.0),
-        NotANumber(kind="not_a_number", at_s=1.0),
-        Spikes(kind="spikes", count=1),
-        Drift(kind="drift", drift_m_s2=1.0),
-        DroppedSamples(kind="dropped_samples", at_s=1.0, count=2),
-        Dropout(kind="dropout", at_s=1.0, duration_s=1.0),
-    )
-    _, records = faulty(*every)
-    assert len(records) == 14
-    for record in records:
-        assert {"recording", "flag", "severity", "detail", "channel", "n_samples"} <= record.keys()
-        assert record["severity"] in ("info", "suspect", "bad")
-        assert "\n" not in record["detail"]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "place"),

@@ -37,19 +37,6 @@ def test_a_scene_becomes_an_ordinary_test_run_folder(small_scene: Path, tmp_path
         assert np.isfinite(file["acc_z"][()]).all()
 
 
-def test_the_manifest_says_what_the_files_hold(small_scene: Path, tmp_path: Path) -> None:
-    write_scene(small_scene.name, tmp_path / "run", quick=True, beside=small_scene.parent)
-    manifest = tomllib.loads((tmp_path / "run" / "run.toml").read_text())
-    assert manifest["test"] == {"name": "small", "engine": "msu-optical-second", "cycle": "four-stroke"}
-    assert manifest["sampling"] == {"domain": "time", "rate_hz": 8000.0}
-    assert manifest["channels"][1] == {
-        "name": "Z", "source": "acc_z", "quantity": "acceleration", "unit": "m/s2", "direction": "-Z"
-    }  # fmt: skip
-    assert manifest["encoder"]["pulses_per_rev"] == 60
-    assert manifest["encoder"]["index"] == "index"
-    assert [bearing["name"] for bearing in manifest["bearings"]] == ["jack shaft", "distributor shaft"]
-
-
 @pytest.mark.slow
 def test_crank_angle_files_need_no_encoder(tmp_path: Path) -> None:
     write_scene("thesis-first-motoring", tmp_path / "run", quick=True)
