@@ -16,7 +16,7 @@ from crankorder.level_findings import Level as Level
 from crankorder.level_findings import LimitVerdict as LimitVerdict
 from crankorder.level_findings import ThirdOctave as ThirdOctave
 from crankorder.level_findings import VibrationLevel as VibrationLevel
-from crankorder.records import Document, Ends, Interval, Record, record, said
+from crankorder.records import Document, Ends, Interval, Record, said
 
 SCHEMA_VERSION = 1
 """Of ``findings.json``."""
@@ -28,7 +28,6 @@ Verdict = Literal["excited", "not excited", "not decided", "not measured", "outs
 """What is said of the meeting of an order with a natural frequency."""
 
 
-@record
 class Channel(Record):
     """A channel that was analysed."""
 
@@ -37,7 +36,6 @@ class Channel(Record):
     quantity: str | None = said("acceleration, sound_pressure, …", default=None, left_out=True)
 
 
-@record
 class OrderFinding(Record):
     """An order line in one channel."""
 
@@ -88,7 +86,6 @@ class OrderFinding(Record):
         return self.amplitude
 
 
-@record
 class ModeFinding(Record):
     """A line that stays where it is, or moves with the speed by a whirl's law: a natural frequency, mains, a tone."""
 
@@ -121,7 +118,6 @@ class ModeFinding(Record):
     )
 
 
-@record
 class CrossingFinding(Record):
     """Meeting of an order with a natural frequency."""
 
@@ -156,7 +152,6 @@ class CrossingFinding(Record):
     excited: bool = said("the order rises there")
 
 
-@record
 class AvoidedSpeed(Record):
     """A speed not to dwell at: where orders meet natural frequencies, the costliest first."""
 
@@ -187,7 +182,6 @@ class AvoidedSpeed(Record):
     mode_hz: float = said("natural frequency", above=0)
 
 
-@record
 class FreeBand(Record):
     """Speeds in which the data exclude an amplification."""
 
@@ -196,7 +190,6 @@ class FreeBand(Record):
     remark: str | None = said("what the data exclude there", default=None)
 
 
-@record
 class OpenBand(Record):
     """Speeds that are neither free nor to be avoided."""
 
@@ -205,7 +198,6 @@ class OpenBand(Record):
     remark: str = said("why nothing can be said, or which order is amplified")
 
 
-@record
 class BearingFinding(Record):
     """A bearing line in the vibration or in its envelope."""
 
@@ -254,7 +246,6 @@ class BearingFinding(Record):
         return () if self.seen_in == "envelope" else ("shaft_order",)
 
 
-@record
 class MotorSpeed(Record):
     """The motor in a recording at a held speed."""
 
@@ -268,7 +259,6 @@ class MotorSpeed(Record):
     fits: bool = said("whether a motor that drives may slip so")
 
 
-@record
 class MotorLine(Record):
     """A line of the motor or of its supply."""
 
@@ -284,7 +274,6 @@ class MotorLine(Record):
     n_recordings: int = said("recordings that show it")
 
 
-@record
 class Motor(Record):
     """The induction motor that the manifest states."""
 
@@ -302,7 +291,6 @@ class Motor(Record):
     )
 
 
-@record
 class LineFinding(Record):
     """A line above the false-alarm level, by order or by frequency."""
 
@@ -323,7 +311,6 @@ class LineFinding(Record):
         return self.amplitude or 0.0
 
 
-@record
 class Balance(Record):
     """Residual unbalance: what balances an engine or a rotor not, split by direction and sense of rotation."""
 
@@ -367,7 +354,6 @@ class Balance(Record):
     evidence: str = said("what the numbers rest on", default="")
 
 
-@record
 class Influence(Record):
     """What a unit of the added mass does to a channel at a speed."""
 
@@ -377,7 +363,6 @@ class Influence(Record):
     phase_deg: float = said("its phase")
 
 
-@record
 class TrialBalance(Balance):
     """Residual unbalance as a known mass tells it that was added between two tests: before, and with it."""
 
@@ -397,7 +382,6 @@ class TrialBalance(Balance):
         return () if self.residual_after_gmm is not None else ("angle_after_deg", "angle_after_deg_ci95")
 
 
-@record
 class Quality(Record):
     """A remark on a recording."""
 
@@ -417,7 +401,6 @@ class Quality(Record):
     )
 
 
-@record
 class SpeedSwing(Record):
     """Swing of the shaft's own speed at one order, in one recording."""
 
@@ -429,7 +412,6 @@ class SpeedSwing(Record):
     steady_rpm: float = said("peak amplitude of the mean cycle")
 
 
-@record
 class Findings(Record):
     """What a test says."""
 

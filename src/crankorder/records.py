@@ -7,25 +7,12 @@ from collections.abc import Collection, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import cache
 from math import isfinite
-from typing import (
-    Any,
-    ClassVar,
-    Literal,
-    Self,
-    TypeVar,
-    Union,
-    dataclass_transform,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Any, ClassVar, Literal, Self, Union, dataclass_transform, get_args, get_origin, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel
 
 from crankorder.errors import InputError
-
-R = TypeVar("R")
 
 Document = dict[str, Any]
 """A JSON object, at the edge of the program alone."""
@@ -85,12 +72,6 @@ def said(
     return field(default=default, metadata=metadata)
 
 
-@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(said,))
-def record(kind: type[R]) -> type[R]:
-    """The class ``kind`` as a frozen dataclass with slots, whose fields are made by :func:`said`."""
-    return dataclass(frozen=True, slots=True, kw_only=True)(kind)
-
-
 @dataclass(frozen=True)
 class Column:
     """A field of records as a column of a table: its ``key``, what it is in words, and the ``kind`` of its values."""
@@ -100,12 +81,16 @@ class Column:
     kind: Literal["bool", "number", "interval", "text"]
 
 
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(said,))
 class Record:
-    """Base of the records: their way from and to JSON."""
+    """Base of the records: frozen dataclasses whose fields are made by :func:`said`, and their way from and to JSON."""
 
-    __slots__ = ()
     ALSO: ClassVar[Document] = {}
     """What their schema holds beside the fields."""
+
+    def __init_subclass__(cls) -> None:
+        """Make every subclass a frozen dataclass."""
+        dataclass(frozen=True, kw_only=True)(cls)
 
     def omitted(self) -> Collection[str]:
         """Fields whose keys do not stand in JSON, beside those that are left out where they are None."""

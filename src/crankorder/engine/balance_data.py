@@ -43,7 +43,7 @@ from crankorder.engine.shafts import (
 from crankorder.engine.slider_crank import SliderCrank
 from crankorder.engine.tolerance_study import BalanceTolerances
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
-from crankorder.records import Record, record, said
+from crankorder.records import Record, said
 from crankorder.settings import toml_table, validation_fault
 
 DesignOrder = Annotated[int, Field(ge=1, le=12)]
@@ -295,7 +295,6 @@ def crankshaft_of(subject: BalancedEngine, speeds: Sequence[float]) -> Crankshaf
     return crankshaft_balance(data, {speed_key(speed): speed for speed in speeds}, big_ends_g=big_ends)
 
 
-@record
 class RodBalance(Record):
     """The rod in two masses, as cut and as weighed, and what remains where it was balanced as cut."""
 
@@ -342,7 +341,6 @@ def rod_balance(subject: BalancedEngine, speeds: Sequence[float]) -> RodBalance 
     )
 
 
-@record
 class AddedMass(Record):
     """Force along the cylinder of a mass on the piston that no shaft was built for."""
 
@@ -369,7 +367,6 @@ def added_mass(subject: BalancedEngine, max_order: int, speeds: Sequence[float])
     )
 
 
-@record
 class OffsetBalance(Record):
     """Effects of an offset of the cylinder on its first orders, and what shafts timed to the crank leave."""
 
@@ -411,7 +408,6 @@ def offset_balance(subject: BalancedEngine, speeds: Sequence[float]) -> OffsetBa
     )
 
 
-@record
 class GearErrors(Record):
     """Median and 95 % bound of what sampled gear errors leave, by order."""
 
@@ -421,7 +417,6 @@ class GearErrors(Record):
     couple_g_mm2: dict[str, Amounts] = said("couple about the crankshaft, g·mm² over ω²")
 
 
-@record
 class ReverseCranks(Record):
     """Weights of direct and reverse cranks by gear, and what they leave; both with A2 and with λ in its place."""
 

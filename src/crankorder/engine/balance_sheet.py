@@ -64,7 +64,7 @@ from crankorder.engine.shafts import Possibility, ShaftPairParts, pair_rounding_
 from crankorder.engine.slider_crank import dead_centres, fastest_piston
 from crankorder.engine.tolerance_study import SeriesResiduals, tolerance_sentences
 from crankorder.errors import RequestError, plain_number
-from crankorder.records import Record, record, said
+from crankorder.records import Record, said
 
 NEARLY_STATIC = 0.01
 """Static unbalance below this share of a crankshaft's largest counterweight is named as balance."""
@@ -81,7 +81,6 @@ Reading = Literal["literal", "physical"]
 T = TypeVar("T")
 
 
-@record
 class Piston(Record):
     """Stroke of a piston and its speeds."""
 
@@ -91,7 +90,6 @@ class Piston(Record):
     fastest_m_s: Amounts = said("highest speed by crank speed, m/s")
 
 
-@record
 class StrategyBalance(Record):
     """Counterweights of a strategy, and the force that they leave."""
 
@@ -106,7 +104,6 @@ class StrategyBalance(Record):
     couple_g_mm2: float | None = said("largest couple that a counterweight on the rod leaves, g·mm² over ω²")
 
 
-@record
 class AdditionalShaft(Record):
     """A shaft with an unbalance."""
 
@@ -116,7 +113,6 @@ class AdditionalShaft(Record):
     mass_at_crank_radius_g: float = said("mass that it needs at the crank radius, g")
 
 
-@record
 class ShaftSet(Record):
     """A possibility of additional shafts, and what it leaves."""
 
@@ -125,7 +121,6 @@ class ShaftSet(Record):
     left: Residual = said("what remains", spread=True)
 
 
-@record
 class BuiltForRatio(Record):
     """What a second-order pair built for λ instead of A2 leaves."""
 
@@ -133,7 +128,6 @@ class BuiltForRatio(Record):
     force_n: Amounts = said("that force by speed, N")
 
 
-@record
 class PairReading(Record):
     """A printed number of a shaft pair read one way."""
 
@@ -145,7 +139,6 @@ class PairReading(Record):
     grade: str | None = said("strictest class of unbalance that it keeps to", key="class")
 
 
-@record
 class ShaftPair(Record):
     """A counter-rotating pair from its parts, and as printed."""
 
@@ -160,7 +153,6 @@ class ShaftPair(Record):
     scenarios: dict[Reading, PairReading] | None = said("the printed number read as unbalance and as force")
 
 
-@record
 class OwnShafts(Record):
     """Shafts that the engine has, and what they leave."""
 
@@ -168,7 +160,6 @@ class OwnShafts(Record):
     left: Residual = said("what remains", spread=True)
 
 
-@record
 class ShaftBalance(Record):
     """Balance shafts: possibilities of additional ones, and what the engine file says of shafts."""
 
@@ -178,7 +169,6 @@ class ShaftBalance(Record):
     own: OwnShafts | None = said("shafts that the engine has")
 
 
-@record
 class BalanceSheet(Record):
     """Balance of an engine: force and moment by order, counterweights, shafts, and what they leave.
 

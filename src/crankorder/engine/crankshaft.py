@@ -19,7 +19,7 @@ from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator,
 
 from crankorder.engine.definition import NOT_EMPTY, EngineData, NonNegative, Positive
 from crankorder.errors import RequestError
-from crankorder.records import Record, record, said
+from crankorder.records import Record, said
 
 
 class CrankshaftSection(EngineData):
@@ -36,7 +36,6 @@ class CrankshaftSection(EngineData):
     z_mm: float
 
 
-@record
 class CrankshaftSums(Record):
     """Static and dynamic sum of a crankshaft or a part of it, each as x + iy."""
 
@@ -293,7 +292,6 @@ def slug_unbalance_kg_mm(
     return 1e-9 * volume_mm3 * (slug_density_kg_m3 - crank_density_kg_m3) * radius_mm
 
 
-@record
 class BalancedSection(Record):
     """A part of the crankshaft and its sums."""
 
@@ -301,7 +299,6 @@ class BalancedSection(Record):
     sums: CrankshaftSums = said("of the part alone", spread=True)
 
 
-@record
 class FanSizes(Record):
     """A counterweight shaped as a fan, and how much each of its sizes counts."""
 
@@ -312,7 +309,6 @@ class FanSizes(Record):
     resized: dict[str, float | None] = said("radius, thickness (mm) or fan angle (°) that alone meets both sums")
 
 
-@record
 class CorrectionPlane(Record):
     """The first or the last counterweight: its unbalance, slugs included, and the one that balances the crankshaft."""
 
@@ -324,7 +320,6 @@ class CorrectionPlane(Record):
     fan: FanSizes | None = said("its sizes where it is a fan")
 
 
-@record
 class BobWeight(Record):
     """Sums of the crankshaft with another mass in the place of its bob weight."""
 
@@ -333,7 +328,6 @@ class BobWeight(Record):
     sums: CrankshaftSums = said("of the whole crankshaft", spread=True)
 
 
-@record
 class CrankshaftBalance(Record):
     """Parts and sums of a crankshaft, its rocking couple by speed, and corrections in two planes."""
 

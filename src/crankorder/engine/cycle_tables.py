@@ -17,7 +17,7 @@ from crankorder.engine.harmonics import last_order_above_round_off
 from crankorder.engine.shaft_design import listed
 from crankorder.engine.torsional_fluctuation import TORQUE_ORDERS, Complex, Floats, lag_from_torque, over_a_cycle
 from crankorder.errors import RequestError, plain_number
-from crankorder.records import Record, record, said
+from crankorder.records import Record, said
 
 ANGLES_PER_REV = 720
 """Of the curves over a cycle: half a degree."""
@@ -58,8 +58,8 @@ def cycle_curves(engine: Engine, speeds: Sequence[float]) -> list[CycleCurves]:
     angles = np.arange(ANGLES_PER_REV * engine.revs_per_cycle) / ANGLES_PER_REV
     gas = np.zeros(angles.size)
     if engine.gas is not None:
-        for one, cylinder in zip(engine.each, engine.cylinders, strict=True):
-            gas += gas_torque(one, angles - firing_angle_deg(engine, cylinder) / 360)
+        for single, cylinder in zip(engine.each, engine.cylinders, strict=True):
+            gas += gas_torque(single, angles - firing_angle_deg(engine, cylinder) / 360)
     numbers = range(len(engine.cylinders)) if _has_loads(engine) else range(0)
     on_pistons = [gas_on_piston(engine, angles, cylinder=number) for number in numbers]  # at any speed
 
@@ -86,7 +86,6 @@ def _inertia(engine: Engine, speed_rpm: float) -> Floats:
     return np.tile(over_a_cycle(by_order, ANGLES_PER_REV), engine.revs_per_cycle)
 
 
-@record
 class Firing(Record):
     """When the cylinders fire, and how evenly."""
 
@@ -96,7 +95,6 @@ class Firing(Record):
     spread_deg: float = said("longest less shortest interval, degrees")
 
 
-@record
 class GasForce(Record):
     """Force of the gas on one piston."""
 
@@ -105,7 +103,6 @@ class GasForce(Record):
     by_order_n: Amounts = said("amplitude by order, N")
 
 
-@record
 class GasTorque(Record):
     """Torque of the gas of all cylinders on the crank."""
 
@@ -115,7 +112,6 @@ class GasTorque(Record):
     force_of_one_cylinder: GasForce | None = said("force on its piston; null where the file states a torque")
 
 
-@record
 class OrderTorque(Record):
     """Torque on the crank of one order, of gas and masses."""
 
@@ -130,7 +126,6 @@ class OrderTorque(Record):
         return max(self.gas_n_m, self.inertia_n_m)
 
 
-@record
 class TurningMoment(Record):
     """Torque on the crank of gas and masses together at one speed."""
 
@@ -143,7 +138,6 @@ class TurningMoment(Record):
     speed_fluctuation: float | None = said("(highest − lowest) / mean speed within the cycle; null without a flywheel")
 
 
-@record
 class Load(Record):
     """A load over the cycle."""
 
@@ -152,7 +146,6 @@ class Load(Record):
     mean_n: float = said("mean of its size, N")
 
 
-@record
 class CylinderLoad(Record):
     """Loads of one cylinder."""
 
@@ -162,7 +155,6 @@ class CylinderLoad(Record):
     crank_pin: Load = said("rod on the crank pin")
 
 
-@record
 class BearingLoad(Record):
     """Load of one main bearing."""
 
@@ -172,7 +164,6 @@ class BearingLoad(Record):
     mean_along_z_n: float = said("mean along Z, N")
 
 
-@record
 class Loads(Record):
     """Loads at one speed."""
 
@@ -180,7 +171,6 @@ class Loads(Record):
     main_bearings: tuple[BearingLoad, ...] | None = said("by bearing; null where their places are unknown")
 
 
-@record
 class CycleBalance(Record):
     """Firing, torques on the crank and loads of an engine over its cycle."""
 

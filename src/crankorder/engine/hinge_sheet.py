@@ -39,7 +39,7 @@ from crankorder.engine.hinged_crank import (
     torque_harmonics,
 )
 from crankorder.errors import RequestError
-from crankorder.records import Record, record, said
+from crankorder.records import Record, said
 
 TABLE_STEPS = 36
 """Rows of a hinge's characteristic in the sheet: every 10° of its own angle."""
@@ -58,7 +58,6 @@ JOINTS: tuple[Joint, ...] = get_args(Joint)
 T = TypeVar("T")
 
 
-@record
 class TorqueExtremum(Record):
     """A crank angle at which the torque is stationary."""
 
@@ -66,7 +65,6 @@ class TorqueExtremum(Record):
     torque_nm: float = said("torque there, N·m")
 
 
-@record
 class TorqueSummary(Record):
     """Torque on the crank."""
 
@@ -76,7 +74,6 @@ class TorqueSummary(Record):
     harmonics_nm: dict[str, float] = said("amplitude by order, N·m")
 
 
-@record
 class Solutions(Record):
     """Weights that solve one problem of a mechanism each; null where there is no solution."""
 
@@ -85,7 +82,6 @@ class Solutions(Record):
     balanced: dict[str, float] | None = said("counterweights of equation (13), N")
 
 
-@record
 class Characteristic(Record):
     """Moment and work of a hinge over its own angle."""
 
@@ -96,7 +92,6 @@ class Characteristic(Record):
     work_j: Angles = said("work that the hinge has given since angle zero, J")
 
 
-@record
 class AirSpring(Record):
     """An air spring at another speed than its guides are cut for."""
 
@@ -108,7 +103,6 @@ class AirSpring(Record):
     speed_fluctuation: float = said("(fastest − slowest) / mean crank speed that this makes")
 
 
-@record
 class GuideShape(Record):
     """Spring and guides of a hinge over its own angle."""
 
@@ -121,7 +115,6 @@ class GuideShape(Record):
     surfaces: dict[str, Angles] = said("places of both guides from the axis of the hinge, m", spread=True)
 
 
-@record
 class Mechanism(Record):
     """A crank mechanism with elastic hinges: what they must give, and what to choose."""
 
@@ -141,7 +134,6 @@ class Mechanism(Record):
     guides: dict[Joint, GuideShape | None] = said("guides of each hinge that the file states them for")
 
 
-@record
 class HingeSheet(Record):
     """Torque, hinge moments, side forces and solutions of an engine with elastic hinges."""
 

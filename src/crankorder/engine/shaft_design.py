@@ -17,7 +17,7 @@ from crankorder.engine.forces import CANCELLED, DIRECTIONS, X, Z, crankcase_forc
 from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.engine.tolerance_study import SeriesResiduals, series_residuals
 from crankorder.errors import plain_number
-from crankorder.records import Record, record, said
+from crankorder.records import Record, said
 
 ONE_RADIAN_PER_S_RPM = 30 / math.pi
 NOTHING = 1e-12
@@ -51,7 +51,6 @@ class Design:
         )
 
 
-@record
 class PrimaryShares(Record):
     """Share of order 1 that counterweights on the crank can take."""
 
@@ -265,7 +264,6 @@ def degrees_of(amplitude: complex) -> float:
     return 180.0 if found == -180.0 else found + 0.0
 
 
-@record
 class Residual(Record):
     """Force and moment that remain, by axis and order."""
 
@@ -278,7 +276,6 @@ class Residual(Record):
     )
 
 
-@record
 class PlacedWeight(Record):
     """A weight of a crank web or a balance shaft."""
 
@@ -287,7 +284,6 @@ class PlacedWeight(Record):
     position_mm: float = said("place along the crankshaft, mm")
 
 
-@record
 class DesignedShaft(Record):
     """A balance shaft of a design."""
 
@@ -295,7 +291,6 @@ class DesignedShaft(Record):
     weights: tuple[PlacedWeight, ...] = said("its weights")
 
 
-@record
 class DesignLayout(Record):
     """Crank webs and balance shafts of a design, and what they leave."""
 
@@ -304,7 +299,6 @@ class DesignLayout(Record):
     left: Residual = said("what remains", spread=True)
 
 
-@record
 class DesignBalance(Record):
     """Designs of crank webs and balance shafts for an engine of several cylinders."""
 
@@ -354,9 +348,9 @@ def tolerance_of(subject: BalancedEngine, max_order: int) -> SeriesResiduals | N
     tolerances, engine = subject.balance.tolerances, subject.engine
     if tolerances is None:
         return None
-    made = () if engine.shafts.every_order or len(engine.cylinders) == 1 else designs_for(subject)
-    studied = made[-1].on(engine) if made else engine
-    of = made[-1].name if made else "own" if engine.shafts.every_order else "none"
+    designed = () if engine.shafts.every_order or len(engine.cylinders) == 1 else designs_for(subject)
+    studied = designed[-1].on(engine) if designed else engine
+    of = designed[-1].name if designed else "own" if engine.shafts.every_order else "none"
     return series_residuals(studied, tolerances, max_order=max([max_order, *studied.shafts.every_order]), of=of)
 
 

@@ -15,7 +15,7 @@ from crankorder.engine.definition import BalanceShafts, Engine, EngineData, NonN
 from crankorder.engine.forces import Z, crankcase_forces
 from crankorder.engine.harmonics import Complex, acceleration_harmonics
 from crankorder.errors import plain_number
-from crankorder.records import Record, record, said
+from crankorder.records import Record, said
 
 Floats = NDArray[np.float64]
 Parts = NDArray[np.complex128]
@@ -90,7 +90,6 @@ Spread = dict[str, dict[str, float]]
 """Quantiles of a series by order."""
 
 
-@record
 class Mistiming(Record):
     """What remains where all balance shafts are late by one angle."""
 
@@ -100,7 +99,6 @@ class Mistiming(Record):
     couple_g_mm2: dict[str, float] = said("couple by order, g·mm² over ω²")
 
 
-@record
 class SeriesResiduals(Record):
     """Force and couple that a series of engines within tolerances leaves, and what one mistiming leaves."""
 
