@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Literal
 
 from crankorder.findings import TrialBalance
-from crankorder.records import Ends, Interval, Record, record, said
+from crankorder.records import Ends, Interval, Record, said
 
 SCHEMA_VERSION = 1
 """Of ``comparison.json``."""
@@ -37,7 +37,6 @@ LineKind = Literal["order", "bearing", "bearing, envelope"]
 """What is followed from run to run: an order, a bearing line, or one in the envelope."""
 
 
-@record
 class Explanation(Record):
     """What explains the changes."""
 
@@ -45,7 +44,6 @@ class Explanation(Record):
     orders: tuple[float, ...] = said("orders that changed, or of the lines that grow from run to run")
 
 
-@record
 class SpeedPair(Record):
     """Speeds of the two tests that were compared with one another."""
 
@@ -53,7 +51,6 @@ class SpeedPair(Record):
     new_rpm: float | None = said("in the second test")
 
 
-@record
 class ChannelCompared(Record):
     """A channel of either test, and whether it was compared."""
 
@@ -63,7 +60,6 @@ class ChannelCompared(Record):
     reason: str = said("why it was not compared; else empty")
 
 
-@record
 class OrderChangeRecord(Record):
     """Change of one order in one channel."""
 
@@ -89,7 +85,6 @@ class OrderChangeRecord(Record):
     n_changed: int = said("speeds at which a change is claimed")
 
 
-@record
 class ModeShift(Record):
     """A natural frequency of both tests and how it moved, or of one test alone."""
 
@@ -104,7 +99,6 @@ class ModeShift(Record):
     changed: bool = said("whether a change is claimed", default=False)
 
 
-@record
 class UnbalanceRecord(Record):
     """What became of the unbalance that an order shows in a channel."""
 
@@ -126,7 +120,6 @@ class UnbalanceRecord(Record):
     n_speeds: int = said("speeds with phases in both tests")
 
 
-@record
 class MassResponse(Record):
     """What one unit of mass does at a speed."""
 
@@ -135,7 +128,6 @@ class MassResponse(Record):
     response_ci95: Interval = said()
 
 
-@record
 class MassRecord(Record):
     """Unbalance before and after a stated change of mass, as order 1 of a channel tells it."""
 
@@ -152,7 +144,6 @@ class MassRecord(Record):
     response_per_unit: tuple[MassResponse, ...] = said("influence of one unit of mass by speed")
 
 
-@record
 class BalanceChange(Record):
     """Change of a mass of the closed balance."""
 
@@ -167,7 +158,6 @@ class BalanceChange(Record):
     )
 
 
-@record
 class Trend(Record):
     """A line over the runs."""
 
@@ -189,7 +179,6 @@ class Trend(Record):
         return self.changed and self.growth_per_run > 0
 
 
-@record
 class Confound(Record):
     """A difference of how two tests were made."""
 
@@ -202,7 +191,6 @@ class Confound(Record):
     words: str = said("what it does to the comparison")
 
 
-@record
 class Comparison(Record):
     """What differs between two tests, or changes over the runs of one."""
 

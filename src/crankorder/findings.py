@@ -17,7 +17,7 @@ from crankorder.level_findings import Level as Level
 from crankorder.level_findings import LimitVerdict as LimitVerdict
 from crankorder.level_findings import ThirdOctave as ThirdOctave
 from crankorder.level_findings import VibrationLevel as VibrationLevel
-from crankorder.records import Document, Ends, Interval, Record, record, said
+from crankorder.records import Document, Ends, Interval, Record, said
 
 SCHEMA_VERSION = 1
 """Of ``findings.json``."""
@@ -31,7 +31,6 @@ Verdict = Literal["excited", "not excited", "not decided", "not measured", "outs
 """What is said of the meeting of an order with a natural frequency."""
 
 
-@record
 class Channel(Record):
     """A channel that was analysed."""
 
@@ -40,7 +39,6 @@ class Channel(Record):
     quantity: str | None = said("acceleration, sound_pressure, …", default=None, left_out=True)
 
 
-@record
 class OrderFinding(Explained, Record):
     """An order line in one channel."""
 
@@ -93,7 +91,6 @@ class OrderFinding(Explained, Record):
         return self.amplitude
 
 
-@record
 class ModeFinding(Explained, Record):
     """A line that stays where it is, or moves with the speed by a whirl's law: a natural frequency, mains, a tone."""
 
@@ -128,7 +125,6 @@ class ModeFinding(Explained, Record):
     lines_there_hz: tuple[float, ...] = said("of one that is undecided: known lines that may be all of it", default=())
 
 
-@record
 class CrossingFinding(Record):
     """Meeting of an order with a natural frequency."""
 
@@ -163,7 +159,6 @@ class CrossingFinding(Record):
     excited: bool = said("the order rises there")
 
 
-@record
 class AvoidedSpeed(Record):
     """A speed not to dwell at: where orders meet natural frequencies, the costliest first."""
 
@@ -194,7 +189,6 @@ class AvoidedSpeed(Record):
     mode_hz: float = said("natural frequency", above=0)
 
 
-@record
 class FreeBand(Record):
     """Speeds in which the data exclude an amplification."""
 
@@ -203,7 +197,6 @@ class FreeBand(Record):
     remark: str | None = said("what the data exclude there", default=None)
 
 
-@record
 class OpenBand(Record):
     """Speeds that are neither free nor to be avoided."""
 
@@ -213,7 +206,6 @@ class OpenBand(Record):
     amplified: bool = said("whether a mode is seen to amplify an order there", default=False)
 
 
-@record
 class BearingFinding(Record):
     """A bearing line in the vibration or in its envelope."""
 
@@ -264,7 +256,6 @@ class BearingFinding(Record):
         return () if self.seen_in == "envelope" else ("shaft_order",)
 
 
-@record
 class MotorSpeed(Record):
     """The motor in a recording at a held speed."""
 
@@ -278,7 +269,6 @@ class MotorSpeed(Record):
     fits: bool = said("whether a motor that drives may slip so")
 
 
-@record
 class MotorLine(Record):
     """A line of the motor or of its supply."""
 
@@ -294,7 +284,6 @@ class MotorLine(Record):
     n_recordings: int = said("recordings that show it")
 
 
-@record
 class Motor(Record):
     """The induction motor that the manifest states."""
 
@@ -312,7 +301,6 @@ class Motor(Record):
     )
 
 
-@record
 class LineFinding(Explained, Record):
     """A line above the false-alarm level, by order or by frequency."""
 
@@ -334,7 +322,6 @@ class LineFinding(Explained, Record):
         return self.amplitude or 0.0
 
 
-@record
 class Balance(Record):
     """Residual unbalance: what balances an engine or a rotor not, split by direction and sense of rotation."""
 
@@ -382,7 +369,6 @@ class Balance(Record):
     )
 
 
-@record
 class Influence(Record):
     """What a unit of the added mass does to a channel at a speed."""
 
@@ -392,7 +378,6 @@ class Influence(Record):
     phase_deg: float = said("its phase")
 
 
-@record
 class TrialBalance(Balance):
     """Residual unbalance as a known mass tells it that was added between two tests: before, and with it."""
 
@@ -412,7 +397,6 @@ class TrialBalance(Balance):
         return () if self.residual_after_gmm is not None else ("angle_after_deg", "angle_after_deg_ci95")
 
 
-@record
 class Quality(Record):
     """A remark on a recording."""
 
@@ -432,7 +416,6 @@ class Quality(Record):
     )
 
 
-@record
 class SpeedSwing(Record):
     """Swing of the shaft's own speed at one order, in one recording."""
 
@@ -444,7 +427,6 @@ class SpeedSwing(Record):
     steady_rpm: float = said("peak amplitude of the mean cycle")
 
 
-@record
 class Findings(Record):
     """What a test says."""
 

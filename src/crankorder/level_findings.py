@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from crankorder.records import Interval, Record, record, said
+from crankorder.records import Interval, Record, said
 
 
-@record
 class Level(Record):
     """Overall level of a channel over the test, and what lies above the band that orders and map look at."""
 
@@ -27,7 +26,6 @@ class Level(Record):
     speed_rpm_above: float | None = said("the speed where it was seen")
 
 
-@record
 class VibrationLevel(Record):
     """Overall level of a channel in a stated band at a speed."""
 
@@ -47,7 +45,6 @@ class VibrationLevel(Record):
     largest: bool = said("whether it is the largest of its channel and band over all speeds", default=False)
 
 
-@record
 class ThirdOctave(Record):
     """Level of a channel in a one-third octave, at the speed at which the channel is loudest."""
 
@@ -59,7 +56,6 @@ class ThirdOctave(Record):
     rms_ci95: Interval | None = said(default=None)
 
 
-@record
 class LimitVerdict(Record):
     """What a limit of the manifest comes to in a channel, or for the residual unbalance."""
 
@@ -81,7 +77,6 @@ class LimitVerdict(Record):
     evidence: str = said("why, in words", default="")
 
 
-@record
 class EnergyShares(Record):
     """Where the energy of a channel lies."""
 
@@ -108,7 +103,6 @@ class EnergyShares(Record):
     )
 
 
-@record
 class Energy(Record):
     """Where the energy of each channel in the band looked at lies."""
 

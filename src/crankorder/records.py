@@ -7,22 +7,12 @@ from collections.abc import Collection, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import cache
 from math import isfinite
-from typing import (
-    Any,
-    ClassVar,
-    Literal,
-    Self,
-    TypeVar,
-    Union,
-    dataclass_transform,
-    get_args,
-    get_origin,
-    get_type_hints,
-)
+from typing import Any, ClassVar, Literal, Self, Union, dataclass_transform, get_args, get_origin, get_type_hints
+
+import numpy as np
+from pydantic import BaseModel
 
 from crankorder.errors import InputError
-
-R = TypeVar("R")
 
 Document = dict[str, Any]
 """A JSON object, at the edge of the program alone."""
@@ -63,6 +53,7 @@ def said(
     default: Any = MISSING,
     key: str = "",
     left_out: bool = False,
+    spread: bool = False,
     least: float | None = None,
     above: float | None = None,
     most: float | None = None,
@@ -71,19 +62,14 @@ def said(
     """A field of a record, with what it is in words: ``text``; empty for a 95 % interval, which its name tells.
 
     Without ``default`` the field must be given, and its key must stand in JSON. ``key`` is its name there, where that
-    is another; a field that is ``left_out`` has no key where it is None. A number is ``least`` (≥), ``above`` (>),
+    is another; a field that is ``left_out`` has no key where it is None; one that is ``spread`` has the keys of its own
+    record or mapping in that place, and is only written. A number is ``least`` (≥), ``above`` (>),
     ``most`` (≤) or ``below`` (<).
     """
     bounds = {"minimum": least, "maximum": most, "exclusiveMinimum": above, "exclusiveMaximum": below}
     limits = {name: bound for name, bound in bounds.items() if bound is not None}
-    metadata = {"text": text, "key": key, "left_out": left_out, "limits": limits}
+    metadata = {"text": text, "key": key, "left_out": left_out, "spread": spread, "limits": limits}
     return field(default=default, metadata=metadata)
-
-
-@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(said,))
-def record(kind: type[R]) -> type[R]:
-    """The class ``kind`` as a frozen dataclass with slots, whose fields are made by :func:`said`."""
-    return dataclass(frozen=True, slots=True, kw_only=True)(kind)
 
 
 @dataclass(frozen=True)
@@ -95,12 +81,16 @@ class Column:
     kind: Literal["bool", "number", "interval", "text"]
 
 
+@dataclass_transform(frozen_default=True, kw_only_default=True, field_specifiers=(said,))
 class Record:
-    """Base of the records: their way from and to JSON."""
+    """Base of the records: frozen dataclasses whose fields are made by :func:`said`, and their way from and to JSON."""
 
-    __slots__ = ()
     ALSO: ClassVar[Document] = {}
     """What their schema holds beside the fields."""
+
+    def __init_subclass__(cls) -> None:
+        """Make every subclass a frozen dataclass."""
+        dataclass(frozen=True, kw_only=True)(cls)
 
     def omitted(self) -> Collection[str]:
         """Fields whose keys do not stand in JSON, beside those that are left out where they are None."""
@@ -119,12 +109,13 @@ class Record:
     def as_dict(self) -> Document:
         """The record as JSON has it: a dict of numbers, texts, lists and dicts."""
         omitted = self.omitted()
-        made = {}
+        made: Document = {}
         for one in self._said():
             value = getattr(self, one.name)
             if one.name in omitted or (value is None and one.metadata["left_out"]):
                 continue
-            made[_key(one)] = _as_json(value)
+            written = _as_json(value)
+            made |= written if one.metadata["spread"] else {_key(one): written}
         return made
 
     @classmethod
@@ -177,12 +168,18 @@ def _key(one: Field[Any]) -> str:
     return one.metadata["key"] or one.name
 
 
-def _as_json(value: object) -> object:
+def _as_json(value: object) -> Any:
     if isinstance(value, Record):
         return value.as_dict()
+    if isinstance(value, BaseModel):
+        return value.model_dump()
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, complex):
+        return {"x": value.real, "y": value.imag}
     if isinstance(value, tuple):
-        return [_as_json(item) for item in value]
-    return dict(value) if isinstance(value, Mapping) else value
+        return [_as_json(part) for part in value]
+    return {key: _as_json(part) for key, part in value.items()} if isinstance(value, Mapping) else value
 
 
 def _text(one: Field[Any]) -> str:

@@ -7,6 +7,7 @@ may change stands in ``N-stage.toml``; what belongs to a method, in a table per 
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -337,7 +338,7 @@ def toml_table(name: str, kind: str, *, beside: Path | None = None) -> tuple[dic
 
 
 def load_settings(
-    recipe: str | None = None, *, beside: Path | None = None, asked: dict[str, dict[str, Any]] | None = None
+    recipe: str | None = None, *, beside: Path | None = None, asked: Mapping[str, Mapping[str, object]] | None = None
 ) -> Settings:
     """Settings of all stages with the differences of ``recipe`` (a shipped name or a path of a TOML file) applied.
 

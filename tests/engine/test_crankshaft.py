@@ -88,7 +88,7 @@ def test_a_counterweight_that_cannot_be_is_refused(wrong: dict[str, float]) -> N
 
 
 def test_table_2_is_an_output_of_the_engine_file_row_by_row(shared_truth: dict[str, Any]) -> None:
-    table = balance_sheet(load_balanced_engine("msu-shafts"))["crankshaft"]
+    table = balance_sheet(load_balanced_engine("msu-shafts")).as_dict()["crankshaft"]
     for row, known in zip(table["sections"], shared_truth["seed001"]["table2"]["rows"], strict=True):
         assert row["name"] == known["component"]
         assert complex(*row["static_kg_mm"].values()) == pytest.approx(complex(known["WRX"], known["WRY"]), rel=1e-12)
@@ -106,7 +106,7 @@ def fan_crankshaft(**changes: Any) -> dict[str, Any]:
 @pytest.mark.slow
 def test_analytic_each_size_that_a_fan_is_told_to_have_brings_both_sums_to_zero() -> None:
     content = fan_crankshaft()
-    planes = balance_sheet(balanced_engine(content, name="fans", source="fans.toml"))["crankshaft"]["planes"]
+    planes = balance_sheet(balanced_engine(content, name="fans", source="fans.toml")).as_dict()["crankshaft"]["planes"]
     assert planes[0]["fan"]["resized"]["fan_angle_deg"] is None  # no fan of half a turn is wide enough
     for size in ("radius_mm", "thickness_mm"):
         fans = [
@@ -162,7 +162,7 @@ def test_the_rod_as_cut_and_as_weighed_takes_the_place_of_the_bob_weight() -> No
     content["balance"]["rod_split"]["on_pin"] = {
         "mass_g": 1673.0, "centre_from_big_end_mm": 38.6, "rod_length_mm": 157.0916,
     }  # fmt: skip
-    table = balance_sheet(balanced_engine(content, name="fans", source="fans.toml"))["crankshaft"]
+    table = balance_sheet(balanced_engine(content, name="fans", source="fans.toml")).as_dict()["crankshaft"]
     found = {one["method"]: one for one in table["bob_weights"]}
     assert list(found) == ["stated", "cut", "scale", "on pin"]
     assert found["on pin"]["mass_kg"] == pytest.approx(1.673 * (1 - 38.6 / 157.0916), rel=1e-12)

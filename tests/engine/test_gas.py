@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from crankorder.engine.balance_data import load_balanced_engine
-from crankorder.engine.cycle_tables import cycle_curves, cycle_table
+from crankorder.engine.cycle_tables import cycle_balance, cycle_curves
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import cylinder_loads
 from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
@@ -240,28 +240,25 @@ def test_loads_are_those_of_an_independent_newton_euler_solution(seed: int) -> N
 @pytest.mark.slow
 def test_gas_and_masses_are_side_by_side_and_alike_where_it_says() -> None:
     model = load_engine("inline-4-firing")
-    table = cycle_table(model, max_order=8, speeds=[1000.0, 6000.0])
-    slow, fast = (table["turning"][key]["by_order"]["2"] for key in ("1000", "6000"))
-    assert (slow["dominates"], fast["dominates"]) == ("gas", "inertia")
-    assert slow["alike_at_rpm"] == pytest.approx(fast["alike_at_rpm"], rel=1e-12)
-    alike = cycle_table(model, max_order=8, speeds=[slow["alike_at_rpm"]])["turning"]
-    (one,) = alike.values()
-    assert one["by_order"]["2"]["gas_n_m"] == pytest.approx(one["by_order"]["2"]["inertia_n_m"], rel=1e-12)
-    assert "0.5" not in table["turning"]["1000"]["by_order"]  # four alike cylinders at even intervals
+    turning = cycle_balance(model, max_order=8, speeds=[1000.0, 6000.0]).turning
+    slow, fast = (turning[key].by_order["2"] for key in ("1000", "6000"))
+    assert (slow.dominates, fast.dominates) == ("gas", "inertia")
+    assert slow.alike_at_rpm == pytest.approx(fast.alike_at_rpm, rel=1e-12)
+    (alike,) = cycle_balance(model, max_order=8, speeds=[slow.alike_at_rpm]).turning.values()
+    assert alike.by_order["2"].gas_n_m == pytest.approx(alike.by_order["2"].inertia_n_m, rel=1e-12)
+    assert "0.5" not in turning["1000"].by_order  # four alike cylinders at even intervals
 
 
 def test_the_speed_swings_by_the_energy_that_the_flywheel_takes() -> None:
     model = load_engine("inline-4-firing")
     speed, inertia = 2500.0, 50.0
     stiff = model.model_copy(update={"flywheel_inertia_kg_m2": inertia})
-    found = cycle_table(stiff, max_order=8, speeds=[speed])["turning"]["2500"]["speed_fluctuation"]
+    found = cycle_balance(stiff, max_order=8, speeds=[speed]).turning["2500"].speed_fluctuation
     total = cycle_curves(stiff, [speed])[0].total_n_m
     energy = np.cumsum(total - total.mean()) * 2 * np.pi / 720
     assert found == pytest.approx(np.ptp(energy) / (inertia * (speed * np.pi / 30) ** 2), rel=5e-3)
-    assert (
-        cycle_table(load_engine("inline-4"), max_order=4, speeds=[1000.0])["turning"]["1000"]["speed_fluctuation"]
-        is None
-    )
+    without = cycle_balance(load_engine("inline-4"), max_order=4, speeds=[1000.0]).turning["1000"]
+    assert without.speed_fluctuation is None
 
 
 @pytest.mark.slow
@@ -274,7 +271,7 @@ def test_firing_intervals_are_told_with_their_evenness(firing: tuple[float, ...]
     cylinders = [{"crank_deg": pin, "firing_deg": angle} for pin, angle in zip(pins, firing, strict=True)]
     model = engine(cylinders=cylinders)
     assert list(firing_intervals_deg(model)) == intervals
-    assert cycle_table(model, max_order=4, speeds=[1000.0])["firing"]["even"] == (len(set(intervals)) == 1)
+    assert cycle_balance(model, max_order=4, speeds=[1000.0]).firing.even == (len(set(intervals)) == 1)
 
 
 def test_a_gas_file_beside_the_engine_is_its_curve_and_its_faults_are_named(tmp_path: Path) -> None:

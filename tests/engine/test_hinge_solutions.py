@@ -181,7 +181,7 @@ def test_a_spring_that_cannot_be_is_refused(change: dict[str, float], key: str) 
 def test_the_sheet_has_the_truncated_weights_of_figure_4_and_the_curves_of_figure_3(
     shared_truth: dict[str, Any],
 ) -> None:
-    found = {one["name"]: one for one in hinge_sheet(ENGINE, max_order=4)["mechanisms"]}
+    found = {one["name"]: one for one in hinge_sheet(ENGINE, max_order=4).as_dict()["mechanisms"]}
     known = shared_truth["seed003"]["fig4_solutions"]
     for name, weight, key in FIGURE_4:
         kinds = found[name]["solutions"]["weight_without_side_force"][weight]

@@ -27,8 +27,8 @@ from crankorder.engine.shafts import (
 from crankorder.engine.slider_crank import SliderCrank
 from crankorder.engine.tolerance_study import (
     BalanceTolerances,
+    series_residuals,
     tolerance_sentences,
-    tolerance_table,
     with_single_shafts,
 )
 from crankorder.errors import ManyErrors, RequestError
@@ -116,7 +116,8 @@ def stated(*pairs: tuple[int, float], **differences: Any) -> Engine:
 
 
 def sheet_of(engine: Engine) -> dict[str, Any]:
-    return balance_sheet(BalancedEngine(name="it", engine=engine, balance=BalanceData()), max_order=4)
+    subject = BalancedEngine(name="it", engine=engine, balance=BalanceData())
+    return balance_sheet(subject, max_order=4).as_dict()
 
 
 @pytest.mark.slow
@@ -234,8 +235,8 @@ def test_shafts_that_are_all_late_leave_their_chord() -> None:
     engine = load_engine("inline-4-firing")
     bare = engine.model_copy(update={"shafts": BalanceShafts()})
     second = 1e6 * abs(crankcase_forces(bare, RPM, max_order=2)[Z_ERRORS, 2])
-    table = tolerance_table(engine, BalanceTolerances(mistiming_deg=10.0), max_order=4)
-    left = table["mistiming"]["force_g_mm"]
+    table = series_residuals(engine, BalanceTolerances(mistiming_deg=10.0), max_order=4)
+    left = table.mistiming.force_g_mm
     assert left["2"] == pytest.approx(2 * second * math.sin(math.radians(5)), rel=1e-12)
     assert left["4"] == pytest.approx(1e6 * abs(crankcase_forces(bare, RPM, max_order=4)[Z_ERRORS, 4]), rel=1e-12)
 
@@ -249,8 +250,8 @@ def test_a_shaft_against_a_couple_that_is_late_leaves_the_chord_of_its_couple(la
     arm = sum(
         1e3 * one.position_m * one.unbalance_g_mm * np.exp(1j * math.radians(one.angle_deg)) for one in shaft.weights
     )
-    table = tolerance_table(balanced, BalanceTolerances(mistiming_deg=late_deg), max_order=2)
-    left = table["mistiming"]["couple_g_mm2"]["1"]
+    table = series_residuals(balanced, BalanceTolerances(mistiming_deg=late_deg), max_order=2)
+    left = table.mistiming.couple_g_mm2["1"]
     assert left == pytest.approx(2 * abs(arm) * math.sin(math.radians(late_deg / 2)), rel=1e-9)
     newton_metres = 1e-9 * left * (3000.0 * math.pi / 30) ** 2
     assert f"a couple of {newton_metres:.4g} N·m of order 1 at 3000 rpm" in " ".join(tolerance_sentences(table, 3000.0))
@@ -260,9 +261,9 @@ def test_a_shaft_against_a_couple_that_is_late_leaves_the_chord_of_its_couple(la
 def test_a_series_without_errors_leaves_what_the_engine_leaves() -> None:
     engine = load_engine("v8-cross")
     balanced = designs(engine, orders=(1,), planes_m=(-0.2, 0.2), max_order=1)[-1].on(engine)
-    table = tolerance_table(balanced, BalanceTolerances(samples=100), max_order=4)
-    assert table["couple_g_mm2"]["1"]["97.5 %"] < 1e-12 * 1.6e7
-    spread = table["force_g_mm"]["4"]
+    table = series_residuals(balanced, BalanceTolerances(samples=100), max_order=4)
+    assert table.couple_g_mm2["1"]["97.5 %"] < 1e-12 * 1.6e7
+    spread = table.force_g_mm["4"]
     assert spread["2.5 %"] == spread["97.5 %"] == pytest.approx(939.19, rel=1e-4)
 
 
@@ -277,6 +278,6 @@ def test_pairs_as_single_shafts_make_the_same_force() -> None:
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_numbers() -> None:
     drawn = [
-        tolerance_table(SINGLE_ERRORS, BalanceTolerances(pin_deg=1.0, seed=seed), max_order=2) for seed in (1, 1, 2)
+        series_residuals(SINGLE_ERRORS, BalanceTolerances(pin_deg=1.0, seed=seed), max_order=2) for seed in (1, 1, 2)
     ]
     assert drawn[0] == drawn[1] != drawn[2]

@@ -277,7 +277,7 @@ def test_shafts_at_different_heights_take_the_second_order_roll_moment_too(name:
 
 
 def sheet(model: Engine, **options: Any) -> dict[str, Any]:
-    return balance_sheet(BalancedEngine(name="it", engine=model, balance=BalanceData()), **options)
+    return balance_sheet(BalancedEngine(name="it", engine=model, balance=BalanceData()), **options).as_dict()
 
 
 @pytest.mark.slow

@@ -15,13 +15,11 @@ from crankorder.engine.definition import Engine, Weight
 from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.engine.slider_crank import plain_piston_acceleration
 from crankorder.plot.painter import picture_bytes
-from crankorder.report.balance.bars_figure import order_bars_figure
 from crankorder.report.balance.cycle_figures import cycle_dataset, loads_figure
 from crankorder.report.balance.dataset import balance_dataset
-from crankorder.report.balance.figures import force_figure
+from crankorder.report.balance.force_figures import force_figure, harmonics_figure, order_bars_figure, polar_figure
 from crankorder.report.balance.hinge_figure import guide_figure, hinge_figure
 from crankorder.report.balance.look import alike, called, system_color
-from crankorder.report.balance.polar_figure import harmonics_figure, polar_figure
 from crankorder.settings import shipped, toml_table
 from made.texts import overlaps
 
@@ -149,7 +147,7 @@ def test_amplitude_and_phase_stand_in_the_dataset_as_in_the_sheet() -> None:
         sheet = balance_sheet(subject, speeds_rpm=[SPEED])
         dataset = _dataset(subject)
         for axis in "xy":
-            amplitudes, phases = (sheet[f"force_{kind}"][axis] or {} for kind in ("g_mm", "phase_deg"))
+            amplitudes, phases = (force[axis] or {} for force in (sheet.force_g_mm, sheet.force_phase_deg))
             assert list(amplitudes) == list(phases)
             found = dataset.sel(system="none", axis=axis)
             for order, amount in amplitudes.items():
@@ -159,7 +157,7 @@ def test_amplitude_and_phase_stand_in_the_dataset_as_in_the_sheet() -> None:
                 assert np.exp(1j * np.radians(found["phase"].sel(order=float(order)).values)) == pytest.approx(
                     there / abs(there), abs=1e-9
                 )
-        for about, phases in (sheet["moment_phase_deg"] if "moment" in dataset else {}).items():
+        for about, phases in (sheet.moment_phase_deg if "moment" in dataset else {}).items():
             for order, phase in (phases or {}).items():
                 found = complex(dataset["moment"].sel(moment_axis=about, order=float(order)).values)
                 assert abs(np.exp(1j * np.radians(phase)) - found / abs(found)) < 1e-9
@@ -224,7 +222,7 @@ def test_an_engine_whose_file_has_counterweights_is_drawn_as_built() -> None:
     for engine, name in ((subject.engine, "as built"), (webbed, "as built"), (bare, "no balancing")):
         made = _dataset(replace(subject, engine=engine))
         assert called(["none"], made) == name
-        told = balance_sheet(replace(subject, engine=engine))["sentences"][0]
+        told = balance_sheet(replace(subject, engine=engine)).sentences[0]
         assert told.startswith("As built" if name == "as built" else "With no balancing")
 
 
@@ -241,10 +239,10 @@ def test_the_dataset_keeps_what_the_sheet_says() -> None:
     sheet = balance_sheet(subject, speeds_rpm=[SPEED])
     dataset = balance_dataset(subject, sheet, max_order=8, speeds_rpm=[SPEED])
     own = np.abs(dataset["force"].sel(system="own", axis="x").values)
-    listed = sheet["shafts"]["own"]["residual_g_mm"]["x"]
+    listed = sheet.shafts.own.left.force_g_mm["x"]
     np.testing.assert_allclose(own, [listed[str(order)] for order in range(1, 9)], rtol=1e-12)
     newtons = dataset["force_at_speed"].sel(system="none", axis="x", speed=SPEED).values
-    listed = sheet["force_n"]["3000"]["x"]
+    listed = sheet.force_n["3000"]["x"]
     np.testing.assert_allclose(newtons, [listed[str(order)] for order in range(1, 9)], rtol=1e-12)
 
 

@@ -1,12 +1,12 @@
 """The text of a balance fits a terminal, shows what the document holds and nothing that it does not."""
 
-import copy
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from crankorder.engine.balance_data import load_balanced_engine
-from crankorder.engine.balance_sheet import balance_sheet
+from crankorder.engine.balance_sheet import BalanceSheet, balance_sheet
 from crankorder.engine.hinge_sheet import hinge_sheet
 from crankorder.engine.hinged_crank import load_hinged_engine
 from crankorder.report.balance.text import balance_text, hinge_text, shown_orders
@@ -16,7 +16,7 @@ from crankorder.settings import shipped
 CRANK_ENGINES = sorted(set(shipped("engines")) - {"elastic-hinge"})
 
 
-def _sheet(name: str, **options: Any) -> dict[str, Any]:
+def _sheet(name: str, **options: Any) -> BalanceSheet:
     return balance_sheet(load_balanced_engine(name), **options)
 
 
@@ -54,7 +54,9 @@ def test_strategies_stand_side_by_side_with_the_masses_of_the_document() -> None
 def test_the_angle_of_a_counterweight_is_shown_only_where_there_is_one() -> None:
     sheet = _sheet("task5")
     assert "opposite to the pin" not in balance_text(sheet)
-    sheet["strategies"]["b"]["counterweight_deg"] = 37.0
+    assert sheet.strategies is not None
+    turned = {**sheet.strategies, "b": replace(sheet.strategies["b"], counterweight_deg=37.0)}
+    sheet = replace(sheet, strategies=turned)
     assert _line(balance_text(sheet), "… on from opposite to the pin")[-5:] == [MISSING, "0", "37", "0", "0"]
 
 
@@ -63,8 +65,8 @@ def test_the_angle_of_a_counterweight_is_shown_only_where_there_is_one() -> None
 def test_every_sentence_and_note_is_told_in_full(name: str) -> None:
     sheet = _sheet(name)
     told = " ".join(balance_text(sheet).split())
-    assert sheet["sentences"]
-    for text in (*sheet["sentences"], *sheet["notes"]):
+    assert sheet.sentences
+    for text in (*sheet.sentences, *sheet.notes):
         assert " ".join(text.split()) in told
 
 
@@ -90,13 +92,11 @@ def test_shaft_parts_the_crankshaft_and_both_readings_of_a_printed_pair_are_show
 
 
 def test_text_from_a_file_cannot_reach_the_terminal_raw() -> None:
-    sheet = copy.deepcopy(_sheet("msu-shafts"))
+    sheet = _sheet("msu-shafts")
     evil = "\x1b[31mred\x07" + "w" * 200
-    sheet["engine"] = evil
-    sheet["notes"] = [evil]
-    sheet["crankshaft"]["planes"][0]["name"] = evil
-    sheet["sentences"] = [evil]
-    text = balance_text(sheet)
+    first, second = sheet.crankshaft.planes
+    crankshaft = replace(sheet.crankshaft, planes=(replace(first, name=evil), second))
+    text = balance_text(replace(sheet, engine=evil, notes=(evil,), crankshaft=crankshaft, sentences=(evil,)))
     assert "\x1b" not in text
     assert "\x07" not in text
     assert max(map(len, text.splitlines())) <= WIDTH

@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -94,14 +93,14 @@ def publish_accuracy(out: Path, *, on: Path | None = None, draws: int = 1) -> tu
     known speeds or ``out`` lies among results.
     """
     refuse_results(out, [] if on is None else result_folders(on))
+    measured: dict[str, object]
     if on is None:
         timed = list(speed_against_error())
-        document: dict[str, Any] = {"speed_against_error": [asdict(one) for one in timed]}
-        text = _speed_text(timed)
+        measured, text = {"speed_against_error": [asdict(row) for row in timed]}, _speed_text(timed)
     else:
-        made = accuracy_on(on, draws=draws)
-        document, text = {"twin": asdict(made)}, _twin_text(made)
-    document = {"schema_version": 1, "crankorder": version("crankorder"), **document}
+        twin = accuracy_on(on, draws=draws)
+        measured, text = {"twin": asdict(twin)}, _twin_text(twin)
+    document = {"schema_version": 1, "crankorder": version("crankorder"), **measured}
     files = {"accuracy.json": json_bytes(document), "accuracy.txt": text.encode()}
     publish(out, files, key=text_sha256(json.dumps(document)))
     return [out / name for name in files], text
@@ -121,8 +120,7 @@ def speed_against_error() -> Iterator[Timed]:
     recording = _recording(one, channels, "four-stroke", RATE_HZ, PULSES, load_settings())
     wanted = np.array(list(LINES.values())) * np.exp(1j * phases)
     for tolerance in TOLERANCES:
-        asked: dict[str, dict[str, Any]] = {"report": {"results": ("order_map",)}, "orders": {"tolerance": tolerance}}
-        settings = load_settings(asked=asked)
+        settings = load_settings(asked={"report": {"results": ("order_map",)}, "orders": {"tolerance": tolerance}})
         taken = []
         for _ in range(REPEATS):
             start = time.perf_counter()
@@ -168,26 +166,49 @@ def accuracy_on(result: Path, *, draws: int = 1) -> TwinAccuracy:
         raise RequestError("no twin can be made of this test", file=folder, found=found, allowed=allowed)
     asked = {**run["settings"], "report": {**run["settings"]["report"], "results": _RESULTS}}
     settings = load_settings(asked={stage: values for stage, values in asked.items() if isinstance(values, dict)})
-    twin = _twin(groups, run, settings)
-    return _judged(twin, str(run["test"]), [_draw(twin, run, settings, number) for number in range(draws)])
+    manifest = run["manifest"]
+    encoder, test = manifest.get("encoder") or {}, manifest["test"]
+    tested = _Tested(
+        settings=settings,
+        cycle=str(test.get("cycle") or "rotor"),
+        engine=test.get("engine"),
+        tables={key: manifest[key] for key in ("bearings", "gears", "motor") if manifest.get(key)},
+        rate_hz=float((manifest.get("sampling") or {}).get("rate_hz") or np.inf),
+        pulses_per_rev=round(float(encoder.get("pulses_per_rev") or 0) * float(encoder.get("ratio") or 1.0)),
+        sampled_pulses=encoder.get("kind") == "square",
+    )
+    twin = _twin(groups, tested)
+    return _judged(twin, str(run["test"]), [_draw(twin, tested, number) for number in range(draws)])
 
 
 _RESULTS = ("order_map", "campbell_map", "order_tracks", "findings")
 
 
-def _twin(groups: dict[str, xr.Dataset], run: dict[str, Any], settings: Settings) -> Twin:
-    manifest, shaft = run["manifest"], groups["shaft"]
-    encoder, sampling = manifest.get("encoder") or {}, manifest.get("sampling") or {}
+@dataclass(frozen=True, kw_only=True)
+class _Tested:
+    """How a test was analysed, and what its manifest states.
+
+    ``rate_hz``: sampling rate, infinite where it is not stated. ``pulses_per_rev``: of the crank. ``sampled_pulses``:
+    whether pulses were found in a sampled signal.
+    """
+
+    settings: Settings
+    cycle: str
+    engine: str | None
+    tables: Mapping[str, object]
+    rate_hz: float
+    pulses_per_rev: int
+    sampled_pulses: bool
+
+
+def _twin(groups: dict[str, xr.Dataset], tested: _Tested) -> Twin:
+    campbell, shaft = groups["campbell_map"], groups["shaft"]
     fastest_hz = float(np.nanmax(shaft["speed_max"].values)) / 60.0
-    highest_hz = max(float(groups["campbell_map"]["frequency"].values[-1]), settings.orders.max_order * fastest_hz)
-    stated = sampling.get("rate_hz")
-    rate = min(float(stated or np.inf), SAMPLES_PER_HZ * highest_hz)
-    pulses = round(float(encoder.get("pulses_per_rev") or 0) * float(encoder.get("ratio") or 1.0))
-    step = 1.0 / float(stated) if stated and encoder.get("kind") == "square" else 0.0
-    used = bool(np.nan_to_num(shaft["n_pulses"].values).max() > 0)
-    return Twin(
-        groups["order_tracks"], groups["campbell_map"], groups["order_map"], shaft, rate, pulses if used else 0, step
-    )
+    highest_hz = max(float(campbell["frequency"].values[-1]), tested.settings.orders.max_order * fastest_hz)
+    rate = min(tested.rate_hz, SAMPLES_PER_HZ * highest_hz)
+    pulses = tested.pulses_per_rev if np.nan_to_num(shaft["n_pulses"].values).max() > 0 else 0
+    step = 1.0 / tested.rate_hz if tested.sampled_pulses else 0.0
+    return Twin(groups["order_tracks"], campbell, groups["order_map"], shaft, rate, pulses, step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,31 +221,29 @@ class _Draw:
     amplitudes: Floats
 
 
-def _draw(twin: Twin, run: dict[str, Any], settings: Settings, number: int) -> _Draw:
-    manifest, rng = run["manifest"], np.random.default_rng([number, 18])
+def _draw(twin: Twin, tested: _Tested, number: int) -> _Draw:
+    rng = np.random.default_rng([number, 18])
     probes = probe_orders(twin)
     amplitudes = probe_amplitudes(twin, rng, len(probes))
     coords = twin.tracks.coords
     rows = zip(coords["channel"].values.astype(str), coords["unit"].values.astype(str), strict=True)
     channels = [{"name": name, "source": place, "unit": unit} for place, (name, unit) in enumerate(rows)]
-    cycle = str(manifest["test"].get("cycle") or "rotor")
     recordings = [
-        _recording(one, channels, cycle, twin.rate_hz, twin.pulses_per_rev, settings)
+        _recording(one, channels, tested.cycle, twin.rate_hz, twin.pulses_per_rev, tested.settings)
         for one in twin_recordings(twin, probes, amplitudes, rng)
     ]
-    tables = {key: manifest.get(key) for key in ("bearings", "gears", "motor") if manifest.get(key)}
-    engine = manifest["test"].get("engine")
+    engine = tested.engine
     try:
         engine_of(engine)
     except CrankorderError:  # one that lay beside the recordings
         engine = None
-    groups, findings, _ = analysed(recordings, settings, tables=tables, engine=engine)
+    groups, findings, _ = analysed(recordings, tested.settings, tables=tested.tables, engine=engine)
     return _Draw(groups["order_tracks"], findings, probes, amplitudes)
 
 
 def _recording(
     one: TwinRecording,
-    channels: list[dict[str, Any]],
+    channels: Sequence[Mapping[str, object]],
     cycle: str,
     rate_hz: float,
     pulses_per_rev: int,
@@ -232,7 +251,7 @@ def _recording(
 ) -> xr.Dataset:
     """Recording of a twin, checked as that of a file is."""
     columns: dict[str | int, Floats] = dict(enumerate(one.signals))
-    encoder: dict[str, Any] = {"kind": "constant", "speed_rpm": one.speed_rpm}
+    encoder: dict[str, object] = {"kind": "constant", "speed_rpm": one.speed_rpm}
     if pulses_per_rev:
         columns |= {len(channels): one.pulse_times_s, len(channels) + 1: one.mark_times_s}
         encoder = {"kind": "pulse_times", "source": len(channels), "index": len(channels) + 1, "index_to_tdc_deg": 0.0}

@@ -6,7 +6,7 @@ Pictures and NetCDF are imported where they are made: a look at the numbers need
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -18,10 +18,10 @@ import numpy as np
 from crankorder.batch.result_folder import publish
 from crankorder.batch.store import text_sha256
 from crankorder.engine.balance_data import BalancedEngine, load_balanced_engine
-from crankorder.engine.balance_sheet import balance_sheet
-from crankorder.engine.hinge_sheet import hinge_sheet
+from crankorder.engine.balance_sheet import BalanceSheet, balance_sheet
+from crankorder.engine.hinge_sheet import Characteristic, HingeSheet, hinge_sheet
 from crankorder.engine.hinged_crank import HingedEngine, load_hinged_engine
-from crankorder.errors import RequestError
+from crankorder.errors import RequestError, located
 from crankorder.report.balance.text import balance_text, hinge_text
 from crankorder.settings import ReportSettings, load_settings, toml_table
 
@@ -34,12 +34,12 @@ HINGED = "elastic-hinge"
 
 @dataclass(frozen=True, kw_only=True)
 class Balance:
-    """An engine, what was asked of it, and the document that answers."""
+    """An engine, what was asked of it, and the sheet that answers."""
 
     subject: BalancedEngine | HingedEngine
     max_order: int
     speeds_rpm: tuple[float, ...] | None
-    document: dict[str, Any]
+    sheet: BalanceSheet | HingeSheet
 
 
 def balance_of(engine: str, *, max_order: int, speeds_rpm: Sequence[float] = ()) -> Balance:
@@ -47,48 +47,43 @@ def balance_of(engine: str, *, max_order: int, speeds_rpm: Sequence[float] = ())
 
     ``engine``: a shipped file's name or the path of a TOML file. ``max_order``: highest order, ≥ 4. ``speeds_rpm``:
     crank speeds, > 0; the file's where empty.
-    Raises RequestError where there is no such file, ManyErrors with every fault of its content.
+    Raises RequestError where there is no such file, or a mass or length of it is so large that a number overflows,
+    ManyErrors with every fault of its content.
     """
     speeds = tuple(speeds_rpm) or None
     table, source = toml_table(engine, "engines")
+    subject: BalancedEngine | HingedEngine
+    sheet: BalanceSheet | HingeSheet
+    overflow = np.errstate(over="ignore", invalid="ignore")  # told once, and by name of the file
     if table.get("kind") == HINGED:
-        hinged = load_hinged_engine(engine)
-        with np.errstate(over="ignore", invalid="ignore"):
-            document = hinge_sheet(hinged, max_order=max_order, speeds_rpm=speeds)
-        return Balance(subject=hinged, max_order=max_order, speeds_rpm=speeds, document=_finite(document, source))
-    subject = load_balanced_engine(engine)
-    with np.errstate(over="ignore", invalid="ignore"):  # told once, and by name of the file
-        try:
-            document = balance_sheet(subject, max_order=max_order, speeds_rpm=speeds)
-        except RequestError as error:  # of the engine, whose file the sheet does not know
-            told = {key: getattr(error, key) for key in ("place", "found", "allowed", "remedy")}
-            raise RequestError(error.problem, file=error.file or source, **told) from None
-    speeds = speeds or subject.balance.speeds_rpm
-    return Balance(subject=subject, max_order=max_order, speeds_rpm=speeds, document=_finite(document, source))
-
-
-def _finite(document: dict[str, Any], source: str) -> dict[str, Any]:
-    """The ``document``; RequestError where a mass or length of the file is so large that a number of it overflows."""
+        subject = load_hinged_engine(engine)
+        with overflow:
+            sheet = hinge_sheet(subject, max_order=max_order, speeds_rpm=speeds)
+    else:
+        subject = load_balanced_engine(engine)
+        with overflow, located(source):
+            sheet = balance_sheet(subject, max_order=max_order, speeds_rpm=speeds)
+        speeds = speeds or subject.balance.speeds_rpm
+    balance = Balance(subject=subject, max_order=max_order, speeds_rpm=speeds, sheet=sheet)
     try:
-        json.dumps(document, allow_nan=False)
+        document_text(balance)
     except ValueError:
         remedy = "Look for masses, lengths or speeds with a wrong unit"
         raise RequestError("its numbers are too large to be computed with", file=source, remedy=remedy) from None
-    return document
+    return balance
 
 
 def document_text(balance: Balance) -> str:
-    """The document of ``balance`` as JSON: every digit of a number, so that it can be compared with other programs."""
-    return json.dumps(balance.document, ensure_ascii=False, allow_nan=False, indent=2)
+    """The sheet of ``balance`` as JSON: every digit of a number, so that it can be compared with other programs."""
+    return json.dumps(balance.sheet.as_dict(), ensure_ascii=False, allow_nan=False, indent=2)
 
 
 def table_text(balance: Balance) -> str:
     """Tables and sentences of ``balance`` for a terminal."""
-    text = hinge_text if isinstance(balance.subject, HingedEngine) else balance_text
-    return text(balance.document)
+    return hinge_text(balance.sheet) if isinstance(balance.sheet, HingeSheet) else balance_text(balance.sheet)
 
 
-def publish_balance(balance: Balance, out: Path, *, report: dict[str, Any] | None = None) -> list[Path]:
+def publish_balance(balance: Balance, out: Path, *, report: Mapping[str, object] | None = None) -> list[Path]:
     """Paths of the files written into ``out``: balance.json, pictures, balance.nc; whole or not at all.
 
     ``balance`` as :func:`balance_of` makes it; ``report``: settings of the report by key, before the defaults. Raises
@@ -104,43 +99,45 @@ def publish_balance(balance: Balance, out: Path, *, report: dict[str, Any] | Non
     if settings.pictures:
         for name, figure in figures.items():
             files[f"{name}.{kind}"] = picture_bytes(figure(), dpi=settings.dpi, kind=kind)
-    attrs = {"title": str(balance.document["engine"]), "source": f"crankorder {version('crankorder')}"}
+    attrs = {"title": balance.sheet.engine, "source": f"crankorder {version('crankorder')}"}
     files["balance.nc"] = results_bytes(groups, attrs=attrs)
     publish(out, files, key=text_sha256(version("crankorder"), document))
     return [out / name for name in files]
 
 
 Parts = tuple[dict[str, "xr.Dataset"], dict[str, Callable[[], Any]]]
-"""Datasets by group, and by name what makes each picture."""
+"""Datasets by group, and by name what draws each picture."""
 
 
 def _of_engine(balance: Balance, settings: ReportSettings) -> Parts:
-    from crankorder.report.balance.bars_figure import order_bars_figure
     from crankorder.report.balance.cycle_figures import cycle_dataset, loads_figure, torque_figure
     from crankorder.report.balance.dataset import balance_dataset
-    from crankorder.report.balance.figures import force_figure
-    from crankorder.report.balance.polar_figure import harmonics_figure, polar_figure
+    from crankorder.report.balance.force_figures import force_figure, harmonics_figure, order_bars_figure, polar_figure
     from crankorder.report.netcdf import as_stored
 
-    subject, document, speeds = balance.subject, balance.document, balance.speeds_rpm
+    subject, sheet, speeds = balance.subject, balance.sheet, balance.speeds_rpm
     assert isinstance(subject, BalancedEngine)
+    assert isinstance(sheet, BalanceSheet)
     assert speeds is not None
-    groups = {"balance": balance_dataset(subject, document, max_order=balance.max_order, speeds_rpm=speeds)}
-    cycle = document["cycle"]
-    if cycle is not None:
+    groups = {"balance": balance_dataset(subject, sheet, max_order=balance.max_order, speeds_rpm=speeds)}
+    if sheet.cycle is not None:
         groups["cycle"] = cycle_dataset(subject.engine, speeds)
     shown = as_stored(groups)
-    asked: dict[str, Any] = {"title": str(document["engine"]), "settings": settings}
-    figures: dict[str, Callable[[], Any]] = {
-        "polar": partial(polar_figure, shown["balance"], **asked),
-        "force": partial(force_figure, shown["balance"], **asked),
-        "orders": partial(order_bars_figure, shown["balance"], **asked),
-        "harmonics": partial(harmonics_figure, shown["balance"], **asked),
+    of_forces = {
+        "polar": polar_figure,
+        "force": force_figure,
+        "orders": order_bars_figure,
+        "harmonics": harmonics_figure,
     }
-    if cycle is not None:
-        figures["torque"] = partial(torque_figure, shown["cycle"], cycle["turning"], **asked)
-    if cycle is not None and cycle["loads"] is not None:
-        figures["loads"] = partial(loads_figure, shown["cycle"], **asked)
+    figures: dict[str, Callable[[], Any]] = {
+        name: partial(figure, shown["balance"], title=sheet.engine, settings=settings)
+        for name, figure in of_forces.items()
+    }
+    if sheet.cycle is not None:
+        of_cycle = partial(torque_figure, shown["cycle"], sheet.cycle.turning)
+        figures["torque"] = partial(of_cycle, title=sheet.engine, settings=settings)
+        if sheet.cycle.loads is not None:
+            figures["loads"] = partial(loads_figure, shown["cycle"], title=sheet.engine, settings=settings)
     return groups, figures
 
 
@@ -148,27 +145,28 @@ def _of_hinges(balance: Balance, settings: ReportSettings) -> Parts:
     from crankorder.batch.plan import folder_name
     from crankorder.report.balance.hinge_figure import guide_figure, hinge_figure
 
-    engine = balance.subject
+    engine, sheet = balance.subject, balance.sheet
     assert isinstance(engine, HingedEngine)
+    assert isinstance(sheet, HingeSheet)
     figures: dict[str, Callable[[], Any]] = {}
     groups: dict[str, xr.Dataset] = {}
     taken: set[str] = set()
-    for mechanism, found in zip(engine.mechanisms, balance.document["mechanisms"], strict=True):
-        speeds = balance.speeds_rpm or mechanism.speeds_rpm
-        name = folder_name(mechanism.name, taken)
-        figures[f"hinges_{name}"] = partial(hinge_figure, engine, mechanism, speeds, settings=settings)
-        if mechanism.pin_guides is not None or mechanism.strut_guides is not None:
-            figures[f"guides_{name}"] = partial(guide_figure, engine, mechanism, max(speeds), settings=settings)
-        groups |= {f"{joint}_{name}": _characteristic(table) for joint, table in found["characteristic"].items()}
+    for data, mechanism in zip(engine.mechanisms, sheet.mechanisms, strict=True):
+        speeds = balance.speeds_rpm or data.speeds_rpm
+        name = folder_name(data.name, taken)
+        figures[f"hinges_{name}"] = partial(hinge_figure, engine, data, speeds, settings=settings)
+        if data.pin_guides is not None or data.strut_guides is not None:
+            figures[f"guides_{name}"] = partial(guide_figure, engine, data, max(speeds), settings=settings)
+        groups |= {f"{joint}_{name}": _characteristic(hinge) for joint, hinge in mechanism.characteristic.items()}
     return groups, figures
 
 
-def _characteristic(table: dict[str, Any]) -> xr.Dataset:
+def _characteristic(hinge: Characteristic) -> xr.Dataset:
     import xarray as xr
 
     units = {"crank_angle_deg": "degree", "moment_nm": "N m", "work_j": "J"}
     return xr.Dataset(
-        {key: ("hinge_angle_deg", table[key], {"units": unit}) for key, unit in units.items()},
-        coords={"hinge_angle_deg": ("hinge_angle_deg", table["hinge_angle_deg"], {"units": "degree"})},
-        attrs={"speed_rpm": table["speed_rpm"]},
+        {key: ("hinge_angle_deg", getattr(hinge, key), {"units": unit}) for key, unit in units.items()},
+        coords={"hinge_angle_deg": ("hinge_angle_deg", hinge.hinge_angle_deg, {"units": "degree"})},
+        attrs={"speed_rpm": hinge.speed_rpm},
     )

@@ -5,6 +5,7 @@ This module imports nothing heavy itself.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,7 +100,11 @@ class ReportingProcess:
         return {path: self._hashes[path] for path in plan.files}
 
     def files_of_test(
-        self, groups: dict[str, xr.Dataset], findings: Findings, provenance: dict[str, Any], settings: ReportSettings
+        self,
+        groups: dict[str, xr.Dataset],
+        findings: Findings,
+        provenance: Mapping[str, object],
+        settings: ReportSettings,
     ) -> dict[str, bytes]:
         """All files of a test by name, from its ``groups``, ``findings``, ``provenance`` and ``settings``.
 
@@ -108,7 +113,7 @@ class ReportingProcess:
         made: dict[str, bytes] = self._answer_to("write", (groups, findings, provenance, settings))
         return made
 
-    def index_page(self, tests: list[dict[str, Any]]) -> str:
+    def index_page(self, tests: Sequence[Mapping[str, object]]) -> str:
         """HTML list of the ``tests`` of a run, as :func:`crankorder.report.page.index_page` makes it."""
         page: str = self._answer_to("index", (tests,))
         return page

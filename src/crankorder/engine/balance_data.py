@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,13 +21,14 @@ from crankorder.engine.balancing import (
     phasor,
     unbalance_force_n,
 )
-from crankorder.engine.crankshaft import CrankshaftData, crankshaft_table
+from crankorder.engine.crankshaft import CrankshaftBalance, CrankshaftData, crankshaft_balance
 from crankorder.engine.definition import NOT_EMPTY, Engine, EngineData, Positive, with_gas_file
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.gas import firing_intervals_deg
 from crankorder.engine.harmonics import acceleration_harmonics
-from crankorder.engine.rod import RodSplits, cut_consequences, two_mass_inertia_g_mm2
+from crankorder.engine.rod import RodSplit, RodSplits, two_mass_inertia_g_mm2
 from crankorder.engine.shafts import (
+    GearTolerances,
     GearTrain,
     Series,
     ShaftPairParts,
@@ -42,9 +43,13 @@ from crankorder.engine.shafts import (
 from crankorder.engine.slider_crank import SliderCrank
 from crankorder.engine.tolerance_study import BalanceTolerances
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
+from crankorder.records import Record, said
 from crankorder.settings import toml_table, validation_fault
 
 DesignOrder = Annotated[int, Field(ge=1, le=12)]
+
+Amounts = dict[str, float]
+"""Amplitudes by order, or forces by crank speed (rpm): orders and speeds as texts."""
 
 
 class UnbalanceClass(EngineData):
@@ -161,8 +166,8 @@ def load_balanced_engine(name: str, *, beside: Path | None = None) -> BalancedEn
     ``name``: a shipped file's stem or the path of a TOML file. ``beside``: folder in which that path is tried first.
     Raises RequestError where there is no such file, ManyErrors with every fault of its content.
     """
-    table, source = toml_table(name, "engines", beside=beside)
-    table, of_gas = with_gas_file(table, name, beside)
+    stated, source = toml_table(name, "engines", beside=beside)
+    table, of_gas = with_gas_file(stated, name, beside)
     if "kind" in table and "kind" not in Engine.model_fields:
         raise RequestError(
             "not a crank engine with balance data",
@@ -175,7 +180,7 @@ def load_balanced_engine(name: str, *, beside: Path | None = None) -> BalancedEn
 
 
 def balanced_engine(
-    table: dict[str, Any], *, name: str, source: str, faults: Sequence[CrankorderError] = ()
+    table: Mapping[str, object], *, name: str, source: str, faults: Sequence[CrankorderError] = ()
 ) -> BalancedEngine:
     """Engine and balance data from the content of an engine file.
 
@@ -270,137 +275,195 @@ def newton(unbalance_g_mm: float, speed_rpm: float) -> float:
     return float(unbalance_force_n(unbalance_g_mm, speed_rpm))
 
 
-def newton_by_speed(unbalance_g_mm: float, speeds: Sequence[float]) -> dict[str, float]:
+def newton_by_speed(unbalance_g_mm: float, speeds: Sequence[float]) -> Amounts:
     """Force (N) of ``unbalance_g_mm`` at each of the ``speeds`` (rpm)."""
     return {speed_key(speed): newton(unbalance_g_mm, speed) for speed in speeds}
 
 
-def harmonic_shares(mechanism: SliderCrank, max_order: int) -> dict[str, float]:
+def harmonic_shares(mechanism: SliderCrank, max_order: int) -> Amounts:
     """Amplitudes of orders 2 … ``max_order`` of the piston of ``mechanism`` over crank radius and ω²: A2, A4, …"""
     share = np.abs(acceleration_harmonics(mechanism, max_order))
     return {str(k): float(share[k]) for k in range(2, max_order + 1) if share[k]}
 
 
-def crankshaft_of(subject: BalancedEngine, speeds: Sequence[float]) -> dict[str, Any] | None:
-    """Table of the crankshaft of ``subject`` at ``speeds`` (rpm), with the rod's big end as cut and as weighed."""
+def crankshaft_of(subject: BalancedEngine, speeds: Sequence[float]) -> CrankshaftBalance | None:
+    """Balance of the crankshaft of ``subject`` at ``speeds`` (rpm), with the rod's big end as cut and as weighed."""
     data, splits = subject.balance.crankshaft, subject.balance.rod_split
     if data is None:
         return None
     big_ends = {} if splits is None else {name: split.big_end_g for name, split in splits.by_method.items()}
-    return crankshaft_table(data, {speed_key(speed): speed for speed in speeds}, big_ends_g=big_ends)
+    return crankshaft_balance(data, {speed_key(speed): speed for speed in speeds}, big_ends_g=big_ends)
 
 
-def rod_split_table(subject: BalancedEngine, speeds: Sequence[float]) -> dict[str, Any] | None:
-    """What the cut and the scale say of the rod of ``subject``, and the forces (N at ``speeds``, rpm) of the cut."""
-    splits = subject.balance.rod_split
+class RodBalance(Record):
+    """The rod in two masses, as cut and as weighed, and what remains where it was balanced as cut."""
+
+    methods: dict[str, RodSplit] = said("masses of both ends (g) by method")
+    weighed_whole_g: float | None = said("mass of the whole rod on the scale, g")
+    cut_centroid_fraction: float = said("centre of gravity as cut, from the big end over rod length")
+    scale_centroid_fraction: float = said("centre of gravity as weighed, from the big end over rod length")
+    centroid_shift_mm: float = said("distance of both, mm")
+    two_mass_inertia_kg_m2: float = said("moment of inertia of the two masses as weighed, kg·m²")
+    rotating_deficit_g: float = said("mass that the crankshaft's counterweights lack, g")
+    reciprocating_excess_g: float = said("mass that the shafts have too much, g")
+    residual_x_g_mm: Amounts = said("force that remains along the cylinder by order, g·mm over ω²")
+    residual_y_g_mm: Amounts = said("force that remains across the cylinder by order, g·mm over ω²")
+    residual_x_second_n: Amounts = said("force of order 2 along the cylinder by speed, N")
+    residual_y_first_n: Amounts = said("force of order 1 across the cylinder by speed, N")
+
+
+def rod_balance(subject: BalancedEngine, speeds: Sequence[float]) -> RodBalance | None:
+    """Residual of a crankshaft and shafts built for the rod of ``subject`` as cut, which acts as weighed.
+
+    ``speeds``: at which forces are given, rpm. Source: truth sheet 2.7, on Ruckle 2014, section 3.3.1. A cut through
+    the centre of gravity keeps the mass of the rod but, put at the pins, moves its centre of gravity.
+    """
+    splits, mechanism = subject.balance.rod_split, subject.engine.mechanism
     if splits is None:
         return None
-    left = cut_consequences(splits, subject.engine.mechanism)
-    length_mm = subject.engine.rod_length_m * 1e3
-    return {
-        "methods": {
-            name: {**split.model_dump(), "total_g": split.total_g, "centroid_fraction": split.centroid_fraction}
-            for name, split in splits.by_method.items()
-        },
-        "weighed_whole_g": splits.weighed_whole_g,
-        "cut_centroid_fraction": splits.cut.centroid_fraction,
-        "scale_centroid_fraction": splits.scale.centroid_fraction,
-        "centroid_shift_mm": left.centroid_shift_mm,
-        "two_mass_inertia_kg_m2": two_mass_inertia_g_mm2(splits.scale, length_mm) * 1e-9,
-        "rotating_deficit_g": left.rotating_deficit_g,
-        "reciprocating_excess_g": left.reciprocating_excess_g,
-        "residual_x_g_mm": {"1": left.x_first_g_mm, "2": left.x_second_g_mm},
-        "residual_y_g_mm": {"1": left.y_first_g_mm},
-        "residual_x_second_n": newton_by_speed(left.x_second_g_mm, speeds),
-        "residual_y_first_n": newton_by_speed(left.y_first_g_mm, speeds),
-    }
+    cut, scale = splits.cut, splits.scale
+    radius_mm, length_mm = mechanism.crank_radius_m * 1e3, mechanism.rod_length_m * 1e3
+    deficit, excess = scale.big_end_g - cut.big_end_g, cut.small_end_g - scale.small_end_g
+    across, second = deficit * radius_mm, excess * radius_mm * abs(acceleration_harmonics(mechanism, 2)[2])
+    return RodBalance(
+        methods=splits.by_method,
+        weighed_whole_g=splits.weighed_whole_g,
+        cut_centroid_fraction=cut.centroid_fraction,
+        scale_centroid_fraction=scale.centroid_fraction,
+        centroid_shift_mm=(cut.centroid_fraction - scale.centroid_fraction) * mechanism.rod_length_m * 1e3,
+        two_mass_inertia_kg_m2=two_mass_inertia_g_mm2(scale, length_mm) * 1e-9,
+        rotating_deficit_g=deficit,
+        reciprocating_excess_g=excess,
+        residual_x_g_mm={"1": (deficit - excess) * radius_mm, "2": second},
+        residual_y_g_mm={"1": across},
+        residual_x_second_n=newton_by_speed(second, speeds),
+        residual_y_first_n=newton_by_speed(across, speeds),
+    )
 
 
-def added_mass_table(subject: BalancedEngine, max_order: int, speeds: Sequence[float]) -> dict[str, Any] | None:
+class AddedMass(Record):
+    """Force along the cylinder of a mass on the piston that no shaft was built for."""
+
+    mass_g: float = said("the mass, g")
+    residual_x_g_mm: Amounts = said("force by order, g·mm over ω²")
+    residual_n: dict[str, Amounts] = said("force by speed and order, N")
+    grade: str | None = said("strictest class of unbalance that order 1 keeps to", key="class")
+
+
+def added_mass(subject: BalancedEngine, max_order: int, speeds: Sequence[float]) -> AddedMass | None:
     """Forces by order 1 … ``max_order`` of the mass added to the piston of ``subject``, at ``speeds`` (rpm)."""
-    grams = subject.balance.added_mass_g
+    grams, mechanism = subject.balance.added_mass_g, subject.engine.mechanism
     if grams is None:
         return None
-    mechanism = subject.engine.mechanism
     share = np.abs(acceleration_harmonics(mechanism, max_order))
-    unbalance = {str(k): float(grams * mechanism.crank_radius_m * 1e3 * share[k]) for k in np.flatnonzero(share)}
-    return {
-        "mass_g": grams,
-        "residual_x_g_mm": unbalance,
-        "residual_n": {
-            speed_key(speed): {order: newton(amount, speed) for order, amount in unbalance.items()} for speed in speeds
+    amounts = {str(k): float(grams * mechanism.crank_radius_m * 1e3 * share[k]) for k in np.flatnonzero(share)}
+    return AddedMass(
+        mass_g=grams,
+        residual_x_g_mm=amounts,
+        residual_n={
+            speed_key(speed): {order: newton(amount, speed) for order, amount in amounts.items()} for speed in speeds
         },
-        "class": unbalance_class(unbalance["1"], subject.balance.residual_classes),
-    }
+        grade=unbalance_class(amounts["1"], subject.balance.residual_classes),
+    )
 
 
-def offset_table(subject: BalancedEngine, speeds: Sequence[float]) -> dict[str, Any] | None:
+class OffsetBalance(Record):
+    """Effects of an offset of the cylinder on its first orders, and what shafts timed to the crank leave."""
+
+    offset_mm: float = said("distance of the cylinder axis from the crankshaft, mm")
+    harmonics: Amounts = said("amplitude of the piston's acceleration by order over r ω²")
+    amplitude_ratio: float = said("order 1 with the offset over that without")
+    rephasing_deg: float = said("lag of the shafts behind the crank that cancels order 1, degrees")
+    third_over_fourth: float = said("order 3 over order 4")
+    quadrature_x_g_mm: float = said("order 1 that shafts timed to the crank leave, g·mm over ω²")
+    quadrature_n: Amounts = said("that force by speed, N")
+    couple_n_m: dict[str, Amounts] = said("couple of force and shafts by speed and order, N·m", key="couple_Nm_at_rpm")
+
+
+def offset_balance(subject: BalancedEngine, speeds: Sequence[float]) -> OffsetBalance | None:
     """Effects of the offset that ``subject`` asks to be studied, or else of its own, at ``speeds`` (rpm)."""
-    masses = reduced_masses(subject)
     engine = subject.engine
     offset_mm = subject.balance.offset_mm or abs(engine.offset_m) * 1e3
     if not offset_mm:
         return None
-    mechanism = SliderCrank(
-        crank_radius_m=engine.crank_radius_m, rod_length_m=engine.rod_length_m, offset_m=offset_mm * 1e-3
-    )
-    effects = offset_effects(mechanism)
+    straight = SliderCrank(crank_radius_m=engine.crank_radius_m, rod_length_m=engine.rod_length_m)
+    mechanism = replace(straight, offset_m=offset_mm * 1e-3)
+    effects, masses = offset_effects(mechanism), reduced_masses(subject)
     first = masses.crank_radius_mm * masses.reciprocating_g
     quadrature = first * effects.quadrature_share
-    straight = SliderCrank(crank_radius_m=engine.crank_radius_m, rod_length_m=engine.rod_length_m)
     lines = {"1": first, "2": float(first * abs(acceleration_harmonics(straight, 2)[2]))}
-    return {
-        "offset_mm": offset_mm,
-        "harmonics": harmonic_shares(mechanism, 8),
-        "amplitude_ratio": effects.amplitude_ratio,
-        "rephasing_deg": effects.rephasing_deg,
-        "third_over_fourth": effects.third_over_fourth,
-        "quadrature_x_g_mm": quadrature,
-        "quadrature_n": newton_by_speed(quadrature, speeds),
+    return OffsetBalance(
+        offset_mm=offset_mm,
+        harmonics=harmonic_shares(mechanism, 8),
+        amplitude_ratio=effects.amplitude_ratio,
+        rephasing_deg=effects.rephasing_deg,
+        third_over_fourth=effects.third_over_fourth,
+        quadrature_x_g_mm=quadrature,
+        quadrature_n=newton_by_speed(quadrature, speeds),
         # of a force along the cylinder and the shafts that cancel it: Ruckle 2014, section 3.1.2; truth sheet 2.6
-        "couple_Nm_at_rpm": {
+        couple_n_m={
             speed_key(speed): {order: newton(amount, speed) * (1e-3 * offset_mm) for order, amount in lines.items()}
             for speed in speeds
         },
-    }
+    )
 
 
-def reverse_crank_table(subject: BalancedEngine, speeds: Sequence[float]) -> dict[str, Any] | None:
+class GearErrors(Record):
+    """Median and 95 % bound of what sampled gear errors leave, by order."""
+
+    errors: GearTolerances = said("standard deviations of the errors, number of samples and seed")
+    along_g_mm: dict[str, Amounts] = said("force along the cylinder, g·mm over ω²")
+    across_g_mm: dict[str, Amounts] = said("force across the cylinder, g·mm over ω²")
+    couple_g_mm2: dict[str, Amounts] = said("couple about the crankshaft, g·mm² over ω²")
+
+
+class ReverseCranks(Record):
+    """Weights of direct and reverse cranks by gear, and what they leave; both with A2 and with λ in its place."""
+
+    speed_ratios: Amounts = said("speed of each gear over crank speed, below zero against the crank")
+    pair_moments_g_mm: dict[Series, Amounts] = said("weight times radius of the pairs by order, g·mm")
+    weights_g: Amounts = said("weight of each gear that carries one, g")
+    couple_g_mm2: float = said("couple about the crankshaft, g·mm² over ω²")
+    transverse_g_mm: float = said("largest force across the cylinder, g·mm over ω²")
+    residual_x_g_mm: dict[Series, float] = said("largest force along the cylinder, g·mm over ω²")
+    residual_x_n: dict[Series, Amounts] = said("that force by speed, N")
+    tolerances: GearErrors | None = said("what errors of the gears leave")
+
+
+def reverse_cranks(subject: BalancedEngine, speeds: Sequence[float]) -> ReverseCranks | None:
     """Weights of the direct and reverse cranks of ``subject``, and what they leave at ``speeds`` (rpm)."""
-    masses = reduced_masses(subject)
-    train = subject.balance.gears
+    masses, train = reduced_masses(subject), subject.balance.gears
     if train is None:
         return None
-    residual, moments = {}, {}
-    both_series: tuple[Series, ...] = ("leading", "exact")
-    for series in both_series:
+    both: tuple[Series, ...] = ("leading", "exact")
+    residual: dict[Series, float] = {}
+    for series in both:
         wheels = weighted_wheels(train, masses, second=series)
         residual[series] = float(np.abs(residual_along(masses, wheels, FULL_TURN_REV)).max())
-        moments[series] = {f"{k:g}": both for k, both in weight_moments(masses, second=series).items()}
-    wheels = weighted_wheels(train, masses)
-    radius = {gear.name: gear.weight_radius_mm for gear in train.gears}
-    return {
-        "speed_ratios": gear_speed_ratios(train),
-        "pair_moments_g_mm": moments,
-        "weights_g": {name: wheel.unbalance_g_mm / (radius[name] or math.inf) for name, wheel in wheels.items()},
-        "couple_g_mm2": float(sum(abs(couple) for couple in wheels_couple(wheels).values())),
-        "transverse_g_mm": float(np.abs(wheels_force(wheels, FULL_TURN_REV).imag).max()),
-        "residual_x_g_mm": residual,
-        "residual_x_n": {series: newton_by_speed(amount, speeds) for series, amount in residual.items()},
-        "tolerances": _tolerances(subject, train),
-    }
+    radius = {gear.name: gear.weight_radius_mm or math.inf for gear in train.gears}
+    moments = {series: weight_moments(masses, second=series) for series in both}
+    return ReverseCranks(
+        speed_ratios=gear_speed_ratios(train),
+        pair_moments_g_mm={name: {f"{k:g}": size for k, size in pair.items()} for name, pair in moments.items()},
+        weights_g={name: wheel.unbalance_g_mm / radius[name] for name, wheel in wheels.items()},
+        couple_g_mm2=float(sum(abs(couple) for couple in wheels_couple(wheels).values())),
+        transverse_g_mm=float(np.abs(wheels_force(wheels, FULL_TURN_REV).imag).max()),
+        residual_x_g_mm=residual,
+        residual_x_n={series: newton_by_speed(amount, speeds) for series, amount in residual.items()},
+        tolerances=None if train.tolerances is None else _gear_errors(train, masses, train.tolerances),
+    )
 
 
-def _tolerances(subject: BalancedEngine, train: GearTrain) -> dict[str, Any] | None:
-    if train.tolerances is None:
-        return None
-    study = tolerance_study(train, reduced_masses(subject), train.tolerances)
-    tables = {"along_g_mm": study.along_g_mm, "across_g_mm": study.across_g_mm, "couple_g_mm2": study.couple_g_mm2}
-    quantiles = {
-        name: {
-            f"{order:g}": {"median": float(middle), "95 %": float(high)}
-            for order, middle, high in zip(study.orders, *np.quantile(table, [0.5, 0.95], axis=0), strict=True)
-        }
-        for name, table in tables.items()
-    }
-    return {"errors": train.tolerances.model_dump(), **quantiles}
+def _gear_errors(train: GearTrain, masses: ReducedMasses, tolerances: GearTolerances) -> GearErrors:
+    study = tolerance_study(train, masses, tolerances)
+
+    def quantiles(sampled: NDArray[np.float64]) -> dict[str, Amounts]:
+        both = zip(study.orders, *np.quantile(sampled, [0.5, 0.95], axis=0), strict=True)
+        return {f"{order:g}": {"median": float(middle), "95 %": float(high)} for order, middle, high in both}
+
+    return GearErrors(
+        errors=tolerances,
+        along_g_mm=quantiles(study.along_g_mm),
+        across_g_mm=quantiles(study.across_g_mm),
+        couple_g_mm2=quantiles(study.couple_g_mm2),
+    )

@@ -44,9 +44,7 @@ class OrderForce:
         ``order``: cycles per crank revolution, > 0. ``x_g_mm``, ``y_g_mm``: complex amplitudes over ω².
         """
         return cls(
-            order=order,
-            direct_g_mm=(x_g_mm + 1j * y_g_mm) / 2,
-            reverse_g_mm=(x_g_mm - 1j * y_g_mm).conjugate() / 2,
+            order=order, direct_g_mm=(x_g_mm + 1j * y_g_mm) / 2, reverse_g_mm=(x_g_mm - 1j * y_g_mm).conjugate() / 2
         )
 
     @property

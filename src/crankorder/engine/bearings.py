@@ -6,7 +6,7 @@ import math
 import tomllib
 from functools import cache
 from importlib.resources import files
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
 
@@ -111,23 +111,23 @@ def bearing_orders(bearing: Bearing) -> dict[str, float]:
     Source: the kinematics of pure rolling with a fixed outer ring; truth sheet section 2.9.
     """
     data = _complete(bearing)
-    ratio, elements = bearing.shaft_ratio, data["rolling_elements"]
+    ratio, elements, diameter = bearing.shaft_ratio, data["rolling_elements"], data["ball_over_pitch"]
     orders: dict[str, float] = {}
     if elements is not None:
         orders["N*fs"] = elements * ratio
-    if elements is not None and data["ball_over_pitch"] is not None:
-        lean = data["ball_over_pitch"] * math.cos(math.radians(data["contact_angle_deg"] or 0.0))
+    if elements is not None and diameter is not None:
+        lean = diameter * math.cos(math.radians(data["contact_angle_deg"] or 0.0))
         orders |= {
             "BPFO": elements * ratio / 2 * (1 - lean),
             "BPFI": elements * ratio / 2 * (1 + lean),
-            "BSF": ratio / 2 * (1 - lean) * (1 + lean) / data["ball_over_pitch"],
+            "BSF": ratio / 2 * (1 - lean) * (1 + lean) / diameter,
             "FTF": ratio / 2 * (1 - lean),
         }
     published = {line: data[line.lower()] for line in ("BPFO", "BPFI", "BSF", "FTF")}
     return orders | {line: order * ratio for line, order in published.items() if order is not None}
 
 
-def _complete(bearing: Bearing) -> dict[str, Any]:
+def _complete(bearing: Bearing) -> dict[str, float | None]:
     """Data of a bearing with those of its catalogue entry where it states none itself.
 
     A geometry of its own replaces the catalogue's published orders too: these belong to the other geometry.

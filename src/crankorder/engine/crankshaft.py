@@ -9,10 +9,9 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +19,7 @@ from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator,
 
 from crankorder.engine.definition import NOT_EMPTY, EngineData, NonNegative, Positive
 from crankorder.errors import RequestError
+from crankorder.records import Record, said
 
 
 class CrankshaftSection(EngineData):
@@ -36,17 +36,11 @@ class CrankshaftSection(EngineData):
     z_mm: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class CrankshaftSums:
-    """Unbalance of the whole shaft (kg·mm) and its moment about the datum (kg·mm²), each as x + iy."""
+class CrankshaftSums(Record):
+    """Static and dynamic sum of a crankshaft or a part of it, each as x + iy."""
 
-    static_kg_mm: complex
-    dynamic_kg_mm2: complex
-
-    @property
-    def table(self) -> dict[str, dict[str, float]]:
-        """Both sums by name, as x and y."""
-        return {"static_kg_mm": _xy(self.static_kg_mm), "dynamic_kg_mm2": _xy(self.dynamic_kg_mm2)}
+    static_kg_mm: complex = said("unbalance, kg·mm")
+    dynamic_kg_mm2: complex = said("moment of the unbalance about the datum, kg·mm²")
 
 
 class FanCounterweight(EngineData):
@@ -298,72 +292,100 @@ def slug_unbalance_kg_mm(
     return 1e-9 * volume_mm3 * (slug_density_kg_m3 - crank_density_kg_m3) * radius_mm
 
 
-def crankshaft_table(
-    data: CrankshaftData, speeds: Mapping[str, float], *, big_ends_g: Mapping[str, float] | None = None
-) -> dict[str, Any]:
-    """Rows and sums of a crankshaft as one document, its couple at each speed, and what its counterweights need.
+class BalancedSection(Record):
+    """A part of the crankshaft and its sums."""
 
-    ``data``: the crankshaft. ``speeds``: crank speeds (rpm) by the text that names each. ``big_ends_g``: masses of the
-    rod's big end (g) by the method that found each; every one is put in the place of the bob weight, if there is one.
-    Amounts are in kg·mm, kg·mm² and N·m. Source: Ruckle 2014, table 2.
+    part: CrankshaftSection = said("mass (kg) and centre of gravity (mm)", spread=True)
+    sums: CrankshaftSums = said("of the part alone", spread=True)
+
+
+class FanSizes(Record):
+    """A counterweight shaped as a fan, and how much each of its sizes counts."""
+
+    mass_kg: float = said("mass, kg")
+    centroid_mm: float = said("distance of the centre of gravity from the axis, mm")
+    unbalance_kg_mm: float = said("mass times that distance, kg·mm")
+    sensitivity: dict[Literal["radius", "thickness", "fan_angle"], float] = said("% of unbalance per % of each size")
+    resized: dict[str, float | None] = said("radius, thickness (mm) or fan angle (°) that alone meets both sums")
+
+
+class CorrectionPlane(Record):
+    """The first or the last counterweight: its unbalance, slugs included, and the one that balances the crankshaft."""
+
+    name: str = said("name of the counterweight")
+    z_mm: float = said("place along the crankshaft, mm from the datum")
+    has_kg_mm: complex = said("unbalance that it has, kg·mm")
+    correction_kg_mm: complex = said("unbalance to be added, kg·mm")
+    needs_kg_mm: complex = said("sum of both, kg·mm")
+    fan: FanSizes | None = said("its sizes where it is a fan")
+
+
+class BobWeight(Record):
+    """Sums of the crankshaft with another mass in the place of its bob weight."""
+
+    method: str = said("method that gave the mass of the rod's big end")
+    mass_kg: float = said("that mass, kg")
+    sums: CrankshaftSums = said("of the whole crankshaft", spread=True)
+
+
+class CrankshaftBalance(Record):
+    """Parts and sums of a crankshaft, its rocking couple by speed, and corrections in two planes."""
+
+    sections: tuple[BalancedSection, ...] = said("parts, slugs included")
+    sums: CrankshaftSums = said("of all parts", spread=True)
+    couple_n_m: dict[str, float] = said("rocking couple that turns with the crankshaft, N·m", key="couple_Nm_at_rpm")
+    planes: tuple[CorrectionPlane, ...] = said("first and last counterweight")
+    overbalance_kg_mm: tuple[float, float] | None = said("least and most overbalance wanted, kg·mm")
+    overbalanced_by_kg_mm: float = said("overbalance of the counterweights, kg·mm")
+    overbalance_met: bool | None = said("whether it lies between both")
+    bob_weights: tuple[BobWeight, ...] | None = said("sums by mass of the rod's big end, the stated one first")
+
+
+def crankshaft_balance(
+    data: CrankshaftData, speeds: Mapping[str, float], *, big_ends_g: Mapping[str, float]
+) -> CrankshaftBalance:
+    """Balance of the crankshaft ``data`` by itself.
+
+    ``speeds``: crank speeds (rpm) by the text that names each. ``big_ends_g``: masses of the rod's big end (g) by the
+    method that gave each; every one is put in the place of the bob weight, if there is one.
+    Source: Ruckle 2014, table 2.
     """
     sums = crankshaft_sums(data.parts)
-    towards = -sums.static_kg_mm.imag
-    asked = data.overbalance_kg_mm
-    return {
-        "sections": [{**part.model_dump(), **crankshaft_sums([part]).table} for part in data.parts],
-        **sums.table,
-        "couple_Nm_at_rpm": {key: float(couple_n_m(sums.dynamic_kg_mm2, speed)) for key, speed in speeds.items()},
-        "planes": _planes(data, sums),
-        "overbalance_kg_mm": None if asked is None else list(asked),
-        "overbalanced_by_kg_mm": towards,
-        "overbalance_met": None if asked is None else asked[0] <= towards <= asked[1],
-        "bob_weights": _bob_weights(data, big_ends_g or {}),
-    }
+    towards, wanted = -sums.static_kg_mm.imag, data.overbalance_kg_mm
+    corrections = zip(data.planes, data.planes_mm, two_plane_correction(sums, data.planes_mm), strict=True)
+    return CrankshaftBalance(
+        sections=tuple(BalancedSection(part=part, sums=crankshaft_sums([part])) for part in data.parts),
+        sums=sums,
+        couple_n_m={key: float(couple_n_m(sums.dynamic_kg_mm2, speed)) for key, speed in speeds.items()},
+        planes=tuple(_plane(data, *correction) for correction in corrections),
+        overbalance_kg_mm=wanted,
+        overbalanced_by_kg_mm=towards,
+        overbalance_met=None if wanted is None else wanted[0] <= towards <= wanted[1],
+        bob_weights=_bob_weights(data, big_ends_g),
+    )
 
 
-def _planes(data: CrankshaftData, sums: CrankshaftSums) -> list[dict[str, Any]]:
-    """What the first and the last counterweight have, slugs included, lack, and need; of a fan also its sizes."""
-    made = []
-    for name, place, added in zip(data.planes, data.planes_mm, two_plane_correction(sums, data.planes_mm), strict=True):
-        own = [part for part in data.parts if part.name in (name, f"Slug in {name}")]
-        has = crankshaft_sums(own).static_kg_mm
-        fan = data.fans.get(name)
-        shape = None
-        if fan is not None:
-            slugs = has - crankshaft_sums([fan.section]).static_kg_mm
-            shape = {
-                "mass_kg": fan.mass_kg,
-                "centroid_mm": fan.centroid_mm,
-                "unbalance_kg_mm": fan.unbalance_kg_mm,
-                "sensitivity": dict(fan.sensitivity),
-                "resized": fan.resized(abs(has + added - slugs)),
-            }
-        made.append(
-            {
-                "name": name,
-                "z_mm": place,
-                "has_kg_mm": _xy(has),
-                "correction_kg_mm": _xy(added),
-                "needs_kg_mm": _xy(has + added),
-                "fan": shape,
-            }
-        )
-    return made
+def _plane(data: CrankshaftData, name: str, z_mm: float, added: complex) -> CorrectionPlane:
+    own = [part for part in data.parts if part.name in (name, f"Slug in {name}")]
+    has, fan, sizes = crankshaft_sums(own).static_kg_mm, data.fans.get(name), None
+    if fan is not None:
+        slugs = has - crankshaft_sums([fan.section]).static_kg_mm
+        names = ("mass_kg", "centroid_mm", "unbalance_kg_mm", "sensitivity")
+        sizes = FanSizes(**{key: getattr(fan, key) for key in names}, resized=fan.resized(abs(has + added - slugs)))
+    return CorrectionPlane(
+        name=name, z_mm=z_mm, has_kg_mm=has, correction_kg_mm=added, needs_kg_mm=has + added, fan=sizes
+    )
 
 
-def _bob_weights(data: CrankshaftData, big_ends_g: Mapping[str, float]) -> list[dict[str, Any]] | None:
-    """Sums with each mass of the rod's big end in the place of the bob weight, the stated one first."""
+def _bob_weights(data: CrankshaftData, big_ends_g: Mapping[str, float]) -> tuple[BobWeight, ...] | None:
     if data.bob_weight is None:
         return None
     bob = next(part for part in data.parts if part.name == data.bob_weight)
     others = [part for part in data.parts if part is not bob]
-    made = []
-    for method, mass_kg in {"stated": bob.mass_kg, **{key: 1e-3 * grams for key, grams in big_ends_g.items()}}.items():
+
+    def with_mass(method: str, mass_kg: float) -> BobWeight:
         sums = crankshaft_sums([*others, bob.model_copy(update={"mass_kg": mass_kg})])
-        made.append({"method": method, "mass_kg": mass_kg, **sums.table})
-    return made
+        return BobWeight(method=method, mass_kg=mass_kg, sums=sums)
 
-
-def _xy(value: complex) -> dict[str, float]:
-    return {"x": value.real, "y": value.imag}
+    weighed = (with_mass(method, 1e-3 * grams) for method, grams in big_ends_g.items())
+    return with_mass("stated", bob.mass_kg), *weighed

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sized
+from collections.abc import Collection, Mapping, Sized
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
@@ -373,8 +373,8 @@ class Engine(EngineData):
 
 
 def with_gas_file(
-    table: dict[str, Any], name: str, beside: Path | None
-) -> tuple[dict[str, Any], list[CrankorderError]]:
+    table: Mapping[str, object], name: str, beside: Path | None
+) -> tuple[Mapping[str, object], list[CrankorderError]]:
     """``table`` of an engine file with the curve of its gas read from the CSV file that ``[gas] file`` names.
 
     ``name`` and ``beside``: as the engine was asked for; the CSV file is looked for beside the engine file.
@@ -385,16 +385,16 @@ def with_gas_file(
     if not isinstance(gas, dict) or not isinstance(gas.get("file"), str):
         return table, []
     try:
-        return {**table, "gas": {**gas, **_gas_of_file(gas, name, beside)}}, []
+        return {**table, "gas": {**gas, **_gas_of_file(gas["file"], gas, name, beside)}}, []
     except RequestError as error:
         in_its_place = {} if {*GAS_COLUMNS} & gas.keys() else {"crank_angle_deg": [0, 180], "pressure_pa": [1e5, 1e5]}
         return {**table, "gas": {**gas, **in_its_place}}, [error]
 
 
-def _gas_of_file(gas: Mapping[str, Any], name: str, beside: Path | None) -> dict[str, list[float]]:
+def _gas_of_file(file: str, gas: Collection[str], name: str, beside: Path | None) -> dict[str, list[float]]:
     candidates = [Path(name)] if beside is None else [beside / name, beside / f"{name}.toml", Path(name)]
     folder = next((path.parent for path in candidates if path.is_file()), Path())
-    path = folder / gas["file"]
+    path = folder / file
     taken = {key for key in GAS_COLUMNS if key in gas}
     if taken:
         found = ", ".join(sorted(taken))
@@ -422,8 +422,8 @@ def load_engine(name: str, beside: Path | None = None) -> Engine:
     Raises RequestError where there is no such file or it holds another kind of engine, ManyErrors with every fault of
     its content. A table ``[balance]`` is left to ``crankorder.engine.balance_data``.
     """
-    table, source = toml_table(name, "engines", beside=beside)
-    table, of_gas = with_gas_file(table, name, beside)
+    stated, source = toml_table(name, "engines", beside=beside)
+    table, of_gas = with_gas_file(stated, name, beside)
     if "kind" in table:
         problem = "not an engine of cranks, rods and cylinders"
         raise RequestError(problem, file=source, place="kind", found=table["kind"])

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, get_args
+from typing import TypeVar, get_args
 
 import numpy as np
 
 from crankorder.engine.elastic_hinge import (
+    Angles,
     Joint,
     PinHinge,
     Weight,
@@ -38,6 +39,7 @@ from crankorder.engine.hinged_crank import (
     torque_harmonics,
 )
 from crankorder.errors import RequestError
+from crankorder.records import Record, said
 
 TABLE_STEPS = 36
 """Rows of a hinge's characteristic in the sheet: every 10° of its own angle."""
@@ -48,46 +50,136 @@ ROUND_OFF = 1e-12
 CRANK_ENGINE_PARTS = ("lambda", "harmonics", "force_g_mm", "strategies", "shafts", "crankshaft")
 """What every balance document names and an engine with elastic hinges does not have; each mechanism has its own λ."""
 
+GUIDE_STEPS = 20 * TABLE_STEPS
+"""Rows from which guides are cut: half a degree."""
+
 _ANGLES = np.arange(1440) / 1440
+JOINTS: tuple[Joint, ...] = get_args(Joint)
+T = TypeVar("T")
 
 
-def hinge_sheet(engine: HingedEngine, *, max_order: int, speeds_rpm: Sequence[float] | None = None) -> dict[str, Any]:
-    """Torque, hinge moments, side forces and solutions as one document of plain numbers, lists and texts.
+class TorqueExtremum(Record):
+    """A crank angle at which the torque is stationary."""
 
-    A solution that does not exist is None, and so are the parts of a crank engine. ``engine``: torque curve and
-    mechanisms. ``max_order``: highest harmonic of the torque, ≥ 1. ``speeds_rpm``: crank speeds, > 0; those of each
-    mechanism where left out.
-    Raises RequestError where a mechanism has no speed.
+    crank_angle_deg: float = said("crank angle, degrees")
+    torque_nm: float = said("torque there, N·m")
+
+
+class TorqueSummary(Record):
+    """Torque on the crank."""
+
+    mean_nm: float = said("mean, N·m")
+    work_per_rev_j: float = said("work per revolution, J")
+    extrema: tuple[TorqueExtremum, ...] = said("largest and smallest torques")
+    harmonics_nm: dict[str, float] = said("amplitude by order, N·m")
+
+
+class Solutions(Record):
+    """Weights that solve one problem of a mechanism each; null where there is no solution."""
+
+    weight_without_side_force: dict[Weight, dict[str, float | None]] = said("weight by kind of hinge, N")
+    crank_counterweight_n: float | None = said("counterweight of equation (12), N")
+    balanced: dict[str, float] | None = said("counterweights of equation (13), N")
+
+
+class Characteristic(Record):
+    """Moment and work of a hinge over its own angle."""
+
+    speed_rpm: float = said("crank speed, rpm")
+    hinge_angle_deg: Angles = said("angle of the hinge, degrees")
+    crank_angle_deg: Angles = said("crank angle there, degrees")
+    moment_nm: Angles = said("moment of the hinge, N·m")
+    work_j: Angles = said("work that the hinge has given since angle zero, J")
+
+
+class AirSpring(Record):
+    """An air spring at another speed than its guides are cut for."""
+
+    joint: Joint = said("hinge")
+    designed_speed_rpm: float = said("crank speed that the guides are cut for, rpm")
+    speed_rpm: float = said("other crank speed, rpm")
+    pressure_ratio: float = said("charge pressure over that of the designed speed")
+    residual_share: float = said("moment that it lacks over the moment needed, rms")
+    speed_fluctuation: float = said("(fastest − slowest) / mean crank speed that this makes")
+
+
+class GuideShape(Record):
+    """Spring and guides of a hinge over its own angle."""
+
+    speed_rpm: float = said("crank speed, rpm")
+    stiffness_n_per_m: float = said("stiffness of the spring, N/m")
+    steepest_deg: float = said("largest angle between the force on a roller and the spring, degrees")
+    undercut: bool = said("whether a guide is curved more sharply than its roller")
+    hinge_angle_deg: Angles = said("angle of the hinge, degrees")
+    length_m: Angles = said("length of the spring, m")
+    surfaces: dict[str, Angles] = said("places of both guides from the axis of the hinge, m", spread=True)
+
+
+class Mechanism(Record):
+    """A crank mechanism with elastic hinges: what they must give, and what to choose."""
+
+    name: str = said("name")
+    crank_ratio: float = said("crank radius over rod length", key="lambda")
+    static_moment_nm: float = said("static moment G, N·m")
+    weight_moment_nm: float = said("moment of the weights, N·m")
+    mean_gas_moment_nm: float = said("mean moment of the gas about the crank pin, N·m")
+    shaking_force_kg_m: dict[str, float] = said("largest force by direction, kg·m over ω²")
+    side_force_without_hinge_n: dict[str, float] = said("largest side force on the piston by speed, N")
+    curves: dict[str, dict[str, Angles]] = said("hinge moments (N·m) and side forces (N) by speed and name")
+    side_force_n: dict[PinHinge, float] = said("largest side force that each kind of hinge leaves, N")
+    work_j: dict[PinHinge, dict[Joint, float]] = said("work per revolution by kind of hinge and joint, J")
+    solutions: Solutions = said("weights to choose")
+    characteristic: dict[Joint, Characteristic] = said("moment over the hinge's angle, at the highest speed")
+    air_spring: tuple[AirSpring, ...] = said("air springs at other speeds")
+    guides: dict[Joint, GuideShape | None] = said("guides of each hinge that the file states them for")
+
+
+class HingeSheet(Record):
+    """Torque, hinge moments, side forces and solutions of an engine with elastic hinges."""
+
+    engine: str = said("title of the engine")
+    kind: str = said("elastic-hinge")
+    crank_engine: dict[str, None] = said("parts of a crank engine, which it does not have", spread=True)
+    torque: TorqueSummary = said("torque on the crank")
+    mechanisms: tuple[Mechanism, ...] = said("mechanisms that this torque drives")
+    notes: tuple[str, ...] = said("what was assumed")
+    sentences: tuple[str, ...] = said("what remains")
+
+
+def hinge_sheet(engine: HingedEngine, *, max_order: int, speeds_rpm: Sequence[float] | None = None) -> HingeSheet:
+    """Torque, hinge moments, side forces and solutions of an engine with elastic hinges.
+
+    ``engine``: torque curve and mechanisms. ``max_order``: highest harmonic of the torque, ≥ 1. ``speeds_rpm``: crank
+    speeds, > 0; those of each mechanism where left out. Raises RequestError where a mechanism has no speed.
     """
-    mechanisms = [_mechanism(one, engine.curve, speeds_rpm) for one in engine.mechanisms]
-    slender = any(one.rod_inertia_kg_m2 is None for one in engine.mechanisms)
-    return {
-        "engine": engine.title,
-        "kind": engine.kind,
-        **dict.fromkeys(CRANK_ENGINE_PARTS),
-        "torque": _torque(engine.curve, max_order),
-        "mechanisms": mechanisms,
-        "notes": ["Rods without a stated moment of inertia are taken as uniform and slender."] if slender else [],
-        "sentences": [_sentence(one) for one in mechanisms],
-    }
+    mechanisms = tuple(_mechanism(data, engine.curve, speeds_rpm) for data in engine.mechanisms)
+    slender = any(data.rod_inertia_kg_m2 is None for data in engine.mechanisms)
+    return HingeSheet(
+        engine=engine.title,
+        kind=engine.kind,
+        crank_engine=dict.fromkeys(CRANK_ENGINE_PARTS),
+        torque=_torque(engine.curve, max_order),
+        mechanisms=mechanisms,
+        notes=("Rods without a stated moment of inertia are taken as uniform and slender.",) if slender else (),
+        sentences=tuple(map(_sentence, mechanisms)),
+    )
 
 
-def _torque(curve: CrankTorque, max_order: int) -> dict[str, Any]:
-    angles, torques = torque_extrema(curve)
+def _torque(curve: CrankTorque, max_order: int) -> TorqueSummary:
     orders = np.arange(1, max_order + 1)
     amplitudes = np.abs(torque_harmonics(orders, curve))
-    return {
-        "mean_nm": curve.mean_nm,
-        "work_per_rev_j": curve.work_per_rev_j,
-        "extrema": [
-            {"crank_angle_deg": float(360 * angle), "torque_nm": float(torque)}
-            for angle, torque in zip(angles, torques, strict=True)
-        ],
-        "harmonics_nm": {str(order): float(value) for order, value in zip(orders, amplitudes, strict=True)},
-    }
+    return TorqueSummary(
+        mean_nm=curve.mean_nm,
+        work_per_rev_j=curve.work_per_rev_j,
+        extrema=tuple(
+            TorqueExtremum(crank_angle_deg=float(360 * angle), torque_nm=float(torque))
+            for angle, torque in zip(*torque_extrema(curve), strict=True)
+        ),
+        harmonics_nm={str(order): float(value) for order, value in zip(orders, amplitudes, strict=True)},
+    )
 
 
-def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[float] | None) -> dict[str, Any]:
+def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[float] | None) -> Mechanism:
     crank = data.crank
     speeds = tuple(speeds_rpm or data.speeds_rpm)
     if not speeds or not all(math.isfinite(speed) and speed > 0 for speed in speeds):
@@ -97,138 +189,130 @@ def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[f
     along, across = (_largest(force) for force in shaking_force(_ANGLES, crank))
     balanced = max(along, across) < ROUND_OFF * sum(mass * crank.rod_length_m for mass, _ in crank.rod_points)
     kinds: tuple[PinHinge, ...] = get_args(PinHinge)
-    return {
-        "name": data.name,
-        "lambda": crank.mechanism.crank_ratio,
-        "static_moment_nm": crank.static_moment_nm,
-        "weight_moment_nm": weight_moment(crank),
-        "mean_gas_moment_nm": mean_gas_moment(crank, curve),
-        "shaking_force_kg_m": {"x": 0.0, "y": 0.0} if balanced else {"x": along, "y": across},
-        "side_force_without_hinge_n": {
+    return Mechanism(
+        name=data.name,
+        crank_ratio=crank.mechanism.crank_ratio,
+        static_moment_nm=crank.static_moment_nm,
+        weight_moment_nm=weight_moment(crank),
+        mean_gas_moment_nm=mean_gas_moment(crank, curve),
+        shaking_force_kg_m={"x": 0.0, "y": 0.0} if balanced else {"x": along, "y": across},
+        side_force_without_hinge_n={
             str(round(speed, 6)): _largest(side_force_without_hinge(_ANGLES, crank, curve, speed_rpm=speed))
             for speed in speeds
         },
-        "curves": {str(round(speed, 6)): _curves(crank, curve, speed) for speed in speeds},
-        "side_force_n": {kind: _largest(side_force(_ANGLES, crank, curve, pin_hinge=kind)) for kind in kinds},
-        "work_j": {
+        curves={str(round(speed, 6)): _curves(crank, curve, speed) for speed in speeds},
+        side_force_n={kind: _largest(side_force(_ANGLES, crank, curve, pin_hinge=kind)) for kind in kinds},
+        work_j={
             kind: {
                 "pin": pin_hinge_work(crank, curve, pin_hinge=kind),
                 "strut": strut_hinge_work(crank, curve, pin_hinge=kind),
             }
             for kind in kinds
         },
-        "solutions": _solutions(crank, curve),
-        "characteristic": {joint: _characteristic(crank, curve, joint, max(speeds)) for joint in get_args(Joint)},
-        "air_spring": _air_spring(crank, curve, speeds),
-        "guides": {
-            joint: _guides(crank, curve, joint, max(speeds), guides)
-            for joint, guides in zip(get_args(Joint), (data.pin_guides, data.strut_guides), strict=True)
+        solutions=_solutions(crank, curve),
+        characteristic={joint: _characteristic(crank, curve, joint, max(speeds)) for joint in JOINTS},
+        air_spring=_air_springs(crank, curve, speeds),
+        guides={
+            joint: None if guides is None else _guides(crank, curve, joint, max(speeds), guides)
+            for joint, guides in zip(JOINTS, (data.pin_guides, data.strut_guides), strict=True)
         },
-    }
+    )
 
 
-def _curves(crank: HingedCrank, curve: CrankTorque, speed_rpm: float) -> dict[str, list[float]]:
+def _curves(crank: HingedCrank, curve: CrankTorque, speed_rpm: float) -> dict[str, Angles]:
     """Figure 3: M12 by (4), by (6) and of a spring, R430 and R43 by (7), every 10° of crank angle."""
     angles = np.arange(TABLE_STEPS + 1) / TABLE_STEPS
     return {
-        "crank_angle_deg": (360 * angles).tolist(),
+        "crank_angle_deg": 360 * angles,
         **{
-            f"m12_{kind}_nm": hinge_moment(angles, crank, curve, speed_rpm=speed_rpm, pin_hinge=kind).tolist()
+            f"m12_{kind}_nm": hinge_moment(angles, crank, curve, speed_rpm=speed_rpm, pin_hinge=kind)
             for kind in get_args(PinHinge)
         },
-        "r430_n": side_force_without_hinge(angles, crank, curve, speed_rpm=speed_rpm).tolist(),
-        "r43_printed_n": side_force(angles, crank, curve, pin_hinge="printed").tolist(),
+        "r430_n": side_force_without_hinge(angles, crank, curve, speed_rpm=speed_rpm),
+        "r43_printed_n": side_force(angles, crank, curve, pin_hinge="printed"),
     }
 
 
-GUIDE_STEPS = 20 * TABLE_STEPS
-"""Rows from which guides are cut: half a degree."""
-
-
-def _guides(
-    crank: HingedCrank, curve: CrankTorque, joint: Joint, speed_rpm: float, data: GuideData | None
-) -> dict[str, Any] | None:
-    if data is None:
-        return None
-    found = hinge_guides(hinge_table(crank, curve, joint=joint, speed_rpm=speed_rpm, n_steps=GUIDE_STEPS), data)
+def _guides(crank: HingedCrank, curve: CrankTorque, joint: Joint, speed_rpm: float, data: GuideData) -> GuideShape:
+    guides = hinge_guides(hinge_table(crank, curve, joint=joint, speed_rpm=speed_rpm, n_steps=GUIDE_STEPS), data)
     rows = slice(None, None, GUIDE_STEPS // TABLE_STEPS)
-    return {
-        "speed_rpm": speed_rpm,
-        "stiffness_n_per_m": found.stiffness_n_per_m,
-        "steepest_deg": found.steepest_deg,
-        "undercut": found.undercut,
-        "hinge_angle_deg": (360 * found.hinge_angle_rev[rows]).tolist(),
-        "length_m": found.length_m[rows].tolist(),
-        **{
-            f"{side}_{axis}_m": part[rows].tolist()
-            for side, surface in (("outer", found.outer_m), ("inner", found.inner_m))
+    return GuideShape(
+        speed_rpm=speed_rpm,
+        stiffness_n_per_m=guides.stiffness_n_per_m,
+        steepest_deg=guides.steepest_deg,
+        undercut=guides.undercut,
+        hinge_angle_deg=360 * guides.hinge_angle_rev[rows],
+        length_m=guides.length_m[rows],
+        surfaces={
+            f"{side}_{axis}_m": part[rows]
+            for side, surface in (("outer", guides.outer_m), ("inner", guides.inner_m))
             for axis, part in (("x", surface.real), ("y", surface.imag))
         },
-    }
+    )
 
 
-def _largest(values: Any) -> float:
+def _largest(values: Angles) -> float:
     return float(np.abs(values).max())
 
 
-def _solutions(crank: HingedCrank, curve: CrankTorque) -> dict[str, Any]:
+def _solutions(crank: HingedCrank, curve: CrankTorque) -> Solutions:
     """Weights without side force by kind of hinge, the counterweight of equation (12), those of equation (13)."""
-    weights: dict[str, dict[str, Any]] = {weight: {} for weight in get_args(Weight)}
-    for weight, by_hinge in weights.items():
-        solve = partial(_found, weight_without_side_force, crank, curve, weight=weight)
-        by_hinge["potential"] = solve(pin_hinge="potential")
-        by_hinge["printed"] = solve(pin_hinge="printed")
-        by_hinge["printed_truncated"] = solve(pin_hinge="printed", kinematics="truncated")
-    both = _found(balanced_crank, crank)
-    return {
-        "weight_without_side_force": weights,
-        "crank_counterweight_n": _found(vertical_counterweight, crank),
-        "balanced": both
-        and {
-            "rod_counterweight_n": both.rod_counterweight_n,
-            "crank_counterweight_n": both.crank_counterweight_n,
-        },
-    }
+    weights: dict[Weight, dict[str, float | None]] = {}
+    for weight in get_args(Weight):
+        solve = partial(weight_without_side_force, crank, curve, weight=weight)
+        weights[weight] = {
+            "potential": _solution(partial(solve, pin_hinge="potential")),
+            "printed": _solution(partial(solve, pin_hinge="printed")),
+            "printed_truncated": _solution(partial(solve, pin_hinge="printed", kinematics="truncated")),
+        }
+    both = _solution(partial(balanced_crank, crank))
+    names = ("rod_counterweight_n", "crank_counterweight_n")
+    return Solutions(
+        weight_without_side_force=weights,
+        crank_counterweight_n=_solution(partial(vertical_counterweight, crank)),
+        balanced=None if both is None else {name: getattr(both, name) for name in names},
+    )
 
 
-def _found(solve: Callable[..., Any], *data: Any, **choices: Any) -> Any:
-    """What ``solve`` finds of ``data``, None where there is no solution."""
+def _solution(solve: Callable[[], T]) -> T | None:
+    """What ``solve`` returns, None where there is no solution."""
     try:
-        return solve(*data, **choices)
+        return solve()
     except RequestError:
         return None
 
 
-def _characteristic(crank: HingedCrank, curve: CrankTorque, joint: Joint, speed_rpm: float) -> dict[str, Any]:
+def _characteristic(crank: HingedCrank, curve: CrankTorque, joint: Joint, speed_rpm: float) -> Characteristic:
     table = hinge_table(crank, curve, joint=joint, speed_rpm=speed_rpm, n_steps=TABLE_STEPS)
     dust = ROUND_OFF * np.abs(table.work_j).max()
-    return {
-        "speed_rpm": speed_rpm,
-        "hinge_angle_deg": (360 * table.hinge_angle_rev).tolist(),
-        "crank_angle_deg": (360 * table.crank_angle_rev).tolist(),
-        "moment_nm": table.moment_nm.tolist(),
-        "work_j": np.where(np.abs(table.work_j) > dust, table.work_j, 0.0).tolist(),
-    }
+    return Characteristic(
+        speed_rpm=speed_rpm,
+        hinge_angle_deg=360 * table.hinge_angle_rev,
+        crank_angle_deg=360 * table.crank_angle_rev,
+        moment_nm=table.moment_nm,
+        work_j=np.where(np.abs(table.work_j) > dust, table.work_j, 0.0),
+    )
 
 
-def _air_spring(crank: HingedCrank, curve: CrankTorque, speeds: Sequence[float]) -> list[dict[str, Any]]:
+def _air_springs(crank: HingedCrank, curve: CrankTorque, speeds: Sequence[float]) -> tuple[AirSpring, ...]:
     """Pressure ratios between the first speed, that the guides are cut for, and each other."""
-    made = []
-    for joint in get_args(Joint):
+    springs, names = [], ("pressure_ratio", "residual_share", "speed_fluctuation")
+    for joint in JOINTS:
         for speed in speeds[1:]:
-            run = {"joint": joint, "designed_speed_rpm": speeds[0], "speed_rpm": speed}
-            change = _found(air_spring_pressure, crank, curve, **run)
+            solve = partial(air_spring_pressure, joint=joint, designed_speed_rpm=speeds[0], speed_rpm=speed)
+            change = _solution(partial(solve, crank, curve))
             if change is not None:
-                results = ("pressure_ratio", "residual_share", "speed_fluctuation")
-                made.append({**run, **{name: getattr(change, name) for name in results}})
-    return made
+                results = {name: getattr(change, name) for name in names}
+                springs.append(AirSpring(**solve.keywords, **results))
+    return tuple(springs)
 
 
-def _sentence(one: dict[str, Any]) -> str:
-    speed, without = max(one["side_force_without_hinge_n"].items(), key=lambda item: float(item[0]))
-    left, printed = one["side_force_n"]["potential"], one["side_force_n"]["printed"]
+def _sentence(mechanism: Mechanism) -> str:
+    without = mechanism.side_force_without_hinge_n
+    speed = max(without, key=float)
+    left, printed = mechanism.side_force_n["potential"], mechanism.side_force_n["printed"]
     text = (
-        f"{one['name']}: without a hinge the piston is pressed against its wall with up to {without:.4g} N at "
-        f"{float(speed):.4g} rpm; a hinge that can be a spring leaves {left:.4g} N at every speed"
+        f"{mechanism.name}: without a hinge the piston is pressed against its wall with up to {without[speed]:.4g} N "
+        f"at {float(speed):.4g} rpm; a hinge that can be a spring leaves {left:.4g} N at every speed"
     )
     return f"{text} (one after equation (6), whose work is not zero, {printed:.4g} N)."

@@ -1,18 +1,23 @@
-"""Crank webs and balance shafts for engines of several cylinders, sized for force and couple together."""
+"""Force and moments of a whole engine by order, and crank webs and balance shafts sized for both together."""
 
 from __future__ import annotations
 
+import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from crankorder.engine.balance_data import Amounts, BalancedEngine, newton, speed_key
 from crankorder.engine.balancing import OrderForce
 from crankorder.engine.definition import BalanceShafts, Engine, SingleShaft, Weight
-from crankorder.engine.forces import CANCELLED, X, Z, crankcase_forces, crankcase_moments
+from crankorder.engine.forces import CANCELLED, DIRECTIONS, X, Z, crankcase_forces, crankcase_moments
 from crankorder.engine.harmonics import acceleration_harmonics
+from crankorder.engine.tolerance_study import SeriesResiduals, series_residuals
+from crankorder.errors import plain_number
+from crankorder.records import Record, said
 
 ONE_RADIAN_PER_S_RPM = 30 / math.pi
 NOTHING = 1e-12
@@ -46,12 +51,11 @@ class Design:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class PrimaryShares:
-    """Share of order 1 that counterweights on the crank can take, of its largest force and couple; None without any."""
+class PrimaryShares(Record):
+    """Share of order 1 that counterweights on the crank can take."""
 
-    force: float | None
-    couple: float | None
+    force: float | None = said("of its largest force; null without any")
+    couple: float | None = said("of its largest couple; null without any")
 
 
 def order_motions(engine: Engine, max_order: int) -> tuple[OrderMotion, ...]:
@@ -207,3 +211,236 @@ def reach_g_mm2(engine: Engine, max_order: int) -> NDArray[np.float64]:
     reach: NDArray[np.float64] = 1e3 * lever_m * _terms_g_mm(engine, max_order)
     reach[1:] = np.maximum(reach[1:], NOTHING * reach[1:].max())
     return reach
+
+
+ByAxis = dict[str, Amounts | None]
+"""Amounts by axis; None for an axis that has none."""
+
+MOMENT_AXES = {"about_x": "Z", "about_y": "X", "about_crankshaft": "Y"}
+"""Axes that moments are named for in a balance sheet, and the engine's direction that each of them is."""
+ALIGNED_SHARE = 1e-9
+"""A moment below this share of the largest is not told of in a sentence."""
+
+
+def whole_force(engine: Engine, max_order: int) -> tuple[OrderForce, ...]:
+    """Force of the whole ``engine`` over ω² of orders 1 … ``max_order``, without those that cancel."""
+    forces = (motion.force for motion in order_motions(engine, max_order))
+    return tuple(force for force in forces if force.rotation != "none")
+
+
+def by_axis(forces: Iterable[OrderForce], number: Callable[[complex], float] = abs) -> ByAxis:
+    """Amplitudes (g·mm over ω²) of ``forces`` by axis and order; None for an axis that has none.
+
+    ``number``: what is told of each complex amplitude. With :func:`degrees_of` it is the phase: order k is
+    amplitude · cos(k φ + phase), φ the crank angle.
+    """
+    every = tuple(forces)
+    along = {f"{force.order:g}": number(force.x_g_mm) for force in every if force.x_g_mm}
+    across = {f"{force.order:g}": number(force.y_g_mm) for force in every if force.y_g_mm}
+    return {"x": along or None, "y": across or None}
+
+
+def whole_moments(
+    engine: Engine, max_order: int, number: Callable[[complex], float] = lambda moment: abs(1e9 * moment)
+) -> ByAxis:
+    """Moments (g·mm² over ω²) of ``engine`` by order 1 … ``max_order`` about Z, X and the crankshaft.
+
+    None for an axis about which there is none. ``number``: what is stated of each complex amplitude (kg·m²), as for
+    :func:`by_axis`.
+    """
+    moments = crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order)
+    least = NOTHING * reach_g_mm2(engine, max_order)
+    tables: ByAxis = {}
+    for name, axis in MOMENT_AXES.items():
+        by_order = [complex(moment) for moment in moments[DIRECTIONS.index(axis)]]
+        orders = [k for k in range(1, max_order + 1) if abs(1e9 * by_order[k]) > least[k]]
+        tables[name] = {str(k): number(by_order[k]) for k in orders} or None
+    return tables
+
+
+def degrees_of(amplitude: complex) -> float:
+    """Phase of ``amplitude`` in degrees, above −180 and up to 180."""
+    found = math.degrees(cmath.phase(amplitude))
+    return 180.0 if found == -180.0 else found + 0.0
+
+
+class Residual(Record):
+    """Force and moment that remain, by axis and order."""
+
+    force_g_mm: ByAxis = said("amplitude of the force, g·mm over ω²", key="residual_g_mm")
+    phase_deg: ByAxis | None = said(
+        "phase of the force, degrees", key="residual_phase_deg", left_out=True, default=None
+    )
+    moment_g_mm2: ByAxis | None = said(
+        "amplitude of the moment, g·mm² over ω²", key="residual_moment_g_mm2", left_out=True, default=None
+    )
+
+
+class PlacedWeight(Record):
+    """A weight of a crank web or a balance shaft."""
+
+    unbalance_g_mm: float = said("mass times radius, g·mm")
+    angle_deg: float = said("its heavy side at crank angle 0, degrees from Z towards X")
+    position_mm: float = said("place along the crankshaft, mm")
+
+
+class DesignedShaft(Record):
+    """A balance shaft of a design."""
+
+    speed_ratio: int = said("speed over crank speed, below zero against the crank")
+    weights: tuple[PlacedWeight, ...] = said("its weights")
+
+
+class DesignLayout(Record):
+    """Crank webs and balance shafts of a design, and what they leave."""
+
+    webs: tuple[PlacedWeight, ...] = said("counterweights on the crank webs")
+    shafts: tuple[DesignedShaft, ...] = said("balance shafts")
+    left: Residual = said("what remains", spread=True)
+
+
+class DesignBalance(Record):
+    """Designs of crank webs and balance shafts for an engine of several cylinders."""
+
+    planes_mm: tuple[float, ...] = said("planes of the weights along the crankshaft, mm")
+    primary_share: PrimaryShares = said("share of order 1 of the pistons that crank webs can take")
+    throw_counterweights: tuple[PlacedWeight, ...] = said("counterweight of each throw in its own plane")
+    roll_height_mm: float | None = said("how much higher the second-order shaft with the crank must sit, mm")
+    layouts: dict[str, DesignLayout] = said("designs by name, each one beyond the one before")
+
+
+def design_balance(subject: BalancedEngine, max_order: int) -> DesignBalance:
+    """Crank webs and shafts for the engine of ``subject`` without its own shafts, and what each design leaves.
+
+    ``max_order``: highest order of what is left.
+    """
+    engine, height = subject.engine, roll_height_m(subject.engine, 2)
+
+    def layout(design: Design) -> DesignLayout:
+        left = design.on(engine)
+        force, moment = by_axis(whole_force(left, max_order)), whole_moments(left, max_order)
+        shafts = (
+            DesignedShaft(speed_ratio=shaft.speed_ratio, weights=_placed(shaft.weights)) for shaft in design.shafts
+        )
+        residual = Residual(force_g_mm=force, moment_g_mm2=moment)
+        return DesignLayout(webs=_placed(design.webs), shafts=tuple(shafts), left=residual)
+
+    return DesignBalance(
+        planes_mm=tuple(1e3 * place for place in _planes_m(subject)),
+        primary_share=primary_shares(engine),
+        throw_counterweights=_placed(throw_counterweights(engine)),
+        roll_height_mm=None if height is None else 1e3 * height,
+        layouts={design.name: layout(design) for design in designs_for(subject)},
+    )
+
+
+def designs_for(subject: BalancedEngine) -> tuple[Design, ...]:
+    """Crank webs and shafts for the orders and planes that the engine file of ``subject`` asks for."""
+    orders = sorted(set(subject.balance.design_orders))
+    return designs(subject.engine, orders=orders, planes_m=_planes_m(subject), max_order=max([1, *orders]))
+
+
+def tolerance_of(subject: BalancedEngine, max_order: int) -> SeriesResiduals | None:
+    """Study of the tolerances that the file of ``subject`` states: of its own shafts, else of the last design.
+
+    None where it states none. ``max_order``: of the tables.
+    """
+    tolerances, engine = subject.balance.tolerances, subject.engine
+    if tolerances is None:
+        return None
+    designed = () if engine.shafts.every_order or len(engine.cylinders) == 1 else designs_for(subject)
+    studied = designed[-1].on(engine) if designed else engine
+    of = designed[-1].name if designed else "own" if engine.shafts.every_order else "none"
+    return series_residuals(studied, tolerances, max_order=max([max_order, *studied.shafts.every_order]), of=of)
+
+
+def _planes_m(subject: BalancedEngine) -> tuple[float, float]:
+    places = [cylinder.position_m for cylinder in subject.engine.cylinders]
+    return subject.balance.design_planes_m or (min(places), max(places))
+
+
+def _placed(weights: Iterable[Weight]) -> tuple[PlacedWeight, ...]:
+    return tuple(
+        PlacedWeight(
+            unbalance_g_mm=weight.unbalance_g_mm, angle_deg=weight.angle_deg, position_mm=1e3 * weight.position_m
+        )
+        for weight in weights
+    )
+
+
+def moment_sentences(moments: ByAxis, speed_rpm: float, *, state: str = "") -> list[str]:
+    """What couples and roll moment are left, by order, with their size at ``speed_rpm``.
+
+    ``moments``: by axis and order, as :func:`whole_moments` gives them. ``state``: words that come first.
+    """
+    largest = max((size for orders in moments.values() for size in (orders or {}).values()), default=0.0)
+    sentences = []
+    for name, what in (
+        ("about_y", "a rocking couple about X"),
+        ("about_x", "a rocking couple about Z"),
+        ("about_crankshaft", "a roll moment of the masses about the crankshaft"),
+    ):
+        shown = [(order, size) for order, size in (moments.get(name) or {}).items() if size > ALIGNED_SHARE * largest]
+        top = sorted(sorted(shown, key=lambda line: -line[1])[:3], key=lambda line: float(line[0]))
+        if top:
+            couples = [(order, plain_number(1e-3 * newton(size, speed_rpm))) for order, size in top]
+            sizes = listed([f"{couple} N·m of order {order}" for order, couple in couples])
+            text = f"{state + ' ' if state else ''}{what} remains: {sizes} at {speed_key(speed_rpm)} rpm."
+            sentences.append(text[0].upper() + text[1:])
+    return sentences
+
+
+def design_sentences(design: DesignBalance, speed_rpm: float) -> list[str]:
+    """What crank webs can take of an engine of several cylinders, what shafts it needs, and what these leave.
+
+    ``design``: of the engine. ``speed_rpm``: at which sizes are named.
+    """
+    shares = {"force": design.primary_share.force, "couple": design.primary_share.couple}
+    sentences = [
+        f"Crank webs can take {plain_number(100 * share)} % of the primary {kind} of the pistons."
+        for kind, share in shares.items()
+        if share is not None
+    ]
+    for name, layout in design.layouts.items():
+        left = _left(layout.left, speed_rpm)
+        if name == "webs":
+            sentences.append(f"Counterweights on the crank webs alone leave {left}.")
+            continue
+        ratios = [f"{shaft.speed_ratio:+d}".replace("-", "−") for shaft in layout.shafts]
+        shafts = listed([f"at {ratio} times crank speed" for ratio in ratios])
+        webs = "with those counterweights " if layout.webs else ""
+        number, leave = ("one shaft", "leaves") if len(layout.shafts) == 1 else ("shafts", "leave")
+        text = f"{webs}{number} {shafts} {leave} {left}."
+        sentences.append(text[0].upper() + text[1:])
+    height = design.roll_height_mm
+    if height is not None and abs(height) > 1e-9:
+        where = "above" if height > 0 else "below"
+        sentences.append(
+            f"Where the second-order shaft that turns with the crank sits {plain_number(abs(height))} mm {where} the "
+            "other, the pair takes the second-order roll moment of the masses too."
+        )
+    return sentences
+
+
+def _left(residual: Residual, speed_rpm: float) -> str:
+    """The largest force and the largest couple that a design leaves, in words."""
+    parts, at = [], f"at {speed_key(speed_rpm)} rpm"
+    for axes, scale, unit, names, nothing in (
+        (residual.force_g_mm, 1.0, "N", {"x": "along Z", "y": "along X"}, "no force"),
+        (residual.moment_g_mm2 or {}, 1e-3, "N·m", {"about_y": "about X", "about_x": "about Z"}, "no rocking couple"),
+    ):
+        every = [(size, order, text) for axis, text in names.items() for order, size in (axes.get(axis) or {}).items()]
+        if every:
+            size, order, text = max(every)
+            amount = plain_number(scale * newton(size, speed_rpm))
+            parts.append(f"at most {amount} {unit} of order {order} {text} {at}")
+        else:
+            parts.append(nothing)
+    if parts == ["no force", "no rocking couple"]:
+        return "neither force nor rocking couple"
+    return " and ".join([parts[0].removesuffix(f" {at}") if parts[1].endswith(at) else parts[0], parts[1]])
+
+
+def listed(words: Sequence[str]) -> str:
+    """``words`` as one phrase: "a, b and c"."""
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import partial
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -90,28 +89,6 @@ class ShaftPairParts(EngineData):
     printed_needed_g_mm: Positive | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class PairScenario:
-    """A pair of stated unbalance against the force it was built for, both over ω² (g·mm).
-
-    ``residual_g_mm`` is positive where force remains and negative where the pair does too much.
-    """
-
-    pair_unbalance_g_mm: float
-    pair_force_g_mm: float
-    needed_force_g_mm: float
-
-    @property
-    def residual_g_mm(self) -> float:
-        """Force that remains, with sign."""
-        return self.needed_force_g_mm - self.pair_force_g_mm
-
-    @property
-    def overbalance(self) -> float:
-        """Force of the pair over the force needed; 1 is balance."""
-        return self.pair_force_g_mm / self.needed_force_g_mm
-
-
 def shaft_unbalance_g_mm(force_g_mm: float, *, order: float, shafts: int = 2) -> float:
     """Unbalance (g·mm) of each of the shafts that together make a force over ω² at an order.
 
@@ -191,23 +168,6 @@ def pair_rounding_g_mm(parts: Sequence[ShaftPart], *, mass_step_g: float = 0.1, 
     """
     one = sum(part.design_mass_g * length_step_mm / 2 + abs(part.centroid_mm) * mass_step_g / 2 for part in parts)
     return 2 * one
-
-
-def pair_scenarios(
-    *, pair_unbalance_g_mm: float, needed_force_g_mm: float, order: float
-) -> dict[Literal["literal", "physical"], PairScenario]:
-    """A pair's stated number read both ways: as its unbalance ("literal") and as its force ("physical").
-
-    ``pair_unbalance_g_mm``: the number that a document states for both shafts together. ``needed_force_g_mm``: force
-    over ω² that the pair was built for. ``order``: shaft speed over crank speed. A pair that turns ``order`` times as
-    fast makes order² times the force, so the number can only equal the needed force if order² is already in it.
-    Source: truth sheet 2.4 (the factor of four of table 3); Task 5, equation (5.28).
-    """
-    stated, scenario = pair_unbalance_g_mm, partial(PairScenario, needed_force_g_mm=needed_force_g_mm)
-    return {
-        "literal": scenario(pair_unbalance_g_mm=stated, pair_force_g_mm=order**2 * stated),
-        "physical": scenario(pair_unbalance_g_mm=stated / order**2, pair_force_g_mm=stated),
-    }
 
 
 Series = Literal["exact", "leading"]

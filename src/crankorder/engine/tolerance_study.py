@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from crankorder.engine.definition import BalanceShafts, Engine, EngineData, NonN
 from crankorder.engine.forces import Z, crankcase_forces
 from crankorder.engine.harmonics import Complex, acceleration_harmonics
 from crankorder.errors import plain_number
+from crankorder.records import Record, said
 
 Floats = NDArray[np.float64]
 Parts = NDArray[np.complex128]
@@ -85,11 +86,37 @@ def with_single_shafts(engine: Engine, max_order: int) -> Engine:
     return engine.model_copy(update={"shafts": BalanceShafts(single=(*single, *shafts.single))})
 
 
-def tolerance_table(engine: Engine, tolerances: BalanceTolerances, *, max_order: int) -> dict[str, Any]:
+Spread = dict[str, dict[str, float]]
+"""Quantiles of a series by order."""
+
+
+class Mistiming(Record):
+    """What remains where all balance shafts are late by one angle."""
+
+    deg: float = said("the angle, degrees")
+    orders: tuple[str, ...] = said("orders of the shafts")
+    force_g_mm: dict[str, float] = said("force by order, g·mm over ω²")
+    couple_g_mm2: dict[str, float] = said("couple by order, g·mm² over ω²")
+
+
+class SeriesResiduals(Record):
+    """Force and couple that a series of engines within tolerances leaves, and what one mistiming leaves."""
+
+    of: str = said("shafts that were studied: own, a design, or none", default="none")
+    samples: int = said("engines drawn")
+    seed: int = said("of the random numbers")
+    force_g_mm: Spread = said("quantiles of the force by order, g·mm over ω²")
+    couple_g_mm2: Spread = said("quantiles of the couple by order, g·mm² over ω²")
+    mistiming: Mistiming | None = said("of all shafts, where the file states one")
+
+
+def series_residuals(
+    engine: Engine, tolerances: BalanceTolerances, *, max_order: int, of: str = "none"
+) -> SeriesResiduals:
     """Force and couple that a series of engines leaves by order, and one stated mistiming.
 
     ``engine``: balanced, by its webs and shafts. ``tolerances``: of the series. ``max_order``: highest order, ≥ 1 and
-    not below any shaft's.
+    not below any shaft's. ``of``: name of the shafts.
     The residual of an order is the most of a turn: the large half axis of its ellipse.
     """
     studied = with_single_shafts(engine, max_order)
@@ -106,19 +133,17 @@ def tolerance_table(engine: Engine, tolerances: BalanceTolerances, *, max_order:
             for parts in _left(studied, still, shift, max_order)
         )
         turning = sorted({abs(shaft.speed_ratio) for shaft in studied.shafts.single})
-        late = {
-            "deg": tolerances.mistiming_deg,
-            "orders": [str(order) for order in turning],
-            "force_g_mm": of_force,
-            "couple_g_mm2": of_couple,
-        }
-    return {
-        "samples": tolerances.samples,
-        "seed": tolerances.seed,
-        "force_g_mm": _quantiles(force),
-        "couple_g_mm2": _quantiles(couple),
-        "mistiming": late,
-    }
+        late = Mistiming(
+            deg=tolerances.mistiming_deg, orders=tuple(map(str, turning)), force_g_mm=of_force, couple_g_mm2=of_couple
+        )
+    return SeriesResiduals(
+        of=of,
+        samples=tolerances.samples,
+        seed=tolerances.seed,
+        force_g_mm=_quantiles(force),
+        couple_g_mm2=_quantiles(couple),
+        mistiming=late,
+    )
 
 
 def _draw(engine: Engine, tolerances: BalanceTolerances) -> Errors:
@@ -187,7 +212,7 @@ def _most(parts: Parts) -> Floats:
     return most
 
 
-def _quantiles(parts: Parts) -> dict[str, dict[str, float]]:
+def _quantiles(parts: Parts) -> Spread:
     most = _most(parts)
     return {
         str(k): {name: float(np.quantile(most[:, k - 1], share)) for name, share in QUANTILES.items()}
@@ -195,47 +220,37 @@ def _quantiles(parts: Parts) -> dict[str, dict[str, float]]:
     }
 
 
-def tolerance_sentences(table: Mapping[str, Any], speed_rpm: float) -> list[str]:
+def tolerance_sentences(study: SeriesResiduals, speed_rpm: float) -> list[str]:
     """What a series leaves, and what one mistiming adds.
 
-    ``table``: as :func:`tolerance_table` makes it. ``speed_rpm``: at which couples are named, > 0.
+    ``study``: of the tolerances. ``speed_rpm``: at which couples are named, > 0.
     """
-    spread = table["force_g_mm"]
-    largest = _largest(spread)
-    widest = max(spread, key=lambda order: float(spread[order]["97.5 %"] - spread[order]["2.5 %"]))
+    spread, rocking = study.force_g_mm, study.couple_g_mm2
+    largest, worst = (max(left, key=lambda order: left[order]["95 %"]) for left in (spread, rocking))
+    widest = max(spread, key=lambda order: spread[order]["97.5 %"] - spread[order]["2.5 %"])
     of_largest = "their largest and the one that errors spread most" if largest == widest else "their largest"
-    drawn = f"Of {table['samples']} engines drawn within the tolerances"
+    drawn = f"Of {study.samples} engines drawn within the tolerances"
     if spread[largest]["95 %"] <= NO_FORCE_G_MM:
-        said = [f"{drawn} 95 % leave no force."]
+        sentences = [f"{drawn} 95 % leave no force."]
     else:
-        said = [f"{drawn} 95 % leave less than {_span(spread[largest])} of order {largest}, {of_largest}."]
+        sentences = [f"{drawn} 95 % leave less than {_span(spread[largest])} of order {largest}, {of_largest}."]
     if largest != widest and spread[widest]["95 %"] > NO_FORCE_G_MM:
-        said.append(f"Errors spread order {widest} most: 95 % leave less than {_span(spread[widest])} of it.")
+        sentences.append(f"Errors spread order {widest} most: 95 % leave less than {_span(spread[widest])} of it.")
     newton_metres = 1e-9 * (speed_rpm / ONE_RADIAN_PER_S_RPM) ** 2
-    rocking = table["couple_g_mm2"]
-    worst = _largest(rocking)
     if rocking[worst]["95 %"] > NO_COUPLE_G_MM2:
         couples = f"{plain_number(newton_metres * rocking[worst]['95 %'])} N·m of order {worst} at {speed_rpm:g} rpm"
-        said.append(f"95 % rock with a couple of less than {couples}, their largest.")
-    if table["mistiming"] is not None:
-        said.append(_of_mistiming(table["mistiming"], speed_rpm, newton_metres))
-    return said
-
-
-def _largest(spread: Mapping[str, Mapping[str, float]]) -> str:
-    """Order that most of a series leave most of."""
-    return max(spread, key=lambda order: float(spread[order]["95 %"]))
-
-
-def _of_mistiming(late: Mapping[str, Any], speed_rpm: float, newton_metres: float) -> str:
-    size, order = max((late["force_g_mm"][order], order) for order in late["orders"])
-    couple, rocking = max((late["couple_g_mm2"][order], order) for order in late["orders"])
+        sentences.append(f"95 % rock with a couple of less than {couples}, their largest.")
+    late = study.mistiming
+    if late is None:
+        return sentences
+    size, order = max((late.force_g_mm[order], order) for order in late.orders)
+    couple, rocked = max((late.couple_g_mm2[order], order) for order in late.orders)
     left = [f"{plain_number(size)} g·mm of order {order}"] if size > NO_FORCE_G_MM else []
     if couple > NO_COUPLE_G_MM2:
-        left.append(f"a couple of {plain_number(newton_metres * couple)} N·m of order {rocking} at {speed_rpm:g} rpm")
-    return f"All shafts late by {late['deg']:g}° leave {' and '.join(left) or 'nothing of their orders'}."
+        left.append(f"a couple of {plain_number(newton_metres * couple)} N·m of order {rocked} at {speed_rpm:g} rpm")
+    return [*sentences, f"All shafts late by {late.deg:g}° leave {' and '.join(left) or 'nothing of their orders'}."]
 
 
-def _span(one: Mapping[str, float]) -> str:
-    least, most = plain_number(one["2.5 %"]), plain_number(one["97.5 %"])
-    return f"{plain_number(one['95 %'])} g·mm (the middle 95 % between {least} and {most} g·mm)"
+def _span(quantiles: Mapping[str, float]) -> str:
+    least, most = plain_number(quantiles["2.5 %"]), plain_number(quantiles["97.5 %"])
+    return f"{plain_number(quantiles['95 %'])} g·mm (the middle 95 % between {least} and {most} g·mm)"

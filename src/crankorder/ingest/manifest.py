@@ -415,7 +415,7 @@ def manifest_of(table: dict[str, Any], path: Path, text: str = "") -> Manifest:
     return found
 
 
-def manifest_head(name: str, cycle: str, channels: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def manifest_head(name: str, cycle: str, channels: Sequence[Mapping[str, object]]) -> dict[str, Any]:
     """What every manifest states: the ``name`` of the test, its ``cycle`` and its ``channels``."""
     return {
         "schema_version": SCHEMA_VERSION,

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Collection, Iterable, Sequence
 
 from crankorder.errors import printable
 from crankorder.report.notation import number_text
@@ -90,13 +89,13 @@ def _blocks(columns: Sequence[list[str]], room: int) -> list[list[list[str]]]:
     return blocks
 
 
-def closing(head: str, sheet: Mapping[str, Any]) -> list[str]:
-    """Lines with the sentences of a balance ``sheet`` under ``head``, then its notes where it has any."""
+def closing(head: str, sentences: Iterable[str], notes: Collection[str]) -> list[str]:
+    """Lines with ``sentences`` under ``head``, then ``notes`` where there are any."""
     lines = [head]
-    for sentence in sheet["sentences"]:
+    for sentence in sentences:
         lines += paragraph(sentence, bullet="  * ")
-    if sheet["notes"]:
+    if notes:
         lines += ["", "Notes"]
-    for note in sheet["notes"]:
+    for note in notes:
         lines += paragraph(note, bullet="  * ")
     return lines

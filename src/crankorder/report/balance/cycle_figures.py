@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -12,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from crankorder.engine.balance_data import speed_key
-from crankorder.engine.cycle_tables import cycle_curves
+from crankorder.engine.cycle_tables import OrderTorque, TurningMoment, cycle_curves
 from crankorder.engine.definition import Engine
 from crankorder.plot.palette import FAINT, INK, LINES, SMALL, drawable
 from crankorder.plot.style import axes_at, house_style, new_figure, quiet_frame, title_lines, write
@@ -40,33 +39,35 @@ def cycle_dataset(engine: Engine, speeds_rpm: Sequence[float]) -> xr.Dataset:
     """
     every = cycle_curves(engine, speeds_rpm)
     first, turn = every[0], ("speed", "crank_angle")
-    made: dict[str, Any] = {
-        "gas_torque": (turn, np.stack([one.gas_n_m for one in every]), {"units": "N m"}),
-        "inertia_torque": (turn, np.stack([one.inertia_n_m for one in every]), {"units": "N m"}),
+    variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]] = {
+        "gas_torque": (turn, np.stack([curves.gas_n_m for curves in every]), {"units": "N m"}),
+        "inertia_torque": (turn, np.stack([curves.inertia_n_m for curves in every]), {"units": "N m"}),
     }
-    coords: dict[str, Any] = {
+    coords: dict[str, tuple[str, object, dict[str, str]] | list[str]] = {
         "speed": ("speed", np.asarray(speeds_rpm, dtype=np.float64), {"units": "min-1"}),
         "crank_angle": ("crank_angle", 360 * first.crank_angle_rev, {"units": "degree"}),
     }
     if first.loads:
         by_cylinder = ("speed", "cylinder", "crank_angle")
         thrust = np.stack([[load.side_thrust_n for load in one.loads] for one in every])
-        made["wall_load"] = (by_cylinder, thrust, {"units": "N", "long_name": "piston on its wall"})
+        variables["wall_load"] = (by_cylinder, thrust, {"units": "N", "long_name": "piston on its wall"})
         across = ("speed", "cylinder", "direction", "crank_angle")
         for name, pin in (("piston_pin_load", "piston_pin_n"), ("crank_pin_load", "crank_pin_n")):
             values = np.stack([[getattr(load, pin) for load in one.loads] for one in every])
-            made[name] = (across, values, {"units": "N", "long_name": "rod on pin"})
+            variables[name] = (across, values, {"units": "N", "long_name": "rod on pin"})
         coords["direction"] = ["along", "across"]
     if first.bearings_n is not None:
         values = np.stack([one.bearings_n[:, [0, 2]] for one in every if one.bearings_n is not None])
         about = {"units": "N", "long_name": "crankshaft on main bearing"}
-        made["main_bearing_load"] = (("speed", "bearing", "axis", "crank_angle"), values, about)
+        variables["main_bearing_load"] = (("speed", "bearing", "axis", "crank_angle"), values, about)
         coords["axis"] = ["x", "z"]
         coords["bearing"] = ("bearing", np.asarray(engine.main_bearings_m), {"units": "m"})
-    return xr.Dataset(made, coords=coords)
+    return xr.Dataset(variables, coords=coords)
 
 
-def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, settings: ReportSettings) -> Figure:
+def torque_figure(
+    cycle: xr.Dataset, turning: Mapping[str, TurningMoment], *, title: str, settings: ReportSettings
+) -> Figure:
     """Turning moment of gas and masses against crank angle at the highest speed, and both by order beside one another.
 
     ``cycle`` as :func:`cycle_dataset` makes it; ``turning`` by speed, of the balance sheet; ``title`` of the engine;
@@ -75,22 +76,24 @@ def torque_figure(cycle: xr.Dataset, turning: Mapping[str, Any], *, title: str, 
     with house_style():
         figure = new_figure(settings.width_in, settings.height_in)
         speed = float(cycle["speed"].values.max())
-        found = turning[speed_key(speed)]
+        moment = turning[speed_key(speed)]
         height = (settings.height_in - _TOP - _BOTTOM - _GAP) / 2
         width = settings.width_in - _LEFT - _RIGHT
         with_gas = bool(np.any(cycle["gas_torque"].sel(speed=speed).values))
-        _torque_curves(figure, (_LEFT, _BOTTOM + height + _GAP, width, height), cycle.sel(speed=speed), found, with_gas)
-        _order_bars(axes_at(figure, _LEFT, _BOTTOM, width, height), found["by_order"], with_gas=with_gas)
-        said = f"Torque on the crank at {speed_key(speed)} rpm, {number_text(found['least_n_m'])} to "
-        said += f"{number_text(found['peak_n_m'])} N·m"
-        said += "" if found["power_w"] is None else f"; mean {number_text(found['mean_n_m'])} N·m (dashed)"
-        swing = found["speed_fluctuation"]
+        _torque_curves(
+            figure, (_LEFT, _BOTTOM + height + _GAP, width, height), cycle.sel(speed=speed), moment, with_gas
+        )
+        _order_bars(axes_at(figure, _LEFT, _BOTTOM, width, height), moment.by_order, with_gas=with_gas)
+        said = f"Torque on the crank at {speed_key(speed)} rpm, {number_text(moment.least_n_m)} to "
+        said += f"{number_text(moment.peak_n_m)} N·m"
+        said += "" if moment.power_w is None else f"; mean {number_text(moment.mean_n_m)} N·m (dashed)"
+        swing = moment.speed_fluctuation
         said += "." if swing is None else f"; the speed swings by {number_text(100 * swing)} %."
         title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · turning moment", said)
         return figure
 
 
-def _torque_curves(figure: Figure, box: Box, shown: xr.Dataset, found: Mapping[str, Any], with_gas: bool) -> None:
+def _torque_curves(figure: Figure, box: Box, shown: xr.Dataset, moment: TurningMoment, with_gas: bool) -> None:
     axes = axes_at(figure, *box)
     quiet_frame(axes)
     gas, masses = shown["gas_torque"].values, shown["inertia_torque"].values
@@ -102,22 +105,22 @@ def _torque_curves(figure: Figure, box: Box, shown: xr.Dataset, found: Mapping[s
         width, above = (3.0, 1.9) if wide else (1.3, 2.0)
         axes.plot(shown["crank_angle"].values, values, color=color, linewidth=width, zorder=above)
     axes.axhline(0, color=FAINT, linewidth=0.8)
-    if found["power_w"] is not None:
-        axes.axhline(found["mean_n_m"], color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
+    if moment.power_w is not None:
+        axes.axhline(moment.mean_n_m, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
     _cycle_axis(axes, shown, "N·m")
     color_key(figure, box, [(name, color) for name, color, _ in entries])
 
 
-def _order_bars(axes: Axes, by_order: Mapping[str, Any], *, with_gas: bool) -> None:
+def _order_bars(axes: Axes, by_order: Mapping[str, OrderTorque], *, with_gas: bool) -> None:
     quiet_frame(axes)
     axes.grid(False, axis="x")
-    sizes = {order: max(one["gas_n_m"], one["inertia_n_m"]) for order, one in by_order.items()}
+    sizes = {order: torque.largest_n_m for order, torque in by_order.items()}
     largest = max(sizes.values(), default=0.0)
     orders = [order for order in by_order if sizes[order] > _SHOWN_SHARE * largest][:_MOST_ORDERS]
     places = np.arange(len(orders))
     kinds = [("gas_n_m", LINES[1]), ("inertia_n_m", LINES[0])] if with_gas else [("inertia_n_m", LINES[0])]
     for number, (key, color) in enumerate(kinds):
-        values = [by_order[order][key] for order in orders]
+        values = [getattr(by_order[order], key) for order in orders]
         beside = places + (number - (len(kinds) - 1) / 2) * 0.36
         axes.bar(beside, values, 0.33, color=color, gid=f"bars-{key}")
         for place, value in zip(beside, values, strict=True):

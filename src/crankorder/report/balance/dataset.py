@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
 
 from crankorder.engine.balance_data import BalancedEngine, reduced_masses
-from crankorder.engine.balance_sheet import POSSIBILITIES, STRATEGIES, plain_state
+from crankorder.engine.balance_sheet import POSSIBILITIES, STRATEGIES, BalanceSheet
 from crankorder.engine.balancing import OrderForce, balanced, force_by_order, polar_diagram, unbalance_force_n
 from crankorder.engine.definition import BalanceShafts, Engine
-from crankorder.engine.engine_tables import MOMENT_AXES, designs_for, whole_force, whole_moments
 from crankorder.engine.forces import DIRECTIONS, crankcase_moments
-from crankorder.engine.shaft_design import ONE_RADIAN_PER_S_RPM
+from crankorder.engine.shaft_design import MOMENT_AXES, ONE_RADIAN_PER_S_RPM, designs_for, whole_force, whole_moments
 from crankorder.engine.shafts import shaft_layout
 from crankorder.quantities import Complexes, Floats
 
@@ -38,7 +36,7 @@ _POINTS = 720  # half a degree; at high orders 16 points a cycle
 
 
 def balance_dataset(
-    subject: BalancedEngine, sheet: Mapping[str, Any], *, max_order: int, speeds_rpm: Sequence[float]
+    subject: BalancedEngine, sheet: BalanceSheet, *, max_order: int, speeds_rpm: Sequence[float]
 ) -> xr.Dataset:
     """Force by system, axis and order over ω², in N by speed, and as the curve that it draws during a revolution.
 
@@ -57,7 +55,7 @@ def balance_dataset(
     curves = np.stack([diagrams.real, diagrams.imag], axis=1)
     speeds = np.asarray(speeds_rpm, dtype=np.float64)
     newtons = unbalance_force_n(np.abs(force)[..., None], speeds)
-    shares = {int(order): share for order, share in sheet["harmonics"].items()}
+    shares = {int(order): share for order, share in sheet.harmonics.items()}
     on_crankcase = _about("amplitude of the force on the crankcase", "N")
     of_piston = _about("amplitude of the piston's acceleration over that of order 1", "1")
     dataset = xr.Dataset(
@@ -78,42 +76,41 @@ def balance_dataset(
             "harmonic_order": ("harmonic_order", np.array(list(shares), dtype=np.float64), _about("order", "1")),
         },
     )
-    state = plain_state(sheet)
-    dataset.attrs[PLAIN] = SYSTEMS["none"] if state == "with no balancing" else state
-    return dataset if sheet["strategies"] is not None else _with_moments(dataset, subject, sheet, max_order)
+    dataset.attrs[PLAIN] = sheet.plain_state if sheet.counterweights_in_file else SYSTEMS["none"]
+    return dataset if sheet.strategies is not None else _with_moments(dataset, subject, sheet, max_order)
 
 
-def forces_by_system(subject: BalancedEngine, sheet: Mapping[str, Any], *, max_order: int) -> dict[str, Forces]:
+def forces_by_system(subject: BalancedEngine, sheet: BalanceSheet, *, max_order: int) -> dict[str, Forces]:
     """Force by order that each system makes, by its name in :data:`SYSTEMS`, plain engine first.
 
     ``subject``: engine with its balance data. ``sheet``: its balance sheet, which says what systems it has.
     ``max_order``: highest order.
     """
-    if sheet["strategies"] is None:
+    if sheet.strategies is None:
         systems = {name: whole_force(one, max_order) for name, one in _designed(subject, sheet).items()}
     else:
         masses = reduced_masses(subject)
         systems = {"none": force_by_order(masses, max_order=max_order)}
         for strategy in STRATEGIES:
-            if sheet["strategies"][strategy] is not None:
+            if sheet.strategies[strategy] is not None:
                 systems[strategy] = force_by_order(balanced(masses, strategy), max_order=max_order)
         for possibility in POSSIBILITIES:
-            if sheet["shafts"][possibility] is not None:
+            if sheet.shafts.sets[possibility] is not None:
                 systems[possibility] = shaft_layout(masses, possibility, max_order=max_order).residual
-    if sheet["shafts"]["own"] is not None:
+    if sheet.shafts.own is not None:
         systems["own"] = whole_force(subject.engine, max_order)
     return systems
 
 
-def _designed(subject: BalancedEngine, sheet: Mapping[str, Any]) -> dict[str, Engine]:
+def _designed(subject: BalancedEngine, sheet: BalanceSheet) -> dict[str, Engine]:
     """An engine of several cylinders by system: without shafts, with each design, as it is."""
     engine = subject.engine
     made = {"none": engine.model_copy(update={"shafts": BalanceShafts()})}
     made |= {design.name: design.on(engine) for design in designs_for(subject)}
-    return made if sheet["shafts"]["own"] is None else {**made, "own": engine}
+    return made if sheet.shafts.own is None else {**made, "own": engine}
 
 
-def _with_moments(dataset: xr.Dataset, subject: BalancedEngine, sheet: Mapping[str, Any], max_order: int) -> xr.Dataset:
+def _with_moments(dataset: xr.Dataset, subject: BalancedEngine, sheet: BalanceSheet, max_order: int) -> xr.Dataset:
     """The dataset with the moments of several cylinders: of the engine without its shafts, and of every system."""
     systems = _designed(subject, sheet)
     moment = np.zeros((len(systems), len(MOMENT_AXES), max_order), dtype=complex)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import get_args
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -91,11 +91,11 @@ def _at_speed(panels: list[Axes], engine: HingedEngine, mechanism: HingedCrankDa
     color, crank, curve = LINES[number % len(LINES)], mechanism.crank, engine.curve
     force = side_force_without_hinge(_ANGLES, crank, curve, speed_rpm=speed)
     panels[1].plot(360 * _ANGLES, force, color=color, gid=f"side-force-{number}")
-    dashed: dict[str, Any] = {"linestyle": (0, (3, 2)), "linewidth": 2.2, "alpha": 0.6}
-    looks: dict[str, dict[str, Any]] = {"full": {}, "printed": dashed}
-    for kind, look in looks.items():
-        moment = hinge_moment(_ANGLES, crank, curve, speed_rpm=speed, pin_hinge=kind)  # type: ignore[arg-type]
-        panels[3].plot(360 * _ANGLES, moment, color=color, gid=f"m12-{kind}-{number}", **look)
+    moment = hinge_moment(_ANGLES, crank, curve, speed_rpm=speed, pin_hinge="full")
+    panels[3].plot(360 * _ANGLES, moment, color=color, gid=f"m12-full-{number}")
+    moment = hinge_moment(_ANGLES, crank, curve, speed_rpm=speed, pin_hinge="printed")
+    panels[3].plot(360 * _ANGLES, moment, color=color, gid=f"m12-printed-{number}", linestyle=(0, (3, 2)),
+                   linewidth=2.2, alpha=0.6)  # fmt: skip
     for axes, joint in zip(panels[4:], get_args(Joint), strict=True):
         table = hinge_table(crank, curve, joint=joint, speed_rpm=speed)
         axes.plot(360 * table.hinge_angle_rev, table.moment_nm, color=color, gid=f"{joint}-{number}")
@@ -175,9 +175,9 @@ def _draw_guides(axes: Axes, guides: Guides, data: GuideData) -> None:
     for row in (number * quarter + quarter // 3 for number in range(4)):
         ends = [path[row] for path in paths]
         _spring(axes, *ends)
-        look: dict[str, Any] = {"facecolor": "white", "edgecolor": LINES[1], "zorder": 4}
         for end in ends:
-            axes.add_patch(Circle((end.real, end.imag), data.roller_radius_m, **look))
+            roller = Circle((end.real, end.imag), data.roller_radius_m, facecolor="white", edgecolor=LINES[1], zorder=4)
+            axes.add_patch(roller)
     axes.plot(0, 0, marker="+", color=INK, markersize=8)
     for angle_deg in range(0, 360, 30):
         at = 0.93 * limit * np.exp(1j * np.radians(angle_deg))
