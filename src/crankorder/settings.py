@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, dataclass_transform
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
@@ -238,64 +238,28 @@ def _tables(file: str) -> dict[str, dict[str, Any]]:
     return tomllib.loads(files("crankorder.pipeline").joinpath(file).read_text(encoding="utf-8"))
 
 
-_NUMBER_KINDS: dict[str, tuple[type, int | None]] = {
-    "int": (int, 1),
-    "float": (float, 1),
-    "tuple[float, float]": (float, 2),
-    "tuple[int, int]": (int, 2),
-    "tuple[float, ...]": (float, None),
-    "tuple[int, ...]": (int, None),
-}
-"""What a number of a method may be: the type of its items, and how many there are (None: any number)."""
-
-
-@dataclass_transform(frozen_default=True, kw_only_default=True)
 class MethodNumbers:
     """Numbers of one module's method that decide what is reported: a ``table`` of a ``file`` of ``pipeline/``.
 
-    A subclass beside the method states name and type of each (``int``, ``float`` or a tuple of them); value, unit and
-    reason stand in the file. No recipe changes them: they were chosen together, on data with a known answer.
+    Name, value, unit and reason of each stand in the file alone; a list is a tuple. No recipe changes them: they were
+    chosen together, on data with a known answer. Raises RequestError where there is no such table.
     """
 
-    home: ClassVar[tuple[str, str]]
+    def __init__(self, file: str, table: str) -> None:
+        numbers = _tables(file).get(table)
+        if numbers is None:
+            raise RequestError("no such table", file=file, place=table)
+        for name, value in numbers.items():
+            self.__dict__[name] = tuple(value) if isinstance(value, list) else value
 
-    def __init_subclass__(cls, *, file: str, table: str) -> None:
-        cls.home = (file, table)
-
-    @classmethod
-    def load(cls) -> Self:
-        """The numbers of the shipped file. Raises RequestError that names file and key of the first that is wrong."""
-        file, table = cls.home
-        given, asked = _tables(file).get(table, {}), cls.__annotations__
-        made = cls.__new__(cls)
-        for key in (*asked, *(key for key in given if key not in asked)):
-            fault = (
-                "" if key in asked and key in given else "number that no module reads" if key in given else "no number"
-            )
-            value = tuple(given[key]) if isinstance(given.get(key), list) else given.get(key)
-            if not fault and not _is_number(value, str(asked[key])):
-                fault = f"no {asked[key]}"
-            if fault:
-                raise RequestError(fault, file=file, place=f"{table}.{key}", found=given.get(key))
-            made.__dict__[key] = value
-        return made
+    def __getattr__(self, name: str) -> Any:
+        raise AttributeError(f"{name} is no number of {', '.join(self.__dict__)}")
 
     def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"{name} stands in {self.home[0]}: it is not set")
+        raise AttributeError(f"{name} stands in a file of pipeline/: it is not set")
 
 
-def _is_number(value: object, kind: str) -> bool:
-    item, count = _NUMBER_KINDS[kind]
-    items = value if isinstance(value, tuple) else (value,)
-    is_whole = isinstance(value, tuple) == kind.startswith("tuple") and len(items) == (count or len(items))
-    return is_whole and all(type(one) is item for one in items)
-
-
-class _Bands(MethodNumbers, file="4-campbell-map.toml", table="bands"):
-    narrowest_ratio: float
-
-
-BANDS = _Bands.load()
+BANDS = MethodNumbers("4-campbell-map.toml", "bands")
 
 
 @cache

@@ -76,22 +76,31 @@ def test_the_file_is_the_only_home_of_a_default(stage: str) -> None:
     assert not with_default, f"defaults belong into {Settings.file_of[stage]}: {', '.join(with_default)}"
 
 
-def _readers(package_files: list) -> dict[tuple[str, str], tuple[str, set[str]]]:
-    """Module and names of the numbers of each class of a method's numbers, by file and table."""
-    found = {}
-    for source in package_files:
-        for node in source.tree.body:
-            if isinstance(node, ast.ClassDef) and any(ast.unparse(base) == "MethodNumbers" for base in node.bases):
-                home = {word.arg: ast.literal_eval(word.value) for word in node.keywords}
-                names = {ast.unparse(line.target) for line in node.body if isinstance(line, ast.AnnAssign)}
-                found[home["file"], home["table"]] = (source.text, names)
-    return found
+def _numbers_read(package_files: list) -> tuple[list[tuple[str, str]], list[tuple[str, str, str]]]:
+    """Tables of numbers of methods that modules load, and every number that one reads: file, table and name."""
+    homes: dict[tuple[str, str], tuple[str, str]] = {}
+    used: list[tuple[str, str, str]] = []
+    modules = [(".".join(source.path.with_suffix("").parts[1:]), source.tree) for source in package_files]
+    for module, tree in modules:
+        for node in tree.body:
+            if isinstance(node, ast.Assign) and ast.unparse(node.value).startswith("MethodNumbers("):
+                file, table = map(ast.literal_eval, node.value.args)
+                homes[module, ast.unparse(node.targets[0])] = file, table
+    for own, tree in modules:
+        names = {name: home for (module, name), home in homes.items() if module == own}
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom):
+                imported = {item.asname or item.name: homes.get((node.module, item.name)) for item in node.names}
+                names |= {name: home for name, home in imported.items() if home is not None}
+        nodes = (node for node in ast.walk(tree) if isinstance(node, ast.Attribute))
+        used += [(*names[owner], node.attr) for node in nodes if (owner := ast.unparse(node.value)) in names]
+    return list(homes.values()), used
 
 
 def test_each_table_of_a_methods_numbers_has_a_reader_and_each_number_a_reason_and_a_use(
     project_root: Path, readmes: ModuleType, package_files: list
 ) -> None:
-    readers, tables = _readers(package_files), {}
+    (homes, used), tables = _numbers_read(package_files), {}
     for path in (project_root / "pipeline").glob("[0-9]-*-*.toml"):
         text = path.read_text(encoding="utf-8")
         for table, title, numbers in readmes.method_tables(text):
@@ -100,47 +109,21 @@ def test_each_table_of_a_methods_numbers_has_a_reader_and_each_number_a_reason_a
             without = [key for key, _, reason in numbers if len(reason) < 5]
             assert not without, f"{path.name}: no reason: {', '.join(without)}"
             tables[path.name, table] = {key for key, _, _ in numbers}
-    assert tables == {home: names for home, (_, names) in readers.items()}
-    everything = "".join(source.text for source in package_files)
-    unused = [
-        f"{file}: {table}.{key}"
-        for (file, table), (text, names) in readers.items()
-        for key in sorted(names)
-        if f"NUMBERS.{key}" not in text and f"{table.upper()}.{key}" not in everything
-    ]
-    assert not unused, "no use:\n" + "\n".join(unused)
+    assert sorted(tables) == sorted(homes)
+    there = {(*home, key) for home, keys in tables.items() for key in keys}
+    assert there == set(used), f"no use: {sorted(there - set(used))}; no number: {sorted(set(used) - there)}"
 
 
-@pytest.mark.parametrize(
-    ("text", "fault"),
-    [
-        ("[zoom]\nshare = 0.5", "no number"),
-        ("[zoom]\nshare = 0.5\nends = [1.0, 2.0]\nother = 1", "number that no module reads"),
-        ("[zoom]\nshare = 1\nends = [1.0, 2.0]", "no float"),
-        ("[zoom]\nshare = 0.5\nends = [1.0]", "no tuple"),
-    ],
-)
-def test_numbers_of_a_method_are_refused_where_they_are_not_what_the_module_states(
-    text: str, fault: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    class Numbers(settings.MethodNumbers, file="5-identify-test.toml", table="zoom"):
-        share: float
-        ends: tuple[float, float]
-
-    monkeypatch.setattr(settings, "_tables", lambda _: tomllib.loads(text))
-    with pytest.raises(RequestError, match=rf"(?s){fault}.*5-identify-test.toml|5-identify-test.toml.*{fault}"):
-        Numbers.load()
-
-
-def test_numbers_of_a_method_cannot_be_set(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Numbers(settings.MethodNumbers, file="5-identify-test.toml", table="zoom"):
-        ends: tuple[float, float]
-
+def test_numbers_of_a_method_cannot_be_set_and_a_missing_table_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(settings, "_tables", lambda _: {"zoom": {"ends": [1.0, 2.0]}})
-    made = Numbers.load()
-    assert made.ends == (1.0, 2.0)
+    numbers = settings.MethodNumbers("5-identify-test.toml", "zoom")
+    assert numbers.ends == (1.0, 2.0)
     with pytest.raises(AttributeError, match="ends"):
-        made.ends = (1.0, 3.0)  # type: ignore[misc]
+        numbers.ends = (1.0, 3.0)
+    with pytest.raises(AttributeError, match="end is no number of ends"):
+        assert numbers.end
+    with pytest.raises(RequestError, match=r"5-identify-test\.toml"):
+        settings.MethodNumbers("5-identify-test.toml", "other")
 
 
 @pytest.mark.parametrize("key", ["calibrate_encoder", "calibration_speed_ratio"])

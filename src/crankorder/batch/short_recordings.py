@@ -10,15 +10,7 @@ from crankorder.quantities import QualityFlag
 from crankorder.settings import MethodNumbers
 from crankorder.stages import RecordingResult
 
-
-class _Numbers(MethodNumbers, file="1-ingest-faults.toml", table="short_recordings"):
-    alike_share: float
-    alike_recordings: float
-    fewest_recordings: int
-    shorter_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("1-ingest-faults.toml", "short_recordings")
 
 
 def short_recordings(results: Iterable[RecordingResult]) -> list[QualityFlag]:

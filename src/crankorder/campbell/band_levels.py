@@ -49,18 +49,7 @@ WITHOUT_ENDS: Final = "broad band without its ends"
 WITH_ENDS: Final = "broad band with its ends"
 
 
-class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="levels"):
-    edge_octaves: float
-    ring_periods: float
-    most_ring_share: float
-    shortest_periods: float
-    fewest_bandwidths: float
-    rate_over_band: float
-    oversampling: float
-    swept_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("4-campbell-map.toml", "levels")
 
 
 @dataclass(frozen=True)

@@ -17,13 +17,7 @@ from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, uni
 from crankorder.settings import CampbellSettings, MethodNumbers
 from crankorder.shaft.angle import angle_at, knots_of
 
-
-class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="frames"):
-    running_share: float
-    padding: int
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("4-campbell-map.toml", "frames")
 
 SQUARES_FIT = {"f": 1e8, "d": 1e100}
 """Largest samples up to this, and from its inverse on, are squared as they are, by type code; others are scaled."""

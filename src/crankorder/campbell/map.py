@@ -13,20 +13,7 @@ from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, fla
 from crankorder.settings import MethodNumbers
 from crankorder.shaft.speed_groups import speed_groups
 
-
-class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="map"):
-    start_chance: float
-    next_chance: float
-    later_frames: int
-    fewest_later: int
-    level_bins: int
-    beside_bins: int
-    same_bins_parts: float
-    least_left_share: float
-    own_grid_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("4-campbell-map.toml", "map")
 
 HANN_CORRELATION = 1.95
 """Factor by which neighbouring bins of a Hann window count the same noise twice: 1 + 2 (4/9 + 1/36), rounded up."""

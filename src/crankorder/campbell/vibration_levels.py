@@ -22,17 +22,7 @@ from crankorder.shaft.speed_groups import held_speeds
 CONFIDENCE = 0.95
 
 
-class _Numbers(MethodNumbers, file="4-campbell-map.toml", table="levels_of_test"):
-    sweep_windows: int
-    window_pieces: int
-    windows_beside: int
-    like_pieces_chance: float
-    least_shared: float
-    most_shared: float
-    leak_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("4-campbell-map.toml", "levels_of_test")
 
 
 _COLUMNS = (*LEVEL_WORDS, "low_frequency", "high_frequency", "reached_frequency", "si_per_unit")

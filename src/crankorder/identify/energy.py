@@ -19,17 +19,7 @@ from crankorder.identify.modes.floor import group_width_rpm
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="energy"):
-    sunk_share: float
-    most_height_ratio: float
-    smoothed_bins: int
-    skirt_bins: tuple[int, ...]
-    clear_sigmas: float
-    map_chance: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-explain.toml", "energy")
 
 
 MAD_TO_SIGMA = 1.4826
@@ -381,12 +371,7 @@ def _sums(place: Ints, values: Floats, shape: tuple[int, ...]) -> Floats:
     return np.asarray(np.bincount(place, values, int(np.prod(shape))).reshape(shape), dtype=np.float64)
 
 
-class _MapNumbers(MethodNumbers, file="5-identify-explain.toml", table="energy_maps"):
-    line_bins: float
-    steady_bins: float
-
-
-MAP_NUMBERS = _MapNumbers.load()
+MAP_NUMBERS = MethodNumbers("5-identify-explain.toml", "energy_maps")
 
 
 @dataclass(frozen=True)

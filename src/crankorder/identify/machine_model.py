@@ -64,13 +64,7 @@ class MachineModel:
         object.__setattr__(self, "known_bearing_orders", orders)
 
 
-class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="stated_parts"):
-    most_harmonics: int
-    same_sigmas: float
-    by_chance_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-explain.toml", "stated_parts")
 
 
 @dataclass(frozen=True)

@@ -38,12 +38,7 @@ from crankorder.identify.modes.responses import held_peak
 from crankorder.records import Ends
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="records"):
-    met_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-explain.toml", "records")
 
 _NOT_LOCKED: dict[Evidence, str] = {
     "locked to the shaft": "its phase agrees from frame to frame",

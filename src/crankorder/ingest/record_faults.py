@@ -409,12 +409,7 @@ def _flag(fault: SignalFault, sampled: Sampled, number: int, path: Path, n_sampl
     return remark
 
 
-class _Numbers(MethodNumbers, file="1-ingest-faults.toml", table="direction"):
-    sure_share: float
-    fewest_pulses: int
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("1-ingest-faults.toml", "direction")
 
 
 def direction_flags(levels: FloatArray, pulse_samples: Floats, path: Path, *, falling: bool) -> list[QualityFlag]:

@@ -18,13 +18,7 @@ from crankorder.orders.vold_kalman.bandwidth import FRAME_BANDWIDTHS, noise_corr
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="3-orders-lines.toml", table="held_sizes"):
-    changing_chance: float
-    changing_over_noise: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("3-orders-lines.toml", "held_sizes")
 
 LARGEST_SHARE = 6
 """Slow waves over the frames, of each sign, whose power is the noise: 24 degrees of freedom, near enough to the line

@@ -17,19 +17,7 @@ from crankorder.orders.intervals import NORMAL
 from crankorder.quantities import Complexes, Floats, Ints, QualityFlag, flags_of, with_flags
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="3-orders-recordings.toml", table="clock_drift"):
-    largest_ppm: float
-    least_ppm: float
-    least_sigmas: float
-    fewest_lines: int
-    fewest_frames: int
-    stands_out: float
-    beside_bins: int
-    held_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("3-orders-recordings.toml", "clock_drift")
 
 NOT_COMPARED = "clocks_not_compared"
 """Flag of recordings whose pulses were stamped by another device than their samples."""

@@ -23,15 +23,7 @@ from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag
 from crankorder.settings import MethodNumbers
 from crankorder.shaft.angle import SpeedCourse
 
-
-class _Numbers(MethodNumbers, file="3-orders-lines.toml", table="fixed_lines"):
-    reach_bins: float
-    wander_hz: float
-    parted_share: float
-    least_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("3-orders-lines.toml", "fixed_lines")
 
 NOISE_STEPS = np.geomspace(1e-3, 1e3, 61)
 """Powers of noise that are tried, over that of the bins beside: a line in these makes it look larger than it is."""
@@ -314,23 +306,7 @@ def _beside(speed_rpm: Floats, amplitude: Floats, is_open: Bools, row: int) -> f
     return float(np.interp(speed_rpm[row], speed_rpm[clear], amplitude[clear])) if len(clear) else np.nan
 
 
-class _SteadyNumbers(MethodNumbers, file="3-orders-lines.toml", table="steady_lines"):
-    mains_share: float
-    most_multiples: int
-    most_peaks: int
-    peak_bins: int
-    peak_ratio: float
-    looked_hz: float
-    clear_of: float
-    least_clear_hz: float
-    chance: float
-    least_moved: float
-    pieces: int
-    fewest_pieces: int
-    steady_share: float
-
-
-STEADY_NUMBERS = _SteadyNumbers.load()
+STEADY_NUMBERS = MethodNumbers("3-orders-lines.toml", "steady_lines")
 
 PADDED = 8
 """Points of the spectrum of a line between its bins."""

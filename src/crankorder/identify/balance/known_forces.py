@@ -20,16 +20,7 @@ from crankorder.identify.modes.order_terms import resonance, resonance_slopes
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="order_shaker"):
-    near_ratio: float
-    far_ratio: float
-    pole_error_ratio: float
-    largest_misfit_share: float
-    odd_speed_ratio: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-balance.toml", "order_shaker")
 
 STEPS, SHRUNK, MOST_DAMPED, MOST_ODD = 25, 1e-6, 1e4, 4
 """Steps of the fit at most, the relative fall of its sum of squares at which it ends, the damping beyond which none
@@ -110,7 +101,7 @@ def modes_with_room(modal: ModalFit, *, axes: int, top_hz: float, rows: int) -> 
     most = sum(mode.frequency_hz < NUMBERS.far_ratio * top_hz for mode in modal.modes)
     if rows < rows_needed(least, axes=axes):
         return None
-    return max(least, min(most, rows // (2 * axes) - 2))
+    return int(max(least, min(most, rows // (2 * axes) - 2)))
 
 
 def rows_needed(n_modes: int, *, axes: int) -> int:
@@ -433,12 +424,7 @@ def _result(quiet: QuietFit, misfit: float, problem: _Problem, theta: Floats, fi
     )
 
 
-class _ForceNumbers(MethodNumbers, file="5-identify-balance.toml", table="shaker_forces"):
-    known_share: float
-    rocking_share: float
-
-
-FORCE_NUMBERS = _ForceNumbers.load()
+FORCE_NUMBERS = MethodNumbers("5-identify-balance.toml", "shaker_forces")
 
 NONE_LEFT = 1e-9
 """Of one cylinder's force: what is left of several is rounding."""

@@ -15,12 +15,7 @@ from crankorder.identify.intervals import half_width
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="record"):
-    vague_deg: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-balance.toml", "record")
 
 AGREE_CHI_SQUARE = 5.991
 """95 % point of χ² with two degrees of freedom: one complex difference."""

@@ -16,14 +16,7 @@ from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import STANDARD_GRAVITY_M_S2, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="transfer_path"):
-    nearest_bin: int
-    furthest_bin: int
-    fewest_bins: int
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-balance.toml", "transfer_path")
 
 
 Noise = tuple[Floats, Complexes]
@@ -272,14 +265,7 @@ def accelerance_of(path: StatedPath, frequency_hz: Floats) -> Complexes:
     return np.where((f >= low) & (f <= high), value, np.nan)
 
 
-class _NoiseNumbers(MethodNumbers, file="5-identify-balance.toml", table="noise_beside"):
-    most_bins: int
-    fewest_per_channel: int
-    furthest_hz: float
-    furthest_share: float
-
-
-NOISE_NUMBERS = _NoiseNumbers.load()
+NOISE_NUMBERS = MethodNumbers("5-identify-balance.toml", "noise_beside")
 
 
 ROUNDS = 6

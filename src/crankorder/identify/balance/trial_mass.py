@@ -18,13 +18,7 @@ from crankorder.identify.intervals import half_width
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="trial_mass"):
-    same_speed_share: float
-    largest_misfit_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-balance.toml", "trial_mass")
 
 SCATTER = 2.1
 """Three times 0.7: mean square errors scatter by that over the root of the number of speeds, channels being alike."""

@@ -30,21 +30,7 @@ from crankorder.identify.modes.pole_errors import side_by_side
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-balance.toml", table="closure"):
-    order_match: float
-    single_angle_rad: float
-    several_angle_rad: float
-    disagree_sigmas: float
-    rolls_sigmas: float
-    harmless_sigmas: float
-    in_step_sigmas: float
-    weak_share: float
-    lightest_kg: float
-    heaviest_kg: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-balance.toml", "closure")
 
 TRIAL_MASS = "a second test with a known added mass ([[added_masses]]) tells the path instead"
 
@@ -302,11 +288,7 @@ def _record(fit: KnownForcesFit, shaker: KnownForces, engine: Engine, remark: st
     return replace(record, source="engine orders", orders_used=tuple(sorted(shaker.orders)), evidence=evidence)
 
 
-class _PathNumbers(MethodNumbers, file="5-identify-balance.toml", table="stated_paths"):
-    largest_misfit_share: float
-
-
-PATH_NUMBERS = _PathNumbers.load()
+PATH_NUMBERS = MethodNumbers("5-identify-balance.toml", "stated_paths")
 
 ROTOR_RADIUS_M = 1e-3
 """Radius at which the mass of a rotor's unbalance is counted: 1 kg there is 1000 g·mm."""

@@ -27,17 +27,7 @@ from crankorder.orders.envelope_combs import (
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-bearings.toml", table="envelope_lines"):
-    wander_share: float
-    least_speeds: int
-    harmonics: int
-    trials_share: float
-    least_free_share: float
-    harmonic_chance: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-bearings.toml", "envelope_lines")
 
 PLACE_ERROR = (0.42, 0.40)
 """Standard error of a line's place in cells of resolution, times the root of its power ratio and of the independent
@@ -366,7 +356,7 @@ def _wander(spectra: Spectra, order: float, speeds: Ints) -> float:
     """Standard error of the mean place of a line at ``order`` by random slips over what was recorded at ``speeds``."""
     frames = spectra.count[:, speeds].max(axis=0)
     revs = float((0.5 * (frames + 1.0) / spectra.cell[speeds]).sum())
-    return NUMBERS.wander_share * math.sqrt(order / max(revs, 1.0))
+    return float(NUMBERS.wander_share * math.sqrt(order / max(revs, 1.0)))
 
 
 def _at_speed(spectra: Spectra, ratios: Floats, seen: Bools, speed: int, peak: int) -> tuple[float, float]:
@@ -408,17 +398,7 @@ def _stands(spectra: Spectra, ratio: Floats, order: float, channel: int, speed: 
     return bool(chance * (near.stop - near.start) <= NUMBERS.harmonic_chance)
 
 
-class _CandidateNumbers(MethodNumbers, file="5-identify-bearings.toml", table="candidates"):
-    highest_db: float
-    clear_db: float
-    clear_share: float
-    noise_db: float
-    off_bins: float
-    cage_from_harmonic: int
-    side_share: float
-
-
-CANDIDATE_NUMBERS = _CandidateNumbers.load()
+CANDIDATE_NUMBERS = MethodNumbers("5-identify-bearings.toml", "candidates")
 
 
 @dataclass(frozen=True)
@@ -516,7 +496,7 @@ def _off_cage(level: Floats, step: float, place: Place, cage: float) -> float:
     trials, mean = _course(level, step, place)
     off = np.abs(trials - cage * np.round(trials / cage)) > CANDIDATE_NUMBERS.off_bins * step
     noise_db = CANDIDATE_NUMBERS.noise_db
-    return float(np.nanmax(np.where(off, mean, np.nan), initial=noise_db)) - noise_db
+    return float(float(np.nanmax(np.where(off, mean, np.nan), initial=noise_db)) - noise_db)
 
 
 def _levels(level: Floats, step: float, orders: Floats, *, reach: int = 1) -> Floats:

@@ -11,13 +11,7 @@ from crankorder.orders.envelope_combs import Comb
 from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-bearings.toml", table="places"):
-    sideband_turns: int
-    multiples: int
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-bearings.toml", "places")
 
 SHOWN_AT = {"BSF": 2.0}
 """Multiple of a line at which its damage shows, where not once: a rolling element strikes both races in a turn."""

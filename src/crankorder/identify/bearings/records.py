@@ -222,12 +222,7 @@ def _envelope_record(
     )
 
 
-class _VerdictNumbers(MethodNumbers, file="5-identify-bearings.toml", table="verdicts"):
-    companion_share: float
-    off_share: float
-
-
-NUMBERS = _VerdictNumbers.load()
+NUMBERS = MethodNumbers("5-identify-bearings.toml", "verdicts")
 
 DAMAGED = {
     "BPFO": "the outer race",
@@ -443,14 +438,7 @@ def envelope_evidence(
     return "; ".join([text, *line.also])
 
 
-class _SidebandNumbers(MethodNumbers, file="5-identify-bearings.toml", table="shaft_speed"):
-    carriers: int
-    most_off_share: float
-    least_ratio: float
-    most_spread_sigmas: float
-
-
-SIDEBAND_NUMBERS = _SidebandNumbers.load()
+SIDEBAND_NUMBERS = MethodNumbers("5-identify-bearings.toml", "shaft_speed")
 
 
 class ShaftSpeed(NamedTuple):

@@ -14,14 +14,7 @@ from crankorder.quantities import Floats, QualityFlag
 from crankorder.settings import MethodNumbers, Settings
 from crankorder.shaft.aliasing import Alias, AliasedLine, aliased_lines, find_aliases
 
-
-class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="folds"):
-    mains_harmonics: int
-    order_error_bins: float
-    of_line_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-explain.toml", "folds")
 
 
 @dataclass(frozen=True, eq=False)

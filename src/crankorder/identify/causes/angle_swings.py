@@ -16,18 +16,7 @@ from crankorder.orders.true_angle import LINES, LINES_PER_HARMONIC, TAKEN, left_
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
 
-
-class _SwingNumbers(MethodNumbers, file="5-identify-explain.toml", table="swing_sidebands"):
-    alike_share: float
-    scatter_sigmas: float
-    dense_share: float
-    answer_ratio: float
-    beyond_lift: float
-    most_share: float
-    most_half_orders: int
-
-
-SWING_NUMBERS = _SwingNumbers.load()
+SWING_NUMBERS = MethodNumbers("5-identify-explain.toml", "swing_sidebands")
 
 WHOLE_HALVES = 0.05
 """An order this near, in half orders, to so many half orders from another is one."""

@@ -16,13 +16,7 @@ from crankorder.findings import OrderFinding, Quality
 from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="cycle_forces"):
-    dominates_ratio: float
-    gas_reach_orders: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-explain.toml", "cycle_forces")
 
 Maker = Literal["gas", "masses", "both"]
 

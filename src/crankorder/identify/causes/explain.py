@@ -33,16 +33,7 @@ from crankorder.identify.modes.tones import NEAR_BINS
 from crankorder.identify.modes.tones import NUMBERS as TONES
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="explain"):
-    same_sigmas: float
-    vague_spacings: float
-    grid_tones: int
-    grid_share: float
-    low_mains_hz: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-explain.toml", "explain")
 
 ForcesOfCycle = dict[tuple[str, float], CycleForce]
 """What gas and masses make of a line, by channel and AgreedOrder.order."""
@@ -523,13 +514,7 @@ def _on_one_grid(places_hz: list[float], errors_hz: list[float]) -> list[bool]:
     return best.tolist() if np.count_nonzero(best) >= max(NUMBERS.grid_tones, 0.5 * len(places)) else nothing
 
 
-class _NeighbourNumbers(MethodNumbers, file="5-identify-explain.toml", table="one_cause"):
-    too_near_hz: float
-    near_share: float
-    most_named: int
-
-
-NEIGHBOUR_NUMBERS = _NeighbourNumbers.load()
+NEIGHBOUR_NUMBERS = MethodNumbers("5-identify-explain.toml", "one_cause")
 
 _CALLED: dict[CauseKind, str] = {"tone": "a fixed tone", "order": "an order or a tone"}
 _AT_ONE_SPEED: dict[CauseKind, str] = {"tone": "a line without width", "order": "an order or a tone"}

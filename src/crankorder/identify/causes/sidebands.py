@@ -16,17 +16,7 @@ from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.machine_model import MachineModel
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="sidebands"):
-    carrier_spacings: float
-    family_chance: float
-    same_sigmas: float
-    least_teeth: int
-    most_firings: int
-    mesh_ratio: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-explain.toml", "sidebands")
 
 
 @dataclass(frozen=True)
@@ -188,13 +178,7 @@ def other_shafts(places: Sequence[float], errors: Sequence[float]) -> dict[int, 
     return found
 
 
-class _FamilyNumbers(MethodNumbers, file="5-identify-explain.toml", table="explain_families"):
-    first_reach_orders: float
-    near_mode_share: float
-    most_sidebands: int
-
-
-FAMILY_NUMBERS = _FamilyNumbers.load()
+FAMILY_NUMBERS = MethodNumbers("5-identify-explain.toml", "explain_families")
 
 LineCauses = dict[tuple[str, float], Cause]
 """Causes of lines by channel and AgreedOrder.order."""
@@ -349,20 +333,7 @@ def _shafts(
     return shafts
 
 
-class _RaceNumbers(MethodNumbers, file="5-identify-explain.toml", table="race_harmonics"):
-    most_harmonics: int
-    most_turns: int
-    same_sigmas: float
-    least_error: float
-    most_error: float
-    sure_error: float
-    sure_harmonics: int
-    sure_turns: int
-    stated_error_share: float
-    anchors: int
-
-
-RACE_NUMBERS = _RaceNumbers.load()
+RACE_NUMBERS = MethodNumbers("5-identify-explain.toml", "race_harmonics")
 
 STRUCK = ("BPFO", "BPFI", "BSF")
 

@@ -56,12 +56,7 @@ from crankorder.settings import MethodNumbers
 R = TypeVar("R", ModeShift, Trend)
 
 
-class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="mode_shifts"):
-    mode_reach: float
-    least_reach: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-changes.toml", "mode_shifts")
 
 
 class Compared(NamedTuple):
@@ -232,7 +227,7 @@ def _error_of(mode: ModeFinding, key: str) -> float:
 def _reach(mode: ModeFinding) -> float:
     frequency, damping = mode.frequency_hz, mode.damping_ratio or 0.0
     width = NUMBERS.mode_reach * max(_error_of(mode, "frequency_hz"), frequency * damping)
-    return max(width, NUMBERS.least_reach * frequency)
+    return float(max(width, NUMBERS.least_reach * frequency))
 
 
 def _mode_shift(base: ModeFinding, new: ModeFinding) -> ModeShift:

@@ -15,13 +15,7 @@ from crankorder.identify.changes.order_changes import Tested, order_maps
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="confounds"):
-    few_frames_ratio: float
-    fired_ratio: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-changes.toml", "confounds")
 
 _RULES: tuple[tuple[str, str, Severity, Part, str], ...] = (
     ("sampling domain", "manifest.sampling.domain", "weakens", "all",

@@ -19,13 +19,7 @@ from crankorder.quantities import Complexes, Floats
 from crankorder.records import Ends, finite, known
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="mass_change"):
-    fit_chance: float
-    clear_sigmas: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-changes.toml", "mass_change")
 
 _STEPS = 500
 

@@ -17,13 +17,7 @@ from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.records import Document, known
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="order_changes"):
-    clear_sigmas: float
-    same_order: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-changes.toml", "order_changes")
 
 ALWAYS = (1.0, 2.0)
 """Orders that are compared whether or not a test found them: where a change of mass shows."""

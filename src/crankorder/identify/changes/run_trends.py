@@ -18,20 +18,8 @@ from crankorder.quantities import Floats, Ints
 from crankorder.records import Ends, known
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-changes.toml", table="run_trends"):
-    least_runs: int
-
-
-class _TrendNumbers(MethodNumbers, file="5-identify-bearings.toml", table="trend"):
-    least_ratio: float
-    band_change_share: float
-    no_change_chance: float
-    least_growth_share: float
-
-
-NUMBERS = _Numbers.load()
-TREND_NUMBERS = _TrendNumbers.load()
+NUMBERS = MethodNumbers("5-identify-changes.toml", "run_trends")
+TREND_NUMBERS = MethodNumbers("5-identify-bearings.toml", "trend")
 
 
 class RunAmplitudes(NamedTuple):

@@ -35,16 +35,7 @@ from crankorder.orders.true_angle import ERROR
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="agreed_orders"):
-    same_order: float
-    wander_ratio: float
-    unparted_cycles: float
-    most_mode_turns: float
-    beats_of_a_pair: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-lines.toml", "agreed_orders")
 
 IN_SWEEP = Doubt(
     "in a sweep",
@@ -87,7 +78,7 @@ class _Test:
     @property
     def reach(self) -> float:
         """Distance [orders] within which a line hides another one."""
-        return min(ORDER_LINES.neighbour_orders, ORDER_LINES.neighbour_bins * self.resolution)
+        return float(min(ORDER_LINES.neighbour_orders, ORDER_LINES.neighbour_bins * self.resolution))
 
     def bin_near(self, order: float) -> int:
         """Bin nearest to ``order``, of those that there are."""
@@ -425,7 +416,9 @@ def _may_be_a_pair(found: _Unnamed, off: float, test: _Test) -> bool:
         return False
     spans = [float(np.ptp(item.centre_rev)) + item.revs for item in test.recordings if len(item.centre_rev)]
     if found.number.swept:
-        return off * longest_frame(float(test.recordings[0].revs), max(spans, default=0.0)) < SWEPT_ORDERS.nearest_bins
+        return bool(
+            off * longest_frame(float(test.recordings[0].revs), max(spans, default=0.0)) < SWEPT_ORDERS.nearest_bins
+        )
     return SWELLS in found.doubts and off * max(spans, default=0.0) < NUMBERS.beats_of_a_pair
 
 

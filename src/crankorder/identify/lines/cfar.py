@@ -12,14 +12,7 @@ from scipy.special import gammaincc, gammainccinv, gammaincinv
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings
 
-
-class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="cfar"):
-    by_phase_chance: float
-    near_bins: int
-    hump_sigmas: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-lines.toml", "cfar")
 
 LOBE_BINS = 2
 """A line between two bins fills so many on each side: they take no part in its own floor."""

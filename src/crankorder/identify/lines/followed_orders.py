@@ -24,15 +24,7 @@ from crankorder.orders.track_rows import TrackReader, all_tracked, track_order
 from crankorder.quantities import Bools, Floats, Ints, QualityFlag
 from crankorder.settings import MethodNumbers, OrderSettings, Settings
 
-
-class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="followed_orders"):
-    same_order: float
-    clear_sigmas: float
-    clear_rows: int
-    told_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-lines.toml", "followed_orders")
 
 ONLY_FOLLOWED = Doubt(
     "followed only", "seen along the sweep only, where it was followed: no frame of the map holds it for long"

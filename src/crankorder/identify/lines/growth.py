@@ -20,29 +20,8 @@ from crankorder.identify.intervals import ENDLESS_FREEDOM, Z95, half_width, half
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="growth"):
-    changing_ratio: float
-    fewest_speeds: int
-    least_range: float
-    law_tolerance: float
-    fit_chance: float
-    follows_chance: float
-    steady_exponent: float
-    least_exponent: float
-    steady_precision: float
-    deviating_sigmas: float
-    law_scatter: float
-    largest_deviating_share: float
-    simultaneous_chance: float
-
-
-class _OfOrderOne(MethodNumbers, file="5-identify-explain.toml", table="order_one"):
-    slower_exponent: float
-    little_slower_exponent: float
-
-
-NUMBERS, ORDER_ONE_NUMBERS = _Numbers.load(), _OfOrderOne.load()
+NUMBERS = MethodNumbers("5-identify-lines.toml", "growth")
+ORDER_ONE_NUMBERS = MethodNumbers("5-identify-explain.toml", "order_one")
 
 UNBALANCE_EXPONENT = {"displacement": 0.0, "velocity": 1.0}
 """Least exponent of speed with which an unbalance shows far above a resonance, where its mass moves by its own

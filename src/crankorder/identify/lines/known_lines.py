@@ -19,18 +19,7 @@ from crankorder.orders.track_rows import hann_lobe
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="known_lines"):
-    apart_cycles: float
-    seen_sigmas: float
-    least_frames: int
-    same_hz: float
-    same_speed_share: float
-    same_place_orders: float
-    most_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-explain.toml", "known_lines")
 
 
 LOBE_BINS = 2.0
@@ -79,7 +68,7 @@ class Held:
     def hides(self, hertz: float) -> bool:
         """Whether a whole or half order of the shaft stands at ``hertz``, so that nothing else is seen."""
         order = self.order_of((hertz, 0.0))
-        return abs(2.0 * order - round(2.0 * order)) * 0.5 * self.span_rev < NUMBERS.apart_cycles
+        return bool(abs(2.0 * order - round(2.0 * order)) * 0.5 * self.span_rev < NUMBERS.apart_cycles)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +87,7 @@ class Sighting:
     @property
     def seen(self) -> bool:
         """Whether noise would not make it."""
-        return self.sigmas > NUMBERS.seen_sigmas
+        return bool(self.sigmas > NUMBERS.seen_sigmas)
 
 
 @dataclass(frozen=True, eq=False)
@@ -363,7 +352,7 @@ def _is_at(known: LineSeen, agreed: AgreedOrder) -> bool:
     if agreed.lock == "locked":
         exact = known.line.mains == 0 and not known.line.of
         return away * known.held.span_rev < apart and (exact or not known.alone)
-    return away <= max(half_width(agreed.degrees_of_freedom) * agreed.order_error, apart / known.held.span_rev)
+    return bool(away <= max(half_width(agreed.degrees_of_freedom) * agreed.order_error, apart / known.held.span_rev))
 
 
 def _goes_with(known: LineSeen, agreed: AgreedOrder) -> bool:

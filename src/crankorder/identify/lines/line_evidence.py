@@ -13,20 +13,7 @@ from crankorder.identify.lines.zoom import Zoomed, turned_sums
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="line_evidence"):
-    steady_kurtosis: float
-    steady_sigmas: float
-    least_damping: float
-    followed_speeds: int
-    followed_bins: float
-    followed_sigmas: float
-    standing_ratio: float
-    provable_frames: float
-    least_frames: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-lines.toml", "line_evidence")
 
 OVERLAP_ALIKE = 0.25
 """Length of the mean step of noise in frames that overlap by a half and so share a sixth, with what chance adds."""

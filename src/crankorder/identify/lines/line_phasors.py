@@ -16,12 +16,7 @@ from crankorder.orders.like_speed import common_frames
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="line_phasors"):
-    noise_bins: tuple[int, int]
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-lines.toml", "line_phasors")
 
 
 @dataclass(frozen=True)

@@ -30,21 +30,7 @@ from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="mains"):
-    alone_multiples: int
-    fewest_multiples: int
-    over_chance_ratio: float
-    same_sigmas: float
-    least_apart_hz: float
-    least_speeds: int
-    most_multiples: int
-    moved_cycles: float
-    rings_within: float
-    rings_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-explain.toml", "mains")
 
 
 def nearest_multiple(
@@ -177,15 +163,15 @@ def _hits(lines: _Fixed, mains: float, tones_hz: Sequence[float], settings: Iden
         # a line of one speed is known better than a tone, which speeds that change smear
         base = float(np.median(told[free] if free.any() else beside))
         room = np.maximum(KNOWN_LINES.same_hz, NUMBERS.same_sigmas * lines.error_hz)
-        return hits & (np.abs(lines.hertz - multiple * base) <= room)
+        return np.asarray(hits & (np.abs(lines.hertz - multiple * base) <= room))
     several = hits & ~lines.exact
     if several.any():
         base = float(np.median(told[several]))
         several &= np.abs(lines.hertz - multiple * base) <= KNOWN_LINES.same_hz
         by_chance = float(np.sum(np.minimum(1.0, 2.0 * reach / mains)[~lines.exact]))
         if np.unique(multiple[several]).size >= max(NUMBERS.fewest_multiples, NUMBERS.over_chance_ratio * by_chance):
-            return several | low
-    return low
+            return np.asarray(several | low)
+    return np.asarray(low)
 
 
 def _rivals(lines: _Fixed, claim: Bools, mains: float, tones: Sequence[Tone]) -> Bools:
@@ -329,11 +315,7 @@ def _as_tone(hertz: float, group: Sequence[LineSeen], words: str) -> Tone:
     return Tone(hertz, wander, "mains", amplitude, words)
 
 
-class _MotorNumbers(MethodNumbers, file="5-identify-explain.toml", table="motors"):
-    stands_out_ratio: float
-
-
-MOTOR_NUMBERS = _MotorNumbers.load()
+MOTOR_NUMBERS = MethodNumbers("5-identify-explain.toml", "motors")
 
 STATED_REACH = Z95 * ORDER_LOCK.stated_speed_error
 """Share by which a stated speed may be off."""

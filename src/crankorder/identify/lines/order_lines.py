@@ -28,20 +28,7 @@ from crankorder.orders.averages import HeldSizes, SizeRows
 from crankorder.quantities import Floats, Ints
 from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings
 
-
-class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="order_lines"):
-    neighbour_orders: float
-    neighbour_bins: int
-    swept_bins: float
-    least_bins: float
-    swelling_ratio: float
-    left_ratio: float
-    bins_beside: int
-    weak_chance: float
-    fixed_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-lines.toml", "order_lines")
 
 ANYWHERE_BINS = float(np.sqrt(1.0 / 12.0))
 """Standard deviation, in bins, of the place of a line that may lie anywhere within one."""

@@ -15,20 +15,7 @@ from crankorder.identify.intervals import half_width
 from crankorder.quantities import flags_of
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="order_lock"):
-    sure_level: float
-    least_slip: float
-    fewest_frames: int
-    stated_speed_error: float
-    proven_speed_error: float
-    right_speed_share: float
-    other_shaft_chance: float
-    largest_slip: float
-    fewest_orders: int
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-lines.toml", "order_lock")
 
 
 def nearest_multiple(order: float, *, revs_per_cycle: int) -> float:

@@ -14,13 +14,7 @@ from crankorder.identify.lines.zoom import Course, course_of
 from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="parted_lines"):
-    unread_share: float
-    clear_sigmas: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-lines.toml", "parted_lines")
 
 SURE_FREEDOM = 1e6
 """Degrees of freedom of a number that a course tells: its errors are bounds."""

@@ -29,24 +29,7 @@ from crankorder.orders.track_rows import hann_lobe
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="several_orders"):
-    most_lines: int
-    least_cycles: float
-    wander_cycles: float
-    smallest_share: float
-    unsteady_share: float
-    unparted_share: float
-    beside_bins: int
-    left_ratio: float
-    left_share: float
-    stands_over_ratio: float
-    level_bins: int
-    same_sigmas: float
-    alike_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-lines.toml", "several_orders")
 
 PADDED = 4
 """Trial places per reciprocal length of the recording: a line between two of them loses 10 % at most."""

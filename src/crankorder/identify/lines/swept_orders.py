@@ -17,20 +17,7 @@ from crankorder.quantities import Complexes, Floats
 from crankorder.scratch import give_back
 from crankorder.settings import MethodNumbers, Settings
 
-
-class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="swept_orders"):
-    longest_revs: int
-    fewest_lengths: int
-    reach_bins: int
-    nearest_bins: float
-    step_bins: float
-    least_gain: float
-    fewest_frames: int
-    most_followed: int
-    same_bins: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-lines.toml", "swept_orders")
 
 
 def longer_frames(revs: float, span_rev: float) -> list[float]:

@@ -13,36 +13,7 @@ from crankorder.orders.averages import whitening
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-lines.toml", table="zoom"):
-    seen_squared: float
-    beating_squared: float
-    noise_degrees: int
-    swept_ratio: float
-    swept_turn_rev: float
-    swept_turns_rev: float
-    most_drift_turn_rev: float
-    turn_per_drift: float
-    second_chance: float
-    second_ratio: float
-    second_cycles: float
-    wander_degrees: int
-    wander_share: float
-    swept_second_ratio: float
-    same_halves_share: float
-    mirrored_share: float
-    stretches: int
-    densest_share: float
-    mode_tails_rev: float
-    largest_scatter_rev: float
-    fewest_steps: int
-    sure_sigmas: float
-    least_turns_rev: float
-    even_share: float
-    one_way_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-lines.toml", "zoom")
 
 GRID_PER_SPAN = 4
 """Trial orders per reciprocal length of the recording: between two of them a line loses at most 5 %."""
@@ -191,7 +162,7 @@ def left_of_slow_waves(phasors: Complexes, turn: Floats, *, hop_rev: float) -> f
     rows = _polynomials(turn, NUMBERS.noise_degrees)
     slow = rows @ (phasors * np.exp(-2j * np.pi * best * turn))
     left = float(np.square(np.abs(phasors)).sum() - np.square(np.abs(slow)).sum())
-    return left / (len(turn) - NUMBERS.noise_degrees - 1)
+    return float(left / (len(turn) - NUMBERS.noise_degrees - 1))
 
 
 def _at_zero(line: Zoomed, middle: float) -> Complexes:
@@ -386,7 +357,7 @@ class Course:
         mean = self.offset - offset
         if abs(mean) * self.span_rev < NUMBERS.least_turns_rev or self.half > NUMBERS.even_share * abs(mean):
             return False
-        return float(np.mean(slope * np.sign(mean) > self.reach)) >= NUMBERS.one_way_share
+        return bool(float(np.mean(slope * np.sign(mean) > self.reach)) >= NUMBERS.one_way_share)
 
 
 def course_of(phasors: Complexes, turn: Floats, noise: Floats) -> Course | None:
@@ -430,12 +401,7 @@ def course_of(phasors: Complexes, turn: Floats, noise: Floats) -> Course | None:
     )
 
 
-class _PairNumbers(MethodNumbers, file="5-identify-lines.toml", table="close_pair"):
-    slow_waves: int
-    side_bins: int
-
-
-PAIR_NUMBERS = _PairNumbers.load()
+PAIR_NUMBERS = MethodNumbers("5-identify-lines.toml", "close_pair")
 
 STEPS = 12
 """Gauss-Newton steps: a start within half a cycle of the recording needs six."""

@@ -15,22 +15,7 @@ from crankorder.orders.averages import median_of_known
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="floor"):
-    masked_bins: float
-    leak_share: float
-    skirt_bins: int
-    level_bins: int
-    clip_chance: float
-    foot_chance: float
-    foot_bins: int
-    line_chance: float
-    usual_overlap_fraction: float
-    lowest_bins: float
-    fewest_averages: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "floor")
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,21 +65,7 @@ from crankorder.identify.modes.whirl import (
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="joint_fit"):
-    longest_bins: int
-    band_bins: int
-    most_peaks: int
-    band_peaks: int
-    shared_bins: int
-    band_share: float
-    shared_share: float
-    slack_share: float
-    shown_db: float
-    deepest_db: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "joint_fit")
 
 
 @dataclass(frozen=True, eq=False)

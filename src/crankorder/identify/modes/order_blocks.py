@@ -21,16 +21,7 @@ from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_blocks"):
-    on_bin_share: float
-    clear_sigmas: float
-    least_degrees_of_freedom: float
-    from_ends_bandwidths: float
-    same_order_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "order_blocks")
 
 
 def blocks_of(
@@ -192,16 +183,7 @@ def _passage(number: float, along: Floats, rows: Bools, *, poles: int, first_s: 
     return passage_of(number, *whole, poles=poles, rows=np.append(False, rows))
 
 
-class _LockNumbers(MethodNumbers, file="5-identify-lines.toml", table="lock_through_modes"):
-    force_turn_rad: float
-    smoother_ratio: float
-    force_terms: int
-    far_turn_rad: float
-    most_left_share: float
-    fewest_free: int
-
-
-LOCK_NUMBERS = _LockNumbers.load()
+LOCK_NUMBERS = MethodNumbers("5-identify-lines.toml", "lock_through_modes")
 
 
 @dataclass(frozen=True)

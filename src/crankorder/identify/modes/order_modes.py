@@ -16,14 +16,7 @@ from crankorder.identify.modes.surface_fit import Poles
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _RingingNumbers(MethodNumbers, file="5-identify-modal.toml", table="ringing"):
-    rings_share: float
-    hides_share: float
-    near_share: float
-
-
-RINGING = _RingingNumbers.load()
+RINGING = MethodNumbers("5-identify-modal.toml", "ringing")
 
 MOST_KEPT = 256
 """Passages that are kept."""
@@ -193,27 +186,7 @@ def _taken(block: Block, other: Block, natural_hz: float, damping: float) -> Com
     return other.rung[key]
 
 
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_modes"):
-    within_widths: float
-    rows_of_sweep: int
-    proof_chance: float
-    located_widths: float
-    agrees_sigmas: float
-    side_by_side_share: float
-    felt_share: float
-    fewest_beside: int
-    peak_rows: int
-    fewest_flank: int
-    unexplained_share: float
-    rows_of_turn: int
-    rows_of_two: int
-    known_share: float
-    known_alone_share: float
-    uncertain_share: float
-    wider_ratio: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "order_modes")
 
 
 @dataclass(frozen=True)
@@ -357,7 +330,7 @@ def flanks_show(block: Block, poles: Poles, number: int) -> bool:
     if not (residue_chances(flanks, part, number) <= NUMBERS.proof_chance).any():
         return False
     step, error = _step(flanks, part, poles, number)
-    return Z95 * error <= reach and abs(step) <= NUMBERS.agrees_sigmas * error
+    return bool(Z95 * error <= reach and abs(step) <= NUMBERS.agrees_sigmas * error)
 
 
 def _rows_within(block: Block, f: float, zeta: float) -> int:

@@ -29,15 +29,7 @@ from crankorder.identify.modes.surface_fit import NO_POLES, Poles, Problem, Surf
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_responses"):
-    most_scatter: float
-    most_degree: int
-    reach_shares: tuple[float, float]
-    spare_amplitudes: int
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "order_responses")
 
 EXPONENTS = (2.0, 0.0, 1.0, 3.0)
 """Powers of the speed that forces grow with: that of inertia, which needs no proof, steady, …, and one more."""

@@ -28,28 +28,7 @@ from crankorder.identify.modes.surface_fit import Poles, poles_at
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_search"):
-    most_poles: int
-    most_starts: int
-    next_to_share: float
-    rises_ratio: float
-    most_blocks: int
-    clear_sigmas: float
-    matters_share: float
-    felt_error_share: float
-    most_at_once: int
-    independent_trials: float
-    promising_share: float
-    expected_gain: float
-    well_laid_scatter: float
-    hopeless_scatter: float
-    fewest_rows: int
-    least_damping: float
-    model_error_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "order_search")
 
 TRIED_DAMPING = (0.003, 0.01, 0.03, 0.1)
 """Damping ratios that are tried as a start; frequencies lie as far apart as each is wide."""

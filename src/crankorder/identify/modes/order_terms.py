@@ -12,14 +12,7 @@ from crankorder.orders.vold_kalman.bandwidth import structural_weight
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="order_terms"):
-    least_scatter: float
-    enough_degrees_of_freedom: int
-    least_noise_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "order_terms")
 
 
 def smooth_shapes(speed_rpm: Floats, span_rpm: tuple[float, float], degree: int) -> Floats:

@@ -14,13 +14,7 @@ from crankorder.identify.modes.surface_fit import Poles, Problem, SurfaceFit, in
 from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="pole_errors"):
-    most_for_few_ratio: float
-    tone_bins: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "pole_errors")
 
 
 @dataclass(frozen=True, eq=False)

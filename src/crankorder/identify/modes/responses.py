@@ -19,12 +19,7 @@ from crankorder.identify.modes.surface_fit import Poles, Problem, parameters_of
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="responses"):
-    shape_error_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-explain.toml", "responses")
 
 SPEEDS = 800
 """Speeds over the range of a response at which its steady amplitude is looked at …"""
@@ -208,15 +203,7 @@ def _speeds(response: OrderResponse, modal: ModalFit) -> Floats:
     return rpm[(rpm >= low) & (rpm <= high)]
 
 
-class _ExclusionNumbers(MethodNumbers, file="5-identify-modal.toml", table="exclusion"):
-    tried_damping_ratios: tuple[float, ...]
-    matters_share: float
-    selective_ratio: float
-    shaken_ratio: float
-    noise_sigmas: float
-
-
-EXCLUSION = _ExclusionNumbers.load()
+EXCLUSION = MethodNumbers("5-identify-modal.toml", "exclusion")
 
 BETWEEN_ROWS = 4
 """Speeds that are asked about between two tested ones."""

@@ -25,36 +25,7 @@ from crankorder.identify.modes.surface_fit import (
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="search"):
-    strong_log_ratio: float
-    wander_hz: float
-    smear_left_share: float
-    rules_share: float
-    steady_width_bins: float
-    skirt_bins: int
-    peak_reach_bins: int
-    shadow_bins: int
-    peak_sigmas: float
-    background_degrees: tuple[int, int]
-    local_bins: int
-    shadow_share: float
-    wide_damping_ratio: float
-    suspect_residual: float
-    gate_share: float
-    misfit_residual: float
-    beside_bins: float
-    fewest_bins: int
-    own_peak_bins: float
-    narrow_bins: float
-    smooth_residual: float
-    smoothest_residual: float
-    surely_ratio: float
-    doubtful_ratio: float
-    most_fits: int
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "search")
 
 START_WIDTHS = (0.003, 0.01, 0.03, 0.1, 0.2, 0.4, 0.8, 1.6)
 """Half widths in bins that are tried for narrow peaks."""
@@ -205,7 +176,7 @@ class Fits:
     def begin(self, number: int = 1) -> bool:
         """Whether another may begin, or that ``number``."""
         self.left -= number
-        return self.left >= 0
+        return bool(self.left >= 0)
 
 
 EVERYWHERE = (-np.inf, np.inf)
@@ -380,7 +351,7 @@ def scatter_at(problem: Problem, fit: SurfaceFit, at_hz: float) -> float:
     square = _mean_square(problem, fit, at_hz)
     if square > NUMBERS.smooth_residual:
         return max(1.0, square)
-    return max(square / NUMBERS.smooth_residual, NUMBERS.smoothest_residual)
+    return float(max(square / NUMBERS.smooth_residual, NUMBERS.smoothest_residual))
 
 
 def _mean_square(problem: Problem, fit: SurfaceFit, at_hz: float | None) -> float:

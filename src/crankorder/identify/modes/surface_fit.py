@@ -14,13 +14,7 @@ from crankorder.fft.windows import WIDEST_LOBE_BINS, window_named
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="surface_fit"):
-    smallest_model_share: float
-    widest_damping_ratio: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "surface_fit")
 
 SMALLEST_TERM = 1e-7
 """Power response of the window below which a term of its autocorrelation is left out."""

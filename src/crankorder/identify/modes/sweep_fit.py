@@ -12,16 +12,7 @@ from crankorder.identify.modes.sweep_window import BEND_SPREAD, Solved, Window
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_fit"):
-    smoothed_share: float
-    frequency_model_share: float
-    damping_model_share: float
-    least_noise_share: float
-    bin_model_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "sweep_fit")
 
 LIGHTEST, HEAVIEST = 1e-4, 0.5
 """Damping ratios that a fit may come to."""

@@ -19,14 +19,7 @@ from crankorder.orders.swept_tracks import SMOOTHING, followed_error
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_modes"):
-    known_share: float
-    uncertain_share: float
-    alone_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "sweep_modes")
 
 
 def poles_of(swept: Sequence[SweepPole]) -> tuple[Poles, Floats]:
@@ -103,22 +96,7 @@ def _doubt(pole: SweepPole, settings: IdentifySettings) -> str:
     return "; ".join(reason for reason, given in reasons if given)
 
 
-class _RowNumbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_rows"):
-    fewest_samples: int
-    most_angle_rad: float
-    inner_share: float
-    least_error_share: float
-    between: int
-    higher_ratio: float
-    begun_share: float
-    swing_rev: float
-    witness_share: float
-    witness_sigmas: float
-    witness_widths: float
-    witness_memory: float
-
-
-ROW_NUMBERS = _RowNumbers.load()
+ROW_NUMBERS = MethodNumbers("5-identify-modal.toml", "sweep_rows")
 
 
 def fits_of_sweeps(followed: Sequence[xr.Dataset], *, settings: IdentifySettings) -> SweepFits:

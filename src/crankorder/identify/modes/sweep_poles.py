@@ -18,35 +18,7 @@ from crankorder.identify.modes.sweep_window import Solved, SweepSpectrum, Window
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="sweep_poles"):
-    tile_share: float
-    apart_share: float
-    order_share: float
-    strong_share: float
-    most_orders: int
-    beside_share: float
-    blurs: float
-    widths: float
-    widest_share: float
-    most_together: int
-    fewest_bins: int
-    search_degree: int
-    degrees: tuple[int, int]
-    most_poles: int
-    most_starts: int
-    felt_share: float
-    proof_chance: float
-    known_share: float
-    alone_frequency_share: float
-    alone_damping_share: float
-    witness_share: float
-    lowest_hz: float
-    highest_hz: float
-    most_tiles: int
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "sweep_poles")
 
 ROUGHLY = {"rounds": 1, "steps": 6}
 EXACTLY = {"rounds": 2, "steps": 6}
@@ -367,7 +339,7 @@ def _is_sure(pole: SweepPole, most_damping: float) -> bool:
 def _witnesses(orders: Sequence[float]) -> int:
     """How many of ``orders``, rising, tell a mode each for itself: what a strong one leaves is taken for one beside."""
     apart = [high > (1.0 + NUMBERS.witness_share) * low for low, high in itertools.pairwise(orders)]
-    return sum(apart) + bool(orders)
+    return int(sum(apart) + bool(orders))
 
 
 def _pole(fit: LocalFit, number: int, covariance: Floats) -> SweepPole:

@@ -21,22 +21,7 @@ from crankorder.identify.modes.surface_fit import Problem, SurfaceFit, evaluate,
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="tones"):
-    width_chance: float
-    least_damping_ratio: float
-    first_width_bins: float
-    speed_spread_share: float
-    multiple_bins: float
-    by_chance_share: float
-    steady_chance: float
-    same_sigmas: float
-    shown_share: float
-    beside_bins: int
-    few_of_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "tones")
 
 TWO_SIDED = 0.02
 """Chance of a width beyond either end of an interval whose upper end holds with 99 %."""
@@ -142,12 +127,12 @@ def widest_hz(problem: Problem, fit: SurfaceFit, number: int, least: float) -> f
     width = max(float(fit.poles.damping[number]) * f, 0.5 * NUMBERS.least_damping_ratio * f)
     for _ in range(MOST_WIDTHS):
         if width >= SURFACE_FIT.widest_damping_ratio * f:
-            return width
+            return float(width)
         poles = fit.poles.as_tone(number, False, width_hz=width)
         if evaluate(problem, poles, fit.model).deviance > least + allowed:
             break
         width *= WIDER
-    return width
+    return float(width)
 
 
 def is_steady(floor: Floor, frequency_hz: float) -> bool:
@@ -330,7 +315,7 @@ def _differ(tone: Tone, other: Tone, ratio: float) -> bool:
     """Whether a ``tone`` is surely not ``ratio`` times the ``other``: all multiples of a supply wander together."""
     error = float(np.hypot(tone.frequency_error_hz, ratio * other.frequency_error_hz))
     apart = abs(tone.frequency_hz - ratio * other.frequency_hz)
-    return apart > NUMBERS.same_sigmas * error + (0.0 if ratio == 1.0 else MAINS.least_apart_hz)
+    return bool(apart > NUMBERS.same_sigmas * error + (0.0 if ratio == 1.0 else MAINS.least_apart_hz))
 
 
 def on_order(frequency_hz: float, error_hz: float, floor: Floor, *, settings: IdentifySettings) -> str:

@@ -26,18 +26,7 @@ from crankorder.orders.averages import median_of_known
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-modal.toml", table="whirl"):
-    fewest_speeds: int
-    most_slope_orders: float
-    cap_sigmas: float
-    most_tries: int
-    masked_share: float
-    least_averages: float
-    sure_sigmas: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-modal.toml", "whirl")
 
 STEPS = 40
 """Steps of a fit at most."""
@@ -297,29 +286,7 @@ def _without(floor: Floor, cells: _Cells) -> Floor:
     )
 
 
-class _DoubtNumbers(MethodNumbers, file="5-identify-modal.toml", table="doubts"):
-    harmonic_sigmas: float
-    wide_sigmas: float
-    weak_at_one_db: float
-    weak_db: float
-    known_shares: tuple[float, float]
-    uncertain_share: float
-    told_wide_share: float
-    well_known_share: float
-    clear_db: float
-    flank_share: float
-    flank_bins: tuple[float, float]
-    flank_chance: float
-    fewest_on_grid: int
-    grid_share: float
-    grid_parts: int
-    grid_reach: float
-    grid_chance: float
-    lines_power_ratio: float
-    hump_widths: float
-
-
-DOUBT_NUMBERS = _DoubtNumbers.load()
+DOUBT_NUMBERS = MethodNumbers("5-identify-modal.toml", "doubts")
 
 NORMAL_95 = 1.96
 """Standard errors in half a 95 % interval."""
@@ -348,7 +315,7 @@ def narrower_than_fitted(problem: Problem, fit: SurfaceFit, number: int) -> bool
     share = problem.psd[channel, flank] / fit.model[channel, flank]
     degrees_of_freedom = 2.0 * float(problem.averages[channel, flank].sum()) / HANN_CORRELATION
     low = float(chdtr(degrees_of_freedom, degrees_of_freedom * min(float(share.mean()), 1.0)))
-    return float(share.mean()) < DOUBT_NUMBERS.flank_share and low < DOUBT_NUMBERS.flank_chance
+    return bool(float(share.mean()) < DOUBT_NUMBERS.flank_share and low < DOUBT_NUMBERS.flank_chance)
 
 
 def doubt_about(

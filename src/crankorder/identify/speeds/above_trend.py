@@ -12,17 +12,7 @@ from crankorder.identify.intervals import half_width
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="above_trend"):
-    neighbourhood_dampings: float
-    beside_log_ratio: float
-    enough_beside: int
-    least_beside: int
-    mostly_seen_share: float
-    meaningless_amplification: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-explain.toml", "above_trend")
 
 
 @dataclass(frozen=True)
@@ -128,12 +118,7 @@ def seen_all_around(line: OrderLine, rpm: float, tested: Floats) -> bool:
     return bool(np.count_nonzero(seen) >= NUMBERS.mostly_seen_share * np.count_nonzero(around))
 
 
-class _LawNumbers(MethodNumbers, file="5-identify-explain.toml", table="order_trend"):
-    least_relative_error: float
-    most_relative_error: float
-
-
-LAW_NUMBERS = _LawNumbers.load()
+LAW_NUMBERS = MethodNumbers("5-identify-explain.toml", "order_trend")
 
 
 @dataclass(frozen=True)

@@ -25,16 +25,7 @@ from crankorder.identify.speeds.above_trend import (
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="crossings"):
-    false_discovery_rate: float
-    clearly_excited_ratio: float
-    shape_share: float
-    same_response_orders: float
-    same_stated_share: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-explain.toml", "crossings")
 
 
 EXTRAPOLATED = "extrapolated: no speed there was tested, and order and natural frequency are taken to stay as they are"

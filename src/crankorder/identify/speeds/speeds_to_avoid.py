@@ -30,16 +30,7 @@ from crankorder.identify.speeds.crossings import fitted_excess, higher, response
 from crankorder.quantities import Bools
 from crankorder.settings import IdentifySettings, MethodNumbers
 
-
-class _Numbers(MethodNumbers, file="5-identify-explain.toml", table="speeds_to_avoid"):
-    beside_share: float
-    vague_share: float
-    same_speed_share: float
-    near_dampings: float
-    peak_within_ratio: float
-
-
-NUMBERS = _Numbers.load()
+NUMBERS = MethodNumbers("5-identify-explain.toml", "speeds_to_avoid")
 
 FLANKS = 120
 """Speeds over the whole span, in equal ratios, at which the flanks of a mode are looked at."""
@@ -173,7 +164,7 @@ def _counts(item: Crossing) -> bool:
     if not (item.excited and item.in_range) or _is_vague(item):
         return False
     measured = item.amplification_ci95[1] if item.amplification_ci95 is not None else 0.0
-    return max(measured, item.amplification_predicted) >= CROSSINGS.clearly_excited_ratio
+    return bool(max(measured, item.amplification_predicted) >= CROSSINGS.clearly_excited_ratio)
 
 
 def _cost(
@@ -485,12 +476,7 @@ def _open_bands(opened: list[_Open], free: list[SpeedBand], speed_rpm: tuple[flo
     return tuple(made)
 
 
-class _LoneNumbers(MethodNumbers, file="5-identify-explain.toml", table="lone_peaks"):
-    around_share: float
-    same_row_share: float
-
-
-LONE_NUMBERS = _LoneNumbers.load()
+LONE_NUMBERS = MethodNumbers("5-identify-explain.toml", "lone_peaks")
 
 
 def lone_peaks(
