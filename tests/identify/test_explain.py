@@ -16,12 +16,12 @@ from crankorder.identify.causes.explain import (
     MachineModel,
     explained,
     with_neighbours_named,
-    without_doubles,
 )
 from crankorder.identify.causes.sidebands import race_cause, struck_races
 from crankorder.identify.found import Tone
 from crankorder.identify.lines.order_lock import NO_PULSES
 from crankorder.identify.machine_model import StatedPart
+from crankorder.identify.modes.alike_speeds import without_doubles
 from crankorder.ingest.manifest import Gear
 from crankorder.quantities import is_cylinder_pressure
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE

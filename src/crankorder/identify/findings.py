@@ -10,14 +10,14 @@ import numpy as np
 import xarray as xr
 
 from crankorder.cause import ELECTRIC, alike_speeds, electric
-from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Energy, Findings, Level, quality_of
+from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Findings, quality_of
 from crankorder.identify.balance.unbalance_fit import UnbalanceFit, unbalance_fit
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.causes.aliasing import alias_flags, shown_aliases
 from crankorder.identify.causes.angle_swings import swing_sidebands
-from crankorder.identify.causes.explain import Causes, explained, with_neighbours_named, without_doubles
+from crankorder.identify.causes.explain import Causes, explained, with_neighbours_named
 from crankorder.identify.energy import energy_shares
-from crankorder.identify.found import NO_FITS, AgreedOrder, Doubt, ModalFit, SpeedVerdicts, SweepFits, Unsearched
+from crankorder.identify.found import NO_FITS, AgreedOrder, Doubt, SpeedVerdicts, SweepFits, Unsearched
 from crankorder.identify.levels import (
     graded,
     level_records,
@@ -34,17 +34,16 @@ from crankorder.identify.lines.followed_orders import (
     with_track_rows,
 )
 from crankorder.identify.lines.growth import if_unbalance
-from crankorder.identify.lines.known_lines import Held, LineSeen, held_of, without_known
-from crankorder.identify.lines.mains import MotorSeen, mains_seen, motor_seen, with_mains_tones, without_ringing
+from crankorder.identify.lines.known_lines import held_of, without_known
+from crankorder.identify.lines.mains import mains_seen, motor_seen, without_ringing
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.order_lock import speed_source
 from crankorder.identify.machine_model import MachineModel
-from crankorder.identify.modes.alike_speeds import with_lines_of_recordings, with_tones_parted, without_absent_mains
+from crankorder.identify.modes.alike_speeds import with_tones_settled
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.order_blocks import with_locks_through_modes
 from crankorder.identify.modes.order_modes import without_swings
 from crankorder.identify.modes.sweep_modes import with_rows_of_fits
-from crankorder.identify.modes.tones import with_one_mains
 from crankorder.identify.records import (
     avoided_records,
     crossing_records,
@@ -91,47 +90,66 @@ def find(
     RecordingTracks of the recordings (without variables where the speed does not sweep), ``levels`` their
     RecordingLevels, ``swept`` what the signals of sweeps tell of modes; ``vibration`` the VibrationLevels of the test.
     """
-    asked = settings.identify
+    asked, turns = settings.identify, sources.revs_per_cycle
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
     flags = [*flags_of(order_map)]
     flags += [flag for flag in flags_of(campbell) if flag not in flags]
-    doubt = speed_doubt(flags)
+    doubt, motor = speed_doubt(flags), None
     held = held_of(frames, order_map)
-    by_shaft = doubt is None and speed_source([order_map]) != "stated"
-    motor = None
     if sources.motor is not None:
+        by_shaft = doubt is None and speed_source([order_map]) != "stated"
         motor = motor_seen(sources.motor, held, by_shaft=by_shaft, settings=asked)
         doubt = doubt or motor.speed_doubt
-    known = (motor.lines if motor else ()) or mains_seen(held, settings=asked)
-    sweeps, electric = (followed, swept), (held, known)
-    in_map, modal, known = _orders_and_modes(order_map, campbell, frames, sweeps, electric, settings, doubt)
+    seen = (motor.lines if motor else ()) or mains_seen(held, settings=asked)
+
+    in_map = _orders_of_map(order_map, frames, followed, settings)
+    fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed, swept=swept)
+    known = without_ringing(seen, fitted.modes)
+    in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
+    parted = held if speed_source([*frames, order_map]) == "pulses" else ()
+    in_map, modal = with_tones_settled(in_map, modal, held, known, order_map, parted=parted, settings=asked)
+    in_map = in_map if doubt is None else undecided_orders(in_map)
     without = without_swings(followed, modal.swings)
-    reader = TrackReader(
-        order_map, frames=frames, followed=with_rows_of_fits(without, swept), fixed=fixed_lines(modal.tones)
-    )
+    rows_of_fits, fixed = with_rows_of_fits(without, swept), fixed_lines(modal.tones)
+    reader = TrackReader(order_map, frames=frames, followed=rows_of_fits, fixed=fixed)
     orders = with_track_rows(in_map, reader, settings=settings.orders)
-    turns = sources.revs_per_cycle
+
     bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
     folds = shown_aliases(order_map, settings=settings)
-    in_cylinder = [name for name in unit if is_cylinder_pressure(quantity[name], unit[name])]
-    explain = partial(explained, sources=sources, quantity=quantity, in_cylinder=in_cylinder, settings=asked)
-    longest = max((one.span_rev for one in held), default=np.inf)
-    rows = {(line.channel, agreed.order): line for agreed in orders for line in agreed.lines}
-    explain = partial(explain, known=known, longest_rev=longest, of_swing=swing_sidebands(orders, frames), rows=rows)
-    causes = explain(in_map, modal, bearings, folds=folds)
+    causes = explained(
+        in_map,
+        modal,
+        bearings,
+        sources=sources,
+        quantity=quantity,
+        settings=asked,
+        in_cylinder=[name for name in unit if is_cylinder_pressure(quantity[name], unit[name])],
+        folds=folds,
+        known=known,
+        of_swing=swing_sidebands(orders, frames),
+        longest_rev=max((recording.span_rev for recording in held), default=np.inf),
+        rows={(line.channel, agreed.order): line for agreed in orders for line in agreed.lines},
+    )
     modal = with_neighbours_named(modal, in_map, causes)
+
     tested = _tested_rpm(order_map, campbell)
     moving, stated = going_with_speed(orders, causes), [gear.order for gear in sources.gears]
-    found = crossings(moving, modal, speed_rpm=tested, settings=asked, stated=stated)
-    speeds = speeds_to_avoid(found, moving, modal, speed_rpm=tested, unit=unit, settings=asked)
-    meetings = crossing_records(as_avoided(found, speeds.avoid))
+    met = crossings(moving, modal, speed_rpm=tested, settings=asked, stated=stated)
+    speeds = speeds_to_avoid(met, moving, modal, speed_rpm=tested, unit=unit, settings=asked)
+    meetings = crossing_records(as_avoided(met, speeds.avoid))
     speeds = speeds if doubt is None else without_free(speeds)
+
+    fit = partial(unbalance_fit, order_map, orders, modal, followed=without)
+    balance, reason = _balance(fit, order_map, sources, causes)
+    energy, unexplained = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
+    of_channels = level_records(levels)
+    above = {level.channel: level.share_above for level in of_channels}
+    shares = tuple(replace(share, above_band=above.get(share.channel)) for share in energy.channels)
     records = order_records(orders, causes, meetings, modal, unit=unit)
     flags += alias_flags(order_map, settings=settings, folds=folds)
     flags += [*slow_flags(order_map, in_map, frames, settings=settings), *_search_flags(modal.left)]
-    shares = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
     has_spectra = envelope is not None and envelope.sizes["order"] > 1 and envelope.sizes["speed"] > 0
-    told = Findings(
+    return Findings(
         schema_version=SCHEMA_VERSION,
         test=test,
         channels=tuple(Channel(name=name, unit=unit[name], quantity=quantity[name]) for name in unit),
@@ -140,100 +158,44 @@ def find(
         orders=records,
         modes=mode_records(modal, causes, meetings),
         crossings=meetings,
+        speeds_to_avoid=avoided_records(speeds),
+        free_bands=free_records(speeds.free),
+        open_bands=open_records(speeds.open),
         bearings=bearings,
+        motor=None if motor is None else motor.record,
         lines=line_records(records, modal, causes, channels=list(unit)),
-        unexplained_energy_fraction=shares[1],
-        balance=None,
+        unexplained_energy_fraction=unexplained,
+        energy=replace(energy, channels=shares),
+        levels=of_channels,
+        vibration_levels=() if vibration is None else vibration_records(vibration),
+        third_octaves=() if vibration is None else third_octave_records(vibration),
+        limits=() if vibration is None else limit_verdicts(vibration, balance, sources),
+        balance=balance,
+        balance_reason=None if balance is not None else reason,
         looked_for=("orders", "modes", "bearings", *(("envelope",) if has_spectra else ())),
         false_alarm_probability=asked.false_alarm_probability,
         quality=quality_of(flags),
     )
-    closed = _balance(partial(unbalance_fit, order_map, orders, modal, followed=without), order_map, sources, causes)
-    return _with_levels(_with_sums(told, speeds, motor, shares[0], level_records(levels), closed), vibration, sources)
-
-
-def _with_levels(told: Findings, vibration: xr.Dataset | None, sources: MachineModel) -> Findings:
-    """What was ``told``, with the levels in ``vibration`` and what the limits of ``sources`` make of them."""
-    if vibration is None:
-        return told
-    return replace(
-        told,
-        vibration_levels=vibration_records(vibration),
-        third_octaves=third_octave_records(vibration),
-        limits=limit_verdicts(vibration, told.balance, sources),
-    )
-
-
-def _with_sums(
-    told: Findings,
-    speeds: SpeedVerdicts,
-    motor: MotorSeen | None,
-    energy: Energy,
-    levels: tuple[Level, ...],
-    closed: tuple[Balance | None, str],
-) -> Findings:
-    """What was ``told`` of lines, with what these make of the speeds, the motor, the energy and the balance."""
-    balance, reason = closed
-    return replace(
-        told,
-        speeds_to_avoid=avoided_records(speeds),
-        free_bands=free_records(speeds.free),
-        open_bands=open_records(speeds.open),
-        motor=None if motor is None else motor.record,
-        energy=_with_above(energy, levels),
-        levels=levels,
-        balance=balance,
-        balance_reason=None if balance is not None else reason,
-    )
 
 
 def _balance(
-    close: Callable[..., UnbalanceFit], order_map: xr.Dataset, sources: MachineModel, causes: Causes
+    fit: Callable[..., UnbalanceFit], order_map: xr.Dataset, sources: MachineModel, causes: Causes
 ) -> tuple[Balance | None, str]:
-    """The residual unbalance by what ``close`` makes of engine and paths, or why it is not known."""
-    made, reason = close(engine=sources.engine, paths=sources.paths, added=sources.added)
-    if made is not None:
-        made, reason = if_unbalance(made, causes.orders.values())
-    return graded(made, sources, float(np.nanmax(order_map["speed"].values, initial=0.0))), reason
+    """The residual unbalance by what ``fit`` makes of engine and paths, or why it is not known."""
+    balance, reason = fit(engine=sources.engine, paths=sources.paths, added=sources.added)
+    if balance is not None:
+        balance, reason = if_unbalance(balance, causes.orders.values())
+    return graded(balance, sources, float(np.nanmax(order_map["speed"].values, initial=0.0))), reason
 
 
-def _orders_and_modes(
-    order_map: xr.Dataset,
-    campbell: xr.Dataset,
-    frames: Sequence[xr.Dataset],
-    sweeps: tuple[Sequence[xr.Dataset], SweepFits],
-    electric: tuple[Sequence[Held], Sequence[LineSeen]],
-    settings: Settings,
-    doubt: str | None,
-) -> tuple[tuple[AgreedOrder, ...], ModalFit, tuple[LineSeen, ...]]:
-    """Orders as the map and the modes that they cross tell them, and modes without ``electric`` lines (held, known).
-
-    Last those of the known lines that are not what a mode rings.
-
-    ``sweeps``: orders as they were followed, and poles that the signals tell.
-
-    With a ``doubt`` about the speed no order is locked or slips.
-    """
-    (held, seen), (followed, swept) = electric, sweeps
+def _orders_of_map(
+    order_map: xr.Dataset, frames: Sequence[xr.Dataset], followed: Sequence[xr.Dataset], settings: Settings
+) -> tuple[AgreedOrder, ...]:
+    """Orders as the channels of the map agree on them, with those that were ``followed`` through sweeps."""
     lines = order_lines(order_map, settings=settings.identify, orders=settings.orders, frames=frames)
     agreed = orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify, followed=followed)
-    numbered = numbered_as_followed(agreed, followed)
-    in_map = unless_sidebands(with_followed(numbered, followed, order_map), order_map, frames)
-    fitted = modal_fit(campbell, order_map, in_map, settings=settings.identify, followed=followed, swept=swept)
-    known = without_ringing(seen, fitted.modes)
-    in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
-    modal = with_tones_parted(modal, held)
-    if speed_source([*frames, order_map]) == "pulses":
-        in_map, modal = with_lines_of_recordings(in_map, modal, held, order_map, settings=settings.identify)
-    modal = without_absent_mains(with_mains_tones(modal, known, in_map), held, settings=settings.identify)
-    modal = without_doubles(replace(modal, tones=with_one_mains(list(modal.tones), settings=settings.identify)))
-    return in_map if doubt is None else undecided_orders(in_map), modal, known
-
-
-def _with_above(energy: Energy, levels: Sequence[Level]) -> Energy:
-    """``energy`` with the share of each channel that lies above the band, by its ``levels``."""
-    above = {one.channel: one.share_above for one in levels}
-    return replace(energy, channels=tuple(replace(one, above_band=above.get(one.channel)) for one in energy.channels))
+    numbered = with_followed(numbered_as_followed(agreed, followed), followed, order_map)
+    return unless_sidebands(numbered, order_map, frames)
 
 
 def _by_channel(order_map: xr.Dataset, name: str) -> dict[str, str]:

@@ -29,7 +29,6 @@ from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.known_lines import LineSeen, named_by
 from crankorder.identify.lines.mains import mains_orders, multiple_on, multiples_near, supply_told
 from crankorder.identify.machine_model import MachineModel, PartsAt, StatedPart, parts_at
-from crankorder.identify.modes.tones import NEAR_BINS
 from crankorder.identify.modes.tones import NUMBERS as TONES
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -518,27 +517,6 @@ NEIGHBOUR_NUMBERS = MethodNumbers("5-identify-explain.toml", "one_cause")
 
 _CALLED: dict[CauseKind, str] = {"tone": "a fixed tone", "order": "an order or a tone"}
 _AT_ONE_SPEED: dict[CauseKind, str] = {"tone": "a line without width", "order": "an order or a tone"}
-
-
-def without_doubles(modal: ModalFit) -> ModalFit:
-    """``modal`` without tones that may be orders and stand on the flank of a stronger tone.
-
-    Lines closer than the main lobe of the window are one in the map; such a one is what the fit of the stronger left.
-    """
-    if len(modal.frequency_hz) < 2:
-        return modal
-    reach = NEAR_BINS * float(modal.frequency_hz[1] - modal.frequency_hz[0])
-    sizes = [max(size for size, _ in tone.amplitude.values()) for tone in modal.tones]
-    kept = tuple(
-        tone
-        for tone, size in zip(modal.tones, sizes, strict=True)
-        if "order" not in tone.kind
-        or not any(
-            abs(tone.frequency_hz - other.frequency_hz) < reach and size < more
-            for other, more in zip(modal.tones, sizes, strict=True)
-        )
-    )
-    return replace(modal, tones=kept)
 
 
 def with_neighbours_named(modal: ModalFit, orders: Sequence[AgreedOrder], causes: Causes) -> ModalFit:

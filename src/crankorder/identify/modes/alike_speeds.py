@@ -10,10 +10,10 @@ import xarray as xr
 
 from crankorder.identify.found import AgreedOrder, Doubt, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.known_lines import LOBE_BINS, Held, found_near
+from crankorder.identify.lines.known_lines import LOBE_BINS, Held, LineSeen, found_near
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.mains import NUMBERS as MAINS
-from crankorder.identify.lines.mains import multiples_near
+from crankorder.identify.lines.mains import multiples_near, with_mains_tones
 from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
 from crankorder.identify.lines.several_orders import (
     DEGREES_OF_FREEDOM,
@@ -46,6 +46,27 @@ class _Parted:
         own = [line.error * (held.rpm / 60.0 if self.fixed else 1.0) for held, line in self.seen]
         n = len(own)
         return float(np.hypot(np.sqrt(np.sum(np.square(own))) / n, self.places.std() / np.sqrt(max(n - 1, 1))))
+
+
+def with_tones_settled(
+    orders: tuple[AgreedOrder, ...],
+    modal: ModalFit,
+    held: Sequence[Held],
+    known: Sequence[LineSeen],
+    order_map: xr.Dataset,
+    *,
+    parted: Sequence[Held],
+    settings: IdentifySettings,
+) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
+    """``orders`` and ``modal`` with each tone as the recordings hold it: one line or several, mains, or an order.
+
+    ``held`` are the recordings at held speeds, ``parted`` those whose angle comes from pulses; ``known`` lines of the
+    mains; ``order_map`` that of the test; ``settings``: the mains frequencies and how far they wander.
+    """
+    modal = with_tones_parted(modal, held)
+    orders, modal = with_lines_of_recordings(orders, modal, parted, order_map, settings=settings)
+    modal = without_absent_mains(with_mains_tones(modal, known, orders), held, settings=settings)
+    return orders, without_doubles(replace(modal, tones=with_one_mains(list(modal.tones), settings=settings)))
 
 
 def with_lines_of_recordings(
@@ -376,3 +397,19 @@ def _holding(tone: Tone, hertz: Sequence[float]) -> Tone:
     words = f"{tone.evidence}; more than one line: the longest recording parts {named} Hz"
     error = max(tone.frequency_error_hz, 1.05 * far / Z95)
     return replace(tone, frequency_error_hz=error, evidence=words)
+
+
+def without_doubles(modal: ModalFit) -> ModalFit:
+    """``modal`` without tones that may be orders and stand on the flank of a stronger tone.
+
+    Lines closer than the main lobe of the window are one in the map; such a one is what the fit of the stronger left.
+    """
+    if len(modal.frequency_hz) < 2:
+        return modal
+    reach = NEAR_BINS * float(modal.frequency_hz[1] - modal.frequency_hz[0])
+    kept = tuple(
+        tone
+        for tone in modal.tones
+        if "order" not in tone.kind or not any(_is_flank(tone, other, reach) for other in modal.tones)
+    )
+    return replace(modal, tones=kept)
