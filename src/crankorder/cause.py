@@ -31,7 +31,7 @@ _WORDS: dict[CauseKind, str] = {
     "bearing": "bearing {names}",
     "part of a shaft": "{names} part of that shaft",
     "gear mesh or blade passing": "shaft harmonic or gear mesh or blade passing",
-    "fold": "fold of {name}",
+    "fold": "fold of {frequency_hz:.6g} Hz",
     "sideband": "sideband of {of}{carrier:.4g}{unit} spaced by {spacing:.4g}{unit}",
     "sideband of an encoder": "encoder eccentricity: sideband of order {carrier:g}",
     "another shaft": "{harmonic}a second shaft at {ratio:.4g}",
@@ -110,8 +110,7 @@ class Cause:
         return self.kind in kinds and not self.others
 
 
-OF_ITS_OWN = Cause("a line of its own")
-BY_A_SWING = Cause("sideband by a swing of the angle").either(OF_ITS_OWN)
+BY_A_SWING = Cause("sideband by a swing of the angle").either(Cause("a line of its own"))
 """A line that the swing of the shaft or an error of its encoder may make, which nothing proves."""
 
 

@@ -245,7 +245,7 @@ def test_each_channel_has_its_own_cause():
 
 
 def test_an_order_that_is_a_fold_is_called_one():
-    fold = Alias("frequency", 7200.0, np.arange(3), 1e-4, True, "lines are one of 7200 Hz folded")
+    fold = Alias(7200.0, np.arange(3), 1e-4, "lines are one of 7200 Hz folded")
     shown = ShownAlias(fold, SPEEDS_RPM, np.full(SPEEDS_RPM.size, 7.31), 0.02)
     orders = [agreed(7.31, lock="slips"), agreed(9.2, lock="slips")]
     assert texts(orders, ROTOR, folds=(shown,)) == {7.31: "fold of 7200 Hz", 9.2: "unexplained"}

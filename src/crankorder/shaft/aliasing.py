@@ -2,7 +2,7 @@
 
 Sampled samples_per_rev times a revolution, whatever lies above half of that order shows at |order - n samples_per_rev|,
 unless a filter stopped it. A line of fixed frequency f is at order 60 f / speed, so its alias runs through the orders
-with speed far faster than any true line; an order's alias is an order, where its place alone does not betray it.
+with speed far faster than any true line.
 """
 
 from __future__ import annotations
@@ -28,45 +28,40 @@ MOST_PROPOSED = 400
 
 @dataclass(frozen=True)
 class AliasedLine:
-    """Where a line shows at each of ``speed_rpm`` (speeds,), and whether it ``folds`` (speeds,) there.
+    """Where a line of ``frequency_hz`` shows at each of ``speed_rpm`` (speeds,): at ``shown_order`` (speeds,).
 
-    ``kind``: "frequency" (``value`` in Hz) or "order". ``shown_order``: (speeds,).
+    ``folds`` (speeds,): whether it is folded there.
     """
 
-    kind: str
-    value: float
+    frequency_hz: float
     speed_rpm: Floats
     shown_order: Floats
     folds: Bools
 
     def __str__(self) -> str:
         """The line and where it shows, in words."""
-        name = f"{self.value:g} Hz" if self.kind == "frequency" else f"order {self.value:g}"
-        if self.kind == "order" and self.folds.all():
-            return f"{name} shows at order {self.shown_order[0]:.4g}"
         at = zip(self.shown_order[self.folds], self.speed_rpm[self.folds], strict=True)
-        return f"{name} shows at order " + ", ".join(f"{order:.4g} ({speed:g} rpm)" for order, speed in at)
+        orders = ", ".join(f"{order:.4g} ({speed:g} rpm)" for order, speed in at)
+        return f"{self.frequency_hz:g} Hz shows at order {orders}"
 
 
 @dataclass(frozen=True)
 class Alias:
-    """Found lines that are, or may be, a fold: of a fixed frequency (Hz) or of an order (``kind`` and ``value``).
+    """Found lines that are folds of a fixed ``frequency_hz``.
 
-    ``points``: which of the found lines; ``false_aliases``: how many such would be found by chance (NaN where chance
-    does not enter); ``sure``: whether that is few and nothing else explains them; ``evidence``: in words.
+    ``points``: which of the found lines; ``false_aliases``: how many such would be found by chance; ``evidence``: in
+    words.
     """
 
-    kind: str
-    value: float
+    frequency_hz: float
     points: Ints
     false_aliases: float
-    sure: bool
     evidence: str
 
     @property
     def remark(self) -> Remark:
         """The fold as (flag, severity, detail)."""
-        return (f"folded_{self.kind}", "suspect" if self.sure else "info", self.evidence)
+        return ("folded_frequency", "suspect", self.evidence)
 
 
 def aliased_order(order: npt.ArrayLike, samples_per_rev: float) -> Floats:
@@ -79,8 +74,7 @@ def aliased_lines(
     samples_per_rev: float,
     speeds_rpm: Sequence[float] | Floats,
     *,
-    frequencies_hz: Sequence[float] = (),
-    orders: Sequence[float] = (),
+    frequencies_hz: Sequence[float],
     shown_to_order: float = math.inf,
 ) -> list[AliasedLine]:
     """Lines that fold at one speed or more to an order that is looked at, with their place at every speed.
@@ -90,21 +84,19 @@ def aliased_lines(
     samples_per_rev : samples per crank revolution, above 0
     speeds_rpm : (speeds,), rpm, above 0
     frequencies_hz : fixed frequencies, Hz: mains and its harmonics, natural frequencies, switched supplies
-    orders : orders of gear meshes, blades and whatever else may lie above samples_per_rev / 2
     shown_to_order : highest order that is looked at; a fold beyond it disturbs nobody
     """
     speed = np.asarray(speeds_rpm, dtype=np.float64)
     if not samples_per_rev > 0.0 or not np.all(speed > 0.0):
         raise RequestError("no such sampling", place="folding", allowed="samples per revolution and speeds above 0")
-    lines = [("frequency", f, 60.0 * f / speed) for f in frequencies_hz]
-    lines += [("order", order, np.full(speed.shape, float(order))) for order in orders]
-    found = []
-    for kind, value, true in lines:
+    lines = []
+    for frequency_hz in frequencies_hz:
+        true = 60.0 * frequency_hz / speed
         shown = aliased_order(true, samples_per_rev)
         folds = (true > 0.5 * samples_per_rev) & (shown <= shown_to_order)
         if folds.any():
-            found.append(AliasedLine(kind, float(value), speed, shown, folds))
-    return found
+            lines.append(AliasedLine(float(frequency_hz), speed, shown, folds))
+    return lines
 
 
 def find_aliases(
@@ -115,16 +107,13 @@ def find_aliases(
     order_error: float,
     shown_to_order: float,
     highest_hz: float,
-    speed_error: float = 0.0,
     frequencies_hz: Sequence[float] = (),
-    orders: Sequence[float] = (),
 ) -> list[Alias]:
-    """Which found lines are folds of fixed frequencies, and which may be folds of ``orders``; the surest first.
+    """Which found lines are folds of fixed frequencies, the lowest first.
 
     A frequency is believed where chance would put so many lines on its track in fewer than one test of a hundred,
     counted over all frequencies tried; a line takes part in one fold. A line that stays at its order is a line of the
-    shaft; that it lies where one of ``orders`` folds is told, and cannot be told from a true line there by its place:
-    another samples_per_rev, or sampling by time, decides.
+    shaft.
 
     Parameters
     ----------
@@ -134,9 +123,7 @@ def find_aliases(
     order_error : how well an order is known, above 0; more finds more and proves less
     shown_to_order : highest order in which lines were sought, up to samples_per_rev / 2
     highest_hz : highest frequency that the sensors let pass, up to which unnamed frequencies are sought
-    speed_error : share of its value by which a speed may be wrong, 0 or more; it moves far folds most
     frequencies_hz : frequencies that the test is known to have; looked for first, as few they prove more
-    orders : orders above samples_per_rev / 2 that the machine is known to have
 
     Raises
     ------
@@ -146,12 +133,9 @@ def find_aliases(
         raise RequestError(
             "no such lines", place="folding", allowed="a speed above 0 for every order, an error above 0"
         )
-    track = _Track(
-        speed_rpm, order, samples_per_rev, order_error, min(shown_to_order, 0.5 * samples_per_rev), speed_error
-    )
-    staying = _staying(speed_rpm, order, order_error)
+    track = _Track(speed_rpm, order, samples_per_rev, order_error, min(shown_to_order, 0.5 * samples_per_rev))
     free = np.ones(order.size, dtype=np.bool_)
-    free[[point for points in staying for point in points]] = False
+    free[[point for points in _staying(speed_rpm, order, order_error) for point in points]] = False
     folds = []
     for f in frequencies_hz:
         fold = track.fold(float(f), free, tried=max(1, len(frequencies_hz)))
@@ -159,9 +143,7 @@ def find_aliases(
             folds.append(fold)
             free[fold.points] = False
     folds += _unnamed(track, free, highest_hz)
-    for points in staying:
-        folds += _alias_of_order(float(np.median(order[points])), points, samples_per_rev, order_error, orders)
-    return sorted(folds, key=lambda fold: (not fold.sure, fold.kind, fold.value))
+    return sorted(folds, key=lambda fold: fold.frequency_hz)
 
 
 @dataclass(frozen=True)
@@ -173,20 +155,19 @@ class _Track:
     samples_per_rev: float
     order_error: float
     shown_to_order: float
-    speed_error: float
 
     def fold(self, frequency_hz: float, free: Bools, *, tried: int) -> Alias | None:
         """The Alias of ``frequency_hz`` among the ``free`` points where it is sure after ``tried`` frequencies."""
         speeds = np.unique(self.speed_rpm)
         true = 60.0 * frequency_hz / speeds
         shown = aliased_order(true, self.samples_per_rev)
-        error = np.hypot(self.order_error, self.speed_error * true)
         looked = (shown < self.shown_to_order) & (true > 0.5 * self.samples_per_rev)
         hits, log_chance = [], 0.0
-        for speed, place, width in zip(speeds[looked], shown[looked], error[looked], strict=True):
+        by_chance = min(1.0, 2.0 * self.order_error / self.shown_to_order)
+        for speed, place in zip(speeds[looked], shown[looked], strict=True):
             at = np.flatnonzero(free & (self.speed_rpm == speed))
-            chance = 1.0 - (1.0 - min(1.0, 2.0 * width / self.shown_to_order)) ** at.size
-            near = at[np.abs(self.order[at] - place) <= width]
+            chance = 1.0 - (1.0 - by_chance) ** at.size
+            near = at[np.abs(self.order[at] - place) <= self.order_error]
             if near.size:
                 hits.append(int(near[np.argmin(np.abs(self.order[near] - place))]))
                 log_chance += math.log(chance)
@@ -204,7 +185,7 @@ class _Track:
             f"samples per revolution: at {len(hits)} of {n_looked} speeds where it would show, "
             f"{false_aliases:.1g} by chance"
         )
-        return Alias("frequency", frequency_hz, points, false_aliases, True, evidence)
+        return Alias(frequency_hz, points, false_aliases, evidence)
 
     def refined_hz(self, frequency_hz: float, points: Ints) -> float:
         """Frequency that fits the ``points`` of a fold near ``frequency_hz`` best."""
@@ -212,7 +193,7 @@ class _Track:
         turns = np.rint(true / self.samples_per_rev)
         sign = np.where(true >= turns * self.samples_per_rev, 1.0, -1.0)
         each = (turns * self.samples_per_rev + sign * self.order[points]) * self.speed_rpm[points] / 60.0
-        width = self.speed_rpm[points] / 60.0 * np.hypot(self.order_error, self.speed_error * true)
+        width = self.speed_rpm[points] / 60.0 * self.order_error
         return float(np.average(each, weights=width**-2.0))
 
 
@@ -228,10 +209,11 @@ def _unnamed(track: _Track, free: Bools, highest_hz: float) -> list[Alias]:
         if not sure:
             break
         best = min(sure, key=lambda fold: fold.false_aliases)
-        exact = track.refined_hz(best.value, best.points)
+        exact = track.refined_hz(best.frequency_hz, best.points)
         # where speeds are in simple ratios, several frequencies fold alike at all of them
-        near_hz = 1e-3 * best.value
-        alike = [f.value for f in sure if np.array_equal(f.points, best.points) and abs(f.value - exact) > near_hz]
+        near_hz = 1e-3 * best.frequency_hz
+        same = [f.frequency_hz for f in sure if np.array_equal(f.points, best.points)]
+        alike = [hertz for hertz in same if abs(hertz - exact) > near_hz]
         best = track.fold(exact, free, tried=math.ceil(tried)) or best
         if alike:
             best = replace(best, evidence=f"{best.evidence}; {min(alike):.5g} Hz would fold alike")
@@ -246,7 +228,7 @@ def _proposed(track: _Track, free: Bools, lowest_hz: float, highest_hz: float) -
     turns = np.arange(1, int(highest_hz / (track.samples_per_rev * turn_hz.min())) + 2)[:, None]
     every = np.concatenate([(turns * track.samples_per_rev + sign * order) * turn_hz for sign in (1.0, -1.0)]).ravel()
     every = np.sort(every[(every >= lowest_hz) & (every <= highest_hz)])
-    width = 1.5 * (float(turn_hz.max()) * track.order_error + track.speed_error * every)
+    width = 1.5 * float(turn_hz.max()) * track.order_error
     last = np.searchsorted(every, every + width, side="right")
     votes = last - np.arange(every.size)
     best = np.sort(np.argsort(-votes, kind="stable")[:MOST_PROPOSED])
@@ -270,23 +252,3 @@ def _staying(speed_rpm: Floats, order: Floats, order_error: float) -> list[list[
         else:
             first += 1
     return groups
-
-
-def _alias_of_order(
-    shown: float, points: list[int], samples_per_rev: float, order_error: float, orders: Sequence[float]
-) -> list[Alias]:
-    """Of the ``orders`` of the machine those that would show where a line of the shaft is ``shown``."""
-    high = [float(order) for order in orders if order > 0.5 * samples_per_rev]
-    return [
-        Alias(
-            "order",
-            order,
-            np.array(points),
-            math.nan,
-            False,
-            f"the line at order {shown:.4g} lies where order {order:g} folds at {samples_per_rev:g} samples per "
-            f"revolution: it may be either; another number of samples per revolution decides",
-        )
-        for order in high
-        if abs(float(aliased_order(order, samples_per_rev)) - shown) <= order_error
-    ]

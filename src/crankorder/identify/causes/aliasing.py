@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,11 +33,10 @@ class ShownAlias:
         return bool(np.mean(same) > NUMBERS.of_line_share)
 
 
-def shown_aliases(order_map: xr.Dataset, *, settings: Settings, orders: Sequence[float] = ()) -> tuple[ShownAlias, ...]:
+def shown_aliases(order_map: xr.Dataset, *, settings: Settings) -> tuple[ShownAlias, ...]:
     """What is found to fold in ``order_map``, the surest first; nothing where it was sampled by time or lacks a speed.
 
     ``settings``: those of identify (mains frequencies, highest frequency looked for) and of orders (the floor's width).
-    ``orders``: orders of gears and blades that the machine has above half the samples per revolution.
     """
     samples_per_rev = _samples_per_rev(order_map)
     if samples_per_rev is None:
@@ -54,22 +52,19 @@ def shown_aliases(order_map: xr.Dataset, *, settings: Settings, orders: Sequence
         order_error=order_error,
         shown_to_order=float(axis[-1]),
         highest_hz=settings.identify.fold_search_hz,
-        frequencies_hz=[line.value for line in _aliased_mains(order_map, samples_per_rev, settings)],
-        orders=orders,
+        frequencies_hz=[line.frequency_hz for line in _aliased_mains(order_map, samples_per_rev, settings)],
     )
     return tuple(
         ShownAlias(fold, speed[at_speed][fold.points], axis[at_order][fold.points], order_error) for fold in folds
     )
 
 
-def alias_flags(
-    order_map: xr.Dataset, *, settings: Settings, folds: tuple[ShownAlias, ...] | None = None
-) -> list[QualityFlag]:
+def alias_flags(order_map: xr.Dataset, *, settings: Settings, folds: tuple[ShownAlias, ...]) -> list[QualityFlag]:
     """What may fold at the speeds of ``order_map``, and fixed frequencies above half the rate that show as lines in it.
 
     Nothing where the map is of recordings sampled by time, or of unknown speed. ``settings``: those of identify (mains
     frequencies, highest frequency looked for) and of orders (the floor's width). ``folds``: those of
-    :func:`shown_aliases`, where they are at hand.
+    :func:`shown_aliases`.
     """
     samples_per_rev = _samples_per_rev(order_map)
     if samples_per_rev is None:
@@ -82,8 +77,7 @@ def alias_flags(
         f"{low_hz:.4g} to {high_hz:.4g} Hz (by speed) shows at |order - {samples_per_rev:g} k|"
     )
     text = "; mains, ".join([said, *map(str, mains)])
-    shown = shown_aliases(order_map, settings=settings) if folds is None else folds
-    remarks = [("lines_may_fold", "info", text), *(one.fold.remark for one in shown)]
+    remarks = [("lines_may_fold", "info", text), *(shown.fold.remark for shown in folds)]
     return [
         {"recording": "all", "flag": flag, "severity": severity, "detail": detail} for flag, severity, detail in remarks
     ]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from crankorder.cause import OF_ITS_OWN, Cause, CauseKind, alike_speeds, of_mains, of_order
+from crankorder.cause import Cause, CauseKind, alike_speeds, of_mains, of_order
 from crankorder.findings import BearingFinding, Lock
 from crankorder.identify.causes.aliasing import ShownAlias
 from crankorder.identify.causes.cycle_forces import CycleForce, cycle_forces, gas_half_orders
@@ -350,10 +350,7 @@ def _race_harmonic(of: _Line, test: _Test) -> Cause | None:
 def _fold(of: _Line, test: _Test) -> Cause | None:
     for shown in test.folds:
         if shown.is_line(of.line):
-            fold = shown.fold
-            name = f"{fold.value:.6g} Hz" if fold.kind == "frequency" else f"order {fold.value:.6g}"
-            cause = Cause("fold", fold.evidence, {"name": name})
-            return cause if fold.sure else cause.either(OF_ITS_OWN)
+            return Cause("fold", shown.fold.evidence, {"frequency_hz": shown.fold.frequency_hz})
     return None
 
 
