@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 import xarray as xr
 
 from crankorder.cause import ELECTRIC, alike_speeds, electric
+from crankorder.engine.motor import Motor
 from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Findings, quality_of
+from crankorder.findings import Motor as MotorRecord
 from crankorder.identify.balance.unbalance_fit import UnbalanceFit, unbalance_fit
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.causes.aliasing import alias_flags, shown_aliases
 from crankorder.identify.causes.angle_swings import swing_sidebands
 from crankorder.identify.causes.explain import Causes, explained, with_neighbours_named
 from crankorder.identify.energy import energy_shares
-from crankorder.identify.found import NO_FITS, AgreedOrder, Doubt, SpeedVerdicts, SweepFits, Unsearched
+from crankorder.identify.found import NO_FITS, AgreedOrder, Doubt, ModalFit, SpeedVerdicts, SweepFits, Unsearched
 from crankorder.identify.levels import (
     graded,
     level_records,
@@ -34,7 +36,7 @@ from crankorder.identify.lines.followed_orders import (
     with_track_rows,
 )
 from crankorder.identify.lines.growth import if_unbalance
-from crankorder.identify.lines.known_lines import held_of, without_known
+from crankorder.identify.lines.known_lines import LineSeen, held_of, without_known
 from crankorder.identify.lines.mains import mains_seen, motor_seen, without_ringing
 from crankorder.identify.lines.order_lines import order_lines
 from crankorder.identify.lines.order_lock import speed_source
@@ -94,42 +96,15 @@ def find(
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
     flags = [*flags_of(order_map)]
     flags += [flag for flag in flags_of(campbell) if flag not in flags]
-    doubt, motor = speed_doubt(flags), None
-    held = held_of(frames, order_map)
-    if sources.motor is not None:
-        by_shaft = doubt is None and speed_source([order_map]) != "stated"
-        motor = motor_seen(sources.motor, held, by_shaft=by_shaft, settings=asked)
-        doubt = doubt or motor.speed_doubt
-    seen = (motor.lines if motor else ()) or mains_seen(held, settings=asked)
-
-    in_map = _orders_of_map(order_map, frames, followed, settings)
-    fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed, swept=swept)
-    known = without_ringing(seen, fitted.modes)
-    in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
-    parted = held if speed_source([*frames, order_map]) == "pulses" else ()
-    in_map, modal = with_tones_settled(in_map, modal, held, known, order_map, parted=parted, settings=asked)
-    in_map = in_map if doubt is None else undecided_orders(in_map)
-    without = without_swings(followed, modal.swings)
-    rows_of_fits, fixed = with_rows_of_fits(without, swept), fixed_lines(modal.tones)
-    reader = TrackReader(order_map, frames=frames, followed=rows_of_fits, fixed=fixed)
-    orders = with_track_rows(in_map, reader, settings=settings.orders)
-
+    lines = _lines(order_map, campbell, frames, followed, swept, speed_doubt(flags), sources.motor, settings)
+    modal, in_map, orders, doubt = lines.modal, lines.in_map, lines.orders, lines.doubt
     bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
     folds = shown_aliases(order_map, settings=settings)
-    causes = explained(
-        in_map,
-        modal,
-        bearings,
-        sources=sources,
-        quantity=quantity,
-        settings=asked,
-        in_cylinder=[name for name in unit if is_cylinder_pressure(quantity[name], unit[name])],
-        folds=folds,
-        known=known,
-        of_swing=swing_sidebands(orders, frames),
-        longest_rev=max((recording.span_rev for recording in held), default=np.inf),
-        rows={(line.channel, agreed.order): line for agreed in orders for line in agreed.lines},
-    )
+    explain = partial(explained, in_map, modal, bearings, sources=sources, settings=asked, folds=folds)
+    explain = partial(explain, known=lines.known, longest_rev=lines.longest_rev, quantity=quantity)
+    in_cylinder = [name for name in unit if is_cylinder_pressure(quantity[name], unit[name])]
+    rows = {(line.channel, agreed.order): line for agreed in orders for line in agreed.lines}
+    causes = explain(in_cylinder=in_cylinder, of_swing=swing_sidebands(orders, frames), rows=rows)
     modal = with_neighbours_named(modal, in_map, causes)
 
     tested = _tested_rpm(order_map, campbell)
@@ -139,7 +114,7 @@ def find(
     meetings = crossing_records(as_avoided(met, speeds.avoid))
     speeds = speeds if doubt is None else without_free(speeds)
 
-    fit = partial(unbalance_fit, order_map, orders, modal, followed=without)
+    fit = partial(unbalance_fit, order_map, orders, modal, followed=lines.followed)
     balance, reason = _balance(fit, order_map, sources, causes)
     energy, unexplained = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
     of_channels = level_records(levels)
@@ -162,7 +137,7 @@ def find(
         free_bands=free_records(speeds.free),
         open_bands=open_records(speeds.open),
         bearings=bearings,
-        motor=None if motor is None else motor.record,
+        motor=lines.motor,
         lines=line_records(records, modal, causes, channels=list(unit)),
         unexplained_energy_fraction=unexplained,
         energy=replace(energy, channels=shares),
@@ -188,14 +163,60 @@ def _balance(
     return graded(balance, sources, float(np.nanmax(order_map["speed"].values, initial=0.0))), reason
 
 
-def _orders_of_map(
-    order_map: xr.Dataset, frames: Sequence[xr.Dataset], followed: Sequence[xr.Dataset], settings: Settings
-) -> tuple[AgreedOrder, ...]:
-    """Orders as the channels of the map agree on them, with those that were ``followed`` through sweeps."""
-    lines = order_lines(order_map, settings=settings.identify, orders=settings.orders, frames=frames)
-    agreed = orders_agreed(lines, frames=frames, order_map=order_map, settings=settings.identify, followed=followed)
+@dataclass(frozen=True)
+class _Lines:
+    """Orders as the map shows them (``in_map``) and with the amplitudes of their tracks; modes and tones.
+
+    ``known`` lines of the motor and the mains; tracks ``followed`` less what rings on; the ``motor``; why the speed is
+    in ``doubt``, or None; revolutions of the longest recording at one speed.
+    """
+
+    in_map: tuple[AgreedOrder, ...]
+    orders: tuple[AgreedOrder, ...]
+    modal: ModalFit
+    known: tuple[LineSeen, ...]
+    followed: Sequence[xr.Dataset]
+    motor: MotorRecord | None
+    doubt: str | None
+    longest_rev: float
+
+
+def _lines(
+    order_map: xr.Dataset,
+    campbell: xr.Dataset,
+    frames: Sequence[xr.Dataset],
+    followed: Sequence[xr.Dataset],
+    swept: SweepFits,
+    doubt: str | None,
+    motor: Motor | None,
+    settings: Settings,
+) -> _Lines:
+    """Lines of a test: which stand, the modes that they cross, their locks, and what stays at its frequency.
+
+    With a ``doubt`` about the speed no order is locked or slips.
+    """
+    asked, held = settings.identify, held_of(frames, order_map)
+    by_shaft = doubt is None and speed_source([order_map]) != "stated"
+    seen_motor = None if motor is None else motor_seen(motor, held, by_shaft=by_shaft, settings=asked)
+    doubt = doubt or (seen_motor.speed_doubt if seen_motor else None)
+    seen = (seen_motor.lines if seen_motor else ()) or mains_seen(held, settings=asked)
+    in_channels = order_lines(order_map, settings=asked, orders=settings.orders, frames=frames)
+    agreed = orders_agreed(in_channels, frames=frames, order_map=order_map, settings=asked, followed=followed)
     numbered = with_followed(numbered_as_followed(agreed, followed), followed, order_map)
-    return unless_sidebands(numbered, order_map, frames)
+    in_map = unless_sidebands(numbered, order_map, frames)
+    fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed, swept=swept)
+    known = without_ringing(seen, fitted.modes)
+    in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
+    parted = held if speed_source([*frames, order_map]) == "pulses" else ()
+    in_map, modal = with_tones_settled(in_map, modal, held, known, order_map, parted=parted, settings=asked)
+    in_map = in_map if doubt is None else undecided_orders(in_map)
+    without = without_swings(followed, modal.swings)
+    rows_of_fits, fixed = with_rows_of_fits(without, swept), fixed_lines(modal.tones)
+    reader = TrackReader(order_map, frames=frames, followed=rows_of_fits, fixed=fixed)
+    orders = with_track_rows(in_map, reader, settings=settings.orders)
+    longest = max((recording.span_rev for recording in held), default=np.inf)
+    record = None if seen_motor is None else seen_motor.record
+    return _Lines(in_map, orders, modal, known, without, record, doubt, longest)
 
 
 def _by_channel(order_map: xr.Dataset, name: str) -> dict[str, str]:
