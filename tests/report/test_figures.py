@@ -12,15 +12,15 @@ import pytest
 import xarray as xr
 from PIL import Image
 
+from crankorder.plot.campbell_figure import campbell_figure
 from crankorder.plot.drawing import Drawing, Field, Rings
+from crankorder.plot.envelope_figure import envelope_figure
+from crankorder.plot.orders_figure import orders_figure
 from crankorder.plot.painter import picture_bytes
 from crankorder.plot.palette import LIGHT, level_colours
-from crankorder.report.campbell_figure import campbell_figure
-from crankorder.report.envelope_figure import envelope_figure
-from crankorder.report.orders_figure import orders_figure
+from crankorder.plot.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
+from crankorder.plot.speed_figure import changing_recordings, speed_figure
 from crankorder.report.pictures import pictures_of
-from crankorder.report.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
-from crankorder.report.speed_figure import changing_recordings, speed_figure
 from crankorder.shaft.summary import speed_trace, trace_variables
 from made.typed import from_dicts
 
