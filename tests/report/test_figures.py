@@ -364,9 +364,10 @@ def test_a_steady_line_below_a_sweeping_natural_frequency_stands_out_of_the_orde
         coords={"channel": ["Z"], "speed": speed, "order": order},
     )
     figure = order_spectra_figure(order_map, {"test": "t"}, settings=settings)
-    (curve,) = figure.strokes("spectrum")
-    assert int(np.nanargmax(curve.values[1])) == line
+    (mean,), (around,) = ([one.values[1] for one in figure.strokes(name)] for name in ("spectrum", "floor"))
+    assert int(np.nanargmax(mean / around)) == line
     assert int(np.nanargmax(amplitude.max(axis=0))) != line  # the largest over the speeds buries it
+    assert mean[line] == pytest.approx(np.exp(np.log(amplitude[:, line]).mean()))  # in the channel's unit
 
 
 # Beside the Campbell diagram stand the speeds to avoid and the free ones, at their place on its scale.

@@ -28,7 +28,7 @@ from crankorder.plot.drawing import Drawing, Panel, Words, log_limits
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, head_of_test, label_width_in
 from crankorder.plot.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES, drawable, shortened
 from crankorder.plot.reading import is_number, nominal_order, order_name, order_text, order_texts
-from crankorder.plot.spectra_figure import DECADES, column_boxes, column_panels, draw_spectrum, label_column
+from crankorder.plot.spectra_figure import DECADES, column_boxes, column_panels, draw_spectrum, label_column, ring_lines
 from crankorder.quantities import Floats
 from crankorder.settings import ReportSettings
 
@@ -77,14 +77,6 @@ def draw_envelope(panel: Panel, order: Floats, amplitude: Floats, floor: Floats)
     draw_spectrum(panel, order, amplitude)
     if np.any(floor > 0):
         panel.curve(order, np.where(floor > 0, floor, np.nan), color=_FLOOR, width=1.4, name="floor")
-
-
-def _ring(panel: Panel, places: list[tuple[float, float]]) -> bool:
-    """Ring the lines at ``places`` (order, amplitude) that were found; False where there are none."""
-    if places:
-        x, y = (np.array(values) for values in zip(*places, strict=True))
-        panel.rings(x, y, color=LINES[1], radius=5.0, width=1.4, name="found")
-    return bool(places)
 
 
 def _keys(drawing: Drawing, *, expected: bool, found: bool) -> list[Key]:
@@ -178,16 +170,13 @@ def _draw_found(panel: Panel, orders: Floats, values: Floats, findings: Findings
         if not own or not is_number(record.order) or not len(orders):
             continue
         order = record.order
-        near = np.abs(orders - order) <= max(2 * float(np.median(np.diff(orders))) if len(orders) > 1 else 0.0, 1e-9)
-        height = float(np.max(values, where=near, initial=0.0))
-        if height > 0:
-            places.append((order, height))
+        places.append(order)
         multiples = record.harmonics
         for number in range(2, min(int(multiples) if is_number(multiples) else 1, _MULTIPLES) + 1):
             if number * order <= panel.x[1]:
                 panel.upright(number * order, color=LINES[1], width=0.7, alpha=0.45, name=f"multiple-{number}")
         _draw_sidebands(panel, order, record.sidebands)
-    return _ring(panel, places)
+    return ring_lines(panel, orders, values, places)
 
 
 def _draw_sidebands(panel: Panel, order: float, apart: object) -> None:
@@ -248,8 +237,8 @@ def envelope(
     at = _speed_at(dataset, order, amplitude, floor, speed_rpm)
     axes = axes_for(ax, "envelope", height_in=4.2)
     lines = _standing_out(order, amplitude[at], floor[at])
-    texts = order_texts([nominal_order(place) for place, _ in lines])
-    marks = [(place, text, LINES[1]) for (place, _), text in zip(lines, texts, strict=True)]
+    texts = order_texts([nominal_order(place) for place in lines])
+    marks = [(place, text, LINES[1]) for place, text in zip(lines, texts, strict=True)]
     label = f"Envelope of {quantity_text(dataset, number).partition(' (')[0].lower()}, {unit_of(dataset, number)}"
     title, said = str(dataset["channel"].values[number]), _where(dataset, number, at)
     dress(axes, x=ORDER, y=label.removesuffix(", "), title=title, rows_above=bool(lines), said=said)
@@ -257,7 +246,7 @@ def envelope(
 
     def content(panel: Panel) -> None:
         draw_envelope(panel, order, amplitude[at], floor[at])
-        found = _ring(panel, lines)
+        found = ring_lines(panel, order, amplitude[at], lines)
         label_column(panel, marks, "order")
         keys = [Key("stands out of the floor", LINES[1], ring=True)] if found else []
         keys_below(panel, [*_keys(panel.drawing, expected=False, found=False), *keys])
@@ -293,8 +282,8 @@ def _where(dataset: xr.Dataset, channel: int, at: int) -> str:
     return f"{said}, band {low:.0f}–{high:.0f} Hz" if np.isfinite(low) and np.isfinite(high) else said
 
 
-def _standing_out(order: Floats, amplitude: Floats, floor: Floats) -> list[tuple[float, float]]:
-    """Order and amplitude of the highest lines that noise would not make: its power is at worst exponential.
+def _standing_out(order: Floats, amplitude: Floats, floor: Floats) -> list[float]:
+    """Orders of the highest lines that noise would not make: its power is at worst exponential.
 
     The amplitude is the root of the squared envelope's line: its fourth power is the power that the floor refers to.
     """
@@ -306,4 +295,4 @@ def _standing_out(order: Floats, amplitude: Floats, floor: Floats) -> list[tuple
     top = (inner >= power[:-2]) & (inner > power[2:]) & (inner > np.log(len(order) / _CHANCE)) & (order[1:-1] > 0)
     places = np.flatnonzero(top) + 1
     strongest = places[np.argsort(-power[places], kind="stable")][:_MOST_NAMED]
-    return [(float(order[one]), float(amplitude[one])) for one in np.sort(strongest)]
+    return [float(order[one]) for one in np.sort(strongest)]

@@ -33,6 +33,7 @@ from crankorder.plot.labels import Key, draw_keys, fitted, head_of_test, label_t
 from crankorder.plot.palette import (
     DOUBT_DASHES,
     INK,
+    LIGHT,
     LINES,
     MAINS,
     MODE,
@@ -262,36 +263,54 @@ _AROUND = 0.5  # orders to each side: further than a line leaks, nearer than the
 
 
 def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
-    """Per channel how far each order stands above what surrounds it, in the mean over the speeds; found ones named.
+    """Per channel the mean level of each order over the speeds, above the floor around it; found ones ringed and named.
 
     The largest amplitude over the speeds would bury a steady order under the natural frequencies that sweep past it.
 
     ``order_map`` an OrderMap, whose speeds may be unknown; ``findings`` of the same test; ``settings`` of the report.
     """
     drawing, heights = column_boxes(order_map.sizes["channel"], _LEFT, settings)
-    width, above = settings.width_in - _LEFT - _RIGHT, _above_floor(order_map)
-    places = [(_LEFT, bottom, width, height) for bottom, height in heights]
-    times = order_map.assign(unit=("channel", ["times its floor"] * order_map.sizes["channel"]))
-    panels = column_panels(drawing, places, times, "order", above, "", settings=settings)
+    width, order = settings.width_in - _LEFT - _RIGHT, order_map["order"].values
+    places, (mean, floor) = [(_LEFT, bottom, width, height) for bottom, height in heights], _mean_levels(order_map)
+    panels = column_panels(drawing, places, order_map, "order", mean, f" {scaling_text(order_map)}", settings=settings)
     found = sorted({nominal_order(record) for record in findings.orders})
-    for panel in panels:
-        for order in found:
-            panel.upright(order, color=LINES[1], width=0.7, alpha=0.5)
-    draw_spectra(panels, order_map["order"].values, above)
-    marks = [(order, text, LINES[1]) for order, text in zip(found, order_texts(found), strict=True)]
-    label_column(panels[0], marks, "order")
+    for number, (panel, channel) in enumerate(zip(panels, order_map["channel"].values.tolist(), strict=True)):
+        for place in found:
+            panel.upright(place, color=LINES[1], width=0.7, alpha=0.25)
+        if np.any(floor[number] > 0):
+            panel.curve(order, floor[number], color=LIGHT, width=1.4, name="floor")
+        draw_spectrum(panel, order, mean[number])
+        own = sorted({nominal_order(record) for record in findings.orders if record.channel == channel})
+        ring_lines(panel, order, mean[number], own)
+    label_column(panels[0], [(at, text, LINES[1]) for at, text in zip(found, order_texts(found), strict=True)], "order")
+    keys = [Key("floor: median of the orders around", LIGHT)] if drawing.strokes("floor") else []
+    draw_keys(drawing, _LEFT, keys + [Key("order found in the channel", LINES[1], ring=True)] * bool(found))
     speeds = order_map.sizes["speed"]
-    where = f", its mean level over {speeds} speeds" if speeds > 1 else ""
-    said = f"Amplitude over the median of the orders around it{where}."
+    said = f"Amplitude against order{f', its mean level over {speeds} speeds' if speeds > 1 else ''}."
     head_of_test(drawing, _LEFT, findings, "order spectra", said, longest=settings.max_name_characters)
     return drawing
 
 
-def _above_floor(order_map: xr.Dataset) -> Floats:
-    """Ratio (channels, orders) of an amplitude to the median of those around it, its mean level over the speeds.
+def ring_lines(panel: Panel, order: Floats, values: Floats, places: Sequence[float]) -> bool:
+    """Ring in ``panel`` the lines at ``places`` of a spectrum of ``values`` over ``order``; False where none stands.
 
-    NaN where the rate carried the order at no speed, or nothing lies around it. The mean tells a small line that
-    stands at every speed from noise, which the largest over many speeds does not.
+    A ring is as high as the highest bin within two of its place.
+    """
+    reach = max(2 * float(np.median(np.diff(order))) if len(order) > 1 else 0.0, 1e-9)
+    known = np.nan_to_num(values)
+    heights = [float(np.max(known, where=np.abs(order - place) <= reach, initial=0.0)) for place in places]
+    if standing := [ends for ends in zip(places, heights, strict=True) if ends[1] > 0]:
+        x, y = (np.array(ends) for ends in zip(*standing, strict=True))
+        panel.rings(x, y, color=LINES[1], radius=5.0, width=1.4, name="found")
+    return bool(standing)
+
+
+def _mean_levels(order_map: xr.Dataset) -> tuple[Floats, Floats]:
+    """Amplitude and floor, each (channels, orders): means over the speeds of the levels of each order and around it.
+
+    The floor is the median of the orders around. NaN where the rate carried the order at no speed, or nothing lies
+    around it. The mean tells a small line that stands at every speed from noise, which the largest over many speeds
+    does not.
     """
     amplitude = order_map["amplitude"].transpose("channel", "speed", "order").values.astype(np.float64)
     order = order_map["order"].values
@@ -301,9 +320,9 @@ def _above_floor(order_map: xr.Dataset) -> Floats:
     windows = np.lib.stride_tricks.sliding_window_view(beside, 2 * reach + 1, axis=-1)
     with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
         warnings.simplefilter("ignore", RuntimeWarning)  # orders that no speed carries have no median
-        level = np.log(amplitude / np.nanmedian(windows, axis=-1))
-        mean = np.nanmean(np.where(np.isfinite(level), level, np.nan), axis=1)
-        return np.asarray(np.exp(mean), dtype=np.float64)
+        levels = np.log(np.stack([amplitude, np.nanmedian(windows, axis=-1)]))
+        mean, floor = np.exp(np.nanmean(np.where(np.isfinite(levels).all(axis=0), levels, np.nan), axis=2))
+    return mean, floor
 
 
 def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | None = None) -> Axes:
