@@ -12,15 +12,15 @@ import pytest
 import xarray as xr
 from PIL import Image
 
+from crankorder.plot.campbell_figure import campbell_figure
 from crankorder.plot.drawing import Drawing, Field, Rings
+from crankorder.plot.envelope_figure import envelope_figure
+from crankorder.plot.orders_figure import orders_figure
 from crankorder.plot.painter import picture_bytes
 from crankorder.plot.palette import LIGHT, level_colours
-from crankorder.report.campbell_figure import campbell_figure
-from crankorder.report.envelope_figure import envelope_figure
-from crankorder.report.orders_figure import orders_figure
+from crankorder.plot.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
+from crankorder.plot.speed_figure import changing_recordings, speed_figure
 from crankorder.report.pictures import pictures_of
-from crankorder.report.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
-from crankorder.report.speed_figure import changing_recordings, speed_figure
 from crankorder.shaft.summary import speed_trace, trace_variables
 from made.typed import from_dicts
 
@@ -364,9 +364,10 @@ def test_a_steady_line_below_a_sweeping_natural_frequency_stands_out_of_the_orde
         coords={"channel": ["Z"], "speed": speed, "order": order},
     )
     figure = order_spectra_figure(order_map, {"test": "t"}, settings=settings)
-    (curve,) = figure.strokes("spectrum")
-    assert int(np.nanargmax(curve.values[1])) == line
+    (mean,), (around,) = ([one.values[1] for one in figure.strokes(name)] for name in ("spectrum", "floor"))
+    assert int(np.nanargmax(mean / around)) == line
     assert int(np.nanargmax(amplitude.max(axis=0))) != line  # the largest over the speeds buries it
+    assert mean[line] == pytest.approx(np.exp(np.log(amplitude[:, line]).mean()))  # in the channel's unit
 
 
 # Beside the Campbell diagram stand the speeds to avoid and the free ones, at their place on its scale.

@@ -5,9 +5,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crankorder.plot.cells import gaps_between, speed_cells, with_gaps
+from crankorder.plot.drawing import linear_texts, linear_ticks
 from crankorder.plot.labels import EdgeLabel, fitted, spread
 from crankorder.plot.palette import drawable, text_width_in
-from crankorder.plot.panel import linear_texts, linear_ticks
 
 
 def test_stepped_speeds_reach_half_way_to_their_neighbours_and_not_beyond_the_tested_range() -> None:

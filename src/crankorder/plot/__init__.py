@@ -21,22 +21,20 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from crankorder.plot.curves import envelope, spectra, speed
-    from crankorder.plot.maps import campbell, order_map
-    from crankorder.plot.tracks import orders
+    from crankorder.plot.campbell_figure import campbell, order_map
+    from crankorder.plot.envelope_figure import envelope
+    from crankorder.plot.orders_figure import orders
+    from crankorder.plot.spectra_figure import spectra
+    from crankorder.plot.speed_figure import speed
 
 __all__ = ["campbell", "envelope", "order_map", "orders", "spectra", "speed"]
 
-_HOME = {
-    "campbell": "maps", "order_map": "maps", "orders": "tracks",
-    "envelope": "curves", "spectra": "curves", "speed": "curves",
-}  # fmt: skip
-
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME:
+    if name not in __all__:
         raise AttributeError(f"module 'crankorder.plot' has no attribute {name!r}; it has {', '.join(__all__)}")
-    return getattr(import_module(f"crankorder.plot.{_HOME[name]}"), name)
+    home = "campbell" if name == "order_map" else name
+    return getattr(import_module(f"crankorder.plot.{home}_figure"), name)
 
 
 def __dir__() -> list[str]:

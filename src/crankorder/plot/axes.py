@@ -1,22 +1,134 @@
-"""The axes of a picture: those given, else new ones of pyplot, with the look of the house and no setting changed."""
+"""Pictures in notebooks: what they are given, checked, and the axes that show them, with the look of the house.
+
+What is wrong is a RequestError with what is there and what is allowed. No setting of matplotlib is changed.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import xarray as xr
 
-from crankorder.errors import RequestError
+from crankorder.channel_units import by_channel, unit_text
+from crankorder.errors import InputError, RequestError, SchemaError
+from crankorder.findings import SCHEMA_VERSION, Findings
+from crankorder.plot.drawing import Panel
+from crankorder.plot.labels import Key, draw_keys
 from crankorder.plot.palette import FAINT, GRID, INK, LARGE, NORMAL, SMALL, WHITE
+from crankorder.quantities import Floats, check_dataset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-FEW_DECADES = 2.0
-"""A logarithmic axis of less has ticks at 2 and 5 too."""
+ORDER = "Order (cycles per crank revolution)"
+
+_NOUNS = {
+    "recording": "a Recording",
+    "shaft_angle": "a ShaftAngle, as crankorder.crank_angle makes it",
+    "order_map": "an OrderMap, as crankorder.order_map makes it",
+    "campbell_map": "a CampbellMap, as crankorder.campbell_map makes it",
+    "order_tracks": "OrderTracks, as crankorder.order_tracks makes them",
+    "envelope_map": "an EnvelopeMap, as crankorder.envelope makes it",
+}
+_TREE: Any = getattr(xr, "DataTree", ())  # older xarray has none
+_RECORDS = ("channels", "orders", "modes", "crossings", "bearings", "lines", "quality")
+_NOTHING: Mapping[str, object] = {key: [] for key in _RECORDS} | {
+    "schema_version": SCHEMA_VERSION, "test": "", "unexplained_energy_fraction": None, "balance": None,
+}  # fmt: skip
 _LONGEST_NAME = 60  # characters of a channel in a title
+_TIER_PT = 17.0  # height of a row of labels above the axes
+_KEYS_IN = 0.76  # from the axes down to their keys
+
+
+def dataset_of(given: object, noun: str, picture: str) -> xr.Dataset:
+    """``given`` as a dataset of the ``noun`` that the ``picture`` shows; a branch of a results tree is one.
+
+    Raises RequestError naming what was given and what is wanted.
+    """
+    dataset = given.to_dataset() if isinstance(given, _TREE) else given
+    wanted, place = _NOUNS[noun], f"crankorder.plot.{picture}"
+    if isinstance(dataset, xr.Dataset):
+        dataset = by_channel(dataset)
+    else:
+        raise RequestError("this is no dataset", file=place, found=type(given).__name__, allowed=wanted)
+    try:
+        check_dataset(dataset, noun)
+    except SchemaError as error:
+        known = next((text for other, text in _NOUNS.items() if other != noun and _is(dataset, other)), "")
+        found = known.partition(",")[0] or f"a dataset with {', '.join(map(str, dataset.variables)) or 'nothing in it'}"
+        problem = f"not what this picture shows ({error.place}: {error.problem})"
+        raise RequestError(problem, file=place, found=found, allowed=wanted) from error
+    return dataset
+
+
+def _is(dataset: xr.Dataset, noun: str) -> bool:
+    try:
+        check_dataset(dataset, noun)
+    except SchemaError:
+        return False
+    return True
+
+
+def channel_number(dataset: xr.Dataset, channel: str | None, picture: str) -> int:
+    """Place of ``channel`` in ``dataset``, or of the first where it is None; ``picture`` stands in the error.
+
+    Raises RequestError with the channels that are there.
+    """
+    names = [str(name) for name in dataset["channel"].values]
+    if channel is None and names:
+        return 0
+    if channel is None or str(channel) not in names:
+        there = ", ".join(names) or "none"
+        raise RequestError("no such channel", file=f"crankorder.plot.{picture}", found=channel or "", allowed=there)
+    return names.index(str(channel))
+
+
+def findings_of(findings: object, picture: str) -> Findings:
+    """``findings`` as crankorder.diagnose or findings.json have them, empty for None.
+
+    Raises RequestError, in which ``picture`` stands.
+    """
+    if isinstance(findings, Findings):
+        return findings
+    place = f"crankorder.plot.{picture}"
+    if findings is None:
+        findings = _NOTHING
+    if not isinstance(findings, Mapping) or isinstance(findings, xr.Dataset | _TREE):
+        wanted = "findings, as crankorder.diagnose returns it, or a dict, as findings.json holds it"
+        raise RequestError("these are no findings", file=place, found=type(findings).__name__, allowed=wanted)
+    try:
+        return Findings.from_dict(findings)
+    except InputError as error:
+        problem = f"these are no findings: {error.problem}"
+        raise RequestError(problem, file=place, place=error.place, found=error.found, allowed=error.allowed) from error
+
+
+def number_of(value: object, key: str, picture: str, *, above: float) -> float:
+    """``value`` of the argument ``key`` of a ``picture``, a finite number > ``above``; else RequestError."""
+    if not isinstance(value, int | float | np.number) or not np.isfinite(value) or not value > above:
+        place, allowed = f"crankorder.plot.{picture}", f"a number > {above:g}"
+        raise RequestError("not a number that can be", file=place, place=key, found=value, allowed=allowed)
+    return float(value)
+
+
+def values_of(dataset: xr.Dataset, name: str, *dims: str, channel: int) -> Floats:
+    """Values of variable ``name`` of ``dataset`` of one ``channel`` (its number), in the order of ``dims``."""
+    return np.asarray(dataset[name].isel(channel=channel).transpose(*dims).values, dtype=np.float64)
+
+
+def unit_of(dataset: xr.Dataset, channel: int) -> str:
+    """Typographic unit of a ``channel`` (its number) of ``dataset``: "m/s²" for "m/s2"."""
+    return unit_text(str(dataset["unit"].values[channel]))
+
+
+def quantity_text(dataset: xr.Dataset, channel: int) -> str:
+    """What a ``channel`` (its number) of ``dataset``, a map or tracks, shows: "Acceleration (peak)"."""
+    quantity = str(dataset["quantity"].values[channel]).replace("_", " ").strip()
+    scaling = "RMS" if str(dataset.attrs.get("amplitude_scaling", "peak")).casefold() == "rms" else "peak"
+    known = quantity and quantity not in ("1", "unknown", "none")
+    return f"{quantity[:1].upper()}{quantity[1:]} ({scaling})" if known else f"Amplitude ({scaling})"
 
 
 def axes_for(ax: Axes | None, picture: str, *, height_in: float = 5.0, width_in: float = 9.0) -> Axes:
@@ -40,8 +152,6 @@ def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_a
 
     ``whole``: a frame on all sides and no grid, as around maps. ``rows_above``: of labels between axes and title.
     """
-    from crankorder.plot.artists import TIER_PT
-
     axes.set_facecolor(WHITE)
     axes.set_axisbelow(True)
     axes.set_xlabel(x, fontsize=NORMAL, color=INK, parse_math=False)
@@ -53,80 +163,43 @@ def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_a
     if not whole:
         axes.grid(visible=True, color=GRID, linewidth=0.6)
     name = title if len(title) <= _LONGEST_NAME else f"{title[: _LONGEST_NAME - 1]}…"
-    pad = 7.0 + TIER_PT * rows_above
+    pad = 7.0 + _TIER_PT * rows_above
     axes.set_title(name, loc="left", pad=pad, fontsize=LARGE, fontweight="bold", color=INK, parse_math=False)
     axes.set_title(said, loc="right", pad=pad, fontsize=SMALL + 0.5, color=FAINT, parse_math=False)
 
 
-def log_scale(axes: Axes, values: Any, *, decades: float = 7.0) -> bool:
-    """Logarithmic y axis of ``axes`` for the positive ``values``, at most ``decades``; False where there are none."""
-    limits = log_limits(values, decades, room=2.0)
-    if limits is None:
-        axes.set_ylim(0.0, 1.0)
-        axes.set_yticks([])
-        return False
-    log_axis(axes, *limits, most_ticks=9)
-    return True
+def set_scale(axes: Axes, x: Sequence[float] | Floats, y: tuple[float, float] | None, *, log_y: bool = True) -> None:
+    """Limits of ``axes``: first and last of ``x``, and ``y``, logarithmic where ``log_y``; None where nothing is.
 
-
-def log_limits(values: Any, decades: float, *, room: float) -> tuple[float, float] | None:
-    """Ends of a logarithmic axis for the positive ``values``, at most ``decades`` and a factor ``room`` above them."""
-    positive = values[np.isfinite(values) & (values > 0)]
-    if not len(positive):
-        return None
-    top, quiet = float(positive.max()), float(np.quantile(positive, 0.01))
-    return max(quiet / 2, top * 10**-decades), min(room * top, 1e307)
-
-
-def log_axis(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
-    """Logarithmic y axis of ``axes`` from ``low`` to ``high``: decades, and 2 and 5 between where they are few.
-
-    ``most_ticks`` labelled at most.
+    An axis of orders has ticks at whole numbers alone, where it spans some.
     """
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
-
-    axes.set_yscale("log")
-    axes.set_ylim(low, high)
-    subs = (1.0, 2.0, 5.0) if np.log10(high / low) < FEW_DECADES else (1.0,)
-    axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=most_ticks))
-    axes.yaxis.set_minor_locator(NullLocator())
-    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: decade_text(value)))
-
-
-def whole_ticks(axes: Axes) -> None:
-    """Ticks of the x axis of ``axes`` at whole numbers alone, where it spans some."""
     from matplotlib.ticker import MaxNLocator
 
-    axes.xaxis.set_major_locator(MaxNLocator(nbins=10, steps=[1, 2, 5, 10], integer=True))
+    from crankorder.plot.style import log_axis
+
+    if len(x) and x[-1] > x[0]:
+        axes.set_xlim(x[0], x[-1])
+    if axes.get_xlabel() == ORDER:
+        axes.xaxis.set_major_locator(MaxNLocator(nbins=10, steps=[1, 2, 5, 10], integer=True))
+    if y is None:
+        axes.set(ylim=(0.0, 1.0), yticks=[])
+    elif log_y:
+        log_axis(axes, *y, most_ticks=9)
+    else:
+        axes.set_ylim(*y)
 
 
-def decade_text(value: float) -> str:
-    """Tick text of a logarithmic axis: plain from 0.001 to 5000, else as 2·10⁻⁵; ``value`` > 0."""
-    exponent = int(np.floor(np.log10(value) + 1e-9))
-    if -3 <= exponent <= 3:
-        return f"{value:g}"
-    mantissa = f"{value / 10.0**exponent:.0f}·"
-    return ("" if mantissa == "1·" else mantissa) + "10" + str(exponent).translate(_RAISED)
+def painted(
+    axes: Axes, content: Callable[[Panel], object], *, level_at: Callable[[float, float], float | None] | None = None
+) -> Axes:
+    """``axes`` with what ``content`` draws on a panel over them; ``level_at`` tells the mouse the level of a place."""
+    from crankorder.plot.painter import PaintedPanel
+
+    PaintedPanel(axes, content, level_at)
+    return axes
 
 
-def note(axes: Axes, text: str, *, up: float = 0.5) -> None:
-    """``text`` on a white ground in the middle of ``axes``, ``up`` a share of their height."""
-    ground = {"facecolor": WHITE, "edgecolor": "none", "pad": 3}
-    axes.text(
-        0.5, up, text, transform=axes.transAxes, ha="center", va="center", color=FAINT, fontsize=NORMAL, bbox=ground,
-        parse_math=False,
-    )  # fmt: skip
-
-
-def key_below(axes: Axes, handles: Sequence[Any]) -> None:
-    """What the lines and marks of ``axes`` are, by their ``handles`` with labels, in a row below the axis."""
-    from matplotlib.transforms import ScaledTranslation
-
-    if not handles:
-        return
-    figure: Any = axes.get_figure()
-    below = axes.transAxes + ScaledTranslation(0, -34 / 72, figure.dpi_scale_trans)
-    axes.legend(
-        handles=handles, loc="upper left", bbox_to_anchor=(0.0, 0.0), bbox_transform=below, ncols=len(handles),
-        frameon=False, fontsize=SMALL, labelcolor=INK, borderaxespad=0.0, handlelength=2.4, columnspacing=1.8,
-    )  # fmt: skip
+def keys_below(panel: Panel, keys: Sequence[Key]) -> None:
+    """Draw ``keys`` below the label of the x axis of ``panel``."""
+    left, bottom, width, _ = panel.box
+    draw_keys(panel.drawing, left, keys, room_in=width, base_in=bottom - _KEYS_IN)

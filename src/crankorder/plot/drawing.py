@@ -1,19 +1,24 @@
 """A picture as a list of what is drawn, in inches from its lower left corner; matplotlib draws it when it is asked for.
 
+A panel is axes with limits, ticks and labels at a place of it, and what is drawn against them.
+
 The layout is settled here, before a renderer is there: labels are spread by the widths of their texts, and tests read
 what lies where.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings
-from crankorder.plot.palette import CAP_HEIGHT, FAINT, INK, LARGE, NORMAL, shortened, text_width_in
+from crankorder.plot.palette import CAP_HEIGHT, FAINT, GRID, INK, LARGE, LAYOUT_DPI, NORMAL, shortened, text_width_in
 from crankorder.quantities import Floats, Ints
 
 Box = tuple[float, float, float, float]
@@ -22,6 +27,14 @@ Box = tuple[float, float, float, float]
 _BASELINE = {"baseline": 0.0, "centre": CAP_HEIGHT / 2, "top": CAP_HEIGHT}
 _ALONG = {"left": 0.0, "centre": 0.5, "right": 1.0}
 _DESCENT = 0.236  # of DejaVu Sans, in sizes of the type
+
+TICK_SIZE = 8.5
+_TICK_IN, _PAD_IN = 3 / 72, 0.05
+_LINE_IN = 0.165
+_STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+FEW_DECADES = 2.0
+"""A logarithmic axis of less has ticks at 2 and 5 too."""
 
 
 @dataclass(frozen=True)
@@ -106,11 +119,15 @@ class Field:
 
 @dataclass
 class Drawing:
-    """A picture of ``width_in`` by ``height_in`` inches; what is added later lies on top."""
+    """A picture of ``width_in`` by ``height_in`` inches; what is added later lies on top.
+
+    Its maps have ``dpi`` pixels per inch.
+    """
 
     width_in: float
     height_in: float
     parts: list[Stroke | Area | Rings | Words | Field] = field(default_factory=list)
+    dpi: float = LAYOUT_DPI
 
     def add(self, part: Stroke | Area | Rings | Words | Field) -> None:
         """Lay ``part`` on top."""
@@ -151,3 +168,214 @@ def pixels_of(box: Box, dpi: float) -> tuple[int, int]:
     """Rows and columns that a :class:`Field` over ``box`` has at ``dpi``."""
     left, right, bottom, top = whole(dpi * np.array([box[0], box[0] + box[2], box[1], box[1] + box[3]]))
     return int(top - bottom), int(right - left)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Axes over ``box`` of ``drawing`` from ``x`` (low, high) and ``y`` (low, high), the latter logarithmic or not."""
+
+    drawing: Drawing
+    box: Box
+    x: tuple[float, float]
+    y: tuple[float, float]
+    log_y: bool = False
+
+    def at(self, x: Floats | float, y: Floats | float) -> Floats:
+        """Places (n, 2) in inches of values ``x``, ``y``; values ≤ 0 of a logarithmic axis are NaN."""
+        left, bottom, width, height = self.box
+        along = left + width * (np.asarray(x, dtype=float) - self.x[0]) / (self.x[1] - self.x[0])
+        return np.stack(np.broadcast_arrays(along, bottom + height * self.share(y)), axis=-1).reshape(-1, 2)
+
+    def share(self, y: Floats | float) -> Floats:
+        """Height of values ``y`` as a share of the panel."""
+        values = np.asarray(y, dtype=float)
+        if not self.log_y:
+            return np.asarray((values - self.y[0]) / (self.y[1] - self.y[0]))
+        ratio = np.where(values > 0, values, np.nan) / self.y[0]
+        return np.asarray(np.log(ratio) / np.log(self.y[1] / self.y[0]))
+
+    def curve(
+        self,
+        x: Floats,
+        y: Floats,
+        *,
+        color: str,
+        width: float = 1.3,
+        alpha: float = 1.0,
+        dashes: tuple[float, float] = (0.0, 0.0),
+        name: str = "",
+    ) -> None:
+        """Line through ``x``, ``y``: ``color``, ``width`` in points, opacity ``alpha``, ``dashes``; its ``name``."""
+        places, values = self.at(x, y), (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
+        self.drawing.add(Stroke(places, color, width, dashes, alpha, self.box, name=name, values=values))
+
+    def band(self, x: Floats, low: Floats, high: Floats, *, color: str, alpha: float) -> None:
+        """Area over ``x`` from ``low`` to ``high`` in ``color`` with opacity ``alpha``."""
+        bottom = self.y[0] if self.log_y else -np.inf
+        ends = [self.at(x, np.where(np.isfinite(end), np.maximum(end, bottom), np.nan))[:, 1] for end in (low, high)]
+        self.drawing.add(Area(self.at(x, self.y[1])[:, 0], ends[0], ends[1], color, alpha, self.box, "band"))
+
+    def dots(self, x: Floats, y: Floats, *, color: str, radius: float) -> None:
+        """Discs at ``x``, ``y`` in ``color``; ``radius`` in points."""
+        values = (np.asarray(x, dtype=float), np.asarray(y, dtype=float))
+        left, bottom, width, height = self.box
+        by = radius / 72
+        within = (left - by, bottom - by, width + 2 * by, height + 2 * by)
+        self.drawing.add(Rings(self.at(x, y), radius, color, within=within, values=values))
+
+    def rings(
+        self, x: Floats, y: Floats, *, color: str, radius: float, width: float, alpha: float = 1.0, name: str = ""
+    ) -> None:
+        """Circles around ``x``, ``y``, whole where they touch the panel; called ``name``.
+
+        ``radius`` and ``width`` in points, ``color`` with the opacity ``alpha``.
+        """
+        places, (left, bottom, wide, high), by = self.at(x, y), self.box, radius / 72
+        near = (np.abs(places - (left + wide / 2, bottom + high / 2)) <= (wide / 2 + by, high / 2 + by)).all(axis=1)
+        values = (np.asarray(x, dtype=float)[near], np.asarray(y, dtype=float)[near])
+        self.drawing.add(Rings(places[near], radius, color, width, alpha, name=name, values=values))
+
+    def pixel_edges(self) -> tuple[Floats, Floats]:
+        """Edges, along and upwards and in values, of the pixels that a map over the panel has."""
+        rows, columns = pixels_of(self.box, self.drawing.dpi)
+        return np.linspace(*self.x, columns + 1), np.linspace(*self.y, rows + 1)
+
+    def upright(
+        self,
+        x: float,
+        *,
+        color: str,
+        width: float = 0.8,
+        alpha: float = 1.0,
+        dashes: tuple[float, float] = (0.0, 0.0),
+        name: str = "",
+    ) -> None:
+        """Line over the whole height at ``x``: ``color``, ``width`` in points, ``alpha``, ``dashes``; its ``name``."""
+        values = np.array([x, x], dtype=float), np.array(self.y)
+        place = self.at(*values)
+        self.drawing.add(Stroke(place, color, width, dashes, alpha, self.box, square=True, name=name, values=values))
+
+    def note(self, text: str, *, up: float = 0.5) -> None:
+        """``text`` on a white ground in the middle of the panel, at the share ``up`` of its height."""
+        left, bottom, width, height = self.box
+        x, y = left + 0.5 * width, bottom + up * height
+        half = text_width_in(text, NORMAL) / 2 + 0.05
+        ground = np.array([[x - half, y], [x + half, y]])
+        self.drawing.add(Stroke(ground, "#ffffff", 14.0))
+        self.drawing.add(Words(x, y, text, NORMAL, FAINT, along="centre", across="centre"))
+
+    def frame(self, *, whole: bool = False) -> None:
+        """Left and bottom edges, or all four where ``whole``."""
+        left, bottom, width, height = self.box
+        corners = [(left, bottom + height), (left, bottom), (left + width, bottom)]
+        if whole:
+            corners += [(left + width, bottom + height), (left, bottom + height)]
+        for one, two in pairwise(corners):
+            self._edge(one, two)
+
+    def _edge(self, one: tuple[float, float], two: tuple[float, float], color: str = FAINT, width: float = 0.8) -> None:
+        self.drawing.add(Stroke(np.array([one, two]), color, width, square=True))
+
+    def x_axis(
+        self, label: str = "", *, most: int = 8, whole: bool = False, named: bool = True, grid: bool = True
+    ) -> None:
+        """Ticks below, at most ``most``, whole numbers or not, ``named`` or bare, a ``grid`` and a ``label``."""
+        left, bottom, width, height = self.box
+        places = linear_ticks(*self.x, most=most, whole=whole)
+        for (x, _), text in zip(self.at(places, np.full(len(places), self.y[1])), linear_texts(places), strict=True):
+            if grid:
+                self._edge((x, bottom), (x, bottom + height), GRID, 0.6)
+            self._edge((x, bottom), (x, bottom - _TICK_IN))
+            if named:
+                low = bottom - _TICK_IN - _PAD_IN
+                self.drawing.add(Words(x, low, text, TICK_SIZE, along="centre", across="top", name="tick"))
+        if label:
+            self.drawing.add(Words(left + width / 2, bottom - 0.36, label, NORMAL, along="centre", name="x label"))
+
+    def y_axis(
+        self,
+        label: str = "",
+        *,
+        most: int = 7,
+        places: Sequence[float] | None = None,
+        grid: bool = True,
+        right: bool = False,
+        at_in: float | None = None,
+    ) -> None:
+        """Ticks beside the panel at ``places`` or at most ``most`` round ones, with a ``grid``, and ``label`` lines.
+
+        ``right``: on that side. ``at_in``: distance of the last line of ``label`` from the panel, where not next to the
+        ticks' texts.
+        """
+        left, bottom, width, height = self.box
+        if places is not None:
+            marks = np.asarray(places, dtype=float)
+        else:
+            marks = log_ticks(*self.y, most=most) if self.log_y else linear_ticks(*self.y, most=most)
+        texts = [decade_text(float(mark)) for mark in marks] if self.log_y else linear_texts(marks)
+        edge, out = (left + width, 1) if right else (left, -1)
+        for (_, y), text in zip(self.at(np.full(len(marks), self.x[1]), marks), texts, strict=True):
+            if grid:
+                self._edge((left, y), (left + width, y), GRID, 0.6)
+            self._edge((edge, y), (edge + out * _TICK_IN, y))
+            x = edge + out * (_TICK_IN + _PAD_IN)
+            self.drawing.add(
+                Words(x, y, text, TICK_SIZE, along="left" if right else "right", across="centre", name="tick")
+            )
+        widest = max((text_width_in(text, TICK_SIZE) for text in texts), default=0.0)
+        gap = at_in if at_in is not None else _TICK_IN + 2 * _PAD_IN + widest + 0.03
+        lines = label.split("\n") if label else []
+        for number, line in enumerate(lines):
+            x = edge + gap + 0.12 + number * _LINE_IN if right else edge - gap - (len(lines) - 1 - number) * _LINE_IN
+            self.drawing.add(Words(x, bottom + height / 2, line, NORMAL, along="centre", upward=True, name="y label"))
+
+
+def linear_ticks(low: float, high: float, *, most: int, whole: bool = False) -> Floats:
+    """Round places from ``low`` to ``high``, at most ``most`` + 1 of them, whole numbers where ``whole``."""
+    raw = max((high - low) / max(most, 1), 1e-300)
+    if whole:
+        raw = max(raw, 1.0)
+    size = 10.0 ** math.floor(math.log10(raw))
+    step = next(s for s in _STEPS if s * size >= raw * (1 - 1e-9) and not (whole and (s * size) % 1)) * size
+    first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
+    return np.asarray(np.arange(first, last + 1) * step, dtype=np.float64)
+
+
+def linear_texts(places: Floats) -> list[str]:
+    """Texts of evenly spaced ``places``: decimals that tell them apart, powers of ten far off 1."""
+    if not len(places):
+        return []
+    step = float(places[1] - places[0]) if len(places) > 1 else abs(float(places[0])) or 1.0
+    largest = float(np.abs(places).max())
+    if step >= 1e5 or largest < 1e-4:
+        return [f"{value:.3g}".replace("-", "−") for value in places]
+    decimals = next((n for n in range(8) if abs(step * 10**n - round(step * 10**n)) < 1e-6), 8)
+    return [f"{value:.{decimals}f}".replace("-", "−") if value else f"{0:.{decimals}f}" for value in places]
+
+
+def log_ticks(low: float, high: float, *, most: int) -> Floats:
+    """Decades from ``low`` to ``high``, at most ``most``; 2 and 5 between where they are few."""
+    decades = np.arange(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    stride = max(1, math.ceil(math.log10(high / low) / most))
+    subs = (1.0, 2.0, 5.0) if math.log10(high / low) < FEW_DECADES else (1.0,)
+    kept = decades[decades % stride == 0]
+    places = np.sort(np.concatenate([sub * 10.0**kept for sub in subs]))
+    return np.asarray(places[(places >= low * (1 - 1e-9)) & (places <= high * (1 + 1e-9))])
+
+
+def log_limits(values: Floats, decades: float, *, room: float) -> tuple[float, float] | None:
+    """Ends of a logarithmic axis for the positive ``values``, at most ``decades`` and a factor ``room`` above them."""
+    positive = values[np.isfinite(values) & (values > 0)]
+    if not len(positive):
+        return None
+    top, quiet = float(positive.max()), float(np.quantile(positive, 0.01))
+    return max(quiet / 2, top * 10**-decades), min(room * top, 1e307)
+
+
+def decade_text(value: float) -> str:
+    """Tick text of a logarithmic axis: plain from 0.001 to 5000, else as 2·10⁻⁵; ``value`` > 0."""
+    exponent = int(np.floor(np.log10(value) + 1e-9))
+    if -3 <= exponent <= 3:
+        return f"{value:g}"
+    mantissa = f"{value / 10.0**exponent:.0f}·"
+    return ("" if mantissa == "1·" else mantissa) + "10" + str(exponent).translate(_RAISED)

@@ -158,19 +158,21 @@ class Key:
     width: float = 1.2
 
 
-def draw_keys(drawing: Drawing, left_in: float, keys: Sequence[Key], *, room_in: float = np.inf) -> None:
+def draw_keys(
+    drawing: Drawing, left_in: float, keys: Sequence[Key], *, room_in: float = np.inf, base_in: float = _BASE_IN
+) -> None:
     """Draw ``keys`` side by side at the foot of ``drawing``, from ``left_in`` inches; in two rows if need be.
 
-    ``room_in``: width in inches that a row may take.
+    ``room_in``: width in inches that a row may take; ``base_in``: height of the row.
     """
     widths = [_SAMPLE_IN + _GAP_IN + text_width_in(key.text, _KEY_SIZE) + _BETWEEN_IN for key in keys]
     ends = np.cumsum(widths) - _BETWEEN_IN
     first = len(keys) if not len(ends) or ends[-1] <= room_in else max(int(np.sum(ends <= room_in)), 1)
     if first == len(keys):
-        _row(drawing, left_in, keys, _BASE_IN)
+        _row(drawing, left_in, keys, base_in)
     else:
-        _row(drawing, left_in, keys[:first], _BASE_IN + _UP_IN)
-        _row(drawing, left_in, keys[first:], _BASE_IN - _DOWN_IN)
+        _row(drawing, left_in, keys[:first], base_in + _UP_IN)
+        _row(drawing, left_in, keys[first:], base_in - _DOWN_IN)
 
 
 def _row(drawing: Drawing, left_in: float, keys: Sequence[Key], base_in: float) -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
 from io import BytesIO
 from typing import Any
 
 import numpy as np
 from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import RendererAgg
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
@@ -17,9 +20,10 @@ from matplotlib.path import Path
 from matplotlib.transforms import Affine2D, Bbox
 from numpy.typing import NDArray
 
-from crankorder.plot.drawing import Area, Box, Drawing, Field, Rings, Stroke, Words, pixels_of, whole
+from crankorder.plot.drawing import Area, Box, Drawing, Field, Panel, Rings, Stroke, Words, pixels_of, whole
 from crankorder.plot.palette import font_file, rgb_of, text_ink
 from crankorder.plot.style import house_style, new_figure
+from crankorder.quantities import Floats
 from crankorder.settings import PictureFormat
 
 
@@ -141,6 +145,83 @@ class Painted(Artist):
         """Draw it with ``renderer``."""
         figure: Any = self.get_figure()
         Painter(renderer, figure.dpi).paint(self._drawing)
+
+
+@dataclass(frozen=True)
+class AxesPanel(Panel):
+    """A panel whose places are those of axes of matplotlib: ``inches`` leads to them from values, on any scale."""
+
+    inches: Any = None
+
+    def at(self, x: Floats | float, y: Floats | float) -> Floats:
+        """Places (n, 2) in inches of values ``x``, ``y``."""
+        return np.asarray(self.inches.transform(np.stack(np.broadcast_arrays(x, y), axis=-1).reshape(-1, 2)))
+
+    def share(self, y: Floats | float) -> Floats:
+        """Height of values ``y`` as a share of the panel."""
+        return (self.at(self.x[0], y)[:, 1].reshape(np.shape(y)) - self.box[1]) / self.box[3]
+
+    def pixel_edges(self) -> tuple[Floats, Floats]:
+        """Edges, along and upwards and in values, of the pixels that a map over the panel has."""
+        (left, bottom, width, height), back = self.box, self.inches.inverted()
+        rows, columns = pixels_of(self.box, self.drawing.dpi)
+        x = np.column_stack([np.linspace(left, left + width, columns + 1), np.full(columns + 1, bottom)])
+        y = np.column_stack([np.full(rows + 1, left), np.linspace(bottom, bottom + height, rows + 1)])
+        return back.transform(x)[:, 0], back.transform(y)[:, 1]
+
+
+def panel_of(axes: Any, magnification: float = 1.0) -> AxesPanel:
+    """The panel that ``axes`` are at the time, with their limits and size; maps finer by the ``magnification``."""
+    figure = axes.get_figure()
+    left, bottom, width, height = (float(edge) / figure.dpi for edge in axes.bbox.bounds)
+    drawing = Drawing(left + width, bottom + height, dpi=figure.dpi * magnification)
+    (x0, x1), (y0, y1) = (sorted(map(float, ends)) for ends in (axes.get_xlim(), axes.get_ylim()))
+    inches = axes.transData + Affine2D().scale(1 / figure.dpi)
+    return AxesPanel(drawing, (left, bottom, width, height), (x0, x1), (y0, y1), axes.get_yscale() == "log", inches)
+
+
+class PaintedPanel(Artist):
+    """What ``content`` draws on the panel that ``axes`` are, laid out anew with every drawing: one may zoom and resize.
+
+    ``level_at`` tells the level [dB] at a place (x, y), for the mouse.
+    """
+
+    def __init__(
+        self, axes: Axes, content: Callable[[Panel], object], level_at: Callable[[float, float], float | None] | None
+    ) -> None:
+        super().__init__()
+        self._content, self._level_at = content, level_at
+        self.set_zorder(2)
+        axes.add_artist(self)
+        self.set_clip_on(False)
+
+    def drawing(self, magnification: float = 1.0) -> Drawing:
+        """What is drawn for the limits and the size that the axes now have; maps finer by the ``magnification``."""
+        panel = panel_of(self.axes, magnification)
+        self._content(panel)
+        return panel.drawing
+
+    def draw(self, renderer: Any) -> None:
+        """Draw it with ``renderer``."""
+        if self.get_visible():
+            figure: Any = self.get_figure()
+            Painter(renderer, figure.dpi).paint(self.drawing(renderer.get_image_magnification()))
+        self.stale = False
+
+    def get_window_extent(self, renderer: Any = None) -> Bbox:
+        """Box of the axes and all texts in pixels, for layouts that make room; ``renderer`` is not needed."""
+        axes: Any = self.axes
+        dpi = axes.get_figure().dpi
+        texts = [Bbox.from_bounds(*(dpi * edge for edge in words.box)) for words in self.drawing().words]
+        return Bbox.union([axes.bbox, *texts])
+
+    def contains(self, mouseevent: Any) -> tuple[bool, dict[Any, Any]]:
+        """Whether the mouse at ``mouseevent`` is inside of the axes."""
+        return mouseevent.inaxes is self.axes, {}
+
+    def get_cursor_data(self, event: Any) -> float | None:
+        """Level in dB under the mouse at ``event``; None outside, and where no map is drawn."""
+        return self._level_at(event.xdata, event.ydata) if self._level_at else None
 
 
 def picture_bytes(figure: Drawing | Figure, *, dpi: int, kind: PictureFormat = "png") -> bytes:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
+from math import log10
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
 
 from crankorder.findings import Findings
-from crankorder.plot.drawing import quality_text
+from crankorder.plot.drawing import FEW_DECADES, decade_text, quality_text
 from crankorder.plot.palette import FAINT, GRID, INK, LARGE, MAINS, NORMAL, SMALL, shortened
 
 if TYPE_CHECKING:
@@ -19,15 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 
-NOTE: dict[str, Any] = {
-    "ha": "center",
-    "va": "center",
-    "color": FAINT,
-    "bbox": {"facecolor": "white", "edgecolor": "none", "pad": 2},
-}
-
 _LOCK = threading.RLock()  # rc settings are global to matplotlib, and tests are analysed in threads
-_HOUSE: dict[str, Any] = {
+_HOUSE: Mapping[str, object] = {
     "font.family": ["DejaVu Sans"], "font.size": NORMAL, "axes.edgecolor": FAINT, "axes.labelcolor": INK,
     "axes.linewidth": 0.8, "axes.titlelocation": "left", "axes.axisbelow": True, "grid.color": GRID,
     "grid.linewidth": 0.6, "text.color": INK, "text.parse_math": False, "text.usetex": False, "text.hinting": "default",
@@ -41,10 +35,10 @@ _NOT_LOOK = ("backend", "interactive", "toolbar", "timezone", "tk.", "webagg.", 
 
 
 @cache
-def _look() -> dict[str, Any]:
+def _look() -> Mapping[str, object]:
     """Every rc setting that shapes a picture: matplotlib's defaults (not the user's file) with the house's on top."""
-    defaults = {key: value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith(_NOT_LOOK)}
-    return defaults | _HOUSE
+    defaults = {str(key): value for key, value in matplotlib.rcParamsDefault.items() if not key.startswith(_NOT_LOOK)}
+    return {**defaults, **_HOUSE}
 
 
 @contextmanager
@@ -93,8 +87,30 @@ def write(figure: Figure, x_in: float, y_in: float, text: str, **look: Any) -> T
     return figure.text(x_in / width, y_in / height, text, parse_math=False, **look)
 
 
+def note(axes: Axes, text: str, place: tuple[float, float] = (0.5, 0.5), **look: Any) -> None:
+    """``text`` on a white ground at a ``place`` (shares) of ``axes``, in the middle; ``look``: text properties."""
+    ground = {"facecolor": "white", "edgecolor": "none", "pad": 2}
+    look = {"ha": "center", "va": "center", "color": FAINT, "bbox": ground} | look
+    axes.text(*place, text, transform=axes.transAxes, **look)
+
+
 def quiet_frame(axes: Axes) -> None:
     """Leave ``axes`` only its left and bottom edges and a faint grid."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(True)
     axes.tick_params(length=3)
+
+
+def log_axis(axes: Axes, low: float, high: float, *, most_ticks: int) -> None:
+    """Logarithmic y axis of ``axes`` from ``low`` to ``high``: decades, and 2 and 5 between where they are few.
+
+    ``most_ticks`` labelled at most.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    axes.set_yscale("log")
+    axes.set_ylim(low, high)
+    subs = (1.0, 2.0, 5.0) if log10(high / low) < FEW_DECADES else (1.0,)
+    axes.yaxis.set_major_locator(LogLocator(subs=subs, numticks=most_ticks))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: decade_text(value)))

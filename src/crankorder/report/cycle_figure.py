@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -16,7 +15,7 @@ from crankorder.channel_units import unit_text
 from crankorder.findings import Findings
 from crankorder.orders.intervals import t_quantile
 from crankorder.plot.palette import FAINT, INK, LINES, NORMAL, SMALL, drawable, shortened
-from crankorder.plot.style import NOTE, axes_at, house_style, new_figure, quality_note, quiet_frame, title_lines, write
+from crankorder.plot.style import axes_at, house_style, new_figure, note, quality_note, quiet_frame, title_lines, write
 from crankorder.quantities import Floats
 from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings
@@ -58,7 +57,7 @@ def cycle_figure(
                 if shown:
                     _draw(axes, cycles.isel(channel=row, speed=shown[column]), LINES[column], height)
                 else:
-                    axes.text(0.5, 0.5, "no whole cycle", transform=axes.transAxes, **NOTE)
+                    note(axes, "no whole cycle")
                 if column == 0:
                     _name_row(figure, cycles.isel(channel=row), bottom + height / 2, height, settings)
             top = _BOTTOM + rows * height + (rows - 1) * _ROW_GAP
@@ -148,7 +147,7 @@ def _draw(axes: Axes, one: xr.Dataset, color: str, height_in: float) -> None:
     mean = _closed(one["mean"].values)
     if not np.isfinite(mean).all():
         axes.set_yticks([])
-        axes.text(0.5, 0.5, "no whole cycle", transform=axes.transAxes, **NOTE)
+        note(axes, "no whole cycle")
         return
     deviation, error = (_closed(one[name].values) for name in ("standard_deviation", "standard_error"))
     fits = _value_axis(axes, mean, np.nan_to_num(deviation), height_in)
@@ -159,9 +158,9 @@ def _draw(axes: Axes, one: xr.Dataset, color: str, height_in: float) -> None:
     axes.plot(angle, mean, color=color, linewidth=1.1, gid="mean")
     usual = float(np.sqrt(np.mean((deviation / _size(deviation)) ** 2))) * _size(deviation)
     if math.isfinite(usual):
-        look: dict[str, Any] = {"ha": "right", "va": "top", "fontsize": SMALL}
-        look["bbox"] = {"facecolor": "white", "edgecolor": "none", "pad": 1.2, "alpha": 0.85}
-        axes.text(0.995, 0.97, f"± {number_text(usual, digits=2)}", transform=axes.transAxes, **look)
+        ground = {"facecolor": "white", "edgecolor": "none", "pad": 1.2, "alpha": 0.85}
+        text, look = f"± {number_text(usual, digits=2)}", {"ha": "right", "va": "top"}
+        note(axes, text, (0.995, 0.97), fontsize=SMALL, color=INK, bbox=ground, **look)
 
 
 def _value_axis(axes: Axes, mean: Floats, deviation: Floats, height_in: float) -> bool:

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from crankorder.channel_units import unit_text
 from crankorder.findings import CrossingFinding, Findings, ModeFinding
 from crankorder.plot.cells import level_limits, speed_cells
+from crankorder.plot.fixed_lines import fixed_frequencies
+from crankorder.plot.orders_figure import shown_tracks
 from crankorder.plot.palette import level_colours
 from crankorder.quantities import Floats
 from crankorder.records import known
-from crankorder.report.fixed_lines import fixed_frequencies
 from crankorder.report.notation import (
     estimate_text,
     frequency_text,
@@ -36,7 +37,6 @@ from crankorder.report.notation import (
     scaling_text,
     speeds_text,
 )
-from crankorder.report.orders_figure import shown_tracks
 from crankorder.settings import ReportSettings
 
 _STEP_DB = 0.005

@@ -2,40 +2,37 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Hashable, Sequence
-from typing import Any, Protocol, TypeGuard, TypeVar
+from typing import Protocol, TypeVar
 
-from crankorder.cause import alike_speeds
 from crankorder.channel_units import unit_text
 from crankorder.errors import printable
-from crankorder.findings import Findings, ModeFinding, MotorLine, OrderFinding
-from crankorder.plot.records import called_order, decimals_of
-from crankorder.plot.records import order_text as order_text
-from crankorder.plot.records import order_texts as order_texts
-from crankorder.settings import ReportSettings
-
-_SI_ACCELERATION = {"m/s2": 1.0, "m s-2": 1.0, "m/s^2": 1.0, "mm/s2": 1e-3, "g": 9.80665, "mg": 9.80665e-3}
-_SI_PRESSURE = {"Pa": 1.0, "uPa": 1e-6, "mPa": 1e-3, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5}
+from crankorder.findings import Findings, MotorLine, OrderFinding
+from crankorder.plot.reading import Numbered as Numbered
+from crankorder.plot.reading import at_one_speed as at_one_speed
+from crankorder.plot.reading import decimals_of
+from crankorder.plot.reading import frequency_text as frequency_text
+from crankorder.plot.reading import interval_of as interval_of
+from crankorder.plot.reading import is_number as is_number
+from crankorder.plot.reading import is_tone as is_tone
+from crankorder.plot.reading import is_undecided as is_undecided
+from crankorder.plot.reading import is_whirl as is_whirl
+from crankorder.plot.reading import level_reference as level_reference
+from crankorder.plot.reading import nominal_order as nominal_order
+from crankorder.plot.reading import number_text as number_text
+from crankorder.plot.reading import order_name as order_name
+from crankorder.plot.reading import order_text as order_text
+from crankorder.plot.reading import order_texts as order_texts
+from crankorder.plot.reading import scaling_text as scaling_text
 
 NAME_CHARACTERS = 60
 """Of a name from a file in a sentence; what is longer is cut."""
 
 _SAME_MODE = 1e-3  # share of a frequency within which a natural frequency is that of a crossing
-_SAME_ORDER = 1e-4  # an order this near to one of the findings is that one
-_CLOSE_ORDERS = 0.02  # orders this close need more digits to be told apart
 
 
 R = TypeVar("R", OrderFinding, MotorLine)
 K = TypeVar("K", bound=Hashable)
-
-
-class Numbered(Protocol):
-    """A record that has an order."""
-
-    @property
-    def order(self) -> float:
-        """Cycles per crank revolution."""
 
 
 class InChannel(Protocol):
@@ -54,47 +51,9 @@ def named(value: object, *, limit: int) -> str:
     return printable(value, limit)
 
 
-def scaling_text(dataset: Any) -> str:
-    """``"(peak)"`` or ``"(RMS)"``: what the amplitudes of a map ``dataset`` are, by its ``amplitude_scaling``."""
-    return "(RMS)" if str(dataset.attrs.get("amplitude_scaling", "peak")).casefold() == "rms" else "(peak)"
-
-
-def nominal_order(record: Any) -> float:
-    """Order by which the line of a ``record`` of the findings, or a measured order, is called: see called_order."""
-    order = float(getattr(record, "order", record))
-    return called_order(order, interval_of(record, "order"), getattr(record, "lock", None))
-
-
-def order_name(record: Numbered, findings: Findings) -> str:
-    """Short text of the order of a ``record`` that no other order of the ``findings`` has: ``"2"``, ``"1.005"``."""
-    same = min(findings.orders, key=lambda one: abs(one.order - record.order), default=record)
-    own = nominal_order(
-        same if abs(same.order - record.order) < _SAME_ORDER and not interval_of(record, "order") else record
-    )
-    near = {own}
-    near |= {nominal_order(other) for other in findings.orders if abs(other.order - own) < _CLOSE_ORDERS}
-    ordered = sorted(near)
-    return order_texts(ordered)[ordered.index(own)]
-
-
 def order_estimate(record: Numbered, findings: Findings) -> str:
     """Order of a ``record`` with its interval, ``"5.500 (5.497…5.503)"``; without one its name in the ``findings``."""
     return estimate_text(record, "order") if getattr(record, "order_ci95", None) else order_name(record, findings)
-
-
-def is_tone(mode: ModeFinding) -> bool:
-    """True for a ``mode`` of the findings that is no natural frequency: mains or another fixed tone."""
-    return mode.kinds[0] not in ("mode", "whirl", "undecided")
-
-
-def is_whirl(mode: ModeFinding) -> bool:
-    """True for a ``mode`` of the findings that moves with the speed."""
-    return mode.kinds[0] == "whirl" and is_number(mode.speed_slope)
-
-
-def is_undecided(mode: ModeFinding) -> bool:
-    """True for a ``mode`` of the findings that may be a natural frequency or something else."""
-    return not is_tone(mode) and (mode.kinds[0] == "undecided" or bool(mode.undecided))
 
 
 def is_in_doubt(mode_hz: float, findings: Findings) -> bool:
@@ -112,19 +71,6 @@ def unit_of(findings: Findings, record: InChannel) -> str:
     return unit_text(own or units.get(record.channel or "", ""))
 
 
-def number_text(value: float, *, digits: int = 3) -> str:
-    """``value`` to ``digits`` significant digits, without exponent from 1e-4 to 1e6; ``"–"`` for NaN and infinity."""
-    if not math.isfinite(value):
-        return "–"
-    if value == 0:
-        return "0"
-    size = math.floor(math.log10(abs(value)))
-    if not -4 <= size < 6:
-        mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
-        return f"{mantissa.replace('-', '−')}e{int(exponent)}"
-    return f"{value:.{max(0, digits - 1 - size)}f}".replace("-", "−")
-
-
 def percent_text(share: float) -> str:
     """``share`` (0…1) as ``"3.1 %"``; ``"< 0.01 %"`` for something, however little; ``"0 %"`` for nothing."""
     percent = 100 * share
@@ -138,27 +84,10 @@ def speeds_text(ends: Sequence[float | None]) -> str:
     return "–".join(f"{end:.0f}" if is_number(end) else "–" for end in ends)
 
 
-def interval_of(record: object, key: str) -> tuple[float, float] | None:
-    """95 % interval of ``key`` in a ``record`` of the findings (its ``key_ci95``), or None where it has none."""
-    low, high = getattr(record, f"{key}_ci95", None) or (None, None)
-    return (low, high) if is_number(low) and is_number(high) else None
-
-
 def least_of(record: object, key: str) -> float | None:
     """Lower end of the 95 % interval of ``key`` in a ``record`` of the findings where it has no upper end, or None."""
     low, high = getattr(record, f"{key}_ci95", None) or (None, None)
     return low if is_number(low) and not is_number(high) else None
-
-
-def at_one_speed(findings: Findings) -> bool:
-    """True where the test of the ``findings`` ran at one speed: nothing tells a line that stays from one that goes."""
-    low, high = findings.speed_range_rpm
-    return is_number(low) and is_number(high) and alike_speeds((low, high))
-
-
-def is_number(value: object) -> TypeGuard[float]:
-    """True for a finite number ``value`` (and no bool)."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def estimate_text(record: object, key: str, *, unit: str = "") -> str:
@@ -190,24 +119,6 @@ def with_interval(value: object, ends: Sequence[object] | None, *, unit: str = "
     return f"{texts[0]} ({texts[1]}…{texts[2]}){tail}"
 
 
-def level_reference(quantity: str, unit: str, *, settings: ReportSettings) -> tuple[float, str]:
-    """Reference of a level in the channel's own unit, and its text for the colour bar.
-
-    ``quantity`` and ``unit`` of the channel; ``settings`` hold the references for acceleration [m/s²] and sound
-    pressure [Pa]. Returns (reference, text); any other quantity refers to one unit. Source: ISO 1683:2015, table 1.
-    """
-    if quantity == "acceleration" and unit in _SI_ACCELERATION:
-        reference = settings.acceleration_reference_m_s2
-        mantissa, exponent = map(float, f"{reference:e}".split("e"))
-        return reference / _SI_ACCELERATION[unit], f"dB re {mantissa:g}e{exponent:g} m/s² (peak)"
-    from crankorder.quantities import is_sound  # loads xarray, which numbers and names of a balance need not wait for
-
-    if unit in _SI_PRESSURE and is_sound(quantity, unit):
-        reference = settings.pressure_reference_pa
-        return reference / _SI_PRESSURE[unit], f"dB re {number_text(reference * 1e6, digits=2)} µPa (peak)"
-    return 1.0, f"dB re 1 {unit_text(unit)} (peak)".replace("1  ", "1 ")
-
-
 def listed(words: Sequence[str]) -> str:
     """``words`` as in a sentence: ``"X, Y and Z"``."""
     return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""
@@ -216,8 +127,3 @@ def listed(words: Sequence[str]) -> str:
 def strongest_by(records: Sequence[R], key: Callable[[R], K]) -> dict[K, R]:
     """The largest of ``records`` by each ``key`` that they have; of equal ones the first."""
     return {key(record): record for record in sorted(records, key=lambda one: -one.amplitude)[::-1]}
-
-
-def frequency_text(frequency_hz: float) -> str:
-    """``frequency_hz`` for a label: three digits below 100 Hz, whole hertz above; no unit."""
-    return f"{frequency_hz:.0f}" if abs(frequency_hz) >= 99.95 else f"{frequency_hz:.3g}"

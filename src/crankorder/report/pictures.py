@@ -11,11 +11,12 @@ import numpy as np
 import xarray as xr
 
 from crankorder.findings import Findings
+from crankorder.plot.campbell_figure import campbell_figure
 from crankorder.plot.drawing import Drawing, Words
-from crankorder.report.campbell_figure import campbell_figure
-from crankorder.report.orders_figure import orders_figure
-from crankorder.report.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
-from crankorder.report.speed_figure import shown_recordings, speed_figure
+from crankorder.plot.orders_figure import orders_figure
+from crankorder.plot.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
+from crankorder.plot.speed_figure import shown_recordings, speed_figure
+from crankorder.report.sentences.story import strongest_sentence
 from crankorder.settings import ReportSettings
 
 _ONE_ROW = (
@@ -61,15 +62,16 @@ def pictures_of(
     if not settings.pictures:
         return made
 
-    def plan(name: str, caption: str, figure: Callable[..., Any], *given: Any) -> None:
-        drawn = Picture(caption, partial(figure, *given, findings, settings=settings), settings)
+    def plan(name: str, caption: str, figure: Callable[..., Any], *given: Any, **said: str) -> None:
+        drawn = Picture(caption, partial(figure, *given, findings, settings=settings, **said), settings)
         made[f"{name}.{settings.picture_format}"] = drawn
 
     campbell, tracks = groups.get("campbell_map"), groups.get("order_tracks")
     speeds = 0 if campbell is None else int(np.isfinite(campbell["speed"].values).sum())
     what, figure = ("Campbell diagram, {}", campbell_figure) if speeds > 1 else (_ONE_ROW[speeds], spectrum_figure)
     for channel in campbell["channel"].values.tolist() if campbell is not None and campbell.sizes["speed"] else ():
-        plan(f"campbell_{name_of(channel)}", what.format(channel), figure, campbell, channel)
+        said = strongest_sentence(findings, channel)
+        plan(f"campbell_{name_of(channel)}", what.format(channel), figure, campbell, channel, sentence=said)
     if "shaft" in groups and shown_recordings(groups["shaft"]):
         plan("speed", "Speed against time: how the machine was driven", speed_figure, groups["shaft"])
     if tracks is not None and tracks.sizes["order"] and np.isfinite(tracks["speed"].values).all():
@@ -88,7 +90,7 @@ def pictures_of(
         plan("shapes", "Operating shapes: amplitude and phase over the channels", shapes_figure, shapes)
     envelope = groups.get("envelope_map")
     if envelope is not None and envelope.sizes["order"] and envelope.sizes["speed"]:
-        from crankorder.report.envelope_figure import envelope_figure
+        from crankorder.plot.envelope_figure import envelope_figure
 
         plan("envelope", "Envelope spectra: strikes in bearings, order by order", envelope_figure, envelope)
     if campbell is not None and campbell.sizes["speed"]:

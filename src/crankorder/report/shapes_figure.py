@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -153,11 +152,10 @@ def _name_column(
     unit = drawable(unit_text(str(channel["unit"].item())), 24)
     # where a channel is called by its direction that is said once
     told = f"{drawable(direction, 12)} · {unit}" if direction and direction.strip("+") != name else unit
-    look: dict[str, Any] = {"ha": "center"}
     middle, lines = left + width / 2, _two_lines(name, width - 0.08)
     for above, text in zip((0.14, 0.0)[-len(lines) :], lines, strict=True):
-        write(figure, middle, top - 0.15 + above, text, fontsize=_NAME_SIZE, fontweight="bold", **look)
-    write(figure, middle, top - 0.32, shortened(told, SMALL, width - 0.06), fontsize=SMALL, color=FAINT, **look)
+        write(figure, middle, top - 0.15 + above, text, fontsize=_NAME_SIZE, fontweight="bold", ha="center")
+    write(figure, middle, top - 0.32, shortened(told, SMALL, width - 0.06), fontsize=SMALL, color=FAINT, ha="center")
 
 
 def _two_lines(name: str, width_in: float) -> list[str]:

@@ -17,8 +17,8 @@ from crankorder.findings import (
     OrderFinding,
     Quality,
 )
+from crankorder.plot.fixed_lines import hertz_of_order
 from crankorder.records import Record
-from crankorder.report.fixed_lines import hertz_of_order
 from crankorder.report.notation import (
     Numbered,
     estimate_text,

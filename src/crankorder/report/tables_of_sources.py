@@ -6,7 +6,7 @@ from typing import Any
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import BearingFinding, Findings, ThirdOctave, VibrationLevel
-from crankorder.report.fixed_lines import fixed_tones
+from crankorder.plot.fixed_lines import fixed_tones
 from crankorder.report.notation import (
     estimate_text,
     is_number,

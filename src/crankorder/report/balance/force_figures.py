@@ -9,9 +9,17 @@ from matplotlib.figure import Figure
 
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
-from crankorder.plot.axes import log_axis
 from crankorder.plot.palette import FAINT, INK, LINES, NORMAL, SMALL, drawable
-from crankorder.plot.style import NOTE, axes_at, house_style, new_figure, quiet_frame, title_lines, write
+from crankorder.plot.style import (
+    axes_at,
+    house_style,
+    log_axis,
+    new_figure,
+    note,
+    quiet_frame,
+    title_lines,
+    write,
+)
 from crankorder.quantities import Complexes, Floats
 from crankorder.report.balance.dataset import SYSTEMS, order_sum
 from crankorder.report.balance.look import (
@@ -78,9 +86,8 @@ def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, 
             axes.plot(angle, values, color=system_color(members[0]), linewidth=width, gid=f"force-{axis}-{members[0]}",
                       zorder=2 + number)  # fmt: skip
         if zero:
-            look = {**NOTE, "ha": "right", "va": "bottom", "fontsize": SMALL}
             said = f"nothing: {called(zero, balance)}" if len(groups) > 1 else "nothing"
-            axes.text(0.99, 0.03, said, transform=axes.transAxes, **look)
+            note(axes, said, (0.99, 0.03), ha="right", va="bottom", fontsize=SMALL)
     if curves.sizes["system"] > 1:
         color_key(figure, row[0], [(called(members, balance), system_color(members[0])) for members in groups])
 
@@ -244,7 +251,7 @@ def _bars(
     axes.set_xticks(shown, [order_text(order) for order in shown])
     log_axis(axes, floor if most else 1e-3, 4 * most if most else 1.0, most_ticks=7)
     if not shown:
-        axes.text(0.5, 0.5, f"no {kind} of any order", transform=axes.transAxes, **NOTE)
+        note(axes, f"no {kind} of any order")
         return
     width = min(0.84 / len(values), _WIDEST_BAR)
     for number, (column, color) in enumerate(zip(values, colors, strict=True)):
@@ -423,7 +430,7 @@ def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSetting
             axes.axhline(0, color=FAINT, linewidth=0.8)
             axes.set_title(axis_names(balance)["xy".index(axis)], fontsize=9, color=INK, pad=18)
             if not forces.any():
-                axes.text(0.5, 0.5, "no force of any order", transform=axes.transAxes, **NOTE)
+                note(axes, "no force of any order")
                 continue
             _harmonics(axes, balance, axis, per_omega)
             entries = [(name, color) for name, (_, color) in _PARTS.items()]

@@ -12,10 +12,9 @@ from markupsafe import Markup
 
 from crankorder.channel_units import unit_text
 from crankorder.comparison import Comparison, Trend
-from crankorder.plot.drawing import Box, Drawing, Words, title_lines
+from crankorder.plot.drawing import Box, Drawing, Panel, Words, title_lines
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, label_right
 from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
-from crankorder.plot.panel import Panel
 from crankorder.quantities import Floats, Ints
 from crankorder.report.comparison.sentences import alike, comparison_story, scaled_text
 from crankorder.report.notation import estimate_text, frequency_text, named, number_text, order_text

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from crankorder.findings import Findings, Level, LineFinding, ModeFinding, Motor, MotorLine, MotorSpeed, OrderFinding
-from crankorder.report.fixed_lines import fixed_tones, hertz_of_order, strongest_tone
+from crankorder.plot.fixed_lines import fixed_tones, hertz_of_order, strongest_tone
 from crankorder.report.notation import (
     NAME_CHARACTERS,
     at_one_speed,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from crankorder.findings import Findings, OrderFinding
-from crankorder.report.fixed_lines import hertz_of_order
+from crankorder.plot.fixed_lines import hertz_of_order
 from crankorder.report.notation import (
     at_one_speed,
     estimate_text,

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
-from crankorder.findings import AvoidedSpeed, Findings, FreeBand, OpenBand, SpeedSwing
+from crankorder.findings import AvoidedSpeed, Findings, SpeedSwing
+from crankorder.plot.reading import free_bands, open_bands, wide_bands
 from crankorder.records import known
 from crankorder.report.notation import (
     NAME_CHARACTERS,
@@ -25,7 +24,6 @@ from crankorder.report.notation import (
     percent_text,
 )
 
-_JUDGED = ("excited", "not excited", None)
 _PAIRS = 4  # crossings that a sentence names
 _ONE_SPEED_RPM = 1.0  # a test whose speeds span less is one at one speed
 SAME_MODE = 1e-3  # share within which two numbers are those of one natural frequency
@@ -89,26 +87,9 @@ def _amplified(record: AvoidedSpeed) -> str:
     return text if least is None else f"at least {text}"
 
 
-def free_bands(findings: Findings) -> list[tuple[float, float]]:
-    """Speed ranges [rpm] of ``findings`` in which no order can be amplified much, slowest first."""
-    return sorted((band.low_rpm, band.high_rpm) for band in _wide(findings.free_bands))
-
-
-def open_bands(findings: Findings) -> list[tuple[float, float]]:
-    """Speed ranges [rpm] of ``findings`` that are neither free nor to be avoided, slowest first."""
-    return sorted((band.low_rpm, band.high_rpm) for band in _wide(findings.open_bands or ()))
-
-
 def all_judged(findings: Findings) -> bool:
     """Whether ``findings`` leave no tested speed open; of such as do not speak of open bands nothing is known."""
     return findings.open_bands is None or bool(free_bands(findings) and not open_bands(findings))
-
-
-B = TypeVar("B", FreeBand, OpenBand)
-
-
-def _wide(bands: Sequence[B]) -> list[B]:
-    return [band for band in bands if band.high_rpm > band.low_rpm]
 
 
 def doubt_sentences(findings: Findings) -> list[str]:
@@ -169,24 +150,15 @@ def _of_an_encoder(records: list[SpeedSwing], orders: list[float]) -> str:
     return ""
 
 
-def not_judged_rpm(findings: Findings) -> list[float]:
-    """Speeds [rpm] of the crossings of ``findings`` inside the tested range of which nothing could be decided."""
-    return [
-        record.rpm
-        for record in findings.crossings
-        if record.in_range and record.verdict not in _JUDGED and is_number(record.rpm)
-    ]
-
-
 def free_sentences(findings: Findings) -> list[str]:
     """Where ``findings`` allow steady running, the widest bands; and where they cannot tell, with the first reason."""
-    free, unknown = free_bands(findings), _wide(findings.open_bands or ())
+    free, unknown = free_bands(findings), wide_bands(findings.open_bands or ())
     said = []
     if free:
         widest = sorted(sorted(free, key=lambda band: band[0] - band[1])[:_SHOWN])
         more = " and narrower bands" if len(free) > _SHOWN else ""
         ends = listed([f"{low:.0f} to {high:.0f}" for low, high in widest])
-        remark = named(_wide(findings.free_bands)[0].remark or "", limit=4 * NAME_CHARACTERS)
+        remark = named(wide_bands(findings.free_bands)[0].remark or "", limit=4 * NAME_CHARACTERS)
         said.append(f"Free of resonances: {ends} rpm{more}{f'; {remark}' if remark else ''}.")
     speeds = [float(one) for one in findings.speed_range_rpm if is_number(one)]
     if not free and speeds and max(speeds) - min(speeds) < _ONE_SPEED_RPM:

@@ -6,8 +6,8 @@ from collections import Counter
 from typing import TypedDict
 
 from crankorder.findings import Findings
+from crankorder.plot.fixed_lines import fixed_tones
 from crankorder.quantities import WHICH_IS_RIGHT
-from crankorder.report.fixed_lines import fixed_tones
 from crankorder.report.notation import NAME_CHARACTERS, is_number, listed, named, percent_text, strongest_by
 from crankorder.report.sentences.of_balance import balance_sentences
 from crankorder.report.sentences.of_bearings import RE_RUN_RULE, asks_re_run, bearing_lines, bearing_sentences

@@ -3,26 +3,45 @@
 from __future__ import annotations
 
 from itertools import takewhile
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 
 from crankorder.findings import Findings
-from crankorder.plot.drawing import Drawing, Rings, Words
+from crankorder.plot.axes import (
+    ORDER,
+    axes_for,
+    channel_number,
+    dataset_of,
+    dress,
+    keys_below,
+    number_of,
+    painted,
+    quantity_text,
+    set_scale,
+    unit_of,
+    values_of,
+)
+from crankorder.plot.campbell_figure import Mark
+from crankorder.plot.drawing import Drawing, Panel, Words, log_limits
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, head_of_test, label_width_in
 from crankorder.plot.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES, drawable, shortened
-from crankorder.plot.panel import Panel
+from crankorder.plot.reading import is_number, nominal_order, order_name, order_text, order_texts
+from crankorder.plot.spectra_figure import DECADES, column_boxes, column_panels, draw_spectrum, label_column, ring_lines
 from crankorder.quantities import Floats
-from crankorder.report.campbell_figure import Mark
-from crankorder.report.notation import is_number, order_name, order_text
-from crankorder.report.spectra_figure import column_boxes, column_panels, draw_spectra, label_column
 from crankorder.settings import ReportSettings
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _LEFT, _RIGHT = 1.0, 0.3  # inches
 _NAME_LETTERS = (60, 40, 30, 22, 16, 12, 8)  # of a bearing in a label, where there are several: the most that fit
 _FLOOR = LINES[4]
 _SIDEBANDS = 2  # marked on either side of a line that has some
 _MULTIPLES = 12  # of a line that was found, marked at most
+_MOST_NAMED = 6  # lines that a notebook's picture names
+_CHANCE = 1e-3  # that noise alone is named there
 
 
 def envelope_figure(envelope: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
@@ -40,15 +59,10 @@ def envelope_figure(envelope: xr.Dataset, findings: Findings, *, settings: Repor
     texts = {record.order: order_name(record, findings) for record in records}
     seen = [(order, text, LINES[1]) for order, text in texts.items()]
     marks, found = _expected(findings, width - _room_of(seen)), False
-    for panel in panels:
+    for number, (panel, channel) in enumerate(zip(panels, envelope["channel"].values.astype(str), strict=True)):
         for order, _, color in marks:
             panel.upright(order, color=color, width=0.8, alpha=0.7, dashes=MODE_DASHES, name="expected")
-    draw_spectra(panels, envelope["order"].values, mean)
-    for number, panel in enumerate(panels):
-        if np.any(floor[number] > 0):
-            level = np.where(floor[number] > 0, floor[number], np.nan)
-            panel.curve(envelope["order"].values, level, color=_FLOOR, width=1.4, name="floor")
-    for number, (panel, channel) in enumerate(zip(panels, envelope["channel"].values.astype(str), strict=True)):
+        draw_envelope(panel, envelope["order"].values, mean[number], floor[number])
         found |= _draw_found(panel, envelope["order"].values, mean[number], findings, channel)
         _write_band(panel, envelope, number)
     label_column(panels[0], [*marks, *seen], "")
@@ -56,6 +70,13 @@ def envelope_figure(envelope: xr.Dataset, findings: Findings, *, settings: Repor
     said = _subtitle(envelope.sizes["speed"], bool(marks), found)
     head_of_test(drawing, _LEFT, findings, "envelope spectra", said, longest=settings.max_name_characters)
     return drawing
+
+
+def draw_envelope(panel: Panel, order: Floats, amplitude: Floats, floor: Floats) -> None:
+    """Draw ``amplitude`` and ``floor`` of the spectrum of an envelope over ``order``, all (bins,), in ``panel``."""
+    draw_spectrum(panel, order, amplitude)
+    if np.any(floor > 0):
+        panel.curve(order, np.where(floor > 0, floor, np.nan), color=_FLOOR, width=1.4, name="floor")
 
 
 def _keys(drawing: Drawing, *, expected: bool, found: bool) -> list[Key]:
@@ -149,19 +170,13 @@ def _draw_found(panel: Panel, orders: Floats, values: Floats, findings: Findings
         if not own or not is_number(record.order) or not len(orders):
             continue
         order = record.order
-        near = np.abs(orders - order) <= max(2 * float(np.median(np.diff(orders))) if len(orders) > 1 else 0.0, 1e-9)
-        height = float(np.max(values, where=near, initial=0.0))
-        if height > 0:
-            places.append((order, height))
+        places.append(order)
         multiples = record.harmonics
         for number in range(2, min(int(multiples) if is_number(multiples) else 1, _MULTIPLES) + 1):
             if number * order <= panel.x[1]:
                 panel.upright(number * order, color=LINES[1], width=0.7, alpha=0.45, name=f"multiple-{number}")
         _draw_sidebands(panel, order, record.sidebands)
-    if places:
-        x, y = (np.array(one) for one in zip(*places, strict=True))
-        panel.drawing.add(Rings(panel.at(x, y), 5.0, LINES[1], width=1.4, name="found", values=(x, y)))
-    return bool(places)
+    return ring_lines(panel, orders, values, places)
 
 
 def _draw_sidebands(panel: Panel, order: float, apart: object) -> None:
@@ -188,3 +203,96 @@ def _write_band(panel: Panel, envelope: xr.Dataset, number: int) -> None:
     left, bottom, width, height = panel.box
     text = shortened(f"band {'–'.join(ends)} Hz", SMALL, width)
     panel.drawing.add(Words(left + width, bottom + height - 0.13, text, SMALL, FAINT, along="right", name="band"))
+
+
+def envelope(
+    envelope_map: xr.Dataset, *, channel: str | None = None, speed_rpm: float | None = None, ax: Axes | None = None
+) -> Axes:
+    """Order spectrum of the envelope at one speed, with its floor: strikes in bearings show here; returns the axes.
+
+    Parameters
+    ----------
+    envelope_map : EnvelopeMap of :func:`crankorder.envelope`
+    channel : name of the channel; the first where not given
+    speed_rpm : the nearest speed to this is drawn, rpm; without it that at which a line stands highest over the floor
+    ax : axes to draw on; without them a new figure of pyplot's
+
+    The highest lines are named above, where noise alone would not reach so high in one of a thousand pictures.
+    Raises RequestError for another dataset, channel or axes.
+
+    >>> import numpy as np, crankorder as co
+    >>> rng, ring = np.random.default_rng(1), np.exp(-np.arange(60) / 15) * np.cos(1.9 * np.arange(60))
+    >>> signal = np.convolve(np.arange(80_000) % 112 == 0, ring, "same") + 0.1 * rng.standard_normal(80_000)
+    >>> made = co.recording(signal, rate_hz=10_000, speed_rpm=1500.0)  # a strike every 112 samples: order 3.57
+    >>> axes = co.plot.envelope(co.envelope(made, bearings=[{"name": "drive end", "bpfo": 3.58, "bpfi": 5.42}]))
+    >>> axes.get_title(loc="right").partition(",")[0]
+    '1500 rpm'
+    """
+    dataset = dataset_of(envelope_map, "envelope_map", "envelope")
+    number = channel_number(dataset, channel, "envelope")
+    order = np.asarray(dataset["order"].values, dtype=float)
+    amplitude, floor = (values_of(dataset, name, "speed", "order", channel=number) for name in ("amplitude", "floor"))
+    if not amplitude.size:
+        amplitude = floor = np.zeros((1, len(order)))
+    at = _speed_at(dataset, order, amplitude, floor, speed_rpm)
+    axes = axes_for(ax, "envelope", height_in=4.2)
+    lines = _standing_out(order, amplitude[at], floor[at])
+    texts = order_texts([nominal_order(place) for place in lines])
+    marks = [(place, text, LINES[1]) for place, text in zip(lines, texts, strict=True)]
+    label = f"Envelope of {quantity_text(dataset, number).partition(' (')[0].lower()}, {unit_of(dataset, number)}"
+    title, said = str(dataset["channel"].values[number]), _where(dataset, number, at)
+    dress(axes, x=ORDER, y=label.removesuffix(", "), title=title, rows_above=bool(lines), said=said)
+    set_scale(axes, order, log_limits(amplitude[at], DECADES, room=2.5))
+
+    def content(panel: Panel) -> None:
+        draw_envelope(panel, order, amplitude[at], floor[at])
+        found = ring_lines(panel, order, amplitude[at], lines)
+        label_column(panel, marks, "order")
+        keys = [Key("stands out of the floor", LINES[1], ring=True)] if found else []
+        keys_below(panel, [*_keys(panel.drawing, expected=False, found=False), *keys])
+
+    return painted(axes, content)
+
+
+def _speed_at(
+    dataset: xr.Dataset,
+    order: Floats,
+    amplitude: Floats,
+    floor: Floats,
+    asked: float | None,
+) -> int:
+    """Place of the speed to draw: nearest to that ``asked`` for, else where a line stands highest over the floor."""
+    speed = np.asarray(dataset["speed"].values, dtype=float)
+    if asked is not None and len(speed):
+        wanted = number_of(asked, "speed_rpm", "envelope", above=0.0)
+        return int(np.argmin(np.where(np.isfinite(speed), np.abs(speed - wanted), np.inf)))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        over = np.where((floor > 0) & (order > 0), amplitude / floor, 0.0)
+    over = over if np.any(over > 0) else np.where(order > 0, amplitude, 0.0)
+    return int(np.argmax(np.max(np.nan_to_num(over), axis=1, initial=0.0)))
+
+
+def _where(dataset: xr.Dataset, channel: int, at: int) -> str:
+    """Speed and band of the spectrum that is drawn."""
+    if not dataset.sizes["speed"]:
+        return ""
+    speed = float(dataset["speed"].values[at])
+    said = f"{speed:.0f} rpm" if np.isfinite(speed) else "speed not known"
+    low, high = (float(values_of(dataset, name, "speed", channel=channel)[at]) for name in ("band_low", "band_high"))
+    return f"{said}, band {low:.0f}–{high:.0f} Hz" if np.isfinite(low) and np.isfinite(high) else said
+
+
+def _standing_out(order: Floats, amplitude: Floats, floor: Floats) -> list[float]:
+    """Orders of the highest lines that noise would not make: its power is at worst exponential.
+
+    The amplitude is the root of the squared envelope's line: its fourth power is the power that the floor refers to.
+    """
+    if len(order) < 3:
+        return []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        power = np.nan_to_num(np.where(floor > 0, amplitude / floor, 0.0)) ** 4
+    inner = power[1:-1]
+    top = (inner >= power[:-2]) & (inner > power[2:]) & (inner > np.log(len(order) / _CHANCE)) & (order[1:-1] > 0)
+    places = np.flatnonzero(top) + 1
+    strongest = places[np.argsort(-power[places], kind="stable")][:_MOST_NAMED]
+    return [float(order[one]) for one in np.sort(strongest)]

@@ -1,27 +1,50 @@
-"""Amplitude and phase of the orders against speed, one column of panels per channel."""
+"""Amplitude and phase of the orders against speed, with intervals; one column of panels per channel."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.channel_units import unit_text
+from crankorder.errors import RequestError
 from crankorder.findings import Findings
+from crankorder.plot.axes import (
+    ORDER,
+    axes_for,
+    channel_number,
+    dataset_of,
+    dress,
+    painted,
+    quantity_text,
+    set_scale,
+    unit_of,
+)
 from crankorder.plot.cells import gaps_before, speed_cells
-from crankorder.plot.drawing import Box, Drawing, Words
+from crankorder.plot.drawing import Box, Drawing, Panel, Words
 from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
-from crankorder.plot.palette import BAND_FACTOR, FAINT, NORMAL, SMALL, drawable, shortened
-from crankorder.plot.panel import Panel
-from crankorder.plot.tracks import ALL_COLOURED, CLEAR, COLOURED, LOG_RATIO, WITHOUT_MARKERS, DrawnTracks
-from crankorder.quantities import Floats
-from crankorder.report.notation import nominal_order, order_texts
+from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
+from crankorder.plot.reading import nominal_order, order_texts
+from crankorder.plot.spectra_figure import label_column
+from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import ReportSettings
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _LEFT, _BOTTOM, _TOP, _GUTTER = 1.0, 0.7, 0.98, 0.95  # margins in inches; the gutter holds labels and the next axis
 _COLUMNS = 4
+_COLOURED = 6  # orders that the eye can follow; the others are there for comparison …
+_ALL_COLOURED = 8  # … but not for the sake of one or two
+_MOST = 12  # orders that a notebook's picture shows where none are asked for
+_LOG_RATIO = 15.0  # orders whose largest amplitudes differ by more than this need a logarithmic axis
+_CLEAR = 3.0  # standard errors above zero from which a line is drawn; its phase means nothing below
+_WITHOUT_MARKERS = 60  # more speeds than this are a curve, not points
+_SAME_ORDER = 0.02  # an order asked for is the track this close to it
 _JOINED_DEG = 90.0  # phases further apart are points, not a curve: they wrap, or nothing locks them to the shaft
 _PHASE_OF = {
     "tdc": "Phase from\ntop dead centre, °",
@@ -33,12 +56,33 @@ _PHASE_OF = {
 
 
 @dataclass(frozen=True)
-class ShownTracks(DrawnTracks):
-    """Values (channel, order, speed) of the orders that are shown, of all channels."""
+class ShownTracks:
+    """Values (channel, order, speed) of the orders that are shown, slowest speed first; ``rank`` 0: strongest.
 
+    NaN where a line is not clear of the noise. ``read`` is False at speeds at which only other orders have a row: those
+    of a sweep stand at speeds of their own.
+    """
+
+    speed: Floats
+    orders: Floats
+    rank: Ints
+    amplitude: Floats
+    low: Floats
+    high: Floats
+    read: Bools
+    texts: list[str]
     phase: Floats
     units: list[str]
     reference: str
+
+    @property
+    def coloured(self) -> Bools:
+        """True for the orders that are drawn in a colour of their own."""
+        return np.asarray(self.rank < (_COLOURED if len(self.orders) > _ALL_COLOURED else _ALL_COLOURED))
+
+    def color(self, number: int) -> str:
+        """Colour of the order ``number``, the same in all channels; light where it is only there for comparison."""
+        return LINES[int(self.coloured[:number].sum())] if self.coloured[number] else LIGHT
 
 
 def orders_figure(tracks: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
@@ -68,8 +112,11 @@ def orders_figure(tracks: xr.Dataset, findings: Findings, *, settings: ReportSet
     return drawing
 
 
-def shown_tracks(tracks: xr.Dataset, *, limit: int) -> ShownTracks:
-    """The ``limit`` orders of ``tracks`` that are largest relative to their channel's largest, ascending."""
+def shown_tracks(tracks: xr.Dataset, *, limit: int, among: Sequence[int] | None = None) -> ShownTracks:
+    """The ``limit`` orders of ``tracks`` that are largest relative to their channel's largest, ascending.
+
+    ``among``: numbers of the orders from which to take them; of all where it is None.
+    """
     dims = ("channel", "order", "speed")
     at = np.argsort(tracks["speed"].values, kind="stable")
     values = {
@@ -80,13 +127,14 @@ def shown_tracks(tracks: xr.Dataset, *, limit: int) -> ShownTracks:
     amplitude, error = values["amplitude"], values["standard_error"]
     peak = np.max(np.nan_to_num(amplitude), axis=2, initial=0.0).astype(np.float64)
     share = (peak / np.maximum(peak.max(axis=1, initial=0.0, keepdims=True), 1e-300)).max(axis=0, initial=0.0)
-    ranked = np.argsort(-share, kind="stable")[:limit]
+    ranked = np.argsort(-share, kind="stable")
+    ranked = (ranked if among is None else ranked[np.isin(ranked, among)])[:limit]
     kept = np.sort(ranked)
     reach = BAND_FACTOR * np.nan_to_num(error)
     low = np.maximum(values.get("amplitude_low", amplitude - reach), 0)
     high = values.get("amplitude_high", amplitude + reach)
     # an unknown error or interval counts as clear; an interval from 0 says that noise alone could be as large
-    clear = (amplitude > 0) & ~(amplitude < CLEAR * error) & ~(low <= 0)
+    clear = (amplitude > 0) & ~(amplitude < _CLEAR * error) & ~(low <= 0)
     amplitude, low, high, phase = (
         np.where(clear, item, np.nan)[:, kept] for item in (amplitude, low, high, (values["phase"] + 180) % 360 - 180)
     )
@@ -102,7 +150,7 @@ def _subtitle(n_orders: int, shown: int, *, clear: bool) -> str:
     if not clear:
         return "No order stands clear of the noise, or the recordings hold too few revolutions to tell."
     many = f" of the {shown} strongest of {n_orders} orders" if shown < n_orders else ""
-    light = f", {COLOURED} of them in colour," if shown > ALL_COLOURED else ""
+    light = f", {_COLOURED} of them in colour," if shown > _ALL_COLOURED else ""
     if light and not many:
         many = f" of {shown} orders"
     return f"Peak amplitude with 95 % band{many}{light} where it stands clear of the noise; orders at the right."
@@ -120,13 +168,19 @@ def _draw_channel(drawing: Drawing, shown: ShownTracks, channel: int, box: Box) 
     upper = Panel(drawing, upper_box, ends, limits, logarithmic)
     lower = Panel(drawing, (left, bottom, width, phase_height), ends, (-190.0, 190.0))
     _draw_axes(upper, lower, shown, channel, first=left == _LEFT)
-    for number in np.argsort(-shown.rank):  # the strongest lies on top
-        _draw_line(upper, shown, channel, int(number))
+    draw_tracks(upper, shown, channel)
+    for number in np.argsort(-shown.rank):
         if shown.reference in _PHASE_OF and shown.coloured[number]:
             _draw_phase(lower, shown, channel, int(number))
     if shown.reference not in _PHASE_OF:
         lower.note("no phase reference")
-    _label_lines(upper, shown, channel)
+
+
+def draw_tracks(panel: Panel, shown: ShownTracks, channel: int) -> None:
+    """Draw in ``panel`` the amplitudes of a ``channel`` (its number) of ``shown`` tracks, with bands and names."""
+    for number in np.argsort(-shown.rank):  # the strongest lies on top
+        _draw_line(panel, shown, channel, int(number))
+    _label_lines(panel, shown, channel)
 
 
 def _scale(clear: Floats) -> tuple[tuple[float, float], bool]:
@@ -135,7 +189,7 @@ def _scale(clear: Floats) -> tuple[tuple[float, float], bool]:
         return (0.0, 1.0), False
     peaks = np.max(np.nan_to_num(clear), axis=2)
     top = float(peaks.max())
-    if top < LOG_RATIO * float(peaks[peaks > 0].min()):
+    if top < _LOG_RATIO * float(peaks[peaks > 0].min()):
         return (0.0, 1.08 * top), False
     return (max(float(np.nanquantile(clear, 0.005)) / 1.5, 1e-6 * top), min(1.6 * top, 1e307)), True
 
@@ -175,7 +229,7 @@ def _draw_line(panel: Panel, shown: ShownTracks, channel: int, number: int) -> N
     if coloured:
         panel.band(along, low, high, color=color, alpha=0.2)
     panel.curve(along, line, color=color, width=1.3 if coloured else 0.9, name=f"order-{shown.texts[number]}")
-    if len(speed) <= WITHOUT_MARKERS:
+    if len(speed) <= _WITHOUT_MARKERS:
         panel.dots(speed, amplitude, color=color, radius=1.5 if coloured else 1.0)
 
 
@@ -189,7 +243,7 @@ def _draw_phase(panel: Panel, shown: ShownTracks, channel: int, number: int) -> 
     breaks = _broken(speed, phase, wrap=_JOINED_DEG if locked else 0.0)
     along, line = (np.insert(values, breaks, np.nan) for values in (speed, phase))
     panel.curve(along, line, color=color, width=0.9, name="phase")
-    panel.dots(speed, phase, color=color, radius=1.2 if len(speed) <= WITHOUT_MARKERS else 0.6)
+    panel.dots(speed, phase, color=color, radius=1.2 if len(speed) <= _WITHOUT_MARKERS else 0.6)
 
 
 def _label_lines(panel: Panel, shown: ShownTracks, channel: int) -> None:
@@ -197,7 +251,7 @@ def _label_lines(panel: Panel, shown: ShownTracks, channel: int) -> None:
     labels = []
     for number, text in enumerate(shown.texts):
         amplitude = shown.amplitude[channel, number]
-        known = amplitude[np.isfinite(amplitude)]
+        known = amplitude[np.isfinite(amplitude) & (shown.speed >= panel.x[0]) & (shown.speed <= panel.x[1])]
         if not len(known):
             continue
         height = panel.box[1] + panel.box[3] * float(panel.share(float(np.clip(known[-1], low, high))))
@@ -210,3 +264,88 @@ def _label_lines(panel: Panel, shown: ShownTracks, channel: int) -> None:
     else:
         left, bottom, width, height = panel.box
         panel.drawing.add(Words(left + width + 0.1, bottom + height + 0.09, "order", SMALL, FAINT))
+
+
+def orders(
+    order_tracks: xr.Dataset,
+    *,
+    channel: str | None = None,
+    orders: Sequence[float] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Peak amplitude of orders against speed [rpm], each with its 95 % interval as a pale band; returns the axes.
+
+    Parameters
+    ----------
+    order_tracks : OrderTracks of :func:`crankorder.order_tracks`
+    channel : name of the channel; the first where not given
+    orders : those to draw, each as a track within 0.02 of it; the twelve strongest of the channel where not given
+    ax : axes to draw on; without them a new figure of pyplot's
+
+    Each line is labelled with its order at its end; the strongest six of many are coloured. Lines are drawn where they
+    stand clear of the noise. The axis is logarithmic where the orders differ much. At one speed alone there are points
+    with error bars against the order. Raises RequestError for another dataset, channel or order.
+
+    >>> import numpy as np, crankorder as co
+    >>> time = np.arange(40_000) / 10_000.0
+    >>> made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+    >>> axes = co.plot.orders(co.order_tracks(made, orders=[1.0, 3.0]))
+    >>> axes.get_ylabel()
+    'Acceleration (peak), m/s²'
+    """
+    dataset = dataset_of(order_tracks, "order_tracks", "orders")
+    number = channel_number(dataset, channel, "orders")
+    placed = np.flatnonzero(np.isfinite(dataset["speed"].values))
+    one = dataset.isel(channel=[number], speed=placed if len(placed) else slice(0, 1))
+    among = None if orders is None else _asked(dataset["order"].values, orders)
+    shown = shown_tracks(one, limit=_MOST if among is None else len(among), among=among)
+    alone = len(shown.speed) <= 1
+    axes = axes_for(ax, "orders", height_in=4.6, width_in=8.0)
+    label = f"{quantity_text(dataset, number)}, {unit_of(dataset, number)}".removesuffix(", ")
+    said = _said(shown, dataset.sizes["order"] if orders is None else 0) if len(shown.orders) else ""
+    x = ORDER if alone else "Speed, rpm"
+    dress(axes, x=x, y=label, title=str(dataset["channel"].values[number]), rows_above=alone, said=said)
+    clear = bool(np.isfinite(shown.amplitude).any())
+    limits, logarithmic = _scale(shown.amplitude)
+    ends = (0.0, 1.06 * float(shown.orders[-1]) if len(shown.orders) else 1.0)
+    if not alone:
+        spare = 0.015 * float(shown.speed[-1] - shown.speed[0]) or 1.0
+        ends = float(shown.speed[0]) - spare, float(shown.speed[-1]) + spare
+    set_scale(axes, ends, limits if clear else None, log_y=logarithmic)
+    return painted(axes, lambda panel: _draw_points(panel, shown) if alone and clear else draw_tracks(panel, shown, 0))
+
+
+def _asked(every: Floats, asked: Sequence[float]) -> list[int]:
+    """Numbers of the orders ``asked`` for among ``every`` one."""
+    numbers = []
+    for order in asked:
+        apart = np.abs(every - float(order))
+        if not len(every) or not apart.min() <= _SAME_ORDER:
+            there = ", ".join(f"{one:.4g}" for one in every) or "none"
+            raise RequestError("no such order", file="crankorder.plot.orders", found=order, allowed=there)
+        numbers.append(int(apart.argmin()))
+    return numbers
+
+
+def _said(shown: ShownTracks, there: int) -> str:
+    """Speed where it is the only one, and how many of the orders that are ``there`` are drawn; 0 of those asked for."""
+    many = f"{len(shown.orders)} strongest of {there} orders, " if len(shown.orders) < there else ""
+    at = ""
+    if len(shown.speed) == 1:
+        at = f"{shown.speed[0]:.0f} rpm, " if np.isfinite(shown.speed[0]) else "speed not known, "
+    return f"{at}{many}with 95 % intervals"
+
+
+def _draw_points(panel: Panel, shown: ShownTracks) -> None:
+    """Points with their intervals against the order, each named above."""
+    marks = []
+    for number, order in enumerate(shown.orders.tolist()):
+        amplitude, low, high = (values[0, number, :1] for values in (shown.amplitude, shown.low, shown.high))
+        if not np.isfinite(amplitude).any():
+            continue
+        x = np.array([order])
+        panel.upright(order, color=LINES[1], width=0.7, alpha=0.3)
+        panel.curve(np.repeat(x, 2), np.concatenate([low, high]), color=LINES[1], width=1.2, name="interval")
+        panel.dots(x, amplitude, color=LINES[1], radius=2.0)
+        marks.append((order, shown.texts[number], LINES[1]))
+    label_column(panel, marks, "order")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from crankorder.findings import Findings, LineFinding, ModeFinding, OrderFinding
-from crankorder.report.notation import at_one_speed, interval_of, is_number, is_tone
+from crankorder.plot.reading import at_one_speed, interval_of, is_number, is_tone
 
 _SAME_HZ = 0.5  # a line this close to a tone is that tone …
 _SAME_SHARE = 0.002  # … or this share of its frequency

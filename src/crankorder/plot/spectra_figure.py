@@ -6,20 +6,34 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from textwrap import wrap
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings, ModeFinding
-from crankorder.plot.axes import log_limits
-from crankorder.plot.drawing import Box, Drawing, Words
+from crankorder.plot.axes import (
+    ORDER,
+    axes_for,
+    channel_number,
+    dataset_of,
+    dress,
+    keys_below,
+    painted,
+    quantity_text,
+    set_scale,
+    unit_of,
+    values_of,
+)
+from crankorder.plot.campbell_figure import Mark, edge_labels, mode_keys, mode_marks, orders_of
+from crankorder.plot.drawing import Box, Drawing, Panel, Words, log_limits
+from crankorder.plot.fixed_lines import fixed_frequencies
 from crankorder.plot.labels import Key, draw_keys, fitted, head_of_test, label_top
 from crankorder.plot.palette import (
     DOUBT_DASHES,
     INK,
+    LIGHT,
     LINES,
     MAINS,
     MODE,
@@ -30,11 +44,7 @@ from crankorder.plot.palette import (
     drawable,
     shortened,
 )
-from crankorder.plot.panel import Panel
-from crankorder.quantities import Floats
-from crankorder.report.campbell_figure import Mark, edge_labels, mode_keys, mode_marks, orders_of
-from crankorder.report.fixed_lines import fixed_frequencies
-from crankorder.report.notation import (
+from crankorder.plot.reading import (
     frequency_text,
     is_tone,
     is_undecided,
@@ -43,15 +53,18 @@ from crankorder.report.notation import (
     order_texts,
     scaling_text,
 )
-from crankorder.report.sentences.story import strongest_sentence
+from crankorder.quantities import Floats
 from crankorder.settings import ReportSettings
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _LEFT, _BOTTOM, _TOP, _BETWEEN, _RIGHT, _ROW_GAP = 1.0, 0.7, 1.06, 0.95, 0.3, 0.16  # inches
 _ONE_AXIS, _ORDER_AXIS, _TWO_TIERS, _CAUSES, _LINE = 0.8, 0.6, 1.22, 2.1, 0.15  # of one spectrum and its list of causes
 _LETTERS = 32  # of a line of that list
-_ORDER = "Order (cycles per crank revolution)"
+_MOST_SPEEDS = 6  # spectra that the eye can tell apart
 _LEAST_ROW = 1.2  # a row of panels is never lower than this
-_DECADES = 7.0  # shown below the strongest line, half as many again of a power
+DECADES = 7.0  # shown below the strongest line, half as many again of a power
 _LABEL_AT = 0.6  # of the name of a channel from its panel, in inches
 
 
@@ -86,14 +99,16 @@ def spectra_figure(campbell: xr.Dataset, findings: Findings, *, settings: Report
     return drawing
 
 
-def spectrum_figure(campbell: xr.Dataset, channel: str, findings: Findings, *, settings: ReportSettings) -> Drawing:
+def spectrum_figure(
+    campbell: xr.Dataset, channel: str, findings: Findings, *, settings: ReportSettings, sentence: str = ""
+) -> Drawing:
     """Peak spectrum of one channel of a test at one speed, or at none that is known: the one row of its Campbell map.
 
     Over frequency [Hz] and, where the speed is known, order on a second axis below. Found orders and what stays at its
     frequency are marked and named above; their causes stand at the right, that of the strongest line first.
 
     ``campbell`` a CampbellMap; ``channel`` one of its channels; ``findings`` of the same test; ``settings`` of the
-    report. Raises ValueError for an unknown channel.
+    report; ``sentence`` stands below the title. Raises ValueError for an unknown channel.
     """
     fastest = int(np.argmax(np.nan_to_num(campbell["speed"].values)))
     row = campbell.isel(channel=[campbell["channel"].values.tolist().index(channel)], speed=fastest)
@@ -114,13 +129,13 @@ def spectrum_figure(campbell: xr.Dataset, channel: str, findings: Findings, *, s
     if rpm > 0.0:
         ends = (60.0 * panels[0].x[0] / rpm, 60.0 * panels[0].x[1] / rpm)
         below = Panel(drawing, (_LEFT, _ONE_AXIS, box[2], 0.0), ends, (0.0, 1.0))
-        below.x_axis(_ORDER, most=10, grid=False)
+        below.x_axis(ORDER, most=10, grid=False)
         below.frame()
     for number, (text, color) in enumerate(causes[: int(box[3] / _LINE)], start=1):
         said, place = shortened(drawable(text, 200), SMALL, right - 0.25), low + box[3] - number * _LINE
         drawing.add(Words(settings.width_in - right + 0.15, place, said, SMALL, color, name="cause"))
     draw_keys(drawing, _LEFT, [Key("order found", LINES[1])] * bool(orders) + mode_keys(fixed), room_in=box[2])
-    said = drawable(strongest_sentence(findings, channel), 300) or f"Amplitude {scaling_text(row)} against frequency."
+    said = drawable(sentence, 300) or f"Amplitude {scaling_text(row)} against frequency."
     what = f"channel {drawable(channel, settings.max_name_characters)}"
     at = f" at {rpm:.0f} rpm" if rpm > 0.0 else ", speed unknown"
     head_of_test(drawing, _LEFT, findings, f"{what}{at}", said, longest=settings.max_name_characters)
@@ -162,7 +177,7 @@ def column_panels(
     boxes: list[Box],
     dataset: xr.Dataset,
     along: str,
-    values: NDArray[Any],
+    values: Floats,
     unit_tail: str,
     *,
     settings: ReportSettings,
@@ -173,10 +188,10 @@ def column_panels(
     ``settings`` cut long names.
     """
     place, units = dataset[along].values, dataset["unit"].values.astype(str)
-    title = "Frequency, Hz" if along == "frequency" else _ORDER
+    title = "Frequency, Hz" if along == "frequency" else ORDER
     panels = []
     for number, box in enumerate(boxes):
-        decades = _DECADES * (1.5 if "²/Hz" in unit_tail else 1.0)
+        decades = DECADES * (1.5 if "²/Hz" in unit_tail else 1.0)
         limits = log_limits(values[units == units[number]], decades, room=2.5)
         panel = Panel(drawing, box, (float(place[0]), float(place[-1])), limits or (0.0, 1.0), limits is not None)
         last = number == len(boxes) - 1
@@ -191,13 +206,18 @@ def column_panels(
     return panels
 
 
-def draw_spectra(panels: list[Panel], place: NDArray[Any], values: NDArray[Any]) -> None:
+def draw_spectra(panels: list[Panel], place: Floats, values: Floats) -> None:
     """Draw each row of ``values`` (channels, bins) over ``place`` (bins,) in its one of ``panels``."""
     for panel, own in zip(panels, values, strict=True):
-        if np.any(own > 0):
-            panel.curve(place, np.where(own > 0, own, np.nan), color=INK, width=0.8, name="spectrum")
-        else:
-            panel.note("no signal")
+        draw_spectrum(panel, place, own)
+
+
+def draw_spectrum(panel: Panel, place: Floats, values: Floats, *, color: str = INK, name: str = "spectrum") -> None:
+    """Draw ``values`` over ``place`` (bins,) in ``panel`` as a line in ``color`` called ``name``."""
+    if np.any(values > 0):
+        panel.curve(place, np.where(values > 0, values, np.nan), color=color, width=0.8, name=name)
+    else:
+        panel.note("no signal")
 
 
 def _mark_modes(panels: list[Panel], modes: list[ModeFinding]) -> list[Mark]:
@@ -243,36 +263,54 @@ _AROUND = 0.5  # orders to each side: further than a line leaks, nearer than the
 
 
 def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Drawing:
-    """Per channel how far each order stands above what surrounds it, in the mean over the speeds; found ones named.
+    """Per channel the mean level of each order over the speeds, above the floor around it; found ones ringed and named.
 
     The largest amplitude over the speeds would bury a steady order under the natural frequencies that sweep past it.
 
     ``order_map`` an OrderMap, whose speeds may be unknown; ``findings`` of the same test; ``settings`` of the report.
     """
     drawing, heights = column_boxes(order_map.sizes["channel"], _LEFT, settings)
-    width, above = settings.width_in - _LEFT - _RIGHT, _above_floor(order_map)
-    places = [(_LEFT, bottom, width, height) for bottom, height in heights]
-    times = order_map.assign(unit=("channel", ["times its floor"] * order_map.sizes["channel"]))
-    panels = column_panels(drawing, places, times, "order", above, "", settings=settings)
+    width, order = settings.width_in - _LEFT - _RIGHT, order_map["order"].values
+    places, (mean, floor) = [(_LEFT, bottom, width, height) for bottom, height in heights], _mean_levels(order_map)
+    panels = column_panels(drawing, places, order_map, "order", mean, f" {scaling_text(order_map)}", settings=settings)
     found = sorted({nominal_order(record) for record in findings.orders})
-    for panel in panels:
-        for order in found:
-            panel.upright(order, color=LINES[1], width=0.7, alpha=0.5)
-    draw_spectra(panels, order_map["order"].values, above)
-    marks = [(order, text, LINES[1]) for order, text in zip(found, order_texts(found), strict=True)]
-    label_column(panels[0], marks, "order")
+    for number, (panel, channel) in enumerate(zip(panels, order_map["channel"].values.tolist(), strict=True)):
+        for place in found:
+            panel.upright(place, color=LINES[1], width=0.7, alpha=0.25)
+        if np.any(floor[number] > 0):
+            panel.curve(order, floor[number], color=LIGHT, width=1.4, name="floor")
+        draw_spectrum(panel, order, mean[number])
+        own = sorted({nominal_order(record) for record in findings.orders if record.channel == channel})
+        ring_lines(panel, order, mean[number], own)
+    label_column(panels[0], [(at, text, LINES[1]) for at, text in zip(found, order_texts(found), strict=True)], "order")
+    keys = [Key("floor: median of the orders around", LIGHT)] if drawing.strokes("floor") else []
+    draw_keys(drawing, _LEFT, keys + [Key("order found in the channel", LINES[1], ring=True)] * bool(found))
     speeds = order_map.sizes["speed"]
-    where = f", its mean level over {speeds} speeds" if speeds > 1 else ""
-    said = f"Amplitude over the median of the orders around it{where}."
+    said = f"Amplitude against order{f', its mean level over {speeds} speeds' if speeds > 1 else ''}."
     head_of_test(drawing, _LEFT, findings, "order spectra", said, longest=settings.max_name_characters)
     return drawing
 
 
-def _above_floor(order_map: xr.Dataset) -> Floats:
-    """Ratio (channels, orders) of an amplitude to the median of those around it, its mean level over the speeds.
+def ring_lines(panel: Panel, order: Floats, values: Floats, places: Sequence[float]) -> bool:
+    """Ring in ``panel`` the lines at ``places`` of a spectrum of ``values`` over ``order``; False where none stands.
 
-    NaN where the rate carried the order at no speed, or nothing lies around it. The mean tells a small line that
-    stands at every speed from noise, which the largest over many speeds does not.
+    A ring is as high as the highest bin within two of its place.
+    """
+    reach = max(2 * float(np.median(np.diff(order))) if len(order) > 1 else 0.0, 1e-9)
+    known = np.nan_to_num(values)
+    heights = [float(np.max(known, where=np.abs(order - place) <= reach, initial=0.0)) for place in places]
+    if standing := [ends for ends in zip(places, heights, strict=True) if ends[1] > 0]:
+        x, y = (np.array(ends) for ends in zip(*standing, strict=True))
+        panel.rings(x, y, color=LINES[1], radius=5.0, width=1.4, name="found")
+    return bool(standing)
+
+
+def _mean_levels(order_map: xr.Dataset) -> tuple[Floats, Floats]:
+    """Amplitude and floor, each (channels, orders): means over the speeds of the levels of each order and around it.
+
+    The floor is the median of the orders around. NaN where the rate carried the order at no speed, or nothing lies
+    around it. The mean tells a small line that stands at every speed from noise, which the largest over many speeds
+    does not.
     """
     amplitude = order_map["amplitude"].transpose("channel", "speed", "order").values.astype(np.float64)
     order = order_map["order"].values
@@ -282,6 +320,64 @@ def _above_floor(order_map: xr.Dataset) -> Floats:
     windows = np.lib.stride_tricks.sliding_window_view(beside, 2 * reach + 1, axis=-1)
     with warnings.catch_warnings(), np.errstate(divide="ignore", invalid="ignore"):
         warnings.simplefilter("ignore", RuntimeWarning)  # orders that no speed carries have no median
-        level = np.log(amplitude / np.nanmedian(windows, axis=-1))
-        mean = np.nanmean(np.where(np.isfinite(level), level, np.nan), axis=1)
-        return np.asarray(np.exp(mean), dtype=np.float64)
+        levels = np.log(np.stack([amplitude, np.nanmedian(windows, axis=-1)]))
+        mean, floor = np.exp(np.nanmean(np.where(np.isfinite(levels).all(axis=0), levels, np.nan), axis=2))
+    return mean, floor
+
+
+def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | None = None) -> Axes:
+    """Peak amplitude against frequency [Hz], one line per speed; returns the axes.
+
+    Of more than six speeds the largest amplitude at any of them and the median over them are drawn: what moves with
+    the speed stands out of the median, what stays at its frequency stands in both.
+
+    Parameters
+    ----------
+    campbell_map : CampbellMap of :func:`crankorder.campbell_map`
+    channel : name of the channel; the first where not given
+    ax : axes to draw on; without them a new figure of pyplot's
+
+    Raises RequestError for another dataset, channel or axes.
+
+    >>> import numpy as np, crankorder as co
+    >>> time = np.arange(40_000) / 10_000.0
+    >>> made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+    >>> axes = co.plot.spectra(co.campbell_map(made, max_frequency_hz=200.0))
+    >>> axes.get_yscale(), axes.get_title(loc="right")
+    ('log', '1500 rpm')
+    """
+    dataset = dataset_of(campbell_map, "campbell_map", "spectra")
+    number = channel_number(dataset, channel, "spectra")
+    frequency, lines = np.asarray(dataset["frequency"].values, dtype=float), _by_speed(dataset, number)
+    axes = axes_for(ax, "spectra", height_in=4.4)
+    label = f"{quantity_text(dataset, number)}, {unit_of(dataset, number)}".removesuffix(", ")
+    several = len(lines) > 1
+    said = f"{dataset.sizes['speed']} speeds" if several else next(iter(lines), "")
+    dress(axes, x="Frequency, Hz", y=label, title=str(dataset["channel"].values[number]), said=said)
+    limits = log_limits(np.array(list(lines.values())), DECADES, room=2.5)
+    set_scale(axes, frequency, limits)
+
+    def content(panel: Panel) -> None:
+        for (text, values), color in zip(lines.items(), LINES if several else (INK,), strict=False):
+            draw_spectrum(panel, frequency, values, color=color, name=text)
+        if not lines:
+            panel.note("no signal")
+        keys_below(panel, [Key(text, color) for text, color in zip(lines, LINES, strict=False)] if several else [])
+
+    return painted(axes, content)
+
+
+def _by_speed(dataset: xr.Dataset, channel: int) -> dict[str, Floats]:
+    """Spectra to draw, by what they are called."""
+    amplitude = values_of(dataset, "amplitude", "speed", "frequency", channel=channel)
+    speed = np.asarray(dataset["speed"].values, dtype=float)
+    measured = np.flatnonzero(np.isfinite(amplitude).any(axis=1))
+    measured = measured[np.argsort(speed[measured], kind="stable")]
+    if len(measured) > _MOST_SPEEDS:
+        known = np.nan_to_num(amplitude[measured])
+        return {"largest": known.max(axis=0), "median": np.median(known, axis=0)}
+    lines: dict[str, Floats] = {}
+    for number in measured:
+        text = f"{speed[number]:.0f} rpm" if np.isfinite(speed[number]) else "speed not known"
+        lines[text if text not in lines else f"{text} ({number + 1})"] = amplitude[number]
+    return lines

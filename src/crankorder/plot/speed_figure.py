@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import xarray as xr
 
 from crankorder.findings import Findings
-from crankorder.plot.drawing import Drawing
+from crankorder.plot.axes import axes_for, dataset_of, dress, painted, set_scale
+from crankorder.plot.drawing import Drawing, Panel
 from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
 from crankorder.plot.palette import FAINT, LIGHT, LINES, SMALL, drawable, shortened
-from crankorder.plot.panel import Panel
 from crankorder.quantities import Floats
 from crankorder.settings import ReportSettings
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _LEFT, _BOTTOM, _TOP, _RIGHT, _HEIGHT = 0.95, 0.7, 0.84, 1.6, 3.8  # inches
 _CHANGES = 1.1  # highest over lowest speed of a recording whose speed changes
 _SMOOTH = 20  # the ends of a trace are told from the means of so many pieces of it
 _COLOURED = 6
+_PIECES = 800  # of time, where a recording has more than twice as many speeds
 
 
 def changing_recordings(shaft: xr.Dataset) -> list[int]:
@@ -73,8 +79,7 @@ def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSetti
     colors = {int(place): LINES[rank] for rank, place in enumerate(named[:_COLOURED])}
     for place, number in enumerate(numbers):
         color = colors.get(place, LIGHT)
-        panel.band(time[number], low[number], high[number], color=color, alpha=0.25)
-        panel.curve(time[number], speed[number], color=color, name=f"speed-{number}")
+        draw_speed(panel, time[number], speed[number], (low[number], high[number]), color, name=f"speed-{number}")
         known = speed[number][np.isfinite(speed[number])]
         name = drawable(shaft["recording"].values[number], settings.max_name_characters)
         height = box[1] + box[3] * float(panel.share(float(known[-1])))
@@ -84,6 +89,14 @@ def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSetti
     said = _said(shaft, numbers)
     head_of_test(drawing, _LEFT, findings, "speed against time", said, longest=settings.max_name_characters)
     return drawing
+
+
+def draw_speed(
+    panel: Panel, time: Floats, speed: Floats, swing: tuple[Floats, Floats], color: str, *, name: str = "speed"
+) -> None:
+    """Draw ``speed`` over ``time`` in ``panel`` as a line in ``color`` called ``name``, its ``swing`` as a band."""
+    panel.band(time, *swing, color=color, alpha=0.25)
+    panel.curve(time, speed, color=color, name=name)
 
 
 def _ends(low: Floats, high: Floats, *, from_zero: bool) -> tuple[float, float]:
@@ -105,3 +118,61 @@ def _said(shaft: xr.Dataset, numbers: list[int]) -> str:
         f"{np.nanmin(speed, initial=np.inf):.0f} to {np.nanmax(speed, initial=0.0):.0f} rpm; "
         f"the band: lowest to highest within each piece of time, with the noise of the encoder's edges.{more}"
     )
+
+
+def speed(crank_angle: xr.Dataset, *, ax: Axes | None = None) -> Axes:
+    """Speed [rpm] against time [s] of one recording; returns the axes.
+
+    Of very many knots the mean is drawn, and lowest to highest speed of each piece of time as a pale band.
+
+    Parameters
+    ----------
+    crank_angle : ShaftAngle of :func:`crankorder.crank_angle`
+    ax : axes to draw on; without them a new figure of pyplot's
+
+    Raises RequestError for another dataset or axes.
+
+    >>> import numpy as np, crankorder as co
+    >>> turns = np.arange(0.0, 4.0, 1 / (25.0 * 60))
+    >>> made = co.recording(np.zeros(4000), rate_hz=1000.0, pulse_times_s=turns, pulses_per_rev=60)
+    >>> axes = co.plot.speed(co.crank_angle(made))
+    >>> axes.get_xlabel(), axes.get_ylabel()
+    ('Time, s', 'Speed, rpm')
+    """
+    dataset = dataset_of(crank_angle, "shaft_angle", "speed")
+    time, values = (np.asarray(dataset[name].values, dtype=float) for name in ("time", "speed"))
+    placed = np.isfinite(time) & np.isfinite(values)
+    time, values = time[placed], values[placed]
+    axes = axes_for(ax, "speed", height_in=3.2)
+    many = len(values) > 2 * _PIECES
+    when, mean, low, high = _pieces(time, values) if many else (time, values, values, values)
+    said = _range_text(mean) + (", band: lowest to highest" if many else "")
+    dress(axes, x="Time, s", y="Speed, rpm", title=str(dataset.attrs["recording"]), said=said)
+    if not len(values):
+        set_scale(axes, (0.0, 1.0), None)
+        return painted(axes, lambda panel: panel.note("no speed is known"))
+    changes = 0.0 < _CHANGES * float(values.min()) < float(values.max())
+    set_scale(axes, time, _ends(low, high, from_zero=changes), log_y=False)
+
+    def content(panel: Panel) -> None:
+        draw_speed(panel, when, mean, (low, high), LINES[0])
+        if len(when) == 1:
+            panel.dots(when, mean, color=LINES[0], radius=3.0)
+
+    return painted(axes, content)
+
+
+def _range_text(values: Floats) -> str:
+    if not len(values):
+        return ""
+    low, high = f"{values.min():.0f}", f"{values.max():.0f}"
+    return f"{low} rpm" if low == high else f"{low} to {high} rpm"
+
+
+def _pieces(time: Floats, values: Floats) -> Floats:
+    """Middle, mean, lowest and highest value, (4, pieces), of equal pieces of ``time`` that hold any."""
+    number = np.minimum(((time - time[0]) / (time[-1] - time[0]) * _PIECES).astype(int), _PIECES - 1)
+    first = np.flatnonzero(np.diff(number, prepend=-1))
+    count = np.diff(np.append(first, len(values)))
+    means = (np.add.reduceat(series, first) / count for series in (time, values))
+    return np.stack([*means, np.minimum.reduceat(values, first), np.maximum.reduceat(values, first)])

@@ -1,0 +1,576 @@
+"""Maps of a channel, the Campbell diagram and the order map: level over frequency or order and speed.
+
+Orders, natural frequencies and crossings lie over the map; a strip beside it shows speeds to avoid and bands that are
+free, on the scale of its speeds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from crankorder.findings import Findings, ModeFinding, OrderFinding
+from crankorder.plot.axes import (
+    ORDER,
+    axes_for,
+    channel_number,
+    dataset_of,
+    dress,
+    findings_of,
+    keys_below,
+    number_of,
+    painted,
+    quantity_text,
+    set_scale,
+    unit_of,
+)
+from crankorder.plot.cells import (
+    LEAST_RANGE_DB,
+    bin_edges,
+    gaps_between,
+    level_limits,
+    level_of,
+    pooled,
+    speed_cells,
+    with_gaps,
+)
+from crankorder.plot.drawing import Drawing, Field, Panel, Stroke, Words
+from crankorder.plot.fixed_lines import fixed_frequencies
+from crankorder.plot.labels import EdgeLabel, Key, draw_keys, fitted, head_of_test, label_right, label_top
+from crankorder.plot.palette import (
+    AVOID,
+    DOUBT_DASHES,
+    FAINT,
+    FREE,
+    HALF_ORDER,
+    INK,
+    MAINS,
+    MAINS_ON_MAP,
+    MODE,
+    MODE_DASHES,
+    MODE_ON_MAP,
+    NOT_JUDGED,
+    NOT_MEASURED,
+    SMALL,
+    TONE_DASHES,
+    WHITE,
+    drawable,
+    level_colours,
+    rgb_of,
+)
+from crankorder.plot.reading import (
+    free_bands,
+    frequency_text,
+    is_tone,
+    is_undecided,
+    is_whirl,
+    level_reference,
+    not_judged_rpm,
+    open_bands,
+    order_name,
+    scaling_text,
+)
+from crankorder.quantities import Floats
+from crankorder.records import known
+from crankorder.settings import ReportSettings
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_LEFT, _BOTTOM, _RIGHT, _TOP = 0.95, 0.92, 1.75, 1.22  # margins of the diagram in inches
+_NOTE = 2.2  # inches at the right of the foot, where a note on quality may stand
+_MOST_GUIDES = 12
+_MOST_ORDERS = 12  # that a notebook's picture names
+_STRIP_HIGH_IN, _HIGH_IN = 3.2, 5.6  # a notebook's picture of one speed, and of several
+_CURVE_POINTS = 200
+
+
+Mark = tuple[float, str, str]
+"""Place along the axis, text and colour of what is named above a diagram."""
+
+
+@dataclass(frozen=True)
+class LevelMap:
+    """Amplitudes (speed, place) of one channel, slowest speed first; places are frequencies [Hz] or orders.
+
+    ``label`` of the level that refers to ``reference``; ``unknown`` spectra have no speed and no place. Where no speed
+    at all is known, spectra are stacked by number.
+    """
+
+    speed: Floats
+    place: Floats
+    amplitude: Floats
+    reference: float
+    label: str
+    by_order: bool = False
+    unknown: int = 0
+
+    @property
+    def timeless(self) -> bool:
+        """True where no speed at all is known."""
+        return not np.isfinite(self.speed).any()
+
+    @property
+    def cells(self) -> Floats:
+        """Lower and upper edge of each spectrum, (speed, 2): in rpm, or by number where no speed is known."""
+        if self.timeless:
+            number = np.arange(max(len(self.speed), 1), dtype=float)
+            return np.stack([number, number + 1.0], axis=1)
+        return speed_cells(self.speed)
+
+    def rpm(self, height: Floats | float) -> Floats:
+        """Speed at a ``height`` of the map: a strip of one speed has no other, however high it is drawn."""
+        alone = len(self.speed) == 1 and not self.timeless
+        return np.asarray(self.speed[0] + 0.0 * np.asarray(height) if alone else height)
+
+    def of_order(self, order: float, height: Floats | float) -> Floats:
+        """Place of an ``order`` at a ``height`` of the map."""
+        rpm = self.rpm(height)
+        return order + 0.0 * rpm if self.by_order else order * rpm / 60
+
+    def of_hertz(self, hertz: Floats | float, height: Floats | float) -> Floats:
+        """Place of a frequency of so many ``hertz`` at a ``height`` of the map."""
+        rpm = self.rpm(height)
+        return 60 * hertz / rpm if self.by_order else hertz + 0.0 * rpm
+
+    def level_at(self, x: float, y: float) -> float | None:
+        """Level in dB at the place ``x`` and the height ``y``; None outside and where nothing was measured."""
+        rows, upward = with_gaps(self.amplitude, self.cells, empty=-1.0)
+        row, column = (int(np.searchsorted(edges, at)) - 1 for edges, at in ((upward, y), (bin_edges(self.place), x)))
+        inside = 0 <= row < len(rows) and 0 <= column < len(self.place) and rows[row, column] >= 0
+        return float(level_of(rows[row, column], self.reference)) if inside else None
+
+
+def level_map(dataset: xr.Dataset, channel: int, along: str, reference: float, label: str) -> LevelMap:
+    """Map of one ``channel`` (its number) of ``dataset`` over ``along``, "frequency" or "order".
+
+    ``reference`` of the levels in the channel's unit, which ``label`` states.
+    """
+    speed, by_order = np.asarray(dataset["speed"].values, dtype=float), along == "order"
+    amplitude = dataset["amplitude"].transpose("channel", "speed", along).values[channel]
+    measured = np.isfinite(amplitude).any(axis=1)
+    placed = measured & np.isfinite(speed)
+    kept = np.flatnonzero(placed if placed.any() else measured)
+    kept = kept[np.argsort(speed[kept], kind="stable")]
+    shown = np.nan_to_num(amplitude[kept], nan=-1.0 if by_order else 0.0)  # an order that no speed carries is unknown
+    unknown = int(np.sum(measured & ~placed)) if placed.any() else 0
+    return LevelMap(speed[kept], dataset[along].values, shown, reference, label, by_order, unknown)
+
+
+def campbell_figure(
+    campbell: xr.Dataset, channel: str, findings: Findings, *, settings: ReportSettings, sentence: str = ""
+) -> Drawing:
+    """Campbell diagram of one channel, ready for :func:`crankorder.plot.painter.picture_bytes`.
+
+    Speed [rpm] upwards, frequency [Hz] to the right, level in dB (reference on the colour bar) as colour; steps of
+    speed reach half-way to their neighbours. Found orders are thin lines labelled where they leave the diagram,
+    natural frequencies dashed lines labelled at the top (with a question mark and wider gaps where they are not
+    decided), mains dotted, excited crossings circles; a strip at the right holds speeds to avoid and free ones. Where
+    no findings were asked for, some whole orders are drawn for orientation.
+
+    ``campbell`` a CampbellMap; ``channel`` one of its channels; ``findings`` of the same test; ``settings`` of the
+    report; ``sentence`` stands below the title. Raises ValueError for an unknown channel.
+    """
+    number = campbell["channel"].values.tolist().index(channel)
+    quantity, unit = (str(campbell[name].values[number]) for name in ("quantity", "unit"))
+    reference, text = level_reference(quantity, unit, settings=settings)
+    label = f"Level, {text.replace('(peak)', scaling_text(campbell))}"
+    levels = level_map(campbell, number, "frequency", reference, label)
+    drawing = Drawing(settings.width_in, settings.height_in, dpi=settings.dpi)
+    box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _RIGHT, settings.height_in - _BOTTOM - _TOP)
+    ends = float(levels.place[0]), float(levels.place[-1])
+    panel = Panel(drawing, box, ends, (float(levels.cells[0, 0]), float(levels.cells[-1, 1])))
+    draw_levels(panel, levels, level_limits(levels.amplitude, reference, range_db=settings.dynamic_range_db))
+    panel.frame(whole=True)
+    panel.x_axis("Frequency, Hz", grid=False)
+    panel.y_axis("Speed, rpm", grid=False)
+    keys = draw_findings(panel, levels, findings, channel, limit=settings.max_labelled_orders)
+    draw_keys(drawing, _LEFT, keys, room_in=settings.width_in - _LEFT - _NOTE)
+    if findings.not_asked_for:
+        sentence = "Level over frequency and speed; findings were not asked for."
+    what = f"channel {drawable(channel, settings.max_name_characters)}"
+    head_of_test(drawing, _LEFT, findings, what, drawable(sentence, 300), longest=settings.max_name_characters)
+    return drawing
+
+
+def draw_levels(panel: Panel, levels: LevelMap, limits: tuple[float, float]) -> None:
+    """Draw ``levels`` as colours over ``panel``, from the first to the second of ``limits`` in dB, and their bar."""
+    drawing, box = panel.drawing, panel.box
+    colours = level_colours().copy()
+    colours[0] = rgb_of(NOT_MEASURED)
+    drawing.add(Field(colours[_shades(panel, levels, limits)[::-1]], box))
+    bar = Panel(drawing, (box[0] + box[2] + 0.62, box[1], 0.17, box[3]), (0.0, 1.0), limits)
+    drawing.add(Field(np.repeat(level_colours()[:0:-1, None], 2, axis=1), bar.box))
+    bar.frame(whole=True)
+    ticks = np.arange(10 * np.ceil(limits[0] / 10), limits[1] + 0.1, 10)
+    bar.y_axis(levels.label, places=ticks.tolist(), grid=False, right=True)
+
+
+def _shades(panel: Panel, levels: LevelMap, limits: tuple[float, float]) -> NDArray[np.uint8]:
+    """Shade 1…255 of each pixel of ``panel``, the first row the slowest; 0 is unknown.
+
+    ``limits`` of level [dB] are the shades 1 and 255. A pixel shows the largest value under it.
+    """
+    values, edges = with_gaps(levels.amplitude, levels.cells, empty=-1.0)
+    x, y = panel.pixel_edges()
+    across = pooled(values, bin_edges(levels.place), x, axis=1)
+    share = (level_of(across, levels.reference) - limits[0]) / (limits[1] - limits[0])
+    shade = np.where(across < 0, 0, 1 + np.clip(255 * share, 0, 254)).astype(np.uint8)
+    return np.asarray(np.maximum(pooled(shade, edges, y, axis=0), 0), dtype=np.uint8)
+
+
+def draw_findings(panel: Panel, levels: LevelMap, findings: Findings, channel: str, *, limit: int) -> list[Key]:
+    """Draw over ``levels`` what the ``findings`` say of a ``channel``, with labels at the edges of ``panel``.
+
+    Returns the keys of what was drawn. ``limit``: the most orders.
+    """
+    orders: Sequence[OrderFinding | Guide] = [] if levels.timeless else orders_of(findings, channel, limit=limit)
+    modes = [] if levels.timeless and levels.by_order else fixed_frequencies(findings)
+    guides = _guides(panel, levels) if findings.not_asked_for else []
+    _draw_orders(panel, levels, guides or orders, findings)
+    _draw_modes(panel, levels, modes, channel)
+    circles = not levels.timeless and _draw_crossings(panel, levels, findings, channel)
+    _draw_notes(panel, levels)
+    _label_edges(panel, levels, guides or orders, modes, findings)
+    keys = [Key("order, for orientation", FAINT)] if guides else _keys(orders=orders, modes=modes, circles=circles)
+    return [*keys, *strip_keys(findings)]
+
+
+def orders_of(findings: Findings, channel: str, *, limit: int) -> list[OrderFinding]:
+    """Order records of a ``channel`` in ``findings``, the ``limit`` strongest and as many of its half orders, by order.
+
+    The half orders of a four-stroke cycle are what sets it apart: strong whole ones must not hide them.
+    """
+    records = [record for record in findings.orders if record.channel == channel]
+    records.sort(key=lambda record: -record.amplitude)
+    half = [record for record in records[limit:] if is_of_cycle(record)]
+    return sorted([*records[:limit], *half[:limit]], key=lambda record: record.order)
+
+
+def is_of_cycle(record: OrderFinding | Guide) -> bool:
+    """Whether an order ``record`` is a half order that combustion or the camshaft of a four-stroke engine makes."""
+    if not isinstance(record, OrderFinding) or not record.half_order:
+        return False
+    return not {"gas cycle", "half order of the four-stroke cycle"}.isdisjoint(record.kinds)
+
+
+def _draw_notes(panel: Panel, levels: LevelMap) -> None:
+    low, high = panel.y
+    for start, end in gaps_between(levels.cells):
+        start, end = max(start, low), min(end, high)
+        if (end - start) * panel.box[3] > 0.3 * (high - low):
+            panel.note("not measured", up=float(panel.share((start + end) / 2)))
+    if not len(levels.speed):
+        panel.note("nothing was measured")
+    elif not np.any(levels.amplitude > 0):
+        panel.note("no signal: every value is zero")
+
+
+def _draw_orders(panel: Panel, levels: LevelMap, orders: Sequence[OrderFinding | Guide], findings: Findings) -> None:
+    low, high = panel.y
+    everywhere = np.array([low, high])
+    for record in orders:
+        of_line = known(record.speed_range_rpm) if isinstance(record, OrderFinding) else None
+        seen = np.clip(np.array(of_line or (low, high)), low, high)
+        name = f"order-{order_name(record, findings)}"
+        parts = [(everywhere, 0.25), (seen, 0.5)] if isinstance(record, OrderFinding) else [(everywhere, 0.3)]
+        for speed, alpha in parts:
+            panel.curve(levels.of_order(record.order, speed), speed, color=WHITE, width=0.7, alpha=alpha, name=name)
+
+
+@dataclass(frozen=True)
+class Guide:
+    """A whole order that is drawn for orientation."""
+
+    order: float
+    amplitude: float = 0.0
+
+
+def _guides(panel: Panel, levels: LevelMap) -> list[Guide]:
+    """Whole orders that run through the map, few enough to be told apart; they claim nothing."""
+    highest = panel.x[1] if levels.by_order else 60 * panel.x[1] / max(panel.y[1], 1.0)  # that leaves at the top
+    step = next((one for one in (1, 2, 5, 10, 20, 50, 100) if highest / one <= _MOST_GUIDES), 0)
+    orders = {1.0, *(float(order) for order in np.arange(step, highest, step))} if step else {1.0}
+    return [Guide(order) for order in sorted(orders)]
+
+
+def _draw_modes(panel: Panel, levels: LevelMap, modes: list[ModeFinding], channel: str) -> None:
+    """Natural frequencies and tones, fainter where another channel shows them; a whirl's moves with the speed."""
+    low, high = panel.y
+    speed = np.linspace(max(low, 1e-3 * high), high, _CURVE_POINTS) if levels.by_order else np.array(panel.y)
+    for mode in modes:
+        whirl, mains, doubt = is_whirl(mode), is_tone(mode), is_undecided(mode)
+        name = "whirl" if whirl else "tone" if mains else "doubt" if doubt else "mode"
+        color, alpha = MAINS_ON_MAP if mains else MODE_ON_MAP, 0.75
+        if channel not in (mode.channels or (channel,)) and not whirl:
+            alpha = 0.4
+        dashes = (0.0, 0.0) if whirl else TONE_DASHES if mains else DOUBT_DASHES if doubt else MODE_DASHES
+        if whirl or levels.by_order:
+            slope = (mode.speed_slope or 0.0) if whirl else 0.0
+            moved = slope * (levels.rpm(speed) - (mode.reference_rpm or 0.0)) / 60.0
+            x, width = levels.of_hertz(mode.frequency_hz + moved, speed), 1.0 if whirl else 0.8
+            panel.curve(x, speed, color=color, width=width, alpha=alpha, dashes=dashes, name=name)
+        else:
+            panel.upright(mode.frequency_hz, color=color, alpha=alpha, dashes=dashes, name=name)
+
+
+def _draw_crossings(panel: Panel, levels: LevelMap, findings: Findings, channel: str) -> bool:
+    places = [
+        (float(levels.of_hertz(crossing.mode_hz, crossing.rpm)), crossing.rpm)
+        for crossing in findings.crossings
+        if crossing.excited and crossing.in_range and channel in (crossing.channels or (channel,))
+    ]
+    if places:
+        x, y = (np.array(values) for values in zip(*places, strict=True))
+        panel.rings(x, y, color="#000000", radius=5.5, width=3.0, alpha=0.56)
+        panel.rings(x, y, color=WHITE, radius=5.5, width=1.5, name="crossings")
+    return bool(places)
+
+
+def _label_edges(
+    panel: Panel,
+    levels: LevelMap,
+    orders: Sequence[OrderFinding | Guide],
+    modes: list[ModeFinding],
+    findings: Findings,
+) -> None:
+    """Orders where their lines leave the diagram, natural frequencies and tones above; speeds to avoid at the right."""
+    drawing, box = panel.drawing, panel.box
+    left, bottom, width, height = box
+    top, side = _order_labels(panel, levels, orders, findings)
+    marks = [(float(levels.of_hertz(hertz, panel.y[1])), text, color) for hertz, text, color in mode_marks(modes)]
+    lines = label_top(drawing, box, [fitted(top, width), fitted(edge_labels(panel, marks), width)])
+    avoid = [] if levels.timeless else draw_strip(panel, findings)
+    shift = STRIP_IN if has_strip(findings) else 0.0
+    label_right(drawing, (left, bottom, width + shift, height), [*side, *avoid])
+    if top:
+        drawing.add(Words(left - 0.3, lines[0], "order", SMALL, INK, along="right"))
+    if side:
+        drawing.add(Words(left + width + 0.06 + shift, bottom + height + 0.135, "order", SMALL, INK))
+
+
+def mode_marks(modes: list[ModeFinding]) -> list[Mark]:
+    """What ``modes`` are named above a diagram."""
+    texts = [f"{frequency_text(mode.frequency_hz)}{'?' if is_undecided(mode) else ''} Hz" for mode in modes]
+    return [
+        (mode.frequency_hz, text, MAINS if is_tone(mode) else MODE) for mode, text in zip(modes, texts, strict=True)
+    ]
+
+
+def edge_labels(panel: Panel, marks: Sequence[Mark]) -> list[EdgeLabel]:
+    """Labels of those of ``marks`` that lie within ``panel``."""
+    return [
+        EdgeLabel(float(panel.at(place, panel.y[0])[0, 0]), text, color, number)
+        for number, (place, text, color) in enumerate(marks)
+        if panel.x[0] <= place <= panel.x[1]
+    ]
+
+
+def _order_labels(
+    panel: Panel, levels: LevelMap, orders: Sequence[OrderFinding | Guide], findings: Findings
+) -> tuple[list[EdgeLabel], list[EdgeLabel]]:
+    """Labels of the order lines that leave at the top, and of those that leave at the right; the strongest is bold."""
+    (f_low, f_high), (low, high) = panel.x, panel.y
+    loudest = max((record.amplitude for record in orders), default=0.0)
+    top, side = [], []
+    for number, record in enumerate(orders):
+        order, text = record.order, order_name(record, findings)
+        bold = loudest > 0 and record.amplitude == loudest
+        colour = HALF_ORDER if is_of_cycle(record) else INK
+        place = float(levels.of_order(order, high))
+        if f_low <= place <= f_high:
+            top.append(EdgeLabel(float(panel.at(place, high)[0, 0]), text, colour, number, bold))
+        elif not levels.by_order and low < 60 * f_high / order < high and len(levels.speed) > 1:
+            side.append(EdgeLabel(float(panel.at(f_high, 60 * f_high / order)[0, 1]), text, colour, number, bold))
+    return top, side
+
+
+def _keys(*, orders: Sequence[OrderFinding | Guide], modes: list[ModeFinding], circles: bool) -> list[Key]:
+    keys = [Key("order found (bold: strongest)", INK)] if orders else []
+    if any(is_of_cycle(record) for record in orders):
+        keys.append(Key("half order: combustion or camshaft", HALF_ORDER))
+    return [*keys, *mode_keys(modes), *([Key("excited crossing", INK, ring=True)] if circles else [])]
+
+
+def mode_keys(modes: list[ModeFinding]) -> list[Key]:
+    """What the dashed and dotted lines of ``modes`` mean: natural frequencies, doubts, tones."""
+    keys = []
+    if any(not is_tone(mode) and not is_undecided(mode) for mode in modes):
+        keys.append(Key("natural frequency", MODE, MODE_DASHES))
+    if any(is_undecided(mode) for mode in modes):
+        keys.append(Key("not decided", MODE, DOUBT_DASHES))
+    of_mains = {mode.kinds == ("mains",) for mode in modes if is_tone(mode)}
+    if of_mains:
+        label = "mains or fixed tone" if len(of_mains) > 1 else "mains" if True in of_mains else "fixed tone"
+        keys.append(Key(label, MAINS, TONE_DASHES))
+    return keys
+
+
+STRIP_IN = 0.13
+"""Room in inches that the strip takes right of the diagram."""
+
+_WIDTH_PT = 4.0
+_AT_IN = 0.07  # middle of the strip from the diagram
+_LABELS = 12  # speeds to avoid that are named, the worst
+_LEAST_IN = 0.05  # a range is drawn at least this high
+_OPEN_SHARE = 0.005  # of the speed, on either side of a crossing that was not judged
+
+
+def has_strip(findings: Findings) -> bool:
+    """True where the ``findings`` name ranges of speed to avoid, free ones or open ones."""
+    return bool(_ranges(findings)) or bool(free_bands(findings)) or bool(open_bands(findings))
+
+
+def _ranges(findings: Findings) -> list[tuple[float, float, float]]:
+    """Low end, high end and middle of each range to stay out of."""
+    every = findings.speeds_to_avoid or ()
+    return [(*ends, one.rpm) for one in every if (ends := known(one.rpm_range)) is not None]
+
+
+def draw_strip(panel: Panel, findings: Findings) -> list[EdgeLabel]:
+    """Draw the strip of the ``findings`` right of ``panel``; the labels of the speeds to avoid, for its right edge."""
+    low, high = panel.y
+    for number, band in enumerate(open_bands(findings)):
+        _mark(panel, (max(band[0], low), min(band[1], high)), NOT_JUDGED, f"not-free-{number}")
+    for number, band in enumerate(free_bands(findings)):
+        _mark(panel, (max(band[0], low), min(band[1], high)), FREE, f"free-{number}")
+    for number, rpm in enumerate(_open_rpm(findings)):
+        if low <= rpm <= high:
+            _mark(panel, (rpm * (1 - _OPEN_SHARE), rpm * (1 + _OPEN_SHARE)), NOT_JUDGED, f"open-{number}")
+    labels = []
+    for number, (start, end, rpm) in enumerate(_ranges(findings)):
+        if end <= low or start >= high:
+            continue
+        _mark(panel, (max(start, low), min(end, high)), AVOID, f"avoid-{number}")
+        at = float(panel.at(panel.x[1], min(max(rpm, low), high))[0, 1])
+        labels.append(EdgeLabel(at, f"{rpm:.0f}", AVOID, 1000 + number))
+    return labels[:_LABELS]
+
+
+def _open_rpm(findings: Findings) -> list[float]:
+    """Speeds in free bands at which a crossing could not be judged."""
+    return [rpm for rpm in not_judged_rpm(findings) if any(low <= rpm <= high for low, high in free_bands(findings))]
+
+
+def _mark(panel: Panel, speeds: tuple[float, float], color: str, name: str) -> None:
+    if speeds[1] <= speeds[0]:
+        return
+    x = panel.box[0] + panel.box[2] + _AT_IN
+    bottom, top = (float(panel.at(panel.x[1], speed)[0, 1]) for speed in speeds)
+    short = max(_LEAST_IN - (top - bottom), 0.0) / 2
+    ends = np.array([[x, bottom - short], [x, top + short]])
+    values = (np.array([np.nan, np.nan]), np.array(speeds))
+    panel.drawing.add(Stroke(ends, color, _WIDTH_PT, square=True, name=name, values=values))
+
+
+def strip_keys(findings: Findings) -> list[Key]:
+    """What the colours of the strip of the ``findings`` mean."""
+    keys = [Key("speed to avoid", AVOID, width=_WIDTH_PT)] if _ranges(findings) else []
+    keys += [Key("free speeds", FREE, width=_WIDTH_PT)] if free_bands(findings) else []
+    unknown = bool(open_bands(findings)) or bool(_open_rpm(findings))
+    return [*keys, Key("not free, or not known", NOT_JUDGED, width=_WIDTH_PT)] if unknown else keys
+
+
+def campbell(
+    campbell_map: xr.Dataset,
+    findings: Findings | Mapping[str, object] | None = None,
+    *,
+    channel: str | None = None,
+    ax: Axes | None = None,
+    dynamic_range_db: float = 60.0,
+) -> Axes:
+    """Campbell diagram: frequency [Hz] to the right, speed [rpm] upwards, level as colour; returns the axes.
+
+    Parameters
+    ----------
+    campbell_map : CampbellMap of :func:`crankorder.campbell_map`; ``campbell_map.sel(frequency=slice(0, 200))`` is
+        a part of it
+    findings : what :func:`crankorder.diagnose` returns of the same recordings. Found orders are thin lines labelled
+        where they leave the axes, the strongest bold; natural frequencies are dashed and named above, with "?" where
+        they are not decided; tones of fixed frequency are dotted; excited crossings are circled; a strip at the right
+        holds speeds to avoid and free ones
+    channel : name of the channel; the first where not given
+    ax : axes to draw on; without them a new figure of pyplot's
+    dynamic_range_db : the colours reach at most so many dB below the strongest line; > 0
+
+    The level is in dB re 1 unit of the channel. Cells of speed reach half-way to their neighbours, wider gaps stay
+    blank. One speed alone is a strip. Raises RequestError for another dataset, channel or axes.
+
+    >>> import numpy as np, crankorder as co
+    >>> time = np.arange(40_000) / 10_000.0
+    >>> made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+    >>> axes = co.plot.campbell(co.campbell_map(made, max_frequency_hz=200.0))
+    >>> axes.get_xlabel(), axes.get_ylabel()
+    ('Frequency, Hz', 'Speed, rpm')
+    """
+    dataset = dataset_of(campbell_map, "campbell_map", "campbell")
+    return _on_axes(dataset, "frequency", findings, channel, ax, dynamic_range_db)
+
+
+def order_map(
+    order_map: xr.Dataset,
+    findings: Findings | Mapping[str, object] | None = None,
+    *,
+    channel: str | None = None,
+    ax: Axes | None = None,
+    dynamic_range_db: float = 60.0,
+) -> Axes:
+    """Order map: order to the right, speed [rpm] upwards, level as colour; returns the axes.
+
+    Parameters
+    ----------
+    order_map : OrderMap of :func:`crankorder.order_map`; ``order_map.sel(order=slice(0, 10))`` is a part of it
+    findings : what :func:`crankorder.diagnose` returns of the same recordings. Found orders are thin lines labelled
+        above, the strongest bold; natural frequencies are dashed curves, with "?" where they are not decided; tones of
+        fixed frequency are dotted; excited crossings are circled; a strip at the right holds speeds to avoid and free
+        ones
+    channel : name of the channel; the first where not given
+    ax : axes to draw on; without them a new figure of pyplot's
+    dynamic_range_db : the colours reach at most so many dB below the strongest line; > 0
+
+    The level is in dB re 1 unit of the channel. Cells of speed reach half-way to their neighbours, wider gaps stay
+    blank. One speed alone, known or not, is a strip. Raises RequestError for another dataset, channel or axes.
+
+    >>> import numpy as np, crankorder as co
+    >>> time = np.arange(40_000) / 10_000.0
+    >>> made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+    >>> axes = co.plot.order_map(co.order_map(made))
+    >>> axes.get_xlabel()
+    'Order (cycles per crank revolution)'
+    """
+    dataset = dataset_of(order_map, "order_map", "order_map")
+    return _on_axes(dataset, "order", findings, channel, ax, dynamic_range_db)
+
+
+def _on_axes(
+    dataset: xr.Dataset, along: str, findings: object, channel: str | None, ax: Axes | None, dynamic_range_db: float
+) -> Axes:
+    picture, x = ("campbell", "Frequency, Hz") if along == "frequency" else ("order_map", ORDER)
+    number, told = channel_number(dataset, channel, picture), findings_of(findings, picture)
+    depth = number_of(dynamic_range_db, "dynamic_range_db", picture, above=0.0)
+    label = f"{quantity_text(dataset, number)}, dB re 1 {unit_of(dataset, number)}".removesuffix(" ")
+    levels, name = level_map(dataset, number, along, 1.0, label), str(dataset["channel"].values[number])
+    limits = level_limits(levels.amplitude, 1.0, range_db=depth, least_db=min(LEAST_RANGE_DB, depth))
+    axes = axes_for(ax, picture, height_in=_HIGH_IN if len(levels.speed) > 1 else _STRIP_HIGH_IN)
+    rows = bool(orders_of(told, name, limit=1)) + bool(fixed_frequencies(told))
+    said = f"{levels.unknown} of unknown speed not shown" if levels.unknown else ""
+    y = "Speed not known" if levels.timeless else "Speed, rpm"
+    dress(axes, x=x, y=y, title=name, whole=True, rows_above=rows, said=said)
+    ends = levels.place if len(levels.place) > 1 else bin_edges(levels.place)
+    set_scale(axes, ends, (levels.cells[0, 0], levels.cells[-1, 1]), log_y=False)
+    if levels.timeless:
+        axes.set_yticks([])
+    elif len(levels.speed) == 1:
+        axes.set_yticks(levels.speed, [f"{levels.speed[0]:.0f}"])
+
+    def content(panel: Panel) -> None:
+        if len(levels.speed):
+            draw_levels(panel, levels, limits)
+        keys_below(panel, draw_findings(panel, levels, told, name, limit=_MOST_ORDERS))
+
+    return painted(axes, content, level_at=levels.level_at)
