@@ -421,7 +421,7 @@ OF_TEST = (
     shaft_of_test,
 )
 
-RESULTS: dict[str, Any] = {
+RESULTS: dict[str, object] = {
     "order_map": OrderMap,
     "campbell_map": CampbellMap,
     "order_tracks": OrderTracks,

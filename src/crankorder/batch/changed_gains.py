@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -53,7 +52,7 @@ def _emptied(frame: xr.Dataset, names: list[str]) -> xr.Dataset:
     if "channel" not in frame.dims:
         return frame
     out = np.isin(frame["channel"].values.astype(str), names)
-    changed: dict[str, Any] = {}
+    changed: dict[str, xr.DataArray] = {}
     for name, variable in frame.data_vars.items():
         if "channel" in variable.dims and variable.dtype.kind in "fc":
             values = variable.values.copy()

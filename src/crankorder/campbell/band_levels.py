@@ -15,13 +15,13 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from crankorder.campbell.frames import frame_speeds, sample_rate_hz
 from crankorder.fft.integration import band_gain, bridged, derivative_gain, faded
 from crankorder.fft.plans import Plan, fft_library, forward, inverse
-from crankorder.quantities import Bools, Floats, Ints
+from crankorder.quantities import Bools, Floats, Ints, Variables
 from crankorder.settings import DERIVATIVE, MethodNumbers
 
 Kind = Literal["broad band", "broad band without its ends", "broad band with its ends", "one-third octave"]
@@ -371,18 +371,18 @@ _HERTZ = {
 }
 
 
-def level_coords(keys: Sequence[LevelKey], reached_hz: Any, si: Any) -> dict[str, Any]:
+def level_coords(keys: Sequence[LevelKey], reached_hz: ArrayLike, si: ArrayLike) -> Variables:
     """Coordinates of the levels of these ``keys``, which end at ``reached_hz``, in units of ``si`` SI units."""
     columns = [[key[place] for key in keys] for place in range(6)]
-    made: dict[str, Any] = {
+    coords: Variables = {
         name: ("level", np.array(column, dtype=np.str_), {"units": "1", "long_name": text})
         for column, (name, text) in zip(columns[:4], LEVEL_WORDS.items(), strict=True)
     }
     for column, (name, text) in zip([*columns[4:], reached_hz], _HERTZ.items(), strict=True):
         words = {"units": "Hz", "long_name": text}
-        made[f"{name}_frequency"] = ("level", np.array(column, dtype=np.float64), words)
+        coords[f"{name}_frequency"] = ("level", np.array(column, dtype=np.float64), words)
     words = {"units": "1", "long_name": "SI units in one unit of the level"}
-    return made | {"si_per_unit": ("level", np.array(si, dtype=np.float64), words)}
+    return coords | {"si_per_unit": ("level", np.array(si, dtype=np.float64), words)}
 
 
 def _frames_dataset(

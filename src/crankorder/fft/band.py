@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -17,7 +15,7 @@ from crankorder.fft.decimation import (
     decimation_reach,
     decimation_stages,
 )
-from crankorder.quantities import Bools, Ints, channel_coords, unindexed
+from crankorder.quantities import Bools, Ints, Variables, channel_coords, unindexed
 from crankorder.scratch import blocks, empty_like
 
 Runs = tuple[Ints, Ints]
@@ -39,7 +37,7 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float, toler
     signals = recording["signal"].values
     offset, gaps = channel_offsets(signals)
     bad = _unusable(recording, signals, gaps=gaps)
-    attrs: dict[str, Any] = dict(recording.attrs)
+    attrs = dict(recording.attrs)
     error, reach, factor, start = 0.0, 0, 1, 0.0
     if axis == "time":
         rate = float(attrs["rate_hz"])
@@ -57,13 +55,17 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float, toler
     # an error of an earlier decimation stays
     attrs |= {"band_hz": band_hz, "decimation_error": error + float(attrs.get("decimation_error", 0.0))}
     words = {"units": "see unit", "long_name": "signal in the analysis band"}
-    made: dict[str, Any] = {"signal": (("channel", axis), signals, words)}
+    variables: Variables = {"signal": (("channel", axis), signals, words)}
     if bad is not None:
         usable = empty_like(signals, signals.shape, np.bool_)
         for row, (starts, ends) in zip(usable, bad, strict=True):
             _mark_untouched(row, starts, ends, factor, reach)
-        made["usable"] = (("channel", axis), usable, {"units": "1", "long_name": "free of gaps and of their filtering"})
-    return xr.Dataset(made, coords=unindexed(**channel_coords(recording)), attrs=attrs)
+        variables["usable"] = (
+            ("channel", axis),
+            usable,
+            {"units": "1", "long_name": "free of gaps and of their filtering"},
+        )
+    return xr.Dataset(variables, coords=unindexed(**channel_coords(recording)), attrs=attrs)
 
 
 def sound_samples(band: xr.Dataset) -> Bools:

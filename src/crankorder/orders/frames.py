@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -23,7 +22,16 @@ from crankorder.orders.method import (
 )
 from crankorder.orders.spectra import DENSER, achieved_error, spectra, spectra_by_angle
 from crankorder.orders.true_angle import stated_errors
-from crankorder.quantities import Complexes, Floats, QualityFlag, channel_coords, flags_of, unindexed, with_flags
+from crankorder.quantities import (
+    Attribute,
+    Complexes,
+    Floats,
+    QualityFlag,
+    channel_coords,
+    flags_of,
+    unindexed,
+    with_flags,
+)
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import SpeedCourse, knots_of, speed_at_angle, speed_course, time_at
 
@@ -170,7 +178,7 @@ def _dataset(band: xr.Dataset, spectrum: Complexes, order: Floats, speed: Floats
     )
 
 
-def _attrs(band: xr.Dataset, shaft: xr.Dataset, layout: FrameLayout, density: int) -> dict[str, Any]:
+def _attrs(band: xr.Dataset, shaft: xr.Dataset, layout: FrameLayout, density: int) -> dict[str, Attribute]:
     kept = {key: band.attrs[key] for key in ("recording", "history", "quality", "samples_per_rev") if key in band.attrs}
     kernel = layout.method.kernel
     dense = f", {density} times as dense" if density > 1 else ""
