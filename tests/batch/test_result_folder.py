@@ -252,7 +252,7 @@ def test_results_belong_to_one_input(tmp_path):
         (tmp_path / name).mkdir()
     for number, (recorded, asking, mine) in enumerate(OWNERS):
         publish(tmp_path / "out" / str(number), NEW, key="one", owner=recorded)
-        with nullcontext() if mine else pytest.raises(RequestError, match="another test of this name"):
+        with contextlib.nullcontext() if mine else pytest.raises(RequestError, match="another test of this name"):
             refuse_others(tmp_path / "out" / str(number), asking)
 
 

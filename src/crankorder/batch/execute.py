@@ -16,7 +16,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.batch import run_log
-from crankorder.batch.changed_gains import without_changed_gains
+from crankorder.batch.changed_gains import short_recordings, without_changed_gains
 from crankorder.batch.frame_store import FrameStore, PackedResult
 from crankorder.batch.kernels import load_kernels
 from crankorder.batch.locks import locked
@@ -32,7 +32,6 @@ from crankorder.batch.result_folder import (
     refuse_others,
     settle,
 )
-from crankorder.batch.short_recordings import short_recordings
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
 from crankorder.engine.definition import Engine, with_gas_file

@@ -26,8 +26,7 @@ from crankorder.batch.result_folder import (
 )
 from crankorder.batch.store import json_bytes, text_sha256, write_atomically
 from crankorder.errors import CrankorderError, EnvironmentFailure, ManyErrors, RequestError, printable
-from crankorder.ingest.checksums import checksum_faults
-from crankorder.ingest.folder import natural_key, recordings_of
+from crankorder.ingest.folder import checksum_faults, natural_key, recordings_of
 from crankorder.ingest.manifest import Manifest, load_manifest
 from crankorder.records import Json
 from crankorder.settings import Settings, load_settings

@@ -21,10 +21,17 @@ from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named, stacked
 from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, judged
 from crankorder.ingest.roles import read_checked
-from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column, seconds_of
+from crankorder.ingest.sampling import (
+    ENCODER,
+    TimeColumn,
+    agreed_rate,
+    bases_of,
+    on_one_base,
+    read_time_column,
+    seconds_of,
+)
 from crankorder.ingest.shaft_signals import Gathered, ShaftSignals, laid_apart
 from crankorder.ingest.signal_faults import mend_signal
-from crankorder.ingest.time_bases import ENCODER, bases_of, on_one_base
 from crankorder.quantities import Attribute, QualityFlag, Recording, Severity, with_flags
 from crankorder.settings import IngestSettings, ShaftSettings
 

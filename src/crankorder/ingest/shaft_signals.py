@@ -18,8 +18,7 @@ from crankorder.ingest.encoder_table import POSITION_KINDS, SOURCELESS_KINDS, TI
 from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, listed
 from crankorder.ingest.record_faults import direction_flags
-from crankorder.ingest.sampling import TimeColumn, rows_before_zeros, seconds_of, zeros_flag
-from crankorder.ingest.time_bases import ENCODER, TimeBase
+from crankorder.ingest.sampling import ENCODER, TimeBase, TimeColumn, rows_before_zeros, seconds_of, zeros_flag
 from crankorder.ingest.units import conversion_factor, known_unit, unit_in_label, unit_of
 from crankorder.quantities import Attribute, Floats, QualityFlag, Severity
 from crankorder.settings import ShaftSettings

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.errors import InputError
 from crankorder.fft.windows import power_of_two
-from crankorder.orders.between_recordings import one_phase_reference, phase_reference_of
+from crankorder.orders.intervals import one_phase_reference, phase_reference_of
 from crankorder.orders.method import MOST_CONTENT, SignalsByAngle, is_by_angle, rev_frequencies, signals_by_angle
 from crankorder.quantities import Bools, Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings

@@ -8,8 +8,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.errors import InputError
-from crankorder.fft.band import band_limited
-from crankorder.fft.decimation import decimation_factor
+from crankorder.fft.decimation import band_limited, decimation_factor
 from crankorder.fft.windows import hann
 from crankorder.orders.method import (
     METHOD_SHARE,

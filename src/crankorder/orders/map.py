@@ -22,16 +22,18 @@ from crankorder.orders.averages import (
     noise_of_mean,
     steepest_noise_beside,
 )
-from crankorder.orders.between_recordings import (
+from crankorder.orders.intervals import (
     BetweenRecordings,
+    amplitude_interval,
     between_recordings,
     ends_between,
+    energy_interval,
     one_phase_reference,
+    phase_interval_deg,
     phase_reference_of,
     phases_compare,
     wider_of,
 )
-from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
 from crankorder.orders.like_speed import Bins, Frames, all_frames, common_frames, rows
 from crankorder.orders.true_angle import AngleErrors, errors_of_rows, given_to
 from crankorder.quantities import Bools, Complexes, Floats, Ints, Variables, channel_coords, flags_of, with_flags

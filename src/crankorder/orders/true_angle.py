@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from crankorder.orders.between_recordings import one_phase_reference
-from crankorder.orders.intervals import NORMAL
+from crankorder.orders.intervals import NORMAL, one_phase_reference
 from crankorder.orders.swing_evidence import (
     HARMONICS,
     Expected,
