@@ -178,7 +178,13 @@ def accuracy_on(result: Path, *, draws: int = 1) -> TwinAccuracy:
         pulses_per_rev=round(float(encoder.get("pulses_per_rev") or 0) * float(encoder.get("ratio") or 1.0)),
         sampled_pulses=encoder.get("kind") == "square",
     )
-    twin = _twin(groups, tested)
+    campbell, shaft = groups["campbell_map"], groups["shaft"]
+    fastest_hz = float(np.nanmax(shaft["speed_max"].values)) / 60.0
+    highest_hz = max(float(campbell["frequency"].values[-1]), tested.settings.orders.max_order * fastest_hz)
+    rate = min(tested.rate_hz, SAMPLES_PER_HZ * highest_hz)
+    pulses = tested.pulses_per_rev if np.nan_to_num(shaft["n_pulses"].values).max() > 0 else 0
+    step = 1.0 / tested.rate_hz if tested.sampled_pulses else 0.0
+    twin = Twin(groups["order_tracks"], campbell, groups["order_map"], shaft, rate, pulses, step)
     return _judged(twin, str(run["test"]), [_draw(twin, tested, number) for number in range(draws)])
 
 
@@ -200,16 +206,6 @@ class _Tested:
     rate_hz: float
     pulses_per_rev: int
     sampled_pulses: bool
-
-
-def _twin(groups: dict[str, xr.Dataset], tested: _Tested) -> Twin:
-    campbell, shaft = groups["campbell_map"], groups["shaft"]
-    fastest_hz = float(np.nanmax(shaft["speed_max"].values)) / 60.0
-    highest_hz = max(float(campbell["frequency"].values[-1]), tested.settings.orders.max_order * fastest_hz)
-    rate = min(tested.rate_hz, SAMPLES_PER_HZ * highest_hz)
-    pulses = tested.pulses_per_rev if np.nan_to_num(shaft["n_pulses"].values).max() > 0 else 0
-    step = 1.0 / tested.rate_hz if tested.sampled_pulses else 0.0
-    return Twin(groups["order_tracks"], campbell, groups["order_map"], shaft, rate, pulses, step)
 
 
 @dataclass(frozen=True, eq=False)

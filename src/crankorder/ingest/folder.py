@@ -1,4 +1,4 @@
-"""The recordings of a test-run folder: which files belong to it, must not be touched, or differ from a list of checksums."""
+"""The recordings of a test-run folder: which files belong to it, and whether lists of checksums know them otherwise."""
 
 from __future__ import annotations
 

@@ -126,7 +126,10 @@ def recording_of(
     if channels and manifest.encoder.kind in TRACE_KINDS and bases[ENCODER] == base and not has_stretches:
         laid_apart(recording, channels, path, flags)
     if manifest.of_shaft_alone:
-        signals = np.empty((0, _trace_length(raw, manifest)), dtype=np.float32)
+        source = manifest.encoder.source
+        # the samples of the encoder's trace; of listed times there are none
+        n_samples = raw.columns[source].size if manifest.has_samples and source is not None else 0
+        signals = np.empty((0, n_samples), dtype=np.float32)
         return _with_signals(recording, signals, manifest, flags)
     signals = stacked(list(channels.values()))
     faults, scalings = [], list[Scaling]()
@@ -268,12 +271,6 @@ def _rate_flags(
         detail = f"the file states its time step to {doubt:.1g} of itself: state rate_hz for frequencies that are right"
         flags.append(flag(path, "rate_rounded", "suspect" if doubt > _ROUGH_RATE else "info", detail))
     return flags
-
-
-def _trace_length(raw: RawFile, manifest: Manifest) -> int:
-    """Samples of the encoder's trace, 0 where the file lists times."""
-    source = manifest.encoder.source
-    return raw.columns[source].size if manifest.has_samples and source is not None else 0
 
 
 def _to_analysed_unit(

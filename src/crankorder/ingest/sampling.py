@@ -1,4 +1,4 @@
-"""The sampling of a recording: the time base of each column, and the one rate that file, times and manifest agree on."""
+"""The sampling of a recording: time bases of its columns, and the one rate that file, times and manifest state."""
 
 from __future__ import annotations
 
