@@ -9,6 +9,7 @@ share it, ``amplitude`` keeps its name; where they differ there is a variable fo
 from __future__ import annotations
 
 import re
+from collections.abc import Hashable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from crankorder.errors import printable
 
 if TYPE_CHECKING:  # a third of a second that the names of units need not wait for
     import xarray as xr
+
+    from crankorder.quantities import Attribute
 
 _TYPOGRAPHY = {
     "m/s2": "m/s²", "m s-2": "m/s²", "mm/s2": "mm/s²", "m/s^2": "m/s²", "um": "µm", "um/s": "µm/s", "deg": "°",
@@ -83,19 +86,20 @@ def by_channel(dataset: xr.Dataset) -> xr.Dataset:
         return dataset
     import xarray as xr
 
-    made: dict[str, Any] = {}
+    variables: dict[str, xr.Variable] = {}
     for key, variable in dataset.variables.items():
         name, about = str(key), dict(variable.attrs)
         units, whole = about.pop(_INSIDE, None), str(about.pop(PART_OF, ""))
         if units is None:
-            made[name] = variable
+            variables[name] = variable
             continue
         values = variable.values
-        if whole in made:
-            before = made[whole][1]
+        if whole in variables:
+            before = variables[whole].values
             values = np.where(np.isnan(before), values, before)
-        made[whole or name] = (variable.dims, values, {**about, "units": units})
-    return xr.Dataset(made, attrs=dataset.attrs).set_coords([name for name in dataset.coords if name in made])
+        variables[whole or name] = xr.Variable(variable.dims, values, {**about, "units": units})
+    coords = [name for name in dataset.coords if name in variables]
+    return xr.Dataset(variables, attrs=dataset.attrs).set_coords(coords)
 
 
 def _parts(dataset: xr.Dataset) -> tuple[str, dict[str, tuple[str, NDArray[np.bool_]]]]:
@@ -126,7 +130,7 @@ def _word(text: str) -> str:
     return re.sub(r"\W+", "_", text.replace("µ", "u").replace("%", "percent")).strip("_").lower() or "other"
 
 
-def _outside(attrs: dict[Any, Any], unit: str) -> dict[str, Any]:
+def _outside(attrs: Mapping[Hashable, Attribute], unit: str) -> dict[str, Attribute]:
     inside = str(attrs["units"])
     about = {str(key): value for key, value in attrs.items() if key != "units"}
     return {**about, **({"units": FORMS[inside].format(udunits(unit))} if unit else {}), _INSIDE: inside}

@@ -9,7 +9,7 @@ import os
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -193,7 +193,7 @@ def run(
     as_json: bool,
     quiet: bool,
     verbose: bool,
-    report: dict[str, Any],
+    report: Mapping[str, object],
 ) -> None:
     """Analyse test-run folders.
 
@@ -207,8 +207,16 @@ def run(
     if shard is not None and reduce:
         raise click.UsageError("--shard keeps what recordings give, --reduce makes the results of it: not both at once")
 
-    asked = {"recipe": recipe, "tolerance": tol, "max_memory_mb": max_memory_mb, "name": name, "report": report}
-    planned = plan_tests(list(folders), out, manifest=manifest, **asked)  # type: ignore[arg-type]
+    planned = plan_tests(
+        list(folders),
+        out,
+        manifest=manifest,
+        recipe=recipe,
+        tolerance=tol,
+        max_memory_mb=max_memory_mb,
+        name=name,
+        report=report,
+    )
     plans = planned.tests if shard is None else [Shard.parse(shard).of(plan) for plan in planned.tests]
     for fault in planned.refused:
         click.echo(f"crankorder: not analysed: {fault}", err=True)
@@ -258,7 +266,7 @@ def _run_plans(plans: list[Any], out: Path, options: RunOptions, as_json: bool, 
     reporting = _started(plans, options.jobs)
     try:
         from crankorder.batch.execute import run_plans
-        from crankorder.batch.index import summary
+        from crankorder.batch.plan import index_document
         from crankorder.batch.store import json_bytes
 
         if any("findings" in plan.settings.report.results for plan in plans):
@@ -278,7 +286,7 @@ def _run_plans(plans: list[Any], out: Path, options: RunOptions, as_json: bool, 
         gc.enable()
         reporting.close()
     if as_json:
-        click.echo(json_bytes(summary(outcomes)).decode(), nl=False)
+        click.echo(json_bytes(index_document([outcome.record for outcome in outcomes])).decode(), nl=False)
     return _exit_status(outcomes)
 
 
@@ -449,7 +457,7 @@ def clean(out: Path) -> None:
 @main.command()
 @click.argument("results", nargs=-1, required=True, type=FOLDER, metavar="RESULT...")
 @_picture_options
-def report(results: tuple[Path, ...], report: dict[str, Any]) -> None:
+def report(results: tuple[Path, ...], report: Mapping[str, object]) -> None:
     """Redraw pictures and page from results (folders that `run` made, or their results.nc)."""
     from crankorder.batch.publish import redraw
 
@@ -479,7 +487,7 @@ def compare(
     q: float,
     as_json: bool,
     quiet: bool,
-    report: dict[str, Any],
+    report: Mapping[str, object],
 ) -> None:
     """Compare results: two builds, or one build over time (NEW... in time order; the last is compared with BASE)."""
     from crankorder.batch.compare import compare_results, document_text, publish_comparison
@@ -535,7 +543,12 @@ def export(result: Path, to: str, binary: bool, out: Path) -> None:
 )
 @_picture_options
 def balance(
-    engine: str, as_json: bool, out: Path | None, speeds: tuple[float, ...], max_order: int, report: dict[str, Any]
+    engine: str,
+    as_json: bool,
+    out: Path | None,
+    speeds: tuple[float, ...],
+    max_order: int,
+    report: Mapping[str, object],
 ) -> None:
     """Predict forces by order, balance strategies, shafts and residuals of ENGINE, a shipped name or a TOML file."""
     from crankorder.batch.balance import balance_of, document_text, publish_balance, table_text

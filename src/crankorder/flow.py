@@ -24,7 +24,7 @@ class StagePlan:
         self._makers = {get_type_hints(made)["return"]: made for made in stages}
         self._given = frozenset(given)
         self.wanted = tuple(wanted)
-        self.steps: list[tuple[Callable[..., Any], dict[str, Any], Any]] = []
+        self.steps: list[tuple[Callable[..., Any], dict[str, object], object]] = []
         self.needs: set[Any] = set()
         for noun in self.wanted:
             self._require(noun, ())

@@ -12,7 +12,7 @@ Conventions shared by all of them:
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from functools import cache
 from importlib.resources import files
 from typing import Any, Literal, NewType, NotRequired, TypedDict
@@ -22,11 +22,18 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import SchemaError
+from crankorder.records import Json
 
 Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
+
+Attribute = str | float | Sequence[float] | NDArray[np.generic]
+"""Value of an attribute of a dataset, of a variable or of an object of HDF5."""
+
+Variables = dict[str, xr.Variable | tuple[str | tuple[Hashable, ...], NDArray[Any], Mapping[str, Attribute]]]
+"""Variables or coordinates of a dataset to be, by name: put in at once, for a dataset aligns at every turn."""
 
 Recording = NewType("Recording", xr.Dataset)
 """One file as measured: signal[channel, time | crank_angle] with encoder and index pulse times."""
@@ -85,7 +92,7 @@ OperatingShapes = NewType("OperatingShapes", xr.Dataset)
 
 """What the test says: orders, modes, crossings, bearings, lines, each with a 95 % interval and evidence."""
 
-Truth = NewType("Truth", dict[str, Any])
+Truth = NewType("Truth", dict[str, Json])
 """What was put into a synthetic test, in the words of the findings."""
 
 FramesAsShown = NewType("FramesAsShown", xr.Dataset)
@@ -162,10 +169,10 @@ def unindexed(**coords: Any) -> xr.Coordinates:
 
 
 @cache
-def schema_of(noun: str) -> dict[str, Any]:
+def schema_of(noun: str) -> Mapping[str, Any]:
     """JSON Schema of a noun or file of ``data_schema/``, by file stem such as ``"order_map"``."""
     text = files("crankorder.data_schema").joinpath(f"{noun}.json").read_text(encoding="utf-8")
-    schema: dict[str, Any] = json.loads(text)
+    schema: Mapping[str, Any] = json.loads(text)
     return schema
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import types
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
 from functools import cache
 from math import isfinite
@@ -13,6 +13,9 @@ import numpy as np
 from pydantic import BaseModel
 
 from crankorder.errors import InputError
+
+Json = str | float | bool | None | Sequence["Json"] | Mapping[str, "Json"]
+"""A value of JSON as it is written."""
 
 Document = dict[str, Any]
 """A JSON object, at the edge of the program alone."""
@@ -102,7 +105,7 @@ class Record:
         return fields(kind)
 
     @classmethod
-    def _types(cls) -> dict[str, Any]:
+    def _types(cls) -> dict[str, object]:
         kind: Any = cls
         return _hints(kind)
 
@@ -160,7 +163,7 @@ class Record:
 
 
 @cache
-def _hints(kind: type[Any]) -> dict[str, Any]:
+def _hints(kind: type[Any]) -> dict[str, object]:
     return get_type_hints(kind)
 
 

@@ -234,7 +234,7 @@ class Settings(StageSettings):
 
 
 @cache
-def _tables(file: str) -> dict[str, dict[str, Any]]:
+def _tables(file: str) -> Mapping[str, Mapping[str, object]]:
     return tomllib.loads(files("crankorder.pipeline").joinpath(file).read_text(encoding="utf-8"))
 
 
@@ -263,7 +263,7 @@ BANDS = MethodNumbers("4-campbell-map.toml", "bands")
 
 
 @cache
-def _defaults() -> dict[str, dict[str, Any]]:
+def _defaults() -> Mapping[str, Mapping[str, object]]:
     return {stage: table for file in Settings.file_of.values() for stage, table in _tables(file).items()}
 
 
@@ -274,7 +274,7 @@ def shipped(kind: str) -> dict[str, str]:
     return {name.removesuffix(".toml"): texts[name].read_text(encoding="utf-8") for name in sorted(texts)}
 
 
-def toml_table(name: str, kind: str, *, beside: Path | None = None) -> tuple[dict[str, Any], str]:
+def toml_table(name: str, kind: str, *, beside: Path | None = None) -> tuple[dict[str, object], str]:
     """Table of a shipped or a user's TOML file, and the name by which errors call it.
 
     ``name`` is a shipped file's stem in the folder ``kind``, or the path of a TOML file (tried from ``beside`` first
@@ -310,17 +310,16 @@ def load_settings(
     goes before both.
     Raises ManyErrors that lists every unknown key and every value out of range, or RequestError for a missing file.
     """
-    tables, source = dict(_defaults()), "pipeline"
-    if recipe is not None:
-        differences, source = toml_table(recipe, "recipes", beside=beside)
-        for stage, table in differences.items():
-            if isinstance(table, dict):
-                tables[stage] = {**tables.get(stage, {}), **table}
-            elif stage not in ("title", "description"):
-                tables[stage] = table
-    for stage, values in (asked or {}).items():
-        tables[stage] = {**tables.get(stage, {}), **values}
-        source = "the options" if values else source
+    differences, source = ({}, "pipeline") if recipe is None else toml_table(recipe, "recipes", beside=beside)
+    tables: dict[str, object] = dict(_defaults())
+    for stage, table in (*differences.items(), *(asked or {}).items()):
+        before = tables.get(stage, {})
+        if isinstance(table, Mapping) and isinstance(before, Mapping):
+            tables[stage] = {**before, **table}
+        elif stage not in ("title", "description"):
+            tables[stage] = table
+    if any((asked or {}).values()):
+        source = "the options"
     try:
         return Settings.model_validate(tables)
     except ValidationError as error:

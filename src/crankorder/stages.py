@@ -25,7 +25,7 @@ from crankorder.campbell.map import campbell_map
 from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.engine.bearings import Bearing
 from crankorder.engine.definition import Engine
-from crankorder.fft.band import band_limited
+from crankorder.fft.decimation import band_limited
 from crankorder.findings import Findings, nothing_sought
 from crankorder.flow import StagePlan
 from crankorder.identify.bearings.places import bearing_combs
@@ -421,7 +421,7 @@ OF_TEST = (
     shaft_of_test,
 )
 
-RESULTS: dict[str, Any] = {
+RESULTS: dict[str, object] = {
     "order_map": OrderMap,
     "campbell_map": CampbellMap,
     "order_tracks": OrderTracks,

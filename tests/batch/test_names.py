@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 from click.testing import Result
 
-from crankorder.batch.short_recordings import short_recordings
+from crankorder.batch.changed_gains import short_recordings
 from crankorder.quantities import ShaftAngle
 from crankorder.stages import RecordingResult
 from made.command import crankorder

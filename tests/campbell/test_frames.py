@@ -5,7 +5,7 @@ import pytest
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
-from crankorder.fft.band import band_limited
+from crankorder.fft.decimation import band_limited
 from crankorder.fft.windows import window_named
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings

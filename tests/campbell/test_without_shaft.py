@@ -6,7 +6,7 @@ import pytest
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
 from crankorder.errors import InputError, ManyErrors
-from crankorder.fft.band import band_limited
+from crankorder.fft.decimation import band_limited
 from crankorder.ingest.check import check_folder
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_recording

@@ -4,8 +4,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.fft.band import band_limited
-from crankorder.fft.decimation import decimation_error, decimation_factor, decimation_reach, decimation_stages
+from crankorder.fft.decimation import (
+    band_limited,
+    decimation_error,
+    decimation_factor,
+    decimation_reach,
+    decimation_stages,
+)
 from made.recordings import line, steady
 
 RATE_HZ = 20_000.0

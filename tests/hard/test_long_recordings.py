@@ -16,7 +16,7 @@ import pytest
 import xarray as xr
 
 from crankorder.batch.plan import plan_tests
-from crankorder.fft.band import band_limited
+from crankorder.fft.decimation import band_limited
 from crankorder.identify.machine_model import MachineModel
 from crankorder.ingest.recording import read_recording
 from crankorder.scratch import is_on_disk

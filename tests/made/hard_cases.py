@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crankorder.fft.band import band_limited
+from crankorder.fft.decimation import band_limited
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map
 from crankorder.orders.spectra import order_frames_nufft

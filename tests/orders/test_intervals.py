@@ -3,8 +3,13 @@
 import numpy as np
 import pytest
 
-from crankorder.orders.between_recordings import between_recordings, wider_of
-from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
+from crankorder.orders.intervals import (
+    amplitude_interval,
+    between_recordings,
+    energy_interval,
+    phase_interval_deg,
+    wider_of,
+)
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
 from made.order_spectra import angle_frames, coloured, lines

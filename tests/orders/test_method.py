@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from crankorder.errors import RequestError
-from crankorder.fft.band import band_limited
+from crankorder.fft.decimation import band_limited
 from crankorder.orders.followed import followed_tracks
 from crankorder.orders.frames import order_frames
 from crankorder.orders.method import frame_layout, time_samples

@@ -9,7 +9,7 @@ import xarray as xr
 from scipy.signal import fftconvolve, lfilter
 
 from crankorder.errors import InputError
-from crankorder.fft.band import band_limited
+from crankorder.fft.decimation import band_limited
 from crankorder.orders.followed import followed_tracks, with_followed
 from crankorder.orders.frames import order_frames
 from crankorder.orders.map import order_map

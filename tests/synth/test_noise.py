@@ -5,6 +5,7 @@ import pytest
 import xarray as xr
 from scipy.signal import welch
 
+from crankorder.batch.accuracy import Twin, _floor
 from crankorder.synth.analogue import low_pass
 from crankorder.synth.noise import (
     density_through_points,
@@ -17,7 +18,6 @@ from crankorder.synth.noise import (
     white_spectrum,
 )
 from crankorder.synth.parts import ColouredNoise
-from crankorder.synth.twin import Twin, _floor
 
 RATE_HZ = 8000.0
 

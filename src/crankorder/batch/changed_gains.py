@@ -1,17 +1,16 @@
-"""Channels whose gain changed in one recording: found in the levels of all, and taken out before anything is told."""
+"""Recordings that differ from the others of their test: channels of another gain are emptied, short ones named."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from crankorder.orders.level_jumps import RecordedLevel, level_jumps, line_sizes
 from crankorder.quantities import Floats, OrderFrames, QualityFlag, RecordingLevels, ShaftAngle, with_flags
-from crankorder.settings import IngestSettings
+from crankorder.settings import IngestSettings, MethodNumbers
 from crankorder.stages import RecordingResult
 
 _NOTHING_IS_ZERO = ("degrees_of_freedom", "n_independent", "n_cycles", "peak_above")
@@ -53,7 +52,7 @@ def _emptied(frame: xr.Dataset, names: list[str]) -> xr.Dataset:
     if "channel" not in frame.dims:
         return frame
     out = np.isin(frame["channel"].values.astype(str), names)
-    changed: dict[str, Any] = {}
+    changed: dict[str, xr.DataArray] = {}
     for name, variable in frame.data_vars.items():
         if "channel" in variable.dims and variable.dtype.kind in "fc":
             values = variable.values.copy()
@@ -82,3 +81,32 @@ def _levels(results: Mapping[Path, RecordingResult]) -> list[RecordedLevel]:
             lines = line_sizes(result.frames.get(OrderFrames), names)
             made.append(RecordedLevel(result.name, (min(means), max(means)), rms, floor, blocks, lines))
     return made
+
+
+NUMBERS = MethodNumbers("1-ingest-faults.toml", "short_recordings")
+
+
+def short_recordings(results: Iterable[RecordingResult]) -> list[QualityFlag]:
+    """A remark on each of the ``results`` that is shorter than the others, where nearly all of these last equally long.
+
+    The length is that over which the shaft is known, so recordings whose shaft stood still for a while may be named.
+    """
+    named = [(one.name, one.shaft["time"].values) for one in results]
+    lengths = np.array([float(time_s[-1] - time_s[0]) if len(time_s) else 0.0 for _, time_s in named])
+    if len(lengths) < NUMBERS.fewest_recordings:
+        return []
+    usual = float(np.median(lengths))
+    alike = np.abs(lengths - usual) <= NUMBERS.alike_share * usual
+    if not usual > 0.0 or np.mean(alike) < NUMBERS.alike_recordings:
+        return []
+    return [
+        QualityFlag(
+            recording=name,
+            flag="shorter_than_others",
+            severity="info",
+            detail=f"{length:.3g} s, where the other recordings of the test last {usual:.3g} s: if it was not stopped "
+            "early its file has lost its end",
+        )
+        for (name, _), length in zip(named, lengths.tolist(), strict=True)
+        if length < (1.0 - NUMBERS.shorter_share) * usual
+    ]

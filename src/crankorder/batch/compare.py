@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from crankorder.batch.result_folder import DONE, FINDINGS, RESULTS, publish, read_document, read_findings
 from crankorder.batch.store import file_sha256, json_bytes, text_sha256
@@ -114,7 +114,9 @@ def document_text(results: ComparedResults) -> str:
     return json_bytes(results.document.as_dict()).decode("utf-8")
 
 
-def publish_comparison(results: ComparedResults, out: Path, *, report: dict[str, Any] | None = None) -> list[Path]:
+def publish_comparison(
+    results: ComparedResults, out: Path, *, report: Mapping[str, object] | None = None
+) -> list[Path]:
     """Paths of the files written into ``out``: comparison.json, comparison.nc, pictures, page; whole or not at all.
 
     ``results`` as :func:`compare_results` makes them; ``report``: settings of the report by key, before the defaults.

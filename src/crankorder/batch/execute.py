@@ -6,7 +6,7 @@ import contextlib
 import json
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,13 +16,12 @@ import numpy as np
 import xarray as xr
 
 from crankorder.batch import run_log
-from crankorder.batch.changed_gains import without_changed_gains
-from crankorder.batch.frame_store import FrameStore, PackedResult, settings_of_recordings
-from crankorder.batch.index import publish_index
+from crankorder.batch.changed_gains import short_recordings, without_changed_gains
+from crankorder.batch.frame_store import FrameStore, PackedResult
 from crankorder.batch.kernels import load_kernels
 from crankorder.batch.locks import locked
 from crankorder.batch.machine import engine_of_test, sources_of
-from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions
+from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions, publish_index
 from crankorder.batch.reporting import ReportingProcess
 from crankorder.batch.result_folder import (
     TIMINGS,
@@ -33,7 +32,6 @@ from crankorder.batch.result_folder import (
     refuse_others,
     settle,
 )
-from crankorder.batch.short_recordings import short_recordings
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
 from crankorder.engine.definition import Engine, with_gas_file
@@ -151,7 +149,7 @@ def _tell_end(outcome: Outcome) -> None:
 def _finish(
     plan: CampaignPlan,
     results: dict[Path, RecordingResult],
-    provenance: dict[str, Any],
+    provenance: Mapping[str, object],
     key: str,
     outcome: Outcome,
     reporting: ReportingProcess,
@@ -386,7 +384,7 @@ def _recording_parts(
 ) -> list[str]:
     """All that the result of the recording at ``path`` depends on beside the program."""
     stated = plan.manifest.model_dump(mode="json", exclude={"recordings": True, "test": {"name"}})
-    asked = settings_of_recordings(plan.settings)
+    asked = plan.settings.model_dump(mode="json", exclude={"report"})  # a recording gives the same on any page
     about = (stated, plan.manifest.speed_of(path), asked, [noun.__name__ for noun in frames_wanted(plan.settings)])
     exact = (json.dumps(part, sort_keys=True, default=_listed) for part in (*about, engine))
     return [*(str(one.sha256) for one in hashed.values()), plan.name_of(path), *exact]
@@ -480,7 +478,7 @@ def channels_left_out(results: dict[Path, RecordingResult]) -> list[str]:
 
 def _provenance(
     plan: CampaignPlan, code: str, versions: dict[str, str], hashes: dict[Path, HashedFile]
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """What ``run.json`` states: inputs with hashes, versions, settings; nothing of the host or the time."""
     engine = None
     if plan.manifest.test.engine is not None:

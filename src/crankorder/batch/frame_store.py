@@ -19,9 +19,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.quantities import QualityFlag, ShaftAngle, unindexed
+from crankorder.quantities import Attribute, QualityFlag, ShaftAngle, unindexed
 from crankorder.scratch import empty
-from crankorder.settings import Settings
 from crankorder.stages import FRAMES_OF, RecordingResult
 
 STORE = ".crankorder-frames"
@@ -97,11 +96,6 @@ def clean(out: Path) -> tuple[int, int]:
     return len(files), size
 
 
-def settings_of_recordings(settings: Settings) -> dict[str, Any]:
-    """Those of the ``settings`` that what a recording gives depends on: all but how a report looks."""
-    return settings.model_dump(mode="json", exclude={"report"})
-
-
 class PackedResult(RecordingResult):
     """A recording's result in one piece of memory; its shaft and frames are made of it when they are asked for.
 
@@ -116,12 +110,16 @@ class PackedResult(RecordingResult):
         place = begin + _LENGTH_BYTES
         length = int.from_bytes(data[begin:place].tobytes(), "little")
         index = json.loads(data[place : place + length].tobytes())
-        self.__dict__.update(data=data, _index=index["parts"], _first=place + length, _about=index["about"], _made={})
+        name, flags, histories = (index["about"][key] for key in ("name", "flags", "histories"))
+        self.__dict__.update(data=data, _index=index["parts"], _first=place + length, _made={})
+        self.__dict__.update(_name=name, _flags=flags, _histories=histories)
 
     data: NDArray[np.uint8]
     _index: dict[str, list[int]]
     _first: int
-    _about: dict[str, Any]
+    _name: str
+    _flags: list[QualityFlag]
+    _histories: dict[str, str]
     _made: dict[str, xr.Dataset]
 
     @classmethod
@@ -179,23 +177,29 @@ class PackedResult(RecordingResult):
     @property
     def name(self) -> str:
         """Name of the recording: its path inside the folder of the test."""
-        return str(self._about["name"])
+        return self._name
 
     @property
     def flags(self) -> list[QualityFlag]:
         """Quality flags of shaft and frames, as of RecordingResult."""
-        return list(self._about["flags"])
+        return list(self._flags)
 
     def history_of(self, noun: Any) -> str:
         """History of the frames of this ``noun``, or of the shaft."""
-        return str(self._about["histories"]["" if noun is ShaftAngle else noun.__name__])
+        return self._histories["" if noun is ShaftAngle else noun.__name__]
 
     def _part(self, name: str) -> xr.Dataset:
         if name in self._made:
             return self._made[name].copy(deep=False)
         begin, header, size = self._index[name]
         part = self.data[self._first + begin : self._first + begin + size]
-        dataset = _dataset(json.loads(part[:header].tobytes()), _Arrays(part[header:]))
+        described, arrays = json.loads(part[:header].tobytes()), _Arrays(part[header:])
+        variables = {
+            name: xr.Variable(dims, arrays.take(*array), _attrs_of(attrs, arrays))
+            for name, dims, array, attrs in described["variables"]
+        }
+        dataset = xr.Dataset(coords=unindexed(**variables), attrs=_attrs_of(described["attrs"], arrays))
+        dataset = dataset.reset_coords([name for name in variables if name not in described["coords"]])
         if id(self) in self._keepers or len(self._keepers) < KEEPERS:
             self._keepers[id(self)] = self
             self._made[name] = dataset.copy(deep=False)
@@ -270,20 +274,12 @@ class _Arrays:
         return np.empty(shape, np.dtype(kind)) if array is None else array.reshape(shape)
 
 
-def _dataset(described: dict[str, Any], arrays: _Arrays) -> xr.Dataset:
-    variables: dict[str, xr.Variable] = {}
-    for name, dims, array, attrs in described["variables"]:
-        variables[name] = xr.Variable(dims, arrays.take(*array), _attrs_of(attrs, arrays))
-    made = xr.Dataset(coords=unindexed(**variables), attrs=_attrs_of(described["attrs"], arrays))
-    return made.reset_coords([name for name in variables if name not in described["coords"]])
-
-
-def _attrs_of(described: list[Any], arrays: _Arrays) -> dict[str, Any]:
-    made: dict[str, Any] = {}
+def _attrs_of(described: list[Any], arrays: _Arrays) -> dict[str, Attribute]:
+    attrs: dict[str, Attribute] = {}
     for name, kind, value in described:
         if kind in ("plain", "tuple"):
-            made[name] = tuple(value) if kind == "tuple" else value
+            attrs[name] = tuple(value) if kind == "tuple" else value
         else:
             array = arrays.take(*value)
-            made[name] = array if kind == "array" else array[()]
-    return made
+            attrs[name] = array if kind == "array" else array[()]
+    return attrs

@@ -15,7 +15,7 @@ from crankorder.batch.plan import settings_for
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.errors import CrankorderError, InputError, NoUsableRecordingError, RequestError
 from crankorder.findings import Findings
-from crankorder.ingest.manifest import Manifest, manifest_head, manifest_of
+from crankorder.ingest.manifest import manifest_head, manifest_of
 from crankorder.quantities import check_dataset
 from crankorder.settings import Settings
 from crankorder.stages import RecordingResult, analyse_recording
@@ -47,13 +47,20 @@ def analysed(
     Raises RequestError or ManyErrors where the request is wrong, InputError where no recording can be used.
     """
     given = _each(recordings)
-    manifest = _machine(given, tables, test)
+    # manifest of the recordings given with the tables that say what the machine is made of
+    first = next(iter(given.values()))
+    with_shaft = "four-stroke" if int(first.attrs["revs_per_cycle"]) == 2 else "rotor"
+    cycle = with_shaft if first.attrs.get("has_shaft", 1) else "none"
+    columns = (first[key].values.tolist() for key in ("channel", "unit"))
+    channels = [dict(zip(("name", "unit"), row, strict=True)) for row in zip(*columns, strict=True)]
+    stated = {key: dict(table) if isinstance(table, Mapping) else list(table) for key, table in tables.items() if table}
+    manifest = manifest_of({**manifest_head(test, cycle, channels), **stated}, Path("machine"))
     settings, known = settings_for(manifest, settings), engine_of(engine)
     faults: list[CrankorderError] = []
     results: dict[Path, RecordingResult] = {}
-    for name, one in given.items():
+    for name, recording in given.items():
         try:
-            results[Path(name)] = analyse_recording(one, manifest, settings, known)
+            results[Path(name)] = analyse_recording(recording, manifest, settings, known)
         except InputError as error:
             faults.append(error)
     results = without_changed_gains(results, settings=settings.ingest)
@@ -71,17 +78,19 @@ def _each(recordings: Recordings) -> dict[str, xr.Dataset]:
     """Recordings by names of their own: a name that comes again gets a number."""
     given = list(recordings) if isinstance(recordings, list | tuple) else [recordings]
     if not given:
-        raise RequestError("no recording is given", file="recordings", allowed="a Recording, or several of one test")
+        raise RequestError(
+            "no recording is given", file="recordings", allowed="a Recording, or several of one test"
+        )
     named: dict[str, xr.Dataset] = {}
-    for one in given:
-        if not isinstance(one, xr.Dataset):
-            raise RequestError("not a Recording", file="recordings", found=type(one).__name__)
-        check_dataset(one, "recording")
-        stem = name = str(one.attrs["recording"])
+    for recording in given:
+        if not isinstance(recording, xr.Dataset):
+            raise RequestError("not a Recording", file="recordings", found=type(recording).__name__)
+        check_dataset(recording, "recording")
+        stem = name = str(recording.attrs["recording"])
         number = 2
         while name in named:
             name, number = f"{stem} ({number})", number + 1
-        named[name] = one.assign_attrs(recording=name)
+        named[name] = recording.assign_attrs(recording=name)
     return _alike(named)
 
 
@@ -89,10 +98,10 @@ def _alike(named: dict[str, xr.Dataset]) -> dict[str, xr.Dataset]:
     """Recordings ``named`` with their channels in one order; those that have not the same ones are refused."""
     first_name, first = next(iter(named.items()))
     wanted = _channels(first)
-    for name, one in named.items():
-        found = _channels(one)
-        if found != wanted or one.attrs["revs_per_cycle"] != first.attrs["revs_per_cycle"]:
-            cycles = f"{one.attrs['revs_per_cycle']} revolutions per cycle"
+    for name, recording in named.items():
+        found = _channels(recording)
+        if found != wanted or recording.attrs["revs_per_cycle"] != first.attrs["revs_per_cycle"]:
+            cycles = f"{recording.attrs['revs_per_cycle']} revolutions per cycle"
             raise RequestError(
                 "the recordings of one test have the same channels, units and cycle",
                 file=name,
@@ -101,24 +110,13 @@ def _alike(named: dict[str, xr.Dataset]) -> dict[str, xr.Dataset]:
             )
     order = [str(key) for key in first["channel"].values]
     made = {}
-    for name, one in named.items():
-        found_at = {str(key): place for place, key in enumerate(one["channel"].values)}
+    for name, recording in named.items():
+        found_at = {str(key): place for place, key in enumerate(recording["channel"].values)}
         same = list(found_at) == order
-        made[name] = one if same else one.isel(channel=[found_at[key] for key in order])
+        made[name] = recording if same else recording.isel(channel=[found_at[key] for key in order])
     return made
 
 
-def _channels(one: xr.Dataset) -> dict[str, str]:
+def _channels(recording: xr.Dataset) -> dict[str, str]:
     """Unit of each channel, by name."""
-    return dict(sorted(zip(map(str, one["channel"].values), map(str, one["unit"].values), strict=True)))
-
-
-def _machine(given: Mapping[str, xr.Dataset], tables: Mapping[str, Any], test: str) -> Manifest:
-    """Manifest of the recordings ``given`` with the ``tables`` that say what the machine is made of."""
-    first = next(iter(given.values()))
-    with_shaft = "four-stroke" if int(first.attrs["revs_per_cycle"]) == 2 else "rotor"
-    cycle = with_shaft if first.attrs.get("has_shaft", 1) else "none"
-    columns = (first[key].values.tolist() for key in ("channel", "unit"))
-    channels = [dict(zip(("name", "unit"), row, strict=True)) for row in zip(*columns, strict=True)]
-    stated = {key: dict(table) if isinstance(table, Mapping) else list(table) for key, table in tables.items() if table}
-    return manifest_of({**manifest_head(test, cycle, channels), **stated}, Path("machine"))
+    return dict(sorted(zip(map(str, recording["channel"].values), map(str, recording["unit"].values), strict=True)))

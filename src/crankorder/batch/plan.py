@@ -6,27 +6,29 @@ import json
 import os
 import re
 import unicodedata
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from crankorder.batch.locks import locked
 from crankorder.batch.result_folder import (
     BATCH,
+    BATCH_VERSION,
     INDEX,
     Owner,
     finished_tests,
-    owner_recorded,
+    records_in,
     refuse_foreign,
     refuse_foreign_index,
     refuse_others,
 )
-from crankorder.batch.store import text_sha256
-from crankorder.errors import CrankorderError, ManyErrors, RequestError, printable
-from crankorder.ingest.checksums import checksum_faults
-from crankorder.ingest.folder import natural_key, recordings_of
+from crankorder.batch.store import json_bytes, text_sha256, write_atomically
+from crankorder.errors import CrankorderError, EnvironmentFailure, ManyErrors, RequestError, printable
+from crankorder.ingest.folder import checksum_faults, natural_key, recordings_of
 from crankorder.ingest.manifest import Manifest, load_manifest
+from crankorder.records import Json
 from crankorder.settings import Settings, load_settings
 
 if TYPE_CHECKING:
@@ -111,7 +113,7 @@ class Outcome:
         return 3 if self.faults else 0
 
     @property
-    def record(self) -> dict[str, Any]:
+    def record(self) -> dict[str, Json]:
         """What an index says of it: name, status, folder, headline and failed recordings."""
         from crankorder.report.sentences.story import headline
 
@@ -187,7 +189,7 @@ def plan_tests(
     tolerance: float | None = None,
     max_memory_mb: int | None = None,
     name: str | None = None,
-    report: Mapping[str, Any] | None = None,
+    report: Mapping[str, object] | None = None,
 ) -> Planned:
     """Plans of the tests in ``folders``, whose results go below ``out``, and what is wrong with other folders.
 
@@ -198,9 +200,9 @@ def plan_tests(
     Raises ManyErrors with the faults of all folders where none can be run, or results would lie where they must not;
     nothing has been written then.
     """
-    asked: dict[str, dict[str, Any]] = {
+    asked = {
         "orders": {} if tolerance is None else {"tolerance": tolerance},
-        "report": dict(report or {}),
+        "report": report or {},
         "ingest": {} if max_memory_mb is None else {"in_memory_bytes": max_memory_mb * 1_000_000},
     }
     folders = list({folder.resolve(): folder for folder in folders}.values())
@@ -248,8 +250,8 @@ class _Places:
         self.refuse = False
         """Whether a place was refused: then nothing of the call is written."""
         self._of_call = {_relative(folder, out) for folder in folders}
-        found = finished_tests(out) if out.is_dir() else ()
-        self._owners = {folder.name: owner_recorded(folder) for folder, _ in found}
+        finished = finished_tests(out) if out.is_dir() else ()
+        self._owners = {folder.name: marker.input for folder, marker in finished}
 
     def of(self, test: str, owner: Owner) -> Path:
         """Folder for the results of ``test``: that which holds those of ``owner``, else the first that is free.
@@ -329,3 +331,40 @@ def _numbered(first: str, is_taken: Callable[[str], bool]) -> str:
 def _plain_name(name: str) -> str:
     plain = unicodedata.normalize("NFKD", printable(name)).encode("ascii", "ignore").decode()
     return re.sub(r"[^A-Za-z0-9._-]+", "-", plain).strip("-.")[:LONGEST_NAME] or "test"
+
+
+def index_document(records: Sequence[Mapping[str, Json]]) -> dict[str, Json]:
+    """What ``batch.json`` and ``--json`` say of tests: name, status, folder, headline and failed recordings of each.
+
+    ``records``: of their outcomes.
+    """
+    return {"schema_version": BATCH_VERSION, "tests": records}
+
+
+def publish_index(
+    out: Path,
+    outcomes: list[Outcome],
+    *,
+    page_of: Callable[[Sequence[Mapping[str, Json]]], str],
+    tell: Callable[[str], object] = lambda text: None,
+) -> None:
+    """Write ``batch.json`` and ``index.html`` of all tests in ``out``: those of ``outcomes`` and those of other runs.
+
+    What is finished is told by the tests' own folders; a test that failed stays named until it is done. ``page_of``
+    makes the page of the records; ``tell`` is told where another process is waited for.
+    Raises EnvironmentFailure where it cannot be written.
+    """
+    with locked(out / BATCH, tell=tell):
+        try:
+            now = {outcome.plan.out.name: outcome.record for outcome in outcomes if outcome.status == "failed"}
+            done = {outcome.plan.out.name for outcome in outcomes} - set(now)
+            records = {folder.name: marker.record for folder, marker in finished_tests(out) if marker.record}
+            failed = [record for record in records_in(out) or [] if record["status"] == "failed"]
+            records |= {str(record["folder"]): record for record in failed if record["folder"] not in done} | now
+            tests = [records[name] for name in sorted(records, key=lambda name: natural_key(Path(name)))]
+            write_atomically(out / BATCH, json_bytes(index_document(tests)))
+            write_atomically(out / INDEX, page_of(tests).encode("utf-8", "backslashreplace"))
+        except OSError as error:
+            if isinstance(error, EnvironmentFailure):
+                raise
+            raise EnvironmentFailure(f"cannot write ({error.strerror})", file=error.filename or out) from error

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from crankorder.batch.locks import locked
 from crankorder.batch.plan import folder_name
-from crankorder.batch.result_folder import TIMINGS, marker_of, owner_recorded, publish, read_findings, settle
+from crankorder.batch.result_folder import TIMINGS, marker_of, publish, read_findings, settle
 from crankorder.batch.store import json_bytes
 from crankorder.batch.workers import FORKS, each
 from crankorder.errors import InputError
@@ -50,7 +50,7 @@ def _draw(pages: list[Picture], *, jobs: int, meanwhile: Callable[[], object]) -
 def files_of_test(
     groups: dict[str, xr.Dataset],
     findings: Findings,
-    provenance: dict[str, Any],
+    provenance: dict[str, object],
     *,
     settings: ReportSettings,
     jobs: int = 1,
@@ -79,7 +79,7 @@ def files_of_test(
     return data | {name: file for name, (file, _) in drawn.items()}
 
 
-def redraw(result: Path, *, report: Mapping[str, Any] | None = None) -> Path:
+def redraw(result: Path, *, report: Mapping[str, object] | None = None) -> Path:
     """Path of the page that was made again from ``result``, a test's result folder or its ``results.nc``.
 
     Data and findings stay byte for byte what they were; pictures and page are drawn by today's program with the
@@ -91,14 +91,15 @@ def redraw(result: Path, *, report: Mapping[str, Any] | None = None) -> Path:
         return _redrawn(folder, report or {})
 
 
-def _redrawn(folder: Path, report: Mapping[str, Any]) -> Path:
+def _redrawn(folder: Path, report: Mapping[str, object]) -> Path:
     settle(folder)
     marker = marker_of(folder)
     try:
         findings = read_findings(folder)
         provenance = json.loads((folder / "run.json").read_bytes())
-        stated = load_settings().report.model_dump() | provenance["settings"]["report"] | report
-        key = marker["key"]
+        stated = load_settings().report.model_dump() | provenance["settings"]["report"] | dict(report)
+        if marker is None:
+            raise ValueError("no done.json")
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             "no finished results that this version reads",
@@ -113,6 +114,5 @@ def _redrawn(folder: Path, report: Mapping[str, Any]) -> Path:
     files = files_of_test(groups, findings, provenance, settings=settings)
     kept = {name: (folder / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
     timings = {TIMINGS: (folder / TIMINGS).read_bytes()} if (folder / TIMINGS).is_file() else {}
-    owner, record = owner_recorded(folder), marker.get("record")
-    publish(folder, files | kept, key=key, owner=owner, record=record, besides=timings)
+    publish(folder, files | kept, key=marker.key, owner=marker.input, record=marker.record, besides=timings)
     return folder / "report.html"

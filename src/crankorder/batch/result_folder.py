@@ -22,6 +22,7 @@ from typing import Any
 from crankorder.batch.store import file_sha256, flush_folder, json_bytes, write_flushed
 from crankorder.errors import EnvironmentFailure, InputError, RequestError, printable
 from crankorder.findings import SCHEMA_VERSION, Findings
+from crankorder.records import Json
 
 DONE, RESULTS, FINDINGS = "done.json", "results.nc", "findings.json"
 TIMINGS = "timings.json"
@@ -48,23 +49,38 @@ class Owner:
     manifest_sha256: str
 
 
-def marker_of(folder: Path, name: str = DONE) -> dict[str, Any]:
-    """What ``done.json``, or another ``name``, in ``folder`` says; empty where there is none that a run wrote."""
+@dataclass(frozen=True)
+class Marker:
+    """What ``done.json`` states: the ``key`` of the results, the hash of each file, their owner, what an index says."""
+
+    key: str
+    outputs_sha256: Mapping[str, str]
+    input: Owner | None = None
+    record: Mapping[str, Json] | None = None
+
+
+def marker_of(folder: Path, name: str = DONE) -> Marker | None:
+    """What ``done.json``, or another ``name``, in ``folder`` states; None where there is none that a run wrote."""
     try:
-        marker = json.loads((folder / name).read_bytes())
-        names = marker["outputs_sha256"]
-        sound = isinstance(marker["key"], str) and all(Path(name).name == name for name in names)
+        stated = json.loads((folder / name).read_bytes())
+        outputs, owner = dict(stated["outputs_sha256"]), None
+        if not isinstance(stated["key"], str) or any(Path(name).name != name for name in outputs):
+            return None
+        with contextlib.suppress(KeyError, TypeError):
+            owner = Owner(str(stated["input"]["folder"]), str(stated["input"]["manifest_sha256"]))
+        return Marker(stated["key"], outputs, owner, stated.get("record"))
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return {}
-    return dict(marker) if sound else {}
+        return None
 
 
 def finished_with(folder: Path, key: str) -> bool:
     """Whether ``folder`` holds results that were finished with ``key`` and whose files are still those written."""
     marker = marker_of(folder)
     try:
-        return marker.get("key") == key and all(
-            file_sha256(folder / name) == digest for name, digest in marker["outputs_sha256"].items()
+        return (
+            marker is not None
+            and marker.key == key
+            and all(file_sha256(folder / name) == digest for name, digest in marker.outputs_sha256.items())
         )
     except OSError:
         return False
@@ -81,7 +97,7 @@ def foreign_in(folder: Path) -> list[str]:
     except NotADirectoryError:
         return [folder.name]
     marker = marker_of(folder)
-    ours = {*marker["outputs_sha256"], DONE, TIMINGS} if marker else set()
+    ours = {*marker.outputs_sha256, DONE, TIMINGS} if marker else set()
     return sorted(name for name in names - ours if not is_leftover(name))
 
 
@@ -89,8 +105,8 @@ def refuse_foreign(folder: Path) -> None:
     """Refuse to replace a ``folder`` that holds what no earlier run wrote: RequestError names it."""
     found = foreign_in(folder)
     marker = marker_of(folder)
-    if marker and "run.json" not in marker["outputs_sha256"]:
-        found = sorted(marker["outputs_sha256"])  # of a comparison or a balance
+    if marker and "run.json" not in marker.outputs_sha256:
+        found = sorted(marker.outputs_sha256)  # of a comparison or a balance
     if found:
         raise RequestError(
             "holds files that no earlier run wrote",
@@ -101,35 +117,20 @@ def refuse_foreign(folder: Path) -> None:
         )
 
 
-def owner_recorded(folder: Path) -> Owner | None:
-    """The input that the results in ``folder`` were made of, None where they do not say."""
-    stated = marker_of(folder).get("input")
-    try:
-        return None if stated is None else Owner(str(stated["folder"]), str(stated["manifest_sha256"]))
-    except (KeyError, TypeError):
-        return None
+def refuse_others(folder: Path, owner: Owner) -> None:
+    """Refuse to replace results in ``folder`` that were made of another input than ``owner``: RequestError.
 
-
-def belongs(folder: Path, owner: Owner) -> bool:
-    """Whether the results in ``folder`` may be replaced by those of ``owner``: theirs, or of data that moved here.
-
-    Results that do not say what they were made of belong to everybody.
+    Results that do not say what they were made of belong to everybody; data may have moved.
     """
-    recorded = owner_recorded(folder)
+    marker = marker_of(folder)
+    recorded = None if marker is None else marker.input
     if recorded is None or recorded.folder == owner.folder:
-        return True
+        return
     there = folder.parent / recorded.folder
     with contextlib.suppress(OSError):
         if there.samefile(folder.parent / owner.folder):
-            return True
-    return recorded.manifest_sha256 == owner.manifest_sha256 and not there.is_dir()
-
-
-def refuse_others(folder: Path, owner: Owner) -> None:
-    """Refuse to replace results in ``folder`` that were made of another input than ``owner``: RequestError."""
-    if not belongs(folder, owner):
-        recorded = owner_recorded(folder)
-        assert recorded is not None
+            return
+    if recorded.manifest_sha256 != owner.manifest_sha256 or there.is_dir():
         raise RequestError(
             "holds the results of another test of this name",
             file=folder,
@@ -144,7 +145,7 @@ def publish(
     *,
     key: str,
     owner: Owner | None = None,
-    record: Mapping[str, Any] | None = None,
+    record: Mapping[str, Json] | None = None,
     besides: Mapping[str, bytes] | None = None,
 ) -> None:
     """Make ``contents`` (name → bytes) the results in ``folder``, with a marker that holds their hashes and ``key``.
@@ -155,12 +156,13 @@ def publish(
     Raises EnvironmentFailure where the disk is full or the folder cannot be written: the old results stand then;
     RequestError where a file of others has the name of a result.
     """
-    marker: dict[str, Any] = {"key": key}
-    if owner is not None:
-        marker["input"] = asdict(owner)
-    if record is not None:
-        marker["record"] = dict(record)
-    marker["outputs_sha256"] = {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())}
+    marker = {
+        "key": key,
+        "input": None if owner is None else asdict(owner),
+        "record": record,
+        "outputs_sha256": {name: hashlib.sha256(data).hexdigest() for name, data in sorted(contents.items())},
+    }
+    marker = {name: value for name, value in marker.items() if value is not None}
     files = {**contents, **(besides or {}), DONE: json_bytes(marker)}
     folder = folder.parent.resolve() / folder.name if not folder.is_symlink() else folder.resolve()
     shared = sorted(set(foreign_in(folder)) & set(files))
@@ -195,7 +197,7 @@ def settle(folder: Path) -> None:
     """
     new, old = _beside(folder)
     if not folder.exists():
-        if new.is_dir() and finished_with(new, marker_of(new).get("key", "")):
+        if (marker := marker_of(new)) and finished_with(new, marker.key):
             new.rename(folder)
         elif old.is_dir():
             old.rename(folder)
@@ -253,7 +255,7 @@ def _write_all(folder: Path, files: Mapping[str, bytes]) -> None:
         raise
 
 
-def _exchanged(one: Path, other: Path) -> bool:
+def _exchanged(new: Path, folder: Path) -> bool:
     """Exchange two folders in one step; False where this system or this disk cannot."""
     if sys.platform != "linux":
         return False
@@ -261,12 +263,12 @@ def _exchanged(one: Path, other: Path) -> bool:
     if rename is None:
         return False
     here = -100  # AT_FDCWD: paths are absolute or relative to the working directory
-    if rename(here, os.fsencode(one), here, os.fsencode(other), EXCHANGE) == 0:
+    if rename(here, os.fsencode(new), here, os.fsencode(folder), EXCHANGE) == 0:
         return True
     fault = ctypes.get_errno()
     if fault in (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP):
         return False
-    raise OSError(fault, os.strerror(fault), str(other))
+    raise OSError(fault, os.strerror(fault), str(folder))
 
 
 def _replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
@@ -282,7 +284,9 @@ def _replace_files(folder: Path, files: Mapping[str, bytes]) -> None:
 
 def _move_in(folder: Path, new: Path) -> None:
     """Move what is ``new`` into ``folder``, the marker last, and remove what only the results before had."""
-    for name in set(marker_of(new, FORMER).get("outputs_sha256", ())) - set(marker_of(new)["outputs_sha256"]):
+    former, marker = marker_of(new, FORMER), marker_of(new)
+    assert marker is not None  # written before
+    for name in set(() if former is None else former.outputs_sha256) - set(marker.outputs_sha256):
         (folder / name).unlink(missing_ok=True)
     files = [path for path in new.iterdir() if path.name != FORMER]
     for path in sorted(files, key=lambda path: path.name == DONE):
@@ -291,13 +295,11 @@ def _move_in(folder: Path, new: Path) -> None:
     flush_folder(folder)
 
 
-def finished_tests(out: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
+def finished_tests(out: Path) -> Iterator[tuple[Path, Marker]]:
     """Every folder in ``out`` with finished results, in the order of the names, and what its marker says."""
     for folder in sorted(out.iterdir()):
-        if not folder.name.startswith(".") and folder.is_dir():
-            marker = marker_of(folder)
-            if marker:
-                yield folder, marker
+        if not folder.name.startswith(".") and (marker := marker_of(folder)):
+            yield folder, marker
 
 
 def result_folders(result: Path) -> list[Path]:
@@ -323,11 +325,11 @@ def read_document(path: Path) -> dict[str, Any]:
     """
     remedy = "Run the analysis again"
     try:
-        made = json.loads(path.read_bytes())
+        document = json.loads(path.read_bytes())
     except (OSError, ValueError) as error:
         raise InputError("results that cannot be read", file=path, found=error, remedy=remedy) from error
-    stated = made.get("schema_version") if isinstance(made, dict) else None
-    if stated != SCHEMA_VERSION or not isinstance(made, dict):
+    stated = document.get("schema_version") if isinstance(document, dict) else None
+    if stated != SCHEMA_VERSION or not isinstance(document, dict):
         raise InputError(
             "results of another version of the program",
             file=path,
@@ -335,7 +337,7 @@ def read_document(path: Path) -> dict[str, Any]:
             allowed=f"schema_version {SCHEMA_VERSION}",
             remedy=f"{remedy} with this version",
         )
-    return made
+    return document
 
 
 def read_findings(folder: Path) -> Findings:
@@ -360,13 +362,13 @@ def refuse_foreign_index(out: Path) -> None:
         )
 
 
-def records_in(out: Path) -> list[dict[str, Any]] | None:
+def records_in(out: Path) -> list[Mapping[str, Json]] | None:
     """Records of the tests that ``batch.json`` in ``out`` names; None where there is none that a run wrote."""
     try:
         document = json.loads((out / BATCH).read_bytes())
         records = document["tests"]
         known = document["schema_version"] == BATCH_VERSION and all(
-            isinstance(one, Mapping) and {"name", "status", "folder"} <= set(one) for one in records
+            isinstance(record, Mapping) and {"name", "status", "folder"} <= set(record) for record in records
         )
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None

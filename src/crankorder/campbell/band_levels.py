@@ -15,13 +15,13 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
 from crankorder.campbell.frames import frame_speeds, sample_rate_hz
 from crankorder.fft.integration import band_gain, bridged, derivative_gain, faded
 from crankorder.fft.plans import Plan, fft_library, forward, inverse
-from crankorder.quantities import Bools, Floats, Ints
+from crankorder.quantities import Bools, Floats, Ints, Variables
 from crankorder.settings import DERIVATIVE, MethodNumbers
 
 Kind = Literal["broad band", "broad band without its ends", "broad band with its ends", "one-third octave"]
@@ -147,7 +147,20 @@ def level_frames(recording: xr.Dataset, shaft: xr.Dataset, *, bands: Sequence[Le
         pieces = _pieces(n_samples, rate, levels, 0.0)
         rpm = _speeds(recording, shaft, pieces)
     square, peak = _squares_and_peaks(recording["signal"].values, pieces, levels)
-    return _frames_dataset(recording, levels, square, peak, rpm, pieces)
+    names = recording["channel"].values.tolist()
+    keys: list[LevelKey] = [
+        (names[level.channel], level.unit, level.quantity, level.band.kind, level.band.low_hz, level.band.high_hz)
+        for level in levels
+    ]
+    coords = level_coords(keys, [level.high_hz for level in levels], [level.si for level in levels])
+    coords["speed"] = ("frame", rpm, {"units": "min-1", "long_name": "mean speed of the piece"})
+    words = {"units": "see unit, squared", "long_name": "mean square of the piece in the band"}
+    made = {"mean_square": (("level", "frame"), square, words)}
+    words = {"units": "see unit", "long_name": "largest size of the piece in the band"}
+    made["peak"] = (("level", "frame"), peak, words)
+    attrs = {key: recording.attrs[key] for key in ("recording", "quality") if key in recording.attrs}
+    attrs["frame_s"] = pieces.length / pieces.rate_hz if pieces.length else math.nan
+    return xr.Dataset(made, coords=coords, attrs=attrs)
 
 
 def _speeds(recording: xr.Dataset, shaft: xr.Dataset, pieces: _Pieces) -> Floats:
@@ -371,33 +384,15 @@ _HERTZ = {
 }
 
 
-def level_coords(keys: Sequence[LevelKey], reached_hz: Any, si: Any) -> dict[str, Any]:
+def level_coords(keys: Sequence[LevelKey], reached_hz: ArrayLike, si: ArrayLike) -> Variables:
     """Coordinates of the levels of these ``keys``, which end at ``reached_hz``, in units of ``si`` SI units."""
     columns = [[key[place] for key in keys] for place in range(6)]
-    made: dict[str, Any] = {
+    coords: Variables = {
         name: ("level", np.array(column, dtype=np.str_), {"units": "1", "long_name": text})
         for column, (name, text) in zip(columns[:4], LEVEL_WORDS.items(), strict=True)
     }
     for column, (name, text) in zip([*columns[4:], reached_hz], _HERTZ.items(), strict=True):
         words = {"units": "Hz", "long_name": text}
-        made[f"{name}_frequency"] = ("level", np.array(column, dtype=np.float64), words)
+        coords[f"{name}_frequency"] = ("level", np.array(column, dtype=np.float64), words)
     words = {"units": "1", "long_name": "SI units in one unit of the level"}
-    return made | {"si_per_unit": ("level", np.array(si, dtype=np.float64), words)}
-
-
-def _frames_dataset(
-    recording: xr.Dataset, levels: list[_Level], square: Floats, peak: Floats, rpm: Floats, pieces: _Pieces
-) -> xr.Dataset:
-    names = recording["channel"].values.tolist()
-    keys: list[LevelKey] = [
-        (names[one.channel], one.unit, one.quantity, one.band.kind, one.band.low_hz, one.band.high_hz) for one in levels
-    ]
-    coords = level_coords(keys, [level.high_hz for level in levels], [level.si for level in levels])
-    coords["speed"] = ("frame", rpm, {"units": "min-1", "long_name": "mean speed of the piece"})
-    words = {"units": "see unit, squared", "long_name": "mean square of the piece in the band"}
-    made = {"mean_square": (("level", "frame"), square, words)}
-    words = {"units": "see unit", "long_name": "largest size of the piece in the band"}
-    made["peak"] = (("level", "frame"), peak, words)
-    attrs = {key: recording.attrs[key] for key in ("recording", "quality") if key in recording.attrs}
-    attrs["frame_s"] = pieces.length / pieces.rate_hz if pieces.length else math.nan
-    return xr.Dataset(made, coords=coords, attrs=attrs)
+    return coords | {"si_per_unit": ("level", np.array(si, dtype=np.float64), words)}

@@ -9,8 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.fft.band import band_limited
-from crankorder.fft.decimation import decimation_factor
+from crankorder.fft.decimation import band_limited, decimation_factor
 from crankorder.fft.transforms import FrameTransform, frame_starts, whole_frames
 from crankorder.fft.windows import Window, window_named
 from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, unindexed, with_flags

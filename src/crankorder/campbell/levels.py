@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from crankorder.campbell.frames import frame_speeds
 from crankorder.fft.transforms import FrameTransform
 from crankorder.fft.windows import window_named
-from crankorder.quantities import Floats, Ints, channel_coords
+from crankorder.quantities import Floats, Ints, Variables, channel_coords
 from crankorder.settings import CampbellSettings, OrderSettings
 
 PIECES, LENGTH = 12, 8192
@@ -240,12 +240,12 @@ def _dataset(
         "peak_order": (lines[:, 3], "1", "its order"),
         "peak_speed": (lines[:, 4], "min-1", "the speed there"),
     }
-    made: dict[str, Any] = {
+    variables: Variables = {
         name: ("channel", values, {"units": units, "long_name": text}) for name, (values, units, text) in told.items()
     }
     words = {"units": "see unit", "long_name": "root of the middling bin of each block of the power spectrum"}
-    made["block_floor"] = (("channel", "block"), _floors(mean, FLOOR_BLOCKS), words)
+    variables["block_floor"] = (("channel", "block"), _floors(mean, FLOOR_BLOCKS), words)
     words = {"units": "Hz", "long_name": "middle of a block of the spectrum; per revolution by crank angle"}
     block = ("block", 0.5 * rate * (np.arange(FLOOR_BLOCKS) + 0.5) / FLOOR_BLOCKS, words)
     attrs = {"recording": str(recording.attrs["recording"]), "band_hz": band_hz}
-    return xr.Dataset(made, coords={**channel_coords(recording), "block": block}, attrs=attrs)
+    return xr.Dataset(variables, coords={**channel_coords(recording), "block": block}, attrs=attrs)

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy import special
 
 from crankorder.campbell.band_levels import LEVEL_WORDS, WITH_ENDS, LevelKey, level_coords
-from crankorder.quantities import Floats, Ints, QualityFlag, flags_of, with_flags
+from crankorder.quantities import Floats, Ints, QualityFlag, Variables, flags_of, with_flags
 from crankorder.settings import MethodNumbers
 from crankorder.shaft.speed_groups import held_speeds
 
@@ -313,10 +313,10 @@ _TOLD = {
 def _levels_dataset(joined: _Joined, made: dict[str, Floats], rpm: Floats) -> xr.Dataset:
     coords = level_coords(joined.keys, joined.reached_hz, joined.si)
     coords["speed"] = ("speed", rpm, {"units": "min-1", "long_name": "mean speed"})
-    told = dict[str, Any]()
+    variables: Variables = {}
     for name, (units, text) in _TOLD.items():
-        told[name] = (("level", "speed"), made[name], {"units": units, "long_name": text})
+        variables[name] = (("level", "speed"), made[name], {"units": units, "long_name": text})
         if f"{name}_ci95" in made:
             words = {"units": units, "long_name": f"95 % interval of {name}: low, high"}
-            told[f"{name}_ci95"] = (("level", "speed", "bound"), made[f"{name}_ci95"], words)
-    return xr.Dataset(told, coords=coords)
+            variables[f"{name}_ci95"] = (("level", "speed", "bound"), made[f"{name}_ci95"], words)
+    return xr.Dataset(variables, coords=coords)

@@ -164,7 +164,7 @@ def count(value: Any, name: str) -> int:
 
 def shaft_of(
     told: Mapping[str, Any], *, by_angle: bool, without: bool
-) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+) -> tuple[dict[str, str | float], dict[str, NDArray[Any]]]:
     """The manifest's ``[encoder]`` and its columns by role, of the one of pulses, encoder, speed that was ``told``.
 
     None of them is needed of samples ``by_angle``, nor ``without`` a shaft.

@@ -21,8 +21,7 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
         return faults
     manifest = load_manifest(folder, manifest_path)
     # only a right manifest is worth the time of the heavy imports below
-    from crankorder.ingest.checksums import checksum_faults
-    from crankorder.ingest.folder import recordings_of
+    from crankorder.ingest.folder import checksum_faults, recordings_of
 
     try:
         found = recordings_of(folder, manifest)
@@ -70,8 +69,7 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
     """
     from crankorder.ingest.formats import contents_of
     from crankorder.ingest.rawfile import Contents, named
-    from crankorder.ingest.sampling import agreed_rate
-    from crankorder.ingest.time_bases import bases_of, length_faults
+    from crankorder.ingest.sampling import agreed_rate, bases_of, length_faults
 
     try:
         contents: Contents = contents_of(path, settings=settings)

@@ -6,7 +6,8 @@ Imports nothing heavy, as all that a manifest is checked with.
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Literal
+from collections.abc import Mapping
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PlainValidator, StringConstraints, WithJsonSchema
 from pydantic import field_validator as field_check
@@ -171,14 +172,15 @@ class Encoder(Table):
         return name
 
     @property
-    def wheel(self) -> dict[str, Any]:
+    def wheel(self) -> Mapping[str, int | list[float]]:
         """Attributes of a recording that say what wheel it is; none where the pulses themselves must tell."""
         if self.tooth_angles_deg is not None:
             return {"tooth_angles_deg": list(self.tooth_angles_deg)}
         if self.pattern is not None:
             even, angles = pattern_of(self.pattern).even, pattern_of(self.pattern).angles_deg
-            stated = {"tooth_angles_deg": list(angles)} if even is None else {}
-            return stated or dict(zip(("pulses_per_rev", "missing_teeth"), even or (), strict=True))
+            if even is None:
+                return {"tooth_angles_deg": list(angles)}
+            return {"pulses_per_rev": even[0], "missing_teeth": even[1]}
         if self.pulses_per_rev is None:
             return {}
         return {"pulses_per_rev": self.pulses_per_rev, "missing_teeth": self.missing_teeth}

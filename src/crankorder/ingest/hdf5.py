@@ -14,6 +14,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from crankorder.errors import CrankorderError, InputError, UnsafeInputError, printable
 from crankorder.ingest.rawfile import (
@@ -78,6 +79,10 @@ _ALONE = frozenset(_plain(name) for names in (_RATE_NAMES, _STEP_NAMES, _SPEED_N
 _H5PY_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError, OverflowError, IndexError)
 
 
+_Value = str | bytes | float | np.generic | NDArray[np.generic]
+"""Value of an attribute as h5py gives it."""
+
+
 @dataclass(frozen=True, slots=True)
 class _Column:
     dataset: str
@@ -103,22 +108,22 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings, row
         check_budget(n_bytes, settings)
         attributes = _Attributes(file, used)
         places = {source: columns[name].dataset for source, name in names.items()}
-        stated, undated = _stated_in(places, attributes, path)
+        units, rates, starts, undated = _stated_in(places, attributes, path)
         values = _read_columns([columns[name] for name in names.values()], used, attributes, settings, rows)
-        rates, others = stated["rates_hz"], set(stated["rates_hz"].values())
+        others = set(rates.values())
         doubts = [attributes.doubts(place, rates.get(source), others) for source, place in places.items()]
         flags = [flag(path, name, "suspect", detail) for name, detail in dict.fromkeys(chain(*doubts))]
-        return RawFile(dict(zip(names, values, strict=True)), **stated, flags=flags + undated)
+        return RawFile(dict(zip(names, values, strict=True)), units, rates, starts, flags=flags + undated)
 
 
 def _stated_in(
     places: Mapping[Key, str], attributes: _Attributes, path: Path
-) -> tuple[dict[str, Any], list[QualityFlag]]:
-    """Units, rates and starts of the datasets at ``places`` by the fields of Contents; flags of unset clocks."""
+) -> tuple[dict[Key, str], dict[Key, float], dict[Key, float], list[QualityFlag]]:
+    """Units, rates and starts of the datasets at ``places``; flags of unset clocks."""
     rates = _stated({key: attributes.rate_hz(place) for key, place in places.items()})
     starts, undated = starts_by_date(*attributes.starts(places), path)
     units = {key: unit for key, place in places.items() if (unit := attributes.text(place, _UNIT_NAMES))}
-    return {"units": units, "rates_hz": rates, "starts_s": starts}, undated
+    return units, rates, starts, undated
 
 
 def _stated(rates: Mapping[Any, float | None]) -> dict[Any, float]:
@@ -137,11 +142,14 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
         for dataset in opened.values():
             _check_dataset(dataset)
         attributes = _Attributes(file, opened)
+        units, rates, starts, _ = _stated_in(places, attributes, path)
         return Contents(
             format="HDF5",
             names=tuple(columns),
             samples={name: column.n_samples for name, column in columns.items()},
-            **_stated_in(places, attributes, path)[0],
+            units=units,
+            rates_hz=rates,
+            starts_s=starts,
             speed_rpm=next((rpm for place in places.values() if (rpm := attributes.number(place, _SPEED_NAMES))), None),
         )
 
@@ -264,7 +272,7 @@ def _check_dataset(dataset: Any) -> None:
 
 def _read_columns(
     columns: list[_Column],
-    used: dict[str, Any],
+    used: Mapping[str, Any],
     attributes: _Attributes,
     settings: IngestSettings,
     rows: slice | None,
@@ -335,7 +343,7 @@ class _Attributes:
     def __init__(self, file: Any, opened: Mapping[str, Any]) -> None:
         """Of the objects of ``file``, some of which are ``opened`` already, by place."""
         self._file, self._opened = file, opened
-        self._of: dict[str, tuple[dict[str, Any], dict[str, float]]] = {}
+        self._of: dict[str, tuple[dict[str, _Value], dict[str, float]]] = {}
 
     def rate_hz(self, place: str) -> float | None:
         """Samples per second that the attributes at ``place``, of a group above it or of the file state."""
@@ -426,7 +434,7 @@ class _Attributes:
                 return re.sub(r"\0.*", "", value)
         return ""
 
-    def _at(self, place: str) -> tuple[dict[str, Any], dict[str, float]]:
+    def _at(self, place: str) -> tuple[dict[str, _Value], dict[str, float]]:
         """Attributes of the object at ``place``, and those of them that are one number."""
         if place not in self._of:
             attrs = _readable(self._opened[place] if place in self._opened else self._file[place])
@@ -465,22 +473,22 @@ def _number_in(value: Any) -> Any:
     return float(found[1]) * _PREFIXES[found[2] or ""]
 
 
-def _readable(item: Any) -> dict[str, Any]:
-    """Attributes of ``item`` that can be read, of those that are asked for here: others may be large."""
-    found: dict[str, Any] = {}
+def _readable(place: h5py.Group | h5py.Dataset) -> dict[str, _Value]:
+    """Attributes at ``place`` that can be read, of those that are asked for here: others may be large."""
+    attributes: dict[str, _Value] = {}
     try:
-        names = {name: plain for name in item.attrs if (plain := _plain(name)) in _ASKED}
+        names = {name: plain for name in place.attrs if (plain := _plain(name)) in _ASKED}
     except _H5PY_ERRORS:
-        return found
+        return attributes
     for name, plain in names.items():
         with suppress(*_H5PY_ERRORS):
-            found[plain] = item.attrs[name]
-    return _numbers_beside(item) | found if isinstance(item, h5py.Group) else found
+            attributes[plain] = place.attrs[name]
+    return {**_numbers_beside(place), **attributes} if isinstance(place, h5py.Group) else attributes
 
 
 def _numbers_beside(group: h5py.Group) -> dict[str, float]:
     """Single numbers of such names that lie in ``group`` as datasets of their own, as MATLAB and scripts write them."""
-    found: dict[str, float] = {}
+    numbers: dict[str, float] = {}
     with suppress(*_H5PY_ERRORS):
         for name in [name for name in group if _plain(name) in _ALONE]:
             if not isinstance(group.get(name, getlink=True), h5py.HardLink):
@@ -490,5 +498,5 @@ def _numbers_beside(group: h5py.Group) -> dict[str, float]:
                 continue
             create = dataset.id.get_create_plist()  # nothing is loaded or followed to read the value
             if not (create.get_external_count() or create.get_nfilters() or dataset.is_virtual):
-                found[_plain(name)] = float(np.asarray(dataset[()]).reshape(-1)[0])
-    return found
+                numbers[_plain(name)] = float(np.asarray(dataset[()]).reshape(-1)[0])
+    return numbers

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -73,7 +73,7 @@ def _parser() -> Any:
     return package("idelib", "IDE files", "Run: pip install 'crankorder[ide]'").importFile
 
 
-def _channels(file: Any) -> dict[str, Any]:
+def _channels(file: Any) -> Mapping[str, Any]:
     """Values over time, by name, of the channels that hold any, of the first session."""
     if len(file.sessions) > 1:
         raise InputError(

@@ -5,12 +5,12 @@ Format: National Instruments, "Specification for the LabVIEW Measurement File (.
 
 from __future__ import annotations
 
+import csv
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -240,8 +240,6 @@ def _read(
     done = 0
     width = max(segment.n_cells, len(segment.names))
     kinds = {place: np.float64 if place in places else object for place in range(width)}  # others may be comments
-    options: dict[str, Any] = {"header": None, "names": range(width), "dtype": kinds, "quoting": 3}
-    options |= {"decimal": "," if layout.decimal_comma else ".", "keep_default_na": False, "na_values": ["", "NaN"]}
     try:
         for frame in pd.read_csv(
             path,
@@ -253,7 +251,13 @@ def _read(
             chunksize=_PIECE_LINES,
             index_col=False,
             skip_blank_lines=False,
-            **options,
+            header=None,
+            names=range(width),
+            dtype=kinds,
+            quoting=csv.QUOTE_NONE,
+            decimal="," if layout.decimal_comma else ".",
+            keep_default_na=False,
+            na_values=["", "NaN"],
         ):
             for place, row in zip(places, rows, strict=True):
                 row[done : done + len(frame)] = frame[place].to_numpy()
@@ -270,12 +274,12 @@ def _read(
 def _timing(
     layout: _Layout, columns: Mapping[str, _Column], stamps: Callable[[_Column], FloatArray], path: Path,
     settings: IngestSettings,
-) -> tuple[Contents, dict[str, Any], list[QualityFlag]]:  # fmt: skip
+) -> tuple[Contents, dict[str, float], list[QualityFlag]]:  # fmt: skip
     """Units, rates and starts of ``columns`` by name, attributes of the file, flags.
 
     ``stamps`` gives the values of a column of times, which is asked for once for all channels of one step.
     """
-    kinds: dict[tuple[object, ...], tuple[float | None, dict[str, Any], list[QualityFlag]]] = {}
+    kinds: dict[tuple[object, ...], tuple[float | None, dict[str, float], list[QualityFlag]]] = {}
     rates: dict[str, float] = {}
     starts: dict[str, float] = {}
     dates: dict[str, np.datetime64] = {}
@@ -302,7 +306,7 @@ def _timing(
         units={name: column.unit for name, column in columns.items() if column.unit},
         rates_hz=rates,
         starts_s=starts,
-        rate_uncertainty=float(attrs["rate_uncertainty"]),
+        rate_uncertainty=attrs["rate_uncertainty"],
     )
     return contents, attrs, [remark for number, remark in enumerate(flags) if remark not in flags[:number]]
 
@@ -315,7 +319,7 @@ def _channel_from(segment: _Segment, begin: int) -> int:
 
 def _rate(
     segment: _Segment, place: int, times: FloatArray | None, path: Path, settings: IngestSettings
-) -> tuple[float | None, dict[str, Any], list[QualityFlag]]:
+) -> tuple[float | None, dict[str, float], list[QualityFlag]]:
     """Rate in Hz, by the column of times where there is one, else by the header; its attributes; flags."""
     text = segment.said("Delta_X", place) or segment.said("Delta_X", _channel_from(segment, 0))
     step_s = _number(text)
@@ -327,7 +331,7 @@ def _rate(
     if times is None or times.size < 3:
         return header_hz, {"rate_uncertainty": doubt, "start_s": 0.0}, []
     column = read_time_column(times, path, settings=settings)
-    attrs: dict[str, Any] = {"rate_uncertainty": column.rate_uncertainty, "start_s": column.start_s}
+    attrs = {"rate_uncertainty": column.rate_uncertainty, "start_s": column.start_s}
     tolerance = doubt + column.rate_uncertainty + settings.rate_tolerance
     if header_hz is not None and abs(header_hz / column.rate_hz - 1.0) > tolerance:
         attrs["header_rate_hz"] = header_hz

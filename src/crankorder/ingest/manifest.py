@@ -396,7 +396,7 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
     return found.model_copy(update={"transfer_paths": paths}).of_folder(folder)
 
 
-def manifest_of(table: dict[str, Any], path: Path, text: str = "") -> Manifest:
+def manifest_of(table: Mapping[str, object], path: Path, text: str = "") -> Manifest:
     """Manifest of the ``table`` that ``path`` holds as ``text``, or that errors call so.
 
     Raises ManyErrors listing every fault.
@@ -415,7 +415,7 @@ def manifest_of(table: dict[str, Any], path: Path, text: str = "") -> Manifest:
     return found
 
 
-def manifest_head(name: str, cycle: str, channels: Sequence[Mapping[str, object]]) -> dict[str, Any]:
+def manifest_head(name: str, cycle: str, channels: Sequence[Mapping[str, object]]) -> dict[str, object]:
     """What every manifest states: the ``name`` of the test, its ``cycle`` and its ``channels``."""
     return {
         "schema_version": SCHEMA_VERSION,

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.ingest.child import in_child, package
-from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, distinct, names_of
+from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, distinct, names_of
 from crankorder.quantities import Floats
 from crankorder.settings import IngestSettings
 
@@ -108,29 +107,31 @@ def _rate(stamps: Floats) -> float | None:
     return float(f"{1.0 / step:.12g}") if off < _JITTER * step else None
 
 
-def _samples(file: Any, name: str, group: int, number: int, *, most: int | None = None) -> NDArray[Any] | None:
+def _samples(file: Any, name: str, group: int, number: int, *, most: int | None = None) -> FloatArray | None:
     """Samples of a channel, NaN where the file calls them invalid; None where they are no real numbers."""
     found = file.get(name, group=group, index=number, ignore_invalidation_bits=True, record_count=most, raw=False)
     values = np.asarray(found.samples)
     if values.ndim != 1 or values.dtype.kind not in _REALS:
         return None
     small = values.dtype.itemsize <= 2 or values.dtype == np.float32
-    made = values.astype(np.float32 if small else np.float64)
+    made: FloatArray = values.astype(np.float32 if small else np.float64)
     invalid = getattr(found, "invalidation_bits", None)
     if invalid is not None and np.size(invalid) == made.size:
         made[np.asarray(invalid, dtype=bool)] = np.nan
     return made
 
 
-def _read(parser: Any, path: Path, wanted: dict[str, _Place]) -> dict[str, Any]:
+def _read(parser: Any, path: Path, wanted: dict[str, _Place]) -> dict[str, FloatArray]:
     """Columns by name."""
-    columns: dict[str, Any] = {}
+    columns: dict[str, FloatArray] = {}
     with parser(str(path)) as file:
         names = list(file.groups)
         for name, place in wanted.items():
             channels = names[place.group].channels
             if place.number >= 0:
-                columns[name] = _samples(file, channels[place.number].name, place.group, place.number)
+                column = _samples(file, channels[place.number].name, place.group, place.number)
+                assert column is not None  # its first sample was a real number
+                columns[name] = column
                 continue
             master = channels[file.masters_db[place.group]]
             stamps = np.asarray(file.get_master(place.group), dtype=np.float64)

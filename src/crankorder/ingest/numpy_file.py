@@ -48,7 +48,17 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
 def _table(path: Path, settings: IngestSettings) -> npt.NDArray[Any]:
     """The array, mapped, as (sample, channel), or (sample,) with fields; nothing of it is read yet."""
-    data = _mapped(path)
+    try:
+        with np.errstate(over="raise"):
+            data = np.load(path, mmap_mode="r", allow_pickle=False)
+    except Exception as error:  # a header is read as Python's literals: whatever its parser raises, it is damaged
+        if "Python objects" in str(error) or "pickle" in str(error):
+            raise UnsafeInputError(
+                "holds Python objects, a pickle that can run code: never opened", remedy="Save an array of numbers"
+            ) from None
+        raise InputError("is damaged or truncated", found=error, remedy="Copy it again") from None
+    if not isinstance(data, np.memmap):
+        raise InputError("is no array of signals", found=type(data).__name__, allowed="one array")
     dtype = data.dtype
     kinds = {dtype[index].kind for index in range(len(dtype.names))} if dtype.names else {dtype.kind}
     flat = all(not dtype[index].shape for index in range(len(dtype.names or ())))
@@ -65,22 +75,6 @@ def _table(path: Path, settings: IngestSettings) -> npt.NDArray[Any]:
         return table.reshape(-1)
     table = table.reshape(-1, 1) if table.ndim < 2 else table
     return table.T if table.shape[1] > table.shape[0] else table
-
-
-def _mapped(path: Path) -> npt.NDArray[Any]:
-    """The array at ``path``, mapped: NumPy runs nothing of it and takes no memory, whatever its header claims."""
-    try:
-        with np.errstate(over="raise"):
-            data = np.load(path, mmap_mode="r", allow_pickle=False)
-    except Exception as error:  # a header is read as Python's literals: whatever its parser raises, it is damaged
-        if "Python objects" in str(error) or "pickle" in str(error):
-            raise UnsafeInputError(
-                "holds Python objects, a pickle that can run code: never opened", remedy="Save an array of numbers"
-            ) from None
-        raise InputError("is damaged or truncated", found=error, remedy="Copy it again") from None
-    if not isinstance(data, np.memmap):
-        raise InputError("is no array of signals", found=type(data).__name__, allowed="one array")
-    return data
 
 
 def _names(table: npt.NDArray[Any]) -> tuple[str, ...]:

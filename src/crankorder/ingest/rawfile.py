@@ -86,7 +86,7 @@ class RawFile:
     rates_hz: Mapping[Source, float] = field(default_factory=dict)
     starts_s: Mapping[Source, float] = field(default_factory=dict)
     rate_uncertainty: float = 0.0
-    attrs: Mapping[str, Any] = field(default_factory=dict)
+    attrs: Mapping[str, float] = field(default_factory=dict)
     flags: list[QualityFlag] = field(default_factory=list)
 
 

@@ -6,14 +6,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from crankorder.errors import InputError
 from crankorder.fft.integration import faded_samples, integrated
-from crankorder.ingest.breaks import laid_apart
 from crankorder.ingest.channel import STATES_NO_UNIT, Channel, Scaling, file_to_analysed
 from crankorder.ingest.encoder_table import SOURCELESS_KINDS, TIME_KINDS, TRACE_KINDS
 from crankorder.ingest.folder import check_regular
@@ -23,11 +21,18 @@ from crankorder.ingest.manifest import Manifest
 from crankorder.ingest.rawfile import FloatArray, RawFile, Source, flag, looks_counted, named, stacked
 from crankorder.ingest.record_faults import MAY_HAVE_LEVELS, Sampled, judged
 from crankorder.ingest.roles import read_checked
-from crankorder.ingest.sampling import TimeColumn, agreed_rate, read_time_column, seconds_of
-from crankorder.ingest.shaft_signals import Gathered, ShaftSignals
+from crankorder.ingest.sampling import (
+    ENCODER,
+    TimeColumn,
+    agreed_rate,
+    bases_of,
+    on_one_base,
+    read_time_column,
+    seconds_of,
+)
+from crankorder.ingest.shaft_signals import Gathered, ShaftSignals, laid_apart
 from crankorder.ingest.signal_faults import mend_signal
-from crankorder.ingest.time_bases import ENCODER, bases_of, on_one_base
-from crankorder.quantities import QualityFlag, Recording, Severity, with_flags
+from crankorder.quantities import Attribute, QualityFlag, Recording, Severity, with_flags
 from crankorder.settings import IngestSettings, ShaftSettings
 
 # A rate in doubt by more than this moves frequencies further than their own errors.
@@ -121,7 +126,10 @@ def recording_of(
     if channels and manifest.encoder.kind in TRACE_KINDS and bases[ENCODER] == base and not has_stretches:
         laid_apart(recording, channels, path, flags)
     if manifest.of_shaft_alone:
-        signals = np.empty((0, _trace_length(raw, manifest)), dtype=np.float32)
+        source = manifest.encoder.source
+        # the samples of the encoder's trace; of listed times there are none
+        n_samples = raw.columns[source].size if manifest.has_samples and source is not None else 0
+        signals = np.empty((0, n_samples), dtype=np.float32)
         return _with_signals(recording, signals, manifest, flags)
     signals = stacked(list(channels.values()))
     faults, scalings = [], list[Scaling]()
@@ -142,7 +150,7 @@ def recording_of(
 
 def _sampled(recording: Gathered, manifest: Manifest, scalings: Sequence[Scaling]) -> Sampled:
     """How the signals of ``recording`` were sampled, and at which speed, for a look at their faults."""
-    attrs, by_angle = recording.attrs, manifest.sampling.domain == "crank_angle"
+    by_angle = manifest.sampling.domain == "crank_angle"
     return Sampled(
         names=[channel.name for channel in manifest.channels],
         quantities=[
@@ -150,28 +158,26 @@ def _sampled(recording: Gathered, manifest: Manifest, scalings: Sequence[Scaling
             for channel, scaling in zip(manifest.channels, scalings, strict=True)
         ],
         units=[scaling.unit.name for scaling in scalings],
-        rate=float(attrs["samples_per_rev"] if by_angle else attrs["rate_hz"]),
-        start=attrs["start_deg"] / 360.0 if by_angle else float(attrs.get("start_s", 0.0)),
+        rate=recording.number("samples_per_rev" if by_angle else "rate_hz"),
+        start=recording.number("start_deg") / 360.0 if by_angle else recording.number("start_s", 0.0),
         unit="rev" if by_angle else "s",
-        rate_hz=math.nan if by_angle else float(attrs["rate_hz"]),
+        rate_hz=math.nan if by_angle else recording.number("rate_hz"),
         shaft_hz=_mean_speed_hz(recording),
     )
 
 
 def _mean_speed_hz(recording: Gathered) -> float:
     """Mean speed of the shaft as the pulses or the manifest tell it, 0 without a shaft, NaN where unknown."""
-    attrs = recording.attrs
-    if not attrs.get("has_shaft", 1):
+    if not recording.number("has_shaft", 1):
         return 0.0
-    if "speed_rpm" in attrs:
-        return float(attrs["speed_rpm"]) / 60.0
+    if "speed_rpm" in recording.attrs:
+        return recording.number("speed_rpm") / 60.0
     if "speed_signal" in recording.variables:
         return float(np.mean(recording.variables["speed_signal"].values)) / 60.0
     times = recording.variables["pulse_time"].values if "pulse_time" in recording.variables else np.empty(0)
-    teeth = len(attrs.get("tooth_angles_deg", [])) or attrs.get("pulses_per_rev", 0) - attrs.get("missing_teeth", 0)
-    if times.size < 2 or not teeth > 0:
+    if times.size < 2 or not recording.teeth > 0:
         return math.nan
-    return float((times.size - 1) / (times[-1] - times[0]) / teeth / attrs.get("ratio", 1.0))
+    return float((times.size - 1) / (times[-1] - times[0]) / recording.teeth / recording.number("ratio", 1.0))
 
 
 def _wanted(manifest: Manifest) -> list[Source]:
@@ -227,11 +233,12 @@ def _axis(
 ) -> tuple[Gathered, float]:
     """A recording with the attributes of the sampling alone, and its rate in Hz (NaN by crank angle)."""
     sampling = manifest.sampling
-    attrs: dict[str, Any] = {"recording": manifest.name_of(path), "domain": sampling.domain}
+    attrs: dict[str, Attribute] = {"recording": manifest.name_of(path), "domain": sampling.domain}
     attrs["revs_per_cycle"] = manifest.revs_per_cycle
     if manifest.test.cycle == "none":
         attrs["has_shaft"] = 0
     if sampling.domain == "crank_angle":
+        assert sampling.samples_per_rev is not None  # the manifest states it of this domain
         attrs |= {"samples_per_rev": sampling.samples_per_rev, "start_deg": sampling.start_deg}
     if sampling.domain == "crank_angle" or not manifest.has_samples:
         return Gathered(attrs), math.nan
@@ -266,12 +273,6 @@ def _rate_flags(
     return flags
 
 
-def _trace_length(raw: RawFile, manifest: Manifest) -> int:
-    """Samples of the encoder's trace, 0 where the file lists times."""
-    source = manifest.encoder.source
-    return raw.columns[source].size if manifest.has_samples and source is not None else 0
-
-
 def _to_analysed_unit(
     signal: FloatArray, channel: Channel, file_unit: str, path: Path, flags: list[QualityFlag]
 ) -> Scaling:
@@ -303,9 +304,9 @@ def _integrate(
     place: str,
 ) -> QualityFlag:
     """Integrate ``signal`` in place from the unit of ``scaling`` to the channel's; the remark that says how."""
-    rate_hz = float(recording.attrs.get("rate_hz", math.nan))
+    rate_hz = recording.number("rate_hz")
     if recording.attrs["domain"] == "crank_angle":
-        rate_hz = float(recording.attrs["samples_per_rev"]) * float(recording.attrs.get("speed_rpm", math.nan)) / 60.0
+        rate_hz = recording.number("samples_per_rev") * recording.number("speed_rpm") / 60.0
     if not math.isfinite(rate_hz):
         raise InputError(
             f"channel {channel.name}: samples by crank angle at an unknown speed cannot be integrated by time",
@@ -360,6 +361,6 @@ def _with_signals(
     for name, values in texts.items():
         recording.add(name, "channel", np.array(values, dtype=np.str_), "1", name)
     coords = {name: recording.variables.pop(name) for name in texts}
-    for one in flags:
-        one["recording"] = recording.attrs["recording"]
+    for remark in flags:
+        remark["recording"] = str(recording.attrs["recording"])
     return Recording(with_flags(xr.Dataset(recording.variables, coords, recording.attrs), flags))

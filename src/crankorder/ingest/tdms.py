@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from crankorder.errors import InputError, printable
 from crankorder.ingest.child import in_child, package
 from crankorder.ingest.rawfile import (
     Contents,
+    FloatArray,
     RawFile,
     Source,
     check_budget,
@@ -70,7 +71,7 @@ def _parser() -> Any:
     return package("nptdms", "TDMS files", "Run: pip install 'crankorder[tdms]'").TdmsFile
 
 
-def _channels(file: Any) -> dict[str, Any]:
+def _channels(file: Any) -> Mapping[str, Any]:
     """Channels of real numbers by name; the group is part of it where there are several."""
     groups = file.groups()
     found = [
@@ -87,7 +88,7 @@ def _contents(parser: Any, path: Path) -> Contents:
         return _told(channels := _channels(file), channels, path)[0]
 
 
-def _told(channels: dict[str, Any], dated: Collection[str], path: Path) -> tuple[Contents, list[QualityFlag]]:
+def _told(channels: Mapping[str, Any], dated: Collection[str], path: Path) -> tuple[Contents, list[QualityFlag]]:
     """What the properties of the ``channels`` say, and flags of dates of the ``dated`` that were not set."""
     steps = {name: channel.properties.get("wf_increment") for name, channel in channels.items()}
     units = {
@@ -127,14 +128,14 @@ class _Cut:
 
 def _read(
     parser: Any, path: Path, sources: Sequence[Source], settings: IngestSettings
-) -> tuple[Contents, dict[str, Any], _Cut | None, list[QualityFlag]]:
+) -> tuple[Contents, dict[str, FloatArray], _Cut | None, list[QualityFlag]]:
     """What the file holds, columns by name, what it lacks of its end, and flags of dates that were not set."""
     with _heard() as said, parser.open(path, raw_timestamps=True) as file:
         channels = _channels(file)
         names = dict.fromkeys(names_of(sources, tuple(channels), path).values())
         told, undated = _told(channels, names, path)
         check_budget(sum(8 * told.samples[name] for name in names), settings)
-        columns = {}
+        columns: dict[str, FloatArray] = {}
         for name in names:
             values = np.asarray(channels[name][:])
             columns[name] = values.astype(float_type_for(values.dtype), copy=False)
@@ -146,7 +147,7 @@ def _read(
         return told, columns, cut, undated
 
 
-def _stated_samples(file: Any, channels: dict[str, Any]) -> dict[str, int]:
+def _stated_samples(file: Any, channels: Mapping[str, Any]) -> dict[str, int]:
     """Samples of each of the ``channels`` with those that the last chunk of ``file`` states and lacks."""
     lacking = file.file_status.channel_statuses or {}
     return {
@@ -156,7 +157,7 @@ def _stated_samples(file: Any, channels: dict[str, Any]) -> dict[str, int]:
     }
 
 
-def _cut(path: Path, columns: dict[str, Any], stated: dict[str, int], said: str) -> _Cut | None:
+def _cut(path: Path, columns: Mapping[str, FloatArray], stated: dict[str, int], said: str) -> _Cut | None:
     """What ``path`` lacks of its end, None where it is whole; ``columns`` of ``stated`` lengths are in it."""
     size, end = path.stat().st_size, _stated_bytes(path)
     if end == size:

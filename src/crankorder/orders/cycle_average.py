@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from crankorder.errors import InputError
 from crankorder.fft.windows import power_of_two
-from crankorder.orders.between_recordings import one_phase_reference, phase_reference_of
+from crankorder.orders.intervals import one_phase_reference, phase_reference_of
 from crankorder.orders.method import MOST_CONTENT, SignalsByAngle, is_by_angle, rev_frequencies, signals_by_angle
 from crankorder.quantities import Bools, Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
@@ -316,7 +316,11 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
     made.attrs = {key: items[0].attrs[key] for key in kept} | {"speed_bin_rpm": speed_bin_rpm}
     if not comparable:
         made.attrs |= {"phase_reference": phase_reference_of(items), "cycle_known": 0}
-    return with_flags(made, [*(flag for item in items for flag in flags_of(item)), *_left_out_flags(left_out)])
+    flags = [flag for item in items for flag in flags_of(item)]
+    if left_out:
+        detail = f"angle 0 is not known to be the same in every recording: {left_out} at like speed left out"
+        flags.append(QualityFlag(recording="", flag="cycles_not_joined", severity="info", detail=detail))
+    return with_flags(made, flags)
 
 
 def _is_one_turn(item: xr.Dataset) -> bool:
@@ -355,9 +359,3 @@ def _joined(parts: list[CycleStatistics]) -> CycleStatistics:
         "maximum": np.fmax.reduce([part["maximum"] for part in parts]),
         "n_cycles": count.sum(axis=0)[:, 0],
     }
-
-
-def _left_out_flags(left_out: int) -> list[QualityFlag]:
-    detail = f"angle 0 is not known to be the same in every recording: {left_out} at like speed left out"
-    flag = QualityFlag(recording="", flag="cycles_not_joined", severity="info", detail=detail)
-    return [flag] if left_out else []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -35,7 +35,17 @@ from crankorder.orders.envelope_combs import (
     over_skirts,
     served,
 )
-from crankorder.quantities import Bools, Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.quantities import (
+    Attribute,
+    Bools,
+    Floats,
+    Ints,
+    QualityFlag,
+    Variables,
+    channel_coords,
+    flags_of,
+    with_flags,
+)
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import angle_at, knots_of, time_at
 from crankorder.shaft.speed_groups import speed_groups
@@ -373,7 +383,7 @@ def _dataset(
         "n_independent": np.array([[shown.n_independent * one.share] for one in chosen]),
     }
     frames, dims = shown.frames, ("channel", "speed", "order")
-    variables: dict[str, Any] = {name: (dims[: one.ndim], one, _WORDS[name]) for name, one in values.items()}
+    variables: Variables = {name: (dims[: array.ndim], array, _WORDS[name]) for name, array in values.items()}
     variables["revs_per_frame"] = (("speed",), np.array([frames.revs]), _WORDS["revs_per_frame"])
     if combs:
         variables |= looks_of(combs, bands, order=frames.order, looks=np.stack([one.looks for one in chosen]))
@@ -382,7 +392,7 @@ def _dataset(
     return made
 
 
-def _coords(recording: xr.Dataset, speed: Floats, order: Floats) -> dict[str, Any]:
+def _coords(recording: xr.Dataset, speed: Floats, order: Floats) -> Variables:
     reference = {"units": "1", "long_name": "order of the envelope", "order_reference": "crankshaft"}
     return {
         **channel_coords(recording),
@@ -391,7 +401,7 @@ def _coords(recording: xr.Dataset, speed: Floats, order: Floats) -> dict[str, An
     }
 
 
-def _attrs(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> dict[str, Any]:
+def _attrs(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> dict[str, Attribute]:
     kept = {key: recording.attrs[key] for key in ("recording", "history", "quality") if key in recording.attrs}
     nominal = recording.attrs.get("encoder_kind") == "constant"
     return kept | {
@@ -436,7 +446,19 @@ def envelope_map(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset
     left_out = [str(item.attrs["recording"]) for item, is_alike in zip(full, alike, strict=True) if not is_alike]
     remarks = [QualityFlag(recording=name, flag="left_out", severity="bad", detail=detail) for name in left_out]
     made = _averaged(used, speed_bin_rpm) if used else items[0].copy()
-    made.attrs = _map_attrs(used or items) | {"speed_bin_rpm": speed_bin_rpm}
+    sources = used or items
+    nominal = any(item.attrs["speed_basis"] == "nominal" for item in sources)
+    # what holds for all recordings, the widest of what was tried, sums of times
+    made.attrs = {
+        "revs_per_cycle": int(sources[0].attrs["revs_per_cycle"]),
+        "lowest_order": float(sources[0].attrs["lowest_order"]),
+        "speed_basis": "nominal" if nominal else "measured",
+        "bands_tried": max(int(item.attrs["bands_tried"]) for item in sources),
+        "analysed_s": float(sum(item.attrs["analysed_s"] for item in sources)),
+        "recorded_s": float(np.nansum([item.attrs["recorded_s"] for item in sources])),
+        "history": str(sources[0].attrs.get("history", "")),
+        "speed_bin_rpm": speed_bin_rpm,
+    }
     return with_flags(made, [flag for item in items for flag in flags_of(item)] + remarks)
 
 
@@ -470,7 +492,7 @@ def _averaged(used: list[xr.Dataset], speed_bin_rpm: float) -> xr.Dataset:
         columns["band_low"].append(stacked("band_low", group).min(axis=0))
         columns["band_high"].append(stacked("band_high", group).max(axis=0))
         revs.append(min(int(used[k].variables["revs_per_frame"].values[0]) for k in group))
-    variables: dict[str, Any] = {
+    variables: Variables = {
         name: (first.variables[name].dims, np.stack(values, axis=1), dict(first.variables[name].attrs))
         for name, values in columns.items()
     }
@@ -483,17 +505,3 @@ def _averaged(used: list[xr.Dataset], speed_bin_rpm: float) -> xr.Dataset:
         "order": first["order"],
     }
     return xr.Dataset(variables, coords=coords)
-
-
-def _map_attrs(used: list[xr.Dataset]) -> dict[str, Any]:
-    """Attributes of the map: those of a recording that hold for all, the widest of what was tried, sums of times."""
-    nominal = any(item.attrs["speed_basis"] == "nominal" for item in used)
-    return {
-        "revs_per_cycle": int(used[0].attrs["revs_per_cycle"]),
-        "lowest_order": float(used[0].attrs["lowest_order"]),
-        "speed_basis": "nominal" if nominal else "measured",
-        "bands_tried": max(int(item.attrs["bands_tried"]) for item in used),
-        "analysed_s": float(sum(item.attrs["analysed_s"] for item in used)),
-        "recorded_s": float(np.nansum([item.attrs["recorded_s"] for item in used])),
-        "history": str(used[0].attrs.get("history", "")),
-    }

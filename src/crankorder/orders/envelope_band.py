@@ -93,7 +93,10 @@ def band_tree(low_hz: float, high_hz: float, *, least_width_hz: float) -> tuple[
 
 def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> Blocks:
     """Spectra of the overlapping blocks of ``signal`` (samples,) from the sample ``begin`` to the sample ``end``."""
-    plan = _forward()
+    # plan of this thread for the transform of a block of real samples
+    if "forward" not in _of_thread.__dict__:
+        _of_thread.forward = forward((BLOCK_SAMPLES,), np.float32)
+    plan: Plan = _of_thread.forward
     hop = BLOCK_SAMPLES - 2 * GUARD_SAMPLES
     firsts = range(int(begin) // hop * hop, int(np.ceil(end)) + 1, hop)
     made = np.empty((len(firsts), BLOCK_SAMPLES // 2 + 1), dtype=np.complex64)
@@ -195,14 +198,6 @@ def _size_from(least: int) -> int:
     """Next power of two, or 10 or 12 eighths of one, from ``least`` on: few fast sizes, so that plans serve again."""
     power = 1 << max(least - 1, 1).bit_length() >> 1
     return next(size for eighths in (8, 10, 12, 16) if (size := power * eighths // 8) >= least)
-
-
-def _forward() -> Plan:
-    """Plan of this thread for the transform of a block of real samples."""
-    if "forward" not in _of_thread.__dict__:
-        _of_thread.forward = forward((BLOCK_SAMPLES,), np.float32)
-    plan: Plan = _of_thread.forward
-    return plan
 
 
 def _inverse(rows: int, n_out: int) -> Plan:

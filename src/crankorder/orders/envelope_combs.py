@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc
 
 from crankorder.orders.envelope_band import Band, middles
-from crankorder.quantities import Bools, Floats, Ints
+from crankorder.quantities import Bools, Floats, Ints, Variables
 
 FLOOR_ORDERS = 1.0
 """Width in orders of the pieces of a spectrum whose medians are the floor: wide against any line and its skirts."""
@@ -287,7 +287,7 @@ def over_skirts(ratio: NDArray[np.floating]) -> Floats:
 
 def looks_of(
     combs: tuple[Comb, ...], bands: tuple[Band, ...], *, order: Floats, looks: NDArray[np.float32]
-) -> dict[str, Any]:
+) -> Variables:
     """Variables of a RecordingEnvelope: what each of ``bands`` shows where lines of ``combs`` may be.
 
     ``looks`` (channel, 3, bands, looks): the power over the skirts of other lines, that over the local floor, and the
@@ -305,7 +305,7 @@ def looks_of(
     return made
 
 
-def comb_variables(combs: tuple[Comb, ...]) -> dict[str, Any]:
+def comb_variables(combs: tuple[Comb, ...]) -> Variables:
     """``combs`` as variables of a dataset."""
     columns = np.array(combs, dtype=np.float64).reshape(-1, len(Comb._fields)).T
     return {f"comb_{name}": (("comb",), column, _OF_COMB) for name, column in zip(Comb._fields, columns, strict=True)}
@@ -319,7 +319,7 @@ def combs_in(dataset: xr.Dataset) -> tuple[Comb, ...]:
     return tuple(Comb(*row) for row in zip(*columns, strict=True))
 
 
-def joined_looks(groups: list[list[xr.Dataset]]) -> dict[str, Any]:
+def joined_looks(groups: list[list[xr.Dataset]]) -> Variables:
     """Variables of an EnvelopeMap: for each comb its lines in the one band that serves it best in the whole test.
 
     ``groups`` are the RecordingEnvelopes of like speed; empty where one of them was made without combs, or with

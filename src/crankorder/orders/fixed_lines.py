@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from scipy.fft import fft, ifft, next_fast_len
 
-from crankorder.fft.band import sound_samples
+from crankorder.fft.decimation import sound_samples
 from crankorder.findings import Findings
 from crankorder.orders.averages import whitening
 from crankorder.orders.intervals import LARGEST_DOF, NORMAL, amplitude_interval, phase_interval_deg

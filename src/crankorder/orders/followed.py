@@ -10,9 +10,9 @@ import numpy as np
 import xarray as xr
 
 from crankorder.errors import InputError
-from crankorder.fft.band import sound_samples
+from crankorder.fft.decimation import sound_samples
 from crankorder.orders.averages import POLES, Readings, by_energy, by_phase, coherent_mean
-from crankorder.orders.between_recordings import phases_compare
+from crankorder.orders.intervals import phases_compare
 from crankorder.orders.method import frame_layout, is_by_angle
 from crankorder.orders.swept_tracks import beyond_remark, filtered_tracks, not_tracked_flags, swept_tracks
 from crankorder.orders.vold_kalman.bandwidth import level_dof

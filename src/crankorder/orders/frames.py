@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from crankorder.errors import InputError
-from crankorder.fft.band import band_limited
-from crankorder.fft.decimation import decimation_factor
+from crankorder.fft.decimation import band_limited, decimation_factor
 from crankorder.fft.windows import hann
 from crankorder.orders.method import (
     METHOD_SHARE,
@@ -92,8 +90,8 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         raise _no_whole_frame(band, layout, speed)
     order = np.arange(spectrum.shape[2]) / layout.revs
     spectrum[:, order[None, :] > limit[:, None] * (1.0 + 1e-9)] = np.nan
-    frames = _dataset(band, spectrum, order, speed, layout.begin_rev)
-    frames.attrs = _attrs(band, shaft, layout, density) | {
+    frames = _dataset(band, shaft, layout, spectrum, order, speed, density=density)
+    frames.attrs |= {
         "largest_sweep": _largest_sweep(shaft, layout, speed),
         "swept": int(swept),
         "frame_length_by": "sweep" if layout.shortened else "settings",
@@ -125,9 +123,9 @@ def _no_orders(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> 
     layout = FrameLayout(OrderMethod("no shaft", 0.0, 0, 0.0), settings.revs_per_frame, 1, np.zeros(1))
     order = np.arange(math.floor(settings.max_order * layout.revs) + 1) / layout.revs
     spectrum = np.full((band.sizes["channel"], 1, len(order)), np.nan, dtype=np.complex128)
-    frames = _dataset(band, spectrum, order, np.full(1, np.nan), layout.begin_rev)
+    frames = _dataset(band, shaft, layout, spectrum, order, np.full(1, np.nan))
     known = {"largest_sweep": 0.0, "tolerance": settings.tolerance, "predicted_error": 0.0, "achieved_error": 0.0}
-    frames.attrs = _attrs(band, shaft, layout, 1) | known
+    frames.attrs |= known
     return with_flags(frames, flags_of(shaft))
 
 
@@ -152,30 +150,22 @@ def _largest_sweep(shaft: xr.Dataset, layout: FrameLayout, speed_rpm: Floats) ->
     return float((60.0 * np.abs(1.0 / last - 1.0 / first) / speed_rpm).max())
 
 
-def _dataset(band: xr.Dataset, spectrum: Complexes, order: Floats, speed: Floats, start_angle: Floats) -> xr.Dataset:
-    return xr.Dataset(
-        {
-            "spectrum": (
-                ("channel", "frame", "order"),
-                spectrum,
-                {"units": "see unit", "long_name": "complex peak amplitude by order"},
-            )
-        },
-        coords=unindexed(
-            **channel_coords(band),
-            order=("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
-            speed=("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"}),
-            crank_angle=("frame", start_angle, {"units": "rev", "long_name": "crank angle at the start"}),
-        ),
-    )
-
-
-def _attrs(band: xr.Dataset, shaft: xr.Dataset, layout: FrameLayout, density: int) -> dict[str, Any]:
+def _dataset(
+    band: xr.Dataset,
+    shaft: xr.Dataset,
+    layout: FrameLayout,
+    spectrum: Complexes,
+    order: Floats,
+    speed: Floats,
+    *,
+    density: int = 1,
+) -> xr.Dataset:
+    """OrderFrames with the attributes that all recordings have; phases and frames are those of ``layout``."""
     kept = {key: band.attrs[key] for key in ("recording", "history", "quality", "samples_per_rev") if key in band.attrs}
     kernel = layout.method.kernel
     dense = f", {density} times as dense" if density > 1 else ""
     window = hann(layout.revs * 16)  # a Hann window's noise bandwidth is that of any length
-    return kept | {
+    attrs = {
         "amplitude_scaling": "peak",
         "phase_reference": shaft.attrs["phase_reference"],
         "cycle_known": shaft.attrs["cycle_known"],
@@ -186,6 +176,17 @@ def _attrs(band: xr.Dataset, shaft: xr.Dataset, layout: FrameLayout, density: in
         "overlap": 1.0 - layout.hop_rev / layout.revs,
         "method": layout.method.name if kernel is None else f"{layout.method.name} ({kernel.name}{dense})",
     }
+    words = {"units": "see unit", "long_name": "complex peak amplitude by order"}
+    return xr.Dataset(
+        {"spectrum": (("channel", "frame", "order"), spectrum, words)},
+        coords=unindexed(
+            **channel_coords(band),
+            order=("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
+            speed=("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"}),
+            crank_angle=("frame", layout.begin_rev, {"units": "rev", "long_name": "crank angle at the start"}),
+        ),
+        attrs=kept | attrs,
+    )
 
 
 def _flags(

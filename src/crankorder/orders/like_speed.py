@@ -20,7 +20,7 @@ from crankorder.orders.averages import (
     steepest_noise_beside,
 )
 from crankorder.orders.intervals import beyond_chance
-from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, with_flags
+from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, Severity, with_flags
 from crankorder.shaft.speed_groups import Indices, held_speeds, speed_groups
 
 LEAST_WINDOW = 0.1
@@ -69,7 +69,10 @@ def common_frames(frames: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], list[
         used += [] if made is None else [made]
         flags.append(flag)
     fewest = min(item.sizes["order"] for item in used)
-    flags += [_cut_flag(item, fewest) for item in used if item.sizes["order"] > fewest]
+    for item in used:
+        if item.sizes["order"] > fewest:
+            ends = f"orders from {item['order'].values[fewest]:g} to {item['order'].values[-1]:g} left out"
+            flags.append(_remark(item, "orders_cut", f"{ends}: another recording of the test ends there"))
     return [item if item.sizes["order"] == fewest else item.isel(order=slice(fewest)) for item in used], flags
 
 
@@ -77,10 +80,13 @@ def _at_length(item: xr.Dataset, revs: int, *, by_sweep: bool) -> tuple[xr.Datas
     """OrderFrames ``item`` as frames of ``revs`` revolutions, None where it cannot be, and what is told of it."""
     length = int(item.attrs["revs_per_frame"])
     if length > revs and length % revs == 0 and (cut := reframed(item, revs)) is not None:
-        return cut, _cut_length_flag(item, revs, by_sweep=by_sweep)
+        why = "the fastest sweep of the test asks for" if by_sweep else "most others have"
+        return cut, _remark(item, "frames_cut", f"frames of {length} revolutions are cut into {revs}, as {why}")
     if not by_sweep and NEARLY <= length / revs <= 1.0 / NEARLY and item.attrs["window"] == "hann":
-        return at_orders_of(item, revs), _near_length_flag(item, revs)
-    return None, _length_flag(item, revs)
+        detail = f"frames of {length} revolutions are shown on the orders of {revs}, which most others have"
+        return at_orders_of(item, revs), _remark(item, "frames_on_common_orders", detail)
+    detail = f"frames of {length} revolutions where most others have {revs}: left out"
+    return None, _remark(item, "frame_length_differs", detail, "bad")
 
 
 def at_orders_of(item: xr.Dataset, revs: int) -> xr.Dataset:
@@ -224,27 +230,9 @@ def _dataset(
     return with_flags(made, [])
 
 
-def _length_flag(item: xr.Dataset, common: int) -> QualityFlag:
-    detail = f"frames of {item.attrs['revs_per_frame']} revolutions where most others have {common}: left out"
-    return QualityFlag(recording=item.attrs["recording"], flag="frame_length_differs", severity="bad", detail=detail)
-
-
-def _near_length_flag(item: xr.Dataset, common: int) -> QualityFlag:
-    own, name = item.attrs["revs_per_frame"], item.attrs["recording"]
-    detail = f"frames of {own} revolutions are shown on the orders of {common}, which most others have"
-    return QualityFlag(recording=name, flag="frames_on_common_orders", severity="info", detail=detail)
-
-
-def _cut_length_flag(item: xr.Dataset, common: int, *, by_sweep: bool) -> QualityFlag:
-    why = "the fastest sweep of the test asks for" if by_sweep else "most others have"
-    detail = f"frames of {item.attrs['revs_per_frame']} revolutions are cut into {common}, as {why}"
-    return QualityFlag(recording=item.attrs["recording"], flag="frames_cut", severity="info", detail=detail)
-
-
-def _cut_flag(item: xr.Dataset, fewest: int) -> QualityFlag:
-    order = item["order"].values
-    detail = f"orders from {order[fewest]:g} to {order[-1]:g} left out: another recording of the test ends there"
-    return QualityFlag(recording=item.attrs["recording"], flag="orders_cut", severity="info", detail=detail)
+def _remark(item: xr.Dataset, flag: str, detail: str, severity: Severity = "info") -> QualityFlag:
+    """Flag of the recording of ``item``, whose frames ``detail`` tells of."""
+    return QualityFlag(recording=item.attrs["recording"], flag=flag, severity=severity, detail=detail)
 
 
 @dataclass(frozen=True)

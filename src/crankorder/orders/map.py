@@ -22,19 +22,21 @@ from crankorder.orders.averages import (
     noise_of_mean,
     steepest_noise_beside,
 )
-from crankorder.orders.between_recordings import (
+from crankorder.orders.intervals import (
     BetweenRecordings,
+    amplitude_interval,
     between_recordings,
     ends_between,
+    energy_interval,
     one_phase_reference,
+    phase_interval_deg,
     phase_reference_of,
     phases_compare,
     wider_of,
 )
-from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg
 from crankorder.orders.like_speed import Bins, Frames, all_frames, common_frames, rows
 from crankorder.orders.true_angle import AngleErrors, errors_of_rows, given_to
-from crankorder.quantities import Bools, Complexes, Floats, Ints, channel_coords, flags_of, with_flags
+from crankorder.quantities import Bools, Complexes, Floats, Ints, Variables, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings
 
 BESIDE_WORTH = 2.0
@@ -56,11 +58,6 @@ MOST_BLOCKS = 8
 
 SWEPT_SHARE = 0.1
 """Share of a speed bin from which frames in it are taken to differ in speed."""
-
-Variables = dict[str, tuple[tuple[str, ...], NDArray[Any], dict[str, str]]]
-"""Variables of a dataset to be: dims, values, attributes. Put in at once, for a dataset aligns at every turn."""
-
-
 MOST_VALUES = 1 << 20
 """Values of frames that are averaged at a time: the memory does not grow with their number."""
 
@@ -182,6 +179,23 @@ class Average:
     turned: Floats
 
 
+@dataclass(frozen=True)
+class Framing:
+    """Length [rev] and window of the frames; speeds that differ by over ``swept_rpm`` may change amplitudes."""
+
+    revs: float
+    window: str
+    swept_rpm: float
+
+    def contrasts_of(self, frames: Frames) -> Contrasts:
+        """Contrasts of ``frames`` by their overlap, along their speeds too where these are swept."""
+        correlation = neighbour_correlation(
+            frames.begin_rev, frames.owner, revs_per_frame=self.revs, window=self.window
+        )
+        swept = float(np.ptp(frames.speed_rpm)) > self.swept_rpm  # False where unknown
+        return contrasts(correlation, frames.speed_rpm if swept else None)
+
+
 def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Dataset:
     """OrderMap of a test from the OrderFrames of its recordings.
 
@@ -200,14 +214,19 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     every = all_frames(used)
     comparable = phases_compare(used, order)
     bins, worth = beside_bins(order, line_step=1.0 / int(used[0].attrs["revs_per_cycle"]), count=NEAREST_BINS)
+    framing = Framing(
+        revs=float(used[0].attrs["revs_per_frame"]),
+        window=str(used[0].attrs["window"]),
+        swept_rpm=SWEPT_SHARE * settings.speed_bin_rpm,
+    )
     groups = rows(
         every,
         bins=Bins(bins, worth, comparable),
-        revs_per_frame=float(used[0].attrs["revs_per_frame"]),
-        window=str(used[0].attrs["window"]),
+        revs_per_frame=framing.revs,
+        window=framing.window,
         speed_bin_rpm=settings.speed_bin_rpm,
     )
-    parts = (_average(every.of(group), comparable, used[0].attrs, settings, bins) for group in groups)
+    parts = (_average(every.of(group), comparable, framing, bins) for group in groups)
     columns = list(zip(*([getattr(part, item.name) for item in fields(Average)] for part in parts), strict=True))
     # each is let go as it is joined: twice the averages of a long sweep fill the memory
     whole = Average(*(np.stack(columns.pop(0), axis=1) for _ in fields(Average)))
@@ -218,9 +237,10 @@ def order_map(frames: list[xr.Dataset], *, settings: OrderSettings) -> xr.Datase
     given = given_to(np.abs(whole.coherent), used)
     angle = errors_of_rows(used, every.owner, groups).by_order
     _put_intervals(made, whole, unit, (bins, worth), angle, order, given)
-    if not one_phase_reference(used):
-        made["phase"][1][:], made["phase_ci95"][1][:] = np.nan, np.nan
     result = _dataset(made, used, order, speed, settings)
+    if not one_phase_reference(used):
+        for name in ("phase", "phase_ci95"):
+            result[name].values[:] = np.nan
     return with_flags(result, [flag for item in frames for flag in flags_of(item)] + remarks)
 
 
@@ -295,7 +315,7 @@ def _put_intervals(
     _put(result, "phase_ci95", dims, half, "half width of the 95 % interval of phase; 180: unknown", "degree")
 
 
-def _average(frames: Frames, comparable: Bools, attrs: dict[str, Any], settings: OrderSettings, bins: Ints) -> Average:
+def _average(frames: Frames, comparable: Bools, framing: Framing, bins: Ints) -> Average:
     """Average of a group of ``frames``; those that are NaN, by channel and order, take no part.
 
     Where some are, columns (one channel, one order) with the same frames are averaged together; of very many frames the
@@ -303,11 +323,11 @@ def _average(frames: Frames, comparable: Bools, attrs: dict[str, Any], settings:
     """
     if len(frames.spectrum) > 1 and frames.spectrum.size > MOST_VALUES:
         each = (replace(frames, spectrum=one[None]) for one in frames.spectrum)
-        made_of = [_average(one, comparable, attrs, settings, bins) for one in each]
+        made_of = [_average(one, comparable, framing, bins) for one in each]
         return Average(*(np.concatenate([getattr(one, item.name) for one in made_of]) for item in fields(Average)))
     seen = np.isfinite(frames.spectrum.real)
     if seen.all():
-        return _average_whole(frames, comparable, attrs, settings, bins)
+        return _average_whole(frames, comparable, framing, bins)
     n_channels, _, n_orders = frames.spectrum.shape
     columns = np.moveaxis(frames.spectrum, 1, 2).reshape(n_channels * n_orders, -1)
     patterns, which = np.unique(np.moveaxis(seen, 1, 2).reshape(n_channels * n_orders, -1), axis=0, return_inverse=True)
@@ -317,7 +337,7 @@ def _average(frames: Frames, comparable: Bools, attrs: dict[str, Any], settings:
         if not pattern.any():
             continue
         part = Frames(np.ascontiguousarray(columns[at].T)[None], frames.owner, frames.begin_rev, frames.speed_rpm)
-        mean = _average_whole(part.of(pattern), comparable[at % n_orders], attrs, settings)
+        mean = _average_whole(part.of(pattern), comparable[at % n_orders], framing)
         for target, item in zip(made, fields(Average), strict=True):
             target[at] = getattr(mean, item.name)[0]
     shaped = [values.reshape(n_channels, n_orders) for values in made]
@@ -326,14 +346,12 @@ def _average(frames: Frames, comparable: Bools, attrs: dict[str, Any], settings:
     return replace(filled, apart=np.nan_to_num(filled.apart, nan=1.0), **none)
 
 
-def _average_whole(
-    frames: Frames, comparable: Bools, attrs: dict[str, Any], settings: OrderSettings, bins: Ints | None = None
-) -> Average:
+def _average_whole(frames: Frames, comparable: Bools, framing: Framing, bins: Ints | None = None) -> Average:
     """Average of a group of ``frames`` that all hold numbers; ``comparable`` (orders,) as of :func:`phases_compare`.
 
     ``bins`` (orders, several) are those beside each, None where the columns are no neighbours.
     """
-    spectrum, shape = frames.spectrum, _shape(frames, attrs, settings)
+    spectrum, shape = frames.spectrum, framing.contrasts_of(frames)
     n_frames, columns = spectrum.shape[1], (len(spectrum), spectrum.shape[2])
     power = np.square(spectrum.real) + np.square(spectrum.imag)
     energy = power.mean(axis=1)
@@ -371,21 +389,10 @@ def _average_whole(
     )
     if comparable.all() or (frames.owner == frames.owner[0]).all():
         return made
-    return _without_common_phase(frames, made, comparable, attrs, settings)
+    return _without_common_phase(frames, made, comparable, framing)
 
 
-def _shape(frames: Frames, attrs: dict[str, Any], settings: OrderSettings) -> Contrasts:
-    """How ``frames`` overlap, and whether their speeds differ so much that amplitudes may follow them."""
-    correlation = neighbour_correlation(
-        frames.begin_rev, frames.owner, revs_per_frame=float(attrs["revs_per_frame"]), window=str(attrs["window"])
-    )
-    swept = float(np.ptp(frames.speed_rpm)) > SWEPT_SHARE * settings.speed_bin_rpm  # False where unknown
-    return contrasts(correlation, frames.speed_rpm if swept else None)
-
-
-def _without_common_phase(
-    frames: Frames, made: Average, comparable: Bools, attrs: dict[str, Any], settings: OrderSettings
-) -> Average:
+def _without_common_phase(frames: Frames, made: Average, comparable: Bools, framing: Framing) -> Average:
     """``made`` with the orders whose phases in different recordings say nothing averaged by coherent power instead."""
     names, counts = np.unique(frames.owner, return_counts=True)
     weights = counts / counts.sum()
@@ -394,7 +401,7 @@ def _without_common_phase(
     least, most = (np.where(comparable, values, np.nan) for values in (made.least, made.most))
     for name, weight in zip(names, weights, strict=True):
         part = frames.of(frames.owner == name)
-        shape = _shape(part, attrs, settings)
+        shape = framing.contrasts_of(part)
         mean = part.spectrum.mean(axis=1)
         powers.append(np.square(mean.real) + np.square(mean.imag))
         power += weight * powers[-1]
@@ -456,16 +463,10 @@ def _dataset(
     kept = ("window", "enbw_bins", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "revs_per_cycle")
     result.attrs = {key: first.attrs[key] for key in (*kept, "samples_per_rev") if key in first.attrs}
     result.attrs |= {"phase_reference": phase_reference_of(used), "speed_bin_rpm": settings.speed_bin_rpm}
-    result.attrs |= _accuracy(used)
+    stated = [frames.attrs for frames in used if "method" in frames.attrs]
+    if stated:
+        result.attrs["method"] = ", ".join(sorted({str(attrs["method"]) for attrs in stated}))
+        for name in ("tolerance", "predicted_error", "achieved_error"):
+            # the largest; fmax passes over what was not measured
+            result.attrs[name] = float(np.fmax.reduce([float(attrs[name]) for attrs in stated]))
     return result
-
-
-def _accuracy(used: list[xr.Dataset]) -> dict[str, Any]:
-    """How the frames ``used`` were made, and the largest errors predicted and achieved among them."""
-    stated = [item.attrs for item in used if "method" in item.attrs]
-    if not stated:
-        return {}
-    names = ("tolerance", "predicted_error", "achieved_error")
-    # fmax passes over what was not measured
-    largest = {name: float(np.fmax.reduce([float(a[name]) for a in stated])) for name in names}
-    return {"method": ", ".join(sorted({str(a["method"]) for a in stated}))} | largest

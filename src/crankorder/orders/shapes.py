@@ -14,8 +14,15 @@ from numpy.typing import NDArray
 from crankorder.errors import RequestError
 from crankorder.fft.windows import power_of_two
 from crankorder.orders.averages import NEAREST_BINS, beside_bins, independent_by_memory, pooled, steepest_noise_beside
-from crankorder.orders.between_recordings import between_recordings, phase_reference_of, phases_compare, wider_of
-from crankorder.orders.intervals import amplitude_interval, is_seen, phase_interval_deg
+from crankorder.orders.intervals import (
+    amplitude_interval,
+    between_recordings,
+    is_seen,
+    phase_interval_deg,
+    phase_reference_of,
+    phases_compare,
+    wider_of,
+)
 from crankorder.orders.like_speed import LikeSpeedFrames, like_speed_frames
 from crankorder.quantities import Bools, Complexes, Floats, Ints, channel_coords, flags_of, with_flags
 from crankorder.settings import OrderSettings

@@ -116,7 +116,12 @@ def order_frames_nufft(
     Orders above 0.98 of the Nyquist frequency at a frame's highest speed are NaN.
     Raises RequestError for a frame outside the record or an argument out of range.
     """
-    signals = _checked(signals, rate_hz, revs, tolerance)
+    if not (np.isfinite(rate_hz) and rate_hz > 0.0 and np.isfinite(revs) and revs > 0.0):
+        raise RequestError("rate and frame length must be above 0", found=f"{rate_hz} Hz, {revs} rev")
+    if not LEAST_TOLERANCE <= tolerance <= LARGEST_TOLERANCE:
+        allowed = f"{LEAST_TOLERANCE:g}…{LARGEST_TOLERANCE:g}"
+        raise RequestError("the tolerance is out of range", found=tolerance, allowed=allowed)
+    signals = real_signals(signals)
     begin = np.atleast_1d(np.asarray(begin_rev, dtype=np.float64))
     order = np.arange(n_orders) / revs
     transform = OrderTransform(n_orders=n_orders, n_channels=len(signals), tolerance=tolerance)
@@ -145,15 +150,6 @@ def frame_factor(*, samples_per_frame: float, highest_share: float, tolerance: f
             break
         factor *= 2
     return factor
-
-
-def _checked(signals: NDArray[np.floating], rate_hz: float, revs: float, tolerance: float) -> NDArray[np.floating]:
-    if not (np.isfinite(rate_hz) and rate_hz > 0.0 and np.isfinite(revs) and revs > 0.0):
-        raise RequestError("rate and frame length must be above 0", found=f"{rate_hz} Hz, {revs} rev")
-    if not LEAST_TOLERANCE <= tolerance <= LARGEST_TOLERANCE:
-        allowed = f"{LEAST_TOLERANCE:g}…{LARGEST_TOLERANCE:g}"
-        raise RequestError("the tolerance is out of range", found=tolerance, allowed=allowed)
-    return real_signals(signals)
 
 
 class _Record:

@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.errors import RequestError
-from crankorder.fft.band import band_limited, sound_samples
+from crankorder.fft.decimation import band_limited, sound_samples
 from crankorder.orders.averages import POLES, median_of_known
 from crankorder.orders.fixed_lines import steady_flag, without_steady_lines
 from crankorder.orders.intervals import NORMAL, amplitude_interval, phase_interval_deg

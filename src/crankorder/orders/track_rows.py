@@ -16,7 +16,6 @@ import xarray as xr
 from crankorder.fft.windows import power_of_two
 from crankorder.findings import Findings
 from crankorder.orders.averages import HeldSizes, SizeRows, beside_bins, noise_beside, noise_under
-from crankorder.orders.between_recordings import one_phase_reference
 from crankorder.orders.close_rows import ALIKE_BEATS, CloseRow, Stretch, close_rows, joined_row
 from crankorder.orders.fixed_lines import NUMBERS as FIXED_LINES
 from crankorder.orders.fixed_lines import (
@@ -28,7 +27,13 @@ from crankorder.orders.fixed_lines import (
     met_row,
     met_stretches,
 )
-from crankorder.orders.intervals import NORMAL, amplitude_interval, energy_interval, phase_interval_deg
+from crankorder.orders.intervals import (
+    NORMAL,
+    amplitude_interval,
+    energy_interval,
+    one_phase_reference,
+    phase_interval_deg,
+)
 from crankorder.orders.like_speed import common_frames
 from crankorder.orders.swept_tracks import followed_error
 from crankorder.orders.true_angle import GIVEN, AngleErrors

@@ -7,13 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from crankorder.orders.between_recordings import one_phase_reference
-from crankorder.orders.intervals import NORMAL
+from crankorder.orders.intervals import NORMAL, one_phase_reference
 from crankorder.orders.swing_evidence import (
     HARMONICS,
     Expected,
@@ -26,7 +24,7 @@ from crankorder.orders.swing_evidence import (
     swings_of,
     unless_lines_lack,
 )
-from crankorder.quantities import Complexes, Floats, Ints, QualityFlag, with_flags
+from crankorder.quantities import Attribute, Complexes, Floats, Ints, QualityFlag, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import knots_of
 from crankorder.shaft.audit import reference_of
@@ -102,7 +100,7 @@ class AngleErrors:
         return AngleErrors(self.random[:, None], self.mean[:, None])
 
 
-def stated_errors(shaft: xr.Dataset, *, revs_per_frame: float) -> dict[str, Any]:
+def stated_errors(shaft: xr.Dataset, *, revs_per_frame: float) -> dict[str, Attribute]:
     """The attributes that frames of ``revs_per_frame`` carry of the error of their ShaftAngle ``shaft``."""
     error, of_one = _errors(shaft, revs_per_frame)
     taken = {TAKEN: shaft.attrs[TAKEN]} if TAKEN in shaft.attrs else {}

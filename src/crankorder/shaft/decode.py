@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.errors import InputError, located
-from crankorder.quantities import Floats, QualityFlag, ShaftAngle, check_dataset, with_flags
+from crankorder.quantities import Attribute, Floats, QualityFlag, ShaftAngle, check_dataset, with_flags
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.angle import AngleKnots, angle_knots, integrated_speed
 from crankorder.shaft.pulses import Remark
@@ -22,8 +22,9 @@ from crankorder.shaft.uneven_wheel import wheel_of
 from crankorder.shaft.wheel import (
     MOST_NOISE_TEETH,
     NumberedTeeth,
+    StatedWheel,
     mark_flags,
-    numbered_part,
+    number_teeth,
     stated_wheel,
     times_of,
     undersampled,
@@ -179,13 +180,13 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
     parts: list[slice] = [slice(None)]
     left_out: list[Remark] = []
     if pulse_s.size > 2 and (np.diff(pulse_s) >= 0.0).all():
-        shape = wheel_of(wheel["pulses_per_rev"], wheel.get("missing_teeth", 0), wheel.get("tooth_angles_deg"))
+        shape = wheel_of(*wheel)
         ratio = float(recording.attrs.get("ratio", 1.0))
         widest = float(shape.spans.max() * shape.places.size / shape.grid)
         parts, left_out = running_parts(pulse_s, pulses_per_rev=shape.places.size * ratio, gap=widest, joined=True)
     made = []
     # at rest a few pulses come further and further apart, which no even smoothing follows
-    smooth = len(parts) == 1 or wheel["pulses_per_rev"] > FEW_PULSES
+    smooth = len(parts) == 1 or wheel.pulses_per_rev > FEW_PULSES
     for part in parts:
         try:
             made.append((part, _from_run(recording, settings, wheel, part, smooth=smooth)))
@@ -209,7 +210,7 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
         for part, one in made
     ]
     decoded = [one for _, one in made]
-    knots = joined(runs, wheel["pulses_per_rev"] * float(recording.attrs.get("ratio", 1.0)))
+    knots = joined(runs, wheel.pulses_per_rev * float(recording.attrs.get("ratio", 1.0)))
     if any(one.reference == "none" for one in decoded):
         detail = "no mark tells the angle again after the standstill: between the runs the pulses are counted"
         left_out.append(("standstill_phase", "info", detail))
@@ -225,20 +226,23 @@ class _Decoded:
     cycle_known: bool
     reference: str
     remarks: list[Remark]
-    teeth_stated: dict[str, Any]
+    teeth_stated: dict[str, Attribute]
 
 
 def _from_run(
-    recording: xr.Dataset,
-    settings: ShaftSettings,
-    wheel: dict[str, Any],
-    part: slice,
-    *,
-    smooth: bool,
+    recording: xr.Dataset, settings: ShaftSettings, wheel: StatedWheel, part: slice, *, smooth: bool
 ) -> _Decoded:
     attrs = recording.attrs
     stated, ratio = float(attrs.get("pulse_noise_s", 0.0)), float(attrs.get("ratio", 1.0))
-    teeth = numbered_part(recording, settings, wheel, part)
+    teeth = number_teeth(
+        recording.variables["pulse_time"].values[part].astype(np.float64, copy=False),
+        **wheel._asdict(),
+        settings=settings,
+        index_time_s=times_of(recording, "index_time"),
+        ratio=ratio,
+        noise_s=stated,
+        gap_starts_s=attrs.get("gap_starts_s", ()),
+    )
     cycle = int(attrs["revs_per_cycle"])
     wrong = tooth_errors(teeth, ratio=ratio, revs_per_cycle=cycle, noise_s=stated, settings=settings)
     if wrong is not None:

@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from crankorder.quantities import Bools, Complexes, Floats
+from crankorder.quantities import Attribute, Bools, Complexes, Floats
 from crankorder.settings import ShaftSettings
 from crankorder.shaft.line_pattern import LinePattern, even_line_times, first_order, line_pattern
 from crankorder.shaft.pulses import Remark
@@ -125,7 +124,7 @@ def tooth_remark(errors: ToothErrors, lines: int, ratio: float) -> Remark:
     return ("encoder_tooth_errors", "info", detail)
 
 
-def stated_teeth(errors: ToothErrors | None, *, ratio: float, tdc_rev: float) -> dict[str, Any]:
+def stated_teeth(errors: ToothErrors | None, *, ratio: float, tdc_rev: float) -> dict[str, Attribute]:
     """Attributes of a ShaftAngle that say what of its motion may be the ``errors`` of the teeth.
 
     ``ratio``: encoder revolutions per crank revolution. ``tdc_rev``: crank angle [rev] of top dead centre from tooth 0.
@@ -140,7 +139,7 @@ def stated_teeth(errors: ToothErrors | None, *, ratio: float, tdc_rev: float) ->
     return known | {TOOTH_ORDER: ratio, TOOTH_KEPT: low, TOOTH_PRINT: printed}
 
 
-def same_wheel(stated: Sequence[dict[str, Any]]) -> bool:
+def same_wheel(stated: Sequence[Mapping[str, Attribute]]) -> bool:
     """Whether the teeth whose attributes are ``stated`` err alike, as far as they are known to err."""
     prints = [np.asarray(one[TOOTH_PRINT]) for one in stated if TOOTH_PRINT in one]
     if any(one.shape != prints[0].shape for one in prints):

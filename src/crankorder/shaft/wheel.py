@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -494,11 +494,16 @@ FEWEST_SAMPLES_PER_TOOTH = 2.5
 MOST_NOISE_TEETH = 20_000
 
 
-def stated_wheel(recording: xr.Dataset) -> tuple[dict[str, Any], list[Remark]]:
-    """Arguments of ``number_teeth`` that say what wheel the ``recording`` has, and remarks on how it was found.
+class StatedWheel(NamedTuple):
+    """What wheel a recording has, as :func:`number_teeth` takes it."""
 
-    It is found from the pulses where nothing states it.
-    """
+    pulses_per_rev: int
+    missing_teeth: int = 0
+    tooth_angles_deg: tuple[float, ...] | None = None
+
+
+def stated_wheel(recording: xr.Dataset) -> tuple[StatedWheel, list[Remark]]:
+    """The wheel of ``recording``, found from the pulses where nothing states it, and remarks on how it was found."""
     if "pulse_time" not in recording.variables:
         raise InputError(
             "the recording holds no pulse times", place="encoder", remedy="Check the encoder's source in run.toml"
@@ -509,10 +514,9 @@ def stated_wheel(recording: xr.Dataset) -> tuple[dict[str, Any], list[Remark]]:
     attrs, pulse_s = recording.attrs, max(parts, key=len)
     if "tooth_angles_deg" in attrs:
         angles = tuple(float(angle) for angle in np.atleast_1d(attrs["tooth_angles_deg"]))
-        return {"pulses_per_rev": len(angles), "tooth_angles_deg": angles}, []
+        return StatedWheel(len(angles), tooth_angles_deg=angles), []
     if "pulses_per_rev" in attrs:
-        missing = int(attrs.get("missing_teeth", 0))
-        return {"pulses_per_rev": int(attrs["pulses_per_rev"]), "missing_teeth": missing}, []
+        return StatedWheel(int(attrs["pulses_per_rev"]), int(attrs.get("missing_teeth", 0))), []
     found = find_pattern(pulse_s, index_time_s=index_s)
     if found is None:
         raise InputError(
@@ -522,11 +526,8 @@ def stated_wheel(recording: xr.Dataset) -> tuple[dict[str, Any], list[Remark]]:
             remedy="State pulses_per_rev, pattern or tooth_angles_deg in run.toml, or name the index",
         )
     remark: Remark = ("encoder_pattern_found", "suspect", f"wheel found from the pulses: {found.told}; state it")
-    even = found.pattern.even
-    if even is not None:
-        return {"pulses_per_rev": even[0], "missing_teeth": even[1]}, [remark]
-    angles = found.pattern.angles_deg
-    return {"pulses_per_rev": len(angles), "tooth_angles_deg": angles}, [remark]
+    even, angles = found.pattern.even, found.pattern.angles_deg
+    return StatedWheel(len(angles), tooth_angles_deg=angles) if even is None else StatedWheel(*even), [remark]
 
 
 def uneven_noise_s(time_s: Floats, tooth: Ints) -> float:
@@ -558,16 +559,6 @@ def undersampled(recording: xr.Dataset, teeth: NumberedTeeth) -> list[Remark]:
     start = float(teeth.time_s[int(np.argmax(steps < FEWEST_SAMPLES_PER_TOOTH))])
     detail = f"only {fewest:.1f} samples per tooth, first at {start:.3g} s: teeth pass unseen; sample faster"
     return [("encoder_undersampled", "bad", detail)]
-
-
-def numbered_part(recording: xr.Dataset, settings: ShaftSettings, wheel: dict[str, Any], part: slice) -> NumberedTeeth:
-    """Pulses of the ``part`` of ``recording`` as teeth of the ``wheel`` (for ``number_teeth``, by ``settings``)."""
-    pulse_s = recording.variables["pulse_time"].values[part].astype(np.float64, copy=False)
-    index_s = times_of(recording, "index_time")
-    stated, ratio = float(recording.attrs.get("pulse_noise_s", 0.0)), float(recording.attrs.get("ratio", 1.0))
-    gaps_s = recording.attrs.get("gap_starts_s", ())
-    given = {"index_time_s": index_s, "ratio": ratio, "noise_s": stated, "gap_starts_s": gaps_s}
-    return number_teeth(pulse_s, **wheel, settings=settings, **given)
 
 
 def mark_flags(teeth: NumberedTeeth, recording: xr.Dataset) -> list[Remark]:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.quantities import Bools, Floats, Ints
+from crankorder.records import Json
 from crankorder.synth.motion import Motion
 from crankorder.synth.noise import seed_stream
 from crankorder.synth.parts import AnyEncoderFault, DamagedLine, DoublePulses, Encoder, LostPulses
@@ -146,8 +146,6 @@ def _edges_passed(turn: Floats, edge: Floats) -> int:
     return whole * edge.size + int(np.searchsorted(edge, turn[0] - whole, side="right")) - 1
 
 
-Record = dict[str, Any]
-
 SEEN_SAMPLES = 1.01
 """Samples that a level must last so that it is surely seen."""
 
@@ -167,7 +165,7 @@ class Track:
 
 def with_encoder_faults(
     track: Track, faults: Sequence[AnyEncoderFault], *, seed: int, recording: str, stream: str
-) -> tuple[Track, list[Record]]:
+) -> tuple[Track, list[dict[str, Json]]]:
     """``track`` after the faults of this recording, and a record of each thing put in.
 
     A record holds recording, flag (that of the pipeline for such a thing), severity, detail, count, and where: times_s,
@@ -177,7 +175,7 @@ def with_encoder_faults(
     ``track``: pulses without faults. ``faults``: of the scene, in their sequence. ``seed``: of the scene.
     ``recording``: name of the recording without suffix; ``stream``: its name for the seed streams.
     """
-    records: list[Record] = []
+    records: list[dict[str, Json]] = []
     for number, fault in enumerate(faults):
         if fault.recordings and recording not in fault.recordings:
             continue
@@ -193,7 +191,7 @@ def with_encoder_faults(
     return track, records
 
 
-def _record(flag: str, detail: str, count: int, **where: Any) -> Record:
+def _record(flag: str, detail: str, count: int, **where: Sequence[float]) -> dict[str, Json]:
     return {"flag": flag, "severity": "suspect", "detail": detail, "count": count, **where}
 
 
@@ -204,7 +202,7 @@ def _inner(track: Track) -> NDArray[np.intp]:
     return np.flatnonzero(inside)[1:-1]
 
 
-def _lost_pulses(track: Track, fault: LostPulses, stream: np.random.Generator) -> tuple[Track, Record]:
+def _lost_pulses(track: Track, fault: LostPulses, stream: np.random.Generator) -> tuple[Track, dict[str, Json]]:
     inner = _inner(track)
     lost = np.sort(stream.choice(inner, size=min(fault.count, inner.size), replace=False))
     keep = np.ones(track.lines.rise_s.size, dtype=np.bool_)
@@ -219,7 +217,7 @@ def _lost_pulses(track: Track, fault: LostPulses, stream: np.random.Generator) -
     return replace(track, lines=track.lines.where(keep)), record
 
 
-def _damaged_line(track: Track, fault: DamagedLine) -> tuple[Track, Record]:
+def _damaged_line(track: Track, fault: DamagedLine) -> tuple[Track, dict[str, Json]]:
     lines, wheel = track.lines, track.wheel
     damaged = sorted({line for line in fault.lines if line < wheel.rise.size})
     lost = np.isin(lines.number % wheel.rise.size, damaged) & (lines.number != FALSE_PULSE)
@@ -235,7 +233,7 @@ def _damaged_line(track: Track, fault: DamagedLine) -> tuple[Track, Record]:
     return replace(track, lines=lines.where(~lost)), record
 
 
-def _double_pulses(track: Track, fault: DoublePulses, stream: np.random.Generator) -> tuple[Track, Record]:
+def _double_pulses(track: Track, fault: DoublePulses, stream: np.random.Generator) -> tuple[Track, dict[str, Json]]:
     """False pulses: a short high where the level is low, or a short low before it where the level is high."""
     lines = track.lines
     time_s = lines.rise_s[_inner(track)] + fault.delay_s
@@ -302,7 +300,7 @@ class EncoderSignals:
 
     trace: NDArray[np.float32]
     index: NDArray[np.uint8] | None
-    records: list[Record]
+    records: list[dict[str, Json]]
 
 
 def encoder_signals(

@@ -379,7 +379,7 @@ def _folder_of(name: str, beside: Path | None) -> Path | None:
 
 def _whole_table(
     name: str, beside: Path | None, faults: list[CrankorderError], derived: tuple[str, ...] = ()
-) -> tuple[dict[str, Any], str]:
+) -> tuple[dict[str, object], str]:
     """Table of a scene with what it takes from the scene that it is based on, and the file's name."""
     table, source = toml_table(name, "scenes", beside=beside)
     based_on, without = table.pop("based_on", None), table.pop("without", [])
@@ -415,7 +415,7 @@ def _extremes(value: Any, source: str, place: str = "") -> Iterator[RequestError
 
 
 def _validated(
-    table: dict[str, Any], source: str, faults: list[CrankorderError], kept: dict[str, list[int]]
+    table: dict[str, object], source: str, faults: list[CrankorderError], kept: dict[str, list[int]]
 ) -> Scene | None:
     """Scene of ``table``; what is wrong goes to ``faults`` and is left out, so that the rest can be checked too."""
     effects = ", ".join(key for key, field in Scene.model_fields.items() if not field.is_required())
@@ -434,19 +434,21 @@ def _validated(
     return None
 
 
-def _without(table: dict[str, Any], places: list[tuple[int | str, ...]], kept: dict[str, list[int]]) -> bool:
-    """Whether every effect (or item of a list) at ``places`` could be taken out; ``kept`` gets the items that stay."""
-    items: dict[str, set[int]] = {}
+def _without(table: dict[str, object], places: list[tuple[int | str, ...]], kept: dict[str, list[int]]) -> bool:
+    """Whether every effect (or entry of a list) at ``places`` was removed; ``kept`` gets the numbers of those left."""
+    faulty: dict[str, set[int]] = {}
     for place in places:
         head = str(place[0]) if place else ""
         field = Scene.model_fields.get(head)
         if not place or head in ("speeds", "speed_profile") or (field is not None and field.is_required()):
             return False
         if len(place) > 1 and isinstance(place[1], int):
-            items.setdefault(head, set()).add(place[1])
+            faulty.setdefault(head, set()).add(place[1])
         else:
             table.pop(head, None)
-    for head, wrong in items.items():
-        kept[head] = [k for k in range(len(table[head])) if k not in wrong]
-        table[head] = [table[head][k] for k in kept[head]]
+    for head, numbers in faulty.items():
+        entries = table[head]
+        assert isinstance(entries, list)  # for they have numbers
+        kept[head] = [number for number in range(len(entries)) if number not in numbers]
+        table[head] = [entries[number] for number in kept[head]]
     return True

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from crankorder.engine.bearings import bearing_orders
 from crankorder.quantities import Complexes, Floats
+from crankorder.records import Json
 from crankorder.synth.analogue import Recorded, recorded
 from crankorder.synth.crank import begun_earlier, crank_motion, gain_of_cycle, other_motion
 from crankorder.synth.driven import driven_signal
@@ -209,7 +209,7 @@ class SyntheticRecording:
 
     recorded: Recorded
     encoder: EncoderSignals | None
-    faults: list[dict[str, Any]]
+    faults: list[dict[str, Json]]
 
 
 def sensed(scene: Scene, run: Run, floor: Floor) -> Floats:
@@ -240,7 +240,7 @@ def synthesise(scene: Scene, run: Run, floor: Floor) -> SyntheticRecording:
     of the run.
     """
     signal, rate_hz = sensed(scene, run, floor), scene.rate_hz(run.speed_rpm)
-    faults: list[dict[str, Any]] = []
+    faults: list[dict[str, Json]] = []
     if scene.signal_faults:
         signal, faults = with_signal_faults(
             signal,

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import singledispatch
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from crankorder.quantities import Floats, Severity
+from crankorder.records import Json
 from crankorder.settings import IngestSettings, load_settings
 from crankorder.synth.noise import seed_stream
 from crankorder.synth.parts import (
@@ -55,7 +55,7 @@ class _Mark:
     severity: Severity
     detail: str
     at: NDArray[np.intp]
-    more: dict[str, Any] = field(default_factory=dict)
+    more: Mapping[str, float] = field(default_factory=dict)
 
 
 def with_signal_faults(
@@ -67,7 +67,7 @@ def with_signal_faults(
     stream: str,
     rate_hz: float,
     seed: int,
-) -> tuple[Floats, list[dict[str, Any]]]:
+) -> tuple[Floats, list[dict[str, Json]]]:
     """``signal`` with its ``faults``, one after the other, and a record of each fault of each channel.
 
     A record has the keys of a quality flag (recording, flag, severity, detail), the channel, ``first_sample`` and
@@ -101,7 +101,7 @@ def with_signal_faults(
     return faulty, [_record(mark, name, recording, rate_hz) for name, mark in marks]
 
 
-def converter_records(clipped_share: Floats, *, names: Sequence[str], recording: str) -> list[dict[str, Any]]:
+def converter_records(clipped_share: Floats, *, names: Sequence[str], recording: str) -> list[dict[str, Json]]:
     """Records of the channels that went beyond the range of the converter, as of :func:`with_signal_faults`.
 
     ``clipped_share``: 0 … 1, shape (channel,). ``names``: of the channels. ``recording``: its name.
@@ -149,8 +149,8 @@ def _move(fault: DroppedSamples, marks: list[_Mark], rate_hz: float, n_samples: 
         mark.at = np.concatenate([mark.at[mark.at < first], later, filled])
 
 
-def _record(mark: _Mark, name: str, recording: str, rate_hz: float) -> dict[str, Any]:
-    record: dict[str, Any] = {
+def _record(mark: _Mark, name: str, recording: str, rate_hz: float) -> dict[str, Json]:
+    record: dict[str, Json] = {
         "recording": recording,
         "channel": name,
         "flag": mark.flag,
@@ -162,7 +162,7 @@ def _record(mark: _Mark, name: str, recording: str, rate_hz: float) -> dict[str,
         record |= {"first_sample": int(mark.at[0]), "start_s": float(mark.at[0]) / rate_hz}
     if mark.flag == "spikes":
         record["samples"] = mark.at.tolist()
-    return record | mark.more
+    return {**record, **mark.more}
 
 
 @singledispatch

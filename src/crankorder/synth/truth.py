@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from crankorder.engine.bearings import bearing_orders
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.quantities import Complexes, Floats, Truth
+from crankorder.records import Json
 from crankorder.synth.lines import OrderLines, crank_forces, fixed_lines, order_lines, slipping_line, strikes_per_rev
 from crankorder.synth.noise import floor_density
 from crankorder.synth.parts import BearingImpacts, BearingLine
@@ -67,9 +67,9 @@ def name_of_test(scene: Scene, repeat: int) -> str:
     return scene.title if scene.repeats == 1 else f"{scene.title}, run {repeat + 1}"
 
 
-def _recording(scene: Scene, run: Run) -> dict[str, Any]:
+def _recording(scene: Scene, run: Run) -> dict[str, Json]:
     """Name and speed of a recording; of a profile its corners too."""
-    record: dict[str, Any] = {"name": f"{run.name}.h5"}
+    record: dict[str, Json] = {"name": f"{run.name}.h5"}
     if scene.speed_profile is None:
         return record | {"speed_rpm": run.speed_rpm}
     corners = scene.speed_profile.corners
@@ -89,7 +89,7 @@ def _steady_speeds(scene: Scene, runs: tuple[Run, ...]) -> list[tuple[Run, float
     return [(runs[0], float(speed)) for speed in np.linspace(low, high, N_SPEEDS) if speed != 0]
 
 
-def _orders(scene: Scene, runs: tuple[Run, ...]) -> list[dict[str, Any]]:
+def _orders(scene: Scene, runs: tuple[Run, ...]) -> list[dict[str, Json]]:
     steady = _steady_speeds(scene, runs)
     if not steady:
         return []
@@ -98,7 +98,7 @@ def _orders(scene: Scene, runs: tuple[Run, ...]) -> list[dict[str, Any]]:
     speed = np.array([speed_rpm for _, speed_rpm in steady])
     rate_hz = np.array([scene.rate_hz(rpm) for rpm in speed])
     duration_s = scene.n_samples / rate_hz / (1 if scene.speed_profile is None else SWEEP_PARTS)
-    records = []
+    records: list[dict[str, Json]] = []
     least = LEAST_SHARE * max(np.abs(part.amplitude).max(initial=0.0) for part in lines)
     orders, amplitudes = _gathered(lines)
     at = zip(np.abs(speed) / 60, rate_hz, strict=True)
@@ -146,9 +146,9 @@ def _strongest_cause(lines: OrderLines, order: float, channel: int) -> str:
     return lines.cause[int(made_here[strongest])]
 
 
-def _modes(scene: Scene) -> list[dict[str, Any]]:
+def _modes(scene: Scene) -> list[dict[str, Json]]:
     structure = scene.structure
-    records = []
+    records: list[dict[str, Json]] = []
     for j, mode in enumerate(scene.modes):
         rest = np.arange(len(scene.modes)) != j
         by_mode = ("frequency_hz", "damping_ratio", "sensor_per_kg", "drive")
@@ -170,7 +170,7 @@ def _modes(scene: Scene) -> list[dict[str, Any]]:
     return records
 
 
-def _crossings(scene: Scene, run: Run) -> list[dict[str, Any]]:
+def _crossings(scene: Scene, run: Run) -> list[dict[str, Json]]:
     """Every meeting of an order with a mode; excited where a force of that order drives the mode."""
     slowest, fastest = scene.speed_range_rpm
     forces, bearing_lines = crank_forces(scene), fixed_lines(scene, run)
@@ -190,9 +190,9 @@ def _crossings(scene: Scene, run: Run) -> list[dict[str, Any]]:
     ]
 
 
-def _bearings(scene: Scene, repeat: int) -> list[dict[str, Any]]:
+def _bearings(scene: Scene, repeat: int) -> list[dict[str, Json]]:
     orders = {bearing.name: bearing_orders(bearing) for bearing in scene.engine.bearings}
-    records = []
+    records: list[dict[str, Json]] = []
     parts: tuple[BearingLine | BearingImpacts, ...] = (*scene.bearing_lines, *scene.bearing_impacts)
     for line in parts:
         strikes = isinstance(line, BearingImpacts)
@@ -216,9 +216,9 @@ def _bearings(scene: Scene, repeat: int) -> list[dict[str, Any]]:
     return records
 
 
-def _lines(scene: Scene) -> list[dict[str, Any]]:
+def _lines(scene: Scene) -> list[dict[str, Json]]:
     """Lines that follow no crank: tones, and orders of shafts with a speed of their own."""
-    records: list[dict[str, Any]] = [
+    records: list[dict[str, Json]] = [
         {
             "channel": name,
             "frequency_hz": number * tone.frequency_hz,
@@ -239,7 +239,7 @@ def _lines(scene: Scene) -> list[dict[str, Any]]:
     return records
 
 
-def _balance(scene: Scene) -> dict[str, Any] | None:
+def _balance(scene: Scene) -> dict[str, Json] | None:
     """What shakes at the first order; None where the scene has no engine forces."""
     if scene.engine_forces is None:
         return None

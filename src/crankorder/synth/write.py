@@ -5,15 +5,18 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any
+from typing import TypeGuard
 
 import h5py
+import numpy as np
+from numpy.typing import NDArray
 
 from crankorder.errors import EnvironmentFailure, RequestError
-from crankorder.quantities import Truth
+from crankorder.quantities import Attribute, Truth
+from crankorder.records import Json
 from crankorder.settings import shipped
 from crankorder.synth.load import load_scene
 from crankorder.synth.noise import floor_of
@@ -28,20 +31,21 @@ def manifest_text(scene: Scene, engine_name: str, repeat: int = 0) -> str:
 
     ``engine_name``: a shipped engine or a file in the folder.
     """
-    files = ["rpm_*.h5"] if scene.speeds is not None else [f"{run.name}.h5" for run in scene.runs]
+    recordings: dict[str, object] = {
+        "files": ["rpm_*.h5"] if scene.speeds is not None else [f"{run.name}.h5" for run in scene.runs]
+    }
     labels = scene.wrong_labels or WrongLabels()
-    table: dict[str, Any] = {
+    table: dict[str, object] = {
         "schema_version": 1,
         "test": {"name": name_of_test(scene, repeat), "engine": engine_name, "cycle": scene.engine.cycle},
-        "recordings": {"files": files},
     }
+    table["recordings"] = recordings
     if isinstance(scene.sampling, TimeSampling):
         table["sampling"] = {"domain": "time", "rate_hz": scene.sampling.rate_hz}
     else:
-        sampling = {"samples_per_rev": scene.sampling.samples_per_rev, "start_deg": 0.0}
-        table["sampling"] = {"domain": "crank_angle", **sampling}
-        stated = {f"{run.name}.h5": run.speed_rpm for run in scene.runs}
-        table["recordings"]["speed_rpm"] = stated
+        samples_per_rev = scene.sampling.samples_per_rev
+        table["sampling"] = {"domain": "crank_angle", "samples_per_rev": samples_per_rev, "start_deg": 0.0}
+        recordings["speed_rpm"] = {f"{run.name}.h5": run.speed_rpm for run in scene.runs}
     table["channels"] = [_channel(scene, channel) for channel in scene.channels]
     if scene.encoder is not None:
         table["encoder"] = _encoder(scene.encoder, labels)
@@ -51,7 +55,7 @@ def manifest_text(scene: Scene, engine_name: str, repeat: int = 0) -> str:
     return toml_text(table)
 
 
-def _channel(scene: Scene, channel: Channel) -> dict[str, Any]:
+def _channel(scene: Scene, channel: Channel) -> dict[str, str]:
     swapped = scene.wrong_labels.swapped if scene.wrong_labels else None
     source = channel.source
     if swapped is not None and channel.name in swapped:
@@ -63,8 +67,8 @@ def _channel(scene: Scene, channel: Channel) -> dict[str, Any]:
     return entry | {"direction": channel.direction}
 
 
-def _encoder(encoder: Encoder, labels: WrongLabels) -> dict[str, Any]:
-    table: dict[str, Any] = {
+def _encoder(encoder: Encoder, labels: WrongLabels) -> dict[str, object]:
+    table: dict[str, object] = {
         "source": TRACE,
         "kind": "square",
         "pulses_per_rev": labels.pulses_per_rev or encoder.pulses_per_rev,
@@ -78,7 +82,7 @@ def _encoder(encoder: Encoder, labels: WrongLabels) -> dict[str, Any]:
     return table | {"edge": "rising"}
 
 
-def toml_text(table: Mapping[str, Any], prefix: str = "") -> str:
+def toml_text(table: Mapping[str, object], prefix: str = "") -> str:
     """TOML text of ``table``: plain values first, then its tables and lists of tables under ``prefix``."""
     tables = {key: value for key, value in table.items() if isinstance(value, Mapping)}
     lists = {key: value for key, value in table.items() if _is_list_of_tables(value)}
@@ -97,11 +101,11 @@ def _key(key: str) -> str:
     return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _value(key)
 
 
-def _is_list_of_tables(value: Any) -> bool:
+def _is_list_of_tables(value: object) -> TypeGuard[Sequence[Mapping[str, object]]]:
     return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(item, Mapping) for item in value)
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     if isinstance(value, list | tuple):
         return f"[{', '.join(_value(item) for item in value)}]"
     if isinstance(value, str):
@@ -172,14 +176,14 @@ def write_recording(path: Path, scene: Scene, run: Run, recording: SyntheticReco
     ``path``: of a new file. ``scene``: names, units and sampling, as its labels say. ``run``: name and speed.
     ``recording``: the samples.
     """
-    axis: dict[str, Any]
+    axis: dict[str, Attribute]
     if isinstance(scene.sampling, TimeSampling):
         axis = {"rate_hz": scene.sampling.rate_hz}
-        stated: dict[str, Any] = {} if scene.speeds is None else {"speed_rpm": run.speed_rpm}
+        stated = {} if scene.speeds is None else {"speed_rpm": run.speed_rpm}
     else:
         axis = {"samples_per_rev": scene.sampling.samples_per_rev}
         stated = {"start_deg": 0.0, "speed_rpm": run.speed_rpm}
-    columns: dict[str, tuple[Any, dict[str, Any]]] = {}
+    columns: dict[str, tuple[NDArray[np.generic] | None, dict[str, Attribute]]] = {}
     unit = "m/s2" if scene.acquisition.sensitivity_mv_per_g is None else "V"
     packing = {} if recording.recorded.scale is None else {"scale_factor": recording.recorded.scale}
     for channel, samples in zip(scene.channels, recording.recorded.samples, strict=True):
@@ -200,13 +204,13 @@ def _write_truth(truth: Truth, folder: Path) -> None:
 
 def _write_recordings(
     scene: Scene, folders: list[Path], progress: Callable[[int, int], None] | None
-) -> list[list[dict[str, Any]]]:
+) -> list[list[dict[str, Json]]]:
     """Write every recording of every repeat; what was made faulty in each repeat, and where."""
     runs = [run for repeat in range(len(folders)) for run in scene.runs_of(repeat)]
     # one floor for all where the rate is one; by crank angle every speed has its own, and all at once would be too many
     shared = floor_of(scene, scene.rate_hz(runs[0].speed_rpm)) if isinstance(scene.sampling, TimeSampling) else None
 
-    def write(run: Run) -> list[dict[str, Any]]:
+    def write(run: Run) -> list[dict[str, Json]]:
         recording = synthesise(scene, run, shared or floor_of(scene, scene.rate_hz(run.speed_rpm)))
         path = folders[run.repeat] / f"{run.name}.h5"
         try:

@@ -12,7 +12,7 @@ from scipy.special import fdtrc, stdtr
 
 from crankorder.findings import Findings, OrderFinding
 from crankorder.identify.intervals import claimed, half_width, half_widths, simes
-from crankorder.orders.between_recordings import LOCATED, WHOLE
+from crankorder.orders.intervals import LOCATED, WHOLE
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.records import Document, known
 from crankorder.settings import MethodNumbers

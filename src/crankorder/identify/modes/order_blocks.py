@@ -16,7 +16,7 @@ from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, prov
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import Block
 from crankorder.identify.modes.order_terms import Passage, passage_of, smooth_shapes
-from crankorder.orders.between_recordings import WHOLE, one_phase_reference, phases_compare
+from crankorder.orders.intervals import WHOLE, one_phase_reference, phases_compare
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
