@@ -54,6 +54,16 @@ def named(value: object, *, limit: int) -> str:
     return printable(value, limit)
 
 
+def short(text: object) -> str:
+    """``text`` from a file, such as a name, as a sentence has it: safe to show, at most 60 characters."""
+    return printable(text, NAME_CHARACTERS)
+
+
+def at_speed(rpm: float | None) -> str:
+    """``" at 1800 rpm"``; empty where the speed is not known."""
+    return f" at {rpm:.0f} rpm" if is_number(rpm) else ""
+
+
 def scaling_text(dataset: Any) -> str:
     """``"(peak)"`` or ``"(RMS)"``: what the amplitudes of a map ``dataset`` are, by its ``amplitude_scaling``."""
     return "(RMS)" if str(dataset.attrs.get("amplitude_scaling", "peak")).casefold() == "rms" else "(peak)"
@@ -208,9 +218,11 @@ def level_reference(quantity: str, unit: str, *, settings: ReportSettings) -> tu
     return 1.0, f"dB re 1 {unit_text(unit)} (peak)".replace("1  ", "1 ")
 
 
-def listed(words: Sequence[str]) -> str:
-    """``words`` as in a sentence: ``"X, Y and Z"``."""
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""
+def listed(words: Sequence[str], *, most: int | None = None) -> str:
+    """``words`` as in a sentence: ``"X, Y and Z"``; ``" and more"`` behind the first ``most`` where there are more."""
+    first = words[:most]
+    text = " and ".join(filter(None, (", ".join(first[:-1]), first[-1]))) if first else ""
+    return f"{text} and more" if len(first) < len(words) else text
 
 
 def strongest_by(records: Sequence[R], key: Callable[[R], K]) -> dict[K, R]:

@@ -10,9 +10,8 @@ import numpy as np
 import xarray as xr
 
 from crankorder.findings import Findings, OrderFinding
-from crankorder.report.rows import Table
 from crankorder.report.sentences.story import headline
-from crankorder.report.tables import tables_of
+from crankorder.report.tables import Table, tables_of
 
 _LIMIT = 60  # characters of a text that stems from a file
 _OPEN = ("avoid", "orders")  # what is looked at first stands open

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Literal
 
 import numpy as np
 import xarray as xr
-from markupsafe import Markup
 
 from crankorder.channel_units import unit_text
 from crankorder.comparison import Comparison, Trend
@@ -19,16 +17,12 @@ from crankorder.plot.panel import Panel
 from crankorder.quantities import Floats, Ints
 from crankorder.report.comparison.sentences import alike, comparison_story, scaled_text
 from crankorder.report.notation import estimate_text, frequency_text, named, number_text, order_text
-from crankorder.report.page import page_policy, page_style, page_template
-from crankorder.report.rows import Table, table_of
+from crankorder.report.page import rendered_page
+from crankorder.report.sentences.story import Answer
+from crankorder.report.tables import Table, table_of
 from crankorder.settings import ReportSettings
 
-_ANSWERS: tuple[tuple[Literal["what", "why", "how_sure", "what_to_do"], str], ...] = (
-    ("what", "What changed"),
-    ("why", "Why"),
-    ("how_sure", "How sure"),
-    ("what_to_do", "What to do"),
-)
+_ANSWERS: dict[Answer, str] = {"what": "What changed", "why": "Why", "how_sure": "How sure", "what_to_do": "What to do"}
 _MARKED = frozenset({"yes", "invalid", "weakens"})
 _LEFT, _BOTTOM, _TOP, _GUTTER = 0.85, 0.78, 1.0, 0.75
 _COLUMNS = 3
@@ -45,13 +39,12 @@ def comparison_page(comparison: Comparison, *, pictures: list[tuple[str, str]], 
     limit = settings.max_name_characters
     story, lead = comparison_story(comparison), comparison.headline[0]
     tables = {name: table(comparison, partial(named, limit=limit)) for name, table in _TABLES.items()}
-    return page_template("comparison.html").render(
-        policy=page_policy(),
-        style=Markup(page_style()),  # our own file, never text from data
+    return rendered_page(
+        "comparison.html",
         base=named(comparison.base, limit=limit),
         new=named(comparison.new, limit=limit),
         lead=lead,
-        story=[(title, [sentence for sentence in story[key] if sentence != lead]) for key, title in _ANSWERS],
+        story=[(title, [sentence for sentence in story[key] if sentence != lead]) for key, title in _ANSWERS.items()],
         pictures=[(f"./{file}", named(caption, limit=4 * limit)) for file, caption in pictures],
         tables=[(name, table) for name, table in tables.items() if table["rows"] or table["empty"]],
         marked=_MARKED,
