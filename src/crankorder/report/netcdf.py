@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from io import BytesIO
@@ -74,47 +73,69 @@ def results_bytes(groups: Mapping[str, xr.Dataset], *, attrs: Mapping[str, Any])
     estimates 32-bit floats, everything numeric gzip + shuffle + fletcher32. ``attrs`` of the file: text and numbers
     stay, None is left out, anything else becomes JSON. No time of writing is stored.
     """
-    file = netcdf4_file()
-    write_attrs(file.id, {"Conventions": CONVENTIONS, **_plain(attrs)})
+    # in memory, readable by every HDF5 since 1.10, metadata with checksums
+    file = h5py.File("results", "w", driver="core", backing_store=False, block_size=1 << 20, libver=("v110", "v110"))
+    properties = f"version=2,h5py={h5py.__version__},hdf5={h5py.version.hdf5_version}"
+    _attribute(file.id, "_NCProperties", np.bytes_(properties.encode()))
+    _write_attrs(file.id, {"Conventions": CONVENTIONS, **attrs})
     number = count()
     for name in sorted(groups):
         _write_group(file.require_group(name), published(groups[name]), number)
-    return file_image(file)
+    file.flush()
+    image = bytes(file.id.get_file_image())
+    file.close()
+    return image
 
 
 def as_stored(groups: Mapping[str, xr.Dataset]) -> dict[str, xr.Dataset]:
     """``groups`` with every value as :func:`results_bytes` keeps it, so that a picture redrawn later is the same."""
-    return {name: dataset.map(_as_stored, keep_attrs=True) for name, dataset in groups.items()}
 
+    def stored(values: xr.DataArray) -> xr.DataArray:
+        is_float = values.dtype.kind == "f"
+        return values.copy(data=_narrow(str(values.name), values.values)) if is_float else values
 
-def _as_stored(values: xr.DataArray) -> xr.DataArray:
-    if values.dtype.kind != "f":
-        return values
-    return values.copy(data=_narrow(str(values.name), values.values))
+    return {name: dataset.map(stored, keep_attrs=True) for name, dataset in groups.items()}
 
 
 def plain_attrs(dataset: xr.Dataset) -> xr.Dataset:
     """``dataset`` with attributes that any NetCDF writer takes: numbers, arrays of numbers and text."""
-    made = dataset.copy(deep=False)
-    made.attrs = _plain(dataset.attrs)
-    return made
+    plain = dataset.copy(deep=False)
+    plain.attrs = _plain(dataset.attrs)
+    return plain
 
 
 def _write_group(group: h5py.Group, dataset: xr.Dataset, number: Iterator[int]) -> None:
     """Write ``dataset`` into ``group``; ``number`` counts the dimensions of the file."""
-    write_attrs(group.id, _plain(dataset.attrs))
-    outer = " ".join(sorted(str(coord) for coord in dataset.coords if coord not in dataset.sizes))
-    variables: dict[str, Variable] = {}
-    for name in sorted(str(name) for name in dataset.variables):
-        variable = dataset.variables[name]
-        about = _plain(variable.attrs)
-        if outer and name in dataset.data_vars:
-            about["coordinates"] = outer
-        dims = tuple(str(dim) for dim in variable.dims)
-        for suffix, values in _stored(name, np.asarray(variable.values)):
-            packed = values.ndim > 0 and values.size > 0 and values.dtype.kind in "iuf"
-            variables[name + suffix] = Variable(dims, values, about, _chunks(values) if packed else None)
-    write_variables(group, {str(name): size for name, size in dataset.sizes.items()}, variables, number)
+    _write_attrs(group.id, dataset.attrs)
+    sizes = {str(dim): size for dim, size in dataset.sizes.items()}
+    ids = {dim: np.int32(next(number)) for dim in sorted(sizes)}
+    outer = " ".join(sorted(str(coord) for coord in dataset.coords if coord not in sizes))
+    stored = {
+        str(name) + suffix: (variable, values)
+        for name, variable in sorted(dataset.variables.items(), key=lambda pair: str(pair[0]))
+        for suffix, values in _stored(str(name), np.asarray(variable.values))
+    }
+    written = {}
+    for name in sorted({*stored, *sizes}):
+        label = name
+        if name in stored:
+            written[name] = _write_values(group, name, stored[name][1])
+        else:  # no values are stored
+            space = h5s.create_simple((sizes[name],))
+            written[name] = h5d.create(group.id, name.encode(), h5t.IEEE_F32BE, space, _creation())
+            label = f"{BARE_DIMENSION.decode()}{sizes[name]:10d}"
+        if name in sizes:
+            h5ds.set_scale(written[name], label.encode())
+            _attribute(written[name], "_Netcdf4Dimid", ids[name])
+    for name, (variable, _) in stored.items():
+        dims = tuple(map(str, variable.dims))
+        if name not in sizes:
+            for axis, dim in enumerate(dims):
+                h5ds.attach_scale(written[name], written[dim], axis)
+        if dims:
+            _attribute(written[name], "_Netcdf4Coordinates", np.array([ids[dim] for dim in dims]))
+        is_value = bool(outer) and any(variable is dataset.variables[value] for value in dataset.data_vars)
+        _write_attrs(written[name], {**variable.attrs, **({"coordinates": outer} if is_value else {})})
 
 
 def _stored(name: str, values: NDArray[Any]) -> Iterator[tuple[str, NDArray[Any]]]:
@@ -150,9 +171,9 @@ def _chunks(values: NDArray[Any]) -> tuple[int, ...]:
     return tuple(shape)
 
 
-def _plain(attrs: Mapping[str, Any]) -> dict[str, Any]:
+def _plain(attrs: Mapping[Any, Any]) -> dict[str, str | int | float | NDArray[Any]]:
     """Attributes as numbers, arrays of numbers and text, whatever they were; None is left out."""
-    plain: dict[str, Any] = {}
+    plain: dict[str, str | int | float | NDArray[Any]] = {}
     for name, value in attrs.items():
         if value is None:
             continue
@@ -182,42 +203,39 @@ def read_results(path: Path) -> dict[str, xr.Dataset]:
             raise UnsafeInputError("is too large for a results file", file=path, found=f"{path.stat().st_size} bytes")
         image = BytesIO(path.read_bytes())  # what is checked is what is read
         with h5py.File(image, "r") as file:
-            conventions = str(file.attrs.get("Conventions", ""))
-            names = _safe_groups(file, path)
-            groups = {name: _read_group(file[name]) for name in names} if conventions.startswith("CF-") else {}
-        if not conventions.startswith("CF-"):
-            place = "attribute Conventions"
-            raise InputError("not a results file of crankorder", file=path, place=place, found=conventions)
-        return groups
+            names, conventions = _safe_groups(file, path), str(file.attrs.get("Conventions", ""))
+            if not conventions.startswith("CF-"):
+                place = "attribute Conventions"
+                raise InputError("not a results file of crankorder", file=path, place=place, found=conventions)
+            return {name: _read_group(file[name]) for name in names}
+    except InputError:
+        raise
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
-        if isinstance(error, InputError):
-            raise
         remedy = "Run the analysis again, or give the results.nc that it wrote"
         raise InputError("cannot be read as NetCDF-4", file=path, found=error, remedy=remedy) from None
 
 
 def _read_group(group: h5py.Group) -> xr.Dataset:
-    stored = {name: item for name, item in group.items() if isinstance(item, h5py.Dataset)}
-    coords = {name for name, item in stored.items() if item.is_scale}
-    variables = {}
-    for name, item in stored.items():
-        if item.is_scale and bytes(item.attrs.get("NAME", b"")).startswith(BARE_DIMENSION):
+    variables, coords = {}, set[str]()
+    for name, dataset in group.items():
+        if not isinstance(dataset, h5py.Dataset):
             continue
-        values, attrs = np.asarray(item[...]), read_attrs(item)
+        coords |= {name} if dataset.is_scale else set()
+        if dataset.is_scale and bytes(dataset.attrs.get("NAME", b"")).startswith(BARE_DIMENSION):
+            continue
+        values, attrs = np.asarray(dataset[...]), _read_attrs(dataset)
         coords |= set(str(attrs.pop("coordinates", "")).split())
-        values = _text(values) if values.dtype.kind == "O" else values
-        variables[name] = (dims_of(item), values, attrs)
+        if values.dtype.kind == "O":  # text or UTF-8 bytes
+            texts = [text.decode("utf-8") if isinstance(text, bytes) else str(text) for text in values.ravel()]
+            values = np.array(texts, dtype=str).reshape(values.shape)
+        # the dimension of a scale is its own name
+        scales = [dataset] if dataset.is_scale else [dim[0] for dim in dataset.dims]
+        variables[name] = (tuple(str(scale.name).rsplit("/", 1)[-1] for scale in scales), values, attrs)
     pairs = [name[:-5] for name in variables if name.endswith("_real") and f"{name[:-5]}_imag" in variables]
     for name in pairs:
         (dims, real, attrs), (_, imaginary, _) = variables.pop(f"{name}_real"), variables.pop(f"{name}_imag")
         variables[name] = (dims, real + 1j * imaginary, attrs)
-    return by_channel(xr.Dataset(variables, attrs=read_attrs(group)).set_coords(sorted(coords & set(variables))))
-
-
-def _text(values: NDArray[Any]) -> NDArray[Any]:
-    """Array of text from one of text or UTF-8 bytes."""
-    decoded = [item.decode("utf-8") if isinstance(item, bytes) else str(item) for item in values.ravel()]
-    return np.array(decoded, dtype=str).reshape(values.shape)
+    return by_channel(xr.Dataset(variables, attrs=_read_attrs(group)).set_coords(sorted(coords & set(variables))))
 
 
 def _safe_groups(file: h5py.File, path: Path) -> list[str]:
@@ -230,17 +248,19 @@ def _safe_groups(file: h5py.File, path: Path) -> list[str]:
             raise UnsafeInputError("more groups than a results file has", file=path, place=at)
         group = file[at or "/"]
         for key in group:
+            name = f"{at}/{key}".lstrip("/")
             if not isinstance(group.get(key, getlink=True), h5py.HardLink):
                 raise UnsafeInputError("holds a link", file=path, place=f"{at}/{key}", remedy="Results hold data only")
-            item = group[key]
-            name = f"{at}/{key}".lstrip("/")
-            if isinstance(item, h5py.Group):
+            member = group[key]
+            if isinstance(member, h5py.Group):
                 names.append(name)
                 waiting.append(name)
-                continue
-            total += int(item.nbytes) if isinstance(item, h5py.Dataset) else 0
-            if isinstance(item, h5py.Dataset) and (item.external or item.is_virtual or total > _MAX_BYTES):
-                raise UnsafeInputError("stores data elsewhere or claims too much", file=path, place=name, found=total)
+            elif isinstance(member, h5py.Dataset):
+                total += int(member.nbytes)
+                if member.external or member.is_virtual or total > _MAX_BYTES:
+                    raise UnsafeInputError(
+                        "stores data elsewhere or claims too much", file=path, place=name, found=total
+                    )
     return sorted(names)
 
 
@@ -252,90 +272,28 @@ _OF_THE_LAYOUT = frozenset(
 )
 
 
-@dataclass(frozen=True)
-class Variable:
-    """A variable to be written: numbers or text ``values`` on ``dims``, with ``attrs``; gzip by ``chunks`` if any."""
-
-    dims: tuple[str, ...]
-    values: NDArray[Any]
-    attrs: Mapping[str, Any]
-    chunks: tuple[int, ...] | None
-
-
-def netcdf4_file() -> h5py.File:
-    """New file in memory, readable by every HDF5 since 1.10, whose metadata carry checksums."""
-    file = h5py.File(
-        "results",
-        "w",
-        driver="core",
-        backing_store=False,
-        block_size=1 << 20,
-        track_order=False,
-        libver=("v110", "v110"),
-    )
-    properties = f"version=2,h5py={h5py.__version__},hdf5={h5py.version.hdf5_version}"
-    _attribute(file.id, "_NCProperties", np.bytes_(properties.encode()))
-    return file
-
-
-def file_image(file: h5py.File) -> bytes:
-    """Bytes of ``file``, which is closed."""
-    file.flush()
-    image = bytes(file.id.get_file_image())
-    file.close()
-    return image
-
-
-def write_attrs(owner: Any, attrs: Mapping[str, Any]) -> None:
-    """Write ``attrs`` (text, numbers, arrays of numbers) to ``owner``, the identifier of a file, group or dataset."""
-    for name in sorted(attrs):
-        value = attrs[name]
+def _write_attrs(owner: Any, attrs: Mapping[Any, Any]) -> None:
+    """Write ``attrs`` to ``owner``, the identifier of a file, group or dataset."""
+    for name, value in sorted(_plain(attrs).items()):
         _attribute(owner, name, value if isinstance(value, str) else np.atleast_1d(np.asarray(value)))
 
 
-def write_variables(
-    group: h5py.Group, sizes: Mapping[str, int], variables: Mapping[str, Variable], number: Iterator[int]
-) -> None:
-    """Write ``variables`` by name into ``group`` on the dimensions of ``sizes``; ``number`` counts all of them."""
-    ids = {name: next(number) for name in sorted(sizes)}
-    written = {}
-    for name in sorted({*variables, *sizes}):
-        if name in variables:
-            written[name] = _dataset(group, name, variables[name])
-            label = name
-        else:  # no values are stored
-            space = h5s.create_simple((sizes[name],))
-            written[name] = h5d.create(group.id, name.encode(), h5t.IEEE_F32BE, space, _creation())
-            label = f"{BARE_DIMENSION.decode()}{sizes[name]:10d}"
-        if name in sizes:
-            h5ds.set_scale(written[name], label.encode())
-            _attribute(written[name], "_Netcdf4Dimid", np.int32(ids[name]))
-    for name, variable in variables.items():
-        if name not in sizes:
-            for axis, dim in enumerate(variable.dims):
-                h5ds.attach_scale(written[name], written[dim], axis)
-        if variable.dims:
-            dims = np.array([ids[dim] for dim in variable.dims], dtype=np.int32)
-            _attribute(written[name], "_Netcdf4Coordinates", dims)
-        write_attrs(written[name], variable.attrs)
-
-
-def _dataset(group: h5py.Group, name: str, variable: Variable) -> Any:
-    values = variable.values
-    text = values.dtype.kind == "O"
+def _write_values(group: h5py.Group, name: str, values: NDArray[Any]) -> Any:
+    """Write ``values``, numbers packed and checksummed; returns the identifier of their dataset."""
+    is_text = values.dtype.kind == "O"
     properties = _creation()
-    if variable.chunks:
-        properties.set_chunk(variable.chunks)
+    if values.ndim and values.size and values.dtype.kind in "iuf":
+        properties.set_chunk(_chunks(values))
         properties.set_shuffle()
         properties.set_deflate(COMPRESSION_LEVEL)
         properties.set_fletcher32()
-    kind = _text_type() if text else h5t.py_create(values.dtype, logical=True)
+    kind = _text_type() if is_text else h5t.py_create(values.dtype, logical=True)
     space = h5s.create_simple(values.shape) if values.ndim else h5s.create(h5s.SCALAR)
-    made = h5d.create(group.id, name.encode(), kind, space, properties)
+    dataset = h5d.create(group.id, name.encode(), kind, space, properties)
     if values.size:
         whole = np.ascontiguousarray(values).reshape(values.shape)
-        made.write(h5s.ALL, h5s.ALL, whole, _text_in_memory() if text else None)
-    return made
+        dataset.write(h5s.ALL, h5s.ALL, whole, _text_in_memory() if is_text else None)
+    return dataset
 
 
 def _creation() -> Any:
@@ -366,20 +324,11 @@ def _attribute(owner: Any, name: str, value: Any) -> None:
     h5a.create(owner, name.encode("utf-8", "backslashreplace"), kind, space).write(stored, mtype=memory)
 
 
-def dims_of(dataset: h5py.Dataset) -> tuple[str, ...]:
-    """Names of the dimensions of a ``dataset``; those of a dimension's own values are its name."""
-    if dataset.is_scale:
-        return (str(dataset.name).rsplit("/", 1)[-1],)
-    return tuple(str(dim[0].name).rsplit("/", 1)[-1] for dim in dataset.dims)
-
-
-def read_attrs(owner: h5py.Group | h5py.Dataset) -> dict[str, Any]:
+def _read_attrs(owner: h5py.Group | h5py.Dataset) -> dict[str, object]:
     """Attributes of ``owner`` without those that make the layout; single numbers as such."""
-    attrs = {}
-    for name in owner.attrs:
-        if name not in _OF_THE_LAYOUT:
-            value = owner.attrs[name]
-            attrs[name] = value.reshape(-1)[0] if isinstance(value, np.ndarray) and value.size == 1 else value
+    attrs = {name: owner.attrs[name] for name in owner.attrs if name not in _OF_THE_LAYOUT}
+    for name, value in attrs.items():
+        attrs[name] = value.reshape(-1)[0] if isinstance(value, np.ndarray) and value.size == 1 else value
     return attrs
 
 
@@ -390,25 +339,25 @@ def published(dataset: xr.Dataset) -> xr.Dataset:
     in ``ancillary_variables``, amplitudes say how they are scaled, phases from where they count. Its quality flags are
     left out: they are the table ``findings/quality``.
     """
-    made = with_real_units(dataset)
-    made = made.copy(deep=False) if made is dataset else made
-    made.attrs = {key: value for key, value in dataset.attrs.items() if key != "quality"}
-    for name in map(str, made.data_vars):
-        base = str(made[name].attrs.get(PART_OF, name))
-        about = {**_linked(made, name, base), **_conventions(base, dataset)}
-        if about:
-            made[name].attrs = {**made[name].attrs, **about}
-    return made
+    real = with_real_units(dataset)
+    real = real.copy(deep=False) if real is dataset else real
+    real.attrs = {key: value for key, value in dataset.attrs.items() if key != "quality"}
+    for name in map(str, real.data_vars):
+        base = str(real[name].attrs.get(PART_OF, name))
+        if about := {**_linked(real, name, base), **_conventions(base, dataset)}:
+            real[name].attrs = {**real[name].attrs, **about}
+    return real
 
 
-def _linked(made: xr.Dataset, name: str, base: str) -> dict[str, str]:
+def _linked(dataset: xr.Dataset, name: str, base: str) -> dict[str, str]:
     """``ancillary_variables`` of the variable ``name``, the whole or a part of ``base``: those that bound its error."""
     end = name.removeprefix(base)
-    of_error = next((key for key in ("coherent_amplitude", "amplitude", "mean") if key + end in made), "")
+    of_error = next((key for key in ("coherent_amplitude", "amplitude", "mean") if key + end in dataset), "")
     bounds = [f"{base}_ci95", f"{base}_low", f"{base}_high"]
     bounds += ["standard_error", "degrees_of_freedom"] if base == of_error else []
-    there = [key + end if key + end in made else key for key in bounds if key + end in made or key in made]
-    return {"ancillary_variables": " ".join(there)} if there else {}
+    linked = [key + end if key + end in dataset else key for key in bounds]
+    linked = [key for key in linked if key in dataset]
+    return {"ancillary_variables": " ".join(linked)} if linked else {}
 
 
 def _conventions(base: str, dataset: xr.Dataset) -> dict[str, str]:
@@ -425,7 +374,7 @@ def _conventions(base: str, dataset: xr.Dataset) -> dict[str, str]:
 def root_attrs(findings: Findings, groups: Mapping[str, xr.Dataset]) -> dict[str, str]:
     """Attributes of a whole file of results, as CF and ACDD name them, for ``findings`` and what is in ``groups``."""
     low, high = findings.speed_range_rpm
-    names = ", ".join(f"{one.name} [{one.unit}]" for one in findings.channels)
+    names = ", ".join(f"{channel.name} [{channel.unit}]" for channel in findings.channels)
     at = f" at {low:.6g} to {high:.6g} rpm" if low is not None and high is not None else ""
     program = f"crankorder {version('crankorder')}"
     lines = [line for dataset in groups.values() for line in str(dataset.attrs.get("history", "")).splitlines()]
@@ -449,7 +398,7 @@ def findings_datasets(findings: Findings) -> dict[str, xr.Dataset]:
     kinds = {name: kind for name, kind in Findings.tables().items() if name not in _IN_ATTRIBUTES}
     single = {key: value for key, value in findings.as_dict().items() if key not in (*kinds, "balance")}
     tables = {"findings": xr.Dataset(attrs=single)}
-    channels = {one.name: (one.unit, one.quantity or "") for one in findings.channels}
+    channels = {channel.name: (channel.unit, channel.quantity or "") for channel in findings.channels}
     for table, kind in kinds.items():
         records = getattr(findings, table) or ()
         if records:
@@ -460,16 +409,15 @@ def findings_datasets(findings: Findings) -> dict[str, xr.Dataset]:
 
 
 def _table(records: tuple[Record, ...], kind: type[Record], channels: Mapping[str, tuple[str, str]]) -> xr.Dataset:
-    rows = [one.as_dict() for one in records]
+    rows, columns = [record.as_dict() for record in records], kind.columns()
     keys = dict.fromkeys(key for row in rows for key in row)
-    known = kind.columns()
-    made = {key: _column(known[key], [row.get(key) for row in rows]) for key in keys}
-    if any(about.get("units") == "see unit" for _, _, about in made.values()):
+    variables = {key: _column(columns[key], [row.get(key) for row in rows]) for key in keys}
+    if any(about.get("units") == "see unit" for _, _, about in variables.values()):
         of_channel = [channels.get(str(row.get("channel")), (row.get("unit") or "", "")) for row in rows]
-        for place, (key, text) in enumerate({"unit": "unit of the channel", "quantity": "what it measures"}.items()):
-            values = np.array([one[place] for one in of_channel], dtype=object)
-            made[key] = (("record",), values, {"long_name": text})
-    return xr.Dataset(made)
+        units, quantities = np.array(of_channel, dtype=object).T
+        variables["unit"] = ("record",), units, {"long_name": "unit of the channel"}
+        variables["quantity"] = ("record",), quantities, {"long_name": "what it measures"}
+    return xr.Dataset(variables)
 
 
 def _column(column: Column, values: list[Any]) -> tuple[tuple[str, ...], NDArray[Any], dict[str, str]]:
@@ -479,11 +427,12 @@ def _column(column: Column, values: list[Any]) -> tuple[tuple[str, ...], NDArray
     if column.kind == "bool":
         return ("record",), np.array([-1 if value is None else int(value) for value in values], dtype=np.int8), about
     if column.kind == "number":
-        return ("record",), np.array([np.nan if value is None else value for value in values], dtype=np.float64), about
+        return ("record",), np.array(values, dtype=np.float64), about
     if column.kind == "interval":
-        pairs = [[np.nan if end is None else end for end in (value or (None, None))] for value in values]
-        return ("record", "bound"), np.array(pairs, dtype=np.float64), about
-    texts = [
-        "" if value is None else value if isinstance(value, str) else ", ".join(map(str, value)) for value in values
-    ]
-    return ("record",), np.array(texts, dtype=object), {"long_name": column.text}
+        return ("record", "bound"), np.array([value or (None, None) for value in values], dtype=np.float64), about
+    parts = ([value] if isinstance(value, str) else value or () for value in values)
+    return (
+        ("record",),
+        np.array([", ".join(map(str, texts)) for texts in parts], dtype=object),
+        {"long_name": column.text},
+    )
