@@ -51,9 +51,8 @@ from crankorder.ingest.manifest import load_manifest, manifest_head, manifest_of
 from crankorder.ingest.rawfile import RawFile
 from crankorder.ingest.recording import read_recording, recording_of
 from crankorder.quantities import check_dataset
-from crankorder.report.netcdf import plain_attrs
+from crankorder.report.netcdf import findings_datasets, plain_attrs, published, root_attrs
 from crankorder.report.notebook import Diagnosis, Sheet, tests_table
-from crankorder.report.published import findings_datasets, published, root_attrs
 from crankorder.settings import Settings, load_settings
 from crankorder.stages import analyse_shaft
 from crankorder.synth.write import write_scene

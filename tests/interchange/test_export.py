@@ -17,8 +17,7 @@ from crankorder.errors import RequestError
 from crankorder.findings import Findings
 from crankorder.interchange.tables import Column, csv_bytes, tables_of
 from crankorder.interchange.uff58 import uff58_bytes
-from crankorder.report.netcdf import read_results, results_bytes
-from crankorder.report.published import findings_datasets, published, root_attrs
+from crankorder.report.netcdf import findings_datasets, published, read_results, results_bytes, root_attrs
 from made.command import crankorder, done
 from made.typed import findings_of
 

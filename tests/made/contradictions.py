@@ -9,10 +9,9 @@ from crankorder.findings import Findings
 from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
 from crankorder.records import Record, known
 from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
-from crankorder.report.rows import Table
 from crankorder.report.sentences.of_speeds import free_bands, open_bands
 from crankorder.report.sentences.story import has_lines, headline, story_of
-from crankorder.report.tables import tables_of
+from crankorder.report.tables import Table, tables_of
 from made.typed import findings_of
 
 SAME = 1e-6

@@ -14,8 +14,7 @@ import xarray as xr
 
 from crankorder.errors import InputError, UnsafeInputError
 from crankorder.quantities import check_dataset
-from crankorder.report.netcdf import read_results, results_bytes
-from crankorder.report.published import findings_datasets
+from crankorder.report.netcdf import findings_datasets, read_results, results_bytes
 from made.typed import from_dicts
 
 findings_datasets = from_dicts(findings_datasets)
@@ -43,7 +42,7 @@ sys.modules["drawn"] = drawn
 spec.loader.exec_module(drawn)
 from crankorder.findings import Findings
 from crankorder.report.netcdf import results_bytes
-from crankorder.report.published import findings_datasets
+from crankorder.report.netcdf import findings_datasets
 test = drawn.drawn_test(np.arange(300.0, 2001.0, 50.0))
 groups = {"order_map": test.order_map, "campbell_map": test.campbell, "order_tracks": test.tracks}
 findings = findings_datasets(Findings.from_dict(test.findings))

@@ -14,8 +14,7 @@ import xarray as xr
 import crankorder as co
 from crankorder.channel_units import by_channel, with_real_units
 from crankorder.findings import Findings
-from crankorder.report.netcdf import read_results, results_bytes
-from crankorder.report.published import findings_datasets, published
+from crankorder.report.netcdf import findings_datasets, published, read_results, results_bytes
 
 _CHECK = """
 import json, sys

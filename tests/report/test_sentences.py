@@ -12,10 +12,15 @@ from crankorder.cause import Cause
 from crankorder.identify.lines import growth
 from crankorder.report import notation, tables
 from crankorder.report.notation import level_reference, order_texts, percent_text
-from crankorder.report.sentences import of_balance, of_orders, of_speeds, story
+from crankorder.report.sentences import of_speeds, story
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE, SHAFT_SIDES, motor_sentences, tone_sentences
-from crankorder.report.sentences.of_orders import lock_sentences
-from crankorder.report.sentences.story import ALL_CLEAR, ALL_CLEAR_WITH_ENVELOPE, MORE_SPEEDS, TOO_SHORT
+from crankorder.report.sentences.story import (
+    ALL_CLEAR,
+    ALL_CLEAR_WITH_ENVELOPE,
+    MORE_SPEEDS,
+    TOO_SHORT,
+    lock_sentences,
+)
 from made.contradictions import contradictions
 from made.typed import from_dicts
 
@@ -23,8 +28,8 @@ if_unbalance = from_dicts(growth.if_unbalance)
 estimate_text = from_dicts(notation.estimate_text)
 nominal_order = from_dicts(notation.nominal_order)
 order_name = from_dicts(notation.order_name)
-balance_sentences = from_dicts(of_balance.balance_sentences)
-law_sentences = from_dicts(of_orders.law_sentences)
+balance_sentences = from_dicts(story.balance_sentences)
+law_sentences = from_dicts(story.law_sentences)
 swing_sentences = from_dicts(of_speeds.swing_sentences)
 avoid_sentences = from_dicts(story.avoid_sentences)
 bearing_sentences = from_dicts(story.bearing_sentences)

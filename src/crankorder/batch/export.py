@@ -11,8 +11,7 @@ from crankorder.batch.store import file_sha256, text_sha256
 from crankorder.errors import RequestError
 from crankorder.interchange.tables import csv_bytes, parquet_bytes, tables_of
 from crankorder.interchange.uff58 import uff58_bytes
-from crankorder.report.netcdf import read_results
-from crankorder.report.published import published
+from crankorder.report.netcdf import published, read_results
 
 FORMATS = ("uff58", "csv", "parquet")
 

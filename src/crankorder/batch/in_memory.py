@@ -78,9 +78,7 @@ def _each(recordings: Recordings) -> dict[str, xr.Dataset]:
     """Recordings by names of their own: a name that comes again gets a number."""
     given = list(recordings) if isinstance(recordings, list | tuple) else [recordings]
     if not given:
-        raise RequestError(
-            "no recording is given", file="recordings", allowed="a Recording, or several of one test"
-        )
+        raise RequestError("no recording is given", file="recordings", allowed="a Recording, or several of one test")
     named: dict[str, xr.Dataset] = {}
     for recording in given:
         if not isinstance(recording, xr.Dataset):

@@ -14,9 +14,8 @@ from crankorder.batch.store import json_bytes
 from crankorder.batch.workers import FORKS, each
 from crankorder.errors import InputError
 from crankorder.findings import Findings
-from crankorder.report.netcdf import as_stored, read_results, results_bytes
+from crankorder.report.netcdf import as_stored, findings_datasets, read_results, results_bytes, root_attrs
 from crankorder.report.page import ShownPicture, report_page
-from crankorder.report.published import findings_datasets, root_attrs
 from crankorder.settings import ReportSettings, load_settings
 
 if TYPE_CHECKING:

@@ -31,19 +31,15 @@ def hertz_of_order(record: OrderFinding, findings: Findings) -> float | None:
     half revolution: whether it goes with the speed nobody knows. A bearing's line has its order.
     """
     rpm = record.speed_rpm_at_max
-    if not is_number(rpm):
-        return None
     of_part = record.kinds[0] in ("bearing", "gear mesh")
     loose = at_one_speed(findings) and record.lock == "slips" and not of_part
-    return record.order * rpm / 60.0 if loose or record.electric else None
+    return record.order * rpm / 60.0 if is_number(rpm) and (loose or record.electric) else None
 
 
 def strongest_tone(findings: Findings, channel: str) -> LineFinding | None:
     """Line of the strongest tone in a ``channel`` of the ``findings``, or None."""
-    lines = [
-        line for line in findings.lines if line.channel == channel and is_fixed_tone(line) and is_number(line.amplitude)
-    ]
-    return max(lines, key=lambda line: line.size, default=None)
+    lines = (line for line in findings.lines if line.channel == channel and is_number(line.amplitude))
+    return max(filter(is_fixed_tone, lines), key=lambda line: line.size, default=None)
 
 
 def fixed_tones(findings: Findings) -> list[FixedTone]:
@@ -54,28 +50,26 @@ def fixed_tones(findings: Findings) -> list[FixedTone]:
         hertz = line.frequency_hz
         if hertz is None or not is_fixed_tone(line):
             continue
-        home = next((tone for tone in tones if _same(tone.record, hertz)), None)
-        if home is None:
+        tone = next((tone for tone in tones if _is_at(tone.record, hertz)), None)
+        if tone is None:
             if any(abs(mode_hz - hertz) < 1e-9 * mode_hz for mode_hz in decided):
-                continue  # its mode is told where modes are
-            home = FixedTone(_alone(line, hertz))
-            tones.append(home)
-        home.lines.append(line)
+                continue  # the table of natural frequencies has it
+            # as the list of modes would have it
+            words, ends = line.explained_by or "unexplained", line.frequency_hz_ci95
+            record = ModeFinding(
+                frequency_hz=hertz,
+                frequency_hz_ci95=ends,
+                channels=(),
+                evidence="",
+                explained_by=words,
+                causes=line.causes,
+            )
+            tone = FixedTone(record)
+            tones.append(tone)
+        tone.lines.append(line)
     for tone in tones:
         tone.lines.sort(key=lambda line: -line.size)
     return sorted(tones, key=lambda tone: tone.record.frequency_hz)
-
-
-def _alone(line: LineFinding, hertz: float) -> ModeFinding:
-    """A tone at ``hertz`` that stands in the list of lines alone, as the list of modes would have it."""
-    return ModeFinding(
-        frequency_hz=hertz,
-        frequency_hz_ci95=line.frequency_hz_ci95,
-        channels=(),
-        evidence="",
-        explained_by=line.explained_by or "unexplained",
-        causes=line.causes,
-    )
 
 
 def fixed_frequencies(findings: Findings) -> list[ModeFinding]:
@@ -88,11 +82,10 @@ def fixed_frequencies(findings: Findings) -> list[ModeFinding]:
         replace(tone.record, channels=tone.record.channels or tuple(line.channel for line in tone.lines))
         for tone in fixed_tones(findings)
     ]
-    return sorted([*modes, *tones], key=lambda one: one.frequency_hz)
+    return sorted([*modes, *tones], key=lambda mode: mode.frequency_hz)
 
 
-def _same(tone: ModeFinding, hertz: float) -> bool:
-    one = tone.frequency_hz
-    ends = interval_of(tone, "frequency_hz")
-    reach = max(min(_SAME_HZ, _SAME_SHARE * one), 0.0 if ends is None else ends[1] - ends[0])
-    return abs(one - hertz) <= reach
+def _is_at(tone: ModeFinding, hertz: float) -> bool:
+    """Whether a line at ``hertz`` is that ``tone``."""
+    low, high = interval_of(tone, "frequency_hz") or (0.0, 0.0)
+    return abs(tone.frequency_hz - hertz) <= max(min(_SAME_HZ, _SAME_SHARE * tone.frequency_hz), high - low)

@@ -120,9 +120,9 @@ def at_one_speed(findings: Findings) -> bool:
     return is_number(low) and is_number(high) and alike_speeds((low, high))
 
 
-def number_text(value: float, *, digits: int = 3) -> str:
-    """``value`` to ``digits`` significant digits, without exponent from 1e-4 to 1e6; ``"–"`` for NaN and infinity."""
-    if not math.isfinite(value):
+def number_text(value: float | None, *, digits: int = 3) -> str:
+    """``value`` to ``digits`` significant digits, without exponent from 1e-4 to 1e6; ``"–"`` where it is not known."""
+    if value is None or not math.isfinite(value):
         return "–"
     if value == 0:
         return "0"

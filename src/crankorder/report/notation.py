@@ -51,6 +51,16 @@ def named(value: object, *, limit: int) -> str:
     return printable(value, limit)
 
 
+def short(text: object) -> str:
+    """``text`` from a file, such as a name, as a sentence has it: safe to show, at most 60 characters."""
+    return printable(text, NAME_CHARACTERS)
+
+
+def at_speed(rpm: float | None) -> str:
+    """``" at 1800 rpm"``; empty where the speed is not known."""
+    return f" at {rpm:.0f} rpm" if is_number(rpm) else ""
+
+
 def order_estimate(record: Numbered, findings: Findings) -> str:
     """Order of a ``record`` with its interval, ``"5.500 (5.497…5.503)"``; without one its name in the ``findings``."""
     return estimate_text(record, "order") if getattr(record, "order_ci95", None) else order_name(record, findings)
@@ -119,9 +129,11 @@ def with_interval(value: object, ends: Sequence[object] | None, *, unit: str = "
     return f"{texts[0]} ({texts[1]}…{texts[2]}){tail}"
 
 
-def listed(words: Sequence[str]) -> str:
-    """``words`` as in a sentence: ``"X, Y and Z"``."""
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""
+def listed(words: Sequence[str], *, most: int | None = None) -> str:
+    """``words`` as in a sentence: ``"X, Y and Z"``; ``" and more"`` behind the first ``most`` where there are more."""
+    first = words[:most]
+    text = " and ".join(filter(None, (", ".join(first[:-1]), first[-1]))) if first else ""
+    return f"{text} and more" if len(first) < len(words) else text
 
 
 def strongest_by(records: Sequence[R], key: Callable[[R], K]) -> dict[K, R]:

@@ -1,41 +1,74 @@
-"""The report page of a test, one file that needs no other and no network, and the index of many tests."""
+"""The report page of a test, one file that needs no other and no network, what its script draws; the index of tests."""
 
 from __future__ import annotations
 
 import base64
 import hashlib
+import json
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache, partial
 from importlib.resources import files
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import TypedDict
 from urllib.parse import quote
 
+import numpy as np
 import xarray as xr
-from jinja2 import Environment, FunctionLoader, StrictUndefined, Template
+from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
+from numpy.typing import NDArray
 
-from crankorder.findings import Findings
-from crankorder.report.live import live_data
-from crankorder.report.notation import named
-from crankorder.report.sentences.story import headline, story_of
-from crankorder.report.tables import tables_of
-from crankorder.report.tables_of_sources import provenance_table
+from crankorder.channel_units import unit_text
+from crankorder.findings import CrossingFinding, Findings, ModeFinding
+from crankorder.plot.cells import level_limits, speed_cells
+from crankorder.plot.fixed_lines import fixed_frequencies
+from crankorder.plot.orders_figure import shown_tracks
+from crankorder.plot.palette import level_colours
+from crankorder.quantities import Floats
+from crankorder.records import known
+from crankorder.report.notation import (
+    estimate_text,
+    frequency_text,
+    interval_of,
+    is_number,
+    is_tone,
+    is_undecided,
+    is_whirl,
+    level_reference,
+    named,
+    nominal_order,
+    number_text,
+    order_name,
+    order_text,
+    scaling_text,
+    short,
+    speeds_text,
+)
+from crankorder.report.sentences.story import Answer, headline, story_of
+from crankorder.report.tables import provenance_table, tables_of
 from crankorder.settings import ReportSettings
 
 _NOTHING: Mapping[str, xr.Dataset] = MappingProxyType({})
 _MOST_PICTURES = 1_800_000  # bytes of PNG in a page, 2.4 MB as text; half of what a page may weigh
 _SHOWN_SENTENCES = 4  # of a box, so that the four weigh about the same
-_NAME_CHARACTERS = 60
 _ERROR_CHARACTERS = 400
-_ANSWERS: tuple[tuple[Literal["what", "why", "how_sure", "what_to_do"], str], ...] = (
-    ("what", "What shakes"),
-    ("why", "Why"),
-    ("how_sure", "How sure"),
-    ("what_to_do", "What to do"),
-)
+_ANSWERS: dict[Answer, str] = {"what": "What shakes", "why": "Why", "how_sure": "How sure", "what_to_do": "What to do"}
 _MARKED = frozenset({"excited", "suspect", "bad"})
+
+_STEP_DB = 0.005
+_TOP = 60_000  # code of the largest cell of a channel; 300 dB below it nothing is left
+_MAP_CELLS = {"campbell_map": 525_000, "order_map": 75_000}  # 2.7 bytes each: 1.6 MB of a page of 5 MB
+_TRACK_VALUES = 60_000  # 5.4 bytes each
+_FEWEST_COLUMNS = 400  # of a map that is pooled to fit; less shows no lines
+_MOST_CHANNELS = 64
+_MOST_LINES = 400
+_GUIDES = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0)
+
+_TITLES = {"campbell_map": ("campbell", "Campbell diagram", "Frequency, Hz", "frequency"),
+           "order_map": ("order", "Order map", "Order (cycles per crank revolution)", "order")}  # fmt: skip
+HINT = "Point at a cell, or use the arrow keys: what is there, and what the findings say of it."
 
 
 @dataclass(frozen=True)
@@ -51,7 +84,7 @@ def report_page(
     findings: Findings,
     *,
     pictures: Sequence[ShownPicture],
-    provenance: dict[str, Any],
+    provenance: Mapping[str, object],
     settings: ReportSettings,
     groups: Mapping[str, xr.Dataset] = _NOTHING,
 ) -> str:
@@ -63,17 +96,18 @@ def report_page(
     all, those beyond that are links to the files beside it.
     """
     limit = settings.max_name_characters
-    lead = headline(findings)[0]
-    said = story_of(findings)
+    lead, story = headline(findings)[0], story_of(findings)
     live = live_data(groups, findings, settings=settings) if settings.pictures else ""
-    return page_template("report.html").render(
-        policy=page_policy(script=bool(live)),
-        style=Markup(page_style()),  # our own file, never text from data
-        script=Markup(page_script()) if live else "",  # our own file too
+    return rendered_page(
+        "report.html",
+        has_script=bool(live),
         live=Markup(live),  # JSON without <, > and &
         test=named(findings.test, limit=limit),
         lead=lead,
-        story=[(title, _first_and_rest([one for one in said[key] if one != lead])) for key, title in _ANSWERS],
+        story=[
+            (title, _first_and_rest([sentence for sentence in story[key] if sentence != lead]))
+            for key, title in _ANSWERS.items()
+        ],
         pictures=_embedded(pictures, limit=4 * limit),
         tables=tables_of(findings, limit=limit),
         provenance=provenance_table(provenance),
@@ -87,41 +121,55 @@ def _first_and_rest(sentences: list[str]) -> tuple[list[str], list[str]]:
     return sentences[:shown], sentences[shown:]
 
 
-def _embedded(pictures: Sequence[ShownPicture], *, limit: int) -> list[dict[str, Any]]:
+def _embedded(pictures: Sequence[ShownPicture], *, limit: int) -> list[dict[str, object]]:
     """Pictures for the template: link, caption, whether the script draws the same, the PNG while it fits."""
-    shown, room = list[dict[str, Any]](), _MOST_PICTURES
-    for one in pictures:
-        png = one.png if len(one.png) <= room else b""
+    embedded, room = list[dict[str, object]](), _MOST_PICTURES
+    for picture in pictures:
+        png = picture.png if len(picture.png) <= room else b""
         room -= len(png)
-        texts = {"file": named(one.file, limit=limit), "caption": named(one.caption, limit=limit)}
-        live, data = one.file.startswith(("campbell_", "orders.")), Markup(base64.b64encode(png).decode("ascii"))
-        shown.append({"link": _beside(one.file), **texts, "png": data, "live": live})
-    return shown
+        embedded.append({
+            "link": _beside(picture.file), "file": named(picture.file, limit=limit),
+            "caption": named(picture.caption, limit=limit), "png": Markup(_base64(png)),
+            "live": picture.file.startswith(("campbell_", "orders.")),
+        })  # fmt: skip
+    return embedded
 
 
-def index_page(tests: list[dict[str, Any]]) -> str:
-    """HTML list of all tests of a run, each with its status, headline and link, and the recordings that failed.
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode("ascii")
 
-    ``tests`` records with ``name``, ``status`` and, where there is one, ``headline`` (sentences), ``link`` (path of the
-    report, relative to the index) and ``failed`` (records with ``recording`` and ``error``).
-    """
-    name, text = partial(named, limit=_NAME_CHARACTERS), partial(named, limit=_ERROR_CHARACTERS)
-    shown = []
+
+class FailedRecording(TypedDict):
+    """A recording that failed, and why."""
+
+    recording: str
+    error: str
+
+
+class IndexedTest(TypedDict, total=False):
+    """A test of a run: ``headline`` of sentences, ``link`` to its report relative to the index, what ``failed``."""
+
+    name: str
+    status: str
+    headline: list[str] | str | None
+    link: str | None
+    failed: list[FailedRecording] | None
+
+
+def index_page(tests: Sequence[IndexedTest]) -> str:
+    """HTML list of all ``tests`` of a run, each with its status, headline and link, and the recordings that failed."""
+    text = partial(named, limit=_ERROR_CHARACTERS)
+    rows = []
     for test in tests:
-        status, said = str(test.get("status", "")), test.get("headline") or []
-        row = {
-            "name": name(test.get("name", "")),
-            "status": text(status),
+        status, sentences = test.get("status", ""), test.get("headline") or []
+        rows.append({
+            "name": short(test.get("name", "")), "status": text(status),
             "doubtful": status not in ("done", "ok", "unchanged"),
-            "headline": [text(sentence) for sentence in ([said] if isinstance(said, str) else said)],
-            "link": _beside(str(test["link"])) if test.get("link") else "",
-            "failed": [
-                (name(one.get("recording", "")), text(one.get("error", ""))) for one in test.get("failed") or []
-            ],
-        }
-        shown.append(row)
-    # the style is our own file, never text from data
-    return page_template("index.html").render(policy=page_policy(), style=Markup(page_style()), tests=shown)
+            "headline": [text(sentence) for sentence in ([sentences] if isinstance(sentences, str) else sentences)],
+            "link": _beside(link) if (link := test.get("link")) else "",
+            "failed": [(short(failed["recording"]), text(failed["error"])) for failed in test.get("failed") or []],
+        })  # fmt: skip
+    return rendered_page("index.html", tests=rows)
 
 
 def _beside(path: str) -> str:
@@ -130,38 +178,266 @@ def _beside(path: str) -> str:
     return "./" + "/".join(quote(part.encode("utf-8", "surrogateescape"), safe="") for part in parts)
 
 
-@cache
-def page_template(name: str) -> Template:
-    """Template ``name`` of this room, which escapes every text."""
-    loader = FunctionLoader(lambda wanted: files("crankorder.report").joinpath(wanted).read_text(encoding="utf-8"))
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    return environment.get_template(name)
+def rendered_page(template: str, *, has_script: bool = False, **values: object) -> str:
+    """Page by a ``template`` of this room with its ``values``: every text is escaped, and no network is reached.
 
-
-@cache
-def page_style() -> str:
-    """Style sheet of the pages: our own file, never text from data."""
-    return files("crankorder.report").joinpath("report.css").read_text(encoding="utf-8")
-
-
-@cache
-def page_script() -> str:
-    """Script of the report page: our own file, never text from data."""
-    return files("crankorder.report").joinpath("page.js").read_text(encoding="utf-8")
-
-
-@cache
-def page_policy(*, script: bool = False) -> str:
-    """Content security policy of a page: its pictures, its one style and, where it has one, its ``script`` by hash."""
+    The content security policy allows its pictures, its one style and, where it ``has_script``, its script by hash.
+    Style and script are our own files, never text from data.
+    """
+    style, script = _own_file("report.css"), _own_file("page.js") if has_script else ""
     pictures = "data:" if script else "data: 'self' file:"
-    scripts = f"; script-src {_digest(page_script())}" if script else ""
-    return (
-        f"default-src 'none'; img-src {pictures}; style-src {_digest(page_style())}{scripts}; base-uri 'none'; "
+    scripts = f"; script-src {_digest(script)}" if script else ""
+    policy = (
+        f"default-src 'none'; img-src {pictures}; style-src {_digest(style)}{scripts}; base-uri 'none'; "
         "form-action 'none'"
     )
+    return (
+        _templates().get_template(template).render(policy=policy, style=Markup(style), script=Markup(script), **values)
+    )
+
+
+@cache
+def _templates() -> Environment:
+    loader = FunctionLoader(_own_file)
+    return Environment(loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+
+
+@cache
+def _own_file(name: str) -> str:
+    return files("crankorder.report").joinpath(name).read_text(encoding="utf-8")
 
 
 def _digest(text: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode('utf-8')).digest()).decode('ascii')}'"
+    return f"'sha256-{_base64(hashlib.sha256(text.encode('utf-8')).digest())}'"
+
+
+@dataclass(frozen=True)
+class LiveChannel:
+    """A channel: its name, unit, the reference of its level in that unit, and what the level is called."""
+
+    name: str
+    unit: str
+    reference: float
+    level: str
+
+
+Record = dict[str, object]
+"""A map, the tracks, or a thing that the findings name, as the script of the page reads it."""
+
+
+def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings: ReportSettings) -> str:
+    """JSON for the script of the page, safe inside a script element; empty where there is neither map nor track.
+
+    ``groups`` datasets of the results by name; ``findings`` of the test; ``settings`` of the report. Of maps with many
+    cells neighbouring columns are pooled by their maximum, and the last channels left out, so that a page stays below
+    5 MB whatever its test holds.
+    """
+    first = next((groups[name] for name in (*_TITLES, "order_tracks") if name in groups), None)
+    if first is None:
+        return ""
+    channels = _channels(first, settings)
+    maps = [_map(name, groups[name], channels, settings) for name in _TITLES if name in groups]
+    tracks = _tracks(groups.get("order_tracks"), len(channels), limit=settings.max_labelled_orders)
+    if not any(maps) and tracks is None:
+        return ""
+    document = {
+        "hint": HINT, "freeText": "Free of resonances at this speed.", "unasked": bool(findings.not_asked_for),
+        "colours": _base64(level_colours().tobytes()),
+        "channels": [asdict(channel) for channel in channels],
+        "maps": [*filter(None, maps)],
+        "tracks": tracks,
+        "guides": [{"order": order, "text": order_text(order)} for order in _GUIDES],
+        **_statements(findings, [str(name) for name in first["channel"].values[: len(channels)]], settings),
+    }  # fmt: skip
+    text = json.dumps(document, ensure_ascii=True, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _channels(dataset: xr.Dataset, settings: ReportSettings) -> list[LiveChannel]:
+    channels = []
+    columns = (dataset[key].values[:_MOST_CHANNELS].astype(str).tolist() for key in ("channel", "unit", "quantity"))
+    for name, unit, quantity in zip(*columns, strict=True):
+        reference, level = level_reference(quantity, unit, settings=settings)
+        text = named(name, limit=settings.max_name_characters)
+        channels.append(LiveChannel(text, unit_text(unit), reference, level.replace("(peak)", scaling_text(dataset))))
+    return channels
+
+
+def _map(name: str, dataset: xr.Dataset, channels: list[LiveChannel], settings: ReportSettings) -> Record | None:
+    """A map: ``rows`` of speed [rpm], slowest first, with the ends of their cells; ``nx`` columns.
+
+    The columns begin at ``x0`` and are ``dx`` apart; each is the largest of ``pooled``. ``cells`` per channel: base64
+    of codes (rows, columns), 16 bits each; ``largest`` its largest amplitude, which has the code 60000, each 0.005 dB
+    below one less; ``limits`` of the colours [dB].
+    """
+    kind, title, label, axis = _TITLES[name]
+    x = np.asarray(dataset[axis].values, dtype=float)
+    speed = np.asarray(dataset["speed"].values, dtype=float)
+    amplitude = dataset["amplitude"].transpose("channel", "speed", axis).values[: len(channels)]
+    kept = np.flatnonzero(np.isfinite(speed) & np.isfinite(amplitude).any(axis=(0, 2)))
+    kept = kept[np.argsort(speed[kept], kind="stable")]
+    even = len(x) > 1 and np.allclose(np.diff(x), x[1] - x[0], rtol=1e-6)
+    if len(kept) < 2 or not even:
+        return None
+    pool, shown = _share_of_page(len(channels) * len(kept) * len(x), len(x), len(channels), _MAP_CELLS[name])
+    if not shown:
+        return None
+    columns = -(-len(x) // pool)
+    largest, limits, cells = [], [], []
+    for values, channel in zip(amplitude[:shown, kept], channels, strict=False):
+        values = np.nan_to_num(values.astype(np.float64), posinf=0.0)
+        if pool > 1:
+            padded = np.pad(values, ((0, 0), (0, columns * pool - len(x))))
+            values = padded.reshape(len(kept), columns, pool).max(axis=2)
+        top = float(values.max())
+        largest.append(top)
+        limits.append(level_limits(values, channel.reference, range_db=settings.dynamic_range_db))
+        cells.append(_base64(_codes(values, top).tobytes()))
+    step = float(x[-1] - x[0]) / (len(x) - 1)
+    ends = speed_cells(speed[kept])
+    rows = [[_short(rpm), _short(low), _short(high)] for rpm, (low, high) in zip(speed[kept], ends, strict=True)]
+    return {
+        "kind": kind, "title": title, "label": label, "x0": float(x[0]) + (pool - 1) / 2 * step, "dx": pool * step,
+        "nx": columns, "pooled": pool, "rows": rows, "largest": largest, "limits": limits, "cells": cells,
+    }  # fmt: skip
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.8g}")
+
+
+def _shortened(value: object) -> object:
+    """``value`` with every number to eight digits: findings read back from their file have no more than ten."""
+    if isinstance(value, float):
+        return _short(value)
+    if isinstance(value, dict):
+        return {key: _shortened(part) for key, part in value.items()}
+    return [_shortened(part) for part in value] if isinstance(value, list | tuple) else value
+
+
+def _share_of_page(cells: int, columns: int, channels: int, most: int) -> tuple[int, int]:
+    """Columns pooled into one, and channels shown, so that ``cells`` in all become ``most`` at the most."""
+    pool = min(max(1, math.ceil(cells / most)), max(1, columns // _FEWEST_COLUMNS))
+    each = cells / channels / pool
+    return pool, min(channels, int(most / each)) if each else 0
+
+
+def _codes(values: Floats, top: float) -> NDArray[np.uint16]:
+    """Codes of the script: 0 for nothing, 60000 for ``top``, one less for every 0.005 dB below."""
+    if top <= 0:
+        return np.zeros(values.shape, dtype="<u2")
+    share = np.divide(values, top)
+    with np.errstate(divide="ignore"):
+        code = np.rint(_TOP + 20 / _STEP_DB * np.log10(share))
+    return np.asarray(np.where(share > 0, np.clip(code, 1, _TOP), 0).astype("<u2"))
+
+
+def _tracks(tracks: xr.Dataset | None, channels: int, *, limit: int) -> Record | None:
+    """Values (channel, order, speed) as base64 of 32-bit floats; an amplitude of -inf is not read."""
+    if tracks is None or not tracks.sizes["order"]:
+        return None
+    if tracks.sizes["speed"] < 2 or not np.isfinite(tracks["speed"].values).all():
+        return None
+    shown = shown_tracks(tracks, limit=limit)
+    kept = min(channels, int(_TRACK_VALUES / max(4 * shown.amplitude[0].size, 1)))
+    if not kept:
+        return None
+    amplitude = np.where(shown.read, shown.amplitude, -np.inf)[:kept]
+    largest = np.nan_to_num(np.where(np.isfinite(amplitude), amplitude, 0.0)).max(axis=(1, 2))
+
+    def packed(values: Floats) -> str:
+        with np.errstate(over="ignore"):
+            return _base64(values[:kept].astype("<f4").tobytes())
+
+    orders = [{"order": float(order), "text": text} for order, text in zip(shown.orders, shown.texts, strict=True)]
+    return {
+        "kind": "tracks", "title": "Orders against speed", "speed": [_short(rpm) for rpm in shown.speed],
+        "orders": orders, "largest": largest.tolist(), "amplitude": packed(amplitude),
+        "low": packed(shown.low), "high": packed(shown.high), "phase": packed(shown.phase),
+    }  # fmt: skip
+
+
+def _statements(findings: Findings, names: list[str], settings: ReportSettings) -> Record:
+    """What the findings say, in the keys of the script; channels by their number among ``names``."""
+    limit = settings.max_name_characters
+    number = {name: place for place, name in enumerate(names)}
+    modes = fixed_frequencies(findings)
+    ranges = [ends for speed in findings.speeds_to_avoid or () if (ends := known(speed.rpm_range)) is not None]
+    bands = [(band.low_rpm, band.high_rpm) for band in findings.free_bands]
+    statements = {
+        "orders": _orders(findings, number, limit),
+        "fixed": [_fixed(mode, number, limit) for mode in modes],
+        "crossings": [_crossing(record, findings, modes, number) for record in findings.crossings if record.in_range],
+        "lines": _lines(findings, number, limit),
+        "avoid": [{"low": low, "high": high, "text": f"Avoid {speeds_text((low, high))} rpm."} for low, high in ranges],
+        "free": [ends for ends in bands if known(ends) is not None],
+    }
+    return {key: _shortened(value) for key, value in statements.items()}
+
+
+def _orders(findings: Findings, number: dict[str, int], limit: int) -> list[Record]:
+    """Orders found in a channel (by number): what each is called, what makes it, where it is largest and was seen."""
+    return [
+        {
+            "channel": number[record.channel], "order": record.order, "text": order_name(record, findings),
+            "why": named(record.explained_by or "unexplained", limit=2 * limit), "size": record.amplitude,
+            "at": record.speed_rpm_at_max, "seen": known(record.speed_range_rpm),
+        }
+        for record in findings.orders
+        if record.channel in number
+    ]  # fmt: skip
+
+
+def _half_width(mode: ModeFinding) -> float:
+    """Half the width [Hz] over which a mode is itself: its half-power band, at least its interval."""
+    low, high = interval_of(mode, "frequency_hz") or (0.0, 0.0)
+    return max(mode.frequency_hz * (mode.damping_ratio or 0.0), (high - low) / 2)
+
+
+def _fixed(mode: ModeFinding, number: dict[str, int], limit: int) -> Record:
+    """A frequency that stays, or a whirl's with its ``slope``; ``half`` its half width in Hz."""
+    name = f"{frequency_text(mode.frequency_hz)}{'?' * is_undecided(mode)} Hz"
+    estimate = f"{estimate_text(mode, 'frequency_hz')} Hz"
+    kind, text, slope, rpm = "mode", f"Natural frequency {estimate}", 0.0, 0.0
+    if is_tone(mode):
+        kind, text = "tone", f"{named(mode.explained_by, limit=limit).capitalize()} {estimate}"
+    elif is_undecided(mode):
+        kind, text = "doubt", f"Perhaps a natural frequency, not decided: {estimate}"
+    elif is_number(mode.damping_ratio):
+        text += f", damping {number_text(100 * mode.damping_ratio, digits=2)} %"
+    if is_whirl(mode):
+        kind = "whirl" if kind == "mode" else kind
+        slope, rpm = mode.speed_slope or 0.0, mode.reference_rpm or 0.0
+    return {
+        "hz": mode.frequency_hz, "half": _half_width(mode), "slope": slope, "from_rpm": rpm, "kind": kind, "name": name,
+        "text": text, "channels": [number[channel] for channel in mode.channels if channel in number],
+    }  # fmt: skip
+
+
+def _crossing(
+    crossing: CrossingFinding, findings: Findings, modes: list[ModeFinding], number: dict[str, int]
+) -> Record:
+    """Meeting of an order with a natural frequency of half width ``half`` Hz, with what is said of it."""
+    nearest = min(modes, key=lambda mode: abs(mode.frequency_hz - crossing.mode_hz), default=None)
+    channels = crossing.channels or (crossing.channel,)
+    factor = crossing.amplification or 0.0
+    times = f", × {number_text(factor, digits=2)}" if crossing.excited and factor > 0 else ""
+    verdict = crossing.verdict or ("excited" if crossing.excited else "not excited")
+    where = f"order {order_name(crossing, findings)} meets {frequency_text(crossing.mode_hz)} Hz"
+    return {
+        "order": crossing.order, "hz": crossing.mode_hz, "half": 0.0 if nearest is None else _half_width(nearest),
+        "rpm": crossing.rpm, "excited": crossing.excited,
+        "text": f"Crossing: {where} near {crossing.rpm:.0f} rpm, {verdict}{times}.",
+        "channels": [number[channel] for channel in channels if channel in number],
+    }  # fmt: skip
+
+
+def _lines(findings: Findings, number: dict[str, int], limit: int) -> list[Record]:
+    """The list of all lines, by ``order`` or by ``hz``, with what is said of each."""
+    shown: list[Record] = []
+    lines = [line for line in findings.lines if line.channel in number]
+    for line in sorted(lines, key=lambda line: -line.size)[:_MOST_LINES]:
+        place = f"{line.frequency_hz:.4g} Hz" if line.order is None else f"order {order_text(nominal_order(line))}"
+        text = f"Line at {place}: {named(line.explained_by or 'unexplained', limit=2 * limit)}."
+        shown.append({"channel": number[line.channel], "order": line.order, "hz": line.frequency_hz, "text": text})
+    return shown

@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 import re
-from typing import cast
+from collections.abc import Mapping, Sequence
+from typing import TypedDict, cast
 
 from crankorder.channel_units import unit_text
-from crankorder.findings import (
-    AvoidedSpeed,
-    CrossingFinding,
-    EnergyShares,
-    Findings,
-    FreeBand,
-    ModeFinding,
-    OpenBand,
-    OrderFinding,
-    Quality,
-)
-from crankorder.plot.fixed_lines import hertz_of_order
+from crankorder.findings import AvoidedSpeed, EnergyShares, Findings, FreeBand, ModeFinding, OpenBand, Quality
+from crankorder.plot.fixed_lines import fixed_tones, hertz_of_order
 from crankorder.records import Record
 from crankorder.report.notation import (
     Numbered,
@@ -39,29 +30,98 @@ from crankorder.report.notation import (
     unit_of,
     with_interval,
 )
-from crankorder.report.rows import Bar, Table, folded, table_of
-from crankorder.report.sentences.of_lines import no_order_sentence
+from crankorder.report.sentences.of_levels import band_of
+from crankorder.report.sentences.of_lines import envelope_band, no_order_sentence
 from crankorder.report.sentences.of_speeds import all_judged
-from crankorder.report.sentences.story import energy_sentence
-from crankorder.report.tables_of_sources import (
-    balance_table,
-    bearing_table,
-    level_table,
-    limit_table,
-    number_of,
-    octave_table,
-    tone_table,
-)
-
-__all__ = ["Table", "table_of", "tables_of"]
+from crankorder.report.sentences.story import energy_sentence, source_text, stated_quantities, undecided_quantities
 
 NOTHING_RISES = "No order was seen to rise at a natural frequency inside the tested speeds."
 NOTHING_TOLD = "None is known. That is no proof that there is none: the bands below are not free, or nobody knows."
-
 FLANK_ALONE = (
     "No order meets a natural frequency inside the tested speeds; the flank of one beyond them reaches in, as the "
     "bands below say."
 )
+NO_BEARING = (
+    "No bearing was named in the manifest, or none of its lines was seen. Strikes that ring above the "
+    "frequencies analysed are not looked for."
+)
+NO_BEARING_IN_ENVELOPE = "No bearing was named in the manifest, or none of its lines was seen in vibration or envelope."
+
+PARTS = (
+    ("orders", "Orders"),
+    ("tones", "Tones"),
+    ("modes_and_floor", "Natural frequencies and floor"),
+    ("unexplained", "Unexplained"),
+)
+"""Key in the findings and title of each part of the band, in the order of bar and table: together all of it."""
+
+_ABOVE = ("above_band", "Above the band, of all recorded")  # no part of the band
+_SHOWN = 40  # rows of a table that a page shows at once …
+_FOLDED = 400  # … and that it holds folded away; the files hold all
+_NUMBER = re.compile(r"(?<![\w.])[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
+_TOO_LITTLE = ("only", "fewer", "less than", "at least", "shorter", "below", "too few")
+
+
+class Column(TypedDict):
+    """Head of a column and whether it holds numbers."""
+
+    title: str
+    number: bool
+
+
+class Bar(TypedDict):
+    """Stacked bar of length 100: its ``name`` and its parts with their ``kind``, ``start`` and ``width``."""
+
+    name: str
+    parts: list[dict[str, str]]
+
+
+class Table(TypedDict):
+    """One table of the page; ``more`` is folded away under it, ``beside`` stands open under it, ``bars`` above it."""
+
+    title: str
+    note: str
+    empty: str
+    columns: list[Column]
+    rows: list[list[str]]
+    more: Table | None
+    beside: Table | None
+    bars: list[Bar]
+
+
+def table_of(
+    title: str,
+    heads: str,
+    rows: list[list[str]],
+    *,
+    empty: str = "",
+    note: str = "",
+    more: Table | None = None,
+    beside: Table | None = None,
+    bars: Sequence[Bar] = (),
+) -> Table:
+    """Table ``title`` with ``heads`` separated by ``|``; a head that ends in ``#`` is a column of numbers.
+
+    ``rows`` of text, of which a page holds the first 400; ``empty`` stands in their place where there are none;
+    ``note`` stands above; ``more`` is folded away; ``beside`` follows; ``bars`` show shares.
+    """
+    columns = [Column(title=head.removesuffix("#"), number=head.endswith("#")) for head in heads.split("|")]
+    if len(rows) > _FOLDED:
+        note = f"{note} The first {_FOLDED} of {len(rows)}; findings.json holds all.".strip()
+    return Table(
+        title=title, note=note, empty=empty, columns=columns, rows=rows[:_FOLDED], more=more, beside=beside,
+        bars=list(bars),
+    )  # fmt: skip
+
+
+def _folded(title: str, heads: str, rows: list[list[str]], *, empty: str, note: str) -> Table:
+    """Table of the first rows where there are many, all of them folded away under it; the strongest come first."""
+    if len(rows) <= _SHOWN:
+        return table_of(title, heads, rows, empty=empty, note=note)
+    note = f"{note} The {_SHOWN} strongest of {len(rows)}; the others are folded away below.".strip()
+    return table_of(
+        title, heads, rows[:_SHOWN], empty=empty, note=note, more=table_of(f"All {len(rows)} rows", heads, rows)
+    )
 
 
 def tables_of(findings: Findings, *, limit: int) -> list[tuple[str, Table]]:
@@ -72,54 +132,36 @@ def tables_of(findings: Findings, *, limit: int) -> list[tuple[str, Table]]:
     """
     if findings.not_asked_for:
         return [("quality", _quality(findings, limit))]
-    made = [
-        ("avoid", _avoid(findings, limit)),
-        ("orders", _orders(findings, limit)),
-        ("modes", _modes(findings, limit)),
-        ("undecided", _undecided(findings, limit)),
-        ("tones", tone_table(findings, limit)),
-        ("crossings", _crossings(findings, limit)),
-        ("bearings", bearing_table(findings, limit)),
-        ("balance", balance_table(findings, limit)),
-        ("limits", limit_table(findings, limit)),
-        ("levels", level_table(findings, limit)),
-        ("third-octaves", octave_table(findings, limit)),
-        ("energy", energy_table(findings, limit)),
-        ("lines", _lines(findings, limit)),
-        ("quality", _quality(findings, limit)),
-    ]
-    return [(anchor, one) for anchor, one in made if one["rows"] or one["empty"]]
+    tables = {anchor: table(findings, limit) for anchor, table in _TABLES.items()}
+    return [(anchor, table) for anchor, table in tables.items() if table["rows"] or table["empty"]]
 
 
 def _avoid(findings: Findings, limit: int) -> Table:
     """Speeds to avoid, ranked, and under them the other bands; empty where the findings have no such lists."""
     bands: list[tuple[FreeBand | OpenBand, str]] = [(band, "free") for band in findings.free_bands]
-    bands += [(band, "not free, or not known") for band in findings.open_bands or []]
-    other = []
-    for band, verdict in sorted(bands, key=lambda item: item[0].low_rpm):
-        ends, remark = (band.low_rpm, band.high_rpm), named(band.remark or "–", limit=8 * limit)
-        other.append([speeds_text(ends), number_of(ends[1] - ends[0]), verdict, remark])
+    bands += [(band, "not free, or not known") for band in findings.open_bands or ()]
+    other = [
+        [
+            speeds_text((band.low_rpm, band.high_rpm)), _whole(band.high_rpm - band.low_rpm), verdict,
+            named(band.remark or "–", limit=8 * limit),
+        ]
+        for band, verdict in sorted(bands, key=lambda pair: pair[0].low_rpm)
+    ]  # fmt: skip
     rows = [
         [
-            number_of(record.rank),
-            number_of(record.rpm),
-            speeds_text(record.rpm_range or ()),
-            order_estimate(record, findings),
-            _hertz(record, "mode_hz"),
-            named(record.channel or "", limit=limit),
-            _peak_text(record, findings),
-            _times(record, "amplification"),
-            named(record.reason or "", limit=4 * limit),
+            str(record.rank), _whole(record.rpm), speeds_text(record.rpm_range or ()),
+            order_estimate(record, findings), _hertz(record, "mode_hz"), named(record.channel, limit=limit),
+            _peak_text(record, findings), _times(record, "amplification"), named(record.reason, limit=4 * limit),
         ]
-        for record in findings.speeds_to_avoid or []
-    ]
+        for record in findings.speeds_to_avoid or ()
+    ]  # fmt: skip
     heads = "Rank#|Speed, rpm#|Avoid, rpm#|Order#|Natural frequency, Hz#|Channel|Peak there#|Amplification#|Why"
-    beside = table_of("Free and open bands of speed", "Speeds, rpm#|Width, rpm#|Verdict|Remark", other, empty="")
+    beside = table_of("Free and open bands of speed", "Speeds, rpm#|Width, rpm#|Verdict|Remark", other)
     met = any(record.in_range for record in findings.crossings)
     # a natural frequency that is met beyond the tested speeds alone may amplify an order within
-    by_a_flank = not met and any(band.amplified for band in findings.open_bands or [])
-    told = FLANK_ALONE if by_a_flank else NOTHING_TOLD
-    empty = (NOTHING_RISES if all_judged(findings) else told) if findings.speeds_to_avoid is not None else ""
+    by_a_flank = not met and any(band.amplified for band in findings.open_bands or ())
+    unknown = FLANK_ALONE if by_a_flank else NOTHING_TOLD
+    empty = (NOTHING_RISES if all_judged(findings) else unknown) if findings.speeds_to_avoid is not None else ""
     note = "Peak and amplification of the first order alone; by fit: what the modal fit says of a held speed."
     note = f"{note} The worst first: by that peak, of several units by its share of the largest order." if rows else ""
     return table_of("Speeds to avoid", heads, rows, note=note, empty=empty, beside=beside if other else None)
@@ -134,10 +176,25 @@ def _peak_text(record: AvoidedSpeed, findings: Findings) -> str:
 
 
 def _orders(findings: Findings, limit: int) -> Table:
-    records = [record for record in findings.orders if is_number(record.order)]
-    loudest = strongest_by(records, lambda one: unit_of(findings, one))
-    records.sort(key=lambda one: -one.amplitude / (loudest[unit_of(findings, one)].amplitude or 1.0))
-    rows = [_order_row(record, findings, limit) for record in records]
+    loudest = strongest_by(findings.orders, lambda record: unit_of(findings, record))
+    rows = []
+    for record in sorted(
+        findings.orders, key=lambda record: -record.amplitude / (loudest[unit_of(findings, record)].amplitude or 1.0)
+    ):
+        lock: str | None = record.lock
+        if lock == "slips" and hertz_of_order(record, findings):
+            lock = "no exact multiple"
+        elif lock == "undecided" and is_number(record.revs_to_decide):
+            lock = f"undecided: {record.revs_to_decide:.0f} revolutions needed"
+        lock = ", ".join(filter(None, (lock, "half order" * record.half_order))) or "–"
+        rows.append([
+            named(record.channel, limit=limit), order_estimate(record, findings),
+            named(record.explained_by or "", limit=2 * limit), named(lock, limit=80),
+            estimate_text(record, "amplitude", unit=unit_of(findings, record)), _whole(record.speed_rpm_at_max),
+            estimate_text(record, "phase_deg"), estimate_text(record, "speed_exponent"),
+            named((record.speed_law or "–").split(" with speed")[0], limit=limit), _hertz(record, "meets_hz"),
+            speeds_text(record.speed_range_rpm),
+        ])  # fmt: skip
     note = (
         "The strongest first; where all speeds follow one law the amplitude is that of the law. "
         "Speed exponent: 2 grows as the force of an unbalanced mass, 0 keeps its size."
@@ -146,114 +203,75 @@ def _orders(findings: Findings, limit: int) -> Table:
         "Channel|Order#|Explained by|To the shaft|Largest amplitude (peak)#|At, rpm#|Phase there, °#|Speed exponent#|"
         "With speed|Meets, Hz#|Seen, rpm#"
     )
-    return folded("Orders", heads, rows, note=note if rows else "", empty=no_order_sentence(findings))
-
-
-def _order_row(record: OrderFinding, findings: Findings, limit: int) -> list[str]:
-    law = str(record.speed_law or "–")
-    return [
-        named(record.channel, limit=limit),
-        order_estimate(record, findings),
-        named(record.explained_by or "", limit=2 * limit),
-        _lock(record, findings),
-        estimate_text(record, "amplitude", unit=unit_of(findings, record)),
-        number_of(record.speed_rpm_at_max),
-        estimate_text(record, "phase_deg"),
-        estimate_text(record, "speed_exponent"),
-        named(law.split(" with speed")[0], limit=limit),
-        _hertz(record, "meets_hz"),
-        speeds_text(record.speed_range_rpm),
-    ]
-
-
-def _lock(record: OrderFinding, findings: Findings) -> str:
-    """``"locked"``, ``"slips"``, ``"undecided: 400 revolutions needed"``; half orders say so.
-
-    Of a line of which nothing tells whether it follows the shaft at all it is only said that it is no multiple.
-    """
-    said = str(record.lock or "")
-    if said == "slips" and hertz_of_order(record, findings) is not None:
-        said = "no exact multiple"
-    if said == "undecided" and is_number(record.revs_to_decide):
-        said = f"undecided: {record.revs_to_decide:.0f} revolutions needed"
-    half = "half order" if record.half_order is True else ""
-    return named(", ".join(part for part in (said, half) if part) or "–", limit=80)
+    return _folded("Orders", heads, rows, note=note if rows else "", empty=no_order_sentence(findings))
 
 
 def _modes(findings: Findings, limit: int) -> Table:
-    rows = [
-        _mode_row(record, _reached(record), limit)
-        for record in sorted(findings.modes, key=lambda one: -_shaken(one, findings))
-        if not is_tone(record) and not is_undecided(record)
-    ]
+    rows = []
+    for mode in sorted(findings.modes, key=lambda mode: -_shaken(mode, findings)):
+        if not is_tone(mode) and not is_undecided(mode):
+            reached = ", ".join(order_texts(sorted(map(nominal_order, mode.reached_by_orders or ()))))
+            none = "–" if mode.reached_by_orders is None else "no order was seen to excite it"
+            rows.append(_mode_row(mode, reached or none, limit))
     note = "Those first at which orders are amplified most." if len(rows) > 1 and findings.crossings else ""
     heads = "Frequency, Hz#|Damping, %#|Channels|Reached by orders|Evidence"
     return table_of("Natural frequencies", heads, rows, note=note, empty="No natural frequency was found.")
 
 
-def _mode_row(record: ModeFinding, about: str, limit: int) -> list[str]:
-    channels = named(", ".join(record.channels or ()), limit=limit)
-    evidence = named(record.evidence or "", limit=4 * limit)
-    return [estimate_text(record, "frequency_hz"), _in_percent(record), channels, about, evidence]
+def _mode_row(mode: ModeFinding, remark: str, limit: int) -> list[str]:
+    value, (low, high) = mode.damping_ratio, mode.damping_ratio_ci95 or (None, None)
+    percent, *ends = (None if number is None else 100 * number for number in (value, low, high))
+    channels, evidence = named(", ".join(mode.channels), limit=limit), named(mode.evidence, limit=4 * limit)
+    return [estimate_text(mode, "frequency_hz"), with_interval(percent, ends), channels, remark, evidence]
 
 
 def _shaken(mode: ModeFinding, findings: Findings) -> float:
     """Largest amplification of an order that excites ``mode`` in the tested range; 0 where none does."""
     own = (one for one in findings.crossings if abs(one.mode_hz - mode.frequency_hz) <= 1e-3 * mode.frequency_hz)
-    return max((float(one.amplification or 1.0) for one in own if one.excited and one.in_range), default=0.0)
-
-
-def _reached(record: ModeFinding) -> str:
-    orders = record.reached_by_orders
-    if orders is None:
-        return "–"
-    numbers = sorted(nominal_order(float(order)) for order in orders if is_number(order))
-    return ", ".join(order_texts(numbers)) if numbers else "no order was seen to excite it"
+    return max((one.amplification or 1.0 for one in own if one.excited and one.in_range), default=0.0)
 
 
 def _undecided(findings: Findings, limit: int) -> Table:
     rows = [
-        _mode_row(record, named(record.undecided or "", limit=4 * limit), limit)
-        for record in findings.modes
-        if is_undecided(record)
+        _mode_row(mode, named(mode.undecided or "", limit=4 * limit), limit)
+        for mode in findings.modes
+        if is_undecided(mode)
     ]
     heads = "Frequency, Hz#|Damping, %#|Channels|Why it is not decided|Evidence"
-    return table_of("Perhaps natural frequencies: not decided", heads, rows, empty="")
+    return table_of("Perhaps natural frequencies: not decided", heads, rows)
 
 
-def _in_percent(record: ModeFinding) -> str:
-    """Damping ratio in percent, with its interval."""
-    value, ends = record.damping_ratio, record.damping_ratio_ci95
-    percent = [None if end is None else 100 * end for end in (value, *(ends or (None, None)))]
-    return with_interval(percent[0], percent[1:])
+def _tones(findings: Findings, limit: int) -> Table:
+    """Tones and mains, one row per tone and channel."""
+    rows = []
+    for tone in fixed_tones(findings):
+        kind, frequency = named(tone.record.explained_by, limit=limit), estimate_text(tone.record, "frequency_hz")
+        evidence = named(tone.record.evidence or "–", limit=4 * limit)
+        levels = [(line.channel, estimate_text(line, "amplitude", unit=unit_of(findings, line))) for line in tone.lines]
+        for channel, level in levels or [(", ".join(tone.record.channels), "–")]:
+            rows.append([frequency, kind, named(channel, limit=limit), level, evidence])
+    heads = "Frequency, Hz#|What it is|Channel|Amplitude (peak)#|Evidence"
+    return table_of("Tones and mains: no natural frequencies", heads, rows)
 
 
 def _crossings(findings: Findings, limit: int) -> Table:
-    records = sorted(findings.crossings, key=lambda one: (not one.excited, float(one.rpm or 0)))
-    inside = [_crossing(record, findings, limit) for record in records if record.in_range]
-    outside = [_crossing(record, findings, limit) for record in records if not record.in_range]
+    inside, outside = list[list[str]](), list[list[str]]()
+    for record in sorted(findings.crossings, key=lambda crossing: (not crossing.excited, crossing.rpm)):
+        response = "excited" if record.excited else "not excited" if record.in_range else "not measured"
+        channels = record.channels or filter(None, [record.channel])
+        (inside if record.in_range else outside).append([
+            order_estimate(record, findings), estimate_text(record, "mode_hz"),
+            estimate_text(record, "rpm") if record.rpm_ci95 is not None else _whole(record.rpm),
+            _times(record, "amplification") if record.in_range else "–", _times(record, "amplification_predicted"),
+            named(record.verdict or response, limit=limit), named(", ".join(channels), limit=limit) or "–",
+            named("; ".join(filter(None, (record.evidence, record.remark))) or "–", limit=4 * limit),
+        ])  # fmt: skip
     heads = "Order#|Natural frequency, Hz#|Speed, rpm#|Amplification measured#|Predicted#|Response|In channels|Evidence"
     title = f"{len(outside)} crossing{'s' * (len(outside) > 1)} extrapolated beyond the tested speeds"
-    more = table_of(title, heads, outside, empty="") if outside else None
+    more = table_of(title, heads, outside) if outside else None
     note = "Speeds at which an order meets a natural frequency; excited ones first." if inside else ""
     empty = "No order crosses a natural frequency inside the tested speeds."
     return table_of("Crossings", heads, inside, note=note, empty=empty, more=more)
-
-
-def _crossing(record: CrossingFinding, findings: Findings, limit: int) -> list[str]:
-    response = "excited" if record.excited else "not excited" if record.in_range else "not measured"
-    evidence = "; ".join(str(part) for part in (record.evidence, record.remark) if part)
-    channels = record.channels or ((record.channel,) if record.channel else ())
-    return [
-        order_estimate(record, findings),
-        estimate_text(record, "mode_hz"),
-        estimate_text(record, "rpm") if record.rpm_ci95 is not None else number_of(record.rpm),
-        _times(record, "amplification") if record.in_range else "–",
-        _times(record, "amplification_predicted"),
-        named(record.verdict or response, limit=limit),
-        named(", ".join(str(name) for name in channels), limit=limit) or "–",
-        named(evidence or "–", limit=4 * limit),
-    ]
 
 
 def _times(record: Record, key: str) -> str:
@@ -267,115 +285,124 @@ def _times(record: Record, key: str) -> str:
     return f"× {estimate_text(record, key) if ends else number_text(factor, digits=2)}"
 
 
-def _lines(findings: Findings, limit: int) -> Table:
-    records = sorted(findings.lines, key=lambda one: -float(one.amplitude or 0))
+def _bearings(findings: Findings, limit: int) -> Table:
+    """Bearing lines with what was expected, found and concluded."""
     rows = []
-    for record in records:
-        place = f"{estimate_text(record, 'frequency_hz')} Hz"
-        if record.order is not None:
-            place = f"order {order_estimate(cast('Numbered', record), findings)}"
+    for record in findings.bearings:
+        band, multiples, apart = envelope_band(record), record.harmonics, record.sidebands
+        seen = named(record.seen_in or "–", limit=limit)
         level = estimate_text(record, "amplitude", unit=unit_of(findings, record))
-        explained = named(record.explained_by or "unexplained", limit=2 * limit)
-        rows.append([named(record.channel, limit=limit), place, level, explained])
-    note = energy_sentence(findings) if rows else ""
-    heads = "Channel|Line|Amplitude (peak)#|Explained by"
-    empty = "No line of the vibration itself stands above the false-alarm level in the band that was looked at."
-    return folded("All lines", heads, rows, note=note, empty=empty)
-
-
-def _quality(findings: Findings, limit: int) -> Table:
-    """Remarks by kind, the gravest first: of how many recordings, and the worst of them; all of them folded away."""
-    rank = {"bad": 0, "suspect": 1}
-    records = sorted(findings.quality, key=lambda one: rank.get(one.severity, 2))
-    keys = ("recording", "severity", "flag", "detail")
-    every = [
-        [named(getattr(record, key), limit=4 * limit if key == "detail" else limit) for key in keys]
-        for record in records
-    ]
-    kinds: dict[tuple[str, str], list[Quality]] = {}
-    for record in records:
-        kinds.setdefault((record.severity, record.flag), []).append(record)
-    rows = []
-    for (severity, flag), alike in kinds.items():
-        worst = _worst(alike)
-        count = len({record.recording for record in alike})
-        case = f"{named(worst.recording, limit=limit)}: {named(worst.detail, limit=4 * limit)}"
-        rows.append([named(severity, limit=limit), named(flag, limit=limit), str(count), str(len(alike)), case])
-    everything = table_of(f"All {len(every)} remarks", "Recording|Severity|Flag|Detail", every, empty="")
-    more = everything if len(rows) < len(every) else None
-    heads = "Severity|Flag|Recordings#|Remarks#|Worst case"
-    note = "One row per kind; of several the one whose numbers differ most from good." if more else ""
-    return table_of("Quality", heads, rows, note=note, empty="No remark on any recording.", more=more)
-
-
-_NUMBER = re.compile(r"(?<![\w.])[-−]?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-_TOO_LITTLE = ("only", "fewer", "less than", "at least", "shorter", "below", "too few")
-
-
-def _worst(alike: list[Quality]) -> Quality:
-    """The remark of one kind that says most: the largest number that tells its text from the others.
-
-    Of texts that tell a shortage the smallest. A count out of a whole ("3 of 70") is taken as its share.
-    """
-    numbers = [_numbers_of(record.detail) for record in alike]
-    length = min(len(one) for one in numbers)
-    telling = [place for place in range(length) if len({one[place] for one in numbers}) > 1]
-    if not telling:
-        return alike[0]
-    short = any(word in alike[0].detail for word in _TOO_LITTLE)
-    chosen = (min if short else max)(range(len(alike)), key=lambda number: numbers[number][telling[-1]])
-    return alike[chosen]
-
-
-def _numbers_of(detail: str) -> list[float]:
-    shares = re.sub(
-        r"\b(\d+) of (\d+)\b", lambda found: repr(int(found[1]) / int(found[2])) if int(found[2]) else found[1], detail
+        rows.append([
+            named(record.name, limit=limit), named(record.line, limit=limit).replace("*", "·"),
+            named(record.verdict, limit=4 * limit), f"{seen}, {band} Hz" if band else seen,
+            f"{record.order_expected:.4f}".rstrip("0").rstrip("."), order_estimate(record, findings),
+            estimate_text(record, "slip_percent") if record.slip_percent_ci95 else "–",
+            level + ", mean of all speeds" * record.is_mean, named(record.channel or "–", limit=limit),
+            "–" if multiples is None else str(multiples), order_text(apart) if is_number(apart) else "–",
+            named(record.lock or "–", limit=limit),
+        ])  # fmt: skip
+    heads = (
+        "Bearing|Line|Verdict|Seen in|Order expected#|Order found#|Slip, %#|Amplitude (peak)#|Channel|Multiples#|"
+        "Sidebands, orders apart#|To the shaft"
     )
-    return [float(text.replace("−", "-")) for text in _NUMBER.findall(shares)]
+    empty = NO_BEARING_IN_ENVELOPE if "envelope" in findings.looked_for else NO_BEARING
+    return table_of("Bearings", heads, rows, empty=empty)
 
 
-def _hertz(record: Record, key: str) -> str:
-    value = getattr(record, key)
-    if not is_number(value):
-        return "–"
-    return estimate_text(record, key) if getattr(record, f"{key}_ci95", None) else order_text(round(float(value), 1))
+def _balance(findings: Findings, limit: int) -> Table:
+    """Residual unbalance with intervals, then what is not decided and why."""
+    balance, rows, note = findings.balance, list[list[str]](), ""
+    if balance is not None:
+        for key, (title, unit) in stated_quantities(balance).items():
+            rows.append([named(title, limit=limit), estimate_text(balance, key, unit=unit)])
+        if is_number(balance.grade_mm_s):
+            title = f"Balance grade G (ISO 21940-11) at {_whole(balance.grade_speed_rpm)} rpm"
+            rows.append([title, estimate_text(balance, "grade_mm_s", unit="mm/s")])
+        rows += [[title, f"not decided: {why}"] for title, why in undecided_quantities(balance)]
+        note = f"Worked out{source_text(balance)}. " if balance.source else ""
+        note = f"{note}{named(balance.evidence, limit=6 * limit)}".strip()
+    reason = findings.balance_reason
+    why = f" The reason: {named(reason, limit=4 * limit)}" if reason else ""
+    return table_of("Balance", "Quantity|Value", rows, note=note, empty=f"No residual unbalance was worked out.{why}")
 
 
-PARTS = (
-    ("orders", "Orders"),
-    ("tones", "Tones"),
-    ("modes_and_floor", "Natural frequencies and floor"),
-    ("unexplained", "Unexplained"),
-)
-"""Key in the findings and title of each part of the band, in the order of bar and table: together all of it."""
+def _limits(findings: Findings, limit: int) -> Table:
+    """What the limits of the manifest come to; empty where there are none."""
+    rows = [
+        [
+            named(record.channel or "–", limit=limit), named(record.quantity, limit=limit),
+            "–" if record.band_hz is None else band_of(record.band_hz, None), record.verdict,
+            estimate_text(record, "level", unit=unit_text(record.unit)),
+            with_interval(record.value, None, unit=unit_text(record.unit)), _whole(record.speed_rpm),
+            named(record.source, limit=2 * limit), named(record.evidence or "–", limit=4 * limit),
+        ]
+        for record in findings.limits
+    ]  # fmt: skip
+    heads = "Channel|Quantity|Band|Verdict|Largest level (r.m.s.)#|Limit#|Speed, rpm#|Written in|Why"
+    return table_of("Limits", heads, rows)
 
-ABOVE = ("above_band", "Above the band, of all recorded")
-"""Key and title of the share that no part of the band holds."""
+
+def _levels(findings: Findings, limit: int) -> Table:
+    """Overall levels, the largest over speed; by speed and in one-third octaves folded under it."""
+    every, largest = list[list[str]](), list[list[str]]()
+    for level in findings.vibration_levels:
+        unit = unit_text(level.unit)
+        every.append([
+            named(level.channel, limit=limit), named(level.quantity, limit=limit),
+            band_of(level.band_hz, level.reached_hz), _whole(level.speed_rpm),
+            *(estimate_text(level, key, unit=unit) for key in ("rms", "peak", "largest_peak")),
+            estimate_text(level, "crest_factor"),
+        ])  # fmt: skip
+        largest += every[-1:] * level.largest
+    whole = [
+        [
+            named(level.channel, limit=limit), "as recorded", "all", "–",
+            with_interval(level.rms_max, None, unit=unit_of(findings, level)), "–", "–", "–",
+        ]
+        for level in findings.levels
+        if is_number(level.rms_max)
+    ]  # fmt: skip
+    heads = "Channel|Quantity|Band|Speed, rpm#|r.m.s.#|Mean peak#|Largest peak#|Crest factor#"
+    more = table_of("Levels at every speed", heads, every) if len(every) > len(largest) else None
+    note = "At the speed where each is largest; peaks and crest factors are means over short pieces." if largest else ""
+    note = f"{note} As recorded: the loudest recording, without the mean.".strip() if whole else note
+    return table_of("Overall levels", heads, [*largest, *whole], note=note, more=more)
 
 
-def energy_table(findings: Findings, limit: int) -> Table:
-    """Share of each part of the energy of ``findings``, one row and one bar per channel; empty where not known.
+def _third_octaves(findings: Findings, limit: int) -> Table:
+    """One-third octaves: the strongest of each channel, and folded all."""
+    rows, loudest = list[list[str]](), dict[str, tuple[float, list[str]]]()
+    for octave in sorted(findings.third_octaves, key=lambda octave: octave.channel):
+        level, mid_band = estimate_text(octave, "rms", unit=unit_text(octave.unit)), f"{octave.nominal_hz:g}"
+        rows.append([named(octave.channel, limit=limit), _whole(octave.speed_rpm), mid_band, level])
+        if octave.rms >= loudest.get(octave.channel, (0.0, []))[0]:
+            loudest[octave.channel] = octave.rms, rows[-1]
+    heads = "Channel|Speed, rpm#|Mid-band, Hz#|r.m.s.#"
+    more = table_of(f"All {len(rows)} one-third octaves", heads, rows) if rows else None
+    note = "The strongest of each channel, at the speed where the channel is loudest." if rows else ""
+    return table_of("One-third octaves", heads, [row for _, row in loudest.values()], note=note, more=more)
 
-    Names are cut at ``limit`` characters.
-    """
+
+def _energy(findings: Findings, limit: int) -> Table:
+    """Share of each part of the energy, one row and one bar per channel; empty where not known."""
     energy = findings.energy
     channels = () if energy is None else energy.channels
-    records = [one for one in channels if any(is_number(getattr(one, key)) for key, _ in PARTS)]
-    columns = [*PARTS, *([ABOVE] if any(is_number(one.above_band) for one in records) else [])]
+    records = [record for record in channels if any(is_number(getattr(record, key)) for key, _ in PARTS)]
+    above = [_ABOVE] if any(is_number(record.above_band) for record in records) else []
+
+    def shares(record: EnergyShares, columns: Sequence[tuple[str, str]]) -> list[str]:
+        known = (getattr(record, key) for key, _ in columns)
+        return [percent_text(share) if is_number(share) else "–" for share in known]
+
     rows = []
     for record in records:
-        total, unit = record.total, _square_unit(record.unit or "")
-        mean_square = f"{number_text(float(total))} {unit}".strip() if is_number(total) else "–"
-        known = [getattr(record, key) for key, _ in columns]
-        shares = [percent_text(share) if is_number(share) else "–" for share in known]
-        shares.insert(len(PARTS), mean_square)
-        rows.append([named(record.channel, limit=limit), *shares])
-    titles = [title for _, title in columns]
-    titles.insert(len(PARTS), "Mean square of the band")
+        total = with_interval(record.total, None, unit=_square_unit(record.unit or ""))
+        rows.append([named(record.channel, limit=limit), *shares(record, PARTS), total, *shares(record, above)])
+    titles = [title for _, title in (*PARTS, ("total", "Mean square of the band"), *above)]
     end = None if energy is None else energy.band_hz
-    title = "Where the energy is" + (f", up to {frequency_text(float(end))} Hz" if is_number(end) else "")
+    title = "Where the energy is" + (f", up to {frequency_text(end)} Hz" if is_number(end) else "")
     heads = "|".join(["Channel", *(f"{title}#" for title in titles)])
-    return table_of(title, heads, rows, empty="", bars=[_bar(record, limit) for record in records])
+    return table_of(title, heads, rows, bars=[_bar(record, limit) for record in records])
 
 
 def _square_unit(unit: str) -> str:
@@ -391,9 +418,105 @@ def _bar(record: EnergyShares, limit: int) -> Bar:
     shares = {key: max(getattr(record, key) or 0.0, 0.0) for key, _ in PARTS}
     scale = 100 / max(1.0, sum(shares.values()))
     parts, start = [], 0.0
-    for key, _ in PARTS:
-        width = scale * shares[key]
+    for key, share in shares.items():
+        width = scale * share
         if width > 0:
             parts.append({"kind": key.replace("_", "-"), "start": f"{start:.2f}", "width": f"{width:.2f}"})
         start += width
     return {"name": named(record.channel, limit=limit), "parts": parts}
+
+
+def _lines(findings: Findings, limit: int) -> Table:
+    rows = []
+    for line in sorted(findings.lines, key=lambda line: -line.size):
+        place = f"{estimate_text(line, 'frequency_hz')} Hz"
+        if line.order is not None:
+            place = f"order {order_estimate(cast('Numbered', line), findings)}"
+        level = estimate_text(line, "amplitude", unit=unit_of(findings, line))
+        explained = named(line.explained_by or "unexplained", limit=2 * limit)
+        rows.append([named(line.channel, limit=limit), place, level, explained])
+    note = energy_sentence(findings) if rows else ""
+    empty = "No line of the vibration itself stands above the false-alarm level in the band that was looked at."
+    return _folded("All lines", "Channel|Line|Amplitude (peak)#|Explained by", rows, note=note, empty=empty)
+
+
+def _quality(findings: Findings, limit: int) -> Table:
+    """Remarks by kind, the gravest first: of how many recordings, and the worst of them; all of them folded away."""
+    rank = {"bad": 0, "suspect": 1}
+    every, kinds = list[list[str]](), dict[tuple[str, str], list[Quality]]()
+    for remark in sorted(findings.quality, key=lambda remark: rank.get(remark.severity, 2)):
+        texts = [named(text, limit=limit) for text in (remark.recording, remark.severity, remark.flag)]
+        every.append([*texts, named(remark.detail, limit=4 * limit)])
+        kinds.setdefault((remark.severity, remark.flag), []).append(remark)
+    rows = []
+    for (severity, flag), alike in kinds.items():
+        worst, count = _worst(alike), len({remark.recording for remark in alike})
+        case = f"{named(worst.recording, limit=limit)}: {named(worst.detail, limit=4 * limit)}"
+        rows.append([named(severity, limit=limit), named(flag, limit=limit), str(count), str(len(alike)), case])
+    everything = table_of(f"All {len(every)} remarks", "Recording|Severity|Flag|Detail", every)
+    more = everything if len(rows) < len(every) else None
+    heads = "Severity|Flag|Recordings#|Remarks#|Worst case"
+    note = "One row per kind; of several the one whose numbers differ most from good." if more else ""
+    return table_of("Quality", heads, rows, note=note, empty="No remark on any recording.", more=more)
+
+
+def _worst(alike: list[Quality]) -> Quality:
+    """The remark of one kind that says most: the largest number that tells its text from the others.
+
+    Of texts that tell a shortage the smallest. A count out of a whole ("3 of 70") is taken as its share.
+    """
+    numbers = [_numbers_of(remark.detail) for remark in alike]
+    telling = [column for column in zip(*numbers, strict=False) if len(set(column)) > 1]
+    if not telling:
+        return alike[0]
+    shortage = any(word in alike[0].detail for word in _TOO_LITTLE)
+    return alike[telling[-1].index((min if shortage else max)(telling[-1]))]
+
+
+def _numbers_of(detail: str) -> list[float]:
+    shares = re.sub(
+        r"\b(\d+) of (\d+)\b", lambda match: repr(int(match[1]) / int(match[2])) if int(match[2]) else match[1], detail
+    )
+    return [float(text.replace("−", "-")) for text in _NUMBER.findall(shares)]
+
+
+def _hertz(record: Record, key: str) -> str:
+    value = getattr(record, key)
+    if not is_number(value):
+        return "–"
+    return estimate_text(record, key) if getattr(record, f"{key}_ci95", None) else order_text(round(value, 1))
+
+
+def _whole(value: float | None) -> str:
+    """``value`` as a whole number; a dash where it is not known."""
+    return f"{value:.0f}" if is_number(value) else "–"
+
+
+_TABLES = {
+    "avoid": _avoid, "orders": _orders, "modes": _modes, "undecided": _undecided, "tones": _tones,
+    "crossings": _crossings, "bearings": _bearings, "balance": _balance, "limits": _limits, "levels": _levels,
+    "third-octaves": _third_octaves, "energy": _energy, "lines": _lines, "quality": _quality,
+}  # fmt: skip
+"""Tables of the page by anchor, in its order."""
+
+
+def provenance_table(provenance: Mapping[str, object]) -> Table:
+    """Inputs, versions and settings of ``provenance`` (as in ``data_schema/run.json``), one row per value, folded."""
+    rows = [[named(key, limit=120), named(value, limit=200)] for key, value in _flat("", provenance)][:_FOLDED]
+    title, empty = "Inputs with hashes, versions and settings", "Nothing was recorded."
+    everything = table_of(title, "Key|Value", rows, empty=empty)
+    versions = provenance.get("versions")
+    programs = versions.items() if isinstance(versions, Mapping) else ()
+    short = [[named(key, limit=60), named(value, limit=60)] for key, value in programs]
+    return table_of("Provenance", "Program|Version", short, empty="No versions were recorded.", more=everything)
+
+
+def _flat(prefix: str, value: object) -> list[tuple[str, object]]:
+    """``value`` of JSON as pairs of a path that begins with ``prefix`` and a text or number."""
+    if isinstance(value, Mapping):
+        return [pair for key, part in value.items() for pair in _flat(f"{prefix}.{key}" if prefix else str(key), part)]
+    if not isinstance(value, list | tuple):
+        return [(prefix, value)]
+    if any(isinstance(part, dict | list | tuple) for part in value):
+        return [pair for number, part in enumerate(value, start=1) for pair in _flat(f"{prefix} {number}", part)]
+    return [(prefix, ", ".join(map(str, value)))]

@@ -49,8 +49,8 @@ def balance_dataset(
     systems = forces_by_system(subject, sheet, max_order=max_order)
     force = np.zeros((len(systems), 2, max_order), dtype=complex)
     for number, forces in enumerate(systems.values()):
-        for one in forces:
-            force[number, :, round(one.order) - 1] = one.x_g_mm, one.y_g_mm
+        for amplitude in forces:
+            force[number, :, round(amplitude.order) - 1] = amplitude.x_g_mm, amplitude.y_g_mm
     diagrams = np.stack([polar_diagram(forces, angles) for forces in systems.values()])
     curves = np.stack([diagrams.real, diagrams.imag], axis=1)
     speeds = np.asarray(speeds_rpm, dtype=np.float64)
@@ -87,7 +87,7 @@ def forces_by_system(subject: BalancedEngine, sheet: BalanceSheet, *, max_order:
     ``max_order``: highest order.
     """
     if sheet.strategies is None:
-        systems = {name: whole_force(one, max_order) for name, one in _designed(subject, sheet).items()}
+        systems = {name: whole_force(engine, max_order) for name, engine in _designed(subject, sheet).items()}
     else:
         masses = reduced_masses(subject)
         systems = {"none": force_by_order(masses, max_order=max_order)}
@@ -105,9 +105,9 @@ def forces_by_system(subject: BalancedEngine, sheet: BalanceSheet, *, max_order:
 def _designed(subject: BalancedEngine, sheet: BalanceSheet) -> dict[str, Engine]:
     """An engine of several cylinders by system: without shafts, with each design, as it is."""
     engine = subject.engine
-    made = {"none": engine.model_copy(update={"shafts": BalanceShafts()})}
-    made |= {design.name: design.on(engine) for design in designs_for(subject)}
-    return made if sheet.shafts.own is None else {**made, "own": engine}
+    systems = {"none": engine.model_copy(update={"shafts": BalanceShafts()})}
+    systems |= {design.name: design.on(engine) for design in designs_for(subject)}
+    return systems if sheet.shafts.own is None else {**systems, "own": engine}
 
 
 def _with_moments(dataset: xr.Dataset, subject: BalancedEngine, sheet: BalanceSheet, max_order: int) -> xr.Dataset:
@@ -115,10 +115,10 @@ def _with_moments(dataset: xr.Dataset, subject: BalancedEngine, sheet: BalanceSh
     systems = _designed(subject, sheet)
     moment = np.zeros((len(systems), len(MOMENT_AXES), max_order), dtype=complex)
     for number, engine in enumerate(systems.values()):
-        found = crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e9
+        amplitudes = crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e9
         for row, (name, kept) in enumerate(whole_moments(engine, max_order).items()):
             for order in kept or {}:
-                moment[number, row, int(order) - 1] = found[DIRECTIONS.index(MOMENT_AXES[name])][int(order)]
+                moment[number, row, int(order) - 1] = amplitudes[DIRECTIONS.index(MOMENT_AXES[name])][int(order)]
     about = _about("amplitude over squared crank speed", "g mm2")
     phase = _about("of the moment; " + _PHASE, "degree")
     return dataset.assign_coords(moment_axis=list(MOMENT_AXES)).assign(

@@ -64,19 +64,9 @@ def balance_text(sheet: BalanceSheet) -> str:
     lines = [printable(sheet.engine, WIDTH), f"Crank ratio λ = {_crank_ratio(sheet.crank_ratio)}", ""]
     lines += text_table("Masses", ["", "g"], [(text, sheet.masses_g[key]) for key, text in _MASSES.items()])
     for table in (
-        _forces,
-        _moments,
-        _strategies,
-        _shafts,
-        _turning,
-        _loads,
-        _designs,
-        _shaft_residuals,
-        _pairs,
-        _crankshaft,
-        _rod,
-        _gears,
-    ):
+        _forces, _moments, _strategies, _shafts, _turning, _loads, _designs, _shaft_residuals, _pairs, _crankshaft,
+        _rod, _gears,
+    ):  # fmt: skip
         lines += table(sheet)
     speeds = list(sheet.force_n)
     heads = ["What remains", "axis", "order", "g·mm", *(f"N at {speed} rpm" for speed in speeds), "class"]

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Literal
 
 import numpy as np
 import xarray as xr
-from markupsafe import Markup
 
 from crankorder.channel_units import unit_text
 from crankorder.comparison import Comparison, Trend
@@ -18,16 +16,12 @@ from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, NORMAL, SMALL, dra
 from crankorder.quantities import Floats, Ints
 from crankorder.report.comparison.sentences import alike, comparison_story, scaled_text
 from crankorder.report.notation import estimate_text, frequency_text, named, number_text, order_text
-from crankorder.report.page import page_policy, page_style, page_template
-from crankorder.report.rows import Table, table_of
+from crankorder.report.page import rendered_page
+from crankorder.report.sentences.story import Answer
+from crankorder.report.tables import Table, table_of
 from crankorder.settings import ReportSettings
 
-_ANSWERS: tuple[tuple[Literal["what", "why", "how_sure", "what_to_do"], str], ...] = (
-    ("what", "What changed"),
-    ("why", "Why"),
-    ("how_sure", "How sure"),
-    ("what_to_do", "What to do"),
-)
+_ANSWERS: dict[Answer, str] = {"what": "What changed", "why": "Why", "how_sure": "How sure", "what_to_do": "What to do"}
 _MARKED = frozenset({"yes", "invalid", "weakens"})
 _LEFT, _BOTTOM, _TOP, _GUTTER = 0.85, 0.78, 1.0, 0.75
 _COLUMNS = 3
@@ -44,13 +38,12 @@ def comparison_page(comparison: Comparison, *, pictures: list[tuple[str, str]], 
     limit = settings.max_name_characters
     story, lead = comparison_story(comparison), comparison.headline[0]
     tables = {name: table(comparison, partial(named, limit=limit)) for name, table in _TABLES.items()}
-    return page_template("comparison.html").render(
-        policy=page_policy(),
-        style=Markup(page_style()),  # our own file, never text from data
+    return rendered_page(
+        "comparison.html",
         base=named(comparison.base, limit=limit),
         new=named(comparison.new, limit=limit),
         lead=lead,
-        story=[(title, [sentence for sentence in story[key] if sentence != lead]) for key, title in _ANSWERS],
+        story=[(title, [sentence for sentence in story[key] if sentence != lead]) for key, title in _ANSWERS.items()],
         pictures=[(f"./{file}", named(caption, limit=4 * limit)) for file, caption in pictures],
         tables=[(name, table) for name, table in tables.items() if table["rows"] or table["empty"]],
         marked=_MARKED,
@@ -64,32 +57,24 @@ def _yes(claim: bool) -> str:
     return "yes" if claim else "no"
 
 
-def _number(value: float | None, *, digits: int = 3) -> str:
-    return "–" if value is None else number_text(value, digits=digits)
-
-
-_chance = partial(_number, digits=2)
+_chance = partial(number_text, digits=2)
 
 
 def _orders(comparison: Comparison, short: Shorten) -> Table:
     rows = [
         [
             short(r.channel), order_text(r.order), short(r.explained_by or "–"), _yes(r.changed),
-            estimate_text(r, "ratio"), estimate_text(r, "ratio_db"), _number(r.speed_rpm, digits=4),
+            estimate_text(r, "ratio"), estimate_text(r, "ratio_db"), number_text(r.speed_rpm, digits=4),
             number_text(r.base_amplitude), number_text(r.new_amplitude), estimate_text(r, "difference"),
             unit_text(r.unit), f"{r.n_changed} of {r.n_speeds}", _chance(r.p_value),
         ]
         for r in sorted(comparison.orders, key=lambda record: (not record.changed, record.channel, record.order))
     ]  # fmt: skip
-    return table_of(
-        "Orders",
-        "Channel|Order#|Made by|Changed|Ratio#|Ratio, dB#|Speed of the clearest change, rpm#|First#|Second#"
-        "|Difference#|Unit|Speeds changed#|p#",
-        rows,
-        empty="No order could be compared.",
-        note="Ratio: second test over first, mean of the speeds at which both show the order clearly. p: chance of so "
-        "large a change where nothing changed.",
-    )
+    heads = "Channel|Order#|Made by|Changed|Ratio#|Ratio, dB#|Speed of the clearest change, rpm#|First#|Second#"
+    heads += "|Difference#|Unit|Speeds changed#|p#"
+    note = "Ratio: second test over first, mean of the speeds at which both show the order clearly. p: chance of so "
+    note += "large a change where nothing changed."
+    return table_of("Orders", heads, rows, empty="No order could be compared.", note=note)
 
 
 def _modes(comparison: Comparison, _: Shorten) -> Table:
@@ -116,36 +101,27 @@ def _unbalance(comparison: Comparison, short: Shorten) -> Table:
         for r in comparison.unbalance
     ]  # fmt: skip
     reference = comparison.unbalance[0].reference_rpm if rows else 0.0
-    return table_of(
-        "Change of unbalance",
-        "Channel|Order#|Explains the change|After over before#|Turned by, °#|Chance of a worse fit: one factor#"
-        f"|Change at {reference:.0f} rpm, as speed²#|Unit|Chance of a worse fit: speed²#",
-        rows,
-        empty="",
-        note="One factor at all speeds: the same path led from another unbalance to the sensor. A change that grows as "
-        "speed² besides: that path is stiff.",
-    )
+    heads = "Channel|Order#|Explains the change|After over before#|Turned by, °#|Chance of a worse fit: one factor#"
+    heads += f"|Change at {reference:.0f} rpm, as speed²#|Unit|Chance of a worse fit: speed²#"
+    note = "One factor at all speeds: the same path led from another unbalance to the sensor. A change that grows as "
+    return table_of("Change of unbalance", heads, rows, note=note + "speed² besides: that path is stiff.")
 
 
 def _masses(comparison: Comparison, short: Shorten) -> Table:
     rows = [
         [
             short(mass.channel), f"{number_text(mass.added)} {mass.unit}",
-            estimate_text(mass, "before", unit=mass.unit), _number(mass.before_angle_deg),
-            estimate_text(mass, "after", unit=mass.unit), _number(mass.after_angle_deg),
-            _number(per.speed_rpm, digits=4), estimate_text(per, "response"),
+            estimate_text(mass, "before", unit=mass.unit), number_text(mass.before_angle_deg),
+            estimate_text(mass, "after", unit=mass.unit), number_text(mass.after_angle_deg),
+            number_text(per.speed_rpm, digits=4), estimate_text(per, "response"),
             f"{unit_text(mass.response_unit)} per {mass.unit}",
         ]
         for mass in comparison.masses
         for per in mass.response_per_unit
     ]  # fmt: skip
-    return table_of(
-        "Masses",
-        "Channel|Put on#|Unbalance before#|at, °#|Unbalance after#|at, °#|Speed, rpm#|Response#|Unit",
-        rows,
-        empty="",
-        note="From the mass that the manifests state. Angles from where it was put, turning with the crank.",
-    )
+    heads = "Channel|Put on#|Unbalance before#|at, °#|Unbalance after#|at, °#|Speed, rpm#|Response#|Unit"
+    note = "From the mass that the manifests state. Angles from where it was put, turning with the crank."
+    return table_of("Masses", heads, rows, note=note)
 
 
 def _balance(comparison: Comparison, _: Shorten) -> Table:
@@ -156,7 +132,7 @@ def _balance(comparison: Comparison, _: Shorten) -> Table:
         ]
         for mass in comparison.balance
     ]  # fmt: skip
-    return table_of("Balance closed with the engine model", "Quantity|Changed|First#|Second#|Change#", rows, empty="")
+    return table_of("Balance closed with the engine model", "Quantity|Changed|First#|Second#|Change#", rows)
 
 
 def _trend(comparison: Comparison, short: Shorten) -> Table:
@@ -168,7 +144,7 @@ def _trend(comparison: Comparison, short: Shorten) -> Table:
         for t in sorted(comparison.trend, key=lambda trend: (not trend.changed, trend.kind, trend.line))
     ]  # fmt: skip
     heads = "Line|Kind|Channel|Changed|Growth per run, %#|Amplitude by run#|p#|Verdict"
-    return table_of("Trend over the runs", heads, rows, empty="", note="Runs: " + ", ".join(comparison.runs) + ".")
+    return table_of("Trend over the runs", heads, rows, note="Runs: " + ", ".join(comparison.runs) + ".")
 
 
 def _confounds(comparison: Comparison, short: Shorten) -> Table:

@@ -19,7 +19,7 @@ from crankorder.comparison import (
 from crankorder.identify.changes.run_trends import TREND_NUMBERS as TREND
 from crankorder.records import Record, known
 from crankorder.report.notation import (
-    NAME_CHARACTERS,
+    at_speed,
     estimate_text,
     frequency_text,
     interval_of,
@@ -28,6 +28,7 @@ from crankorder.report.notation import (
     named,
     number_text,
     order_text,
+    short,
     with_interval,
 )
 from crankorder.report.sentences.story import Story
@@ -78,7 +79,7 @@ def _headline(comparison: Comparison) -> list[str]:
         for confound in comparison.confounds
         if confound.what == FIRING
     ]
-    left_out = [_name(channel.name) for channel in comparison.channels if not channel.compared]
+    left_out = [short(channel.name) for channel in comparison.channels if not channel.compared]
     if 0 < len(left_out) < len(comparison.channels):
         shown = [*left_out[:_MANY], f"{len(left_out) - _MANY} more"] if len(left_out) > _MANY else left_out
         sentences.append(f"Not compared: {listed(shown)}; the confounds say why.")
@@ -143,7 +144,7 @@ def _cause_sentences(comparison: Comparison) -> list[str]:
     parts = []
     for order in orders:
         verb, clearest = _ratio_of(comparison, order)
-        times = f" to {estimate_text(clearest, 'ratio')} times its amplitude" if clearest else ""
+        times = f" to {_times(clearest)}" if clearest else ""
         parts.append(f"order {order_text(order)} {verb}{times}")
     return [f"{_capital(listed(parts))}; no other order changed.{unexplained}"]
 
@@ -230,19 +231,21 @@ def _order_sentences(comparison: Comparison) -> list[str]:
 
 
 def _order_sentence(record: OrderChangeRecord) -> str:
-    unit = unit_text(record.unit)
-    maker = record.explained_by or "unexplained"
+    unit, maker = unit_text(record.unit), record.explained_by or "unexplained"
     by = "" if maker == "unexplained" else f" ({named(maker, limit=_MAKER)})"
-    name = f"Order {order_text(record.order)}{by} in {_name(record.channel)}"
+    name = f"Order {order_text(record.order)}{by} in {short(record.channel)}"
     from_to = f"from {number_text(record.base_amplitude)} to {number_text(record.new_amplitude)} {unit}".rstrip()
-    from_to += f" at {record.speed_rpm:.0f} rpm" if record.speed_rpm else ""
+    from_to += at_speed(record.speed_rpm)
     if record.phase_only:
         return f"{name} turned its phase; its amplitude went {from_to}."
     ends = known(record.ratio_ci95)
     if record.ratio is None or (ends and ends[0] <= 1 <= ends[1]):
         return f"{name} changed {from_to}: by {estimate_text(record, 'difference', unit=unit)}."
-    times = f"{estimate_text(record, 'ratio')} times its amplitude"
-    return f"{name} {_verb(record)} to {times} (mean of the speeds; {from_to})."
+    return f"{name} {_verb(record)} to {_times(record)} (mean of the speeds; {from_to})."
+
+
+def _times(record: OrderChangeRecord) -> str:
+    return f"{estimate_text(record, 'ratio')} times its amplitude"
 
 
 def _mode_sentences(comparison: Comparison) -> list[str]:
@@ -270,8 +273,8 @@ def _growth_sentences(comparison: Comparison) -> list[str]:
         first = lines[0]
         growth = scaled_text(first, "growth_per_run", 100)
         rule = "" if first.kind == "order" else " A growing amplitude of a bearing line means a failing bearing."
-        where = _name(first.channel) if first.channel else "the envelope"
-        names = " or ".join(dict.fromkeys(_name(trend.line) for trend in lines))
+        where = short(first.channel) if first.channel else "the envelope"
+        names = " or ".join(dict.fromkeys(short(trend.line) for trend in lines))
         sentences.append(f"{_capital(names)} in {where} grows from run to run, by {growth} % each.{rule}")
     return sentences
 
@@ -296,7 +299,7 @@ def mass_sentences(comparison: Comparison) -> list[str]:
     trial, masses = comparison.trial_mass, comparison.masses
     if trial is None or not is_number(trial.residual_after_gmm):
         return [
-            f"By the stated {number_text(mass.added)} {mass.unit} the unbalance in {_name(mass.channel)} was "
+            f"By the stated {number_text(mass.added)} {mass.unit} the unbalance in {short(mass.channel)} was "
             f"{estimate_text(mass, 'before', unit=mass.unit)} before and is "
             f"{estimate_text(mass, 'after', unit=mass.unit)} now."
             for mass in masses[:_MANY]
@@ -317,9 +320,8 @@ def _influence(comparison: Comparison) -> list[str]:
     sentences = []
     for mass in comparison.masses[:_MANY]:
         last = mass.response_per_unit[-1]
-        at = f" at {last.speed_rpm:.0f} rpm" if last.speed_rpm else ""
-        response = f"{estimate_text(last, 'response')} {unit_text(mass.response_unit)}"
-        sentences.append(f"One {mass.unit} there makes {response}{at} in {_name(mass.channel)}.")
+        response = f"{estimate_text(last, 'response')} {unit_text(mass.response_unit)}{at_speed(last.speed_rpm)}"
+        sentences.append(f"One {mass.unit} there makes {response} in {short(mass.channel)}.")
     if comparison.trial_mass_reason:
         sentences.append(f"The stated change of mass tells no residual: {comparison.trial_mass_reason}.")
     return sentences
@@ -350,17 +352,11 @@ def _how_sure(comparison: Comparison) -> list[str]:
     ]
     weights = {"invalid": "not compared", "weakens": "weakens the comparison"}
     for confound in comparison.confounds:  # the worst first
-        if confound.severity in weights:
-            channel = f" {_name(confound.channel)}" if confound.channel else ""
-            sentences.append(
-                f"{_capital(confound.what)}{channel} ({_name(confound.base)} / {_name(confound.new)}): "
-                f"{weights[confound.severity]}. {_capital(confound.words)}."
-            )
+        if weight := weights.get(confound.severity):
+            what = f"{_capital(confound.what)} {short(confound.channel)}".strip()
+            values = f"{short(confound.base)} / {short(confound.new)}"
+            sentences.append(f"{what} ({values}): {weight}. {_capital(confound.words)}.")
     return sentences[: _MANY + 2]
-
-
-def _name(text: str) -> str:
-    return named(text, limit=NAME_CHARACTERS)
 
 
 def _capital(text: str) -> str:

@@ -8,6 +8,7 @@ from crankorder.channel_units import unit_text
 from crankorder.findings import Findings, Level, LimitVerdict
 from crankorder.report.notation import (
     NAME_CHARACTERS,
+    at_speed,
     estimate_text,
     frequency_text,
     is_number,
@@ -15,6 +16,7 @@ from crankorder.report.notation import (
     named,
     number_text,
     percent_text,
+    short,
     unit_of,
     with_interval,
 )
@@ -32,49 +34,35 @@ _MANY = 4  # channels that a sentence names one by one
 _WORTH_SAYING = 0.005  # share of the energy below which a channel is not named
 
 
-def stronger_above(findings: Findings, channel: str, amplitude: float) -> Level | None:
-    """Levels of ``channel`` in ``findings`` where a line above the band is larger than ``amplitude``, else None."""
-    for record in findings.levels:
-        above = record.amplitude_above
-        if record.channel == channel and is_number(above) and above > amplitude:
-            return record
-    return None
-
-
-def above_sentence(findings: Findings, record: Level) -> str:
-    """That the strongest line of a channel lies above the band, by its ``record`` in the levels of ``findings``."""
-    where, order, hertz = named(record.channel, limit=NAME_CHARACTERS), None, record.frequency_hz_above
-    if is_number(record.order_above):
-        order = record.order_above
-    places = [f"{frequency_text(float(hertz))} Hz"] if is_number(hertz) else []
-    places += [f"order {number_text(order)}"] if order is not None else []
-    rpm = record.speed_rpm_above
-    at = f" at {rpm:.0f} rpm" if is_number(rpm) else ""
-    level = f"{number_text(record.amplitude_above or 0.0)} {unit_of(findings, record)}".strip()
-    recipe = GEAR_RECIPE if order is not None and order <= GEAR_ORDER else FULL_RECIPE
-    end = _band(record.band_hz_there)
+def above_sentence(findings: Findings, level: Level) -> str:
+    """That the strongest line of a channel lies above the band, by its ``level`` in the ``findings``."""
+    order, hertz = level.order_above, level.frequency_hz_above
+    places = [f"{frequency_text(hertz)} Hz"] if is_number(hertz) else []
+    places += [f"order {number_text(order)}"] if is_number(order) else []
+    size = f"{number_text(level.amplitude_above or 0.0)} {unit_of(findings, level)}".strip()
+    recipe = GEAR_RECIPE if is_number(order) and order <= GEAR_ORDER else FULL_RECIPE
     return (
-        f"The strongest line in {where} lies above the band that was looked at{end}: about "
-        f"{', '.join(places)}{at}, about {level}. The recipe {recipe} looks there."
+        f"The strongest line in {short(level.channel)} lies above the band that was looked at"
+        f"{_band(level.band_hz_there)}: about {', '.join(places)}{at_speed(level.speed_rpm_above)}, about {size}. "
+        f"The recipe {recipe} looks there."
     )
 
 
-def look_above(record: Level) -> str:
-    """What to do about the strongest line of a channel above the band, by its ``record`` in the levels."""
-    where, order = named(record.channel, limit=NAME_CHARACTERS), record.order_above
-    if not is_number(order):
-        hertz = record.frequency_hz_above
-        reach = f"`max_frequency_hz = {_beyond(float(hertz)):.0f}` under `[campbell]`" if is_number(hertz) else ""
-        return _run_again(where, f"a recipe of your own that states {reach}") if reach else ""
-    if float(order) <= GEAR_ORDER - BESIDE:
-        return _run_again(where, f"`--recipe {GEAR_RECIPE}`, which finds orders to {GEAR_ORDER:g}")
-    return _run_again(
-        where, f"a recipe of your own that states `max_order = {_beyond(float(order)):.0f}` under `[orders]`"
+def look_above(level: Level) -> str:
+    """What to do about the strongest line of a channel above the band, by its ``level``; empty without a place."""
+    order, hertz = level.order_above, level.frequency_hz_above
+    how = "a recipe of your own that states "
+    if is_number(order) and order <= GEAR_ORDER - BESIDE:
+        how = f"`--recipe {GEAR_RECIPE}`, which finds orders to {GEAR_ORDER:g}"
+    elif is_number(order):
+        how += f"`max_order = {_beyond(order):.0f}` under `[orders]`"
+    elif is_number(hertz):
+        how += f"`max_frequency_hz = {_beyond(hertz):.0f}` under `[campbell]`"
+    else:
+        return ""
+    return (
+        f"Run it again with {how}: the strongest line in {short(level.channel)} lies above the band that was looked at."
     )
-
-
-def _run_again(where: str, how: str) -> str:
-    return f"Run it again with {how}: the strongest line in {where} lies above the band that was looked at."
 
 
 def _beyond(value: float) -> float:
@@ -85,84 +73,82 @@ def _beyond(value: float) -> float:
 
 def share_sentences(findings: Findings) -> list[str]:
     """Share of the energy of each channel above the band, by the ``findings``; nothing where none was worked out."""
-    known = [(one.share_above, one) for one in findings.levels if is_number(one.share_above)]
-    if not known:
+    shares = [(level.share_above, level) for level in findings.levels if is_number(level.share_above)]
+    if not shares:
         return []
-    known.sort(key=lambda item: -item[0])
-    end = known[0][1].band_hz
-    much = [(share, one) for share, one in known if share >= _WORTH_SAYING]
-    if not much:
-        return [f"Less than 0.5 % of the energy of any channel lies above the band looked at{_band(end)}."]
-    said = [
-        f"{percent_text(share)} of that of {named(one.channel, limit=NAME_CHARACTERS)}" for share, one in much[:_MANY]
+    shares.sort(key=lambda pair: -pair[0])
+    end = _band(shares[0][1].band_hz)
+    texts = [
+        f"{percent_text(share)} of that of {short(level.channel)}" for share, level in shares if share >= _WORTH_SAYING
     ]
-    more = ", less in the others" if len(known) > min(len(much), _MANY) else ""
-    return [f"Energy above the band looked at{_band(end)}: {listed(said)}{more}."]
+    if not texts:
+        return [f"Less than 0.5 % of the energy of any channel lies above the band looked at{end}."]
+    more = ", less in the others" if len(shares) > len(texts[:_MANY]) else ""
+    return [f"Energy above the band looked at{end}: {listed(texts[:_MANY])}{more}."]
 
 
-def _band(hertz: object) -> str:
+def _band(hertz: float | None) -> str:
     """``" (to 500 Hz)"``; nothing where the end is not known as a frequency."""
-    return f" (to {frequency_text(float(hertz))} Hz)" if is_number(hertz) else ""
+    return f" (to {frequency_text(hertz)} Hz)" if is_number(hertz) else ""
 
 
 def level_sentences(findings: Findings) -> list[str]:
-    """The largest broad-band velocity in ``findings``, in the words of ISO 20816-1; none where none was told."""
-    told = [record for record in findings.vibration_levels if record.quantity == "velocity" and record.largest]
-    told = [record for record in told if record.band_hz == told[0].band_hz]
-    if not told:
+    """The largest broad-band velocity in ``findings``, in the words of ISO 20816-1; none where none was worked out."""
+    levels = [level for level in findings.vibration_levels if level.quantity == "velocity" and level.largest]
+    if not levels:
         return []
-    worst = max(told, key=lambda one: one.rms)
-    at = f" at {worst.speed_rpm:.0f} rpm" if is_number(worst.speed_rpm) else ""
-    level = estimate_text(worst, "rms", unit=unit_text(worst.unit))
+    worst = max((level for level in levels if level.band_hz == levels[0].band_hz), key=lambda level: level.rms)
+    size = estimate_text(worst, "rms", unit=unit_text(worst.unit))
     return [
-        f"The largest broad-band velocity (r.m.s., {band_of(worst.band_hz, worst.reached_hz)}) is {level}, in "
-        f"{named(worst.channel, limit=NAME_CHARACTERS)}{at}."
+        f"The largest broad-band velocity (r.m.s., {band_of(worst.band_hz, worst.reached_hz)}) is {size}, in "
+        f"{short(worst.channel)}{at_speed(worst.speed_rpm)}."
     ]
 
 
 def limit_sentences(findings: Findings, *, above: bool = False) -> list[str]:
     """What each limit in ``findings`` comes to, those that are passed most first; with ``above`` these alone."""
-    rank = {"above": 0, "not decided": 1}
-    records = [one for one in findings.limits if one.verdict == "above" or not above]
-    return [_limit_sentence(one) for one in sorted(records, key=lambda one: (rank.get(one.verdict, 2), -_share(one)))]
+    records = [record for record in findings.limits if record.verdict == "above" or not above]
+    return [_limit_sentence(record) for record in sorted(records, key=_gravity)]
+
+
+def _gravity(record: LimitVerdict) -> tuple[int, float]:
+    """Key that sorts limits: those passed first, then the undecided, each by level over limit."""
+    rank = {"above": 0, "not decided": 1}.get(record.verdict, 2)
+    return rank, -record.level / record.value if is_number(record.level) else 0.0
+
+
+def _limit_sentence(record: LimitVerdict) -> str:
+    what = f"The {record.quantity}"
+    if record.band_hz is not None:
+        what = f"The r.m.s. {record.quantity} ({band_of(record.band_hz, None)})"
+    what += f" of {short(record.channel)}" if record.channel else ""
+    unit = unit_text(record.unit)
+    limit = f"{with_interval(record.value, None, unit=unit)} ({named(record.source, limit=2 * NAME_CHARACTERS)})"
+    level = estimate_text(record, "level", unit=unit) + at_speed(record.speed_rpm)
+    if record.verdict == "not decided":
+        size = f": {level}" if is_number(record.level) else ""
+        return f"{what} beside the limit of {limit} is not decided{size}; {record.evidence}."
+    return f"{what} is {record.verdict} the limit of {limit}: {level}."
 
 
 def undecided_limits(findings: Findings) -> list[str]:
     """Which limits in ``findings`` are not decided, for which channels and why: a sentence each, of many the first."""
-    said: dict[tuple[str, str], list[str]] = {}
-    for one in findings.limits:
-        if one.verdict == "not decided":
-            limit = with_interval(one.value, None, unit=unit_text(one.unit))
-            what = one.quantity if one.band_hz is None else f"r.m.s. {one.quantity}, {band_of(one.band_hz, None)}"
-            key = (f"{limit} ({what}; {named(one.source, limit=2 * NAME_CHARACTERS)})", one.evidence)
-            said.setdefault(key, []).append(named(one.channel, limit=NAME_CHARACTERS) if one.channel else "")
-    made = []
-    for (limit, why), names in list(said.items())[:_MANY]:
-        shown = [name for name in names if name][:_MANY]
-        more = f" and {len(names) - _MANY} more" if len(names) > _MANY else ""
-        where = f" for {listed(shown) if not more else ', '.join(shown)}{more}" if shown else ""
-        made.append(f"The limit of {limit} is not decided{where}, because {why or 'nothing tells the level'}.")
-    rest = len(said) - _MANY
-    return [*made, f"{rest} more limits are not decided: see their table."] if rest > 0 else made
-
-
-def _share(record: LimitVerdict) -> float:
-    """Level over limit of ``record``; 0 where no level is known."""
-    return record.level / record.value if is_number(record.level) else 0.0
-
-
-def _limit_sentence(record: LimitVerdict) -> str:
-    what = f"The {record.quantity}" if record.band_hz is None else f"The r.m.s. {record.quantity}"
-    band = f" ({band_of(record.band_hz, record.band_hz[1])})" if record.band_hz is not None else ""
-    where = f" of {named(record.channel, limit=NAME_CHARACTERS)}" if record.channel else ""
-    unit = unit_text(record.unit)
-    limit = f"{with_interval(record.value, None, unit=unit)} ({named(record.source, limit=2 * NAME_CHARACTERS)})"
-    at = f" at {record.speed_rpm:.0f} rpm" if is_number(record.speed_rpm) else ""
-    level = with_interval(record.level, record.level_ci95, unit=unit)
-    if record.verdict == "not decided":
-        size = f": {level}{at}" if is_number(record.level) else ""
-        return f"{what}{band}{where} beside the limit of {limit} is not decided{size}; {record.evidence}."
-    return f"{what}{band}{where} is {record.verdict} the limit of {limit}: {level}{at}."
+    channels: dict[tuple[str, str], list[str]] = {}
+    for record in findings.limits:
+        if record.verdict == "not decided":
+            limit = with_interval(record.value, None, unit=unit_text(record.unit))
+            band = "" if record.band_hz is None else f", {band_of(record.band_hz, None)}"
+            what = f"r.m.s. {record.quantity}{band}" if band else record.quantity
+            key = (f"{limit} ({what}; {named(record.source, limit=2 * NAME_CHARACTERS)})", record.evidence)
+            channels.setdefault(key, []).append(short(record.channel) if record.channel else "")
+    sentences = []
+    for (limit, why), names in list(channels.items())[:_MANY]:
+        first, rest = [name for name in names if name][:_MANY], len(names) - _MANY
+        text = f"{', '.join(first)} and {rest} more" if rest > 0 else listed(first)
+        where = f" for {text}" if first else ""
+        sentences.append(f"The limit of {limit} is not decided{where}, because {why or 'nothing tells the level'}.")
+    rest = len(channels) - _MANY
+    return sentences + [f"{rest} more limits are not decided: see their table."] * (rest > 0)
 
 
 def band_of(band_hz: tuple[float | None, float | None], reached_hz: float | None) -> str:

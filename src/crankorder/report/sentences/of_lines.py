@@ -1,18 +1,33 @@
 """The lines of a test in plain sentences: orders of the shaft, tones of fixed frequency, and natural frequencies.
 
-Of the motor that a manifest states: how it slips, which lines are its own, and what they speak for.
+Of bearings: which of their lines are seen, where, with what slip, and what that means. Of the motor that a manifest
+states: how it slips, which lines are its own, and what they speak for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 
-from crankorder.findings import Findings, Level, LineFinding, ModeFinding, Motor, MotorLine, MotorSpeed, OrderFinding
+from crankorder.findings import (
+    BearingFinding,
+    Findings,
+    Level,
+    LineFinding,
+    ModeFinding,
+    Motor,
+    MotorLine,
+    MotorSpeed,
+    OrderFinding,
+)
 from crankorder.plot.fixed_lines import fixed_tones, hertz_of_order, strongest_tone
+from crankorder.records import known
 from crankorder.report.notation import (
     NAME_CHARACTERS,
     at_one_speed,
+    at_speed,
+    estimate_text,
     frequency_text,
+    interval_of,
     is_in_doubt,
     is_number,
     is_tone,
@@ -22,22 +37,20 @@ from crankorder.report.notation import (
     listed,
     named,
     nominal_order,
+    number_text,
     order_name,
     order_texts,
     percent_text,
+    short,
     strongest_by,
     unit_of,
 )
-from crankorder.report.sentences.of_bearings import bearing_lines
-from crankorder.report.sentences.of_levels import above_sentence, look_above, stronger_above
+from crankorder.report.sentences.of_levels import above_sentence, look_above
 
 LIKE_UNBALANCE = "unbalance, bent shaft or misalignment"
 """Cause of an order 1 of which nothing tells what it is."""
 
-_MEETING_SHARE = 0.03  # an order line this close to a natural frequency is said to meet it
-_MANY = 3  # channels that a summary names one by one
-_SHOWN = 14  # orders or tones that a sentence lists
-_MOSTLY = 0.5  # share of the energy from which something is most of it
+RE_RUN_RULE = "Re-run the same test: a growing amplitude means a failing bearing."
 
 SHAFT_SIDES = "motor, pole-pass sideband of order 1 of the motor"
 FIELD_SIDES = "motor, pole-pass sideband of twice mains"
@@ -46,23 +59,34 @@ _SPEAKS_FOR = {
     SHAFT_SIDES: "a broken or cracked rotor bar makes such, and so does a load that pulsates",
     FIELD_SIDES: "an air gap that changes as the rotor turns (an eccentric or bent rotor) makes such, or a broken bar",
 }
+_BEARING_LINES = {
+    "N*fs": "rolling-element count (N·fs)",
+    "BPFO": "outer-race (BPFO)",
+    "BPFI": "inner-race (BPFI)",
+    "BSF": "ball-spin (BSF)",
+    "FTF": "cage (FTF)",
+}
+_MEETING_SHARE = 0.03  # an order line this close to a natural frequency is said to meet it
+_MANY = 3  # channels that a summary names one by one
+_SHOWN = 14  # orders or tones that a sentence lists
+_MOSTLY = 0.5  # share of the energy from which something is most of it
+_MOST_MODES = 16  # natural frequencies that a sentence lists
+_DOUBTS = 3  # … and doubts, each with its reason
 
 
 def line_sentences(findings: Findings) -> list[str]:
     """What shakes: the strongest line of each channel of ``findings``, the strongest first, then what else there is."""
     names = _channels(findings)
+    sentences = [above_sentence(findings, level) for level in _stronger_above(findings)[:1]]
     if not names:
-        return [*_above(findings), no_order_sentence(findings), *slow_sentences(findings)]
-    sentences = [*_above(findings), *(strongest_sentence(findings, name, with_cause=True) for name in names[:_MANY])]
+        return [*sentences, no_order_sentence(findings), *slow_sentences(findings)]
+    sentences += [strongest_sentence(findings, name, with_cause=True) for name in names[:_MANY]]
     if len(names) > _MANY:
         sentences.append("The tables hold the other channels.")
-    orders = sorted(
-        {nominal_order(record) for record in findings.orders if is_number(record.order) and not record.electric}
-    )
+    orders = order_texts(sorted({nominal_order(record) for record in findings.orders if not record.electric}))
     if orders:
-        texts = order_texts(orders)
-        end = " and more." if len(texts) > _SHOWN else "."
-        sentences.append(f"{len(orders)} order{'s' * (len(orders) > 1)} found: {', '.join(texts[:_SHOWN])}{end}")
+        end = " and more." if len(orders) > _SHOWN else "."
+        sentences.append(f"{len(orders)} order{'s' * (len(orders) > 1)} found: {', '.join(orders[:_SHOWN])}{end}")
     return [*sentences, *slow_sentences(findings), *_broadband(findings)]
 
 
@@ -71,31 +95,25 @@ def slow_sentences(findings: Findings) -> list[str]:
     return [f"{flag.detail[:1].upper()}{flag.detail[1:]}." for flag in findings.quality if flag.flag == "slow_lines"]
 
 
-def _above(findings: Findings) -> list[str]:
-    """That the strongest line of a channel lies above the band, of the channel where it is largest; else nothing."""
-    return [above_sentence(findings, one) for one in _strongest_above(findings)]
-
-
 def above_asks(findings: Findings) -> list[str]:
     """What to do where ``findings`` say that the strongest line of a channel lies above the band; else nothing."""
-    return [asked for asked in map(look_above, _strongest_above(findings)) if asked]
-
-
-def _strongest_above(findings: Findings) -> list[Level]:
-    """Levels of the channel with the largest line above the band that is the strongest of its channel; else none."""
-    found = []
-    for record in findings.levels:
-        channel = record.channel
-        if (above := stronger_above(findings, channel, _largest(findings, channel))) is not None:
-            found.append(above)
-    units = list(dict.fromkeys(str(one.unit) for one in found))
-    found.sort(key=lambda one: (units.index(str(one.unit)), -(one.amplitude_above or 0.0)))
-    return found[:1]
+    return [*filter(None, map(look_above, _stronger_above(findings)[:1]))]
 
 
 def lies_above(findings: Findings) -> bool:
     """Whether the first of :func:`line_sentences` of ``findings`` says that the strongest line is above the band."""
-    return bool(_strongest_above(findings))
+    return bool(_stronger_above(findings))
+
+
+def _stronger_above(findings: Findings) -> list[Level]:
+    """Levels of the channels whose strongest line lies above the band, by unit, the largest such line first."""
+    levels = []
+    for level in findings.levels:
+        strongest = _strongest_line(findings, level.channel)
+        if is_number(level.amplitude_above) and level.amplitude_above > (strongest.size if strongest else 0.0):
+            levels.append(level)
+    units = list(dict.fromkeys(level.unit for level in levels))
+    return sorted(levels, key=lambda level: (units.index(level.unit), -(level.amplitude_above or 0.0)))
 
 
 def nothing_proven(findings: Findings) -> bool:
@@ -118,29 +136,27 @@ def no_order_sentence(findings: Findings) -> str:
 
 def _channels(findings: Findings) -> list[str]:
     """Channels with a line, the strongest first among those of one unit; units in the order of the channels."""
-    top: dict[str, tuple[str, float]] = {}
-    seen = [one.channel for one in findings.orders] + [one.channel for one in findings.lines]
-    for channel in dict.fromkeys(seen):
-        records = [one for one in (_strongest_of(findings.orders, channel), strongest_tone(findings, channel)) if one]
-        if records:
-            best = max(records, key=lambda one: one.size)
-            top[channel] = unit_of(findings, best), best.size
-    known = [one.name for one in findings.channels]
-    ordered = sorted(top, key=lambda name: known.index(name) if name in known else len(known))
-    units = list(dict.fromkeys(top[name][0] for name in ordered))
-    return sorted(ordered, key=lambda name: (units.index(top[name][0]), -top[name][1]))
+    lines: list[OrderFinding | LineFinding] = [*findings.orders, *findings.lines]
+    names = dict.fromkeys(line.channel for line in lines)
+    strongest = {name: line for name in names if (line := _strongest_line(findings, name))}
+    analysed = [channel.name for channel in findings.channels]
+    # those that were not analysed go last
+    places = {name: analysed.index(name) if name in analysed else len(analysed) for name in strongest}
+    ordered = sorted(strongest, key=places.__getitem__)
+    units = list(dict.fromkeys(unit_of(findings, strongest[name]) for name in ordered))
+    return sorted(ordered, key=lambda name: (units.index(unit_of(findings, strongest[name])), -strongest[name].size))
 
 
-def _largest(findings: Findings, channel: str) -> float:
-    """Amplitude of the strongest line in a ``channel``, order or tone; 0 where it has none."""
-    lines = (_strongest_of(findings.orders, channel), strongest_tone(findings, channel))
-    return max((line.size for line in lines if line is not None), default=0.0)
+def _strongest_line(findings: Findings, channel: str) -> OrderFinding | LineFinding | None:
+    """Strongest line in a ``channel``, order or tone."""
+    order, tone = _strongest_order(findings.orders, channel), strongest_tone(findings, channel)
+    lines: list[OrderFinding | LineFinding] = [line for line in (order, tone) if line is not None]
+    return max(lines, key=lambda line: line.size, default=None)
 
 
-def _strongest_of(orders: Iterable[OrderFinding], channel: str) -> OrderFinding | None:
-    records = [record for record in orders if record.channel == channel and is_number(record.amplitude)]
-    record = max(records, key=lambda one: one.amplitude, default=None)
-    return record if record is not None and record.amplitude > 0 else None
+def _strongest_order(orders: Iterable[OrderFinding], channel: str) -> OrderFinding | None:
+    records = (record for record in orders if record.channel == channel and record.amplitude > 0)
+    return max(records, key=lambda record: record.amplitude, default=None)
 
 
 def strongest_sentence(findings: Findings, channel: str, *, with_cause: bool = False) -> str:
@@ -149,47 +165,33 @@ def strongest_sentence(findings: Findings, channel: str, *, with_cause: bool = F
     ``findings`` of the test; ``channel`` whose strongest line, order or fixed tone, is asked for; ``with_cause`` adds
     what makes it. Empty where it has none.
     """
-    order, tone = _strongest_of(findings.orders, channel), strongest_tone(findings, channel)
-    above = stronger_above(findings, channel, _largest(findings, channel))
-    where = named(channel, limit=NAME_CHARACTERS) + ("" if above is None else " in the band that was looked at")
-    if tone is not None and (order is None or tone.size > order.size):
+    order, line = _strongest_order(findings.orders, channel), _strongest_line(findings, channel)
+    is_above = any(level.channel == channel for level in _stronger_above(findings))
+    where = short(channel) + " in the band that was looked at" * is_above
+    if order is not None:
+        hertz, name = hertz_of_order(order, findings), order_name(order, findings)
+        # the frequency of such a line says more than its order
+        called = "" if hertz is None else f"{hertz:.2f} Hz (order {name})"
+    if isinstance(line, LineFinding):
         noun = "line at" if at_one_speed(findings) else "fixed tone of"
-        text = f"A {noun} {_tone_hz(tone)} Hz is the strongest line in {where}: {level_text(findings, tone)}"
+        text = f"A {noun} {_tone_hz(line)} Hz is the strongest line in {where}: {level_text(findings, line)}"
         if order is not None:
-            hertz = hertz_of_order(order, findings)
-            name = order_name(order, findings)
-            called = f"order is {name}" if hertz is None else f"other line is {_called(hertz, name)}"
-            text += f"; the strongest {called}: {level_text(findings, order)}"
-            rpm = order.speed_rpm_at_max
-            text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""
-        return f"{text}.{_cause(tone, findings) if with_cause else ''}"
-    if order is None:
+            other = f"other line is {called}" if called else f"order is {name}"
+            text += f"; the strongest {other}: {level_text(findings, order)}{at_speed(order.speed_rpm_at_max)}"
+    elif order is None:
         return ""
-    if "unresolved" in order.doubts:
-        return _unresolved(findings, order, where)
-    hertz = hertz_of_order(order, findings)
-    name = order_name(order, findings)
-    called = f"Order {name}" if hertz is None else f"A line at {_called(hertz, name)}"
-    text = f"{called} is the strongest line in {where}: {_at(findings, order)}"
-    return f"{text}.{_cause(order, findings) if with_cause else ''}"
-
-
-def _unresolved(findings: Findings, order: OrderFinding, where: str) -> str:
-    """What is said where something stronger than all orders that are told was not resolved."""
-    near, rpm = order_name(order, findings), order.speed_rpm_at_max
-    text = f"What is strongest in {where} was not resolved: near order {near}, {level_text(findings, order)}"
-    text += f" at {rpm:.0f} rpm" if is_number(rpm) else ""
-    told = _strongest_of([one for one in findings.orders if "unresolved" not in one.doubts], order.channel)
-    if told is not None:
-        text += (
-            f"; of the orders that are told {order_name(told, findings)} is the strongest: {level_text(findings, told)}"
-        )
-    return f"{text}."
-
-
-def _called(hertz: float, order: str) -> str:
-    """``"48.35 Hz (order 5.492)"``: a line whose frequency says more than its order."""
-    return f"{hertz:.2f} Hz (order {order})"
+    elif "unresolved" in order.doubts:
+        text = f"What is strongest in {where} was not resolved: near order {name}, {level_text(findings, order)}"
+        text += at_speed(order.speed_rpm_at_max)
+        resolved = _strongest_order((one for one in findings.orders if "unresolved" not in one.doubts), channel)
+        if resolved is not None:
+            text += f"; of the orders that are told {order_name(resolved, findings)} is the strongest: "
+            text += level_text(findings, resolved)
+        return f"{text}."
+    else:
+        subject = f"A line at {called}" if called else f"Order {name}"
+        text = f"{subject} is the strongest line in {where}: {level_text(findings, order)}{_at(findings, order)}"
+    return f"{text}.{_cause(line, findings) if line and with_cause else ''}"
 
 
 def _tone_hz(tone: ModeFinding | LineFinding) -> str:
@@ -198,34 +200,23 @@ def _tone_hz(tone: ModeFinding | LineFinding) -> str:
 
 
 def _at(findings: Findings, record: OrderFinding) -> str:
-    text, rpm = level_text(findings, record), record.speed_rpm_at_max
-    if not is_number(rpm):
-        return text
-    text += f" at {rpm:.0f} rpm"
-    mode_hz = met_mode_hz(record)
-    if mode_hz is None:
-        return text
+    """Speed at which an order is largest, and the natural frequency that it meets there."""
+    rpm, mode_hz = record.speed_rpm_at_max, record.meets_hz
+    at = at_speed(rpm)
+    if (
+        not is_number(rpm)
+        or not is_number(mode_hz)
+        or abs(mode_hz - record.order * rpm / 60) > _MEETING_SHARE * mode_hz
+    ):
+        return at
     hertz = f"{frequency_text(mode_hz)} Hz"
-    met = (
-        f"{hertz}, which may be a natural frequency"
-        if is_in_doubt(mode_hz, findings)
-        else f"the {hertz} natural frequency"
-    )
-    return f"{text}, where it meets {met}"
-
-
-def met_mode_hz(record: OrderFinding) -> float | None:
-    """Natural frequency [Hz] that an order ``record`` meets where it is largest, or None."""
-    rpm = record.speed_rpm_at_max
-    if not is_number(rpm):
-        return None
-    line_hz = record.order * float(rpm) / 60
-    mode_hz = record.meets_hz
-    return mode_hz if is_number(mode_hz) and abs(mode_hz - line_hz) <= _MEETING_SHARE * mode_hz else None
+    if is_in_doubt(mode_hz, findings):
+        return f"{at}, where it meets {hertz}, which may be a natural frequency"
+    return f"{at}, where it meets the {hertz} natural frequency"
 
 
 def _cause(record: OrderFinding | LineFinding, findings: Findings) -> str:
-    cause, in_doubt = str(record.explained_by or "unexplained"), bool(findings.speed_doubt)
+    cause, in_doubt = named(record.explained_by or "unexplained", limit=2 * NAME_CHARACTERS), bool(findings.speed_doubt)
     if record.kinds == ("unexplained",):
         return " Its cause is not known."
     if record.kinds == ("tone",):
@@ -235,113 +226,132 @@ def _cause(record: OrderFinding | LineFinding, findings: Findings) -> str:
             return " At one speed nothing tells whether it follows the shaft."
         return " The tone does not follow the shaft: it has a source of its own."
     if in_doubt:
-        return f" Cause, if the speed is right: {named(cause, limit=2 * NAME_CHARACTERS)}."
-    return f" Cause: {named(cause, limit=2 * NAME_CHARACTERS)}{_untold(record, findings)}."
-
-
-def _untold(record: OrderFinding | LineFinding, findings: Findings) -> str:
-    """Why nothing tells which of the causes of an order ``record`` it is, where these are those of order 1."""
-    if not isinstance(record, OrderFinding) or record.kinds != (LIKE_UNBALANCE,):
-        return ""
-    if "few speeds" not in record.doubts:
-        return "; how it grows does not tell which"
-    return "; one speed cannot tell which" if at_one_speed(findings) else "; so few speeds cannot tell which"
+        return f" Cause, if the speed is right: {cause}."
+    why = ""
+    if isinstance(record, OrderFinding) and record.kinds == (LIKE_UNBALANCE,):
+        why = "; how it grows does not tell which"
+        if "few speeds" in record.doubts:
+            why = f"; {'one speed' if at_one_speed(findings) else 'so few speeds'} cannot tell which"
+    return f" Cause: {cause}{why}."
 
 
 def tone_sentences(findings: Findings) -> list[str]:
     """Tones and mains of the ``findings`` with their amplitudes: they are no natural frequencies."""
     texts = []
     for tone in fixed_tones(findings)[:_SHOWN]:
-        kind = named(tone.record.explained_by, limit=NAME_CHARACTERS)
-        text = f"{_tone_hz(tone.record)} Hz ({kind}"
+        text = f"{_tone_hz(tone.record)} Hz ({short(tone.record.explained_by)}"
         if tone.lines and is_number(tone.lines[0].amplitude):
-            line = tone.lines[0]
-            text += f", {level_text(findings, line)} in {named(line.channel, limit=NAME_CHARACTERS)}"
-        texts.append(f"{text}{_or_mode(tone.record, findings)})")
-    texts += _mains_among_orders(findings)
+            text += f", {level_text(findings, tone.lines[0])} in {short(tone.lines[0].channel)}"
+        beside = any(tone.record.frequency_hz in mode.lines_there_hz for mode in findings.modes)
+        texts.append(f"{text}{'; a natural frequency may be there too' * beside})")
+    # a motor has sentences of its own
+    mains = [record for record in findings.orders if "mains" in record.kinds and not findings.motor]
+    mains = [record for record in mains if hertz_of_order(record, findings)]
+    strongest = sorted(strongest_by(mains, lambda record: record.order).items())
+    texts += [
+        f"{order * (record.speed_rpm_at_max or 0.0) / 60.0:.2f} Hz ({short(record.explained_by)}, "
+        f"{level_text(findings, record)} in {short(record.channel)})"
+        for order, record in strongest[:_SHOWN]
+    ]
     if not texts:
         return []
-    if len(texts) == 1:
-        return [f"A tone, no natural frequency: {texts[0]}."]
-    return [f"Tones, no natural frequencies: {listed(texts)}."]
-
-
-def _or_mode(tone: ModeFinding, findings: Findings) -> str:
-    """That a natural frequency may stand at a ``tone`` too, where the ``findings`` do not decide it."""
-    beside = any(tone.frequency_hz in mode.lines_there_hz for mode in findings.modes)
-    return "; a natural frequency may be there too" if beside else ""
-
-
-def _mains_among_orders(findings: Findings) -> list[str]:
-    """Lines of the mains among the orders of ``findings``, each in the channel where it is strongest."""
-    lines = [
-        record
-        for record in findings.orders
-        # a motor has sentences of its own
-        if "mains" in record.kinds and not findings.motor and hertz_of_order(record, findings)
-    ]
-    return [
-        f"{one.order * (one.speed_rpm_at_max or 0.0) / 60.0:.2f} Hz "
-        f"({named(one.explained_by, limit=NAME_CHARACTERS)}, {level_text(findings, one)} in "
-        f"{named(one.channel, limit=NAME_CHARACTERS)})"
-        for _, one in sorted(strongest_by(lines, lambda one: one.order).items())
-    ][:_SHOWN]
+    subject = "Tones, no natural frequencies" if len(texts) > 1 else "A tone, no natural frequency"
+    return [f"{subject}: {listed(texts)}."]
 
 
 def _broadband(findings: Findings) -> list[str]:
     """Where most of the energy lies between the lines: a page that names lines alone would mislead."""
-    channels = findings.energy.channels if findings.energy is not None else ()
     loud = [
-        (named(one.channel, limit=NAME_CHARACTERS), one.modes_and_floor)
-        for one in channels
-        if is_number(one.modes_and_floor) and one.modes_and_floor > _MOSTLY
+        f"{short(record.channel)} {percent_text(record.modes_and_floor)}"
+        for record in (findings.energy.channels if findings.energy else ())
+        if is_number(record.modes_and_floor) and record.modes_and_floor > _MOSTLY
     ]
     if not loud:
         return []
-    said = [f"{name} {percent_text(share)}" for name, share in loud[:_MANY]]
-    more = ", …" if len(loud) > _MANY else ""
-    return [f"Most of the energy is broadband, at natural frequencies and in the noise floor: {', '.join(said)}{more}."]
-
-
-_MOST_MODES = 16  # natural frequencies that a sentence lists
-_DOUBTS = 3  # … and doubts, each with its reason
+    shares = ", ".join(loud[:_MANY]) + ", …" * (len(loud) > _MANY)
+    return [f"Most of the energy is broadband, at natural frequencies and in the noise floor: {shares}."]
 
 
 def mode_sentences(findings: Findings) -> list[str]:
     """Natural frequencies of ``findings``, then those that are not decided, with the reason."""
-    modes = [mode for mode in findings.modes if is_number(mode.frequency_hz) and not is_tone(mode)]
+    modes = [mode for mode in findings.modes if not is_tone(mode)]
     fixed = [mode for mode in modes if not is_undecided(mode) and not is_whirl(mode)]
-    own = [f"{frequency_text(mode.frequency_hz)} Hz" for mode in fixed]
     sentences = []
-    if own:
-        noun = "Natural frequencies" if len(own) > 1 else "Natural frequency"
-        sentences.append(f"{noun}: {listed(own[:_MOST_MODES])}{' and more' if len(own) > _MOST_MODES else ''}.")
-    sentences += [_of_whirl(mode) for mode in modes if is_whirl(mode)]
+    if fixed:
+        noun = "Natural frequencies" if len(fixed) > 1 else "Natural frequency"
+        hertz = [f"{frequency_text(mode.frequency_hz)} Hz" for mode in fixed]
+        sentences.append(f"{noun}: {listed(hertz, most=_MOST_MODES)}.")
+    for mode in filter(is_whirl, modes):
+        slope = mode.speed_slope or 0.0
+        kind, moves = ("Forward", "rising") if slope > 0.0 else ("Backward", "falling")
+        place = f"{frequency_text(mode.frequency_hz)} Hz{at_speed(mode.reference_rpm)}"
+        sentences.append(f"{kind} whirl: {place}, {moves} by {abs(slope):.2f} orders.")
     doubts = [mode for mode in modes if is_undecided(mode)]
-    for mode in _once_each(doubts)[:_DOUBTS]:
+    beside: dict[tuple[float, ...], ModeFinding] = {}  # those beside one and the same named line are one
+    for number, mode in enumerate(doubts):
+        beside.setdefault(mode.lines_there_hz or (-1.0 - number,), mode)
+    first = list(beside.values())[:_DOUBTS]
+    for mode in first:
         reason = named(mode.undecided or "", limit=4 * NAME_CHARACTERS).rstrip(".")
         text = f"{frequency_text(mode.frequency_hz)} Hz may be a natural frequency: not decided"
         sentences.append(f"{text}; {reason}." if reason else f"{text}.")
-    if (rest := len(doubts) - min(len(_once_each(doubts)), _DOUBTS)) > 0:
-        noun = "lines are" if rest > 1 else "line is"
-        sentences.append(f"{rest} more {noun} not decided: see their table.")
+    if (rest := len(doubts) - len(first)) > 0:
+        sentences.append(f"{rest} more {'lines are' if rest > 1 else 'line is'} not decided: see their table.")
     return sentences
 
 
-def _once_each(doubts: list[ModeFinding]) -> list[ModeFinding]:
-    """``doubts`` of which those beside one and the same named line are one."""
-    beside: dict[tuple[float, ...], ModeFinding] = {}
-    for number, mode in enumerate(doubts):
-        beside.setdefault(mode.lines_there_hz or (-1.0 - number,), mode)
-    return list(beside.values())
+def bearing_sentences(findings: Findings, *, with_rule: bool = True) -> list[str]:
+    """One sentence per bearing line of ``findings`` that was seen; ``with_rule`` adds the rule of its verdict."""
+    sentences = []
+    for name, record in bearing_lines(findings):
+        text = f"Order {order_name(record, findings)} fits the {name}: {_seen(findings, record)}."
+        parts = [part.strip().rstrip(".") for part in named(record.verdict, limit=400).split(". ")]
+        # the rule to re-run is said once
+        verdict = [f"{part[0].upper()}{part[1:]}." for part in parts if part and "re-run" not in part.lower()]
+        sentences.append(" ".join([text, *verdict, *[RE_RUN_RULE] * (with_rule and asks_re_run(record))]))
+    return sentences
 
 
-def _of_whirl(mode: ModeFinding) -> str:
-    """The sentence of a natural frequency that moves with the speed."""
-    slope, rpm = mode.speed_slope or 0.0, mode.reference_rpm
-    at = f" at {float(rpm):.0f} rpm" if is_number(rpm) else ""
-    kind, moves = ("Forward", "rising") if slope > 0.0 else ("Backward", "falling")
-    return f"{kind} whirl: {frequency_text(mode.frequency_hz)} Hz{at}, {moves} by {abs(slope):.2f} orders."
+def bearing_lines(findings: Findings) -> list[tuple[str, BearingFinding]]:
+    """What each bearing line of ``findings`` that was seen is called, with its largest record.
+
+    Faults go first, those that strike before those that only sound.
+    """
+    groups: dict[tuple[float, str, str | None], list[BearingFinding]] = {}
+    for record in findings.bearings:
+        if is_number(record.amplitude):
+            groups.setdefault((nominal_order(record), record.line, record.seen_in), []).append(record)
+    lines = []
+    for (_, line, _), records in sorted(
+        groups.items(), key=lambda group: (group[0][1] == "N*fs", group[0][2] != "envelope")
+    ):
+        names = list(dict.fromkeys(short(record.name) for record in records))
+        noun = " bearings" if len(names) != 1 else "" if names[0].lower().endswith("bearing") else " bearing"
+        name = f"{_BEARING_LINES.get(line, short(line))} line of the {listed(names)}{noun}"
+        lines.append((name, max(records, key=lambda record: record.size)))
+    return lines
+
+
+def asks_re_run(record: BearingFinding) -> bool:
+    """True where the verdict of a bearing ``record`` asks to run the test again, or where none was worked out."""
+    return record.lock is None or record.re_run
+
+
+def _seen(findings: Findings, record: BearingFinding) -> str:
+    """Amplitude, where and at which speed it is so large, and slip of a line."""
+    text = level_text(findings, record) + (f" in {short(record.channel)}" if record.channel else "")
+    text += ", its mean over all speeds" if record.is_mean else at_speed(record.speed_rpm)
+    if record.seen_in == "envelope":
+        band = envelope_band(record)
+        text += f", in the envelope of {band} Hz" if band else ", in the envelope"
+    if interval_of(record, "slip_percent") is not None and record.lock != "locked":
+        text += f", slip {estimate_text(record, 'slip_percent')} %"
+    return text + (f", {record.harmonics} multiples" if (record.harmonics or 0) > 1 else "")
+
+
+def envelope_band(record: BearingFinding) -> str:
+    """Band of the envelope of a bearing ``record`` in Hz, such as ``"2000–4000"``; empty where there is none."""
+    return "–".join(f"{end:.0f}" if end >= 100 else number_text(end) for end in known(record.band_hz) or ())
 
 
 def motor_sentences(findings: Findings) -> list[str]:
@@ -351,74 +361,62 @@ def motor_sentences(findings: Findings) -> list[str]:
         return []
     if motor.misfit:
         return [f"No line of the motor is named: {named(motor.misfit, limit=400)}."]
-    sentences = _slip(motor)
-    lines = [line for line in motor.lines if is_number(line.frequency_hz)]
-    sentences += [text for name in _SPEAKS_FOR if (text := _sides(name, lines, findings))]
-    strongest = strongest_by(lines, lambda line: (line.name, str(line.side))).values()
-    own = [line for line in strongest if line.name not in _SPEAKS_FOR]
-    if own:
-        listing = [
-            f"{line.frequency_hz:.2f} Hz ({' or '.join([name, *(named(other, limit=80) for other in line.others)])}, "
-            f"{_motor_level(findings, line)} in {named(line.channel, limit=NAME_CHARACTERS)})"
-            for line in sorted(own, key=lambda line: line.frequency_hz)
-            for name in [named(line.name, limit=NAME_CHARACTERS).removeprefix("motor, ")]
-        ]
-        sentences.append(f"Of the motor and its supply: {listed(listing)}.")
+    sentences = _slip(motor) + [text for name in _SPEAKS_FOR if (text := _sides(name, motor, findings))]
+    strongest = strongest_by(motor.lines, lambda line: (line.name, line.side)).values()
+    texts = []
+    for line in sorted(strongest, key=lambda line: line.frequency_hz):
+        if line.name not in _SPEAKS_FOR:
+            names = [short(line.name).removeprefix("motor, "), *(named(other, limit=80) for other in line.others)]
+            level = f"{_motor_level(findings, line)} in {short(line.channel)}"
+            texts.append(f"{line.frequency_hz:.2f} Hz ({' or '.join(names)}, {level})")
+    if texts:
+        sentences.append(f"Of the motor and its supply: {listed(texts)}.")
     return sentences or ["No line of the motor stands above the noise."]
 
 
 def _slip(motor: Motor) -> list[str]:
-    speeds = [one for one in motor.speeds if one.fits]
+    speeds = [speed for speed in motor.speeds if speed.fits]
     if not speeds:
         return []
     by = "as its own lines measure" if motor.supply_measured else "as stated: no line of the mains measures it"
-    slow, fast = (pick(speeds, key=lambda one: one.slip) for pick in (max, min))
+    slow, fast = (pick(speeds, key=lambda speed: speed.slip) for pick in (max, min))
     text = f"The motor ({motor.poles} poles at {motor.supply_hz:.5g} Hz, {by}) slips by {_slip_text(fast)}"
     if slow is not fast:
         text += f" to {_slip_text(slow)}"
     if motor.supply_measured:
-        ends = dict.fromkeys(f"{one.pole_pass_hz:.3g}" for one in (fast, slow))
+        ends = dict.fromkeys(f"{speed.pole_pass_hz:.3g}" for speed in (fast, slow))
         text += f"; its pole-pass frequency is {' to '.join(ends)} Hz"
-    left_out = sum(not one.fits for one in motor.speeds)
-    more = [f"At {left_out} of {left_out + len(speeds)} speeds its poles and supply do not fit, and no line is named."]
-    return [f"{text}.", *(more if left_out else [])]
+    left_out, every = len(motor.speeds) - len(speeds), len(motor.speeds)
+    more = f"At {left_out} of {every} speeds its poles and supply do not fit, and no line is named."
+    return [f"{text}.", *[more] * (left_out > 0)]
 
 
-def _slip_text(one: MotorSpeed) -> str:
-    low, high = (100.0 * end for end in one.slip_ci95)
+def _slip_text(speed: MotorSpeed) -> str:
+    low, high = (100.0 * end for end in speed.slip_ci95)
     wide = f" ({max(low, 0.0):.2g}…{high:.2g})" if high - low > 0.1 else ""
-    return f"{100.0 * one.slip:.3g} %{wide} at {one.speed_rpm:.4g} rpm"
+    return f"{100.0 * speed.slip:.3g} %{wide} at {speed.speed_rpm:.4g} rpm"
 
 
-def _sides(name: str, lines: list[MotorLine], findings: Findings) -> str:
-    """Sentence on one pair of pole-pass sidebands; empty where none stands."""
-    beside = name.removeprefix("motor, pole-pass sideband of ")
-    own = [line for line in lines if line.name == name]
+def _sides(name: str, motor: Motor, findings: Findings) -> str:
+    """Sentence on one pair of pole-pass sidebands, with their share of the carrier; empty where none stands."""
+    carrier = name.removeprefix("motor, pole-pass sideband of ")
+    own = [line for line in motor.lines if line.name == name]
     if not own:
         return ""
-    alone = [line for line in own if not line.others] or own
-    top = max(alone, key=lambda line: line.amplitude)
-    pair = sorted((line for line in own if line.channel == top.channel), key=lambda line: line.frequency_hz)
-    said = listed([f"{line.frequency_hz:.2f} Hz{_or_others(line)}" for line in pair])
-    share = _carrier_share(top, lines, findings, beside)
-    verb = "are its" if len(pair) > 1 else "is one of its"
+    top = max([line for line in own if not line.others] or own, key=lambda line: line.amplitude)
+    texts = []
+    for line in sorted(own, key=lambda line: line.frequency_hz):
+        if line.channel == top.channel:
+            others = f" (or {' or '.join(map(short, line.others))}, which stands there too)" if line.others else ""
+            texts.append(f"{line.frequency_hz:.2f} Hz{others}")
+    carriers: list[MotorLine | OrderFinding] = [line for line in motor.lines if line.name == carrier]
+    if carrier != "twice mains":
+        carriers = [record for record in findings.orders if abs(record.order - 1.0) < 1e-3]
+    largest = max((line.amplitude for line in carriers if line.channel == top.channel), default=0.0)
+    share = f", {percent_text(top.amplitude / largest)} of it" if largest > 0 else ""
+    verb = "are its" if len(texts) > 1 else "is one of its"
     size = f", up to {_motor_level(findings, top)}{share}"
-    return f"Beside {beside}, {said} {verb} pole-pass sidebands{size}: {_SPEAKS_FOR[name]}."
-
-
-def _carrier_share(top: MotorLine, lines: list[MotorLine], findings: Findings, beside: str) -> str:
-    """Share of the carrier that a sideband has in its channel; empty where that was not found."""
-    if beside == "twice mains":
-        sizes = [one.amplitude for one in lines if one.name == beside and one.channel == top.channel]
-    else:
-        turns = [one for one in findings.orders if one.channel == top.channel]
-        sizes = [one.amplitude for one in turns if is_number(one.order) and abs(one.order - 1.0) < 1e-3]
-    return f", {percent_text(top.amplitude / float(max(sizes)))} of it" if sizes and max(sizes) > 0 else ""
-
-
-def _or_others(line: MotorLine) -> str:
-    others = [named(one, limit=NAME_CHARACTERS) for one in line.others or []]
-    return f" (or {' or '.join(others)}, which stands there too)" if others else ""
+    return f"Beside {carrier}, {listed(texts)} {verb} pole-pass sidebands{size}: {_SPEAKS_FOR[name]}."
 
 
 def _motor_level(findings: Findings, line: MotorLine) -> str:

@@ -22,6 +22,7 @@ from crankorder.report.notation import (
     order_name,
     order_texts,
     percent_text,
+    short,
 )
 
 _PAIRS = 4  # crossings that a sentence names
@@ -42,10 +43,11 @@ def avoid_sentences(findings: Findings) -> list[str]:
         span = f" ({ends[0]:.0f} to {ends[1]:.0f} rpm)" if ends is not None else ""
         meetings = dict.fromkeys(zip(map(nominal_order, record.orders), record.modes_hz, strict=True))
         pairs = [_excites(order, mode_hz, findings) for order, mode_hz in meetings]
-        said = listed(pairs[:_PAIRS]) + (f", and {len(pairs) - _PAIRS} more meet" if len(pairs) > _PAIRS else "")
-        text = f"Avoid steady running near {record.rpm:.0f} rpm{span}, where {said}"
-        alone = f"; order {order_name(record, findings)}{' alone' if len(pairs) > 1 else ''}: "
-        sentences.append(f"{text}{alone.join(['', *_peak(findings, record)])}.")
+        text = f"Avoid steady running near {record.rpm:.0f} rpm{span}, where {listed(pairs[:_PAIRS])}"
+        text += f", and {len(pairs) - _PAIRS} more meet" if len(pairs) > _PAIRS else ""
+        if peak := _peak(findings, record):
+            text += f"; order {order_name(record, findings)}{' alone' if len(pairs) > 1 else ''}: {peak}"
+        sentences.append(f"{text}.")
     return sentences
 
 
@@ -59,22 +61,22 @@ def _excites(order: float, mode_hz: float, findings: Findings) -> str:
     name, hertz = order_name(_Order(order), findings), frequency_text(mode_hz)
     if is_in_doubt(mode_hz, findings):
         return f"order {name} peaks at {hertz} Hz, which may be a natural frequency"
-    of_order = [one for one in findings.crossings if nominal_order(one) == order]
-    met = [one for one in of_order if abs(one.mode_hz - mode_hz) < SAME_MODE * mode_hz]
-    verb = "peaks near" if met and not any(one.excited for one in met) else "excites"
+    of_order = [crossing for crossing in findings.crossings if nominal_order(crossing) == order]
+    excited = [crossing.excited for crossing in of_order if abs(crossing.mode_hz - mode_hz) < SAME_MODE * mode_hz]
+    verb = "excites" if any(excited) or not excited else "peaks near"
     return f"order {name} {verb} the {hertz} Hz natural frequency"
 
 
-def _peak(findings: Findings, record: AvoidedSpeed) -> list[str]:
-    """How bad its order is there, in the findings' own numbers; nothing where that is not known."""
-    said = []
+def _peak(findings: Findings, record: AvoidedSpeed) -> str:
+    """How bad its order is there, in the findings' own numbers; empty where that is not known."""
+    parts = []
     if is_number(record.amplitude) and record.amplitude > 0:
-        where = f" in {named(record.channel, limit=NAME_CHARACTERS)}" if record.channel else ""
-        held = ", by the modal fit for a held speed" if record.by_fit else ""
-        said.append(f"peak {'at least ' if record.at_least else ''}{level_text(findings, record)}{where}{held}")
+        where = f" in {short(record.channel)}" if record.channel else ""
+        held = ", by the modal fit for a held speed" * record.by_fit
+        parts.append(f"peak {'at least ' * record.at_least}{level_text(findings, record)}{where}{held}")
     if is_number(record.amplification) and record.amplification > 0:
-        said.append(f"amplified {_amplified(record)} times")
-    return [", ".join(said)] if said else []
+        parts.append(f"amplified {_amplified(record)} times")
+    return ", ".join(parts)
 
 
 def _amplified(record: AvoidedSpeed) -> str:
@@ -94,10 +96,9 @@ def all_judged(findings: Findings) -> bool:
 
 def doubt_sentences(findings: Findings) -> list[str]:
     """That the speed of the ``findings`` is in doubt, and why; nothing where it is not."""
-    doubt = findings.speed_doubt
-    if not doubt:
+    if not findings.speed_doubt:
         return []
-    reason = named(doubt, limit=4 * NAME_CHARACTERS)
+    reason = named(findings.speed_doubt, limit=4 * NAME_CHARACTERS)
     return [f"The speed is in doubt, and with it every order, cause and crossing: {reason}."]
 
 
@@ -112,63 +113,62 @@ def shaft_sentences(findings: Findings) -> list[str]:
 
 def swing_sentences(findings: Findings) -> list[str]:
     """How unevenly the shaft of the ``findings`` turns: the orders of the recording whose speed swings most, if any."""
-    records = [one for one in findings.speed_swing if one.speed_rpm > 0.0]
-    sides = sorted({nominal_order(one) for one in findings.orders if "sideband by a swing of the angle" in one.kinds})
+    swings = [swing for swing in findings.speed_swing if swing.speed_rpm > 0.0]
+    sides = sorted(
+        {nominal_order(record) for record in findings.orders if "sideband by a swing of the angle" in record.kinds}
+    )
     more = [f"{len(sides) - _SIDES} more"] if len(sides) > _SIDES else []
     unsourced = [f"Orders {listed([*order_texts(sides)[:_SIDES], *more])} {_NO_SOURCES}."] if sides else []
-    if not records:
+    if not swings:
         return unsourced
-    worst = max(records, key=lambda one: one.amplitude_rpm / one.speed_rpm)
-    own = [one for one in records if one.recording == worst.recording][:_SHOWN]
-    rpm = worst.speed_rpm
-    said = [
-        f"order {number_text(one.order)} by ± {number_text(one.amplitude_rpm)} rpm "
-        f"({percent_text(one.amplitude_rpm / rpm)})"
-        for one in own
+    worst = max(swings, key=lambda swing: swing.amplitude_rpm / swing.speed_rpm)
+    own = [swing for swing in swings if swing.recording == worst.recording][:_SHOWN]
+    texts = [
+        f"order {number_text(swing.order)} by ± {number_text(swing.amplitude_rpm)} rpm "
+        f"({percent_text(swing.amplitude_rpm / worst.speed_rpm)})"
+        for swing in own
     ]
-    where = f"{rpm:.0f} rpm ({named(worst.recording, limit=NAME_CHARACTERS)})"
-    doubt = _of_an_encoder(records, [one.order for one in own])
-    return [f"The speed itself swings, as the encoder shows it, most at {where}: {listed(said)}.{doubt}", *unsourced]
+    where = f"{worst.speed_rpm:.0f} rpm ({short(worst.recording)})"
+    doubt = _of_an_encoder(swings, [swing.order for swing in own])
+    return [f"The speed itself swings, as the encoder shows it, most at {where}: {listed(texts)}.{doubt}", *unsourced]
 
 
-def _of_an_encoder(records: list[SpeedSwing], orders: list[float]) -> str:
+def _of_an_encoder(swings: list[SpeedSwing], orders: list[float]) -> str:
     """That an encoder off its centre would show the same of the first of ``orders`` that it can make.
 
     Its error is one angle at all speeds, and so is the share of the speed that it shows; a shaft's changes with load
     and speed.
     """
     for order, name in _OF_ENCODER.items():
-        shares = {
-            round(one.speed_rpm): one.amplitude_rpm / one.speed_rpm
-            for one in records
-            if one.order == order and one.may_be_encoder
-        }
-        if order not in orders or not shares or min(shares.values()) < _ONE_SHARE * max(shares.values()):
-            continue
-        alike = "by one share of the speed at all speeds" if len(shares) > 1 else "at the one speed at which it is told"
-        return f" Order {order:g} swings {alike}: {name} encoder would show the same."
+        own = [swing for swing in swings if swing.order == order and swing.may_be_encoder]
+        shares = {round(swing.speed_rpm): swing.amplitude_rpm / swing.speed_rpm for swing in own}
+        if order in orders and shares and min(shares.values()) >= _ONE_SHARE * max(shares.values()):
+            at_one = "at the one speed at which it is told"
+            alike = "by one share of the speed at all speeds" if len(shares) > 1 else at_one
+            return f" Order {order:g} swings {alike}: {name} encoder would show the same."
     return ""
 
 
 def free_sentences(findings: Findings) -> list[str]:
     """Where ``findings`` allow steady running, the widest bands; and where they cannot tell, with the first reason."""
     free, unknown = free_bands(findings), wide_bands(findings.open_bands or ())
-    said = []
+    sentences = []
     if free:
         widest = sorted(sorted(free, key=lambda band: band[0] - band[1])[:_SHOWN])
         more = " and narrower bands" if len(free) > _SHOWN else ""
         ends = listed([f"{low:.0f} to {high:.0f}" for low, high in widest])
         remark = named(wide_bands(findings.free_bands)[0].remark or "", limit=4 * NAME_CHARACTERS)
-        said.append(f"Free of resonances: {ends} rpm{more}{f'; {remark}' if remark else ''}.")
-    speeds = [float(one) for one in findings.speed_range_rpm if is_number(one)]
-    if not free and speeds and max(speeds) - min(speeds) < _ONE_SPEED_RPM:
-        return ["A test at one speed cannot tell which speeds are free of resonances."]
-    if not free and (unknown or findings.open_bands is not None) and not findings.speeds_to_avoid:
-        said.append("No speed of the tested range can be called free of resonances.")
+        sentences.append(f"Free of resonances: {ends} rpm{more}{f'; {remark}' if remark else ''}.")
+    else:
+        tested = [rpm for rpm in findings.speed_range_rpm if is_number(rpm)]
+        if tested and max(tested) - min(tested) < _ONE_SPEED_RPM:
+            return ["A test at one speed cannot tell which speeds are free of resonances."]
+        if findings.open_bands is not None and not findings.speeds_to_avoid:
+            sentences.append("No speed of the tested range can be called free of resonances.")
     if unknown:
         widest_open = max(unknown, key=lambda band: band.high_rpm - band.low_rpm)
         reason = named(widest_open.remark.split("; ")[0], limit=4 * NAME_CHARACTERS)
-        ends = f"{widest_open.low_rpm:.0f} to {widest_open.high_rpm:.0f}"
         others = f" (and {len(unknown) - 1} more {'bands' if len(unknown) > 2 else 'band'})" if len(unknown) > 1 else ""
-        said.append(f"Not free, or not known: {ends} rpm{others}: {reason}.")
-    return said
+        ends = f"{widest_open.low_rpm:.0f} to {widest_open.high_rpm:.0f}"
+        sentences.append(f"Not free, or not known: {ends} rpm{others}: {reason}.")
+    return sentences

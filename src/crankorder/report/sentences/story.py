@@ -1,20 +1,41 @@
-"""What a test says, in plain sentences made from its findings: what shakes, why, how sure, what to do."""
+"""What a test says, in plain sentences made from its findings: what shakes, why, how sure, what to do.
+
+Here are those on how orders grow and whether they are locked, on the residual unbalance, the energy and the quality.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from typing import TypedDict
+from typing import Literal, TypedDict
 
-from crankorder.findings import Findings
-from crankorder.plot.fixed_lines import fixed_tones
+from crankorder.findings import Balance, Findings, OrderFinding
+from crankorder.plot.fixed_lines import fixed_tones, hertz_of_order
 from crankorder.quantities import WHICH_IS_RIGHT
-from crankorder.report.notation import NAME_CHARACTERS, is_number, listed, named, percent_text, strongest_by
-from crankorder.report.sentences.of_balance import balance_sentences
-from crankorder.report.sentences.of_bearings import RE_RUN_RULE, asks_re_run, bearing_lines, bearing_sentences
+from crankorder.report.notation import (
+    NAME_CHARACTERS,
+    at_one_speed,
+    estimate_text,
+    frequency_text,
+    interval_of,
+    is_in_doubt,
+    is_number,
+    listed,
+    named,
+    nominal_order,
+    order_name,
+    order_texts,
+    percent_text,
+    short,
+    strongest_by,
+)
 from crankorder.report.sentences.of_levels import level_sentences, limit_sentences, share_sentences, undecided_limits
 from crankorder.report.sentences.of_lines import (
     LIKE_UNBALANCE,
+    RE_RUN_RULE,
     above_asks,
+    asks_re_run,
+    bearing_lines,
+    bearing_sentences,
     lies_above,
     line_sentences,
     mode_sentences,
@@ -24,7 +45,6 @@ from crankorder.report.sentences.of_lines import (
     strongest_sentence,
     tone_sentences,
 )
-from crankorder.report.sentences.of_orders import law_sentences, lock_sentences
 from crankorder.report.sentences.of_speeds import (
     all_judged,
     avoid_sentences,
@@ -35,8 +55,8 @@ from crankorder.report.sentences.of_speeds import (
 )
 
 __all__ = [
-    "ALL_CLEAR", "NAME_CHARACTERS", "RE_RUN_RULE", "Story", "avoid_sentences", "bearing_sentences",
-    "energy_sentence", "headline", "story_of", "strongest_sentence",
+    "ALL_CLEAR", "RE_RUN_RULE", "Story", "avoid_sentences", "bearing_sentences", "energy_sentence", "headline",
+    "story_of", "strongest_sentence",
 ]  # fmt: skip
 
 ALL_CLEAR = (
@@ -56,8 +76,38 @@ MORE_SPEEDS = (
     "unbalance."
 )
 TOO_SHORT = "Record more revolutions at each speed: what was recorded proves neither a fault nor that there is none."
+
+QUANTITIES = {
+    "residual_reciprocating_g": ("Unbalanced reciprocating mass (first order)", "g"),
+    "residual_second_order_g": ("Unbalanced reciprocating mass (second order)", "g"),
+    "residual_rotating_gmm": ("Rotating unbalance", "g·mm"),
+    "angle_deg": ("Angle of the rotating unbalance from the crank", "°"),
+    "forward_gmm": ("Forward (rotating) part", "g·mm"),
+    "forward_angle_deg": ("Angle of the forward part from the crank", "°"),
+    "reverse_gmm": ("Reverse part", "g·mm"),
+    "reverse_angle_deg": ("Angle of the reverse part from the crank", "°"),
+    "along_g": ("At the crank radius, along the cylinder", "g"),
+    "along_quadrature_g": ("A quarter turn ahead of it", "g"),
+    "across_g": ("At the crank radius, across the cylinder", "g"),
+    "crank_radius_mm": ("Crank radius", "mm"),
+}
+"""Title and unit of each number of ``balance`` in the findings, in the order of the table."""
+
+OF_ONE_ORDER = ("residual_second_order_g", "along_g", "along_quadrature_g")
+"""What is the reciprocating mass again, by one of its orders alone, where nothing is known across the cylinder."""
+
+_WEIGHTS: dict[Literal["bad", "suspect"], str] = {
+    "bad": "those data took no part in the averages",
+    "suspect": "see the table of quality before relying on the numbers",
+}
 _MANY = 3  # speeds to avoid that a summary names one by one
 _MUCH_UNKNOWN = 0.05  # of the energy: more than this asks for a look
+_CLEAR_EXPONENT = 1.5  # an interval of the speed exponent wider than this tells nothing
+_SHOWN = 8  # orders that a sentence names
+_STEADY_CAUSES = ("unexplained", "bearing", "gear mesh")  # what may keep its size
+_LETTERS = 4 * NAME_CHARACTERS  # of a reason
+
+Answer = Literal["what", "why", "how_sure", "what_to_do"]
 
 
 class Story(TypedDict):
@@ -79,160 +129,75 @@ def headline(findings: Findings) -> list[str]:
     """
     if findings.not_asked_for:
         return [*shaft_sentences(findings), f"Findings were {named(findings.not_asked_for, limit=400)}."]
-    energy = energy_sentence(findings)
+    energy = filter(None, [energy_sentence(findings)])
     limits = [*limit_sentences(findings, above=True)[:1], *undecided_limits(findings)]
-    if stands_still(findings):
-        return [*limits, *mode_sentences(findings)[:1], *([energy] if energy else [])]
+    if _stands_still(findings):
+        return [*limits, *mode_sentences(findings)[:1], *energy]
     lines = line_sentences(findings)[: 1 + lies_above(findings)]
     bearings = bearing_sentences(findings)[:1]
+    strikes = any(record.damage for record in findings.bearings)
     return [
         *doubt_sentences(findings),
         *limits,
-        *(bearings + lines if strikes(findings) else lines + bearings),
+        *(bearings + lines if strikes else lines + bearings),
         *slow_sentences(findings),
         *(avoid_sentences(findings) or free_sentences(findings))[:1],
         *balance_sentences(findings)[:1],
-        *([energy] if energy else []),
+        *energy,
     ]
 
 
 def story_of(findings: Findings) -> Story:
     """What shakes, why, how sure and what to do, from ``findings``; unasked for, only what the data are worth."""
+    quality, repeat = _quality_sentences(findings), _repeat_sentences(findings)
     if findings.not_asked_for:
-        what, doubts = shaft_sentences(findings), _quality_sentences(findings)
-        return Story(what=what, why=[], how_sure=doubts, what_to_do=_repeat_sentences(findings))
-    energy = energy_sentence(findings)
-    if stands_still(findings):
+        return Story(what=shaft_sentences(findings), why=[], how_sure=quality, what_to_do=repeat)
+    levels = [*level_sentences(findings), *limit_sentences(findings)]
+    shares = [*filter(None, [energy_sentence(findings)]), *share_sentences(findings)]
+    modes, tones = mode_sentences(findings), tone_sentences(findings)
+    if _stands_still(findings):
         return Story(
-            what=[*mode_sentences(findings), *level_sentences(findings), *limit_sentences(findings)],
-            why=tone_sentences(findings),
-            how_sure=[
-                INTERVALS,
-                *([energy] if energy else []),
-                *share_sentences(findings),
-                *_quality_sentences(findings),
-            ],
-            what_to_do=[*_repeat_sentences(findings)] or [STILL_CLEAR],
+            what=modes + levels, why=tones, how_sure=[INTERVALS, *shares, *quality], what_to_do=repeat or [STILL_CLEAR]
         )
     return Story(
-        what=[*line_sentences(findings), *level_sentences(findings), *limit_sentences(findings)],
+        what=line_sentences(findings) + levels,
         why=[
-            *law_sentences(findings),
-            *swing_sentences(findings),
-            *mode_sentences(findings),
-            *tone_sentences(findings),
-            *motor_sentences(findings),
-            *bearing_sentences(findings, with_rule=False),
-            *balance_sentences(findings),
+            *law_sentences(findings), *swing_sentences(findings), *modes, *tones, *motor_sentences(findings),
+            *bearing_sentences(findings, with_rule=False), *balance_sentences(findings),
         ],
-        how_sure=[
-            INTERVALS,
-            *doubt_sentences(findings),
-            *([energy] if energy else []),
-            *share_sentences(findings),
-            *lock_sentences(findings),
-            *_quality_sentences(findings),
-        ],
+        how_sure=[INTERVALS, *doubt_sentences(findings), *shares, *lock_sentences(findings), *quality],
         what_to_do=_what_to_do(findings),
-    )
+    )  # fmt: skip
 
 
-def stands_still(findings: Findings) -> bool:
+def _stands_still(findings: Findings) -> bool:
     """Whether nothing turned, as far as ``findings`` tell: no speed, no order, but natural frequencies."""
-    speeds = findings.speed_range_rpm or []
-    return bool(findings.modes) and not findings.orders and not any(is_number(one) for one in speeds)
-
-
-def strikes(findings: Findings) -> bool:
-    """Whether a bearing of ``findings`` strikes: a line of its envelope is called damage."""
-    return any(record.damage for record in findings.bearings)
+    return bool(findings.modes) and not findings.orders and not any(map(is_number, findings.speed_range_rpm))
 
 
 def energy_sentence(findings: Findings) -> str:
     """Share of the energy of ``findings`` that nothing explains, as a number, and of what; empty where not known."""
     fraction, energy = findings.unexplained_energy_fraction, findings.energy
-    if not is_number(fraction):
-        return ""
     whole = energy is not None and bool(energy.channels)
-    if not whole and not findings.lines and not findings.orders:
-        return ""  # no line, no energy of lines
+    # what orders explain is as good as the speed; without a line there is no energy of lines
+    if not is_number(fraction) or findings.speed_doubt or not (whole or findings.lines or findings.orders):
+        return ""
     what = "the energy that is not broadband" if whole else "the energy of the lines that were found"
-    if findings.speed_doubt:
-        return ""  # what orders explain is as good as the speed
     judged = not whole or energy is None or energy.cells_judged is not False
     but = "" if judged else " What lies between the lines could not be judged."
-    if float(fraction) == 0 and whole and not has_lines(findings):
+    if fraction != 0:
+        return f"{percent_text(fraction)} of {what} has no known cause.{but}"
+    if whole and not has_lines(findings):
         return f"In the band that was looked at no order and no tone holds energy that would need a cause.{but}"
-    much_above = any(is_number(one.share_above) and one.share_above > _MUCH_UNKNOWN for one in findings.levels)
-    if float(fraction) == 0 and (_has_unexplained(findings) or much_above):
+    if _has_unexplained(findings) or any((level.share_above or 0.0) > _MUCH_UNKNOWN for level in findings.levels):
         return f"Less than 0.1 % of {what} in the band that was looked at has no known cause.{but}"
-    if float(fraction) == 0:
-        by = "orders and tones with a known cause" if whole else "what the tables name"
-        return f"All of {what} is explained by {by}: 0 % is unexplained.{but}"
-    return f"{percent_text(float(fraction))} of {what} has no known cause.{but}"
+    by = "orders and tones with a known cause" if whole else "what the tables name"
+    return f"All of {what} is explained by {by}: 0 % is unexplained.{but}"
 
 
 def has_lines(findings: Findings) -> bool:
     """Whether ``findings`` hold an order or a tone."""
-    return bool(findings.orders) or bool(fixed_tones(findings))
-
-
-def _quality_sentences(findings: Findings) -> list[str]:
-    sentences = []
-    count = Counter(flag.severity for flag in findings.quality)
-    if count["bad"]:
-        sentences.append(f"{_remarks(count['bad'])} bad: those data took no part in the averages.")
-    if count["suspect"]:
-        sentences.append(
-            f"{_remarks(count['suspect'])} suspect: see the table of quality before relying on the numbers."
-        )
-    sentences += _gain_sentences(findings)
-    if not count["bad"] and not count["suspect"]:
-        sentences.append("No recording was found faulty or suspect.")
-    return sentences
-
-
-def _gain_sentences(findings: Findings) -> list[str]:
-    """Which channels of which recordings were left out for a gain that was changed, by whether it is known which."""
-    jumps = [flag for flag in findings.quality if flag.flag == "level_jump" and flag.left_out]
-    sentences = []
-    for open_, why in ((False, "its gain was changed"), (True, f"gains differ, and nothing tells {WHICH_IS_RIGHT}")):
-        own = [flag for flag in jumps if (WHICH_IS_RIGHT in flag.detail) == open_]
-        said = [
-            f"{named(flag.channel, limit=NAME_CHARACTERS)} of {named(flag.recording, limit=NAME_CHARACTERS)}"
-            for flag in own[:_MANY]
-        ]
-        if own:
-            more = f" and {len(own) - _MANY} more" if len(own) > _MANY else ""
-            sentences.append(f"Left out of everything that is said: {', '.join(said)}{more} ({why}).")
-    return sentences
-
-
-def _remarks(number: int) -> str:
-    return "1 quality remark is" if number == 1 else f"{number} quality remarks are"
-
-
-def _what_to_do(findings: Findings) -> list[str]:
-    avoid = avoid_sentences(findings)
-    sentences = avoid[:_MANY]
-    if len(avoid) > _MANY:
-        sentences.append(f"The table of speeds to avoid names all {len(avoid)} of them.")
-    asks = [*sentences]
-    if any(asks_re_run(record) for _, record in bearing_lines(findings)):
-        asks.append(RE_RUN_RULE)
-    asks += above_asks(findings)
-    asks += _balance_asks(findings)
-    if _leads(findings, LIKE_UNBALANCE):
-        asks.append(MORE_SPEEDS)
-    fraction = findings.unexplained_energy_fraction
-    if is_number(fraction) and fraction > _MUCH_UNKNOWN and _has_unexplained(findings):
-        asks.append("Look for the cause of the lines that the tables call unexplained.")
-    asks += _repeat_sentences(findings)
-    if not asks and nothing_proven(findings):
-        asks = [TOO_SHORT]
-    if not asks and all_judged(findings):
-        asks = [ALL_CLEAR_WITH_ENVELOPE if "envelope" in findings.looked_for else ALL_CLEAR]
-    return [*asks[: len(sentences)], *free_sentences(findings), *asks[len(sentences) :]]
+    return bool(findings.orders or fixed_tones(findings))
 
 
 def _has_unexplained(findings: Findings) -> bool:
@@ -240,25 +205,192 @@ def _has_unexplained(findings: Findings) -> bool:
     return any(record.kinds == ("unexplained",) for record in findings.lines)
 
 
+def _quality_sentences(findings: Findings) -> list[str]:
+    """How many recordings are bad or suspect, and what was left out for a gain that was changed."""
+    count = Counter(flag.severity for flag in findings.quality)
+    sentences = []
+    for severity, advice in _WEIGHTS.items():
+        if count[severity]:
+            remarks = "1 quality remark is" if count[severity] == 1 else f"{count[severity]} quality remarks are"
+            sentences.append(f"{remarks} {severity}: {advice}.")
+    faultless = [] if sentences else ["No recording was found faulty or suspect."]
+    jumps = [flag for flag in findings.quality if flag.flag == "level_jump" and flag.left_out]
+    for is_open, why in ((False, "its gain was changed"), (True, f"gains differ, and nothing tells {WHICH_IS_RIGHT}")):
+        changed = [flag for flag in jumps if (WHICH_IS_RIGHT in flag.detail) == is_open]
+        if changed:
+            first = ", ".join(f"{short(flag.channel)} of {short(flag.recording)}" for flag in changed[:_MANY])
+            more = f" and {len(changed) - _MANY} more" if len(changed) > _MANY else ""
+            sentences.append(f"Left out of everything that is said: {first}{more} ({why}).")
+    return sentences + faultless
+
+
+def _what_to_do(findings: Findings) -> list[str]:
+    avoid = avoid_sentences(findings)
+    if len(avoid) > _MANY:
+        avoid = [*avoid[:_MANY], f"The table of speeds to avoid names all {len(avoid)} of them."]
+    asks = [RE_RUN_RULE] if any(asks_re_run(record) for _, record in bearing_lines(findings)) else []
+    asks += above_asks(findings) + _balance_asks(findings)
+    fraction = findings.unexplained_energy_fraction
+    if is_number(fraction) and fraction > _MUCH_UNKNOWN and _has_unexplained(findings):
+        asks.append("Look for the cause of the lines that the tables call unexplained.")
+    asks += _repeat_sentences(findings)
+    if not avoid and not asks:
+        if nothing_proven(findings):
+            asks = [TOO_SHORT]
+        elif all_judged(findings):
+            asks = [ALL_CLEAR_WITH_ENVELOPE if "envelope" in findings.looked_for else ALL_CLEAR]
+    return [*avoid, *free_sentences(findings), *asks]
+
+
 def _balance_asks(findings: Findings) -> list[str]:
-    """That an unbalanced mass asks for balancing: in the channels in which its order is the strongest."""
-    strongest = strongest_by(findings.orders, lambda one: one.channel)
-    leads = [name for name, record in strongest.items() if record.kinds == ("unbalance",)]
-    if not leads or not _leads(findings, "unbalance"):
-        return []
-    if len(leads) == len(strongest):
-        return [BALANCE]
-    return [BALANCE_IN.format(channels=listed([named(name, limit=NAME_CHARACTERS) for name in sorted(leads)]))]
-
-
-def _leads(findings: Findings, cause: str) -> bool:
-    """Whether the strongest order of any channel of ``findings`` has that ``cause``, or may for want of speeds."""
+    """To balance where an unbalanced mass makes the strongest order; for more speeds where it may for want of them."""
     if findings.speed_doubt or lies_above(findings):
-        return False
-    strongest = strongest_by(findings.orders, lambda one: one.channel).values()
-    leading = [record for record in strongest if record.kinds == (cause,)]
-    return any(cause != LIKE_UNBALANCE or "few speeds" in record.doubts for record in leading)
+        return []
+    strongest, asks = strongest_by(findings.orders, lambda record: record.channel), []
+    leads = sorted(name for name, record in strongest.items() if record.kinds == ("unbalance",))
+    if leads:
+        channels = listed(list(map(short, leads)))
+        asks.append(BALANCE if len(leads) == len(strongest) else BALANCE_IN.format(channels=channels))
+    if any(record.kinds == (LIKE_UNBALANCE,) and "few speeds" in record.doubts for record in strongest.values()):
+        asks.append(MORE_SPEEDS)
+    return asks
 
 
 def _repeat_sentences(findings: Findings) -> list[str]:
     return ["Repeat the recordings that are marked bad."] * any(flag.severity == "bad" for flag in findings.quality)
+
+
+def law_sentences(findings: Findings) -> list[str]:
+    """How the orders of ``findings`` change with speed, each judged in the channel where it is strongest."""
+    square, steady, half = list[str](), list[str](), list[str]()
+    met: dict[float, list[str]] = {}
+    strongest = strongest_by(findings.orders, nominal_order)
+    for order, record in sorted(strongest.items()):
+        law, name = record.speed_law or "", order_name(record, findings)
+        if order in (1.0, 2.0) and _is_square(record) and (law.startswith("grows") or not law):
+            square.append(name)
+        if law == "keeps its size" and record.kinds[0] in _STEADY_CAUSES:
+            steady.append(name)
+        if is_number(record.meets_hz) and not is_in_doubt(record.meets_hz, findings):
+            met.setdefault(record.meets_hz, []).append(name)
+        if "half order of the four-stroke cycle" in record.kinds:
+            half.append(name)
+    sentences = []
+    if square:
+        verb = "grow" if len(square) > 1 else "grows"
+        sentences.append(
+            f"{_orders(square)} {verb} with the square of the speed, as the force of an unbalanced mass does."
+        )
+    if steady:
+        verb = "keep their" if len(steady) > 1 else "keeps its"
+        where = "where seen" if at_one_speed(findings) else "at all tested speeds"
+        sentences.append(f"{_orders(steady)} {verb} size {where}: not an unbalance, rather a bearing or a gear.")
+    first = strongest.get(1.0)
+    if first is not None and "slower than unbalance" in first.doubts and is_number(first.speed_exponent):
+        exponent = estimate_text(first, "speed_exponent")
+        sentences.append(f"Order 1 does not grow as unbalance does: it goes with speed to the {exponent}.")
+    if met:
+        shaped = [
+            f"{frequency_text(mode_hz)} Hz shapes order {listed(names)}" for mode_hz, names in sorted(met.items())
+        ]
+        more = " and others" if len(shaped) > _SHOWN else ""
+        sentences.append(f"Natural frequencies shape orders: {', '.join(shaped[:_SHOWN])}{more}.")
+    if half:
+        verb = "repeat" if len(half) > 1 else "repeats"
+        sentences.append(f"{_orders(half, most=_SHOWN)} {verb} every second revolution, as a four-stroke cycle does.")
+    return sentences
+
+
+def _is_square(record: OrderFinding) -> bool:
+    ends = interval_of(record, "speed_exponent")
+    return ends is not None and ends[1] - ends[0] < _CLEAR_EXPONENT and ends[0] <= 2 <= ends[1]
+
+
+def _orders(names: list[str], *, most: int | None = None) -> str:
+    return f"Order{'s' if len(names) > 1 else ''} {listed(names, most=most)}"
+
+
+def lock_sentences(findings: Findings) -> list[str]:
+    """Orders of ``findings`` that slip, and those of which it cannot be told, with the record length that would do."""
+    slips, loose, undecided = list[str](), list[str](), list[OrderFinding]()
+    for _, record in sorted(strongest_by(findings.orders, nominal_order).items()):
+        hertz = hertz_of_order(record, findings)
+        if record.electric or (hertz is not None and record.lock == "undecided"):
+            continue  # such an undecided one speaks for another speed than the one that was stated
+        if hertz is not None:
+            loose.append(f"{hertz:.2f} Hz (order {estimate_text(record, 'order')})")
+        elif record.lock == "slips":
+            slips.append(estimate_text(record, "order"))
+        elif record.lock == "undecided":
+            undecided.append(record)
+    sentences = []
+    if slips:
+        are, them = ("are no exact multiples", "them") if len(slips) > 1 else ("is no exact multiple", "it")
+        why = f"what makes {them} slips, or turns in a ratio of its own"
+        sentences.append(f"{_orders(slips[:_SHOWN])} {are} of the half revolution: {why}.")
+    if loose:
+        are, it = ("are", "they follow") if len(loose) > 1 else ("is", "it follows")
+        sentences.append(
+            f"{listed(loose[:_SHOWN])} {are} no exact multiple of the half revolution; at one speed nothing tells "
+            f"whether {it} the shaft."
+        )
+    if undecided:
+        which = "they are" if len(undecided) > 1 else "it is"
+        names = _orders([order_name(record, findings) for record in undecided], most=_SHOWN)
+        needed = (record.revs_to_decide for record in undecided)
+        longest = max(filter(is_number, needed), default=0.0)
+        would = f"; recordings of {longest:.0f} revolutions would tell" if longest else ""
+        if any("in a sweep" in record.doubts for record in undecided):
+            would = "; a recording at one held speed would tell"
+        sentences.append(f"{names}: whether {which} locked to the shaft cannot be told yet{would}.")
+    return sentences
+
+
+def balance_sentences(findings: Findings) -> list[str]:
+    """Residual unbalance of ``findings`` in grams with intervals, the most telling first; or why it is not known."""
+    balance = findings.balance
+    if balance is None:
+        reason = named(findings.balance_reason or "", limit=_LETTERS).rstrip(".")
+        return [f"Residual unbalance in grams is not known: {reason}."] if reason else []
+    sentences = []
+    but = ", if order 1 is unbalance" if balance.if_unbalance else ""
+    if is_number(balance.residual_reciprocating_g):
+        text = f"Unbalanced reciprocating mass: {estimate_text(balance, 'residual_reciprocating_g', unit='g')}"
+        sentences.append(f"{text}{source_text(balance)}.")
+    if is_number(balance.residual_rotating_gmm):
+        text = f"Rotating unbalance{but}: {estimate_text(balance, 'residual_rotating_gmm', unit='g·mm')}"
+        at = f" at {estimate_text(balance, 'angle_deg')}° from the crank" if is_number(balance.angle_deg) else ""
+        sentences.append(f"{text}{at}.")
+    stated, ways = stated_quantities(balance), {"along_g": "along", "across_g": "across"}
+    sides = [f"{estimate_text(balance, key, unit='g')} {way}" for key, way in ways.items() if key in stated]
+    if sides:
+        sentences.append(f"Residual unbalance at the crank radius{but}: {listed(sides)} the cylinder.")
+    if not sentences:
+        sentences.append("Residual unbalance in grams is not decided.")
+    titles = [title for title, _ in undecided_quantities(balance)]
+    if titles:
+        rotating = {"residual_rotating_gmm", "forward_gmm"} & {*(balance.not_decided or ())}
+        what = "how much of it turns with the crank" if rotating else titles[0][0].lower() + titles[0][1:]
+        sentences.append(f"Not decided: {what}. The table Balance says why and what would tell.")
+    return sentences
+
+
+def stated_quantities(balance: Balance) -> dict[str, tuple[str, str]]:
+    """Title and unit of each number of ``balance`` to state: one mass once, as all of its orders give it together."""
+    one_mass = is_number(balance.residual_reciprocating_g) and not is_number(balance.across_g)
+    again = OF_ONE_ORDER if one_mass else ()
+    return {key: words for key, words in QUANTITIES.items() if is_number(getattr(balance, key)) and key not in again}
+
+
+def source_text(balance: Balance) -> str:
+    """Where the numbers of ``balance`` come from: ``", from engine orders 1 and 2"``; empty where not stated."""
+    source, orders = short(balance.source), balance.orders_used
+    which = f" {listed(order_texts(orders))}" if orders and source.endswith("orders") else ""
+    return f", from {source}{which}" if source else ""
+
+
+def undecided_quantities(balance: Balance) -> list[tuple[str, str]]:
+    """Title and reason of every number of ``balance`` that is not decided."""
+    reasons = balance.not_decided or {}
+    titles = {key: QUANTITIES[key][0] if key in QUANTITIES else key.replace("_", " ") for key in reasons}
+    return [(named(titles[key], limit=_LETTERS), named(reason, limit=_LETTERS)) for key, reason in reasons.items()]
