@@ -12,9 +12,8 @@ from scipy.special import gammainccinv
 from crankorder.findings import Energy, EnergyShares
 from crankorder.identify.causes.explain import Causes
 from crankorder.identify.found import AgreedOrder, ModalFit
-from crankorder.identify.lines.cfar import highest_of_three, noise_level
 from crankorder.identify.lines.line_evidence import NUMBERS as LINE_EVIDENCE
-from crankorder.identify.lines.line_evidence import log_chance_of_kurtosis
+from crankorder.identify.lines.line_evidence import highest_of_three, log_chance_of_kurtosis, noise_level
 from crankorder.identify.modes.floor import group_width_rpm
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import IdentifySettings, MethodNumbers

@@ -35,9 +35,9 @@ from crankorder.identify.lines.followed_orders import (
 )
 from crankorder.identify.lines.growth import if_unbalance
 from crankorder.identify.lines.known_lines import Held, LineSeen, held_of, without_known
+from crankorder.identify.lines.line_phasors import speed_source
 from crankorder.identify.lines.mains import MotorSeen, mains_seen, motor_seen, with_mains_tones, without_ringing
 from crankorder.identify.lines.order_lines import order_lines
-from crankorder.identify.lines.order_lock import speed_source
 from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.alike_speeds import with_lines_of_recordings, with_tones_parted, without_absent_mains
 from crankorder.identify.modes.joint_fit import modal_fit

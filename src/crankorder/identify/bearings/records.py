@@ -15,13 +15,14 @@ from crankorder.findings import BearingFinding
 from crankorder.identify.bearings.envelope_lines import (
     Candidate,
     EnvelopeLine,
+    Place,
     Spectra,
+    bearing_places,
     envelope_lines,
     parabola,
     place_error,
     spectra_of,
 )
-from crankorder.identify.bearings.places import Place, bearing_places
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import Z95, half_width, positive_interval
 from crankorder.identify.lines.growth import growth, mean_level, reported

@@ -11,25 +11,30 @@ import xarray as xr
 from crankorder.cause import alike_speeds
 from crankorder.identify.found import UNRESOLVED, AgreedOrder, Doubt, OrderLine
 from crankorder.identify.intervals import half_width, root
-from crankorder.identify.lines.cfar import LOBE_BINS
-from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
-from crankorder.identify.lines.mains import multiples_near
-from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
-from crankorder.identify.lines.order_lines import SWELLS
-from crankorder.identify.lines.order_lock import (
+from crankorder.identify.lines.line_evidence import LOBE_BINS
+from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
+from crankorder.identify.lines.line_phasors import (
     NO_PULSES,
+    Followed,
+    Recording,
+    is_swept,
+    lines_of,
     lock_of,
     nearest_multiple,
+    parted_lines,
     proves_speed,
+    recordings_of,
     revs_to_decide,
     speed_source,
+    stands_out,
     sure_half_width,
+    zooms,
 )
-from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
-from crankorder.identify.lines.parted_lines import Followed, lines_of, parted_lines, stands_out
+from crankorder.identify.lines.mains import multiples_near
+from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
+from crankorder.identify.lines.order_lines import SWELLS, longest_frame
+from crankorder.identify.lines.order_lines import SWEPT_NUMBERS as SWEPT_ORDERS
 from crankorder.identify.lines.several_orders import DEGREES_OF_FREEDOM, SOLVED, close_lines, lines_at
-from crankorder.identify.lines.swept_orders import NUMBERS as SWEPT_ORDERS
-from crankorder.identify.lines.swept_orders import longest_frame
 from crankorder.identify.lines.zoom import Course, Zoomed
 from crankorder.orders.true_angle import ERROR
 from crankorder.quantities import Floats

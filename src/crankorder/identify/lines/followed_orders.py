@@ -13,12 +13,18 @@ from crankorder.identify.found import UNRESOLVED, AgreedOrder, Doubt, OrderLine,
 from crankorder.identify.intervals import half_width, interval
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.agreed_orders import NUMBERS as AGREED_ORDERS
-from crankorder.identify.lines.cfar import LOWEST_BINS, excess_over_noise, noise_level
 from crankorder.identify.lines.growth import remark_on
-from crankorder.identify.lines.line_phasors import is_swept, recordings_of
-from crankorder.identify.lines.order_lock import nearest_multiple, sure_half_width
-from crankorder.identify.lines.parted_lines import Followed, lines_of, standing_out
-from crankorder.identify.lines.swept_orders import longest_frame
+from crankorder.identify.lines.line_evidence import LOWEST_BINS, excess_over_noise, noise_level
+from crankorder.identify.lines.line_phasors import (
+    Followed,
+    is_swept,
+    lines_of,
+    nearest_multiple,
+    recordings_of,
+    standing_out,
+    sure_half_width,
+)
+from crankorder.identify.lines.order_lines import longest_frame
 from crankorder.orders.fixed_lines import FixedLine, MetRow, OrderRows
 from crankorder.orders.track_rows import TrackReader, all_tracked, track_order
 from crankorder.quantities import Bools, Floats, Ints, QualityFlag

@@ -26,7 +26,7 @@ from crankorder.identify.lines.known_lines import (
     sightings,
 )
 from crankorder.identify.lines.line_evidence import UNPROVEN
-from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
+from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 

@@ -24,9 +24,8 @@ from crankorder.identify.intervals import Z95, half_width
 from crankorder.identify.lines.growth import Largest, largest, reported_within
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.responses import EXCLUSION, HeldPeak, peak_of, together, with_and_without
-from crankorder.identify.speeds.above_trend import Seen, above_trend, width_rpm
 from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
-from crankorder.identify.speeds.crossings import fitted_excess, higher, responses_to
+from crankorder.identify.speeds.crossings import Seen, above_trend, fitted_excess, higher, responses_to, width_rpm
 from crankorder.quantities import Bools
 from crankorder.settings import IdentifySettings, MethodNumbers
 
