@@ -63,9 +63,8 @@ def energy_shares(
     settings : those of identify
     """
     if campbell.sizes["speed"]:
-        made, lines = by_frequency(campbell, orders, modal, causes)
         judged = modal.fitted_psd.size > 0
-        parts = [_looked_at(made, lines, modal, settings) if judged else _looked_at(made, lines, None, settings)]
+        parts = [_looked_at(*by_frequency(campbell, orders, modal, causes), modal if judged else None, settings)]
         above = beyond(campbell, order_map, orders, causes)
         parts += [] if above is None else [_looked_at(*above, None, settings)]
     else:
@@ -75,10 +74,9 @@ def energy_shares(
         _shares(name, unit, [_channel(number, part) for part in parts])
         for number, (name, unit) in enumerate(zip(names, units, strict=True))
     )
-    shares = [_fraction(record) for record in channels]
-    decided = [share for share in shares if share is not None]
-    made_of = Energy(cells_judged=judged, band_hz=band_end_hz(campbell, order_map), channels=channels)
-    return made_of, float(np.mean(decided)) if decided else 0.0
+    decided = [share for record in channels if (share := _fraction(record)) is not None]
+    energy = Energy(cells_judged=judged, band_hz=band_end_hz(campbell, order_map), channels=channels)
+    return energy, float(np.mean(decided)) if decided else 0.0
 
 
 @dataclass(frozen=True)
@@ -101,10 +99,11 @@ def _looked_at(made: EnergyMap, lines: EnergyLines, modal: ModalFit | None, sett
     owner = _owners(made.axis, lines)
     surface = _surface(made, owner, modal)
     owner = _owners(made.axis, _with_skirts(made, lines, surface))
+    chance = min(settings.false_alarm_probability, NUMBERS.map_chance / max(1, made.energy.size))
     if modal is not None:
-        unexplained = _over_surface(made, owner, surface, modal, settings)
+        unexplained = _over_surface(made, owner, surface, modal, chance)
     else:
-        unexplained = _lines_alone(made, owner, surface, settings)
+        unexplained = _lines_alone(made, owner, surface, settings.least_damping_ratio, chance)
     return _LookedAt(made, lines, owner, surface, unexplained)
 
 
@@ -142,9 +141,8 @@ def _with_skirts(made: EnergyMap, lines: EnergyLines, surface: Floats) -> Energy
     floor = surface[:, np.arange(len(at))[:, None], at]
     with np.errstate(invalid="ignore", divide="ignore"):
         height = np.where(floor > 0.0, np.nan_to_num(lines.stated) / floor, 0.0).max(axis=0)
-    return replace(
-        lines, reach=np.maximum(lines.reach, own * _skirt_bins(np.minimum(height, NUMBERS.most_height_ratio)))
-    )
+    skirts = own * _skirt_bins(np.minimum(height, NUMBERS.most_height_ratio))
+    return replace(lines, reach=np.maximum(lines.reach, skirts))
 
 
 def _surface(made: EnergyMap, owner: Ints, modal: ModalFit | None) -> Floats:
@@ -154,7 +152,10 @@ def _surface(made: EnergyMap, owner: Ints, modal: ModalFit | None) -> Floats:
     if modal is not None:
         shape = np.stack([_filled(made.axis, modal.frequency_hz, psd) for psd in modal.fitted_psd])
     else:
-        shape = np.stack([_filled(made.axis, made.axis, _smoothed(_median(rows, axis=0))) for rows in free])
+        half = NUMBERS.smoothed_bins // 2
+        padded = [np.pad(_median(rows, axis=0), half, constant_values=np.nan) for rows in free]
+        windows = [np.lib.stride_tricks.sliding_window_view(values, NUMBERS.smoothed_bins) for values in padded]
+        shape = np.stack([_filled(made.axis, made.axis, _median(window, axis=-1)) for window in windows])
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = free / shape[:, None, :]
     # the median of a mean of n energies of noise is below its mean (Wilson and Hilferty 1931)
@@ -178,17 +179,10 @@ def _filled(axis: Floats, at: Floats, values: Floats) -> Floats:
     return np.asarray(np.exp(np.interp(axis, at[known], np.log(values[known]))))
 
 
-def _smoothed(values: Floats) -> Floats:
-    half = NUMBERS.smoothed_bins // 2
-    padded = np.pad(values, half, constant_values=np.nan)
-    return _median(np.lib.stride_tricks.sliding_window_view(padded, NUMBERS.smoothed_bins), axis=-1)
-
-
-def _over_surface(made: EnergyMap, owner: Ints, surface: Floats, modal: ModalFit, settings: IdentifySettings) -> Floats:
+def _over_surface(made: EnergyMap, owner: Ints, surface: Floats, modal: ModalFit, chance: float) -> Floats:
     """Energy (channels, rows, cells) outside the lines that stands over the ``surface`` as noise does not."""
     free = (owner >= 0)[None] == np.zeros(made.energy.shape, dtype=bool)
     free &= (surface > 0.0) & (made.energy > 0.0)
-    chance = min(settings.false_alarm_probability, NUMBERS.map_chance / max(1, made.energy.size))
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.where(free, made.energy / surface, np.nan)
         level = _level(ratio, made.averages[None, :], chance)
@@ -204,7 +198,7 @@ def _over_surface(made: EnergyMap, owner: Ints, surface: Floats, modal: ModalFit
     return np.asarray(np.nan_to_num(over) + np.nan_to_num(everywhere))
 
 
-def _lines_alone(made: EnergyMap, owner: Ints, surface: Floats, settings: IdentifySettings) -> Floats:
+def _lines_alone(made: EnergyMap, owner: Ints, surface: Floats, least_damping_ratio: float, chance: float) -> Floats:
     """Energy (channels, rows, cells) over the ``surface`` in lines that nobody named, where no surface was fitted.
 
     Such a line is sharper, or steadier from frame to frame, than the least damped natural frequency that noise rings.
@@ -212,9 +206,8 @@ def _lines_alone(made: EnergyMap, owner: Ints, surface: Floats, settings: Identi
     found = np.zeros(made.energy.shape)
     if made.kurtosis is None:
         return found
-    chance = min(settings.false_alarm_probability, NUMBERS.map_chance / max(1, made.energy.size))
     step = float(made.axis[1] - made.axis[0])
-    least = settings.least_damping_ratio * np.maximum(made.axis, step) / step
+    least = least_damping_ratio * np.maximum(made.axis, step) / step
     level = np.array([noise_level(max(1.0, float(n)), len(NUMBERS.skirt_bins), chance) for n in made.averages])[:, None]
     skirts = 1.0 / np.mean([1.0 / (1.0 + (away / least) ** 2) for away in NUMBERS.skirt_bins], axis=0)
     with np.errstate(invalid="ignore"):
@@ -248,10 +241,8 @@ def _beside(energy: Floats) -> Floats:
     """
     reach, n = max(NUMBERS.skirt_bins), energy.shape[-1]
     padded = np.pad(energy, ((0, 0), (0, 0), (reach, reach)), constant_values=np.inf)
-    sides = [
-        np.mean([padded[..., reach + k * sign :][..., :n] for k in NUMBERS.skirt_bins], axis=0) for sign in (-1, 1)
-    ]
-    return np.asarray(np.minimum(*sides))
+    below, above = ([padded[..., reach + k * sign :][..., :n] for k in NUMBERS.skirt_bins] for sign in (-1, 1))
+    return np.asarray(np.minimum(np.mean(below, axis=0), np.mean(above, axis=0)))
 
 
 def _skirt_bins(height: Any) -> Any:
@@ -281,9 +272,8 @@ def _channel(number: int, looked: _LookedAt) -> dict[str, float]:
     rows = np.flatnonzero(np.isfinite(made.energy[number]).all(axis=-1))
     share, owner = made.share[rows], looked.owner[rows]
     energy, expected = share * made.energy[number, rows], share * looked.surface[number, rows]
-    n_lines = lines.centre.shape[1]
-    of_line = np.zeros(n_lines)
-    if n_lines:
+    of_line = np.zeros(lines.centre.shape[1])
+    if of_line.size:
         of_line += _energy_of_lines(made, lines, number, (rows, owner, energy, expected))
     known, tone = lines.known[number], lines.is_tone
     parts = {
@@ -355,13 +345,9 @@ def _shares(channel: str, unit: str, parts: list[dict[str, float]]) -> EnergySha
     shares = {name: part / total if total > 0.0 else 0.0 for name, part in joined.items()}
     unexplained = shares["unexplained_lines"] + shares["unexplained_cells"]
     rest = max(0.0, 1.0 - shares["orders"] - shares["tones"] - unexplained)
+    floor = rest if total > 0.0 else 0.0
     return EnergyShares(
-        channel=channel,
-        unit=f"({unit})²",
-        **shares,
-        unexplained=unexplained,
-        modes_and_floor=rest if total > 0.0 else 0.0,
-        total=total,
+        channel=channel, unit=f"({unit})²", **shares, unexplained=unexplained, modes_and_floor=floor, total=total
     )
 
 
@@ -423,17 +409,16 @@ def by_frequency(
     near_rpm = max(0.5 * float(campbell.attrs["speed_bin_rpm"]), 1e-3)
     for at, agreed in enumerate(orders):
         for line in agreed.lines:
-            _put(stated[channels.index(line.channel), :, at], speed, line.speed_rpm, half * line.amplitude**2, near_rpm)
+            rows = stated[channels.index(line.channel), :, at]
+            for rpm, value in zip(line.speed_rpm, half * line.amplitude**2, strict=True):
+                row = int(np.argmin(np.abs(speed - rpm)))
+                if abs(speed[row] - rpm) <= near_rpm:
+                    rows[row] = value if np.isnan(rows[row]) else max(value, rows[row])
     for at, tone in enumerate(modal.tones, start=len(orders)):
         for name, (amplitude, _) in tone.amplitude.items():
             stated[channels.index(name), :, at] = half * amplitude**2
-    known = np.concatenate(
-        [
-            _known_orders(channels, orders, causes),
-            np.broadcast_to(np.array([cause.known for cause in causes.tones], dtype=bool), (len(channels), len(tones))),
-        ],
-        axis=1,
-    )
+    known_tones = np.tile(np.array([cause.known for cause in causes.tones], dtype=bool), (len(channels), 1))
+    known = np.concatenate([_known_orders(channels, orders, causes), known_tones], axis=1)
     counts = campbell["n_frames"].values.astype(np.float64)
     is_tone = np.arange(centre.shape[1]) >= len(orders)
     whole = np.ones(energy.shape[1:])
@@ -454,11 +439,10 @@ def by_order(order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], causes: Cau
         for line in agreed.lines:
             stated[channels.index(line.channel), line.seen, at] = half * line.amplitude**2
     counts = order_map["n_independent"].values.astype(np.float64)
-    lines = EnergyLines(
-        centre, reach, stated, _known_orders(channels, orders, causes), np.zeros(len(orders), dtype=bool)
-    )
-    known = order_map["spectral_kurtosis"].values if "spectral_kurtosis" in order_map else None
-    return EnergyMap(axis, energy, counts, np.ones(energy.shape[1:]), known), lines
+    known, is_tone = _known_orders(channels, orders, causes), np.zeros(len(orders), dtype=bool)
+    kurtosis = order_map["spectral_kurtosis"].values if "spectral_kurtosis" in order_map else None
+    energies = EnergyMap(axis, energy, counts, np.ones(energy.shape[1:]), kurtosis)
+    return energies, EnergyLines(centre, reach, stated, known, is_tone)
 
 
 def beyond(
@@ -495,14 +479,6 @@ def band_end_hz(campbell: xr.Dataset, order_map: xr.Dataset) -> float | None:
 def _square_of_peak(made: xr.Dataset) -> float:
     """Mean square of a line over its squared amplitude."""
     return 1.0 if made.attrs.get("amplitude_scaling") == "rms" else 0.5
-
-
-def _put(into: Floats, speed: Floats, of_line: Floats, energy: Floats, near_rpm: float) -> None:
-    """Put the ``energy`` of a line at its speeds ``of_line`` into the rows of ``speed`` nearest to them."""
-    for rpm, value in zip(of_line, energy, strict=True):
-        row = int(np.argmin(np.abs(speed - rpm)))
-        if abs(speed[row] - rpm) <= near_rpm:
-            into[row] = value if np.isnan(into[row]) else max(value, into[row])
 
 
 def _known_orders(channels: list[str], orders: tuple[AgreedOrder, ...], causes: Causes) -> Bools:

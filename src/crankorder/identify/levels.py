@@ -84,28 +84,26 @@ def vibration_records(vibration: xr.Dataset) -> tuple[VibrationLevel, ...]:
         there = np.flatnonzero(np.isfinite(told["rms"][row]))
         if len(there):
             loudest = int(np.nanargmax(told["rms"][row]))
-            shown = there.tolist() if len(there) <= MOST_SPEEDS else [loudest]
-            made += [_vibration_record(told, row, column, largest=column == loudest) for column in shown]
+            made += [
+                VibrationLevel(
+                    channel=str(told["channel"][row]),
+                    quantity=str(told["quantity"][row]),
+                    unit=str(told["unit"][row]),
+                    band_hz=(float(told["low_frequency"][row]), float(told["high_frequency"][row])),
+                    reached_hz=float(told["reached_frequency"][row]),
+                    speed_rpm=_told(told["speed"][column]),
+                    rms=float(told["rms"][row, column]),
+                    rms_ci95=_ends(told["rms_ci95"][row, column]),
+                    peak=_told(told["peak"][row, column]),
+                    peak_ci95=_ends(told["peak_ci95"][row, column]),
+                    largest_peak=_told(told["largest_peak"][row, column]),
+                    crest_factor=_told(told["crest_factor"][row, column]),
+                    crest_factor_ci95=_ends(told["crest_factor_ci95"][row, column]),
+                    largest=column == loudest,
+                )
+                for column in (there.tolist() if len(there) <= MOST_SPEEDS else [loudest])
+            ]
     return tuple(made)
-
-
-def _vibration_record(told: Told, row: int, column: int, *, largest: bool) -> VibrationLevel:
-    return VibrationLevel(
-        channel=str(told["channel"][row]),
-        quantity=str(told["quantity"][row]),
-        unit=str(told["unit"][row]),
-        band_hz=(float(told["low_frequency"][row]), float(told["high_frequency"][row])),
-        reached_hz=float(told["reached_frequency"][row]),
-        speed_rpm=_told(told["speed"][column]),
-        rms=float(told["rms"][row, column]),
-        rms_ci95=_ends(told["rms_ci95"][row, column]),
-        peak=_told(told["peak"][row, column]),
-        peak_ci95=_ends(told["peak_ci95"][row, column]),
-        largest_peak=_told(told["largest_peak"][row, column]),
-        crest_factor=_told(told["crest_factor"][row, column]),
-        crest_factor_ci95=_ends(told["crest_factor_ci95"][row, column]),
-        largest=largest,
-    )
 
 
 def third_octave_records(vibration: xr.Dataset) -> tuple[ThirdOctave, ...]:

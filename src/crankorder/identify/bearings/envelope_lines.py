@@ -1,10 +1,10 @@
-"""Lines of rolling bearings: where they are looked for, and the search of the envelope map at a stated false-alarm level."""
+"""Lines of rolling bearings: where they are looked for, and the search of the envelope map at a false-alarm level."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -89,27 +89,16 @@ class Place:
 
 def bearing_places(bearings: tuple[Bearing, ...], *, slip_percent: tuple[float, float]) -> list[Place]:
     """Every line of ``bearings`` that their data tell, from the least to the most slip of ``slip_percent``."""
-    made = []
+    places = []
     least, most = slip_percent
     for bearing in bearings:
-        orders = bearing_orders(bearing)
+        orders, shaft = bearing_orders(bearing), bearing.shaft_ratio
+        elements = bearing.rolling_elements or round(orders["N*fs"] / shaft) if "N*fs" in orders else None
         for line, order in orders.items():
             expected = order * SHOWN_AT.get(line, 1.0)
-            made.append(
-                Place(
-                    name=bearing.name,
-                    line=line,
-                    expected=expected,
-                    low=expected * (1.0 - most / 100.0),
-                    high=expected * (1.0 - least / 100.0),
-                    elements=bearing.rolling_elements or round(orders["N*fs"] / bearing.shaft_ratio)
-                    if "N*fs" in orders
-                    else None,
-                    shaft_order=bearing.shaft_ratio,
-                    cage_order=orders.get("FTF"),
-                )
-            )
-    return made
+            low, high = expected * (1.0 - most / 100.0), expected * (1.0 - least / 100.0)
+            places.append(Place(bearing.name, line, expected, low, high, elements, shaft, orders.get("FTF")))
+    return places
 
 
 def bearing_combs(bearings: tuple[Bearing, ...], *, slip_percent: tuple[float, float]) -> tuple[Comb, ...]:
@@ -134,14 +123,10 @@ def made_by(order: float, stronger: Place, stronger_order: float, *, within: flo
                 if abs(at - order) <= within:
                     shown = times * SHOWN_AT.get(stronger.line, 1.0)
                     parts = [f"{shown:g} x {stronger.line}" if shown > 1.0 else stronger.line]
-                    parts += [_turns(turns, "shaft")] if turns else []
-                    parts += [_turns(cage, "cage")] if cage else []
+                    sides = [(count, of) for count, of in ((turns, "shaft"), (cage, "cage")) if count]
+                    parts += [f"{'+' if count > 0 else '-'} {abs(count)} x {of}" for count, of in sides]
                     return " ".join(parts)
     return ""
-
-
-def _turns(count: int, of: str) -> str:
-    return f"{'+' if count > 0 else '-'} {abs(count)} x {of}"
 
 
 NUMBERS = MethodNumbers("5-identify-bearings.toml", "envelope_lines")
@@ -309,32 +294,27 @@ def envelope_lines(spectra: Spectra, places: list[Place], *, false_alarm_probabi
     """
     inside = [place for place in places if place.low > spectra.order[1] and place.high < spectra.order[-1]]
     bins = sum(int((place.high - place.low) / spectra.order[1]) + 1 for place in inside)
-    found = [
-        line for place in inside if (line := _line(spectra, place, places, bins, false_alarm_probability)) is not None
-    ]
     cell = float(spectra.cell.max())
-    found = [line for line in found if line.may_slip_so(cell)]
-    found.sort(key=lambda line: (-line.level_db, -line.ratio))
+    standing = [
+        line
+        for place in inside
+        if (line := _line(spectra, place, places, bins, false_alarm_probability)) is not None and line.may_slip_so(cell)
+    ]
     kept: list[EnvelopeLine] = []
     within = 1.5 * cell
-    for line in found:
+    for line in sorted(standing, key=lambda line: (-line.level_db, -line.ratio)):
         first = all(other.place.name != line.place.name for other in kept)
         ratio = spectra.serving(line.place).ratio
         if not first and not _stands(spectra, ratio, line.order, line.channel, line.speed):
             continue  # the harmonics are another's: its own line is not there
-        told = next(((other, how) for other in kept if (how := _made_by(line, other, within))), None)
-        if told is None:
-            kept.append(line)
+        for other in kept:
+            alike = line.place.line == other.place.line and abs(line.order - other.order) <= within
+            if not alike and (how := made_by(line.order, other.place, other.order, within=within)):
+                other.also.append(f"{line.place.name} {line.place.title} would be at {line.order:.4g}: {how}")
+                break
         else:
-            told[0].also.append(f"{line.place.name} {line.place.title} would be at {line.order:.4g}: {told[1]}")
+            kept.append(line)
     return kept
-
-
-def _made_by(line: EnvelopeLine, other: EnvelopeLine, within: float) -> str:
-    """How a stronger line ``other`` makes ``line`` too; empty where it does not or where both are alike."""
-    if line.place.line == other.place.line and abs(line.order - other.order) <= within:
-        return ""
-    return made_by(line.order, other.place, other.order, within=within)
 
 
 def _line(
@@ -348,19 +328,18 @@ def _line(
         return None
     look = spectra.serving(place)
     mean, total, _ = spectra.mean(look.ratio)
+    stands = alone <= false_alarm_probability
     seen: Bools = np.asarray(alone.min(axis=2) <= false_alarm_probability)
     if seen.any():
-        channel, speed, at = np.unravel_index(
-            np.argmax(look.ratio[:, :, span] * (alone <= false_alarm_probability)), alone.shape
-        )
+        channel, speed, at = map(int, np.unravel_index(np.argmax(look.ratio[:, :, span] * stands), alone.shape))
     else:
-        at = np.argmin(together)
-        channel, speed = np.unravel_index(np.argmax(look.ratio[:, :, span.start + at]), seen.shape)
-    peak = span.start + int(at)
+        at = int(np.argmin(together))
+        channel, speed = map(int, np.unravel_index(np.argmax(look.ratio[:, :, span.start + at]), seen.shape))
+    peak = span.start + at
     order, error, freedom = _order(spectra, look.ratio, seen, mean, peak, total)
     strength = float(look.ratio[channel, speed, peak])
     size = float(look.amplitude[channel, speed, peak])
-    multiples, spacing = _family(spectra, place, order, int(channel), int(speed))
+    multiples, spacing = _family(spectra, place, order, channel, speed)
     own = [other for other in places if other.name == place.name]
     shown = look.raw[channel, speed] if seen.any() else spectra.mean(look.raw)[0]
     return EnvelopeLine(
@@ -368,8 +347,8 @@ def _line(
         order=order,
         order_error=error,
         freedom=freedom,
-        channel=int(channel),
-        speed=int(speed),
+        channel=channel,
+        speed=speed,
         ratio=strength,
         amplitude=size,
         amplitude_error=0.25 * size * math.sqrt(2.0 / max(strength * spectra.count[channel, speed], 1e-9)),
@@ -378,7 +357,7 @@ def _line(
         harmonics=multiples,
         sidebands=spacing,
         band_hz=(float(look.band_hz[speed, 0]), float(look.band_hz[speed, 1])),
-        ranking=ranking(shown, float(step), spectra.free()[int(speed)], own),
+        ranking=ranking(shown, float(step), spectra.free()[speed], own),
     )
 
 
@@ -499,9 +478,8 @@ def _family(spectra: Spectra, place: Place, order: float, channel: int, speed: i
     spacing = place.spacing
     if spacing is None or spacing < 3.0 * float(spectra.cell[speed]):
         return multiples, None
-    both = [
-        _stands(spectra, ratio, times * order + side * spacing, channel, speed) for times in (1, 2) for side in (-1, 1)
-    ]
+    beside = [times * order + side * spacing for times in (1, 2) for side in (-1, 1)]
+    both = [_stands(spectra, ratio, sideband, channel, speed) for sideband in beside]
     return multiples, spacing if any(both[:2]) or all(both[2:]) else None
 
 
@@ -537,17 +515,6 @@ class Ranking:
         """The candidate of that ``line``."""
         return next((one for one in self.candidates if one.place.line == line), None)
 
-    @property
-    def margin_db(self) -> float:
-        """By how much the first stands over the second."""
-        first, *rest = self.candidates
-        return first.level_db - rest[0].level_db if rest else first.level_db
-
-    @property
-    def others(self) -> tuple[Candidate, ...]:
-        """All but the first."""
-        return self.candidates[1:]
-
     def rivals(self) -> tuple[Candidate, ...]:
         """The parts that the first is not told from."""
         first = self.candidates[0]
@@ -570,17 +537,17 @@ def ranking(ratio: Floats, step: float, free: Bools, places: list[Place]) -> Ran
     """
     level = np.clip(10.0 * np.log10(np.maximum(ratio, 1e-12)), 0.0, CANDIDATE_NUMBERS.highest_db)
     level = np.where(free, level, np.nan)
-    found = []
+    candidates = []
     for place in places:
         trials, mean = _course(level, step, place)
         if place.line != "N*fs" and np.isfinite(mean).any():
             best = int(np.nanargmax(mean))
-            found.append(Candidate(place, float(trials[best]), float(mean[best])))
-    for at, one in enumerate(found):
-        if one.place.line == "FTF":
-            balls = [_off_cage(level, step, place, one.order) for place in places if place.line == "BSF"]
-            found[at] = replace(one, level_db=max(one.level_db - 2.0 * max(balls, default=0.0), 0.0))
-    return Ranking(tuple(sorted(found, key=lambda one: -one.level_db)))
+            order, level_db = float(trials[best]), float(mean[best])
+            if place.line == "FTF":
+                balls = [_off_cage(level, step, other, order) for other in places if other.line == "BSF"]
+                level_db = max(level_db - 2.0 * max(balls, default=0.0), 0.0)
+            candidates.append(Candidate(place, order, level_db))
+    return Ranking(tuple(sorted(candidates, key=lambda candidate: -candidate.level_db)))
 
 
 def _course(level: Floats, step: float, place: Place) -> tuple[Floats, Floats]:

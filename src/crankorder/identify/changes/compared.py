@@ -83,9 +83,8 @@ def compared(tests: Sequence[Tested], *, q: float) -> Compared:
     """
     base, new = tests[0], tests[-1]
     doubts = confounds(base, new)
-    refused = {
-        doubt.channel: doubt.words for doubt in doubts if doubt.severity == "invalid" and doubt.part == "channel"
-    }
+    invalid = [doubt for doubt in doubts if doubt.severity == "invalid" and doubt.part == "channel"]
+    refused = {doubt.channel: doubt.words for doubt in invalid}
     channels = [channel.name for channel in base.findings.channels if channel.name not in refused]
     within = max(float(test.run["settings"]["orders"]["speed_bin_rpm"]) for test in (base, new))
     speeds, orders, changes = _orders(base, new, channels, doubts, within=within, q=q)

@@ -58,7 +58,8 @@ def excess_over_noise(order_map: xr.Dataset, *, settings: IdentifySettings, orde
         guard_bins=orders.guard_bins,
         n_bins=orders.floor_bins,
     )
-    by_phase = _log_chance_of_phase(order_map) < np.log(CFAR_NUMBERS.by_phase_chance)
+    log_chance = _log_chance_of_phase(order_map)
+    by_phase = log_chance < np.log(CFAR_NUMBERS.by_phase_chance)
     floor, narrowed = noise_floor(energy, bins, n_averages=n_independent, level=by_phase)
     wide, near = independent_bins(bins), independent_bins(_nearest(bins))
     chance = settings.false_alarm_probability
@@ -68,7 +69,12 @@ def excess_over_noise(order_map: xr.Dataset, *, settings: IdentifySettings, orde
     over = ratio / np.where(narrowed, level[None, :, 1:], level[None, :, :1])
     excess = np.where(highest_of_three(energy) | by_phase, over, 0.0)
     if len(n_independent) == 1:
-        excess = np.maximum(excess, _by_phase_alone(order_map, chance))
+        # two lines that nearly cancel, or one in noise that is loud at low frequencies, hide in the energy of a bin:
+        # on the cycle's orders the phase tells them where noise of the whole map would agree as well so seldom
+        cycle = int(order_map.attrs["revs_per_cycle"])
+        on_cycle = np.abs(axis * cycle - np.rint(axis * cycle)) < 1e-6
+        alone = np.maximum(log_chance / np.log(chance / log_chance.size), 0.0)
+        excess = np.maximum(excess, np.where(on_cycle, alone, 0.0))
     excess[..., axis < LOWEST_BINS * (axis[1] - axis[0])] = 0.0
     return OverNoise(excess, ratio, floor, np.where(narrowed, near, wide))
 
@@ -179,17 +185,6 @@ def highest_of_three(energy: Floats) -> Bools:
     return highest
 
 
-def _by_phase_alone(order_map: xr.Dataset, false_alarm_probability: float) -> Floats:
-    """Excess over one where a line of the cycle's orders agrees in phase as noise of the whole map would so seldom.
-
-    Two lines that nearly cancel, or one in noise that is loud at low frequencies, hide in the energy of their bin.
-    """
-    chance = _log_chance_of_phase(order_map)
-    axis, cycle = order_map["order"].values, int(order_map.attrs["revs_per_cycle"])
-    on_cycle = np.abs(axis * cycle - np.rint(axis * cycle)) < 1e-6
-    return np.where(on_cycle, np.maximum(chance / np.log(false_alarm_probability / chance.size), 0.0), 0.0)
-
-
 def _log_chance_of_phase(order_map: xr.Dataset) -> Floats:
     """Logarithm of the chance that frames of noise agree in phase as well as each bin's do; 0 where a bin beside does
     better, and in a map without phases."""
@@ -240,19 +235,10 @@ def evidence_of(
         return "steady, not locked"
     if _follows(order_map, ratio, peak, seen):
         return "follows the speed"
-    if _stands_out(order_map, ratio, peak, seen):
-        return UNPROVEN
-    return None
-
-
-def _stands_out(order_map: xr.Dataset, ratio: Floats, peak: int, seen: Ints) -> bool:
-    """Whether a line on an order of the cycle is far over its floor in a test too short to prove any lock.
-
-    ``ratio`` (speeds, orders) is the energy over its floor. Such a line is named with its doubt rather than
-    kept back: a resonance that noise excites could be as high, but seldom on an order of the cycle at every speed.
-    """
+    # in a test too short to prove any lock a high line on an order of the cycle is named with its doubt: a resonance
+    # that noise excites could be as high, but seldom there at every speed
     high = float(np.median(ratio[seen, peak])) > NUMBERS.standing_ratio and len(seen) == order_map.sizes["speed"]
-    return high and is_unprovable(order_map, peak)
+    return UNPROVEN if high and is_unprovable(order_map, peak) else None
 
 
 def is_unprovable(order_map: xr.Dataset, peak: int) -> bool:

@@ -102,9 +102,9 @@ def proves_speed(numbers: Sequence[tuple[float, float, float]], *, revs_per_cycl
     revs_per_cycle : 1 or 2
     """
     off, half = [], []
-    for order, error, degrees_of_freedom in numbers:
+    for order, error, freedom in numbers:
         multiple = nearest_multiple(order, revs_per_cycle=revs_per_cycle)
-        share, reach = (order - multiple) / multiple, sure_half_width(error, degrees_of_freedom) / multiple
+        share, reach = (order - multiple) / multiple, sure_half_width(error, freedom) / multiple
         if abs(share) <= reach and abs(share) + reach < LOCK_NUMBERS.least_slip:
             off.append(share)
             half.append(max(reach, 1e-12))
@@ -121,12 +121,9 @@ def proves_speed(numbers: Sequence[tuple[float, float, float]], *, revs_per_cycl
 
 def _density() -> float:
     """Density, at no error at all, of what a slip and an error of the speed make together."""
-    slips = (
-        0.5
-        * exp1(0.5 * (LOCK_NUMBERS.least_slip / LOCK_NUMBERS.stated_speed_error) ** 2)
-        / np.log(LOCK_NUMBERS.largest_slip / LOCK_NUMBERS.least_slip)
-    )
-    return float(slips / (np.sqrt(2.0 * np.pi) * LOCK_NUMBERS.stated_speed_error))
+    least, error = LOCK_NUMBERS.least_slip, LOCK_NUMBERS.stated_speed_error
+    slips = 0.5 * exp1(0.5 * (least / error) ** 2) / np.log(LOCK_NUMBERS.largest_slip / least)
+    return float(slips / (np.sqrt(2.0 * np.pi) * error))
 
 
 NUMBERS = MethodNumbers("5-identify-lines.toml", "line_phasors")
@@ -146,16 +143,28 @@ class Recording:
     hop_rev: float
 
 
+def any_swept(recordings: Sequence[Recording]) -> bool:
+    """Whether the speed of any of ``recordings`` is that of a run-up or coast-down."""
+    return any(is_swept(recording.speed_rpm) for recording in recordings)
+
+
+def longest_rev(recordings: Sequence[Recording]) -> float:
+    """Revolutions of the longest of ``recordings``; 0 where there is none."""
+    spans = [
+        float(np.ptp(recording.centre_rev)) + recording.revs for recording in recordings if len(recording.centre_rev)
+    ]
+    return max(spans, default=0.0)
+
+
 def recordings_of(frames: Sequence[xr.Dataset]) -> list[Recording]:
     """The recordings of ``frames`` (their OrderFrames) that can be taken together."""
-    return [_recording(item) for item in (common_frames(frames)[0] if frames else [])]
-
-
-def _recording(item: xr.Dataset) -> Recording:
-    revs = float(item.attrs["revs_per_frame"])
-    begin = item["crank_angle"].values.astype(np.float64)
-    hop = float(np.median(np.diff(begin))) if len(begin) > 1 else revs
-    return Recording(item["spectrum"].values, begin + 0.5 * revs, item["speed"].values, revs, max(hop, 1e-9))
+    recordings = []
+    for spectra in common_frames(frames)[0] if frames else ():
+        revs, begin = float(spectra.attrs["revs_per_frame"]), spectra["crank_angle"].values.astype(np.float64)
+        hop = max(float(np.median(np.diff(begin))) if len(begin) > 1 else revs, 1e-9)
+        middle = begin + 0.5 * revs
+        recordings.append(Recording(spectra["spectrum"].values, middle, spectra["speed"].values, revs, hop))
+    return recordings
 
 
 Phasors = tuple[Recording, Complexes, Floats, Floats]
@@ -292,11 +301,6 @@ class Followed:
     def span_rev(self) -> float:
         """Revolutions over which it was followed."""
         return float(np.ptp(self.tracks["crank_angle"].values))
-
-    @property
-    def told(self) -> tuple[float, float, float]:
-        """The number, its variance and degrees of freedom."""
-        return self.number, self.variance, SURE_FREEDOM
 
 
 def parted_lines(followed: Sequence[xr.Dataset], *, near: float, reach: float) -> list[list[Followed]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,6 +16,7 @@ from crankorder.identify.lines.growth import remark_on
 from crankorder.identify.lines.line_evidence import (
     LOWEST_BINS,
     UNPROVEN,
+    OverNoise,
     evidence_of,
     excess_over_noise,
     has_moved,
@@ -24,8 +25,8 @@ from crankorder.identify.lines.line_evidence import (
     keeps_one_order,
     noise_chance,
 )
-from crankorder.identify.lines.line_phasors import Phasors, Recording, is_swept, phasors_at, recordings_of, zooms
-from crankorder.identify.lines.zoom import Zoomed, left_of_slow_waves
+from crankorder.identify.lines.line_phasors import Phasors, Recording, any_swept, phasors_at, recordings_of, zooms
+from crankorder.identify.lines.zoom import left_of_slow_waves
 from crankorder.orders.averages import HeldSizes, SizeRows
 from crankorder.orders.like_speed import reframed
 from crankorder.orders.map import order_map
@@ -50,10 +51,7 @@ class _Search:
 
     order_map: xr.Dataset
     recordings: list[Recording]
-    excess: Floats
-    ratio: Floats
-    floor: Floats
-    floor_worth: Floats
+    over: OverNoise
     false_alarm_probability: float
 
     @property
@@ -68,21 +66,24 @@ class _Search:
     def is_swept(self) -> bool:
         """Whether the speeds are those of a run-up or coast-down and not steps: by the frames, or as groups touch."""
         if self.recordings:
-            return any(is_swept(item.speed_rpm) for item in self.recordings)
+            return any_swept(self.recordings)
         speed = np.sort(self.speed)
         return len(speed) > 2 and bool(np.median(np.diff(speed)) < 1.5 * float(self.order_map.attrs["speed_bin_rpm"]))
 
     def chances(self, channel: int, peak: int, speeds: Ints) -> Floats:
         """Chance that noise alone stands as high in the bin ``peak`` at each of the ``speeds`` (numbers)."""
         n = self.order_map.variables["n_independent"].values[speeds]
-        cells = zip(self.ratio[channel, speeds, peak], n, self.floor_worth[channel, speeds, peak], strict=True)
+        cells = zip(
+            self.over.ratio[channel, speeds, peak], n, self.over.floor_worth[channel, speeds, peak], strict=True
+        )
         return np.array([noise_chance(*map(float, cell)) for cell in cells])
 
-    def phasors(self, channel: int, peak: int, speeds_rpm: Floats, *, bins: float) -> list[Phasors]:
+    def phasors(self, channel: int, peak: int, speeds_rpm: Floats, *, bins: float) -> Iterable[Phasors]:
         """What the frames hold of the bin ``peak`` near ``speeds_rpm``, within so many ``bins`` of speed."""
         width = bins * float(self.order_map.attrs.get("speed_bin_rpm", 25.0))
-        found = phasors_at(self.recordings, channels=[channel], at=peak, speeds_rpm=speeds_rpm, speed_bin_rpm=width)
-        return list(found.values())
+        return phasors_at(
+            self.recordings, channels=[channel], at=peak, speeds_rpm=speeds_rpm, speed_bin_rpm=width
+        ).values()
 
 
 def order_lines(
@@ -102,7 +103,7 @@ def order_lines(
     only); one that swells and fades slowly, as two do that are too close to be parted, is kept with that doubt.
     """
     over = excess_over_noise(order_map, settings=settings, orders=orders)
-    search = _Search(order_map, recordings_of(frames), *over, settings.false_alarm_probability)
+    search = _Search(order_map, recordings_of(frames), over, settings.false_alarm_probability)
     n_speeds = len(search.speed)
     needed = min(n_speeds, max(settings.min_speeds, round(settings.min_speed_fraction * n_speeds)))
     lines = []
@@ -136,7 +137,7 @@ def _stronger(
     amplitude = np.nan_to_num(search.order_map["amplitude"].values[channel])
     made = []
     for peak, seen in refused:
-        far = float(search.ratio[channel, seen, peak].max()) > NUMBERS.swelling_ratio
+        far = float(search.over.ratio[channel, seen, peak].max()) > NUMBERS.swelling_ratio
         if far and amplitude[seen, peak].max() > largest and not _has_fixed_frequency(search, channel, peak, seen):
             line = _line(search, channel, peak, seen, UNPROVEN, (UNRESOLVED,))
             # two lines in one bin may be nothing, or twice what it holds
@@ -155,9 +156,9 @@ def _line_at(search: _Search, channel: int, peak: int, seen: Ints, needed: int) 
     elif len(seen) < needed:
         if not _beyond_chance(search, channel, peak, seen) or _has_fixed_frequency(search, channel, peak, seen):
             return None
-        chance /= search.excess[0].size
+        chance /= search.over.excess[0].size
         doubts.append(Doubt("seldom seen", f"seen at {len(seen)} of {n_speeds} speeds only"))
-    evidence = evidence_of(search.order_map, search.ratio[channel], channel, peak, seen, chance)
+    evidence = evidence_of(search.order_map, search.over.ratio[channel], channel, peak, seen, chance)
     if evidence is None and _keeps_one_order(search, channel, peak, seen, chance):
         steady: Evidence = "follows the speed" if search.is_swept else "steady, not locked"
         evidence = UNPROVEN if is_unprovable(search.order_map, peak) else steady
@@ -181,7 +182,7 @@ def _seen_together(search: _Search, channel: int, peak: int) -> Ints:
     the speeds that shows least must speak for it too: an order that meets resonances stands high at some, not at these.
     """
     chances = search.chances(channel, peak, np.arange(len(search.speed)))
-    cells = search.excess.shape[0] * search.excess.shape[2]
+    cells = search.over.excess.shape[0] * search.over.excess.shape[2]
     shown = cells * _joined_chance(chances) < search.false_alarm_probability
     least = np.sort(chances)[len(chances) // 2 :]
     if not shown or _joined_chance(least) > NUMBERS.weak_chance:
@@ -198,9 +199,9 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: Ints, chanc
     """Whether the frames show that the line keeps one order, over speeds that no line of fixed frequency allows."""
     if not search.recordings or not has_moved(search.order_map, peak, seen):
         return False
-    floor = float(np.median(search.floor[channel, seen, peak]))
+    floor = float(np.median(search.over.floor[channel, seen, peak]))
     for alone in (True, False):  # two lines that beat hide each other's steadiness
-        found = zooms(
+        by_recording = zooms(
             search.recordings,
             channels=[channel],
             at=peak,
@@ -209,7 +210,15 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: Ints, chanc
             near=0.0,
             alone=alone,
         )
-        lines = [one for one in found.values() if alone or (one.second is not None and _leaves_noise(one, floor))]
+        lines = [
+            line
+            for line in by_recording.values()  # a resonance that noise excites leaves far more than two lines do
+            if alone
+            or (
+                line.second is not None
+                and 2.0 * line.frames * float(np.median(line.error)) ** 2 < NUMBERS.left_ratio * floor
+            )
+        ]
         if keeps_one_order(lines, false_alarm_probability=chance):
             return True
     return False
@@ -238,17 +247,11 @@ def _by_its_phase(search: _Search, channel: int, peak: int, seen: Ints, chance: 
     return None
 
 
-def _leaves_noise(line: Zoomed, floor: float) -> bool:
-    """Whether ``line`` and its second one leave no more of a frame than the ``floor``: a resonance that noise excites
-    leaves far more."""
-    return bool(2.0 * line.frames * float(np.median(line.error)) ** 2 < NUMBERS.left_ratio * floor)
-
-
 def _swells_slowly(search: _Search, channel: int, peak: int, seen: Ints) -> bool:
     """Whether the frames hold nothing but slow waves and the noise of the floor, and the line stands far over that."""
-    if float(np.median(search.ratio[channel, seen, peak])) < NUMBERS.swelling_ratio:
+    if float(np.median(search.over.ratio[channel, seen, peak])) < NUMBERS.swelling_ratio:
         return False
-    floor = float(np.median(search.floor[channel, seen, peak]))
+    floor = float(np.median(search.over.floor[channel, seen, peak]))
     at_speeds = [search.speed[seen]] if not np.isfinite(search.speed[seen]).all() else search.speed[seen][:, None]
     left = [  # each speed by itself: between those seen there is none of the line
         left_of_slow_waves(phasors[0], centre - centre.mean(), hop_rev=item.hop_rev)
@@ -267,7 +270,7 @@ def _beyond_chance(search: _Search, channel: int, peak: int, seen: Ints) -> bool
     highest = float(search.chances(channel, peak, seen).max())
     n_speeds, k = len(search.speed), len(seen)
     sets = np.prod([(n_speeds - j) / (j + 1.0) for j in range(k)])
-    cells = search.excess.shape[0] * search.excess.shape[2]
+    cells = search.over.excess.shape[0] * search.over.excess.shape[2]
     return bool(cells * sets * highest**k < search.false_alarm_probability)
 
 
@@ -282,7 +285,7 @@ def _has_fixed_frequency(search: _Search, channel: int, peak: int, seen: Ints) -
         at = round(axis[peak] * speed[nearest] / speed[s] / (axis[1] - axis[0]))
         away = abs(at - peak)
         if away > 1 and (away <= NUMBERS.bins_beside or abs(s - nearest) <= 2) and 1 <= at < len(axis) - 1:
-            found.append(bool((search.excess[channel, s, at - 1 : at + 2] > 1.0).any()))
+            found.append(bool((search.over.excess[channel, s, at - 1 : at + 2] > 1.0).any()))
     return len(found) > 0 and float(np.mean(found)) >= NUMBERS.fixed_share
 
 
@@ -290,9 +293,13 @@ def _peaks(excess: Floats, axis: Floats) -> Ints:
     """Bins that are above the level at a speed or more and the largest within a quarter order, or 8 bins if fewer."""
     score = np.log(np.maximum(excess, 1.0)).sum(axis=0)
     reach = min(NUMBERS.neighbour_bins, max(1, round(NUMBERS.neighbour_orders / (axis[1] - axis[0]))))
-    padded = np.pad(score, reach, constant_values=-1.0)
-    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1)
-    return np.flatnonzero((score > 0.0) & (score >= highest))
+    return np.flatnonzero((score > 0.0) & (score >= largest_within(score, reach)))
+
+
+def largest_within(values: Floats, reach: int) -> Floats:
+    """Largest of the ``values`` (bins,), none below -1, within ``reach`` bins of each."""
+    padded = np.pad(values, reach, constant_values=-1.0)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1))
 
 
 def _line(
@@ -301,7 +308,7 @@ def _line(
     order_map, axis = search.order_map, search.axis
     resolution = float(axis[1] - axis[0])
     beside = np.clip([peak - 1, peak, peak + 1], 0, len(axis) - 1)
-    noise = search.floor[channel, seen, peak]
+    noise = search.over.floor[channel, seen, peak]
     n_frames = order_map["n_independent"].values[seen]
     lobe = np.nan_to_num(order_map["amplitude"].values[channel][np.ix_(seen, beside)]) ** 2 - noise[:, None]
     distance, distance_error = _refined(np.sqrt(np.maximum(lobe, 0.0)), noise / n_frames)
@@ -327,7 +334,7 @@ def _line(
         degrees_of_freedom=dof,
         phase_deg=order_map["phase"].values[channel, seen, peak],
         evidence=evidence,
-        level_over_floor_db=float(10.0 * np.log10(search.ratio[channel, seen, peak].max())),
+        level_over_floor_db=float(10.0 * np.log10(search.over.ratio[channel, seen, peak].max())),
         doubts=doubts,
         ends=ends,
         phase_ci95_deg=half,
@@ -342,7 +349,10 @@ def _by_energy(
 
     The power of a line A in noise N varies by 2 A^2 N + N^2 from frame to frame.
     """
-    energy, noise = search.order_map["amplitude"].values[channel, seen, peak] ** 2, search.floor[channel, seen, peak]
+    energy, noise = (
+        search.order_map["amplitude"].values[channel, seen, peak] ** 2,
+        search.over.floor[channel, seen, peak],
+    )
     n_frames = search.order_map.variables["n_independent"].values[seen]
     loss = float(np.sinc(distance) / (1.0 - distance**2))  # between two bins a window shows less of a line
     amplitude = np.sqrt(np.maximum(energy - noise, 1e-3 * energy))
@@ -359,7 +369,9 @@ def _by_energy(
     rows = SizeRows(
         *(values[None] for values in (amplitude, error, dof, np.maximum(amplitude - half, 0.0), amplitude + half))
     )
-    rows = rows.with_scatter(held, noise=noise[None] / loss**2, independent=search.floor_worth[channel, seen, peak])
+    rows = rows.with_scatter(
+        held, noise=noise[None] / loss**2, independent=search.over.floor_worth[channel, seen, peak]
+    )
     return amplitude, rows.error[0], rows.dof[0], np.stack([rows.low[0], rows.high[0]], axis=1)
 
 
@@ -395,11 +407,6 @@ def longer_frames(revs: float, span_rev: float) -> list[float]:
     while 2.0 * made[-1] <= SWEPT_NUMBERS.longest_revs and span_rev >= SWEPT_NUMBERS.fewest_lengths * 2.0 * made[-1]:
         made.append(2.0 * made[-1])
     return made
-
-
-def longest_frame(revs: float, span_rev: float) -> float:
-    """The last of :func:`longer_frames`, of ``revs`` and ``span_rev``."""
-    return longer_frames(revs, span_rev)[-1]
 
 
 SETTLING_STEPS = 3
@@ -457,11 +464,8 @@ def settled(orders: Sequence[float], frames: xr.Dataset, others: Sequence[float]
     used = _bins_about(middle * revs, frames)
     centre: Floats = frames["crank_angle"].values + 0.5 * revs
     turned = _turned(frames, used)
-    near = [
-        _changing_lobe(used - other * revs)[:2]
-        for other in others
-        if abs(other - middle) * revs < 2.0 * SWEPT_NUMBERS.reach_bins
-    ]
+    close = [other for other in others if abs(other - middle) * revs < 2.0 * SWEPT_NUMBERS.reach_bins]
+    near = [_changing_lobe(used - other * revs)[:2] for other in close]
     numbers: Floats = np.array(orders, dtype=np.float64)
     for _ in range(SETTLING_STEPS):
         lobes = np.concatenate([hann_lobe(used - numbers[:, None] * revs), *near])

@@ -105,12 +105,11 @@ def _trend_beside(line: OrderLine, rpm: float, near_rpm: float, others: list[tup
     for other, its_damping in others:
         clear &= np.abs(speed - other) > max(0.5 * near_rpm, 2.0 * its_damping * other)
     close = np.abs(np.log(speed / rpm)) < TREND_NUMBERS.beside_log_ratio
-    for chosen in (clear & close, clear, free & close, free):
-        if np.count_nonzero(chosen) >= TREND_NUMBERS.enough_beside:
-            return power_law(speed[chosen], line.amplitude[chosen], line.amplitude_error[chosen])
-    if np.count_nonzero(free) < TREND_NUMBERS.least_beside:
+    choices = (clear & close, clear, free & close)
+    chosen = next((rows for rows in choices if np.count_nonzero(rows) >= TREND_NUMBERS.enough_beside), free)
+    if np.count_nonzero(chosen) < TREND_NUMBERS.least_beside:
         return None
-    return power_law(speed[free], line.amplitude[free], line.amplitude_error[free])
+    return power_law(speed[chosen], line.amplitude[chosen], line.amplitude_error[chosen])
 
 
 def seen_all_around(line: OrderLine, rpm: float, tested: Floats) -> bool:
@@ -230,29 +229,29 @@ def crossings(
     """
     if not (np.isfinite(speed_rpm[0]) and np.isfinite(speed_rpm[1])):
         return ()
-    tested = tested_speeds(orders)
-    found: list[Crossing] = []
-    seen_of: list[list[Seen]] = []
+    speeds = [line.speed_rpm for agreed in orders for line in agreed.lines]
+    tested = np.unique(np.concatenate(speeds)) if speeds else np.zeros(0)  # at which any order was seen
+    met: list[tuple[Crossing, list[Seen]]] = []
     for agreed in orders:
         for number in range(len(modal.modes)):
             seen = _seen_of(agreed, number, modal, settings)
-            found.append(_crossing(agreed, number, seen, modal, tested, speed_rpm, settings))
-            seen_of.append(seen)
+            met.append((_crossing(agreed, number, seen, modal, tested, speed_rpm, settings), seen))
         for whirl, mode in _met_whirls(agreed.order, modal):
             beside = ModalFit((mode, *modal.modes), (), np.zeros((0, 0)))  # no fit of the orders holds a whirl
             seen = _seen_of(agreed, 0, beside, settings)
-            found.append(_of_whirl(_crossing(agreed, 0, seen, beside, tested, speed_rpm, settings), mode, whirl))
-            seen_of.append(seen)
+            met.append((_of_whirl(_crossing(agreed, 0, seen, beside, tested, speed_rpm, settings), mode, whirl), seen))
     missing = [
         order for order in stated if all(abs(order - item.order) > NUMBERS.same_stated_share * order for item in orders)
     ]
-    made = _decided(found, seen_of)
-    made += [_unmeasured(order, mode, speed_rpm, settings) for order in missing for mode in modal.modes]
-    for order in missing:
-        met = _met_whirls(order, modal)
-        made += [_of_whirl(_unmeasured(order, mode, speed_rpm, settings), mode, whirl) for whirl, mode in met]
-    made = [item if item.in_range else replace(item, evidence=EXTRAPOLATED) for item in made]
-    return tuple(sorted(made, key=lambda item: (item.rpm, item.order)))
+    found = _decided(met)
+    found += [_unmeasured(order, mode, speed_rpm, settings) for order in missing for mode in modal.modes]
+    found += [
+        _of_whirl(_unmeasured(order, mode, speed_rpm, settings), mode, whirl)
+        for order in missing
+        for whirl, mode in _met_whirls(order, modal)
+    ]
+    found = [crossing if crossing.in_range else replace(crossing, evidence=EXTRAPOLATED) for crossing in found]
+    return tuple(sorted(found, key=lambda crossing: (crossing.rpm, crossing.order)))
 
 
 def _met_whirls(order: float, modal: ModalFit) -> list[tuple[Whirl, Mode]]:
@@ -269,12 +268,6 @@ def _of_whirl(crossing: Crossing, mode: Mode, whirl: Whirl) -> Crossing:
         evidence="; ".join(filter(None, (mode.evidence, crossing.evidence))),
         whirl=whirl,
     )
-
-
-def tested_speeds(orders: tuple[AgreedOrder, ...]) -> Floats:
-    """Speeds (n,) in rpm, ascending, at which any of ``orders`` was seen."""
-    speeds = [line.speed_rpm for agreed in orders for line in agreed.lines]
-    return np.unique(np.concatenate(speeds)) if speeds else np.zeros(0)
 
 
 def _unmeasured(order: float, mode: Mode, speed_rpm: tuple[float, float], settings: IdentifySettings) -> Crossing:
@@ -344,7 +337,10 @@ def _crossing(
     best = None if trend is None else higher(trend, by_fit)
     evidence = evidence_beside(agreed, rpm, mode, trend, tested, settings) if inside else ""
     if best is not None and best is not trend:
-        evidence = _fit_evidence(best)
+        what, low, high = "what it is without the mode, by the fit", best.ratio_low, best.ratio_high
+        evidence = f"in {best.channel} at least {low:.2g} times {what}"
+        if np.isfinite(high):
+            evidence = f"in {best.channel} {best.ratio:.2g} times {what} ({low:.2g} to {high:.2g})"
     return Crossing(
         order=agreed.order,
         mode_hz=mode.frequency_hz,
@@ -359,7 +355,9 @@ def _crossing(
         amplification=None if best is None else best.ratio,
         amplification_ci95=None if best is None else (best.ratio_low, best.ratio_high),
         evidence=evidence,
-        verdict=_unless_excited(agreed, number, trends, fitted, modal, tested, inside=inside),
+        verdict=_unless_excited(agreed, number, trends, fitted, by_fit, modal, tested)
+        if inside
+        else "outside the tested range",
     )
 
 
@@ -395,28 +393,18 @@ def higher(trend: Seen, by_fit: Sequence[Seen]) -> Seen:
     return max(above, key=lambda item: item.ratio_low, default=trend)
 
 
-def _fit_evidence(seen: Seen) -> str:
-    what = "what it is without the mode, by the fit"
-    if not np.isfinite(seen.ratio_high):
-        return f"in {seen.channel} at least {seen.ratio_low:.2g} times {what}"
-    return f"in {seen.channel} {seen.ratio:.2g} times {what} ({seen.ratio_low:.2g} to {seen.ratio_high:.2g})"
-
-
 def _unless_excited(
     agreed: AgreedOrder,
     number: int,
     trends: list[Seen],
     fitted: list[OrderResponse],
+    by_fit: list[Seen],
     modal: ModalFit,
     tested: Floats,
-    *,
-    inside: bool,
 ) -> Verdict:
-    """What is said of a crossing at which no order was seen to rise."""
+    """What is said of a crossing in the tested range at which no order was seen to rise."""
     mode = modal.modes[number]
     rpm = 60.0 * mode.frequency_hz / agreed.order
-    if not inside:
-        return "outside the tested range"
     resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
     quiet = resolved and bool(trends) and max(item.ratio_high for item in trends) < NUMBERS.clearly_excited_ratio
     quiet &= all(seen_all_around(line, rpm, tested) for line in agreed.lines)
@@ -424,8 +412,7 @@ def _unless_excited(
     if {item.channel for item in known} >= {line.channel for line in agreed.lines} and known:
         ends = [_beside_mode(item, number, modal).ends(half_width(float(item.degrees_of_freedom)))[1] for item in known]
         quiet |= max(float(high.max()) for high in ends) < NUMBERS.clearly_excited_ratio
-    by_fit = [one for item in fitted if (one := fitted_excess(item, number, modal)) is not None]
-    quiet &= all(one.ratio_low < NUMBERS.clearly_excited_ratio for one in by_fit)
+    quiet &= all(excess.ratio_low < NUMBERS.clearly_excited_ratio for excess in by_fit)
     if mode.undecided:
         return "undecided mode"
     if quiet:
@@ -470,33 +457,27 @@ def _beside_mode(response: OrderResponse, number: int, modal: ModalFit) -> WithA
 def _by_residue(response: OrderResponse, number: int, modal: ModalFit) -> list[Seen]:
     """What the residue of mode ``number`` says: its F test against none; [] where the fit does not hold the mode."""
     place = np.flatnonzero(response.reached == number)
-    if (
-        not response.fits
-        or not len(place)
-        or response.degrees_of_freedom < 1
-        or amplification(response, number, modal) <= 1.0
-    ):
+    holds = response.fits and len(place) > 0 and response.degrees_of_freedom >= 1
+    if not holds or amplification(response, number, modal) <= 1.0:
         return []
     at = len(response.smooth) + int(place[0])
     squared = abs(response.residue[number]) ** 2 / max(float(response.covariance[at, at].real), 1e-300)
     return [Seen(response.channel, float(fdtrc(2.0, float(response.degrees_of_freedom), 0.5 * squared)))]
 
 
-def _decided(found: list[Crossing], seen_of: list[list[Seen]]) -> list[Crossing]:
-    """``found`` with those called excited of which ``seen_of``, one list for each, says so."""
-    chances = np.full(len(found), np.nan)
-    for number, (item, seen) in enumerate(zip(found, seen_of, strict=True)):
-        if item.in_range and seen:
-            chances[number] = simes(np.array([one.chance for one in seen]))
+def _decided(met: list[tuple[Crossing, list[Seen]]]) -> list[Crossing]:
+    """Crossings of ``met``, those called excited of which what was seen there says so."""
+    seen_in_range = [seen if crossing.in_range else [] for crossing, seen in met]
+    chances = np.array([simes(np.array([each.chance for each in seen])) if seen else np.nan for seen in seen_in_range])
     excited = claimed(chances, q=NUMBERS.false_discovery_rate)
-    made = []
-    for item, seen, chance, sure in zip(found, seen_of, chances.tolist(), excited.tolist(), strict=True):
+    decided = []
+    for (crossing, seen), chance, sure in zip(met, chances.tolist(), excited.tolist(), strict=True):
         if np.isfinite(chance):
-            item = replace(item, chance=chance)
+            crossing = replace(crossing, chance=chance)
         if sure:
-            shows = {one.channel for one in seen if len(seen) * one.chance <= NUMBERS.false_discovery_rate}
-            shows |= {min(seen, key=lambda one: one.chance).channel}
-            evidence = f"{item.evidence}; chance without the mode {chance:.1g}"
-            item = replace(item, verdict="excited", channels=tuple(sorted(shows)), evidence=evidence)
-        made.append(item)
-    return made
+            shows = {each.channel for each in seen if len(seen) * each.chance <= NUMBERS.false_discovery_rate}
+            shows |= {min(seen, key=lambda each: each.chance).channel}
+            evidence = f"{crossing.evidence}; chance without the mode {chance:.1g}"
+            crossing = replace(crossing, verdict="excited", channels=tuple(sorted(shows)), evidence=evidence)
+        decided.append(crossing)
+    return decided
