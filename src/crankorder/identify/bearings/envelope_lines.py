@@ -274,15 +274,15 @@ def _looks_in(envelope: xr.Dataset) -> dict[Comb, Look]:
         return {}
     order = envelope["order"].values
     bins = np.round(envelope["look"].values / order[1]).astype(np.int64)
-    made = {}
+    looks = {}
     for number, comb in enumerate(combs_in(envelope)):
         ratio, raw, amplitude = (np.zeros(envelope["amplitude"].shape) for _ in range(3))
         ratio[:, :, bins] = envelope["comb_ratio"].values[number]
         raw[:, :, bins] = envelope["comb_level"].values[number]
         amplitude[:, :, bins] = raw[:, :, bins] ** 0.25 * envelope["comb_floor"].values[number]
         ends = [envelope[f"comb_band_{end}"].values[number] for end in ("low", "high")]
-        made[comb] = Look(ratio, raw, amplitude, np.stack(ends, axis=1))
-    return made
+        looks[comb] = Look(ratio, raw, amplitude, np.stack(ends, axis=1))
+    return looks
 
 
 def envelope_lines(spectra: Spectra, places: list[Place], *, false_alarm_probability: float) -> list[EnvelopeLine]:
@@ -401,9 +401,9 @@ def _comb_chances(
         nats[rows] = look_nats(part, looks, count=float(own), floor_worth=worth, free=free[looks])
     chance = np.exp(-comb_nats(nats, looks, comb, step=step, free=free[looks]))
     nearest = np.clip(np.round(comb.trials(step) / step).astype(int), span.start, span.stop - 1)
-    made = np.ones((len(ratio), span.stop - span.start))
-    np.minimum.at(made.T, nearest - span.start, chance.T)
-    return made * TRIALS_PER_BIN
+    chances = np.ones((len(ratio), span.stop - span.start))
+    np.minimum.at(chances.T, nearest - span.start, chance.T)
+    return chances * TRIALS_PER_BIN
 
 
 def parabola(ratio: Floats, at: int) -> float:
@@ -513,13 +513,13 @@ class Ranking:
 
     def of(self, line: str) -> Candidate | None:
         """The candidate of that ``line``."""
-        return next((one for one in self.candidates if one.place.line == line), None)
+        return next((candidate for candidate in self.candidates if candidate.place.line == line), None)
 
     def rivals(self) -> tuple[Candidate, ...]:
         """The parts that the first is not told from."""
         first = self.candidates[0]
         clear = max(CANDIDATE_NUMBERS.clear_db, CANDIDATE_NUMBERS.clear_share * first.level_db)
-        return tuple(one for one in self.candidates[1:] if first.level_db - one.level_db < clear)
+        return tuple(candidate for candidate in self.candidates[1:] if first.level_db - candidate.level_db < clear)
 
 
 def ranking(ratio: Floats, step: float, free: Bools, places: list[Place]) -> Ranking:
@@ -556,22 +556,22 @@ def _course(level: Floats, step: float, place: Place) -> tuple[Floats, Floats]:
     trials = comb.trials(step)
     harmonic = np.arange(CANDIDATE_NUMBERS.cage_from_harmonic if place.line == "FTF" else 1, comb.teeth + 1)[:, None]
     teeth = harmonic * trials
-    made = _levels(level, step, teeth)
+    levels = _levels(level, step, teeth)
     cage = place.cage_at(trials)
     if place.spacing is not None:
         spacing = cage if place.line == "BSF" and cage is not None else place.spacing
         sides = 0.5 * (_levels(level, step, teeth - spacing) + _levels(level, step, teeth + spacing))
         share = CANDIDATE_NUMBERS.side_share
-        made = np.where(np.isfinite(sides), (1.0 - share) * made + share * sides, made)
+        levels = np.where(np.isfinite(sides), (1.0 - share) * levels + share * sides, levels)
     if place.line != "FTF" and cage is not None:
         if place.line == "BSF":
             beside = _levels(level, step, cage * np.round((teeth - 0.5 * trials) / cage), reach=2)
         else:
             low, high = (_levels(level, step, teeth + side * cage, reach=2) for side in (-1, 1))
             beside = 0.5 * (low + high)
-        made = np.maximum(made - np.nan_to_num(beside), 0.0)
-    known = np.isfinite(made)
-    total = np.where(known, made, 0.0).sum(axis=0)
+        levels = np.maximum(levels - np.nan_to_num(beside), 0.0)
+    known = np.isfinite(levels)
+    total = np.where(known, levels, 0.0).sum(axis=0)
     return trials, np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
 
 

@@ -73,11 +73,11 @@ def _is_excluded(record: BearingFinding, records: Sequence[BearingFinding]) -> b
     """Whether a ``record`` of N*fs in the vibration that slips is not the sum of both races as they were found."""
     if record.line != "N*fs" or record.seen_in != "vibration" or record.lock == "locked":
         return False
-    races = {one.line: one for one in records if one.name == record.name and one.line in ("BPFO", "BPFI")}
+    races = {other.line: other for other in records if other.name == record.name and other.line in ("BPFO", "BPFI")}
     if len(races) < 2:
         return False
-    total = sum(one.order for one in races.values())
-    spare = sum(one.order_half for one in (*races.values(), record))
+    total = sum(other.order for other in races.values())
+    spare = sum(other.order_half for other in (*races.values(), record))
     return bool(abs(record.order - total) > max(2.0 * spare, 1e-3 * total))
 
 
@@ -85,9 +85,9 @@ def _with_races(record: BearingFinding, records: Sequence[BearingFinding]) -> Be
     """``record`` of N*fs with a word on the races of the same bearing: they slip where their sum keeps step."""
     if record.line != "N*fs" or record.seen_in != "vibration":
         return record
-    own = [one for one in records if one.name == record.name and one is not record]
-    races = sorted({one.line for one in own} & {"BPFO", "BPFI"})
-    struck = sorted({one.line for one in own if one.seen_in == "envelope"} - {"BPFO", "BPFI"})
+    own = [other for other in records if other.name == record.name and other is not record]
+    races = sorted({other.line for other in own} & {"BPFO", "BPFI"})
+    struck = sorted({other.line for other in own if other.seen_in == "envelope"} - {"BPFO", "BPFI"})
     return replace(record, verdict=f"{record.verdict} {races_words(races, struck)}")
 
 
@@ -136,12 +136,12 @@ def _is_locked(order: AgreedOrder, revs_per_cycle: int) -> bool:
 
 def _shaft_speeds(spectra: Spectra, found: list[EnvelopeLine]) -> dict[tuple[str, int], ShaftSpeed]:
     """Speed of the shaft by bearing and number of the speed, of the line of each whose sidebands tell it best."""
-    made: dict[tuple[str, int], ShaftSpeed] = {}
+    speeds: dict[tuple[str, int], ShaftSpeed] = {}
     for line in found:
         key, speed = (line.place.name, line.speed), shaft_speed(spectra, line)
-        if speed is not None and (key not in made or speed.error < made[key].error):
-            made[key] = speed
-    return made
+        if speed is not None and (key not in speeds or speed.error < speeds[key].error):
+            speeds[key] = speed
+    return speeds
 
 
 def _record(
@@ -348,7 +348,7 @@ def _lead(line: EnvelopeLine, found: list[EnvelopeLine]) -> EnvelopeLine | None:
     kin = [other for other in found if other.place.name == line.place.name and other.place.line != line.place.line]
     higher = [other for other in kin if (other.level_db, other.ratio) > (line.level_db, line.ratio)]
     lead = max(higher, key=lambda other: (other.level_db, other.ratio), default=None)
-    if lead is None or line.place.line in {one.place.line for one in _rivals(lead, found)}:
+    if lead is None or line.place.line in {rival.place.line for rival in _rivals(lead, found)}:
         return None
     return lead
 
@@ -360,7 +360,9 @@ def _rivals(line: EnvelopeLine, found: list[EnvelopeLine]) -> list[Candidate]:
     goes with every damage that comes and goes with the load.
     """
     ranked, place_line = line.ranking, line.place.line
-    high = {one.place.line for one in (ranked.candidates[0], *ranked.rivals())} if ranked.candidates else set()
+    high = (
+        {candidate.place.line for candidate in (ranked.candidates[0], *ranked.rivals())} if ranked.candidates else set()
+    )
     kin = [other for other in found if other.place.name == line.place.name]
     # a damaged cage has many harmonics: a line at one of them speaks for no other part
     large = {
@@ -370,7 +372,7 @@ def _rivals(line: EnvelopeLine, found: list[EnvelopeLine]) -> list[Candidate]:
         and other.amplitude >= NUMBERS.companion_share * line.amplitude
         and not (place_line == "FTF" and abs((n := other.order / line.order) - round(n)) <= NUMBERS.off_share)
     }
-    return [one for one in ranked.candidates if one.place.line in (high | large) - {line.place.line}]
+    return [candidate for candidate in ranked.candidates if candidate.place.line in (high | large) - {line.place.line}]
 
 
 def _part_words(line: EnvelopeLine, rivals: list[Candidate], slip: str) -> str:
@@ -388,14 +390,14 @@ def _part_words(line: EnvelopeLine, rivals: list[Candidate], slip: str) -> str:
             f"{_damage(place).capitalize()} of {place.name}: strikes at {place.title}, {slip}; its harmonics stand "
             f"{own.level_db:.0f} dB over the floor{margin}."
         )
-    levels = ", ".join(f"{one.place.title} {one.level_db:.0f} dB" for one in (own, *rivals))
-    if {place.line, *(one.place.line for one in rivals)} == {"BPFO", "BPFI"}:
+    levels = ", ".join(f"{rival.place.title} {rival.level_db:.0f} dB" for rival in (own, *rivals))
+    if {place.line, *(rival.place.line for rival in rivals)} == {"BPFO", "BPFI"}:
         return (
             f"Strikes at {place.title} of {place.name}, {slip}, and about as strong at {rivals[0].place.title}: both "
             "races are struck, as by a damaged rolling element, by dirt or by damage of both; which part is not told "
             f"(harmonics over the floor: {levels})."
         )
-    parts = " or ".join(DAMAGED[one.place.line] for one in (own, *rivals))
+    parts = " or ".join(DAMAGED[rival.place.line] for rival in (own, *rivals))
     return (
         f"Strikes at {place.title} of {place.name}, {slip}: damage of {parts}; which of them is not told (harmonics "
         f"over the floor: {levels})."

@@ -78,7 +78,7 @@ def with_followed(
     slow lines, of which the frames of the map hold too few periods, stand out in the longer ones that it was read in.
     """
     cycle = int(order_map.attrs["revs_per_cycle"])
-    found = list(orders)
+    known_orders = list(orders)
     axis = order_map["order"].values
     if len(axis) < 2:
         return tuple(orders)
@@ -89,7 +89,7 @@ def with_followed(
             number = float(item["order"].values[place])
             nearest = min((abs(number - item["order"].values[other]) for other in slow if other != place), default=step)
             apart = 0.5 * min(step, nearest) if place in slow else 0.5 * step
-            known = any(abs(one.order - number) <= max(NUMBERS.same_order * number, apart) for one in found)
+            known = any(abs(one.order - number) <= max(NUMBERS.same_order * number, apart) for one in known_orders)
             off = 0.0 if place in slow else abs(nearest_multiple(number, revs_per_cycle=cycle) - number)
             if known or off > NUMBERS.same_order * number:
                 continue
@@ -102,8 +102,8 @@ def with_followed(
                 error = min(apart, AGREED_ORDERS.most_mode_turns / span) / half_width(np.inf)
                 lines = _lines_along(item, place, clear, error, order_map)
                 doubts = (ONLY_FOLLOWED, IN_SWEEP)
-                found.append(AgreedOrder(number, error, np.inf, "undecided", None, lines, doubts))
-    return tuple(sorted(found, key=lambda one: one.order))
+                known_orders.append(AgreedOrder(number, error, np.inf, "undecided", None, lines, doubts))
+    return tuple(sorted(known_orders, key=lambda one: one.order))
 
 
 def _slow_lines(item: xr.Dataset, width: float) -> list[int]:
@@ -178,15 +178,15 @@ def with_track_rows(
     numbers = [track_number(one, revs_per_cycle=cycle) for one in orders]
     tracked = all_tracked(numbers, settings)
     names = reader.order_map["channel"].values.tolist()
-    made = []
+    followed = []
     for agreed, number in zip(orders, numbers, strict=True):
         others = [other for other in tracked if other != number]
         rows, met = reader.rows(number, others), reader.met(number, others)
         n_independent = reader.worth(number)
         read = partial(_read, rows=rows, met=met, n_independent=n_independent, reader=reader)
         lines = tuple(read(line, channel=names.index(line.channel)) for line in agreed.lines)
-        made.append(replace(agreed, lines=lines, tracked=number))
-    return tuple(made)
+        followed.append(replace(agreed, lines=lines, tracked=number))
+    return tuple(followed)
 
 
 def fixed_lines(tones: Sequence[Tone]) -> tuple[FixedLine, ...]:

@@ -240,28 +240,28 @@ def largest(line: OrderLine) -> Largest:
     error = np.where(np.isfinite(line.amplitude_error), line.amplitude_error, np.inf)
     known = np.where(np.isfinite(error), line.amplitude, -np.inf)
     at = int(np.argmax(known)) if np.isfinite(known).any() else line.strongest
-    seen, one = float(line.amplitude[at]), float(error[at])
+    seen, sigma = float(line.amplitude[at]), float(error[at])
     speed = float(line.speed_rpm[at])
-    if one == 0.0 or not np.isfinite(one):
-        return Largest(at, speed, seen, seen if one == 0.0 else 0.0, seen if one == 0.0 else np.inf)
+    if sigma == 0.0 or not np.isfinite(sigma):
+        return Largest(at, speed, seen, seen if sigma == 0.0 else 0.0, seen if sigma == 0.0 else np.inf)
     degrees_of_freedom = known_freedom(float(line.degrees_of_freedom[at]))
     others, count = _independent_of(at, known, line.n_independent)
-    cut = (float(np.max(others)) - seen) / one if len(others) else -np.inf
+    cut = (float(np.max(others)) - seen) / sigma if len(others) else -np.inf
     wide = half_width(degrees_of_freedom, level=1.0 - NUMBERS.simultaneous_chance / count)
     share = 0.5 * (0.05 - NUMBERS.simultaneous_chance) / (1.0 - NUMBERS.simultaneous_chance)
     parts = (LOW_SHARE * share, 1.0 - (2.0 - LOW_SHARE) * share) if len(others) else (0.025, 0.975)
     below, above = (_not_surprising(cut, wide, degrees_of_freedom, part) for part in parts)
     # where two speeds are alike the upper end falls on the lower one: no amplitude is told better than to its error
-    low, high = max(0.0, seen + one * below), max(seen + one * above, seen + one)
+    low, high = max(0.0, seen + sigma * below), max(seen + sigma * above, seen + sigma)
     if line.ends is None:
         return Largest(at, speed, seen, low, high)
     alone = [float(end) for end in line.ends[at]]
     usual = half_width(degrees_of_freedom)
     if 0.0 < alone[0] < seen and seen < alone[1] < np.inf:
         # the choice stretches the interval of that speed alone; a factor, so that what is seen stays above 0
-        held = max(seen - alone[0], alone[1] - seen) > NUMBERS.changing_ratio * (one * usual)
+        held = max(seen - alone[0], alone[1] - seen) > NUMBERS.changing_ratio * (sigma * usual)
         # what was held within the recordings is no error: the choice stretches only that of the noise
-        by_noise = max(alone[0], seen / (1.0 + usual * one / seen)) if held else alone[0]
+        by_noise = max(alone[0], seen / (1.0 + usual * sigma / seen)) if held else alone[0]
         low = seen * float((by_noise / seen) ** (-below / usual)) if below < 0.0 else seen
         low = min(low, alone[0]) if held else low
         high = max(high, alone[1]) if len(others) == 0 or held else high

@@ -313,15 +313,15 @@ def parted_lines(followed: Sequence[xr.Dataset], *, near: float, reach: float) -
     most = max((len(group) for _, group in groups), default=0)
     if most < 2:
         return []
-    made: list[list[Followed]] = [[] for _ in range(most)]
+    parted: list[list[Followed]] = [[] for _ in range(most)]
     for item, group in groups:
         if len(group) != most:
             continue
         numbers = item["order"].values[group]
-        for lines, place in zip(made, group, strict=True):
+        for lines, place in zip(parted, group, strict=True):
             apart = np.abs(numbers - item["order"].values[place])
             lines.append(_read(item, place, float(apart[apart > 0.0].min())))
-    return made
+    return parted
 
 
 def stands_out(followed: Sequence[xr.Dataset], *, near: float, reach: float) -> bool | None:
@@ -389,7 +389,7 @@ def lines_of(
     Each speed of the map, ``speed_rpm`` (speeds,), holds the row that is nearest to it; the lines are of ``order`` with
     its standard ``order_error``.
     """
-    made = []
+    shown = []
     for line in lines:
         rows = [_rows(item, line.channel) for item in followed]
         speed, size, error, degrees_of_freedom = (np.concatenate(column) for column in zip(*rows, strict=True))
@@ -401,8 +401,8 @@ def lines_of(
         at = np.flatnonzero(inside) if inside.any() else np.array([int(np.nanargmin(apart.min(axis=1)))])
         row = clear[apart[at].argmin(axis=1)]
         read = line.read_again((order, order_error), at, speed[row], size[row], error[row], degrees_of_freedom[row])
-        made.append(replace(read, evidence="follows the speed"))
-    return made
+        shown.append(replace(read, evidence="follows the speed"))
+    return shown
 
 
 def _rows(item: Followed, channel: str) -> tuple[Floats, Floats, Floats, Floats]:

@@ -132,18 +132,18 @@ def _stronger(
     if len(search.speed) < 2 or not search.is_swept:
         return []  # at speeds that are held the rules tell lines
     # at the last bins skirts of others end
-    refused = [one for one in refused if one[0] < len(search.axis) - NUMBERS.neighbour_bins]
+    refused = [peak_seen for peak_seen in refused if peak_seen[0] < len(search.axis) - NUMBERS.neighbour_bins]
     largest = max((float(line.amplitude.max()) for line in named), default=0.0)
     amplitude = np.nan_to_num(search.order_map["amplitude"].values[channel])
-    made = []
+    stronger = []
     for peak, seen in refused:
         far = float(search.over.ratio[channel, seen, peak].max()) > NUMBERS.swelling_ratio
         if far and amplitude[seen, peak].max() > largest and not _has_fixed_frequency(search, channel, peak, seen):
             line = _line(search, channel, peak, seen, UNPROVEN, (UNRESOLVED,))
             # two lines in one bin may be nothing, or twice what it holds
             ends = line.amplitude[:, None] * np.array([0.0, 2.0])
-            made.append(replace(line, amplitude_error=0.5 * line.amplitude, ends=ends))
-    return made
+            stronger.append(replace(line, amplitude_error=0.5 * line.amplitude, ends=ends))
+    return stronger
 
 
 def _line_at(search: _Search, channel: int, peak: int, seen: Ints, needed: int) -> OrderLine | None:
@@ -403,10 +403,12 @@ SWEPT_NUMBERS = MethodNumbers("5-identify-lines.toml", "swept_orders")
 
 def longer_frames(revs: float, span_rev: float) -> list[float]:
     """Lengths [rev] from ``revs`` on, each twice the one before, that a recording of ``span_rev`` holds."""
-    made = [revs]
-    while 2.0 * made[-1] <= SWEPT_NUMBERS.longest_revs and span_rev >= SWEPT_NUMBERS.fewest_lengths * 2.0 * made[-1]:
-        made.append(2.0 * made[-1])
-    return made
+    frames = [revs]
+    while (
+        2.0 * frames[-1] <= SWEPT_NUMBERS.longest_revs and span_rev >= SWEPT_NUMBERS.fewest_lengths * 2.0 * frames[-1]
+    ):
+        frames.append(2.0 * frames[-1])
+    return frames
 
 
 SETTLING_STEPS = 3

@@ -307,7 +307,7 @@ def _seen_of(agreed: AgreedOrder, number: int, modal: ModalFit, settings: Identi
 
 def responses_to(order: float, modal: ModalFit) -> list[OrderResponse]:
     """Responses of ``modal`` to ``order``, of all channels and recordings."""
-    return [item for item in modal.responses if abs(item.order - order) < NUMBERS.same_response_orders]
+    return [response for response in modal.responses if abs(response.order - order) < NUMBERS.same_response_orders]
 
 
 def _crossing(

@@ -145,16 +145,16 @@ def as_avoided(found: Sequence[Crossing], avoid: Sequence[AvoidedSpeed]) -> tupl
     return tuple(told)
 
 
-def _is_vague(item: Crossing) -> bool:
-    """Whether the natural frequency of ``item`` is undecided, and nobody knows where to stay away."""
-    return bool(item.remark) and item.rpm_ci95[1] - item.rpm_ci95[0] > NUMBERS.vague_share * item.rpm
+def _is_vague(crossing: Crossing) -> bool:
+    """Whether the natural frequency of ``crossing`` is undecided, and nobody knows where to stay away."""
+    return bool(crossing.remark) and crossing.rpm_ci95[1] - crossing.rpm_ci95[0] > NUMBERS.vague_share * crossing.rpm
 
 
-def _counts(item: Crossing) -> bool:
-    if not (item.excited and item.in_range) or _is_vague(item):
+def _counts(crossing: Crossing) -> bool:
+    if not (crossing.excited and crossing.in_range) or _is_vague(crossing):
         return False
-    measured = item.amplification_ci95[1] if item.amplification_ci95 is not None else 0.0
-    return bool(max(measured, item.amplification_predicted) >= CROSSINGS.clearly_excited_ratio)
+    measured = crossing.amplification_ci95[1] if crossing.amplification_ci95 is not None else 0.0
+    return bool(max(measured, crossing.amplification_predicted) >= CROSSINGS.clearly_excited_ratio)
 
 
 def _cost(
@@ -262,11 +262,11 @@ def _amplification(
 def _overlapping(met: list[AvoidedSpeed]) -> list[list[AvoidedSpeed]]:
     """Crossings in groups whose speed ranges overlap, by speed."""
     groups: list[list[AvoidedSpeed]] = []
-    for item in sorted(met, key=lambda item: item.rpm_range[0]):
-        if groups and item.rpm_range[0] <= max(other.rpm_range[1] for other in groups[-1]):
-            groups[-1].append(item)
+    for peak in sorted(met, key=lambda peak: peak.rpm_range[0]):
+        if groups and peak.rpm_range[0] <= max(other.rpm_range[1] for other in groups[-1]):
+            groups[-1].append(peak)
         else:
-            groups.append([item])
+            groups.append([peak])
     return groups
 
 
@@ -291,7 +291,7 @@ def _by_modes(
     settings: IdentifySettings,
 ) -> list[_Open]:
     """Speeds at which a known mode amplifies an order by more than is free, or may."""
-    made: list[_Open] = []
+    bands: list[_Open] = []
     for item in found:
         number, slower, named = -1, 1.0, ""
         if item.whirl is None:
@@ -304,20 +304,20 @@ def _by_modes(
             low, high = _amplifying(item.rpm_ci95, settings.free_amplification)
             low, high = item.rpm - slower * (item.rpm - low), item.rpm + slower * (high - item.rpm)
             says = item.verdict if item.in_range else "beside the tested range, so that its flank may reach in"
-            made.append(_Open(low, high, f"{what}: {says}"))
+            bands.append(_Open(low, high, f"{what}: {says}"))
         alike = {(one.recording, unit[one.channel], one.span_rpm) for one in known}
         for key in sorted(alike):
             group = [one for one in known if (one.recording, unit[one.channel], one.span_rpm) == key]
             matters = EXCLUSION.matters_share * max(largest.get(one.channel, 0.0) for one in group)
-            made += _amplified(group, number, modal, what, matters=matters, settings=settings)
-    return made
+            bands += _amplified(group, number, modal, what, matters=matters, settings=settings)
+    return bands
 
 
-def _mode_of(item: Crossing, modal: ModalFit) -> Mode:
+def _mode_of(crossing: Crossing, modal: ModalFit) -> Mode:
     """The mode that a crossing is of; of a whirl, what the order passes through."""
-    if item.whirl is not None and (mode := item.whirl.met_by(item.order)) is not None:
+    if crossing.whirl is not None and (mode := crossing.whirl.met_by(crossing.order)) is not None:
         return mode
-    return min(modal.modes, key=lambda one: abs(one.frequency_hz - item.mode_hz))
+    return min(modal.modes, key=lambda one: abs(one.frequency_hz - crossing.mode_hz))
 
 
 def _amplified(
@@ -344,13 +344,13 @@ def _amplified(
         return []
     amplified = bool((least > factor).any())
     what += f": {'is' if amplified else 'may be'} amplified more than {factor:g} times"
-    made = []
+    bands = []
     for place, end_place in _runs(over):
         begin, end = float(grid[max(place - 1, 0)]), float(grid[min(end_place + 1, len(grid) - 1)])
         if begin <= rpm * (1.0 + beside) and end >= rpm * (1.0 - beside):
             begin, end = min(begin, rpm * (1.0 - beside)), max(end, rpm * (1.0 + beside))
-        made.append(_Open(begin, end, what, amplified))
-    return made
+        bands.append(_Open(begin, end, what, amplified))
+    return bands
 
 
 def _amplifying(rpm: tuple[float, float], factor: float) -> tuple[float, float]:
@@ -365,22 +365,22 @@ def _by_unseen(
     low, high = speed_rpm
     if not orders:
         return [_Open(low, high, "no order stands out")]
-    made: list[_Open] = []
+    bands: list[_Open] = []
     for agreed in orders:
         bounds = [item for item in modal.unseen if _is_order(agreed.order, item.order)]
         name = f"order {agreed.order:.4g}"
         if not bounds:
-            made.append(_Open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
+            bands.append(_Open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
             continue
         first = min(float(bound.speed_rpm[0]) for bound in bounds)
         last = max(float(bound.speed_rpm[-1]) for bound in bounds)
         ends = ((low, first), (last, high))
-        made += [
+        bands += [
             _Open(a, b, f"{name} was not measured there") for a, b in ends if b > a * (1.0 + NUMBERS.same_speed_share)
         ]
         for bound in bounds:
-            made += _between(bound, settings.free_amplification, name)
-    return made
+            bands += _between(bound, settings.free_amplification, name)
+    return bands
 
 
 def _by_ringing(modal: ModalFit) -> list[_Open]:
@@ -398,7 +398,7 @@ def _by_ringing(modal: ModalFit) -> list[_Open]:
 
 def _by_shown(orders: tuple[AgreedOrder, ...], modal: ModalFit, settings: IdentifySettings) -> list[_Open]:
     """Speeds at which an order that only the spectra of sweeps show meets a mode, or could meet one that nobody saw."""
-    made: list[_Open] = []
+    bands: list[_Open] = []
     for order in modal.shown_orders:
         if any(_is_order(order, agreed.order) for agreed in orders):
             continue
@@ -406,10 +406,10 @@ def _by_shown(orders: tuple[AgreedOrder, ...], modal: ModalFit, settings: Identi
         for mode in modal.modes:
             ends = (mode.frequency_hz - mode.frequency_half_hz, mode.frequency_hz + mode.frequency_half_hz)
             low, high = _amplifying((60.0 * ends[0] / order, 60.0 * ends[1] / order), settings.free_amplification)
-            made.append(_Open(low, high, f"{name} meets {mode.frequency_hz:.4g} Hz"))
+            bands.append(_Open(low, high, f"{name} meets {mode.frequency_hz:.4g} Hz"))
         for bound in modal.unseen:
-            made += _between(bound, settings.free_amplification, name) if _is_order(order, bound.order) else []
-    return made
+            bands += _between(bound, settings.free_amplification, name) if _is_order(order, bound.order) else []
+    return bands
 
 
 def _is_order(order: float, other: float) -> bool:
@@ -442,10 +442,10 @@ def _split(
         f"({100.0 * settings.free_confidence:g} %)"
     )
     start, narrowest = low, min(settings.crossing_band_rpm, high - low) if high > low else np.inf
-    for item in [*sorted(opened, key=lambda one: one.low_rpm), _Open(high, high, "")]:
-        if min(item.low_rpm, high) - start >= narrowest:
-            free.append(SpeedBand(start, min(item.low_rpm, high), excludes))
-        start = max(start, item.high_rpm)
+    for band in [*sorted(opened, key=lambda one: one.low_rpm), _Open(high, high, "")]:
+        if min(band.low_rpm, high) - start >= narrowest:
+            free.append(SpeedBand(start, min(band.low_rpm, high), excludes))
+        start = max(start, band.high_rpm)
     ends = [low, *(end for band in free for end in (band.low_rpm, band.high_rpm)), high]
     rest = []
     for begin, end in zip(ends[::2], ends[1::2], strict=True):
@@ -478,7 +478,7 @@ def lone_peaks(
     ranks it. The natural frequency is that of the ``modal`` fit between the neighbouring speeds; where there is
     none, that at which the order peaks.
     """
-    made: list[AvoidedSpeed] = []
+    lone: list[AvoidedSpeed] = []
     for agreed in orders:
         peaks = [
             (line, place, ratio)
@@ -495,9 +495,9 @@ def lone_peaks(
             peak = _avoided(agreed.order, line, rpm, ratio, modal, worst, in_unit)
             # a sweep rings behind a resonance
             reach = 1.0 if line.n_independent is None else 1.0 + LONE_NUMBERS.around_share
-            if not any(_holds(other, peak, reach) for other in (*avoided, *made)):
-                made.append(peak)
-    return made
+            if not any(_holds(other, peak, reach) for other in (*avoided, *lone)):
+                lone.append(peak)
+    return lone
 
 
 def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
@@ -551,8 +551,8 @@ def _avoided(
     )
 
 
-def _holds(other: AvoidedSpeed, item: AvoidedSpeed, reach: float) -> bool:
+def _holds(other: AvoidedSpeed, peak: AvoidedSpeed, reach: float) -> bool:
     """Whether ``other`` speaks of the same order between the same speeds, or ``reach`` times beside."""
-    alike = any(abs(one - item.orders[0]) <= 1e-3 * item.orders[0] for one in other.orders)
-    (low, high), (least, most) = item.rpm_range, other.rpm_range
+    alike = any(abs(one - peak.orders[0]) <= 1e-3 * peak.orders[0] for one in other.orders)
+    (low, high), (least, most) = peak.rpm_range, other.rpm_range
     return alike and least <= reach * high and low <= reach * most
