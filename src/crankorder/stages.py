@@ -28,7 +28,7 @@ from crankorder.engine.definition import Engine
 from crankorder.fft.decimation import band_limited
 from crankorder.findings import Findings, nothing_sought
 from crankorder.flow import StagePlan
-from crankorder.identify.bearings.places import bearing_combs
+from crankorder.identify.bearings.envelope_lines import bearing_combs
 from crankorder.identify.found import SweepFits
 from crankorder.identify.machine_model import MachineModel
 from crankorder.ingest.manifest import Manifest
@@ -215,7 +215,7 @@ def tracks_of_recording(
 
     ``settings``: of orders, and of identify for what stands out.
     """
-    from crankorder.identify.lines.swept_orders import swept_orders  # with much that maps alone need not wait for
+    from crankorder.identify.lines.order_lines import swept_orders  # with much that maps alone need not wait for
 
     swept = settings.orders.track_method == "auto" and bool(frames.attrs.get("swept", 0))
     found = swept_orders(frames, settings=settings) if swept else []

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from crankorder.identify.lines.cfar import (
+from crankorder.identify.lines.line_evidence import (
     independent_bins,
     noise_floor,
     noise_level,

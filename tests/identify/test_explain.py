@@ -19,7 +19,7 @@ from crankorder.identify.causes.explain import (
 )
 from crankorder.identify.causes.sidebands import race_cause, struck_races
 from crankorder.identify.found import Tone
-from crankorder.identify.lines.order_lock import NO_PULSES
+from crankorder.identify.lines.line_phasors import NO_PULSES
 from crankorder.identify.machine_model import StatedPart
 from crankorder.identify.modes.alike_speeds import without_doubles
 from crankorder.ingest.manifest import Gear

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
-from crankorder.identify.lines.order_lock import lock_of, proves_speed, revs_to_decide
+from crankorder.identify.lines.line_phasors import lock_of, proves_speed, revs_to_decide
 from crankorder.identify.modes.order_blocks import blocks_of, with_locks_through_modes
 
 

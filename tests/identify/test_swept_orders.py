@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from crankorder.identify.found import AgreedOrder
-from crankorder.identify.lines.order_lock import sure_half_width
-from crankorder.identify.lines.swept_orders import swept_orders
+from crankorder.identify.lines.line_phasors import sure_half_width
+from crankorder.identify.lines.order_lines import swept_orders
 from crankorder.orders.followed import followed_tracks
 from crankorder.orders.frames import order_frames
 from crankorder.settings import load_settings

@@ -15,7 +15,7 @@ import pytest
 from scipy.signal import hilbert
 
 from crankorder.engine.bearings import bearing_orders
-from crankorder.identify.bearings.places import bearing_combs
+from crankorder.identify.bearings.envelope_lines import bearing_combs
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.report.sentences.story import headline

@@ -12,9 +12,8 @@ from scipy.special import gammainccinv
 from crankorder.findings import Energy, EnergyShares
 from crankorder.identify.causes.explain import Causes
 from crankorder.identify.found import AgreedOrder, ModalFit
-from crankorder.identify.lines.cfar import highest_of_three, noise_level
 from crankorder.identify.lines.line_evidence import NUMBERS as LINE_EVIDENCE
-from crankorder.identify.lines.line_evidence import log_chance_of_kurtosis
+from crankorder.identify.lines.line_evidence import highest_of_three, log_chance_of_kurtosis, noise_level
 from crankorder.identify.modes.floor import group_width_rpm
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -64,9 +63,8 @@ def energy_shares(
     settings : those of identify
     """
     if campbell.sizes["speed"]:
-        made, lines = by_frequency(campbell, orders, modal, causes)
         judged = modal.fitted_psd.size > 0
-        parts = [_looked_at(made, lines, modal, settings) if judged else _looked_at(made, lines, None, settings)]
+        parts = [_looked_at(*by_frequency(campbell, orders, modal, causes), modal if judged else None, settings)]
         above = beyond(campbell, order_map, orders, causes)
         parts += [] if above is None else [_looked_at(*above, None, settings)]
     else:
@@ -76,10 +74,9 @@ def energy_shares(
         _shares(name, unit, [_channel(number, part) for part in parts])
         for number, (name, unit) in enumerate(zip(names, units, strict=True))
     )
-    shares = [_fraction(record) for record in channels]
-    decided = [share for share in shares if share is not None]
-    made_of = Energy(cells_judged=judged, band_hz=band_end_hz(campbell, order_map), channels=channels)
-    return made_of, float(np.mean(decided)) if decided else 0.0
+    decided = [share for record in channels if (share := _fraction(record)) is not None]
+    energy = Energy(cells_judged=judged, band_hz=band_end_hz(campbell, order_map), channels=channels)
+    return energy, float(np.mean(decided)) if decided else 0.0
 
 
 @dataclass(frozen=True)
@@ -90,29 +87,30 @@ class _LookedAt:
     the shape of the map's energy.
     """
 
-    made: EnergyMap
+    grid: EnergyMap
     lines: EnergyLines
     owner: Ints
     surface: Floats
     unexplained: Floats
 
 
-def _looked_at(made: EnergyMap, lines: EnergyLines, modal: ModalFit | None, settings: IdentifySettings) -> _LookedAt:
+def _looked_at(grid: EnergyMap, lines: EnergyLines, modal: ModalFit | None, settings: IdentifySettings) -> _LookedAt:
     """What each cell of a map belongs to, by the fitted surface of ``modal`` where there is one."""
-    owner = _owners(made.axis, lines)
-    surface = _surface(made, owner, modal)
-    owner = _owners(made.axis, _with_skirts(made, lines, surface))
+    owner = _owners(grid.axis, lines)
+    surface = _surface(grid, owner, modal)
+    owner = _owners(grid.axis, _with_skirts(grid, lines, surface))
+    chance = min(settings.false_alarm_probability, NUMBERS.map_chance / max(1, grid.energy.size))
     if modal is not None:
-        unexplained = _over_surface(made, owner, surface, modal, settings)
+        unexplained = _over_surface(grid, owner, surface, modal, chance)
     else:
-        unexplained = _lines_alone(made, owner, surface, settings)
-    return _LookedAt(made, lines, owner, surface, unexplained)
+        unexplained = _lines_alone(grid, owner, surface, settings.least_damping_ratio, chance)
+    return _LookedAt(grid, lines, owner, surface, unexplained)
 
 
 def _fraction(record: EnergyShares) -> float | None:
     """Share of what is not broadband that nothing explains; of all where there is no line; None where nothing is."""
-    told = record.orders, record.tones, record.unexplained_lines, record.unexplained_cells, record.unexplained
-    orders, tones, loose, cells, unexplained = (share or 0.0 for share in told)
+    shares = record.orders, record.tones, record.unexplained_lines, record.unexplained_cells, record.unexplained
+    orders, tones, loose, cells, unexplained = (share or 0.0 for share in shares)
     lines = orders + tones + loose
     if lines > 0.0:
         return float(unexplained / (lines + cells))
@@ -134,32 +132,34 @@ def _owners(axis: Floats, lines: EnergyLines) -> Ints:
     return owner
 
 
-def _with_skirts(made: EnergyMap, lines: EnergyLines, surface: Floats) -> EnergyLines:
+def _with_skirts(grid: EnergyMap, lines: EnergyLines, surface: Floats) -> EnergyLines:
     """The ``lines`` with a reach up to where the side lobes of their window sink into the floor."""
     if not lines.centre.size:
         return lines
     own = lines.reach.min() / MAP_NUMBERS.line_bins
-    at = np.clip(np.searchsorted(made.axis, lines.centre), 0, len(made.axis) - 1)
+    at = np.clip(np.searchsorted(grid.axis, lines.centre), 0, len(grid.axis) - 1)
     floor = surface[:, np.arange(len(at))[:, None], at]
     with np.errstate(invalid="ignore", divide="ignore"):
         height = np.where(floor > 0.0, np.nan_to_num(lines.stated) / floor, 0.0).max(axis=0)
-    return replace(
-        lines, reach=np.maximum(lines.reach, own * _skirt_bins(np.minimum(height, NUMBERS.most_height_ratio)))
-    )
+    skirts = own * _skirt_bins(np.minimum(height, NUMBERS.most_height_ratio))
+    return replace(lines, reach=np.maximum(lines.reach, skirts))
 
 
-def _surface(made: EnergyMap, owner: Ints, modal: ModalFit | None) -> Floats:
+def _surface(grid: EnergyMap, owner: Ints, modal: ModalFit | None) -> Floats:
     """Energy expected in each cell without lines (channels, rows, cells), from the fit ``modal`` where there is one."""
-    free = np.where(owner < 0, made.energy, np.nan)
-    free[..., (made.energy == 0.0).all(axis=(0, 1))] = np.nan
+    free = np.where(owner < 0, grid.energy, np.nan)
+    free[..., (grid.energy == 0.0).all(axis=(0, 1))] = np.nan
     if modal is not None:
-        shape = np.stack([_filled(made.axis, modal.frequency_hz, psd) for psd in modal.fitted_psd])
+        shape = np.stack([_filled(grid.axis, modal.frequency_hz, psd) for psd in modal.fitted_psd])
     else:
-        shape = np.stack([_filled(made.axis, made.axis, _smoothed(_median(rows, axis=0))) for rows in free])
+        half = NUMBERS.smoothed_bins // 2
+        padded = [np.pad(_median(rows, axis=0), half, constant_values=np.nan) for rows in free]
+        windows = [np.lib.stride_tricks.sliding_window_view(values, NUMBERS.smoothed_bins) for values in padded]
+        shape = np.stack([_filled(grid.axis, grid.axis, _median(window, axis=-1)) for window in windows])
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = free / shape[:, None, :]
     # the median of a mean of n energies of noise is below its mean (Wilson and Hilferty 1931)
-    gain = _median(ratio, axis=-1) / (1.0 - 1.0 / (9.0 * np.maximum(made.averages, 1.0))) ** 3
+    gain = _median(ratio, axis=-1) / (1.0 - 1.0 / (9.0 * np.maximum(grid.averages, 1.0))) ** 3
     return np.nan_to_num(gain)[..., None] * shape[:, None, :]
 
 
@@ -179,67 +179,59 @@ def _filled(axis: Floats, at: Floats, values: Floats) -> Floats:
     return np.asarray(np.exp(np.interp(axis, at[known], np.log(values[known]))))
 
 
-def _smoothed(values: Floats) -> Floats:
-    half = NUMBERS.smoothed_bins // 2
-    padded = np.pad(values, half, constant_values=np.nan)
-    return _median(np.lib.stride_tricks.sliding_window_view(padded, NUMBERS.smoothed_bins), axis=-1)
-
-
-def _over_surface(made: EnergyMap, owner: Ints, surface: Floats, modal: ModalFit, settings: IdentifySettings) -> Floats:
+def _over_surface(grid: EnergyMap, owner: Ints, surface: Floats, modal: ModalFit, chance: float) -> Floats:
     """Energy (channels, rows, cells) outside the lines that stands over the ``surface`` as noise does not."""
-    free = (owner >= 0)[None] == np.zeros(made.energy.shape, dtype=bool)
-    free &= (surface > 0.0) & (made.energy > 0.0)
-    chance = min(settings.false_alarm_probability, NUMBERS.map_chance / max(1, made.energy.size))
+    free = (owner >= 0)[None] == np.zeros(grid.energy.shape, dtype=bool)
+    free &= (surface > 0.0) & (grid.energy > 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = np.where(free, made.energy / surface, np.nan)
-        level = _level(ratio, made.averages[None, :], chance)
-        over = np.where(ratio > level[..., None], made.energy - surface, 0.0)
+        ratio = np.where(free, grid.energy / surface, np.nan)
+        level = _level(ratio, grid.averages[None, :], chance)
+        over = np.where(ratio > level[..., None], grid.energy - surface, 0.0)
         # what no single speed shows, all together may: the mean floor over its fit
-        left = np.stack([_filled(made.axis, modal.frequency_hz, psd) for psd in modal.floor_psd])
-        fitted = np.stack([_filled(made.axis, modal.frequency_hz, psd) for psd in modal.fitted_psd])
+        left = np.stack([_filled(grid.axis, modal.frequency_hz, psd) for psd in modal.floor_psd])
+        fitted = np.stack([_filled(grid.axis, modal.frequency_hz, psd) for psd in modal.fitted_psd])
         mean_ratio = np.where(fitted > 0.0, left / fitted, np.nan)
-    total = np.full(len(mean_ratio), made.averages.sum())
+    total = np.full(len(mean_ratio), grid.averages.sum())
     mean_level = _level(mean_ratio, total, chance)
     standing = np.where(mean_ratio > mean_level[:, None], mean_ratio - 1.0, 0.0)
-    everywhere = np.where(free & (over == 0.0), np.minimum(made.energy, standing[:, None, :] * surface), 0.0)
+    everywhere = np.where(free & (over == 0.0), np.minimum(grid.energy, standing[:, None, :] * surface), 0.0)
     return np.asarray(np.nan_to_num(over) + np.nan_to_num(everywhere))
 
 
-def _lines_alone(made: EnergyMap, owner: Ints, surface: Floats, settings: IdentifySettings) -> Floats:
+def _lines_alone(grid: EnergyMap, owner: Ints, surface: Floats, least_damping_ratio: float, chance: float) -> Floats:
     """Energy (channels, rows, cells) over the ``surface`` in lines that nobody named, where no surface was fitted.
 
     Such a line is sharper, or steadier from frame to frame, than the least damped natural frequency that noise rings.
     """
-    found = np.zeros(made.energy.shape)
-    if made.kurtosis is None:
-        return found
-    chance = min(settings.false_alarm_probability, NUMBERS.map_chance / max(1, made.energy.size))
-    step = float(made.axis[1] - made.axis[0])
-    least = settings.least_damping_ratio * np.maximum(made.axis, step) / step
-    level = np.array([noise_level(max(1.0, float(n)), len(NUMBERS.skirt_bins), chance) for n in made.averages])[:, None]
+    unexplained = np.zeros(grid.energy.shape)
+    if grid.kurtosis is None:
+        return unexplained
+    step = float(grid.axis[1] - grid.axis[0])
+    least = least_damping_ratio * np.maximum(grid.axis, step) / step
+    level = np.array([noise_level(max(1.0, float(n)), len(NUMBERS.skirt_bins), chance) for n in grid.averages])[:, None]
     skirts = 1.0 / np.mean([1.0 / (1.0 + (away / least) ** 2) for away in NUMBERS.skirt_bins], axis=0)
     with np.errstate(invalid="ignore"):
-        sharp = (made.energy > level * skirts * _beside(made.energy)) & (made.kurtosis < LINE_EVIDENCE.steady_kurtosis)
-        stands = (made.energy > level * surface) & (sharp | _steady(made, least, chance)) & (owner < 0)
-    stands &= highest_of_three(made.energy) & (surface > 0.0) & (made.averages >= 2.0)[:, None]
-    cells = np.arange(len(made.axis))
+        sharp = (grid.energy > level * skirts * _beside(grid.energy)) & (grid.kurtosis < LINE_EVIDENCE.steady_kurtosis)
+        stands = (grid.energy > level * surface) & (sharp | _steady(grid, least, chance)) & (owner < 0)
+    stands &= highest_of_three(grid.energy) & (surface > 0.0) & (grid.averages >= 2.0)[:, None]
+    cells = np.arange(len(grid.axis))
     for channel, row, at in zip(*np.nonzero(stands), strict=True):
-        height = min(float(made.energy[channel, row, at] / surface[channel, row, at]), NUMBERS.most_height_ratio)
+        height = min(float(grid.energy[channel, row, at] / surface[channel, row, at]), NUMBERS.most_height_ratio)
         own = (np.abs(cells - at) <= max(MAP_NUMBERS.line_bins, _skirt_bins(height))) & (owner[row] < 0)
-        over = made.energy[channel, row] - surface[channel, row]
-        found[channel, row] = np.where(own, np.maximum(over, 0.0), found[channel, row])
-    return found
+        over = grid.energy[channel, row] - surface[channel, row]
+        unexplained[channel, row] = np.where(own, np.maximum(over, 0.0), unexplained[channel, row])
+    return unexplained
 
 
-def _steady(made: EnergyMap, least: Floats, chance: float) -> Bools:
+def _steady(grid: EnergyMap, least: Floats, chance: float) -> Bools:
     """Where noise that rings over 2 ``least`` cells (cells,) is so steady with less than ``chance``.
 
     Independent spectra begin half a frame apart; what rings on from one to the next makes them fewer.
     """
-    assert made.kurtosis is not None
-    frames = np.maximum(made.averages[:, None] * -np.expm1(-2.0 * np.pi * least), 2.0)
-    told = log_chance_of_kurtosis(np.nan_to_num(made.kurtosis, nan=1.0), frames) < np.log(chance)
-    return np.asarray(told & (made.kurtosis < LINE_EVIDENCE.steady_kurtosis))
+    assert grid.kurtosis is not None
+    frames = np.maximum(grid.averages[:, None] * -np.expm1(-2.0 * np.pi * least), 2.0)
+    is_seldom = log_chance_of_kurtosis(np.nan_to_num(grid.kurtosis, nan=1.0), frames) < np.log(chance)
+    return np.asarray(is_seldom & (grid.kurtosis < LINE_EVIDENCE.steady_kurtosis))
 
 
 def _beside(energy: Floats) -> Floats:
@@ -249,10 +241,8 @@ def _beside(energy: Floats) -> Floats:
     """
     reach, n = max(NUMBERS.skirt_bins), energy.shape[-1]
     padded = np.pad(energy, ((0, 0), (0, 0), (reach, reach)), constant_values=np.inf)
-    sides = [
-        np.mean([padded[..., reach + k * sign :][..., :n] for k in NUMBERS.skirt_bins], axis=0) for sign in (-1, 1)
-    ]
-    return np.asarray(np.minimum(*sides))
+    below, above = ([padded[..., reach + k * sign :][..., :n] for k in NUMBERS.skirt_bins] for sign in (-1, 1))
+    return np.asarray(np.minimum(np.mean(below, axis=0), np.mean(above, axis=0)))
 
 
 def _skirt_bins(height: Any) -> Any:
@@ -278,14 +268,13 @@ def _level(ratio: Floats, averages: Floats, false_alarm_probability: float) -> F
 
 def _channel(number: int, looked: _LookedAt) -> dict[str, float]:
     """Mean square of each part of one channel and in ``total``, over the rows that hold data."""
-    made, lines = looked.made, looked.lines
-    rows = np.flatnonzero(np.isfinite(made.energy[number]).all(axis=-1))
-    share, owner = made.share[rows], looked.owner[rows]
-    energy, expected = share * made.energy[number, rows], share * looked.surface[number, rows]
-    n_lines = lines.centre.shape[1]
-    of_line = np.zeros(n_lines)
-    if n_lines:
-        of_line += _energy_of_lines(made, lines, number, (rows, owner, energy, expected))
+    grid, lines = looked.grid, looked.lines
+    rows = np.flatnonzero(np.isfinite(grid.energy[number]).all(axis=-1))
+    share, owner = grid.share[rows], looked.owner[rows]
+    energy, expected = share * grid.energy[number, rows], share * looked.surface[number, rows]
+    of_line = np.zeros(lines.centre.shape[1])
+    if of_line.size:
+        of_line += _energy_of_lines(grid, lines, number, (rows, owner, energy, expected))
     known, tone = lines.known[number], lines.is_tone
     parts = {
         "orders": of_line[known & ~tone].sum(),
@@ -298,7 +287,7 @@ def _channel(number: int, looked: _LookedAt) -> dict[str, float]:
 
 
 def _energy_of_lines(
-    made: EnergyMap, lines: EnergyLines, number: int, cells: tuple[Ints, Ints, Floats, Floats]
+    grid: EnergyMap, lines: EnergyLines, number: int, cells: tuple[Ints, Ints, Floats, Floats]
 ) -> Floats:
     """Energy of each line in channel ``number``, summed over the rows.
 
@@ -307,24 +296,24 @@ def _energy_of_lines(
     """
     rows, owner, energy, expected = cells
     n_lines, stated = lines.centre.shape[1], np.nan_to_num(lines.stated[number, rows])
-    seen = np.isfinite(lines.stated[number, rows]) & _inside(made, lines)[rows]
+    seen = np.isfinite(lines.stated[number, rows]) & _inside(grid, lines)[rows]
     place = (np.arange(len(rows))[:, None] * n_lines + owner)[owner >= 0]
     own = [energy[owner >= 0], expected[owner >= 0], np.ones(len(place))]
     alone = [_sums(place, values, seen.shape) for values in own]
-    group = _groups(lines.centre[rows], MAP_NUMBERS.line_bins * float(made.axis[1] - made.axis[0]))
+    group = _groups(lines.centre[rows], MAP_NUMBERS.line_bins * float(grid.axis[1] - grid.axis[0]))
 
     def together(values: Floats) -> Floats:
         return np.asarray(_sums(group.ravel(), values.ravel(), seen.shape).ravel()[group])
 
     there, floor, count = (together(values) for values in alone)
-    told, members = together(np.where(seen, stated, 0.0)), together(seen.astype(np.float64))
+    named, members = together(np.where(seen, stated, 0.0)), together(seen.astype(np.float64))
     # the sum of so many powers of noise, and of what it makes of a line, scatters by this share of them
     held = np.maximum(1.0, count)
-    each, root = floor / held, np.sqrt(np.maximum(made.averages[rows], 1.0))[:, None]
-    scatter = (np.sqrt(held) * each + np.sqrt(2.0 * told * each)) / root
-    more = there - floor - told > NUMBERS.clear_sigmas * scatter
-    both = np.clip(np.where(more, there - floor, told), 0.0, there)
-    part = np.where(told > 0.0, stated / np.where(told > 0.0, told, 1.0), 1.0 / np.maximum(members, 1.0))
+    each, root = floor / held, np.sqrt(np.maximum(grid.averages[rows], 1.0))[:, None]
+    scatter = (np.sqrt(held) * each + np.sqrt(2.0 * named * each)) / root
+    more = there - floor - named > NUMBERS.clear_sigmas * scatter
+    both = np.clip(np.where(more, there - floor, named), 0.0, there)
+    part = np.where(named > 0.0, stated / np.where(named > 0.0, named, 1.0), 1.0 / np.maximum(members, 1.0))
     unseen = np.where(members > 0.0, 0.0, alone[0] - alone[1]).sum(axis=0)
     return np.asarray(np.where(seen, part * both, 0.0).sum(axis=0) + np.maximum(0.0, unseen))
 
@@ -334,18 +323,18 @@ def _groups(centre: Floats, near: float) -> Ints:
     rank = np.argsort(centre, axis=1)
     apart = np.diff(np.take_along_axis(centre, rank, axis=1), axis=1) > near
     label = np.concatenate([np.zeros((len(centre), 1), dtype=np.int64), np.cumsum(apart, axis=1)], axis=1)
-    made = np.empty(centre.shape, dtype=np.int64)
-    np.put_along_axis(made, rank, label, axis=1)
-    return np.asarray(made + np.arange(len(centre))[:, None] * centre.shape[1], dtype=np.int64)
+    group = np.empty(centre.shape, dtype=np.int64)
+    np.put_along_axis(group, rank, label, axis=1)
+    return np.asarray(group + np.arange(len(centre))[:, None] * centre.shape[1], dtype=np.int64)
 
 
-def _inside(made: EnergyMap, lines: EnergyLines) -> Bools:
+def _inside(grid: EnergyMap, lines: EnergyLines) -> Bools:
     """Whether the middle of each line lies in what counts of the map (rows, lines); else only its skirts do."""
-    step = float(made.axis[1] - made.axis[0])
+    step = float(grid.axis[1] - grid.axis[0])
     known = np.isfinite(lines.centre)
-    at = np.rint((np.where(known, lines.centre, made.axis[0]) - made.axis[0]) / step).astype(np.int64)
-    last = len(made.axis) - 1
-    counts = np.take_along_axis(made.share, np.clip(at, 0, last), axis=1)
+    at = np.rint((np.where(known, lines.centre, grid.axis[0]) - grid.axis[0]) / step).astype(np.int64)
+    last = len(grid.axis) - 1
+    counts = np.take_along_axis(grid.share, np.clip(at, 0, last), axis=1)
     return np.asarray(known & (at <= last) & (counts > 0.5))
 
 
@@ -356,13 +345,9 @@ def _shares(channel: str, unit: str, parts: list[dict[str, float]]) -> EnergySha
     shares = {name: part / total if total > 0.0 else 0.0 for name, part in joined.items()}
     unexplained = shares["unexplained_lines"] + shares["unexplained_cells"]
     rest = max(0.0, 1.0 - shares["orders"] - shares["tones"] - unexplained)
+    floor = rest if total > 0.0 else 0.0
     return EnergyShares(
-        channel=channel,
-        unit=f"({unit})²",
-        **shares,
-        unexplained=unexplained,
-        modes_and_floor=rest if total > 0.0 else 0.0,
-        total=total,
+        channel=channel, unit=f"({unit})²", **shares, unexplained=unexplained, modes_and_floor=floor, total=total
     )
 
 
@@ -424,17 +409,16 @@ def by_frequency(
     near_rpm = max(0.5 * float(campbell.attrs["speed_bin_rpm"]), 1e-3)
     for at, agreed in enumerate(orders):
         for line in agreed.lines:
-            _put(stated[channels.index(line.channel), :, at], speed, line.speed_rpm, half * line.amplitude**2, near_rpm)
+            rows = stated[channels.index(line.channel), :, at]
+            for rpm, value in zip(line.speed_rpm, half * line.amplitude**2, strict=True):
+                row = int(np.argmin(np.abs(speed - rpm)))
+                if abs(speed[row] - rpm) <= near_rpm:
+                    rows[row] = value if np.isnan(rows[row]) else max(value, rows[row])
     for at, tone in enumerate(modal.tones, start=len(orders)):
         for name, (amplitude, _) in tone.amplitude.items():
             stated[channels.index(name), :, at] = half * amplitude**2
-    known = np.concatenate(
-        [
-            _known_orders(channels, orders, causes),
-            np.broadcast_to(np.array([cause.known for cause in causes.tones], dtype=bool), (len(channels), len(tones))),
-        ],
-        axis=1,
-    )
+    known_tones = np.tile(np.array([cause.known for cause in causes.tones], dtype=bool), (len(channels), 1))
+    known = np.concatenate([_known_orders(channels, orders, causes), known_tones], axis=1)
     counts = campbell["n_frames"].values.astype(np.float64)
     is_tone = np.arange(centre.shape[1]) >= len(orders)
     whole = np.ones(energy.shape[1:])
@@ -455,11 +439,10 @@ def by_order(order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], causes: Cau
         for line in agreed.lines:
             stated[channels.index(line.channel), line.seen, at] = half * line.amplitude**2
     counts = order_map["n_independent"].values.astype(np.float64)
-    lines = EnergyLines(
-        centre, reach, stated, _known_orders(channels, orders, causes), np.zeros(len(orders), dtype=bool)
-    )
-    known = order_map["spectral_kurtosis"].values if "spectral_kurtosis" in order_map else None
-    return EnergyMap(axis, energy, counts, np.ones(energy.shape[1:]), known), lines
+    known, is_tone = _known_orders(channels, orders, causes), np.zeros(len(orders), dtype=bool)
+    kurtosis = order_map["spectral_kurtosis"].values if "spectral_kurtosis" in order_map else None
+    energies = EnergyMap(axis, energy, counts, np.ones(energy.shape[1:]), kurtosis)
+    return energies, EnergyLines(centre, reach, stated, known, is_tone)
 
 
 def beyond(
@@ -471,13 +454,13 @@ def beyond(
     """
     if order_map.sizes.get("order", 0) < 2 or not order_map.sizes["speed"]:
         return None
-    made, lines = by_order(order_map, orders, causes)
+    grid, lines = by_order(order_map, orders, causes)
     ends_hz = float(campbell["frequency"].values[-1]) + 0.5 * float(campbell.attrs["resolution_hz"])
     per_order = np.nan_to_num(order_map["speed"].values)[:, None] / 60.0
-    half = 0.5 * float(made.axis[1] - made.axis[0])
+    half = 0.5 * float(grid.axis[1] - grid.axis[0])
     with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.nan_to_num(np.clip((made.axis + half - ends_hz / per_order) / (2.0 * half), 0.0, 1.0))
-    return (replace(made, share=share), lines) if share.any() else None
+        share = np.nan_to_num(np.clip((grid.axis + half - ends_hz / per_order) / (2.0 * half), 0.0, 1.0))
+    return (replace(grid, share=share), lines) if share.any() else None
 
 
 def band_end_hz(campbell: xr.Dataset, order_map: xr.Dataset) -> float | None:
@@ -493,17 +476,9 @@ def band_end_hz(campbell: xr.Dataset, order_map: xr.Dataset) -> float | None:
     return max(ends, default=None)
 
 
-def _square_of_peak(made: xr.Dataset) -> float:
+def _square_of_peak(dataset: xr.Dataset) -> float:
     """Mean square of a line over its squared amplitude."""
-    return 1.0 if made.attrs.get("amplitude_scaling") == "rms" else 0.5
-
-
-def _put(into: Floats, speed: Floats, of_line: Floats, energy: Floats, near_rpm: float) -> None:
-    """Put the ``energy`` of a line at its speeds ``of_line`` into the rows of ``speed`` nearest to them."""
-    for rpm, value in zip(of_line, energy, strict=True):
-        row = int(np.argmin(np.abs(speed - rpm)))
-        if abs(speed[row] - rpm) <= near_rpm:
-            into[row] = value if np.isnan(into[row]) else max(value, into[row])
+    return 1.0 if dataset.attrs.get("amplitude_scaling") == "rms" else 0.5
 
 
 def _known_orders(channels: list[str], orders: tuple[AgreedOrder, ...], causes: Causes) -> Bools:

@@ -37,9 +37,9 @@ from crankorder.identify.lines.followed_orders import (
 )
 from crankorder.identify.lines.growth import if_unbalance
 from crankorder.identify.lines.known_lines import LineSeen, held_of, without_known
+from crankorder.identify.lines.line_phasors import speed_source
 from crankorder.identify.lines.mains import mains_seen, motor_seen, without_ringing
 from crankorder.identify.lines.order_lines import order_lines
-from crankorder.identify.lines.order_lock import speed_source
 from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.alike_speeds import with_tones_settled
 from crankorder.identify.modes.joint_fit import modal_fit

@@ -80,14 +80,14 @@ def adjusted(p_values: Floats) -> Floats:
     Source: Benjamini, Hochberg (1995), J. R. Statist. Soc. B 57, 289, eq. 1.
     """
     flat = np.ravel(np.asarray(p_values, dtype=np.float64))
-    made = np.full(flat.shape, np.nan)
+    rates = np.full(flat.shape, np.nan)
     known = np.flatnonzero(np.isfinite(flat))
     n = len(known)
     if n:
         rank = np.argsort(flat[known], kind="stable")
         factor = n / np.arange(1.0, n + 1.0)
-        made[known[rank]] = np.minimum(np.minimum.accumulate((flat[known][rank] * factor)[::-1])[::-1], 1.0)
-    return made.reshape(np.shape(p_values))
+        rates[known[rank]] = np.minimum(np.minimum.accumulate((flat[known][rank] * factor)[::-1])[::-1], 1.0)
+    return rates.reshape(np.shape(p_values))
 
 
 def claimed(p_values: Floats, *, q: float) -> Bools:

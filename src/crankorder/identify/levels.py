@@ -16,7 +16,7 @@ from crankorder.campbell.vibration_levels import CONFIDENCE, rms_within
 from crankorder.findings import Balance, Level, LimitVerdict, ThirdOctave, VibrationLevel
 from crankorder.identify.machine_model import Limit, MachineModel
 from crankorder.quantities import Floats, Ints
-from crankorder.records import Interval, known
+from crankorder.records import Interval, finite, known
 
 MOST_SPEEDS = 24
 """Speeds at which a level stands in the findings; of more, the loudest alone: all of them are in the dataset."""
@@ -33,10 +33,10 @@ def level_records(levels: Sequence[xr.Dataset]) -> tuple[Level, ...]:
     lines above the band the strongest is told.
     """
     rows, units = dict[str, list[Floats]](), dict[str, str]()
-    for one in levels:
-        table = np.stack([one.variables[name].values for name in _LEVELS], axis=1)
-        table = np.column_stack([table, np.full(len(table), one.attrs["band_hz"])])
-        names, own = (one.variables[name].values.tolist() for name in ("channel", "unit"))
+    for recording in levels:
+        table = np.stack([recording.variables[name].values for name in _LEVELS], axis=1)
+        table = np.column_stack([table, np.full(len(table), recording.attrs["band_hz"])])
+        names, own = (recording.variables[name].values.tolist() for name in ("channel", "unit"))
         units = units or dict(zip(names, own, strict=True))
         for name, row in zip(names, table, strict=True):
             rows.setdefault(name, []).append(row)
@@ -48,104 +48,98 @@ _LEVELS = ("rms", "share_above", "peak_above", "peak_frequency", "peak_band", "p
 
 def _record(name: str, unit: str, table: Floats) -> Level:
     rms, share, above, *_, band_hz = table.T
-    finite = np.isfinite(rms) & np.isfinite(share)
-    energy = rms[finite] ** 2
+    measured = np.isfinite(rms) & np.isfinite(share)
+    energy = rms[measured] ** 2
     strongest = table[max(range(len(table)), key=lambda row: above[row])].tolist()
     return Level(
         channel=name,
         unit=unit,
-        rms_max=float(rms[finite].max()) if finite.any() else None,
+        rms_max=float(rms[measured].max()) if measured.any() else None,
         band_hz=float(np.nanmax(band_hz)) if np.isfinite(band_hz).any() else None,
-        share_above=float(energy @ share[finite] / energy.sum()) if energy.sum() > 0.0 else None,
+        share_above=float(energy @ share[measured] / energy.sum()) if energy.sum() > 0.0 else None,
         amplitude_above=strongest[2] if strongest[2] > 0.0 else None,
-        frequency_hz_above=_told(strongest[3]),
-        band_hz_there=_told(strongest[4]),
-        order_above=_told(strongest[5]),
-        speed_rpm_above=_told(strongest[6]),
+        frequency_hz_above=finite(strongest[3]),
+        band_hz_there=finite(strongest[4]),
+        order_above=finite(strongest[5]),
+        speed_rpm_above=finite(strongest[6]),
     )
 
 
-def _told(number: float) -> float | None:
-    return float(number) if math.isfinite(number) else None
-
-
-Told = Mapping[str, NDArray[Any]]
+Columns = Mapping[str, NDArray[Any]]
 """Values of VibrationLevels by name: of the levels (level,), the speeds (speed,) or both (level, speed)."""
 
 
-def _values(vibration: xr.Dataset) -> Told:
+def _values(vibration: xr.Dataset) -> Columns:
     return {str(name): variable.values for name, variable in vibration.variables.items()}
 
 
 def vibration_records(vibration: xr.Dataset) -> tuple[VibrationLevel, ...]:
     """Records of the broad-band levels of the VibrationLevels ``vibration``: one per channel, band and speed."""
-    made, told = list[VibrationLevel](), _values(vibration)
-    for row in _rows(told, "broad band"):
-        there = np.flatnonzero(np.isfinite(told["rms"][row]))
+    records, table = list[VibrationLevel](), _values(vibration)
+    for row in _rows(table, "broad band"):
+        there = np.flatnonzero(np.isfinite(table["rms"][row]))
         if len(there):
-            loudest = int(np.nanargmax(told["rms"][row]))
-            shown = there.tolist() if len(there) <= MOST_SPEEDS else [loudest]
-            made += [_vibration_record(told, row, column, largest=column == loudest) for column in shown]
-    return tuple(made)
-
-
-def _vibration_record(told: Told, row: int, column: int, *, largest: bool) -> VibrationLevel:
-    return VibrationLevel(
-        channel=str(told["channel"][row]),
-        quantity=str(told["quantity"][row]),
-        unit=str(told["unit"][row]),
-        band_hz=(float(told["low_frequency"][row]), float(told["high_frequency"][row])),
-        reached_hz=float(told["reached_frequency"][row]),
-        speed_rpm=_told(told["speed"][column]),
-        rms=float(told["rms"][row, column]),
-        rms_ci95=_ends(told["rms_ci95"][row, column]),
-        peak=_told(told["peak"][row, column]),
-        peak_ci95=_ends(told["peak_ci95"][row, column]),
-        largest_peak=_told(told["largest_peak"][row, column]),
-        crest_factor=_told(told["crest_factor"][row, column]),
-        crest_factor_ci95=_ends(told["crest_factor_ci95"][row, column]),
-        largest=largest,
-    )
+            loudest = int(np.nanargmax(table["rms"][row]))
+            records += [
+                VibrationLevel(
+                    channel=str(table["channel"][row]),
+                    quantity=str(table["quantity"][row]),
+                    unit=str(table["unit"][row]),
+                    band_hz=(float(table["low_frequency"][row]), float(table["high_frequency"][row])),
+                    reached_hz=float(table["reached_frequency"][row]),
+                    speed_rpm=finite(table["speed"][column]),
+                    rms=float(table["rms"][row, column]),
+                    rms_ci95=_ends(table["rms_ci95"][row, column]),
+                    peak=finite(table["peak"][row, column]),
+                    peak_ci95=_ends(table["peak_ci95"][row, column]),
+                    largest_peak=finite(table["largest_peak"][row, column]),
+                    crest_factor=finite(table["crest_factor"][row, column]),
+                    crest_factor_ci95=_ends(table["crest_factor_ci95"][row, column]),
+                    largest=column == loudest,
+                )
+                for column in (there.tolist() if len(there) <= MOST_SPEEDS else [loudest])
+            ]
+    return tuple(records)
 
 
 def third_octave_records(vibration: xr.Dataset) -> tuple[ThirdOctave, ...]:
     """Records of the one-third octaves in the VibrationLevels ``vibration``, at each channel's loudest speed."""
-    made, told = list[ThirdOctave](), _values(vibration)
-    rms, names = told["rms"], told["channel"].astype(str)
+    records, table = list[ThirdOctave](), _values(vibration)
+    rms, names = table["rms"], table["channel"].astype(str)
     for name in dict.fromkeys(names.tolist()):
-        rows = [row for row in _rows(told, "one-third octave") if names[row] == name]
+        rows = [row for row in _rows(table, "one-third octave") if names[row] == name]
         if not rows or not np.isfinite(rms[rows]).any():
             continue
         column = int(np.argmax(np.nansum(rms[rows] ** 2, axis=0)))
-        made += [
+        records += [
             ThirdOctave(
                 channel=name,
-                unit=str(told["unit"][row]),
-                speed_rpm=_told(told["speed"][column]),
-                nominal_hz=nominal_hz(math.sqrt(told["low_frequency"][row] * told["high_frequency"][row])),
+                unit=str(table["unit"][row]),
+                speed_rpm=finite(table["speed"][column]),
+                nominal_hz=nominal_hz(math.sqrt(table["low_frequency"][row] * table["high_frequency"][row])),
                 rms=float(rms[row, column]),
-                rms_ci95=_ends(told["rms_ci95"][row, column]),
+                rms_ci95=_ends(table["rms_ci95"][row, column]),
             )
             for row in rows
             if np.isfinite(rms[row, column])
         ]
-    return tuple(made)
+    return tuple(records)
 
 
 def limit_verdicts(vibration: xr.Dataset, balance: Balance | None, sources: MachineModel) -> tuple[LimitVerdict, ...]:
     """What each limit of ``sources`` comes to in every channel of ``vibration`` that it is for, and for ``balance``."""
-    made: list[LimitVerdict] = []
-    held = _values(vibration) if sources.limits else {}
+    verdicts: list[LimitVerdict] = []
+    table = _values(vibration) if sources.limits else {}
     for limit in sources.limits:
         if limit.quantity == "balance grade":
-            made.append(_grade_verdict(limit, balance))
+            verdicts.append(_grade_verdict(limit, balance))
             continue
-        names = held["channel"].astype(str).tolist()
-        rows = [row for row in _rows(held, "broad band") if _is_for(held, row, limit)]
-        made += [_verdict(held, row, limit) for row in rows]
-        told, everywhere = {names[row] for row in rows}, dict.fromkeys(names)
+        names = table["channel"].astype(str).tolist()
+        rows = [row for row in _rows(table, "broad band") if _is_for(table, row, limit)]
+        verdicts += [_verdict(table, row, limit) for row in rows]
+        with_level, everywhere = {names[row] for row in rows}, dict.fromkeys(names)
         unit, size = UNITS[limit.quantity]
-        made += [
+        verdicts += [
             LimitVerdict(
                 quantity=limit.quantity,
                 band_hz=(limit.low_hz, limit.high_hz),
@@ -157,67 +151,67 @@ def limit_verdicts(vibration: xr.Dataset, balance: Balance | None, sources: Mach
                 evidence="no level could be told in that band: the recordings are too short, or sampled too slowly",
             )
             for name in (limit.channels or (() if rows else tuple(everywhere)))
-            if name not in told
+            if name not in with_level
         ]
-    return tuple(made)
+    return tuple(verdicts)
 
 
-def _is_for(told: Told, row: int, limit: Limit) -> bool:
-    same = str(told["quantity"][row]) == limit.quantity
-    ends = (float(told["low_frequency"][row]), float(told["high_frequency"][row])) == (limit.low_hz, limit.high_hz)
-    return same and ends and (not limit.channels or str(told["channel"][row]) in limit.channels)
+def _is_for(table: Columns, row: int, limit: Limit) -> bool:
+    same = str(table["quantity"][row]) == limit.quantity
+    ends = (float(table["low_frequency"][row]), float(table["high_frequency"][row])) == (limit.low_hz, limit.high_hz)
+    return same and ends and (not limit.channels or str(table["channel"][row]) in limit.channels)
 
 
-def _verdict(told: Told, row: int, limit: Limit) -> LimitVerdict:
+def _verdict(table: Columns, row: int, limit: Limit) -> LimitVerdict:
     """What ``limit`` comes to at the level ``row`` over all speeds, which share the chance of a wrong verdict.
 
     A filter has no walls: what lies at the ends of the band counts whole where the level is to be surely within, and
     not at all where it is to be surely above.
     """
-    value, unit = limit.value_si / float(told["si_per_unit"][row]), str(told["unit"][row])
-    least, most = (_beside(told, row, kind) for kind in (WITHOUT_ENDS, WITH_ENDS))
-    rms = told["rms"][row]
-    there = np.flatnonzero(np.isfinite(told["rms"][[row, least, most]]).all(axis=0))
+    value, unit = limit.value_si / float(table["si_per_unit"][row]), str(table["unit"][row])
+    least, most = (_beside(table, row, kind) for kind in (WITHOUT_ENDS, WITH_ENDS))
+    rms = table["rms"][row]
+    there = np.flatnonzero(np.isfinite(table["rms"][[row, least, most]]).all(axis=0))
     chance = (1.0 - CONFIDENCE) / max(1, len(there))
-    low, high = _surely(told, least, there, chance)[0], _surely(told, most, there, chance)[1]
+    low, high = _surely(table, least, there, chance)[0], _surely(table, most, there, chance)[1]
     loudest = int(there[np.argmax(rms[there])]) if len(there) else -1
-    reached_hz = float(told["reached_frequency"][row])
-    inner, whole = told["rms"][[least, most]][:, there]
+    reached_hz = float(table["reached_frequency"][row])
+    inner, whole = table["rms"][[least, most]][:, there]
     doubted = (whole > value) & (inner <= value)
     at_ends = bool(np.any(doubted & (rms[there] ** 2 - inner**2 > _AT_ENDS * (whole**2 - inner**2))))
     verdict, evidence = _judged(
-        low, high, value, told["speed"][there], cut=reached_hz < limit.high_hz, reached_hz=reached_hz, at_ends=at_ends
+        low, high, value, table["speed"][there], cut=reached_hz < limit.high_hz, reached_hz=reached_hz, at_ends=at_ends
     )
     if verdict == "above":
         over = there[np.nan_to_num(low) > value]
         loudest = int(over[np.argmax(rms[over])])
-    ends = None if loudest < 0 else tuple(_ends(told["rms_ci95"][one, loudest]) for one in (least, most))
+    ends = None if loudest < 0 else tuple(_ends(table["rms_ci95"][level, loudest]) for level in (least, most))
     return LimitVerdict(
         quantity=limit.quantity,
         band_hz=(limit.low_hz, limit.high_hz),
         value=value,
         unit=unit,
         source=limit.source,
-        channel=str(told["channel"][row]),
+        channel=str(table["channel"][row]),
         verdict=verdict,
         level=float(rms[loudest]) if loudest >= 0 else None,
         level_ci95=None if ends is None or ends[0] is None or ends[1] is None else (ends[0][0], ends[1][1]),
-        speed_rpm=_told(told["speed"][loudest]) if loudest >= 0 else None,
+        speed_rpm=finite(table["speed"][loudest]) if loudest >= 0 else None,
         evidence=evidence,
     )
 
 
-def _beside(told: Told, row: int, kind: str) -> int:
+def _beside(table: Columns, row: int, kind: str) -> int:
     """The level of ``kind`` that is else as that of ``row``."""
-    same = told["kind"].astype(str) == kind
+    same = table["kind"].astype(str) == kind
     for name in ("channel", "quantity", "low_frequency", "high_frequency"):
-        same &= told[name] == told[name][row]
+        same &= table[name] == table[name][row]
     return int(np.flatnonzero(same)[0])
 
 
-def _surely(told: Told, row: int, there: Ints, chance: float) -> Floats:
+def _surely(table: Columns, row: int, there: Ints, chance: float) -> Floats:
     """Ends (low and high, speed) that the level of ``row`` leaves by ``chance`` at each speed of ``there``."""
-    columns = (told[name][row, there] for name in ("rms", "log_error", "degrees_of_freedom"))
+    columns = (table[name][row, there] for name in ("rms", "log_error", "degrees_of_freedom"))
     return rms_within(*columns, chance=chance).T
 
 
@@ -284,8 +278,8 @@ def _grade_verdict(limit: Limit, balance: Balance | None) -> LimitVerdict:
     )
 
 
-def _rows(told: Told, kind: str) -> list[int]:
-    return [int(row) for row in np.flatnonzero(told["kind"].astype(str) == kind)]
+def _rows(table: Columns, kind: str) -> list[int]:
+    return [int(row) for row in np.flatnonzero(table["kind"].astype(str) == kind)]
 
 
 def _ends(values: Floats) -> Interval | None:

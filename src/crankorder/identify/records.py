@@ -33,7 +33,7 @@ from crankorder.identify.found import (
 )
 from crankorder.identify.intervals import Z95, half_width, interval, positive_interval
 from crankorder.identify.lines.growth import Growth, growth, reported, visible_range_rpm
-from crankorder.identify.lines.order_lock import is_half_order
+from crankorder.identify.lines.line_phasors import is_half_order
 from crankorder.identify.modes.responses import held_peak
 from crankorder.records import Ends
 from crankorder.settings import MethodNumbers

@@ -42,6 +42,11 @@ class OrderForces:
     known: Complexes
     unit: Complexes
 
+    @property
+    def alone(self) -> OrderForces:
+        """The forces without the rolling moment."""
+        return self.on(tuple(axis for axis in self.axes if axis != "RY"))
+
     def on(self, axes: tuple[str, ...]) -> OrderForces:
         """Those along some of the ``axes``."""
         picked = [self.axes.index(axis) for axis in axes]
@@ -375,10 +380,8 @@ def _with_misfit(problem: _Problem, theta: Floats, fit: _Fit) -> tuple[float, _P
     low, high, widened, found = 0.0, NUMBERS.largest_misfit_share, problem, (theta, fit)
     share = high
     for step in range(6):
-        widened = replace(
-            problem,
-            white=whitening(problem.measured.noise, error=problem.measured.error, missed=share * np.abs(fit.model)),
-        )
+        white = whitening(problem.measured.noise, error=problem.measured.error, missed=share * np.abs(fit.model))
+        widened = replace(problem, white=white)
         found = _solved(widened, theta, fit)
         too_little = _chi_square(widened, found[1]) > 1
         if step == 0 and too_little:
@@ -446,11 +449,6 @@ class KnownForces:
     per_kg: Complexes
     forces: OrderForces
 
-    @property
-    def sought_orders(self) -> tuple[int, ...]:
-        """Order of each mass sought."""
-        return tuple(order for order, _ in self.sought)
-
 
 def known_forces(engine: Engine, *, seen: set[int], highest: int) -> KnownForces | str:
     """Forces of the orders of ``engine``; or, in words, why no order of it is of known force.
@@ -467,26 +465,21 @@ def known_forces(engine: Engine, *, seen: set[int], highest: int) -> KnownForces
     alone = bare.model_copy(update={"cylinders": bare.cylinders[:1]})
     one = float(np.abs(crankcase_forces(alone, UNIT_RPM, max_order=1)).max())
     candidates = [k for k in range(2, highest + 1) if k not in engine.shafts.every_order and size[k] > NONE_LEFT * one]
-    made = [k for k in candidates if size[k] >= FORCE_NUMBERS.known_share * max(size[candidates])]
-    if not made:
+    driven = [k for k in candidates if size[k] >= FORCE_NUMBERS.known_share * max(size[candidates])]
+    if not driven:
         return "the pistons make no order that shafts do not take away, so no force is known"
-    known = tuple(k for k in made if k in seen)
+    known = tuple(k for k in driven if k in seen)
     if not known:
-        names = ", ".join(map(str, made[:4]))
+        names = ", ".join(map(str, driven[:4]))
         return f"the orders of known force ({names}) do not stand above the floor, so the path is not identified"
-    if _rocks(engine, forces, moments, known):
+    span = max(c.position_m for c in engine.cylinders) - min(c.position_m for c in engine.cylinders)
+    rocking = np.abs(moments[[X, Z]][:, list(known)]).max(axis=0)
+    allowed = FORCE_NUMBERS.rocking_share * span * np.abs(forces[:, list(known)]).max(axis=0)
+    if span > 0 and (rocking > allowed).any():
         return (
             f"orders {known} rock the crankcase too, for the cylinders stand side by side, and that path is not known"
         )
     return _assembled(bare, engine, forces, moments, known)
-
-
-def _rocks(engine: Engine, forces: Complexes, moments: Complexes, known: tuple[int, ...]) -> bool:
-    span = max(c.position_m for c in engine.cylinders) - min(c.position_m for c in engine.cylinders)
-    rocking = np.abs(moments[[X, Z]][:, list(known)]).max(axis=0)
-    return bool(
-        span > 0 and (rocking > FORCE_NUMBERS.rocking_share * span * np.abs(forces[:, list(known)]).max(axis=0)).any()
-    )
 
 
 def _assembled(
@@ -495,9 +488,8 @@ def _assembled(
     axes = [d for d in (X, Z) if np.abs(forces[d, list(known)]).max() > NONE_LEFT * np.abs(forces).max()]
     sought = [(1, d) for d in axes] + [(2, d) for d in axes if 2 in engine.shafts.every_order and d == Z]
     orders = (*sorted({order for order, _ in sought}), *known)
-    acting = np.concatenate(
-        [np.where(np.isin(orders, known), forces[np.ix_(axes, orders)], 0), moments[[Y]][:, orders]]
-    )
+    along = np.where(np.isin(orders, known), forces[np.ix_(axes, orders)], 0)
+    acting = np.concatenate([along, moments[[Y]][:, orders]])
     unit = np.zeros((len(sought), *acting.shape), dtype=np.complex128)
     per_kg = np.array([force_per_kg(bare, k, d, along_only=axes == [Z]) for k, d in sought])
     for m, (k, d) in enumerate(sought):

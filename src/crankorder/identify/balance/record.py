@@ -24,6 +24,8 @@ NO_ACROSS = (
     "([[transfer_paths]], direction X) or run a test with a known added mass"
 )
 
+NO_ANGLE = "the unbalance may be none: its angle means nothing"
+
 
 @dataclass(frozen=True, eq=False)
 class Split:
@@ -93,16 +95,19 @@ def split_record(split: Split, *, engine: Engine) -> Balance:
     else:
         record = _one_way(record, split, at, engine, undecided)
     if (2, "Z") in at:
-        value, covariance = _in_kg(split, at[(2, "Z")], 1.0)
-        half = 1e3 * half_width(split.freedom) * float(np.sqrt(covariance[0, 0]))
-        record = with_interval(record, "residual_second_order_g", 1e3 * value.real, half)
+        record = _with_grams(record, "residual_second_order_g", split, *_in_kg(split, at[(2, "Z")], 1.0))
     else:
-        undecided["residual_second_order_g"] = (
-            "no shafts take the second order away: the whole reciprocating mass makes it"
-            if 2 not in engine.shafts.every_order
-            else "the path at order 2 is not identified"
-        )
+        undecided["residual_second_order_g"] = "the path at order 2 is not identified"
+        if 2 not in engine.shafts.every_order:
+            whole = "no shafts take the second order away: the whole reciprocating mass makes it"
+            undecided["residual_second_order_g"] = whole
     return replace(record, not_decided=undecided)
+
+
+def _with_grams(record: Balance, key: str, split: Split, mass_kg: complex, covariance: Floats) -> Balance:
+    """``record`` with its field ``key`` at the real part of ``mass_kg`` in grams, by the ``covariance`` (2, 2)."""
+    half = 1e3 * half_width(split.freedom) * float(np.sqrt(covariance[0, 0]))
+    return with_interval(record, key, 1e3 * mass_kg.real, half)
 
 
 def _in_kg(split: Split, number: int, share: complex) -> tuple[complex, Floats]:
@@ -116,9 +121,9 @@ def _along(record: Balance, split: Split, at: dict[tuple[int, str], int]) -> Bal
         return record
     number = at[(1, "Z")]
     value, covariance = _in_kg(split, number, abs(split.per_kg[number]))
-    half = 1e3 * half_width(split.freedom) * np.sqrt(np.diag(covariance))
-    record = with_interval(record, "along_g", 1e3 * value.real, float(half[0]))
-    return with_interval(record, "along_quadrature_g", 1e3 * value.imag, float(half[1]))
+    record = _with_grams(record, "along_g", split, value, covariance)
+    half = 1e3 * half_width(split.freedom) * float(np.sqrt(covariance[1, 1]))
+    return with_interval(record, "along_quadrature_g", 1e3 * value.imag, half)
 
 
 def _one_way(
@@ -142,8 +147,7 @@ def _one_way(
             f"{1e3 * abs(split.mass_kg[second]):.3g} g: rotating unbalance, or shafts that miss one of the orders"
         )
         return record
-    half = 1e3 * half_width(split.freedom) * float(np.sqrt(covariance[0, 0]))
-    return with_interval(record, "residual_reciprocating_g", 1e3 * value.real, half)
+    return _with_grams(record, "residual_reciprocating_g", split, value, covariance)
 
 
 def _common(split: Split, first: int, second: int) -> tuple[complex, Floats, float]:
@@ -188,17 +192,12 @@ def _both_ways(
         record = size_and_angle(record, "residual_rotating_gmm", "angle_deg", value, covariance, freedom=freedom)
         piston = np.conj(split.per_kg[z]) / abs(split.per_kg[z]) ** 2
         value, covariance = sum_of(piston, -1j * piston)
-        half = 1e3 * half_width(freedom) * float(np.sqrt(covariance[0, 0]))
-        record = with_interval(record, "residual_reciprocating_g", 1e3 * value.real, half)
+        record = _with_grams(record, "residual_reciprocating_g", split, value, covariance)
         if abs(value.imag) > half_width(freedom) * float(np.sqrt(covariance[1, 1])):
             undecided["reverse_angle_deg"] = "part of the reverse force is out of step with the piston: mistimed shafts"
-    for size, angle in (
-        ("residual_rotating_gmm", "angle_deg"),
-        ("forward_gmm", "forward_angle_deg"),
-        ("reverse_gmm", "reverse_angle_deg"),
-    ):
-        if getattr(record, size) is not None and getattr(record, angle) is None:
-            undecided[angle] = "the unbalance may be none: its angle means nothing"
+    for part, way in (("residual_rotating", ""), ("forward", "forward_"), ("reverse", "reverse_")):
+        if getattr(record, f"{part}_gmm") is not None and getattr(record, f"{way}angle_deg") is None:
+            undecided[f"{way}angle_deg"] = NO_ANGLE
     return record
 
 
@@ -232,5 +231,5 @@ def rotor_record(split: Split) -> Balance:
     else:
         undecided["reverse_gmm"] = "one direction alone tells no sense of rotation: all is taken to turn with the shaft"
     if record.angle_deg is None:
-        undecided["angle_deg"] = "the unbalance may be none: its angle means nothing"
+        undecided["angle_deg"] = NO_ANGLE
     return replace(record, not_decided=undecided)

@@ -67,11 +67,8 @@ class MeasuredOrders:
 
     def without(self, rows: Bools) -> MeasuredOrders:
         """The same with nothing measured in ``rows`` (row,)."""
-        return replace(
-            self,
-            error=np.where(rows, np.inf, self.error),
-            steady_error=np.where(rows, np.inf, self.steady_error),
-        )
+        error, steady_error = (np.where(rows, np.inf, each) for each in (self.error, self.steady_error))
+        return replace(self, error=error, steady_error=steady_error)
 
 
 def measured_orders(
@@ -188,12 +185,9 @@ def _joined(parts: Sequence[MeasuredOrders]) -> MeasuredOrders:
 def _beside(bins: Floats, centre: int, lines: Sequence[float]) -> list[int]:
     """Bins beside the bin ``centre`` in which noise alone stands."""
     step = float(bins[1] - bins[0]) if len(bins) > 1 else 1.0
-    near = [
-        i
-        for i in range(len(bins))
-        if NUMBERS.nearest_bin <= abs(i - centre) <= NUMBERS.furthest_bin and bins[i] > NUMBERS.nearest_bin * step
-    ]
-    return [i for i in near if all(abs(bins[i] - line) > (NUMBERS.nearest_bin - 0.5) * step for line in lines)]
+    away, clear = np.abs(np.arange(len(bins)) - centre), (NUMBERS.nearest_bin - 0.5) * step
+    near = (away >= NUMBERS.nearest_bin) & (away <= NUMBERS.furthest_bin) & (bins > NUMBERS.nearest_bin * step)
+    return [i for i in np.flatnonzero(near).tolist() if all(abs(bins[i] - line) > clear for line in lines)]
 
 
 def _covariance(shape: Complexes, error: Floats) -> Complexes:

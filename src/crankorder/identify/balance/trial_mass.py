@@ -12,7 +12,7 @@ from crankorder.engine.forces import Z
 from crankorder.engine.transfer_paths import AddedMass
 from crankorder.findings import Influence, TrialBalance
 from crankorder.identify.balance.known_forces import force_per_kg
-from crankorder.identify.balance.record import AGREE_CHI_SQUARE, added_words, size_and_angle, with_interval
+from crankorder.identify.balance.record import AGREE_CHI_SQUARE, NO_ANGLE, added_words, size_and_angle, with_interval
 from crankorder.identify.balance.transfer_path import PER_M_S2, MeasuredOrders, measured_orders
 from crankorder.identify.intervals import half_width
 from crankorder.quantities import Bools, Complexes, Floats
@@ -26,16 +26,10 @@ VIBRATION = ("accel", "veloc", "displace", "vibration", "force")
 """Quantities in which an unbalance shows."""
 STEADY_REFERENCES = ("tdc", "index", "pulse")
 
-TrialMass = tuple[TrialBalance | None, str]
-
 
 def trial_mass(
-    base_map: xr.Dataset,
-    new_map: xr.Dataset,
-    *,
-    added: tuple[AddedMass, ...],
-    engine: Engine | None,
-) -> TrialMass:
+    base_map: xr.Dataset, new_map: xr.Dataset, *, added: tuple[AddedMass, ...], engine: Engine | None
+) -> tuple[TrialBalance | None, str]:
     """Record ``balance`` of the test ``base_map`` by what the masses ``added`` changed in ``new_map``; or None and why.
 
     Both are OrderMaps of the same machine with the same channels. All of ``added`` stands on the crank (the residual is
@@ -128,9 +122,8 @@ def _in_any_unit(order_map: xr.Dataset) -> xr.Dataset:
         return order_map
     kept = [c for c, what in enumerate(quantity) if any(word in what for word in VIBRATION)]
     taken = order_map.isel(channel=kept)
-    return taken.assign_coords(
-        unit=("channel", ["m/s2"] * len(kept)), quantity=("channel", ["acceleration"] * len(kept))
-    )
+    unit_of, quantity_of = ["m/s2"] * len(kept), ["acceleration"] * len(kept)
+    return taken.assign_coords(unit=("channel", unit_of), quantity=("channel", quantity_of))
 
 
 def _multiple(base_map: xr.Dataset, new_map: xr.Dataset, order: int) -> _Multiple | str:
@@ -207,7 +200,7 @@ def _of_crank(record: TrialBalance, found: _Multiple, total: complex) -> TrialBa
     undecided = dict.fromkeys(("residual_reciprocating_g", "residual_second_order_g", "along_g"), pistons)
     undecided["reverse_gmm"] = "a mass on the crank turns forwards: all is taken to turn with the shaft"
     if record.angle_deg is None:
-        undecided["angle_deg"] = "the unbalance may be none: its angle means nothing"
+        undecided["angle_deg"] = NO_ANGLE
     return replace(record, not_decided=undecided)
 
 

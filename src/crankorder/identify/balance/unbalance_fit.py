@@ -74,8 +74,6 @@ def unbalance_fit(
             record = _by_engine_orders(order_map, orders, modal, engine, followed)
     except _Refused as refusal:
         return None, str(refusal)
-    if isinstance(record, str):
-        return None, record
     if added:
         record = replace(record, evidence=f"{record.evidence}; {added_words(added)}")
     return record, ""
@@ -158,7 +156,7 @@ def _check_scale(measured: MeasuredOrders, shaker: KnownForces) -> None:
 
 def _fitted(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit) -> KnownForcesFit:
     """Fit along the forces alone, or with the rolling moment where the data ask for it."""
-    plain = shaker.forces.on(tuple(axis for axis in shaker.forces.axes if axis != "RY"))
+    plain = shaker.forces.alone
     rows, top_hz = int(_of_known_force(measured, shaker).sum()), float(measured.frequency_hz.max())
     n_modes = modes_with_room(modal, axes=len(plain.axes), top_hz=top_hz, rows=rows)
     if n_modes is None:
@@ -183,7 +181,7 @@ def _fitted(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit) -> K
 
 def _rolls(measured: MeasuredOrders, shaker: KnownForces, modal: ModalFit, *, n_modes: int) -> bool:
     """Whether the rolling moment's path explains more of ``measured`` than chance would."""
-    plain = shaker.forces.on(tuple(axis for axis in shaker.forces.axes if axis != "RY"))
+    plain = shaker.forces.alone
     without = quiet_fit(measured, plain, modal, n_modes=n_modes)
     gain, more = without.gain_by(quiet_fit(measured, shaker.forces, modal, n_modes=n_modes))
     return bool(gain > 1 + NUMBERS.rolls_sigmas * np.sqrt(2 * len(measured.channels) / more))
@@ -220,7 +218,7 @@ def _check_orders_agree(measured: MeasuredOrders, shaker: KnownForces, modal: Mo
         if _of_known_force(rest, shaker).sum() < rows_needed(n_modes, axes=len(fit.axes)):
             continue
         alone = quiet_fit(rest, shaker.forces.on(fit.axes), modal, n_modes=n_modes).widened()
-        for number, sought in enumerate(shaker.sought_orders):
+        for number, (sought, _) in enumerate(shaker.sought):
             part = slice(2 * number, 2 * number + 2)
             apart = abs(alone.mass_kg[number] - fit.mass_kg[number])
             if np.trace(alone.covariance[part, part]) > 2 * (NUMBERS.weak_share * abs(fit.mass_kg[number])) ** 2:
@@ -244,7 +242,7 @@ def _check_orders_agree(measured: MeasuredOrders, shaker: KnownForces, modal: Mo
 def _check_single(shaker: KnownForces, fit: KnownForcesFit) -> str:
     """None of the orders of known force can be spared: their phase alone checks them, by masses in step with them."""
     limit = NUMBERS.single_angle_rad if len(shaker.known_orders) == 1 else NUMBERS.several_angle_rad
-    for number, sought in enumerate(shaker.sought_orders):
+    for number, (sought, _) in enumerate(shaker.sought):
         mass = fit.mass_kg[number]
         error = float(np.sqrt(fit.covariance[2 * number + 1, 2 * number + 1]))
         if error < limit * abs(mass) and abs(mass.imag) < NUMBERS.in_step_sigmas * error:
@@ -263,13 +261,7 @@ def _listed(orders: tuple[int, ...]) -> str:
 
 
 def _record(fit: KnownForcesFit, shaker: KnownForces, engine: Engine, remark: str, measured: MeasuredOrders) -> Balance:
-    split = Split(
-        mass_kg=fit.mass_kg,
-        covariance=fit.covariance,
-        freedom=fit.freedom,
-        sought=shaker.sought,
-        per_kg=shaker.per_kg,
-    )
+    split = Split(fit.mass_kg, fit.covariance, fit.freedom, shaker.sought, shaker.per_kg)
     record = split_record(split, engine=engine)
     middle = np.median(measured.frequency_hz[np.isin(measured.order_of_row, shaker.known_orders)])
     axis = fit.axes.index("Z") if "Z" in fit.axes else 0
@@ -305,8 +297,8 @@ class _Forces:
 
 def by_stated_paths(
     order_map: xr.Dataset, lines: Sequence[float], *, engine: Engine | None, paths: tuple[StatedPath, ...]
-) -> Balance | str:
-    """Residual unbalance by the stated ``paths``; or, in words, why there are none.
+) -> Balance:
+    """Residual unbalance by the stated ``paths``.
 
     ``order_map``: the OrderMap. ``lines``: orders at which lines stand. ``engine``: None or one without pistons is a
     rotor. Forces of each stated direction are fitted to all channels and speeds at which the paths hold; intervals hold
@@ -315,29 +307,24 @@ def by_stated_paths(
     measured = measured_orders(order_map, (1, 2), lines=lines)
     strangers = sorted({path.channel for path in paths} - set(measured.channels))
     if strangers:
-        return f"no channel of acceleration is called {', '.join(strangers)}, for which a path is stated"
+        raise _Refused(f"no channel of acceleration is called {', '.join(strangers)}, for which a path is stated")
     if 1 not in measured.orders:
-        return "the order map has no bin at order 1"
+        raise _Refused("the order map has no bin at order 1")
     directions = tuple(d for d in ("X", "Z") if any(path.direction == d for path in paths))
     if not directions:
-        return "a path along the shaft tells no unbalance: state one of direction X or Z"
+        raise _Refused("a path along the shaft tells no unbalance: state one of direction X or Z")
     pistons = engine is not None and engine.cycle != "rotor" and engine.largest_piston_kg > 0
     radius_m = engine.crank_radius_m if engine is not None and pistons else ROTOR_RADIUS_M
     parts = [(1, directions)]
     if pistons and engine is not None and 2 in engine.shafts.every_order and 2 in measured.orders and "Z" in directions:
         parts.append((2, ("Z",)))
-    found = []
-    for order, axes in parts:
-        forces = _forces(measured, order, axes, paths, radius_m)
-        if isinstance(forces, str):
-            return forces
-        found.append(forces)
-    split = _split_by_paths(found, parts, engine if pistons else None)
+    fits = [_forces(measured, order, axes, paths, radius_m) for order, axes in parts]
+    split = _split_by_paths(fits, parts, engine if pistons else None)
     record = split_record(split, engine=engine) if pistons and engine is not None else rotor_record(split)
     used = sorted({path.channel for path in paths})
     evidence = (
-        f"stated paths of {', '.join(used)} at {found[0].rows} speeds in their range; they miss "
-        f"{100 * found[0].missed:.0f} % of order 1; paths that are not stated are taken as none"
+        f"stated paths of {', '.join(used)} at {fits[0].rows} speeds in their range; they miss "
+        f"{100 * fits[0].missed:.0f} % of order 1; paths that are not stated are taken as none"
     )
     orders = tuple(order for order, _ in parts)
     return replace(record, source="stated path", orders_used=orders, evidence=evidence)
@@ -345,7 +332,7 @@ def by_stated_paths(
 
 def _forces(
     measured: MeasuredOrders, order: int, axes: tuple[str, ...], paths: tuple[StatedPath, ...], radius_m: float
-) -> _Forces | str:
+) -> _Forces:
     at = measured.order_of_row == order
     f, omega = measured.frequency_hz[at], measured.rpm_of_row[at] * np.pi / 30
     stated = [path for path in paths if path.direction in axes]
@@ -357,13 +344,13 @@ def _forces(
     error = measured.error[:, at]
     usable = np.isfinite(whole).all(axis=2) & whole.any(axis=2) & np.isfinite(error)
     if np.count_nonzero(usable) < len(axes):
-        return f"no speed brings order {order} into the frequency range in which the stated paths hold"
+        raise _Refused(f"no speed brings order {order} into the frequency range in which the stated paths hold")
     weight = np.where(usable, 1 / np.where(usable, measured.steady_error[:, at], 1.0), 0.0)
     columns = (np.where(usable[:, :, None], whole, 0) * weight[:, :, None]).reshape(-1, len(axes))
     target = (measured.amplitude[:, at] * weight).ravel()
     inverse = np.linalg.pinv(columns)
     if np.linalg.matrix_rank(columns, tol=1e-3 * float(np.linalg.norm(columns, 2))) < len(axes):
-        return "the stated paths do not tell forces along and across apart: the channels see both alike"
+        raise _Refused("the stated paths do not tell forces along and across apart: the channels see both alike")
     mass = inverse @ target
     left = np.abs(target - columns @ mass) ** 2
     own = np.where(usable, error, 0.0) * weight
@@ -372,18 +359,18 @@ def _forces(
     missed = float(np.sqrt(max(0.0, left.sum() - 2 * (own**2).sum()) / max((np.abs(target) ** 2).sum(), 1e-300)))
     doubt = max((path.uncertainty_percent for path in stated), default=0.0) / 100
     if missed > PATH_NUMBERS.largest_misfit_share + doubt:
-        return (
+        raise _Refused(
             f"the stated paths miss {100 * missed:.0f} % of order {order}: they are not those of this machine, or "
             "something else makes that order"
         )
-    doubts = [
-        path.uncertainty_percent
-        / 196
-        * (inverse @ (np.nan_to_num(part) * weight[:, :, None]).reshape(-1, len(axes)) @ mass)
-        for path, part in zip(stated, design, strict=True)
-    ]
-    noise = max(1.0, chi_square) * _noise(inverse, own, measured.correlation[at])
-    covariance = noise + _of_doubts(doubts)
+    covariance = np.zeros((2 * len(mass), 2 * len(mass)))
+    for path, part in zip(stated, design, strict=True):  # one that errs by a share, in any phase, shifts the masses
+        seen = (np.nan_to_num(part) * weight[:, :, None]).reshape(-1, len(axes))
+        shift = path.uncertainty_percent / 196 * (inverse @ seen @ mass)
+        for turned in (shift, 1j * shift):
+            parts = np.stack([turned.real, turned.imag], axis=1).ravel()
+            covariance += np.outer(parts, parts)
+    covariance = max(1.0, chi_square) * _noise(inverse, own, measured.correlation[at]) + covariance
     speeds = int(np.count_nonzero(usable.any(axis=0)))
     return _Forces(mass, covariance, max(1.0, 2.0 * (speeds - len(axes))), missed, speeds)
 
@@ -400,17 +387,7 @@ def _noise(inverse: Complexes, own: Floats, correlation: Complexes) -> Floats:
     return parts
 
 
-def _of_doubts(doubts: Sequence[Complexes]) -> Floats:
-    """Covariance that paths wrong by a complex share make: each shifts the masses (mass,) by so much, in any phase."""
-    total = np.zeros((2 * len(doubts[0]), 2 * len(doubts[0])))
-    for shift in doubts:
-        for turned in (shift, 1j * shift):
-            parts = np.stack([turned.real, turned.imag], axis=1).ravel()
-            total += np.outer(parts, parts)
-    return total
-
-
-def _split_by_paths(found: list[_Forces], parts: list[tuple[int, tuple[str, ...]]], engine: Engine | None) -> Split:
+def _split_by_paths(fits: list[_Forces], parts: list[tuple[int, tuple[str, ...]]], engine: Engine | None) -> Split:
     """All masses together: on the pistons where forces act along them alone, else at the crank radius."""
     sought = tuple((order, axis) for order, axes in parts for axis in axes)
     per_kg = np.ones(len(sought), dtype=np.complex128)
@@ -418,14 +395,13 @@ def _split_by_paths(found: list[_Forces], parts: list[tuple[int, tuple[str, ...]
         bare = engine.pistons_alone
         along_only = (1, "X") not in sought
         for number, (order, axis) in enumerate(sought):
-            per_kg[number] = force_per_kg(
-                bare, order, DIRECTIONS.index(axis), along_only=along_only or (order == 2 and axis == DIRECTIONS[Z])
-            )
+            alone = along_only or (order == 2 and axis == DIRECTIONS[Z])
+            per_kg[number] = force_per_kg(bare, order, DIRECTIONS.index(axis), along_only=alone)
     turn = side_by_side([np.array([[s.real, -s.imag], [s.imag, s.real]]) for s in 1 / per_kg])
     return Split(
-        mass_kg=np.concatenate([forces.mass_kg for forces in found]) / per_kg,
-        covariance=turn @ side_by_side([forces.covariance for forces in found]) @ turn.T,
-        freedom=min(forces.freedom for forces in found),
+        mass_kg=np.concatenate([forces.mass_kg for forces in fits]) / per_kg,
+        covariance=turn @ side_by_side([forces.covariance for forces in fits]) @ turn.T,
+        freedom=min(forces.freedom for forces in fits),
         sought=sought,
         per_kg=per_kg,
     )

@@ -1,17 +1,17 @@
-"""Bearing lines in the envelope map: search with a stated level of false alarm, orders with their intervals."""
+"""Lines of rolling bearings: where they are looked for, and the search of the envelope map at a false-alarm level."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 from scipy.special import fdtrc
 
-from crankorder.identify.bearings.places import Place, made_by
+from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.identify.intervals import half_width
 from crankorder.orders.envelope_combs import (
     TRIALS_PER_BIN,
@@ -26,6 +26,108 @@ from crankorder.orders.envelope_combs import (
 )
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
+
+PLACE_NUMBERS = MethodNumbers("5-identify-bearings.toml", "places")
+
+SHOWN_AT = {"BSF": 2.0}
+"""Multiple of a line at which its damage shows, where not once: a rolling element strikes both races in a turn."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """One line of one bearing: its order in pure rolling as it shows, and from which to which order it is looked for.
+
+    ``shaft_order`` and ``cage_order`` (None where the cage's is not known) are what its sidebands are apart by.
+    """
+
+    name: str
+    line: str
+    expected: float
+    low: float
+    high: float
+    elements: int | None
+    shaft_order: float
+    cage_order: float | None
+
+    @property
+    def title(self) -> str:
+        """What the line is called in a sentence: "2 x BSF" where the damage shows at twice the line."""
+        times = SHOWN_AT.get(self.line, 1.0)
+        return self.line if times == 1.0 else f"{times:g} x {self.line}"
+
+    def slip_percent(self, order: float) -> float:
+        """How much slower than in pure rolling ``order`` is, in percent."""
+        return 100.0 * (1.0 - order / self.expected)
+
+    def cage_at(self, order: Floats) -> Floats | None:
+        """Order of the cage where the line is at ``order``; None where the bearing's data do not tell.
+
+        The outer race is struck as often as elements pass, the inner one and an element as often as the shaft turns
+        against the cage.
+        """
+        if self.line == "FTF":
+            return order
+        if self.cage_order is None:
+            return None
+        if self.line == "BPFO":
+            return np.asarray(self.cage_order * order / self.expected)
+        return np.asarray(self.shaft_order - (self.shaft_order - self.cage_order) * order / self.expected)
+
+    @property
+    def comb(self) -> Comb:
+        """The train of strikes that damage at this place makes."""
+        return Comb(self.low, self.high, self.spacing or 0.0)
+
+    @property
+    def spacing(self) -> float | None:
+        """How far apart in orders the sidebands are that damage at this place makes by coming and going with the load.
+
+        Source: P. D. McFadden and J. D. Smith (1984), Journal of Sound and Vibration 96, p. 69.
+        """
+        return {"BPFI": self.shaft_order, "BSF": self.cage_order}.get(self.line)
+
+
+def bearing_places(bearings: tuple[Bearing, ...], *, slip_percent: tuple[float, float]) -> list[Place]:
+    """Every line of ``bearings`` that their data tell, from the least to the most slip of ``slip_percent``."""
+    places = []
+    least, most = slip_percent
+    for bearing in bearings:
+        orders, shaft = bearing_orders(bearing), bearing.shaft_ratio
+        elements = bearing.rolling_elements or round(orders["N*fs"] / shaft) if "N*fs" in orders else None
+        for line, order in orders.items():
+            expected = order * SHOWN_AT.get(line, 1.0)
+            low, high = expected * (1.0 - most / 100.0), expected * (1.0 - least / 100.0)
+            places.append(Place(bearing.name, line, expected, low, high, elements, shaft, orders.get("FTF")))
+    return places
+
+
+def bearing_combs(bearings: tuple[Bearing, ...], *, slip_percent: tuple[float, float]) -> tuple[Comb, ...]:
+    """Trains of strikes of ``bearings``, each once, at any slip of ``slip_percent``; N*fs keeps step and is none."""
+    places = bearing_places(bearings, slip_percent=slip_percent)
+    return tuple(dict.fromkeys(place.comb for place in places if place.line != "N*fs"))
+
+
+def made_by(order: float, stronger: Place, stronger_order: float, *, within: float) -> str:
+    """How the line ``stronger`` (found at ``stronger_order``) makes one at ``order`` too; empty where it does not.
+
+    Its multiples and their sidebands by turns of the shaft and of the cage come as near as ``within``: "2 x BPFO - 1 x
+    shaft". A modulated train of strikes has all of them.
+    """
+    cages = (0,) if stronger.cage_order is None else (0, -1, 1)
+    for times in range(1, PLACE_NUMBERS.multiples + 1):
+        for turns in sorted(range(-PLACE_NUMBERS.sideband_turns, PLACE_NUMBERS.sideband_turns + 1), key=abs):
+            for cage in cages:
+                if turns and cage:
+                    continue
+                at = times * stronger_order + turns * stronger.shaft_order + cage * (stronger.cage_order or 0.0)
+                if abs(at - order) <= within:
+                    shown = times * SHOWN_AT.get(stronger.line, 1.0)
+                    parts = [f"{shown:g} x {stronger.line}" if shown > 1.0 else stronger.line]
+                    sides = [(count, of) for count, of in ((turns, "shaft"), (cage, "cage")) if count]
+                    parts += [f"{'+' if count > 0 else '-'} {abs(count)} x {of}" for count, of in sides]
+                    return " ".join(parts)
+    return ""
+
 
 NUMBERS = MethodNumbers("5-identify-bearings.toml", "envelope_lines")
 
@@ -172,15 +274,15 @@ def _looks_in(envelope: xr.Dataset) -> dict[Comb, Look]:
         return {}
     order = envelope["order"].values
     bins = np.round(envelope["look"].values / order[1]).astype(np.int64)
-    made = {}
+    looks = {}
     for number, comb in enumerate(combs_in(envelope)):
         ratio, raw, amplitude = (np.zeros(envelope["amplitude"].shape) for _ in range(3))
         ratio[:, :, bins] = envelope["comb_ratio"].values[number]
         raw[:, :, bins] = envelope["comb_level"].values[number]
         amplitude[:, :, bins] = raw[:, :, bins] ** 0.25 * envelope["comb_floor"].values[number]
         ends = [envelope[f"comb_band_{end}"].values[number] for end in ("low", "high")]
-        made[comb] = Look(ratio, raw, amplitude, np.stack(ends, axis=1))
-    return made
+        looks[comb] = Look(ratio, raw, amplitude, np.stack(ends, axis=1))
+    return looks
 
 
 def envelope_lines(spectra: Spectra, places: list[Place], *, false_alarm_probability: float) -> list[EnvelopeLine]:
@@ -192,32 +294,27 @@ def envelope_lines(spectra: Spectra, places: list[Place], *, false_alarm_probabi
     """
     inside = [place for place in places if place.low > spectra.order[1] and place.high < spectra.order[-1]]
     bins = sum(int((place.high - place.low) / spectra.order[1]) + 1 for place in inside)
-    found = [
-        line for place in inside if (line := _line(spectra, place, places, bins, false_alarm_probability)) is not None
-    ]
     cell = float(spectra.cell.max())
-    found = [line for line in found if line.may_slip_so(cell)]
-    found.sort(key=lambda line: (-line.level_db, -line.ratio))
+    standing = [
+        line
+        for place in inside
+        if (line := _line(spectra, place, places, bins, false_alarm_probability)) is not None and line.may_slip_so(cell)
+    ]
     kept: list[EnvelopeLine] = []
     within = 1.5 * cell
-    for line in found:
+    for line in sorted(standing, key=lambda line: (-line.level_db, -line.ratio)):
         first = all(other.place.name != line.place.name for other in kept)
         ratio = spectra.serving(line.place).ratio
         if not first and not _stands(spectra, ratio, line.order, line.channel, line.speed):
             continue  # the harmonics are another's: its own line is not there
-        told = next(((other, how) for other in kept if (how := _made_by(line, other, within))), None)
-        if told is None:
-            kept.append(line)
+        for other in kept:
+            alike = line.place.line == other.place.line and abs(line.order - other.order) <= within
+            if not alike and (how := made_by(line.order, other.place, other.order, within=within)):
+                other.also.append(f"{line.place.name} {line.place.title} would be at {line.order:.4g}: {how}")
+                break
         else:
-            told[0].also.append(f"{line.place.name} {line.place.title} would be at {line.order:.4g}: {told[1]}")
+            kept.append(line)
     return kept
-
-
-def _made_by(line: EnvelopeLine, other: EnvelopeLine, within: float) -> str:
-    """How a stronger line ``other`` makes ``line`` too; empty where it does not or where both are alike."""
-    if line.place.line == other.place.line and abs(line.order - other.order) <= within:
-        return ""
-    return made_by(line.order, other.place, other.order, within=within)
 
 
 def _line(
@@ -231,19 +328,18 @@ def _line(
         return None
     look = spectra.serving(place)
     mean, total, _ = spectra.mean(look.ratio)
+    stands = alone <= false_alarm_probability
     seen: Bools = np.asarray(alone.min(axis=2) <= false_alarm_probability)
     if seen.any():
-        channel, speed, at = np.unravel_index(
-            np.argmax(look.ratio[:, :, span] * (alone <= false_alarm_probability)), alone.shape
-        )
+        channel, speed, at = map(int, np.unravel_index(np.argmax(look.ratio[:, :, span] * stands), alone.shape))
     else:
-        at = np.argmin(together)
-        channel, speed = np.unravel_index(np.argmax(look.ratio[:, :, span.start + at]), seen.shape)
-    peak = span.start + int(at)
+        at = int(np.argmin(together))
+        channel, speed = map(int, np.unravel_index(np.argmax(look.ratio[:, :, span.start + at]), seen.shape))
+    peak = span.start + at
     order, error, freedom = _order(spectra, look.ratio, seen, mean, peak, total)
     strength = float(look.ratio[channel, speed, peak])
     size = float(look.amplitude[channel, speed, peak])
-    multiples, spacing = _family(spectra, place, order, int(channel), int(speed))
+    multiples, spacing = _family(spectra, place, order, channel, speed)
     own = [other for other in places if other.name == place.name]
     shown = look.raw[channel, speed] if seen.any() else spectra.mean(look.raw)[0]
     return EnvelopeLine(
@@ -251,8 +347,8 @@ def _line(
         order=order,
         order_error=error,
         freedom=freedom,
-        channel=int(channel),
-        speed=int(speed),
+        channel=channel,
+        speed=speed,
         ratio=strength,
         amplitude=size,
         amplitude_error=0.25 * size * math.sqrt(2.0 / max(strength * spectra.count[channel, speed], 1e-9)),
@@ -261,7 +357,7 @@ def _line(
         harmonics=multiples,
         sidebands=spacing,
         band_hz=(float(look.band_hz[speed, 0]), float(look.band_hz[speed, 1])),
-        ranking=ranking(shown, float(step), spectra.free()[int(speed)], own),
+        ranking=ranking(shown, float(step), spectra.free()[speed], own),
     )
 
 
@@ -305,9 +401,9 @@ def _comb_chances(
         nats[rows] = look_nats(part, looks, count=float(own), floor_worth=worth, free=free[looks])
     chance = np.exp(-comb_nats(nats, looks, comb, step=step, free=free[looks]))
     nearest = np.clip(np.round(comb.trials(step) / step).astype(int), span.start, span.stop - 1)
-    made = np.ones((len(ratio), span.stop - span.start))
-    np.minimum.at(made.T, nearest - span.start, chance.T)
-    return made * TRIALS_PER_BIN
+    chances = np.ones((len(ratio), span.stop - span.start))
+    np.minimum.at(chances.T, nearest - span.start, chance.T)
+    return chances * TRIALS_PER_BIN
 
 
 def parabola(ratio: Floats, at: int) -> float:
@@ -382,9 +478,8 @@ def _family(spectra: Spectra, place: Place, order: float, channel: int, speed: i
     spacing = place.spacing
     if spacing is None or spacing < 3.0 * float(spectra.cell[speed]):
         return multiples, None
-    both = [
-        _stands(spectra, ratio, times * order + side * spacing, channel, speed) for times in (1, 2) for side in (-1, 1)
-    ]
+    beside = [times * order + side * spacing for times in (1, 2) for side in (-1, 1)]
+    both = [_stands(spectra, ratio, sideband, channel, speed) for sideband in beside]
     return multiples, spacing if any(both[:2]) or all(both[2:]) else None
 
 
@@ -418,24 +513,13 @@ class Ranking:
 
     def of(self, line: str) -> Candidate | None:
         """The candidate of that ``line``."""
-        return next((one for one in self.candidates if one.place.line == line), None)
-
-    @property
-    def margin_db(self) -> float:
-        """By how much the first stands over the second."""
-        first, *rest = self.candidates
-        return first.level_db - rest[0].level_db if rest else first.level_db
-
-    @property
-    def others(self) -> tuple[Candidate, ...]:
-        """All but the first."""
-        return self.candidates[1:]
+        return next((candidate for candidate in self.candidates if candidate.place.line == line), None)
 
     def rivals(self) -> tuple[Candidate, ...]:
         """The parts that the first is not told from."""
         first = self.candidates[0]
         clear = max(CANDIDATE_NUMBERS.clear_db, CANDIDATE_NUMBERS.clear_share * first.level_db)
-        return tuple(one for one in self.candidates[1:] if first.level_db - one.level_db < clear)
+        return tuple(candidate for candidate in self.candidates[1:] if first.level_db - candidate.level_db < clear)
 
 
 def ranking(ratio: Floats, step: float, free: Bools, places: list[Place]) -> Ranking:
@@ -453,17 +537,17 @@ def ranking(ratio: Floats, step: float, free: Bools, places: list[Place]) -> Ran
     """
     level = np.clip(10.0 * np.log10(np.maximum(ratio, 1e-12)), 0.0, CANDIDATE_NUMBERS.highest_db)
     level = np.where(free, level, np.nan)
-    found = []
+    candidates = []
     for place in places:
         trials, mean = _course(level, step, place)
         if place.line != "N*fs" and np.isfinite(mean).any():
             best = int(np.nanargmax(mean))
-            found.append(Candidate(place, float(trials[best]), float(mean[best])))
-    for at, one in enumerate(found):
-        if one.place.line == "FTF":
-            balls = [_off_cage(level, step, place, one.order) for place in places if place.line == "BSF"]
-            found[at] = replace(one, level_db=max(one.level_db - 2.0 * max(balls, default=0.0), 0.0))
-    return Ranking(tuple(sorted(found, key=lambda one: -one.level_db)))
+            order, level_db = float(trials[best]), float(mean[best])
+            if place.line == "FTF":
+                balls = [_off_cage(level, step, other, order) for other in places if other.line == "BSF"]
+                level_db = max(level_db - 2.0 * max(balls, default=0.0), 0.0)
+            candidates.append(Candidate(place, order, level_db))
+    return Ranking(tuple(sorted(candidates, key=lambda candidate: -candidate.level_db)))
 
 
 def _course(level: Floats, step: float, place: Place) -> tuple[Floats, Floats]:
@@ -472,22 +556,22 @@ def _course(level: Floats, step: float, place: Place) -> tuple[Floats, Floats]:
     trials = comb.trials(step)
     harmonic = np.arange(CANDIDATE_NUMBERS.cage_from_harmonic if place.line == "FTF" else 1, comb.teeth + 1)[:, None]
     teeth = harmonic * trials
-    made = _levels(level, step, teeth)
+    levels = _levels(level, step, teeth)
     cage = place.cage_at(trials)
     if place.spacing is not None:
         spacing = cage if place.line == "BSF" and cage is not None else place.spacing
         sides = 0.5 * (_levels(level, step, teeth - spacing) + _levels(level, step, teeth + spacing))
         share = CANDIDATE_NUMBERS.side_share
-        made = np.where(np.isfinite(sides), (1.0 - share) * made + share * sides, made)
+        levels = np.where(np.isfinite(sides), (1.0 - share) * levels + share * sides, levels)
     if place.line != "FTF" and cage is not None:
         if place.line == "BSF":
             beside = _levels(level, step, cage * np.round((teeth - 0.5 * trials) / cage), reach=2)
         else:
             low, high = (_levels(level, step, teeth + side * cage, reach=2) for side in (-1, 1))
             beside = 0.5 * (low + high)
-        made = np.maximum(made - np.nan_to_num(beside), 0.0)
-    known = np.isfinite(made)
-    total = np.where(known, made, 0.0).sum(axis=0)
+        levels = np.maximum(levels - np.nan_to_num(beside), 0.0)
+    known = np.isfinite(levels)
+    total = np.where(known, levels, 0.0).sum(axis=0)
     return trials, np.where(known.any(axis=0), total / np.maximum(known.sum(axis=0), 1), np.nan)
 
 

@@ -15,14 +15,15 @@ from crankorder.findings import BearingFinding
 from crankorder.identify.bearings.envelope_lines import (
     Candidate,
     EnvelopeLine,
+    Place,
     Spectra,
+    bearing_places,
     envelope_lines,
     parabola,
     place_error,
     spectra_of,
 )
-from crankorder.identify.bearings.places import Place, bearing_places
-from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.found import AgreedOrder
 from crankorder.identify.intervals import Z95, half_width, positive_interval
 from crankorder.identify.lines.growth import growth, mean_level, reported
 from crankorder.identify.machine_model import StatedPart, parts_at
@@ -57,11 +58,8 @@ def bearing_records(
         envelopes of the whole test: shared out over every bin of every place, channel, speed and band tried
     """
     places = bearing_places(bearings, slip_percent=settings.bearing_slip_percent)
-    records = [
-        record
-        for place in places
-        if (record := _vibration_record(place, orders, revs_per_cycle=revs_per_cycle)) is not None
-    ]
+    in_vibration = (_vibration_record(place, orders, revs_per_cycle=revs_per_cycle) for place in places)
+    records = [record for record in in_vibration if record is not None]
     if envelope is not None and envelope.sizes["order"] > 1 and envelope.sizes["speed"]:
         spectra = spectra_of(envelope)
         level = settings.bearing_false_alarm_probability
@@ -75,11 +73,11 @@ def _is_excluded(record: BearingFinding, records: Sequence[BearingFinding]) -> b
     """Whether a ``record`` of N*fs in the vibration that slips is not the sum of both races as they were found."""
     if record.line != "N*fs" or record.seen_in != "vibration" or record.lock == "locked":
         return False
-    races = {one.line: one for one in records if one.name == record.name and one.line in ("BPFO", "BPFI")}
+    races = {other.line: other for other in records if other.name == record.name and other.line in ("BPFO", "BPFI")}
     if len(races) < 2:
         return False
-    total = sum(one.order for one in races.values())
-    spare = sum(one.order_half for one in (*races.values(), record))
+    total = sum(other.order for other in races.values())
+    spare = sum(other.order_half for other in (*races.values(), record))
     return bool(abs(record.order - total) > max(2.0 * spare, 1e-3 * total))
 
 
@@ -87,9 +85,9 @@ def _with_races(record: BearingFinding, records: Sequence[BearingFinding]) -> Be
     """``record`` of N*fs with a word on the races of the same bearing: they slip where their sum keeps step."""
     if record.line != "N*fs" or record.seen_in != "vibration":
         return record
-    own = [one for one in records if one.name == record.name and one is not record]
-    races = sorted({one.line for one in own} & {"BPFO", "BPFI"})
-    struck = sorted({one.line for one in own if one.seen_in == "envelope"} - {"BPFO", "BPFI"})
+    own = [other for other in records if other.name == record.name and other is not record]
+    races = sorted({other.line for other in own} & {"BPFO", "BPFI"})
+    struck = sorted({other.line for other in own if other.seen_in == "envelope"} - {"BPFO", "BPFI"})
     return replace(record, verdict=f"{record.verdict} {races_words(races, struck)}")
 
 
@@ -101,8 +99,9 @@ def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per
         near = [order for order in near if not _is_locked(order, revs_per_cycle)]
     if not near:
         return None
-    best = max(near, key=lambda order: max(_height(line) for line in order.lines))
-    line = max(best.lines, key=_height)
+    # the height over the local floor compares channels of different units
+    best = max(near, key=lambda order: max(line.level_over_floor_db for line in order.lines))
+    line = max(best.lines, key=lambda line: line.level_over_floor_db)
     law = growth(line)
     steady = law is not None and law.law == "keeps its size"
     level = mean_level(line) if steady else reported(line, law)
@@ -129,27 +128,20 @@ def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per
     )
 
 
-def _height(line: OrderLine) -> float:
-    """How far a line stands over the local floor: what compares channels of different units."""
-    return line.level_over_floor_db
-
-
 def _is_locked(order: AgreedOrder, revs_per_cycle: int) -> bool:
     """Whether an order belongs to the engine's cycle: locked, or on one of its multiples as far as can be told."""
-    multiple = round(order.order * revs_per_cycle) / revs_per_cycle
-    return order.lock == "locked" or (
-        order.lock == "undecided" and abs(order.order - multiple) <= 2.0 * order.order_error
-    )
+    off = abs(order.order - round(order.order * revs_per_cycle) / revs_per_cycle)
+    return order.lock == "locked" or (order.lock == "undecided" and off <= 2.0 * order.order_error)
 
 
 def _shaft_speeds(spectra: Spectra, found: list[EnvelopeLine]) -> dict[tuple[str, int], ShaftSpeed]:
     """Speed of the shaft by bearing and number of the speed, of the line of each whose sidebands tell it best."""
-    made: dict[tuple[str, int], ShaftSpeed] = {}
+    speeds: dict[tuple[str, int], ShaftSpeed] = {}
     for line in found:
         key, speed = (line.place.name, line.speed), shaft_speed(spectra, line)
-        if speed is not None and (key not in made or speed.error < made[key].error):
-            made[key] = speed
-    return made
+        if speed is not None and (key not in speeds or speed.error < speeds[key].error):
+            speeds[key] = speed
+    return speeds
 
 
 def _record(
@@ -178,9 +170,7 @@ def _record(
         order_expected=place.expected,
         slip_percent=slip,
         slip_percent_ci95=(slip - half_slip, slip + half_slip),
-        verdict=judged.verdict,
-        damage=judged.damage,
-        re_run=judged.re_run,
+        **judged._asdict(),
         **seen,
     )
 
@@ -224,12 +214,7 @@ def _envelope_record(
 
 NUMBERS = MethodNumbers("5-identify-bearings.toml", "verdicts")
 
-DAMAGED = {
-    "BPFO": "the outer race",
-    "BPFI": "the inner race",
-    "BSF": "a rolling element",
-    "FTF": "the cage",
-}
+DAMAGED = {"BPFO": "the outer race", "BPFI": "the inner race", "BSF": "a rolling element", "FTF": "the cage"}
 
 RE_RUN = "Re-run the same test: a growing amplitude means a failing bearing."
 
@@ -336,15 +321,13 @@ def envelope_verdict(
     text = _part_words(line, rivals, slip)
     if speed_is_nominal:
         text += f" {_speed_words(shaft)}"
-    others = [other for other in found if other is not line]
     same = [
-        other
-        for other in others
-        if abs(other.order - line.order) <= 3.0 * math.hypot(other.order_error, line.order_error)
+        f"{other.place.name} {other.place.title}"
+        for other in found
+        if other is not line and abs(other.order - line.order) <= 3.0 * math.hypot(other.order_error, line.order_error)
     ]
     if same:
-        names = ", ".join(f"{other.place.name} {other.place.title}" for other in same)
-        text += f" {names} cannot be told from it."
+        text += f" {', '.join(same)} cannot be told from it."
     damage = place.line != "N*fs" and (not rivals or line.ranking.of(place.line) is None)
     return Judged(f"{text} {RE_RUN}", damage, re_run=True)
 
@@ -365,7 +348,7 @@ def _lead(line: EnvelopeLine, found: list[EnvelopeLine]) -> EnvelopeLine | None:
     kin = [other for other in found if other.place.name == line.place.name and other.place.line != line.place.line]
     higher = [other for other in kin if (other.level_db, other.ratio) > (line.level_db, line.ratio)]
     lead = max(higher, key=lambda other: (other.level_db, other.ratio), default=None)
-    if lead is None or line.place.line in {one.place.line for one in _rivals(lead, found)}:
+    if lead is None or line.place.line in {rival.place.line for rival in _rivals(lead, found)}:
         return None
     return lead
 
@@ -377,7 +360,9 @@ def _rivals(line: EnvelopeLine, found: list[EnvelopeLine]) -> list[Candidate]:
     goes with every damage that comes and goes with the load.
     """
     ranked, place_line = line.ranking, line.place.line
-    high = {one.place.line for one in (ranked.candidates[0], *ranked.rivals())} if ranked.candidates else set()
+    high = (
+        {candidate.place.line for candidate in (ranked.candidates[0], *ranked.rivals())} if ranked.candidates else set()
+    )
     kin = [other for other in found if other.place.name == line.place.name]
     # a damaged cage has many harmonics: a line at one of them speaks for no other part
     large = {
@@ -387,7 +372,7 @@ def _rivals(line: EnvelopeLine, found: list[EnvelopeLine]) -> list[Candidate]:
         and other.amplitude >= NUMBERS.companion_share * line.amplitude
         and not (place_line == "FTF" and abs((n := other.order / line.order) - round(n)) <= NUMBERS.off_share)
     }
-    return [one for one in ranked.candidates if one.place.line in (high | large) - {line.place.line}]
+    return [candidate for candidate in ranked.candidates if candidate.place.line in (high | large) - {line.place.line}]
 
 
 def _part_words(line: EnvelopeLine, rivals: list[Candidate], slip: str) -> str:
@@ -397,19 +382,22 @@ def _part_words(line: EnvelopeLine, rivals: list[Candidate], slip: str) -> str:
     if own is None:
         return f"{_damage(place).capitalize()} of {place.name}: strikes at {place.title}, {slip}."
     if not rivals:
-        margin = f", {ranked.margin_db:.0f} dB more than {ranked.candidates[1].place.title}" if ranked.others else ""
+        first, *others = ranked.candidates
+        margin = ""
+        if others:
+            margin = f", {first.level_db - others[0].level_db:.0f} dB more than {others[0].place.title}"
         return (
             f"{_damage(place).capitalize()} of {place.name}: strikes at {place.title}, {slip}; its harmonics stand "
             f"{own.level_db:.0f} dB over the floor{margin}."
         )
-    levels = ", ".join(f"{one.place.title} {one.level_db:.0f} dB" for one in (own, *rivals))
-    if {place.line, *(one.place.line for one in rivals)} == {"BPFO", "BPFI"}:
+    levels = ", ".join(f"{rival.place.title} {rival.level_db:.0f} dB" for rival in (own, *rivals))
+    if {place.line, *(rival.place.line for rival in rivals)} == {"BPFO", "BPFI"}:
         return (
             f"Strikes at {place.title} of {place.name}, {slip}, and about as strong at {rivals[0].place.title}: both "
             "races are struck, as by a damaged rolling element, by dirt or by damage of both; which part is not told "
             f"(harmonics over the floor: {levels})."
         )
-    parts = " or ".join(DAMAGED[one.place.line] for one in (own, *rivals))
+    parts = " or ".join(DAMAGED[rival.place.line] for rival in (own, *rivals))
     return (
         f"Strikes at {place.title} of {place.name}, {slip}: damage of {parts}; which of them is not told (harmonics "
         f"over the floor: {levels})."
@@ -456,28 +444,23 @@ def shaft_speed(spectra: Spectra, line: EnvelopeLine) -> ShaftSpeed | None:
     distance is free of the error of the line itself. All pairs have to agree.
     """
     ratio, cell = spectra.ratio[line.channel, line.speed], float(spectra.cell[line.speed])
-    found = [
-        pair
-        for times in range(1, SIDEBAND_NUMBERS.carriers + 1)
-        if (pair := _pair(ratio, float(spectra.order[1]), cell, times * line.order, line.place.shaft_order)) is not None
-    ]
-    if not found:
+    step, nominal = float(spectra.order[1]), line.place.shaft_order
+    carriers = [times * line.order for times in range(1, SIDEBAND_NUMBERS.carriers + 1)]
+    pairs = [pair for carrier in carriers if (pair := _pair(ratio, step, cell, carrier, nominal)) is not None]
+    if not pairs:
         return None
-    spacing, error = np.array(found).T
+    spacing, error = np.array(pairs).T
     weight = error**-2.0
     mean = float((weight * spacing).sum() / weight.sum())
     if np.abs(spacing - mean).max() > SIDEBAND_NUMBERS.most_spread_sigmas * float(error.max()):
         return None
-    nominal = line.place.shaft_order
-    return ShaftSpeed(mean / nominal, float(weight.sum() ** -0.5) / nominal, len(found))
+    return ShaftSpeed(mean / nominal, float(weight.sum() ** -0.5) / nominal, len(pairs))
 
 
 def _pair(ratio: Floats, step: float, cell: float, carrier: float, spacing: float) -> tuple[float, float] | None:
     """Distance of a ``carrier`` to its sidebands about ``spacing`` away, with its error; None without a pair."""
-    low, high = (
-        _peak(ratio, step, carrier + side * spacing, SIDEBAND_NUMBERS.most_off_share * spacing + cell)
-        for side in (-1, 1)
-    )
+    reach = SIDEBAND_NUMBERS.most_off_share * spacing + cell
+    low, high = (_peak(ratio, step, carrier + side * spacing, reach) for side in (-1, 1))
     if low is None or high is None:
         return None
     # the pair is one of sidebands only where the carrier is in its middle

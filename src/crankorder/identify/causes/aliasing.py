@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.identify.found import OrderLine
-from crankorder.identify.lines.cfar import excess_over_noise
+from crankorder.identify.lines.line_evidence import excess_over_noise
 from crankorder.quantities import Floats, QualityFlag
 from crankorder.settings import MethodNumbers, Settings
 from crankorder.shaft.aliasing import Alias, AliasedLine, aliased_lines, find_aliases

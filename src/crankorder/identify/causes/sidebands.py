@@ -12,7 +12,7 @@ from crankorder.cause import Cause, CauseKind
 from crankorder.findings import BearingFinding
 from crankorder.identify.found import AgreedOrder, OrderLine
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.order_lock import NO_PULSES
+from crankorder.identify.lines.line_phasors import NO_PULSES
 from crankorder.identify.machine_model import MachineModel
 from crankorder.settings import MethodNumbers
 

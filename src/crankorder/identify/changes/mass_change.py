@@ -168,11 +168,8 @@ def mass_record(change: OrderChange, unbalance: Unbalance, masses: Sequence[Adde
     arms = [1.0 if at_one_radius else mass.radius_mm or 0.0 for mass in masses]
     turned = (cmath.rect(arm * mass.mass_g, np.radians(mass.angle_deg)) for arm, mass in zip(arms, masses, strict=True))
     added, apart = sum(turned, 0j), unbalance.factor - 1.0
-    if (
-        len({mass.on for mass in masses}) != 1
-        or not added
-        or abs(apart) <= NUMBERS.clear_sigmas * unbalance.factor_error
-    ):
+    on_one_part = len({mass.on for mass in masses}) == 1
+    if not on_one_part or not added or abs(apart) <= NUMBERS.clear_sigmas * unbalance.factor_error:
         return None
     before = added / apart
     after = unbalance.factor * before

@@ -155,9 +155,8 @@ def orders_to_compare(
             groups.append((named, locked))
         else:
             groups[same] = groups[same][0], groups[same][1] and locked
-    groups += [
-        (order, True) for order in ALWAYS if all(abs(order - called) >= NUMBERS.same_order for called, _ in groups)
-    ]
+    known_orders = [called for called, _ in groups]
+    groups += [(order, True) for order in ALWAYS if all(abs(order - k) >= NUMBERS.same_order for k in known_orders)]
     return sorted(group for group in groups if 0 < group[0] <= highest + NUMBERS.same_order)
 
 

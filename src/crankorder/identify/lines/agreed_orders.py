@@ -11,25 +11,32 @@ import xarray as xr
 from crankorder.cause import alike_speeds
 from crankorder.identify.found import UNRESOLVED, AgreedOrder, Doubt, OrderLine
 from crankorder.identify.intervals import half_width, root
-from crankorder.identify.lines.cfar import LOBE_BINS
-from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of, zooms
-from crankorder.identify.lines.mains import multiples_near
-from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
-from crankorder.identify.lines.order_lines import SWELLS
-from crankorder.identify.lines.order_lock import (
+from crankorder.identify.lines.line_evidence import LOBE_BINS
+from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
+from crankorder.identify.lines.line_phasors import (
     NO_PULSES,
+    SURE_FREEDOM,
+    Followed,
+    Recording,
+    any_swept,
+    lines_of,
     lock_of,
+    longest_rev,
     nearest_multiple,
+    parted_lines,
     proves_speed,
+    recordings_of,
     revs_to_decide,
     speed_source,
+    stands_out,
     sure_half_width,
+    zooms,
 )
-from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
-from crankorder.identify.lines.parted_lines import Followed, lines_of, parted_lines, stands_out
+from crankorder.identify.lines.mains import multiples_near
+from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
+from crankorder.identify.lines.order_lines import SWELLS, longer_frames
+from crankorder.identify.lines.order_lines import SWEPT_NUMBERS as SWEPT_ORDERS
 from crankorder.identify.lines.several_orders import DEGREES_OF_FREEDOM, SOLVED, close_lines, lines_at
-from crankorder.identify.lines.swept_orders import NUMBERS as SWEPT_ORDERS
-from crankorder.identify.lines.swept_orders import longest_frame
 from crankorder.identify.lines.zoom import Course, Zoomed
 from crankorder.orders.true_angle import ERROR
 from crankorder.quantities import Floats
@@ -84,10 +91,6 @@ class _Test:
         """Bin nearest to ``order``, of those that there are."""
         return min(max(round(order / self.resolution), 0), self.order_map.sizes["order"] - 1)
 
-    def holds(self, order: float) -> bool:
-        """Whether a line at ``order`` has its bin here: beyond half a bin from the last one only its skirt is seen."""
-        return bool(order < self.order_map["order"].values[-1] + 0.5 * self.resolution)
-
 
 @dataclass(frozen=True)
 class _Number:
@@ -103,6 +106,11 @@ class _Number:
     by_phase: bool
     swept: tuple[tuple[float, Course | None], ...] = ()
     parted_rev: float = 0.0
+
+    @property
+    def order_error_freedom(self) -> tuple[float, float, float]:
+        """The order, its standard error and the degrees of freedom of that."""
+        return self.order, self.error, self.degrees_of_freedom
 
     def slips_from(self, multiple: float) -> bool:
         """Whether nothing but a slip makes the phase run away from that of ``multiple``."""
@@ -149,43 +157,51 @@ def orders_agreed(
     """
     source = speed_source([*frames, order_map])
     test = _Test(recordings_of(frames), order_map, source == "pulses", source == "pulses", followed)
-    held = [line for line in lines if test.holds(line.order)]
-    parted = [one for group in _groups(held) for one in _parted(group, test)]
-    orders = [one.number.order for one in parted]  # close lines, to which another group has led already, count once
-    found = [one for at, one in enumerate(parted) if PARTED_IN_SWEEP not in one.doubts or orders[at] not in orders[:at]]
-    found = _with_close_lines(found, test, settings)
+    last = order_map["order"].values[-1] + 0.5 * test.resolution  # of a line beyond only its skirt is seen
+    parted = [
+        unnamed for group in _groups([line for line in lines if line.order < last]) for unnamed in _agreed(group, test)
+    ]
+    orders = [unnamed.number.order for unnamed in parted]
+    distinct = [  # close lines, to which another group has led already, count once
+        unnamed
+        for at, unnamed in enumerate(parted)
+        if PARTED_IN_SWEEP not in unnamed.doubts or orders[at] not in orders[:at]
+    ]
+    distinct = _with_close_lines(distinct, test, settings)
     if source == "stated":
-        numbers = [one for one in found if one.number.by_phase]
+        by_phase = [unnamed for unnamed in distinct if unnamed.number.by_phase]
         # the mains prove no speed, but with them and without them the others must
-        sure = [numbers, [one for one in numbers if not _may_be_mains(one, settings)]]
-        told = [[(one.number.order, one.number.error, one.number.degrees_of_freedom) for one in some] for some in sure]
-        proven = all(proves_speed(some, revs_per_cycle=test.revs_per_cycle) for some in told)
+        proofs = [by_phase, [unnamed for unnamed in by_phase if not _may_be_mains(unnamed, settings)]]
+        numbers = [[unnamed.number.order_error_freedom for unnamed in proof] for proof in proofs]
+        proven = all(proves_speed(proof, revs_per_cycle=test.revs_per_cycle) for proof in numbers)
         test = replace(test, speed_is_sure=proven)
-    agreed = sorted((_named(one, test) for one in found), key=lambda item: item.order)
+    agreed = sorted((_named(unnamed, test) for unnamed in distinct), key=lambda named: named.order)
     return tuple(_without_twins(agreed, 0.5 * test.resolution, settings.order_match))
 
 
-def _with_close_lines(found: list[_Unnamed], test: _Test, settings: IdentifySettings) -> list[_Unnamed]:
-    """``found`` of a test at one speed with all close lines where more of them stand than were told there."""
+def _with_close_lines(orders: list[_Unnamed], test: _Test, settings: IdentifySettings) -> list[_Unnamed]:
+    """``orders`` of a test at one speed with all close lines where more of them stand than were told there."""
 
     def told(low: float, high: float) -> list[float]:
-        return [one.number.order for one in found if low <= one.number.order <= high]
+        return [unnamed.number.order for unnamed in orders if low <= unnamed.number.order <= high]
 
     def doubtful(low: float, high: float) -> bool:
-        near = [one for one in found if low <= one.number.order <= high]
-        swells = any(SWELLS in one.doubts or _may_be_two(one.lines) for one in near)
+        near = [unnamed for unnamed in orders if low <= unnamed.number.order <= high]
+        swells = any(SWELLS in unnamed.doubts or _may_be_two(unnamed.lines) for unnamed in near)
         # a speed that wanders unseen makes several lines of one, and those would prove the speed
         return test.by_pulses and (swells or not near)
 
     for close in close_lines(test.recordings, test.order_map, told=told, doubtful=doubtful, mains_hz=settings.mains_hz):
         doubts = (Doubt("close lines", f"{len(close.solved)} {SOLVED}"),)
-        added = [
-            _Unnamed(_Number(one.order, one.error, DEGREES_OF_FREEDOM, True, parted_rev=close.span_rev), lines, doubts)
-            for one in close.solved
-            if (lines := lines_at(close, one, test.order_map))
+        beyond = [unnamed for unnamed in orders if not close.low <= unnamed.number.order <= close.high]
+        orders = beyond + [
+            _Unnamed(
+                _Number(line.order, line.error, DEGREES_OF_FREEDOM, True, parted_rev=close.span_rev), lines, doubts
+            )
+            for line in close.solved
+            if (lines := lines_at(line, test.order_map))
         ]
-        found = [one for one in found if not close.holds(one.number.order)] + added
-    return found
+    return orders
 
 
 def _may_be_mains(one: _Unnamed, settings: IdentifySettings) -> bool:
@@ -213,36 +229,29 @@ def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:
 
 def _without_twins(agreed: list[AgreedOrder], near: float, match: float) -> list[AgreedOrder]:
     """``agreed`` without a second line that another group had found as its own already."""
-    kept: list[AgreedOrder] = []
-    for item in agreed:
-        twin = bool(kept) and item.order - kept[-1].order < min(near, match)
-        twin = twin and not all(PARTED_IN_SWEEP in one.doubts for one in (item, kept[-1]))
-        error = np.hypot(item.line_error, kept[-1].line_error) if twin else 0.0
-        if twin and item.order - kept[-1].order < 4.0 * error:
-            kept[-1] = max(kept[-1], item, key=lambda one: sum(len(line.seen) for line in one.lines))
+    kept = agreed[:1]
+    for order in agreed[1:]:
+        last = kept[-1]
+        apart, parted = order.order - last.order, all(PARTED_IN_SWEEP in each.doubts for each in (order, last))
+        if apart < min(near, match) and not parted and apart < 4.0 * np.hypot(order.line_error, last.line_error):
+            kept[-1] = max(last, order, key=lambda twin: sum(len(line.seen) for line in twin.lines))
         else:
-            kept.append(item)
+            kept.append(order)
     return kept
 
 
-def _parted(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
-    """The orders of ``group`` as a sweep was followed by them, where that parts some; else those of its frames."""
-    weights = [1.0 / line.order_error**2 for line in group]
-    mean = float(np.average([line.order for line in group], weights=weights))
-    close = parted_lines(test.followed, near=mean, reach=test.reach)
-    return [_followed(group, one, test) for one in close] or _agreed(group, test)
-
-
 def _agreed(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
-    """The order of ``group``, and the second one beside it where there is one."""
+    """The orders of ``group`` as a sweep was followed by them, where that parts some; else one or two of frames."""
     weights = np.array([1.0 / line.order_error**2 for line in group])
     mean = float(np.average([line.order for line in group], weights=weights))
+    if close := parted_lines(test.followed, near=mean, reach=test.reach):
+        return [_followed(group, tracks, test) for tracks in close]
     spread = float(np.sqrt(np.average([(line.order - mean) ** 2 for line in group], weights=weights)))
     # channels share the noise and the skirts of other lines: none makes the others more certain
     by_lobe = _Number(mean, max(float(1.0 / np.sqrt(weights.max())), spread), np.inf, False)
     bin_order = test.resolution * test.bin_near(mean)
     seen = _zooms(group, test, bin_order, mean)
-    if any(is_swept(item.speed_rpm) for item in test.recordings):
+    if any_swept(test.recordings):
         by_lobe = replace(by_lobe, swept=((bin_order, None),))
     if not seen:
         two = _may_be_two(group)
@@ -274,25 +283,20 @@ def _agreed(group: list[OrderLine], test: _Test) -> list[_Unnamed]:
     return [_Unnamed(first, group, (SWELLS,) * swells)]
 
 
-def _followed(group: list[OrderLine], found: list[Followed], test: _Test) -> _Unnamed:
-    """One of several close lines of a sweep as it was ``found`` in the recordings that part them."""
-    read = [item for item in found if item.by_phase] or found
-    joined = _joined([item.told for item in read])
+def _followed(group: list[OrderLine], tracks: list[Followed], test: _Test) -> _Unnamed:
+    """One of several close lines of a sweep by its ``tracks`` in the recordings that part them."""
+    read = [track for track in tracks if track.by_phase] or tracks
+    joined = _joined([(track.number, track.variance, SURE_FREEDOM) for track in read])
     number = replace(
         joined,
         # the same modes turn the phase in all recordings alike: more of them tell no better
-        error=max(joined.error, float(np.sqrt(min(item.variance for item in read)))),
+        error=max(joined.error, float(np.sqrt(min(track.variance for track in read)))),
         by_phase=read[0].by_phase,
-        swept=tuple((item.order, item.course) for item in found),
-        parted_rev=min(item.span_rev for item in found),
+        swept=tuple((track.order, track.course) for track in tracks),
+        parted_rev=min(track.span_rev for track in tracks),
     )
-    lines = lines_of(
-        _all_channels(group, test),
-        found,
-        speed_rpm=test.order_map["speed"].values,
-        order=number.order,
-        order_error=number.error,
-    )
+    speeds, channels = test.order_map["speed"].values, _all_channels(group, test)
+    lines = lines_of(channels, tracks, speed_rpm=speeds, order=number.order, order_error=number.error)
     return _Unnamed(number, lines or group, (PARTED_IN_SWEEP,))
 
 
@@ -332,26 +336,22 @@ def _zooms(group: list[OrderLine], test: _Test, bin_order: float, expected: floa
     )
 
 
-def _joined(found: list[tuple[float, float, float]]) -> _Number:
+def _joined(numbers: list[tuple[float, float, float]]) -> _Number:
     """Mean of orders with their variances and degrees of freedom, one of each recording.
 
     A scatter between them beyond their own errors (Paule and Mandel 1982) is that of the line: the mean is then over
     recordings that could be made, with one degree of freedom less than there are.
     """
-    order, variance, degrees_of_freedom = (np.array(column) for column in zip(*found, strict=True))
-    weight = 1.0 / variance
+    order, variance, freedom = (np.array(column) for column in zip(*numbers, strict=True))
     if len(order) == 1:
-        return _Number(float(order[0]), float(np.sqrt(variance[0])), float(degrees_of_freedom[0]), True)
+        return _Number(float(order[0]), float(np.sqrt(variance[0])), float(freedom[0]), True)
     between = _between(order, variance)
-    if between > 0.0:
-        weight = 1.0 / (variance + between)
-    mean = float(np.average(order, weights=weight))
-    share = weight / weight.sum()
-    own = float(1.0 / np.sqrt(weight.sum()))
-    own_degrees = float(1.0 / np.sum(share**2 / degrees_of_freedom))  # Welch and Satterthwaite
-    chi_square = float(weight @ (order - mean) ** 2)
+    weight = 1.0 / (variance + between)
+    mean, own = float(np.average(order, weights=weight)), float(1.0 / np.sqrt(weight.sum()))
     if between == 0.0:
-        return _Number(mean, own, own_degrees, True)
+        share = weight / weight.sum()
+        return _Number(mean, own, float(1.0 / np.sum(share**2 / freedom)), True)  # Welch and Satterthwaite
+    chi_square = float(weight @ (order - mean) ** 2)
     error = float(np.sqrt(max(1.0, chi_square / (len(order) - 1)))) * own
     return _Number(mean, error, float(len(order) - 1), True)
 
@@ -399,7 +399,7 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
         error = max(error, abs(number.order - order) / within)
     elif lock == "undecided":
         needed = _needed_revs(order, lines, test)
-        if needed is None and any(is_swept(item.speed_rpm) for item in test.recordings) and IN_SWEEP not in doubts:
+        if needed is None and any_swept(test.recordings) and IN_SWEEP not in doubts:
             doubts.append(IN_SWEEP)
     doubts += sorted({doubt for line in lines for doubt in line.doubts}, key=lambda doubt: doubt.words)
     own = None if test.by_pulses else number.error
@@ -414,12 +414,10 @@ def _may_be_a_pair(found: _Unnamed, off: float, test: _Test) -> bool:
     """
     if found.number.parted_rev > 0.0 or not test.recordings:
         return False
-    spans = [float(np.ptp(item.centre_rev)) + item.revs for item in test.recordings if len(item.centre_rev)]
+    span_rev = longest_rev(test.recordings)
     if found.number.swept:
-        return bool(
-            off * longest_frame(float(test.recordings[0].revs), max(spans, default=0.0)) < SWEPT_ORDERS.nearest_bins
-        )
-    return SWELLS in found.doubts and off * max(spans, default=0.0) < NUMBERS.beats_of_a_pair
+        return bool(off * longer_frames(float(test.recordings[0].revs), span_rev)[-1] < SWEPT_ORDERS.nearest_bins)
+    return SWELLS in found.doubts and off * span_rev < NUMBERS.beats_of_a_pair
 
 
 def unless_sidebands(
@@ -428,15 +426,15 @@ def unless_sidebands(
     """``orders``, undecided and of no number of their own where errors of the crank angle (in ``frames``) may have made
     them. A line of the shaft that most speeds of ``order_map`` show is none of these, whose orders move with the speed.
     """
-    made = []
-    for one in orders:
-        few = 2 * len({at for line in one.lines for at in line.seen.tolist()}) <= order_map.sizes["speed"]
-        carrier = sideband_of(one.lines, order_map, frames) if few or one.lock != "locked" else None
+    checked = []
+    for order in orders:
+        few = 2 * len({at for line in order.lines for at in line.seen.tolist()}) <= order_map.sizes["speed"]
+        carrier = sideband_of(order.lines, order_map, frames) if few or order.lock != "locked" else None
         if carrier is not None:
             doubt = Doubt("angle in error", f"no larger than what errors of the crank angle make of order {carrier:g}")
-            one = replace(one, lock="undecided", doubts=(*one.doubts, doubt), of_angle=True)
-        made.append(one)
-    return tuple(made)
+            order = replace(order, lock="undecided", doubts=(*order.doubts, doubt), of_angle=True)
+        checked.append(order)
+    return tuple(checked)
 
 
 def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | None:
@@ -444,28 +442,24 @@ def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | N
 
     None where more of them would not tell: without pulses, in a sweep, and where so many were recorded already.
     """
-    if not test.speed_is_sure:
-        return None  # no length of a recording mends a speed that is not known
-    if any(is_swept(item.speed_rpm) for item in test.recordings):
-        return None  # what turns the phase is the modes that are crossed, not the shortness
+    # no length of a recording mends a speed that is not known, nor what modes that a sweep crosses turn
+    if not test.speed_is_sure or any_swept(test.recordings):
+        return None
     frames = test.order_map["n_frames"].values
     revs = float(test.order_map.attrs["revs_per_frame"])
     hop = revs * (1.0 - float(test.order_map.attrs["overlap"]))
-    best = min(
-        (
-            (float(error / amplitude), int(speed))
-            for line in lines
-            for error, amplitude, speed in zip(line.amplitude_error, line.amplitude, line.seen, strict=True)
-            if amplitude > 0.0 and np.isfinite(error)
-        ),
-        default=None,
-    )
-    if best is None:
+    known = [
+        (float(error / amplitude), int(speed))
+        for line in lines
+        for error, amplitude, speed in zip(line.amplitude_error, line.amplitude, line.seen, strict=True)
+        if amplitude > 0.0 and np.isfinite(error)
+    ]
+    if not known:
         return None
-    span = revs + (float(frames[best[1]]) - 1.0) * hop
-    needed = revs_to_decide(order, relative_error=best[0], span_rev=span, revs_per_frame=revs)
-    recorded = max((float(np.ptp(item.centre_rev)) + item.revs for item in test.recordings), default=0.0)
-    return needed if needed > recorded else None
+    relative_error, clearest = min(known)
+    span = revs + (float(frames[clearest]) - 1.0) * hop
+    needed = revs_to_decide(order, relative_error=relative_error, span_rev=span, revs_per_frame=revs)
+    return needed if needed > longest_rev(test.recordings) else None
 
 
 def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], number: _Number) -> list[OrderLine]:
@@ -483,12 +477,11 @@ def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], numb
             rows.append((seen, mean_rpm, abs(z.amplitude[channel]) / loss, float(z.error[channel]) / loss, z.dof))
         rows.sort()
         rows = [row for i, row in enumerate(rows) if i == 0 or row[0] != rows[i - 1][0]]
-        seen_at, rpm, amplitude, error, degrees_of_freedom = (np.array(column) for column in zip(*rows, strict=True))
+        seen_at, rpm, amplitude, error, freedom = (np.array(column) for column in zip(*rows, strict=True))
         clear = amplitude > 3.0 * error
-        if not clear.any():
-            continue
-        columns = (one[clear] for one in (seen_at, rpm, amplitude, error, degrees_of_freedom))
-        lines.append(line.read_again((number.order, number.error), *columns))
+        if clear.any():
+            columns = (column[clear] for column in (seen_at, rpm, amplitude, error, freedom))
+            lines.append(line.read_again((number.order, number.error), *columns))
     return lines or group
 
 
@@ -504,7 +497,14 @@ def sideband_of(lines: Sequence[OrderLine], order_map: xr.Dataset, frames: Seque
     ``order_map`` (OrderMap) says how large the others are, ``frames`` (OrderFrames) how well the angle is known. None
     where one of the lines is larger than that.
     """
-    error = _errors(order_map["speed"].values, float(order_map.attrs.get("speed_bin_rpm", 25.0)), frames)
+    rpm, width_rpm = order_map["speed"].values, float(order_map.attrs.get("speed_bin_rpm", 25.0))
+    error = np.zeros(len(rpm))  # [rev] of the crank angle, the largest of the recordings that ran at each speed
+    for recording in frames:
+        speed = recording["speed"].values
+        if len(speed) and np.isfinite(speed).any():
+            ran = (rpm >= np.nanmin(speed) - width_rpm) & (rpm <= np.nanmax(speed) + width_rpm)
+            own = float(recording.attrs.get(ERROR, 0.0))
+            error = np.where(ran | ~np.isfinite(rpm), np.maximum(error, own), error)
     axis, names = order_map["order"].values, order_map["channel"].values.tolist()
     carrier = 0.0
     for line in lines:
@@ -515,15 +515,3 @@ def sideband_of(lines: Sequence[OrderLine], order_map: xr.Dataset, frames: Seque
             return None
         carrier = float(axis[int(turned[line.strongest].argmax())])
     return carrier if lines else None
-
-
-def _errors(speed_rpm: Floats, width_rpm: float, frames: Sequence[xr.Dataset]) -> Floats:
-    """Standard error [rev] of the crank angle (speeds,) in the recordings that ran at each speed; the largest."""
-    made = np.zeros(len(speed_rpm))
-    for item in frames:
-        speed = item["speed"].values
-        if not len(speed) or not np.isfinite(speed).any():
-            continue
-        ran = (speed_rpm >= np.nanmin(speed) - width_rpm) & (speed_rpm <= np.nanmax(speed) + width_rpm)
-        made = np.where(ran | ~np.isfinite(speed_rpm), np.maximum(made, float(item.attrs.get(ERROR, 0.0))), made)
-    return made

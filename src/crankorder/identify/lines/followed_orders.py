@@ -13,12 +13,19 @@ from crankorder.identify.found import UNRESOLVED, AgreedOrder, Doubt, OrderLine,
 from crankorder.identify.intervals import half_width, interval
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.agreed_orders import NUMBERS as AGREED_ORDERS
-from crankorder.identify.lines.cfar import LOWEST_BINS, excess_over_noise, noise_level
 from crankorder.identify.lines.growth import remark_on
-from crankorder.identify.lines.line_phasors import is_swept, recordings_of
-from crankorder.identify.lines.order_lock import nearest_multiple, sure_half_width
-from crankorder.identify.lines.parted_lines import Followed, lines_of, standing_out
-from crankorder.identify.lines.swept_orders import longest_frame
+from crankorder.identify.lines.line_evidence import LOWEST_BINS, excess_over_noise, noise_level
+from crankorder.identify.lines.line_phasors import (
+    Followed,
+    any_swept,
+    lines_of,
+    longest_rev,
+    nearest_multiple,
+    recordings_of,
+    standing_out,
+    sure_half_width,
+)
+from crankorder.identify.lines.order_lines import longer_frames
 from crankorder.orders.fixed_lines import FixedLine, MetRow, OrderRows
 from crankorder.orders.track_rows import TrackReader, all_tracked, track_order
 from crankorder.quantities import Bools, Floats, Ints, QualityFlag
@@ -43,22 +50,22 @@ def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Da
     if not tracks:
         return tuple(orders)
     numbers = np.unique(np.concatenate(tracks))
-    taken = [
-        number for number in numbers if any(abs(one.order - number) <= NUMBERS.same_order * number for one in orders)
-    ]
-    made = []
-    for one in orders:
-        number = float(numbers[np.abs(numbers - one.order).argmin()]) if len(numbers) else np.inf
-        off = abs(number - one.order)
-        half = half_width(one.degrees_of_freedom) * one.order_error
-        reach = half if (2.0 * number).is_integer() else sure_half_width(one.order_error, one.degrees_of_freedom)
+    found = np.array([agreed.order for agreed in orders])
+    taken = [number for number in numbers if (np.abs(found - number) <= NUMBERS.same_order * number).any()]
+    renumbered = []
+    for agreed in orders:
+        number = float(numbers[np.abs(numbers - agreed.order).argmin()]) if len(numbers) else np.inf
+        off, sigmas = abs(number - agreed.order), half_width(agreed.degrees_of_freedom)
+        reach = sigmas * agreed.order_error
+        if not (2.0 * number).is_integer():
+            reach = sure_half_width(agreed.order_error, agreed.degrees_of_freedom)
         within = NUMBERS.same_order * number < off <= reach
-        if one.lock == "undecided" and within and number not in taken:
+        if agreed.lock == "undecided" and within and number not in taken:
             taken.append(number)
-            error = one.order_error + off / half_width(one.degrees_of_freedom)  # what was told lies within
-            one = replace(one, order=number, order_error=error)
-        made.append(one)
-    return tuple(sorted(made, key=lambda item: item.order))
+            # what was told lies within
+            agreed = replace(agreed, order=number, order_error=agreed.order_error + off / sigmas)
+        renumbered.append(agreed)
+    return tuple(sorted(renumbered, key=lambda agreed: agreed.order))
 
 
 def with_followed(
@@ -71,7 +78,7 @@ def with_followed(
     slow lines, of which the frames of the map hold too few periods, stand out in the longer ones that it was read in.
     """
     cycle = int(order_map.attrs["revs_per_cycle"])
-    found = list(orders)
+    known_orders = list(orders)
     axis = order_map["order"].values
     if len(axis) < 2:
         return tuple(orders)
@@ -82,18 +89,21 @@ def with_followed(
             number = float(item["order"].values[place])
             nearest = min((abs(number - item["order"].values[other]) for other in slow if other != place), default=step)
             apart = 0.5 * min(step, nearest) if place in slow else 0.5 * step
-            known = any(abs(one.order - number) <= max(NUMBERS.same_order * number, apart) for one in found)
+            known = any(abs(one.order - number) <= max(NUMBERS.same_order * number, apart) for one in known_orders)
             off = 0.0 if place in slow else abs(nearest_multiple(number, revs_per_cycle=cycle) - number)
             if known or off > NUMBERS.same_order * number:
                 continue
-            clear = _clear_rows(item, place)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                level = np.abs(item["amplitude"].values[:, place]) / item["standard_error"].values[:, place]
+            clear = np.nan_to_num(level) > NUMBERS.clear_sigmas
+            clear &= (np.count_nonzero(clear, axis=1) >= NUMBERS.clear_rows)[:, None]  # (channel, frame)
             if clear.any():
                 span = float(np.ptp(item["crank_angle"].values[clear.any(axis=0)]))
                 error = min(apart, AGREED_ORDERS.most_mode_turns / span) / half_width(np.inf)
                 lines = _lines_along(item, place, clear, error, order_map)
                 doubts = (ONLY_FOLLOWED, IN_SWEEP)
-                found.append(AgreedOrder(number, error, np.inf, "undecided", None, lines, doubts))
-    return tuple(sorted(found, key=lambda one: one.order))
+                known_orders.append(AgreedOrder(number, error, np.inf, "undecided", None, lines, doubts))
+    return tuple(sorted(known_orders, key=lambda one: one.order))
 
 
 def _slow_lines(item: xr.Dataset, width: float) -> list[int]:
@@ -123,22 +133,14 @@ def slow_flags(
     if not (stands.mean(axis=1) > 0.5).any():
         return []
     recordings = recordings_of(frames)
-    longest = longest_frame(revs, max((float(np.ptp(item.centre_rev)) + item.revs for item in recordings), default=0.0))
+    longest = longer_frames(revs, longest_rev(recordings))[-1]
     asks = "record longer at a held speed, for longer frames ([orders] revs_per_frame)"
-    if longest > revs and not any(is_swept(item.speed_rpm) for item in recordings):
+    if longest > revs and not any_swept(recordings):
         asks = f"[orders] revs_per_frame = {longest:g} in a recipe tells those from {LOWEST_BINS / longest:.2g} on"
     what = (
         f"below order {LOWEST_BINS / revs:.2g} stands a slow line or a drift, of which frames of {revs:g} revolutions"
     )
     return [{"recording": "all", "flag": "slow_lines", "severity": "info", "detail": f"{what} tell no order: {asks}"}]
-
-
-def _clear_rows(item: xr.Dataset, place: int) -> Bools:
-    """Rows (channel, frame) in which the order at ``place`` of the tracks ``item`` stands out, of channels that do."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        level = np.abs(item["amplitude"].values[:, place]) / item["standard_error"].values[:, place]
-    clear = np.nan_to_num(level) > NUMBERS.clear_sigmas
-    return np.asarray(clear & (np.count_nonzero(clear, axis=1) >= NUMBERS.clear_rows)[:, None])
 
 
 def _lines_along(
@@ -176,23 +178,23 @@ def with_track_rows(
     numbers = [track_number(one, revs_per_cycle=cycle) for one in orders]
     tracked = all_tracked(numbers, settings)
     names = reader.order_map["channel"].values.tolist()
-    made = []
+    followed = []
     for agreed, number in zip(orders, numbers, strict=True):
         others = [other for other in tracked if other != number]
         rows, met = reader.rows(number, others), reader.met(number, others)
         n_independent = reader.worth(number)
         read = partial(_read, rows=rows, met=met, n_independent=n_independent, reader=reader)
         lines = tuple(read(line, channel=names.index(line.channel)) for line in agreed.lines)
-        made.append(replace(agreed, lines=lines, tracked=number))
-    return tuple(made)
+        followed.append(replace(agreed, lines=lines, tracked=number))
+    return tuple(followed)
 
 
 def fixed_lines(tones: Sequence[Tone]) -> tuple[FixedLine, ...]:
     """Those of ``tones`` that stay where they are, as orders meet them."""
     return tuple(
-        FixedLine(one.frequency_hz, one.frequency_error_hz, FIXED_WORDS[one.kind], dict(one.amplitude))
-        for one in tones
-        if one.kind in FIXED_WORDS
+        FixedLine(tone.frequency_hz, tone.frequency_error_hz, FIXED_WORDS[tone.kind], dict(tone.amplitude))
+        for tone in tones
+        if tone.kind in FIXED_WORDS
     )
 
 

@@ -144,25 +144,10 @@ def growth(line: OrderLine) -> Growth | None:
     exponent, exponent_error, level, excess, chance = _weighted_line(x[kept], y[kept], error[kept])
     degrees_of_freedom = _degrees_of_freedom(error[kept], excess, line.degrees_of_freedom[known][kept])
     few_deviate = bool(np.count_nonzero(~kept) <= NUMBERS.largest_deviating_share * len(x))
-    half = half_width(degrees_of_freedom) * exponent_error
-    law = _law(
-        exponent,
-        half,
-        fits=few_deviate and chance >= NUMBERS.fit_chance,
-        near=few_deviate and excess < NUMBERS.law_scatter,
-    )
-    deviating_rpm = tuple(speed[~kept].tolist())
-    return Growth(
-        exponent,
-        exponent_error,
-        degrees_of_freedom,
-        law,
-        chance,
-        excess,
-        deviating_rpm,
-        float(np.exp(level)),
-        middle_rpm,
-    )
+    fits, near = few_deviate and chance >= NUMBERS.fit_chance, few_deviate and excess < NUMBERS.law_scatter
+    law = _law(exponent, half_width(degrees_of_freedom) * exponent_error, fits=fits, near=near)
+    away, level = tuple(speed[~kept].tolist()), float(np.exp(level))
+    return Growth(exponent, exponent_error, degrees_of_freedom, law, chance, excess, away, level, middle_rpm)
 
 
 def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
@@ -255,28 +240,28 @@ def largest(line: OrderLine) -> Largest:
     error = np.where(np.isfinite(line.amplitude_error), line.amplitude_error, np.inf)
     known = np.where(np.isfinite(error), line.amplitude, -np.inf)
     at = int(np.argmax(known)) if np.isfinite(known).any() else line.strongest
-    seen, one = float(line.amplitude[at]), float(error[at])
+    seen, sigma = float(line.amplitude[at]), float(error[at])
     speed = float(line.speed_rpm[at])
-    if one == 0.0 or not np.isfinite(one):
-        return Largest(at, speed, seen, seen if one == 0.0 else 0.0, seen if one == 0.0 else np.inf)
+    if sigma == 0.0 or not np.isfinite(sigma):
+        return Largest(at, speed, seen, seen if sigma == 0.0 else 0.0, seen if sigma == 0.0 else np.inf)
     degrees_of_freedom = known_freedom(float(line.degrees_of_freedom[at]))
     others, count = _independent_of(at, known, line.n_independent)
-    cut = (float(np.max(others)) - seen) / one if len(others) else -np.inf
+    cut = (float(np.max(others)) - seen) / sigma if len(others) else -np.inf
     wide = half_width(degrees_of_freedom, level=1.0 - NUMBERS.simultaneous_chance / count)
     share = 0.5 * (0.05 - NUMBERS.simultaneous_chance) / (1.0 - NUMBERS.simultaneous_chance)
     parts = (LOW_SHARE * share, 1.0 - (2.0 - LOW_SHARE) * share) if len(others) else (0.025, 0.975)
     below, above = (_not_surprising(cut, wide, degrees_of_freedom, part) for part in parts)
     # where two speeds are alike the upper end falls on the lower one: no amplitude is told better than to its error
-    low, high = max(0.0, seen + one * below), max(seen + one * above, seen + one)
+    low, high = max(0.0, seen + sigma * below), max(seen + sigma * above, seen + sigma)
     if line.ends is None:
         return Largest(at, speed, seen, low, high)
     alone = [float(end) for end in line.ends[at]]
     usual = half_width(degrees_of_freedom)
     if 0.0 < alone[0] < seen and seen < alone[1] < np.inf:
         # the choice stretches the interval of that speed alone; a factor, so that what is seen stays above 0
-        held = max(seen - alone[0], alone[1] - seen) > NUMBERS.changing_ratio * (one * usual)
+        held = max(seen - alone[0], alone[1] - seen) > NUMBERS.changing_ratio * (sigma * usual)
         # what was held within the recordings is no error: the choice stretches only that of the noise
-        by_noise = max(alone[0], seen / (1.0 + usual * one / seen)) if held else alone[0]
+        by_noise = max(alone[0], seen / (1.0 + usual * sigma / seen)) if held else alone[0]
         low = seen * float((by_noise / seen) ** (-below / usual)) if below < 0.0 else seen
         low = min(low, alone[0]) if held else low
         high = max(high, alone[1]) if len(others) == 0 or held else high
@@ -374,7 +359,8 @@ def order_one(line: OrderLine, quantity: str, modes: Sequence[Mode]) -> Cause:
         return like("no power of the speed describes how it grows")
     grows = f"goes with speed to the {grown.exponent:.2f} ({low:.2f} to {high:.2f})"
     would = f"which alone would with {least:g} or more"
-    lowest = _least_beside(line.speed_rpm, least, modes, grown)
+    followed = np.setdiff1d(line.speed_rpm[np.isfinite(line.speed_rpm)], np.asarray(grown.deviating_rpm))
+    lowest = least + _least_slope(followed, modes)
     if high < lowest - ORDER_ONE_NUMBERS.slower_exponent:
         slower = f"{grows}: it does not grow as unbalance does, {would}"
         return Cause("unexplained", slower, doubt="slower than unbalance")
@@ -400,18 +386,14 @@ def if_unbalance(balance: Balance, causes: Collection[Cause]) -> tuple[Balance |
     return balance, ""
 
 
-def _least_beside(speed_rpm: Floats, least: float, modes: Sequence[Mode], grown: Growth) -> float:
-    """Least exponent that an unbalance shows at those speeds where one of the ``modes`` bears it, or none."""
-    rpm = np.setdiff1d(speed_rpm[np.isfinite(speed_rpm)], np.asarray(grown.deviating_rpm))
-    slopes = [_slope(rpm, mode.frequency_hz, mode.damping_ratio) for mode in modes if np.ptp(rpm) > 0.0]
-    return least + min([0.0, *slopes])
-
-
-def _slope(rpm: Floats, natural_hz: float, damping_ratio: float) -> float:
-    """Exponent of speed over ``rpm`` with which a mass on a spring moves under an unbalance, in displacement."""
-    ratio = rpm / 60.0 / natural_hz
-    moves = ratio**2 / np.abs(1.0 - ratio**2 + 2j * damping_ratio * ratio)
-    return float(np.polyfit(np.log(rpm), np.log(moves), 1)[0])
+def _least_slope(rpm: Floats, modes: Sequence[Mode]) -> float:
+    """Least exponent of speed over ``rpm``, 0 or less, by which an unbalance moves a mass borne by one of ``modes``."""
+    slopes = [0.0]
+    for mode in modes if len(rpm) > 1 else ():
+        ratio = rpm / 60.0 / mode.frequency_hz
+        moves = ratio**2 / np.abs(1.0 - ratio**2 + 2j * mode.damping_ratio * ratio)
+        slopes.append(float(np.polyfit(np.log(rpm), np.log(moves), 1)[0]))
+    return min(slopes)
 
 
 def _between_few(line: OrderLine, least: float, modes: Sequence[Mode]) -> str:
@@ -425,8 +407,7 @@ def _between_few(line: OrderLine, least: float, modes: Sequence[Mode]) -> str:
     if amplitude[slow] <= error[slow]:
         return ""
     high = np.log((amplitude[fast] + error[fast]) / (amplitude[slow] - error[slow])) / np.log(rpm[fast] / rpm[slow])
-    slopes = [_slope(rpm[[slow, fast]], mode.frequency_hz, mode.damping_ratio) for mode in modes]
-    if high >= least + min([0.0, *slopes]) - ORDER_ONE_NUMBERS.slower_exponent:
+    if high >= least + _least_slope(rpm[[slow, fast]], modes) - ORDER_ONE_NUMBERS.slower_exponent:
         return ""
     speeds = f"from {rpm[slow]:.0f} to {rpm[fast]:.0f} rpm"
     return f"; {speeds} it does not grow as unbalance does, unless a natural frequency is near one"

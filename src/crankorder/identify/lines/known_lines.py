@@ -117,10 +117,8 @@ class LineSeen:
 
     def cause(self, evidence: str) -> Cause:
         """What makes the line, with the ``evidence`` for it: the motor, its field or the supply."""
-        others = [
-            Cause(_kind(line), parameters={"name": line.name})
-            for line in {other.name: other for other in self.also}.values()
-        ]
+        lines = {other.name: other for other in self.also}.values()
+        others = [Cause(_kind(line), parameters={"name": line.name}) for line in lines]
         return Cause(_kind(self.line), evidence, {"name": self.name}).either(*others)
 
     @property
@@ -145,18 +143,18 @@ def held_of(frames: Sequence[xr.Dataset], order_map: xr.Dataset) -> list[Held]:
 
 def held_recordings(recordings: Sequence[Recording], axis: Floats, channels: Sequence[str]) -> list[Held]:
     """Those of ``recordings`` whose speed is known and held, with the orders ``axis`` and the names of ``channels``."""
-    made = []
-    for item in recordings:
-        speed = np.asarray(item.speed_rpm, dtype=np.float64)
-        whole = np.isfinite(item.spectrum.real).all(axis=(0, 2)) & np.isfinite(speed)
+    held = []
+    for recording in recordings:
+        speed = np.asarray(recording.speed_rpm, dtype=np.float64)
+        whole = np.isfinite(recording.spectrum.real).all(axis=(0, 2)) & np.isfinite(speed)
         if np.count_nonzero(whole) < NUMBERS.least_frames or is_swept(speed[whole]):
             continue
-        turn, speed = item.centre_rev[whole], speed[whole]
+        turn, speed = recording.centre_rev[whole], speed[whole]
         pace = 60.0 / speed
         time_s = np.concatenate([[0.0], np.cumsum(0.5 * (pace[1:] + pace[:-1]) * np.diff(turn))])
         rpm = 60.0 * float(np.ptp(turn)) / float(time_s[-1])
-        made.append(Held(item.spectrum[:, whole], axis, turn, time_s, item.revs, rpm, tuple(channels)))
-    return made
+        held.append(Held(recording.spectrum[:, whole], axis, turn, time_s, recording.revs, rpm, tuple(channels)))
+    return held
 
 
 def sightings(held: Held, places: Sequence[Place]) -> list[Sighting | None]:
@@ -266,10 +264,9 @@ def noise_beside(
     """
     seconds = held.span_rev * 60.0 / held.rpm
     beside = [(place[0] + side * cycles / seconds, place[1]) for cycles in BESIDE_CYCLES for side in (-1.0, 1.0)]
-    clear = [
-        one for one in beside if np.min(np.abs(held.order_of(one) - lines)) * held.span_rev >= NUMBERS.apart_cycles
-    ] or beside
-    shapes = waves_of(held, bins, clear)
+    apart = [np.min(np.abs(held.order_of(other) - lines)) * held.span_rev for other in beside]
+    clear = [other for other, away in zip(beside, apart, strict=True) if away >= NUMBERS.apart_cycles]
+    shapes = waves_of(held, bins, clear or beside)
     gain = np.maximum(np.square(np.abs(shapes)).sum(axis=0), 1e-12)
     power = np.square(np.abs(shapes.conj().T @ left) / gain[:, None])
     mean = np.median(power, axis=0) / np.log(2.0) if median else power.mean(axis=0)
@@ -283,11 +280,8 @@ def _shaft_orders(held: Held, places: Sequence[Place], own: Sequence[Place]) -> 
     low, high = max(0.5, float(orders.min()) - reach), float(orders.max()) + reach
     halves = 0.5 * np.arange(np.ceil(2.0 * low), np.floor(2.0 * high) + 1.0)
     taken = np.array([held.order_of(place) for place in own])
-    return [
-        (0.0, float(half))
-        for half in halves
-        if not len(taken) or np.min(np.abs(taken - half)) * held.span_rev >= NUMBERS.apart_cycles
-    ]
+    apart = np.abs(taken - halves[:, None]).min(axis=1, initial=np.inf) * held.span_rev
+    return [(0.0, half) for half in halves[apart >= NUMBERS.apart_cycles].tolist()]
 
 
 def bins_of(held: Held, orders: Floats) -> Ints:
@@ -337,13 +331,9 @@ def named_by(seen: Sequence[LineSeen], agreed: AgreedOrder) -> LineSeen | None:
 
 def _size_at(agreed: AgreedOrder, rpm: float) -> float | None:
     """Largest amplitude of an order at the speed ``rpm``; None where it was not seen there."""
-    at = [
-        float(size)
-        for line in agreed.lines
-        for speed, size in zip(line.speed_rpm, line.amplitude, strict=True)
-        if abs(speed - rpm) <= NUMBERS.same_speed_share * rpm
-    ]
-    return max(at, default=None)
+    near = NUMBERS.same_speed_share * rpm
+    there = (line.amplitude[np.abs(line.speed_rpm - rpm) <= near] for line in agreed.lines)
+    return max((float(size) for sizes in there for size in sizes), default=None)
 
 
 def _is_at(known: LineSeen, agreed: AgreedOrder) -> bool:

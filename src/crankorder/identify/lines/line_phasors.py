@@ -1,20 +1,130 @@
-"""Phasors of a line in the frames of all recordings, and what their turn tells."""
+"""Phasors of a line in frames of recordings and tracks of sweeps, and what their turn tells: its order and its lock."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy.special import exp1
 
+from crankorder.findings import Lock
+from crankorder.identify.found import Doubt, OrderLine
+from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.zoom import NUMBERS as ZOOM
 from crankorder.identify.lines.zoom import PAIR_NUMBERS as CLOSE_PAIR
-from crankorder.identify.lines.zoom import Zoomed, unaliased, zoomed
+from crankorder.identify.lines.zoom import Course, Zoomed, course_of, unaliased, zoomed
 from crankorder.orders.like_speed import common_frames
-from crankorder.quantities import Complexes, Floats
+from crankorder.quantities import Complexes, Floats, flags_of
 from crankorder.settings import MethodNumbers
+
+LOCK_NUMBERS = MethodNumbers("5-identify-lines.toml", "order_lock")
+
+
+def nearest_multiple(order: float, *, revs_per_cycle: int) -> float:
+    """The multiple of 1 / ``revs_per_cycle`` next to ``order`` and above zero."""
+    return max(1, round(order * revs_per_cycle)) / revs_per_cycle
+
+
+def is_half_order(order: float, order_error: float) -> bool:
+    """Whether ``order`` is, within four times its standard ``order_error`` or 0.1 %, an odd multiple of one half."""
+    odd = np.floor(order) + 0.5
+    return bool(abs(order - odd) <= max(4.0 * order_error, LOCK_NUMBERS.least_slip * order))
+
+
+def lock_of(
+    order: float, order_error: float, degrees_of_freedom: float, *, revs_per_cycle: int, by_phase: bool
+) -> Lock:
+    """Whether ``order`` is an exact multiple of 1 / ``revs_per_cycle``: "locked", "slips" or "undecided".
+
+    It slips where the 99.9 % interval leaves the multiple out, and that of the half revolution too: a rotor that
+    rubs or is loose has exact half orders, though its cycle is one revolution. It is locked where that interval
+    holds the multiple and no order that differs from it by ``least_slip`` or more. ``order_error`` is the standard
+    error with its ``degrees_of_freedom``; only what was measured ``by_phase``, by the turn of the phase over a
+    recording, can prove a lock.
+    """
+    multiple = nearest_multiple(order, revs_per_cycle=revs_per_cycle)
+    half, distance = sure_half_width(order_error, degrees_of_freedom), abs(order - multiple)
+    if distance > half:
+        return "slips" if abs(order - nearest_multiple(order, revs_per_cycle=2)) > half else "undecided"
+    return "locked" if by_phase and distance + half < LOCK_NUMBERS.least_slip * multiple else "undecided"
+
+
+def sure_half_width(order_error: float, degrees_of_freedom: float) -> float:
+    """Half width of the 99.9 % interval of an order whose standard ``order_error`` has these ``degrees_of_freedom``."""
+    return half_width(degrees_of_freedom, level=LOCK_NUMBERS.sure_level) * order_error
+
+
+def revs_to_decide(order: float, *, relative_error: float, span_rev: float, revs_per_frame: float) -> float:
+    """Revolutions of one recording after which ``order`` is known to be an exact multiple, or not.
+
+    The phase of a line whose amplitude errs by ``relative_error`` over ``span_rev`` tells its order with a standard
+    error of relative_error sqrt(12) / (2 pi span) (Rife and Boorstyn 1974); it falls with the length to the power
+    3/2. The 99.9 % interval must become half as wide as ``least_slip`` of the order, and two frames of
+    ``revs_per_frame`` are needed anyway.
+    """
+    error = relative_error * np.sqrt(12.0) / (2.0 * np.pi * span_rev)
+    wanted = 0.5 * LOCK_NUMBERS.least_slip * order / half_width(np.inf, level=LOCK_NUMBERS.sure_level)
+    return float(max(span_rev * (error / wanted) ** (2.0 / 3.0), LOCK_NUMBERS.fewest_frames * revs_per_frame))
+
+
+NO_PULSES = Doubt("no pulses", "no encoder pulses: the number is as good as the speed from which the crank angle comes")
+"""Of an order whose speed was stated or read from something else than a shaft's pulses."""
+
+SpeedSource = Literal["pulses", "stated", "vibration"]
+
+
+def speed_source(items: Sequence[xr.Dataset]) -> SpeedSource:
+    """What the crank angle of ``items`` (frames, maps or tracks) comes from; one without a word on it has pulses.
+
+    "vibration" where any comes from the very orders that are looked at, "stated" where any comes from a speed that was
+    stated or recorded as a signal.
+    """
+    said = [flag["detail"] for item in items for flag in flags_of(item) if flag["flag"] == "no_index"]
+    if any("taken from the vibration" in detail for detail in said):
+        return "vibration"
+    return "stated" if any("no encoder pulses" in detail for detail in said) else "pulses"
+
+
+def proves_speed(numbers: Sequence[tuple[float, float, float]], *, revs_per_cycle: int) -> bool:
+    """Whether orders prove that the speed is right by which they were told.
+
+    A speed that is off moves all of them away from multiples of 1 / ``revs_per_cycle`` by one share. It is proven where
+    two or more stand on multiples, none of them as far off as ``least_slip``, together so exactly that the slip of
+    another shaft and an error of the speed would hardly make it up by chance.
+
+    Parameters
+    ----------
+    numbers : of each order, told by its phase: the number, its standard error without that of the speed, its freedom
+    revs_per_cycle : 1 or 2
+    """
+    off, half = [], []
+    for order, error, freedom in numbers:
+        multiple = nearest_multiple(order, revs_per_cycle=revs_per_cycle)
+        share, reach = (order - multiple) / multiple, sure_half_width(error, freedom) / multiple
+        if abs(share) <= reach and abs(share) + reach < LOCK_NUMBERS.least_slip:
+            off.append(share)
+            half.append(max(reach, 1e-12))
+    if len(off) < LOCK_NUMBERS.fewest_orders:
+        return False
+    weight = 1.0 / np.square(half)
+    together = 1.0 / np.sqrt(weight.sum())
+    mean = abs(float(np.average(off, weights=weight)))
+    if mean > together:
+        return False
+    by_chance = LOCK_NUMBERS.other_shaft_chance ** len(off) * min(1.0, 2.0 * (mean + together) * _density())
+    return bool(by_chance < (1.0 - LOCK_NUMBERS.sure_level) * LOCK_NUMBERS.right_speed_share)
+
+
+def _density() -> float:
+    """Density, at no error at all, of what a slip and an error of the speed make together."""
+    least, error = LOCK_NUMBERS.least_slip, LOCK_NUMBERS.stated_speed_error
+    slips = 0.5 * exp1(0.5 * (least / error) ** 2) / np.log(LOCK_NUMBERS.largest_slip / least)
+    return float(slips / (np.sqrt(2.0 * np.pi) * error))
+
 
 NUMBERS = MethodNumbers("5-identify-lines.toml", "line_phasors")
 
@@ -33,16 +143,28 @@ class Recording:
     hop_rev: float
 
 
+def any_swept(recordings: Sequence[Recording]) -> bool:
+    """Whether the speed of any of ``recordings`` is that of a run-up or coast-down."""
+    return any(is_swept(recording.speed_rpm) for recording in recordings)
+
+
+def longest_rev(recordings: Sequence[Recording]) -> float:
+    """Revolutions of the longest of ``recordings``; 0 where there is none."""
+    spans = [
+        float(np.ptp(recording.centre_rev)) + recording.revs for recording in recordings if len(recording.centre_rev)
+    ]
+    return max(spans, default=0.0)
+
+
 def recordings_of(frames: Sequence[xr.Dataset]) -> list[Recording]:
     """The recordings of ``frames`` (their OrderFrames) that can be taken together."""
-    return [_recording(item) for item in (common_frames(frames)[0] if frames else [])]
-
-
-def _recording(item: xr.Dataset) -> Recording:
-    revs = float(item.attrs["revs_per_frame"])
-    begin = item["crank_angle"].values.astype(np.float64)
-    hop = float(np.median(np.diff(begin))) if len(begin) > 1 else revs
-    return Recording(item["spectrum"].values, begin + 0.5 * revs, item["speed"].values, revs, max(hop, 1e-9))
+    recordings = []
+    for spectra in common_frames(frames)[0] if frames else ():
+        revs, begin = float(spectra.attrs["revs_per_frame"]), spectra["crank_angle"].values.astype(np.float64)
+        hop = max(float(np.median(np.diff(begin))) if len(begin) > 1 else revs, 1e-9)
+        middle = begin + 0.5 * revs
+        recordings.append(Recording(spectra["spectrum"].values, middle, spectra["speed"].values, revs, hop))
+    return recordings
 
 
 Phasors = tuple[Recording, Complexes, Floats, Floats]
@@ -143,3 +265,150 @@ def _noise_beside(item: Recording, channels: list[int], at: int, centre_rev: Flo
     power = np.square(np.abs(item.spectrum[np.ix_(np.array(channels), frames, np.array(bins))].astype(np.complex128)))
     median = np.nanmedian(np.where(np.isfinite(power), power, np.nan), axis=2) / np.log(2.0)
     return np.asarray(np.nan_to_num(median))
+
+
+PARTED_NUMBERS = MethodNumbers("5-identify-lines.toml", "parted_lines")
+
+SURE_FREEDOM = 1e6
+"""Degrees of freedom of a number that a course tells: its errors are bounds."""
+
+SAME_NUMBER = 1e-9
+"""Numbers closer than this are one."""
+
+
+@dataclass(frozen=True)
+class Followed:
+    """One line in one recording: its ``place`` among the orders of ``tracks`` (RecordingTracks), its ``number``, the
+    ``variance`` of that, and how its phase runs from the order under which it was followed.
+
+    ``course`` is None where noise hides it, or where the filter remembers so much that stretches are no witnesses of
+    each other; ``by_phase`` says whether the phase told the number all the same.
+    """
+
+    tracks: xr.Dataset
+    place: int
+    number: float
+    variance: float
+    by_phase: bool
+    course: Course | None
+
+    @property
+    def order(self) -> float:
+        """The order under which it was followed."""
+        return float(self.tracks["order"].values[self.place])
+
+    @property
+    def span_rev(self) -> float:
+        """Revolutions over which it was followed."""
+        return float(np.ptp(self.tracks["crank_angle"].values))
+
+
+def parted_lines(followed: Sequence[xr.Dataset], *, near: float, reach: float) -> list[list[Followed]]:
+    """The close lines about the order ``near``, lowest first, each in all recordings that part them; [] if none does.
+
+    Lines stand out in sweeps of ``followed`` (RecordingTracks) and are less than ``reach`` orders from the next;
+    recordings that show fewer of them than others hold a mixture and are left out.
+    """
+    groups = [(item, _chain(item, near, reach)) for item in followed if item.attrs.get("swept", 0)]
+    most = max((len(group) for _, group in groups), default=0)
+    if most < 2:
+        return []
+    parted: list[list[Followed]] = [[] for _ in range(most)]
+    for item, group in groups:
+        if len(group) != most:
+            continue
+        numbers = item["order"].values[group]
+        for lines, place in zip(parted, group, strict=True):
+            apart = np.abs(numbers - item["order"].values[place])
+            lines.append(_read(item, place, float(apart[apart > 0.0].min())))
+    return parted
+
+
+def stands_out(followed: Sequence[xr.Dataset], *, near: float, reach: float) -> bool | None:
+    """Whether a line within ``reach`` orders of ``near`` stands out in a sweep of ``followed`` (RecordingTracks).
+
+    None where none of them says what stands out.
+    """
+    said = [item for item in followed if "standing_out" in item.attrs]
+    if not said:
+        return None
+    return any(abs(float(item["order"].values[place]) - near) < reach for item in said for place in standing_out(item))
+
+
+def standing_out(item: xr.Dataset) -> list[int]:
+    """Places of the orders of ``item`` that stand out in it: others were asked for."""
+    out = np.atleast_1d(np.asarray(item.attrs.get("standing_out", ()), dtype=np.float64))
+    if not len(out) or not item.sizes.get("frame", 0):
+        return []
+    return [k for k, number in enumerate(item["order"].values) if np.abs(out - number).min() < SAME_NUMBER]
+
+
+def _chain(item: xr.Dataset, near: float, reach: float) -> list[int]:
+    """Places of orders standing out in ``item``, each less than ``reach`` from the next, one of them so to ``near``."""
+    numbers, places = item["order"].values, standing_out(item)
+    if not places:
+        return []
+    chains = np.split(np.array(places), np.flatnonzero(np.diff(numbers[places]) >= reach) + 1)
+    distance, best = min((float(np.abs(numbers[chain] - near).min()), chain.tolist()) for chain in chains)
+    return best if distance < reach else []
+
+
+def _read(item: xr.Dataset, place: int, nearest: float) -> Followed:
+    """The order number ``place`` of ``item``, which is ``nearest`` orders from the next line."""
+    order, course = float(item["order"].values[place]), _course(item, place)
+    unread = (PARTED_NUMBERS.unread_share * nearest) ** 2
+    if course is None:
+        return Followed(item, place, order, unread, by_phase=False, course=None)
+    span = float(np.ptp(item["crank_angle"].values))
+    bandwidth = float(np.median(item["bandwidth_hz"].values[place] * 60.0 / item["speed"].values))
+    variance = (course.half / ZOOM.sure_sigmas) ** 2
+    if bandwidth * span < ZOOM.stretches:
+        variance, course = variance + (ZOOM.swept_turns_rev / span) ** 2, replace(course, slopes=np.zeros(0))
+    if variance > unread:
+        return Followed(item, place, order, unread, by_phase=False, course=None)
+    told = course if len(course.slopes) else None
+    return Followed(item, place, order + course.offset, variance, by_phase=True, course=told)
+
+
+def _course(item: xr.Dataset, place: int) -> Course | None:
+    """How the phase of the order number ``place`` of ``item`` runs from that number."""
+    values = item["amplitude"].values[:, place]
+    noise = 2.0 * np.square(item["standard_error"].values[:, place])
+    seen = np.isfinite(values) & np.isfinite(noise)
+    channels = seen.any(axis=1)
+    rows = channels.any() & seen[channels].all(axis=0)
+    kept = np.ix_(channels, rows)
+    return course_of(values[kept], item["crank_angle"].values[rows], noise[kept])
+
+
+def lines_of(
+    lines: Sequence[OrderLine], followed: Sequence[Followed], *, speed_rpm: Floats, order: float, order_error: float
+) -> list[OrderLine]:
+    """Those of ``lines`` (one of each channel) in which the tracks of ``followed`` stand out, with their amplitudes.
+
+    Each speed of the map, ``speed_rpm`` (speeds,), holds the row that is nearest to it; the lines are of ``order`` with
+    its standard ``order_error``.
+    """
+    shown = []
+    for line in lines:
+        rows = [_rows(item, line.channel) for item in followed]
+        speed, size, error, degrees_of_freedom = (np.concatenate(column) for column in zip(*rows, strict=True))
+        clear = np.flatnonzero(size > PARTED_NUMBERS.clear_sigmas * error)
+        if not len(clear):
+            continue
+        apart = np.abs(speed_rpm[:, None] - speed[clear])
+        inside = (speed_rpm >= speed[clear].min()) & (speed_rpm <= speed[clear].max())
+        at = np.flatnonzero(inside) if inside.any() else np.array([int(np.nanargmin(apart.min(axis=1)))])
+        row = clear[apart[at].argmin(axis=1)]
+        read = line.read_again((order, order_error), at, speed[row], size[row], error[row], degrees_of_freedom[row])
+        shown.append(replace(read, evidence="follows the speed"))
+    return shown
+
+
+def _rows(item: Followed, channel: str) -> tuple[Floats, Floats, Floats, Floats]:
+    """Speeds, amplitudes, their errors and degrees of freedom, of the rows of ``item`` that know its ``channel``."""
+    tracks = item.tracks.isel(order=item.place).sel(channel=channel)
+    size, error = np.abs(tracks["amplitude"].values), tracks["standard_error"].values
+    known = np.isfinite(size) & np.isfinite(error)
+    degrees_of_freedom = tracks["degrees_of_freedom"].values.astype(np.float64)
+    return tracks["speed"].values[known], size[known], error[known], degrees_of_freedom[known]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -26,7 +26,7 @@ from crankorder.identify.lines.known_lines import (
     sightings,
 )
 from crankorder.identify.lines.line_evidence import UNPROVEN
-from crankorder.identify.lines.order_lock import NUMBERS as ORDER_LOCK
+from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -51,12 +51,12 @@ def multiples_near(frequency_hz: float, error_hz: float, *, settings: IdentifySe
 
     ``error_hz``: its standard error; ``settings``: the mains frequencies and how far they wander.
     """
-    made = []
-    for mains in settings.mains_hz:
-        multiple, reach = nearest_multiple(frequency_hz, mains, settings=settings)
-        if abs(frequency_hz - float(multiple) * mains) <= float(reach) + 2.0 * error_hz:
-            made.append((int(multiple), mains))
-    return made
+    nearest = [(mains, *nearest_multiple(frequency_hz, mains, settings=settings)) for mains in settings.mains_hz]
+    return [
+        (int(multiple), mains)
+        for mains, multiple, reach in nearest
+        if abs(frequency_hz - float(multiple) * mains) <= float(reach) + 2.0 * error_hz
+    ]
 
 
 def multiple_on(frequency_hz: float, error_hz: float, *, settings: IdentifySettings) -> tuple[int, float] | None:
@@ -256,12 +256,17 @@ def without_ringing(known: Sequence[LineSeen], modes: Sequence[Mode]) -> tuple[L
 
     A supply has one frequency; what noise rings in a mode peaks anywhere within the mode's width.
     """
+    rung = {multiple for multiple, group in _by_multiple(known).items() if any(_rings(mode, group) for mode in modes)}
+    return tuple(seen for seen in known if seen.line.turns != 0.0 or seen.line.mains not in rung)
+
+
+def _by_multiple(known: Iterable[LineSeen]) -> dict[int, list[LineSeen]]:
+    """Those of the ``known`` lines that stay where they are, by their multiple of the mains."""
     fixed: dict[int, list[LineSeen]] = {}
     for seen in known:
         if seen.line.turns == 0.0:
             fixed.setdefault(seen.line.mains, []).append(seen)
-    rung = {multiple for multiple, group in fixed.items() if any(_rings(mode, group) for mode in modes)}
-    return tuple(seen for seen in known if seen.line.turns != 0.0 or seen.line.mains not in rung)
+    return fixed
 
 
 def _rings(mode: Mode, group: Sequence[LineSeen]) -> bool:
@@ -278,23 +283,18 @@ def with_mains_tones(modal: ModalFit, known: Sequence[LineSeen], orders: Sequenc
     A tone there that may be an order at the speeds of the test is none: where the shaft's orders moved it has stayed.
     """
     tones = list(modal.tones)
-    fixed: dict[int, list[LineSeen]] = {}
-    for seen in known:
-        if seen.line.turns == 0.0 and seen.alone:
-            fixed.setdefault(seen.line.mains, []).append(seen)
     held_by_orders = {named.line.mains for one in orders if (named := named_by(known, one)) and not named.line.turns}
-    for mains, group in fixed.items():
+    for mains, group in _by_multiple(seen for seen in known if seen.alone).items():
         hertz = float(np.median([seen.hertz for seen in group]))
-        near = [
-            number
-            for number, tone in enumerate(tones)
-            if abs(tone.frequency_hz - hertz) <= max(KNOWN_LINES.same_hz, Z95 * tone.frequency_error_hz)
-        ]
+        reaches = [max(KNOWN_LINES.same_hz, Z95 * tone.frequency_error_hz) for tone in tones]
+        near = [abs(tone.frequency_hz - hertz) <= reach for tone, reach in zip(tones, reaches, strict=True)]
         words = f"{len(group)} recordings hold it at {mains} times one mains frequency"
-        for number in near:
-            if "order" in tones[number].kind and len(group) >= NUMBERS.least_speeds:
-                tones[number] = replace(tones[number], kind="mains", evidence=words)
-        if not near and mains not in held_by_orders:
+        if len(group) >= NUMBERS.least_speeds:
+            tones = [
+                replace(tone, kind="mains", evidence=words) if beside and "order" in tone.kind else tone
+                for tone, beside in zip(tones, near, strict=True)
+            ]
+        if not any(near) and mains not in held_by_orders:
             tones.append(_as_tone(hertz, group, words))
     return replace(modal, tones=tuple(sorted(tones, key=lambda tone: tone.frequency_hz)))
 
@@ -350,8 +350,12 @@ def motor_seen(motor: Motor, held: Sequence[Held], *, by_shaft: bool, settings: 
     """
     supplies = [_supply(motor, recording, by_shaft, settings) for recording in held]
     measured = [own for own in supplies if own is not None]
-    supply = _mean(measured) if measured else None
-    if supply is None and motor.supply_hz is not None:
+    supply: Measured | None = None
+    if measured:  # the error of the mean is no less than the scatter of recordings
+        hertz, error = np.array(measured).T
+        scatter = float(max(np.sum(error**-2) ** -0.5, hertz.std()))
+        supply = float(np.average(hertz, weights=error**-2)), scatter
+    elif motor.supply_hz is not None:
         supply = motor.supply_hz, settings.mains_tolerance_hz / Z95
     lines = [line for line in motor_lines(motor) if (measured or line.mains == 0) and (by_shaft or line.turns == 0.0)]
     speeds: list[MotorSpeed] = []
@@ -400,12 +404,6 @@ def _supply(motor: Motor, held: Held, by_shaft: bool, settings: IdentifySettings
         if line is not None:
             return line[0] / multiple, max(line[1] / multiple, 1e-6)
     return None
-
-
-def _mean(supplies: Sequence[Measured]) -> Measured:
-    """Mean supply frequency of recordings; its error is no less than their scatter."""
-    hertz, error = np.array(supplies).T
-    return float(np.average(hertz, weights=error**-2)), float(max(np.sum(error**-2) ** -0.5, hertz.std()))
 
 
 def _speed(motor: Motor, held: Held, supply: Measured, *, by_shaft: bool) -> MotorSpeed | None:

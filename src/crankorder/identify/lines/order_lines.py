@@ -1,8 +1,8 @@
-"""Order lines over a stated false-alarm level, each with its order and its amplitude over the speeds."""
+"""Order lines over a stated false-alarm level, with order and amplitudes; in one sweep, those worth following."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,21 +12,28 @@ from scipy.special import chdtrc
 
 from crankorder.identify.found import UNRESOLVED, Doubt, Evidence, OrderLine
 from crankorder.identify.intervals import half_width
-from crankorder.identify.lines.cfar import excess_over_noise, noise_chance
 from crankorder.identify.lines.growth import remark_on
 from crankorder.identify.lines.line_evidence import (
+    LOWEST_BINS,
     UNPROVEN,
+    OverNoise,
     evidence_of,
+    excess_over_noise,
     has_moved,
     is_unprovable,
     keeps_its_phase,
     keeps_one_order,
+    noise_chance,
 )
-from crankorder.identify.lines.line_phasors import Phasors, Recording, is_swept, phasors_at, recordings_of, zooms
-from crankorder.identify.lines.zoom import Zoomed, left_of_slow_waves
+from crankorder.identify.lines.line_phasors import Phasors, Recording, any_swept, phasors_at, recordings_of, zooms
+from crankorder.identify.lines.zoom import left_of_slow_waves
 from crankorder.orders.averages import HeldSizes, SizeRows
-from crankorder.quantities import Floats, Ints
-from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings
+from crankorder.orders.like_speed import reframed
+from crankorder.orders.map import order_map
+from crankorder.orders.track_rows import hann_lobe
+from crankorder.quantities import Complexes, Floats, Ints
+from crankorder.scratch import give_back
+from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings, Settings
 
 NUMBERS = MethodNumbers("5-identify-lines.toml", "order_lines")
 
@@ -44,10 +51,7 @@ class _Search:
 
     order_map: xr.Dataset
     recordings: list[Recording]
-    excess: Floats
-    ratio: Floats
-    floor: Floats
-    floor_worth: Floats
+    over: OverNoise
     false_alarm_probability: float
 
     @property
@@ -62,21 +66,24 @@ class _Search:
     def is_swept(self) -> bool:
         """Whether the speeds are those of a run-up or coast-down and not steps: by the frames, or as groups touch."""
         if self.recordings:
-            return any(is_swept(item.speed_rpm) for item in self.recordings)
+            return any_swept(self.recordings)
         speed = np.sort(self.speed)
         return len(speed) > 2 and bool(np.median(np.diff(speed)) < 1.5 * float(self.order_map.attrs["speed_bin_rpm"]))
 
     def chances(self, channel: int, peak: int, speeds: Ints) -> Floats:
         """Chance that noise alone stands as high in the bin ``peak`` at each of the ``speeds`` (numbers)."""
         n = self.order_map.variables["n_independent"].values[speeds]
-        cells = zip(self.ratio[channel, speeds, peak], n, self.floor_worth[channel, speeds, peak], strict=True)
+        cells = zip(
+            self.over.ratio[channel, speeds, peak], n, self.over.floor_worth[channel, speeds, peak], strict=True
+        )
         return np.array([noise_chance(*map(float, cell)) for cell in cells])
 
-    def phasors(self, channel: int, peak: int, speeds_rpm: Floats, *, bins: float) -> list[Phasors]:
+    def phasors(self, channel: int, peak: int, speeds_rpm: Floats, *, bins: float) -> Iterable[Phasors]:
         """What the frames hold of the bin ``peak`` near ``speeds_rpm``, within so many ``bins`` of speed."""
         width = bins * float(self.order_map.attrs.get("speed_bin_rpm", 25.0))
-        found = phasors_at(self.recordings, channels=[channel], at=peak, speeds_rpm=speeds_rpm, speed_bin_rpm=width)
-        return list(found.values())
+        return phasors_at(
+            self.recordings, channels=[channel], at=peak, speeds_rpm=speeds_rpm, speed_bin_rpm=width
+        ).values()
 
 
 def order_lines(
@@ -96,7 +103,7 @@ def order_lines(
     only); one that swells and fades slowly, as two do that are too close to be parted, is kept with that doubt.
     """
     over = excess_over_noise(order_map, settings=settings, orders=orders)
-    search = _Search(order_map, recordings_of(frames), *over, settings.false_alarm_probability)
+    search = _Search(order_map, recordings_of(frames), over, settings.false_alarm_probability)
     n_speeds = len(search.speed)
     needed = min(n_speeds, max(settings.min_speeds, round(settings.min_speed_fraction * n_speeds)))
     lines = []
@@ -125,18 +132,18 @@ def _stronger(
     if len(search.speed) < 2 or not search.is_swept:
         return []  # at speeds that are held the rules tell lines
     # at the last bins skirts of others end
-    refused = [one for one in refused if one[0] < len(search.axis) - NUMBERS.neighbour_bins]
+    refused = [peak_seen for peak_seen in refused if peak_seen[0] < len(search.axis) - NUMBERS.neighbour_bins]
     largest = max((float(line.amplitude.max()) for line in named), default=0.0)
     amplitude = np.nan_to_num(search.order_map["amplitude"].values[channel])
-    made = []
+    stronger = []
     for peak, seen in refused:
-        far = float(search.ratio[channel, seen, peak].max()) > NUMBERS.swelling_ratio
+        far = float(search.over.ratio[channel, seen, peak].max()) > NUMBERS.swelling_ratio
         if far and amplitude[seen, peak].max() > largest and not _has_fixed_frequency(search, channel, peak, seen):
             line = _line(search, channel, peak, seen, UNPROVEN, (UNRESOLVED,))
             # two lines in one bin may be nothing, or twice what it holds
             ends = line.amplitude[:, None] * np.array([0.0, 2.0])
-            made.append(replace(line, amplitude_error=0.5 * line.amplitude, ends=ends))
-    return made
+            stronger.append(replace(line, amplitude_error=0.5 * line.amplitude, ends=ends))
+    return stronger
 
 
 def _line_at(search: _Search, channel: int, peak: int, seen: Ints, needed: int) -> OrderLine | None:
@@ -149,9 +156,9 @@ def _line_at(search: _Search, channel: int, peak: int, seen: Ints, needed: int) 
     elif len(seen) < needed:
         if not _beyond_chance(search, channel, peak, seen) or _has_fixed_frequency(search, channel, peak, seen):
             return None
-        chance /= search.excess[0].size
+        chance /= search.over.excess[0].size
         doubts.append(Doubt("seldom seen", f"seen at {len(seen)} of {n_speeds} speeds only"))
-    evidence = evidence_of(search.order_map, search.ratio[channel], channel, peak, seen, chance)
+    evidence = evidence_of(search.order_map, search.over.ratio[channel], channel, peak, seen, chance)
     if evidence is None and _keeps_one_order(search, channel, peak, seen, chance):
         steady: Evidence = "follows the speed" if search.is_swept else "steady, not locked"
         evidence = UNPROVEN if is_unprovable(search.order_map, peak) else steady
@@ -175,7 +182,7 @@ def _seen_together(search: _Search, channel: int, peak: int) -> Ints:
     the speeds that shows least must speak for it too: an order that meets resonances stands high at some, not at these.
     """
     chances = search.chances(channel, peak, np.arange(len(search.speed)))
-    cells = search.excess.shape[0] * search.excess.shape[2]
+    cells = search.over.excess.shape[0] * search.over.excess.shape[2]
     shown = cells * _joined_chance(chances) < search.false_alarm_probability
     least = np.sort(chances)[len(chances) // 2 :]
     if not shown or _joined_chance(least) > NUMBERS.weak_chance:
@@ -192,9 +199,9 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: Ints, chanc
     """Whether the frames show that the line keeps one order, over speeds that no line of fixed frequency allows."""
     if not search.recordings or not has_moved(search.order_map, peak, seen):
         return False
-    floor = float(np.median(search.floor[channel, seen, peak]))
+    floor = float(np.median(search.over.floor[channel, seen, peak]))
     for alone in (True, False):  # two lines that beat hide each other's steadiness
-        found = zooms(
+        by_recording = zooms(
             search.recordings,
             channels=[channel],
             at=peak,
@@ -203,7 +210,15 @@ def _keeps_one_order(search: _Search, channel: int, peak: int, seen: Ints, chanc
             near=0.0,
             alone=alone,
         )
-        lines = [one for one in found.values() if alone or (one.second is not None and _leaves_noise(one, floor))]
+        lines = [
+            line
+            for line in by_recording.values()  # a resonance that noise excites leaves far more than two lines do
+            if alone
+            or (
+                line.second is not None
+                and 2.0 * line.frames * float(np.median(line.error)) ** 2 < NUMBERS.left_ratio * floor
+            )
+        ]
         if keeps_one_order(lines, false_alarm_probability=chance):
             return True
     return False
@@ -232,17 +247,11 @@ def _by_its_phase(search: _Search, channel: int, peak: int, seen: Ints, chance: 
     return None
 
 
-def _leaves_noise(line: Zoomed, floor: float) -> bool:
-    """Whether ``line`` and its second one leave no more of a frame than the ``floor``: a resonance that noise excites
-    leaves far more."""
-    return bool(2.0 * line.frames * float(np.median(line.error)) ** 2 < NUMBERS.left_ratio * floor)
-
-
 def _swells_slowly(search: _Search, channel: int, peak: int, seen: Ints) -> bool:
     """Whether the frames hold nothing but slow waves and the noise of the floor, and the line stands far over that."""
-    if float(np.median(search.ratio[channel, seen, peak])) < NUMBERS.swelling_ratio:
+    if float(np.median(search.over.ratio[channel, seen, peak])) < NUMBERS.swelling_ratio:
         return False
-    floor = float(np.median(search.floor[channel, seen, peak]))
+    floor = float(np.median(search.over.floor[channel, seen, peak]))
     at_speeds = [search.speed[seen]] if not np.isfinite(search.speed[seen]).all() else search.speed[seen][:, None]
     left = [  # each speed by itself: between those seen there is none of the line
         left_of_slow_waves(phasors[0], centre - centre.mean(), hop_rev=item.hop_rev)
@@ -261,7 +270,7 @@ def _beyond_chance(search: _Search, channel: int, peak: int, seen: Ints) -> bool
     highest = float(search.chances(channel, peak, seen).max())
     n_speeds, k = len(search.speed), len(seen)
     sets = np.prod([(n_speeds - j) / (j + 1.0) for j in range(k)])
-    cells = search.excess.shape[0] * search.excess.shape[2]
+    cells = search.over.excess.shape[0] * search.over.excess.shape[2]
     return bool(cells * sets * highest**k < search.false_alarm_probability)
 
 
@@ -276,7 +285,7 @@ def _has_fixed_frequency(search: _Search, channel: int, peak: int, seen: Ints) -
         at = round(axis[peak] * speed[nearest] / speed[s] / (axis[1] - axis[0]))
         away = abs(at - peak)
         if away > 1 and (away <= NUMBERS.bins_beside or abs(s - nearest) <= 2) and 1 <= at < len(axis) - 1:
-            found.append(bool((search.excess[channel, s, at - 1 : at + 2] > 1.0).any()))
+            found.append(bool((search.over.excess[channel, s, at - 1 : at + 2] > 1.0).any()))
     return len(found) > 0 and float(np.mean(found)) >= NUMBERS.fixed_share
 
 
@@ -284,9 +293,13 @@ def _peaks(excess: Floats, axis: Floats) -> Ints:
     """Bins that are above the level at a speed or more and the largest within a quarter order, or 8 bins if fewer."""
     score = np.log(np.maximum(excess, 1.0)).sum(axis=0)
     reach = min(NUMBERS.neighbour_bins, max(1, round(NUMBERS.neighbour_orders / (axis[1] - axis[0]))))
-    padded = np.pad(score, reach, constant_values=-1.0)
-    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1)
-    return np.flatnonzero((score > 0.0) & (score >= highest))
+    return np.flatnonzero((score > 0.0) & (score >= largest_within(score, reach)))
+
+
+def largest_within(values: Floats, reach: int) -> Floats:
+    """Largest of the ``values`` (bins,), none below -1, within ``reach`` bins of each."""
+    padded = np.pad(values, reach, constant_values=-1.0)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1).max(axis=-1))
 
 
 def _line(
@@ -295,7 +308,7 @@ def _line(
     order_map, axis = search.order_map, search.axis
     resolution = float(axis[1] - axis[0])
     beside = np.clip([peak - 1, peak, peak + 1], 0, len(axis) - 1)
-    noise = search.floor[channel, seen, peak]
+    noise = search.over.floor[channel, seen, peak]
     n_frames = order_map["n_independent"].values[seen]
     lobe = np.nan_to_num(order_map["amplitude"].values[channel][np.ix_(seen, beside)]) ** 2 - noise[:, None]
     distance, distance_error = _refined(np.sqrt(np.maximum(lobe, 0.0)), noise / n_frames)
@@ -321,7 +334,7 @@ def _line(
         degrees_of_freedom=dof,
         phase_deg=order_map["phase"].values[channel, seen, peak],
         evidence=evidence,
-        level_over_floor_db=float(10.0 * np.log10(search.ratio[channel, seen, peak].max())),
+        level_over_floor_db=float(10.0 * np.log10(search.over.ratio[channel, seen, peak].max())),
         doubts=doubts,
         ends=ends,
         phase_ci95_deg=half,
@@ -336,7 +349,10 @@ def _by_energy(
 
     The power of a line A in noise N varies by 2 A^2 N + N^2 from frame to frame.
     """
-    energy, noise = search.order_map["amplitude"].values[channel, seen, peak] ** 2, search.floor[channel, seen, peak]
+    energy, noise = (
+        search.order_map["amplitude"].values[channel, seen, peak] ** 2,
+        search.over.floor[channel, seen, peak],
+    )
     n_frames = search.order_map.variables["n_independent"].values[seen]
     loss = float(np.sinc(distance) / (1.0 - distance**2))  # between two bins a window shows less of a line
     amplitude = np.sqrt(np.maximum(energy - noise, 1e-3 * energy))
@@ -353,7 +369,9 @@ def _by_energy(
     rows = SizeRows(
         *(values[None] for values in (amplitude, error, dof, np.maximum(amplitude - half, 0.0), amplitude + half))
     )
-    rows = rows.with_scatter(held, noise=noise[None] / loss**2, independent=search.floor_worth[channel, seen, peak])
+    rows = rows.with_scatter(
+        held, noise=noise[None] / loss**2, independent=search.over.floor_worth[channel, seen, peak]
+    )
     return amplitude, rows.error[0], rows.dof[0], np.stack([rows.low[0], rows.high[0]], axis=1)
 
 
@@ -378,3 +396,185 @@ def _refined(lobe: Floats, noise: Floats) -> tuple[float, float]:
     spread = float(np.sqrt(share @ (offset - mean) ** 2 / max(1, len(offset) - 1)))
     apart = 0.5 * abs(float(np.average(by_right - by_left, weights=weight)))
     return mean, max(spread, apart, 0.61 / float(np.sqrt(weight.sum())))
+
+
+SWEPT_NUMBERS = MethodNumbers("5-identify-lines.toml", "swept_orders")
+
+
+def longer_frames(revs: float, span_rev: float) -> list[float]:
+    """Lengths [rev] from ``revs`` on, each twice the one before, that a recording of ``span_rev`` holds."""
+    frames = [revs]
+    while (
+        2.0 * frames[-1] <= SWEPT_NUMBERS.longest_revs and span_rev >= SWEPT_NUMBERS.fewest_lengths * 2.0 * frames[-1]
+    ):
+        frames.append(2.0 * frames[-1])
+    return frames
+
+
+SETTLING_STEPS = 3
+"""Rounds in which numbers of close lines settle: each leaves a tenth of what the one before left."""
+
+TRIALS_PER_TURN = 4
+"""Frequencies that are tried in the width in which their phase runs apart by a turn from frame to frame."""
+
+LARGEST_MOVE = 0.5
+"""Share of the distance of two lines by which a number moves at most."""
+
+WIDTH_BINS = 0.01
+"""Step by which the shape of a line that swells or bends is differenced."""
+
+
+def company_of(order: float, frames: xr.Dataset, others: Sequence[float] = ()) -> float:
+    """Order of a line close to ``order`` in the OrderFrames ``frames`` of a sweep; NaN where there is none.
+
+    Each frame is solved for the line, whose amplitude may run as a parabola, those of ``others`` (orders) in reach, and
+    one more at every distance in turn; it is there where it lowers what the median frame leaves of the bins in reach by
+    more than ``least_gain``.
+    """
+    revs = float(frames.attrs["revs_per_frame"])
+    place = order * revs
+    used = _bins_about(place, frames)
+    turned = _turned(frames, used)
+    seen = turned.reshape(-1, len(used))
+    seen = seen[np.isfinite(seen).all(axis=1) & (seen != 0.0).any(axis=1)]
+    if len(seen) < SWEPT_NUMBERS.fewest_frames or len(used) < SWEPT_NUMBERS.reach_bins:
+        return float("nan")
+    near = [other * revs for other in others if 0.0 < abs(other * revs - place) < 2.0 * SWEPT_NUMBERS.reach_bins]
+    known = [_changing_lobe(used - place), *(_changing_lobe(used - other)[:2] for other in near)]
+    base = np.linalg.qr(np.concatenate(known).T)[0]
+    left = seen - (seen @ base) @ base.T
+    energy = np.maximum((np.abs(left) ** 2).sum(axis=1), np.finfo(float).tiny)
+    beside: Floats = np.arange(SWEPT_NUMBERS.nearest_bins, SWEPT_NUMBERS.reach_bins - 1.0, SWEPT_NUMBERS.step_bins)
+    apart = np.concatenate([-beside[::-1], beside])
+    lobes = hann_lobe(used - place - apart[:, None])
+    lobes -= (lobes @ base) @ base.T
+    lobes /= np.linalg.norm(lobes, axis=1, keepdims=True)
+    share = np.median(1.0 - np.abs(left @ lobes.T) ** 2 / energy[:, None], axis=0)
+    best = int(share.argmin())
+    return order + float(apart[best]) / revs if share[best] * SWEPT_NUMBERS.least_gain < 1.0 else float("nan")
+
+
+def settled(orders: Sequence[float], frames: xr.Dataset, others: Sequence[float] = ()) -> list[float] | None:
+    """Numbers of the close lines ``orders`` by how their phases run over the OrderFrames ``frames`` of a sweep.
+
+    Each frame is solved for all of them and those of ``others`` (orders) in reach; what most steps from frame to frame
+    turn a line by is how far it is off. None where one moves by more than LARGEST_MOVE of their distance, or keeps a
+    frequency rather than an order: then they are no two lines that keep their numbers, but one and what it rings.
+    """
+    revs = float(frames.attrs["revs_per_frame"])
+    middle, apart = float(np.mean(orders)), float(np.diff(sorted(orders)).min())
+    used = _bins_about(middle * revs, frames)
+    centre: Floats = frames["crank_angle"].values + 0.5 * revs
+    turned = _turned(frames, used)
+    close = [other for other in others if abs(other - middle) * revs < 2.0 * SWEPT_NUMBERS.reach_bins]
+    near = [_changing_lobe(used - other * revs)[:2] for other in close]
+    numbers: Floats = np.array(orders, dtype=np.float64)
+    for _ in range(SETTLING_STEPS):
+        lobes = np.concatenate([hann_lobe(used - numbers[:, None] * revs), *near])
+        phasors = turned @ np.linalg.pinv(lobes)[:, : len(numbers)]
+        steady = phasors * np.exp(-2j * np.pi * (np.outer(centre, numbers) % 1.0))
+        steps = np.nansum(steady[:, 1:] * steady[:, :-1].conj(), axis=0)
+        unit = steps / np.maximum(np.abs(steps), np.finfo(float).tiny)
+        mean = np.exp(1j * np.angle(unit.sum(axis=0)))  # about which the median turn [rev] is taken
+        turn = (np.angle(mean) + np.median(np.angle(unit / mean), axis=0)) / (2.0 * np.pi)
+        numbers = numbers + turn / float(np.median(np.diff(centre)))
+    moved = np.abs(numbers - np.asarray(orders)).max()
+    rings = any(_keeps_frequency(step, number, frames) for step, number in zip(steps.T, numbers, strict=True))
+    return None if rings or moved > LARGEST_MOVE * apart else numbers.tolist()
+
+
+def _keeps_frequency(steps: Complexes, order: float, frames: xr.Dataset) -> bool:
+    """Whether ``steps`` (frames - 1,) from frame to frame turn as those of one frequency near ``order``, rather than as
+    those of one order: a lightly damped mode rings on at its own."""
+    speed = frames["speed"].values
+    minutes = np.diff(frames["crank_angle"].values) / (0.5 * (speed[1:] + speed[:-1]))
+    unit = steps / np.maximum(np.abs(steps), np.finfo(float).tiny)
+    trials = 2 + int(TRIALS_PER_TURN * order * float(np.ptp(speed) * np.median(minutes)))
+    turns = np.outer(order * np.linspace(speed.min(), speed.max(), trials), minutes)
+    return bool(np.abs(np.exp(-2j * np.pi * turns) @ unit).max() >= np.abs(unit.sum()))
+
+
+def _bins_about(place: float, frames: xr.Dataset) -> Floats:
+    """Numbers of the bins in reach of ``place`` (in bins)."""
+    first, last = round(place) - SWEPT_NUMBERS.reach_bins, round(place) + SWEPT_NUMBERS.reach_bins + 1
+    return np.arange(max(1, first), min(frames.sizes["order"], last), dtype=np.float64)
+
+
+def _turned(frames: xr.Dataset, used: Floats) -> Complexes:
+    """Spectra (channels, frames, bins) in the bins ``used``, phases counted from the middle of each frame."""
+    revs = float(frames.attrs["revs_per_frame"])
+    centre = frames["crank_angle"].values + 0.5 * revs
+    turn = np.exp(2j * np.pi * (np.outer(centre, used) / revs % 1.0))
+    return np.asarray(frames["spectrum"].values[:, :, used.astype(int)] * turn)
+
+
+def _changing_lobe(off_bins: Floats) -> Floats:
+    """Lobe (3, bins) of a line that is steady, that grows, and that bends."""
+    before, here, after = (hann_lobe(off_bins + side * WIDTH_BINS) for side in (-1.0, 0.0, 1.0))
+    return np.array([here, after - before, before + after - 2.0 * here])
+
+
+def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
+    """Orders (cycles per crank revolution, rising) that stand out in the OrderFrames ``frames`` of one recording.
+
+    In any channel, locked or not; ``settings`` of identify say what stands out, those of orders how frames are
+    averaged. They are looked for in frames of several lengths, for the sweep asks for short ones, which blur lines
+    that are close; a line so close that it does not stand out by itself is found by what the other one leaves. Lines
+    that frames cannot tell from a multiple of the cycle's frequency, or from one seen in longer frames, or from a
+    stronger one, are one with that; of more than twenty the strongest are taken.
+    """
+    if not frames["spectrum"].notnull().any():
+        return []
+    cycle = int(frames.attrs["revs_per_cycle"])
+    kept: list[tuple[float, float]] = []
+    for item in _lengthened(frames):
+        step = 1.0 / float(item.attrs["revs_per_frame"])
+        for line in sorted(_lines(item, settings), key=lambda line: -line.level_over_floor_db):
+            order = _on_multiple(line.order, cycle, step)
+            if order > 0.0 and all(abs(order - other) > step for other, _ in kept):
+                kept.append((order, line.level_over_floor_db))
+        del item  # before the next is made
+    for item in _lengthened(frames):
+        step = 1.0 / float(item.attrs["revs_per_frame"])
+        lowest = LOWEST_BINS * step  # below it is the mean
+        for order, level in list(kept):
+            others = [other for other, _ in kept]
+            company = company_of(order, item, others)
+            if company > lowest and all(abs(company - other) > 0.5 * abs(company - order) for other in others):
+                numbers = settled((order, company), item, [other for other in others if other != order])
+                if numbers is None or min(numbers) < lowest:
+                    continue
+                placed = [_on_multiple(number, cycle, step) for number in numbers]
+                kept.remove((order, level))
+                kept += [(number, level) for number in (placed if placed[0] != placed[1] else numbers)]
+        del item
+    strongest = sorted(kept, key=lambda one: -one[1])[: SWEPT_NUMBERS.most_followed]
+    return sorted(order for order, _ in strongest)
+
+
+def _on_multiple(order: float, cycle: int, step: float) -> float:
+    """``order``, or the multiple of 1 / ``cycle`` that bins of ``step`` orders do not tell from it."""
+    multiple = round(order * cycle) / cycle
+    return multiple if abs(order - multiple) < SWEPT_NUMBERS.same_bins * step else order
+
+
+def _lines(frames: xr.Dataset, settings: Settings) -> list[OrderLine]:
+    found = order_map([frames], settings=settings.orders)
+    lines = order_lines(found, settings=settings.identify, orders=settings.orders, frames=[frames])
+    return [line for line in lines if UNRESOLVED not in line.doubts]  # no number to follow
+
+
+def _lengthened(frames: xr.Dataset) -> Iterator[xr.Dataset]:
+    """``frames`` and those of twice, four times … their length that the recording holds, the longest first.
+
+    Each is made when it is asked for: those of a long recording fill the memory.
+    """
+    begin, length = frames["crank_angle"].values, int(frames.attrs["revs_per_frame"])
+    held = float(np.ptp(begin)) + length
+    for revs in longer_frames(length, held)[:0:-1]:
+        item = reframed(frames, round(revs))
+        if item is not None and item.sizes["frame"]:
+            yield item
+        del item
+        give_back()
+    yield frames

@@ -24,7 +24,7 @@ from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.line_phasors import Recording
 from crankorder.identify.lines.mains import NUMBERS as MAINS
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
-from crankorder.identify.lines.order_lines import ONE_SPEED
+from crankorder.identify.lines.order_lines import ONE_SPEED, largest_within
 from crankorder.orders.track_rows import hann_lobe
 from crankorder.quantities import Bools, Complexes, Floats, Ints
 from crankorder.settings import MethodNumbers
@@ -72,10 +72,6 @@ class _Fit:
     normal: Floats
     waves: Complexes
 
-    @property
-    def power(self) -> float:
-        return float(np.square(np.abs(self.left)).sum())
-
 
 def several_lines(held: Held, low: float, high: float, *, beyond: float = 0.0) -> list[SolvedLine]:
     """Lines of ``held`` between the orders ``low`` and ``high``, lowest first; none where they do not leave noise.
@@ -93,24 +89,24 @@ def several_lines(held: Held, low: float, high: float, *, beyond: float = 0.0) -
     waves = np.zeros((len(data), 0), dtype=np.complex128)
     fit = _Fit((), np.zeros((0, data.shape[1]), dtype=np.complex128), data, np.zeros((0, 0)), waves)
     while len(fit.places) < NUMBERS.most_lines:
-        start = _strongest(held, bins, fit.left, low - beyond, high + beyond)
-        if start is None:
+        scored = _scores(held, bins, fit.left, low - beyond, high + beyond)
+        if scored is None:
             return []
-        found = _joined(held, bins, data, weight, fit, start)
-        lines = _told(held, bins, found)
-        new, size = lines[-1], np.array([float((one.amplitude * np.sqrt(weight)).max()) for one in lines])
-        away = np.abs([one.order - new.order for one in lines[:-1]]) * held.span_rev
+        joined = _joined(held, bins, data, weight, fit, float(scored[0][int(np.argmax(scored[1]))]))
+        lines = _told(held, bins, joined)
+        new, size = lines[-1], np.array([float((line.amplitude * np.sqrt(weight)).max()) for line in lines])
+        away = np.abs([line.order - new.order for line in lines[:-1]]) * held.span_rev
         beside = size[:-1][away < KNOWN_LINES.apart_cycles].max(initial=0.0)
         least = max(NUMBERS.smallest_share * size.max(), NUMBERS.unsteady_share * beside)
         if new.sigmas <= KNOWN_LINES.seen_sigmas or size[-1] < least:
             rest = NUMBERS.unsteady_share if beside and new.sigmas > KNOWN_LINES.seen_sigmas else 0.0
             lines = _told(held, bins, fit, rest)
-            noise = lines and _is_noise(held, bins, fit.left, np.array([one.amplitude for one in lines]))
-            return sorted(lines, key=lambda one: one.order) if noise else []
-        orders = np.sort([one.order for one in lines])
+            noise = lines and _is_noise(held, bins, fit.left, np.array([line.amplitude for line in lines]))
+            return sorted(lines, key=lambda line: line.order) if noise else []
+        orders = np.sort([line.order for line in lines])
         if len(orders) > 1 and np.diff(orders).min() * held.span_rev < KNOWN_LINES.apart_cycles:
             return []
-        fit = found
+        fit = joined
     return []
 
 
@@ -167,21 +163,14 @@ def unparted_reach(held: Held, low: float, high: float, orders: Sequence[float])
 def _floor(held: Held, bins: Ints) -> Floats:
     """Median power (channels,) of the bins beside ``bins``."""
     power = np.square(np.abs(held.spectrum)).mean(axis=1)
-    wide = np.arange(
-        max(int(bins[0]) - NUMBERS.beside_bins, 1), min(int(bins[-1]) + NUMBERS.beside_bins + 1, power.shape[1])
-    )
+    first, last = int(bins[0]) - NUMBERS.beside_bins, int(bins[-1]) + NUMBERS.beside_bins
+    wide = np.arange(max(first, 1), min(last + 1, power.shape[1]))
     return np.asarray(np.maximum(np.median(power[:, wide[~np.isin(wide, bins)]], axis=1), 1e-300))
 
 
 def _shown(held: Held, bins: Ints, told: Floats) -> Bools:
     """In which channels one of the amplitudes ``told`` (lines, channels) stands out of what is beside the ``bins``."""
     return np.asarray(np.square(told).max(axis=0) > NUMBERS.stands_over_ratio * _floor(held, bins))
-
-
-def _strongest(held: Held, bins: Ints, left: Complexes, low: float, high: float) -> float | None:
-    """Order between ``low`` and ``high`` at which a line would take most of what is ``left``."""
-    scored = _scores(held, bins, left, low, high)
-    return None if scored is None else float(scored[0][int(np.argmax(scored[1]))])
 
 
 def _scores(held: Held, bins: Ints, left: Complexes, low: float, high: float) -> tuple[Floats, Floats] | None:
@@ -215,8 +204,8 @@ def _joined(held: Held, bins: Ints, data: Complexes, weight: Floats, fit: _Fit, 
     apart = held.time_s * held.rpm / 60.0 - (held.turn - held.turn[0])
     if order * float(np.ptp(apart)) > NUMBERS.wander_cycles:
         kinds.append((order * held.rpm / 60.0, 0.0))
-    made = [_solved(held, bins, data, weight, (*fit.places, kind)) for kind in kinds]
-    return min(made, key=lambda one: one.power)
+    fits = [_solved(held, bins, data, weight, (*fit.places, kind)) for kind in kinds]
+    return min(fits, key=lambda wider: float(np.square(np.abs(wider.left)).sum()))
 
 
 def _solved(held: Held, bins: Ints, data: Complexes, weight: Floats, places: tuple[Place, ...]) -> _Fit:
@@ -290,10 +279,6 @@ class CloseLines:
     span_rev: float
     solved: tuple[SolvedLine, ...]
 
-    def holds(self, order: float) -> bool:
-        """Whether ``order`` is one of this neighbourhood."""
-        return self.low <= order <= self.high
-
 
 def close_lines(
     recordings: Sequence[Recording],
@@ -319,9 +304,8 @@ def close_lines(
         return []
     reach = min(ORDER_LINES.neighbour_orders, ORDER_LINES.neighbour_bins * float(axis[1] - axis[0]))
     found = []
-    of_mains = [
-        60.0 * number * hertz / held.rpm for hertz in mains_hz for number in range(1, MAINS.alone_multiples + 1)
-    ]
+    multiples = range(1, MAINS.alone_multiples + 1)
+    of_mains = [60.0 * number * hertz / held.rpm for hertz in mains_hz for number in multiples]
     for peak in _peaks(order_map, reach):
         low, high = float(axis[peak]) - reach, float(axis[peak]) + reach
         if not doubtful(low, high) and not any(low <= order <= high for order in of_mains):
@@ -345,26 +329,18 @@ def lines_within(held: Held, low: float, high: float) -> list[SolvedLine]:
 
 def _is_modulated(lines: Sequence[SolvedLine]) -> bool:
     """Whether ``lines`` are pairs about the strongest, as one line makes them whose size or angle changes."""
-    strongest = max(lines, key=lambda one: one.sigmas)
-    rest = [one for one in lines if one is not strongest]
-    for one in rest:
-        away = one.order - strongest.order
-        mirrored = [
-            other
-            for other in rest
-            if abs(other.order - strongest.order + away) < NUMBERS.same_sigmas * np.hypot(one.error, other.error)
-            and _are_alike(one, other)
-        ]
-        if not mirrored:
-            return False
-    return True
+    strongest = max(lines, key=lambda line: line.sigmas)
+    rest = [line for line in lines if line is not strongest]
 
+    def mirrored(line: SolvedLine, other: SolvedLine) -> bool:
+        """Whether both stand as far away and are of one size, as far as their errors and a changing speed tell."""
+        off = abs(other.order - strongest.order + (line.order - strongest.order))
+        room = NUMBERS.same_sigmas * np.hypot(line.amplitude_error, other.amplitude_error)
+        room = room + NUMBERS.alike_share * np.maximum(line.amplitude, other.amplitude)
+        alike = bool((np.abs(line.amplitude - other.amplitude) <= room).all())
+        return alike and bool(off < NUMBERS.same_sigmas * np.hypot(line.error, other.error))
 
-def _are_alike(one: SolvedLine, other: SolvedLine) -> bool:
-    """Whether both are of one size in all channels, as far as their errors and a changing speed tell."""
-    room = NUMBERS.same_sigmas * np.hypot(one.amplitude_error, other.amplitude_error)
-    larger = np.maximum(one.amplitude, other.amplitude)
-    return bool((np.abs(one.amplitude - other.amplitude) <= room + NUMBERS.alike_share * larger).all())
+    return all(any(mirrored(line, other) for other in rest) for line in rest)
 
 
 def _peaks(order_map: xr.Dataset, reach: float) -> list[int]:
@@ -374,32 +350,30 @@ def _peaks(order_map: xr.Dataset, reach: float) -> list[int]:
     wide = np.pad(power, ((0, 0), (NUMBERS.level_bins, NUMBERS.level_bins)), mode="reflect")
     level = np.median(np.lib.stride_tricks.sliding_window_view(wide, 2 * NUMBERS.level_bins + 1, axis=1), axis=2)
     over = (power / np.maximum(level, 1e-300)).max(axis=0)
-    padded = np.pad(over, bins, constant_values=-1.0)
-    highest = np.lib.stride_tricks.sliding_window_view(padded, 2 * bins + 1).max(axis=1)
-    return [int(at) for at in np.flatnonzero((over >= highest) & (over > NUMBERS.stands_over_ratio))]
+    peaks = (over >= largest_within(over, bins)) & (over > NUMBERS.stands_over_ratio)
+    return list(map(int, np.flatnonzero(peaks)))
 
 
-def lines_at(close: CloseLines, one: SolvedLine, order_map: xr.Dataset) -> list[OrderLine]:
-    """The line ``one`` of ``close`` in each channel of ``order_map`` that shows it."""
-    made = []
-    for number, name in enumerate(order_map["channel"].values):
-        size, error = float(one.amplitude[number]), float(one.amplitude_error[number])
-        if size <= Z95 * error:
-            continue
-        made.append(
-            OrderLine(
-                channel=str(name),
-                order=one.order,
-                order_error=one.error,
-                seen=np.array([0]),
-                speed_rpm=np.asarray(order_map["speed"].values, dtype=np.float64),
-                amplitude=np.array([size]),
-                amplitude_error=np.array([error]),
-                degrees_of_freedom=np.array([DEGREES_OF_FREEDOM]),
-                phase_deg=np.array([np.nan]),
-                evidence="steady, not locked",
-                level_over_floor_db=float(20.0 * np.log10(size / max(error, 1e-300))),
-                doubts=(ONE_SPEED,),
-            )
+def lines_at(solved: SolvedLine, order_map: xr.Dataset) -> list[OrderLine]:
+    """The line ``solved`` in each channel of ``order_map`` that shows it."""
+    rpm = np.asarray(order_map["speed"].values, dtype=np.float64)
+    return [
+        OrderLine(
+            channel=str(name),
+            order=solved.order,
+            order_error=solved.error,
+            seen=np.array([0]),
+            speed_rpm=rpm,
+            amplitude=np.array([size]),
+            amplitude_error=np.array([error]),
+            degrees_of_freedom=np.array([DEGREES_OF_FREEDOM]),
+            phase_deg=np.array([np.nan]),
+            evidence="steady, not locked",
+            level_over_floor_db=float(20.0 * np.log10(size / max(error, 1e-300))),
+            doubts=(ONE_SPEED,),
         )
-    return made
+        for name, size, error in zip(
+            order_map["channel"].values, solved.amplitude.tolist(), solved.amplitude_error.tolist(), strict=True
+        )
+        if size > Z95 * error
+    ]

@@ -56,6 +56,11 @@ class Frames:
     swept: bool
     drift: float = 0.0
 
+    @property
+    def drift_turn_rev(self) -> float:
+        """Revolutions by which a speed that drifts unseen may turn the phase."""
+        return float(min(NUMBERS.most_drift_turn_rev, NUMBERS.turn_per_drift * self.drift))
+
     def noise_of(self, rows: Floats, offset: float) -> Floats:
         """Noise amplitude of each of ``rows`` (rows, frames) of a line at ``offset`` in white noise of unit power.
 
@@ -225,11 +230,7 @@ def _followed(phasors: Complexes, frames: Frames, offset: float) -> Zoomed:
     dof = max(1.0, len(kept) - len(phasors) + 1.0)  # the weights of the channels were fitted to the same waves
     power = float(kept @ kept) / dof
     variance = power * level[1] ** 2 / (2.0 * np.pi * slope) ** 2
-    unknown = (
-        NUMBERS.swept_turn_rev
-        if frames.swept
-        else min(NUMBERS.most_drift_turn_rev, NUMBERS.turn_per_drift * frames.drift)
-    )
+    unknown = NUMBERS.swept_turn_rev if frames.swept else frames.drift_turn_rev
     variance += (unknown / float(np.ptp(turn))) ** 2
     snr = len(turn) / max(power * level[0] ** 2, 1e-24)
     error = level[0] * np.sqrt(held / len(kept) / len(turn))
@@ -267,10 +268,13 @@ def _second(phasors: Complexes, frames: Frames, line: Zoomed, hop_rev: float) ->
     best = int(np.argmax(score))
     if score[best] < level:
         return None
-    found = _refined_pair(phasors, frames, line, float(trial[best]))
-    large = np.abs(found.amplitude) > (NUMBERS.swept_second_ratio if frames.swept else NUMBERS.second_ratio) * np.abs(
-        line.amplitude
-    )
+    held, first = replace(frames, swept=False), line
+    found = _followed(left, held, float(trial[best]))
+    for _ in range(4):
+        first = _followed(phasors - _waves(found, turn), held, first.offset)
+        found = _followed(phasors - _waves(first, turn), held, found.offset)
+    least = NUMBERS.swept_second_ratio if frames.swept else NUMBERS.second_ratio
+    large = np.abs(found.amplitude) > least * np.abs(line.amplitude)
     if not large.any() or abs(found.offset - line.offset) < NUMBERS.second_cycles / span:
         return None
     mirror = np.abs((left * np.exp(-2j * np.pi * (2.0 * line.offset - found.offset) * turn)).mean(axis=1))
@@ -279,36 +283,21 @@ def _second(phasors: Complexes, frames: Frames, line: Zoomed, hop_rev: float) ->
     return found if _in_both_halves(phasors, turn, line, found) else None
 
 
-def _refined_pair(phasors: Complexes, frames: Frames, line: Zoomed, offset: float) -> Zoomed:
-    frames, turn, first = replace(frames, swept=False), frames.turn, line
-    second = _followed(phasors - _waves(first, turn), frames, offset)
-    for _ in range(4):
-        first = _followed(phasors - _waves(second, turn), frames, first.offset)
-        second = _followed(phasors - _waves(first, turn), frames, second.offset)
-    return second
-
-
 def _solved_together(phasors: Complexes, frames: Frames, line: Zoomed, second: Zoomed) -> tuple[Zoomed, Zoomed]:
     """``line`` and ``second`` as the least squares of both say; as they are where these do not settle."""
     pair = solved_pair(phasors, frames.turn, revs=frames.revs, offset=(line.offset, second.offset))
     if pair is None:
         return line, second
-    drift = (min(NUMBERS.most_drift_turn_rev, NUMBERS.turn_per_drift * frames.drift) / line.span_rev) ** 2
-    made = []
-    for k, one in enumerate((line, second)):
-        snr = float(np.max(np.square(np.abs(pair.amplitude[:, k]) / np.maximum(pair.error[:, k], 1e-300))))
-        made.append(
-            replace(
-                one,
-                offset=float(pair.offset[k]),
-                variance=float(pair.variance[k]) + drift,
-                dof=pair.degrees_of_freedom,
-                amplitude=pair.amplitude[:, k],
-                error=pair.error[:, k],
-                snr=min(snr, 1e24),
-            )
-        )
-    return made[0], made[1]
+    drift = (frames.drift_turn_rev / line.span_rev) ** 2
+
+    def solved(k: int, started: Zoomed) -> Zoomed:
+        size, error = pair.amplitude[:, k], pair.error[:, k]
+        snr = min(float(np.max(np.square(np.abs(size) / np.maximum(error, 1e-300)))), 1e24)
+        offset, variance = float(pair.offset[k]), float(pair.variance[k]) + drift
+        started = replace(started, offset=offset, variance=variance, dof=pair.degrees_of_freedom)
+        return replace(started, amplitude=size, error=error, snr=snr)
+
+    return solved(0, line), solved(1, second)
 
 
 def _in_both_halves(phasors: Complexes, turn: Floats, line: Zoomed, second: Zoomed) -> bool:
@@ -396,9 +385,8 @@ def course_of(phasors: Complexes, turn: Floats, noise: Floats) -> Course | None:
     independent = max(1.0, count / width)
     alike = float(np.abs(np.exp(2j * np.pi * step).mean()))
     half = 0.5 * float(spans[first]) + NUMBERS.sure_sigmas * noise_of_slope / float(np.sqrt(independent)) + tails
-    return Course(
-        offset, half, slopes, NUMBERS.sure_sigmas * noise_of_slope + tails, float(along[-1]), alike, len(step)
-    )
+    reach = NUMBERS.sure_sigmas * noise_of_slope + tails
+    return Course(offset, half, slopes, reach, float(along[-1]), alike, len(step))
 
 
 PAIR_NUMBERS = MethodNumbers("5-identify-lines.toml", "close_pair")
@@ -511,10 +499,8 @@ def _louder(left: Complexes, turn: Floats, at: float) -> float:
     n = len(turn)
     if n < 4 * PAIR_NUMBERS.slow_waves:
         return 1.0
-    near = (
-        np.array([k for k in range(-PAIR_NUMBERS.slow_waves, PAIR_NUMBERS.slow_waves + 1) if k]) / float(np.ptp(turn))
-        + at
-    )
+    cycles = [k for k in range(-PAIR_NUMBERS.slow_waves, PAIR_NUMBERS.slow_waves + 1) if k]
+    near = np.array(cycles) / float(np.ptp(turn)) + at
     waves = np.exp(-2j * np.pi * np.outer(near, turn))
     slow = np.square(np.abs(waves @ left)).mean(axis=0) / n
     return float(max(1.0, np.median(slow / np.maximum(np.square(np.abs(left)).mean(axis=0), 1e-300))))

@@ -12,9 +12,9 @@ from crankorder.identify.found import AgreedOrder, Doubt, ModalFit, OrderLine, T
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.known_lines import LOBE_BINS, Held, LineSeen, found_near
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
+from crankorder.identify.lines.line_phasors import lock_of, nearest_multiple
 from crankorder.identify.lines.mains import NUMBERS as MAINS
 from crankorder.identify.lines.mains import multiples_near, with_mains_tones
-from crankorder.identify.lines.order_lock import lock_of, nearest_multiple
 from crankorder.identify.lines.several_orders import (
     DEGREES_OF_FREEDOM,
     SolvedLine,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, OrderResponse
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
-from crankorder.identify.lines.order_lock import lock_of, nearest_multiple, proves_speed, speed_source
+from crankorder.identify.lines.line_phasors import lock_of, nearest_multiple, proves_speed, speed_source
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
 from crankorder.identify.modes.order_responses import Block
 from crankorder.identify.modes.order_terms import Passage, passage_of, smooth_shapes

@@ -4,26 +4,190 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import fdtrc
+from scipy.special import fdtrc, stdtr
 
 from crankorder.findings import Verdict
-from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderResponse, Whirl
+from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderLine, OrderResponse, Whirl
 from crankorder.identify.intervals import ENDLESS_FREEDOM, claimed, half_width, positive_interval, simes
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.responses import WithAndWithout, with_and_without
-from crankorder.identify.speeds.above_trend import (
-    Seen,
-    above_trend,
-    evidence_beside,
-    in_range,
-    seen_all_around,
-    width_rpm,
-)
 from crankorder.quantities import Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
+
+TREND_NUMBERS = MethodNumbers("5-identify-explain.toml", "above_trend")
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What one channel says of one crossing: ``chance`` that an order without the mode looks like that.
+
+    ``ratio`` with its interval is that of the amplitude at ``at_rpm`` to the trend beside; None where there is none.
+    """
+
+    channel: str
+    chance: float
+    at_rpm: float | None = None
+    ratio: float | None = None
+    ratio_low: float = 0.0
+    ratio_high: float = np.inf
+
+
+def width_rpm(rpm: float, mode: Mode, settings: IdentifySettings) -> float:
+    """How far (rpm) from a crossing at ``rpm`` a speed still feels ``mode``.
+
+    Its half-power width, and no less than ``settings.crossing_band_rpm``.
+    """
+    return max(2.0 * mode.damping_ratio * rpm, settings.crossing_band_rpm * (1.0 + 1e-6))
+
+
+def in_range(rpm: float, speed_rpm: tuple[float, float], settings: IdentifySettings) -> bool:
+    """Whether ``rpm`` is within the tested range ``speed_rpm`` (rpm), or ``settings.crossing_band_rpm`` beside it."""
+    return bool(speed_rpm[0] - settings.crossing_band_rpm <= rpm <= speed_rpm[1] + settings.crossing_band_rpm)
+
+
+def evidence_beside(
+    agreed: AgreedOrder, rpm: float, mode: Mode, best: Seen | None, tested: Floats, settings: IdentifySettings
+) -> str:
+    """What the amplitudes of ``agreed`` around its crossing at ``rpm`` with ``mode``, inside the tested range, show.
+
+    ``best`` is the channel that shows it best, None where no trend is known; ``tested`` (n,) are all speeds in rpm;
+    ``settings`` say how near a speed counts.
+    """
+    near = width_rpm(rpm, mode, settings)
+    near_tested = tested[np.abs(tested - rpm) <= near]
+    if best is not None:
+        said = (
+            f"in {best.channel} {best.ratio:.2g} times the trend beside it at {best.at_rpm:.4g} rpm "
+            f"({best.ratio_low:.2g} to {best.ratio_high:.2g})"
+        )
+        if np.abs(tested - rpm).min() > 2.0 * mode.damping_ratio * rpm:
+            said += "; the tested speeds are further apart than the resonance is wide"
+        return said
+    if any(np.any(np.abs(line.speed_rpm - rpm) <= near) for line in agreed.lines):
+        return "too few speeds beside it for a trend"
+    if near_tested.size:
+        return f"the order does not stand over the floor at {near_tested[0]:.4g} rpm"
+    return "no speed near enough was tested"
+
+
+def above_trend(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple[float, float]]) -> list[Seen]:
+    """How far the amplitude of ``line`` near ``rpm`` stands above the trend of the speeds beside; [] where unknown.
+
+    Speeds within ``near_rpm`` are near; ``others`` are all crossings of the order (rpm, damping ratio).
+    """
+    speed = line.speed_rpm
+    at = np.flatnonzero(np.abs(speed - rpm) <= near_rpm)
+    law = _trend_beside(line, rpm, near_rpm, others)
+    at = at[(line.amplitude[at] > 0.0) & np.isfinite(line.amplitude_error[at])]
+    if not at.size or law is None:
+        return []
+    excess, error = law.excess(speed[at], line.amplitude[at], line.amplitude_error[at])
+    best = int(np.argmax(excess / error))
+    chance = min(1.0, at.size * float(stdtr(law.freedom, -excess[best] / error[best])))
+    half = half_width(law.freedom, level=1.0 - 0.05 / at.size) * error[best]
+    ratio = float(np.exp(excess[best]))
+    with np.errstate(over="ignore"):
+        low, high = ratio * np.exp(-half), ratio * np.exp(half)
+    if not high < TREND_NUMBERS.meaningless_amplification:
+        return []
+    return [Seen(line.channel, chance, float(speed[at[best]]), ratio, float(low), float(high))]
+
+
+def _trend_beside(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple[float, float]]) -> PowerLaw | None:
+    """Power law of ``line`` beside ``rpm``; the crossings with ``others`` (rpm, damping) are left out if it can be."""
+    speed = line.speed_rpm
+    damping = min(others, key=lambda item: abs(item[0] - rpm))[1]
+    free = np.abs(speed - rpm) > max(near_rpm, TREND_NUMBERS.neighbourhood_dampings * damping * rpm)
+    clear = free.copy()
+    for other, its_damping in others:
+        clear &= np.abs(speed - other) > max(0.5 * near_rpm, 2.0 * its_damping * other)
+    close = np.abs(np.log(speed / rpm)) < TREND_NUMBERS.beside_log_ratio
+    choices = (clear & close, clear, free & close)
+    chosen = next((rows for rows in choices if np.count_nonzero(rows) >= TREND_NUMBERS.enough_beside), free)
+    if np.count_nonzero(chosen) < TREND_NUMBERS.least_beside:
+        return None
+    return power_law(speed[chosen], line.amplitude[chosen], line.amplitude_error[chosen])
+
+
+def seen_all_around(line: OrderLine, rpm: float, tested: Floats) -> bool:
+    """Whether ``line`` stands out at most of the speeds ``tested`` (n,) in rpm around ``rpm``.
+
+    Where it hides in the floor, its trend is too high.
+    """
+    around = np.abs(np.log(tested / rpm)) < TREND_NUMBERS.beside_log_ratio
+    seen = np.abs(np.log(line.speed_rpm / rpm)) < TREND_NUMBERS.beside_log_ratio
+    return bool(np.count_nonzero(seen) >= TREND_NUMBERS.mostly_seen_share * np.count_nonzero(around))
+
+
+LAW_NUMBERS = MethodNumbers("5-identify-explain.toml", "order_trend")
+
+
+@dataclass(frozen=True)
+class PowerLaw:
+    """log amplitude = ``level`` + ``exponent`` · log(speed / ``reference_rpm``), from speeds that scatter about it.
+
+    ``covariance`` (2, 2) of (level, exponent), with ``freedom`` degrees of freedom; ``scatter`` is the variance of the
+    logarithm beyond the amplitudes' own errors, ``scale`` by how much both are to be widened.
+    """
+
+    reference_rpm: float
+    level: float
+    exponent: float
+    covariance: Floats
+    scatter: float
+    scale: float
+    freedom: int
+
+    def excess(self, speed_rpm: Floats, amplitude: Floats, amplitude_error: Floats) -> tuple[Floats, Floats]:
+        """Logarithm of ``amplitude`` over the law at ``speed_rpm``, and its standard error: (speeds,) each.
+
+        ``amplitude_error`` are the standard errors of the amplitudes, which took no part in the law.
+        """
+        x = np.log(speed_rpm / self.reference_rpm)
+        own = _relative(amplitude, amplitude_error) ** 2 + self.scatter
+        of_law = self.covariance[0, 0] + 2.0 * x * self.covariance[0, 1] + x**2 * self.covariance[1, 1]
+        excess = np.log(amplitude) - self.level - self.exponent * x
+        return excess, np.sqrt(of_law + self.scale * own)
+
+
+def power_law(speed_rpm: Floats, amplitude: Floats, amplitude_error: Floats) -> PowerLaw | None:
+    """Power law of ``amplitude`` against ``speed_rpm``; None for fewer than three speeds or for one speed only.
+
+    All are (speeds,); ``amplitude_error`` are standard errors; speeds without either take no part. Speeds are weighted
+    by their errors and by a scatter common to all (DerSimonian and Laird 1986); the covariance is that of the
+    residuals, so that Student's t holds (Knapp and Hartung 2003).
+    """
+    known = (amplitude > 0.0) & np.isfinite(amplitude_error) & np.isfinite(speed_rpm)
+    speed_rpm, amplitude, amplitude_error = speed_rpm[known], amplitude[known], amplitude_error[known]
+    if len(speed_rpm) < 3 or np.ptp(speed_rpm) <= 1e-6 * float(np.mean(speed_rpm)):
+        return None
+    reference = float(np.exp(np.mean(np.log(speed_rpm))))
+    design = np.stack([np.ones(len(speed_rpm)), np.log(speed_rpm / reference)], axis=1)
+    y, own = np.log(amplitude), _relative(amplitude, amplitude_error) ** 2
+    freedom = len(y) - 2
+    _, inverse, cost = _weighted(design, y, 1.0 / own)
+    weight = 1.0 / own
+    spare = weight.sum() - np.trace(inverse @ (design * weight[:, None] ** 2).T @ design)
+    scatter = max(0.0, (cost - freedom) / float(spare))
+    solution, inverse, cost = _weighted(design, y, 1.0 / (own + scatter))
+    scale = max(cost / freedom, 1e-12)
+    return PowerLaw(reference, float(solution[0]), float(solution[1]), inverse * scale, scatter, scale, freedom)
+
+
+def _relative(amplitude: Floats, error: Floats) -> Floats:
+    return np.clip(error / amplitude, LAW_NUMBERS.least_relative_error, LAW_NUMBERS.most_relative_error)
+
+
+def _weighted(design: Floats, y: Floats, weight: Floats) -> tuple[Floats, Floats, float]:
+    """Weighted least squares: solution, inverse of the normal matrix, weighted sum of squares that is left."""
+    inverse: Floats = np.asarray(np.linalg.inv(design.T @ (design * weight[:, None])), dtype=np.float64)
+    solution = inverse @ (design.T @ (weight * y))
+    residual = y - design @ solution
+    return solution, inverse, float(np.sum(weight * residual**2))
+
 
 NUMBERS = MethodNumbers("5-identify-explain.toml", "crossings")
 
@@ -65,29 +229,29 @@ def crossings(
     """
     if not (np.isfinite(speed_rpm[0]) and np.isfinite(speed_rpm[1])):
         return ()
-    tested = tested_speeds(orders)
-    found: list[Crossing] = []
-    seen_of: list[list[Seen]] = []
+    speeds = [line.speed_rpm for agreed in orders for line in agreed.lines]
+    tested = np.unique(np.concatenate(speeds)) if speeds else np.zeros(0)  # at which any order was seen
+    met: list[tuple[Crossing, list[Seen]]] = []
     for agreed in orders:
         for number in range(len(modal.modes)):
             seen = _seen_of(agreed, number, modal, settings)
-            found.append(_crossing(agreed, number, seen, modal, tested, speed_rpm, settings))
-            seen_of.append(seen)
+            met.append((_crossing(agreed, number, seen, modal, tested, speed_rpm, settings), seen))
         for whirl, mode in _met_whirls(agreed.order, modal):
             beside = ModalFit((mode, *modal.modes), (), np.zeros((0, 0)))  # no fit of the orders holds a whirl
             seen = _seen_of(agreed, 0, beside, settings)
-            found.append(_of_whirl(_crossing(agreed, 0, seen, beside, tested, speed_rpm, settings), mode, whirl))
-            seen_of.append(seen)
+            met.append((_of_whirl(_crossing(agreed, 0, seen, beside, tested, speed_rpm, settings), mode, whirl), seen))
     missing = [
         order for order in stated if all(abs(order - item.order) > NUMBERS.same_stated_share * order for item in orders)
     ]
-    made = _decided(found, seen_of)
-    made += [_unmeasured(order, mode, speed_rpm, settings) for order in missing for mode in modal.modes]
-    for order in missing:
-        met = _met_whirls(order, modal)
-        made += [_of_whirl(_unmeasured(order, mode, speed_rpm, settings), mode, whirl) for whirl, mode in met]
-    made = [item if item.in_range else replace(item, evidence=EXTRAPOLATED) for item in made]
-    return tuple(sorted(made, key=lambda item: (item.rpm, item.order)))
+    found = _decided(met)
+    found += [_unmeasured(order, mode, speed_rpm, settings) for order in missing for mode in modal.modes]
+    found += [
+        _of_whirl(_unmeasured(order, mode, speed_rpm, settings), mode, whirl)
+        for order in missing
+        for whirl, mode in _met_whirls(order, modal)
+    ]
+    found = [crossing if crossing.in_range else replace(crossing, evidence=EXTRAPOLATED) for crossing in found]
+    return tuple(sorted(found, key=lambda crossing: (crossing.rpm, crossing.order)))
 
 
 def _met_whirls(order: float, modal: ModalFit) -> list[tuple[Whirl, Mode]]:
@@ -104,12 +268,6 @@ def _of_whirl(crossing: Crossing, mode: Mode, whirl: Whirl) -> Crossing:
         evidence="; ".join(filter(None, (mode.evidence, crossing.evidence))),
         whirl=whirl,
     )
-
-
-def tested_speeds(orders: tuple[AgreedOrder, ...]) -> Floats:
-    """Speeds (n,) in rpm, ascending, at which any of ``orders`` was seen."""
-    speeds = [line.speed_rpm for agreed in orders for line in agreed.lines]
-    return np.unique(np.concatenate(speeds)) if speeds else np.zeros(0)
 
 
 def _unmeasured(order: float, mode: Mode, speed_rpm: tuple[float, float], settings: IdentifySettings) -> Crossing:
@@ -149,7 +307,7 @@ def _seen_of(agreed: AgreedOrder, number: int, modal: ModalFit, settings: Identi
 
 def responses_to(order: float, modal: ModalFit) -> list[OrderResponse]:
     """Responses of ``modal`` to ``order``, of all channels and recordings."""
-    return [item for item in modal.responses if abs(item.order - order) < NUMBERS.same_response_orders]
+    return [response for response in modal.responses if abs(response.order - order) < NUMBERS.same_response_orders]
 
 
 def _crossing(
@@ -179,7 +337,10 @@ def _crossing(
     best = None if trend is None else higher(trend, by_fit)
     evidence = evidence_beside(agreed, rpm, mode, trend, tested, settings) if inside else ""
     if best is not None and best is not trend:
-        evidence = _fit_evidence(best)
+        what, low, high = "what it is without the mode, by the fit", best.ratio_low, best.ratio_high
+        evidence = f"in {best.channel} at least {low:.2g} times {what}"
+        if np.isfinite(high):
+            evidence = f"in {best.channel} {best.ratio:.2g} times {what} ({low:.2g} to {high:.2g})"
     return Crossing(
         order=agreed.order,
         mode_hz=mode.frequency_hz,
@@ -194,7 +355,9 @@ def _crossing(
         amplification=None if best is None else best.ratio,
         amplification_ci95=None if best is None else (best.ratio_low, best.ratio_high),
         evidence=evidence,
-        verdict=_unless_excited(agreed, number, trends, fitted, modal, tested, inside=inside),
+        verdict=_unless_excited(agreed, number, trends, fitted, by_fit, modal, tested)
+        if inside
+        else "outside the tested range",
     )
 
 
@@ -230,28 +393,18 @@ def higher(trend: Seen, by_fit: Sequence[Seen]) -> Seen:
     return max(above, key=lambda item: item.ratio_low, default=trend)
 
 
-def _fit_evidence(seen: Seen) -> str:
-    what = "what it is without the mode, by the fit"
-    if not np.isfinite(seen.ratio_high):
-        return f"in {seen.channel} at least {seen.ratio_low:.2g} times {what}"
-    return f"in {seen.channel} {seen.ratio:.2g} times {what} ({seen.ratio_low:.2g} to {seen.ratio_high:.2g})"
-
-
 def _unless_excited(
     agreed: AgreedOrder,
     number: int,
     trends: list[Seen],
     fitted: list[OrderResponse],
+    by_fit: list[Seen],
     modal: ModalFit,
     tested: Floats,
-    *,
-    inside: bool,
 ) -> Verdict:
-    """What is said of a crossing at which no order was seen to rise."""
+    """What is said of a crossing in the tested range at which no order was seen to rise."""
     mode = modal.modes[number]
     rpm = 60.0 * mode.frequency_hz / agreed.order
-    if not inside:
-        return "outside the tested range"
     resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
     quiet = resolved and bool(trends) and max(item.ratio_high for item in trends) < NUMBERS.clearly_excited_ratio
     quiet &= all(seen_all_around(line, rpm, tested) for line in agreed.lines)
@@ -259,8 +412,7 @@ def _unless_excited(
     if {item.channel for item in known} >= {line.channel for line in agreed.lines} and known:
         ends = [_beside_mode(item, number, modal).ends(half_width(float(item.degrees_of_freedom)))[1] for item in known]
         quiet |= max(float(high.max()) for high in ends) < NUMBERS.clearly_excited_ratio
-    by_fit = [one for item in fitted if (one := fitted_excess(item, number, modal)) is not None]
-    quiet &= all(one.ratio_low < NUMBERS.clearly_excited_ratio for one in by_fit)
+    quiet &= all(excess.ratio_low < NUMBERS.clearly_excited_ratio for excess in by_fit)
     if mode.undecided:
         return "undecided mode"
     if quiet:
@@ -305,33 +457,27 @@ def _beside_mode(response: OrderResponse, number: int, modal: ModalFit) -> WithA
 def _by_residue(response: OrderResponse, number: int, modal: ModalFit) -> list[Seen]:
     """What the residue of mode ``number`` says: its F test against none; [] where the fit does not hold the mode."""
     place = np.flatnonzero(response.reached == number)
-    if (
-        not response.fits
-        or not len(place)
-        or response.degrees_of_freedom < 1
-        or amplification(response, number, modal) <= 1.0
-    ):
+    holds = response.fits and len(place) > 0 and response.degrees_of_freedom >= 1
+    if not holds or amplification(response, number, modal) <= 1.0:
         return []
     at = len(response.smooth) + int(place[0])
     squared = abs(response.residue[number]) ** 2 / max(float(response.covariance[at, at].real), 1e-300)
     return [Seen(response.channel, float(fdtrc(2.0, float(response.degrees_of_freedom), 0.5 * squared)))]
 
 
-def _decided(found: list[Crossing], seen_of: list[list[Seen]]) -> list[Crossing]:
-    """``found`` with those called excited of which ``seen_of``, one list for each, says so."""
-    chances = np.full(len(found), np.nan)
-    for number, (item, seen) in enumerate(zip(found, seen_of, strict=True)):
-        if item.in_range and seen:
-            chances[number] = simes(np.array([one.chance for one in seen]))
+def _decided(met: list[tuple[Crossing, list[Seen]]]) -> list[Crossing]:
+    """Crossings of ``met``, those called excited of which what was seen there says so."""
+    seen_in_range = [seen if crossing.in_range else [] for crossing, seen in met]
+    chances = np.array([simes(np.array([each.chance for each in seen])) if seen else np.nan for seen in seen_in_range])
     excited = claimed(chances, q=NUMBERS.false_discovery_rate)
-    made = []
-    for item, seen, chance, sure in zip(found, seen_of, chances.tolist(), excited.tolist(), strict=True):
+    decided = []
+    for (crossing, seen), chance, sure in zip(met, chances.tolist(), excited.tolist(), strict=True):
         if np.isfinite(chance):
-            item = replace(item, chance=chance)
+            crossing = replace(crossing, chance=chance)
         if sure:
-            shows = {one.channel for one in seen if len(seen) * one.chance <= NUMBERS.false_discovery_rate}
-            shows |= {min(seen, key=lambda one: one.chance).channel}
-            evidence = f"{item.evidence}; chance without the mode {chance:.1g}"
-            item = replace(item, verdict="excited", channels=tuple(sorted(shows)), evidence=evidence)
-        made.append(item)
-    return made
+            shows = {each.channel for each in seen if len(seen) * each.chance <= NUMBERS.false_discovery_rate}
+            shows |= {min(seen, key=lambda each: each.chance).channel}
+            evidence = f"{crossing.evidence}; chance without the mode {chance:.1g}"
+            crossing = replace(crossing, verdict="excited", channels=tuple(sorted(shows)), evidence=evidence)
+        decided.append(crossing)
+    return decided

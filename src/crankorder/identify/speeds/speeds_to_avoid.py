@@ -24,9 +24,8 @@ from crankorder.identify.intervals import Z95, half_width
 from crankorder.identify.lines.growth import Largest, largest, reported_within
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.responses import EXCLUSION, HeldPeak, peak_of, together, with_and_without
-from crankorder.identify.speeds.above_trend import Seen, above_trend, width_rpm
 from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
-from crankorder.identify.speeds.crossings import fitted_excess, higher, responses_to
+from crankorder.identify.speeds.crossings import Seen, above_trend, fitted_excess, higher, responses_to, width_rpm
 from crankorder.quantities import Bools
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -44,15 +43,6 @@ class _Open:
     high_rpm: float
     why: str
     amplified: bool = False
-
-
-@dataclass(frozen=True)
-class _Limits:
-    """Amplified ``factor`` times is not free; ``sigmas`` make it sure; amplitudes below ``matters`` do not count."""
-
-    factor: float
-    sigmas: float
-    matters: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -118,10 +108,10 @@ def speeds_to_avoid(
     least, most = 1.0 - NUMBERS.beside_share, 1.0 + NUMBERS.beside_share
     opened = [  # what speeds to avoid take is not open, but neither is it free
         *(_Open(min(a.rpm_range[0], a.rpm * least), max(a.rpm_range[1], a.rpm * most), "") for a in avoid),
-        *_by_modes(found, modal, unit, largest, speed_rpm, settings),
+        *_by_modes(found, modal, unit, largest, settings),
         *_by_unseen(orders, modal, speed_rpm, settings),
-        *_by_ringing(modal, speed_rpm),
-        *_by_shown(orders, modal, speed_rpm, settings),
+        *_by_ringing(modal),
+        *_by_shown(orders, modal, settings),
     ]
     free, rest = _split(opened, speed_rpm, settings)
     return SpeedVerdicts(tuple(avoid), free, rest)
@@ -132,39 +122,39 @@ def as_avoided(found: Sequence[Crossing], avoid: Sequence[AvoidedSpeed]) -> tupl
 
     One meeting has one number, in the channel in which it is worst.
     """
-    told = {
-        (item.orders[0], item.modes_hz[0]): item for item in avoid if item.amplification_ci95 and item.amplification
+    peaks = {
+        (peak.orders[0], peak.modes_hz[0]): peak for peak in avoid if peak.amplification_ci95 and peak.amplification
     }
-    return tuple(
-        _as_peak(item, told[item.order, item.mode_hz]) if (item.order, item.mode_hz) in told else item for item in found
-    )
+    told = []
+    for crossing in found:
+        peak = peaks.get((crossing.order, crossing.mode_hz))
+        if peak is not None and peak.amplification_ci95 is not None:
+            low, high = peak.amplification_ci95
+            times = f"{peak.amplification:.2g} times" if np.isfinite(high) else f"at least {low:.2g} times"
+            words = f"in {peak.channel}, where it is largest, {times} what it is without the mode"
+            if crossing.chance is not None:
+                words += f"; chance without the mode {crossing.chance:.1g}"
+            crossing = replace(
+                crossing,
+                amplification=peak.amplification,
+                amplification_ci95=peak.amplification_ci95,
+                channels=tuple(sorted({*crossing.channels, peak.channel})),
+                evidence=words,
+            )
+        told.append(crossing)
+    return tuple(told)
 
 
-def _as_peak(item: Crossing, peak: AvoidedSpeed) -> Crossing:
-    if peak.amplification is None or peak.amplification_ci95 is None:
-        return item
-    low, high = peak.amplification_ci95
-    times = f"{peak.amplification:.2g} times" if np.isfinite(high) else f"at least {low:.2g} times"
-    words = f"in {peak.channel}, where it is largest, {times} what it is without the mode"
-    return replace(
-        item,
-        amplification=peak.amplification,
-        amplification_ci95=peak.amplification_ci95,
-        channels=tuple(sorted({*item.channels, peak.channel})),
-        evidence=words if item.chance is None else f"{words}; chance without the mode {item.chance:.1g}",
-    )
+def _is_vague(crossing: Crossing) -> bool:
+    """Whether the natural frequency of ``crossing`` is undecided, and nobody knows where to stay away."""
+    return bool(crossing.remark) and crossing.rpm_ci95[1] - crossing.rpm_ci95[0] > NUMBERS.vague_share * crossing.rpm
 
 
-def _is_vague(item: Crossing) -> bool:
-    """Whether the natural frequency of ``item`` is undecided, and nobody knows where to stay away."""
-    return bool(item.remark) and item.rpm_ci95[1] - item.rpm_ci95[0] > NUMBERS.vague_share * item.rpm
-
-
-def _counts(item: Crossing) -> bool:
-    if not (item.excited and item.in_range) or _is_vague(item):
+def _counts(crossing: Crossing) -> bool:
+    if not (crossing.excited and crossing.in_range) or _is_vague(crossing):
         return False
-    measured = item.amplification_ci95[1] if item.amplification_ci95 is not None else 0.0
-    return bool(max(measured, item.amplification_predicted) >= CROSSINGS.clearly_excited_ratio)
+    measured = crossing.amplification_ci95[1] if crossing.amplification_ci95 is not None else 0.0
+    return bool(max(measured, crossing.amplification_predicted) >= CROSSINGS.clearly_excited_ratio)
 
 
 def _cost(
@@ -260,13 +250,11 @@ def _amplification(
     lines = [line for line in agreed.lines if line.channel == channel]
     trends = [one for line in lines for one in above_trend(line, item.rpm, near, others)]
     trend = min(trends, key=lambda one: one.chance, default=None)
-    by_fit = None
+    best = trend
     if peak is not None and peak.response is not None:
         by_fit = fitted_excess(peak.response, modal.modes.index(mode), modal)
-    if by_fit is not None:
-        best: Seen | None = by_fit if trend is None else higher(by_fit, [trend])
-    else:
-        best = trend
+        if by_fit is not None:
+            best = by_fit if trend is None else higher(by_fit, [trend])
     clear = best is not None and best.ratio is not None and best.ratio >= CROSSINGS.clearly_excited_ratio
     return best if clear else None
 
@@ -274,23 +262,24 @@ def _amplification(
 def _overlapping(met: list[AvoidedSpeed]) -> list[list[AvoidedSpeed]]:
     """Crossings in groups whose speed ranges overlap, by speed."""
     groups: list[list[AvoidedSpeed]] = []
-    for item in sorted(met, key=lambda item: item.rpm_range[0]):
-        if groups and item.rpm_range[0] <= max(other.rpm_range[1] for other in groups[-1]):
-            groups[-1].append(item)
+    for peak in sorted(met, key=lambda peak: peak.rpm_range[0]):
+        if groups and peak.rpm_range[0] <= max(other.rpm_range[1] for other in groups[-1]):
+            groups[-1].append(peak)
         else:
-            groups.append([item])
+            groups.append([peak])
     return groups
 
 
 def _joined(group: list[AvoidedSpeed]) -> AvoidedSpeed:
     """One speed to avoid from crossings whose ranges overlap, named and ranked after the costliest."""
-    by_cost = sorted(group, key=lambda item: -item.cost)
+    by_cost = sorted(group, key=lambda peak: -peak.cost)
+    begins, ends = zip(*(peak.rpm_range for peak in group), strict=True)
     return replace(
         by_cost[0],
-        rpm_range=(min(item.rpm_range[0] for item in group), max(item.rpm_range[1] for item in group)),
-        orders=tuple(item.orders[0] for item in by_cost),
-        modes_hz=tuple(item.modes_hz[0] for item in by_cost),
-        reason=" and ".join(item.reason for item in by_cost),
+        rpm_range=(min(begins), max(ends)),
+        orders=tuple(peak.orders[0] for peak in by_cost),
+        modes_hz=tuple(peak.modes_hz[0] for peak in by_cost),
+        reason=" and ".join(peak.reason for peak in by_cost),
     )
 
 
@@ -299,17 +288,15 @@ def _by_modes(
     modal: ModalFit,
     unit: Mapping[str, str],
     largest: Mapping[str, float],
-    speed_rpm: tuple[float, float],
     settings: IdentifySettings,
 ) -> list[_Open]:
     """Speeds at which a known mode amplifies an order by more than is free, or may."""
-    made: list[_Open] = []
-    limits = _Limits(settings.free_amplification, float(ndtri(0.5 + 0.5 * settings.free_confidence)))
+    bands: list[_Open] = []
     for item in found:
-        number, slower, named = -1, 1.0, ""  # no fit holds a whirl, on which the order gains slower
+        number, slower, named = -1, 1.0, ""
         if item.whirl is None:
             number = int(np.argmin([abs(mode.frequency_hz - item.mode_hz) for mode in modal.modes]))
-        else:
+        else:  # no fit holds a whirl, on which the order gains slower
             slower, named = item.whirl.slower(item.order), "a whirl of "
         what = f"order {item.order:.4g} with {named}{item.mode_hz:.4g} Hz"
         known = [one for one in responses_to(item.order, modal) if one.fits and number in one.reached]
@@ -317,57 +304,58 @@ def _by_modes(
             low, high = _amplifying(item.rpm_ci95, settings.free_amplification)
             low, high = item.rpm - slower * (item.rpm - low), item.rpm + slower * (high - item.rpm)
             says = item.verdict if item.in_range else "beside the tested range, so that its flank may reach in"
-            made += _inside(_Open(low, high, f"{what}: {says}"), speed_rpm)
+            bands.append(_Open(low, high, f"{what}: {says}"))
         alike = {(one.recording, unit[one.channel], one.span_rpm) for one in known}
         for key in sorted(alike):
             group = [one for one in known if (one.recording, unit[one.channel], one.span_rpm) == key]
             matters = EXCLUSION.matters_share * max(largest.get(one.channel, 0.0) for one in group)
-            made += _amplified(group, number, modal, replace(limits, matters=matters), what)
-    return made
+            bands += _amplified(group, number, modal, what, matters=matters, settings=settings)
+    return bands
 
 
-def _mode_of(item: Crossing, modal: ModalFit) -> Mode:
+def _mode_of(crossing: Crossing, modal: ModalFit) -> Mode:
     """The mode that a crossing is of; of a whirl, what the order passes through."""
-    if item.whirl is not None and (mode := item.whirl.met_by(item.order)) is not None:
+    if crossing.whirl is not None and (mode := crossing.whirl.met_by(crossing.order)) is not None:
         return mode
-    return min(modal.modes, key=lambda one: abs(one.frequency_hz - item.mode_hz))
+    return min(modal.modes, key=lambda one: abs(one.frequency_hz - crossing.mode_hz))
 
 
-def _amplified(group: list[OrderResponse], number: int, modal: ModalFit, limits: _Limits, what: str) -> list[_Open]:
-    """Speeds around the crossing at which mode ``number`` may amplify an order by more than is free."""
-    mode = modal.modes[number]
+def _amplified(
+    group: list[OrderResponse], number: int, modal: ModalFit, what: str, *, matters: float, settings: IdentifySettings
+) -> list[_Open]:
+    """Speeds around the crossing at which mode ``number`` may amplify an order by more than is free.
+
+    Amplitudes below ``matters`` do not count.
+    """
+    mode, factor = modal.modes[number], settings.free_amplification
+    sigmas = float(ndtri(0.5 + 0.5 * settings.free_confidence))
     rpm = 60.0 * mode.frequency_hz / group[0].order
-    beside = NUMBERS.beside_share + limits.sigmas * mode.frequency_error_hz / mode.frequency_hz
+    beside = NUMBERS.beside_share + sigmas * mode.frequency_error_hz / mode.frequency_hz
     near = max(NUMBERS.near_dampings * mode.damping_ratio, beside)
     low, high = group[0].span_rpm  # all of it: what a flank adds to little is more than a resonance alone would make
     turn = np.sinh(np.linspace(-3.0, 3.0, 41)) / np.sinh(3.0)
     grid = np.unique(np.clip(np.append(rpm * (1.0 + near * turn), np.geomspace(low, high, FLANKS)), low, high))
     both = together([with_and_without(one, number, grid, modal) for one in group])
-    least, most = both.ends(limits.sigmas, matters=limits.matters)
+    least, most = both.ends(sigmas, matters=matters)
     # where the mode itself is amplified less it carries the order without resonance: only what is sure counts there
-    first, last = _amplifying((rpm * (1.0 - beside), rpm * (1.0 + beside)), limits.factor)
-    over = (least > limits.factor) | ((most > limits.factor) & (grid >= first) & (grid <= last))
+    first, last = _amplifying((rpm * (1.0 - beside), rpm * (1.0 + beside)), factor)
+    over = (least > factor) | ((most > factor) & (grid >= first) & (grid <= last))
     if not over.any():
         return []
-    amplified = bool((least > limits.factor).any())
-    what += f": {'is' if amplified else 'may be'} amplified more than {limits.factor:g} times"
-    made = []
+    amplified = bool((least > factor).any())
+    what += f": {'is' if amplified else 'may be'} amplified more than {factor:g} times"
+    bands = []
     for place, end_place in _runs(over):
         begin, end = float(grid[max(place - 1, 0)]), float(grid[min(end_place + 1, len(grid) - 1)])
         if begin <= rpm * (1.0 + beside) and end >= rpm * (1.0 - beside):
             begin, end = min(begin, rpm * (1.0 - beside)), max(end, rpm * (1.0 + beside))
-        made.append(_Open(begin, end, what, amplified))
-    return made
+        bands.append(_Open(begin, end, what, amplified))
+    return bands
 
 
 def _amplifying(rpm: tuple[float, float], factor: float) -> tuple[float, float]:
     """Speeds between which a resonance that is met somewhere in ``rpm`` amplifies ``factor`` times or more."""
     return rpm[0] * np.sqrt(factor / (factor + 1.0)), rpm[1] * np.sqrt(factor / (factor - 1.0))
-
-
-def _inside(item: _Open, speed_rpm: tuple[float, float]) -> list[_Open]:
-    """``item`` where any of it lies within ``speed_rpm``."""
-    return [item] if item.low_rpm < speed_rpm[1] and item.high_rpm > speed_rpm[0] else []
 
 
 def _by_unseen(
@@ -377,39 +365,40 @@ def _by_unseen(
     low, high = speed_rpm
     if not orders:
         return [_Open(low, high, "no order stands out")]
-    made: list[_Open] = []
+    bands: list[_Open] = []
     for agreed in orders:
         bounds = [item for item in modal.unseen if _is_order(agreed.order, item.order)]
         name = f"order {agreed.order:.4g}"
         if not bounds:
-            made.append(_Open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
+            bands.append(_Open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
             continue
         first = min(float(bound.speed_rpm[0]) for bound in bounds)
         last = max(float(bound.speed_rpm[-1]) for bound in bounds)
         ends = ((low, first), (last, high))
-        made += [
+        bands += [
             _Open(a, b, f"{name} was not measured there") for a, b in ends if b > a * (1.0 + NUMBERS.same_speed_share)
         ]
         for bound in bounds:
-            made += _between(bound, settings.free_amplification, name)
-    return made
+            bands += _between(bound, settings.free_amplification, name)
+    return bands
 
 
-def _by_ringing(modal: ModalFit, speed_rpm: tuple[float, float]) -> list[_Open]:
+def _by_ringing(modal: ModalFit) -> list[_Open]:
     """Speeds at which an order that nobody found would be hidden by a mode that rings on."""
-    made: list[_Open] = []
-    for item in modal.hidden:
-        rings = f"{item.mode_hz:.4g} Hz rings on there from order {item.rung_by:.4g}"
-        why = f"{rings}: another order that met it would be hidden"
-        made += _inside(_Open(item.low_rpm, item.high_rpm, why), speed_rpm)
-    return made
+    return [
+        _Open(
+            hidden.low_rpm,
+            hidden.high_rpm,
+            f"{hidden.mode_hz:.4g} Hz rings on there from order {hidden.rung_by:.4g}: another order that met it would "
+            "be hidden",
+        )
+        for hidden in modal.hidden
+    ]
 
 
-def _by_shown(
-    orders: tuple[AgreedOrder, ...], modal: ModalFit, speed_rpm: tuple[float, float], settings: IdentifySettings
-) -> list[_Open]:
+def _by_shown(orders: tuple[AgreedOrder, ...], modal: ModalFit, settings: IdentifySettings) -> list[_Open]:
     """Speeds at which an order that only the spectra of sweeps show meets a mode, or could meet one that nobody saw."""
-    made: list[_Open] = []
+    bands: list[_Open] = []
     for order in modal.shown_orders:
         if any(_is_order(order, agreed.order) for agreed in orders):
             continue
@@ -417,10 +406,10 @@ def _by_shown(
         for mode in modal.modes:
             ends = (mode.frequency_hz - mode.frequency_half_hz, mode.frequency_hz + mode.frequency_half_hz)
             low, high = _amplifying((60.0 * ends[0] / order, 60.0 * ends[1] / order), settings.free_amplification)
-            made += _inside(_Open(low, high, f"{name} meets {mode.frequency_hz:.4g} Hz"), speed_rpm)
+            bands.append(_Open(low, high, f"{name} meets {mode.frequency_hz:.4g} Hz"))
         for bound in modal.unseen:
-            made += _between(bound, settings.free_amplification, name) if _is_order(order, bound.order) else []
-    return made
+            bands += _between(bound, settings.free_amplification, name) if _is_order(order, bound.order) else []
+    return bands
 
 
 def _is_order(order: float, other: float) -> bool:
@@ -429,14 +418,11 @@ def _is_order(order: float, other: float) -> bool:
 
 
 def _between(bound: UnseenBound, factor: float, name: str) -> list[_Open]:
-    worst = bound.amplification
-    made = []
-    for first, last in _runs(~(worst <= factor)):
-        begin = float(bound.speed_rpm[max(first - 1, 0)])
-        end = float(bound.speed_rpm[min(last + 1, len(worst) - 1)])
-        why = f"not tested between: {name} could be amplified more than {factor:g} times unseen"
-        made.append(_Open(begin, end, why))
-    return made
+    rpm, why = bound.speed_rpm, f"not tested between: {name} could be amplified more than {factor:g} times unseen"
+    return [
+        _Open(float(rpm[max(first - 1, 0)]), float(rpm[min(last + 1, len(rpm) - 1)]), why)
+        for first, last in _runs(~(bound.amplification <= factor))
+    ]
 
 
 def _runs(marked: Bools) -> list[tuple[int, int]]:
@@ -456,24 +442,18 @@ def _split(
         f"({100.0 * settings.free_confidence:g} %)"
     )
     start, narrowest = low, min(settings.crossing_band_rpm, high - low) if high > low else np.inf
-    for item in [*sorted(opened, key=lambda one: one.low_rpm), _Open(high, high, "")]:
-        if min(item.low_rpm, high) - start >= narrowest:
-            free.append(SpeedBand(start, min(item.low_rpm, high), excludes))
-        start = max(start, item.high_rpm)
-    return tuple(free), _open_bands(opened, free, speed_rpm)
-
-
-def _open_bands(opened: list[_Open], free: list[SpeedBand], speed_rpm: tuple[float, float]) -> tuple[SpeedBand, ...]:
-    """What lies between the ``free`` bands, with the reasons; without that which only speeds to avoid take."""
-    low, high = speed_rpm
+    for band in [*sorted(opened, key=lambda one: one.low_rpm), _Open(high, high, "")]:
+        if min(band.low_rpm, high) - start >= narrowest:
+            free.append(SpeedBand(start, min(band.low_rpm, high), excludes))
+        start = max(start, band.high_rpm)
     ends = [low, *(end for band in free for end in (band.low_rpm, band.high_rpm)), high]
-    made = []
+    rest = []
     for begin, end in zip(ends[::2], ends[1::2], strict=True):
-        within = [item for item in opened if item.why and item.low_rpm < end and item.high_rpm > begin]
+        within = [band for band in opened if band.why and band.low_rpm < end and band.high_rpm > begin]
         if end > begin and within:
-            reasons = "; ".join(dict.fromkeys(item.why for item in within))
-            made.append(SpeedBand(begin, end, reasons, any(item.amplified for item in within)))
-    return tuple(made)
+            reasons = "; ".join(dict.fromkeys(band.why for band in within))
+            rest.append(SpeedBand(begin, end, reasons, any(band.amplified for band in within)))
+    return tuple(free), tuple(rest)
 
 
 LONE_NUMBERS = MethodNumbers("5-identify-explain.toml", "lone_peaks")
@@ -498,7 +478,7 @@ def lone_peaks(
     ranks it. The natural frequency is that of the ``modal`` fit between the neighbouring speeds; where there is
     none, that at which the order peaks.
     """
-    made: list[AvoidedSpeed] = []
+    lone: list[AvoidedSpeed] = []
     for agreed in orders:
         peaks = [
             (line, place, ratio)
@@ -507,13 +487,17 @@ def lone_peaks(
             if line.amplitude[place] >= EXCLUSION.matters_share * largest.get(line.channel, 0.0)
         ]
         for line, place, ratio in sorted(peaks, key=lambda peak: -peak[2]):
-            worst = _largest_there(agreed, line, float(line.speed_rpm[place]), unit)
-            item = _avoided(agreed.order, line, place, ratio, modal, worst, in_unit)
+            rpm = float(line.speed_rpm[place])
+            low, high = rpm - LONE_NUMBERS.same_row_share * rpm, rpm + LONE_NUMBERS.same_row_share * rpm
+            alike = [other for other in agreed.lines if unit[other.channel] == unit[line.channel]]
+            there = [(other.channel, seen) for other in alike if (seen := reported_within(other, low, high))]
+            worst = max(there, key=lambda of_channel: of_channel[1].amplitude)
+            peak = _avoided(agreed.order, line, rpm, ratio, modal, worst, in_unit)
             # a sweep rings behind a resonance
             reach = 1.0 if line.n_independent is None else 1.0 + LONE_NUMBERS.around_share
-            if not any(_holds(other, item, reach) for other in (*avoided, *made)):
-                made.append(item)
-    return made
+            if not any(_holds(other, peak, reach) for other in (*avoided, *lone)):
+                lone.append(peak)
+    return lone
 
 
 def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
@@ -535,25 +519,16 @@ def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
     return found
 
 
-def _largest_there(agreed: AgreedOrder, shown: OrderLine, rpm: float, unit: Mapping[str, str]) -> tuple[str, Largest]:
-    """Channel of the unit of ``shown`` in which the order is largest at ``rpm``, and how large."""
-    reach = LONE_NUMBERS.same_row_share * rpm
-    alike = [line for line in agreed.lines if unit[line.channel] == unit[shown.channel]]
-    there = [(line.channel, seen) for line in alike if (seen := reported_within(line, rpm - reach, rpm + reach))]
-    return max(there, key=lambda one: one[1].amplitude)
-
-
 def _avoided(
     order: float,
     line: OrderLine,
-    place: int,
+    rpm: float,
     ratio: float,
     modal: ModalFit,
     worst: tuple[str, Largest],
     in_unit: Mapping[str, float],
 ) -> AvoidedSpeed:
-    """Speed to avoid around row ``place`` of ``line``, half way to the rows beside, ``worst`` in a channel there."""
-    rpm = float(line.speed_rpm[place])
+    """Speed to avoid around the row of ``line`` at ``rpm``, half way to those beside, ``worst`` in a channel there."""
     below = float(line.speed_rpm[line.speed_rpm < rpm].max())
     above = float(line.speed_rpm[line.speed_rpm > rpm].min())
     hz = order * rpm / 60.0
@@ -576,8 +551,8 @@ def _avoided(
     )
 
 
-def _holds(other: AvoidedSpeed, item: AvoidedSpeed, reach: float) -> bool:
+def _holds(other: AvoidedSpeed, peak: AvoidedSpeed, reach: float) -> bool:
     """Whether ``other`` speaks of the same order between the same speeds, or ``reach`` times beside."""
-    alike = any(abs(one - item.orders[0]) <= 1e-3 * item.orders[0] for one in other.orders)
-    (low, high), (least, most) = item.rpm_range, other.rpm_range
+    alike = any(abs(one - peak.orders[0]) <= 1e-3 * peak.orders[0] for one in other.orders)
+    (low, high), (least, most) = peak.rpm_range, other.rpm_range
     return alike and least <= reach * high and low <= reach * most
