@@ -21,8 +21,7 @@ from crankorder.engine.balancing import (
     rod_counterweight_couple,
     sum_by_order,
 )
-from crankorder.engine.harmonics import even_harmonics
-from crankorder.engine.slider_crank import SliderCrank, plain_piston_acceleration
+from crankorder.engine.slider_crank import SliderCrank, even_harmonics, plain_piston_acceleration
 from crankorder.errors import RequestError
 
 ANGLES = np.arange(720) / 720

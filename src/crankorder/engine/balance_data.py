@@ -11,7 +11,7 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, ValidationInfo, computed_field, field_validator
 
 from crankorder.engine.balancing import (
     CounterweightPlaces,
@@ -22,11 +22,10 @@ from crankorder.engine.balancing import (
     unbalance_force_n,
 )
 from crankorder.engine.crankshaft import CrankshaftBalance, CrankshaftData, crankshaft_balance
-from crankorder.engine.definition import NOT_EMPTY, Engine, EngineData, Positive, with_gas_file
+from crankorder.engine.definition import Engine, with_gas_file
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.gas import firing_intervals_deg
-from crankorder.engine.harmonics import acceleration_harmonics
-from crankorder.engine.rod import RodSplit, RodSplits, two_mass_inertia_g_mm2
+from crankorder.engine.machine_parts import NOT_EMPTY, EngineData, Positive
 from crankorder.engine.shafts import (
     GearTolerances,
     GearTrain,
@@ -40,7 +39,7 @@ from crankorder.engine.shafts import (
     wheels_couple,
     wheels_force,
 )
-from crankorder.engine.slider_crank import SliderCrank
+from crankorder.engine.slider_crank import SliderCrank, acceleration_harmonics
 from crankorder.engine.tolerance_study import BalanceTolerances
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.records import Record, said
@@ -50,6 +49,72 @@ DesignOrder = Annotated[int, Field(ge=1, le=12)]
 
 Amounts = dict[str, float]
 """Amplitudes by order, or forces by crank speed (rpm): orders and speeds as texts."""
+
+
+class RodSplit(EngineData):
+    """Masses (g) of the big and the small end of a rod, as one method divides them."""
+
+    big_end_g: Positive
+    small_end_g: Positive
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def total_g(self) -> float:
+        """Mass of the whole rod."""
+        return self.big_end_g + self.small_end_g
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def centroid_fraction(self) -> float:
+        """Place of the centre of gravity that the two masses imply: distance from the big end over rod length."""
+        return self.small_end_g / self.total_g
+
+
+class RodOnPin(EngineData):
+    """A rod weighed whole and balanced on a pin or blade: mass (g), and its centre of gravity from the big end (mm)."""
+
+    mass_g: Positive
+    centre_from_big_end_mm: Positive
+    rod_length_mm: Positive
+
+    @field_validator("rod_length_mm")
+    @classmethod
+    def _centre_is_between(cls, value: float, info: ValidationInfo) -> float:
+        centre = info.data.get("centre_from_big_end_mm")
+        if centre is not None and centre >= value:
+            raise ValueError("centre_from_big_end_mm must lie between the ends of the rod")
+        return value
+
+
+class RodSplits(EngineData):
+    """The same rod divided by a cut through its centre of gravity in a drawing, by a scale at its pins, and on a pin.
+
+    ``on_pin``: balanced on a pin or blade, where that was done; ``weighed_whole_g``: the whole rod on the scale.
+    """
+
+    cut: RodSplit
+    scale: RodSplit
+    on_pin: RodOnPin | None = None
+    weighed_whole_g: Annotated[float, Field(gt=0)] | None = None
+
+    @property
+    def by_method(self) -> dict[str, RodSplit]:
+        """Each division by its name: ``"cut"``, ``"scale"`` and, where it was done, ``"on pin"``."""
+        made = {"cut": self.cut, "scale": self.scale}
+        if self.on_pin is not None:
+            fraction = self.on_pin.centre_from_big_end_mm / self.on_pin.rod_length_mm
+            small_g = self.on_pin.mass_g * fraction
+            made["on pin"] = RodSplit(big_end_g=self.on_pin.mass_g - small_g, small_end_g=small_g)
+        return made
+
+
+def two_mass_inertia_g_mm2(split: RodSplit, rod_length_mm: float) -> float:
+    """Moment of inertia (g·mm²) about the centre of gravity that two masses at the pins have.
+
+    ``split``: the masses. ``rod_length_mm``: distance of the pins. The rod's own differs from it; the difference makes
+    a couple and no force. Source: truth sheet 2.7.
+    """
+    return split.big_end_g * split.small_end_g / split.total_g * rod_length_mm**2
 
 
 class UnbalanceClass(EngineData):

@@ -46,7 +46,6 @@ from crankorder.engine.balancing import (
 from crankorder.engine.crankshaft import CrankshaftBalance
 from crankorder.engine.cycle_tables import CycleBalance, cycle_balance, cycle_sentences
 from crankorder.engine.definition import BalanceShafts, Engine
-from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.engine.shaft_design import (
     ByAxis,
     DesignBalance,
@@ -61,7 +60,7 @@ from crankorder.engine.shaft_design import (
     whole_moments,
 )
 from crankorder.engine.shafts import Possibility, ShaftPairParts, pair_rounding_g_mm, parts_unbalance_g_mm, shaft_layout
-from crankorder.engine.slider_crank import dead_centres, fastest_piston
+from crankorder.engine.slider_crank import acceleration_harmonics, dead_centres, fastest_piston
 from crankorder.engine.tolerance_study import SeriesResiduals, tolerance_sentences
 from crankorder.errors import RequestError, plain_number
 from crankorder.records import Record, said

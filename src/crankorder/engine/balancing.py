@@ -11,9 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crankorder.engine.definition import EngineData, NonNegative, Positive
-from crankorder.engine.harmonics import acceleration_harmonics
-from crankorder.engine.slider_crank import SliderCrank, plain_piston_acceleration
+from crankorder.engine.machine_parts import EngineData, NonNegative, Positive
+from crankorder.engine.slider_crank import SliderCrank, acceleration_harmonics, plain_piston_acceleration
 from crankorder.errors import RequestError
 
 Rotation = Literal["with crank", "against crank", "line", "none"]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from crankorder.engine.definition import NOT_EMPTY, EngineData, NonNegative, Positive
+from crankorder.engine.machine_parts import NOT_EMPTY, EngineData, NonNegative, Positive
 from crankorder.errors import RequestError
 from crankorder.records import Record, said
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
-from crankorder.engine.definition import EngineData, NonNegative, Positive
+from crankorder.engine.machine_parts import EngineData, NonNegative, Positive
 from crankorder.engine.slider_crank import Angles, SliderCrank, sine_cosine
 from crankorder.errors import ManyErrors, RequestError
 from crankorder.settings import toml_table, validation_fault

@@ -22,9 +22,8 @@ from crankorder.engine.balancing import (
     polar_diagram,
     sum_by_order,
 )
-from crankorder.engine.definition import NOT_EMPTY, EngineData, NonNegative, Positive
-from crankorder.engine.harmonics import even_harmonics
-from crankorder.engine.slider_crank import plain_piston_acceleration
+from crankorder.engine.machine_parts import NOT_EMPTY, EngineData, NonNegative, Positive
+from crankorder.engine.slider_crank import even_harmonics, plain_piston_acceleration
 from crankorder.errors import RequestError
 
 Possibility = Literal["1", "2", "3", "4", "4+2"]

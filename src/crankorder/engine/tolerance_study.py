@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from crankorder.engine.definition import BalanceShafts, Engine, EngineData, NonNegative, SingleShaft, Weight
+from crankorder.engine.definition import BalanceShafts, Engine, SingleShaft, Weight
 from crankorder.engine.forces import Z, crankcase_forces
-from crankorder.engine.harmonics import Complex, acceleration_harmonics
+from crankorder.engine.machine_parts import EngineData, NonNegative
+from crankorder.engine.slider_crank import Complex, acceleration_harmonics
 from crankorder.errors import plain_number
 from crankorder.records import Record, said
 

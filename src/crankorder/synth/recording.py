@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from crankorder.engine.bearings import bearing_orders
+from crankorder.engine.machine_parts import bearing_orders
 from crankorder.quantities import Complexes, Floats
 from crankorder.synth.analogue import Recorded, recorded
 from crankorder.synth.crank import begun_earlier, crank_motion, gain_of_cycle, other_motion

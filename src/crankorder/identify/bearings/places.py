@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.engine.machine_parts import Bearing, bearing_orders
 from crankorder.orders.envelope_combs import Comb
 from crankorder.quantities import Floats
 from crankorder.settings import MethodNumbers
