@@ -39,7 +39,6 @@ from crankorder.engine.balancing import (
     Strategy,
     balanced,
     counterweights,
-    equivalent_masses,
     force_by_order,
     rod_counterweight_couple,
 )
@@ -54,6 +53,7 @@ from crankorder.engine.shaft_design import (
     degrees_of,
     design_balance,
     design_sentences,
+    listed,
     moment_sentences,
     tolerance_of,
     whole_force,
@@ -252,7 +252,7 @@ def _amounts(axes: ByAxis, speed_rpm: float, most: int = 2, where: dict[str, str
     for axis, direction in where.items():
         orders = list((axes[axis] or {}).items())[:most]
         phrases += [f"{_amount(amount, speed_rpm)} of order {order} {direction}" for order, amount in orders]
-    return " and ".join([", ".join(phrases[:-1]), phrases[-1]]) if len(phrases) > 1 else (phrases or [_NO_FORCE])[0]
+    return listed(phrases) or _NO_FORCE
 
 
 def _of_strategies(strategies: dict[Strategy, StrategyBalance | None], speed_rpm: float) -> list[str]:
@@ -462,12 +462,11 @@ def _leading(masses: ReducedMasses, max_order: int) -> Amounts:
 
 def _masses(subject: BalancedEngine, masses: ReducedMasses) -> dict[str, float | None]:
     train = subject.balance.train
-    parts = None if train is None else equivalent_masses(train)
     return {
         "reciprocating": masses.reciprocating_g,
         "rotating_at_crank_radius": abs(masses.rotating_g),
-        "rod_at_crank_pin": None if parts is None else parts.rod_at_crank_pin_g,
-        "rod_at_piston_pin": None if parts is None else parts.rod_at_piston_pin_g,
+        "rod_at_crank_pin": None if train is None else train.rod_at_crank_pin_g,
+        "rod_at_piston_pin": None if train is None else train.rod_at_piston_pin_g,
     }
 
 
