@@ -17,9 +17,11 @@ from numba import njit
 from published import publish, table
 
 from crankorder.engine.compiled_slider_crank import fast_sine_cosine, fill_acceleration
-from crankorder.engine.harmonics import acceleration_harmonics, orders_for, peak_acceleration
 from crankorder.engine.slider_crank import (
     SliderCrank,
+    acceleration_harmonics,
+    orders_for,
+    peak_acceleration,
     piston_acceleration,
     plain_piston_acceleration,
 )

@@ -23,8 +23,8 @@ from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.levels import recording_levels
 from crankorder.campbell.map import campbell_map
 from crankorder.campbell.vibration_levels import vibration_levels
-from crankorder.engine.bearings import Bearing
 from crankorder.engine.definition import Engine
+from crankorder.engine.machine_parts import Bearing
 from crankorder.fft.decimation import band_limited
 from crankorder.findings import Findings, nothing_sought
 from crankorder.flow import StagePlan

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
 from crankorder.engine.hinged_crank import (
     CrankTorque,
@@ -87,14 +88,14 @@ def test_the_potential_torque_does_no_work_in_a_revolution() -> None:
 @pytest.mark.parametrize(
     ("angles", "torques", "what"),
     [
-        ((0.0, 180.0), (1.0,), "as many torques"),
+        ((0.0, 180.0), (1.0,), "one torque for each"),
         ((0.0,), (1.0,), "two or more"),
         ((0.0, 200.0, 100.0, 360.0), (0.0, 1.0, 1.0, 0.0), "rising"),
         ((0.0, 360.0), (0.0, float("nan")), "finite"),
     ],
 )
 def test_impossible_nodes_are_refused(angles: tuple[float, ...], torques: tuple[float, ...], what: str) -> None:
-    with pytest.raises(RequestError, match=what):
+    with pytest.raises(ValidationError, match=what):
         TorqueBranch(angle_deg=angles, torque_nm=torques)
 
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from crankorder.engine.bearings import Bearing, bearing_catalogue, bearing_orders
 from crankorder.engine.definition import load_engine
+from crankorder.engine.machine_parts import Bearing, bearing_catalogue, bearing_orders
 from crankorder.errors import ManyErrors, RequestError
 
 GOOD = "crank_radius_m = 0.05\nrod_length_m = 0.15\nreciprocating_mass_kg = 1.0\n"

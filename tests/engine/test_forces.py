@@ -7,7 +7,7 @@ import pytest
 
 from crankorder.engine.definition import Engine, load_engine
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces, crankcase_moments, orders_made
-from crankorder.engine.harmonics import even_harmonics
+from crankorder.engine.slider_crank import even_harmonics
 
 Z, X = DIRECTIONS.index("Z"), DIRECTIONS.index("X")
 OPTICAL = {"crank_radius_m": 0.0449, "rod_length_m": 0.152, "reciprocating_mass_kg": 4.304}

@@ -8,14 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crankorder.engine.harmonics import (
+from crankorder.engine.slider_crank import (
+    SliderCrank,
     acceleration_harmonics,
     even_harmonics,
     orders_for,
     peak_acceleration,
+    piston_acceleration,
     rod_acceleration_harmonics,
+    rod_angle,
 )
-from crankorder.engine.slider_crank import SliderCrank, piston_acceleration, rod_angle
 from crankorder.errors import RequestError
 
 RATIOS = ["0.1", "0.25", "44.9/152", "15001.4/49822.3", "0.5", "0.9", "0.99", "0.999"]

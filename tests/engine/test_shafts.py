@@ -22,7 +22,6 @@ from crankorder.engine.shafts import (
     pair_rounding_g_mm,
     parts_unbalance_g_mm,
     shaft_layout,
-    shaft_unbalance_g_mm,
 )
 from crankorder.engine.slider_crank import SliderCrank
 from crankorder.engine.tolerance_study import (
@@ -67,7 +66,7 @@ def test_analytic_a_pair_makes_its_unbalance_times_the_squared_speed_ratio(k: fl
     force = sum(k**2 * size * np.exp(1j * sign * (k * angle + np.radians(phase))) for sign in (1, -1))
     assert np.abs(polar_diagram([shaft.force for shaft in pair], ANGLES) - force).max() < 1e-12 * k**2 * size
     assert np.abs(force.imag).max() < 1e-12 * k**2 * size
-    assert shaft_unbalance_g_mm(2 * k**2 * size, order=k) == pytest.approx(size, rel=1e-14)
+    assert opposing_pair(2 * k**2 * size, order=k)[0].unbalance_g_mm == pytest.approx(size, rel=1e-14)
 
 
 @given(x=st.complex_numbers(min_magnitude=1, max_magnitude=1e6), order=st.integers(1, 6))

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from crankorder.engine.balance_data import load_balanced_engine, rod_balance
 from crankorder.engine.balancing import unbalance_force_n
 from crankorder.engine.definition import Engine
-from crankorder.engine.harmonics import rod_acceleration_harmonics
-from crankorder.engine.rod import rod_couple, two_masses
+from crankorder.engine.forces import rod_couple, two_masses
 from crankorder.engine.slider_crank import (
     SliderCrank,
     dead_centres,
@@ -20,6 +19,7 @@ from crankorder.engine.slider_crank import (
     piston_drop,
     piston_velocity,
     plain_piston_acceleration,
+    rod_acceleration_harmonics,
     rod_angle,
 )
 from crankorder.errors import RequestError

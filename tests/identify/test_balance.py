@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from crankorder.engine.definition import BalanceShafts, GasCurve
-from crankorder.engine.transfer_paths import AddedMass
+from crankorder.engine.machine_parts import AddedMass
 from crankorder.identify.balance.trial_mass import trial_mass
 from crankorder.identify.balance.unbalance_fit import unbalance_fit
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, swept

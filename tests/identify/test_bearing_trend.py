@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.engine.bearings import Bearing
+from crankorder.engine.machine_parts import Bearing
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.identify.changes.run_trends import RunAmplitudes, growth_over, run_amplitudes
 from crankorder.orders.envelope import envelope_map, recording_envelope

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.engine.machine_parts import Bearing, bearing_orders
 from crankorder.findings import BearingFinding
 from crankorder.identify.causes.aliasing import ShownAlias
 from crankorder.identify.causes.explain import (

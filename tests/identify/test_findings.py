@@ -5,7 +5,7 @@ import pytest
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map
-from crankorder.engine.bearings import Bearing
+from crankorder.engine.machine_parts import Bearing
 from crankorder.identify.findings import find
 from crankorder.identify.machine_model import MachineModel
 from crankorder.orders.frames import order_frames

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from crankorder.engine.transfer_paths import AddedMass
+from crankorder.engine.machine_parts import AddedMass
 from crankorder.identify.changes.mass_change import mass_record, size_interval, unbalance_change
 from crankorder.identify.changes.order_changes import Line, change
 

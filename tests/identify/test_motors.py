@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
-from crankorder.engine.motor import Motor
+from crankorder.engine.machine_parts import Motor
 from crankorder.identify.lines.known_lines import Held, held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.lines.mains import motor_seen

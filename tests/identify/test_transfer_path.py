@@ -5,7 +5,7 @@ import pytest
 
 from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.forces import crankcase_forces
-from crankorder.engine.transfer_paths import PathMode, StatedPath
+from crankorder.engine.machine_parts import PathMode, StatedPath
 from crankorder.identify.balance.transfer_path import accelerance_of, measured_orders, noise_shape
 from crankorder.identify.balance.unbalance_fit import unbalance_fit
 from made.order_amplitudes import Structure, engine_of, made_orders, modal_of, order_map_of

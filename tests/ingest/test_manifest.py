@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from crankorder.engine.motor import Motor, motor_lines
+from crankorder.engine.machine_parts import Motor, motor_lines
 from crankorder.errors import ManyErrors, RequestError
 from crankorder.ingest.manifest import Manifest, key_lines, load_manifest
 from crankorder.quantities import schema_of

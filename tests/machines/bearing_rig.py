@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.engine.bearings import Bearing
+from crankorder.engine.machine_parts import Bearing
 from made.strikes import recording
 
 Floats = NDArray[np.float64]

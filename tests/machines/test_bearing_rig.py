@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from scipy.signal import hilbert
 
-from crankorder.engine.bearings import bearing_orders
+from crankorder.engine.machine_parts import bearing_orders
 from crankorder.identify.bearings.envelope_lines import bearing_combs
 from crankorder.identify.bearings.records import bearing_records
 from crankorder.orders.envelope import envelope_map, recording_envelope

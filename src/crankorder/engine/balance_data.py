@@ -11,22 +11,20 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, ValidationInfo, computed_field, field_validator
 
 from crankorder.engine.balancing import (
     CounterweightPlaces,
     CrankTrain,
     ReducedMasses,
-    equivalent_masses,
     phasor,
     unbalance_force_n,
 )
 from crankorder.engine.crankshaft import CrankshaftBalance, CrankshaftData, crankshaft_balance
-from crankorder.engine.definition import NOT_EMPTY, Engine, EngineData, Positive, with_gas_file
+from crankorder.engine.definition import Engine, with_gas_file
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.gas import firing_intervals_deg
-from crankorder.engine.harmonics import acceleration_harmonics
-from crankorder.engine.rod import RodSplit, RodSplits, two_mass_inertia_g_mm2
+from crankorder.engine.machine_parts import NOT_EMPTY, EngineData, Positive
 from crankorder.engine.shafts import (
     GearTolerances,
     GearTrain,
@@ -40,7 +38,7 @@ from crankorder.engine.shafts import (
     wheels_couple,
     wheels_force,
 )
-from crankorder.engine.slider_crank import SliderCrank
+from crankorder.engine.slider_crank import SliderCrank, acceleration_harmonics
 from crankorder.engine.tolerance_study import BalanceTolerances
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.records import Record, said
@@ -52,6 +50,63 @@ Amounts = dict[str, float]
 """Amplitudes by order, or forces by crank speed (rpm): orders and speeds as texts."""
 
 
+class RodSplit(EngineData):
+    """Masses (g) of the big and the small end of a rod, as one method divides them."""
+
+    big_end_g: Positive
+    small_end_g: Positive
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def total_g(self) -> float:
+        """Mass of the whole rod."""
+        return self.big_end_g + self.small_end_g
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def centroid_fraction(self) -> float:
+        """Place of the centre of gravity that the two masses imply: distance from the big end over rod length."""
+        return self.small_end_g / self.total_g
+
+
+class RodOnPin(EngineData):
+    """A rod weighed whole and balanced on a pin or blade: mass (g), and its centre of gravity from the big end (mm)."""
+
+    mass_g: Positive
+    centre_from_big_end_mm: Positive
+    rod_length_mm: Positive
+
+    @field_validator("rod_length_mm")
+    @classmethod
+    def _centre_is_between(cls, value: float, info: ValidationInfo) -> float:
+        centre = info.data.get("centre_from_big_end_mm")
+        if centre is not None and centre >= value:
+            raise ValueError("centre_from_big_end_mm must lie between the ends of the rod")
+        return value
+
+
+class RodSplits(EngineData):
+    """The same rod divided by a cut through its centre of gravity in a drawing, by a scale at its pins, and on a pin.
+
+    ``on_pin``: balanced on a pin or blade, where that was done; ``weighed_whole_g``: the whole rod on the scale.
+    """
+
+    cut: RodSplit
+    scale: RodSplit
+    on_pin: RodOnPin | None = None
+    weighed_whole_g: Annotated[float, Field(gt=0)] | None = None
+
+    @property
+    def by_method(self) -> dict[str, RodSplit]:
+        """Each division by its name: ``"cut"``, ``"scale"`` and, where it was done, ``"on pin"``."""
+        splits = {"cut": self.cut, "scale": self.scale}
+        if self.on_pin is not None:
+            fraction = self.on_pin.centre_from_big_end_mm / self.on_pin.rod_length_mm
+            small_g = self.on_pin.mass_g * fraction
+            splits["on pin"] = RodSplit(big_end_g=self.on_pin.mass_g - small_g, small_end_g=small_g)
+        return splits
+
+
 class UnbalanceClass(EngineData):
     """A class of engines by the residual unbalance (g·mm) that they typically have."""
 
@@ -59,48 +114,17 @@ class UnbalanceClass(EngineData):
     limit_g_mm: Positive
 
 
-@dataclass(frozen=True, kw_only=True)
-class OffsetEffects:
-    """What an offset of the cylinder axis from the shafts' plane does to the first order.
-
-    ``quadrature_share``: of the nominal first order, out of step with the crank: shafts timed to the crank leave it.
-    ``rephasing_deg``: how far the shafts must lag behind the crank to cancel it. ``amplitude_ratio``: first order with
-    offset over that without. ``third_over_fourth``: the odd orders that the offset makes, against the next even one.
-    """
-
-    quadrature_share: float
-    rephasing_deg: float
-    amplitude_ratio: float
-    third_over_fourth: float
-
-
 def leading_harmonics(count: int, crank_ratio: float) -> NDArray[np.float64]:
     """First terms of the series of A2, A4, …: λ, λ³/4, 9λ⁵/128, 5λ⁷/256, …, shape (count,).
 
     They are what textbooks and shafts built by them use, 2 % to 15 % below the exact harmonics at λ = 0.3.
 
-    ``count``: how many, ≥ 0. ``crank_ratio``: λ = r/l, 0 < λ < 1. Raises RequestError outside these ranges.
+    ``count``: how many, ≥ 0. ``crank_ratio``: λ = r/l, 0 < λ < 1.
     Source: truth sheet 1 and 2.1 (table 1 of Ruckle 2014 lacks the 9 in its formula, not in its numbers).
     """
-    if not 0 < crank_ratio < 1 or count < 0:
-        raise RequestError(
-            "no such harmonics", found=f"count {count}, crank ratio {crank_ratio}", allowed="count ≥ 0, 0 < λ < 1"
-        )
     k = np.arange(1, count + 1, dtype=np.float64)
     binomial = np.cumprod(np.where(k == 1, 0.5, (k - 1.5) / k))
     return 8 * k**2 / crank_ratio * binomial * (crank_ratio / 2) ** (2 * k)
-
-
-def offset_effects(mechanism: SliderCrank) -> OffsetEffects:
-    """What the offset of ``mechanism`` does to the first order and to the third. Source: truth sheet 2.6."""
-    harmonics = acceleration_harmonics(mechanism, 4)
-    first = complex(harmonics[1])
-    return OffsetEffects(
-        quadrature_share=-first.imag,
-        rephasing_deg=math.degrees(math.atan2(-first.imag, first.real)),
-        amplitude_ratio=abs(first),
-        third_over_fourth=float(abs(harmonics[3]) / abs(harmonics[4])),
-    )
 
 
 def unbalance_class(residual_g_mm: float, classes: Sequence[UnbalanceClass]) -> str | None:
@@ -108,8 +132,8 @@ def unbalance_class(residual_g_mm: float, classes: Sequence[UnbalanceClass]) -> 
 
     ``classes``: in any sequence.
     """
-    fitting = [one for one in classes if abs(residual_g_mm) <= one.limit_g_mm]
-    return min(fitting, key=lambda one: one.limit_g_mm).name if fitting else None
+    kept = [kind for kind in classes if abs(residual_g_mm) <= kind.limit_g_mm]
+    return min(kept, key=lambda kind: kind.limit_g_mm).name if kept else None
 
 
 TABLE = "balance"
@@ -228,9 +252,8 @@ def reduced_masses(subject: BalancedEngine) -> ReducedMasses:
     """What rotates and what slides in the engine of ``subject``, before any counterweight or shaft of a study."""
     engine, train = subject.engine, subject.balance.train
     if train is not None:
-        parts = equivalent_masses(train)
         return ReducedMasses(
-            mechanism=engine.mechanism, rotating_g=parts.rotating_g, reciprocating_g=parts.reciprocating_g
+            mechanism=engine.mechanism, rotating_g=train.rotating_g, reciprocating_g=train.reciprocating_g
         )
     rotating_g = engine.rotating_unbalance_kg_m / engine.crank_radius_m * 1e3
     return ReducedMasses(
@@ -245,12 +268,11 @@ def _disagreements(engine: Engine, balance: BalanceData, source: str) -> list[Cr
     train = balance.train
     if train is None:
         return []
-    parts = equivalent_masses(train)
     of_parts = {
         "crank_radius_m": train.crank_radius_mm * 1e-3,
         "rod_length_m": train.rod_length_mm * 1e-3,
-        "reciprocating_mass_kg": parts.reciprocating_g * 1e-3,
-        "rotating_unbalance_kg_m": parts.rotating_g * train.crank_radius_mm * 1e-6,
+        "reciprocating_mass_kg": train.reciprocating_g * 1e-3,
+        "rotating_unbalance_kg_m": train.rotating_g * train.crank_radius_mm * 1e-6,
     }
     faults: list[CrankorderError] = []
     for key, there in of_parts.items():
@@ -331,7 +353,8 @@ def rod_balance(subject: BalancedEngine, speeds: Sequence[float]) -> RodBalance 
         cut_centroid_fraction=cut.centroid_fraction,
         scale_centroid_fraction=scale.centroid_fraction,
         centroid_shift_mm=(cut.centroid_fraction - scale.centroid_fraction) * mechanism.rod_length_m * 1e3,
-        two_mass_inertia_kg_m2=two_mass_inertia_g_mm2(scale, length_mm) * 1e-9,
+        # of two masses about their centre of gravity; the rod's own differs, which makes a couple and no force
+        two_mass_inertia_kg_m2=scale.big_end_g * scale.small_end_g / scale.total_g * length_mm**2 * 1e-9,
         rotating_deficit_g=deficit,
         reciprocating_excess_g=excess,
         residual_x_g_mm={"1": (deficit - excess) * radius_mm, "2": second},
@@ -381,23 +404,27 @@ class OffsetBalance(Record):
 
 
 def offset_balance(subject: BalancedEngine, speeds: Sequence[float]) -> OffsetBalance | None:
-    """Effects of the offset that ``subject`` asks to be studied, or else of its own, at ``speeds`` (rpm)."""
+    """Effects of the offset that ``subject`` asks to be studied, or else of its own, at ``speeds`` (rpm).
+
+    Source: truth sheet 2.6; what of order 1 is out of step with the crank remains beside shafts timed to the crank.
+    """
     engine = subject.engine
     offset_mm = subject.balance.offset_mm or abs(engine.offset_m) * 1e3
     if not offset_mm:
         return None
     straight = SliderCrank(crank_radius_m=engine.crank_radius_m, rod_length_m=engine.rod_length_m)
     mechanism = replace(straight, offset_m=offset_mm * 1e-3)
-    effects, masses = offset_effects(mechanism), reduced_masses(subject)
+    _, in_first, _, in_third, in_fourth = map(complex, acceleration_harmonics(mechanism, 4))
+    masses = reduced_masses(subject)
     first = masses.crank_radius_mm * masses.reciprocating_g
-    quadrature = first * effects.quadrature_share
+    quadrature = first * -in_first.imag
     lines = {"1": first, "2": float(first * abs(acceleration_harmonics(straight, 2)[2]))}
     return OffsetBalance(
         offset_mm=offset_mm,
         harmonics=harmonic_shares(mechanism, 8),
-        amplitude_ratio=effects.amplitude_ratio,
-        rephasing_deg=effects.rephasing_deg,
-        third_over_fourth=effects.third_over_fourth,
+        amplitude_ratio=abs(in_first),
+        rephasing_deg=math.degrees(math.atan2(-in_first.imag, in_first.real)),
+        third_over_fourth=abs(in_third) / abs(in_fourth),
         quadrature_x_g_mm=quadrature,
         quadrature_n=newton_by_speed(quadrature, speeds),
         # of a force along the cylinder and the shafts that cancel it: Ruckle 2014, section 3.1.2; truth sheet 2.6
@@ -436,10 +463,12 @@ def reverse_cranks(subject: BalancedEngine, speeds: Sequence[float]) -> ReverseC
     if train is None:
         return None
     both: tuple[Series, ...] = ("leading", "exact")
-    residual: dict[Series, float] = {}
-    for series in both:
-        wheels = weighted_wheels(train, masses, second=series)
-        residual[series] = float(np.abs(residual_along(masses, wheels, FULL_TURN_REV)).max())
+    by_series = {series: weighted_wheels(train, masses, second=series) for series in both}
+    residual = {
+        series: float(np.abs(residual_along(masses, weights, FULL_TURN_REV)).max())
+        for series, weights in by_series.items()
+    }
+    wheels = by_series["exact"]
     radius = {gear.name: gear.weight_radius_mm or math.inf for gear in train.gears}
     moments = {series: weight_moments(masses, second=series) for series in both}
     return ReverseCranks(

@@ -39,14 +39,12 @@ from crankorder.engine.balancing import (
     Strategy,
     balanced,
     counterweights,
-    equivalent_masses,
     force_by_order,
     rod_counterweight_couple,
 )
 from crankorder.engine.crankshaft import CrankshaftBalance
 from crankorder.engine.cycle_tables import CycleBalance, cycle_balance, cycle_sentences
 from crankorder.engine.definition import BalanceShafts, Engine
-from crankorder.engine.harmonics import acceleration_harmonics
 from crankorder.engine.shaft_design import (
     ByAxis,
     DesignBalance,
@@ -55,13 +53,14 @@ from crankorder.engine.shaft_design import (
     degrees_of,
     design_balance,
     design_sentences,
+    listed,
     moment_sentences,
     tolerance_of,
     whole_force,
     whole_moments,
 )
 from crankorder.engine.shafts import Possibility, ShaftPairParts, pair_rounding_g_mm, parts_unbalance_g_mm, shaft_layout
-from crankorder.engine.slider_crank import dead_centres, fastest_piston
+from crankorder.engine.slider_crank import acceleration_harmonics, dead_centres, fastest_piston
 from crankorder.engine.tolerance_study import SeriesResiduals, tolerance_sentences
 from crankorder.errors import RequestError, plain_number
 from crankorder.records import Record, said
@@ -253,7 +252,7 @@ def _amounts(axes: ByAxis, speed_rpm: float, most: int = 2, where: dict[str, str
     for axis, direction in where.items():
         orders = list((axes[axis] or {}).items())[:most]
         phrases += [f"{_amount(amount, speed_rpm)} of order {order} {direction}" for order, amount in orders]
-    return " and ".join([", ".join(phrases[:-1]), phrases[-1]]) if len(phrases) > 1 else (phrases or [_NO_FORCE])[0]
+    return listed(phrases) or _NO_FORCE
 
 
 def _of_strategies(strategies: dict[Strategy, StrategyBalance | None], speed_rpm: float) -> list[str]:
@@ -463,12 +462,11 @@ def _leading(masses: ReducedMasses, max_order: int) -> Amounts:
 
 def _masses(subject: BalancedEngine, masses: ReducedMasses) -> dict[str, float | None]:
     train = subject.balance.train
-    parts = None if train is None else equivalent_masses(train)
     return {
         "reciprocating": masses.reciprocating_g,
         "rotating_at_crank_radius": abs(masses.rotating_g),
-        "rod_at_crank_pin": None if parts is None else parts.rod_at_crank_pin_g,
-        "rod_at_piston_pin": None if parts is None else parts.rod_at_piston_pin_g,
+        "rod_at_crank_pin": None if train is None else train.rod_at_crank_pin_g,
+        "rod_at_piston_pin": None if train is None else train.rod_at_piston_pin_g,
     }
 
 

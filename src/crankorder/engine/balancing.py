@@ -11,9 +11,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from crankorder.engine.definition import EngineData, NonNegative, Positive
-from crankorder.engine.harmonics import acceleration_harmonics
-from crankorder.engine.slider_crank import SliderCrank, plain_piston_acceleration
+from crankorder.engine.machine_parts import EngineData, NonNegative, Positive
+from crankorder.engine.slider_crank import SliderCrank, acceleration_harmonics, plain_piston_acceleration
 from crankorder.errors import RequestError
 
 Rotation = Literal["with crank", "against crank", "line", "none"]
@@ -129,7 +128,7 @@ def phasor(angle_deg: float) -> complex:
     return (1 + 0j, 1j, -1 + 0j, -1j)[quarter % 4] * cmath.rect(1, rest)
 
 
-Strategy = Literal["none", "a", "b", "c", "d"]
+Strategy = Literal["a", "b", "c", "d"]
 
 RECIPROCATING_SHARE: dict[Strategy, float] = {"a": 1.0, "b": 0.0, "c": 0.5}
 """Share of the reciprocating mass that the crank's counterweight stands against, beside the whole rotating mass."""
@@ -138,7 +137,9 @@ RECIPROCATING_SHARE: dict[Strategy, float] = {"a": 1.0, "b": 0.0, "c": 0.5}
 class CrankTrain(EngineData):
     """Crank, connecting rod and piston as parts: masses in g, lengths and centres of gravity in mm.
 
-    ``crank_centroid_mm`` is counted from the crankshaft's axis, ``rod_centroid_mm`` from the crank pin.
+    ``crank_centroid_mm`` is counted from the crankshaft's axis, ``rod_centroid_mm`` from the crank pin. The two masses
+    that replace the rod keep its centre of gravity, so forces on the frame are exact whatever its moment of inertia;
+    the couple is not. Source: Task 5, equation (5.1).
     """
 
     crank_mass_g: NonNegative
@@ -149,22 +150,32 @@ class CrankTrain(EngineData):
     rod_length_mm: Positive
     piston_mass_g: NonNegative
 
+    @property
+    def rod_at_piston_pin_g(self) -> float:
+        """Part of the rod that goes to and fro with the piston."""
+        return self.rod_mass_g * self.rod_centroid_mm / self.rod_length_mm
+
+    @property
+    def rod_at_crank_pin_g(self) -> float:
+        """Part of the rod that turns with the crank."""
+        return self.rod_mass_g - self.rod_at_piston_pin_g
+
+    @property
+    def rotating_g(self) -> float:
+        """All that rotates, at the crank radius (Q1)."""
+        return self.rod_at_crank_pin_g + self.crank_mass_g * self.crank_centroid_mm / self.crank_radius_mm
+
+    @property
+    def reciprocating_g(self) -> float:
+        """All that goes to and fro (Q3)."""
+        return self.rod_at_piston_pin_g + self.piston_mass_g
+
 
 class CounterweightPlaces(EngineData):
     """Radii (mm) at which masses can be added: on the crank, and on the rod beyond the crank pin."""
 
     crank_mm: Positive | None = None
     rod_mm: Positive | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class EquivalentMasses:
-    """Rod as two masses at its pins, and the sums that rotate (Q1) and reciprocate (Q3), in g at the crank radius."""
-
-    rod_at_crank_pin_g: float
-    rod_at_piston_pin_g: float
-    rotating_g: float
-    reciprocating_g: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,22 +218,6 @@ class Counterweights:
         return self.crank_g + self.rod_g
 
 
-def equivalent_masses(train: CrankTrain) -> EquivalentMasses:
-    """Masses that replace crank, rod and piston of ``train`` (g and mm) in every force on the frame.
-
-    The two masses of the rod keep its centre of gravity, so forces are exact whatever its moment of inertia; the couple
-    is not. Source: Task 5, equation (5.1).
-    """
-    at_piston_pin = train.rod_mass_g * train.rod_centroid_mm / train.rod_length_mm
-    at_crank_pin = train.rod_mass_g - at_piston_pin
-    return EquivalentMasses(
-        rod_at_crank_pin_g=at_crank_pin,
-        rod_at_piston_pin_g=at_piston_pin,
-        rotating_g=at_crank_pin + train.crank_mass_g * train.crank_centroid_mm / train.crank_radius_mm,
-        reciprocating_g=at_piston_pin + train.piston_mass_g,
-    )
-
-
 def counterweights(masses: ReducedMasses, strategy: Strategy, places: CounterweightPlaces) -> Counterweights:
     """Counterweights (g) that a strategy asks for, below zero where the crank has too much already.
 
@@ -232,8 +227,6 @@ def counterweights(masses: ReducedMasses, strategy: Strategy, places: Counterwei
     Source: Task 5, equations (5.7), (5.10), (5.24), (5.31), (5.33).
     """
     leverage = masses.crank_radius_mm / (places.crank_mm or masses.crank_radius_mm)
-    if strategy == "none":
-        return Counterweights(crank_g=0.0)
     if strategy != "d":
         return _on_crank(leverage, masses.rotating_g + RECIPROCATING_SHARE[strategy] * masses.reciprocating_g)
     if places.rod_mm is None:
@@ -253,11 +246,9 @@ def _on_crank(leverage: float, against_g: complex) -> Counterweights:
 def balanced(masses: ReducedMasses, strategy: Strategy) -> ReducedMasses:
     """What rotates and what slides under a strategy, in closed form, so that what cancels is exactly zero.
 
-    ``masses``: engine before balancing. ``strategy``: "none", "a", "b", "c" or "d".
+    ``masses``: engine before balancing. ``strategy``: "a", "b", "c" or "d".
     Source: Task 5, equations (5.8), (5.11), (5.25), (5.26).
     """
-    if strategy == "none":
-        return masses
     if strategy == "d":
         return replace(masses, rotating_g=0.0, reciprocating_g=0.0)
     return replace(masses, rotating_g=-RECIPROCATING_SHARE[strategy] * masses.reciprocating_g)
@@ -272,11 +263,12 @@ def force_by_order(masses: ReducedMasses, *, max_order: int) -> tuple[OrderForce
     """
     harmonics = acceleration_harmonics(masses.mechanism, max_order)
     sliding = masses.crank_radius_mm * masses.reciprocating_g * harmonics
-    rotating = OrderForce(order=1, direct_g_mm=masses.crank_radius_mm * masses.rotating_g)
+    rotating = masses.crank_radius_mm * masses.rotating_g
     first = OrderForce.of_axes(order=1, x_g_mm=complex(sliding[1]))
-    made = [OrderForce(order=1, direct_g_mm=rotating.direct_g_mm + first.direct_g_mm, reverse_g_mm=first.reverse_g_mm)]
-    made += [OrderForce.of_axes(order=k, x_g_mm=complex(sliding[k])) for k in range(2, max_order + 1) if sliding[k]]
-    return tuple(made)
+    return (
+        OrderForce(order=1, direct_g_mm=rotating + first.direct_g_mm, reverse_g_mm=first.reverse_g_mm),
+        *(OrderForce.of_axes(order=k, x_g_mm=complex(sliding[k])) for k in range(2, max_order + 1) if sliding[k]),
+    )
 
 
 def rod_counterweight_couple(

@@ -14,11 +14,10 @@ from itertools import pairwise
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 from pydantic import Discriminator, Field, Tag, ValidationInfo, field_validator, model_validator
 
-from crankorder.engine.definition import NOT_EMPTY, EngineData, NonNegative, Positive
-from crankorder.errors import RequestError
+from crankorder.engine.balancing import unbalance_force_n
+from crankorder.engine.machine_parts import NOT_EMPTY, EngineData, NonNegative, Positive
 from crankorder.records import Record, said
 
 
@@ -160,7 +159,7 @@ class CrankshaftData(EngineData):
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
         names = [section.name for section in self.sections] + [fan.name for fan in self.fans.values()]
-        wanted = [one for one in self.counterweights if isinstance(one, str)]
+        wanted = [name for name in self.counterweights if isinstance(name, str)]
         wanted += [self.bob_weight] if self.bob_weight is not None else []
         missing = [name for name in wanted if names.count(name) != 1]
         if missing:
@@ -170,7 +169,7 @@ class CrankshaftData(EngineData):
             raise ValueError(f"more than one section is called {', '.join(twice)}")
         if len(self.counterweights) < 2:
             raise ValueError("a crankshaft needs two counterweights or more, to be corrected in two planes")
-        places = self._places
+        places = self.places
         if any(after <= before for before, after in pairwise(places.values())):
             shown = ", ".join(f"{name} {place:g} mm" for name, place in places.items())
             raise ValueError(f"counterweights must ascend along the axis, no two in one plane: {shown}")
@@ -193,27 +192,18 @@ class CrankshaftData(EngineData):
     @cached_property
     def fans(self) -> dict[str, FanCounterweight]:
         """The counterweights that are given by their shape, by name."""
-        return {one.name: one for one in self.counterweights if isinstance(one, FanCounterweight)}
+        return {fan.name: fan for fan in self.counterweights if isinstance(fan, FanCounterweight)}
 
     @property
-    def _places(self) -> dict[str, float]:
+    def places(self) -> dict[str, float]:
+        """Place of each counterweight along the crankshaft (mm), by name; it is corrected in the first and the last."""
         by_name = {section.name: section.z_mm for section in self.sections}
         return {
-            (one if isinstance(one, str) else one.name): (by_name[one] if isinstance(one, str) else one.z_mm)
-            for one in self.counterweights
+            (weight if isinstance(weight, str) else weight.name): (
+                by_name[weight] if isinstance(weight, str) else weight.z_mm
+            )
+            for weight in self.counterweights
         }
-
-    @property
-    def planes(self) -> tuple[str, str]:
-        """Names of the first and the last counterweight, in which the shaft is corrected."""
-        names = list(self._places)
-        return names[0], names[-1]
-
-    @property
-    def planes_mm(self) -> tuple[float, float]:
-        """Places of these two along the crankshaft."""
-        places = self._places
-        return places[self.planes[0]], places[self.planes[1]]
 
     @cached_property
     def parts(self) -> tuple[CrankshaftSection, ...]:
@@ -225,14 +215,9 @@ class CrankshaftData(EngineData):
 
 def _slug_section(slug: Slug, holder: CrankshaftSection, fans: Mapping[str, FanCounterweight]) -> CrankshaftSection:
     """What ``slug`` adds, as a section: the mass that it has more than the metal whose place it takes."""
-    density = slug.crank_density_kg_m3 or fans[slug.into].density_kg_m3
-    added = slug_unbalance_kg_mm(
-        diameter_mm=slug.diameter_mm,
-        length_mm=slug.length_mm,
-        radius_mm=slug.radius_mm,
-        slug_density_kg_m3=slug.density_kg_m3,
-        crank_density_kg_m3=density,
-    )
+    crank_density = slug.crank_density_kg_m3 or fans[slug.into].density_kg_m3
+    volume_mm3 = math.pi / 4 * slug.diameter_mm**2 * slug.length_mm
+    added = 1e-9 * volume_mm3 * (slug.density_kg_m3 - crank_density) * slug.radius_mm
     out = complex(holder.x_mm, holder.y_mm)
     centre = math.copysign(slug.radius_mm, added) * out / abs(out)
     return CrankshaftSection(
@@ -257,39 +242,15 @@ def crankshaft_sums(sections: Sequence[CrankshaftSection]) -> CrankshaftSums:
     )
 
 
-def couple_n_m(dynamic_kg_mm2: complex, speed_rpm: ArrayLike) -> NDArray[np.float64]:
-    """Rocking couple (N·m) that turns with the shaft.
-
-    ``dynamic_kg_mm2``: dynamic sum, x + iy. ``speed_rpm``: scalar or any shape; the result has that shape.
-    """
-    omega = np.asarray(speed_rpm, dtype=np.float64) * (np.pi / 30)
-    return 1e-6 * abs(dynamic_kg_mm2) * omega**2
-
-
 def two_plane_correction(sums: CrankshaftSums, planes_mm: tuple[float, float]) -> tuple[complex, complex]:
     """Unbalance (kg·mm, x + iy) to add in each of two planes so that both sums vanish.
 
-    ``sums``: static and dynamic. ``planes_mm``: places of the planes along the axis, from the datum of the sums.
-    Raises RequestError where the planes coincide.
+    ``sums``: static and dynamic. ``planes_mm``: places of the planes along the axis, from the datum of the sums; not
+    the same.
     """
     first, second = planes_mm
-    if first == second:
-        raise RequestError("two planes are needed", found=f"both at {first} mm")
     in_second = (first * sums.static_kg_mm - sums.dynamic_kg_mm2) / (second - first)
     return -sums.static_kg_mm - in_second, in_second
-
-
-def slug_unbalance_kg_mm(
-    *, diameter_mm: float, length_mm: float, radius_mm: float, slug_density_kg_m3: float, crank_density_kg_m3: float
-) -> float:
-    """Unbalance (kg·mm) that a heavy slug adds to the counterweight that it is pressed into.
-
-    ``diameter_mm``, ``length_mm``: of the round slug, > 0. ``radius_mm``: of its centre from the crankshaft's axis.
-    ``slug_density_kg_m3``, ``crank_density_kg_m3``: the slug takes the place of crank metal, so the difference counts.
-    Source: Ruckle 2014, section 3.1.1.
-    """
-    volume_mm3 = math.pi / 4 * diameter_mm**2 * length_mm
-    return 1e-9 * volume_mm3 * (slug_density_kg_m3 - crank_density_kg_m3) * radius_mm
 
 
 class BalancedSection(Record):
@@ -352,12 +313,15 @@ def crankshaft_balance(
     """
     sums = crankshaft_sums(data.parts)
     towards, wanted = -sums.static_kg_mm.imag, data.overbalance_kg_mm
-    corrections = zip(data.planes, data.planes_mm, two_plane_correction(sums, data.planes_mm), strict=True)
+    (first, first_mm), *_, (last, last_mm) = data.places.items()
+    at_first, at_last = two_plane_correction(sums, (first_mm, last_mm))
     return CrankshaftBalance(
         sections=tuple(BalancedSection(part=part, sums=crankshaft_sums([part])) for part in data.parts),
         sums=sums,
-        couple_n_m={key: float(couple_n_m(sums.dynamic_kg_mm2, speed)) for key, speed in speeds.items()},
-        planes=tuple(_plane(data, *correction) for correction in corrections),
+        couple_n_m={
+            key: float(unbalance_force_n(abs(sums.dynamic_kg_mm2), speed_rpm)) for key, speed_rpm in speeds.items()
+        },
+        planes=(_plane(data, first, first_mm, at_first), _plane(data, last, last_mm, at_last)),
         overbalance_kg_mm=wanted,
         overbalanced_by_kg_mm=towards,
         overbalance_met=None if wanted is None else wanted[0] <= towards <= wanted[1],

@@ -3,40 +3,21 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Collection, Mapping, Sized
+from collections.abc import Collection, Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, field_validator
+from pydantic import ConfigDict, Field, ValidationError, ValidationInfo, field_validator
 
-from crankorder.engine.bearings import Bearing
+from crankorder.engine.machine_parts import NOT_EMPTY, Bearing, EngineData, NonNegative, Positive
 from crankorder.engine.slider_crank import SliderCrank
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.settings import toml_table, validation_fault
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Entries = TypeVar("Entries", bound=Sized)
-
-
-def _not_empty(value: Entries) -> Entries:
-    if not len(value):
-        raise ValueError("must have at least 1 entry")
-    return value
-
-
-NOT_EMPTY = AfterValidator(_not_empty)
-"""For lists; ``min_length`` counts the sound entries alone and so blames the list too for a fault of an entry."""
 GAS_COLUMNS = ("crank_angle_deg", "pressure_pa", "torque_n_m")
 """Columns that the CSV file of a gas curve may have: the first and one of the others."""
 REVS_PER_CYCLE = {"four-stroke": 2, "two-stroke": 1, "rotor": 1}
-
-
-class EngineData(BaseModel):
-    """Base of everything that an engine file may hold: frozen, and unknown keys are refused."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
 class StatedPair(EngineData):

@@ -10,7 +10,7 @@ those are wrong and divide by zero at 90°. Source: Zotov, Sviridov, Tokarev (do
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
@@ -21,7 +21,6 @@ from crankorder.engine.hinged_crank import (
     CrankTorque,
     GuideData,
     HingedCrank,
-    Kinematics,
     RodMotion,
     point_acceleration,
     point_velocity,
@@ -29,6 +28,7 @@ from crankorder.engine.hinged_crank import (
     rod_motion,
 )
 from crankorder.errors import RequestError
+from crankorder.records import Record, said
 
 Angles = NDArray[np.float64]
 
@@ -74,84 +74,65 @@ def hinge_moment(
     *,
     speed_rpm: float,
     pin_hinge: PinHinge = "full",
-    kinematics: Kinematics = "exact",
 ) -> Angles:
     """Moment (N·m) of the hinge at the crank pin upon the rod; "full" is M12, which leaves no side force at all.
 
     ``crank_angle_rev``: revolutions, any shape. ``crank``: lengths and weights. ``torque``: of the crank.
-    ``speed_rpm``: constant crank speed. ``pin_hinge``: see :data:`PinHinge`. ``kinematics``: "exact", or "truncated"
-    to compare with the document. Returns the shape of the angles.
+    ``speed_rpm``: constant crank speed. ``pin_hinge``: see :data:`PinHinge`. Returns the shape of the angles.
     Source: document 003, equations (4) and (6); truth sheet 4.3 and 4.4.
     """
-    motion = rod_motion(crank_angle_rev, crank, kinematics=kinematics)
+    motion = rod_motion(crank_angle_rev, crank)
     omega_squared = (speed_rpm * np.pi / 30) ** 2
     moment = crank.static_moment_nm * motion.rod_cosine + gas_moment(crank_angle_rev, crank, torque)
     moment += omega_squared * inertia_moment(motion, crank)
-    moment -= withheld_moment(crank, torque, pin_hinge=pin_hinge, kinematics=kinematics)
+    moment -= withheld_moment(crank, torque, pin_hinge=pin_hinge)
     return moment
 
 
-def withheld_moment(
-    crank: HingedCrank, torque: CrankTorque, *, pin_hinge: PinHinge, kinematics: Kinematics = "exact"
-) -> float:
+def withheld_moment(crank: HingedCrank, torque: CrankTorque, *, pin_hinge: PinHinge) -> float:
     """Constant (N·m) that the hinge at the crank pin leaves out of M12; no crank speed changes it.
 
     ``crank``: lengths and weights. ``torque``: of the crank. ``pin_hinge``: 0 for "full", G⟨cos ψ⟩ for "potential",
-    G⟨cos ψ⟩ + ⟨T⟩ for "printed". ``kinematics``: of ⟨cos ψ⟩. Source: truth sheet 4.3 and 4.4.
+    G⟨cos ψ⟩ + ⟨T⟩ for "printed". Source: truth sheet 4.3 and 4.4.
     """
     if pin_hinge == "full":
         return 0.0
-    static = crank.static_moment_nm * mean_rod_cosine(crank, kinematics=kinematics)
+    static = crank.static_moment_nm * mean_rod_cosine(crank)
     return static if pin_hinge == "potential" else static + mean_gas_moment(crank, torque)
 
 
 def side_force_without_hinge(
-    crank_angle_rev: ArrayLike,
-    crank: HingedCrank,
-    torque: CrankTorque,
-    *,
-    speed_rpm: float,
-    kinematics: Kinematics = "exact",
+    crank_angle_rev: ArrayLike, crank: HingedCrank, torque: CrankTorque, *, speed_rpm: float
 ) -> Angles:
     """Side force R430 (N) of the cylinder upon the piston where the crank pin has no hinge: M12 / (L cos ψ).
 
     ``crank_angle_rev``: revolutions, any shape. ``crank``: lengths and weights. ``torque``: of the crank.
-    ``speed_rpm``: constant crank speed. ``kinematics``: "exact" or "truncated". Returns the shape of the angles.
-    Source: document 003, equation (5).
+    ``speed_rpm``: constant crank speed. Returns the shape of the angles. Source: document 003, equation (5).
     """
-    moment = hinge_moment(crank_angle_rev, crank, torque, speed_rpm=speed_rpm, kinematics=kinematics)
-    rod_cosine = rod_motion(crank_angle_rev, crank, kinematics=kinematics).rod_cosine
-    return moment / (crank.rod_length_m * rod_cosine)
+    moment = hinge_moment(crank_angle_rev, crank, torque, speed_rpm=speed_rpm)
+    return moment / (crank.rod_length_m * rod_motion(crank_angle_rev, crank).rod_cosine)
 
 
-def side_force(
-    crank_angle_rev: ArrayLike,
-    crank: HingedCrank,
-    torque: CrankTorque,
-    *,
-    pin_hinge: PinHinge,
-    kinematics: Kinematics = "exact",
-) -> Angles:
+def side_force(crank_angle_rev: ArrayLike, crank: HingedCrank, torque: CrankTorque, *, pin_hinge: PinHinge) -> Angles:
     """Side force R43 (N) of the cylinder upon the piston that a hinge at the crank pin leaves, at any crank speed.
 
     ``crank_angle_rev``: revolutions, any shape. ``crank``: lengths and weights. ``torque``: of the crank.
-    ``pin_hinge``: see :data:`PinHinge`. ``kinematics``: "exact" or "truncated". Returns the shape of the angles.
+    ``pin_hinge``: see :data:`PinHinge`. Returns the shape of the angles.
     Source: document 003, equation (7); truth sheet 4.4.
     """
-    rod_cosine = rod_motion(crank_angle_rev, crank, kinematics=kinematics).rod_cosine
-    withheld = withheld_moment(crank, torque, pin_hinge=pin_hinge, kinematics=kinematics)
-    return withheld / (crank.rod_length_m * rod_cosine)
+    withheld = withheld_moment(crank, torque, pin_hinge=pin_hinge)
+    return withheld / (crank.rod_length_m * rod_motion(crank_angle_rev, crank).rod_cosine)
 
 
-def mean_rod_cosine(crank: HingedCrank, *, kinematics: Kinematics = "exact") -> float:
-    """Mean of cos ψ over the crank angle: 2E(λ²)/π, or 1 − λ²/4 truncated.
+def mean_rod_cosine(crank: HingedCrank, *, truncated: bool = False) -> float:
+    """Mean of cos ψ over the crank angle: 2E(λ²)/π, or 1 − λ²/4 where ``truncated`` as document 003 has it.
 
-    ``crank``: lengths. ``kinematics``: "exact" or "truncated". Source: truth sheet 4.3.
+    ``crank``: lengths. Source: truth sheet 4.3.
     """
     from scipy.special import ellipe
 
     squared = crank.mechanism.crank_ratio**2
-    return 1 - squared / 4 if kinematics == "truncated" else float(2 / np.pi * ellipe(squared))
+    return 1 - squared / 4 if truncated else float(2 / np.pi * ellipe(squared))
 
 
 def mean_gas_moment(crank: HingedCrank, torque: CrankTorque) -> float:
@@ -313,31 +294,31 @@ def weight_without_side_force(
     *,
     weight: Weight,
     pin_hinge: Literal["potential", "printed"],
-    kinematics: Kinematics = "exact",
+    truncated: bool = False,
 ) -> float:
     """Weight (N) with which the hinge at the crank pin leaves no side force, at every angle and every speed.
 
-    ``crank``: lengths and the other weights. ``torque``: of the crank. ``weight``: the one to find. ``pin_hinge``:
+    ``crank``: lengths and the other weights. ``torque``: of the crank. ``weight``: the one sought. ``pin_hinge``:
     "potential" asks for G = 0, which is P4 of equation (13); "printed" asks for G⟨cos ψ⟩ = −⟨T⟩, figure 4.
-    ``kinematics``: "truncated" gives the document's own numbers. Raises RequestError where no weight does it.
+    ``truncated``: take the document's own ⟨cos ψ⟩. Raises RequestError where no weight does it.
     """
     arms = {
         "rod_weight_n": crank.pin_to_rod_centre_m,
         "piston_weight_n": crank.rod_length_m,
         "rod_counterweight_n": -crank.rod_counterweight_radius_m,
     }
-    wanted = 0.0
+    static_nm = 0.0
     if pin_hinge == "printed":
-        wanted = -mean_gas_moment(crank, torque) / mean_rod_cosine(crank, kinematics=kinematics)
-    others = sum(getattr(crank, name) * arm for name, arm in arms.items() if name != weight)
-    found = (wanted - others) / arms[weight] if arms[weight] else np.nan
-    if not found >= 0:
+        static_nm = -mean_gas_moment(crank, torque) / mean_rod_cosine(crank, truncated=truncated)
+    others_nm = sum(getattr(crank, name) * arm for name, arm in arms.items() if name != weight)
+    weight_n = (static_nm - others_nm) / arms[weight] if arms[weight] else np.nan
+    if not weight_n >= 0:
         raise RequestError(
             f"no {weight} of zero or more leaves the piston without side force",
-            found=f"arm {arms[weight]} m, moment {wanted - others} N·m",
+            found=f"arm {arms[weight]} m, moment {static_nm - others_nm} N·m",
             remedy="Give it an arm, or change another weight",
         )
-    return float(found)
+    return float(weight_n)
 
 
 def vertical_counterweight(crank: HingedCrank) -> float:
@@ -363,7 +344,7 @@ def balanced_crank(crank: HingedCrank) -> HingedCrank:
     turning = (crank.rod_weight_n + crank.piston_weight_n + on_rod) * crank.crank_radius_m
     turning += crank.crank_weight_n * crank.crank_centre_radius_m
     on_crank = _over_radius(turning, crank.crank_counterweight_radius_m, "crank_counterweight_radius_m")
-    return replace(crank, rod_counterweight_n=on_rod, crank_counterweight_n=on_crank)
+    return crank.model_copy(update={"rod_counterweight_n": on_rod, "crank_counterweight_n": on_crank})
 
 
 def crank_angle_of_hinge(hinge_angle_rev: ArrayLike, crank: HingedCrank) -> Angles:
@@ -395,21 +376,14 @@ class HingeTable:
 
 
 def hinge_table(
-    crank: HingedCrank,
-    torque: CrankTorque,
-    *,
-    joint: Joint,
-    speed_rpm: float,
-    pin_hinge: PinHinge = "potential",
-    n_steps: int = 360,
+    crank: HingedCrank, torque: CrankTorque, *, joint: Joint, speed_rpm: float, n_steps: int = 360
 ) -> HingeTable:
-    """Moment and work of a hinge against its own angle.
+    """Moment and work of a hinge against its own angle, the one at the crank pin being a spring ("potential").
 
     ``crank``: lengths, weights, inertias. ``torque``: of the crank. ``joint``: "pin" or "strut". ``speed_rpm``: the
-    constant crank speed that the hinge is for. ``pin_hinge``: what the hinge at the crank pin gives. ``n_steps``: even
-    steps of the hinge angle, ≥ 2, an even number so that the kink at the lower dead centre falls on a row; more steps
-    cost time, the work is exact to round-off from about 30 on at λ = ½.
-    Raises RequestError for another number of steps.
+    constant crank speed that the hinge is for. ``n_steps``: even steps of the hinge angle, ≥ 2, an even number so that
+    the kink at the lower dead centre falls on a row; more steps cost time, the work is exact to round-off from about 30
+    on at λ = ½. Raises RequestError for another number of steps.
     """
     if n_steps < 2 or n_steps % 2:
         raise RequestError("a hinge table needs an even number of steps", found=n_steps, allowed="2, 4, 6 …")
@@ -418,8 +392,7 @@ def hinge_table(
         return hinge_angle_rev if joint == "strut" else crank_angle_of_hinge(hinge_angle_rev, crank)
 
     def moment(hinge_angle_rev: Angles) -> Angles:
-        turned = crank_angle(hinge_angle_rev)
-        return _moment(turned, crank, torque, joint=joint, speed_rpm=speed_rpm, pin_hinge=pin_hinge)
+        return _spring_moment(crank_angle(hinge_angle_rev), crank, torque, joint=joint, speed_rpm=speed_rpm)
 
     rows = np.arange(n_steps + 1) / n_steps
     nodes, weights = np.polynomial.legendre.leggauss(_POINTS_PER_STEP)
@@ -492,40 +465,30 @@ def hinge_guides(table: HingeTable, data: GuideData) -> Guides:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class PressureChange:
-    """What an air spring needs, and still lacks, when the crank runs at another speed than its guides are for."""
+class AirSpring(Record):
+    """An air spring at another speed than its guides are cut for."""
 
-    pressure_ratio: float
-    """Charge pressure over that of the design speed: the best in the least squares over the hinge angle."""
-    residual_rms_nm: float
-    """What the moment of the hinge still differs from the one needed (N·m, rms over the hinge angle)."""
-    residual_share: float
-    """That difference over the rms of the moment needed."""
-    energy_swing_j: float
-    """Largest less smallest energy (J) that the difference gives the crank within a revolution."""
-    speed_fluctuation: float
-    """Coefficient of unevenness of the crank speed that this swing makes, (fastest − slowest) / mean."""
+    joint: Joint = said("hinge")
+    designed_speed_rpm: float = said("crank speed that the guides are cut for, rpm")
+    speed_rpm: float = said("other crank speed, rpm")
+    pressure_ratio: float = said("charge pressure over that of the designed speed")
+    residual_share: float = said("moment that it lacks over the moment needed, rms")
+    speed_fluctuation: float = said("(fastest − slowest) / mean crank speed that this makes")
 
 
-def air_spring_pressure(
-    crank: HingedCrank,
-    torque: CrankTorque,
-    *,
-    joint: Joint,
-    designed_speed_rpm: float,
-    speed_rpm: float,
-    pin_hinge: PinHinge = "potential",
-) -> PressureChange:
+def air_spring(
+    crank: HingedCrank, torque: CrankTorque, *, joint: Joint, designed_speed_rpm: float, speed_rpm: float
+) -> AirSpring:
     """Pressure ratio that an air spring in the same guides needs at another speed, and what it leaves undone.
 
     The moment of an air spring is its charge pressure times a curve of the guides: one ratio scales it at all angles.
-    The moment needed is a part that no speed changes, and one that grows with its square. The ratio is exact only where
-    the first part vanishes: then it is the squared ratio of the speeds.
+    The moment needed is a part that no speed changes, and one that grows with its square. The ratio is the best in
+    the least squares over the hinge angle, and exact only where the first part vanishes: then it is the squared ratio
+    of the speeds.
 
     ``crank``: lengths, weights, inertias. ``torque``: of the crank, the same at both speeds. ``joint``: "pin" or
-    "strut". ``designed_speed_rpm``: that the guides are cut for. ``speed_rpm``: the other one, > 0. ``pin_hinge``: what
-    the hinge at the crank pin gives. Raises RequestError where the guides give no moment, or the speed is not positive.
+    "strut". ``designed_speed_rpm``: that the guides are cut for. ``speed_rpm``: the other one, > 0. Raises RequestError
+    where the guides give no moment, or the speed is not positive.
     """
     if not speed_rpm > 0:
         raise RequestError("the other speed must be positive", found=speed_rpm)
@@ -533,7 +496,7 @@ def air_spring_pressure(
     if joint == "pin":
         weight = weight * rod_motion(crank_angle_rev, crank).hinge_rate
     designed, needed = (
-        _moment(crank_angle_rev, crank, torque, joint=joint, speed_rpm=speed, pin_hinge=pin_hinge)
+        _spring_moment(crank_angle_rev, crank, torque, joint=joint, speed_rpm=speed)
         for speed in (designed_speed_rpm, speed_rpm)
     )
     strength = float(weight @ designed**2)
@@ -542,32 +505,27 @@ def air_spring_pressure(
     ratio = float(weight @ (designed * needed)) / strength
     residual_rms = float(np.sqrt(weight @ (needed - ratio * designed) ** 2))
     tables = [
-        hinge_table(crank, torque, joint=joint, speed_rpm=speed, pin_hinge=pin_hinge, n_steps=_SWING_STEPS)
+        hinge_table(crank, torque, joint=joint, speed_rpm=speed, n_steps=_SWING_STEPS)
         for speed in (designed_speed_rpm, speed_rpm)
     ]
     swing = float(np.ptp(tables[1].work_j - ratio * tables[0].work_j))
     energy = float(np.mean(reduced_inertia(tables[0].crank_angle_rev[:-1], crank))) * (speed_rpm * np.pi / 30) ** 2
     needed_rms = float(np.sqrt(weight @ needed**2))
-    return PressureChange(
+    return AirSpring(
+        joint=joint,
+        designed_speed_rpm=designed_speed_rpm,
+        speed_rpm=speed_rpm,
         pressure_ratio=ratio,
-        residual_rms_nm=residual_rms,
         residual_share=residual_rms / needed_rms if needed_rms else 0.0,
-        energy_swing_j=swing,
         speed_fluctuation=swing / energy,
     )
 
 
-def _moment(
-    crank_angle_rev: Angles,
-    crank: HingedCrank,
-    torque: CrankTorque,
-    *,
-    joint: Joint,
-    speed_rpm: float,
-    pin_hinge: PinHinge,
+def _spring_moment(
+    crank_angle_rev: Angles, crank: HingedCrank, torque: CrankTorque, *, joint: Joint, speed_rpm: float
 ) -> Angles:
-    needed = hinge_moment if joint == "pin" else strut_hinge_moment
-    return needed(crank_angle_rev, crank, torque, speed_rpm=speed_rpm, pin_hinge=pin_hinge)
+    moment = hinge_moment if joint == "pin" else strut_hinge_moment
+    return moment(crank_angle_rev, crank, torque, speed_rpm=speed_rpm, pin_hinge="potential")
 
 
 def _over_radius(moment_nm: float, radius_m: float, name: str) -> float:

@@ -11,9 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.gas import firing_angle_deg, gas_force
-from crankorder.engine.harmonics import acceleration_harmonics, last_order_above_round_off, rod_acceleration_harmonics
-from crankorder.engine.rod import rod_couple, two_masses
-from crankorder.engine.slider_crank import Angles, plain_piston_acceleration, rod_direction, sine_cosine
+from crankorder.engine.slider_crank import (
+    Angles,
+    acceleration_harmonics,
+    last_order_above_round_off,
+    plain_piston_acceleration,
+    rod_acceleration_harmonics,
+    rod_angle,
+    rod_direction,
+    sine_cosine,
+)
 from crankorder.errors import RequestError
 
 Complex = NDArray[np.complex128]
@@ -32,9 +39,9 @@ def crankcase_forces(engine: Engine, speed_rpm: ArrayLike, *, max_order: int) ->
     Re(force · exp(2πi order rev)), rev counted from the engine's crank angle zero: top dead centre of a cylinder whose
     pin and axis stand along Z. The cylinders add up, each with its phase and bank angle.
 
-    ``engine``: lengths, masses, cylinders and shafts. ``speed_rpm``: scalar or any shape (…), ≥ 0. ``max_order``: ≥ 1;
-    see :func:`crankorder.engine.harmonics.orders_for` for how many are worth having. Raises RequestError for a stated
-    pair of shafts at an order of which the pistons together make no force.
+    ``engine``: lengths, masses, cylinders and shafts. ``speed_rpm``: scalar or any shape (…), ≥ 0. ``max_order``: ≥ 1
+    (:func:`crankorder.engine.slider_crank.orders_for` says how many are worth having). Raises RequestError for a
+    stated pair of shafts at an order of which the pistons together make no force.
     Source: truth sheet sections 0, 2.5 and 2.6; a mass that slides along the cylinder has no net force across it.
     """
     per_omega_squared = engine.crank_radius_m * _pistons(engine, max_order).sum(axis=0)
@@ -248,6 +255,45 @@ def _squared(series: Complex) -> Complex:
     squared: Complex = 0.5 * sums + differences
     squared[0] = 0
     return squared
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwoMasses:
+    """A rod as a mass at the big end, one at the small end, and the moment of inertia that these two miss.
+
+    ``missing_inertia_kg_m2`` is J − m a b, a and b the distances of the centre of gravity from the ends: negative for
+    most rods, whose mass lies between their ends.
+    """
+
+    big_end_kg: float
+    small_end_kg: float
+    missing_inertia_kg_m2: float
+
+
+def two_masses(engine: Engine) -> TwoMasses:
+    """The rod of ``engine`` in two masses with the same centre of gravity: exact for forces, whatever its inertia.
+
+    Without a rod in the data all is zero (its shares are then only in the engine's sums); without its inertia nothing
+    is missing. Source: truth sheet sections 1 and 2.7.
+    """
+    rod = engine.rod
+    if rod is None:
+        return TwoMasses(big_end_kg=0.0, small_end_kg=0.0, missing_inertia_kg_m2=0.0)
+    small = rod.mass_kg * rod.centre_from_big_end_m / engine.rod_length_m
+    of_two = small * engine.rod_length_m * (engine.rod_length_m - rod.centre_from_big_end_m)
+    missing = 0.0 if rod.inertia_kg_m2 is None else rod.inertia_kg_m2 - of_two
+    return TwoMasses(big_end_kg=rod.mass_kg - small, small_end_kg=small, missing_inertia_kg_m2=missing)
+
+
+def rod_couple(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float) -> NDArray[np.float64]:
+    """Couple (N·m) on a rod, in the crank's sense, that its true inertia needs beyond that of its two masses.
+
+    ``engine``: with ``rod``. ``crank_angle_rev``: of its own crank, any shape. ``speed_rpm``: steady. Returns the shape
+    of the angles. Source: truth sheet 2.7, (J − m a b) times the rod's angular acceleration −ψ'' ω².
+    """
+    omega = speed_rpm * np.pi / 30
+    _, _, second = rod_angle(crank_angle_rev, engine.mechanism)
+    return -two_masses(engine).missing_inertia_kg_m2 * omega**2 * second
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,11 +10,12 @@ from typing import TypeVar, get_args
 import numpy as np
 
 from crankorder.engine.elastic_hinge import (
+    AirSpring,
     Angles,
     Joint,
     PinHinge,
     Weight,
-    air_spring_pressure,
+    air_spring,
     balanced_crank,
     hinge_guides,
     hinge_moment,
@@ -90,17 +91,6 @@ class Characteristic(Record):
     crank_angle_deg: Angles = said("crank angle there, degrees")
     moment_nm: Angles = said("moment of the hinge, N·m")
     work_j: Angles = said("work that the hinge has given since angle zero, J")
-
-
-class AirSpring(Record):
-    """An air spring at another speed than its guides are cut for."""
-
-    joint: Joint = said("hinge")
-    designed_speed_rpm: float = said("crank speed that the guides are cut for, rpm")
-    speed_rpm: float = said("other crank speed, rpm")
-    pressure_ratio: float = said("charge pressure over that of the designed speed")
-    residual_share: float = said("moment that it lacks over the moment needed, rms")
-    speed_fluctuation: float = said("(fastest − slowest) / mean crank speed that this makes")
 
 
 class GuideShape(Record):
@@ -189,6 +179,7 @@ def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[f
     along, across = (_largest(force) for force in shaking_force(_ANGLES, crank))
     balanced = max(along, across) < ROUND_OFF * sum(mass * crank.rod_length_m for mass, _ in crank.rod_points)
     kinds: tuple[PinHinge, ...] = get_args(PinHinge)
+    scaled = partial(air_spring, crank, curve, designed_speed_rpm=speeds[0])  # that the guides are cut for
     return Mechanism(
         name=data.name,
         crank_ratio=crank.mechanism.crank_ratio,
@@ -211,7 +202,12 @@ def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[f
         },
         solutions=_solutions(crank, curve),
         characteristic={joint: _characteristic(crank, curve, joint, max(speeds)) for joint in JOINTS},
-        air_spring=_air_springs(crank, curve, speeds),
+        air_spring=tuple(
+            spring
+            for joint in JOINTS
+            for speed in speeds[1:]
+            if (spring := _solution(partial(scaled, joint=joint, speed_rpm=speed))) is not None
+        ),
         guides={
             joint: None if guides is None else _guides(crank, curve, joint, max(speeds), guides)
             for joint, guides in zip(JOINTS, (data.pin_guides, data.strut_guides), strict=True)
@@ -263,7 +259,7 @@ def _solutions(crank: HingedCrank, curve: CrankTorque) -> Solutions:
         weights[weight] = {
             "potential": _solution(partial(solve, pin_hinge="potential")),
             "printed": _solution(partial(solve, pin_hinge="printed")),
-            "printed_truncated": _solution(partial(solve, pin_hinge="printed", kinematics="truncated")),
+            "printed_truncated": _solution(partial(solve, pin_hinge="printed", truncated=True)),
         }
     both = _solution(partial(balanced_crank, crank))
     names = ("rod_counterweight_n", "crank_counterweight_n")
@@ -292,19 +288,6 @@ def _characteristic(crank: HingedCrank, curve: CrankTorque, joint: Joint, speed_
         moment_nm=table.moment_nm,
         work_j=np.where(np.abs(table.work_j) > dust, table.work_j, 0.0),
     )
-
-
-def _air_springs(crank: HingedCrank, curve: CrankTorque, speeds: Sequence[float]) -> tuple[AirSpring, ...]:
-    """Pressure ratios between the first speed, that the guides are cut for, and each other."""
-    springs, names = [], ("pressure_ratio", "residual_share", "speed_fluctuation")
-    for joint in JOINTS:
-        for speed in speeds[1:]:
-            solve = partial(air_spring_pressure, joint=joint, designed_speed_rpm=speeds[0], speed_rpm=speed)
-            change = _solution(partial(solve, crank, curve))
-            if change is not None:
-                results = {name: getattr(change, name) for name in names}
-                springs.append(AirSpring(**solve.keywords, **results))
-    return tuple(springs)
 
 
 def _sentence(mechanism: Mechanism) -> str:

@@ -5,47 +5,51 @@ Rod, piston and the counterweight of the rod lie on one line through the crank p
 
 The torque curve has a few nodes per branch. Each branch is the polynomial through its nodes, in exact fractions,
 and evaluated about the middle of its branch, t = (angle − middle) / half width in −1 … 1, as a rise above the straight
-line between its ends. In powers of the angle itself it loses eight of sixteen digits, and all of them in single
-precision (truth sheet 4.1).
+line between its ends. In powers of the angle itself it loses eight of sixteen digits (truth sheet 4.1).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, ValidationError, ValidationInfo, field_validator
 
-from crankorder.engine.definition import EngineData, NonNegative, Positive
+from crankorder.engine.machine_parts import EngineData, NonNegative, Positive
 from crankorder.engine.slider_crank import Angles, SliderCrank, sine_cosine
 from crankorder.errors import ManyErrors, RequestError
 from crankorder.settings import toml_table, validation_fault
 
 
-@dataclass(frozen=True, kw_only=True)
-class TorqueBranch:
+class TorqueBranch(EngineData):
     """Nodes of one branch: crank angles (degrees, rising, first and last node bound the branch) and torques (N·m)."""
 
-    angle_deg: tuple[float, ...]
-    torque_nm: tuple[float, ...]
+    angle_deg: tuple[float, ...] = Field(strict=False)
+    torque_nm: tuple[float, ...] = Field(strict=False)
 
-    def __post_init__(self) -> None:
-        nodes = (*self.angle_deg, *self.torque_nm)
-        rising = all(first < second for first, second in pairwise(self.angle_deg))
-        if len(self.angle_deg) != len(self.torque_nm) or len(self.angle_deg) < 2 or not rising:
-            raise RequestError(
-                "a branch of a torque curve needs as many torques as angles, two or more, with rising angles",
-                found=f"{len(self.angle_deg)} angles {self.angle_deg}, {len(self.torque_nm)} torques",
-            )
-        if not all(math.isfinite(value) for value in nodes):
-            raise RequestError("nodes of a torque curve must be finite numbers", found=nodes)
+    # As in definition.py: one check a field, on what comes before it.
+
+    @field_validator("angle_deg")
+    @classmethod
+    def _rises(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if len(value) < 2 or any(after <= before for before, after in pairwise(value)):
+            raise ValueError("a branch of a torque curve needs two or more rising angles")
+        return value
+
+    @field_validator("torque_nm")
+    @classmethod
+    def _as_many_as_angles(cls, value: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
+        angles = info.data.get("angle_deg")
+        if angles is not None and len(value) != len(angles):
+            raise ValueError(f"must have one torque for each of the {len(angles)} crank angles")
+        return value
 
     @cached_property
     def coefficients(self) -> tuple[Fraction, ...]:
@@ -121,24 +125,21 @@ class CrankTorque:
         return 2 * math.pi * self.mean_nm
 
 
-def crank_torque(crank_angle_rev: ArrayLike, curve: CrankTorque) -> NDArray[np.floating[Any]]:
+def crank_torque(crank_angle_rev: ArrayLike, curve: CrankTorque) -> Angles:
     """Crank torque (N·m) at each angle.
 
-    ``crank_angle_rev``: revolutions from top dead centre, any shape; whole revolutions are taken off. Single precision
-    in gives single precision out. ``curve``: the branches. Returns the shape of the angles.
-    For the curve of document 003 the error is below 1e-12 N·m in double and 1e-3 N·m in single precision (of 809 N·m at
-    the peak); at the ends of a branch there is none.
+    ``crank_angle_rev``: revolutions from top dead centre, any shape; whole revolutions are taken off. ``curve``: the
+    branches. Returns the shape of the angles. For the curve of document 003 the error is below 1e-12 N·m (of 809 N·m
+    at the peak); at the ends of a branch there is none.
     Source: Zotov, Sviridov, Tokarev, equation (1), by its nodes (truth sheet 4.1).
     """
-    angles = np.asarray(crank_angle_rev)
-    kind = np.dtype(np.float32 if angles.dtype == np.float32 else np.float64)
-    turns = np.asarray(np.mod(angles.astype(kind), kind.type(1)))
+    turns = np.asarray(np.mod(np.asarray(crank_angle_rev, dtype=np.float64), 1.0))
     starts = [branch.angle_deg[0] / 360 for branch in curve.branches]
-    index = np.searchsorted(np.asarray(starts, dtype=kind), turns, side="right") - 1
-    torque = np.empty(turns.shape, dtype=kind)
+    index = np.searchsorted(starts, turns, side="right") - 1
+    torque = np.empty(turns.shape)
     for number, branch in enumerate(curve.branches):
         inside = index == number
-        centred = (turns[inside] - kind.type(branch.middle_rev)) / kind.type(branch.half_width_rev)
+        centred = (turns[inside] - branch.middle_rev) / branch.half_width_rev
         torque[inside] = _branch_torque(centred, branch)
     return torque
 
@@ -149,8 +150,7 @@ def potential_torque(crank_angle_rev: ArrayLike, curve: CrankTorque) -> Angles:
     ``crank_angle_rev``: revolutions, any shape. ``curve``: the branches. Returns the shape of the angles.
     Source: Zotov, Sviridov, Tokarev, below equation (2).
     """
-    torque = crank_torque(np.asarray(crank_angle_rev, dtype=np.float64), curve)
-    return np.asarray(torque - curve.mean_nm, dtype=np.float64)
+    return crank_torque(crank_angle_rev, curve) - curve.mean_nm
 
 
 def torque_harmonics(orders: ArrayLike, curve: CrankTorque) -> NDArray[np.complex128]:
@@ -197,61 +197,54 @@ def torque_extrema(curve: CrankTorque) -> tuple[Angles, Angles]:
             curvature = bend(root)
             centred = root - slope(root) / curvature if curvature else root
             turns.append(float(branch.middle_rev + branch.half_width_rev * centred))
-    found = np.asarray(turns, dtype=np.float64)
-    return found, crank_torque(found, curve).astype(np.float64)
+    angles = np.asarray(turns, dtype=np.float64)
+    return angles, crank_torque(angles, curve)
 
 
-def _branch_torque(centred: NDArray[np.floating[Any]], branch: TorqueBranch) -> NDArray[np.floating[Any]]:
+def _branch_torque(centred: Angles, branch: TorqueBranch) -> Angles:
     """Torque at t in −1 … 1, exact at both ends, so that branches meet without a step."""
-    number = centred.dtype.type
     rise = np.zeros_like(centred)
-    for value in branch.rise[::-1]:
+    for coefficient in branch.rise[::-1]:
         rise *= centred
-        rise += number(value)
+        rise += coefficient
     first, last = branch.torque_nm[0], branch.torque_nm[-1]
     to_end, from_start = 1 - centred, 1 + centred
-    straight = number(first / 2) * to_end + number(last / 2) * from_start
-    torque: NDArray[np.floating[Any]] = straight + to_end * from_start * rise
-    return torque
+    straight = first / 2 * to_end + last / 2 * from_start
+    return straight + to_end * from_start * rise
 
 
-Kinematics = Literal["exact", "truncated"]
-"""``"truncated"`` is cos ψ ≈ 1 − λ²/4 + λ²/4 cos 2φ, as document 003 has it: only for comparing with its numbers."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class HingedCrank:
+class HingedCrank(EngineData):
     """Lengths (m), weights (N) and inertias (kg·m²) of document 003, figure 1; its symbols stand behind each field."""
 
-    crank_radius_m: float  # r1 + r2
-    pin_to_rod_centre_m: float  # l1, crank pin to the rod's centre of mass
-    rod_centre_to_piston_m: float  # l2
-    rod_weight_n: float  # P2
-    piston_weight_n: float  # P3
-    rod_inertia_kg_m2: float  # I_C2, about the rod's own centre of mass
-    rod_counterweight_n: float = 0.0  # P4
-    rod_counterweight_radius_m: float = 0.0  # l0, from the crank pin away from the piston
-    crank_weight_n: float = 0.0  # P1
-    crank_centre_radius_m: float = 0.0  # r1
-    crank_inertia_kg_m2: float = 0.0  # I_0, of the crank about the crankshaft
-    crank_counterweight_n: float = 0.0  # P5
-    crank_counterweight_radius_m: float = 0.0  # r0, opposite the crank pin
-    gravity_m_s2: float = 9.81
+    crank_radius_m: Positive  # r1 + r2
+    pin_to_rod_centre_m: NonNegative  # l1, crank pin to the rod's centre of mass
+    rod_centre_to_piston_m: NonNegative  # l2
+    rod_weight_n: NonNegative  # P2
+    piston_weight_n: NonNegative  # P3
+    rod_inertia_kg_m2: NonNegative  # I_C2, about the rod's own centre of mass
+    rod_counterweight_n: NonNegative = 0.0  # P4
+    rod_counterweight_radius_m: NonNegative = 0.0  # l0, from the crank pin away from the piston
+    crank_weight_n: NonNegative = 0.0  # P1
+    crank_centre_radius_m: NonNegative = 0.0  # r1
+    crank_inertia_kg_m2: NonNegative = 0.0  # I_0, of the crank about the crankshaft
+    crank_counterweight_n: NonNegative = 0.0  # P5
+    crank_counterweight_radius_m: NonNegative = 0.0  # r0, opposite the crank pin
+    gravity_m_s2: Positive = 9.81
 
-    def __post_init__(self) -> None:
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        wrong = {name: value for name, value in values.items() if not (math.isfinite(value) and value >= 0)}
-        if wrong or self.gravity_m_s2 == 0:
-            found = ", ".join(f"{name} {value}" for name, value in (wrong or {"gravity_m_s2": 0}).items())
-            raise RequestError("lengths, weights and inertias must be zero or more and gravity more", found=found)
-        _ = self.mechanism
+    @field_validator("rod_centre_to_piston_m")
+    @classmethod
+    def _rod_reaches(cls, value: float, info: ValidationInfo) -> float:
+        radius_m, to_centre_m = info.data.get("crank_radius_m"), info.data.get("pin_to_rod_centre_m")
+        if radius_m is not None and to_centre_m is not None:
+            SliderCrank(crank_radius_m=radius_m, rod_length_m=to_centre_m + value)
+        return value
 
     @property
     def rod_length_m(self) -> float:
         """Rod length L = l1 + l2 (m)."""
         return self.pin_to_rod_centre_m + self.rod_centre_to_piston_m
 
-    @cached_property
+    @property
     def mechanism(self) -> SliderCrank:
         """The lengths of the crank mechanism alone."""
         return SliderCrank(crank_radius_m=self.crank_radius_m, rod_length_m=self.rod_length_m)
@@ -295,38 +288,27 @@ class RodMotion:
     """D = −(cos ψ)'' / λ²."""
 
 
-def rod_motion(crank_angle_rev: ArrayLike, crank: HingedCrank, *, kinematics: Kinematics = "exact") -> RodMotion:
+def rod_motion(crank_angle_rev: ArrayLike, crank: HingedCrank) -> RodMotion:
     """Motion of the rod at each crank angle, without cancellation however short the rod is.
 
-    ``crank_angle_rev``: revolutions from top dead centre, any shape. ``crank``: its lengths. ``kinematics``: "exact",
-    or "truncated" as document 003 has it. Source: truth sheet section 0; below equation (4) of the document.
+    ``crank_angle_rev``: revolutions from top dead centre, any shape. ``crank``: its lengths.
+    Source: truth sheet section 0; below equation (4) of document 003.
     """
     ratio = crank.mechanism.crank_ratio
     kappa_squared = crank.mechanism.margin * (1 + ratio)
     sine, cosine = sine_cosine(crank_angle_rev)
-    if kinematics == "truncated":
-        rod_cosine = 1 - ratio**2 / 2 * sine**2
-        swing = ratio * cosine / rod_cosine
-        swing_rate = -ratio * sine * (1 - swing**2) / rod_cosine
-        bend = cosine**2 - sine**2
-        hinge_rate = 1 + swing
-    else:
-        rod_cosine = np.hypot(cosine, np.sqrt(kappa_squared) * sine)
-        swing = ratio * cosine / rod_cosine
-        swing_rate = -ratio * kappa_squared * sine / rod_cosine**3
-        level = np.sqrt(kappa_squared) * sine**2
-        bend = (cosine**2 - level) * (cosine**2 + level) / rod_cosine**3
-        upper = np.abs(cosine)
-        folded = kappa_squared / (rod_cosine * (rod_cosine + ratio * upper))
-        hinge_rate = np.where(cosine < 0, folded, 1 + ratio * upper / rod_cosine)
+    upper = np.abs(cosine)
+    rod_cosine = np.hypot(cosine, np.sqrt(kappa_squared) * sine)
+    level = np.sqrt(kappa_squared) * sine**2
+    folded = kappa_squared / (rod_cosine * (rod_cosine + ratio * upper))
     return RodMotion(
         sine=sine,
         cosine=cosine,
         rod_cosine=rod_cosine,
-        swing=swing,
-        swing_rate=swing_rate,
-        hinge_rate=hinge_rate,
-        bend=bend,
+        swing=ratio * cosine / rod_cosine,
+        swing_rate=-ratio * kappa_squared * sine / rod_cosine**3,
+        hinge_rate=np.where(cosine < 0, folded, 1 + ratio * upper / rod_cosine),
+        bend=(cosine**2 - level) * (cosine**2 + level) / rod_cosine**3,
     )
 
 
@@ -350,35 +332,6 @@ def point_acceleration(distance_m: float, motion: RodMotion, crank: HingedCrank)
     share = distance_m / crank.rod_length_m
     along = motion.cosine + share * crank.mechanism.crank_ratio * motion.bend
     return -crank.crank_radius_m * along, -crank.crank_radius_m * (1 - share) * motion.sine
-
-
-class TorqueBranchData(EngineData):
-    """Nodes of one branch of the torque curve: crank angles in degrees, torques in N·m."""
-
-    angle_deg: tuple[float, ...] = Field(strict=False)
-    torque_nm: tuple[float, ...] = Field(strict=False)
-
-    # As in definition.py: one check a field, on what comes before it.
-
-    @field_validator("angle_deg")
-    @classmethod
-    def _rises(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        if len(value) < 2 or any(after <= before for before, after in pairwise(value)):
-            raise ValueError("a branch of a torque curve needs two or more rising angles")
-        return value
-
-    @field_validator("torque_nm")
-    @classmethod
-    def _as_many_as_angles(cls, value: tuple[float, ...], info: ValidationInfo) -> tuple[float, ...]:
-        angles = info.data.get("angle_deg")
-        if angles is not None and len(value) != len(angles):
-            raise ValueError(f"must have one torque for each of the {len(angles)} crank angles")
-        return value
-
-    @cached_property
-    def branch(self) -> TorqueBranch:
-        """The branch as the model needs it."""
-        return TorqueBranch(angle_deg=self.angle_deg, torque_nm=self.torque_nm)
 
 
 class GuideData(EngineData):
@@ -413,48 +366,26 @@ class GuideData(EngineData):
         return value
 
 
-class HingedCrankData(EngineData):
-    """One mechanism of a file; its fields are those of :class:`crankorder.engine.hinged_crank.HingedCrank`.
+class HingedCrankData(HingedCrank):
+    """One mechanism of a file: a crank with its name, speeds and guides.
 
     Where ``rod_inertia_kg_m2`` is left out the rod is taken as uniform and slender. ``speeds_rad_s``: crank speeds that
     it is meant to run at. ``pin_guides``, ``strut_guides``: springs and guides to be cut for the hinges.
     """
 
     name: Annotated[str, Field(min_length=1)]
-    crank_radius_m: Positive
-    pin_to_rod_centre_m: NonNegative
-    rod_centre_to_piston_m: NonNegative
-    rod_weight_n: NonNegative
-    piston_weight_n: NonNegative
-    rod_inertia_kg_m2: NonNegative | None = None
-    rod_counterweight_n: NonNegative = 0.0
-    rod_counterweight_radius_m: NonNegative = 0.0
-    crank_weight_n: NonNegative = 0.0
-    crank_centre_radius_m: NonNegative = 0.0
-    crank_inertia_kg_m2: NonNegative = 0.0
-    crank_counterweight_n: NonNegative = 0.0
-    crank_counterweight_radius_m: NonNegative = 0.0
-    gravity_m_s2: Positive = 9.81
+    rod_inertia_kg_m2: NonNegative | None = None  # type: ignore[assignment]
     speeds_rad_s: tuple[Positive, ...] = Field(default=(), strict=False)
     pin_guides: GuideData | None = None
     strut_guides: GuideData | None = None
 
-    @field_validator("rod_centre_to_piston_m")
-    @classmethod
-    def _rod_reaches(cls, value: float, info: ValidationInfo) -> float:
-        radius_m, to_centre_m = info.data.get("crank_radius_m"), info.data.get("pin_to_rod_centre_m")
-        if radius_m is not None and to_centre_m is not None:
-            SliderCrank(crank_radius_m=radius_m, rod_length_m=to_centre_m + value)
-        return value
-
     @cached_property
     def crank(self) -> HingedCrank:
-        """The mechanism as the model needs it."""
-        values = self.model_dump(exclude={"name", "speeds_rad_s", "pin_guides", "strut_guides"})
+        """The mechanism alone, with the inertia of its rod."""
+        values = self.model_dump(include=set(HingedCrank.model_fields))
         if self.rod_inertia_kg_m2 is None:
             # of a uniform slender rod about its middle, m L² / 12: document 003 prints none, the truth sheet takes this
-            length_m = self.pin_to_rod_centre_m + self.rod_centre_to_piston_m
-            values["rod_inertia_kg_m2"] = self.rod_weight_n / self.gravity_m_s2 * length_m**2 / 12
+            values["rod_inertia_kg_m2"] = self.rod_weight_n / self.gravity_m_s2 * self.rod_length_m**2 / 12
         return HingedCrank(**values)
 
     @property
@@ -468,13 +399,13 @@ class HingedEngine(EngineData):
 
     kind: Literal["elastic-hinge"]
     title: str = ""
-    torque: tuple[TorqueBranchData, ...] = Field(strict=False)
+    torque: tuple[TorqueBranch, ...] = Field(strict=False)
     mechanisms: tuple[HingedCrankData, ...] = Field(strict=False)
 
     @field_validator("torque")
     @classmethod
-    def _closes(cls, value: tuple[TorqueBranchData, ...]) -> tuple[TorqueBranchData, ...]:
-        CrankTorque(branches=tuple(branch.branch for branch in value))
+    def _closes(cls, value: tuple[TorqueBranch, ...]) -> tuple[TorqueBranch, ...]:
+        CrankTorque(branches=value)
         return value
 
     @field_validator("mechanisms")
@@ -489,13 +420,8 @@ class HingedEngine(EngineData):
 
     @cached_property
     def curve(self) -> CrankTorque:
-        """The torque curve as the model needs it."""
-        return CrankTorque(branches=tuple(branch.branch for branch in self.torque))
-
-    @cached_property
-    def cranks(self) -> dict[str, HingedCrank]:
-        """The mechanisms as the model needs them, by name."""
-        return {mechanism.name: mechanism.crank for mechanism in self.mechanisms}
+        """Torque over the whole revolution."""
+        return CrankTorque(branches=self.torque)
 
 
 def load_hinged_engine(name: str, beside: Path | None = None) -> HingedEngine:

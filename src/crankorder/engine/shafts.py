@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Annotated, Literal, Self
@@ -22,9 +22,8 @@ from crankorder.engine.balancing import (
     polar_diagram,
     sum_by_order,
 )
-from crankorder.engine.definition import NOT_EMPTY, EngineData, NonNegative, Positive
-from crankorder.engine.harmonics import even_harmonics
-from crankorder.engine.slider_crank import plain_piston_acceleration
+from crankorder.engine.machine_parts import NOT_EMPTY, EngineData, NonNegative, Positive
+from crankorder.engine.slider_crank import even_harmonics, plain_piston_acceleration
 from crankorder.errors import RequestError
 
 Possibility = Literal["1", "2", "3", "4", "4+2"]
@@ -89,21 +88,12 @@ class ShaftPairParts(EngineData):
     printed_needed_g_mm: Positive | None = None
 
 
-def shaft_unbalance_g_mm(force_g_mm: float, *, order: float, shafts: int = 2) -> float:
-    """Unbalance (g·mm) of each of the shafts that together make a force over ω² at an order.
-
-    ``force_g_mm``: peak force along the cylinder over the square of crank speed. ``order``: shaft speed over crank
-    speed; it divides squared. ``shafts``: how many share it. Source: Task 5, equations (5.27) to (5.29).
-    """
-    return abs(force_g_mm) / (shafts * order**2)
-
-
 def opposing_pair(x_g_mm: complex, *, order: float) -> tuple[Shaft, Shaft]:
     """Two counter-rotating shafts that cancel a force along the cylinder, its quadrature part included.
 
-    ``x_g_mm``: complex amplitude over ω². ``order``: of that force, > 0.
+    ``x_g_mm``: complex amplitude over ω². ``order``: of that force, > 0. Source: Task 5, equations (5.27) to (5.29).
     """
-    unbalance = shaft_unbalance_g_mm(abs(x_g_mm), order=order)
+    unbalance = abs(x_g_mm) / (2 * order**2)  # the squared speed ratio makes it force
     lead = _lead_deg(x_g_mm)
     return (
         Shaft(speed_ratio=float(order), unbalance_g_mm=unbalance, phase_deg=180.0 + lead),
@@ -137,15 +127,8 @@ def shaft_layout(masses: ReducedMasses, possibility: Possibility, *, max_order: 
         shafts += (Shaft(speed_ratio=-1.0, unbalance_g_mm=abs(size), phase_deg=180.0 + _lead_deg(size)),)
     if possibility in ("2", "3", "4+2") and 2 in by_order:
         shafts += opposing_pair(by_order[2].x_g_mm, order=2)
-    return ShaftLayout(strategy=strategy, shafts=shafts, residual=with_shafts(left, shafts))
-
-
-def with_shafts(forces: Iterable[OrderForce], shafts: Iterable[Shaft]) -> tuple[OrderForce, ...]:
-    """Force by order that remains when shafts act beside what the engine makes.
-
-    ``forces``: of the engine. ``shafts``: any number, at any multiple of crank speed.
-    """
-    return sum_by_order([*forces, *(shaft.force for shaft in shafts)])
+    residual = sum_by_order([*left, *(shaft.force for shaft in shafts)])
+    return ShaftLayout(strategy=strategy, shafts=shafts, residual=residual)
 
 
 def parts_unbalance_g_mm(parts: Sequence[ShaftPart], *, masses: Literal["design", "measured"]) -> float:
@@ -161,13 +144,12 @@ def parts_unbalance_g_mm(parts: Sequence[ShaftPart], *, masses: Literal["design"
     )
 
 
-def pair_rounding_g_mm(parts: Sequence[ShaftPart], *, mass_step_g: float = 0.1, length_step_mm: float = 0.1) -> float:
-    """Most that rounding of the stated numbers can change the unbalance of a pair (g·mm).
+def pair_rounding_g_mm(parts: Sequence[ShaftPart]) -> float:
+    """Most that rounding of the stated numbers to 0.1 g and 0.1 mm can change the unbalance of a pair (g·mm).
 
-    ``parts``: of one of the two shafts. ``mass_step_g`` and ``length_step_mm``: last printed digit of each.
+    ``parts``: of one of the two shafts.
     """
-    one = sum(part.design_mass_g * length_step_mm / 2 + abs(part.centroid_mm) * mass_step_g / 2 for part in parts)
-    return 2 * one
+    return 2 * sum(part.design_mass_g * 0.1 / 2 + abs(part.centroid_mm) * 0.1 / 2 for part in parts)
 
 
 Series = Literal["exact", "leading"]

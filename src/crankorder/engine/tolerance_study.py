@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from crankorder.engine.definition import BalanceShafts, Engine, EngineData, NonNegative, SingleShaft, Weight
+from crankorder.engine.definition import BalanceShafts, Engine, SingleShaft, Weight
 from crankorder.engine.forces import Z, crankcase_forces
-from crankorder.engine.harmonics import Complex, acceleration_harmonics
+from crankorder.engine.machine_parts import EngineData, NonNegative
+from crankorder.engine.slider_crank import Complex, acceleration_harmonics
 from crankorder.errors import plain_number
 from crankorder.records import Record, said
 
@@ -45,18 +46,15 @@ class BalanceTolerances(EngineData):
     seed: Annotated[int, Field(ge=0)] = 0
 
 
-KINDS = ("reciprocating_g", "rotating_g_mm", "pin_deg", "shaft_percent", "gear_deg")
-
-
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Errors drawn for a series: each (sample, cylinder) or (sample, shaft) or (sample, weight), between −1 and 1."""
+    """Errors of a series of engines, by sample and cylinder, weight of a shaft or shaft."""
 
-    mass: Floats
-    throw: Complex
-    pin: Floats
-    weight: Floats
-    gear: Floats
+    mass_g: Floats
+    throw_g_mm: Complex
+    pin_rad: Floats
+    weight_share: Floats
+    gear_rad: Floats
 
 
 def with_single_shafts(engine: Engine, max_order: int) -> Engine:
@@ -64,7 +62,7 @@ def with_single_shafts(engine: Engine, max_order: int) -> Engine:
     shafts = engine.shafts
     bare = engine.model_copy(update={"shafts": BalanceShafts()})
     paired = engine.model_copy(update={"shafts": shafts.model_copy(update={"single": ()})})
-    made = 1e6 * (
+    force_g_mm = 1e6 * (
         crankcase_forces(paired, ONE_RADIAN_PER_S_RPM, max_order=max_order)[Z]
         - crankcase_forces(bare, ONE_RADIAN_PER_S_RPM, max_order=max_order)[Z]
     )
@@ -74,8 +72,8 @@ def with_single_shafts(engine: Engine, max_order: int) -> Engine:
             speed_ratio=sense * k,
             weights=(
                 Weight(
-                    unbalance_g_mm=float(abs(made[k])) / (2 * k**2),
-                    angle_deg=sense * math.degrees(float(np.angle(made[k]))),
+                    unbalance_g_mm=float(abs(force_g_mm[k])) / (2 * k**2),
+                    angle_deg=sense * math.degrees(float(np.angle(force_g_mm[k]))),
                     position_m=shafts.position_m,
                 ),
             ),
@@ -120,17 +118,14 @@ def series_residuals(
     The residual of an order is the most of a turn: the large half axis of its ellipse.
     """
     studied = with_single_shafts(engine, max_order)
-    errors = _draw(studied, tolerances)
-    stated = {kind: float(getattr(tolerances, kind)) for kind in KINDS}
-    force, couple = _left(studied, errors, stated, max_order)
+    force, couple = _left(studied, _draw(studied, tolerances), max_order)
     late = None
     if tolerances.mistiming_deg is not None and studied.shafts.single:
-        still = Errors(mass=errors.mass[:1] * 0, throw=errors.throw[:1] * 0, pin=errors.pin[:1] * 0,
-                       weight=errors.weight[:1] * 0, gear=np.full((1, errors.gear.shape[1]), -1.0))  # fmt: skip
-        shift = {**dict.fromkeys(KINDS, 0.0), "gear_deg": tolerances.mistiming_deg}
+        exact = _draw(studied, BalanceTolerances(samples=100))
+        late_errors = replace(exact, gear_rad=np.full_like(exact.gear_rad, -np.radians(tolerances.mistiming_deg)))
         of_force, of_couple = (
             {str(k): float(size) for k, size in enumerate(_most(parts)[0], start=1)}
-            for parts in _left(studied, still, shift, max_order)
+            for parts in _left(studied, late_errors, max_order)
         )
         turning = sorted({abs(shaft.speed_ratio) for shaft in studied.shafts.single})
         late = Mistiming(
@@ -150,73 +145,71 @@ def _draw(engine: Engine, tolerances: BalanceTolerances) -> Errors:
     draw = np.random.default_rng(tolerances.seed)
     n, cylinders, single = tolerances.samples, len(engine.cylinders), engine.shafts.single
     weights = sum(len(shaft.weights) for shaft in single)
+    mass = draw.uniform(-1, 1, (n, cylinders))
+    throw = np.sqrt(draw.uniform(0, 1, (n, cylinders))) * np.exp(2j * np.pi * draw.uniform(0, 1, (n, cylinders)))
     return Errors(
-        mass=draw.uniform(-1, 1, (n, cylinders)),
-        throw=np.sqrt(draw.uniform(0, 1, (n, cylinders))) * np.exp(2j * np.pi * draw.uniform(0, 1, (n, cylinders))),
-        pin=draw.uniform(-1, 1, (n, cylinders)),
-        weight=draw.uniform(-1, 1, (n, weights)),
-        gear=draw.uniform(-1, 1, (n, len(single))),
+        mass_g=tolerances.reciprocating_g * mass,
+        throw_g_mm=tolerances.rotating_g_mm * throw,
+        pin_rad=np.radians(tolerances.pin_deg) * draw.uniform(-1, 1, (n, cylinders)),
+        weight_share=tolerances.shaft_percent / 100 * draw.uniform(-1, 1, (n, weights)),
+        gear_rad=np.radians(tolerances.gear_deg) * draw.uniform(-1, 1, (n, len(single))),
     )
 
 
-def _left(engine: Engine, errors: Errors, size: dict[str, float], max_order: int) -> tuple[Parts, Parts]:
+def _left(engine: Engine, errors: Errors, max_order: int) -> tuple[Parts, Parts]:
     """Force (g·mm) and couple (g·mm²) over ω² of every sample."""
-    parts = np.zeros((2, 2, errors.mass.shape[0], max_order), dtype=np.complex128)  # force and couple
-    _add_cylinders(parts, engine, errors, size)
+    parts = np.zeros((2, 2, errors.mass_g.shape[0], max_order), dtype=np.complex128)  # force and couple
+    _add_cylinders(parts, engine, errors)
     for web in engine.webs:
         _add(parts, np.asarray(web.unbalance_g_mm * np.exp(1j * np.radians(web.angle_deg))), 0.0, web.position_m, 0)
-    _add_shafts(parts, engine, errors, size)
+    _add_shafts(parts, engine, errors)
     return parts[0], parts[1]
 
 
-def _add(parts: Complex, direct: Complex, reverse: Complex | float, position_m: float, at: int | slice) -> None:
+def _add(parts: Complex, direct: Complex | float, reverse: Complex | float, position_m: float, at: int | slice) -> None:
     for row, lever in ((0, 1.0), (1, 1e3 * position_m)):
         parts[row, 0, :, at] += lever * direct
         parts[row, 1, :, at] += lever * reverse
 
 
-def _add_cylinders(parts: Complex, engine: Engine, errors: Errors, size: dict[str, float]) -> None:
+def _add_cylinders(parts: Complex, engine: Engine, errors: Errors) -> None:
     max_order = parts.shape[-1]
-    for n, one in enumerate(engine.each):
-        where = one.cylinders[0]
-        bank = math.radians(where.bank_deg)
-        turned = np.radians(where.crank_deg) + np.radians(size["pin_deg"]) * errors.pin[:, n]
-        mass_g = 1e3 * one.reciprocating_mass_kg + size["reciprocating_g"] * errors.mass[:, n]
-        harmonics = acceleration_harmonics(one.mechanism, max_order)[1:]
+    for n, (single, cylinder) in enumerate(zip(engine.each, engine.cylinders, strict=True)):
+        bank = math.radians(cylinder.bank_deg)
+        turned = np.radians(cylinder.crank_deg) + errors.pin_rad[:, n]
+        mass_g = 1e3 * single.reciprocating_mass_kg + errors.mass_g[:, n]
+        harmonics = acceleration_harmonics(single.mechanism, max_order)[1:]
         # powers by products: much faster than as many exponentials
         turns = np.broadcast_to(np.exp(1j * (turned - bank))[:, None], (turned.size, max_order))
-        line = 0.5e3 * one.crank_radius_m * mass_g[:, None] * harmonics * np.cumprod(turns, axis=1)
+        line = 0.5e3 * single.crank_radius_m * mass_g[:, None] * harmonics * np.cumprod(turns, axis=1)
         tilt = np.exp(1j * bank)
-        _add(parts, line * tilt, line.conj() * tilt, where.position_m, slice(None))
-        rest = 1e6 * one.rotating_unbalance_kg_m * np.exp(1j * np.radians(one.rotating_unbalance_deg))
-        throw = (rest + size["rotating_g_mm"] * errors.throw[:, n]) * np.exp(1j * turned)
-        _add(parts, throw, 0.0, where.position_m, 0)
+        _add(parts, line * tilt, line.conj() * tilt, cylinder.position_m, slice(None))
+        rest = 1e6 * single.rotating_unbalance_kg_m * np.exp(1j * np.radians(single.rotating_unbalance_deg))
+        _add(parts, (rest + errors.throw_g_mm[:, n]) * np.exp(1j * turned), 0.0, cylinder.position_m, 0)
 
 
-def _add_shafts(parts: Complex, engine: Engine, errors: Errors, size: dict[str, float]) -> None:
+def _add_shafts(parts: Complex, engine: Engine, errors: Errors) -> None:
     counted = 0
     for number, shaft in enumerate(engine.shafts.single):
         ahead, k = math.copysign(1, shaft.speed_ratio), abs(shaft.speed_ratio)
         for weight in shaft.weights:
-            amount = k**2 * weight.unbalance_g_mm * (1 + size["shaft_percent"] / 100 * errors.weight[:, counted])
-            angle = math.radians(weight.angle_deg) + ahead * np.radians(size["gear_deg"]) * errors.gear[:, number]
-            made = amount * np.exp(1j * angle)
-            direct, reverse = (made, 0.0 * made) if ahead > 0 else (0.0 * made, made)
+            amount = k**2 * weight.unbalance_g_mm * (1 + errors.weight_share[:, counted])
+            angle = math.radians(weight.angle_deg) + ahead * errors.gear_rad[:, number]
+            force = amount * np.exp(1j * angle)
+            direct, reverse = (force, 0.0) if ahead > 0 else (0.0, force)
             _add(parts, direct, reverse, weight.position_m, k - 1)
             counted += 1
 
 
 def _most(parts: Parts) -> Floats:
     """Largest of a turn, (sample, order)."""
-    most: Floats = np.abs(parts[0]) + np.abs(parts[1])
-    return most
+    return np.asarray(np.abs(parts[0]) + np.abs(parts[1]))
 
 
 def _quantiles(parts: Parts) -> Spread:
-    most = _most(parts)
     return {
-        str(k): {name: float(np.quantile(most[:, k - 1], share)) for name, share in QUANTILES.items()}
-        for k in range(1, most.shape[1] + 1)
+        str(k): {name: float(np.quantile(sizes, share)) for name, share in QUANTILES.items()}
+        for k, sizes in enumerate(_most(parts).T, start=1)
     }
 
 

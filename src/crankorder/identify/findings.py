@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.cause import ELECTRIC, alike_speeds, electric
-from crankorder.engine.motor import Motor
+from crankorder.engine.machine_parts import Motor
 from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Findings, quality_of
 from crankorder.findings import Motor as MotorRecord
 from crankorder.identify.balance.unbalance_fit import UnbalanceFit, unbalance_fit

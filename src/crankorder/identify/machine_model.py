@@ -7,10 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from crankorder.cause import Cause, CauseKind
-from crankorder.engine.bearings import Bearing, bearing_orders
 from crankorder.engine.definition import Engine
-from crankorder.engine.motor import Motor
-from crankorder.engine.transfer_paths import AddedMass, StatedPath
+from crankorder.engine.machine_parts import AddedMass, Bearing, Motor, StatedPath, bearing_orders
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.intervals import half_width
 from crankorder.settings import MethodNumbers

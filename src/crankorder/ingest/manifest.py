@@ -19,9 +19,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BaseModel, Field, PrivateAttr, ValidationError
 from pydantic import field_validator as field_check
 
-from crankorder.engine.bearings import Bearing, bearing_orders
-from crankorder.engine.motor import Motor
-from crankorder.engine.transfer_paths import AddedMass, StatedPath
+from crankorder.engine.machine_parts import AddedMass, Bearing, Motor, StatedPath, bearing_orders
 from crankorder.errors import MOST_TOLD, CrankorderError, ManyErrors, RequestError, told
 from crankorder.ingest.channel import Channel as Channel
 from crankorder.ingest.channel import channel_faults

@@ -9,10 +9,9 @@ from typing import Literal
 import numpy as np
 from numba import njit
 
-from crankorder.engine.bearings import bearing_orders
-from crankorder.engine.forces import crankcase_forces, crankcase_moments
+from crankorder.engine.forces import crankcase_forces, crankcase_moments, two_masses
 from crankorder.engine.gas import gas_torque_by_order
-from crankorder.engine.rod import two_masses
+from crankorder.engine.machine_parts import bearing_orders
 from crankorder.engine.slider_crank import piston_velocity, rod_angle, sine_cosine
 from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.errors import RequestError

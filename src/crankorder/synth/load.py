@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from crankorder.engine.bearings import bearing_orders
 from crankorder.engine.definition import load_engine
 from crankorder.engine.gas import gas_torque_by_order
+from crankorder.engine.machine_parts import bearing_orders
 from crankorder.errors import CrankorderError, ManyErrors, RequestError
 from crankorder.settings import shipped, toml_table, validation_fault
 from crankorder.synth.analogue import analogue_filter

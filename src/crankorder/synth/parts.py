@@ -7,8 +7,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from crankorder.engine.definition import NonNegative, Positive
 from crankorder.engine.forces import DIRECTIONS
+from crankorder.engine.machine_parts import NonNegative, Positive
 
 TRACE, INDEX = "encoder", "index"
 """Datasets of the encoder in a file."""

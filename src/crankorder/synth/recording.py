@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from crankorder.engine.bearings import bearing_orders
+from crankorder.engine.machine_parts import bearing_orders
 from crankorder.quantities import Complexes, Floats
 from crankorder.records import Json
 from crankorder.synth.analogue import Recorded, recorded

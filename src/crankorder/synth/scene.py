@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from crankorder.engine.definition import Engine
-from crankorder.engine.harmonics import orders_for
+from crankorder.engine.slider_crank import orders_for
 from crankorder.quantities import Floats
 from crankorder.synth.analogue import AnalogueFilter, analogue_filter, true_rate_hz
 from crankorder.synth.parts import (

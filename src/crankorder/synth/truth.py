@@ -7,9 +7,9 @@ from itertools import product
 
 import numpy as np
 
-from crankorder.engine.bearings import bearing_orders
 from crankorder.engine.forces import crankcase_forces
-from crankorder.engine.harmonics import acceleration_harmonics
+from crankorder.engine.machine_parts import bearing_orders
+from crankorder.engine.slider_crank import acceleration_harmonics
 from crankorder.quantities import Complexes, Floats, Truth
 from crankorder.records import Json
 from crankorder.synth.lines import OrderLines, crank_forces, fixed_lines, order_lines, slipping_line, strikes_per_rev

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from crankorder.engine.definition import Engine
-from crankorder.engine.transfer_paths import AddedMass
+from crankorder.engine.machine_parts import AddedMass
 from crankorder.findings import Balance
 from crankorder.identify.intervals import half_width
 from crankorder.quantities import Complexes, Floats

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from crankorder.engine.transfer_paths import StatedPath
+from crankorder.engine.machine_parts import StatedPath
 from crankorder.identify.modes.order_blocks import swept_rows
 from crankorder.identify.modes.order_terms import Passage, resonance
 from crankorder.orders.vold_kalman.bandwidth import noise_bandwidth_share

@@ -9,7 +9,7 @@ import xarray as xr
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import Z
-from crankorder.engine.transfer_paths import AddedMass
+from crankorder.engine.machine_parts import AddedMass
 from crankorder.findings import Influence, TrialBalance
 from crankorder.identify.balance.known_forces import force_per_kg
 from crankorder.identify.balance.record import AGREE_CHI_SQUARE, NO_ANGLE, added_words, size_and_angle, with_interval

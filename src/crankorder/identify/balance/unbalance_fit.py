@@ -10,7 +10,7 @@ import xarray as xr
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, Z
-from crankorder.engine.transfer_paths import AddedMass, StatedPath
+from crankorder.engine.machine_parts import AddedMass, StatedPath
 from crankorder.findings import Balance
 from crankorder.identify.balance.known_forces import NUMBERS as ORDER_SHAKER
 from crankorder.identify.balance.known_forces import (

@@ -11,7 +11,7 @@ import numpy as np
 import xarray as xr
 from scipy.special import fdtrc
 
-from crankorder.engine.bearings import Bearing, bearing_orders
+from crankorder.engine.machine_parts import Bearing, bearing_orders
 from crankorder.identify.intervals import half_width
 from crankorder.orders.envelope_combs import (
     TRIALS_PER_BIN,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from crankorder.engine.bearings import Bearing
+from crankorder.engine.machine_parts import Bearing
 from crankorder.findings import BearingFinding
 from crankorder.identify.bearings.envelope_lines import (
     Candidate,

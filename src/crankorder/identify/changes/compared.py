@@ -34,7 +34,7 @@ from crankorder.comparison import (
     UnbalanceRecord,
 )
 from crankorder.engine.definition import Engine
-from crankorder.engine.transfer_paths import AddedMass
+from crankorder.engine.machine_parts import AddedMass
 from crankorder.findings import Findings, ModeFinding, TrialBalance
 from crankorder.identify.balance.trial_mass import trial_mass
 from crankorder.identify.changes.mass_change import (

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import fdtrc, fdtri
 
 from crankorder.comparison import BalanceChange, MassRecord, MassResponse, UnbalanceRecord
-from crankorder.engine.transfer_paths import AddedMass
+from crankorder.engine.machine_parts import AddedMass
 from crankorder.findings import Balance, Findings
 from crankorder.identify.changes.order_changes import OrderChange, welch
 from crankorder.identify.intervals import Z95, error_of, half_width, interval

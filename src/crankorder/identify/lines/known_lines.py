@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.cause import Cause, CauseKind
-from crankorder.engine.motor import MotorLine
+from crankorder.engine.machine_parts import MotorLine
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.line_phasors import Recording, is_swept, recordings_of

@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from crankorder.cause import Cause, alike_speeds, mains_words, of_mains
-from crankorder.engine.motor import SHAFT, USUAL_SLIP, Motor, MotorLine, motor_lines
+from crankorder.engine.machine_parts import SHAFT, USUAL_SLIP, Motor, MotorLine, motor_lines
 from crankorder.findings import Motor as MotorRecord
 from crankorder.findings import MotorLine as LineRecord
 from crankorder.findings import MotorSpeed

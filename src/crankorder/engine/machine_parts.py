@@ -1,0 +1,372 @@
+"""Parts of a machine beside its cranks: rolling bearings, a motor, paths from force to acceleration, added masses.
+
+Sources of the lines of a motor: ISO 20958:2013 (electrical signature analysis of induction motors); A. H. Bonnett and
+G. C. Soukup (1992), IEEE Transactions on Industry Applications 28, p. 921.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Sized
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from itertools import pairwise
+from typing import Annotated, Literal, TypeVar
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator, model_validator
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Entries = TypeVar("Entries", bound=Sized)
+
+
+def _not_empty(value: Entries) -> Entries:
+    if not len(value):
+        raise ValueError("must have at least 1 entry")
+    return value
+
+
+NOT_EMPTY = AfterValidator(_not_empty)
+"""For lists; ``min_length`` counts the sound entries alone and so blames the list too for a fault of an entry."""
+CATALOGUE = "bearings.toml"
+PUBLISHED_SUM_TOLERANCE = 0.01
+"""Published BPFO and BPFI must add up to the number of rolling elements within this share: they do for any geometry."""
+
+Count = Annotated[int, Field(gt=0)]
+Direction = Literal["X", "Y", "Z"]
+
+USUAL_SLIP = 0.1
+"""Motors that run steadily slip no more: 1 to 5 % at rated load, small ones up to 10 %."""
+
+
+class EngineData(BaseModel):
+    """Base of everything that an engine file may hold: frozen, and unknown keys are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class CatalogueBearing(EngineData):
+    """A bearing of the catalogue: its geometry and published orders, in multiples of its own shaft's speed."""
+
+    title: Annotated[str, Field(min_length=1)]
+    source: Annotated[str, Field(min_length=1)]
+    rolling_elements: Annotated[int, Field(ge=1)] | None = None
+    ball_over_pitch: Annotated[float, Field(gt=0, lt=1)] | None = None
+    contact_angle_deg: Annotated[float, Field(ge=0, lt=90)] | None = None
+    bpfo: Positive | None = None
+    bpfi: Positive | None = None
+    bsf: Positive | None = None
+    ftf: Positive | None = None
+
+
+class Bearing(EngineData):
+    """A rolling bearing: its shaft's speed over the crank's, and a designation, its geometry or its published orders.
+
+    ``designation`` names a bearing of the catalogue, which then fills whatever is not stated here.
+    ``ball_over_pitch`` is the diameter of a rolling element over the pitch diameter. ``bpfo``, ``bpfi``, ``bsf`` and
+    ``ftf`` are orders of the bearing's own shaft, as makers publish them; they win over the geometry.
+    """
+
+    name: Annotated[str, Field(min_length=1)] = Field(description="What results call it.", examples=["jack shaft"])
+    designation: str | None = Field(
+        default=None,
+        description="A bearing of the shipped catalogue, which fills what is not stated here.",
+        examples=["6205-2RS"],
+    )
+    shaft_ratio: Positive = Field(
+        default=1.0, description="Turns of the bearing's shaft per crank revolution.", examples=[0.5]
+    )
+    rolling_elements: Annotated[int, Field(ge=1)] | None = Field(
+        default=None, description="Number of balls or rollers.", examples=[11]
+    )
+    ball_over_pitch: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        default=None, description="Diameter of a rolling element over the pitch diameter.", examples=[0.2032]
+    )
+    contact_angle_deg: Annotated[float, Field(ge=0, lt=90)] | None = Field(
+        default=None, description="Contact angle; 0 of a deep-groove bearing.", examples=[15.0]
+    )
+    bpfo: Positive | None = Field(
+        default=None,
+        description="Published order of the outer race, per turn of the bearing's shaft; it wins over the geometry.",
+        examples=[3.58],
+    )
+    bpfi: Positive | None = Field(default=None, description="Published order of the inner race.", examples=[5.42])
+    bsf: Positive | None = Field(
+        default=None,
+        description="Published order of the spin of a rolling element; a fault shows at twice it.",
+        examples=[2.36],
+    )
+    ftf: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        default=None, description="Published order of the cage.", examples=[0.398]
+    )
+
+    @field_validator("designation")
+    @classmethod
+    def _is_in_the_catalogue(cls, value: str | None) -> str | None:
+        if value is not None and value not in bearing_catalogue():
+            raise ValueError(f"no such bearing in the catalogue, which has {', '.join(bearing_catalogue())}")
+        return value
+
+    @field_validator("bpfi")
+    @classmethod
+    def _races_add_up(cls, value: float | None, info: ValidationInfo) -> float | None:
+        outer, elements = info.data.get("bpfo"), info.data.get("rolling_elements")
+        if value is None or outer is None:
+            return value
+        if outer >= value:
+            raise ValueError("bpfi must exceed bpfo: the inner race turns, the outer one stands")
+        if elements is not None and abs(outer + value - elements) > PUBLISHED_SUM_TOLERANCE * elements:
+            raise ValueError(f"bpfo and bpfi must add up to the {elements} rolling elements, within 1 %")
+        return value
+
+
+@cache
+def bearing_catalogue() -> dict[str, CatalogueBearing]:
+    """Bearings by designation, from ``pipeline/bearings.toml``; each states its source."""
+    text = files("crankorder.pipeline").joinpath(CATALOGUE).read_text(encoding="utf-8")
+    return {name: CatalogueBearing.model_validate(table) for name, table in tomllib.loads(text).items()}
+
+
+def bearing_orders(bearing: Bearing) -> dict[str, float]:
+    """Crank orders of the lines of ``bearing``: ``N*fs``, BPFO, BPFI, BSF, FTF as far as its data tell them.
+
+    ``N*fs`` (rolling elements times shaft speed) equals BPFO + BPFI for every geometry and contact angle. A fault on a
+    rolling element strikes both races: it shows at twice BSF.
+    Source: the kinematics of pure rolling with a fixed outer ring; truth sheet section 2.9.
+    """
+    data = _complete(bearing)
+    ratio, elements, diameter = bearing.shaft_ratio, data["rolling_elements"], data["ball_over_pitch"]
+    orders: dict[str, float] = {}
+    if elements is not None:
+        orders["N*fs"] = elements * ratio
+    if elements is not None and diameter is not None:
+        lean = diameter * math.cos(math.radians(data["contact_angle_deg"] or 0.0))
+        orders |= {
+            "BPFO": elements * ratio / 2 * (1 - lean),
+            "BPFI": elements * ratio / 2 * (1 + lean),
+            "BSF": ratio / 2 * (1 - lean) * (1 + lean) / diameter,
+            "FTF": ratio / 2 * (1 - lean),
+        }
+    published = {line: data[line.lower()] for line in ("BPFO", "BPFI", "BSF", "FTF")}
+    return orders | {line: order * ratio for line, order in published.items() if order is not None}
+
+
+def _complete(bearing: Bearing) -> dict[str, float | None]:
+    """Data of a bearing with those of its catalogue entry where it states none itself.
+
+    A geometry of its own replaces the catalogue's published orders too: these belong to the other geometry.
+    """
+    keys = ("rolling_elements", "ball_over_pitch", "contact_angle_deg", "bpfo", "bpfi", "bsf", "ftf")
+    own = {key: getattr(bearing, key) for key in keys}
+    if bearing.designation is None:
+        return own
+    listed = bearing_catalogue()[bearing.designation]
+    filled = keys if all(own[key] is None for key in keys[:3]) else keys[:3]
+    return own | {key: getattr(listed, key) for key in filled if own[key] is None}
+
+
+class Motor(EngineData):
+    """``[motor]``: an induction motor, whose shaft turns ``shaft_ratio`` times per crank revolution.
+
+    ``supply_hz`` is the frequency of its supply; left out for a motor on a variable-speed drive, of which then only the
+    lines that go with the shaft are named. ``poles`` counts poles, not pairs: 4 turn at 1500 rpm on 50 Hz, less slip.
+    """
+
+    supply_hz: Positive | None = Field(
+        default=None,
+        description="Frequency of the supply; left out for a motor on a variable-speed drive.",
+        examples=[50.0],
+    )
+    poles: Count | None = Field(
+        default=None, description="Poles, not pairs: 4 turn somewhat below 1500 rpm on 50 Hz.", examples=[4]
+    )
+    rotor_bars: Count | None = Field(default=None, description="Bars of the rotor.", examples=[44])
+    stator_slots: Count | None = Field(default=None, description="Slots of the stator.", examples=[36])
+    shaft_ratio: Positive = Field(default=1.0, description="Turns of the motor per crank revolution.", examples=[1.0])
+
+    @field_validator("poles")
+    @classmethod
+    def _poles_come_in_pairs(cls, value: int | None) -> int | None:
+        if value is not None and value % 2:
+            raise ValueError("poles come in pairs: 2, 4, 6, … (count poles, not pairs)")
+        return value
+
+    @property
+    def highest_order(self) -> float:
+        """Highest order of the crank at which it makes a line, at a usual slip; 0 where none goes with the shaft."""
+        counts = [count for count in (self.rotor_bars, self.stator_slots) if count is not None]
+        beside = (self.poles or 0) / (1.0 - USUAL_SLIP) if self.supply_hz is not None else 0.0
+        return (max(counts) + beside) * self.shaft_ratio if counts else 0.0
+
+    def synchronous_rpm(self, supply_hz: float) -> float:
+        """Speed of the field in rpm of the motor's shaft at a supply of ``supply_hz``: 120 f / poles."""
+        if self.poles is None:
+            raise ValueError("the poles of the motor are not stated")
+        return 120.0 * supply_hz / self.poles
+
+
+@dataclass(frozen=True)
+class MotorLine:
+    """A line at ``mains`` times the supply frequency plus ``turns`` times the speed of the crank.
+
+    ``name`` says what it is; ``of`` is the line beside which it stands and ``side`` where, "below" or "above";
+    both are "" where it is no sideband.
+    """
+
+    name: str
+    mains: int
+    turns: float
+    of: str = ""
+    side: str = ""
+
+    def hertz_at(self, supply_hz: float, rpm: float) -> float:
+        """Frequency in Hz at a supply of ``supply_hz`` and a speed of ``rpm``."""
+        return self.mains * supply_hz + self.turns * rpm / 60.0
+
+
+TWICE_MAINS, SHAFT, BAR_PASS, SLOT_PASS = "twice mains", "order 1 of the motor", "bar pass", "slot pass"
+
+
+def motor_lines(motor: Motor) -> tuple[MotorLine, ...]:
+    """Lines of ``motor``: mains, twice mains and order 1 with their pole-pass sidebands, bar pass with those at 2 f.
+
+    The pole-pass frequency is the poles times what the rotor lags behind the field: 2 f - poles x speed = 2 x slip x f.
+    A broken bar sets its sidebands beside order 1, an air gap that changes sets them beside twice mains; bars passing
+    an uneven gap make the bar pass, which the field's force modulates with twice mains. Without a supply frequency only
+    what goes with the shaft is there.
+    """
+    ratio, made = motor.shaft_ratio, []
+    if motor.supply_hz is not None:
+        made += [MotorLine("mains", 1, 0.0), MotorLine(TWICE_MAINS, 2, 0.0)]
+    if motor.supply_hz is not None and motor.poles is not None:
+        turns = motor.poles * ratio
+        for name, mains, own in ((SHAFT, 0, ratio), (TWICE_MAINS, 2, 0.0)):
+            made += [
+                MotorLine(f"pole-pass sideband of {name}", mains - 2, own + turns, name, "below"),
+                MotorLine(f"pole-pass sideband of {name}", mains + 2, own - turns, name, "above"),
+            ]
+    for name, count in ((BAR_PASS, motor.rotor_bars), (SLOT_PASS, motor.stator_slots)):
+        if count is None:
+            continue
+        made.append(MotorLine(name, 0, count * ratio))
+        if motor.supply_hz is not None:
+            text = f"sideband of {name} at twice mains"
+            made += [
+                MotorLine(text, -2, count * ratio, name, "below"),
+                MotorLine(text, 2, count * ratio, name, "above"),
+            ]
+    return tuple(made)
+
+
+class PathMode(EngineData):
+    """One mode of a stated path: its natural frequency, damping ratio and residue (1/kg) in h = −x²/(1 − x² + 2iζx)."""
+
+    frequency_hz: Positive = Field(description="Natural frequency.", examples=[60.0])
+    damping_ratio: Annotated[float, Field(gt=0, lt=1)] = Field(description="Damping ratio.", examples=[0.02])
+    residue_per_kg: float = Field(description="Real part of the residue, in 1/kg.", examples=[0.003])
+    residue_imag_per_kg: float = Field(
+        default=0.0, description="Imaginary part of the residue, in 1/kg.", examples=[0.0001]
+    )
+
+
+class StatedPath(EngineData):
+    """``[[transfer_paths]]``: acceleration of a channel per force (accelerance, 1/kg) on the crankcase at the crank.
+
+    ``channel`` is the channel's name; ``direction`` that of the force: X across the crankshaft, Y along it, Z along the
+    cylinder. One of three forms: ``apparent_mass_kg``, a rigid body; ``modes`` with ``rigid_per_kg``; or ``table``, a
+    CSV file beside the manifest with the columns frequency_hz, real, imag (1/kg), whose rows are ``points`` once it is
+    read. It holds within ``frequency_range_hz`` (needed but for a table), to ``uncertainty_percent`` (95 %).
+    """
+
+    channel: Annotated[str, Field(min_length=1)] = Field(
+        description="Name of a channel of acceleration.", examples=["Z"]
+    )
+    direction: Direction = Field(
+        description="Direction of the force on the crankcase: X across, Y along the crankshaft, Z along the cylinder.",
+        examples=["Z"],
+    )
+    apparent_mass_kg: Positive | None = Field(
+        default=None, description="Force per acceleration of a rigid body; one of three forms.", examples=[330.0]
+    )
+    table: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
+        description="CSV file beside the manifest, columns frequency_hz, real, imag (1/kg); one of three forms.",
+        examples=["path_z.csv"],
+    )
+    points: tuple[tuple[float, float, float], ...] = Field(
+        default=(), strict=False, description="Rows of that table once it is read; never stated."
+    )
+    modes: tuple[PathMode, ...] = Field(
+        default=(),
+        strict=False,
+        description="Modes of the path; one of three forms.",
+        examples=[[{"frequency_hz": 60.0, "damping_ratio": 0.02, "residue_per_kg": 0.003}]],
+    )
+    rigid_per_kg: float = Field(default=0.0, description="What is added to the modes, in 1/kg.", examples=[0.002])
+    frequency_range_hz: tuple[NonNegative, Positive] | None = Field(
+        default=None, strict=False, description="Where the path holds; needed but for a table.", examples=[[5.0, 40.0]]
+    )
+    uncertainty_percent: NonNegative = Field(
+        default=0.0, description="Half width of the 95 % interval of the path, in % of it.", examples=[3.0]
+    )
+
+    @model_validator(mode="after")
+    def _one_form(self) -> StatedPath:
+        tabled = self.table is not None or bool(self.points)
+        forms = [self.apparent_mass_kg is not None, tabled, bool(self.modes)]
+        if sum(forms) != 1:
+            raise ValueError("a path is one of apparent_mass_kg, table or modes")
+        if self.rigid_per_kg and not self.modes:
+            raise ValueError("rigid_per_kg goes with modes; a rigid body alone is apparent_mass_kg")
+        if not tabled and self.frequency_range_hz is None:
+            raise ValueError("frequency_range_hz must say where the path holds, such as [5.0, 50.0]")
+        if self.frequency_range_hz is not None and self.frequency_range_hz[0] >= self.frequency_range_hz[1]:
+            raise ValueError("frequency_range_hz must ascend")
+        if any(after[0] <= before[0] for before, after in pairwise(self.points)) or len(self.points) == 1:
+            raise ValueError("a table needs two or more rows with ascending frequency_hz")
+        return self
+
+    @property
+    def holds_hz(self) -> tuple[float, float]:
+        """Lowest and highest frequency (Hz) at which the path may be used."""
+        low, high = self.frequency_range_hz or (0.0, float("inf"))
+        if self.points:
+            return max(low, self.points[0][0]), min(high, self.points[-1][0])
+        return low, high
+
+
+class AddedMass(EngineData):
+    """``[[added_masses]]``: a known mass that this test has and the test that it is compared with has not.
+
+    ``on``: "crank", what turns with the shaft at ``radius_mm`` and ``angle_deg`` (from where the crank pin of cylinder
+    0 points, in the sense of rotation), or "piston", what goes up and down with the piston of the cylinder numbered
+    ``cylinder``. ``mass_g`` is below 0 where mass was taken away.
+    """
+
+    mass_g: float = Field(description="Mass in g; below 0 where some was taken away; not 0.", examples=[100.0])
+    on: Literal["crank", "piston"] = Field(
+        default="crank", description="What carries it: the turning crank or the piston.", examples=["piston"]
+    )
+    radius_mm: Positive | None = Field(
+        default=None, description="Distance from the shaft's axis; needed on the crank.", examples=[60.0]
+    )
+    angle_deg: float = Field(
+        default=0.0,
+        description="From where the crank pin of cylinder 0 points, in the sense of rotation.",
+        examples=[180.0],
+    )
+    cylinder: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="Number of the cylinder whose piston carries it, from 0.", examples=[0]
+    )
+
+    @model_validator(mode="after")
+    def _has_a_radius(self) -> AddedMass:
+        if self.mass_g == 0:
+            raise ValueError("a mass of 0 g tells nothing")
+        if self.on == "crank" and self.radius_mm is None:
+            raise ValueError("a mass on the crank needs radius_mm")
+        if self.on == "piston" and (self.radius_mm is not None or self.angle_deg):
+            raise ValueError("a mass on the piston has neither radius_mm nor angle_deg")
+        return self
