@@ -17,6 +17,7 @@ from crankorder.findings import SCHEMA_VERSION, Findings
 from crankorder.plot.drawing import Panel
 from crankorder.plot.labels import Key, draw_keys
 from crankorder.plot.palette import FAINT, GRID, INK, LARGE, NORMAL, SMALL, WHITE
+from crankorder.plot.reading import scaling_text
 from crankorder.quantities import Floats, check_dataset
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ _NOTHING: Mapping[str, object] = {key: [] for key in _RECORDS} | {
 }  # fmt: skip
 _LONGEST_NAME = 60  # characters of a channel in a title
 _TIER_PT = 17.0  # height of a row of labels above the axes
+_BAR_SHARE = 0.15  # of a map, which its bar and labels take where no layout makes room
 _KEYS_IN = 0.76  # from the axes down to their keys
 
 
@@ -71,18 +73,19 @@ def _is(dataset: xr.Dataset, noun: str) -> bool:
     return True
 
 
-def channel_number(dataset: xr.Dataset, channel: str | None, picture: str) -> int:
-    """Place of ``channel`` in ``dataset``, or of the first where it is None; ``picture`` stands in the error.
+def channel_of(given: object, noun: str, picture: str, channel: str | None) -> tuple[xr.Dataset, int]:
+    """``given`` as a dataset of the ``noun``, and the place of ``channel`` in it, or of the first where it is None.
 
-    Raises RequestError with the channels that are there.
+    Raises RequestError with what is there; ``picture`` stands in it.
     """
+    dataset = dataset_of(given, noun, picture)
     names = [str(name) for name in dataset["channel"].values]
     if channel is None and names:
-        return 0
+        return dataset, 0
     if channel is None or str(channel) not in names:
         there = ", ".join(names) or "none"
         raise RequestError("no such channel", file=f"crankorder.plot.{picture}", found=channel or "", allowed=there)
-    return names.index(str(channel))
+    return dataset, names.index(str(channel))
 
 
 def findings_of(findings: object, picture: str) -> Findings:
@@ -126,9 +129,8 @@ def unit_of(dataset: xr.Dataset, channel: int) -> str:
 def quantity_text(dataset: xr.Dataset, channel: int) -> str:
     """What a ``channel`` (its number) of ``dataset``, a map or tracks, shows: "Acceleration (peak)"."""
     quantity = str(dataset["quantity"].values[channel]).replace("_", " ").strip()
-    scaling = "RMS" if str(dataset.attrs.get("amplitude_scaling", "peak")).casefold() == "rms" else "peak"
-    known = quantity and quantity not in ("1", "unknown", "none")
-    return f"{quantity[:1].upper()}{quantity[1:]} ({scaling})" if known else f"Amplitude ({scaling})"
+    name = "amplitude" if quantity in ("", "1", "unknown", "none") else quantity
+    return f"{name[:1].upper()}{name[1:]} {scaling_text(dataset)}"
 
 
 def axes_for(ax: Axes | None, picture: str, *, height_in: float = 5.0, width_in: float = 9.0) -> Axes:
@@ -150,7 +152,8 @@ def axes_for(ax: Axes | None, picture: str, *, height_in: float = 5.0, width_in:
 def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_above: int = 0, said: str = "") -> None:
     """Labels, title and frame of ``axes``: ``x`` and ``y`` name the axes, ``said`` follows the bold ``title``.
 
-    ``whole``: a frame on all sides and no grid, as around maps. ``rows_above``: of labels between axes and title.
+    ``whole``: a frame on all sides, no grid, and room for a bar, as around maps. ``rows_above``: of labels between axes
+    and title.
     """
     axes.set_facecolor(WHITE)
     axes.set_axisbelow(True)
@@ -162,6 +165,9 @@ def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_a
     axes.grid(visible=False, which="both")
     if not whole:
         axes.grid(visible=True, color=GRID, linewidth=0.6)
+    elif axes.figure.get_layout_engine() is None:  # nothing else makes room for the bar
+        left, bottom, width, height = axes.get_position().bounds
+        axes.set_position((left, bottom, width * (1 - _BAR_SHARE), height))
     name = title if len(title) <= _LONGEST_NAME else f"{title[: _LONGEST_NAME - 1]}…"
     pad = 7.0 + _TIER_PT * rows_above
     axes.set_title(name, loc="left", pad=pad, fontsize=LARGE, fontweight="bold", color=INK, parse_math=False)
@@ -202,4 +208,4 @@ def painted(
 def keys_below(panel: Panel, keys: Sequence[Key]) -> None:
     """Draw ``keys`` below the label of the x axis of ``panel``."""
     left, bottom, width, _ = panel.box
-    draw_keys(panel.drawing, left, keys, room_in=width, base_in=bottom - _KEYS_IN)
+    draw_keys(panel.drawing, left, keys, room_in=width, base_in=bottom - _KEYS_IN, most=len(keys))

@@ -18,8 +18,7 @@ from crankorder.findings import Findings, ModeFinding, OrderFinding
 from crankorder.plot.axes import (
     ORDER,
     axes_for,
-    channel_number,
-    dataset_of,
+    channel_of,
     dress,
     findings_of,
     keys_below,
@@ -508,8 +507,7 @@ def campbell(
     >>> axes.get_xlabel(), axes.get_ylabel()
     ('Frequency, Hz', 'Speed, rpm')
     """
-    dataset = dataset_of(campbell_map, "campbell_map", "campbell")
-    return _on_axes(dataset, "frequency", findings, channel, ax, dynamic_range_db)
+    return _on_axes(campbell_map, "frequency", findings, channel, ax, dynamic_range_db)
 
 
 def order_map(
@@ -543,15 +541,15 @@ def order_map(
     >>> axes.get_xlabel()
     'Order (cycles per crank revolution)'
     """
-    dataset = dataset_of(order_map, "order_map", "order_map")
-    return _on_axes(dataset, "order", findings, channel, ax, dynamic_range_db)
+    return _on_axes(order_map, "order", findings, channel, ax, dynamic_range_db)
 
 
 def _on_axes(
-    dataset: xr.Dataset, along: str, findings: object, channel: str | None, ax: Axes | None, dynamic_range_db: float
+    given: xr.Dataset, along: str, findings: object, channel: str | None, ax: Axes | None, dynamic_range_db: float
 ) -> Axes:
     picture, x = ("campbell", "Frequency, Hz") if along == "frequency" else ("order_map", ORDER)
-    number, told = channel_number(dataset, channel, picture), findings_of(findings, picture)
+    dataset, number = channel_of(given, picture.replace("campbell", "campbell_map"), picture, channel)
+    told = findings_of(findings, picture)
     depth = number_of(dynamic_range_db, "dynamic_range_db", picture, above=0.0)
     label = f"{quantity_text(dataset, number)}, dB re 1 {unit_of(dataset, number)}".removesuffix(" ")
     levels, name = level_map(dataset, number, along, 1.0, label), str(dataset["channel"].values[number])

@@ -12,8 +12,7 @@ from crankorder.findings import Findings
 from crankorder.plot.axes import (
     ORDER,
     axes_for,
-    channel_number,
-    dataset_of,
+    channel_of,
     dress,
     keys_below,
     number_of,
@@ -228,8 +227,7 @@ def envelope(
     >>> axes.get_title(loc="right").partition(",")[0]
     '1500 rpm'
     """
-    dataset = dataset_of(envelope_map, "envelope_map", "envelope")
-    number = channel_number(dataset, channel, "envelope")
+    dataset, number = channel_of(envelope_map, "envelope_map", "envelope", channel)
     order = np.asarray(dataset["order"].values, dtype=float)
     amplitude, floor = (values_of(dataset, name, "speed", "order", channel=number) for name in ("amplitude", "floor"))
     if not amplitude.size:

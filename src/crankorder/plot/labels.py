@@ -159,20 +159,29 @@ class Key:
 
 
 def draw_keys(
-    drawing: Drawing, left_in: float, keys: Sequence[Key], *, room_in: float = np.inf, base_in: float = _BASE_IN
+    drawing: Drawing,
+    left_in: float,
+    keys: Sequence[Key],
+    *,
+    room_in: float = np.inf,
+    base_in: float = _BASE_IN,
+    most: int = 2,
 ) -> None:
-    """Draw ``keys`` side by side at the foot of ``drawing``, from ``left_in`` inches; in two rows if need be.
+    """Draw ``keys`` side by side at the foot of ``drawing``, from ``left_in`` inches; in ``most`` rows if need be.
 
     ``room_in``: width in inches that a row may take; ``base_in``: height of the row.
     """
-    widths = [_SAMPLE_IN + _GAP_IN + text_width_in(key.text, _KEY_SIZE) + _BETWEEN_IN for key in keys]
-    ends = np.cumsum(widths) - _BETWEEN_IN
-    first = len(keys) if not len(ends) or ends[-1] <= room_in else max(int(np.sum(ends <= room_in)), 1)
-    if first == len(keys):
-        _row(drawing, left_in, keys, base_in)
-    else:
-        _row(drawing, left_in, keys[:first], base_in + _UP_IN)
-        _row(drawing, left_in, keys[first:], base_in - _DOWN_IN)
+    rows: list[list[Key]] = [[]]
+    used = 0.0
+    for key in keys:
+        width = _SAMPLE_IN + _GAP_IN + text_width_in(key.text, _KEY_SIZE) + _BETWEEN_IN
+        if rows[-1] and used + width - _BETWEEN_IN > room_in and len(rows) < most:
+            rows, used = [*rows, []], 0.0
+        rows[-1].append(key)
+        used += width
+    for number, row in enumerate(rows):
+        down = number and _DOWN_IN + (number - 1) * (_UP_IN + _DOWN_IN)
+        _row(drawing, left_in, row, base_in - down if number or len(rows) == 1 else base_in + _UP_IN)
 
 
 def _row(drawing: Drawing, left_in: float, keys: Sequence[Key], base_in: float) -> None:

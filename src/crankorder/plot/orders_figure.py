@@ -13,17 +13,7 @@ from numpy.typing import NDArray
 from crankorder.channel_units import unit_text
 from crankorder.errors import RequestError
 from crankorder.findings import Findings
-from crankorder.plot.axes import (
-    ORDER,
-    axes_for,
-    channel_number,
-    dataset_of,
-    dress,
-    painted,
-    quantity_text,
-    set_scale,
-    unit_of,
-)
+from crankorder.plot.axes import ORDER, axes_for, channel_of, dress, painted, quantity_text, set_scale, unit_of
 from crankorder.plot.cells import gaps_before, speed_cells
 from crankorder.plot.drawing import Box, Drawing, Panel, Words
 from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
@@ -293,8 +283,7 @@ def orders(
     >>> axes.get_ylabel()
     'Acceleration (peak), m/s²'
     """
-    dataset = dataset_of(order_tracks, "order_tracks", "orders")
-    number = channel_number(dataset, channel, "orders")
+    dataset, number = channel_of(order_tracks, "order_tracks", "orders", channel)
     placed = np.flatnonzero(np.isfinite(dataset["speed"].values))
     one = dataset.isel(channel=[number], speed=placed if len(placed) else slice(0, 1))
     among = None if orders is None else _asked(dataset["order"].values, orders)

@@ -170,16 +170,6 @@ class AxesPanel(Panel):
         return back.transform(x)[:, 0], back.transform(y)[:, 1]
 
 
-def panel_of(axes: Any, magnification: float = 1.0) -> AxesPanel:
-    """The panel that ``axes`` are at the time, with their limits and size; maps finer by the ``magnification``."""
-    figure = axes.get_figure()
-    left, bottom, width, height = (float(edge) / figure.dpi for edge in axes.bbox.bounds)
-    drawing = Drawing(left + width, bottom + height, dpi=figure.dpi * magnification)
-    (x0, x1), (y0, y1) = (sorted(map(float, ends)) for ends in (axes.get_xlim(), axes.get_ylim()))
-    inches = axes.transData + Affine2D().scale(1 / figure.dpi)
-    return AxesPanel(drawing, (left, bottom, width, height), (x0, x1), (y0, y1), axes.get_yscale() == "log", inches)
-
-
 class PaintedPanel(Artist):
     """What ``content`` draws on the panel that ``axes`` are, laid out anew with every drawing: one may zoom and resize.
 
@@ -197,9 +187,14 @@ class PaintedPanel(Artist):
 
     def drawing(self, magnification: float = 1.0) -> Drawing:
         """What is drawn for the limits and the size that the axes now have; maps finer by the ``magnification``."""
-        panel = panel_of(self.axes, magnification)
-        self._content(panel)
-        return panel.drawing
+        axes: Any = self.axes
+        dpi, log_y = axes.get_figure().dpi, axes.get_yscale() == "log"
+        left, bottom, width, height = (float(edge) / dpi for edge in axes.bbox.bounds)
+        drawing = Drawing(left + width, bottom + height, dpi=dpi * magnification)
+        (x0, x1), (y0, y1) = (sorted(map(float, ends)) for ends in (axes.get_xlim(), axes.get_ylim()))
+        inches = axes.transData + Affine2D().scale(1 / dpi)
+        self._content(AxesPanel(drawing, (left, bottom, width, height), (x0, x1), (y0, y1), log_y, inches))
+        return drawing
 
     def draw(self, renderer: Any) -> None:
         """Draw it with ``renderer``."""

@@ -16,8 +16,7 @@ from crankorder.findings import Findings, ModeFinding
 from crankorder.plot.axes import (
     ORDER,
     axes_for,
-    channel_number,
-    dataset_of,
+    channel_of,
     dress,
     keys_below,
     painted,
@@ -346,8 +345,7 @@ def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | 
     >>> axes.get_yscale(), axes.get_title(loc="right")
     ('log', '1500 rpm')
     """
-    dataset = dataset_of(campbell_map, "campbell_map", "spectra")
-    number = channel_number(dataset, channel, "spectra")
+    dataset, number = channel_of(campbell_map, "campbell_map", "spectra", channel)
     frequency, lines = np.asarray(dataset["frequency"].values, dtype=float), _by_speed(dataset, number)
     axes = axes_for(ax, "spectra", height_in=4.4)
     label = f"{quantity_text(dataset, number)}, {unit_of(dataset, number)}".removesuffix(", ")
