@@ -41,8 +41,7 @@ drawn = importlib.util.module_from_spec(spec)
 sys.modules["drawn"] = drawn
 spec.loader.exec_module(drawn)
 from crankorder.findings import Findings
-from crankorder.report.netcdf import results_bytes
-from crankorder.report.netcdf import findings_datasets
+from crankorder.report.netcdf import findings_datasets, results_bytes
 test = drawn.drawn_test(np.arange(300.0, 2001.0, 50.0))
 groups = {"order_map": test.order_map, "campbell_map": test.campbell, "order_tracks": test.tracks}
 findings = findings_datasets(Findings.from_dict(test.findings))

@@ -18,7 +18,7 @@ from crankorder.plot.cells import gaps_before, speed_cells
 from crankorder.plot.drawing import Box, Drawing, Panel, Words
 from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
 from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
-from crankorder.plot.reading import nominal_order, order_texts
+from crankorder.plot.reading import names_of_orders, nominal_order
 from crankorder.plot.spectra_figure import label_column
 from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import ReportSettings
@@ -131,7 +131,7 @@ def shown_tracks(tracks: xr.Dataset, *, limit: int, among: Sequence[int] | None 
     return ShownTracks(
         tracks["speed"].values[at], tracks["order"].values[kept], np.argsort(np.searchsorted(kept, ranked)),
         amplitude, low, high, np.isfinite(values["amplitude"])[:, kept],
-        order_texts([nominal_order(order) for order in tracks["order"].values[kept].tolist()]), phase,
+        names_of_orders(tracks["order"].values[kept].tolist()), phase,
         [str(unit) for unit in tracks["unit"].values], str(tracks.attrs.get("phase_reference", "none")),
     )  # fmt: skip
 

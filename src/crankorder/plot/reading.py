@@ -81,6 +81,13 @@ def order_texts(orders: Sequence[float]) -> list[str]:
     return [texts[order] for order in orders]
 
 
+def names_of_orders(orders: Sequence[float]) -> list[str]:
+    """Texts of measured ``orders`` by what they are called; by their own numbers where two are called alike."""
+    called = [nominal_order(order) for order in orders]
+    own = [order if called.count(name) > 1 else name for order, name in zip(orders, called, strict=True)]
+    return order_texts(own)
+
+
 def nominal_order(record: Any) -> float:
     """Order by which the line of a ``record`` of the findings, or a measured order, is called: see called_order."""
     order = float(getattr(record, "order", record))

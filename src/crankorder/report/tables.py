@@ -227,8 +227,8 @@ def _mode_row(mode: ModeFinding, remark: str, limit: int) -> list[str]:
 
 def _shaken(mode: ModeFinding, findings: Findings) -> float:
     """Largest amplification of an order that excites ``mode`` in the tested range; 0 where none does."""
-    own = (one for one in findings.crossings if abs(one.mode_hz - mode.frequency_hz) <= 1e-3 * mode.frequency_hz)
-    return max((one.amplification or 1.0 for one in own if one.excited and one.in_range), default=0.0)
+    own = (met for met in findings.crossings if abs(met.mode_hz - mode.frequency_hz) <= 1e-3 * mode.frequency_hz)
+    return max((met.amplification or 1.0 for met in own if met.excited and met.in_range), default=0.0)
 
 
 def _undecided(findings: Findings, limit: int) -> Table:

@@ -403,10 +403,16 @@ def _together(parts: Sequence[_Part]) -> _Part:
     """Channels of one block, which share the slip, the turns of the force and the poles."""
     from scipy.linalg import block_diag
 
-    stacked = ("left", "seen", "slip", "shared", "own_prior_left")
-    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in stacked}
-    joined |= {name: block_diag(*(getattr(part, name) for part in parts)) for name in ("own", "own_prior")}
-    return replace(parts[0], **joined)
+    return replace(
+        parts[0],
+        left=np.concatenate([part.left for part in parts]),
+        seen=np.concatenate([part.seen for part in parts]),
+        slip=np.concatenate([part.slip for part in parts]),
+        shared=np.concatenate([part.shared for part in parts]),
+        own=block_diag(*(part.own for part in parts)),
+        own_prior=block_diag(*(part.own_prior for part in parts)),
+        own_prior_left=np.concatenate([part.own_prior_left for part in parts]),
+    )
 
 
 def _parts(values: Complexes) -> Floats:

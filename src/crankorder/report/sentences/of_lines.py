@@ -183,7 +183,9 @@ def strongest_sentence(findings: Findings, channel: str, *, with_cause: bool = F
     elif "unresolved" in order.doubts:
         text = f"What is strongest in {where} was not resolved: near order {name}, {level_text(findings, order)}"
         text += at_speed(order.speed_rpm_at_max)
-        resolved = _strongest_order((one for one in findings.orders if "unresolved" not in one.doubts), channel)
+        resolved = _strongest_order(
+            (record for record in findings.orders if "unresolved" not in record.doubts), channel
+        )
         if resolved is not None:
             text += f"; of the orders that are told {order_name(resolved, findings)} is the strongest: "
             text += level_text(findings, resolved)

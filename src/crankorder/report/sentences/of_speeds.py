@@ -41,7 +41,7 @@ def avoid_sentences(findings: Findings) -> list[str]:
     for record in findings.speeds_to_avoid or ():
         ends = known(record.rpm_range)
         span = f" ({ends[0]:.0f} to {ends[1]:.0f} rpm)" if ends is not None else ""
-        meetings = dict.fromkeys(zip(map(nominal_order, record.orders), record.modes_hz, strict=True))
+        meetings = dict.fromkeys(zip(map(nominal_order, record.orders), record.modes_hz, strict=False))
         pairs = [_excites(order, mode_hz, findings) for order, mode_hz in meetings]
         text = f"Avoid steady running near {record.rpm:.0f} rpm{span}, where {listed(pairs[:_PAIRS])}"
         text += f", and {len(pairs) - _PAIRS} more meet" if len(pairs) > _PAIRS else ""
