@@ -208,15 +208,9 @@ def run(
         raise click.UsageError("--shard keeps what recordings give, --reduce makes the results of it: not both at once")
 
     planned = plan_tests(
-        list(folders),
-        out,
-        manifest=manifest,
-        recipe=recipe,
-        tolerance=tol,
-        max_memory_mb=max_memory_mb,
-        name=name,
+        list(folders), out, manifest=manifest, recipe=recipe, tolerance=tol, max_memory_mb=max_memory_mb, name=name,
         report=report,
-    )
+    )  # fmt: skip
     plans = planned.tests if shard is None else [Shard.parse(shard).of(plan) for plan in planned.tests]
     for fault in planned.refused:
         click.echo(f"crankorder: not analysed: {fault}", err=True)

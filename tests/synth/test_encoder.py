@@ -16,7 +16,6 @@ from crankorder.shaft.wheel import NumberedTeeth, number_teeth
 from crankorder.synth.encoder import (
     EncoderSignals,
     Pulses,
-    Record,
     encoder_signals,
     encoder_turn,
     index_wheel,
@@ -230,7 +229,7 @@ def found(made: EncoderSignals, encoder: Encoder) -> dict[str, str]:
     return {flag: detail for flag, _, detail in numbered(made, encoder).flags}
 
 
-def only_record(made: EncoderSignals, flag: str) -> Record:
+def only_record(made: EncoderSignals, flag: str) -> dict:
     (record,) = made.records
     assert (record["recording"], record["flag"], record["severity"]) == ("made", flag, "suspect")
     return record
