@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from crankorder.batch.plan import Outcome, RunOptions
     from crankorder.batch.reporting import ReportingProcess
 
+ReportOptions = Mapping[str, object]
 FOLDER = click.Path(path_type=Path)
 DEMO_SCENE = "thesis-second-motoring"
 MAX_SPEED_RPM = 1e6  # beyond any crankshaft; a typing error, not an engine
@@ -193,7 +194,7 @@ def run(
     as_json: bool,
     quiet: bool,
     verbose: bool,
-    report: Mapping[str, object],
+    report: ReportOptions,
 ) -> None:
     """Analyse test-run folders.
 
@@ -451,7 +452,7 @@ def clean(out: Path) -> None:
 @main.command()
 @click.argument("results", nargs=-1, required=True, type=FOLDER, metavar="RESULT...")
 @_picture_options
-def report(results: tuple[Path, ...], report: Mapping[str, object]) -> None:
+def report(results: tuple[Path, ...], report: ReportOptions) -> None:
     """Redraw pictures and page from results (folders that `run` made, or their results.nc)."""
     from crankorder.batch.publish import redraw
 
@@ -464,13 +465,9 @@ def report(results: tuple[Path, ...], report: Mapping[str, object]) -> None:
 @click.argument("new", nargs=-1, required=True, type=FOLDER, metavar="NEW...")
 @click.option("--out", required=True, type=FOLDER, help="Folder for comparison.json, page, pictures and comparison.nc.")
 @click.option(
-    "--fdr",
-    "q",
-    type=click.FloatRange(0, 0.5, min_open=True),
-    default=0.05,
-    show_default=True,
+    "--fdr", "q", type=click.FloatRange(0, 0.5, min_open=True), default=0.05, show_default=True,
     help="False-discovery rate: the share of the claimed changes that may be chance.",
-)
+)  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout.")
 @click.option("-q", "--quiet", is_flag=True, help="Only faults.")
 @_picture_options
@@ -481,7 +478,7 @@ def compare(
     q: float,
     as_json: bool,
     quiet: bool,
-    report: Mapping[str, object],
+    report: ReportOptions,
 ) -> None:
     """Compare results: two builds, or one build over time (NEW... in time order; the last is compared with BASE)."""
     from crankorder.batch.compare import compare_results, document_text, publish_comparison
@@ -537,12 +534,7 @@ def export(result: Path, to: str, binary: bool, out: Path) -> None:
 )
 @_picture_options
 def balance(
-    engine: str,
-    as_json: bool,
-    out: Path | None,
-    speeds: tuple[float, ...],
-    max_order: int,
-    report: Mapping[str, object],
+    engine: str, as_json: bool, out: Path | None, speeds: tuple[float, ...], max_order: int, report: ReportOptions
 ) -> None:
     """Predict forces by order, balance strategies, shafts and residuals of ENGINE, a shipped name or a TOML file."""
     from crankorder.batch.balance import balance_of, document_text, publish_balance, table_text
