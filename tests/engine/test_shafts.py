@@ -244,7 +244,7 @@ def test_shafts_that_are_all_late_leave_their_chord() -> None:
 def test_a_shaft_against_a_couple_that_is_late_leaves_the_chord_of_its_couple(late_deg: float) -> None:
     engine = load_engine("inline-3")
     places = [one.position_m for one in engine.cylinders]
-    balanced = designs(engine, orders=(1,), planes_m=(min(places), max(places)), max_order=1)[-1].on(engine)
+    balanced = designs(engine, orders=(1,), planes_m=(min(places), max(places)))[-1].on(engine)
     (shaft,) = balanced.shafts.single
     arm = sum(
         1e3 * one.position_m * one.unbalance_g_mm * np.exp(1j * math.radians(one.angle_deg)) for one in shaft.weights
@@ -259,7 +259,7 @@ def test_a_shaft_against_a_couple_that_is_late_leaves_the_chord_of_its_couple(la
 @pytest.mark.slow
 def test_a_series_without_errors_leaves_what_the_engine_leaves() -> None:
     engine = load_engine("v8-cross")
-    balanced = designs(engine, orders=(1,), planes_m=(-0.2, 0.2), max_order=1)[-1].on(engine)
+    balanced = designs(engine, orders=(1,), planes_m=(-0.2, 0.2))[-1].on(engine)
     table = series_residuals(balanced, BalanceTolerances(samples=100), max_order=4)
     assert table.couple_g_mm2["1"]["97.5 %"] < 1e-12 * 1.6e7
     spread = table.force_g_mm["4"]

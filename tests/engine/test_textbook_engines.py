@@ -200,7 +200,7 @@ def test_a_design_cancels_force_and_couple_of_orders_1_and_2(name: str) -> None:
     model = engine(ENGINES[name][0], rotating_unbalance_kg_m=0.004, rotating_unbalance_deg=15.0)
     places = [cylinder.position_m for cylinder in model.cylinders]
     planes = (min(places), max(places))
-    made = designs(model, orders=(1, 2), planes_m=planes, max_order=2)
+    made = designs(model, orders=(1, 2), planes_m=planes)
     if name in ("inline-6", "v12, 60°", "boxer-6"):
         assert made == ()
         return
@@ -218,7 +218,7 @@ def test_a_design_cancels_force_and_couple_of_orders_1_and_2(name: str) -> None:
 def test_a_design_takes_any_order_asked_for(order: int) -> None:
     model = engine(ENGINES["v-twin, 60°"][0], offset_m=0.012)
     planes = (-0.05, 0.08)
-    made = designs(model, orders=(order,), planes_m=planes, max_order=order)
+    made = designs(model, orders=(order,), planes_m=planes)
     left = made[-1].on(model)
     forces, moments = summed(left)
     before = np.abs(summed(model)[0][:, order]).max()
@@ -264,9 +264,9 @@ def test_counterweights_of_half_the_pistons_balance_what_turns_with_the_crank(na
 @pytest.mark.parametrize("name", ["inline-4, flat", "inline-2, 180°", "inline-1"])
 def test_shafts_at_different_heights_take_the_second_order_roll_moment_too(name: str) -> None:
     model = engine(ENGINES[name][0])
-    height = roll_height_m(model, 2)
+    height = roll_height_m(model)
     assert height is not None
-    shafts = designs(model, orders=(2,), planes_m=(-0.1, 0.1), max_order=2)[-1].shafts
+    shafts = designs(model, orders=(2,), planes_m=(-0.1, 0.1))[-1].shafts
     placed = [
         SingleShaft(speed_ratio=one.speed_ratio, weights=one.weights, z_m=height / 2 * np.sign(one.speed_ratio))
         for one in shafts

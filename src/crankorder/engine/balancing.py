@@ -276,13 +276,11 @@ def rod_counterweight_couple(
 ) -> NDArray[np.float64]:
     """Couple over ω² on the frame (g·mm²) that a counterweight on the rod leaves where all forces cancel.
 
-    ``masses``: lengths (an offset is not treated: RequestError). ``added``, ``places``: counterweights and radii.
+    ``masses``: lengths (an offset is not treated). ``added``, ``places``: counterweights and radii.
     ``crank_angle_rev``: revolutions, any shape; the result has that shape, positive in the sense of the crank. What
     the rod's true moment of inertia adds is not in it. Source: angular momentum of a point beyond the crank pin
     (truth sheet 0).
     """
-    if masses.mechanism.offset_m:
-        raise RequestError("the couple of a rod counterweight is known without offset only", place="offset_m")
     angle = 2 * np.pi * np.asarray(crank_angle_rev, dtype=np.float64)
     radius, length, ratio = masses.crank_radius_mm, masses.rod_length_mm, masses.mechanism.crank_ratio
     beyond = places.rod_mm or 0.0

@@ -11,7 +11,7 @@ import numpy as np
 
 from crankorder.engine.balance_data import Amounts, speed_key
 from crankorder.engine.definition import Engine
-from crankorder.engine.forces import CylinderLoads, cylinder_loads, gas_on_piston, inertia_torque, main_bearing_loads
+from crankorder.engine.forces import CylinderLoads, cylinder_loads, inertia_torque, main_bearing_loads
 from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
 from crankorder.engine.shaft_design import listed
 from crankorder.engine.slider_crank import last_order_above_round_off
@@ -25,7 +25,7 @@ MOST_TORQUE_ORDERS = 200
 """Of the masses' torque in a curve; a rod that needs more is hardly longer than its crank."""
 EVEN_DEG = 1e-6
 """Firing intervals that differ by less are even."""
-TOLD_SHARE = 1e-9
+SHOWN_SHARE = 1e-9
 """An order of torque below this share of the largest is left out."""
 
 
@@ -61,12 +61,9 @@ def cycle_curves(engine: Engine, speeds: Sequence[float]) -> list[CycleCurves]:
         for single, cylinder in zip(engine.each, engine.cylinders, strict=True):
             gas += gas_torque(single, angles - firing_angle_deg(engine, cylinder) / 360)
     numbers = range(len(engine.cylinders)) if _has_loads(engine) else range(0)
-    on_pistons = [gas_on_piston(engine, angles, cylinder=number) for number in numbers]  # at any speed
 
     def at(speed_rpm: float) -> CycleCurves:
-        loads = tuple(
-            cylinder_loads(engine, angles, speed_rpm, cylinder=number, gas_n=on_pistons[number]) for number in numbers
-        )
+        loads = tuple(cylinder_loads(engine, angles, speed_rpm, cylinder=number) for number in numbers)
         with_places = bool(loads) and bool(engine.main_bearings_m)
         return CycleCurves(
             speed_rpm=speed_rpm,
@@ -74,14 +71,14 @@ def cycle_curves(engine: Engine, speeds: Sequence[float]) -> list[CycleCurves]:
             gas_n_m=gas,
             inertia_n_m=_inertia(engine, speed_rpm),
             loads=loads,
-            bearings_n=main_bearing_loads(engine, angles, speed_rpm, loads=loads) if with_places else None,
+            bearings_n=main_bearing_loads(engine, angles, speed_rpm, loads) if with_places else None,
         )
 
     return [at(speed) for speed in speeds]
 
 
 def _inertia(engine: Engine, speed_rpm: float) -> Floats:
-    top = min(max(last_order_above_round_off(one.mechanism) for one in engine.each), MOST_TORQUE_ORDERS)
+    top = min(max(last_order_above_round_off(single.mechanism) for single in engine.each), MOST_TORQUE_ORDERS)
     by_order = inertia_torque(engine, top) * (speed_rpm * math.pi / 30) ** 2
     return np.tile(over_a_cycle(by_order, ANGLES_PER_REV), engine.revs_per_cycle)
 
@@ -235,7 +232,7 @@ def _gas(engine: Engine, orders: Floats, torque: Complex) -> GasTorque:
 
 
 def _lines(sizes: Floats, orders: Floats) -> list[tuple[str, int]]:
-    least = TOLD_SHARE * max(float(sizes[1:].max(initial=0.0)), 0.0)
+    least = SHOWN_SHARE * max(float(sizes[1:].max(initial=0.0)), 0.0)
     return [(f"{order:g}", n) for n, order in enumerate(orders) if n and sizes[n] > least]
 
 
@@ -253,7 +250,7 @@ def _turning(engine: Engine, curves: CycleCurves, gas: Complex, masses: Floats) 
     for n in range(1, (masses.size - 1) * cycle + 1):
         of_gas = float(abs(gas[n])) if gas.size else 0.0
         of_masses = float(inertia[n // cycle]) if n % cycle == 0 else 0.0
-        if max(of_gas, of_masses) > TOLD_SHARE * largest:
+        if max(of_gas, of_masses) > SHOWN_SHARE * largest:
             by_order[f"{n / cycle:g}"] = OrderTorque(
                 gas_n_m=of_gas,
                 inertia_n_m=of_masses,

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from crankorder.engine.definition import BalanceShafts, Engine
 from crankorder.engine.gas import firing_angle_deg, gas_force
 from crankorder.engine.slider_crank import (
     Angles,
+    Complex,
     acceleration_harmonics,
     last_order_above_round_off,
     plain_piston_acceleration,
@@ -22,8 +23,6 @@ from crankorder.engine.slider_crank import (
     sine_cosine,
 )
 from crankorder.errors import RequestError
-
-Complex = NDArray[np.complex128]
 
 DIRECTIONS: tuple[Literal["X", "Y", "Z"], ...] = ("X", "Y", "Z")
 """X across, Y along the crankshaft, Z along the cylinder away from the crankshaft; the crank turns from Z to X."""
@@ -95,8 +94,10 @@ def turning_weights(engine: Engine) -> tuple[TurningWeight, ...]:
     A force is a complex peak, shape (3,): Re(force · exp(2πi order rev)). Source: m r Ω², Ω the speed of the shaft.
     """
     turning = [(1, 0.0, 0.0, weight) for weight in engine.webs]
-    turning += [(one.speed_ratio, one.x_m, one.z_m, weight) for one in engine.shafts.single for weight in one.weights]
-    made = []
+    turning += [
+        (shaft.speed_ratio, shaft.x_m, shaft.z_m, weight) for shaft in engine.shafts.single for weight in shaft.weights
+    ]
+    weights = []
     for ratio, x_m, z_m, weight in turning:
         sine, cosine = (float(part) for part in sine_cosine(weight.angle_deg / 360))
         size = 1e-6 * ratio**2 * weight.unbalance_g_mm
@@ -104,8 +105,8 @@ def turning_weights(engine: Engine) -> tuple[TurningWeight, ...]:
         along = size * complex(cosine, sine if ratio > 0 else -sine)
         across = -1j * along if ratio > 0 else 1j * along
         force = np.array([across, 0j, along])
-        made.append(TurningWeight(abs(ratio), force, x_m, weight.position_m, z_m))
-    return tuple(made)
+        weights.append(TurningWeight(abs(ratio), force, x_m, weight.position_m, z_m))
+    return tuple(weights)
 
 
 def inertia_torque(engine: Engine, max_order: int) -> Complex:
@@ -118,14 +119,11 @@ def inertia_torque(engine: Engine, max_order: int) -> Complex:
     return torque
 
 
-def _for_each(engine: Engine, made_by: Callable[[Engine, int], Complex], max_order: int) -> Complex:
-    """What ``made_by`` gives for each cylinder, shape (cylinder, max_order + 1); for those that are alike once."""
-    found: dict[tuple[float, float], Complex] = {}
-    for one in engine.each:
-        key = (one.reciprocating_mass_kg, one.offset_m)
-        if key not in found:
-            found[key] = made_by(one, max_order)
-    return np.array([found[one.reciprocating_mass_kg, one.offset_m] for one in engine.each])
+def _for_each(engine: Engine, by_order: Callable[[Engine, int], Complex], max_order: int) -> Complex:
+    """``by_order`` of each cylinder alone, shape (cylinder, max_order + 1); of cylinders that are alike once."""
+    alike = {(single.reciprocating_mass_kg, single.offset_m): single for single in engine.each}
+    harmonics = {key: by_order(single, max_order) for key, single in alike.items()}
+    return np.array([harmonics[single.reciprocating_mass_kg, single.offset_m] for single in engine.each])
 
 
 def inertia_torque_by_order(engine: Engine, max_order: int) -> Complex:
@@ -285,17 +283,6 @@ def two_masses(engine: Engine) -> TwoMasses:
     return TwoMasses(big_end_kg=rod.mass_kg - small, small_end_kg=small, missing_inertia_kg_m2=missing)
 
 
-def rod_couple(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float) -> NDArray[np.float64]:
-    """Couple (N·m) on a rod, in the crank's sense, that its true inertia needs beyond that of its two masses.
-
-    ``engine``: with ``rod``. ``crank_angle_rev``: of its own crank, any shape. ``speed_rpm``: steady. Returns the shape
-    of the angles. Source: truth sheet 2.7, (J − m a b) times the rod's angular acceleration −ψ'' ω².
-    """
-    omega = speed_rpm * np.pi / 30
-    _, _, second = rod_angle(crank_angle_rev, engine.mechanism)
-    return -two_masses(engine).missing_inertia_kg_m2 * omega**2 * second
-
-
 @dataclass(frozen=True, kw_only=True)
 class CylinderLoads:
     """Loads of one cylinder against crank angle, along its axis away from the crankshaft and across in the crank's way.
@@ -313,36 +300,31 @@ class CylinderLoads:
     torque_n_m: Angles
 
 
-def cylinder_loads(
-    engine: Engine,
-    crank_angle_rev: ArrayLike,
-    speed_rpm: float,
-    *,
-    cylinder: int = 0,
-    gas_n: NDArray[np.float64] | None = None,
-) -> CylinderLoads:
+def cylinder_loads(engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float, *, cylinder: int = 0) -> CylinderLoads:
     """Loads of one cylinder of ``engine`` at steady speed, from exact kinematics, gas and the rod's true inertia.
 
     ``crank_angle_rev``: the engine's, any shape. ``speed_rpm``: ≥ 0. ``cylinder``: its number, from 0. Friction and the
     weights are left out. Without a rod in the data its mass counts as the two ends' and the crank pin's load lacks
-    the big end's part. ``gas_n``: gas force at the angles, where it is known already: no speed changes it.
-    Raises RequestError where the gas is known by its torque only.
-    Source: Newton and Euler for piston and rod; the couple of the rod's inertia by truth sheet 2.7.
+    the big end's part. Raises RequestError where the gas is known by its torque only.
+    Source: Newton and Euler for piston and rod; the couple of the rod's inertia, (J − m a b) times its angular
+    acceleration −ψ'' ω², by truth sheet 2.7.
     """
-    where = engine.cylinders[cylinder]
+    stated = engine.cylinders[cylinder]
     angles = np.asarray(crank_angle_rev, dtype=np.float64)
-    gas = gas_on_piston(engine, angles, cylinder=cylinder) if gas_n is None else gas_n
+    fires_rev = 0.0 if engine.gas is None else firing_angle_deg(engine, stated) / 360
     engine = engine.each[cylinder]
-    own = angles + (where.crank_deg - where.bank_deg) / 360
+    gas = gas_force(engine, angles - fires_rev)
+    own = angles + (stated.crank_deg - stated.bank_deg) / 360
     omega_squared = (speed_rpm * np.pi / 30) ** 2
     sine, cosine = sine_cosine(own)
-    rod_sine, rod_cosine = rod_direction(own, engine.mechanism)
+    rod_sine, rod_cosine = rod_direction(sine, cosine, engine.mechanism)
+    _, _, rod_acceleration = rod_angle(own, engine.mechanism)
     rod = two_masses(engine)
     # of one kilogram, away from the crankshaft
     inertia = omega_squared * plain_piston_acceleration(own, engine.mechanism)
 
     through_rod = gas - engine.reciprocating_mass_kg * inertia
-    couple = rod_couple(engine, own, speed_rpm)
+    couple = -rod.missing_inertia_kg_m2 * omega_squared * rod_acceleration
     thrust = -(rod_sine * through_rod + couple / engine.rod_length_m) / rod_cosine
     radius = engine.crank_radius_m
     big_end = rod.big_end_kg * radius * omega_squared
@@ -362,32 +344,16 @@ def cylinder_loads(
     )
 
 
-def gas_on_piston(engine: Engine, crank_angle_rev: ArrayLike, *, cylinder: int) -> Angles:
-    """Gas force (N) on the piston of one cylinder, towards the crankshaft, at any speed.
-
-    ``engine``: any; without gas the force is zero. ``crank_angle_rev``: the engine's, any shape. ``cylinder``: its
-    number, from 0. Raises RequestError where the gas is known by its torque only.
-    """
-    fires_rev = 0.0 if engine.gas is None else firing_angle_deg(engine, engine.cylinders[cylinder]) / 360
-    return gas_force(engine.each[cylinder], np.asarray(crank_angle_rev, dtype=np.float64) - fires_rev)
-
-
 def main_bearing_loads(
-    engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float, *, loads: Sequence[CylinderLoads] | None = None
+    engine: Engine, crank_angle_rev: ArrayLike, speed_rpm: float, loads: Sequence[CylinderLoads]
 ) -> Angles:
     """Load (N) of the crankshaft on each main bearing, shape (bearing, 3, …), directions as in ``DIRECTIONS``.
 
     Each throw is carried by the bearings before and behind it, as a beam on two supports: a statically determinate
     crankshaft. ``engine``: with ``main_bearings_m``. ``crank_angle_rev``: the engine's, any shape. ``speed_rpm``: ≥ 0.
-    ``loads``: of each cylinder at these angles and this speed, where they are known already.
-    Raises RequestError without bearing positions.
+    ``loads``: of each cylinder at these angles and this speed.
     """
-    places = np.array(engine.main_bearings_m)
-    if places.size == 0:
-        raise RequestError("where are the main bearings?", place="main_bearings_m", remedy="Give their positions")
-    angles = np.asarray(crank_angle_rev, dtype=np.float64)
-    if loads is None:
-        loads = [cylinder_loads(engine, angles, speed_rpm, cylinder=n) for n in range(len(engine.cylinders))]
+    places, angles = np.array(engine.main_bearings_m), np.asarray(crank_angle_rev, dtype=np.float64)
     carried = np.zeros((places.size, len(DIRECTIONS), *angles.shape))
     for load, cylinder in zip(loads, engine.cylinders, strict=True):
         along, across = load.main_n
@@ -395,13 +361,12 @@ def main_bearing_loads(
         for bearing, part in _carried(places, cylinder.position_m):
             carried[bearing, X] += part * (along * lean_sine + across * lean_cosine)
             carried[bearing, Z] += part * (along * lean_cosine - across * lean_sine)
-    omega_squared = (speed_rpm * np.pi / 30) ** 2
+    sine, cosine = sine_cosine(angles)
     for weight in turning_weights(engine.model_copy(update={"shafts": BalanceShafts()})):
-        sine, cosine = sine_cosine(angles)
+        force = (speed_rpm * np.pi / 30) ** 2 * weight.force_kg_m
+        turning = np.multiply.outer(force.real, cosine) - np.multiply.outer(force.imag, sine)
         for bearing, part in _carried(places, weight.position_m):
-            for axis in (X, Z):
-                force = omega_squared * weight.force_kg_m[axis]
-                carried[bearing, axis] += part * (force.real * cosine - force.imag * sine)
+            carried[bearing] += part * turning
     return carried
 
 

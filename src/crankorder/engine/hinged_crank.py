@@ -160,15 +160,11 @@ def torque_harmonics(orders: ArrayLike, curve: CrankTorque) -> NDArray[np.comple
     Legendre polynomials, whose transforms are spherical Bessel functions; nothing is sampled, so nothing aliases.
 
     ``orders``: cycles per revolution, whole numbers ≥ 1, any shape. ``curve``: the branches. Returns the shape of the
-    orders. Raises RequestError for other orders.
+    orders.
     """
     from scipy.special import spherical_jn
 
     asked = np.asarray(orders, dtype=np.float64)
-    if not (np.isfinite(asked).all() and (asked >= 1).all() and (asked == np.rint(asked)).all()):
-        raise RequestError(
-            "a torque that repeats each revolution has whole orders only", found=orders, allowed="1, 2 …"
-        )
     total = np.zeros(asked.shape, dtype=np.complex128)
     for branch in curve.branches:
         legendre = np.polynomial.legendre.poly2leg(np.array(branch.coefficients, dtype=object))

@@ -47,20 +47,6 @@ class EngineData(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class CatalogueBearing(EngineData):
-    """A bearing of the catalogue: its geometry and published orders, in multiples of its own shaft's speed."""
-
-    title: Annotated[str, Field(min_length=1)]
-    source: Annotated[str, Field(min_length=1)]
-    rolling_elements: Annotated[int, Field(ge=1)] | None = None
-    ball_over_pitch: Annotated[float, Field(gt=0, lt=1)] | None = None
-    contact_angle_deg: Annotated[float, Field(ge=0, lt=90)] | None = None
-    bpfo: Positive | None = None
-    bpfi: Positive | None = None
-    bsf: Positive | None = None
-    ftf: Positive | None = None
-
-
 class Bearing(EngineData):
     """A rolling bearing: its shaft's speed over the crank's, and a designation, its geometry or its published orders.
 
@@ -122,6 +108,14 @@ class Bearing(EngineData):
         return value
 
 
+class CatalogueBearing(Bearing):
+    """A bearing of the catalogue: its geometry and published orders, in multiples of its own shaft's speed."""
+
+    name: str = ""
+    title: Annotated[str, Field(min_length=1)]
+    source: Annotated[str, Field(min_length=1)]
+
+
 @cache
 def bearing_catalogue() -> dict[str, CatalogueBearing]:
     """Bearings by designation, from ``pipeline/bearings.toml``; each states its source."""
@@ -158,12 +152,12 @@ def _complete(bearing: Bearing) -> dict[str, float | None]:
 
     A geometry of its own replaces the catalogue's published orders too: these belong to the other geometry.
     """
-    keys = ("rolling_elements", "ball_over_pitch", "contact_angle_deg", "bpfo", "bpfi", "bsf", "ftf")
-    own = {key: getattr(bearing, key) for key in keys}
+    geometry, published = ("rolling_elements", "ball_over_pitch", "contact_angle_deg"), ("bpfo", "bpfi", "bsf", "ftf")
+    own = {key: getattr(bearing, key) for key in (*geometry, *published)}
     if bearing.designation is None:
         return own
+    filled = geometry if any(own[key] is not None for key in geometry) else own
     listed = bearing_catalogue()[bearing.designation]
-    filled = keys if all(own[key] is None for key in keys[:3]) else keys[:3]
     return own | {key: getattr(listed, key) for key in filled if own[key] is None}
 
 
@@ -237,27 +231,22 @@ def motor_lines(motor: Motor) -> tuple[MotorLine, ...]:
     an uneven gap make the bar pass, which the field's force modulates with twice mains. Without a supply frequency only
     what goes with the shaft is there.
     """
-    ratio, made = motor.shaft_ratio, []
-    if motor.supply_hz is not None:
-        made += [MotorLine("mains", 1, 0.0), MotorLine(TWICE_MAINS, 2, 0.0)]
-    if motor.supply_hz is not None and motor.poles is not None:
-        turns = motor.poles * ratio
-        for name, mains, own in ((SHAFT, 0, ratio), (TWICE_MAINS, 2, 0.0)):
-            made += [
-                MotorLine(f"pole-pass sideband of {name}", mains - 2, own + turns, name, "below"),
-                MotorLine(f"pole-pass sideband of {name}", mains + 2, own - turns, name, "above"),
-            ]
+    ratio, with_supply = motor.shaft_ratio, motor.supply_hz is not None
+    lines = [MotorLine("mains", 1, 0.0), MotorLine(TWICE_MAINS, 2, 0.0)] if with_supply else []
+
+    def add_sidebands(text: str, of: str, mains: int, turns: float, *, apart: float) -> None:
+        lines.append(MotorLine(text, mains - 2, turns + apart, of, "below"))
+        lines.append(MotorLine(text, mains + 2, turns - apart, of, "above"))
+
+    if with_supply and motor.poles is not None:
+        for name, mains, turns in ((SHAFT, 0, ratio), (TWICE_MAINS, 2, 0.0)):
+            add_sidebands(f"pole-pass sideband of {name}", name, mains, turns, apart=motor.poles * ratio)
     for name, count in ((BAR_PASS, motor.rotor_bars), (SLOT_PASS, motor.stator_slots)):
-        if count is None:
-            continue
-        made.append(MotorLine(name, 0, count * ratio))
-        if motor.supply_hz is not None:
-            text = f"sideband of {name} at twice mains"
-            made += [
-                MotorLine(text, -2, count * ratio, name, "below"),
-                MotorLine(text, 2, count * ratio, name, "above"),
-            ]
-    return tuple(made)
+        if count is not None:
+            lines.append(MotorLine(name, 0, count * ratio))
+            if with_supply:
+                add_sidebands(f"sideband of {name} at twice mains", name, 0, count * ratio, apart=0.0)
+    return tuple(lines)
 
 
 class PathMode(EngineData):

@@ -67,18 +67,16 @@ def order_motions(engine: Engine, max_order: int) -> tuple[OrderMotion, ...]:
     force = crankcase_forces(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e6
     moment = crankcase_moments(engine, ONE_RADIAN_PER_S_RPM, max_order=max_order) * 1e9
     terms, reaches = _terms_g_mm(engine, max_order), reach_g_mm2(engine, max_order)
-    found = []
-    for k in range(1, max_order + 1):
-        along, across = (_clean(complex(force[axis, k]), terms[k]) for axis in (Z, X))
-        about_x, about_z = (_clean(complex(moment[axis, k]), reaches[k]) for axis in (X, Z))
-        force_k, couple_k = _split(k, along, across, terms[k]), _split(k, about_x, -about_z, reaches[k])
-        found.append(OrderMotion(force=force_k, couple=couple_k))
-    return tuple(found)
+    return tuple(
+        OrderMotion(
+            force=_split(k, complex(force[Z, k]), complex(force[X, k]), terms[k]),
+            couple=_split(k, complex(moment[X, k]), -complex(moment[Z, k]), reaches[k]),
+        )
+        for k in range(1, max_order + 1)
+    )
 
 
-def designs(
-    engine: Engine, *, orders: Sequence[int], planes_m: tuple[float, float], max_order: int
-) -> tuple[Design, ...]:
+def designs(engine: Engine, *, orders: Sequence[int], planes_m: tuple[float, float]) -> tuple[Design, ...]:
     """Designs for ``engine`` as it is without its shafts, each one beyond the one before.
 
     First, "webs": counterweights on the crank in the two planes, for all of order 1 that turns with the crank. Then for
@@ -86,20 +84,19 @@ def designs(
     with weights in the two planes for force and couple. A design that has nothing to add is left out.
 
     ``orders``: ascending, ≥ 1. ``planes_m``: two places along the crankshaft; where they are one, a couple stays.
-    ``max_order``: ≥ every order.
     Source: two-plane balancing of each rotating vector: w₁ + w₂ = −F/n², y₁w₁ + y₂w₂ = −C/n².
     """
-    motions = order_motions(engine.model_copy(update={"shafts": BalanceShafts()}), max_order)
+    motions = order_motions(engine.model_copy(update={"shafts": BalanceShafts()}), max([1, *orders]))
     webs = _weights(motions[0], 1, planes_m)
-    made = [Design(name="webs", webs=webs, shafts=())] if webs else []
+    chosen = [Design(name="webs", webs=webs, shafts=())] if webs else []
     shafts: tuple[SingleShaft, ...] = ()
     for k in orders:
         senses = (-1,) if k == 1 else (1, -1)
         added = [(sense * k, _weights(motions[k - 1], sense, planes_m)) for sense in senses]
         shafts += tuple(SingleShaft(speed_ratio=ratio, weights=weights) for ratio, weights in added if weights)
         if any(weights for _, weights in added):
-            made.append(Design(name=f"order {k}", webs=webs, shafts=shafts))
-    return tuple(made)
+            chosen.append(Design(name=f"order {k}", webs=webs, shafts=shafts))
+    return tuple(chosen)
 
 
 def throw_counterweights(engine: Engine) -> tuple[Weight, ...]:
@@ -109,18 +106,17 @@ def throw_counterweights(engine: Engine) -> tuple[Weight, ...]:
     that balance a cross-plane V8 wholly. ``engine``: webs are left as they are.
     Source: a force along a line is two that turn, each of half its size (Den Hartog 1956, section 5.3).
     """
-    made = []
-    for one in engine.each:
-        where = one.cylinders[0]
-        turn = np.exp(1j * np.radians(where.crank_deg))
-        first = complex(acceleration_harmonics(one.mechanism, 1)[1])
-        half = 0.5 * one.reciprocating_mass_kg * one.crank_radius_m * first
-        rest = one.rotating_unbalance_kg_m * np.exp(1j * np.radians(one.rotating_unbalance_deg))
+    counterweights = []
+    for single, cylinder in zip(engine.each, engine.cylinders, strict=True):
+        turn = np.exp(1j * np.radians(cylinder.crank_deg))
+        first = complex(acceleration_harmonics(single.mechanism, 1)[1])
+        half = 0.5 * single.reciprocating_mass_kg * single.crank_radius_m * first
+        rest = single.rotating_unbalance_kg_m * np.exp(1j * np.radians(single.rotating_unbalance_deg))
         left = half + rest
         if abs(left) <= CANCELLED * abs(half):  # its own counterweight takes it already
             left = 0j
-        made.append(_weight(complex(-1e6 * turn * left), where.position_m))
-    return tuple(made)
+        counterweights.append(_weight(complex(-1e6 * turn * left), cylinder.position_m))
+    return tuple(counterweights)
 
 
 def primary_shares(engine: Engine) -> PrimaryShares:
@@ -138,18 +134,18 @@ def primary_shares(engine: Engine) -> PrimaryShares:
     return PrimaryShares(force=share(first.force), couple=share(first.couple))
 
 
-def roll_height_m(engine: Engine, order: int) -> float | None:
-    """How much higher the shaft that turns with the crank must sit to take the inertia's roll moment of ``order`` too.
+def roll_height_m(engine: Engine) -> float | None:
+    """How much higher the second-order shaft with the crank must sit to take the masses' second-order roll moment too.
 
-    For a pair that cancels the force of ``order`` along Z: its two weights pull apart across the engine, and on a lever
+    For a pair that cancels the force of order 2 along Z: its two weights pull apart across the engine, and on a lever
     between them make a moment about the crankshaft. None where that moment and theirs are not in step.
     ``engine``: its shafts are left out. Source: H. Nakamura (1976), SAE 760111.
     """
     bare = engine.model_copy(update={"shafts": BalanceShafts()})
-    motion = order_motions(bare, max(order, 1))[order - 1]
+    motion = order_motions(bare, 2)[1]
     if not motion.force.direct_g_mm or motion.force.rotation != "line":
         return None
-    roll = complex(crankcase_moments(bare, ONE_RADIAN_PER_S_RPM, max_order=order)[1, order]) * 1e9
+    roll = complex(crankcase_moments(bare, ONE_RADIAN_PER_S_RPM, max_order=2)[1, 2]) * 1e9
     # the direct shaft pulls −direct·exp(ikφ), whose part across is −(−i·direct); a lever z makes z·across about Y
     across = 1j * motion.force.direct_g_mm
     height = -roll / across
@@ -178,23 +174,22 @@ def _weight(unbalance: complex, position_m: float) -> Weight:
 
 
 def _split(order: int, along: complex, across: complex, size: float) -> OrderForce:
-    split = OrderForce.of_axes(order=order, x_g_mm=along, y_g_mm=across)
-    return OrderForce(
-        order=order, direct_g_mm=_clean(split.direct_g_mm, size), reverse_g_mm=_clean(split.reverse_g_mm, size)
-    )
+    """Parts of one order that turn with the crank and against it, without what is round-off of terms of ``size``."""
 
+    def clean(amplitude: complex) -> complex:
+        return amplitude if abs(amplitude) > NOTHING * size else 0j
 
-def _clean(value: complex, size: float) -> complex:
-    return value if abs(value) > NOTHING * size else 0j
+    split = OrderForce.of_axes(order=order, x_g_mm=clean(along), y_g_mm=clean(across))
+    return OrderForce(order=order, direct_g_mm=clean(split.direct_g_mm), reverse_g_mm=clean(split.reverse_g_mm))
 
 
 def _terms_g_mm(engine: Engine, max_order: int) -> NDArray[np.float64]:
     """Size of what is summed at each order 0 … ``max_order``: every piston, throw, web and shaft by itself."""
     terms = np.zeros(max_order + 1)
-    for one in engine.each:
-        harmonics = np.abs(acceleration_harmonics(one.mechanism, max_order))
-        terms += 1e6 * (one.reciprocating_mass_kg * one.crank_radius_m * harmonics)
-        terms[1] += 1e6 * one.rotating_unbalance_kg_m
+    for single in engine.each:
+        harmonics = np.abs(acceleration_harmonics(single.mechanism, max_order))
+        terms += 1e6 * (single.reciprocating_mass_kg * single.crank_radius_m * harmonics)
+        terms[1] += 1e6 * single.rotating_unbalance_kg_m
     terms[1] += sum(weight.unbalance_g_mm for weight in engine.webs)
     for shaft in engine.shafts.single:
         if abs(shaft.speed_ratio) <= max_order:
@@ -260,8 +255,8 @@ def whole_moments(
 
 def degrees_of(amplitude: complex) -> float:
     """Phase of ``amplitude`` in degrees, above −180 and up to 180."""
-    found = math.degrees(cmath.phase(amplitude))
-    return 180.0 if found == -180.0 else found + 0.0
+    phase_deg = math.degrees(cmath.phase(amplitude))
+    return 180.0 if phase_deg == -180.0 else phase_deg + 0.0
 
 
 class Residual(Record):
@@ -314,7 +309,7 @@ def design_balance(subject: BalancedEngine, max_order: int) -> DesignBalance:
 
     ``max_order``: highest order of what is left.
     """
-    engine, height = subject.engine, roll_height_m(subject.engine, 2)
+    engine, height = subject.engine, roll_height_m(subject.engine)
 
     def layout(design: Design) -> DesignLayout:
         left = design.on(engine)
@@ -336,8 +331,7 @@ def design_balance(subject: BalancedEngine, max_order: int) -> DesignBalance:
 
 def designs_for(subject: BalancedEngine) -> tuple[Design, ...]:
     """Crank webs and shafts for the orders and planes that the engine file of ``subject`` asks for."""
-    orders = sorted(set(subject.balance.design_orders))
-    return designs(subject.engine, orders=orders, planes_m=_planes_m(subject), max_order=max([1, *orders]))
+    return designs(subject.engine, orders=sorted(set(subject.balance.design_orders)), planes_m=_planes_m(subject))
 
 
 def tolerance_of(subject: BalancedEngine, max_order: int) -> SeriesResiduals | None:

@@ -110,11 +110,9 @@ def shaft_layout(masses: ReducedMasses, possibility: Possibility, *, max_order: 
 
     ``masses``: engine before balancing. ``possibility``: "1" a pair at crank speed, "2" a pair at twice crank speed,
     "3" both (on strategy b); "4" one shaft against the crank, "4+2" with the second pair (on strategy c).
-    ``max_order``: highest order of the residual, ≥ 2. Raises RequestError below.
+    ``max_order``: highest order of the residual, ≥ 2.
     Source: Task 5, equations (5.27) to (5.29).
     """
-    if max_order < 2:
-        raise RequestError("too few orders", found=max_order, allowed="≥ 2")
     strategy = BASIS[possibility]
     left = force_by_order(balanced(masses, strategy), max_order=max_order)
     by_order = {force.order: force for force in left}

@@ -113,7 +113,7 @@ def piston_drop(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> Angles:
     Source: truth sheet section 0, with the offset carried through.
     """
     sine, cosine = sine_cosine(crank_angle_rev)
-    _, rod_cosine = _rod_direction(sine, cosine, mechanism)
+    _, rod_cosine = rod_direction(sine, cosine, mechanism)
     rod_cosine_top = np.sqrt((1 - mechanism.offset_ratio) * (1 + mechanism.offset_ratio))
     lean = mechanism.crank_ratio * sine - 2 * mechanism.offset_ratio
     versine = np.where(cosine > 0, sine**2 / (1 + np.abs(cosine)), 1 - cosine)
@@ -130,7 +130,7 @@ def piston_velocity(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> Angle
     """
     ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio
     sine, cosine = sine_cosine(crank_angle_rev)
-    rod_sine, rod_cosine = _rod_direction(sine, cosine, mechanism)
+    rod_sine, rod_cosine = rod_direction(sine, cosine, mechanism)
     flat, lean, size = _flat_rod(sine, mechanism)
     # cos² ψ - λ² cos² φ = 1 - (λ - e)² - 2 λ e (1 - |sin φ|), e the offset counted towards the side of the crank
     rest = flat - 2 * ratio * lean * cosine**2 / (1 + size)
@@ -161,7 +161,7 @@ def plain_piston_acceleration(crank_angle_rev: ArrayLike, mechanism: SliderCrank
     ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Returns the shape of the angles.
     """
     sine, cosine = sine_cosine(crank_angle_rev)
-    rod_sine, rod_cosine = _rod_direction(sine, cosine, mechanism)
+    rod_sine, rod_cosine = rod_direction(sine, cosine, mechanism)
     swing = (mechanism.crank_ratio * cosine**2 - sine * rod_sine * rod_cosine**2) / rod_cosine**3
     return mechanism.crank_radius_m * (cosine + swing)
 
@@ -189,24 +189,19 @@ def rod_angle(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> tuple[Angle
     """
     ratio = mechanism.crank_ratio
     sine, cosine = sine_cosine(crank_angle_rev)
-    rod_sine, rod_cosine = _rod_direction(sine, cosine, mechanism)
+    rod_sine, rod_cosine = rod_direction(sine, cosine, mechanism)
     flat, lean, size = _flat_rod(sine, mechanism)
     short = cosine**2 / (1 + size)
     second = -ratio * np.where(sine < 0, -1.0, 1.0) * (size * flat + ratio * lean * short**2) / rod_cosine**3
     return np.arctan2(rod_sine, rod_cosine), ratio * cosine / rod_cosine, second
 
 
-def rod_direction(crank_angle_rev: ArrayLike, mechanism: SliderCrank) -> tuple[Angles, Angles]:
+def rod_direction(sine: Angles, cosine: Angles, mechanism: SliderCrank) -> tuple[Angles, Angles]:
     """Sine and cosine of the rod angle from the cylinder axis, exact to their own size where the rod lies flat.
 
-    ``crank_angle_rev``: revolutions, any shape. ``mechanism``: lengths in metres. Each result has the shape of the
-    angles; the cosine is above zero. Source: sin ψ = λ sin φ − ε; the cosine by the factors of 1 − sin²ψ.
+    ``sine``, ``cosine``: of the crank angle, any shape. ``mechanism``: lengths in metres. Each result has that shape;
+    the cosine is above zero. Source: sin ψ = λ sin φ − ε; the cosine by the factors of 1 − sin²ψ.
     """
-    return _rod_direction(*sine_cosine(crank_angle_rev), mechanism)
-
-
-def _rod_direction(sine: Angles, cosine: Angles, mechanism: SliderCrank) -> tuple[Angles, Angles]:
-    """Sine and cosine of the rod angle; 1 ∓ λ sin φ is rewritten to keep its digits where the rod lies flat."""
     ratio, offset = mechanism.crank_ratio, mechanism.offset_ratio
     side = np.where(sine < 0, -1.0, 1.0)
     rod_sine = ratio * sine - offset
@@ -392,13 +387,9 @@ def _fourier(motion: Callable[[Complex, Complex, SliderCrank], Complex], mechani
 def _inverse_rod_cosines(sine: Complex, mechanism: SliderCrank) -> tuple[Complex, Complex]:
     """1 / cos ψ with the offset as it is and on the other side."""
     across, offset = mechanism.crank_ratio * sine, mechanism.offset_ratio
-    return _inverse_rod_cosine(across - offset), _inverse_rod_cosine(across + offset)
-
-
-def _inverse_rod_cosine(rod_sine: Complex) -> Complex:
     # the root of the product would take the wrong branch beside the branch points
-    inverse: Complex = np.reciprocal(np.sqrt(1 - rod_sine) * np.sqrt(1 + rod_sine), dtype=np.complex128)
-    return inverse
+    cosines = [np.sqrt(1 - rod_sine) * np.sqrt(1 + rod_sine) for rod_sine in (across - offset, across + offset)]
+    return np.reciprocal(cosines[0], dtype=np.complex128), np.reciprocal(cosines[1], dtype=np.complex128)
 
 
 def _swing_shared(sine: Complex, cosine: Complex, mechanism: SliderCrank) -> Complex:
