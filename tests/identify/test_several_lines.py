@@ -37,8 +37,8 @@ def test_every_line_of_several_is_found_and_lies_in_its_interval() -> None:
             signal += wave(angle, order, size, rng.uniform(0.0, 6.0))
         found = solved(signal)
         assert len(found) == count
-        off += [(one.order - order) / one.error for one, order in zip(found, orders, strict=True)]
-        off += [(one.amplitude[0] - a) / one.amplitude_error[0] for one, a in zip(found, sizes, strict=True)]
+        off += [(line.order - order) / line.order_error for line, order in zip(found, orders, strict=True)]
+        off += [(line.amplitude[0] - size) / line.error[0] for line, size in zip(found, sizes, strict=True)]
     assert np.mean(np.abs(off) < 2.0) > 0.9 and np.abs(off).max() < 4.0
 
 

@@ -107,11 +107,6 @@ class _Number:
     swept: tuple[tuple[float, Course | None], ...] = ()
     parted_rev: float = 0.0
 
-    @property
-    def order_error_freedom(self) -> tuple[float, float, float]:
-        """The order, its standard error and the degrees of freedom of that."""
-        return self.order, self.error, self.degrees_of_freedom
-
     def slips_from(self, multiple: float) -> bool:
         """Whether nothing but a slip makes the phase run away from that of ``multiple``."""
         if not self.swept:
@@ -172,7 +167,7 @@ def orders_agreed(
         by_phase = [unnamed for unnamed in distinct if unnamed.number.by_phase]
         # the mains prove no speed, but with them and without them the others must
         proofs = [by_phase, [unnamed for unnamed in by_phase if not _may_be_mains(unnamed, settings)]]
-        numbers = [[unnamed.number.order_error_freedom for unnamed in proof] for proof in proofs]
+        numbers = [[(u.number.order, u.number.error, u.number.degrees_of_freedom) for u in proof] for proof in proofs]
         proven = all(proves_speed(proof, revs_per_cycle=test.revs_per_cycle) for proof in numbers)
         test = replace(test, speed_is_sure=proven)
     agreed = sorted((_named(unnamed, test) for unnamed in distinct), key=lambda named: named.order)
@@ -182,7 +177,7 @@ def orders_agreed(
 def _with_close_lines(orders: list[_Unnamed], test: _Test, settings: IdentifySettings) -> list[_Unnamed]:
     """``orders`` of a test at one speed with all close lines where more of them stand than were told there."""
 
-    def told(low: float, high: float) -> list[float]:
+    def orders_between(low: float, high: float) -> list[float]:
         return [unnamed.number.order for unnamed in orders if low <= unnamed.number.order <= high]
 
     def doubtful(low: float, high: float) -> bool:
@@ -191,15 +186,15 @@ def _with_close_lines(orders: list[_Unnamed], test: _Test, settings: IdentifySet
         # a speed that wanders unseen makes several lines of one, and those would prove the speed
         return test.by_pulses and (swells or not near)
 
-    for close in close_lines(test.recordings, test.order_map, told=told, doubtful=doubtful, mains_hz=settings.mains_hz):
+    places = close_lines(test.recordings, test.order_map, orders_between, doubtful, mains_hz=settings.mains_hz)
+    for close in places:
         doubts = (Doubt("close lines", f"{len(close.solved)} {SOLVED}"),)
         beyond = [unnamed for unnamed in orders if not close.low <= unnamed.number.order <= close.high]
         orders = beyond + [
-            _Unnamed(
-                _Number(line.order, line.error, DEGREES_OF_FREEDOM, True, parted_rev=close.span_rev), lines, doubts
-            )
+            _Unnamed(number, lines, doubts)
             for line in close.solved
             if (lines := lines_at(line, test.order_map))
+            for number in [_Number(line.order, line.order_error, DEGREES_OF_FREEDOM, True, parted_rev=close.span_rev)]
         ]
     return orders
 

@@ -65,6 +65,10 @@ class Held:
         """Order at the mean speed of a line at ``place``."""
         return place[1] + place[0] * 60.0 / self.rpm
 
+    def is_half(self, order: float) -> bool:
+        """Whether a line at ``order`` lies so near a half or whole order that the recording does not part them."""
+        return bool(abs(2.0 * order - round(2.0 * order)) * self.span_rev < NUMBERS.apart_cycles)
+
     def hides(self, hertz: float) -> bool:
         """Whether a whole or half order of the shaft stands at ``hertz``, so that nothing else is seen."""
         order = self.order_of((hertz, 0.0))
@@ -73,11 +77,15 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """A line at ``order`` of a recording: peak ``amplitude`` (channels,), and its standard ``error`` along one axis."""
+    """A line at ``order`` of a recording: peak ``amplitude`` (channels,), and its standard ``error`` along one axis.
+
+    ``order_error`` is the standard error of the order (at the mean speed), 0 where the place was known.
+    """
 
     order: float
     amplitude: Floats
     error: Floats
+    order_error: float = 0.0
 
     @property
     def sigmas(self) -> float:

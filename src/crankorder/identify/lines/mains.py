@@ -65,7 +65,7 @@ def multiple_on(frequency_hz: float, error_hz: float, *, settings: IdentifySetti
     ``frequency_hz``, ``error_hz`` and ``settings`` as there.
     """
     near = multiples_near(frequency_hz, error_hz, settings=settings)
-    return next((one for one in near if one[0] <= NUMBERS.alone_multiples), None)
+    return next((place for place in near if place[0] <= NUMBERS.alone_multiples), None)
 
 
 def supply_told(places_hz: Sequence[tuple[float, float]], *, settings: IdentifySettings) -> float | None:
@@ -74,14 +74,13 @@ def supply_told(places_hz: Sequence[tuple[float, float]], *, settings: IdentifyS
     That of which alone some of them are multiples; of two that of which the first or the second multiple is there. None
     where none or both are told. ``settings``: the mains frequencies and how far they wander.
     """
-    told: dict[float, bool] = {}
+    is_low: dict[float, bool] = {}
     for hertz, error in places_hz:
         near = multiples_near(hertz, error, settings=settings)
         if len({mains for _, mains in near}) == 1:
             multiple, mains = near[0]
-            told[mains] = told.get(mains, False) or multiple <= NUMBERS.alone_multiples
-    low = [mains for mains, is_low in told.items() if is_low]
-    chosen = low if len(told) > 1 else list(told)
+            is_low[mains] = is_low.get(mains, False) or multiple <= NUMBERS.alone_multiples
+    chosen = [mains for mains, low in is_low.items() if low] if len(is_low) > 1 else list(is_low)
     return chosen[0] if len(chosen) == 1 else None
 
 
@@ -116,14 +115,14 @@ def mains_orders(
     exact : orders that are multiples of the cycle's for all that is known: they may be mains as well
     settings : the mains frequencies and how far they wander
     """
-    places = {one.order: place for one in orders if (place := _fixed_hz(one)) is not None}
+    places = {agreed.order: place for agreed in orders if (place := _fixed_hz(agreed)) is not None}
     if not places:
         return {}
-    names = list(places)
+    names, fixed = list(places), [agreed for agreed in orders if agreed.order in places]
     lines = _Fixed(
         np.array([places[order][0] for order in names]),
         np.array([places[order][1] for order in names]),
-        [{float(rpm) for line in one.lines for rpm in line.speed_rpm} for one in orders if one.order in places],
+        [{float(rpm) for line in agreed.lines for rpm in line.speed_rpm} for agreed in fixed],
         np.array([order in exact for order in names]),
     )
     tones_hz = [tone.frequency_hz for tone in tones]
@@ -132,7 +131,7 @@ def mains_orders(
     grids = [hertz for hertz in sure if np.unique(np.rint(lines.hertz / hertz)[hits[hertz] & ~lines.exact]).size > 1]
     if len(grids) == 1:  # a plant has one supply: that of which several multiples stand on one grid
         sure, hits = grids, {hertz: hits[hertz] for hertz in grids}
-    unproven = {one.order for one in orders if all(line.evidence == UNPROVEN for line in one.lines)}
+    unproven = {agreed.order for agreed in orders if all(line.evidence == UNPROVEN for line in agreed.lines)}
     causes: dict[float, Cause] = {}
     for hertz, hit in hits.items():
         multiple, _ = nearest_multiple(lines.hertz, hertz, settings=settings)
@@ -155,18 +154,18 @@ def _hits(lines: _Fixed, mains: float, tones_hz: Sequence[float], settings: Iden
     # a line that is known less well than a supply wanders may be anything
     hits = (np.abs(lines.hertz - multiple * mains) <= reach + 2.0 * lines.error_hz) & (lines.error_hz <= reach)
     low = hits & (multiple <= NUMBERS.alone_multiples)
-    told = lines.hertz / multiple
+    supply_hz = lines.hertz / multiple
     others, wander = nearest_multiple(np.asarray(tones_hz, dtype=np.float64), mains, settings=settings)
     beside = (np.asarray(tones_hz) / others)[np.abs(np.asarray(tones_hz) - others * mains) <= wander]
     free = low & ~lines.exact
     if free.any() or len(beside):
         # a line of one speed is known better than a tone, which speeds that change smear
-        base = float(np.median(told[free] if free.any() else beside))
+        base = float(np.median(supply_hz[free] if free.any() else beside))
         room = np.maximum(KNOWN_LINES.same_hz, NUMBERS.same_sigmas * lines.error_hz)
         return np.asarray(hits & (np.abs(lines.hertz - multiple * base) <= room))
     several = hits & ~lines.exact
     if several.any():
-        base = float(np.median(told[several]))
+        base = float(np.median(supply_hz[several]))
         several &= np.abs(lines.hertz - multiple * base) <= KNOWN_LINES.same_hz
         by_chance = float(np.sum(np.minimum(1.0, 2.0 * reach / mains)[~lines.exact]))
         if np.unique(multiple[several]).size >= max(NUMBERS.fewest_multiples, NUMBERS.over_chance_ratio * by_chance):
@@ -237,10 +236,11 @@ def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz:
     moves = any(abs(a - b) * min(span, other) > NUMBERS.moved_cycles for (a, span), (b, other) in combinations(seen, 2))
     if len(places) < NUMBERS.least_speeds or not moves:
         return []
-    shown = [one for recording, hertz in places if (one := sightings(recording, [(hertz, 0.0)])[0]) is not None]
+    sighted = [sightings(recording, [(hertz, 0.0)])[0] for recording, hertz in places]
+    shown = [sighting for sighting in sighted if sighting is not None]
     if not shown:
         return places
-    least = np.min([one.amplitude - Z95 * one.error for one in shown], axis=0)
+    least = np.min([sighting.amplitude - Z95 * sighting.error for sighting in shown], axis=0)
     absent = sum(line is None and _excludes(recording, middle, least) for recording, line in lines)
     return places if absent < len(places) else []
 
@@ -283,7 +283,8 @@ def with_mains_tones(modal: ModalFit, known: Sequence[LineSeen], orders: Sequenc
     A tone there that may be an order at the speeds of the test is none: where the shaft's orders moved it has stayed.
     """
     tones = list(modal.tones)
-    held_by_orders = {named.line.mains for one in orders if (named := named_by(known, one)) and not named.line.turns}
+    named = [line for agreed in orders if (line := named_by(known, agreed)) is not None]
+    held_by_orders = {seen.line.mains for seen in named if not seen.line.turns}
     for mains, group in _by_multiple(seen for seen in known if seen.alone).items():
         hertz = float(np.median([seen.hertz for seen in group]))
         reaches = [max(KNOWN_LINES.same_hz, Z95 * tone.frequency_error_hz) for tone in tones]
@@ -303,16 +304,23 @@ def _as_tone(hertz: float, group: Sequence[LineSeen], words: str) -> Tone:
     """A tone at ``hertz``, as large as the recordings of ``group`` hold it together."""
     size = np.array([seen.sighting.amplitude for seen in group])
     error = np.array([seen.sighting.error for seen in group])
-    mean, own = np.sqrt(np.mean(size**2, axis=0)), np.sqrt(np.mean(error**2, axis=0) / len(group))
-    spread = size.std(axis=0) / np.sqrt(max(len(group) - 1, 1))
+    mean = np.sqrt(np.mean(size**2, axis=0))
     seconds = min(float(np.ptp(seen.held.time_s)) for seen in group)
     wander = max(float(np.std([seen.hertz for seen in group])), 0.05 / max(seconds, 1.0))
-    amplitude = {
-        name: (float(mean[k]), float(np.hypot(own[k], spread[k])))
-        for k, name in enumerate(group[0].held.channels)
-        if mean[k] > Z95 * own[k]
-    }
-    return Tone(hertz, wander, "mains", amplitude, words)
+    return Tone(hertz, wander, "mains", shown_amplitudes(group[0].held.channels, mean, size, error), words)
+
+
+def shown_amplitudes(
+    channels: Sequence[str], mean: Floats, size: Floats, error: Floats
+) -> dict[str, tuple[float, float]]:
+    """The ``mean`` (channels,) amplitude of a line and its standard error, in the ``channels`` that show it.
+
+    ``size`` and ``error`` (recordings, channels) are those of each recording, whose scatter counts.
+    """
+    own = np.sqrt(np.mean(error**2, axis=0) / len(size))
+    spread = size.std(axis=0) / np.sqrt(max(len(size) - 1, 1))
+    shown = [(name, k) for k, name in enumerate(channels) if mean[k] > Z95 * own[k]]
+    return {name: (float(mean[k]), float(np.hypot(own[k], spread[k]))) for name, k in shown}
 
 
 MOTOR_NUMBERS = MethodNumbers("5-identify-explain.toml", "motors")

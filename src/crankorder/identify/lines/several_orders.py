@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -14,6 +14,7 @@ from crankorder.identify.lines.known_lines import (
     LOBE_BINS,
     Held,
     Place,
+    Sighting,
     bins_of,
     data_of,
     held_recordings,
@@ -45,24 +46,6 @@ LONGEST_STEP = 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class SolvedLine:
-    """A line at ``order`` (at the mean speed) with its standard ``error``; peak ``amplitude`` and ``amplitude_error``.
-
-    Both are (channels,); the latter is the standard error along one axis.
-    """
-
-    order: float
-    error: float
-    amplitude: Floats
-    amplitude_error: Floats
-
-    @property
-    def sigmas(self) -> float:
-        """Amplitude over its error in the channel that shows it best."""
-        return float(np.max(self.amplitude / np.maximum(self.amplitude_error, 1e-300)))
-
-
-@dataclass(frozen=True, eq=False)
 class _Fit:
     """Lines at ``places`` in data: amplitudes (lines, channels), what is ``left``, and the normal matrix of places."""
 
@@ -73,7 +56,7 @@ class _Fit:
     waves: Complexes
 
 
-def several_lines(held: Held, low: float, high: float, *, beyond: float = 0.0) -> list[SolvedLine]:
+def several_lines(held: Held, low: float, high: float, *, beyond: float = 0.0) -> list[Sighting]:
     """Lines of ``held`` between the orders ``low`` and ``high``, lowest first; none where they do not leave noise.
 
     One after the other, the strongest first, each time all of them solved together by least squares over frames and
@@ -93,14 +76,14 @@ def several_lines(held: Held, low: float, high: float, *, beyond: float = 0.0) -
         if scored is None:
             return []
         joined = _joined(held, bins, data, weight, fit, float(scored[0][int(np.argmax(scored[1]))]))
-        lines = _told(held, bins, joined)
+        lines = _with_errors(held, bins, joined)
         new, size = lines[-1], np.array([float((line.amplitude * np.sqrt(weight)).max()) for line in lines])
         away = np.abs([line.order - new.order for line in lines[:-1]]) * held.span_rev
         beside = size[:-1][away < KNOWN_LINES.apart_cycles].max(initial=0.0)
         least = max(NUMBERS.smallest_share * size.max(), NUMBERS.unsteady_share * beside)
         if new.sigmas <= KNOWN_LINES.seen_sigmas or size[-1] < least:
             rest = NUMBERS.unsteady_share if beside and new.sigmas > KNOWN_LINES.seen_sigmas else 0.0
-            lines = _told(held, bins, fit, rest)
+            lines = _with_errors(held, bins, fit, rest)
             noise = lines and _is_noise(held, bins, fit.left, np.array([line.amplitude for line in lines]))
             return sorted(lines, key=lambda line: line.order) if noise else []
         orders = np.sort([line.order for line in lines])
@@ -120,13 +103,13 @@ def leave_noise(held: Held, low: float, high: float, orders: Sequence[float]) ->
     return _is_noise(held, bins, data - waves @ amplitude, np.abs(amplitude))
 
 
-def _is_noise(held: Held, bins: Ints, left: Complexes, told: Floats) -> bool:
-    """Whether lines of the amplitudes ``told`` (lines, channels) have ``left`` no more than stands beyond the ``bins``.
+def _is_noise(held: Held, bins: Ints, left: Complexes, amplitude: Floats) -> bool:
+    """Whether lines of an ``amplitude`` (lines, channels) have ``left`` no more than stands beyond the ``bins``.
 
     Of the channels in which one of them stands out; False where none does.
     """
-    largest, floor = np.square(told).max(axis=0), _floor(held, bins)
-    shown = _shown(held, bins, told)
+    largest, floor = np.square(amplitude).max(axis=0), _floor(held, bins)
+    shown = _shown(held, bins, amplitude)
     over = np.square(np.abs(left)).reshape(len(held.turn), len(bins), -1).mean(axis=0).max(axis=0) / floor
     return bool(shown.any() and (over < NUMBERS.left_ratio + NUMBERS.left_share**2 * largest / floor)[shown].all())
 
@@ -168,9 +151,9 @@ def _floor(held: Held, bins: Ints) -> Floats:
     return np.asarray(np.maximum(np.median(power[:, wide[~np.isin(wide, bins)]], axis=1), 1e-300))
 
 
-def _shown(held: Held, bins: Ints, told: Floats) -> Bools:
-    """In which channels one of the amplitudes ``told`` (lines, channels) stands out of what is beside the ``bins``."""
-    return np.asarray(np.square(told).max(axis=0) > NUMBERS.stands_over_ratio * _floor(held, bins))
+def _shown(held: Held, bins: Ints, amplitude: Floats) -> Bools:
+    """In which channels one ``amplitude`` of several (lines, channels) stands out of what is beside the ``bins``."""
+    return np.asarray(np.square(amplitude).max(axis=0) > NUMBERS.stands_over_ratio * _floor(held, bins))
 
 
 def _scores(held: Held, bins: Ints, left: Complexes, low: float, high: float) -> tuple[Floats, Floats] | None:
@@ -241,7 +224,7 @@ def _moved(held: Held, places: tuple[Place, ...], orders: Floats) -> tuple[Place
     )
 
 
-def _told(held: Held, bins: Ints, fit: _Fit, rest: float = 0.0) -> list[SolvedLine]:
+def _with_errors(held: Held, bins: Ints, fit: _Fit, rest: float = 0.0) -> list[Sighting]:
     """The lines of ``fit`` with their errors, by the noise beside each and by what its neighbours take of it.
 
     ``rest`` is the share of a line that is left beside it.
@@ -252,15 +235,15 @@ def _told(held: Held, bins: Ints, fit: _Fit, rest: float = 0.0) -> list[SolvedLi
     by_size = np.diag(np.linalg.pinv((fit.waves.conj().T @ fit.waves).real))
     by_size = np.sqrt(np.maximum(by_size * np.square(np.abs(fit.waves)).sum(axis=0), 1.0))
     by_place = np.sqrt(np.maximum(np.diag(np.linalg.pinv(fit.normal)) * np.diag(fit.normal), 1.0))
-    made = []
+    lines = []
     for number, place in enumerate(fit.places):
         alone = noise_beside(held, bins, place, fit.left, orders, median=True)
         size = np.abs(fit.amplitude[number])
         sigmas = float(np.max(size / np.maximum(alone, 1e-300)))
         cycles = np.sqrt(6.0) / (np.pi * sigmas) * float(by_place[number])
         error = float(np.hypot(cycles, max(NUMBERS.least_cycles, 0.5 * rest))) / held.span_rev
-        made.append(SolvedLine(float(orders[number]), error, size, alone * float(by_size[number])))
-    return made
+        lines.append(Sighting(float(orders[number]), size, alone * float(by_size[number]), error))
+    return lines
 
 
 DEGREES_OF_FREEDOM = 40.0
@@ -277,68 +260,68 @@ class CloseLines:
     low: float
     high: float
     span_rev: float
-    solved: tuple[SolvedLine, ...]
+    solved: tuple[Sighting, ...]
 
 
 def close_lines(
     recordings: Sequence[Recording],
     order_map: xr.Dataset,
-    *,
-    told: Callable[[float, float], Sequence[float]],
+    orders_between: Callable[[float, float], Sequence[float]],
     doubtful: Callable[[float, float], bool],
+    *,
     mains_hz: Sequence[float],
 ) -> list[CloseLines]:
     """Neighbourhoods in the OrderMap ``order_map`` of one speed that hold more lines than were told there.
 
     Those of the mains, for where the mains or their double meet an order of a motor, sidebands stand about both; and
     those that are ``doubtful``, where nothing is told or what is told swells and fades, as three lines or more do.
-    ``recordings`` are those of the test, of which the longest is looked at; ``told`` gives the orders that were told
-    between two; ``mains_hz``: the frequencies of supplies.
+    ``recordings`` are those of the test, of which the longest is looked at; ``orders_between``
+    gives those that were told between two; ``mains_hz``: the frequencies of supplies.
     """
     if order_map.sizes["speed"] != 1 or order_map.attrs.get("window", "hann") != "hann":
         return []
     names = [str(name) for name in order_map["channel"].values]
     axis = np.asarray(order_map["order"].values, dtype=np.float64)
-    held = max(held_recordings(recordings, axis, names), key=lambda one: one.span_rev, default=None)
+    held = max(held_recordings(recordings, axis, names), key=lambda recording: recording.span_rev, default=None)
     if held is None:
         return []
     reach = min(ORDER_LINES.neighbour_orders, ORDER_LINES.neighbour_bins * float(axis[1] - axis[0]))
-    found = []
+    close = []
     multiples = range(1, MAINS.alone_multiples + 1)
     of_mains = [60.0 * number * hertz / held.rpm for hertz in mains_hz for number in multiples]
     for peak in _peaks(order_map, reach):
         low, high = float(axis[peak]) - reach, float(axis[peak]) + reach
         if not doubtful(low, high) and not any(low <= order <= high for order in of_mains):
             continue
-        orders = told(low, high)
+        orders = orders_between(low, high)
         if leave_noise(held, low, high, orders):
             continue
         inside = lines_within(held, low, high)
         if len(inside) > max(len(orders), 1) and not _is_modulated(inside):
-            found.append(CloseLines(low, high, held.span_rev, tuple(inside)))
-    return found
+            close.append(CloseLines(low, high, held.span_rev, tuple(inside)))
+    return close
 
 
-def lines_within(held: Held, low: float, high: float) -> list[SolvedLine]:
+def lines_within(held: Held, low: float, high: float) -> list[Sighting]:
     """Lines of ``held`` from ``low`` to ``high``; those beyond that reach into it take part."""
     beyond = LOBE_BINS / held.revs
     if low - beyond <= 0.0 or high + beyond >= held.axis[-1]:
         return []
-    return [one for one in several_lines(held, low, high, beyond=beyond) if low <= one.order <= high]
+    return [line for line in several_lines(held, low, high, beyond=beyond) if low <= line.order <= high]
 
 
-def _is_modulated(lines: Sequence[SolvedLine]) -> bool:
+def _is_modulated(lines: Sequence[Sighting]) -> bool:
     """Whether ``lines`` are pairs about the strongest, as one line makes them whose size or angle changes."""
     strongest = max(lines, key=lambda line: line.sigmas)
     rest = [line for line in lines if line is not strongest]
 
-    def mirrored(line: SolvedLine, other: SolvedLine) -> bool:
+    def mirrored(line: Sighting, other: Sighting) -> bool:
         """Whether both stand as far away and are of one size, as far as their errors and a changing speed tell."""
         off = abs(other.order - strongest.order + (line.order - strongest.order))
-        room = NUMBERS.same_sigmas * np.hypot(line.amplitude_error, other.amplitude_error)
+        room = NUMBERS.same_sigmas * np.hypot(line.error, other.error)
         room = room + NUMBERS.alike_share * np.maximum(line.amplitude, other.amplitude)
         alike = bool((np.abs(line.amplitude - other.amplitude) <= room).all())
-        return alike and bool(off < NUMBERS.same_sigmas * np.hypot(line.error, other.error))
+        return alike and bool(off < NUMBERS.same_sigmas * np.hypot(line.order_error, other.order_error))
 
     return all(any(mirrored(line, other) for other in rest) for line in rest)
 
@@ -354,26 +337,13 @@ def _peaks(order_map: xr.Dataset, reach: float) -> list[int]:
     return list(map(int, np.flatnonzero(peaks)))
 
 
-def lines_at(solved: SolvedLine, order_map: xr.Dataset) -> list[OrderLine]:
+def lines_at(solved: Sighting, order_map: xr.Dataset) -> list[OrderLine]:
     """The line ``solved`` in each channel of ``order_map`` that shows it."""
-    rpm = np.asarray(order_map["speed"].values, dtype=np.float64)
+    rpm, number = np.asarray(order_map["speed"].values, dtype=np.float64), (solved.order, solved.order_error)
+    numbers = order_map["channel"].values, solved.amplitude.tolist(), solved.error.tolist()
     return [
-        OrderLine(
-            channel=str(name),
-            order=solved.order,
-            order_error=solved.error,
-            seen=np.array([0]),
-            speed_rpm=rpm,
-            amplitude=np.array([size]),
-            amplitude_error=np.array([error]),
-            degrees_of_freedom=np.array([DEGREES_OF_FREEDOM]),
-            phase_deg=np.array([np.nan]),
-            evidence="steady, not locked",
-            level_over_floor_db=float(20.0 * np.log10(size / max(error, 1e-300))),
-            doubts=(ONE_SPEED,),
-        )
-        for name, size, error in zip(
-            order_map["channel"].values, solved.amplitude.tolist(), solved.amplitude_error.tolist(), strict=True
-        )
+        replace(OrderLine.steady(str(name), number, rows, DEGREES_OF_FREEDOM), doubts=(ONE_SPEED,))
+        for name, size, error in zip(*numbers, strict=True)
         if size > Z95 * error
+        for rows in [(np.array([0]), rpm, np.array([size]), np.array([error]))]
     ]

@@ -10,14 +10,13 @@ import xarray as xr
 
 from crankorder.identify.found import AgreedOrder, Doubt, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.known_lines import LOBE_BINS, Held, LineSeen, found_near
+from crankorder.identify.lines.known_lines import LOBE_BINS, Held, LineSeen, Sighting, found_near
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.line_phasors import lock_of, nearest_multiple
 from crankorder.identify.lines.mains import NUMBERS as MAINS
-from crankorder.identify.lines.mains import multiples_near, with_mains_tones
+from crankorder.identify.lines.mains import multiples_near, shown_amplitudes, with_mains_tones
 from crankorder.identify.lines.several_orders import (
     DEGREES_OF_FREEDOM,
-    SolvedLine,
     lines_within,
     several_lines,
     unparted_reach,
@@ -33,7 +32,7 @@ class _Parted:
     """One line of a test as several recordings hold it: at ``hertz`` (at the speed of each) or at an ``order``."""
 
     fixed: bool
-    seen: tuple[tuple[Held, SolvedLine], ...]
+    seen: tuple[tuple[Held, Sighting], ...]
 
     @property
     def places(self) -> np.ndarray:
@@ -43,7 +42,7 @@ class _Parted:
     @property
     def error(self) -> float:
         """Standard error of the mean place, by the lines' own errors and their scatter."""
-        own = [line.error * (held.rpm / 60.0 if self.fixed else 1.0) for held, line in self.seen]
+        own = [line.order_error * (held.rpm / 60.0 if self.fixed else 1.0) for held, line in self.seen]
         n = len(own)
         return float(np.hypot(np.sqrt(np.sum(np.square(own))) / n, self.places.std() / np.sqrt(max(n - 1, 1))))
 
@@ -92,7 +91,7 @@ def with_lines_of_recordings(
     order_map : OrderMap of the test
     settings : ``mode_speed_ratio``, up to which speeds differ little, and the mains
     """
-    speeds = [one.rpm for one in held]
+    speeds = [recording.rpm for recording in held]
     if len(held) < 2 or len(modal.frequency_hz) < 2 or max(speeds) > settings.mode_speed_ratio * min(speeds):
         return orders, modal
     step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
@@ -102,14 +101,14 @@ def with_lines_of_recordings(
         if not lines:
             continue
         tones = [tone for tone in tones if not low <= tone.frequency_hz <= high]
-        tones += [tone for one in lines if one.fixed and (tone := _tone(one, settings)).amplitude]
+        tones += [tone for line in lines if line.fixed and (tone := _tone(line, settings)).amplitude]
         changed = True
-        agreed = _with_orders(agreed, [one for one in lines if not one.fixed], (low, high), held, order_map)
+        agreed = _with_orders(agreed, [line for line in lines if not line.fixed], (low, high), held, order_map)
     if not changed:
         return orders, modal
     tones.sort(key=lambda tone: tone.frequency_hz)
     parted = replace(modal, tones=with_one_mains(tones, settings=settings))
-    return tuple(sorted(agreed, key=lambda one: one.order)), parted
+    return tuple(sorted(agreed, key=lambda order: order.order)), parted
 
 
 def _regions(tones: Sequence[Tone], reach_hz: float) -> list[tuple[float, float]]:
@@ -148,7 +147,7 @@ def _parted(held: Sequence[Held], low_hz: float, high_hz: float) -> list[_Parted
 
 
 def _chain(
-    solved: Sequence[tuple[Held, list[SolvedLine]]],
+    solved: Sequence[tuple[Held, list[Sighting]]],
     first: tuple[int, int],
     free: Iterable[tuple[int, int]],
     band_hz: tuple[float, float],
@@ -177,21 +176,15 @@ def _chain(
             chain.append((k, min(near, key=lambda n: abs(lines[n].order - wanted))))
         elif not hidden and not outside:
             return None
-    alone = not fixed and abs(2.0 * line.order - round(2.0 * line.order)) * own.span_rev < KNOWN_LINES.apart_cycles
-    return chain if len(chain) >= MAINS.least_speeds or alone else None
+    return chain if len(chain) >= MAINS.least_speeds or (not fixed and own.is_half(line.order)) else None
 
 
 def _tone(parted: _Parted, settings: IdentifySettings) -> Tone:
     """The fixed line ``parted``, in the channels that show it; mains where it may be."""
     hertz, error = float(parted.places.mean()), parted.error
-    size = np.array([line.amplitude for _, line in parted.seen])
-    own = np.sqrt(np.mean([line.amplitude_error**2 for _, line in parted.seen], axis=0) / len(size))
-    spread = size.std(axis=0) / np.sqrt(max(len(size) - 1, 1))
-    amplitude = {
-        name: (float(size[:, k].mean()), float(np.hypot(own[k], spread[k])))
-        for k, name in enumerate(parted.seen[0][0].channels)
-        if size[:, k].mean() > Z95 * own[k]
-    }
+    size, own = (np.array([getattr(line, key) for _, line in parted.seen]) for key in ("amplitude", "error"))
+    mean = np.array([of_channel.mean() for of_channel in size.T])
+    amplitude = shown_amplitudes(parted.seen[0][0].channels, mean, size, own)
     near = multiples_near(hertz, error, settings=settings)
     words = f"no damping, {times_mains(*near[0])}" if near else "no damping"
     return Tone(hertz, error, "mains" if near else "tone", amplitude, f"{words}; {PARTED.format(len(parted.seen))}")
@@ -199,25 +192,25 @@ def _tone(parted: _Parted, settings: IdentifySettings) -> Tone:
 
 def _with_orders(
     orders: list[AgreedOrder],
-    found: Sequence[_Parted],
+    parted: Sequence[_Parted],
     band_hz: tuple[float, float],
     held: Sequence[Held],
     order_map: xr.Dataset,
 ) -> list[AgreedOrder]:
-    """``orders`` and those ``found`` in the band that are not among them, without those that no recording has."""
+    """``orders`` and those ``parted`` in the band that are not among them, without those that no recording has."""
     kept: list[AgreedOrder] = []
-    places = [float(one.places.mean()) for one in found]
-    room = KNOWN_LINES.apart_cycles / min(one.span_rev for one in held)
+    places = [float(line.places.mean()) for line in parted]
+    room = KNOWN_LINES.apart_cycles / min(recording.span_rev for recording in held)
     for agreed in orders:
-        in_band = all(band_hz[0] <= agreed.order * one.rpm / 60.0 <= band_hz[1] for one in held)
+        in_band = all(band_hz[0] <= agreed.order * recording.rpm / 60.0 <= band_hz[1] for recording in held)
         if not in_band or any(abs(agreed.order - place) < room for place in places):
             kept.append(agreed)
     new = [
-        one
-        for one, place in zip(found, places, strict=True)
-        if len(one.seen) >= MAINS.least_speeds and not any(abs(agreed.order - place) < room for agreed in kept)
+        line
+        for line, place in zip(parted, places, strict=True)
+        if len(line.seen) >= MAINS.least_speeds and not any(abs(agreed.order - place) < room for agreed in kept)
     ]
-    return kept + [_agreed(one, order_map) for one in new]
+    return kept + [_agreed(line, order_map) for line in new]
 
 
 def _agreed(parted: _Parted, order_map: xr.Dataset) -> AgreedOrder:
@@ -240,24 +233,12 @@ def _line(
     """Order line of ``parted`` in the channel number ``channel``, by its ``name``; None where no row shows it."""
     speed = np.asarray(order_map["speed"].values, dtype=np.float64)
     rows = {int(np.nanargmin(np.abs(speed - held.rpm))): (held.rpm, line) for held, line in parted.seen}
-    parts = [(row, rpm, line.amplitude[channel], line.amplitude_error[channel]) for row, (rpm, line) in rows.items()]
+    parts = [(row, rpm, line.amplitude[channel], line.error[channel]) for row, (rpm, line) in rows.items()]
     clear = sorted(part for part in parts if part[2] > Z95 * part[3])
     if not clear:
         return None
     seen, rpm, size, own = (np.array(column) for column in zip(*clear, strict=True))
-    return OrderLine(
-        channel=name,
-        order=order,
-        order_error=error,
-        seen=seen,
-        speed_rpm=rpm,
-        amplitude=size,
-        amplitude_error=own,
-        degrees_of_freedom=np.full(len(seen), DEGREES_OF_FREEDOM),
-        phase_deg=np.full(len(seen), np.nan),
-        evidence="steady, not locked",
-        level_over_floor_db=float(20.0 * np.log10((size / np.maximum(own, 1e-300)).max())),
-    )
+    return OrderLine.steady(name, (order, error), (seen, rpm, size, own), DEGREES_OF_FREEDOM)
 
 
 UNPARTED = "several lines that the recordings are too short to part, or one that swells"
@@ -275,7 +256,7 @@ def with_tones_parted(modal: ModalFit, held: Sequence[Held]) -> ModalFit:
     if len(modal.frequency_hz) < 2 or not modal.tones:
         return modal
     step = float(modal.frequency_hz[1] - modal.frequency_hz[0])
-    longest = max(held, key=lambda one: one.span_rev, default=None)
+    longest = max(held, key=lambda recording: recording.span_rev, default=None)
     lines = {tone.frequency_hz: _lines_near(longest, tone.frequency_hz, NEAR_BINS * step) for tone in modal.tones}
     kept = [
         tone
@@ -287,7 +268,7 @@ def with_tones_parted(modal: ModalFit, held: Sequence[Held]) -> ModalFit:
     tones = []
     for tone in kept:
         near = [f for f in lines[tone.frequency_hz] if abs(f - tone.frequency_hz) <= step]
-        own = [f for f in near if min(centres, key=lambda one: abs(one - f)) == tone.frequency_hz]
+        own = [f for f in near if min(centres, key=lambda centre: abs(centre - f)) == tone.frequency_hz]
         held_of_it = _holding(tone, own) if len(own) > 1 else tone
         tones.append(held_of_it if near else _unless_several(held_of_it, centres, longest, NEAR_BINS * step))
     return replace(modal, tones=tuple(tones))
@@ -341,7 +322,7 @@ def _unless_absent(tone: Tone, held: Sequence[Held], reach_hz: float) -> Tone:
 
 
 def _is_flank(tone: Tone, other: Tone, reach_hz: float) -> bool:
-    size, more = (max(value for value, _ in one.amplitude.values()) for one in (tone, other))
+    size, more = (max(value for value, _ in line.amplitude.values()) for line in (tone, other))
     return size < more and abs(tone.frequency_hz - other.frequency_hz) < reach_hz
 
 
@@ -377,17 +358,9 @@ def _lines_near(held: Held | None, hertz: float, reach_hz: float) -> list[float]
     """Frequencies in Hz of the lines of ``held`` within ``reach_hz`` that are no half orders of its shaft."""
     if held is None:
         return []
-    turn_hz, beyond = held.rpm / 60.0, LOBE_BINS / held.revs
-    low, high = (hertz - reach_hz) / turn_hz, (hertz + reach_hz) / turn_hz
-    if low - beyond <= 0.0 or high + beyond >= held.axis[-1]:
-        return []
-    lines = several_lines(held, low, high, beyond=beyond)
-    free = [
-        line.order
-        for line in lines
-        if abs(2.0 * line.order - round(2.0 * line.order)) * held.span_rev > KNOWN_LINES.apart_cycles
-    ]
-    return [order * turn_hz for order in free]
+    turn_hz = held.rpm / 60.0
+    orders = [line.order for line in lines_within(held, (hertz - reach_hz) / turn_hz, (hertz + reach_hz) / turn_hz)]
+    return [order * turn_hz for order in orders if not held.is_half(order)]
 
 
 def _holding(tone: Tone, hertz: Sequence[float]) -> Tone:

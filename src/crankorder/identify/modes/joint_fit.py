@@ -311,11 +311,13 @@ def _with_order_modes(
     own = [k for k, mode in enumerate(said) if mode is not None]
     more = [mode for mode in said if mode is not None]
     parts = [fit.covariance, covariance_among(by_orders.covariance, own)]
-    raised = _raised_tones(fit, more, blocks, kept.joined(_poles_of(more)))
-    for tone, orders in raised.items():
-        mode, part = tone_as_mode(tone, orders, settings=settings)
-        more.append(mode)
-        parts.append(part)
+    unknown = [tone for tone in fit.tones if tone.kind == "tone" and not any(is_shown(tone, mode) for mode in more)]
+    known = kept.joined(_poles_of(more))
+    for tone in unknown:
+        if orders := orders_raised(blocks, known, tone.frequency_hz):
+            mode, part = tone_as_mode(tone, orders, settings=settings)
+            more.append(mode)
+            parts.append(part)
     kept = kept.joined(_poles_of(more))
     proven = [mode.frequency_ends for mode in fit.modes if mode.reached_by and not mode.undecided]
 
@@ -336,14 +338,6 @@ def _with_order_modes(
 
 def _poles_of(modes: Sequence[Mode]) -> Poles:
     return poles_at((mode.frequency_hz, mode.damping_ratio) for mode in modes)
-
-
-def _raised_tones(
-    fit: ModalFit, more: list[Mode], blocks: tuple[Block, ...], poles: Poles
-) -> dict[Tone, tuple[float, ...]]:
-    """Tones of ``fit`` that are none of the modes ``more``, at which orders rise, and these orders."""
-    unknown = [tone for tone in fit.tones if tone.kind == "tone" and not any(is_shown(tone, mode) for mode in more)]
-    return {tone: orders for tone in unknown if (orders := orders_raised(blocks, poles, tone.frequency_hz))}
 
 
 def _found(
