@@ -7,8 +7,8 @@ from typing import Any
 from crankorder.cause import mains_words
 from crankorder.findings import Findings
 from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
+from crankorder.plot.reading import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.records import Record, known
-from crankorder.report.notation import NAME_CHARACTERS, interval_of, is_number, is_tone, is_undecided, named, order_text
 from crankorder.report.sentences.of_speeds import free_bands, open_bands
 from crankorder.report.sentences.story import has_lines, headline, story_of
 from crankorder.report.tables import Table, tables_of

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from crankorder.cause import Cause
 from crankorder.identify.lines import growth
-from crankorder.report import notation, tables
-from crankorder.report.notation import level_reference, order_texts, percent_text
-from crankorder.report.sentences import of_speeds, story
+from crankorder.plot import reading
+from crankorder.plot.reading import level_reference, order_texts, percent_text
+from crankorder.report import tables
+from crankorder.report.sentences import of_lines, of_speeds, story
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE, SHAFT_SIDES, motor_sentences, tone_sentences
 from crankorder.report.sentences.story import (
     ALL_CLEAR,
@@ -25,18 +26,18 @@ from made.contradictions import contradictions
 from made.typed import from_dicts
 
 if_unbalance = from_dicts(growth.if_unbalance)
-estimate_text = from_dicts(notation.estimate_text)
-nominal_order = from_dicts(notation.nominal_order)
-order_name = from_dicts(notation.order_name)
+estimate_text = from_dicts(reading.estimate_text)
+nominal_order = from_dicts(reading.nominal_order)
+order_name = from_dicts(reading.order_name)
 balance_sentences = from_dicts(story.balance_sentences)
 law_sentences = from_dicts(story.law_sentences)
 swing_sentences = from_dicts(of_speeds.swing_sentences)
-avoid_sentences = from_dicts(story.avoid_sentences)
-bearing_sentences = from_dicts(story.bearing_sentences)
+avoid_sentences = from_dicts(of_speeds.avoid_sentences)
+bearing_sentences = from_dicts(of_lines.bearing_sentences)
 energy_sentence = from_dicts(story.energy_sentence)
 headline = from_dicts(story.headline)
 story_of = from_dicts(story.story_of)
-strongest_sentence = from_dicts(story.strongest_sentence)
+strongest_sentence = from_dicts(of_lines.strongest_sentence)
 tables_of = from_dicts(tables.tables_of)
 
 EXCLUDED = "the data exclude that an order is amplified more than 3 times (99 %)"

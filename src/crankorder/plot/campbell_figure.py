@@ -293,7 +293,7 @@ class Guide:
 def _guides(panel: Panel, levels: LevelMap) -> list[Guide]:
     """Whole orders that run through the map, few enough to be told apart; they claim nothing."""
     highest = panel.x[1] if levels.by_order else 60 * panel.x[1] / max(panel.y[1], 1.0)  # that leaves at the top
-    step = next((one for one in (1, 2, 5, 10, 20, 50, 100) if highest / one <= _MOST_GUIDES), 0)
+    step = next((step for step in (1, 2, 5, 10, 20, 50, 100) if highest / step <= _MOST_GUIDES), 0)
     orders = {1.0, *(float(order) for order in np.arange(step, highest, step))} if step else {1.0}
     return [Guide(order) for order in sorted(orders)]
 
@@ -332,20 +332,15 @@ def _draw_crossings(panel: Panel, levels: LevelMap, findings: Findings, channel:
 
 
 def _label_edges(
-    panel: Panel,
-    levels: LevelMap,
-    orders: Sequence[OrderFinding | Guide],
-    modes: list[ModeFinding],
-    findings: Findings,
+    panel: Panel, levels: LevelMap, orders: Sequence[OrderFinding | Guide], modes: list[ModeFinding], findings: Findings
 ) -> None:
     """Orders where their lines leave the diagram, natural frequencies and tones above; speeds to avoid at the right."""
-    drawing, box = panel.drawing, panel.box
-    left, bottom, width, height = box
+    drawing, (left, bottom, width, height) = panel.drawing, panel.box
     top, side = _order_labels(panel, levels, orders, findings)
     marks = [(float(levels.of_hertz(hertz, panel.y[1])), text, color) for hertz, text, color in mode_marks(modes)]
-    lines = label_top(drawing, box, [fitted(top, width), fitted(edge_labels(panel, marks), width)])
+    lines = label_top(drawing, panel.box, [fitted(top, width), fitted(edge_labels(panel, marks), width)])
     avoid = [] if levels.timeless else draw_strip(panel, findings)
-    shift = STRIP_IN if has_strip(findings) else 0.0
+    shift = STRIP_IN if _ranges(findings) or free_bands(findings) or open_bands(findings) else 0.0
     label_right(drawing, (left, bottom, width + shift, height), [*side, *avoid])
     if top:
         drawing.add(Words(left - 0.3, lines[0], "order", SMALL, INK, along="right"))
@@ -420,24 +415,18 @@ _LEAST_IN = 0.05  # a range is drawn at least this high
 _OPEN_SHARE = 0.005  # of the speed, on either side of a crossing that was not judged
 
 
-def has_strip(findings: Findings) -> bool:
-    """True where the ``findings`` name ranges of speed to avoid, free ones or open ones."""
-    return bool(_ranges(findings)) or bool(free_bands(findings)) or bool(open_bands(findings))
-
-
 def _ranges(findings: Findings) -> list[tuple[float, float, float]]:
     """Low end, high end and middle of each range to stay out of."""
-    every = findings.speeds_to_avoid or ()
-    return [(*ends, one.rpm) for one in every if (ends := known(one.rpm_range)) is not None]
+    records = findings.speeds_to_avoid or ()
+    return [(*ends, record.rpm) for record in records if (ends := known(record.rpm_range)) is not None]
 
 
 def draw_strip(panel: Panel, findings: Findings) -> list[EdgeLabel]:
     """Draw the strip of the ``findings`` right of ``panel``; the labels of the speeds to avoid, for its right edge."""
     low, high = panel.y
-    for number, band in enumerate(open_bands(findings)):
-        _mark(panel, (max(band[0], low), min(band[1], high)), NOT_JUDGED, f"not-free-{number}")
-    for number, band in enumerate(free_bands(findings)):
-        _mark(panel, (max(band[0], low), min(band[1], high)), FREE, f"free-{number}")
+    for name, color, bands in (("not-free", NOT_JUDGED, open_bands), ("free", FREE, free_bands)):
+        for number, band in enumerate(bands(findings)):
+            _mark(panel, (max(band[0], low), min(band[1], high)), color, f"{name}-{number}")
     for number, rpm in enumerate(_open_rpm(findings)):
         if low <= rpm <= high:
             _mark(panel, (rpm * (1 - _OPEN_SHARE), rpm * (1 + _OPEN_SHARE)), NOT_JUDGED, f"open-{number}")

@@ -24,6 +24,11 @@ from crankorder.quantities import Floats, Ints
 Box = tuple[float, float, float, float]
 """Left, bottom, width and height in inches."""
 
+Dashes = tuple[float, float]
+"""Lengths of a dash and of a gap, in widths of the line."""
+
+SOLID: Dashes = (0.0, 0.0)
+
 _BASELINE = {"baseline": 0.0, "centre": CAP_HEIGHT / 2, "top": CAP_HEIGHT}
 _ALONG = {"left": 0.0, "centre": 0.5, "right": 1.0}
 _DESCENT = 0.236  # of DejaVu Sans, in sizes of the type
@@ -44,7 +49,7 @@ class Stroke:
     points: Floats
     color: str
     width: float
-    dashes: tuple[float, float] = (0.0, 0.0)
+    dashes: Dashes = SOLID
     alpha: float = 1.0
     within: Box | None = None
     square: bool = False
@@ -202,7 +207,7 @@ class Panel:
         color: str,
         width: float = 1.3,
         alpha: float = 1.0,
-        dashes: tuple[float, float] = (0.0, 0.0),
+        dashes: Dashes = SOLID,
         name: str = "",
     ) -> None:
         """Line through ``x``, ``y``: ``color``, ``width`` in points, opacity ``alpha``, ``dashes``; its ``name``."""
@@ -241,19 +246,11 @@ class Panel:
         return np.linspace(*self.x, columns + 1), np.linspace(*self.y, rows + 1)
 
     def upright(
-        self,
-        x: float,
-        *,
-        color: str,
-        width: float = 0.8,
-        alpha: float = 1.0,
-        dashes: tuple[float, float] = (0.0, 0.0),
-        name: str = "",
+        self, x: float, *, color: str, width: float = 0.8, alpha: float = 1.0, dashes: Dashes = SOLID, name: str = ""
     ) -> None:
         """Line over the whole height at ``x``: ``color``, ``width`` in points, ``alpha``, ``dashes``; its ``name``."""
-        values = np.array([x, x], dtype=float), np.array(self.y)
-        place = self.at(*values)
-        self.drawing.add(Stroke(place, color, width, dashes, alpha, self.box, square=True, name=name, values=values))
+        ends = np.array([x, x], dtype=float), np.array(self.y)
+        self.drawing.add(Stroke(self.at(*ends), color, width, dashes, alpha, self.box, True, name, ends))
 
     def note(self, text: str, *, up: float = 0.5) -> None:
         """``text`` on a white ground in the middle of the panel, at the share ``up`` of its height."""
@@ -270,11 +267,13 @@ class Panel:
         corners = [(left, bottom + height), (left, bottom), (left + width, bottom)]
         if whole:
             corners += [(left + width, bottom + height), (left, bottom + height)]
-        for one, two in pairwise(corners):
-            self._edge(one, two)
+        for ends in pairwise(corners):
+            self._edge(*ends)
 
-    def _edge(self, one: tuple[float, float], two: tuple[float, float], color: str = FAINT, width: float = 0.8) -> None:
-        self.drawing.add(Stroke(np.array([one, two]), color, width, square=True))
+    def _edge(
+        self, start: tuple[float, float], end: tuple[float, float], color: str = FAINT, width: float = 0.8
+    ) -> None:
+        self.drawing.add(Stroke(np.array([start, end]), color, width, square=True))
 
     def x_axis(
         self, label: str = "", *, most: int = 8, whole: bool = False, named: bool = True, grid: bool = True
@@ -308,10 +307,8 @@ class Panel:
         ticks' texts.
         """
         left, bottom, width, height = self.box
-        if places is not None:
-            marks = np.asarray(places, dtype=float)
-        else:
-            marks = log_ticks(*self.y, most=most) if self.log_y else linear_ticks(*self.y, most=most)
+        ticks = log_ticks if self.log_y else linear_ticks
+        marks = ticks(*self.y, most=most) if places is None else np.asarray(places, dtype=float)
         texts = [decade_text(float(mark)) for mark in marks] if self.log_y else linear_texts(marks)
         edge, out = (left + width, 1) if right else (left, -1)
         for (_, y), text in zip(self.at(np.full(len(marks), self.x[1]), marks), texts, strict=True):

@@ -49,11 +49,10 @@ def envelope_figure(envelope: xr.Dataset, findings: Findings, *, settings: Repor
     Expected orders are dashed and named above; those that were found are circled, with their multiples as thin lines.
     ``envelope`` an EnvelopeMap; ``findings`` of the same test; ``settings`` of the report.
     """
-    drawing, heights = column_boxes(envelope.sizes["channel"], _LEFT, settings)
     width = settings.width_in - _LEFT - _RIGHT
-    places = [(_LEFT, bottom, width, height) for bottom, height in heights]
+    drawing, (boxes,) = column_boxes(envelope.sizes["channel"], width, settings)
     mean, floor = (_mean_over_speeds(envelope, name) for name in ("amplitude", "floor"))
-    panels = column_panels(drawing, places, envelope, "order", mean, " (envelope)", settings=settings)
+    panels = column_panels(drawing, boxes, envelope, "order", mean, " (envelope)", settings=settings)
     records = [record for record in findings.bearings if record.seen_in == "envelope" and is_number(record.order)]
     texts = {record.order: order_name(record, findings) for record in records}
     seen = [(order, text, LINES[1]) for order, text in texts.items()]
@@ -116,12 +115,8 @@ def _expected(findings: Findings, width_in: float) -> list[Mark]:
 
     Names of bearings are as long as all texts together fit into ``width_in`` inches.
     """
-    made: list[Mark] = []
-    for letters in _NAME_LETTERS:
-        made = _expected_with(findings, letters)
-        if _room_of(made) <= width_in:
-            break
-    return made
+    choices = [_expected_with(findings, letters) for letters in _NAME_LETTERS]
+    return next((marks for marks in choices if _room_of(marks) <= width_in), choices[-1])
 
 
 def _expected_with(findings: Findings, letters: int) -> list[Mark]:
@@ -129,7 +124,7 @@ def _expected_with(findings: Findings, letters: int) -> list[Mark]:
     records = [record for record in findings.bearings if is_number(record.order_expected)]
     names = _short({drawable(record.name, _NAME_LETTERS[0]) for record in records}, letters)
     marks: dict[float, list[str]] = {}
-    for record in sorted(records, key=lambda one: one.order_expected):
+    for record in sorted(records, key=lambda record: record.order_expected):
         text = drawable(str(record.line or "").replace("*", "·"), _NAME_LETTERS[0])
         if len(names) > 1:
             text = f"{text} {names[drawable(record.name, _NAME_LETTERS[0])]}"
@@ -148,9 +143,7 @@ def _short(names: set[str], letters: int) -> dict[str, str]:
     start = max(alike.rfind(" "), alike.rfind("_"), alike.rfind("-")) + 1
 
     def cut(name: str) -> str:
-        if len(name) <= letters:
-            return name
-        rest = name[start:]
+        rest = name if len(name) <= letters else name[start:]
         return rest if len(rest) <= letters else f"{rest[: letters // 2]}…{rest[-(letters - letters // 2 - 1) :]}"
 
     return {name: cut(name) for name in names}
@@ -252,13 +245,7 @@ def envelope(
     return painted(axes, content)
 
 
-def _speed_at(
-    dataset: xr.Dataset,
-    order: Floats,
-    amplitude: Floats,
-    floor: Floats,
-    asked: float | None,
-) -> int:
+def _speed_at(dataset: xr.Dataset, order: Floats, amplitude: Floats, floor: Floats, asked: float | None) -> int:
     """Place of the speed to draw: nearest to that ``asked`` for, else where a line stands highest over the floor."""
     speed = np.asarray(dataset["speed"].values, dtype=float)
     if asked is not None and len(speed):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from crankorder.findings import Findings
-from crankorder.plot.drawing import Box, Drawing, Rings, Stroke, Words, quality_text, title_lines
+from crankorder.plot.drawing import SOLID, Box, Dashes, Drawing, Rings, Stroke, Words, quality_text, title_lines
 from crankorder.plot.palette import CAP_HEIGHT, INK, LARGE, MAINS, SMALL, drawable, shortened, text_width_in
 from crankorder.quantities import Floats
 
@@ -153,7 +153,7 @@ class Key:
 
     text: str
     color: str
-    dashes: tuple[float, float] = (0.0, 0.0)
+    dashes: Dashes = SOLID
     ring: bool = False
     width: float = 1.2
 

@@ -37,15 +37,8 @@ class Painter:
 
     def paint(self, drawing: Drawing) -> None:
         """Draw all parts of ``drawing``, the later ones on top."""
-        draw: dict[type, Any] = {
-            Stroke: self.stroke,
-            Area: self.area,
-            Rings: self.rings,
-            Words: self.words,
-            Field: self.field,
-        }
         for part in drawing.parts:
-            draw[type(part)](part)
+            getattr(self, type(part).__name__.lower())(part)  # the method that has the name of its kind
 
     def _pen(self, color: str, alpha: float, width: float, within: Box | None = None) -> Any:
         pen = self._to.new_gc()

@@ -75,15 +75,13 @@ def spectra_figure(campbell: xr.Dataset, findings: Findings, *, settings: Report
     """
     speed = campbell["speed"].values
     fastest = int(np.argmax(np.nan_to_num(speed)))
-    drawing, boxes = column_boxes(campbell.sizes["channel"], _LEFT, settings)
     width = (settings.width_in - _LEFT - _BETWEEN - _RIGHT) / 2
-    second = _LEFT + width + _BETWEEN
+    drawing, places = column_boxes(campbell.sizes["channel"], width, settings, lefts=(_LEFT, _LEFT + width + _BETWEEN))
     peak = campbell["amplitude"].transpose("channel", "speed", "frequency").values[:, fastest]
     scaling = scaling_text(campbell)
     # lines that move with speed vanish from the median over the speeds, what stays put remains
     density = campbell["psd"].transpose("channel", "speed", "frequency").values
     median, frequency = np.asarray(np.median(density, axis=1), dtype=float), campbell["frequency"].values
-    places = [[(x, y, width, h) for y, h in boxes] for x in (_LEFT, second)]
     left = column_panels(drawing, places[0], campbell, "frequency", median, "²/Hz", settings=settings)
     right = column_panels(drawing, places[1], campbell, "frequency", peak, f" {scaling}", settings=settings)
     modes = _mark_modes(left, fixed_frequencies(findings))
@@ -153,14 +151,18 @@ def _causes(findings: Findings, fixed: list[ModeFinding]) -> list[tuple[str, str
     return [(line, color) for pair in texts for text, color in pair for line in wrap(text, _LETTERS)]
 
 
-def column_boxes(n: int, left: float, settings: ReportSettings) -> tuple[Drawing, list[tuple[float, float]]]:
-    """Drawing for columns of ``n`` panels, and bottom and height of each panel in inches, the first the highest.
+def column_boxes(
+    n: int, width: float, settings: ReportSettings, *, lefts: Sequence[float] = (_LEFT,)
+) -> tuple[Drawing, list[list[Box]]]:
+    """Drawing for columns of ``n`` panels, and the boxes of each column, the highest first.
 
-    ``left`` edge of the first column; ``settings`` give the size of the drawing, which grows with ``n``.
+    ``width`` of a panel and left edges (``lefts``) of the columns in inches; ``settings`` give the size of the drawing,
+    which grows with ``n``.
     """
     row = max((settings.height_in - _BOTTOM - _TOP - (n - 1) * _ROW_GAP) / n, _LEAST_ROW)
     drawing = Drawing(settings.width_in, _TOP + _BOTTOM + n * row + (n - 1) * _ROW_GAP)
-    return drawing, [(_BOTTOM + (n - 1 - k) * (row + _ROW_GAP), row) for k in range(n)]
+    bottoms = [_BOTTOM + (n - 1 - k) * (row + _ROW_GAP) for k in range(n)]
+    return drawing, [[(left, bottom, width, row) for bottom in bottoms] for left in lefts]
 
 
 def _subtitle(n_speeds: int, rpm: float, kind: str, *, modes: bool, orders: bool) -> str:
@@ -268,10 +270,9 @@ def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings:
 
     ``order_map`` an OrderMap, whose speeds may be unknown; ``findings`` of the same test; ``settings`` of the report.
     """
-    drawing, heights = column_boxes(order_map.sizes["channel"], _LEFT, settings)
-    width, order = settings.width_in - _LEFT - _RIGHT, order_map["order"].values
-    places, (mean, floor) = [(_LEFT, bottom, width, height) for bottom, height in heights], _mean_levels(order_map)
-    panels = column_panels(drawing, places, order_map, "order", mean, f" {scaling_text(order_map)}", settings=settings)
+    drawing, (boxes,) = column_boxes(order_map.sizes["channel"], settings.width_in - _LEFT - _RIGHT, settings)
+    order, (mean, floor) = order_map["order"].values, _mean_levels(order_map)
+    panels = column_panels(drawing, boxes, order_map, "order", mean, f" {scaling_text(order_map)}", settings=settings)
     found = sorted({nominal_order(record) for record in findings.orders})
     for number, (panel, channel) in enumerate(zip(panels, order_map["channel"].values.tolist(), strict=True)):
         for place in found:

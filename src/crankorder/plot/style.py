@@ -13,7 +13,7 @@ import matplotlib
 
 from crankorder.findings import Findings
 from crankorder.plot.drawing import FEW_DECADES, decade_text, quality_text
-from crankorder.plot.palette import FAINT, GRID, INK, LARGE, MAINS, NORMAL, SMALL, shortened
+from crankorder.plot.palette import FAINT, GRID, INK, LARGE, MAINS, NORMAL, SMALL, drawable, shortened
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -57,8 +57,12 @@ def title_lines(figure: Figure, left_in: float, title: str, sentence: str) -> No
         write(figure, left_in, height - 0.56, shortened(sentence, NORMAL, room), color=FAINT)
 
 
-def quality_note(figure: Figure, findings: Findings) -> None:
-    """Note at the foot of ``figure`` when the ``findings`` carry suspect or bad data."""
+def head_of_test(figure: Figure, left_in: float, findings: Findings, what: str, sentence: str, *, longest: int) -> None:
+    """Title of ``figure``: the test of ``findings`` and ``what`` is shown of it, a ``sentence`` below, their doubts.
+
+    From ``left_in`` inches; the name of the test is cut at ``longest`` characters. The doubts stand at the foot.
+    """
+    title_lines(figure, left_in, f"{drawable(findings.test, longest)} · {what}", sentence)
     text = quality_text(findings)
     if text:
         place = figure.get_size_inches()[0] - 0.2

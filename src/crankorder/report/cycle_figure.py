@@ -15,9 +15,9 @@ from crankorder.channel_units import unit_text
 from crankorder.findings import Findings
 from crankorder.orders.intervals import t_quantile
 from crankorder.plot.palette import FAINT, INK, LINES, NORMAL, SMALL, drawable, shortened
-from crankorder.plot.style import axes_at, house_style, new_figure, note, quality_note, quiet_frame, title_lines, write
+from crankorder.plot.reading import number_text
+from crankorder.plot.style import axes_at, head_of_test, house_style, new_figure, note, quiet_frame, write
 from crankorder.quantities import Floats
-from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings
 
 _LEFT, _BOTTOM, _TOP, _RIGHT, _GUTTER, _ROW_GAP = 1.15, 0.66, 1.28, 0.25, 0.72, 0.17  # inches
@@ -63,15 +63,14 @@ def cycle_figure(
             top = _BOTTOM + rows * height + (rows - 1) * _ROW_GAP
             _mark_names(figure, cycles, left, top, width)
             if shown:
-                one = cycles.isel(speed=shown[column])
-                write(figure, left, top + 0.24, _heading(one), fontsize=NORMAL + 1, fontweight="bold",
+                cycle = cycles.isel(speed=shown[column])
+                write(figure, left, top + 0.24, _heading(cycle), fontsize=NORMAL + 1, fontweight="bold",
                       color=LINES[column])  # fmt: skip
         reference = str(cycles.attrs.get("phase_reference", "none"))
         label = f"Crank angle {_FROM.get(reference, 'from where the recording begins')}, °"
         write(figure, _LEFT + (settings.width_in - _LEFT - _RIGHT) / 2, 0.2, label, ha="center")
-        name = drawable(findings.test, settings.max_name_characters)
-        title_lines(figure, _LEFT, f"{name} · average cycle", _subtitle(cycles, len(shown)))
-        quality_note(figure, findings)
+        said = _subtitle(cycles, len(shown))
+        head_of_test(figure, _LEFT, findings, "average cycle", said, longest=settings.max_name_characters)
         return figure
 
 
@@ -97,10 +96,10 @@ def _subtitle(cycles: xr.Dataset, shown: int) -> str:
     return f"{some}{turn}{bands}; orders up to {order:g}."
 
 
-def _heading(one: xr.Dataset) -> str:
+def _heading(cycle: xr.Dataset) -> str:
     """Speed of a column and how many cycles it averages."""
-    speed = one.speed
-    count = one.n_cycles.values
+    speed = cycle.speed
+    count = cycle.n_cycles.values
     least, most = int(count.min()), int(count.max())
     cycles = f"{least}…{most} cycles" if least < most else f"{most} cycle{'s' if most != 1 else ''}"
     return f"{f'{speed:.0f} rpm' if math.isfinite(speed) else 'unknown speed'} · {cycles}"
@@ -141,17 +140,17 @@ def _name_row(figure: Figure, channel: xr.Dataset, middle: float, height: float,
         write(figure, place, middle, text, rotation=90, ha="center", va="center", **look)
 
 
-def _draw(axes: Axes, one: xr.Dataset, color: str, height_in: float) -> None:
+def _draw(axes: Axes, cycle: xr.Dataset, color: str, height_in: float) -> None:
     """Mean and spread of one channel at one speed; the cycle is closed at its end."""
-    angle = np.append(one.cycle_angle.values, 360.0 * int(one.attrs["revs_per_cycle"]))
-    mean = _closed(one["mean"].values)
+    angle = np.append(cycle.cycle_angle.values, 360.0 * int(cycle.attrs["revs_per_cycle"]))
+    mean = _closed(cycle["mean"].values)
     if not np.isfinite(mean).all():
         axes.set_yticks([])
         note(axes, "no whole cycle")
         return
-    deviation, error = (_closed(one[name].values) for name in ("standard_deviation", "standard_error"))
+    deviation, error = (_closed(cycle[name].values) for name in ("standard_deviation", "standard_error"))
     fits = _value_axis(axes, mean, np.nan_to_num(deviation), height_in)
-    interval = error * t_quantile(np.array(max(int(one.n_cycles) - 1, 1)))
+    interval = error * t_quantile(np.array(max(int(cycle.n_cycles) - 1, 1)))
     for reach, alpha, gid in ((deviation, 0.16, "deviation"), (interval, 0.38, "interval")):
         if np.isfinite(reach).all() and (fits or gid != "deviation"):
             axes.fill_between(angle, mean - reach, mean + reach, color=color, alpha=alpha, linewidth=0, gid=gid)

@@ -280,19 +280,18 @@ def _write_attrs(owner: Any, attrs: Mapping[Any, Any]) -> None:
 
 def _write_values(group: h5py.Group, name: str, values: NDArray[Any]) -> Any:
     """Write ``values``, numbers packed and checksummed; returns the identifier of their dataset."""
-    is_text = values.dtype.kind == "O"
+    kind, memory = _text_types() if values.dtype.kind == "O" else (h5t.py_create(values.dtype, logical=True), None)
     properties = _creation()
     if values.ndim and values.size and values.dtype.kind in "iuf":
         properties.set_chunk(_chunks(values))
         properties.set_shuffle()
         properties.set_deflate(COMPRESSION_LEVEL)
         properties.set_fletcher32()
-    kind = _text_type() if is_text else h5t.py_create(values.dtype, logical=True)
     space = h5s.create_simple(values.shape) if values.ndim else h5s.create(h5s.SCALAR)
     dataset = h5d.create(group.id, name.encode(), kind, space, properties)
     if values.size:
         whole = np.ascontiguousarray(values).reshape(values.shape)
-        dataset.write(h5s.ALL, h5s.ALL, whole, _text_in_memory() if is_text else None)
+        dataset.write(h5s.ALL, h5s.ALL, whole, memory)
     return dataset
 
 
@@ -304,19 +303,15 @@ def _creation() -> Any:
 
 
 @cache
-def _text_type() -> Any:
-    return h5t.py_create(h5py.string_dtype(), logical=True)
-
-
-@cache
-def _text_in_memory() -> Any:
-    return h5t.py_create(h5py.string_dtype())
+def _text_types() -> tuple[Any, Any]:
+    """Type of text of any length in a file, and in memory."""
+    return h5t.py_create(h5py.string_dtype(), logical=True), h5t.py_create(h5py.string_dtype())
 
 
 def _attribute(owner: Any, name: str, value: Any) -> None:
     """Create attribute ``name`` of ``owner``: text of any length, one number or byte string, or an array of numbers."""
     if isinstance(value, str):
-        stored, kind, memory = np.array(value, dtype=object), _text_type(), _text_in_memory()
+        stored, (kind, memory) = np.array(value, dtype=object), _text_types()
     else:
         stored = np.asarray(value)
         kind = memory = h5t.py_create(stored.dtype, logical=True)
@@ -355,8 +350,7 @@ def _linked(dataset: xr.Dataset, name: str, base: str) -> dict[str, str]:
     of_error = next((key for key in ("coherent_amplitude", "amplitude", "mean") if key + end in dataset), "")
     bounds = [f"{base}_ci95", f"{base}_low", f"{base}_high"]
     bounds += ["standard_error", "degrees_of_freedom"] if base == of_error else []
-    linked = [key + end if key + end in dataset else key for key in bounds]
-    linked = [key for key in linked if key in dataset]
+    linked = [key for key in (key + end if key + end in dataset else key for key in bounds) if key in dataset]
     return {"ancillary_variables": " ".join(linked)} if linked else {}
 
 

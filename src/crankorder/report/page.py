@@ -26,9 +26,7 @@ from crankorder.plot.cells import level_limits, speed_cells
 from crankorder.plot.fixed_lines import fixed_frequencies
 from crankorder.plot.orders_figure import shown_tracks
 from crankorder.plot.palette import level_colours
-from crankorder.quantities import Floats
-from crankorder.records import known
-from crankorder.report.notation import (
+from crankorder.plot.reading import (
     estimate_text,
     frequency_text,
     interval_of,
@@ -46,6 +44,8 @@ from crankorder.report.notation import (
     short,
     speeds_text,
 )
+from crankorder.quantities import Floats
+from crankorder.records import known
 from crankorder.report.sentences.story import Answer, headline, story_of
 from crankorder.report.tables import provenance_table, tables_of
 from crankorder.settings import ReportSettings

@@ -16,7 +16,7 @@ from crankorder.plot.drawing import Drawing, Words
 from crankorder.plot.orders_figure import orders_figure
 from crankorder.plot.spectra_figure import order_spectra_figure, spectra_figure, spectrum_figure
 from crankorder.plot.speed_figure import shown_recordings, speed_figure
-from crankorder.report.sentences.story import strongest_sentence
+from crankorder.report.sentences.of_lines import strongest_sentence
 from crankorder.settings import ReportSettings
 
 _ONE_ROW = (

@@ -14,8 +14,8 @@ from matplotlib.patches import Circle, Wedge
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings
 from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, drawable, shortened, text_width_in
-from crankorder.plot.style import axes_at, house_style, new_figure, quality_note, title_lines, write
-from crankorder.report.notation import nominal_order, number_text, order_text
+from crankorder.plot.reading import nominal_order, number_text, order_text
+from crankorder.plot.style import axes_at, head_of_test, house_style, new_figure, write
 from crankorder.settings import ReportSettings
 
 _LEFT, _TOP, _BOTTOM, _RIGHT, _HEADER = 1.3, 0.98, 0.42, 0.2, 0.44  # inches
@@ -57,24 +57,24 @@ def shapes_figure(
     with the largest amplitude of all.
     """
     with house_style():
-        one = shapes.isel(speed=_speed_row(shapes, speed_rpm))
-        orders = _strongest(one)
-        channels = range(one.sizes["channel"])
+        at_speed = shapes.isel(speed=_speed_row(shapes, speed_rpm))
+        orders = _strongest(at_speed)
+        channels = range(at_speed.sizes["channel"])
         blocks = [channels[first : first + _CHANNELS] for first in range(0, len(channels), _CHANNELS)]
-        cell_width = (settings.width_in - _LEFT - _RIGHT) / min(max(len(channels), 1), _CHANNELS)
-        cell_width = min(cell_width, 3.3)
+        cell_width = min((settings.width_in - _LEFT - _RIGHT) / min(max(len(channels), 1), _CHANNELS), 3.3)
         height = _ROW_WIDE if cell_width >= _WIDE else _ROW_NARROW
         block_height = _HEADER + max(len(orders), 1) * height
         figure = new_figure(settings.width_in, _TOP + _BOTTOM + len(blocks) * block_height)
-        canvas = _canvas(figure)
+        width, full = figure.get_size_inches()
+        canvas = axes_at(figure, 0, 0, width, full)
+        canvas.set(xlim=(0, width), ylim=(0, full))
+        canvas.axis("off")
         for number, block in enumerate(blocks):
-            top = figure.get_size_inches()[1] - _TOP - number * block_height
-            _draw_block(figure, canvas, one, block, orders, (top, cell_width, height), settings)
-        name = drawable(findings.test, settings.max_name_characters)
-        speed = one.speed
-        said = f" at {speed:.0f} rpm" if math.isfinite(speed) else ""
-        title_lines(figure, 0.25, f"{name} · operating shapes{said}", _subtitle(shapes, len(orders)))
-        quality_note(figure, findings)
+            size = (full - _TOP - number * block_height, cell_width, height)
+            _draw_block(figure, canvas, at_speed, block, orders, size, settings)
+        what = "operating shapes" + (f" at {at_speed.speed:.0f} rpm" if math.isfinite(at_speed.speed) else "")
+        said = _subtitle(shapes, len(orders))
+        head_of_test(figure, 0.25, findings, what, said, longest=settings.max_name_characters)
         return figure
 
 
@@ -88,16 +88,16 @@ def _speed_row(shapes: xr.Dataset, speed_rpm: float | None) -> int:
     return int(np.argmax(share.max(axis=1, initial=0.0).sum(axis=0)))
 
 
-def _strongest(one: xr.Dataset) -> list[int]:
+def _strongest(at_speed: xr.Dataset) -> list[int]:
     """Places of the orders to show, ascending: those clear in any channel, by their share of a channel's largest."""
-    amplitude = np.nan_to_num(one.amplitude.transpose("channel", "order").values)
-    low = one.amplitude_ci95.transpose("channel", "order", "bound").values[..., 0]
-    swing = np.ptp(one.phase_ci95.transpose("channel", "order", "bound").values, axis=-1)
+    amplitude = np.nan_to_num(at_speed.amplitude.transpose("channel", "order").values)
+    low = at_speed.amplitude_ci95.transpose("channel", "order", "bound").values[..., 0]
+    swing = np.ptp(at_speed.phase_ci95.transpose("channel", "order", "bound").values, axis=-1)
     clear = np.where((low <= 0.0) | (swing >= 2.0 * _NO_PHASE), 0.0, amplitude)
     largest = clear.max(axis=1, initial=0.0)
     share = (clear / np.where(largest > 0.0, largest, 1.0)[:, None]).max(axis=0, initial=0.0)
     kept = [int(place) for place in np.argsort(-share, kind="stable") if share[place] > 0.0][:_ORDERS]
-    return sorted(kept, key=lambda place: float(one.order.values[place]))
+    return sorted(kept, key=lambda place: float(at_speed.order.values[place]))
 
 
 def _subtitle(shapes: xr.Dataset, shown: int) -> str:
@@ -111,20 +111,10 @@ def _subtitle(shapes: xr.Dataset, shown: int) -> str:
     return f"{some}Peak amplitude and phase {said}; a hand's length compares its row; pale: 95 % interval."
 
 
-def _canvas(figure: Figure) -> Axes:
-    """Axes over the whole of ``figure``, in inches."""
-    width, height = figure.get_size_inches()
-    axes = axes_at(figure, 0, 0, width, height)
-    axes.set_xlim(0, width)
-    axes.set_ylim(0, height)
-    axes.axis("off")
-    return axes
-
-
 def _draw_block(
     figure: Figure,
     canvas: Axes,
-    one: xr.Dataset,
+    at_speed: xr.Dataset,
     channels: range,
     orders: list[int],
     size: tuple[float, float, float],
@@ -133,14 +123,14 @@ def _draw_block(
     """Rows of orders for ``channels``; ``size`` is the top of the block, width and height of a cell, in inches."""
     top, width, height = size
     for column, channel in enumerate(channels):
-        _name_column(figure, one.isel(channel=channel), _LEFT + column * width, top, width, settings)
+        _name_column(figure, at_speed.isel(channel=channel), _LEFT + column * width, top, width, settings)
     for row, order in enumerate(orders):
         middle = top - _HEADER - (row + 0.5) * height
         canvas.plot([0.25, _LEFT + len(channels) * width], [middle + height / 2] * 2, color=GRID, linewidth=0.8)
-        _name_row(figure, one.isel(order=order), middle, mixed=len(set(one.phase_from.values)) > 1)
+        _name_row(figure, at_speed.isel(order=order), middle, mixed=len(set(at_speed.phase_from.values)) > 1)
         for column, channel in enumerate(channels):
-            cell = _cell(one.isel(channel=channel, order=order))
-            longest = _longest(one.isel(order=order), str(one.unit.values[channel]))
+            cell = _cell(at_speed.isel(channel=channel, order=order))
+            longest = _longest(at_speed.isel(order=order), str(at_speed.unit.values[channel]))
             _draw_cell(figure, canvas, cell, longest, (_LEFT + column * width, middle, width))
 
 
@@ -151,11 +141,11 @@ def _name_column(
     direction = str(channel["direction"].item()) if "direction" in channel.coords else ""
     unit = drawable(unit_text(str(channel["unit"].item())), 24)
     # where a channel is called by its direction that is said once
-    told = f"{drawable(direction, 12)} · {unit}" if direction and direction.strip("+") != name else unit
+    about = f"{drawable(direction, 12)} · {unit}" if direction and direction.strip("+") != name else unit
     middle, lines = left + width / 2, _two_lines(name, width - 0.08)
     for above, text in zip((0.14, 0.0)[-len(lines) :], lines, strict=True):
         write(figure, middle, top - 0.15 + above, text, fontsize=_NAME_SIZE, fontweight="bold", ha="center")
-    write(figure, middle, top - 0.32, shortened(told, SMALL, width - 0.06), fontsize=SMALL, color=FAINT, ha="center")
+    write(figure, middle, top - 0.32, shortened(about, SMALL, width - 0.06), fontsize=SMALL, color=FAINT, ha="center")
 
 
 def _two_lines(name: str, width_in: float) -> list[str]:
@@ -181,10 +171,10 @@ def _name_row(figure: Figure, order: xr.Dataset, middle: float, *, mixed: bool) 
         write(figure, 0.25, middle - 0.12, text, fontsize=SMALL, color=FAINT)
 
 
-def _cell(one: xr.Dataset) -> _Cell:
-    low, high = (float(value) for value in one.amplitude_ci95.values)
-    first, last = (float(value) for value in one.phase_ci95.values)
-    return _Cell(one.amplitude, low, high, one.phase, 0.5 * (last - first))
+def _cell(at_speed: xr.Dataset) -> _Cell:
+    low, high = (float(value) for value in at_speed.amplitude_ci95.values)
+    first, last = (float(value) for value in at_speed.phase_ci95.values)
+    return _Cell(at_speed.amplitude, low, high, at_speed.phase, 0.5 * (last - first))
 
 
 def _longest(order: xr.Dataset, unit: str) -> float:
@@ -204,14 +194,13 @@ def _draw_cell(figure: Figure, canvas: Axes, cell: _Cell, longest: float, place:
     canvas.plot([x, x + radius], [y, y], color=GRID, linewidth=0.8, zorder=0.9)
     if math.isfinite(cell.amplitude) and longest > 0.0:
         _draw_hand(canvas, cell, (x, y), radius / longest, radius, color)
-    amplitude, phase = _numbers(cell, with_intervals=wide)
-    if wide:
-        write(figure, x + radius + 0.1, y + 0.035, amplitude, fontsize=NORMAL, color=INK if cell.clear else FAINT)
-        write(figure, x + radius + 0.1, y - 0.13, phase, fontsize=NORMAL, color=INK if cell.clear else FAINT)
-        return
-    for below, text in ((0.14, amplitude), (0.27, phase)):
-        write(figure, x, y - radius - below, shortened(text, SMALL, width - 0.02), ha="center", fontsize=SMALL,
-              color=INK if cell.clear else FAINT)  # fmt: skip
+    ink = INK if cell.clear else FAINT
+    for text, up, below in zip(_numbers(cell, with_intervals=wide), (0.035, -0.13), (0.14, 0.27), strict=True):
+        if wide:
+            write(figure, x + radius + 0.1, y + up, text, fontsize=NORMAL, color=ink)
+        else:
+            text = shortened(text, SMALL, width - 0.02)
+            write(figure, x, y - radius - below, text, ha="center", fontsize=SMALL, color=ink)
 
 
 def _draw_hand(canvas: Axes, cell: _Cell, centre: tuple[float, float], scale: float, radius: float, color: str) -> None:

@@ -9,8 +9,7 @@ from typing import TypedDict, cast
 from crankorder.channel_units import unit_text
 from crankorder.findings import AvoidedSpeed, EnergyShares, Findings, FreeBand, ModeFinding, OpenBand, Quality
 from crankorder.plot.fixed_lines import fixed_tones, hertz_of_order
-from crankorder.records import Record
-from crankorder.report.notation import (
+from crankorder.plot.reading import (
     Numbered,
     estimate_text,
     frequency_text,
@@ -30,6 +29,7 @@ from crankorder.report.notation import (
     unit_of,
     with_interval,
 )
+from crankorder.records import Record
 from crankorder.report.sentences.of_levels import band_of
 from crankorder.report.sentences.of_lines import envelope_band, no_order_sentence
 from crankorder.report.sentences.of_speeds import all_judged

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Collection, Iterable, Sequence
 
 from crankorder.errors import printable
-from crankorder.report.notation import number_text
+from crankorder.plot.reading import number_text
 
 WIDTH = 100
 """Columns of the widest line."""

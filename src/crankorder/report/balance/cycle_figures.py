@@ -14,18 +14,16 @@ from crankorder.engine.balance_data import speed_key
 from crankorder.engine.cycle_tables import OrderTorque, TurningMoment, cycle_curves
 from crankorder.engine.definition import Engine
 from crankorder.plot.palette import FAINT, INK, LINES, SMALL, drawable
+from crankorder.plot.reading import number_text
 from crankorder.plot.style import axes_at, house_style, new_figure, quiet_frame, title_lines, write
 from crankorder.quantities import Floats
-from crankorder.report.balance.look import color_key, cross_hairs, frame_around
-from crankorder.report.notation import number_text
+from crankorder.report.balance.look import Box, color_key, cross_hairs, frame_around
 from crankorder.settings import ReportSettings
-
-Box = tuple[float, float, float, float]
-"""Left, bottom, width, height in inches."""
 
 _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 0.95, 0.35, 1.1, 0.62, 0.95  # inches
 _CURVES = 2.6  # inches, height of the loads against crank angle
 _MOST_COLUMNS = 3
+_SUM = "together"
 _SHOWN_SHARE = 1e-3
 _TOLD_SHARE = 0.01  # of the tallest bar: beside another bar a lower one has no room for its number
 _FEWEST_ORDERS, _MOST_ORDERS = 6, 12  # that the axis has room for
@@ -37,11 +35,11 @@ def cycle_dataset(engine: Engine, speeds_rpm: Sequence[float]) -> xr.Dataset:
     Dims speed, crank_angle (degrees), cylinder, bearing, and direction: "along" and "across" the cylinder for pins, "x"
     and "z" of the engine for main bearings.
     """
-    every = cycle_curves(engine, speeds_rpm)
-    first, turn = every[0], ("speed", "crank_angle")
+    by_speed = cycle_curves(engine, speeds_rpm)
+    first, turn = by_speed[0], ("speed", "crank_angle")
     variables: dict[str, tuple[tuple[str, ...], Floats, dict[str, str]]] = {
-        "gas_torque": (turn, np.stack([curves.gas_n_m for curves in every]), {"units": "N m"}),
-        "inertia_torque": (turn, np.stack([curves.inertia_n_m for curves in every]), {"units": "N m"}),
+        "gas_torque": (turn, np.stack([curves.gas_n_m for curves in by_speed]), {"units": "N m"}),
+        "inertia_torque": (turn, np.stack([curves.inertia_n_m for curves in by_speed]), {"units": "N m"}),
     }
     coords: dict[str, tuple[str, object, dict[str, str]] | list[str]] = {
         "speed": ("speed", np.asarray(speeds_rpm, dtype=np.float64), {"units": "min-1"}),
@@ -49,15 +47,15 @@ def cycle_dataset(engine: Engine, speeds_rpm: Sequence[float]) -> xr.Dataset:
     }
     if first.loads:
         by_cylinder = ("speed", "cylinder", "crank_angle")
-        thrust = np.stack([[load.side_thrust_n for load in one.loads] for one in every])
+        thrust = np.stack([[load.side_thrust_n for load in curves.loads] for curves in by_speed])
         variables["wall_load"] = (by_cylinder, thrust, {"units": "N", "long_name": "piston on its wall"})
         across = ("speed", "cylinder", "direction", "crank_angle")
         for name, pin in (("piston_pin_load", "piston_pin_n"), ("crank_pin_load", "crank_pin_n")):
-            values = np.stack([[getattr(load, pin) for load in one.loads] for one in every])
+            values = np.stack([[getattr(load, pin) for load in curves.loads] for curves in by_speed])
             variables[name] = (across, values, {"units": "N", "long_name": "rod on pin"})
         coords["direction"] = ["along", "across"]
     if first.bearings_n is not None:
-        values = np.stack([one.bearings_n[:, [0, 2]] for one in every if one.bearings_n is not None])
+        values = np.stack([curves.bearings_n[:, [0, 2]] for curves in by_speed if curves.bearings_n is not None])
         about = {"units": "N", "long_name": "crankshaft on main bearing"}
         variables["main_bearing_load"] = (("speed", "bearing", "axis", "crank_angle"), values, about)
         coords["axis"] = ["x", "z"]
@@ -94,21 +92,13 @@ def torque_figure(
 
 
 def _torque_curves(figure: Figure, box: Box, shown: xr.Dataset, moment: TurningMoment, with_gas: bool) -> None:
-    axes = axes_at(figure, *box)
-    quiet_frame(axes)
     gas, masses = shown["gas_torque"].values, shown["inertia_torque"].values
-    entries = [("masses", LINES[0], masses)]
+    curves = [("masses", LINES[0], masses)]
     if with_gas:
-        entries = [("gas", LINES[1], gas), *entries, ("together", INK, gas + masses)]
-    for name, color, values in entries:
-        wide = name == "together"  # below the others: where it is alike with one of them both are seen
-        width, above = (3.0, 1.9) if wide else (1.3, 2.0)
-        axes.plot(shown["crank_angle"].values, values, color=color, linewidth=width, zorder=above)
-    axes.axhline(0, color=FAINT, linewidth=0.8)
+        curves = [("gas", LINES[1], gas), *curves, (_SUM, INK, gas + masses)]
+    axes = _cycle_curves(figure, box, shown, curves, "N·m", width=1.3)
     if moment.power_w is not None:
         axes.axhline(moment.mean_n_m, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
-    _cycle_axis(axes, shown, "N·m")
-    color_key(figure, box, [(name, color) for name, color, _ in entries])
 
 
 def _order_bars(axes: Axes, by_order: Mapping[str, OrderTorque], *, with_gas: bool) -> None:
@@ -147,12 +137,12 @@ def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> 
         row, rows = side + 0.75, -(-len(polar) // columns)
         figure = new_figure(settings.width_in, _TOP + _CURVES + _GAP + rows * row + 0.2)
         base = float(figure.get_size_inches()[1]) - _TOP - _CURVES
-        _curves(figure, (_LEFT, base, width, _CURVES), shown)
-        bearings = frame_around(max((one.peak_n for one in polar[1:]), default=0.0))
+        _load_curves(figure, (_LEFT, base, width, _CURVES), shown)
+        bearings = frame_around(max((load.peak_n for load in polar[1:]), default=0.0))
         frames = [frame_around(polar[0].peak_n)] + [bearings] * (len(polar) - 1)
-        for number, (one, frame) in enumerate(zip(polar, frames, strict=True)):
+        for number, (load, frame) in enumerate(zip(polar, frames, strict=True)):
             corner = (_LEFT + number % columns * step, base - _GAP - (number // columns + 1) * row + 0.45)
-            _polar(figure, (*corner, side, side), one, frame, LINES[number % len(LINES)])
+            _polar(figure, (*corner, side, side), load, frame, LINES[number % len(LINES)])
         said = f"At {speed_key(speed)} rpm; dots mark crank angle 0; frames are ±{number_text(frames[0])} N for the pin"
         said += "." if len(frames) == 1 else f", ±{number_text(bearings)} N for the main bearings."
         title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · loads", said)
@@ -176,30 +166,27 @@ class _PolarLoad:
 def _polar_loads(shown: xr.Dataset) -> list[_PolarLoad]:
     """Of the first crank pin, then of every main bearing."""
     pin = shown["crank_pin_load"].isel(cylinder=0).values
-    found = [_PolarLoad("crank pin of cylinder 0", pin[0], pin[1], "up: along the cylinder, right: across")]
+    loads = [_PolarLoad("crank pin of cylinder 0", pin[0], pin[1], "up: along the cylinder, right: across")]
     if "main_bearing_load" in shown:
         for place, (x, z) in zip(shown["bearing"].values, shown["main_bearing_load"].values, strict=True):
             at = f"{1e3 * float(place):.4g}".replace("-", "−")
-            found.append(_PolarLoad(f"main bearing at {at} mm", z, x, "up: Z, right: X"))
-    return found
+            loads.append(_PolarLoad(f"main bearing at {at} mm", z, x, "up: Z, right: X"))
+    return loads
 
 
-def _polar(figure: Figure, box: Box, one: _PolarLoad, frame: float, color: str) -> None:
+def _polar(figure: Figure, box: Box, load: _PolarLoad, frame: float, color: str) -> None:
     axes = axes_at(figure, *box)
     cross_hairs(axes, frame)
-    axes.plot([*one.right, one.right[0]], [*one.up, one.up[0]], color=color, linewidth=1.4)
-    axes.plot(one.right[0], one.up[0], "o", color=color, markersize=4)
+    axes.plot([*load.right, load.right[0]], [*load.up, load.up[0]], color=color, linewidth=1.4)
+    axes.plot(load.right[0], load.up[0], "o", color=color, markersize=4)
     left, bottom, side, _ = box
     middle, top = left + side / 2, bottom + side
-    write(figure, middle, top + 0.2, one.name, ha="center", fontsize=SMALL + 0.5, fontweight="bold")
-    text = f"up to {number_text(one.peak_n)} N; {one.ways}"
+    write(figure, middle, top + 0.2, load.name, ha="center", fontsize=SMALL + 0.5, fontweight="bold")
+    text = f"up to {number_text(load.peak_n)} N; {load.ways}"
     write(figure, middle, top + 0.06, text, ha="center", fontsize=SMALL, color=FAINT)
 
 
-def _curves(figure: Figure, box: Box, shown: xr.Dataset) -> None:
-    axes = axes_at(figure, *box)
-    quiet_frame(axes)
-    angle = shown["crank_angle"].values
+def _load_curves(figure: Figure, box: Box, shown: xr.Dataset) -> None:
     first = shown.isel(cylinder=0)
     pins = [
         ("crank pin", np.hypot(*first["crank_pin_load"].values)),
@@ -208,13 +195,22 @@ def _curves(figure: Figure, box: Box, shown: xr.Dataset) -> None:
     ]
     if np.allclose(pins[0][1], pins[1][1], rtol=1e-6):  # the file gives the rod no mass of its own
         pins = [("crank pin and piston pin alike", pins[0][1]), pins[2]]
-    for number, (_, values) in enumerate(pins):
-        axes.plot(angle, values, color=LINES[number], linewidth=1.4)
+    curves = [(name, color, values) for (name, values), color in zip(pins, LINES, strict=False)]
+    _cycle_curves(figure, box, shown, curves, "N, cylinder 0", width=1.4)
+
+
+def _cycle_curves(
+    figure: Figure, box: Box, shown: xr.Dataset, curves: list[tuple[str, str, Floats]], unit: str, *, width: float
+) -> Axes:
+    """Axes over ``box`` with ``curves`` (name, colour, values) in a ``unit`` against the crank angle of a cycle."""
+    axes = axes_at(figure, *box)
+    quiet_frame(axes)
+    for name, color, values in curves:
+        # a sum lies below the others: where it is alike with one of them both are seen
+        line_width, above = (3.0, 1.9) if name == _SUM else (width, 2.0)
+        axes.plot(shown["crank_angle"].values, values, color=color, linewidth=line_width, zorder=above)
     axes.axhline(0, color=FAINT, linewidth=0.8)
-    _cycle_axis(axes, shown, "N, cylinder 0")
-    color_key(figure, box, [(name, LINES[number]) for number, (name, _) in enumerate(pins)])
-
-
-def _cycle_axis(axes: Axes, shown: xr.Dataset, unit: str) -> None:
     last = 360 * round(shown.sizes["crank_angle"] / 720)
     axes.set(xlim=(0, last), xticks=range(0, last + 1, 90), xlabel="crank angle, °", ylabel=unit)
+    color_key(figure, box, [(name, color) for name, color, _ in curves])
+    return axes

@@ -53,6 +53,8 @@ def balance_dataset(
             force[number, :, round(amplitude.order) - 1] = amplitude.x_g_mm, amplitude.y_g_mm
     diagrams = np.stack([polar_diagram(forces, angles) for forces in systems.values()])
     curves = np.stack([diagrams.real, diagrams.imag], axis=1)
+    largest = [max(forces, key=lambda force: force.semi_axes_g_mm[0], default=None) for forces in systems.values()]
+    rotations = ["none" if force is None else force.rotation for force in largest]
     speeds = np.asarray(speeds_rpm, dtype=np.float64)
     newtons = unbalance_force_n(np.abs(force)[..., None], speeds)
     shares = {int(order): share for order, share in sheet.harmonics.items()}
@@ -64,7 +66,7 @@ def balance_dataset(
             "phase": (("system", "axis", "order"), phase_deg(force), _about("of the force; " + _PHASE, "degree")),
             "force_at_speed": (("system", "axis", "order", "speed"), newtons, on_crankcase),
             "curve": (("system", "axis", "crank_angle"), curves, _about("force over squared crank speed", "g mm")),
-            "rotation": ("system", [_rotation(forces) for forces in systems.values()], _about("of its largest order")),
+            "rotation": ("system", rotations, _about("of its largest order")),
             "harmonic": ("harmonic_order", np.array(list(shares.values())), of_piston),
         },
         coords={
@@ -141,10 +143,6 @@ def order_sum(amplitudes: Complexes, crank_angle_rev: Floats) -> Floats:
     orders = np.arange(1, amplitudes.shape[-1] + 1)
     turn = np.exp(2j * np.pi * orders[:, None] * crank_angle_rev)
     return np.asarray((amplitudes @ turn).real)
-
-
-def _rotation(forces: Forces) -> str:
-    return max(forces, key=lambda force: force.semi_axes_g_mm[0]).rotation if forces else "none"
 
 
 def _about(long_name: str, units: str = "") -> dict[str, str]:

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from crankorder.engine.balance_data import speed_key
 from crankorder.engine.balancing import unbalance_force_n
 from crankorder.plot.palette import FAINT, INK, LINES, NORMAL, SMALL, drawable
+from crankorder.plot.reading import number_text, order_text
 from crankorder.plot.style import axes_at, house_style, log_axis, new_figure, note, quiet_frame, title_lines, write
 from crankorder.quantities import Complexes, Floats
 from crankorder.report.balance.dataset import SYSTEMS, order_sum
@@ -20,6 +21,7 @@ from crankorder.report.balance.look import (
     SHAFT_SETS,
     Box,
     alike,
+    angle_axes,
     axis_names,
     called,
     color_key,
@@ -29,7 +31,6 @@ from crankorder.report.balance.look import (
     meaning_of,
     system_color,
 )
-from crankorder.report.notation import number_text, order_text
 from crankorder.settings import ReportSettings
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 0.95, 0.35, 0.85, 0.62  # inches
@@ -66,7 +67,7 @@ def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, 
     limit = 1.08 * float(np.abs(curves.values).max()) or 1.0
     angle = 360 * curves["crank_angle"].values
     for axis, name, box in zip("xy", axis_names(balance), row, strict=True):
-        axes = _angle_axes(figure, box, limit, f"{text} · {name}", "N")
+        axes = angle_axes(figure, box, f"{text} · {name}", "N", limit=limit)
         zero = []
         for number, members in enumerate(groups):
             values = curves.sel(system=members[0], axis=axis).values
@@ -83,16 +84,6 @@ def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, 
         color_key(figure, row[0], [(called(members, balance), system_color(members[0])) for members in groups])
 
 
-def _angle_axes(figure: Figure, box: Box, limit: float, title: str, unit: str) -> Axes:
-    axes = axes_at(figure, *box)
-    quiet_frame(axes)
-    label = "crank angle from top dead centre, °"
-    axes.set(xlim=(0, 360), ylim=(-limit, limit), xticks=range(0, 361, 90), xlabel=label, ylabel=unit)
-    axes.set_title(title, fontsize=9, color=INK, pad=16)
-    axes.axhline(0, color=FAINT, linewidth=0.8)
-    return axes
-
-
 def _moment_row(figure: Figure, row: list[Box], balance: xr.Dataset, speed: float) -> None:
     """Moments of several cylinders against crank angle: those that rock it left, that about the crankshaft right."""
     per_omega = 1e-3 * float(unbalance_force_n(1.0, speed))
@@ -101,7 +92,7 @@ def _moment_row(figure: Figure, row: list[Box], balance: xr.Dataset, speed: floa
     angle = 360 * balance["crank_angle"].values
     heads = ("Rocking moments of the inertia forces", "Roll moment of the masses on the engine block")
     for head, box, members in zip(heads, row, ((0, 1), (2,)), strict=True):
-        axes = _angle_axes(figure, box, limit, head, "N·m")
+        axes = angle_axes(figure, box, head, "N·m", limit=limit)
         entries = []
         for number in members:
             name = str(balance["moment_axis"].values[number])
@@ -414,12 +405,7 @@ def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSetting
         limit = 1.12 * per_omega * float(np.abs(balance["curve"].sel(system="none").values).max()) or 1.0
         for number, axis in enumerate(shown):
             box = (0.95 + number * (width + 0.95), 0.62, width, height)
-            axes = axes_at(figure, *box)
-            quiet_frame(axes)
-            label = "crank angle from top dead centre, °"
-            axes.set(xlim=(0, 360), xticks=range(0, 361, 45), xlabel=label, ylabel="N", ylim=(-limit, limit))
-            axes.axhline(0, color=FAINT, linewidth=0.8)
-            axes.set_title(axis_names(balance)["xy".index(axis)], fontsize=9, color=INK, pad=18)
+            axes = angle_axes(figure, box, axis_names(balance)["xy".index(axis)], "N", limit=limit, step=45, pad=18)
             if not forces.any():
                 note(axes, "no force of any order")
                 continue

@@ -29,9 +29,9 @@ from crankorder.engine.hinged_crank import (
     torque_extrema,
 )
 from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, drawable
+from crankorder.plot.reading import number_text
 from crankorder.plot.style import axes_at, house_style, new_figure, quiet_frame, title_lines, write
 from crankorder.report.balance.look import Box, color_key
-from crankorder.report.notation import number_text
 from crankorder.settings import ReportSettings
 
 _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP_X, _GAP_Y = 0.95, 0.35, 1.1, 0.62, 0.95, 0.97  # inches

@@ -9,10 +9,11 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from crankorder.plot.palette import GRID, INK, LINES, text_width_in
-from crankorder.plot.style import write
+from crankorder.plot.drawing import Box as Box
+from crankorder.plot.palette import FAINT, GRID, INK, LINES, text_width_in
+from crankorder.plot.reading import listed
+from crankorder.plot.style import axes_at, quiet_frame, write
 from crankorder.report.balance.dataset import PLAIN, SYSTEMS
-from crankorder.report.notation import listed
 
 COUNTERWEIGHTS = ("none", "a", "b", "c", "d")
 DESIGNS = ("webs", *(f"order {order}" for order in range(1, 13)))
@@ -40,7 +41,6 @@ MOMENT_TEXT = {"about_x": "about Z", "about_y": "about X", "about_crankshaft": "
 NO_FORCE = 1e-9
 """A curve below this share of the largest is drawn as nothing."""
 
-Box = tuple[float, float, float, float]
 _KEY_SIZE = 8.0
 _BOLD = 1.13  # text_width_in measures the regular weight
 
@@ -73,6 +73,22 @@ def cross_hairs(axes: Axes, limit: float) -> None:
         spine.set_color(GRID)
     axes.axhline(0, color=GRID, linewidth=0.8)
     axes.axvline(0, color=GRID, linewidth=0.8)
+
+
+def angle_axes(
+    figure: Figure, box: Box, title: str, unit: str, *, limit: float, step: int = 90, pad: float = 16
+) -> Axes:
+    """Axes over ``box`` of ``figure`` for values of ±``limit`` in a ``unit`` against the crank angle of one turn.
+
+    ``title`` stands ``pad`` points above; a tick every ``step`` degrees.
+    """
+    axes = axes_at(figure, *box)
+    quiet_frame(axes)
+    label = "crank angle from top dead centre, °"
+    axes.set(xlim=(0, 360), ylim=(-limit, limit), xticks=range(0, 361, step), xlabel=label, ylabel=unit)
+    axes.set_title(title, fontsize=9, color=INK, pad=pad)
+    axes.axhline(0, color=FAINT, linewidth=0.8)
+    return axes
 
 
 def alike(curves: xr.DataArray) -> list[list[str]]:

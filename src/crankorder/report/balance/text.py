@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from crankorder.engine.balance_data import Amounts
-from crankorder.engine.balance_sheet import BalanceSheet, ShaftSet
+from crankorder.engine.balance_sheet import BalanceSheet, OwnShafts, ShaftSet
 from crankorder.engine.balancing import unbalance_force_n
 from crankorder.engine.crankshaft import CrankshaftSums
 from crankorder.engine.hinge_sheet import HingeSheet, Mechanism
-from crankorder.engine.shaft_design import ByAxis
+from crankorder.engine.shaft_design import ByAxis, DesignLayout
 from crankorder.errors import printable
 from crankorder.report.text_table import WIDTH, Cell, closing, short_number, text_table
 
@@ -163,6 +163,10 @@ def _strategies(sheet: BalanceSheet) -> list[str]:
     return text_table("Strategies side by side", ["", "none", *strategies], rows)
 
 
+def _own(sheet: BalanceSheet) -> dict[str, OwnShafts]:
+    return {} if sheet.shafts.own is None else {"own": sheet.shafts.own}
+
+
 def _sets(sheet: BalanceSheet) -> dict[str, ShaftSet]:
     return {name: shafts for name, shafts in sheet.shafts.sets.items() if shafts is not None}
 
@@ -203,14 +207,14 @@ def _loads(sheet: BalanceSheet) -> list[str]:
         return []
     speed = max(sheet.cycle.loads, key=float)
     loads, pins = sheet.cycle.loads[speed], ("wall", "piston pin", "crank pin")
-    every = [
+    carried = [
         (f"cylinder {cylinder.cylinder}, {text}", load)
         for cylinder in loads.cylinders
         for text, load in zip(pins, (cylinder.wall, cylinder.piston_pin, cylinder.crank_pin), strict=True)
     ]
-    for bearing in loads.main_bearings or ():
-        every.append((f"main bearing at {short_number(bearing.position_mm)} mm", bearing.load))
-    rows: list[Row] = [[text, load.peak_n, load.peak_deg, load.mean_n] for text, load in every]
+    bearings = loads.main_bearings or ()
+    carried += [(f"main bearing at {short_number(bearing.position_mm)} mm", bearing.load) for bearing in bearings]
+    rows = [(text, load.peak_n, load.peak_deg, load.mean_n) for text, load in carried]
     return text_table(f"Loads at {speed} rpm", ["", "peak N", "at crank °", "mean N"], rows)
 
 
@@ -238,10 +242,8 @@ def _designs(sheet: BalanceSheet) -> list[str]:
     ]
     title = "Or a counterweight at each throw, for all of order 1 that turns with the crank"
     lines += text_table(title, ["cylinder", "g·mm", "heavy side °", "at mm"], throws, kept=1)
-    left = {"none": sheet.moment_g_mm2}
-    left |= {name: layout.left.moment_g_mm2 or {} for name, layout in design.layouts.items()}
-    if sheet.shafts.own is not None:
-        left["own"] = sheet.shafts.own.left.moment_g_mm2 or {}
+    systems: dict[str, DesignLayout | OwnShafts] = {**design.layouts, **_own(sheet)}
+    left = {"none": sheet.moment_g_mm2, **{name: system.left.moment_g_mm2 or {} for name, system in systems.items()}}
     rows = [row for key, text in _MOMENTS.items() for row in _by_order(left, key, text)]
     return lines + text_table("Moments that remain, g·mm²", ["order", "axis", *left], rows, kept=2)
 
@@ -257,12 +259,9 @@ def _at(order: str, amounts: Sequence[Amounts]) -> list[float]:
 
 
 def _shaft_residuals(sheet: BalanceSheet) -> list[str]:
-    left: dict[str, ByAxis] = {"none": sheet.force_g_mm}
-    left |= {name: shafts.left.force_g_mm for name, shafts in _sets(sheet).items()}
-    if sheet.design is not None:
-        left |= {name: layout.left.force_g_mm for name, layout in sheet.design.layouts.items()}
-    if sheet.shafts.own is not None:
-        left["own"] = sheet.shafts.own.left.force_g_mm
+    designs = sheet.design.layouts if sheet.design is not None else {}
+    systems: dict[str, ShaftSet | DesignLayout | OwnShafts] = {**_sets(sheet), **designs, **_own(sheet)}
+    left = {"none": sheet.force_g_mm, **{name: system.left.force_g_mm for name, system in systems.items()}}
     if len(left) == 1:
         return []
     rows = [row for axis, text in _axes_of(sheet) for row in _by_order(left, axis, text)]

@@ -13,9 +13,9 @@ from crankorder.comparison import Comparison, Trend
 from crankorder.plot.drawing import Box, Drawing, Panel, Words, title_lines
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, label_right
 from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
+from crankorder.plot.reading import estimate_text, frequency_text, named, number_text, order_text
 from crankorder.quantities import Floats, Ints
 from crankorder.report.comparison.sentences import alike, comparison_story, scaled_text
-from crankorder.report.notation import estimate_text, frequency_text, named, number_text, order_text
 from crankorder.report.page import rendered_page
 from crankorder.report.sentences.story import Answer
 from crankorder.report.tables import Table, table_of
@@ -53,17 +53,14 @@ def comparison_page(comparison: Comparison, *, pictures: list[tuple[str, str]], 
 Shorten = Callable[[str], str]
 
 
-def _yes(claim: bool) -> str:
-    return "yes" if claim else "no"
-
-
+_YES = {True: "yes", False: "no"}
 _chance = partial(number_text, digits=2)
 
 
 def _orders(comparison: Comparison, short: Shorten) -> Table:
     rows = [
         [
-            short(r.channel), order_text(r.order), short(r.explained_by or "–"), _yes(r.changed),
+            short(r.channel), order_text(r.order), short(r.explained_by or "–"), _YES[r.changed],
             estimate_text(r, "ratio"), estimate_text(r, "ratio_db"), number_text(r.speed_rpm, digits=4),
             number_text(r.base_amplitude), number_text(r.new_amplitude), estimate_text(r, "difference"),
             unit_text(r.unit), f"{r.n_changed} of {r.n_speeds}", _chance(r.p_value),
@@ -81,7 +78,7 @@ def _modes(comparison: Comparison, _: Shorten) -> Table:
     rows = [
         [
             frequency_text(mode.frequency_hz),
-            _yes(mode.changed) if mode.only_in is None else "seen in one test only",
+            _YES[mode.changed] if mode.only_in is None else "seen in one test only",
             estimate_text(mode, "shift_hz"), estimate_text(mode, "damping_change"), _chance(mode.p_value),
         ]
         for mode in comparison.modes
@@ -94,7 +91,7 @@ def _modes(comparison: Comparison, _: Shorten) -> Table:
 def _unbalance(comparison: Comparison, short: Shorten) -> Table:
     rows = [
         [
-            short(r.channel), order_text(r.order), _yes(r.explains), estimate_text(r, "factor"),
+            short(r.channel), order_text(r.order), _YES[r.explains], estimate_text(r, "factor"),
             estimate_text(r, "turned_deg"), _chance(r.one_factor_p), estimate_text(r, "square_law_amplitude"),
             unit_text(r.unit), _chance(r.square_law_p),
         ]
@@ -127,7 +124,7 @@ def _masses(comparison: Comparison, short: Shorten) -> Table:
 def _balance(comparison: Comparison, _: Shorten) -> Table:
     rows = [
         [
-            mass.quantity.replace("_", " "), _yes(mass.changed), number_text(mass.base), number_text(mass.new),
+            mass.quantity.replace("_", " "), _YES[mass.changed], number_text(mass.base), number_text(mass.new),
             estimate_text(mass, "change"),
         ]
         for mass in comparison.balance
@@ -138,7 +135,7 @@ def _balance(comparison: Comparison, _: Shorten) -> Table:
 def _trend(comparison: Comparison, short: Shorten) -> Table:
     rows = [
         [
-            short(t.line), t.kind, short(t.channel), _yes(t.changed), scaled_text(t, "growth_per_run", 100),
+            short(t.line), t.kind, short(t.channel), _YES[t.changed], scaled_text(t, "growth_per_run", 100),
             ", ".join(number_text(value) for value in t.amplitude), _chance(t.p_value), t.verdict,
         ]
         for t in sorted(comparison.trend, key=lambda trend: (not trend.changed, trend.kind, trend.line))

@@ -17,8 +17,7 @@ from crankorder.comparison import (
     UnbalanceRecord,
 )
 from crankorder.identify.changes.run_trends import TREND_NUMBERS as TREND
-from crankorder.records import Record, known
-from crankorder.report.notation import (
+from crankorder.plot.reading import (
     at_speed,
     estimate_text,
     frequency_text,
@@ -31,6 +30,7 @@ from crankorder.report.notation import (
     short,
     with_interval,
 )
+from crankorder.records import Record, known
 from crankorder.report.sentences.story import Story
 
 _MAKER = 120

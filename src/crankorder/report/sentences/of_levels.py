@@ -6,7 +6,7 @@ import math
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings, Level, LimitVerdict
-from crankorder.report.notation import (
+from crankorder.plot.reading import (
     NAME_CHARACTERS,
     at_speed,
     estimate_text,

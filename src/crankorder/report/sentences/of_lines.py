@@ -20,8 +20,7 @@ from crankorder.findings import (
     OrderFinding,
 )
 from crankorder.plot.fixed_lines import fixed_tones, hertz_of_order, strongest_tone
-from crankorder.records import known
-from crankorder.report.notation import (
+from crankorder.plot.reading import (
     NAME_CHARACTERS,
     at_one_speed,
     at_speed,
@@ -45,6 +44,7 @@ from crankorder.report.notation import (
     strongest_by,
     unit_of,
 )
+from crankorder.records import known
 from crankorder.report.sentences.of_levels import above_sentence, look_above
 
 LIKE_UNBALANCE = "unbalance, bent shaft or misalignment"

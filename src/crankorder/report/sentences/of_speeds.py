@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from crankorder.findings import AvoidedSpeed, Findings, SpeedSwing
-from crankorder.plot.reading import free_bands, open_bands, wide_bands
-from crankorder.records import known
-from crankorder.report.notation import (
+from crankorder.plot.reading import (
     NAME_CHARACTERS,
+    SAME_MODE,
+    free_bands,
     frequency_text,
     interval_of,
     is_in_doubt,
@@ -19,15 +19,17 @@ from crankorder.report.notation import (
     named,
     nominal_order,
     number_text,
+    open_bands,
     order_name,
     order_texts,
     percent_text,
     short,
+    wide_bands,
 )
+from crankorder.records import known
 
 _PAIRS = 4  # crossings that a sentence names
 _ONE_SPEED_RPM = 1.0  # a test whose speeds span less is one at one speed
-SAME_MODE = 1e-3  # share within which two numbers are those of one natural frequency
 _OF_ENCODER = {1.0: "an eccentric", 2.0: "an oval"}  # orders that an encoder off its centre makes
 _ONE_SHARE = 0.85  # shares of the speed whose least is so much of the largest are one
 _SIDES = 8  # orders that a sentence names as likely sidebands

@@ -10,8 +10,7 @@ from typing import Literal, TypedDict
 
 from crankorder.findings import Balance, Findings, OrderFinding
 from crankorder.plot.fixed_lines import fixed_tones, hertz_of_order
-from crankorder.quantities import WHICH_IS_RIGHT
-from crankorder.report.notation import (
+from crankorder.plot.reading import (
     NAME_CHARACTERS,
     at_one_speed,
     estimate_text,
@@ -28,6 +27,7 @@ from crankorder.report.notation import (
     short,
     strongest_by,
 )
+from crankorder.quantities import WHICH_IS_RIGHT
 from crankorder.report.sentences.of_levels import level_sentences, limit_sentences, share_sentences, undecided_limits
 from crankorder.report.sentences.of_lines import (
     LIKE_UNBALANCE,
@@ -42,7 +42,6 @@ from crankorder.report.sentences.of_lines import (
     motor_sentences,
     nothing_proven,
     slow_sentences,
-    strongest_sentence,
     tone_sentences,
 )
 from crankorder.report.sentences.of_speeds import (
@@ -53,11 +52,6 @@ from crankorder.report.sentences.of_speeds import (
     shaft_sentences,
     swing_sentences,
 )
-
-__all__ = [
-    "ALL_CLEAR", "RE_RUN_RULE", "Story", "avoid_sentences", "bearing_sentences", "energy_sentence", "headline",
-    "story_of", "strongest_sentence",
-]  # fmt: skip
 
 ALL_CLEAR = (
     "Nothing that was looked for asks for action: orders, natural frequencies and their crossings. Strikes in "
