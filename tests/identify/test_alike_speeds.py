@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from crankorder.findings import Findings
+from crankorder.findings import Findings, FreeBand, OpenBand
 from crankorder.identify.findings import IN_DOUBT, speed_doubt, undecided_orders, without_free
-from crankorder.identify.found import AgreedOrder, ModalFit, SpeedBand, SpeedVerdicts, Tone
+from crankorder.identify.found import AgreedOrder, ModalFit, SpeedVerdicts, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.known_lines import Held, held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
@@ -127,8 +127,9 @@ def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed() -> None:
     orders = undecided_orders((agreed(2.0), agreed(3.41, lock="slips")))
     assert [one.lock for one in orders] == ["undecided", "undecided"]
     assert all(IN_DOUBT in [doubt.words for doubt in one.doubts] for one in orders)
-    verdicts = without_free(SpeedVerdicts((), (SpeedBand(500, 900),), (SpeedBand(900, 950, "open"),)))
-    assert verdicts.free == () and verdicts.open == (SpeedBand(500, 900, IN_DOUBT), SpeedBand(900, 950, "open"))
+    free, rest = FreeBand(low_rpm=500, high_rpm=900), OpenBand(low_rpm=900, high_rpm=950, remark="open")
+    verdicts = without_free(SpeedVerdicts((), (free,), (rest,)))
+    assert verdicts.free == () and verdicts.open == (OpenBand(low_rpm=500, high_rpm=900, remark=IN_DOUBT), rest)
 
 
 def findings_of(folder: Path, orders: dict[float, float]) -> dict[str, Any]:

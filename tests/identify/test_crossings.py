@@ -6,21 +6,17 @@ import numpy as np
 import pytest
 
 from crankorder.identify.modes.responses import held_amplitudes, shapes
-from crankorder.identify.records import crossing_records
 from crankorder.identify.speeds.crossings import amplification, crossings
 from crankorder.settings import load_settings
 from made.found_lines import SPEEDS_RPM, agreed, fit, fitted_response, line, made_response, mode, resonant
-from made.typed import as_dicts
-
-crossing_records = as_dicts(crossing_records)
 
 SETTINGS = load_settings().identify
 RANGE = (600.0, 2000.0)
 
 
 def table(orders, modal, *, speed_rpm=RANGE, stated=()):
-    records = crossings(tuple(orders), modal, speed_rpm=speed_rpm, settings=SETTINGS, stated=stated)
-    return {(record.order, record.mode_hz): record for record in records}
+    found = crossings(tuple(orders), modal, speed_rpm=speed_rpm, settings=SETTINGS, stated=stated)
+    return {(crossing.finding.order, crossing.finding.mode_hz): crossing.finding for crossing in found}
 
 
 def test_the_table_of_the_thesis_is_that_of_the_truth_sheet():
@@ -200,6 +196,6 @@ def test_every_number_of_a_record_can_be_written():
     for n in (1, 2, 3, 4, 6):
         speeds = np.sort(rng.uniform(600.0, 2000.0, n))
         lines = [line(4.0, rng.uniform(0.1, 10.0, n), speed_rpm=speeds, error=1.0)]
-        records = crossing_records(list(table([agreed(4.0, *lines)], modal, stated=[37.0]).values()))
+        records = [record.as_dict() for record in table([agreed(4.0, *lines)], modal, stated=[37.0]).values()]
         assert len(records) == 4
         assert json.loads(json.dumps(records, allow_nan=False))

@@ -53,7 +53,7 @@ def test_a_frequency_that_is_hardly_known_and_the_speeds_at_which_orders_meet_it
         (agreed(1.0, lock="slips", error=0.4),), fit(vague), speed_rpm=(600.0, 3000.0), stated=(3.0,), settings=SETTINGS
     )
     assert len(met) == 2
-    assert all(one.rpm_ci95[0] > 0.0 and one.mode_hz_ci95[0] > 0.0 for one in met)
+    assert all(crossing.ends_rpm[0] > 0.0 and crossing.finding.mode_hz_ci95[0] > 0.0 for crossing in met)
 
 
 # Claims among many comparisons: the published procedure, and its promise where nothing or something differs.

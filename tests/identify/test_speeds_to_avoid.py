@@ -1,23 +1,19 @@
 """Speeds to avoid, worst first; bands that are free because the data exclude an amplification; and those left open."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 
-from crankorder.identify.found import AvoidedSpeed, SpeedVerdicts, UnseenBound
+from crankorder.findings import AvoidedSpeed
+from crankorder.identify.found import SpeedVerdicts, UnseenBound
 from crankorder.identify.modes.responses import held_amplitudes
-from crankorder.identify.records import avoided_records, open_records
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import as_avoided, lone_peaks, speeds_to_avoid
 from crankorder.settings import load_settings
 from made.drawn_orders import DrawnMachine, drawn_machine, judged
 from made.found_lines import SPEEDS_RPM, agreed, fit, line, made_response, mode, resonant
-from made.typed import as_dicts
-
-avoided_records = as_dicts(avoided_records)
-open_records = as_dicts(open_records)
 
 SETTINGS = load_settings().identify
 RANGE = (600.0, 2000.0)
@@ -42,7 +38,7 @@ def test_two_orders_that_meet_two_modes_at_one_speed_are_one_speed_to_avoid():
     modes = [mode(115.0, 0.016), mode(230.0, 0.014)]
     orders = [agreed(k, line(k, size * resonant(k, SPEEDS_RPM, modes))) for k, size in ((4.0, 1.0), (8.0, 0.1))]
     verdicts = judge(orders, fit(*modes, unseen=seen_everything(4.0, 8.0)))
-    records = avoided_records(verdicts)
+    records = [speed.as_dict() for speed in verdicts.avoid]
     at_1725 = [record for record in records if record["rpm_range"][0] < 1725.0 < record["rpm_range"][1]]
     assert len(at_1725) == 1 and at_1725[0]["rank"] == 1
     assert at_1725[0]["orders"] == [4.0, 8.0] and at_1725[0]["order"] == 4.0
@@ -96,7 +92,7 @@ def test_the_highest_peak_in_any_channel_ranks_first():
         agreed(4.0, line(4.0, shape[4.0])),
         agreed(1.0, line(1.0, 1000.0 * SPEEDS_RPM / 1000, channel="pressure")),
     ]
-    records = avoided_records(judge(orders, fit(*modes)))
+    records = [speed.as_dict() for speed in judge(orders, fit(*modes)).avoid]
     assert [record["rank"] for record in records] == list(range(1, len(records) + 1))
     costs = [record["cost"] for record in records]
     assert costs == sorted(costs, reverse=True)
@@ -246,7 +242,6 @@ def test_free_and_open_bands_and_speeds_to_avoid_cover_the_tested_range():
         beside = [(item.rpm * 0.96, item.rpm * 1.04) for item in verdicts.avoid]  # not free, and named by what they are
         assert all(any(low <= rpm <= high for low, high in [*covered, *beside]) for rpm in at)
         assert not any(f[0] < o[1] and o[0] < f[1] for f in ends(verdicts.free) for o in ends(verdicts.open))
-        assert open_records(verdicts.open) == [asdict(item) for item in verdicts.open]
 
 
 def called_free(machine: DrawnMachine, verdicts: SpeedVerdicts) -> tuple[int, list[tuple[float, float, float]]]:
@@ -291,7 +286,7 @@ def test_of_a_quiet_machine_in_fine_steps_most_speeds_are_free(seed: int):
     modal, found, verdicts = judged(machine, seed)
     free = sum(high - low for low, high in ends(verdicts.free))
     assert not [item for item in modal.modes if not item.undecided]
-    assert not [item for item in found if item.excited] and verdicts.avoid == ()
+    assert not [crossing for crossing in found if crossing.finding.excited] and verdicts.avoid == ()
     assert free > 0.8 * np.ptp(machine.speed_rpm)
 
 

@@ -238,11 +238,12 @@ def test_an_order_meets_a_whirl_where_both_have_one_frequency_and_the_speed_is_n
     assert whirl.line_at(rpm) == pytest.approx(order * rpm / 60.0)
     orders = (agreed(order, line(order, _through(order, whirl), speed_rpm=TRACK)),)
     modal = fit(whirls=(whirl,))
-    (met,) = crossings(orders, modal, speed_rpm=RANGE, settings=SETTINGS)
+    (crossing,) = crossings(orders, modal, speed_rpm=RANGE, settings=SETTINGS)
+    met = crossing.finding
     assert met.rpm == pytest.approx(rpm) and met.rpm_ci95[0] < rpm < met.rpm_ci95[1]
     assert met.mode_hz == pytest.approx(order * rpm / 60.0)
     assert met.evidence.startswith(f"a whirl that moves by {slope:.3g} orders")
-    said = speeds_to_avoid([met], orders, modal, speed_rpm=RANGE, unit={"A": "g"}, settings=SETTINGS)
+    said = speeds_to_avoid([crossing], orders, modal, speed_rpm=RANGE, unit={"A": "g"}, settings=SETTINGS)
     if not RANGE[0] < rpm < RANGE[1]:
         assert met.verdict == "outside the tested range"
         return
@@ -260,9 +261,10 @@ def test_an_undecided_crossing_of_a_whirl_is_open_and_never_free() -> None:
     orders = (agreed(1.0, line(1.0, (coarse / 1000.0) ** 2, speed_rpm=coarse)),)
     unseen = (UnseenBound(1.0, TRACK, np.ones(len(TRACK))),)
     modal = fit(whirls=(whirl,), unseen=unseen)
-    (met,) = crossings(orders, modal, speed_rpm=RANGE, settings=SETTINGS)
+    (crossing,) = crossings(orders, modal, speed_rpm=RANGE, settings=SETTINGS)
+    met = crossing.finding
     assert met.verdict in ("not measured", "not decided")
-    said = speeds_to_avoid([met], orders, modal, speed_rpm=RANGE, unit={"A": "g"}, settings=SETTINGS)
+    said = speeds_to_avoid([crossing], orders, modal, speed_rpm=RANGE, unit={"A": "g"}, settings=SETTINGS)
     assert said.free, "far from the whirl the speeds are free"
     assert not any(band.low_rpm < met.rpm * 1.03 and band.high_rpm > met.rpm * 0.97 for band in said.free)
     assert any("whirl" in band.remark for band in said.open)
@@ -270,7 +272,8 @@ def test_an_undecided_crossing_of_a_whirl_is_open_and_never_free() -> None:
 
 @pytest.mark.slow
 def test_a_stated_order_that_was_not_seen_meets_the_whirl_too() -> None:
-    (met,) = crossings((), fit(whirls=(_known(-0.1),)), speed_rpm=RANGE, settings=SETTINGS, stated=(2.0,))
+    (crossing,) = crossings((), fit(whirls=(_known(-0.1),)), speed_rpm=RANGE, settings=SETTINGS, stated=(2.0,))
+    met = crossing.finding
     assert met.verdict == "not measured" and met.rpm == pytest.approx(60.0 * 60.0 / 2.1)
 
 

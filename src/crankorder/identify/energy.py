@@ -100,11 +100,10 @@ def _looked_at(grid: EnergyMap, lines: EnergyLines, modal: ModalFit | None, sett
     surface = _surface(grid, owner, modal)
     owner = _owners(grid.axis, _with_skirts(grid, lines, surface))
     chance = min(settings.false_alarm_probability, NUMBERS.map_chance / max(1, grid.energy.size))
-    if modal is not None:
-        unexplained = _over_surface(grid, owner, surface, modal, chance)
-    else:
+    if modal is None:
         unexplained = _lines_alone(grid, owner, surface, settings.least_damping_ratio, chance)
-    return _LookedAt(grid, lines, owner, surface, unexplained)
+        return _LookedAt(grid, lines, owner, surface, unexplained)
+    return _LookedAt(grid, lines, owner, surface, _over_surface(grid, owner, surface, modal, chance))
 
 
 def _fraction(record: EnergyShares) -> float | None:
@@ -272,9 +271,8 @@ def _channel(number: int, looked: _LookedAt) -> dict[str, float]:
     rows = np.flatnonzero(np.isfinite(grid.energy[number]).all(axis=-1))
     share, owner = grid.share[rows], looked.owner[rows]
     energy, expected = share * grid.energy[number, rows], share * looked.surface[number, rows]
-    of_line = np.zeros(lines.centre.shape[1])
-    if of_line.size:
-        of_line += _energy_of_lines(grid, lines, number, (rows, owner, energy, expected))
+    has_lines = lines.centre.shape[1] > 0
+    of_line = _energy_of_lines(grid, lines, number, (rows, owner, energy, expected)) if has_lines else np.zeros(0)
     known, tone = lines.known[number], lines.is_tone
     parts = {
         "orders": of_line[known & ~tone].sum(),
@@ -344,8 +342,7 @@ def _shares(channel: str, unit: str, parts: list[dict[str, float]]) -> EnergySha
     total = joined.pop("total")
     shares = {name: part / total if total > 0.0 else 0.0 for name, part in joined.items()}
     unexplained = shares["unexplained_lines"] + shares["unexplained_cells"]
-    rest = max(0.0, 1.0 - shares["orders"] - shares["tones"] - unexplained)
-    floor = rest if total > 0.0 else 0.0
+    floor = max(0.0, 1.0 - shares["orders"] - shares["tones"] - unexplained) if total > 0.0 else 0.0
     return EnergyShares(
         channel=channel, unit=f"({unit})²", **shares, unexplained=unexplained, modes_and_floor=floor, total=total
     )
@@ -421,8 +418,8 @@ def by_frequency(
     known = np.concatenate([_known_orders(channels, orders, causes), known_tones], axis=1)
     counts = campbell["n_frames"].values.astype(np.float64)
     is_tone = np.arange(centre.shape[1]) >= len(orders)
-    whole = np.ones(energy.shape[1:])
-    return EnergyMap(frequency, energy, counts, whole), EnergyLines(centre, reach, stated, known, is_tone)
+    energies = EnergyMap(frequency, energy, counts, np.ones(energy.shape[1:]))
+    return energies, EnergyLines(centre, reach, stated, known, is_tone)
 
 
 def by_order(order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], causes: Causes) -> tuple[EnergyMap, EnergyLines]:

@@ -11,7 +11,7 @@ import xarray as xr
 
 from crankorder.cause import ELECTRIC, alike_speeds, electric
 from crankorder.engine.machine_parts import Motor
-from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Findings, quality_of
+from crankorder.findings import SCHEMA_VERSION, Balance, Channel, Findings, OpenBand, quality_of
 from crankorder.findings import Motor as MotorRecord
 from crankorder.identify.balance.unbalance_fit import UnbalanceFit, unbalance_fit
 from crankorder.identify.bearings.records import bearing_records
@@ -20,13 +20,7 @@ from crankorder.identify.causes.angle_swings import swing_sidebands
 from crankorder.identify.causes.explain import Causes, explained, with_neighbours_named
 from crankorder.identify.energy import energy_shares
 from crankorder.identify.found import NO_FITS, AgreedOrder, Doubt, ModalFit, SpeedVerdicts, SweepFits, Unsearched
-from crankorder.identify.levels import (
-    graded,
-    level_records,
-    limit_verdicts,
-    third_octave_records,
-    vibration_records,
-)
+from crankorder.identify.levels import graded, level_records, limit_verdicts, third_octave_records, vibration_records
 from crankorder.identify.lines.agreed_orders import orders_agreed, unless_sidebands
 from crankorder.identify.lines.followed_orders import (
     fixed_lines,
@@ -46,15 +40,7 @@ from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.order_blocks import with_locks_through_modes
 from crankorder.identify.modes.order_modes import without_swings
 from crankorder.identify.modes.sweep_modes import with_rows_of_fits
-from crankorder.identify.records import (
-    avoided_records,
-    crossing_records,
-    free_records,
-    line_records,
-    mode_records,
-    open_records,
-    order_records,
-)
+from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import as_avoided, speeds_to_avoid
 from crankorder.orders.track_rows import TrackReader
@@ -111,7 +97,7 @@ def find(
     moving, stated = going_with_speed(orders, causes), [gear.order for gear in sources.gears]
     met = crossings(moving, modal, speed_rpm=tested, settings=asked, stated=stated)
     speeds = speeds_to_avoid(met, moving, modal, speed_rpm=tested, unit=unit, settings=asked)
-    meetings = crossing_records(as_avoided(met, speeds.avoid))
+    meetings = as_avoided(met, speeds.avoid)
     speeds = speeds if doubt is None else without_free(speeds)
 
     fit = partial(unbalance_fit, order_map, orders, modal, followed=lines.followed)
@@ -133,9 +119,9 @@ def find(
         orders=records,
         modes=mode_records(modal, causes, meetings),
         crossings=meetings,
-        speeds_to_avoid=avoided_records(speeds),
-        free_bands=free_records(speeds.free),
-        open_bands=open_records(speeds.open),
+        speeds_to_avoid=speeds.avoid,
+        free_bands=speeds.free,
+        open_bands=speeds.open,
         bearings=bearings,
         motor=lines.motor,
         lines=line_records(records, modal, causes, channels=list(unit)),
@@ -285,6 +271,6 @@ def undecided_orders(orders: tuple[AgreedOrder, ...]) -> tuple[AgreedOrder, ...]
 
 def without_free(verdicts: SpeedVerdicts) -> SpeedVerdicts:
     """``verdicts`` in which no speed is free: what was is open, for another speed may have been meant."""
-    opened = tuple(replace(band, remark=IN_DOUBT) for band in verdicts.free)
+    opened = [OpenBand(low_rpm=band.low_rpm, high_rpm=band.high_rpm, remark=IN_DOUBT) for band in verdicts.free]
     merged = sorted((*verdicts.open, *opened), key=lambda band: band.low_rpm)
     return replace(verdicts, free=(), open=tuple(merged))

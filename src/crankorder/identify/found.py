@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, cast
 
 import numpy as np
 
 from crankorder.cause import DoubtKind
-from crankorder.findings import Lock, Verdict
+from crankorder.findings import AvoidedSpeed, CrossingFinding, FreeBand, Lock, OpenBand
 from crankorder.identify.intervals import Z95, half_width, positive_interval, ratio_interval
 from crankorder.quantities import Complexes, Floats, Ints
+from crankorder.records import Ends
 
 if TYPE_CHECKING:
     from crankorder.identify.modes.responses import Hiding
@@ -168,8 +169,7 @@ class Mode:
     @property
     def damping_ends(self) -> tuple[float, float]:
         """95 % interval of the damping ratio."""
-        low, high = ratio_interval(self.damping_ratio, self.damping_error, most=1.0)
-        return low, high
+        return ratio_interval(self.damping_ratio, self.damping_error, most=1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -350,76 +350,18 @@ class ModalFit:
     left: tuple[Unsearched, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Crossing:
-    """Meeting of an order with a natural frequency ``mode_hz`` at ``rpm``, each with its 95 % interval.
+    """The ``finding`` of an order that meets a ``mode``; the ``whirl`` that has it there, None of a mode that stays."""
 
-    ``amplification`` is the amplitude over the trend in the channel that shows it best, with its interval, or that of
-    the fit of a channel whose interval lies above it; None where it was not measured; ``amplification_predicted`` that
-    of the fit (``predicted_from`` "fit" or "damping"). ``remark`` says what makes the natural frequency doubtful;
-    ``chance`` that the order looks so without the mode; ``whirl`` is the one that the order meets, where it is none
-    that stays.
-    """
-
-    order: float
-    mode_hz: float
-    mode_hz_ci95: tuple[float, float]
-    rpm: float
-    rpm_ci95: tuple[float, float]
-    in_range: bool
-    amplification_predicted: float
-    predicted_from: Literal["fit", "damping"]
-    remark: str
-    channels: tuple[str, ...]
-    amplification: float | None
-    amplification_ci95: tuple[float, float] | None
-    evidence: str
-    verdict: Verdict
-    chance: float | None = None
+    finding: CrossingFinding
+    mode: Mode
     whirl: Whirl | None = None
 
     @property
-    def excited(self) -> bool:
-        """Whether the order rises there."""
-        return self.verdict == "excited"
-
-
-@dataclass(frozen=True)
-class AvoidedSpeed:
-    """A speed not to dwell at: where ``orders`` meet ``modes_hz`` (the costliest first), within ``rpm_range``.
-
-    ``amplitude`` with its 95 % interval is the largest there of the first order alone, in ``channel``,
-    ``amplification`` with its 95 % interval how many times it is that without the mode in the same channel; None where
-    not known. It is what was recorded or, ``by_fit``, what the fit says of a speed that is held there. The peak may be
-    larger where ``at_least``: where no fit knows it.
-    """
-
-    rpm: float
-    rpm_range: tuple[float, float]
-    orders: tuple[float, ...]
-    modes_hz: tuple[float, ...]
-    channel: str
-    amplitude: float | None
-    amplification: float | None
-    cost: float
-    reason: str
-    amplification_ci95: tuple[float, float] | None = None
-    at_least: bool = False
-    amplitude_ci95: tuple[float, float] | None = None
-    by_fit: bool = False
-
-
-@dataclass(frozen=True)
-class SpeedBand:
-    """Speeds from ``low_rpm`` to ``high_rpm`` of which one thing is known; ``remark`` says what, and why.
-
-    ``amplified``: whether a mode is seen to amplify an order there.
-    """
-
-    low_rpm: float
-    high_rpm: float
-    remark: str = ""
-    amplified: bool = False
+    def ends_rpm(self) -> Ends:
+        """95 % interval of its speed."""
+        return cast("Ends", self.finding.rpm_ci95)
 
 
 @dataclass(frozen=True)
@@ -427,8 +369,8 @@ class SpeedVerdicts:
     """Speeds to ``avoid``, worst first; bands that are ``free``; and bands ``open``, of which the data cannot tell."""
 
     avoid: tuple[AvoidedSpeed, ...]
-    free: tuple[SpeedBand, ...]
-    open: tuple[SpeedBand, ...]
+    free: tuple[FreeBand, ...]
+    open: tuple[OpenBand, ...]
 
 
 @dataclass(frozen=True, eq=False)

@@ -137,8 +137,8 @@ def limit_verdicts(vibration: xr.Dataset, balance: Balance | None, sources: Mach
         names = table["channel"].astype(str).tolist()
         rows = [row for row in _rows(table, "broad band") if _is_for(table, row, limit)]
         verdicts += [_verdict(table, row, limit) for row in rows]
-        with_level, everywhere = {names[row] for row in rows}, dict.fromkeys(names)
         unit, size = UNITS[limit.quantity]
+        missing = limit.channels or (() if rows else tuple(dict.fromkeys(names)))
         verdicts += [
             LimitVerdict(
                 quantity=limit.quantity,
@@ -150,8 +150,8 @@ def limit_verdicts(vibration: xr.Dataset, balance: Balance | None, sources: Mach
                 verdict="not decided",
                 evidence="no level could be told in that band: the recordings are too short, or sampled too slowly",
             )
-            for name in (limit.channels or (() if rows else tuple(everywhere)))
-            if name not in with_level
+            for name in missing
+            if name not in [names[row] for row in rows]
         ]
     return tuple(verdicts)
 

@@ -3,34 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
 
 import numpy as np
 
 from crankorder.cause import Cause
-from crankorder.findings import (
-    AvoidedSpeed,
-    CrossingFinding,
-    FreeBand,
-    LineFinding,
-    Lock,
-    ModeFinding,
-    OpenBand,
-    OrderFinding,
-)
+from crankorder.findings import CrossingFinding, LineFinding, Lock, ModeFinding, OrderFinding
 from crankorder.identify.causes.explain import Causes
-from crankorder.identify.found import (
-    AgreedOrder,
-    Crossing,
-    Evidence,
-    ModalFit,
-    Mode,
-    OrderLine,
-    SpeedBand,
-    SpeedVerdicts,
-    Tone,
-    Whirl,
-)
+from crankorder.identify.found import AgreedOrder, Evidence, ModalFit, Mode, OrderLine, Tone, Whirl
 from crankorder.identify.intervals import Z95, half_width, interval, positive_interval
 from crankorder.identify.lines.growth import Growth, growth, reported, visible_range_rpm
 from crankorder.identify.lines.line_phasors import is_half_order
@@ -66,21 +45,21 @@ def order_records(
     held speeds; ``unit`` is that of each channel.
     """
     records = [
-        _order_record(agreed, line, causes.orders[line.channel, agreed.order], meetings, unit[line.channel])
+        _order_record(agreed, line, causes.orders[line.channel, agreed.order], meetings, unit[line.channel], modal)
         for agreed in orders
         for line in agreed.lines
     ]
     place = {name: number for number, name in enumerate(unit)}
-    records.sort(key=lambda record: (place[record.channel], record.order))
-    return tuple(_held(record, modal) for record in records)
+    return tuple(sorted(records, key=lambda record: (place[record.channel], record.order)))
 
 
 def _order_record(
-    agreed: AgreedOrder, line: OrderLine, cause: Cause, meetings: Sequence[CrossingFinding], unit: str
+    agreed: AgreedOrder, line: OrderLine, cause: Cause, meetings: Sequence[CrossingFinding], unit: str, modal: ModalFit
 ) -> OrderFinding:
     law = growth(line)
     best = reported(line, law)
     phase = float(line.phase_deg[best.at])
+    held = held_peak(modal, agreed.order, line.channel, largest_rpm=best.speed_rpm)
     doubts = (*agreed.doubts, *line.doubts)
     kinds = [doubt.kind for doubt in doubts] + ([] if cause.doubt is None else [cause.doubt])
     said = (
@@ -100,10 +79,13 @@ def _order_record(
         half_order=agreed.lock != "slips" and is_half_order(agreed.order, agreed.order_error),
         amplitude=best.amplitude,
         amplitude_ci95=(max(0.0, best.low), best.high),
+        amplitude_held=None if held is None else held.amplitude,
+        amplitude_held_ci95=None if held is None else held.ends,
         phase_deg=None if np.isnan(phase) else phase,
         phase_deg_ci95=None if np.isnan(phase) else _phase_ends(line, best.at),
         unit=unit,
         speed_rpm_at_max=best.speed_rpm,
+        speed_rpm_at_held=None if held is None else held.rpm,
         speed_exponent=None if law is None else law.exponent,
         speed_exponent_ci95=None if law is None else law.ci95,
         speed_law=None if law is None else _law(law, met_hz),
@@ -116,15 +98,6 @@ def _order_record(
         causes=cause.kinds,
         doubts=tuple(dict.fromkeys(kinds)),
     )
-
-
-def _held(record: OrderFinding, modal: ModalFit) -> OrderFinding:
-    """``record`` with the amplitude that its order would reach in a sweep if the speed were held, where it is known."""
-    largest_rpm = record.speed_rpm_at_max
-    peak = None if largest_rpm is None else held_peak(modal, record.order, record.channel, largest_rpm=largest_rpm)
-    if peak is None:
-        return record
-    return replace(record, amplitude_held=peak.amplitude, amplitude_held_ci95=peak.ends, speed_rpm_at_held=peak.rpm)
 
 
 def _phase_ends(line: OrderLine, at: int) -> Ends:
@@ -174,7 +147,7 @@ def mode_records(modal: ModalFit, causes: Causes, meetings: Sequence[CrossingFin
 
 
 def _mode_record(mode: Mode, cause: Cause, meetings: Sequence[CrossingFinding]) -> ModeFinding:
-    excites = {one.order for one in meetings if one.excited and one.mode_hz == mode.frequency_hz}
+    excites = {met.order for met in meetings if met.excited and met.mode_hz == mode.frequency_hz}
     return ModeFinding(
         frequency_hz=mode.frequency_hz,
         frequency_hz_ci95=mode.frequency_ends,
@@ -214,17 +187,27 @@ def _tone_record(tone: Tone, cause: Cause) -> ModeFinding:
     channel, (amplitude, error) = max(tone.amplitude.items(), key=lambda item: item[1][0] / max(item[1][1], 1e-300))
     return ModeFinding(
         frequency_hz=tone.frequency_hz,
-        frequency_hz_ci95=positive_interval(tone.frequency_hz, Z95 * tone.frequency_error_hz),
+        frequency_hz_ci95=_tone_ends(tone),
         damping_ratio=None,
         damping_ratio_ci95=None,
         channels=tuple(tone.amplitude),
         channel=channel,
         amplitude=amplitude,
-        amplitude_ci95=(max(0.0, amplitude - Z95 * error), amplitude + Z95 * error),
+        amplitude_ci95=_size_ends(amplitude, error),
         evidence=_once(tone.evidence, cause.evidence),
         explained_by=cause.text,
         causes=cause.kinds,
     )
+
+
+def _tone_ends(tone: Tone) -> Ends:
+    """95 % interval of the frequency of ``tone``."""
+    return positive_interval(tone.frequency_hz, Z95 * tone.frequency_error_hz)
+
+
+def _size_ends(size: float, error: float) -> Ends:
+    """95 % interval of an amplitude of that ``size`` with its standard ``error``."""
+    return max(0.0, size - Z95 * error), size + Z95 * error
 
 
 def line_records(
@@ -237,73 +220,36 @@ def line_records(
     kept = ("channel", "order", "order_ci95", "explained_by", "causes", "amplitude", "amplitude_ci95")
     records = [LineFinding(**{key: getattr(record, key) for key in kept}) for record in orders]
     for tone, cause in zip(modal.tones, causes.tones, strict=True):
-        for channel, (amplitude, error) in tone.amplitude.items():
-            records.append(
-                LineFinding(
-                    channel=channel,
-                    frequency_hz=tone.frequency_hz,
-                    frequency_hz_ci95=positive_interval(tone.frequency_hz, Z95 * tone.frequency_error_hz),
-                    explained_by=cause.text,
-                    causes=cause.kinds,
-                    amplitude=amplitude,
-                    amplitude_ci95=(max(0.0, amplitude - Z95 * error), amplitude + Z95 * error),
-                )
-            )
-    return (*records, *_modes_as_lines(modal, causes, channels))
-
-
-def _modes_as_lines(modal: ModalFit, causes: Causes, channels: list[str]) -> list[LineFinding]:
-    """Peak of a tone as strong as the floor within the half-power width of each mode, by channel that shows it."""
-    records = []
+        sizes = {channel: (size, _size_ends(size, error)) for channel, (size, error) in tone.amplitude.items()}
+        records += _lines_at(tone.frequency_hz, _tone_ends(tone), cause, sizes)
     for mode, cause in zip(modal.modes, causes.modes, strict=True):
-        half = mode.damping_ratio * mode.frequency_hz
-        near = np.abs(modal.frequency_hz - mode.frequency_hz) <= max(half, 1e-9)
-        for channel in mode.channels:
-            psd = modal.floor_psd[channels.index(channel), near] if modal.floor_psd.size else np.zeros(0)
-            known = psd[np.isfinite(psd)]
-            rms = float(np.sqrt(known.mean() * 2.0 * half)) if known.size else None
-            records.append(
-                LineFinding(
-                    channel=channel,
-                    frequency_hz=mode.frequency_hz,
-                    frequency_hz_ci95=mode.frequency_ends,
-                    explained_by=cause.text,
-                    causes=cause.kinds,
-                    amplitude=None if rms is None else float(np.sqrt(2.0)) * rms,
-                )
-            )
-    return records
+        levels = {channel: (_level_of(mode, channels.index(channel), modal), None) for channel in mode.channels}
+        records += _lines_at(mode.frequency_hz, mode.frequency_ends, cause, levels)
+    return tuple(records)
 
 
-def crossing_records(found: Sequence[Crossing]) -> tuple[CrossingFinding, ...]:
-    """Findings of the crossings ``found``."""
-    told = [one.name for one in fields(Crossing) if one.name != "whirl"]
-    return tuple(
-        CrossingFinding(**{name: getattr(item, name) for name in told}, excited=item.excited) for item in found
-    )
-
-
-def avoided_records(verdicts: SpeedVerdicts) -> tuple[AvoidedSpeed, ...]:
-    """Findings of the speeds of ``verdicts`` that are to be avoided, the worst first."""
-    return tuple(
-        AvoidedSpeed(
-            rank=rank,
-            order=item.orders[0],
-            mode_hz=item.modes_hz[0],
-            **{one.name: getattr(item, one.name) for one in fields(item)},
+def _lines_at(
+    hertz: float, ends: Ends, cause: Cause, sizes: Mapping[str, tuple[float | None, Ends | None]]
+) -> list[LineFinding]:
+    """Lines at a frequency with its interval ``ends`` and its ``cause``: amplitude and interval of it by channel."""
+    return [
+        LineFinding(
+            channel=channel,
+            frequency_hz=hertz,
+            frequency_hz_ci95=ends,
+            explained_by=cause.text,
+            causes=cause.kinds,
+            amplitude=amplitude,
+            amplitude_ci95=amplitude_ends,
         )
-        for rank, item in enumerate(verdicts.avoid, start=1)
-    )
+        for channel, (amplitude, amplitude_ends) in sizes.items()
+    ]
 
 
-def free_records(bands: Sequence[SpeedBand]) -> tuple[FreeBand, ...]:
-    """Findings of ``bands`` of speed that are free."""
-    return tuple(FreeBand(low_rpm=one.low_rpm, high_rpm=one.high_rpm, remark=one.remark) for one in bands)
-
-
-def open_records(bands: Sequence[SpeedBand]) -> tuple[OpenBand, ...]:
-    """Findings of ``bands`` of speed that are neither free nor to be avoided."""
-    return tuple(
-        OpenBand(low_rpm=one.low_rpm, high_rpm=one.high_rpm, remark=one.remark, amplified=one.amplified)
-        for one in bands
-    )
+def _level_of(mode: Mode, channel: int, modal: ModalFit) -> float | None:
+    """Peak of a tone as strong as the floor of a ``channel`` (its number) within the half-power width of ``mode``."""
+    half = mode.damping_ratio * mode.frequency_hz
+    near = np.abs(modal.frequency_hz - mode.frequency_hz) <= max(half, 1e-9)
+    psd = modal.floor_psd[channel, near] if modal.floor_psd.size else np.zeros(0)
+    seen = psd[np.isfinite(psd)]
+    return float(np.sqrt(2.0)) * float(np.sqrt(seen.mean() * 2.0 * half)) if seen.size else None

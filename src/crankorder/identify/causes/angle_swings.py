@@ -18,6 +18,8 @@ from crankorder.settings import MethodNumbers
 
 SWING_NUMBERS = MethodNumbers("5-identify-explain.toml", "swing_sidebands")
 
+ENCODER_ERROR = "an error of the encoder that the data do not exclude"
+
 WHOLE_HALVES = 0.05
 """An order this near, in half orders, to so many half orders from another is one."""
 
@@ -113,9 +115,7 @@ def swing_sidebands(orders: Sequence[AgreedOrder], frames: Sequence[xr.Dataset])
                 break
             within += _within(line, given, speeds=max(len(item.amplitude) for _, item in beside))
             most = max(given, key=lambda part: float(np.sum(part.amplitude)))
-            maker = (
-                "an error of the encoder that the data do not exclude" if most.by_encoder else "a swing of the shaft"
-            )
+            maker = ENCODER_ERROR if most.by_encoder else "a swing of the shaft"
             evidence = f"no larger in most channels than what {maker} gives it beside order {most.carrier:g}"
             of_order[line.channel, agreed.order] = (
                 Cause("sideband of an encoder", evidence, {"carrier": most.carrier})

@@ -105,21 +105,19 @@ def cycle_doubts(
     locked = sorted({one.order for one in orders if one.lock == "locked"})
     if two_stroke:
         half = gas_half_orders(locked)
-        if len(half) < 2:
-            return []
+        doubted = len(half) > 1
         detail = (
             f"half orders ({', '.join(half)}) are locked to the shaft, and a two-stroke engine's gas makes none: "
             'if it is a four-stroke engine, state cycle = "four-stroke"; else something rubs or is loose'
         )
-        return [Quality(recording="all", flag="cycle_doubted", severity="suspect", detail=detail)]
-    missing = _missing_half_orders(engine, locked, max_order)
-    if not missing:
-        return []
-    detail = (
-        f"the model's gas makes half orders ({', '.join(missing)}) as large as whole ones, and none is seen: if it is "
-        'a two-stroke engine, state cycle = "two-stroke"; if it was motored, its gas makes no orders here'
-    )
-    return [Quality(recording="all", flag="cycle_doubted", severity="suspect", detail=detail)]
+    else:
+        missing = _missing_half_orders(engine, locked, max_order)
+        doubted = bool(missing)
+        detail = (
+            f"the model's gas makes half orders ({', '.join(missing)}) as large as whole ones, and none is seen: if it "
+            'is a two-stroke engine, state cycle = "two-stroke"; if it was motored, its gas makes no orders here'
+        )
+    return [Quality(recording="all", flag="cycle_doubted", severity="suspect", detail=detail)] if doubted else []
 
 
 def _missing_half_orders(engine: Engine | None, locked: Sequence[float], max_order: float) -> tuple[str, ...]:

@@ -65,12 +65,11 @@ class Causes:
 class _Test:
     """What the rules know of a test: its ``orders``, the machine, and what was found of it before.
 
-    ``races`` that are struck, ``folds`` that show, ``forces`` of gas and masses, ``modes``; ``bearings``: findings.
+    ``races`` that are struck, ``folds`` that show, ``forces`` of gas and masses, ``modes``.
     """
 
     orders: tuple[AgreedOrder, ...]
     machine: MachineModel
-    bearings: Sequence[BearingFinding]
     races: list[StruckRace]
     folds: Sequence[ShownAlias]
     forces: ForcesOfCycle
@@ -135,7 +134,7 @@ def explained(
     """
     causes: LineCauses = {}
     races = struck_races(bearings, sources, [(agreed.order, agreed.order_error) for agreed in orders])
-    test = _Test(orders, sources, bearings, races, folds, _forces_of_cycle(orders, sources), modal.modes)
+    test = _Test(orders, sources, races, folds, _forces_of_cycle(orders, sources), modal.modes)
     of_cycle = {agreed.order: multiple_of_cycle(agreed, sources.revs_per_cycle) for agreed in orders}
     for agreed in orders:
         at = _stated_parts(agreed, bearings, sources)
@@ -150,14 +149,8 @@ def explained(
         if causes[key].is_just(*BY_ITSELF, *OF_NUMBER):
             causes[key] = cause
     causes |= _electric(orders, causes, modal, known, sources, settings, longest_rev)
-    causes |= explain_families(
-        orders,
-        causes,
-        of_cycle,
-        spacings=spacings_of(sources, bearings),
-        modes_hz=[mode.frequency_hz for mode in modal.modes],
-        of_swing=of_swing or {},
-    )
+    spacings, modes_hz = spacings_of(sources, bearings), [mode.frequency_hz for mode in modal.modes]
+    causes |= explain_families(orders, causes, of_cycle, spacings=spacings, modes_hz=modes_hz, of_swing=of_swing or {})
     rpm = _one_speed(orders)
     modes = tuple(_of_mode(mode, races, rpm) for mode in modal.modes)
     return Causes(causes, modes, _explained_tones(modal.tones, races, sources.gears, rpm, known, settings))
@@ -184,15 +177,12 @@ def _electric(
         seen = named_by(known, agreed)
         in_doubt = agreed.order in electric and "another tone" in electric[agreed.order].kinds
         if seen is not None and not in_doubt:
-            electric[agreed.order] = seen.cause(
-                f"{seen.hertz:.6g} Hz at {seen.held.rpm:.5g} rpm, where it was expected"
-            )
+            where = f"{seen.hertz:.6g} Hz at {seen.held.rpm:.5g} rpm"
+            electric[agreed.order] = seen.cause(f"{where}, where it was expected")
             if seen.alone:
                 sure.add(agreed.order)
     return {
-        (channel, order): _with_electric(
-            cause, electric[order], None if order in sure else of_cycle[order], order in sure
-        )
+        (channel, order): _with_electric(cause, electric[order], of_cycle[order], order in sure)
         for (channel, order), cause in causes.items()
         if order in electric
     }
@@ -201,7 +191,7 @@ def _electric(
 def _with_electric(cause: Cause, electric: Cause, of_cycle: float | None, sure: bool) -> Cause:
     """Cause of a line that by itself is a ``cause`` and may be ``electric``; both where they coincide."""
     if not cause.known or (sure and cause.is_just(*OF_NUMBER)):
-        return electric if of_cycle is None else electric.either(of_order(f"order {of_cycle:g}"))
+        return electric if sure or of_cycle is None else electric.either(of_order(f"order {of_cycle:g}"))
     if of_cycle is None or cause.is_just(*OF_NUMBER) or sure:
         return replace(cause.either(electric), evidence=f"{electric.evidence}; {cause.evidence}")
     return cause
@@ -298,16 +288,6 @@ def _stated_parts(agreed: AgreedOrder, bearings: Sequence[BearingFinding], sourc
     return parts_at(parts, agreed)
 
 
-def _mesh(of: _Line, _: _Test) -> Cause | None:
-    """A gear that the manifest states."""
-    return _stated(of.at, "gear mesh", of.proof)
-
-
-def _bearing(of: _Line, _: _Test) -> Cause | None:
-    """A line of a bearing, by the records of the bearings."""
-    return _stated(of.at, "bearing", of.proof)
-
-
 def _stated(at: PartsAt, kind: CauseKind, proof: str) -> Cause | None:
     """The parts ``at`` a line, if one is of the ``kind``."""
     if not any(part.kind == kind for part, _ in at.near):
@@ -377,10 +357,10 @@ RULES: tuple[Callable[[_Line, _Test], Cause | None], ...] = (
     _gas_in_pressure,
     _gas_or_masses,
     _kinematics,
-    _mesh,
+    lambda of, _: _stated(of.at, "gear mesh", of.proof),
     _first_order,
     _combustion,
-    _bearing,
+    lambda of, _: _stated(of.at, "bearing", of.proof),
     _race_harmonic,
     _fold,
     _half_order,
@@ -427,14 +407,8 @@ def _explained_tones(
     places = [tone.frequency_hz for tone in tones]
     mains = {f"mains {tone.frequency_hz:.4g} Hz": tone.frequency_hz for tone in tones if tone.kind == "mains"}
     errors = [tone.frequency_error_hz for tone in tones]
-    bands = sidebands(
-        places,
-        errors,
-        sizes,
-        spacings=mains,
-        highest=max(places, default=1.0),
-        sides=[not on for on in _on_one_grid(places, errors)],
-    )
+    sides, highest = [not on for on in _on_one_grid(places, errors)], max(places, default=1.0)
+    bands = sidebands(places, errors, sizes, spacings=mains, highest=highest, sides=sides)
     of = {band.at: band for band in bands}
     supply = supply_told([(one.frequency_hz, 0.0) for one in tones if one.kind == "mains"], settings=settings)
     causes = []
@@ -536,17 +510,12 @@ def with_neighbours_named(modal: ModalFit, orders: Sequence[AgreedOrder], causes
 
 def _beside(mode: Mode, lines: Sequence[tuple[float, str]]) -> Mode:
     low, high = mode.frequency_ends
-    reach = max(
-        NEIGHBOUR_NUMBERS.too_near_hz, min(0.5 * (high - low), NEIGHBOUR_NUMBERS.near_share * mode.frequency_hz)
-    )
-    near = sorted(
-        (abs(hertz - mode.frequency_hz), hertz, text)
-        for hertz, text in lines
-        if abs(hertz - mode.frequency_hz) <= reach
-    )
+    half = min(0.5 * (high - low), NEIGHBOUR_NUMBERS.near_share * mode.frequency_hz)
+    reach = max(NEIGHBOUR_NUMBERS.too_near_hz, half)
+    away = sorted((abs(hertz - mode.frequency_hz), hertz, text) for hertz, text in lines)
+    near = [line for line in away if line[0] <= reach][: NEIGHBOUR_NUMBERS.most_named]
     if not near:
         return mode
-    near = near[: NEIGHBOUR_NUMBERS.most_named]
     lines_there = " and ".join(f"{text} at {hertz:.5g} Hz" for _, hertz, text in near)
     undecided = f"{mode.undecided}; {lines_there} stands there, and may be all of it"
     return replace(mode, undecided=undecided, lines_there_hz=tuple(hertz for _, hertz, _ in near))

@@ -63,8 +63,8 @@ def sidebands(
             continue
         may = [(sides is None or sides[k]) and amplitudes[k] < amplitudes[carrier] for k in range(len(places))]
         for pair in _pairs(carrier, places, errors, may, spacings, highest):
-            for item in pair:
-                found.setdefault(item.at, item)
+            for side in pair:
+                found.setdefault(side.at, side)
     return [found[at] for at in sorted(found)]
 
 
@@ -91,14 +91,9 @@ def _pairs(
             # so many pairs as there are, each with its middle anywhere, would sit so often on this carrier
             chance = len(below) * len(above) * min(1.0, 2.0 * NUMBERS.same_sigmas * error / highest)
             if name or chance < NUMBERS.family_chance:
-                unit = spacing / multiple
-                pairs.append(
-                    (
-                        Sideband(low, carrier, unit, -multiple, name, chance),
-                        Sideband(high, carrier, unit, multiple, name, chance),
-                    )
-                )
-    return sorted(pairs, key=lambda pair: (not pair[0].spacing_name, pair[1].multiple, pair[0].spacing))
+                of_carrier = (carrier, spacing / multiple, multiple, name, chance)
+                pairs.append((Sideband(low, *of_carrier), Sideband(high, *of_carrier)))
+    return sorted(pairs, key=lambda pair: (not pair[0].spacing_name, pair[0].multiple, pair[0].spacing))
 
 
 def _known(spacing: float, error: float, spacings: dict[str, float]) -> tuple[str, int]:
@@ -164,14 +159,10 @@ def other_shafts(places: Sequence[float], errors: Sequence[float]) -> dict[int, 
         for other in order:
             multiple = round(places[other] / places[first])
             error = float(np.hypot(multiple * errors[first], errors[other]))
-            if (
-                other in found
-                or multiple < 2
-                or abs(places[other] - multiple * places[first]) > NUMBERS.same_sigmas * error
-            ):
-                continue
-            family[other] = multiple
-            chance *= min(1.0, 2.0 * NUMBERS.same_sigmas * error / places[first])
+            near = abs(places[other] - multiple * places[first]) <= NUMBERS.same_sigmas * error
+            if near and multiple > 1 and other not in found:
+                family[other] = multiple
+                chance *= min(1.0, 2.0 * NUMBERS.same_sigmas * error / places[first])
         # any of the others could have been the one that fits
         if 2 in family.values() and chance * len(places) < NUMBERS.family_chance:
             found |= {line: (first, multiple) for line, multiple in family.items()}
@@ -210,9 +201,8 @@ def explain_families(
     families: LineCauses = {}
     for channel in sorted({line.channel for agreed in orders for line in agreed.lines}):
         lines = [(agreed, line) for agreed in orders for line in agreed.lines if line.channel == channel]
-        families |= _meshes(
-            channel, [pair for pair in lines if (channel, pair[0].order) not in of_swing], causes, of_cycle, modes_hz
-        )
+        unswung = [pair for pair in lines if (channel, pair[0].order) not in of_swing]
+        families |= _meshes(channel, unswung, causes, of_cycle, modes_hz)
         families |= _sidebands(channel, lines, causes, of_cycle, spacings)
     return families | _shafts(orders, causes, families, of_cycle)
 
@@ -286,16 +276,10 @@ def _sidebands(
     """Unexplained lines of one channel, off the multiples of the cycle, that stand in pairs about a stronger line."""
     free = [causes[channel, a.order].is_just("unexplained") and of_cycle[a.order] is None for a, _ in lines]
     places = [agreed.order for agreed, _ in lines]
-    found = sidebands(
-        places,
-        [min(agreed.order_error, line.order_error) for agreed, line in lines],  # a speed's error shifts all alike
-        [float(line.amplitude.max()) for _, line in lines],
-        spacings=spacings,
-        highest=max(places, default=1.0),
-        sides=free,
-    )
+    errors = [min(agreed.order_error, line.order_error) for agreed, line in lines]  # a speed's error shifts all alike
+    sizes, highest = [float(line.amplitude.max()) for _, line in lines], max(places, default=1.0)
     family: LineCauses = {}
-    for band in found:
+    for band in sidebands(places, errors, sizes, spacings=spacings, highest=highest, sides=free):
         named = f" ({band.spacing_name})" if band.spacing_name else ""
         evidence = f"one of a pair about a stronger line{named}; {band.chance:.1g} such pairs by chance"
         family[channel, places[band.at]] = sideband_of(places[band.carrier], band.spacing, evidence)
@@ -381,25 +365,24 @@ def struck_races(
     The line of the vibration is the finer one; the shaft's own order is what the record of the envelope read from the
     sidebands, or the one that ``sources`` state.
     """
-    made: dict[tuple[str, str], StruckRace] = {}
+    races: dict[tuple[str, str], StruckRace] = {}
     ratio = {bearing.name: bearing.shaft_ratio for bearing in sources.bearings}
-    for record in sorted(bearings, key=lambda one: one.seen_in != "envelope"):
+    for record in sorted(bearings, key=lambda record: record.seen_in != "envelope"):
         key = record.name, record.line
         if record.line not in STRUCK or record.lock == "locked":
             continue
         error = record.order_half / Z95
-        old, shaft = made.get(key), record.shaft_order
+        old, shaft = races.get(key), record.shaft_order
         if old is None:
             title = "2 x BSF" if record.line == "BSF" else record.line
             stated = float(ratio.get(record.name, 1.0))
-            made[key] = StruckRace(
-                key[0], title, record.order, error, shaft or stated, RACE_NUMBERS.stated_error_share * stated
-            )
-        elif error < old.order_error and abs(record.order - old.order) <= RACE_NUMBERS.same_sigmas * math.hypot(
-            error, old.order_error
-        ):
-            made[key] = replace(old, order=record.order, order_error=error)
-    return [_refined(race, lines) for race in made.values()]
+            shaft_error = RACE_NUMBERS.stated_error_share * stated
+            races[key] = StruckRace(record.name, title, record.order, error, shaft or stated, shaft_error)
+            continue
+        same = abs(record.order - old.order) <= RACE_NUMBERS.same_sigmas * math.hypot(error, old.order_error)
+        if same and error < old.order_error:
+            races[key] = replace(old, order=record.order, order_error=error)
+    return [_refined(race, lines) for race in races.values()]
 
 
 def race_cause(races: Sequence[StruckRace], order: float, error: float, *, few: bool = False) -> Cause | None:
@@ -434,10 +417,5 @@ def _refined(race: StruckRace, lines: Sequence[tuple[float, float]]) -> StruckRa
         return race
     inverse = np.linalg.inv(design.T @ design)
     fitted = inverse @ design.T @ (order / error)
-    return replace(
-        race,
-        order=float(fitted[0]),
-        order_error=math.sqrt(inverse[0, 0]),
-        shaft=float(fitted[1]),
-        shaft_error=math.sqrt(inverse[1, 1]),
-    )
+    (of_race, of_shaft), (race_error, shaft_error) = fitted.tolist(), np.sqrt(np.diag(inverse)).tolist()
+    return replace(race, order=of_race, order_error=race_error, shaft=of_shaft, shaft_error=shaft_error)

@@ -9,12 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import fdtrc, stdtr
 
-from crankorder.findings import Verdict
+from crankorder.findings import CrossingFinding, Verdict
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, Mode, OrderLine, OrderResponse, Whirl
 from crankorder.identify.intervals import ENDLESS_FREEDOM, claimed, half_width, positive_interval, simes
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.responses import WithAndWithout, with_and_without
 from crankorder.quantities import Floats
+from crankorder.records import Ends, finite
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 TREND_NUMBERS = MethodNumbers("5-identify-explain.toml", "above_trend")
@@ -41,11 +42,6 @@ def width_rpm(rpm: float, mode: Mode, settings: IdentifySettings) -> float:
     Its half-power width, and no less than ``settings.crossing_band_rpm``.
     """
     return max(2.0 * mode.damping_ratio * rpm, settings.crossing_band_rpm * (1.0 + 1e-6))
-
-
-def in_range(rpm: float, speed_rpm: tuple[float, float], settings: IdentifySettings) -> bool:
-    """Whether ``rpm`` is within the tested range ``speed_rpm`` (rpm), or ``settings.crossing_band_rpm`` beside it."""
-    return bool(speed_rpm[0] - settings.crossing_band_rpm <= rpm <= speed_rpm[1] + settings.crossing_band_rpm)
 
 
 def evidence_beside(
@@ -99,7 +95,7 @@ def above_trend(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple
 def _trend_beside(line: OrderLine, rpm: float, near_rpm: float, others: list[tuple[float, float]]) -> PowerLaw | None:
     """Power law of ``line`` beside ``rpm``; the crossings with ``others`` (rpm, damping) are left out if it can be."""
     speed = line.speed_rpm
-    damping = min(others, key=lambda item: abs(item[0] - rpm))[1]
+    damping = min(others, key=lambda crossing: abs(crossing[0] - rpm))[1]
     free = np.abs(speed - rpm) > max(near_rpm, TREND_NUMBERS.neighbourhood_dampings * damping * rpm)
     clear = free.copy()
     for other, its_damping in others:
@@ -168,8 +164,8 @@ def power_law(speed_rpm: Floats, amplitude: Floats, amplitude_error: Floats) -> 
     design = np.stack([np.ones(len(speed_rpm)), np.log(speed_rpm / reference)], axis=1)
     y, own = np.log(amplitude), _relative(amplitude, amplitude_error) ** 2
     freedom = len(y) - 2
-    _, inverse, cost = _weighted(design, y, 1.0 / own)
     weight = 1.0 / own
+    _, inverse, cost = _weighted(design, y, weight)
     spare = weight.sum() - np.trace(inverse @ (design * weight[:, None] ** 2).T @ design)
     scatter = max(0.0, (cost - freedom) / float(spare))
     solution, inverse, cost = _weighted(design, y, 1.0 / (own + scatter))
@@ -194,6 +190,9 @@ NUMBERS = MethodNumbers("5-identify-explain.toml", "crossings")
 
 EXTRAPOLATED = "extrapolated: no speed there was tested, and order and natural frequency are taken to stay as they are"
 """Evidence of a crossing outside the tested range."""
+
+UNSEEN = "the order was stated, and does not stand out of the data"
+"""Evidence of a crossing inside it at which nothing was measured."""
 
 
 def crossings(
@@ -233,76 +232,79 @@ def crossings(
     tested = np.unique(np.concatenate(speeds)) if speeds else np.zeros(0)  # at which any order was seen
     met: list[tuple[Crossing, list[Seen]]] = []
     for agreed in orders:
-        for number in range(len(modal.modes)):
-            seen = _seen_of(agreed, number, modal, settings)
-            met.append((_crossing(agreed, number, seen, modal, tested, speed_rpm, settings), seen))
-        for whirl, mode in _met_whirls(agreed.order, modal):
-            beside = ModalFit((mode, *modal.modes), (), np.zeros((0, 0)))  # no fit of the orders holds a whirl
-            seen = _seen_of(agreed, 0, beside, settings)
-            met.append((_of_whirl(_crossing(agreed, 0, seen, beside, tested, speed_rpm, settings), mode, whirl), seen))
+        for number, fit, whirl in _met_by(agreed.order, modal):
+            crossing = _unmeasured(agreed.order, fit.modes[number], whirl, speed_rpm, settings)
+            seen = _seen_of(crossing, agreed, number, fit, settings)
+            met.append((_measured(crossing, agreed, number, seen, fit, tested, settings), seen))
     missing = [
-        order for order in stated if all(abs(order - item.order) > NUMBERS.same_stated_share * order for item in orders)
+        order for order in stated if all(abs(order - seen.order) > NUMBERS.same_stated_share * order for seen in orders)
     ]
-    found = _decided(met)
-    found += [_unmeasured(order, mode, speed_rpm, settings) for order in missing for mode in modal.modes]
-    found += [
-        _of_whirl(_unmeasured(order, mode, speed_rpm, settings), mode, whirl)
+    unmeasured = [
+        _unmeasured(order, fit.modes[number], whirl, speed_rpm, settings)
         for order in missing
-        for whirl, mode in _met_whirls(order, modal)
+        for number, fit, whirl in _met_by(order, modal)
     ]
-    found = [crossing if crossing.in_range else replace(crossing, evidence=EXTRAPOLATED) for crossing in found]
-    return tuple(sorted(found, key=lambda crossing: (crossing.rpm, crossing.order)))
+    return tuple(sorted(_decided(met) + unmeasured, key=lambda met: (met.finding.rpm, met.finding.order)))
 
 
-def _met_whirls(order: float, modal: ModalFit) -> list[tuple[Whirl, Mode]]:
-    """Whirls that ``order`` meets, and the mode that it passes through there."""
-    return [(whirl, mode) for whirl in modal.whirls if (mode := whirl.met_by(order)) is not None]
+def _met_by(order: float, modal: ModalFit) -> list[tuple[int, ModalFit, Whirl | None]]:
+    """Modes that ``order`` meets, by number in the fit that holds them, and the whirl that has each, where it moves."""
+    passed = [(whirl, mode) for whirl in modal.whirls if (mode := whirl.met_by(order)) is not None]
+    return [
+        *((number, modal, None) for number in range(len(modal.modes))),
+        # no fit of the orders holds a whirl
+        *((0, ModalFit((mode, *modal.modes), (), np.zeros((0, 0))), whirl) for whirl, mode in passed),
+    ]
 
 
-def _of_whirl(crossing: Crossing, mode: Mode, whirl: Whirl) -> Crossing:
-    """``crossing`` with the ``mode`` that an order passes in ``whirl``: as it gains slower, its speed errs more."""
-    half = (crossing.rpm_ci95[1] - crossing.rpm) * whirl.slower(crossing.order)
-    return replace(
-        crossing,
-        rpm_ci95=positive_interval(crossing.rpm, half),
-        evidence="; ".join(filter(None, (mode.evidence, crossing.evidence))),
-        whirl=whirl,
-    )
-
-
-def _unmeasured(order: float, mode: Mode, speed_rpm: tuple[float, float], settings: IdentifySettings) -> Crossing:
-    """Crossing of an order that was stated and not seen."""
-    rpm = 60.0 * mode.frequency_hz / order
-    inside = in_range(rpm, speed_rpm, settings)
-    return Crossing(
+def _unmeasured(
+    order: float, mode: Mode, whirl: Whirl | None, speed_rpm: tuple[float, float], settings: IdentifySettings
+) -> Crossing:
+    """Crossing of an ``order`` that was stated and not seen, with the ``mode`` that stays or that a ``whirl`` has."""
+    rpm, near = 60.0 * mode.frequency_hz / order, settings.crossing_band_rpm
+    inside = bool(speed_rpm[0] - near <= rpm <= speed_rpm[1] + near)
+    finding = CrossingFinding(
         order=order,
         mode_hz=mode.frequency_hz,
         mode_hz_ci95=mode.frequency_ends,
         rpm=rpm,
-        rpm_ci95=positive_interval(rpm, 60.0 * mode.frequency_half_hz / order),
+        rpm_ci95=_ends_rpm(rpm, 60.0 * mode.frequency_half_hz / order, order, whirl),
         in_range=inside,
-        amplification_predicted=1.0 / (2.0 * max(mode.damping_ratio, 1e-6)),
+        amplification_predicted=_quality(mode),
         predicted_from="damping",
         remark=mode.undecided,
-        channels=(),
-        amplification=None,
-        amplification_ci95=None,
-        evidence="the order was stated, and does not stand out of the data" if inside else "",
+        evidence=_said(mode, whirl, UNSEEN) if inside else EXTRAPOLATED,
         verdict="not measured" if inside else "outside the tested range",
+        excited=False,
     )
+    return Crossing(finding, mode, whirl)
 
 
-def _seen_of(agreed: AgreedOrder, number: int, modal: ModalFit, settings: IdentifySettings) -> list[Seen]:
-    """What each channel says of the crossing of ``agreed`` with mode ``number``."""
-    mode = modal.modes[number]
-    rpm = 60.0 * mode.frequency_hz / agreed.order
-    others = [(60.0 * m.frequency_hz / agreed.order, m.damping_ratio) for m in modal.modes]
-    seen: list[Seen] = []
-    for line in agreed.lines:
-        seen += above_trend(line, rpm, width_rpm(rpm, mode, settings), others)
-    for response in responses_to(agreed.order, modal):
-        seen += _by_residue(response, number, modal)
-    return seen
+def _ends_rpm(rpm: float, half: float, order: float, whirl: Whirl | None) -> Ends:
+    """Interval of a crossing's speed, ``half`` as wide; on a ``whirl`` the ``order`` gains slower and it errs more."""
+    ends = positive_interval(rpm, half)
+    return ends if whirl is None else positive_interval(rpm, (ends[1] - rpm) * whirl.slower(order))
+
+
+def _said(mode: Mode, whirl: Whirl | None, evidence: str) -> str:
+    """The ``evidence`` of a crossing, behind that of the ``mode`` if a ``whirl`` has it."""
+    return evidence if whirl is None else "; ".join(filter(None, (mode.evidence, evidence)))
+
+
+def _quality(mode: Mode) -> float:
+    """What ``mode`` makes of a force at its frequency, against its own stiffness: 1 / (2 ζ)."""
+    return 1.0 / (2.0 * max(mode.damping_ratio, 1e-6))
+
+
+def _seen_of(
+    crossing: Crossing, agreed: AgreedOrder, number: int, modal: ModalFit, settings: IdentifySettings
+) -> list[Seen]:
+    """What each channel says of the ``crossing`` of ``agreed`` with mode ``number``."""
+    rpm = crossing.finding.rpm
+    others = [(60.0 * mode.frequency_hz / agreed.order, mode.damping_ratio) for mode in modal.modes]
+    near = width_rpm(rpm, crossing.mode, settings)
+    by_trend = [excess for line in agreed.lines for excess in above_trend(line, rpm, near, others)]
+    return by_trend + [test for fit in responses_to(agreed.order, modal) for test in _by_residue(fit, number, modal)]
 
 
 def responses_to(order: float, modal: ModalFit) -> list[OrderResponse]:
@@ -310,55 +312,53 @@ def responses_to(order: float, modal: ModalFit) -> list[OrderResponse]:
     return [response for response in modal.responses if abs(response.order - order) < NUMBERS.same_response_orders]
 
 
-def _crossing(
+def _measured(
+    crossing: Crossing,
     agreed: AgreedOrder,
     number: int,
     seen: list[Seen],
     modal: ModalFit,
     tested: Floats,
-    speed_rpm: tuple[float, float],
     settings: IdentifySettings,
 ) -> Crossing:
-    """One crossing with the verdict that it has where it is not excited."""
-    mode = modal.modes[number]
-    rpm = 60.0 * mode.frequency_hz / agreed.order
+    """``crossing`` as the amplitudes of ``agreed`` show it, with the verdict that it has where it is not excited."""
+    mode, whirl, finding = crossing.mode, crossing.whirl, crossing.finding
     relative = [mode.frequency_error_hz / mode.frequency_hz, agreed.order_error / agreed.order]
     error = float(np.hypot(relative[0], relative[1]))
     # the order's error has few degrees of freedom, the mode's many (Welch and Satterthwaite)
     freedom = ENDLESS_FREEDOM
     if relative[1] > 0.0 and agreed.degrees_of_freedom > 0.0:
         freedom = min(freedom, agreed.degrees_of_freedom * (error / relative[1]) ** 4)
-    half = rpm * error * half_width(freedom)
-    inside = in_range(rpm, speed_rpm, settings)
-    fitted = [item for item in responses_to(agreed.order, modal) if item.fits]
-    trends = [item for item in seen if item.ratio is not None] if inside else []
-    trend = min(trends, key=lambda item: item.chance, default=None)
-    by_fit = [one for item in fitted if (one := fitted_excess(item, number, modal)) is not None] if inside else []
+    half = finding.rpm * error * half_width(freedom)
+    fitted = [response for response in responses_to(agreed.order, modal) if response.fits]
+    finding = replace(
+        finding,
+        rpm_ci95=_ends_rpm(finding.rpm, half, agreed.order, whirl),
+        amplification_predicted=_predicted(fitted, number, modal),
+        predicted_from="fit" if fitted else "damping",
+        channels=tuple(line.channel for line in agreed.lines),
+    )
+    if not finding.in_range:
+        return replace(crossing, finding=finding)
+    trends = [excess for excess in seen if excess.ratio is not None]
+    trend = min(trends, key=lambda excess: excess.chance, default=None)
+    by_fit = [excess for fit in fitted if (excess := fitted_excess(fit, number, modal)) is not None]
     best = None if trend is None else higher(trend, by_fit)
-    evidence = evidence_beside(agreed, rpm, mode, trend, tested, settings) if inside else ""
+    evidence = evidence_beside(agreed, finding.rpm, mode, trend, tested, settings)
     if best is not None and best is not trend:
         what, low, high = "what it is without the mode, by the fit", best.ratio_low, best.ratio_high
         evidence = f"in {best.channel} at least {low:.2g} times {what}"
         if np.isfinite(high):
             evidence = f"in {best.channel} {best.ratio:.2g} times {what} ({low:.2g} to {high:.2g})"
-    return Crossing(
-        order=agreed.order,
-        mode_hz=mode.frequency_hz,
-        mode_hz_ci95=mode.frequency_ends,
-        rpm=rpm,
-        rpm_ci95=positive_interval(rpm, half),
-        in_range=inside,
-        amplification_predicted=_predicted(fitted, number, modal),
-        predicted_from="fit" if fitted else "damping",
-        remark=mode.undecided,
-        channels=tuple([item.channel for item in trends] or [line.channel for line in agreed.lines]),
+    finding = replace(
+        finding,
+        channels=tuple(excess.channel for excess in trends) or finding.channels,
         amplification=None if best is None else best.ratio,
         amplification_ci95=None if best is None else (best.ratio_low, best.ratio_high),
-        evidence=evidence,
-        verdict=_unless_excited(agreed, number, trends, fitted, by_fit, modal, tested)
-        if inside
-        else "outside the tested range",
+        evidence=_said(mode, whirl, evidence),
+        verdict=_unless_excited(agreed, number, trends, fitted, by_fit, modal, tested),
     )
+    return replace(crossing, finding=finding)
 
 
 def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen | None:
@@ -377,12 +377,12 @@ def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen
     both = _beside_mode(response, number, modal)
     sigmas, least = half_width(float(response.degrees_of_freedom)), float(both.least[0])
     size, size_error, without, without_error = (
-        float(one[0, AT_MODE]) for one in (both.with_mode, both.with_error, both.without, both.without_error)
+        float(size[0, AT_MODE]) for size in (both.with_mode, both.with_error, both.without, both.without_error)
     )
     unsure = sigmas * without_error + NUMBERS.shape_share * size
     low = max(size - sigmas * size_error, 0.0) / max(without + unsure, least, 1e-300)
     high = (size + sigmas * size_error) / (without - unsure) if without - unsure > least else np.inf
-    quality = 1.0 / (2.0 * max(mode.damping_ratio, 1e-6))
+    quality = _quality(mode)
     ratio = min(float(both.ratio[AT_MODE]), quality)
     return Seen(response.channel, np.nan, rpm, ratio, min(low, quality), high)
 
@@ -426,7 +426,7 @@ def _predicted(fitted: list[OrderResponse], number: int, modal: ModalFit) -> flo
     1 / (2 ζ) where nothing was ``fitted``, and at most: what a mode makes of a force, seen against its own stiffness.
     """
     ratios = [amplification(item, number, modal) for item in fitted]
-    quality = float(1.0 / (2.0 * max(modal.modes[number].damping_ratio, 1e-6)))
+    quality = _quality(modal.modes[number])
     # beyond that the fit says that hardly anything is left without the mode, which is no amplification
     return min([max(ratios), quality]) if ratios else quality
 
@@ -467,17 +467,17 @@ def _by_residue(response: OrderResponse, number: int, modal: ModalFit) -> list[S
 
 def _decided(met: list[tuple[Crossing, list[Seen]]]) -> list[Crossing]:
     """Crossings of ``met``, those called excited of which what was seen there says so."""
-    seen_in_range = [seen if crossing.in_range else [] for crossing, seen in met]
+    seen_in_range = [seen if crossing.finding.in_range else [] for crossing, seen in met]
     chances = np.array([simes(np.array([each.chance for each in seen])) if seen else np.nan for seen in seen_in_range])
     excited = claimed(chances, q=NUMBERS.false_discovery_rate)
     decided = []
     for (crossing, seen), chance, sure in zip(met, chances.tolist(), excited.tolist(), strict=True):
-        if np.isfinite(chance):
-            crossing = replace(crossing, chance=chance)
+        finding = replace(crossing.finding, chance=finite(chance))
         if sure:
             shows = {each.channel for each in seen if len(seen) * each.chance <= NUMBERS.false_discovery_rate}
             shows |= {min(seen, key=lambda each: each.chance).channel}
-            evidence = f"{crossing.evidence}; chance without the mode {chance:.1g}"
-            crossing = replace(crossing, verdict="excited", channels=tuple(sorted(shows)), evidence=evidence)
-        decided.append(crossing)
+            evidence = f"{finding.evidence}; chance without the mode {chance:.1g}"
+            channels = tuple(sorted(shows))
+            finding = replace(finding, verdict="excited", excited=True, channels=channels, evidence=evidence)
+        decided.append(replace(crossing, finding=finding))
     return decided

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from scipy.special import ndtri
 
+from crankorder.findings import AvoidedSpeed, CrossingFinding, FreeBand, OpenBand
 from crankorder.identify.found import (
     AgreedOrder,
-    AvoidedSpeed,
     Crossing,
     ModalFit,
     Mode,
     OrderLine,
     OrderResponse,
-    SpeedBand,
     SpeedVerdicts,
     UnseenBound,
 )
@@ -27,6 +27,7 @@ from crankorder.identify.modes.responses import EXCLUSION, HeldPeak, peak_of, to
 from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
 from crankorder.identify.speeds.crossings import Seen, above_trend, fitted_excess, higher, responses_to, width_rpm
 from crankorder.quantities import Bools
+from crankorder.records import Ends, known
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-explain.toml", "speeds_to_avoid")
@@ -35,14 +36,13 @@ FLANKS = 120
 """Speeds over the whole span, in equal ratios, at which the flanks of a mode are looked at."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Open:
-    """Speeds ``low_rpm`` to ``high_rpm`` that are not free, and why; ``amplified``: a mode is seen to amplify there."""
+def _open(low: float, high: float, why: str, *, amplified: bool = False) -> OpenBand:
+    """Speeds ``low`` to ``high`` (rpm) that are not free, and ``why``."""
+    return OpenBand(low_rpm=low, high_rpm=high, remark=why, amplified=amplified)
 
-    low_rpm: float
-    high_rpm: float
-    why: str
-    amplified: bool = False
+
+RINGING = "{0.mode_hz:.4g} Hz rings on there from order {0.rung_by:.4g}: another order that met it would be hidden"
+"""Why HiddenSpeeds are not free."""
 
 
 @dataclass(frozen=True)
@@ -94,97 +94,109 @@ def speeds_to_avoid(
     for line in (line for agreed in orders for line in agreed.lines):
         largest[line.channel] = max(largest.get(line.channel, 0.0), float(line.amplitude.max()))
     in_unit = {name: max(largest[other] for other in largest if unit[other] == unit[name]) for name in largest}
-    met = [_cost(item, orders, modal, in_unit, settings) for item in found if _counts(item)]
+    met = [_cost(crossing, orders, modal, in_unit, settings) for crossing in found if _counts(crossing)]
     lone = lone_peaks(
         orders, modal, met, largest=largest, in_unit=in_unit, unit=unit, factor=settings.free_amplification
     )
-    numbered = {(item.order, item.mode_hz) for item in found if item.amplification is not None}
+    findings = [crossing.finding for crossing in found]
+    numbered = {(finding.order, finding.mode_hz) for finding in findings if finding.amplification is not None}
     # a meeting that has a number of its own keeps that one: the reason says how the peak stands over its neighbours
-    met += [replace(one, amplification=None) if (one.orders[0], one.modes_hz[0]) in numbered else one for one in lone]
-    avoid = sorted((_joined(group) for group in _overlapping(met)), key=lambda item: (-item.cost, item.rpm))
+    met += [replace(peak, amplification=None) if (peak.order, peak.mode_hz) in numbered else peak for peak in lone]
+    by_cost = sorted((_joined(group) for group in _overlapping(met)), key=lambda peak: (_benefit(peak), peak.rpm))
+    avoid = tuple(replace(peak, rank=rank) for rank, peak in enumerate(by_cost, start=1))
     low, high = speed_rpm
     if not (np.isfinite(low) and np.isfinite(high)):
-        return SpeedVerdicts(tuple(avoid), (), ())
+        return SpeedVerdicts(avoid, (), ())
     least, most = 1.0 - NUMBERS.beside_share, 1.0 + NUMBERS.beside_share
     opened = [  # what speeds to avoid take is not open, but neither is it free
-        *(_Open(min(a.rpm_range[0], a.rpm * least), max(a.rpm_range[1], a.rpm * most), "") for a in avoid),
+        *(_open(min(_range(a)[0], a.rpm * least), max(_range(a)[1], a.rpm * most), "") for a in avoid),
         *_by_modes(found, modal, unit, largest, settings),
         *_by_unseen(orders, modal, speed_rpm, settings),
-        *_by_ringing(modal),
+        *(_open(ringing.low_rpm, ringing.high_rpm, RINGING.format(ringing)) for ringing in modal.hidden),
         *_by_shown(orders, modal, settings),
     ]
     free, rest = _split(opened, speed_rpm, settings)
-    return SpeedVerdicts(tuple(avoid), free, rest)
+    return SpeedVerdicts(avoid, free, rest)
 
 
-def as_avoided(found: Sequence[Crossing], avoid: Sequence[AvoidedSpeed]) -> tuple[Crossing, ...]:
-    """``found`` with the amplification that the speed to ``avoid`` states of the same meeting: that of its peak.
+def as_avoided(found: Sequence[Crossing], avoid: Sequence[AvoidedSpeed]) -> tuple[CrossingFinding, ...]:
+    """Findings of ``found`` with the amplification that the speed to ``avoid`` states of the same meeting: its peak's.
 
     One meeting has one number, in the channel in which it is worst.
     """
-    peaks = {
-        (peak.orders[0], peak.modes_hz[0]): peak for peak in avoid if peak.amplification_ci95 and peak.amplification
-    }
-    told = []
-    for crossing in found:
-        peak = peaks.get((crossing.order, crossing.mode_hz))
+    peaks = {(peak.order, peak.mode_hz): peak for peak in avoid if peak.amplification_ci95 and peak.amplification}
+    findings = []
+    for finding in (crossing.finding for crossing in found):
+        peak = peaks.get((finding.order, finding.mode_hz))
         if peak is not None and peak.amplification_ci95 is not None:
-            low, high = peak.amplification_ci95
-            times = f"{peak.amplification:.2g} times" if np.isfinite(high) else f"at least {low:.2g} times"
+            bounded = known(peak.amplification_ci95) is not None
+            times = f"{peak.amplification:.2g} times" if bounded else f"at least {peak.amplification_ci95[0]:.2g} times"
             words = f"in {peak.channel}, where it is largest, {times} what it is without the mode"
-            if crossing.chance is not None:
-                words += f"; chance without the mode {crossing.chance:.1g}"
-            crossing = replace(
-                crossing,
+            if finding.chance is not None:
+                words += f"; chance without the mode {finding.chance:.1g}"
+            finding = replace(
+                finding,
                 amplification=peak.amplification,
                 amplification_ci95=peak.amplification_ci95,
-                channels=tuple(sorted({*crossing.channels, peak.channel})),
+                channels=tuple(sorted({*finding.channels, peak.channel})),
                 evidence=words,
             )
-        told.append(crossing)
-    return tuple(told)
+        findings.append(finding)
+    return tuple(findings)
+
+
+def _range(peak: AvoidedSpeed) -> Ends:
+    """Speeds to stay out of around ``peak``."""
+    return cast("Ends", peak.rpm_range)
+
+
+def _benefit(peak: AvoidedSpeed) -> float:
+    """The cost of ``peak`` with the other sign: the costliest is first."""
+    return -(peak.cost or 0.0)
 
 
 def _is_vague(crossing: Crossing) -> bool:
     """Whether the natural frequency of ``crossing`` is undecided, and nobody knows where to stay away."""
-    return bool(crossing.remark) and crossing.rpm_ci95[1] - crossing.rpm_ci95[0] > NUMBERS.vague_share * crossing.rpm
+    low, high = crossing.ends_rpm
+    return bool(crossing.finding.remark) and high - low > NUMBERS.vague_share * crossing.finding.rpm
 
 
 def _counts(crossing: Crossing) -> bool:
-    if not (crossing.excited and crossing.in_range) or _is_vague(crossing):
+    finding = crossing.finding
+    if not (finding.excited and finding.in_range) or _is_vague(crossing):
         return False
-    measured = crossing.amplification_ci95[1] if crossing.amplification_ci95 is not None else 0.0
-    return bool(max(measured, crossing.amplification_predicted) >= CROSSINGS.clearly_excited_ratio)
+    numbers = (finding.amplification_ci95 or (0.0, 0.0))[1], finding.amplification_predicted
+    return bool(max(number or 0.0 for number in numbers) >= CROSSINGS.clearly_excited_ratio)
 
 
 def _cost(
-    item: Crossing,
+    crossing: Crossing,
     orders: tuple[AgreedOrder, ...],
     modal: ModalFit,
     in_unit: Mapping[str, float],
     settings: IdentifySettings,
 ) -> AvoidedSpeed:
-    """Range, amplitude and cost of one excited crossing; ``in_unit``: largest amplitude of the unit of each channel."""
-    mode = _mode_of(item, modal)
-    agreed = min(orders, key=lambda one: abs(one.order - item.order))
-    half = mode.damping_ratio * item.rpm
-    rpm_range = (item.rpm_ci95[0] - half, item.rpm_ci95[1] + half)
-    peaks = _peaks(item, rpm_range, agreed, modal, settings)
+    """Range, amplitude and cost of an excited crossing; ``in_unit``: largest amplitude of the unit of each channel."""
+    mode, finding = crossing.mode, crossing.finding
+    agreed = min(orders, key=lambda agreed: abs(agreed.order - finding.order))
+    half = mode.damping_ratio * finding.rpm
+    rpm_range = (crossing.ends_rpm[0] - half, crossing.ends_rpm[1] + half)
+    peaks = _peaks(crossing, rpm_range, agreed, modal, settings)
     sizes = {channel: peak.amplitude for channel, peak in peaks.items()}
     shares = {channel: size / in_unit[channel] for channel, size in sizes.items() if in_unit.get(channel, 0.0) > 0.0}
     channel = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
     peak = peaks.get(channel)
-    times = _amplification(item, agreed, channel, peak, modal, settings)
-    what = (
-        f"{item.mode_hz:.4g} Hz"
-        + (f" of a whirl that moves by {item.whirl.slope:.3g} orders" if item.whirl is not None else "")
-        + (", which may be a natural frequency" if mode.undecided else "")
-    )
+    times = _amplification(crossing, agreed, channel, peak, modal, settings)
+    of_whirl = "" if crossing.whirl is None else f" of a whirl that moves by {crossing.whirl.slope:.3g} orders"
+    undecided = ", which may be a natural frequency" if mode.undecided else ""
     return AvoidedSpeed(
-        rpm=item.rpm,
+        rank=1,
+        rpm=finding.rpm,
         rpm_range=rpm_range,
-        orders=(item.order,),
-        modes_hz=(item.mode_hz,),
+        order=finding.order,
+        orders=(finding.order,),
+        mode_hz=finding.mode_hz,
+        modes_hz=(finding.mode_hz,),
         channel=channel,
         amplitude=None if peak is None else peak.amplitude,
         amplitude_ci95=None if peak is None else peak.ends,
@@ -193,28 +205,28 @@ def _cost(
         amplification=None if times is None else times.ratio,
         amplification_ci95=None if times is None else (times.ratio_low, times.ratio_high),
         cost=shares.get(channel, 0.0),
-        reason=f"order {item.order:.4g} meets {what}",
+        reason=f"order {finding.order:.4g} meets {finding.mode_hz:.4g} Hz{of_whirl}{undecided}",
     )
 
 
 def _peaks(
-    item: Crossing, rpm_range: tuple[float, float], agreed: AgreedOrder, modal: ModalFit, settings: IdentifySettings
+    crossing: Crossing, rpm_range: Ends, agreed: AgreedOrder, modal: ModalFit, settings: IdentifySettings
 ) -> dict[str, _Peak]:
-    """Peak by channel of the order ``agreed`` at the crossing ``item``, within ``rpm_range`` where a fit knows it.
+    """Peak by channel of the order ``agreed`` at the ``crossing``, within ``rpm_range`` where a fit knows it.
 
     The fit of all speeds knows a peak best, and alone what a sweep would reach if held. Yet one amplitude has one
     number: the largest that is told of an order, recorded at held speeds, stays that unless the fit is surely above.
     """
-    mode, peaks = _mode_of(item, modal), dict[str, _Peak]()
-    fits = responses_to(agreed.order, modal) if item.whirl is None else []
-    known = [(one, peak) for one in fits if (peak := _fitted_peak(one, item.rpm, rpm_range, modal, mode)) is not None]
-    for response, peak in sorted(known, key=lambda one: -one[1].share):  # the best known is the last
+    mode, rpm, peaks = crossing.mode, crossing.finding.rpm, dict[str, _Peak]()
+    fits = responses_to(agreed.order, modal) if crossing.whirl is None else []
+    of_fits = [(fit, peak) for fit in fits if (peak := _fitted_peak(fit, rpm, rpm_range, modal, mode)) is not None]
+    for response, peak in sorted(of_fits, key=lambda pair: -pair[1].share):  # the best known is the last
         peaks[response.channel] = _Peak(peak.amplitude, peak.ends, response, by_fit=True)
-    near = width_rpm(item.rpm, mode, settings)
+    near = width_rpm(rpm, mode, settings)
     for line in agreed.lines:
         fitted = peaks.get(line.channel, _Peak(0.0, (0.0, 0.0)))
         by_fit = fitted.response
-        seen = reported_within(line, *((item.rpm - near, item.rpm + near) if by_fit is None else rpm_range))
+        seen = reported_within(line, *((rpm - near, rpm + near) if by_fit is None else rpm_range))
         if seen is None or fitted.amplitude > seen.high:
             continue
         if by_fit is None or (not by_fit.recording and seen.at == largest(line).at):
@@ -222,9 +234,7 @@ def _peaks(
     return peaks
 
 
-def _fitted_peak(
-    response: OrderResponse, rpm: float, rpm_range: tuple[float, float], modal: ModalFit, mode: Mode
-) -> HeldPeak | None:
+def _fitted_peak(response: OrderResponse, rpm: float, rpm_range: Ends, modal: ModalFit, mode: Mode) -> HeldPeak | None:
     """Peak that ``mode`` makes at ``rpm`` by the fit ``response``; None where that does not know it."""
     is_known = response.fits and mode.damping_error <= ORDER_MODES.known_share * mode.damping_ratio
     if not is_known or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
@@ -236,20 +246,25 @@ def _fitted_peak(
 
 
 def _amplification(
-    item: Crossing, agreed: AgreedOrder, channel: str, peak: _Peak | None, modal: ModalFit, settings: IdentifySettings
+    crossing: Crossing,
+    agreed: AgreedOrder,
+    channel: str,
+    peak: _Peak | None,
+    modal: ModalFit,
+    settings: IdentifySettings,
 ) -> Seen | None:
-    """How many times the peak of the crossing ``item`` in ``channel`` is what it is there without the mode.
+    """How many times the peak of the ``crossing`` in ``channel`` is what it is there without the mode.
 
     By the fit that tells the ``peak``, unless the measured amplitudes stand higher over their trend; None where nothing
     tells it, or what does is less than makes a speed one to avoid.
     """
-    mode = _mode_of(item, modal)
-    others = [] if item.whirl is None else [(item.rpm, mode.damping_ratio)]
-    others += [(60.0 * one.frequency_hz / agreed.order, one.damping_ratio) for one in modal.modes]
-    near = width_rpm(item.rpm, mode, settings)
+    mode, rpm = crossing.mode, crossing.finding.rpm
+    others = [] if crossing.whirl is None else [(rpm, mode.damping_ratio)]
+    others += [(60.0 * other.frequency_hz / agreed.order, other.damping_ratio) for other in modal.modes]
+    near = width_rpm(rpm, mode, settings)
     lines = [line for line in agreed.lines if line.channel == channel]
-    trends = [one for line in lines for one in above_trend(line, item.rpm, near, others)]
-    trend = min(trends, key=lambda one: one.chance, default=None)
+    trends = [excess for line in lines for excess in above_trend(line, rpm, near, others)]
+    trend = min(trends, key=lambda excess: excess.chance, default=None)
     best = trend
     if peak is not None and peak.response is not None:
         by_fit = fitted_excess(peak.response, modal.modes.index(mode), modal)
@@ -262,8 +277,8 @@ def _amplification(
 def _overlapping(met: list[AvoidedSpeed]) -> list[list[AvoidedSpeed]]:
     """Crossings in groups whose speed ranges overlap, by speed."""
     groups: list[list[AvoidedSpeed]] = []
-    for peak in sorted(met, key=lambda peak: peak.rpm_range[0]):
-        if groups and peak.rpm_range[0] <= max(other.rpm_range[1] for other in groups[-1]):
+    for peak in sorted(met, key=lambda peak: _range(peak)[0]):
+        if groups and _range(peak)[0] <= max(_range(other)[1] for other in groups[-1]):
             groups[-1].append(peak)
         else:
             groups.append([peak])
@@ -272,13 +287,13 @@ def _overlapping(met: list[AvoidedSpeed]) -> list[list[AvoidedSpeed]]:
 
 def _joined(group: list[AvoidedSpeed]) -> AvoidedSpeed:
     """One speed to avoid from crossings whose ranges overlap, named and ranked after the costliest."""
-    by_cost = sorted(group, key=lambda peak: -peak.cost)
-    begins, ends = zip(*(peak.rpm_range for peak in group), strict=True)
+    by_cost = sorted(group, key=_benefit)
+    begins, ends = zip(*map(_range, group), strict=True)
     return replace(
         by_cost[0],
         rpm_range=(min(begins), max(ends)),
-        orders=tuple(peak.orders[0] for peak in by_cost),
-        modes_hz=tuple(peak.modes_hz[0] for peak in by_cost),
+        orders=tuple(peak.order for peak in by_cost),
+        modes_hz=tuple(peak.mode_hz for peak in by_cost),
         reason=" and ".join(peak.reason for peak in by_cost),
     )
 
@@ -289,40 +304,33 @@ def _by_modes(
     unit: Mapping[str, str],
     largest: Mapping[str, float],
     settings: IdentifySettings,
-) -> list[_Open]:
+) -> list[OpenBand]:
     """Speeds at which a known mode amplifies an order by more than is free, or may."""
-    bands: list[_Open] = []
-    for item in found:
-        number, slower, named = -1, 1.0, ""
-        if item.whirl is None:
-            number = int(np.argmin([abs(mode.frequency_hz - item.mode_hz) for mode in modal.modes]))
+    bands: list[OpenBand] = []
+    for crossing in found:
+        finding, number, slower, named = crossing.finding, -1, 1.0, ""
+        if crossing.whirl is None:
+            number = modal.modes.index(crossing.mode)
         else:  # no fit holds a whirl, on which the order gains slower
-            slower, named = item.whirl.slower(item.order), "a whirl of "
-        what = f"order {item.order:.4g} with {named}{item.mode_hz:.4g} Hz"
-        known = [one for one in responses_to(item.order, modal) if one.fits and number in one.reached]
-        if (not known and item.verdict != "not excited") or (item.excited and _is_vague(item)):
-            low, high = _amplifying(item.rpm_ci95, settings.free_amplification)
-            low, high = item.rpm - slower * (item.rpm - low), item.rpm + slower * (high - item.rpm)
-            says = item.verdict if item.in_range else "beside the tested range, so that its flank may reach in"
-            bands.append(_Open(low, high, f"{what}: {says}"))
-        alike = {(one.recording, unit[one.channel], one.span_rpm) for one in known}
+            slower, named = crossing.whirl.slower(finding.order), "a whirl of "
+        what = f"order {finding.order:.4g} with {named}{finding.mode_hz:.4g} Hz"
+        fits = [fit for fit in responses_to(finding.order, modal) if fit.fits and number in fit.reached]
+        if (not fits and finding.verdict != "not excited") or (finding.excited and _is_vague(crossing)):
+            low, high = _amplifying(crossing.ends_rpm, settings.free_amplification)
+            low, high = finding.rpm - slower * (finding.rpm - low), finding.rpm + slower * (high - finding.rpm)
+            says = finding.verdict if finding.in_range else "beside the tested range, so that its flank may reach in"
+            bands.append(_open(low, high, f"{what}: {says}"))
+        alike = {(fit.recording, unit[fit.channel], fit.span_rpm) for fit in fits}
         for key in sorted(alike):
-            group = [one for one in known if (one.recording, unit[one.channel], one.span_rpm) == key]
-            matters = EXCLUSION.matters_share * max(largest.get(one.channel, 0.0) for one in group)
+            group = [fit for fit in fits if (fit.recording, unit[fit.channel], fit.span_rpm) == key]
+            matters = EXCLUSION.matters_share * max(largest.get(fit.channel, 0.0) for fit in group)
             bands += _amplified(group, number, modal, what, matters=matters, settings=settings)
     return bands
 
 
-def _mode_of(crossing: Crossing, modal: ModalFit) -> Mode:
-    """The mode that a crossing is of; of a whirl, what the order passes through."""
-    if crossing.whirl is not None and (mode := crossing.whirl.met_by(crossing.order)) is not None:
-        return mode
-    return min(modal.modes, key=lambda one: abs(one.frequency_hz - crossing.mode_hz))
-
-
 def _amplified(
     group: list[OrderResponse], number: int, modal: ModalFit, what: str, *, matters: float, settings: IdentifySettings
-) -> list[_Open]:
+) -> list[OpenBand]:
     """Speeds around the crossing at which mode ``number`` may amplify an order by more than is free.
 
     Amplitudes below ``matters`` do not count.
@@ -349,7 +357,7 @@ def _amplified(
         begin, end = float(grid[max(place - 1, 0)]), float(grid[min(end_place + 1, len(grid) - 1)])
         if begin <= rpm * (1.0 + beside) and end >= rpm * (1.0 - beside):
             begin, end = min(begin, rpm * (1.0 - beside)), max(end, rpm * (1.0 + beside))
-        bands.append(_Open(begin, end, what, amplified))
+        bands.append(_open(begin, end, what, amplified=amplified))
     return bands
 
 
@@ -360,45 +368,32 @@ def _amplifying(rpm: tuple[float, float], factor: float) -> tuple[float, float]:
 
 def _by_unseen(
     orders: tuple[AgreedOrder, ...], modal: ModalFit, speed_rpm: tuple[float, float], settings: IdentifySettings
-) -> list[_Open]:
+) -> list[OpenBand]:
     """Speeds at which a mode that nobody saw could amplify an order by more than is free."""
     low, high = speed_rpm
     if not orders:
-        return [_Open(low, high, "no order stands out")]
-    bands: list[_Open] = []
+        return [_open(low, high, "no order stands out")]
+    bands: list[OpenBand] = []
     for agreed in orders:
         bounds = [item for item in modal.unseen if _is_order(agreed.order, item.order)]
         name = f"order {agreed.order:.4g}"
         if not bounds:
-            bands.append(_Open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
+            bands.append(_open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
             continue
         first = min(float(bound.speed_rpm[0]) for bound in bounds)
         last = max(float(bound.speed_rpm[-1]) for bound in bounds)
         ends = ((low, first), (last, high))
         bands += [
-            _Open(a, b, f"{name} was not measured there") for a, b in ends if b > a * (1.0 + NUMBERS.same_speed_share)
+            _open(a, b, f"{name} was not measured there") for a, b in ends if b > a * (1.0 + NUMBERS.same_speed_share)
         ]
         for bound in bounds:
             bands += _between(bound, settings.free_amplification, name)
     return bands
 
 
-def _by_ringing(modal: ModalFit) -> list[_Open]:
-    """Speeds at which an order that nobody found would be hidden by a mode that rings on."""
-    return [
-        _Open(
-            hidden.low_rpm,
-            hidden.high_rpm,
-            f"{hidden.mode_hz:.4g} Hz rings on there from order {hidden.rung_by:.4g}: another order that met it would "
-            "be hidden",
-        )
-        for hidden in modal.hidden
-    ]
-
-
-def _by_shown(orders: tuple[AgreedOrder, ...], modal: ModalFit, settings: IdentifySettings) -> list[_Open]:
+def _by_shown(orders: tuple[AgreedOrder, ...], modal: ModalFit, settings: IdentifySettings) -> list[OpenBand]:
     """Speeds at which an order that only the spectra of sweeps show meets a mode, or could meet one that nobody saw."""
-    bands: list[_Open] = []
+    bands: list[OpenBand] = []
     for order in modal.shown_orders:
         if any(_is_order(order, agreed.order) for agreed in orders):
             continue
@@ -406,7 +401,7 @@ def _by_shown(orders: tuple[AgreedOrder, ...], modal: ModalFit, settings: Identi
         for mode in modal.modes:
             ends = (mode.frequency_hz - mode.frequency_half_hz, mode.frequency_hz + mode.frequency_half_hz)
             low, high = _amplifying((60.0 * ends[0] / order, 60.0 * ends[1] / order), settings.free_amplification)
-            bands.append(_Open(low, high, f"{name} meets {mode.frequency_hz:.4g} Hz"))
+            bands.append(_open(low, high, f"{name} meets {mode.frequency_hz:.4g} Hz"))
         for bound in modal.unseen:
             bands += _between(bound, settings.free_amplification, name) if _is_order(order, bound.order) else []
     return bands
@@ -417,10 +412,10 @@ def _is_order(order: float, other: float) -> bool:
     return abs(order - other) < 1e-3 * max(1.0, order)
 
 
-def _between(bound: UnseenBound, factor: float, name: str) -> list[_Open]:
+def _between(bound: UnseenBound, factor: float, name: str) -> list[OpenBand]:
     rpm, why = bound.speed_rpm, f"not tested between: {name} could be amplified more than {factor:g} times unseen"
     return [
-        _Open(float(rpm[max(first - 1, 0)]), float(rpm[min(last + 1, len(rpm) - 1)]), why)
+        _open(float(rpm[max(first - 1, 0)]), float(rpm[min(last + 1, len(rpm) - 1)]), why)
         for first, last in _runs(~(bound.amplification <= factor))
     ]
 
@@ -432,27 +427,27 @@ def _runs(marked: Bools) -> list[tuple[int, int]]:
 
 
 def _split(
-    opened: list[_Open], speed_rpm: tuple[float, float], settings: IdentifySettings
-) -> tuple[tuple[SpeedBand, ...], tuple[SpeedBand, ...]]:
+    opened: list[OpenBand], speed_rpm: tuple[float, float], settings: IdentifySettings
+) -> tuple[tuple[FreeBand, ...], tuple[OpenBand, ...]]:
     """Free and open bands of the tested range: what nothing of ``opened`` touches, and what is not to be avoided."""
     low, high = speed_rpm
-    free: list[SpeedBand] = []
+    free: list[FreeBand] = []
     excludes = (
         f"the data exclude that an order is amplified more than {settings.free_amplification:g} times "
         f"({100.0 * settings.free_confidence:g} %)"
     )
     start, narrowest = low, min(settings.crossing_band_rpm, high - low) if high > low else np.inf
-    for band in [*sorted(opened, key=lambda one: one.low_rpm), _Open(high, high, "")]:
+    for band in [*sorted(opened, key=lambda band: band.low_rpm), _open(high, high, "")]:
         if min(band.low_rpm, high) - start >= narrowest:
-            free.append(SpeedBand(start, min(band.low_rpm, high), excludes))
+            free.append(FreeBand(low_rpm=start, high_rpm=min(band.low_rpm, high), remark=excludes))
         start = max(start, band.high_rpm)
     ends = [low, *(end for band in free for end in (band.low_rpm, band.high_rpm)), high]
     rest = []
     for begin, end in zip(ends[::2], ends[1::2], strict=True):
-        within = [band for band in opened if band.why and band.low_rpm < end and band.high_rpm > begin]
+        within = [band for band in opened if band.remark and band.low_rpm < end and band.high_rpm > begin]
         if end > begin and within:
-            reasons = "; ".join(dict.fromkeys(band.why for band in within))
-            rest.append(SpeedBand(begin, end, reasons, any(band.amplified for band in within)))
+            reasons = "; ".join(dict.fromkeys(band.remark for band in within))
+            rest.append(_open(begin, end, reasons, amplified=any(band.amplified for band in within)))
     return tuple(free), tuple(rest)
 
 
@@ -508,9 +503,8 @@ def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
     found = []
     for place in range(1, len(rank) - 1):
         first = min(int(np.searchsorted(speed, speed[place] * (1.0 - LONE_NUMBERS.around_share))), place - 1)
-        last = max(
-            int(np.searchsorted(speed, speed[place] * (1.0 + LONE_NUMBERS.around_share), side="right")), place + 2
-        )
+        end = np.searchsorted(speed, speed[place] * (1.0 + LONE_NUMBERS.around_share), side="right")
+        last = max(int(end), place + 2)
         if size[place] < size[first:last].max():
             continue
         beside = max(float(np.median(size[first:place])), float(np.median(size[place + 1 : last])))
@@ -537,9 +531,12 @@ def _avoided(
     channel, seen = worst
     where = f"near {mode_hz:.4g} Hz" if near else f"at {hz:.4g} Hz, which may be a natural frequency"
     return AvoidedSpeed(
+        rank=1,
         rpm=rpm,
         rpm_range=(0.5 * (below + rpm), 0.5 * (rpm + above)),
+        order=order,
         orders=(order,),
+        mode_hz=mode_hz,
         modes_hz=(mode_hz,),
         channel=channel,
         amplitude=seen.amplitude,
@@ -553,6 +550,6 @@ def _avoided(
 
 def _holds(other: AvoidedSpeed, peak: AvoidedSpeed, reach: float) -> bool:
     """Whether ``other`` speaks of the same order between the same speeds, or ``reach`` times beside."""
-    alike = any(abs(one - peak.orders[0]) <= 1e-3 * peak.orders[0] for one in other.orders)
-    (low, high), (least, most) = peak.rpm_range, other.rpm_range
+    alike = any(abs(order - peak.order) <= 1e-3 * peak.order for order in other.orders)
+    (low, high), (least, most) = _range(peak), _range(other)
     return alike and least <= reach * high and low <= reach * most
