@@ -213,13 +213,3 @@ def test_every_class_of_machines_is_covered(name: str) -> None:
     # 0.95 less four standard errors of so many draws
     least = 0.95 - 4.0 * np.sqrt(0.95 * 0.05 / n)
     assert by_size > least and by_phase > least
-
-
-@pytest.mark.accuracy
-def test_pooled_over_all_classes_95_of_100_intervals_hold_the_truth() -> None:
-    shares = {name: coverage_pooled(draw, name, 700) for name, draw in CLASSES.items()}
-    print({name: share.round(3).tolist() for name, share in shares.items()})
-    assert min(share[2] for share in shares.values()) >= 300
-    each = np.array([share[:2] for share in shares.values()])
-    assert each.min() >= 0.90
-    assert abs(each.mean() - 0.95) <= 0.015
