@@ -208,6 +208,7 @@ def _order_records(tracks: xr.Dataset, unit: str) -> list[dict[str, Any]]:
                     **_within("speed_exponent", exponent, 0.2), "meets_hz": _met_hz(order, float(track.speed[peak])),
                     "speed_range_rpm": [float(track.speed[0]), float(track.speed[-1])],
                     "explained_by": "bearing jack shaft N*fs" if order == 5.5 else "engine order",
+                    "causes": ["bearing"] if order == 5.5 else [],
                 }
             )  # fmt: skip
     return records
