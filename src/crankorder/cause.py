@@ -22,7 +22,7 @@ CauseKind = Literal[
 
 DoubtKind = Literal[
     "unresolved", "swells", "close lines", "one speed", "seldom seen", "followed only", "few speeds", "in a sweep",
-    "no pulses", "angle in error", "speed in doubt", "slower than unbalance",
+    "no pulses", "angle in error", "speed in doubt", "slower than unbalance", "unclear growth",
 ]  # fmt: skip
 """What speaks against a line, or keeps its cause from being told."""
 

@@ -1,5 +1,7 @@
 """The short version of the reference campaign, which several files of this room take recordings from."""
 
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,19 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder: Path = tmp_path_factory.mktemp("campaign") / "recordings"
     done("synth", "thesis-second-motoring", "--out", folder, "--quick", "-q")
     return folder
+
+
+@pytest.fixture
+def copied(campaign: Path, tmp_path: Path) -> Callable[..., Path]:
+    """Maker of a folder of the test's own, to be spoiled: the manifest and the recordings at the given speeds."""
+
+    def copy(*speeds_rpm: int, name: str = "recordings") -> Path:
+        (tmp_path / name).mkdir()
+        for file in ("run.toml", *(f"rpm_{rpm}.h5" for rpm in speeds_rpm)):
+            shutil.copy(campaign / file, tmp_path / name / file)
+        return tmp_path / name
+
+    return copy
 
 
 @pytest.fixture(params=[("--recipe", "maps"), pytest.param((), marks=pytest.mark.slow)], ids=["maps", "default"])

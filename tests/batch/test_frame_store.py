@@ -17,20 +17,14 @@ from crankorder.quantities import OrderFrames, ShaftAngle
 from crankorder.stages import RecordingResult, analyse_recording
 from made.command import crankorder
 
-NAMES = ("run.toml", "rpm_1500.h5", "rpm_1600.h5", "rpm_1700.h5")
-
 
 def run(*arguments: object):
     return crankorder("run", *arguments, "--no-pictures")
 
 
 @pytest.fixture
-def three(campaign, tmp_path):
-    folder = tmp_path / "recordings"
-    folder.mkdir()
-    for name in NAMES:
-        shutil.copy(campaign / name, folder / name)
-    return folder
+def three(copied):
+    return copied(1500, 1600, 1700)
 
 
 def is_result(path: Path) -> bool:

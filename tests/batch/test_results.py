@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import signal
 
 import h5netcdf
@@ -28,12 +27,8 @@ from made.command import crankorder, done
 
 
 @pytest.fixture
-def two_speeds(campaign, tmp_path):
-    folder = tmp_path / "recordings"
-    folder.mkdir()
-    for name in ("run.toml", "rpm_1500.h5", "rpm_1800.h5"):
-        shutil.copy(campaign / name, folder / name)
-    return folder
+def two_speeds(copied):
+    return copied(1500, 1800)
 
 
 def recipe(folder, *results):

@@ -32,13 +32,8 @@ def analysed(campaign, tmp_path_factory):
 
 
 @pytest.fixture
-def four_speeds(campaign, tmp_path):
-    """A folder of its own with four of the recordings, to be spoiled."""
-    folder = tmp_path / "recordings"
-    folder.mkdir()
-    for name in ("run.toml", "rpm_1500.h5", "rpm_1600.h5", "rpm_1700.h5", "rpm_1800.h5"):
-        shutil.copy(campaign / name, folder / name)
-    return folder
+def four_speeds(copied):
+    return copied(1500, 1600, 1700, 1800)
 
 
 class TestResults:
@@ -62,13 +57,8 @@ class TestResults:
             "spectra.png", "speed.png",
         }  # fmt: skip
         assert names == pictures | {
-            "results.nc",
-            "findings.json",
-            "report.html",
-            "run.json",
-            "timings.json",
-            "done.json",
-        }
+            "results.nc", "findings.json", "report.html", "run.json", "timings.json", "done.json",
+        }  # fmt: skip
         assert (analysed / "index.html").exists()
         assert f'href="./{folder.name}/report.html"' in (analysed / "index.html").read_text()
 
@@ -193,13 +183,10 @@ class TestBadInput:
         outcome = run(four_speeds, "--out", tmp_path / "strict", "--strict")
         assert outcome.exit_code == 3 and "rpm_1500.h5" in outcome.output
 
-    def test_one_bad_test_takes_no_other_along(self, campaign, four_speeds, tmp_path):
+    def test_one_bad_test_takes_no_other_along(self, copied, four_speeds, tmp_path):
         for path in four_speeds.glob("*.h5"):
             path.write_bytes(b"")
-        other = tmp_path / "other"
-        other.mkdir()
-        for name in ("run.toml", "rpm_1500.h5", "rpm_1600.h5", "rpm_1700.h5"):
-            shutil.copy(campaign / name, other / name)
+        other = copied(1500, 1600, 1700, name="other")
         assert crankorder("check", four_speeds, other).exit_code == 3
         assert crankorder("check", four_speeds).exit_code == 4
         outcome = run(four_speeds, other, "--out", tmp_path / "out", "--json", "--recipe", "maps", "--no-pictures")
@@ -267,9 +254,8 @@ class TestCrankAngleData:
         assert {1.0, 2.0, 5.5} <= found <= {record["order"] for record in truth["orders"] if record["speed_range_rpm"]}
 
     def test_natural_frequencies_come_through_the_stated_speed(self, result):
-        truth = [
-            mode["frequency_hz"] for mode in json.loads((result / "recordings" / "truth.json").read_bytes())["modes"]
-        ]
+        put_in = json.loads((result / "recordings" / "truth.json").read_bytes())["modes"]
+        truth = [mode["frequency_hz"] for mode in put_in]
         found = np.array([mode["frequency_hz"] for mode in findings_in(result / "out")["modes"]])
         # four speeds of a few seconds: what is found is true, and at most one of the eight is too vague to be told
         assert all(np.abs(np.array(truth) / frequency - 1).min() < 0.015 for frequency in found)

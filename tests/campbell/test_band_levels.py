@@ -17,23 +17,20 @@ from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.identify.levels import limit_verdicts
 from crankorder.identify.machine_model import Limit, MachineModel
 from crankorder.quantities import check_dataset
-from made.recordings import sampled, shaft
+from made.recordings import accelerometer, held, shaft
 
 RATE_HZ = 8192.0
 WIDE = (LevelBand("velocity", 10.0, 1000.0), LevelBand("as measured", 10.0, 1000.0))
 
 
 def recorded(values: np.ndarray, *, rate_hz: float = RATE_HZ, name: str = "a") -> xr.Dataset:
-    """A Recording of one accelerometer in m/s2."""
-    made = sampled(values[None], recording=name, rate_hz=rate_hz, encoder_kind="none")
-    return made.assign(si_per_unit=("channel", [1.0], {"units": "1"}))
+    return accelerometer(values, rate_hz, name)
 
 
-def levels(*recordings: xr.Dataset, bands: tuple[LevelBand, ...] = WIDE, speed_rpm: float = 1500.0) -> xr.Dataset:
+def levels(*recordings: xr.Dataset, bands: tuple[LevelBand, ...] = WIDE) -> xr.Dataset:
     items = []
     for one in recordings:
-        knots = np.linspace(0.0, one.sizes["time"] / one.attrs["rate_hz"], 50)
-        angle = shaft(knots, knots * speed_rpm / 60.0, np.full(50, speed_rpm))
+        angle = held(1500.0, one.sizes["time"] / one.attrs["rate_hz"])
         items.append(level_frames(one, angle, bands=bands, frame_s=0.5))
         check_dataset(items[-1], "level_frames")
     made = vibration_levels(items, speed_bin_rpm=25.0)
@@ -179,8 +176,7 @@ def test_missing_samples_take_no_part_and_short_recordings_have_no_level() -> No
     values = np.cos(2 * np.pi * 50.0 * at)
     values[30_000:31_000] = np.nan
     assert float(levels(recorded(values))["rms"][1]) == pytest.approx(np.sqrt(0.5), rel=0.01)
-    made = level_frames(recorded(values[:800]), shaft(np.array([0.0, 0.1]), np.array([0.0, 2.5]), np.full(2, 1500.0)),
-                        bands=WIDE, frame_s=0.5)  # fmt: skip
+    made = level_frames(recorded(values[:800]), held(1500.0, 0.1), bands=WIDE, frame_s=0.5)
     assert made.sizes["frame"] == 0
 
 
@@ -221,7 +217,7 @@ def swept(
     power = float(np.mean(np.abs(gain) ** 2 * ((hertz > 10.0) & (hertz < 1000.0))))
     shaped = signal.sosfilt(shape, rng.standard_normal(at.size))
     values = line * np.cos(2 * np.pi * 2.0 * turns + 1.0) + noise * shaped / np.sqrt(power)
-    one = sampled(values[None], recording=f"{seed} {down}", rate_hz=SWEEP_HZ).assign(si_per_unit=("channel", [1.0]))
+    one = accelerometer(values, SWEEP_HZ, f"{seed} {down}")
     knots = slice(None, None, 64)
     frames = level_frames(one, shaft(at[knots], turns[knots], rpm[knots]), bands=BAND, frame_s=0.5)
     return frames, rpm, 0.5 * line**2 + noise**2
@@ -234,14 +230,10 @@ def true_levels(made: xr.Dataset, rpm: np.ndarray, square: np.ndarray) -> np.nda
     return np.sqrt([part.mean() for part in parts])
 
 
-@pytest.mark.parametrize(
-    ("runs", "least", "most"), [(8, 0.87, 1.0), pytest.param(60, 0.92, 0.995, marks=pytest.mark.slow)]
-)
-def test_a_run_up_is_told_in_windows_along_it_whose_intervals_hold_the_level(
-    runs: int, least: float, most: float
-) -> None:
+@pytest.mark.slow
+def test_a_run_up_is_told_in_windows_along_it_whose_intervals_hold_the_level() -> None:
     hits, rows, wide = 0, 0, []
-    for seed in range(runs):
+    for seed in range(60):
         seconds = float(np.random.default_rng(seed).uniform(8.0, 30.0))
         frames, rpm, square = swept(seed, seconds=seconds)
         made = vibration_levels([frames], speed_bin_rpm=25.0)
@@ -250,7 +242,7 @@ def test_a_run_up_is_told_in_windows_along_it_whose_intervals_hold_the_level(
         low, high = made["rms_ci95"].values[0, 1:-1].T
         hits, rows = hits + int(np.sum((low <= truth) & (truth <= high))), rows + len(truth)
         wide.append(float(np.median(high / low)))
-    assert least < hits / rows <= most, hits / rows
+    assert 0.92 < hits / rows <= 0.995, hits / rows
     assert np.median(wide) < 1.5
 
 
@@ -269,17 +261,16 @@ def test_where_run_ups_differ_the_interval_is_that_between_them() -> None:
     assert held >= 11
 
 
-@pytest.mark.parametrize("seeds", [range(3), pytest.param(range(3, 6), marks=pytest.mark.slow)])
-def test_a_limit_that_the_end_of_a_window_passes_is_not_kept_by_its_mean(seeds: range) -> None:
+def test_a_limit_that_the_end_of_a_window_passes_is_not_kept_by_its_mean() -> None:
     """A level that grows with the cube of speed: what is to be surely within is told at the louder end."""
-    for seed in seeds:
+    for seed in range(3):
         rng = np.random.default_rng(seed)
         at = np.arange(int(rng.uniform(6.0, 12.0) * SWEEP_HZ)) / SWEEP_HZ
         rpm = np.linspace(900.0, 3600.0, at.size)
         turns = np.cumsum(rpm / 60.0) / SWEEP_HZ
         line = (rpm / 1500.0) ** 3
         values = line * np.cos(2 * np.pi * 2.0 * turns) + 0.02 * rng.standard_normal(at.size)
-        one = sampled(values[None], recording="a", rate_hz=SWEEP_HZ).assign(si_per_unit=("channel", [1.0]))
+        one = accelerometer(values, SWEEP_HZ)
         knots = slice(None, None, 64)
         angle = shaft(at[knots], turns[knots], rpm[knots])
         frames = level_frames(one, angle, bands=limit_bands("acceleration", 10.0, 1000.0), frame_s=0.5)

@@ -9,9 +9,7 @@ from pathlib import Path
 import pytest
 from click.testing import Result
 
-from crankorder.batch.frame_store import STORE
-from crankorder.batch.run_log import LOGS
-from made.command import crankorder
+from made.command import crankorder, results_in
 
 CALLS = ("fsync", "rename", "replace", "mkdir", "fdopen", "open")
 MOST_CALLS = 80
@@ -26,15 +24,6 @@ def run(folder: Path, out: Path, max_order: int) -> Result:
     results = '[report]\nresults = ["order_map"]\npictures = false\n'
     recipe.write_text(f'title = "a map"\n[orders]\nmax_order = {max_order}\n{results}', encoding="utf-8")
     return crankorder("run", folder, "--out", out, "--recipe", recipe, "--jobs", "1", "-q")
-
-
-def results_in(out: Path) -> dict[str, bytes]:
-    return {
-        path.relative_to(out).as_posix(): path.read_bytes()
-        for path in sorted(out.rglob("*"))
-        if path.is_file() and path.name != "timings.json" and not {STORE, LOGS} & set(path.parts)
-        if path.suffix != ".lock"
-    }
 
 
 @pytest.fixture(scope="module")

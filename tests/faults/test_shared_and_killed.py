@@ -16,6 +16,7 @@ import pytest
 
 from crankorder.batch.frame_store import STORE
 from crankorder.batch.run_log import LOGS
+from made.command import results_in
 from made.processes import children_of, started
 
 pytestmark = [
@@ -36,15 +37,6 @@ def arguments(*folders: Path, out: Path, jobs: int = JOBS) -> list[str]:
 
 def run(*folders: Path, out: Path, jobs: int = JOBS) -> None:
     subprocess.run([sys.executable, *arguments(*folders, out=out, jobs=jobs)], check=True)
-
-
-def results_in(out: Path) -> dict[Path, bytes]:
-    """What two runs must give the same bytes."""
-    return {
-        path.relative_to(out): path.read_bytes()
-        for path in out.rglob("*")
-        if path.is_file() and path.name != "timings.json" and path.suffix != ".part" and LOGS not in path.parts
-    }
 
 
 def events(out: Path) -> list[dict[str, object]]:
@@ -116,8 +108,7 @@ def test_f1_i6_whichever_process_is_killed_the_next_run_ends_with_the_same_bytes
     again = sum(event["event"] == "recording computed" for event in events(out))
     assert again <= RECORDINGS - len(kept)
     assert again <= RECORDINGS - told
-    found = results_in(out)
-    assert {name: data for name, data in found.items() if name.suffix != ".lock"} == results_in(whole)
+    assert results_in(out, kept=True) == results_in(whole, kept=True)
     print(f"{which} {number}: struck {struck}, status {process.returncode}, kept {len(kept)}, computed again {again}")
 
 
@@ -133,7 +124,7 @@ def test_i5_processes_that_share_a_folder_of_results_lose_nothing_in_fifty_round
         text = (folder / "run.toml").read_text(encoding="utf-8").replace('"two revolutions"', f'"{place.name}"')
         (place / "run.toml").write_text(text, encoding="utf-8")
     run(*two, out=tmp_path / "alone", jobs=1)
-    alone = results_in(tmp_path / "alone")
+    alone = results_in(tmp_path / "alone", kept=True)
     for number in range(ROUNDS):
         out = tmp_path / f"out-{number}"
         with ExitStack() as those:
@@ -142,6 +133,6 @@ def test_i5_processes_that_share_a_folder_of_results_lose_nothing_in_fifty_round
             for process in running:
                 said = process.communicate()[1]
                 assert process.returncode == 0, said
-        assert results_in(out) == alone, number
+        assert results_in(out, kept=True) == alone, number
         assert [test["name"] for test in json.loads((out / "batch.json").read_bytes())["tests"]] == ["a", "b"]
         shutil.rmtree(out)

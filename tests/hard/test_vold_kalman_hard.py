@@ -5,7 +5,6 @@ import pytest
 from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
-from crankorder.orders.vold_kalman.bandwidth import structural_weight
 from crankorder.orders.vold_kalman.filter import vold_kalman
 from crankorder.orders.vold_kalman.system import EnvelopeSystem
 from made.hard_cases import CASES
@@ -59,18 +58,6 @@ def test_a_minute_of_ramps_at_10_krpm_per_second_is_followed() -> None:
     truth = np.array([1.0 - 0.3j, 0.4 + 0.2j])
     tracks = vold_kalman([lines(truth, phase)], phase, rate_hz=rate_hz, bandwidth_hz=4.0)
     assert np.abs(tracks.amplitude[0] - truth[:, None]).max() < 1e-10
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("ratio", [5e2, 1e4, 5e5, 5e7])
-def test_weights_beyond_1e20_leave_a_steady_amplitude_exact(ratio: float) -> None:
-    rate_hz = 50_000.0
-    time_s = np.arange(500_000) / rate_hz
-    phase = (2.0 * (10.0 * time_s + time_s**2))[None]
-    truth = np.array([1.7 * np.exp(0.4j)])
-    tracks = vold_kalman([lines(truth, phase)], phase, rate_hz=rate_hz, bandwidth_hz=rate_hz / ratio)
-    assert float(structural_weight(np.array(rate_hz / 5e5), rate_hz=rate_hz, poles=2)) > 1e20
-    assert np.abs(tracks.amplitude - truth[0]).max() < 1e-13
 
 
 @pytest.mark.slow

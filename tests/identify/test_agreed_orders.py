@@ -27,14 +27,6 @@ def half_width(item) -> float:
     return float(stdtrit(min(item.degrees_of_freedom, 1e6), 0.975)) * item.order_error
 
 
-def coverage(order: float, n: int, **given) -> float:
-    hits = 0
-    for seed in range(n):
-        (item,) = agreed(lambda angle, _, s=seed: wave(angle, order, 1.0, float(s)), seed=seed, **given)
-        hits += abs(item.order - order) <= half_width(item)
-    return hits / n
-
-
 def test_a_half_order_is_proven_locked_and_given_as_it_is() -> None:
     (item,) = agreed(lambda angle, _: wave(angle, 5.5, 0.7), speeds=(1000.0, 1200.0, 1400.0))
     assert (item.order, item.lock, item.needed_revs) == (5.5, "locked", None)
@@ -78,23 +70,12 @@ def test_gaps_in_the_frames_do_no_harm() -> None:
     assert abs(alone.order - 5.5) < half_width(alone)
 
 
-@pytest.mark.parametrize(("n", "least"), [(50, 0.88), pytest.param(100, 0.9, marks=pytest.mark.slow)])
-def test_the_interval_of_the_order_holds_it_as_often_as_it_says(n: int, least: float) -> None:
-    assert least <= coverage(4.013, n, revs=60) <= 1.0  # below the least with a chance of 1 % where it is 95 %
-
-
-@pytest.mark.accuracy
-@pytest.mark.parametrize(
-    ("order", "given"),
-    [
-        (4.013, {"revs": 300, "noise": 3.0}),
-        (4.013, {"revs": 60}),
-        (4.013, {"revs": 32, "noise": 0.3}),
-        (5.487, {"revs": 80, "noise": 2.0, "speeds": tuple(np.arange(1000.0, 1800.0, 100.0))}),
-    ],
-)
-def test_the_interval_of_the_order_covers_in_long_and_short_tests(order: float, given: dict) -> None:
-    assert 0.92 <= coverage(order, 400, **given) <= 0.985
+def test_the_interval_of_the_order_holds_it_as_often_as_it_says() -> None:
+    hits = 0
+    for seed in range(50):
+        (item,) = agreed(lambda angle, _, s=seed: wave(angle, 4.013, 1.0, float(s)), seed=seed, revs=60)
+        hits += abs(item.order - 4.013) <= half_width(item)
+    assert hits >= 44  # fewer with a chance of 1 % where it is 95 %
 
 
 def test_two_shafts_half_a_percent_apart_are_told_in_a_run_up() -> None:

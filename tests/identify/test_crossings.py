@@ -139,11 +139,9 @@ def test_a_stated_gear_mesh_above_order_twenty_is_crossed_whether_or_not_it_was_
     assert found[37.0001, 700.0].excited
 
 
-def fitted(amplitude, modal, *, order=4.0, error=0.02):
+def fitted(amplitude, modal):
     """OrderResponse by the fit of a block of the complex ``amplitude``, and the line that it was fitted to."""
-    return fitted_response(order, SPEEDS_RPM, amplitude, modal, error=error), line(
-        order, np.abs(amplitude), error=error
-    )
+    return fitted_response(4.0, SPEEDS_RPM, amplitude, modal, error=0.02), line(4.0, np.abs(amplitude), error=0.02)
 
 
 def noise(rng, size):

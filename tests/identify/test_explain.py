@@ -10,13 +10,7 @@ from scipy.io import loadmat
 from crankorder.engine.machine_parts import Bearing, bearing_orders
 from crankorder.findings import BearingFinding
 from crankorder.identify.causes.aliasing import ShownAlias
-from crankorder.identify.causes.explain import (
-    Cause,
-    Causes,
-    MachineModel,
-    explained,
-    with_neighbours_named,
-)
+from crankorder.identify.causes.explain import Cause, Causes, MachineModel, explained, with_neighbours_named
 from crankorder.identify.causes.sidebands import race_cause, struck_races
 from crankorder.identify.found import Tone
 from crankorder.identify.lines.line_phasors import NO_PULSES

@@ -1,6 +1,7 @@
 """Exponent, law, largest and mean amplitude: intervals hold the truth as often as they say."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -100,8 +101,8 @@ def test_one_speed_has_students_interval_and_its_range() -> None:
 def test_an_exact_amplitude_has_no_width_and_an_unknown_one_no_end() -> None:
     line = line_of(np.random.default_rng(6), np.ones(2), speed=np.array([900.0, 950.0]), relative=0.0)
     assert largest(line).low == largest(line).high == 1.0
-    line.amplitude_error[:] = np.inf
-    assert (largest(line).low, largest(line).high) == (0.0, np.inf)
+    unknown = largest(replace(line, amplitude_error=np.full(2, np.inf)))
+    assert (unknown.low, unknown.high) == (0.0, np.inf)
 
 
 @pytest.mark.slow
@@ -213,13 +214,3 @@ def test_every_class_of_machines_is_covered(name: str) -> None:
     # 0.95 less four standard errors of so many draws
     least = 0.95 - 4.0 * np.sqrt(0.95 * 0.05 / n)
     assert by_size > least and by_phase > least
-
-
-@pytest.mark.accuracy
-def test_pooled_over_all_classes_95_of_100_intervals_hold_the_truth() -> None:
-    shares = {name: coverage_pooled(draw, name, 700) for name, draw in CLASSES.items()}
-    print({name: share.round(3).tolist() for name, share in shares.items()})
-    assert min(share[2] for share in shares.values()) >= 300
-    each = np.array([share[:2] for share in shares.values()])
-    assert each.min() >= 0.90
-    assert abs(each.mean() - 0.95) <= 0.015

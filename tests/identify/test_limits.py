@@ -11,7 +11,7 @@ from crankorder.campbell.vibration_levels import vibration_levels
 from crankorder.findings import Balance
 from crankorder.identify.levels import graded, limit_verdicts, third_octave_records, vibration_records
 from crankorder.identify.machine_model import Limit, MachineModel
-from made.recordings import sampled, shaft
+from made.recordings import accelerometer, held
 
 RATE_HZ = 5120.0
 BANDS = (*limit_bands("velocity", 10.0, 1000.0), *limit_bands("as measured", 10.0, 1000.0))
@@ -25,10 +25,8 @@ def measured(
     for number, (rpm, rms) in enumerate(rms_by_rpm.items()):
         noise = np.random.default_rng([seed, number]).standard_normal(int(seconds * rate_hz))
         values = noise * rms / math.sqrt(2.0 * 990.0 / rate_hz)
-        one = sampled(values[None], recording=str(number), rate_hz=rate_hz).assign(si_per_unit=("channel", [1.0]))
-        knots = np.linspace(0.0, seconds, 40)
-        angle = shaft(knots, knots * rpm / 60.0, np.full(40, rpm))
-        items.append(level_frames(one, angle, bands=BANDS, frame_s=0.5))
+        one = accelerometer(values, rate_hz, str(number))
+        items.append(level_frames(one, held(rpm, seconds), bands=BANDS, frame_s=0.5))
     return vibration_levels(items, speed_bin_rpm=25.0)
 
 
@@ -94,13 +92,9 @@ def with_a_line(seed: int, hertz: float, *, band: tuple[float, float] = (10.0, 1
     """Levels of a steady line of 1 m/s2 root mean square in a little noise."""
     rng, seconds = np.random.default_rng(seed), 10.0
     at = np.arange(int(seconds * RATE_HZ)) / RATE_HZ
-    values = math.sqrt(2.0) * np.cos(2 * np.pi * hertz * at + rng.uniform(0.0, 6.0)) + 0.02 * rng.standard_normal(
-        at.size
-    )
-    one = sampled(values[None], recording=str(seed), rate_hz=RATE_HZ).assign(si_per_unit=("channel", [1.0]))
-    knots = np.linspace(0.0, seconds, 40)
-    angle = shaft(knots, knots * 25.0, np.full(40, 1500.0))
-    frames = level_frames(one, angle, bands=limit_bands("acceleration", *band), frame_s=0.5)
+    values = math.sqrt(2.0) * np.cos(2 * np.pi * hertz * at + rng.uniform(0.0, 6.0))
+    one = accelerometer(values + 0.02 * rng.standard_normal(at.size), RATE_HZ, str(seed))
+    frames = level_frames(one, held(1500.0, seconds), bands=limit_bands("acceleration", *band), frame_s=0.5)
     return vibration_levels([frames], speed_bin_rpm=25.0)
 
 
@@ -146,10 +140,9 @@ def test_a_band_too_narrow_for_so_short_a_recording_is_not_decided() -> None:
     items = []
     for number in range(3):
         values = np.random.default_rng(number).standard_normal(int(1.5 * RATE_HZ))
-        one = sampled(values[None], recording=str(number), rate_hz=RATE_HZ).assign(si_per_unit=("channel", [1.0]))
-        knots = np.linspace(0.0, 1.5, 40)
-        angle = shaft(knots, knots * 25.0, np.full(40, 1500.0))
-        items.append(level_frames(one, angle, bands=limit_bands("acceleration", 10.0, 12.6), frame_s=0.5))
+        one = accelerometer(values, RATE_HZ, str(number))
+        bands = limit_bands("acceleration", 10.0, 12.6)
+        items.append(level_frames(one, held(1500.0, 1.5), bands=bands, frame_s=0.5))
     made = vibration_levels(items, speed_bin_rpm=25.0)
     limits = (Limit("acceleration", 10.0, 12.6, 100.0, "x", ()),)
     (told,) = limit_verdicts(made, None, MachineModel(1, limits=limits))

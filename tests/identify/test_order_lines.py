@@ -204,12 +204,7 @@ def test_its_interval_reaches_over_the_amplitudes_that_it_held(order: float, fac
 
 
 FLOAT32 = 2e-7
-DRAWN = [
-    ("run-up", 11),
-    pytest.param("repeated sweep", 12, marks=pytest.mark.slow),
-    ("stepped few", 13),
-    pytest.param("one speed", 14, marks=pytest.mark.slow),
-]
+DRAWN = [("run-up", 11), ("repeated sweep", 12), ("stepped few", 13), ("one speed", 14)]
 
 
 @pytest.mark.cases(1)

@@ -130,13 +130,10 @@ CASES = [
 
 
 @pytest.mark.cases(2)
-@pytest.mark.parametrize(
-    ("n", "least"), [(12, 0.8), pytest.param(150, 0.92, marks=pytest.mark.accuracy)]
-)  # of 24 orders and 48 amplitudes fewer than 0.8 are inside with a chance of 1e-3 where it is 95 %
 @pytest.mark.parametrize(("revs", "order", "size"), CASES)
-def test_both_lines_are_found_and_lie_in_their_intervals(revs, order, size, n, least) -> None:
+def test_both_lines_are_found_and_lie_in_their_intervals(revs, order, size) -> None:
     numbers, sizes = [], []
-    for seed in range(n):
+    for seed in range(12):
         found = agreed(seed, revs=revs, order=order, size=size)
         assert len(found) == 2
         assert "locked" not in (found[0].lock,)
@@ -145,8 +142,8 @@ def test_both_lines_are_found_and_lie_in_their_intervals(revs, order, size, n, l
             numbers.append(abs(item.order - true) <= within + 1e-12)
             ends = [largest(line) for line in item.lines]
             sizes += [one.low <= amplitude <= one.high for one in ends]
-    assert np.mean(numbers) >= least
-    assert np.mean(sizes) >= least
+    # of 24 orders and 48 amplitudes fewer than 0.8 are inside with a chance of 1e-3 where it is 95 %
+    assert np.mean(numbers) >= 0.8 and np.mean(sizes) >= 0.8
 
 
 @pytest.mark.cases(1)

@@ -276,11 +276,8 @@ def write(path: Path, columns: dict[str, np.ndarray]) -> None:
                 file[name] = values
         return
     rows = zip(*(values.tolist() for values in columns.values()), strict=True)
-    text = [
-        ",".join(columns),
-        *(",".join(f"{value:.9g}" if value < 1e3 else str(value) for value in row) for row in rows),
-    ]
-    path.write_text("\n".join(text) + "\n", encoding="utf-8")
+    text = [",".join(f"{value:.9g}" if value < 1e3 else str(value) for value in row) for row in rows]
+    path.write_text("\n".join([",".join(columns), *text]) + "\n", encoding="utf-8")
 
 
 def folder_of(folder: Path, samples: str, events: str) -> Path:

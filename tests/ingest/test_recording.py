@@ -28,13 +28,15 @@ def turned(rpm: float, per_rev: int) -> np.ndarray:
 
 @pytest.fixture
 def write(tmp_path):
-    def make(rate=RATE, name="a.h5", **columns):
+    def make(rate=RATE, name="a.h5", unit=None, **columns):
         path = tmp_path / name
         with h5py.File(path, "w") as file:
             if rate is not None:
                 file.attrs["rate_hz"] = rate
             for key, values in columns.items():
                 file[key] = values
+                if unit is not None:
+                    file[key].attrs["units"] = unit
         return path
 
     return make
@@ -61,12 +63,8 @@ def test_a_recording_has_signals_pulses_and_everything_that_later_stages_need(wr
     np.testing.assert_array_equal(recording["signal"].values[0], tone)
     assert recording["signal"].dtype == np.float32
     assert recording["signal"].dims == ("channel", "time")
-    assert [str(recording[name].values[0]) for name in ("channel", "unit", "quantity", "direction")] == [
-        "Z",
-        "m/s2",
-        "acceleration",
-        "+Z",
-    ]
+    said = [str(recording[name].values[0]) for name in ("channel", "unit", "quantity", "direction")]
+    assert said == ["Z", "m/s2", "acceleration", "+Z"]
     attrs = recording.attrs
     assert (attrs["recording"], attrs["domain"], attrs["rate_hz"], attrs["revs_per_cycle"]) == ("a.h5", "time", RATE, 2)
     assert (attrs["encoder_kind"], attrs["pulses_per_rev"], attrs["ratio"]) == ("square", 36, 1.0)
@@ -88,19 +86,13 @@ def test_values_are_turned_into_the_analysed_unit(write, read):
     ]
     for tables, unit, factor, offset in rows:
         values = np.random.default_rng(2).standard_normal(100)
-        path = write(acc=values)
-        if unit is not None:
-            with h5py.File(path, "a") as file:
-                file["acc"].attrs["units"] = unit
-        recording = read(path, '[[channels]]\nname = "c"\nsource = "acc"\n' + tables)
+        recording = read(write(acc=values, unit=unit), '[[channels]]\nname = "c"\nsource = "acc"\n' + tables)
         np.testing.assert_allclose(recording["signal"].values[0], (values - offset) * factor, rtol=1e-12, atol=1e-12)
         assert flagged(recording) == []
 
 
 def test_a_unit_of_the_file_that_contradicts_the_manifest_is_an_error(write, read):
-    path = write(acc=np.arange(10.0))
-    with h5py.File(path, "a") as file:
-        file["acc"].attrs["units"] = "Pa"
+    path = write(acc=np.arange(10.0), unit="Pa")
     with pytest.raises(InputError, match=r"channel Z: Pa \(pressure\) cannot become m/s2.*found unit 'Pa' in the file"):
         read(path)
     with pytest.raises(InputError, match=r"channel Z: Pa \(pressure\) cannot become V"):
@@ -109,10 +101,7 @@ def test_a_unit_of_the_file_that_contradicts_the_manifest_is_an_error(write, rea
 
 @pytest.mark.slow
 def test_a_unit_of_the_file_that_is_not_known_is_flagged(write, read):
-    path = write(acc=np.arange(10.0))
-    with h5py.File(path, "a") as file:
-        file["acc"].attrs["units"] = "furlong"
-    assert flagged(read(path)) == [("unit_unknown", "info")]
+    assert flagged(read(write(acc=np.arange(10.0), unit="furlong"))) == [("unit_unknown", "info")]
 
 
 def test_a_rate_on_which_file_and_manifest_disagree_is_an_error(write, read):
@@ -214,10 +203,8 @@ def test_a_longer_gap_stays_missing_and_is_flagged_with_place_and_length(write, 
             np.testing.assert_array_equal(recording["signal"].values[0], expected)
             assert flagged(recording) == [("gap", "suspect")]
             detail = flags_of(recording)[0]["detail"]
-            assert (
-                f"channel Z: {n} samples ({n / N:.2%}) missing in 1 gap, the longest of {n} from sample {first};"
-                in detail
-            )
+            said = f"channel Z: {n} samples ({n / N:.2%}) missing in 1 gap, the longest of {n} from sample {first};"
+            assert said in detail
 
 
 def test_a_gap_a_few_lost_samples_and_a_dropout_are_told_apart(write, read):
@@ -284,10 +271,7 @@ def test_a_constant_signal_is_flagged(write, read):
 def test_a_channel_that_is_also_the_encoder_is_not_spoilt_by_its_unit(write, read):
     trace = turned(1000, 36)
     tables = '[[channels]]\nname = "Z"\nsource = "enc"\nunit = "mV"\n' + ENCODER.replace('index = "idx"\n', "")
-    path = write(enc=trace)
-    with h5py.File(path, "a") as file:
-        file["enc"].attrs["units"] = "V"
-    recording = read(path, tables)
+    recording = read(write(enc=trace, unit="V"), tables)
     assert recording["signal"].values.max() == 5000.0
     assert recording.sizes["pulse"] == pytest.approx(1000 / 60 * 36 * N / RATE, abs=2)
 

@@ -23,20 +23,12 @@ STILL = Encoder("speed", "speed")
 def one_mode(*, damping: float = 0.02, profile: Profile | None = None, force_density: float = 0.0) -> Machine:
     """A 60 Hz mode met by order 2 at 1800 rpm, one channel, no noise."""
     return Machine(
-        class_name="run-up",
-        seed=0,
-        rate_hz=2000.0,
-        channels=("X",),
+        class_name="run-up", seed=0, rate_hz=2000.0, channels=("X",), tones=(), mains_hz=50.0, steady=False,
         modes=(Mode(60.0, damping, (0.02 + 0j,), (1.0 + 0j,), (1.0,) if force_density else ()),),
-        orders=(Order(2.0, 1.0, 0.5, 2.0, 30.0, 5.0, (0.01 + 0j,)),),
-        tones=(),
+        orders=(Order(2.0, 1.0, 0.5, 2.0, 30.0, 5.0, (0.01 + 0j,)),), encoder=STILL, noise_density=(0.0,),
         profiles=(profile or Profile((0.0, 4.0), (1500.0, 2100.0), 0.3),),
-        encoder=STILL,
-        noise_density=(0.0,),
         force_density=(force_density,) if force_density else (),
-        mains_hz=50.0,
-        steady=False,
-    )
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("rpm", [600.0, 1790.0, 1800.0, 4000.0])

@@ -6,6 +6,8 @@ from typing import Any
 
 from click.testing import CliRunner, Result
 
+from crankorder.batch.frame_store import STORE
+from crankorder.batch.run_log import LOGS
 from crankorder.cli import main
 
 
@@ -31,3 +33,14 @@ def analysed(folder: Path, out: Path, *options: object) -> dict[str, Any]:
     """Findings of the test in ``folder``, its results written to ``out``."""
     done("run", folder, "--out", out, "-q", *options)
     return findings_in(out)
+
+
+def results_in(out: Path, *, kept: bool = False) -> dict[str, bytes]:
+    """Bytes of the files below ``out`` that two runs must give alike; ``kept``: also what is kept of recordings."""
+    others = {LOGS} if kept else {LOGS, STORE}
+    files = {path.relative_to(out).as_posix(): path for path in sorted(out.rglob("*")) if path.is_file()}
+    return {
+        name: path.read_bytes()
+        for name, path in files.items()
+        if path.name != "timings.json" and path.suffix not in (".lock", ".part") and not others & set(path.parts)
+    }

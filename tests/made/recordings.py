@@ -101,6 +101,18 @@ def sampled(signals: np.ndarray, *, domain: str = "time", **attrs: object) -> xr
     return made
 
 
+def accelerometer(values: np.ndarray, rate_hz: float, name: str = "a") -> xr.Dataset:
+    """Recording of one accelerometer in m/s2 without an encoder."""
+    made = sampled(values[None], recording=name, rate_hz=rate_hz, encoder_kind="none")
+    return made.assign(si_per_unit=("channel", [1.0], {"units": "1"}))
+
+
+def held(speed_rpm: float, seconds: float) -> xr.Dataset:
+    """ShaftAngle of so many ``seconds`` at one speed."""
+    knots = np.linspace(0.0, seconds, 50)
+    return shaft(knots, knots * speed_rpm / 60.0, np.full(50, speed_rpm))
+
+
 def line(order: float, amplitude: float, phase_rad: float = 0.0) -> Signal:
     """A line at ``order`` of constant amplitude."""
     return lambda _, angle: amplitude * np.cos(2 * np.pi * order * angle + phase_rad)

@@ -59,9 +59,9 @@ def assert_true_angles(teeth, true_time_s, true_rev, repeats=1, atol=1e-9):
 @pytest.mark.parametrize(
     "motion",
     [
-        {"irregularity": 0.0},
-        {"irregularity": 0.05},
-        {"start_rpm": 200.0, "end_rpm": 3000.0},
+        {"irregularity": 0.0, "start_rev": 0.0},
+        {"irregularity": 0.05, "start_rev": 0.5},
+        {"start_rpm": 200.0, "end_rpm": 3000.0, "start_rev": 0.999},
         {"start_rpm": 3000.0, "end_rpm": 300.0},
     ],
     ids=["steady", "uneven", "run-up", "coast-down"],
@@ -74,15 +74,6 @@ def test_every_wheel_is_laid_on_its_pulses_without_a_repair(name, motion):
     assert teeth.time_s.size >= 0.85 * pulse_s.size  # teeth that only tell the phase are left out
     assert_true_angles(teeth, pulse_s, true_rev, pattern_of(name).repeats)
     assert np.isfinite(teeth.index_tooth) == (name in UNIQUE)
-
-
-def test_a_wheel_may_start_anywhere():
-    for start_rev in [0.0, 0.5, 0.999]:
-        for name in UNIQUE:
-            pulse_s, true_rev = pulses_of(name, start_rev=start_rev, duration_s=1.0)
-            teeth = numbered(name, pulse_s)
-            assert teeth.n_repaired == 0
-            assert_true_angles(teeth, pulse_s, true_rev)
 
 
 def test_lost_and_false_pulses_of_every_wheel_are_repaired_and_counted():

@@ -396,7 +396,8 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
         needed = _needed_revs(order, lines, test)
         if needed is None and any_swept(test.recordings) and IN_SWEEP not in doubts:
             doubts.append(IN_SWEEP)
-    doubts += sorted({doubt for line in lines for doubt in line.doubts}, key=lambda doubt: doubt.words)
+    of_lines = sorted({line.doubts for line in lines}, key=lambda of_line: [doubt.words for doubt in of_line])
+    doubts += dict.fromkeys(doubt for of_line in of_lines for doubt in of_line)
     own = None if test.by_pulses else number.error
     return AgreedOrder(order, error, number.degrees_of_freedom, lock, needed, tuple(lines), tuple(doubts), own)
 

@@ -356,7 +356,7 @@ def order_one(line: OrderLine, quantity: str, modes: Sequence[Mode]) -> Cause:
         return like(f"too few speeds to tell how it grows{_between_few(line, least, modes)}", doubt="few speeds")
     low, high = grown.ci95
     if len(grown.deviating_rpm) > NUMBERS.largest_deviating_share * np.count_nonzero(line.amplitude > 0.0):
-        return like("no power of the speed describes how it grows")
+        return like("no power of the speed describes how it grows", doubt="unclear growth")
     grows = f"goes with speed to the {grown.exponent:.2f} ({low:.2f} to {high:.2f})"
     would = f"which alone would with {least:g} or more"
     followed = np.setdiff1d(line.speed_rpm[np.isfinite(line.speed_rpm)], np.asarray(grown.deviating_rpm))
@@ -365,9 +365,11 @@ def order_one(line: OrderLine, quantity: str, modes: Sequence[Mode]) -> Cause:
         slower = f"{grows}: it does not grow as unbalance does, {would}"
         return Cause("unexplained", slower, doubt="slower than unbalance")
     if high < lowest - ORDER_ONE_NUMBERS.little_slower_exponent:
-        return like(f"{grows}, more slowly than unbalance, {would}, far from natural frequencies")
+        return like(
+            f"{grows}, more slowly than unbalance, {would}, far from natural frequencies", doubt="unclear growth"
+        )
     if grown.law == "follows no power law":
-        return like(f"{grows}, and no power of the speed describes it")
+        return like(f"{grows}, and no power of the speed describes it", doubt="unclear growth")
     return Cause("unbalance", grows)
 
 
