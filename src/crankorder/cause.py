@@ -85,8 +85,7 @@ class Cause:
 
     def either(self, *others: Cause) -> Cause:
         """This cause, or one of the ``others`` as well."""
-        further = [cause for other in others for cause in (other, *other.others)]
-        return replace(self, others=(*self.others, *further))
+        return replace(self, others=(*self.others, *(cause for other in others for cause in (other, *other.others))))
 
     @property
     def kinds(self) -> tuple[CauseKind, ...]:
@@ -96,9 +95,8 @@ class Cause:
     @property
     def text(self) -> str:
         """Words for all that may make the line: ``explained_by`` of the findings."""
-        return " or ".join(
-            _WORDS.get(cause.kind, cause.kind).format(**cause.parameters) for cause in (self, *self.others)
-        )
+        causes = (self, *self.others)
+        return " or ".join(_WORDS.get(cause.kind, cause.kind).format(**cause.parameters) for cause in causes)
 
     @property
     def known(self) -> bool:

@@ -39,9 +39,8 @@ def map_with(frequency_hz: float, *, samples_per_rev: float | None = 360.0, ampl
 
 
 def test_a_harmonic_of_mains_that_folds_is_named() -> None:
-    settings = SETTINGS.model_copy(
-        update={"identify": SETTINGS.identify.model_copy(update={"mains_hz": (3600.0,), "fold_search_hz": 8000.0})}
-    )
+    asked = SETTINGS.identify.model_copy(update={"mains_hz": (3600.0,), "fold_search_hz": 8000.0})
+    settings = SETTINGS.model_copy(update={"identify": asked})
     flags = {flag["flag"]: flag for flag in alias_flags(map_with(7200.0), settings)}
     assert "7200" in flags["folded_frequency"]["detail"]
     assert flags["folded_frequency"]["severity"] == "suspect"
@@ -62,10 +61,9 @@ def test_a_fold_is_the_cause_of_a_line_that_lies_on_it_and_of_no_other() -> None
     made = map_with(7200.0).isel(speed=[5])  # 1200 rpm: order 360, where it shows at order 0: no line
     assert shown_aliases(made, settings=SETTINGS) == ()
     whole = map_with(7200.0)
-    shown = shown_aliases(whole, settings=SETTINGS)
-    assert len(shown) == 1
-    at = int(np.argmax(shown[0].order))
-    near = line(float(shown[0].order[at]), speed_rpm=[float(shown[0].speed_rpm[at])])
-    assert shown[0].is_line(near)
-    assert not shown[0].is_line(line(19.3, speed_rpm=[float(shown[0].speed_rpm[at])]))
-    assert not shown[0].is_line(line(near.order, speed_rpm=SPEEDS))  # a line of the shaft stays at all speeds
+    (shown,) = shown_aliases(whole, settings=SETTINGS)
+    at = int(np.argmax(shown.order))
+    near = line(float(shown.order[at]), speed_rpm=[float(shown.speed_rpm[at])])
+    assert shown.is_line(near)
+    assert not shown.is_line(line(19.3, speed_rpm=[float(shown.speed_rpm[at])]))
+    assert not shown.is_line(line(near.order, speed_rpm=SPEEDS))  # a line of the shaft stays at all speeds

@@ -290,8 +290,7 @@ def test_harmonics_of_a_drawn_race_and_their_sidebands_are_told_from_other_lines
     assert np.mean(hits) > 0.97
     assert np.mean(others) < 0.05
     (found,) = struck_races([bearing_record(JACK_SHAFT, "BPFI", 5.4)], sources, [])
-    cause = race_cause([found], 2 * 5.4 - 1.0, 1e-4)
-    assert cause is not None and cause.text == "bearing jack shaft BPFI, harmonic 2 - 1 x shaft"
+    assert race_cause([found], 2 * 5.4 - 1.0, 1e-4).text == "bearing jack shaft BPFI, harmonic 2 - 1 x shaft"
     assert race_cause([found], 4.93, 1e-4) is None
 
 
@@ -394,8 +393,7 @@ def test_a_struck_race_of_a_slow_shaft_is_as_near_in_its_own_turns():
     slow = dataclasses.replace(ROTOR, bearings=(Bearing(name="rotor", shaft_ratio=0.01, bpfo=3.58, bpfi=5.42),))
     record = bearing_record(slow.bearings[0], "BPFO", 0.0358, half=1e-7, seen_in="envelope")
     (race,) = struck_races([record], slow, [])
-    cause = race_cause([race], 2 * 0.0358, 1e-7)
-    assert cause is not None and cause.text == "bearing rotor BPFO, harmonic 2"
+    assert race_cause([race], 2 * 0.0358, 1e-7).text == "bearing rotor BPFO, harmonic 2"
     assert race_cause([race], 2.04 * 0.0358, 1e-7) is None
 
 

@@ -3,6 +3,7 @@
 import os
 import socket
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 
@@ -42,9 +43,7 @@ def test_leftovers_of_copies_and_editors_are_passed_over(tmp_path, found_in):
 
 
 def test_an_empty_folder_says_what_was_looked_for(tmp_path, found_in):
-    with pytest.raises(
-        NoUsableRecordingError, match=r"no recording found; looked for \*\.h5, b\*; found an empty folder"
-    ):
+    with pytest.raises(NoUsableRecordingError, match=r"no recording found; looked for \*\.h5, b\*; found an empty"):
         found_in(tmp_path, "*.h5", "b*")
 
 
@@ -53,6 +52,11 @@ def test_a_missing_file_is_a_fault_of_its_own(tmp_path, found_in):
     folder = found_in(tmp_path, "a.h5", "b.h5")
     assert [path.name for path in folder.paths] == ["a.h5"]
     assert "b.h5: no such file" in str(folder.faults[0])
+
+
+def test_a_folder_without_permission_is_told_as_one(tmp_path, found_in, monkeypatch):
+    monkeypatch.setattr(Path, "is_symlink", Mock(side_effect=PermissionError(13, "Permission denied")))
+    assert "no permission to read" in str(found_in(tmp_path, "a.h5").faults[0])
 
 
 def test_a_path_out_of_the_folder_is_refused(tmp_path, found_in):

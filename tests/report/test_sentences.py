@@ -149,6 +149,8 @@ def test_a_fixed_tone_stronger_than_any_order_is_named_first(full: Any) -> None:
         "1.90 m/s² (1.86…1.94) at 1800 rpm."
     )
     assert headline(full)[1].endswith("The tone does not follow the shaft: it has a source of its own.")
+    loose = [{**line, "explained_by": "order", "causes": ["order"]} for line in full["lines"]]
+    assert headline({**full, "lines": loose})[1].endswith("so alike nothing tells whether it follows the shaft.")
     only = {"lines": full["lines"], "channels": full["channels"]}
     assert strongest_sentence(only, "Z") == "A fixed tone of 58.3 Hz is the strongest line in Z: 5.00 m/s² (4.90…5.10)."
     assert strongest_sentence(full, "Y").startswith("Order 2")

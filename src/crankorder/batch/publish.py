@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from crankorder.batch.locks import locked
 from crankorder.batch.plan import folder_name
-from crankorder.batch.result_folder import TIMINGS, marker_of, publish, read_document, read_findings, settle
+from crankorder.batch.result_folder import TIMINGS, marker_of, publish, read_findings, settle
 from crankorder.batch.store import json_bytes
 from crankorder.batch.workers import FORKS, each
 from crankorder.errors import InputError
@@ -99,7 +99,7 @@ def _redrawn(folder: Path, report: Mapping[str, object]) -> Path:
         stated = load_settings().report.model_dump() | provenance["settings"]["report"] | dict(report)
         if marker is None:
             raise ValueError("no done.json")
-        if "causes" not in next(iter(read_document(folder / "findings.json")["orders"]), {"causes": ()}):
+        if any(not record.causes for record in findings.orders):
             raise ValueError("findings of a version that said causes in words alone")
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(

@@ -16,6 +16,7 @@ from pathlib import Path, PurePosixPath
 from crankorder.errors import (
     MOST_TOLD,
     CrankorderError,
+    EnvironmentFailure,
     InputError,
     NoUsableRecordingError,
     RequestError,
@@ -184,10 +185,10 @@ def _matches(folder: Path, pattern: str) -> list[Path]:
         globbed = NAMED_PART.sub("*", pattern)
         if not re.search(r"[*?\[]", globbed):
             check_regular(folder / pattern)
-        paths = list(folder.glob(globbed))
-        return (
-            paths if globbed == pattern else [p for p in paths if parts_of(pattern, p.relative_to(folder).as_posix())]
-        )
+        paths = folder.glob(globbed)
+        return [p for p in paths if globbed == pattern or parts_of(pattern, p.relative_to(folder).as_posix())]
+    except PermissionError:
+        raise EnvironmentFailure("no permission to read", file=folder, remedy="Change its permissions") from None
     except (OSError, ValueError, NotImplementedError) as error:  # glob: too long, a bad pattern, an absolute one
         if isinstance(error, CrankorderError):
             raise

@@ -221,11 +221,12 @@ def _cause(record: OrderFinding | LineFinding, findings: Findings) -> str:
     cause, in_doubt = named(record.explained_by or "unexplained", limit=2 * NAME_CHARACTERS), bool(findings.speed_doubt)
     if record.kinds == ("unexplained",):
         return " Its cause is not known."
-    if record.kinds == ("tone",):
+    if record.kinds in (("tone",), ("order",)):
         if in_doubt:
             return " Whether it follows the shaft is not decided, for the speed is in doubt."
-        if at_one_speed(findings):
-            return " At one speed nothing tells whether it follows the shaft."
+        if at_one_speed(findings) or record.kinds == ("order",):
+            speeds = "one speed" if at_one_speed(findings) else "speeds so alike"
+            return f" At {speeds} nothing tells whether it follows the shaft."
         return " The tone does not follow the shaft: it has a source of its own."
     if in_doubt:
         return f" Cause, if the speed is right: {cause}."
