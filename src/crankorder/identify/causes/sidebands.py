@@ -174,6 +174,9 @@ FAMILY_NUMBERS = MethodNumbers("5-identify-explain.toml", "explain_families")
 LineCauses = dict[tuple[str, float], Cause]
 """Causes of lines by channel and AgreedOrder.order."""
 
+Lines = Sequence[tuple[AgreedOrder, OrderLine]]
+"""Lines of one channel, each beside the order on which all channels agree."""
+
 BY_ITSELF: tuple[CauseKind, ...] = ("unexplained", "shaft harmonic")
 """Causes of lines that a mesh beside them explains better."""
 
@@ -203,16 +206,21 @@ def explain_families(
         lines = [(agreed, line) for agreed in orders for line in agreed.lines if line.channel == channel]
         unswung = [pair for pair in lines if (channel, pair[0].order) not in of_swing]
         families |= _meshes(channel, unswung, causes, of_cycle, modes_hz)
-        families |= _sidebands(channel, lines, causes, of_cycle, spacings)
+        # unexplained lines off the multiples of the cycle that stand in pairs about a stronger line
+        free = [causes[channel, a.order].is_just("unexplained") and of_cycle[a.order] is None for a, _ in lines]
+        places = [agreed.order for agreed, _ in lines]
+        # an error of the speed shifts all alike
+        errors = [min(agreed.order_error, line.order_error) for agreed, line in lines]
+        sizes, highest = [float(line.amplitude.max()) for _, line in lines], max(places, default=1.0)
+        for band in sidebands(places, errors, sizes, spacings=spacings, highest=highest, sides=free):
+            named = f" ({band.spacing_name})" if band.spacing_name else ""
+            evidence = f"one of a pair about a stronger line{named}; {band.chance:.1g} such pairs by chance"
+            families[channel, places[band.at]] = sideband_of(places[band.carrier], band.spacing, evidence)
     return families | _shafts(orders, causes, families, of_cycle)
 
 
 def _meshes(
-    channel: str,
-    lines: list[tuple[AgreedOrder, OrderLine]],
-    causes: LineCauses,
-    of_cycle: dict[float, float | None],
-    modes_hz: Sequence[float],
+    channel: str, lines: Lines, causes: LineCauses, of_cycle: dict[float, float | None], modes_hz: Sequence[float]
 ) -> LineCauses:
     """Whole orders of one channel that are a mesh by their sidebands, and these; stated meshes have sidebands too."""
     whole: dict[int, tuple[float, OrderLine]] = {}
@@ -227,7 +235,7 @@ def _meshes(
         stated = mesh in known
         if not stated and (not causes[channel, order].is_just(*BY_ITSELF) or _lifted(line, mesh, modes_hz)):
             continue
-        sides = list(_sides(mesh, whole, line))
+        sides = _sides(mesh, whole, line)
         if not stated:
             about = ", ".join(str(number) for number in sorted(sides))
             evidence = f"order {mesh} stands over its sidebands at orders {about}"
@@ -247,14 +255,14 @@ def sideband_of(carrier: float, spacing: float, evidence: str, *, unit: str = ""
 
 def _sides(mesh: int, whole: dict[int, tuple[float, OrderLine]], carrier: OrderLine) -> list[int]:
     """Whole orders beside ``mesh``, outwards as long as none is missing or stands over half of its ``carrier``."""
-    found = []
+    sides = []
     for step in (-1, 1):
         for distance in range(1, FAMILY_NUMBERS.most_sidebands + 1):
-            item = whole.get(mesh + step * distance)
-            if item is None or NUMBERS.mesh_ratio * item[1].amplitude.max() > carrier.amplitude.max():
+            beside = whole.get(mesh + step * distance)
+            if beside is None or NUMBERS.mesh_ratio * beside[1].amplitude.max() > carrier.amplitude.max():
                 break
-            found.append(mesh + step * distance)
-    return found
+            sides.append(mesh + step * distance)
+    return sides
 
 
 def _lifted(line: OrderLine, order: int, modes_hz: Sequence[float]) -> bool:
@@ -264,26 +272,6 @@ def _lifted(line: OrderLine, order: int, modes_hz: Sequence[float]) -> bool:
     frequency = order * line.speed_rpm / 60.0
     near = np.abs(frequency[:, None] / np.asarray(modes_hz) - 1.0) < FAMILY_NUMBERS.near_mode_share
     return bool(np.mean(near.any(axis=1)) >= 0.5)
-
-
-def _sidebands(
-    channel: str,
-    lines: list[tuple[AgreedOrder, OrderLine]],
-    causes: LineCauses,
-    of_cycle: dict[float, float | None],
-    spacings: dict[str, float],
-) -> LineCauses:
-    """Unexplained lines of one channel, off the multiples of the cycle, that stand in pairs about a stronger line."""
-    free = [causes[channel, a.order].is_just("unexplained") and of_cycle[a.order] is None for a, _ in lines]
-    places = [agreed.order for agreed, _ in lines]
-    errors = [min(agreed.order_error, line.order_error) for agreed, line in lines]  # a speed's error shifts all alike
-    sizes, highest = [float(line.amplitude.max()) for _, line in lines], max(places, default=1.0)
-    family: LineCauses = {}
-    for band in sidebands(places, errors, sizes, spacings=spacings, highest=highest, sides=free):
-        named = f" ({band.spacing_name})" if band.spacing_name else ""
-        evidence = f"one of a pair about a stronger line{named}; {band.chance:.1g} such pairs by chance"
-        family[channel, places[band.at]] = sideband_of(places[band.carrier], band.spacing, evidence)
-    return family
 
 
 def _shafts(

@@ -208,13 +208,7 @@ def track_number(agreed: AgreedOrder, *, revs_per_cycle: int) -> float:
 
 
 def _read(
-    line: OrderLine,
-    *,
-    channel: int,
-    rows: OrderRows,
-    met: Sequence[MetRow],
-    n_independent: Floats,
-    reader: TrackReader,
+    line: OrderLine, *, channel: int, rows: OrderRows, met: Sequence[MetRow], n_independent: Floats, reader: TrackReader
 ) -> OrderLine:
     """``line`` of the ``channel`` with what its ``rows`` hold; as it was where they hold nothing, or it is none.
 

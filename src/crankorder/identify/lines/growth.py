@@ -245,7 +245,11 @@ def largest(line: OrderLine) -> Largest:
     if sigma == 0.0 or not np.isfinite(sigma):
         return Largest(at, speed, seen, seen if sigma == 0.0 else 0.0, seen if sigma == 0.0 else np.inf)
     degrees_of_freedom = known_freedom(float(line.degrees_of_freedom[at]))
-    others, count = _independent_of(at, known, line.n_independent)
+    others, count = np.delete(known, at), float(len(known))
+    if line.n_independent is not None:  # rows within a whole independent one of another share errors with it
+        place = np.cumsum(line.n_independent) - 0.5 * line.n_independent
+        others = known[np.abs(place - place[at]) > 1.0 - 1e-9]
+        count = max(1.0, float(line.n_independent.sum()))
     cut = (float(np.max(others)) - seen) / sigma if len(others) else -np.inf
     wide = half_width(degrees_of_freedom, level=1.0 - NUMBERS.simultaneous_chance / count)
     share = 0.5 * (0.05 - NUMBERS.simultaneous_chance) / (1.0 - NUMBERS.simultaneous_chance)
@@ -266,18 +270,6 @@ def largest(line: OrderLine) -> Largest:
         low = min(low, alone[0]) if held else low
         high = max(high, alone[1]) if len(others) == 0 or held else high
     return Largest(at, speed, seen, low, high)
-
-
-def _independent_of(at: int, amplitude: Floats, n_independent: Floats | None) -> tuple[Floats, float]:
-    """Amplitudes that share no error with number ``at``, and how many independent ones there are in all.
-
-    ``n_independent`` is that of each; rows within a whole independent one of another share errors with it.
-    """
-    if n_independent is None:
-        return np.delete(amplitude, at), float(len(amplitude))
-    place = np.cumsum(n_independent) - 0.5 * n_independent
-    apart = np.abs(place - place[at]) > 1.0 - 1e-9
-    return amplitude[apart], max(1.0, float(n_independent.sum()))
 
 
 def _not_surprising(cut: float, wide: float, degrees_of_freedom: float, share: float) -> float:

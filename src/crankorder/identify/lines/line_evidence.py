@@ -323,20 +323,18 @@ def log_chance_of_kurtosis(kurtosis: Floats, frames: Floats) -> Floats:
     return np.asarray(np.minimum(ball + gammaln(frames) - 0.5 * np.log(frames), 0.0))
 
 
-def _steadier_than_a_resonance(
-    order_map: xr.Dataset, peak: int, at: int, kurtosis: float, false_alarm_probability: float
-) -> bool:
+def _steadier_than_a_resonance(order_map: xr.Dataset, peak: int, at: int, kurtosis: float, level: float) -> bool:
     """Whether even the least damped resonance, excited by noise, would swell more over the frames of the speed ``at``.
 
     Its phasor forgets itself with K = 2 pi damping f T over the time T. Its power over T, as long as that is short of
     the memory, is a random walk whose variance is below s with a chance of exp(-K / (2 s)) where the resonance stands
     at its mean, and exp(-K / (2 s e)) where it stands e times over it, which has the chance exp(-e): together
-    exp(-sqrt(2 K / s)) at most.
+    exp(-sqrt(2 K / s)) at most. ``level`` is that of a false alarm.
     """
     hop = float(order_map.attrs["revs_per_frame"]) * (1.0 - float(order_map.attrs["overlap"]))
     turned = float(order_map["order"].values[peak]) * hop * max(float(order_map["n_frames"].values[at]) - 1.0, 0.0)
     forgotten = 2.0 * np.pi * NUMBERS.least_damping * turned
-    return bool(np.exp(-np.sqrt(2.0 * forgotten / max(1.0 + kurtosis, 1e-12))) < false_alarm_probability)
+    return bool(np.exp(-np.sqrt(2.0 * forgotten / max(1.0 + kurtosis, 1e-12))) < level)
 
 
 def has_moved(order_map: xr.Dataset, peak: int, seen: Ints) -> bool:

@@ -115,15 +115,12 @@ def proves_speed(numbers: Sequence[tuple[float, float, float]], *, revs_per_cycl
     mean = abs(float(np.average(off, weights=weight)))
     if mean > together:
         return False
-    by_chance = LOCK_NUMBERS.other_shaft_chance ** len(off) * min(1.0, 2.0 * (mean + together) * _density())
+    # density, at no error at all, of what a slip and an error of the speed make together
+    least, stated = LOCK_NUMBERS.least_slip, LOCK_NUMBERS.stated_speed_error
+    slips = 0.5 * exp1(0.5 * (least / stated) ** 2) / np.log(LOCK_NUMBERS.largest_slip / least)
+    density = float(slips / (np.sqrt(2.0 * np.pi) * stated))
+    by_chance = LOCK_NUMBERS.other_shaft_chance ** len(off) * min(1.0, 2.0 * (mean + together) * density)
     return bool(by_chance < (1.0 - LOCK_NUMBERS.sure_level) * LOCK_NUMBERS.right_speed_share)
-
-
-def _density() -> float:
-    """Density, at no error at all, of what a slip and an error of the speed make together."""
-    least, error = LOCK_NUMBERS.least_slip, LOCK_NUMBERS.stated_speed_error
-    slips = 0.5 * exp1(0.5 * (least / error) ** 2) / np.log(LOCK_NUMBERS.largest_slip / least)
-    return float(slips / (np.sqrt(2.0 * np.pi) * error))
 
 
 NUMBERS = MethodNumbers("5-identify-lines.toml", "line_phasors")

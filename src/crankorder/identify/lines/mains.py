@@ -494,11 +494,7 @@ def _seen_in(held: Held, lines: Sequence[MotorLine], supply_hz: float) -> list[L
 
 
 def _also(
-    held: Held,
-    number: int,
-    lines: Sequence[MotorLine],
-    places: Sequence[Place],
-    at_places: Sequence[Sighting | None],
+    held: Held, number: int, lines: Sequence[MotorLine], places: Sequence[Place], at_places: Sequence[Sighting | None]
 ) -> tuple[tuple[MotorLine, ...], float | None]:
     """Other lines, and the order of the shaft, so near to line ``number`` that the recording does not part them."""
     order = held.order_of(places[number])

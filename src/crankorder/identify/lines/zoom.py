@@ -140,18 +140,13 @@ def zoomed(
         return None
     wander = np.nan if alone or swept or second is not None else _wander(phasors, turn, line)
     beside_it = None if second is None else replace(second, amplitude=_at_zero(second, middle))
-    if swept:
-        line = _through_modes(replace(line, second=beside_it), course)
+    if course is not None:  # it tells the order between the modes that the run-up crosses
+        variance = (course.half / NUMBERS.sure_sigmas) ** 2
+        line = replace(line, offset=course.offset, variance=variance, dof=1e6, course=course, swept=True)
+    elif swept:
+        several = 0.0 if second is not None else (NUMBERS.swept_turns_rev / line.span_rev) ** 2
+        line = replace(line, swept=True, variance=line.variance + several)
     return replace(line, amplitude=_at_zero(line, middle), wander=wander, second=beside_it)
-
-
-def _through_modes(line: Zoomed, course: Course | None) -> Zoomed:
-    """``line`` of a run-up with the order that its ``course`` tells between the modes that it crosses."""
-    if course is None:
-        several = 0.0 if line.second is not None else (NUMBERS.swept_turns_rev / line.span_rev) ** 2
-        return replace(line, swept=True, variance=line.variance + several)
-    variance = (course.half / NUMBERS.sure_sigmas) ** 2
-    return replace(line, offset=course.offset, variance=variance, dof=1e6, course=course, swept=True)
 
 
 def left_of_slow_waves(phasors: Complexes, turn: Floats, *, hop_rev: float) -> float:

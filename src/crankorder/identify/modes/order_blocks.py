@@ -196,10 +196,7 @@ class _Left:
 
 
 def with_locks_through_modes(
-    orders: Sequence[AgreedOrder],
-    modal: ModalFit,
-    followed: Sequence[xr.Dataset],
-    order_map: xr.Dataset,
+    orders: Sequence[AgreedOrder], modal: ModalFit, followed: Sequence[xr.Dataset], order_map: xr.Dataset
 ) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
     """``orders`` of which some that were undecided are proven locked by the fit ``modal`` of their sweeps, and the fit
     by their numbers.
