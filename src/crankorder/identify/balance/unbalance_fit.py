@@ -25,7 +25,7 @@ from crankorder.identify.balance.known_forces import (
 from crankorder.identify.balance.record import Split, added_words, rotor_record, split_record
 from crankorder.identify.balance.transfer_path import MeasuredOrders, accelerance_of, measured_orders
 from crankorder.identify.causes.cycle_forces import gas_half_orders
-from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.identify.found import AgreedOrders, ModalFit
 from crankorder.identify.modes.pole_errors import side_by_side
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
@@ -44,7 +44,7 @@ class _Refused(Exception):
 
 def unbalance_fit(
     order_map: xr.Dataset,
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     modal: ModalFit,
     *,
     engine: Engine | None,
@@ -96,7 +96,7 @@ def _check_phases(order_map: xr.Dataset, engine: Engine | None) -> None:
 
 
 def _by_engine_orders(
-    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, engine: Engine, followed: Tracks
+    order_map: xr.Dataset, orders: AgreedOrders, modal: ModalFit, engine: Engine, followed: Tracks
 ) -> Balance:
     if engine.cycle == "rotor" or engine.largest_piston_kg == 0:
         raise _Refused(f"a rotor has no order of known force, and no path is stated; {TRIAL_MASS}")
@@ -120,7 +120,7 @@ def _by_engine_orders(
     return _record(fit, shaker, engine, _check_orders_agree(measured, shaker, modal, fit), measured)
 
 
-def _check_firing(orders: tuple[AgreedOrder, ...], engine: Engine) -> None:
+def _check_firing(orders: AgreedOrders, engine: Engine) -> None:
     if engine.gas is not None:
         raise _Refused(
             "the engine has gas: its torque rocks the crankcase at every order of the known forces, through a path "

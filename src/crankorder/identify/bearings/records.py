@@ -23,7 +23,7 @@ from crankorder.identify.bearings.envelope_lines import (
     place_error,
     spectra_of,
 )
-from crankorder.identify.found import AgreedOrder
+from crankorder.identify.found import AgreedOrder, AgreedOrders
 from crankorder.identify.intervals import Z95, half_width, positive_interval
 from crankorder.identify.lines.growth import growth, mean_level, reported
 from crankorder.identify.machine_model import StatedPart, parts_at
@@ -32,7 +32,7 @@ from crankorder.settings import IdentifySettings, MethodNumbers
 
 
 def bearing_records(
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     envelope: xr.Dataset | None,
     *,
     bearings: tuple[Bearing, ...],
@@ -97,7 +97,7 @@ def _with_races(record: BearingFinding, records: Sequence[BearingFinding]) -> Be
     return replace(record, verdict=f"{record.verdict} {races_words(races, struck)}")
 
 
-def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per_cycle: int) -> BearingFinding | None:
+def _vibration_record(place: Place, orders: AgreedOrders, *, revs_per_cycle: int) -> BearingFinding | None:
     """Record of ``place`` where an order of the vibration lies in it; None where none does."""
     ends = [(order, half_width(order.degrees_of_freedom) * order.order_error) for order in orders]
     near = [order for order, spare in ends if place.low - spare <= order.order <= place.high + spare]

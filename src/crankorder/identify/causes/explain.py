@@ -22,7 +22,7 @@ from crankorder.identify.causes.sidebands import (
     spacings_of,
     struck_races,
 )
-from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
+from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Mode, OrderLine, Tone
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.growth import is_motion, largest, order_one
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
@@ -68,7 +68,7 @@ class _Test:
     ``races`` that are struck, ``folds`` that show, ``forces`` of gas and masses, ``modes``.
     """
 
-    orders: tuple[AgreedOrder, ...]
+    orders: AgreedOrders
     machine: MachineModel
     races: list[StruckRace]
     folds: Sequence[ShownAlias]
@@ -97,7 +97,7 @@ class _Line:
 
 
 def explained(
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     modal: ModalFit,
     bearings: Sequence[BearingFinding],
     *,
@@ -218,7 +218,7 @@ def _gas_in_pressure(of: _Line, test: _Test) -> Cause | None:
     return Cause("gas cycle", f"order {of.of_cycle:g}, a multiple of the {cycle}, in the pressure itself; {of.proof}")
 
 
-def _forces_of_cycle(orders: tuple[AgreedOrder, ...], sources: MachineModel) -> ForcesOfCycle:
+def _forces_of_cycle(orders: AgreedOrders, sources: MachineModel) -> ForcesOfCycle:
     """Gas and inertia by channel and order, at the speed where each line is largest; empty without gas or engine."""
     if sources.engine is None or not sources.firing:
         return {}
@@ -251,8 +251,8 @@ def _kinematics(of: _Line, test: _Test) -> Cause | None:
     if not gas and machine.revs_per_cycle == 2 and len(half := gas_half_orders(o.order for o in test.orders)) > 1:
         gas = f"half orders ({', '.join(half)}) show gas torque"
     if gas:
-        told = "nothing that was stated tells how much of this order it makes"
-        return Cause("gas cycle", f"{masses}; {gas}, and {told}; {of.proof}").either(Cause("engine kinematics"))
+        unstated = "nothing that was stated tells how much of this order it makes"
+        return Cause("gas cycle", f"{masses}; {gas}, and {unstated}; {of.proof}").either(Cause("engine kinematics"))
     return Cause("engine kinematics", f"{masses}; {of.proof}")
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from crankorder.cause import Cause, CauseKind
 from crankorder.findings import BearingFinding
-from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.found import AgreedOrder, AgreedOrders, OrderLine
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.line_phasors import NO_PULSES
 from crankorder.identify.machine_model import MachineModel
@@ -57,15 +57,15 @@ def sidebands(
         lie alike far from many others by nature and prove nothing
     """
     order = np.argsort(-np.asarray(amplitudes))
-    found: dict[int, Sideband] = {}
+    bands: dict[int, Sideband] = {}
     for carrier in order.tolist():
-        if carrier in found:
+        if carrier in bands:
             continue
         may = [(sides is None or sides[k]) and amplitudes[k] < amplitudes[carrier] for k in range(len(places))]
         for pair in _pairs(carrier, places, errors, may, spacings, highest):
             for side in pair:
-                found.setdefault(side.at, side)
-    return [found[at] for at in sorted(found)]
+                bands.setdefault(side.at, side)
+    return [bands[at] for at in sorted(bands)]
 
 
 def _pairs(
@@ -151,22 +151,22 @@ def other_shafts(places: Sequence[float], errors: Sequence[float]) -> dict[int, 
     anywhere would make less than 5 % of such a family.
     """
     order = np.argsort(places).tolist()
-    found: dict[int, tuple[int, int]] = {}
+    harmonics: dict[int, tuple[int, int]] = {}
     for first in order:
-        if first in found:
+        if first in harmonics:
             continue
         family, chance = {first: 1}, 1.0
         for other in order:
             multiple = round(places[other] / places[first])
             error = float(np.hypot(multiple * errors[first], errors[other]))
             near = abs(places[other] - multiple * places[first]) <= NUMBERS.same_sigmas * error
-            if near and multiple > 1 and other not in found:
+            if near and multiple > 1 and other not in harmonics:
                 family[other] = multiple
                 chance *= min(1.0, 2.0 * NUMBERS.same_sigmas * error / places[first])
         # any of the others could have been the one that fits
         if 2 in family.values() and chance * len(places) < NUMBERS.family_chance:
-            found |= {line: (first, multiple) for line, multiple in family.items()}
-    return found
+            harmonics |= {line: (first, multiple) for line, multiple in family.items()}
+    return harmonics
 
 
 FAMILY_NUMBERS = MethodNumbers("5-identify-explain.toml", "explain_families")
@@ -182,7 +182,7 @@ BY_ITSELF: tuple[CauseKind, ...] = ("unexplained", "shaft harmonic")
 
 
 def explain_families(
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     causes: LineCauses,
     of_cycle: dict[float, float | None],
     *,
@@ -275,7 +275,7 @@ def _lifted(line: OrderLine, order: int, modes_hz: Sequence[float]) -> bool:
 
 
 def _shafts(
-    orders: tuple[AgreedOrder, ...], causes: LineCauses, families: LineCauses, of_cycle: dict[float, float | None]
+    orders: AgreedOrders, causes: LineCauses, families: LineCauses, of_cycle: dict[float, float | None]
 ) -> LineCauses:
     """Lines not locked to the shaft, in whole ratios to one another: those of another shaft."""
 
@@ -284,7 +284,7 @@ def _shafts(
         return [key for key in keys if causes[key].is_just("unexplained") and key not in families]
 
     free = [agreed for agreed in orders if of_cycle[agreed.order] is None and open_lines(agreed)]
-    found = other_shafts([agreed.order for agreed in free], [agreed.order_error for agreed in free])
+    harmonics = other_shafts([agreed.order for agreed in free], [agreed.order_error for agreed in free])
     shafts: LineCauses = {}
     has_first = any(
         abs(agreed.order - 1.0) < FAMILY_NUMBERS.first_reach_orders
@@ -292,9 +292,9 @@ def _shafts(
         for agreed in orders
     )
     speed_may_be_wrong = not has_first and all(NO_PULSES in agreed.doubts for agreed in free)
-    for at, (first, multiple) in found.items():
+    for at, (first, multiple) in harmonics.items():
         base = free[first].order
-        count = sum(1 for other, _ in found.values() if other == first)
+        count = sum(1 for other, _ in harmonics.values() if other == first)
         evidence = f"not locked to the shaft; {count} lines are whole multiples of order {base:.5g}"
         if speed_may_be_wrong:
             evidence += "; nothing stands at order 1, and no pulses prove the speed"

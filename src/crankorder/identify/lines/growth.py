@@ -375,8 +375,8 @@ def if_unbalance(balance: Balance, causes: Collection[Cause]) -> tuple[Balance |
     if slower and not like and not any(cause.is_just("unbalance") for cause in causes):
         return None, f"order 1 is no unbalance, or not alone: {slower[0]}"
     if slower or like:
-        told = "if order 1 is unbalance, which nothing tells from a bent shaft or misalignment"
-        return replace(balance, evidence=f"{balance.evidence}; {told}", if_unbalance=True), ""
+        condition = "if order 1 is unbalance, which nothing tells from a bent shaft or misalignment"
+        return replace(balance, evidence=f"{balance.evidence}; {condition}", if_unbalance=True), ""
     return balance, ""
 
 

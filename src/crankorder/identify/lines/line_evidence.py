@@ -348,8 +348,8 @@ def has_moved(order_map: xr.Dataset, peak: int, seen: Ints) -> bool:
     return bool(axis[peak] * (speed[seen].max() / speed[seen].min() - 1.0) > 2.0 * (axis[1] - axis[0]))
 
 
-def keeps_one_order(found: Sequence[Zoomed], *, false_alarm_probability: float) -> bool:
-    """Whether the phase of the line ``found`` in one recording or several turns as evenly as that of no noise.
+def keeps_one_order(zooms: Sequence[Zoomed], *, false_alarm_probability: float) -> bool:
+    """Whether the phase of the line ``zooms`` in one recording or several turns as evenly as that of no noise.
 
     The power of n frames at their best frequency stands over that of waves a little slower and faster, which a
     resonance raises alike, by more than a ratio s with a chance of at most n (1 + s / f)^(-f/2), f being the degrees of
@@ -358,13 +358,13 @@ def keeps_one_order(found: Sequence[Zoomed], *, false_alarm_probability: float) 
     are told from those of noise, whose mean phasor is as long as r with a chance of exp(-n r^2) (Rayleigh 1880).
     """
     evidence = 0.0
-    for line in found:
+    for line in zooms:
         if line.course is not None:
             evidence += line.course.steps * max(0.0, line.course.alike - OVERLAP_ALIKE) ** 2
             continue
         trials = np.log(max(line.frames, 2.0))
         evidence += max(0.0, 0.5 * line.dof * float(np.log1p(line.snr / line.dof)) - float(trials))
-    return len(found) > 0 and bool(gammaincc(len(found), evidence) < false_alarm_probability)
+    return len(zooms) > 0 and bool(gammaincc(len(zooms), evidence) < false_alarm_probability)
 
 
 REFINEMENTS = 3

@@ -124,8 +124,8 @@ def zoomed(
     trial, power = trial[expected], np.square(np.abs(turned_sums(phasors, turn, trial)))[:, expected] / len(turn)
     total = np.maximum(np.square(np.abs(phasors)).sum(axis=1), 1e-300)
     left = np.maximum(total - power.max(axis=1), 1e-9 * total)
-    found = float(trial[int(np.argmax((power / left[:, None]).sum(axis=0)))])
-    line = _followed(phasors, frames, found)
+    offset = float(trial[int(np.argmax((power / left[:, None]).sum(axis=0)))])
+    line = _followed(phasors, frames, offset)
     second = _second(phasors, frames, line, hop_rev) if not alone and line.snr > NUMBERS.beating_squared else None
     if second is not None:
         others = phasors - _waves(second, turn)
@@ -185,15 +185,15 @@ def turned_sums(phasors: Complexes, turn: Floats, trial: Floats, *, times: int =
     place = np.round((turn - turn[0]) / hop_rev).astype(np.int64)
     off, wave = turn - turn[0] - hop_rev * place, -2j * np.pi * times * trial
     reached = times * (np.arange(count + 1) - count // 2) % count
-    made, part, factor = np.zeros((len(phasors), len(trial)), dtype=np.complex128), phasors + 0j, np.ones(len(trial))
+    sums, part, factor = np.zeros((len(phasors), len(trial)), dtype=np.complex128), phasors + 0j, np.ones(len(trial))
     for power in range(1, MOST_TERMS):
         grid = np.zeros((count, len(phasors)), dtype=np.complex128)
         np.add.at(grid, place % count, part.T)
-        made += factor * fft(grid, axis=0)[reached].T
+        sums += factor * fft(grid, axis=0)[reached].T
         part, factor = part * off, factor * wave / power
         if np.abs(part).max() * np.abs(factor).max() <= LEAST_TERM * np.abs(phasors).max():
             break
-    return np.asarray(made * np.exp(turn[0] * wave))
+    return np.asarray(sums * np.exp(turn[0] * wave))
 
 
 def _waves(line: Zoomed, turn: Floats) -> Complexes:
@@ -264,18 +264,18 @@ def _second(phasors: Complexes, frames: Frames, line: Zoomed, hop_rev: float) ->
     if score[best] < level:
         return None
     held, first = replace(frames, swept=False), line
-    found = _followed(left, held, float(trial[best]))
+    second = _followed(left, held, float(trial[best]))
     for _ in range(4):
-        first = _followed(phasors - _waves(found, turn), held, first.offset)
-        found = _followed(phasors - _waves(first, turn), held, found.offset)
+        first = _followed(phasors - _waves(second, turn), held, first.offset)
+        second = _followed(phasors - _waves(first, turn), held, second.offset)
     least = NUMBERS.swept_second_ratio if frames.swept else NUMBERS.second_ratio
-    large = np.abs(found.amplitude) > least * np.abs(line.amplitude)
-    if not large.any() or abs(found.offset - line.offset) < NUMBERS.second_cycles / span:
+    large = np.abs(second.amplitude) > least * np.abs(line.amplitude)
+    if not large.any() or abs(second.offset - line.offset) < NUMBERS.second_cycles / span:
         return None
-    mirror = np.abs((left * np.exp(-2j * np.pi * (2.0 * line.offset - found.offset) * turn)).mean(axis=1))
-    if np.linalg.norm(mirror) > NUMBERS.mirrored_share * np.linalg.norm(found.amplitude):
+    mirror = np.abs((left * np.exp(-2j * np.pi * (2.0 * line.offset - second.offset) * turn)).mean(axis=1))
+    if np.linalg.norm(mirror) > NUMBERS.mirrored_share * np.linalg.norm(second.amplitude):
         return None
-    return found if _in_both_halves(phasors, turn, line, found) else None
+    return second if _in_both_halves(phasors, turn, line, second) else None
 
 
 def _solved_together(phasors: Complexes, frames: Frames, line: Zoomed, second: Zoomed) -> tuple[Zoomed, Zoomed]:
@@ -480,7 +480,7 @@ def _with_errors(basis: Complexes, slopes: Complexes, data: Complexes, turn: Flo
     back = np.linalg.inv(normal)
     middle = 0.5 * np.einsum("lcf,mdf,dc,c,d->lm", moved.conj(), moved, shared, weight, weight).real
     covariance = back @ middle @ back
-    louder = np.array([_louder(left, turn, one) for one in at])
+    louder = np.array([_louder(left, turn, offset) for offset in at])
     turned = -np.einsum("bf,fl,lc->bcl", inverse, slopes, amplitude)  # how amplitudes follow the orders
     unit = amplitude / np.maximum(np.abs(amplitude), 1e-300)
     along = np.square((turned * unit.conj()[:, :, None]).real) @ np.diag(covariance)
@@ -523,7 +523,7 @@ def unaliased(
     share = np.abs(np.einsum("f,cbf->cb", np.linalg.pinv(basis)[1], back))
     candidates = [offsets[1] + k / hop_rev for k in (-1, 0, 1)]
     scores = []
-    for one in candidates:
-        lobe = np.abs(np.sinc(one / resolution - places) / (1.0 - (one / resolution - places) ** 2 + 1e-9))
+    for candidate in candidates:
+        lobe = np.abs(np.sinc(candidate / resolution - places) / (1.0 - (candidate / resolution - places) ** 2 + 1e-9))
         scores.append(float((share @ lobe).sum() / np.linalg.norm(lobe)))
     return candidates[int(np.argmax(scores))]

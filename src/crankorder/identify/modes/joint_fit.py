@@ -13,7 +13,7 @@ import xarray as xr
 
 from crankorder.identify.found import (
     NO_FITS,
-    AgreedOrder,
+    AgreedOrders,
     ModalFit,
     Mode,
     SweepFits,
@@ -153,7 +153,7 @@ ROUNDS = 2
 def modal_fit(
     campbell: xr.Dataset,
     order_map: xr.Dataset,
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     *,
     settings: IdentifySettings,
     followed: Sequence[xr.Dataset] = (),
@@ -222,7 +222,7 @@ def modal_fit(
     return without_remains(modal, whirls, campbell["speed"].values) if whirls else modal
 
 
-def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...]) -> Floor | None:
+def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: AgreedOrders) -> Floor | None:
     """Floor of the map without the orders; None where it has no speeds or hardly a bin."""
     if not campbell.sizes["speed"] or not campbell.sizes["channel"]:
         return None

@@ -193,7 +193,7 @@ UNSEEN = "the order was stated, and does not stand out of the data"
 
 
 def crossings(
-    orders: tuple[AgreedOrder, ...],
+    orders: Sequence[AgreedOrder],
     modal: ModalFit,
     *,
     speed_rpm: tuple[float, float],

@@ -12,6 +12,7 @@ from scipy.special import ndtri
 from crankorder.findings import AvoidedSpeed, CrossingFinding, FreeBand, OpenBand
 from crankorder.identify.found import (
     AgreedOrder,
+    AgreedOrders,
     Crossing,
     ModalFit,
     Mode,
@@ -60,7 +61,7 @@ class _Peak:
 
 def speeds_to_avoid(
     found: Sequence[Crossing],
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     modal: ModalFit,
     *,
     speed_rpm: tuple[float, float],
@@ -170,11 +171,7 @@ def _counts(crossing: Crossing) -> bool:
 
 
 def _cost(
-    crossing: Crossing,
-    orders: tuple[AgreedOrder, ...],
-    modal: ModalFit,
-    in_unit: Mapping[str, float],
-    settings: IdentifySettings,
+    crossing: Crossing, orders: AgreedOrders, modal: ModalFit, in_unit: Mapping[str, float], settings: IdentifySettings
 ) -> AvoidedSpeed:
     """Range, amplitude and cost of an excited crossing; ``in_unit``: largest amplitude of the unit of each channel."""
     mode, finding = crossing.mode, crossing.finding
@@ -326,7 +323,7 @@ def _amplified(
     low, high = group[0].span_rpm  # all of it: what a flank adds to little is more than a resonance alone would make
     turn = np.sinh(np.linspace(-3.0, 3.0, 41)) / np.sinh(3.0)
     grid = np.unique(np.clip(np.append(rpm * (1.0 + near * turn), np.geomspace(low, high, FLANKS)), low, high))
-    both = together([with_and_without(one, number, grid, modal) for one in group])
+    both = together([with_and_without(fit, number, grid, modal) for fit in group])
     least, most = both.ends(sigmas, matters=matters)
     # where the mode itself is amplified less it carries the order without resonance: only what is sure counts there
     first, last = _amplifying((rpm * (1.0 - beside), rpm * (1.0 + beside)), factor)
@@ -350,7 +347,7 @@ def _amplifying(rpm: tuple[float, float], factor: float) -> tuple[float, float]:
 
 
 def _by_unseen(
-    orders: tuple[AgreedOrder, ...], modal: ModalFit, speed_rpm: tuple[float, float], settings: IdentifySettings
+    orders: AgreedOrders, modal: ModalFit, speed_rpm: tuple[float, float], settings: IdentifySettings
 ) -> list[OpenBand]:
     """Speeds at which a mode that nobody saw could amplify an order by more than is free."""
     low, high = speed_rpm
@@ -358,7 +355,7 @@ def _by_unseen(
         return [_open(low, high, "no order stands out")]
     bands: list[OpenBand] = []
     for agreed in orders:
-        bounds = [item for item in modal.unseen if _is_order(agreed.order, item.order)]
+        bounds = [unseen for unseen in modal.unseen if _is_order(agreed.order, unseen.order)]
         name = f"order {agreed.order:.4g}"
         if not bounds:
             bands.append(_open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
@@ -374,7 +371,7 @@ def _by_unseen(
     return bands
 
 
-def _by_shown(orders: tuple[AgreedOrder, ...], modal: ModalFit, settings: IdentifySettings) -> list[OpenBand]:
+def _by_shown(orders: AgreedOrders, modal: ModalFit, settings: IdentifySettings) -> list[OpenBand]:
     """Speeds at which an order that only the spectra of sweeps show meets a mode, or could meet one that nobody saw."""
     bands: list[OpenBand] = []
     for order in modal.shown_orders:
@@ -504,7 +501,7 @@ def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
     rank = np.argsort(line.speed_rpm, kind="stable")
     speed, size = line.speed_rpm[rank], line.amplitude[rank]
     least = size - Z95 * line.amplitude_error[rank] if line.ends is None else line.ends[rank, 0]
-    found = []
+    peaks = []
     for place in range(1, len(rank) - 1):
         first = min(int(np.searchsorted(speed, speed[place] * (1.0 - LONE_NUMBERS.around_share))), place - 1)
         end = np.searchsorted(speed, speed[place] * (1.0 + LONE_NUMBERS.around_share), side="right")
@@ -513,8 +510,8 @@ def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
             continue
         beside = max(float(np.median(size[first:place])), float(np.median(size[place + 1 : last])))
         if beside > 0.0 and least[place] >= factor * beside:
-            found.append((int(rank[place]), float(size[place]) / beside))
-    return found
+            peaks.append((int(rank[place]), float(size[place]) / beside))
+    return peaks
 
 
 def _holds(other: AvoidedSpeed, peak: AvoidedSpeed, reach: float) -> bool:
