@@ -126,7 +126,7 @@ def quiet_fit(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, *,
     odd: list[float] = []
     n_speeds = np.unique(measured.rpm_of_row).size
     while len(odd) < min(max(1, n_speeds // 10), MOST_ODD) and n_speeds >= 8:
-        worst = _odd_speed(problem, fit)
+        worst = _worst_speed(problem, fit)
         if worst is None:
             break
         odd.append(worst)
@@ -168,7 +168,7 @@ class QuietFit:
         """Squares that each number saves which ``more`` has, over what noise would; and how many these are."""
         measured, (own, other) = self.problem.measured, (self.fit, more.fit)
         numbers = 2 * (other.residue.size - own.residue.size)
-        allowed = _allowed(self.problem, power=1).sum() / max(1, np.count_nonzero(np.isfinite(measured.error)))
+        allowed = _variances(self.problem, power=1).sum() / max(1, np.count_nonzero(np.isfinite(measured.error)))
         fall = np.vdot(own.error, own.error).real - np.vdot(other.error, other.error).real
         return float(fall / numbers / (max(1.0, more.chi_square) * allowed)), numbers
 
@@ -293,10 +293,11 @@ def _fitting(columns: Complexes, white: Complexes) -> Callable[[Complexes], tupl
 
 
 def _cost(fit: _Fit) -> float:
+    """Sum of squares that the fit minimises: errors over theirs, and the poles' distance from where they were found."""
     return float((np.abs(fit.error) ** 2).sum() + (fit.prior**2).sum())
 
 
-def _bread(problem: _Problem, slope: Complexes) -> Floats:
+def _normal_matrix(problem: _Problem, slope: Complexes) -> Floats:
     """Normal matrix of the parameters, with the poles' own covariance as a unit prior."""
     matrix: Floats = np.einsum("crp,crq->pq", slope.conj(), slope, optimize=True).real
     n_masses = 2 * len(problem.forces.unit)
@@ -308,7 +309,7 @@ def _solved(problem: _Problem, theta: Floats, like: _Fit | None = None) -> tuple
     """Levenberg–Marquardt from ``theta``, where ``like`` is the fit to the same rows otherwise weighted."""
     fit, damped = _evaluated(problem, theta, like), 1e-3
     for _ in range(STEPS):
-        matrix = _bread(problem, fit.slope)
+        matrix = _normal_matrix(problem, fit.slope)
         pull = np.einsum("crp,cr->p", fit.slope.conj(), fit.error).real
         pull[2 * len(problem.forces.unit) :] -= fit.prior
         step = np.linalg.lstsq(matrix + damped * np.diag(np.diag(matrix)), pull, rcond=None)[0]
@@ -326,7 +327,7 @@ def _solved(problem: _Problem, theta: Floats, like: _Fit | None = None) -> tuple
     return theta, fit
 
 
-def _allowed(problem: _Problem, *, power: int) -> Floats:
+def _variances(problem: _Problem, *, power: int) -> Floats:
     """Expected square of the real part of an error in each combination, (channel, row); 0 where nothing was measured.
 
     A weight that is made of the error itself is large where that was underestimated: what the error allows is larger
@@ -344,7 +345,7 @@ def _allowed(problem: _Problem, *, power: int) -> Floats:
     return np.asarray(np.where(measured.noise_bins > 0, both * chosen * known, own * lucky))
 
 
-def _n_free(problem: _Problem) -> float:
+def _free_share(problem: _Problem) -> float:
     """Share of the squares that the fit leaves: measured numbers less those fitted, over those measured."""
     known = np.isfinite(problem.measured.error)
     measured = 2 * np.count_nonzero(known)
@@ -355,17 +356,19 @@ def _n_free(problem: _Problem) -> float:
 
 def _free_rows(problem: _Problem) -> float:
     """Rows that are measured, less what the fit takes of them."""
-    return np.count_nonzero(np.isfinite(problem.measured.error).any(axis=0)) * _n_free(problem)
+    return np.count_nonzero(np.isfinite(problem.measured.error).any(axis=0)) * _free_share(problem)
 
 
 def _chi_square(problem: _Problem, fit: _Fit) -> float:
-    return float((np.abs(fit.error) ** 2).sum() / max(2 * _allowed(problem, power=1).sum() * _n_free(problem), 1e-30))
+    """Mean square of the errors of ``fit`` over what the orders' own errors allow."""
+    allowed = 2 * _variances(problem, power=1).sum() * _free_share(problem)
+    return float((np.abs(fit.error) ** 2).sum() / max(allowed, 1e-30))
 
 
-def _odd_speed(problem: _Problem, fit: _Fit) -> float | None:
-    """The speed whose rows fit worst, where they fit worse than chance and than the others allow."""
+def _worst_speed(problem: _Problem, fit: _Fit) -> float | None:
+    """Speed in rpm whose rows fit worst; None where they fit no worse than chance and the other rows allow."""
     speeds, of = np.unique(problem.measured.rpm_of_row, return_inverse=True)
-    allowed, squares = _allowed(problem, power=1).sum(axis=0), np.square(np.abs(fit.error)).sum(axis=0)
+    allowed, squares = _variances(problem, power=1).sum(axis=0), np.square(np.abs(fit.error)).sum(axis=0)
     each = np.bincount(of, squares) / np.maximum(2.0 * np.bincount(of, allowed), 1e-30)
     worst = int(np.argmax(each))
     typical = max(1.0, float(np.median(each)))
@@ -390,14 +393,14 @@ def _with_misfit(problem: _Problem, theta: Floats, fit: _Fit) -> tuple[float, _P
 
 def _result(quiet: QuietFit, misfit: float, problem: _Problem, theta: Floats, fit: _Fit) -> KnownForcesFit:
     measured, n_masses = problem.measured, 2 * len(problem.forces.unit)
-    inverse = np.linalg.pinv(_bread(problem, fit.slope))
-    swayed = fit.slope * np.sqrt(_allowed(problem, power=2))[:, :, None]
+    inverse = np.linalg.pinv(_normal_matrix(problem, fit.slope))
+    swayed = fit.slope * np.sqrt(_variances(problem, power=2))[:, :, None]
     together = np.einsum("crp,rcd,drq->pq", swayed.conj(), problem.alike, swayed, optimize=True).real
     poles = np.diag((np.arange(theta.size) >= n_masses).astype(np.float64))
     covariance = inverse @ (max(1.0, _chi_square(problem, fit)) * together + poles) @ inverse
     mass = theta[0:n_masses:2] + 1j * theta[1:n_masses:2]
     squares = np.abs(fit.error) ** 2
-    allowed = 2 * _allowed(problem, power=1)
+    allowed = 2 * _variances(problem, power=1)
     of = measured.order_of_row
     natural, damping = _poles(problem, theta)
     # degrees of freedom of the first mass' variance, which rows of few have a share in (Satterthwaite 1946)

@@ -100,7 +100,7 @@ def measured_orders(
     beside = [_beside(bins, i, lines) for i in at]
     over = np.divide(complex_map, error_map, out=np.full_like(complex_map, np.nan), where=error_map > 0.0)
     correlation = [np.zeros((0, len(known), len(known))), *(_correlation(over[:, :, near]) for near in beside)]
-    typical = [_typical(error_map[:, :, near]) for near in beside]
+    typical = [_geometric_mean(error_map[:, :, near]) for near in beside]
     around = np.stack(typical, axis=1).reshape(len(known), -1) if at else error
     freedom = np.where(sound, freedom, 1.0)
     steady, share = _steadier(np.where(sound, error, np.nan), around, freedom)
@@ -201,7 +201,7 @@ def _covariance(shape: Complexes, error: Floats) -> Complexes:
     return np.asarray(np.where(np.isfinite(scale), shape * scale, power[:, :, None] * np.eye(len(error))))
 
 
-def _typical(beside: Floats) -> Floats:
+def _geometric_mean(beside: Floats) -> Floats:
     """Geometric mean (channel, speed) of errors (channel, speed, bin); NaN where too few bins tell it."""
     if beside.shape[2] < NUMBERS.fewest_bins:
         return np.full(beside.shape[:2], np.nan)

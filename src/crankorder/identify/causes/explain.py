@@ -492,11 +492,12 @@ def with_neighbours_named(modal: ModalFit, orders: Sequence[AgreedOrder], causes
     if rpm is not None:
         of_orders = [(of.order * rpm / 60.0, causes.orders[of.lines[0].channel, of.order]) for of in orders]
         lines += [(hertz, cause.text) for hertz, cause in of_orders if cause.known]
-    modes = tuple(_beside(mode, lines) if mode.undecided else mode for mode in modal.modes)
+    modes = tuple(_with_lines_there(mode, lines) if mode.undecided else mode for mode in modal.modes)
     return replace(modal, modes=modes)
 
 
-def _beside(mode: Mode, lines: Sequence[tuple[float, str]]) -> Mode:
+def _with_lines_there(mode: Mode, lines: Sequence[tuple[float, str]]) -> Mode:
+    """``mode`` with those of ``lines`` (Hz, cause) named that lie within its interval and may be all of it."""
     low, high = mode.frequency_ends
     half = min(0.5 * (high - low), NEIGHBOUR_NUMBERS.near_share * mode.frequency_hz)
     reach = max(NEIGHBOUR_NUMBERS.too_near_hz, half)

@@ -151,7 +151,7 @@ def growth(line: OrderLine) -> Growth | None:
 
 
 def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
-    """What amplitudes do that ``fits`` an exponent with the interval's ``half`` width exactly, or is ``near`` it."""
+    """Name of the growth law of an ``exponent`` known to ± ``half``; it ``fits`` exactly or is ``near`` it."""
     if abs(exponent) <= half or abs(exponent) + half <= NUMBERS.least_exponent:
         steady = fits and abs(exponent) < NUMBERS.steady_exponent and half < NUMBERS.steady_precision
         return "keeps its size" if steady else "follows no power law"
@@ -161,7 +161,7 @@ def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
 
 
 def _degrees_of_freedom(error: Floats, excess: float, degrees_of_freedom: Floats) -> float:
-    """Those of an error made of the speeds' own, of ``degrees_of_freedom`` each, and of the ``excess`` scatter.
+    """Degrees of freedom of an error made of the speeds' own (``degrees_of_freedom``) and of the ``excess`` scatter.
 
     Welch and Satterthwaite: the former is known with all of theirs, the latter with those of the residuals.
     """
@@ -254,7 +254,7 @@ def largest(line: OrderLine) -> Largest:
     wide = half_width(degrees_of_freedom, level=1.0 - NUMBERS.simultaneous_chance / count)
     share = 0.5 * (0.05 - NUMBERS.simultaneous_chance) / (1.0 - NUMBERS.simultaneous_chance)
     parts = (LOW_SHARE * share, 1.0 - (2.0 - LOW_SHARE) * share) if len(others) else (0.025, 0.975)
-    below, above = (_not_surprising(cut, wide, degrees_of_freedom, part) for part in parts)
+    below, above = (_truncated_quantile(cut, wide, degrees_of_freedom, part) for part in parts)
     # where two speeds are alike the upper end falls on the lower one: no amplitude is told better than to its error
     low, high = max(0.0, seen + sigma * below), max(seen + sigma * above, seen + sigma)
     if line.ends is None:
@@ -272,7 +272,7 @@ def largest(line: OrderLine) -> Largest:
     return Largest(at, speed, seen, low, high)
 
 
-def _not_surprising(cut: float, wide: float, degrees_of_freedom: float, share: float) -> float:
+def _truncated_quantile(cut: float, wide: float, degrees_of_freedom: float, share: float) -> float:
     """True less seen amplitude, in errors, at which a ``share`` of what is above ``cut`` is above what was seen."""
 
     def above(true: float) -> float:

@@ -166,10 +166,12 @@ def left_of_slow_waves(phasors: Complexes, turn: Floats, *, hop_rev: float) -> f
 
 
 def _at_zero(line: Zoomed, middle: float) -> Complexes:
+    """Amplitude (channels,) of ``line`` at crank angle 0, from that at the ``middle`` of the recording, rev."""
     return np.asarray(line.amplitude * np.exp(-2j * np.pi * ((line.offset * middle) % 1.0)))
 
 
 def _trials(span: float, hop_rev: float) -> Floats:
+    """Trial distances from the bin [orders], evenly over all that frames ``hop_rev`` apart can tell."""
     reach = 0.5 / hop_rev
     return np.linspace(-reach, reach, 2 * int(np.ceil(GRID_PER_SPAN * reach * span)) + 1)
 
@@ -431,7 +433,7 @@ def solved_pair(phasors: Complexes, turn: Floats, *, revs: float, offset: tuple[
         basis, slopes = _bases(white, turn, at)
         amplitude, left, inverse = _linear(basis, data)
         noise = np.maximum(np.square(np.abs(left)).sum(axis=0), 1e-24 * np.square(np.abs(data)).sum(axis=0))
-        score, normal = _normal(_moved(basis, slopes, amplitude, inverse), left, 1.0 / noise)
+        score, normal = _normal(_residual_change(basis, slopes, amplitude, inverse), left, 1.0 / noise)
         step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(2), score)
         if np.abs(step).max() * span < SETTLED:
             break
@@ -456,7 +458,7 @@ def _linear(basis: Complexes, data: Complexes) -> tuple[Complexes, Complexes, Co
     return amplitude, data - basis @ amplitude, inverse
 
 
-def _moved(basis: Complexes, slopes: Complexes, amplitude: Complexes, inverse: Complexes) -> Complexes:
+def _residual_change(basis: Complexes, slopes: Complexes, amplitude: Complexes, inverse: Complexes) -> Complexes:
     """What moving each line changes beyond its amplitude: (2, channels, frames)."""
     change = slopes.T[:, None, :] * amplitude[:, :, None]
     return np.asarray(change - (change @ inverse.T) @ basis.T)
@@ -470,17 +472,18 @@ def _normal(moved: Complexes, left: Complexes, weight: Floats) -> tuple[Floats, 
 
 
 def _with_errors(basis: Complexes, slopes: Complexes, data: Complexes, turn: Floats, at: Floats) -> Pair:
+    """The two lines solved ``at`` (2,), with the standard errors of their orders and amplitudes."""
     amplitude, left, inverse = _linear(basis, data)
     degrees_of_freedom = max(2.0 * len(left) - 4.0 - 2.0, 1.0)
     shared = left.conj().T @ left * (2.0 / degrees_of_freedom)  # noise power of the channels and what they share
     power = np.maximum(np.diag(shared).real, 1e-24 * np.square(np.abs(data)).mean(axis=0))
     weight = 1.0 / power
-    moved = _moved(basis, slopes, amplitude, inverse)
+    moved = _residual_change(basis, slopes, amplitude, inverse)
     _, normal = _normal(moved, left, weight)
     back = np.linalg.inv(normal)
     middle = 0.5 * np.einsum("lcf,mdf,dc,c,d->lm", moved.conj(), moved, shared, weight, weight).real
     covariance = back @ middle @ back
-    louder = np.array([_louder(left, turn, offset) for offset in at])
+    louder = np.array([_slow_noise_ratio(left, turn, offset) for offset in at])
     turned = -np.einsum("bf,fl,lc->bcl", inverse, slopes, amplitude)  # how amplitudes follow the orders
     unit = amplitude / np.maximum(np.abs(amplitude), 1e-300)
     along = np.square((turned * unit.conj()[:, :, None]).real) @ np.diag(covariance)
@@ -489,8 +492,8 @@ def _with_errors(basis: Complexes, slopes: Complexes, data: Complexes, turn: Flo
     return Pair(at, np.diag(covariance) * louder, np.asarray(amplitude.T), np.asarray(error.T), degrees_of_freedom)
 
 
-def _louder(left: Complexes, turn: Floats, at: float) -> float:
-    """Power of slow waves about a line ``at`` in what is ``left`` (frames, channels) over that of all; 1 at least."""
+def _slow_noise_ratio(left: Complexes, turn: Floats, at: float) -> float:
+    """Ratio (≥ 1) of the noise power close to the line ``at`` to that of all that is ``left`` (frames, channels)."""
     n = len(turn)
     if n < 4 * PAIR_NUMBERS.slow_waves:
         return 1.0

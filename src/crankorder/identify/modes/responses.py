@@ -355,7 +355,7 @@ def _bound(
 ) -> UnseenBound:
     """What the rows of ``block`` leave open of modes of ``damping`` and some times that, ``reach`` errors away."""
     block, part = with_scatter(block, poles)
-    speed = _asked(block)
+    speed = _speeds_between(block)
     if part.degrees_of_freedom < len(block.channels) * block.parts or block.scatter > ORDER_RESPONSES.most_scatter:
         return UnseenBound(block.order, speed, np.full(len(speed), np.inf))
     spread = float(np.sqrt(max(1.0, part.chi2 / part.degrees_of_freedom)))
@@ -372,8 +372,8 @@ def _bound(
     return UnseenBound(block.order, speed, hiding.amplification(unit, matters))
 
 
-def _asked(block: Block) -> Floats:
-    """Speeds (G,) that are asked about."""
+def _speeds_between(block: Block) -> Floats:
+    """Speeds (G,) in rpm at and between the rows of ``block``, or along its sweep, at which bounds are computed."""
     low, high = block.span_rpm
     if block.passage is not None:
         return np.geomspace(low, high, ALONG_SWEEP)

@@ -270,7 +270,7 @@ def _unmeasured(
         rpm=rpm,
         rpm_ci95=_ends_rpm(rpm, 60.0 * mode.frequency_half_hz / order, order, whirl),
         in_range=inside,
-        amplification_predicted=_quality(mode),
+        amplification_predicted=_quality_factor(mode),
         predicted_from="damping",
         remark=mode.undecided,
         evidence=_said(mode, whirl, UNSEEN) if inside else EXTRAPOLATED,
@@ -291,7 +291,7 @@ def _said(mode: Mode, whirl: Whirl | None, evidence: str) -> str:
     return evidence if whirl is None else "; ".join(filter(None, (mode.evidence, evidence)))
 
 
-def _quality(mode: Mode) -> float:
+def _quality_factor(mode: Mode) -> float:
     """What ``mode`` makes of a force at its frequency, against its own stiffness: 1 / (2 ζ)."""
     return 1.0 / (2.0 * max(mode.damping_ratio, 1e-6))
 
@@ -380,7 +380,7 @@ def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen
     unsure = sigmas * without_error + NUMBERS.shape_share * size
     low = max(size - sigmas * size_error, 0.0) / max(without + unsure, least, 1e-300)
     high = (size + sigmas * size_error) / (without - unsure) if without - unsure > least else np.inf
-    quality = _quality(mode)
+    quality = _quality_factor(mode)
     ratio = min(float(both.ratio[AT_MODE]), quality)
     return Seen(response.channel, np.nan, rpm, ratio, min(low, quality), high)
 
@@ -397,7 +397,7 @@ def _predicted(fitted: list[OrderResponse], number: int, modal: ModalFit) -> flo
     1 / (2 ζ) where nothing was ``fitted``, and at most: what a mode makes of a force, seen against its own stiffness.
     """
     ratios = [amplification(response, number, modal) for response in fitted]
-    quality = _quality(modal.modes[number])
+    quality = _quality_factor(modal.modes[number])
     # beyond that the fit says that hardly anything is left without the mode, which is no amplification
     return min([max(ratios), quality]) if ratios else quality
 

@@ -103,7 +103,7 @@ def speeds_to_avoid(
     numbered = {(finding.order, finding.mode_hz) for finding in findings if finding.amplification is not None}
     # a meeting that has a number of its own keeps that one: the reason says how the peak stands over its neighbours
     met += [replace(peak, amplification=None) if (peak.order, peak.mode_hz) in numbered else peak for peak in lone]
-    by_cost = sorted((_joined(group) for group in _overlapping(met)), key=lambda peak: (_benefit(peak), peak.rpm))
+    by_cost = sorted((_joined(group) for group in _overlapping(met)), key=lambda peak: (_negative_cost(peak), peak.rpm))
     avoid = tuple(replace(peak, rank=rank) for rank, peak in enumerate(by_cost, start=1))
     low, high = speed_rpm
     if not (np.isfinite(low) and np.isfinite(high)):
@@ -151,8 +151,8 @@ def _range(peak: AvoidedSpeed) -> Ends:
     return cast("Ends", peak.rpm_range)
 
 
-def _benefit(peak: AvoidedSpeed) -> float:
-    """The cost of ``peak`` with the other sign: the costliest is first."""
+def _negative_cost(peak: AvoidedSpeed) -> float:
+    """Cost of ``peak`` with a minus sign, as a key that sorts the costliest first."""
     return -(peak.cost or 0.0)
 
 
@@ -163,6 +163,7 @@ def _is_vague(crossing: Crossing) -> bool:
 
 
 def _counts(crossing: Crossing) -> bool:
+    """Whether ``crossing`` is excited in the tested range, its speed known, and may double the amplitude."""
     finding = crossing.finding
     if not (finding.excited and finding.in_range) or _is_vague(crossing):
         return False
@@ -267,7 +268,7 @@ def _overlapping(met: list[AvoidedSpeed]) -> list[list[AvoidedSpeed]]:
 
 def _joined(group: list[AvoidedSpeed]) -> AvoidedSpeed:
     """One speed to avoid from crossings whose ranges overlap, named and ranked after the costliest."""
-    by_cost = sorted(group, key=_benefit)
+    by_cost = sorted(group, key=_negative_cost)
     begins, ends = zip(*map(_range, group), strict=True)
     return replace(
         by_cost[0],
