@@ -107,18 +107,6 @@ def test_tones_that_hold_still_do_not_attract_a_sweep() -> None:
     assert not ((error > 0.02) & (found.confidence > 0.8)).any()
 
 
-@pytest.mark.slow
-def test_named_tones_are_no_orders() -> None:
-    mains = {50.0: 2.0, 100.0: 1.0, 150.0: 0.7, 200.0: 0.7}
-    signal = vibration(steady(31.0), 5.0, orders={1.0: 0.5, 2.0: 0.3}, tones=mains)
-    taken = speed_from_vibration(signal, RATE_HZ, settings=SETTINGS)
-    assert abs(np.median(taken.speed_rpm) / 1860.0 - 1.0) > 0.1
-    named = speed_from_vibration(
-        signal, RATE_HZ, settings=SETTINGS, fixed_hz=tuple(mains), order_weights={1.0: 0.9, 2.0: 0.8}
-    )
-    assert np.median(named.speed_rpm) == pytest.approx(1860.0, rel=2e-3)
-
-
 def test_even_orders_alone_are_a_tie_that_half_the_found_speed_explains_too() -> None:
     found = speed_from_vibration(vibration(steady(30.0), 5.0, orders=EVEN), RATE_HZ, settings=SETTINGS)
     assert np.median(found.speed_rpm) == pytest.approx(3600.0, rel=1e-3)

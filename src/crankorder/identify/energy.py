@@ -11,7 +11,7 @@ from scipy.special import gammainccinv
 
 from crankorder.findings import Energy, EnergyShares
 from crankorder.identify.causes.explain import Causes
-from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.identify.found import AgreedOrders, ModalFit
 from crankorder.identify.lines.line_evidence import NUMBERS as LINE_EVIDENCE
 from crankorder.identify.lines.line_evidence import highest_of_three, log_chance_of_kurtosis, noise_level
 from crankorder.identify.modes.floor import group_width_rpm
@@ -28,7 +28,7 @@ MAD_TO_SIGMA = 1.4826
 def energy_shares(
     campbell: xr.Dataset,
     order_map: xr.Dataset,
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     modal: ModalFit,
     causes: Causes,
     *,
@@ -387,7 +387,7 @@ class EnergyMap:
 
 
 def by_frequency(
-    campbell: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, causes: Causes
+    campbell: xr.Dataset, orders: AgreedOrders, modal: ModalFit, causes: Causes
 ) -> tuple[EnergyMap, EnergyLines]:
     """The ``campbell`` map as energies, and where ``orders`` and tones of ``modal`` lie in it, by their ``causes``."""
     resolution, enbw_hz = float(campbell.attrs["resolution_hz"]), float(campbell.attrs["enbw_hz"])
@@ -422,7 +422,7 @@ def by_frequency(
     return energies, EnergyLines(centre, reach, stated, known, is_tone)
 
 
-def by_order(order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], causes: Causes) -> tuple[EnergyMap, EnergyLines]:
+def by_order(order_map: xr.Dataset, orders: AgreedOrders, causes: Causes) -> tuple[EnergyMap, EnergyLines]:
     """The ``order_map`` as energies, and where the ``orders`` lie in it, by their ``causes``."""
     axis, channels = order_map["order"].values, order_map["channel"].values.tolist()
     half, enbw = _square_of_peak(order_map), float(order_map.attrs.get("enbw_bins", 1.5))
@@ -443,7 +443,7 @@ def by_order(order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], causes: Cau
 
 
 def beyond(
-    campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], causes: Causes
+    campbell: xr.Dataset, order_map: xr.Dataset, orders: AgreedOrders, causes: Causes
 ) -> tuple[EnergyMap, EnergyLines] | None:
     """What the ``order_map`` holds above the end of the ``campbell`` map, of ``orders`` with their ``causes``.
 
@@ -478,7 +478,7 @@ def _square_of_peak(dataset: xr.Dataset) -> float:
     return 1.0 if dataset.attrs.get("amplitude_scaling") == "rms" else 0.5
 
 
-def _known_orders(channels: list[str], orders: tuple[AgreedOrder, ...], causes: Causes) -> Bools:
+def _known_orders(channels: list[str], orders: AgreedOrders, causes: Causes) -> Bools:
     """Whether the cause of each order is known (channels, orders); where it is no line of a channel, by the others."""
     known = np.zeros((len(channels), len(orders)), dtype=bool)
     for at, agreed in enumerate(orders):

@@ -223,7 +223,7 @@ def going_with_speed(orders: Sequence[AgreedOrder], causes: Causes) -> tuple[Agr
     Not those of the mains and of a motor's field; nor, seen at one speed alone, those that no cause and no lock binds
     to the shaft: there nothing tells an order from a line that stays.
     """
-    return tuple(one for one in orders if not _stays(one, causes))
+    return tuple(agreed for agreed in orders if not _stays(agreed, causes))
 
 
 def _stays(agreed: AgreedOrder, causes: Causes) -> bool:
@@ -238,19 +238,19 @@ def _stays(agreed: AgreedOrder, causes: Causes) -> bool:
 
 def speed_doubt(flags: Iterable[QualityFlag]) -> str | None:
     """Why the speed of a test is in doubt, by the ``flags`` of its recordings; None where none says so."""
-    told = [flag for flag in flags if flag["flag"] in DOUBTS]
-    if not told:
+    doubts = [flag for flag in flags if flag["flag"] in DOUBTS]
+    if not doubts:
         return None
-    names = list(dict.fromkeys(flag["recording"] for flag in told))
+    names = list(dict.fromkeys(flag["recording"] for flag in doubts))
     more = f" and {len(names) - 1} more" if len(names) > 1 else ""
-    return f"{told[0]['detail']} ({names[0]}{more})"
+    return f"{doubts[0]['detail']} ({names[0]}{more})"
 
 
 def _search_flags(left: Sequence[Unsearched]) -> list[QualityFlag]:
     """That natural frequencies may be missing where searches have ``left`` some."""
     flags: list[QualityFlag] = []
     for by, words in SEARCHES.items():
-        ends = [(one.low_hz, one.high_hz) for one in left if one.by == by]
+        ends = [(band.low_hz, band.high_hz) for band in left if band.by == by]
         if ends:
             low, high = min(low for low, _ in ends), max(high for _, high in ends)
             detail = (
@@ -264,8 +264,8 @@ def _search_flags(left: Sequence[Unsearched]) -> list[QualityFlag]:
 def undecided_orders(orders: tuple[AgreedOrder, ...]) -> tuple[AgreedOrder, ...]:
     """``orders`` of which none is said to be locked or to slip, for the speed that they count by is in doubt."""
     return tuple(
-        replace(one, lock="undecided", needed_revs=None, doubts=(*one.doubts, Doubt("speed in doubt", IN_DOUBT)))
-        for one in orders
+        replace(agreed, lock="undecided", needed_revs=None, doubts=(*agreed.doubts, Doubt("speed in doubt", IN_DOUBT)))
+        for agreed in orders
     )
 
 

@@ -132,6 +132,10 @@ class AgreedOrder:
         return self.order_error if self.own_error is None else self.own_error
 
 
+AgreedOrders = tuple[AgreedOrder, ...]
+"""The orders of a test, as all channels agree on them."""
+
+
 @dataclass(frozen=True, eq=False)
 class Mode:
     """A natural frequency in Hz and its damping ratio with standard errors; ``channels`` that show it.

@@ -9,7 +9,7 @@ import numpy as np
 from crankorder.cause import Cause
 from crankorder.findings import CrossingFinding, LineFinding, Lock, ModeFinding, OrderFinding
 from crankorder.identify.causes.explain import Causes
-from crankorder.identify.found import AgreedOrder, Evidence, ModalFit, Mode, OrderLine, Tone, Whirl
+from crankorder.identify.found import AgreedOrder, AgreedOrders, Evidence, ModalFit, Mode, OrderLine, Tone, Whirl
 from crankorder.identify.intervals import Z95, half_width, interval, positive_interval
 from crankorder.identify.lines.growth import Growth, growth, reported, visible_range_rpm
 from crankorder.identify.lines.line_phasors import is_half_order
@@ -32,7 +32,7 @@ def _evidence(shown: Evidence, lock: Lock) -> str:
 
 
 def order_records(
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     causes: Causes,
     meetings: Sequence[CrossingFinding],
     modal: ModalFit,
@@ -184,7 +184,7 @@ def _whirl_record(whirl: Whirl) -> ModeFinding:
 
 def _tone_record(tone: Tone, cause: Cause) -> ModeFinding:
     # channels may have different units: that in which it stands clearest
-    channel, (amplitude, error) = max(tone.amplitude.items(), key=lambda item: item[1][0] / max(item[1][1], 1e-300))
+    channel, (amplitude, error) = max(tone.amplitude.items(), key=lambda pair: pair[1][0] / max(pair[1][1], 1e-300))
     return ModeFinding(
         frequency_hz=tone.frequency_hz,
         frequency_hz_ci95=_tone_ends(tone),

@@ -50,15 +50,15 @@ def place_of(name: str, names: list[str]) -> int:
     return names.index(name)
 
 
-def coherence_level(n_frames: Floats, *, probability: float = 0.95) -> Floats:
-    """Estimated coherence that independent signals stay below with ``probability``, before its bias is taken off.
+def coherence_level(n_frames: Floats) -> Floats:
+    """Estimated coherence that independent signals stay below in 95 of 100 cases, before its bias is taken off.
 
     ``n_frames`` independent ones, any shape; NaN below two. Source: Carter 1973, from Goodman's distribution: of
     independent Gaussian signals it exceeds x with the probability (1 - x)^(n_frames - 1).
     """
     n = np.asarray(n_frames, dtype=np.float64)
     enough = n >= LEAST_FRAMES
-    return np.where(enough, -np.expm1(np.log1p(-probability) / np.where(enough, n - 1.0, 1.0)), np.nan)
+    return np.where(enough, -np.expm1(np.log1p(-0.95) / np.where(enough, n - 1.0, 1.0)), np.nan)
 
 
 def expected_coherence(coherence: Floats, *, n_frames: float) -> Floats:

@@ -24,20 +24,20 @@ _UNITS = {
 }
 
 
-def speed_trace(time_s: Floats, speed_rpm: Floats, *, knots: int = KNOTS) -> tuple[Floats, ...]:
-    """Time, mean, lowest and highest speed of ``knots`` equal pieces of time, NaN where a piece holds nothing.
+def speed_trace(time_s: Floats, speed_rpm: Floats) -> tuple[Floats, ...]:
+    """Time, mean, lowest and highest speed of KNOTS equal pieces of time, NaN where a piece holds nothing.
 
     ``time_s`` ascending and ``speed_rpm``, both (n,). The mean is that over time (trapezes), so that knots that crowd
-    in a fast part of a turn count no more than others. Recordings of fewer than ``knots`` knots are kept as they are,
+    in a fast part of a turn count no more than others. Recordings of fewer knots are kept as they are,
     with NaN behind them.
     """
     known = np.isfinite(time_s) & np.isfinite(speed_rpm)
     time, speed = np.asarray(time_s, dtype=float)[known], np.asarray(speed_rpm, dtype=float)[known]
-    made = np.full((4, knots), np.nan)
-    if len(time) <= knots:
+    made = np.full((4, KNOTS), np.nan)
+    if len(time) <= KNOTS:
         made[:, : len(time)] = time, speed, speed, speed
         return tuple(made)
-    ends = np.linspace(time[0], time[-1], knots + 1)
+    ends = np.linspace(time[0], time[-1], KNOTS + 1)
     turned = np.concatenate([[0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)])
     made[0] = (ends[:-1] + ends[1:]) / 2
     made[1] = np.diff(np.interp(ends, time, turned)) / np.diff(ends)
@@ -48,26 +48,26 @@ def speed_trace(time_s: Floats, speed_rpm: Floats, *, knots: int = KNOTS) -> tup
     return tuple(made)
 
 
-def trace_variables(shafts: Sequence[xr.Dataset], *, knots: int = KNOTS) -> dict[str, xr.Variable]:
-    """Variables (recording, knot) of the group ``shaft`` of the results: the traces of ``shafts``, of ``knots`` each.
+def trace_variables(shafts: Sequence[xr.Dataset]) -> dict[str, xr.Variable]:
+    """Variables (recording, knot) of the group ``shaft`` of the results: the traces of ``shafts``.
 
     ``trace_time`` [s], ``speed_trace``, ``speed_trace_low`` and ``speed_trace_high`` [rpm]; ``shafts`` are ShaftAngles
     in the order of the recordings.
     """
-    traces = np.empty((len(_UNITS), len(shafts), knots), dtype=np.float32)  # of thousands of recordings: held once
+    traces = np.empty((len(_UNITS), len(shafts), KNOTS), dtype=np.float32)  # of thousands of recordings: held once
     for number, item in enumerate(shafts):
-        traces[:, number] = speed_trace(item["time"].values, item["speed"].values, knots=knots)
+        traces[:, number] = speed_trace(item["time"].values, item["speed"].values)
     return {
         name: xr.Variable(("recording", "knot"), traces[number], {"units": unit, "long_name": text})
         for number, (name, (unit, text)) in enumerate(_UNITS.items())
     }
 
 
-def shaft_summary(shafts: Sequence[xr.Dataset], *, knots: int = KNOTS) -> xr.Dataset:
+def shaft_summary(shafts: Sequence[xr.Dataset]) -> xr.Dataset:
     """Speed, pulses used, angle error and speed traces of every recording: one row each, in the order of ``shafts``.
 
     ``shafts`` are ShaftAngles; ``speed_mean``, ``speed_min``, ``speed_max`` [rpm], ``standard_error`` [rev] and
-    ``n_pulses`` are (recording,), the traces of :func:`trace_variables` (recording, knot), of ``knots`` each.
+    ``n_pulses`` are (recording,), the traces of :func:`trace_variables` (recording, knot).
     """
     rows: dict[str, tuple[Callable[[xr.Dataset], float], str, str]] = {
         "speed_mean": (lambda shaft: _known(np.mean, shaft["speed"].values), "min-1", "mean speed"),
@@ -86,7 +86,7 @@ def shaft_summary(shafts: Sequence[xr.Dataset], *, knots: int = KNOTS) -> xr.Dat
         for name, (of, unit, text) in rows.items()
     }
     named = {"recording": xr.Variable("recording", names, {"units": "1", "long_name": "file name"})}
-    return xr.Dataset(made | trace_variables(shafts, knots=knots), coords=named)
+    return xr.Dataset(made | trace_variables(shafts), coords=named)
 
 
 def _known(of: Callable[[Floats], float], values: Floats) -> float:

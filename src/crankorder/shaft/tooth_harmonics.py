@@ -11,7 +11,6 @@ Simple ratios of a run of speeds are compared along its angle, in order spectra 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,7 +68,6 @@ def tooth_odds(
     order: Floats,
     weight: Floats,
     settings: ShaftSettings,
-    fixed_hz: Sequence[float] = (),
 ) -> SpeedEvidence:
     """Evidence of every speed of a grid on common time knots.
 
@@ -81,7 +79,6 @@ def tooth_odds(
     order : (orders,), increasing, cycles per revolution
     weight : (orders,), 0…1, probability that the order shows
     settings : ``vibration_revs`` per frame, ``vibration_slew_per_s``
-    fixed_hz : tones that belong to no order and are not looked at, Hz
     """
     low, high = range_hz
     n_octaves = max(1, math.ceil(math.log2(high / low) - 1e-9))
@@ -94,7 +91,7 @@ def tooth_odds(
     hop = max(KNOT_SHARE * revs * ratio / high, duration / MOST_KNOTS)
     time_s = (np.arange(max(1, int(duration / hop))) + 0.5) * (duration / max(1, int(duration / hop)))
     every, moving = (np.empty((time_s.size, speed.size), dtype=np.float32) for _ in range(2))
-    log_odds = _LogOdds(order, weight, fixed_hz)
+    log_odds = _LogOdds(order, weight)
     for octave in range(n_octaves):
         states = slice(octave * n_each, (octave + 1) * n_each + (octave == n_octaves - 1))
         frames = _Frames(signals, rate_hz, length_s=revs / speed[states.start], top_hz=speed[states][-1] * order[-1])
@@ -166,7 +163,6 @@ class _LogOdds:
 
     order: Floats
     weight: Floats
-    fixed_hz: Sequence[float]
 
     def of_frames(self, frames: _Frames, speed_hz: Floats, slew_per_s: float) -> tuple[Floats, Floats]:
         """Log odds (frames, speeds) over the noise beside, and over the usual power too; the best of the slews."""
@@ -182,13 +178,13 @@ class _LogOdds:
         every, moving = (np.full((count, speed_hz.size), -np.inf) for _ in range(2))
         place = self.order * speed_hz[:, None] / frames.bin_hz
         place = np.where(self.order * speed_hz[:, None] <= frames.band_hz, place, -1.0)
+        all_count = np.zeros(floor.shape[-1])
         for slew in slews:
-            neutral = self._neutral(frames, slew, floor.shape[-1])
             for first in range(0, count, FRAMES_AT_ONCE):
                 some = slice(first, min(first + FRAMES_AT_ONCE, count))
                 power = frames.power(float(slew), some)
                 for noise, best in ((floor[:, some], every), (above[:, some], moving)):
-                    best_combs(power, noise, frames.peak_bins, neutral, place, self.weight, ODDS, best[some])
+                    best_combs(power, noise, frames.peak_bins, all_count, place, self.weight, ODDS, best[some])
         return every, moving
 
     def _floors(self, frames: _Frames, block: int) -> tuple[Floats, Floats]:
@@ -209,15 +205,6 @@ class _LogOdds:
         log_median = np.log(median)
         after = np.minimum(k + 1, n_blocks - 1)
         return np.exp((1.0 - share) * log_median[..., k] + share * log_median[..., after]), usual
-
-    def _neutral(self, frames: _Frames, slew_per_s: float, n_bins: int) -> Floats:
-        """1.0 for bins (bins,) that a fixed tone may reach, else 0.0."""
-        frequency = np.arange(n_bins) * frames.bin_hz
-        neutral = np.zeros(n_bins)
-        for tone in self.fixed_hz:
-            reach = 2.0 / frames.length_s + 0.5 * tone * abs(slew_per_s) * frames.length_s
-            neutral[np.abs(frequency - tone) <= reach] = 1.0
-        return neutral
 
 
 def _odds_table() -> Floats:

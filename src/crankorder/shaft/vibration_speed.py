@@ -13,7 +13,7 @@ reference.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -157,7 +157,6 @@ def speed_from_vibration(
     settings: ShaftSettings,
     expected_rpm: tuple[float, float] | None = None,
     order_weights: Mapping[float, float] | None = None,
-    fixed_hz: Sequence[float] = (),
 ) -> VibrationSpeed:
     """Speed of the shaft whose orders the signals show, to a fraction of a per cent, with confidence and ties.
 
@@ -171,7 +170,6 @@ def speed_from_vibration(
     order_weights : orders with the probability (0…1) that the machine shows them; None for what any rotating machine
         shows (ORDER_WEIGHTS). A four-stroke engine needs its half orders (FOUR_STROKE_WEIGHTS), for without them half
         of its speed, that of the camshaft, explains more
-    fixed_hz : tones that belong to no order, as mains and its harmonics, Hz
 
     Returns
     -------
@@ -187,9 +185,7 @@ def speed_from_vibration(
     order = np.array(sorted(weights))
     weight = np.clip([weights[each] for each in sorted(weights)], 0.0, 0.95)
     range_hz = _range_hz(expected_rpm or settings.vibration_range_rpm, signals.shape[1], rate_hz, settings)
-    evidence = tooth_odds(
-        signals, rate_hz, range_hz=range_hz, order=order, weight=weight, settings=settings, fixed_hz=fixed_hz
-    )
+    evidence = tooth_odds(signals, rate_hz, range_hz=range_hz, order=order, weight=weight, settings=settings)
     explained = partial(_explained, signals, rate_hz, evidence, range_hz=range_hz, order=order, weight=weight)
     run = explained(*_likely_run(evidence, settings))
     path = _mended_path(run, evidence, settings)

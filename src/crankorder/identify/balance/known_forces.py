@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import DIRECTIONS, X, Y, Z, crankcase_forces, crankcase_moments
@@ -58,28 +57,26 @@ class KnownForcesFit:
     """Masses sought and the path.
 
     ``mass_kg`` (mass,) complex, ``covariance`` (2 mass, 2 mass) of real and imaginary part in turn, with
-    ``freedom``. ``chi_square``: mean square of the errors over what the orders' own errors allow; ``by_order``: of
-    each order. ``misfit``: share of the response that the path misses, 0 where errors explain it all: then the fit is
-    ``sound``. ``odd_speeds_rpm`` were left out. ``residue`` (channel, axis, term) in 1/kg (axis RY: 1/(kg·m)), with
-    ``natural_hz`` and ``damping_ratio`` of the modes; ``top_hz`` scales the last term, (f / top)².
+    ``freedom``. ``quiet``: the fit as the orders' own errors have it; ``by_order``: mean square of the errors of each
+    order over what these allow. ``misfit``: share of the response that the path misses, 0 where errors explain it all.
+    ``residue`` (channel, axis, term) in 1/kg (axis RY: 1/(kg·m)), with ``natural_hz`` and ``damping_ratio`` of the
+    modes; the last term is (f / top)².
     """
 
+    quiet: QuietFit
     axes: tuple[str, ...]
     mass_kg: Complexes
     covariance: Floats
     freedom: float
-    chi_square: float
     by_order: dict[int, float]
     misfit: float
-    odd_speeds_rpm: tuple[float, ...]
     residue: Complexes
     natural_hz: Floats
     damping_ratio: Floats
-    top_hz: float
 
     def path(self, frequency_hz: Floats) -> Complexes:
         """Accelerance (channel, axis, frequency) at ``frequency_hz`` (frequency,)."""
-        terms = _steady_terms(frequency_hz, self.natural_hz, self.damping_ratio, self.top_hz)
+        terms = _steady_terms(frequency_hz, self.natural_hz, self.damping_ratio, self.quiet.problem.top_hz)
         path: Complexes = np.einsum("cab,fb->caf", self.residue, terms)
         return path
 
@@ -129,7 +126,7 @@ def quiet_fit(measured: MeasuredOrders, forces: OrderForces, modal: ModalFit, *,
     odd: list[float] = []
     n_speeds = np.unique(measured.rpm_of_row).size
     while len(odd) < min(max(1, n_speeds // 10), MOST_ODD) and n_speeds >= 8:
-        worst = _odd_speed(problem, fit)
+        worst = _worst_speed(problem, fit)
         if worst is None:
             break
         odd.append(worst)
@@ -171,7 +168,7 @@ class QuietFit:
         """Squares that each number saves which ``more`` has, over what noise would; and how many these are."""
         measured, (own, other) = self.problem.measured, (self.fit, more.fit)
         numbers = 2 * (other.residue.size - own.residue.size)
-        allowed = _allowed(self.problem, power=1).sum() / max(1, np.count_nonzero(np.isfinite(measured.error)))
+        allowed = _variances(self.problem, power=1).sum() / max(1, np.count_nonzero(np.isfinite(measured.error)))
         fall = np.vdot(own.error, own.error).real - np.vdot(other.error, other.error).real
         return float(fall / numbers / (max(1.0, more.chi_square) * allowed)), numbers
 
@@ -278,7 +275,7 @@ def _fitting(columns: Complexes, white: Complexes) -> Callable[[Complexes], tupl
     normal = ((back @ white_of).reshape(len(basis), -1).T @ products).reshape(2 * shape[:1] + 2 * basis.shape[1:])
     root, failed = lapack.zpotrf(normal.swapaxes(1, 2).reshape(2 * (shape[0] * basis.shape[1],)), lower=1)
     ranks = [(np.abs(np.diag(root)), LEAST_PIVOT), (np.abs(np.diag(triangle)), 1e-9)]
-    sound = not failed and len(basis) >= len(size) and all(one.min() > least * one.max() for one, least in ranks)
+    sound = not failed and len(basis) >= len(size) and all(p.min() > least * p.max() for p, least in ranks)
 
     def fitted(values: Complexes) -> tuple[Complexes, Complexes]:
         if not sound:
@@ -296,10 +293,11 @@ def _fitting(columns: Complexes, white: Complexes) -> Callable[[Complexes], tupl
 
 
 def _cost(fit: _Fit) -> float:
+    """Sum of squares that the fit minimises: errors over theirs, and the poles' distance from where they were found."""
     return float((np.abs(fit.error) ** 2).sum() + (fit.prior**2).sum())
 
 
-def _bread(problem: _Problem, slope: Complexes) -> Floats:
+def _normal_matrix(problem: _Problem, slope: Complexes) -> Floats:
     """Normal matrix of the parameters, with the poles' own covariance as a unit prior."""
     matrix: Floats = np.einsum("crp,crq->pq", slope.conj(), slope, optimize=True).real
     n_masses = 2 * len(problem.forces.unit)
@@ -311,7 +309,7 @@ def _solved(problem: _Problem, theta: Floats, like: _Fit | None = None) -> tuple
     """Levenberg–Marquardt from ``theta``, where ``like`` is the fit to the same rows otherwise weighted."""
     fit, damped = _evaluated(problem, theta, like), 1e-3
     for _ in range(STEPS):
-        matrix = _bread(problem, fit.slope)
+        matrix = _normal_matrix(problem, fit.slope)
         pull = np.einsum("crp,cr->p", fit.slope.conj(), fit.error).real
         pull[2 * len(problem.forces.unit) :] -= fit.prior
         step = np.linalg.lstsq(matrix + damped * np.diag(np.diag(matrix)), pull, rcond=None)[0]
@@ -329,7 +327,7 @@ def _solved(problem: _Problem, theta: Floats, like: _Fit | None = None) -> tuple
     return theta, fit
 
 
-def _allowed(problem: _Problem, *, power: int) -> Floats:
+def _variances(problem: _Problem, *, power: int) -> Floats:
     """Expected square of the real part of an error in each combination, (channel, row); 0 where nothing was measured.
 
     A weight that is made of the error itself is large where that was underestimated: what the error allows is larger
@@ -347,7 +345,7 @@ def _allowed(problem: _Problem, *, power: int) -> Floats:
     return np.asarray(np.where(measured.noise_bins > 0, both * chosen * known, own * lucky))
 
 
-def _n_free(problem: _Problem) -> float:
+def _free_share(problem: _Problem) -> float:
     """Share of the squares that the fit leaves: measured numbers less those fitted, over those measured."""
     known = np.isfinite(problem.measured.error)
     measured = 2 * np.count_nonzero(known)
@@ -358,17 +356,19 @@ def _n_free(problem: _Problem) -> float:
 
 def _free_rows(problem: _Problem) -> float:
     """Rows that are measured, less what the fit takes of them."""
-    return np.count_nonzero(np.isfinite(problem.measured.error).any(axis=0)) * _n_free(problem)
+    return np.count_nonzero(np.isfinite(problem.measured.error).any(axis=0)) * _free_share(problem)
 
 
 def _chi_square(problem: _Problem, fit: _Fit) -> float:
-    return float((np.abs(fit.error) ** 2).sum() / max(2 * _allowed(problem, power=1).sum() * _n_free(problem), 1e-30))
+    """Mean square of the errors of ``fit`` over what the orders' own errors allow."""
+    allowed = 2 * _variances(problem, power=1).sum() * _free_share(problem)
+    return float((np.abs(fit.error) ** 2).sum() / max(allowed, 1e-30))
 
 
-def _odd_speed(problem: _Problem, fit: _Fit) -> float | None:
-    """The speed whose rows fit worst, where they fit worse than chance and than the others allow."""
+def _worst_speed(problem: _Problem, fit: _Fit) -> float | None:
+    """Speed in rpm whose rows fit worst; None where they fit no worse than chance and the other rows allow."""
     speeds, of = np.unique(problem.measured.rpm_of_row, return_inverse=True)
-    allowed, squares = _allowed(problem, power=1).sum(axis=0), np.square(np.abs(fit.error)).sum(axis=0)
+    allowed, squares = _variances(problem, power=1).sum(axis=0), np.square(np.abs(fit.error)).sum(axis=0)
     each = np.bincount(of, squares) / np.maximum(2.0 * np.bincount(of, allowed), 1e-30)
     worst = int(np.argmax(each))
     typical = max(1.0, float(np.median(each)))
@@ -377,53 +377,48 @@ def _odd_speed(problem: _Problem, fit: _Fit) -> float | None:
 
 def _with_misfit(problem: _Problem, theta: Floats, fit: _Fit) -> tuple[float, _Problem, Floats, _Fit]:
     """Share of the response that must count as error for the fit to be as good as it should, and the fit with it."""
-    low, high, widened, found = 0.0, NUMBERS.largest_misfit_share, problem, (theta, fit)
+    low, high, widened, solved = 0.0, NUMBERS.largest_misfit_share, problem, (theta, fit)
     share = high
     for step in range(6):
         white = whitening(problem.measured.noise, error=problem.measured.error, missed=share * np.abs(fit.model))
         widened = replace(problem, white=white)
-        found = _solved(widened, theta, fit)
-        too_little = _chi_square(widened, found[1]) > 1
+        solved = _solved(widened, theta, fit)
+        too_little = _chi_square(widened, solved[1]) > 1
         if step == 0 and too_little:
             break
         low, high = (share, high) if too_little else (low, share)
         share = 0.5 * (low + high)
-    return high, widened, *found
-
-
-def _freedom(problem: _Problem, swayed: Complexes, inverse: NDArray[np.floating]) -> float:
-    """Degrees of freedom of the first mass' variance, which rows of few have a share in (Satterthwaite 1946)."""
-    pulls = swayed @ inverse[0]
-    shares = np.einsum("cr,rcd,dr->r", pulls.conj(), problem.alike, pulls).real
-    freedom = np.min(np.where(np.isfinite(problem.measured.error), problem.measured.freedom, np.inf), axis=0)
-    return float(shares.sum() ** 2 / max((shares**2 / np.maximum(freedom, 1.0)).sum(), 1e-300))
+    return high, widened, *solved
 
 
 def _result(quiet: QuietFit, misfit: float, problem: _Problem, theta: Floats, fit: _Fit) -> KnownForcesFit:
     measured, n_masses = problem.measured, 2 * len(problem.forces.unit)
-    inverse = np.linalg.pinv(_bread(problem, fit.slope))
-    swayed = fit.slope * np.sqrt(_allowed(problem, power=2))[:, :, None]
+    inverse = np.linalg.pinv(_normal_matrix(problem, fit.slope))
+    swayed = fit.slope * np.sqrt(_variances(problem, power=2))[:, :, None]
     together = np.einsum("crp,rcd,drq->pq", swayed.conj(), problem.alike, swayed, optimize=True).real
     poles = np.diag((np.arange(theta.size) >= n_masses).astype(np.float64))
     covariance = inverse @ (max(1.0, _chi_square(problem, fit)) * together + poles) @ inverse
     mass = theta[0:n_masses:2] + 1j * theta[1:n_masses:2]
     squares = np.abs(fit.error) ** 2
-    allowed = 2 * _allowed(problem, power=1)
+    allowed = 2 * _variances(problem, power=1)
     of = measured.order_of_row
     natural, damping = _poles(problem, theta)
+    # degrees of freedom of the first mass' variance, which rows of few have a share in (Satterthwaite 1946)
+    pulls = swayed @ inverse[0]
+    shares = np.einsum("cr,rcd,dr->r", pulls.conj(), problem.alike, pulls).real
+    of_rows = np.min(np.where(np.isfinite(measured.error), measured.freedom, np.inf), axis=0)
+    freedom = float(shares.sum() ** 2 / max((shares**2 / np.maximum(of_rows, 1.0)).sum(), 1e-300))
     return KnownForcesFit(
+        quiet=quiet,
         axes=problem.forces.axes,
         mass_kg=mass,
         covariance=covariance[:n_masses, :n_masses] + np.diag(misfit**2 * np.repeat(np.abs(mass) ** 2, 2)),
-        freedom=max(1.0, min(2.0 * _free_rows(problem), _freedom(problem, swayed, inverse))),
-        chi_square=quiet.chi_square,
+        freedom=max(1.0, min(2.0 * _free_rows(problem), freedom)),
         by_order={k: float(squares[:, of == k].sum() / max(allowed[:, of == k].sum(), 1e-30)) for k in measured.orders},
         misfit=misfit,
-        odd_speeds_rpm=quiet.odd_speeds_rpm,
         residue=fit.residue,
         natural_hz=natural,
         damping_ratio=damping,
-        top_hz=problem.top_hz,
     )
 
 
@@ -463,8 +458,8 @@ def known_forces(engine: Engine, *, seen: set[int], highest: int) -> KnownForces
     moments = crankcase_moments(bare, UNIT_RPM, max_order=highest)
     size = np.abs(forces).max(axis=0)
     alone = bare.model_copy(update={"cylinders": bare.cylinders[:1]})
-    one = float(np.abs(crankcase_forces(alone, UNIT_RPM, max_order=1)).max())
-    candidates = [k for k in range(2, highest + 1) if k not in engine.shafts.every_order and size[k] > NONE_LEFT * one]
+    each = float(np.abs(crankcase_forces(alone, UNIT_RPM, max_order=1)).max())
+    candidates = [k for k in range(2, highest + 1) if k not in engine.shafts.every_order and size[k] > NONE_LEFT * each]
     driven = [k for k in candidates if size[k] >= FORCE_NUMBERS.known_share * max(size[candidates])]
     if not driven:
         return "the pistons make no order that shafts do not take away, so no force is known"
@@ -479,12 +474,6 @@ def known_forces(engine: Engine, *, seen: set[int], highest: int) -> KnownForces
         return (
             f"orders {known} rock the crankcase too, for the cylinders stand side by side, and that path is not known"
         )
-    return _assembled(bare, engine, forces, moments, known)
-
-
-def _assembled(
-    bare: Engine, engine: Engine, forces: Complexes, moments: Complexes, known: tuple[int, ...]
-) -> KnownForces:
     axes = [d for d in (X, Z) if np.abs(forces[d, list(known)]).max() > NONE_LEFT * np.abs(forces).max()]
     sought = [(1, d) for d in axes] + [(2, d) for d in axes if 2 in engine.shafts.every_order and d == Z]
     orders = (*sorted({order for order, _ in sought}), *known)
@@ -494,14 +483,14 @@ def _assembled(
     per_kg = np.array([force_per_kg(bare, k, d, along_only=axes == [Z]) for k, d in sought])
     for m, (k, d) in enumerate(sought):
         unit[m, axes.index(d), orders.index(k)] = per_kg[m] * bare.crank_radius_m
-    names = tuple(DIRECTIONS[d] for d in axes)
-    of_orders = OrderForces(axes=(*names, "RY"), known=acting, unit=unit)
+    directions = tuple(DIRECTIONS[d] for d in axes)
+    of_orders = OrderForces(axes=(*directions, "RY"), known=acting, unit=unit)
     return KnownForces(
         orders=orders,
         known_orders=known,
         sought=tuple((k, DIRECTIONS[d]) for k, d in sought),
         per_kg=per_kg,
-        forces=of_orders if acting[-1].any() else of_orders.on(names),
+        forces=of_orders if acting[-1].any() else of_orders.on(directions),
     )
 
 
@@ -513,5 +502,5 @@ def force_per_kg(bare: Engine, order: int, axis: int, *, along_only: bool) -> co
     """
     at_rpm = 1000.0
     scale = bare.reciprocating_mass_kg * bare.crank_radius_m * (at_rpm * np.pi / 30) ** 2
-    made = complex(crankcase_forces(bare, at_rpm, max_order=order)[axis, order]) / scale
-    return made if along_only and abs(made) > NONE_LEFT else 1.0 + 0.0j
+    force = complex(crankcase_forces(bare, at_rpm, max_order=order)[axis, order]) / scale
+    return force if along_only and abs(force) > NONE_LEFT else 1.0 + 0.0j

@@ -52,8 +52,8 @@ B = TypeVar("B", bound=Balance)
 
 def with_interval(balance: B, key: str, value: float, half: float) -> B:
     """``balance`` with its field ``key`` at ``value`` ± ``half``."""
-    told: Any = {key: value, f"{key}_ci95": (value - half, value + half)}
-    return replace(balance, **told)
+    fields: Any = {key: value, f"{key}_ci95": (value - half, value + half)}
+    return replace(balance, **fields)
 
 
 def size_and_angle(
@@ -72,11 +72,11 @@ def size_and_angle(
     joint = np.sqrt(AGREE_CHI_SQUARE) * max(along, across)
     half_deg = float(np.degrees(np.arcsin(min(1.0, t * across / size)))) if size else 180.0
     low = size - t * along if size > joint else 0.0
-    told: Any = {size_key: size, f"{size_key}_ci95": (max(0.0, low), size + t * along)}
+    fields: Any = {size_key: size, f"{size_key}_ci95": (max(0.0, low), size + t * along)}
     if angle_key and size > joint and half_deg < NUMBERS.vague_deg:
         angle = float(np.degrees(np.angle(value)))
-        told |= {angle_key: angle, f"{angle_key}_ci95": (angle - half_deg, angle + half_deg)}
-    return replace(balance, **told)
+        fields |= {angle_key: angle, f"{angle_key}_ci95": (angle - half_deg, angle + half_deg)}
+    return replace(balance, **fields)
 
 
 def split_record(split: Split, *, engine: Engine) -> Balance:

@@ -81,7 +81,7 @@ def measured_orders(
     """
     bins = order_map["order"].values
     places = {k: int(np.argmin(np.abs(bins - k))) for k in orders}
-    found = {k: i for k, i in places.items() if abs(bins[i] - k) < GRID * max(1, k)}
+    bin_of = {k: i for k, i in places.items() if abs(bins[i] - k) < GRID * max(1, k)}
     unit, quantity = order_map["unit"].values.tolist(), order_map["quantity"].values.tolist()
     known = [c for c, name in enumerate(unit) if name in PER_M_S2 and "accel" in str(quantity[c]).casefold()]
     scale = np.array([PER_M_S2[unit[c]] for c in known]).reshape(-1, 1, 1)
@@ -89,9 +89,9 @@ def measured_orders(
     level = scale * taken["coherent_amplitude"].values.astype(np.float64)
     complex_map = level * np.exp(1j * np.radians(taken["phase"].values.astype(np.float64)))
     error_map = scale * taken["standard_error"].values.astype(np.float64)
-    swept = [(i, *rows) for i, k in enumerate(found) for item in followed if (rows := swept_rows(k, item)) is not None]
-    mapped = [i for i in range(len(found)) if all(i != place for place, *_ in swept)]
-    at = [list(found.values())[i] for i in mapped]
+    swept = [(i, *rows) for i, k in enumerate(bin_of) for item in followed if (rows := swept_rows(k, item)) is not None]
+    mapped = [i for i in range(len(bin_of)) if all(i != place for place, *_ in swept)]
+    at = [list(bin_of.values())[i] for i in mapped]
     amplitude, error, freedom = (
         np.moveaxis(values[:, :, at], 2, 1).reshape(len(known), -1)
         for values in (complex_map, error_map, taken["degrees_of_freedom"].values.astype(np.float64))
@@ -100,7 +100,7 @@ def measured_orders(
     beside = [_beside(bins, i, lines) for i in at]
     over = np.divide(complex_map, error_map, out=np.full_like(complex_map, np.nan), where=error_map > 0.0)
     correlation = [np.zeros((0, len(known), len(known))), *(_correlation(over[:, :, near]) for near in beside)]
-    typical = [_typical(error_map[:, :, near]) for near in beside]
+    typical = [_geometric_mean(error_map[:, :, near]) for near in beside]
     around = np.stack(typical, axis=1).reshape(len(known), -1) if at else error
     freedom = np.where(sound, freedom, 1.0)
     steady, share = _steadier(np.where(sound, error, np.nan), around, freedom)
@@ -112,7 +112,7 @@ def measured_orders(
     shape, n_bins = noise_shape(complex_map, frequency_hz=hertz, usable=quiet, at_hz=hertz[:, at].T.ravel())
     held = MeasuredOrders(
         channels=tuple(str(order_map["channel"].values[c]) for c in known),
-        orders=tuple(found),
+        orders=tuple(bin_of),
         place_of_row=np.repeat(np.array(mapped, dtype=np.int64), speed_rpm.size),
         rpm_of_row=np.tile(speed_rpm, len(at)),
         amplitude=np.where(sound, amplitude, 0.0),
@@ -174,11 +174,11 @@ def _swept(
 
 def _joined(parts: Sequence[MeasuredOrders]) -> MeasuredOrders:
     """All rows of the ``parts``."""
-    first = np.cumsum([0, *(one.rpm_of_row.size for one in parts)]).tolist()
+    first = np.cumsum([0, *(part.rpm_of_row.size for part in parts)]).tolist()
     axes = dict.fromkeys(("place_of_row", "rpm_of_row", "correlation", "noise", "noise_bins"), 0)
     axes |= dict.fromkeys(("amplitude", "error", "steady_error", "freedom", "own_share"), 1)
-    rows: Any = {k: np.concatenate([getattr(one, k) for one in parts], axis=axis) for k, axis in axes.items()}
-    passages = tuple((n, passage) for n, one in zip(first, parts, strict=False) for _, passage in one.passages)
+    rows: Any = {k: np.concatenate([getattr(part, k) for part in parts], axis=axis) for k, axis in axes.items()}
+    passages = tuple((n, passage) for n, part in zip(first, parts, strict=False) for _, passage in part.passages)
     return replace(parts[0], **rows, passages=passages)
 
 
@@ -201,7 +201,7 @@ def _covariance(shape: Complexes, error: Floats) -> Complexes:
     return np.asarray(np.where(np.isfinite(scale), shape * scale, power[:, :, None] * np.eye(len(error))))
 
 
-def _typical(beside: Floats) -> Floats:
+def _geometric_mean(beside: Floats) -> Floats:
     """Geometric mean (channel, speed) of errors (channel, speed, bin); NaN where too few bins tell it."""
     if beside.shape[2] < NUMBERS.fewest_bins:
         return np.full(beside.shape[:2], np.nan)
@@ -303,10 +303,10 @@ def whitening(noise: Complexes, *, error: Floats, missed: Floats | None = None) 
 def _nearest(places: Floats, hertz: float) -> Ints:
     reach = min(NOISE_NUMBERS.furthest_hz, max(NOISE_NUMBERS.furthest_share * hertz, 1.0))
     low, high = np.searchsorted(places, [hertz - reach, hertz + reach])
-    found = np.arange(low, high)
-    if found.size > NOISE_NUMBERS.most_bins:
-        found = found[np.argsort(np.abs(places[found] - hertz), kind="stable")[: NOISE_NUMBERS.most_bins]]
-    return found
+    bins = np.arange(low, high)
+    if bins.size > NOISE_NUMBERS.most_bins:
+        bins = bins[np.argsort(np.abs(places[bins] - hertz), kind="stable")[: NOISE_NUMBERS.most_bins]]
+    return bins
 
 
 def _tyler(samples: Complexes) -> Complexes:

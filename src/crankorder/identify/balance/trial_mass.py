@@ -44,7 +44,7 @@ def trial_mass(
         return None, "no mass was added: state it under [[added_masses]] of the test that has it"
     if len(kinds) > 1:
         return None, "masses were added on the crank and on a piston at once: their effects cannot be told apart"
-    references = {str(item.attrs.get("phase_reference", "none")) for item in (base_map, new_map)}
+    references = {str(order_map.attrs.get("phase_reference", "none")) for order_map in (base_map, new_map)}
     if len(references) > 1 or not references <= set(STEADY_REFERENCES):
         return None, "the two tests have no mark of the shaft in common, so their phases cannot be compared"
     on_piston = kinds == {"piston"}
@@ -53,26 +53,26 @@ def trial_mass(
     total: complex = sum((_unbalance(mass) for mass in added), 0j)
     if abs(total) < 1e-9:
         return None, "the added masses cancel one another"
-    found = _multiple(base_map, new_map, 1)
-    if isinstance(found, str):
-        return None, found
+    ratio = _multiple(base_map, new_map, 1)
+    if isinstance(ratio, str):
+        return None, ratio
     radii = {mass.radius_mm for mass in added}
     words = added_words(added).partition(": ")[2]
     evidence = (
-        f"{words} changed order 1 by {found.change_over_noise:.0f} times its error at {found.n_speeds} speeds; one "
-        f"residual explains all channels and speeds but for {100 * found.missed:.0f} %"
+        f"{words} changed order 1 by {ratio.change_over_noise:.0f} times its error at {ratio.n_speeds} speeds; one "
+        f"residual explains all channels and speeds but for {100 * ratio.missed:.0f} %"
     )
     record = TrialBalance(
         source="trial mass",
         orders_used=(1,),
         crank_radius_mm=None if engine is None or engine.largest_piston_kg == 0 else 1e3 * engine.crank_radius_m,
         radius_mm=next(iter(radii)) if len(radii) == 1 else None,
-        influence=found.influence_per(total),
+        influence=ratio.influence_per(total),
         evidence=evidence,
     )
     if on_piston and engine is not None:
-        return _of_piston(record, found, total.real, engine, _multiple(base_map, new_map, 2)), ""
-    return _of_crank(record, found, total), ""
+        return _of_piston(record, ratio, total.real, engine, _multiple(base_map, new_map, 2)), ""
+    return _of_crank(record, ratio, total), ""
 
 
 def _unbalance(mass: AddedMass) -> complex:
@@ -127,10 +127,10 @@ def _in_any_unit(order_map: xr.Dataset) -> xr.Dataset:
 
 
 def _multiple(base_map: xr.Dataset, new_map: xr.Dataset, order: int) -> _Multiple | str:
-    maps = [_in_any_unit(item) for item in (base_map, new_map)]
-    if not all(item.sizes["channel"] and item.sizes["speed"] for item in maps):
+    maps = [_in_any_unit(order_map) for order_map in (base_map, new_map)]
+    if not all(order_map.sizes["channel"] and order_map.sizes["speed"] for order_map in maps):
         return "the tests have no vibration channel, or no speed"
-    base, new = (measured_orders(item, (order,)) for item in maps)
+    base, new = (measured_orders(order_map, (order,)) for order_map in maps)
     if order not in base.orders or order not in new.orders:
         return f"the order maps have no bin at order {order}"
     if not base.channels or base.channels != new.channels:
@@ -190,12 +190,12 @@ def _solved(base: MeasuredOrders, after: Complexes, error: Floats) -> _Multiple 
     return _Multiple(value, covariance, base, change, missed)
 
 
-def _of_crank(record: TrialBalance, found: _Multiple, total: complex) -> TrialBalance:
+def _of_crank(record: TrialBalance, ratio: _Multiple, total: complex) -> TrialBalance:
     turn = np.array([[total.real, -total.imag], [total.imag, total.real]])
-    covariance = turn @ found.covariance @ turn.T
+    covariance = turn @ ratio.covariance @ turn.T
     for name, angle, more in (("rotating", "angle_deg", 0.0), ("after", "angle_after_deg", 1.0)):
-        size, value = f"residual_{name}_gmm", (found.value + more) * total
-        record = size_and_angle(record, size, angle, value, covariance, freedom=found.freedom)
+        size, value = f"residual_{name}_gmm", (ratio.value + more) * total
+        record = size_and_angle(record, size, angle, value, covariance, freedom=ratio.freedom)
     pistons = "a mass on the crank tells nothing about masses that go up and down: add one on the piston"
     undecided = dict.fromkeys(("residual_reciprocating_g", "residual_second_order_g", "along_g"), pistons)
     undecided["reverse_gmm"] = "a mass on the crank turns forwards: all is taken to turn with the shaft"
@@ -205,13 +205,13 @@ def _of_crank(record: TrialBalance, found: _Multiple, total: complex) -> TrialBa
 
 
 def _of_piston(
-    record: TrialBalance, found: _Multiple, mass_g: float, engine: Engine, second: _Multiple | str
+    record: TrialBalance, ratio: _Multiple, mass_g: float, engine: Engine, second: _Multiple | str
 ) -> TrialBalance:
     per_g = abs(force_per_kg(engine.pistons_alone, 1, Z, along_only=True))
-    half = np.abs(mass_g) * half_width(found.freedom) * np.sqrt(np.diag(found.covariance))
-    record = with_interval(record, "along_g", per_g * mass_g * found.value.real, per_g * float(half[0]))
-    record = with_interval(record, "along_after_g", per_g * mass_g * (found.value.real + 1.0), per_g * float(half[0]))
-    record = with_interval(record, "along_quadrature_g", per_g * mass_g * found.value.imag, per_g * float(half[1]))
+    half = np.abs(mass_g) * half_width(ratio.freedom) * np.sqrt(np.diag(ratio.covariance))
+    record = with_interval(record, "along_g", per_g * mass_g * ratio.value.real, per_g * float(half[0]))
+    record = with_interval(record, "along_after_g", per_g * mass_g * (ratio.value.real + 1.0), per_g * float(half[0]))
+    record = with_interval(record, "along_quadrature_g", per_g * mass_g * ratio.value.imag, per_g * float(half[1]))
     turning = "a mass on the piston acts along the cylinder alone: add one on the crank"
     undecided = dict.fromkeys(("residual_rotating_gmm", "across_g", "reverse_gmm"), turning)
     alike = "rotating and reciprocating mass act alike along the cylinder at order 1"
@@ -220,8 +220,8 @@ def _of_piston(
         return replace(record, not_decided=undecided | {"residual_second_order_g": second})
     wide = abs(mass_g) * half_width(second.freedom) * float(np.sqrt(second.covariance[0, 0]))
     record = with_interval(record, "residual_second_order_g", mass_g * second.value.real, wide)
-    apart = np.array([(found.value - second.value).real, (found.value - second.value).imag])
-    if apart @ np.linalg.pinv(found.covariance + second.covariance) @ apart <= AGREE_CHI_SQUARE:
-        record = with_interval(record, "residual_reciprocating_g", mass_g * found.value.real, float(half[0]))
+    apart = np.array([(ratio.value - second.value).real, (ratio.value - second.value).imag])
+    if apart @ np.linalg.pinv(ratio.covariance + second.covariance) @ apart <= AGREE_CHI_SQUARE:
+        record = with_interval(record, "residual_reciprocating_g", mass_g * ratio.value.real, float(half[0]))
         del undecided["residual_reciprocating_g"]
     return replace(record, orders_used=(1, 2), not_decided=undecided)

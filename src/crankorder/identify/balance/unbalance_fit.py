@@ -25,7 +25,7 @@ from crankorder.identify.balance.known_forces import (
 from crankorder.identify.balance.record import Split, added_words, rotor_record, split_record
 from crankorder.identify.balance.transfer_path import MeasuredOrders, accelerance_of, measured_orders
 from crankorder.identify.causes.cycle_forces import gas_half_orders
-from crankorder.identify.found import AgreedOrder, ModalFit
+from crankorder.identify.found import AgreedOrders, ModalFit
 from crankorder.identify.modes.pole_errors import side_by_side
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import MethodNumbers
@@ -44,7 +44,7 @@ class _Refused(Exception):
 
 def unbalance_fit(
     order_map: xr.Dataset,
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     modal: ModalFit,
     *,
     engine: Engine | None,
@@ -96,7 +96,7 @@ def _check_phases(order_map: xr.Dataset, engine: Engine | None) -> None:
 
 
 def _by_engine_orders(
-    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], modal: ModalFit, engine: Engine, followed: Tracks
+    order_map: xr.Dataset, orders: AgreedOrders, modal: ModalFit, engine: Engine, followed: Tracks
 ) -> Balance:
     if engine.cycle == "rotor" or engine.largest_piston_kg == 0:
         raise _Refused(f"a rotor has no order of known force, and no path is stated; {TRIAL_MASS}")
@@ -120,13 +120,13 @@ def _by_engine_orders(
     return _record(fit, shaker, engine, _check_orders_agree(measured, shaker, modal, fit), measured)
 
 
-def _check_firing(orders: tuple[AgreedOrder, ...], engine: Engine) -> None:
+def _check_firing(orders: AgreedOrders, engine: Engine) -> None:
     if engine.gas is not None:
         raise _Refused(
             "the engine has gas: its torque rocks the crankcase at every order of the known forces, through a path "
             f"that is not known. Motor it without compression, with an engine file without gas; or {TRIAL_MASS}"
         )
-    half = gas_half_orders(one.order for one in orders)
+    half = gas_half_orders(order.order for order in orders)
     if engine.revs_per_cycle == 2 and len(half) > 1:
         raise _Refused(
             f"half orders ({', '.join(half)}) show gas torque, which rocks the crankcase at every order of the known "
@@ -266,13 +266,13 @@ def _record(fit: KnownForcesFit, shaker: KnownForces, engine: Engine, remark: st
     middle = np.median(measured.frequency_hz[np.isin(measured.order_of_row, shaker.known_orders)])
     axis = fit.axes.index("Z") if "Z" in fit.axes else 0
     mass_kg = 1 / float(np.abs(fit.path(np.array([middle]))[:, axis]).max())
-    odd = ", ".join(f"{rpm:.0f}" for rpm in fit.odd_speeds_rpm)
+    odd = ", ".join(f"{rpm:.0f}" for rpm in fit.quiet.odd_speeds_rpm)
     odd = f"; left out as not belonging: {odd} rpm" if odd else ""
     rolling = "; the masses' rolling moment acts too and was fitted" * ("RY" in fit.axes)
     misfit = f"; the path misses {100 * fit.misfit:.0f} % of the response, which the intervals hold" * bool(fit.misfit)
     evidence = (
         f"the engine's own orders {_listed(shaker.known_orders)}, of known force, tell the path (apparent mass "
-        f"{mass_kg:.3g} kg at {middle:.0f} Hz): {remark}; mean square misfit {fit.chi_square:.2f} of what the "
+        f"{mass_kg:.3g} kg at {middle:.0f} Hz): {remark}; mean square misfit {fit.quiet.chi_square:.2f} of what the "
         f"errors allow{misfit}{rolling}{odd}"
         + "; order 1 is taken to act along the cylinder alone, which the fit does not contradict"
         * (fit.axes[0] == "Z")

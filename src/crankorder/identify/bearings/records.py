@@ -23,7 +23,7 @@ from crankorder.identify.bearings.envelope_lines import (
     place_error,
     spectra_of,
 )
-from crankorder.identify.found import AgreedOrder
+from crankorder.identify.found import AgreedOrder, AgreedOrders
 from crankorder.identify.intervals import Z95, half_width, positive_interval
 from crankorder.identify.lines.growth import growth, mean_level, reported
 from crankorder.identify.machine_model import StatedPart, parts_at
@@ -32,7 +32,7 @@ from crankorder.settings import IdentifySettings, MethodNumbers
 
 
 def bearing_records(
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     envelope: xr.Dataset | None,
     *,
     bearings: tuple[Bearing, ...],
@@ -64,8 +64,14 @@ def bearing_records(
         spectra = spectra_of(envelope)
         level = settings.bearing_false_alarm_probability
         found = envelope_lines(spectra, places, false_alarm_probability=level)
-        speeds = _shaft_speeds(spectra, found) if envelope.attrs["speed_basis"] == "nominal" else {}
-        records += [_envelope_record(line, found, spectra, envelope, level=level, shafts=speeds) for line in found]
+        # of each bearing at each speed, as the line tells it whose sidebands tell it best
+        shafts: dict[tuple[str, int], ShaftSpeed] = {}
+        for line in found if envelope.attrs["speed_basis"] == "nominal" else ():
+            key, shaft = (line.place.name, line.speed), shaft_speed(spectra, line)
+            if shaft is not None and (key not in shafts or shaft.error < shafts[key].error):
+                shafts[key] = shaft
+        for line in found:
+            records.append(_envelope_record(line, found, envelope, shafts.get((line.place.name, line.speed)), level))
     return tuple(_with_races(record, records) for record in records if not _is_excluded(record, records))
 
 
@@ -91,7 +97,7 @@ def _with_races(record: BearingFinding, records: Sequence[BearingFinding]) -> Be
     return replace(record, verdict=f"{record.verdict} {races_words(races, struck)}")
 
 
-def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per_cycle: int) -> BearingFinding | None:
+def _vibration_record(place: Place, orders: AgreedOrders, *, revs_per_cycle: int) -> BearingFinding | None:
     """Record of ``place`` where an order of the vibration lies in it; None where none does."""
     ends = [(order, half_width(order.degrees_of_freedom) * order.order_error) for order in orders]
     near = [order for order, spare in ends if place.low - spare <= order.order <= place.high + spare]
@@ -112,6 +118,7 @@ def _vibration_record(place: Place, orders: tuple[AgreedOrder, ...], *, revs_per
         best.order,
         best.order_error,
         best.degrees_of_freedom,
+        shaft=None,
         seen_in="vibration",
         amplitude=level.amplitude,
         amplitude_ci95=(level.low, level.high),
@@ -134,25 +141,8 @@ def _is_locked(order: AgreedOrder, revs_per_cycle: int) -> bool:
     return order.lock == "locked" or (order.lock == "undecided" and off <= 2.0 * order.order_error)
 
 
-def _shaft_speeds(spectra: Spectra, found: list[EnvelopeLine]) -> dict[tuple[str, int], ShaftSpeed]:
-    """Speed of the shaft by bearing and number of the speed, of the line of each whose sidebands tell it best."""
-    speeds: dict[tuple[str, int], ShaftSpeed] = {}
-    for line in found:
-        key, speed = (line.place.name, line.speed), shaft_speed(spectra, line)
-        if speed is not None and (key not in speeds or speed.error < speeds[key].error):
-            speeds[key] = speed
-    return speeds
-
-
 def _record(
-    place: Place,
-    order: float,
-    error: float,
-    freedom: float,
-    shaft: ShaftSpeed | None = None,
-    *,
-    judged: Judged,
-    **seen: Any,
+    place: Place, order: float, error: float, freedom: float, shaft: ShaftSpeed | None, judged: Judged, **seen: Any
 ) -> BearingFinding:
     """Finding of a line at ``order`` with its standard ``error`` of so many degrees of ``freedom``, as it was ``seen``.
 
@@ -176,21 +166,29 @@ def _record(
 
 
 def _envelope_record(
-    line: EnvelopeLine,
-    found: list[EnvelopeLine],
-    spectra: Spectra,
-    envelope: xr.Dataset,
-    *,
-    level: float,
-    shafts: dict[tuple[str, int], ShaftSpeed],
+    line: EnvelopeLine, found: list[EnvelopeLine], envelope: xr.Dataset, shaft: ShaftSpeed | None, level: float
 ) -> BearingFinding:
-    """Record of a ``line`` of the envelope among all ``found``; ``shafts``: speeds that sidebands tell."""
+    """Record of a ``line`` of the envelope among all ``found``; ``shaft``: its speed, where sidebands tell it.
+
+    ``level``: the false-alarm probability of the whole test.
+    """
     names = envelope["channel"].values.tolist()
     nominal = envelope.attrs["speed_basis"] == "nominal"
     drawn = [float(envelope[end].values[line.channel, line.speed]) for end in ("band_low", "band_high")]
     band = list(line.band_hz) if math.isfinite(line.band_hz[0]) else drawn
     half = Z95 * line.amplitude_error
-    shaft = shafts.get((line.place.name, line.speed))
+    seen = line.seen.any(axis=0).sum()
+    text = (
+        f"{10.0 * math.log10(line.ratio):.1f} dB over the envelope's floor in {names[line.channel]}, band "
+        f"{band[0]:.0f} to {band[1]:.0f} Hz; over the level at {seen} of {envelope.sizes['speed']} speeds"
+    )
+    if not seen:
+        text += ", so only in the mean of all"
+    text += f"; {line.harmonics} of its first 4 multiples"
+    if line.sidebands is not None:
+        text += f", sidebands {line.sidebands:.3g} apart"
+    chance = "below 1e-12" if line.chance < 1e-12 else f"{line.chance:.1e}"
+    text += f"; chance that noise makes it anywhere in the test {chance} (level {level:g})"
     return _record(
         line.place,
         line.order,
@@ -201,14 +199,14 @@ def _envelope_record(
         amplitude=line.amplitude,
         amplitude_ci95=(max(0.0, line.amplitude - half), line.amplitude + half),
         channel=names[line.channel],
-        speed_rpm=float(spectra.speed_rpm[line.speed]),
+        speed_rpm=float(envelope["speed"].values[line.speed]),
         band_hz=(band[0], band[1]),
         harmonics=line.harmonics,
         sidebands=line.sidebands,
         lock="slips",
         shaft_order=shaft.factor * line.place.shaft_order if shaft is not None else None,
         judged=envelope_verdict(line, found, speed_is_nominal=nominal, shaft=shaft),
-        evidence=envelope_evidence(line, names, band, level=level, n_speeds=len(spectra.speed_rpm)),
+        evidence="; ".join([text, *line.also]),
     )
 
 
@@ -308,11 +306,14 @@ def envelope_verdict(
     """
     place = line.place
     slip = _slip_words(place.slip_percent(line.order / (shaft.factor if shaft is not None else 1.0)))
-    lead = _lead(line, found)
-    if lead is not None:
+    kin = [other for other in found if other.place.name == place.name and other.place.line != place.line]
+    higher = [other for other in kin if (other.level_db, other.ratio) > (line.level_db, line.ratio)]
+    lead = max(higher, key=lambda other: (other.level_db, other.ratio), default=None)
+    beside = [] if lead is None else _rivals(lead, found)
+    # a line goes with a higher one of its bearing, unless it may be the damage itself
+    if lead is not None and place.line not in {rival.place.line for rival in beside}:
         share = line.amplitude / lead.amplitude
-        sure = not _rivals(lead, found)
-        goes = f"{_damage(lead.place)} as the load passes the rolling elements" if sure else "the strikes there"
+        goes = "the strikes there" if beside else f"{_damage(lead.place)} as the load passes the rolling elements"
         return Judged(
             f"{place.title} of {place.name} ({slip}) with {share:.0%} of the amplitude of {lead.place.title}: it goes "
             f"with {goes}; no second damage is concluded."
@@ -341,16 +342,6 @@ def _speed_words(shaft: ShaftSpeed | None) -> str:
         f"The stated speed is nominal: by the spacing of the sidebands the shaft turns {abs(off):.2f} % "
         f"{'faster' if off > 0.0 else 'slower'} (± {error:.2f} %), and the slip is counted from that."
     )
-
-
-def _lead(line: EnvelopeLine, found: list[EnvelopeLine]) -> EnvelopeLine | None:
-    """The line of the same bearing with which ``line`` goes; None where it leads or may be the damage itself."""
-    kin = [other for other in found if other.place.name == line.place.name and other.place.line != line.place.line]
-    higher = [other for other in kin if (other.level_db, other.ratio) > (line.level_db, line.ratio)]
-    lead = max(higher, key=lambda other: (other.level_db, other.ratio), default=None)
-    if lead is None or line.place.line in {rival.place.line for rival in _rivals(lead, found)}:
-        return None
-    return lead
 
 
 def _rivals(line: EnvelopeLine, found: list[EnvelopeLine]) -> list[Candidate]:
@@ -402,28 +393,6 @@ def _part_words(line: EnvelopeLine, rivals: list[Candidate], slip: str) -> str:
         f"Strikes at {place.title} of {place.name}, {slip}: damage of {parts}; which of them is not told (harmonics "
         f"over the floor: {levels})."
     )
-
-
-def envelope_evidence(
-    line: EnvelopeLine, channels: list[str], band_hz: list[float], *, level: float, n_speeds: int
-) -> str:
-    """How a ``line`` was found: how high, in which of ``channels`` and ``band_hz``, at how many speeds.
-
-    ``level``: the false-alarm probability of the whole test; ``n_speeds``: the speeds looked at.
-    """
-    seen = line.seen.any(axis=0).sum()
-    text = (
-        f"{10.0 * math.log10(line.ratio):.1f} dB over the envelope's floor in {channels[line.channel]}, band "
-        f"{band_hz[0]:.0f} to {band_hz[1]:.0f} Hz; over the level at {seen} of {n_speeds} speeds"
-    )
-    if not seen:
-        text += ", so only in the mean of all"
-    text += f"; {line.harmonics} of its first 4 multiples"
-    if line.sidebands is not None:
-        text += f", sidebands {line.sidebands:.3g} apart"
-    chance = "below 1e-12" if line.chance < 1e-12 else f"{line.chance:.1e}"
-    text += f"; chance that noise makes it anywhere in the test {chance} (level {level:g})"
-    return "; ".join([text, *line.also])
 
 
 SIDEBAND_NUMBERS = MethodNumbers("5-identify-bearings.toml", "shaft_speed")

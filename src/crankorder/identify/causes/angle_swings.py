@@ -48,16 +48,16 @@ class AngleSwings:
     def of(cls, frames: Sequence[xr.Dataset], orders: Sequence[AgreedOrder]) -> AngleSwings:
         """What the ``frames`` (OrderFrames) of a test state of the angle by which its ``orders`` were found."""
         recordings, whole = [], [2 * harmonic for harmonic in HARMONICS]
-        for item in frames:
-            swing = np.abs(swing_shown([item]))
-            swing[:, whole] -= np.minimum(swing[:, whole], item.attrs.get(TAKEN, 0.0))
+        for spectra in frames:
+            swing = np.abs(swing_shown([spectra]))
+            swing[:, whole] -= np.minimum(swing[:, whole], spectra.attrs.get(TAKEN, 0.0))
             recordings.append(swing)
         shown = np.concatenate(recordings)
         shown = shown[np.argsort(shown[:, 0])]
-        unseen, highest = np.zeros(shown.shape[1]), max(float(item["order"].max()) for item in frames)
-        if any(0.0 < float(item.attrs.get(LINES, 0.0)) < LINES_PER_HARMONIC for item in frames):
+        unseen, highest = np.zeros(shown.shape[1]), max(float(spectra["order"].max()) for spectra in frames)
+        if any(0.0 < float(spectra.attrs.get(LINES, 0.0)) < LINES_PER_HARMONIC for spectra in frames):
             unseen = np.where(shown.any(axis=0), 0.0, _likely_swings(orders, len(unseen), highest))
-        proved = any(float(np.max(item.attrs.get(TAKEN, [0.0]))) > 0.0 for item in frames)
+        proved = any(float(np.max(spectra.attrs.get(TAKEN, [0.0]))) > 0.0 for spectra in frames)
         return cls(shown, unseen, left_of(frames), proved)
 
     def at(self, half_orders: int, rpm: Floats, *, unseen: bool) -> Floats:

@@ -90,7 +90,7 @@ def _at(engine: Engine, order: float, rpm: float, gas: Floats, highest: int, lev
 def gas_half_orders(orders: Iterable[float]) -> tuple[str, ...]:
     """Those of ``orders`` that are one of ``GAS_ORDERS``, in words."""
     return tuple(
-        f"{one:.1f}" for one in orders if any(abs(one - known) < NUMBERS.gas_reach_orders for known in GAS_ORDERS)
+        f"{order:.1f}" for order in orders if any(abs(order - known) < NUMBERS.gas_reach_orders for known in GAS_ORDERS)
     )
 
 
@@ -102,7 +102,7 @@ def cycle_doubts(
     They must be locked to the shaft. Fewer half orders than a four-stroke engine could make say nothing, and neither
     does their lack, unless the ``engine`` has gas that makes half orders up to ``max_order`` as large as whole ones.
     """
-    locked = sorted({one.order for one in orders if one.lock == "locked"})
+    locked = sorted({record.order for record in orders if record.lock == "locked"})
     if two_stroke:
         half = gas_half_orders(locked)
         doubted = len(half) > 1

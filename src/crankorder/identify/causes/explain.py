@@ -22,7 +22,7 @@ from crankorder.identify.causes.sidebands import (
     spacings_of,
     struck_races,
 )
-from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderLine, Tone
+from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Mode, OrderLine, Tone
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.growth import is_motion, largest, order_one
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
@@ -68,7 +68,7 @@ class _Test:
     ``races`` that are struck, ``folds`` that show, ``forces`` of gas and masses, ``modes``.
     """
 
-    orders: tuple[AgreedOrder, ...]
+    orders: AgreedOrders
     machine: MachineModel
     races: list[StruckRace]
     folds: Sequence[ShownAlias]
@@ -97,7 +97,7 @@ class _Line:
 
 
 def explained(
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     modal: ModalFit,
     bearings: Sequence[BearingFinding],
     *,
@@ -148,30 +148,13 @@ def explained(
     for key, cause in (of_swing or {}).items():
         if causes[key].is_just(*BY_ITSELF, *OF_NUMBER):
             causes[key] = cause
-    causes |= _electric(orders, causes, modal, known, sources, settings, longest_rev)
-    spacings, modes_hz = spacings_of(sources, bearings), [mode.frequency_hz for mode in modal.modes]
-    causes |= explain_families(orders, causes, of_cycle, spacings=spacings, modes_hz=modes_hz, of_swing=of_swing or {})
-    rpm = _one_speed(orders)
-    modes = tuple(_of_mode(mode, races, rpm) for mode in modal.modes)
-    return Causes(causes, modes, _explained_tones(modal.tones, races, sources.gears, rpm, known, settings))
-
-
-def _electric(
-    orders: tuple[AgreedOrder, ...],
-    causes: LineCauses,
-    modal: ModalFit,
-    known: Sequence[LineSeen],
-    sources: MachineModel,
-    settings: IdentifySettings,
-    longest_rev: float,
-) -> LineCauses:
-    """Causes of the lines of the mains and of the motor; with what else each may be, where the data do not tell."""
-    of_cycle = {agreed.order: _unparted(agreed, sources.revs_per_cycle, longest_rev) for agreed in orders}
-    tones = [tone for tone in modal.tones if tone.kind == "mains"]
-    exact = [order for order, multiple in of_cycle.items() if multiple is not None]
+    # lines of the mains and of the motor, with what else each may be where the data do not tell
+    unparted = {agreed.order: _unparted(agreed, sources.revs_per_cycle, longest_rev) for agreed in orders}
+    mains = [tone for tone in modal.tones if tone.kind == "mains"]
+    exact = [order for order, multiple in unparted.items() if multiple is not None]
     # what errors of the angle may make beside a strong order has a cause that nothing tells from mains
     lines = tuple(agreed for agreed in orders if not agreed.of_angle)
-    electric = mains_orders(lines, tones=tones, exact=exact, settings=settings)
+    electric = mains_orders(lines, tones=mains, exact=exact, settings=settings)
     sure: set[float] = set()
     for agreed in orders:
         seen = named_by(known, agreed)
@@ -181,11 +164,16 @@ def _electric(
             electric[agreed.order] = seen.cause(f"{where}, where it was expected")
             if seen.alone:
                 sure.add(agreed.order)
-    return {
-        (channel, order): _with_electric(cause, electric[order], of_cycle[order], order in sure)
+    causes |= {
+        (channel, order): _with_electric(cause, electric[order], unparted[order], order in sure)
         for (channel, order), cause in causes.items()
         if order in electric
     }
+    spacings, modes_hz = spacings_of(sources, bearings), [mode.frequency_hz for mode in modal.modes]
+    causes |= explain_families(orders, causes, of_cycle, spacings=spacings, modes_hz=modes_hz, of_swing=of_swing or {})
+    rpm = _one_speed(orders)
+    modes = tuple(_of_mode(mode, races, rpm) for mode in modal.modes)
+    return Causes(causes, modes, _explained_tones(modal.tones, races, sources.gears, rpm, known, settings))
 
 
 def _with_electric(cause: Cause, electric: Cause, of_cycle: float | None, sure: bool) -> Cause:
@@ -230,7 +218,7 @@ def _gas_in_pressure(of: _Line, test: _Test) -> Cause | None:
     return Cause("gas cycle", f"order {of.of_cycle:g}, a multiple of the {cycle}, in the pressure itself; {of.proof}")
 
 
-def _forces_of_cycle(orders: tuple[AgreedOrder, ...], sources: MachineModel) -> ForcesOfCycle:
+def _forces_of_cycle(orders: AgreedOrders, sources: MachineModel) -> ForcesOfCycle:
     """Gas and inertia by channel and order, at the speed where each line is largest; empty without gas or engine."""
     if sources.engine is None or not sources.firing:
         return {}
@@ -263,8 +251,8 @@ def _kinematics(of: _Line, test: _Test) -> Cause | None:
     if not gas and machine.revs_per_cycle == 2 and len(half := gas_half_orders(o.order for o in test.orders)) > 1:
         gas = f"half orders ({', '.join(half)}) show gas torque"
     if gas:
-        told = "nothing that was stated tells how much of this order it makes"
-        return Cause("gas cycle", f"{masses}; {gas}, and {told}; {of.proof}").either(Cause("engine kinematics"))
+        unstated = "nothing that was stated tells how much of this order it makes"
+        return Cause("gas cycle", f"{masses}; {gas}, and {unstated}; {of.proof}").either(Cause("engine kinematics"))
     return Cause("engine kinematics", f"{masses}; {of.proof}")
 
 
@@ -410,7 +398,7 @@ def _explained_tones(
     sides, highest = [not on for on in _on_one_grid(places, errors)], max(places, default=1.0)
     bands = sidebands(places, errors, sizes, spacings=mains, highest=highest, sides=sides)
     of = {band.at: band for band in bands}
-    supply = supply_told([(one.frequency_hz, 0.0) for one in tones if one.kind == "mains"], settings=settings)
+    supply = supply_told([(tone.frequency_hz, 0.0) for tone in tones if tone.kind == "mains"], settings=settings)
     causes = []
     for number, tone in enumerate(tones):
         band = of.get(number)
@@ -502,13 +490,14 @@ def with_neighbours_named(modal: ModalFit, orders: Sequence[AgreedOrder], causes
         for tone, cause in zip(modal.tones, causes.tones, strict=True)
     ]
     if rpm is not None:
-        of_orders = [(one.order * rpm / 60.0, causes.orders[one.lines[0].channel, one.order]) for one in orders]
+        of_orders = [(of.order * rpm / 60.0, causes.orders[of.lines[0].channel, of.order]) for of in orders]
         lines += [(hertz, cause.text) for hertz, cause in of_orders if cause.known]
-    modes = tuple(_beside(mode, lines) if mode.undecided else mode for mode in modal.modes)
+    modes = tuple(_with_lines_there(mode, lines) if mode.undecided else mode for mode in modal.modes)
     return replace(modal, modes=modes)
 
 
-def _beside(mode: Mode, lines: Sequence[tuple[float, str]]) -> Mode:
+def _with_lines_there(mode: Mode, lines: Sequence[tuple[float, str]]) -> Mode:
+    """``mode`` with those of ``lines`` (Hz, cause) named that lie within its interval and may be all of it."""
     low, high = mode.frequency_ends
     half = min(0.5 * (high - low), NEIGHBOUR_NUMBERS.near_share * mode.frequency_hz)
     reach = max(NEIGHBOUR_NUMBERS.too_near_hz, half)

@@ -10,7 +10,7 @@ import numpy as np
 
 from crankorder.cause import Cause, CauseKind
 from crankorder.findings import BearingFinding
-from crankorder.identify.found import AgreedOrder, OrderLine
+from crankorder.identify.found import AgreedOrder, AgreedOrders, OrderLine
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.line_phasors import NO_PULSES
 from crankorder.identify.machine_model import MachineModel
@@ -57,15 +57,15 @@ def sidebands(
         lie alike far from many others by nature and prove nothing
     """
     order = np.argsort(-np.asarray(amplitudes))
-    found: dict[int, Sideband] = {}
+    bands: dict[int, Sideband] = {}
     for carrier in order.tolist():
-        if carrier in found:
+        if carrier in bands:
             continue
         may = [(sides is None or sides[k]) and amplitudes[k] < amplitudes[carrier] for k in range(len(places))]
         for pair in _pairs(carrier, places, errors, may, spacings, highest):
             for side in pair:
-                found.setdefault(side.at, side)
-    return [found[at] for at in sorted(found)]
+                bands.setdefault(side.at, side)
+    return [bands[at] for at in sorted(bands)]
 
 
 def _pairs(
@@ -151,22 +151,22 @@ def other_shafts(places: Sequence[float], errors: Sequence[float]) -> dict[int, 
     anywhere would make less than 5 % of such a family.
     """
     order = np.argsort(places).tolist()
-    found: dict[int, tuple[int, int]] = {}
+    harmonics: dict[int, tuple[int, int]] = {}
     for first in order:
-        if first in found:
+        if first in harmonics:
             continue
         family, chance = {first: 1}, 1.0
         for other in order:
             multiple = round(places[other] / places[first])
             error = float(np.hypot(multiple * errors[first], errors[other]))
             near = abs(places[other] - multiple * places[first]) <= NUMBERS.same_sigmas * error
-            if near and multiple > 1 and other not in found:
+            if near and multiple > 1 and other not in harmonics:
                 family[other] = multiple
                 chance *= min(1.0, 2.0 * NUMBERS.same_sigmas * error / places[first])
         # any of the others could have been the one that fits
         if 2 in family.values() and chance * len(places) < NUMBERS.family_chance:
-            found |= {line: (first, multiple) for line, multiple in family.items()}
-    return found
+            harmonics |= {line: (first, multiple) for line, multiple in family.items()}
+    return harmonics
 
 
 FAMILY_NUMBERS = MethodNumbers("5-identify-explain.toml", "explain_families")
@@ -174,12 +174,15 @@ FAMILY_NUMBERS = MethodNumbers("5-identify-explain.toml", "explain_families")
 LineCauses = dict[tuple[str, float], Cause]
 """Causes of lines by channel and AgreedOrder.order."""
 
+Lines = Sequence[tuple[AgreedOrder, OrderLine]]
+"""Lines of one channel, each beside the order on which all channels agree."""
+
 BY_ITSELF: tuple[CauseKind, ...] = ("unexplained", "shaft harmonic")
 """Causes of lines that a mesh beside them explains better."""
 
 
 def explain_families(
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     causes: LineCauses,
     of_cycle: dict[float, float | None],
     *,
@@ -203,16 +206,21 @@ def explain_families(
         lines = [(agreed, line) for agreed in orders for line in agreed.lines if line.channel == channel]
         unswung = [pair for pair in lines if (channel, pair[0].order) not in of_swing]
         families |= _meshes(channel, unswung, causes, of_cycle, modes_hz)
-        families |= _sidebands(channel, lines, causes, of_cycle, spacings)
+        # unexplained lines off the multiples of the cycle that stand in pairs about a stronger line
+        free = [causes[channel, a.order].is_just("unexplained") and of_cycle[a.order] is None for a, _ in lines]
+        places = [agreed.order for agreed, _ in lines]
+        # an error of the speed shifts all alike
+        errors = [min(agreed.order_error, line.order_error) for agreed, line in lines]
+        sizes, highest = [float(line.amplitude.max()) for _, line in lines], max(places, default=1.0)
+        for band in sidebands(places, errors, sizes, spacings=spacings, highest=highest, sides=free):
+            named = f" ({band.spacing_name})" if band.spacing_name else ""
+            evidence = f"one of a pair about a stronger line{named}; {band.chance:.1g} such pairs by chance"
+            families[channel, places[band.at]] = sideband_of(places[band.carrier], band.spacing, evidence)
     return families | _shafts(orders, causes, families, of_cycle)
 
 
 def _meshes(
-    channel: str,
-    lines: list[tuple[AgreedOrder, OrderLine]],
-    causes: LineCauses,
-    of_cycle: dict[float, float | None],
-    modes_hz: Sequence[float],
+    channel: str, lines: Lines, causes: LineCauses, of_cycle: dict[float, float | None], modes_hz: Sequence[float]
 ) -> LineCauses:
     """Whole orders of one channel that are a mesh by their sidebands, and these; stated meshes have sidebands too."""
     whole: dict[int, tuple[float, OrderLine]] = {}
@@ -227,7 +235,7 @@ def _meshes(
         stated = mesh in known
         if not stated and (not causes[channel, order].is_just(*BY_ITSELF) or _lifted(line, mesh, modes_hz)):
             continue
-        sides = list(_sides(mesh, whole, line))
+        sides = _sides(mesh, whole, line)
         if not stated:
             about = ", ".join(str(number) for number in sorted(sides))
             evidence = f"order {mesh} stands over its sidebands at orders {about}"
@@ -247,14 +255,14 @@ def sideband_of(carrier: float, spacing: float, evidence: str, *, unit: str = ""
 
 def _sides(mesh: int, whole: dict[int, tuple[float, OrderLine]], carrier: OrderLine) -> list[int]:
     """Whole orders beside ``mesh``, outwards as long as none is missing or stands over half of its ``carrier``."""
-    found = []
+    sides = []
     for step in (-1, 1):
         for distance in range(1, FAMILY_NUMBERS.most_sidebands + 1):
-            item = whole.get(mesh + step * distance)
-            if item is None or NUMBERS.mesh_ratio * item[1].amplitude.max() > carrier.amplitude.max():
+            beside = whole.get(mesh + step * distance)
+            if beside is None or NUMBERS.mesh_ratio * beside[1].amplitude.max() > carrier.amplitude.max():
                 break
-            found.append(mesh + step * distance)
-    return found
+            sides.append(mesh + step * distance)
+    return sides
 
 
 def _lifted(line: OrderLine, order: int, modes_hz: Sequence[float]) -> bool:
@@ -266,28 +274,8 @@ def _lifted(line: OrderLine, order: int, modes_hz: Sequence[float]) -> bool:
     return bool(np.mean(near.any(axis=1)) >= 0.5)
 
 
-def _sidebands(
-    channel: str,
-    lines: list[tuple[AgreedOrder, OrderLine]],
-    causes: LineCauses,
-    of_cycle: dict[float, float | None],
-    spacings: dict[str, float],
-) -> LineCauses:
-    """Unexplained lines of one channel, off the multiples of the cycle, that stand in pairs about a stronger line."""
-    free = [causes[channel, a.order].is_just("unexplained") and of_cycle[a.order] is None for a, _ in lines]
-    places = [agreed.order for agreed, _ in lines]
-    errors = [min(agreed.order_error, line.order_error) for agreed, line in lines]  # a speed's error shifts all alike
-    sizes, highest = [float(line.amplitude.max()) for _, line in lines], max(places, default=1.0)
-    family: LineCauses = {}
-    for band in sidebands(places, errors, sizes, spacings=spacings, highest=highest, sides=free):
-        named = f" ({band.spacing_name})" if band.spacing_name else ""
-        evidence = f"one of a pair about a stronger line{named}; {band.chance:.1g} such pairs by chance"
-        family[channel, places[band.at]] = sideband_of(places[band.carrier], band.spacing, evidence)
-    return family
-
-
 def _shafts(
-    orders: tuple[AgreedOrder, ...], causes: LineCauses, families: LineCauses, of_cycle: dict[float, float | None]
+    orders: AgreedOrders, causes: LineCauses, families: LineCauses, of_cycle: dict[float, float | None]
 ) -> LineCauses:
     """Lines not locked to the shaft, in whole ratios to one another: those of another shaft."""
 
@@ -296,7 +284,7 @@ def _shafts(
         return [key for key in keys if causes[key].is_just("unexplained") and key not in families]
 
     free = [agreed for agreed in orders if of_cycle[agreed.order] is None and open_lines(agreed)]
-    found = other_shafts([agreed.order for agreed in free], [agreed.order_error for agreed in free])
+    harmonics = other_shafts([agreed.order for agreed in free], [agreed.order_error for agreed in free])
     shafts: LineCauses = {}
     has_first = any(
         abs(agreed.order - 1.0) < FAMILY_NUMBERS.first_reach_orders
@@ -304,9 +292,9 @@ def _shafts(
         for agreed in orders
     )
     speed_may_be_wrong = not has_first and all(NO_PULSES in agreed.doubts for agreed in free)
-    for at, (first, multiple) in found.items():
+    for at, (first, multiple) in harmonics.items():
         base = free[first].order
-        count = sum(1 for other, _ in found.values() if other == first)
+        count = sum(1 for other, _ in harmonics.values() if other == first)
         evidence = f"not locked to the shaft; {count} lines are whole multiples of order {base:.5g}"
         if speed_may_be_wrong:
             evidence += "; nothing stands at order 1, and no pulses prove the speed"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -241,15 +242,12 @@ def order_changes(
     for channel in channels if len(pairs[0]) else ():
         for order, locked in orders:
             with_phases = phases and locked and _phases_compare(base, new, order)
-            lines = [
-                line_of(order_map, channel, order, at, locked=locked, phases=with_phases)
-                for order_map, at in zip((base, new), pairs, strict=True)
-            ]
+            read = partial(line_of, channel=channel, order=order, locked=locked, phases=with_phases)
+            lines = [read(order_map, at=at) for order_map, at in zip((base, new), pairs, strict=True)]
             if all(np.isfinite(line.amplitude).any() for line in lines):
                 rpm = base["speed"].values[pairs[0]], new["speed"].values[pairs[1]]
-                lines[1] = _for_speed(base, channel, order, pairs[0], rpm, lines[1], locked=locked, phases=with_phases)
+                before, after = lines[0], _for_speed(base, pairs[0], rpm, lines[1], read)
                 unit = str(base["unit"].values[base["channel"].values.tolist().index(channel)])
-                before, after = lines
                 changes.append(change(before, after, *rpm, channel=channel, order=order, unit=unit, locked=locked))
     if not changes:
         return changes
@@ -259,25 +257,18 @@ def order_changes(
     return [replace(each, changed=bool(claim), changed_at=at) for each, claim, at in claims]
 
 
-def _for_speed(
-    base: xr.Dataset,
-    channel: str,
-    order: float,
-    at: Ints,
-    speeds: tuple[Floats, Floats],
-    new: Line,
-    *,
-    locked: bool,
-    phases: bool,
-) -> Line:
-    """The line ``new`` with errors that hold what the difference of like speeds may make, by the slope in ``base``."""
+def _for_speed(base: xr.Dataset, at: Ints, speeds: tuple[Floats, Floats], new: Line, read: Callable[..., Line]) -> Line:
+    """The line ``new`` with errors that hold what the difference of like speeds may make, by the slope in ``base``.
+
+    ``read`` gives the line of that order and channel in a map (:func:`line_of`).
+    """
     speed = base["speed"].values
     apart = np.abs(speeds[1] - speeds[0])
     known = np.flatnonzero(np.isfinite(speed))
     known = known[np.argsort(speed[known], kind="stable")]
     if len(known) < 2 or not np.any(apart > 0):
         return new
-    whole = line_of(base, channel, order, known, locked=locked, phases=phases)
+    whole = read(base, at=known)
     added = []
     slopes = np.zeros(len(speed))
     for values in (whole.amplitude, whole.vector):

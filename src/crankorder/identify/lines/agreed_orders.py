@@ -9,7 +9,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.cause import alike_speeds
-from crankorder.identify.found import UNRESOLVED, AgreedOrder, Doubt, OrderLine
+from crankorder.identify.found import UNRESOLVED, AgreedOrder, AgreedOrders, Doubt, OrderLine
 from crankorder.identify.intervals import half_width, root
 from crankorder.identify.lines.line_evidence import LOBE_BINS
 from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
@@ -132,7 +132,7 @@ def orders_agreed(
     order_map: xr.Dataset,
     settings: IdentifySettings,
     followed: Sequence[xr.Dataset] = (),
-) -> tuple[AgreedOrder, ...]:
+) -> AgreedOrders:
     """Orders of the test, lowest first, each with the ``lines`` of the channels that show it: they see one shaft.
 
     The number is told by the phase that a line gains on its bin from frame to frame in each of the recordings
@@ -199,21 +199,21 @@ def _with_close_lines(orders: list[_Unnamed], test: _Test, settings: IdentifySet
     return orders
 
 
-def _may_be_mains(one: _Unnamed, settings: IdentifySettings) -> bool:
+def _may_be_mains(unnamed: _Unnamed, settings: IdentifySettings) -> bool:
     """Whether a line stands on a multiple of the mains and speeds too alike tell it from one: it proves no speed.
 
     A motor's stated speed is often that of the field, whose multiples the mains make however the shaft turns.
     """
-    speeds = np.concatenate([line.speed_rpm for line in one.lines])
+    speeds = np.concatenate([line.speed_rpm for line in unnamed.lines])
     if not alike_speeds(speeds):
         return False
-    return bool(multiples_near(one.number.order * float(speeds.mean()) / 60.0, 0.0, settings=settings))
+    return bool(multiples_near(unnamed.number.order * float(speeds.mean()) / 60.0, 0.0, settings=settings))
 
 
 def _groups(lines: Sequence[OrderLine]) -> list[list[OrderLine]]:
     """Lines of different channels that are one order; a channel has no two such."""
     groups: list[list[OrderLine]] = []
-    for line in sorted(lines, key=lambda item: item.order):
+    for line in sorted(lines, key=lambda by_order: by_order.order):
         channels = {other.channel for other in groups[-1]} if groups else set()
         if groups and line.order - groups[-1][0].order < NUMBERS.same_order and line.channel not in channels:
             groups[-1].append(line)
@@ -302,7 +302,7 @@ def _may_be_two(group: list[OrderLine]) -> bool:
 
 def _unparted(number: _Number, test: _Test) -> _Number:
     """``number`` of what may be two lines: either may be the order, at most so far away as a recording leaves open."""
-    spans = [float(np.ptp(item.centre_rev)) for item in test.recordings if len(item.centre_rev) > 1]
+    spans = [float(np.ptp(recording.centre_rev)) for recording in test.recordings if len(recording.centre_rev) > 1]
     wider = NUMBERS.unparted_cycles / max(spans) if spans else 0.5 * test.resolution
     return replace(number, error=float(np.hypot(number.error, wider)))
 
@@ -364,10 +364,10 @@ def _between(order: Floats, variance: Floats) -> float:
     return root(over, 0.0, float(np.ptp(order)) ** 2 * len(order) + 1e-30, within=1e-24)
 
 
-def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
-    number, lines = found.number, found.lines
+def _named(unnamed: _Unnamed, test: _Test) -> AgreedOrder:
+    number, lines = unnamed.number, unnamed.lines
     order, error = number.order, number.error
-    doubts = [*found.doubts]
+    doubts = [*unnamed.doubts]
     if not test.speed_is_sure:
         error = float(np.hypot(error, ORDER_LOCK.stated_speed_error * order))
         doubts.append(NO_PULSES)
@@ -382,7 +382,7 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
         lock = "undecided"
         error = max(error, abs(order - multiple) / half_width(number.degrees_of_freedom))
         doubts.append(IN_SWEEP)
-    if lock == "slips" and _may_be_a_pair(found, abs(order - multiple), test):
+    if lock == "slips" and _may_be_a_pair(unnamed, abs(order - multiple), test):
         lock = "undecided"
         doubts.append(UNPARTED)
     if lock == "slips" and any(UNRESOLVED in line.doubts for line in lines):
@@ -402,23 +402,23 @@ def _named(found: _Unnamed, test: _Test) -> AgreedOrder:
     return AgreedOrder(order, error, number.degrees_of_freedom, lock, needed, tuple(lines), tuple(doubts), own)
 
 
-def _may_be_a_pair(found: _Unnamed, off: float, test: _Test) -> bool:
-    """Whether a locked line, ``off`` orders away, and another one beyond would be read as the one that was ``found``.
+def _may_be_a_pair(unnamed: _Unnamed, off: float, test: _Test) -> bool:
+    """Whether a locked line, ``off`` orders away, and another one beyond would be read as the one that was ``unnamed``.
 
     In a sweep where no frame in which close lines are looked for parts them; at held speeds where what was found swells
     and fades and the longest recording holds less than some beats of the two.
     """
-    if found.number.parted_rev > 0.0 or not test.recordings:
+    if unnamed.number.parted_rev > 0.0 or not test.recordings:
         return False
     span_rev = longest_rev(test.recordings)
-    if found.number.swept:
+    if unnamed.number.swept:
         return bool(off * longer_frames(float(test.recordings[0].revs), span_rev)[-1] < SWEPT_ORDERS.nearest_bins)
-    return SWELLS in found.doubts and off * span_rev < NUMBERS.beats_of_a_pair
+    return SWELLS in unnamed.doubts and off * span_rev < NUMBERS.beats_of_a_pair
 
 
 def unless_sidebands(
     orders: Sequence[AgreedOrder], order_map: xr.Dataset, frames: Sequence[xr.Dataset]
-) -> tuple[AgreedOrder, ...]:
+) -> AgreedOrders:
     """``orders``, undecided and of no number of their own where errors of the crank angle (in ``frames``) may have made
     them. A line of the shaft that most speeds of ``order_map`` show is none of these, whose orders move with the speed.
     """
@@ -458,13 +458,13 @@ def _needed_revs(order: float, lines: list[OrderLine], test: _Test) -> float | N
     return needed if needed > longest_rev(test.recordings) else None
 
 
-def _rebuilt(group: list[OrderLine], test: _Test, found: dict[int, Zoomed], number: _Number) -> list[OrderLine]:
-    """Lines of the channels of ``group`` with amplitudes of the one component ``found`` in the recordings alone."""
+def _rebuilt(group: list[OrderLine], test: _Test, zoomed: dict[int, Zoomed], number: _Number) -> list[OrderLine]:
+    """Lines of the channels of ``group`` with amplitudes of the one component ``zoomed`` in the recordings alone."""
     speed = test.order_map["speed"].values
     lines = []
     for channel, line in enumerate(group):
         rows = []
-        for k, z in found.items():
+        for k, z in zoomed.items():
             mean_rpm = float(np.mean(test.recordings[k].speed_rpm))
             distance = np.abs(speed - mean_rpm)
             seen = int(np.nanargmin(distance)) if np.isfinite(distance).any() else 0

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.found import UNRESOLVED, AgreedOrder, Doubt, OrderLine, Tone, ToneKind
+from crankorder.identify.found import UNRESOLVED, AgreedOrder, AgreedOrders, Doubt, OrderLine, Tone, ToneKind
 from crankorder.identify.intervals import half_width, interval
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.agreed_orders import NUMBERS as AGREED_ORDERS
@@ -38,7 +38,7 @@ ONLY_FOLLOWED = Doubt(
 )
 
 
-def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset]) -> tuple[AgreedOrder, ...]:
+def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset]) -> AgreedOrders:
     """``orders`` of which an undecided one has the number under which it was followed, where its interval holds that.
 
     A fast sweep turns the phase of a line by its modes in so few revolutions that its number is known to a percent
@@ -46,7 +46,7 @@ def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Da
     tell: that is told within the 99.9 % interval of the order, a multiple is but likely and lies within that of 95 %.
     A number that another of the orders has already is left to that; errors grow by what a number moves.
     """
-    tracks: list[Floats] = [item["order"].values for item in followed if item.attrs.get("swept", 0)]
+    tracks: list[Floats] = [sweep["order"].values for sweep in followed if sweep.attrs.get("swept", 0)]
     if not tracks:
         return tuple(orders)
     numbers = np.unique(np.concatenate(tracks))
@@ -68,9 +68,7 @@ def numbered_as_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Da
     return tuple(sorted(renumbered, key=lambda agreed: agreed.order))
 
 
-def with_followed(
-    orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset], order_map: xr.Dataset
-) -> tuple[AgreedOrder, ...]:
+def with_followed(orders: Sequence[AgreedOrder], followed: Sequence[xr.Dataset], order_map: xr.Dataset) -> AgreedOrders:
     """``orders`` and, undecided, those that tracks of ``followed`` (RecordingTracks) alone show.
 
     A fast sweep lets a multiple of the cycle's order stand out for a moment only, as where it meets a mode: too few
@@ -83,34 +81,35 @@ def with_followed(
     if len(axis) < 2:
         return tuple(orders)
     step = float(axis[1] - axis[0])
-    for item in followed:
-        slow = _slow_lines(item, LOWEST_BINS * step)
-        for place in standing_out(item):
-            number = float(item["order"].values[place])
-            nearest = min((abs(number - item["order"].values[other]) for other in slow if other != place), default=step)
+    for sweep in followed:
+        slow = _slow_lines(sweep, LOWEST_BINS * step)
+        for place in standing_out(sweep):
+            number = float(sweep["order"].values[place])
+            beside = (abs(number - sweep["order"].values[other]) for other in slow if other != place)
+            nearest = min(beside, default=step)
             apart = 0.5 * min(step, nearest) if place in slow else 0.5 * step
-            known = any(abs(one.order - number) <= max(NUMBERS.same_order * number, apart) for one in known_orders)
+            known = any(abs(kept.order - number) <= max(NUMBERS.same_order * number, apart) for kept in known_orders)
             off = 0.0 if place in slow else abs(nearest_multiple(number, revs_per_cycle=cycle) - number)
             if known or off > NUMBERS.same_order * number:
                 continue
             with np.errstate(invalid="ignore", divide="ignore"):
-                level = np.abs(item["amplitude"].values[:, place]) / item["standard_error"].values[:, place]
+                level = np.abs(sweep["amplitude"].values[:, place]) / sweep["standard_error"].values[:, place]
             clear = np.nan_to_num(level) > NUMBERS.clear_sigmas
             clear &= (np.count_nonzero(clear, axis=1) >= NUMBERS.clear_rows)[:, None]  # (channel, frame)
             if clear.any():
-                span = float(np.ptp(item["crank_angle"].values[clear.any(axis=0)]))
+                span = float(np.ptp(sweep["crank_angle"].values[clear.any(axis=0)]))
                 error = min(apart, AGREED_ORDERS.most_mode_turns / span) / half_width(np.inf)
-                lines = _lines_along(item, place, clear, error, order_map)
+                lines = _lines_along(sweep, place, clear, error, order_map)
                 doubts = (ONLY_FOLLOWED, IN_SWEEP)
                 known_orders.append(AgreedOrder(number, error, np.inf, "undecided", None, lines, doubts))
-    return tuple(sorted(known_orders, key=lambda one: one.order))
+    return tuple(sorted(known_orders, key=lambda agreed: agreed.order))
 
 
-def _slow_lines(item: xr.Dataset, width: float) -> list[int]:
-    """Places of the lines standing out in the tracks ``item`` that are within ``width`` orders of order 0, or of the
+def _slow_lines(sweep: xr.Dataset, width: float) -> list[int]:
+    """Places of the lines standing out in the tracks ``sweep`` that are within ``width`` orders of order 0, or of the
     one before that is: frames that short hold them as one with the mean."""
-    places = standing_out(item)
-    numbers = [float(item["order"].values[place]) for place in places]
+    places = standing_out(sweep)
+    numbers = [float(sweep["order"].values[place]) for place in places]
     within = np.cumprod(np.diff(numbers, prepend=0.0) < width)
     return [place for place, slow in zip(places, within, strict=True) if slow]
 
@@ -124,7 +123,7 @@ def slow_flags(
     holds nothing of the mean. The length of the recordings of ``frames`` (OrderFrames) says what longer frames tell.
     """
     revs, at, amplitude = float(order_map.attrs["revs_per_frame"]), int(LOWEST_BINS), order_map["amplitude"].values
-    if amplitude.shape[2] <= at + 1 or any(one.order * revs < LOWEST_BINS for one in orders):
+    if amplitude.shape[2] <= at + 1 or any(agreed.order * revs < LOWEST_BINS for agreed in orders):
         return []
     over = excess_over_noise(order_map, settings=settings.identify, orders=settings.orders)
     n, chance = order_map["n_independent"].values.astype(float), settings.identify.false_alarm_probability
@@ -144,20 +143,20 @@ def slow_flags(
 
 
 def _lines_along(
-    item: xr.Dataset, place: int, clear: Bools, error: float, order_map: xr.Dataset
+    sweep: xr.Dataset, place: int, clear: Bools, error: float, order_map: xr.Dataset
 ) -> tuple[OrderLine, ...]:
-    """Lines of the order at ``place`` of the tracks ``item``, in rows of the map, of channels where it is ``clear``."""
-    number, none = float(item["order"].values[place]), np.zeros(0)
+    """Lines of the order at ``place`` of the tracks of a ``sweep``, in rows of the map, where it is ``clear``."""
+    number, none = float(sweep["order"].values[place]), np.zeros(0)
     stand_ins = []
-    for channel, name in enumerate(item["channel"].values.tolist()):
+    for channel, name in enumerate(sweep["channel"].values.tolist()):
         rows = np.flatnonzero(clear[channel])
         if len(rows):
-            amplitude, noise = (item[key].values[channel, place, rows] for key in ("amplitude", "standard_error"))
+            amplitude, noise = (sweep[key].values[channel, place, rows] for key in ("amplitude", "standard_error"))
             level = 20.0 * np.log10(float((np.abs(amplitude) / noise).max()))
             seen = np.zeros(0, dtype=np.int64)
             line = OrderLine(name, number, error, seen, none, none, none, none, none, "follows the speed", level)
             stand_ins.append(line)
-    track = Followed(item, place, number, error**2, by_phase=False, course=None)
+    track = Followed(sweep, place, number, error**2, by_phase=False, course=None)
     speeds = order_map["speed"].values
     return tuple(lines_of(stand_ins, [track], speed_rpm=speeds, order=number, order_error=error))
 
@@ -166,16 +165,14 @@ FIXED_WORDS: dict[ToneKind, str] = {"mains": "mains", "tone": "a tone"}
 """Lines that stay where they are, in a sentence; what may be an order is none."""
 
 
-def with_track_rows(
-    orders: Sequence[AgreedOrder], reader: TrackReader, *, settings: OrderSettings
-) -> tuple[AgreedOrder, ...]:
+def with_track_rows(orders: Sequence[AgreedOrder], reader: TrackReader, *, settings: OrderSettings) -> AgreedOrders:
     """``orders`` whose lines hold the amplitudes, phases and intervals of the rows of their tracks, as ``reader`` has
     them for all orders of the test and those that ``settings`` ask for.
 
     At held speeds these are the rows at which a line was seen; of a sweep, those that surely hold something of it.
     """
     cycle = int(reader.order_map.attrs["revs_per_cycle"])
-    numbers = [track_number(one, revs_per_cycle=cycle) for one in orders]
+    numbers = [track_number(known, revs_per_cycle=cycle) for known in orders]
     tracked = all_tracked(numbers, settings)
     names = reader.order_map["channel"].values.tolist()
     followed = []
@@ -208,13 +205,7 @@ def track_number(agreed: AgreedOrder, *, revs_per_cycle: int) -> float:
 
 
 def _read(
-    line: OrderLine,
-    *,
-    channel: int,
-    rows: OrderRows,
-    met: Sequence[MetRow],
-    n_independent: Floats,
-    reader: TrackReader,
+    line: OrderLine, *, channel: int, rows: OrderRows, met: Sequence[MetRow], n_independent: Floats, reader: TrackReader
 ) -> OrderLine:
     """``line`` of the ``channel`` with what its ``rows`` hold; as it was where they hold nothing, or it is none.
 
@@ -243,8 +234,8 @@ def _read(
         phase_ci95_deg=rows.phase_ci95[channel, at],
         n_independent=n_independent[at],
     )
-    apart = [one for one in met if one.touched[channel]]
-    is_as_shown = (at < held) & ~np.isin(at, [one.row for one in apart])
+    apart = [row for row in met if row.touched[channel]]
+    is_as_shown = (at < held) & ~np.isin(at, [row.row for row in apart])
     shown = bool(is_as_shown[int(np.argmax(made.amplitude))])
     remark = remark_on(made.amplitude, made.amplitude_error, made.degrees_of_freedom, ends) if shown else ""
     return replace(made, remark="; ".join(text for text in (remark, *_met_words(apart, made, at, channel)) if text))
@@ -253,13 +244,13 @@ def _read(
 def _met_words(met: Sequence[MetRow], line: OrderLine, at: Ints, channel: int) -> list[str]:
     """What is said of rows that ``met`` lines of one frequency, of those ``at`` which ``line`` was seen."""
     said = []
-    for one in met:
-        place = np.flatnonzero(at == one.row)
-        if not len(place) or line.ends is None or not one.matters[channel]:
+    for row in met:
+        place = np.flatnonzero(at == row.row)
+        if not len(place) or line.ends is None or not row.matters[channel]:
             continue
         rpm, (low, high) = float(line.speed_rpm[place[0]]), line.ends[place[0]]
-        what = " and ".join(item.text for item in one.lines)
-        if one.is_parted[channel]:
+        what = " and ".join(line_met.text for line_met in row.lines)
+        if row.is_parted[channel]:
             said.append(f"told apart from {what}")
         elif high - low > NUMBERS.told_share * line.amplitude[place[0]]:
             said.append(f"{what} meets it at {rpm:.5g} rpm, where its own share is {low:.3g}…{high:.3g}")

@@ -151,7 +151,7 @@ def growth(line: OrderLine) -> Growth | None:
 
 
 def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
-    """What amplitudes do that ``fits`` an exponent with the interval's ``half`` width exactly, or is ``near`` it."""
+    """Name of the growth law of an ``exponent`` known to ± ``half``; it ``fits`` exactly or is ``near`` it."""
     if abs(exponent) <= half or abs(exponent) + half <= NUMBERS.least_exponent:
         steady = fits and abs(exponent) < NUMBERS.steady_exponent and half < NUMBERS.steady_precision
         return "keeps its size" if steady else "follows no power law"
@@ -161,7 +161,7 @@ def _law(exponent: float, half: float, *, fits: bool, near: bool) -> SpeedLaw:
 
 
 def _degrees_of_freedom(error: Floats, excess: float, degrees_of_freedom: Floats) -> float:
-    """Those of an error made of the speeds' own, of ``degrees_of_freedom`` each, and of the ``excess`` scatter.
+    """Degrees of freedom of an error made of the speeds' own (``degrees_of_freedom``) and of the ``excess`` scatter.
 
     Welch and Satterthwaite: the former is known with all of theirs, the latter with those of the residuals.
     """
@@ -245,12 +245,16 @@ def largest(line: OrderLine) -> Largest:
     if sigma == 0.0 or not np.isfinite(sigma):
         return Largest(at, speed, seen, seen if sigma == 0.0 else 0.0, seen if sigma == 0.0 else np.inf)
     degrees_of_freedom = known_freedom(float(line.degrees_of_freedom[at]))
-    others, count = _independent_of(at, known, line.n_independent)
+    others, count = np.delete(known, at), float(len(known))
+    if line.n_independent is not None:  # rows within a whole independent one of another share errors with it
+        place = np.cumsum(line.n_independent) - 0.5 * line.n_independent
+        others = known[np.abs(place - place[at]) > 1.0 - 1e-9]
+        count = max(1.0, float(line.n_independent.sum()))
     cut = (float(np.max(others)) - seen) / sigma if len(others) else -np.inf
     wide = half_width(degrees_of_freedom, level=1.0 - NUMBERS.simultaneous_chance / count)
     share = 0.5 * (0.05 - NUMBERS.simultaneous_chance) / (1.0 - NUMBERS.simultaneous_chance)
     parts = (LOW_SHARE * share, 1.0 - (2.0 - LOW_SHARE) * share) if len(others) else (0.025, 0.975)
-    below, above = (_not_surprising(cut, wide, degrees_of_freedom, part) for part in parts)
+    below, above = (_truncated_quantile(cut, wide, degrees_of_freedom, part) for part in parts)
     # where two speeds are alike the upper end falls on the lower one: no amplitude is told better than to its error
     low, high = max(0.0, seen + sigma * below), max(seen + sigma * above, seen + sigma)
     if line.ends is None:
@@ -268,19 +272,7 @@ def largest(line: OrderLine) -> Largest:
     return Largest(at, speed, seen, low, high)
 
 
-def _independent_of(at: int, amplitude: Floats, n_independent: Floats | None) -> tuple[Floats, float]:
-    """Amplitudes that share no error with number ``at``, and how many independent ones there are in all.
-
-    ``n_independent`` is that of each; rows within a whole independent one of another share errors with it.
-    """
-    if n_independent is None:
-        return np.delete(amplitude, at), float(len(amplitude))
-    place = np.cumsum(n_independent) - 0.5 * n_independent
-    apart = np.abs(place - place[at]) > 1.0 - 1e-9
-    return amplitude[apart], max(1.0, float(n_independent.sum()))
-
-
-def _not_surprising(cut: float, wide: float, degrees_of_freedom: float, share: float) -> float:
+def _truncated_quantile(cut: float, wide: float, degrees_of_freedom: float, share: float) -> float:
     """True less seen amplitude, in errors, at which a ``share`` of what is above ``cut`` is above what was seen."""
 
     def above(true: float) -> float:
@@ -383,8 +375,8 @@ def if_unbalance(balance: Balance, causes: Collection[Cause]) -> tuple[Balance |
     if slower and not like and not any(cause.is_just("unbalance") for cause in causes):
         return None, f"order 1 is no unbalance, or not alone: {slower[0]}"
     if slower or like:
-        told = "if order 1 is unbalance, which nothing tells from a bent shaft or misalignment"
-        return replace(balance, evidence=f"{balance.evidence}; {told}", if_unbalance=True), ""
+        condition = "if order 1 is unbalance, which nothing tells from a bent shaft or misalignment"
+        return replace(balance, evidence=f"{balance.evidence}; {condition}", if_unbalance=True), ""
     return balance, ""
 
 

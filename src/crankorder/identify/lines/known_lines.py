@@ -314,9 +314,9 @@ def waves_of(held: Held, bins: Ints, places: Sequence[Place]) -> Complexes:
     hertz, turns = np.array(places, dtype=np.float64).reshape(-1, 2).T
     away = ((turns + hertz * held.pace_s)[:, None] - axis[:, None]) * held.revs
     phase, of_bin = turns * turn + hertz * held.time_s[:, None], axis * turn
-    waves, back = (np.exp(2j * np.pi * (one - np.floor(one))) for one in (phase, of_bin))
-    made: Complexes = hann_lobe(away) * (waves[:, None] * back.conj()[..., None])
-    return made.reshape(-1, len(places))
+    waves, back = (np.exp(2j * np.pi * (turned - np.floor(turned))) for turned in (phase, of_bin))
+    waves_in: Complexes = hann_lobe(away) * (waves[:, None] * back.conj()[..., None])
+    return waves_in.reshape(-1, len(places))
 
 
 def named_by(seen: Sequence[LineSeen], agreed: AgreedOrder) -> LineSeen | None:
@@ -333,7 +333,7 @@ def named_by(seen: Sequence[LineSeen], agreed: AgreedOrder) -> LineSeen | None:
         unlike.setdefault((known.line.name, known.line.mains, known.line.turns), []).append((away, known))
     if not unlike:
         return None
-    best = min(unlike.values(), key=lambda found: float(np.mean([away for away, _ in found])))
+    best = min(unlike.values(), key=lambda sightings: float(np.mean([away for away, _ in sightings])))
     return max((known for _, known in best), key=lambda known: float(known.sighting.amplitude.max()))
 
 

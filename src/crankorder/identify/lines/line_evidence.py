@@ -323,20 +323,18 @@ def log_chance_of_kurtosis(kurtosis: Floats, frames: Floats) -> Floats:
     return np.asarray(np.minimum(ball + gammaln(frames) - 0.5 * np.log(frames), 0.0))
 
 
-def _steadier_than_a_resonance(
-    order_map: xr.Dataset, peak: int, at: int, kurtosis: float, false_alarm_probability: float
-) -> bool:
+def _steadier_than_a_resonance(order_map: xr.Dataset, peak: int, at: int, kurtosis: float, level: float) -> bool:
     """Whether even the least damped resonance, excited by noise, would swell more over the frames of the speed ``at``.
 
     Its phasor forgets itself with K = 2 pi damping f T over the time T. Its power over T, as long as that is short of
     the memory, is a random walk whose variance is below s with a chance of exp(-K / (2 s)) where the resonance stands
     at its mean, and exp(-K / (2 s e)) where it stands e times over it, which has the chance exp(-e): together
-    exp(-sqrt(2 K / s)) at most.
+    exp(-sqrt(2 K / s)) at most. ``level`` is that of a false alarm.
     """
     hop = float(order_map.attrs["revs_per_frame"]) * (1.0 - float(order_map.attrs["overlap"]))
     turned = float(order_map["order"].values[peak]) * hop * max(float(order_map["n_frames"].values[at]) - 1.0, 0.0)
     forgotten = 2.0 * np.pi * NUMBERS.least_damping * turned
-    return bool(np.exp(-np.sqrt(2.0 * forgotten / max(1.0 + kurtosis, 1e-12))) < false_alarm_probability)
+    return bool(np.exp(-np.sqrt(2.0 * forgotten / max(1.0 + kurtosis, 1e-12))) < level)
 
 
 def has_moved(order_map: xr.Dataset, peak: int, seen: Ints) -> bool:
@@ -350,8 +348,8 @@ def has_moved(order_map: xr.Dataset, peak: int, seen: Ints) -> bool:
     return bool(axis[peak] * (speed[seen].max() / speed[seen].min() - 1.0) > 2.0 * (axis[1] - axis[0]))
 
 
-def keeps_one_order(found: Sequence[Zoomed], *, false_alarm_probability: float) -> bool:
-    """Whether the phase of the line ``found`` in one recording or several turns as evenly as that of no noise.
+def keeps_one_order(zooms: Sequence[Zoomed], *, false_alarm_probability: float) -> bool:
+    """Whether the phase of the line ``zooms`` in one recording or several turns as evenly as that of no noise.
 
     The power of n frames at their best frequency stands over that of waves a little slower and faster, which a
     resonance raises alike, by more than a ratio s with a chance of at most n (1 + s / f)^(-f/2), f being the degrees of
@@ -360,13 +358,13 @@ def keeps_one_order(found: Sequence[Zoomed], *, false_alarm_probability: float) 
     are told from those of noise, whose mean phasor is as long as r with a chance of exp(-n r^2) (Rayleigh 1880).
     """
     evidence = 0.0
-    for line in found:
+    for line in zooms:
         if line.course is not None:
             evidence += line.course.steps * max(0.0, line.course.alike - OVERLAP_ALIKE) ** 2
             continue
         trials = np.log(max(line.frames, 2.0))
         evidence += max(0.0, 0.5 * line.dof * float(np.log1p(line.snr / line.dof)) - float(trials))
-    return len(found) > 0 and bool(gammaincc(len(found), evidence) < false_alarm_probability)
+    return len(zooms) > 0 and bool(gammaincc(len(zooms), evidence) < false_alarm_probability)
 
 
 REFINEMENTS = 3

@@ -77,13 +77,13 @@ NO_PULSES = Doubt("no pulses", "no encoder pulses: the number is as good as the 
 SpeedSource = Literal["pulses", "stated", "vibration"]
 
 
-def speed_source(items: Sequence[xr.Dataset]) -> SpeedSource:
-    """What the crank angle of ``items`` (frames, maps or tracks) comes from; one without a word on it has pulses.
+def speed_source(datasets: Sequence[xr.Dataset]) -> SpeedSource:
+    """What the crank angle of ``datasets`` (frames, maps or tracks) comes from; one without a word on it has pulses.
 
     "vibration" where any comes from the very orders that are looked at, "stated" where any comes from a speed that was
     stated or recorded as a signal.
     """
-    said = [flag["detail"] for item in items for flag in flags_of(item) if flag["flag"] == "no_index"]
+    said = [flag["detail"] for dataset in datasets for flag in flags_of(dataset) if flag["flag"] == "no_index"]
     if any("taken from the vibration" in detail for detail in said):
         return "vibration"
     return "stated" if any("no encoder pulses" in detail for detail in said) else "pulses"
@@ -115,15 +115,12 @@ def proves_speed(numbers: Sequence[tuple[float, float, float]], *, revs_per_cycl
     mean = abs(float(np.average(off, weights=weight)))
     if mean > together:
         return False
-    by_chance = LOCK_NUMBERS.other_shaft_chance ** len(off) * min(1.0, 2.0 * (mean + together) * _density())
+    # density, at no error at all, of what a slip and an error of the speed make together
+    least, stated = LOCK_NUMBERS.least_slip, LOCK_NUMBERS.stated_speed_error
+    slips = 0.5 * exp1(0.5 * (least / stated) ** 2) / np.log(LOCK_NUMBERS.largest_slip / least)
+    density = float(slips / (np.sqrt(2.0 * np.pi) * stated))
+    by_chance = LOCK_NUMBERS.other_shaft_chance ** len(off) * min(1.0, 2.0 * (mean + together) * density)
     return bool(by_chance < (1.0 - LOCK_NUMBERS.sure_level) * LOCK_NUMBERS.right_speed_share)
-
-
-def _density() -> float:
-    """Density, at no error at all, of what a slip and an error of the speed make together."""
-    least, error = LOCK_NUMBERS.least_slip, LOCK_NUMBERS.stated_speed_error
-    slips = 0.5 * exp1(0.5 * (least / error) ** 2) / np.log(LOCK_NUMBERS.largest_slip / least)
-    return float(slips / (np.sqrt(2.0 * np.pi) * error))
 
 
 NUMBERS = MethodNumbers("5-identify-lines.toml", "line_phasors")
@@ -178,19 +175,19 @@ def phasors_at(
     Frames of ``channels`` count whose speed is between the least and the largest of ``speeds_rpm``, give or take
     ``speed_bin_rpm``, and that are whole in all channels; recordings with fewer than two are left out.
     """
-    found: dict[int, Phasors] = {}
+    picked: dict[int, Phasors] = {}
     low, high = float(np.min(speeds_rpm)) - speed_bin_rpm, float(np.max(speeds_rpm)) + speed_bin_rpm
-    for number, item in enumerate(recordings):
-        speed = item.speed_rpm
+    for number, recording in enumerate(recordings):
+        speed = recording.speed_rpm
         known = np.isfinite(low) and bool(np.isfinite(speed).all())
         at_speed = (speed >= low) & (speed <= high) if known else np.ones(len(speed), dtype=np.bool_)
         if np.count_nonzero(at_speed) < 2:
             continue
-        phasors = np.asarray(item.spectrum[channels, :, at], dtype=np.complex128)
+        phasors = np.asarray(recording.spectrum[channels, :, at], dtype=np.complex128)
         kept = at_speed & np.isfinite(phasors.real).all(axis=0)
         if np.count_nonzero(kept) >= 2:
-            found[number] = item, phasors[:, kept], item.centre_rev[kept], speed[kept]
-    return found
+            picked[number] = recording, phasors[:, kept], recording.centre_rev[kept], speed[kept]
+    return picked
 
 
 def zooms(
@@ -209,35 +206,36 @@ def zooms(
     orders, that is expected; where ``alone`` no second line is looked for.
     """
     picked = phasors_at(recordings, channels=channels, at=at, speeds_rpm=speeds_rpm, speed_bin_rpm=speed_bin_rpm)
-    found: dict[int, Zoomed] = {}
-    for number, (item, phasors, centre, speed) in picked.items():
+    lines: dict[int, Zoomed] = {}
+    for number, (recording, phasors, centre, speed) in picked.items():
         swept = is_swept(speed)
         line = zoomed(
             phasors,
             centre,
-            revs=item.revs,
-            hop_rev=item.hop_rev,
+            revs=recording.revs,
+            hop_rev=recording.hop_rev,
             swept=swept,
             drift=_drift(centre, speed),
-            noise=_noise_beside(item, channels, at, centre) if swept else None,
+            noise=_noise_beside(recording, channels, at, centre) if swept else None,
             near=near,
             alone=alone,
         )
         if line is not None:
-            found[number] = _unaliased(line, item, channels, at, centre)
-    return found
+            lines[number] = _unaliased(line, recording, channels, at, centre)
+    return lines
 
 
-def _unaliased(line: Zoomed, item: Recording, channels: list[int], at: int, centre_rev: Floats) -> Zoomed:
+def _unaliased(line: Zoomed, recording: Recording, channels: list[int], at: int, centre_rev: Floats) -> Zoomed:
     """``line`` with its second one where the bins beside say that it is."""
     bins = np.arange(at - CLOSE_PAIR.side_bins, at + CLOSE_PAIR.side_bins + 1)
-    if line.second is None or bins[0] < 1 or bins[-1] >= item.spectrum.shape[2]:
+    if line.second is None or bins[0] < 1 or bins[-1] >= recording.spectrum.shape[2]:
         return line
-    frames = np.isin(item.centre_rev, centre_rev)
-    phasors = np.moveaxis(item.spectrum[channels][:, frames][:, :, bins], 1, 2).astype(np.complex128)
+    frames = np.isin(recording.centre_rev, centre_rev)
+    phasors = np.moveaxis(recording.spectrum[channels][:, frames][:, :, bins], 1, 2).astype(np.complex128)
     turn = centre_rev - 0.5 * (centre_rev[0] + centre_rev[-1])
+    phasors, resolution, hop_rev = np.nan_to_num(phasors), 1.0 / recording.revs, recording.hop_rev
     offsets = line.offset, line.second.offset
-    offset = unaliased(np.nan_to_num(phasors), turn, offsets=offsets, resolution=1.0 / item.revs, hop_rev=item.hop_rev)
+    offset = unaliased(phasors, turn, offsets=offsets, resolution=resolution, hop_rev=hop_rev)
     return replace(line, second=replace(line.second, offset=offset))
 
 
@@ -255,14 +253,14 @@ def _drift(centre_rev: Floats, speed_rpm: Floats) -> float:
     return abs(slope) * float(np.ptp(centre_rev))
 
 
-def _noise_beside(item: Recording, channels: list[int], at: int, centre_rev: Floats) -> Floats:
+def _noise_beside(recording: Recording, channels: list[int], at: int, centre_rev: Floats) -> Floats:
     """Noise power (channels, frames) from the bins on both sides of ``at`` beyond its lobe."""
-    n_orders = item.spectrum.shape[2]
+    spectrum = recording.spectrum
     first, last = NUMBERS.noise_bins
     beside = [*range(at - last, at - first + 1), *range(at + first, at + last + 1)]
-    bins = [k for k in beside if 1 < k < n_orders]
-    frames = np.flatnonzero(np.isin(item.centre_rev, centre_rev))
-    power = np.square(np.abs(item.spectrum[np.ix_(np.array(channels), frames, np.array(bins))].astype(np.complex128)))
+    bins = [k for k in beside if 1 < k < spectrum.shape[2]]
+    frames = np.flatnonzero(np.isin(recording.centre_rev, centre_rev))
+    power = np.square(np.abs(spectrum[np.ix_(np.array(channels), frames, np.array(bins))].astype(np.complex128)))
     median = np.nanmedian(np.where(np.isfinite(power), power, np.nan), axis=2) / np.log(2.0)
     return np.asarray(np.nan_to_num(median))
 
@@ -309,18 +307,18 @@ def parted_lines(followed: Sequence[xr.Dataset], *, near: float, reach: float) -
     Lines stand out in sweeps of ``followed`` (RecordingTracks) and are less than ``reach`` orders from the next;
     recordings that show fewer of them than others hold a mixture and are left out.
     """
-    groups = [(item, _chain(item, near, reach)) for item in followed if item.attrs.get("swept", 0)]
+    groups = [(tracks, _chain(tracks, near, reach)) for tracks in followed if tracks.attrs.get("swept", 0)]
     most = max((len(group) for _, group in groups), default=0)
     if most < 2:
         return []
     parted: list[list[Followed]] = [[] for _ in range(most)]
-    for item, group in groups:
+    for tracks, group in groups:
         if len(group) != most:
             continue
-        numbers = item["order"].values[group]
+        numbers = tracks["order"].values[group]
         for lines, place in zip(parted, group, strict=True):
-            apart = np.abs(numbers - item["order"].values[place])
-            lines.append(_read(item, place, float(apart[apart > 0.0].min())))
+            apart = np.abs(numbers - tracks["order"].values[place])
+            lines.append(_read(tracks, place, float(apart[apart > 0.0].min())))
     return parted
 
 
@@ -335,17 +333,17 @@ def stands_out(followed: Sequence[xr.Dataset], *, near: float, reach: float) -> 
     return any(abs(float(item["order"].values[place]) - near) < reach for item in said for place in standing_out(item))
 
 
-def standing_out(item: xr.Dataset) -> list[int]:
-    """Places of the orders of ``item`` that stand out in it: others were asked for."""
-    out = np.atleast_1d(np.asarray(item.attrs.get("standing_out", ()), dtype=np.float64))
-    if not len(out) or not item.sizes.get("frame", 0):
+def standing_out(tracks: xr.Dataset) -> list[int]:
+    """Places of the orders of ``tracks`` that stand out in it: others were asked for."""
+    out = np.atleast_1d(np.asarray(tracks.attrs.get("standing_out", ()), dtype=np.float64))
+    if not len(out) or not tracks.sizes.get("frame", 0):
         return []
-    return [k for k, number in enumerate(item["order"].values) if np.abs(out - number).min() < SAME_NUMBER]
+    return [k for k, number in enumerate(tracks["order"].values) if np.abs(out - number).min() < SAME_NUMBER]
 
 
-def _chain(item: xr.Dataset, near: float, reach: float) -> list[int]:
-    """Places of orders standing out in ``item``, each less than ``reach`` from the next, one of them so to ``near``."""
-    numbers, places = item["order"].values, standing_out(item)
+def _chain(tracks: xr.Dataset, near: float, reach: float) -> list[int]:
+    """Places of orders standing out in ``tracks``, each less than ``reach`` from the next, one so near to ``near``."""
+    numbers, places = tracks["order"].values, standing_out(tracks)
     if not places:
         return []
     chains = np.split(np.array(places), np.flatnonzero(np.diff(numbers[places]) >= reach) + 1)
@@ -353,32 +351,32 @@ def _chain(item: xr.Dataset, near: float, reach: float) -> list[int]:
     return best if distance < reach else []
 
 
-def _read(item: xr.Dataset, place: int, nearest: float) -> Followed:
-    """The order number ``place`` of ``item``, which is ``nearest`` orders from the next line."""
-    order, course = float(item["order"].values[place]), _course(item, place)
+def _read(tracks: xr.Dataset, place: int, nearest: float) -> Followed:
+    """The order number ``place`` of ``tracks``, which is ``nearest`` orders from the next line."""
+    order, course = float(tracks["order"].values[place]), _course(tracks, place)
     unread = (PARTED_NUMBERS.unread_share * nearest) ** 2
     if course is None:
-        return Followed(item, place, order, unread, by_phase=False, course=None)
-    span = float(np.ptp(item["crank_angle"].values))
-    bandwidth = float(np.median(item["bandwidth_hz"].values[place] * 60.0 / item["speed"].values))
+        return Followed(tracks, place, order, unread, by_phase=False, course=None)
+    span = float(np.ptp(tracks["crank_angle"].values))
+    bandwidth = float(np.median(tracks["bandwidth_hz"].values[place] * 60.0 / tracks["speed"].values))
     variance = (course.half / ZOOM.sure_sigmas) ** 2
     if bandwidth * span < ZOOM.stretches:
         variance, course = variance + (ZOOM.swept_turns_rev / span) ** 2, replace(course, slopes=np.zeros(0))
     if variance > unread:
-        return Followed(item, place, order, unread, by_phase=False, course=None)
-    told = course if len(course.slopes) else None
-    return Followed(item, place, order + course.offset, variance, by_phase=True, course=told)
+        return Followed(tracks, place, order, unread, by_phase=False, course=None)
+    witness = course if len(course.slopes) else None
+    return Followed(tracks, place, order + course.offset, variance, by_phase=True, course=witness)
 
 
-def _course(item: xr.Dataset, place: int) -> Course | None:
-    """How the phase of the order number ``place`` of ``item`` runs from that number."""
-    values = item["amplitude"].values[:, place]
-    noise = 2.0 * np.square(item["standard_error"].values[:, place])
+def _course(tracks: xr.Dataset, place: int) -> Course | None:
+    """How the phase of the order number ``place`` of ``tracks`` runs from that number."""
+    values = tracks["amplitude"].values[:, place]
+    noise = 2.0 * np.square(tracks["standard_error"].values[:, place])
     seen = np.isfinite(values) & np.isfinite(noise)
     channels = seen.any(axis=1)
     rows = channels.any() & seen[channels].all(axis=0)
     kept = np.ix_(channels, rows)
-    return course_of(values[kept], item["crank_angle"].values[rows], noise[kept])
+    return course_of(values[kept], tracks["crank_angle"].values[rows], noise[kept])
 
 
 def lines_of(
@@ -391,7 +389,7 @@ def lines_of(
     """
     shown = []
     for line in lines:
-        rows = [_rows(item, line.channel) for item in followed]
+        rows = [_rows(track, line.channel) for track in followed]
         speed, size, error, degrees_of_freedom = (np.concatenate(column) for column in zip(*rows, strict=True))
         clear = np.flatnonzero(size > PARTED_NUMBERS.clear_sigmas * error)
         if not len(clear):
@@ -405,9 +403,9 @@ def lines_of(
     return shown
 
 
-def _rows(item: Followed, channel: str) -> tuple[Floats, Floats, Floats, Floats]:
-    """Speeds, amplitudes, their errors and degrees of freedom, of the rows of ``item`` that know its ``channel``."""
-    tracks = item.tracks.isel(order=item.place).sel(channel=channel)
+def _rows(followed: Followed, channel: str) -> tuple[Floats, Floats, Floats, Floats]:
+    """Speeds, amplitudes, errors and degrees of freedom of the rows of ``followed`` that know the ``channel``."""
+    tracks = followed.tracks.isel(order=followed.place).sel(channel=channel)
     size, error = np.abs(tracks["amplitude"].values), tracks["standard_error"].values
     known = np.isfinite(size) & np.isfinite(error)
     degrees_of_freedom = tracks["degrees_of_freedom"].values.astype(np.float64)

@@ -13,7 +13,7 @@ from crankorder.engine.machine_parts import SHAFT, USUAL_SLIP, Motor, MotorLine,
 from crankorder.findings import Motor as MotorRecord
 from crankorder.findings import MotorLine as LineRecord
 from crankorder.findings import MotorSpeed
-from crankorder.identify.found import AgreedOrder, ModalFit, Mode, Tone
+from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Mode, Tone
 from crankorder.identify.intervals import Z95, positive_interval
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.known_lines import (
@@ -95,11 +95,7 @@ class _Fixed:
 
 
 def mains_orders(
-    orders: tuple[AgreedOrder, ...],
-    *,
-    tones: Sequence[Tone] = (),
-    exact: Sequence[float] = (),
-    settings: IdentifySettings,
+    orders: AgreedOrders, *, tones: Sequence[Tone] = (), exact: Sequence[float] = (), settings: IdentifySettings
 ) -> dict[float, Cause]:
     """Causes of those of ``orders`` that are or may be multiples of a mains frequency, by order.
 
@@ -494,11 +490,7 @@ def _seen_in(held: Held, lines: Sequence[MotorLine], supply_hz: float) -> list[L
 
 
 def _also(
-    held: Held,
-    number: int,
-    lines: Sequence[MotorLine],
-    places: Sequence[Place],
-    at_places: Sequence[Sighting | None],
+    held: Held, number: int, lines: Sequence[MotorLine], places: Sequence[Place], at_places: Sequence[Sighting | None]
 ) -> tuple[tuple[MotorLine, ...], float | None]:
     """Other lines, and the order of the shaft, so near to line ``number`` that the recording does not part them."""
     order = held.order_of(places[number])

@@ -229,8 +229,8 @@ def _by_its_phase(search: _Search, channel: int, peak: int, seen: Ints, chance: 
     if not search.recordings or search.is_swept:
         return None
     order_map = search.order_map
-    found = search.phasors(channel, peak, search.speed[seen], bins=0.5)
-    lines = [(phasors[0], centre, item.hop_rev) for item, phasors, centre, _ in found]
+    shown = search.phasors(channel, peak, search.speed[seen], bins=0.5)
+    lines = [(phasors[0], centre, recording.hop_rev) for recording, phasors, centre, _ in shown]
     share = float(np.mean(order_map["n_independent"].values / np.maximum(order_map["n_frames"].values, 1)))
     for slips in (False, True):
         if slips and not has_moved(order_map, peak, seen):
@@ -254,9 +254,9 @@ def _swells_slowly(search: _Search, channel: int, peak: int, seen: Ints) -> bool
     floor = float(np.median(search.over.floor[channel, seen, peak]))
     at_speeds = [search.speed[seen]] if not np.isfinite(search.speed[seen]).all() else search.speed[seen][:, None]
     left = [  # each speed by itself: between those seen there is none of the line
-        left_of_slow_waves(phasors[0], centre - centre.mean(), hop_rev=item.hop_rev)
+        left_of_slow_waves(phasors[0], centre - centre.mean(), hop_rev=recording.hop_rev)
         for speeds in at_speeds
-        for item, phasors, centre, _ in search.phasors(channel, peak, speeds, bins=1.0)
+        for recording, phasors, centre, _ in search.phasors(channel, peak, speeds, bins=1.0)
     ]
     known = [value for value in left if np.isfinite(value)]
     return len(known) > 0 and float(np.median(known)) < NUMBERS.left_ratio * floor
@@ -363,8 +363,8 @@ def _by_energy(
         return amplitude, error, dof, None
     half, held = half_width(np.inf) * error, list[HeldSizes]()
     for row, speed in enumerate(search.speed[seen]):
-        found = search.phasors(channel, peak, np.array([speed]), bins=0.5)
-        sizes = [np.abs(phasors[:1, np.isfinite(phasors[0].real)]) / loss for _, phasors, _, _ in found]
+        shown = search.phasors(channel, peak, np.array([speed]), bins=0.5)
+        sizes = [np.abs(phasors[:1, np.isfinite(phasors[0].real)]) / loss for _, phasors, _, _ in shown]
         held += [HeldSizes(row, size) for size in sizes if size.shape[1] > 1]
     rows = SizeRows(
         *(values[None] for values in (amplitude, error, dof, np.maximum(amplitude - half, 0.0), amplitude + half))
@@ -548,7 +548,7 @@ def swept_orders(frames: xr.Dataset, *, settings: Settings) -> list[float]:
                 kept.remove((order, level))
                 kept += [(number, level) for number in (placed if placed[0] != placed[1] else numbers)]
         del item
-    strongest = sorted(kept, key=lambda one: -one[1])[: SWEPT_NUMBERS.most_followed]
+    strongest = sorted(kept, key=lambda candidate: -candidate[1])[: SWEPT_NUMBERS.most_followed]
     return sorted(order for order, _ in strongest)
 
 

@@ -124,8 +124,8 @@ def zoomed(
     trial, power = trial[expected], np.square(np.abs(turned_sums(phasors, turn, trial)))[:, expected] / len(turn)
     total = np.maximum(np.square(np.abs(phasors)).sum(axis=1), 1e-300)
     left = np.maximum(total - power.max(axis=1), 1e-9 * total)
-    found = float(trial[int(np.argmax((power / left[:, None]).sum(axis=0)))])
-    line = _followed(phasors, frames, found)
+    offset = float(trial[int(np.argmax((power / left[:, None]).sum(axis=0)))])
+    line = _followed(phasors, frames, offset)
     second = _second(phasors, frames, line, hop_rev) if not alone and line.snr > NUMBERS.beating_squared else None
     if second is not None:
         others = phasors - _waves(second, turn)
@@ -140,18 +140,13 @@ def zoomed(
         return None
     wander = np.nan if alone or swept or second is not None else _wander(phasors, turn, line)
     beside_it = None if second is None else replace(second, amplitude=_at_zero(second, middle))
-    if swept:
-        line = _through_modes(replace(line, second=beside_it), course)
+    if course is not None:  # it tells the order between the modes that the run-up crosses
+        variance = (course.half / NUMBERS.sure_sigmas) ** 2
+        line = replace(line, offset=course.offset, variance=variance, dof=1e6, course=course, swept=True)
+    elif swept:
+        several = 0.0 if second is not None else (NUMBERS.swept_turns_rev / line.span_rev) ** 2
+        line = replace(line, swept=True, variance=line.variance + several)
     return replace(line, amplitude=_at_zero(line, middle), wander=wander, second=beside_it)
-
-
-def _through_modes(line: Zoomed, course: Course | None) -> Zoomed:
-    """``line`` of a run-up with the order that its ``course`` tells between the modes that it crosses."""
-    if course is None:
-        several = 0.0 if line.second is not None else (NUMBERS.swept_turns_rev / line.span_rev) ** 2
-        return replace(line, swept=True, variance=line.variance + several)
-    variance = (course.half / NUMBERS.sure_sigmas) ** 2
-    return replace(line, offset=course.offset, variance=variance, dof=1e6, course=course, swept=True)
 
 
 def left_of_slow_waves(phasors: Complexes, turn: Floats, *, hop_rev: float) -> float:
@@ -171,10 +166,12 @@ def left_of_slow_waves(phasors: Complexes, turn: Floats, *, hop_rev: float) -> f
 
 
 def _at_zero(line: Zoomed, middle: float) -> Complexes:
+    """Amplitude (channels,) of ``line`` at crank angle 0, from that at the ``middle`` of the recording, rev."""
     return np.asarray(line.amplitude * np.exp(-2j * np.pi * ((line.offset * middle) % 1.0)))
 
 
 def _trials(span: float, hop_rev: float) -> Floats:
+    """Trial distances from the bin [orders], evenly over all that frames ``hop_rev`` apart can tell."""
     reach = 0.5 / hop_rev
     return np.linspace(-reach, reach, 2 * int(np.ceil(GRID_PER_SPAN * reach * span)) + 1)
 
@@ -190,15 +187,15 @@ def turned_sums(phasors: Complexes, turn: Floats, trial: Floats, *, times: int =
     place = np.round((turn - turn[0]) / hop_rev).astype(np.int64)
     off, wave = turn - turn[0] - hop_rev * place, -2j * np.pi * times * trial
     reached = times * (np.arange(count + 1) - count // 2) % count
-    made, part, factor = np.zeros((len(phasors), len(trial)), dtype=np.complex128), phasors + 0j, np.ones(len(trial))
+    sums, part, factor = np.zeros((len(phasors), len(trial)), dtype=np.complex128), phasors + 0j, np.ones(len(trial))
     for power in range(1, MOST_TERMS):
         grid = np.zeros((count, len(phasors)), dtype=np.complex128)
         np.add.at(grid, place % count, part.T)
-        made += factor * fft(grid, axis=0)[reached].T
+        sums += factor * fft(grid, axis=0)[reached].T
         part, factor = part * off, factor * wave / power
         if np.abs(part).max() * np.abs(factor).max() <= LEAST_TERM * np.abs(phasors).max():
             break
-    return np.asarray(made * np.exp(turn[0] * wave))
+    return np.asarray(sums * np.exp(turn[0] * wave))
 
 
 def _waves(line: Zoomed, turn: Floats) -> Complexes:
@@ -269,18 +266,18 @@ def _second(phasors: Complexes, frames: Frames, line: Zoomed, hop_rev: float) ->
     if score[best] < level:
         return None
     held, first = replace(frames, swept=False), line
-    found = _followed(left, held, float(trial[best]))
+    second = _followed(left, held, float(trial[best]))
     for _ in range(4):
-        first = _followed(phasors - _waves(found, turn), held, first.offset)
-        found = _followed(phasors - _waves(first, turn), held, found.offset)
+        first = _followed(phasors - _waves(second, turn), held, first.offset)
+        second = _followed(phasors - _waves(first, turn), held, second.offset)
     least = NUMBERS.swept_second_ratio if frames.swept else NUMBERS.second_ratio
-    large = np.abs(found.amplitude) > least * np.abs(line.amplitude)
-    if not large.any() or abs(found.offset - line.offset) < NUMBERS.second_cycles / span:
+    large = np.abs(second.amplitude) > least * np.abs(line.amplitude)
+    if not large.any() or abs(second.offset - line.offset) < NUMBERS.second_cycles / span:
         return None
-    mirror = np.abs((left * np.exp(-2j * np.pi * (2.0 * line.offset - found.offset) * turn)).mean(axis=1))
-    if np.linalg.norm(mirror) > NUMBERS.mirrored_share * np.linalg.norm(found.amplitude):
+    mirror = np.abs((left * np.exp(-2j * np.pi * (2.0 * line.offset - second.offset) * turn)).mean(axis=1))
+    if np.linalg.norm(mirror) > NUMBERS.mirrored_share * np.linalg.norm(second.amplitude):
         return None
-    return found if _in_both_halves(phasors, turn, line, found) else None
+    return second if _in_both_halves(phasors, turn, line, second) else None
 
 
 def _solved_together(phasors: Complexes, frames: Frames, line: Zoomed, second: Zoomed) -> tuple[Zoomed, Zoomed]:
@@ -436,7 +433,7 @@ def solved_pair(phasors: Complexes, turn: Floats, *, revs: float, offset: tuple[
         basis, slopes = _bases(white, turn, at)
         amplitude, left, inverse = _linear(basis, data)
         noise = np.maximum(np.square(np.abs(left)).sum(axis=0), 1e-24 * np.square(np.abs(data)).sum(axis=0))
-        score, normal = _normal(_moved(basis, slopes, amplitude, inverse), left, 1.0 / noise)
+        score, normal = _normal(_residual_change(basis, slopes, amplitude, inverse), left, 1.0 / noise)
         step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(2), score)
         if np.abs(step).max() * span < SETTLED:
             break
@@ -461,7 +458,7 @@ def _linear(basis: Complexes, data: Complexes) -> tuple[Complexes, Complexes, Co
     return amplitude, data - basis @ amplitude, inverse
 
 
-def _moved(basis: Complexes, slopes: Complexes, amplitude: Complexes, inverse: Complexes) -> Complexes:
+def _residual_change(basis: Complexes, slopes: Complexes, amplitude: Complexes, inverse: Complexes) -> Complexes:
     """What moving each line changes beyond its amplitude: (2, channels, frames)."""
     change = slopes.T[:, None, :] * amplitude[:, :, None]
     return np.asarray(change - (change @ inverse.T) @ basis.T)
@@ -475,17 +472,18 @@ def _normal(moved: Complexes, left: Complexes, weight: Floats) -> tuple[Floats, 
 
 
 def _with_errors(basis: Complexes, slopes: Complexes, data: Complexes, turn: Floats, at: Floats) -> Pair:
+    """The two lines solved ``at`` (2,), with the standard errors of their orders and amplitudes."""
     amplitude, left, inverse = _linear(basis, data)
     degrees_of_freedom = max(2.0 * len(left) - 4.0 - 2.0, 1.0)
     shared = left.conj().T @ left * (2.0 / degrees_of_freedom)  # noise power of the channels and what they share
     power = np.maximum(np.diag(shared).real, 1e-24 * np.square(np.abs(data)).mean(axis=0))
     weight = 1.0 / power
-    moved = _moved(basis, slopes, amplitude, inverse)
+    moved = _residual_change(basis, slopes, amplitude, inverse)
     _, normal = _normal(moved, left, weight)
     back = np.linalg.inv(normal)
     middle = 0.5 * np.einsum("lcf,mdf,dc,c,d->lm", moved.conj(), moved, shared, weight, weight).real
     covariance = back @ middle @ back
-    louder = np.array([_louder(left, turn, one) for one in at])
+    louder = np.array([_slow_noise_ratio(left, turn, offset) for offset in at])
     turned = -np.einsum("bf,fl,lc->bcl", inverse, slopes, amplitude)  # how amplitudes follow the orders
     unit = amplitude / np.maximum(np.abs(amplitude), 1e-300)
     along = np.square((turned * unit.conj()[:, :, None]).real) @ np.diag(covariance)
@@ -494,8 +492,8 @@ def _with_errors(basis: Complexes, slopes: Complexes, data: Complexes, turn: Flo
     return Pair(at, np.diag(covariance) * louder, np.asarray(amplitude.T), np.asarray(error.T), degrees_of_freedom)
 
 
-def _louder(left: Complexes, turn: Floats, at: float) -> float:
-    """Power of slow waves about a line ``at`` in what is ``left`` (frames, channels) over that of all; 1 at least."""
+def _slow_noise_ratio(left: Complexes, turn: Floats, at: float) -> float:
+    """Ratio (≥ 1) of the noise power close to the line ``at`` to that of all that is ``left`` (frames, channels)."""
     n = len(turn)
     if n < 4 * PAIR_NUMBERS.slow_waves:
         return 1.0
@@ -528,7 +526,7 @@ def unaliased(
     share = np.abs(np.einsum("f,cbf->cb", np.linalg.pinv(basis)[1], back))
     candidates = [offsets[1] + k / hop_rev for k in (-1, 0, 1)]
     scores = []
-    for one in candidates:
-        lobe = np.abs(np.sinc(one / resolution - places) / (1.0 - (one / resolution - places) ** 2 + 1e-9))
+    for candidate in candidates:
+        lobe = np.abs(np.sinc(candidate / resolution - places) / (1.0 - (candidate / resolution - places) ** 2 + 1e-9))
         scores.append(float((share @ lobe).sum() / np.linalg.norm(lobe)))
     return candidates[int(np.argmax(scores))]

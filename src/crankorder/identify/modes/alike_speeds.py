@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from crankorder.identify.found import AgreedOrder, Doubt, ModalFit, OrderLine, Tone
+from crankorder.identify.found import AgreedOrder, AgreedOrders, Doubt, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.known_lines import LOBE_BINS, Held, LineSeen, Sighting, found_near
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
@@ -48,7 +48,7 @@ class _Parted:
 
 
 def with_tones_settled(
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     modal: ModalFit,
     held: Sequence[Held],
     known: Sequence[LineSeen],
@@ -56,7 +56,7 @@ def with_tones_settled(
     *,
     parted: Sequence[Held],
     settings: IdentifySettings,
-) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
+) -> tuple[AgreedOrders, ModalFit]:
     """``orders`` and ``modal`` with each tone as the recordings hold it: one line or several, mains, or an order.
 
     ``held`` are the recordings at held speeds, ``parted`` those whose angle comes from pulses; ``known`` lines of the
@@ -69,13 +69,8 @@ def with_tones_settled(
 
 
 def with_lines_of_recordings(
-    orders: tuple[AgreedOrder, ...],
-    modal: ModalFit,
-    held: Sequence[Held],
-    order_map: xr.Dataset,
-    *,
-    settings: IdentifySettings,
-) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
+    orders: AgreedOrders, modal: ModalFit, held: Sequence[Held], order_map: xr.Dataset, *, settings: IdentifySettings
+) -> tuple[AgreedOrders, ModalFit]:
     """``orders`` and ``modal`` where tones stand that the map holds as one with others, or that may be orders.
 
     A bin of the map is wider than an order moves between speeds that differ by some percent: there two lines are one,

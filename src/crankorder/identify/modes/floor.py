@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,6 +17,9 @@ from crankorder.quantities import Bools, Floats, Ints
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-modal.toml", "floor")
+
+Orders = tuple[tuple[float, float], ...]
+"""Orders of lines, each with its standard error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +73,7 @@ def seen_at_single_speeds(order_map: xr.Dataset, *, top_hz: float) -> list[tuple
     return [(float(order[half[j]]), float(speed[k])) for k, j in np.argwhere(seen)]
 
 
-def quiet_floor(
-    campbell: xr.Dataset, orders: tuple[tuple[float, float], ...], *, single: list[tuple[float, float]] | None = None
-) -> Floor | None:
+def quiet_floor(campbell: xr.Dataset, orders: Orders, *, single: Sequence[tuple[float, float]] = ()) -> Floor | None:
     """Floor of the CampbellMap ``campbell`` without the lines of ``orders`` (order, its error); None where none is.
 
     Lines are masked as wide as the window's skirt stands over the floor, and so is every cell far above the same bin
@@ -97,9 +99,9 @@ def quiet_floor(
     whole = _mean(psd, independent)[0]
     # a line that leaves its bins within a recording is none of the settled cells, but it leaks all the same
     every = campbell["psd"].values[..., used][:, known].astype(np.float64)
-    moving = _order_mask(psd, every, frequency[used], speed, orders, campbell, seen)
+    moving = _order_mask(psd, every, frequency[used], speed, orders, campbell, seen.bin_hz)
     psd[moving] = np.nan
-    for order, rpm in single or []:
+    for order, rpm in single:
         if len(speed) > 2 and abs(speed - rpm).min() < 0.01 * rpm:
             near = np.abs(frequency[used] - order * rpm / 60.0) <= NUMBERS.masked_bins * seen.bin_hz
             psd[:, int(np.argmin(np.abs(speed - rpm))), near] = np.nan
@@ -146,17 +148,11 @@ def _independent(campbell: xr.Dataset) -> Floats:
 
 
 def _order_mask(
-    psd: Floats,
-    every: Floats,
-    frequency: Floats,
-    speed: Floats,
-    orders: tuple[tuple[float, float], ...],
-    campbell: xr.Dataset,
-    seen: SpectralWindow,
+    psd: Floats, every: Floats, frequency: Floats, speed: Floats, orders: Orders, campbell: xr.Dataset, bin_hz: float
 ) -> Bools:
     """Cells (channels, speeds, frequencies) of ``psd`` that lines of ``orders`` cover, skirts included.
 
-    ``every`` is the density with start transients.
+    ``every`` is the density with start transients, ``bin_hz`` the width of a bin of the window.
     """
     mask = np.zeros(psd.shape, dtype=bool)
     step = float(frequency[1] - frequency[0])
@@ -167,14 +163,14 @@ def _order_mask(
         for k, rpm in enumerate(speed):
             line_hz = order * rpm / 60.0
             spread = (3.0 * error * rpm + order * half_bin_rpm) / 60.0
-            if not np.isfinite(line_hz) or line_hz - spread > frequency[-1] + 20.0 * seen.bin_hz:
+            if not np.isfinite(line_hz) or line_hz - spread > frequency[-1] + 20.0 * bin_hz:
                 continue
             away = np.abs(frequency - line_hz) - spread
-            mask[:, k, away <= NUMBERS.masked_bins * seen.bin_hz + 0.5 * step] = True
-            near, reached = away <= seen.bin_hz, away < NUMBERS.skirt_bins * seen.bin_hz
+            mask[:, k, away <= NUMBERS.masked_bins * bin_hz + 0.5 * step] = True
+            near, reached = away <= bin_hz, away < NUMBERS.skirt_bins * bin_hz
             if near.any():
                 height = np.fmax.reduce(every[:, k, near], axis=1)[:, None]
-                leak = height * np.interp(away[reached] / seen.bin_hz, *skirt)
+                leak = height * np.interp(away[reached] / bin_hz, *skirt)
                 mask[:, k, reached] |= leak > NUMBERS.leak_share * level[:, k, reached]
     return mask
 

@@ -13,7 +13,7 @@ import xarray as xr
 
 from crankorder.identify.found import (
     NO_FITS,
-    AgreedOrder,
+    AgreedOrders,
     ModalFit,
     Mode,
     SweepFits,
@@ -153,7 +153,7 @@ ROUNDS = 2
 def modal_fit(
     campbell: xr.Dataset,
     order_map: xr.Dataset,
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     *,
     settings: IdentifySettings,
     followed: Sequence[xr.Dataset] = (),
@@ -222,7 +222,7 @@ def modal_fit(
     return without_remains(modal, whirls, campbell["speed"].values) if whirls else modal
 
 
-def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: tuple[AgreedOrder, ...]) -> Floor | None:
+def _floor(campbell: xr.Dataset, order_map: xr.Dataset, orders: AgreedOrders) -> Floor | None:
     """Floor of the map without the orders; None where it has no speeds or hardly a bin."""
     if not campbell.sizes["speed"] or not campbell.sizes["channel"]:
         return None
@@ -341,10 +341,7 @@ def _poles_of(modes: Sequence[Mode]) -> Poles:
 
 
 def _found(
-    fitted: list[Fitted],
-    floor: Floor,
-    proofs: dict[float, Proof],
-    settings: IdentifySettings,
+    fitted: list[Fitted], floor: Floor, proofs: dict[float, Proof], settings: IdentifySettings
 ) -> tuple[ModalFit, Poles]:
     """The fits of all bands in the words of identification, with the orders' ``proofs`` by frequency; their poles."""
     shape = np.full(floor.psd.shape, np.nan)
@@ -360,46 +357,34 @@ def _found(
         tone = poles.tone & poles.within(local.band.range_hz) & ~hidden_poles(local.problem, local.fit)
         still += tuple(poles.frequency_hz[tone].tolist())
     tones = [tone_of(f, error, floor, smooth, settings=settings) for f, error in floor.strong]
-    said = [_of_band(local, floor, smooth, still, proofs, settings) for local in fitted]
-    modes = tuple(mode for own, *_ in said for mode in own)
-    tones += [tone for _, own, *_ in said for tone in own]
+    modes, parts, kept = list[Mode](), list[Floats](), NO_POLES
+    for local in fitted:
+        problem, fit = local.problem, local.fit
+        covariance = covariance_of_all(problem, fit, scatter=local.scatter)
+        scatter = np.array([scatter_at(problem, fit, float(f)) for f in fit.poles.frequency_hz])
+        strength = evidence_of(fit) / scatter[:, None]
+        numbers: list[int] = []
+        for number in np.flatnonzero(~hidden_poles(problem, fit) & fit.poles.within(local.band.range_hz)).tolist():
+            f, error = float(fit.poles.frequency_hz[number]), float(np.sqrt(covariance[2 * number, 2 * number]))
+            if fit.poles.tone[number]:
+                if floor.frequency_hz[0] <= f <= floor.frequency_hz[-1]:
+                    part = fit.part(number)
+                    rest = smooth.copy()
+                    at = np.searchsorted(floor.frequency_hz, problem.frequency_hz[0]) + np.arange(part.shape[1])
+                    rest[:, at] = np.maximum(smooth[:, at] - part, 0.02 * smooth[:, at])
+                    tones.append(tone_of(f, error, floor, rest, settings=settings))
+                continue
+            proof = proofs.get(f, Proof())
+            mode = _mode(number, local, floor, covariance, strength[number], still, proof, settings)
+            if mode is not None:
+                modes.append(mode)
+                numbers.append(number)
+        own_modes = np.array(numbers, dtype=np.int64)
+        parts.append(covariance_among(covariance, own_modes))
+        kept = kept.joined(fit.poles.chosen(own_modes))
     tones = sorted((tone for tone in tones if tone.amplitude), key=lambda tone: tone.frequency_hz)
-    covariance = side_by_side([part for *_, part, _ in said])
-    fit = ModalFit(modes, with_one_mains(tones, settings=settings), covariance)
-    fit = replace(fit, frequency_hz=floor.frequency_hz, floor_psd=floor.psd, fitted_psd=shape)
-    return fit, reduce(Poles.joined, (poles for *_, poles in said), NO_POLES)
-
-
-def _of_band(
-    local: Fitted,
-    floor: Floor,
-    smooth: Floats,
-    still: tuple[float, ...],
-    proofs: dict[float, Proof],
-    settings: IdentifySettings,
-) -> tuple[list[Mode], list[Tone], Floats, Poles]:
-    """Modes of a band, its tones, the covariance of the modes and their poles."""
-    problem, fit = local.problem, local.fit
-    covariance = covariance_of_all(problem, fit, scatter=local.scatter)
-    scatter = np.array([scatter_at(problem, fit, float(f)) for f in fit.poles.frequency_hz])
-    strength = evidence_of(fit) / scatter[:, None]
-    modes: dict[int, Mode] = {}
-    tones: list[Tone] = []
-    for number in np.flatnonzero(~hidden_poles(problem, fit) & fit.poles.within(local.band.range_hz)).tolist():
-        f, error = float(fit.poles.frequency_hz[number]), float(np.sqrt(covariance[2 * number, 2 * number]))
-        if fit.poles.tone[number]:
-            if floor.frequency_hz[0] <= f <= floor.frequency_hz[-1]:
-                part = fit.part(number)
-                rest = smooth.copy()
-                at = np.searchsorted(floor.frequency_hz, problem.frequency_hz[0]) + np.arange(part.shape[1])
-                rest[:, at] = np.maximum(smooth[:, at] - part, 0.02 * smooth[:, at])
-                tones.append(tone_of(f, error, floor, rest, settings=settings))
-            continue
-        proof = proofs.get(f, Proof())
-        mode = _mode(number, local, floor, covariance, strength[number], still, proof, settings)
-        modes |= {number: mode} if mode is not None else {}
-    kept = np.array(list(modes), dtype=np.int64)
-    return list(modes.values()), tones, covariance_among(covariance, kept), fit.poles.chosen(kept)
+    joined = ModalFit(tuple(modes), with_one_mains(tones, settings=settings), side_by_side(parts))
+    return replace(joined, frequency_hz=floor.frequency_hz, floor_psd=floor.psd, fitted_psd=shape), kept
 
 
 def _too_deep(floor: Floor, frequency_hz: float, channels: Sequence[str]) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.identify.found import AgreedOrder, ModalFit, OrderLine, OrderResponse
+from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, OrderLine, OrderResponse
 from crankorder.identify.lines.agreed_orders import IN_SWEEP
 from crankorder.identify.lines.line_phasors import lock_of, nearest_multiple, proves_speed, speed_source
 from crankorder.identify.modes.order_responses import NUMBERS as ORDER_RESPONSES
@@ -24,9 +24,7 @@ from crankorder.settings import MethodNumbers
 NUMBERS = MethodNumbers("5-identify-modal.toml", "order_blocks")
 
 
-def blocks_of(
-    order_map: xr.Dataset, orders: tuple[AgreedOrder, ...], followed: Sequence[xr.Dataset] = ()
-) -> tuple[Block, ...]:
+def blocks_of(order_map: xr.Dataset, orders: AgreedOrders, followed: Sequence[xr.Dataset] = ()) -> tuple[Block, ...]:
     """Blocks of the ``orders`` with every channel in which they stand out anywhere.
 
     Along sweeps they are those of ``followed`` (RecordingTracks), one for each recording; at held speeds those of the
@@ -196,11 +194,8 @@ class _Left:
 
 
 def with_locks_through_modes(
-    orders: Sequence[AgreedOrder],
-    modal: ModalFit,
-    followed: Sequence[xr.Dataset],
-    order_map: xr.Dataset,
-) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
+    orders: Sequence[AgreedOrder], modal: ModalFit, followed: Sequence[xr.Dataset], order_map: xr.Dataset
+) -> tuple[AgreedOrders, ModalFit]:
     """``orders`` of which some that were undecided are proven locked by the fit ``modal`` of their sweeps, and the fit
     by their numbers.
 

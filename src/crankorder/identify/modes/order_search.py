@@ -111,7 +111,7 @@ def poles_of_orders(
     prior = Prior.of(known, covariance)
     blocks = sorted(blocks, key=lambda block: -float(np.max(block.size / block.error)))[: NUMBERS.most_blocks]
     most = NUMBERS.most_poles if most_poles is None else most_poles
-    asked = _unlike(blocks) if most else blocks
+    asked = _without_repeats(blocks) if most else blocks
     state = Fitted.of([with_best_law(block, known) for block in asked], known, prior)
     if len(known) and most:
         state = state.moved()
@@ -130,7 +130,7 @@ def poles_of_orders(
     return state.blocks, poles, more is None
 
 
-def _unlike(blocks: Sequence[Block]) -> list[Block]:
+def _without_repeats(blocks: Sequence[Block]) -> list[Block]:
     """Those of ``blocks``, of sweeps the first that passes through the frequencies where an order runs again."""
     kept: list[Block] = []
     for block in blocks:
@@ -385,7 +385,7 @@ def _gains(state: Fitted, tried: Tried) -> Floats:
             block = block.varied(scatter=NUMBERS.felt_error_share)
             part = project(block, state.poles)
         else:
-            block, part = _anew(block, part, state.poles)
+            block, part = _reprojected(block, part, state.poles)
         natural, damping = tried.frequency_hz[near], tried.damping[near]
         if block.passage is not None:  # as wide as a sweep makes a resonance look
             damping = np.maximum(damping, block.passage.blurred_hz / natural)
@@ -398,7 +398,7 @@ def _gains(state: Fitted, tried: Tried) -> Floats:
     return total
 
 
-def _anew(block: Block, part: Projected, poles: Poles) -> tuple[Block, Projected]:
+def _reprojected(block: Block, part: Projected, poles: Poles) -> tuple[Block, Projected]:
     """``block`` and how it is projected (``part``), without what a pole that is missing may have led it to."""
     if block.scatter > NUMBERS.well_laid_scatter and block.rows.min() > 4 * NUMBERS.fewest_rows:
         block = block.varied(degree=ORDER_RESPONSES.most_degree)  # a peak may have hidden how the force grows

@@ -351,21 +351,17 @@ def _less(unseen: UnseenBound, along: Sequence[tuple[float, FloorBound]]) -> Uns
 
 
 def _bound(
-    block: Block,
-    poles: Poles,
-    least_damping: float,
-    reach: float,
-    unit: Mapping[str, str],
-    matters: Mapping[str, float],
+    block: Block, poles: Poles, damping: float, reach: float, unit: Mapping[str, str], matters: Mapping[str, float]
 ) -> UnseenBound:
+    """What the rows of ``block`` leave open of modes of ``damping`` and some times that, ``reach`` errors away."""
     block, part = with_scatter(block, poles)
-    speed = _asked(block)
+    speed = _speeds_between(block)
     if part.degrees_of_freedom < len(block.channels) * block.parts or block.scatter > ORDER_RESPONSES.most_scatter:
         return UnseenBound(block.order, speed, np.full(len(speed), np.inf))
     spread = float(np.sqrt(max(1.0, part.chi2 / part.degrees_of_freedom)))
     added = np.zeros((len(block.channels), len(speed)))
     for times in EXCLUSION.tried_damping_ratios:
-        added = np.maximum(added, _added(block, part, speed, least_damping * times, reach * spread))
+        added = np.maximum(added, _added(block, part, speed, damping * times, reach * spread))
     # the noise of the nearest row hides what is smaller
     near = np.abs(np.log(speed[:, None] / block.speed_rpm)).argmin(axis=1)
     noise = EXCLUSION.noise_sigmas * block.noise * np.where(np.isfinite(block.error), block.error, 0.0)[:, near]
@@ -376,8 +372,8 @@ def _bound(
     return UnseenBound(block.order, speed, hiding.amplification(unit, matters))
 
 
-def _asked(block: Block) -> Floats:
-    """Speeds (G,) that are asked about."""
+def _speeds_between(block: Block) -> Floats:
+    """Speeds (G,) in rpm at and between the rows of ``block``, or along its sweep, at which bounds are computed."""
     low, high = block.span_rpm
     if block.passage is not None:
         return np.geomspace(low, high, ALONG_SWEEP)
@@ -415,7 +411,10 @@ def _added(block: Block, part: Projected, speed: Floats, damping: float, reach: 
     natural = block.order * speed / 60.0
     ratios = np.full(len(speed), damping)
     seen_as = replace(block, passage=None, law_span_rpm=block.span_rpm)
-    columns = seen_as.modal(natural, np.maximum(ratios, _blur(block, natural)))
+    if block.passage is not None:  # a sweep makes any resonance look like one that is damped by as much
+        rate = float(np.median(np.abs(np.gradient(block.passage.frequency_hz, block.passage.step_s))))
+        ratios = np.maximum(ratios, 0.5 * np.sqrt(rate) / natural)
+    columns = seen_as.modal(natural, ratios)
     at_peak = np.abs(held_at(block, speed).growth) / (2.0 * damping)
     added = np.empty((len(block.channels), len(speed)))
     # any law may have taken it in
@@ -431,11 +430,3 @@ def _added(block: Block, part: Projected, speed: Floats, damping: float, reach: 
             along = along.reshape(-1, 2) @ np.array([0.5, 1.0])
         added[number] = along * at_peak
     return added
-
-
-def _blur(block: Block, natural: Floats) -> Floats:
-    """Damping ratio that a sweep makes any resonance at ``natural`` (G,) look like at least."""
-    if block.passage is None:
-        return np.zeros(len(natural))
-    rate = float(np.median(np.abs(np.gradient(block.passage.frequency_hz, block.passage.step_s))))
-    return np.asarray(0.5 * np.sqrt(rate) / natural)

@@ -19,6 +19,9 @@ NUMBERS = MethodNumbers("5-identify-modal.toml", "surface_fit")
 SMALLEST_TERM = 1e-7
 """Power response of the window below which a term of its autocorrelation is left out."""
 
+LOBE_BINS = 2
+"""Bins on each side that the main lobe of a window covers."""
+
 FAR = 60.0
 """Size of 2πTz from which the series in 1/z is good to 1e-6."""
 
@@ -369,14 +372,11 @@ def _back_solved(r: Floats, along: Floats) -> Floats:
     return solution
 
 
-def first_model(problem: Problem, bins: int = 2) -> Floats:
-    """Powers (C, F) smoothed over a window's main lobe, in whose place a fit's own come later.
-
-    ``problem``: the floors that were fitted; ``bins``: on each side.
-    """
-    used, edge = problem.averages > 0.0, ((0, 0), (bins, bins))
+def first_model(problem: Problem) -> Floats:
+    """Powers (C, F) of the floors in ``problem``, smoothed over a window's main lobe: a first model."""
+    used, edge = problem.averages > 0.0, ((0, 0), (LOBE_BINS, LOBE_BINS))
     count, power = (
-        np.lib.stride_tricks.sliding_window_view(np.pad(values, edge), 2 * bins + 1, axis=1).sum(axis=2)
+        np.lib.stride_tricks.sliding_window_view(np.pad(values, edge), 2 * LOBE_BINS + 1, axis=1).sum(axis=2)
         for values in (used, np.where(used, problem.psd, 0.0))
     )
     return np.asarray(np.where(used & (power > 0.0), power / np.maximum(count, 1), 1.0))

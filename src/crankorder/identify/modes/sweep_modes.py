@@ -128,12 +128,12 @@ def with_rows_of_fits(followed: Sequence[xr.Dataset], fits: SweepFits) -> list[x
         for group in fits.groups if "waveform" in tracks else ():
             numbers = tracks["order"].values.tolist()
             proven = {order for pole in group.poles for order in pole.orders}
-            for one, less in zip(group.fit.bare.solved, group.less.bare.solved, strict=True):
-                of_item = one.window.sweep.recording == tracks.attrs["recording"]
-                for order in one.window.orders if of_item else ():
+            for fit, less in zip(group.fit.bare.solved, group.less.bare.solved, strict=True):
+                of_item = fit.window.sweep.recording == tracks.attrs["recording"]
+                for order in fit.window.orders if of_item else ():
                     if order in numbers and order in less.window.orders:
                         place, alone = numbers.index(order), order not in proven
-                        tracks = _with_order(tracks, place, group, (one, less), alone=alone)
+                        tracks = _with_order(tracks, place, group, (fit, less), alone=alone)
         replaced.append(tracks)
     return replaced
 
@@ -146,8 +146,8 @@ def _with_order(
     Of an order that stands ``alone``, as no mode is proved by it, only those that others ring into the filter of, or
     that the fit knows better.
     """
-    one, less = solved
-    window, order = one.window, float(tracks["order"].values[place])
+    fit, less = solved
+    window, order = fit.window, float(tracks["order"].values[place])
     half = 0.5 * ROW_NUMBERS.inner_share * (window.high_hz - window.low_hz)
     middle = 0.5 * (window.high_hz + window.low_hz)
     near = np.abs(order * tracks["speed"].values / 60.0 - middle) <= half
@@ -155,20 +155,20 @@ def _with_order(
     near &= (tracks["time"].values >= window.sweep.start_s) & (tracks["time"].values <= last)
     if not near.any():
         return tracks
-    value, error = _values(group, one, less, order, tracks["time"].values[near], tracks["crank_angle"].values[near])
+    value, error = _values(group, fit, less, order, tracks["time"].values[near], tracks["crank_angle"].values[near])
     if alone:
-        better = _rung(tracks, place, near, one) | (error < followed_error(tracks, place)[:, near].T).all(axis=1)
+        better = _rung(tracks, place, near, fit) | (error < followed_error(tracks, place)[:, near].T).all(axis=1)
         near[near], value, error = better, value[better], error[better]
         if not better.any():
             return tracks
-    peak = None if alone else _peak(one, order, tracks["time"].values[near], np.abs(value).max(axis=1))
+    peak = None if alone else _peak(fit, order, tracks["time"].values[near], np.abs(value).max(axis=1))
     if peak is None:
         tracks = tracks.copy(deep=True)
     else:
-        tracks, at = _with_row(tracks, peak, one)
+        tracks, at = _with_row(tracks, peak, fit)
         near = np.insert(near, at, True)
-        value, error = _values(group, one, less, order, tracks["time"].values[near], tracks["crank_angle"].values[near])
-    value, error = _with_witness(tracks, place, near, value, error, rung=_rung(tracks, place, near, one))
+        value, error = _values(group, fit, less, order, tracks["time"].values[near], tracks["crank_angle"].values[near])
+    value, error = _with_witness(tracks, place, near, value, error, rung=_rung(tracks, place, near, fit))
     usable = np.isfinite(tracks["amplitude"].values[:, place][:, near].real).any(axis=1)
     rows = np.ix_(np.flatnonzero(usable), np.array([place]), np.flatnonzero(near))
     for name, given in (("amplitude", value), ("standard_error", error)):

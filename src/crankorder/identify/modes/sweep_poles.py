@@ -81,10 +81,7 @@ class GroupFit:
 
 
 def sweep_fits(
-    spectra: Sequence[SweepSpectrum],
-    *,
-    others: Sequence[float] = (),
-    settings: IdentifySettings,
+    spectra: Sequence[SweepSpectrum], *, others: Sequence[float] = (), settings: IdentifySettings
 ) -> SweepFits:
     """Poles that the signals ``spectra`` of sweeps show of modes which their orders pass, lowest first.
 
@@ -333,13 +330,9 @@ def _is_sure(pole: SweepPole, most_damping: float) -> bool:
     if not pole.orders or by_f > pole.damping or pole.damping < 2.0 * LIGHTEST or vague:
         return False
     known = by_f < NUMBERS.alone_frequency_share and by_zeta < NUMBERS.alone_damping_share
-    return bool((_witnesses(pole.orders) > 1 or known) and pole.damping <= most_damping)
-
-
-def _witnesses(orders: Sequence[float]) -> int:
-    """How many of ``orders``, rising, tell a mode each for itself: what a strong one leaves is taken for one beside."""
-    apart = [high > (1.0 + NUMBERS.witness_share) * low for low, high in itertools.pairwise(orders)]
-    return int(sum(apart) + bool(orders))
+    # what a strong order leaves is taken for one close beside it: two witnesses lie further apart
+    apart = any(high > (1.0 + NUMBERS.witness_share) * low for low, high in itertools.pairwise(pole.orders))
+    return bool((apart or known) and pole.damping <= most_damping)
 
 
 def _pole(fit: LocalFit, number: int, covariance: Floats) -> SweepPole:

@@ -44,15 +44,12 @@ def width_rpm(rpm: float, mode: Mode, settings: IdentifySettings) -> float:
     return max(2.0 * mode.damping_ratio * rpm, settings.crossing_band_rpm * (1.0 + 1e-6))
 
 
-def evidence_beside(
-    agreed: AgreedOrder, rpm: float, mode: Mode, best: Seen | None, tested: Floats, settings: IdentifySettings
-) -> str:
+def evidence_beside(agreed: AgreedOrder, rpm: float, mode: Mode, best: Seen | None, tested: Floats, near: float) -> str:
     """What the amplitudes of ``agreed`` around its crossing at ``rpm`` with ``mode``, inside the tested range, show.
 
-    ``best`` is the channel that shows it best, None where no trend is known; ``tested`` (n,) are all speeds in rpm;
-    ``settings`` say how near a speed counts.
+    ``best`` is the channel that shows it best, None where no trend is known; ``tested`` (n,) are all speeds in rpm, of
+    which those within ``near`` count.
     """
-    near = width_rpm(rpm, mode, settings)
     near_tested = tested[np.abs(tested - rpm) <= near]
     if best is not None:
         said = (
@@ -196,7 +193,7 @@ UNSEEN = "the order was stated, and does not stand out of the data"
 
 
 def crossings(
-    orders: tuple[AgreedOrder, ...],
+    orders: Sequence[AgreedOrder],
     modal: ModalFit,
     *,
     speed_rpm: tuple[float, float],
@@ -234,10 +231,13 @@ def crossings(
     for agreed in orders:
         for number, fit, whirl in _met_by(agreed.order, modal):
             crossing = _unmeasured(agreed.order, fit.modes[number], whirl, speed_rpm, settings)
-            seen = _seen_of(crossing, agreed, number, fit, settings)
-            met.append((_measured(crossing, agreed, number, seen, fit, tested, settings), seen))
+            rpm, near = crossing.finding.rpm, width_rpm(crossing.finding.rpm, crossing.mode, settings)
+            others = [(60.0 * mode.frequency_hz / agreed.order, mode.damping_ratio) for mode in fit.modes]
+            seen = [excess for line in agreed.lines for excess in above_trend(line, rpm, near, others)]
+            seen += [test for of in responses_to(agreed.order, fit) for test in _by_residue(of, number, fit)]
+            met.append((_measured(crossing, agreed, number, seen, fit, tested, near), seen))
     missing = [
-        order for order in stated if all(abs(order - seen.order) > NUMBERS.same_stated_share * order for seen in orders)
+        order for order in stated if all(abs(order - own.order) > NUMBERS.same_stated_share * order for own in orders)
     ]
     unmeasured = [
         _unmeasured(order, fit.modes[number], whirl, speed_rpm, settings)
@@ -270,7 +270,7 @@ def _unmeasured(
         rpm=rpm,
         rpm_ci95=_ends_rpm(rpm, 60.0 * mode.frequency_half_hz / order, order, whirl),
         in_range=inside,
-        amplification_predicted=_quality(mode),
+        amplification_predicted=_quality_factor(mode),
         predicted_from="damping",
         remark=mode.undecided,
         evidence=_said(mode, whirl, UNSEEN) if inside else EXTRAPOLATED,
@@ -291,20 +291,9 @@ def _said(mode: Mode, whirl: Whirl | None, evidence: str) -> str:
     return evidence if whirl is None else "; ".join(filter(None, (mode.evidence, evidence)))
 
 
-def _quality(mode: Mode) -> float:
+def _quality_factor(mode: Mode) -> float:
     """What ``mode`` makes of a force at its frequency, against its own stiffness: 1 / (2 ζ)."""
     return 1.0 / (2.0 * max(mode.damping_ratio, 1e-6))
-
-
-def _seen_of(
-    crossing: Crossing, agreed: AgreedOrder, number: int, modal: ModalFit, settings: IdentifySettings
-) -> list[Seen]:
-    """What each channel says of the ``crossing`` of ``agreed`` with mode ``number``."""
-    rpm = crossing.finding.rpm
-    others = [(60.0 * mode.frequency_hz / agreed.order, mode.damping_ratio) for mode in modal.modes]
-    near = width_rpm(rpm, crossing.mode, settings)
-    by_trend = [excess for line in agreed.lines for excess in above_trend(line, rpm, near, others)]
-    return by_trend + [test for fit in responses_to(agreed.order, modal) for test in _by_residue(fit, number, modal)]
 
 
 def responses_to(order: float, modal: ModalFit) -> list[OrderResponse]:
@@ -313,15 +302,13 @@ def responses_to(order: float, modal: ModalFit) -> list[OrderResponse]:
 
 
 def _measured(
-    crossing: Crossing,
-    agreed: AgreedOrder,
-    number: int,
-    seen: list[Seen],
-    modal: ModalFit,
-    tested: Floats,
-    settings: IdentifySettings,
+    crossing: Crossing, agreed: AgreedOrder, number: int, seen: list[Seen], modal: ModalFit, tested: Floats, near: float
 ) -> Crossing:
-    """``crossing`` as the amplitudes of ``agreed`` show it, with the verdict that it has where it is not excited."""
+    """``crossing`` as the amplitudes of ``agreed`` show it, with the verdict that it has where it is not excited.
+
+    ``seen`` is what each channel says of the order with and without mode ``number`` of ``modal``; ``tested`` are all
+    speeds in rpm, of which those within ``near`` count as at the crossing.
+    """
     mode, whirl, finding = crossing.mode, crossing.whirl, crossing.finding
     relative = [mode.frequency_error_hz / mode.frequency_hz, agreed.order_error / agreed.order]
     error = float(np.hypot(relative[0], relative[1]))
@@ -344,19 +331,30 @@ def _measured(
     trend = min(trends, key=lambda excess: excess.chance, default=None)
     by_fit = [excess for fit in fitted if (excess := fitted_excess(fit, number, modal)) is not None]
     best = None if trend is None else higher(trend, by_fit)
-    evidence = evidence_beside(agreed, finding.rpm, mode, trend, tested, settings)
+    evidence = evidence_beside(agreed, finding.rpm, mode, trend, tested, near)
     if best is not None and best is not trend:
         what, low, high = "what it is without the mode, by the fit", best.ratio_low, best.ratio_high
         evidence = f"in {best.channel} at least {low:.2g} times {what}"
         if np.isfinite(high):
             evidence = f"in {best.channel} {best.ratio:.2g} times {what} ({low:.2g} to {high:.2g})"
+    # a resonance that was measured through without the order rising is not excited
+    rpm, least = finding.rpm, NUMBERS.clearly_excited_ratio
+    resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
+    quiet = resolved and bool(trends) and max(excess.ratio_high for excess in trends) < least
+    quiet &= all(seen_all_around(line, rpm, tested) for line in agreed.lines)
+    known = [fit for fit in fitted if number in fit.reached and fit.span_rpm[0] <= rpm <= fit.span_rpm[1]]
+    if {fit.channel for fit in known} >= {line.channel for line in agreed.lines} and known:
+        ends = [_beside_mode(fit, number, modal).ends(half_width(float(fit.degrees_of_freedom)))[1] for fit in known]
+        quiet |= max(float(high.max()) for high in ends) < least
+    quiet &= all(excess.ratio_low < least for excess in by_fit)
+    otherwise: Verdict = "not decided" if resolved or known else "not measured"
     finding = replace(
         finding,
         channels=tuple(excess.channel for excess in trends) or finding.channels,
         amplification=None if best is None else best.ratio,
         amplification_ci95=None if best is None else (best.ratio_low, best.ratio_high),
         evidence=_said(mode, whirl, evidence),
-        verdict=_unless_excited(agreed, number, trends, fitted, by_fit, modal, tested),
+        verdict="undecided mode" if mode.undecided else "not excited" if quiet else otherwise,
     )
     return replace(crossing, finding=finding)
 
@@ -382,42 +380,15 @@ def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen
     unsure = sigmas * without_error + NUMBERS.shape_share * size
     low = max(size - sigmas * size_error, 0.0) / max(without + unsure, least, 1e-300)
     high = (size + sigmas * size_error) / (without - unsure) if without - unsure > least else np.inf
-    quality = _quality(mode)
+    quality = _quality_factor(mode)
     ratio = min(float(both.ratio[AT_MODE]), quality)
     return Seen(response.channel, np.nan, rpm, ratio, min(low, quality), high)
 
 
 def higher(trend: Seen, by_fit: Sequence[Seen]) -> Seen:
     """The largest of the excesses ``by_fit`` where its interval lies above that of the ``trend``; else the trend's."""
-    above = [item for item in by_fit if item.ratio_low > trend.ratio_high]
-    return max(above, key=lambda item: item.ratio_low, default=trend)
-
-
-def _unless_excited(
-    agreed: AgreedOrder,
-    number: int,
-    trends: list[Seen],
-    fitted: list[OrderResponse],
-    by_fit: list[Seen],
-    modal: ModalFit,
-    tested: Floats,
-) -> Verdict:
-    """What is said of a crossing in the tested range at which no order was seen to rise."""
-    mode = modal.modes[number]
-    rpm = 60.0 * mode.frequency_hz / agreed.order
-    resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
-    quiet = resolved and bool(trends) and max(item.ratio_high for item in trends) < NUMBERS.clearly_excited_ratio
-    quiet &= all(seen_all_around(line, rpm, tested) for line in agreed.lines)
-    known = [item for item in fitted if number in item.reached and item.span_rpm[0] <= rpm <= item.span_rpm[1]]
-    if {item.channel for item in known} >= {line.channel for line in agreed.lines} and known:
-        ends = [_beside_mode(item, number, modal).ends(half_width(float(item.degrees_of_freedom)))[1] for item in known]
-        quiet |= max(float(high.max()) for high in ends) < NUMBERS.clearly_excited_ratio
-    quiet &= all(excess.ratio_low < NUMBERS.clearly_excited_ratio for excess in by_fit)
-    if mode.undecided:
-        return "undecided mode"
-    if quiet:
-        return "not excited"
-    return "not decided" if resolved or known else "not measured"
+    above = [excess for excess in by_fit if excess.ratio_low > trend.ratio_high]
+    return max(above, key=lambda excess: excess.ratio_low, default=trend)
 
 
 def _predicted(fitted: list[OrderResponse], number: int, modal: ModalFit) -> float:
@@ -425,8 +396,8 @@ def _predicted(fitted: list[OrderResponse], number: int, modal: ModalFit) -> flo
 
     1 / (2 ζ) where nothing was ``fitted``, and at most: what a mode makes of a force, seen against its own stiffness.
     """
-    ratios = [amplification(item, number, modal) for item in fitted]
-    quality = _quality(modal.modes[number])
+    ratios = [amplification(response, number, modal) for response in fitted]
+    quality = _quality_factor(modal.modes[number])
     # beyond that the fit says that hardly anything is left without the mode, which is no amplification
     return min([max(ratios), quality]) if ratios else quality
 

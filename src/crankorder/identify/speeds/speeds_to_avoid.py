@@ -12,6 +12,7 @@ from scipy.special import ndtri
 from crankorder.findings import AvoidedSpeed, CrossingFinding, FreeBand, OpenBand
 from crankorder.identify.found import (
     AgreedOrder,
+    AgreedOrders,
     Crossing,
     ModalFit,
     Mode,
@@ -21,11 +22,11 @@ from crankorder.identify.found import (
     UnseenBound,
 )
 from crankorder.identify.intervals import Z95, half_width
-from crankorder.identify.lines.growth import Largest, largest, reported_within
+from crankorder.identify.lines.growth import largest, reported_within
 from crankorder.identify.modes.order_modes import NUMBERS as ORDER_MODES
 from crankorder.identify.modes.responses import EXCLUSION, HeldPeak, peak_of, together, with_and_without
 from crankorder.identify.speeds.crossings import NUMBERS as CROSSINGS
-from crankorder.identify.speeds.crossings import Seen, above_trend, fitted_excess, higher, responses_to, width_rpm
+from crankorder.identify.speeds.crossings import above_trend, fitted_excess, higher, responses_to, width_rpm
 from crankorder.quantities import Bools
 from crankorder.records import Ends, known
 from crankorder.settings import IdentifySettings, MethodNumbers
@@ -60,7 +61,7 @@ class _Peak:
 
 def speeds_to_avoid(
     found: Sequence[Crossing],
-    orders: tuple[AgreedOrder, ...],
+    orders: AgreedOrders,
     modal: ModalFit,
     *,
     speed_rpm: tuple[float, float],
@@ -102,7 +103,7 @@ def speeds_to_avoid(
     numbered = {(finding.order, finding.mode_hz) for finding in findings if finding.amplification is not None}
     # a meeting that has a number of its own keeps that one: the reason says how the peak stands over its neighbours
     met += [replace(peak, amplification=None) if (peak.order, peak.mode_hz) in numbered else peak for peak in lone]
-    by_cost = sorted((_joined(group) for group in _overlapping(met)), key=lambda peak: (_benefit(peak), peak.rpm))
+    by_cost = sorted((_joined(group) for group in _overlapping(met)), key=lambda peak: (_negative_cost(peak), peak.rpm))
     avoid = tuple(replace(peak, rank=rank) for rank, peak in enumerate(by_cost, start=1))
     low, high = speed_rpm
     if not (np.isfinite(low) and np.isfinite(high)):
@@ -150,8 +151,8 @@ def _range(peak: AvoidedSpeed) -> Ends:
     return cast("Ends", peak.rpm_range)
 
 
-def _benefit(peak: AvoidedSpeed) -> float:
-    """The cost of ``peak`` with the other sign: the costliest is first."""
+def _negative_cost(peak: AvoidedSpeed) -> float:
+    """Cost of ``peak`` with a minus sign, as a key that sorts the costliest first."""
     return -(peak.cost or 0.0)
 
 
@@ -162,6 +163,7 @@ def _is_vague(crossing: Crossing) -> bool:
 
 
 def _counts(crossing: Crossing) -> bool:
+    """Whether ``crossing`` is excited in the tested range, its speed known, and may double the amplitude."""
     finding = crossing.finding
     if not (finding.excited and finding.in_range) or _is_vague(crossing):
         return False
@@ -170,11 +172,7 @@ def _counts(crossing: Crossing) -> bool:
 
 
 def _cost(
-    crossing: Crossing,
-    orders: tuple[AgreedOrder, ...],
-    modal: ModalFit,
-    in_unit: Mapping[str, float],
-    settings: IdentifySettings,
+    crossing: Crossing, orders: AgreedOrders, modal: ModalFit, in_unit: Mapping[str, float], settings: IdentifySettings
 ) -> AvoidedSpeed:
     """Range, amplitude and cost of an excited crossing; ``in_unit``: largest amplitude of the unit of each channel."""
     mode, finding = crossing.mode, crossing.finding
@@ -186,7 +184,19 @@ def _cost(
     shares = {channel: size / in_unit[channel] for channel, size in sizes.items() if in_unit.get(channel, 0.0) > 0.0}
     channel = max(shares, key=lambda name: shares[name], default=agreed.lines[0].channel)
     peak = peaks.get(channel)
-    times = _amplification(crossing, agreed, channel, peak, modal, settings)
+    # how many times what it is without the mode: by the fit, unless the amplitudes stand higher over their trend
+    others = [] if crossing.whirl is None else [(finding.rpm, mode.damping_ratio)]
+    others += [(60.0 * other.frequency_hz / agreed.order, other.damping_ratio) for other in modal.modes]
+    near = width_rpm(finding.rpm, mode, settings)
+    lines = [line for line in agreed.lines if line.channel == channel]
+    trends = [excess for line in lines for excess in above_trend(line, finding.rpm, near, others)]
+    times = trend = min(trends, key=lambda excess: excess.chance, default=None)
+    if peak is not None and peak.response is not None:
+        by_fit = fitted_excess(peak.response, modal.modes.index(mode), modal)
+        if by_fit is not None:
+            times = by_fit if trend is None else higher(by_fit, [trend])
+    if times is not None and not (times.ratio is not None and times.ratio >= CROSSINGS.clearly_excited_ratio):
+        times = None  # less than makes a speed one to avoid
     of_whirl = "" if crossing.whirl is None else f" of a whirl that moves by {crossing.whirl.slope:.3g} orders"
     undecided = ", which may be a natural frequency" if mode.undecided else ""
     return AvoidedSpeed(
@@ -245,35 +255,6 @@ def _fitted_peak(response: OrderResponse, rpm: float, rpm_range: Ends, modal: Mo
     return peak if half_width(peak.freedom) * peak.share <= 1.0 - 1.0 / NUMBERS.peak_within_ratio else None
 
 
-def _amplification(
-    crossing: Crossing,
-    agreed: AgreedOrder,
-    channel: str,
-    peak: _Peak | None,
-    modal: ModalFit,
-    settings: IdentifySettings,
-) -> Seen | None:
-    """How many times the peak of the ``crossing`` in ``channel`` is what it is there without the mode.
-
-    By the fit that tells the ``peak``, unless the measured amplitudes stand higher over their trend; None where nothing
-    tells it, or what does is less than makes a speed one to avoid.
-    """
-    mode, rpm = crossing.mode, crossing.finding.rpm
-    others = [] if crossing.whirl is None else [(rpm, mode.damping_ratio)]
-    others += [(60.0 * other.frequency_hz / agreed.order, other.damping_ratio) for other in modal.modes]
-    near = width_rpm(rpm, mode, settings)
-    lines = [line for line in agreed.lines if line.channel == channel]
-    trends = [excess for line in lines for excess in above_trend(line, rpm, near, others)]
-    trend = min(trends, key=lambda excess: excess.chance, default=None)
-    best = trend
-    if peak is not None and peak.response is not None:
-        by_fit = fitted_excess(peak.response, modal.modes.index(mode), modal)
-        if by_fit is not None:
-            best = by_fit if trend is None else higher(by_fit, [trend])
-    clear = best is not None and best.ratio is not None and best.ratio >= CROSSINGS.clearly_excited_ratio
-    return best if clear else None
-
-
 def _overlapping(met: list[AvoidedSpeed]) -> list[list[AvoidedSpeed]]:
     """Crossings in groups whose speed ranges overlap, by speed."""
     groups: list[list[AvoidedSpeed]] = []
@@ -287,7 +268,7 @@ def _overlapping(met: list[AvoidedSpeed]) -> list[list[AvoidedSpeed]]:
 
 def _joined(group: list[AvoidedSpeed]) -> AvoidedSpeed:
     """One speed to avoid from crossings whose ranges overlap, named and ranked after the costliest."""
-    by_cost = sorted(group, key=_benefit)
+    by_cost = sorted(group, key=_negative_cost)
     begins, ends = zip(*map(_range, group), strict=True)
     return replace(
         by_cost[0],
@@ -343,7 +324,7 @@ def _amplified(
     low, high = group[0].span_rpm  # all of it: what a flank adds to little is more than a resonance alone would make
     turn = np.sinh(np.linspace(-3.0, 3.0, 41)) / np.sinh(3.0)
     grid = np.unique(np.clip(np.append(rpm * (1.0 + near * turn), np.geomspace(low, high, FLANKS)), low, high))
-    both = together([with_and_without(one, number, grid, modal) for one in group])
+    both = together([with_and_without(fit, number, grid, modal) for fit in group])
     least, most = both.ends(sigmas, matters=matters)
     # where the mode itself is amplified less it carries the order without resonance: only what is sure counts there
     first, last = _amplifying((rpm * (1.0 - beside), rpm * (1.0 + beside)), factor)
@@ -367,7 +348,7 @@ def _amplifying(rpm: tuple[float, float], factor: float) -> tuple[float, float]:
 
 
 def _by_unseen(
-    orders: tuple[AgreedOrder, ...], modal: ModalFit, speed_rpm: tuple[float, float], settings: IdentifySettings
+    orders: AgreedOrders, modal: ModalFit, speed_rpm: tuple[float, float], settings: IdentifySettings
 ) -> list[OpenBand]:
     """Speeds at which a mode that nobody saw could amplify an order by more than is free."""
     low, high = speed_rpm
@@ -375,7 +356,7 @@ def _by_unseen(
         return [_open(low, high, "no order stands out")]
     bands: list[OpenBand] = []
     for agreed in orders:
-        bounds = [item for item in modal.unseen if _is_order(agreed.order, item.order)]
+        bounds = [unseen for unseen in modal.unseen if _is_order(agreed.order, unseen.order)]
         name = f"order {agreed.order:.4g}"
         if not bounds:
             bands.append(_open(low, high, f"{name}: measured at too few speeds to tell a resonance between them"))
@@ -391,7 +372,7 @@ def _by_unseen(
     return bands
 
 
-def _by_shown(orders: tuple[AgreedOrder, ...], modal: ModalFit, settings: IdentifySettings) -> list[OpenBand]:
+def _by_shown(orders: AgreedOrders, modal: ModalFit, settings: IdentifySettings) -> list[OpenBand]:
     """Speeds at which an order that only the spectra of sweeps show meets a mode, or could meet one that nobody saw."""
     bands: list[OpenBand] = []
     for order in modal.shown_orders:
@@ -470,8 +451,8 @@ def lone_peaks(
     interval, over the middling ones of the speeds on either side. Those that the speeds ``avoided`` of the same
     order hold are left out, and what is small beside the ``largest`` amplitude of its channel. The amplitude is the
     largest there of all channels of the same ``unit``; its share of the largest of any order there (``in_unit``)
-    ranks it. The natural frequency is that of the ``modal`` fit between the neighbouring speeds; where there is
-    none, that at which the order peaks.
+    ranks it. Its range ends half way to the speeds beside. The natural frequency is that of the ``modal`` fit between
+    the neighbouring speeds; where there is none, that at which the order peaks.
     """
     lone: list[AvoidedSpeed] = []
     for agreed in orders:
@@ -482,12 +463,33 @@ def lone_peaks(
             if line.amplitude[place] >= EXCLUSION.matters_share * largest.get(line.channel, 0.0)
         ]
         for line, place, ratio in sorted(peaks, key=lambda peak: -peak[2]):
-            rpm = float(line.speed_rpm[place])
+            order, rpm = agreed.order, float(line.speed_rpm[place])
             low, high = rpm - LONE_NUMBERS.same_row_share * rpm, rpm + LONE_NUMBERS.same_row_share * rpm
             alike = [other for other in agreed.lines if unit[other.channel] == unit[line.channel]]
             there = [(other.channel, seen) for other in alike if (seen := reported_within(other, low, high))]
-            worst = max(there, key=lambda of_channel: of_channel[1].amplitude)
-            peak = _avoided(agreed.order, line, rpm, ratio, modal, worst, in_unit)
+            channel, worst = max(there, key=lambda of_channel: of_channel[1].amplitude)
+            below = float(line.speed_rpm[line.speed_rpm < rpm].max())
+            above = float(line.speed_rpm[line.speed_rpm > rpm].min())
+            hz = order * rpm / 60.0
+            near = [mode.frequency_hz for mode in modal.modes if below < 60.0 * mode.frequency_hz / order < above]
+            mode_hz = min(near, key=lambda mode_hz: abs(mode_hz - hz), default=hz)
+            where = f"near {mode_hz:.4g} Hz" if near else f"at {hz:.4g} Hz, which may be a natural frequency"
+            peak = AvoidedSpeed(
+                rank=1,
+                rpm=rpm,
+                rpm_range=(0.5 * (below + rpm), 0.5 * (rpm + above)),
+                order=order,
+                orders=(order,),
+                mode_hz=mode_hz,
+                modes_hz=(mode_hz,),
+                channel=channel,
+                amplitude=worst.amplitude,
+                amplitude_ci95=(worst.low, worst.high),
+                at_least=True,
+                amplification=ratio,
+                cost=worst.amplitude / max(in_unit.get(channel, 0.0), worst.amplitude),
+                reason=f"order {order:.4g} peaks {where}: {ratio:.2g} times what it is at the speeds beside",
+            )
             # a sweep rings behind a resonance
             reach = 1.0 if line.n_independent is None else 1.0 + LONE_NUMBERS.around_share
             if not any(_holds(other, peak, reach) for other in (*avoided, *lone)):
@@ -500,7 +502,7 @@ def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
     rank = np.argsort(line.speed_rpm, kind="stable")
     speed, size = line.speed_rpm[rank], line.amplitude[rank]
     least = size - Z95 * line.amplitude_error[rank] if line.ends is None else line.ends[rank, 0]
-    found = []
+    peaks = []
     for place in range(1, len(rank) - 1):
         first = min(int(np.searchsorted(speed, speed[place] * (1.0 - LONE_NUMBERS.around_share))), place - 1)
         end = np.searchsorted(speed, speed[place] * (1.0 + LONE_NUMBERS.around_share), side="right")
@@ -509,43 +511,8 @@ def _lone_peaks_of(line: OrderLine, factor: float) -> list[tuple[int, float]]:
             continue
         beside = max(float(np.median(size[first:place])), float(np.median(size[place + 1 : last])))
         if beside > 0.0 and least[place] >= factor * beside:
-            found.append((int(rank[place]), float(size[place]) / beside))
-    return found
-
-
-def _avoided(
-    order: float,
-    line: OrderLine,
-    rpm: float,
-    ratio: float,
-    modal: ModalFit,
-    worst: tuple[str, Largest],
-    in_unit: Mapping[str, float],
-) -> AvoidedSpeed:
-    """Speed to avoid around the row of ``line`` at ``rpm``, half way to those beside, ``worst`` in a channel there."""
-    below = float(line.speed_rpm[line.speed_rpm < rpm].max())
-    above = float(line.speed_rpm[line.speed_rpm > rpm].min())
-    hz = order * rpm / 60.0
-    near = [one.frequency_hz for one in modal.modes if below < 60.0 * one.frequency_hz / order < above]
-    mode_hz = min(near, key=lambda one: abs(one - hz), default=hz)
-    channel, seen = worst
-    where = f"near {mode_hz:.4g} Hz" if near else f"at {hz:.4g} Hz, which may be a natural frequency"
-    return AvoidedSpeed(
-        rank=1,
-        rpm=rpm,
-        rpm_range=(0.5 * (below + rpm), 0.5 * (rpm + above)),
-        order=order,
-        orders=(order,),
-        mode_hz=mode_hz,
-        modes_hz=(mode_hz,),
-        channel=channel,
-        amplitude=seen.amplitude,
-        amplitude_ci95=(seen.low, seen.high),
-        at_least=True,
-        amplification=ratio,
-        cost=seen.amplitude / max(in_unit.get(channel, 0.0), seen.amplitude),
-        reason=f"order {order:.4g} peaks {where}: {ratio:.2g} times what it is at the speeds beside",
-    )
+            peaks.append((int(rank[place]), float(size[place]) / beside))
+    return peaks
 
 
 def _holds(other: AvoidedSpeed, peak: AvoidedSpeed, reach: float) -> bool:
