@@ -29,6 +29,9 @@ Dashes = tuple[float, float]
 
 SOLID: Dashes = (0.0, 0.0)
 
+ORDER = "Order (cycles per crank revolution)"
+"""Label of an axis of orders."""
+
 _BASELINE = {"baseline": 0.0, "centre": CAP_HEIGHT / 2, "top": CAP_HEIGHT}
 _ALONG = {"left": 0.0, "centre": 0.5, "right": 1.0}
 _DESCENT = 0.236  # of DejaVu Sans, in sizes of the type

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from crankorder.channel_units import unit_text
 from crankorder.errors import RequestError
 from crankorder.findings import Findings
-from crankorder.plot.axes import ORDER, axes_for, channel_of, dress, painted, quantity_text, set_scale, unit_of
+from crankorder.plot.axes import axes_for, channel_of, dress, painted, scale, y_label
 from crankorder.plot.cells import gaps_before, speed_cells
-from crankorder.plot.drawing import Box, Drawing, Panel, Words
+from crankorder.plot.drawing import ORDER, Box, Drawing, Panel, Words
 from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
 from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.reading import names_of_orders, nominal_order
@@ -126,7 +126,7 @@ def shown_tracks(tracks: xr.Dataset, *, limit: int, among: Sequence[int] | None 
     # an unknown error or interval counts as clear; an interval from 0 says that noise alone could be as large
     clear = (amplitude > 0) & ~(amplitude < _CLEAR * error) & ~(low <= 0)
     amplitude, low, high, phase = (
-        np.where(clear, item, np.nan)[:, kept] for item in (amplitude, low, high, (values["phase"] + 180) % 360 - 180)
+        np.where(clear, part, np.nan)[:, kept] for part in (amplitude, low, high, (values["phase"] + 180) % 360 - 180)
     )
     return ShownTracks(
         tracks["speed"].values[at], tracks["order"].values[kept], np.argsort(np.searchsorted(kept, ranked)),
@@ -285,22 +285,21 @@ def orders(
     """
     dataset, number = channel_of(order_tracks, "order_tracks", "orders", channel)
     placed = np.flatnonzero(np.isfinite(dataset["speed"].values))
-    one = dataset.isel(channel=[number], speed=placed if len(placed) else slice(0, 1))
+    own = dataset.isel(channel=[number], speed=placed if len(placed) else slice(0, 1))
     among = None if orders is None else _asked(dataset["order"].values, orders)
-    shown = shown_tracks(one, limit=_MOST if among is None else len(among), among=among)
+    shown = shown_tracks(own, limit=_MOST if among is None else len(among), among=among)
     alone = len(shown.speed) <= 1
     axes = axes_for(ax, "orders", height_in=4.6, width_in=8.0)
-    label = f"{quantity_text(dataset, number)}, {unit_of(dataset, number)}".removesuffix(", ")
-    said = _said(shown, dataset.sizes["order"] if orders is None else 0) if len(shown.orders) else ""
-    x = ORDER if alone else "Speed, rpm"
-    dress(axes, x=x, y=label, title=str(dataset["channel"].values[number]), rows_above=alone, said=said)
+    remark = _remark(shown, dataset.sizes["order"] if orders is None else 0) if len(shown.orders) else ""
+    x, title = ORDER if alone else "Speed, rpm", str(dataset["channel"].values[number])
+    dress(axes, x=x, y=y_label(dataset, number), title=title, rows_above=alone, said=remark)
     clear = bool(np.isfinite(shown.amplitude).any())
     limits, logarithmic = _scale(shown.amplitude)
     ends = (0.0, 1.06 * float(shown.orders[-1]) if len(shown.orders) else 1.0)
     if not alone:
         spare = 0.015 * float(shown.speed[-1] - shown.speed[0]) or 1.0
         ends = float(shown.speed[0]) - spare, float(shown.speed[-1]) + spare
-    set_scale(axes, ends, limits if clear else None, log_y=logarithmic)
+    scale(axes, ends, limits if clear else None, log_y=logarithmic)
     return painted(axes, lambda panel: _draw_points(panel, shown) if alone and clear else draw_tracks(panel, shown, 0))
 
 
@@ -310,14 +309,14 @@ def _asked(every: Floats, asked: Sequence[float]) -> list[int]:
     for order in asked:
         apart = np.abs(every - float(order))
         if not len(every) or not apart.min() <= _SAME_ORDER:
-            there = ", ".join(f"{one:.4g}" for one in every) or "none"
+            there = ", ".join(f"{known:.4g}" for known in every) or "none"
             raise RequestError("no such order", file="crankorder.plot.orders", found=order, allowed=there)
         numbers.append(int(apart.argmin()))
     return numbers
 
 
-def _said(shown: ShownTracks, there: int) -> str:
-    """Speed where it is the only one, and how many of the orders that are ``there`` are drawn; 0 of those asked for."""
+def _remark(shown: ShownTracks, there: int) -> str:
+    """Text beside the title: a single speed, and how many of the orders ``there`` are drawn; 0 of those asked for."""
     many = f"{len(shown.orders)} strongest of {there} orders, " if len(shown.orders) < there else ""
     at = ""
     if len(shown.speed) == 1:

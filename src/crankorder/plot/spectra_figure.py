@@ -13,45 +13,13 @@ import xarray as xr
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings, ModeFinding
-from crankorder.plot.axes import (
-    ORDER,
-    axes_for,
-    channel_of,
-    dress,
-    keys_below,
-    painted,
-    quantity_text,
-    set_scale,
-    unit_of,
-    values_of,
-)
-from crankorder.plot.campbell_figure import Mark, edge_labels, mode_keys, mode_marks, orders_of
-from crankorder.plot.drawing import Box, Drawing, Panel, Words, log_limits
-from crankorder.plot.fixed_lines import fixed_frequencies
+from crankorder.plot.axes import axes_for, channel_of, dress, keys_below, painted, scale, values_of, y_label
+from crankorder.plot.campbell_figure import edge_labels, orders_of
+from crankorder.plot.drawing import ORDER, Box, Drawing, Panel, Words, log_limits
+from crankorder.plot.fixed_lines import Mark, fixed_frequencies, mode_keys, mode_marks, mode_style
 from crankorder.plot.labels import Key, draw_keys, fitted, head_of_test, label_top
-from crankorder.plot.palette import (
-    DOUBT_DASHES,
-    INK,
-    LIGHT,
-    LINES,
-    MAINS,
-    MODE,
-    MODE_DASHES,
-    NORMAL,
-    SMALL,
-    TONE_DASHES,
-    drawable,
-    shortened,
-)
-from crankorder.plot.reading import (
-    frequency_text,
-    is_tone,
-    is_undecided,
-    nominal_order,
-    order_name,
-    order_texts,
-    scaling_text,
-)
+from crankorder.plot.palette import INK, LIGHT, LINES, MAINS, NORMAL, SMALL, drawable, shortened
+from crankorder.plot.reading import frequency_text, is_tone, nominal_order, order_name, order_texts, scaling_text
 from crankorder.quantities import Floats
 from crankorder.settings import ReportSettings
 
@@ -82,12 +50,12 @@ def spectra_figure(campbell: xr.Dataset, findings: Findings, *, settings: Report
     # lines that move with speed vanish from the median over the speeds, what stays put remains
     density = campbell["psd"].transpose("channel", "speed", "frequency").values
     median, frequency = np.asarray(np.median(density, axis=1), dtype=float), campbell["frequency"].values
-    left = column_panels(drawing, places[0], campbell, "frequency", median, "²/Hz", settings=settings)
-    right = column_panels(drawing, places[1], campbell, "frequency", peak, f" {scaling}", settings=settings)
+    left = column_panels(drawing, places[0], campbell, median, "²/Hz", settings=settings)
+    right = column_panels(drawing, places[1], campbell, peak, f" {scaling}", settings=settings)
     modes = _mark_modes(left, fixed_frequencies(findings))
     orders = _mark_orders(right, campbell, findings, float(speed[fastest]), limit=settings.max_labelled_orders)
-    draw_spectra(left, frequency, median)
-    draw_spectra(right, frequency, peak)
+    for panel, values in zip([*left, *right], [*median, *peak], strict=True):
+        draw_spectrum(panel, frequency, values)
     label_column(left[0], modes, "")
     label_column(right[0], orders, "order")
     kind = "peak amplitude" if "peak" in scaling else "RMS"
@@ -109,19 +77,16 @@ def spectrum_figure(
     """
     fastest = int(np.argmax(np.nan_to_num(campbell["speed"].values)))
     row = campbell.isel(channel=[campbell["channel"].values.tolist().index(channel)], speed=fastest)
-    rpm, peak, fixed = (
-        float(row["speed"]),
-        row["amplitude"].transpose("channel", "frequency").values,
-        fixed_frequencies(findings),
-    )
+    rpm, peak = float(row["speed"]), row["amplitude"].transpose("channel", "frequency").values
+    fixed = fixed_frequencies(findings)
     own = replace(findings, orders=tuple(orders_of(findings, channel, limit=settings.max_labelled_orders)))
     causes, low = _causes(own, fixed), _ONE_AXIS + _ORDER_AXIS * (rpm > 0.0)
     drawing, right = Drawing(settings.width_in, settings.height_in), _CAUSES if causes else _RIGHT
     box = (_LEFT, low, settings.width_in - _LEFT - right, settings.height_in - low - _TWO_TIERS)
-    panels = column_panels(drawing, [box], row, "frequency", peak, f" {scaling_text(row)}", settings=settings)
+    panels = column_panels(drawing, [box], row, peak, f" {scaling_text(row)}", settings=settings)
     modes = _mark_modes(panels, fixed)
     orders = _mark_orders(panels, row, own, rpm, limit=len(own.orders))
-    draw_spectra(panels, row["frequency"].values, peak)
+    draw_spectrum(panels[0], row["frequency"].values, peak[0])
     label_column(panels[0], orders, "order", modes)
     if rpm > 0.0:
         ends = (60.0 * panels[0].x[0] / rpm, 60.0 * panels[0].x[1] / rpm)
@@ -141,9 +106,10 @@ def spectrum_figure(
 
 def _causes(findings: Findings, fixed: list[ModeFinding]) -> list[tuple[str, str]]:
     """Lines of text with their colour: each cause, and below it the orders and tones that it makes."""
-    orders = sorted(findings.orders, key=lambda one: -one.amplitude)
-    places = [(one.explained_by, order_name(one, findings), LINES[1]) for one in orders]
-    places += [(one.explained_by, f"{frequency_text(one.frequency_hz)} Hz", MAINS) for one in fixed if is_tone(one)]
+    orders = sorted(findings.orders, key=lambda order: -order.amplitude)
+    places = [(order.explained_by, order_name(order, findings), LINES[1]) for order in orders]
+    tones = [mode for mode in fixed if is_tone(mode)]
+    places += [(tone.explained_by, f"{frequency_text(tone.frequency_hz)} Hz", MAINS) for tone in tones]
     causes: dict[tuple[str, str], list[str]] = {}
     for cause, place, color in places:
         causes.setdefault((cause or "unexplained", color), []).append(place)
@@ -174,22 +140,15 @@ def _subtitle(n_speeds: int, rpm: float, kind: str, *, modes: bool, orders: bool
 
 
 def column_panels(
-    drawing: Drawing,
-    boxes: list[Box],
-    dataset: xr.Dataset,
-    along: str,
-    values: Floats,
-    unit_tail: str,
-    *,
-    settings: ReportSettings,
+    drawing: Drawing, boxes: list[Box], dataset: xr.Dataset, values: Floats, unit_tail: str, *, settings: ReportSettings
 ) -> list[Panel]:
     """Panels over ``boxes`` of ``drawing`` with logarithmic axes for ``values`` (channels, bins); one unit, one scale.
 
-    ``along`` of ``dataset`` is the axis of the bins: "frequency" or "order"; ``unit_tail`` follows each channel's unit;
-    ``settings`` cut long names.
+    The bins are the frequencies or the orders of ``dataset``; ``unit_tail`` follows each channel's unit; ``settings``
+    cut long names.
     """
+    along, title = ("order", ORDER) if "order" in dataset.dims else ("frequency", "Frequency, Hz")
     place, units = dataset[along].values, dataset["unit"].values.astype(str)
-    title = "Frequency, Hz" if along == "frequency" else ORDER
     panels = []
     for number, box in enumerate(boxes):
         decades = DECADES * (1.5 if "²/Hz" in unit_tail else 1.0)
@@ -207,12 +166,6 @@ def column_panels(
     return panels
 
 
-def draw_spectra(panels: list[Panel], place: Floats, values: Floats) -> None:
-    """Draw each row of ``values`` (channels, bins) over ``place`` (bins,) in its one of ``panels``."""
-    for panel, own in zip(panels, values, strict=True):
-        draw_spectrum(panel, place, own)
-
-
 def draw_spectrum(panel: Panel, place: Floats, values: Floats, *, color: str = INK, name: str = "spectrum") -> None:
     """Draw ``values`` over ``place`` (bins,) in ``panel`` as a line in ``color`` called ``name``."""
     if np.any(values > 0):
@@ -224,9 +177,8 @@ def draw_spectrum(panel: Panel, place: Floats, values: Floats, *, color: str = I
 def _mark_modes(panels: list[Panel], modes: list[ModeFinding]) -> list[Mark]:
     for panel in panels:
         for mode in modes:
-            tone = is_tone(mode)
-            dashes = TONE_DASHES if tone else DOUBT_DASHES if is_undecided(mode) else MODE_DASHES
-            panel.upright(mode.frequency_hz, color=MAINS if tone else MODE, dashes=dashes, alpha=0.7)
+            _, color, _, dashes = mode_style(mode)
+            panel.upright(mode.frequency_hz, color=color, dashes=dashes, alpha=0.7)
     return mode_marks(modes)
 
 
@@ -272,7 +224,7 @@ def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings:
     """
     drawing, (boxes,) = column_boxes(order_map.sizes["channel"], settings.width_in - _LEFT - _RIGHT, settings)
     order, (mean, floor) = order_map["order"].values, _mean_levels(order_map)
-    panels = column_panels(drawing, boxes, order_map, "order", mean, f" {scaling_text(order_map)}", settings=settings)
+    panels = column_panels(drawing, boxes, order_map, mean, f" {scaling_text(order_map)}", settings=settings)
     found = sorted({nominal_order(record) for record in findings.orders})
     for number, (panel, channel) in enumerate(zip(panels, order_map["channel"].values.tolist(), strict=True)):
         for place in found:
@@ -349,12 +301,10 @@ def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | 
     dataset, number = channel_of(campbell_map, "campbell_map", "spectra", channel)
     frequency, lines = np.asarray(dataset["frequency"].values, dtype=float), _by_speed(dataset, number)
     axes = axes_for(ax, "spectra", height_in=4.4)
-    label = f"{quantity_text(dataset, number)}, {unit_of(dataset, number)}".removesuffix(", ")
-    several = len(lines) > 1
-    said = f"{dataset.sizes['speed']} speeds" if several else next(iter(lines), "")
-    dress(axes, x="Frequency, Hz", y=label, title=str(dataset["channel"].values[number]), said=said)
-    limits = log_limits(np.array(list(lines.values())), DECADES, room=2.5)
-    set_scale(axes, frequency, limits)
+    several, title = len(lines) > 1, str(dataset["channel"].values[number])
+    speeds = f"{dataset.sizes['speed']} speeds" if several else next(iter(lines), "")
+    dress(axes, x="Frequency, Hz", y=y_label(dataset, number), title=title, said=speeds)
+    scale(axes, frequency, log_limits(np.array(list(lines.values())), DECADES, room=2.5))
 
     def content(panel: Panel) -> None:
         for (text, values), color in zip(lines.items(), LINES if several else (INK,), strict=False):
