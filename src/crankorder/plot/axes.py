@@ -200,7 +200,7 @@ def painted(
     return axes
 
 
-def keys_below(panel: Panel, keys: Sequence[Key]) -> None:
+def keys_below(panel: Panel, keys: list[Key]) -> None:
     """Draw ``keys`` below the label of the x axis of ``panel``."""
     left, bottom, width, _ = panel.box
     draw_keys(panel.drawing, left, keys, room_in=width, base_in=bottom - _KEYS_IN, most=len(keys))

@@ -409,8 +409,8 @@ def campbell(
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
-    >>> made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
-    >>> axes = co.plot.campbell(co.campbell_map(made, max_frequency_hz=200.0))
+    >>> recording = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+    >>> axes = co.plot.campbell(co.campbell_map(recording, max_frequency_hz=200.0))
     >>> axes.get_xlabel(), axes.get_ylabel()
     ('Frequency, Hz', 'Speed, rpm')
     """
@@ -443,8 +443,8 @@ def order_map(
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
-    >>> made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
-    >>> axes = co.plot.order_map(co.order_map(made))
+    >>> recording = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+    >>> axes = co.plot.order_map(co.order_map(recording))
     >>> axes.get_xlabel()
     'Order (cycles per crank revolution)'
     """

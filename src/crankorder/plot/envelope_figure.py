@@ -192,8 +192,8 @@ def envelope(
     >>> import numpy as np, crankorder as co
     >>> rng, ring = np.random.default_rng(1), np.exp(-np.arange(60) / 15) * np.cos(1.9 * np.arange(60))
     >>> signal = np.convolve(np.arange(80_000) % 112 == 0, ring, "same") + 0.1 * rng.standard_normal(80_000)
-    >>> made = co.recording(signal, rate_hz=10_000, speed_rpm=1500.0)  # a strike every 112 samples: order 3.57
-    >>> axes = co.plot.envelope(co.envelope(made, bearings=[{"name": "drive end", "bpfo": 3.58, "bpfi": 5.42}]))
+    >>> recording = co.recording(signal, rate_hz=10_000, speed_rpm=1500.0)  # a strike every 112 samples: order 3.57
+    >>> axes = co.plot.envelope(co.envelope(recording, bearings=[{"name": "drive end", "bpfo": 3.58, "bpfi": 5.42}]))
     >>> axes.get_title(loc="right").partition(",")[0]
     '1500 rpm'
     """

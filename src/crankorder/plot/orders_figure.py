@@ -278,8 +278,8 @@ def orders(
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
-    >>> made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
-    >>> axes = co.plot.orders(co.order_tracks(made, orders=[1.0, 3.0]))
+    >>> recording = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+    >>> axes = co.plot.orders(co.order_tracks(recording, orders=[1.0, 3.0]))
     >>> axes.get_ylabel()
     'Acceleration (peak), m/s²'
     """

@@ -293,8 +293,8 @@ def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | 
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
-    >>> made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
-    >>> axes = co.plot.spectra(co.campbell_map(made, max_frequency_hz=200.0))
+    >>> recording = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+    >>> axes = co.plot.spectra(co.campbell_map(recording, max_frequency_hz=200.0))
     >>> axes.get_yscale(), axes.get_title(loc="right")
     ('log', '1500 rpm')
     """

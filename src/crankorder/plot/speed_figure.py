@@ -134,8 +134,8 @@ def speed(crank_angle: xr.Dataset, *, ax: Axes | None = None) -> Axes:
 
     >>> import numpy as np, crankorder as co
     >>> turns = np.arange(0.0, 4.0, 1 / (25.0 * 60))
-    >>> made = co.recording(np.zeros(4000), rate_hz=1000.0, pulse_times_s=turns, pulses_per_rev=60)
-    >>> axes = co.plot.speed(co.crank_angle(made))
+    >>> recording = co.recording(np.zeros(4000), rate_hz=1000.0, pulse_times_s=turns, pulses_per_rev=60)
+    >>> axes = co.plot.speed(co.crank_angle(recording))
     >>> axes.get_xlabel(), axes.get_ylabel()
     ('Time, s', 'Speed, rpm')
     """

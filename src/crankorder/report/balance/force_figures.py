@@ -160,7 +160,8 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
         for number, (name, unit, most, values, hues) in enumerate(groups):
             bottom = _BARS_BOTTOM + (len(groups) - 1 - number) * (height + _BARS_GAP)
             axes = axes_at(figure, _BARS_LEFT, bottom, width, height)
-            _bars(axes, orders, values, hues, kind="force" if unit == "N" else "moment", most=most, settings=settings)
+            kind, floor = "force" if unit == "N" else "moment", most * _share(settings)
+            _bars(axes, orders, values, hues, kind=kind, most=most, floor=floor)
             axes.set_title(name, fontsize=9)
             axes.set(xlim=(0.4, last + 0.6), ylabel=unit)
             factor, right = (per_omega, "g·mm") if unit == "N" else (1e-3 * per_omega, "g·mm²")
@@ -203,9 +204,9 @@ def _groups(balance: xr.Dataset, systems: list[list[str]], moments: list[list[st
         for row, name in enumerate(axis_names(balance))
     ]
     if "moment_by_system" in balance:
-        systems_of = [balance["moment_by_system"].sel(system=names[0]).values for names in moments]
+        amplitudes = [balance["moment_by_system"].sel(system=names[0]).values for names in moments]
         hues = [system_color(names[0]) for names in moments]
-        about_z, about_x, roll = (1e-3 * per_omega * np.array([one[row] for one in systems_of]) for row in range(3))
+        about_z, about_x, roll = 1e-3 * per_omega * np.stack(amplitudes, axis=1)
         # the couple along Z and X as what turns with the crank and against it: the largest of the turn is their sum
         rocking = (np.abs(about_x + 1j * about_z) + np.abs(about_x - 1j * about_z)) / 2
         most = float(max(rocking.max(), np.abs(roll).max()))
@@ -215,19 +216,11 @@ def _groups(balance: xr.Dataset, systems: list[list[str]], moments: list[list[st
 
 
 def _bars(
-    axes: Axes,
-    orders: Floats,
-    values: list[Floats],
-    colors: list[str],
-    *,
-    kind: str,
-    most: float,
-    settings: ReportSettings,
+    axes: Axes, orders: Floats, values: list[Floats], colors: list[str], *, kind: str, most: float, floor: float
 ) -> None:
     """Bars of every order side by side, the largest with its value above; ``kind``: force or moment."""
     quiet_frame(axes)
     axes.grid(False, axis="x")
-    floor = most * _share(settings)
     high = np.max(values, axis=0)
     shown = [float(order) for order, value in zip(orders, high, strict=True) if value > floor > 0]
     axes.set_xticks(shown, [order_text(order) for order in shown])
