@@ -144,8 +144,8 @@ def axes_for(ax: Axes | None, picture: str, *, height_in: float = 5.0, width_in:
     return ax
 
 
-def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_above: int = 0, said: str = "") -> None:
-    """Labels, title and frame of ``axes``: ``x`` and ``y`` name the axes, ``said`` follows the bold ``title``.
+def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_above: int = 0, note: str = "") -> None:
+    """Labels, title and frame of ``axes``: ``x`` and ``y`` name the axes, ``note`` follows the bold ``title``.
 
     ``whole``: a frame on all sides, no grid, and room for a bar, as around maps. ``rows_above``: of labels between axes
     and title.
@@ -166,7 +166,7 @@ def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_a
     name = title if len(title) <= _LONGEST_NAME else f"{title[: _LONGEST_NAME - 1]}…"
     pad = 7.0 + _TIER_PT * rows_above
     axes.set_title(name, loc="left", pad=pad, fontsize=LARGE, fontweight="bold", color=INK, parse_math=False)
-    axes.set_title(said, loc="right", pad=pad, fontsize=SMALL + 0.5, color=FAINT, parse_math=False)
+    axes.set_title(note, loc="right", pad=pad, fontsize=SMALL + 0.5, color=FAINT, parse_math=False)
 
 
 def scale(axes: Axes, x: Sequence[float] | Floats, y: tuple[float, float] | None, *, log_y: bool = True) -> None:

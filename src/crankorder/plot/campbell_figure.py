@@ -465,7 +465,7 @@ def _on_axes(
     rows = bool(orders_of(shown, name, limit=1)) + bool(fixed_frequencies(shown))
     remark = f"{levels.unknown} of unknown speed not shown" if levels.unknown else ""
     y = "Speed not known" if levels.timeless else "Speed, rpm"
-    dress(axes, x=x, y=y, title=name, whole=True, rows_above=rows, said=remark)
+    dress(axes, x=x, y=y, title=name, whole=True, rows_above=rows, note=remark)
     ends = levels.place if len(levels.place) > 1 else bin_edges(levels.place)
     scale(axes, ends, (levels.cells[0, 0], levels.cells[-1, 1]), log_y=False)
     if levels.timeless:

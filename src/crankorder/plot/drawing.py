@@ -157,8 +157,8 @@ def title_lines(drawing: Drawing, left_in: float, title: str, sentence: str) -> 
     heading = shortened(title, LARGE, room, bold=True)
     drawing.add(Words(left_in, drawing.height_in - 0.34, heading, LARGE, bold=True))
     if sentence:
-        said = shortened(sentence, NORMAL, room)
-        drawing.add(Words(left_in, drawing.height_in - 0.56, said, NORMAL, FAINT, name="subtitle"))
+        subtitle = shortened(sentence, NORMAL, room)
+        drawing.add(Words(left_in, drawing.height_in - 0.56, subtitle, NORMAL, FAINT, name="subtitle"))
 
 
 def quality_text(findings: Findings) -> str:

@@ -210,7 +210,7 @@ def envelope(
     quantity, _, scaling_and_unit = y_label(dataset, number).partition(" (")
     label = f"Envelope of {quantity.lower()}{scaling_and_unit.partition(')')[2]}"
     title, where = str(dataset["channel"].values[number]), _speed_and_band(dataset, number, at)
-    dress(axes, x=ORDER, y=label, title=title, rows_above=bool(lines), said=where)
+    dress(axes, x=ORDER, y=label, title=title, rows_above=bool(lines), note=where)
     scale(axes, order, log_limits(amplitude[at], DECADES, room=2.5))
 
     def content(panel: Panel) -> None:

@@ -97,8 +97,8 @@ def orders_figure(tracks: xr.Dataset, findings: Findings, *, settings: ReportSet
         _draw_channel(drawing, shown, number, (left, bottom, width, block))
         name = shortened(drawable(channel, settings.max_name_characters), NORMAL + 1, width, bold=True)
         drawing.add(Words(left, bottom + block + 0.09, name, NORMAL + 1, bold=True))
-    said = _subtitle(tracks.sizes["order"], len(shown.orders), clear=bool(np.isfinite(shown.amplitude).any()))
-    head_of_test(drawing, _LEFT, findings, "orders against speed", said, longest=settings.max_name_characters)
+    subtitle = _subtitle(tracks.sizes["order"], len(shown.orders), clear=bool(np.isfinite(shown.amplitude).any()))
+    head_of_test(drawing, _LEFT, findings, "orders against speed", subtitle, longest=settings.max_name_characters)
     return drawing
 
 
@@ -292,7 +292,7 @@ def orders(
     axes = axes_for(ax, "orders", height_in=4.6, width_in=8.0)
     remark = _remark(shown, dataset.sizes["order"] if orders is None else 0) if len(shown.orders) else ""
     x, title = ORDER if alone else "Speed, rpm", str(dataset["channel"].values[number])
-    dress(axes, x=x, y=y_label(dataset, number), title=title, rows_above=alone, said=remark)
+    dress(axes, x=x, y=y_label(dataset, number), title=title, rows_above=alone, note=remark)
     clear = bool(np.isfinite(shown.amplitude).any())
     limits, logarithmic = _scale(shown.amplitude)
     ends = (0.0, 1.06 * float(shown.orders[-1]) if len(shown.orders) else 1.0)

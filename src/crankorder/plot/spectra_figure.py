@@ -59,8 +59,8 @@ def spectra_figure(campbell: xr.Dataset, findings: Findings, *, settings: Report
     label_column(left[0], modes, "")
     label_column(right[0], orders, "order")
     kind = "peak amplitude" if "peak" in scaling else "RMS"
-    said = _subtitle(len(speed), float(speed[fastest]), kind, modes=bool(modes), orders=bool(orders))
-    head_of_test(drawing, _LEFT, findings, "spectra", said, longest=settings.max_name_characters)
+    subtitle = _subtitle(len(speed), float(speed[fastest]), kind, modes=bool(modes), orders=bool(orders))
+    head_of_test(drawing, _LEFT, findings, "spectra", subtitle, longest=settings.max_name_characters)
     return drawing
 
 
@@ -94,13 +94,13 @@ def spectrum_figure(
         below.x_axis(ORDER, most=10, grid=False)
         below.frame()
     for number, (text, color) in enumerate(causes[: int(box[3] / _LINE)], start=1):
-        said, place = shortened(drawable(text, 200), SMALL, right - 0.25), low + box[3] - number * _LINE
-        drawing.add(Words(settings.width_in - right + 0.15, place, said, SMALL, color, name="cause"))
+        cause, place = shortened(drawable(text, 200), SMALL, right - 0.25), low + box[3] - number * _LINE
+        drawing.add(Words(settings.width_in - right + 0.15, place, cause, SMALL, color, name="cause"))
     draw_keys(drawing, _LEFT, [Key("order found", LINES[1])] * bool(orders) + mode_keys(fixed), room_in=box[2])
-    said = drawable(sentence, 300) or f"Amplitude {scaling_text(row)} against frequency."
+    subtitle = drawable(sentence, 300) or f"Amplitude {scaling_text(row)} against frequency."
     what = f"channel {drawable(channel, settings.max_name_characters)}"
     at = f" at {rpm:.0f} rpm" if rpm > 0.0 else ", speed unknown"
-    head_of_test(drawing, _LEFT, findings, f"{what}{at}", said, longest=settings.max_name_characters)
+    head_of_test(drawing, _LEFT, findings, f"{what}{at}", subtitle, longest=settings.max_name_characters)
     return drawing
 
 
@@ -188,7 +188,7 @@ def _mark_orders(
     if not np.isfinite(rpm):
         return []
     strength: dict[float, float] = {}
-    found = {(record.channel, nominal_order(record)) for record in findings.orders}
+    in_channel = {(record.channel, nominal_order(record)) for record in findings.orders}
     for record in findings.orders:
         order = nominal_order(record)
         strength[order] = max(strength.get(order, 0.0), record.amplitude)
@@ -196,7 +196,7 @@ def _mark_orders(
     texts = order_texts(kept)
     for panel, channel in zip(panels, campbell["channel"].values.astype(str), strict=True):
         for order, text in zip(kept, texts, strict=True):
-            alpha = 0.6 if (channel, order) in found else 0.25
+            alpha = 0.6 if (channel, order) in in_channel else 0.25
             panel.upright(order * rpm / 60, color=LINES[1], width=0.7, alpha=alpha, name=f"order-{text}")
     return [(order * rpm / 60, text, LINES[1]) for order, text in zip(kept, texts, strict=True)]
 
@@ -225,21 +225,22 @@ def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings:
     drawing, (boxes,) = column_boxes(order_map.sizes["channel"], settings.width_in - _LEFT - _RIGHT, settings)
     order, (mean, floor) = order_map["order"].values, _mean_levels(order_map)
     panels = column_panels(drawing, boxes, order_map, mean, f" {scaling_text(order_map)}", settings=settings)
-    found = sorted({nominal_order(record) for record in findings.orders})
+    orders = sorted({nominal_order(record) for record in findings.orders})
     for number, (panel, channel) in enumerate(zip(panels, order_map["channel"].values.tolist(), strict=True)):
-        for place in found:
+        for place in orders:
             panel.upright(place, color=LINES[1], width=0.7, alpha=0.25)
         if np.any(floor[number] > 0):
             panel.curve(order, floor[number], color=LIGHT, width=1.4, name="floor")
         draw_spectrum(panel, order, mean[number])
         own = sorted({nominal_order(record) for record in findings.orders if record.channel == channel})
         ring_lines(panel, order, mean[number], own)
-    label_column(panels[0], [(at, text, LINES[1]) for at, text in zip(found, order_texts(found), strict=True)], "order")
+    marks = [(order, text, LINES[1]) for order, text in zip(orders, order_texts(orders), strict=True)]
+    label_column(panels[0], marks, "order")
     keys = [Key("floor: median of the orders around", LIGHT)] if drawing.strokes("floor") else []
-    draw_keys(drawing, _LEFT, keys + [Key("order found in the channel", LINES[1], ring=True)] * bool(found))
+    draw_keys(drawing, _LEFT, keys + [Key("order found in the channel", LINES[1], ring=True)] * bool(orders))
     speeds = order_map.sizes["speed"]
-    said = f"Amplitude against order{f', its mean level over {speeds} speeds' if speeds > 1 else ''}."
-    head_of_test(drawing, _LEFT, findings, "order spectra", said, longest=settings.max_name_characters)
+    subtitle = f"Amplitude against order{f', its mean level over {speeds} speeds' if speeds > 1 else ''}."
+    head_of_test(drawing, _LEFT, findings, "order spectra", subtitle, longest=settings.max_name_characters)
     return drawing
 
 
@@ -303,7 +304,7 @@ def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | 
     axes = axes_for(ax, "spectra", height_in=4.4)
     several, title = len(lines) > 1, str(dataset["channel"].values[number])
     speeds = f"{dataset.sizes['speed']} speeds" if several else next(iter(lines), "")
-    dress(axes, x="Frequency, Hz", y=y_label(dataset, number), title=title, said=speeds)
+    dress(axes, x="Frequency, Hz", y=y_label(dataset, number), title=title, note=speeds)
     scale(axes, frequency, log_limits(np.array(list(lines.values())), DECADES, room=2.5))
 
     def content(panel: Panel) -> None:

@@ -149,7 +149,7 @@ def speed(crank_angle: xr.Dataset, *, ax: Axes | None = None) -> Axes:
     ends = dict.fromkeys(f"{pick(mean):.0f}" for pick in (np.min, np.max)) if len(mean) else ()
     span = f"{' to '.join(ends)} rpm" if ends else ""
     remark = f"{span}, band: lowest to highest" if many else span
-    dress(axes, x="Time, s", y="Speed, rpm", title=str(dataset.attrs["recording"]), said=remark)
+    dress(axes, x="Time, s", y="Speed, rpm", title=str(dataset.attrs["recording"]), note=remark)
     if not len(values):
         scale(axes, (0.0, 1.0), None)
         return painted(axes, lambda panel: panel.note("no speed is known"))

@@ -91,8 +91,8 @@ def torque_figure(
         mean = "" if moment.power_w is None else f"; mean {number_text(moment.mean_n_m)} N·m (dashed)"
         swing = moment.speed_fluctuation
         swings = "" if swing is None else f"; the speed swings by {number_text(100 * swing)} %"
-        subtitle = f"Torque on the crank at {speed_key(speed)} rpm, {ends}{mean}{swings}."
-        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · turning moment", subtitle)
+        line = f"Torque on the crank at {speed_key(speed)} rpm, {ends}{mean}{swings}."
+        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · turning moment", line)
         return figure
 
 
@@ -147,9 +147,9 @@ def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> 
         for number, (load, frame) in enumerate(zip(polar, frames, strict=True)):
             corner = (_LEFT + number % columns * step, base - _GAP - (number // columns + 1) * row + 0.45)
             _polar(figure, (*corner, side, side), load, frame, LINES[number % len(LINES)])
-        said = f"At {speed_key(speed)} rpm; dots mark crank angle 0; frames are ±{number_text(frames[0])} N for the pin"
-        said += "." if len(frames) == 1 else f", ±{number_text(bearings)} N for the main bearings."
-        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · loads", said)
+        line = f"At {speed_key(speed)} rpm; dots mark crank angle 0; frames are ±{number_text(frames[0])} N for the pin"
+        line += "." if len(frames) == 1 else f", ±{number_text(bearings)} N for the main bearings."
+        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · loads", line)
         return figure
 
 

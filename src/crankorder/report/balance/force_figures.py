@@ -56,8 +56,8 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
             _force_row(figure, row, newtons.sel(system=kinds), text, balance)
         if "moment" in balance:
             _moment_row(figure, boxes[-1], balance, speed)
-        said = f"Force on the crankcase at {speed_key(speed)} rpm: {_in_words(balance, speed)}"
-        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · force against crank angle", said)
+        line = f"Force on the crankcase at {speed_key(speed)} rpm: {_in_words(balance, speed)}"
+        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · force against crank angle", line)
         return figure
 
 
@@ -78,8 +78,8 @@ def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, 
             axes.plot(angle, values, color=system_color(members[0]), linewidth=width, gid=f"force-{axis}-{members[0]}",
                       zorder=2 + number)  # fmt: skip
         if zero:
-            said = f"nothing: {called(zero, balance)}" if len(groups) > 1 else "nothing"
-            note(axes, said, (0.99, 0.03), ha="right", va="bottom", fontsize=SMALL)
+            names = f"nothing: {called(zero, balance)}" if len(groups) > 1 else "nothing"
+            note(axes, names, (0.99, 0.03), ha="right", va="bottom", fontsize=SMALL)
     if curves.sizes["system"] > 1:
         color_key(figure, row[0], [(called(members, balance), system_color(members[0])) for members in groups])
 
@@ -112,13 +112,13 @@ def _in_words(balance: xr.Dataset, speed: float) -> str:
     if not newtons[0]:
         return "none"
     plain = "without balancing" if head_of("none", balance) == SYSTEMS["none"] else head_of("none", balance)
-    said = f"up to {number_text(float(newtons[0]))} N" + (f" {plain}" if len(names) > 1 else "")
+    line = f"up to {number_text(float(newtons[0]))} N" + (f" {plain}" if len(names) > 1 else "")
     for kinds in (COUNTERWEIGHTS[1:4], SHAFT_SETS[1:]):
         left = {name: float(newtons[names.index(name)]) for name in kinds if name in names}
         if left:
             best = min(left, key=lambda name: left[name])
-            said += f", {number_text(left[best])} N with {SYSTEMS[best]}"
-    return said
+            line += f", {number_text(left[best])} N with {SYSTEMS[best]}"
+    return line
 
 
 def _grid(settings: ReportSettings, rows: int) -> list[list[Box]]:
@@ -174,12 +174,12 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
         entries = [(called(system, balance), system_color(system[0])) for system in systems]
         if len(entries) > 1:
             color_key(figure, (_BARS_LEFT, tall_in - _BARS_TOP + 0.2, width, 0.1), entries)
-        said = f"Amplitude at {speed_key(speed)} rpm. "
-        said += f"Bars below {100 * _share(settings):.1g} % of the largest are left out."
-        said += f" So are orders above {last:g}." if tall and tall[-1] > last else ""
+        line = f"Amplitude at {speed_key(speed)} rpm. "
+        line += f"Bars below {100 * _share(settings):.1g} % of the largest are left out."
+        line += f" So are orders above {last:g}." if tall and tall[-1] > last else ""
         idle = [str(name) for name in balance["system"].values if not any(name in names for names in systems)]
-        said += f" No force: {called(idle, balance)}." if idle else ""
-        title_lines(figure, _BARS_LEFT, f"{drawable(title, settings.max_name_characters)} · force by order", said)
+        line += f" No force: {called(idle, balance)}." if idle else ""
+        title_lines(figure, _BARS_LEFT, f"{drawable(title, settings.max_name_characters)} · force by order", line)
         return figure
 
 
@@ -303,9 +303,9 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
                 if number == place == 0:
                     _crank_sense(axes, side)
         up, right = axis_names(balance)
-        said = f"Up {up}, right {right}; dots mark top dead centre. {speed_key(speed)} rpm; "
-        said += f"the frame is ±{number_text(limit)} N."
-        title_lines(figure, _POLAR_LEFT, f"{drawable(title, settings.max_name_characters)} · polar diagrams", said)
+        line = f"Up {up}, right {right}; dots mark top dead centre. {speed_key(speed)} rpm; "
+        line += f"the frame is ±{number_text(limit)} N."
+        title_lines(figure, _POLAR_LEFT, f"{drawable(title, settings.max_name_characters)} · polar diagrams", line)
         return figure
 
 
@@ -406,8 +406,8 @@ def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSetting
             entries = [(name, color) for name, (_, color) in _PARTS.items()]
             color_key(figure, box, [*entries, ("all orders", FAINT)])
         state = f"{speed_key(speed)} rpm, {head_of('none', balance)}"
-        said = f"Force of the moving masses at {state}; {_at_dead_centres(forces)}"
-        title_lines(figure, 0.95, f"{drawable(title, settings.max_name_characters)} · primary and secondary", said)
+        line = f"Force of the moving masses at {state}; {_at_dead_centres(forces)}"
+        title_lines(figure, 0.95, f"{drawable(title, settings.max_name_characters)} · primary and secondary", line)
         return figure
 
 

@@ -145,8 +145,8 @@ def guide_figure(
             write(figure, left + side / 2, side + 0.62, f"Hinge {place}", ha="center", fontsize=NORMAL,
                   fontweight="bold")  # fmt: skip
             cut = "sharper than the roller: it cannot be cut" if guides.undercut else "the roller reaches every point"
-            said = f"spring {number_text(1e-3 * guides.stiffness_n_per_m)} N/mm, steepest {guides.steepest_deg:.0f}°; "
-            write(figure, left + side / 2, side + 0.42, said + cut, ha="center", fontsize=SMALL + 0.5)
+            text = f"spring {number_text(1e-3 * guides.stiffness_n_per_m)} N/mm, steepest {guides.steepest_deg:.0f}°; "
+            write(figure, left + side / 2, side + 0.42, text + cut, ha="center", fontsize=SMALL + 0.5)
         name = drawable(mechanism.name, settings.max_name_characters)
         subtitle = f"For {speed_rpm:.0f} rpm. Shaded: the guides, to scale; "
         subtitle += "the spring between them is shown at four angles."
