@@ -130,7 +130,7 @@ def y_label(dataset: xr.Dataset, channel: int, *, reference: str = "") -> str:
 
 
 def axes_for(ax: Axes | None, picture: str, *, height_in: float = 5.0, width_in: float = 9.0) -> Axes:
-    """``ax``, or new axes on a figure of pyplot's, ``width_in`` by ``height_in`` inches.
+    """Axes to draw on: ``ax``, or those of a new pyplot figure of ``width_in`` by ``height_in`` inches.
 
     ``picture`` stands in the RequestError where ``ax`` is no axes.
     """
@@ -145,7 +145,7 @@ def axes_for(ax: Axes | None, picture: str, *, height_in: float = 5.0, width_in:
 
 
 def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_above: int = 0, note: str = "") -> None:
-    """Labels, title and frame of ``axes``: ``x`` and ``y`` name the axes, ``note`` follows the bold ``title``.
+    """Axis labels ``x`` and ``y``, bold ``title``, ``note`` at its right, and frame of ``axes``.
 
     ``whole``: a frame on all sides, no grid, and room for a bar, as around maps. ``rows_above``: of labels between axes
     and title.
@@ -170,7 +170,7 @@ def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_a
 
 
 def scale(axes: Axes, x: Sequence[float] | Floats, y: tuple[float, float] | None, *, log_y: bool = True) -> None:
-    """Limits of ``axes``: first and last of ``x``, and ``y``, logarithmic where ``log_y``; None where nothing is.
+    """Axis limits of ``axes``: first and last of ``x``, and ``y``, logarithmic where ``log_y``; None without data.
 
     An axis of orders has ticks at whole numbers alone, where it spans some.
     """
@@ -193,7 +193,7 @@ def scale(axes: Axes, x: Sequence[float] | Floats, y: tuple[float, float] | None
 def painted(
     axes: Axes, content: Callable[[Panel], object], *, level_at: Callable[[float, float], float | None] | None = None
 ) -> Axes:
-    """``axes`` with what ``content`` draws on a panel over them; ``level_at`` gives the cursor the level of a point."""
+    """``axes`` with the drawing of ``content`` on them; ``level_at`` gives the level under the cursor."""
     from crankorder.plot.painter import PaintedPanel
 
     PaintedPanel(axes, content, level_at)
@@ -201,6 +201,6 @@ def painted(
 
 
 def keys_below(panel: Panel, keys: list[Key]) -> None:
-    """Draw ``keys`` below the label of the x axis of ``panel``."""
+    """Legend of ``keys`` below the x axis label of ``panel``."""
     left, bottom, width, _ = panel.box
     draw_keys(panel.drawing, left, keys, room_in=width, base_in=bottom - _KEYS_IN, most=len(keys))

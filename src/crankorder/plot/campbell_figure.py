@@ -85,12 +85,12 @@ class LevelMap:
         return np.asarray(self.speed[0] + 0.0 * np.asarray(height) if alone else height)
 
     def of_order(self, order: float, height: Floats | float) -> Floats:
-        """Place of an ``order`` at a ``height`` of the map."""
+        """Abscissa of an ``order`` at the ordinate ``height``: its frequency [Hz], or itself on an order map."""
         rpm = self.rpm(height)
         return order + 0.0 * rpm if self.by_order else order * rpm / 60
 
     def of_hertz(self, hertz: Floats | float, height: Floats | float) -> Floats:
-        """Place of a frequency of so many ``hertz`` at a ``height`` of the map."""
+        """Abscissa of a frequency ``hertz`` at the ordinate ``height``: itself, or its order on an order map."""
         rpm = self.rpm(height)
         return 60 * hertz / rpm if self.by_order else hertz + 0.0 * rpm
 
@@ -254,7 +254,7 @@ class Guide:
 
 
 def _guides(panel: Panel, levels: LevelMap) -> list[Guide]:
-    """Whole orders that run through the map, few enough to be told apart; they claim nothing."""
+    """Whole orders for orientation that cross the map, at most twelve; no findings stand behind them."""
     highest = panel.x[1] if levels.by_order else 60 * panel.x[1] / max(panel.y[1], 1.0)  # that leaves at the top
     step = next((step for step in (1, 2, 5, 10, 20, 50, 100) if highest / step <= _MOST_GUIDES), 0)
     orders = {1.0, *(float(order) for order in np.arange(step, highest, step))} if step else {1.0}
@@ -262,7 +262,7 @@ def _guides(panel: Panel, levels: LevelMap) -> list[Guide]:
 
 
 def _draw_modes(panel: Panel, levels: LevelMap, modes: list[ModeFinding], channel: str) -> None:
-    """Natural frequencies and tones, fainter where another channel shows them; a whirl's moves with the speed."""
+    """Lines of natural frequencies and tones, fainter if seen in another channel only; a whirl's line slopes."""
     low, high = panel.y
     speed = np.linspace(max(low, 1e-3 * high), high, _CURVE_POINTS) if levels.by_order else np.array(panel.y)
     for mode in modes:
@@ -343,7 +343,7 @@ _OPEN_SHARE = 0.005  # of the speed, on either side of a crossing that was not j
 
 
 def _ranges(findings: Findings) -> list[tuple[float, float, float]]:
-    """Low end, high end and middle of each range to stay out of."""
+    """Lower end, upper end and centre [rpm] of each speed range to avoid."""
     return [(*ends, avoid.rpm) for avoid in findings.speeds_to_avoid or () if (ends := known(avoid.rpm_range))]
 
 
@@ -367,7 +367,7 @@ def draw_strip(panel: Panel, findings: Findings) -> list[EdgeLabel]:
 
 
 def _open_rpm(findings: Findings) -> list[float]:
-    """Speeds in free bands at which a crossing could not be judged."""
+    """Speeds [rpm] within free bands at which a crossing could not be judged."""
     return [rpm for rpm in not_judged_rpm(findings) if any(low <= rpm <= high for low, high in free_bands(findings))]
 
 

@@ -104,14 +104,14 @@ class Words:
 
     @property
     def start(self) -> tuple[float, float]:
-        """Where its baseline begins."""
+        """Start of its baseline, in inches."""
         back = _ALONG[self.along] * text_width_in(self.text, self.size, bold=self.bold) if self.along != "left" else 0.0
         drop = _BASELINE[self.across] * self.size / 72
         return (self.x + drop, self.y - back) if self.upward else (self.x - back, self.y - drop)
 
     @property
     def box(self) -> Box:
-        """Room that it takes."""
+        """Bounding box, in inches."""
         (x, y), em = self.start, self.size / 72
         width, height = text_width_in(self.text, self.size, bold=self.bold), (CAP_HEIGHT + _DESCENT) * em
         return (x - CAP_HEIGHT * em, y, height, width) if self.upward else (x, y - _DESCENT * em, width, height)
@@ -162,13 +162,13 @@ def title_lines(drawing: Drawing, left_in: float, title: str, sentence: str) -> 
 
 
 def quality_text(findings: Findings) -> str:
-    """How many suspect or bad data the ``findings`` carry, in words; empty without any."""
+    """Number of suspect or bad quality flags in the ``findings``, in words; empty without any."""
     doubtful = sum(flag.severity in ("suspect", "bad") for flag in findings.quality)
     return f"{doubtful} quality remark{'s' if doubtful > 1 else ''}: see the report" if doubtful else ""
 
 
 def whole(places: Floats) -> Ints:
-    """Whole pixels of ``places`` in pixels, a half upwards, as matplotlib snaps lines to them."""
+    """``places`` rounded to whole pixels, a half upwards, as matplotlib snaps lines."""
     return np.asarray(np.floor(places + 0.5), dtype=np.int64)
 
 

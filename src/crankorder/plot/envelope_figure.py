@@ -44,7 +44,7 @@ def envelope_figure(envelope: xr.Dataset, findings: Findings, *, settings: Repor
     records = [record for record in findings.bearings if record.seen_in == "envelope" and is_number(record.order)]
     texts = {record.order: order_name(record, findings) for record in records}
     seen = [(order, text, LINES[1]) for order, text in texts.items()]
-    marks, is_line_seen = _expected(findings, width - _room_of(seen)), False
+    marks, is_line_seen = _expected(findings, width - _labels_width_in(seen)), False
     for number, (panel, channel) in enumerate(zip(panels, envelope["channel"].values.astype(str), strict=True)):
         for order, _, color in marks:
             panel.upright(order, color=color, width=0.8, alpha=0.7, dashes=MODE_DASHES, name="expected")
@@ -101,11 +101,11 @@ def _expected(findings: Findings, width_in: float) -> list[Mark]:
     Names of bearings are as long as all texts together fit into ``width_in`` inches.
     """
     choices = [_expected_with(findings, letters) for letters in _NAME_LETTERS]
-    return next((marks for marks in choices if _room_of(marks) <= width_in), choices[-1])
+    return next((marks for marks in choices if _labels_width_in(marks) <= width_in), choices[-1])
 
 
 def _expected_with(findings: Findings, letters: int) -> list[Mark]:
-    """The same with no more than ``letters`` of a name."""
+    """Marks of the expected lines, with bearing names of at most ``letters``."""
     records = [record for record in findings.bearings if is_number(record.order_expected)]
     names = _short({drawable(record.name, _NAME_LETTERS[0]) for record in records}, letters)
     marks: dict[float, list[str]] = {}
@@ -120,7 +120,7 @@ def _expected_with(findings: Findings, letters: int) -> list[Mark]:
 
 
 def _short(names: set[str], letters: int) -> dict[str, str]:
-    """Each of ``names`` in at most ``letters``: what they begin with alike goes first, then the middle of the rest.
+    """Short form of each of ``names``: their common beginning goes first, then the middle of the rest.
 
     Bearings of one machine mostly differ at the end: "gearbox, drive end" and "gearbox, fan end".
     """
@@ -134,8 +134,8 @@ def _short(names: set[str], letters: int) -> dict[str, str]:
     return {name: cut(name) for name in names}
 
 
-def _room_of(marks: list[Mark]) -> float:
-    """Inches that the texts of ``marks`` take side by side."""
+def _labels_width_in(marks: list[Mark]) -> float:
+    """Width in inches of the labels of ``marks`` side by side."""
     return sum(label_width_in(EdgeLabel(0.0, text, color)) for _, text, color in marks)
 
 
@@ -204,7 +204,7 @@ def envelope(
         amplitude = floor = np.zeros((1, len(order)))
     at = _speed_at(dataset, order, amplitude, floor, speed_rpm)
     axes = axes_for(ax, "envelope", height_in=4.2)
-    lines = _standing_out(order, amplitude[at], floor[at])
+    lines = _significant_orders(order, amplitude[at], floor[at])
     texts = order_texts([nominal_order(place) for place in lines])
     marks = [(place, text, LINES[1]) for place, text in zip(lines, texts, strict=True)]
     quantity, _, scaling_and_unit = y_label(dataset, number).partition(" (")
@@ -224,7 +224,7 @@ def envelope(
 
 
 def _speed_at(dataset: xr.Dataset, order: Floats, amplitude: Floats, floor: Floats, asked: float | None) -> int:
-    """Place of the speed to draw: nearest to that ``asked`` for, else where a line stands highest over the floor."""
+    """Index of the speed to draw: the nearest to ``asked``, else that of the highest line over the floor."""
     speed = np.asarray(dataset["speed"].values, dtype=float)
     if asked is not None and len(speed):
         wanted = positive(asked, "speed_rpm", "envelope")
@@ -236,7 +236,7 @@ def _speed_at(dataset: xr.Dataset, order: Floats, amplitude: Floats, floor: Floa
 
 
 def _speed_and_band(dataset: xr.Dataset, channel: int, at: int) -> str:
-    """Speed and band of the spectrum that is drawn."""
+    """Speed [rpm] and frequency band [Hz] of the spectrum drawn, as text."""
     if not dataset.sizes["speed"]:
         return ""
     speed = float(dataset["speed"].values[at])
@@ -245,8 +245,8 @@ def _speed_and_band(dataset: xr.Dataset, channel: int, at: int) -> str:
     return f"{text}, band {low:.0f}–{high:.0f} Hz" if np.isfinite(low) and np.isfinite(high) else text
 
 
-def _standing_out(order: Floats, amplitude: Floats, floor: Floats) -> list[float]:
-    """Orders of the highest lines that noise would not make: its power is at worst exponential.
+def _significant_orders(order: Floats, amplitude: Floats, floor: Floats) -> list[float]:
+    """Orders of the strongest lines above the noise threshold, for noise of exponentially distributed power.
 
     The amplitude is the root of the squared envelope's line: its fourth power is the power that the floor refers to.
     """

@@ -75,7 +75,7 @@ def fixed_tones(findings: Findings) -> list[FixedTone]:
 
 
 def fixed_frequencies(findings: Findings) -> list[ModeFinding]:
-    """Everything in the ``findings`` that stays at its frequency, lowest first: natural frequencies, doubts, tones.
+    """All lines of fixed frequency in the ``findings``, lowest first: natural frequencies, undecided ones, tones.
 
     A tone that stands in the list of lines alone is given like a mode, with its kind as ``explained_by``.
     """
@@ -88,7 +88,7 @@ def fixed_frequencies(findings: Findings) -> list[ModeFinding]:
 
 
 def _is_at(tone: ModeFinding, hertz: float) -> bool:
-    """Whether a line at ``hertz`` is that ``tone``."""
+    """Whether a line at ``hertz`` lies within the tolerance of a ``tone``."""
     low, high = interval_of(tone, "frequency_hz") or (0.0, 0.0)
     return abs(tone.frequency_hz - hertz) <= max(min(_SAME_HZ, _SAME_SHARE * tone.frequency_hz), high - low)
 

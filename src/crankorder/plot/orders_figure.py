@@ -199,7 +199,7 @@ def _draw_axes(upper: Panel, lower: Panel, shown: ShownTracks, channel: int, *, 
 
 
 def _broken(speed: Floats, values: Floats, *, wrap: float = np.inf) -> NDArray[np.intp]:
-    """Places before which a curve must break: gaps of the tested range, and jumps of more than ``wrap``."""
+    """Indices before which a curve breaks: gaps of the tested speed range, and jumps of more than ``wrap``."""
     gap = gaps_before(speed_cells(speed))[1:]
     with np.errstate(invalid="ignore"):
         return np.asarray(np.flatnonzero(gap | (np.abs(np.diff(values)) > wrap)) + 1)
@@ -224,7 +224,7 @@ def _draw_line(panel: Panel, shown: ShownTracks, channel: int, number: int) -> N
 
 
 def _draw_phase(panel: Panel, shown: ShownTracks, channel: int, number: int) -> None:
-    """Phase where the line stands clear of its noise, joined where it goes on."""
+    """Phase against speed of one order, where its line is above the noise; jumps are not joined."""
     read = shown.read[channel, number]
     if not read.any():
         return
@@ -286,7 +286,7 @@ def orders(
     dataset, number = channel_of(order_tracks, "order_tracks", "orders", channel)
     placed = np.flatnonzero(np.isfinite(dataset["speed"].values))
     own = dataset.isel(channel=[number], speed=placed if len(placed) else slice(0, 1))
-    among = None if orders is None else _asked(dataset["order"].values, orders)
+    among = None if orders is None else _track_numbers(dataset["order"].values, orders)
     shown = shown_tracks(own, limit=_MOST if among is None else len(among), among=among)
     alone = len(shown.speed) <= 1
     axes = axes_for(ax, "orders", height_in=4.6, width_in=8.0)
@@ -303,8 +303,8 @@ def orders(
     return painted(axes, lambda panel: _draw_points(panel, shown) if alone and clear else draw_tracks(panel, shown, 0))
 
 
-def _asked(every: Floats, asked: Sequence[float]) -> list[int]:
-    """Numbers of the orders ``asked`` for among ``every`` one."""
+def _track_numbers(every: Floats, asked: Sequence[float]) -> list[int]:
+    """Indices of the tracks within 0.02 of each order ``asked`` for, among the orders of ``every`` track."""
     numbers = []
     for order in asked:
         apart = np.abs(every - float(order))

@@ -105,7 +105,7 @@ def spectrum_figure(
 
 
 def _causes(findings: Findings, fixed: list[ModeFinding]) -> list[tuple[str, str]]:
-    """Lines of text with their colour: each cause, and below it the orders and tones that it makes."""
+    """Text lines and their colours: each cause, followed by its orders and tones."""
     orders = sorted(findings.orders, key=lambda order: -order.amplitude)
     places = [(order.explained_by, order_name(order, findings), LINES[1]) for order in orders]
     tones = [mode for mode in fixed if is_tone(mode)]
@@ -245,7 +245,7 @@ def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings:
 
 
 def ring_lines(panel: Panel, order: Floats, values: Floats, places: Sequence[float]) -> bool:
-    """Ring in ``panel`` the lines at ``places`` of a spectrum of ``values`` over ``order``; False where none stands.
+    """Whether ``panel`` shows any line at ``places`` of a spectrum of ``values`` over ``order``; those are ringed.
 
     A ring is as high as the highest bin within two of its place.
     """
@@ -318,7 +318,7 @@ def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | 
 
 
 def _by_speed(dataset: xr.Dataset, channel: int) -> dict[str, Floats]:
-    """Spectra to draw, by what they are called."""
+    """Spectra to draw by their legend text: one per speed, or maximum and median over many speeds."""
     amplitude = values_of(dataset, "amplitude", "speed", "frequency", channel=channel)
     speed = np.asarray(dataset["speed"].values, dtype=float)
     measured = np.flatnonzero(np.isfinite(amplitude).any(axis=1))

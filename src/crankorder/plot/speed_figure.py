@@ -100,7 +100,7 @@ def draw_speed(
 
 
 def _ends(low: Floats, high: Floats, *, from_zero: bool) -> tuple[float, float]:
-    """Ends of the axis of speed: from standstill where the speed changes, else close about what is drawn."""
+    """Limits of the speed axis: from standstill where the speed changes, else close around the data."""
     top, bottom = float(np.nanmax(high, initial=1.0)), float(np.nanmin(low, initial=np.inf))
     if from_zero or not np.isfinite(bottom):
         return 0.0, 1.05 * top

@@ -82,7 +82,7 @@ def _subtitle(cycles: xr.Dataset, shown: int) -> str:
 
 
 def _heading(cycle: xr.Dataset) -> str:
-    """Speed of a column and how many cycles it averages."""
+    """Column title: speed and number of averaged cycles."""
     speed = cycle.speed
     count = cycle.n_cycles.values
     least, most = int(count.min()), int(count.max())
@@ -148,7 +148,7 @@ def _draw(axes: Axes, cycle: xr.Dataset, color: str, height_in: float) -> None:
 
 
 def _value_axis(axes: Axes, mean: Floats, deviation: Floats, height_in: float) -> bool:
-    """Set limits that show the mean large; False where its spread would make a line of it and is not shown."""
+    """Whether the spread fits on the axis beside the mean, whose limits are set; else it is not drawn."""
     least, most = float(mean.min()), float(mean.max())
     half = max(0.5 * (most - least), _FLAT * max(abs(least), abs(most)), 1e-300)
     low, high = float((mean - deviation).min()), float((mean + deviation).max())

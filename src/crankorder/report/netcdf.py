@@ -294,7 +294,7 @@ def _write_values(group: h5py.Group, name: str, values: NDArray[Any]) -> Any:
 
 
 def _creation() -> Any:
-    """Properties of a dataset that keeps no time."""
+    """Creation properties of an HDF5 dataset without time stamps."""
     properties = h5p.create(h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
     return properties

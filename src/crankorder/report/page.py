@@ -345,7 +345,7 @@ def _tracks(tracks: xr.Dataset | None, channels: int, *, limit: int) -> Record |
 
 
 def _statements(findings: Findings, names: list[str], settings: ReportSettings) -> Record:
-    """What the findings say, in the keys of the script; channels by their number among ``names``."""
+    """Findings as records for the script of the page; channels by their index in ``names``."""
     limit = settings.max_name_characters
     number = {name: place for place, name in enumerate(names)}
     modes = fixed_frequencies(findings)
@@ -363,7 +363,7 @@ def _statements(findings: Findings, names: list[str], settings: ReportSettings) 
 
 
 def _orders(findings: Findings, number: dict[str, int], limit: int) -> list[Record]:
-    """Orders found in a channel (by number): what each is called, what makes it, where it is largest and was seen."""
+    """Order records for the script: label, cause, speed of the maximum and speed range, by channel index."""
     return [
         {
             "channel": number[record.channel], "order": record.order, "text": order_name(record, findings),
@@ -376,13 +376,13 @@ def _orders(findings: Findings, number: dict[str, int], limit: int) -> list[Reco
 
 
 def _half_width(mode: ModeFinding) -> float:
-    """Half the width [Hz] over which a mode is itself: its half-power band, at least its interval."""
+    """Half the half-power bandwidth [Hz] of a mode, at least half its confidence interval."""
     low, high = interval_of(mode, "frequency_hz") or (0.0, 0.0)
     return max(mode.frequency_hz * (mode.damping_ratio or 0.0), (high - low) / 2)
 
 
 def _fixed(mode: ModeFinding, number: dict[str, int], limit: int) -> Record:
-    """A frequency that stays, or a whirl's with its ``slope``; ``half`` its half width in Hz."""
+    """Record of a fixed frequency, or of a whirl with its ``slope``; ``half``: half bandwidth in Hz."""
     estimate = f"{estimate_text(mode, 'frequency_hz')} Hz"
     kind, text, slope, rpm = mode_style(mode)[0], f"Natural frequency {estimate}", 0.0, 0.0
     if kind == "tone":
@@ -404,7 +404,7 @@ def _fixed(mode: ModeFinding, number: dict[str, int], limit: int) -> Record:
 def _crossing(
     crossing: CrossingFinding, findings: Findings, modes: list[ModeFinding], number: dict[str, int]
 ) -> Record:
-    """Meeting of an order with a natural frequency of half width ``half`` Hz, with what is said of it."""
+    """Record of the crossing of an order and a natural frequency; ``half``: half bandwidth in Hz."""
     nearest = min(modes, key=lambda mode: abs(mode.frequency_hz - crossing.mode_hz), default=None)
     channels = crossing.channels or (crossing.channel,)
     factor = crossing.amplification or 0.0
@@ -420,7 +420,7 @@ def _crossing(
 
 
 def _lines(findings: Findings, number: dict[str, int], limit: int) -> list[Record]:
-    """The list of all lines, by ``order`` or by ``hz``, with what is said of each."""
+    """Records of the strongest spectral lines, by ``order`` or ``hz``, with their causes."""
     shown: list[Record] = []
     lines = [line for line in findings.lines if line.channel in number]
     for line in sorted(lines, key=lambda line: -line.size)[:_MOST_LINES]:

@@ -168,7 +168,7 @@ class _PolarLoad:
 
 
 def _polar_loads(shown: xr.Dataset) -> list[_PolarLoad]:
-    """Of the first crank pin, then of every main bearing."""
+    """Polar load curves [N]: first crank pin, then every main bearing."""
     pin = shown["crank_pin_load"].isel(cylinder=0).values
     loads = [_PolarLoad("crank pin of cylinder 0", pin[0], pin[1], "up: along the cylinder, right: across")]
     if "main_bearing_load" in shown:

@@ -62,7 +62,7 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
 
 
 def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, balance: xr.Dataset) -> None:
-    """Two panels, along and across, with one scale; what draws the same line is named once."""
+    """Two panels of force against crank angle, along and across, with one scale; equal curves share a label."""
     groups = alike(curves)
     limit = 1.08 * float(np.abs(curves.values).max()) or 1.0
     angle = 360 * curves["crank_angle"].values
@@ -85,7 +85,7 @@ def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, 
 
 
 def _moment_row(figure: Figure, row: list[Box], balance: xr.Dataset, speed: float) -> None:
-    """Moments of several cylinders against crank angle: those that rock it left, that about the crankshaft right."""
+    """Moments of several cylinders against crank angle: rocking moments left, roll moment right."""
     per_omega = 1e-3 * float(unbalance_force_n(1.0, speed))
     values = per_omega * order_sum(balance["moment"].values, balance["crank_angle"].values)
     limit = 1.08 * float(np.abs(values).max()) or 1.0
@@ -105,7 +105,7 @@ def _moment_row(figure: Figure, row: list[Box], balance: xr.Dataset, speed: floa
 
 
 def _in_words(balance: xr.Dataset, speed: float) -> str:
-    """The largest force without balancing and the smallest that counterweights and shafts leave."""
+    """Text with the peak force without balancing and the smallest residual with counterweights and with shafts."""
     most = np.abs(balance["curve"].sel(axis="x").values + 1j * balance["curve"].sel(axis="y").values).max(axis=1)
     newtons = unbalance_force_n(most, speed)
     names = [str(name) for name in balance["system"].values]
@@ -240,7 +240,7 @@ def _bars(
 
 
 def _second_scale(axes: Axes, per_omega: float, unit: str) -> None:
-    """The same scale in amounts over squared crank speed at the right of ``axes``."""
+    """Second y axis at the right of ``axes``: the same scale divided by squared crank speed."""
     low, high = axes.get_ylim()
     right = axes.twinx()
     log_axis(right, low / per_omega, high / per_omega, most_ticks=7)
@@ -313,7 +313,7 @@ Panel = tuple[str, str, Complexes, str, str, str]
 
 
 def _panels(balance: xr.Dataset, speed: float) -> list[tuple[str, list[Panel]]]:
-    """Rows with what each is of: counterweights by the first and by all harmonics, shafts; or force and moment.
+    """Rows of panels with their titles: counterweights by first and by all harmonics, shafts; or force and moment.
 
     A panel: head, what it means, curve, colour, how it turns, unit.
     """
@@ -350,7 +350,7 @@ def _largest(curve: Complexes, unit: str, limit: float) -> str:
 
 
 def _draw(axes: Axes, curve: Complexes, color: str, limit: float) -> None:
-    """One diagram: cross hairs, curve, dot at top dead centre, arrows in the sense of rotation."""
+    """Polar diagram of one force: curve, dot at top dead centre, arrows in the sense of rotation."""
     cross_hairs(axes, limit)
     axes.plot(curve.imag, curve.real, color=color, gid="polar")
     axes.plot(curve.imag[:1], curve.real[:1], color=color, marker="o", markersize=4.5, gid="top-dead-centre")
@@ -368,7 +368,7 @@ def _draw(axes: Axes, curve: Complexes, color: str, limit: float) -> None:
 
 
 def _crank_sense(axes: Axes, side: float) -> None:
-    """A small arrow in the corner of ``axes``, ``side`` inches wide: the way that the crank turns, to compare with."""
+    """Arrow in the corner of ``axes``, ``side`` inches wide, in the sense of rotation of the crank."""
     look = {"arrowstyle": "-|>,head_width=0.22,head_length=0.4", "connectionstyle": "arc3,rad=-0.9", "color": FAINT}
     first, last, height = 0.12 / side, 0.42 / side, 1 - 0.28 / side
     axes.annotate("", xy=(last, height), xytext=(first, height), xycoords="axes fraction", arrowprops=look)
@@ -423,7 +423,7 @@ def _harmonics(axes: Axes, balance: xr.Dataset, axis: str, per_omega: float) -> 
 
 
 def _at_dead_centres(forces: xr.DataArray) -> str:
-    """How much the secondary force adds to the primary one along the cylinder, and takes off."""
+    """Sentence on the ratio of secondary to primary force at the dead centres, in per cent."""
     first, second = (complex(forces.sel(axis="x", order=order).values) for order in (1.0, 2.0))
     if not first or not second:
         return "no secondary force." if first else "no primary force."

@@ -181,7 +181,7 @@ def _draw_guides(axes: Axes, guides: Guides, data: GuideData) -> None:
 
 
 def _spring(axes: Axes, outer: complex, inner: complex) -> None:
-    """A zigzag from one end to the other."""
+    """Zigzag line of a spring from ``inner`` to ``outer``."""
     share = np.linspace(0, 1, 25)
     across = 1j * (outer - inner) / abs(outer - inner) * 0.011
     sway = np.where((share > 0.1) & (share < 0.9), np.where(np.arange(25) % 2, 1, -1), 0)

@@ -196,7 +196,7 @@ def order_change_figure(changes: xr.Dataset, comparison: Comparison, *, settings
 
 
 def _limits_db(changes: xr.Dataset) -> tuple[float, float]:
-    """Ends of the axis: the claimed changes with most of their intervals, 0, and room."""
+    """Limits [dB] of the axis: significant changes with most of their intervals, zero, and a margin."""
     says = changes["changed"].values.astype(bool)
     values, low, high = (changes[name].values[says] for name in ("ratio_db", "ratio_db_low", "ratio_db_high"))
     known = np.isfinite(values)
@@ -237,7 +237,7 @@ def _draw_channel(panel: Panel, changes: xr.Dataset, channel: str, colours: dict
 
 
 def _draw_line(panel: Panel, changes: xr.Dataset, row: int, at: Ints, color: str | None) -> float | None:
-    """Draw one order; returns its last value in dB, None where it is nowhere clear of the noise."""
+    """Last value [dB] of the curve of one order, which is drawn; None where it is nowhere above the noise."""
     speed = changes["speed"].values[at]
     values, low, high = (changes[name].values[row][at] for name in ("ratio_db", "ratio_db_low", "ratio_db_high"))
     claimed = changes["changed"].values[row][at].astype(bool)
@@ -310,7 +310,7 @@ def _over_first(trend: Trend) -> tuple[Floats, Floats]:
 
 
 def _draw_trend(panel: Panel, runs: Floats, lines: list[Trend], number: int) -> EdgeLabel:
-    """Draw a line with its intervals and its fitted growth; returns its label at the last run.
+    """Label at the last run of a line that is drawn with its intervals and its fitted growth.
 
     ``lines`` are those that only their names tell from it, itself the first.
     """
