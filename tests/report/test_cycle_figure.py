@@ -76,15 +76,6 @@ def test_dead_centres_speeds_and_units_are_named(cycles, settings):
 
 
 @pytest.mark.slow
-def test_the_speeds_asked_for_are_shown(cycles, settings):
-    figure = cycle_figure(cycles, {"test": "t"}, settings=settings, speeds_rpm=[1090.0, 790.0])
-    found = words(figure)
-    assert any(text.startswith("800 rpm") for text in found)
-    assert any(text.startswith("1100 rpm") for text in found)
-    assert len(figure.axes) == 6
-
-
-@pytest.mark.slow
 def test_a_spread_that_would_hide_the_mean_is_a_number_and_one_that_fits_is_a_band(settings):
     cycles = cycles_of([1000.0], 1)
     for gain, drawn in ((1.0, True), (100.0, False)):

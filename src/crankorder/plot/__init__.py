@@ -5,8 +5,8 @@ front door make. From samples to a picture:
 
 >>> import numpy as np, crankorder as co
 >>> time = np.arange(40_000) / 10_000.0
->>> made = co.recording({"housing": 2.0 * np.cos(2 * np.pi * 75.0 * time)}, rate_hz=1e4, speed_rpm=1500.0)
->>> axes = co.plot.order_map(co.order_map(made))
+>>> recording = co.recording({"housing": 2.0 * np.cos(2 * np.pi * 75.0 * time)}, rate_hz=1e4, speed_rpm=1500.0)
+>>> axes = co.plot.order_map(co.order_map(recording))
 >>> axes.get_xlabel(), axes.get_title(loc="left")
 ('Order (cycles per crank revolution)', 'housing')
 

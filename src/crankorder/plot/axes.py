@@ -14,7 +14,7 @@ import xarray as xr
 from crankorder.channel_units import by_channel, unit_text
 from crankorder.errors import InputError, RequestError, SchemaError
 from crankorder.findings import SCHEMA_VERSION, Findings
-from crankorder.plot.drawing import Panel
+from crankorder.plot.drawing import ORDER, Panel
 from crankorder.plot.labels import Key, draw_keys
 from crankorder.plot.palette import FAINT, GRID, INK, LARGE, NORMAL, SMALL, WHITE
 from crankorder.plot.reading import scaling_text
@@ -22,8 +22,6 @@ from crankorder.quantities import Floats, check_dataset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-ORDER = "Order (cycles per crank revolution)"
 
 _NOUNS = {
     "recording": "a Recording",
@@ -55,22 +53,21 @@ def dataset_of(given: object, noun: str, picture: str) -> xr.Dataset:
         dataset = by_channel(dataset)
     else:
         raise RequestError("this is no dataset", file=place, found=type(given).__name__, allowed=wanted)
-    try:
-        check_dataset(dataset, noun)
-    except SchemaError as error:
-        known = next((text for other, text in _NOUNS.items() if other != noun and _is(dataset, other)), "")
-        found = known.partition(",")[0] or f"a dataset with {', '.join(map(str, dataset.variables)) or 'nothing in it'}"
+    if (error := _misfit(dataset, noun)) is not None:
+        known = next((text for other, text in _NOUNS.items() if _misfit(dataset, other) is None), "")
+        given = known.partition(",")[0] or f"a dataset with {', '.join(map(str, dataset.variables)) or 'nothing in it'}"
         problem = f"not what this picture shows ({error.place}: {error.problem})"
-        raise RequestError(problem, file=place, found=found, allowed=wanted) from error
+        raise RequestError(problem, file=place, found=given, allowed=wanted) from error
     return dataset
 
 
-def _is(dataset: xr.Dataset, noun: str) -> bool:
+def _misfit(dataset: xr.Dataset, noun: str) -> SchemaError | None:
+    """Why ``dataset`` is not of the ``noun``; None where it is."""
     try:
         check_dataset(dataset, noun)
-    except SchemaError:
-        return False
-    return True
+    except SchemaError as error:
+        return error
+    return None
 
 
 def channel_of(given: object, noun: str, picture: str, channel: str | None) -> tuple[xr.Dataset, int]:
@@ -108,11 +105,11 @@ def findings_of(findings: object, picture: str) -> Findings:
         raise RequestError(problem, file=place, place=error.place, found=error.found, allowed=error.allowed) from error
 
 
-def number_of(value: object, key: str, picture: str, *, above: float) -> float:
-    """``value`` of the argument ``key`` of a ``picture``, a finite number > ``above``; else RequestError."""
-    if not isinstance(value, int | float | np.number) or not np.isfinite(value) or not value > above:
-        place, allowed = f"crankorder.plot.{picture}", f"a number > {above:g}"
-        raise RequestError("not a number that can be", file=place, place=key, found=value, allowed=allowed)
+def positive(value: object, key: str, picture: str) -> float:
+    """``value`` of the argument ``key`` of a ``picture``, a finite number > 0; else RequestError."""
+    if not isinstance(value, int | float | np.number) or not np.isfinite(value) or not value > 0:
+        place = f"crankorder.plot.{picture}"
+        raise RequestError("not a number that can be", file=place, place=key, found=value, allowed="a number > 0")
     return float(value)
 
 
@@ -121,36 +118,34 @@ def values_of(dataset: xr.Dataset, name: str, *dims: str, channel: int) -> Float
     return np.asarray(dataset[name].isel(channel=channel).transpose(*dims).values, dtype=np.float64)
 
 
-def unit_of(dataset: xr.Dataset, channel: int) -> str:
-    """Typographic unit of a ``channel`` (its number) of ``dataset``: "m/s²" for "m/s2"."""
-    return unit_text(str(dataset["unit"].values[channel]))
+def y_label(dataset: xr.Dataset, channel: int, *, reference: str = "") -> str:
+    """Axis label of a ``channel`` (its number) of a map or tracks ``dataset``: quantity, scaling and unit.
 
-
-def quantity_text(dataset: xr.Dataset, channel: int) -> str:
-    """What a ``channel`` (its number) of ``dataset``, a map or tracks, shows: "Acceleration (peak)"."""
+    "Acceleration (peak), m/s²"; ``reference`` stands before the unit where it is given: "dB re 1 ".
+    """
     quantity = str(dataset["quantity"].values[channel]).replace("_", " ").strip()
     name = "amplitude" if quantity in ("", "1", "unknown", "none") else quantity
-    return f"{name[:1].upper()}{name[1:]} {scaling_text(dataset)}"
+    unit = reference + unit_text(str(dataset["unit"].values[channel]))
+    return f"{name[:1].upper()}{name[1:]} {scaling_text(dataset)}, {unit}".removesuffix(" ").removesuffix(",")
 
 
 def axes_for(ax: Axes | None, picture: str, *, height_in: float = 5.0, width_in: float = 9.0) -> Axes:
-    """``ax``, or new axes on a figure of pyplot's, ``width_in`` by ``height_in`` inches.
+    """Axes to draw on: ``ax``, or those of a new pyplot figure of ``width_in`` by ``height_in`` inches.
 
     ``picture`` stands in the RequestError where ``ax`` is no axes.
     """
     if ax is None:
         import matplotlib.pyplot as plt  # the only place: so that a notebook shows the figure
 
-        _, made = plt.subplots(figsize=(width_in, height_in), layout="constrained", facecolor=WHITE)
-        return made
+        return plt.subplots(figsize=(width_in, height_in), layout="constrained", facecolor=WHITE)[1]
     if not all(hasattr(ax, name) for name in ("transData", "add_artist", "set_xlabel")):
-        place, found = f"crankorder.plot.{picture}", type(ax).__name__
-        raise RequestError("not axes", file=place, place="ax", found=found, allowed="axes of matplotlib, or None")
+        place, given = f"crankorder.plot.{picture}", type(ax).__name__
+        raise RequestError("not axes", file=place, place="ax", found=given, allowed="axes of matplotlib, or None")
     return ax
 
 
-def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_above: int = 0, said: str = "") -> None:
-    """Labels, title and frame of ``axes``: ``x`` and ``y`` name the axes, ``said`` follows the bold ``title``.
+def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_above: int = 0, note: str = "") -> None:
+    """Axis labels ``x`` and ``y``, bold ``title``, ``note`` at its right, and frame of ``axes``.
 
     ``whole``: a frame on all sides, no grid, and room for a bar, as around maps. ``rows_above``: of labels between axes
     and title.
@@ -171,11 +166,11 @@ def dress(axes: Axes, *, x: str, y: str, title: str, whole: bool = False, rows_a
     name = title if len(title) <= _LONGEST_NAME else f"{title[: _LONGEST_NAME - 1]}…"
     pad = 7.0 + _TIER_PT * rows_above
     axes.set_title(name, loc="left", pad=pad, fontsize=LARGE, fontweight="bold", color=INK, parse_math=False)
-    axes.set_title(said, loc="right", pad=pad, fontsize=SMALL + 0.5, color=FAINT, parse_math=False)
+    axes.set_title(note, loc="right", pad=pad, fontsize=SMALL + 0.5, color=FAINT, parse_math=False)
 
 
-def set_scale(axes: Axes, x: Sequence[float] | Floats, y: tuple[float, float] | None, *, log_y: bool = True) -> None:
-    """Limits of ``axes``: first and last of ``x``, and ``y``, logarithmic where ``log_y``; None where nothing is.
+def scale(axes: Axes, x: Sequence[float] | Floats, y: tuple[float, float] | None, *, log_y: bool = True) -> None:
+    """Axis limits of ``axes``: first and last of ``x``, and ``y``, logarithmic where ``log_y``; None without data.
 
     An axis of orders has ticks at whole numbers alone, where it spans some.
     """
@@ -198,14 +193,14 @@ def set_scale(axes: Axes, x: Sequence[float] | Floats, y: tuple[float, float] | 
 def painted(
     axes: Axes, content: Callable[[Panel], object], *, level_at: Callable[[float, float], float | None] | None = None
 ) -> Axes:
-    """``axes`` with what ``content`` draws on a panel over them; ``level_at`` tells the mouse the level of a place."""
+    """``axes`` with the drawing of ``content`` on them; ``level_at`` gives the level under the cursor."""
     from crankorder.plot.painter import PaintedPanel
 
     PaintedPanel(axes, content, level_at)
     return axes
 
 
-def keys_below(panel: Panel, keys: Sequence[Key]) -> None:
-    """Draw ``keys`` below the label of the x axis of ``panel``."""
+def keys_below(panel: Panel, keys: list[Key]) -> None:
+    """Legend of ``keys`` below the x axis label of ``panel``."""
     left, bottom, width, _ = panel.box
     draw_keys(panel.drawing, left, keys, room_in=width, base_in=bottom - _KEYS_IN, most=len(keys))

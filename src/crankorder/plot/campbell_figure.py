@@ -15,65 +15,26 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.findings import Findings, ModeFinding, OrderFinding
-from crankorder.plot.axes import (
-    ORDER,
-    axes_for,
-    channel_of,
-    dress,
-    findings_of,
-    keys_below,
-    number_of,
-    painted,
-    quantity_text,
-    set_scale,
-    unit_of,
-)
-from crankorder.plot.cells import (
-    LEAST_RANGE_DB,
-    bin_edges,
-    gaps_between,
-    level_limits,
-    level_of,
-    pooled,
-    speed_cells,
-    with_gaps,
-)
-from crankorder.plot.drawing import Drawing, Field, Panel, Stroke, Words
-from crankorder.plot.fixed_lines import fixed_frequencies
+from crankorder.plot.axes import axes_for, channel_of, dress, findings_of, keys_below, painted, positive, scale, y_label
+from crankorder.plot.cells import bin_edges, gaps_between, level_limits, level_of, pooled, speed_cells, with_gaps
+from crankorder.plot.drawing import ORDER, SOLID, Drawing, Field, Panel, Stroke, Words
+from crankorder.plot.fixed_lines import Mark, fixed_frequencies, mode_keys, mode_marks, mode_style
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, fitted, head_of_test, label_right, label_top
 from crankorder.plot.palette import (
     AVOID,
-    DOUBT_DASHES,
     FAINT,
     FREE,
     HALF_ORDER,
     INK,
-    MAINS,
-    MAINS_ON_MAP,
-    MODE,
-    MODE_DASHES,
-    MODE_ON_MAP,
     NOT_JUDGED,
     NOT_MEASURED,
     SMALL,
-    TONE_DASHES,
     WHITE,
     drawable,
     level_colours,
     rgb_of,
 )
-from crankorder.plot.reading import (
-    free_bands,
-    frequency_text,
-    is_tone,
-    is_undecided,
-    is_whirl,
-    level_reference,
-    not_judged_rpm,
-    open_bands,
-    order_name,
-    scaling_text,
-)
+from crankorder.plot.reading import channel_level, free_bands, is_whirl, not_judged_rpm, open_bands, order_name
 from crankorder.quantities import Floats
 from crankorder.records import known
 from crankorder.settings import ReportSettings
@@ -87,10 +48,6 @@ _MOST_GUIDES = 12
 _MOST_ORDERS = 12  # that a notebook's picture names
 _STRIP_HIGH_IN, _HIGH_IN = 3.2, 5.6  # a notebook's picture of one speed, and of several
 _CURVE_POINTS = 200
-
-
-Mark = tuple[float, str, str]
-"""Place along the axis, text and colour of what is named above a diagram."""
 
 
 @dataclass(frozen=True)
@@ -128,12 +85,12 @@ class LevelMap:
         return np.asarray(self.speed[0] + 0.0 * np.asarray(height) if alone else height)
 
     def of_order(self, order: float, height: Floats | float) -> Floats:
-        """Place of an ``order`` at a ``height`` of the map."""
+        """Abscissa of an ``order`` at the ordinate ``height``: its frequency [Hz], or itself on an order map."""
         rpm = self.rpm(height)
         return order + 0.0 * rpm if self.by_order else order * rpm / 60
 
     def of_hertz(self, hertz: Floats | float, height: Floats | float) -> Floats:
-        """Place of a frequency of so many ``hertz`` at a ``height`` of the map."""
+        """Abscissa of a frequency ``hertz`` at the ordinate ``height``: itself, or its order on an order map."""
         rpm = self.rpm(height)
         return 60 * hertz / rpm if self.by_order else hertz + 0.0 * rpm
 
@@ -176,10 +133,8 @@ def campbell_figure(
     report; ``sentence`` stands below the title. Raises ValueError for an unknown channel.
     """
     number = campbell["channel"].values.tolist().index(channel)
-    quantity, unit = (str(campbell[name].values[number]) for name in ("quantity", "unit"))
-    reference, text = level_reference(quantity, unit, settings=settings)
-    label = f"Level, {text.replace('(peak)', scaling_text(campbell))}"
-    levels = level_map(campbell, number, "frequency", reference, label)
+    reference, text = channel_level(campbell, number, settings=settings)
+    levels = level_map(campbell, number, "frequency", reference, f"Level, {text}")
     drawing = Drawing(settings.width_in, settings.height_in, dpi=settings.dpi)
     box = (_LEFT, _BOTTOM, settings.width_in - _LEFT - _RIGHT, settings.height_in - _BOTTOM - _TOP)
     ends = float(levels.place[0]), float(levels.place[-1])
@@ -224,20 +179,28 @@ def _shades(panel: Panel, levels: LevelMap, limits: tuple[float, float]) -> NDAr
 
 
 def draw_findings(panel: Panel, levels: LevelMap, findings: Findings, channel: str, *, limit: int) -> list[Key]:
-    """Draw over ``levels`` what the ``findings`` say of a ``channel``, with labels at the edges of ``panel``.
+    """Keys of what is drawn over ``levels`` from the ``findings`` on a ``channel``, with labels around ``panel``.
 
-    Returns the keys of what was drawn. ``limit``: the most orders.
+    ``limit``: the most orders.
     """
-    orders: Sequence[OrderFinding | Guide] = [] if levels.timeless else orders_of(findings, channel, limit=limit)
+    guides: Sequence[OrderFinding | Guide] = _guides(panel, levels) if findings.not_asked_for else []
+    orders = guides or ([] if levels.timeless else orders_of(findings, channel, limit=limit))
     modes = [] if levels.timeless and levels.by_order else fixed_frequencies(findings)
-    guides = _guides(panel, levels) if findings.not_asked_for else []
-    _draw_orders(panel, levels, guides or orders, findings)
+    _draw_orders(panel, levels, orders, findings)
     _draw_modes(panel, levels, modes, channel)
     circles = not levels.timeless and _draw_crossings(panel, levels, findings, channel)
     _draw_notes(panel, levels)
-    _label_edges(panel, levels, guides or orders, modes, findings)
-    keys = [Key("order, for orientation", FAINT)] if guides else _keys(orders=orders, modes=modes, circles=circles)
-    return [*keys, *strip_keys(findings)]
+    _label_edges(panel, levels, orders, modes, findings)
+    if guides:
+        keys = [Key("order, for orientation", FAINT)]
+    else:
+        keys = [Key("order found (bold: strongest)", INK)] if orders else []
+        keys += [Key("half order: combustion or camshaft", HALF_ORDER)] * any(map(is_of_cycle, orders))
+        keys += mode_keys(modes) + [Key("excited crossing", INK, ring=True)] * circles
+    keys += [Key("speed to avoid", AVOID, width=_WIDTH_PT)] * bool(_ranges(findings))
+    keys += [Key("free speeds", FREE, width=_WIDTH_PT)] * bool(free_bands(findings))
+    unknown = bool(open_bands(findings) or _open_rpm(findings))
+    return keys + [Key("not free, or not known", NOT_JUDGED, width=_WIDTH_PT)] * unknown
 
 
 def orders_of(findings: Findings, channel: str, *, limit: int) -> list[OrderFinding]:
@@ -291,7 +254,7 @@ class Guide:
 
 
 def _guides(panel: Panel, levels: LevelMap) -> list[Guide]:
-    """Whole orders that run through the map, few enough to be told apart; they claim nothing."""
+    """Whole orders for orientation that cross the map, at most twelve; no findings stand behind them."""
     highest = panel.x[1] if levels.by_order else 60 * panel.x[1] / max(panel.y[1], 1.0)  # that leaves at the top
     step = next((step for step in (1, 2, 5, 10, 20, 50, 100) if highest / step <= _MOST_GUIDES), 0)
     orders = {1.0, *(float(order) for order in np.arange(step, highest, step))} if step else {1.0}
@@ -299,16 +262,14 @@ def _guides(panel: Panel, levels: LevelMap) -> list[Guide]:
 
 
 def _draw_modes(panel: Panel, levels: LevelMap, modes: list[ModeFinding], channel: str) -> None:
-    """Natural frequencies and tones, fainter where another channel shows them; a whirl's moves with the speed."""
+    """Lines of natural frequencies and tones, fainter if seen in another channel only; a whirl's line slopes."""
     low, high = panel.y
     speed = np.linspace(max(low, 1e-3 * high), high, _CURVE_POINTS) if levels.by_order else np.array(panel.y)
     for mode in modes:
-        whirl, mains, doubt = is_whirl(mode), is_tone(mode), is_undecided(mode)
-        name = "whirl" if whirl else "tone" if mains else "doubt" if doubt else "mode"
-        color, alpha = MAINS_ON_MAP if mains else MODE_ON_MAP, 0.75
-        if channel not in (mode.channels or (channel,)) and not whirl:
-            alpha = 0.4
-        dashes = (0.0, 0.0) if whirl else TONE_DASHES if mains else DOUBT_DASHES if doubt else MODE_DASHES
+        name, _, color, dashes = mode_style(mode)
+        alpha = 0.75 if channel in (mode.channels or (channel,)) else 0.4
+        if whirl := is_whirl(mode):
+            name, dashes, alpha = "whirl", SOLID, 0.75
         if whirl or levels.by_order:
             slope = (mode.speed_slope or 0.0) if whirl else 0.0
             moved = slope * (levels.rpm(speed) - (mode.reference_rpm or 0.0)) / 60.0
@@ -334,41 +295,11 @@ def _draw_crossings(panel: Panel, levels: LevelMap, findings: Findings, channel:
 def _label_edges(
     panel: Panel, levels: LevelMap, orders: Sequence[OrderFinding | Guide], modes: list[ModeFinding], findings: Findings
 ) -> None:
-    """Orders where their lines leave the diagram, natural frequencies and tones above; speeds to avoid at the right."""
+    """Orders where their lines leave the diagram, natural frequencies and tones above; speeds to avoid at the right.
+
+    The strongest order is bold.
+    """
     drawing, (left, bottom, width, height) = panel.drawing, panel.box
-    top, side = _order_labels(panel, levels, orders, findings)
-    marks = [(float(levels.of_hertz(hertz, panel.y[1])), text, color) for hertz, text, color in mode_marks(modes)]
-    lines = label_top(drawing, panel.box, [fitted(top, width), fitted(edge_labels(panel, marks), width)])
-    avoid = [] if levels.timeless else draw_strip(panel, findings)
-    shift = STRIP_IN if _ranges(findings) or free_bands(findings) or open_bands(findings) else 0.0
-    label_right(drawing, (left, bottom, width + shift, height), [*side, *avoid])
-    if top:
-        drawing.add(Words(left - 0.3, lines[0], "order", SMALL, INK, along="right"))
-    if side:
-        drawing.add(Words(left + width + 0.06 + shift, bottom + height + 0.135, "order", SMALL, INK))
-
-
-def mode_marks(modes: list[ModeFinding]) -> list[Mark]:
-    """What ``modes`` are named above a diagram."""
-    texts = [f"{frequency_text(mode.frequency_hz)}{'?' if is_undecided(mode) else ''} Hz" for mode in modes]
-    return [
-        (mode.frequency_hz, text, MAINS if is_tone(mode) else MODE) for mode, text in zip(modes, texts, strict=True)
-    ]
-
-
-def edge_labels(panel: Panel, marks: Sequence[Mark]) -> list[EdgeLabel]:
-    """Labels of those of ``marks`` that lie within ``panel``."""
-    return [
-        EdgeLabel(float(panel.at(place, panel.y[0])[0, 0]), text, color, number)
-        for number, (place, text, color) in enumerate(marks)
-        if panel.x[0] <= place <= panel.x[1]
-    ]
-
-
-def _order_labels(
-    panel: Panel, levels: LevelMap, orders: Sequence[OrderFinding | Guide], findings: Findings
-) -> tuple[list[EdgeLabel], list[EdgeLabel]]:
-    """Labels of the order lines that leave at the top, and of those that leave at the right; the strongest is bold."""
     (f_low, f_high), (low, high) = panel.x, panel.y
     loudest = max((record.amplitude for record in orders), default=0.0)
     top, side = [], []
@@ -381,28 +312,24 @@ def _order_labels(
             top.append(EdgeLabel(float(panel.at(place, high)[0, 0]), text, colour, number, bold))
         elif not levels.by_order and low < 60 * f_high / order < high and len(levels.speed) > 1:
             side.append(EdgeLabel(float(panel.at(f_high, 60 * f_high / order)[0, 1]), text, colour, number, bold))
-    return top, side
+    marks = [(float(levels.of_hertz(hertz, panel.y[1])), text, color) for hertz, text, color in mode_marks(modes)]
+    lines = label_top(drawing, panel.box, [fitted(top, width), fitted(edge_labels(panel, marks), width)])
+    avoid = [] if levels.timeless else draw_strip(panel, findings)
+    shift = STRIP_IN if _ranges(findings) or free_bands(findings) or open_bands(findings) else 0.0
+    label_right(drawing, (left, bottom, width + shift, height), [*side, *avoid])
+    if top:
+        drawing.add(Words(left - 0.3, lines[0], "order", SMALL, INK, along="right"))
+    if side:
+        drawing.add(Words(left + width + 0.06 + shift, bottom + height + 0.135, "order", SMALL, INK))
 
 
-def _keys(*, orders: Sequence[OrderFinding | Guide], modes: list[ModeFinding], circles: bool) -> list[Key]:
-    keys = [Key("order found (bold: strongest)", INK)] if orders else []
-    if any(is_of_cycle(record) for record in orders):
-        keys.append(Key("half order: combustion or camshaft", HALF_ORDER))
-    return [*keys, *mode_keys(modes), *([Key("excited crossing", INK, ring=True)] if circles else [])]
-
-
-def mode_keys(modes: list[ModeFinding]) -> list[Key]:
-    """What the dashed and dotted lines of ``modes`` mean: natural frequencies, doubts, tones."""
-    keys = []
-    if any(not is_tone(mode) and not is_undecided(mode) for mode in modes):
-        keys.append(Key("natural frequency", MODE, MODE_DASHES))
-    if any(is_undecided(mode) for mode in modes):
-        keys.append(Key("not decided", MODE, DOUBT_DASHES))
-    of_mains = {mode.kinds == ("mains",) for mode in modes if is_tone(mode)}
-    if of_mains:
-        label = "mains or fixed tone" if len(of_mains) > 1 else "mains" if True in of_mains else "fixed tone"
-        keys.append(Key(label, MAINS, TONE_DASHES))
-    return keys
+def edge_labels(panel: Panel, marks: Sequence[Mark]) -> list[EdgeLabel]:
+    """Labels of those of ``marks`` that lie within ``panel``."""
+    return [
+        EdgeLabel(float(panel.at(place, panel.y[0])[0, 0]), text, color, number)
+        for number, (place, text, color) in enumerate(marks)
+        if panel.x[0] <= place <= panel.x[1]
+    ]
 
 
 STRIP_IN = 0.13
@@ -416,9 +343,8 @@ _OPEN_SHARE = 0.005  # of the speed, on either side of a crossing that was not j
 
 
 def _ranges(findings: Findings) -> list[tuple[float, float, float]]:
-    """Low end, high end and middle of each range to stay out of."""
-    records = findings.speeds_to_avoid or ()
-    return [(*ends, record.rpm) for record in records if (ends := known(record.rpm_range)) is not None]
+    """Lower end, upper end and centre [rpm] of each speed range to avoid."""
+    return [(*ends, avoid.rpm) for avoid in findings.speeds_to_avoid or () if (ends := known(avoid.rpm_range))]
 
 
 def draw_strip(panel: Panel, findings: Findings) -> list[EdgeLabel]:
@@ -441,7 +367,7 @@ def draw_strip(panel: Panel, findings: Findings) -> list[EdgeLabel]:
 
 
 def _open_rpm(findings: Findings) -> list[float]:
-    """Speeds in free bands at which a crossing could not be judged."""
+    """Speeds [rpm] within free bands at which a crossing could not be judged."""
     return [rpm for rpm in not_judged_rpm(findings) if any(low <= rpm <= high for low, high in free_bands(findings))]
 
 
@@ -454,14 +380,6 @@ def _mark(panel: Panel, speeds: tuple[float, float], color: str, name: str) -> N
     ends = np.array([[x, bottom - short], [x, top + short]])
     values = (np.array([np.nan, np.nan]), np.array(speeds))
     panel.drawing.add(Stroke(ends, color, _WIDTH_PT, square=True, name=name, values=values))
-
-
-def strip_keys(findings: Findings) -> list[Key]:
-    """What the colours of the strip of the ``findings`` mean."""
-    keys = [Key("speed to avoid", AVOID, width=_WIDTH_PT)] if _ranges(findings) else []
-    keys += [Key("free speeds", FREE, width=_WIDTH_PT)] if free_bands(findings) else []
-    unknown = bool(open_bands(findings)) or bool(_open_rpm(findings))
-    return [*keys, Key("not free, or not known", NOT_JUDGED, width=_WIDTH_PT)] if unknown else keys
 
 
 def campbell(
@@ -491,8 +409,8 @@ def campbell(
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
-    >>> made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
-    >>> axes = co.plot.campbell(co.campbell_map(made, max_frequency_hz=200.0))
+    >>> recording = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+    >>> axes = co.plot.campbell(co.campbell_map(recording, max_frequency_hz=200.0))
     >>> axes.get_xlabel(), axes.get_ylabel()
     ('Frequency, Hz', 'Speed, rpm')
     """
@@ -525,8 +443,8 @@ def order_map(
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
-    >>> made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
-    >>> axes = co.plot.order_map(co.order_map(made))
+    >>> recording = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+    >>> axes = co.plot.order_map(co.order_map(recording))
     >>> axes.get_xlabel()
     'Order (cycles per crank revolution)'
     """
@@ -538,18 +456,18 @@ def _on_axes(
 ) -> Axes:
     picture, x = ("campbell", "Frequency, Hz") if along == "frequency" else ("order_map", ORDER)
     dataset, number = channel_of(given, picture.replace("campbell", "campbell_map"), picture, channel)
-    told = findings_of(findings, picture)
-    depth = number_of(dynamic_range_db, "dynamic_range_db", picture, above=0.0)
-    label = f"{quantity_text(dataset, number)}, dB re 1 {unit_of(dataset, number)}".removesuffix(" ")
-    levels, name = level_map(dataset, number, along, 1.0, label), str(dataset["channel"].values[number])
-    limits = level_limits(levels.amplitude, 1.0, range_db=depth, least_db=min(LEAST_RANGE_DB, depth))
+    shown = findings_of(findings, picture)
+    depth = positive(dynamic_range_db, "dynamic_range_db", picture)
+    label, name = y_label(dataset, number, reference="dB re 1 "), str(dataset["channel"].values[number])
+    levels = level_map(dataset, number, along, 1.0, label)
+    limits = level_limits(levels.amplitude, 1.0, range_db=depth, narrow=True)
     axes = axes_for(ax, picture, height_in=_HIGH_IN if len(levels.speed) > 1 else _STRIP_HIGH_IN)
-    rows = bool(orders_of(told, name, limit=1)) + bool(fixed_frequencies(told))
-    said = f"{levels.unknown} of unknown speed not shown" if levels.unknown else ""
+    rows = bool(orders_of(shown, name, limit=1)) + bool(fixed_frequencies(shown))
+    remark = f"{levels.unknown} of unknown speed not shown" if levels.unknown else ""
     y = "Speed not known" if levels.timeless else "Speed, rpm"
-    dress(axes, x=x, y=y, title=name, whole=True, rows_above=rows, said=said)
+    dress(axes, x=x, y=y, title=name, whole=True, rows_above=rows, note=remark)
     ends = levels.place if len(levels.place) > 1 else bin_edges(levels.place)
-    set_scale(axes, ends, (levels.cells[0, 0], levels.cells[-1, 1]), log_y=False)
+    scale(axes, ends, (levels.cells[0, 0], levels.cells[-1, 1]), log_y=False)
     if levels.timeless:
         axes.set_yticks([])
     elif len(levels.speed) == 1:
@@ -558,6 +476,6 @@ def _on_axes(
     def content(panel: Panel) -> None:
         if len(levels.speed):
             draw_levels(panel, levels, limits)
-        keys_below(panel, draw_findings(panel, levels, told, name, limit=_MOST_ORDERS))
+        keys_below(panel, draw_findings(panel, levels, shown, name, limit=_MOST_ORDERS))
 
     return painted(axes, content, level_at=levels.level_at)

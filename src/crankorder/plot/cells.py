@@ -11,8 +11,7 @@ from crankorder.quantities import Bools, Floats
 
 _REACH_STEPS = 2.0  # speeds more than twice so many typical steps apart leave a gap in the tested range …
 _REACH_SHARE = 0.03  # … and more than twice this share of it
-LEAST_RANGE_DB = 20.0
-"""A colour scale spans at least this, so that noise alone looks like noise."""
+_LEAST_RANGE_DB = 20.0  # a colour scale spans at least this, so that noise alone looks like noise
 
 
 def speed_cells(speeds_rpm: Floats) -> Floats:
@@ -32,7 +31,8 @@ def speed_cells(speeds_rpm: Floats) -> Floats:
     halves = np.where(steps / 2 > reach, np.nan, steps / 2)  # NaN: a gap
     down, up = np.concatenate([[np.nan], halves]), np.concatenate([halves, [np.nan]])
     down, up = (
-        np.where(np.isnan(one), np.where(np.isnan(two), usual, two), one) for one, two in ((down, up), (up, down))
+        np.where(np.isnan(half), np.where(np.isnan(other), usual, other), half)
+        for half, other in ((down, up), (up, down))
     )
     low, high = float(speeds[0]), float(speeds[-1])
     return np.asarray(np.clip(np.stack([speeds - down, speeds + up], axis=1), low, high))
@@ -97,12 +97,12 @@ def level_of(values: Any, reference: float) -> Any:
 
 
 def level_limits(
-    amplitude: NDArray[Any], reference: float, *, range_db: float, least_db: float = LEAST_RANGE_DB
+    amplitude: NDArray[Any], reference: float, *, range_db: float, narrow: bool = False
 ) -> tuple[float, float]:
     """Ends of a colour scale [dB]: the strongest line; the quietest twentieth of the map or the greatest range.
 
-    ``amplitude`` of a map, ``reference`` of its level in the same unit; ``range_db`` and ``least_db`` the greatest and
-    the least range.
+    ``amplitude`` of a map, ``reference`` of its level in the same unit; ``range_db`` the greatest range, which may be
+    less than 20 dB where ``narrow``.
     """
     values = amplitude[amplitude > 0]
     if not len(values):
@@ -110,4 +110,5 @@ def level_limits(
     twentieth = np.partition(values, len(values) // 20)[len(values) // 20]
     ends = 5 * np.array([np.floor(level_of(twentieth, reference) / 5), np.ceil(level_of(values.max(), reference) / 5)])
     low = max(float(ends[0]), float(ends[1]) - range_db)
+    least_db = min(_LEAST_RANGE_DB, range_db) if narrow else _LEAST_RANGE_DB
     return min(low, float(ends[1]) - least_db), float(ends[1])

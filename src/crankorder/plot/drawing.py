@@ -29,6 +29,9 @@ Dashes = tuple[float, float]
 
 SOLID: Dashes = (0.0, 0.0)
 
+ORDER = "Order (cycles per crank revolution)"
+"""Label of an axis of orders."""
+
 _BASELINE = {"baseline": 0.0, "centre": CAP_HEIGHT / 2, "top": CAP_HEIGHT}
 _ALONG = {"left": 0.0, "centre": 0.5, "right": 1.0}
 _DESCENT = 0.236  # of DejaVu Sans, in sizes of the type
@@ -101,14 +104,14 @@ class Words:
 
     @property
     def start(self) -> tuple[float, float]:
-        """Where its baseline begins."""
+        """Start of its baseline, in inches."""
         back = _ALONG[self.along] * text_width_in(self.text, self.size, bold=self.bold) if self.along != "left" else 0.0
         drop = _BASELINE[self.across] * self.size / 72
         return (self.x + drop, self.y - back) if self.upward else (self.x - back, self.y - drop)
 
     @property
     def box(self) -> Box:
-        """Room that it takes."""
+        """Bounding box, in inches."""
         (x, y), em = self.start, self.size / 72
         width, height = text_width_in(self.text, self.size, bold=self.bold), (CAP_HEIGHT + _DESCENT) * em
         return (x - CAP_HEIGHT * em, y, height, width) if self.upward else (x, y - _DESCENT * em, width, height)
@@ -154,18 +157,18 @@ def title_lines(drawing: Drawing, left_in: float, title: str, sentence: str) -> 
     heading = shortened(title, LARGE, room, bold=True)
     drawing.add(Words(left_in, drawing.height_in - 0.34, heading, LARGE, bold=True))
     if sentence:
-        said = shortened(sentence, NORMAL, room)
-        drawing.add(Words(left_in, drawing.height_in - 0.56, said, NORMAL, FAINT, name="subtitle"))
+        subtitle = shortened(sentence, NORMAL, room)
+        drawing.add(Words(left_in, drawing.height_in - 0.56, subtitle, NORMAL, FAINT, name="subtitle"))
 
 
 def quality_text(findings: Findings) -> str:
-    """How many suspect or bad data the ``findings`` carry, in words; empty without any."""
+    """Number of suspect or bad quality flags in the ``findings``, in words; empty without any."""
     doubtful = sum(flag.severity in ("suspect", "bad") for flag in findings.quality)
     return f"{doubtful} quality remark{'s' if doubtful > 1 else ''}: see the report" if doubtful else ""
 
 
 def whole(places: Floats) -> Ints:
-    """Whole pixels of ``places`` in pixels, a half upwards, as matplotlib snaps lines to them."""
+    """``places`` rounded to whole pixels, a half upwards, as matplotlib snaps lines."""
     return np.asarray(np.floor(places + 0.5), dtype=np.int64)
 
 

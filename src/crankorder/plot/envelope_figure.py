@@ -9,21 +9,9 @@ import numpy as np
 import xarray as xr
 
 from crankorder.findings import Findings
-from crankorder.plot.axes import (
-    ORDER,
-    axes_for,
-    channel_of,
-    dress,
-    keys_below,
-    number_of,
-    painted,
-    quantity_text,
-    set_scale,
-    unit_of,
-    values_of,
-)
-from crankorder.plot.campbell_figure import Mark
-from crankorder.plot.drawing import Drawing, Panel, Words, log_limits
+from crankorder.plot.axes import axes_for, channel_of, dress, keys_below, painted, positive, scale, values_of, y_label
+from crankorder.plot.drawing import ORDER, Drawing, Panel, Words, log_limits
+from crankorder.plot.fixed_lines import Mark
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, head_of_test, label_width_in
 from crankorder.plot.palette import FAINT, LINES, MODE, MODE_DASHES, SMALL, TONE_DASHES, drawable, shortened
 from crankorder.plot.reading import is_number, nominal_order, order_name, order_text, order_texts
@@ -52,21 +40,26 @@ def envelope_figure(envelope: xr.Dataset, findings: Findings, *, settings: Repor
     width = settings.width_in - _LEFT - _RIGHT
     drawing, (boxes,) = column_boxes(envelope.sizes["channel"], width, settings)
     mean, floor = (_mean_over_speeds(envelope, name) for name in ("amplitude", "floor"))
-    panels = column_panels(drawing, boxes, envelope, "order", mean, " (envelope)", settings=settings)
+    panels = column_panels(drawing, boxes, envelope, mean, " (envelope)", settings=settings)
     records = [record for record in findings.bearings if record.seen_in == "envelope" and is_number(record.order)]
     texts = {record.order: order_name(record, findings) for record in records}
     seen = [(order, text, LINES[1]) for order, text in texts.items()]
-    marks, found = _expected(findings, width - _room_of(seen)), False
+    marks, is_line_seen = _expected(findings, width - _labels_width_in(seen)), False
     for number, (panel, channel) in enumerate(zip(panels, envelope["channel"].values.astype(str), strict=True)):
         for order, _, color in marks:
             panel.upright(order, color=color, width=0.8, alpha=0.7, dashes=MODE_DASHES, name="expected")
         draw_envelope(panel, envelope["order"].values, mean[number], floor[number])
-        found |= _draw_found(panel, envelope["order"].values, mean[number], findings, channel)
+        is_line_seen |= _draw_bearing_lines(panel, envelope["order"].values, mean[number], findings, channel)
         _write_band(panel, envelope, number)
     label_column(panels[0], [*marks, *seen], "")
-    draw_keys(drawing, _LEFT, _keys(drawing, expected=bool(marks), found=found))
-    said = _subtitle(envelope.sizes["speed"], bool(marks), found)
-    head_of_test(drawing, _LEFT, findings, "envelope spectra", said, longest=settings.max_name_characters)
+    draw_keys(drawing, _LEFT, _keys(drawing, expected=bool(marks), found=is_line_seen))
+    over = f"Mean over {envelope.sizes['speed']} speeds: " if envelope.sizes["speed"] > 1 else ""
+    subtitle = f"{over}how the ringing above the orders comes and goes, by order of the shaft."
+    if not marks:
+        subtitle += " No bearing was named, or none of its lines is told."
+    elif not is_line_seen:
+        subtitle += " No bearing line stands over the floor."
+    head_of_test(drawing, _LEFT, findings, "envelope spectra", subtitle, longest=settings.max_name_characters)
     return drawing
 
 
@@ -86,14 +79,6 @@ def _keys(drawing: Drawing, *, expected: bool, found: bool) -> list[Key]:
     if drawing.strokes("sideband"):
         keys.append(Key("its sidebands", LINES[3], TONE_DASHES))
     return keys
-
-
-def _subtitle(n_speeds: int, marks: bool, found: bool) -> str:
-    over = f"Mean over {n_speeds} speeds: " if n_speeds > 1 else ""
-    said = f"{over}how the ringing above the orders comes and goes, by order of the shaft."
-    if not marks:
-        return f"{said} No bearing was named, or none of its lines is told."
-    return said if found else f"{said} No bearing line stands over the floor."
 
 
 def _mean_over_speeds(envelope: xr.Dataset, name: str) -> Floats:
@@ -116,11 +101,11 @@ def _expected(findings: Findings, width_in: float) -> list[Mark]:
     Names of bearings are as long as all texts together fit into ``width_in`` inches.
     """
     choices = [_expected_with(findings, letters) for letters in _NAME_LETTERS]
-    return next((marks for marks in choices if _room_of(marks) <= width_in), choices[-1])
+    return next((marks for marks in choices if _labels_width_in(marks) <= width_in), choices[-1])
 
 
 def _expected_with(findings: Findings, letters: int) -> list[Mark]:
-    """The same with no more than ``letters`` of a name."""
+    """Marks of the expected lines, with bearing names of at most ``letters``."""
     records = [record for record in findings.bearings if is_number(record.order_expected)]
     names = _short({drawable(record.name, _NAME_LETTERS[0]) for record in records}, letters)
     marks: dict[float, list[str]] = {}
@@ -135,7 +120,7 @@ def _expected_with(findings: Findings, letters: int) -> list[Mark]:
 
 
 def _short(names: set[str], letters: int) -> dict[str, str]:
-    """Each of ``names`` in at most ``letters``: what they begin with alike goes first, then the middle of the rest.
+    """Short form of each of ``names``: their common beginning goes first, then the middle of the rest.
 
     Bearings of one machine mostly differ at the end: "gearbox, drive end" and "gearbox, fan end".
     """
@@ -149,36 +134,28 @@ def _short(names: set[str], letters: int) -> dict[str, str]:
     return {name: cut(name) for name in names}
 
 
-def _room_of(marks: list[Mark]) -> float:
-    """Inches that the texts of ``marks`` take side by side."""
+def _labels_width_in(marks: list[Mark]) -> float:
+    """Width in inches of the labels of ``marks`` side by side."""
     return sum(label_width_in(EdgeLabel(0.0, text, color)) for _, text, color in marks)
 
 
-def _draw_found(panel: Panel, orders: Floats, values: Floats, findings: Findings, channel: str) -> bool:
-    """Ring the lines that were found in the envelope of a ``channel``; thin lines at their multiples."""
+def _draw_bearing_lines(panel: Panel, orders: Floats, values: Floats, findings: Findings, channel: str) -> bool:
+    """Whether a bearing line of a ``channel`` is ringed in ``panel``; thin lines mark its multiples and sidebands."""
     places = []
     for record in findings.bearings:
         own = record.channel in (None, channel) and record.seen_in == "envelope"
         if not own or not is_number(record.order) or not len(orders):
             continue
-        order = record.order
+        order, multiples, apart = record.order, record.harmonics, record.sidebands
         places.append(order)
-        multiples = record.harmonics
         for number in range(2, min(int(multiples) if is_number(multiples) else 1, _MULTIPLES) + 1):
             if number * order <= panel.x[1]:
                 panel.upright(number * order, color=LINES[1], width=0.7, alpha=0.45, name=f"multiple-{number}")
-        _draw_sidebands(panel, order, record.sidebands)
+        for number in range(-_SIDEBANDS, _SIDEBANDS + 1) if is_number(apart) and apart > 0 else ():
+            place = order + number * float(apart or 0.0)
+            if number and panel.x[0] < place < panel.x[1]:
+                panel.upright(place, color=LINES[3], dashes=TONE_DASHES, alpha=0.9, name="sideband")
     return ring_lines(panel, orders, values, places)
-
-
-def _draw_sidebands(panel: Panel, order: float, apart: object) -> None:
-    """Mark what stands so many orders ``apart`` beside a line at ``order``."""
-    if not is_number(apart) or apart <= 0:
-        return
-    for number in (*range(-_SIDEBANDS, 0), *range(1, _SIDEBANDS + 1)):
-        place = order + number * float(apart)
-        if panel.x[0] < place < panel.x[1]:
-            panel.upright(place, color=LINES[3], dashes=TONE_DASHES, alpha=0.9, name="sideband")
 
 
 def _write_band(panel: Panel, envelope: xr.Dataset, number: int) -> None:
@@ -215,8 +192,8 @@ def envelope(
     >>> import numpy as np, crankorder as co
     >>> rng, ring = np.random.default_rng(1), np.exp(-np.arange(60) / 15) * np.cos(1.9 * np.arange(60))
     >>> signal = np.convolve(np.arange(80_000) % 112 == 0, ring, "same") + 0.1 * rng.standard_normal(80_000)
-    >>> made = co.recording(signal, rate_hz=10_000, speed_rpm=1500.0)  # a strike every 112 samples: order 3.57
-    >>> axes = co.plot.envelope(co.envelope(made, bearings=[{"name": "drive end", "bpfo": 3.58, "bpfi": 5.42}]))
+    >>> recording = co.recording(signal, rate_hz=10_000, speed_rpm=1500.0)  # a strike every 112 samples: order 3.57
+    >>> axes = co.plot.envelope(co.envelope(recording, bearings=[{"name": "drive end", "bpfo": 3.58, "bpfi": 5.42}]))
     >>> axes.get_title(loc="right").partition(",")[0]
     '1500 rpm'
     """
@@ -227,29 +204,30 @@ def envelope(
         amplitude = floor = np.zeros((1, len(order)))
     at = _speed_at(dataset, order, amplitude, floor, speed_rpm)
     axes = axes_for(ax, "envelope", height_in=4.2)
-    lines = _standing_out(order, amplitude[at], floor[at])
+    lines = _significant_orders(order, amplitude[at], floor[at])
     texts = order_texts([nominal_order(place) for place in lines])
     marks = [(place, text, LINES[1]) for place, text in zip(lines, texts, strict=True)]
-    label = f"Envelope of {quantity_text(dataset, number).partition(' (')[0].lower()}, {unit_of(dataset, number)}"
-    title, said = str(dataset["channel"].values[number]), _where(dataset, number, at)
-    dress(axes, x=ORDER, y=label.removesuffix(", "), title=title, rows_above=bool(lines), said=said)
-    set_scale(axes, order, log_limits(amplitude[at], DECADES, room=2.5))
+    quantity, _, scaling_and_unit = y_label(dataset, number).partition(" (")
+    label = f"Envelope of {quantity.lower()}{scaling_and_unit.partition(')')[2]}"
+    title, where = str(dataset["channel"].values[number]), _speed_and_band(dataset, number, at)
+    dress(axes, x=ORDER, y=label, title=title, rows_above=bool(lines), note=where)
+    scale(axes, order, log_limits(amplitude[at], DECADES, room=2.5))
 
     def content(panel: Panel) -> None:
         draw_envelope(panel, order, amplitude[at], floor[at])
-        found = ring_lines(panel, order, amplitude[at], lines)
+        is_ringed = ring_lines(panel, order, amplitude[at], lines)
         label_column(panel, marks, "order")
-        keys = [Key("stands out of the floor", LINES[1], ring=True)] if found else []
+        keys = [Key("stands out of the floor", LINES[1], ring=True)] if is_ringed else []
         keys_below(panel, [*_keys(panel.drawing, expected=False, found=False), *keys])
 
     return painted(axes, content)
 
 
 def _speed_at(dataset: xr.Dataset, order: Floats, amplitude: Floats, floor: Floats, asked: float | None) -> int:
-    """Place of the speed to draw: nearest to that ``asked`` for, else where a line stands highest over the floor."""
+    """Index of the speed to draw: the nearest to ``asked``, else that of the highest line over the floor."""
     speed = np.asarray(dataset["speed"].values, dtype=float)
     if asked is not None and len(speed):
-        wanted = number_of(asked, "speed_rpm", "envelope", above=0.0)
+        wanted = positive(asked, "speed_rpm", "envelope")
         return int(np.argmin(np.where(np.isfinite(speed), np.abs(speed - wanted), np.inf)))
     with np.errstate(divide="ignore", invalid="ignore"):
         over = np.where((floor > 0) & (order > 0), amplitude / floor, 0.0)
@@ -257,18 +235,18 @@ def _speed_at(dataset: xr.Dataset, order: Floats, amplitude: Floats, floor: Floa
     return int(np.argmax(np.max(np.nan_to_num(over), axis=1, initial=0.0)))
 
 
-def _where(dataset: xr.Dataset, channel: int, at: int) -> str:
-    """Speed and band of the spectrum that is drawn."""
+def _speed_and_band(dataset: xr.Dataset, channel: int, at: int) -> str:
+    """Speed [rpm] and frequency band [Hz] of the spectrum drawn, as text."""
     if not dataset.sizes["speed"]:
         return ""
     speed = float(dataset["speed"].values[at])
-    said = f"{speed:.0f} rpm" if np.isfinite(speed) else "speed not known"
+    text = f"{speed:.0f} rpm" if np.isfinite(speed) else "speed not known"
     low, high = (float(values_of(dataset, name, "speed", channel=channel)[at]) for name in ("band_low", "band_high"))
-    return f"{said}, band {low:.0f}–{high:.0f} Hz" if np.isfinite(low) and np.isfinite(high) else said
+    return f"{text}, band {low:.0f}–{high:.0f} Hz" if np.isfinite(low) and np.isfinite(high) else text
 
 
-def _standing_out(order: Floats, amplitude: Floats, floor: Floats) -> list[float]:
-    """Orders of the highest lines that noise would not make: its power is at worst exponential.
+def _significant_orders(order: Floats, amplitude: Floats, floor: Floats) -> list[float]:
+    """Orders of the strongest lines above the noise threshold, for noise of exponentially distributed power.
 
     The amplitude is the root of the squared envelope's line: its fourth power is the power that the floor refers to.
     """
@@ -280,4 +258,4 @@ def _standing_out(order: Floats, amplitude: Floats, floor: Floats) -> list[float
     top = (inner >= power[:-2]) & (inner > power[2:]) & (inner > np.log(len(order) / _CHANCE)) & (order[1:-1] > 0)
     places = np.flatnonzero(top) + 1
     strongest = places[np.argsort(-power[places], kind="stable")][:_MOST_NAMED]
-    return [float(order[one]) for one in np.sort(strongest)]
+    return [float(order[place]) for place in np.sort(strongest)]

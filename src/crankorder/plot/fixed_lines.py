@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from crankorder.findings import Findings, LineFinding, ModeFinding, OrderFinding
-from crankorder.plot.reading import at_one_speed, interval_of, is_number, is_tone
+from crankorder.plot.drawing import Dashes
+from crankorder.plot.labels import Key
+from crankorder.plot.palette import DOUBT_DASHES, MAINS, MAINS_ON_MAP, MODE, MODE_DASHES, MODE_ON_MAP, TONE_DASHES
+from crankorder.plot.reading import at_one_speed, frequency_text, interval_of, is_number, is_tone, is_undecided
 
 _SAME_HZ = 0.5  # a line this close to a tone is that tone …
 _SAME_SHARE = 0.002  # … or this share of its frequency
@@ -47,25 +50,24 @@ def fixed_tones(findings: Findings) -> list[FixedTone]:
     tones = [FixedTone(mode) for mode in findings.modes if is_tone(mode)]
     decided = [mode.frequency_hz for mode in findings.modes if not is_tone(mode)]
     for line in findings.lines:
-        hertz = line.frequency_hz
-        if hertz is None or not is_fixed_tone(line):
+        hz = line.frequency_hz
+        if hz is None or not is_fixed_tone(line):
             continue
-        tone = next((tone for tone in tones if _is_at(tone.record, hertz)), None)
+        tone = next((tone for tone in tones if _is_at(tone.record, hz)), None)
         if tone is None:
-            if any(abs(mode_hz - hertz) < 1e-9 * mode_hz for mode_hz in decided):
+            if any(abs(mode_hz - hz) < 1e-9 * mode_hz for mode_hz in decided):
                 continue  # the table of natural frequencies has it
             # as the list of modes would have it
-            words, ends = line.explained_by or "unexplained", line.frequency_hz_ci95
+            kind, ends = line.explained_by or "unexplained", line.frequency_hz_ci95
             record = ModeFinding(
-                frequency_hz=hertz,
+                frequency_hz=hz,
                 frequency_hz_ci95=ends,
                 channels=(),
                 evidence="",
-                explained_by=words,
+                explained_by=kind,
                 causes=line.causes,
             )
-            tone = FixedTone(record)
-            tones.append(tone)
+            tones.append(tone := FixedTone(record))
         tone.lines.append(line)
     for tone in tones:
         tone.lines.sort(key=lambda line: -line.size)
@@ -73,7 +75,7 @@ def fixed_tones(findings: Findings) -> list[FixedTone]:
 
 
 def fixed_frequencies(findings: Findings) -> list[ModeFinding]:
-    """Everything in the ``findings`` that stays at its frequency, lowest first: natural frequencies, doubts, tones.
+    """All lines of fixed frequency in the ``findings``, lowest first: natural frequencies, undecided ones, tones.
 
     A tone that stands in the list of lines alone is given like a mode, with its kind as ``explained_by``.
     """
@@ -86,6 +88,40 @@ def fixed_frequencies(findings: Findings) -> list[ModeFinding]:
 
 
 def _is_at(tone: ModeFinding, hertz: float) -> bool:
-    """Whether a line at ``hertz`` is that ``tone``."""
+    """Whether a line at ``hertz`` lies within the tolerance of a ``tone``."""
     low, high = interval_of(tone, "frequency_hz") or (0.0, 0.0)
     return abs(tone.frequency_hz - hertz) <= max(min(_SAME_HZ, _SAME_SHARE * tone.frequency_hz), high - low)
+
+
+Mark = tuple[float, str, str]
+"""Place along the axis, text and colour of what is named above a diagram."""
+
+
+def mode_style(mode: ModeFinding) -> tuple[str, str, str, Dashes]:
+    """Kind, colour, colour over a map and dashes of the line of a ``mode``: tone, doubt or natural frequency."""
+    if is_tone(mode):
+        return "tone", MAINS, MAINS_ON_MAP, TONE_DASHES
+    kind, dashes = ("doubt", DOUBT_DASHES) if is_undecided(mode) else ("mode", MODE_DASHES)
+    return kind, MODE, MODE_ON_MAP, dashes
+
+
+def mode_text(mode: ModeFinding) -> str:
+    """Label of a ``mode``: its frequency, with a question mark where it is not decided."""
+    return f"{frequency_text(mode.frequency_hz)}{'?' * is_undecided(mode)} Hz"
+
+
+def mode_marks(modes: list[ModeFinding]) -> list[Mark]:
+    """Frequency, label and colour of each of ``modes``, for the edge of a diagram."""
+    return [(mode.frequency_hz, mode_text(mode), mode_style(mode)[1]) for mode in modes]
+
+
+def mode_keys(modes: list[ModeFinding]) -> list[Key]:
+    """Legend of the dashed and dotted lines of ``modes``: natural frequencies, doubts, tones."""
+    kinds = {mode_style(mode)[0] for mode in modes}
+    keys = [Key("natural frequency", MODE, MODE_DASHES)] if "mode" in kinds else []
+    keys += [Key("not decided", MODE, DOUBT_DASHES)] if "doubt" in kinds else []
+    of_mains = {mode.kinds == ("mains",) for mode in modes if is_tone(mode)}
+    if of_mains:
+        label = "mains or fixed tone" if len(of_mains) > 1 else "mains" if True in of_mains else "fixed tone"
+        keys.append(Key(label, MAINS, TONE_DASHES))
+    return keys

@@ -16,7 +16,7 @@ from crankorder.quantities import Floats
 GAP_IN = 0.05
 LINE_HEIGHT_IN = 0.125
 _KEY_SIZE = SMALL + 0.5
-_SAMPLE_IN, _GAP_IN, _BETWEEN_IN, _BASE_IN = 0.3, 0.08, 0.24, 0.16
+_SAMPLE_IN, _GAP_IN, _BETWEEN_IN = 0.3, 0.08, 0.24
 _UP_IN, _DOWN_IN = 0.15, 0.06  # of the first and the second of two rows
 
 
@@ -159,17 +159,11 @@ class Key:
 
 
 def draw_keys(
-    drawing: Drawing,
-    left_in: float,
-    keys: Sequence[Key],
-    *,
-    room_in: float = np.inf,
-    base_in: float = _BASE_IN,
-    most: int = 2,
+    drawing: Drawing, left_in: float, keys: list[Key], *, room_in: float = np.inf, base_in: float = 0.16, most: int = 2
 ) -> None:
     """Draw ``keys`` side by side at the foot of ``drawing``, from ``left_in`` inches; in ``most`` rows if need be.
 
-    ``room_in``: width in inches that a row may take; ``base_in``: height of the row.
+    ``room_in``: width in inches that a row may take; ``base_in``: height of the first row's baseline.
     """
     rows: list[list[Key]] = [[]]
     used = 0.0

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from crankorder.channel_units import unit_text
 from crankorder.errors import RequestError
 from crankorder.findings import Findings
-from crankorder.plot.axes import ORDER, axes_for, channel_of, dress, painted, quantity_text, set_scale, unit_of
+from crankorder.plot.axes import axes_for, channel_of, dress, painted, scale, y_label
 from crankorder.plot.cells import gaps_before, speed_cells
-from crankorder.plot.drawing import Box, Drawing, Panel, Words
+from crankorder.plot.drawing import ORDER, Box, Drawing, Panel, Words
 from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
 from crankorder.plot.palette import BAND_FACTOR, FAINT, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.reading import names_of_orders, nominal_order
@@ -97,8 +97,8 @@ def orders_figure(tracks: xr.Dataset, findings: Findings, *, settings: ReportSet
         _draw_channel(drawing, shown, number, (left, bottom, width, block))
         name = shortened(drawable(channel, settings.max_name_characters), NORMAL + 1, width, bold=True)
         drawing.add(Words(left, bottom + block + 0.09, name, NORMAL + 1, bold=True))
-    said = _subtitle(tracks.sizes["order"], len(shown.orders), clear=bool(np.isfinite(shown.amplitude).any()))
-    head_of_test(drawing, _LEFT, findings, "orders against speed", said, longest=settings.max_name_characters)
+    subtitle = _subtitle(tracks.sizes["order"], len(shown.orders), clear=bool(np.isfinite(shown.amplitude).any()))
+    head_of_test(drawing, _LEFT, findings, "orders against speed", subtitle, longest=settings.max_name_characters)
     return drawing
 
 
@@ -126,7 +126,7 @@ def shown_tracks(tracks: xr.Dataset, *, limit: int, among: Sequence[int] | None 
     # an unknown error or interval counts as clear; an interval from 0 says that noise alone could be as large
     clear = (amplitude > 0) & ~(amplitude < _CLEAR * error) & ~(low <= 0)
     amplitude, low, high, phase = (
-        np.where(clear, item, np.nan)[:, kept] for item in (amplitude, low, high, (values["phase"] + 180) % 360 - 180)
+        np.where(clear, part, np.nan)[:, kept] for part in (amplitude, low, high, (values["phase"] + 180) % 360 - 180)
     )
     return ShownTracks(
         tracks["speed"].values[at], tracks["order"].values[kept], np.argsort(np.searchsorted(kept, ranked)),
@@ -199,7 +199,7 @@ def _draw_axes(upper: Panel, lower: Panel, shown: ShownTracks, channel: int, *, 
 
 
 def _broken(speed: Floats, values: Floats, *, wrap: float = np.inf) -> NDArray[np.intp]:
-    """Places before which a curve must break: gaps of the tested range, and jumps of more than ``wrap``."""
+    """Indices before which a curve breaks: gaps of the tested speed range, and jumps of more than ``wrap``."""
     gap = gaps_before(speed_cells(speed))[1:]
     with np.errstate(invalid="ignore"):
         return np.asarray(np.flatnonzero(gap | (np.abs(np.diff(values)) > wrap)) + 1)
@@ -224,7 +224,7 @@ def _draw_line(panel: Panel, shown: ShownTracks, channel: int, number: int) -> N
 
 
 def _draw_phase(panel: Panel, shown: ShownTracks, channel: int, number: int) -> None:
-    """Phase where the line stands clear of its noise, joined where it goes on."""
+    """Phase against speed of one order, where its line is above the noise; jumps are not joined."""
     read = shown.read[channel, number]
     if not read.any():
         return
@@ -278,46 +278,45 @@ def orders(
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
-    >>> made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
-    >>> axes = co.plot.orders(co.order_tracks(made, orders=[1.0, 3.0]))
+    >>> recording = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+    >>> axes = co.plot.orders(co.order_tracks(recording, orders=[1.0, 3.0]))
     >>> axes.get_ylabel()
     'Acceleration (peak), m/s²'
     """
     dataset, number = channel_of(order_tracks, "order_tracks", "orders", channel)
     placed = np.flatnonzero(np.isfinite(dataset["speed"].values))
-    one = dataset.isel(channel=[number], speed=placed if len(placed) else slice(0, 1))
-    among = None if orders is None else _asked(dataset["order"].values, orders)
-    shown = shown_tracks(one, limit=_MOST if among is None else len(among), among=among)
+    own = dataset.isel(channel=[number], speed=placed if len(placed) else slice(0, 1))
+    among = None if orders is None else _track_numbers(dataset["order"].values, orders)
+    shown = shown_tracks(own, limit=_MOST if among is None else len(among), among=among)
     alone = len(shown.speed) <= 1
     axes = axes_for(ax, "orders", height_in=4.6, width_in=8.0)
-    label = f"{quantity_text(dataset, number)}, {unit_of(dataset, number)}".removesuffix(", ")
-    said = _said(shown, dataset.sizes["order"] if orders is None else 0) if len(shown.orders) else ""
-    x = ORDER if alone else "Speed, rpm"
-    dress(axes, x=x, y=label, title=str(dataset["channel"].values[number]), rows_above=alone, said=said)
+    remark = _remark(shown, dataset.sizes["order"] if orders is None else 0) if len(shown.orders) else ""
+    x, title = ORDER if alone else "Speed, rpm", str(dataset["channel"].values[number])
+    dress(axes, x=x, y=y_label(dataset, number), title=title, rows_above=alone, note=remark)
     clear = bool(np.isfinite(shown.amplitude).any())
     limits, logarithmic = _scale(shown.amplitude)
     ends = (0.0, 1.06 * float(shown.orders[-1]) if len(shown.orders) else 1.0)
     if not alone:
         spare = 0.015 * float(shown.speed[-1] - shown.speed[0]) or 1.0
         ends = float(shown.speed[0]) - spare, float(shown.speed[-1]) + spare
-    set_scale(axes, ends, limits if clear else None, log_y=logarithmic)
+    scale(axes, ends, limits if clear else None, log_y=logarithmic)
     return painted(axes, lambda panel: _draw_points(panel, shown) if alone and clear else draw_tracks(panel, shown, 0))
 
 
-def _asked(every: Floats, asked: Sequence[float]) -> list[int]:
-    """Numbers of the orders ``asked`` for among ``every`` one."""
+def _track_numbers(every: Floats, asked: Sequence[float]) -> list[int]:
+    """Indices of the tracks within 0.02 of each order ``asked`` for, among the orders of ``every`` track."""
     numbers = []
     for order in asked:
         apart = np.abs(every - float(order))
         if not len(every) or not apart.min() <= _SAME_ORDER:
-            there = ", ".join(f"{one:.4g}" for one in every) or "none"
+            there = ", ".join(f"{known:.4g}" for known in every) or "none"
             raise RequestError("no such order", file="crankorder.plot.orders", found=order, allowed=there)
         numbers.append(int(apart.argmin()))
     return numbers
 
 
-def _said(shown: ShownTracks, there: int) -> str:
-    """Speed where it is the only one, and how many of the orders that are ``there`` are drawn; 0 of those asked for."""
+def _remark(shown: ShownTracks, there: int) -> str:
+    """Text beside the title: a single speed, and how many of the orders ``there`` are drawn; 0 of those asked for."""
     many = f"{len(shown.orders)} strongest of {there} orders, " if len(shown.orders) < there else ""
     at = ""
     if len(shown.speed) == 1:

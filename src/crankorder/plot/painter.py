@@ -251,6 +251,6 @@ def png_bytes(shown: NDArray[np.uint8], dpi: int) -> bytes:
         (b"IEND", b""),
     )
     parts = [
-        struct.pack(">I", len(said)) + name + said + struct.pack(">I", zlib.crc32(name + said)) for name, said in chunks
+        struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data)) for name, data in chunks
     ]
     return b"\x89PNG\r\n\x1a\n" + b"".join(parts)

@@ -105,14 +105,11 @@ def nominal_order(record: Any) -> float:
 
 def order_name(record: Numbered, findings: Findings) -> str:
     """Short text of the order of a ``record`` that no other order of the ``findings`` has: ``"2"``, ``"1.005"``."""
-    same = min(findings.orders, key=lambda one: abs(one.order - record.order), default=record)
-    own = nominal_order(
-        same if abs(same.order - record.order) < _SAME_ORDER and not interval_of(record, "order") else record
-    )
-    near = {own}
-    near |= {nominal_order(other) for other in findings.orders if abs(other.order - own) < _CLOSE_ORDERS}
-    ordered = sorted(near)
-    return order_texts(ordered)[ordered.index(own)]
+    same = min(findings.orders, key=lambda other: abs(other.order - record.order), default=record)
+    is_same = abs(same.order - record.order) < _SAME_ORDER and not interval_of(record, "order")
+    own = nominal_order(same if is_same else record)
+    near = sorted({own, *(nominal_order(other) for other in findings.orders if abs(other.order - own) < _CLOSE_ORDERS)})
+    return order_texts(near)[near.index(own)]
 
 
 def is_tone(mode: ModeFinding) -> bool:
@@ -175,6 +172,16 @@ def level_reference(quantity: str, unit: str, *, settings: ReportSettings) -> tu
         reference = settings.pressure_reference_pa
         return reference / _SI_PRESSURE[unit], f"dB re {number_text(reference * 1e6, digits=2)} µPa (peak)"
     return 1.0, f"dB re 1 {unit_text(unit)} (peak)".replace("1  ", "1 ")
+
+
+def channel_level(dataset: xr.Dataset, channel: int, *, settings: ReportSettings) -> tuple[float, str]:
+    """Reference of the level of a ``channel`` (its number) of a map ``dataset`` in its unit, and the text with both.
+
+    ``settings`` as in :func:`level_reference`; the text says how the amplitudes of ``dataset`` are scaled.
+    """
+    quantity, unit = (str(dataset[name].values[channel]) for name in ("quantity", "unit"))
+    reference, text = level_reference(quantity, unit, settings=settings)
+    return reference, text.replace("(peak)", scaling_text(dataset))
 
 
 def free_bands(findings: Findings) -> list[tuple[float, float]]:

@@ -13,45 +13,13 @@ import xarray as xr
 
 from crankorder.channel_units import unit_text
 from crankorder.findings import Findings, ModeFinding
-from crankorder.plot.axes import (
-    ORDER,
-    axes_for,
-    channel_of,
-    dress,
-    keys_below,
-    painted,
-    quantity_text,
-    set_scale,
-    unit_of,
-    values_of,
-)
-from crankorder.plot.campbell_figure import Mark, edge_labels, mode_keys, mode_marks, orders_of
-from crankorder.plot.drawing import Box, Drawing, Panel, Words, log_limits
-from crankorder.plot.fixed_lines import fixed_frequencies
+from crankorder.plot.axes import axes_for, channel_of, dress, keys_below, painted, scale, values_of, y_label
+from crankorder.plot.campbell_figure import edge_labels, orders_of
+from crankorder.plot.drawing import ORDER, Box, Drawing, Panel, Words, log_limits
+from crankorder.plot.fixed_lines import Mark, fixed_frequencies, mode_keys, mode_marks, mode_style
 from crankorder.plot.labels import Key, draw_keys, fitted, head_of_test, label_top
-from crankorder.plot.palette import (
-    DOUBT_DASHES,
-    INK,
-    LIGHT,
-    LINES,
-    MAINS,
-    MODE,
-    MODE_DASHES,
-    NORMAL,
-    SMALL,
-    TONE_DASHES,
-    drawable,
-    shortened,
-)
-from crankorder.plot.reading import (
-    frequency_text,
-    is_tone,
-    is_undecided,
-    nominal_order,
-    order_name,
-    order_texts,
-    scaling_text,
-)
+from crankorder.plot.palette import INK, LIGHT, LINES, MAINS, NORMAL, SMALL, drawable, shortened
+from crankorder.plot.reading import frequency_text, is_tone, nominal_order, order_name, order_texts, scaling_text
 from crankorder.quantities import Floats
 from crankorder.settings import ReportSettings
 
@@ -82,17 +50,17 @@ def spectra_figure(campbell: xr.Dataset, findings: Findings, *, settings: Report
     # lines that move with speed vanish from the median over the speeds, what stays put remains
     density = campbell["psd"].transpose("channel", "speed", "frequency").values
     median, frequency = np.asarray(np.median(density, axis=1), dtype=float), campbell["frequency"].values
-    left = column_panels(drawing, places[0], campbell, "frequency", median, "²/Hz", settings=settings)
-    right = column_panels(drawing, places[1], campbell, "frequency", peak, f" {scaling}", settings=settings)
+    left = column_panels(drawing, places[0], campbell, median, "²/Hz", settings=settings)
+    right = column_panels(drawing, places[1], campbell, peak, f" {scaling}", settings=settings)
     modes = _mark_modes(left, fixed_frequencies(findings))
     orders = _mark_orders(right, campbell, findings, float(speed[fastest]), limit=settings.max_labelled_orders)
-    draw_spectra(left, frequency, median)
-    draw_spectra(right, frequency, peak)
+    for panel, values in zip([*left, *right], [*median, *peak], strict=True):
+        draw_spectrum(panel, frequency, values)
     label_column(left[0], modes, "")
     label_column(right[0], orders, "order")
     kind = "peak amplitude" if "peak" in scaling else "RMS"
-    said = _subtitle(len(speed), float(speed[fastest]), kind, modes=bool(modes), orders=bool(orders))
-    head_of_test(drawing, _LEFT, findings, "spectra", said, longest=settings.max_name_characters)
+    subtitle = _subtitle(len(speed), float(speed[fastest]), kind, modes=bool(modes), orders=bool(orders))
+    head_of_test(drawing, _LEFT, findings, "spectra", subtitle, longest=settings.max_name_characters)
     return drawing
 
 
@@ -109,19 +77,16 @@ def spectrum_figure(
     """
     fastest = int(np.argmax(np.nan_to_num(campbell["speed"].values)))
     row = campbell.isel(channel=[campbell["channel"].values.tolist().index(channel)], speed=fastest)
-    rpm, peak, fixed = (
-        float(row["speed"]),
-        row["amplitude"].transpose("channel", "frequency").values,
-        fixed_frequencies(findings),
-    )
+    rpm, peak = float(row["speed"]), row["amplitude"].transpose("channel", "frequency").values
+    fixed = fixed_frequencies(findings)
     own = replace(findings, orders=tuple(orders_of(findings, channel, limit=settings.max_labelled_orders)))
     causes, low = _causes(own, fixed), _ONE_AXIS + _ORDER_AXIS * (rpm > 0.0)
     drawing, right = Drawing(settings.width_in, settings.height_in), _CAUSES if causes else _RIGHT
     box = (_LEFT, low, settings.width_in - _LEFT - right, settings.height_in - low - _TWO_TIERS)
-    panels = column_panels(drawing, [box], row, "frequency", peak, f" {scaling_text(row)}", settings=settings)
+    panels = column_panels(drawing, [box], row, peak, f" {scaling_text(row)}", settings=settings)
     modes = _mark_modes(panels, fixed)
     orders = _mark_orders(panels, row, own, rpm, limit=len(own.orders))
-    draw_spectra(panels, row["frequency"].values, peak)
+    draw_spectrum(panels[0], row["frequency"].values, peak[0])
     label_column(panels[0], orders, "order", modes)
     if rpm > 0.0:
         ends = (60.0 * panels[0].x[0] / rpm, 60.0 * panels[0].x[1] / rpm)
@@ -129,21 +94,22 @@ def spectrum_figure(
         below.x_axis(ORDER, most=10, grid=False)
         below.frame()
     for number, (text, color) in enumerate(causes[: int(box[3] / _LINE)], start=1):
-        said, place = shortened(drawable(text, 200), SMALL, right - 0.25), low + box[3] - number * _LINE
-        drawing.add(Words(settings.width_in - right + 0.15, place, said, SMALL, color, name="cause"))
+        cause, place = shortened(drawable(text, 200), SMALL, right - 0.25), low + box[3] - number * _LINE
+        drawing.add(Words(settings.width_in - right + 0.15, place, cause, SMALL, color, name="cause"))
     draw_keys(drawing, _LEFT, [Key("order found", LINES[1])] * bool(orders) + mode_keys(fixed), room_in=box[2])
-    said = drawable(sentence, 300) or f"Amplitude {scaling_text(row)} against frequency."
+    subtitle = drawable(sentence, 300) or f"Amplitude {scaling_text(row)} against frequency."
     what = f"channel {drawable(channel, settings.max_name_characters)}"
     at = f" at {rpm:.0f} rpm" if rpm > 0.0 else ", speed unknown"
-    head_of_test(drawing, _LEFT, findings, f"{what}{at}", said, longest=settings.max_name_characters)
+    head_of_test(drawing, _LEFT, findings, f"{what}{at}", subtitle, longest=settings.max_name_characters)
     return drawing
 
 
 def _causes(findings: Findings, fixed: list[ModeFinding]) -> list[tuple[str, str]]:
-    """Lines of text with their colour: each cause, and below it the orders and tones that it makes."""
-    orders = sorted(findings.orders, key=lambda one: -one.amplitude)
-    places = [(one.explained_by, order_name(one, findings), LINES[1]) for one in orders]
-    places += [(one.explained_by, f"{frequency_text(one.frequency_hz)} Hz", MAINS) for one in fixed if is_tone(one)]
+    """Text lines and their colours: each cause, followed by its orders and tones."""
+    orders = sorted(findings.orders, key=lambda order: -order.amplitude)
+    places = [(order.explained_by, order_name(order, findings), LINES[1]) for order in orders]
+    tones = [mode for mode in fixed if is_tone(mode)]
+    places += [(tone.explained_by, f"{frequency_text(tone.frequency_hz)} Hz", MAINS) for tone in tones]
     causes: dict[tuple[str, str], list[str]] = {}
     for cause, place, color in places:
         causes.setdefault((cause or "unexplained", color), []).append(place)
@@ -174,22 +140,15 @@ def _subtitle(n_speeds: int, rpm: float, kind: str, *, modes: bool, orders: bool
 
 
 def column_panels(
-    drawing: Drawing,
-    boxes: list[Box],
-    dataset: xr.Dataset,
-    along: str,
-    values: Floats,
-    unit_tail: str,
-    *,
-    settings: ReportSettings,
+    drawing: Drawing, boxes: list[Box], dataset: xr.Dataset, values: Floats, unit_tail: str, *, settings: ReportSettings
 ) -> list[Panel]:
     """Panels over ``boxes`` of ``drawing`` with logarithmic axes for ``values`` (channels, bins); one unit, one scale.
 
-    ``along`` of ``dataset`` is the axis of the bins: "frequency" or "order"; ``unit_tail`` follows each channel's unit;
-    ``settings`` cut long names.
+    The bins are the frequencies or the orders of ``dataset``; ``unit_tail`` follows each channel's unit; ``settings``
+    cut long names.
     """
+    along, title = ("order", ORDER) if "order" in dataset.dims else ("frequency", "Frequency, Hz")
     place, units = dataset[along].values, dataset["unit"].values.astype(str)
-    title = "Frequency, Hz" if along == "frequency" else ORDER
     panels = []
     for number, box in enumerate(boxes):
         decades = DECADES * (1.5 if "²/Hz" in unit_tail else 1.0)
@@ -207,12 +166,6 @@ def column_panels(
     return panels
 
 
-def draw_spectra(panels: list[Panel], place: Floats, values: Floats) -> None:
-    """Draw each row of ``values`` (channels, bins) over ``place`` (bins,) in its one of ``panels``."""
-    for panel, own in zip(panels, values, strict=True):
-        draw_spectrum(panel, place, own)
-
-
 def draw_spectrum(panel: Panel, place: Floats, values: Floats, *, color: str = INK, name: str = "spectrum") -> None:
     """Draw ``values`` over ``place`` (bins,) in ``panel`` as a line in ``color`` called ``name``."""
     if np.any(values > 0):
@@ -224,9 +177,8 @@ def draw_spectrum(panel: Panel, place: Floats, values: Floats, *, color: str = I
 def _mark_modes(panels: list[Panel], modes: list[ModeFinding]) -> list[Mark]:
     for panel in panels:
         for mode in modes:
-            tone = is_tone(mode)
-            dashes = TONE_DASHES if tone else DOUBT_DASHES if is_undecided(mode) else MODE_DASHES
-            panel.upright(mode.frequency_hz, color=MAINS if tone else MODE, dashes=dashes, alpha=0.7)
+            _, color, _, dashes = mode_style(mode)
+            panel.upright(mode.frequency_hz, color=color, dashes=dashes, alpha=0.7)
     return mode_marks(modes)
 
 
@@ -236,7 +188,7 @@ def _mark_orders(
     if not np.isfinite(rpm):
         return []
     strength: dict[float, float] = {}
-    found = {(record.channel, nominal_order(record)) for record in findings.orders}
+    in_channel = {(record.channel, nominal_order(record)) for record in findings.orders}
     for record in findings.orders:
         order = nominal_order(record)
         strength[order] = max(strength.get(order, 0.0), record.amplitude)
@@ -244,7 +196,7 @@ def _mark_orders(
     texts = order_texts(kept)
     for panel, channel in zip(panels, campbell["channel"].values.astype(str), strict=True):
         for order, text in zip(kept, texts, strict=True):
-            alpha = 0.6 if (channel, order) in found else 0.25
+            alpha = 0.6 if (channel, order) in in_channel else 0.25
             panel.upright(order * rpm / 60, color=LINES[1], width=0.7, alpha=alpha, name=f"order-{text}")
     return [(order * rpm / 60, text, LINES[1]) for order, text in zip(kept, texts, strict=True)]
 
@@ -272,27 +224,28 @@ def order_spectra_figure(order_map: xr.Dataset, findings: Findings, *, settings:
     """
     drawing, (boxes,) = column_boxes(order_map.sizes["channel"], settings.width_in - _LEFT - _RIGHT, settings)
     order, (mean, floor) = order_map["order"].values, _mean_levels(order_map)
-    panels = column_panels(drawing, boxes, order_map, "order", mean, f" {scaling_text(order_map)}", settings=settings)
-    found = sorted({nominal_order(record) for record in findings.orders})
+    panels = column_panels(drawing, boxes, order_map, mean, f" {scaling_text(order_map)}", settings=settings)
+    orders = sorted({nominal_order(record) for record in findings.orders})
     for number, (panel, channel) in enumerate(zip(panels, order_map["channel"].values.tolist(), strict=True)):
-        for place in found:
+        for place in orders:
             panel.upright(place, color=LINES[1], width=0.7, alpha=0.25)
         if np.any(floor[number] > 0):
             panel.curve(order, floor[number], color=LIGHT, width=1.4, name="floor")
         draw_spectrum(panel, order, mean[number])
         own = sorted({nominal_order(record) for record in findings.orders if record.channel == channel})
         ring_lines(panel, order, mean[number], own)
-    label_column(panels[0], [(at, text, LINES[1]) for at, text in zip(found, order_texts(found), strict=True)], "order")
+    marks = [(order, text, LINES[1]) for order, text in zip(orders, order_texts(orders), strict=True)]
+    label_column(panels[0], marks, "order")
     keys = [Key("floor: median of the orders around", LIGHT)] if drawing.strokes("floor") else []
-    draw_keys(drawing, _LEFT, keys + [Key("order found in the channel", LINES[1], ring=True)] * bool(found))
+    draw_keys(drawing, _LEFT, keys + [Key("order found in the channel", LINES[1], ring=True)] * bool(orders))
     speeds = order_map.sizes["speed"]
-    said = f"Amplitude against order{f', its mean level over {speeds} speeds' if speeds > 1 else ''}."
-    head_of_test(drawing, _LEFT, findings, "order spectra", said, longest=settings.max_name_characters)
+    subtitle = f"Amplitude against order{f', its mean level over {speeds} speeds' if speeds > 1 else ''}."
+    head_of_test(drawing, _LEFT, findings, "order spectra", subtitle, longest=settings.max_name_characters)
     return drawing
 
 
 def ring_lines(panel: Panel, order: Floats, values: Floats, places: Sequence[float]) -> bool:
-    """Ring in ``panel`` the lines at ``places`` of a spectrum of ``values`` over ``order``; False where none stands.
+    """Whether ``panel`` shows any line at ``places`` of a spectrum of ``values`` over ``order``; those are ringed.
 
     A ring is as high as the highest bin within two of its place.
     """
@@ -341,20 +294,18 @@ def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | 
 
     >>> import numpy as np, crankorder as co
     >>> time = np.arange(40_000) / 10_000.0
-    >>> made = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
-    >>> axes = co.plot.spectra(co.campbell_map(made, max_frequency_hz=200.0))
+    >>> recording = co.recording(2.0 * np.cos(2 * np.pi * 75.0 * time), rate_hz=1e4, speed_rpm=1500.0)
+    >>> axes = co.plot.spectra(co.campbell_map(recording, max_frequency_hz=200.0))
     >>> axes.get_yscale(), axes.get_title(loc="right")
     ('log', '1500 rpm')
     """
     dataset, number = channel_of(campbell_map, "campbell_map", "spectra", channel)
     frequency, lines = np.asarray(dataset["frequency"].values, dtype=float), _by_speed(dataset, number)
     axes = axes_for(ax, "spectra", height_in=4.4)
-    label = f"{quantity_text(dataset, number)}, {unit_of(dataset, number)}".removesuffix(", ")
-    several = len(lines) > 1
-    said = f"{dataset.sizes['speed']} speeds" if several else next(iter(lines), "")
-    dress(axes, x="Frequency, Hz", y=label, title=str(dataset["channel"].values[number]), said=said)
-    limits = log_limits(np.array(list(lines.values())), DECADES, room=2.5)
-    set_scale(axes, frequency, limits)
+    several, title = len(lines) > 1, str(dataset["channel"].values[number])
+    speeds = f"{dataset.sizes['speed']} speeds" if several else next(iter(lines), "")
+    dress(axes, x="Frequency, Hz", y=y_label(dataset, number), title=title, note=speeds)
+    scale(axes, frequency, log_limits(np.array(list(lines.values())), DECADES, room=2.5))
 
     def content(panel: Panel) -> None:
         for (text, values), color in zip(lines.items(), LINES if several else (INK,), strict=False):
@@ -367,7 +318,7 @@ def spectra(campbell_map: xr.Dataset, *, channel: str | None = None, ax: Axes | 
 
 
 def _by_speed(dataset: xr.Dataset, channel: int) -> dict[str, Floats]:
-    """Spectra to draw, by what they are called."""
+    """Spectra to draw by their legend text: one per speed, or maximum and median over many speeds."""
     amplitude = values_of(dataset, "amplitude", "speed", "frequency", channel=channel)
     speed = np.asarray(dataset["speed"].values, dtype=float)
     measured = np.flatnonzero(np.isfinite(amplitude).any(axis=1))

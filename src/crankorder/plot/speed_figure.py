@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from crankorder.findings import Findings
-from crankorder.plot.axes import axes_for, dataset_of, dress, painted, set_scale
+from crankorder.plot.axes import axes_for, dataset_of, dress, painted, scale
 from crankorder.plot.drawing import Drawing, Panel
 from crankorder.plot.labels import EdgeLabel, head_of_test, label_right
 from crankorder.plot.palette import FAINT, LIGHT, LINES, SMALL, drawable, shortened
@@ -86,8 +86,8 @@ def speed_figure(shaft: xr.Dataset, findings: Findings, *, settings: ReportSetti
         if few or place in colors:
             labels.append(EdgeLabel(height, shortened(name, SMALL, _RIGHT - 0.3), colors.get(place, FAINT)))
     label_right(drawing, box, labels)
-    said = _said(shaft, numbers)
-    head_of_test(drawing, _LEFT, findings, "speed against time", said, longest=settings.max_name_characters)
+    subtitle = _subtitle(shaft, numbers)
+    head_of_test(drawing, _LEFT, findings, "speed against time", subtitle, longest=settings.max_name_characters)
     return drawing
 
 
@@ -100,7 +100,7 @@ def draw_speed(
 
 
 def _ends(low: Floats, high: Floats, *, from_zero: bool) -> tuple[float, float]:
-    """Ends of the axis of speed: from standstill where the speed changes, else close about what is drawn."""
+    """Limits of the speed axis: from standstill where the speed changes, else close around the data."""
     top, bottom = float(np.nanmax(high, initial=1.0)), float(np.nanmin(low, initial=np.inf))
     if from_zero or not np.isfinite(bottom):
         return 0.0, 1.05 * top
@@ -108,7 +108,7 @@ def _ends(low: Floats, high: Floats, *, from_zero: bool) -> tuple[float, float]:
     return max(0.0, bottom - spare), top + spare
 
 
-def _said(shaft: xr.Dataset, numbers: list[int]) -> str:
+def _subtitle(shaft: xr.Dataset, numbers: list[int]) -> str:
     speed = shaft["speed_trace"].transpose("recording", "knot").values[numbers]
     rest = shaft.sizes["recording"] - len(numbers)
     keep = "keep their speed" if rest > 1 else "keeps its speed"
@@ -134,8 +134,8 @@ def speed(crank_angle: xr.Dataset, *, ax: Axes | None = None) -> Axes:
 
     >>> import numpy as np, crankorder as co
     >>> turns = np.arange(0.0, 4.0, 1 / (25.0 * 60))
-    >>> made = co.recording(np.zeros(4000), rate_hz=1000.0, pulse_times_s=turns, pulses_per_rev=60)
-    >>> axes = co.plot.speed(co.crank_angle(made))
+    >>> recording = co.recording(np.zeros(4000), rate_hz=1000.0, pulse_times_s=turns, pulses_per_rev=60)
+    >>> axes = co.plot.speed(co.crank_angle(recording))
     >>> axes.get_xlabel(), axes.get_ylabel()
     ('Time, s', 'Speed, rpm')
     """
@@ -146,13 +146,15 @@ def speed(crank_angle: xr.Dataset, *, ax: Axes | None = None) -> Axes:
     axes = axes_for(ax, "speed", height_in=3.2)
     many = len(values) > 2 * _PIECES
     when, mean, low, high = _pieces(time, values) if many else (time, values, values, values)
-    said = _range_text(mean) + (", band: lowest to highest" if many else "")
-    dress(axes, x="Time, s", y="Speed, rpm", title=str(dataset.attrs["recording"]), said=said)
+    ends = dict.fromkeys(f"{pick(mean):.0f}" for pick in (np.min, np.max)) if len(mean) else ()
+    span = f"{' to '.join(ends)} rpm" if ends else ""
+    remark = f"{span}, band: lowest to highest" if many else span
+    dress(axes, x="Time, s", y="Speed, rpm", title=str(dataset.attrs["recording"]), note=remark)
     if not len(values):
-        set_scale(axes, (0.0, 1.0), None)
+        scale(axes, (0.0, 1.0), None)
         return painted(axes, lambda panel: panel.note("no speed is known"))
     changes = 0.0 < _CHANGES * float(values.min()) < float(values.max())
-    set_scale(axes, time, _ends(low, high, from_zero=changes), log_y=False)
+    scale(axes, time, _ends(low, high, from_zero=changes), log_y=False)
 
     def content(panel: Panel) -> None:
         draw_speed(panel, when, mean, (low, high), LINES[0])
@@ -160,13 +162,6 @@ def speed(crank_angle: xr.Dataset, *, ax: Axes | None = None) -> Axes:
             panel.dots(when, mean, color=LINES[0], radius=3.0)
 
     return painted(axes, content)
-
-
-def _range_text(values: Floats) -> str:
-    if not len(values):
-        return ""
-    low, high = f"{values.min():.0f}", f"{values.max():.0f}"
-    return f"{low} rpm" if low == high else f"{low} to {high} rpm"
 
 
 def _pieces(time: Floats, values: Floats) -> Floats:

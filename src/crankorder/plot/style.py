@@ -99,7 +99,7 @@ def note(axes: Axes, text: str, place: tuple[float, float] = (0.5, 0.5), **look:
 
 
 def quiet_frame(axes: Axes) -> None:
-    """Leave ``axes`` only its left and bottom edges and a faint grid."""
+    """Left and bottom spines and a faint grid for ``axes``; no other spine."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(True)
     axes.tick_params(length=3)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 import xarray as xr
@@ -31,19 +30,17 @@ _MARKS = {"tdc": "TDC", "index": "index mark", "pulse": "pulse"}
 _FROM = {"tdc": "from top dead centre", "index": "from the index mark", "pulse": "from the pulse"}
 
 
-def cycle_figure(
-    cycles: xr.Dataset, findings: Findings, *, settings: ReportSettings, speeds_rpm: Sequence[float] | None = None
-) -> Figure:
-    """Mean cycle of every channel (rows) at a few speeds (columns), with its spread and the dead centres.
+def cycle_figure(cycles: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Figure:
+    """Mean cycle of every channel (rows) at the slowest, the middle and the fastest speed (columns), with its spread.
 
     Every panel has its own scale, for forces grow with the square of speed; it follows the mean, and a spread that
-    would make a line of it is given as a number only. ``cycles`` a CycleAverage; ``findings`` of
-    the same test; ``settings`` of the report; ``speeds_rpm`` those wanted (the nearest are taken, three at most), None
-    for the slowest, the middle and the fastest.
+    would make a line of it is given as a number only. Dead centres are marked. ``cycles`` a CycleAverage; ``findings``
+    of the same test; ``settings`` of the report.
     """
     with house_style():
         cycles = cycles.sortby("speed")
-        shown = _chosen(cycles, speeds_rpm)
+        held = np.flatnonzero(cycles["n_cycles"].transpose("channel", "speed").values.max(axis=0, initial=0))
+        shown = [int(row) for row in (held if len(held) <= _SPEEDS else held[[0, len(held) // 2, -1]])]
         rows, columns = cycles.sizes["channel"], max(len(shown), 1)
         height = max((settings.height_in - _BOTTOM - _TOP - (rows - 1) * _ROW_GAP) / rows, _LEAST_ROW)
         figure = new_figure(settings.width_in, _TOP + _BOTTOM + rows * height + (rows - 1) * _ROW_GAP)
@@ -69,21 +66,9 @@ def cycle_figure(
         reference = str(cycles.attrs.get("phase_reference", "none"))
         label = f"Crank angle {_FROM.get(reference, 'from where the recording begins')}, °"
         write(figure, _LEFT + (settings.width_in - _LEFT - _RIGHT) / 2, 0.2, label, ha="center")
-        said = _subtitle(cycles, len(shown))
-        head_of_test(figure, _LEFT, findings, "average cycle", said, longest=settings.max_name_characters)
+        subtitle = _subtitle(cycles, len(shown))
+        head_of_test(figure, _LEFT, findings, "average cycle", subtitle, longest=settings.max_name_characters)
         return figure
-
-
-def _chosen(cycles: xr.Dataset, speeds_rpm: Sequence[float] | None) -> list[int]:
-    """Rows of the speeds to show, slowest first, of those with a cycle in any channel."""
-    held = np.flatnonzero(cycles["n_cycles"].transpose("channel", "speed").values.max(axis=0, initial=0))
-    if not len(held):
-        return []
-    if speeds_rpm is None:
-        wanted = held if len(held) <= _SPEEDS else held[[0, len(held) // 2, -1]]
-        return [int(row) for row in wanted]
-    speed = np.nan_to_num(cycles["speed"].values[held])
-    return sorted({int(held[np.argmin(np.abs(speed - value))]) for value in list(speeds_rpm)[:_SPEEDS]})
 
 
 def _subtitle(cycles: xr.Dataset, shown: int) -> str:
@@ -97,7 +82,7 @@ def _subtitle(cycles: xr.Dataset, shown: int) -> str:
 
 
 def _heading(cycle: xr.Dataset) -> str:
-    """Speed of a column and how many cycles it averages."""
+    """Column title: speed and number of averaged cycles."""
     speed = cycle.speed
     count = cycle.n_cycles.values
     least, most = int(count.min()), int(count.max())
@@ -163,7 +148,7 @@ def _draw(axes: Axes, cycle: xr.Dataset, color: str, height_in: float) -> None:
 
 
 def _value_axis(axes: Axes, mean: Floats, deviation: Floats, height_in: float) -> bool:
-    """Set limits that show the mean large; False where its spread would make a line of it and is not shown."""
+    """Whether the spread fits on the axis beside the mean, whose limits are set; else it is not drawn."""
     least, most = float(mean.min()), float(mean.max())
     half = max(0.5 * (most - least), _FLAT * max(abs(least), abs(most)), 1e-300)
     low, high = float((mean - deviation).min()), float((mean + deviation).max())

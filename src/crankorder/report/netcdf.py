@@ -258,18 +258,16 @@ def _safe_groups(file: h5py.File, path: Path) -> list[str]:
             elif isinstance(member, h5py.Dataset):
                 total += int(member.nbytes)
                 if member.external or member.is_virtual or total > _MAX_BYTES:
-                    raise UnsafeInputError(
-                        "stores data elsewhere or claims too much", file=path, place=name, found=total
-                    )
+                    problem = "stores data elsewhere or claims too much"
+                    raise UnsafeInputError(problem, file=path, place=name, found=total)
     return sorted(names)
 
 
 BARE_DIMENSION = b"This is a netCDF dimension but not a netCDF variable."
 """Begins the name of a dimension that has no values."""
 
-_OF_THE_LAYOUT = frozenset(
-    {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST", "_Netcdf4Dimid", "_Netcdf4Coordinates", "_NCProperties"}
-)
+_OF_THE_LAYOUT = {"CLASS", "NAME", "DIMENSION_LIST", "REFERENCE_LIST"}
+_OF_THE_LAYOUT |= {"_Netcdf4Dimid", "_Netcdf4Coordinates", "_NCProperties"}
 
 
 def _write_attrs(owner: Any, attrs: Mapping[Any, Any]) -> None:
@@ -296,7 +294,7 @@ def _write_values(group: h5py.Group, name: str, values: NDArray[Any]) -> Any:
 
 
 def _creation() -> Any:
-    """Properties of a dataset that keeps no time."""
+    """Creation properties of an HDF5 dataset without time stamps."""
     properties = h5p.create(h5p.DATASET_CREATE)
     properties.set_obj_track_times(False)
     return properties
@@ -394,8 +392,7 @@ def findings_datasets(findings: Findings) -> dict[str, xr.Dataset]:
     tables = {"findings": xr.Dataset(attrs=single)}
     channels = {channel.name: (channel.unit, channel.quantity or "") for channel in findings.channels}
     for table, kind in kinds.items():
-        records = getattr(findings, table) or ()
-        if records:
+        if records := getattr(findings, table):
             tables[f"findings/{table}"] = _table(records, kind, channels)
     if findings.balance is not None:
         tables["findings/balance"] = xr.Dataset(attrs=findings.balance.as_dict())
@@ -425,8 +422,5 @@ def _column(column: Column, values: list[Any]) -> tuple[tuple[str, ...], NDArray
     if column.kind == "interval":
         return ("record", "bound"), np.array([value or (None, None) for value in values], dtype=np.float64), about
     parts = ([value] if isinstance(value, str) else value or () for value in values)
-    return (
-        ("record",),
-        np.array([", ".join(map(str, texts)) for texts in parts], dtype=object),
-        {"long_name": column.text},
-    )
+    texts = [", ".join(map(str, part)) for part in parts]
+    return ("record",), np.array(texts, dtype=object), {"long_name": column.text}

@@ -23,24 +23,21 @@ from numpy.typing import NDArray
 from crankorder.channel_units import unit_text
 from crankorder.findings import CrossingFinding, Findings, ModeFinding
 from crankorder.plot.cells import level_limits, speed_cells
-from crankorder.plot.fixed_lines import fixed_frequencies
+from crankorder.plot.fixed_lines import fixed_frequencies, mode_style, mode_text
 from crankorder.plot.orders_figure import shown_tracks
 from crankorder.plot.palette import level_colours
 from crankorder.plot.reading import (
+    channel_level,
     estimate_text,
     frequency_text,
     interval_of,
     is_number,
-    is_tone,
-    is_undecided,
     is_whirl,
-    level_reference,
     named,
     nominal_order,
     number_text,
     order_name,
     order_text,
-    scaling_text,
     short,
     speeds_text,
 )
@@ -187,13 +184,10 @@ def rendered_page(template: str, *, has_script: bool = False, **values: object) 
     style, script = _own_file("report.css"), _own_file("page.js") if has_script else ""
     pictures = "data:" if script else "data: 'self' file:"
     scripts = f"; script-src {_digest(script)}" if script else ""
-    policy = (
-        f"default-src 'none'; img-src {pictures}; style-src {_digest(style)}{scripts}; base-uri 'none'; "
-        "form-action 'none'"
-    )
-    return (
-        _templates().get_template(template).render(policy=policy, style=Markup(style), script=Markup(script), **values)
-    )
+    policy = f"default-src 'none'; img-src {pictures}; style-src {_digest(style)}{scripts}"
+    policy += "; base-uri 'none'; form-action 'none'"
+    page = _templates().get_template(template)
+    return page.render(policy=policy, style=Markup(style), script=Markup(script), **values)
 
 
 @cache
@@ -255,11 +249,10 @@ def live_data(groups: Mapping[str, xr.Dataset], findings: Findings, *, settings:
 
 def _channels(dataset: xr.Dataset, settings: ReportSettings) -> list[LiveChannel]:
     channels = []
-    columns = (dataset[key].values[:_MOST_CHANNELS].astype(str).tolist() for key in ("channel", "unit", "quantity"))
-    for name, unit, quantity in zip(*columns, strict=True):
-        reference, level = level_reference(quantity, unit, settings=settings)
-        text = named(name, limit=settings.max_name_characters)
-        channels.append(LiveChannel(text, unit_text(unit), reference, level.replace("(peak)", scaling_text(dataset))))
+    names, units = (dataset[key].values[:_MOST_CHANNELS].astype(str).tolist() for key in ("channel", "unit"))
+    for number, (name, unit) in enumerate(zip(names, units, strict=True)):
+        level = channel_level(dataset, number, settings=settings)
+        channels.append(LiveChannel(named(name, limit=settings.max_name_characters), unit_text(unit), *level))
     return channels
 
 
@@ -279,11 +272,14 @@ def _map(name: str, dataset: xr.Dataset, channels: list[LiveChannel], settings: 
     even = len(x) > 1 and np.allclose(np.diff(x), x[1] - x[0], rtol=1e-6)
     if len(kept) < 2 or not even:
         return None
-    pool, shown = _share_of_page(len(channels) * len(kept) * len(x), len(x), len(channels), _MAP_CELLS[name])
+    # columns pooled into one, and channels shown, so that the page holds no more cells than it may
+    cells, most = len(kept) * len(x), _MAP_CELLS[name]
+    pool = min(max(1, math.ceil(len(channels) * cells / most)), max(1, len(x) // _FEWEST_COLUMNS))
+    shown = min(len(channels), int(most / (cells / pool)))
     if not shown:
         return None
     columns = -(-len(x) // pool)
-    largest, limits, cells = [], [], []
+    largest, limits, codes = [], [], []
     for values, channel in zip(amplitude[:shown, kept], channels, strict=False):
         values = np.nan_to_num(values.astype(np.float64), posinf=0.0)
         if pool > 1:
@@ -292,13 +288,13 @@ def _map(name: str, dataset: xr.Dataset, channels: list[LiveChannel], settings: 
         top = float(values.max())
         largest.append(top)
         limits.append(level_limits(values, channel.reference, range_db=settings.dynamic_range_db))
-        cells.append(_base64(_codes(values, top).tobytes()))
+        codes.append(_base64(_codes(values, top).tobytes()))
     step = float(x[-1] - x[0]) / (len(x) - 1)
     ends = speed_cells(speed[kept])
     rows = [[_short(rpm), _short(low), _short(high)] for rpm, (low, high) in zip(speed[kept], ends, strict=True)]
     return {
         "kind": kind, "title": title, "label": label, "x0": float(x[0]) + (pool - 1) / 2 * step, "dx": pool * step,
-        "nx": columns, "pooled": pool, "rows": rows, "largest": largest, "limits": limits, "cells": cells,
+        "nx": columns, "pooled": pool, "rows": rows, "largest": largest, "limits": limits, "cells": codes,
     }  # fmt: skip
 
 
@@ -315,13 +311,6 @@ def _shortened(value: object) -> object:
     return [_shortened(part) for part in value] if isinstance(value, list | tuple) else value
 
 
-def _share_of_page(cells: int, columns: int, channels: int, most: int) -> tuple[int, int]:
-    """Columns pooled into one, and channels shown, so that ``cells`` in all become ``most`` at the most."""
-    pool = min(max(1, math.ceil(cells / most)), max(1, columns // _FEWEST_COLUMNS))
-    each = cells / channels / pool
-    return pool, min(channels, int(most / each)) if each else 0
-
-
 def _codes(values: Floats, top: float) -> NDArray[np.uint16]:
     """Codes of the script: 0 for nothing, 60000 for ``top``, one less for every 0.005 dB below."""
     if top <= 0:
@@ -334,13 +323,11 @@ def _codes(values: Floats, top: float) -> NDArray[np.uint16]:
 
 def _tracks(tracks: xr.Dataset | None, channels: int, *, limit: int) -> Record | None:
     """Values (channel, order, speed) as base64 of 32-bit floats; an amplitude of -inf is not read."""
-    if tracks is None or not tracks.sizes["order"]:
-        return None
-    if tracks.sizes["speed"] < 2 or not np.isfinite(tracks["speed"].values).all():
+    if tracks is None or not tracks.sizes["order"] or tracks.sizes["speed"] < 2:
         return None
     shown = shown_tracks(tracks, limit=limit)
     kept = min(channels, int(_TRACK_VALUES / max(4 * shown.amplitude[0].size, 1)))
-    if not kept:
+    if not kept or not np.isfinite(shown.speed).all():
         return None
     amplitude = np.where(shown.read, shown.amplitude, -np.inf)[:kept]
     largest = np.nan_to_num(np.where(np.isfinite(amplitude), amplitude, 0.0)).max(axis=(1, 2))
@@ -358,7 +345,7 @@ def _tracks(tracks: xr.Dataset | None, channels: int, *, limit: int) -> Record |
 
 
 def _statements(findings: Findings, names: list[str], settings: ReportSettings) -> Record:
-    """What the findings say, in the keys of the script; channels by their number among ``names``."""
+    """Findings as records for the script of the page; channels by their index in ``names``."""
     limit = settings.max_name_characters
     number = {name: place for place, name in enumerate(names)}
     modes = fixed_frequencies(findings)
@@ -376,7 +363,7 @@ def _statements(findings: Findings, names: list[str], settings: ReportSettings) 
 
 
 def _orders(findings: Findings, number: dict[str, int], limit: int) -> list[Record]:
-    """Orders found in a channel (by number): what each is called, what makes it, where it is largest and was seen."""
+    """Order records for the script: label, cause, speed of the maximum and speed range, by channel index."""
     return [
         {
             "channel": number[record.channel], "order": record.order, "text": order_name(record, findings),
@@ -389,35 +376,35 @@ def _orders(findings: Findings, number: dict[str, int], limit: int) -> list[Reco
 
 
 def _half_width(mode: ModeFinding) -> float:
-    """Half the width [Hz] over which a mode is itself: its half-power band, at least its interval."""
+    """Half the half-power bandwidth [Hz] of a mode, at least half its confidence interval."""
     low, high = interval_of(mode, "frequency_hz") or (0.0, 0.0)
     return max(mode.frequency_hz * (mode.damping_ratio or 0.0), (high - low) / 2)
 
 
 def _fixed(mode: ModeFinding, number: dict[str, int], limit: int) -> Record:
-    """A frequency that stays, or a whirl's with its ``slope``; ``half`` its half width in Hz."""
-    name = f"{frequency_text(mode.frequency_hz)}{'?' * is_undecided(mode)} Hz"
+    """Record of a fixed frequency, or of a whirl with its ``slope``; ``half``: half bandwidth in Hz."""
     estimate = f"{estimate_text(mode, 'frequency_hz')} Hz"
-    kind, text, slope, rpm = "mode", f"Natural frequency {estimate}", 0.0, 0.0
-    if is_tone(mode):
-        kind, text = "tone", f"{named(mode.explained_by, limit=limit).capitalize()} {estimate}"
-    elif is_undecided(mode):
-        kind, text = "doubt", f"Perhaps a natural frequency, not decided: {estimate}"
+    kind, text, slope, rpm = mode_style(mode)[0], f"Natural frequency {estimate}", 0.0, 0.0
+    if kind == "tone":
+        text = f"{named(mode.explained_by, limit=limit).capitalize()} {estimate}"
+    elif kind == "doubt":
+        text = f"Perhaps a natural frequency, not decided: {estimate}"
     elif is_number(mode.damping_ratio):
         text += f", damping {number_text(100 * mode.damping_ratio, digits=2)} %"
     if is_whirl(mode):
         kind = "whirl" if kind == "mode" else kind
         slope, rpm = mode.speed_slope or 0.0, mode.reference_rpm or 0.0
     return {
-        "hz": mode.frequency_hz, "half": _half_width(mode), "slope": slope, "from_rpm": rpm, "kind": kind, "name": name,
-        "text": text, "channels": [number[channel] for channel in mode.channels if channel in number],
+        "hz": mode.frequency_hz, "half": _half_width(mode), "slope": slope, "from_rpm": rpm, "kind": kind,
+        "name": mode_text(mode), "text": text,
+        "channels": [number[channel] for channel in mode.channels if channel in number],
     }  # fmt: skip
 
 
 def _crossing(
     crossing: CrossingFinding, findings: Findings, modes: list[ModeFinding], number: dict[str, int]
 ) -> Record:
-    """Meeting of an order with a natural frequency of half width ``half`` Hz, with what is said of it."""
+    """Record of the crossing of an order and a natural frequency; ``half``: half bandwidth in Hz."""
     nearest = min(modes, key=lambda mode: abs(mode.frequency_hz - crossing.mode_hz), default=None)
     channels = crossing.channels or (crossing.channel,)
     factor = crossing.amplification or 0.0
@@ -433,7 +420,7 @@ def _crossing(
 
 
 def _lines(findings: Findings, number: dict[str, int], limit: int) -> list[Record]:
-    """The list of all lines, by ``order`` or by ``hz``, with what is said of each."""
+    """Records of the strongest spectral lines, by ``order`` or ``hz``, with their causes."""
     shown: list[Record] = []
     lines = [line for line in findings.lines if line.channel in number]
     for line in sorted(lines, key=lambda line: -line.size)[:_MOST_LINES]:

@@ -58,20 +58,20 @@ def pictures_of(
     ``groups`` datasets of the results by name, of which any may be missing; ``findings`` of the test; ``settings`` of
     the report; ``name_of`` a channel that part of a file name that stands for it (never the same for two).
     """
-    made: dict[str, Picture] = {}
+    pictures: dict[str, Picture] = {}
     if not settings.pictures:
-        return made
+        return pictures
 
-    def plan(name: str, caption: str, figure: Callable[..., Any], *given: Any, **said: str) -> None:
-        drawn = Picture(caption, partial(figure, *given, findings, settings=settings, **said), settings)
-        made[f"{name}.{settings.picture_format}"] = drawn
+    def plan(name: str, caption: str, figure: Callable[..., Any], *data: Any, **subtitle: str) -> None:
+        picture = Picture(caption, partial(figure, *data, findings, settings=settings, **subtitle), settings)
+        pictures[f"{name}.{settings.picture_format}"] = picture
 
     campbell, tracks = groups.get("campbell_map"), groups.get("order_tracks")
     speeds = 0 if campbell is None else int(np.isfinite(campbell["speed"].values).sum())
     what, figure = ("Campbell diagram, {}", campbell_figure) if speeds > 1 else (_ONE_ROW[speeds], spectrum_figure)
     for channel in campbell["channel"].values.tolist() if campbell is not None and campbell.sizes["speed"] else ():
-        said = strongest_sentence(findings, channel)
-        plan(f"campbell_{name_of(channel)}", what.format(channel), figure, campbell, channel, sentence=said)
+        sentence = strongest_sentence(findings, channel)
+        plan(f"campbell_{name_of(channel)}", what.format(channel), figure, campbell, channel, sentence=sentence)
     if "shaft" in groups and shown_recordings(groups["shaft"]):
         plan("speed", "Speed against time: how the machine was driven", speed_figure, groups["shaft"])
     if tracks is not None and tracks.sizes["order"] and np.isfinite(tracks["speed"].values).all():
@@ -96,4 +96,4 @@ def pictures_of(
     if campbell is not None and campbell.sizes["speed"]:
         caption = f"Spectra: {'what stays and what moves with speed' if speeds > 1 else 'power density and amplitude'}"
         plan("spectra", caption, spectra_figure, campbell)
-    return made
+    return pictures

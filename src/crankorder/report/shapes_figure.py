@@ -46,18 +46,15 @@ class _Cell:
         return self.amplitude > 0.0 and not self.low <= 0.0 and not self.half_phase_deg >= _NO_PHASE
 
 
-def shapes_figure(
-    shapes: xr.Dataset, findings: Findings, *, settings: ReportSettings, speed_rpm: float | None = None
-) -> Figure:
+def shapes_figure(shapes: xr.Dataset, findings: Findings, *, settings: ReportSettings) -> Figure:
     """Phasors of all channels (columns) at the strongest orders (rows), with amplitude, phase and 95 % intervals.
 
-    A hand's length is the amplitude beside the largest of its row in the same unit, its direction the phase, 0° to the
-    right and growing anticlockwise; the pale field is the 95 % interval. ``shapes`` an OperatingShapes; ``findings`` of
-    the same test; ``settings`` of the report; ``speed_rpm`` the speed wanted (the nearest is taken), None for the one
-    with the largest amplitude of all.
+    They are those of the speed with the largest amplitude of all. A hand's length is the amplitude beside the largest
+    of its row in the same unit, its direction the phase, 0° to the right and growing anticlockwise; the pale field is
+    the 95 % interval. ``shapes`` an OperatingShapes; ``findings`` of the same test; ``settings`` of the report.
     """
     with house_style():
-        at_speed = shapes.isel(speed=_speed_row(shapes, speed_rpm))
+        at_speed = shapes.isel(speed=_loudest_speed(shapes))
         orders = _strongest(at_speed)
         channels = range(at_speed.sizes["channel"])
         blocks = [channels[first : first + _CHANNELS] for first in range(0, len(channels), _CHANNELS)]
@@ -69,19 +66,28 @@ def shapes_figure(
         canvas = axes_at(figure, 0, 0, width, full)
         canvas.set(xlim=(0, width), ylim=(0, full))
         canvas.axis("off")
+        mixed = len(set(at_speed.phase_from.values)) > 1
         for number, block in enumerate(blocks):
-            size = (full - _TOP - number * block_height, cell_width, height)
-            _draw_block(figure, canvas, at_speed, block, orders, size, settings)
+            top = full - _TOP - number * block_height
+            lefts = [_LEFT + column * cell_width for column in range(len(block))]
+            for left, channel in zip(lefts, block, strict=True):
+                _name_column(figure, at_speed.isel(channel=channel), left, top, cell_width, settings)
+            for row, order in enumerate(orders):
+                middle, of_order = top - _HEADER - (row + 0.5) * height, at_speed.isel(order=order)
+                ends = [0.25, _LEFT + len(block) * cell_width]
+                canvas.plot(ends, [middle + height / 2] * 2, color=GRID, linewidth=0.8)
+                _name_row(figure, of_order, middle, mixed=mixed)
+                for left, channel in zip(lefts, block, strict=True):
+                    longest, place = _longest(of_order, str(at_speed.unit.values[channel])), (left, middle, cell_width)
+                    _draw_cell(figure, canvas, _cell(of_order.isel(channel=channel)), longest, place)
         what = "operating shapes" + (f" at {at_speed.speed:.0f} rpm" if math.isfinite(at_speed.speed) else "")
-        said = _subtitle(shapes, len(orders))
-        head_of_test(figure, 0.25, findings, what, said, longest=settings.max_name_characters)
+        subtitle = _subtitle(shapes, len(orders))
+        head_of_test(figure, 0.25, findings, what, subtitle, longest=settings.max_name_characters)
         return figure
 
 
-def _speed_row(shapes: xr.Dataset, speed_rpm: float | None) -> int:
-    """Row of the speed to show."""
-    if speed_rpm is not None:
-        return int(np.argmin(np.abs(np.nan_to_num(shapes["speed"].values) - speed_rpm)))
+def _loudest_speed(shapes: xr.Dataset) -> int:
+    """Row of the speed at which the channels together come nearest to their largest amplitudes."""
     amplitude = np.nan_to_num(shapes["amplitude"].transpose("channel", "order", "speed").values)
     largest = amplitude.max(axis=(1, 2), initial=0.0)
     share = amplitude / np.where(largest > 0.0, largest, 1.0)[:, None, None]
@@ -107,31 +113,8 @@ def _subtitle(shapes: xr.Dataset, shown: int) -> str:
     some = f"The {shown} strongest of {total} orders. " if shown < total else ""
     origins = {str(text) for text in shapes["phase_from"].values}
     origin = next(iter(origins)) if len(origins) == 1 else ""
-    said = _ORIGIN.get(origin, f"from {drawable(origin, 24)}" if origin else "from what is named at the left")
-    return f"{some}Peak amplitude and phase {said}; a hand's length compares its row; pale: 95 % interval."
-
-
-def _draw_block(
-    figure: Figure,
-    canvas: Axes,
-    at_speed: xr.Dataset,
-    channels: range,
-    orders: list[int],
-    size: tuple[float, float, float],
-    settings: ReportSettings,
-) -> None:
-    """Rows of orders for ``channels``; ``size`` is the top of the block, width and height of a cell, in inches."""
-    top, width, height = size
-    for column, channel in enumerate(channels):
-        _name_column(figure, at_speed.isel(channel=channel), _LEFT + column * width, top, width, settings)
-    for row, order in enumerate(orders):
-        middle = top - _HEADER - (row + 0.5) * height
-        canvas.plot([0.25, _LEFT + len(channels) * width], [middle + height / 2] * 2, color=GRID, linewidth=0.8)
-        _name_row(figure, at_speed.isel(order=order), middle, mixed=len(set(at_speed.phase_from.values)) > 1)
-        for column, channel in enumerate(channels):
-            cell = _cell(at_speed.isel(channel=channel, order=order))
-            longest = _longest(at_speed.isel(order=order), str(at_speed.unit.values[channel]))
-            _draw_cell(figure, canvas, cell, longest, (_LEFT + column * width, middle, width))
+    zero = _ORIGIN.get(origin, f"from {drawable(origin, 24)}" if origin else "from what is named at the left")
+    return f"{some}Peak amplitude and phase {zero}; a hand's length compares its row; pale: 95 % interval."
 
 
 def _name_column(

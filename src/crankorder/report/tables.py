@@ -90,28 +90,19 @@ class Table(TypedDict):
 
 
 def table_of(
-    title: str,
-    heads: str,
-    rows: list[list[str]],
-    *,
-    empty: str = "",
-    note: str = "",
-    more: Table | None = None,
-    beside: Table | None = None,
-    bars: Sequence[Bar] = (),
+    title: str, heads: str, rows: list[list[str]], *, empty: str = "", note: str = "", more: Table | None = None
 ) -> Table:
     """Table ``title`` with ``heads`` separated by ``|``; a head that ends in ``#`` is a column of numbers.
 
     ``rows`` of text, of which a page holds the first 400; ``empty`` stands in their place where there are none;
-    ``note`` stands above; ``more`` is folded away; ``beside`` follows; ``bars`` show shares.
+    ``note`` stands above; ``more`` is folded away.
     """
     columns = [Column(title=head.removesuffix("#"), number=head.endswith("#")) for head in heads.split("|")]
     if len(rows) > _FOLDED:
         note = f"{note} The first {_FOLDED} of {len(rows)}; findings.json holds all.".strip()
     return Table(
-        title=title, note=note, empty=empty, columns=columns, rows=rows[:_FOLDED], more=more, beside=beside,
-        bars=list(bars),
-    )  # fmt: skip
+        title=title, note=note, empty=empty, columns=columns, rows=rows[:_FOLDED], more=more, beside=None, bars=[]
+    )
 
 
 def _folded(title: str, heads: str, rows: list[list[str]], *, empty: str, note: str) -> Table:
@@ -119,9 +110,8 @@ def _folded(title: str, heads: str, rows: list[list[str]], *, empty: str, note: 
     if len(rows) <= _SHOWN:
         return table_of(title, heads, rows, empty=empty, note=note)
     note = f"{note} The {_SHOWN} strongest of {len(rows)}; the others are folded away below.".strip()
-    return table_of(
-        title, heads, rows[:_SHOWN], empty=empty, note=note, more=table_of(f"All {len(rows)} rows", heads, rows)
-    )
+    every = table_of(f"All {len(rows)} rows", heads, rows)
+    return table_of(title, heads, rows[:_SHOWN], empty=empty, note=note, more=every)
 
 
 def tables_of(findings: Findings, *, limit: int) -> list[tuple[str, Table]]:
@@ -164,7 +154,9 @@ def _avoid(findings: Findings, limit: int) -> Table:
     empty = (NOTHING_RISES if all_judged(findings) else unknown) if findings.speeds_to_avoid is not None else ""
     note = "Peak and amplification of the first order alone; by fit: what the modal fit says of a held speed."
     note = f"{note} The worst first: by that peak, of several units by its share of the largest order." if rows else ""
-    return table_of("Speeds to avoid", heads, rows, note=note, empty=empty, beside=beside if other else None)
+    table = table_of("Speeds to avoid", heads, rows, note=note, empty=empty)
+    table["beside"] = beside if other else None
+    return table
 
 
 def _peak_text(record: AvoidedSpeed, findings: Findings) -> str:
@@ -402,7 +394,9 @@ def _energy(findings: Findings, limit: int) -> Table:
     end = None if energy is None else energy.band_hz
     title = "Where the energy is" + (f", up to {frequency_text(end)} Hz" if is_number(end) else "")
     heads = "|".join(["Channel", *(f"{title}#" for title in titles)])
-    return table_of(title, heads, rows, bars=[_bar(record, limit) for record in records])
+    table = table_of(title, heads, rows)
+    table["bars"] = [_bar(record, limit) for record in records]
+    return table
 
 
 def _square_unit(unit: str) -> str:

@@ -25,7 +25,7 @@ _CURVES = 2.6  # inches, height of the loads against crank angle
 _MOST_COLUMNS = 3
 _SUM = "together"
 _SHOWN_SHARE = 1e-3
-_TOLD_SHARE = 0.01  # of the tallest bar: beside another bar a lower one has no room for its number
+_LABELLED_SHARE = 0.01  # of the tallest bar: beside another bar a lower one has no room for its number
 _FEWEST_ORDERS, _MOST_ORDERS = 6, 12  # that the axis has room for
 
 
@@ -77,28 +77,23 @@ def torque_figure(
         moment = turning[speed_key(speed)]
         height = (settings.height_in - _TOP - _BOTTOM - _GAP) / 2
         width = settings.width_in - _LEFT - _RIGHT
-        with_gas = bool(np.any(cycle["gas_torque"].sel(speed=speed).values))
-        _torque_curves(
-            figure, (_LEFT, _BOTTOM + height + _GAP, width, height), cycle.sel(speed=speed), moment, with_gas
-        )
+        shown = cycle.sel(speed=speed)
+        gas, masses = shown["gas_torque"].values, shown["inertia_torque"].values
+        curves = [("masses", LINES[0], masses)]
+        if with_gas := bool(np.any(gas)):
+            curves = [("gas", LINES[1], gas), *curves, (_SUM, INK, gas + masses)]
+        box = (_LEFT, _BOTTOM + height + _GAP, width, height)
+        axes = _cycle_curves(figure, box, shown, curves, "N·m", width=1.3)
+        if moment.power_w is not None:
+            axes.axhline(moment.mean_n_m, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
         _order_bars(axes_at(figure, _LEFT, _BOTTOM, width, height), moment.by_order, with_gas=with_gas)
-        said = f"Torque on the crank at {speed_key(speed)} rpm, {number_text(moment.least_n_m)} to "
-        said += f"{number_text(moment.peak_n_m)} N·m"
-        said += "" if moment.power_w is None else f"; mean {number_text(moment.mean_n_m)} N·m (dashed)"
+        ends = f"{number_text(moment.least_n_m)} to {number_text(moment.peak_n_m)} N·m"
+        mean = "" if moment.power_w is None else f"; mean {number_text(moment.mean_n_m)} N·m (dashed)"
         swing = moment.speed_fluctuation
-        said += "." if swing is None else f"; the speed swings by {number_text(100 * swing)} %."
-        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · turning moment", said)
+        swings = "" if swing is None else f"; the speed swings by {number_text(100 * swing)} %"
+        line = f"Torque on the crank at {speed_key(speed)} rpm, {ends}{mean}{swings}."
+        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · turning moment", line)
         return figure
-
-
-def _torque_curves(figure: Figure, box: Box, shown: xr.Dataset, moment: TurningMoment, with_gas: bool) -> None:
-    gas, masses = shown["gas_torque"].values, shown["inertia_torque"].values
-    curves = [("masses", LINES[0], masses)]
-    if with_gas:
-        curves = [("gas", LINES[1], gas), *curves, (_SUM, INK, gas + masses)]
-    axes = _cycle_curves(figure, box, shown, curves, "N·m", width=1.3)
-    if moment.power_w is not None:
-        axes.axhline(moment.mean_n_m, color=INK, linewidth=0.9, linestyle=(0, (4, 3)))
 
 
 def _order_bars(axes: Axes, by_order: Mapping[str, OrderTorque], *, with_gas: bool) -> None:
@@ -114,7 +109,7 @@ def _order_bars(axes: Axes, by_order: Mapping[str, OrderTorque], *, with_gas: bo
         beside = places + (number - (len(kinds) - 1) / 2) * 0.36
         axes.bar(beside, values, 0.33, color=color, gid=f"bars-{key}")
         for place, value in zip(beside, values, strict=True):
-            if value > (_TOLD_SHARE if with_gas else _SHOWN_SHARE) * largest:
+            if value > (_LABELLED_SHARE if with_gas else _SHOWN_SHARE) * largest:
                 axes.text(place, value, number_text(value), ha="center", va="bottom", fontsize=SMALL)
     axes.set(ylim=(0, 1.15 * largest or 1.0), xlim=(-0.6, max(len(orders), _FEWEST_ORDERS) - 0.4))
     axes.set_xticks(places, orders)
@@ -137,15 +132,24 @@ def loads_figure(cycle: xr.Dataset, *, title: str, settings: ReportSettings) -> 
         row, rows = side + 0.75, -(-len(polar) // columns)
         figure = new_figure(settings.width_in, _TOP + _CURVES + _GAP + rows * row + 0.2)
         base = float(figure.get_size_inches()[1]) - _TOP - _CURVES
-        _load_curves(figure, (_LEFT, base, width, _CURVES), shown)
+        first = shown.isel(cylinder=0)
+        pins = [
+            ("crank pin", np.hypot(*first["crank_pin_load"].values)),
+            ("piston pin", np.hypot(*first["piston_pin_load"].values)),
+            ("wall, in the crank's way", first["wall_load"].values),
+        ]
+        if np.allclose(pins[0][1], pins[1][1], rtol=1e-6):  # the file gives the rod no mass of its own
+            pins = [("crank pin and piston pin alike", pins[0][1]), pins[2]]
+        curves = [(name, color, values) for (name, values), color in zip(pins, LINES, strict=False)]
+        _cycle_curves(figure, (_LEFT, base, width, _CURVES), shown, curves, "N, cylinder 0", width=1.4)
         bearings = frame_around(max((load.peak_n for load in polar[1:]), default=0.0))
         frames = [frame_around(polar[0].peak_n)] + [bearings] * (len(polar) - 1)
         for number, (load, frame) in enumerate(zip(polar, frames, strict=True)):
             corner = (_LEFT + number % columns * step, base - _GAP - (number // columns + 1) * row + 0.45)
             _polar(figure, (*corner, side, side), load, frame, LINES[number % len(LINES)])
-        said = f"At {speed_key(speed)} rpm; dots mark crank angle 0; frames are ±{number_text(frames[0])} N for the pin"
-        said += "." if len(frames) == 1 else f", ±{number_text(bearings)} N for the main bearings."
-        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · loads", said)
+        line = f"At {speed_key(speed)} rpm; dots mark crank angle 0; frames are ±{number_text(frames[0])} N for the pin"
+        line += "." if len(frames) == 1 else f", ±{number_text(bearings)} N for the main bearings."
+        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · loads", line)
         return figure
 
 
@@ -164,7 +168,7 @@ class _PolarLoad:
 
 
 def _polar_loads(shown: xr.Dataset) -> list[_PolarLoad]:
-    """Of the first crank pin, then of every main bearing."""
+    """Polar load curves [N]: first crank pin, then every main bearing."""
     pin = shown["crank_pin_load"].isel(cylinder=0).values
     loads = [_PolarLoad("crank pin of cylinder 0", pin[0], pin[1], "up: along the cylinder, right: across")]
     if "main_bearing_load" in shown:
@@ -184,19 +188,6 @@ def _polar(figure: Figure, box: Box, load: _PolarLoad, frame: float, color: str)
     write(figure, middle, top + 0.2, load.name, ha="center", fontsize=SMALL + 0.5, fontweight="bold")
     text = f"up to {number_text(load.peak_n)} N; {load.ways}"
     write(figure, middle, top + 0.06, text, ha="center", fontsize=SMALL, color=FAINT)
-
-
-def _load_curves(figure: Figure, box: Box, shown: xr.Dataset) -> None:
-    first = shown.isel(cylinder=0)
-    pins = [
-        ("crank pin", np.hypot(*first["crank_pin_load"].values)),
-        ("piston pin", np.hypot(*first["piston_pin_load"].values)),
-        ("wall, in the crank's way", first["wall_load"].values),
-    ]
-    if np.allclose(pins[0][1], pins[1][1], rtol=1e-6):  # the file gives the rod no mass of its own
-        pins = [("crank pin and piston pin alike", pins[0][1]), pins[2]]
-    curves = [(name, color, values) for (name, values), color in zip(pins, LINES, strict=False)]
-    _cycle_curves(figure, box, shown, curves, "N, cylinder 0", width=1.4)
 
 
 def _cycle_curves(

@@ -56,13 +56,13 @@ def force_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
             _force_row(figure, row, newtons.sel(system=kinds), text, balance)
         if "moment" in balance:
             _moment_row(figure, boxes[-1], balance, speed)
-        said = f"Force on the crankcase at {speed_key(speed)} rpm: {_in_words(balance, speed)}"
-        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · force against crank angle", said)
+        line = f"Force on the crankcase at {speed_key(speed)} rpm: {_in_words(balance, speed)}"
+        title_lines(figure, _LEFT, f"{drawable(title, settings.max_name_characters)} · force against crank angle", line)
         return figure
 
 
 def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, balance: xr.Dataset) -> None:
-    """Two panels, along and across, with one scale; what draws the same line is named once."""
+    """Two panels of force against crank angle, along and across, with one scale; equal curves share a label."""
     groups = alike(curves)
     limit = 1.08 * float(np.abs(curves.values).max()) or 1.0
     angle = 360 * curves["crank_angle"].values
@@ -78,14 +78,14 @@ def _force_row(figure: Figure, row: list[Box], curves: xr.DataArray, text: str, 
             axes.plot(angle, values, color=system_color(members[0]), linewidth=width, gid=f"force-{axis}-{members[0]}",
                       zorder=2 + number)  # fmt: skip
         if zero:
-            said = f"nothing: {called(zero, balance)}" if len(groups) > 1 else "nothing"
-            note(axes, said, (0.99, 0.03), ha="right", va="bottom", fontsize=SMALL)
+            names = f"nothing: {called(zero, balance)}" if len(groups) > 1 else "nothing"
+            note(axes, names, (0.99, 0.03), ha="right", va="bottom", fontsize=SMALL)
     if curves.sizes["system"] > 1:
         color_key(figure, row[0], [(called(members, balance), system_color(members[0])) for members in groups])
 
 
 def _moment_row(figure: Figure, row: list[Box], balance: xr.Dataset, speed: float) -> None:
-    """Moments of several cylinders against crank angle: those that rock it left, that about the crankshaft right."""
+    """Moments of several cylinders against crank angle: rocking moments left, roll moment right."""
     per_omega = 1e-3 * float(unbalance_force_n(1.0, speed))
     values = per_omega * order_sum(balance["moment"].values, balance["crank_angle"].values)
     limit = 1.08 * float(np.abs(values).max()) or 1.0
@@ -105,20 +105,20 @@ def _moment_row(figure: Figure, row: list[Box], balance: xr.Dataset, speed: floa
 
 
 def _in_words(balance: xr.Dataset, speed: float) -> str:
-    """The largest force without balancing and the smallest that counterweights and shafts leave."""
+    """Text with the peak force without balancing and the smallest residual with counterweights and with shafts."""
     most = np.abs(balance["curve"].sel(axis="x").values + 1j * balance["curve"].sel(axis="y").values).max(axis=1)
     newtons = unbalance_force_n(most, speed)
     names = [str(name) for name in balance["system"].values]
     if not newtons[0]:
         return "none"
     plain = "without balancing" if head_of("none", balance) == SYSTEMS["none"] else head_of("none", balance)
-    said = f"up to {number_text(float(newtons[0]))} N" + (f" {plain}" if len(names) > 1 else "")
+    line = f"up to {number_text(float(newtons[0]))} N" + (f" {plain}" if len(names) > 1 else "")
     for kinds in (COUNTERWEIGHTS[1:4], SHAFT_SETS[1:]):
         left = {name: float(newtons[names.index(name)]) for name in kinds if name in names}
         if left:
             best = min(left, key=lambda name: left[name])
-            said += f", {number_text(left[best])} N with {SYSTEMS[best]}"
-    return said
+            line += f", {number_text(left[best])} N with {SYSTEMS[best]}"
+    return line
 
 
 def _grid(settings: ReportSettings, rows: int) -> list[list[Box]]:
@@ -160,7 +160,8 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
         for number, (name, unit, most, values, hues) in enumerate(groups):
             bottom = _BARS_BOTTOM + (len(groups) - 1 - number) * (height + _BARS_GAP)
             axes = axes_at(figure, _BARS_LEFT, bottom, width, height)
-            _bars(axes, orders, values, hues, kind="force" if unit == "N" else "moment", most=most, settings=settings)
+            kind, floor = "force" if unit == "N" else "moment", most * _share(settings)
+            _bars(axes, orders, values, hues, kind=kind, most=most, floor=floor)
             axes.set_title(name, fontsize=9)
             axes.set(xlim=(0.4, last + 0.6), ylabel=unit)
             factor, right = (per_omega, "g·mm") if unit == "N" else (1e-3 * per_omega, "g·mm²")
@@ -173,12 +174,12 @@ def order_bars_figure(balance: xr.Dataset, *, title: str, settings: ReportSettin
         entries = [(called(system, balance), system_color(system[0])) for system in systems]
         if len(entries) > 1:
             color_key(figure, (_BARS_LEFT, tall_in - _BARS_TOP + 0.2, width, 0.1), entries)
-        said = f"Amplitude at {speed_key(speed)} rpm. "
-        said += f"Bars below {100 * _share(settings):.1g} % of the largest are left out."
-        said += f" So are orders above {last:g}." if tall and tall[-1] > last else ""
+        line = f"Amplitude at {speed_key(speed)} rpm. "
+        line += f"Bars below {100 * _share(settings):.1g} % of the largest are left out."
+        line += f" So are orders above {last:g}." if tall and tall[-1] > last else ""
         idle = [str(name) for name in balance["system"].values if not any(name in names for names in systems)]
-        said += f" No force: {called(idle, balance)}." if idle else ""
-        title_lines(figure, _BARS_LEFT, f"{drawable(title, settings.max_name_characters)} · force by order", said)
+        line += f" No force: {called(idle, balance)}." if idle else ""
+        title_lines(figure, _BARS_LEFT, f"{drawable(title, settings.max_name_characters)} · force by order", line)
         return figure
 
 
@@ -203,9 +204,9 @@ def _groups(balance: xr.Dataset, systems: list[list[str]], moments: list[list[st
         for row, name in enumerate(axis_names(balance))
     ]
     if "moment_by_system" in balance:
-        systems_of = [balance["moment_by_system"].sel(system=names[0]).values for names in moments]
+        amplitudes = [balance["moment_by_system"].sel(system=names[0]).values for names in moments]
         hues = [system_color(names[0]) for names in moments]
-        about_z, about_x, roll = (1e-3 * per_omega * np.array([one[row] for one in systems_of]) for row in range(3))
+        about_z, about_x, roll = 1e-3 * per_omega * np.stack(amplitudes, axis=1)
         # the couple along Z and X as what turns with the crank and against it: the largest of the turn is their sum
         rocking = (np.abs(about_x + 1j * about_z) + np.abs(about_x - 1j * about_z)) / 2
         most = float(max(rocking.max(), np.abs(roll).max()))
@@ -215,19 +216,11 @@ def _groups(balance: xr.Dataset, systems: list[list[str]], moments: list[list[st
 
 
 def _bars(
-    axes: Axes,
-    orders: Floats,
-    values: list[Floats],
-    colors: list[str],
-    *,
-    kind: str,
-    most: float,
-    settings: ReportSettings,
+    axes: Axes, orders: Floats, values: list[Floats], colors: list[str], *, kind: str, most: float, floor: float
 ) -> None:
     """Bars of every order side by side, the largest with its value above; ``kind``: force or moment."""
     quiet_frame(axes)
     axes.grid(False, axis="x")
-    floor = most * _share(settings)
     high = np.max(values, axis=0)
     shown = [float(order) for order, value in zip(orders, high, strict=True) if value > floor > 0]
     axes.set_xticks(shown, [order_text(order) for order in shown])
@@ -247,7 +240,7 @@ def _bars(
 
 
 def _second_scale(axes: Axes, per_omega: float, unit: str) -> None:
-    """The same scale in amounts over squared crank speed at the right of ``axes``."""
+    """Second y axis at the right of ``axes``: the same scale divided by squared crank speed."""
     low, high = axes.get_ylim()
     right = axes.twinx()
     log_axis(right, low / per_omega, high / per_omega, most_ticks=7)
@@ -310,9 +303,9 @@ def polar_figure(balance: xr.Dataset, *, title: str, settings: ReportSettings) -
                 if number == place == 0:
                     _crank_sense(axes, side)
         up, right = axis_names(balance)
-        said = f"Up {up}, right {right}; dots mark top dead centre. {speed_key(speed)} rpm; "
-        said += f"the frame is ±{number_text(limit)} N."
-        title_lines(figure, _POLAR_LEFT, f"{drawable(title, settings.max_name_characters)} · polar diagrams", said)
+        line = f"Up {up}, right {right}; dots mark top dead centre. {speed_key(speed)} rpm; "
+        line += f"the frame is ±{number_text(limit)} N."
+        title_lines(figure, _POLAR_LEFT, f"{drawable(title, settings.max_name_characters)} · polar diagrams", line)
         return figure
 
 
@@ -320,7 +313,7 @@ Panel = tuple[str, str, Complexes, str, str, str]
 
 
 def _panels(balance: xr.Dataset, speed: float) -> list[tuple[str, list[Panel]]]:
-    """Rows with what each is of: counterweights by the first and by all harmonics, shafts; or force and moment.
+    """Rows of panels with their titles: counterweights by first and by all harmonics, shafts; or force and moment.
 
     A panel: head, what it means, curve, colour, how it turns, unit.
     """
@@ -357,7 +350,7 @@ def _largest(curve: Complexes, unit: str, limit: float) -> str:
 
 
 def _draw(axes: Axes, curve: Complexes, color: str, limit: float) -> None:
-    """One diagram: cross hairs, curve, dot at top dead centre, arrows in the sense of rotation."""
+    """Polar diagram of one force: curve, dot at top dead centre, arrows in the sense of rotation."""
     cross_hairs(axes, limit)
     axes.plot(curve.imag, curve.real, color=color, gid="polar")
     axes.plot(curve.imag[:1], curve.real[:1], color=color, marker="o", markersize=4.5, gid="top-dead-centre")
@@ -375,7 +368,7 @@ def _draw(axes: Axes, curve: Complexes, color: str, limit: float) -> None:
 
 
 def _crank_sense(axes: Axes, side: float) -> None:
-    """A small arrow in the corner of ``axes``, ``side`` inches wide: the way that the crank turns, to compare with."""
+    """Arrow in the corner of ``axes``, ``side`` inches wide, in the sense of rotation of the crank."""
     look = {"arrowstyle": "-|>,head_width=0.22,head_length=0.4", "connectionstyle": "arc3,rad=-0.9", "color": FAINT}
     first, last, height = 0.12 / side, 0.42 / side, 1 - 0.28 / side
     axes.annotate("", xy=(last, height), xytext=(first, height), xycoords="axes fraction", arrowprops=look)
@@ -413,8 +406,8 @@ def harmonics_figure(balance: xr.Dataset, *, title: str, settings: ReportSetting
             entries = [(name, color) for name, (_, color) in _PARTS.items()]
             color_key(figure, box, [*entries, ("all orders", FAINT)])
         state = f"{speed_key(speed)} rpm, {head_of('none', balance)}"
-        said = f"Force of the moving masses at {state}; {_at_dead_centres(forces)}"
-        title_lines(figure, 0.95, f"{drawable(title, settings.max_name_characters)} · primary and secondary", said)
+        line = f"Force of the moving masses at {state}; {_at_dead_centres(forces)}"
+        title_lines(figure, 0.95, f"{drawable(title, settings.max_name_characters)} · primary and secondary", line)
         return figure
 
 
@@ -430,7 +423,7 @@ def _harmonics(axes: Axes, balance: xr.Dataset, axis: str, per_omega: float) -> 
 
 
 def _at_dead_centres(forces: xr.DataArray) -> str:
-    """How much the secondary force adds to the primary one along the cylinder, and takes off."""
+    """Sentence on the ratio of secondary to primary force at the dead centres, in per cent."""
     first, second = (complex(forces.sel(axis="x", order=order).values) for order in (1.0, 2.0))
     if not first or not second:
         return "no secondary force." if first else "no primary force."

@@ -31,7 +31,7 @@ from crankorder.engine.hinged_crank import (
 from crankorder.plot.palette import FAINT, GRID, INK, LINES, NORMAL, SMALL, drawable
 from crankorder.plot.reading import number_text
 from crankorder.plot.style import axes_at, house_style, new_figure, quiet_frame, title_lines, write
-from crankorder.report.balance.look import Box, color_key
+from crankorder.report.balance.look import color_key
 from crankorder.settings import ReportSettings
 
 _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP_X, _GAP_Y = 0.95, 0.35, 1.1, 0.62, 0.95, 0.97  # inches
@@ -68,7 +68,13 @@ def hinge_figure(
         ]
         panels = [axes_at(figure, *box) for box in boxes]
         _torque(panels[0], engine.curve)
-        _side_with_hinge(figure, panels[2], boxes[2], engine, mechanism)
+        peaks = []
+        for (kind, text), color in zip(_LEFT_BY.items(), (LINES[1], INK), strict=True):
+            force = side_force(_ANGLES, mechanism.crank, engine.curve, pin_hinge=kind)  # type: ignore[arg-type]
+            panels[2].plot(360 * _ANGLES, force, color=color, gid=f"side-force-{kind}")
+            peaks.append((f"{text}: up to {number_text(float(np.abs(force).max()))} N", color))
+        panels[2].margins(y=0.15)
+        color_key(figure, boxes[2], peaks)
         for number, speed in enumerate(speeds_rpm):
             _at_speed(panels, engine, mechanism, speed, number)
         for axes, (title, unit, angle) in zip(panels, _PANELS, strict=True):
@@ -81,8 +87,8 @@ def hinge_figure(
             color_key(figure, boxes[place], named)
         color_key(figure, boxes[0], [("whole", INK), ("without its mean", LINES[0])])
         name = drawable(mechanism.name, settings.max_name_characters)
-        said = f"{drawable(engine.title, 2 * settings.max_name_characters)}. At a constant crank speed."
-        title_lines(figure, _LEFT, f"{name} · elastic hinges", said)
+        subtitle = f"{drawable(engine.title, 2 * settings.max_name_characters)}. At a constant crank speed."
+        title_lines(figure, _LEFT, f"{name} · elastic hinges", subtitle)
         return figure
 
 
@@ -99,16 +105,6 @@ def _at_speed(panels: list[Axes], engine: HingedEngine, mechanism: HingedCrankDa
     for axes, joint in zip(panels[4:], get_args(Joint), strict=True):
         table = hinge_table(crank, curve, joint=joint, speed_rpm=speed)
         axes.plot(360 * table.hinge_angle_rev, table.moment_nm, color=color, gid=f"{joint}-{number}")
-
-
-def _side_with_hinge(figure: Figure, axes: Axes, box: Box, engine: HingedEngine, mechanism: HingedCrankData) -> None:
-    entries = []
-    for (kind, text), color in zip(_LEFT_BY.items(), (LINES[1], INK), strict=True):
-        force = side_force(_ANGLES, mechanism.crank, engine.curve, pin_hinge=kind)  # type: ignore[arg-type]
-        axes.plot(360 * _ANGLES, force, color=color, gid=f"side-force-{kind}")
-        entries.append((f"{text}: up to {number_text(float(np.abs(force).max()))} N", color))
-    axes.margins(y=0.15)
-    color_key(figure, box, entries)
 
 
 def _torque(axes: Axes, curve: CrankTorque) -> None:
@@ -149,12 +145,12 @@ def guide_figure(
             write(figure, left + side / 2, side + 0.62, f"Hinge {place}", ha="center", fontsize=NORMAL,
                   fontweight="bold")  # fmt: skip
             cut = "sharper than the roller: it cannot be cut" if guides.undercut else "the roller reaches every point"
-            said = f"spring {number_text(1e-3 * guides.stiffness_n_per_m)} N/mm, steepest {guides.steepest_deg:.0f}°; "
-            write(figure, left + side / 2, side + 0.42, said + cut, ha="center", fontsize=SMALL + 0.5)
+            text = f"spring {number_text(1e-3 * guides.stiffness_n_per_m)} N/mm, steepest {guides.steepest_deg:.0f}°; "
+            write(figure, left + side / 2, side + 0.42, text + cut, ha="center", fontsize=SMALL + 0.5)
         name = drawable(mechanism.name, settings.max_name_characters)
-        said = f"For {speed_rpm:.0f} rpm. Shaded: the guides, to scale; "
-        said += "the spring between them is shown at four angles."
-        title_lines(figure, 0.3, f"{name} · guides of the elastic hinges", said)
+        subtitle = f"For {speed_rpm:.0f} rpm. Shaded: the guides, to scale; "
+        subtitle += "the spring between them is shown at four angles."
+        title_lines(figure, 0.3, f"{name} · guides of the elastic hinges", subtitle)
         return figure
 
 
@@ -185,7 +181,7 @@ def _draw_guides(axes: Axes, guides: Guides, data: GuideData) -> None:
 
 
 def _spring(axes: Axes, outer: complex, inner: complex) -> None:
-    """A zigzag from one end to the other."""
+    """Zigzag line of a spring from ``inner`` to ``outer``."""
     share = np.linspace(0, 1, 25)
     across = 1j * (outer - inner) / abs(outer - inner) * 0.011
     sway = np.where((share > 0.1) & (share < 0.9), np.where(np.arange(25) % 2, 1, -1), 0)

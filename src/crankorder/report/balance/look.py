@@ -67,7 +67,7 @@ def frame_around(largest: float) -> float:
 
 
 def cross_hairs(axes: Axes, limit: float) -> None:
-    """Give ``axes`` of a polar diagram the scale ±``limit`` and two lines through its middle, with no ticks."""
+    """Scale ±``limit`` and a horizontal and vertical zero line for the ``axes`` of a polar diagram, without ticks."""
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit), xticks=[], yticks=[])
     for spine in axes.spines.values():
         spine.set_color(GRID)
@@ -106,12 +106,12 @@ def alike(curves: xr.DataArray) -> list[list[str]]:
 
 
 def head_of(name: str, balance: xr.Dataset) -> str:
-    """What the system ``name`` of ``balance`` is called."""
+    """Label of the balancing system ``name`` of ``balance``."""
     return str(balance.attrs[PLAIN]) if name == "none" else SYSTEMS[name]
 
 
 def meaning_of(name: str, balance: xr.Dataset) -> str:
-    """What the system ``name`` of ``balance`` is, in a few words."""
+    """Short description of the balancing system ``name`` of ``balance``."""
     stated = name == "none" and balance.attrs[PLAIN] != SYSTEMS["none"]
     return "counterweights of its file, no shaft" if stated else MEANING[name]
 

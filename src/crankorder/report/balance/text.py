@@ -80,7 +80,7 @@ def balance_text(sheet: BalanceSheet) -> str:
 
 
 def _crank_ratio(ratio: float) -> str:
-    """λ to seven digits; what it lacks to one where those would say that the crank cannot turn."""
+    """Crank ratio λ to seven digits; as 1 − difference where these would round to 1."""
     text = short_number(ratio, digits=7)
     return f"1 − {1 - ratio:.3g}" if text == "1" and ratio < 1 else text
 
@@ -183,7 +183,7 @@ def _shafts(sheet: BalanceSheet) -> list[str]:
 
 
 def _turning(sheet: BalanceSheet) -> list[str]:
-    """Torque of gas and masses on the crank side by side, at every speed."""
+    """Table of gas and inertia torque on the crank by order, at every speed."""
     if sheet.cycle is None:
         return []
     rows: list[Row] = []
@@ -202,7 +202,7 @@ def _turning(sheet: BalanceSheet) -> list[str]:
 
 
 def _loads(sheet: BalanceSheet) -> list[str]:
-    """Peak and mean of what walls, pins and main bearings carry, at the highest speed."""
+    """Table of peak and mean loads of cylinder walls, pins and main bearings at the highest speed."""
     if sheet.cycle is None or sheet.cycle.loads is None:
         return []
     speed = max(sheet.cycle.loads, key=float)

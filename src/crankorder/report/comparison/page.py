@@ -10,7 +10,7 @@ import xarray as xr
 
 from crankorder.channel_units import unit_text
 from crankorder.comparison import Comparison, Trend
-from crankorder.plot.drawing import Box, Drawing, Panel, Words, title_lines
+from crankorder.plot.drawing import Drawing, Panel, Words, title_lines
 from crankorder.plot.labels import EdgeLabel, Key, draw_keys, label_right
 from crankorder.plot.palette import FAINT, INK, LIGHT, LINES, NORMAL, SMALL, drawable, shortened
 from crankorder.plot.reading import estimate_text, frequency_text, named, number_text, order_text
@@ -176,12 +176,15 @@ def order_change_figure(changes: xr.Dataset, comparison: Comparison, *, settings
     changed = sorted((record for record in comparison.orders if record.changed), key=lambda record: record.p_value)
     clearest = list(dict.fromkeys(record.order for record in changed))[:_COLOURED]
     colours = {order: LINES[number] for number, order in enumerate(sorted(clearest))}
-    limits = _limits_db(changes)
+    speed = changes["speed"].values
+    low, high = (float(np.nanmin(speed)), float(np.nanmax(speed))) if np.isfinite(speed).any() else (0.0, 1.0)
+    margin = 0.04 * (high - low) if high > low else max(0.05 * abs(low), 1.0)
+    ends, limits = (low - margin, high + margin), _limits_db(changes)
     for number, channel in enumerate(channels):
         width = (settings.width_in - _LEFT - columns * _GUTTER + 0.2) / columns
         left = _LEFT + (number % columns) * (width + _GUTTER)
         box = (left, _BOTTOM + (rows - 1 - number // columns) * (block + 0.9), width, block)
-        _draw_channel(drawing, changes, channel, box, colours, limits, first=number % columns == 0)
+        _draw_channel(Panel(drawing, box, ends, limits), changes, channel, colours, first=number % columns == 0)
         name = shortened(drawable(channel, settings.max_name_characters), NORMAL + 1, width, bold=True)
         drawing.add(Words(left, box[1] + block + 0.09, name, NORMAL + 1, bold=True))
     title = f"Orders that changed · {drawable(comparison.base, 40)} → {drawable(comparison.new, 40)}"
@@ -193,7 +196,7 @@ def order_change_figure(changes: xr.Dataset, comparison: Comparison, *, settings
 
 
 def _limits_db(changes: xr.Dataset) -> tuple[float, float]:
-    """Ends of the axis: the claimed changes with most of their intervals, 0, and room."""
+    """Limits [dB] of the axis: significant changes with most of their intervals, zero, and a margin."""
     says = changes["changed"].values.astype(bool)
     values, low, high = (changes[name].values[says] for name in ("ratio_db", "ratio_db_low", "ratio_db_high"))
     known = np.isfinite(values)
@@ -208,44 +211,33 @@ def _limits_db(changes: xr.Dataset) -> tuple[float, float]:
     return max(min(bottom, -0.3 * _LEAST_DB) - room, -_MOST_DB), min(max(top, 0.3 * _LEAST_DB) + room, _MOST_DB)
 
 
-def _draw_channel(
-    drawing: Drawing,
-    changes: xr.Dataset,
-    channel: str,
-    box: Box,
-    colours: dict[float, str],
-    limits: tuple[float, float],
-    *,
-    first: bool,
-) -> None:
-    speed = changes["speed"].values
-    low, high = (float(np.nanmin(speed)), float(np.nanmax(speed))) if np.isfinite(speed).any() else (0.0, 1.0)
-    margin = 0.04 * (high - low) if high > low else max(0.05 * abs(low), 1.0)
-    panel = Panel(drawing, box, (low - margin, high + margin), limits)
-    panel.x_axis("Speed, rpm", most=int(np.clip(1.8 * box[2], 3, 10)), whole=True)
+def _draw_channel(panel: Panel, changes: xr.Dataset, channel: str, colours: dict[float, str], *, first: bool) -> None:
+    """Panel of one channel: what changed in ``colours``, the other orders light behind it."""
+    left, bottom, width, height = panel.box
+    panel.x_axis("Speed, rpm", most=int(np.clip(1.8 * width, 3, 10)), whole=True)
     panel.y_axis("Second test over first, dB" if first else "")
     panel.curve(np.array(panel.x), np.zeros(2), color=FAINT, width=0.9, name="no change")
     labels = []
     rows = [n for n, name in enumerate(changes["channel"].values.tolist()) if name == channel]
     rows.sort(key=lambda n: float(changes["order"].values[n]) in colours)  # those that changed lie on top
-    order_axis = np.argsort(speed, kind="stable")
+    by_speed = np.argsort(changes["speed"].values, kind="stable")
     for row in rows:
         order = float(changes["order"].values[row])
         color = colours.get(order) if changes["changed"].values[row].any() else None
-        last = _draw_line(panel, changes, row, order_axis, color)
+        last = _draw_line(panel, changes, row, by_speed, color)
         if color is not None and last is not None:
-            height = float(panel.at(0.0, float(np.clip(last, *limits)))[0, 1])
-            labels.append(EdgeLabel(height, order_text(order), color, row))
+            place = float(panel.at(0.0, float(np.clip(last, *panel.y)))[0, 1])
+            labels.append(EdgeLabel(place, order_text(order), color, row))
     panel.frame()
-    label_right(drawing, box, labels)
+    label_right(panel.drawing, panel.box, labels)
     if labels:
-        drawing.add(Words(box[0] + box[2] + 0.1, box[1] + box[3] + 0.09, "order", SMALL, FAINT))
+        panel.drawing.add(Words(left + width + 0.1, bottom + height + 0.09, "order", SMALL, FAINT))
     else:
         panel.note("no order changed", up=0.94)
 
 
 def _draw_line(panel: Panel, changes: xr.Dataset, row: int, at: Ints, color: str | None) -> float | None:
-    """Draw one order; returns its last value in dB, None where it is nowhere clear of the noise."""
+    """Last value [dB] of the curve of one order, which is drawn; None where it is nowhere above the noise."""
     speed = changes["speed"].values[at]
     values, low, high = (changes[name].values[row][at] for name in ("ratio_db", "ratio_db_low", "ratio_db_high"))
     claimed = changes["changed"].values[row][at].astype(bool)
@@ -318,7 +310,7 @@ def _over_first(trend: Trend) -> tuple[Floats, Floats]:
 
 
 def _draw_trend(panel: Panel, runs: Floats, lines: list[Trend], number: int) -> EdgeLabel:
-    """Draw a line with its intervals and its fitted growth; returns its label at the last run.
+    """Label at the last run of a line that is drawn with its intervals and its fitted growth.
 
     ``lines`` are those that only their names tell from it, itself the first.
     """

@@ -150,7 +150,7 @@ def _cause_sentences(comparison: Comparison) -> list[str]:
 
 
 def _unchanged(comparison: Comparison) -> str:
-    """What was compared and did not change, and what was not compared."""
+    """Sentence on what was compared without a significant change, and what was not compared."""
     compared = (
         ("orders", "no order", bool(comparison.orders)),
         ("natural frequencies", "no natural frequency that both tests show",
@@ -170,7 +170,7 @@ def _turned(comparison: Comparison) -> bool:
 
 
 def _moving_masses(comparison: Comparison) -> str:
-    """Orders 1 and 2, how they went, and the grams that explain it where the balance was closed."""
+    """Sentence on the change of orders 1 and 2 by moving masses, in grams where the balance was closed."""
     orders = comparison.cause.orders
     verbs = {_ratio_of(comparison, order)[0] for order in orders}
     verb = verbs.pop() if len(verbs) == 1 else "changed"
@@ -186,7 +186,7 @@ def _moving_masses(comparison: Comparison) -> str:
 
 
 def _ratio_of(comparison: Comparison, order: float) -> tuple[str, OrderChangeRecord | None]:
-    """How an order went, and the record of the channel where its ratio is known best, of those that claim it."""
+    """Verb for the change of an order, and its record with the narrowest interval among significant ones."""
     clear = [
         (ends[1] - ends[0], record)
         for record in comparison.orders

@@ -112,7 +112,7 @@ def limit_sentences(findings: Findings, *, above: bool = False) -> list[str]:
 
 
 def _gravity(record: LimitVerdict) -> tuple[int, float]:
-    """Key that sorts limits: those passed first, then the undecided, each by level over limit."""
+    """Sort key of limits: exceeded ones first, then undecided ones, each by the ratio of level to limit."""
     rank = {"above": 0, "not decided": 1}.get(record.verdict, 2)
     return rank, -record.level / record.value if is_number(record.level) else 0.0
 

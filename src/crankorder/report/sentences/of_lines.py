@@ -183,10 +183,8 @@ def strongest_sentence(findings: Findings, channel: str, *, with_cause: bool = F
     elif "unresolved" in order.doubts:
         text = f"What is strongest in {where} was not resolved: near order {name}, {level_text(findings, order)}"
         text += at_speed(order.speed_rpm_at_max)
-        resolved = _strongest_order(
-            (record for record in findings.orders if "unresolved" not in record.doubts), channel
-        )
-        if resolved is not None:
+        others = [record for record in findings.orders if "unresolved" not in record.doubts]
+        if (resolved := _strongest_order(others, channel)) is not None:
             text += f"; of the orders that are told {order_name(resolved, findings)} is the strongest: "
             text += level_text(findings, resolved)
         return f"{text}."
@@ -205,11 +203,9 @@ def _at(findings: Findings, record: OrderFinding) -> str:
     """Speed at which an order is largest, and the natural frequency that it meets there."""
     rpm, mode_hz = record.speed_rpm_at_max, record.meets_hz
     at = at_speed(rpm)
-    if (
-        not is_number(rpm)
-        or not is_number(mode_hz)
-        or abs(mode_hz - record.order * rpm / 60) > _MEETING_SHARE * mode_hz
-    ):
+    if not is_number(rpm) or not is_number(mode_hz):
+        return at
+    if abs(mode_hz - record.order * rpm / 60) > _MEETING_SHARE * mode_hz:
         return at
     hertz = f"{frequency_text(mode_hz)} Hz"
     if is_in_doubt(mode_hz, findings):

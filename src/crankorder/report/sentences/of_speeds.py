@@ -70,7 +70,7 @@ def _excites(order: float, mode_hz: float, findings: Findings) -> str:
 
 
 def _peak(findings: Findings, record: AvoidedSpeed) -> str:
-    """How bad its order is there, in the findings' own numbers; empty where that is not known."""
+    """Peak amplitude and amplification of the order at a speed to avoid, as text; empty where unknown."""
     parts = []
     if is_number(record.amplitude) and record.amplitude > 0:
         where = f" in {short(record.channel)}" if record.channel else ""
