@@ -55,6 +55,11 @@ def wave(angle_rev: np.ndarray, order: float, amplitude: float, phase_rad: float
     return amplitude * np.cos(2 * np.pi * order * angle_rev + phase_rad)
 
 
+def waves(rng: np.random.Generator, angle_rev: np.ndarray, lines: Iterable[tuple[float, float]]) -> np.ndarray:
+    """Sum of ``lines`` (order, amplitude) of drawn phases at ``angle_rev``."""
+    return sum(wave(angle_rev, order, size, rng.uniform(0.0, 6.0)) for order, size in lines) + np.zeros(len(angle_rev))
+
+
 def rung(noise: np.ndarray, order: float, damping: float) -> np.ndarray:
     """``noise`` (samples,) and the same through the acceleration response of a mode at ``order``."""
     at = np.fft.rfftfreq(len(noise), 1 / PER_REV)
@@ -67,10 +72,8 @@ def held_at(
 ) -> list[Held]:
     """A recording of 20 s at ``rpm`` with ``lines`` (Hz, amplitude) of drawn phases in noise of that size."""
     angle = angle_of(round(20.0 * rpm / 60.0))
-    signal = noise * rng.standard_normal(len(angle))
-    for hertz, size in lines:
-        signal += wave(angle, 60.0 * hertz / rpm, size, rng.uniform(0.0, 6.0))
-    frames = frames_of([signal], speed_rpm=rpm)
+    orders = [(60.0 * hertz / rpm, size) for hertz, size in lines]
+    frames = frames_of([noise * rng.standard_normal(len(angle)) + waves(rng, angle, orders)], speed_rpm=rpm)
     return held_recordings(recordings_of([frames]), frames["order"].values, ["A"])
 
 
