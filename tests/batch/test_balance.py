@@ -14,7 +14,7 @@ from crankorder.batch.result_folder import DONE, finished_with
 from crankorder.quantities import schema_of
 from crankorder.report.netcdf import read_results
 from crankorder.settings import shipped
-from made.command import crankorder
+from made.command import crankorder, done
 
 KEYS = ("engine", "lambda", "harmonics", "force_g_mm", "strategies", "shafts", "crankshaft", "notes")
 EXACT = 1e-12
@@ -25,9 +25,7 @@ def balance(*arguments: object) -> Result:
 
 
 def document(*arguments: object) -> dict[str, Any]:
-    outcome = balance(*arguments, "--json")
-    assert outcome.exit_code == 0, outcome.output
-    return json.loads(outcome.stdout)
+    return json.loads(done("balance", *arguments, "--json").stdout)
 
 
 def engine_file(folder: Path, name: str = "task5", **values: Any) -> Path:
@@ -44,168 +42,164 @@ def task5() -> dict[str, Any]:
     return document("task5")
 
 
-class TestNumbers:
-    def test_counterweights_are_those_of_the_truth(self, task5, shared_truth):
-        truth = shared_truth["seed000"]["recovered"]
-        found = task5["strategies"]
-        for name, key in (("a", "check_ma1_a"), ("b", "check_ma1_b"), ("c", "check_ma1_c"), ("d", "check_ma1_d")):
-            assert found[name]["counterweight_g"] == pytest.approx(float(truth[key]), rel=EXACT)
-        assert found["d"]["rod_counterweight_g"] == pytest.approx(float(truth["check_ma2_d"]), rel=EXACT)
-        assert found["d"]["total_g"] == pytest.approx(float(truth["check_total_d"]), rel=EXACT)
-
-    def test_residuals_of_order_1_are_those_of_the_truth(self, task5, shared_truth):
-        amplitudes = shared_truth["seed000"]["residual_first_harmonic_over_l1w2"]["amplitudes_g"]
-        radius = float(shared_truth["seed000"]["recovered"]["suggested_test_set"]["l1_mm"])
-        for name, found in task5["strategies"].items():
-            left = [found["residual_x_g_mm"], found["residual_y_g_mm"]]
-            assert left == pytest.approx([radius * part for part in amplitudes[name]], rel=EXACT)
-        plain = [task5["force_g_mm"][axis]["1"] for axis in "xy"]
-        assert plain == pytest.approx([radius * part for part in amplitudes["unbalanced"]], rel=EXACT)
-
-    def test_harmonics_are_those_of_the_truth(self, task5, shared_truth):
-        truth = shared_truth["seed000"]["harmonics"]["0.25"]
-        assert task5["lambda"] == pytest.approx(0.25, rel=EXACT)
-        assert set(task5["harmonics"]) == {"2", "4", "6", "8"}
-        for order, share in task5["harmonics"].items():
-            assert share == pytest.approx(float(truth["A"][f"A{order}"]), rel=EXACT)
-
-    def test_shafts_carry_the_masses_of_the_truth(self, task5, shared_truth):
-        truth = shared_truth["seed000"]["recovered"]
-        first = float(truth["mz1*lz1/l1_g (possibilities 1,3 each of two; 4 single)"])
-        second = float(truth["mz2*lz2/l1_g at lambda"]["0.25"])
-        for name in ("1", "2", "3", "4", "4+2"):
-            for shaft in task5["shafts"][name]["shafts"]:
-                expected = first if abs(shaft["speed_ratio"]) == 1 else second
-                assert shaft["mass_at_crank_radius_g"] == pytest.approx(expected, rel=EXACT)
-
-    def test_speeds_and_orders_are_those_asked_for(self):
-        found = document("task5", "--speed", "1500", "--speed", 6000, "--max-order", 12)
-        assert set(found["force_n"]) == {"1500", "6000"}
-        assert set(found["harmonics"]) == {"2", "4", "6", "8", "10", "12"}
-        assert found["force_n"]["6000"]["x"]["1"] == pytest.approx(19250e-6 * (np.pi * 200) ** 2, rel=EXACT)
+def test_counterweights_are_those_of_the_truth(task5, shared_truth):
+    truth = shared_truth["seed000"]["recovered"]
+    found = task5["strategies"]
+    for name, key in (("a", "check_ma1_a"), ("b", "check_ma1_b"), ("c", "check_ma1_c"), ("d", "check_ma1_d")):
+        assert found[name]["counterweight_g"] == pytest.approx(float(truth[key]), rel=EXACT)
+    assert found["d"]["rod_counterweight_g"] == pytest.approx(float(truth["check_ma2_d"]), rel=EXACT)
+    assert found["d"]["total_g"] == pytest.approx(float(truth["check_total_d"]), rel=EXACT)
 
 
-class TestEveryEngine:
-    @pytest.mark.parametrize("name", sorted(shipped("engines")))
-    def test_a_shipped_engine_gives_one_valid_document_and_nothing_else(self, name, project_root):
-        outcome = balance(project_root / "pipeline" / "engines" / f"{name}.toml", "--json")
-        assert outcome.exit_code == 0, outcome.output
-        assert outcome.stderr == ""
-        found = json.loads(outcome.stdout)
-        faults = jsonschema.Draft202012Validator(schema_of("balance")).iter_errors(found)
-        assert [fault.message for fault in faults] == []
-        assert set(KEYS) <= set(found)
-
-    @pytest.mark.slow
-    def test_a_schema_refuses_a_document_without_a_key_of_the_issue(self):
-        validator = jsonschema.Draft202012Validator(schema_of("balance"))
-        for found in (document("task5"), document("elastic-hinge")):
-            for key in KEYS:
-                assert list(validator.iter_errors({name: value for name, value in found.items() if name != key}))
-
-    @pytest.mark.slow
-    def test_only_elastic_hinges_have_null_for_the_parts_of_a_crank_engine(self):
-        validator = jsonschema.Draft202012Validator(schema_of("balance"))
-        crank, hinged = document("task5"), document("elastic-hinge")
-        assert [hinged[key] for key in KEYS[1:-1]] == [None] * 6
-        for key in ("lambda", "harmonics", "force_g_mm", "shafts"):
-            assert list(validator.iter_errors({**crank, key: None}))
-            assert list(validator.iter_errors({**hinged, key: crank[key]}))
+def test_residuals_of_order_1_are_those_of_the_truth(task5, shared_truth):
+    amplitudes = shared_truth["seed000"]["residual_first_harmonic_over_l1w2"]["amplitudes_g"]
+    radius = float(shared_truth["seed000"]["recovered"]["suggested_test_set"]["l1_mm"])
+    for name, found in task5["strategies"].items():
+        left = [found["residual_x_g_mm"], found["residual_y_g_mm"]]
+        assert left == pytest.approx([radius * part for part in amplitudes[name]], rel=EXACT)
+    plain = [task5["force_g_mm"][axis]["1"] for axis in "xy"]
+    assert plain == pytest.approx([radius * part for part in amplitudes["unbalanced"]], rel=EXACT)
 
 
-class TestFolder:
-    def test_pictures_data_and_document_appear_whole(self, tmp_path):
-        outcome = balance("msu-optical-second", "--out", tmp_path / "out", "--json")
-        assert outcome.exit_code == 0, outcome.output
-        names = {path.name for path in (tmp_path / "out").iterdir()}
-        pictures = {"polar.png", "force.png", "orders.png", "harmonics.png", "torque.png", "loads.png"}
-        assert names == {"balance.json", *pictures, "balance.nc", DONE}
-        assert json.loads((tmp_path / "out" / "balance.json").read_bytes()) == json.loads(outcome.stdout)
-        assert finished_with(tmp_path / "out", json.loads((tmp_path / "out" / DONE).read_bytes())["key"])
-        assert all((tmp_path / "out" / name).read_bytes()[:4] == b"\x89PNG" for name in names if name.endswith("png"))
-        assert [line.rpartition("/")[2] for line in outcome.stderr.splitlines()] == [
-            "balance.json", "polar.png", "force.png", "orders.png", "harmonics.png", "torque.png", "loads.png",
-            "balance.nc",
-        ]  # fmt: skip
-
-    @pytest.mark.slow
-    def test_the_netcdf_holds_forces_harmonics_and_polar_curves(self, tmp_path):
-        assert balance("v-twin", "--out", tmp_path).exit_code == 0
-        stored = read_results(tmp_path / "balance.nc")["balance"]
-        found = json.loads((tmp_path / "balance.json").read_bytes())
-        force = stored["force_at_speed"].sel(system="none", axis="y", order=2.0, speed=2000.0)
-        assert float(force) == pytest.approx(found["force_n"]["2000"]["y"]["2"], rel=1e-6)
-        np.testing.assert_allclose(stored["harmonic"].values, list(found["harmonics"].values()), rtol=1e-12)
-        assert stored["curve"].dims == ("system", "axis", "crank_angle")
-        assert stored["moment"].sizes == {"moment_axis": 3, "order": 8}
-
-    @pytest.mark.slow
-    def test_the_same_engine_gives_the_same_bytes_wherever_its_file_lies(self, tmp_path, project_root):
-        first, second = tmp_path / "first", tmp_path / "second"
-        assert balance("inline-2", "--out", first).exit_code == 0
-        assert balance(project_root / "pipeline" / "engines" / "inline-2.toml", "--out", second).exit_code == 0
-        for path in first.iterdir():
-            assert path.read_bytes() == (second / path.name).read_bytes(), path.name
-
-    @pytest.mark.slow
-    def test_an_engine_with_elastic_hinges_gets_its_own_pictures(self, tmp_path):
-        outcome = balance("elastic-hinge", "--out", tmp_path, "--speed", 3000)
-        assert outcome.exit_code == 0, outcome.output
-        found = json.loads((tmp_path / "balance.json").read_bytes())
-        assert len(list(tmp_path.glob("hinges_*.png"))) == len(found["mechanisms"]) == 6
-        assert "pin_fig4_b" in read_results(tmp_path / "balance.nc")
-
-    @pytest.mark.slow
-    def test_a_folder_that_cannot_be_made_is_a_fault_of_the_surroundings(self, tmp_path):
-        (tmp_path / "file").write_text("")
-        outcome = balance("task5", "--out", tmp_path / "file" / "out")
-        assert outcome.exit_code == 5
-        assert outcome.stdout == ""
+def test_harmonics_are_those_of_the_truth(task5, shared_truth):
+    truth = shared_truth["seed000"]["harmonics"]["0.25"]
+    assert task5["lambda"] == pytest.approx(0.25, rel=EXACT)
+    assert set(task5["harmonics"]) == {"2", "4", "6", "8"}
+    for order, share in task5["harmonics"].items():
+        assert share == pytest.approx(float(truth["A"][f"A{order}"]), rel=EXACT)
 
 
-class TestHinges:
-    def test_torque_extrema_and_harmonics_are_those_of_the_truth(self, shared_truth):
-        torque, truth = document("elastic-hinge")["torque"], shared_truth["seed003"]
-        assert torque["mean_nm"] == pytest.approx(float(truth["mean_torque_Nm"]["decimal"]), rel=EXACT)
-        assert torque["work_per_rev_j"] == pytest.approx(float(truth["work_per_rev_J"]), rel=EXACT)
-        found = [[one["crank_angle_deg"], one["torque_nm"]] for one in torque["extrema"]]
-        np.testing.assert_allclose(found, truth["extrema"], rtol=1e-9)
-        for order, amplitude in torque["harmonics_nm"].items():
-            assert amplitude == pytest.approx(float(truth["Mcr_Fourier_Nm"][order]["amp"]), rel=1e-9)
+def test_shafts_carry_the_masses_of_the_truth(task5, shared_truth):
+    truth = shared_truth["seed000"]["recovered"]
+    first = float(truth["mz1*lz1/l1_g (possibilities 1,3 each of two; 4 single)"])
+    second = float(truth["mz2*lz2/l1_g at lambda"]["0.25"])
+    for name in ("1", "2", "3", "4", "4+2"):
+        for shaft in task5["shafts"][name]["shafts"]:
+            expected = first if abs(shaft["speed_ratio"]) == 1 else second
+            assert shaft["mass_at_crank_radius_g"] == pytest.approx(expected, rel=EXACT)
 
 
-class TestFaults:
-    def test_an_unknown_engine_is_a_wrong_request_that_names_the_known_ones(self):
-        outcome = balance("task6")
-        assert outcome.exit_code == 2
-        assert outcome.stdout == ""
-        assert "task6" in outcome.stderr
-        assert "task5" in outcome.stderr
+def test_speeds_and_orders_are_those_asked_for():
+    found = document("task5", "--speed", "1500", "--speed", 6000, "--max-order", 12)
+    assert set(found["force_n"]) == {"1500", "6000"}
+    assert set(found["harmonics"]) == {"2", "4", "6", "8", "10", "12"}
+    assert found["force_n"]["6000"]["x"]["1"] == pytest.approx(19250e-6 * (np.pi * 200) ** 2, rel=EXACT)
 
-    def test_every_fault_of_a_file_is_listed_at_once(self, tmp_path):
-        faulty = {"reciprocating_mass_kg": -1.0, "crank_radius_m": None, "strokes": 4, "cycle": "six-stroke"}
-        outcome = balance(engine_file(tmp_path, **faulty), "--out", tmp_path / "out")
-        assert outcome.exit_code == 2
-        for key in faulty:
-            assert key in outcome.stderr
-        assert len(outcome.stderr.strip().splitlines()) == len(faulty)
-        assert outcome.stdout == ""
-        assert not (tmp_path / "out").exists()
 
-    def test_numbers_beyond_the_range_of_a_computer_are_a_fault_of_the_file(self, tmp_path):
-        outcome = balance(engine_file(tmp_path, reciprocating_mass_kg=1e301), "--speed", 1000000, "--json")
-        assert outcome.exit_code == 2
-        assert "engine.toml" in outcome.stderr
-        assert outcome.stdout == ""
+@pytest.mark.parametrize("name", sorted(shipped("engines")))
+def test_a_shipped_engine_gives_one_valid_document_and_nothing_else(name, project_root):
+    outcome = done("balance", project_root / "pipeline" / "engines" / f"{name}.toml", "--json")
+    assert outcome.stderr == ""
+    found = json.loads(outcome.stdout)
+    faults = jsonschema.Draft202012Validator(schema_of("balance")).iter_errors(found)
+    assert [fault.message for fault in faults] == []
+    assert set(KEYS) <= set(found)
 
-    def test_a_file_that_is_no_toml_names_its_line(self, tmp_path):
-        path = tmp_path / "engine.toml"
-        path.write_text("title = 'a'\nbore = = 3\n")
-        outcome = balance(path)
-        assert outcome.exit_code == 2
-        assert "line 2" in outcome.stderr
 
-    def test_speeds_and_orders_out_of_range_are_wrong_requests(self):
-        wrong = (("--speed", 0), ("--speed", -1), ("--speed", "nan"), ("--speed", "inf"), ("--max-order", 3))
-        made = {(engine, *one): balance(engine, *one) for engine in ("task5", "elastic-hinge") for one in wrong}
-        assert [request for request, one in made.items() if (one.exit_code, one.stdout) != (2, "")] == []
+@pytest.mark.slow
+def test_a_schema_refuses_a_document_without_a_key_of_the_issue():
+    validator = jsonschema.Draft202012Validator(schema_of("balance"))
+    for found in (document("task5"), document("elastic-hinge")):
+        for key in KEYS:
+            assert list(validator.iter_errors({name: value for name, value in found.items() if name != key}))
+
+
+@pytest.mark.slow
+def test_only_elastic_hinges_have_null_for_the_parts_of_a_crank_engine():
+    validator = jsonschema.Draft202012Validator(schema_of("balance"))
+    crank, hinged = document("task5"), document("elastic-hinge")
+    assert [hinged[key] for key in KEYS[1:-1]] == [None] * 6
+    for key in ("lambda", "harmonics", "force_g_mm", "shafts"):
+        assert list(validator.iter_errors({**crank, key: None}))
+        assert list(validator.iter_errors({**hinged, key: crank[key]}))
+
+
+def test_pictures_data_and_document_appear_whole(tmp_path):
+    outcome = done("balance", "msu-optical-second", "--out", tmp_path / "out", "--json")
+    names = {path.name for path in (tmp_path / "out").iterdir()}
+    pictures = ("polar.png", "force.png", "orders.png", "harmonics.png", "torque.png", "loads.png")
+    assert names == {"balance.json", *pictures, "balance.nc", DONE}
+    assert json.loads((tmp_path / "out" / "balance.json").read_bytes()) == json.loads(outcome.stdout)
+    assert finished_with(tmp_path / "out", json.loads((tmp_path / "out" / DONE).read_bytes())["key"])
+    assert all((tmp_path / "out" / name).read_bytes()[:4] == b"\x89PNG" for name in names if name.endswith("png"))
+    said = [line.rpartition("/")[2] for line in outcome.stderr.splitlines()]
+    assert said == ["balance.json", *pictures, "balance.nc"]
+
+
+@pytest.mark.slow
+def test_the_netcdf_holds_forces_harmonics_and_polar_curves(tmp_path):
+    done("balance", "v-twin", "--out", tmp_path)
+    stored = read_results(tmp_path / "balance.nc")["balance"]
+    found = json.loads((tmp_path / "balance.json").read_bytes())
+    force = stored["force_at_speed"].sel(system="none", axis="y", order=2.0, speed=2000.0)
+    assert float(force) == pytest.approx(found["force_n"]["2000"]["y"]["2"], rel=1e-6)
+    np.testing.assert_allclose(stored["harmonic"].values, list(found["harmonics"].values()), rtol=1e-12)
+    assert stored["curve"].dims == ("system", "axis", "crank_angle")
+    assert stored["moment"].sizes == {"moment_axis": 3, "order": 8}
+
+
+@pytest.mark.slow
+def test_the_same_engine_gives_the_same_bytes_wherever_its_file_lies(tmp_path, project_root):
+    first, second = tmp_path / "first", tmp_path / "second"
+    done("balance", "inline-2", "--out", first)
+    done("balance", project_root / "pipeline" / "engines" / "inline-2.toml", "--out", second)
+    for path in first.iterdir():
+        assert path.read_bytes() == (second / path.name).read_bytes(), path.name
+
+
+@pytest.mark.slow
+def test_an_engine_with_elastic_hinges_gets_its_own_pictures(tmp_path):
+    done("balance", "elastic-hinge", "--out", tmp_path, "--speed", 3000)
+    found = json.loads((tmp_path / "balance.json").read_bytes())
+    assert len(list(tmp_path.glob("hinges_*.png"))) == len(found["mechanisms"]) == 6
+    assert "pin_fig4_b" in read_results(tmp_path / "balance.nc")
+
+
+@pytest.mark.slow
+def test_a_folder_that_cannot_be_made_is_a_fault_of_the_surroundings(tmp_path):
+    (tmp_path / "file").write_text("")
+    outcome = balance("task5", "--out", tmp_path / "file" / "out")
+    assert (outcome.exit_code, outcome.stdout) == (5, "")
+
+
+def test_torque_extrema_and_harmonics_are_those_of_the_truth(shared_truth):
+    torque, truth = document("elastic-hinge")["torque"], shared_truth["seed003"]
+    assert torque["mean_nm"] == pytest.approx(float(truth["mean_torque_Nm"]["decimal"]), rel=EXACT)
+    assert torque["work_per_rev_j"] == pytest.approx(float(truth["work_per_rev_J"]), rel=EXACT)
+    found = [[one["crank_angle_deg"], one["torque_nm"]] for one in torque["extrema"]]
+    np.testing.assert_allclose(found, truth["extrema"], rtol=1e-9)
+    for order, amplitude in torque["harmonics_nm"].items():
+        assert amplitude == pytest.approx(float(truth["Mcr_Fourier_Nm"][order]["amp"]), rel=1e-9)
+
+
+def test_an_unknown_engine_is_a_wrong_request_that_names_the_known_ones():
+    outcome = balance("task6")
+    assert (outcome.exit_code, outcome.stdout) == (2, "")
+    assert "task6" in outcome.stderr and "task5" in outcome.stderr
+
+
+def test_every_fault_of_a_file_is_listed_at_once(tmp_path):
+    faulty = {"reciprocating_mass_kg": -1.0, "crank_radius_m": None, "strokes": 4, "cycle": "six-stroke"}
+    outcome = balance(engine_file(tmp_path, **faulty), "--out", tmp_path / "out")
+    assert (outcome.exit_code, outcome.stdout) == (2, "")
+    assert all(key in outcome.stderr for key in faulty)
+    assert len(outcome.stderr.strip().splitlines()) == len(faulty)
+    assert not (tmp_path / "out").exists()
+
+
+def test_numbers_beyond_the_range_of_a_computer_are_a_fault_of_the_file(tmp_path):
+    outcome = balance(engine_file(tmp_path, reciprocating_mass_kg=1e301), "--speed", 1000000, "--json")
+    assert (outcome.exit_code, outcome.stdout) == (2, "") and "engine.toml" in outcome.stderr
+
+
+def test_a_file_that_is_no_toml_names_its_line(tmp_path):
+    path = tmp_path / "engine.toml"
+    path.write_text("title = 'a'\nbore = = 3\n")
+    outcome = balance(path)
+    assert outcome.exit_code == 2 and "line 2" in outcome.stderr
+
+
+def test_speeds_and_orders_out_of_range_are_wrong_requests():
+    wrong = (("--speed", 0), ("--speed", -1), ("--speed", "nan"), ("--speed", "inf"), ("--max-order", 3))
+    made = {(engine, *one): balance(engine, *one) for engine in ("task5", "elastic-hinge") for one in wrong}
+    assert [request for request, one in made.items() if (one.exit_code, one.stdout) != (2, "")] == []

@@ -2,23 +2,21 @@
 
 import json
 import os
-import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
+from click.testing import Result
 
 from crankorder.batch.frame_store import STORE
 from crankorder.batch.run_log import LOGS
-from crankorder.cli import main
+from made.command import crankorder, done, results_in
 from made.processes import PATIENCE_S, started
 
 pytest.importorskip("distributed", reason="the extra dist is not installed")
 pytestmark = pytest.mark.slow
-NAMES = ("run.toml", "rpm_1500.h5", "rpm_1600.h5", "rpm_1700.h5", "rpm_1800.h5")
 KILLER = "rpm_1600.h5"
 PRELOAD = f"""
 import os, signal
@@ -54,6 +52,10 @@ class Cluster:
             preload = ("--preload", folder / "preload.py", "--local-directory", folder / f"of-{name}")
             self._start("dask_worker", self.address, "--nthreads", "1", "--no-dashboard", "--name", name, *preload)
 
+    def run(self, folder: Path, out: Path) -> Result:
+        """What a run of the maps of ``folder`` on the cluster says."""
+        return crankorder("run", folder, "--out", out, "--recipe", "maps", "--scheduler", self.address, "--log-json")
+
     def _start(self, command: str, *arguments: object) -> None:
         surroundings = {**os.environ, "KILLS": str(self.kills), "FAR": str(self.far), "OPENBLAS_NUM_THREADS": "1"}
         # whatever stands beside a death is blamed at once: so it must be tried again alone
@@ -69,22 +71,9 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
         yield Cluster(tmp_path_factory.mktemp("cluster"), processes)
 
 
-@pytest.fixture(scope="module")
-def four(campaign: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("recordings")
-    for name in NAMES:
-        shutil.copy(campaign / name, folder / name)
-    return folder
-
-
-def crankorder(*arguments: object) -> tuple[int, str]:
-    made = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    return made.exit_code, made.output
-
-
-def results_in(out: Path) -> dict[str, bytes]:
-    files = [path for path in out.rglob("*") if path.is_file() and not path.relative_to(out).parts[0].startswith(".")]
-    return {str(path.relative_to(out)): path.read_bytes() for path in files if path.name != "timings.json"}
+@pytest.fixture
+def four(copied: Callable[..., Path]) -> Path:
+    return copied(1500, 1600, 1700, 1800)
 
 
 def reused(out: Path) -> int:
@@ -96,15 +85,13 @@ def reused(out: Path) -> int:
 def test_a_cluster_gives_the_bytes_of_a_run_at_home(cluster: Cluster, four: Path, tmp_path: Path, far: bool) -> None:
     if far:
         cluster.far.touch()
+    home, there = tmp_path / "home", tmp_path / "there"
+    done("run", four, "--out", home, "--recipe", "maps")
     try:
-        home, there = tmp_path / "home", tmp_path / "there"
-        assert crankorder("run", four, "--out", home, "--recipe", "maps")[0] == 0
-        status, said = crankorder(
-            "run", four, "--out", there, "--recipe", "maps", "--scheduler", cluster.address, "--log-json"
-        )
+        outcome = cluster.run(four, there)
     finally:
         cluster.far.unlink(missing_ok=True)
-    assert status == 0, said
+    assert outcome.exit_code == 0, outcome.output
     assert results_in(there) == results_in(home)
     assert reused(there) == 4  # all of it was made by the workers
     assert not list((there / STORE).rglob("*.probe"))
@@ -116,12 +103,10 @@ def test_a_recording_that_kills_its_workers_is_blamed_and_the_others_are_finishe
     cluster.kills.touch()
     out = tmp_path / "out"
     try:
-        status, said = crankorder(
-            "run", four, "--out", out, "--recipe", "maps", "--scheduler", cluster.address, "--log-json"
-        )
+        outcome = cluster.run(four, out)
     finally:
         cluster.kills.unlink()
-    assert status == 3, said
+    assert outcome.exit_code == 3, outcome.output
     (test,) = json.loads((out / "batch.json").read_bytes())["tests"]
     assert [one["recording"] for one in test["failed"]] == [KILLER]
     assert "tried alone" in test["failed"][0]["error"]
@@ -129,12 +114,13 @@ def test_a_recording_that_kills_its_workers_is_blamed_and_the_others_are_finishe
 
 
 def test_no_scheduler_is_told(four: Path, tmp_path: Path) -> None:
-    status, said = crankorder("run", four, "--out", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9")
-    assert status == 5, said
-    assert "no Dask scheduler" in said and "dask scheduler" in said
+    outcome = crankorder("run", four, "--out", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9")
+    assert outcome.exit_code == 5, outcome.output
+    assert "no Dask scheduler" in outcome.output and "dask scheduler" in outcome.output
 
 
 def test_a_cluster_shares_recordings_out_itself(four: Path, tmp_path: Path) -> None:
     for other in (("--shard", "1/2"), ("--timeout", "5")):
-        assert crankorder("run", four, "--out", tmp_path / "out", "--scheduler", "tcp://a:1", *other)[0] == 2
+        outcome = crankorder("run", four, "--out", tmp_path / "out", "--scheduler", "tcp://a:1", *other)
+        assert outcome.exit_code == 2
     assert not (tmp_path / "out").exists()

@@ -5,12 +5,11 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from crankorder.batch import look
-from crankorder.cli import main
 from crankorder.ingest.manifest import load_manifest
 from crankorder.settings import load_settings
+from made.command import crankorder
 from made.recordings import manifest
 
 RATE_HZ, RPM, TEETH, LENGTH_S = 10_000.0, 1500.0, 24, 4.0
@@ -26,64 +25,51 @@ def columns(seed: int, *, length_s: float = LENGTH_S, rpm: float = RPM) -> dict[
     return {"acc": acc, "encoder": ((turns + rng.random()) * TEETH % 1.0 < 0.5).astype(float)}
 
 
-def write(folder: Path, name: str, made: dict[str, np.ndarray]) -> None:
+def write(folder: Path, made: dict[str, np.ndarray], name: str = "a.h5") -> None:
     with h5py.File(folder / name, "w") as file:
         file.attrs["rate_hz"] = RATE_HZ
         for key, values in made.items():
             file.create_dataset(key, data=values)
 
 
-def called(command: str, folder: Path, *more: str) -> tuple[int, str]:
-    done = CliRunner().invoke(main, [command, str(folder), *more])
-    return done.exit_code, done.output
+def called(*arguments: object) -> tuple[int, str]:
+    outcome = crankorder(*arguments)
+    return outcome.exit_code, outcome.output
 
 
-def without_pulses_per_rev(folder: Path) -> None:
-    (folder / "run.toml").write_text(MANIFEST.replace("pulses_per_rev = 24\n", ""))
-    write(folder, "a.h5", columns(1))
-
-
-def of_noise(folder: Path) -> None:
-    (folder / "run.toml").write_text(MANIFEST)
-    write(folder, "a.h5", columns(1) | {"encoder": np.random.default_rng(2).standard_normal(40_000)})
-
-
-def of_nothing(folder: Path) -> None:
-    (folder / "run.toml").write_text(MANIFEST)
-    write(folder, "a.h5", columns(1) | {"encoder": np.full(40_000, 2.5)})
-
-
-def all_flat(folder: Path) -> None:
-    (folder / "run.toml").write_text(MANIFEST)
-    write(folder, "a.h5", columns(1) | {"acc": np.full(40_000, 0.01)})
-
-
-def rounded_times(folder: Path) -> None:
-    (folder / "run.toml").write_text(
-        MANIFEST.replace("*.h5", "*.csv").replace("[encoder]", '[sampling]\ntime_source = "t"\n[encoder]')
-    )
-    made = columns(1)
-    stamps = np.round(np.arange(40_000) / RATE_HZ, 3)
-    table = np.column_stack([stamps, made["acc"], made["encoder"]])
+def as_csv(folder: Path, made: dict[str, np.ndarray]) -> None:
+    table = np.column_stack([np.round(np.arange(40_000) / RATE_HZ, 3), made["acc"], made["encoder"]])
     np.savetxt(folder / "a.csv", table, delimiter=",", header="t,acc,encoder", comments="", fmt="%.6f")
 
 
-@pytest.mark.parametrize("spoil", [without_pulses_per_rev, of_noise, of_nothing, all_flat, rounded_times])
-def test_what_run_would_refuse_is_a_fault_of_check(tmp_path, spoil):
-    folder = tmp_path / "data"
+ROUNDED = MANIFEST.replace("*.h5", "*.csv").replace("[encoder]", '[sampling]\ntime_source = "t"\n[encoder]')
+REFUSED = {
+    "pulses per revolution not stated": (MANIFEST.replace("pulses_per_rev = 24\n", ""), {}),
+    "noise for an encoder": (MANIFEST, {"encoder": np.random.default_rng(2).standard_normal(40_000)}),
+    "a silent encoder": (MANIFEST, {"encoder": np.full(40_000, 2.5)}),
+    "a flat channel": (MANIFEST, {"acc": np.full(40_000, 0.01)}),
+    "rounded times": (ROUNDED, {}),
+}
+"""What run refuses: the manifest, and the columns that are others."""
+
+
+@pytest.mark.parametrize("fault", REFUSED)
+def test_what_run_would_refuse_is_a_fault_of_check(tmp_path, fault):
+    folder, (text, others) = tmp_path / "data", REFUSED[fault]
     folder.mkdir()
-    spoil(folder)
-    ran, _ = called("run", folder, "--out", str(tmp_path / "out"), "-q")
-    checked, text = called("check", folder)
+    (folder / "run.toml").write_text(text)
+    (as_csv if text == ROUNDED else write)(folder, columns(1) | others)
+    ran, _ = called("run", folder, "--out", tmp_path / "out", "-q")
+    checked, said = called("check", folder)
     assert ran != 0
     assert checked == ran  # 2 where the manifest is wrong, 4 where no recording is left
-    assert "no fault found" not in text
+    assert "no fault found" not in said
 
 
 def test_a_sound_folder_is_told_line_by_line(tmp_path):
     (tmp_path / "run.toml").write_text(MANIFEST)
     for number, rpm in enumerate((900.0, 1500.0)):
-        write(tmp_path, f"rpm {rpm:.0f}.h5", columns(number, rpm=rpm))
+        write(tmp_path, columns(number, rpm=rpm), f"rpm {rpm:.0f}.h5")
     status, text = called("check", tmp_path)
     assert status == 0
     first, second, *_ = [line for line in text.split("\n") if line.startswith("rpm")]
@@ -95,11 +81,9 @@ def test_a_sound_folder_is_told_line_by_line(tmp_path):
 @pytest.mark.slow
 def test_lost_recordings_are_named_beside_the_lines_of_the_others(tmp_path):
     (tmp_path / "run.toml").write_text(MANIFEST)
-    write(tmp_path, "a.h5", columns(1))
-    write(tmp_path, "b.h5", columns(2) | {"encoder": np.zeros(40_000)})
-    clipped = columns(3)
-    clipped["acc"] = np.clip(clipped["acc"], -0.6, 0.6)
-    write(tmp_path, "c.h5", clipped)
+    write(tmp_path, columns(1))
+    write(tmp_path, columns(2) | {"encoder": np.zeros(40_000)}, "b.h5")
+    write(tmp_path, columns(3) | {"acc": np.clip(columns(3)["acc"], -0.6, 0.6)}, "c.h5")
     status, text = called("check", tmp_path)
     assert status == 3
     assert "b.h5: " in text
@@ -112,7 +96,7 @@ def test_of_a_long_recording_head_middle_and_tail_are_read(tmp_path, monkeypatch
     (tmp_path / "run.toml").write_text(MANIFEST)
     made = columns(4, length_s=60.0)
     made["acc"][-50_000:] = 0.0  # a cable that came off
-    write(tmp_path, "a.h5", made)
+    write(tmp_path, made)
     monkeypatch.setattr(look, "LOOK_BYTES", 2 * 8 * 240_000)
     found = look.look_at_recording(tmp_path / "a.h5", load_manifest(tmp_path), load_settings())
     assert found.share == pytest.approx(0.4)

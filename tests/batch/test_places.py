@@ -42,6 +42,12 @@ def owners(out: Path) -> dict[str, str]:
     return {path.parent.name: json.loads(path.read_bytes())["input"]["folder"] for path in out.glob("*/done.json")}
 
 
+def everything(out: Path) -> dict[Path, bytes]:
+    """All files of ``out`` but the logs, by their paths in it."""
+    found = [path for path in out.rglob("*") if path.is_file() and LOGS not in path.parts]
+    return {path.relative_to(out): path.read_bytes() for path in found}
+
+
 def test_the_place_of_a_test_does_not_depend_on_the_order_of_the_folders(two, tmp_path):
     wanted = {"same": "../data/a", "same-2": "../data/b"}
     for name, order in (("one", two), ("other", two[::-1])):
@@ -86,14 +92,10 @@ def test_an_index_of_others_is_not_overwritten(two, tmp_path):
 
 
 def test_a_second_run_gives_the_same_bytes_everywhere(two, tmp_path):
-    def everything():
-        found = (tmp_path / "out").rglob("*")
-        return {path: path.read_bytes() for path in found if path.is_file() and LOGS not in path.parts}
-
     run(*two, "--out", tmp_path / "out")
-    before = everything()
+    before = everything(tmp_path / "out")
     assert run(*two, "--out", tmp_path / "out").exit_code == 0
-    assert everything() == before
+    assert everything(tmp_path / "out") == before
 
 
 def test_a_recording_replaced_while_it_is_analysed_is_refused_and_nothing_of_it_is_kept(two, tmp_path, monkeypatch):
@@ -168,8 +170,6 @@ def test_processes_that_share_one_folder_lose_nothing(two, tmp_path, processes):
             _, said = process.communicate()
             assert process.returncode == 0, said
 
-    def everything(out):
-        found = {path.relative_to(out): path for path in out.rglob("*") if path.is_file() and LOGS not in path.parts}
-        return {name: path.read_bytes() for name, path in found.items() if name.name != "timings.json"}
-
-    assert everything(tmp_path / "out") == everything(tmp_path / "alone")
+    shared, alone = everything(tmp_path / "out"), everything(tmp_path / "alone")
+    assert shared.keys() == alone.keys()
+    assert all(data == alone[name] for name, data in shared.items() if name.name != "timings.json")

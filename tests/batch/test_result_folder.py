@@ -290,7 +290,7 @@ def test_a_file_that_changes_after_it_was_hashed_is_told_whatever_its_times_say(
     path.write_bytes(b"one")
     times = path.stat()
     hashed = HashedFile.of(path)
-    assert hashed.sha256 == text_sha256_of(b"one") and hashed.is_still_at(path)
+    assert hashed.sha256 == hashlib.sha256(b"one").hexdigest() and hashed.is_still_at(path)
     path.write_bytes(b"two")
     os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
     assert not hashed.is_still_at(path)
@@ -313,7 +313,3 @@ def test_a_file_that_grows_while_it_is_hashed_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr("crankorder.batch.store._stream_sha256", grown)
     assert HashedFile.of(path).fault == CHANGED
     assert "No such file" in HashedFile.of(tmp_path / "missing").fault
-
-
-def text_sha256_of(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()

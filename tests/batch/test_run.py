@@ -12,7 +12,7 @@ import xarray as xr
 from scipy.special import ndtr, stdtrit
 
 from crankorder.quantities import schema_of
-from made.command import crankorder, done, findings_in
+from made.command import crankorder, done, findings_in, results_in
 
 
 def run(*arguments: object):
@@ -36,163 +36,167 @@ def four_speeds(copied):
     return copied(1500, 1600, 1700, 1800)
 
 
-class TestResults:
-    def test_amplitude_and_phase_of_order_one_are_those_of_the_truth(self, analysed, campaign):
-        truth = json.loads((campaign / "truth.json").read_bytes())["orders"]
-        record = next(item for item in truth if item["channel"] == "Z" and item["order"] == 1.0)
-        tracks = xr.load_dataset(next(analysed.glob("*/results.nc")), group="order_tracks", engine="h5netcdf")
-        track = tracks.sel(channel="Z", order=1.0)
-        expected = np.array(record["amplitude_by_speed"]) * np.exp(1j * np.radians(record["phase_deg_by_speed"]))
-        measured = track["amplitude"].values * np.exp(1j * np.radians(track["phase"].values))
-        # each of real and imaginary part is within four standard errors at every speed, or what is as unlikely for an
-        # error that itself is known from few degrees of freedom
-        reach = stdtrit(track["degrees_of_freedom"].values, ndtr(4.0))
-        assert np.all(np.abs(measured - expected) < reach * np.sqrt(2) * track["standard_error"].values + 1e-4)
-
-    def test_every_file_of_the_contract_is_there(self, analysed):
-        (folder,) = [path.parent for path in analysed.glob("*/findings.json")]
-        names = {path.name for path in folder.iterdir()}
-        pictures = {
-            "campbell_X.png", "campbell_Y.png", "campbell_Z.png", "orders.png", "envelope.png", "order_spectra.png",
-            "spectra.png", "speed.png",
-        }  # fmt: skip
-        assert names == pictures | {
-            "results.nc", "findings.json", "report.html", "run.json", "timings.json", "done.json",
-        }  # fmt: skip
-        assert (analysed / "index.html").exists()
-        assert f'href="./{folder.name}/report.html"' in (analysed / "index.html").read_text()
-
-    def test_json_files_fit_their_schemas(self, analysed):
-        for name in ("findings", "run"):
-            document = json.loads(next(analysed.glob(f"*/{name}.json")).read_bytes())
-            assert list(jsonschema.Draft202012Validator(schema_of(name)).iter_errors(document)) == []
-
-    def test_nothing_of_host_or_time_is_in_run_json(self, analysed):
-        import socket
-
-        text = next(analysed.glob("*/run.json")).read_text()
-        assert str(Path.home()) not in text.replace('"', "") or str(Path.home()) == "/"
-        assert socket.gethostname() not in text
-        assert str(analysed) not in text
+def test_amplitude_and_phase_of_order_one_are_those_of_the_truth(analysed, campaign):
+    truth = json.loads((campaign / "truth.json").read_bytes())["orders"]
+    record = next(item for item in truth if item["channel"] == "Z" and item["order"] == 1.0)
+    tracks = xr.load_dataset(next(analysed.glob("*/results.nc")), group="order_tracks", engine="h5netcdf")
+    track = tracks.sel(channel="Z", order=1.0)
+    expected = np.array(record["amplitude_by_speed"]) * np.exp(1j * np.radians(record["phase_deg_by_speed"]))
+    measured = track["amplitude"].values * np.exp(1j * np.radians(track["phase"].values))
+    # each of real and imaginary part is within four standard errors at every speed, or what is as unlikely for an
+    # error that itself is known from few degrees of freedom
+    reach = stdtrit(track["degrees_of_freedom"].values, ndtr(4.0))
+    assert np.all(np.abs(measured - expected) < reach * np.sqrt(2) * track["standard_error"].values + 1e-4)
 
 
-class TestRerun:
-    def test_the_same_input_gives_the_same_bytes_with_one_worker_and_with_two(self, four_speeds, tmp_path):
-        for jobs in (1, 2):
-            assert crankorder("run", four_speeds, "--out", tmp_path / str(jobs), "--jobs", jobs).exit_code == 0
-        for path in sorted((tmp_path / "1").rglob("*")):
-            if path.is_file() and ".crankorder-logs" not in path.parts and path.name != "timings.json":
-                assert path.read_bytes() == (tmp_path / "2" / path.relative_to(tmp_path / "1")).read_bytes(), path.name
-
-    def test_report_redraws_the_same_bytes_from_results(self, four_speeds, tmp_path, recipe):
-        crankorder("run", four_speeds, "--out", tmp_path / "out", *recipe)
-        folder = next((tmp_path / "out").glob("*/done.json")).parent
-        before = {path.name: path.read_bytes() for path in folder.iterdir()}
-        assert crankorder("report", folder).exit_code == 0
-        assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-
-    @pytest.mark.slow
-    @pytest.mark.parametrize(("kind", "begins"), [("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")])
-    def test_pictures_come_in_the_format_that_is_asked_for_with_the_same_bytes_again(
-        self, analysed, tmp_path, kind, begins
-    ):
-        folder = tmp_path / "test"
-        shutil.copytree(next(analysed.glob("*/done.json")).parent, folder)
-        names = {path.stem for path in folder.glob("*.png")}
-        made = []
-        for _ in range(2):
-            assert crankorder("report", folder, "--picture-format", kind).exit_code == 0
-            made.append({path.name: path.read_bytes() for path in folder.glob(f"*.{kind}")})
-        assert {Path(name).stem for name in made[0]} == names
-        assert made[0] == made[1]
-        assert all(data.startswith(begins) for data in made[0].values())
-        page = (folder / "report.html").read_text(encoding="utf-8")
-        assert all(f"./{name}" in page for name in made[0])
-        assert kind == "png" or not list(folder.glob("*.png"))
-
-    @pytest.mark.slow
-    def test_without_pictures_numbers_and_findings_are_the_same(self, four_speeds, tmp_path):
-        for place, more in (("with", ()), ("without", ("--no-pictures",))):
-            assert crankorder("run", four_speeds, "--out", tmp_path / place, "-q", *more).exit_code == 0
-        drawn, bare = (next((tmp_path / place).glob("*/done.json")).parent for place in ("with", "without"))
-        assert not list(bare.glob("*.png"))
-        assert "No pictures were asked for." in (bare / "report.html").read_text(encoding="utf-8")
-        for name in ("results.nc", "findings.json"):
-            assert (drawn / name).read_bytes() == (bare / name).read_bytes()
+def test_every_file_of_the_contract_is_there(analysed):
+    (folder,) = [path.parent for path in analysed.glob("*/findings.json")]
+    names = {path.name for path in folder.iterdir()}
+    pictures = {
+        "campbell_X.png", "campbell_Y.png", "campbell_Z.png", "orders.png", "envelope.png", "order_spectra.png",
+        "spectra.png", "speed.png",
+    }  # fmt: skip
+    assert names == pictures | {
+        "results.nc", "findings.json", "report.html", "run.json", "timings.json", "done.json",
+    }  # fmt: skip
+    assert (analysed / "index.html").exists()
+    assert f'href="./{folder.name}/report.html"' in (analysed / "index.html").read_text()
 
 
-class TestBadInput:
-    def test_a_truncated_file_fails_alone_and_the_others_results_are_kept(self, four_speeds, tmp_path):
-        path = four_speeds / "rpm_1600.h5"
-        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-        outcome = run(four_speeds, "--out", tmp_path / "out")
-        assert outcome.exit_code == 3
-        assert "rpm_1600.h5" in outcome.output and "truncated" in outcome.output
-        assert speeds_in(tmp_path / "out") == [1500, 1700, 1800]
-        flags = findings_in(tmp_path / "out")["quality"]
-        assert [flag["recording"] for flag in flags if flag["severity"] == "bad"] == ["rpm_1600.h5"]
+def test_json_files_fit_their_schemas(analysed):
+    for name in ("findings", "run"):
+        document = json.loads(next(analysed.glob(f"*/{name}.json")).read_bytes())
+        assert list(jsonschema.Draft202012Validator(schema_of(name)).iter_errors(document)) == []
 
-    def test_a_file_that_the_manifest_names_and_nobody_has_fails_alone(self, four_speeds, tmp_path):
-        text = (four_speeds / "run.toml").read_text()
-        (four_speeds / "run.toml").write_text(text.replace('files = ["rpm_*.h5"]', 'files = ["rpm_*.h5", "lost.h5"]'))
-        outcome = run(four_speeds, "--out", tmp_path / "out")
-        assert outcome.exit_code == 3
-        assert "lost.h5" in outcome.output
-        assert speeds_in(tmp_path / "out") == [1500, 1600, 1700, 1800]
 
-    def test_an_unknown_channel_names_those_that_the_file_has(self, four_speeds, tmp_path):
-        text = (four_speeds / "run.toml").read_text()
-        (four_speeds / "run.toml").write_text(text.replace('"acc_z"', '"acc_w"'))
-        outcome = run(four_speeds, "--out", tmp_path / "out")
-        assert outcome.exit_code == 4
-        assert "acc_w" in outcome.output and "acc_x" in outcome.output
+def test_nothing_of_host_or_time_is_in_run_json(analysed):
+    import socket
 
-    def test_a_wrong_unit_is_refused_before_anything_is_written(self, four_speeds, tmp_path):
-        text = (four_speeds / "run.toml").read_text()
-        (four_speeds / "run.toml").write_text(text.replace('"m/s2"', '"metres"', 1))
-        outcome = run(four_speeds, "--out", tmp_path / "out")
-        assert outcome.exit_code == 2
-        assert "metres" in outcome.output and "m/s2" in outcome.output and "run.toml:" in outcome.output
-        assert not (tmp_path / "out").exists()
+    text = next(analysed.glob("*/run.json")).read_text()
+    assert str(Path.home()) not in text.replace('"', "") or str(Path.home()) == "/"
+    assert socket.gethostname() not in text
+    assert str(analysed) not in text
 
-    def test_the_same_recording_twice_is_counted_once(self, four_speeds, tmp_path):
-        shutil.copy(four_speeds / "rpm_1500.h5", four_speeds / "rpm_1500_copy.h5")
-        done("run", four_speeds, "--out", tmp_path / "out", "--recipe", "maps", "--no-pictures")
-        assert "duplicate_of" in {flag["flag"] for flag in findings_in(tmp_path / "out")["quality"]}
 
-    def test_results_inside_the_recordings_are_refused(self, four_speeds):
-        outcome = run(four_speeds, "--out", four_speeds / "results")
-        assert outcome.exit_code == 2
-        assert not (four_speeds / "results").exists()
+def test_the_same_input_gives_the_same_bytes_with_one_worker_and_with_two(four_speeds, tmp_path):
+    for jobs in (1, 2):
+        assert crankorder("run", four_speeds, "--out", tmp_path / str(jobs), "--jobs", jobs).exit_code == 0
+    assert results_in(tmp_path / "1", kept=True) == results_in(tmp_path / "2", kept=True)
 
-    def test_a_missing_folder_and_an_empty_one(self, tmp_path):
-        assert run(tmp_path / "nowhere", "--out", tmp_path / "out").exit_code == 2
-        (tmp_path / "empty").mkdir()
-        outcome = run(tmp_path / "empty", "--out", tmp_path / "out")
-        assert outcome.exit_code == 2 and "crankorder init" in outcome.output
 
-    @pytest.mark.slow
-    def test_strict_leaves_out_what_is_suspect(self, four_speeds, tmp_path):
-        with h5py.File(four_speeds / "rpm_1500.h5", "r+") as file:
-            trace = file["encoder"][:]
-            rises = np.flatnonzero(np.diff(trace) > 0)
-            for rise in rises[::2000]:
-                trace[rise + 1 : rise + 4] = 0.0
-            file["encoder"][:] = trace
-        assert run(four_speeds, "--out", tmp_path / "plain", "-q").exit_code == 0
-        outcome = run(four_speeds, "--out", tmp_path / "strict", "--strict")
-        assert outcome.exit_code == 3 and "rpm_1500.h5" in outcome.output
+def test_report_redraws_the_same_bytes_from_results(four_speeds, tmp_path, recipe):
+    crankorder("run", four_speeds, "--out", tmp_path / "out", *recipe)
+    folder = next((tmp_path / "out").glob("*/done.json")).parent
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert crankorder("report", folder).exit_code == 0
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
 
-    def test_one_bad_test_takes_no_other_along(self, copied, four_speeds, tmp_path):
-        for path in four_speeds.glob("*.h5"):
-            path.write_bytes(b"")
-        other = copied(1500, 1600, 1700, name="other")
-        assert crankorder("check", four_speeds, other).exit_code == 3
-        assert crankorder("check", four_speeds).exit_code == 4
-        outcome = run(four_speeds, other, "--out", tmp_path / "out", "--json", "--recipe", "maps", "--no-pictures")
-        assert outcome.exit_code == 3
-        document = json.loads(outcome.stdout)
-        assert [test["status"] for test in document["tests"]] == ["failed", "done"]
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "begins"), [("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")])
+def test_pictures_come_in_the_format_that_is_asked_for_with_the_same_bytes_again(analysed, tmp_path, kind, begins):
+    folder = tmp_path / "test"
+    shutil.copytree(next(analysed.glob("*/done.json")).parent, folder)
+    names = {path.stem for path in folder.glob("*.png")}
+    made = []
+    for _ in range(2):
+        assert crankorder("report", folder, "--picture-format", kind).exit_code == 0
+        made.append({path.name: path.read_bytes() for path in folder.glob(f"*.{kind}")})
+    assert {Path(name).stem for name in made[0]} == names
+    assert made[0] == made[1]
+    assert all(data.startswith(begins) for data in made[0].values())
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert all(f"./{name}" in page for name in made[0])
+    assert kind == "png" or not list(folder.glob("*.png"))
+
+
+@pytest.mark.slow
+def test_without_pictures_numbers_and_findings_are_the_same(four_speeds, tmp_path):
+    for place, more in (("with", ()), ("without", ("--no-pictures",))):
+        assert crankorder("run", four_speeds, "--out", tmp_path / place, "-q", *more).exit_code == 0
+    drawn, bare = (next((tmp_path / place).glob("*/done.json")).parent for place in ("with", "without"))
+    assert not list(bare.glob("*.png"))
+    assert "No pictures were asked for." in (bare / "report.html").read_text(encoding="utf-8")
+    for name in ("results.nc", "findings.json"):
+        assert (drawn / name).read_bytes() == (bare / name).read_bytes()
+
+
+def test_a_truncated_file_fails_alone_and_the_others_results_are_kept(four_speeds, tmp_path):
+    path = four_speeds / "rpm_1600.h5"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    outcome = run(four_speeds, "--out", tmp_path / "out")
+    assert outcome.exit_code == 3
+    assert "rpm_1600.h5" in outcome.output and "truncated" in outcome.output
+    assert speeds_in(tmp_path / "out") == [1500, 1700, 1800]
+    flags = findings_in(tmp_path / "out")["quality"]
+    assert [flag["recording"] for flag in flags if flag["severity"] == "bad"] == ["rpm_1600.h5"]
+
+
+def test_a_file_that_the_manifest_names_and_nobody_has_fails_alone(four_speeds, tmp_path):
+    text = (four_speeds / "run.toml").read_text()
+    (four_speeds / "run.toml").write_text(text.replace('files = ["rpm_*.h5"]', 'files = ["rpm_*.h5", "lost.h5"]'))
+    outcome = run(four_speeds, "--out", tmp_path / "out")
+    assert outcome.exit_code == 3 and "lost.h5" in outcome.output
+    assert speeds_in(tmp_path / "out") == [1500, 1600, 1700, 1800]
+
+
+def test_an_unknown_channel_names_those_that_the_file_has(four_speeds, tmp_path):
+    text = (four_speeds / "run.toml").read_text()
+    (four_speeds / "run.toml").write_text(text.replace('"acc_z"', '"acc_w"'))
+    outcome = run(four_speeds, "--out", tmp_path / "out")
+    assert outcome.exit_code == 4 and "acc_w" in outcome.output and "acc_x" in outcome.output
+
+
+def test_a_wrong_unit_is_refused_before_anything_is_written(four_speeds, tmp_path):
+    text = (four_speeds / "run.toml").read_text()
+    (four_speeds / "run.toml").write_text(text.replace('"m/s2"', '"metres"', 1))
+    outcome = run(four_speeds, "--out", tmp_path / "out")
+    assert outcome.exit_code == 2
+    assert "metres" in outcome.output and "m/s2" in outcome.output and "run.toml:" in outcome.output
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_same_recording_twice_is_counted_once(four_speeds, tmp_path):
+    shutil.copy(four_speeds / "rpm_1500.h5", four_speeds / "rpm_1500_copy.h5")
+    assert run(four_speeds, "--out", tmp_path / "out").exit_code == 0
+    assert "duplicate_of" in {flag["flag"] for flag in findings_in(tmp_path / "out")["quality"]}
+
+
+def test_results_inside_the_recordings_are_refused(four_speeds):
+    outcome = run(four_speeds, "--out", four_speeds / "results")
+    assert outcome.exit_code == 2
+    assert not (four_speeds / "results").exists()
+
+
+def test_a_missing_folder_and_an_empty_one(tmp_path):
+    assert run(tmp_path / "nowhere", "--out", tmp_path / "out").exit_code == 2
+    (tmp_path / "empty").mkdir()
+    outcome = run(tmp_path / "empty", "--out", tmp_path / "out")
+    assert outcome.exit_code == 2 and "crankorder init" in outcome.output
+
+
+@pytest.mark.slow
+def test_strict_leaves_out_what_is_suspect(four_speeds, tmp_path):
+    with h5py.File(four_speeds / "rpm_1500.h5", "r+") as file:
+        trace = file["encoder"][:]
+        rises = np.flatnonzero(np.diff(trace) > 0)
+        for rise in rises[::2000]:
+            trace[rise + 1 : rise + 4] = 0.0
+        file["encoder"][:] = trace
+    assert run(four_speeds, "--out", tmp_path / "plain", "-q").exit_code == 0
+    outcome = run(four_speeds, "--out", tmp_path / "strict", "--strict")
+    assert outcome.exit_code == 3 and "rpm_1500.h5" in outcome.output
+
+
+def test_one_bad_test_takes_no_other_along(copied, four_speeds, tmp_path):
+    for path in four_speeds.glob("*.h5"):
+        path.write_bytes(b"")
+    other = copied(1500, 1600, 1700, name="other")
+    assert crankorder("check", four_speeds, other).exit_code == 3
+    assert crankorder("check", four_speeds).exit_code == 4
+    outcome = run(four_speeds, other, "--out", tmp_path / "out", "--json")
+    assert outcome.exit_code == 3
+    assert [test["status"] for test in json.loads(outcome.stdout)["tests"]] == ["failed", "done"]
 
 
 @pytest.fixture(scope="module")
@@ -204,73 +208,78 @@ def result(tmp_path_factory):
     return folder
 
 
-class TestWhatIsLeftOut:
-    def test_a_sentinel_in_the_files_own_unit_is_found_behind_a_sensitivity(self, four_speeds, tmp_path):
-        for path in four_speeds.glob("*.h5"):
-            with h5py.File(path, "r+") as file:
-                file["acc_z"][1000] = -999.0
-                file["acc_z"].attrs["unit"] = "V"
-        text = (four_speeds / "run.toml").read_text()
-        head, z = text.split('source = "acc_z"')
-        (four_speeds / "run.toml").write_text(head + 'source = "acc_z"\nsensitivity = "10 mV/(m/s2)"' + z)
-        done("run", four_speeds, "--out", tmp_path / "out", "--recipe", "maps", "--no-pictures")
-        assert "non_finite_interpolated" in {flag["flag"] for flag in findings_in(tmp_path / "out")["quality"]}
-
-    @pytest.mark.slow
-    def test_faults_come_in_the_order_of_the_files_whatever_the_workers(self, four_speeds, tmp_path):
-        for name in ("rpm_1500.h5", "rpm_1600.h5"):
-            (four_speeds / name).write_bytes(b"")
-        for jobs in (1, 2):
-            run(four_speeds, "--out", tmp_path / str(jobs), "--jobs", jobs, "-q")
-        one, two = (next((tmp_path / str(jobs)).glob("*/findings.json")).read_bytes() for jobs in (1, 2))
-        assert one == two
-        bad = [flag["recording"] for flag in json.loads(one)["quality"] if flag["severity"] == "bad"]
-        assert bad == ["rpm_1500.h5", "rpm_1600.h5"]  # two empty files are two faults, not one and its copy
-
-    @pytest.mark.slow
-    def test_pictures_of_a_channel_that_is_gone_do_not_stay(self, four_speeds, tmp_path):
-        crankorder("run", four_speeds, "--out", tmp_path / "out", "-q")
-        text = (four_speeds / "run.toml").read_text()
-        (four_speeds / "run.toml").write_text(text.replace('name = "Z"', 'name = "vertical"'))
-        crankorder("run", four_speeds, "--out", tmp_path / "out", "-q")
-        names = {path.name for path in (tmp_path / "out").glob("*/campbell_*.png")}
-        assert names == {"campbell_X.png", "campbell_Y.png", "campbell_vertical.png"}
-
-    def test_results_never_land_among_the_recordings(self, four_speeds):
-        text = (four_speeds / "run.toml").read_text().splitlines()
-        kept = [row for row in text if not row.startswith('name = "second')]
-        (four_speeds / "run.toml").write_text("\n".join(kept))
-        before = sorted(path.name for path in four_speeds.iterdir())
-        outcome = run(four_speeds, "--out", four_speeds.parent)
-        assert outcome.exit_code == 2
-        assert sorted(path.name for path in four_speeds.iterdir()) == before
+def test_a_sentinel_in_the_files_own_unit_is_found_behind_a_sensitivity(four_speeds, tmp_path):
+    for path in four_speeds.glob("*.h5"):
+        with h5py.File(path, "r+") as file:
+            file["acc_z"][1000] = -999.0
+            file["acc_z"].attrs["unit"] = "V"
+    text = (four_speeds / "run.toml").read_text()
+    head, z = text.split('source = "acc_z"')
+    (four_speeds / "run.toml").write_text(head + 'source = "acc_z"\nsensitivity = "10 mV/(m/s2)"' + z)
+    assert run(four_speeds, "--out", tmp_path / "out").exit_code == 0
+    assert "non_finite_interpolated" in {flag["flag"] for flag in findings_in(tmp_path / "out")["quality"]}
 
 
 @pytest.mark.slow
-class TestCrankAngleData:
-    def test_orders_come_straight_from_the_samples(self, result):
-        truth = json.loads((result / "recordings" / "truth.json").read_bytes())
-        found = {round(record["order"], 2) for record in findings_in(result / "out")["orders"]}
-        assert {1.0, 2.0, 5.5} <= found <= {record["order"] for record in truth["orders"] if record["speed_range_rpm"]}
+def test_faults_come_in_the_order_of_the_files_whatever_the_workers(four_speeds, tmp_path):
+    for name in ("rpm_1500.h5", "rpm_1600.h5"):
+        (four_speeds / name).write_bytes(b"")
+    for jobs in (1, 2):
+        run(four_speeds, "--out", tmp_path / str(jobs), "--jobs", jobs, "-q")
+    one, two = (next((tmp_path / str(jobs)).glob("*/findings.json")).read_bytes() for jobs in (1, 2))
+    assert one == two
+    bad = [flag["recording"] for flag in json.loads(one)["quality"] if flag["severity"] == "bad"]
+    assert bad == ["rpm_1500.h5", "rpm_1600.h5"]  # two empty files are two faults, not one and its copy
 
-    def test_natural_frequencies_come_through_the_stated_speed(self, result):
-        put_in = json.loads((result / "recordings" / "truth.json").read_bytes())["modes"]
-        truth = [mode["frequency_hz"] for mode in put_in]
-        found = np.array([mode["frequency_hz"] for mode in findings_in(result / "out")["modes"]])
-        # four speeds of a few seconds: what is found is true, and at most one of the eight is too vague to be told
-        assert all(np.abs(np.array(truth) / frequency - 1).min() < 0.015 for frequency in found)
-        assert sum(np.abs(found / frequency - 1).min() < 0.015 for frequency in truth) >= 7
 
-    def test_without_a_speed_there_are_orders_and_no_map_of_frequencies(self, result, tmp_path):
-        folder = tmp_path / "recordings"
-        shutil.copytree(result / "recordings", folder)
-        text = (folder / "run.toml").read_text()
-        head, rest = text.split("[recordings.speed_rpm]")
-        (folder / "run.toml").write_text(head + rest[rest.index("[sampling]") :])
-        for path in folder.glob("*.h5"):
-            with h5py.File(path, "r+") as file:
-                file.attrs.pop("speed_rpm", None)
-        done("run", folder, "--out", tmp_path / "out")
-        assert {round(record["order"], 1) for record in findings_in(tmp_path / "out")["orders"]} >= {2.0, 5.5}
-        assert not list((tmp_path / "out").glob("*/campbell_*.png"))
-        assert list((tmp_path / "out").glob("*/order_spectra.png"))
+@pytest.mark.slow
+def test_pictures_of_a_channel_that_is_gone_do_not_stay(four_speeds, tmp_path):
+    crankorder("run", four_speeds, "--out", tmp_path / "out", "-q")
+    text = (four_speeds / "run.toml").read_text()
+    (four_speeds / "run.toml").write_text(text.replace('name = "Z"', 'name = "vertical"'))
+    crankorder("run", four_speeds, "--out", tmp_path / "out", "-q")
+    names = {path.name for path in (tmp_path / "out").glob("*/campbell_*.png")}
+    assert names == {"campbell_X.png", "campbell_Y.png", "campbell_vertical.png"}
+
+
+def test_results_never_land_among_the_recordings(four_speeds):
+    text = (four_speeds / "run.toml").read_text().splitlines()
+    kept = [row for row in text if not row.startswith('name = "second')]
+    (four_speeds / "run.toml").write_text("\n".join(kept))
+    before = sorted(path.name for path in four_speeds.iterdir())
+    outcome = run(four_speeds, "--out", four_speeds.parent)
+    assert outcome.exit_code == 2
+    assert sorted(path.name for path in four_speeds.iterdir()) == before
+
+
+@pytest.mark.slow
+def test_orders_come_straight_from_the_samples(result):
+    truth = json.loads((result / "recordings" / "truth.json").read_bytes())
+    found = {round(record["order"], 2) for record in findings_in(result / "out")["orders"]}
+    assert {1.0, 2.0, 5.5} <= found <= {record["order"] for record in truth["orders"] if record["speed_range_rpm"]}
+
+
+@pytest.mark.slow
+def test_natural_frequencies_come_through_the_stated_speed(result):
+    put_in = json.loads((result / "recordings" / "truth.json").read_bytes())["modes"]
+    truth = [mode["frequency_hz"] for mode in put_in]
+    found = np.array([mode["frequency_hz"] for mode in findings_in(result / "out")["modes"]])
+    # four speeds of a few seconds: what is found is true, and at most one of the eight is too vague to be told
+    assert all(np.abs(np.array(truth) / frequency - 1).min() < 0.015 for frequency in found)
+    assert sum(np.abs(found / frequency - 1).min() < 0.015 for frequency in truth) >= 7
+
+
+@pytest.mark.slow
+def test_without_a_speed_there_are_orders_and_no_map_of_frequencies(result, tmp_path):
+    folder = tmp_path / "recordings"
+    shutil.copytree(result / "recordings", folder)
+    text = (folder / "run.toml").read_text()
+    head, rest = text.split("[recordings.speed_rpm]")
+    (folder / "run.toml").write_text(head + rest[rest.index("[sampling]") :])
+    for path in folder.glob("*.h5"):
+        with h5py.File(path, "r+") as file:
+            file.attrs.pop("speed_rpm", None)
+    done("run", folder, "--out", tmp_path / "out")
+    assert {round(record["order"], 1) for record in findings_in(tmp_path / "out")["orders"]} >= {2.0, 5.5}
+    assert not list((tmp_path / "out").glob("*/campbell_*.png"))
+    assert list((tmp_path / "out").glob("*/order_spectra.png"))

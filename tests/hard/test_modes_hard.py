@@ -19,22 +19,34 @@ def _fit(made: Made, orders: tuple[float, ...] = ()) -> ModalFit:
     return modal_fit(campbell, no_orders(campbell), agreed, settings=load_settings().identify)
 
 
-def test_modes_one_hertz_apart_are_two() -> None:
-    made = replace(
-        ONE, natural_hz=(172.0, 173.0), damping=(0.002, 0.002), sensor=((0.008, 0.006), (0.004, -0.006)),
-        drive=((0.8, 0.7), (-0.6, -0.9)),
-    )  # fmt: skip
-    assert inside(_fit(made), made)
+CASES = {
+    "two one hertz apart": (
+        {"natural_hz": (172.0, 173.0), "damping": (0.002, 0.002), "sensor": ((0.008, 0.006), (0.004, -0.006)),
+         "drive": ((0.8, 0.7), (-0.6, -0.9))}, (), None,
+    ),
+    "damping of a thousandth and of a fifth": (
+        {"natural_hz": (60.0, 150.0), "damping": (0.001, 0.2), "sensor": ((0.006, 0.010), (0.006, 0.007)),
+         "drive": ((0.2, 1.7), (-0.8, 0.8)), "duration_s": 30.0}, (), [],
+    ),
+    "three speeds and a harmonic of an unknown order": (
+        {"speed_rpm": (900.0, 1400.0, 2000.0), "duration_s": 30.0, "lines": ((2.0, 1.0), (4.0, 0.5))}, (2.0,), [],
+    ),
+    "harmonics of a tone": ({"tones": ((71.3, 0.5), (142.6, 0.05), (213.9, 0.01))}, (), [71.3, 142.6, 213.9]),
+    "orders that cross it and a tone": (
+        {"lines": ((4.0, 1.0), (5.5, 1.0), (3.0, 1.0)), "tones": ((90.0, 0.3),)}, (3.0, 4.0, 5.5), [90.0],
+    ),
+}  # fmt: skip
+"""What differs from ONE, the orders that are known, and the tones to be found (None: not asked)."""
 
 
-def test_a_damping_of_a_thousandth_and_one_of_a_fifth_are_both_found() -> None:
-    made = replace(
-        ONE, natural_hz=(60.0, 150.0), damping=(0.001, 0.2), sensor=((0.006, 0.010), (0.006, 0.007)),
-        drive=((0.2, 1.7), (-0.8, 0.8)), duration_s=30.0,
-    )  # fmt: skip
-    fit = _fit(made)
+@pytest.mark.cases(len(CASES))
+@pytest.mark.parametrize("case", CASES)
+def test_the_modes_that_were_put_in_are_found_and_tones_apart(case: str) -> None:
+    changes, orders, tones_hz = CASES[case]
+    made = replace(ONE, **changes)
+    fit = _fit(made, orders)
     assert inside(fit, made)
-    assert not fit.tones
+    assert tones_hz is None or [round(tone.frequency_hz, 1) for tone in fit.tones] == tones_hz
 
 
 @pytest.mark.slow
@@ -54,20 +66,6 @@ def test_a_line_on_an_order_at_one_speed_is_not_called_mode_or_mains() -> None:
     assert inside(fit, made)
 
 
-def test_at_three_speeds_a_harmonic_of_an_unknown_order_is_nothing() -> None:
-    made = replace(ONE, speed_rpm=(900.0, 1400.0, 2000.0), duration_s=30.0, lines=((2.0, 1.0), (4.0, 0.5)))
-    fit = _fit(made, (2.0,))
-    assert inside(fit, made)
-    assert not fit.tones
-
-
-def test_the_second_harmonic_of_a_tone_is_no_mode() -> None:
-    made = replace(ONE, tones=((71.3, 0.5), (142.6, 0.05), (213.9, 0.01)))
-    fit = _fit(made)
-    assert inside(fit, made)
-    assert [round(tone.frequency_hz, 1) for tone in fit.tones] == [71.3, 142.6, 213.9]
-
-
 @pytest.mark.slow
 def test_a_mode_at_twice_the_frequency_of_another_is_a_mode_and_one_channel_is_enough() -> None:
     octave = {"natural_hz": (115.0, 230.0), "damping": (0.016, 0.014), "drive": ((0.5, -0.7), (0.6, 0.9))}
@@ -76,13 +74,6 @@ def test_a_mode_at_twice_the_frequency_of_another_is_a_mode_and_one_channel_is_e
         fit = _fit(made)
         assert inside(fit, made)
         assert not any(mode.undecided for mode in fit.modes)
-
-
-def test_orders_that_cross_a_mode_and_a_tone_change_neither() -> None:
-    made = replace(ONE, lines=((4.0, 1.0), (5.5, 1.0), (3.0, 1.0)), tones=((90.0, 0.3),))
-    fit = _fit(made, (3.0, 4.0, 5.5))
-    assert inside(fit, made)
-    assert [round(tone.frequency_hz, 1) for tone in fit.tones] == [90.0]
 
 
 @pytest.mark.slow

@@ -64,16 +64,13 @@ def code_lines(text: str, tree: ast.Module) -> set[int]:
     if quoted - described - held:
         # a line within a text, or between two parts of one: only the tokens tell, at ten times the cost
         tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-        held = {number for token in tokens if token.type not in SILENT for number in _token_lines(token)}
+        spans = [range(token.start[0], token.end[0] + 1) for token in tokens if token.type not in SILENT]
+        held = {number for span in spans for number in span}
     return held - described
 
 
 def _lines_of(node: ast.stmt | ast.expr) -> range:
     return range(node.lineno, (node.end_lineno or node.lineno) + 1)
-
-
-def _token_lines(token: tokenize.TokenInfo) -> range:
-    return range(token.start[0], token.end[0] + 1)
 
 
 @dataclass

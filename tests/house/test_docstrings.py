@@ -18,19 +18,13 @@ def _public(body: list[ast.stmt], owner: str = "") -> Iterator[tuple[str, Functi
             yield from _public(node.body, f"{owner}{node.name}.")
 
 
-def _decorators(node: Function | ast.ClassDef) -> list[str]:
-    return [
-        ast.unparse(decorator.func if isinstance(decorator, ast.Call) else decorator)
-        for decorator in node.decorator_list
-    ]
-
-
-def _is_command(node: Function) -> bool:
-    return any(name.rpartition(".")[2] in ("command", "group") for name in _decorators(node))
+def _decorators(node: Function | ast.ClassDef) -> set[str]:
+    functions = [named.func if isinstance(named, ast.Call) else named for named in node.decorator_list]
+    return {ast.unparse(function).rpartition(".")[2] for function in functions}
 
 
 def _repeats_another(node: Function | ast.ClassDef) -> bool:
-    return any(name.rpartition(".")[2] in ("overload", "override", "setter") for name in _decorators(node))
+    return bool(_decorators(node) & {"overload", "override", "setter"})
 
 
 def _parameters(node: Function) -> list[str]:
@@ -60,7 +54,7 @@ def test_every_parameter_of_a_public_function_is_named_in_its_docstring(package_
     for source in package_files:
         for name, node in _public(source.tree.body):
             # a command's docstring is its help page: there each option has its own help text (next test)
-            if isinstance(node, ast.ClassDef) or _repeats_another(node) or _is_command(node):
+            if isinstance(node, ast.ClassDef) or _repeats_another(node) or _decorators(node) & {"command", "group"}:
                 continue
             text = ast.get_docstring(node) or ""
             missing = [parameter for parameter in _parameters(node) if not re.search(rf"\b{parameter}\b", text)]

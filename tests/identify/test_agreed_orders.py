@@ -115,12 +115,8 @@ def test_a_line_at_the_end_of_the_orders_is_told_from_the_skirt_of_one_beyond() 
     rng, end, half_bin = np.random.default_rng(14), 20.0, 0.5 / 16
     for seed in range(40):
         beyond, revs = rng.uniform(-2.0, 3.0) * half_bin, int(rng.integers(30, 400))
-        found = agreed(
-            lambda angle, _, at=end + beyond: wave(angle, at, 1.0),
-            seed=seed,
-            revs=revs,
-            noise=10 ** rng.uniform(-2, -1),
-        )
+        noise = 10 ** rng.uniform(-2, -1)
+        found = agreed(lambda angle, _, at=end + beyond: wave(angle, at, 1.0), seed=seed, revs=revs, noise=noise)
         if beyond < 0.9 * half_bin:
             assert [item.order for item in found] == pytest.approx([end + beyond], abs=2e-3)
         elif beyond > 1.1 * half_bin:

@@ -13,42 +13,35 @@ from crankorder.findings import Findings, FreeBand, OpenBand
 from crankorder.identify.findings import IN_DOUBT, speed_doubt, undecided_orders, without_free
 from crankorder.identify.found import AgreedOrder, ModalFit, SpeedVerdicts, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.known_lines import Held, held_recordings
-from crankorder.identify.lines.line_phasors import recordings_of
+from crankorder.identify.lines.known_lines import Held
 from crankorder.identify.modes.alike_speeds import with_lines_of_recordings
 from crankorder.report.sentences.story import headline, story_of
 from crankorder.settings import load_settings
 from made.command import analysed
 from made.found_lines import agreed, fit, line
-from made.line_frames import angle_of, frames_of, wave
+from made.line_frames import held_at
 from made.recordings import manifest
 
 SETTINGS = load_settings().identify
 
 
 def recorded(speeds: list[float], fixed: dict[float, float], orders: dict[float, float], *, seed: int) -> list[Held]:
-    """Recordings of 20 s at the ``speeds``, with lines at ``fixed`` Hz and at ``orders``, each with its amplitude."""
+    """Recordings at the ``speeds``, with lines at ``fixed`` Hz and at ``orders``, each with its amplitude."""
     rng, made = np.random.default_rng([seed, 5]), []
     for rpm in speeds:
-        angle = angle_of(round(20.0 * rpm / 60.0))
-        signal = 0.1 * rng.standard_normal(len(angle))
-        for hertz, size in fixed.items():
-            signal += wave(angle, 60.0 * hertz / rpm, size, rng.uniform(0.0, 6.0))
-        for order, size in orders.items():
-            signal += wave(angle, order, size, rng.uniform(0.0, 6.0))
-        frames = frames_of([signal], speed_rpm=rpm)
-        made += held_recordings(recordings_of([frames]), frames["order"].values, ["A"])
+        turning = [(order * rpm / 60.0, size) for order, size in orders.items()]
+        made += held_at(rng, rpm, [*fixed.items(), *turning], noise=0.1)
     return made
 
 
 def told(
-    held: list[Held], tones: list[float], orders: tuple[AgreedOrder, ...] = (), *, turns: int = 1
+    held: list[Held], tones: list[float], orders: tuple[AgreedOrder, ...] = ()
 ) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
     """What is made of ``tones`` of the map that are one with others."""
     made = tuple(Tone(hertz, 0.002, "order", {"A": (0.7, 0.001)}, "lies on an order") for hertz in tones)
     modal = replace(fit(), tones=made, frequency_hz=np.arange(0.5, 400.0, 0.5))
     speed = sorted(one.rpm for one in held)
-    order_map = xr.Dataset(coords={"speed": speed, "order": held[0].axis}, attrs={"revs_per_cycle": turns})
+    order_map = xr.Dataset(coords={"speed": speed, "order": held[0].axis}, attrs={"revs_per_cycle": 1})
     return with_lines_of_recordings(orders, modal, held, order_map, settings=SETTINGS)
 
 

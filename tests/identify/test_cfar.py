@@ -22,9 +22,9 @@ AXIS = np.arange(321) / 16
 BINS = reference_bins(AXIS, line_step=0.5, guard_bins=2, n_bins=16)
 
 
-def noise_energy(rng: np.random.Generator, n_frames: int, shape: np.ndarray, rows: int = 100) -> np.ndarray:
-    """Energies (1, rows, orders) of noise of the power ``shape`` in frames with the Hann window's neighbours alike."""
-    size = (rows, n_frames, len(AXIS) + 2)
+def noise_energy(rng: np.random.Generator, n_frames: int, shape: np.ndarray) -> np.ndarray:
+    """Energies (1, 100, orders) of noise of the power ``shape`` in frames with the Hann window's neighbours alike."""
+    size = (100, n_frames, len(AXIS) + 2)
     white = (rng.standard_normal(size) + 1j * rng.standard_normal(size)) * np.sqrt(np.pad(shape, 1, mode="edge") / 2)
     windowed = (white[..., 1:-1] - 0.5 * (white[..., 2:] + white[..., :-2])) / np.sqrt(1.5)
     return (np.abs(windowed) ** 2).mean(axis=1)[None]

@@ -109,14 +109,12 @@ def test_a_phasor_that_turned_is_a_change_though_its_amplitude_is_not(base):
 
 
 def test_modes_that_moved_are_claimed_and_those_of_one_test_are_not(base):
-    def mode(hz, error, damping=0.01):
-        return {
-            "frequency_hz": hz, "frequency_hz_ci95": [hz - 2 * error, hz + 2 * error], "damping_ratio": damping,
-            "damping_ratio_ci95": [damping - 0.001, damping + 0.001], "explained_by": "mode",
-        }  # fmt: skip
+    def modes(*places_hz):
+        damping = {"damping_ratio": 0.01, "damping_ratio_ci95": [0.009, 0.011], "explained_by": "mode"}
+        return [{"frequency_hz": hz, "frequency_hz_ci95": [hz - 0.2, hz + 0.2], **damping} for hz in places_hz]
 
-    one = made_test(BASE, name="one", modes=[mode(115.0, 0.1), mode(172.0, 0.1), mode(187.0, 0.1)])
-    two = made_test(BASE, name="two", modes=[mode(116.5, 0.1), mode(172.1, 0.1)])
+    one = made_test(BASE, name="one", modes=modes(115.0, 172.0, 187.0))
+    two = made_test(BASE, name="two", modes=modes(116.5, 172.1))
     records = {round(mode.frequency_hz): mode for mode in compared([one, two], q=Q).document.modes}
     assert records[115].changed and records[115].shift_hz == pytest.approx(1.5)
     assert records[115].shift_hz_ci95 == pytest.approx([1.5 - 0.2828, 1.5 + 0.2828], abs=0.01)

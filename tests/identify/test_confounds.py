@@ -27,6 +27,7 @@ def differing(path, value):
     return run
 
 
+CLIPPED = {"recording": "a", "flag": "clipped", "severity": "suspect", "detail": ""}
 DIFFERENCES = [
     (("manifest", "sampling", "domain"), "crank_angle", "sampling domain", "weakens"),
     (("manifest", "sampling", "rate_hz"), 2000.0, "sampling rate", "weakens"),
@@ -43,12 +44,7 @@ DIFFERENCES = [
     (("code_sha256",), "1" * 64, "program", "weakens"),
     (("versions", "numpy"), "1.0", "library numpy", "harmless"),
     (("test",), "firing", "firing or motoring", "weakens"),
-    (
-        ("quality",),
-        [{"recording": "a", "flag": "clipped", "severity": "suspect", "detail": ""}],
-        "quality: clipped",
-        "weakens",
-    ),
+    (("quality",), [CLIPPED], "quality: clipped", "weakens"),
 ]
 """Where in run.json two tests differ, the value there, what is named, and how much it matters."""
 
@@ -69,10 +65,8 @@ def test_tests_made_alike_have_only_the_doubt_that_nothing_was_repeated(base):
 
 
 def test_a_channel_in_another_unit_is_refused_and_the_others_are_compared(base):
-    other = made_test(
-        LINES, name="other", seed=2, channels=("A", "B"), duration_s=8.0,
-        run=differing(("manifest", "channels", 1, "unit"), "g"),
-    )  # fmt: skip
+    run = differing(("manifest", "channels", 1, "unit"), "g")
+    other = made_test(LINES, name="other", seed=2, channels=("A", "B"), duration_s=8.0, run=run)
     document = compared([base, other], q=0.05).document
     assert {c.name: c.compared for c in document.channels} == {"A": True, "B": False}
     assert {record.channel for record in document.orders} == {"A"}

@@ -31,22 +31,14 @@ def _bounds(blocks: list[Block]) -> tuple[UnseenBound, ...]:
     return least_seen(told, NO_POLES, unit=UNIT, settings=SETTINGS)
 
 
-def _planted(seed: int, *, rows: tuple[int, int], **drawn: object) -> tuple[DrawnMachine, float]:
+def _planted(seed: int, *, rows: tuple[int, int]) -> tuple[DrawnMachine, float]:
     """A machine with one mode somewhere between two of its speeds, and the speed at which its first order meets it."""
-    random = np.random.default_rng((seed, 7))
-    machine = drawn_machine(
-        seed, n_speeds=rows, n_modes=(1, 1), n_orders=(1, 1), damping=(0.002, 0.02), span_rpm=(2000.0, 5000.0), **drawn
-    )
+    random, one = np.random.default_rng((seed, 7)), {"n_modes": (1, 1), "n_orders": (1, 1)}
+    machine = drawn_machine(seed, n_speeds=rows, damping=(0.002, 0.02), span_rpm=(2000.0, 5000.0), **one)
     speed = machine.speed_rpm
     row = int(random.integers(1, len(speed) - 2))
     at = speed[row] + (speed[row + 1] - speed[row]) * random.uniform(0.1, 0.9)
     return replace(machine, natural_hz=np.array([machine.orders[0].order * at / 60.0])), float(at)
-
-
-def _near(bound: UnseenBound, at: float) -> float:
-    """Largest bound at the speeds asked about on both sides of ``at``."""
-    place = int(np.searchsorted(bound.speed_rpm, at))
-    return float(bound.amplification[max(place - 1, 0) : place + 1].max())
 
 
 def _excluded(
@@ -63,7 +55,8 @@ def _excluded(
         if amplified > FACTOR and there >= large * np.abs(machine.amplitude(0, machine.speed_rpm)).max():
             dangerous += 1
             (bound,) = _bounds(blocks_from(machine, seed))
-            if _near(bound, at) <= FACTOR:
+            place = int(np.searchsorted(bound.speed_rpm, at))  # the speeds asked about on both sides
+            if bound.amplification[max(place - 1, 0) : place + 1].max() <= FACTOR:
                 excluded.append((seed, amplified))
     return dangerous, excluded
 
@@ -118,7 +111,6 @@ def test_what_amplifies_an_order_of_no_account_is_nothing() -> None:
 # What the spectra of sweeps exclude, against exact signals: the truth is never above it, and it is not infinite.
 
 
-UNIT_SWEEP = {"X": "m/s2", "Y": "m/s2"}
 ORDERS = [2.0, 3.5]
 
 
@@ -127,13 +119,9 @@ def drawn(seed: int, *, hidden: float) -> Machine:
     rng = np.random.default_rng([seed, 71])
     clear = Mode(float(rng.uniform(60.0, 75.0)), 0.01, (0.02, -0.015), (1.0, 0.7), (0.0,))
     share = hidden * float(rng.uniform(0.5, 1.5))
-    weak = Mode(
-        float(rng.uniform(100.0, 130.0)),
-        float(np.exp(rng.uniform(np.log(0.003), np.log(0.05)))),
-        (0.02 * share, 0.01 * share),
-        (float(rng.uniform(-1.0, 1.0)), 0.8),
-        (0.0,),
-    )
+    weak_hz, damping = float(rng.uniform(100.0, 130.0)), float(np.exp(rng.uniform(np.log(0.003), np.log(0.05))))
+    drive = (float(rng.uniform(-1.0, 1.0)), 0.8)
+    weak = Mode(weak_hz, damping, (0.02 * share, 0.01 * share), drive, (0.0,))
     seconds = float(rng.uniform(6.0, 16.0))
     ends = (1200.0, 4500.0) if rng.random() < 0.5 else (4500.0, 1200.0)
     made = a_machine(rpm=ends, seconds=seconds, noise=float(rng.uniform(3e-5, 1e-4)))
@@ -146,12 +134,10 @@ def told(machine: Machine) -> SweepFits:
 
 def at(hidden: tuple[Hiding, ...], order: float, frequency_hz: float) -> float:
     """Largest amplification of ``order`` that is left open at ``frequency_hz``."""
-    own = [item for item in hidden if item.order == order and item.frequency_hz[0] <= frequency_hz]
-    own = [item for item in own if frequency_hz <= item.frequency_hz[-1]]
-    matters = {"m/s2": 1e-6}
-    return min(
-        float(np.interp(frequency_hz, item.frequency_hz, item.amplification(UNIT_SWEEP, matters))) for item in own
-    )
+    own = [item for item in hidden if item.order == order]
+    own = [item for item in own if item.frequency_hz[0] <= frequency_hz <= item.frequency_hz[-1]]
+    rows = [(item.frequency_hz, item.amplification({"X": "m/s2", "Y": "m/s2"}, {"m/s2": 1e-6})) for item in own]
+    return min(float(np.interp(frequency_hz, *row)) for row in rows)
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -32,20 +32,18 @@ JACK_SHAFT = Bearing(name="jack shaft", shaft_ratio=0.5, rolling_elements=11, ba
 
 
 def causes(orders, sources, *, modal=None, bearings=(), quantity="acceleration", unit="m/s2", folds=()):
-    return explained(
-        tuple(orders),
-        modal or fit(),
-        list(bearings),
-        sources=sources,
-        quantity=dict.fromkeys("ABC", quantity),
-        in_cylinder="ABC" if is_cylinder_pressure(quantity, unit) else "",
-        settings=SETTINGS,
-        folds=folds,
-    )
+    measured = {"quantity": dict.fromkeys("ABC", quantity)}
+    measured["in_cylinder"] = "ABC" if is_cylinder_pressure(quantity, unit) else ""
+    given = {"sources": sources, "settings": SETTINGS, "folds": folds, **measured}
+    return explained(tuple(orders), modal or fit(), list(bearings), **given)
 
 
 def texts(orders, sources, **given):
     return {order: cause.text for (_, order), cause in causes(orders, sources, **given).orders.items()}
+
+
+def tone(hertz: float, kind: str, size: float = 1.0) -> Tone:
+    return Tone(hertz, 0.005, kind, {"A": (size, 0.01)}, "")  # type: ignore[arg-type]
 
 
 def bearing_record(bearing, name, order, *, half=1e-3, seen_in="vibration"):
@@ -125,11 +123,10 @@ def test_half_orders_in_a_cylinder_pressure_are_the_gas_cycle():
         assert set(texts(orders, ENGINE, quantity=quantity, unit=unit).values()) == {"gas cycle"}
 
 
-HEARD = [("sound pressure", "Pa"), ("pressure", "Pa"), ("sound_pressure", "bar")]
-
-
 @pytest.mark.cases(1)
-@pytest.mark.parametrize(("quantity", "unit"), HEARD)
+@pytest.mark.parametrize(
+    ("quantity", "unit"), [("sound pressure", "Pa"), ("pressure", "Pa"), ("sound_pressure", "bar")]
+)
 def test_what_a_microphone_hears_is_no_gas_cycle(quantity, unit):
     orders = [agreed(k) for k in (1.0, 2.0, 3.0)]
     assert "gas cycle" not in texts(orders, ENGINE, quantity=quantity, unit=unit).values()
@@ -172,11 +169,8 @@ def test_a_race_is_matched_within_its_interval_and_never_by_a_locked_line():
     sources = dataclasses.replace(ROTOR, bearings=(JACK_SHAFT,))
     outer = bearing_orders(JACK_SHAFT)["BPFO"] * 0.99
     record = bearing_record(JACK_SHAFT, "BPFO", outer)
-    found = texts(
-        [agreed(outer, lock="slips"), agreed(2 * outer, lock="slips"), agreed(outer + 0.015, lock="slips")],
-        sources,
-        bearings=[record],
-    )
+    orders = [agreed(order, lock="slips") for order in (outer, 2 * outer, outer + 0.015)]
+    found = texts(orders, sources, bearings=[record])
     assert found[outer] == "bearing jack shaft BPFO"
     assert found[2 * outer] == "bearing jack shaft BPFO, harmonic 2"
     assert found[outer + 0.015] == "unexplained"
@@ -221,20 +215,15 @@ def test_a_harmonic_that_a_mode_lifts_is_no_mesh():
 
 
 def test_a_shaft_of_its_own_speed_is_told_by_its_multiples():
-    found = texts([agreed(k, lock="slips") for k in (1.005, 2.01, 3.015)], ROTOR)
-    assert found == {
-        1.005: "a second shaft at 1.005",
-        2.01: "harmonic 2 of a second shaft at 1.005",
-        3.015: "harmonic 3 of a second shaft at 1.005",
-    }
+    found = texts([agreed(k * 1.005, lock="slips") for k in (1, 2, 3)], ROTOR)
+    begins = ("", "harmonic 2 of ", "harmonic 3 of ")
+    assert list(found.values()) == [f"{begin}a second shaft at 1.005" for begin in begins]
 
 
 def test_each_channel_has_its_own_cause():
     order = agreed(1.0, line(1.0, channel="A", speed_rpm=[1500.0]), line(1.0, channel="B", speed_rpm=[1500.0]))
-    found = explained(
-        (order,), fit(), [], sources=FOUR_STROKE, quantity={"A": "acceleration", "B": "pressure"}, in_cylinder=["B"],
-        settings=SETTINGS,
-    ).orders  # fmt: skip
+    given = {"quantity": {"A": "acceleration", "B": "pressure"}, "in_cylinder": ["B"], "settings": SETTINGS}
+    found = explained((order,), fit(), [], sources=FOUR_STROKE, **given).orders
     assert {key: cause.text for key, cause in found.items()} == {("A", 1.0): LIKE_UNBALANCE, ("B", 1.0): "gas cycle"}
 
 
@@ -246,23 +235,11 @@ def test_an_order_that_is_a_fold_is_called_one():
 
 
 def test_fixed_lines_are_modes_mains_sidebands_or_tones():
-    def tone(frequency, kind, size):
-        return Tone(frequency, 0.01, kind, {"A": (size, 0.01)}, "narrow")
-
-    modal = fit(
-        mode(115.0),
-        mode(60.0, undecided="may be mains"),
-        tones=(tone(50.0, "mains", 1.0), tone(137.0, "tone", 2.0), tone(87.0, "tone", 0.3), tone(187.0, "tone", 0.3)),
-    )
-    found = causes([], ROTOR, modal=modal)
-    assert [cause.text for cause in found.modes] == ["mode", "undecided"]
-    assert [cause.text for cause in found.tones] == [
-        "mains",
-        "tone",
-        "sideband of 137 Hz spaced by 50 Hz",
-        "sideband of 137 Hz spaced by 50 Hz",
-    ]
-    assert [cause.known for cause in found.modes] == [True, False]
+    tones = (tone(50.0, "mains"), tone(137.0, "tone", 2.0), tone(87.0, "tone", 0.3), tone(187.0, "tone", 0.3))
+    found = causes([], ROTOR, modal=fit(mode(115.0), mode(60.0, undecided="may be mains"), tones=tones))
+    assert [(cause.text, cause.known) for cause in found.modes] == [("mode", True), ("undecided", False)]
+    sideband = "sideband of 137 Hz spaced by 50 Hz"
+    assert [cause.text for cause in found.tones] == ["mains", "tone", sideband, sideband]
     assert not found.tones[1].known
 
 
@@ -271,7 +248,7 @@ def test_tones_that_are_all_multiples_of_one_frequency_are_no_sidebands_of_each_
     """Three sines at 100, 120 and 150 Hz drive a beam, and their products fill a grid of 10 Hz."""
     places = [50.0, 70.0, 80.0, 100.0, 110.0, 120.0, 150.0, 170.0, 180.0, 200.0]
     sizes = [0.1, 0.1, 0.1, 0.8, 0.1, 0.7, 1.0, 0.1, 0.1, 0.1]
-    tones = [Tone(hz, 1e-3, "tone", {"A": (size, 1e-3)}, "a tone") for hz, size in zip(places, sizes, strict=True)]
+    tones = [tone(hz, "tone", size) for hz, size in zip(places, sizes, strict=True)]
     found = causes([], ROTOR, modal=fit(tones=tones))
     assert {cause.text for cause in found.tones} == {"tone"}
 
@@ -302,12 +279,8 @@ def test_at_one_speed_what_may_be_a_mode_on_a_harmonic_of_a_struck_race_is_that(
     shaft = agreed(1.0, line(1.0, speed_rpm=[rpm]))
     doubtful = mode(times * 3.572 * rpm / 60.0, 1e-3, undecided="no wider for sure than an order")
     doubtful = dataclasses.replace(doubtful, frequency_error_hz=0.05)
-    found = causes(
-        [shaft],
-        dataclasses.replace(ROTOR, bearings=(bearing,)),
-        modal=fit(doubtful),
-        bearings=[bearing_record(bearing, "BPFO", 3.572, half=5e-4)],
-    )
+    struck = [bearing_record(bearing, "BPFO", 3.572, half=5e-4)]
+    found = causes([shaft], dataclasses.replace(ROTOR, bearings=(bearing,)), modal=fit(doubtful), bearings=struck)
     assert found.modes[0].text == words
 
 
@@ -317,19 +290,16 @@ def test_a_comb_beside_a_speed_that_was_only_stated_is_the_shaft_itself_perhaps(
     """A shaft at 1480 rpm of which 1400 was stated: 1.057 and its multiples, and nothing at order 1."""
     found = [dataclasses.replace(agreed(k * 1.0571, lock="slips"), doubts=(NO_PULSES,)) for k in (1, 2, 7)]
     found += [dataclasses.replace(agreed(1.0), doubts=(NO_PULSES,))] if has_first else []
-    said = texts(found, ROTOR)[1.0571]
-    assert said == (
-        "a second shaft at 1.057" if has_first else "a shaft at 1.057 times the stated speed, this one if that is wrong"
-    )
+    this_one = "a shaft at 1.057 times the stated speed, this one if that is wrong"
+    assert texts(found, ROTOR)[1.0571] == ("a second shaft at 1.057" if has_first else this_one)
 
 
 WIND = StatedPart("gear mesh", "blades", 3 / 97, 1e-8, 1 / 97)
 
 
-def named(order, *gears, error=1e-7, bearings=()):
+def named(order, *gears):
     """What a line at ``order`` that slips is called beside the ``gears``."""
-    sources = dataclasses.replace(ROTOR, gears=gears)
-    return texts([agreed(order, lock="slips", error=error)], sources, bearings=bearings)[order]
+    return texts([agreed(order, lock="slips", error=1e-7)], dataclasses.replace(ROTOR, gears=gears))[order]
 
 
 def test_a_line_between_the_multiples_of_blades_behind_a_gear_is_none_of_theirs():
@@ -364,15 +334,11 @@ def test_multiples_that_nothing_tells_apart_name_no_line():
 
 @pytest.mark.parametrize("order", [45.99, 46.0, 69.03])
 def test_at_one_speed_a_tone_on_a_multiple_of_a_stated_mesh_is_the_mesh(order):
-    sources = dataclasses.replace(
-        ROTOR, gears=(StatedPart("gear mesh", "pump", 23.0), StatedPart("gear mesh", "fan", 31.37))
-    )
-    places = {
-        order: ("order", f"gear mesh pump, harmonic {round(order / 23.0)}"),
-        62.74: ("tone", "gear mesh fan, harmonic 2"),
-    }
+    gears = StatedPart("gear mesh", "pump", 23.0), StatedPart("gear mesh", "fan", 31.37)
+    sources, pump = dataclasses.replace(ROTOR, gears=gears), f"gear mesh pump, harmonic {round(order / 23.0)}"
+    places = {order: ("order", pump), 62.74: ("tone", "gear mesh fan, harmonic 2")}
     places |= {47.0: ("order", "order"), 45.4: ("tone", "tone")}
-    tones = tuple(Tone(at * 25.0, 0.01, kind, {"A": (1.0, 0.01)}, "x") for at, (kind, _) in places.items())
+    tones = tuple(tone(at * 25.0, kind) for at, (kind, _) in places.items())
     found = causes([agreed(1.0, line(1.0, speed_rpm=[1500.0]))], sources, modal=fit(tones=tones))
     assert [cause.text for cause in found.tones] == [words for _, words in places.values()]
     several = causes([agreed(1.0)], sources, modal=fit(tones=tones))
@@ -383,10 +349,8 @@ def test_sidebands_of_blades_are_told_by_the_turns_of_their_rotor():
     orders = [(2 / 97, 0.3), (3 / 97, 1.0), (4 / 97, 0.3)]
     lines = [agreed(order, line(order, size), lock="slips", error=1e-7) for order, size in orders]
     found = texts(lines, dataclasses.replace(ROTOR, gears=(WIND,)))
-    assert found == {
-        order: "gear mesh blades" if size == 1.0 else "sideband of order 0.03093 spaced by 0.01031"
-        for order, size in orders
-    }
+    sideband = "sideband of order 0.03093 spaced by 0.01031"
+    assert list(found.values()) == [sideband, "gear mesh blades", sideband]
 
 
 def test_a_struck_race_of_a_slow_shaft_is_as_near_in_its_own_turns():
@@ -400,13 +364,6 @@ def test_a_struck_race_of_a_slow_shaft_is_as_near_in_its_own_turns():
 # What is found twice at one place is told once, or each with the other.
 
 
-GRID_HZ = np.arange(0.0, 200.0, 0.5)
-
-
-def tone(hertz: float, kind: str, size: float = 1.0) -> Tone:
-    return Tone(hertz, 0.005, kind, {"A": (size, 0.01)}, "")  # type: ignore[arg-type]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_a_tone_on_the_flank_of_a_stronger_one_is_not_told(seed: int) -> None:
@@ -414,7 +371,7 @@ def test_a_tone_on_the_flank_of_a_stronger_one_is_not_told(seed: int) -> None:
     hertz, away = rng.uniform(60.0, 150.0), rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 0.9)
     strong, flank, apart = tone(hertz, "mains"), tone(hertz + away, "order", 0.7), tone(hertz + 3.0, "order", 0.7)
     other = tone(hertz - away, "tone", 0.7)
-    found = without_doubles(fit(tones=(strong, flank, apart, other), frequency_hz=GRID_HZ))
+    found = without_doubles(fit(tones=(strong, flank, apart, other), frequency_hz=np.arange(0.0, 200.0, 0.5)))
     assert found.tones == (strong, apart, other)
 
 
@@ -423,8 +380,6 @@ def test_at_one_speed_it_names_the_order_that_stands_there() -> None:
     one = agreed(3.0, line(3.0, speed_rpm=[rpm]))
     beside = fit(mode(3.0 * rpm / 60.0 + 0.01, undecided="at one speed its modulation looks the same"))
     causes = Causes({("A", 3.0): Cause("bearing pump BPFO", "")}, (), ())
-    assert (
-        "bearing pump BPFO at 85.65 Hz stands there" in with_neighbours_named(beside, (one,), causes).modes[0].undecided
-    )
-    swept = agreed(3.0)
-    assert with_neighbours_named(beside, (swept,), causes).modes[0].lines_there_hz == ()
+    named, swept = (with_neighbours_named(beside, (order,), causes).modes[0] for order in (one, agreed(3.0)))
+    assert "bearing pump BPFO at 85.65 Hz stands there" in named.undecided
+    assert swept.lines_there_hz == ()

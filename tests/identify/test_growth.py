@@ -18,9 +18,8 @@ def line_of(rng: np.random.Generator, true: np.ndarray, *, speed=SPEEDS, relativ
     error = relative * true * rng.uniform(0.5, 2.0, len(true))
     seen = np.abs(true + error * (rng.standard_normal(len(true)) + 1j * rng.standard_normal(len(true))))
     stated = error * np.sqrt(rng.chisquare(freedom, len(true)) / freedom)
-    n = len(true)
-    known = np.full(n, freedom)
-    return OrderLine("A", 5.5, 1e-4, np.arange(n), speed, seen, stated, known, np.zeros(n), "locked to the shaft", 20.0)
+    at, known, none = np.arange(len(true)), np.full(len(true), freedom), np.zeros(len(true))
+    return OrderLine("A", 5.5, 1e-4, at, speed, seen, stated, known, none, "locked to the shaft", 20.0)
 
 
 def coverage(inside: Callable[[np.random.Generator], bool], n: int) -> float:
@@ -119,15 +118,14 @@ def test_speeds_within_a_tenth_are_one_and_tell_no_growth(seed: int) -> None:
 
 ORDERS = np.arange(1, 17) / 2.0
 
-Given = tuple[np.ndarray, np.ndarray]
-"""Amplitudes (several,) any of which the interval should hold, and phases [rad]."""
+Scene = tuple[list, float, tuple[np.ndarray, np.ndarray]]
+"""Frames and order of a line, amplitudes (several,) any of which the interval should hold, and phases [rad]."""
 
 
 def found_in(frames: list, order: float) -> list[tuple[tuple[float, float], tuple[float, float]]]:
     """Intervals of amplitude and phase [deg] (centre, half width) of the line at ``order``, by channel."""
-    found = agreed_in(frames)
     given = []
-    for item in found:
+    for item in agreed_in(frames):
         for line in item.lines if abs(item.order - order) < 1e-3 else ():
             best = largest(line)
             phase = float(line.phase_deg[best.at])
@@ -142,19 +140,17 @@ def recording(rng: np.random.Generator, order: float, size: np.ndarray, phase: f
     return frames_of([line + noise * rng.standard_normal(len(angle))])
 
 
-def steady(rng: np.random.Generator) -> tuple[list, float, Given]:
-    order, phase, noise = float(rng.choice(ORDERS)), rng.uniform(-3.0, 3.0), float(np.exp(rng.uniform(-4.0, 0.7)))
-    revs = int(rng.integers(80, 400))
-    return [recording(rng, order, np.ones(1), phase, revs, noise)], order, (np.ones(1), np.array([phase]))
+def steady(rng: np.random.Generator, *, most: float = 0.7, revs: tuple[int, int] = (80, 400)) -> Scene:
+    order, phase, noise = float(rng.choice(ORDERS)), rng.uniform(-3.0, 3.0), float(np.exp(rng.uniform(-4.0, most)))
+    frames = [recording(rng, order, np.ones(1), phase, int(rng.integers(*revs)), noise)]
+    return frames, order, (np.ones(1), np.array([phase]))
 
 
-def few_frames(rng: np.random.Generator) -> tuple[list, float, Given]:
-    order, phase, noise = float(rng.choice(ORDERS)), rng.uniform(-3.0, 3.0), float(np.exp(rng.uniform(-4.0, -1.0)))
-    revs = int(rng.integers(24, 64))
-    return [recording(rng, order, np.ones(1), phase, revs, noise)], order, (np.ones(1), np.array([phase]))
+def few_frames(rng: np.random.Generator) -> Scene:
+    return steady(rng, most=-1.0, revs=(24, 64))
 
 
-def weak(rng: np.random.Generator) -> tuple[list, float, Given]:
+def weak(rng: np.random.Generator) -> Scene:
     """A line that stands a little above the level that noise alone reaches."""
     order, phase = float(rng.choice(ORDERS)), rng.uniform(-3.0, 3.0)
     revs = int(rng.integers(100, 400))
@@ -163,7 +159,7 @@ def weak(rng: np.random.Generator) -> tuple[list, float, Given]:
     return [recording(rng, order, np.ones(1), phase, revs, noise)], order, (np.ones(1), np.array([phase]))
 
 
-def repeated(rng: np.random.Generator) -> tuple[list, float, Given]:
+def repeated(rng: np.random.Generator) -> Scene:
     """Two to five recordings at one speed that differ by a tenth."""
     order, phase, noise = float(rng.choice(ORDERS)), rng.uniform(-3.0, 3.0), float(np.exp(rng.uniform(-4.0, 0.0)))
     scatter = float(rng.uniform(0.02, 0.2))
@@ -174,7 +170,7 @@ def repeated(rng: np.random.Generator) -> tuple[list, float, Given]:
     return made, order, (np.ones(1), np.array([phase]))
 
 
-def changing(rng: np.random.Generator) -> tuple[list, float, Given]:
+def changing(rng: np.random.Generator) -> Scene:
     """An amplitude that drifts, doubles or swells within the recording; what any frame held is asked for."""
     order, phase, noise = float(rng.choice(ORDERS)), rng.uniform(-3.0, 3.0), float(np.exp(rng.uniform(-4.0, -1.0)))
     revs = int(rng.integers(120, 400))
@@ -194,7 +190,7 @@ def changing(rng: np.random.Generator) -> tuple[list, float, Given]:
 CLASSES = {"steady": steady, "few frames": few_frames, "weak": weak, "repeated": repeated, "changing": changing}
 
 
-def coverage_pooled(draw: Callable[[np.random.Generator], tuple[list, float, Given]], name: str, n: int) -> np.ndarray:
+def coverage_pooled(draw: Callable[[np.random.Generator], Scene], name: str, n: int) -> np.ndarray:
     """Shares (amplitudes, phases) of truths that lie in the intervals, and how many lines were found."""
     size, phase = [], []
     for seed in range(n):

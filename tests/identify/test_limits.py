@@ -8,7 +8,7 @@ import xarray as xr
 
 from crankorder.campbell.band_levels import level_frames, limit_bands
 from crankorder.campbell.vibration_levels import vibration_levels
-from crankorder.findings import Balance
+from crankorder.findings import Balance, LimitVerdict
 from crankorder.identify.levels import graded, limit_verdicts, third_octave_records, vibration_records
 from crankorder.identify.machine_model import Limit, MachineModel
 from made.recordings import accelerometer, held
@@ -21,13 +21,27 @@ def measured(
     rms_by_rpm: dict[float, float], *, seed: int, seconds: float = 8.0, rate_hz: float = RATE_HZ
 ) -> xr.Dataset:
     """Levels of recordings of white noise whose acceleration from 10 to 1000 Hz has those root mean squares."""
-    items = []
+    rows = []
     for number, (rpm, rms) in enumerate(rms_by_rpm.items()):
         noise = np.random.default_rng([seed, number]).standard_normal(int(seconds * rate_hz))
-        values = noise * rms / math.sqrt(2.0 * 990.0 / rate_hz)
+        rows.append((rpm, noise * rms / math.sqrt(2.0 * 990.0 / rate_hz)))
+    return levels_of(rows, rate_hz=rate_hz)
+
+
+def levels_of(rows: list[tuple[float, np.ndarray]], *, bands: tuple = BANDS, rate_hz: float = RATE_HZ) -> xr.Dataset:
+    """Levels of recordings of an accelerometer, each at a speed."""
+    items = []
+    for number, (rpm, values) in enumerate(rows):
         one = accelerometer(values, rate_hz, str(number))
-        items.append(level_frames(one, held(rpm, seconds), bands=BANDS, frame_s=0.5))
+        items.append(level_frames(one, held(rpm, len(values) / rate_hz), bands=bands, frame_s=0.5))
     return vibration_levels(items, speed_bin_rpm=25.0)
+
+
+def told_of(levels: xr.Dataset, band: tuple[float, float], value: float) -> LimitVerdict:
+    """What is told of a limit of acceleration in a ``band``."""
+    limits = (Limit("acceleration", *band, value, "x", ()),)
+    (told,) = limit_verdicts(levels, None, MachineModel(1, limits=limits))
+    return told
 
 
 def sources(value: float, *, quantity: str = "acceleration", channels: tuple[str, ...] = ()) -> MachineModel:
@@ -88,14 +102,12 @@ def test_the_largest_level_of_each_band_is_marked_once() -> None:
     assert third_octave_records(made) == ()
 
 
-def with_a_line(seed: int, hertz: float, *, band: tuple[float, float] = (10.0, 1000.0)) -> xr.Dataset:
+def with_a_line(seed: int, hertz: float, band: tuple[float, float]) -> xr.Dataset:
     """Levels of a steady line of 1 m/s2 root mean square in a little noise."""
     rng, seconds = np.random.default_rng(seed), 10.0
     at = np.arange(int(seconds * RATE_HZ)) / RATE_HZ
     values = math.sqrt(2.0) * np.cos(2 * np.pi * hertz * at + rng.uniform(0.0, 6.0))
-    one = accelerometer(values + 0.02 * rng.standard_normal(at.size), RATE_HZ, str(seed))
-    frames = level_frames(one, held(1500.0, seconds), bands=limit_bands("acceleration", *band), frame_s=0.5)
-    return vibration_levels([frames], speed_bin_rpm=25.0)
+    return levels_of([(1500.0, values + 0.02 * rng.standard_normal(at.size))], bands=limit_bands("acceleration", *band))
 
 
 @pytest.mark.cases(1)
@@ -106,16 +118,13 @@ def test_a_line_at_an_end_of_the_band_is_never_surely_within_or_above(seed: int)
     low = float(rng.uniform(12.0, 200.0))
     band = (low, low * float(rng.choice([1.26, 2.0, 4.0])))
     at = band[int(rng.integers(2))] * float(rng.choice([1.0, 1.0, 1.0 - 1e-4, 1.0 + 1e-4]))
-    made = with_a_line(seed, at, band=band)
+    made = with_a_line(seed, at, band)
     for value in (0.8, 0.95, 0.5, 0.2):
-        (told,) = limit_verdicts(made, None, MachineModel(1, limits=(Limit("acceleration", *band, value, "x", ()),)))
+        told = told_of(made, band, value)
         assert told.verdict == "not decided", (value, band, at)
         assert "end of the band" in told.evidence
-        assert told.level_ci95 is not None
-        assert told.level_ci95[0] < 0.1
-        assert told.level_ci95[1] > 0.999
-    (told,) = limit_verdicts(made, None, MachineModel(1, limits=(Limit("acceleration", *band, 1.1, "x", ()),)))
-    assert told.verdict == "within"
+        assert told.level_ci95 is not None and told.level_ci95[0] < 0.1 and told.level_ci95[1] > 0.999
+    assert told_of(made, band, 1.1).verdict == "within"
 
 
 @pytest.mark.cases(1)
@@ -124,27 +133,14 @@ def test_a_line_well_inside_or_outside_the_band_is_decided(seed: int) -> None:
     rng = np.random.default_rng(seed)
     low = float(rng.uniform(12.0, 100.0))
     band = (low, 3.0 * low)
-    for hertz, value, verdict in (
-        (1.7, 0.9, "above"),
-        (1.7, 1.1, "within"),
-        (0.8, 0.5, "within"),
-        (3.8, 0.5, "within"),
-    ):
-        made = with_a_line(seed, low * hertz, band=band)
-        (told,) = limit_verdicts(made, None, MachineModel(1, limits=(Limit("acceleration", *band, value, "x", ()),)))
-        assert told.verdict == verdict
+    rows = ((1.7, 0.9, "above"), (1.7, 1.1, "within"), (0.8, 0.5, "within"), (3.8, 0.5, "within"))
+    for hertz, value, verdict in rows:
+        assert told_of(with_a_line(seed, low * hertz, band), band, value).verdict == verdict
 
 
 @pytest.mark.slow
 def test_a_band_too_narrow_for_so_short_a_recording_is_not_decided() -> None:
-    items = []
-    for number in range(3):
-        values = np.random.default_rng(number).standard_normal(int(1.5 * RATE_HZ))
-        one = accelerometer(values, RATE_HZ, str(number))
-        bands = limit_bands("acceleration", 10.0, 12.6)
-        items.append(level_frames(one, held(1500.0, 1.5), bands=bands, frame_s=0.5))
-    made = vibration_levels(items, speed_bin_rpm=25.0)
-    limits = (Limit("acceleration", 10.0, 12.6, 100.0, "x", ()),)
-    (told,) = limit_verdicts(made, None, MachineModel(1, limits=limits))
+    rows = [(1500.0, np.random.default_rng(number).standard_normal(int(1.5 * RATE_HZ))) for number in range(3)]
+    told = told_of(levels_of(rows, bands=limit_bands("acceleration", 10.0, 12.6)), (10.0, 12.6), 100.0)
     assert told.verdict == "not decided"
     assert "too short for that band" in told.evidence

@@ -13,9 +13,10 @@ from crankorder.identify.modes import surface_fit
 from crankorder.identify.modes.floor import quiet_floor
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.surface_fit import pole_columns, spectral_window
-from crankorder.settings import IdentifySettings, load_settings
+from crankorder.settings import load_settings
 from made.found_lines import agreed, line
 
+SETTINGS = load_settings().identify
 THREE = Made(
     natural_hz=(60.0, 172.0, 187.0),
     damping=(0.02, 0.01, 0.01),
@@ -23,10 +24,6 @@ THREE = Made(
     drive=((0.2, 1.7), (0.8, 0.7), (-0.6, -0.9)),
     rate_hz=640.0,
 )
-
-
-def _settings() -> IdentifySettings:
-    return load_settings().identify
 
 
 def _agreed(orders: tuple[float, ...], made: Made) -> tuple[AgreedOrder, ...]:
@@ -39,7 +36,7 @@ def _fit(made: Made, seed: int = 1, orders: tuple[float, ...] = (), quantity: tu
     campbell = campbell_of(made, seed)
     if quantity:
         campbell = campbell.assign_coords(quantity=("channel", list(quantity)))
-    return modal_fit(campbell, no_orders(campbell), _agreed(orders, made), settings=_settings())
+    return modal_fit(campbell, no_orders(campbell), _agreed(orders, made), settings=SETTINGS)
 
 
 def test_close_modes_are_told_apart_with_their_damping() -> None:
@@ -71,8 +68,7 @@ def test_white_noise_has_neither_modes_nor_tones() -> None:
     made = replace(THREE, sensor=((0.0, 0.0),) * 3)
     for seed in range(10):
         fit = _fit(made, seed)
-        assert not fit.modes
-        assert not fit.tones
+        assert not fit.modes and not fit.tones
 
 
 def test_mains_and_a_pump_are_tones_with_their_amplitude_and_no_modes() -> None:
@@ -98,21 +94,19 @@ def test_orders_that_sweep_through_a_mode_tell_its_frequency_better_than_the_flo
     campbell = campbell_of(THREE, 1)
     by_order = orders_of(THREE, ((4.0, 20.0), (6.0, 10.0)), error=0.002, seed=2)
     orders = _agreed((4.0, 6.0), THREE)
-    alone = modal_fit(campbell, no_orders(campbell), orders, settings=_settings())
-    both = modal_fit(campbell, by_order, orders, settings=_settings())
+    alone = modal_fit(campbell, no_orders(campbell), orders, settings=SETTINGS)
+    both = modal_fit(campbell, by_order, orders, settings=SETTINGS)
     assert both.modes[0].reached_by == (4.0, 6.0)
     assert both.modes[0].frequency_error_hz < 0.7 * alone.modes[0].frequency_error_hz
     assert inside(both, THREE)
-    assert all(item.fits for item in both.responses)
-    for item in both.responses:
-        assert item.exponent == 2.0
+    assert all(response.fits and response.exponent == 2.0 for response in both.responses)
 
 
 def test_an_order_that_the_modes_do_not_explain_takes_no_part() -> None:
     campbell = campbell_of(THREE, 1)
     by_order = orders_of(THREE, ((4.0, 20.0),), error=0.002, seed=2)
     by_order["phase"] = by_order["phase"] + 90.0 * np.sin(np.arange(len(THREE.speed_rpm)))[None, :, None]
-    fit = modal_fit(campbell, by_order, _agreed((4.0,), THREE), settings=_settings())
+    fit = modal_fit(campbell, by_order, _agreed((4.0,), THREE), settings=SETTINGS)
     assert not any(item.fits for item in fit.responses)
     assert all(mode.reached_by == () for mode in fit.modes)
     assert inside(fit, THREE)
@@ -120,7 +114,7 @@ def test_an_order_that_the_modes_do_not_explain_takes_no_part() -> None:
 
 def test_a_map_without_speeds_has_no_modes() -> None:
     campbell = campbell_of(THREE, 1).isel(speed=slice(0, 0))
-    assert modal_fit(campbell, no_orders(campbell), (), settings=_settings()).modes == ()
+    assert modal_fit(campbell, no_orders(campbell), (), settings=SETTINGS).modes == ()
 
 
 def test_a_channel_that_is_missing_at_all_speeds_takes_no_part() -> None:
@@ -129,7 +123,7 @@ def test_a_channel_that_is_missing_at_all_speeds_takes_no_part() -> None:
     used = np.repeat(campbell["n_frames"].values[None], 2, axis=0)
     used[1] = 0
     campbell["n_frames_used"] = (("channel", "speed"), used)
-    fit = modal_fit(campbell, no_orders(campbell), (), settings=_settings())
+    fit = modal_fit(campbell, no_orders(campbell), (), settings=SETTINGS)
     assert [mode.channels for mode in fit.modes] == [("X",)] * 3
     assert inside(fit, THREE)
 
@@ -140,9 +134,8 @@ def test_intervals_of_frequency_and_damping_cover_the_truth_as_often_as_they_say
     for seed in range(300):
         fit = _fit(replace(THREE, speed_rpm=tuple(np.arange(300.0, 2001.0, 200.0)), duration_s=10.0), seed)
         for mode, f, zeta in zip(fit.modes, THREE.natural_hz, THREE.damping, strict=True):
-            off.append(
-                [(mode.frequency_hz - f) / mode.frequency_error_hz, (mode.damping_ratio - zeta) / mode.damping_error]
-            )
+            in_damping = (mode.damping_ratio - zeta) / mode.damping_error
+            off.append([(mode.frequency_hz - f) / mode.frequency_error_hz, in_damping])
     covered = np.mean(np.abs(off) <= 1.96, axis=0)
     assert np.all(np.abs(covered - 0.95) <= 0.02), covered
 
@@ -176,7 +169,7 @@ def test_the_work_of_a_fit_grows_about_as_the_bins_do(monkeypatch: pytest.Monkey
             coords={"channel": ["X", "Y"], "speed": [1000.0], "frequency": frequency},
             attrs=template.attrs,
         )
-        fit = modal_fit(campbell, no_orders(campbell), (), settings=_settings())
+        fit = modal_fit(campbell, no_orders(campbell), (), settings=SETTINGS)
         assert len(fit.modes) >= 0.95 * len(natural)
     assert work[1] < 6.0 * work[0]
 
@@ -188,8 +181,7 @@ def test_bins_of_padded_frames_are_taken_no_closer_than_they_tell_of() -> None:
     padded = campbell.interp(frequency=np.linspace(hz[0], hz[-1], 16 * (len(hz) - 1) + 1))
     padded.attrs = campbell.attrs
     floor, wide = quiet_floor(campbell, ()), quiet_floor(padded, ())
-    assert floor is not None
-    assert wide is not None
+    assert floor is not None and wide is not None
     assert floor.step_hz == pytest.approx(hz[1] - hz[0])
     assert wide.step_hz == pytest.approx(0.5 * wide.seen.bin_hz)
 
@@ -202,7 +194,7 @@ def test_more_poles_than_bins_are_no_fault(seed: int) -> None:
     for n_bins in random.integers(4, 16, 4).tolist():
         part = campbell.isel(frequency=slice(0, n_bins))
         bins = (part["psd"].dims, random.gamma(0.3, 1.0, part["psd"].shape))
-        fit = modal_fit(part.assign(psd=bins), no_orders(part), (), settings=_settings())
+        fit = modal_fit(part.assign(psd=bins), no_orders(part), (), settings=SETTINGS)
         assert all(np.isfinite(mode.frequency_hz) for mode in fit.modes)
 
 

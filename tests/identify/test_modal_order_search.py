@@ -31,12 +31,11 @@ SAME = 0.01
 def _modes(blocks: list[Block]) -> list[Mode]:
     laid, poles, _ = poles_of_orders(blocks, NO_POLES, np.zeros((0, 0)), settings=SETTINGS)
     told = settled(laid, NO_POLES, poles, chance=SETTINGS.false_alarm_probability)
-    poles, covariance = told.found, told.covariance
-    parts = [covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(poles))]
+    parts = [told.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] for k in range(len(told.found))]
     every = NO_POLES
-    for pole in poles:
+    for pole in told.found:
         every = every.with_pole(pole.frequency_hz, pole.damping)
-    found = [mode_of(pole, part, every, settings=SETTINGS) for pole, part in zip(poles, parts, strict=True)]
+    found = [mode_of(pole, part, every, settings=SETTINGS) for pole, part in zip(told.found, parts, strict=True)]
     return [item for item in found if item is not None]
 
 
@@ -74,11 +73,8 @@ def _one_order(seed: int, shape: NDArray[np.complex128], speed: NDArray[np.float
     random = np.random.default_rng(seed)
     each = random.normal(size=(3, 1)) + 1j * random.normal(size=(3, 1))
     noise = 0.003 * (random.normal(size=(3, len(speed))) + 1j * random.normal(size=(3, len(speed))))
-    return [
-        Block(
-            2.0, ("X", "Y", "Z"), 2.0 * speed / 60.0, speed, each * shape + noise, np.full(noise.shape, 0.003), 3000.0
-        )
-    ]
+    error = np.full(noise.shape, 0.003)
+    return [Block(2.0, ("X", "Y", "Z"), 2.0 * speed / 60.0, speed, each * shape + noise, error, 3000.0)]
 
 
 @pytest.mark.cases(1)
@@ -105,10 +101,8 @@ def test_one_speed_at_which_a_force_differs_makes_no_decided_mode(factor: float,
 
 
 def _by_order_one(natural_hz: tuple[float, ...], damping: tuple[float, ...]) -> DrawnMachine:
-    n = len(natural_hz)
-    order = DrawnOrder(
-        order=1.0, still=0.0, power=2.0, turn=0.0, rigid=np.full(3, 0.1 + 0j), residue=np.ones((3, n), dtype=complex)
-    )
+    rigid, residue = np.full(3, 0.1 + 0j), np.ones((3, len(natural_hz)), dtype=complex)
+    order = DrawnOrder(order=1.0, still=0.0, power=2.0, turn=0.0, rigid=rigid, residue=residue)
     return DrawnMachine(
         natural_hz=np.array(natural_hz), damping=np.array(damping), speed_rpm=np.arange(1800.0, 5701.0, 60.0),
         orders=(order,), error=0.003, scatter=0.0,
@@ -187,10 +181,8 @@ def test_noise_in_place_of_an_order_has_no_mode() -> None:
 
 
 def test_a_search_that_stops_at_its_bound_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    blocks, settings = (
-        blocks_from(_by_order_one((61.0,), (0.08,)), 1),
-        SETTINGS.model_copy(update={"max_damping_ratio": 0.2}),
-    )
+    blocks = blocks_from(_by_order_one((61.0,), (0.08,)), 1)
+    settings = SETTINGS.model_copy(update={"max_damping_ratio": 0.2})
     for most, ends in ((0, False), (1, False), (9, True)):
         monkeypatch.setitem(vars(order_search.NUMBERS), "most_starts", most)
         *_, ended = poles_of_orders(blocks, NO_POLES, np.zeros((0, 0)), settings=settings)
@@ -213,7 +205,7 @@ def test_a_mode_that_is_known_is_not_found_again() -> None:
 def fitted(campbell: xr.Dataset, made: Structure) -> ModalFit:
     """Modal fit of the floor alone, the orders known."""
     orders = tuple(AgreedOrder(float(order), 1e-5, 30.0, "locked", None, ()) for order in made.order)
-    return modal_fit(campbell, no_orders(campbell), orders, settings=load_settings().identify)
+    return modal_fit(campbell, no_orders(campbell), orders, settings=SETTINGS)
 
 
 def with_light_mode(

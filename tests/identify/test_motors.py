@@ -8,27 +8,20 @@ import numpy as np
 import pytest
 
 from crankorder.engine.machine_parts import Motor
-from crankorder.identify.lines.known_lines import Held, held_recordings
-from crankorder.identify.lines.line_phasors import recordings_of
+from crankorder.identify.lines.known_lines import Held
 from crankorder.identify.lines.mains import motor_seen
 from crankorder.settings import load_settings
 from made.command import analysed
 from made.contradictions import contradictions
-from made.line_frames import angle_of, frames_of, wave
+from made.line_frames import held_at
 from made.recordings import manifest
 
 SETTINGS = load_settings().identify
-LENGTH_S = 20.0
 
 
 def recorded(stated_rpm: float, *lines: tuple[float, float], noise: float = 0.3, seed: int = 0) -> list[Held]:
     """A recording in frames of the ``stated_rpm``, with ``lines`` (Hz, amplitude) in noise."""
-    rng, angle = np.random.default_rng(seed), angle_of(round(LENGTH_S * stated_rpm / 60.0))
-    signal = noise * rng.standard_normal(len(angle))
-    for hertz, size in lines:
-        signal += wave(angle, 60.0 * hertz / stated_rpm, size, rng.uniform(0.0, 6.0))
-    frames = frames_of([signal], speed_rpm=stated_rpm)
-    return held_recordings(recordings_of([frames]), frames["order"].values, ["A"])
+    return held_at(np.random.default_rng(seed), stated_rpm, lines, noise=noise)
 
 
 @pytest.mark.cases(2)

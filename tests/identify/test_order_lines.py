@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
 from crankorder.identify.lines.followed_orders import track_number
@@ -24,14 +25,13 @@ SETTINGS = load_settings()
 SPEEDS = np.arange(600.0, 1800.0, 50.0)
 
 
-def lines_of(signal, *, speeds=SPEEDS, revs: int = 120, with_frames: bool = True):
+def lines_of(signal, *, speeds=SPEEDS, revs: int = 120):
     """Lines of a test whose signal at a speed is ``signal(angle, rpm)`` beside white noise of unit power."""
     rng, frames, angle = np.random.default_rng(7), [], angle_of(revs)
     for rpm in speeds:
         frames.append(frames_of([signal(angle, rpm) + rng.standard_normal(len(angle))], speed_rpm=rpm))
     made = order_map(frames, settings=SETTINGS.orders)
-    given = {"frames": frames} if with_frames else {}
-    return order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, **given)
+    return order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
 
 
 def test_a_line_at_one_speed_of_many_is_kept_with_its_doubt() -> None:
@@ -46,17 +46,14 @@ def test_a_tone_of_fixed_frequency_is_no_order_though_it_meets_one() -> None:
 
 
 def test_a_line_that_slips_is_seen_at_one_speed_by_the_turn_of_its_phase() -> None:
-    def slipping(angle, rpm):
-        return wave(angle, 4.013, 0.5)
-
-    (line,) = lines_of(slipping, speeds=[1500.0], revs=300)
+    (line,) = lines_of(lambda angle, rpm: wave(angle, 4.013, 0.5), speeds=[1500.0], revs=300)
     assert line.evidence == "steady, not locked"
     assert line.order == pytest.approx(4.013, abs=0.01)
 
 
-def one_speed(signal, *, channels: int = 1, revs: int = 92):
+def one_speed(signal, *, channels: int = 1):
     """Lines of a test at 2000 rpm, ten frames of which are worth no more than that, in so many ``channels``."""
-    signals = [signal(angle_of(revs), k) for k in range(channels)]
+    signals = [signal(angle_of(92), k) for k in range(channels)]
     frames = [frames_of(signals, speed_rpm=2000.0, pulses=False)]
     made = order_map(frames, settings=SETTINGS.orders)
     return made, order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
@@ -89,11 +86,7 @@ def test_no_resonance_that_noise_excites_is_as_steady_as_a_line_at_one_speed(dam
         steps = rng.standard_normal((2, len(angle)))
         drive = (steps[0] + 1j * steps[1]) * np.sqrt(0.5 * (1.0 - per_rev**2))
         drive[0] = complex(*rng.standard_normal(2)) * np.sqrt(0.5)
-        phasor = np.empty(len(angle), complex)
-        state = 0.0 + 0.0j
-        for k, step in enumerate(drive):
-            state = per_rev * state + step
-            phasor[k] = state
+        phasor = lfilter([1.0], [1.0, -per_rev], drive)
         return (4.0 * phasor * np.exp(2j * np.pi * 15.06 * angle)).real + rng.standard_normal(len(angle))
 
     made, _ = one_speed(ringing, channels=100)
@@ -111,8 +104,7 @@ def test_a_line_that_slips_by_less_than_a_percent_is_found_at_eight_speeds_of_ei
         signal = wave(angle, 5.456, 0.5, rng.uniform(0, 6)) + wave(angle, 1.0, 2.0) + rng.standard_normal(len(angle))
         frames.append(frames_of([signal], speed_rpm=rpm))
     made = order_map(frames, settings=SETTINGS.orders)
-    found = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
-    first, slipping = found
+    first, slipping = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
     assert first.evidence == "locked to the shaft"
     assert slipping.evidence == "steady, not locked"
     assert slipping.order == pytest.approx(5.456, abs=0.006)
@@ -171,9 +163,9 @@ def swelling(angle: np.ndarray, how: str, factor: float) -> np.ndarray:
     return 1.0 + (factor - 1.0) * share
 
 
-def found(order: float, how: str, factor: float, speeds: tuple[float, ...], *, amplitude: float = 3.0):
+def found(order: float, how: str, factor: float, speeds: tuple[float, ...]):
     rng, angle, frames = np.random.default_rng(int(100 * factor)), angle_of(250), []
-    size = amplitude * swelling(angle, how, factor)
+    size = 3.0 * swelling(angle, how, factor)
     for rpm in speeds:
         signals = [size * wave(angle, order, 1.0, rng.uniform(0, 6)) + rng.standard_normal(len(angle))]
         frames.append(frames_of(signals, speed_rpm=rpm))
@@ -246,11 +238,22 @@ def test_a_line_between_multiples_is_read_where_it_stands_however_little_is_know
 
 
 def _response(*, recording: str = "r1", fits: bool = True, error: float = 0.01) -> OrderResponse:
-    one = np.array([1.0 + 0j])
-    covariance = np.diag([error**2, error**2]).astype(complex)
-    reached = np.array([0])
+    one, covariance = np.array([1.0 + 0j]), np.diag([error**2, error**2]).astype(complex)
     return OrderResponse(
-        2.0, "X", 0.0, (), 1800.0, (900.0, 3000.0), 0.0 * one, one, reached, covariance, 40, error, fits, recording
+        2.0,
+        "X",
+        0.0,
+        (),
+        1800.0,
+        (900.0, 3000.0),
+        0.0 * one,
+        one,
+        np.array([0]),
+        covariance,
+        40,
+        error,
+        fits,
+        recording,
     )
 
 

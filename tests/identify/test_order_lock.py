@@ -83,21 +83,12 @@ def _followed(order: float, revs: float, bandwidth_hz: float) -> xr.Dataset:
     time = np.arange(0.2, duration_s - 0.2, 0.5 / bandwidth_hz)
     speed = 900.0 + 2100.0 * time / duration_s
     angle = (900.0 * time + 1050.0 * time**2 / duration_s) / 60.0
-    shape = (1, 1, len(time))
+    rows, one = ("channel", "order", "frame"), np.ones((1, 1, len(time)))
+    frames = {name: ("frame", of) for name, of in (("time", time), ("speed", speed), ("crank_angle", angle))}
     return xr.Dataset(
-        {
-            "amplitude": (("channel", "order", "frame"), np.ones(shape, dtype=complex)),
-            "standard_error": (("channel", "order", "frame"), np.full(shape, NOISE)),
-        },
-        coords={
-            "channel": ["X"],
-            "order": [order],
-            "time": ("frame", time),
-            "speed": ("frame", speed),
-            "crank_angle": ("frame", angle),
-            "bandwidth_hz": (("order", "frame"), np.full((1, len(time)), bandwidth_hz)),
-        },
-        attrs={"recording": "r1", "swept": 1, "poles": 2, "phase_reference": "index"},
+        {"amplitude": (rows, one.astype(complex)), "standard_error": (rows, NOISE * one)},
+        {"channel": ["X"], "order": [order], **frames, "bandwidth_hz": (rows[1:], bandwidth_hz * one[0])},
+        {"recording": "r1", "swept": 1, "poles": 2, "phase_reference": "index"},
     )
 
 

@@ -1,7 +1,5 @@
 """Blocks of orders: what is linear is eliminated, the law of the force and its scatter are told from the data."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -26,7 +24,7 @@ def _response(speed: NDArray, residue: NDArray, rigid: complex) -> NDArray:
 
 
 def _block(
-    seed: int, *, exponent: float = 2.0, scatter: float = 0.0, error: float = 1e-3, power: bool = False
+    seed: int, *, exponent: float = 2.0, scatter: float = 0.0, error: float = 1e-3
 ) -> tuple[Block, NDArray, NDArray]:
     """A block whose force is (s / 1800)^exponent, its residues (C, 2) and rigid parts (C,)."""
     random = np.random.default_rng(seed)
@@ -38,11 +36,7 @@ def _block(
     truth = np.stack([force * _response(speed, part, direct) for part, direct in zip(residue, rigid, strict=True)])
     noise = error * (random.normal(size=truth.shape) + 1j * random.normal(size=truth.shape))
     errors = np.full(truth.shape, error)
-    seen = truth + noise
-    if power:
-        errors = 2.0 * error * np.maximum(np.abs(seen), error)
-        seen = np.abs(seen) ** 2 - 2.0 * error**2 + 0j
-    block = Block(ORDER, ("a", "b", "c"), ORDER * speed / 60.0, speed, seen, errors, 1800.0, power=power)
+    block = Block(ORDER, ("a", "b", "c"), ORDER * speed / 60.0, speed, truth + noise, errors, 1800.0)
     return block, residue, rigid
 
 
@@ -66,19 +60,14 @@ def test_linear_terms_are_recovered_within_their_errors() -> None:
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0, 3.0])
 def test_the_power_by_which_the_force_grows_is_told(exponent: float) -> None:
     for seed in range(4):
-        block, _, _ = _block(seed, exponent=exponent)
-        told = with_best_law(block, TRUE)
-        assert told.exponent == exponent, seed
-        assert (told.degree, len(told.law)) == (0, 0), seed
+        told = with_best_law(_block(seed, exponent=exponent)[0], TRUE)
+        assert (told.exponent, told.degree, len(told.law)) == (exponent, 0, 0), seed
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scatter", [0.005, 0.02, 0.1])
 def test_the_scatter_of_the_force_is_told_without_bias(scatter: float) -> None:
-    found = []
-    for seed in range(40):
-        block, _, _ = _block(seed, scatter=scatter)
-        found.append(with_scatter(block, TRUE)[0].scatter)
+    found = [with_scatter(_block(seed, scatter=scatter)[0], TRUE)[0].scatter for seed in range(40)]
     assert np.mean(found) == pytest.approx(scatter, rel=0.08)
     # 54 complex numbers tell a standard deviation within a tenth
     assert np.std(found) < 0.2 * scatter
@@ -87,11 +76,8 @@ def test_the_scatter_of_the_force_is_told_without_bias(scatter: float) -> None:
 @pytest.mark.slow
 def test_a_channel_that_is_missing_at_some_speeds_takes_part_with_the_others() -> None:
     block, residue, _ = _block(4)
-    error = block.error.copy()
-    error[1, ::3] = np.inf
-    amplitude = block.amplitude.copy()
-    amplitude[1, ::3] = 0.0
-    part = project(replace(block, error=error, amplitude=amplitude), TRUE)
+    block.error[1, ::3], block.amplitude[1, ::3] = np.inf, 0.0
+    part = project(block, TRUE)
     assert np.abs(part.linear[:, 1:] - residue).max() < 0.02
     assert part.degrees_of_freedom == 2 * (3 * 60 - 20 - 9)
 
@@ -112,5 +98,5 @@ def test_the_response_of_a_fit_is_that_of_the_machine_at_any_speed_with_and_with
             two = with_and_without(response, number, at, modal)
             others = np.where(np.arange(2) == number, 0.0, residue[row])
             without = (at / 1800.0) ** 2 * np.abs(_response(at, others, rigid[row]))
-            assert np.abs(two.with_mode[0] - truth).max() < 2e-3 * truth.max()
-            assert np.abs(two.without[0] - without).max() < 2e-3 * truth.max()
+            off = np.abs([two.with_mode[0] - truth, two.without[0] - without])
+            assert off.max() < 2e-3 * truth.max()

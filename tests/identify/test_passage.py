@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson, solve_ivp
 
-from crankorder.identify.modes.order_terms import Passage, passage_of
+from crankorder.identify.modes.order_terms import passage_of
 from crankorder.orders.vold_kalman.filter import vold_kalman
 
 WIDE_HZ = 400.0
@@ -13,7 +13,7 @@ WIDE_HZ = 400.0
 
 
 def _ramp(
-    rate_rpm_s: float, natural_hz: float, order: float, *, beside: float = 0.4, rows: int = 400
+    rate_rpm_s: float, natural_hz: float, order: float, *, beside: float, rows: int = 400
 ) -> tuple[NDArray, NDArray]:
     """Times and speeds of a linear ramp through the speed at which ``order`` meets ``natural_hz``, ± ``beside``."""
     at = 60.0 * natural_hz / order
@@ -57,11 +57,6 @@ def _integrated(
     return np.asarray(push - 2.0 * damping * w * (v + 1j * omega * q) - w**2 * q)
 
 
-def _seen(passage: Passage, natural_hz: float, damping: float) -> NDArray:
-    growth = (passage.speed_rpm / passage.speed_rpm.max()) ** 2
-    return passage.response(growth.astype(complex), natural_hz, damping)[0]
-
-
 @pytest.mark.parametrize("rate_rpm_s", [1.0, 10.0, 100.0, 1000.0])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_passage_is_what_integration_of_the_equation_gives(rate_rpm_s: float, seed: int) -> None:
@@ -75,7 +70,8 @@ def test_a_passage_is_what_integration_of_the_equation_gives(rate_rpm_s: float, 
     time, speed = _ramp(rate, natural, order, beside=beside)
     truth = _integrated(order, time, speed, natural, damping, (speed / speed.max()) ** 2)
     passage = passage_of(order, time, speed, _angle(time, speed), np.full(len(time), WIDE_HZ), poles=2)
-    seen = _seen(passage, natural, damping)
+    growth = (passage.speed_rpm / passage.speed_rpm.max()) ** 2
+    seen = passage.response(growth.astype(complex), natural, damping)[0]
     inside = slice(8, -8)  # the filter's own ends
     case = (rate, order, natural, damping)
     assert np.abs(seen - truth)[inside].max() < 0.02 * np.abs(truth).max(), case

@@ -16,11 +16,8 @@ from made.found_lines import agreed, line
 
 
 def test_a_line_alone_lines_stronger_than_their_carrier_and_lopsided_lines_are_no_sidebands():
-    for places, amplitudes in (
-        ([2.317, 3.317], [0.3, 1.0]),
-        ([2.317, 3.317, 4.317], [2.0, 1.0, 2.0]),
-        ([2.3, 3.317, 4.317], [0.3, 1.0, 0.3]),
-    ):
+    three = [2.317, 3.317, 4.317]
+    for places, amplitudes in ((three[:2], [0.3, 1.0]), (three, [2.0, 1.0, 2.0]), ([2.3, *three[1:]], [0.3, 1.0, 0.3])):
         assert sidebands(places, [1e-3] * len(places), amplitudes, spacings={"shaft": 1.0}, highest=20.0) == []
 
 
@@ -64,11 +61,6 @@ def test_what_a_swing_of_the_shaft_makes_through_a_mode_is_no_order_of_its_own(s
 REVS = 32
 
 
-def _spectrum(signal: np.ndarray, per_rev: int) -> np.ndarray:
-    window = np.hanning(len(signal) + 1)[:-1]
-    return 2.0 * np.abs(np.fft.rfft(signal * window))[: 16 * REVS] / window.sum()
-
-
 def _line(order: float, amplitude: float) -> OrderLine:
     at, one = np.zeros(1, dtype=np.int64), np.ones(1)
     size = np.array([amplitude])
@@ -86,7 +78,8 @@ def test_no_sideband_of_rounded_edges_is_a_line_for_sure_and_a_larger_one_is(see
     read = np.round(edge * samples_per_rev + random.random()) / samples_per_rev
     angle = np.arange(per_rev * REVS) / per_rev
     true = np.interp(angle, edge, read)  # where the shaft was when the reader thought it was at `angle`
-    size = _spectrum(np.cos(2.0 * np.pi * 9.0 * true), per_rev)
+    window = np.hanning(len(true) + 1)[:-1]
+    size = 2.0 * np.abs(np.fft.rfft(np.cos(2.0 * np.pi * 9.0 * true) * window))[: 16 * REVS] / window.sum()
     axis = np.arange(len(size)) / REVS
     error = float(np.std(read - edge))
     order_map = xr.Dataset(

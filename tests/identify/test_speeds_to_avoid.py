@@ -20,9 +20,9 @@ RANGE = (600.0, 2000.0)
 UNIT = {"A": "m/s2", "pressure": "bar"}
 
 
-def seen_everything(*orders: float, most: float = 1.0) -> tuple[UnseenBound, ...]:
+def seen_everything(*orders: float) -> tuple[UnseenBound, ...]:
     """Bounds that exclude any mode nobody saw: what finely stepped speeds would give."""
-    return tuple(UnseenBound(order, SPEEDS_RPM, np.full(len(SPEEDS_RPM), most)) for order in orders)
+    return tuple(UnseenBound(order, SPEEDS_RPM, np.ones(len(SPEEDS_RPM))) for order in orders)
 
 
 def judge(orders, modal, *, speed_rpm=RANGE, stated=()) -> SpeedVerdicts:
@@ -86,19 +86,14 @@ def test_the_flanks_of_a_mode_that_adds_much_to_little_are_not_free(share: float
 
 def test_the_highest_peak_in_any_channel_ranks_first():
     modes = [mode(60.0), mode(100.0)]
-    shape = {k: resonant(k, SPEEDS_RPM, modes) for k in (3.0, 4.0)}
-    orders = [
-        agreed(3.0, line(3.0, 0.1 * shape[3.0])),
-        agreed(4.0, line(4.0, shape[4.0])),
-        agreed(1.0, line(1.0, 1000.0 * SPEEDS_RPM / 1000, channel="pressure")),
-    ]
+    orders = [agreed(k, line(k, size * resonant(k, SPEEDS_RPM, modes))) for k, size in ((3.0, 0.1), (4.0, 1.0))]
+    orders.append(agreed(1.0, line(1.0, 1000.0 * SPEEDS_RPM / 1000, channel="pressure")))
     records = [speed.as_dict() for speed in judge(orders, fit(*modes)).avoid]
     assert [record["rank"] for record in records] == list(range(1, len(records) + 1))
-    costs = [record["cost"] for record in records]
-    assert costs == sorted(costs, reverse=True)
     assert records[0]["order"] == 4.0 and records[0]["channel"] == "A"
-    peaks = [record["amplitude"] for record in records]
-    assert peaks == sorted(peaks, reverse=True)
+    for key in ("cost", "amplitude"):
+        values = [record[key] for record in records]
+        assert values == sorted(values, reverse=True)
 
 
 @pytest.mark.slow
@@ -111,22 +106,18 @@ def test_the_peak_between_two_measured_speeds_is_that_of_the_fit():
     assert verdicts.avoid[0].amplitude > seen.amplitude.max()
 
 
-def two_channels(residue: dict[str, complex], damping: float = 0.01, damping_error: float = 1e-4):
-    """Order 4 and the fit of both its channels by a mode between two tested speeds, whose rows hardly show it."""
-    between = replace(mode(105.0, damping), damping_error=damping_error)
-    modal = fit(between)
-    responses = [made_response(4.0, modal, smooth=1.0, residue=(one,), channel=name) for name, one in residue.items()]
-    rows = [held_amplitudes(one, SPEEDS_RPM, modal)[0] for one in responses]
-    lines = [line(4.0, row, channel=name, error=1e-3) for name, row in zip(residue, rows, strict=True)]
-    return [agreed(4.0, *lines)], fit(between, responses=tuple(responses))
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_the_amplification_beside_a_peak_is_that_of_its_channel_and_never_below_what_makes_it_one(seed: int):
+    """Order 4 in two channels by a mode between two tested speeds, whose rows hardly show it."""
     drawn = np.random.default_rng(seed)
     strong, damping = drawn.uniform(0.3, 0.8), drawn.uniform(0.005, 0.01)
-    orders, modal = two_channels({"A": 0.02, "B": strong}, damping)
+    between, residue = replace(mode(105.0, damping), damping_error=1e-4), {"A": 0.02, "B": strong}
+    alone = fit(between)
+    responses = [made_response(4.0, alone, smooth=1.0, residue=(one,), channel=name) for name, one in residue.items()]
+    rows = [held_amplitudes(one, SPEEDS_RPM, alone)[0] for one in responses]
+    lines = [line(4.0, row, channel=name, error=1e-3) for name, row in zip(residue, rows, strict=True)]
+    orders, modal = [agreed(4.0, *lines)], fit(between, responses=tuple(responses))
     found = crossings(tuple(orders), modal, speed_rpm=RANGE, settings=SETTINGS)
     unit = {"A": "m/s2", "B": "m/s2"}
     verdicts = speeds_to_avoid(found, tuple(orders), modal, speed_rpm=RANGE, unit=unit, settings=SETTINGS)
@@ -293,15 +284,11 @@ def test_of_a_quiet_machine_in_fine_steps_most_speeds_are_free(seed: int):
 # An order that towers over the speeds beside is a speed to avoid, though no natural frequency was found there.
 
 
-UNIT_PEAKS = {"A": "m/s²", "B": "m/s²"}
-
-
 def _peaks(sizes: np.ndarray, avoided: tuple[AvoidedSpeed, ...] = (), **channels: float) -> list[AvoidedSpeed]:
     lines = [line(4.0, share * sizes, channel=name) for name, share in (channels or {"A": 1.0}).items()]
     largest = {one.channel: float(one.amplitude.max()) for one in lines}
-    return lone_peaks(
-        [agreed(4.0, *lines)], fit(), avoided, largest=largest, in_unit=largest, unit=UNIT_PEAKS, factor=3.0
-    )
+    given = {"largest": largest, "in_unit": largest, "unit": {"A": "m/s²", "B": "m/s²"}, "factor": 3.0}
+    return lone_peaks([agreed(4.0, *lines)], fit(), avoided, **given)
 
 
 @pytest.mark.cases(1)

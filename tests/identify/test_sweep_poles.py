@@ -62,9 +62,7 @@ def test_a_mode_is_told_to_a_part_of_its_width_whatever_the_rate(rpm_per_s: floa
     ends = middle - 0.5 * rpm_per_s * seconds, middle + 0.5 * rpm_per_s * seconds
     poles = told(a_machine((81.3, damping), rpm=ends, seconds=seconds)).poles
     near = [pole for pole in poles if abs(pole.frequency_hz - 81.3) < 1.0]
-    if not any(
-        ends[0] < 60.0 * 81.3 / order < ends[1] or ends[1] < 60.0 * 81.3 / order < ends[0] for order in (2, 3.5)
-    ):
+    if not any(min(ends) < 60.0 * 81.3 / order < max(ends) for order in (2, 3.5)):
         assert not near
         return
     assert len(near) == len(poles) == 1
@@ -163,7 +161,6 @@ def test_a_damping_ratio_errs_by_a_factor() -> None:
 
 @pytest.mark.slow
 def test_where_the_damping_is_not_known_the_error_of_the_frequency_is_not() -> None:
-    known = FoundMode(100.0, 0.1, 0.01, 1e-4, ("X",), 10.0, "")
-    unknown = FoundMode(100.0, 0.1, 0.01, 0.02, ("X",), 10.0, "")
+    known, unknown = (FoundMode(100.0, 0.1, 0.01, error, ("X",), 10.0, "") for error in (1e-4, 0.02))
     assert known.frequency_half_hz == pytest.approx(Z95 * 0.1, rel=1e-2)
     assert unknown.frequency_half_hz > 10.0 * 0.1

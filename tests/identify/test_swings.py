@@ -91,28 +91,21 @@ def test_a_rest_of_a_swing_proves_no_mode_and_a_mode_is_proven(seed: int) -> Non
 # A mode that rings on: at which speeds it hides an order.
 
 
-LOW_RPM_RINGING, HIGH_RPM_RINGING = 900.0, 4500.0
-
-
 def _swept(order: float, rate_rpm_s: float) -> Block:
     """A block of one channel whose speed rises, or falls where ``rate_rpm_s`` is below zero."""
-    time = np.linspace(0.0, (HIGH_RPM_RINGING - LOW_RPM_RINGING) / abs(rate_rpm_s), 400)
-    speed = np.linspace(LOW_RPM_RINGING, HIGH_RPM_RINGING, 400)[:: 1 if rate_rpm_s > 0.0 else -1]
+    time = np.linspace(0.0, (HIGH_RPM - LOW_RPM) / abs(rate_rpm_s), 400)
+    speed = np.linspace(LOW_RPM, HIGH_RPM, 400)[:: 1 if rate_rpm_s > 0.0 else -1]
     angle = np.cumsum(speed) / 60.0 * (time[1] - time[0])
     passage = passage_of(order, time, speed, angle, np.full(400, 8.0), poles=2)
     amplitude, error = np.ones((1, 400), dtype=complex), np.full((1, 400), 1e-3)
     hertz = order * speed / 60.0
-    return Block(order, ("X",), hertz, speed, amplitude, error, HIGH_RPM_RINGING, passage=passage, recording="a")
-
-
-def _mode(frequency_hz: float, damping: float) -> Mode:
-    return Mode(frequency_hz, 0.01, damping, 1e-4, ("X",), 0.0, "made")
+    return Block(order, ("X",), hertz, speed, amplitude, error, HIGH_RPM, passage=passage, recording="a")
 
 
 def test_an_order_that_nobody_found_may_hide_where_a_light_mode_rings_and_nowhere_else() -> None:
+    modes = [Mode(150.0, 0.01, zeta, 1e-4, ("X",), 0.0, "made") for zeta in (0.002, 0.1)]
     light, heavy = (
-        hidden_speeds([_swept(6.0, 400.0)], [_mode(150.0, zeta)], revs_per_cycle=2, least_damping=0.002)
-        for zeta in (0.002, 0.1)
+        hidden_speeds([_swept(6.0, 400.0)], [mode], revs_per_cycle=2, least_damping=0.002) for mode in modes
     )
     at_rpm = 60.0 * 150.0 / 5.5  # half an order below, passed right after
     assert any(item.low_rpm < at_rpm < item.high_rpm and item.rung_by == 6.0 for item in light)

@@ -1,6 +1,5 @@
 """Tones of the map beside the recordings: no flank of a stronger tone, and no narrow interval between two lines."""
 
-import dataclasses
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -12,9 +11,8 @@ from crankorder.identify.causes.explain import explained
 from crankorder.identify.findings import going_with_speed
 from crankorder.identify.found import AgreedOrder, ModalFit, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.known_lines import Held, held_recordings
+from crankorder.identify.lines.known_lines import Held
 from crankorder.identify.lines.line_evidence import UNPROVEN
-from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.alike_speeds import UNPARTED, with_tones_parted, without_absent_mains
 from crankorder.identify.modes.floor import Floor
@@ -22,20 +20,15 @@ from crankorder.identify.modes.tones import kind_of, with_one_mains
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line
-from made.line_frames import angle_of, frames_of, wave
+from made.line_frames import held_at
 
 SETTINGS = load_settings().identify
 RPM = 1777.0
 
 
 def recorded(*lines: tuple[float, float], seed: int = 0) -> list[Held]:
-    """A recording of 20 s at RPM with ``lines`` (Hz, amplitude) in noise."""
-    rng, angle = np.random.default_rng(seed), angle_of(round(20.0 * RPM / 60.0))
-    signal = wave(angle, 1.0, 1.0) + 0.3 * rng.standard_normal(len(angle))
-    for hertz, size in lines:
-        signal += wave(angle, 60.0 * hertz / RPM, size, rng.uniform(0.0, 6.0))
-    frames = frames_of([signal], speed_rpm=RPM)
-    return held_recordings(recordings_of([frames]), frames["order"].values, ["A"])
+    """A recording at RPM with ``lines`` (Hz, amplitude) and order 1 in noise."""
+    return held_at(np.random.default_rng(seed), RPM, [*lines, (RPM / 60.0, 1.0)])
 
 
 def told(*tones: tuple[float, float]) -> ModalFit:
@@ -202,9 +195,9 @@ def at_speed(order: float, rpm: float, *, lock: str = "slips", error: float = 1e
     return agreed(order, line(order, speed_rpm=[rpm]), lock=lock, error=error)
 
 
-def said(*orders: AgreedOrder, longest_rev: float = np.inf, tones: tuple[Tone, ...] = ()) -> list[str]:
+def said(*orders: AgreedOrder, longest_rev: float = np.inf) -> list[str]:
     sources = {"sources": ROTOR, "quantity": {"A": "acceleration"}, "longest_rev": longest_rev}
-    causes = explained(orders, fit(tones=tones), [], settings=SETTINGS, **sources)
+    causes = explained(orders, fit(), [], settings=SETTINGS, **sources)
     return [causes.orders["A", one.order].text for one in orders]
 
 
@@ -284,6 +277,6 @@ def test_only_what_goes_with_the_speed_meets_natural_frequencies() -> None:
 def test_a_line_of_too_few_revolutions_on_the_mains_may_be_a_natural_frequency() -> None:
     """Noise rings a mode of 60 Hz: in half a second nothing tells it from mains."""
     made = at_speed(12.1125, 300.0, error=0.05)
-    lines = tuple(dataclasses.replace(one, evidence=UNPROVEN) for one in made.lines)
-    assert said(dataclasses.replace(made, lines=lines)) == ["mains or a natural frequency"]
+    lines = tuple(replace(one, evidence=UNPROVEN) for one in made.lines)
+    assert said(replace(made, lines=lines)) == ["mains or a natural frequency"]
     assert said(made) == ["mains"]

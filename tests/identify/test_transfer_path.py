@@ -15,6 +15,7 @@ unbalance_fit = as_dicts(unbalance_fit)
 
 RPM = np.arange(300.0, 2001.0, 50.0)
 ORDER = np.arange(8, 49) / 16
+ENGINE = engine_of(shafts=BalanceShafts(orders=(1, 2), unbalanced_mass_kg=0.116))
 NOTHING = modal_of(np.random.default_rng(0), Structure(np.random.default_rng(0), n_modes=0))
 
 
@@ -27,9 +28,8 @@ def order_map(engine, path, *, noise=1e-4, seed=0, reference="tdc"):
     rng = np.random.default_rng(seed)
     path = np.asarray(path, dtype=complex)
     force = crankcase_forces(engine, RPM, max_order=2)[:, [0, 2]]
-    amplitude = (
-        noise * (rng.normal(size=(2, 3, RPM.size, ORDER.size)) * [[[[1.0]]], [[[1.0j]]]]).sum(axis=0)[: len(path)]
-    )
+    parts = rng.normal(size=(2, 3, RPM.size, ORDER.size))[:, : len(path)]
+    amplitude = noise * (parts[0] + 1j * parts[1])
     for k in (1, 2):
         amplitude[:, :, int(np.argmin(abs(ORDER - k)))] += np.einsum("cd,sd->cs", path, force[:, :, k])
     error = noise * np.sqrt(rng.chisquare(16.0, amplitude.shape) / 16.0)
@@ -43,8 +43,7 @@ def closed(item, paths, engine):
 
 
 def test_a_rigid_body_gives_the_force_of_its_mass():
-    engine = engine_of(shafts=BalanceShafts(orders=(1, 2), unbalanced_mass_kg=0.116))
-    record = closed(order_map(engine, [[0.0, 1 / 330]]), [stated("X", "Z", apparent_mass_kg=330.0)], engine)
+    record = closed(order_map(ENGINE, [[0.0, 1 / 330]]), [stated("X", "Z", apparent_mass_kg=330.0)], ENGINE)
     assert record["source"] == "stated path"
     assert record["residual_reciprocating_g"] == pytest.approx(116, rel=1e-3)
     assert record["residual_second_order_g"] == pytest.approx(116, rel=1e-2)
@@ -53,24 +52,16 @@ def test_a_rigid_body_gives_the_force_of_its_mass():
 
 
 def test_the_uncertainty_of_a_path_is_that_of_the_mass():
-    engine = engine_of(shafts=BalanceShafts(orders=(1, 2), unbalanced_mass_kg=0.116))
     path = stated("X", "Z", apparent_mass_kg=330.0, uncertainty_percent=10.0)
-    low, high = closed(order_map(engine, [[0.0, 1 / 330]]), [path], engine)["along_g_ci95"]
+    low, high = closed(order_map(ENGINE, [[0.0, 1 / 330]]), [path], ENGINE)["along_g_ci95"]
     assert (high - low) / 2 == pytest.approx(11.6, rel=0.1)
 
 
 def test_paths_along_and_across_part_rotating_from_reciprocating():
-    engine = engine_of(
-        shafts=BalanceShafts(orders=(1, 2), unbalanced_mass_kg=0.116),
-        rotating_unbalance_kg_m=0.002,
-        rotating_unbalance_deg=70.0,
-    )
+    engine = ENGINE.model_copy(update={"rotating_unbalance_kg_m": 0.002, "rotating_unbalance_deg": 70.0})
     matrix = np.array([[1 / 400, 1 / 2000], [1 / 3000, 1 / 300]])
-    paths = [
-        stated(name, direction, apparent_mass_kg=1 / matrix[c, d])
-        for c, name in enumerate("XY")
-        for d, direction in enumerate("XZ")
-    ]
+    places = [(name, direction, matrix[c, d]) for c, name in enumerate("XY") for d, direction in enumerate("XZ")]
+    paths = [stated(name, direction, apparent_mass_kg=1 / share) for name, direction, share in places]
     record = closed(order_map(engine, matrix), paths, engine)
     assert record["residual_rotating_gmm"] == pytest.approx(2000, rel=2e-3)
     assert record["angle_deg"] == pytest.approx(70, abs=0.2)
@@ -96,8 +87,7 @@ def test_a_rotor_is_told_in_g_mm_at_its_angle():
 
 
 def test_wrong_paths_are_refused():
-    engine = engine_of(shafts=BalanceShafts(orders=(1, 2), unbalanced_mass_kg=0.116))
-    item = order_map(engine, [[0.0, 1 / 330], [0.0, 1 / 330]])
+    item = order_map(ENGINE, [[0.0, 1 / 330], [0.0, 1 / 330]])
     for paths, words in (
         ([stated("X", "Z", apparent_mass_kg=330.0), stated("Y", "Z", apparent_mass_kg=20.0)], "miss"),
         ([stated("X", "Z", apparent_mass_kg=330.0, frequency_range_hz=(200.0, 300.0))], "range"),
@@ -105,7 +95,7 @@ def test_wrong_paths_are_refused():
         ([stated("X", "Y", apparent_mass_kg=330.0)], "direction X or Z"),
         ([stated("X", "Z", apparent_mass_kg=330.0), stated("X", "X", apparent_mass_kg=330.0)], "apart"),
     ):
-        record, reason = unbalance_fit(item, (), NOTHING, engine=engine, paths=tuple(paths))
+        record, reason = unbalance_fit(item, (), NOTHING, engine=ENGINE, paths=tuple(paths))
         assert record is None and words in reason
 
 

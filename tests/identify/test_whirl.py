@@ -64,10 +64,8 @@ def _filtered(force: Array, hz: float, damping: float, rate_hz: float) -> Array:
     """Velocity of an oscillator of unit half-power height under ``force``, its impulse response sampled."""
     sigma, turn = damping * 2.0 * np.pi * hz / rate_hz, 2.0 * np.pi * hz * np.sqrt(1.0 - damping**2) / rate_hz
     keep = np.exp(-sigma)
-    made: Array = lfilter(
-        [2.0 * sigma, -2.0 * sigma * keep * np.cos(turn)], [1.0, -2.0 * keep * np.cos(turn), keep**2], force
-    )
-    return made
+    decay = keep * np.cos(turn)
+    return np.asarray(lfilter([2.0 * sigma, -2.0 * sigma * decay], [1.0, -2.0 * decay, keep**2], force))
 
 
 def signals(rotor: Rotor, rpm: float, random: np.random.Generator) -> Array:
@@ -88,12 +86,9 @@ def whirling_campbell(rotor: Rotor, seed: int) -> xr.Dataset:
     random = np.random.default_rng(seed)
     n_frame = round(rotor.rate_hz / rotor.resolution_hz)
     n_bins = round(0.45 * rotor.rate_hz / rotor.resolution_hz)
-    psd = []
-    n_frames = 0
-    for rpm in rotor.speed_rpm:
-        made = signals(rotor, rpm, random)
-        n_frames = (made.shape[1] - n_frame) // (n_frame // 2) + 1
-        psd.append(welch(made, rotor.rate_hz, "hann", n_frame, detrend=False)[1][:, :n_bins])
+    rows = [signals(rotor, rpm, random) for rpm in rotor.speed_rpm]
+    psd = [welch(row, rotor.rate_hz, "hann", n_frame, detrend=False)[1][:, :n_bins] for row in rows]
+    n_frames = (rows[0].shape[1] - n_frame) // (n_frame // 2) + 1
     return campbell_map_of(np.stack(psd, axis=1), n_frames, rotor.speed_rpm, rotor.resolution_hz)
 
 
@@ -216,10 +211,10 @@ def _known(slope: float, *, hz: float = 60.0, damping: float = 0.02) -> Whirl:
     return Whirl(2500.0, hz + slope * 2500.0 / 60.0, 0.03, slope, 0.002, 0.0, damping, 0.001, ("A",), 20.0, "moves")
 
 
-def _through(order: float, whirl: Whirl, *, gain: float = 1.0) -> np.ndarray:
+def _through(order: float, whirl: Whirl) -> np.ndarray:
     """Amplitude of an order whose force grows with speed squared, past a rigid body and ``whirl``."""
     x = order * TRACK / 60.0 / (whirl.frequency_hz + whirl.slope * (TRACK - whirl.reference_rpm) / 60.0)
-    response = 1.0 + gain * x**2 / (1.0 - x**2 + 2j * whirl.damping_ratio * x)
+    response = 1.0 + x**2 / (1.0 - x**2 + 2j * whirl.damping_ratio * x)
     return np.asarray((TRACK / 1000.0) ** 2 * np.abs(response))
 
 
@@ -292,39 +287,31 @@ def test_a_mode_that_orders_alone_show_where_they_meet_a_whirl_and_a_hump_on_its
 
 
 def test_records_and_sentences_tell_the_whirl() -> None:
-    causes = Causes({}, (), ())
-    (record,) = mode_records(fit(whirls=(_known(-0.12),)), causes, [])
+    (record,) = mode_records(fit(whirls=(_known(-0.12),)), Causes({}, (), ()), [])
     assert record["explained_by"] == "whirl" and record["reference_rpm"] == 2500.0
     assert record["speed_slope_ci95"][0] < -0.12 < record["speed_slope_ci95"][1]
-    assert from_dicts(mode_sentences)({"modes": [record]}) == [
-        "Backward whirl: 55 Hz at 2500 rpm, falling by 0.12 orders."
-    ]
+    sentence = "Backward whirl: 55 Hz at 2500 rpm, falling by 0.12 orders."
+    assert from_dicts(mode_sentences)({"modes": [record]}) == [sentence]
 
 
 def _rotor_test(seed: int) -> dict[str, Any]:
     """Findings of a rotor whose unbalance drives its forward whirl at stepped speeds, by the program's own maps."""
     random = np.random.default_rng([seed, 99])
-    rotor = Rotor(
-        modes=(FORWARD, STAYS[0]), noise=0.1, duration_s=10.0, speed_rpm=tuple(np.arange(1500.0, 5001.0, 125.0))
-    )
-    whole = load_settings()
+    speeds, whole = tuple(np.arange(1500.0, 5001.0, 125.0)), load_settings()
+    rotor = Rotor(modes=(FORWARD, STAYS[0]), noise=0.1, duration_s=10.0, speed_rpm=speeds)
     by_order, by_frequency = [], []
     for rpm in rotor.speed_rpm:
         values = signals(rotor, rpm, random)
         u = rpm / 60.0 / float(FORWARD.at(rpm))
         through = 0.2 * (rpm / 3000.0) ** 2 * (1.0 + u**2 / (1.0 - u**2 + 2j * FORWARD.damping * u))
-        names = [
-            lambda t, a, row=row, c=c: row + np.real(c * np.exp(2j * np.pi * a))
-            for row, c in zip(values, through * np.array(FORWARD.gain), strict=True)
-        ]
+        rows = zip(values, through * np.array(FORWARD.gain), strict=True)
+        names = [lambda t, a, row=row, c=c: row + np.real(c * np.exp(2j * np.pi * a)) for row, c in rows]
         band, shaft = steady(names, speed_rpm=rpm, duration_s=rotor.duration_s, rate_hz=rotor.rate_hz)
         by_frequency.append(frequency_frames(band, shaft, settings=whole.campbell))
         by_order.append(order_frames(band, shaft, settings=whole.orders))
-    maps = (
-        order_map(by_order, settings=whole.orders),
-        campbell_map(by_frequency, speed_bin_rpm=whole.orders.speed_bin_rpm),
-    )
-    return find(*maps, by_order, None, test="rotor", sources=MachineModel(revs_per_cycle=1), settings=whole)
+    orders = order_map(by_order, settings=whole.orders)
+    campbell = campbell_map(by_frequency, speed_bin_rpm=whole.orders.speed_bin_rpm)
+    return find(orders, campbell, by_order, None, test="rotor", sources=MachineModel(revs_per_cycle=1), settings=whole)
 
 
 def test_a_rotor_that_unbalance_drives_through_its_forward_whirl_is_told_to_avoid_that_speed() -> None:

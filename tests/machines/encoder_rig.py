@@ -95,8 +95,8 @@ class EncoderRig:
         return np.asarray(size * self.response(np.array([order * rpm / 60.0]))[:, 0])
 
 
-def draw_rig(seed: int, kind: str | None = None, *, eccentricity: float | None = None) -> EncoderRig:
-    """A rig of that ``seed``; its ``kind`` and ``eccentricity`` [degree] are drawn where they are not given."""
+def draw_rig(seed: int, kind: str | None = None) -> EncoderRig:
+    """A rig of that ``seed``; its ``kind`` is drawn where it is not given."""
     chance = np.random.default_rng([seed, 5514])
     kind_drawn, eccentric = str(chance.choice(KINDS)), float(chance.uniform(0.0, 0.5) * (chance.random() < 0.7))
     kind = kind or kind_drawn
@@ -120,7 +120,7 @@ def draw_rig(seed: int, kind: str | None = None, *, eccentricity: float | None =
     pulses = int(chance.choice([1, 2, 36, 60, 120, 360, 720], p=[0.05, 0.05, 0.15, 0.2, 0.2, 0.2, 0.15]))
     encoder = Encoder(
         pulses,
-        eccentric if eccentricity is None else eccentricity,
+        eccentric,
         float(chance.uniform(0.0, 2.0 * np.pi)),
         float(chance.uniform(0.0, 0.15) * (chance.random() < 0.3)),
         float(chance.uniform(0.0, 2.0 * np.pi)),

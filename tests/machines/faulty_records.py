@@ -50,10 +50,10 @@ def _noise(rng: np.random.Generator, n: int) -> Floats:
     return np.asarray(noise / noise.std())
 
 
-def _rows(rng: np.random.Generator, angle: Floats, orders: Floats, n_rows: int = 3) -> Floats:
-    """Lines at ``orders`` of ``angle`` [rev] in each channel, with sizes and phases of their own, and noise."""
-    rows = np.empty((n_rows, angle.size))
-    for k in range(n_rows):
+def _rows(rng: np.random.Generator, angle: Floats, orders: Floats) -> Floats:
+    """Lines at ``orders`` of ``angle`` [rev] in three channels, with sizes and phases of their own, and noise."""
+    rows = np.empty((3, angle.size))
+    for k in range(3):
         sizes, phases = rng.lognormal(0.0, 1.0, orders.size), rng.uniform(0.0, 2.0 * np.pi, orders.size)
         row = sum(a * np.cos(2.0 * np.pi * o * angle + p) for a, o, p in zip(sizes, orders, phases, strict=True))
         rows[k] = row + np.std(row) * 10.0 ** rng.uniform(-3.0, 0.0) * _noise(rng, angle.size)

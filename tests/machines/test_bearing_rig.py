@@ -34,14 +34,10 @@ LEAST_FOUND = {"outer": 0.9, "inner": 0.6, "ball": 0.6, "cage": 0.4}
 def said(rig: BearingRig) -> list[dict[str, object]]:
     """Records of the bearing of ``rig``."""
     combs = bearing_combs((rig.bearing,), slip_percent=SETTINGS.identify.bearing_slip_percent)
-    made = recording_envelope(*recorded(rig), settings=SETTINGS.orders, combs=combs)
-    return bearing_records(
-        (),
-        envelope_map([made], speed_bin_rpm=25.0),
-        bearings=(rig.bearing,),
-        revs_per_cycle=1,
-        settings=SETTINGS.identify,
+    envelope = envelope_map(
+        [recording_envelope(*recorded(rig), settings=SETTINGS.orders, combs=combs)], speed_bin_rpm=25.0
     )
+    return bearing_records((), envelope, bearings=(rig.bearing,), revs_per_cycle=1, settings=SETTINGS.identify)
 
 
 def named(records: list[dict[str, object]]) -> set[object]:
@@ -72,8 +68,7 @@ def test_the_rig_strikes_at_the_rates_of_its_geometry() -> None:
     for seed in range(20):
         for fault in FAULTS:
             rig = replace(draw_rig(seed, fault), slip=0.0)
-            line = LINE_OF[fault]
-            wanted = bearing_orders(rig.bearing)[line] * (2.0 if fault == "ball" else 1.0)
+            wanted = bearing_orders(rig.bearing)[LINE_OF[fault]] * (2.0 if fault == "ball" else 1.0)
             assert rig.order == pytest.approx(wanted, rel=1e-9)
 
 

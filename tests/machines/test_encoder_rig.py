@@ -41,12 +41,12 @@ class Judged:
     """What is said of one rig: words for lines that are none and for true ones, intervals, what of a gear is gone."""
 
     rig: EncoderRig
-    made_up: tuple[tuple[float, str], ...]
-    false_lines: tuple[tuple[float, str], ...]
+    made_up: list[tuple[float, str]]
+    false_lines: list[tuple[float, str]]
+    gone: list[float]
+    eccentricity: bool
     covered: int
     intervals: int
-    gone: tuple[float, ...]
-    eccentricity: bool
     width: float
 
 
@@ -67,32 +67,20 @@ def judged(rig: EncoderRig, place: Path) -> Judged:
         elif not words.startswith("encoder"):
             kept.add(nearest)
     sides = [] if rig.mesh is None else [rig.mesh[0] - 1.0, rig.mesh[0] + 1.0]
-    clear = [side for side in sides if all(_over_noise(rig, side) > 30.0)]
-    flags = {remark.flag for remark in result.findings.quality}
-    covered, intervals, width = _coverage(rig, result)
-    return Judged(
-        rig,
-        tuple(made_up),
-        tuple(false_lines),
-        covered,
-        intervals,
-        tuple(side for side in clear if side not in kept),
-        "encoder_eccentricity" in flags,
-        width,
-    )
+    gone = [side for side in sides if side not in kept and all(_over_noise(rig, side) > 30.0)]
+    eccentric = "encoder_eccentricity" in {remark.flag for remark in result.findings.quality}
+    return Judged(rig, made_up, false_lines, gone, eccentric, *_coverage(rig, result))
 
 
 def _over_noise(rig: EncoderRig, order: float) -> np.ndarray:
     """Amplitude of a true line in its best channel over the standard deviation of its mean, by speed."""
-    samples = rig.duration_s * rig.rate_hz
     best = [np.abs(rig.amplitude(order, rpm)).max() for rpm in rig.speeds_rpm]
-    return np.array(best) / (rig.noise * np.sqrt(2.0 / samples))
+    return np.array(best) / (rig.noise * np.sqrt(2.0 / rig.duration_s / rig.rate_hz))
 
 
 def _coverage(rig: EncoderRig, result: CampaignResult) -> tuple[int, int, float]:
     """Intervals of tracks that hold the true amplitude, their number, and the median of half width over amplitude."""
-    tracks = result.datasets["order_tracks"]
-    true = np.array(sorted(rig.lines()))
+    tracks, true = result.datasets["order_tracks"], np.array(sorted(rig.lines()))
     covered, count, widths = 0, 0, []
     for row, order in enumerate(tracks["order"].values):
         nearest = float(true[np.argmin(np.abs(true - order))])
@@ -117,10 +105,9 @@ def test_pulses_come_where_the_encoder_shows_their_lines(tmp_path: Path) -> None
     turn = 15.0 * (times - index[0])
     off = 360.0 * (turn - np.round(60.0 * turn) / 60.0)
     # a disc that is off by 0.4 degrees shows its lines early and late by as much
-    order_1 = 2.0 * np.abs(np.mean((off - off.mean()) * np.exp(-2j * np.pi * turn)))
-    order_2 = 2.0 * np.abs(np.mean((off - off.mean()) * np.exp(-4j * np.pi * turn)))
-    assert order_1 == pytest.approx(0.4, rel=0.03)
-    assert order_2 == pytest.approx(0.1, rel=0.05)
+    for order, size, share in ((1, 0.4, 0.03), (2, 0.1, 0.05)):
+        line = 2.0 * np.abs(np.mean((off - off.mean()) * np.exp(-2j * np.pi * order * turn)))
+        assert line == pytest.approx(size, rel=share)
 
 
 def test_modes_and_lines_of_the_rig_have_the_amplitudes_stated(tmp_path: Path) -> None:
@@ -131,9 +118,8 @@ def test_modes_and_lines_of_the_rig_have_the_amplitudes_stated(tmp_path: Path) -
     n = round(rig.rate_hz * 6.0)  # whole turns
     spectrum = np.fft.rfft(signal[:n]) * (2.0 / n)
     for order in rig.lines():
-        assert np.abs(spectrum[round(order * 120.0)]) == pytest.approx(
-            np.abs(rig.amplitude(order, 1200.0)[0]), rel=2e-3
-        )
+        size = np.abs(rig.amplitude(order, 1200.0)[0])
+        assert np.abs(spectrum[round(order * 120.0)]) == pytest.approx(size, rel=2e-3)
 
 
 def rig_of_orders(encoder: Encoder) -> EncoderRig:
@@ -161,11 +147,8 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Judged]:
     first = int(os.environ.get("ENCODERS_SEED") or secrets.randbits(28))
     print(f"ENCODERS_SEED={first}")
     place = tmp_path_factory.mktemp("encoders")
-    made = []
-    for number in range(RIGS):
-        rig = draw_rig(first + number)
-        made.append(judged(rig if number % 6 else quiet(rig), place / f"rig_{number}"))
-    return made
+    rigs = [draw_rig(first + number) for number in range(RIGS)]
+    return [judged(rig if k % 6 else quiet(rig), place / f"rig_{k}") for k, rig in enumerate(rigs)]
 
 
 @pytest.mark.accuracy
@@ -176,8 +159,7 @@ def test_no_part_is_made_up(campaign: list[Judged]) -> None:
 
 @pytest.mark.accuracy
 def test_no_real_sideband_is_explained_away(campaign: list[Judged]) -> None:
-    gone = [(one.rig.seed, one.gone) for one in campaign if one.gone]
-    assert not gone
+    assert [(one.rig.seed, one.gone) for one in campaign if one.gone] == []
 
 
 @pytest.mark.accuracy

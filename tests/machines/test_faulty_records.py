@@ -56,7 +56,10 @@ def test_nothing_is_made_up_in_sound_records(n: int, seed: int | None) -> None:
     assert doubts == []
 
 
-def check_found(kind: str, n: int, seed: int) -> None:
+@pytest.mark.accuracy
+@pytest.mark.parametrize("kind", FAULTS)
+def test_faults_are_found_by_size(kind: str) -> None:
+    n, seed = 200, secrets.randbits(31)
     sizes, hits, beside = [], [], Counter[str]()
     for rng in draws(n, seed):
         drawn = FAULTS[kind](rng)
@@ -82,12 +85,6 @@ def test_a_few_large_faults_are_found(kind: str) -> None:
         if drawn.size >= LARGE[kind] and kind in {flag["flag"] for flag in flags_of(drawn)}:
             return
         assert number < 39
-
-
-@pytest.mark.accuracy
-@pytest.mark.parametrize("kind", FAULTS)
-def test_faults_are_found_by_size(kind: str) -> None:
-    check_found(kind, 200, secrets.randbits(31))
 
 
 @pytest.mark.parametrize("length_s", [1.0, 3.0])

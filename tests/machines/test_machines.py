@@ -63,14 +63,12 @@ def test_a_sweep_is_what_an_ode_solver_makes_of_it(rpm: tuple[float, float], dam
 
     # both start as if the first speed had always been
     jw = 2j * np.pi * order.order * profile.speed(np.zeros(1))[0] / 60.0
-    first = order.force(profile.speed(np.zeros(1)))[0] * np.exp(
-        2j * np.pi * order.order * profile.angle(np.zeros(1))[0]
-    )
+    turn = np.exp(2j * np.pi * order.order * profile.angle(np.zeros(1))[0])
+    first = order.force(profile.speed(np.zeros(1)))[0] * turn
     place = first / (natural**2 + jw**2 + 2 * damping * natural * jw)
     time_s = sample_times(machine, profile)
-    solved = solve_ivp(
-        moved, (0.0, 2.0), [place.real, (jw * place).real], t_eval=time_s, method="DOP853", rtol=1e-10, atol=1e-13
-    )
+    accuracy = {"method": "DOP853", "rtol": 1e-10, "atol": 1e-13}
+    solved = solve_ivp(moved, (0.0, 2.0), [place.real, (jw * place).real], t_eval=time_s, **accuracy)
     driven = np.array([force(t) for t in time_s])
     bent = driven - 2 * damping * natural * solved.y[1] - natural**2 * solved.y[0]
     envelope, carrier = order_envelope(machine, profile, 0)
@@ -233,11 +231,9 @@ def test_orders_stay_below_half_the_sampling_rate_in_every_class() -> None:
 
 @pytest.mark.parametrize("encoder", ["trace", "times"])
 def test_the_encoder_tells_the_angle_that_was_driven(encoder: str, tmp_path: Path) -> None:
-    machine = replace(
-        one_mode(profile=Profile((0.0, 3.0), (600.0, 900.0), 0.41)),
-        rate_hz=10000.0,
-        encoder=Encoder("60-2", encoder, 60, 2, False, 40.0, 1e6),
-    )
+    wheel = Encoder("60-2", encoder, 60, 2, False, 40.0, 1e6)
+    ramp = one_mode(profile=Profile((0.0, 3.0), (600.0, 900.0), 0.41))
+    machine = replace(ramp, rate_hz=10000.0, encoder=wheel)
     times = tooth_times(machine, tmp_path / "m")
     turned = (machine.profiles[0].angle(times) + 40.0 / 360.0) * 60
     late = turned - np.round(turned - 0.3)

@@ -73,13 +73,13 @@ def scene() -> tuple[Machine, tuple[Take, ...], Bound]:
     return machine, takes_of(machine), bound_of(machine)
 
 
-def wrong(scene: tuple[Machine, tuple[Take, ...], Bound], findings: dict[str, Any]) -> set[str]:
+Scene = tuple[Machine, tuple[Take, ...], Bound]
+
+
+def wrong(scene: Scene, findings: dict[str, Any]) -> set[str]:
     """Kinds of statement that the scorer holds to be wrong."""
     judgements = judged(*scene, Said(findings, None))
     return {one.kind for one in judgements if one.kind != "log width" and one.good < one.of - 0.15}
-
-
-Scene = tuple[Machine, tuple[Take, ...], Bound]
 
 
 def test_findings_that_are_right_are_held_to_be_right(scene: Scene) -> None:
@@ -163,34 +163,22 @@ def test_the_bound_on_one_order_is_that_of_a_line_in_white_noise(scene: Scene) -
     information = 0.0
     for profile in machine.profiles:
         size = abs(complex(machine.steady_response(1, profile.rpm[0])[0, 0]))
-        revolutions = profile.rpm[0] / 60.0 * profile.duration_s
-        information += (
-            size**2 * profile.duration_s / machine.noise_density[0] ** 2 * (2 * np.pi * revolutions) ** 2 / 12
-        )
+        turned = 2 * np.pi * profile.rpm[0] / 60.0 * profile.duration_s
+        information += size**2 * profile.duration_s / machine.noise_density[0] ** 2 * turned**2 / 12
     assert scene[2].order[1] == pytest.approx(information**-0.5, rel=0.01)
 
 
 def test_an_efficient_fit_of_the_known_model_scatters_by_the_bound() -> None:
     """Linearised least squares on noisy envelopes of a swept mode: its scatter is the bound of the frequency."""
-    machine = replace(
-        stepped(noise=0.05),
-        steady=False,
-        orders=stepped().orders[:1],
-        modes=(replace(stepped().modes[0], drive=(1.0 + 0j,)),),
-        profiles=(Profile((0.0, 6.0), (1600.0, 2000.0), 0.1),),
-    )
-    profile, rng = machine.profiles[0], np.random.default_rng(4)
-    truth = order_envelope(machine, profile, 0)[0][0]
-    columns = []
-    mode = machine.modes[0]
-    for moved, step in (
-        (replace(mode, frequency_hz=mode.frequency_hz + 1e-4), 1e-4),
-        (replace(mode, damping_ratio=mode.damping_ratio + 1e-6), 1e-6),
-    ):
-        other = replace(machine, modes=(moved,))
+    mode, profile = replace(stepped().modes[0], drive=(1.0 + 0j,)), Profile((0.0, 6.0), (1600.0, 2000.0), 0.1)
+    plain = replace(stepped(noise=0.05), steady=False, orders=stepped().orders[:1], profiles=(profile,))
+    machine, rng = replace(plain, modes=(mode,)), np.random.default_rng(4)
+    truth, columns = order_envelope(machine, profile, 0)[0][0], []
+    for key, step in (("frequency_hz", 1e-4), ("damping_ratio", 1e-6)):
+        other = replace(machine, modes=(replace(mode, **{key: getattr(mode, key) + step}),))
         columns.append((order_envelope(other, profile, 0)[0][0] - truth) / step)
-    direct = machine.orders[0].force(profile.speed(sample_times(machine, profile)))
-    x = (profile.speed(sample_times(machine, profile)) - 1800.0) / 200.0
+    speed = profile.speed(sample_times(machine, profile))
+    direct, x = machine.orders[0].force(speed), (speed - 1800.0) / 200.0
     modal = truth - 0.01 * direct
     nuisance = [modal, 1j * modal, direct, 1j * direct]
     nuisance += [turn * truth * x**power for power in (1, 2, 3) for turn in (1.0, 1j)]
@@ -260,10 +248,8 @@ def test_more_dangerous_statements_of_a_class_than_before_are_a_fall(kind: str) 
 
 
 def test_intervals_that_are_all_wider_are_a_fall_and_narrower_ones_are_none() -> None:
-    before, wider = (
-        [SceneScore.of("stepped", n, 1.0, "", (Judgement("log width", size),)) for n in range(13)]
-        for size in (-3.0, -2.9)
-    )
+    sizes = (Judgement("log width", -3.0), Judgement("log width", -2.9))
+    before, wider = ([SceneScore.of("stepped", n, 1.0, "", (one,)) for n in range(13)] for one in sizes)
     (reason,) = fallen(comparisons(before, wider), before, [])
     assert reason.startswith("all: width of intervals: 13 machines worse")
     assert fallen(comparisons(wider, before), before, []) == []
@@ -289,9 +275,8 @@ def test_a_failure_is_worse_and_its_repair_is_no_fall() -> None:
 
 
 def test_a_score_read_back_from_the_baseline_is_the_same_score() -> None:
-    scores = [
-        SceneScore.of("stepped", n, 1.0, "", (Judgement("dangerous range not free", n / 4001, 1.0),)) for n in range(40)
-    ]
+    shares = [Judgement("dangerous range not free", n / 4001, 1.0) for n in range(40)]
+    scores = [SceneScore.of("stepped", n, 1.0, "", (share,)) for n, share in enumerate(shares)]
     kept = [SceneScore.read(score.plain()) for score in scores]
     assert {(own.right.worse, own.right.better) for own in comparisons(kept, scores)} == {(0, 0)}
 

@@ -19,13 +19,13 @@ _PATIENCE_S = 60.0
 class Chromium:
     """One page of a Chromium of its own; ``complaints`` holds console messages, ``fetched`` every address asked for."""
 
-    def __init__(self, profile: Path, *, width: int = 1280, height: int = 1600) -> None:
+    def __init__(self, profile: Path) -> None:
         assert PROGRAM is not None
         theirs, self._out = os.pipe()
         self._in, back = os.pipe()
         command = [
             PROGRAM, "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run",
-            "--disable-background-networking", f"--user-data-dir={profile}", f"--window-size={width},{height}",
+            "--disable-background-networking", f"--user-data-dir={profile}", "--window-size=1280,1600",
             "--remote-debugging-pipe", "about:blank",
         ]  # fmt: skip
         high = [fcntl.fcntl(one, fcntl.F_DUPFD, 64) for one in (theirs, back)]  # clear of 3 and 4, where it listens

@@ -1,6 +1,5 @@
 """Orders through random structures, as complex amplitudes over the speeds: an exactly known truth for modal fits."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,16 +70,16 @@ class DrawnMachine:
     def rows_within(self, mode: int, halves: float) -> int:
         """Most speeds of one order within so many half-power half widths of ``mode``."""
         f, zeta = self.natural_hz[mode], self.damping[mode]
-        near = [np.abs(item.order * self.speed_rpm / 60.0 / f - 1.0) < halves * zeta for item in self.orders]
-        return max(int(np.count_nonzero(one)) for one in near)
+        off = [np.abs(item.order * self.speed_rpm / 60.0 / f - 1.0) for item in self.orders]
+        return int(np.count_nonzero(np.array(off) < halves * zeta, axis=1).max())
 
-    def dangerous(self, factor: float, *, beside: float = 0.03) -> list[tuple[float, float, int, int]]:
+    def dangerous(self, factor: float) -> list[tuple[float, float, int, int]]:
         """Least and greatest speed of each range that one mode makes dangerous, with its order and mode."""
         low, high = float(self.speed_rpm.min()), float(self.speed_rpm.max())
         found = []
         for number, item in enumerate(self.orders):
             for mode, hz in enumerate(self.natural_hz.tolist()):
-                at = 60.0 * hz / item.order * (1.0 + beside * np.linspace(-1.0, 1.0, 1201))
+                at = 60.0 * hz / item.order * (1.0 + 0.03 * np.linspace(-1.0, 1.0, 1201))
                 at = at[(at >= low) & (at <= high)]
                 over = at[self.amplification(number, mode, at) > factor] if len(at) else at
                 if len(over):
@@ -189,22 +188,14 @@ def orders_and_map(machine: DrawnMachine, seed: int) -> tuple[tuple[AgreedOrder,
     return tuple(agreed), order_map
 
 
-def no_campbell() -> xr.Dataset:
-    """A CampbellMap without any speed: nothing but orders was recorded."""
-    dims = ("channel", "speed", "frequency")
-    empty = np.zeros((len(CHANNELS), 0, 0))
-    coords = {"channel": list(CHANNELS), "speed": np.zeros(0), "frequency": np.zeros(0)}
-    return xr.Dataset({"psd": (dims, empty)}, coords=coords)
-
-
-def judged(
-    machine: DrawnMachine, seed: int, *, stated: Sequence[float] = ()
-) -> tuple[ModalFit, tuple[Crossing, ...], SpeedVerdicts]:
+def judged(machine: DrawnMachine, seed: int) -> tuple[ModalFit, tuple[Crossing, ...], SpeedVerdicts]:
     """What the identification says of ``machine`` by its orders alone: modes, crossings and speeds."""
     settings = load_settings().identify
     agreed, order_map = orders_and_map(machine, seed)
-    modal = modal_fit(no_campbell(), order_map, agreed, settings=settings)
+    coords = {"channel": list(CHANNELS), "speed": np.zeros(0), "frequency": np.zeros(0)}
+    nothing = xr.Dataset({"psd": (("channel", "speed", "frequency"), np.zeros((len(CHANNELS), 0, 0)))}, coords)
+    modal = modal_fit(nothing, order_map, agreed, settings=settings)
     tested = (float(machine.speed_rpm.min()), float(machine.speed_rpm.max()))
-    found = crossings(agreed, modal, speed_rpm=tested, settings=settings, stated=stated)
+    found = crossings(agreed, modal, speed_rpm=tested, settings=settings)
     unit = dict.fromkeys(CHANNELS, "m/s2")
     return modal, found, speeds_to_avoid(found, agreed, modal, speed_rpm=tested, unit=unit, settings=settings)

@@ -8,12 +8,10 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit
+from made.order_amplitudes import order_map_of
 from made.recordings import named
 
 Array = NDArray[np.float64]
-
-OF_ONE_MARK = {"phase_reference": "tdc", "cycle_known": 1, "revs_per_cycle": 2}
-"""Attributes of an order map whose phases all tell from one mark of the crank."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,9 +100,10 @@ def no_orders(campbell: xr.Dataset) -> xr.Dataset:
     """OrderMap without any order, for the speeds and channels of ``campbell``."""
     dims = ("channel", "speed", "order")
     nothing = np.zeros((campbell.sizes["channel"], campbell.sizes["speed"], 0))
+    attrs = {"phase_reference": "tdc", "cycle_known": 1, "revs_per_cycle": 2}
     names = ("coherent_amplitude", "standard_error", "degrees_of_freedom", "phase")
     coords = {**named(campbell["channel"].values), "speed": campbell["speed"].values, "order": np.zeros(0)}
-    return xr.Dataset(dict.fromkeys(names, (dims, nothing)), coords=coords, attrs=OF_ONE_MARK)
+    return xr.Dataset(dict.fromkeys(names, (dims, nothing)), coords=coords, attrs=attrs)
 
 
 def orders_of(made: Made, forces: tuple[tuple[float, float], ...], *, error: float, seed: int) -> xr.Dataset:
@@ -119,14 +118,5 @@ def orders_of(made: Made, forces: tuple[tuple[float, float], ...], *, error: flo
     for j, (order, force) in enumerate(forces):
         made_of[:, :, j] = made.response(order * speed / 60.0)[:, 0] * force * (speed / 1000.0) ** 2
     made_of += error * (random.standard_normal(shape) + 1j * random.standard_normal(shape))
-    dims = ("channel", "speed", "order")
-    return xr.Dataset(
-        {
-            "coherent_amplitude": (dims, np.abs(made_of)),
-            "phase": (dims, np.degrees(np.angle(made_of))),
-            "standard_error": (dims, np.full(shape, error)),
-            "degrees_of_freedom": (dims, np.full(shape, 200.0)),
-        },
-        coords={**named("XYZ"[: shape[0]]), "speed": speed, "order": np.array([order for order, _ in forces])},
-        attrs=OF_ONE_MARK,
-    )
+    numbers = np.array([order for order, _ in forces])
+    return order_map_of(made_of, np.full(shape, error), np.full(shape, 200.0), speed, numbers)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import xarray as xr
 
 from crankorder.fft.decimation import band_limited
 from crankorder.orders.frames import order_frames
@@ -29,12 +30,17 @@ class HardCase:
 
     asked: str
     error: float
-    mark: float
-    x_label: str
-    y_label: str
     curves: list[tuple[np.ndarray, np.ndarray, str]]
+    mark: float = 1e-6
+    x_label: str = "order"
+    y_label: str = "amplitude"
     logarithmic: bool = False
     wide: bool = False
+
+
+def limited_frames(band: xr.Dataset, angle: xr.Dataset, *, band_hz: float = 500.0) -> xr.Dataset:
+    """OrderFrames of a recording that is limited to ``band_hz`` first."""
+    return order_frames(band_limited(band, band_hz=band_hz, grid_hz=0.5), angle, settings=SETTINGS)
 
 
 def close_orders() -> HardCase:
@@ -53,8 +59,6 @@ def close_orders() -> HardCase:
         asked="order 5.5 beside 5.48 in 250 revolutions: both amplitudes",
         error=float(np.abs(found / amplitudes[:, None] - 1.0).max()),
         mark=1e-9,
-        x_label="order",
-        y_label="amplitude",
         curves=[
             (axis, spectrum, "Hann spectrum"),
             (orders, np.abs(noisy[:, len(angle) // 2]), "Vold–Kalman, noise 0.2"),
@@ -78,7 +82,6 @@ def crossing_shafts() -> HardCase:
         error=float((np.abs(found - amplitudes) / amplitudes)[:, inner].max()),
         mark=1e-3,
         x_label="time in s",
-        y_label="amplitude",
         curves=[(time[::50], row[::50], f"shaft {k + 1}") for k, row in enumerate(found)]
         + [joined(time[::50], amplitudes[:, ::50], "truth")],
     )
@@ -106,7 +109,6 @@ def fast_ramps() -> HardCase:
     return HardCase(
         asked="a minute of ramps of 10,000 rpm/s: orders 2 and 5.5 in every frame",
         error=float(np.abs(found - truth).max()),
-        mark=1e-6,
         x_label="frame",
         y_label="error of the amplitude",
         curves=[
@@ -125,15 +127,12 @@ def two_revolutions() -> HardCase:
         duration_s=0.402,
         rate_hz=50000.0,
     )
-    frames = order_frames(band_limited(band, band_hz=500.0, grid_hz=0.5), angle, settings=SETTINGS)
+    frames = limited_frames(band, angle)
     spectrum = frames["spectrum"].values[0, 0]
     truth = {2.0: np.exp(0.5j), 5.5: 0.1 * np.exp(-1j)}
     return HardCase(
         asked="300 rpm with two revolutions: orders 2 and 5.5",
         error=max(abs(frames["spectrum"].sel(order=o).values[0, 0] - a) for o, a in truth.items()),
-        mark=1e-6,
-        x_label="order",
-        y_label="amplitude",
         curves=[
             (frames["order"].values, np.abs(spectrum), "found"),
             (np.array([0.5, 2.0, 5.5]), np.array([0.3, 1.0, 0.1]), "truth"),
@@ -157,9 +156,6 @@ def bin_edge() -> HardCase:
     return HardCase(
         asked="an order on the edge between two bins: its amplitude and phase",
         error=float(np.abs(found - np.exp(0.7j)).max()),
-        mark=1e-6,
-        x_label="order",
-        y_label="amplitude",
         curves=[
             (frames["order"].values[near], shown[near], "bins of a frame"),
             (np.array([order]), np.array([np.abs(found).mean()]), "read at the order"),
@@ -179,7 +175,6 @@ def near_nyquist() -> HardCase:
     return HardCase(
         asked="order 20 at 0.98 of the Nyquist frequency, within the recording",
         error=float(error[1:-1].max()),
-        mark=1e-6,
         x_label="frame",
         y_label="error of the amplitude",
         curves=[(np.arange(len(error)), error, frames.attrs["method"])],
@@ -193,16 +188,11 @@ def large_offset() -> HardCase:
     band, angle = steady([signal], speed_rpm=1487.0, duration_s=10.0, rate_hz=20000.0)
     offset = band.copy(deep=True)
     offset["signal"] = offset["signal"] + 1e6
-    plain, moved = (
-        order_frames(band_limited(item, band_hz=500.0, grid_hz=0.5), angle, settings=SETTINGS)["spectrum"].values[0]
-        for item in (band, offset)
-    )
+    plain, moved = (limited_frames(item, angle)["spectrum"].values[0] for item in (band, offset))
     axis = np.arange(plain.shape[1]) / 16
     return HardCase(
         asked="a constant of a million times the signal: half order and 5.5",
         error=float(np.abs(moved - plain)[:, 3:].max()),
-        mark=1e-6,
-        x_label="order",
         y_label="amplitude, mean of frames",
         curves=[
             (axis[1:], np.abs(moved[:, 1:]).mean(axis=0), "with the constant"),
@@ -218,13 +208,12 @@ def range_of_24_bits() -> HardCase:
     band, angle = steady([signal], speed_rpm=1487.0, duration_s=15.0, rate_hz=20000.0)
     step = 2.0**-23
     band["signal"] = (band["signal"] / step).round() * step
-    frames = order_frames(band_limited(band, band_hz=500.0, grid_hz=0.5), angle, settings=SETTINGS)
+    frames = limited_frames(band, angle)
     found = frames["spectrum"].sel(order=5.5).values[0].mean()
     return HardCase(
         asked="order 5.5, 120 dB below order 1, in samples of 24 bits",
         error=float(abs(found / (1e-6 * np.exp(1j)) - 1.0)),
         mark=1e-2,
-        x_label="order",
         y_label="amplitude, mean of frames",
         curves=[
             (frames["order"].values[1:], np.abs(frames["spectrum"].values[0].mean(axis=0))[1:], "found"),
@@ -251,7 +240,6 @@ def long_phase() -> HardCase:
     return HardCase(
         asked="phase of order 5.5 after 10⁸ samples, by time from the first",
         error=float(np.abs(found - 1.0).max()),
-        mark=1e-6,
         x_label="revolutions since the start",
         y_label="error of the amplitude",
         curves=[(frames["crank_angle"].values, np.abs(found - 1.0), f"angle up to {angle[-1]:.0f} rev")],
@@ -263,20 +251,18 @@ def gaps() -> HardCase:
     """Samples that are not a number: frames that touch them are left out, all others are as if nothing were missing."""
     signal = total(line(2.0, 1.0, 0.4), line(5.5, 0.2, 1.0))
     band, angle = steady([signal], speed_rpm=1487.0, duration_s=20.0, rate_hz=20000.0)
-    whole = order_frames(band_limited(band, band_hz=500.0, grid_hz=0.5), angle, settings=SETTINGS)
+    whole = limited_frames(band, angle)
     broken = band.copy(deep=True)
     for begin in (50_000, 200_000):
         broken["signal"].values[0, begin : begin + 2000] = np.nan
-    frames = order_frames(band_limited(broken, band_hz=500.0, grid_hz=0.5), angle, settings=SETTINGS)
+    frames = limited_frames(broken, angle)
     found, expected = (item["spectrum"].sel(order=[2.0, 5.5]).values[0] for item in (frames, whole))
     kept = np.isfinite(found).all(axis=1)
     assert 0 < kept.sum() < len(kept)
     return HardCase(
         asked=f"two gaps of 0.1 s: orders 2 and 5.5 in the {kept.sum()} frames of {len(kept)} that are left",
         error=float(np.abs(found - expected)[kept].max()),
-        mark=1e-6,
         x_label="frame",
-        y_label="amplitude",
         curves=[
             *((np.arange(len(found)), np.abs(found[:, k]), f"order {o}") for k, o in enumerate((2, 5.5))),
             joined(np.arange(len(found)), np.tile([[1.0], [0.2]], len(found)), "truth"),
@@ -290,17 +276,12 @@ def single_precision() -> HardCase:
     band, angle = steady([signal], speed_rpm=1487.0, duration_s=15.0, rate_hz=50000.0)
     single = band.copy()
     single["signal"] = band["signal"].astype(np.float32)
-    found = [
-        order_frames(band_limited(item, band_hz=600.0, grid_hz=0.5), angle, settings=SETTINGS)["spectrum"].values[0]
-        for item in (single, band)
-    ]
+    found = [limited_frames(item, angle, band_hz=600.0)["spectrum"].values[0] for item in (single, band)]
     axis = np.arange(found[0].shape[1]) / 16
     truth = {1.0: np.exp(0.2j), 5.5: 0.01 * np.exp(1j), 19.5: 0.3 * np.exp(-2j)}
     return HardCase(
         asked="float32 samples: orders 1, 5.5 and 19.5",
         error=max(float(np.abs(found[0][:, round(16 * o)] - a).max()) for o, a in truth.items()),
-        mark=1e-6,
-        x_label="order",
         y_label="amplitude, mean of frames",
         curves=[
             (axis[1:], np.abs(item.mean(axis=0))[1:], name)
@@ -318,14 +299,13 @@ def extreme_amplitudes() -> HardCase:
     for scale in (1e-300, 1.0, 1e300):
         scaled = band.copy(deep=True)
         scaled["signal"] = scaled["signal"] * scale
-        limited = band_limited(scaled, band_hz=500.0, grid_hz=0.5)
-        made = order_map([order_frames(limited, angle, settings=SETTINGS)], settings=SETTINGS)
+        made = order_map([limited_frames(scaled, angle)], settings=SETTINGS)
         found = made["coherent_amplitude"].sel(order=[2.0, 5.5]).values[0, 0] / scale
         worst = max(worst, float(np.abs(found - [1.0, 0.2]).max()))
         curves.append((made["order"].values, made["coherent_amplitude"].values[0, 0] / scale, f"times {scale:g}"))
     return HardCase(
-        asked="amplitudes of 1e-300 and 1e300 in the order map", error=worst, mark=1e-6, x_label="order",
-        y_label="amplitude over scale", curves=curves, logarithmic=True,
+        asked="amplitudes of 1e-300 and 1e300 in the order map", error=worst, curves=curves,
+        y_label="amplitude over scale", logarithmic=True,
     )  # fmt: skip
 
 
@@ -342,7 +322,7 @@ def heavy_smoothing() -> HardCase:
         errors.append(float(np.abs(tracks.amplitude[0, 0] - np.exp(0.3j)).max()))
     return HardCase(
         asked="Vold–Kalman from rate/500 to rate/2,000,000 (r² 1e9…1e23): largest error",
-        error=max(errors), mark=1e-6, x_label="sample rate over bandwidth", y_label="error of the amplitude",
+        error=max(errors), x_label="sample rate over bandwidth", y_label="error of the amplitude",
         curves=[(shares, np.array(errors), "by knots or samples")], logarithmic=True, wide=True,
     )  # fmt: skip
 

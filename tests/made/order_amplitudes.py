@@ -44,9 +44,8 @@ class Structure:
         while np.any(np.diff(self.natural) < 0.06 * self.natural[1:]):
             self.natural = np.sort(rng.uniform(30.0, 260.0, n_modes))
         self.damping = rng.uniform(0.005, 0.04, n_modes)
-        shape = rng.normal(size=(n_channels, n_modes)) * np.exp(
-            1j * complexity * rng.normal(size=(n_channels, n_modes))
-        )
+        size = (n_channels, n_modes)
+        shape = rng.normal(size=size) * np.exp(1j * complexity * rng.normal(size=size))
         drive = rng.normal(size=(n_modes, 5))
         drive[:, :3] += np.sign(drive[:, :3])
         self.residue = 0.002 * shape[:, None, :] * drive.T[None]  # (channel, axis or noise source, mode)
@@ -80,13 +79,9 @@ def made_orders(
     engine = engine_of() if engine is None else engine
     structure = Structure(rng, n_channels=n_channels) if structure is None else structure
     rpm = np.arange(300.0, 2001.0, 50.0) if speeds is None else np.asarray(speeds, dtype=float)
-    real = engine.model_copy(
-        update={
-            "shafts": engine.shafts.model_copy(update={"unbalanced_mass_kg": residual_kg}),
-            "rotating_unbalance_kg_m": rotating_kg_m,
-            "rotating_unbalance_deg": rotating_deg,
-        }
-    )
+    shafts = engine.shafts.model_copy(update={"unbalanced_mass_kg": residual_kg})
+    rotating = {"rotating_unbalance_kg_m": rotating_kg_m, "rotating_unbalance_deg": rotating_deg}
+    real = engine.model_copy(update={"shafts": shafts, **rotating})
     order = np.arange(8, 6 * 16 + 1) / 16
     turned = rpm.copy()
     for which, factor in (rpm_error or {}).items():
@@ -113,12 +108,9 @@ def made_orders(
         each = (each + 0.0005 * drawn(count, n_channels, order.size)) * noise * length[at]
         error[:, at] = np.sqrt((np.abs(each) ** 2).mean(axis=0) / 2)
     nu = np.broadcast_to(2.0 * frames[None, :, None], error.shape)
+    seen_orders = tuple(SimpleNamespace(order=float(k), lock="locked", lines=(1,)) for k in seen)
     return MadeOrders(
-        order_map=order_map_of(amplitude, error, nu, rpm, order),
-        engine=engine,
-        modal=modal_of(rng, structure),
-        orders=tuple(SimpleNamespace(order=float(k), lock="locked", lines=(1,)) for k in seen),
-        path=structure,
+        order_map_of(amplitude, error, nu, rpm, order), engine, modal_of(rng, structure), seen_orders, structure
     )
 
 

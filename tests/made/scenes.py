@@ -30,20 +30,18 @@ class MadeScene:
 
 def scene_named(name: str, *, seed: int, speeds_rpm: list[float], duration_s: float, rate_hz: float) -> Scene:
     """The shipped scene ``name`` with another seed, speeds, length and rate, no encoder and no faults."""
-    scene = load_scene(name)
-    differences = {
-        "seed": seed,
-        "sampling": TimeSampling(domain="time", rate_hz=rate_hz, duration_s=duration_s),
-        "speeds": Speeds(list_rpm=tuple(speeds_rpm)),
-        "encoder": None,
-    }
+    sampling = TimeSampling(domain="time", rate_hz=rate_hz, duration_s=duration_s)
+    speeds = Speeds(list_rpm=tuple(speeds_rpm))
+    return _differing(load_scene(name), seed=seed, sampling=sampling, speeds=speeds, encoder=None)
+
+
+def _differing(scene: Scene, **differences: object) -> Scene:
     return Scene.model_construct(**{**{key: getattr(scene, key) for key in Scene.model_fields}, **differences})
 
 
 def without_orders(scene: Scene) -> Scene:
     """``scene`` with its structure and noise alone: no engine forces, no injected orders, no bearing lines."""
-    nothing = {"engine_forces": None, "injected_orders": (), "bearing_lines": ()}
-    return Scene.model_construct(**{**{key: getattr(scene, key) for key in Scene.model_fields}, **nothing})
+    return _differing(scene, engine_forces=None, injected_orders=(), bearing_lines=())
 
 
 def made_scene(scene: Scene, settings: Settings) -> MadeScene:

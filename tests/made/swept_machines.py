@@ -39,13 +39,11 @@ def drawn(
 ) -> SweptMachine:
     """A machine of 1 to 6 modes and three to five orders; one of these slips by the share ``slip`` if that is not 0."""
     n_modes = int(rng.integers(1, 7)) if modes is None else modes
-    orders = np.sort(
-        rng.choice(np.array([0.5, 1.0, 1.5, 2.0, 3.0, 3.5, 4.0, 5.5, 6.0, 8.0, 9.0]), rng.integers(3, 6), False)
-    )
+    numbers = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 3.5, 4.0, 5.5, 6.0, 8.0, 9.0])
+    orders = np.sort(rng.choice(numbers, rng.integers(3, 6), False))
     slips = np.zeros(len(orders))
     if slip:
-        k = int(rng.choice(np.flatnonzero(orders >= 2.0)))
-        slips[k] = slip
+        slips[int(rng.choice(np.flatnonzero(orders >= 2.0)))] = slip
     return SweptMachine(
         orders=orders,
         size=np.exp(rng.uniform(np.log(0.1), 0.0, len(orders))),

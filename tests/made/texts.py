@@ -1,5 +1,6 @@
 """The texts of a matplotlib figure, and those that are not legible."""
 
+from itertools import combinations
 from typing import Any
 
 from matplotlib.text import Text
@@ -22,20 +23,9 @@ def overlaps(figure: Any) -> list[tuple[str, str]]:
                 if not low * (1 - 1e-9) <= tick.get_loc() <= high * (1 + 1e-9):
                     hidden |= {id(tick.label1), id(tick.label2)}
     texts = [text for text in figure.findobj(Text) if text.get_visible() and text.get_text().strip()]
-    boxes = [
-        (text.get_text(), text.get_window_extent(renderer).shrunk(0.94, 0.94))
-        for text in texts
-        if id(text) not in hidden
-    ]
-    width, height = figure.bbox.width, figure.bbox.height
-    beyond = [
-        (text, "edge of the canvas")
-        for text, box in boxes
-        if box.x0 < 0 or box.y0 < 0 or box.x1 > width + 1 or box.y1 > height + 1
-    ]
-    return beyond + [
-        (one, two)
-        for number, (one, first) in enumerate(boxes)
-        for two, second in boxes[number + 1 :]
-        if first.overlaps(second)
-    ]
+    drawn = [text for text in texts if id(text) not in hidden]
+    boxes = [(text.get_text(), text.get_window_extent(renderer).shrunk(0.94, 0.94)) for text in drawn]
+    right, top = figure.bbox.width + 1, figure.bbox.height + 1
+    beyond = [text for text, box in boxes if box.x0 < 0 or box.y0 < 0 or box.x1 > right or box.y1 > top]
+    pairs = [(one, two) for (one, first), (two, second) in combinations(boxes, 2) if first.overlaps(second)]
+    return [(text, "edge of the canvas") for text in beyond] + pairs

@@ -33,7 +33,6 @@ def made_test(
     seed: int = 0,
     speeds: Sequence[float] = SPEEDS_RPM,
     duration_s: float = 16.0,
-    noise: float = 0.3,
     run: Mapping[str, Any] | None = None,
     modes: Sequence[dict[str, Any]] = (),
     channels: Sequence[str] = ("A",),
@@ -41,34 +40,19 @@ def made_test(
     """A test with ``lines`` (by order) in white noise; ``run`` is merged into what run.json states."""
     orders = []
     for number, rpm in enumerate(speeds):
-        signals = [
-            total(*_lines(lines, rpm), _noise(noise, 1000 * seed + 10 * number + row)) for row in range(len(channels))
-        ]
+        phasors = {order: complex(phasor(rpm)) for order, phasor in lines.items()}
+        tones = [line(order, abs(value), float(np.angle(value))) for order, value in phasors.items()]
+        signals = [total(*tones, _noise(1000 * seed + 10 * number + row)) for row in range(len(channels))]
         recording = steady(signals, speed_rpm=rpm, duration_s=duration_s, rate_hz=RATE_HZ)
         orders.append(order_frames(*recording, settings=SETTINGS.orders))
-    maps = {"order_map": order_map(orders, settings=SETTINGS.orders), "shaft": _shaft(speeds)}
-    maps = {
-        key: one.assign_coords(channel=list(channels)) if "channel" in one.sizes else one for key, one in maps.items()
-    }
-    return Tested(
-        name, findings_of(findings(lines, channels, name, modes)), {**stated(name, channels), **(run or {})}, maps
-    )
+    by_order = order_map(orders, settings=SETTINGS.orders).assign_coords(channel=list(channels))
+    shaft = xr.Dataset({"speed_mean": ("recording", np.array(speeds), {"units": "min-1"})})
+    document, statement = findings(lines, channels, name, modes), {**stated(name, channels), **(run or {})}
+    return Tested(name, findings_of(document), statement, {"order_map": by_order, "shaft": shaft})
 
 
-def _shaft(speeds: Sequence[float]) -> xr.Dataset:
-    return xr.Dataset({"speed_mean": ("recording", np.array(speeds), {"units": "min-1"})})
-
-
-def _lines(lines: Mapping[float, Phasor], rpm: float) -> list[Any]:
-    made = []
-    for order, phasor in lines.items():
-        value = complex(phasor(rpm))
-        made.append(line(order, abs(value), float(np.angle(value))))
-    return made
-
-
-def _noise(size: float, seed: int) -> Any:
-    return lambda time_s, _: size * np.random.default_rng(seed).standard_normal(len(time_s))
+def _noise(seed: int) -> Any:
+    return lambda time_s, _: 0.3 * np.random.default_rng(seed).standard_normal(len(time_s))
 
 
 def findings(

@@ -66,14 +66,11 @@ def from_dicts(function: Callable[..., Any]) -> Callable[..., Any]:
                 if kind is not None:
                     bound.arguments[name] = record_of(kind, value)
                 elif get_origin(kinds[0]) not in (dict, Mapping):
-                    bound.arguments[name] = SimpleNamespace(**_tuples(value))
+                    values = {key: tuple(part) if isinstance(part, list) else part for key, part in value.items()}
+                    bound.arguments[name] = SimpleNamespace(**values)
         return function(*bound.args, **bound.kwargs)
 
     return called
-
-
-def _tuples(document: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: tuple(value) if isinstance(value, list) else value for key, value in document.items()}
 
 
 def as_dicts(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -26,9 +26,9 @@ class Analysed:
         """Dataset of that name in the results."""
         return xr.load_dataset(self.folder / "results.nc", group=name, engine="h5netcdf")
 
-    def modes_hz(self, said: str = "mode") -> list[float]:
-        """Frequencies of the lines that are said to be modes, or whatever else is ``said``."""
-        return [record["frequency_hz"] for record in self.findings["modes"] if record["explained_by"] == said]
+    def modes_hz(self) -> list[float]:
+        """Frequencies of the lines that are said to be modes."""
+        return [record["frequency_hz"] for record in self.findings["modes"] if record["explained_by"] == "mode"]
 
 
 @pytest.fixture(scope="session")

@@ -5,13 +5,12 @@ import pytest
 
 pytestmark = pytest.mark.slow
 
-FOLDER = "gear0"
 MESH = 22.9986  # 766.62 Hz over 2000 rpm, good to 0.001
 
 
 @pytest.fixture(scope="module")
 def gear(analysed):
-    return analysed("gear0", FOLDER)
+    return analysed("gear0", "gear0")
 
 
 def near(records, order, within=0.01):

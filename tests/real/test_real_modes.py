@@ -6,22 +6,23 @@ import xarray as xr
 
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.settings import load_settings
+from made.floors import no_orders
 
 TOWER_HZ = (1.228, 1.436, 2.100, 4.018, 4.770, 6.682, 7.616, 9.665, 12.166, 12.598, 13.854)
 BEAM_HZ = (6.62, 41.4, 117.5)
 DRIVEN_HZ = (100.0, 120.0, 150.0)
 
 
+def natural_frequencies(result, low_hz, high_hz):
+    """Records of ``result`` between two frequencies that are or may be natural frequencies."""
+    found = [record for record in result.findings["modes"] if record["explained_by"] in ("mode", "undecided")]
+    return [record for record in found if low_hz <= record["frequency_hz"] <= high_hz]
+
+
 @pytest.mark.parametrize("known_hz", TOWER_HZ)
 def test_the_towers_natural_frequencies_are_found(analysed, known_hz):
     found = np.array(analysed("oma_tower", "oma_tower").modes_hz())
     assert found.size and np.min(np.abs(found / known_hz - 1.0)) <= 0.01
-
-
-def test_the_tower_has_no_other_mode(analysed):
-    """Above 16 Hz there are only images of a record of 32 Hz that somebody drew up to 256 Hz: zeros at 48, 80, 112."""
-    for frequency in analysed("oma_tower", "oma_tower").modes_hz():
-        assert np.min(np.abs(frequency / np.array(TOWER_HZ) - 1.0)) <= 0.01
 
 
 def test_the_tower_has_findings_without_any_speed(analysed):
@@ -37,12 +38,7 @@ def test_the_hammer_tests_mode_is_found_to_a_thousandth(analysed):
     One decay of 3.2 s tells 0.31 Hz apart, and the line is 0.37 Hz wide: whether it is damped may be left undecided.
     """
     result = analysed("hammer", "modal_vtb")
-    between = [
-        record
-        for record in result.findings["modes"]
-        if record["explained_by"] in ("mode", "undecided") and 156.25 <= record["frequency_hz"] <= 312.5
-    ]
-    (mode,) = between
+    (mode,) = natural_frequencies(result, 156.25, 312.5)
     assert mode["frequency_hz"] == pytest.approx(212.09, rel=1e-3)
     low, high = mode["frequency_hz_ci95"]
     assert low <= 212.09 * 1.0003 and high >= 212.09 * 0.9997
@@ -92,8 +88,7 @@ def test_the_beams_natural_frequencies_are_found_in_its_measured_spectrum(analys
         coords=known | kept,
         attrs=template.attrs | {"enbw_hz": 1.5 * step_hz, "resolution_hz": step_hz},
     )
-    order_map = without_orders(campbell)
-    fit = modal_fit(campbell, order_map, (), settings=load_settings().identify)
+    fit = modal_fit(campbell, no_orders(campbell), (), settings=load_settings().identify)
     for known_hz in BEAM_HZ:
         near = [mode for mode in fit.modes if abs(mode.frequency_hz / known_hz - 1.0) <= 0.01]
         assert near, f"{known_hz} Hz is not found"
@@ -101,19 +96,6 @@ def test_the_beams_natural_frequencies_are_found_in_its_measured_spectrum(analys
             assert any(not mode.undecided for mode in near)
         else:
             assert all(not mode.undecided or "its damping is not determined" in mode.undecided for mode in near)
-
-
-def without_orders(campbell):
-    """An OrderMap in which nothing is known, as a structure has it."""
-    shape = ("channel", "speed", "order")
-    nothing = np.full((campbell.sizes["channel"], campbell.sizes["speed"], 3), np.nan)
-    names = ("amplitude", "coherent_amplitude", "phase", "standard_error", "degrees_of_freedom")
-    return xr.Dataset(
-        dict.fromkeys(names, (shape, nothing)) | {"n_frames": ("speed", np.zeros(campbell.sizes["speed"], int))},
-        coords={"order": ("order", np.arange(3.0))}
-        | {name: campbell[name] for name in ("channel", "unit", "quantity", "speed") if name in campbell.coords},
-        attrs={"revs_per_cycle": 1, "revs_per_frame": 16, "amplitude_scaling": "peak"},
-    )
 
 
 @pytest.fixture(scope="module")
@@ -158,28 +140,9 @@ def test_the_rotors_first_order_is_not_called_a_plain_square(coast_down):
 @pytest.mark.slow
 def test_a_natural_frequency_that_shapes_the_rotors_first_order_is_reported_with_its_doubt(coast_down):
     """By hand its phase turns by 45° about 61 Hz and by more than 90° about 90 Hz, at the end of the speeds."""
-    near = [
-        record
-        for record in coast_down.findings["modes"]
-        if 55.0 <= record["frequency_hz"] <= 97.0 and record["explained_by"] in ("mode", "undecided")
-    ]
-    assert near
+    near = natural_frequencies(coast_down, 55.0, 97.0)
     assert any(any(abs(order - 1.0) < 0.05 for order in record["reached_by_orders"]) for record in near)
     assert all(record["evidence"] for record in near)
-
-
-@pytest.mark.parametrize(
-    ("name", "folder"), [("tue_genset", "tue_genset"), ("tue_training", "tue_genset"), ("auth_360ppr", "auth_360ppr")]
-)
-def test_cylinder_pressure_at_one_speed_shows_no_mode(analysed, name, folder):
-    assert analysed(name, folder).modes_hz() == []
-
-
-def test_the_gensets_half_orders_are_the_gas_cycle_of_four_strokes(analysed):
-    orders = analysed("tue_genset", "tue_genset").findings["orders"]
-    half = [record for record in orders if abs(2 * record["order"] - round(2 * record["order"])) < 0.02]
-    assert {0.5, 1.0, 1.5, 2.0} <= {round(2 * record["order"]) / 2 for record in half}
-    assert {record["explained_by"] for record in half} == {"gas cycle"}
 
 
 @pytest.mark.slow
@@ -200,27 +163,32 @@ def test_what_is_called_a_mode_of_a_machine_is_narrow_certain_and_off_its_orders
 # No recording gets a made-up mode: what is called one is known to be one, and what is not decidable says why.
 
 
-# manifest, folder, file, and the natural frequencies that may be called modes: those that somebody else measured
-RECORDINGS = [
-    ("beam", "beam_dropbear4", "", (6.62, 41.4, 117.5)), ("hammer", "modal_vtb", "", (212.09,)),
-    ("oma_tower", "oma_tower", "", TOWER_HZ), ("auth_360ppr", "auth_360ppr", "", ()),
-    ("tue_genset", "tue_genset", "", ()), ("tue_training", "tue_genset", "", ()), ("gear0", "gear0", "", ()),
-    ("rotor_without", "rotorbalancer", "", ()), ("rotor_with", "rotorbalancer", "", ()),
-    ("rotorbalancer", "rotorbalancer", "", ()), ("ansys_accel", "ansys_accel", "", ()),
+# manifest, folder, and the natural frequencies that may be called modes: those that somebody else measured
+QUICK = [
+    # above 16 Hz there are only images of a record of 32 Hz that somebody drew up to 256 Hz: zeros at 48, 80, 112
+    ("oma_tower", "oma_tower", TOWER_HZ),
+    ("auth_360ppr", "auth_360ppr", ()), ("tue_genset", "tue_genset", ()), ("tue_training", "tue_genset", ()),
+]  # fmt: skip
+LONG = [
+    ("beam", "beam_dropbear4", (6.62, 41.4, 117.5)), ("hammer", "modal_vtb", (212.09,)), ("gear0", "gear0", ()),
+    ("rotor_without", "rotorbalancer", ()), ("rotor_with", "rotorbalancer", ()),
+    ("rotorbalancer", "rotorbalancer", ()), ("ansys_accel", "ansys_accel", ()),
 ]  # fmt: skip
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "folder", "only", "known_hz"), RECORDINGS)
-def test_what_is_called_a_mode_was_measured_by_somebody_else_too(analysed, name, folder, only, known_hz):
-    for frequency in analysed(name, folder, only).modes_hz():
+@pytest.mark.cases(len(QUICK))
+@pytest.mark.parametrize(
+    ("name", "folder", "known_hz"), [*QUICK, *(pytest.param(*row, marks=pytest.mark.slow) for row in LONG)]
+)
+def test_what_is_called_a_mode_was_measured_by_somebody_else_too(analysed, name, folder, known_hz):
+    for frequency in analysed(name, folder).modes_hz():
         assert any(abs(frequency / known - 1.0) <= 0.01 for known in known_hz), f"{frequency:.3f} Hz is made up"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "folder", "only"), [item[:3] for item in RECORDINGS])
-def test_what_is_not_decidable_is_said_to_be_so_and_why(analysed, name, folder, only):
-    for record in analysed(name, folder, only).findings["modes"]:
+@pytest.mark.parametrize(("name", "folder"), [row[:2] for row in QUICK + LONG])
+def test_what_is_not_decidable_is_said_to_be_so_and_why(analysed, name, folder):
+    for record in analysed(name, folder).findings["modes"]:
         assert record["evidence"], f"{record['frequency_hz']:.3f} Hz without evidence"
         if record["explained_by"] == "undecided":
             assert record["undecided"]
