@@ -231,7 +231,8 @@ def test_no_text_of_the_live_diagrams_is_cut_and_none_lies_on_the_name_of_an_axi
                 opened.value("window.written = []; 1")
                 _choose(opened, "live-scale", scale)
                 _choose(opened, "live-view", view)
-                opened.mouse("mouseMoved", *_middle(opened))
+                x0, x1, y0, y1 = _view(opened)
+                opened.mouse("mouseMoved", *_place(opened, 0.5 * (x0 + x1), 0.5 * (y0 + y1)))
                 written = opened.value("window.written")
                 assert {one[0] for one in written} == {"live-map", "live-cuts"}
                 cut = [
@@ -250,11 +251,3 @@ def test_no_text_of_the_live_diagrams_is_cut_and_none_lies_on_the_name_of_an_axi
                     assert not on_it, (view, scale, name[1], on_it)
     finally:
         opened.ask("Emulation.clearDeviceMetricsOverride")
-
-
-def _middle(browser: chromium.Chromium) -> tuple[float, float]:
-    left, top, width, height = browser.value(
-        "(() => { const b = document.getElementById('live-map').getBoundingClientRect();"
-        " return [b.left, b.top, b.width, b.height] })()"
-    )
-    return left + width / 2, top + height / 2
