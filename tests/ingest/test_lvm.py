@@ -76,12 +76,9 @@ def test_segments_are_columns_of_their_own(written, limits):
     np.testing.assert_array_equal(read_file(path, sources=["1/acc"], settings=limits).columns["1/acc"], VALUES[:, 1])
 
 
-MANIFEST = manifest("a.lvm", cycle="none", channels={"acc": {}})
-
-
 def recording_of(path, read_in, rate_hz=None):
     rate = "" if rate_hz is None else f"[sampling]\nrate_hz = {rate_hz}\n"
-    (path.parent / "run.toml").write_text(MANIFEST + rate)
+    (path.parent / "run.toml").write_text(manifest("a.lvm", cycle="none", channels={"acc": {}}) + rate)
     recording = read_in(path)
     return recording, {flag["flag"]: flag["severity"] for flag in flags_of(recording)}
 

@@ -182,14 +182,13 @@ def test_the_schema_file_is_that_of_the_model():
 # Transfer paths and added masses of a manifest are checked, and their tables read.
 
 
-PRESSURE = '[[channels]]\nname = "P"\nunit = "bar"\n'
 PATH = '[[transfer_paths]]\nchannel = "Z"\ndirection = "Z"\n'
 RIGID = PATH + "apparent_mass_kg = 330.0\nfrequency_range_hz = [5.0, 50.0]\nuncertainty_percent = 5\n"
 
 
 def faults(folder: Path, text: str) -> str:
     with pytest.raises(ManyErrors) as caught:
-        read_manifest(folder, PRESSURE + text)
+        read_manifest(folder, '[[channels]]\nname = "P"\nunit = "bar"\n' + text)
     return str(caught.value)
 
 

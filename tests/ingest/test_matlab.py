@@ -13,8 +13,6 @@ from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.formats import contents_of, read_file
 from made.recordings import manifest
 
-TYPES = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?")
-
 
 @pytest.fixture
 def saved(tmp_path):
@@ -29,7 +27,7 @@ def saved(tmp_path):
 
 def test_numbers_of_every_type_are_those_that_were_saved(saved, limits):
     for compressed in [False, True]:
-        for kind in TYPES:
+        for kind in ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?"):
             values = (np.arange(700) % 120).astype(kind)
             path = saved(x=values, compressed=compressed)
             column = read_file(path, sources=["x"], settings=limits).columns["x"]
