@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from crankorder.campbell.frames import frequency_frames
 from crankorder.campbell.map import campbell_map, leading_frames
+from crankorder.fft.decimation import band_limited
+from crankorder.fft.windows import window_named
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
-from made.recordings import line, named, sampled, shaft, steady
+from made.recordings import line, named, run_up, sampled, shaft, steady
 
 SETTINGS = load_settings().campbell
 
@@ -156,3 +158,169 @@ def test_what_does_not_turn_keeps_its_start() -> None:
     for item in struck:
         item["speed"] = ("frame", np.full(item.sizes["frame"], np.nan))
     assert leading_frames(struck) is None
+
+
+# Frames by time and what they become on the map: precision, windows, gaps, sweeps, extremes.
+
+
+def test_frames_keep_the_precision_of_the_recording_and_agree():
+    rng = np.random.default_rng(3)
+    band, knots = steady(
+        [line(1.0, 1.0), lambda t, _: 1e-3 * rng.standard_normal(len(t))],
+        speed_rpm=700.0,
+        duration_s=9.0,
+        rate_hz=2000.0,
+    )
+    double = frequency_frames(band, knots, settings=SETTINGS)
+    band["signal"] = band["signal"].astype(np.float32)
+    single = frequency_frames(band, knots, settings=SETTINGS)
+    check_dataset(double, "frequency_frames")
+    assert (single["power"].dtype, double["power"].dtype) == (np.float32, np.float64)
+    maps = [campbell_map([frames], speed_bin_rpm=25.0)["amplitude"].values for frames in (single, double)]
+    assert np.abs(maps[0] - maps[1]).max() < 1e-6
+
+
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("window", ["hann", "flat-top", "blackman-harris", "kaiser"])
+@pytest.mark.parametrize(("duration_s", "largest_db"), [(12.0, 0.0125), (1.3, 0.025)], ids=["long", "short record"])
+def test_order_1_reads_alike_at_the_35_speeds_with_every_window(window, duration_s, largest_db):
+    # with bins of 5/9 Hz order 1 lies half-way between two of them at 17 of the 35 speeds
+    settings = SETTINGS.model_copy(update={"window": window, "resolution_hz": 5.0 / 9.0})
+    level_db = []
+    for rpm in range(300, 2050, 50):
+        band, knots = steady([line(1.0, 0.3)], speed_rpm=rpm, duration_s=duration_s, rate_hz=2000.0)
+        made = campbell_map([frequency_frames(band, knots, settings=settings)], speed_bin_rpm=25.0)
+        level_db.append(20 * np.log10(made["amplitude"].max().item() / 0.3))
+    # at 300 rpm the mirror image of order 1 lies 20 bins away: far for every window, but not in a short record
+    shown = level_db if duration_s > 2.0 else level_db[8:]
+    assert np.abs(shown).max() < (0.01 if window in ("flat-top", "hann") and duration_s > 2.0 else largest_db)
+
+
+def test_rms_is_the_peak_over_the_square_root_of_two():
+    band, knots = steady([line(1.0, 0.3)], speed_rpm=1200.0, duration_s=9.0, rate_hz=2000.0)
+    rms = SETTINGS.model_copy(update={"amplitude_scaling": "rms"})
+    peak, root = (
+        campbell_map([frequency_frames(band, knots, settings=s)], speed_bin_rpm=25.0) for s in (SETTINGS, rms)
+    )
+    assert (peak.attrs["amplitude_scaling"], root.attrs["amplitude_scaling"]) == ("peak", "rms")
+    np.testing.assert_allclose(root["amplitude"] * 2**0.5, peak["amplitude"], rtol=1e-12)
+    np.testing.assert_array_equal(root["psd"], peak["psd"])
+
+
+@pytest.mark.parametrize("window", ["hann", pytest.param("flat-top", marks=pytest.mark.slow)])
+def test_the_density_is_that_of_scipys_welch(window):
+    from scipy.signal import welch
+
+    rng = np.random.default_rng(5)
+    settings = SETTINGS.model_copy(update={"window": window, "max_frequency_hz": 1000.0})
+    band, knots = steady([lambda t, _: rng.standard_normal(len(t))], speed_rpm=1200.0, duration_s=20.0, rate_hz=2000.0)
+    values = window_named(window, 4000).values
+    expected = welch(band["signal"].values, 2000.0, window=values, nperseg=4000, detrend=False)[1]
+    for dtype, largest in ((np.float64, 1e-10), (np.float32, 1e-4)):
+        band["signal"] = band["signal"].astype(dtype)
+        made = campbell_map([frequency_frames(band, knots, settings=settings)], speed_bin_rpm=25.0)
+        np.testing.assert_allclose(made["psd"].values[0], expected, rtol=largest)
+
+
+def test_a_floor_120_db_below_a_tone_is_seen_with_a_flat_top():
+    settings = SETTINGS.model_copy(update={"window": "flat-top"})
+    frequency = [100.13, 130.31]  # between bins
+    signal = [lambda t, _: np.cos(2 * np.pi * frequency[0] * t) + 1e-6 * np.cos(2 * np.pi * frequency[1] * t)]
+    for dtype, floor in ((np.float64, 1e-7), (np.float32, 2e-7)):
+        band, knots = steady(signal, speed_rpm=1200.0, duration_s=12.0, rate_hz=2000.0)
+        band["signal"] = band["signal"].astype(dtype)
+        amplitude = campbell_map([frequency_frames(band, knots, settings=settings)], speed_bin_rpm=25.0)["amplitude"]
+        weak = amplitude.sel(frequency=slice(129.0, 132.0)).max().item()
+        assert weak == pytest.approx(1e-6, rel=0.01 if dtype == np.float64 else 0.2)
+        assert amplitude.sel(frequency=slice(140.0, None)).max().item() < floor
+
+
+@pytest.mark.cases(2)
+@pytest.mark.parametrize(("size", "dtype"), [(1e-300, np.float64), (1e300, np.float64), (1e-30, np.float32)])
+def test_the_smallest_and_largest_amplitudes_survive_beside_common_ones(size, dtype):
+    band, knots = steady([line(2.0, size), line(2.0, 1.0)], speed_rpm=1200.0, duration_s=6.0, rate_hz=2000.0)
+    band["signal"] = band["signal"].astype(dtype)
+    frames = frequency_frames(band, knots, settings=SETTINGS)
+    check_dataset(frames, "frequency_frames")
+    made = campbell_map([frames, frames], speed_bin_rpm=25.0)
+    assert made["amplitude"][0].max().item() == pytest.approx(size, rel=1e-3)
+    assert made["amplitude"][1].max().item() == pytest.approx(1.0, rel=1e-3)
+
+
+def test_frames_that_a_gap_touches_are_left_out_of_their_channel_only():
+    parts = [line(2.0, 1.0), line(2.0, 0.5)]
+    whole, knots = steady(parts, speed_rpm=1200.0, duration_s=20.0, rate_hz=20_000.0)
+    holed = whole.copy(deep=True)
+    holed["signal"][0, 90_000:95_000] = np.nan
+    plain, marked = (
+        campbell_map(
+            [frequency_frames(band_limited(item, band_hz=500.0, grid_hz=0.5), knots, settings=SETTINGS)],
+            speed_bin_rpm=25.0,
+        )
+        for item in (whole, holed)
+    )
+    check_dataset(marked, "campbell_map")
+    assert "n_frames_used" not in plain
+    assert plain["n_frames"].item() == marked["n_frames"].item() == 18
+    assert marked["n_frames_used"].values.tolist() == [[16], [18]]  # 4.5 s to 4.75 s lie in two frames of 2 s
+    np.testing.assert_allclose(marked["amplitude"][0], plain["amplitude"][0], atol=1e-4)
+    np.testing.assert_allclose(marked["amplitude"][1], plain["amplitude"][1], atol=1e-12)
+
+
+def test_a_channel_without_a_usable_frame_is_unknown_and_the_others_are_not():
+    band, knots = steady([line(2.0, 1.0), line(2.0, 0.5)], speed_rpm=1200.0, duration_s=6.0, rate_hz=2000.0)
+    usable = np.ones((2, band.sizes["time"]), dtype=np.bool_)
+    usable[0, ::1000] = False
+    band["usable"] = (("channel", "time"), usable, {"units": "1"})
+    made = campbell_map([frequency_frames(band, knots, settings=SETTINGS)], speed_bin_rpm=25.0)
+    assert np.isnan(made["amplitude"][0]).all() and np.isnan(made["psd"][0]).all()
+    assert made["amplitude"][1].max().item() == pytest.approx(0.5, rel=1e-3)
+
+
+@pytest.mark.cases(2)
+@pytest.mark.parametrize("rate_rpm_per_s", [28.0, 300.0, 10_000.0])
+def test_in_a_run_up_the_frames_are_short_enough_for_a_line_to_stay_one(rate_rpm_per_s):
+    seconds = 20.0 if rate_rpm_per_s < 1000.0 else 3.0
+    band, knots = run_up(
+        [line(4.0, 1.0)], from_rpm=1000.0, to_rpm=1000.0 + rate_rpm_per_s * seconds, duration_s=seconds, rate_hz=8000.0
+    )
+    settings = SETTINGS.model_copy(update={"max_frequency_hz": 3000.0})
+    frames = frequency_frames(band, knots, settings=settings)
+    enbw_hz = frames.attrs["enbw_bins"] * frames.attrs["resolution_hz"]
+    assert 0.5 * enbw_hz < frames.attrs["sweep_hz_per_order"] * 4.0 < 1.6 * enbw_hz
+    assert float(frames["speed_change"].max()) == pytest.approx(60.0 * frames.attrs["sweep_hz_per_order"])
+    made = campbell_map([frames], speed_bin_rpm=25.0)
+    assert made.attrs["enbw_hz"] == pytest.approx(enbw_hz)
+    # the line is found at four times the speed, at an amplitude that a sweep over one noise bandwidth leaves
+    at = made["frequency"].values[made["amplitude"].values[0].argmax(axis=1)]
+    known = 4.0 * made["speed"].values / 60.0 < 2900.0
+    assert np.abs(at - 4.0 * made["speed"].values / 60.0)[known].max() < enbw_hz
+    assert made["amplitude"].max("frequency").values[0, known].min() > 0.75
+
+
+def test_a_sweep_that_no_frame_can_hold_still_is_named():
+    band, knots = run_up([line(1.0, 1.0)], from_rpm=1000.0, to_rpm=1000.1, duration_s=10.0, rate_hz=2000.0)
+    # one frame in twenty sweeps a hundred times faster than the others, and they set the length
+    jump = np.where(knots["time"].values > 9.0, 3000.0 * (knots["time"].values - 9.0) ** 2 / 60.0, 0.0)
+    knots["crank_angle"] = knots["crank_angle"] + jump
+    frames = frequency_frames(band, knots, settings=SETTINGS.model_copy(update={"resolution_hz": 4.0}))
+    assert "swept_lines" in [flag["flag"] for flag in flags_of(frames)]
+
+
+def test_a_steady_speed_with_uneven_running_keeps_the_resolution():
+    band, _ = steady([line(1.0, 1.0)], speed_rpm=1200.0, duration_s=10.0, rate_hz=2000.0)
+    time_s = np.linspace(0.0, 10.0, 4000)
+    uneven = shaft(time_s, 20.0 * time_s + 0.002 * np.sin(2 * np.pi * 20.0 * time_s), np.full(4000, 1200.0))
+    frames = frequency_frames(band, uneven, settings=SETTINGS)
+    assert frames.attrs["resolution_hz"] == SETTINGS.resolution_hz
+    assert frames.attrs["enbw_bins"] == pytest.approx(1.5)
+    assert flags_of(frames) == []
+
+
+def test_a_band_wider_than_the_map_is_decimated_before_it_is_transformed():
+    signals = [lambda t, _: np.cos(2 * np.pi * 100.25 * t) + np.cos(2 * np.pi * 7100.0 * t)]
+    band, knots = steady(signals, speed_rpm=1200.0, duration_s=12.0, rate_hz=20_000.0)
+    frames = frequency_frames(band, knots, settings=SETTINGS)
+    amplitude = campbell_map([frames], speed_bin_rpm=25.0)["amplitude"]
+    assert amplitude.max().item() == pytest.approx(1.0, rel=2e-3)
+    assert amplitude.sel(frequency=slice(200.0, None)).max().item() < 2e-6

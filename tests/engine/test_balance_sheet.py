@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from crankorder.engine.balance_data import BalancedEngine, balanced_engine, load_balanced_engine, reduced_masses
+from crankorder.engine.balance_data import balanced_engine, load_balanced_engine, reduced_masses
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces
@@ -110,19 +110,12 @@ def test_an_engine_with_its_own_shafts_shows_what_these_leave() -> None:
     assert sheet_of("msu-optical")["shafts"]["own"] is None
 
 
-def two_cylinders() -> BalancedEngine:
-    """Two cylinders side by side with opposite pins."""
-    table = {
-        "crank_radius_m": 0.04,
-        "rod_length_m": 0.14,
-        "reciprocating_mass_kg": 0.5,
-        "cylinders": [{"crank_deg": 0.0, "position_m": -0.05}, {"crank_deg": 180.0, "position_m": 0.05}],
-    }
-    return balanced_engine(table, name="inline-2", source="inline-2.toml")
-
-
 def test_several_cylinders_show_their_sum_and_no_strategies_of_one() -> None:
-    sheet = balance_sheet(two_cylinders(), speeds_rpm=[3000.0]).as_dict()
+    """Two cylinders side by side with opposite pins."""
+    cylinders = [{"crank_deg": 0.0, "position_m": -0.05}, {"crank_deg": 180.0, "position_m": 0.05}]
+    table = {"crank_radius_m": 0.04, "rod_length_m": 0.14, "reciprocating_mass_kg": 0.5, "cylinders": cylinders}
+    engine = balanced_engine(table, name="inline-2", source="inline-2.toml")
+    sheet = balance_sheet(engine, speeds_rpm=[3000.0]).as_dict()
     assert "1" not in sheet["force_g_mm"]["x"]
     assert sheet["force_g_mm"]["x"]["2"] == pytest.approx(2 * 0.5e3 * 40 * sheet["harmonics"]["2"], rel=1e-12)
     assert sheet["strategies"] is None
@@ -160,13 +153,8 @@ def test_all_faults_of_engine_and_balance_are_named_at_once() -> None:
         balanced_engine(table, name="spoilt", source="spoilt.toml")
     text = str(caught.value)
     assert len(caught.value.faults) == 5
-    for place in (
-        "rod_length_m",
-        "reciprocating_mass_kg",
-        "train.piston_mass_g",
-        "train.rod_mass_g",
-        "balance.plaices",
-    ):
+    lengths_and_masses = ("rod_length_m", "reciprocating_mass_kg", "train.piston_mass_g", "train.rod_mass_g")
+    for place in (*lengths_and_masses, "balance.plaices"):
         assert place in text
     assert text.count("spoilt.toml") == 5
 

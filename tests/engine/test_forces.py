@@ -53,12 +53,6 @@ FIRST_N = MASS_KG * RADIUS_M * (SPEED_RPM * np.pi / 30) ** 2
 A2, A4, A6 = even_harmonics(3, RADIUS_M / ROD_M)
 
 
-def sizes(engine: Engine) -> tuple[np.ndarray, np.ndarray]:
-    forces = np.abs(crankcase_forces(engine, SPEED_RPM, max_order=8)) / FIRST_N
-    moments = np.abs(crankcase_moments(engine, SPEED_RPM, max_order=8)) / (FIRST_N * PITCH_M)
-    return forces, moments
-
-
 def row(crank_deg: list[float], **differences: Any) -> Engine:
     """Cylinders side by side, 100 mm apart, about the middle of the engine."""
     places = PITCH_M * (np.arange(len(crank_deg)) - (len(crank_deg) - 1) / 2)
@@ -79,7 +73,7 @@ def test_the_shipped_examples_are_the_textbook_arrangements() -> None:
 
 
 def test_a_counterweight_takes_the_whole_first_order_of_a_90_degree_v_twin() -> None:
-    forces, _ = sizes(load_engine("v-twin"))
+    forces = np.abs(crankcase_forces(load_engine("v-twin"), SPEED_RPM, max_order=8)) / FIRST_N
     assert forces[:, 1].max() < 1e-7  # the shipped counterweight is rounded to 0.1 g·mm
     without = load_engine("v-twin").model_copy(update={"rotating_unbalance_kg_m": 0.0})
     first = crankcase_forces(without, SPEED_RPM, max_order=8)[:, 1] / FIRST_N

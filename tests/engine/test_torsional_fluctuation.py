@@ -16,21 +16,12 @@ from crankorder.synth.motion import Motion
 GAS = GasCurve(crank_angle_deg=(0.0, 20.0, 90.0, 180.0, 540.0, 700.0), torque_n_m=(0.0, 300.0, 90.0, 0.0, 0.0, -70.0))
 
 
-def _engine(*cylinders: Cylinder, mass_kg: float = 1.2, gas: bool = True) -> Engine:
-    return Engine(
-        crank_radius_m=0.045,
-        rod_length_m=0.15,
-        reciprocating_mass_kg=mass_kg,
-        gas=GAS if gas else None,
-        cylinders=cylinders or (Cylinder(),),
-    )
+def _engine(*cylinders: Cylinder, gas: bool = True) -> Engine:
+    lengths = {"crank_radius_m": 0.045, "rod_length_m": 0.15, "reciprocating_mass_kg": 1.2}
+    return Engine(**lengths, gas=GAS if gas else None, cylinders=cylinders or (Cylinder(),))
 
 
 TWIN = (Cylinder(crank_deg=0.0, firing_deg=0.0), Cylinder(crank_deg=180.0, position_m=0.1, firing_deg=180.0))
-
-
-def _turning(lag: Lag, rpm: float, revs: int = 2, samples: int = 4001) -> tuple[np.ndarray, ...]:
-    return Motion(start_rev=0.13, corners=((0.0, rpm),), lag=lag).at(np.linspace(0, revs * 60 / rpm, samples))
 
 
 def _torque(engine: Engine, angle: np.ndarray, omega: float, highest: int, with_gas: bool) -> np.ndarray:
@@ -54,7 +45,8 @@ def test_flywheel_times_acceleration_is_the_torque(
 ) -> None:
     engine = _engine(*cylinders)
     lag = lag_from_torque(engine, flywheel_inertia_kg_m2=inertia, speed_rpm=900.0, highest_order=12, with_gas=with_gas)
-    angle, speed, acceleration = _turning(lag, 900.0)
+    motion = Motion(start_rev=0.13, corners=((0.0, 900.0),), lag=lag)
+    angle, speed, acceleration = motion.at(np.linspace(0, 2 * 60 / 900.0, 4001))
     torque = _torque(engine, angle, 900 * math.pi / 30, 12, with_gas)
     np.testing.assert_allclose(inertia * acceleration * math.pi / 30, torque, atol=1e-11 * np.abs(torque).max())
     assert angle[-1] - angle[0] == pytest.approx(2, abs=1e-14)

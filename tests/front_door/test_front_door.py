@@ -286,12 +286,9 @@ REFUSED = {
 }
 
 
-TELLS = {"speed_rpm", "encoder", "pulse_times_s"}
-
-
 def test_arguments_that_cannot_be_are_refused_with_what_they_are() -> None:
     for options, said in REFUSED.values():
-        speed = {} if TELLS & set(options) else {"speed_rpm": 1500.0}
+        speed = {} if {"speed_rpm", "encoder", "pulse_times_s"} & set(options) else {"speed_rpm": 1500.0}
         with pytest.raises((RequestError, ManyErrors, InputError), match=said):
             co.recording(line(1.0, 1.0), **{"rate_hz": RATE_HZ, **speed, **options})
 

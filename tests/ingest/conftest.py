@@ -1,13 +1,15 @@
-"""What the ingest tests share: settings, a manifest from its text, and the place of the real recordings."""
+"""What the ingest tests share: settings, a manifest from its text, and a recording by its manifest."""
 
 import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import xarray as xr
 
 from crankorder.errors import CrankorderError
 from crankorder.ingest.manifest import Manifest, load_manifest
+from crankorder.ingest.recording import read_recording
 from crankorder.settings import IngestSettings, Settings, load_settings
 
 HEAD = 'schema_version = 1\n[test]\ncycle = "four-stroke"\n[recordings]\nfiles = ["*"]\n'
@@ -52,8 +54,11 @@ def refused_s() -> Callable[[Callable[[], object]], float]:
 
 
 @pytest.fixture(scope="session")
-def real_data() -> Path:
-    folder = Path(__file__).parents[3] / "shared" / "data"
-    if not folder.is_dir():
-        pytest.skip("the real recordings (../shared/data) are not here")
-    return folder
+def read_in(settings: Settings) -> Callable[..., xr.Dataset]:
+    """Recording of the file at a path by its manifest: the one beside it where no other is given."""
+
+    def read(path: Path, manifest: Manifest | None = None) -> xr.Dataset:
+        manifest = manifest or load_manifest(path.parent)
+        return read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft)
+
+    return read

@@ -16,7 +16,7 @@ from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import recording_of
 from crankorder.quantities import flags_of
 from made.command import crankorder, findings_in
-from made.recordings import manifest
+from made.recordings import manifest, write_hdf5
 
 MANIFEST = manifest(
     channels={"Z": {"source": "acc"}},
@@ -26,11 +26,7 @@ MANIFEST = manifest(
 
 
 def recorded(path, *, rate=1000.0, unit="m/s2", **columns):
-    with h5py.File(path, "w") as file:
-        file.attrs["rate_hz"] = rate
-        for name, values in columns.items():
-            file[name] = values
-            file[name].attrs["units"] = unit
+    write_hdf5(path, columns, unit=unit, rate_hz=rate)
 
 
 def test_every_fault_of_a_folder_is_listed_at_once(tmp_path, limits):
@@ -101,8 +97,7 @@ TONE = np.round(1000.0 * np.sin(np.arange(N) / 7.0))
 def stored(path: Path, values: np.ndarray, file_attrs: dict | None = None, **attrs) -> Path:
     with h5py.File(path, "w") as file:
         file.attrs.update(file_attrs or {})
-        file["a"] = values
-        file["a"].attrs.update(attrs)
+        file.create_dataset("a", data=values).attrs.update(attrs)
     return path
 
 

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
@@ -11,37 +10,29 @@ from crankorder.ingest.check import check_folder
 from crankorder.ingest.draft import draft_manifest, save_drafts, speed_in_name
 from crankorder.ingest.folder import recordings_of
 from crankorder.ingest.manifest import load_manifest
-from crankorder.ingest.recording import read_recording
+from made.recordings import write_hdf5
 
 
-def test_a_draft_of_a_well_described_folder_reads_without_a_change(tmp_path, settings):
+def test_a_draft_of_a_well_described_folder_reads_without_a_change(tmp_path, settings, read_in):
     time = np.arange(5000) / 1000.0
     square = ((time * 20) % 1 < 0.5).astype(float)
     for name in ("rpm_300.h5", "rpm_1200.h5"):
-        with h5py.File(tmp_path / name, "w") as file:
-            file.attrs["rate_hz"] = 1000.0
-            for key, values in (("acc_z", time), ("encoder", square), ("index", square)):
-                file[key] = values
-            file["acc_z"].attrs["units"] = "m/s²"
+        columns = {"acc_z": time, "encoder": square, "index": square}
+        write_hdf5(tmp_path / name, columns, unit={"acc_z": "m/s²"}, rate_hz=1000.0)
     (tmp_path / "notes.md").write_text("hello")
-    (tmp_path / "run.toml").write_text(draft_manifest(tmp_path), encoding="utf-8")
-    manifest = load_manifest(tmp_path)
+    _, manifest = saved_draft(tmp_path)
     assert [channel.name for channel in manifest.channels] == ["acc_z"]
     assert (manifest.encoder.source, manifest.encoder.index, manifest.encoder.kind) == ("encoder", "index", "square")
     assert check_folder(tmp_path, settings=settings.ingest) == []
     paths = recordings_of(tmp_path, manifest).paths
     assert [path.name for path in paths] == ["rpm_300.h5", "rpm_1200.h5"]
-    recording = read_recording(paths[0], manifest, settings=settings.ingest, shaft=settings.shaft)
-    assert recording.sizes["time"] == 5000
+    assert read_in(paths[0]).sizes["time"] == 5000
 
 
 def test_a_draft_is_valid_whatever_the_names_are(tmp_path):
     for name in ['a"b', "a\\b", "a\nb", "ünïcode 😀", "x\x7f", "]] = 'q'", "\x1b[31m"]:
-        with h5py.File(tmp_path / "a.h5", "w") as file:
-            file.attrs["rate_hz"] = 1000.0
-            file[name] = np.arange(10.0)
-        (tmp_path / "run.toml").write_text(draft_manifest(tmp_path), encoding="utf-8")
-        assert load_manifest(tmp_path).channels[0].name == name
+        write_hdf5(tmp_path / "a.h5", {name: np.arange(10.0)}, rate_hz=1000.0)
+        assert saved_draft(tmp_path)[1].channels[0].name == name
 
 
 def test_nothing_to_draft_from_says_what_was_found(tmp_path):
@@ -55,13 +46,10 @@ def test_nothing_to_draft_from_says_what_was_found(tmp_path):
 
 
 def drafted(folder, *, names=("acc", "encoder"), **columns):
-    with h5py.File(folder / "a.h5", "w") as file:
-        file.attrs["rate_hz"] = 20_000.0
-        for name in names:
-            file[name] = columns.get(name, np.zeros(80_000))
-    text = draft_manifest(folder)
-    (folder / "run.toml").write_text(text, encoding="utf-8")
-    return text, load_manifest(folder).encoder
+    named = {name: columns.get(name, np.zeros(80_000)) for name in names}
+    write_hdf5(folder / "a.h5", named, rate_hz=20_000.0)
+    text, manifest = saved_draft(folder)
+    return text, manifest.encoder
 
 
 def wheel_trace(angles_deg, *, revs_per_s=15.0, width_deg=3.0):
@@ -128,7 +116,7 @@ def saved_draft(folder):
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("seed", range(12))
-def test_a_table_with_pulses_of_any_names_and_order_is_read_as_drafted(tmp_path, settings, seed):
+def test_a_table_with_pulses_of_any_names_and_order_is_read_as_drafted(tmp_path, read_in, seed):
     rng = np.random.default_rng(seed)
     time_s = np.arange(int(3.0 * RATE_HZ)) / RATE_HZ
     turns = RPM / 60.0 * time_s
@@ -152,7 +140,7 @@ def test_a_table_with_pulses_of_any_names_and_order_is_read_as_drafted(tmp_path,
     assert "(" not in channel.name and "[" not in channel.name
     assert (manifest.encoder.source, manifest.encoder.index) == (encoder_name, index_name)
     assert manifest.sampling.time_source == time_name
-    recording = read_recording(tmp_path / "run 1.csv", manifest, settings=settings.ingest, shaft=settings.shaft)
+    recording = read_in(tmp_path / "run 1.csv")
     assert recording.attrs["rate_hz"] == pytest.approx(RATE_HZ, rel=1e-5)
     assert recording["pulse_time"].size == pytest.approx(RPM / 60.0 * 3.0 * (TEETH - 1), abs=3)
 
@@ -182,16 +170,11 @@ def test_speeds_of_names_are_drafted_where_every_file_has_one(tmp_path):
 
 @pytest.mark.slow
 def test_attributes_tell_rate_and_speed_and_with_them_the_pulses_per_revolution(tmp_path, settings):
-    for rate, speed in [
-        ({"SampleRate": 5000.0}, "speed_rpm"),
-        ({"dt": 2e-4}, "RPM"),
-        ({"wf_increment": 2e-4}, "Speed RPM"),
-    ]:
+    rows = [({"SampleRate": 5000.0}, "speed_rpm"), ({"dt": 2e-4}, "RPM"), ({"wf_increment": 2e-4}, "Speed RPM")]
+    for rate, speed in rows:
         time_s = np.arange(15000) / 5000.0
-        with h5py.File(tmp_path / "a.h5", "w") as file:
-            file.attrs.update({**rate, speed: 1500.0})
-            file["acc"] = np.sin(time_s)
-            file["tacho"] = (25.2 * time_s % 1.0 < 0.2).astype(float)  # 0.8 % above the stated speed
+        tacho = (25.2 * time_s % 1.0 < 0.2).astype(float)  # 0.8 % above the stated speed
+        write_hdf5(tmp_path / "a.h5", {"acc": np.sin(time_s), "tacho": tacho}, **rate, **{speed: 1500.0})
         text, manifest = saved_draft(tmp_path)
         assert manifest.encoder.pulses_per_rev == 1
         assert "pulses/s at the stated speed" in text
@@ -199,14 +182,12 @@ def test_attributes_tell_rate_and_speed_and_with_them_the_pulses_per_revolution(
 
 
 def test_two_rates_of_one_file_are_told_and_none_is_taken(tmp_path, settings):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        file.attrs.update({"fs": 5000.0, "dt": 1e-3})
-        file["acc"] = np.arange(100.0)
+    write_hdf5(tmp_path / "a.h5", {"acc": np.arange(100.0)}, fs=5000.0, dt=1e-3)
     with pytest.raises(NoUsableRecordingError, match=r"two sampling rates are stated; found fs: 5000 Hz, dt: 1000 Hz"):
         draft_manifest(tmp_path)
 
 
-def test_samples_by_crank_angle_are_drafted_as_such(tmp_path, settings):
+def test_samples_by_crank_angle_are_drafted_as_such(tmp_path, read_in):
     for turns in [1, 2]:
         angle = np.arange(36_000) * 0.5 + 10.0
         columns = {"CrankAngle_deg": angle % (360.0 * turns), "P_cyl_bar": np.cos(np.deg2rad(angle))}
@@ -216,8 +197,7 @@ def test_samples_by_crank_angle_are_drafted_as_such(tmp_path, settings):
         assert manifest.sampling.start_deg == 10.0
         assert [channel.name for channel in manifest.channels] == ["P_cyl_bar"]
         assert ("the angle runs over two revolutions" in text) == (turns == 2)
-        recording = read_recording(tmp_path / "a.csv", manifest, settings=settings.ingest, shaft=settings.shaft)
-        assert recording.attrs["samples_per_rev"] == 720
+        assert read_in(tmp_path / "a.csv").attrs["samples_per_rev"] == 720
 
 
 def test_a_list_of_edges_is_drafted_without_channels(tmp_path):

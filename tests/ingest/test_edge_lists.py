@@ -10,7 +10,8 @@ import xarray as xr
 
 from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.manifest import load_manifest, parts_of
-from made.command import analysed, crankorder, findings_in
+from made.command import analysed, crankorder, done, findings_in
+from made.recordings import write_hdf5
 
 TEETH, MISSING, MEAN_RPM, SWING_RPM, LENGTH_S = 36, 1, 1400.0, 12.0, 6.0
 RATE_HZ = 5000
@@ -43,41 +44,36 @@ def edges_of(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return rising + 2e-6 * rng.standard_normal(rising.size), falling + 2e-6 * rng.standard_normal(falling.size)
 
 
-def write_edges(path: Path, seed: int, *, offset_s: float = 0.0) -> None:
+def rows_of(rising: np.ndarray, falling: np.ndarray) -> list[str]:
     """Edge list of a logic analyser: one line for each change of level."""
-    rising, falling = edges_of(seed)
-    rows = sorted([(at, 1) for at in rising] + [(at, 0) for at in falling])
-    lines = ["Time [s],crank"] + [f"{at - offset_s:.9f},{level}" for at, level in rows]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return [f"{at:.9f},{level}" for at, level in sorted([(at, 1) for at in rising] + [(at, 0) for at in falling])]
+
+
+def write_edges(path: Path, rows: list[str]) -> None:
+    path.write_text("\n".join(["Time [s],crank", *rows]) + "\n", encoding="utf-8")
 
 
 def write_signal(path: Path, *, pulses: np.ndarray | None = None) -> None:
     """Acceleration of order 2, peak 3 m/s2, that follows the shaft, and noise."""
     time_s = np.arange(int(LENGTH_S * RATE_HZ)) / RATE_HZ
     noise = 0.05 * np.random.default_rng(5).standard_normal(time_s.size)
-    with h5py.File(path, "w") as file:
-        made = file.create_dataset("a", data=3.0 * np.cos(4.0 * np.pi * angle_of(time_s)) + noise)
-        made.attrs["rate_hz"] = RATE_HZ
-        if pulses is not None:
-            file["pulses"] = pulses
+    columns = {"a": 3.0 * np.cos(4.0 * np.pi * angle_of(time_s)) + noise}
+    write_hdf5(path, columns if pulses is None else columns | {"pulses": pulses}, rate_hz=RATE_HZ)
 
 
-def run(folder: Path, out: Path, *more: str) -> tuple[int, str]:
-    outcome = crankorder("run", folder, "--out", out, *more)
-    return outcome.exit_code, outcome.output
+def flags_in(findings: dict) -> dict[str, dict]:
+    """What is flagged of the quality of the recordings, by flag."""
+    return {flag["flag"]: flag for flag in findings["quality"]}
 
 
 def test_edges_alone_are_a_test_of_the_shaft(tmp_path: Path) -> None:
-    seed = 1
     folder = tmp_path / "edges"
     folder.mkdir()
-    write_edges(folder / "a.csv", seed)
+    write_edges(folder / "a.csv", rows_of(*edges_of(1)))
     table = f'[sampling]\ntime_source = "Time [s]"\n[encoder]\nkind = "edge_list"\nsource = "crank"\n{WHEEL}'
     (folder / "run.toml").write_text(HEAD.format(name="edges", files="a.csv") + table, encoding="utf-8")
-    assert crankorder("check", folder).exit_code == 0
-    code, said = run(folder, tmp_path / "out")
-    assert code == 0, said
-    assert "The shaft turned at 13" in said
+    done("check", folder)
+    assert "The shaft turned at 13" in done("run", folder, "--out", tmp_path / "out").output
     found = findings_in(tmp_path / "out")
     assert found["orders"] == [] and found["channels"] == [] and "shaft alone" in found["not_asked_for"]
     assert found["speed_range_rpm"] == pytest.approx([MEAN_RPM - SWING_RPM, MEAN_RPM + SWING_RPM], abs=6.0)
@@ -94,21 +90,18 @@ def test_edges_alone_are_a_test_of_the_shaft(tmp_path: Path) -> None:
 def test_times_of_pulses_alone_are_a_test_too(tmp_path: Path) -> None:
     folder = tmp_path / "pulses"
     folder.mkdir()
-    with h5py.File(folder / "a.h5", "w") as file:
-        file["crank"] = edges_of(3)[0]
+    write_hdf5(folder / "a.h5", {"crank": edges_of(3)[0]})
     table = f'[encoder]\nkind = "pulse_times"\nsource = "crank"\n{WHEEL}'
     (folder / "run.toml").write_text(HEAD.format(name="pulses", files="a.h5") + table, encoding="utf-8")
-    code, said = run(folder, tmp_path / "out")
-    assert code == 0, said
-    assert findings_in(tmp_path / "out")["speed_swing"][0]["order"] == 2.0
+    assert analysed(folder, tmp_path / "out")["speed_swing"][0]["order"] == 2.0
 
 
 def test_a_test_without_channels_needs_pulses(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("1,2\n3,4\n", encoding="utf-8")
     (tmp_path / "run.toml").write_text(HEAD.format(name="none", files="a.csv"), encoding="utf-8")
-    done = crankorder("check", tmp_path)
-    assert done.exit_code != 0
-    assert "no channel is named" in done.output and "edge_list" in done.output
+    checked = crankorder("check", tmp_path)
+    assert checked.exit_code != 0
+    assert "no channel is named" in checked.output and "edge_list" in checked.output
 
 
 def joined(folder: Path, *, offset_s: float = 0.0, names: tuple[str, ...] = ("a",), files: str = "*.h5") -> Path:
@@ -116,7 +109,7 @@ def joined(folder: Path, *, offset_s: float = 0.0, names: tuple[str, ...] = ("a"
     folder.mkdir()
     for seed, name in enumerate(names):
         write_signal(folder / f"{name}.h5")
-        write_edges(folder / f"{name}.edges.csv", seed, offset_s=offset_s)
+        write_edges(folder / f"{name}.edges.csv", rows_of(*(edges - offset_s for edges in edges_of(seed))))
     table = f"""[[channels]]
 name = "A"
 source = "a"
@@ -133,12 +126,9 @@ offset_s = {offset_s}
 
 
 def test_edges_in_a_file_of_their_own_read_as_pulses_in_the_recording(tmp_path: Path) -> None:
-    offset_s = 2.5
-    folder = joined(tmp_path / "joined", offset_s=offset_s)
-    assert crankorder("check", folder).exit_code == 0
-    code, said = run(folder, tmp_path / "out", "--no-pictures")
-    assert code == 0, said
-    (order,) = findings_in(tmp_path / "out")["orders"]
+    folder = joined(tmp_path / "joined", offset_s=2.5)
+    done("check", folder)
+    (order,) = analysed(folder, tmp_path / "out", "--no-pictures")["orders"]
     assert order["order"] == 2.0 and order["lock"] == "locked"
     assert order["amplitude"] == pytest.approx(3.0, rel=0.003)
     stated = json.loads((tmp_path / "out" / "joined" / "run.json").read_bytes())
@@ -147,8 +137,7 @@ def test_edges_in_a_file_of_their_own_read_as_pulses_in_the_recording(tmp_path: 
 
 @pytest.mark.slow
 def test_d13_clocks_of_two_devices_are_said_not_to_be_compared_and_those_of_one_are_not(tmp_path: Path) -> None:
-    assert run(joined(tmp_path / "joined"), tmp_path / "out", "--no-pictures")[0] == 0
-    (told,) = [one for one in findings_in(tmp_path / "out")["quality"] if one["flag"] == "clocks_not_compared"]
+    told = flags_in(analysed(joined(tmp_path / "joined"), tmp_path / "out", "--no-pictures"))["clocks_not_compared"]
     pulses = edges_of(0)[0]
     assert told["severity"] == "info"
     assert f"in {1e-5 * (pulses[-1] - pulses[0]) * 1e3:.2g} ms" in told["detail"]
@@ -158,37 +147,30 @@ def test_d13_clocks_of_two_devices_are_said_not_to_be_compared_and_those_of_one_
     table = '[[channels]]\nname = "A"\nsource = "a"\nunit = "m/s2"\n'
     table += f'[encoder]\nkind = "pulse_times"\nsource = "pulses"\n{WHEEL}'
     (folder / "run.toml").write_text(HEAD.format(name="alone", files="*.h5") + table, encoding="utf-8")
-    run(folder, tmp_path / "alone-out", "--no-pictures")
-    assert not [one for one in findings_in(tmp_path / "alone-out")["quality"] if one["flag"] == "clocks_not_compared"]
+    assert "clocks_not_compared" not in flags_in(analysed(folder, tmp_path / "alone-out", "--no-pictures"))
 
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("ppm", [-100.0, 500.0, 20.0, 0.0])
 def test_d13_a_drift_between_the_clocks_of_two_devices_is_told_by_the_orders(tmp_path: Path, ppm: float) -> None:
     folder = joined(tmp_path / "joined")
-    rising, falling = (edges * (1.0 + 1e-6 * ppm) for edges in edges_of(3))
-    rows = sorted([(at, 1) for at in rising] + [(at, 0) for at in falling])
-    lines = ["Time [s],crank"] + [f"{at:.9f},{level}" for at, level in rows]
-    (folder / "a.edges.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_edges(folder / "a.edges.csv", rows_of(*(edges * (1.0 + 1e-6 * ppm) for edges in edges_of(3))))
     time_s = np.arange(int(LENGTH_S * RATE_HZ)) / RATE_HZ
     turns = angle_of(time_s)
     signal = sum(np.cos(2.0 * np.pi * order * turns + order) for order in (1.0, 2.0, 3.0, 5.5))
     with h5py.File(folder / "a.h5", "r+") as file:
         file["a"][:] = signal + 0.05 * np.random.default_rng(9).standard_normal(time_s.size)
-    assert run(folder, tmp_path / "out", "--no-pictures")[0] == 0
-    told = {one["flag"]: one["detail"] for one in findings_in(tmp_path / "out")["quality"]}
+    told = flags_in(analysed(folder, tmp_path / "out", "--no-pictures"))
     flag = "clocks_differ" if ppm else "clocks_agree"
     assert {"clocks_differ", "clocks_agree"} & set(told) == {flag}
-    found, half = (float(text.split()[0]) for text in told[flag].split(" by ", 1)[1].split(" ± "))
+    found, half = (float(text.split()[0]) for text in told[flag]["detail"].split(" by ", 1)[1].split(" ± "))
     assert abs(found - ppm) < 2.0 * half < 10.0
-    assert not ppm or ("fast" if ppm > 0.0 else "slow") in told[flag]
+    assert not ppm or ("fast" if ppm > 0.0 else "slow") in told[flag]["detail"]
 
 
 @pytest.mark.slow
 def test_a_list_of_edges_is_no_recording_of_its_own(tmp_path: Path) -> None:
-    code, said = run(joined(tmp_path / "joined", files="*"), tmp_path / "out")
-    assert code == 0, said
-    assert "edges.csv" not in said
+    assert "edges.csv" not in done("run", joined(tmp_path / "joined", files="*"), "--out", tmp_path / "out").output
 
 
 @pytest.mark.slow
@@ -197,18 +179,18 @@ def test_a_missing_list_takes_its_own_recording_alone(tmp_path: Path) -> None:
     (folder / "b.edges.csv").unlink()
     checked = crankorder("check", folder)
     assert checked.exit_code != 0 and "b.edges.csv: no such file" in checked.output
-    code, said = run(folder, tmp_path / "out", "--no-pictures")
-    assert code == 3 and "b.edges.csv: no such file" in said
+    outcome = crankorder("run", folder, "--out", tmp_path / "out", "--no-pictures")
+    assert outcome.exit_code == 3 and "b.edges.csv: no such file" in outcome.output
     assert findings_in(tmp_path / "out")["orders"]
 
 
 @pytest.mark.slow
 def test_other_edges_are_another_result(tmp_path: Path) -> None:
     folder = joined(tmp_path / "joined")
-    run(folder, tmp_path / "out")
+    done("run", folder, "--out", tmp_path / "out")
     first = (tmp_path / "out" / "joined" / "results.nc").read_bytes()
-    write_edges(folder / "a.edges.csv", 17)
-    assert "unchanged" not in run(folder, tmp_path / "out")[1]
+    write_edges(folder / "a.edges.csv", rows_of(*edges_of(17)))
+    assert "unchanged" not in done("run", folder, "--out", tmp_path / "out").output
     assert (tmp_path / "out" / "joined" / "results.nc").read_bytes() != first
 
 
@@ -221,8 +203,8 @@ def test_keys_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     for keys, words in rows:
         text = HEAD.format(name="x", files="a.h5") + '[[channels]]\nname = "A"\nunit = "V"\n[encoder]\n' + keys
         (tmp_path / "run.toml").write_text(text, encoding="utf-8")
-        done = crankorder("check", tmp_path)
-        assert done.exit_code != 0 and words in done.output
+        checked = crankorder("check", tmp_path)
+        assert checked.exit_code != 0 and words in checked.output
 
 
 @pytest.mark.parametrize(
@@ -231,22 +213,19 @@ def test_keys_that_do_not_fit_are_refused(tmp_path: Path) -> None:
 def test_zeros_behind_the_last_edge_are_left_out_and_other_bad_rows_named(tmp_path: Path, kind: str, edge: str) -> None:
     folder = joined(tmp_path / "joined")
     rising, falling = edges_of(0)
-    levels = [f"{at:.9f},{level}" for at, level in sorted([(at, 1) for at in rising] + [(at, 0) for at in falling])]
-    rows = levels if kind == "edge_list" else [f"{at:.9f},1" for at in rising]
+    rows = rows_of(rising, falling if kind == "edge_list" else ())
     manifest = (folder / "run.toml").read_text(encoding="utf-8")
     manifest = manifest.replace('kind = "edge_list"', f'kind = "{kind}"\nedge = "{edge}"')
     if kind == "pulse_times":
         manifest = manifest.replace('source = "crank"', 'source = "Time [s]"').replace('time_source = "Time [s]"\n', "")
     (folder / "run.toml").write_text(manifest, encoding="utf-8")
     table = folder / "a.edges.csv"
-    table.write_text("\n".join(["Time [s],crank", *rows, "0,0", "0,0"]) + "\n", encoding="utf-8")
-    code, said = run(folder, tmp_path / "out", "--no-pictures")
-    assert code == 0, said
-    found = findings_in(tmp_path / "out")
+    write_edges(table, [*rows, "0,0", "0,0"])
+    found = analysed(folder, tmp_path / "out", "--no-pictures")
     assert found["orders"][0]["amplitude"] == pytest.approx(3.0, rel=0.003)
-    assert "2 rows at the end" in next(one["detail"] for one in found["quality"] if one["flag"] == "rows_of_zeros")
+    assert "2 rows at the end" in flags_in(found)["rows_of_zeros"]["detail"]
     for bad, at in (("0,0", 100), ("nan,nan", len(rows))):
-        table.write_text("\n".join(["Time [s],crank", *rows[:at], bad, *rows[at:]]) + "\n", encoding="utf-8")
+        write_edges(table, [*rows[:at], bad, *rows[at:]])
         checked = crankorder("check", folder)
         assert checked.exit_code == 4 and f"row {at + 1} of" in checked.output and "a.edges.csv" in checked.output
 
@@ -271,9 +250,7 @@ def columns_of(rpm: float, seed: int) -> tuple[dict[str, np.ndarray], dict[str, 
 def write(path: Path, columns: dict[str, np.ndarray]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix == ".h5":
-        with h5py.File(path, "w") as file:
-            for name, values in columns.items():
-                file[name] = values
+        write_hdf5(path, columns)
         return
     rows = zip(*(values.tolist() for values in columns.values()), strict=True)
     text = [",".join(f"{value:.9g}" if value < 1e3 else str(value) for value in row) for row in rows]

@@ -19,9 +19,9 @@ from crankorder.errors import CrankorderError, InputError, UnsafeInputError
 from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.formats import FORMATS, TEXT, contents_of, read_file
 from crankorder.ingest.manifest import load_manifest
-from crankorder.ingest.recording import read_recording
 from crankorder.scratch import is_on_disk
 from crankorder.settings import IngestSettings
+from made.recordings import write_hdf5
 from made.time_bases import LVM_HEAD
 
 RATE_HZ, LENGTH_S, REVS_PER_S, TEETH = 8192.0, 1.2, 20.5, 36
@@ -55,10 +55,8 @@ def as_xlsx(folder: Path, made: Columns) -> None:
 
 
 def as_hdf5(folder: Path, made: Columns) -> None:
-    with h5py.File(folder / "a.h5", "w") as file:
-        file.attrs["Sample Rate"] = RATE_HZ
-        file["acc"], file["crank"] = made["acc"], made["crank"]
-        file["acc"].attrs["units"] = "g"
+    columns = {name: made[name] for name in ("acc", "crank")}
+    write_hdf5(folder / "a.h5", columns, unit={"acc": "g"}, **{"Sample Rate": RATE_HZ})
 
 
 def as_npy(folder: Path, made: Columns) -> None:
@@ -169,7 +167,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory, limits: IngestSettings) -> d
 @pytest.mark.filterwarnings("ignore:unclosed file", "ignore::pytest.PytestUnraisableExceptionWarning")  # by pyuff
 @pytest.mark.cases(len(WRITERS))
 @pytest.mark.parametrize("kind", WRITERS)
-def test_one_signal_is_one_recording_in_every_format(tmp_path, settings, kind):
+def test_one_signal_is_one_recording_in_every_format(tmp_path, read_in, kind):
     made = columns(len(kind))
     WRITERS[kind](tmp_path, made)
     draft = draft_manifest(tmp_path)
@@ -180,7 +178,7 @@ def test_one_signal_is_one_recording_in_every_format(tmp_path, settings, kind):
     assert (manifest.encoder.pulses_per_rev, manifest.encoder.missing_teeth) == (TEETH, 2), draft
     (channel,) = manifest.channels
     (path,) = (one for one in tmp_path.iterdir() if one.name.startswith("a."))
-    recording = read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft)
+    recording = read_in(path)
     assert recording.attrs["rate_hz"] == pytest.approx(RATE_HZ, rel=1e-5)
     signal = recording["signal"].values[0]
     scale = {"WAV": 4.0}.get(kind, 1.0)
@@ -270,9 +268,7 @@ def test_what_cannot_be_read_is_told_with_how_to_export_it(tmp_path, limits):
             contents_of(tmp_path / name, settings=limits)
 
 
-def test_a_cut_file_is_refused_or_told_and_never_silently_short(
-    tmp_path: Path, limits: IngestSettings, sound: dict[str, Sound]
-) -> None:
+def test_a_cut_file_is_refused_or_told_and_never_silently_short(tmp_path, limits, sound) -> None:
     for kind, one in sound.items():
         whole, path, refused = one.path.read_bytes(), tmp_path / one.path.name, 0
         for size in (8, *(round(share * len(whole)) for share in (0.05, 0.5, 0.8, 0.97)), len(whole) - 3):
@@ -291,9 +287,7 @@ def test_a_cut_file_is_refused_or_told_and_never_silently_short(
         assert refused, kind
 
 
-def test_a_mutation_ends_in_data_or_in_an_error_of_ours(
-    tmp_path: Path, limits: IngestSettings, sound: dict[str, Sound]
-) -> None:
+def test_a_mutation_ends_in_data_or_in_an_error_of_ours(tmp_path, limits, sound) -> None:
     for kind, one in sound.items():
         seeds = range(3 if kind in ("TDMS", "MDF4") else 10)  # those are read in a process of their own each time
         check_mutations(one, tmp_path, limits, seeds)
@@ -301,9 +295,7 @@ def test_a_mutation_ends_in_data_or_in_an_error_of_ours(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", WRITERS)
-def test_many_mutations_end_in_data_or_in_an_error_of_ours(
-    tmp_path: Path, limits: IngestSettings, sound: dict[str, Sound], kind: str
-) -> None:
+def test_many_mutations_end_in_data_or_in_an_error_of_ours(tmp_path, limits, sound, kind: str) -> None:
     if kind not in sound:
         pytest.skip(f"the package {PACKAGES[kind]} is not installed")
     check_mutations(sound[kind], tmp_path, limits, range(15, 165))
@@ -325,9 +317,7 @@ def check_mutations(one: Sound, folder: Path, limits: IngestSettings, seeds: ran
             assert all(column.ndim == 1 and column.dtype.kind == "f" for column in raw.columns.values())
 
 
-def test_a_channel_that_is_absent_is_named_with_those_that_are_there(
-    limits: IngestSettings, sound: dict[str, Sound]
-) -> None:
+def test_a_channel_that_is_absent_is_named_with_those_that_are_there(limits, sound) -> None:
     for one in sound.values():
         there = contents_of(one.path, settings=limits).names
         with pytest.raises(InputError) as error:
@@ -350,9 +340,7 @@ def test_samples_on_disk_are_those_in_memory(limits: IngestSettings, sound: dict
         assert is_on_disk(column) == (kind not in ("XLSX", "TDMS", "MDF4", "UFF")), kind  # these are read at once
 
 
-def test_contents_are_those_of_what_is_read_and_reading_changes_nothing(
-    limits: IngestSettings, sound: dict[str, Sound]
-) -> None:
+def test_contents_are_those_of_what_is_read_and_reading_changes_nothing(limits, sound) -> None:
     for kind, one in sound.items():
         before = (one.path.read_bytes(), one.path.stat().st_mtime_ns, sorted(one.path.parent.iterdir()))
         told = contents_of(one.path, settings=limits)

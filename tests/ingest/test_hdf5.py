@@ -1,11 +1,14 @@
 """HDF5 files are read fast, read-only, and never lead anywhere else."""
 
+from functools import partial
+
 import h5py
 import numpy as np
 import pytest
 
 from crankorder.errors import InputError, UnsafeInputError
 from crankorder.ingest.formats import contents_of, read_file
+from made.recordings import write_hdf5
 
 RNG = np.random.default_rng(20)
 
@@ -13,14 +16,9 @@ RNG = np.random.default_rng(20)
 @pytest.fixture
 def recorded(tmp_path):
     """A file of two float32 channels and an encoder at 50 kHz, and what is in it."""
-    path = tmp_path / "run.h5"
     data = RNG.standard_normal((3, 4000)).astype(np.float32)
-    with h5py.File(path, "w") as file:
-        file.attrs["rate_hz"] = 50_000.0
-        for name, row in zip(("acc_x", "acc_z", "raw/encoder"), data, strict=True):
-            file[name] = row
-            file[name].attrs["units"] = "V"
-    return path, data
+    columns = dict(zip(("acc_x", "acc_z", "raw/encoder"), data, strict=True))
+    return write_hdf5(tmp_path / "run.h5", columns, unit="V", rate_hz=50_000.0), data
 
 
 def test_float32_columns_are_read_exactly_and_side_by_side(recorded, limits):
@@ -47,9 +45,8 @@ def test_every_number_type_keeps_its_values(tmp_path, limits):
 def test_columns_of_a_table_are_channels_whichever_way_it_lies(tmp_path, limits):
     for transposed in [False, True]:
         table = RNG.standard_normal((500, 3))
-        with h5py.File(tmp_path / "a.h5", "w") as file:
-            file["t"] = table.T if transposed else table
-        raw = read_file(tmp_path / "a.h5", sources=["t[2]", "t[0]"], settings=limits)
+        path = write_hdf5(tmp_path / "a.h5", {"t": table.T if transposed else table})
+        raw = read_file(path, sources=["t[2]", "t[0]"], settings=limits)
         np.testing.assert_array_equal(raw.columns["t[2]"], table[:, 2])
         np.testing.assert_array_equal(raw.columns["t[0]"], table[:, 0])
 
@@ -100,8 +97,7 @@ def test_external_storage_and_links_are_refused_and_their_content_never_shows(tm
     secret.write_text("canary" * 100)
     with h5py.File(tmp_path / "storage.h5", "w") as file:
         file.create_dataset("a", (100,), "u1", external=[(str(secret), 0, 100)])
-    with h5py.File(tmp_path / "other.h5", "w") as file:
-        file["b"] = np.zeros(100)
+    write_hdf5(tmp_path / "other.h5", {"b": np.zeros(100)})
     with h5py.File(tmp_path / "link.h5", "w") as file:
         file["fine"] = np.zeros(10)
         file["a"] = h5py.ExternalLink("other.h5", "/b")
@@ -114,12 +110,9 @@ def test_external_storage_and_links_are_refused_and_their_content_never_shows(tm
         ("link", "links to another file, which is never followed"),
         ("virtual", "is put together from other files"),
     ):
-        for attempt in (
-            lambda path: read_file(path, sources=["a"], settings=limits),
-            lambda path: contents_of(path, settings=limits),
-        ):
+        for attempt in (partial(read_file, sources=["a"]), contents_of):
             with pytest.raises(UnsafeInputError, match=words) as caught:
-                attempt(tmp_path / f"{name}.h5")
+                attempt(tmp_path / f"{name}.h5", settings=limits)
             assert "canary" not in str(caught.value)
 
 
@@ -191,8 +184,7 @@ def test_a_group_that_holds_itself_ends(tmp_path, limits):
 
 
 def test_deep_and_wide_trees_are_refused(tmp_path, limits):
-    with h5py.File(tmp_path / "deep.h5", "w") as file:
-        file["/".join("g" * 100) + "/a"] = np.zeros(3)
+    write_hdf5(tmp_path / "deep.h5", {"/".join("g" * 100) + "/a": np.zeros(3)})
     with pytest.raises(UnsafeInputError, match="groups are nested deeper than 32"):
         read_file(tmp_path / "deep.h5", sources=["a"], settings=limits)
     with h5py.File(tmp_path / "wide.h5", "w") as file:
@@ -221,7 +213,8 @@ def test_random_damage_gives_right_data_or_an_input_error(recorded, limits):
     outcomes = {"right": 0, "refused": 0}
     # only bytes of the structure: a flip in plain samples cannot be seen
     with h5py.File(path, "r") as file:
-        sample_bytes = {b for name in ("acc_x", "acc_z", "raw/encoder") for b in _span(file[name])}
+        starts = [file[name].id.get_offset() for name in ("acc_x", "acc_z", "raw/encoder")]
+        sample_bytes = {place for start in starts for place in range(start, start + data[0].nbytes)}
     structure = [place for place in range(len(content)) if place not in sample_bytes]
     for _ in range(150):
         damaged = bytearray(content)
@@ -241,20 +234,10 @@ def test_random_damage_gives_right_data_or_an_input_error(recorded, limits):
     assert outcomes["right"] + outcomes["refused"] >= 140
 
 
-def _span(dataset):
-    start = dataset.id.get_offset()
-    return range(start, start + dataset.nbytes)
-
-
 def test_a_rate_that_lies_beside_the_samples_as_a_number_of_its_own_is_read(tmp_path, limits):
     """As MATLAB 7.3 and scripts write it; an attribute goes before it, and what must be followed is not read."""
-    path = tmp_path / "a.mat"
-    with h5py.File(path, "w") as file:
-        file["acc"] = np.arange(100.0)[None]
-        file["fs"] = np.array([[6000.0]])
-        file["rpm"] = np.array([[1500.0]])
-        file["run/b"] = np.arange(50.0)
-        file["run/Sample Rate"] = 500.0
+    rates = {"fs": [[6000.0]], "rpm": [[1500.0]], "run/Sample Rate": 500.0}
+    path = write_hdf5(tmp_path / "a.mat", {"acc": np.arange(100.0)[None], "run/b": np.arange(50.0), **rates})
     stated = contents_of(path, settings=limits)
     assert stated.rates_hz["acc"] == 6000.0 and stated.rates_hz["run/b"] == 500.0 and stated.speed_rpm == 1500.0
     assert read_file(path, sources=["acc"], settings=limits).rates_hz == {"acc": 6000.0}

@@ -9,7 +9,6 @@ from crankorder.errors import CrankorderError, InputError
 from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.formats import contents_of, read_file
 from crankorder.ingest.manifest import load_manifest
-from crankorder.ingest.recording import read_recording
 
 idelib = pytest.importorskip("idelib", reason="the package idelib (extra ide) is not installed")
 
@@ -17,8 +16,8 @@ FILES = ("SSX66115.IDE", "XS5E25D40.IDE")
 
 
 @pytest.fixture(params=[FILES[0], pytest.param(FILES[1], marks=pytest.mark.slow)])
-def path(request, real_data) -> Path:
-    return real_data / "formats" / "ide" / request.param
+def path(request, shared_data) -> Path:
+    return shared_data / "formats" / "ide" / request.param
 
 
 def test_all_channels_are_those_of_the_formats_own_library(path, limits):
@@ -40,15 +39,14 @@ def test_all_channels_are_those_of_the_formats_own_library(path, limits):
         assert number == len(told.names) > 10
 
 
-def test_a_draft_names_one_sensor_and_can_be_run(path, tmp_path, settings):
+def test_a_draft_names_one_sensor_and_can_be_run(path, tmp_path, read_in):
     (tmp_path / path.name).write_bytes(path.read_bytes())
     (tmp_path / "run.toml").write_text(draft_manifest(tmp_path), encoding="utf-8")
     manifest = load_manifest(tmp_path)
     assert [(channel.name, channel.unit) for channel in manifest.channels] == [
         (f"Acceleration: {axis}", "g") for axis in "XYZ"
     ]
-    recording = read_recording(tmp_path / path.name, manifest, settings=settings.ingest, shaft=settings.shaft)
-    assert recording.attrs["rate_hz"] == pytest.approx(5000.0, rel=1e-4)
+    assert read_in(tmp_path / path.name).attrs["rate_hz"] == pytest.approx(5000.0, rel=1e-4)
 
 
 def test_channels_of_two_sensors_have_rates_and_starts_of_their_own(path, limits):
@@ -62,8 +60,8 @@ def test_channels_of_two_sensors_have_rates_and_starts_of_their_own(path, limits
 
 
 @pytest.mark.slow
-def test_a_clock_that_wanders_far_is_told(real_data, limits):
-    path = real_data / "formats" / "ide" / "XS5E25D40.IDE"
+def test_a_clock_that_wanders_far_is_told(shared_data, limits):
+    path = shared_data / "formats" / "ide" / "XS5E25D40.IDE"
     (told,) = read_file(path, sources=["Acceleration: X (40g)"], settings=limits).flags
     assert (told["flag"], told["severity"]) == ("time_jitter", "suspect")
     assert "3.4 samples" in told["detail"]
@@ -71,9 +69,9 @@ def test_a_clock_that_wanders_far_is_told(real_data, limits):
     assert (told["flag"], told["severity"]) == ("time_jitter", "info")
 
 
-def test_a_lost_block_is_a_gap(real_data, tmp_path, limits):
-    whole = (real_data / "formats" / "ide" / "SSX66115.IDE").read_bytes()
-    expected = read_file(real_data / "formats" / "ide" / "SSX66115.IDE", sources=[0], settings=limits).columns[0]
+def test_a_lost_block_is_a_gap(shared_data, tmp_path, limits):
+    whole = (shared_data / "formats" / "ide" / "SSX66115.IDE").read_bytes()
+    expected = read_file(shared_data / "formats" / "ide" / "SSX66115.IDE", sources=[0], settings=limits).columns[0]
     # a block of channel 8 (ChannelDataBlock 0xA1, its channel 0xB0 81 08) becomes one that nobody reads (Void)
     blocks = [
         place
@@ -98,8 +96,8 @@ def test_another_file_of_its_container_is_named(tmp_path, limits):
 
 
 @pytest.mark.slow
-def test_a_mutation_ends_in_data_or_in_an_error_of_ours(real_data, tmp_path, limits):
-    whole = (real_data / "formats" / "ide" / "XS5E25D40.IDE").read_bytes()
+def test_a_mutation_ends_in_data_or_in_an_error_of_ours(shared_data, tmp_path, limits):
+    whole = (shared_data / "formats" / "ide" / "XS5E25D40.IDE").read_bytes()
     path = tmp_path / "a.IDE"
     read = 0
     for seed in range(1000):

@@ -2,19 +2,15 @@
 
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 
 from crankorder.batch.look import look_at
 from crankorder.errors import ManyErrors
 from crankorder.ingest.manifest import load_manifest
-from crankorder.ingest.recording import read_recording
-from crankorder.settings import load_settings
 from made.command import analysed
-from made.recordings import manifest, read_manifest
+from made.recordings import manifest, read_manifest, write_hdf5
 
-SETTINGS = load_settings()
 RATE_HZ = 2560.0
 HEAD = """schema_version = 1
 [test]
@@ -39,7 +35,7 @@ def tone(hertz: float) -> np.ndarray:
     return 3.0 * np.cos(2 * np.pi * hertz * np.arange(int(20 * RATE_HZ)) / RATE_HZ)  # type: ignore[no-any-return]
 
 
-def test_a_velocity_is_integrated_from_what_the_file_or_the_sensor_states(tmp_path: Path) -> None:
+def test_a_velocity_is_integrated_from_what_the_file_or_the_sensor_states(tmp_path: Path, read_in) -> None:
     rows = [
         ('unit = "mm/s"\nquantity = "velocity"\nsensitivity = "100 mV/g"', "acc (mV)", 9.80665e-2),
         ('unit = "mm/s"\nquantity = "velocity"\nmeasured_unit = "g"', "acc", 9.80665),
@@ -47,8 +43,7 @@ def test_a_velocity_is_integrated_from_what_the_file_or_the_sensor_states(tmp_pa
         ('unit = "mm/s"\nquantity = "velocity"\nhighpass_hz = 10.0', "acc (g)", 9.80665),
     ]
     for channel, head, factor in rows:
-        folder = folder_of(tmp_path, channel, head=head, values=tone(40.0))
-        made = read_recording(folder / "a.csv", load_manifest(folder), settings=SETTINGS.ingest, shaft=SETTINGS.shaft)
+        made = read_in(folder_of(tmp_path, channel, head=head, values=tone(40.0)) / "a.csv")
         signal = made["signal"].values[0]
         assert np.sqrt(2.0) * np.nanstd(signal) == pytest.approx(3.0e3 * factor / (2 * np.pi * 40.0), rel=1e-3)
         assert np.isnan(signal[0])
@@ -56,10 +51,10 @@ def test_a_velocity_is_integrated_from_what_the_file_or_the_sensor_states(tmp_pa
         assert made["quantity"].values.tolist() == ["velocity"]
 
 
-def test_a_displacement_is_integrated_twice_and_a_velocity_sensor_once(tmp_path: Path) -> None:
+def test_a_displacement_is_integrated_twice_and_a_velocity_sensor_once(tmp_path: Path, read_in) -> None:
     for head, turning in (("a (m/s2)", (2 * np.pi * 40.0) ** 2), ("v (m/s)", 2 * np.pi * 40.0)):
         folder = folder_of(tmp_path, 'unit = "um"\nquantity = "displacement"', head=head, values=tone(40.0))
-        made = read_recording(folder / "a.csv", load_manifest(folder), settings=SETTINGS.ingest, shaft=SETTINGS.shaft)
+        made = read_in(folder / "a.csv")
         assert np.sqrt(2.0) * np.nanstd(made["signal"].values[0]) == pytest.approx(3e6 / turning, rel=1e-3)
 
 
@@ -120,13 +115,10 @@ def test_a_balance_grade_is_read_as_it_is_written(tmp_path: Path) -> None:
 
 
 def test_what_lies_above_half_the_rate_of_the_file_is_refused(tmp_path: Path) -> None:
+    limit = 'quantity = "velocity"\nvalue = "1 mm/s"\nsource = "x"\nband_hz = [10.0, 2000.0]'
     rows = [
         ('unit = "mm/s"\nquantity = "velocity"\nmeasured_unit = "g"\nhighpass_hz = 9000.0', "below 905.1"),
-        (
-            'unit = "m/s2"\n[[limits]]\nquantity = "velocity"\nvalue = "1 mm/s"\nsource = "x"\n'
-            "band_hz = [10.0, 2000.0]",
-            "up to 1280 Hz",
-        ),
+        (f'unit = "m/s2"\n[[limits]]\n{limit}', "up to 1280 Hz"),
     ]
     for channel, said in rows:
         folder = folder_of(tmp_path, channel, head="time_s,acc", values=tone(40.0)[:100])
@@ -141,10 +133,9 @@ def test_what_lies_above_half_the_rate_of_the_file_is_refused(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_high_pass_that_does_nothing_is_told(tmp_path: Path) -> None:
+def test_a_high_pass_that_does_nothing_is_told(tmp_path: Path, read_in) -> None:
     folder = folder_of(tmp_path, 'unit = "m/s2"\nhighpass_hz = 5.0', head="acc", values=tone(40.0))
-    made = read_recording(folder / "a.csv", load_manifest(folder), settings=SETTINGS.ingest, shaft=SETTINGS.shaft)
-    assert "highpass_unused" in made.attrs["quality"]
+    assert "highpass_unused" in read_in(folder / "a.csv").attrs["quality"]
 
 
 # A manifest without an encoder may ask for the speed from the vibration itself.
@@ -167,10 +158,9 @@ def test_a_recording_without_encoder_gives_its_orders(tmp_path: Path) -> None:
     (tmp_path / "in" / "run.toml").write_text(f"{manifest()}[encoder]\n{encoder}")
     time_s = np.arange(8 * 4096) / 4096.0
     put_in = {1.0: 1.0, 2.0: 0.7, 3.0: 0.5}
-    with h5py.File(tmp_path / "in" / "a.h5", "w") as file:
-        file.attrs["rate_hz"] = 4096.0
-        turning = sum(size * np.cos(2 * np.pi * order * 25.0 * time_s) for order, size in put_in.items())
-        file["Z"] = turning + 0.1 * np.random.default_rng(1).standard_normal(time_s.size)
+    turning = sum(size * np.cos(2 * np.pi * order * 25.0 * time_s) for order, size in put_in.items())
+    noise = 0.1 * np.random.default_rng(1).standard_normal(time_s.size)
+    write_hdf5(tmp_path / "in" / "a.h5", {"Z": turning + noise}, rate_hz=4096.0)
     findings = analysed(tmp_path / "in", tmp_path / "out", "--no-pictures")
     assert findings["speed_range_rpm"] == pytest.approx([1500.0, 1500.0], rel=1e-3)
     found = {round(record["order"], 1): record for record in findings["orders"]}

@@ -5,8 +5,6 @@ import pytest
 
 from crankorder.errors import InputError, UnsafeInputError
 from crankorder.ingest.formats import contents_of, read_file
-from crankorder.ingest.manifest import load_manifest
-from crankorder.ingest.recording import read_recording
 from crankorder.quantities import flags_of
 from made.recordings import manifest
 
@@ -78,42 +76,38 @@ def test_segments_are_columns_of_their_own(written, limits):
     np.testing.assert_array_equal(read_file(path, sources=["1/acc"], settings=limits).columns["1/acc"], VALUES[:, 1])
 
 
-MANIFEST = manifest("a.lvm", cycle="none", channels={"acc": {}})
-
-
-def recording_of(path, settings, rate_hz=None):
+def recording_of(path, read_in, rate_hz=None):
     rate = "" if rate_hz is None else f"[sampling]\nrate_hz = {rate_hz}\n"
-    (path.parent / "run.toml").write_text(MANIFEST + rate)
-    manifest = load_manifest(path.parent)
-    recording = read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft)
+    (path.parent / "run.toml").write_text(manifest("a.lvm", cycle="none", channels={"acc": {}}) + rate)
+    recording = read_in(path)
     return recording, {flag["flag"]: flag["severity"] for flag in flags_of(recording)}
 
 
-def test_times_go_before_a_stale_header_and_a_flag_tells(written, settings):
+def test_times_go_before_a_stale_header_and_a_flag_tells(written, read_in):
     for stated, severity in [(None, "suspect"), (1000.0, "info")]:
         recording, flags = recording_of(
-            written(lvm(VALUES, step="1.953125E-5", times=np.arange(200) * 1e-3)), settings, stated
+            written(lvm(VALUES, step="1.953125E-5", times=np.arange(200) * 1e-3)), read_in, stated
         )
         assert recording.attrs["rate_hz"] == pytest.approx(1000.0, rel=1e-9)
         assert flags["header_rate_disagrees"] == severity
 
 
-def test_a_manifest_that_contradicts_the_times_is_an_error(written, settings):
+def test_a_manifest_that_contradicts_the_times_is_an_error(written, read_in):
     path = written(lvm(VALUES, step="1.953125E-5", times=np.arange(200) * 1e-3))
     with pytest.raises(InputError, match="the sampling rate is 1000 Hz in the file, 51200 Hz in the manifest"):
-        recording_of(path, settings, 51200)
+        recording_of(path, read_in, 51200)
 
 
-def test_a_rounded_step_agrees_with_all_that_it_may_mean_and_with_nothing_else(written, settings):
+def test_a_rounded_step_agrees_with_all_that_it_may_mean_and_with_nothing_else(written, read_in):
     path = written(lvm(VALUES, step="0.000977"))
-    recording, flags = recording_of(path, settings, 1024)
+    recording, flags = recording_of(path, read_in, 1024)
     assert recording.attrs["rate_hz"] == 1024.0
     assert "rate_rounded" not in flags
-    recording, flags = recording_of(path, settings)
+    recording, flags = recording_of(path, read_in)
     assert recording.attrs["rate_hz"] == pytest.approx(1 / 0.000977)
     assert flags["rate_rounded"] == "suspect"
     with pytest.raises(InputError, match="the sampling rate is"):
-        recording_of(path, settings, 1026)
+        recording_of(path, read_in, 1026)
 
 
 def test_fewer_samples_than_promised_are_flagged(written, limits):
@@ -141,8 +135,8 @@ def test_a_line_without_end_is_refused_before_it_fills_the_memory(written, limit
         contents_of(written(lvm(VALUES) + "1" * 3_000_000), settings=limits)
 
 
-def test_real_files_of_old_and_new_writers_are_read(real_data, limits):
-    folder = real_data / "formats" / "lvm"
+def test_real_files_of_old_and_new_writers_are_read(shared_data, limits):
+    folder = shared_data / "formats" / "lvm"
     first = {
         "short.lvm": ("Excitation (Trigger)", [0.914018, 0.537321, 0.616905], 25600.0),
         "multi_time_column.lvm": ("Acceleration", [0.532608, 0.502991, 0.467541], 51200.0),

@@ -11,11 +11,7 @@ from crankorder.errors import InputError, UnsafeInputError
 from crankorder.ingest.check import check_folder
 from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.formats import contents_of, read_file
-from crankorder.ingest.manifest import load_manifest
-from crankorder.ingest.recording import read_recording
 from made.recordings import manifest
-
-TYPES = ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?")
 
 
 @pytest.fixture
@@ -31,7 +27,7 @@ def saved(tmp_path):
 
 def test_numbers_of_every_type_are_those_that_were_saved(saved, limits):
     for compressed in [False, True]:
-        for kind in TYPES:
+        for kind in ("f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "?"):
             values = (np.arange(700) % 120).astype(kind)
             path = saved(x=values, compressed=compressed)
             column = read_file(path, sources=["x"], settings=limits).columns["x"]
@@ -94,7 +90,7 @@ def test_of_a_variable_written_twice_the_last_is_read_and_a_flag_tells(saved, li
     assert [flag["flag"] for flag in raw.flags] == ["variable_written_twice"]
 
 
-def test_real_files_are_read_as_scipy_reads_them(real_data, limits):
+def test_real_files_are_read_as_scipy_reads_them(shared_data, limits):
     """Little and big endian, compressed and not, structs, variables written twice."""
     cases = {
         "cwru_12k_de_1750/0.007-Ball.mat": ["X120_DE_time", "X120RPM"],
@@ -103,8 +99,8 @@ def test_real_files_are_read_as_scipy_reads_them(real_data, limits):
         "modal_vtb/case1.mat": ["Time_chan_2"],
     }
     for name, sources in cases.items():
-        theirs = scipy.io.loadmat(real_data / name, simplify_cells=True)
-        ours = read_file(real_data / name, sources=sources, settings=limits).columns
+        theirs = scipy.io.loadmat(shared_data / name, simplify_cells=True)
+        ours = read_file(shared_data / name, sources=sources, settings=limits).columns
         for source in sources:
             first, _, field = source.partition(".")
             expected = np.ravel(theirs[first][field] if field else theirs[first])
@@ -193,16 +189,14 @@ MANIFEST = manifest(
 )
 
 
-def test_a_constant_speed_is_that_which_the_file_states(saved, tmp_path, settings):
+def test_a_constant_speed_is_that_which_the_file_states(saved, tmp_path, settings, read_in):
     (tmp_path / "run.toml").write_text(MANIFEST)
     path = saved(X107_DE_time=np.arange(100.0), X107RPM=np.uint16(1748))
     assert check_folder(tmp_path, settings=settings.ingest) == []
-    manifest = load_manifest(tmp_path)
-    recording = read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft)
-    assert recording.attrs["speed_rpm"] == 1748.0
+    assert read_in(path).attrs["speed_rpm"] == 1748.0
     path = saved(X107_DE_time=np.arange(100.0), X107RPM=np.arange(100.0))
     with pytest.raises(InputError, match=r"a constant speed is one number above 0.*found 100 values"):
-        read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft)
+        read_in(path)
 
 
 def test_a_draft_names_what_each_file_calls_otherwise_by_what_they_share(saved, tmp_path, settings):

@@ -31,15 +31,8 @@ def test_the_longer_side_is_time_however_the_values_lie(saved, limits):
 
 
 def test_numbers_of_every_type_are_those_that_were_saved(saved, limits):
-    for kind, target in [
-        ("<f8", "f8"),
-        (">f8", "f8"),
-        ("<f4", "f4"),
-        ("<i2", "f4"),
-        (">i4", "f8"),
-        ("<u8", "f8"),
-        ("?", "f4"),
-    ]:
+    targets = {"<f8": "f8", ">f8": "f8", "<f4": "f4", "<i2": "f4", ">i4": "f8", "<u8": "f8", "?": "f4"}
+    for kind, target in targets.items():
         values = (np.arange(100) % 50).astype(kind)
         column = read_file(saved(values), sources=[0], settings=limits).columns[0]
         assert column.dtype == np.dtype(target)
@@ -72,13 +65,6 @@ def test_python_objects_are_refused_and_never_made(saved, tmp_path, limits):
     assert not (tmp_path / "canary").exists()
 
 
-def headed(tmp_path, header):
-    text = header.ljust(118).encode() + b"\n"
-    path = tmp_path / "crafted.npy"
-    path.write_bytes(b"\x93NUMPY\x01\0" + len(text).to_bytes(2, "little") + text + b"\0" * 64)
-    return path
-
-
 def test_what_a_header_claims_is_checked_before_it_is_believed(tmp_path, limits):
     rows = [
         ("{'descr': '<f8', 'fortran_order': False, 'shape': (4611686018427387904, 2)}", "is damaged or truncated"),
@@ -94,9 +80,12 @@ def test_what_a_header_claims_is_checked_before_it_is_believed(tmp_path, limits)
         ("__import__('os').system('touch canary')", "is damaged or truncated"),
         ("(" * 100, "is damaged or truncated"),
     ]
+    path = tmp_path / "crafted.npy"
     for header, words in rows:
+        text = header.ljust(118).encode() + b"\n"
+        path.write_bytes(b"\x93NUMPY\x01\0" + len(text).to_bytes(2, "little") + text + b"\0" * 64)
         with pytest.raises(InputError, match=words):
-            read_file(headed(tmp_path, header), sources=[0], settings=limits)
+            read_file(path, sources=[0], settings=limits)
 
 
 def test_a_draft_takes_the_array_and_not_the_notes_beside_it(saved, tmp_path):

@@ -8,15 +8,14 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
-from tests.made.command import crankorder, done
 
 from crankorder.errors import CrankorderError, InputError
 from crankorder.ingest.draft import draft_manifest
-from crankorder.ingest.manifest import load_manifest
-from crankorder.ingest.recording import read_recording
 from crankorder.shaft.angle import angle_at, knots_of
 from crankorder.shaft.decode import shaft_angle
 from crankorder.stages import shaft as shaft_stage
+from made.command import crankorder, done
+from made.recordings import write_hdf5
 
 RATE_HZ, LENGTH_S = 4000.0, 4.0
 TIME_S = np.arange(int(RATE_HZ * LENGTH_S)) / RATE_HZ
@@ -37,23 +36,12 @@ def written(folder: Path, form: str, position: np.ndarray, name: str, unit: str,
         table = np.column_stack([TIME_S, signal, position])
         np.savetxt(folder / "a.csv", table, delimiter=",", header=heads, comments="", fmt="%.6f")
     elif form == "h5":
-        with h5py.File(folder / "a.h5", "w") as file:
-            file.attrs["sample_rate"] = RATE_HZ
-            for own, values, own_unit in (("acc", signal, "m/s2"), (name, position, unit)):
-                file.create_dataset(own, data=values).attrs["unit"] = own_unit
+        write_hdf5(
+            folder / "a.h5", {"acc": signal, name: position}, unit={"acc": "m/s2", name: unit}, sample_rate=RATE_HZ
+        )
     else:
         scipy.io.savemat(folder / "a.mat", {"time": TIME_S, "acc": signal, name: position})
     return folder / f"a.{form}"
-
-
-def decoded(path: Path, settings, *, asked: str = ""):
-    """ShaftAngle of the recording at ``path`` by its draft, in which the question ``asked`` is answered."""
-    text = draft_manifest(path.parent)
-    text = text.replace("# pulses_per_rev = 4096 ", asked) if asked else text
-    (path.parent / "run.toml").write_text(text)
-    manifest = load_manifest(path.parent)
-    recording = read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft)
-    return shaft_angle(recording, settings=settings.shaft)
 
 
 def flags_in(dataset) -> set[str]:
@@ -79,7 +67,9 @@ COUNTS = {"wrapped": lambda c, n: c % n, "16 bit": lambda c, _: c % 65536, "grow
         ("growing", "counts", 60, (200.0, 300.0)),
     ],
 )
-def test_a_position_tells_the_angle_with_every_sample(tmp_path, settings, form, way, name, unit, counts, speeds):
+def test_a_position_tells_the_angle_with_every_sample(
+    tmp_path, settings, read_in, form, way, name, unit, counts, speeds
+):
     if form == "mat" and unit in ("rad", "rev"):
         pytest.skip("a MATLAB variable has no unit, and 1 is a turn where a position starts anew after 1")
     turns = turns_of(*speeds)
@@ -93,7 +83,9 @@ def test_a_position_tells_the_angle_with_every_sample(tmp_path, settings, form, 
     wrong = np.random.default_rng(counts).integers(20, TIME_S.size - 20, 3)
     position[wrong] = [0.0, position.max(), np.floor(position.mean())]
     path = written(tmp_path, form, position, label, unit, signal_of(turns))
-    shaft = decoded(path, settings, asked=f"pulses_per_rev = {counts}")
+    text = draft_manifest(tmp_path).replace("# pulses_per_rev = 4096 ", f"pulses_per_rev = {counts}")
+    (tmp_path / "run.toml").write_text(text)
+    shaft = shaft_angle(read_in(path), settings=settings.shaft)
     at = TIME_S[20:-20]
     angle = angle_at(at, **knots_of(shaft))
     off = angle - turns[20:-20]
@@ -117,13 +109,13 @@ def test_a_position_tells_the_angle_with_every_sample(tmp_path, settings, form, 
         (np.zeros(TIME_S.size), "does not change"),
     ],
 )
-def test_a_count_that_is_not_as_stated_is_refused(tmp_path, settings, position, told):
+def test_a_count_that_is_not_as_stated_is_refused(tmp_path, read_in, position, told):
     path = written(tmp_path, "csv", position, "position", "counts", signal_of(turns_of(15, 33)))
     head = 'schema_version = 1\n[test]\nname = "a"\ncycle = "rotor"\n[recordings]\nfiles = ["*.csv"]\n[sampling]\n'
     rest = 'time_source = "time (s)"\n[[channels]]\nname = "acc (m/s2)"\nunit = "m/s2"\n[encoder]\nkind = "count"\n'
     (tmp_path / "run.toml").write_text(f'{head}{rest}source = "position (counts)"\npulses_per_rev = 1024\n')
     with pytest.raises(InputError, match=told):
-        read_recording(path, load_manifest(tmp_path), settings=settings.ingest, shaft=settings.shaft)
+        read_in(path)
 
 
 @pytest.mark.parametrize(
@@ -169,15 +161,14 @@ def test_short_dips_are_pulses(tmp_path, high, low, noise, name):
 
 
 @pytest.mark.parametrize("name", ["run_452rpm", "452 rpm", "speed=452", "n452"])
-def test_a_speed_in_a_name_is_held_against_the_speed_found(tmp_path, settings, name):
+def test_a_speed_in_a_name_is_held_against_the_speed_found(tmp_path, settings, read_in, name):
     path = written(tmp_path, "csv", ROW.astype(float), "sequence_num", "", signal_of(turns_of(7.53, 7.53)))
     path = path.rename(tmp_path / f"{name}.csv")
     text = draft_manifest(tmp_path)
     assert f'"{name}.csv" = 452' in text
     for rpm, told in ((60, not name.startswith("n")), (470, False)):
         (tmp_path / "run.toml").write_text(text.replace("= 452 ", f"= {rpm} "))
-        recording = read_recording(path, load_manifest(tmp_path), settings=settings.ingest, shaft=settings.shaft)
-        assert ("speed_not_as_named" in flags_in(shaft_stage(recording, settings))) == told
+        assert ("speed_not_as_named" in flags_in(shaft_stage(read_in(path), settings))) == told
     assert "speed_not_as_named" not in done("check", tmp_path).output
 
 
@@ -189,9 +180,6 @@ def test_a_speed_at_another_rate_is_told(tmp_path):
 
 
 # Files by crank angle that hold a column of angles: a manifest that contradicts it is refused, whatever the format.
-
-
-TURNS = 12
 
 
 def as_text(folder: Path, angle: np.ndarray, pressure: np.ndarray) -> None:
@@ -210,9 +198,8 @@ def as_xlsx(folder: Path, angle: np.ndarray, pressure: np.ndarray) -> None:
 
 
 def as_hdf5(folder: Path, angle: np.ndarray, pressure: np.ndarray) -> None:
-    with h5py.File(folder / "a.h5", "w") as file:
-        file["alpha"], file["p"] = np.deg2rad(angle), pressure.astype(np.float32)
-        file["alpha"].attrs["units"], file["p"].attrs["units"] = "rad", "bar"
+    columns = {"alpha": np.deg2rad(angle), "p": pressure.astype(np.float32)}
+    write_hdf5(folder / "a.h5", columns, unit={"alpha": "rad", "p": "bar"})
 
 
 def as_matlab(folder: Path, angle: np.ndarray, pressure: np.ndarray) -> None:
@@ -239,20 +226,17 @@ WRITERS = [as_text, as_xlsx, as_hdf5, as_matlab, as_numpy, as_mdf4]
 
 @pytest.mark.parametrize("write", WRITERS)
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_manifest_that_contradicts_the_files_angles_is_refused_and_a_right_one_is_not(
-    tmp_path, settings, write, seed
-):
+def test_a_manifest_that_contradicts_the_files_angles_is_refused_and_a_right_one_is_not(tmp_path, read_in, write, seed):
     rng = np.random.default_rng(seed)
     per_rev = int(rng.choice([180, 360, 1024]))
     start = -360.0 if seed == 1 else float(rng.integers(0, per_rev)) * 360.0 / per_rev
-    angle = (start + np.arange(TURNS * per_rev) * 360.0 / per_rev + 360.0) % 720.0 - 360.0
+    angle = (start + np.arange(12 * per_rev) * 360.0 / per_rev + 360.0) % 720.0 - 360.0
     write(tmp_path, angle, 10.0 + np.cos(np.deg2rad(angle)) + 0.01 * rng.standard_normal(angle.size))
     text = draft_manifest(tmp_path).replace('cycle = "rotor"', 'cycle = "four-stroke"')
 
     def read(text):
         (tmp_path / "run.toml").write_text(text, encoding="utf-8")
-        manifest, path = load_manifest(tmp_path), next(tmp_path.glob("a.*"))
-        return read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft).attrs
+        return read_in(next(tmp_path.glob("a.*"))).attrs
 
     drafted = read(text)
     assert drafted["samples_per_rev"] == per_rev

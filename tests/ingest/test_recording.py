@@ -1,6 +1,7 @@
 """One file becomes one Recording: right units, right times, every fault named or flagged."""
 
 import wave
+from pathlib import Path
 
 import h5py
 import numpy as np
@@ -8,10 +9,13 @@ import pytest
 import xarray as xr
 
 from crankorder.errors import InputError
-from crankorder.ingest.recording import read_recording
+from crankorder.ingest.check import check_folder
+from crankorder.ingest.folder import recordings_of
+from crankorder.ingest.manifest import load_manifest
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.shaft.angle import angle_at
 from crankorder.shaft.decode import shaft_angle
+from made.recordings import write_hdf5
 
 RATE = 10_000.0
 N = 20_000
@@ -29,23 +33,15 @@ def turned(rpm: float, per_rev: int) -> np.ndarray:
 @pytest.fixture
 def write(tmp_path):
     def make(rate=RATE, name="a.h5", unit=None, **columns):
-        path = tmp_path / name
-        with h5py.File(path, "w") as file:
-            if rate is not None:
-                file.attrs["rate_hz"] = rate
-            for key, values in columns.items():
-                file[key] = values
-                if unit is not None:
-                    file[key].attrs["units"] = unit
-        return path
+        return write_hdf5(tmp_path / name, columns, unit=unit, **({} if rate is None else {"rate_hz": rate}))
 
     return make
 
 
 @pytest.fixture
-def read(manifest_of, settings):
+def read(manifest_of, read_in):
     def read_it(path, tables=CHANNEL) -> xr.Dataset:
-        recording = read_recording(path, manifest_of(tables), settings=settings.ingest, shaft=settings.shaft)
+        recording = read_in(path, manifest_of(tables))
         check_dataset(recording, "recording")
         return recording
 
@@ -322,19 +318,14 @@ def test_times_of_pulses_that_go_back_are_an_error(write, read):
 
 def test_a_speed_signal_is_given_in_revolutions_per_minute(write, read):
     for unit, factor in [("rpm", 1.0), ("tr/min", 1.0), ("Hz", 60.0), (None, 1.0)]:
-        path = write(acc=TIME, rpm=1000 + TIME)
-        if unit is not None:
-            with h5py.File(path, "a") as file:
-                file["rpm"].attrs["units"] = unit
+        path = write(acc=TIME, rpm=1000 + TIME, unit={"rpm": unit})
         recording = read(path, CHANNEL + '[encoder]\nkind = "speed"\nsource = "rpm"\n')
         np.testing.assert_allclose(recording["speed_signal"], (1000 + TIME) * factor, rtol=1e-12)
 
 
 @pytest.mark.slow
 def test_a_speed_signal_in_volts_is_an_error(write, read):
-    path = write(acc=TIME, rpm=TIME)
-    with h5py.File(path, "a") as file:
-        file["rpm"].attrs["units"] = "V"
+    path = write(acc=TIME, rpm=TIME, unit={"rpm": "V"})
     with pytest.raises(InputError, match="the speed signal has no unit of speed; found 'V'"):
         read(path, CHANNEL + '[encoder]\nkind = "speed"\nsource = "rpm"\n')
 
@@ -418,3 +409,41 @@ def test_a_sensitivity_needs_the_volts_at_full_scale_of_a_wav(tmp_path, read):
     np.testing.assert_allclose(recording["signal"].values[0], expected, rtol=1e-6, atol=1e-5)
     volts = read(tmp_path / "a.wav", '[[channels]]\nname = "Z"\nsource = 0\nunit = "V"\nfull_scale_v = 5.0\n')
     np.testing.assert_allclose(volts["signal"].values[0], samples / 32768 * 5.0, rtol=1e-6, atol=1e-6)
+
+
+# The manifests of tests/real read the real recordings, and the facts known of them come out.
+
+
+MANIFESTS = Path(__file__).parents[1] / "real"
+FOLDERS = {
+    "ansys_accel": "ansys_accel", "rotorbalancer": "rotorbalancer", "rotor_groups": "rotorbalancer",
+    "tue_genset": "tue_genset", "tue_training": "tue_genset", "auth_360ppr": "auth_360ppr",
+}  # fmt: skip
+
+
+def test_check_finds_no_fault_in_the_real_folders(shared_data, settings):
+    for name in FOLDERS:
+        assert check_folder(shared_data / FOLDERS[name], MANIFESTS / f"{name}.toml", settings=settings.ingest) == []
+
+
+def test_the_run_up_has_the_speeds_of_its_reference(read_in, shared_data):
+    manifest = load_manifest(shared_data / "ansys_accel", MANIFESTS / "ansys_accel.toml")
+    found = recordings_of(shared_data / "ansys_accel", manifest)
+    (path,) = found.paths
+    assert not found.faults
+    recording = read_in(path, manifest)
+    check_dataset(recording, "recording")
+    assert all(flag["severity"] == "info" for flag in flags_of(recording)), flags_of(recording)
+    table = shared_data / "ansys_accel" / "reference_order_levels_dBSPL_2_4_10_15_30_61.2.txt"
+    speeds = [
+        float(line.split("\t")[0])
+        for line in table.read_text("latin-1").splitlines()
+        if line[:1].isdigit() and "\t" in line
+    ]
+    speed = recording["speed_signal"].values
+    assert speed[0] == pytest.approx(speeds[0], rel=1e-6)
+    assert (round(speed.min()), round(speed.max())) == (969, 4821)
+    assert recording.attrs["rate_hz"] == 44_100.0
+    assert str(recording["unit"].values[0]) == "Pa"
+    # full scale is 1 Pa x 0.99655
+    assert np.abs(recording["signal"]).max() < 0.99655

@@ -41,26 +41,6 @@ def as_binary(name: str, values: np.ndarray, *, form: int = 2, order: int = 1, *
     return f"    -1\n{first}{header(name, len(values), form=form, **more)}".encode() + data + b"\n    -1\n"  # type: ignore[arg-type]
 
 
-def pairs_as_text(
-    times: np.ndarray, values: np.ndarray, *, written: tuple[str, str], per_line: int, time: str
-) -> bytes:
-    """A general function (type 0) with the time of each sample written before it; the last line is padded."""
-    cells = [f"{at:{written[0]}}{value:{written[1]}}" for at, value in zip(times, values, strict=True)]
-    rows = ["".join(cells[first : first + per_line]) for first in range(0, len(cells), per_line)]
-    form = 2 if written[1] == "13.5E" else 4
-    text = header("one", len(values), form=form, function=0, spacing=0, time=time) + "\n".join(rows).ljust(80)
-    return f"    -1\n    58\n{text}\n    -1\n".encode()
-
-
-def pairs_as_binary(times: np.ndarray, values: np.ndarray, *, letters: tuple[str, str], order: int, time: str) -> bytes:
-    sign = "<" if order == 1 else ">"
-    points = np.empty(len(times), dtype=[("time", sign + letters[0]), ("value", sign + letters[1])])
-    points["time"], points["value"] = times, values
-    text = header("one", len(times), form=2 if letters[1] == "f4" else 4, function=0, spacing=0, time=time)
-    first = f"    58b{order:6d}{2:6d}{11:12d}{points.nbytes:12d}{0:6d}{0:6d}{0:12d}{0:12d}\n"
-    return f"    -1\n{first}{text}".encode() + points.tobytes() + b"\n    -1\n"
-
-
 @pytest.fixture
 def read(tmp_path, limits):
     def read(*sets: bytes, sources=(0,)):
@@ -104,10 +84,18 @@ PAIRS = [
 
 
 def paired(form, times, values, time="s"):
+    """A general function (type 0) with the time of each sample before it, in text or binary, as ``PAIRS`` has it."""
     first, second, number = form
+    text = header("one", len(values), form=2 if second in ("13.5E", "f4") else 4, function=0, spacing=0, time=time)
     if first in ("f4", "f8"):
-        return pairs_as_binary(times, values, letters=(first, second), order=number, time=time)
-    return pairs_as_text(times, values, written=(first, second), per_line=number, time=time)
+        sign = "<" if number == 1 else ">"
+        points = np.empty(len(times), dtype=[("time", sign + first), ("value", sign + second)])
+        points["time"], points["value"] = times, values
+        head = f"    58b{number:6d}{2:6d}{11:12d}{points.nbytes:12d}{0:6d}{0:6d}{0:12d}{0:12d}\n"
+        return f"    -1\n{head}{text}".encode() + points.tobytes() + b"\n    -1\n"
+    cells = [f"{at:{first}}{value:{second}}" for at, value in zip(times, values, strict=True)]
+    rows = ["".join(cells[start : start + number]) for start in range(0, len(cells), number)]
+    return f"    -1\n    58\n{text}{chr(10).join(rows).ljust(80)}\n    -1\n".encode()  # the last line is padded
 
 
 @pytest.mark.parametrize("form", PAIRS)
@@ -165,8 +153,8 @@ def test_binary_numbers_of_another_machine_are_refused(read):
 
 
 @pytest.mark.slow
-def test_a_real_pair_of_text_and_binary_holds_the_same_signal(real_data, limits):
-    folder = real_data / "formats" / "uff"
+def test_a_real_pair_of_text_and_binary_holds_the_same_signal(shared_data, limits):
+    folder = shared_data / "formats" / "uff"
     text, binary = (
         read_file(folder / f"Sample_UFF58{kind}.uff", sources=[0], settings=limits) for kind in ("_ascii", "b_bin")
     )
@@ -176,9 +164,9 @@ def test_a_real_pair_of_text_and_binary_holds_the_same_signal(real_data, limits)
     assert text.columns[0].size == 79292
 
 
-def test_what_the_reference_reader_reads_is_read_the_same(real_data, limits):
+def test_what_the_reference_reader_reads_is_read_the_same(shared_data, limits):
     pyuff = pytest.importorskip("pyuff", reason="pyuff, the reference, is not installed")
-    for path in sorted((real_data / "formats" / "uff").glob("*.uff")):
+    for path in sorted((shared_data / "formats" / "uff").glob("*.uff")):
         sets = pyuff.UFF(str(path)).read_sets()
         sets = sets if isinstance(sets, list) else [sets]
         histories = [one for one in sets if one["type"] == 58 and one["func_type"] == 1]

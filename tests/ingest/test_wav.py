@@ -11,6 +11,17 @@ from crankorder.ingest.formats import contents_of, read_file
 RNG = np.random.default_rng(21)
 
 
+@pytest.fixture
+def read(tmp_path, limits):
+    """What is read of the bytes of a file from its ``sources``."""
+
+    def read_bytes(content, *sources):
+        (tmp_path / "a.wav").write_bytes(content)
+        return read_file(tmp_path / "a.wav", sources=sources, settings=limits)
+
+    return read_bytes
+
+
 def riff(*chunks: tuple[bytes, bytes]) -> bytes:
     body = b"".join(name + struct.pack("<I", len(data)) + data + b"\0" * (len(data) % 2) for name, data in chunks)
     return b"RIFF" + struct.pack("<I", len(body) + 4) + b"WAVE" + body
@@ -35,7 +46,7 @@ def calibration(*channels: tuple[float, str, str, float, float]) -> tuple[bytes,
 STEREO = RNG.integers(-32768, 32767, (1000, 2)).astype("<i2")
 
 
-def test_every_sample_format_gives_fractions_of_full_scale(tmp_path, limits):
+def test_every_sample_format_gives_fractions_of_full_scale(read):
     rows = [
         (1, 8, lambda x: np.round(x * 128 + 128).astype("u1").tobytes()),
         (1, 16, lambda x: np.round(x * 32768).astype("<i2").tobytes()),
@@ -46,8 +57,7 @@ def test_every_sample_format_gives_fractions_of_full_scale(tmp_path, limits):
     ]
     for code, bits, pack in rows:
         values = RNG.uniform(-0.99, 0.99, (500, 2))
-        (tmp_path / "a.wav").write_bytes(riff(layout(code, 2, bits), (b"data", pack(values))))
-        raw = read_file(tmp_path / "a.wav", sources=[0, "1"], settings=limits)
+        raw = read(riff(layout(code, 2, bits), (b"data", pack(values))), 0, "1")
         step = 2.0 ** (1 - bits) if code == 1 else 2.0**-24
         np.testing.assert_allclose(
             np.array([raw.columns[0], raw.columns["1"]]).T, values, rtol=0, atol=max(step, 2.0**-24)
@@ -60,7 +70,7 @@ def test_every_sample_format_gives_fractions_of_full_scale(tmp_path, limits):
 DATA = (b"data", STEREO.tobytes())
 
 
-def test_a_calibration_that_is_not_understood_is_told(tmp_path, limits):
+def test_a_calibration_that_is_not_understood_is_told(read):
     rows = [
         (calibration((1.0, "mic", "Pa", 3.0, 1.0), (1.0, "b", "Pa", 0.0, 1.0)), "offset 3"),
         (calibration((1.0, "mic", "Pa", 0.0, 1.0)), "for 1 channels, the samples have 2"),
@@ -76,8 +86,7 @@ def test_a_calibration_that_is_not_understood_is_told(tmp_path, limits):
             content = riff(layout(1, 2, 16), DATA, *([] if stray else [chunk]))
             if stray:  # behind the end that the file declares
                 content += chunk[0] + struct.pack("<I", len(chunk[1])) + chunk[1]
-            (tmp_path / "a.wav").write_bytes(content)
-            raw = read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+            raw = read(content, 0)
             if stray and chunk[0] != b"LEA ":
                 continue  # of what stands there a calibration of that family alone is a chunk
             (told,) = raw.flags
@@ -86,13 +95,12 @@ def test_a_calibration_that_is_not_understood_is_told(tmp_path, limits):
 
 
 @pytest.mark.slow
-def test_notes_that_speak_of_no_calibration_are_no_doubt(tmp_path, limits):
+def test_notes_that_speak_of_no_calibration_are_no_doubt(read):
     note = (b"LIST", b"INFOISFT" + struct.pack("<I", 14) + b"Lavf58.29.100\0")
-    (tmp_path / "a.wav").write_bytes(riff(layout(1, 2, 16), note, (b"bext", bytes(602)), DATA))
-    assert not read_file(tmp_path / "a.wav", sources=[0], settings=limits).flags
+    assert not read(riff(layout(1, 2, 16), note, (b"bext", bytes(602)), DATA), 0).flags
 
 
-def test_samples_of_a_program_that_streams_are_read_to_the_end(tmp_path, limits):
+def test_samples_of_a_program_that_streams_are_read_to_the_end(read):
     for riff_bytes in [0, 36, 0xFFFFFFFF, 0x7FFFF024]:
         for data_bytes in [0, 0xFFFFFFFF, 0xFFFFFFDB, 0x7FFFF000]:
             for with_lea in [False, True]:
@@ -101,8 +109,7 @@ def test_samples_of_a_program_that_streams_are_read_to_the_end(tmp_path, limits)
                 struct.pack_into("<I", content, 4, riff_bytes)
                 struct.pack_into("<I", content, 40, data_bytes)
                 content += (lea[0] + struct.pack("<I", len(lea[1])) + lea[1]) * with_lea
-                (tmp_path / "a.wav").write_bytes(content)
-                raw = read_file(tmp_path / "a.wav", sources=[1], settings=limits)
+                raw = read(content, 1)
                 np.testing.assert_allclose(raw.columns[1], STEREO[:, 1] / 32768 * (2.0 if with_lea else 1.0), rtol=1e-6)
                 assert raw.units[1] == ("Pa" if with_lea else "FS")
                 (told,) = raw.flags
@@ -112,16 +119,15 @@ def test_samples_of_a_program_that_streams_are_read_to_the_end(tmp_path, limits)
 
 
 @pytest.mark.slow
-def test_a_file_whose_own_length_alone_is_not_filled_in_is_whole(tmp_path, limits):
+def test_a_file_whose_own_length_alone_is_not_filled_in_is_whole(read):
     for riff_bytes in [0, 0xFFFFFFFF]:
         content = bytearray(riff(layout(1, 2, 16), DATA))
         struct.pack_into("<I", content, 4, riff_bytes)
-        (tmp_path / "a.wav").write_bytes(content)
-        raw = read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+        raw = read(content, 0)
         assert raw.columns[0].size == 1000 and not raw.flags
 
 
-def test_lengths_of_64_bits_are_read(tmp_path, limits):
+def test_lengths_of_64_bits_are_read(tmp_path, limits, read):
     for name in [b"RF64", b"BW64"]:
         for cut in [0, 100, 2400]:
             lea = calibration((1.0, "mic", "Pa", 0.0, 1.0), (2.0, "b", "Pa", 0.0, 1.0))
@@ -141,22 +147,20 @@ def test_lengths_of_64_bits_are_read(tmp_path, limits):
 
 
 @pytest.mark.slow
-def test_impossible_lengths_of_64_bits_are_refused(tmp_path, limits):
+def test_impossible_lengths_of_64_bits_are_refused(read):
     for claimed in (2**64 - 1, 2**63 - 1, 2**40 + 1):
         ds64 = struct.pack("<QQQI", 0, claimed, 1000, 0)
         content = bytearray(riff((b"ds64", ds64), layout(1, 2, 16), DATA))
         content[:4] = b"RF64"
         struct.pack_into("<I", content, content.rindex(b"data") + 4, 0xFFFFFFFF)
-        (tmp_path / "a.wav").write_bytes(content)
         with pytest.raises(InputError, match=r"truncated: 1000 of [0-9]{12,} samples"):
-            read_file(tmp_path / "a.wav", sources=[1], settings=limits)
+            read(content, 1)
 
 
-def test_a_rate_that_the_byte_rate_contradicts_is_told(tmp_path, limits):
+def test_a_rate_that_the_byte_rate_contradicts_is_told(read):
     head = bytearray(layout(1, 2, 16, 48_000)[1])
     struct.pack_into("<I", head, 8, 44_100 * 4)
-    (tmp_path / "a.wav").write_bytes(riff((b"fmt ", bytes(head)), DATA))
-    raw = read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+    raw = read(riff((b"fmt ", bytes(head)), DATA), 0)
     (told,) = raw.flags
     assert told["flag"] == "header_rate_disagrees" and "48000 Hz" in told["detail"] and "44100 Hz" in told["detail"]
 
@@ -171,17 +175,12 @@ def test_millions_of_chunks_are_refused_at_once(tmp_path, limits, refused_s):
     assert seconds[1] < 10.0 * seconds[0]
 
 
-def test_a_cut_wav_is_refused_or_flagged_but_never_silently_short(tmp_path, limits):
-    content = riff(
-        layout(1, 2, 16),
-        (b"data", STEREO.tobytes()),
-        calibration((1.0, "a", "Pa", 0.0, 1.0), (1.0, "b", "Pa", 0.0, 1.0)),
-    )
-    path = tmp_path / "a.wav"
+def test_a_cut_wav_is_refused_or_flagged_but_never_silently_short(read):
+    lea = calibration((1.0, "a", "Pa", 0.0, 1.0), (1.0, "b", "Pa", 0.0, 1.0))
+    content = riff(layout(1, 2, 16), DATA, lea)
     for length in sorted({0, 1, 8, len(content) // 2, len(content) - 1, *range(2, len(content), 97)}):
-        path.write_bytes(content[:length])
         try:
-            raw = read_file(path, sources=[0], settings=limits)
+            raw = read(content[:length], 0)
         except InputError as error:
             assert "truncated" in str(error) or "holds no samples" in str(error) or "cut short" in str(error)
         else:
@@ -190,30 +189,27 @@ def test_a_cut_wav_is_refused_or_flagged_but_never_silently_short(tmp_path, limi
             assert raw.columns[0].size >= 900
 
 
-def test_half_a_wav_is_refused_with_both_counts(tmp_path, limits):
-    content = riff(layout(1, 2, 16), (b"data", STEREO.tobytes()))
-    (tmp_path / "a.wav").write_bytes(content[: 44 + 2000])
+def test_half_a_wav_is_refused_with_both_counts(read):
+    content = riff(layout(1, 2, 16), DATA)
     with pytest.raises(InputError, match=r"a\.wav: truncated: 500 of 1000 samples"):
-        read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+        read(content[: 44 + 2000], 0)
 
 
-def test_a_lost_calibration_is_not_taken_for_none(tmp_path, limits):
-    data = riff(layout(1, 2, 16), (b"data", STEREO.tobytes()))
-    whole = riff(layout(1, 2, 16), (b"data", STEREO.tobytes()), calibration((1.0, "a", "Pa", 0.0, 1.0)))
-    (tmp_path / "a.wav").write_bytes(whole[: len(data)])
+def test_a_lost_calibration_is_not_taken_for_none(read):
+    data = riff(layout(1, 2, 16), DATA)
+    whole = riff(layout(1, 2, 16), DATA, calibration((1.0, "a", "Pa", 0.0, 1.0)))
     with pytest.raises(InputError, match=f"truncated after the samples: {len(data)} of {len(whole)} bytes"):
-        read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+        read(whole[: len(data)], 0)
 
 
 @pytest.mark.slow
-def test_a_format_that_is_not_read_is_named(tmp_path, limits):
-    (tmp_path / "a.wav").write_bytes(riff(layout(2, 1, 4), (b"data", b"\0" * 100)))
+def test_a_format_that_is_not_read_is_named(read):
     with pytest.raises(InputError, match="sample format is not supported; found format code 2 with 4 bits"):
-        read_file(tmp_path / "a.wav", sources=[0], settings=limits)
+        read(riff(layout(2, 1, 4), (b"data", b"\0" * 100)), 0)
 
 
 @pytest.mark.filterwarnings("ignore:Chunk .non-data.:scipy.io.wavfile.WavFileWarning")
-def test_scipy_agrees_on_real_files_of_all_sample_formats(real_data, limits):
+def test_scipy_agrees_on_real_files_of_all_sample_formats(shared_data, limits):
     rows = [
         ("flute.wav", 0, 2.0**15),  # with bytes behind its end that are no chunk
         ("flute_float32.wav", 0, 1.0),
@@ -224,7 +220,7 @@ def test_scipy_agrees_on_real_files_of_all_sample_formats(real_data, limits):
     for name, zero, full_scale in rows:
         from scipy.io import wavfile
 
-        path = real_data / "formats" / "wav" / name
+        path = shared_data / "formats" / "wav" / name
         rate, samples = wavfile.read(path)
         raw = read_file(path, sources=[0], settings=limits)
         assert raw.rates_hz == {0: rate}
@@ -241,7 +237,7 @@ def as_its_makers_write(samples: bytes, odd: bytes, lea: tuple[bytes, bytes], *,
     return b"RIFF" + struct.pack("<I", inside + 4) + b"WAVE" + body + tail
 
 
-def test_a_calibration_is_read_wherever_its_maker_leaves_it(tmp_path, limits):
+def test_a_calibration_is_read_wherever_its_maker_leaves_it(read):
     for beyond in [False, True]:
         for odd in [b"", b"abc", b"\0" * 17, b"LIST?" * 5]:
             for factor in [1, 2, 8]:
@@ -249,8 +245,7 @@ def test_a_calibration_is_read_wherever_its_maker_leaves_it(tmp_path, limits):
                     (1.0 * factor, "mic", "Pa", 0.0, 0.99655), (4821.43 * factor, "speed", "rpm", 0.0, 1.0)
                 )
                 smaller = (STEREO // factor).astype("<i2")
-                (tmp_path / "a.wav").write_bytes(as_its_makers_write(smaller.tobytes(), odd, lea, beyond=beyond))
-                raw = read_file(tmp_path / "a.wav", sources=["mic", "speed"], settings=limits)
+                raw = read(as_its_makers_write(smaller.tobytes(), odd, lea, beyond=beyond), "mic", "speed")
                 assert raw.units == {"mic": "Pa", "speed": "rpm"} and not raw.flags
                 np.testing.assert_allclose(
                     raw.columns["mic"], smaller[:, 0] / 32768 * factor * 0.99655, rtol=1e-6, atol=1e-9

@@ -88,15 +88,10 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def sets_of(path: Path) -> list[dict[str, Any]]:
-    read: list[dict[str, Any]] = pyuff.UFF(str(path)).read_sets()
-    return read
-
-
 def test_another_reader_finds_every_number_of_the_results(result: Path, tmp_path: Path) -> None:
     for binary in [False, True]:
         (path,) = co.export(result, to="uff58", binary=binary, out=tmp_path)
-        sets, groups = sets_of(path), read_results(result / "results.nc")
+        sets, groups = pyuff.UFF(str(path)).read_sets(), read_results(result / "results.nc")
         assert [one["type"] for one in sets[:3]] == [151, 164, 58]
         assert (sets[1]["units_code"], sets[1]["length"], sets[1]["force"]) == (1, 1.0, 1.0)
         kinds = [one["func_type"] for one in sets[2:]]

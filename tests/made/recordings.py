@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import h5py
 import numpy as np
 import xarray as xr
 
@@ -32,6 +33,18 @@ def read_manifest(folder: Path, text: str, *, encoder: str = 'kind = "constant"\
     """The manifest of one channel and an ``encoder`` with the tables of ``text``, written to ``folder``."""
     (folder / "run.toml").write_text(f"{manifest()}[encoder]\n{encoder}{text}", encoding="utf-8")
     return load_manifest(folder)
+
+
+def write_hdf5(path: Path, columns: Mapping[str, np.ndarray], *, unit: object = "", **attrs: object) -> Path:
+    """HDF5 file of ``columns`` by name and of ``attrs``; ``unit``: that of all columns, or of each by its name."""
+    units = unit if isinstance(unit, Mapping) else dict.fromkeys(columns, unit)
+    with h5py.File(path, "w") as file:
+        file.attrs.update(attrs)
+        for name, values in columns.items():
+            file[name] = values
+            if units.get(name):
+                file[name].attrs["units"] = units[name]
+    return path
 
 
 def named(

@@ -175,11 +175,10 @@ def test_what_is_no_gain_proves_none(seed: int) -> None:
     assert told(ringing) == set()
 
 
-UNITS = [(9.80665, "g beside m/s2"), (0.1, "sensitivity"), (1e-3, "V beside mV")]
-
-
 def test_a_recording_in_another_unit_is_asked_about() -> None:
-    for seed, (factor, said), names in product(range(20), UNITS, (NAMES, ("X",))):
+    for seed, (factor, said), names in product(
+        range(20), [(9.80665, "g beside m/s2"), (0.1, "sensitivity"), (1e-3, "V beside mV")], (NAMES, ("X",))
+    ):
         rng = np.random.default_rng(seed)
         levels = []
         for number, one in enumerate(stepped(rng)):

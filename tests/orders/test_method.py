@@ -1,17 +1,23 @@
 """The choice of a method by the accuracy asked for, and whether it is reached."""
 
+import math
+
 import numpy as np
 import pytest
+import xarray as xr
 
-from crankorder.errors import RequestError
+from crankorder.errors import InputError, RequestError
 from crankorder.fft.decimation import band_limited
+from crankorder.fft.nonuniform import folding_error
 from crankorder.orders.followed import followed_tracks
 from crankorder.orders.frames import order_frames
 from crankorder.orders.method import frame_layout, time_samples
-from crankorder.orders.spectra import spectra
-from crankorder.quantities import flags_of
+from crankorder.orders.spectra import frame_factor, order_frames_nufft, spectra
+from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
-from made.recordings import line, run_up, shaft, steady, total
+from crankorder.shaft.angle import knots_of
+from crankorder.shaft.decode import shaft_angle
+from made.recordings import line, run_up, sampled, shaft, steady, total
 
 SETTINGS = load_settings().orders
 PARTS = {0.5: (0.1, 0.2), 1.0: (2.0, -2.5), 5.5: (0.03, 1.0), 10.0: (0.7, 3.0), 19.5: (1.5, 0.4)}
@@ -148,12 +154,6 @@ LOCKED_SIGNAL = total(*(line(order, *value) for order, value in LOCKED.items()))
 TRUTH = np.array([a * np.exp(1j * p) for a, p in LOCKED.values()])
 
 
-def noisy(seed=0, n_channels=1):
-    band, angle = steady([LOCKED_SIGNAL] * n_channels, speed_rpm=1487.0, duration_s=8.0, rate_hz=2000.0)
-    band["signal"].values[:] += np.random.default_rng(seed).normal(0.0, 1.0, band["signal"].shape)
-    return band, angle
-
-
 def spectrum(band, angle, method):
     return order_frames(band, angle, settings=asked(method=method))["spectrum"].values
 
@@ -177,7 +177,8 @@ def test_all_methods_agree_within_their_stated_errors(recording):
 
 def test_a_turned_shaft_turns_every_phase_and_nothing_else():
     for method in METHODS:
-        band, angle = noisy()
+        band, angle = steady([LOCKED_SIGNAL], speed_rpm=1487.0, duration_s=8.0, rate_hz=2000.0)
+        band["signal"].values[:] += np.random.default_rng(0).normal(0.0, 1.0, band["signal"].shape)
         turned = angle.copy(deep=True)
         turned["crank_angle"].values[:] += 0.375
         frames = order_frames(band, angle, settings=asked(method=method))
@@ -191,3 +192,256 @@ def test_the_energy_of_frames_is_that_of_the_signal():
     frames = order_frames(band, angle, settings=asked(max_order=18.0))
     power = (np.abs(frames["spectrum"].values[0]) ** 2).sum(axis=1).mean() / (2.0 * frames.attrs["enbw_bins"])
     assert power == pytest.approx(sum(a**2 for a, _ in LOCKED.values()) / 2.0, rel=1e-6)
+
+
+# Order frames against analytic signals.
+
+
+def test_amplitude_and_phase_from_top_dead_centre_are_exact_at_constant_speed():
+    parts = {0.5: (0.1, 0.2), 1.0: (2.0, -2.5), 5.5: (0.03, 1.0), 10.0: (0.7, 3.0)}
+    signal = total(*(line(order, *value) for order, value in parts.items()))
+    for speed_rpm in (300.0, 1000.0, 2000.0):
+        frames = order_frames(*steady([signal], speed_rpm=speed_rpm, duration_s=8.0, rate_hz=1785.0), settings=SETTINGS)
+        check_dataset(frames, "order_frames")
+        for order, (amplitude, phase) in parts.items():
+            value = frames["spectrum"].sel(order=order, channel="A").values
+            np.testing.assert_allclose(value, amplitude * np.exp(1j * phase), atol=3e-7)
+
+
+@pytest.mark.parametrize(("to_rpm", "told"), [(1050.0, False), (9000.0, True)])
+def test_frames_within_which_the_speed_changes_much_are_told(to_rpm, told):
+    recording = run_up([line(4.0, 1.0)], from_rpm=1000, to_rpm=to_rpm, duration_s=10.0, rate_hz=5000.0)
+    frames = order_frames(*recording, settings=SETTINGS)
+    assert ("frames_swept" in {flag["flag"] for flag in flags_of(frames)}) == told
+    # v² grows by 2 a per revolution: from the first to the last revolution of a frame at constant acceleration a
+    revs = frames.attrs["revs_per_frame"]
+    assert (revs < SETTINGS.revs_per_frame) == told
+    rate = (to_rpm / 1000.0 - 1.0) * 1000.0 / 60.0 / 10.0
+    slowest = 1000.0 / 60.0
+    grown = np.sqrt(slowest**2 + 2.0 * rate * (revs - 0.5)) - np.sqrt(slowest**2 + 2.0 * rate * 0.5)
+    mean = revs / ((np.sqrt(slowest**2 + 2.0 * rate * revs) - slowest) / rate)
+    assert frames.attrs["largest_sweep"] == pytest.approx(grown / mean, rel=0.02)
+
+
+def test_the_speed_of_a_frame_is_that_in_its_middle():
+    band, angle = run_up([line(1.0, 1.0)], from_rpm=600, to_rpm=1200, duration_s=20.0, rate_hz=2000.0)
+    frames = order_frames(band, angle, settings=SETTINGS)
+    start = frames["crank_angle"].values
+    middle = start + 0.5 * frames.attrs["revs_per_frame"]
+    # speed grows by 30 rpm a second: v^2 = 10^2 + 2 * 0.5 * angle in revolutions and seconds
+    np.testing.assert_allclose(frames["speed"].values, 60.0 * np.sqrt(100.0 + middle), rtol=1e-8)
+
+
+@pytest.mark.cases(2)
+@pytest.mark.parametrize("share_of_rate", [0.499, 0.3, 0.39, 0.45, 0.48, 0.42])
+@pytest.mark.parametrize("speed_rpm", [300.0, 1000.0, 2000.0, 1487.0])
+def test_content_above_the_orders_does_not_fold_onto_them(share_of_rate, speed_rpm):
+    tone = share_of_rate * 1785.0 * 60.0 / speed_rpm
+    signal = total(line(1.0, 1.0), lambda t, _: np.cos(2 * np.pi * share_of_rate * 1785.0 * t))
+    frames = order_frames(*steady([signal], speed_rpm=speed_rpm, duration_s=8.0, rate_hz=1785.0), settings=SETTINGS)
+    order = frames["order"]
+    others = frames["spectrum"].where((abs(order - 1.0) > 0.2) & (abs(order - tone) > 4.0))
+    assert np.nanmax(np.abs(others.values)) < 2e-5
+
+
+def test_any_number_of_revolutions_is_analysed():
+    """Frame lengths with large prime factors, such as 7 or 11 revolutions, are as good as others."""
+    for revolutions in range(1, 31):
+        band, angle = steady([line(2, 1)], speed_rpm=600.0, duration_s=(revolutions + 0.1) / 10, rate_hz=2000.0)
+        for cycle in (1, 2):
+            angle.attrs["revs_per_cycle"] = cycle
+            if revolutions < cycle:
+                with pytest.raises(InputError):
+                    order_frames(band, angle, settings=SETTINGS)
+                continue
+            frames = order_frames(band, angle, settings=SETTINGS)
+            assert frames.attrs["revs_per_frame"] == min(revolutions, 16) // cycle * cycle
+            if frames.attrs["revs_per_frame"] > 1:
+                np.testing.assert_allclose(np.abs(frames["spectrum"].sel(order=2.0).values), 1.0, atol=1e-6)
+
+
+@pytest.mark.cases(4)
+@pytest.mark.parametrize("rise", [0.0, 1.5])
+@pytest.mark.parametrize("encoder", ["speed", "square"])
+def test_a_record_of_whole_turns_is_read_to_its_last_sample(encoder, rise):
+    settings = SETTINGS.model_copy(update={"method": "nufft", "max_order": 4.0})  # this method reads up to both ends
+    for turns in (*range(2, 36), 63, 64, 65, 200):
+        for more in (-1, 0, 1):
+            band = _whole_turns(turns, encoder, rise=rise, more=more)
+            frames = order_frames(band, shaft_angle(band, settings=load_settings().shaft), settings=settings)
+            assert frames.attrs["revs_per_frame"] + frames["crank_angle"].values[-1] > turns - 9
+            np.testing.assert_allclose(np.abs(frames["spectrum"].sel(order=1.0).values), 1.0, atol=0.02)
+
+
+def _whole_turns(turns: int, encoder: str, *, rise: float, more: int) -> xr.Dataset:
+    """Recording of order 1, ``turns`` turns and ``more`` samples long, in which the speed rises by a share ``rise``."""
+    rate_hz = 1000.0
+    duration_s = round(turns / 17.3 / (1.0 + 0.5 * rise) * rate_hz) / rate_hz
+    time_s = np.arange(round(duration_s * rate_hz) + 1 + more) / rate_hz
+    first_hz = turns / duration_s / (1.0 + 0.5 * rise)
+    angle = first_hz * (time_s + 0.5 * rise * time_s**2 / duration_s)
+    band = steady(
+        [lambda *_: np.cos(2 * np.pi * angle)], speed_rpm=1.0, duration_s=len(angle) / rate_hz, rate_hz=rate_hz
+    )[0]
+    band.attrs |= {"encoder_kind": encoder, "revs_per_cycle": 1, "missing_teeth": 0, "ratio": 1.0}
+    if encoder == "speed":
+        speed = 60.0 * first_hz * (1.0 + rise * time_s / duration_s)
+        return band.assign(speed_signal=("time", speed, {"units": "min-1"}))
+    edges = np.interp(np.arange(math.floor(angle[-1] * 60.0 + 1e-9) + 1) / 60.0, angle, time_s)
+    band.attrs["pulses_per_rev"] = 60
+    return band.assign(pulse_time=("pulse", edges, {"units": "s"}))
+
+
+def test_orders_that_the_rate_cannot_carry_are_missing_not_wrong():
+    band, angle = steady([line(1, 1)], speed_rpm=3000.0, duration_s=4.0, rate_hz=952.0)
+    for method, share in (("resample", 0.4), ("nufft", 0.49)):
+        frames = order_frames(band, angle, settings=SETTINGS.model_copy(update={"method": method}))
+        limit = share * 952.0 / 50.0
+        missing = np.isnan(frames["spectrum"].values[0, 0])
+        assert missing[frames["order"].values > limit].all()
+        assert not missing[frames["order"].values < limit].any()
+
+
+def test_a_short_recording_gives_shorter_frames_and_says_so():
+    frames = order_frames(*steady([line(2, 1)], speed_rpm=600.0, duration_s=0.95, rate_hz=5000.0), settings=SETTINGS)
+    assert frames.attrs["revs_per_frame"] == 8
+    assert [flag["flag"] for flag in flags_of(frames)] == ["short_recording"]
+    np.testing.assert_allclose(np.abs(frames["spectrum"].sel(order=2.0).values), 1.0, atol=1e-6)
+
+
+def test_less_than_one_cycle_is_refused_with_both_numbers():
+    with pytest.raises(InputError, match=r"less than one engine cycle.*found 2.00 revolutions.*at least 2"):
+        order_frames(*steady([line(2, 1)], speed_rpm=600.0, duration_s=0.1999, rate_hz=5000.0), settings=SETTINGS)
+
+
+def test_crank_angle_samples_give_order_spectra_straight():
+    for start_deg in (90.0, 0.0, -180.0, -0.4, 0.3, 17.25):
+        angle = np.arange(360 * 40) / 360 + start_deg / 360
+        signal = 0.4 * np.cos(2 * np.pi * 5.5 * angle + 0.8)
+        attrs = {"samples_per_rev": 360, "start_deg": start_deg, "encoder_kind": "none"}
+        band = sampled(signal[None], domain="crank_angle", **attrs)
+        ends = np.array([start_deg / 360, start_deg / 360 + 40])
+        angles = shaft(np.array([0.0, math.nan]), ends, np.array([math.nan, math.nan]))
+        angles.attrs["domain"] = "crank_angle"
+        frames = order_frames(band, angles, settings=SETTINGS)
+        np.testing.assert_allclose(frames["spectrum"].sel(order=5.5).values, 0.4 * np.exp(0.8j), atol=1e-11)
+        assert np.isnan(frames["speed"].values).all()
+
+
+# Order frames straight from the samples, against analytic signals and the resampled frames.
+
+
+def request(band, angle, *, begin_rev, revs, **given):
+    record = {"rate_hz": band.attrs["rate_hz"], "start_s": 0.0, "knots": knots_of(angle)}
+    return record | {"begin_rev": begin_rev, "revs": revs} | given
+
+
+def errors(band, angle, truth, *, begin_rev, revs, tolerance):
+    """Largest error of the orders of ``truth`` {order: complex}, over the frames."""
+    orders, exact = np.array(list(truth)), np.array(list(truth.values()))
+    asked = request(band, angle, begin_rev=begin_rev, revs=revs, tolerance=tolerance)
+    signals = band["signal"].values
+    bins = np.rint(orders * revs).astype(int)
+    frames = order_frames_nufft(signals, n_orders=bins.max() + 1, **asked)[:, :, bins]
+    return np.abs(frames - exact).max()
+
+
+def parts(truth):
+    return total(*(line(order, abs(value), np.angle(value)) for order, value in truth.items()))
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize(
+    ("speed_rpm", "rate_hz", "orders"),
+    [
+        (300.0, 1785.0, (0.5, 5.5, 10.0, 174.5)),  # 174.5 x 5 Hz: 0.978 of the Nyquist frequency
+        (2000.0, 1785.0, (0.5, 2.5, 13.0, 26.0)),  # 107 samples in a frame; 0.971 of the Nyquist frequency
+        (2000.0, 20000.0, (0.5, 10.0, 100.0, 293.0)),
+    ],
+)
+def test_two_revolutions_give_amplitude_and_phase_to_the_tolerance_up_to_the_nyquist_frequency(
+    speed_rpm, rate_hz, orders, tolerance
+):
+    truth = {order: np.exp(1j * order) for order in orders}
+    band, angle = steady([parts(truth)], speed_rpm=speed_rpm, duration_s=3.0, rate_hz=rate_hz)
+    clear = np.ceil(400.0 / rate_hz * speed_rpm / 60.0)
+    last = angle["crank_angle"].values[-1] - clear - 2.0
+    begin = np.linspace(clear, last, 9)
+    assert errors(band, angle, truth, begin_rev=begin, revs=2.0, tolerance=tolerance) < tolerance
+
+
+@pytest.mark.cases(1)
+@pytest.mark.parametrize("speed_rpm", [300.0, 2000.0])
+def test_without_neighbours_the_error_is_that_of_folding(speed_rpm):
+    order = np.floor(2 * 0.487 * 1785.0 * 60.0 / speed_rpm) / 2
+    truth = {2.0: 1.0 + 0j, order: 1j}
+    band, angle = steady([parts(truth)], speed_rpm=speed_rpm, duration_s=2.05 * 60 / speed_rpm, rate_hz=1785.0)
+    begin = angle["crank_angle"].values[0] + np.array([1e-9, 0.03])
+    samples = 2.0 * 60.0 / speed_rpm * 1785.0
+    worst = errors(band, angle, truth, begin_rev=begin, revs=2.0, tolerance=1e-9)
+    assert worst < folding_error(samples * (1.0 - 2 * 0.487))
+    assert frame_factor(samples_per_frame=samples, highest_share=0.487, tolerance=1e-9) > 1
+
+
+@pytest.mark.slow
+def test_ramps_of_10_krpm_per_second_over_a_minute():
+    """60 s between 1500 and 6500 rpm, up and down, order 4 of 2 m/s2 and smaller ones beside it."""
+    rate, middle_hz, swing_hz = 20_000.0, 4000.0 / 60.0, 2500.0 / 60.0
+    turning = 10_000.0 / 60.0 / swing_hz  # rad/s
+    knots = np.arange(0.0, 60.0, 0.001)
+
+    def revs(t):
+        return middle_hz * t - swing_hz / turning * np.cos(turning * t)
+
+    time_s = np.arange(round(59.9 * rate)) / rate
+    truth = {0.5: 0.1j, 4.0: 2.0 + 0j, 5.5: 0.3 * np.exp(1j), 40.0: 0.01j}
+    signal = parts(truth)(time_s, revs(time_s))[None]
+    angle = shaft(knots, revs(knots), 60.0 * (middle_hz + swing_hz * np.sin(turning * knots)))
+    begin = np.arange(20.0, revs(59.8) - 24.0, 97.0)
+    asked = {"rate_hz": rate, "start_s": 0.0, "knots": knots_of(angle), "begin_rev": begin, "revs": 4.0}
+    found = order_frames_nufft(signal, n_orders=161, tolerance=1e-9, **asked)
+    exact = np.tile(list(truth.values()), (len(begin), 1))
+    np.testing.assert_allclose(found[0][:, [2, 16, 22, 160]], exact, atol=1e-9)
+
+
+def test_a_mean_a_million_times_the_signal_does_not_leak():
+    truth = {2.0: 1.0 + 0j, 5.5: 0.5j}
+    quiet, angle = steady([parts(truth)], speed_rpm=1500.0, duration_s=3.0, rate_hz=5000.0)
+    band = quiet.copy(deep=True)
+    band["signal"].values[:] += 1e6
+    begin = np.array([5.0, 5.4, 40.0])
+    assert errors(band, angle, truth, begin_rev=begin, revs=4.0, tolerance=1e-6) < 1e-6
+    asked = request(band, angle, begin_rev=begin, revs=4.0, tolerance=1e-6)
+    mean = order_frames_nufft(band["signal"].values, n_orders=2, **asked)
+    np.testing.assert_allclose(np.abs(mean[0]), np.tile([2e6, 1e6], (3, 1)), rtol=1e-6)
+
+
+def test_bins_at_the_edges_of_the_grid_are_as_right_as_others():
+    n_orders = 41
+    for revs in (1.0, 2.0, 3.5, 16.0):
+        for edge in (1, 2, n_orders - 2, n_orders - 1):
+            truth = {edge / revs: np.exp(0.5j)}
+            # order 1 / revs of a tone lies beside its own mirror image: with the same bins apart the answer is exact
+            band, angle = steady([parts(truth)], speed_rpm=600.0, duration_s=4.0, rate_hz=5000.0)
+            asked = request(band, angle, begin_rev=[6.3, 7.0], revs=revs, tolerance=1e-9)
+            found = order_frames_nufft(band["signal"].values, n_orders=n_orders, **asked)
+            np.testing.assert_allclose(found[0, :, edge], np.exp(0.5j), atol=1e-9)
+
+
+def test_frames_outside_the_record_are_refused():
+    band, angle = steady([line(2.0, 1.0)], speed_rpm=2000.0, duration_s=2.0, rate_hz=1785.0)
+    for begin in (-2.0, 64.0, np.nan):
+        with pytest.raises(RequestError, match="outside"):
+            order_frames_nufft(
+                band["signal"].values,
+                n_orders=3,
+                **request(band, angle, begin_rev=[10.0, begin], revs=4.0, tolerance=1e-6),
+            )
+
+
+def test_what_cannot_be_is_refused():
+    band, angle = steady([line(2.0, 1.0)], speed_rpm=2000.0, duration_s=2.0, rate_hz=1785.0)
+    for given in ({"tolerance": 1e-13}, {"tolerance": 0.5}, {"revs": 0.0}, {"rate_hz": np.nan}, {"n_orders": 0}):
+        with pytest.raises(RequestError):
+            asked = {"tolerance": 1e-9, "n_orders": 9} | given
+            order_frames_nufft(band["signal"].values, **request(band, angle, begin_rev=[10.0], revs=4.0) | asked)

@@ -51,12 +51,6 @@ def rows(spectra: list[np.ndarray], noise: float, rng: np.random.Generator) -> R
     return Rows(grid + scatter, np.full(grid.shape, noise**2))
 
 
-def frames_of(spectrum: np.ndarray, swept: int) -> xr.Dataset:
-    """OrderFrames of 16 revolutions with ``spectrum`` (channels, frames, orders)."""
-    attrs = {"revs_per_frame": 16, "swept": swept}
-    return xr.Dataset({"spectrum": (("channel", "frame", "order"), spectrum)}, attrs=attrs)
-
-
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("swept", [0, 1])
 def test_frames_that_end_below_the_highest_order_count_as_far_as_they_go(swept):
@@ -64,7 +58,8 @@ def test_frames_that_end_below_the_highest_order_count_as_far_as_they_go(swept):
     spectrum = rng.standard_normal((2, 6, 320)) + 1j * rng.standard_normal((2, 6, 320))
     spectrum[:, 3:, 200:] = np.nan
     spectrum[1, :, 240:] = np.nan
-    found = rows_of([frames_of(spectrum, swept)])
+    variables = {"spectrum": (("channel", "frame", "order"), spectrum)}
+    found = rows_of([xr.Dataset(variables, attrs={"revs_per_frame": 16, "swept": swept})])
     assert found is not None and found.value.shape[1] == 40
     assert np.median(found.noise[:, 4:20]) == pytest.approx(2.0 / (1 if swept else 3), rel=0.3)
     assert all(np.isfinite(swing.bound_rev) for swing in swings_of(found, EXPECTED, {}))

@@ -29,13 +29,6 @@ def doubled():
     return documented(base, new)
 
 
-@pytest.fixture(scope="module")
-def alike():
-    mode = {"frequency_hz": 90.0, "damping_ratio": 0.01, "explained_by": "mode"}
-    base = made_test(LINES, name="base", seed=1, modes=[mode])
-    return documented(base, base)
-
-
 def test_orders_that_turned_alone_are_told_from_those_whose_amplitude_changed():
     base, turned = (
         made_test({order: lambda rpm, k=k: (1j**k) * 0.5 for order in (1.0, 2.0, 5.5)}, seed=k) for k in (0, 1)
@@ -81,8 +74,10 @@ def test_the_page_answers_first_and_escapes_what_comes_from_files(doubled):
     assert "<script" not in page and "http" not in page.split("</head>")[1]
 
 
-def test_tests_that_are_alike_have_a_page_too(alike):
-    document, _ = alike
+def test_tests_that_are_alike_have_a_page_too():
+    mode = {"frequency_hz": 90.0, "damping_ratio": 0.01, "explained_by": "mode"}
+    base = made_test(LINES, name="base", seed=1, modes=[mode])
+    document, _ = documented(base, base)
     assert comparison_story(document)["what"] == []
     assert document.headline == (
         "No order and no natural frequency that both tests show changed by more than chance alone would change it; "

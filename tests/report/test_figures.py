@@ -2,7 +2,6 @@
 
 import io
 import struct
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -24,10 +23,12 @@ from crankorder.report.pictures import pictures_of
 from crankorder.shaft.summary import speed_trace, trace_variables
 from made.typed import from_dicts
 
-campbell_figure, order_spectra_figure, orders_figure, spectra_figure, speed_figure, pictures_of = map(
-    from_dicts, (campbell_figure, order_spectra_figure, orders_figure, spectra_figure, speed_figure, pictures_of)
+campbell_figure, envelope_figure, orders_figure, pictures_of, speed_figure = map(
+    from_dicts, (campbell_figure, envelope_figure, orders_figure, pictures_of, speed_figure)
 )
-spectrum_figure = from_dicts(spectrum_figure)
+order_spectra_figure, spectra_figure, spectrum_figure = map(
+    from_dicts, (order_spectra_figure, spectra_figure, spectrum_figure)
+)
 
 HARD = [
     "one speed", "two speeds", "run-up", "hostile", "all zero", "thirty orders", "sixty orders", "eight channels",
@@ -74,16 +75,6 @@ def _words(drawing: Drawing) -> set[str]:
     return {words.text for words in drawing.words}
 
 
-def _shown_colours(drawing: Drawing, settings: Any) -> np.ndarray:
-    """Colour of every pixel of the map in the PNG of a Campbell diagram, the slowest row first."""
-    pixels = np.asarray(Image.open(io.BytesIO(picture_bytes(drawing, dpi=settings.dpi))))
-    field = next(part for part in drawing.parts if isinstance(part, Field))
-    left, right, bottom, top = (
-        int(settings.dpi * (field.box[axis] + far * field.box[axis + 2]) + 0.5) for axis in (0, 1) for far in (0, 1)
-    )
-    return pixels[pixels.shape[0] - top : pixels.shape[0] - bottom, left + 1 : right - 1, :3].astype(int)[::-1]
-
-
 def test_order_lines_lie_at_order_times_speed_over_sixty(campaign: Any, settings: Any) -> None:
     figure = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
     found = _lines(figure, "order-")
@@ -106,7 +97,13 @@ def test_a_line_is_drawn_where_its_values_stand_on_the_ticks(campaign: Any, sett
 
 def test_the_map_shows_every_line_at_its_place_in_the_png(campaign: Any, settings: Any) -> None:
     drawn = {**campaign.findings, "orders": [], "modes": [], "crossings": []}  # nothing lies over the map
-    shown = _shown_colours(campbell_figure(campaign.campbell, "Z", drawn, settings=settings), settings)
+    figure = campbell_figure(campaign.campbell, "Z", drawn, settings=settings)
+    pixels = np.asarray(Image.open(io.BytesIO(picture_bytes(figure, dpi=settings.dpi))))[::-1]  # the slowest row first
+    box = next(part for part in figure.parts if isinstance(part, Field)).box
+    left, right, bottom, top = (
+        int(settings.dpi * (box[axis] + far * box[axis + 2]) + 0.5) for axis in (0, 1) for far in (0, 1)
+    )
+    shown = pixels[bottom:top, left + 1 : right - 1, :3].astype(int)
     truth = campaign.campbell["amplitude"].sel(channel="Z").values
     rows, columns, _ = shown.shape
     for speed in range(0, truth.shape[0], 3):
@@ -297,7 +294,7 @@ def test_one_speed_or_none_has_spectra_in_place_of_campbell_diagrams_and_says_wh
 
 
 @pytest.mark.slow
-def test_two_close_orders_have_different_names_in_every_picture(make_test: Callable[..., Any], settings: Any) -> None:
+def test_two_close_orders_have_different_names_in_every_picture(make_test: Any, settings: Any) -> None:
     drawn = make_test(np.arange(600.0, 1001.0, 100.0), channels=("Z",), gains=(1.0,), orders=(1.0, 1.005, 2.0))
     for record in drawn.findings["orders"]:
         record["order_ci95"] = [record["order"] - 1e-4, record["order"] + 1e-4]
@@ -373,20 +370,16 @@ def test_a_steady_line_below_a_sweeping_natural_frequency_stands_out_of_the_orde
 # Beside the Campbell diagram stand the speeds to avoid and the free ones, at their place on its scale.
 
 
-def _box(figure: Drawing) -> tuple[float, float, float, float]:
-    return next(part for part in figure.parts if isinstance(part, Field)).box
-
-
 def test_the_strip_holds_the_ranges_of_the_findings_at_their_speeds(campaign: Any, full: Any, settings: Any) -> None:
     figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
-    left, bottom, width, height = _box(figure)
+    left, bottom, width, height = next(part for part in figure.parts if isinstance(part, Field)).box
     ranges = {stroke.name: stroke for stroke in figure.strokes("avoid-")}
     assert [tuple(stroke.values[1]) for stroke in ranges.values()] == [(1755.0, 1850.0), (1690.0, 1760.0)]
     assert [tuple(stroke.values[1]) for stroke in figure.strokes("free-")] == [(300.0, 1690.0), (1850.0, 2000.0)]
     for stroke in [*ranges.values(), *figure.strokes("free-")]:
         assert (stroke.points[:, 0] > left + width).all()
         np.testing.assert_allclose(stroke.points[:, 1], bottom + height * (stroke.values[1] - 300) / 1700)
-    words = {words.text for words in figure.words}
+    words = _words(figure)
     assert {"1800", "1725", "speed to avoid", "free speeds"} <= words
 
 
@@ -398,14 +391,14 @@ def test_a_crossing_that_was_not_judged_leaves_its_speed_neither_free_nor_to_avo
     figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
     (mark,) = figure.strokes("open-")
     assert tuple(mark.values[1]) == pytest.approx((895.5, 904.5))
-    assert "not free, or not known" in {words.text for words in figure.words}
+    assert "not free, or not known" in _words(figure)
 
 
 @pytest.mark.slow
 def test_without_such_lists_there_is_no_strip(campaign: Any, settings: Any) -> None:
     figure = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
     assert not [*figure.strokes("avoid-"), *figure.strokes("free-")]
-    assert not {"speed to avoid", "free speeds"} & {words.text for words in figure.words}
+    assert not {"speed to avoid", "free speeds"} & _words(figure)
 
 
 def test_decided_undecided_and_tones_look_different(campaign: Any, full: Any, settings: Any) -> None:
@@ -415,7 +408,7 @@ def test_decided_undecided_and_tones_look_different(campaign: Any, full: Any, se
     assert sorted(line.values[0][0] for line in figure.strokes("tone")) == [58.3, 300.0]
     looks = {(line.color, line.dashes) for kind in ("mode", "doubt", "tone") for line in figure.strokes(kind)}
     assert len(looks) == 3
-    assert {"265? Hz", "58.3 Hz", "not decided"} <= {words.text for words in figure.words}
+    assert {"265? Hz", "58.3 Hz", "not decided"} <= _words(figure)
 
 
 def test_orders_that_are_close_have_different_labels(campaign: Any, full: Any, settings: Any) -> None:
@@ -440,15 +433,12 @@ def test_keys_and_notes_stay_on_the_sheet_and_apart(name: str, hard: Any, full: 
 # The envelope's order spectra show the lines that bearings would make and ring those that were found.
 
 
-envelope_figure = from_dicts(envelope_figure)
-
-
 def _rings(figure: Drawing) -> list[Rings]:
     return [part for part in figure.parts if isinstance(part, Rings) and part.name == "found"]
 
 
 def test_expected_lines_are_marked_in_every_channel_and_the_found_one_is_ringed_at_its_peak(
-    full: Any, make_envelope: Callable[..., Any], settings: Any
+    full: Any, make_envelope: Any, settings: Any
 ) -> None:
     envelope = make_envelope(("X", "Y", "Z"))
     figure = envelope_figure(envelope, full, settings=settings)
@@ -462,12 +452,12 @@ def test_expected_lines_are_marked_in_every_channel_and_the_found_one_is_ringed_
     assert multiples == pytest.approx([2 * 3.556, 3 * 3.556, 4 * 3.556])
     sidebands = [stroke.values[0][0] for stroke in figure.strokes("sideband")]
     assert sidebands == pytest.approx([1.556, 2.556, 4.556, 5.556])
-    words = {words.text for words in figure.words}
+    words = _words(figure)
     assert {"BPFO 3.585", "3.556", "its sidebands", "N·fs 5.5", "band 2000–4000 Hz", "found"} <= words
 
 
 def test_the_mean_is_by_power_of_the_squared_envelope_and_unknown_speeds_take_no_part(
-    full: Any, make_envelope: Callable[..., Any], settings: Any
+    full: Any, make_envelope: Any, settings: Any
 ) -> None:
     envelope = make_envelope(("Z",), speeds=2)
     envelope["amplitude"][0, 0], envelope["amplitude"][0, 1] = 3.0, 4.0
@@ -478,7 +468,7 @@ def test_the_mean_is_by_power_of_the_squared_envelope_and_unknown_speeds_take_no
     np.testing.assert_allclose(line.values[1], 3.0)
 
 
-def test_nothing_found_is_said(full: Any, make_envelope: Callable[..., Any], settings: Any) -> None:
+def test_nothing_found_is_said(full: Any, make_envelope: Any, settings: Any) -> None:
     envelope = make_envelope(("Z",), speeds=1)
     full["bearings"] = [record for record in full["bearings"] if record["seen_in"] == "vibration"]
     figure = envelope_figure(envelope, full, settings=settings)
@@ -495,16 +485,14 @@ def test_nothing_found_is_said(full: Any, make_envelope: Callable[..., Any], set
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("factor", [1e290, 0.0, 1e-290])
-def test_any_size_becomes_a_picture(factor: float, full: Any, make_envelope: Callable[..., Any], settings: Any) -> None:
+def test_any_size_becomes_a_picture(factor: float, full: Any, make_envelope: Any, settings: Any) -> None:
     envelope = make_envelope(("X", "Z"))
     for name in ("amplitude", "floor"):
         envelope[name] = envelope[name] * factor
     assert picture_bytes(envelope_figure(envelope, full, settings=settings), dpi=50).startswith(b"\x89PNG")
 
 
-def test_it_is_drawn_only_where_there_is_an_envelope(
-    full: Any, make_envelope: Callable[..., Any], settings: Any
-) -> None:
+def test_it_is_drawn_only_where_there_is_an_envelope(full: Any, make_envelope: Any, settings: Any) -> None:
     envelope = make_envelope(("X",))
     for given, wanted in ((envelope, ["envelope.png"]), (envelope.isel(speed=slice(0)), [])):
         assert list(pictures_of({"envelope_map": given}, full, settings=settings, name_of=str)) == wanted
@@ -512,7 +500,7 @@ def test_it_is_drawn_only_where_there_is_an_envelope(
 
 @pytest.mark.slow
 def test_names_of_bearings_are_whole_where_there_is_room_and_else_told_apart(
-    full: Any, make_envelope: Callable[..., Any], settings: Any
+    full: Any, make_envelope: Any, settings: Any
 ) -> None:
     record = next(one for one in full["bearings"] if one["seen_in"] == "envelope")
 

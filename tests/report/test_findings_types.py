@@ -48,14 +48,8 @@ def test_what_a_record_leaves_out_has_no_key() -> None:
 
 
 def test_findings_that_nobody_asked_for_leave_out_what_was_not_sought(campaign: Any) -> None:
-    empty = {table: [] for table in ("orders", "modes", "crossings", "bearings", "lines")}
-    document = {
-        **campaign.findings,
-        **empty,
-        "balance": None,
-        "balance_reason": "maps only",
-        "not_asked_for": "maps only",
-    }
+    document = campaign.findings | {table: [] for table in ("orders", "modes", "crossings", "bearings", "lines")}
+    document |= {"balance": None, "balance_reason": "maps only", "not_asked_for": "maps only"}
     assert "free_bands" in Findings.from_dict(campaign.findings).as_dict()
     assert "free_bands" not in Findings.from_dict(document).as_dict()
 
@@ -87,18 +81,6 @@ def test_a_missing_key_is_refused_by_its_place(campaign: Any) -> None:
 
 
 # The schemas of findings.json and run.json take what design.md names and refuse what it forbids.
-
-
-@pytest.fixture
-def run() -> dict[str, Any]:
-    return {
-        "schema_version": 1,
-        "test": "t",
-        "inputs": [{"name": "rpm_0300.h5", "sha256": "0" * 64, "bytes": 12}],
-        "versions": {"crankorder": "0.1.0"},
-        "settings": {"report": {"dpi": 130}},
-        "quality": [],
-    }
 
 
 def _faults(document: Any, schema: str) -> list[str]:
@@ -154,7 +136,9 @@ def test_a_line_has_a_frequency_or_an_order_and_an_interval_has_two_ends(campaig
     assert _faults(lopsided, "findings") != []
 
 
-def test_a_run_names_its_inputs_by_hash(run: dict[str, Any]) -> None:
+def test_a_run_names_its_inputs_by_hash() -> None:
+    run = {"schema_version": 1, "test": "t", "versions": {"crankorder": "0.1.0"}, "quality": []}
+    run |= {"inputs": [{"name": "rpm_0300.h5", "sha256": "0" * 64, "bytes": 12}], "settings": {"report": {"dpi": 130}}}
     assert _faults(run, "run") == []
     assert _faults({**run, "inputs": [{"name": "a", "sha256": "12"}]}, "run") != []
     assert _faults({key: value for key, value in run.items() if key != "versions"}, "run") != []

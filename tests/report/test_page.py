@@ -56,17 +56,9 @@ class _Reader(HTMLParser):
 
 
 @pytest.fixture
-def provenance() -> dict[str, Any]:
-    return {
-        "schema_version": 1,
-        "inputs": [{"name": "rpm_0300.h5", "sha256": "ab" * 32}],
-        "versions": {"crankorder": "0.1.0", "numpy": "2.4.6"},
-        "settings": {"report": {"dpi": 130}},
-    }
-
-
-@pytest.fixture
-def page(campaign: Any, settings: Any, provenance: dict[str, Any]) -> str:
+def page(campaign: Any, settings: Any) -> str:
+    provenance = {"schema_version": 1, "inputs": [{"name": "rpm_0300.h5", "sha256": "ab" * 32}]}
+    provenance |= {"versions": {"crankorder": "0.1.0", "numpy": "2.4.6"}, "settings": {"report": {"dpi": 130}}}
     pictures = [
         ShownPicture("campbell_Z.png", "Campbell diagram of channel Z", PNG),
         ShownPicture("orders.png", "Orders against speed", PNG),
@@ -329,10 +321,8 @@ def test_a_test_with_nothing_found_has_a_page_that_says_so(settings: Any) -> Non
 def test_findings_that_were_not_asked_for_are_neither_denied_nor_cleared(settings: Any) -> None:
     unsought: dict[str, Any] = {"test": "t", "not_asked_for": "not asked for: the recipe wants campbell map only"}
     unsought |= {key: [] for key in ("orders", "modes", "crossings", "bearings", "lines")}
-    unsought |= {
-        "balance": None,
-        "quality": [{"recording": "a.h5", "flag": "clipped", "severity": "bad", "detail": "x"}],
-    }
+    clipped = {"recording": "a.h5", "flag": "clipped", "severity": "bad", "detail": "x"}
+    unsought |= {"balance": None, "quality": [clipped]}
     text = " ".join(_Reader(report_page(unsought, pictures=[], provenance={}, settings=settings)).words)
     assert "Findings were not asked for: the recipe wants campbell map only." in text
     for falsehood in ("No order", "No natural", "No line", "Nothing that was looked for", "No bearing", "What shakes"):

@@ -217,6 +217,13 @@ _LISTEN = """(() => {
 """Keeps every text that a canvas is given: canvas, text, its box in pixels, size of the canvas, whether it lies."""
 
 
+def _middle(browser: chromium.Chromium) -> list[float]:
+    return browser.value(
+        "(() => { const b = document.getElementById('live-map').getBoundingClientRect();"
+        " return [b.left + b.width / 2, b.top + b.height / 2] })()"
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 390])
 def test_no_text_of_the_live_diagrams_is_cut_and_none_lies_on_the_name_of_an_axis(
@@ -250,11 +257,3 @@ def test_no_text_of_the_live_diagrams_is_cut_and_none_lies_on_the_name_of_an_axi
                     assert not on_it, (view, scale, name[1], on_it)
     finally:
         opened.ask("Emulation.clearDeviceMetricsOverride")
-
-
-def _middle(browser: chromium.Chromium) -> tuple[float, float]:
-    left, top, width, height = browser.value(
-        "(() => { const b = document.getElementById('live-map').getBoundingClientRect();"
-        " return [b.left, b.top, b.width, b.height] })()"
-    )
-    return left + width / 2, top + height / 2

@@ -14,31 +14,25 @@ from crankorder.plot import reading
 from crankorder.plot.reading import level_reference, order_texts, percent_text
 from crankorder.report import tables
 from crankorder.report.sentences import of_lines, of_speeds, story
-from crankorder.report.sentences.of_lines import LIKE_UNBALANCE, SHAFT_SIDES, motor_sentences, tone_sentences
-from crankorder.report.sentences.story import (
-    ALL_CLEAR,
-    ALL_CLEAR_WITH_ENVELOPE,
-    MORE_SPEEDS,
-    TOO_SHORT,
-    lock_sentences,
-)
+from crankorder.report.sentences.of_lines import LIKE_UNBALANCE, SHAFT_SIDES
+from crankorder.report.sentences.story import ALL_CLEAR, ALL_CLEAR_WITH_ENVELOPE, MORE_SPEEDS, TOO_SHORT
 from made.contradictions import contradictions
 from made.typed import from_dicts
 
-if_unbalance = from_dicts(growth.if_unbalance)
-estimate_text = from_dicts(reading.estimate_text)
-nominal_order = from_dicts(reading.nominal_order)
-order_name = from_dicts(reading.order_name)
-balance_sentences = from_dicts(story.balance_sentences)
-law_sentences = from_dicts(story.law_sentences)
-swing_sentences = from_dicts(of_speeds.swing_sentences)
-avoid_sentences = from_dicts(of_speeds.avoid_sentences)
-bearing_sentences = from_dicts(of_lines.bearing_sentences)
-energy_sentence = from_dicts(story.energy_sentence)
-headline = from_dicts(story.headline)
-story_of = from_dicts(story.story_of)
-strongest_sentence = from_dicts(of_lines.strongest_sentence)
-tables_of = from_dicts(tables.tables_of)
+estimate_text, nominal_order, order_name, if_unbalance, tables_of = map(
+    from_dicts,
+    (reading.estimate_text, reading.nominal_order, reading.order_name, growth.if_unbalance, tables.tables_of),
+)
+balance_sentences, energy_sentence, headline, law_sentences, lock_sentences, story_of = map(
+    from_dicts,
+    (story.balance_sentences, story.energy_sentence, story.headline, story.law_sentences, story.lock_sentences,
+     story.story_of),
+)  # fmt: skip
+bearing_sentences, motor_sentences, strongest_sentence, tone_sentences = map(
+    from_dicts,
+    (of_lines.bearing_sentences, of_lines.motor_sentences, of_lines.strongest_sentence, of_lines.tone_sentences),
+)
+avoid_sentences, swing_sentences = map(from_dicts, (of_speeds.avoid_sentences, of_speeds.swing_sentences))
 
 EXCLUDED = "the data exclude that an order is amplified more than 3 times (99 %)"
 UNTESTED = {
@@ -214,8 +208,8 @@ def test_a_test_at_one_speed_says_that_it_cannot_know(full: Any) -> None:
     one: dict[str, Any] = {"speeds_to_avoid": [], "free_bands": [], "open_bands": [], "bearings": [], "lines": []}
     one |= {"speed_range_rpm": [1800.0, 1800.0], "unexplained_energy_fraction": 0.0}
     story = story_of(full | one)
-    assert "A test at one speed cannot tell which speeds are free of resonances." in story["what_to_do"]
-    assert "A test at one speed cannot tell which speeds are free of resonances." in headline(full | one)
+    for answer in (story["what_to_do"], headline(full | one)):
+        assert "A test at one speed cannot tell which speeds are free of resonances." in answer
     assert not any("Free of" in said or "asks for action" in said for said in story["what_to_do"])
 
 
@@ -282,10 +276,9 @@ def test_all_is_explained_only_where_nothing_is_left_and_it_says_of_what(full: A
 
 
 def test_one_mass_along_the_cylinder_is_told_once(full: Any) -> None:
-    findings = copy.deepcopy(full)
-    findings["balance"] |= {"along_g": 89.0, "along_g_ci95": [73.0, 105.0], "across_g": None, "across_g_ci95": None}
-    findings["balance"] |= {"residual_reciprocating_g": 99.0, "residual_reciprocating_g_ci95": [89.0, 110.0]}
-    told = " ".join(story_of(findings)["why"])
+    full["balance"] |= {"along_g": 89.0, "along_g_ci95": [73.0, 105.0], "across_g": None, "across_g_ci95": None}
+    full["balance"] |= {"residual_reciprocating_g": 99.0, "residual_reciprocating_g_ci95": [89.0, 110.0]}
+    told = " ".join(story_of(full)["why"])
     assert "Unbalanced reciprocating mass: 99 (89…110) g" in told and "73" not in told
 
 
@@ -332,15 +325,11 @@ def test_bad_data_are_told_first_and_ask_for_a_repeat(campaign: Any) -> None:
     assert "Repeat the recordings that are marked bad." in story["what_to_do"]
 
 
-def test_nothing_found_is_said_and_never_an_empty_headline() -> None:
+def test_nothing_found_is_said_and_an_all_clear_covers_what_was_looked_for_and_needs_revolutions() -> None:
     nothing: dict[str, Any] = {"orders": [], "modes": [], "crossings": [], "bearings": [], "quality": []}
     assert headline(nothing) == ["No order stands above the noise."]
     assert story_of(nothing)["what_to_do"] == [ALL_CLEAR]
     assert "not looked for" in ALL_CLEAR  # an all-clear names what it does not cover
-
-
-def test_an_all_clear_covers_the_envelope_only_where_it_was_looked_for_and_needs_revolutions() -> None:
-    nothing: dict[str, Any] = {"orders": [], "modes": [], "crossings": [], "bearings": [], "quality": []}
     assert story_of({**nothing, "looked_for": ["envelope"]})["what_to_do"] == [ALL_CLEAR_WITH_ENVELOPE]
     short = [{"recording": "a", "flag": "short_recording", "severity": "info", "detail": ""}]
     assert story_of({**nothing, "quality": short})["what_to_do"] == [TOO_SHORT]
@@ -425,11 +414,14 @@ def test_a_peak_near_a_natural_frequency_that_was_not_judged_excites_nothing(ful
 
 def test_balancing_is_asked_for_in_the_channels_in_which_unbalance_leads(full) -> None:
     first, second = ({**full["orders"][0], "order": order, "amplitude": 5.0} for order in (1.0, 4.0))
-    of = {"speed_doubt": None, "levels": [], "channels": full["channels"]}
-    one, other = "Z", "X"
-    led = {**full, **of, "orders": [{**first, "channel": one, "explained_by": "unbalance"}]}
+    led = {
+        **full,
+        "speed_doubt": None,
+        "levels": [],
+        "orders": [{**first, "channel": "Z", "explained_by": "unbalance"}],
+    }
     assert "Balance it: the strongest order is that of an unbalanced mass." in story_of(led)["what_to_do"]
-    led["orders"].append({**second, "channel": other, "explained_by": "gear mesh"})
+    led["orders"].append({**second, "channel": "X", "explained_by": "gear mesh"})
     assert "Balance it: the strongest order in Z is that of an unbalanced mass." in story_of(led)["what_to_do"]
 
 
@@ -472,9 +464,6 @@ def test_an_amplitude_of_an_order_that_is_told_in_two_ways_is_told_of(full: dict
 
 
 # What a page says of a motor and of lines at one speed: the frequency first, doubts said, no share of another line.
-
-
-tone_sentences, motor_sentences, lock_sentences = map(from_dicts, (tone_sentences, motor_sentences, lock_sentences))
 
 
 def line(name: str, hertz: float, size: float, *, side: str = "", others: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -77,13 +77,6 @@ def expected_of(*causes: Modulation) -> dict[str, np.ndarray]:
     }
 
 
-def expected_of_motion(shaft_dataset: xr.Dataset, order: float, share: float) -> dict[str, np.ndarray]:
-    """What lines at ORDERS are expected to suffer where the ``share`` of the speed is known to swing at ``order``."""
-    reference = reference_of(shaft_dataset, revs_per_frame=REVS)
-    motion = unseen_motion(reference, {order: lag_rev(order, share)})
-    return expected_of(pulse_noise(reference, revs_per_frame=REVS), motion)
-
-
 def assert_within_factor(expected: np.ndarray, found: np.ndarray, factor: float) -> None:
     ratio = expected / found
     assert np.all((ratio > 1 / factor) & (ratio < factor)), ratio
@@ -125,7 +118,9 @@ def test_motion_that_the_pulses_or_the_knots_do_not_show_costs_what_is_expected(
 ):
     true = known_shaft(1000.0, irregularity={order: irregularity}, duration_s=6.0)
     dataset = decoded(true.pulse_time_s(pulses_per_rev), pulses_per_rev, noise_s=0.0)
-    found, expected = achieved(dataset, true, pulses_per_rev), expected_of_motion(dataset, order, irregularity)
+    found, reference = achieved(dataset, true, pulses_per_rev), reference_of(dataset, revs_per_frame=REVS)
+    motion = unseen_motion(reference, {order: lag_rev(order, irregularity)})
+    expected = expected_of(pulse_noise(reference, revs_per_frame=REVS), motion)
     between_pulses = 2.0 * order >= pulses_per_rev
     assert_within_factor(expected["loss"], found["loss"], 1.1 if between_pulses else 2.0)
     assert_within_factor(expected["sideband"], found["sideband"], 1.25 if between_pulses else 2.0)

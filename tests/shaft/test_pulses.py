@@ -7,11 +7,11 @@ from crankorder.errors import InputError
 from crankorder.settings import load_settings
 from crankorder.shaft.pulses import find_pulses
 
-SETTINGS = load_settings().shaft
-
 
 def pulses(trace, *, kind="square", edge="rising", rate_hz=50_000.0, pulses_per_rev=360):
-    return find_pulses(trace, rate_hz=rate_hz, kind=kind, edge=edge, pulses_per_rev=pulses_per_rev, settings=SETTINGS)
+    return find_pulses(
+        trace, rate_hz=rate_hz, kind=kind, edge=edge, pulses_per_rev=pulses_per_rev, settings=load_settings().shaft
+    )
 
 
 @pytest.mark.cases(1)

@@ -248,9 +248,6 @@ def test_every_trace_reads_by_its_manifest(shared_data, manifest, speeds_rpm, re
 # Measured encoder traces decode to what their sources and the data's own README say.
 
 
-COASTING = ["ENGINEOFF.txt", "ENGINEOFF2.txt", "E0FULLOAD4EngineOff.txt"]
-
-
 def genset_pulses(trace):
     return find_pulses(trace, rate_hz=100_000.0, kind="analogue", edge="rising", pulses_per_rev=60, settings=SETTINGS)
 
@@ -263,19 +260,13 @@ def genset_angle(trace, recording_of):
     return shaft_angle(recording, settings=SETTINGS)
 
 
-def revolution_speed_rpm(angle):
-    """Mean speed of each whole revolution, rpm."""
-    time_s, angle_rev, _ = knots_of(angle)
-    whole = np.arange(np.ceil(angle_rev[0]), np.floor(angle_rev[-1]) + 1)
-    at = np.interp(whole, angle_rev, time_s)
-    return 60.0 / np.diff(at)
-
-
 @pytest.mark.cases(1)
-@pytest.mark.parametrize("name", COASTING)
+@pytest.mark.parametrize("name", ["ENGINEOFF.txt", "ENGINEOFF2.txt", "E0FULLOAD4EngineOff.txt"])
 def test_a_coasting_genset_slows_down_without_a_repair(genset_pickup, recording_of, name):
     angle = genset_angle(genset_pickup(name), recording_of)
-    speed = revolution_speed_rpm(angle)
+    time_s, angle_rev, _ = knots_of(angle)
+    whole = np.arange(np.ceil(angle_rev[0]), np.floor(angle_rev[-1]) + 1)
+    speed = 60.0 / np.diff(np.interp(whole, angle_rev, time_s))  # mean of each whole revolution
     assert speed[-2:].mean() < 0.95 * speed[:2].mean()
     assert not {"encoder_missing_pulse", "encoder_double_pulse"} & {item["flag"] for item in flags_of(angle)}
 

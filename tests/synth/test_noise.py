@@ -1,12 +1,18 @@
 """Seed streams and levels of the random parts."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 import xarray as xr
+from scipy.integrate import solve_ivp
+from scipy.optimize import minimize_scalar
 from scipy.signal import welch
 
 from crankorder.batch.accuracy import Twin, _floor
-from crankorder.synth.analogue import low_pass
+from crankorder.errors import RequestError
+from crankorder.synth.analogue import high_pass, in_series, low_pass
+from crankorder.synth.lines import modulation, ringing, ringing_s, slipping_line, strike_angles
 from crankorder.synth.noise import (
     density_through_points,
     folded_density,
@@ -113,3 +119,140 @@ def test_the_floor_under_an_order_is_that_beside_it() -> None:
     under = found[np.abs(at - line) < 1.5].mean()
     beside = found[(np.abs(at - line) > 10.0) & (np.abs(at - line) < 60.0)].mean()
     assert 0.9 < under / beside < 1.1  # it was up to four times as much
+
+
+# Strikes of a damaged bearing: their statistics, their size, and the ringing against sums and equations of motion.
+
+
+BPFO = 2.2
+CAGE, SHAFT = 0.2, 0.5
+
+
+def strikes(seed: int = 1, **differences: Any) -> Any:
+    asked = {"slip_percent": 1.0, "jitter_percent": 2.0, "start_rev": -3.0, "end_rev": 500.0} | differences
+    order = asked.pop("order", BPFO)
+    return strike_angles(order, **asked, stream=seed_stream(seed, "impacts"))
+
+
+def directly(times: Any, struck: Any, size: Any, *, resonance_hz: float, damping_ratio: float) -> Any:
+    """One sine after another, its peak found by looking for it."""
+    natural = 2 * np.pi * resonance_hz
+    damped = natural * np.sqrt(1 - damping_ratio**2)
+
+    def one(tau: Any) -> Any:
+        return np.where(tau > 0, np.exp(-damping_ratio * natural * tau) * np.sin(damped * tau), 0.0)
+
+    found = minimize_scalar(lambda tau: -one(tau), bounds=(0, np.pi / damped), options={"xatol": 1e-12 / damped})
+    return sum(s * one(times - t) for t, s in zip(struck, size, strict=True)) / one(found.x)
+
+
+def test_without_jitter_strikes_come_evenly_at_the_slipping_line() -> None:
+    found = strikes(jitter_percent=0.0, slip_percent=1.5)
+    assert np.diff(found) == pytest.approx(1 / (BPFO * 0.985), rel=1e-12)
+    assert -3 <= found[0] < -3 + 1 / (BPFO * 0.985)
+    assert 500 - 1 / (BPFO * 0.985) < found[-1] <= 500
+    assert slipping_line(BPFO, slip_percent=1.5) == pytest.approx(BPFO * 0.985, rel=1e-15)
+    assert slipping_line(BPFO, slip_percent=-2.0) > BPFO
+
+
+@pytest.mark.slow
+def test_jitter_adds_up_to_a_random_walk() -> None:
+    stream = seed_stream(7, "walks")
+    walks = np.array(
+        [
+            strike_angles(1.0, slip_percent=0, jitter_percent=2, start_rev=0, end_rev=700, stream=stream)[:641]
+            for _ in range(2000)
+        ]
+    )
+    gone = walks[:, [10, 40, 160, 640]] - walks[:, :1]
+    after = np.array([10, 40, 160, 640])
+    assert np.abs(gone.mean(axis=0) - after).max() < 4 * 0.02 * np.sqrt(640 / 2000)
+    # variance = strikes · jitter²; its own scatter is √(2/2000) = 3.2 %
+    assert gone.var(axis=0) / (after * 0.02**2) == pytest.approx(1, abs=4 * 0.032)
+    apart = np.diff(walks, axis=1)
+    neighbours = np.mean((apart[:, 1:] - 1) * (apart[:, :-1] - 1)) / 0.02**2
+    assert abs(neighbours) < 4 / np.sqrt(2000 * 639)  # of jitter about fixed places it would be −½
+
+
+def test_a_longer_record_adds_strikes_and_changes_none() -> None:
+    short, long = strikes(start_rev=3.0, end_rev=200.0), strikes(start_rev=-900.0, end_rev=2000.0)
+    assert np.array_equal(long[(long >= 3) & (long <= 200)], short)
+    assert abs(short.size / 197 - long.size / 2900) < 0.01 * BPFO
+    assert strikes(start_rev=-900.0, end_rev=-400.0).tolist() == long[long <= -400].tolist()
+    assert np.diff(long) == pytest.approx(1 / (BPFO * 0.99), rel=0.1)  # where both ways meet too: 5 σ
+    assert strikes(start_rev=5.0, end_rev=4.0).size == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "wrong", [{"order": 0.0}, {"order": np.nan}, {"slip_percent": 100.0}, {"jitter_percent": 21.0}, {"end_rev": np.inf}]
+)
+def test_strikes_that_cannot_be_are_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(RequestError, match="no such strikes"):
+        strikes(**wrong)
+
+
+@pytest.mark.parametrize(("line", "order"), [("BPFI", SHAFT), ("BSF", CAGE)])
+def test_the_load_zone_comes_and_goes_with_what_the_damage_turns_with(line: Any, order: float) -> None:
+    at = strikes(end_rev=20_000.0)
+    size = modulation(line, at, load_zone=0.7, shaft_ratio=SHAFT, cage_order=CAGE, phase_rev=0.1)
+    again = modulation(line, at + 1 / order, load_zone=0.7, shaft_ratio=SHAFT, cage_order=CAGE, phase_rev=0.1)
+    assert size == pytest.approx(again, abs=1e-9)
+    assert abs(size.mean() - 1) < 0.01
+    assert (size.min(), size.max()) == pytest.approx((0.3, 1.7), abs=1e-3)
+    (highest,) = modulation(
+        line, np.array([-0.1 / order]), load_zone=0.7, shaft_ratio=SHAFT, cage_order=CAGE, phase_rev=0.1
+    )
+    assert highest == pytest.approx(1.7)
+
+
+def test_the_ringing_is_the_sum_of_its_sines() -> None:
+    for resonance_hz, damping_ratio in ((3100.0, 0.02), (700.0, 0.3), (14_900.0, 0.004)):
+        rate_hz, n = 20_000.0, 3000  # 14.9 kHz folds, as without a filter it does
+        chance = np.random.default_rng(5)
+        struck = chance.uniform(-0.05, 0.16, 60)  # not in sequence, some before, some after the record
+        size = chance.uniform(0.2, 2.0, 60)
+        found = ringing(
+            struck, size, resonance_hz=resonance_hz, damping_ratio=damping_ratio, rate_hz=rate_hz, n_samples=n
+        )
+        known = directly(np.arange(n) / rate_hz, struck, size, resonance_hz=resonance_hz, damping_ratio=damping_ratio)
+        assert np.abs(found - known).max() < 1e-11 * np.abs(known).max()
+
+
+@pytest.mark.parametrize("resonance_hz", [3000.0, 16_000.0])
+def test_behind_a_filter_the_ringing_obeys_the_equations_of_both(resonance_hz: float) -> None:
+    rate_hz, n, struck_s, damping_ratio = 25_600.0, 160, 0.731 / 25_600, 0.03
+    through = in_series(low_pass(2, 6000.0), high_pass(300.0))
+    shape: dict[str, Any] = {"resonance_hz": resonance_hz, "damping_ratio": damping_ratio, "rate_hz": rate_hz}
+    found = ringing(np.array([struck_s]), np.array([1.0]), n_samples=n, **shape, filter=through)
+
+    natural, corner, coupling = (2 * np.pi * f for f in (resonance_hz, 6000.0, 300.0))
+    damped = natural * np.sqrt(1 - damping_ratio**2)
+
+    def motion(_: float, state: Any) -> list[float]:
+        x, v, y, w, z = state  # oscillator, two-pole low-pass, what the coupling has charged itself to
+        return [
+            v,
+            -2 * damping_ratio * natural * v - natural**2 * x,
+            w,
+            corner**2 * (x - y) - np.sqrt(2) * corner * w,
+            coupling * (y - z),
+        ]
+
+    times = np.arange(n) / rate_hz
+    later = times[times > struck_s]
+    peak = directly(later, [struck_s], [1.0], resonance_hz=resonance_hz, damping_ratio=damping_ratio)
+    raw = np.exp(-damping_ratio * natural * (later - struck_s)) * np.sin(damped * (later - struck_s))
+    start = [0.0, damped * float(np.median(peak / raw)), 0.0, 0.0, 0.0]
+    solved = solve_ivp(motion, (struck_s, times[-1]), start, "DOP853", t_eval=later, rtol=1e-12, atol=1e-13)
+    known = solved.y[2] - solved.y[4]
+    assert found[0] == 0
+    assert np.abs(found[1:] - known).max() < 1e-9 * np.abs(known).max()
+
+
+def test_a_resonance_that_cannot_be_is_refused() -> None:
+    for resonance_hz, damping_ratio in ((0.0, 0.1), (1.0, 1.0), (1.0, 0.0), (float("nan"), 0.1)):
+        with pytest.raises(RequestError, match="no such resonance"):
+            ringing_s(resonance_hz, damping_ratio)
+    with pytest.raises(RequestError, match="is a pole of the acquisition's filter"):
+        ringing_s(1000.0, float(np.sqrt(0.5)), filter=low_pass(2, 1000.0))

@@ -24,17 +24,11 @@ from crankorder.synth.signal_faults import impossible_faults, with_signal_faults
 Records = list[dict[str, Any]]
 RATE_HZ, N = 5000.0, 40_000
 NAMES = ("Y", "Z")
-SETTINGS = load_settings().ingest
 
 
-def clean_signal() -> np.ndarray:
-    random = np.random.default_rng(3)
-    time = np.arange(N) / RATE_HZ
-    tones = np.vstack([3 * np.sin(2 * np.pi * 30.3 * time), 8 * np.cos(2 * np.pi * 41.7 * time)])
-    return tones + 0.2 * random.normal(size=(2, N))
-
-
-CLEAN = clean_signal()
+TIME = np.arange(N) / RATE_HZ
+CLEAN = np.vstack([3 * np.sin(2 * np.pi * 30.3 * TIME), 8 * np.cos(2 * np.pi * 41.7 * TIME)])
+CLEAN += 0.2 * np.random.default_rng(3).normal(size=(2, N))
 CLEAN.flags.writeable = False
 PEAK = np.abs(CLEAN).max(axis=1)
 
@@ -47,7 +41,7 @@ def faulty(*faults: AnySignalFault, seed: int = 1, recording: str = "rpm_1000") 
 
 def found(samples: np.ndarray, name: str) -> list[tuple[str, str]]:
     """Flags and severities that the pipeline gives to a channel."""
-    faults = mend_signal(samples.copy(), settings=SETTINGS)
+    faults = mend_signal(samples.copy(), settings=load_settings().ingest)
     return [(fault.flag, fault.severity) for fault in faults]
 
 
