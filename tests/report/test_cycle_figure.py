@@ -173,7 +173,7 @@ def hands(figure: Any) -> list[Any]:
 
 def test_hands_point_where_the_phases_do_and_their_lengths_compare_the_row(settings):
     shapes = shapes_of(orders=(1.0, 2.0))
-    figure = shapes_figure(shapes, {"test": "t"}, settings=settings, speed_rpm=1200.0)
+    figure = shapes_figure(shapes.isel(speed=[1]), {"test": "t"}, settings=settings)
     drawn = hands(figure)
     assert len(drawn) == 6
     one = shapes.isel(speed=1)
@@ -191,7 +191,7 @@ def test_hands_point_where_the_phases_do_and_their_lengths_compare_the_row(setti
 
 def test_numbers_units_orders_and_origins_are_written(settings):
     shapes = shapes_of(orders=(1.0, 1.5), cycle_known=0)
-    figure = shapes_figure(shapes, {"test": "t"}, settings=settings, speed_rpm=600.0)
+    figure = shapes_figure(shapes.isel(speed=[0]), {"test": "t"}, settings=settings)
     found = words(figure)
     assert {"order 1", "order 1.5", "from TDC", "m/s²", "A", "B", "C"} <= set(found)
     assert f"from {shapes['phase_from'].values[1]}" in found
