@@ -193,12 +193,8 @@ def check_dataset(dataset: xr.Dataset, noun: str) -> None:
             raise SchemaError("wrong dims", place=f"{noun}.{name}", found=dims, allowed=str(rule["dims"]["enum"]))
         units = variable.attrs.get("units")
         if units is None or ("const" in rule["units"] and units != rule["units"]["const"]):
-            raise SchemaError(
-                "wrong units",
-                place=f"{noun}.{name}",
-                found=units,
-                allowed=rule["units"].get("const", "any, but stated"),
-            )
+            allowed = rule["units"].get("const", "any, but stated")
+            raise SchemaError("wrong units", place=f"{noun}.{name}", found=units, allowed=allowed)
     for name in schema_of(noun)["properties"]["attrs"]["required"]:
         if name not in dataset.attrs:
             raise SchemaError(f"attribute {name!r} is missing", place=noun)

@@ -51,12 +51,10 @@ def empty(shape: tuple[int, ...], dtype: DTypeLike, *, on_disk: bool) -> NDArray
             _claim(file, n_bytes)
             pages = mmap.mmap(file.fileno(), n_bytes)
     except OSError as error:
-        raise EnvironmentFailure(
-            "no room for a recording larger than memory",
-            file=folder,
-            found=f"{error.strerror or error} for {n_bytes} bytes",
-            remedy="Free space there, set TMPDIR to a folder on a larger disk, or allow more memory (--max-memory)",
-        ) from None
+        problem = "no room for a recording larger than memory"
+        found = f"{error.strerror or error} for {n_bytes} bytes"
+        remedy = "Free space there, set TMPDIR to a folder on a larger disk, or allow more memory (--max-memory)"
+        raise EnvironmentFailure(problem, file=folder, found=found, remedy=remedy) from None
     return np.ndarray(shape, dtype, buffer=pages)
 
 

@@ -285,11 +285,8 @@ def toml_table(name: str, kind: str, *, beside: Path | None = None) -> tuple[dic
     candidates = [Path(name)] if beside is None else [beside / name, beside / f"{name}.toml", Path(name)]
     found = next((path for path in candidates if path.suffix == ".toml" and path.is_file()), None)
     if found is None and name not in ours:
-        raise RequestError(
-            f"no such {kind.removesuffix('s')}",
-            found=name,
-            allowed=f"{', '.join(ours) or 'none shipped'}, or a path of a .toml file",
-        )
+        allowed = f"{', '.join(ours) or 'none shipped'}, or a path of a .toml file"
+        raise RequestError(f"no such {kind.removesuffix('s')}", found=name, allowed=allowed)
     try:
         text = ours[name] if found is None else found.read_text(encoding="utf-8")
         return tomllib.loads(text), f"{kind}/{name}.toml" if found is None else found.name

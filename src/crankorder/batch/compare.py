@@ -71,13 +71,11 @@ def _refuse_nothing_in_common(folders: Sequence[Path], tests: Sequence[Tested]) 
     if not set.intersection(*held):
         fewest = min(range(len(held)), key=lambda at: len(held[at]))
         parts = (f"{test.name}: {' and '.join(sorted(test.comparable)) or 'neither'}" for test in tests)
-        raise InputError(
-            "the results have nothing in common to compare",
-            file=folders[fewest] / "results.nc",
-            found="; ".join(parts),
-            allowed="orders (the group order_map) or modes (findings) in all of them",
-            remedy="Run the analyses again with one recipe, whose [report] results name order_map or findings",
-        )
+        problem = "the results have nothing in common to compare"
+        found = "; ".join(parts)
+        allowed = "orders (the group order_map) or modes (findings) in all of them"
+        remedy = "Run the analyses again with one recipe, whose [report] results name order_map or findings"
+        raise InputError(problem, file=folders[fewest] / "results.nc", found=found, allowed=allowed, remedy=remedy)
 
 
 def _test_folder(folder: Path) -> Path:
@@ -138,12 +136,9 @@ def refuse_results(out: Path, folders: Sequence[Path]) -> None:
     held += [folder.parent for folder in held if (folder.parent / "batch.json").is_file()]
     inside = any(folder in (where, *where.parents) for folder in held)
     if inside or (out / "results.nc").exists() or (out / "batch.json").exists():
-        raise RequestError(
-            "would lie among the results of a run",
-            file=out,
-            allowed="a new folder, or one that the same command made",
-            remedy="Choose another --out",
-        )
+        allowed = "a new folder, or one that the same command made"
+        remedy = "Choose another --out"
+        raise RequestError("would lie among the results of a run", file=out, allowed=allowed, remedy=remedy)
 
 
 def _files(results: ComparedResults, settings: ReportSettings) -> dict[str, bytes]:

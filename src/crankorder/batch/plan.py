@@ -307,12 +307,9 @@ def _refuse_inside(folder: Path, out: Path) -> None:
     """Refuse results in the input folder, inside it or around it: inputs are never touched."""
     inside, outside = folder.resolve(), out.resolve()
     if outside == inside or inside in outside.parents or outside in inside.parents:
-        raise RequestError(
-            "the results would lie in the folder of the recordings, or around it",
-            file=out,
-            allowed="any folder outside the recordings",
-            remedy="Choose another --out: recordings are never touched",
-        )
+        problem = "the results would lie in the folder of the recordings, or around it"
+        remedy = "Choose another --out: recordings are never touched"
+        raise RequestError(problem, file=out, allowed="any folder outside the recordings", remedy=remedy)
 
 
 def folder_name(name: str, taken: set[str]) -> str:

@@ -102,13 +102,10 @@ def _redrawn(folder: Path, report: Mapping[str, object]) -> Path:
         if any(not record.causes for record in findings.orders):
             raise ValueError("findings of a version that said causes in words alone")
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(
-            "no finished results that this version reads",
-            file=folder,
-            found=error,
-            allowed="a folder that `crankorder run` made",
-            remedy="Run the analysis again: unfinished results and findings of another version are never used",
-        ) from error
+        problem = "no finished results that this version reads"
+        allowed = "a folder that `crankorder run` made"
+        remedy = "Run the analysis again: unfinished results and findings of another version are never used"
+        raise InputError(problem, file=folder, found=error, allowed=allowed, remedy=remedy) from error
     groups = {k: v for k, v in read_results(folder / "results.nc").items() if not k.startswith("findings")}
     # a key that is newer than the results has today's default
     settings = ReportSettings.model_validate(stated)

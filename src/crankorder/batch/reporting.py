@@ -58,12 +58,9 @@ class ReportingProcess:
             return self._next(request, given)
         except WorkerDiedError as error:
             self._start("load")
-            raise EnvironmentFailure(
-                "the process that hashes and writes ended twice",
-                file="crankorder",
-                found=error,
-                remedy="Too little memory is the likely cause: try --jobs 1; the other tests go on",
-            ) from error
+            problem = "the process that hashes and writes ended twice"
+            remedy = "Too little memory is the likely cause: try --jobs 1; the other tests go on"
+            raise EnvironmentFailure(problem, file="crankorder", found=error, remedy=remedy) from error
 
     def _next(self, request: str, given: tuple[Any, ...]) -> Any:
         if request not in self._asked:

@@ -131,12 +131,9 @@ def refuse_others(folder: Path, owner: Owner) -> None:
         if there.samefile(folder.parent / owner.folder):
             return
     if recorded.manifest_sha256 != owner.manifest_sha256 or there.is_dir():
-        raise RequestError(
-            "holds the results of another test of this name",
-            file=folder,
-            found=f"made of {printable(recorded.folder)}, not of {printable(owner.folder)}",
-            remedy="Give one of the two another name: --name NAME, or name = … under [test] in its run.toml",
-        )
+        found = f"made of {printable(recorded.folder)}, not of {printable(owner.folder)}"
+        remedy = "Give one of the two another name: --name NAME, or name = … under [test] in its run.toml"
+        raise RequestError("holds the results of another test of this name", file=folder, found=found, remedy=remedy)
 
 
 def publish(
@@ -167,12 +164,8 @@ def publish(
     folder = folder.parent.resolve() / folder.name if not folder.is_symlink() else folder.resolve()
     shared = sorted(set(foreign_in(folder)) & set(files))
     if shared:
-        raise RequestError(
-            "holds files that no earlier run wrote",
-            file=folder,
-            found=", ".join(shared),
-            remedy="Choose another --out: nothing of yours is overwritten",
-        )
+        remedy = "Choose another --out: nothing of yours is overwritten"
+        raise RequestError("holds files that no earlier run wrote", file=folder, found=", ".join(shared), remedy=remedy)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         settle(folder)
@@ -183,11 +176,9 @@ def publish(
     except OSError as error:
         with contextlib.suppress(OSError):
             settle(folder)
-        raise EnvironmentFailure(
-            f"the results cannot be written ({error.strerror or error})",
-            file=error.filename or folder,
-            remedy="Free space on the disk or choose another --out; what was there before is kept, or there is nothing",
-        ) from error
+        problem = f"the results cannot be written ({error.strerror or error})"
+        remedy = "Free space on the disk or choose another --out; what was there before is kept, or there is nothing"
+        raise EnvironmentFailure(problem, file=error.filename or folder, remedy=remedy) from error
 
 
 def settle(folder: Path) -> None:
@@ -330,13 +321,10 @@ def read_document(path: Path) -> dict[str, Any]:
         raise InputError("results that cannot be read", file=path, found=error, remedy=remedy) from error
     stated = document.get("schema_version") if isinstance(document, dict) else None
     if stated != SCHEMA_VERSION or not isinstance(document, dict):
-        raise InputError(
-            "results of another version of the program",
-            file=path,
-            found=f"schema_version {stated}",
-            allowed=f"schema_version {SCHEMA_VERSION}",
-            remedy=f"{remedy} with this version",
-        )
+        problem = "results of another version of the program"
+        found = f"schema_version {stated}"
+        allowed = f"schema_version {SCHEMA_VERSION}"
+        raise InputError(problem, file=path, found=found, allowed=allowed, remedy=f"{remedy} with this version")
     return document
 
 
@@ -354,12 +342,9 @@ def refuse_foreign_index(out: Path) -> None:
     ours = records_in(out) is not None
     found = [name for name in (BATCH, INDEX) if not ours and (out / name).exists()]
     if found:
-        raise RequestError(
-            "holds a file that no earlier run wrote, where the index of the results would stand",
-            file=out,
-            found=", ".join(found),
-            remedy="Choose another --out: nothing of yours is overwritten",
-        )
+        problem = "holds a file that no earlier run wrote, where the index of the results would stand"
+        remedy = "Choose another --out: nothing of yours is overwritten"
+        raise RequestError(problem, file=out, found=", ".join(found), remedy=remedy)
 
 
 def records_in(out: Path) -> list[Mapping[str, Json]] | None:

@@ -193,13 +193,9 @@ def load_balanced_engine(name: str, *, beside: Path | None = None) -> BalancedEn
     stated, source = toml_table(name, "engines", beside=beside)
     table, of_gas = with_gas_file(stated, name, beside)
     if "kind" in table and "kind" not in Engine.model_fields:
-        raise RequestError(
-            "not a crank engine with balance data",
-            file=source,
-            place="kind",
-            found=table["kind"],
-            remedy="Name an engine with crank radius, rod length and masses",
-        )
+        problem = "not a crank engine with balance data"
+        remedy = "Name an engine with crank radius, rod length and masses"
+        raise RequestError(problem, file=source, place="kind", found=table["kind"], remedy=remedy)
     return balanced_engine(table, name=Path(name).stem, source=source, faults=of_gas)
 
 

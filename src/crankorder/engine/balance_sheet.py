@@ -445,13 +445,10 @@ def _check(subject: BalancedEngine, max_order: int, speeds: Sequence[float]) -> 
         )
     engine = subject.engine
     if engine.shafts.every_order and engine.shafts.every_order[-1] > max_order:
-        raise RequestError(
-            "the engine has shafts beyond the highest order of the tables",
-            place="shafts",
-            found=f"order {engine.shafts.every_order[-1]}",
-            allowed=f"up to {max_order}",
-            remedy=f"Ask for --max-order {engine.shafts.every_order[-1]}",
-        )
+        problem = "the engine has shafts beyond the highest order of the tables"
+        found = f"order {engine.shafts.every_order[-1]}"
+        remedy = f"Ask for --max-order {engine.shafts.every_order[-1]}"
+        raise RequestError(problem, place="shafts", found=found, allowed=f"up to {max_order}", remedy=remedy)
 
 
 def _leading(masses: ReducedMasses, max_order: int) -> Amounts:

@@ -303,11 +303,9 @@ def weight_without_side_force(
     others_nm = sum(getattr(crank, name) * arm for name, arm in arms.items() if name != weight)
     weight_n = (static_nm - others_nm) / arms[weight] if arms[weight] else np.nan
     if not weight_n >= 0:
-        raise RequestError(
-            f"no {weight} of zero or more leaves the piston without side force",
-            found=f"arm {arms[weight]} m, moment {static_nm - others_nm} N·m",
-            remedy="Give it an arm, or change another weight",
-        )
+        problem = f"no {weight} of zero or more leaves the piston without side force"
+        remedy = "Give it an arm, or change another weight"
+        raise RequestError(problem, found=f"arm {arms[weight]} m, moment {static_nm - others_nm} N·m", remedy=remedy)
     return float(weight_n)
 
 

@@ -209,12 +209,9 @@ def _shafts(engine: Engine, max_order: int) -> Complex:
     terms = np.abs(shaken).sum(axis=0)
     for key, order in [("orders", order) for order in orders] + [("pairs", pair.order) for pair in pairs]:
         if abs(opposed[order]) <= CANCELLED * terms[order] and engine.largest_piston_kg:
-            raise RequestError(
-                "the pistons make no force along Z that this pair of shafts could stand against",
-                place=f"shafts.{key}",
-                found=f"order {order}",
-                remedy="Leave it out, or state what acts in another direction as [[shafts.single]]",
-            )
+            problem = "the pistons make no force along Z that this pair of shafts could stand against"
+            remedy = "Leave it out, or state what acts in another direction as [[shafts.single]]"
+            raise RequestError(problem, place=f"shafts.{key}", found=f"order {order}", remedy=remedy)
     if orders:
         unit = np.array([acceleration_harmonics(one.mechanism, max_order) for one in engine.each])
         left = (phases * (unit if shafts.timed_to == "force" else unit.real)).sum(axis=0)

@@ -34,11 +34,8 @@ def gas_force(engine: Engine, cycle_angle_rev: ArrayLike) -> Angles:
     if gas is None:
         return np.zeros(angles.shape)
     if gas.torque_n_m is not None or engine.bore_m is None:
-        raise RequestError(
-            "a torque curve tells no gas force: at the dead centres any force makes no torque",
-            place="gas",
-            remedy="Give pressure_pa and bore_m for thrust and bearing loads",
-        )
+        problem = "a torque curve tells no gas force: at the dead centres any force makes no torque"
+        raise RequestError(problem, place="gas", remedy="Give pressure_pa and bore_m for thrust and bearing loads")
     area = np.pi / 4 * engine.bore_m**2
     if gas.ideal is not None:
         exhaust_pa = gas.surroundings_pa if gas.ideal.exhaust_pa is None else gas.ideal.exhaust_pa
@@ -103,11 +100,8 @@ def firing_angle_deg(engine: Engine, cylinder: Cylinder) -> float:
     if cylinder.firing_deg is not None:
         return cylinder.firing_deg
     if len(engine.cylinders) > 1 and engine.revs_per_cycle > 1:
-        raise RequestError(
-            "which revolution does each cylinder fire in?",
-            place="cylinders",
-            remedy="Give firing_deg for every cylinder",
-        )
+        remedy = "Give firing_deg for every cylinder"
+        raise RequestError("which revolution does each cylinder fire in?", place="cylinders", remedy=remedy)
     return (cylinder.bank_deg - cylinder.crank_deg) % 360
 
 

@@ -108,11 +108,8 @@ class CrankTorque:
         edges = [(branch.angle_deg[0], branch.angle_deg[-1]) for branch in self.branches]
         joined = all(before[1] == after[0] for before, after in pairwise(edges))
         if edges[0][0] != 0 or edges[-1][1] != 360 or not joined:
-            raise RequestError(
-                "the branches of a torque curve must follow one another without a gap",
-                found=edges,
-                allowed="from 0 to 360 degrees",
-            )
+            problem = "the branches of a torque curve must follow one another without a gap"
+            raise RequestError(problem, found=edges, allowed="from 0 to 360 degrees")
 
     @cached_property
     def mean_nm(self) -> float:

@@ -259,12 +259,9 @@ def weighted_wheels(train: GearTrain, masses: ReducedMasses, *, second: Series =
     moments = weight_moments(masses, second=second)
     turning = sorted(ratios[gear.name] for gear in carriers)
     if turning not in ([-1.0, 1.0], [-2.0, 2.0], [-2.0, -1.0, 1.0, 2.0]):
-        raise RequestError(
-            "the wheels with weights do not go in pairs",
-            place="gears",
-            found=", ".join(f"{ratio:g}" for ratio in turning) or "none",
-            allowed="speeds of +1 and −1, +2 and −2 over crank speed, or both",
-        )
+        found = ", ".join(f"{ratio:g}" for ratio in turning) or "none"
+        allowed = "speeds of +1 and −1, +2 and −2 over crank speed, or both"
+        raise RequestError("the wheels with weights do not go in pairs", place="gears", found=found, allowed=allowed)
     wheels = {}
     for gear in carriers:
         ratio = ratios[gear.name]

@@ -356,11 +356,9 @@ def _decay(mechanism: SliderCrank) -> float:
     above_one = mechanism.slack / mechanism.crank_ratio
     decay = math.log1p(above_one + math.sqrt(above_one * (above_one + 2)))
     if decay < SMALLEST_DECAY:
-        raise RequestError(
-            "the rod is so short that the harmonics do not fall off",
-            found=f"1 − λ − |ε| = {mechanism.slack:.3g}",
-            allowed="above 1e-7; use the exact acceleration instead",
-        )
+        problem = "the rod is so short that the harmonics do not fall off"
+        allowed = "above 1e-7; use the exact acceleration instead"
+        raise RequestError(problem, found=f"1 − λ − |ε| = {mechanism.slack:.3g}", allowed=allowed)
     return decay
 
 

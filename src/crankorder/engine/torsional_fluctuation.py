@@ -181,13 +181,11 @@ def lag_of_speed(speed: Complex, *, step: float) -> Lag:
 
 def stops_within_cycle(speed_rpm: float, slowest_rpm: float) -> RequestError:
     """Error of a shaft whose lag stops it at the mean ``speed_rpm``, not above the lag's ``slowest_rpm``."""
-    return RequestError(
-        "the shaft would stop within the cycle",
-        place="in-cycle speed",
-        found=f"a mean speed of {speed_rpm:g} rpm",
-        allowed="no speed" if math.isinf(slowest_rpm) else f"steady speeds above {slowest_rpm:.6g} rpm",
-        remedy="Take a larger flywheel, a higher speed or less in-cycle speed",
-    )
+    problem = "the shaft would stop within the cycle"
+    found = f"a mean speed of {speed_rpm:g} rpm"
+    allowed = "no speed" if math.isinf(slowest_rpm) else f"steady speeds above {slowest_rpm:.6g} rpm"
+    remedy = "Take a larger flywheel, a higher speed or less in-cycle speed"
+    return RequestError(problem, place="in-cycle speed", found=found, allowed=allowed, remedy=remedy)
 
 
 def _work(torque: Complex, orders: Floats) -> Complex:
@@ -244,10 +242,7 @@ def _lag(inertia: Complex, gas: Complex, step: float, reference_rpm: float) -> L
 
 
 def _too_slow(share: float, place: str) -> RequestError:
-    return RequestError(
-        "the shaft would stop within the cycle",
-        place=place,
-        found=f"a slowest speed at or below {100 * share:.3g} % of the mean",
-        allowed=f"above {100 * SLOWEST_SHARE:g} %",
-        remedy="Take a larger flywheel, a higher speed or less in-cycle speed",
-    )
+    problem = "the shaft would stop within the cycle"
+    found = f"a slowest speed at or below {100 * share:.3g} % of the mean"
+    remedy = "Take a larger flywheel, a higher speed or less in-cycle speed"
+    return RequestError(problem, place=place, found=found, allowed=f"above {100 * SLOWEST_SHARE:g} %", remedy=remedy)

@@ -121,12 +121,9 @@ def analogue_filter(acquisition: Acquisition | None) -> AnalogueFilter | None:
     low_hz, high_hz = acquisition.low_pass_hz, acquisition.ac_coupling_hz
     if low_hz is not None and high_hz is not None:
         if high_hz >= (1 - POLES_APART) * low_hz:
-            raise RequestError(
-                "the AC coupling leaves nothing of what the low-pass lets through",
-                place="acquisition.ac_coupling_hz",
-                found=high_hz,
-                allowed=f"below low_pass_hz, {low_hz:g}",
-            )
+            problem = "the AC coupling leaves nothing of what the low-pass lets through"
+            allowed = f"below low_pass_hz, {low_hz:g}"
+            raise RequestError(problem, place="acquisition.ac_coupling_hz", found=high_hz, allowed=allowed)
         return in_series(low_pass(acquisition.low_pass_order, low_hz), high_pass(high_hz))
     if low_hz is not None:
         return low_pass(acquisition.low_pass_order, low_hz)

@@ -91,11 +91,9 @@ def _lag(scene: Scene, run: Run) -> Lag:
         return lag_by_order(scene.in_cycle_speed.by_order)
     inertia = scene.in_cycle_speed.flywheel_inertia_kg_m2 or scene.engine.flywheel_inertia_kg_m2
     if inertia is None:
-        raise RequestError(
-            "neither the scene nor its engine says how large the flywheel is",
-            place="in_cycle_speed",
-            allowed="by_order, or flywheel_inertia_kg_m2 here or in the engine",
-        )
+        problem = "neither the scene nor its engine says how large the flywheel is"
+        allowed = "by_order, or flywheel_inertia_kg_m2 here or in the engine"
+        raise RequestError(problem, place="in_cycle_speed", allowed=allowed)
     return lag_from_torque(
         scene.engine,
         flywheel_inertia_kg_m2=inertia,

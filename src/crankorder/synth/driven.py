@@ -69,21 +69,17 @@ def integration_for(highest_force_hz: float, rate_hz: float, tolerance: float) -
     than 64 samples of the forces would be needed for each of the output.
     """
     if not (highest_force_hz >= 0 and rate_hz > 0 and 1e-15 <= tolerance <= 1):
-        raise RequestError(
-            "no integration for this",
-            found=f"highest force {highest_force_hz:g} Hz, rate {rate_hz:g} Hz, tolerance {tolerance:g}",
-            allowed="highest force ≥ 0, rate > 0, tolerance 1e-15 … 1",
-        )
+        found = f"highest force {highest_force_hz:g} Hz, rate {rate_hz:g} Hz, tolerance {tolerance:g}"
+        allowed = "highest force ≥ 0, rate > 0, tolerance 1e-15 … 1"
+        raise RequestError("no integration for this", found=found, allowed=allowed)
     phase = 2 * math.pi * highest_force_hz / rate_hz
     for substeps in range(1, MAX_SUBSTEPS + 1):
         for stencil in STENCILS:
             if interpolation_error(stencil, phase / substeps) <= tolerance:
                 return Integration(stencil, substeps)
-    raise RequestError(
-        "the forces change too fast for the rate",
-        found=f"{highest_force_hz:g} Hz at {rate_hz:g} samples per second",
-        remedy="Raise the rate or lower the highest order or speed",
-    )
+    problem = "the forces change too fast for the rate"
+    remedy = "Raise the rate or lower the highest order or speed"
+    raise RequestError(problem, found=f"{highest_force_hz:g} Hz at {rate_hz:g} samples per second", remedy=remedy)
 
 
 def step_weights(pole_per_s: Complexes, step_s: float, integration: Integration) -> tuple[Complexes, Complexes]:

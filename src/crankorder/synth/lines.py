@@ -63,11 +63,9 @@ def strike_angles(
     against jitter about a fixed place.
     """
     if not (order > 0 and abs(slip_percent) < 100 and 0 <= jitter_percent <= 20 and math.isfinite(end_rev - start_rev)):
-        raise RequestError(
-            "no such strikes",
-            found=f"order {order:g}, slip {slip_percent:g} %, jitter {jitter_percent:g} %, {start_rev:g} … {end_rev:g}",
-            allowed="order > 0, slip −100 … 100 %, jitter 0 … 20 %, finite angles",
-        )
+        found = f"order {order:g}, slip {slip_percent:g} %, jitter {jitter_percent:g} %, {start_rev:g} … {end_rev:g}"
+        allowed = "order > 0, slip −100 … 100 %, jitter 0 … 20 %, finite angles"
+        raise RequestError("no such strikes", found=found, allowed=allowed)
     period_rev = 1 / slipping_line(order, slip_percent=slip_percent)
     first, start, end = stream.random(), start_rev / period_rev, end_rev / period_rev
     ahead, back = stream.spawn(2)
@@ -179,11 +177,9 @@ def _poles(resonance_hz: float, damping_ratio: float, filter: AnalogueFilter | N
         return np.array([pole]), np.array([-1j / largest])
     behind = filter.pole_per_s
     if np.any(np.abs(behind - pole) < POLES_APART * abs(pole)):
-        raise RequestError(
-            "the resonance of an impact is a pole of the acquisition's filter",
-            found=f"{resonance_hz:g} Hz, ζ {damping_ratio:g}",
-            remedy="Shift one of them a little",
-        )
+        problem = "the resonance of an impact is a pole of the acquisition's filter"
+        remedy = "Shift one of them a little"
+        raise RequestError(problem, found=f"{resonance_hz:g} Hz, ζ {damping_ratio:g}", remedy=remedy)
     # times 1 for a real pole, times 2 for the upper of a pair, whose lower one adds the conjugate
     beside = np.where(np.abs(behind.imag) <= 1e-12 * np.abs(behind), 1.0, np.where(behind.imag > 0, 2.0, 0.0))
     through = pole.imag / ((behind - pole) * (behind - pole.conjugate())) / largest

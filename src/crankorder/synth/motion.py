@@ -402,11 +402,9 @@ class Motion:
         slack = 1e-11 * max(1.0, abs(first), abs(last))
         low, high = float((way * angles).min()), float((way * angles).max())
         if not (first - slack <= low and high <= last + slack):
-            raise RequestError(
-                "the shaft does not pass this angle in the stretch",
-                found=f"{way * (low if low < first else high):.17g} rev",
-                allowed=f"{passed[0]:.17g} … {passed[-1]:.17g} rev",
-            )
+            problem = "the shaft does not pass this angle in the stretch"
+            allowed = f"{passed[0]:.17g} … {passed[-1]:.17g} rev"
+            raise RequestError(problem, found=f"{way * (low if low < first else high):.17g} rev", allowed=allowed)
         sequence = None if np.all(way * np.diff(angles) >= 0) else np.argsort(way * angles, kind="stable")
         sorted_rev = np.clip(angles if sequence is None else angles[sequence], passed.min(), passed.max())
         times = np.empty(angles.size)

@@ -161,11 +161,9 @@ def _behind(modes: Poles, structure: Structure, filter: AnalogueFilter) -> Poles
     apart = np.abs(modes.pole_per_s[:, None] - pole)
     if np.any(apart < CLOSEST * np.abs(pole)):
         mode = int(np.argwhere(apart < CLOSEST * np.abs(pole))[0, 0])
-        raise RequestError(
-            "a mode and the analogue filter have the same pole",
-            found=f"{structure.frequency_hz[mode]:g} Hz with damping ratio {structure.damping_ratio[mode]:g}",
-            remedy="Shift the mode or the corner of the filter by a millionth or more",
-        )
+        found = f"{structure.frequency_hz[mode]:g} Hz with damping ratio {structure.damping_ratio[mode]:g}"
+        remedy = "Shift the mode or the corner of the filter by a millionth or more"
+        raise RequestError("a mode and the analogue filter have the same pole", found=found, remedy=remedy)
     upper = pole.imag >= 0
     both = np.where(pole[upper].imag > 0, 2.0, 1.0)  # a pair counts twice its real part, a real pole once
     gain = transfer_function(structure, pole[upper]) * (both * residue[upper])

@@ -162,11 +162,9 @@ def write_scene(
     except OSError as error:
         if isinstance(error, EnvironmentFailure):
             raise
+        remedy = "Free space or choose another folder"
         raise EnvironmentFailure(
-            "cannot write the scene",
-            file=error.filename or folder,
-            found=error.strerror or error,
-            remedy="Free space or choose another folder",
+            "cannot write the scene", file=error.filename or folder, found=error.strerror or error, remedy=remedy
         ) from error
 
 
@@ -273,12 +271,9 @@ def _claim(folder: Path) -> None:
 
 def _refuse(folder: Path, strange: list[str]) -> None:
     if strange:
-        raise RequestError(
-            "the folder is not empty and was not written by a scene",
-            file=folder,
-            found=", ".join(sorted(strange)[:5]),
-            allowed="a new or empty folder, or one of a former scene",
-        )
+        problem = "the folder is not empty and was not written by a scene"
+        allowed = "a new or empty folder, or one of a former scene"
+        raise RequestError(problem, file=folder, found=", ".join(sorted(strange)[:5]), allowed=allowed)
 
 
 def _former_recordings(truth: Path) -> set[str] | None:
