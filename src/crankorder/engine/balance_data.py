@@ -13,13 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError, ValidationInfo, computed_field, field_validator
 
-from crankorder.engine.balancing import (
-    CounterweightPlaces,
-    CrankTrain,
-    ReducedMasses,
-    phasor,
-    unbalance_force_n,
-)
+from crankorder.engine.balancing import CounterweightPlaces, CrankTrain, ReducedMasses, phasor, unbalance_force_n
 from crankorder.engine.crankshaft import CrankshaftBalance, CrankshaftData, crankshaft_balance
 from crankorder.engine.definition import Engine, with_gas_file
 from crankorder.engine.forces import crankcase_forces

@@ -408,7 +408,12 @@ def balance_sheet(
         engine=engine.title or subject.name,
         crank_ratio=masses.mechanism.crank_ratio,
         harmonics=harmonic_shares(masses.mechanism, max_order),
-        masses_g=_masses(subject, masses),
+        masses_g={
+            "reciprocating": masses.reciprocating_g,
+            "rotating_at_crank_radius": abs(masses.rotating_g),
+            "rod_at_crank_pin": None if data.train is None else data.train.rod_at_crank_pin_g,
+            "rod_at_piston_pin": None if data.train is None else data.train.rod_at_piston_pin_g,
+        },
         piston=_piston(engine, speeds),
         # parts of a train have no counterweights yet
         counterweights_in_file=bool(engine.webs) or (data.train is None and rotates),
@@ -440,9 +445,8 @@ def _newton(amplitude_g_mm: complex, speed_rpm: float) -> float:
 
 def _check(subject: BalancedEngine, max_order: int, speeds: Sequence[float]) -> None:
     if max_order < 4 or not speeds or not all(math.isfinite(speed) and speed > 0 for speed in speeds):
-        raise RequestError(
-            "no such balance sheet", found=f"order {max_order}, speeds {speeds} rpm", allowed="≥ 4, and speeds > 0"
-        )
+        allowed = "≥ 4, and speeds > 0"
+        raise RequestError("no such balance sheet", found=f"order {max_order}, speeds {speeds} rpm", allowed=allowed)
     engine = subject.engine
     if engine.shafts.every_order and engine.shafts.every_order[-1] > max_order:
         problem = "the engine has shafts beyond the highest order of the tables"
@@ -457,25 +461,12 @@ def _leading(masses: ReducedMasses, max_order: int) -> Amounts:
     return {"1": first} | {str(2 * k): first * float(term) for k, term in enumerate(terms, start=1)}
 
 
-def _masses(subject: BalancedEngine, masses: ReducedMasses) -> dict[str, float | None]:
-    train = subject.balance.train
-    return {
-        "reciprocating": masses.reciprocating_g,
-        "rotating_at_crank_radius": abs(masses.rotating_g),
-        "rod_at_crank_pin": None if train is None else train.rod_at_crank_pin_g,
-        "rod_at_piston_pin": None if train is None else train.rod_at_piston_pin_g,
-    }
-
-
 def _piston(engine: Engine, speeds: Sequence[float]) -> Piston:
     fastest_rev, per_radian = fastest_piston(engine.mechanism)
     stroke_m = dead_centres(engine.mechanism).stroke_m
-    return Piston(
-        stroke_mm=1e3 * stroke_m,
-        fastest_deg=360 * fastest_rev,
-        mean_m_s={speed_key(speed): stroke_m * speed / 30 for speed in speeds},
-        fastest_m_s={speed_key(speed): per_radian * speed * math.pi / 30 for speed in speeds},
-    )
+    mean_m_s = {speed_key(speed): stroke_m * speed / 30 for speed in speeds}
+    fastest_m_s = {speed_key(speed): per_radian * speed * math.pi / 30 for speed in speeds}
+    return Piston(stroke_mm=1e3 * stroke_m, fastest_deg=360 * fastest_rev, mean_m_s=mean_m_s, fastest_m_s=fastest_m_s)
 
 
 def _strategy(
@@ -515,12 +506,9 @@ def _shafts(
         harmonic = abs(acceleration_harmonics(masses.mechanism, 2)[2])
         shortfall = float(first * (harmonic - masses.mechanism.crank_ratio))
         built_for_ratio = BuiltForRatio(residual_x_g_mm=shortfall, force_n=newton_by_speed(shortfall, speeds))
-    return ShaftBalance(
-        sets={name: None if masses is None else _shaft_set(masses, name, max_order) for name in POSSIBILITIES},
-        built_for_ratio=built_for_ratio,
-        pairs=tuple(_pair(pair, subject, speeds) for pair in data.shaft_pairs) or None,
-        own=own,
-    )
+    sets = {name: None if masses is None else _shaft_set(masses, name, max_order) for name in POSSIBILITIES}
+    pairs = tuple(_pair(pair, subject, speeds) for pair in data.shaft_pairs) or None
+    return ShaftBalance(sets=sets, built_for_ratio=built_for_ratio, pairs=pairs, own=own)
 
 
 def _residual(forces: Iterable[OrderForce]) -> Residual:

@@ -220,13 +220,9 @@ def _slug_section(slug: Slug, holder: CrankshaftSection, fans: Mapping[str, FanC
     added = 1e-9 * volume_mm3 * (slug.density_kg_m3 - crank_density) * slug.radius_mm
     out = complex(holder.x_mm, holder.y_mm)
     centre = math.copysign(slug.radius_mm, added) * out / abs(out)
-    return CrankshaftSection(
-        name=f"Slug in {slug.into}",
-        mass_kg=abs(added) / slug.radius_mm,
-        x_mm=centre.real,
-        y_mm=centre.imag,
-        z_mm=holder.z_mm,
-    )
+    name = f"Slug in {slug.into}"
+    mass_kg = abs(added) / slug.radius_mm
+    return CrankshaftSection(name=name, mass_kg=mass_kg, x_mm=centre.real, y_mm=centre.imag, z_mm=holder.z_mm)
 
 
 def crankshaft_sums(sections: Sequence[CrankshaftSection]) -> CrankshaftSums:
@@ -236,10 +232,8 @@ def crankshaft_sums(sections: Sequence[CrankshaftSection]) -> CrankshaftSums:
     dynamic one depends on the datum unless the static one vanishes. Source: Ruckle 2014, equations (5) to (8), table 2.
     """
     arms = [section.mass_kg * complex(section.x_mm, section.y_mm) for section in sections]
-    return CrankshaftSums(
-        static_kg_mm=sum(arms, 0j),
-        dynamic_kg_mm2=sum((arm * section.z_mm for arm, section in zip(arms, sections, strict=True)), 0j),
-    )
+    moment = sum((arm * section.z_mm for arm, section in zip(arms, sections, strict=True)), 0j)
+    return CrankshaftSums(static_kg_mm=sum(arms, 0j), dynamic_kg_mm2=moment)
 
 
 def two_plane_correction(sums: CrankshaftSums, planes_mm: tuple[float, float]) -> tuple[complex, complex]:

@@ -15,7 +15,7 @@ from crankorder.engine.forces import CylinderLoads, cylinder_loads, inertia_torq
 from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
 from crankorder.engine.shaft_design import listed
 from crankorder.engine.slider_crank import last_order_above_round_off
-from crankorder.engine.torsional_fluctuation import TORQUE_ORDERS, Complex, Floats, lag_from_torque, over_a_cycle
+from crankorder.engine.torsional_fluctuation import Complex, Floats, lag_from_torque, over_a_cycle
 from crankorder.errors import RequestError, plain_number
 from crankorder.records import Record, said
 
@@ -61,26 +61,23 @@ def cycle_curves(engine: Engine, speeds: Sequence[float]) -> list[CycleCurves]:
         for single, cylinder in zip(engine.each, engine.cylinders, strict=True):
             gas += gas_torque(single, angles - firing_angle_deg(engine, cylinder) / 360)
     numbers = range(len(engine.cylinders)) if _has_loads(engine) else range(0)
+    top = min(max(last_order_above_round_off(single.mechanism) for single in engine.each), MOST_TORQUE_ORDERS)
+    of_masses = inertia_torque(engine, top)
 
     def at(speed_rpm: float) -> CycleCurves:
         loads = tuple(cylinder_loads(engine, angles, speed_rpm, cylinder=number) for number in numbers)
         with_places = bool(loads) and bool(engine.main_bearings_m)
+        by_order = of_masses * (speed_rpm * math.pi / 30) ** 2
         return CycleCurves(
             speed_rpm=speed_rpm,
             crank_angle_rev=angles,
             gas_n_m=gas,
-            inertia_n_m=_inertia(engine, speed_rpm),
+            inertia_n_m=np.tile(over_a_cycle(by_order, ANGLES_PER_REV), engine.revs_per_cycle),
             loads=loads,
             bearings_n=main_bearing_loads(engine, angles, speed_rpm, loads) if with_places else None,
         )
 
     return [at(speed) for speed in speeds]
-
-
-def _inertia(engine: Engine, speed_rpm: float) -> Floats:
-    top = min(max(last_order_above_round_off(single.mechanism) for single in engine.each), MOST_TORQUE_ORDERS)
-    by_order = inertia_torque(engine, top) * (speed_rpm * math.pi / 30) ** 2
-    return np.tile(over_a_cycle(by_order, ANGLES_PER_REV), engine.revs_per_cycle)
 
 
 class Firing(Record):
@@ -274,13 +271,8 @@ def _fluctuation(engine: Engine, speed_rpm: float) -> float | None:
     if engine.flywheel_inertia_kg_m2 is None:
         return None
     try:
-        lag = lag_from_torque(
-            engine,
-            flywheel_inertia_kg_m2=engine.flywheel_inertia_kg_m2,
-            speed_rpm=speed_rpm,
-            highest_order=TORQUE_ORDERS,
-            with_gas=engine.gas is not None,
-        )
+        inertia, with_gas = engine.flywheel_inertia_kg_m2, engine.gas is not None
+        lag = lag_from_torque(engine, flywheel_inertia_kg_m2=inertia, speed_rpm=speed_rpm, with_gas=with_gas)
     except RequestError:
         return None
     return lag.fluctuation(speed_rpm)

@@ -384,12 +384,8 @@ def hinge_table(
     nodes, weights = np.polynomial.legendre.leggauss(_POINTS_PER_STEP)
     between = (rows[:-1, None] + rows[1:, None]) / 2 + nodes / (2 * n_steps)
     steps = moment(between) @ weights * (np.pi / n_steps)
-    return HingeTable(
-        hinge_angle_rev=rows,
-        crank_angle_rev=crank_angle(rows),
-        moment_nm=moment(rows),
-        work_j=np.concatenate(([0.0], np.cumsum(steps))),
-    )
+    work_j = np.concatenate(([0.0], np.cumsum(steps)))
+    return HingeTable(hinge_angle_rev=rows, crank_angle_rev=crank_angle(rows), moment_nm=moment(rows), work_j=work_j)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -187,8 +187,8 @@ def _pistons(engine: Engine, max_order: int) -> Complex:
 
 def _shaken(engine: Engine, max_order: int) -> Complex:
     """Mass of each piston times the harmonics of its acceleration, shape (cylinder, max_order + 1)."""
-    harmonics = {one.offset_m: acceleration_harmonics(one.mechanism, max_order) for one in engine.each}
-    return np.array([one.reciprocating_mass_kg * harmonics[one.offset_m] for one in engine.each])
+    harmonics = {cylinder.offset_m: acceleration_harmonics(cylinder.mechanism, max_order) for cylinder in engine.each}
+    return np.array([cylinder.reciprocating_mass_kg * harmonics[cylinder.offset_m] for cylinder in engine.each])
 
 
 def _shafts(engine: Engine, max_order: int) -> Complex:
@@ -224,9 +224,9 @@ def _shafts(engine: Engine, max_order: int) -> Complex:
 
 def _rotating(engine: Engine) -> Complex:
     """First-order force over ω² of each throw's unbalance, shape (cylinder, 3)."""
-    angle_rev = [(one.cylinders[0].crank_deg + one.rotating_unbalance_deg) / 360 for one in engine.each]
+    angle_rev = [(throw.cylinders[0].crank_deg + throw.rotating_unbalance_deg) / 360 for throw in engine.each]
     sine, cosine = sine_cosine(np.array(angle_rev))
-    unbalance = np.array([one.rotating_unbalance_kg_m for one in engine.each]) * (cosine + 1j * sine)
+    unbalance = np.array([throw.rotating_unbalance_kg_m for throw in engine.each]) * (cosine + 1j * sine)
     return np.stack([-1j * unbalance, np.zeros_like(unbalance), unbalance], axis=1)
 
 

@@ -73,11 +73,11 @@ def gas_torque_by_order(engine: Engine, max_order: int) -> tuple[Angles, NDArray
     lines = np.arange(max_order * cycle + 1)
     total = np.zeros(lines.size, dtype=np.complex128)
     alone: dict[float, NDArray[np.complex128]] = {}
-    for one, cylinder in zip(engine.each, engine.cylinders, strict=True):
-        if one.offset_m not in alone:
-            alone[one.offset_m] = _spectrum(one)[lines]
+    for single, cylinder in zip(engine.each, engine.cylinders, strict=True):
+        if single.offset_m not in alone:
+            alone[single.offset_m] = _spectrum(single)[lines]
         fires = firing_angle_deg(engine, cylinder) / 360
-        total += alone[one.offset_m] * np.exp(-2j * np.pi * np.mod(fires / cycle * lines, 1))
+        total += alone[single.offset_m] * np.exp(-2j * np.pi * np.mod(fires / cycle * lines, 1))
     return lines / cycle, total
 
 

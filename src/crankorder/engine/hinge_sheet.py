@@ -144,28 +144,25 @@ def hinge_sheet(engine: HingedEngine, *, max_order: int, speeds_rpm: Sequence[fl
     """
     mechanisms = tuple(_mechanism(data, engine.curve, speeds_rpm) for data in engine.mechanisms)
     slender = any(data.rod_inertia_kg_m2 is None for data in engine.mechanisms)
+    orders, curve = np.arange(1, max_order + 1), engine.curve
+    amplitudes = np.abs(torque_harmonics(orders, curve))
+    torque = TorqueSummary(
+        mean_nm=curve.mean_nm,
+        work_per_rev_j=curve.work_per_rev_j,
+        extrema=tuple(
+            TorqueExtremum(crank_angle_deg=float(360 * angle), torque_nm=float(extremum))
+            for angle, extremum in zip(*torque_extrema(curve), strict=True)
+        ),
+        harmonics_nm={str(order): float(value) for order, value in zip(orders, amplitudes, strict=True)},
+    )
     return HingeSheet(
         engine=engine.title,
         kind=engine.kind,
         crank_engine=dict.fromkeys(CRANK_ENGINE_PARTS),
-        torque=_torque(engine.curve, max_order),
+        torque=torque,
         mechanisms=mechanisms,
         notes=("Rods without a stated moment of inertia are taken as uniform and slender.",) if slender else (),
         sentences=tuple(map(_sentence, mechanisms)),
-    )
-
-
-def _torque(curve: CrankTorque, max_order: int) -> TorqueSummary:
-    orders = np.arange(1, max_order + 1)
-    amplitudes = np.abs(torque_harmonics(orders, curve))
-    return TorqueSummary(
-        mean_nm=curve.mean_nm,
-        work_per_rev_j=curve.work_per_rev_j,
-        extrema=tuple(
-            TorqueExtremum(crank_angle_deg=float(360 * angle), torque_nm=float(torque))
-            for angle, torque in zip(*torque_extrema(curve), strict=True)
-        ),
-        harmonics_nm={str(order): float(value) for order, value in zip(orders, amplitudes, strict=True)},
     )
 
 
@@ -173,12 +170,14 @@ def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[f
     crank = data.crank
     speeds = tuple(speeds_rpm or data.speeds_rpm)
     if not speeds or not all(math.isfinite(speed) and speed > 0 for speed in speeds):
-        raise RequestError(
-            "a mechanism needs a speed", place=data.name, found=speeds, allowed="> 0", remedy="Give one with --speed"
-        )
+        remedy = "Give one with --speed"
+        raise RequestError("a mechanism needs a speed", place=data.name, found=speeds, allowed="> 0", remedy=remedy)
     along, across = (_largest(force) for force in shaking_force(_ANGLES, crank))
     balanced = max(along, across) < ROUND_OFF * sum(mass * crank.rod_length_m for mass, _ in crank.rod_points)
     kinds: tuple[PinHinge, ...] = get_args(PinHinge)
+    by_key = {str(round(speed, 6)): speed for speed in speeds}
+    without_hinge = {key: side_force_without_hinge(_ANGLES, crank, curve, speed_rpm=by_key[key]) for key in by_key}
+    works: dict[Joint, Callable[..., float]] = {"pin": pin_hinge_work, "strut": strut_hinge_work}
     scaled = partial(air_spring, crank, curve, designed_speed_rpm=speeds[0])  # that the guides are cut for
     return Mechanism(
         name=data.name,
@@ -187,19 +186,10 @@ def _mechanism(data: HingedCrankData, curve: CrankTorque, speeds_rpm: Sequence[f
         weight_moment_nm=weight_moment(crank),
         mean_gas_moment_nm=mean_gas_moment(crank, curve),
         shaking_force_kg_m={"x": 0.0, "y": 0.0} if balanced else {"x": along, "y": across},
-        side_force_without_hinge_n={
-            str(round(speed, 6)): _largest(side_force_without_hinge(_ANGLES, crank, curve, speed_rpm=speed))
-            for speed in speeds
-        },
-        curves={str(round(speed, 6)): _curves(crank, curve, speed) for speed in speeds},
+        side_force_without_hinge_n={key: _largest(force) for key, force in without_hinge.items()},
+        curves={key: _curves(crank, curve, speed) for key, speed in by_key.items()},
         side_force_n={kind: _largest(side_force(_ANGLES, crank, curve, pin_hinge=kind)) for kind in kinds},
-        work_j={
-            kind: {
-                "pin": pin_hinge_work(crank, curve, pin_hinge=kind),
-                "strut": strut_hinge_work(crank, curve, pin_hinge=kind),
-            }
-            for kind in kinds
-        },
+        work_j={kind: {joint: work(crank, curve, pin_hinge=kind) for joint, work in works.items()} for kind in kinds},
         solutions=_solutions(crank, curve),
         characteristic={joint: _characteristic(crank, curve, joint, max(speeds)) for joint in JOINTS},
         air_spring=tuple(
@@ -263,11 +253,9 @@ def _solutions(crank: HingedCrank, curve: CrankTorque) -> Solutions:
         }
     both = _solution(partial(balanced_crank, crank))
     names = ("rod_counterweight_n", "crank_counterweight_n")
-    return Solutions(
-        weight_without_side_force=weights,
-        crank_counterweight_n=_solution(partial(vertical_counterweight, crank)),
-        balanced=None if both is None else {name: getattr(both, name) for name in names},
-    )
+    on_crank = _solution(partial(vertical_counterweight, crank))
+    balanced = None if both is None else {name: getattr(both, name) for name in names}
+    return Solutions(weight_without_side_force=weights, crank_counterweight_n=on_crank, balanced=balanced)
 
 
 def _solution(solve: Callable[[], T]) -> T | None:

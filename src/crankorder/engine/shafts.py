@@ -348,9 +348,6 @@ def tolerance_study(train: GearTrain, masses: ReducedMasses, tolerances: GearTol
         reverse[:, column] += right.reverse_g_mm * (faulty - 1)
         couple[:, column] += -1j * arm.conj() * right.direct_g_mm * faulty
         couple[:, column] += 1j * arm * (right.reverse_g_mm * faulty).conj()
-    return ToleranceStudy(
-        orders=orders,
-        along_g_mm=np.abs(direct + reverse.conj()),
-        across_g_mm=np.abs(direct - reverse.conj()),
-        couple_g_mm2=np.abs(couple),
-    )
+    along_g_mm = np.abs(direct + reverse.conj())
+    across_g_mm = np.abs(direct - reverse.conj())
+    return ToleranceStudy(orders=orders, along_g_mm=along_g_mm, across_g_mm=across_g_mm, couple_g_mm2=np.abs(couple))

@@ -38,10 +38,8 @@ class SliderCrank:
     def __post_init__(self) -> None:
         lengths = (self.crank_radius_m, self.rod_length_m, self.offset_m)
         if not (np.isfinite(lengths).all() and self.crank_radius_m > 0 and self.slack > 0):
-            raise RequestError(
-                "a crank needs a positive radius and a rod longer than radius and offset together",
-                found=f"radius {lengths[0]} m, rod {lengths[1]} m, offset {lengths[2]} m",
-            )
+            problem = "a crank needs a positive radius and a rod longer than radius and offset together"
+            raise RequestError(problem, found=f"radius {lengths[0]} m, rod {lengths[1]} m, offset {lengths[2]} m")
 
     @property
     def crank_ratio(self) -> float:
@@ -82,12 +80,8 @@ def dead_centres(mechanism: SliderCrank) -> DeadCentres:
     longest, shortest = rod + radius, mechanism.margin * rod
     high = math.sqrt((longest - offset) * (longest + offset))
     low = math.sqrt((shortest - offset) * (shortest + offset))
-    turn = 2 * math.pi
-    return DeadCentres(
-        top_rev=math.asin(offset / longest) / turn,
-        bottom_rev=0.5 + math.asin(offset / shortest) / turn,
-        stroke_m=4 * radius * rod / (high + low),
-    )
+    top, bottom = (math.asin(offset / length) / (2 * math.pi) for length in (longest, shortest))
+    return DeadCentres(top_rev=top, bottom_rev=0.5 + bottom, stroke_m=4 * radius * rod / (high + low))
 
 
 def sine_cosine(crank_angle_rev: ArrayLike) -> tuple[Angles, Angles]:
@@ -232,9 +226,8 @@ def even_harmonics(count: int, crank_ratio: float) -> NDArray[np.float64]:
     Miller, 1952): the series loses its digits at high orders of a short rod.
     """
     if not 0 < crank_ratio < 1 or count < 0:
-        raise RequestError(
-            "no such harmonics", found=f"count {count}, crank ratio {crank_ratio}", allowed="count ≥ 0, 0 < λ < 1"
-        )
+        allowed = "count ≥ 0, 0 < λ < 1"
+        raise RequestError("no such harmonics", found=f"count {count}, crank ratio {crank_ratio}", allowed=allowed)
     return _even_harmonics(count, crank_ratio, 1 - crank_ratio)
 
 
@@ -261,13 +254,13 @@ def _coefficient_shortfalls(count: int, decay: float) -> NDArray[np.float64]:
     squared, rest = math.exp(-2 * decay), -math.expm1(-2 * decay)
     start = count + min(math.ceil(20 / decay) + 1, LONGEST_RUN_UP)
     short = 1 - (start - 1) / start * float(k1e(decay * start) / k1e(decay * (start - 1)))
-    found = np.empty(max(count - 1, 0))
+    shortfalls = np.empty(max(count - 1, 0))
     for k in range(start, 1, -1):
         carried = (k + 1.5) * squared * short
         short = (1.5 * rest + carried) / (k - 1.5 * squared + carried)
         if k <= count:
-            found[k - 2] = short
-    return found
+            shortfalls[k - 2] = short
+    return shortfalls
 
 
 def acceleration_harmonics(mechanism: SliderCrank, max_order: int) -> Complex:

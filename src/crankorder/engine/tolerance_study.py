@@ -131,14 +131,8 @@ def series_residuals(
         late = Mistiming(
             deg=tolerances.mistiming_deg, orders=tuple(map(str, turning)), force_g_mm=of_force, couple_g_mm2=of_couple
         )
-    return SeriesResiduals(
-        of=of,
-        samples=tolerances.samples,
-        seed=tolerances.seed,
-        force_g_mm=_quantiles(force),
-        couple_g_mm2=_quantiles(couple),
-        mistiming=late,
-    )
+    sizes = {"force_g_mm": _quantiles(force), "couple_g_mm2": _quantiles(couple)}
+    return SeriesResiduals(of=of, samples=tolerances.samples, seed=tolerances.seed, **sizes, mistiming=late)
 
 
 def _draw(engine: Engine, tolerances: BalanceTolerances) -> Errors:
@@ -159,21 +153,6 @@ def _draw(engine: Engine, tolerances: BalanceTolerances) -> Errors:
 def _left(engine: Engine, errors: Errors, max_order: int) -> tuple[Parts, Parts]:
     """Force (g·mm) and couple (g·mm²) over ω² of every sample."""
     parts = np.zeros((2, 2, errors.mass_g.shape[0], max_order), dtype=np.complex128)  # force and couple
-    _add_cylinders(parts, engine, errors)
-    for web in engine.webs:
-        _add(parts, np.asarray(web.unbalance_g_mm * np.exp(1j * np.radians(web.angle_deg))), 0.0, web.position_m, 0)
-    _add_shafts(parts, engine, errors)
-    return parts[0], parts[1]
-
-
-def _add(parts: Complex, direct: Complex | float, reverse: Complex | float, position_m: float, at: int | slice) -> None:
-    for row, lever in ((0, 1.0), (1, 1e3 * position_m)):
-        parts[row, 0, :, at] += lever * direct
-        parts[row, 1, :, at] += lever * reverse
-
-
-def _add_cylinders(parts: Complex, engine: Engine, errors: Errors) -> None:
-    max_order = parts.shape[-1]
     for n, (single, cylinder) in enumerate(zip(engine.each, engine.cylinders, strict=True)):
         bank = math.radians(cylinder.bank_deg)
         turned = np.radians(cylinder.crank_deg) + errors.pin_rad[:, n]
@@ -186,9 +165,8 @@ def _add_cylinders(parts: Complex, engine: Engine, errors: Errors) -> None:
         _add(parts, line * tilt, line.conj() * tilt, cylinder.position_m, slice(None))
         rest = 1e6 * single.rotating_unbalance_kg_m * np.exp(1j * np.radians(single.rotating_unbalance_deg))
         _add(parts, (rest + errors.throw_g_mm[:, n]) * np.exp(1j * turned), 0.0, cylinder.position_m, 0)
-
-
-def _add_shafts(parts: Complex, engine: Engine, errors: Errors) -> None:
+    for web in engine.webs:
+        _add(parts, np.asarray(web.unbalance_g_mm * np.exp(1j * np.radians(web.angle_deg))), 0.0, web.position_m, 0)
     counted = 0
     for number, shaft in enumerate(engine.shafts.single):
         ahead, k = math.copysign(1, shaft.speed_ratio), abs(shaft.speed_ratio)
@@ -199,6 +177,13 @@ def _add_shafts(parts: Complex, engine: Engine, errors: Errors) -> None:
             direct, reverse = (force, 0.0) if ahead > 0 else (0.0, force)
             _add(parts, direct, reverse, weight.position_m, k - 1)
             counted += 1
+    return parts[0], parts[1]
+
+
+def _add(parts: Complex, direct: Complex | float, reverse: Complex | float, position_m: float, at: int | slice) -> None:
+    for row, lever in ((0, 1.0), (1, 1e3 * position_m)):
+        parts[row, 0, :, at] += lever * direct
+        parts[row, 1, :, at] += lever * reverse
 
 
 def _most(parts: Parts) -> Floats:

@@ -20,7 +20,7 @@ Complex = NDArray[np.complex128]
 
 SHORTEST_STEP = 1e-4
 """Finest step that orders of a lag may share."""
-TORQUE_ORDERS = 20
+TOP_ORDER = 20
 """Highest order of the torque that moves the flywheel: what is above turns it by less than a millionth of these."""
 SLOWEST_SHARE = 0.1
 """Of the mean speed: a shaft that falls below it within the cycle counts as one that stops."""
@@ -118,7 +118,7 @@ class Lag:
 
 
 def lag_from_torque(
-    engine: Engine, *, flywheel_inertia_kg_m2: float, speed_rpm: float, highest_order: float, with_gas: bool
+    engine: Engine, *, flywheel_inertia_kg_m2: float, speed_rpm: float, with_gas: bool, highest_order: float = TOP_ORDER
 ) -> Lag:
     """Lag of the crank of ``engine`` whose masses, and gas, work on a flywheel: ½ I ω² = constant + ∫ torque dφ.
 
@@ -137,9 +137,8 @@ def lag_from_torque(
     Source: energy, T dφ = d(½ I ω²), with the torque of :func:`crankorder.engine.forces.inertia_torque_by_order`.
     """
     if with_gas and engine.gas is None:
-        raise RequestError(
-            "the engine has no gas", place="gas", remedy="Give the engine a [gas] or leave out gas_torque"
-        )
+        remedy = "Give the engine a [gas] or leave out gas_torque"
+        raise RequestError("the engine has no gas", place="gas", remedy=remedy)
     omega = speed_rpm * math.pi / 30
     cycle = engine.revs_per_cycle if with_gas else 1
     masses = np.zeros(math.floor(highest_order * cycle) + 1, dtype=np.complex128)
