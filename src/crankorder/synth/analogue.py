@@ -103,11 +103,9 @@ def in_series(a: AnalogueFilter, b: AnalogueFilter) -> AnalogueFilter:
     larger = np.maximum(np.abs(a.pole_per_s)[:, None], np.abs(b.pole_per_s)[None, :])
     if np.any(apart < POLES_APART * larger):
         raise ValueError("filters in series may not share a pole")
-    return AnalogueFilter(
-        pole_per_s=np.concatenate([a.pole_per_s, b.pole_per_s]),
-        residue=np.concatenate([a.residue * b.at(a.pole_per_s), b.residue * a.at(b.pole_per_s)]),
-        direct=a.direct * b.direct,
-    )
+    pole_per_s = np.concatenate([a.pole_per_s, b.pole_per_s])
+    residue = np.concatenate([a.residue * b.at(a.pole_per_s), b.residue * a.at(b.pole_per_s)])
+    return AnalogueFilter(pole_per_s=pole_per_s, residue=residue, direct=a.direct * b.direct)
 
 
 def analogue_filter(acquisition: Acquisition | None) -> AnalogueFilter | None:
@@ -184,12 +182,8 @@ def recorded(signal: Floats, acquisition: Acquisition) -> Recorded:
             if count_value is not None and np.isnan(values).any():
                 raise ValueError("int16 has no code for a missing sample")
             samples[channel, start : start + values.size] = values
-    return Recorded(
-        samples=samples,
-        scale=count_value,
-        unit="m/s2" if sensitivity is None else "V",
-        clipped_share=n_clipped / max(1, signal.shape[1]),
-    )
+    unit = "m/s2" if sensitivity is None else "V"
+    return Recorded(samples=samples, scale=count_value, unit=unit, clipped_share=n_clipped / max(1, signal.shape[1]))
 
 
 def _convert(values: Floats, full_scale: float, step: float | None) -> int:

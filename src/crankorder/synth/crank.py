@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from crankorder.engine.torsional_fluctuation import TORQUE_ORDERS, Lag, lag_from_torque, lag_of_speed
+from crankorder.engine.torsional_fluctuation import Lag, lag_from_torque, lag_of_speed
 from crankorder.errors import RequestError
 from crankorder.quantities import Floats, Ints
 from crankorder.synth.motion import Motion, wander_wobbles
@@ -63,12 +63,9 @@ def crank_motion(scene: Scene, run: Run) -> Motion:
         duration_s = scene.n_samples / scene.rate_hz(run.speed_rpm)
         wander = scene.speed_wander
         wobbles = wander_wobbles(wander.std_rpm, wander.corner_hz, stream, duration_s)
-    return Motion(
-        start_rev=start_angle_rev(scene, run),
-        corners=_on_samples(scene, scene.speed_profile.corners) if scene.speed_profile else ((0.0, run.speed_rpm),),
-        wobbles=wobbles,
-        lag=_lag(scene, run) if scene.in_cycle_speed is not None else None,
-    )
+    corners = _on_samples(scene, scene.speed_profile.corners) if scene.speed_profile else ((0.0, run.speed_rpm),)
+    lag = _lag(scene, run) if scene.in_cycle_speed is not None else None
+    return Motion(start_rev=start_angle_rev(scene, run), corners=corners, wobbles=wobbles, lag=lag)
 
 
 def other_motion(scene: Scene, run: Run, shaft: OtherShaft) -> Motion:
@@ -94,25 +91,18 @@ def _lag(scene: Scene, run: Run) -> Lag:
         problem = "neither the scene nor its engine says how large the flywheel is"
         allowed = "by_order, or flywheel_inertia_kg_m2 here or in the engine"
         raise RequestError(problem, place="in_cycle_speed", allowed=allowed)
-    return lag_from_torque(
-        scene.engine,
-        flywheel_inertia_kg_m2=inertia,
-        speed_rpm=run.speed_rpm if scene.speed_profile is None else max(map(abs, scene.speed_range_rpm)) or 1.0,
-        highest_order=TORQUE_ORDERS,
-        with_gas=scene.gas_torque is not None and scene.engine.gas is not None,
-    )
+    speed_rpm = run.speed_rpm if scene.speed_profile is None else max(map(abs, scene.speed_range_rpm)) or 1.0
+    with_gas = scene.gas_torque is not None and scene.engine.gas is not None
+    return lag_from_torque(scene.engine, flywheel_inertia_kg_m2=inertia, speed_rpm=speed_rpm, with_gas=with_gas)
 
 
 def begun_earlier(motion: Motion, seconds: float) -> Motion:
     """The same ``motion`` on a clock that starts ``seconds`` before the first sample, or after it where negative."""
     if seconds == 0:
         return motion
-    return replace(
-        motion,
-        start_rev=float(motion.at(np.array([-seconds]))[0][0]),
-        corners=tuple((time_s + seconds, rpm) for time_s, rpm in motion.corners),
-        wobbles=tuple((hz, rpm, phase - 360 * hz * seconds) for hz, rpm, phase in motion.wobbles),
-    )
+    corners = tuple((time_s + seconds, rpm) for time_s, rpm in motion.corners)
+    wobbles = tuple((hz, rpm, phase - 360 * hz * seconds) for hz, rpm, phase in motion.wobbles)
+    return replace(motion, start_rev=float(motion.at(np.array([-seconds]))[0][0]), corners=corners, wobbles=wobbles)
 
 
 def gain_of_cycle(scene: Scene, run: Run) -> Callable[[Ints], Floats] | None:

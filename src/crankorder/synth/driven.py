@@ -96,10 +96,10 @@ def step_weights(pole_per_s: Complexes, step_s: float, integration: Integration)
     lagrange = np.array(
         [np.prod([(points - other) / (node - other) for other in nodes if other != node], axis=0) for node in nodes]
     )
-    one = step_s * (np.exp(decay[:, None] * (1 - points)) * shares) @ lagrange.T
+    per_sample = step_s * (np.exp(decay[:, None] * (1 - points)) * shares) @ lagrange.T
     taps = np.zeros((pole_per_s.size, stencil + substeps - 1), dtype=np.complex128)
     for part in range(substeps):
-        taps[:, part : part + stencil] += np.exp(decay * (substeps - 1 - part))[:, None] * one
+        taps[:, part : part + stencil] += np.exp(decay * (substeps - 1 - part))[:, None] * per_sample
     return np.expm1(decay * substeps), taps
 
 

@@ -207,13 +207,9 @@ def _lost_pulses(track: Track, fault: LostPulses, stream: np.random.Generator) -
     lost = np.sort(stream.choice(inner, size=min(fault.count, inner.size), replace=False))
     keep = np.ones(track.lines.rise_s.size, dtype=np.bool_)
     keep[lost] = False
-    record = _record(
-        "encoder_missing_pulse",
-        f"{lost.size} lost pulses",
-        int(lost.size),
-        times_s=track.lines.rise_s[lost].tolist(),
-        lines=(track.lines.number[lost] % track.wheel.rise.size).tolist(),
-    )
+    times_s = track.lines.rise_s[lost].tolist()
+    lines = (track.lines.number[lost] % track.wheel.rise.size).tolist()
+    record = _record("encoder_missing_pulse", f"{lost.size} lost pulses", int(lost.size), times_s=times_s, lines=lines)
     return replace(track, lines=track.lines.where(keep)), record
 
 
@@ -247,9 +243,7 @@ def _double_pulses(track: Track, fault: DoublePulses, stream: np.random.Generato
     time_s, width, host, within = time_s[chosen], width[chosen], host[chosen], within[chosen]
     fall_s = lines.fall_s.copy()
     false = Pulses(
-        rise_s=time_s,
-        fall_s=np.where(within, fall_s[host], time_s + width),
-        number=np.full(time_s.size, FALSE_PULSE),
+        rise_s=time_s, fall_s=np.where(within, fall_s[host], time_s + width), number=np.full(time_s.size, FALSE_PULSE)
     )
     fall_s[host[within]] = time_s[within] - width[within]
     record = _record("encoder_double_pulse", f"{time_s.size} false pulses", int(time_s.size), times_s=time_s.tolist())
@@ -326,7 +320,14 @@ def encoder_signals(
     faulty = any(not fault.recordings or recording in fault.recordings for fault in faults)
     flaws = encoder.missing_teeth or encoder.eccentricity_deg or encoder.line_error_deg
     if not (faulty or flaws) and motion.is_steady and motion.corners[0][1] > 0:
-        return _plain_signals(motion, encoder, rate_hz=rate_hz, n_samples=n_samples)
+        start_turn = float(encoder_turn(np.array([motion.start_rev]), encoder)[0])
+        if not 0 <= start_turn < 1e3:  # whole turns would only cost digits, or not fit the counter
+            start_turn -= math.floor(start_turn)
+        speed_rpm, wave = encoder.ratio * motion.corners[0][1], {"rate_hz": rate_hz, "high_v": encoder.high_v}
+        trace, mark = sampled_encoder(
+            start_turn, speed_rpm, pulses_per_rev=encoder.pulses_per_rev, n_samples=n_samples, **wave
+        )
+        return EncoderSignals(trace=trace, index=mark if encoder.index else None, records=[])
     wheel, duration_s = wheel_of(encoder, seed=seed), n_samples / rate_hz
     lines = passed_pulses(wheel, motion, encoder, duration_s=duration_s)
     track = Track(lines=lines, wheel=wheel, duration_s=duration_s, shortest_s=SEEN_SAMPLES / rate_hz)
@@ -337,22 +338,6 @@ def encoder_signals(
         marks = passed_pulses(index_wheel(wheel), motion, encoder, duration_s=duration_s)
         index = sampled_level(marks, 1.0, rate_hz=rate_hz, n_samples=n_samples).astype(np.uint8)
     return EncoderSignals(trace=trace, index=index, records=records)
-
-
-def _plain_signals(motion: Motion, encoder: Encoder, *, rate_hz: float, n_samples: int) -> EncoderSignals:
-    """Signals of a perfect encoder on a shaft of constant speed forwards."""
-    start_turn = float(encoder_turn(np.array([motion.start_rev]), encoder)[0])
-    if not 0 <= start_turn < 1e3:  # whole turns would only cost digits, or not fit the counter
-        start_turn -= math.floor(start_turn)
-    trace, index = sampled_encoder(
-        start_turn,
-        encoder.ratio * motion.corners[0][1],
-        pulses_per_rev=encoder.pulses_per_rev,
-        high_v=encoder.high_v,
-        rate_hz=rate_hz,
-        n_samples=n_samples,
-    )
-    return EncoderSignals(trace=trace, index=index if encoder.index else None, records=[])
 
 
 def sampled_level(pulses: Pulses, high: float, *, rate_hz: float, n_samples: int) -> NDArray[np.float32]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numba import njit
@@ -143,9 +143,9 @@ def ringing(
     strike_sample, struck = strike_sample[rings], np.asarray(size, dtype=np.float64)[rings]
     entry_sample = np.maximum(np.ceil(strike_sample), 0.0)
     pole, weight = _poles(resonance_hz, damping_ratio, filter)
-    for one, by in zip(pole / rate_hz, weight, strict=True):
-        entry = by * struck * np.exp(one * (entry_sample - strike_sample))
-        _add_decaying(signal, entry_sample.astype(np.int64), entry, complex(np.exp(one)))
+    for decay, by in zip(pole / rate_hz, weight, strict=True):
+        entry = by * struck * np.exp(decay * (entry_sample - strike_sample))
+        _add_decaying(signal, entry_sample.astype(np.int64), entry, complex(np.exp(decay)))
     return signal
 
 
@@ -167,9 +167,8 @@ def _poles(resonance_hz: float, damping_ratio: float, filter: AnalogueFilter | N
     By partial fractions: what stands in series adds up. Source: any text on the Laplace transform.
     """
     if not (resonance_hz > 0 and 0 < damping_ratio < 1):
-        raise RequestError(
-            "no such resonance", found=f"{resonance_hz:g} Hz, ζ {damping_ratio:g}", allowed="> 0 Hz, 0 < ζ < 1"
-        )
+        allowed = "> 0 Hz, 0 < ζ < 1"
+        raise RequestError("no such resonance", found=f"{resonance_hz:g} Hz, ζ {damping_ratio:g}", allowed=allowed)
     undamped = math.sqrt((1 - damping_ratio) * (1 + damping_ratio))
     pole = 2 * math.pi * resonance_hz * complex(-damping_ratio, undamped)
     largest = undamped * math.exp(-damping_ratio / undamped * math.acos(damping_ratio))
@@ -346,19 +345,13 @@ def _masses(scene: Scene) -> list[_Force]:
     if scene.engine_forces.moments:
         acts[3:] = crankcase_moments(scene.engine, at_rpm, max_order=top)
     cause = "rotating" if scene.engine.largest_piston_kg == 0 else "reciprocating"
-    forces = [
-        _Force(float(k), acts[:, k], cause, at_speed_rpm=at_rpm, inertia=True)
-        for k in range(1, top + 1)
-        if acts[:, k].any()
-    ]
+    about: dict[str, Any] = {"cause": cause, "at_speed_rpm": at_rpm}
+    forces = [_Force(float(k), acts[:, k], **about, inertia=True) for k in range(1, top + 1) if acts[:, k].any()]
     accelerates = any((scene.speed_profile, scene.speed_wander, scene.in_cycle_speed))
     if scene.engine_forces.moments and accelerates:
         rolls = _acceleration_moment(scene, top) * (at_rpm * np.pi / 30) ** 2
-        forces += [
-            _Force(float(k), rolls[:, k], cause, at_speed_rpm=at_rpm, acceleration=True)
-            for k in range(top + 1)
-            if rolls[:, k].any()
-        ]
+        rolling = [k for k in range(top + 1) if rolls[:, k].any()]
+        forces += [_Force(float(k), rolls[:, k], **about, acceleration=True) for k in rolling]
     return forces
 
 
@@ -371,10 +364,10 @@ def _acceleration_moment(scene: Scene, top: int) -> Complexes:
     """
     engine, angle_rev = scene.engine, np.arange(ANGLES) / ANGLES
     moment = np.zeros((len(AXES), top + 1), dtype=np.complex128)
-    for one in engine.each:
-        inertia = one.reciprocating_mass_kg * piston_velocity(angle_rev, one.mechanism) ** 2
-        inertia += two_masses(one).missing_inertia_kg_m2 * rod_angle(angle_rev, one.mechanism)[1] ** 2
-        lead_rev = (one.cylinders[0].crank_deg - one.cylinders[0].bank_deg) / 360
+    for single in engine.each:
+        inertia = single.reciprocating_mass_kg * piston_velocity(angle_rev, single.mechanism) ** 2
+        inertia += two_masses(single).missing_inertia_kg_m2 * rod_angle(angle_rev, single.mechanism)[1] ** 2
+        lead_rev = (single.cylinders[0].crank_deg - single.cylinders[0].bank_deg) / 360
         sine, cosine = sine_cosine(lead_rev * np.arange(top + 1))
         # half of the lines' peaks, and the whole of the mean
         moment[AXES.index("RY")] += np.fft.rfft(inertia)[: top + 1] / ANGLES * (cosine + 1j * sine)
@@ -410,13 +403,9 @@ def _injected(scene: Scene, shaft: str | None, ratio: float) -> list[_Force]:
 
 
 def _stacked(forces: list[_Force]) -> ForceLines:
-    return ForceLines(
-        order=np.array([force.order for force in forces]),
-        amplitude=np.array([force.amplitude for force in forces], dtype=np.complex128).reshape(-1, len(AXES)).T,
-        at_speed_rpm=np.array([force.at_speed_rpm for force in forces]),
-        exponent=np.array([force.exponent for force in forces]),
-        inertia=np.array([force.inertia for force in forces], dtype=bool),
-        gas=np.array([force.gas for force in forces], dtype=bool),
-        acceleration=np.array([force.acceleration for force in forces], dtype=bool),
-        cause=tuple(force.cause for force in forces),
-    )
+    """The lines of all ``forces`` as one set of arrays."""
+    kinds = {"order": float, "at_speed_rpm": float, "exponent": float, "inertia": bool, "gas": bool}
+    kinds |= {"acceleration": bool}
+    columns = {key: np.array([getattr(force, key) for force in forces], dtype=kind) for key, kind in kinds.items()}
+    amplitude = np.array([force.amplitude for force in forces], dtype=np.complex128).reshape(-1, len(AXES)).T
+    return ForceLines(**columns, amplitude=amplitude, cause=tuple(force.cause for force in forces))

@@ -376,15 +376,15 @@ class Motion:
         cuts = [0.0, *(time for time in self.corner_s if 0 < time < duration_s), duration_s]
         edges = sorted({*cuts, *(time for time in self._zero_speed_s(cuts) if 0 < time < duration_s)})
         middles = np.array([0.5 * (start + stop) for start, stop in pairwise(edges)])
-        found: list[tuple[float, float]] = []
+        stretches: list[tuple[float, float]] = []
         way = 0.0
         for (start, stop), rpm in zip(pairwise(edges), self._mean(middles)[1], strict=True):
-            if found and np.sign(rpm) == way and found[-1][1] == start:
-                found[-1] = (found[-1][0], stop)
+            if stretches and np.sign(rpm) == way and stretches[-1][1] == start:
+                stretches[-1] = (stretches[-1][0], stop)
             elif rpm != 0:
-                found.append((start, stop))
+                stretches.append((start, stop))
                 way = np.sign(rpm)
-        return tuple(found)
+        return tuple(stretches)
 
     def time_at(self, angle_rev: Floats, stretch: tuple[float, float]) -> Floats:
         """Times (s), shape (n,), at which the shaft passes each angle in a stretch, exact to round-off.

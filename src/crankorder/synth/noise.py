@@ -124,10 +124,7 @@ def density_through_points(part: ColouredNoise, frequency_hz: Floats) -> Floats:
 
 
 def folded_density(
-    density: Callable[[Floats], Floats],
-    filter: AnalogueFilter | None,
-    rate_hz: float,
-    frequency_hz: Floats,
+    density: Callable[[Floats], Floats], filter: AnalogueFilter | None, rate_hz: float, frequency_hz: Floats
 ) -> Floats:
     """One-sided density of noise behind an analogue filter after sampling, shape of ``frequency_hz``.
 
@@ -206,12 +203,9 @@ def floor_of(scene: Scene, rate_hz: float) -> Floor:
     n_shaped = padded_length(scene.n_samples, scene.n_samples // SHAPED_TAIL)
     frequency: Density = np.arange(n_shaped // 2 + 1, dtype=np.float64) * (rate_hz / n_shaped)
     shapes_sensors = scene.sensor_noise and scene.filter
-    return Floor(
-        n_padded=n_padded,
-        response=(lambda: held) if held else response,
-        sensor=folded_density(np.ones_like, scene.filter, rate_hz, frequency) if shapes_sensors else None,
-        coloured=tuple(_coloured_density(scene, k, frequency, rate_hz) for k in range(len(scene.coloured_noise))),
-    )
+    sensor = folded_density(np.ones_like, scene.filter, rate_hz, frequency) if shapes_sensors else None
+    coloured = tuple(_coloured_density(scene, k, frequency, rate_hz) for k in range(len(scene.coloured_noise)))
+    return Floor(n_padded=n_padded, response=(lambda: held) if held else response, sensor=sensor, coloured=coloured)
 
 
 def noise_signal(scene: Scene, run: Run, floor: Floor) -> NDArray[np.float32]:
@@ -222,16 +216,12 @@ def noise_signal(scene: Scene, run: Run, floor: Floor) -> NDArray[np.float32]:
     """
     rate_hz, n_samples = scene.rate_hz(run.speed_rpm), scene.n_samples
     noise = np.zeros((len(scene.channels), n_samples), dtype=np.float32)
-    if scene.broadband is not None and _driven_axes(scene):
-        white = [
-            white_spectrum(
-                seed_stream(scene.seed, "broadband", run.stream, axis),
-                scene.broadband.force_n_per_root_hz[axis],
-                rate_hz=rate_hz,
-                n_samples=floor.n_padded,
-            )
-            for axis in _driven_axes(scene)
-        ]
+    forces = scene.broadband.force_n_per_root_hz if scene.broadband is not None else {}
+    if any(forces.values()):
+        white = []
+        for axis in _driven_axes(scene):
+            stream, density = seed_stream(scene.seed, "broadband", run.stream, axis), forces[axis]
+            white.append(white_spectrum(stream, density, rate_hz=rate_hz, n_samples=floor.n_padded))
         put_coloured_noise(noise, white, floor.response())
     for row, name in zip(noise, scene.channel_names, strict=True):
         level = scene.sensor_noise.m_s2_per_root_hz.get(name, 0.0) if scene.sensor_noise else 0.0

@@ -64,16 +64,10 @@ class ForceLines:
 
     def only(self, chosen: Bools) -> ForceLines:
         """The ``chosen`` (line,) lines."""
-        return ForceLines(
-            order=self.order[chosen],
-            amplitude=self.amplitude[:, chosen],
-            at_speed_rpm=self.at_speed_rpm[chosen],
-            exponent=self.exponent[chosen],
-            inertia=self.inertia[chosen],
-            gas=self.gas[chosen],
-            cause=tuple(cause for cause, kept in zip(self.cause, chosen.tolist(), strict=True) if kept),
-            acceleration=self.accelerates[chosen],
-        )
+        by_line = ("order", "at_speed_rpm", "exponent", "inertia", "gas")
+        columns = {key: getattr(self, key)[chosen] for key in by_line} | {"acceleration": self.accelerates[chosen]}
+        cause = tuple(cause for cause, kept in zip(self.cause, chosen.tolist(), strict=True) if kept)
+        return ForceLines(**columns, amplitude=self.amplitude[:, chosen], cause=cause)
 
     def at_speed(self, speed_rpm: float) -> Complexes:
         """Complex peaks (axis, line) at a constant ``speed_rpm``, backwards negative, every gain 1.
@@ -87,27 +81,41 @@ class ForceLines:
         return self.amplitude * scale
 
     @cached_property
-    def sums(self) -> _Sums:
-        """The lines as sums over phasors, one sum for each axis and each way of growing with the motion."""
-        return _sums(self)
+    def sums(self) -> tuple[Phasors, tuple[_Factor, ...]]:
+        """Phasors whose sums the lines are, one for each axis and factor, and the factor that each sum gets in the end.
+
+        Terms are gathered by order, each with the factor and axis it belongs to.
+        """
+        factors: dict[_Factor, int] = {}
+        by_order: dict[float, dict[int, complex]] = {}
+        n_axes = self.amplitude.shape[0]
+        for number, order in enumerate(self.order.tolist()):
+            for factor, share in _factors(self, number):
+                row = factors.setdefault(factor, len(factors))
+                for axis in np.flatnonzero(self.amplitude[:, number]).tolist():
+                    into, goes_to = by_order.setdefault(order, {}), row * n_axes + axis
+                    into[goes_to] = into.get(goes_to, 0) + share * complex(self.amplitude[axis, number])
+        halves = sorted(order for order in by_order if order > 0 and (2 * order).is_integer())
+        orders = [*halves, *(order for order in by_order if order not in set(halves))]
+        unit = math.gcd(*(int(2 * value) for value in halves)) if halves else 1
+        steps = np.diff(np.array([0.0, *orders])) * 2 / unit
+        steps[len(halves) :] = 0
+        jump = np.where(steps <= LONGEST_JUMP, steps, 0).astype(np.int64)
+        terms = [(goes_to, weight) for value in orders for goes_to, weight in by_order[value].items()]
+        weight = np.array([term[1] for term in terms], dtype=np.complex128)
+        weights, sums = np.stack([weight.real, weight.imag], axis=1), np.array([term[0] for term in terms], np.int64)
+        first_term = np.cumsum([0, *(len(by_order[value]) for value in orders)])
+        phasors = unit / 2, jump, np.array(orders, dtype=np.float64), first_term, weights, sums
+        return phasors, tuple(factors)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Sums:
-    """What the compiled loop takes: phasors, the terms of each, and the factor that each sum gets in the end.
+Phasors = tuple[float, Ints, Floats, Ints, Floats, Ints]
+"""What the compiled loop takes: unit, jump, order and first term of the phasors, weight and sum of the terms.
 
-    A phasor is ``jump`` multiplications by the base phasor exp(2πi unit rev) away from the one before, or, where jump
-    is 0, the sine and cosine of order · rev. Its terms are ``first_term[i]`` … ``first_term[i + 1]``: weight real and
-    imaginary, and the sum it goes to, factor · axes + axis.
-    """
-
-    unit: float
-    jump: Ints
-    order: Floats
-    first_term: Ints
-    weight: Floats
-    goes_to: Ints
-    factors: tuple[_Factor, ...]
+A phasor is ``jump`` multiplications by the base phasor exp(2πi unit rev) away from the one before, or, where jump
+is 0, the sine and cosine of order · rev. Its terms are ``first_term[i]`` … ``first_term[i + 1]``: weight real and
+imaginary, and the sum it goes to, factor · axes + axis.
+"""
 
 
 @dataclass(frozen=True)
@@ -130,11 +138,7 @@ class _Factor:
 
 
 def force_at(
-    lines: ForceLines,
-    angle_rev: Floats,
-    speed_rpm: Floats,
-    acceleration_rpm_per_s: Floats,
-    gain: Floats | float = 1.0,
+    lines: ForceLines, angle_rev: Floats, speed_rpm: Floats, acceleration_rpm_per_s: Floats, gain: Floats | float = 1.0
 ) -> Floats:
     """Forces and moments of ``lines`` (N, N·m), shape (axis, n), where the shaft moves as stated.
 
@@ -145,45 +149,15 @@ def force_at(
     force = np.zeros((lines.amplitude.shape[0], angle_rev.size))
     if np.any(lines.exponent[~(lines.inertia | lines.accelerates)] < 0) and not np.all(speed_rpm):
         raise RequestError(ENDLESS, allowed="speed ≠ 0")
-    sums = lines.sums
-    rows = np.empty((len(sums.factors), angle_rev.size))
-    live = np.ones(len(sums.factors), dtype=np.bool_)
-    for number, (row, factor) in enumerate(zip(rows, sums.factors, strict=True)):
+    phasors, factors = lines.sums
+    rows = np.empty((len(factors), angle_rev.size))
+    live = np.ones(len(factors), dtype=np.bool_)
+    for number, (row, factor) in enumerate(zip(rows, factors, strict=True)):
         row[:] = factor.at(speed_rpm, acceleration_rpm_per_s, gain)
         live[number] = factor.of != "acceleration" or row.any()
-    if angle_rev.size and sums.jump.size:
-        phasors = sums.unit, sums.jump, sums.order, sums.first_term, sums.weight, sums.goes_to
+    if angle_rev.size and phasors[1].size:
         fill_forces(np.ascontiguousarray(angle_rev, dtype=np.float64), *phasors, rows, live, force)
     return force
-
-
-def _sums(lines: ForceLines) -> _Sums:
-    """Terms gathered by order, each with the factor and axis it belongs to."""
-    factors: dict[_Factor, int] = {}
-    by_order: dict[float, dict[int, complex]] = {}
-    n_axes = lines.amplitude.shape[0]
-    for number, order in enumerate(lines.order.tolist()):
-        for factor, share in _factors(lines, number):
-            row = factors.setdefault(factor, len(factors))
-            for axis in np.flatnonzero(lines.amplitude[:, number]).tolist():
-                into, goes_to = by_order.setdefault(order, {}), row * n_axes + axis
-                into[goes_to] = into.get(goes_to, 0) + share * complex(lines.amplitude[axis, number])
-    halves = sorted(order for order in by_order if order > 0 and (2 * order).is_integer())
-    order = [*halves, *(order for order in by_order if order not in set(halves))]
-    unit = math.gcd(*(int(2 * value) for value in halves)) if halves else 1
-    steps = np.diff(np.array([0.0, *order])) * 2 / unit
-    steps[len(halves) :] = 0
-    terms = [(goes_to, weight) for value in order for goes_to, weight in by_order[value].items()]
-    weight = np.array([term[1] for term in terms], dtype=np.complex128)
-    return _Sums(
-        unit=unit / 2,
-        jump=np.where(steps <= LONGEST_JUMP, steps, 0).astype(np.int64),
-        order=np.array(order, dtype=np.float64),
-        first_term=np.cumsum([0, *(len(by_order[value]) for value in order)]),
-        weight=np.stack([weight.real, weight.imag], axis=1),
-        goes_to=np.array([term[0] for term in terms], dtype=np.int64),
-        factors=tuple(factors),
-    )
 
 
 def _factors(lines: ForceLines, number: int) -> list[tuple[_Factor, complex]]:
@@ -203,7 +177,7 @@ def fill_forces(angle_rev, unit, jump, order, first_term, weight, goes_to, rows,
     """Sums of phasors added to ``force`` (axis, n), block by block.
 
     ``angle_rev`` (n,), ``rows`` (factor, n) and ``live`` (factor,): the motion and what it makes of the factors; which
-    of them are not all 0. ``unit``, ``jump``, ``order``, ``first_term``, ``weight``, ``goes_to``: see ``_Sums``.
+    of them are not all 0. ``unit``, ``jump``, ``order``, ``first_term``, ``weight``, ``goes_to``: see ``Phasors``.
     """
     n_axes = force.shape[0]
     base_re, base_im = np.zeros(BLOCK), np.zeros(BLOCK)

@@ -119,22 +119,14 @@ class Poles:
 
     def seen_by(self, channels: NDArray[np.intp]) -> Poles:
         """The poles as some ``channels`` (channel,), numbers from 0, see them."""
-        return Poles(
-            pole_per_s=self.pole_per_s,
-            input=self.input,
-            output=np.ascontiguousarray(self.output[channels]),
-            direct=self.direct[channels],
-        )
+        output = np.ascontiguousarray(self.output[channels])
+        return Poles(pole_per_s=self.pole_per_s, input=self.input, output=output, direct=self.direct[channels])
 
     def driven_on(self, axes: Bools) -> Poles:
         """The poles that forces on some ``axes`` (axis,) move, all others left out."""
         moved = self.input[:, axes].any(axis=1)
-        return Poles(
-            pole_per_s=self.pole_per_s[moved],
-            input=self.input[moved],
-            output=np.ascontiguousarray(self.output[:, moved]),
-            direct=self.direct,
-        )
+        output = np.ascontiguousarray(self.output[:, moved])
+        return Poles(pole_per_s=self.pole_per_s[moved], input=self.input[moved], output=output, direct=self.direct)
 
 
 def poles_of(structure: Structure, filter: AnalogueFilter | None = None) -> Poles:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -142,13 +143,10 @@ def _strikes(scene: Scene, run: Run, motion: Motion, number: int) -> tuple[Float
         end_rev=float(max(ends.max() for _, ends in turning)),
         stream=stream,
     )
+    shaft_ratio = bearing.shaft_ratio
+    cage_order = slipping_line(orders.get("FTF", 0.0), slip_percent=part.slip_percent)
     size = modulation(
-        part.line,
-        angles,
-        load_zone=part.load_zone,
-        shaft_ratio=bearing.shaft_ratio,
-        cage_order=slipping_line(orders.get("FTF", 0.0), slip_percent=part.slip_percent),
-        phase_rev=phase_rev,
+        part.line, angles, load_zone=part.load_zone, shaft_ratio=shaft_ratio, cage_order=cage_order, phase_rev=phase_rev
     )
     times, sizes = [], []
     for stretch, ends in turning:
@@ -240,31 +238,16 @@ def synthesise(scene: Scene, run: Run, floor: Floor) -> SyntheticRecording:
     of the run.
     """
     signal, rate_hz = sensed(scene, run, floor), scene.rate_hz(run.speed_rpm)
+    of_run: dict[str, Any] = {"recording": run.name, "stream": run.stream, "rate_hz": rate_hz, "seed": scene.seed}
     faults: list[dict[str, Json]] = []
     if scene.signal_faults:
-        signal, faults = with_signal_faults(
-            signal,
-            scene.signal_faults,
-            names=scene.channel_names,
-            recording=run.name,
-            stream=run.stream,
-            rate_hz=rate_hz,
-            seed=scene.seed,
-        )
+        signal, faults = with_signal_faults(signal, scene.signal_faults, names=scene.channel_names, **of_run)
     encoder = None
     if scene.encoder is not None:
-        encoder = encoder_signals(
-            crank_motion(scene, run),
-            scene.encoder,
-            scene.encoder_faults,
-            seed=scene.seed,
-            recording=run.name,
-            stream=run.stream,
-            rate_hz=rate_hz,
-            n_samples=scene.n_samples,
-        )
+        motion, n_samples = crank_motion(scene, run), scene.n_samples
+        encoder = encoder_signals(motion, scene.encoder, scene.encoder_faults, n_samples=n_samples, **of_run)
         faults += encoder.records
-    made = recorded(signal, scene.acquisition)
-    faults += converter_records(made.clipped_share, names=scene.channel_names, recording=run.name)
+    converted = recorded(signal, scene.acquisition)
+    faults += converter_records(converted.clipped_share, names=scene.channel_names, recording=run.name)
     named = [{**fault, "recording": f"{run.name}.h5"} for fault in faults]
-    return SyntheticRecording(recorded=made, encoder=encoder, faults=named)
+    return SyntheticRecording(recorded=converted, encoder=encoder, faults=named)

@@ -12,37 +12,8 @@ from pydantic import Field
 from crankorder.engine.definition import Engine
 from crankorder.engine.slider_crank import orders_for
 from crankorder.quantities import Floats
+from crankorder.synth import parts
 from crankorder.synth.analogue import AnalogueFilter, analogue_filter, true_rate_hz
-from crankorder.synth.parts import (
-    AXES,
-    Acquisition,
-    AnyEncoderFault,
-    AnySignalFault,
-    BearingImpacts,
-    BearingLine,
-    Broadband,
-    ByAxis,
-    ByChannel,
-    Channel,
-    ColouredNoise,
-    CrankAngleSampling,
-    Encoder,
-    EngineForces,
-    GasTorque,
-    InCycleSpeed,
-    InjectedOrder,
-    Mode,
-    OtherShaft,
-    Part,
-    Quick,
-    SensorNoise,
-    SpeedProfile,
-    Speeds,
-    TimeSampling,
-    Tone,
-    Wander,
-    WrongLabels,
-)
 from crankorder.synth.poles import Structure
 
 SWEEP = "sweep"
@@ -63,7 +34,7 @@ class Run:
         return self.name if self.repeat == 0 else f"{self.name}#{self.repeat}"
 
 
-class Scene(Part):
+class Scene(parts.Part):
     """A whole scene; an effect that is absent costs nothing."""
 
     schema_version: Literal[1]
@@ -71,31 +42,31 @@ class Scene(Part):
     engine_file: str
     engine: Engine
     seed: Annotated[int, Field(ge=0)]
-    sampling: TimeSampling | CrankAngleSampling = Field(discriminator="domain")
-    channels: tuple[Channel, ...] = Field(min_length=1, strict=False)
-    speeds: Speeds | None = None
-    speed_profile: SpeedProfile | None = None
+    sampling: parts.TimeSampling | parts.CrankAngleSampling = Field(discriminator="domain")
+    channels: tuple[parts.Channel, ...] = Field(min_length=1, strict=False)
+    speeds: parts.Speeds | None = None
+    speed_profile: parts.SpeedProfile | None = None
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
-    quick: Quick = Quick()
-    modes: tuple[Mode, ...] = Field(default=(), strict=False)
-    rigid_body_per_kg: dict[str, ByAxis] = Field(default_factory=dict)
-    other_shafts: tuple[OtherShaft, ...] = Field(default=(), strict=False)
-    speed_wander: Wander | None = None
-    in_cycle_speed: InCycleSpeed | None = None
-    engine_forces: EngineForces | None = None
-    gas_torque: GasTorque | None = None
-    injected_orders: tuple[InjectedOrder, ...] = Field(default=(), strict=False)
-    bearing_lines: tuple[BearingLine, ...] = Field(default=(), strict=False)
-    bearing_impacts: tuple[BearingImpacts, ...] = Field(default=(), strict=False)
-    tones: tuple[Tone, ...] = Field(default=(), strict=False)
-    broadband: Broadband | None = None
-    sensor_noise: SensorNoise | None = None
-    coloured_noise: tuple[ColouredNoise, ...] = Field(default=(), strict=False)
-    acquisition: Acquisition = Acquisition()
-    encoder: Encoder | None = None
-    encoder_faults: tuple[AnyEncoderFault, ...] = Field(default=(), strict=False)
-    signal_faults: tuple[AnySignalFault, ...] = Field(default=(), strict=False)
-    wrong_labels: WrongLabels | None = None
+    quick: parts.Quick = parts.Quick()
+    modes: tuple[parts.Mode, ...] = Field(default=(), strict=False)
+    rigid_body_per_kg: dict[str, parts.ByAxis] = Field(default_factory=dict)
+    other_shafts: tuple[parts.OtherShaft, ...] = Field(default=(), strict=False)
+    speed_wander: parts.Wander | None = None
+    in_cycle_speed: parts.InCycleSpeed | None = None
+    engine_forces: parts.EngineForces | None = None
+    gas_torque: parts.GasTorque | None = None
+    injected_orders: tuple[parts.InjectedOrder, ...] = Field(default=(), strict=False)
+    bearing_lines: tuple[parts.BearingLine, ...] = Field(default=(), strict=False)
+    bearing_impacts: tuple[parts.BearingImpacts, ...] = Field(default=(), strict=False)
+    tones: tuple[parts.Tone, ...] = Field(default=(), strict=False)
+    broadband: parts.Broadband | None = None
+    sensor_noise: parts.SensorNoise | None = None
+    coloured_noise: tuple[parts.ColouredNoise, ...] = Field(default=(), strict=False)
+    acquisition: parts.Acquisition = parts.Acquisition()
+    encoder: parts.Encoder | None = None
+    encoder_faults: tuple[parts.AnyEncoderFault, ...] = Field(default=(), strict=False)
+    signal_faults: tuple[parts.AnySignalFault, ...] = Field(default=(), strict=False)
+    wrong_labels: parts.WrongLabels | None = None
 
     @cached_property
     def channel_names(self) -> tuple[str, ...]:
@@ -109,13 +80,15 @@ class Scene(Part):
             self.by_channel(mode.sensor_per_kg) * np.exp(1j * np.radians(self.by_channel(mode.sensor_phase_deg)))
             for mode in self.modes
         ]
-        drive = [[mode.drive.get(axis, 0.0) for axis in AXES] for mode in self.modes]
-        rigid = [[self.rigid_body_per_kg.get(name, {}).get(axis, 0.0) for axis in AXES] for name in self.channel_names]
+        drive = [[mode.drive.get(axis, 0.0) for axis in parts.AXES] for mode in self.modes]
+        rigid = [
+            [self.rigid_body_per_kg.get(name, {}).get(axis, 0.0) for axis in parts.AXES] for name in self.channel_names
+        ]
         return Structure(
             frequency_hz=np.array([mode.frequency_hz for mode in self.modes]),
             damping_ratio=np.array([mode.damping_ratio for mode in self.modes]),
             sensor_per_kg=np.array(turned, dtype=np.complex128).reshape(len(self.modes), len(self.channels)),
-            drive=np.array(drive).reshape(-1, len(AXES)),
+            drive=np.array(drive).reshape(-1, len(parts.AXES)),
             rigid_body_per_kg=np.array(rigid),
         )
 
@@ -129,7 +102,7 @@ class Scene(Part):
         """Highest order of the engine's forces that the tolerance needs; 0 where the scene has none."""
         if not self.engine_forces:
             return 0
-        lengths = {one.mechanism for one in self.engine.each}
+        lengths = {single.mechanism for single in self.engine.each}
         return max(orders_for(self.engine_forces.tolerance, mechanism) for mechanism in lengths)
 
     @cached_property
@@ -157,20 +130,20 @@ class Scene(Part):
         """The recordings of the first repeat."""
         return self.runs_of(0)
 
-    def by_channel(self, values: ByChannel) -> Floats:
+    def by_channel(self, values: parts.ByChannel) -> Floats:
         """``values`` in the sequence of the channels, zero where a channel is not named, shape (channel,)."""
         return np.array([values.get(name, 0.0) for name in self.channel_names])
 
     def rate_hz(self, speed_rpm: float) -> float:
         """Samples per true second at ``speed_rpm``: the clock's error is in it, the label's is not."""
-        if isinstance(self.sampling, TimeSampling):
+        if isinstance(self.sampling, parts.TimeSampling):
             return true_rate_hz(self.acquisition, self.sampling.rate_hz)
         return self.sampling.samples_per_rev * speed_rpm / 60
 
     @property
     def n_samples(self) -> int:
         """Samples of a channel of one recording."""
-        if isinstance(self.sampling, TimeSampling):
+        if isinstance(self.sampling, parts.TimeSampling):
             return max(1, round(self.sampling.rate_hz * self.sampling.duration_s))
         return self.sampling.samples_per_rev * self.sampling.revs
 

@@ -13,18 +13,8 @@ from numpy.typing import NDArray
 from crankorder.quantities import Floats, Severity
 from crankorder.records import Json
 from crankorder.settings import IngestSettings, load_settings
+from crankorder.synth import parts
 from crankorder.synth.noise import seed_stream
-from crankorder.synth.parts import (
-    AnySignalFault,
-    Clipping,
-    Drift,
-    Dropout,
-    DroppedSamples,
-    IepeOverload,
-    NotANumber,
-    SignalFault,
-    Spikes,
-)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,7 +50,7 @@ class _Mark:
 
 def with_signal_faults(
     signal: Floats,
-    faults: Sequence[AnySignalFault],
+    faults: Sequence[parts.AnySignalFault],
     *,
     names: Sequence[str],
     recording: str,
@@ -92,7 +82,7 @@ def with_signal_faults(
         for clean, samples, name in zip(signal, faulty, names, strict=True):
             if fault.channels and name not in fault.channels:
                 continue
-            if isinstance(fault, DroppedSamples):
+            if isinstance(fault, parts.DroppedSamples):
                 _move(fault, [mark for other, mark in marks if other == name], rate_hz, samples.size)
             chance = seed_stream(seed, "signal_faults", str(number), stream, name)
             peak = float(np.max(np.abs(clean), where=np.isfinite(clean), initial=0.0))
@@ -121,7 +111,7 @@ def converter_records(clipped_share: Floats, *, names: Sequence[str], recording:
 
 
 def impossible_faults(
-    faults: Sequence[AnySignalFault], *, n_samples: int, duration_s: float
+    faults: Sequence[parts.AnySignalFault], *, n_samples: int, duration_s: float
 ) -> Iterator[tuple[str, str, str, str]]:
     """Problem, place, what was found and what is allowed for each of ``faults`` that a recording is too short for.
 
@@ -129,17 +119,17 @@ def impossible_faults(
     """
     for number, fault in enumerate(faults):
         place, first = f"signal_faults.{number}", 0.0
-        if isinstance(fault, IepeOverload | NotANumber | DroppedSamples | Dropout):
+        if isinstance(fault, parts.IepeOverload | parts.NotANumber | parts.DroppedSamples | parts.Dropout):
             first = fault.at_s * n_samples / duration_s
         if first > n_samples - 1:
             yield "begins after the end", f"{place}.at_s", f"sample {first:.0f}", f"below {n_samples}"
-        elif isinstance(fault, DroppedSamples) and first + fault.count > n_samples - 2:
+        elif isinstance(fault, parts.DroppedSamples) and first + fault.count > n_samples - 2:
             yield "fewer samples are left to drop", f"{place}.count", str(fault.count), f"{n_samples - 2 - first:.0f}"
-        if isinstance(fault, Spikes) and fault.count > n_samples:
+        if isinstance(fault, parts.Spikes) and fault.count > n_samples:
             yield "more spikes than samples", f"{place}.count", str(fault.count), f"up to {n_samples}"
 
 
-def _move(fault: DroppedSamples, marks: list[_Mark], rate_hz: float, n_samples: int) -> None:
+def _move(fault: parts.DroppedSamples, marks: list[_Mark], rate_hz: float, n_samples: int) -> None:
     """Let ``marks`` go with the samples that come early, and that of the last sample with those that it fills."""
     first = math.ceil(fault.at_s * rate_hz - 1e-6)
     fill = np.arange(n_samples - fault.count, n_samples)
@@ -166,12 +156,12 @@ def _record(mark: _Mark, name: str, recording: str, rate_hz: float) -> dict[str,
 
 
 @singledispatch
-def _apply(fault: SignalFault, channel: _Channel) -> _Mark:
+def _apply(fault: parts.SignalFault, channel: _Channel) -> _Mark:
     raise TypeError(f"no such fault: {type(fault).__name__}")
 
 
 @_apply.register
-def _clip(fault: Clipping, channel: _Channel) -> _Mark:
+def _clip(fault: parts.Clipping, channel: _Channel) -> _Mark:
     level = fault.of_peak * channel.peak
     beyond = np.abs(channel.samples) > level
     np.clip(channel.samples, -level, level, out=channel.samples)
@@ -186,7 +176,7 @@ def _clip(fault: Clipping, channel: _Channel) -> _Mark:
 
 
 @_apply.register
-def _overload(fault: IepeOverload, channel: _Channel) -> _Mark:
+def _overload(fault: parts.IepeOverload, channel: _Channel) -> _Mark:
     at = channel.span(fault.at_s, math.inf)
     step = fault.times_peak * channel.peak
     channel.samples[at[0] :] += step * np.exp((fault.at_s - at / channel.rate_hz) / fault.decay_s)
@@ -196,21 +186,18 @@ def _overload(fault: IepeOverload, channel: _Channel) -> _Mark:
 
 
 @_apply.register
-def _lose(fault: NotANumber, channel: _Channel) -> _Mark:
+def _lose(fault: parts.NotANumber, channel: _Channel) -> _Mark:
     at = channel.span(fault.at_s, fault.duration_s)
     channel.samples[at] = np.nan
     few = at.size <= channel.limits.max_gap_samples
     few &= at.size <= channel.limits.max_gap_fraction * channel.samples.size
-    return _Mark(
-        flag="non_finite_interpolated" if few else "gap",
-        severity="suspect" if at.size <= channel.limits.max_missing_fraction * channel.samples.size else "bad",
-        detail=f"{at.size} samples missing from {fault.at_s:g} s",
-        at=at,
-    )
+    most = channel.limits.max_missing_fraction * channel.samples.size
+    flag, detail = "non_finite_interpolated" if few else "gap", f"{at.size} samples missing from {fault.at_s:g} s"
+    return _Mark(flag=flag, severity="suspect" if at.size <= most else "bad", detail=detail, at=at)
 
 
 @_apply.register
-def _spike(fault: Spikes, channel: _Channel) -> _Mark:
+def _spike(fault: parts.Spikes, channel: _Channel) -> _Mark:
     at = np.sort(channel.stream.choice(channel.samples.size, size=fault.count, replace=False))
     value = fault.times_peak * channel.peak
     channel.samples[at] = value * channel.stream.choice([-1.0, 1.0], size=fault.count)
@@ -219,7 +206,7 @@ def _spike(fault: Spikes, channel: _Channel) -> _Mark:
 
 
 @_apply.register
-def _drift(fault: Drift, channel: _Channel) -> _Mark:
+def _drift(fault: parts.Drift, channel: _Channel) -> _Mark:
     n = channel.samples.size
     channel.samples[:] += np.linspace(fault.offset_m_s2, fault.offset_m_s2 + fault.drift_m_s2, n)
     detail = f"offset {fault.offset_m_s2:g} m/s2, rising by {fault.drift_m_s2:g} m/s2 over the recording"
@@ -228,7 +215,7 @@ def _drift(fault: Drift, channel: _Channel) -> _Mark:
 
 
 @_apply.register
-def _drop(fault: DroppedSamples, channel: _Channel) -> _Mark:
+def _drop(fault: parts.DroppedSamples, channel: _Channel) -> _Mark:
     samples, first = channel.samples, int(channel.span(fault.at_s, 0.0)[0])
     if first + fault.count >= samples.size:
         raise ValueError(f"{fault.count} samples cannot be dropped at {fault.at_s} s: fewer are left")
@@ -241,7 +228,7 @@ def _drop(fault: DroppedSamples, channel: _Channel) -> _Mark:
 
 
 @_apply.register
-def _zero(fault: Dropout, channel: _Channel) -> _Mark:
+def _zero(fault: parts.Dropout, channel: _Channel) -> _Mark:
     at = channel.span(fault.at_s, fault.duration_s)
     channel.samples[at] = 0.0
     found = at.size >= channel.limits.dropout_samples

@@ -10,9 +10,9 @@ import numpy as np
 from crankorder.engine.forces import crankcase_forces
 from crankorder.engine.machine_parts import bearing_orders
 from crankorder.engine.slider_crank import acceleration_harmonics
-from crankorder.quantities import Complexes, Floats, Truth
+from crankorder.quantities import Truth
 from crankorder.records import Json
-from crankorder.synth.lines import OrderLines, crank_forces, fixed_lines, order_lines, slipping_line, strikes_per_rev
+from crankorder.synth.lines import crank_forces, fixed_lines, order_lines, slipping_line, strikes_per_rev
 from crankorder.synth.noise import floor_density
 from crankorder.synth.parts import BearingImpacts, BearingLine
 from crankorder.synth.scene import Run, Scene
@@ -100,7 +100,10 @@ def _orders(scene: Scene, runs: tuple[Run, ...]) -> list[dict[str, Json]]:
     duration_s = scene.n_samples / rate_hz / (1 if scene.speed_profile is None else SWEEP_PARTS)
     records: list[dict[str, Json]] = []
     least = LEAST_SHARE * max(np.abs(part.amplitude).max(initial=0.0) for part in lines)
-    orders, amplitudes = _gathered(lines)
+    orders = np.unique(np.concatenate([part.order for part in lines]))
+    amplitudes = np.zeros((len(lines), orders.size, len(scene.channels)), dtype=np.complex128)
+    for at_speed, part in zip(amplitudes, lines, strict=True):
+        np.add.at(at_speed, np.searchsorted(orders, part.order), part.amplitude.T)
     at = zip(np.abs(speed) / 60, rate_hz, strict=True)
     floors = np.array([floor_density(scene, orders * turns_hz, scene.structure, rate) for turns_hz, rate in at])
     for order, amplitude, floor in zip(orders, amplitudes.transpose(1, 2, 0), floors.transpose(2, 1, 0), strict=True):
@@ -111,6 +114,8 @@ def _orders(scene: Scene, runs: tuple[Run, ...]) -> list[dict[str, Json]]:
             if order == 0 or size.max() <= least:
                 continue
             peak, shows = int(size.argmax()), above_floor_db[channel] >= VISIBLE_DB
+            alike = np.flatnonzero(lines[peak].order == order)
+            cause = lines[peak].cause[alike[np.abs(lines[peak].amplitude[channel, alike]).argmax()]]
             records.append(
                 {
                     "channel": name,
@@ -121,7 +126,7 @@ def _orders(scene: Scene, runs: tuple[Run, ...]) -> list[dict[str, Json]]:
                     "unit": UNIT,
                     "speed_rpm_at_max": float(speed[peak]),
                     "speed_range_rpm": [float(speed[shows].min()), float(speed[shows].max())] if shows.any() else None,
-                    "explained_by": _strongest_cause(lines[peak], order, channel),
+                    "explained_by": cause,
                     "speed_rpm": speed.tolist(),
                     "amplitude_by_speed": size.tolist(),
                     "phase_deg_by_speed": np.degrees(np.angle(amplitude[channel])).tolist(),
@@ -129,21 +134,6 @@ def _orders(scene: Scene, runs: tuple[Run, ...]) -> list[dict[str, Json]]:
                 }
             )
     return records
-
-
-def _gathered(lines: list[OrderLines]) -> tuple[Floats, Complexes]:
-    """Every order of ``lines``, and their amplitudes (speed, order, channel), those of one order added up."""
-    orders = np.unique(np.concatenate([part.order for part in lines]))
-    amplitudes = np.zeros((len(lines), orders.size, len(lines[0].amplitude)), dtype=np.complex128)
-    for at_speed, part in zip(amplitudes, lines, strict=True):
-        np.add.at(at_speed, np.searchsorted(orders, part.order), part.amplitude.T)
-    return orders, amplitudes
-
-
-def _strongest_cause(lines: OrderLines, order: float, channel: int) -> str:
-    made_here = np.flatnonzero(lines.order == order)
-    strongest = int(np.abs(lines.amplitude[channel, made_here]).argmax())
-    return lines.cause[int(made_here[strongest])]
 
 
 def _modes(scene: Scene) -> list[dict[str, Json]]:
@@ -159,14 +149,8 @@ def _modes(scene: Scene) -> list[dict[str, Json]]:
             alone = floor_density(scene, at, without, rate_hz)
             lift_db = 20 * np.log10(floor_density(scene, at, structure, rate_hz) / alone)[:, 0]
         shows = [name for name, lift in zip(scene.channel_names, lift_db, strict=True) if lift >= PROMINENT_DB]
-        records.append(
-            {
-                "frequency_hz": mode.frequency_hz,
-                "damping_ratio": mode.damping_ratio,
-                "channels": shows,
-                "explained_by": "mode",
-            }
-        )
+        about = {"frequency_hz": mode.frequency_hz, "damping_ratio": mode.damping_ratio}
+        records.append({**about, "channels": shows, "explained_by": "mode"})
     return records
 
 
