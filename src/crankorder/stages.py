@@ -101,10 +101,12 @@ AllLevelFrames = NewType("AllLevelFrames", Sequence[xr.Dataset])
 AllShaftAngles = NewType("AllShaftAngles", Sequence[xr.Dataset])
 
 Stage = TypeVar("Stage", bound=Callable[..., Any])
+STAGES: list[Callable[..., Any]] = []
+"""All stages, in flow order."""
 
 
 def stage(function: Stage) -> Stage:
-    """``function`` with its datasets checked against their schemas at the door and its result signed."""
+    """``function`` as one of the ``STAGES``: datasets checked against their schemas at the door, its result signed."""
     hints = get_type_hints(function)
     schemas = {name: SCHEMAS[kind] for name, kind in hints.items() if kind in SCHEMAS}
     names = tuple(inspect.signature(function).parameters)
@@ -122,6 +124,7 @@ def stage(function: Stage) -> Stage:
             result.attrs["history"] = "\n".join(dict.fromkeys(told))
         return result
 
+    STAGES.append(checked)
     return checked  # type: ignore[return-value]
 
 
@@ -166,12 +169,9 @@ def band(recording: Recording, shaft: ShaftAngle, settings: Settings) -> BandRec
     by_order = settings.orders.max_order * fastest_hz if {OrderFrames, RecordingCycles} & set(frames) else 0.0
     by_name = max(settings.orders.track_orders, default=0.0) * fastest_hz if RecordingTracks in frames else 0.0
     by_frequency = settings.campbell.max_frequency_hz if FrequencyFrames in frames else 0.0
-    limited = band_limited(
-        recording,
-        band_hz=max(by_order, by_name, by_frequency) or settings.campbell.max_frequency_hz,
-        grid_hz=settings.campbell.resolution_hz,
-        tolerance=(1.0 - METHOD_SHARE) * settings.orders.tolerance,
-    )
+    band_hz = max(by_order, by_name, by_frequency) or settings.campbell.max_frequency_hz
+    tolerance = (1.0 - METHOD_SHARE) * settings.orders.tolerance
+    limited = band_limited(recording, band_hz=band_hz, grid_hz=settings.campbell.resolution_hz, tolerance=tolerance)
     return BandRecording(limited)
 
 
@@ -358,11 +358,7 @@ def findings(
 
 @stage
 def tracks(
-    order_map: OrderMap,
-    findings: Findings,
-    frames: AllOrderFrames,
-    followed: AllRecordingTracks,
-    settings: Settings,
+    order_map: OrderMap, findings: Findings, frames: AllOrderFrames, followed: AllRecordingTracks, settings: Settings
 ) -> OrderTracks:
     """Orders of ``findings`` and ``settings`` over speed, read in ``order_map`` and ``frames`` or as ``followed``."""
     orders = followed_orders(findings, settings.orders)
@@ -389,37 +385,6 @@ def shaft_of_test(shafts: AllShaftAngles) -> ShaftSummary:
     """Speed, pulses used, angle error and speed against time of each of ``shafts``: one row each."""
     return ShaftSummary(shaft_summary(list(shafts)))
 
-
-OF_RECORDING = (
-    ingest,
-    shaft,
-    band,
-    frames_as_shown,
-    true_angle,
-    frames_by_order,
-    frames_by_frequency,
-    tracks_of_recording,
-    cycles_of_recording,
-    envelope_of_recording,
-    levels_of_recording,
-    band_levels_of_recording,
-)
-OF_TEST = (
-    swings,
-    frames_of_test,
-    tracks_by_filter,
-    modes_of_sweeps,
-    tracks_of_test,
-    map_by_order,
-    map_by_frequency,
-    map_of_envelopes,
-    levels_of_test,
-    findings,
-    tracks,
-    cycles,
-    shapes,
-    shaft_of_test,
-)
 
 RESULTS: dict[str, object] = {
     "order_map": OrderMap,
@@ -514,12 +479,12 @@ def _plan_of_test(results: tuple[str, ...]) -> StagePlan:
     """Plan of the results of that name; tracks follow only orders asked for by name where findings are not wanted."""
     given = [*FRAMES_OF, AllShaftAngles, TestName, MachineModel, Settings]
     given += [] if "findings" in results else [Findings]
-    return StagePlan(OF_TEST, wanted=[*(RESULTS[name] for name in results), ShaftSummary], given=given)
+    return StagePlan(STAGES, wanted=[*(RESULTS[name] for name in results), ShaftSummary], given=given)
 
 
 @functools.cache
 def _plan_of_recording(wanted: tuple[Any, ...], given: tuple[Any, ...]) -> StagePlan:
-    return StagePlan(OF_RECORDING, wanted=wanted, given=given)
+    return StagePlan(STAGES, wanted=wanted, given=given)
 
 
 _shafts: dict[int, tuple[Any, ShaftAngle]] = {}

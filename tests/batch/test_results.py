@@ -22,7 +22,7 @@ from crankorder.quantities import (
     schema_of,
 )
 from crankorder.settings import load_settings
-from crankorder.stages import OF_RECORDING, frames_wanted
+from crankorder.stages import STAGES, frames_wanted
 from made.command import crankorder, done
 
 
@@ -111,7 +111,7 @@ def test_a_recording_gives_only_the_frames_that_are_needed():
 
 def test_a_noun_that_no_stage_makes_is_named_with_the_way_to_it():
     with pytest.raises(SchemaError, match=r"RecordingFile") as caught:
-        StagePlan(OF_RECORDING, wanted=(OrderFrames,), given=())
+        StagePlan(STAGES, wanted=(OrderFrames,), given=())
     assert "Recording" in caught.value.place
 
 
