@@ -62,7 +62,8 @@ def _guarded() -> Iterator[None]:
     except BrokenPipeError:
         raise  # click ends quietly where nobody reads on
     except OSError as error:
-        _no_more_output()
+        with contextlib.suppress(OSError, ValueError):  # what still waits for stdout could not be written either
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         where = "standard output" if error.filename is None else printable(error.filename)
         _fail(f"{where}: {error.strerror or printable(error)}. Free space, or choose another place.", 5)
     except RuntimeError as error:
@@ -86,12 +87,6 @@ def _open_streams() -> None:
                 setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
 
 
-def _no_more_output() -> None:
-    """Have what still waits to be written to stdout go nowhere: it could not be written."""
-    with contextlib.suppress(OSError, ValueError):
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
 def _terminated(signum: int, frame: object) -> NoReturn:
     raise SystemExit(128 + signum)
 
@@ -108,23 +103,15 @@ def main() -> None:
     keep_compiled_kernels()
 
 
+CORES, ALL = os.cpu_count() or 1, "all cores"
+_jobs = click.option("--jobs", type=click.IntRange(1), default=CORES, show_default=ALL, help="Recordings at a time.")
+_as_json = click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout.")
+_quiet = click.option("-q", "--quiet", is_flag=True, help="Only faults.")
+_verbose = click.option("-v", "--verbose", is_flag=True, help="Also flags, timings, tracebacks.")
+
+
 def _run_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    for option in reversed(
-        [
-            click.option(
-                "--jobs",
-                type=click.IntRange(1),
-                default=os.cpu_count() or 1,
-                show_default="all cores",
-                help="Recordings at a time.",
-            ),
-            click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout."),
-            click.option("-q", "--quiet", is_flag=True, help="Only faults."),
-            click.option("-v", "--verbose", is_flag=True, help="Also flags, timings, tracebacks."),
-        ]
-    ):
-        command = option(command)
-    return command
+    return _jobs(_as_json(_quiet(_verbose(command))))
 
 
 def _picture_options(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -147,10 +134,9 @@ def _picture_options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--name", help="Name of the test and of its folder in OUT; goes before that of the manifest.")
 @click.option("--recipe", help="A shipped recipe or the path of one; goes before that of the manifest.")
 @click.option(
-    "--tol",
-    type=float,
+    "--tol", "tolerance", type=float,
     help="Relative amplitude error that the numerics may add, 1e-12 to 0.1: the cheapest method that meets it.",
-)
+)  # fmt: skip
 @click.option(
     "--max-memory",
     "max_memory_mb",
@@ -177,11 +163,6 @@ def _picture_options(command: Callable[..., Any]) -> Callable[..., Any]:
 def run(
     folders: tuple[Path, ...],
     out: Path,
-    manifest: Path | None,
-    name: str | None,
-    recipe: str | None,
-    tol: float | None,
-    max_memory_mb: int | None,
     fresh: bool,
     dry_run: bool,
     shard: str | None,
@@ -194,7 +175,7 @@ def run(
     as_json: bool,
     quiet: bool,
     verbose: bool,
-    report: ReportOptions,
+    **of_plans: Any,
 ) -> None:
     """Analyse test-run folders.
 
@@ -208,52 +189,30 @@ def run(
     if shard is not None and reduce:
         raise click.UsageError("--shard keeps what recordings give, --reduce makes the results of it: not both at once")
 
-    planned = plan_tests(
-        list(folders), out, manifest=manifest, recipe=recipe, tolerance=tol, max_memory_mb=max_memory_mb, name=name,
-        report=report,
-    )  # fmt: skip
+    planned = plan_tests(list(folders), out, **of_plans)
     plans = planned.tests if shard is None else [Shard.parse(shard).of(plan) for plan in planned.tests]
     for fault in planned.refused:
         click.echo(f"crankorder: not analysed: {fault}", err=True)
     if dry_run:
-        _say_plans(plans)
+        for plan in plans:
+            size = sum(path.stat().st_size for path in plan.recordings)
+            shown = f"{len(plan.recordings)} recordings, {size / 1e6:.0f} MB -> {printable(plan.out)}"
+            click.echo(f"{printable(plan.name)}: {shown}")
+            for fault in plan.faults:
+                click.echo(f"  {fault}", err=True)
         sys.exit(3 if planned.refused else 0)
-    options = RunOptions(
-        jobs=jobs,
-        fresh=fresh and not reduce,
-        strict=strict,
-        timeout_s=timeout_s,
-        keep_only=shard is not None,
-        scheduler=scheduler,
-    )
+    how: dict[str, Any] = {"jobs": jobs, "strict": strict, "scheduler": scheduler}
+    options = RunOptions(**how, fresh=fresh and not reduce, timeout_s=timeout_s, keep_only=shard is not None)
     from crankorder.batch.run_log import logged, tell
 
     with logged(out, as_json=log_json):
-        tell(
-            "run begun",
-            out=out,
-            tests=len(plans),
-            jobs=jobs,
-            fresh=fresh,
-            strict=strict,
-            shard=shard,
-            scheduler=scheduler,
-        )
+        asked: dict[str, Any] = {"jobs": jobs, "fresh": fresh, "strict": strict, "shard": shard, "scheduler": scheduler}
+        tell("run begun", out=out, tests=len(plans), **asked)
         for fault in planned.refused:
             tell("not analysed", why=fault)
         status = _run_plans(plans, out, options, as_json, quiet, verbose)
         tell("run ended", status=status)
     sys.exit(status or (3 if planned.refused else 0))
-
-
-def _say_plans(plans: list[Any]) -> None:
-    """What would be analysed, on stdout, and what is wrong with it, on stderr."""
-    for plan in plans:
-        size = sum(path.stat().st_size for path in plan.recordings)
-        shown = f"{len(plan.recordings)} recordings, {size / 1e6:.0f} MB -> {printable(plan.out)}"
-        click.echo(f"{printable(plan.name)}: {shown}")
-        for fault in plan.faults:
-            click.echo(f"  {fault}", err=True)
 
 
 def _run_plans(plans: list[Any], out: Path, options: RunOptions, as_json: bool, quiet: bool, verbose: bool) -> int:
@@ -282,7 +241,11 @@ def _run_plans(plans: list[Any], out: Path, options: RunOptions, as_json: bool, 
         reporting.close()
     if as_json:
         click.echo(json_bytes(index_document([outcome.record for outcome in outcomes])).decode(), nl=False)
-    return _exit_status(outcomes)
+    statuses = [outcome.exit_status for outcome in outcomes]
+    worst = next((status for status in (1, 5) if status in statuses), None)
+    if worst is None and statuses and all(status == 4 for status in statuses):
+        return 4
+    return worst or (3 if any(statuses) else 0)
 
 
 def _started(plans: list[Any], jobs: int) -> ReportingProcess:
@@ -295,16 +258,6 @@ def _started(plans: list[Any], jobs: int) -> ReportingProcess:
     from crankorder.batch.reporting import ReportingProcess
 
     return ReportingProcess(plans, jobs=jobs)
-
-
-def _exit_status(outcomes: list[Outcome]) -> int:
-    worst = [outcome.exit_status for outcome in outcomes]
-    for status in (1, 5):
-        if status in worst:
-            return status
-    if worst and all(status == 4 for status in worst):
-        return 4
-    return 3 if any(worst) else 0
 
 
 def _say(outcome: Outcome, quiet: bool, verbose: bool) -> None:
@@ -370,13 +323,7 @@ class _Progress:
 @main.command()
 @click.argument("folders", nargs=-1, required=True, type=FOLDER, metavar="FOLDER...")
 @click.option("--manifest", type=FOLDER, help="A run.toml that lives elsewhere than the data.")
-@click.option(
-    "--jobs",
-    type=click.IntRange(1),
-    default=os.cpu_count() or 1,
-    show_default="all cores",
-    help="Recordings at a time.",
-)
+@_jobs
 def check(folders: tuple[Path, ...], manifest: Path | None, jobs: int) -> None:
     """Look at manifest, files and a bounded part of their samples; list every fault at once, change nothing."""
     from crankorder.ingest.check import manifest_faults
@@ -468,17 +415,11 @@ def report(results: tuple[Path, ...], report: ReportOptions) -> None:
     "--fdr", "q", type=click.FloatRange(0, 0.5, min_open=True), default=0.05, show_default=True,
     help="False-discovery rate: the share of the claimed changes that may be chance.",
 )  # fmt: skip
-@click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout.")
-@click.option("-q", "--quiet", is_flag=True, help="Only faults.")
+@_as_json
+@_quiet
 @_picture_options
 def compare(
-    base: Path,
-    new: tuple[Path, ...],
-    out: Path,
-    q: float,
-    as_json: bool,
-    quiet: bool,
-    report: ReportOptions,
+    base: Path, new: tuple[Path, ...], out: Path, q: float, as_json: bool, quiet: bool, report: ReportOptions
 ) -> None:
     """Compare results: two builds, or one build over time (NEW... in time order; the last is compared with BASE)."""
     from crankorder.batch.compare import compare_results, document_text, publish_comparison
@@ -519,7 +460,7 @@ def export(result: Path, to: str, binary: bool, out: Path) -> None:
 
 @main.command()
 @click.argument("engine")
-@click.option("--json", "as_json", is_flag=True, help="One JSON document on stdout.")
+@_as_json
 @click.option("--out", type=FOLDER, help="Folder for balance.json, pictures and balance.nc; made if missing.")
 @click.option(
     "--speed",
@@ -550,7 +491,7 @@ def balance(
 @click.argument("scene")
 @click.option("--out", required=True, type=FOLDER, help="Folder for the recordings; made if missing.")
 @click.option("--quick", is_flag=True, help="The scene's short version.")
-@click.option("-q", "--quiet", is_flag=True, help="Only faults.")
+@_quiet
 def synth(scene: str, out: Path, quick: bool, quiet: bool) -> None:
     """Write a test-run folder, with the truth in truth.json."""
     for folder in _synthesise(scene, out, quick, quiet):
