@@ -45,11 +45,6 @@ def unit_text(unit: str) -> str:
     return _TYPOGRAPHY.get(unit, printable(unit, 24))
 
 
-def udunits(unit: str) -> str:
-    """The spelling by which UDUNITS knows the ``unit`` of a channel: "standard_free_fall" for "g"."""
-    return UDUNITS.get(unit, unit)
-
-
 def with_real_units(dataset: xr.Dataset) -> xr.Dataset:
     """``dataset`` with its channels' unit in the ``units`` of every variable, parted by quantity where these differ.
 
@@ -133,7 +128,7 @@ def _word(text: str) -> str:
 def _outside(attrs: Mapping[Hashable, Attribute], unit: str) -> dict[str, Attribute]:
     inside = str(attrs["units"])
     about = {str(key): value for key, value in attrs.items() if key != "units"}
-    return {**about, **({"units": FORMS[inside].format(udunits(unit))} if unit else {}), _INSIDE: inside}
+    return {**about, **({"units": FORMS[inside].format(UDUNITS.get(unit, unit))} if unit else {}), _INSIDE: inside}
 
 
 def _only(values: NDArray[Any], of_part: NDArray[np.bool_], axis: int) -> NDArray[Any]:

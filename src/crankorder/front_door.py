@@ -33,19 +33,7 @@ from crankorder.batch.store import json_bytes
 from crankorder.channel_units import with_real_units
 from crankorder.errors import InputError, RequestError
 from crankorder.findings import Findings
-from crankorder.ingest.arrays import (
-    CALL,
-    DEFAULT_UNIT,
-    Signals,
-    check_times,
-    column,
-    columns_of,
-    count,
-    number,
-    shaft_of,
-    told_by_timeseries,
-    units_of,
-)
+from crankorder.ingest import arrays
 from crankorder.ingest.folder import recordings_of
 from crankorder.ingest.manifest import load_manifest, manifest_head, manifest_of
 from crankorder.ingest.rawfile import RawFile
@@ -68,11 +56,11 @@ Tables = Sequence[Mapping[str, Any]]
 
 
 def recording(
-    signals: Signals,
+    signals: arrays.Signals,
     *,
     rate_hz: float | None = None,
     samples_per_rev: int | None = None,
-    unit: str | Mapping[str, str] = DEFAULT_UNIT,
+    unit: str | Mapping[str, str] = arrays.DEFAULT_UNIT,
     pulse_times_s: ArrayLike | None = None,
     encoder: ArrayLike | None = None,
     speed_rpm: float | ArrayLike | None = None,
@@ -117,31 +105,33 @@ def recording(
     >>> made["signal"].sizes["time"], made.attrs["rate_hz"]
     (40000, 10000.0)
     """
-    channels, settings = columns_of(signals), load_settings()
-    rate_hz, unit = told_by_timeseries(signals, rate_hz, unit, settings=settings.ingest)
+    channels, settings = arrays.columns_of(signals), load_settings()
+    rate_hz, unit = arrays.told_by_timeseries(signals, rate_hz, unit, settings=settings.ingest)
     told = {"pulse_times_s": pulse_times_s, "encoder": encoder, "speed_rpm": speed_rpm}
-    table, shaft = shaft_of(told, by_angle=rate_hz is None, without=cycle == "none")
+    table, shaft = arrays.shaft_of(told, by_angle=rate_hz is None, without=cycle == "none")
     if "source" in shaft:
         wheel = {"pulses_per_rev": pulses_per_rev, "missing_teeth": missing_teeth or None}
-        table |= {key: count(value, key) for key, value in wheel.items() if value is not None}
-        table |= {} if index_to_tdc_deg is None else {"index_to_tdc_deg": number(index_to_tdc_deg, "index_to_tdc_deg")}
-        shaft |= {} if index is None else {"index": column(index, "index")}
+        table |= {key: arrays.count(value, key) for key, value in wheel.items() if value is not None}
+        if index_to_tdc_deg is not None:
+            table["index_to_tdc_deg"] = arrays.number(index_to_tdc_deg, "index_to_tdc_deg")
+        shaft |= {} if index is None else {"index": arrays.column(index, "index")}
     elif not (pulses_per_rev is None and index is None and index_to_tdc_deg is None and not missing_teeth):
         place = "pulses_per_rev, missing_teeth, index, index_to_tdc_deg"
-        raise RequestError("goes with pulse_times_s or encoder", file=CALL, place=place)
+        raise RequestError("goes with pulse_times_s or encoder", file=arrays.CALL, place=place)
     if (rate_hz is None) == (samples_per_rev is None):
-        raise RequestError("state rate_hz, or samples_per_rev of samples by crank angle", file=CALL)
-    by_angle = {"domain": "crank_angle", "start_deg": number(start_deg, "start_deg")}
-    by_time = {"rate_hz": number(rate_hz, "rate_hz")} if samples_per_rev is None else {}
-    sampling = by_time or by_angle | {"samples_per_rev": count(samples_per_rev, "samples_per_rev")}
+        raise RequestError("state rate_hz, or samples_per_rev of samples by crank angle", file=arrays.CALL)
+    by_angle = {"domain": "crank_angle", "start_deg": arrays.number(start_deg, "start_deg")}
+    by_time = {"rate_hz": arrays.number(rate_hz, "rate_hz")} if samples_per_rev is None else {}
+    sampling = by_time or by_angle | {"samples_per_rev": arrays.count(samples_per_rev, "samples_per_rev")}
     table |= {role: len(channels) + place for place, role in enumerate(shaft)}
-    table["ratio"] = number(ratio, "ratio")
-    units = units_of(unit, list(channels))
+    table["ratio"] = arrays.number(ratio, "ratio")
+    units = arrays.units_of(unit, list(channels))
     named = [{"name": key, "source": place, "unit": units[key]} for place, key in enumerate(channels)]
-    manifest = manifest_of({**manifest_head(name, cycle, named), "sampling": sampling, "encoder": table}, Path(CALL))
-    start = number(start_s, "start_s")
+    stated = {**manifest_head(name, cycle, named), "sampling": sampling, "encoder": table}
+    manifest = manifest_of(stated, Path(arrays.CALL))
+    start = arrays.number(start_s, "start_s")
     if pulse_times_s is not None:
-        check_times(shaft["source"], start, len(next(iter(channels.values()))) / by_time["rate_hz"])
+        arrays.check_times(shaft["source"], start, len(next(iter(channels.values()))) / by_time["rate_hz"])
     raw = RawFile(
         dict(enumerate([*channels.values(), *shaft.values()])),
         units=dict(enumerate(units.values())),
@@ -171,13 +161,13 @@ def read(path: str | os.PathLike[str], *, manifest: str | os.PathLike[str] | Non
         return read_recording(given, stated, settings=settings.ingest, shaft=settings.shaft)
     found = recordings_of(folder, stated)
     _warn(found.faults)
-    made = []
+    recordings = []
     for file in found.paths:
         try:
-            made.append(read_recording(file, stated, settings=settings.ingest, shaft=settings.shaft))
+            recordings.append(read_recording(file, stated, settings=settings.ingest, shaft=settings.shaft))
         except InputError as error:
             _warn([error])
-    return made
+    return recordings
 
 
 def crank_angle(recording: xr.Dataset) -> xr.Dataset:
@@ -429,9 +419,8 @@ def compare(
     if not new:
         raise RequestError("name the results that are compared with base", file="crankorder.compare", place="new")
     if not 0.0 < fdr <= MOST_FALSE:
-        raise RequestError(
-            "out of range", file="crankorder.compare", place="fdr", found=fdr, allowed=f"above 0, to {MOST_FALSE}"
-        )
+        allowed = f"above 0, to {MOST_FALSE}"
+        raise RequestError("out of range", file="crankorder.compare", place="fdr", found=fdr, allowed=allowed)
     made = compare_results(Path(base), [Path(one) for one in new], q=fdr)
     if out is not None:
         publish_comparison(made, Path(out))
@@ -457,11 +446,7 @@ def export(result: str | os.PathLike[str], *, to: str, out: str | os.PathLike[st
 
 
 def balance(
-    engine: str,
-    *,
-    max_order: int = 8,
-    speeds_rpm: Sequence[float] = (),
-    out: str | os.PathLike[str] | None = None,
+    engine: str, *, max_order: int = 8, speeds_rpm: Sequence[float] = (), out: str | os.PathLike[str] | None = None
 ) -> Sheet:
     """Forces by order, balance strategies, shafts and residuals of ``engine`` (``data_schema/balance.json``).
 

@@ -105,21 +105,21 @@ class Record:
         return fields(kind)
 
     @classmethod
+    @cache
     def _types(cls) -> dict[str, object]:
-        kind: Any = cls
-        return _hints(kind)
+        return get_type_hints(cls)
 
     def as_dict(self) -> Document:
         """The record as JSON has it: a dict of numbers, texts, lists and dicts."""
         omitted = self.omitted()
-        made: Document = {}
-        for one in self._said():
-            value = getattr(self, one.name)
-            if one.name in omitted or (value is None and one.metadata["left_out"]):
+        document: Document = {}
+        for entry in self._said():
+            value = getattr(self, entry.name)
+            if entry.name in omitted or (value is None and entry.metadata["left_out"]):
                 continue
             written = _as_json(value)
-            made |= written if one.metadata["spread"] else {_key(one): written}
-        return made
+            document |= written if entry.metadata["spread"] else {_key(entry): written}
+        return document
 
     @classmethod
     def from_dict(cls, document: object, *, file: object = "", place: str = "") -> Self:
@@ -141,13 +141,13 @@ class Record:
     @classmethod
     def tables(cls) -> dict[str, type[Record]]:
         """Fields that hold any number of records, with the type of these."""
-        made = {}
+        records = {}
         for name, kind in cls._types().items():
             inner, _ = _without_none(kind)
             each = get_args(inner) if get_origin(inner) is tuple else ()
             if each and isinstance(each[0], type) and issubclass(each[0], Record):
-                made[name] = each[0]
-        return made
+                records[name] = each[0]
+        return records
 
     @classmethod
     def columns(cls) -> dict[str, Column]:
@@ -157,14 +157,9 @@ class Record:
     @classmethod
     def json_schema(cls) -> Document:
         """The JSON Schema of such a record."""
-        named = {_key(one): _schema(cls._types()[one.name], one) for one in cls._said()}
-        required = [_key(one) for one in cls._said() if one.default is MISSING]
+        named = {_key(entry): _schema(cls._types()[entry.name], entry) for entry in cls._said()}
+        required = [_key(entry) for entry in cls._said() if entry.default is MISSING]
         return {"type": "object", "properties": named, "required": required, **cls.ALSO}
-
-
-@cache
-def _hints(kind: type[Any]) -> dict[str, object]:
-    return get_type_hints(kind)
 
 
 def _key(one: Field[Any]) -> str:

@@ -293,9 +293,8 @@ def toml_table(name: str, kind: str, *, beside: Path | None = None) -> tuple[dic
     except RecursionError:
         raise RequestError("not valid TOML: nested too deep", file=found or name) from None
     except ValueError as error:  # of TOML, of UTF-8, of a number with thousands of digits
-        raise RequestError(
-            "not valid TOML", file=found or name, found=error, remedy="Mend the line that it names"
-        ) from None
+        remedy = "Mend the line that it names"
+        raise RequestError("not valid TOML", file=found or name, found=error, remedy=remedy) from None
 
 
 def load_settings(
@@ -328,17 +327,13 @@ _GONE = {"shaft.calibrate_encoder": _ENCODER, "shaft.calibration_speed_ratio": _
 """Settings of earlier versions, and what to do instead."""
 
 
-def validation_fault(fault: Any, source: str, place_of: dict[str, int] | None = None) -> RequestError:
-    """One pydantic ``fault`` of file ``source`` as a RequestError with key path and, from ``place_of``, the line."""
+def validation_fault(fault: Any, source: str) -> RequestError:
+    """RequestError with the key path of a pydantic ``fault`` in the file ``source``."""
     key = ".".join(str(part) for part in fault["loc"])
-    line = (place_of or {}).get(key)
     unknown = fault["type"] == "extra_forbidden"
     if unknown and key in _GONE:
         return RequestError("no setting any more", file=source, place=key, remedy=_GONE[key])
-    return RequestError(
-        "unknown key" if unknown else str(fault["msg"]).removeprefix("Value error, "),
-        file=source if line is None else f"{source}:{line}",
-        place=key,
-        found="" if unknown or fault["type"] == "missing" else fault["input"],
-        remedy="Remove it or mend its spelling" if unknown else "",
-    )
+    problem = "unknown key" if unknown else str(fault["msg"]).removeprefix("Value error, ")
+    found = "" if unknown or fault["type"] == "missing" else fault["input"]
+    remedy = "Remove it or mend its spelling" if unknown else ""
+    return RequestError(problem, file=source, place=key, found=found, remedy=remedy)

@@ -125,14 +125,14 @@ def speed_against_error() -> Iterator[Timed]:
         taken = []
         for _ in range(REPEATS):
             start = time.perf_counter()
-            made = analysed(recording, settings, tables={})[0]["order_map"]
+            order_map = analysed(recording, settings, tables={})[0]["order_map"]
             taken.append(time.perf_counter() - start)
-        row = made.isel(speed=int(np.argmax(made["n_frames"].values))).sel(order=list(LINES))
+        row = order_map.isel(speed=int(np.argmax(order_map["n_frames"].values))).sel(order=list(LINES))
         got = row["coherent_amplitude"].values * np.exp(1j * np.radians(row["phase"].values))
         error = float(np.max(np.abs(got - wanted) / np.abs(wanted)))
         samples = signals[0].size * len(signals)
-        predicted = float(made.attrs["predicted_error"])
-        yield Timed(tolerance, str(made.attrs["method"]), predicted, error, samples / min(taken))
+        predicted = float(order_map.attrs["predicted_error"])
+        yield Timed(tolerance, str(order_map.attrs["method"]), predicted, error, samples / min(taken))
 
 
 def _turns(seconds: Floats) -> Floats:
@@ -169,21 +169,16 @@ def accuracy_on(result: Path, *, draws: int = 1) -> TwinAccuracy:
     settings = load_settings(asked={stage: values for stage, values in asked.items() if isinstance(values, dict)})
     manifest = run["manifest"]
     encoder, test = manifest.get("encoder") or {}, manifest["test"]
-    tested = _Tested(
-        settings=settings,
-        cycle=str(test.get("cycle") or "rotor"),
-        engine=test.get("engine"),
-        tables={key: manifest[key] for key in ("bearings", "gears", "motor") if manifest.get(key)},
-        rate_hz=float((manifest.get("sampling") or {}).get("rate_hz") or np.inf),
-        pulses_per_rev=round(float(encoder.get("pulses_per_rev") or 0) * float(encoder.get("ratio") or 1.0)),
-        sampled_pulses=encoder.get("kind") == "square",
-    )
+    tables = {key: manifest[key] for key in ("bearings", "gears", "motor") if manifest.get(key)}
+    tested = _Tested(settings, str(test.get("cycle") or "rotor"), test.get("engine"), tables)
+    stated_hz = float((manifest.get("sampling") or {}).get("rate_hz") or np.inf)
+    per_rev = round(float(encoder.get("pulses_per_rev") or 0) * float(encoder.get("ratio") or 1.0))
     campbell, shaft = groups["campbell_map"], groups["shaft"]
     fastest_hz = float(np.nanmax(shaft["speed_max"].values)) / 60.0
-    highest_hz = max(float(campbell["frequency"].values[-1]), tested.settings.orders.max_order * fastest_hz)
-    rate = min(tested.rate_hz, SAMPLES_PER_HZ * highest_hz)
-    pulses = tested.pulses_per_rev if np.nan_to_num(shaft["n_pulses"].values).max() > 0 else 0
-    step = 1.0 / tested.rate_hz if tested.sampled_pulses else 0.0
+    highest_hz = max(float(campbell["frequency"].values[-1]), settings.orders.max_order * fastest_hz)
+    rate = min(stated_hz, SAMPLES_PER_HZ * highest_hz)
+    pulses = per_rev if np.nan_to_num(shaft["n_pulses"].values).max() > 0 else 0
+    step = 1.0 / stated_hz if encoder.get("kind") == "square" else 0.0  # of pulses found in a sampled signal
     twin = Twin(groups["order_tracks"], campbell, groups["order_map"], shaft, rate, pulses, step)
     return _judged(twin, str(run["test"]), [_draw(twin, tested, number) for number in range(draws)])
 
@@ -191,21 +186,14 @@ def accuracy_on(result: Path, *, draws: int = 1) -> TwinAccuracy:
 _RESULTS = ("order_map", "campbell_map", "order_tracks", "findings")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class _Tested:
-    """How a test was analysed, and what its manifest states.
-
-    ``rate_hz``: sampling rate, infinite where it is not stated. ``pulses_per_rev``: of the crank. ``sampled_pulses``:
-    whether pulses were found in a sampled signal.
-    """
+    """How a test was analysed, and what its manifest states of the machine."""
 
     settings: Settings
     cycle: str
     engine: str | None
     tables: Mapping[str, object]
-    rate_hz: float
-    pulses_per_rev: int
-    sampled_pulses: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,8 +214,8 @@ def _draw(twin: Twin, tested: _Tested, number: int) -> _Draw:
     rows = zip(coords["channel"].values.astype(str), coords["unit"].values.astype(str), strict=True)
     channels = [{"name": name, "source": place, "unit": unit} for place, (name, unit) in enumerate(rows)]
     recordings = [
-        _recording(one, channels, tested.cycle, twin.rate_hz, twin.pulses_per_rev, tested.settings)
-        for one in twin_recordings(twin, probes, amplitudes, rng)
+        _recording(recording, channels, tested.cycle, twin.rate_hz, twin.pulses_per_rev, tested.settings)
+        for recording in twin_recordings(twin, probes, amplitudes, rng)
     ]
     engine = tested.engine
     try:
@@ -239,7 +227,7 @@ def _draw(twin: Twin, tested: _Tested, number: int) -> _Draw:
 
 
 def _recording(
-    one: TwinRecording,
+    twin: TwinRecording,
     channels: Sequence[Mapping[str, object]],
     cycle: str,
     rate_hz: float,
@@ -247,16 +235,16 @@ def _recording(
     settings: Settings,
 ) -> xr.Dataset:
     """Recording of a twin, checked as that of a file is."""
-    columns: dict[str | int, Floats] = dict(enumerate(one.signals))
-    encoder: dict[str, object] = {"kind": "constant", "speed_rpm": one.speed_rpm}
+    columns: dict[str | int, Floats] = dict(enumerate(twin.signals))
+    encoder: dict[str, object] = {"kind": "constant", "speed_rpm": twin.speed_rpm}
     if pulses_per_rev:
-        columns |= {len(channels): one.pulse_times_s, len(channels) + 1: one.mark_times_s}
+        columns |= {len(channels): twin.pulse_times_s, len(channels) + 1: twin.mark_times_s}
         encoder = {"kind": "pulse_times", "source": len(channels), "index": len(channels) + 1, "index_to_tdc_deg": 0.0}
         encoder |= {"pulses_per_rev": pulses_per_rev}
     head = manifest_head("twin", cycle, channels)
     manifest = manifest_of({**head, "sampling": {"rate_hz": rate_hz}, "encoder": encoder}, Path("twin"))
     raw = RawFile(columns, attrs={"start_s": 0.0})
-    return recording_of(raw, Path(one.name), manifest, settings=settings.ingest, shaft=settings.shaft)
+    return recording_of(raw, Path(twin.name), manifest, settings=settings.ingest, shaft=settings.shaft)
 
 
 def _judged(twin: Twin, test: str, draws: list[_Draw]) -> TwinAccuracy:
@@ -273,7 +261,9 @@ def _judged(twin: Twin, test: str, draws: list[_Draw]) -> TwinAccuracy:
         _of_channel(twin, draws, number, name, unit, near)
         for number, (name, unit) in enumerate(zip(names, units, strict=True))
     )
-    counted = [tuple(f"{order} ({count} of {len(draws)})" for order, count in one.items()) for one in (missed, false)]
+    counted = [
+        tuple(f"{order} ({count} of {len(draws)})" for order, count in counts.items()) for counts in (missed, false)
+    ]
     return TwinAccuracy(test, len(draws), twin.rate_hz, channels, *counted)
 
 
@@ -281,7 +271,7 @@ def _of_channel(twin: Twin, draws: list[_Draw], number: int, name: str, unit: st
     off: list[float] = []
     inside: list[bool] = []
     probes: list[tuple[float, bool]] = []
-    put_in = found = 0
+    own, found = twin.tracks["order"].values, 0
     for draw in draws:
         lines = np.array([line.order for line in draw.findings.orders if line.channel == name])
         for order in draw.tracks["order"].values:
@@ -291,68 +281,58 @@ def _of_channel(twin: Twin, draws: list[_Draw], number: int, name: str, unit: st
                     off.append(estimate / truth - 1.0)
         for order, amplitude in zip(draw.probes, draw.amplitudes[number], strict=True):
             probes.append((float(amplitude), bool(np.abs(lines - order).min(initial=np.inf) <= near)))
-        own = twin.tracks["order"].values
-        put_in += len(own)
         found += sum(bool(np.abs(lines - order).min(initial=np.inf) <= near) for order in own)
     lost = [size for size, seen in probes if not seen]
     seen = sorted(size for size, seen in probes if seen and size > max(lost, default=0.0))
     errors = 100.0 * np.array(off)
-    return ChannelAccuracy(
-        name,
-        unit,
-        float(np.median(errors)) if errors.size else None,
-        float(np.percentile(np.abs(errors), 68.3)) if errors.size else None,
-        len(inside),
-        100.0 * float(np.mean(inside)) if inside else None,
-        put_in,
-        found,
-        seen[0] if seen else None,
-        max(lost) if lost else None,
-    )
+    bias = float(np.median(errors)) if errors.size else None
+    scatter = float(np.percentile(np.abs(errors), 68.3)) if errors.size else None
+    coverage = 100.0 * float(np.mean(inside)) if inside else None
+    least, most = seen[0] if seen else None, max(lost, default=None)
+    return ChannelAccuracy(name, unit, bias, scatter, len(inside), coverage, len(own) * len(draws), found, least, most)
 
 
 def _beside(twin: Twin, draw: _Draw, channel: int, order: float, near: float) -> Iterator[tuple[float, ...]]:
     """Estimate, truth, standard error and interval of an ``order`` at each speed where both are known."""
     own = twin.tracks["order"].values
     place = int(np.abs(own - order).argmin())
-    one = draw.tracks.isel(channel=channel).sel(order=order)
+    track = draw.tracks.isel(channel=channel).sel(order=order)
     if abs(own[place] - order) <= near:
         known = twin.tracks["amplitude"].isel(channel=channel, order=place).values.astype(float)
-        truth = np.interp(one["speed"].values, twin.tracks["speed"].values, known)
+        truth = np.interp(track["speed"].values, twin.tracks["speed"].values, known)
     else:
         probe = np.flatnonzero(np.abs(draw.probes - order) <= near)
         if not probe.size:
             return
-        truth = np.full(one.sizes["speed"], draw.amplitudes[channel, probe[0]])
-    bounds = [one[name].values for name in ("standard_error", "amplitude_low", "amplitude_high")]
-    columns = (one["amplitude"].values, truth, *bounds)
+        truth = np.full(track.sizes["speed"], draw.amplitudes[channel, probe[0]])
+    bounds = [track[name].values for name in ("standard_error", "amplitude_low", "amplitude_high")]
+    columns = (track["amplitude"].values, truth, *bounds)
     yield from (row for row in np.array(columns, dtype=float).T.tolist() if np.isfinite(row).all())
 
 
 def _speed_text(timed: list[Timed]) -> str:
     rows = [
-        (f"{one.tolerance:.0e}", f"{one.predicted_error:.1e}", f"{one.error:.1e}", one.samples_per_s / 1e6, one.method)
-        for one in timed
+        (f"{row.tolerance:.0e}", f"{row.predicted_error:.1e}", f"{row.error:.1e}", row.samples_per_s / 1e6, row.method)
+        for row in timed
     ]
     heads = ("asked for", "predicted", "error", "million samples/s", "method")
     return "\n".join(text_table("Order map of 3 channels, from samples to amplitudes and phases", heads, rows)) + "\n"
 
 
-def _twin_text(made: TwinAccuracy) -> str:
-    rows = [
-        (one.channel, f"{one.orders_found} of {one.orders_put_in}", *map(_rounded, (
-            one.bias_percent, one.scatter_percent, one.coverage_percent, one.intervals, one.least_found,
-            one.most_missed)), one.unit)
-        for one in made.channels
-    ]  # fmt: skip
+def _twin_text(twin: TwinAccuracy) -> str:
+    keys = ("bias_percent", "scatter_percent", "coverage_percent", "intervals", "least_found", "most_missed")
+    rows = []
+    for row in twin.channels:
+        sizes = [_rounded(getattr(row, key)) for key in keys]
+        rows.append((row.channel, f"{row.orders_found} of {row.orders_put_in}", *sizes, row.unit))
     heads = ("channel", "orders found", "bias %", "scatter %", "inside 95 %", "intervals", "found from", "missed up to",
              "unit")  # fmt: skip
-    title = f"A synthetic twin of {made.test}, {made.draws} times: same speeds, channels, pulses, floor and orders"
+    title = f"A synthetic twin of {twin.test}, {twin.draws} times: same speeds, channels, pulses, floor and orders"
     lines = [
         *text_table(title, heads, rows, kept=2),
         "",
-        *paragraph(f"Orders that were put in and named in no channel: {', '.join(made.missed_orders) or 'none'}."),
-        *paragraph(f"Orders that were named and not put in: {', '.join(made.false_orders) or 'none'}."),
+        *paragraph(f"Orders that were put in and named in no channel: {', '.join(twin.missed_orders) or 'none'}."),
+        *paragraph(f"Orders that were named and not put in: {', '.join(twin.false_orders) or 'none'}."),
         *paragraph(
             "Bias and scatter: of amplitudes over 5 standard errors. Found from, missed up to: amplitude of orders "
             "that were added at every speed; an order smaller than the first may be there although none is shown. "
@@ -460,19 +440,19 @@ def twin_recordings(
 def _orders_of(twin: Twin, speed: Floats, turns: Floats, rng: np.random.Generator) -> Floats:
     """The orders of the test as its tracks have them, at each moment by its speed; an unknown phase is drawn."""
     tracks = twin.tracks
-    made = np.zeros((tracks.sizes["channel"], len(speed)))
+    signals = np.zeros((tracks.sizes["channel"], len(speed)))
     rows = tracks["speed"].values
     for channel, number in np.ndindex(tracks.sizes["channel"], tracks.sizes["order"]):
-        one = tracks.isel(channel=channel, order=number)
-        amplitude, phase = one["amplitude"].values.astype(float), np.radians(one["phase"].values.astype(float))
+        track = tracks.isel(channel=channel, order=number)
+        amplitude, phase = track["amplitude"].values.astype(float), np.radians(track["phase"].values.astype(float))
         known = np.isfinite(amplitude) & np.isfinite(rows)
         if not known.any():
             continue
         located = bool(np.isfinite(phase[known]).all())
         phasor = amplitude[known] * (np.exp(1j * phase[known]) if located else np.exp(2j * np.pi * rng.uniform()))
         at = np.interp(speed, rows[known], phasor.real) + 1j * np.interp(speed, rows[known], phasor.imag)
-        made[channel] += (at * np.exp(2j * np.pi * float(one["order"]) * turns)).real
-    return made
+        signals[channel] += (at * np.exp(2j * np.pi * float(track["order"]) * turns)).real
+    return signals
 
 
 def _floor(twin: Twin, speed_rpm: float, n_samples: int, rng: np.random.Generator) -> Floats:
@@ -486,7 +466,7 @@ def _floor(twin: Twin, speed_rpm: float, n_samples: int, rng: np.random.Generato
     hertz = np.append(twin.tracks["order"].values, np.nan) * float(rows[row]) / 60.0
     width = LINE_BINS * float(frequency[1] - frequency[0]) if len(frequency) > 1 else 0.0
     near = (np.abs(frequency[:, None] - hertz) <= width).any(axis=1)
-    made = []
+    noise = []
     for density in np.nan_to_num(twin.campbell["psd"].values[:, row].astype(float)):
         smooth = median_filter(density, size=min(MEDIAN_BINS, len(density)), mode="nearest")
         floor = np.minimum(density, LINE_RATIO * smooth)
@@ -497,16 +477,16 @@ def _floor(twin: Twin, speed_rpm: float, n_samples: int, rng: np.random.Generato
         n_even = n_samples + n_samples % 2
         bins = np.fft.rfftfreq(n_even, 1.0 / twin.rate_hz)
         shape = np.sqrt(np.interp(bins, frequency, floor))
-        made.append(shaped_noise(rng, shape, rate_hz=twin.rate_hz, n_samples=n_samples))
-    return np.array(made, dtype=np.float64)
+        noise.append(shaped_noise(rng, shape, rate_hz=twin.rate_hz, n_samples=n_samples))
+    return np.array(noise, dtype=np.float64)
 
 
 def _pulse_times(twin: Twin, time: Floats, turns: Floats) -> tuple[Floats, Floats]:
     """Times of the encoder's pulses and of the marks at top dead centre, on the grid of the test."""
     if not twin.pulses_per_rev:
         return np.array([]), np.array([])
-    made = []
+    times = []
     for per_rev in (twin.pulses_per_rev, 1):
         at = np.interp(np.arange(np.ceil(turns[-1] * per_rev)) / per_rev, turns, time)
-        made.append(np.ceil(at / twin.pulse_step_s) * twin.pulse_step_s if twin.pulse_step_s else at)
-    return made[0], made[1]
+        times.append(np.ceil(at / twin.pulse_step_s) * twin.pulse_step_s if twin.pulse_step_s else at)
+    return times[0], times[1]

@@ -19,7 +19,7 @@ from crankorder.batch.result_folder import publish
 from crankorder.batch.store import text_sha256
 from crankorder.engine.balance_data import BalancedEngine, load_balanced_engine
 from crankorder.engine.balance_sheet import BalanceSheet, balance_sheet
-from crankorder.engine.hinge_sheet import Characteristic, HingeSheet, hinge_sheet
+from crankorder.engine.hinge_sheet import HingeSheet, hinge_sheet
 from crankorder.engine.hinged_crank import HingedEngine, load_hinged_engine
 from crankorder.errors import RequestError, located
 from crankorder.report.balance.text import balance_text, hinge_text
@@ -142,6 +142,8 @@ def _of_engine(balance: Balance, settings: ReportSettings) -> Parts:
 
 
 def _of_hinges(balance: Balance, settings: ReportSettings) -> Parts:
+    import xarray as xr
+
     from crankorder.batch.plan import folder_name
     from crankorder.report.balance.hinge_figure import guide_figure, hinge_figure
 
@@ -151,22 +153,15 @@ def _of_hinges(balance: Balance, settings: ReportSettings) -> Parts:
     figures: dict[str, Callable[[], Any]] = {}
     groups: dict[str, xr.Dataset] = {}
     taken: set[str] = set()
+    units = {"crank_angle_deg": "degree", "moment_nm": "N m", "work_j": "J"}
     for data, mechanism in zip(engine.mechanisms, sheet.mechanisms, strict=True):
         speeds = balance.speeds_rpm or data.speeds_rpm
         name = folder_name(data.name, taken)
         figures[f"hinges_{name}"] = partial(hinge_figure, engine, data, speeds, settings=settings)
         if data.pin_guides is not None or data.strut_guides is not None:
             figures[f"guides_{name}"] = partial(guide_figure, engine, data, max(speeds), settings=settings)
-        groups |= {f"{joint}_{name}": _characteristic(hinge) for joint, hinge in mechanism.characteristic.items()}
+        for joint, hinge in mechanism.characteristic.items():
+            variables = {key: ("hinge_angle_deg", getattr(hinge, key), {"units": unit}) for key, unit in units.items()}
+            angle = {"hinge_angle_deg": ("hinge_angle_deg", hinge.hinge_angle_deg, {"units": "degree"})}
+            groups[f"{joint}_{name}"] = xr.Dataset(variables, coords=angle, attrs={"speed_rpm": hinge.speed_rpm})
     return groups, figures
-
-
-def _characteristic(hinge: Characteristic) -> xr.Dataset:
-    import xarray as xr
-
-    units = {"crank_angle_deg": "degree", "moment_nm": "N m", "work_j": "J"}
-    return xr.Dataset(
-        {key: ("hinge_angle_deg", getattr(hinge, key), {"units": unit}) for key, unit in units.items()},
-        coords={"hinge_angle_deg": ("hinge_angle_deg", hinge.hinge_angle_deg, {"units": "degree"})},
-        attrs={"speed_rpm": hinge.speed_rpm},
-    )

@@ -32,12 +32,12 @@ def without_changed_gains(
     }
     ratios = settings.level_jump_ratio, settings.gain_step_ratio
     flags = level_jumps(_levels(sound), ratio=ratios[0], proven_ratio=ratios[1])
-    made = dict(results)
+    kept = dict(results)
     for path, result in sound.items():
         own = [flag for flag in flags if flag["recording"] == result.name]
         if own:
-            made[path] = _without(made[path], own)
-    return made
+            kept[path] = _without(kept[path], own)
+    return kept
 
 
 def _without(result: RecordingResult, flags: list[QualityFlag]) -> RecordingResult:
@@ -91,7 +91,7 @@ def short_recordings(results: Iterable[RecordingResult]) -> list[QualityFlag]:
 
     The length is that over which the shaft is known, so recordings whose shaft stood still for a while may be named.
     """
-    named = [(one.name, one.shaft["time"].values) for one in results]
+    named = [(result.name, result.shaft["time"].values) for result in results]
     lengths = np.array([float(time_s[-1] - time_s[0]) if len(time_s) else 0.0 for _, time_s in named])
     if len(lengths) < NUMBERS.fewest_recordings:
         return []

@@ -46,36 +46,32 @@ def compare_results(base: Path, new: Sequence[Path], *, q: float) -> ComparedRes
     hold nothing that can be compared.
     """
     folders = tuple(_test_folder(folder) for folder in (base, *new))
-    _refuse_twice(folders)
-    tests = [_tested(folder) for folder in folders]
-    _refuse_nothing_in_common(folders, tests)
-    names = [test.name for test in tests]
-    # tests of one name get the number of their run
-    numbered = [f"{name} (run {at})" if names.count(name) > 1 else name for at, name in enumerate(names, start=1)]
-    document, datasets = compared([replace(test, name=name) for test, name in zip(tests, numbered, strict=True)], q=q)
-    return ComparedResults(folders, with_sentences(document), datasets)
-
-
-def _refuse_twice(folders: Sequence[Path]) -> None:
-    """Refuse a test beside itself: nothing could differ, and a trend would count one run as two."""
+    # a test beside itself could not differ, and a trend would count one run as two
     for folder, times in Counter(folder.resolve() for folder in folders).items():
         if times > 1:
             allowed = "each test once, in time order"
             remedy = "Name the folder of the other test; results of two runs need two --out folders"
             raise RequestError("the same results are named twice", file=folder, allowed=allowed, remedy=remedy)
-
-
-def _refuse_nothing_in_common(folders: Sequence[Path], tests: Sequence[Tested]) -> None:
-    """Refuse results that have neither order maps nor a search for natural frequencies in common."""
-    held = [test.comparable for test in tests]
-    if not set.intersection(*held):
-        fewest = min(range(len(held)), key=lambda at: len(held[at]))
-        parts = (f"{test.name}: {' and '.join(sorted(test.comparable)) or 'neither'}" for test in tests)
+    tests = []
+    for folder in folders:
+        findings, run = read_findings(folder), read_document(folder / "run.json")
+        if "orders" not in run.get("settings", {}) or "test" not in run:
+            raise InputError("not the results of a run", file=folder, remedy="Run the analysis again")
+        groups = read_results(folder / "results.nc")
+        maps = {key: groups[key] for key in MAPS if key in groups}
+        tests.append(Tested(str(run["test"]), findings, run, maps))
+    if not set.intersection(*(test.comparable for test in tests)):
+        fewest = min(zip(folders, tests, strict=True), key=lambda pair: len(pair[1].comparable))[0]
         problem = "the results have nothing in common to compare"
-        found = "; ".join(parts)
+        found = "; ".join(f"{test.name}: {' and '.join(sorted(test.comparable)) or 'neither'}" for test in tests)
         allowed = "orders (the group order_map) or modes (findings) in all of them"
         remedy = "Run the analyses again with one recipe, whose [report] results name order_map or findings"
-        raise InputError(problem, file=folders[fewest] / "results.nc", found=found, allowed=allowed, remedy=remedy)
+        raise InputError(problem, file=fewest / "results.nc", found=found, allowed=allowed, remedy=remedy)
+    names = [test.name for test in tests]
+    # tests of one name get the number of their run
+    numbered = [f"{name} (run {at})" if names.count(name) > 1 else name for at, name in enumerate(names, start=1)]
+    document, datasets = compared([replace(test, name=name) for test, name in zip(tests, numbered, strict=True)], q=q)
+    return ComparedResults(folders, with_sentences(document), datasets)
 
 
 def _test_folder(folder: Path) -> Path:
@@ -97,14 +93,6 @@ def _test_folder(folder: Path) -> Path:
         allowed="a folder that `crankorder run` made, or its --out of one test",
         remedy="Run the analysis again; results without a done marker are never used",
     )
-
-
-def _tested(folder: Path) -> Tested:
-    findings, run = read_findings(folder), read_document(folder / "run.json")
-    if "orders" not in run.get("settings", {}) or "test" not in run:
-        raise InputError("not the results of a run", file=folder, remedy="Run the analysis again")
-    groups = read_results(folder / "results.nc")
-    return Tested(str(run["test"]), findings, run, {key: groups[key] for key in MAPS if key in groups})
 
 
 def document_text(results: ComparedResults) -> str:

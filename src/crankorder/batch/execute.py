@@ -8,14 +8,14 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from crankorder.batch import run_log
+from crankorder.batch import result_folder, run_log
 from crankorder.batch.changed_gains import short_recordings, without_changed_gains
 from crankorder.batch.frame_store import FrameStore, PackedResult
 from crankorder.batch.kernels import load_kernels
@@ -23,15 +23,6 @@ from crankorder.batch.locks import locked
 from crankorder.batch.machine import engine_of_test, sources_of
 from crankorder.batch.plan import CampaignPlan, Outcome, RunOptions, publish_index
 from crankorder.batch.reporting import ReportingProcess
-from crankorder.batch.result_folder import (
-    TIMINGS,
-    finished_with,
-    publish,
-    read_findings,
-    refuse_foreign,
-    refuse_others,
-    settle,
-)
 from crankorder.batch.store import CHANGED, HashedFile, json_bytes, text_sha256
 from crankorder.batch.workers import TooLateError, WorkerDiedError, each
 from crankorder.engine.definition import Engine, with_gas_file
@@ -50,6 +41,9 @@ OF_SHAFT_ALONE = "not sought: no vibration was recorded, the shaft alone"
 
 Progress = Callable[[str, int, int], None]
 """Called with the name of the test, recordings done and recordings in all."""
+
+Analysed = tuple[RecordingResult, bool, float]
+"""What a recording gave, whether an earlier run had kept it, and how long (s) that took."""
 
 
 def run_plans(
@@ -74,7 +68,17 @@ def run_plans(
         run_log.tell("test begun", test=plan.name, folder=plan.folder, out=plan.out, recordings=len(plan.recordings))
         with watched(plan.name) as progress, alone:
             outcome = run_test(plan, options, reporting=reporting, progress=progress)
-        _tell_end(outcome)
+        for fault in outcome.faults:
+            recording = plan.name_of(Path(fault.file))
+            run_log.tell("left out", level=logging.WARNING, test=plan.name, recording=recording, why=fault)
+        for note in outcome.notes:
+            run_log.tell("left out", level=logging.WARNING, test=plan.name, why=note)
+        for error in outcome.internal:
+            why = f"{type(error).__name__}: {error}"
+            run_log.tell("internal fault", level=logging.ERROR, test=plan.name, why=why)
+        counts = {"recordings": len(plan.recordings), "reused": outcome.reused}
+        status = "unchanged" if outcome.kept else outcome.status
+        run_log.tell("test ended", test=plan.name, status=status, **counts, seconds=dict(outcome.seconds))
         tell(outcome)
         outcomes.append(outcome)
     if not options.keep_only:
@@ -100,12 +104,12 @@ def run_test(
         provenance = _provenance(plan, code, versions, hashes)
         key = text_sha256(json.dumps(provenance, sort_keys=True, default=str), code, str(options.strict))
         if not options.keep_only:
-            settle(plan.out)
-            refuse_foreign(plan.out)
-            refuse_others(plan.out, plan.owner)
-        if not options.fresh and not plan.faults and finished_with(plan.out, key):
+            result_folder.settle(plan.out)
+            result_folder.refuse_foreign(plan.out)
+            result_folder.refuse_others(plan.out, plan.owner)
+        if not options.fresh and not plan.faults and result_folder.finished_with(plan.out, key):
             outcome.status, outcome.kept = "done", True
-            outcome.findings = read_findings(plan.out)
+            outcome.findings = result_folder.read_findings(plan.out)
             return outcome
         results = _analyse(plan, options, hashes, (code, versions), outcome, progress)
         if options.keep_only:
@@ -117,9 +121,8 @@ def run_test(
         outcome.faults += left_out_of(results, ("bad", "suspect") if options.strict else ("bad",))
         outcome.notes += channels_left_out(results)
         if not results:
-            raise NoUsableRecordingError(
-                "no recording could be used", file=plan.folder, remedy="Mend the faults listed above"
-            )
+            remedy = "Mend the faults listed above"
+            raise NoUsableRecordingError("no recording could be used", file=plan.folder, remedy=remedy)
         _finish(plan, results, provenance, key, outcome, reporting, clock)
     except CrankorderError as error:
         outcome.faults.append(error)
@@ -128,22 +131,6 @@ def run_test(
         outcome.internal.append(error)
         outcome.status, outcome.findings = "failed", None
     return outcome
-
-
-def _tell_end(outcome: Outcome) -> None:
-    """Log what became of a test, and what was left out of it."""
-    test = outcome.plan.name
-    for fault in outcome.faults:
-        run_log.tell(
-            "left out", level=logging.WARNING, test=test, recording=outcome.plan.name_of(Path(fault.file)), why=fault
-        )
-    for note in outcome.notes:
-        run_log.tell("left out", level=logging.WARNING, test=test, why=note)
-    for error in outcome.internal:
-        run_log.tell("internal fault", level=logging.ERROR, test=test, why=f"{type(error).__name__}: {error}")
-    counts = {"recordings": len(outcome.plan.recordings), "reused": outcome.reused}
-    status = "unchanged" if outcome.kept else outcome.status
-    run_log.tell("test ended", test=test, status=status, **counts, seconds=dict(outcome.seconds))
 
 
 def _finish(
@@ -174,14 +161,14 @@ def _finish(
     clock.lap("report")
     outcome.findings = findings
     outcome.status = "partial" if outcome.faults else "done"
-    publish(
+    result_folder.publish(
         plan.out,
         files,
         key=f"{key} with faults" if outcome.faults else key,
         owner=plan.owner,
         record=outcome.record,
         # timings are no result
-        besides={TIMINGS: json_bytes({"seconds": outcome.seconds})},
+        besides={result_folder.TIMINGS: json_bytes({"seconds": outcome.seconds})},
     )
     clock.lap("publish")
 
@@ -210,7 +197,11 @@ def results_of_test(
     ]
     of_recordings = [flag for result in results.values() for flag in result.flags]
     told = [flag for flag in quality_of(of_recordings) if flag not in findings.quality]
-    quality = (*findings.quality, *told, *quality_of(flags), *quality_of(_fault_flags([*faults, *left_out], name_of)))
+    not_used: list[QualityFlag] = [
+        {"recording": name_of(Path(fault.file)), "flag": "not_used", "severity": "bad", "detail": str(fault)}
+        for fault in (*faults, *left_out)
+    ]
+    quality = (*findings.quality, *told, *quality_of(flags), *quality_of(not_used))
     highest, two_stroke = settings.orders.max_order, sources.two_stroke
     quality += tuple(cycle_doubts(findings.orders, two_stroke=two_stroke, engine=sources.engine, max_order=highest))
     most_deg = settings.orders.largest_eccentricity_deg
@@ -277,18 +268,18 @@ def _analyse(
     of_key = dict(zip(keys, wanted, strict=True))
     blamed = _on_cluster(plan, options, of_key, hashed, (engine, made_by), store, progress)
 
-    def analyse(number: int) -> _Made:
+    def analyse(number: int) -> Analysed:
         begun = time.perf_counter()
         if keys[number] in blamed:
             raise blamed[keys[number]]
         kept = None if options.fresh and options.scheduler is None else store.load(keys[number])
         if kept is not None:
-            return _Made(kept, True, time.perf_counter() - begun)
+            return kept, True, time.perf_counter() - begun
         made = analyse_recording(wanted[number], plan.manifest, plan.settings, engine)
         _check_unchanged(hashed[wanted[number]])
         packed = PackedResult.of(made)
         store.save(keys[number], packed)
-        return _Made(packed, False, time.perf_counter() - begun)
+        return packed, False, time.perf_counter() - begun
 
     # where kernels are yet to be compiled, one worker does it, not all at once
     first = load_kernels()
@@ -303,15 +294,6 @@ def _analyse(
     place = {plan.name_of(path): number for number, path in enumerate(plan.recordings)}
     outcome.faults.sort(key=lambda fault: place.get(plan.name_of(Path(fault.file)), -1))
     return {path: results[path] for path in wanted if path in results}
-
-
-@dataclass(frozen=True)
-class _Made:
-    """What a recording gave, whether it was ``reused`` as an earlier run had kept it, and how long that took."""
-
-    result: RecordingResult
-    reused: bool
-    seconds: float
 
 
 def _on_cluster(
@@ -357,11 +339,11 @@ def _on_cluster(
 def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list[Path], list[QualityFlag]]:
     """The recordings of ``plan`` of which none is a copy of another, and flags that name the copies."""
     # what cannot be read, and empty files, are no copies of each other: each gets its own error
-    found = {path: [hashes[file] for file in plan.files_of(path)] for path in plan.recordings}
+    hashed = {path: [hashes[file] for file in plan.files_of(path)] for path in plan.recordings}
     alike = {
-        path: " ".join(str(one.sha256) for one in files)
-        for path, files in found.items()
-        if all(one.state is not None and one.state.size for one in files)
+        path: " ".join(str(file.sha256) for file in files)
+        for path, files in hashed.items()
+        if all(file.state is not None and file.state[0] for file in files)
     }
     first_of: dict[str, Path] = {}
     wanted = [path for path in plan.recordings if first_of.setdefault(alike.get(path) or str(path), path) == path]
@@ -406,7 +388,7 @@ def _check_unchanged(files: dict[Path, HashedFile]) -> None:
 
 
 def _collect(
-    made: Callable[[], _Made],
+    analysed: Callable[[], Analysed],
     path: Path,
     plan: CampaignPlan,
     hashed: dict[Path, HashedFile],
@@ -416,11 +398,10 @@ def _collect(
     name = plan.name_of(path)
     try:
         _check_unchanged(hashed)
-        one = made()
-        results[path] = one.result
-        outcome.reused += one.reused
-        event = "recording reused" if one.reused else "recording computed"
-        run_log.tell(event, test=plan.name, recording=name, seconds=round(one.seconds, 4))
+        results[path], reused, seconds = analysed()
+        outcome.reused += reused
+        event = "recording reused" if reused else "recording computed"
+        run_log.tell(event, test=plan.name, recording=name, seconds=round(seconds, 4))
     except EnvironmentFailure:
         raise
     except CrankorderError as error:
@@ -506,7 +487,7 @@ def _provenance(
 def _size(path: Path, hashed: HashedFile) -> int | None:
     """Bytes of the file at ``path`` as it was ``hashed``; as it is where it could not be, None where it is gone."""
     if hashed.state is not None:
-        return hashed.state.size
+        return hashed.state[0]
     with contextlib.suppress(OSError):
         return path.stat().st_size
     return None
@@ -554,10 +535,3 @@ def _swing_records(
                 )
             )
     return tuple(records)
-
-
-def _fault_flags(faults: list[CrankorderError], name_of: Callable[[Path], str]) -> list[QualityFlag]:
-    return [
-        {"recording": name_of(Path(fault.file)), "flag": "not_used", "severity": "bad", "detail": str(fault)}
-        for fault in faults
-    ]

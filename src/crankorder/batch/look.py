@@ -61,33 +61,30 @@ def look_at(folder: Path, manifest_path: Path | None, *, jobs: int) -> Looked:
     ``manifest_path`` names a manifest that lives elsewhere.
     """
     settings = load_settings()
-    found = Looked(check_folder(folder, manifest_path, settings=settings.ingest))
+    looked = Looked(check_folder(folder, manifest_path, settings=settings.ingest))
     try:
         manifest = load_manifest(folder, manifest_path)
         beside = manifest_path.parent if manifest_path is not None else folder
         settings = settings_for(manifest, load_settings(manifest.test.recipe, beside=beside))
         paths = recordings_of(folder, manifest).paths
     except CrankorderError as error:
-        found.faults = found.faults or [error]
-        return found
-    at_fault = {Path(fault.file) for fault in found.faults if fault.file is not None}
+        looked.faults = looked.faults or [error]
+        return looked
+    at_fault = {Path(fault.file) for fault in looked.faults if fault.file is not None}
     sound = [path for path in paths if path not in at_fault]
-    made: dict[int, Look] = {}
+    looks: dict[int, Look] = {}
     refused: dict[int, CrankorderError] = {}
 
-    def look(number: int) -> Look:
-        return look_at_recording(sound[number], manifest, settings)
-
-    for number, answer in each(look, len(sound), jobs=jobs):
+    for number, answer in each(lambda at: look_at_recording(sound[at], manifest, settings), len(sound), jobs=jobs):
         try:
-            made[number] = answer()
+            looks[number] = answer()
         except CrankorderError as error:
             refused[number] = error
         except WorkerDiedError as error:
             refused[number] = InputError("the process that read it died", file=sound[number], found=error)
-    found.faults += [refused[number] for number in sorted(refused)]
-    found.looks = [made[number] for number in sorted(made)]
-    return found
+    looked.faults += [refused[number] for number in sorted(refused)]
+    looked.looks = [looks[number] for number in sorted(looks)]
+    return looked
 
 
 def look_at_recording(path: Path, manifest: Manifest, settings: Settings) -> Look:
@@ -96,7 +93,7 @@ def look_at_recording(path: Path, manifest: Manifest, settings: Settings) -> Loo
     Raises CrankorderError where it cannot be used.
     """
     parts, share = read_parts(path, manifest, settings=settings.ingest, shaft=settings.shaft, most_bytes=LOOK_BYTES)
-    told: dict[str, None] = {}
+    remarks: dict[str, None] = {}
     speeds: list[Floats] = []
     pulses: list[str] = []
     refused: list[CrankorderError] = []
@@ -110,7 +107,7 @@ def look_at_recording(path: Path, manifest: Manifest, settings: Settings) -> Loo
         fault = fault_of(manifest.name_of(path), flags)
         if fault is not None:
             refused.append(fault)
-        told |= dict.fromkeys(
+        remarks |= dict.fromkeys(
             f"{flag['severity']}: {flag['flag']}: {flag['detail']}" for flag in flags if flag["severity"] != "info"
         )
         if shaft.attrs.get("has_shaft", 1) and part.attrs["domain"] == "time":
@@ -119,11 +116,11 @@ def look_at_recording(path: Path, manifest: Manifest, settings: Settings) -> Loo
     # what one part of a long recording lacks, such as a shaft that turns yet, the whole of it may have
     if len(refused) == len(parts):
         raise refused[0]
-    told |= dict.fromkeys(f"in a part of it: {error}" for error in refused)
+    remarks |= dict.fromkeys(f"in a part of it: {error}" for error in refused)
     words = [_extent(parts, share), _speed(speeds), *pulses]
     if share < 1.0:
         words.append(f"{percent(share)} read")
-    return Look(f"{manifest.name_of(path)}: {', '.join(word for word in words if word)}", tuple(told), share)
+    return Look(f"{manifest.name_of(path)}: {', '.join(word for word in words if word)}", tuple(remarks), share)
 
 
 def _extent(parts: list[xr.Dataset], share: float) -> str:

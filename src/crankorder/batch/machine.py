@@ -41,7 +41,8 @@ def sources_of(manifest: Manifest, engine: Engine | None, settings: Settings) ->
         added=manifest.added_masses,
         motor=manifest.motor,
         limits=tuple(
-            Limit(one.quantity, *one.band_hz, one.value_si, one.source, one.channels) for one in manifest.limits
+            Limit(limit.quantity, *limit.band_hz, limit.value_si, limit.source, limit.channels)
+            for limit in manifest.limits
         ),
         rotor_kg=None if manifest.rotor is None else manifest.rotor.mass_kg,
         service_rpm=None if manifest.rotor is None else manifest.rotor.service_rpm,

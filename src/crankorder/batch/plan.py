@@ -12,18 +12,8 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from crankorder.batch import result_folder
 from crankorder.batch.locks import locked
-from crankorder.batch.result_folder import (
-    BATCH,
-    BATCH_VERSION,
-    INDEX,
-    Owner,
-    finished_tests,
-    records_in,
-    refuse_foreign,
-    refuse_foreign_index,
-    refuse_others,
-)
 from crankorder.batch.store import json_bytes, text_sha256, write_atomically
 from crankorder.errors import CrankorderError, EnvironmentFailure, ManyErrors, RequestError, printable
 from crankorder.ingest.folder import checksum_faults, natural_key, recordings_of
@@ -54,7 +44,7 @@ class CampaignPlan:
     settings: Settings
     recordings: list[Path]
     out: Path
-    owner: Owner
+    owner: result_folder.Owner
     faults: list[CrankorderError] = field(default_factory=list)
 
     def files_of(self, recording: Path) -> list[Path]:
@@ -208,7 +198,7 @@ def plan_tests(
     folders = list({folder.resolve(): folder for folder in folders}.values())
     if name is not None and len(folders) > 1:
         raise RequestError("one name for several tests", file="--name", found=name, remedy="Run each test by itself")
-    refuse_foreign_index(out)
+    result_folder.refuse_foreign_index(out)
     plans: list[CampaignPlan] = []
     faults: list[CrankorderError] = []
     places = _Places(out, folders)
@@ -224,7 +214,7 @@ def plan_tests(
         found = recordings_of(folder, stated)
         test = name or stated.test.name or folder.resolve().name
         content = text_sha256(json.dumps(stated.model_dump(mode="json"), sort_keys=True))
-        owner = Owner(_relative(folder, out), content)
+        owner = result_folder.Owner(_relative(folder, out), content)
         place = places.of(test, owner)
         return CampaignPlan(test, folder, stated, settings, list(found.paths), place, owner, list(found.faults))
 
@@ -246,14 +236,14 @@ class _Places:
 
     def __init__(self, out: Path, folders: list[Path]) -> None:
         self._out, self._folders = out, folders
-        self._taken = {BATCH, INDEX}
+        self._taken = {result_folder.BATCH, result_folder.INDEX}
         self.refuse = False
         """Whether a place was refused: then nothing of the call is written."""
         self._of_call = {_relative(folder, out) for folder in folders}
-        finished = finished_tests(out) if out.is_dir() else ()
+        finished = result_folder.finished_tests(out) if out.is_dir() else ()
         self._owners = {folder.name: marker.input for folder, marker in finished}
 
-    def of(self, test: str, owner: Owner) -> Path:
+    def of(self, test: str, owner: result_folder.Owner) -> Path:
         """Folder for the results of ``test``: that which holds those of ``owner``, else the first that is free.
 
         Tests of one name in one call get numbers behind it. Raises RequestError where results would replace what is
@@ -268,9 +258,13 @@ class _Places:
         place = self._out / chosen
         try:
             for folder in self._folders:
-                _refuse_inside(folder, place)
-            refuse_foreign(place)
-            refuse_others(place, owner)
+                inside, outside = folder.resolve(), place.resolve()
+                if outside == inside or inside in outside.parents or outside in inside.parents:
+                    problem = "the results would lie in the folder of the recordings, or around it"
+                    remedy = "Choose another --out: recordings are never touched"
+                    raise RequestError(problem, file=place, allowed="any folder outside the recordings", remedy=remedy)
+            result_folder.refuse_foreign(place)
+            result_folder.refuse_others(place, owner)
         except RequestError:
             self.refuse = True
             raise
@@ -303,15 +297,6 @@ def settings_for(stated: Manifest, settings: Settings) -> Settings:
     return settings.model_copy(update={"orders": settings.orders.model_copy(update={"max_order": top})})
 
 
-def _refuse_inside(folder: Path, out: Path) -> None:
-    """Refuse results in the input folder, inside it or around it: inputs are never touched."""
-    inside, outside = folder.resolve(), out.resolve()
-    if outside == inside or inside in outside.parents or outside in inside.parents:
-        problem = "the results would lie in the folder of the recordings, or around it"
-        remedy = "Choose another --out: recordings are never touched"
-        raise RequestError(problem, file=out, allowed="any folder outside the recordings", remedy=remedy)
-
-
 def folder_name(name: str, taken: set[str]) -> str:
     """File name made of the letters, digits, ``-``, ``_``, ``.`` of ``name``, not yet in ``taken`` (which it joins)."""
     unique = _numbered(_plain_name(name), lambda name: name.lower() in taken)
@@ -335,7 +320,7 @@ def index_document(records: Sequence[Mapping[str, Json]]) -> dict[str, Json]:
 
     ``records``: of their outcomes.
     """
-    return {"schema_version": BATCH_VERSION, "tests": records}
+    return {"schema_version": result_folder.BATCH_VERSION, "tests": records}
 
 
 def publish_index(
@@ -351,16 +336,18 @@ def publish_index(
     makes the page of the records; ``tell`` is told where another process is waited for.
     Raises EnvironmentFailure where it cannot be written.
     """
-    with locked(out / BATCH, tell=tell):
+    with locked(out / result_folder.BATCH, tell=tell):
         try:
             now = {outcome.plan.out.name: outcome.record for outcome in outcomes if outcome.status == "failed"}
             done = {outcome.plan.out.name for outcome in outcomes} - set(now)
-            records = {folder.name: marker.record for folder, marker in finished_tests(out) if marker.record}
-            failed = [record for record in records_in(out) or [] if record["status"] == "failed"]
+            records = {
+                folder.name: marker.record for folder, marker in result_folder.finished_tests(out) if marker.record
+            }
+            failed = [record for record in result_folder.records_in(out) or [] if record["status"] == "failed"]
             records |= {str(record["folder"]): record for record in failed if record["folder"] not in done} | now
             tests = [records[name] for name in sorted(records, key=lambda name: natural_key(Path(name)))]
-            write_atomically(out / BATCH, json_bytes(index_document(tests)))
-            write_atomically(out / INDEX, page_of(tests).encode("utf-8", "backslashreplace"))
+            write_atomically(out / result_folder.BATCH, json_bytes(index_document(tests)))
+            write_atomically(out / result_folder.INDEX, page_of(tests).encode("utf-8", "backslashreplace"))
         except OSError as error:
             if isinstance(error, EnvironmentFailure):
                 raise

@@ -87,30 +87,26 @@ def redraw(result: Path, *, report: Mapping[str, object] | None = None) -> Path:
     """
     folder = (result if result.is_dir() or not result.suffix else result.parent).absolute()
     with locked(folder):
-        return _redrawn(folder, report or {})
-
-
-def _redrawn(folder: Path, report: Mapping[str, object]) -> Path:
-    settle(folder)
-    marker = marker_of(folder)
-    try:
-        findings = read_findings(folder)
-        provenance = json.loads((folder / "run.json").read_bytes())
-        stated = load_settings().report.model_dump() | provenance["settings"]["report"] | dict(report)
-        if marker is None:
-            raise ValueError("no done.json")
-        if any(not record.causes for record in findings.orders):
-            raise ValueError("findings of a version that said causes in words alone")
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        problem = "no finished results that this version reads"
-        allowed = "a folder that `crankorder run` made"
-        remedy = "Run the analysis again: unfinished results and findings of another version are never used"
-        raise InputError(problem, file=folder, found=error, allowed=allowed, remedy=remedy) from error
-    groups = {k: v for k, v in read_results(folder / "results.nc").items() if not k.startswith("findings")}
-    # a key that is newer than the results has today's default
-    settings = ReportSettings.model_validate(stated)
-    files = files_of_test(groups, findings, provenance, settings=settings)
-    kept = {name: (folder / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
-    timings = {TIMINGS: (folder / TIMINGS).read_bytes()} if (folder / TIMINGS).is_file() else {}
-    publish(folder, files | kept, key=marker.key, owner=marker.input, record=marker.record, besides=timings)
-    return folder / "report.html"
+        settle(folder)
+        marker = marker_of(folder)
+        try:
+            findings = read_findings(folder)
+            provenance = json.loads((folder / "run.json").read_bytes())
+            stated = load_settings().report.model_dump() | provenance["settings"]["report"] | dict(report or {})
+            if marker is None:
+                raise ValueError("no done.json")
+            if any(not record.causes for record in findings.orders):
+                raise ValueError("findings of a version that said causes in words alone")
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            problem = "no finished results that this version reads"
+            allowed = "a folder that `crankorder run` made"
+            remedy = "Run the analysis again: unfinished results and findings of another version are never used"
+            raise InputError(problem, file=folder, found=error, allowed=allowed, remedy=remedy) from error
+        groups = {k: v for k, v in read_results(folder / "results.nc").items() if not k.startswith("findings")}
+        # a key that is newer than the results has today's default
+        settings = ReportSettings.model_validate(stated)
+        files = files_of_test(groups, findings, provenance, settings=settings)
+        kept = {name: (folder / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
+        timings = {TIMINGS: (folder / TIMINGS).read_bytes()} if (folder / TIMINGS).is_file() else {}
+        publish(folder, files | kept, key=marker.key, owner=marker.input, record=marker.record, besides=timings)
+        return folder / "report.html"

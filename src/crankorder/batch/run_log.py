@@ -44,7 +44,7 @@ def logged(out: Path, *, as_json: bool) -> Iterator[Path | None]:
     except OSError:
         yield None
         return
-    handler.setFormatter(_AsJson() if as_json else _AsText())
+    handler.setFormatter(_Line(as_json))
     level, LOGGER.propagate = LOGGER.level, False
     LOGGER.addHandler(handler)
     LOGGER.setLevel(min(level or logging.INFO, logging.INFO))
@@ -66,26 +66,18 @@ class _Handler(logging.FileHandler):
         """Leave the run alone: a log that cannot be written is no fault of it."""
 
 
-def _time_of(record: logging.LogRecord) -> str:
-    return datetime.fromtimestamp(record.created, UTC).isoformat("T", "milliseconds").replace("+00:00", "Z")
+class _Line(logging.Formatter):
+    def __init__(self, as_json: bool) -> None:
+        super().__init__()
+        self._as_json = as_json
 
-
-def _fields_of(record: logging.LogRecord) -> dict[str, object]:
-    return dict(getattr(record, "fields", {}))
-
-
-class _AsText(logging.Formatter):
     def format(self, record: logging.LogRecord) -> str:
-        """Time, level, event and its fields in one line."""
-        fields = "; ".join(f"{name} {printable(value, 1000)}" for name, value in _fields_of(record).items())
-        return f"{_time_of(record)} {record.levelname} {record.getMessage()}: {fields}"
-
-
-class _AsJson(logging.Formatter):
-    def format(self, record: logging.LogRecord) -> str:
-        """One JSON document in one line, ASCII alone."""
-        about = {"time": _time_of(record), "level": record.levelname, "event": record.getMessage()}
-        return json.dumps({**about, **_fields_of(record)}, default=_text)
+        """Time, level, event and its fields in one line: as words, or as a JSON document, ASCII alone."""
+        moment = datetime.fromtimestamp(record.created, UTC).isoformat("T", "milliseconds").replace("+00:00", "Z")
+        level, event, fields = record.levelname, record.getMessage(), dict(getattr(record, "fields", {}))
+        if self._as_json:
+            return json.dumps({"time": moment, "level": level, "event": event, **fields}, default=_text)
+        return f"{moment} {level} {event}: {'; '.join(f'{key} {printable(fields[key], 1000)}' for key in fields)}"
 
 
 def _text(value: Any) -> Any:

@@ -39,12 +39,9 @@ DIGITS = 10
 def json_bytes(document: Any) -> bytes:
     """``document`` as UTF-8 JSON with sorted lists kept, ten significant digits, NaN and infinity as null."""
     text = json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False)
-    return (without_controls(text) + "\n").encode("utf-8", "backslashreplace")
-
-
-def without_controls(text: str) -> str:
-    """JSON ``text`` whose characters that nobody sees, such as those that turn the writing round, are escaped."""
-    return _BEYOND_ASCII.sub(lambda found: found[0] if found[0].isprintable() else json.dumps(found[0])[1:-1], text)
+    # characters that nobody sees, such as those that turn the writing round, are escaped
+    text = _BEYOND_ASCII.sub(lambda char: char[0] if char[0].isprintable() else json.dumps(char[0])[1:-1], text)
+    return f"{text}\n".encode("utf-8", "backslashreplace")
 
 
 def _plain(value: Any) -> Any:
@@ -74,35 +71,20 @@ def _stream_sha256(stream: FileIO) -> str:
     return digest.hexdigest()
 
 
-@dataclass(frozen=True)
-class FileState:
-    """What changes when a file does: its device, number, size [bytes] and times of change [ns]."""
-
-    device: int
-    inode: int
-    size: int
-    modified_ns: int
-    changed_ns: int
-
-    @classmethod
-    def of(cls, path: Path) -> FileState:
-        """State of the file at ``path``. Raises OSError where there is none."""
-        return cls._from(path.stat())
-
-    @classmethod
-    def _from(cls, found: os.stat_result) -> FileState:
-        return cls(found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
+def _state(stat: os.stat_result) -> tuple[int, ...]:
+    """What changes when a file does: its size (bytes), device, number and times of change (ns)."""
+    return stat.st_size, stat.st_dev, stat.st_ino, stat.st_mtime_ns, stat.st_ctime_ns
 
 
 @dataclass(frozen=True)
 class HashedFile:
-    """A file as it was hashed: its SHA-256 and state, or the ``fault`` for which it could not be read.
+    """A file as it was hashed: SHA-256, state with its size first, or the ``fault`` for which it could not be read.
 
     A file that was written just before may change again within one tick of the clock of its disk: ``just_written``.
     """
 
     sha256: str | None
-    state: FileState | None
+    state: tuple[int, ...] | None
     fault: str = ""
     just_written: bool = False
 
@@ -111,20 +93,19 @@ class HashedFile:
         """The file at ``path``, hashed; one that changes meanwhile has that for its fault."""
         try:
             with path.open("rb", buffering=0) as stream:
-                before = FileState._from(os.fstat(stream.fileno()))
+                before = os.fstat(stream.fileno())
                 digest = _stream_sha256(stream)
-            if FileState.of(path) != before:
+            if _state(path.stat()) != _state(before):
                 return cls(None, None, CHANGED)
         except OSError as error:
             return cls(None, None, str(error.strerror))
-        return cls(digest, before, just_written=time.time_ns() - before.changed_ns < SETTLED_NS)
+        return cls(digest, _state(before), just_written=time.time_ns() - before.st_ctime_ns < SETTLED_NS)
 
     def is_still_at(self, path: Path) -> bool:
         """Whether the file at ``path`` is the one that was hashed, untouched since."""
         try:
-            if FileState.of(path) != self.state:
-                return False
-            return not self.just_written or file_sha256(path) == self.sha256
+            same = _state(path.stat()) == self.state
+            return same and (not self.just_written or file_sha256(path) == self.sha256)
         except OSError:
             return False
 

@@ -185,8 +185,11 @@ class Worker:
         try:
             packed = self.connection.recv()
         except (EOFError, ConnectionResetError):
-            ended = self._end()
-            raise (TooLateError(self._too_late) if self._too_late else WorkerDiedError(ended)) from None
+            self._forget()
+            code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+            how = f"ended with status {code}" if code >= 0 else f"was ended by {signal.Signals(-code).name}"
+            late = self._too_late
+            raise (TooLateError(late) if late else WorkerDiedError(f"its worker {how}")) from None
         done, value, where = self._answers.get(packed)
         if done:
             return value
@@ -203,15 +206,6 @@ class Worker:
         self._too_late = f"it took longer than {seconds:g} s"
         with contextlib.suppress(ProcessLookupError):
             os.kill(self.pid, signal.SIGKILL)
-
-    def _end(self) -> str:
-        """Wait for the end of the worker and say how it ended."""
-        self._forget()
-        _, status = os.waitpid(self.pid, 0)
-        code = os.waitstatus_to_exitcode(status)
-        if code >= 0:
-            return f"its worker ended with status {code}"
-        return f"its worker was ended by {signal.Signals(-code).name}"
 
     def _forget(self) -> None:
         assert self.connection is not None
