@@ -134,8 +134,7 @@ def find_aliases(
             "no such lines", place="folding", allowed="a speed above 0 for every order, an error above 0"
         )
     track = _Track(speed_rpm, order, samples_per_rev, order_error, min(shown_to_order, 0.5 * samples_per_rev))
-    free = np.ones(order.size, dtype=np.bool_)
-    free[[point for points in _staying(speed_rpm, order, order_error) for point in points]] = False
+    free = ~_staying(speed_rpm, order, order_error)
     folds = []
     for f in frequencies_hz:
         fold = track.fold(float(f), free, tried=max(1, len(frequencies_hz)))
@@ -203,18 +202,18 @@ def _unnamed(track: _Track, free: Bools, highest_hz: float) -> list[Alias]:
     lowest_hz = 0.5 * track.samples_per_rev * float(track.speed_rpm.min(initial=np.inf)) / 60.0
     while np.unique(track.speed_rpm[free]).size >= 2 and highest_hz > lowest_hz:
         step_hz = 2.0 * track.order_error * float(track.speed_rpm.min()) / 60.0
-        tried = max(1.0, (highest_hz - lowest_hz) / step_hz)
+        tried = math.ceil(max(1.0, (highest_hz - lowest_hz) / step_hz))
         proposed = _proposed(track, free, lowest_hz, highest_hz)
-        sure = [fold for f in proposed if (fold := track.fold(float(f), free, tried=math.ceil(tried))) is not None]
+        sure = [fold for f in proposed if (fold := track.fold(float(f), free, tried=tried)) is not None]
         if not sure:
             break
         best = min(sure, key=lambda fold: fold.false_aliases)
         exact = track.refined_hz(best.frequency_hz, best.points)
         # where speeds are in simple ratios, several frequencies fold alike at all of them
         near_hz = 1e-3 * best.frequency_hz
-        same = [f.frequency_hz for f in sure if np.array_equal(f.points, best.points)]
+        same = [fold.frequency_hz for fold in sure if np.array_equal(fold.points, best.points)]
         alike = [hertz for hertz in same if abs(hertz - exact) > near_hz]
-        best = track.fold(exact, free, tried=math.ceil(tried)) or best
+        best = track.fold(exact, free, tried=tried) or best
         if alike:
             best = replace(best, evidence=f"{best.evidence}; {min(alike):.5g} Hz would fold alike")
         folds.append(best)
@@ -236,19 +235,16 @@ def _proposed(track: _Track, free: Bools, lowest_hz: float, highest_hz: float) -
     return np.asarray((total[last[best]] - total[best]) / votes[best])[votes[best] > 1]
 
 
-def _staying(speed_rpm: Floats, order: Floats, order_error: float) -> list[list[int]]:
-    """Points that stay at one order over most speeds: lines of the shaft."""
-    n_speeds, groups = np.unique(speed_rpm).size, []
+def _staying(speed_rpm: Floats, order: Floats, order_error: float) -> Bools:
+    """Which points (points,) stay at one order over most speeds: lines of the shaft."""
+    n_speeds, staying = np.unique(speed_rpm).size, np.zeros(order.size, dtype=np.bool_)
     sequence = np.argsort(order, kind="stable")
     first = 0
     while first < order.size and n_speeds > 1:
         limit = order[sequence[first]] + 2.0 * order_error
         last = first + int(np.searchsorted(order[sequence[first:]], limit, side="right"))
-        group = [int(point) for point in sequence[first:last]]
-        seen = np.unique(speed_rpm[group]).size
-        if seen > max(1.0, ORDER_SHARE * n_speeds):
-            groups.append(group)
-            first = last
-        else:
-            first += 1
-    return groups
+        group = sequence[first:last]
+        stays = np.unique(speed_rpm[group]).size > max(1.0, ORDER_SHARE * n_speeds)
+        staying[group] |= stays
+        first = last if stays else first + 1
+    return staying

@@ -80,9 +80,12 @@ def angle_knots(
     -------
     AngleKnots, no more of them than cubic interpolation to a tenth of the standard error needs.
     """
-    start, resolution_s = float(time_s[0]), _resolution_s(time_s)
-    grid, weight = _on_grid(time_s.astype(np.float64, copy=False) - start, tooth)
-    noise = max(noise_from_differences(grid[weight > 0]) if noise_s is None else noise_s, resolution_s)
+    start, place = float(time_s[0]), tooth - tooth[0]
+    grid, weight = time_s.astype(np.float64, copy=False) - start, np.ones(time_s.size)
+    if place[-1] + 1 > place.size:  # the time of a tooth without a pulse is bridged, and weighs nothing
+        grid, weight = np.interp(np.arange(place[-1] + 1), place, grid), np.zeros(place[-1] + 1)
+        weight[place] = 1.0
+    noise = max(noise_from_differences(grid[weight > 0]) if noise_s is None else noise_s, _resolution_s(time_s))
     spacing = weight.size / tooth.size
     kept = min(settings.kept_order * spacing / teeth_per_rev, CARRIED_CUT_OFF)
     floor = max(LOWEST_CUT_OFF * spacing ** (5 / 6), kept)
@@ -91,7 +94,7 @@ def angle_knots(
         cut_off, noise = cut_off_of(grid, weight, noise_s=noise, floor=floor, margin=settings.smoothing_margin)
         smooth, leverage = _smoothed(grid, weight, cut_off, noise)
     smooth, slope = _with_slopes(smooth)
-    pulse = tooth[:: 1 + tooth.size // MEDIAN_TEETH] - tooth[0]
+    pulse = place[:: 1 + place.size // MEDIAN_TEETH]
     usual = noise * float(np.median(np.sqrt(leverage[pulse]) / slope[pulse + 1]))
     at = _sparse(smooth, slope, max(KNOT_ERROR_SHARE * usual, ROUND_OFF_REV * teeth_per_rev), cut_off / spacing)
     rate = 1.0 / (teeth_per_rev * slope[at])
@@ -103,23 +106,12 @@ def angle_knots(
 
 
 def _resolution_s(time_s: npt.NDArray[Any]) -> float:
-    """How finely ``time_s`` can be told: the spacing of float64 there, of float32 where all are float32 numbers."""
+    """Resolution [s] of ``time_s``: the spacing of float64 there; the deviation by rounding where all are float32."""
     largest = float(max(abs(time_s[0]), abs(time_s[-1])))
     some = time_s[-SOME_TIMES:]
     if np.array_equal(some.astype(np.float32), some):
         return float(np.spacing(np.float32(largest))) / math.sqrt(12.0)
     return float(np.spacing(largest))
-
-
-def _on_grid(time_s: Floats, tooth: Ints) -> tuple[Floats, Floats]:
-    """Pulse times on the even grid of teeth, and weights: 0 where a tooth has no pulse (its time is bridged)."""
-    n = int(tooth[-1] - tooth[0]) + 1
-    if n == time_s.size:
-        return time_s, np.ones(n)
-    place = tooth - tooth[0]
-    weight = np.zeros(n)
-    weight[place] = 1.0
-    return np.interp(np.arange(n), place, time_s), weight
 
 
 def _smoothed(grid: Floats, weight: Floats, cut_off: float, noise_s: float) -> tuple[Floats, Floats]:
@@ -487,9 +479,8 @@ def integrated_speed(
     backward = speed < -NOISE_SIGMAS * noise_rpm
     n_backward = int(backward.sum())
     if n_backward:
-        flags.append(
-            ("speed_negative", "suspect", f"{n_backward} of {speed.size} speed samples are below 0, taken as 0")
-        )
+        detail = f"{n_backward} of {speed.size} speed samples are below 0, taken as 0"
+        flags.append(("speed_negative", "suspect", detail))
         speed = np.where(backward, 0.0, speed)
     revs_per_s = speed / 60.0
     # of a shaft that stands, noise adds up to nothing only as long as neither side of it is cut off

@@ -190,8 +190,7 @@ def expected_motion(reference: Reference, seen: Mapping[float, float], *, percen
 def unseen_motion(reference: Reference, motion: Mapping[float, float]) -> Modulation:
     """Error from in-cycle ``motion`` (amplitude [rev] by order) between and at the pulses of ``reference``."""
     parts = [reference.error_of_motion(at, size) for at, size in sorted(motion.items())]
-    order = np.concatenate([np.empty(0), *(part[0] for part in parts)])
-    size = np.concatenate([np.empty(0), *(part[1] for part in parts)])
+    order, size = np.concatenate([np.empty((2, 0)), *parts], axis=1)
     still, matters = order < 1e-6, size > 1e-3 * size.max(initial=0.0)
     return Modulation(
         "motion between the pulses",

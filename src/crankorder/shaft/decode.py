@@ -29,6 +29,7 @@ from crankorder.shaft.wheel import (
     times_of,
     undersampled,
     uneven_noise_s,
+    wrapped,
 )
 
 # Marks are the same tooth of the camshaft within this much of a crank revolution: variable timing moves it by 0.14.
@@ -61,18 +62,20 @@ def cam_mark(place_rev: Floats, time_s: Floats) -> CamMark:
     if place.size == 0:
         return CamMark(float("nan"), [("no_cam", "suspect", "no cam mark while the crank angle is known")])
     cycles = max(1.0, (place[-1] - place[0]) / 2.0)
-    away = np.abs(_wrapped(place[:, None] - place[None, :500]))
+    away = np.abs(wrapped(place[:, None] - place[None, :500], 2.0))
     votes = np.sum(away < SAME_MARK_REV, axis=0)
     first = int(np.argmax(votes))
-    own = np.abs(_wrapped(place - place[first])) < SAME_MARK_REV
-    centre = float(place[first] + np.median(_wrapped(place[own] - place[first])))
+    away_rev = wrapped(place - place[first], 2.0)
+    own = np.abs(away_rev) < SAME_MARK_REV
+    centre = float(place[first] + np.median(away_rev[own]))
     rest = place[~own]
-    rival = int(np.sum(np.abs(_wrapped(rest - centre - 1.0)) < SAME_MARK_REV))
+    rival = int(np.sum(np.abs(wrapped(rest - centre - 1.0, 2.0)) < SAME_MARK_REV))
     if own.sum() - rival < LEAD_SHARE * cycles or own.sum() < 0.5 * cycles:
         detail = (
-            f"{own.sum()} cam marks at one place of the cycle, {rival} a crank revolution from it, {rest.size} in all"
+            f"{own.sum()} cam marks at one place of the cycle, {rival} a crank revolution from it, {rest.size} in all "
+            "elsewhere: the cycle phase is not known"
         )
-        return CamMark(float("nan"), [("cam_unclear", "suspect", f"{detail} elsewhere: the cycle phase is not known")])
+        return CamMark(float("nan"), [("cam_unclear", "suspect", detail)])
     flags: list[Remark] = []
     extra = ~own
     extra[np.flatnonzero(own)[1:][np.diff(place[own]) < 1.0]] = True
@@ -93,15 +96,12 @@ def firing_tdc(mark_rev: float, tdc_rev: float, cam_to_tdc_deg: float | None) ->
     tells it. ``cam_to_tdc_deg``: crank angle from the mark to the firing one; None where it is not stated: then it is
     the next one after the mark, or the mark itself.
     """
-    told: Remark = (
-        "cycle_from_cam",
-        "info",
-        "cam_to_tdc_deg is not stated: the cycle starts with the next dead centre",
-    )
+    not_stated = "cam_to_tdc_deg is not stated: the cycle starts with the next dead centre"
+    flags: list[Remark] = [("cycle_from_cam", "info", not_stated)] if cam_to_tdc_deg is None else []
     if not np.isfinite(tdc_rev):
-        return mark_rev + (cam_to_tdc_deg or 0.0) / 360.0, [told] if cam_to_tdc_deg is None else []
+        return mark_rev + (cam_to_tdc_deg or 0.0) / 360.0, flags
     if cam_to_tdc_deg is None:
-        return tdc_rev + float(np.ceil(mark_rev - tdc_rev - 0.01)), [told]
+        return tdc_rev + float(np.ceil(mark_rev - tdc_rev - 0.01)), flags
     wanted = mark_rev + cam_to_tdc_deg / 360.0
     turns = float(np.round(wanted - tdc_rev))
     missed = wanted - tdc_rev - turns
@@ -109,12 +109,6 @@ def firing_tdc(mark_rev: float, tdc_rev: float, cam_to_tdc_deg: float | None) ->
         return tdc_rev + turns, []
     detail = f"cam mark and cam_to_tdc_deg point {360.0 * missed:+.0f} degrees beside a top dead centre"
     return tdc_rev + turns, [("cam_off", "suspect", detail)]
-
-
-def _wrapped(place_rev: Floats) -> Floats:
-    """``place_rev`` within one revolution of 0, on the cycle of two."""
-    wrapped: Floats = place_rev - 2.0 * np.round(place_rev / 2.0)
-    return wrapped
 
 
 # Jitter so many times the noise of sampling is worth a remark.
@@ -148,14 +142,19 @@ def shaft_angle(recording: xr.Dataset, *, settings: ShaftSettings) -> ShaftAngle
         if kind == "speed":
             return _from_speed(recording, settings)
         if kind == "constant":
-            return _from_constant(recording)
+            speed_rpm = float(recording.attrs.get("speed_rpm", np.nan))
+            if not speed_rpm > 0.0:
+                raise InputError(
+                    "the constant speed is not known",
+                    place="encoder",
+                    found=f"{speed_rpm:g} rpm",
+                    remedy="State speed_rpm in run.toml",
+                )
+            return _dataset(recording, _at_constant_speed(recording, speed_rpm), "none", 0, [_NO_PHASE])
         if kind == "vibration":
             return _from_vibration(recording, settings)
         if not recording.attrs.get("has_shaft", 1):
-            time_s = np.array([0.0, recording.variables["signal"].shape[1] / float(recording.attrs["rate_hz"])])
-            unknown = np.full(2, np.nan)
-            knots = AngleKnots(time_s, np.zeros(2), unknown, unknown, np.nan, np.nan)
-            still = _dataset(recording, knots, "none", 0, [])
+            still = _dataset(recording, _at_constant_speed(recording, np.nan), "none", 0, [])
             still.attrs["has_shaft"] = 0
             return still
     raise InputError(
@@ -184,34 +183,28 @@ def _from_pulses(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
         ratio = float(recording.attrs.get("ratio", 1.0))
         widest = float(shape.spans.max() * shape.places.size / shape.grid)
         parts, left_out = running_parts(pulse_s, pulses_per_rev=shape.places.size * ratio, gap=widest, joined=True)
-    made = []
+    decoded: list[_Decoded] = []
+    runs: list[ShaftRun] = []
     # at rest a few pulses come further and further apart, which no even smoothing follows
     smooth = len(parts) == 1 or wheel.pulses_per_rev > FEW_PULSES
     for part in parts:
         try:
-            made.append((part, _from_run(recording, settings, wheel, part, smooth=smooth)))
+            run = _from_run(recording, settings, wheel, part, smooth=smooth)
         except InputError:
-            if len(parts) == 1 or part.stop - part.start == max(one.stop - one.start for one in parts):
+            if len(parts) == 1 or part.stop - part.start == max(other.stop - other.start for other in parts):
                 raise
             detail = (
                 f"the run from {pulse_s[part.start]:.6g} to {pulse_s[part.stop - 1]:.6g} s cannot be counted: left out"
             )
             left_out.append(("encoder_part_unused", "suspect", detail))
-    if len(made) == 1:
-        return _shaft_of(recording, [made[0][1]], made[0][1].knots, [*remarks, *left_out], settings)
-    runs = [
-        ShaftRun(
-            one.knots,
-            (float(one.teeth.time_s[0]), float(one.teeth.time_s[-1])),
-            part.start + int(np.searchsorted(pulse_s[part], one.teeth.time_s[0])),
-            part.start + int(np.searchsorted(pulse_s[part], one.teeth.time_s[-1])),
-            0.0 if one.reference == "none" else float(recording.attrs["revs_per_cycle"]) if one.cycle_known else 1.0,
-        )
-        for part, one in made
-    ]
-    decoded = [one for _, one in made]
+            continue
+        ends_s = (float(run.teeth.time_s[0]), float(run.teeth.time_s[-1]))
+        first, last = (int(pulse) for pulse in (part.start or 0) + np.searchsorted(pulse_s[part], ends_s))
+        period = float(recording.attrs["revs_per_cycle"]) if run.cycle_known else 1.0
+        runs.append(ShaftRun(run.knots, ends_s, first, last, 0.0 if run.reference == "none" else period))
+        decoded.append(run)
     knots = joined(runs, wheel.pulses_per_rev * float(recording.attrs.get("ratio", 1.0)))
-    if any(one.reference == "none" for one in decoded):
+    if len(runs) > 1 and any(run.reference == "none" for run in decoded):
         detail = "no mark tells the angle again after the standstill: between the runs the pulses are counted"
         left_out.append(("standstill_phase", "info", detail))
     return _shaft_of(recording, decoded, knots, [*remarks, *left_out], settings)
@@ -281,17 +274,11 @@ def _shaft_of(
     """
     attrs = recording.attrs
     teeth, stated = runs[0].teeth, float(attrs.get("pulse_noise_s", 0.0))
-    for one in runs:
-        remarks += [remark for remark in one.remarks if remark not in remarks]
-    reference = "none" if any(one.reference == "none" for one in runs) else runs[0].reference
-    shaft = _dataset(
-        recording,
-        knots,
-        reference,
-        sum(one.teeth.time_s.size for one in runs),
-        remarks,
-        cycle_known=all(one.cycle_known for one in runs),
-    )
+    for run in runs:
+        remarks += [remark for remark in run.remarks if remark not in remarks]
+    reference = "none" if any(run.reference == "none" for run in runs) else runs[0].reference
+    n_pulses, cycle_known = sum(run.teeth.time_s.size for run in runs), all(run.cycle_known for run in runs)
+    shaft = _dataset(recording, knots, reference, n_pulses, remarks, cycle_known=cycle_known)
     rounded = stated > QUANTISED_SAMPLES / float(attrs.get("encoder_rate_hz", attrs.get("rate_hz", np.inf)))
     shaft.attrs["teeth_per_rev"] = teeth.teeth_per_rev * float(attrs.get("ratio", 1.0))
     shaft.attrs["cut_off_order"] = knots.cut_off_order
@@ -316,13 +303,12 @@ def _tdc(teeth: NumberedTeeth, teeth_per_rev: float, recording: xr.Dataset) -> t
         if np.isfinite(mark.place_rev):
             to_tdc = float(attrs["cam_to_tdc_deg"]) if "cam_to_tdc_deg" in attrs else None
             stated |= not np.isfinite(tdc) and to_tdc is not None
-            tdc, told = firing_tdc(mark.place_rev, tdc, to_tdc)
-            flags, cycle_known = flags + told, True
+            tdc, cam_flags = firing_tdc(mark.place_rev, tdc, to_tdc)
+            flags, cycle_known = flags + cam_flags, True
     if not np.isfinite(tdc):
         if not any(flag == "no_index" for flag, _, _ in teeth.flags):
-            flags.append(
-                ("no_index", "suspect", "no once-per-revolution mark: orders yes, but their phase has no reference")
-            )
+            detail = "no once-per-revolution mark: orders yes, but their phase has no reference"
+            flags.append(("no_index", "suspect", detail))
         return float(teeth.tooth[0]) / teeth_per_rev, cycle_known, "none", flags
     if not cycle_known:
         detail = "which top dead centre fires is not known: half orders may be turned by 180°"
@@ -346,16 +332,14 @@ def _from_speed(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngle:
         start_s=float(recording.attrs.get("encoder_start_s", 0.0)),
     )
     per_rev = 2.0 / settings.speed_lowpass_rev
-    parts, told = running_parts(knots.time_s, pulses_per_rev=per_rev, joined=True, lossless=True)
+    parts, stops = running_parts(knots.time_s, pulses_per_rev=per_rev, joined=True, lossless=True)
     runs = []
     for part in parts:
-        time_s, angle_rev, error_rev = (
-            column[part] for column in (knots.time_s, knots.angle_rev, knots.standard_error_rev)
-        )
+        time_s, angle_rev, error_rev = knots.time_s[part], knots.angle_rev[part], knots.standard_error_rev[part]
         speed_rpm = 60.0 * np.gradient(angle_rev, time_s)
         run = replace(knots, time_s=time_s, angle_rev=angle_rev, speed_rpm=speed_rpm, standard_error_rev=error_rev)
         runs.append(ShaftRun(run, (float(time_s[0]), float(time_s[-1])), part.start, part.stop - 1, 0.0))
-    flags += [remark for remark in told if remark[0] == "standstill"]
+    flags += [remark for remark in stops if remark[0] == "standstill"]
     return _dataset(recording, joined(runs, per_rev), "none", 0, [*flags, _NO_PHASE])
 
 
@@ -365,28 +349,21 @@ def _from_vibration(recording: xr.Dataset, settings: ShaftSettings) -> ShaftAngl
 
     attrs = recording.attrs
     expected = attrs.get("expected_rpm")
-    found = speed_from_vibration(
+    vibration = speed_from_vibration(
         recording.variables["signal"].values,
         float(attrs["rate_hz"]),
         settings=settings,
         expected_rpm=None if expected is None else (float(expected[0]), float(expected[1])),
         order_weights=FOUR_STROKE_WEIGHTS if int(attrs["revs_per_cycle"]) == 2 else None,
     )
-    return _dataset(recording, trusted_angle(found), "none", 0, [*found.remarks, _BY_VIBRATION])
+    return _dataset(recording, trusted_angle(vibration), "none", 0, [*vibration.remarks, _BY_VIBRATION])
 
 
-def _from_constant(recording: xr.Dataset) -> ShaftAngle:
-    speed = float(recording.attrs.get("speed_rpm", np.nan))
-    if not speed > 0.0:
-        raise InputError(
-            "the constant speed is not known",
-            place="encoder",
-            found=f"{speed:g} rpm",
-            remedy="State speed_rpm in run.toml",
-        )
+def _at_constant_speed(recording: xr.Dataset, speed_rpm: float) -> AngleKnots:
+    """Two knots, at the begin and end of ``recording``; the angle stays 0 where the speed is NaN."""
     time_s = np.array([0.0, recording.variables["signal"].shape[1] / float(recording.attrs["rate_hz"])])
-    knots = AngleKnots(time_s, time_s * speed / 60.0, np.full(2, speed), np.full(2, np.nan), np.nan, np.nan)
-    return _dataset(recording, knots, "none", 0, [_NO_PHASE])
+    angle_rev = np.nan_to_num(time_s * speed_rpm / 60.0)
+    return AngleKnots(time_s, angle_rev, np.full(2, speed_rpm), np.full(2, np.nan), np.nan, np.nan)
 
 
 _NO_PHASE: Remark = ("no_index", "suspect", "no encoder pulses: orders yes, but their phase has no reference")
@@ -395,9 +372,8 @@ _BY_VIBRATION: Remark = ("no_index", "suspect", f"{_NO_PHASE[2]}, and the speed 
 
 def _sampled_by_angle(recording: xr.Dataset) -> AngleKnots:
     attrs = recording.attrs
-    angle = float(attrs.get("start_deg", 0.0)) / 360.0 + np.array(
-        [0.0, (recording.variables["signal"].shape[1] - 1) / float(attrs["samples_per_rev"])]
-    )
+    revs = (recording.variables["signal"].shape[1] - 1) / float(attrs["samples_per_rev"])
+    angle = float(attrs.get("start_deg", 0.0)) / 360.0 + np.array([0.0, revs])
     speed = float(attrs.get("speed_rpm", np.nan))
     return AngleKnots((angle - angle[0]) * 60.0 / speed, angle, np.full(2, speed), np.zeros(2), np.nan, np.nan)
 

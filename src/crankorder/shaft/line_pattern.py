@@ -79,7 +79,11 @@ def line_pattern(
     stop = int(np.searchsorted(tooth, tooth[0] + MOST_TEETH))
     time_s, tooth = time_s[:stop], tooth[:stop]
     period = lines * _period_revs(ratio, revs_per_cycle)
-    rest, tooth_s = _even_grid(time_s, tooth)
+    place = tooth - tooth[0]
+    tooth_s = float((time_s[-1] - time_s[0]) / place[-1])
+    rest = (time_s - time_s[0]) - tooth_s * place
+    if place[-1] + 1 > place.size:
+        rest = np.interp(np.arange(place[-1] + 1), place, rest)
     deviation, first, rev_s = _deviation(rest, tooth_s, lines, period)
     n_periods = deviation.size // period
     if n_periods < FEWEST_PERIODS:
@@ -87,8 +91,8 @@ def line_pattern(
     used = n_periods * period
     by_period = (deviation[:used] / rev_s[:used]).reshape(n_periods, period)
     shift = (int(tooth[0]) + first) % lines
-    present = np.zeros(tooth[-1] - tooth[0] + 1, dtype=np.bool_)
-    present[tooth - tooth[0]] = True
+    present = np.zeros(rest.size, dtype=np.bool_)
+    present[place] = True
     _fill(by_period, present[first : first + used])
     mean_rev_s = math.sqrt(float(np.mean(rev_s[:used] ** 2)))
     smooth_s = rest[first : first + used] - deviation[:used] + tooth_s * np.arange(used)
@@ -148,21 +152,9 @@ def even_line_times(time_s: Floats, tooth: Ints, line_error_rev: Floats) -> Floa
 
 def _period_revs(ratio: float, revs_per_cycle: int) -> int:
     """Encoder revolutions in which the engine makes whole cycles; 1 where there is no such small number."""
-    for revs in range(1, LONGEST_PERIOD_REVS + 1):
-        cycles = revs / (ratio * revs_per_cycle)
-        if abs(cycles - round(cycles)) < 1e-9:
-            return revs
-    return 1
-
-
-def _even_grid(time_s: Floats, tooth: Ints) -> tuple[Floats, float]:
-    """Times less those of even rotation, on the grid of all teeth, and the mean time of a tooth [s]."""
-    place = tooth - tooth[0]
-    tooth_s = float((time_s[-1] - time_s[0]) / place[-1])
-    rest = (time_s - time_s[0]) - tooth_s * place
-    if place[-1] + 1 > place.size:
-        rest = np.interp(np.arange(place[-1] + 1), place, rest)
-    return rest, tooth_s
+    cycles = np.arange(1, LONGEST_PERIOD_REVS + 1) / (ratio * revs_per_cycle)
+    whole = np.flatnonzero(np.abs(cycles - np.rint(cycles)) < 1e-9)
+    return int(whole[0]) + 1 if whole.size else 1
 
 
 def _deviation(rest_s: Floats, tooth_s: float, lines: int, period: int) -> tuple[Floats, int, Floats]:
@@ -247,8 +239,10 @@ def _averaged(by_period: Floats, shift: int, lines: int, fixed: float) -> LinePa
     Errors by order come from the scatter between groups of periods: slow motion, which falls on low orders, shows
     there as it should. ``fixed`` [rev²] is the variance of a line that does not show as scatter.
     """
-    n_batches = _batches(by_period.shape[0])
-    size = by_period.shape[0] // n_batches
+    n_batches = n_periods = by_period.shape[0]
+    if n_periods > MOST_BATCHES:  # equal groups that leave the fewest periods over
+        n_batches = min(range(MOST_BATCHES, MOST_BATCHES // 2 - 1, -1), key=lambda count: n_periods % count)
+    size = n_periods // n_batches
     revs = by_period.shape[1] // lines
     batch = by_period[: n_batches * size].reshape(n_batches, size * revs, lines).mean(axis=1)
     batch = np.roll(batch, shift, axis=1)
@@ -276,10 +270,3 @@ def _cycle_amplitudes(value: Floats, lines: int) -> Complexes:
     spectrum[0] = 0.0
     spectrum[1:] = np.where(gain > LEAST_GAIN, spectrum[1:] / np.maximum(gain, LEAST_GAIN), 0.0)
     return spectrum
-
-
-def _batches(n_periods: int) -> int:
-    """Number of equal groups of periods that leaves the fewest of them over."""
-    if n_periods <= MOST_BATCHES:
-        return n_periods
-    return min(range(MOST_BATCHES, MOST_BATCHES // 2 - 1, -1), key=lambda count: n_periods % count)

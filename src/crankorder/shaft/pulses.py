@@ -10,7 +10,7 @@ the local height off it.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -121,7 +121,14 @@ def find_pulses(
         )
         pieces = iter([fired])
     settled_at = (low + SETTLED_SHARE * (high - low), high - SETTLED_SHARE * (high - low))
-    position, settled, n_missing = _crossings(samples, sign, pieces, settled_at)
+    positions: list[Floats] = []
+    settled = n_missing = 0
+    for fired, level, missing in pieces:
+        crossed = np.empty(fired.size)
+        n, n_settled = _cross(samples, sign, fired, level, *settled_at, crossed)
+        positions.append(crossed[:n])
+        settled, n_missing = settled + n_settled, n_missing + missing
+    position = positions[0] if len(positions) == 1 else np.concatenate(positions)
     n = position.size
     if n == 0:
         raise _no_pulses(edge, pulses_per_rev, f"levels {levels[0]:g} and {levels[1]:g}")
@@ -153,23 +160,6 @@ def _fired_square(
         yield at[:n], np.full(n, middle), n_missing
 
 
-def _crossings(
-    samples: npt.NDArray[Any],
-    sign: float,
-    pieces: Iterable[tuple[Ints, Floats, int]],
-    settled_at: tuple[float, float],
-) -> tuple[Floats, int, int]:
-    """Places [samples] of the edges of all ``pieces``, how many lie between settled samples, and the count of NaN."""
-    found: list[Floats] = []
-    settled = n_missing = 0
-    for fired, level, missing in pieces:
-        position = np.empty(fired.size)
-        n, n_settled = _cross(samples, sign, fired, level, *settled_at, position)
-        found.append(position[:n])
-        settled, n_missing = settled + n_settled, n_missing + missing
-    return found[0] if len(found) == 1 else np.concatenate(found), settled, n_missing
-
-
 def _no_pulses(edge: str, pulses_per_rev: int, found: str) -> NoPulsesError:
     return NoPulsesError(
         f"no {edge} encoder edge found",
@@ -189,13 +179,10 @@ def _spread(some: npt.NDArray[Any], low: float, high: float) -> float:
 
 def _is_two_level(some: npt.NDArray[Any], low: float, high: float) -> bool:
     """Whether the samples on both sides of the middle rest on a level."""
-    finite = some[np.isfinite(some)]
+    finite, width = some[np.isfinite(some)], LEVEL_WIDTH * (high - low)
     above = finite > 0.5 * (low + high)
-    n_above, width = int(np.count_nonzero(above)), LEVEL_WIDTH * (high - low)
-    near_low, near_high = np.abs(finite - low) < width, np.abs(finite - high) < width
-    at_high = int(np.count_nonzero(near_high & above))
-    at_low = int(np.count_nonzero(near_low & ~above))
-    return at_high >= LEVEL_SHARE * n_above and at_low >= LEVEL_SHARE * (finite.size - n_above)
+    sides = ((finite[above], high), (finite[~above], low))
+    return all(np.count_nonzero(np.abs(side - level) < width) >= LEVEL_SHARE * side.size for side, level in sides)
 
 
 def _levels(trace: npt.NDArray[Any], low: float, high: float) -> tuple[float, float]:
@@ -328,36 +315,22 @@ def _fired_pickup(trace, sign, full_low, full_high, rest, share, hysteresis, sur
             trough = min(trough, value)
             if value > level + band:
                 if n == at.size:
-                    at, level_at = _doubled(at), _doubled(level_at)
+                    at, level_at = np.concatenate((at, at)), np.concatenate((level_at, level_at))  # as much room again
                 at[n], level_at[n] = i, level
                 n += 1
-                low = _followed(low, trough, envelope_teeth)
+                low += (trough - low) / envelope_teeth
                 armed, peak, interval, last = False, value, i - last, float(i)
         else:
             peak = max(peak, value)
             if value < level - band:
                 if n > 0:
-                    high = _followed(high, peak, envelope_teeth)
+                    high += (peak - high) / envelope_teeth
                 armed, trough = True, value
         if i - last > 2.0 * envelope_teeth * interval:
             # the wheel slows or its pulses fade: look for pulses of half the height
             shrink, last = 0.25 * (high - low), float(i)
             low, high = (low if rest < 0 else low + shrink), (high if rest > 0 else high - shrink)
     return at[:n].copy(), level_at[:n].copy(), missing
-
-
-@njit(cache=True, nogil=True)
-def _doubled(values):  # type: ignore[no-untyped-def]
-    """``values`` with as much room again behind them."""
-    more = np.empty(2 * values.size, dtype=values.dtype)
-    more[: values.size] = values
-    return more
-
-
-@njit(cache=True, nogil=True)
-def _followed(level, seen, envelope_teeth):  # type: ignore[no-untyped-def]
-    """Level of the extremes after one more tooth, followed over ``envelope_teeth`` teeth."""
-    return level + (seen - level) / envelope_teeth
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

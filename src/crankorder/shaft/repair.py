@@ -81,7 +81,9 @@ def running_parts(
         return [slice(0, time_s.size)], []
     parts = [slice(first, end) for first, end in pairwise([0, *(at + 1 for at in stops), time_s.size])]
     longest = max(parts, key=lambda part: part.stop - part.start)
-    still = [at for at in stops if lossless or at in turned or _speed_is_low(step, at, limit)]
+    # it slows before or starts after the hole, rather than runs as usual on both sides
+    slow_s = min(limit / 5.0, 3.0 * float(np.median(step)))
+    still = [at for at in stops if lossless or at in turned or max(_beside(step, at)) > slow_s]
     used = [longest]
     if joined and len(still) == len(stops):
         fewest = max(FEWEST_PULSES, FEWEST_REVS * pulses_per_rev)
@@ -151,11 +153,6 @@ def _stops_and_starts(step: Floats, at: int) -> bool:
     if min(before.size, after.size) < LEAST_BESIDE:
         return False
     return bool(before[-1] > SLOWED * before[0] and after[0] > SLOWED * after[-1])
-
-
-def _speed_is_low(step: Floats, at: int, limit: float) -> bool:
-    """Whether the shaft slows before or starts after the hole, rather than runs as usual on both sides."""
-    return max(_beside(step, at)) > min(limit / 5.0, 3.0 * float(np.median(step)))
 
 
 def _spans(time_s: Floats, holes: list[int], stray: list[slice]) -> str:
@@ -229,13 +226,8 @@ def _follow(time_s, log_span, clean, ways, reals, nodes, slot, ends):  # type: i
         if ends[2] >= size:
             return nodes
         if ends[1] + 2 * room + size - ends[2] > nodes.shape[1]:
-            grown = np.empty((3, 2 * nodes.shape[1]), dtype=np.int64)
-            for at in range(ends[1]):
-                for row in range(3):
-                    grown[row, at] = nodes[row, at]
-            nodes = grown
-        for tooth in range(slot.size):
-            slot[tooth] = -1
+            nodes = np.concatenate((nodes, nodes), axis=1)  # as much room again
+        slot[:] = -1
         k = ends[0] * 0
         for way in range(ends[0]):
             k = _continued(time_s, log_span, clean, way, ways, reals, k, slot, nodes, ends)

@@ -105,8 +105,8 @@ def _is_white(residual: Floats, white: Floats, count: float) -> bool:
     if lags < 3:
         return False
     total = float(residual @ residual)
-    found = np.array([float(residual[:-lag] @ residual[lag:]) / total for lag in range(1, lags + 1)])
-    return bool(np.max(np.abs(found - white[1 : lags + 1] / white[0])) < 3.0 / np.sqrt(count))
+    correlation = np.array([float(residual[:-lag] @ residual[lag:]) / total for lag in range(1, lags + 1)])
+    return bool(np.max(np.abs(correlation - white[1 : lags + 1] / white[0])) < 3.0 / np.sqrt(count))
 
 
 class Smoother:

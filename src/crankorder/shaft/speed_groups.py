@@ -28,11 +28,10 @@ def speed_groups(speed_rpm: Floats, *, width_rpm: float, owner: Ints | None = No
     """
     order = np.argsort(speed_rpm, kind="stable")
     known = order[: np.count_nonzero(~np.isnan(speed_rpm))]
-    pieces: list[Indices] = (
-        [known[k : k + 1] for k in range(len(known))]
-        if owner is None
-        else _pieces(speed_rpm, owner, known, width_rpm=width_rpm)
-    )
+    held = [] if owner is None else held_speeds(speed_rpm, owner, width_rpm=width_rpm)
+    swept = np.setdiff1d(known, np.concatenate([*held, np.empty(0, dtype=np.int64)]))
+    pieces: list[Indices] = [*held, *(k[None] for k in swept)]
+    pieces.sort(key=lambda piece: (float(speed_rpm[piece].min()), int(piece[0])))
     groups: list[list[Indices]] = []
     limit = -np.inf
     for piece in pieces:
@@ -41,16 +40,7 @@ def speed_groups(speed_rpm: Floats, *, width_rpm: float, owner: Ints | None = No
             limit = float(speed_rpm[piece].min()) + width_rpm
         groups[-1].append(piece)
     unknown = order[len(known) :]
-    made = [np.sort(np.concatenate(group)) for group in groups]
-    return [*made, np.sort(unknown)] if len(unknown) else made
-
-
-def _pieces(speed_rpm: Floats, owner: Indices, known: Indices, *, width_rpm: float) -> list[Indices]:
-    """Speeds that are held, whole, and single frames of those that are swept; slowest first."""
-    held = held_speeds(speed_rpm, owner, width_rpm=width_rpm)
-    taken = np.concatenate(held) if held else np.empty(0, dtype=np.int64)
-    pieces = [*held, *(k[None] for k in np.setdiff1d(known, taken))]
-    return sorted(pieces, key=lambda piece: (float(speed_rpm[piece].min()), int(piece[0])))
+    return [np.sort(np.concatenate(group)) for group in [*groups, [unknown]] if len(group[0])]
 
 
 def held_speeds(speed_rpm: Floats, owner: Indices, *, width_rpm: float) -> list[Indices]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -33,33 +32,20 @@ NO_PULSES = "no_pulses"
 """Flag of a stretch without pulses."""
 
 
-class Silence(NamedTuple):
-    """A stretch without pulses, s, the ``speed_rpm`` beside it, and the share of the ``vibration`` that goes on in it.
-
-    ``may_stand`` where the speed beside falls so fast towards it that the shaft may have come to rest within it.
-    """
-
-    from_s: float
-    to_s: float
-    at_end: bool
-    speed_rpm: float
-    may_stand: bool
-    vibration: float
-
-
 def silent_ends(recording: xr.Dataset, shaft: xr.Dataset) -> list[Remark]:
     """Remarks on the ends of ``recording`` (a Recording by time) that its pulses leave out of ``shaft`` (its angle)."""
     if "pulse_time" not in recording or "rate_hz" not in recording.attrs:
         return []
-    remarks: list[Remark] = []
-    for at_end in (False, True):
-        found = _silence(recording, shaft, at_end=at_end)
-        if found is not None:
-            remarks.append(_said(found))
-    return remarks
+    remarks = (_silence(recording, shaft, at_end=at_end) for at_end in (False, True))
+    return [remark for remark in remarks if remark is not None]
 
 
-def _silence(recording: xr.Dataset, shaft: xr.Dataset, *, at_end: bool) -> Silence | None:
+def _silence(recording: xr.Dataset, shaft: xr.Dataset, *, at_end: bool) -> Remark | None:
+    """Remark on a stretch without pulses at one end; None where there is none that is long.
+
+    It tells a standstill, where the speed beside falls so fast that the shaft may have come to rest, from an encoder
+    that was lost, where the vibration goes on.
+    """
     pulse_s = recording.variables["pulse_time"].values
     rate_hz = float(recording.attrs["rate_hz"])
     length_s = recording.variables["signal"].shape[1] / rate_hz
@@ -75,9 +61,17 @@ def _silence(recording: xr.Dataset, shaft: xr.Dataset, *, at_end: bool) -> Silen
     speed_rpm, may_stand = _beside(shaft, edge_s, reach_s, gap_s, at_end=at_end)
     if not gap_s * speed_rpm / 60.0 > LEAST_REVS:
         return None
-    span = (edge_s, length_s) if at_end else (0.0, edge_s)
-    share = _vibration_share(recording.variables["signal"].values, rate_hz, edge_s, gap_s, at_end=at_end)
-    return Silence(*span, at_end, speed_rpm, may_stand, share)
+    vibration = _vibration_share(recording.variables["signal"].values, rate_hz, edge_s, gap_s, at_end=at_end)
+    from_s, to_s = (edge_s, length_s) if at_end else (0.0, edge_s)
+    when = f"no pulses from {from_s:.3g} s to {'the end at ' if at_end else ''}{to_s:.3g} s"
+    length = f"{to_s - from_s:.3g} s are left out of all that follows the shaft"
+    beside = f"the speed {'before' if at_end else 'after'} was {speed_rpm:.4g} rpm"
+    goes_on = vibration >= GOES_ON
+    if may_stand and not goes_on:
+        return (NO_PULSES, "info", f"{when}: standstill or encoder lost; {beside}; {length}")
+    cause = "encoder lost while the machine ran" if goes_on and not may_stand else "encoder lost or standstill"
+    level = f"; the vibration goes on at {100.0 * vibration:.0f} % of its amplitude" if goes_on else ""
+    return (NO_PULSES, "suspect", f"{when}: {cause}; {beside}{level}; {length}")
 
 
 def _beside(shaft: xr.Dataset, edge_s: float, reach_s: float, gap_s: float, *, at_end: bool) -> tuple[float, bool]:
@@ -109,19 +103,6 @@ def _vibration_share(signal: Floats, rate_hz: float, edge_s: float, gap_s: float
     return float((spread[0][moves] / spread[1][moves]).max()) if moves.any() else float("nan")
 
 
-def _said(found: Silence) -> Remark:
-    when = f"no pulses from {found.from_s:.3g} s to {'the end at ' if found.at_end else ''}{found.to_s:.3g} s"
-    length = f"{found.to_s - found.from_s:.3g} s are left out of all that follows the shaft"
-    beside = f"the speed {'before' if found.at_end else 'after'} was {found.speed_rpm:.4g} rpm"
-    goes_on = found.vibration >= GOES_ON
-    level = f"the vibration goes on at {100.0 * found.vibration:.0f} % of its amplitude" if goes_on else ""
-    if found.may_stand and not goes_on:
-        return (NO_PULSES, "info", f"{when}: standstill or encoder lost; {beside}; {length}")
-    told = "encoder lost while the machine ran" if goes_on and not found.may_stand else "encoder lost or standstill"
-    reasons = "; ".join(part for part in (beside, level, length) if part)
-    return (NO_PULSES, "suspect", f"{when}: {told}; {reasons}")
-
-
 STEP_SHARE = 1e-3
 """Share of a knot interval over which the speed at a pulse is differenced."""
 
@@ -147,20 +128,18 @@ def joined(runs: list[ShaftRun], teeth_per_rev: float) -> AngleKnots:
     Between two of them the shaft turns by the pulses between, of which ``teeth_per_rev`` make a revolution, to the
     nearest angle at which the mark, where there is one, stands right; it slows down evenly, stands and speeds up.
     """
-    made = _within(runs[0].knots, -np.inf, runs[0].ends_s[1]) if len(runs) > 1 else runs[0].knots
+    knots = _within(runs[0].knots, -np.inf, runs[0].ends_s[1]) if len(runs) > 1 else runs[0].knots
     for before, run in pairwise(runs):
         own = _within(run.knots, run.ends_s[0], np.inf if run is runs[-1] else run.ends_s[1])
         turned = (run.first - before.last) / teeth_per_rev
-        shift = made.angle_rev[-1] + turned - own.angle_rev[0]
-        period = run.period_rev
-        if period > 0.0:
-            shift = period * np.round(shift / period)
+        shift = knots.angle_rev[-1] + turned - own.angle_rev[0]
+        if run.period_rev > 0.0:
+            shift = run.period_rev * np.round(shift / run.period_rev)
         laid = replace(own, angle_rev=own.angle_rev + float(shift))
         # a tooth too many counted at rest would let the angle go back
-        behind = laid.angle_rev > made.angle_rev[-1]
-        laid = _of(laid, [column[behind] for column in _columns(laid)])
-        made = _stopped_between(made, laid)
-    return made
+        behind = laid.angle_rev > knots.angle_rev[-1]
+        knots = _stopped_between(knots, _of(laid, [column[behind] for column in _columns(laid)]))
+    return knots
 
 
 def _within(knots: AngleKnots, first_s: float, last_s: float) -> AngleKnots:

@@ -33,19 +33,19 @@ def speed_trace(time_s: Floats, speed_rpm: Floats) -> tuple[Floats, ...]:
     """
     known = np.isfinite(time_s) & np.isfinite(speed_rpm)
     time, speed = np.asarray(time_s, dtype=float)[known], np.asarray(speed_rpm, dtype=float)[known]
-    made = np.full((4, KNOTS), np.nan)
+    trace = np.full((4, KNOTS), np.nan)
     if len(time) <= KNOTS:
-        made[:, : len(time)] = time, speed, speed, speed
-        return tuple(made)
+        trace[:, : len(time)] = time, speed, speed, speed
+        return tuple(trace)
     ends = np.linspace(time[0], time[-1], KNOTS + 1)
     turned = np.concatenate([[0.0], np.cumsum(np.diff(time) * (speed[1:] + speed[:-1]) / 2)])
-    made[0] = (ends[:-1] + ends[1:]) / 2
-    made[1] = np.diff(np.interp(ends, time, turned)) / np.diff(ends)
+    trace[0] = (ends[:-1] + ends[1:]) / 2
+    trace[1] = np.diff(np.interp(ends, time, turned)) / np.diff(ends)
     first = np.searchsorted(time, ends[:-1])
     held = np.diff(np.append(first, len(time))) > 0
-    made[2] = np.where(held, np.minimum.reduceat(speed, np.minimum(first, len(speed) - 1)), made[1])
-    made[3] = np.where(held, np.maximum.reduceat(speed, np.minimum(first, len(speed) - 1)), made[1])
-    return tuple(made)
+    for row, extreme in ((2, np.minimum), (3, np.maximum)):
+        trace[row] = np.where(held, extreme.reduceat(speed, np.minimum(first, len(speed) - 1)), trace[1])
+    return tuple(trace)
 
 
 def trace_variables(shafts: Sequence[xr.Dataset]) -> dict[str, xr.Variable]:
@@ -55,8 +55,8 @@ def trace_variables(shafts: Sequence[xr.Dataset]) -> dict[str, xr.Variable]:
     in the order of the recordings.
     """
     traces = np.empty((len(_UNITS), len(shafts), KNOTS), dtype=np.float32)  # of thousands of recordings: held once
-    for number, item in enumerate(shafts):
-        traces[:, number] = speed_trace(item["time"].values, item["speed"].values)
+    for number, shaft in enumerate(shafts):
+        traces[:, number] = speed_trace(shaft["time"].values, shaft["speed"].values)
     return {
         name: xr.Variable(("recording", "knot"), traces[number], {"units": unit, "long_name": text})
         for number, (name, (unit, text)) in enumerate(_UNITS.items())
@@ -69,30 +69,27 @@ def shaft_summary(shafts: Sequence[xr.Dataset]) -> xr.Dataset:
     ``shafts`` are ShaftAngles; ``speed_mean``, ``speed_min``, ``speed_max`` [rpm], ``standard_error`` [rev] and
     ``n_pulses`` are (recording,), the traces of :func:`trace_variables` (recording, knot).
     """
-    rows: dict[str, tuple[Callable[[xr.Dataset], float], str, str]] = {
-        "speed_mean": (lambda shaft: _known(np.mean, shaft["speed"].values), "min-1", "mean speed"),
-        "speed_min": (lambda shaft: _known(np.min, shaft["speed"].values), "min-1", "lowest speed"),
-        "speed_max": (lambda shaft: _known(np.max, shaft["speed"].values), "min-1", "highest speed"),
-        "standard_error": (
-            lambda shaft: _known(np.mean, shaft["standard_error"].values),
-            "rev",
-            "mean standard error of the crank angle",
-        ),
-        "n_pulses": (lambda shaft: float(shaft.attrs["n_pulses"]), "1", "encoder pulses used"),
+    speeds, errors = ([shaft[name].values for shaft in shafts] for name in ("speed", "standard_error"))
+    columns = {
+        "speed_mean": (_known(np.mean, speeds), "min-1", "mean speed"),
+        "speed_min": (_known(np.min, speeds), "min-1", "lowest speed"),
+        "speed_max": (_known(np.max, speeds), "min-1", "highest speed"),
+        "standard_error": (_known(np.mean, errors), "rev", "mean standard error of the crank angle"),
+        "n_pulses": ([float(shaft.attrs["n_pulses"]) for shaft in shafts], "1", "encoder pulses used"),
+    }
+    variables = {
+        name: xr.Variable("recording", values, {"units": unit, "long_name": text})
+        for name, (values, unit, text) in columns.items()
     }
     names = [printable(shaft.attrs["recording"]) for shaft in shafts]
-    made = {
-        name: xr.Variable("recording", [of(shaft) for shaft in shafts], {"units": unit, "long_name": text})
-        for name, (of, unit, text) in rows.items()
-    }
     named = {"recording": xr.Variable("recording", names, {"units": "1", "long_name": "file name"})}
-    return xr.Dataset(made | trace_variables(shafts), coords=named)
+    return xr.Dataset(variables | trace_variables(shafts), coords=named)
 
 
-def _known(of: Callable[[Floats], float], values: Floats) -> float:
-    """What ``of`` makes of those ``values`` that are numbers; NaN of none."""
-    known = values[~np.isnan(values)]
-    return float(of(known)) if known.size else np.nan
+def _known(statistic: Callable[[Floats], float], recordings: list[Floats]) -> list[float]:
+    """The ``statistic`` of those values of each of ``recordings`` that are numbers; NaN where none is."""
+    known = [values[~np.isnan(values)] for values in recordings]
+    return [float(statistic(values)) if values.size else np.nan for values in known]
 
 
 _SPEED_IN_NAME = (

@@ -86,18 +86,18 @@ def tooth_errors(
     lines = teeth.teeth_per_rev
     if lines < FEWEST_LINES:
         return None
-    known = functools.partial(
+    repeating = functools.partial(
         line_pattern, teeth.time_s, teeth.tooth, teeth_per_encoder_rev=lines, ratio=ratio, noise_s=noise_s
     )
-    pattern = known(revs_per_cycle=revs_per_cycle) or known(revs_per_cycle=1)
+    pattern = repeating(revs_per_cycle=revs_per_cycle) or repeating(revs_per_cycle=1)
     if pattern is None:
         return None
-    found = _told(pattern, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1)
-    if found is None:
+    errors = _errors_in(pattern, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1)
+    if errors is None:
         return None
     # what teeth and motion make together is known once the teeth are
-    added = first_order(pattern, found.line_error_rev)
-    return _told(added, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1) or found
+    added = first_order(pattern, errors.line_error_rev)
+    return _errors_in(added, ratio, settings.least_tooth_error, engine=revs_per_cycle > 1) or errors
 
 
 def without_tooth_errors(teeth: NumberedTeeth, errors: ToothErrors) -> NumberedTeeth:
@@ -141,13 +141,13 @@ def stated_teeth(errors: ToothErrors | None, *, ratio: float, tdc_rev: float) ->
 
 def same_wheel(stated: Sequence[Mapping[str, Attribute]]) -> bool:
     """Whether the teeth whose attributes are ``stated`` err alike, as far as they are known to err."""
-    prints = [np.asarray(one[TOOTH_PRINT]) for one in stated if TOOTH_PRINT in one]
-    if any(one.shape != prints[0].shape for one in prints):
+    prints = [np.asarray(attributes[TOOTH_PRINT]) for attributes in stated if TOOTH_PRINT in attributes]
+    if any(own.shape != prints[0].shape for own in prints):
         return False
-    return all(float(one @ prints[0]) > ALIKE * float(one @ one + prints[0] @ prints[0]) for one in prints[1:])
+    return all(float(own @ prints[0]) > ALIKE * float(own @ own + prints[0] @ prints[0]) for own in prints[1:])
 
 
-def _told(pattern: LinePattern, ratio: float, least_share: float, *, engine: bool) -> ToothErrors | None:
+def _errors_in(pattern: LinePattern, ratio: float, least_share: float, *, engine: bool) -> ToothErrors | None:
     """The errors of the teeth in ``pattern``; None where its high harmonics are not those of teeth.
 
     The shaft of an ``engine`` swings at low orders, seen or not.
@@ -169,9 +169,8 @@ def _told(pattern: LinePattern, ratio: float, least_share: float, *, engine: boo
     kept = stands | (low & (engine or bool((stands & low).any()) or _swings_between(pattern, ratio, level)))
     own = np.where(kept | (harmonic == 0), 0.0, pattern.harmonic_rev)
     error: Floats = np.fft.irfft(own * (lines / 2.0), lines)
-    left = (
-        float(np.sum(kept)) * level + float(np.sum(power[low & ~kept])) + float(np.sum(pattern.harmonic_variance[1:]))
-    )
+    left = float(np.sum(kept)) * level + float(np.sum(power[low & ~kept]))
+    left += float(np.sum(pattern.harmonic_variance[1:]))
     return ToothErrors(
         line_error_rev=error,
         rms_share=rms * lines,

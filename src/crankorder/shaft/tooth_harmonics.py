@@ -91,11 +91,10 @@ def tooth_odds(
     hop = max(KNOT_SHARE * revs * ratio / high, duration / MOST_KNOTS)
     time_s = (np.arange(max(1, int(duration / hop))) + 0.5) * (duration / max(1, int(duration / hop)))
     every, moving = (np.empty((time_s.size, speed.size), dtype=np.float32) for _ in range(2))
-    log_odds = _LogOdds(order, weight)
     for octave in range(n_octaves):
         states = slice(octave * n_each, (octave + 1) * n_each + (octave == n_octaves - 1))
         frames = _Frames(signals, rate_hz, length_s=revs / speed[states.start], top_hz=speed[states][-1] * order[-1])
-        at_frames = log_odds.of_frames(frames, speed[states], settings.vibration_slew_per_s)
+        at_frames = _log_odds(frames, speed[states], order, weight, settings.vibration_slew_per_s)
         for target, values in zip((every, moving), at_frames, strict=True):
             target[:, states] = _between(time_s, frames.time_s, values)
     spacing = duration / time_s.size
@@ -117,6 +116,8 @@ class _Frames:
     """Spectra of overlapping frames of one length, with any slew, from a signal decimated to its band."""
 
     def __init__(self, signals: Floats, rate_hz: float, *, length_s: float, top_hz: float) -> None:
+        from scipy.fft import next_fast_len
+
         band = min(top_hz * (1.0 + 0.5 * MOST_WARP), PASS_BAND * rate_hz)
         reduced, self.rate_hz, start_s = decimate(
             signals, rate_hz=rate_hz, band_hz=band, factor=decimation_factor(rate_hz, band)
@@ -129,9 +130,10 @@ class _Frames:
         hop = max(1, round(HOP_SHARE * self.n_frame))
         self._centre = self._margin + np.arange(hop // 2, reduced.shape[1], hop, dtype=np.int64)
         self.time_s = (self._centre - self._margin) / self.rate_hz + start_s
-        self._transform = FrameTransform(hann(self.n_frame), n_fft=_even_size(PADDING * self.n_frame))
-        self.bin_hz = self.rate_hz / self._transform.n_fft
-        self.peak_bins = max(1, round(PEAK_BINS * self._transform.n_fft / self.n_frame))
+        n_fft = int(next_fast_len(PADDING * self.n_frame, real=True))
+        self._transform = FrameTransform(hann(self.n_frame), n_fft=n_fft)
+        self.bin_hz = self.rate_hz / n_fft
+        self.peak_bins = max(1, round(PEAK_BINS * n_fft / self.n_frame))
 
     def power(self, slew_per_s: float, which: slice) -> Floats:
         """Power (channels, frames, bins) of the frames ``which``, warped so that orders with that slew stand still."""
@@ -150,61 +152,46 @@ class _Frames:
         return power
 
 
-def _even_size(n: int) -> int:
-    """The smallest number from ``n`` on whose factors are small."""
-    from scipy.fft import next_fast_len
+def _log_odds(
+    frames: _Frames, speed_hz: Floats, order: Floats, weight: Floats, slew_per_s: float
+) -> tuple[Floats, Floats]:
+    """Log odds (frames, speeds) over the noise beside, and over the usual power too; the best of the slews.
 
-    return int(next_fast_len(n, real=True))
+    They are those of combs of ``order`` (orders,) that show with probability ``weight`` (orders,).
+    """
+    count = frames.time_s.size
+    parts = [slice(first, min(first + FRAMES_AT_ONCE, count)) for first in range(0, count, FRAMES_AT_ONCE)]
+    most = min(slew_per_s, MOST_WARP / frames.length_s)
+    step = 2.0 * SLEW_BINS / (order[-1] * frames.length_s**2 * float(np.sqrt(speed_hz[0] * speed_hz[-1])))
+    spacing = float(np.min(np.diff(order))) if order.size > 1 else 1.0
+    block = max(1, round(1.5 * speed_hz[0] * spacing / frames.bin_hz))
+    floor, usual = _floors(np.concatenate([frames.power(0.0, part) for part in parts], axis=1), block)
+    above = np.maximum(floor, usual)
+    every, moving = (np.full((count, speed_hz.size), -np.inf) for _ in range(2))
+    place = order * speed_hz[:, None] / frames.bin_hz
+    place = np.where(order * speed_hz[:, None] <= frames.band_hz, place, -1.0)
+    all_count = np.zeros(floor.shape[-1])
+    for slew in np.linspace(-most, most, 2 * math.ceil(most / step) + 1):
+        for part in parts:
+            power = frames.power(float(slew), part)
+            for noise, best in ((floor[:, part], every), (above[:, part], moving)):
+                best_combs(power, noise, frames.peak_bins, all_count, place, weight, ODDS, best[part])
+    return every, moving
 
 
-@dataclass(frozen=True)
-class _LogOdds:
-    """Log odds of combs of ``order`` that show with probability ``weight``."""
-
-    order: Floats
-    weight: Floats
-
-    def of_frames(self, frames: _Frames, speed_hz: Floats, slew_per_s: float) -> tuple[Floats, Floats]:
-        """Log odds (frames, speeds) over the noise beside, and over the usual power too; the best of the slews."""
-        count = frames.time_s.size
-        most = min(slew_per_s, MOST_WARP / frames.length_s)
-        step = 2.0 * SLEW_BINS / (self.order[-1] * frames.length_s**2 * float(np.sqrt(speed_hz[0] * speed_hz[-1])))
-        n_slews = math.ceil(most / step)
-        slews = np.linspace(-most, most, 2 * n_slews + 1)
-        spacing = float(np.min(np.diff(self.order))) if self.order.size > 1 else 1.0
-        block = max(1, round(1.5 * speed_hz[0] * spacing / frames.bin_hz))
-        floor, usual = self._floors(frames, block)
-        above = np.maximum(floor, usual)
-        every, moving = (np.full((count, speed_hz.size), -np.inf) for _ in range(2))
-        place = self.order * speed_hz[:, None] / frames.bin_hz
-        place = np.where(self.order * speed_hz[:, None] <= frames.band_hz, place, -1.0)
-        all_count = np.zeros(floor.shape[-1])
-        for slew in slews:
-            for first in range(0, count, FRAMES_AT_ONCE):
-                some = slice(first, min(first + FRAMES_AT_ONCE, count))
-                power = frames.power(float(slew), some)
-                for noise, best in ((floor[:, some], every), (above[:, some], moving)):
-                    best_combs(power, noise, frames.peak_bins, all_count, place, self.weight, ODDS, best[some])
-        return every, moving
-
-    def _floors(self, frames: _Frames, block: int) -> tuple[Floats, Floats]:
-        """Noise power (channels, frames, bins) beside each bin, and the usual power (channels, 1, bins)."""
-        parts = [
-            frames.power(0.0, slice(first, first + FRAMES_AT_ONCE))
-            for first in range(0, frames.time_s.size, FRAMES_AT_ONCE)
-        ]
-        power = np.concatenate(parts, axis=1)
-        usual = np.median(power, axis=1, keepdims=True) / math.log(2.0)
-        n_blocks = max(1, power.shape[-1] // block)
-        whole = power[..., : n_blocks * block].reshape(*power.shape[:2], n_blocks, -1)
-        median = np.median(whole, axis=-1) / math.log(2.0)
-        median = np.maximum(median, 1e-12 * power.max(axis=(1, 2), keepdims=True) + 1e-300)
-        at = (np.arange(power.shape[-1]) + 0.5) / block - 0.5
-        k = np.clip(at.astype(np.int64), 0, max(0, n_blocks - 2))
-        share = np.clip(at - k, 0.0, 1.0)
-        log_median = np.log(median)
-        after = np.minimum(k + 1, n_blocks - 1)
-        return np.exp((1.0 - share) * log_median[..., k] + share * log_median[..., after]), usual
+def _floors(power: Floats, block: int) -> tuple[Floats, Floats]:
+    """Noise power (channels, frames, bins) beside each bin of ``power``, and the usual power (channels, 1, bins)."""
+    usual = np.median(power, axis=1, keepdims=True) / math.log(2.0)
+    n_blocks = max(1, power.shape[-1] // block)
+    whole = power[..., : n_blocks * block].reshape(*power.shape[:2], n_blocks, -1)
+    median = np.median(whole, axis=-1) / math.log(2.0)
+    median = np.maximum(median, 1e-12 * power.max(axis=(1, 2), keepdims=True) + 1e-300)
+    at = (np.arange(power.shape[-1]) + 0.5) / block - 0.5
+    k = np.clip(at.astype(np.int64), 0, max(0, n_blocks - 2))
+    share = np.clip(at - k, 0.0, 1.0)
+    log_median = np.log(median)
+    after = np.minimum(k + 1, n_blocks - 1)
+    return np.exp((1.0 - share) * log_median[..., k] + share * log_median[..., after]), usual
 
 
 def _odds_table() -> Floats:
@@ -334,15 +321,18 @@ def _order_power(signals: Floats, rate_hz: float, knots: AngleKnots, revs: float
 
     A bin is half of a line's resolution; the power is NaN outside the band.
     """
+    from scipy.ndimage import median_filter
+
     total = float(knots.angle_rev[-1])
     count = int(min(FAMILY_FRAMES, max(1, (total - revs) / (0.5 * revs))))
     centre = np.linspace(0.5 * revs, total - 0.5 * revs, count + 2)[1:-1] if count > 1 else np.array([0.5 * total])
     bins = np.arange(int(FAMILY_ORDER * 2.0 * revs))
     spectra, inside = order_spectra(signals, rate_hz, knots, centre, revs=revs, bins=bins)
-    times = np.empty(spectra.shape)
-    for i in range(count):
-        power = np.abs(spectra[:, i]) ** 2
-        times[:, i] = np.where(inside[i], power / _median_beside(power, round(2.0 * revs)), np.nan)
+    power, reach = np.abs(spectra) ** 2, min(round(2.0 * revs), bins.size - 1)
+    # the median within the reach of each bin, as a mean of noise
+    median = median_filter(power, (1, 1, 2 * reach + 1), mode="mirror") / math.log(2.0)
+    floor = np.maximum(median, 1e-12 * power.max(axis=(0, 2), keepdims=True) + 1e-300)
+    times = np.where(inside, power / floor, np.nan)
     return time_at(centre, knots.time_s, knots.angle_rev, knots.speed_rpm), times
 
 
@@ -369,12 +359,3 @@ def order_spectra(
         framed = values_at(padded, place + margin() + 2) * hann(n).values
         spectra[:, i] = np.fft.rfft(framed, n=2 * n, axis=1)[:, bins]
     return spectra, order * speed_hz[:, None] <= min(band, PASS_BAND * rate)
-
-
-def _median_beside(power: Floats, reach: int) -> Floats:
-    """Median of ``power`` (channels, bins) within ``reach`` bins of each, as a mean of noise."""
-    reach = min(reach, power.shape[1] - 1)
-    padded = np.pad(power, ((0, 0), (reach, reach)), mode="reflect")
-    median = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=1), axis=-1) / math.log(2.0)
-    floor: Floats = np.maximum(median, 1e-12 * power.max() + 1e-300)
-    return floor

@@ -15,7 +15,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -186,7 +185,16 @@ def speed_from_vibration(
     weight = np.clip([weights[each] for each in sorted(weights)], 0.0, 0.95)
     range_hz = _range_hz(expected_rpm or settings.vibration_range_rpm, signals.shape[1], rate_hz, settings)
     evidence = tooth_odds(signals, rate_hz, range_hz=range_hz, order=order, weight=weight, settings=settings)
-    explained = partial(_explained, signals, rate_hz, evidence, range_hz=range_hz, order=order, weight=weight)
+
+    def explained(log_odds: Floats, path: Ints) -> _Run:
+        """The run ``path``, read between speeds of the grid, and what fundamental explains its lines."""
+        speed_hz = evidence.speed_hz[path] * np.exp(_step(evidence) * _parabolic(log_odds, path))
+        start = _angle_of(evidence.time_s, speed_hz, signals.shape[1] / rate_hz)
+        knots = phase_corrected(signals, rate_hz, start, order)
+        ratio = _possible_ratios(knots.speed_rpm / 60.0, range_hz)
+        family = family_evidence(signals, rate_hz, knots, ratio=ratio, order=order, weight=weight)
+        return _Run(log_odds, path, knots, ratio, family)
+
     run = explained(*_likely_run(evidence, settings))
     path = _mended_path(run, evidence, settings)
     if path is not None:
@@ -201,20 +209,21 @@ def speed_from_vibration(
     # against the other fundamentals, and against no shaft at all
     others = float(share.sum()) + math.exp(-run.best)
     confidence = _confidence(evidence, run.log_odds, run.path, ratio, settings) / others
-    knots = run.knots
-    if ratio[chosen] != 1.0:
-        knots = phase_corrected(signals, rate_hz, run.at_ratio(float(ratio[chosen])), order)
+    knots, times = run.knots, float(ratio[chosen])
+    if times != 1.0:
+        scaled = replace(knots, angle_rev=times * knots.angle_rev, speed_rpm=times * knots.speed_rpm)
+        knots = phase_corrected(signals, rate_hz, scaled, order)
     confidence = np.interp(knots.time_s, evidence.time_s, confidence)
-    remarks = _told(knots.time_s, confidence, ties)
+    remarks = _doubts(knots.time_s, confidence, ties)
     return VibrationSpeed(knots.time_s, knots.speed_rpm, confidence, ties, remarks, knots)
 
 
-def trusted_angle(found: VibrationSpeed) -> AngleKnots:
-    """Crank angle that goes with the speed ``found``, from the first sample to the last; it has no phase reference.
+def trusted_angle(speed: VibrationSpeed) -> AngleKnots:
+    """Crank angle that goes with ``speed``, from the first sample to the last; it has no phase reference.
 
     Raises InputError where the speed is a guess for more than half of the time.
     """
-    guessed = float(np.mean(found.confidence < GUESSED))
+    guessed = float(np.mean(speed.confidence < GUESSED))
     if guessed > 0.5:
         raise InputError(
             "the vibration does not tell the speed",
@@ -222,7 +231,7 @@ def trusted_angle(found: VibrationSpeed) -> AngleKnots:
             found=f"less than {GUESSED:.0%} sure for {guessed:.0%} of the time",
             remedy="Narrow the range of speeds, name the orders that the machine shows, or give a speed or an encoder",
         )
-    return found.knots
+    return speed.knots
 
 
 def _possible_ratios(speed_hz: Floats, range_hz: tuple[float, float]) -> Floats:
@@ -238,12 +247,11 @@ def _confidence(
     evidence: SpeedEvidence, log_odds: Floats, path: Ints, ratio: Floats, settings: ShaftSettings
 ) -> Floats:
     """Probability (knots,) that the speed is one of those at ``ratio`` times that of ``path``."""
-    jump, cost = _transition(evidence, settings)
     step = _step(evidence)
     offsets = np.round(np.log(ratio) / step).astype(np.int64)
     near = math.ceil(math.log1p(SAME_SPEED) / step)
-    result: Floats = run_probability(log_odds * np.float32(evidence.frames_per_knot), path, offsets, jump, cost, near)
-    return result
+    worth = np.float32(evidence.frames_per_knot)
+    return run_probability(log_odds * worth, path, offsets, *_transition(evidence, settings), near)
 
 
 def _checked(signals: Floats) -> Floats:
@@ -306,45 +314,21 @@ class _Run:
         """The log odds of that."""
         return float(self.family.log_odds[self.chosen])
 
-    def at_ratio(self, ratio: float) -> AngleKnots:
-        """The angle of a shaft that turns ``ratio`` times as fast."""
-        return replace(self.knots, angle_rev=ratio * self.knots.angle_rev, speed_rpm=ratio * self.knots.speed_rpm)
-
 
 def _likely_run(evidence: SpeedEvidence, settings: ShaftSettings) -> tuple[Floats, Ints]:
     """Log odds that decide, of all lines or of moving ones only, and the likeliest run of speeds by them."""
     jump, cost = _transition(evidence, settings)
     worth = np.float32(evidence.frames_per_knot)
     knots = np.arange(evidence.time_s.size)
-    found, score = [], []
+    paths, score = [], []
     for log_odds in (evidence.every, evidence.moving):
         path = likeliest_run(log_odds * worth, jump, cost)
-        found.append(path)
+        paths.append(path)
         score.append(float(np.mean(log_odds[knots, path] - np.median(log_odds, axis=1))))
-    low, high = np.quantile(np.log(evidence.speed_hz[found[1]]), [0.05, 0.95])
+    low, high = np.quantile(np.log(evidence.speed_hz[paths[1]]), [0.05, 0.95])
     if high - low > SWEEP_SPREAD and score[1] > SWEEP_SHARE * score[0]:
-        return evidence.moving, found[1]
-    return evidence.every, found[0]
-
-
-def _explained(
-    signals: Floats,
-    rate_hz: float,
-    evidence: SpeedEvidence,
-    log_odds: Floats,
-    path: Ints,
-    *,
-    range_hz: tuple[float, float],
-    order: Floats,
-    weight: Floats,
-) -> _Run:
-    """The run ``path``, read between speeds of the grid, and what fundamental explains its lines."""
-    speed_hz = evidence.speed_hz[path] * np.exp(_step(evidence) * _parabolic(log_odds, path))
-    start = _angle_of(evidence.time_s, speed_hz, signals.shape[1] / rate_hz)
-    knots = phase_corrected(signals, rate_hz, start, order)
-    ratio = _possible_ratios(knots.speed_rpm / 60.0, range_hz)
-    family = family_evidence(signals, rate_hz, knots, ratio=ratio, order=order, weight=weight)
-    return _Run(log_odds, path, knots, ratio, family)
+        return evidence.moving, paths[1]
+    return evidence.every, paths[0]
 
 
 def _mended_path(run: _Run, evidence: SpeedEvidence, settings: ShaftSettings) -> Ints | None:
@@ -492,14 +476,13 @@ def _outvoted(turn: Floats, weight: Floats, gain: Floats, hop: float) -> tuple[F
     return np.clip(change, -0.2 * hop, 0.2 * hop), vote
 
 
-def _told(time_s: Floats, confidence: Floats, ties: list[Tie]) -> list[Remark]:
-    """Remarks on what is not certain."""
+def _doubts(time_s: Floats, confidence: Floats, ties: list[Tie]) -> list[Remark]:
+    """Remarks on what is not certain: ratios that fit nearly as well, and how long the speed is doubtful."""
     remarks: list[Remark] = []
     if ties:
         named = ", ".join(f"{tie.ratio:.3g} x ({tie.relative_evidence:.2f})" for tie in ties)
-        remarks.append(
-            ("speed_tie", "suspect", f"the vibration fits other speeds nearly as well: {named} of the found")
-        )
+        detail = f"the vibration fits other speeds nearly as well: {named} of the found"
+        remarks.append(("speed_tie", "suspect", detail))
     doubtful = confidence < DOUBTFUL
     if np.mean(doubtful) > SELDOM:
         bad = np.mean(confidence < GUESSED) > 0.5

@@ -86,10 +86,9 @@ def at_index(
     return renumbered if renumber else tooth, anchor, period
 
 
-def _wrapped(value: Floats, period: float) -> Floats:
+def wrapped(value: Floats, period: float) -> Floats:
     """``value`` less whole periods, within half a period of 0."""
-    wrapped: Floats = value - period * np.round(value / period)
-    return wrapped
+    return np.asarray(value - period * np.round(value / period))
 
 
 def _slips(place: Floats, period: float) -> tuple[float, Floats]:
@@ -97,8 +96,8 @@ def _slips(place: Floats, period: float) -> tuple[float, Floats]:
     first = place[: max(3, place.size // 10)]
     values, counts = np.unique(np.round(first % period), return_counts=True)
     anchor = float(values[np.argmax(counts)])
-    anchor += float(np.median(_wrapped(first - anchor, period)))
-    off = _wrapped(place - anchor, period)
+    anchor += float(np.median(wrapped(first - anchor, period)))
+    off = wrapped(place - anchor, period)
     slip = np.round(off)
     rest = off - slip
     near = np.abs(rest - np.median(rest))
@@ -200,9 +199,8 @@ def number_teeth(
     wheel = wheel_of(pulses_per_rev, missing_teeth, tooth_angles_deg)
     widest = float(wheel.spans.max() * wheel.places.size / wheel.grid)
     part, flags = running_part(time_s, pulses_per_rev=wheel.places.size * ratio, gap=widest)
-    if part.stop - part.start < time_s.size:
-        time_s = time_s[part]
-        _check_times(time_s)
+    time_s = time_s[part]
+    _check_times(time_s)
     if wheel.even:
         kept, tooth = _followed_even(time_s, wheel.grid, settings, noise_s)
         certain = wheel.grid == 1
@@ -211,12 +209,18 @@ def number_teeth(
     kept_time = time_s[kept] if kept.size < time_s.size else time_s
     n_false = _flag_false(time_s, kept, flags)
     index_tooth, index_period = 0.0 if certain else np.nan, float(wheel.grid)
-    if not (certain or wheel.even):
-        flags.append(_no_phase(wheel))
+    if not (certain or wheel.even) and wheel.repeats > 1:
+        detail = f"the wheel looks the same {wheel.repeats} times per revolution: its phase has no reference"
+        flags.append(("no_index", "suspect", detail))
+    elif not (certain or wheel.even):
+        detail = "too few revolutions tell which tooth is the first: the phase has no reference"
+        flags.append(("tooth_phase_uncertain", "suspect", detail))
     if index_time_s is not None:
         periods = (wheel.grid, wheel.grid * ratio)
         tooth, index_tooth, index_period = at_index(kept_time, tooth, index_time_s, periods, flags, renumber=wheel.even)
-        kept_time, tooth = _growing(kept_time, tooth)
+        # where a count was put right, the pulses that it counted twice are left out
+        new = np.diff(np.maximum.accumulate(tooth), prepend=tooth[0] - 1) > 0
+        kept_time, tooth = kept_time[new], tooth[new]
     lost = _lost_teeth(tooth, wheel)
     unsure = n_false + lost.size > 0 and not certain and wheel.repeats == 1
     if not wheel.even and (unsure or _differs_each_turn(np.delete(time_s, kept), kept_time, tooth, lost, wheel)):
@@ -227,8 +231,7 @@ def number_teeth(
         raise _uncertain(time_s, lost.size, n_false, wheel, settings)
     if not wheel.even:
         true = ~displaced_teeth(kept_time, tooth, wheel, flags)
-        if not true.all():
-            kept_time, tooth = kept_time[true], tooth[true]
+        kept_time, tooth = kept_time[true], tooth[true]
         kept_time = times_on_grid(kept_time, tooth, wheel)
     n_repaired = n_false + int(lost.size)
     return NumberedTeeth(kept_time, tooth, index_tooth, n_repaired, flags, wheel.grid, index_period)
@@ -283,8 +286,8 @@ def _steady_start(step: Floats, window: int) -> int:
         return -1
     runs = np.convolve(alike, np.ones(length), mode="valid") > length - 0.5
     even = runs & (np.abs(log_step[length:] - log_step[:-length]) < math.log(STEADY_RATIO))
-    found = np.flatnonzero(even if even.any() else runs)
-    return int(found[0]) if found.size else -1
+    steady = np.flatnonzero(even if even.any() else runs)
+    return int(steady[0]) if steady.size else -1
 
 
 def _followed_uneven(time_s: Floats, wheel: Wheel, settings: ShaftSettings) -> tuple[Ints, Ints, bool]:
@@ -299,20 +302,12 @@ def _followed_uneven(time_s: Floats, wheel: Wheel, settings: ShaftSettings) -> t
     return kept, tooth, certain
 
 
-def _no_phase(wheel: Wheel) -> Remark:
-    if wheel.repeats > 1:
-        detail = f"the wheel looks the same {wheel.repeats} times per revolution: its phase has no reference"
-        return ("no_index", "suspect", detail)
-    detail = "too few revolutions tell which tooth is the first: the phase has no reference"
-    return ("tooth_phase_uncertain", "suspect", detail)
-
-
 def _uncertain(time_s: Floats, n_lost: int, n_false: int, wheel: Wheel, settings: ShaftSettings) -> InputError:
-    found = f"{n_lost} pulses lost and {n_false} false of {time_s.size}" if n_lost + n_false else "no steady speed"
+    seen = f"{n_lost} pulses lost and {n_false} false of {time_s.size}" if n_lost + n_false else "no steady speed"
     if not wheel.even:
-        return _other_wheel(f"{found}: the count is not certain", time_s, wheel)
+        return _other_wheel(f"{seen}: the count is not certain", time_s, wheel)
     return InputError(
-        f"{found}: the count is not certain",
+        f"{seen}: the count is not certain",
         place="encoder",
         allowed=f"{settings.max_repaired_fraction:.0%} repaired",
         remedy="Check pulses_per_rev, missing_teeth and edge in run.toml, and the sensor's gap and cable",
@@ -320,12 +315,12 @@ def _uncertain(time_s: Floats, n_lost: int, n_false: int, wheel: Wheel, settings
 
 
 def _other_wheel(problem: str, time_s: Floats, wheel: Wheel) -> InputError:
-    """The pulses do not fit the wheel; what they do fit, where that can be told."""
-    found = find_pattern(time_s)
+    """The error of pulses that do not fit the ``wheel``; it names the wheel that they do fit, where they tell."""
+    pattern = find_pattern(time_s)
     return InputError(
         problem,
         place="encoder",
-        found="" if found is None else f"a wheel {found.told}",
+        found="" if pattern is None else f"a wheel {pattern.told}",
         allowed=f"a {wheel.name} wheel of {wheel.places.size} pulses per revolution",
         remedy="Mend the wheel (pattern, pulses_per_rev, missing_teeth) or the edge in run.toml, or the sensor's gap",
     )
@@ -412,45 +407,27 @@ def _coasts(recent, slot, interval):  # type: ignore[no-untyped-def]
     return speed * time - 0.5 * slower * time * time < 1.5
 
 
-def _growing(time_s: Floats, tooth: Ints) -> tuple[Floats, Ints]:
-    """Pulses whose tooth numbers grow: where a count was put right, the pulses that it counted twice are left out."""
-    if (np.diff(tooth) > 0).all():
-        return time_s, tooth
-    new = np.diff(np.maximum.accumulate(tooth), prepend=tooth[0] - 1) > 0
-    return time_s[new], tooth[new]
-
-
 def _flag_false(time_s: Floats, kept: Ints, flags: list[Remark]) -> int:
     """Remarks on false pulses, single and in bursts; their number."""
-    n_false = int(time_s.size - kept.size)
-    if n_false == 0:
+    if time_s.size == kept.size:
         return 0
     false = np.setdiff1d(np.arange(time_s.size), kept)
-    flags.append(("encoder_double_pulse", "suspect", f"{n_false} false pulses removed, {listed_times(time_s[false])}"))
+    detail = f"{false.size} false pulses removed, {listed_times(time_s[false])}"
+    flags.append(("encoder_double_pulse", "suspect", detail))
     runs = np.split(false, np.flatnonzero(np.diff(false) > 1) + 1)
     bursts = np.array([time_s[run[0]] for run in runs if run.size >= GLITCH_PULSES])
     if bursts.size:
         detail = f"{bursts.size} bursts of {GLITCH_PULSES} false pulses or more, {listed_times(bursts)}"
         flags.append(("encoder_glitch", "suspect", detail))
-    return n_false
+    return false.size
 
 
 def _lost_teeth(tooth: Ints, wheel: Wheel) -> Ints:
     """Numbers of the teeth without a pulse, those that the wheel does not have left out."""
-    n = wheel.places.size
-    held = np.searchsorted(wheel.places, [tooth[0] % wheel.grid, tooth[-1] % wheel.grid])
-    if n * ((tooth[-1] // wheel.grid) - (tooth[0] // wheel.grid)) + held[1] - held[0] == tooth.size - 1:
-        return np.empty(0, dtype=np.int64)
-    steps = np.diff(tooth)
-    place_of = np.full(wheel.grid, -1)
-    place_of[wheel.places] = np.arange(wheel.places.size)
-    number = place_of[tooth % wheel.grid]
-    usual = wheel.spans[number[:-1]]
-    holes = np.flatnonzero(steps != usual)
-    if holes.size == 0:
-        return np.empty(0, dtype=np.int64)
-    lost: Ints = np.concatenate([np.arange(tooth[k] + 1, tooth[k + 1]) for k in holes])
-    return lost[place_of[lost % wheel.grid] >= 0]
+    silent = np.ones(tooth[-1] - tooth[0] + 1, dtype=np.bool_)
+    silent[tooth - tooth[0]] = False
+    lost: Ints = tooth[0] + np.flatnonzero(silent)
+    return lost[np.isin(lost % wheel.grid, wheel.places)]
 
 
 def _differs_each_turn(false_s: Floats, time_s: Floats, tooth: Ints, lost: Ints, wheel: Wheel) -> bool:
