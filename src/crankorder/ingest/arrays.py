@@ -35,17 +35,17 @@ def columns_of(signals: Signals) -> dict[str, NDArray[Any]]:
     where they are none of these.
     """
     if is_timeseries(signals):
-        names = [str(one["name"]) for one in signals]
+        names = [str(series["name"]) for series in signals]
         if len(set(names)) < len(names):
             raise RequestError("two channels have one name", file=CALL, place="signals", found=", ".join(names))
-        return {name: column(one["data"], name) for name, one in zip(names, signals, strict=True)}
+        return {name: column(series["data"], name) for name, series in zip(names, signals, strict=True)}
     if isinstance(signals, xr.DataArray):
         return _of_data_array(signals)
     if hasattr(signals, "items") and hasattr(signals, "keys") and not hasattr(signals, "to_frame"):
-        made = {str(key): column(row, str(key)) for key, row in signals.items()}
-        if not made:
+        columns = {str(key): column(row, str(key)) for key, row in signals.items()}
+        if not columns:
             raise RequestError("no channel is given", file=CALL, place="signals")
-        return made
+        return columns
     allowed = "(samples,) or (channels, samples)"
     try:
         rows = np.atleast_2d(signals if isinstance(signals, np.ma.MaskedArray) else np.asarray(signals))
@@ -83,22 +83,22 @@ def told_by_timeseries(
     if not is_timeseries(signals):
         return rate_hz, unit
     rates = {} if rate_hz is None else {"rate_hz": number(rate_hz, "rate_hz")}
-    for one in signals:
-        name = str(one["name"])
-        if one.get("fs") is not None:
-            rates[f"fs of {name}"] = number(one["fs"], f"fs of {name}")
-        if one.get("time") is not None:
-            times = read_time_column(column(one["time"], f"time of {name}"), Path(CALL), settings=settings)
+    for series in signals:
+        name = str(series["name"])
+        if series.get("fs") is not None:
+            rates[f"fs of {name}"] = number(series["fs"], f"fs of {name}")
+        if series.get("time") is not None:
+            times = read_time_column(column(series["time"], f"time of {name}"), Path(CALL), settings=settings)
             rates[f"time of {name}"] = times.rate_hz
     if not rates:
         raise RequestError("state fs, or time", file=CALL, place="signals")
-    told, first = next(iter(rates.items()))
+    origin, first = next(iter(rates.items()))
     for other, rate in rates.items():
         if abs(rate - first) > settings.rate_tolerance * first:
-            raise RequestError(f"{told} is {first:.12g} Hz, {other} says {rate:.12g} Hz", file=CALL, place="signals")
+            raise RequestError(f"{origin} is {first:.12g} Hz, {other} says {rate:.12g} Hz", file=CALL, place="signals")
     if unit != DEFAULT_UNIT:
         return first, unit
-    return first, {str(one["name"]): str(one["unit_str"]).strip() or DEFAULT_UNIT for one in signals}
+    return first, {str(series["name"]): str(series["unit_str"]).strip() or DEFAULT_UNIT for series in signals}
 
 
 def _of_data_array(signals: xr.DataArray) -> dict[str, NDArray[Any]]:
@@ -133,22 +133,24 @@ def units_of(unit: str | Mapping[str, str], names: list[str]) -> dict[str, str]:
     if not isinstance(unit, Mapping):
         raise RequestError("must be a unit, or units by channel", file=CALL, place="unit", found=repr(unit))
     if set(unit) != set(names):
-        found, allowed = ", ".join(map(str, unit)), ", ".join(names)
-        raise RequestError(
-            "each channel has a unit, and nothing else", file=CALL, place="unit", found=found, allowed=allowed
+        problem, found, allowed = (
+            "each channel has a unit, and nothing else",
+            ", ".join(map(str, unit)),
+            ", ".join(names),
         )
+        raise RequestError(problem, file=CALL, place="unit", found=found, allowed=allowed)
     return {name: str(unit[name]) for name in names}
 
 
 def number(value: Any, name: str) -> float:
     """``value`` of the argument ``name`` as a finite number."""
     try:
-        made = float(value) if not isinstance(value, str) else np.nan
+        finite = float(value) if not isinstance(value, str) else np.nan
     except (TypeError, ValueError):
-        made = np.nan
-    if not np.isfinite(made):
+        finite = np.nan
+    if not np.isfinite(finite):
         raise RequestError("must be a finite number", file=CALL, place=name, found=repr(value))
-    return made
+    return finite
 
 
 def count(value: Any, name: str) -> int:
@@ -156,10 +158,10 @@ def count(value: Any, name: str) -> int:
     try:
         return operator.index(value)
     except TypeError:
-        made = number(value, name)
-    if made != round(made):
+        whole = number(value, name)
+    if whole != round(whole):
         raise RequestError("must be a whole number", file=CALL, place=name, found=repr(value))
-    return round(made)
+    return round(whole)
 
 
 def shaft_of(

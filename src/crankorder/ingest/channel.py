@@ -149,7 +149,15 @@ def file_to_analysed(channel: Channel, file_unit: str, path: Path) -> Scaling:
         factor = conversion_factor(before, target)
     remark = ""
     if stated is not None and stated.quantity == "full scale" and before.quantity == "voltage":
-        factor *= _volts_at_full_scale(channel, path) / before.factor
+        if channel.full_scale_v is None:
+            scale = "the unit V" if channel.sensitivity is None else f"the sensitivity {channel.sensitivity!r}"
+            raise InputError(
+                f"channel {channel.name}: the file holds fractions of full scale, for which {scale} does not do",
+                file=path,
+                place=f"source {channel.file_source}",
+                remedy="State full_scale_v, the volts at full scale of the recorder, for this channel",
+            )
+        factor *= channel.full_scale_v / before.factor
         before = stated
     elif stated is not None:
         try:
@@ -170,18 +178,6 @@ def file_to_analysed(channel: Channel, file_unit: str, path: Path) -> Scaling:
         value, unit = parse_quantity(channel.offset)
         offset = value * conversion_factor(unit, before)
     return Scaling(offset, factor, target, integrals, remark)
-
-
-def _volts_at_full_scale(channel: Channel, path: Path) -> float:
-    if channel.full_scale_v is None:
-        said = f"the sensitivity {channel.sensitivity!r}" if channel.sensitivity is not None else "the unit V"
-        raise InputError(
-            f"channel {channel.name}: the file holds fractions of full scale, for which {said} does not do",
-            file=path,
-            place=f"source {channel.file_source}",
-            remedy="State full_scale_v, the volts at full scale of the recorder, for this channel",
-        )
-    return channel.full_scale_v
 
 
 _UNIT_OF_RESULT = (

@@ -90,6 +90,13 @@ class Runs:
         return Runs(starts[first], ends[last])
 
 
+def joined(parts: Sequence[Runs]) -> Runs:
+    """The runs of all ``parts``, one part behind the other."""
+    starts, ends = ([getattr(runs, name) for runs in parts] for name in ("starts", "ends"))
+    none = np.empty(0, dtype=np.int64)
+    return Runs(np.concatenate([none, *starts]), np.concatenate([none, *ends]))
+
+
 def runs_of(*spans: tuple[int, int]) -> Runs:
     """Runs of ``spans``, the first sample of each and the one after its last."""
     pairs = np.array(spans, dtype=np.int64).reshape(-1, 2)
@@ -144,8 +151,8 @@ def survey(signal: FloatArray, *, size: int) -> Survey:
 def grouped(values: Floats, group: int) -> Floats:
     """Means of ``group`` neighbours of ``values`` at a time; what is left over at the end takes no part."""
     whole = len(values) // group * group
-    made: Floats = values[:whole].reshape(-1, group).mean(axis=1)
-    return made
+    means: Floats = values[:whole].reshape(-1, group).mean(axis=1)
+    return means
 
 
 @nb.njit(cache=True, nogil=True, fastmath={"nsz", "reassoc", "contract"})

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from crankorder.errors import MOST_TOLD, CrankorderError, InputError, ManyErrors, RequestError
@@ -24,10 +26,10 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
     from crankorder.ingest.folder import checksum_faults, recordings_of
 
     try:
-        found = recordings_of(folder, manifest)
+        recordings = recordings_of(folder, manifest)
     except CrankorderError as error:
         return [error]
-    faults = list(found.faults)
+    faults = list(recordings.faults)
     if manifest.sampling.domain == "time" and manifest.encoder.kind == "none" and manifest.test.cycle != "none":
         faults.append(
             RequestError(
@@ -39,9 +41,9 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
                 remedy='Name one, or state cycle = "none" for a structure without a shaft',
             )
         )
-    files = [*found.paths, *(pulses for path in found.paths if (pulses := manifest.pulses_of(path)) is not None)]
-    faults += checksum_faults(folder, files, manifest.recordings.files)
-    for path in found.paths:
+    of_pulses = [pulses for path in recordings.paths if (pulses := manifest.pulses_of(path)) is not None]
+    faults += checksum_faults(folder, [*recordings.paths, *of_pulses], manifest.recordings.files)
+    for path in recordings.paths:
         faults += check_recording(path, manifest, settings=settings)
     return faults
 
@@ -54,12 +56,12 @@ def manifest_faults(folder: Path, manifest_path: Path | None = None) -> list[Cra
     from crankorder.ingest.folder import recordings_of
 
     try:
-        found = recordings_of(folder, load_manifest(folder, manifest_path))
+        recordings = recordings_of(folder, load_manifest(folder, manifest_path))
     except ManyErrors as error:
         return error.faults
     except CrankorderError as error:
         return [error]
-    return [] if found.paths else list(found.faults)
+    return [] if recordings.paths else list(recordings.faults)
 
 
 def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings) -> list[CrankorderError]:
@@ -92,18 +94,18 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
     bases, file_hz = bases_of(sampled, contents.samples, told, n_channels, tolerance=settings.rate_tolerance)
     faults += length_faults(bases, path)
     if manifest.sampling.domain == "time" and manifest.sampling.time_source is None and manifest.has_samples:
-        try:
-            agreed_rate(
-                file_hz=file_hz,
-                times=None,
-                manifest_hz=manifest.sampling.rate_hz,
-                path=path,
-                settings=settings,
-                file_uncertainty=contents.rate_uncertainty,
-            )
-        except CrankorderError as error:
-            faults.append(error)
+        rate = partial(agreed_rate, file_hz=file_hz, times=None, manifest_hz=manifest.sampling.rate_hz, path=path)
+        faults += _raised_by(partial(rate, settings=settings, file_uncertainty=contents.rate_uncertainty))
     return faults
+
+
+def _raised_by(look: Callable[[], object]) -> list[CrankorderError]:
+    """The fault that ``look`` raises; an empty list where it raises none."""
+    try:
+        look()
+    except CrankorderError as error:
+        return [error]
+    return []
 
 
 def _pulse_file_faults(path: Path, manifest: Manifest, *, settings: IngestSettings) -> list[CrankorderError]:
@@ -120,14 +122,9 @@ def _pulse_file_faults(path: Path, manifest: Manifest, *, settings: IngestSettin
         names = contents_of(pulses, settings=settings).names
     except CrankorderError as error:
         return [error]
-    faults: list[CrankorderError] = []
-    for source in (encoder.source, encoder.index, encoder.cam, encoder.time_source):
-        try:
-            if source is not None:
-                named(source, names, pulses)
-        except CrankorderError as error:
-            faults.append(error)
-    return faults
+    sources = (encoder.source, encoder.index, encoder.cam, encoder.time_source)
+    looks = [partial(named, source, names, pulses) for source in sources if source is not None]
+    return [fault for look in looks for fault in _raised_by(look)]
 
 
 def _roles(manifest: Manifest) -> dict[str, str | int]:
@@ -146,11 +143,6 @@ def _roles(manifest: Manifest) -> dict[str, str | int]:
 def _unit_faults(path: Path, manifest: Manifest, names: dict[str, str], units: dict[str, str]) -> list[CrankorderError]:
     from crankorder.ingest.channel import file_to_analysed
 
-    faults: list[CrankorderError] = []
-    for channel in manifest.channels:
-        if channel.name in names:
-            try:
-                file_to_analysed(channel, units.get(names[channel.name], ""), path)
-            except CrankorderError as error:
-                faults.append(error)
-    return faults
+    known = [(channel, units.get(names[channel.name], "")) for channel in manifest.channels if channel.name in names]
+    looks = [partial(file_to_analysed, channel, unit, path) for channel, unit in known]
+    return [fault for look in looks for fault in _raised_by(look)]

@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -139,20 +140,14 @@ def _edges(
         rate_hz, start_s = timed.rate_hz, 0.0
         if timed.places is not None:  # a gap hides pulses, again and again: between gaps the wheel shows itself
             values = max(np.split(values, np.flatnonzero(np.diff(timed.places) != 1) + 1), key=len)
-    kind = "square" if is_square(values) else "analogue"
-    shaft = load_settings().shaft
-    by_edge = {
-        edge: start_s
-        + find_pulses(
-            values,
-            rate_hz=rate_hz or _NOMINAL_HZ,
-            kind="square" if kind == "square" else "analogue",
-            edge="rising" if edge == "rising" else "falling",
-            pulses_per_rev=1,
-            settings=shaft,
-        ).time_s
-        for edge in ("rising", "falling")
-    }
+    kind: Literal["square", "analogue"] = "square" if is_square(values) else "analogue"
+    edges: tuple[Literal["rising", "falling"], ...] = ("rising", "falling")
+    shaft, by_edge = load_settings().shaft, dict[str, Floats]()
+    for edge in edges:
+        pulses = find_pulses(
+            values, rate_hz=rate_hz or _NOMINAL_HZ, kind=kind, edge=edge, pulses_per_rev=1, settings=shaft
+        )
+        by_edge[edge] = start_s + pulses.time_s
     # short dips begin where they fall
     return kind, "falling" if np.mean(values > 0.5 * (values.min() + values.max())) > _MOSTLY else "rising", by_edge
 
@@ -167,8 +162,8 @@ def draft_manifest(folder: Path) -> str:
     pattern, group, pulses = _recordings(folder)
     contents, path = group[0]
     columns = columns_of(path, contents, settings=load_settings().ingest)
-    sources = {column.name: _source(column, [other for other, _ in group]) for column in columns.all}
-    columns = replace(columns, all=tuple(replace(column, source=sources[column.name]) for column in columns.all))
+    files = [each for each, _ in group]
+    columns = replace(columns, all=tuple(replace(column, source=_source(column, files)) for column in columns.all))
     speeds = _speeds(group)
     if pulses is None:
         columns = _marks_by_wheel(columns, contents, path)

@@ -191,7 +191,6 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
 
     ``cycle`` is that of the test; ``domain`` that of the samples; ``speeds_stated``: whether recordings have their own.
     """
-    faults: list[RequestError] = []
     needs: dict[str, object] = {}
     if encoder.kind in (*TRACE_KINDS, *TIME_KINDS, "speed"):
         needs = {"source": encoder.source}
@@ -199,37 +198,25 @@ def encoder_faults(encoder: Encoder, *, cycle: str, domain: str, speeds_stated: 
         needs["pulses_per_rev"] = encoder.pulses_per_rev
     elif encoder.kind == "constant" and not speeds_stated and encoder.source is None:
         needs = {"speed_rpm": encoder.speed_rpm}
-    for key, value in needs.items():
-        if value is None:
-            faults.append(
-                RequestError(
-                    f"an encoder of kind {encoder.kind!r} needs {key}", place=f"encoder.{key}", remedy="Add it"
-                )
-            )
+    faults = [
+        RequestError(f"an encoder of kind {encoder.kind!r} needs {key}", place=f"encoder.{key}", remedy="Add it")
+        for key, value in needs.items()
+        if value is None
+    ]
     if encoder.expected_rpm is not None and encoder.kind != "vibration":
         faults.append(RequestError('expected_rpm goes with kind = "vibration"', place="encoder.expected_rpm"))
     if encoder.second_track is not None and encoder.kind not in TRACE_KINDS:
         allowed = f"beside kind = {' or '.join(TRACE_KINDS)}"
         faults.append(RequestError("a second track is a sampled trace", place="encoder.second_track", allowed=allowed))
     if cycle == "none" and (encoder.kind != "none" or domain == "crank_angle"):
-        faults.append(
-            RequestError(
-                "a structure without a shaft has neither an encoder nor samples by crank angle",
-                place="encoder.kind" if encoder.kind != "none" else "sampling.domain",
-                found=encoder.kind if encoder.kind != "none" else domain,
-                remedy="Remove it, or state the cycle of the machine (rotor)",
-            )
-        )
+        problem = "a structure without a shaft has neither an encoder nor samples by crank angle"
+        place, found = ("encoder.kind", encoder.kind) if encoder.kind != "none" else ("sampling.domain", domain)
+        remedy = "Remove it, or state the cycle of the machine (rotor)"
+        faults.append(RequestError(problem, place=place, found=found, remedy=remedy))
     if domain == "crank_angle" and encoder.kind not in ("none", "constant"):
-        faults.append(
-            RequestError(
-                "samples by crank angle have no use for an encoder",
-                place="encoder.kind",
-                found=encoder.kind,
-                allowed="none, constant",
-                remedy='Remove [encoder], or state domain = "time"',
-            )
-        )
+        problem, allowed = "samples by crank angle have no use for an encoder", "none, constant"
+        remedy = 'Remove [encoder], or state domain = "time"'
+        faults.append(RequestError(problem, place="encoder.kind", found=encoder.kind, allowed=allowed, remedy=remedy))
     return faults + _file_faults(encoder) + _wheel_faults(encoder, cycle) + _position_faults(encoder)
 
 
@@ -249,47 +236,27 @@ def _file_faults(encoder: Encoder) -> list[RequestError]:
     if encoder.file is not None and encoder.kind not in TIME_KINDS:
         problem = "a file of its own holds times of pulses: samples lie in the recording"
         faults.append(RequestError(problem, place="encoder.file", allowed=f"beside kind = {' or '.join(TIME_KINDS)}"))
-    for key in ("time_source", "offset_s"):
-        if key in encoder.model_fields_set and encoder.file is None:
-            faults.append(
-                RequestError(f"{key} is that of the file of pulses", place=f"encoder.{key}", remedy="Add file")
-            )
-    return faults
+    alone = [key for key in ("time_source", "offset_s") if key in encoder.model_fields_set and encoder.file is None]
+    return faults + [
+        RequestError(f"{key} is that of the file of pulses", place=f"encoder.{key}", remedy="Add file") for key in alone
+    ]
 
 
 def _wheel_faults(encoder: Encoder, cycle: str) -> list[RequestError]:
     faults: list[RequestError] = []
     stated = [key for key in ("pattern", "tooth_angles_deg", "pulses_per_rev") if getattr(encoder, key) is not None]
     if len(stated) > 1:
-        faults.append(
-            RequestError(
-                f"the wheel is stated by {' and by '.join(stated)}",
-                place=f"encoder.{stated[0]}",
-                allowed="one of them",
-                remedy=f"Remove {' and '.join(stated[1:])}",
-            )
-        )
+        problem, remedy = f"the wheel is stated by {' and by '.join(stated)}", f"Remove {' and '.join(stated[1:])}"
+        faults.append(RequestError(problem, place=f"encoder.{stated[0]}", allowed="one of them", remedy=remedy))
     if encoder.missing_teeth and encoder.missing_teeth >= (encoder.pulses_per_rev or encoder.missing_teeth):
-        faults.append(
-            RequestError(
-                "more teeth are missing than the wheel has",
-                place="encoder.missing_teeth",
-                found=encoder.missing_teeth,
-                allowed="below pulses_per_rev, which counts the full wheel"
-                + (f" = {encoder.pulses_per_rev}" if encoder.pulses_per_rev else ""),
-            )
-        )
+        problem, place = "more teeth are missing than the wheel has", "encoder.missing_teeth"
+        allowed = "below pulses_per_rev, which counts the full wheel"
+        allowed += f" = {encoder.pulses_per_rev}" if encoder.pulses_per_rev else ""
+        faults.append(RequestError(problem, place=place, found=encoder.missing_teeth, allowed=allowed))
     if encoder.cam is not None and cycle != "four-stroke":
-        faults.append(
-            RequestError(
-                "a cam mark tells the phase of a four-stroke cycle only",
-                place="encoder.cam",
-                found=f"cycle = {cycle!r}",
-                remedy="Remove cam, or mend test.cycle",
-            )
-        )
+        problem, remedy = "a cam mark tells the phase of a four-stroke cycle only", "Remove cam, or mend test.cycle"
+        faults.append(RequestError(problem, place="encoder.cam", found=f"cycle = {cycle!r}", remedy=remedy))
     if encoder.cam_to_tdc_deg is not None and encoder.cam is None:
-        faults.append(
-            RequestError("cam_to_tdc_deg needs cam, its source", place="encoder.cam_to_tdc_deg", remedy="Add cam")
-        )
+        problem = "cam_to_tdc_deg needs cam, its source"
+        faults.append(RequestError(problem, place="encoder.cam_to_tdc_deg", remedy="Add cam"))
     return faults

@@ -308,9 +308,8 @@ def _entries(by: Path, home: Path, folder: Path, faults: list[CrankorderError]) 
         name, digest = (tagged[1], tagged[2]) if tagged else (plain[2] or by.stem, plain[1]) if plain else ("", "")
         if len(digest) != 2 * hashlib.new(algorithm).digest_size:
             problem, remedy = f"is no {algorithm} checksum", "Write the list again, or remove it"
-            faults.append(
-                InputError(problem, file=by, place=f"line {number}", found=printable(line, 60), remedy=remedy)
-            )
+            place, found = f"line {number}", printable(line, 60)
+            faults.append(InputError(problem, file=by, place=place, found=found, remedy=remedy))
             return
         path = _inside(name.strip(), home, folder)
         if path is not None:

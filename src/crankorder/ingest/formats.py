@@ -23,13 +23,11 @@ _HEAD_BYTES = 8192
 # what the first bytes say, and what to do with a format that is not read
 _EXPORT = "Export the recording to HDF5, WAV or text"
 _IN_DEWESOFT = "Export it in DewesoftX as MDF4, TDMS, UFF58 or MATLAB"
-_UNREAD: tuple[tuple[bytes, str, str], ...] = (
+_UNREAD: tuple[tuple[bytes | tuple[bytes, ...], str, str], ...] = (
     (b"UnFinMF ", "an MDF4 file that its writer never finished", f"not supported yet. {_EXPORT}"),
     (b"MDF     3", "an MDF3 file", "not supported. Save it as MDF4"),
     (b"MDF     2", "an MDF2 file", "not supported. Save it as MDF4"),
-    (b"CDF\x01", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
-    (b"CDF\x02", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
-    (b"CDF\x05", "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
+    ((b"CDF\x01", b"CDF\x02", b"CDF\x05"), "a NetCDF-3 file", "not supported. Convert it with `nccopy -k nc4`"),
     (b"\x0e\x03\x13\x01", "an HDF4 file", "not HDF5, not supported. Convert it with `h4toh5`"),
     (b"RIFX", "a big-endian RIFF file", f"not supported yet. {_EXPORT}"),
     (b"fLaC", "a FLAC file", f"not supported yet. {_EXPORT}"),
@@ -43,8 +41,7 @@ _UNREAD: tuple[tuple[bytes, str, str], ...] = (
     (b"\x89PNG", "a PNG picture", "not a recording. Take it out of [recordings]"),
     (b"PAR1", "a Parquet file", f"not supported. {_EXPORT}"),
     (b"Rar!", "a RAR archive", "not a recording. Unpack it"),
-    (b"\xff\xfe", "UTF-16 text", "not supported. Save it as UTF-8"),
-    (b"\xfe\xff", "UTF-16 text", "not supported. Save it as UTF-8"),
+    ((b"\xff\xfe", b"\xfe\xff"), "UTF-16 text", "not supported. Save it as UTF-8"),
 )
 # signs in the head of binary files that have no signature to begin with
 _UNREAD_SIGNS: tuple[tuple[bytes, str, str], ...] = (
@@ -78,8 +75,8 @@ class Format:
 
     def function(self, name: str) -> Callable[..., Any]:
         """The function ``name`` of the module."""
-        found: Callable[..., Any] = getattr(import_module(f"crankorder.ingest.{self.module}"), name)
-        return found
+        function: Callable[..., Any] = getattr(import_module(f"crankorder.ingest.{self.module}"), name)
+        return function
 
 
 def _begins(signature: bytes) -> Callable[[Path, bytes], bool]:

@@ -181,8 +181,7 @@ def _check_superblock(path: Path) -> None:
     if len(block) < offset + 8:
         raise InputError(f"truncated: only {size} bytes are left of an HDF5 file", remedy="Copy it again")
     end = struct.unpack_from("<Q", block, offset)[0] if wide else 0
-    marked_open = version >= 3 and block[11] & 0b101
-    if marked_open:
+    if version >= 3 and block[11] & 0b101:
         raise InputError(
             "was not closed by its writer",
             remedy="Copy it after the recording has ended, or, at your own risk, run `h5clear --status` on a copy",

@@ -11,7 +11,7 @@ import numpy as np
 
 from crankorder.errors import InputError
 from crankorder.ingest.child import in_child, package
-from crankorder.ingest.rawfile import Contents, RawFile, Source, check_budget, distinct, named
+from crankorder.ingest.rawfile import Contents, RawFile, Source, by_distinct_name, check_budget, named
 from crankorder.ingest.sampling import TimeColumn, read_time_column
 from crankorder.quantities import QualityFlag
 from crankorder.settings import IngestSettings
@@ -51,12 +51,10 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
 def _graded(times: TimeColumn) -> list[QualityFlag]:
     """Flags of ``times``; stamps that wander further than lines bear are suspect."""
     off = 0.5 * times.rate_uncertainty * (times.n_rows - 1)
-    for one in times.flags:
-        if one["flag"] == "time_jitter" and off > _ROUGH:
-            one["severity"] = "suspect"
-            one["detail"] = (
-                f"the sensor's clock wanders against the recorder's by up to {off:.2g} samples; a uniform grid is used"
-            )
+    wander = f"the sensor's clock wanders against the recorder's by up to {off:.2g} samples; a uniform grid is used"
+    for remark in times.flags:
+        if remark["flag"] == "time_jitter" and off > _ROUGH:
+            remark["severity"], remark["detail"] = "suspect", wander
     return times.flags
 
 
@@ -79,13 +77,9 @@ def _channels(file: Any) -> Mapping[str, Any]:
         raise InputError(
             f"holds {len(file.sessions)} sessions", file=file.filename, remedy="Export each to a file of its own"
         )
-    found = [
-        (str(part.displayName or part.name), values)
-        for channel in file.channels.values()
-        for part in channel.subchannels
-        if len(values := part.getSession())
-    ]
-    return dict(zip(distinct([name for name, _ in found]), (values for _, values in found), strict=True))
+    parts = [part for channel in file.channels.values() for part in channel.subchannels]
+    sessions = [(str(part.displayName or part.name), part.getSession()) for part in parts]
+    return by_distinct_name([(name, values) for name, values in sessions if len(values)])
 
 
 def _contents(parser: Any, path: Path) -> Contents:

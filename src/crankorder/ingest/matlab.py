@@ -233,13 +233,13 @@ class Matrix:
 
 
 def _field_names(inner: list[Element], name: str) -> list[str]:
+    """Names of the fields of the struct ``name``, which stand in rows of one length."""
     lengths = inner[0].numbers() if inner else np.empty(0)
     if len(inner) < 2 or len(lengths) != 1 or not 0 < int(lengths[0]) <= 1024 or len(inner[1].body) % int(lengths[0]):
         raise DamagedFileError("the names of the fields cannot be told", place=name)
     length, text = int(lengths[0]), inner[1].body.tobytes()
-    return [
-        text[start : start + length].split(b"\0")[0].decode("utf-8", "replace") for start in range(0, len(text), length)
-    ]
+    rows = [text[start : start + length] for start in range(0, len(text), length)]
+    return [row.split(b"\0")[0].decode("utf-8", "replace") for row in rows]
 
 
 def matrix_of(element: Element, *, partial: bool = False) -> Matrix | None:
@@ -323,11 +323,9 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
 
 
 def _contents(tree: _Tree) -> Contents:
-    samples = {name: column.n_samples for name, column in tree.columns.items()}
+    samples = {name: column.n_samples for name, column in tree.columns.items()} | dict.fromkeys(tree.scalars, 1)
     rates = {name: rate for name in tree.columns if (rate := _rate_hz(tree, name)) is not None}
-    return Contents(
-        "MATLAB", tree.names, samples | dict.fromkeys(tree.scalars, 1), rates_hz=rates, starts_s=_starts(tree)
-    )
+    return Contents("MATLAB", tree.names, samples, rates_hz=rates, starts_s=_starts(tree))
 
 
 @contextmanager

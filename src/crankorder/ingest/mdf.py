@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from crankorder.ingest.child import in_child, package
-from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, check_budget, distinct, names_of
+from crankorder.ingest.rawfile import Contents, FloatArray, RawFile, Source, by_distinct_name, check_budget, names_of
 from crankorder.quantities import Floats
 from crankorder.settings import IngestSettings
 
@@ -74,7 +74,7 @@ def _parser() -> Any:
 
 
 def _places(parser: Any, path: Path) -> dict[str, _Place]:
-    found: list[tuple[str, _Place]] = []
+    places: list[tuple[str, _Place]] = []
     with parser(str(path)) as file:
         for group, members in enumerate(file.groups):
             n_samples = int(members.channel_group.cycles_nr)
@@ -89,13 +89,13 @@ def _places(parser: Any, path: Path) -> dict[str, _Place]:
                     stamps = np.asarray(file.get_master(group), dtype=np.float64)
                     rate_hz = _rate(stamps)
                     start_s = float(stamps[0]) if rate_hz is not None else 0.0
-                found.append((name, _Place(group, -1, n_samples, unit, None, start_s)))
+                places.append((name, _Place(group, -1, n_samples, unit, None, start_s)))
             for number, channel in enumerate(members.channels):
                 first = None if number == master else _samples(file, channel.name, group, number, most=1)
                 if first is not None:
                     unit = str(channel.unit or "")
-                    found.append((str(channel.name), _Place(group, number, n_samples, unit, rate_hz, start_s)))
-    return dict(zip(distinct([name for name, _ in found]), (place for _, place in found), strict=True))
+                    places.append((str(channel.name), _Place(group, number, n_samples, unit, rate_hz, start_s)))
+    return by_distinct_name(places)
 
 
 def _rate(stamps: Floats) -> float | None:
@@ -109,16 +109,16 @@ def _rate(stamps: Floats) -> float | None:
 
 def _samples(file: Any, name: str, group: int, number: int, *, most: int | None = None) -> FloatArray | None:
     """Samples of a channel, NaN where the file calls them invalid; None where they are no real numbers."""
-    found = file.get(name, group=group, index=number, ignore_invalidation_bits=True, record_count=most, raw=False)
-    values = np.asarray(found.samples)
+    signal = file.get(name, group=group, index=number, ignore_invalidation_bits=True, record_count=most, raw=False)
+    values = np.asarray(signal.samples)
     if values.ndim != 1 or values.dtype.kind not in _REALS:
         return None
     small = values.dtype.itemsize <= 2 or values.dtype == np.float32
-    made: FloatArray = values.astype(np.float32 if small else np.float64)
-    invalid = getattr(found, "invalidation_bits", None)
-    if invalid is not None and np.size(invalid) == made.size:
-        made[np.asarray(invalid, dtype=bool)] = np.nan
-    return made
+    samples: FloatArray = values.astype(np.float32 if small else np.float64)
+    invalid = getattr(signal, "invalidation_bits", None)
+    if invalid is not None and np.size(invalid) == samples.size:
+        samples[np.asarray(invalid, dtype=bool)] = np.nan
+    return samples
 
 
 def _read(parser: Any, path: Path, wanted: dict[str, _Place]) -> dict[str, FloatArray]:

@@ -135,13 +135,18 @@ def names_of(sources: Sequence[Source], names: Sequence[str], path: Path) -> dic
 
 def distinct(names: Sequence[str]) -> tuple[str, ...]:
     """``names`` of columns, with a number behind each that comes again: "acc", "acc (2)"."""
-    made: list[str] = []
+    given: list[str] = []
     for name in names:
         own, number = name, 2
-        while own in made:
+        while own in given:
             own, number = f"{name} ({number})", number + 1
-        made.append(own)
-    return tuple(made)
+        given.append(own)
+    return tuple(given)
+
+
+def by_distinct_name(pairs: Sequence[tuple[str, Value]]) -> dict[str, Value]:
+    """The values of ``pairs`` (name, value) by :func:`distinct` name, in their order."""
+    return dict(zip(distinct([name for name, _ in pairs]), (value for _, value in pairs), strict=True))
 
 
 def starts_by_date(
@@ -212,9 +217,8 @@ def stacked(rows: Sequence[FloatArray]) -> FloatArray:
     if isinstance(base, np.ndarray) and base.ndim == 2 and base.flags.writeable and base.flags.c_contiguous:
         step = base.strides[0]
         first = rows[0].ctypes.data
-        neighbours = all(
-            row.base is base and row.ctypes.data == first + number * step for number, row in enumerate(rows)
-        )
+        places = [first + number * step for number in range(len(rows))]
+        neighbours = all(row.base is base and row.ctypes.data == at for row, at in zip(rows, places, strict=True))
         start = (first - base.ctypes.data) // step if step else 0
         if neighbours and base.shape[1] == rows[0].size:
             block: FloatArray = base[start : start + len(rows)]

@@ -21,6 +21,7 @@ from crankorder.ingest.channel_faults import (
     find_mains_only,
     find_slow_faults,
     grouped,
+    joined,
     runs_of,
     survey,
 )
@@ -87,14 +88,13 @@ def find_smoothed_clipping(
     middle = float(ordered[samples.size // 2])
     apart, ordered = samples - middle, ordered - middle
     sides = [_pile_up(sign * apart, sign * ordered[at], settings) for sign, at in ((1, places), (-1, -1 - places))]
-    found = [side for side in sides if side is not None]
-    if not found or (len(found) < 2 and not without_doubt):
+    plateaus = [(sign, *side) for sign, side in zip((1.0, -1.0), sides, strict=True) if side is not None]
+    if not plateaus or (len(plateaus) < 2 and not without_doubt):
         return []
-    levels = " and ".join(
-        f"{middle + sign * side[0]:.4g}" for sign, side in zip((1.0, -1.0), sides, strict=True) if side is not None
-    )
-    share = sum(side[1] for side in found)
-    is_sure = without_doubt and len(found) == 2 and all(side[2] < settings.quiet_plateau for side in found)
+    levels = " and ".join(f"{middle + sign * level:.4g}" for sign, level, _, _ in plateaus)
+    share = sum(share for _, _, share, _ in plateaus)
+    quiet = all(roughness < settings.quiet_plateau for *_, roughness in plateaus)
+    is_sure = without_doubt and len(plateaus) == 2 and quiet
     detail = (
         f"{share:.2%} of the strongest samples lie at {levels} as on a plateau that was smoothed later: cut off before "
         "the filter, so odd multiples of its lines may be made up"
@@ -247,12 +247,12 @@ def _standing_out(
     rounding = np.where(steps > 0.0, steps, np.inf).min(axis=1)
     height = np.abs(deviations).max(axis=1)
     with np.errstate(invalid="ignore"):
-        found = (height > settings.spike_ratio * rest) & (height > settings.spike_level * level)
+        stands_out = (height > settings.spike_ratio * rest) & (height > settings.spike_level * level)
         # a step of the rounding is no spike, but a lone spike among equal samples has no other step than its own
-        found &= (height > _OF_STEP * rounding) | (np.count_nonzero(steps > 0.0, axis=1) <= 4) & (rest == 0.0)
-    if np.count_nonzero(found) > 1:  # the same spike seen from two of its samples counts once
-        found[1:] &= ~(found[:-1] & (np.diff(places) <= _AHEAD))
-    return places[found], deviations[found], (predicted + base)[found]
+        stands_out &= (height > _OF_STEP * rounding) | (np.count_nonzero(steps > 0.0, axis=1) <= 4) & (rest == 0.0)
+    if np.count_nonzero(stands_out) > 1:  # the same spike seen from two of its samples counts once
+        stands_out[1:] &= ~(stands_out[:-1] & (np.diff(places) <= _AHEAD))
+    return places[stands_out], deviations[stands_out], (predicted + base)[stands_out]
 
 
 def _look_like_pulses(places: Ints, deviations: Floats) -> bool:
@@ -375,12 +375,8 @@ def _beside_each_other(
 def _lost(own: list[SignalFault], n_samples: int, sampled: Sampled, settings: IngestSettings) -> Runs:
     """Samples that take no part in averages, with a margin about each stretch."""
     margin = max(round(settings.lost_margin_s * sampled.rate_hz), 1) if math.isfinite(sampled.rate_hz) else 1
-    starts, ends = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
-    for fault in own:
-        if fault.is_lost:
-            starts.append(fault.at.starts if fault.at.starts.size else np.array([0]))
-            ends.append(fault.at.ends if fault.at.starts.size else np.array([n_samples]))
-    return Runs(np.concatenate(starts), np.concatenate(ends)).merged(within=margin, n_samples=n_samples)
+    lost = [fault.at if fault.at.starts.size else runs_of((0, n_samples)) for fault in own if fault.is_lost]
+    return joined(lost).merged(within=margin, n_samples=n_samples)
 
 
 def _is_out(lost: Runs, n_samples: int, settings: IngestSettings) -> bool:

@@ -74,11 +74,11 @@ def read_parts(
     if n_samples <= most:
         return [read_recording(path, manifest, settings=settings, shaft=shaft)], 1.0
     third = most // 3
-    made: list[xr.Dataset] = []
+    parts: list[xr.Dataset] = []
     for first in (0, (n_samples - third) // 2, n_samples - third):
         raw = read_checked(path, manifest, sources=sources, settings=settings, rows=slice(first, first + third))
-        made.append(recording_of(raw, path, manifest, settings=settings, shaft=shaft))
-    return made, 3 * third / n_samples
+        parts.append(recording_of(raw, path, manifest, settings=settings, shaft=shaft))
+    return parts, 3 * third / n_samples
 
 
 def recording_of(
@@ -112,15 +112,16 @@ def recording_of(
         len(manifest.channels),
         tolerance=settings.rate_tolerance,
     )
-    recording, rate_hz = _axis(raw, file_hz, times, manifest, path, settings, flags)
+    recording = _axis(raw, file_hz, times, manifest, path, settings, flags)
+    rate_hz = recording.number("rate_hz")
     check_bands(manifest.limits, rate_hz, path)
     channels = {channel.name: raw.columns[channel.file_source] for channel in manifest.channels}
     if math.isfinite(rate_hz):
         common_hz = file_hz or 1.0
         agreed = {role: base._replace(rate_hz=rate_hz) for role, base in bases.items() if base.rate_hz == common_hz}
         bases = {**bases, **agreed}
-    base, told = on_one_base(channels, bases, path, settings=settings)
-    flags += told
+    base, base_flags = on_one_base(channels, bases, path, settings=settings)
+    flags += base_flags
     ShaftSignals(listed or raw, manifest, path, shaft, bases, base, times, flags).add_to(recording)
     has_stretches = times is not None and times.starts is not None
     if channels and manifest.encoder.kind in TRACE_KINDS and bases[ENCODER] == base and not has_stretches:
@@ -230,8 +231,11 @@ def _axis(
     path: Path,
     settings: IngestSettings,
     flags: list[QualityFlag],
-) -> tuple[Gathered, float]:
-    """A recording with the attributes of the sampling alone, and its rate in Hz (NaN by crank angle)."""
+) -> Gathered:
+    """A recording with the attributes of the sampling alone, ``rate_hz`` among them where it has one.
+
+    ``flags`` take where the file contradicts itself on its rate, or states it to a few decimals and nothing else tells.
+    """
     sampling = manifest.sampling
     attrs: dict[str, Attribute] = {"recording": manifest.name_of(path), "domain": sampling.domain}
     attrs["revs_per_cycle"] = manifest.revs_per_cycle
@@ -241,10 +245,10 @@ def _axis(
         assert sampling.samples_per_rev is not None  # the manifest states it of this domain
         attrs |= {"samples_per_rev": sampling.samples_per_rev, "start_deg": sampling.start_deg}
     if sampling.domain == "crank_angle" or not manifest.has_samples:
-        return Gathered(attrs), math.nan
+        return Gathered(attrs)
     if times is not None:
         flags += times.flags
-    rate_hz = agreed_rate(
+    attrs["rate_hz"] = agreed_rate(
         file_hz=file_hz,
         times=times,
         manifest_hz=sampling.rate_hz,
@@ -252,25 +256,15 @@ def _axis(
         settings=settings,
         file_uncertainty=raw.rate_uncertainty,
     )
-    flags += _rate_flags(raw, file_hz, path, settings, stated=sampling.rate_hz is not None, timed=times is not None)
-    attrs["rate_hz"] = rate_hz
-    return Gathered(attrs), rate_hz
-
-
-def _rate_flags(
-    raw: RawFile, file_hz: float | None, path: Path, settings: IngestSettings, *, stated: bool, timed: bool
-) -> list[QualityFlag]:
-    """Flags where the file contradicts itself on its rate, or states it to a few decimals and nothing else tells it."""
-    flags: list[QualityFlag] = []
-    header_hz, doubt = raw.attrs.get("header_rate_hz"), raw.rate_uncertainty
+    stated, header_hz, doubt = sampling.rate_hz is not None, raw.attrs.get("header_rate_hz"), raw.rate_uncertainty
     if header_hz is not None and file_hz is not None:
         detail = f"the header states {header_hz:.6g} Hz, the times in the file say {file_hz:.6g} Hz, which are used"
         severity: Severity = "info" if stated else "suspect"  # what the manifest states agrees with the times
         flags.append(flag(path, "header_rate_disagrees", severity, detail))
-    if doubt > settings.rate_tolerance and not stated and not timed:
+    if doubt > settings.rate_tolerance and not stated and times is None:
         detail = f"the file states its time step to {doubt:.1g} of itself: state rate_hz for frequencies that are right"
         flags.append(flag(path, "rate_rounded", "suspect" if doubt > _ROUGH_RATE else "info", detail))
-    return flags
+    return Gathered(attrs)
 
 
 def _to_analysed_unit(
@@ -325,14 +319,9 @@ def _integrate(
             allowed=f"below {most_hz:.4g}",
             remedy="Mend highpass_hz in the manifest",
         )
-    made = integrated(
-        signal,
-        rate_hz,
-        times=scaling.integrals,
-        highpass_hz=highpass_hz,
-        half_octaves=settings.integration_edge_octaves,
-    )
-    signal[:] = made * (scaling.unit.factor / channel.analysed_unit.factor)
+    octaves = settings.integration_edge_octaves
+    integral = integrated(signal, rate_hz, times=scaling.integrals, highpass_hz=highpass_hz, half_octaves=octaves)
+    signal[:] = integral * (scaling.unit.factor / channel.analysed_unit.factor)
     detail = (
         f"channel {channel.name}: {channel.measured_quantity} in {channel.analysed_unit.name} integrated from "
         f"{scaling.unit.quantity}, high-pass {highpass_hz:g} Hz; "

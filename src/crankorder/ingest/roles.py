@@ -84,10 +84,9 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """The columns of a file; ``edge_list``: its lines are changes of a level; ``four_stroke``: its angle spans 720°."""
+    """The columns of a file; ``four_stroke``: its angle spans 720°."""
 
     all: tuple[Column, ...]
-    edge_list: bool = False
     four_stroke: bool = False
 
     def of(self, role: Role) -> Column | None:
@@ -154,10 +153,9 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
     found = _first_of_edges(found, values)
     time = next((column for column in found if column.role == "time"), None)
     beside = [column for name, column in values.items() if time is not None and name != time.name]
-    edges = time is not None and time.name in values and lists_edges(values[time.name], beside)
     if time is not None and len(found) == 1:
-        found, edges = [_as(time, "encoder", "times alone: taken for those of pulses")], True
-    elif edges:
+        found = [_as(time, "encoder", "times alone: taken for those of pulses")]
+    elif time is not None and time.name in values and lists_edges(values[time.name], beside):
         found = [_of_edge_list(column, values) for column in found]
     found = _marks_by_count(found, values)
     if not any(column.role in ("channel", "encoder", "index") for column in found):
@@ -169,7 +167,7 @@ def columns_of(path: Path, contents: Contents, *, settings: IngestSettings) -> C
     sawtooth = angle is not None and bool((np.diff(values[angle.name]) < 0).any())
     speeds = [name for name in contents.names if contents.samples.get(name) == 1 and SPEED_NAME.search(name)]
     constants = [Column(name, _source(name, contents), "constant", name) for name in speeds[:1]]
-    return Columns((*found, *constants), edges, wide and sawtooth)
+    return Columns((*found, *constants), wide and sawtooth)
 
 
 def _sampled(contents: Contents) -> list[str]:
@@ -351,9 +349,8 @@ def _of_several_rates(found: list[Column], rates_hz: Mapping[str, float]) -> lis
         if column.role == "time":
             column = _as(column, "unused", "each channel has times of its own")
         elif column.role == "channel" and rate_hz < _SLOWEST * fastest_hz:
-            column = _as(
-                column, "unused", f"{rate_hz:.6g} Hz beside channels of {fastest_hz:.6g} Hz: all would come to it"
-            )
+            doubt = f"{rate_hz:.6g} Hz beside channels of {fastest_hz:.6g} Hz: all would come to it"
+            column = _as(column, "unused", doubt)
         made.append(column)
     return made
 

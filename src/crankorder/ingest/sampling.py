@@ -155,10 +155,6 @@ def _steps(times: FloatArray) -> Iterator[tuple[int, Floats]]:
         yield part.start, np.diff(_double(times, slice(part.start, part.stop + 1)))
 
 
-def _numbers(places: Ints | None, part: slice) -> Ints:
-    return np.arange(part.start, part.stop) if places is None else places[part]
-
-
 def rows_before_zeros(times: FloatArray) -> int:
     """Rows of ``times`` (row,) before those zeros at the end that some loggers write when they stop."""
     if times.size < 3 or times[-1] != 0.0 or not times[times.size // 2] > 0.0:
@@ -224,10 +220,11 @@ def _whole_places(times: FloatArray, first: Ints, step_s: float) -> Ints:
 
 def _jitter(times: FloatArray, step_s: float, places: Ints | None) -> float:
     """Samples by which one of ``times`` lies off the grid of ``step_s`` that begins with the first, at most."""
-    return max(
-        float(np.abs((_double(times, part) - float(times[0])) / step_s - _numbers(places, part)).max())
-        for part in blocks(times.size)
-    )
+    jitter = 0.0
+    for part in blocks(times.size):
+        place = np.arange(part.start, part.stop) if places is None else places[part]
+        jitter = max(jitter, float(np.abs((_double(times, part) - float(times[0])) / step_s - place).max()))
+    return jitter
 
 
 def _uneven(first: Ints, step_s: float, off: float, path: Path, settings: IngestSettings) -> InputError:

@@ -393,15 +393,6 @@ def _jump(channels: Sequence[FloatArray], first: int, last: int, ahead: int, beh
     return low + best
 
 
-def _told(breaks: Sequence[Break], rate_hz: float) -> str:
-    """Words for the ``breaks``: where each is, and what the turn across it lacks."""
-    words = [
-        f"sample {gap.sample} ({gap.sample / rate_hz:.6g} s: {gap.turn:.0f} samples where a turn has {gap.usual:.0f})"
-        for gap in breaks
-    ]
-    return listed(words, LISTED, counted=True)
-
-
 def laid_apart(recording: Gathered, channels: dict[str, FloatArray], path: Path, flags: list[QualityFlag]) -> None:
     """Lay buffers that were written one behind the other apart, in ``channels`` and the pulses of ``recording``.
 
@@ -421,15 +412,20 @@ def laid_apart(recording: Gathered, channels: dict[str, FloatArray], path: Path,
     places = np.arange(n_samples) + np.cumsum(lost)
     total = int(places[-1]) + 1
     first, end = 0, total
-    said = f"samples are missing before {_told(breaks, rate_hz)}: the channels jump there too, as between two buffers"
+    words = [
+        f"sample {gap.sample} ({gap.sample / rate_hz:.6g} s: {gap.turn:.0f} samples where a turn has {gap.usual:.0f})"
+        for gap in breaks
+    ]
+    shown = listed(words, LISTED, counted=True)
+    detail = f"samples are missing before {shown}: the channels jump there too, as between two buffers"
     if marked or teeth == 1:
-        said += f"; {total - n_samples} samples are put in to make these turns whole; what touches them is left out"
+        detail += f"; {total - n_samples} samples are put in to make these turns whole; what touches them is left out"
     else:
         ends = np.array([0, *(gap.sample for gap in breaks), n_samples])
         first = int(ends[np.argmax(np.diff(ends))])
         end, places = first + int(np.diff(ends).max()), np.arange(n_samples)
-        said += f"; the pulses do not tell the angle across: samples {first} to {end - 1} are used alone"
-    flags.append(flag(path, "buffers_joined", "suspect", said))
+        detail += f"; the pulses do not tell the angle across: samples {first} to {end - 1} are used alone"
+    flags.append(flag(path, "buffers_joined", "suspect", detail))
     for name, column in channels.items():
         gridded = np.full(max(total, end), np.nan, dtype=column.dtype)
         gridded[places] = column

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from crankorder.ingest.channel_faults import Runs, SignalFault
+from crankorder.ingest.channel_faults import Runs, SignalFault, joined
 from crankorder.ingest.rawfile import FloatArray
 from crankorder.quantities import Bools
 from crankorder.scratch import blocks
@@ -87,7 +88,7 @@ def _survey(signal: FloatArray) -> _Survey:
 
 def _runs(signal: FloatArray, mask: Mask, *, least: int = 1) -> Runs:
     """Runs of ``least`` samples or more in a row for which ``mask`` (of a block of samples) is true."""
-    found: list[Runs] = []
+    parts: list[Runs] = []
     begun = -1  # where the run that has not ended yet began
     for part in blocks(signal.size):
         chosen = mask(signal[part])
@@ -98,16 +99,10 @@ def _runs(signal: FloatArray, mask: Mask, *, least: int = 1) -> Runs:
         begun = int(turns[-1]) if turns.size % 2 else -1
         turns = turns[: turns.size // 2 * 2].reshape(-1, 2)
         turns = turns[turns[:, 1] - turns[:, 0] >= least]
-        found.append(Runs(turns[:, 0], turns[:, 1]))
+        parts.append(Runs(turns[:, 0], turns[:, 1]))
     if begun >= 0 and signal.size - begun >= least:
-        found.append(Runs(np.array([begun]), np.array([signal.size])))
-    return _joined(found)
-
-
-def _joined(found: list[Runs]) -> Runs:
-    starts, ends = ([getattr(run, name) for run in found] for name in ("starts", "ends"))
-    none = np.empty(0, dtype=np.int64)
-    return Runs(np.concatenate([none, *starts]), np.concatenate([none, *ends]))
+        parts.append(Runs(np.array([begun]), np.array([signal.size])))
+    return joined(parts)
 
 
 def _dropout(signal: FloatArray, settings: IngestSettings) -> list[SignalFault]:
@@ -126,19 +121,18 @@ def _dropout(signal: FloatArray, settings: IngestSettings) -> list[SignalFault]:
         return []
     is_silent = (signal[runs.starts] == 0.0) & ((runs.starts == 0) | (runs.ends == signal.size))
     silence, held = runs.where(is_silent), runs.where(~is_silent)
-    found: list[SignalFault] = []
+    faults: list[SignalFault] = []
     if silence.starts.size:
         count = int(silence.lengths.sum())
-        detail = (
-            f"zeros for {count} samples ({count / signal.size:.1%}) at its start or end: nothing was recorded there"
-        )
-        found.append(SignalFault("silence", "suspect", detail, silence, is_lost=True))
+        share = f"{count / signal.size:.1%}"
+        detail = f"zeros for {count} samples ({share}) at its start or end: nothing was recorded there"
+        faults.append(SignalFault("silence", "suspect", detail, silence, is_lost=True))
     if held.starts.size and held.lengths.max() >= settings.dropout_fraction * signal.size:
         longest = int(np.argmax(held.lengths))
         length = int(held.lengths[longest])
         detail = f"the same value for {length} samples ({length / signal.size:.1%}) from sample {held.starts[longest]}"
-        found.append(SignalFault("dropout", "bad", detail, held, is_lost=True))
-    return found
+        faults.append(SignalFault("dropout", "bad", detail, held, is_lost=True))
+    return faults
 
 
 def _few_levels(signal: FloatArray, settings: IngestSettings) -> list[float]:
@@ -216,18 +210,18 @@ def _without(signal: FloatArray, missing: Runs, settings: IngestSettings) -> lis
 
 def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSettings) -> list[SignalFault]:
     """Flag runs of equal samples at an extreme, where they are cut off and not the smooth top of a quantised signal."""
-    found: list[Runs] = []
+    cut_off: list[Runs] = []
     step = np.nan
     for extreme in (low, high):
-        at_extreme = _equal_to(signal.dtype.type(extreme))
+        at_extreme = partial(np.equal, signal.dtype.type(extreme))
         n_flat = sum(int(np.count_nonzero(at_extreme(signal[part]))) for part in blocks(signal.size))
         if n_flat < 2 * settings.clip_run_samples:
             continue
         flat = _runs(signal, at_extreme, least=settings.clip_run_samples)
         step = _rounding_step(signal) if np.isnan(step) else step
         if flat.starts.size and n_flat > _just_inside(signal, extreme, step):
-            found.append(flat.where(_is_cut_off(signal, extreme, flat, step)))
-    runs = _joined(found)
+            cut_off.append(flat.where(_is_cut_off(signal, extreme, flat, step)))
+    runs = joined(cut_off)
     if runs.starts.size < 2:
         return []
     share = int(runs.lengths.sum()) / signal.size
@@ -235,10 +229,6 @@ def _clipping(signal: FloatArray, low: float, high: float, settings: IngestSetti
     flat = runs.merged(within=0, n_samples=signal.size)
     detail = f"{share:.3%} of its samples lie flat at {low:.6g} or {high:.6g}, first at sample {runs.starts.min()}"
     return [SignalFault("clipped", "bad" if is_bad else "suspect", detail, flat, is_lost=is_bad)]
-
-
-def _equal_to(level: np.floating) -> Mask:
-    return lambda piece: np.asarray(piece == level)
 
 
 def _rounding_step(signal: FloatArray) -> float:

@@ -18,8 +18,8 @@ from crankorder.ingest.rawfile import (
     FloatArray,
     RawFile,
     Source,
+    by_distinct_name,
     check_budget,
-    distinct,
     flag,
     float_type_for,
     names_of,
@@ -74,13 +74,13 @@ def _parser() -> Any:
 def _channels(file: Any) -> Mapping[str, Any]:
     """Channels of real numbers by name; the group is part of it where there are several."""
     groups = file.groups()
-    found = [
+    channels = [
         (channel.name if len(groups) == 1 else f"{group.name}/{channel.name}", channel)
         for group in groups
         for channel in group.channels()
         if channel.data_type is not None and np.dtype(channel.dtype).kind in _REALS
     ]
-    return dict(zip(distinct([name for name, _ in found]), (channel for _, channel in found), strict=True))
+    return by_distinct_name(channels)
 
 
 def _contents(parser: Any, path: Path) -> Contents:
@@ -149,12 +149,11 @@ def _read(
 
 def _stated_samples(file: Any, channels: Mapping[str, Any]) -> dict[str, int]:
     """Samples of each of the ``channels`` with those that the last chunk of ``file`` states and lacks."""
-    lacking = file.file_status.channel_statuses or {}
-    return {
-        name: len(channel)
-        + (0 if (one := lacking.get(channel.path)) is None else max(0, one.expected_length - one.read_length))
-        for name, channel in channels.items()
-    }
+    stated = {name: len(channel) for name, channel in channels.items()}
+    for name, channel in channels.items():
+        status = (file.file_status.channel_statuses or {}).get(channel.path)
+        stated[name] += 0 if status is None else max(0, status.expected_length - status.read_length)
+    return stated
 
 
 def _cut(path: Path, columns: Mapping[str, FloatArray], stated: dict[str, int], said: str) -> _Cut | None:

@@ -137,10 +137,9 @@ def _separation(line: str) -> tuple[str, bool] | None:
 
 def _header(lines: list[str], separator: str, n_columns: int) -> tuple[tuple[str, ...], dict[str, str]]:
     """Names of the columns, and their units, from the lines above the first numbers."""
-    rows = [_fields(line, separator) for line in lines if not _is_comment(line)]
-    words = [
-        [field.strip().strip('"') for field in re.split(r"[,;\t]", line)] for line in lines if not _is_comment(line)
-    ]
+    lines = [line for line in lines if not _is_comment(line)]
+    rows = [_fields(line, separator) for line in lines]
+    words = [[field.strip().strip('"') for field in re.split(r"[,;\t]", line)] for line in lines]
     fitting = [row for row in rows if len(row) == n_columns] or [row for row in words if len(row) == n_columns]
     return names_and_units(fitting, n_columns)
 

@@ -20,8 +20,8 @@ from crankorder.ingest.rawfile import (
     FloatArray,
     RawFile,
     Source,
+    by_distinct_name,
     check_budget,
-    distinct,
     flag,
     names_of,
 )
@@ -72,21 +72,18 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     the byte and object limits. Raises InputError for damage, a missing name, or a file without time histories.
     """
     with _mapped(path) as data:
-        found = _histories(data, settings)
-        names = names_of(sources, tuple(found), path)
-        check_budget(sum(found[name].n_points * 8 for name in names.values()), settings)
-        sampled = {name: _sampled(data, found[name], path, settings) for name in names.values()}
+        histories = _histories(data, settings)
+        names = names_of(sources, tuple(histories), path)
+        check_budget(sum(histories[name].n_points * 8 for name in names.values()), settings)
+        sampled = {name: _sampled(data, histories[name], path, settings) for name in names.values()}
     columns = {name: column for name, (column, _) in sampled.items()}
     times = {name: time for name, (_, time) in sampled.items()}
-    flags = [
-        flag(
-            path, "missing_data", "suspect", f"{name}: the header promises {promised} samples, {column.size} are there"
-        )
-        for name, column in columns.items()
-        if column.size < (promised := found[name].n_points)
-    ][:1]
+    promised = {name: histories[name].n_points for name in columns}
+    short = [name for name, column in columns.items() if column.size < promised[name]][:1]
+    lacks = [f"the header promises {promised[name]} samples, {columns[name].size} are there" for name in short]
+    flags = [flag(path, "missing_data", "suspect", f"{name}: {lack}") for name, lack in zip(short, lacks, strict=True)]
     flags += [remark for time in times.values() for remark in time.flags]
-    return _contents(found, times).with_columns(
+    return _contents(histories, times).with_columns(
         names,
         [columns[name] for name in names.values()],
         flags=[remark for number, remark in enumerate(flags) if remark not in flags[:number]],
@@ -100,20 +97,20 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     :func:`read` raises.
     """
     with _mapped(path) as data:
-        found = _histories(data, settings)
+        histories = _histories(data, settings)
         times = {
             name: history.even or _sampled(data, history, path, settings, most_bytes=_FEW_BYTES)[1]
-            for name, history in found.items()
+            for name, history in histories.items()
         }
-    return _contents(found, times)
+    return _contents(histories, times)
 
 
-def _contents(found: Mapping[str, _History], times: Mapping[str, TimeColumn]) -> Contents:
+def _contents(histories: Mapping[str, _History], times: Mapping[str, TimeColumn]) -> Contents:
     return Contents(
         format="UFF",
-        names=tuple(found),
-        samples={name: history.n_present for name, history in found.items() if history.binary},
-        units={name: history.unit for name, history in found.items() if history.unit},
+        names=tuple(histories),
+        samples={name: history.n_present for name, history in histories.items() if history.binary},
+        units={name: history.unit for name, history in histories.items() if history.unit},
         rates_hz={name: time.rate_hz for name, time in times.items()},
         starts_s={name: time.start_s for name, time in times.items()},
         rate_uncertainty=max((time.rate_uncertainty for time in times.values()), default=0.0),
@@ -151,7 +148,7 @@ def _histories(data: mmap.mmap, settings: IngestSettings) -> dict[str, _History]
             found=", ".join(list(others)[:5]) or "no data set",
             remedy="Export the time signals",
         )
-    return dict(zip(distinct([history.name for history in histories]), histories, strict=True))
+    return by_distinct_name([(history.name, history) for history in histories])
 
 
 def _line(data: mmap.mmap, place: int) -> tuple[bytes, int]:

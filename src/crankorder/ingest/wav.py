@@ -303,9 +303,8 @@ def _checked(
         other = f"{byte_rate} bytes per second, which are {byte_rate / frame_bytes:.6g} Hz"
         told["header_rate_disagrees"] = f"the header states {rate_hz} Hz, and {other}; the first is taken"
     if doubts and not calibrations:
-        told["calibration_unknown"] = (
-            f"{'; '.join(doubts[:3])}: levels are fractions of full scale; state a sensitivity"
-        )
+        shown = "; ".join(doubts[:3])
+        told["calibration_unknown"] = f"{shown}: levels are fractions of full scale; state a sensitivity"
     flags = tuple(flag(path, name, "suspect", detail) for name, detail in told.items())
     return _Header(rate_hz, n_channels, n_bits, code == _FLOAT, data_start, n_present, calibrations, flags)
 

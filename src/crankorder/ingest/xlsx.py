@@ -39,7 +39,13 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     ``settings`` give the byte limit. Raises what :func:`read` raises.
     """
     openpyxl = _parser()
-    return in_child(lambda: _contents(openpyxl, path, settings), path, n_bytes=path.stat().st_size)
+
+    def look() -> Contents:
+        with _first_sheet(openpyxl, path, settings) as sheet:
+            names, units, _, _ = _header(_rows(sheet))
+        return Contents(format="XLSX", names=names, units=units)
+
+    return in_child(look, path, n_bytes=path.stat().st_size)
 
 
 def _parser() -> Any:
@@ -70,12 +76,6 @@ def _read(openpyxl: Any, path: Path, sources: Sequence[Source], settings: Ingest
                 )
         block[:, number] = values
     return Contents("XLSX", names, units=units).with_columns(wanted, block)
-
-
-def _contents(openpyxl: Any, path: Path, settings: IngestSettings) -> Contents:
-    with _first_sheet(openpyxl, path, settings) as sheet:
-        names, units, _, _ = _header(_rows(sheet))
-    return Contents(format="XLSX", names=names, units=units)
 
 
 def _rows(sheet: Any) -> Iterator[tuple[object, ...]]:
