@@ -371,20 +371,19 @@ def find_slow_faults(survey: Survey, *, settings: IngestSettings) -> list[Signal
     vibration = math.sqrt(max(float(np.median(spread)), 0.0))
     if float(np.ptp(means)) <= settings.drift_ratio * vibration:
         return []
-    found: list[SignalFault] = []
+    faults: list[SignalFault] = []
     free = np.ones(len(means), dtype=np.bool_)
     for _ in range(_MOST_EVENTS):
         event = _overload(means, free, vibration, step, survey.n_samples, settings)
         if event is None:
             break
-        found.append(event)
+        faults.append(event)
         free[event.at.starts[0] // step : -(-event.at.ends[0] // step)] = False
-    if not found:
-        start = _settling(means, vibration, step, settings)
-        found += [] if start is None else [start]
-        free[: 0 if start is None else -(-int(start.at.ends[0]) // step)] = False
+    if not faults and (start := _settling(means, vibration, step, settings)) is not None:
+        faults.append(start)
+        free[: -(-int(start.at.ends[0]) // step)] = False
     drift = _drift(means, free, vibration, settings)
-    return found if drift is None else [*found, drift]
+    return faults if drift is None else [*faults, drift]
 
 
 def _decay(offsets: Floats) -> tuple[float, float, float]:

@@ -85,12 +85,12 @@ def _serve(task: Callable[[], Any], answer: IO[bytes], most_bytes: int, seconds:
             os.dup2(nowhere.fileno(), 1)
             os.dup2(nowhere.fileno(), 2)
         try:
-            made: tuple[str, Any] = "value", _by_itself(task)
+            outcome: tuple[str, Any] = "value", _by_itself(task)
         except CrankorderError as error:
-            made = "error", error
+            outcome = "error", error
         except MemoryError:
-            made = "memory", None
-        pickle.dump(made, answer, protocol=5)
+            outcome = "memory", None
+        pickle.dump(outcome, answer, protocol=5)
         answer.flush()
         status = 0
     finally:

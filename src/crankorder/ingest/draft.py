@@ -102,11 +102,11 @@ def encoder_guess(
     except (CrankorderError, OSError, ValueError):
         return None
     mark_s = next(iter(marks.values()), None)
-    found = {edge: find_pattern(time_s, index_time_s=mark_s) for edge, time_s in by_edge.items()}
-    best = max(found, key=lambda edge: (_likely(found[edge]), edge == first))
+    wheels = {edge: find_pattern(time_s, index_time_s=mark_s) for edge, time_s in by_edge.items()}
+    best = max(wheels, key=lambda edge: (_likely(wheels[edge]), edge == first))
     time_s = by_edge[best]
     pulses_hz = (time_s.size - 1) / float(np.ptp(time_s)) if time_s.size > 2 and np.ptp(time_s) > 0.0 else 0.0
-    return EncoderGuess(kind, best, found[best], pulses_hz)
+    return EncoderGuess(kind, best, wheels[best], pulses_hz)
 
 
 def _likely(found: FoundPattern | None) -> tuple[int, float]:
@@ -433,8 +433,8 @@ def _marks_by_wheel(columns: Columns, contents: Contents, path: Path) -> Columns
         return columns
     per_rev = marks.pulses_hz / (wheel.pulses_hz / len(wheel.found.pattern.angles_deg))
     role: Role = "index" if abs(per_rev - 1.0) < 0.1 else "cam" if abs(per_rev - 0.5) < 0.1 else "unused"
-    told = replace(mark, role=role, doubt=f"{per_rev:.2g} edges per turn of the wheel")
-    return replace(columns, all=tuple(told if column is mark else column for column in columns.all))
+    own = replace(mark, role=role, doubt=f"{per_rev:.2g} edges per turn of the wheel")
+    return replace(columns, all=tuple(own if column is mark else column for column in columns.all))
 
 
 def _stated_speeds(speeds: Mapping[str, tuple[float, str]]) -> list[str]:

@@ -253,12 +253,9 @@ def _check_dataset(dataset: Any) -> None:
     for number in range(create.get_nfilters()):
         code = create.get_filter(number)[0]
         if code not in _FILTERS:
-            raise InputError(
-                f"needs filter {code}, which is not built in",
-                place=place,
-                allowed=", ".join(_FILTERS.values()),
-                remedy="Save the file again with gzip or without compression",
-            )
+            problem, allowed = f"needs filter {code}, which is not built in", ", ".join(_FILTERS.values())
+            remedy = "Save the file again with gzip or without compression"
+            raise InputError(problem, place=place, allowed=allowed, remedy=remedy)
     # HDF5 would read samples that were promised and never written as zeros
     if dataset.size and not dataset.chunks and not dataset.id.get_storage_size():
         raise InputError("no sample was ever written", place=place, remedy="Export the recording again")
@@ -278,19 +275,14 @@ def _read_columns(
 ) -> list[FloatArray]:
     """Samples of ``columns``; equal lengths and types share one block, so that stacking them costs no copy."""
     parts = [part_of(column.n_samples, rows) for column in columns]
-    kinds = [
-        (part.stop - part.start, float_type_for(used[column.dataset].dtype))
-        for part, column in zip(parts, columns, strict=True)
-    ]
+    types = [float_type_for(used[column.dataset].dtype) for column in columns]
+    kinds = [(part.stop - part.start, kind) for part, kind in zip(parts, types, strict=True)]
     room = rows_for(kinds, in_memory_bytes=settings.in_memory_bytes)
     for name, dataset in used.items():
-        asked = [
-            (column.index, row, part.start)
-            for column, row, part in zip(columns, room, parts, strict=True)
-            if column.dataset == name
-        ]
+        asked = [(column, row) for column, row in zip(columns, room, strict=True) if column.dataset == name]
+        first = part_of(asked[0][0].n_samples, rows).start
         try:
-            _read_into([(index, row) for index, row, _ in asked], dataset, asked[0][2])
+            _read_into([(column.index, row) for column, row in asked], dataset, first)
         except _H5PY_ERRORS as error:
             raise InputError(
                 "damaged: the checksum or the compression of the samples is wrong",
@@ -298,8 +290,9 @@ def _read_columns(
                 found=str(error).split("\n")[0],
                 remedy="Copy the file again",
             ) from None
-        for index, row, _ in asked:
-            _unpack(row, name, 0 if index is None else index, 1 if index is None else min(dataset.shape), attributes)
+        for column, row in asked:
+            n_columns = 1 if column.index is None else min(dataset.shape)
+            _unpack(row, name, column.index or 0, n_columns, attributes)
     return room
 
 
@@ -369,12 +362,9 @@ class _Attributes:
             numbers = np.atleast_1d(_number_in(value))
             if numbers.ndim == 1 and numbers.size in (1, n_columns) and np.isfinite(numbers).all():
                 return float(numbers[index if numbers.size > 1 else 0])
-        raise InputError(
-            f"its {name} is not a number",
-            place=place,
-            found=printable(repr(value), 60),
-            remedy="Mend the attribute, or export the samples as floats in their unit",
-        )
+        problem, found = f"its {name} is not a number", printable(repr(value), 60)
+        remedy = "Mend the attribute, or export the samples as floats in their unit"
+        raise InputError(problem, place=place, found=found, remedy=remedy)
 
     def doubts(self, place: str, rate_hz: float | None, others_hz: Collection[float]) -> Iterator[tuple[str, str]]:
         """Flags and details of what the attributes about ``place``, whose rate is ``rate_hz``, contradict or hide.
@@ -466,10 +456,10 @@ def _number_in(value: Any) -> Any:
         if np.asarray(value).dtype.kind not in "iuf":
             raise TypeError("no number")
         return np.asarray(value, dtype=np.float64)
-    found = _TEXT_NUMBER.fullmatch(value.strip(" \0"))
-    if found is None:
+    match = _TEXT_NUMBER.fullmatch(value.strip(" \0"))
+    if match is None:
         raise ValueError("no number")
-    return float(found[1]) * _PREFIXES[found[2] or ""]
+    return float(match[1]) * _PREFIXES[match[2] or ""]
 
 
 def _readable(place: h5py.Group | h5py.Dataset) -> dict[str, _Value]:

@@ -302,23 +302,16 @@ def _integrate(
     if recording.attrs["domain"] == "crank_angle":
         rate_hz = recording.number("samples_per_rev") * recording.number("speed_rpm") / 60.0
     if not math.isfinite(rate_hz):
-        raise InputError(
-            f"channel {channel.name}: samples by crank angle at an unknown speed cannot be integrated by time",
-            file=path,
-            place=f"source {channel.file_source}",
-            remedy="State the speed in recordings.speed_rpm, or analyse the acceleration",
-        )
+        problem = f"channel {channel.name}: samples by crank angle at an unknown speed cannot be integrated by time"
+        remedy = "State the speed in recordings.speed_rpm, or analyse the acceleration"
+        raise InputError(problem, file=path, place=f"source {channel.file_source}", remedy=remedy)
     highpass_hz = channel.highpass_hz or settings.integration_highpass_hz
     most_hz = 0.5 * rate_hz * 2.0**-settings.integration_edge_octaves
     if highpass_hz >= most_hz:
-        raise InputError(
-            f"channel {channel.name}: the high-pass leaves nothing of {rate_hz:g} samples per second",
-            file=path,
-            place=f"{place}.highpass_hz",
-            found=f"{highpass_hz:g}",
-            allowed=f"below {most_hz:.4g}",
-            remedy="Mend highpass_hz in the manifest",
-        )
+        problem = f"channel {channel.name}: the high-pass leaves nothing of {rate_hz:g} samples per second"
+        limits = {"found": f"{highpass_hz:g}", "allowed": f"below {most_hz:.4g}"}
+        remedy = "Mend highpass_hz in the manifest"
+        raise InputError(problem, file=path, place=f"{place}.highpass_hz", **limits, remedy=remedy)
     octaves = settings.integration_edge_octaves
     integral = integrated(signal, rate_hz, times=scaling.integrals, highpass_hz=highpass_hz, half_octaves=octaves)
     signal[:] = integral * (scaling.unit.factor / channel.analysed_unit.factor)

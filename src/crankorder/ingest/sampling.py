@@ -177,13 +177,9 @@ def _refuse_disorder(times: FloatArray, path: Path) -> None:
     for first, steps in _steps(times):
         if steps.min() <= 0:
             place = first + int(np.argmax(steps <= 0)) + 1
-            raise InputError(
-                "time does not grow",
-                file=path,
-                place=f"sample {place}",
-                found=f"{times[place]:.9g} s after {times[place - 1]:.9g} s",
-                remedy="Mend time_source, or leave the recording out",
-            )
+            found = f"{times[place]:.9g} s after {times[place - 1]:.9g} s"
+            remedy = "Mend time_source, or leave the recording out"
+            raise InputError("time does not grow", file=path, place=f"sample {place}", found=found, remedy=remedy)
 
 
 def _even_stretches(times: FloatArray, least: float) -> tuple[Ints, float, Floats, float]:
@@ -303,7 +299,7 @@ def agreed_rate(
                 file=path,
                 remedy="Find out which is right, and mend the other",
             )
-    return min(stated, key=lambda item: item[2])[1]  # of those that are sure alike the first
+    return min(stated, key=lambda rate: rate[2])[1]  # of those that are sure alike the first
 
 
 ENCODER = "the encoder"
@@ -385,12 +381,8 @@ def on_one_base(
         raise fault
     shortest = min((base.n_samples for base in bases.values()), default=_FEWEST)
     if shortest < _FEWEST:
-        raise InputError(
-            "no samples" if shortest == 0 else f"too short: {shortest} samples",
-            file=path,
-            allowed=f"{_FEWEST} samples or more",
-            remedy="Leave the recording out",
-        )
+        problem, allowed = f"too short: {shortest} samples" if shortest else "no samples", f"{_FEWEST} samples or more"
+        raise InputError(problem, file=path, allowed=allowed, remedy="Leave the recording out")
     if not columns:
         return bases.get(ENCODER, TimeBase(1.0, 0.0, 0)), []
     lowest_hz = min(bases[role].rate_hz for role in columns)
@@ -442,7 +434,7 @@ def _loss_flags(bases: Mapping[str, TimeBase], moved: list[str], base: TimeBase,
     from crankorder.fft.resampling import PASS
 
     flags: list[QualityFlag] = []
-    seconds, longest_s = (max(one.n_samples / one.rate_hz for one in some) for some in ([base], bases.values()))
+    seconds, longest_s = base.n_samples / base.rate_hz, max(own.n_samples / own.rate_hz for own in bases.values())
     if longest_s - seconds > _MOST_CUT * longest_s:
         detail = f"{seconds:.6g} s of {longest_s:.6g} s were recorded by all channels: the rest is left out"
         flags.append(flag(path, "recording_cut", "suspect", detail))

@@ -140,13 +140,10 @@ class ShaftSignals:
         if encoder.kind == "constant" and encoder.source is not None and stated_rpm is None:
             speed = self._speed()
             if speed.size != 1 or not speed[0] > 0.0:
-                raise InputError(
-                    "a constant speed is one number above 0",
-                    file=self.path,
-                    place=f"encoder {encoder.source}",
-                    found=f"{speed.size} values" if speed.size != 1 else f"{speed[0]:g}",
-                    remedy='Mend encoder.source, or state kind = "speed" for a signal',
-                )
+                problem, place = "a constant speed is one number above 0", f"encoder {encoder.source}"
+                found = f"{speed.size} values" if speed.size != 1 else f"{speed[0]:g}"
+                remedy = 'Mend encoder.source, or state kind = "speed" for a signal'
+                raise InputError(problem, file=self.path, place=place, found=found, remedy=remedy)
             stated_rpm = float(speed[0])
         if encoder.kind == "constant" and stated_rpm is None:
             raise InputError(
@@ -269,12 +266,8 @@ class ShaftSignals:
             missing = np.delete(np.arange(speed.size), self.times.places)
             speed[missing] = np.interp(missing, self.times.places, speed[self.times.places])
         if not np.isfinite(speed).all():
-            raise InputError(
-                "the speed signal has missing samples",
-                file=self.path,
-                place=f"sample {int(np.argmin(np.isfinite(speed)))}",
-                remedy="Leave the recording out",
-            )
+            problem, place = "the speed signal has missing samples", f"sample {int(np.argmin(np.isfinite(speed)))}"
+            raise InputError(problem, file=self.path, place=place, remedy="Leave the recording out")
         return speed
 
 

@@ -49,13 +49,13 @@ def read(path: Path, *, sources: Sequence[Source], settings: IngestSettings) -> 
     """
     parser = _parser()
     most = min(settings.max_bytes, _MOST_PER_BYTE * path.stat().st_size)
-    told, columns, cut, undated = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
-    names = names_of(sources, told.names, path)
+    stated, columns, cut, undated = in_child(lambda: _read(parser, path, sources, settings), path, n_bytes=most)
+    names = names_of(sources, stated.names, path)
     if cut is not None and cut.share < _MIN_PRESENT:
         raise InputError(f"truncated: {cut.words}", found=printable(cut.said) or None, remedy="Copy it again")
     said = "" if cut is None or not cut.said else f" ({printable(cut.said)})"
     flags = [] if cut is None else [flag(path, "missing_data", "suspect", f"truncated: {cut.words}{said}")]
-    return told.with_columns(names, [columns[name] for name in names.values()], flags=flags + undated)
+    return stated.with_columns(names, [columns[name] for name in names.values()], flags=flags + undated)
 
 
 def contents(path: Path, *, settings: IngestSettings) -> Contents:
@@ -64,7 +64,12 @@ def contents(path: Path, *, settings: IngestSettings) -> Contents:
     ``settings`` are those of :func:`read`, whose errors it raises.
     """
     parser = _parser()
-    return in_child(lambda: _contents(parser, path), path, n_bytes=0)
+
+    def look() -> Contents:
+        with parser.open(path, raw_timestamps=True) as file:
+            return _contents(channels := _channels(file), channels, path)[0]
+
+    return in_child(look, path, n_bytes=0)
 
 
 def _parser() -> Any:
@@ -83,12 +88,7 @@ def _channels(file: Any) -> Mapping[str, Any]:
     return by_distinct_name(channels)
 
 
-def _contents(parser: Any, path: Path) -> Contents:
-    with parser.open(path, raw_timestamps=True) as file:
-        return _told(channels := _channels(file), channels, path)[0]
-
-
-def _told(channels: Mapping[str, Any], dated: Collection[str], path: Path) -> tuple[Contents, list[QualityFlag]]:
+def _contents(channels: Mapping[str, Any], dated: Collection[str], path: Path) -> tuple[Contents, list[QualityFlag]]:
     """What the properties of the ``channels`` say, and flags of dates of the ``dated`` that were not set."""
     steps = {name: channel.properties.get("wf_increment") for name, channel in channels.items()}
     units = {
@@ -133,8 +133,8 @@ def _read(
     with _heard() as said, parser.open(path, raw_timestamps=True) as file:
         channels = _channels(file)
         names = dict.fromkeys(names_of(sources, tuple(channels), path).values())
-        told, undated = _told(channels, names, path)
-        check_budget(sum(8 * told.samples[name] for name in names), settings)
+        contents, undated = _contents(channels, names, path)
+        check_budget(sum(8 * contents.samples[name] for name in names), settings)
         columns: dict[str, FloatArray] = {}
         for name in names:
             values = np.asarray(channels[name][:])
@@ -144,7 +144,7 @@ def _read(
         if cut is not None and len(set(stated.values())) == 1:
             shortest = min(map(len, columns.values()))
             columns = {name: values[:shortest] for name, values in columns.items()}
-        return told, columns, cut, undated
+        return contents, columns, cut, undated
 
 
 def _stated_samples(file: Any, channels: Mapping[str, Any]) -> dict[str, int]:

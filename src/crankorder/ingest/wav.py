@@ -295,17 +295,17 @@ def _checked(
     if calibrations and len(calibrations) != n_channels:
         doubts.append(f"its calibration (LEA chunk) is for {len(calibrations)} channels, the samples have {n_channels}")
         calibrations = ()
-    told: dict[str, str] = {}
+    faults: dict[str, str] = {}
     if n_present < n_declared or is_open:
         lacks = f"its writer did not fill in how many samples there are: {n_present} are there, and more may be lost"
-        told["missing_data"] = lacks if is_open else f"truncated: {n_present} of {n_declared} samples"
+        faults["missing_data"] = lacks if is_open else f"truncated: {n_present} of {n_declared} samples"
     if byte_rate not in (0, rate_hz * frame_bytes):
         other = f"{byte_rate} bytes per second, which are {byte_rate / frame_bytes:.6g} Hz"
-        told["header_rate_disagrees"] = f"the header states {rate_hz} Hz, and {other}; the first is taken"
+        faults["header_rate_disagrees"] = f"the header states {rate_hz} Hz, and {other}; the first is taken"
     if doubts and not calibrations:
         shown = "; ".join(doubts[:3])
-        told["calibration_unknown"] = f"{shown}: levels are fractions of full scale; state a sensitivity"
-    flags = tuple(flag(path, name, "suspect", detail) for name, detail in told.items())
+        faults["calibration_unknown"] = f"{shown}: levels are fractions of full scale; state a sensitivity"
+    flags = tuple(flag(path, name, "suspect", detail) for name, detail in faults.items())
     return _Header(rate_hz, n_channels, n_bits, code == _FLOAT, data_start, n_present, calibrations, flags)
 
 
