@@ -193,11 +193,8 @@ def check_times(times_s: NDArray[Any], start_s: float, seconds: float) -> None:
     """
     inside = (times_s >= start_s) & (times_s <= start_s + seconds)
     if times_s.size and np.isfinite(times_s).all() and float(inside.mean()) < INSIDE:
-        raise RequestError(
-            "most pulses lie outside the recording",
-            file=CALL,
-            place="pulse_times_s",
-            found=f"{times_s.min():.6g} to {times_s.max():.6g} s",
-            allowed=f"{start_s:.6g} to {start_s + seconds:.6g} s",
-            remedy="Give their times in seconds, on the clock of the samples (start_s)",
-        )
+        problem, place = "most pulses lie outside the recording", "pulse_times_s"
+        found = f"{times_s.min():.6g} to {times_s.max():.6g} s"
+        allowed = f"{start_s:.6g} to {start_s + seconds:.6g} s"
+        remedy = "Give their times in seconds, on the clock of the samples (start_s)"
+        raise RequestError(problem, file=CALL, place=place, found=found, allowed=allowed, remedy=remedy)

@@ -31,16 +31,10 @@ def check_folder(folder: Path, manifest_path: Path | None = None, *, settings: I
         return [error]
     faults = list(recordings.faults)
     if manifest.sampling.domain == "time" and manifest.encoder.kind == "none" and manifest.test.cycle != "none":
-        faults.append(
-            RequestError(
-                "nothing tells the speed",
-                file=manifest_path or folder / MANIFEST_NAME,
-                place="encoder.kind",
-                found="none",
-                allowed='an encoder, a speed channel, a constant speed_rpm, or kind = "vibration"',
-                remedy='Name one, or state cycle = "none" for a structure without a shaft',
-            )
-        )
+        problem, file = "nothing tells the speed", manifest_path or folder / MANIFEST_NAME
+        place, allowed = "encoder.kind", 'an encoder, a speed channel, a constant speed_rpm, or kind = "vibration"'
+        remedy = 'Name one, or state cycle = "none" for a structure without a shaft'
+        faults.append(RequestError(problem, file=file, place=place, found="none", allowed=allowed, remedy=remedy))
     of_pulses = [pulses for path in recordings.paths if (pulses := manifest.pulses_of(path)) is not None]
     faults += checksum_faults(folder, [*recordings.paths, *of_pulses], manifest.recordings.files)
     for path in recordings.paths:
@@ -89,9 +83,9 @@ def check_recording(path: Path, manifest: Manifest, *, settings: IngestSettings)
             faults.append(error)
     faults += _unit_faults(path, manifest, names, dict(contents.units))
     sampled = {role: names[role] for role in manifest.sampled if role in names}
-    told = contents if manifest.sampling.domain == "time" else Contents(contents.format, contents.names)
+    timed = contents if manifest.sampling.domain == "time" else Contents(contents.format, contents.names)
     n_channels = sum(channel.name in sampled for channel in manifest.channels)
-    bases, file_hz = bases_of(sampled, contents.samples, told, n_channels, tolerance=settings.rate_tolerance)
+    bases, file_hz = bases_of(sampled, contents.samples, timed, n_channels, tolerance=settings.rate_tolerance)
     faults += length_faults(bases, path)
     if manifest.sampling.domain == "time" and manifest.sampling.time_source is None and manifest.has_samples:
         rate = partial(agreed_rate, file_hz=file_hz, times=None, manifest_hz=manifest.sampling.rate_hz, path=path)

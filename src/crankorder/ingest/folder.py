@@ -95,12 +95,9 @@ def recordings_of(folder: Path, manifest: Manifest) -> Folder:
     if untold:
         faults.append(InputError(f"and {untold} more files that are not there", file=folder, remedy="Mend these first"))
     if not chosen and not faults:
-        raise NoUsableRecordingError(
-            "no recording found; looked for " + ", ".join(manifest.recordings.files),
-            file=folder,
-            found=_listing(folder),
-            remedy="Mend [recordings] files, or give the right folder",
-        )
+        problem = "no recording found; looked for " + ", ".join(manifest.recordings.files)
+        remedy = "Mend [recordings] files, or give the right folder"
+        raise NoUsableRecordingError(problem, file=folder, found=_listing(folder), remedy=remedy)
     faults += _unused_speeds(manifest, chosen, folder)
     return Folder(sorted(chosen, key=natural_key), faults, sorted(set(ignored)))
 
@@ -122,12 +119,11 @@ def _unused_speeds(manifest: Manifest, paths: Iterable[Path], folder: Path) -> l
     """Speeds that the manifest states for files that are not there: likely a misspelt name."""
     known = {manifest.name_of(path) for path in paths}
     faults: list[CrankorderError] = []
-    for name in manifest.recordings.speed_rpm:
-        if name not in known:
-            close = difflib.get_close_matches(name, sorted(known), n=1)
-            remedy = f"Did you mean {close[0]!r}?" if close else "Remove it or mend its spelling"
-            place = f"recordings.speed_rpm.{name}"
-            faults.append(RequestError("a speed is stated for no recording", file=folder, place=place, remedy=remedy))
+    for name in (name for name in manifest.recordings.speed_rpm if name not in known):
+        close = difflib.get_close_matches(name, sorted(known), n=1)
+        remedy = f"Did you mean {close[0]!r}?" if close else "Remove it or mend its spelling"
+        place = f"recordings.speed_rpm.{name}"
+        faults.append(RequestError("a speed is stated for no recording", file=folder, place=place, remedy=remedy))
     return faults
 
 
@@ -241,24 +237,24 @@ def checksum_faults(
     """
     faults: list[CrankorderError] = []
     wanted = {file.resolve(): file for file in files}
-    told: set[Path] = set()
-    for one in _listed(folder, faults):
-        path = one.path.resolve()
-        if path in told:
+    faulty: set[Path] = set()
+    for entry in _listed(folder, faults):
+        path = entry.path.resolve()
+        if path in faulty:
             continue
         if path not in wanted:
-            if not one.path.exists() and _is_asked_for(one.path, folder, patterns):
-                told.add(path)
-                problem = f"is listed in {one.by.name} and not there"
-                faults.append(InputError(problem, file=one.path, remedy="Copy it again"))
+            if not entry.path.exists() and _is_asked_for(entry.path, folder, patterns):
+                faulty.add(path)
+                problem = f"is listed in {entry.by.name} and not there"
+                faults.append(InputError(problem, file=entry.path, remedy="Copy it again"))
             continue
-        known = sha256_of(wanted[path]) if sha256_of is not None and one.algorithm == "sha256" else None
-        found = known or _digest(path, one.algorithm)
-        if found is not None and found.lower() != one.digest.lower():
-            told.add(path)
-            problem = f"its {one.algorithm.upper()} differs from {one.by.name}: it was damaged or changed"
+        known = sha256_of(wanted[path]) if sha256_of is not None and entry.algorithm == "sha256" else None
+        digest = known or _digest(path, entry.algorithm)
+        if digest is not None and digest.lower() != entry.digest.lower():
+            faulty.add(path)
+            problem = f"its {entry.algorithm.upper()} differs from {entry.by.name}: it was damaged or changed"
             remedy = "Copy it again from where it was recorded; where it was changed on purpose, renew the list"
-            digests = {"found": found[:16] + " …", "allowed": one.digest[:16] + " …"}
+            digests = {"found": digest[:16] + " …", "allowed": entry.digest[:16] + " …"}
             faults.append(InputError(problem, file=wanted[path], remedy=remedy, **digests))
     return faults
 

@@ -121,14 +121,9 @@ def check_bands(limits: tuple[Limit, ...], rate_hz: float, path: Path) -> None:
     """
     for number, limit in enumerate(limits):
         if limit.of_vibration and (problem := limit.above_rate(rate_hz)):
-            raise InputError(
-                problem,
-                file=path,
-                place=f"limits.{number}.band_hz",
-                found=f"{limit.band_hz[0]:g} to {limit.band_hz[1]:g} Hz",
-                allowed=f"up to {0.5 * rate_hz:.4g} Hz",
-                remedy="Mend the band of the limit in the manifest",
-            )
+            place, found = f"limits.{number}.band_hz", f"{limit.band_hz[0]:g} to {limit.band_hz[1]:g} Hz"
+            allowed, remedy = f"up to {0.5 * rate_hz:.4g} Hz", "Mend the band of the limit in the manifest"
+            raise InputError(problem, file=path, place=place, found=found, allowed=allowed, remedy=remedy)
 
 
 def limit_faults(
@@ -149,8 +144,8 @@ def limit_faults(
                 allowed = ", ".join(channels)
                 faults.append(RequestError("no such channel", place=f"{place}.channels", found=name, allowed=allowed))
             elif limit.of_vibration and channels[name].analysed_unit.quantity not in DERIVATIVE:
-                told = channels[name].analysed_unit.quantity
-                problem = f"{name} measures {told}, of which no {limit.quantity} follows"
+                measured = channels[name].analysed_unit.quantity
+                problem = f"{name} measures {measured}, of which no {limit.quantity} follows"
                 faults.append(RequestError(problem, place=f"{place}.channels", found=name))
     if rotor is None and any(not limit.of_vibration for limit in limits):
         problem = "a balance grade needs the mass of the rotor"

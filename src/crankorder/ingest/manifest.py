@@ -308,9 +308,9 @@ class Manifest(Table):
 
     def of_folder(self, folder: Path) -> Manifest:
         """This manifest for the recordings in ``folder``."""
-        made = self.model_copy()
-        made._folder = folder
-        return made
+        manifest = self.model_copy()
+        manifest._folder = folder
+        return manifest
 
     def name_of(self, path: Path) -> str:
         """Name of the recording at ``path``: its path inside the folder of the test, else the name of its file."""
@@ -378,20 +378,14 @@ def load_manifest(folder: Path, manifest: Path | None = None) -> Manifest:
         raise RequestError("not valid TOML", file=path, found=error) from None
     version = table.get("schema_version")
     if isinstance(version, int) and version > SCHEMA_VERSION:
-        raise RequestError(
-            "written for a newer crankorder",
-            file=path,
-            place="schema_version",
-            found=version,
-            allowed=str(SCHEMA_VERSION),
-            remedy="Update crankorder",
-        )
-    found = manifest_of(table, path, text)
-    paths, unread = with_tables(found.transfer_paths, folder)
+        problem, allowed, remedy = "written for a newer crankorder", str(SCHEMA_VERSION), "Update crankorder"
+        raise RequestError(problem, file=path, place="schema_version", found=version, allowed=allowed, remedy=remedy)
+    stated = manifest_of(table, path, text)
+    paths, unread = with_tables(stated.transfer_paths, folder)
     if unread:
         lines = key_lines(text)
         raise ManyErrors([_located(fault, path, lines) for fault in unread])
-    return found.model_copy(update={"transfer_paths": paths}).of_folder(folder)
+    return stated.model_copy(update={"transfer_paths": paths}).of_folder(folder)
 
 
 def manifest_of(table: Mapping[str, object], path: Path, text: str = "") -> Manifest:

@@ -146,13 +146,9 @@ class ShaftSignals:
                 raise InputError(problem, file=self.path, place=place, found=found, remedy=remedy)
             stated_rpm = float(speed[0])
         if encoder.kind == "constant" and stated_rpm is None:
-            raise InputError(
-                "the manifest states no speed for this recording",
-                file=self.path,
-                place="recordings.speed_rpm",
-                allowed=", ".join(self.manifest.recordings.speed_rpm),
-                remedy="Add the file and its speed in rpm",
-            )
+            problem, place = "the manifest states no speed for this recording", "recordings.speed_rpm"
+            allowed, remedy = ", ".join(self.manifest.recordings.speed_rpm), "Add the file and its speed in rpm"
+            raise InputError(problem, file=self.path, place=place, allowed=allowed, remedy=remedy)
         if stated_rpm is not None or encoder.kind in SOURCELESS_KINDS:
             recording.attrs["speed_rpm"] = math.nan if stated_rpm is None else stated_rpm
 
@@ -254,14 +250,9 @@ class ShaftSignals:
         if unit is not None and unit.quantity == "rotational speed":
             speed *= conversion_factor(unit, unit_of("rpm"))
         elif text not in STATES_NO_UNIT:
-            raise InputError(
-                "the speed signal has no unit of speed",
-                file=self.path,
-                place=f"encoder {encoder.source}",
-                found=repr(text),
-                allowed="rpm, 1/min, Hz, rad/s",
-                remedy="Mend encoder.source",
-            )
+            problem, place = "the speed signal has no unit of speed", f"encoder {encoder.source}"
+            allowed, remedy = "rpm, 1/min, Hz, rad/s", "Mend encoder.source"
+            raise InputError(problem, file=self.path, place=place, found=repr(text), allowed=allowed, remedy=remedy)
         if self.times is not None and self.times.places is not None:  # through gaps of the record it goes on straight
             missing = np.delete(np.arange(speed.size), self.times.places)
             speed[missing] = np.interp(missing, self.times.places, speed[self.times.places])

@@ -103,11 +103,9 @@ def _layout_of(path: Path) -> _Layout:
             comments = "\n".join(line for line in lines[:number] if _is_comment(line))
             return _Layout(encoding, separator, decimal_comma, names, units, number, _rate_in(comments))
     shown = next((line for line in lines if line.strip() and not _is_comment(line)), "")
-    raise InputError(
-        "no line of numbers in the first 64 kB: no table of samples",
-        found=repr(printable(shown, 60)),
-        remedy="Export the recording as columns of numbers",
-    )
+    problem = "no line of numbers in the first 64 kB: no table of samples"
+    remedy = "Export the recording as columns of numbers"
+    raise InputError(problem, found=repr(printable(shown, 60)), remedy=remedy)
 
 
 def _is_comment(line: str) -> bool:
@@ -233,21 +231,16 @@ def _find_bad_cell(path: Path, layout: _Layout) -> None:
             fields = _fields(line.rstrip("\n"), layout.separator)
             if len(fields) != n_columns:
                 last = "" if line.endswith("\n") else "; the file seems to be truncated"
-                raise InputError(
-                    f"{len(fields)} cells where the lines above have {n_columns}{last}",
-                    place=f"line {number}",
-                    found=repr(printable(line.strip(), 60)),
-                    remedy="Mend the line, or copy the file again",
-                )
+                problem = f"{len(fields)} cells where the lines above have {n_columns}{last}"
+                found, remedy = repr(printable(line.strip(), 60)), "Mend the line, or copy the file again"
+                raise InputError(problem, place=f"line {number}", found=found, remedy=remedy)
             for position, cell in enumerate(fields):
                 plain = cell.replace(",", ".", 1) if layout.decimal_comma else cell
                 if not _NUMBER.fullmatch(plain):
-                    raise InputError(
-                        "not a number" if cell else "an empty cell",
-                        place=f"line {number}, column {position} ({printable(layout.names[position], 40)})",
-                        found=repr(printable(cell, 40)),
-                        remedy="Mend the cell, or leave the recording out",
-                    )
+                    problem = "not a number" if cell else "an empty cell"
+                    remedy = "Mend the cell, or leave the recording out"
+                    place = f"line {number}, column {position} ({printable(layout.names[position], 40)})"
+                    raise InputError(problem, place=place, found=repr(printable(cell, 40)), remedy=remedy)
 
 
 def last_line_flags(path: Path) -> list[QualityFlag]:

@@ -143,11 +143,9 @@ def _histories(data: mmap.mmap, settings: IngestSettings) -> dict[str, _History]
         else:
             others[history] = None
     if not histories:
-        raise InputError(
-            "holds no time histories (data set 58, function type 1, or 0 by time)",
-            found=", ".join(list(others)[:5]) or "no data set",
-            remedy="Export the time signals",
-        )
+        problem = "holds no time histories (data set 58, function type 1, or 0 by time)"
+        found = ", ".join(list(others)[:5]) or "no data set"
+        raise InputError(problem, found=found, remedy="Export the time signals")
     return by_distinct_name([(history.name, history) for history in histories])
 
 
@@ -218,12 +216,9 @@ def _binary_layout(kind: bytes, where: str) -> tuple[int, str]:
     except ValueError:
         raise InputError("damaged: the header of a binary data set is wrong", place=where) from None
     if order not in (1, 2) or floats != 2 or n_lines != _HEADER_LINES or n_bytes < 0:
-        raise InputError(
-            "a binary data set of a kind that is not read",
-            place=where,
-            found=printable(kind.decode("latin-1")),
-            allowed="byte order 1 or 2, IEEE 754 numbers (2), 11 lines of text",
-        )
+        problem, found = "a binary data set of a kind that is not read", printable(kind.decode("latin-1"))
+        allowed = "byte order 1 or 2, IEEE 754 numbers (2), 11 lines of text"
+        raise InputError(problem, place=where, found=found, allowed=allowed)
     return n_bytes, "<" if order == 1 else ">"
 
 

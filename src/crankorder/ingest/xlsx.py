@@ -68,12 +68,10 @@ def _read(openpyxl: Any, path: Path, sources: Sequence[Source], settings: Ingest
     for number, values in enumerate(cells):
         for index, cell in enumerate(values):
             if isinstance(cell, bool) or not isinstance(cell, (int, float)):
-                raise InputError(
-                    "an empty cell" if cell is None else "not a number",
-                    place=f"row {number + n_above + 1}, column {positions[index]} ({names[positions[index]]})",
-                    found="" if cell is None else repr(cell),
-                    remedy="Mend the cell, or leave the recording out",
-                )
+                problem, found = ("an empty cell", "") if cell is None else ("not a number", repr(cell))
+                place = f"row {number + n_above + 1}, column {positions[index]} ({names[positions[index]]})"
+                remedy = "Mend the cell, or leave the recording out"
+                raise InputError(problem, place=place, found=found, remedy=remedy)
         block[:, number] = values
     return Contents("XLSX", names, units=units).with_columns(wanted, block)
 
