@@ -163,6 +163,18 @@ def channel_coords(dataset: xr.Dataset) -> dict[str, xr.Variable]:
     return {name: dataset.variables[name] for name in names if name in dataset.variables}
 
 
+def described(
+    dims: str | tuple[str, ...], values: NDArray[Any], units: str, long_name: str
+) -> tuple[str | tuple[Hashable, ...], NDArray[Any], Mapping[str, Attribute]]:
+    """Variable of a dataset to be: ``values`` along ``dims`` with their ``units`` and what they are (``long_name``)."""
+    return dims, values, {"units": units, "long_name": long_name}
+
+
+def remark(recording: str, flag: str, detail: str, severity: Severity = "info") -> QualityFlag:
+    """QualityFlag on a ``recording`` as a whole: its name ``flag``, ``severity`` and ``detail``."""
+    return QualityFlag(recording=recording, flag=flag, severity=severity, detail=detail)
+
+
 def unindexed(**coords: Any) -> xr.Coordinates:
     """``coords`` of a dataset in which nothing is looked up by label: indexes cost half of the time that it takes."""
     return xr.Coordinates(coords, indexes={})

@@ -21,7 +21,8 @@ from scipy import fft
 from crankorder.campbell.frames import frame_speeds, sample_rate_hz
 from crankorder.fft.integration import band_gain, bridged, derivative_gain, faded
 from crankorder.fft.plans import Plan, fft_library, forward, inverse
-from crankorder.quantities import Bools, Floats, Ints, Variables
+from crankorder.fft.transforms import counted
+from crankorder.quantities import Floats, Ints, Variables, described
 from crankorder.settings import DERIVATIVE, MethodNumbers
 
 Kind = Literal["broad band", "broad band without its ends", "broad band with its ends", "one-third octave"]
@@ -153,14 +154,15 @@ def level_frames(recording: xr.Dataset, shaft: xr.Dataset, *, bands: Sequence[Le
         for level in levels
     ]
     coords = level_coords(keys, [level.high_hz for level in levels], [level.si for level in levels])
-    coords["speed"] = ("frame", rpm, {"units": "min-1", "long_name": "mean speed of the piece"})
-    words = {"units": "see unit, squared", "long_name": "mean square of the piece in the band"}
-    made = {"mean_square": (("level", "frame"), square, words)}
-    words = {"units": "see unit", "long_name": "largest size of the piece in the band"}
-    made["peak"] = (("level", "frame"), peak, words)
+    coords["speed"] = described("frame", rpm, "min-1", "mean speed of the piece")
+    of_pieces, dims = "of the piece in the band", ("level", "frame")
+    variables = {
+        "mean_square": described(dims, square, "see unit, squared", f"mean square {of_pieces}"),
+        "peak": described(dims, peak, "see unit", f"largest size {of_pieces}"),
+    }
     attrs = {key: recording.attrs[key] for key in ("recording", "quality") if key in recording.attrs}
     attrs["frame_s"] = pieces.length / pieces.rate_hz if pieces.length else math.nan
-    return xr.Dataset(made, coords=coords, attrs=attrs)
+    return xr.Dataset(variables, coords=coords, attrs=attrs)
 
 
 def _speeds(recording: xr.Dataset, shaft: xr.Dataset, pieces: _Pieces) -> Floats:
@@ -173,7 +175,7 @@ def _speeds(recording: xr.Dataset, shaft: xr.Dataset, pieces: _Pieces) -> Floats
 
 def _levels(recording: xr.Dataset, bands: Sequence[LevelBand], rate_hz: float) -> list[_Level]:
     """The levels that the channels of ``recording`` can give."""
-    made: list[_Level] = []
+    levels: list[_Level] = []
     known = "si_per_unit" in recording.variables
     size = recording["si_per_unit"].values if known else np.full(recording.sizes["channel"], np.nan)
     measured, units = recording["quantity"].values.tolist(), recording["unit"].values.tolist()
@@ -189,25 +191,25 @@ def _levels(recording: xr.Dataset, bands: Sequence[LevelBand], rate_hz: float) -
             if wanted != own and not converted:
                 continue
             seen.add(key)
-            told, factor, times, si = unit, 1.0, 0, float(size[channel])
+            of_level, factor, times, si = unit, 1.0, 0, float(size[channel])
             if wanted != own:
-                told, si = UNITS[wanted]
+                of_level, si = UNITS[wanted]
                 factor, times = float(size[channel]) / si, DERIVATIVE[wanted] - DERIVATIVE[own]
-            made.append(_Level(channel, band, wanted, told, factor, times, reached, si))
-    return made
+            levels.append(_Level(channel, band, wanted, of_level, factor, times, reached, si))
+    return levels
 
 
 def _pieces(n_samples: int, rate_hz: float, levels: list[_Level], frame_s: float) -> _Pieces:
     """Pieces of ``frame_s``, shorter in a short recording, between its ends; none where nothing can be told."""
     broad = [level.band.low_hz for level in levels if level.is_broad]
+    none = _Pieces(np.empty(0, dtype=np.int64), 0, rate_hz)
     if not broad or not math.isfinite(rate_hz):
-        return _Pieces(np.empty(0, dtype=np.int64), 0, rate_hz)
-    span = n_samples / rate_hz
+        return none
+    span, shortest = n_samples / rate_hz, NUMBERS.shortest_periods / min(broad)
     margin = min(NUMBERS.ring_periods / min(broad), NUMBERS.most_ring_share * span)
     usable = span - 2.0 * margin
-    shortest = NUMBERS.shortest_periods / min(broad)
     if usable < shortest:
-        return _Pieces(np.empty(0, dtype=np.int64), 0, rate_hz)
+        return none
     length_s = max(shortest, min(frame_s, 0.25 * usable))
     length, first = max(1, math.floor(length_s * rate_hz)), math.ceil(margin * rate_hz)
     count = max(1, math.floor((n_samples - 2 * first) / length))
@@ -232,25 +234,20 @@ def _squares_and_peaks(signals: NDArray[Any], pieces: _Pieces, levels: list[_Lev
             rows = [row for row, level in enumerate(levels) if level.channel == channel]
             if rows:
                 mean = float(part.mean())
-                found = _of_part(part, mean, local, [levels[row] for row in rows], margin)
-                touched = not math.isfinite(mean) and _touched(np.isfinite(part), local)
-                for made, values in zip((square, peak), found, strict=True):
-                    made[rows, begin : begin + len(mine)] = np.where(touched, np.nan, values)
+                levels_of = [levels[row] for row in rows]
+                values = _of_part(part, mean, local, levels_of, margin)
+                if not math.isfinite(mean):  # a piece that holds a missing sample tells nothing
+                    missing = counted(~np.isfinite(part)[None], local.starts, local.starts + local.length)[0]
+                    values[:, :, missing > 0] = np.nan
+                square[rows, begin : begin + len(mine)], peak[rows, begin : begin + len(mine)] = values
     return square, peak
 
 
-def _touched(usable: Bools, pieces: _Pieces) -> Bools:
-    """Which of ``pieces`` hold a sample that is not ``usable``."""
-    lost = np.concatenate([[0], np.cumsum(~usable)])
-    return np.asarray(lost[pieces.starts + pieces.length] > lost[pieces.starts])
-
-
-def _of_part(part: Any, mean: float, pieces: _Pieces, levels: list[_Level], margin: int) -> tuple[Floats, Floats]:
-    """Mean square and peak (levels, frames) of one stretch of a channel with this ``mean``, by one transform of it."""
+def _of_part(part: Any, mean: float, pieces: _Pieces, levels: list[_Level], margin: int) -> Floats:
+    """Mean square and peak (2, levels, frames) of a stretch of a channel with this ``mean``, by one transform."""
     count = fft.next_fast_len(len(part) + margin, real=True)
     spectrum = _spectrum(part, mean, pieces, count)
-    square = np.full((len(levels), len(pieces.starts)), np.nan)
-    peak = np.full_like(square, np.nan)
+    square, peak = both = np.full((2, len(levels), len(pieces.starts)), np.nan)
     edges = (pieces.starts[:, None] + np.array([0, pieces.length])) / count
     octaves = [row for row, level in enumerate(levels) if not level.is_broad]
     if octaves:
@@ -258,15 +255,15 @@ def _of_part(part: Any, mean: float, pieces: _Pieces, levels: list[_Level], marg
         square[octaves] = _mean_squares(power, edges * power.shape[1])
     for row, level in enumerate(levels):
         if level.is_broad:
-            made = _filtered(spectrum, count, pieces.rate_hz, level)
-            square[row] = _mean_squares(made * made, edges * len(made))
+            filtered = _filtered(spectrum, count, pieces.rate_hz, level)
+            square[row] = _mean_squares(filtered * filtered, edges * len(filtered))
         if level.band.kind == "broad band":
-            ends = np.round(edges * len(made)).astype(np.int64)
-            peak[row] = np.maximum.reduceat(np.append(np.abs(made), 0.0), ends.ravel())[::2]
+            ends = np.round(edges * len(filtered)).astype(np.int64)
+            peak[row] = np.maximum.reduceat(np.append(np.abs(filtered), 0.0), ends.ravel())[::2]
     width = np.array([level.high_hz - level.band.low_hz for level in levels])
     span_s = len(pieces.starts) * pieces.length / pieces.rate_hz
     square[width * span_s < NUMBERS.fewest_bandwidths] = np.nan
-    return square, peak
+    return both
 
 
 def _spectrum(part: Any, mean: float, pieces: _Pieces, count: int) -> NDArray[np.complexfloating]:
@@ -388,11 +385,10 @@ def level_coords(keys: Sequence[LevelKey], reached_hz: ArrayLike, si: ArrayLike)
     """Coordinates of the levels of these ``keys``, which end at ``reached_hz``, in units of ``si`` SI units."""
     columns = [[key[place] for key in keys] for place in range(6)]
     coords: Variables = {
-        name: ("level", np.array(column, dtype=np.str_), {"units": "1", "long_name": text})
+        name: described("level", np.array(column, dtype=np.str_), "1", text)
         for column, (name, text) in zip(columns[:4], LEVEL_WORDS.items(), strict=True)
     }
     for column, (name, text) in zip([*columns[4:], reached_hz], _HERTZ.items(), strict=True):
-        words = {"units": "Hz", "long_name": text}
-        coords[f"{name}_frequency"] = ("level", np.array(column, dtype=np.float64), words)
-    words = {"units": "1", "long_name": "SI units in one unit of the level"}
-    return coords | {"si_per_unit": ("level", np.array(si, dtype=np.float64), words)}
+        coords[f"{name}_frequency"] = described("level", np.array(column, dtype=np.float64), "Hz", text)
+    coords["si_per_unit"] = described("level", np.array(si, dtype=np.float64), "1", "SI units in one unit of the level")
+    return coords

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from crankorder.fft.decimation import band_limited, decimation_factor
 from crankorder.fft.transforms import FrameTransform, frame_starts, whole_frames
 from crankorder.fft.windows import Window, window_named
-from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, unindexed, with_flags
+from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, described, remark, unindexed, with_flags
 from crankorder.settings import CampbellSettings, MethodNumbers
 from crankorder.shaft.angle import angle_at, knots_of
 
@@ -97,7 +97,12 @@ def frequency_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: CampbellS
     shorter and padded to the length that the resolution asks for. Frames that touch an unusable sample are NaN in
     that channel. Float32 signals give float32 power.
     """
-    band = _in_shown_band(band, settings)
+    shown_hz, grid_hz = settings.max_frequency_hz, settings.resolution_hz
+    if (
+        band.attrs["domain"] == "time"
+        and decimation_factor(float(band.attrs["rate_hz"]), shown_hz, grid_hz=grid_hz) > 1
+    ):
+        band = band_limited(band, band_hz=shown_hz, grid_hz=grid_hz)  # orders needed more of it than is shown
     rate, signals = sample_rate_hz(band), band["signal"].values
     if math.isnan(rate):
         signals, rate = signals[:, :0], 2.0 * settings.max_frequency_hz
@@ -144,9 +149,8 @@ def frame_plan(
     """
     whole = round(rate_hz / settings.resolution_hz)
     held = max(2, n_samples)
-    limit_s = sweep_limit_s(
-        band, shaft, min(whole, held) / rate_hz, enbw_bins=_window(settings, 64).enbw_bins, order=settings.sweep_order
-    )
+    enbw_bins, asked_s = _window(settings, 64).enbw_bins, min(whole, held) / rate_hz
+    limit_s = sweep_limit_s(band, shaft, asked_s, enbw_bins=enbw_bins, order=settings.sweep_order)
     # a quarter more than the limit is nearer to it than the next whole number of times
     times = max(1, math.ceil(whole / (limit_s * rate_hz) - 0.25)) if math.isfinite(limit_s) else 1
     times = next((n for n in range(times, int(1.25 * times) + 1) if whole % n == 0), times)
@@ -166,16 +170,6 @@ def _window(settings: CampbellSettings, n_samples: int) -> Window:
     return window_named(settings.window, n_samples, kaiser_beta=settings.kaiser_beta)
 
 
-def _in_shown_band(band: xr.Dataset, settings: CampbellSettings) -> xr.Dataset:
-    """``band`` decimated further where the orders needed more of it than the map shows."""
-    if band.attrs["domain"] != "time":
-        return band
-    shown = settings.max_frequency_hz
-    if decimation_factor(float(band.attrs["rate_hz"]), shown, grid_hz=settings.resolution_hz) == 1:
-        return band
-    return band_limited(band, band_hz=shown, grid_hz=settings.resolution_hz)
-
-
 def _scales(signals: NDArray[np.floating]) -> Floats:
     """Power of two per channel that brings samples whose squares leave the range of their type near 1; else 1."""
     scales = np.ones(len(signals))
@@ -191,21 +185,18 @@ def _scales(signals: NDArray[np.floating]) -> Floats:
 def _dataset(
     band: xr.Dataset, power: NDArray[np.floating], frequency: Floats, speeds: FrameSpeeds, scales: Floats
 ) -> xr.Dataset:
-    tone = {"units": "see unit, squared", "long_name": "tone power"}
-    change = {"units": "min-1", "long_name": "change of speed within the frame"}
-    words = {"units": "1", "long_name": "power is that of the signal times this"}
-    return xr.Dataset(
-        {
-            "power": (("channel", "frame", "frequency"), power, tone),
-            "speed_change": ("frame", speeds.change_rpm, change),
-        }
-        | ({"scale": ("channel", scales, words)} if np.any(scales != 1.0) else {}),
-        coords=unindexed(
-            **channel_coords(band),
-            frequency=("frequency", frequency, {"units": "Hz", "long_name": "frequency"}),
-            speed=("frame", speeds.mean_rpm, {"units": "min-1", "long_name": "mean speed of the frame"}),
-        ),
+    variables = {
+        "power": described(("channel", "frame", "frequency"), power, "see unit, squared", "tone power"),
+        "speed_change": described("frame", speeds.change_rpm, "min-1", "change of speed within the frame"),
+    }
+    if np.any(scales != 1.0):
+        variables["scale"] = described("channel", scales, "1", "power is that of the signal times this")
+    coords = unindexed(
+        **channel_coords(band),
+        frequency=described("frequency", frequency, "Hz", "frequency"),
+        speed=described("frame", speeds.mean_rpm, "min-1", "mean speed of the frame"),
     )
+    return xr.Dataset(variables, coords=coords)
 
 
 def _sweep_flags(frames: xr.Dataset, settings: CampbellSettings) -> list[QualityFlag]:
@@ -214,8 +205,6 @@ def _sweep_flags(frames: xr.Dataset, settings: CampbellSettings) -> list[Quality
     enbw_hz = float(frames.attrs["enbw_bins"]) * float(frames.attrs["resolution_hz"])
     if swept_hz <= 2.0 * enbw_hz:
         return []
-    detail = (
-        f"within a frame the speed changes so far that order {settings.sweep_order:g} sweeps over {swept_hz:.3g} Hz, "
-        f"more than the noise bandwidth of {enbw_hz:.3g} Hz: its line reads low"
-    )
-    return [QualityFlag(recording=frames.attrs["recording"], flag="swept_lines", severity="info", detail=detail)]
+    swept = f"order {settings.sweep_order:g} sweeps over {swept_hz:.3g} Hz"
+    detail = f"within a frame the speed changes so far that {swept}, more than the noise bandwidth of {enbw_hz:.3g} Hz"
+    return [remark(frames.attrs["recording"], "swept_lines", f"{detail}: its line reads low")]

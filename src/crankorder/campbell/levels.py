@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from crankorder.campbell.frames import frame_speeds
 from crankorder.fft.transforms import FrameTransform
 from crankorder.fft.windows import window_named
-from crankorder.quantities import Floats, Ints, Variables, channel_coords
+from crankorder.quantities import Floats, Ints, Variables, channel_coords, described
 from crankorder.settings import CampbellSettings, OrderSettings
 
 PIECES, LENGTH = 12, 8192
@@ -90,10 +90,10 @@ def recording_levels(
         limit = np.full(len(rpm), orders.max_order)
     above = bins >= limit[:, None]
     usable = np.isfinite(power).all(axis=2, keepdims=True)
-    told = np.where(usable, power, 0.0)
+    known = np.where(usable, power, 0.0)
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean = told.sum(axis=0) / usable.sum(axis=0)
-        share = (told @ above[:, :, None].astype(np.float64)).sum(axis=(0, 2)) / told.sum(axis=(0, 2))
+        mean = known.sum(axis=0) / usable.sum(axis=0)
+        share = (known @ above[:, :, None].astype(np.float64)).sum(axis=(0, 2)) / known.sum(axis=(0, 2))
     peaks = [_strongest(power[:, channel], bins, limit, rpm, per_rev=per_rev) for channel in range(len(mean))]
     ends = limit[np.isfinite(limit)]
     end = np.nan if per_rev or not ends.size else min(float(ends.max()), 0.5 * rate)
@@ -170,9 +170,8 @@ def _sharp(power: Floats, bins: Floats, limit: Floats) -> Ints:
     clear = lobe > LINE_RATIO * np.maximum((2 * LOBE_BINS + 1) * floor, ring)
     clear &= bins[place] > limit[pieces] + bins[LOBE_BINS]
     clear &= bins[place] < bins[-RING_BINS - LOBE_BINS]
-    clear &= power[pieces, place] >= np.max(
-        [power[pieces, (place + shift) % power.shape[1]] for shift in _LOBE], axis=0
-    )
+    beside = [power[pieces, (place + shift) % power.shape[1]] for shift in _LOBE]
+    clear &= power[pieces, place] >= np.max(beside, axis=0)
     return np.stack([pieces[clear], place[clear]], axis=1)
 
 
@@ -198,9 +197,8 @@ def _stays(power: Floats, piece: int, place: int, rpm: Floats) -> bool:
     """
     known = np.isfinite(rpm).all()
     alike = np.abs(rpm / rpm[piece] - 1.0) <= HELD if known else np.ones(len(power), dtype=bool)
-    others = (
-        np.flatnonzero(alike) if np.count_nonzero(alike) >= FEWEST_ALIKE else np.array([piece - 1, piece, piece + 1])
-    )
+    others = np.flatnonzero(alike)
+    others = others if len(others) >= FEWEST_ALIKE else np.array([piece - 1, piece, piece + 1])
     sizes = []
     for other in others[(others >= 0) & (others < len(power))].tolist():
         middle = round(place * float(rpm[other] / rpm[piece])) if known else place
@@ -226,26 +224,23 @@ def _dataset(
     recording: xr.Dataset, mean: Floats, share: Floats, peaks: list[Peak], rate: float, band_hz: float
 ) -> xr.Dataset:
     lines = np.array(peaks, dtype=np.float64).reshape(len(mean), len(Peak._fields))
-    told = {
-        "rms": (np.sqrt(mean.sum(axis=1)), "see unit", "root mean square without the mean"),
-        "floor": (
-            _floors(mean, 1)[:, 0],
-            "see unit",
-            "root of the middling bin of the power spectrum, which lines do not raise",
-        ),
-        "share_above": (share, "1", "share of the mean square above the band looked at"),
-        "peak_above": (lines[:, 0], "see unit", "peak amplitude of the strongest line above the band; 0 for none"),
-        "peak_frequency": (lines[:, 1], "Hz", "its frequency"),
-        "peak_band": (lines[:, 2], "Hz", "where the band ended at that speed"),
-        "peak_order": (lines[:, 3], "1", "its order"),
-        "peak_speed": (lines[:, 4], "min-1", "the speed there"),
-    }
+    floor = _floors(mean, 1)[:, 0]
+    of_channels = (
+        ("rms", np.sqrt(mean.sum(axis=1)), "see unit", "root mean square without the mean"),
+        ("floor", floor, "see unit", "root of the middling bin of the power spectrum, which lines do not raise"),
+        ("share_above", share, "1", "share of the mean square above the band looked at"),
+        ("peak_above", lines[:, 0], "see unit", "peak amplitude of the strongest line above the band; 0 for none"),
+        ("peak_frequency", lines[:, 1], "Hz", "its frequency"),
+        ("peak_band", lines[:, 2], "Hz", "where the band ended at that speed"),
+        ("peak_order", lines[:, 3], "1", "its order"),
+        ("peak_speed", lines[:, 4], "min-1", "the speed there"),
+    )
     variables: Variables = {
-        name: ("channel", values, {"units": units, "long_name": text}) for name, (values, units, text) in told.items()
+        name: described("channel", values, units, text) for name, values, units, text in of_channels
     }
-    words = {"units": "see unit", "long_name": "root of the middling bin of each block of the power spectrum"}
-    variables["block_floor"] = (("channel", "block"), _floors(mean, FLOOR_BLOCKS), words)
-    words = {"units": "Hz", "long_name": "middle of a block of the spectrum; per revolution by crank angle"}
-    block = ("block", 0.5 * rate * (np.arange(FLOOR_BLOCKS) + 0.5) / FLOOR_BLOCKS, words)
+    words = "root of the middling bin of each block of the power spectrum"
+    variables["block_floor"] = described(("channel", "block"), _floors(mean, FLOOR_BLOCKS), "see unit", words)
+    middle = 0.5 * rate * (np.arange(FLOOR_BLOCKS) + 0.5) / FLOOR_BLOCKS
+    block = described("block", middle, "Hz", "middle of a block of the spectrum; per revolution by crank angle")
     attrs = {"recording": str(recording.attrs["recording"]), "band_hz": band_hz}
     return xr.Dataset(variables, coords={**channel_coords(recording), "block": block}, attrs=attrs)

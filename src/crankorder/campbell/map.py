@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.quantities import Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.quantities import (
+    Floats,
+    Ints,
+    QualityFlag,
+    Variables,
+    channel_coords,
+    described,
+    flags_of,
+    remark,
+    with_flags,
+)
 from crankorder.settings import MethodNumbers
 from crankorder.shaft.speed_groups import speed_groups
 
@@ -29,8 +38,7 @@ def leading_frames(frames: list[xr.Dataset]) -> list[Ints] | None:
     ``frames``: FrequencyFrames of the recordings of a test; those of what does not turn are left as they are, for a
     struck structure shows nothing else.
     """
-    none = {n_bins: np.zeros(n_bins, dtype=np.int64) for n_bins in {item.sizes["frequency"] for item in frames}}
-    made = [none[item.sizes["frequency"]] for item in frames]
+    leading: list[Ints] = [np.zeros(item.sizes["frequency"], dtype=np.int64) for item in frames]
     alike: dict[tuple[int, int], list[int]] = {}
     for number, item in enumerate(frames):
         later = _apart(item) + NUMBERS.fewest_later
@@ -40,10 +48,9 @@ def leading_frames(frames: list[xr.Dataset]) -> list[Ints] | None:
     for numbers in alike.values():
         count = _count_leading([frames[number] for number in numbers])
         most = [frames[number].sizes["frame"] - _apart(frames[number]) - NUMBERS.fewest_later + 1 for number in numbers]
-        shared = {at_most: np.minimum(count, at_most) for at_most in set(most)}
         for number, at_most in zip(numbers, most, strict=True):
-            made[number] = shared[at_most]
-    return made if any(count.any() for count in made) else None
+            leading[number] = np.minimum(count, at_most)
+    return leading if any(count.any() for count in leading) else None
 
 
 def _apart(item: xr.Dataset) -> int:
@@ -79,8 +86,7 @@ def _chance(powers: list[tuple[NDArray[np.floating], int]], frame: int) -> Float
     """
     from scipy.special import ndtr
 
-    total: Floats | float = 0.0
-    variance = 0.0
+    total, variance, half = np.zeros(1), 0.0, NUMBERS.beside_bins
     for power, apart in powers:
         beyond = power[:, frame + apart : frame + apart + NUMBERS.later_frames : apart]
         n = beyond.shape[1]
@@ -89,17 +95,10 @@ def _chance(powers: list[tuple[NDArray[np.floating], int]], frame: int) -> Float
         mean = np.maximum(beyond.mean(axis=1, dtype=np.float64), np.finfo(np.float64).tiny)
         ratio = power[:, frame] / mean
         ratio = ratio / _level(ratio) * (n * (2.0 ** (1.0 / n) - 1.0))  # behind noise its median is 1
-        total = total + _beside(ratio / (ratio + n) - 1.0 / (n + 1.0))
-        variance += n / ((n + 1.0) ** 2 * (n + 2.0)) * (2 * NUMBERS.beside_bins + 1) * HANN_CORRELATION
-    if not variance:
-        return None
-    return np.asarray(ndtr(-np.asarray(total) / np.sqrt(variance)).min(axis=0))
-
-
-def _beside(power: Floats) -> Floats:
-    """Sum of ``power`` (C, B) over some bins."""
-    at, half = np.arange(power.shape[1]), NUMBERS.beside_bins
-    return np.asarray(sum(power[:, np.clip(at + k, 0, at[-1])] for k in range(-half, half + 1)))
+        share, at = ratio / (ratio + n) - 1.0 / (n + 1.0), np.arange(power.shape[2])
+        total = total + sum(share[:, np.clip(at + k, 0, at[-1])] for k in range(-half, half + 1))
+        variance += n / ((n + 1.0) ** 2 * (n + 2.0)) * (2 * half + 1) * HANN_CORRELATION
+    return np.asarray(ndtr(-total / np.sqrt(variance)).min(axis=0)) if variance else None
 
 
 def _level(ratio: Floats) -> Floats:
@@ -137,19 +136,19 @@ def campbell_map(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datase
     lengths = np.array([len(group) for group in groups], dtype=np.int64)
     with np.errstate(over="ignore"):
         psd = density / scale / scale
-    made = {
-        "amplitude": _variable(dims, np.sqrt(tone * (0.5 if rms else 1.0)) / scale, "see unit", f"{name} of a tone"),
-        "psd": _variable(dims, psd, "see unit, squared per Hz", "power spectral density"),
+    variables: Variables = {
+        "amplitude": described(dims, np.sqrt(tone * (0.5 if rms else 1.0)) / scale, "see unit", f"{name} of a tone"),
+        "psd": described(dims, psd, "see unit, squared per Hz", "power spectral density"),
         **_settled(frames, groups, frequency, density, counts, scale),
-        "n_frames": _variable(("speed",), lengths, "1", "frames averaged"),
+        "n_frames": described(("speed",), lengths, "1", "frames averaged"),
     }
     if np.any(counts != lengths):
-        made["n_frames_used"] = _variable(dims[:2], counts, "1", "frames averaged that no gap touches")
+        variables["n_frames_used"] = described(dims[:2], counts, "1", "frames averaged that no gap touches")
     axes = {
         "frequency": ("frequency", frequency, first["frequency"].attrs),
-        "speed": _variable(("speed",), mean_rpm, "min-1", "speed"),
+        "speed": described(("speed",), mean_rpm, "min-1", "speed"),
     }
-    result = xr.Dataset(made, coords={**channel_coords(first), **axes})  # at once: each that is added merges anew
+    result = xr.Dataset(variables, coords={**channel_coords(first), **axes})  # at once: each that is added merges anew
     result.attrs = {
         "window": first.attrs["window"],
         "enbw_hz": max(_enbw_hz(item) for item in frames),
@@ -183,7 +182,7 @@ def _cut_flags(frames: list[xr.Dataset], n_shown: list[int], grid_hz: float) -> 
         return []
     name = str(frames[n_shown.index(min(n_shown))].attrs["recording"])
     detail = f"its sample rate ends the map of the whole test at {(min(n_shown) - 1) * grid_hz:g} Hz"
-    return [QualityFlag(recording=name, flag="map_cut", severity="info", detail=detail)]
+    return [remark(name, "map_cut", detail)]
 
 
 def _groups_and_scales(frames: list[xr.Dataset], groups: list[Ints]) -> tuple[Ints, list[Floats], Floats]:
@@ -226,7 +225,7 @@ def _group_means(
 
 def _settled(
     frames: list[xr.Dataset], groups: list[Ints], frequency: Floats, density: Floats, counts: Ints, unit: Floats
-) -> dict[str, xr.Variable]:
+) -> Variables:
     """What is left, at the bins where recordings begin with a transient, without it: density, share of the frames.
 
     Both (channel, group, bin), from the mean ``density`` (channel, group, frequency) of all ``counts`` (channel, group)
@@ -255,14 +254,10 @@ def _settled(
     dims, at = ("channel", "speed", "settled_frequency"), "frequency at which recordings begin with a transient"
     words = "see unit, squared per Hz", "power spectral density without start transients"
     return {
-        "settled_frequency": _variable(dims[2:], frequency[bins], "Hz", at),
-        "settled_psd": _variable(dims, made[..., bins], *words),
-        "settled_share": _variable(dims, held[..., bins], "1", "share of the frames that it is of"),
+        "settled_frequency": described(dims[2:], frequency[bins], "Hz", at),
+        "settled_psd": described(dims, made[..., bins], *words),
+        "settled_share": described(dims, held[..., bins], "1", "share of the frames that it is of"),
     }
-
-
-def _variable(dims: tuple[str, ...], values: NDArray[Any], units: str, long_name: str) -> xr.Variable:
-    return xr.Variable(dims, values, {"units": units, "long_name": long_name})
 
 
 def _without_image(item: xr.Dataset) -> list[int]:

@@ -15,7 +15,7 @@ import xarray as xr
 from scipy import special
 
 from crankorder.campbell.band_levels import LEVEL_WORDS, WITH_ENDS, LevelKey, level_coords
-from crankorder.quantities import Floats, Ints, QualityFlag, Variables, flags_of, with_flags
+from crankorder.quantities import Floats, Ints, QualityFlag, Variables, described, flags_of, with_flags
 from crankorder.settings import MethodNumbers
 from crankorder.shaft.speed_groups import held_speeds
 
@@ -99,14 +99,14 @@ def _joined(items: Sequence[xr.Dataset]) -> _Joined:
         flags += flags_of(item)
     channels = list(dict.fromkeys(key[0] for key in number))
     keys = sorted(number, key=lambda key: (channels.index(key[0]), key[3], key[4] if key[3] != "broad band" else 0.0))
-    owner = np.repeat(np.arange(len(of_items), dtype=np.int64), [len(one[3]) for one in of_items])
+    owner = np.repeat(np.arange(len(of_items), dtype=np.int64), [len(rpm) for *_, rpm in of_items])
     both = np.full((2, len(keys), len(owner)), np.nan)
     for place, (rows, square, peak, _) in enumerate(of_items):
         both[:, rows, slice(*np.searchsorted(owner, [place, place + 1]))] = square, peak
     square, peak = both[:, [number[key] for key in keys]]
-    told = np.array([ends[key] for key in keys]).reshape(-1, 2)
-    rpm = np.concatenate([one[3] for one in of_items])
-    return _Joined(keys, told[:, 0], told[:, 1], square, peak, rpm, owner, frame_s, flags)
+    reached_hz, si_per_unit = np.array([ends[key] for key in keys]).reshape(-1, 2).T
+    rpm = np.concatenate([rpm for *_, rpm in of_items])
+    return _Joined(keys, reached_hz, si_per_unit, square, peak, rpm, owner, frame_s, flags)
 
 
 def _groups(rpm: Floats, owner: Ints, speed_bin_rpm: float) -> list[_Group]:
@@ -117,10 +117,10 @@ def _groups(rpm: Floats, owner: Ints, speed_bin_rpm: float) -> list[_Group]:
     swept, unknown = rest[np.isfinite(rpm[rest])], rest[~np.isfinite(rpm[rest])]
     count = min(NUMBERS.sweep_windows, max(1, len(swept) // NUMBERS.window_pieces))
     windows = np.array_split(swept[np.argsort(rpm[swept], kind="stable")], count) if len(swept) else []
-    made = [_Group(group, owner[group], is_swept=False) for group in held]
-    made += [_Group(np.sort(one), _passages(np.sort(one), owner), is_swept=True) for one in windows]
-    made += [_Group(unknown, owner[unknown], is_swept=False)] if len(unknown) else []
-    return sorted(made, key=lambda group: float(np.nan_to_num(rpm[group.pieces].mean(), nan=np.inf)))
+    groups = [_Group(group, owner[group], is_swept=False) for group in held]
+    groups += [_Group(np.sort(window), _passages(np.sort(window), owner), is_swept=True) for window in windows]
+    groups += [_Group(unknown, owner[unknown], is_swept=False)] if len(unknown) else []
+    return sorted(groups, key=lambda group: float(np.nan_to_num(rpm[group.pieces].mean(), nan=np.inf)))
 
 
 def _passages(pieces: Ints, owner: Ints) -> Ints:
@@ -145,8 +145,8 @@ def _tell(made: dict[str, Floats], rows: Ints, column: int, square: Floats, peak
     share = np.divide(error, mean, out=np.zeros(len(mean)), where=mean > 0.0)
     made["log_error"][rows, column], made["degrees_of_freedom"][rows, column] = share, freedom
     made["rms_ci95"][rows, column] = rms_within(rms, share, freedom, chance=1.0 - CONFIDENCE)
-    told = np.isfinite(peak).all(axis=1)
-    rows, square, peak = rows[told], square[told], peak[told]
+    known = np.isfinite(peak).all(axis=1)
+    rows, square, peak = rows[known], square[known], peak[known]
     made["largest_peak"][rows, column] = peak.max(axis=1)
     crest = np.divide(peak, np.sqrt(square), out=np.full(peak.shape, np.nan), where=square > 0.0)
     for name, values in (("peak", peak), ("crest_factor", crest)):
@@ -312,11 +312,11 @@ _TOLD = {
 
 def _levels_dataset(joined: _Joined, made: dict[str, Floats], rpm: Floats) -> xr.Dataset:
     coords = level_coords(joined.keys, joined.reached_hz, joined.si)
-    coords["speed"] = ("speed", rpm, {"units": "min-1", "long_name": "mean speed"})
+    coords["speed"] = described("speed", rpm, "min-1", "mean speed")
     variables: Variables = {}
     for name, (units, text) in _TOLD.items():
-        variables[name] = (("level", "speed"), made[name], {"units": units, "long_name": text})
-        if f"{name}_ci95" in made:
-            words = {"units": units, "long_name": f"95 % interval of {name}: low, high"}
-            variables[f"{name}_ci95"] = (("level", "speed", "bound"), made[f"{name}_ci95"], words)
+        variables[name] = described(("level", "speed"), made[name], units, text)
+        if (interval := f"{name}_ci95") in made:
+            text = f"95 % interval of {name}: low, high"
+            variables[interval] = described(("level", "speed", "bound"), made[interval], units, text)
     return xr.Dataset(variables, coords=coords)

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from crankorder.quantities import Bools, Floats, Ints, Variables, channel_coords, unindexed
+from crankorder.quantities import Bools, Floats, Ints, Variables, channel_coords, described, unindexed
 from crankorder.scratch import blocks, empty_like
 
 TOLERANCE = 1e-6
@@ -48,15 +48,10 @@ PASS_SAMPLES = 65_536
 
 @dataclass(frozen=True)
 class DecimationStage:
-    """One FIR low-pass of symmetric ``taps`` that keeps every ``factor``-th sample.
-
-    ``ripple`` is its largest relative error from 0 to the band, ``alias`` its largest gain where it folds onto them.
-    """
+    """One FIR low-pass of symmetric ``taps`` that keeps every ``factor``-th sample."""
 
     factor: int
     taps: Floats
-    ripple: float
-    alias: float
 
     @property
     def half(self) -> int:
@@ -164,21 +159,16 @@ def _shortest(band: float, divisor: int, tolerance: float) -> DecimationStage:
     both = np.concatenate([pass_band, np.minimum(stop_band, 0.5)])
     while True:
         # the window that fills the whole transition: its attenuation follows from the length
-        taps = _taps(n_taps, divisor, 7.95 + 2.285 * (n_taps - 1) * _transition(1.0, band, divisor))
+        rejection_db = 7.95 + 2.285 * (n_taps - 1) * _transition(1.0, band, divisor)
+        # a sinc that cuts at half of the reduced rate; its sum is 1
+        taps = np.sinc((np.arange(n_taps) - n_taps // 2) / divisor)
+        taps *= np.kaiser(n_taps, max(0.0, 0.1102 * (rejection_db - 8.7)))
+        taps /= taps.sum()
         gain = _response(taps, both)
-        ripple = float(np.abs(gain[: len(pass_band)] - 1.0).max())
-        alias = float(np.abs(gain[len(pass_band) :]).max())
-        if max(ripple, alias) * BETWEEN <= 0.99 * tolerance:
-            return DecimationStage(divisor, taps, ripple, alias)
+        gain[: len(pass_band)] -= 1.0
+        if float(np.abs(gain).max()) * BETWEEN <= 0.99 * tolerance:
+            return DecimationStage(divisor, taps)
         n_taps += 2
-
-
-def _taps(n_taps: int, divisor: int, rejection_db: float) -> Floats:
-    """Sinc that cuts at half of the reduced rate, in the Kaiser window for ``rejection_db``; its sum is 1."""
-    k = np.arange(n_taps) - n_taps // 2
-    taps: Floats = np.sinc(k / divisor) * np.kaiser(n_taps, max(0.0, 0.1102 * (rejection_db - 8.7)))
-    taps /= taps.sum()
-    return taps
 
 
 def _response(taps: Floats, share_of_rate: Floats) -> Floats:
@@ -316,8 +306,6 @@ def decimate(
     return made, rate_hz / factor, first * factor / rate_hz
 
 
-Runs = tuple[Ints, Ints]
-
 LARGEST_LOSS = 0.02
 """A recording of which the filters' ends would cost a larger share keeps its rate: short ones are cheap anyway."""
 
@@ -352,17 +340,18 @@ def band_limited(recording: xr.Dataset, *, band_hz: float, grid_hz: float, toler
         signals, *_ = decimate(signals, rate_hz=1.0, band_hz=0.4, factor=1, offset=offset, gaps=gaps)
     # an error of an earlier decimation stays
     attrs |= {"band_hz": band_hz, "decimation_error": error + float(attrs.get("decimation_error", 0.0))}
-    words = {"units": "see unit", "long_name": "signal in the analysis band"}
-    variables: Variables = {"signal": (("channel", axis), signals, words)}
+    variables: Variables = {"signal": described(("channel", axis), signals, "see unit", "signal in the analysis band")}
     if bad is not None:
         usable = empty_like(signals, signals.shape, np.bool_)
         for row, (starts, ends) in zip(usable, bad, strict=True):
-            _mark_untouched(row, starts, ends, factor, reach)
-        variables["usable"] = (
-            ("channel", axis),
-            usable,
-            {"units": "1", "long_name": "free of gaps and of their filtering"},
-        )
+            # no bad sample lies within reach of the output
+            row[:] = True
+            first = -(-reach // factor)
+            low = np.maximum(-(-(starts - reach) // factor) - first, 0)
+            high = np.maximum((ends - 1 + reach) // factor - first + 1, 0)
+            for begin, end in zip(low, high, strict=True):
+                row[begin:end] = False
+        variables["usable"] = described(("channel", axis), usable, "1", "free of gaps and of their filtering")
     return xr.Dataset(variables, coords=unindexed(**channel_coords(recording)), attrs=attrs)
 
 
@@ -372,33 +361,22 @@ def sound_samples(band: xr.Dataset) -> Bools:
     return np.asarray(sound & band["usable"].values if "usable" in band else sound)
 
 
-def _unusable(recording: xr.Dataset, signals: NDArray[np.floating], *, gaps: bool) -> list[Runs] | None:
-    """Runs of samples of each channel that are missing or not usable; None where there is none."""
+def _unusable(recording: xr.Dataset, signals: NDArray[np.floating], *, gaps: bool) -> list[tuple[Ints, Ints]] | None:
+    """First samples, and those after the last, of the runs of each channel that are missing or not usable.
+
+    None where there is none.
+    """
     if "usable" not in recording and not gaps:
         return None
     usable = recording["usable"].values if "usable" in recording else [None] * len(signals)
-    return [_bad_runs(row, mask) for row, mask in zip(signals, usable, strict=True)]
-
-
-def _bad_runs(signal: NDArray[np.floating], usable: Bools | None) -> Runs:
-    """First samples, and those after the last, of the runs in which ``signal`` is not finite or not ``usable``."""
-    turns, was_bad = [np.empty(0, dtype=np.int64)], False
-    for part in blocks(signal.size):
-        bad = ~np.isfinite(signal[part])
-        if usable is not None:
-            bad |= ~usable[part]
-        if was_bad or bad.any():
-            turns.append(part.start + np.flatnonzero(np.diff(bad, prepend=was_bad)))
-            was_bad = bool(bad[-1])
-    edges = np.concatenate([*turns, [signal.size] * was_bad])
-    return edges[::2].astype(np.int64), edges[1::2].astype(np.int64)
-
-
-def _mark_untouched(out: Bools, starts: Ints, ends: Ints, factor: int, reach: int) -> None:
-    """Set ``out`` where no bad sample, from ``starts`` to before ``ends``, lies within ``reach`` of the output."""
-    out[:] = True
-    first = -(-reach // factor)
-    low = np.maximum(-(-(starts - reach) // factor) - first, 0)
-    high = np.maximum((ends - 1 + reach) // factor - first + 1, 0)
-    for begin, end in zip(low, high, strict=True):
-        out[begin:end] = False
+    runs = []
+    for signal, mask in zip(signals, usable, strict=True):
+        turns, was_bad = [np.empty(0, dtype=np.int64)], False
+        for part in blocks(signal.size):
+            bad = ~np.isfinite(signal[part]) if mask is None else ~(np.isfinite(signal[part]) & mask[part])
+            if was_bad or bad.any():
+                turns.append(part.start + np.flatnonzero(np.diff(bad, prepend=was_bad)))
+                was_bad = bool(bad[-1])
+        edges = np.concatenate([*turns, [signal.size] * was_bad]).astype(np.int64)
+        runs.append((edges[::2], edges[1::2]))
+    return runs

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numba as nb
 import numpy as np
@@ -151,6 +150,8 @@ class OrderTransform:
 
     def __init__(self, *, n_orders: int, n_channels: int, tolerance: float) -> None:
         """Plan once; each call of :meth:`spectra` sets its own samples. Raises RequestError for what cannot be."""
+        import finufft
+
         if not LEAST_TOLERANCE <= tolerance <= LARGEST_TOLERANCE:
             allowed = f"{LEAST_TOLERANCE:g}…{LARGEST_TOLERANCE:g}"
             raise RequestError("the tolerance of a transform is out of range", found=tolerance, allowed=allowed)
@@ -158,7 +159,9 @@ class OrderTransform:
             raise RequestError("nothing to transform", found=f"{n_orders} orders, {n_channels} channels")
         self.n_orders, self.n_channels, self.tolerance = n_orders, n_channels, tolerance
         self._n_pairs = (n_channels + 1) // 2
-        self._plan = _planned(2 * n_orders - 1, self._n_pairs, tolerance / TOLERANCE_MARGIN)
+        options = {"isign": -1, "nthreads": 1, "upsampfac": OVERSAMPLING, "dtype": "complex128"}
+        modes, eps = (2 * n_orders - 1,), tolerance / TOLERANCE_MARGIN
+        self._plan = finufft.Plan(1, modes, n_trans=self._n_pairs, eps=eps, **options)
         # turns are counted from the middle of -pi…pi
         self._signs = np.where(np.arange(n_orders) % 2, -1.0, 1.0)
 
@@ -196,33 +199,20 @@ class OrderTransform:
         pairs = np.empty((self._n_pairs, n_samples), dtype=np.complex128)
         scale = np.where(finite, 2.0 ** -exponent.astype(np.float64), 0.0)
         _paired(signals, first, scale, mean, weights, pairs.view(np.float64))
-        if not finite.all():
-            for c in np.flatnonzero(~finite):
-                pairs.view(np.float64)[c // 2, c % 2 :: 2] = 0.0
+        for c in np.flatnonzero(~finite):
+            pairs.view(np.float64)[c // 2, c % 2 :: 2] = 0.0
         self._plan.setpts(2.0 * np.pi * (turns - 0.5))
-        _separated(self._plan.execute(pairs if len(pairs) > 1 else pairs[0]).reshape(len(pairs), -1), out)
+        # spectra of the real channels from those of their pairs, orders -n…n
+        both = self._plan.execute(pairs if len(pairs) > 1 else pairs[0]).reshape(len(pairs), -1)
+        positive, negative = both[:, self.n_orders - 1 :], both[:, self.n_orders - 1 :: -1].conj()
+        out[0::2] = 0.5 * (positive + negative)
+        out[1::2] = (-0.5j * (positive - negative))[: n_channels // 2]
         out *= self._signs
         if mean_spectrum is not None:
             out += mean[:, None] * mean_spectrum
         out *= (2.0 ** exponent.astype(np.float64))[:, None]
         out[~finite] = np.nan
         return out
-
-
-def _planned(n_modes: int, n_pairs: int, tolerance: float) -> Any:
-    import finufft
-
-    options = {"isign": -1, "nthreads": 1, "upsampfac": OVERSAMPLING, "dtype": "complex128"}
-    return finufft.Plan(1, (n_modes,), n_trans=n_pairs, eps=tolerance, **options)
-
-
-def _separated(both: Complexes, out: Complexes) -> None:
-    """Spectra of the real channels from those of their pairs, orders -n…n."""
-    n_orders, n_channels = out.shape[1], out.shape[0]
-    positive, negative = both[:, n_orders - 1 :], both[:, n_orders - 1 :: -1].conj()
-    out[0::2] = 0.5 * (positive + negative)
-    if n_channels > 1:
-        out[1::2] = (-0.5j * (positive - negative))[: n_channels // 2]
 
 
 @nb.njit(cache=True, nogil=True, fastmath={"contract"})
@@ -310,7 +300,7 @@ def upsampling(factor: int, *, pass_share: float, tolerance: float) -> Upsamplin
     return Upsampling(factor, pass_share, tuple(taps), int(np.ceil(reach)))
 
 
-@nb.njit(cache=True, nogil=True, fastmath={"reassoc", "contract", "nsz", "arcp"})
+@nb.njit(cache=True, nogil=True, fastmath=REASSOCIATED)
 def _dot(segment, taps):  # type: ignore[no-untyped-def]
     total = 0.0
     for j in range(taps.size):

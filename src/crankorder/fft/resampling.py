@@ -151,15 +151,6 @@ def _windowed_weights(taps: int, pass_band: float, fraction: Floats) -> Floats:
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
 
-def _cubic_pieces(weights: Floats) -> Floats:
-    """Coefficients (pieces, 4, taps), highest power first, of cubics through ``weights`` (pieces, 4 nodes, taps)."""
-    inverse = np.linalg.inv(np.vander(_NODES, 4))
-    coefficients = np.einsum("dn,pnt->pdt", inverse, weights)
-    # the cubic begins exactly on its first row: what is exact there stays so
-    coefficients[:, 3] = weights[:, 0]
-    return np.asarray(coefficients)
-
-
 def _sample_offsets(taps: int) -> Ints:
     """Places (``taps``,) of the samples relative to the one at or before the position."""
     return np.arange(taps) - (taps // 2 - 1)
@@ -177,9 +168,13 @@ def _pieces_of(family: str, taps: int, pass_band: float) -> Floats:
     least = 2.0 * np.pi * (0.5 if windowed else pass_band) * (CUBIC_ERROR / allowed) ** 0.25
     n_pieces = max(8, 2 * int(np.ceil(0.5 * least)))
     fraction = ((np.arange(n_pieces // 2)[:, None] + _NODES) / n_pieces).ravel()
-    made = _windowed_weights(taps, pass_band, fraction) if windowed else _band_fit(taps, pass_band).weights(fraction)
-    weights = made.reshape(n_pieces // 2, 4, -1)
-    return _cubic_pieces(np.concatenate([weights, weights[::-1, ::-1, ::-1]]))
+    half = _windowed_weights(taps, pass_band, fraction) if windowed else _band_fit(taps, pass_band).weights(fraction)
+    half = half.reshape(n_pieces // 2, 4, -1)
+    weights = np.concatenate([half, half[::-1, ::-1, ::-1]])
+    coefficients = np.einsum("dn,pnt->pdt", np.linalg.inv(np.vander(_NODES, 4)), weights)
+    # the cubic begins exactly on its first row: what is exact there stays so
+    coefficients[:, 3] = weights[:, 0]
+    return np.asarray(coefficients)
 
 
 @lru_cache(maxsize=32)
@@ -348,7 +343,12 @@ def values_at(signals: Signals, positions: Floats, *, kernel: Kernel | None = No
     if high < low:
         _refuse(places, 0, low, high)
     table = table_of(*family_and_taps(kernel.name), kernel.pass_band, double)
-    bad = _weighted_sums(double)(*_flat(samples), places, table, np.empty(kernel.taps, samples.dtype), low, high, out)
+    # all channels as one row of memory, and the numbers from one to the next: a cut-out is not copied
+    n_channels, n_samples = samples.shape
+    row = samples.strides[0] // samples.itemsize if n_channels > 1 else n_samples
+    length = ((n_channels - 1) * row + n_samples,)
+    flat = np.lib.stride_tricks.as_strided(samples, length, (samples.itemsize,), writeable=False)
+    bad = _weighted_sums(double)(flat, row, places, table, np.empty(kernel.taps, samples.dtype), low, high, out)
     if bad >= 0:
         _refuse(places, bad, low, high)
     return out
@@ -390,14 +390,6 @@ def _samples(signals: Signals) -> Signals:
     even = samples.shape[0] < 2 or (samples.strides[0] > 0 and samples.strides[0] % samples.itemsize == 0)
     whole = even and samples.strides[1] == samples.itemsize and samples.flags.aligned
     return samples if whole else np.ascontiguousarray(samples)
-
-
-def _flat(samples: Signals) -> tuple[Signals, int]:
-    """All channels as one row of memory, and the numbers from one to the next: a cut-out is not copied."""
-    n_channels, n_samples = samples.shape
-    row = samples.strides[0] // samples.itemsize if n_channels > 1 else n_samples
-    length = (n_channels - 1) * row + n_samples
-    return np.lib.stride_tricks.as_strided(samples, (length,), (samples.itemsize,), writeable=False), row
 
 
 def _refuse(places: Floats, bad: int, low: float, high: float) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numba as nb
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from crankorder.fft.plans import Plan, fft_library, forward
 from crankorder.fft.windows import Window
@@ -70,11 +70,10 @@ class FrameTransform:
         """
         signals = _real(signals)
         kind = np.complex64 if signals.dtype == np.float32 else np.complex128
-        made = np.empty((len(signals), len(starts), self.n_bins), dtype=kind)
-        rows = made.reshape(-1, self.n_bins)
+        rows = np.empty((len(signals) * len(starts), self.n_bins), dtype=kind)
         for first, count, spectrum in self._batches(signals, starts, np.ones(len(signals))):
             rows[first : first + count] = spectrum[:count, : self.n_bins]
-        return made
+        return rows.reshape(len(signals), len(starts), self.n_bins)
 
     def power(
         self, signals: NDArray[np.floating], starts: Ints, *, scales: Floats | None = None
@@ -85,12 +84,11 @@ class FrameTransform:
         keep the squares of very large and very small amplitudes in range. float32 signals give float32.
         """
         signals = _real(signals)
-        made = np.empty((len(signals), len(starts), self.n_bins), dtype=signals.dtype)
-        rows = made.reshape(-1, self.n_bins)
+        rows = np.empty((len(signals) * len(starts), self.n_bins), dtype=signals.dtype)
         scales = np.ones(len(signals)) if scales is None else scales
         for first, count, spectrum in self._batches(signals, starts, scales):
-            _squares(spectrum.view(made.dtype), rows[first : first + count])
-        return made
+            _squares(spectrum.view(rows.dtype), rows[first : first + count])
+        return rows.reshape(len(signals), len(starts), self.n_bins)
 
     def _batches(self, signals: NDArray[np.floating], starts: Ints, scales: Floats) -> Any:
         """First number, count and spectra of one batch of frames after the other, counted channel by channel."""
@@ -135,13 +133,20 @@ def frame_starts(n_samples: int, n_frame: int, hop: int) -> Ints:
     return np.arange(0, n_samples - n_frame + 1, max(1, hop), dtype=np.int64)
 
 
+def counted(mask: Bools, begin: ArrayLike, end: ArrayLike) -> Ints:
+    """How many samples (channels, spans) of ``mask`` (channels, samples) are set from ``begin`` to before ``end``.
+
+    ``begin`` and ``end`` (spans,) are cut at the ends of the record.
+    """
+    before = np.zeros((len(mask), mask.shape[1] + 1), dtype=np.int64)
+    np.cumsum(mask, axis=1, out=before[:, 1:])
+    first, last = np.clip(np.array([begin, end], dtype=np.int64), 0, mask.shape[1])
+    return np.asarray(before[:, last] - before[:, first])
+
+
 def whole_frames(usable: Bools, starts: Ints, n_frame: int) -> Bools:
     """Whether all samples of each frame can be used (channels, frames): the frames of ``n_frame`` from ``starts`` on.
 
     ``usable`` (channels, samples) says which samples can.
     """
-    made = np.empty((len(usable), len(starts)), dtype=np.bool_)
-    for row, out in zip(usable, made, strict=True):
-        bad = np.flatnonzero(~row)
-        out[:] = np.searchsorted(bad, starts) == np.searchsorted(bad, starts + n_frame)
-    return made
+    return np.asarray(counted(~usable, starts, starts + n_frame) == 0)

@@ -11,6 +11,7 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
+import xarray as xr
 from scipy.special import fdtri
 
 from crankorder.orders.intervals import amplitude_interval, energy_interval, phase_interval_deg, t_quantile
@@ -54,6 +55,12 @@ NOISE_RATIO = 8.0
 
 POLES = 2
 """Of the Vold–Kalman filter that follows orders: 24 dB per octave beyond the band."""
+
+SCALED = ("amplitude", "standard_error", "amplitude_low", "amplitude_high")
+"""What a track says in the unit of its channel, by the name of its variable."""
+
+TRACKED = (*SCALED, "phase", "degrees_of_freedom", "phase_ci95")
+"""All that a track says of an order at a speed."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +139,7 @@ def contrasts(correlation: Floats, trend: Floats | None = None) -> Contrasts:
         adds = np.abs(np.diag(triangle)) > 1e-6 * np.sqrt(n)
         rows = unit.T[len(given) :][adds[len(given) :]]
     later = [(rows[:, : n - lag] * shared[: n - lag]) @ rows[:, lag:].T for lag, shared in enumerate(correlation)]
-    expected = later[0] + sum(one + one.T for one in later[1:])
+    expected = later[0] + sum(lagged + lagged.T for lagged in later[1:])
     pairs = np.where(np.arange(len(correlation)) > 0, 2.0, 1.0)
     mean_variance = float(pairs @ correlation.sum(axis=1)) / n**2
     powers = n**2 / float(pairs @ np.square(correlation).sum(axis=1))
@@ -151,7 +158,7 @@ def noise_of_mean(spectrum: Complexes, shape: Contrasts) -> Floats:
     """
     if len(shape.rows) == 0:
         return np.full((len(spectrum), spectrum.shape[2]), np.nan)
-    channels = (np.ascontiguousarray(one, dtype=np.complex128).view(np.float64) for one in spectrum)
+    channels = (np.ascontiguousarray(of_channel, dtype=np.complex128).view(np.float64) for of_channel in spectrum)
     seen = np.stack([shape.rows @ parts for parts in channels])
     power = np.einsum("cko,cko->co", seen, seen).reshape(len(spectrum), -1, 2).sum(axis=-1)
     return np.asarray(power / len(shape.rows))
@@ -226,6 +233,13 @@ def median_of_known(values: Floats, *, axis: int) -> Floats:
     high = np.expand_dims(np.minimum(count // 2, values.shape[axis] - 1), axis)
     both = [np.take_along_axis(ordered, at, axis=axis).squeeze(axis) for at in (low, high)]
     return np.asarray(0.5 * (both[0] + both[1]))
+
+
+def cycle_bins(frames: xr.Dataset) -> Ints:
+    """Bins of the multiples of the cycle's order in the OrderFrames ``frames``, which hold two orders or more."""
+    order, step = frames["order"].values, 1.0 / int(frames.attrs["revs_per_cycle"])
+    per_order = 1.0 / float(order[1] - order[0])
+    return np.asarray(np.rint(np.arange(1.0, np.floor(order[-1] / step) + 1.0) * step * per_order).astype(np.int64))
 
 
 def median_beside(power: Floats, half: int) -> Floats:
@@ -350,9 +364,9 @@ class SizeRows:
         ``independent`` bins (rows,) tell, the interval holds all that frames held.
         """
         error, dof, low, high = (values.copy() for values in (self.error, self.dof, self.low, self.high))
-        for row in sorted({one.row for one in held}):
-            parts, size = [one for one in held if one.row == row], self.amplitude[:, row]
-            means = np.array([one.mean(noise[:, row]) for one in parts])
+        for row in sorted({part.row for part in held}):
+            parts, size = [part for part in held if part.row == row], self.amplitude[:, row]
+            means = np.array([part.mean(noise[:, row]) for part in parts])
             if len(parts) > 1:
                 with np.errstate(invalid="ignore", divide="ignore"):
                     share = means.std(axis=0, ddof=1) / means.mean(axis=0) / np.sqrt(len(parts))
@@ -360,10 +374,10 @@ class SizeRows:
                     wider = times * size > high[:, row] - size
                 low[wider, row], high[wider, row] = (size / (1.0 + times))[wider], (size * (1.0 + times))[wider]
                 error[wider, row], dof[wider, row] = (share * size)[wider], len(parts) - 1.0
-            free = float(sum(one.sizes.shape[1] - 1 for one in parts))
+            free = float(sum(part.sizes.shape[1] - 1 for part in parts))
             if free >= 2.0:
-                every = np.concatenate([one.sizes for one in parts], axis=1)
-                scatter = sum(one.sizes.var(axis=1) * one.sizes.shape[1] for one in parts) / free
+                every = np.concatenate([part.sizes for part in parts], axis=1)
+                scatter = sum(part.sizes.var(axis=1) * part.sizes.shape[1] for part in parts) / free
                 surely = float(fdtri(free, 2.0 * independent[row] * (free + 1.0), 1.0 - NUMBERS.changing_chance))
                 least = noise[:, row] * max(surely, NUMBERS.changing_over_noise)
                 changes = (noise[:, row] > 0.0) & (2.0 * scatter >= least)
@@ -387,15 +401,11 @@ class Readings:
     begin_rev: Floats
     per_rev: Floats
 
-    def of(self, which: Ints) -> Readings:
-        """Those of the frames that ``which`` picks."""
+    def of(self, which: Ints, channels: slice | Ints = slice(None)) -> Readings:
+        """Those of the frames that ``which`` picks, and of the ``channels``."""
         frames = (self.revs[which], self.owner[which], self.begin_rev[which], self.per_rev[which])
-        return Readings(self.values[:, which], self.errors[:, which], self.dof[:, which], *frames)
-
-    def channels(self, which: Ints) -> Readings:
-        """Those of the channels that ``which`` picks."""
-        frames = (self.revs, self.owner, self.begin_rev, self.per_rev)
-        return Readings(self.values[which], self.errors[which], self.dof[which], *frames)
+        part = np.ix_(np.arange(len(self.values))[channels], which)
+        return Readings(self.values[part], self.errors[part], self.dof[part], *frames)
 
     def summed(self, weights: Floats, *, of_noise: bool) -> Floats:
         """Sum (channels,) of weight · weight · correlation over all pairs of frames, ``weights`` (channels, frames).
@@ -447,45 +457,28 @@ def coherent_mean(part: Readings) -> Mean:
 
 
 def by_phase(mean: Mean, *, with_phase: bool) -> dict[str, Floats]:
-    """What a track says of the coherent ``mean``; of its phase only ``with_phase``."""
+    """Values (channels,) of a track, by TRACKED, from the coherent ``mean``; of its phase only ``with_phase``."""
     amplitude, power = np.abs(mean.value), 2.0 * mean.error**2
     low, high = amplitude_interval(amplitude, power, mean.dof)
-    nothing = np.full(amplitude.shape, np.nan)
-    return {
-        "amplitude": amplitude,
-        "phase": np.degrees(np.angle(mean.value)) if with_phase else nothing,
-        "standard_error": mean.error,
-        "degrees_of_freedom": mean.dof,
-        "amplitude_low": low,
-        "amplitude_high": high,
-        "phase_ci95": phase_interval_deg(amplitude, power, mean.dof) if with_phase else nothing,
-    }
+    phase = half = np.full(amplitude.shape, np.nan)
+    if with_phase:
+        phase, half = np.degrees(np.angle(mean.value)), phase_interval_deg(amplitude, power, mean.dof)
+    return dict(zip(TRACKED, (amplitude, mean.error, low, high, phase, mean.dof, half), strict=True))
 
 
 def by_energy(means: list[Mean]) -> dict[str, Floats]:
-    """What a track says of the ``means`` of recordings whose phases say nothing of each other.
+    """Values (channels,) of a track, by TRACKED, from ``means`` of recordings whose phases say nothing of each other.
 
     The noise is taken off their power, which the 95 % interval is of as well.
     """
     share = np.array([mean.revs for mean in means])[:, None] / sum(mean.revs for mean in means)
     noise = 2.0 * np.array([mean.error for mean in means]) ** 2
     power = (share * np.abs([mean.value for mean in means]) ** 2).sum(axis=0)
-    bias, beat, variance = (
-        (share * noise).sum(axis=0),
-        (share**2 * noise).sum(axis=0),
-        ((share * noise) ** 2).sum(axis=0),
-    )
+    bias, beat = (share * noise).sum(axis=0), (share**2 * noise).sum(axis=0)
+    variance = ((share * noise) ** 2).sum(axis=0)
     dof = np.sum([mean.dof for mean in means], axis=0)
     low, high = energy_interval(power, noise=beat, bias=bias, noise_variance=variance, dof=dof)
     line = np.maximum(power - bias, 0.0)
     error = np.sqrt(2.0 * line * beat + variance) / (2.0 * np.sqrt(np.maximum(power, np.finfo(np.float64).tiny)))
-    nothing = np.full(line.shape, np.nan)
-    return {
-        "amplitude": np.sqrt(line),
-        "phase": nothing,
-        "standard_error": error,
-        "degrees_of_freedom": dof,
-        "amplitude_low": low,
-        "amplitude_high": high,
-        "phase_ci95": nothing,
-    }
+    unknown = np.full(line.shape, np.nan)
+    return dict(zip(TRACKED, (np.sqrt(line), error, low, high, unknown, dof, unknown), strict=True))

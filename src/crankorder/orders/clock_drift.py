@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from crankorder.orders.averages import median_beside
+from crankorder.orders.averages import cycle_bins, median_beside
 from crankorder.orders.intervals import NORMAL
-from crankorder.quantities import Complexes, Floats, Ints, QualityFlag, flags_of, with_flags
+from crankorder.quantities import Complexes, Floats, QualityFlag, flags_of, with_flags
 from crankorder.settings import MethodNumbers
 
 NUMBERS = MethodNumbers("3-orders-recordings.toml", "clock_drift")
@@ -93,13 +93,10 @@ def clock_drift(frames: xr.Dataset) -> Drift | None:
 def _lines(frames: xr.Dataset) -> tuple[Floats, Complexes]:
     """Orders (lines,) of the cycle that stand out in a channel, and their amplitudes (lines, frames)."""
     order, spectrum = frames["order"].values, frames["spectrum"].values
-    step = 1.0 / int(frames.attrs["revs_per_cycle"])
-    per_order = 1.0 / float(order[1] - order[0]) if len(order) > 1 else 0.0
-    at: Ints = np.rint(np.arange(1, math.floor(order[-1] / step) + 1) * step * per_order).astype(np.int64)
     half = NUMBERS.beside_bins
     found: list[Floats] = [np.empty(0)]
     rows: list[Complexes] = [np.empty((0, spectrum.shape[1]), dtype=np.complex128)]
-    if spectrum.shape[2] <= 2 * half or not at.size:
+    if len(order) <= 2 * half or not (at := cycle_bins(frames)).size:
         return found[0], rows[0]
     for channel in spectrum:
         if not np.isfinite(channel.real).all():

@@ -10,10 +10,21 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from crankorder.errors import InputError
+from crankorder.fft.transforms import counted
 from crankorder.fft.windows import power_of_two
 from crankorder.orders.intervals import one_phase_reference, phase_reference_of
 from crankorder.orders.method import MOST_CONTENT, SignalsByAngle, is_by_angle, rev_frequencies, signals_by_angle
-from crankorder.quantities import Bools, Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.quantities import (
+    Bools,
+    Floats,
+    Ints,
+    QualityFlag,
+    channel_coords,
+    described,
+    flags_of,
+    remark,
+    with_flags,
+)
 from crankorder.settings import OrderSettings
 from crankorder.shaft.speed_groups import speed_groups
 
@@ -116,13 +127,8 @@ def _cycles(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> _Cy
     begin = float(evenly.angle_rev[0])
     first = math.ceil(begin * points - 1e-6)
     signals, usable = _sound(evenly, count * revs * evenly.samples_per_rev, settings.max_order)
-    values = _on_grid(
-        signals,
-        samples_per_rev=evenly.samples_per_rev,
-        points_per_rev=points,
-        max_order=settings.max_order,
-        advance_rev=first / points - begin,
-    )
+    rates = (evenly.samples_per_rev, points)
+    values = _on_grid(signals, rates, max_order=settings.max_order, advance_rev=first / points - begin)
     whole: Bools = np.ones((len(signals), count), dtype=np.bool_)
     if usable is not None:
         whole = np.asarray(np.all(_cycles_of(usable, revs * evenly.samples_per_rev), axis=2))
@@ -154,23 +160,21 @@ def _sound(evenly: SignalsByAngle, n_samples: int, max_order: float) -> tuple[Fl
     if usable is None or usable.all():
         return signals, None
     reach = math.ceil(REACH_TURNS / max_order * evenly.samples_per_rev)
-    before = np.zeros((len(usable), n_samples + 1), dtype=np.int64)
-    np.cumsum(~usable, axis=1, out=before[:, 1:])
     at = np.arange(n_samples)
-    lost = before[:, np.minimum(at + reach + 1, n_samples)] - before[:, np.maximum(at - reach, 0)]
-    return signals, lost == 0
+    return signals, counted(~usable, at - reach, at + reach + 1) == 0
 
 
-def _on_grid(
-    signals: Floats, *, samples_per_rev: int, points_per_rev: int, max_order: float, advance_rev: float
-) -> Floats:
+def _on_grid(signals: Floats, per_rev: tuple[int, int], *, max_order: float, advance_rev: float) -> Floats:
     """``signals`` (channels, samples) of whole revolutions on a grid that begins ``advance_rev`` later.
+
+    ``per_rev``: samples of the signals in a revolution, and points of the grid.
 
     One Fourier transform of them all: exact for what whole cycles repeat; what they do not repeat wraps within a few
     turns of the highest order at either end.
     """
     from scipy.fft import irfft, rfft
 
+    samples_per_rev, points_per_rev = per_rev
     revs = signals.shape[1] // samples_per_rev
     scale = power_of_two(signals)
     spectrum = rfft(signals / scale, axis=1)
@@ -235,12 +239,7 @@ def _carried(band: xr.Dataset, fastest_rpm: Floats, settings: OrderSettings) -> 
 
 
 def _dataset(
-    parts: list[CycleStatistics],
-    speed: Floats,
-    excluded: Ints,
-    highest_order: Floats,
-    like: xr.Dataset,
-    points_per_rev: int,
+    parts: list[CycleStatistics], speed: Floats, excluded: Ints, highest: Floats, like: xr.Dataset, points_per_rev: int
 ) -> xr.Dataset:
     """CycleAverage without attributes from the groups' ``parts``, with the channels of ``like``."""
     angle = 360.0 * np.arange(parts[0]["mean"].shape[1]) / points_per_rev
@@ -249,15 +248,15 @@ def _dataset(
     count = np.stack([part["n_cycles"] for part in parts], axis=1).astype(np.int64)
     return xr.Dataset(
         {
-            **{name: (over, values[name], {"units": "see unit", "long_name": said}) for name, said in SPREAD.items()},
-            "n_cycles": (over[:2], count, {"units": "1", "long_name": "cycles averaged"}),
-            "n_excluded": (over[:2], excluded, {"units": "1", "long_name": "cycles that a gap reaches"}),
-            "highest_order": ("speed", highest_order, {"units": "1", "long_name": "highest order that is held whole"}),
+            **{name: described(over, values[name], "see unit", text) for name, text in SPREAD.items()},
+            "n_cycles": described(over[:2], count, "1", "cycles averaged"),
+            "n_excluded": described(over[:2], excluded, "1", "cycles that a gap reaches"),
+            "highest_order": described("speed", highest, "1", "highest order that is held whole"),
         },
         coords={
             **channel_coords(like),
-            "speed": ("speed", speed, {"units": "min-1", "long_name": "mean speed of the cycles"}),
-            "cycle_angle": ("cycle_angle", angle, {"units": "degree", "long_name": "crank angle within the cycle"}),
+            "speed": described("speed", speed, "min-1", "mean speed of the cycles"),
+            "cycle_angle": described("cycle_angle", angle, "degree", "crank angle within the cycle"),
         },
     )
 
@@ -266,15 +265,12 @@ def _gap_flags(made: xr.Dataset) -> list[QualityFlag]:
     """One remark for each channel that lost cycles to gaps."""
     lost = made["n_excluded"].sum("speed").values
     kept = made["n_cycles"].sum("speed").values
+    recording, hold = str(made.attrs["recording"]), "cycles hold a gap and are not averaged"
+    names = made["channel"].values
     return [
-        {
-            "recording": str(made.attrs["recording"]),
-            "flag": "cycles_excluded",
-            "severity": "info" if kept[k] else "bad",
-            "detail": f"{name}: {lost[k]} of {lost[k] + kept[k]} cycles hold a gap and are not averaged",
-        }
-        for k, name in enumerate(made["channel"].values)
-        if lost[k]
+        remark(recording, "cycles_excluded", f"{name}: {n} of {n + rest} {hold}", "info" if rest else "bad")
+        for name, n, rest in zip(names, lost, kept, strict=True)
+        if n
     ]
 
 
@@ -288,7 +284,9 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
     """
     speed = np.concatenate([item["speed"].values for item in items])
     place = [(item, row) for item in items for row in range(item.sizes["speed"])]
-    comparable = len(items) == 1 or (one_phase_reference(items) and all(_is_one_turn(item) for item in items))
+    # the mark is passed in one turn of the cycle, or which one is known
+    one_turn = [int(item.attrs["cycle_known"]) or int(item.attrs["revs_per_cycle"]) == 1 for item in items]
+    comparable = len(items) == 1 or (one_phase_reference(items) and all(one_turn))
     groups = speed_groups(speed, width_rpm=speed_bin_rpm)
     if groups and np.isnan(speed[groups[-1][0]]):
         # nothing says that two unknown speeds are alike
@@ -297,10 +295,9 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
     for group in groups:
         rows = [place[index] for index in group]
         if not comparable and len(rows) > 1:
-            one, _ = max(rows, key=lambda each: int(each[0]["n_cycles"].values[:, each[1]].max()))
-            kept_rows = [each for each in rows if each[0] is one]
-            left_out += len(rows) - len(kept_rows)
-            rows = kept_rows
+            most, _ = max(rows, key=lambda each: int(each[0]["n_cycles"].values[:, each[1]].max()))
+            left_out += sum(item is not most for item, _ in rows)
+            rows = [(item, row) for item, row in rows if item is most]
         weight = np.array([float(item["n_cycles"].values[:, row].max()) for item, row in rows])
         each = np.array([item["speed"].values[row] for item, row in rows])
         kept_speed.append(float(each @ weight / weight.sum()) if weight.sum() else float(each.mean()))
@@ -319,13 +316,8 @@ def cycle_averages(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Datas
     flags = [flag for item in items for flag in flags_of(item)]
     if left_out:
         detail = f"angle 0 is not known to be the same in every recording: {left_out} at like speed left out"
-        flags.append(QualityFlag(recording="", flag="cycles_not_joined", severity="info", detail=detail))
+        flags.append(remark("", "cycles_not_joined", detail))
     return with_flags(made, flags)
-
-
-def _is_one_turn(item: xr.Dataset) -> bool:
-    """Whether the mark of ``item`` is passed in one turn of the cycle, or which one is known."""
-    return bool(int(item.attrs["cycle_known"]) or int(item.attrs["revs_per_cycle"]) == 1)
 
 
 def _joined(parts: list[CycleStatistics]) -> CycleStatistics:

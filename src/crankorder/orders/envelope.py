@@ -16,6 +16,7 @@ from crankorder.orders.envelope_band import (
     GUARD_SAMPLES,
     HIGHEST_SHARE,
     Band,
+    Bands,
     Blocks,
     band_tree,
     block_spectra,
@@ -23,7 +24,7 @@ from crankorder.orders.envelope_band import (
 )
 from crankorder.orders.envelope_combs import (
     WIDER_EVIDENCE,
-    Comb,
+    Combs,
     best_band,
     floor_worth,
     free_orders,
@@ -37,13 +38,13 @@ from crankorder.orders.envelope_combs import (
 )
 from crankorder.quantities import (
     Attribute,
-    Bools,
     Floats,
     Ints,
-    QualityFlag,
     Variables,
     channel_coords,
+    described,
     flags_of,
+    remark,
     with_flags,
 )
 from crankorder.settings import OrderSettings
@@ -80,33 +81,6 @@ _WORDS = {
 _OF_CHANNEL = ("level", "band_low", "band_high", "n_independent")
 
 
-class Frames(NamedTuple):
-    """Frames of an envelope: ``revs`` long, beginning at ``begin_rev``, in ``steps`` to a revolution, of ``n_fft``.
-
-    ``n_orders`` of their orders are kept.
-    """
-
-    revs: int
-    begin_rev: tuple[Ints, ...]
-    steps: int
-    n_fft: int
-    n_orders: int
-
-    @property
-    def order(self) -> Floats:
-        """Orders (orders,) of a spectrum."""
-        return np.arange(self.n_orders) * self.steps / self.n_fft
-
-    @property
-    def n_independent(self) -> float:
-        """Independent power spectra that the frames are worth."""
-        total = 0.0
-        for begin in self.begin_rev:
-            hop = int(np.diff(begin).min()) if len(begin) > 1 else self.revs
-            total += hann(self.revs * 16).independent_frames(16 * hop, len(begin), power=True)
-        return total
-
-
 class Stretch(NamedTuple):
     """Ends of the steps of crank angle of a piece, in samples, and the steps at which its frames begin."""
 
@@ -115,16 +89,23 @@ class Stretch(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Frames of envelopes up to an order, where they lie in each piece, and the highest frequency of that order.
+    """Frames of envelopes, ``revs`` long in ``steps`` to a revolution, where they lie in each piece, their transform.
 
-    With their ``transform``, and the independent power spectra that all of them are worth.
+    ``reach_hz`` is the highest frequency of the highest order; ``n_independent`` the independent power spectra that all
+    frames are worth.
     """
 
-    frames: Frames
+    revs: int
+    steps: int
     stretches: list[Stretch]
     reach_hz: float
     transform: FrameTransform
     n_independent: float
+
+    @property
+    def order(self) -> Floats:
+        """Orders (orders,) of a spectrum."""
+        return np.arange(self.transform.n_bins) * self.steps / self.transform.n_fft
 
 
 class Turn(NamedTuple):
@@ -159,7 +140,7 @@ class Choice(NamedTuple):
 
 
 def recording_envelope(
-    recording: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings, combs: tuple[Comb, ...] = ()
+    recording: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings, combs: Combs = ()
 ) -> xr.Dataset:
     """RecordingEnvelope: order spectrum (channel, speed, order) of the squared envelope in the band that shows most.
 
@@ -181,7 +162,7 @@ def recording_envelope(
     mean_hz = float(shaft["speed"].values.mean()) / 60.0
     turn = Turn(float(recording.attrs["rate_hz"]), mean_hz, int(shaft.attrs["revs_per_cycle"]))
     shown = _grid(recording, shaft, pieces, settings, settings.envelope_max_order)
-    order = shown.frames.order
+    order = shown.order
     bins = looked_at(combs, step=float(order[1]), n_orders=len(order))
     farthest = min(SEARCH_REACH * order[bins[-1]], order[-1]) if len(bins) else order[-1]
     searched = _grid(recording, shaft, pieces, settings, float(farthest))
@@ -192,22 +173,34 @@ def recording_envelope(
 def _grid(
     recording: xr.Dataset, shaft: xr.Dataset, pieces: list[tuple[float, float]], settings: OrderSettings, highest: float
 ) -> Grid:
-    """Frames for orders up to the ``highest``, and where the steps of crank angle of each of the ``pieces`` end."""
-    frames = _frames(pieces, settings, highest, revs_per_cycle=int(shaft.attrs["revs_per_cycle"]))
+    """Frames for orders up to the ``highest`` in the ``pieces``, and where the steps of crank angle of these end.
+
+    Frames are whole cycles and overlap by one half or a little more, so that each piece is used to its end.
+    """
+    from scipy.fft import next_fast_len
+
+    cycle, shortest = int(shaft.attrs["revs_per_cycle"]), min(last - first for first, last in pieces)
+    revs = max(int(min(settings.envelope_revs_per_frame, shortest)) // cycle * cycle, 1)
+    steps = next_fast_len(math.ceil(2.0 * highest + 4.0), real=True)
+    n_fft = max(settings.envelope_revs_per_frame, revs) * steps
     rate, start = float(recording.attrs["rate_hz"]), float(recording.attrs.get("start_s", 0.0))
-    stretches = []
-    for (first, last), begins in zip(pieces, frames.begin_rev, strict=True):
-        angle = first + np.arange(int(last - first) * frames.steps + 1) / frames.steps
+    stretches, n_independent = [], 0.0
+    for first, last in pieces:
+        spare = int(last - first) - revs
+        begin_rev = np.linspace(0, spare, 1 + math.ceil(spare / max(revs // 2, 1))).round().astype(np.int64)
+        hop = int(np.diff(begin_rev).min()) if len(begin_rev) > 1 else revs
+        n_independent += hann(revs * 16).independent_frames(16 * hop, len(begin_rev), power=True)
+        angle = first + np.arange(int(last - first) * steps + 1) / steps
         edges = (time_at(np.minimum(angle, last), **knots_of(shaft)) - start) * rate
-        stretches.append(Stretch(edges, begins * frames.steps))
+        stretches.append(Stretch(edges, begin_rev * steps))
     reach_hz = highest * float(shaft["speed"].values.max()) / 60.0
-    transform = FrameTransform(hann(frames.revs * frames.steps), n_fft=frames.n_fft, n_bins=frames.n_orders)
-    return Grid(frames, stretches, reach_hz, transform, frames.n_independent)
+    transform = FrameTransform(hann(revs * steps), n_fft=n_fft, n_bins=math.floor(highest * n_fft / steps) + 1)
+    return Grid(revs, steps, stretches, reach_hz, transform, n_independent)
 
 
 def _bands_and_pieces(
     recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings
-) -> tuple[tuple[Band, ...], list[tuple[float, float]], str]:
+) -> tuple[Bands, list[tuple[float, float]], str]:
     """Bands to try, crank angles [rev] from and to which, and why there are none of either."""
     speed = shaft["speed"].values
     if not recording["signal"].shape[1]:
@@ -221,14 +214,8 @@ def _bands_and_pieces(
         settings.max_order * fastest_hz, HIGHEST_SHARE * rate, least_width_hz=settings.envelope_max_order * fastest_hz
     )
     if not bands:
-        return (
-            (),
-            [],
-            (
-                f"at {rate:g} samples/s no band above order {settings.max_order:g} is wide enough for envelope orders "
-                f"up to {settings.envelope_max_order:g} at {60.0 * fastest_hz:.0f} min-1"
-            ),
-        )
+        reason = f"at {rate:g} samples/s no band above order {settings.max_order:g} is wide enough for envelope orders "
+        return (), [], f"{reason}up to {settings.envelope_max_order:g} at {60.0 * fastest_hz:.0f} min-1"
     pieces = _pieces(recording, shaft, settings)
     return bands, pieces, "" if pieces else f"fewer than {LEAST_REVS} revolutions were recorded"
 
@@ -253,90 +240,56 @@ def _pieces(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -
     return [(first, last) for first, last in angles if last - first >= LEAST_REVS]
 
 
-def _frames(
-    pieces: list[tuple[float, float]], settings: OrderSettings, max_order: float, *, revs_per_cycle: int
-) -> Frames:
-    """Frames of whole cycles, overlapping by one half or a little more so that each piece is used to its end."""
-    from scipy.fft import next_fast_len
-
-    shortest = min(last - first for first, last in pieces)
-    revs = max(int(min(settings.envelope_revs_per_frame, shortest)) // revs_per_cycle * revs_per_cycle, 1)
-    begins = []
-    for first, last in pieces:
-        spare = int(last - first) - revs
-        count = 1 + math.ceil(spare / max(revs // 2, 1))
-        begins.append(np.linspace(0, spare, count).round().astype(np.int64))
-    steps = next_fast_len(math.ceil(2.0 * max_order + 4.0), real=True)
-    n_fft = max(settings.envelope_revs_per_frame, revs) * steps
-    return Frames(revs, tuple(begins), steps, n_fft, math.floor(max_order * n_fft / steps) + 1)
-
-
 def _choose(
-    signal: NDArray[np.floating],
-    bands: tuple[Band, ...],
-    shown: Grid,
-    searched: Grid,
-    turn: Turn,
-    combs: tuple[Comb, ...],
-    bins: Ints,
+    signal: NDArray[np.floating], bands: Bands, shown: Grid, searched: Grid, turn: Turn, combs: Combs, bins: Ints
 ) -> Choice:
     """The band of one channel in whose envelope ``combs`` or, failing these, most stands out, with its spectrum.
 
     The choice and what is seen in the other bands are made without the tones of the signal, up to the order at which
     ``searched`` ends; the spectrum is that of all of it, as far as ``shown`` goes.
     """
-    blocks = [block_spectra(signal, begin=float(one.edges[0]), end=float(one.edges[-1])) for one in shown.stretches]
+    ends = [stretch.edges[[0, -1]].tolist() for stretch in shown.stretches]
+    blocks = [block_spectra(signal, begin=begin, end=end) for begin, end in ends]
     finest = tuple(band for band in bands if band.level == bands[-1].level)
     screened = _spectra(blocks, finest, searched, turn, toneless=True)
-    frames = searched.frames
     if not screened.used:
-        missing = np.full(shown.frames.n_orders, np.nan)
+        missing = np.full(shown.transform.n_bins, np.nan)
         nothing = np.full((3, len(bands), len(bins)), np.nan, dtype=np.float32)
         return Choice(bands[0], missing, missing, math.nan, 0.0, nothing)
-    share = screened.used / sum(len(one.begins) for one in searched.stretches)
+    order, cell = searched.order, 1.0 / searched.revs
+    share = screened.used / sum(len(stretch.begins) for stretch in searched.stretches)
     n_independent = searched.n_independent * share
     unit = float(screened.power.mean()) or 1.0
     power = (screened.power / unit).astype(np.float32)
-    floor = line_floor(power, frames.order, n_independent)
+    floor = line_floor(power, order, n_independent)
     height = power / np.maximum(floor, np.finfo(np.float32).tiny)
-    free = free_orders(frames.order, frames.revs, turn.revs_per_cycle)
-    free &= off_mains(frames.order, speed_hz=turn.mean_hz, cell=1.0 / frames.revs)
+    free = free_orders(order, searched.revs, turn.revs_per_cycle) & off_mains(order, speed_hz=turn.mean_hz, cell=cell)
     seen = over_skirts(height)[:, bins]
-    best = _band_of_combs(seen, bins, combs, frames, n_independent, free) if len(bins) else None
-    if best is None:
-        best = best_band(np.where(free, height, 0.0).max(axis=1))
+    best = best_band(np.where(free, height, 0.0).max(axis=1))
+    if len(bins):
+        step, count = float(order[1]), np.array([n_independent])
+        worth = floor_worth(step, cell)
+        evidence = served(seen[None], combs, bins, step=step, count=count, worth=worth, free=free)[:, 0].max(axis=0)
+        if evidence.max() >= np.log(seen.size / SURE_OF_COMB):
+            # a wider band that shows it as well holds more of the resonance
+            best = int(np.flatnonzero(evidence >= WIDER_EVIDENCE * evidence.max())[0])
     exact = _spectra(blocks, (bands[best],), shown, turn, toneless=False)
     looks = np.stack([seen, height[:, bins], np.sqrt(np.sqrt(floor[:, bins])) * np.float32(unit**0.25)])
-    floor = line_floor(exact.power, shown.frames.order, n_independent)
+    floor = line_floor(exact.power, shown.order, n_independent)
     return Choice(bands[best], exact.power[0], floor[0], exact.level, share, looks)
 
 
-def _band_of_combs(
-    seen: NDArray[np.floating], bins: Ints, combs: tuple[Comb, ...], frames: Frames, n_independent: float, free: Bools
-) -> int | None:
-    """Band (row of ``seen``) that shows one of ``combs`` best; None where noise may well make all that is shown."""
-    step = float(frames.order[1])
-    worth = floor_worth(step, 1.0 / frames.revs)
-    count = np.array([n_independent])
-    shown = served(seen[None], combs, bins, step=step, count=count, worth=worth, free=free)[:, 0].max(axis=0)
-    if shown.max() < np.log(seen.size / SURE_OF_COMB):
-        return None
-    # a wider band that shows it as well holds more of the resonance
-    return int(np.flatnonzero(shown >= WIDER_EVIDENCE * shown.max())[0])
-
-
-def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Turn, *, toneless: bool) -> Spectra:
+def _spectra(blocks: list[Blocks], bands: Bands, grid: Grid, turn: Turn, *, toneless: bool) -> Spectra:
     """Power of the envelopes' lines of ``bands`` on ``grid``, after those of the sums of every second one.
 
     The squared envelope of a wide band is nearly the sum of those of its parts: of a line at the frequency f the share
     of f in the width of a part is lost, in lines and noise alike.
     """
-    frames, order = grid.frames, grid.frames.order
-    long = frames.revs * frames.steps
+    long = grid.revs * grid.steps
     power, mean_square, used = np.zeros(1), 0.0, 0
-    for some, (edges, begins) in zip(blocks, grid.stretches, strict=True):
+    for of_piece, (edges, begins) in zip(blocks, grid.stretches, strict=True):
         squared, rate_hz, unit, bad = envelopes_of(
-            some, rate_hz=turn.rate_hz, bands=bands, edges=edges, reach_hz=grid.reach_hz, toneless=toneless
+            of_piece, rate_hz=turn.rate_hz, bands=bands, edges=edges, reach_hz=grid.reach_hz, toneless=toneless
         )
         touched = (bad[:, 1] > edges[begins, None]) & (bad[:, 0] < edges[begins + long, None])
         good = begins[~touched.any(axis=1)]
@@ -347,7 +300,7 @@ def _spectra(blocks: list[Blocks], bands: tuple[Band, ...], grid: Grid, turn: Tu
         squared -= squared.mean(axis=1, keepdims=True)
         lines = np.concatenate([grid.transform.power(sums, good).sum(axis=1) for sums in _tree_of(squared)])
         # what the mean over each step and the staircase of the envelope take from a line
-        lost = np.sinc(order / frames.steps) * np.sinc(order * turn.mean_hz / rate_hz)
+        lost = np.sinc(grid.order / grid.steps) * np.sinc(grid.order * turn.mean_hz / rate_hz)
         power = power + lines * np.square(unit / lost)
     return Spectra(power / max(used, 1), mean_square / max(used, 1), used)
 
@@ -368,26 +321,26 @@ def _dataset(
     chosen: list[Choice],
     shown: Grid,
     pieces: list[tuple[float, float]],
-    bands: tuple[Band, ...],
-    combs: tuple[Comb, ...],
+    bands: Bands,
+    combs: Combs,
 ) -> xr.Dataset:
     """RecordingEnvelope of the ``chosen`` bands of all channels."""
     seconds = [float(np.diff(time_at(np.array(piece), **knots_of(shaft)))[0]) for piece in pieces]
     speed = 60.0 * sum(last - first for first, last in pieces) / sum(seconds)
     values = {
-        "amplitude": np.array([[one.power**0.25] for one in chosen]),
-        "floor": np.array([[one.floor**0.25] for one in chosen]),
-        "level": np.sqrt([[one.mean_square / 2.0] for one in chosen]),
-        "band_low": np.array([[one.band.low_hz] for one in chosen]),
-        "band_high": np.array([[one.band.high_hz] for one in chosen]),
-        "n_independent": np.array([[shown.n_independent * one.share] for one in chosen]),
+        "amplitude": np.array([[choice.power**0.25] for choice in chosen]),
+        "floor": np.array([[choice.floor**0.25] for choice in chosen]),
+        "level": np.sqrt([[choice.mean_square / 2.0] for choice in chosen]),
+        "band_low": np.array([[choice.band.low_hz] for choice in chosen]),
+        "band_high": np.array([[choice.band.high_hz] for choice in chosen]),
+        "n_independent": np.array([[shown.n_independent * choice.share] for choice in chosen]),
     }
-    frames, dims = shown.frames, ("channel", "speed", "order")
+    dims = ("channel", "speed", "order")
     variables: Variables = {name: (dims[: array.ndim], array, _WORDS[name]) for name, array in values.items()}
-    variables["revs_per_frame"] = (("speed",), np.array([frames.revs]), _WORDS["revs_per_frame"])
+    variables["revs_per_frame"] = (("speed",), np.array([shown.revs]), _WORDS["revs_per_frame"])
     if combs:
-        variables |= looks_of(combs, bands, order=frames.order, looks=np.stack([one.looks for one in chosen]))
-    made = xr.Dataset(variables, coords=_coords(recording, np.array([speed]), frames.order))
+        variables |= looks_of(combs, bands, order=shown.order, looks=np.stack([choice.looks for choice in chosen]))
+    made = xr.Dataset(variables, coords=_coords(recording, np.array([speed]), shown.order))
     made.attrs = _attrs(recording, shaft, settings) | {"bands_tried": len(bands), "analysed_s": sum(seconds)}
     return made
 
@@ -396,7 +349,7 @@ def _coords(recording: xr.Dataset, speed: Floats, order: Floats) -> Variables:
     reference = {"units": "1", "long_name": "order of the envelope", "order_reference": "crankshaft"}
     return {
         **channel_coords(recording),
-        "speed": ("speed", speed, {"units": "min-1", "long_name": "mean speed"}),
+        "speed": described("speed", speed, "min-1", "mean speed"),
         "order": ("order", order, reference),
     }
 
@@ -425,8 +378,7 @@ def _empty(recording: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings, re
         coords=_coords(recording, np.zeros(0), np.zeros(0)),
         attrs=_attrs(recording, shaft, settings),
     )
-    name = str(recording.attrs["recording"])
-    return with_flags(made, [{"recording": name, "flag": "no_envelope_band", "severity": "info", "detail": reason}])
+    return with_flags(made, [remark(str(recording.attrs["recording"]), "no_envelope_band", reason)])
 
 
 def envelope_map(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset:
@@ -440,11 +392,15 @@ def envelope_map(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset
     if not items:
         raise InputError("no envelope to average", allowed="one RecordingEnvelope or more")
     full = [item for item in items if item.sizes["order"]]
-    alike = [_alike(item, full[0]) for item in full]
+    axes = ("channel", "unit", "order")
+    same = [
+        [np.array_equal(item.variables[name].values, full[0].variables[name].values) for name in axes] for item in full
+    ]
+    alike = [all(of_item) for of_item in same]
     used = [item for item, is_alike in zip(full, alike, strict=True) if is_alike]
     detail = "envelope with other channels or orders than the test's first"
     left_out = [str(item.attrs["recording"]) for item, is_alike in zip(full, alike, strict=True) if not is_alike]
-    remarks = [QualityFlag(recording=name, flag="left_out", severity="bad", detail=detail) for name in left_out]
+    remarks = [remark(name, "left_out", detail, "bad") for name in left_out]
     made = _averaged(used, speed_bin_rpm) if used else items[0].copy()
     sources = used or items
     nominal = any(item.attrs["speed_basis"] == "nominal" for item in sources)
@@ -460,13 +416,6 @@ def envelope_map(items: list[xr.Dataset], *, speed_bin_rpm: float) -> xr.Dataset
         "speed_bin_rpm": speed_bin_rpm,
     }
     return with_flags(made, [flag for item in items for flag in flags_of(item)] + remarks)
-
-
-def _alike(item: xr.Dataset, other: xr.Dataset) -> bool:
-    return all(
-        np.array_equal(item.variables[name].values, other.variables[name].values)
-        for name in ("channel", "unit", "order")
-    )
 
 
 def _averaged(used: list[xr.Dataset], speed_bin_rpm: float) -> xr.Dataset:
@@ -499,9 +448,5 @@ def _averaged(used: list[xr.Dataset], speed_bin_rpm: float) -> xr.Dataset:
     variables |= joined_looks([[used[k] for k in group] for group in groups])
     variables["revs_per_frame"] = (("speed",), np.array(revs), dict(first["revs_per_frame"].attrs))
     mean_speed = np.array([speed[group].mean() for group in groups])
-    coords = {
-        **channel_coords(first),
-        "speed": ("speed", mean_speed, dict(first["speed"].attrs)),
-        "order": first["order"],
-    }
-    return xr.Dataset(variables, coords=coords)
+    coords = {"speed": ("speed", mean_speed, dict(first["speed"].attrs)), "order": first["order"]}
+    return xr.Dataset(variables, coords=channel_coords(first) | coords)

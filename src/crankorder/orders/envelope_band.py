@@ -50,6 +50,9 @@ class Band(NamedTuple):
     level: int
 
 
+Bands = tuple[Band, ...]
+
+
 class Envelopes(NamedTuple):
     """Mean squared envelopes (bands, angles) of the bands by crank angle, as multiples of ``unit``, and bad samples.
 
@@ -106,7 +109,8 @@ def block_spectra(signal: NDArray[np.floating], *, begin: float, end: float) -> 
         piece, gaps = _centred(signal[at : first - GUARD_SAMPLES + BLOCK_SAMPLES])
         if len(gaps):
             bad.append(gaps + at)
-        scale = scale or _scale_of(piece)
+        if not scale and (size := float(np.abs(piece).max(initial=0.0))):
+            scale = float(2.0 ** -np.round(np.log2(size)))  # a power of two that brings it to about 1
         begins = at - (first - GUARD_SAMPLES)
         plan.input_array[:begins] = plan.input_array[begins + len(piece) :] = 0.0
         np.multiply(piece, scale, out=plan.input_array[begins : begins + len(piece)], casting="same_kind")
@@ -151,7 +155,13 @@ def envelopes_of(
     squared = np.zeros((len(bands), len(edges) - 1), dtype=np.float32)
     hop = BLOCK_SAMPLES - 2 * GUARD_SAMPLES
     low, apart, taper, n_out = _slices(bands, rate_hz, reach_hz=reach_hz)
-    plan, ratio = _inverse(min(len(bands), ROWS), n_out), n_out / BLOCK_SAMPLES
+    plans: dict[tuple[int, int], Plan] = _of_thread.__dict__.setdefault("plans", {})
+    shape = min(len(bands), ROWS), n_out
+    if shape not in plans:
+        if len(plans) >= MOST_PLANS:
+            plans.clear()
+        plans[shape] = inverse(shape, np.complex64)
+    plan, ratio = plans[shape], n_out / BLOCK_SAMPLES
     slices, waves = plan.input_array.view(np.float32), plan.output_array.view(np.float32)
     # the inverse is a plain sum; the analytic signal is twice the sum over the block's length
     weight = np.float32((2.0 / BLOCK_SAMPLES) ** 2 / ratio)
@@ -166,12 +176,12 @@ def envelopes_of(
         if toneless:
             spectrum = without_tones(spectrum)
         for row in range(0, len(bands), ROWS):
-            shape, at = (min(ROWS, len(bands) - row), len(taper)), low + row * apart
-            parts = np.ndarray(shape, np.float32, buffer=spectrum, offset=8 * at, strides=(8 * apart, 4))
-            np.multiply(parts, taper, out=slices[: shape[0], : shape[1]])
-            slices[:, shape[1] :] = 0.0
+            count, width, at = min(ROWS, len(bands) - row), len(taper), low + row * apart
+            parts = np.ndarray((count, width), np.float32, buffer=spectrum, offset=8 * at, strides=(8 * apart, 4))
+            np.multiply(parts, taper, out=slices[:count, :width])
+            slices[:, width:] = 0.0
             plan.execute()
-            _gather(waves[: shape[0]], places, weight, squared, row, steps.start)
+            _gather(waves[:count], places, weight, squared, row, steps.start)
     squared /= np.diff(edges).astype(np.float32)
     return Envelopes(squared, n_out * rate_hz / BLOCK_SAMPLES, blocks.unit, blocks.bad)
 
@@ -200,16 +210,6 @@ def _size_from(least: int) -> int:
     return next(size for eighths in (8, 10, 12, 16) if (size := power * eighths // 8) >= least)
 
 
-def _inverse(rows: int, n_out: int) -> Plan:
-    """Plan of this thread for the inverse transforms of ``rows`` of ``n_out`` bins."""
-    plans: dict[tuple[int, int], Plan] = _of_thread.__dict__.setdefault("plans", {})
-    if (rows, n_out) not in plans:
-        if len(plans) >= MOST_PLANS:
-            plans.clear()
-        plans[rows, n_out] = inverse((rows, n_out), np.complex64)
-    return plans[rows, n_out]
-
-
 def _centred(piece: NDArray[np.floating]) -> tuple[NDArray[np.floating], Ints]:
     """``piece`` without its mean, zero where it has no number, and the first and last sample that each gap reaches.
 
@@ -224,12 +224,6 @@ def _centred(piece: NDArray[np.floating]) -> tuple[NDArray[np.floating], Ints]:
     jumps = np.flatnonzero(np.diff(np.concatenate([[True], good, [True]]).astype(np.int8)))
     reach = jumps.reshape(-1, 2) + np.array([-GUARD_SAMPLES, GUARD_SAMPLES])
     return np.where(good, piece - piece.dtype.type(middle), piece.dtype.type(0.0)), reach
-
-
-def _scale_of(block: NDArray[np.floating]) -> float:
-    """Power of two that brings ``block`` to about 1; 0 where it is all zero."""
-    size = float(np.abs(block).max(initial=0.0))
-    return 0.0 if size == 0.0 else float(2.0 ** -np.round(np.log2(size)))
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")

@@ -11,8 +11,8 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from crankorder.orders.envelope_band import Band, middles
-from crankorder.quantities import Bools, Floats, Ints, Variables
+from crankorder.orders.envelope_band import Bands, middles
+from crankorder.quantities import Bools, Floats, Ints, Variables, described
 
 FLOOR_ORDERS = 1.0
 """Width in orders of the pieces of a spectrum whose medians are the floor: wide against any line and its skirts."""
@@ -95,8 +95,12 @@ def free_orders(order: Floats, revs: int, revs_per_cycle: int) -> Bools:
 
     ``revs`` of a frame, whose inverse is the resolution; ``revs_per_cycle`` of the engine, one or two.
     """
-    beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
-    return np.asarray((beside > LOCKED_BINS / revs) & (order > LOWEST_ORDER))
+    return (_off_cycle(order, revs_per_cycle) > LOCKED_BINS / revs) & (order > LOWEST_ORDER)
+
+
+def _off_cycle(order: Floats, revs_per_cycle: int) -> Floats:
+    """Distance of each ``order`` from the nearest multiple of the cycle's."""
+    return np.asarray(np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle)
 
 
 def off_mains(order: Floats, *, speed_hz: float, cell: float) -> Bools:
@@ -114,8 +118,7 @@ def free_of_others(order: Floats, *, revs_per_cycle: int, speed_hz: float, cell:
 
     ``revs_per_cycle`` of the engine, one or two; ``speed_hz``: turns a second; ``cell``: resolution in orders.
     """
-    beside = np.abs(order * revs_per_cycle - np.round(order * revs_per_cycle)) / revs_per_cycle
-    return (beside > CYCLE_CELLS * cell) & off_mains(order, speed_hz=speed_hz, cell=cell)
+    return (_off_cycle(order, revs_per_cycle) > CYCLE_CELLS * cell) & off_mains(order, speed_hz=speed_hz, cell=cell)
 
 
 def floor_worth(step: float, cell: float) -> float:
@@ -168,8 +171,11 @@ class Comb(NamedTuple):
         return np.arange(self.low, self.high + 0.5 * step / TRIALS_PER_BIN, step / TRIALS_PER_BIN)
 
 
+Combs = tuple[Comb, ...]
+
+
 @lru_cache(maxsize=64)
-def looked_at(combs: tuple[Comb, ...], *, step: float, n_orders: int) -> Ints:
+def looked_at(combs: Combs, *, step: float, n_orders: int) -> Ints:
     """Bins (looks,) of a spectrum of ``n_orders`` bins ``step`` apart that tell whether one of ``combs`` is there.
 
     They are those of its harmonics, one more than are taken together, of their sidebands, of what a slow comb (a cage)
@@ -179,12 +185,8 @@ def looked_at(combs: tuple[Comb, ...], *, step: float, n_orders: int) -> Ints:
     slow = [end for comb in combs if comb.is_slow for end in (comb.low, comb.high)]
     for comb in combs:
         beside = {0.0, comb.spacing, *(slow if not comb.is_slow else ())}
-        spans = [
-            (n * comb.low + side, n * comb.high + side)
-            for n in range(1, comb.teeth + 2)
-            for away in beside
-            for side in (-away, away)
-        ]
+        sides, teeth = [side for away in beside for side in (-away, away)], range(1, comb.teeth + 2)
+        spans = [(n * comb.low + side, n * comb.high + side) for n in teeth for side in sides]
         if 0.0 < comb.spacing < SLOW_ORDER:
             half = 0.5 * comb.spacing
             spans += [((n - 0.5) * comb.low - half, (n - 0.5) * comb.high + half) for n in range(1, comb.teeth + 1)]
@@ -257,8 +259,8 @@ def comb_nats(nats: Floats, bins: Ints, comb: Comb, *, step: float, free: Bools)
         total = own[:, :, :n_sides].sum(axis=2).cumsum(axis=1)[:, kept]
         lines = counts[:, :n_sides].sum(axis=1).cumsum(axis=0)[kept]
         shown.append(np.where((lines >= LEAST_TEETH) & first, _fisher(total, lines), 0.0))
-    best = np.max([one.max(axis=1) for one in shown], axis=0)
-    made: Floats = np.maximum(best - math.log(sum(one.shape[1] for one in shown)), 0.0)
+    best = np.max([nats_of_set.max(axis=1) for nats_of_set in shown], axis=0)
+    made: Floats = np.maximum(best - math.log(sum(nats_of_set.shape[1] for nats_of_set in shown)), 0.0)
     return made
 
 
@@ -285,9 +287,7 @@ def over_skirts(ratio: NDArray[np.floating]) -> Floats:
     return made
 
 
-def looks_of(
-    combs: tuple[Comb, ...], bands: tuple[Band, ...], *, order: Floats, looks: NDArray[np.float32]
-) -> Variables:
+def looks_of(combs: Combs, bands: Bands, *, order: Floats, looks: NDArray[np.float32]) -> Variables:
     """Variables of a RecordingEnvelope: what each of ``bands`` shows where lines of ``combs`` may be.
 
     ``looks`` (channel, 3, bands, looks): the power over the skirts of other lines, that over the local floor, and the
@@ -305,13 +305,13 @@ def looks_of(
     return made
 
 
-def comb_variables(combs: tuple[Comb, ...]) -> Variables:
+def comb_variables(combs: Combs) -> Variables:
     """``combs`` as variables of a dataset."""
     columns = np.array(combs, dtype=np.float64).reshape(-1, len(Comb._fields)).T
     return {f"comb_{name}": (("comb",), column, _OF_COMB) for name, column in zip(Comb._fields, columns, strict=True)}
 
 
-def combs_in(dataset: xr.Dataset) -> tuple[Comb, ...]:
+def combs_in(dataset: xr.Dataset) -> Combs:
     """Combs that ``dataset`` holds; none where it has none."""
     if "comb_low" not in dataset:
         return ()
@@ -327,30 +327,23 @@ def joined_looks(groups: list[list[xr.Dataset]]) -> Variables:
     """
     items = [item for group in groups for item in group]
     combs = combs_in(items[0])
-    if not combs or any(not _alike(item, items[0]) for item in items):
+    if not combs or any(combs_in(item) != combs for item in items):
+        return {}
+    looks = [item.variables["look"].values for item in items]
+    if not all(np.array_equal(own, looks[0]) for own in looks):
         return {}
     like = max(items, key=lambda item: item.sizes["band"])
     kept = np.stack([_averaged(group, like) for group in groups], axis=2)
     chosen = _bands_of(kept[0], groups, combs, items[0])
-    made = comb_variables(combs) | {
-        "look": (("look",), items[0].variables["look"].values, dict(items[0]["look"].attrs))
-    }
+    variables = comb_variables(combs) | {"look": (("look",), looks[0], dict(items[0]["look"].attrs))}
     for number, (name, units) in enumerate(_UNITS.items()):
         values = np.stack([kept[number][:, :, at] for at in chosen])
-        made[f"comb_{name}"] = (("comb", "channel", "speed", "look"), values, {"units": units})
+        variables[f"comb_{name}"] = (("comb", "channel", "speed", "look"), values, {"units": units})
     for end in ("low", "high"):
-        edges = np.array(
-            [group[0].variables[f"look_band_{end}"].values[0, _nearest(group[0], like)] for group in groups]
-        )
-        about = {"units": "Hz", "long_name": f"{end} end of the band"}
-        made[f"comb_band_{end}"] = (("comb", "speed"), edges[:, chosen].T, about)
-    return made
-
-
-def _alike(item: xr.Dataset, other: xr.Dataset) -> bool:
-    return combs_in(item) == combs_in(other) and np.array_equal(
-        item.variables["look"].values, other.variables["look"].values
-    )
+        places = [(group[0].variables[f"look_band_{end}"].values[0], _nearest(group[0], like)) for group in groups]
+        edges = np.array([of_group[near] for of_group, near in places])[:, chosen].T
+        variables[f"comb_band_{end}"] = described(("comb", "speed"), edges, "Hz", f"{end} end of the band")
+    return variables
 
 
 def _nearest(item: xr.Dataset, like: xr.Dataset) -> Ints:
@@ -373,24 +366,17 @@ def _averaged(group: list[xr.Dataset], like: xr.Dataset) -> NDArray[np.float32]:
     return np.asarray(made / total)
 
 
-def _bands_of(
-    ratio: NDArray[np.float32], groups: list[list[xr.Dataset]], combs: tuple[Comb, ...], first: xr.Dataset
-) -> list[int]:
+def _bands_of(ratio: NDArray[np.float32], groups: list[list[xr.Dataset]], combs: Combs, first: xr.Dataset) -> list[int]:
     """For each comb the band of ``ratio`` (channel, speed, band, look) that serves it best: in a spectrum or in all."""
     order = first.variables["order"].values
     step, bins = float(order[1]), np.round(first.variables["look"].values / order[1]).astype(np.int64)
-    count = np.array(
-        [sum(np.nan_to_num(item.variables["n_independent"].values[:, 0]) for item in group) for group in groups]
-    ).T
+    worth_of = [[np.nan_to_num(item.variables["n_independent"].values[:, 0]) for item in group] for group in groups]
+    count = np.array([sum(of_group) for of_group in worth_of]).T
     revs = [min(int(item.variables["revs_per_frame"].values[0]) for item in group) for group in groups]
     speed_hz = [float(np.mean([item.variables["speed"].values[0] for item in group])) / 60.0 for group in groups]
     cycle = int(first.attrs["revs_per_cycle"])
-    free = np.array(
-        [
-            free_of_others(order, revs_per_cycle=cycle, speed_hz=hz, cell=1.0 / each)
-            for hz, each in zip(speed_hz, revs, strict=True)
-        ]
-    )
+    cells = zip(speed_hz, revs, strict=True)
+    free = np.array([free_of_others(order, revs_per_cycle=cycle, speed_hz=hz, cell=1.0 / each) for hz, each in cells])
     best = np.zeros((len(combs), ratio.shape[2]))
     several = np.log(max(count.size, 1))
     if count.size > 1:
@@ -411,14 +397,7 @@ def _bands_of(
 
 
 def served(
-    ratio: NDArray[np.floating],
-    combs: tuple[Comb, ...],
-    bins: Ints,
-    *,
-    step: float,
-    count: Floats,
-    worth: float,
-    free: Bools,
+    ratio: NDArray[np.floating], combs: Combs, bins: Ints, *, step: float, count: Floats, worth: float, free: Bools
 ) -> Floats:
     """Nats (combs, rows, bands) of the best trial of each of ``combs`` in each of ``ratio`` (rows, bands, looks).
 
@@ -429,11 +408,7 @@ def served(
     worth : independent bins that its floor is worth
     free : (orders,), bins off the multiples of the cycle's order and of mains
     """
-    nats = np.concatenate(
-        [
-            look_nats(row, bins, count=float(own), floor_worth=worth, free=free[bins])
-            for row, own in zip(ratio, count, strict=True)
-        ]
-    )
+    rows = zip(ratio, count.tolist(), strict=True)
+    nats = np.concatenate([look_nats(row, bins, count=own, floor_worth=worth, free=free[bins]) for row, own in rows])
     best = [comb_nats(nats, bins, comb, step=step, free=free[bins]).max(axis=1, initial=0.0) for comb in combs]
     return np.array(best).reshape(len(combs), *ratio.shape[:2])

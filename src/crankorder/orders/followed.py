@@ -11,13 +11,14 @@ import xarray as xr
 
 from crankorder.errors import InputError
 from crankorder.fft.decimation import sound_samples
-from crankorder.orders.averages import POLES, Readings, by_energy, by_phase, coherent_mean
+from crankorder.fft.transforms import counted
+from crankorder.orders.averages import POLES, SCALED, TRACKED, Readings, by_energy, by_phase, coherent_mean
 from crankorder.orders.intervals import phases_compare
 from crankorder.orders.method import frame_layout, is_by_angle
 from crankorder.orders.swept_tracks import beyond_remark, filtered_tracks, not_tracked_flags, swept_tracks
 from crankorder.orders.vold_kalman.bandwidth import level_dof
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, vold_kalman
-from crankorder.quantities import Bools, Floats, Ints, QualityFlag, flags_of, with_flags
+from crankorder.quantities import Floats, Ints, described, flags_of, remark, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import SpeedCourse, angle_at, knots_of, smoothed_speed, speed_course, time_at
 
@@ -28,9 +29,7 @@ SAME_ORDER = 1e-9
 """Orders closer than this are one."""
 
 
-_SCALED = ("amplitude", "standard_error", "amplitude_low", "amplitude_high")
-
-_PUT = (*_SCALED, "phase", "degrees_of_freedom", "phase_ci95")
+_OF_ORDER = ("amplitude", "standard_error", "degrees_of_freedom")
 
 
 def followed_tracks(
@@ -87,9 +86,8 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
     orders = np.asarray(_once(settings.track_orders), dtype=np.float64)
     carried = np.flatnonzero(orders * float(speed[part].max()) / 60.0 < 0.5 * rate)
     angle, speed = angle[part], speed[part]
-    width = settings.track_bandwidth * (
-        speed / 60.0 if settings.track_bandwidth_unit == "order" else np.ones(len(speed))
-    )
+    unit_hz = speed / 60.0 if settings.track_bandwidth_unit == "order" else np.ones(len(speed))
+    width = settings.track_bandwidth * unit_hz
     signals = band["signal"].values[:, part]
     usable = sound_samples(band)[:, part]
     enough = np.flatnonzero(usable.sum(axis=1) >= FEWEST_SAMPLES)
@@ -99,7 +97,7 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
     amplitude, error = np.full(shape, np.nan, dtype=complex), np.full(shape, np.nan)
     notes: tuple[str, ...] = ()
     if len(carried) and len(enough):
-        found = vold_kalman(
+        filtered = vold_kalman(
             signals[enough],
             orders[carried, None] * angle,
             rate_hz=rate,
@@ -109,9 +107,10 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
             names=[f"order {order:g}" for order in orders[carried]],
         )
         at = np.ix_(enough, carried)
-        amplitude[at], error[at] = found.amplitude[..., middle], found.standard_error[..., middle]
-        notes = found.notes
-    seen = _mostly_usable(usable, angle, layout.begin_rev, layout.revs)[:, None]
+        amplitude[at], error[at] = filtered.amplitude[..., middle], filtered.error_at(middle)
+        notes = filtered.notes
+    first, last = (np.searchsorted(angle, edge) for edge in (layout.begin_rev, layout.begin_rev + layout.revs))
+    seen = (counted(usable, first, last) >= LEAST_USABLE * (last - first))[:, None]
     amplitude, error = np.where(seen, amplitude, np.nan), np.where(seen, error, np.nan)
     freedom = level_dof(float(width.mean()) * len(width) / rate)
     tracks = filtered_tracks(band, shaft, orders, amplitude, error, freedom=freedom)
@@ -119,22 +118,18 @@ def vold_kalman_tracks(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSe
         speed_rpm = speed[middle]
     else:
         speed_rpm = smoothed_speed(shaft, time_at(middle_rev, **knots_of(shaft)), 1.0 / width[middle])
-    for name, given, units, said in (
+    for name, given, units, text in (
         ("speed", speed_rpm, "min-1", "speed in the middle of the frame"),
         ("crank_angle", layout.begin_rev, "rev", "crank angle at the start"),
         ("revs", np.full(len(middle), float(layout.revs)), "rev", "length of the frame"),
         ("bandwidth_rev", width[middle] * 60.0 / speed_rpm, "rev-1", "bandwidth of the filter"),
     ):
-        tracks.coords[name] = ("frame", given, {"units": units, "long_name": said})
-    beyond, some_short = np.delete(orders, carried), len(enough) < len(signals)
-    return with_flags(tracks, [*flags_of(shaft), *_flags(str(band.attrs["recording"]), notes, beyond, some_short)])
-
-
-def _mostly_usable(usable: Bools, angle_rev: Floats, begin_rev: Floats, revs: int) -> Bools:
-    """Whether most samples of each frame (channels, frames) of ``revs`` are ``usable`` (channels, samples)."""
-    total = np.concatenate([np.zeros((len(usable), 1), dtype=np.int64), np.cumsum(usable, axis=1)], axis=1)
-    first, last = (np.searchsorted(angle_rev, edge) for edge in (begin_rev, begin_rev + revs))
-    return np.asarray(total[:, last] - total[:, first] >= LEAST_USABLE * (last - first))
+        tracks.coords[name] = described("frame", given, units, text)
+    recording, remarks = str(band.attrs["recording"]), [beyond_remark(order) for order in np.delete(orders, carried)]
+    if len(enough) < len(signals):
+        remarks.append(f"a channel has fewer than {FEWEST_SAMPLES} usable samples: its orders are not tracked")
+    flags = [remark(recording, "vold_kalman", note) for note in notes] + not_tracked_flags(recording, remarks)
+    return with_flags(tracks, [*flags_of(shaft), *flags])
 
 
 def _of_samples(band: xr.Dataset, shaft: xr.Dataset, course: SpeedCourse | None) -> tuple[float, Floats, Floats]:
@@ -159,16 +154,6 @@ def _of_samples(band: xr.Dataset, shaft: xr.Dataset, course: SpeedCourse | None)
     return rate, angle, np.interp(time_s, course.time_s, course.speed_rpm)
 
 
-def _flags(recording: str, notes: tuple[str, ...], beyond: Floats, some_short: bool) -> list[QualityFlag]:
-    remarks = [beyond_remark(order) for order in beyond]
-    if some_short:
-        remarks.append(f"a channel has fewer than {FEWEST_SAMPLES} usable samples: its orders are not tracked")
-    said: list[QualityFlag] = [
-        {"recording": recording, "flag": "vold_kalman", "severity": "info", "detail": note} for note in notes
-    ]
-    return said + not_tracked_flags(recording, remarks)
-
-
 def with_followed(tracks: xr.Dataset, followed: list[xr.Dataset]) -> xr.Dataset:
     """OrderTracks ``tracks`` (changed in place) whose orders that ``followed`` hold are theirs.
 
@@ -182,12 +167,18 @@ def with_followed(tracks: xr.Dataset, followed: list[xr.Dataset]) -> xr.Dataset:
         return tracks
     method = tracks["track_method"].values.copy()
     groups = _frames_of_speeds(tracks, items)
+    owner = np.repeat(np.arange(len(items)), [item.sizes["frame"] for item in items])
+    names = ("revs", "crank_angle", "bandwidth_rev")
+    revs, begin, per_rev = (np.concatenate([item[name].values for item in items]) for name in names)
     for row, order in enumerate(tracks["order"].values):
         place = np.flatnonzero(np.abs(items[0]["order"].values - order) < SAME_ORDER)
         if not len(place):
             continue
         method[row] = items[0].attrs["track_method"]
-        readings = _readings(items, int(place[0]))
+        values, errors, dof = (
+            np.concatenate([item[name].values[:, place[0]] for item in items], axis=1) for name in _OF_ORDER
+        )
+        readings = Readings(values, errors, dof, revs, owner, begin, per_rev)
         comparable = bool(phases_compare(items, np.array([order]))[0])
         for speed, group in enumerate(groups):
             _put_speed(tracks, row, speed, readings.of(group), comparable=comparable)
@@ -198,17 +189,6 @@ def with_followed(tracks: xr.Dataset, followed: list[xr.Dataset]) -> xr.Dataset:
             known.append(flag)
     tracks.attrs.pop("quality", None)
     return with_flags(tracks, known)
-
-
-def _readings(items: list[xr.Dataset], place: int) -> Readings:
-    """Frames of the order number ``place`` of all ``items``."""
-    names = ("amplitude", "standard_error", "degrees_of_freedom")
-    values, errors, dof = (np.concatenate([item[name].values[:, place] for item in items], axis=1) for name in names)
-    revs, begin, per_rev = (
-        np.concatenate([item[name].values for item in items]) for name in ("revs", "crank_angle", "bandwidth_rev")
-    )
-    owner = np.repeat(np.arange(len(items)), [item.sizes["frame"] for item in items])
-    return Readings(values, errors, dof, revs, owner, begin, per_rev)
 
 
 def _frames_of_speeds(tracks: xr.Dataset, items: list[xr.Dataset]) -> list[Ints]:
@@ -236,7 +216,7 @@ def _frames_of_speeds(tracks: xr.Dataset, items: list[xr.Dataset]) -> list[Ints]
 
 def _put_speed(tracks: xr.Dataset, row: int, speed: int, readings: Readings, *, comparable: bool) -> None:
     """Put the average of ``readings`` into the ``row`` and ``speed`` of ``tracks``; NaN for channels without."""
-    for name in _PUT:
+    for name in TRACKED:
         tracks[name].values[:, row, speed] = 0.0 if name == "degrees_of_freedom" else np.nan
     seen = np.isfinite(readings.values.real) & np.isfinite(readings.errors)
     if not seen.any():
@@ -246,7 +226,7 @@ def _put_speed(tracks: xr.Dataset, row: int, speed: int, readings: Readings, *, 
         if not pattern.any():
             continue
         channels = np.flatnonzero(which.ravel() == number)
-        part = readings.of(np.flatnonzero(pattern)).channels(channels)
+        part = readings.of(np.flatnonzero(pattern), channels)
         largest = np.maximum(np.abs(part.values.real), np.abs(part.values.imag)).max(axis=1)
         unit = np.ldexp(1.0, np.frexp(np.where(largest > 0.0, largest, 1.0))[1] - 1)
         part = replace(part, values=part.values / unit[:, None], errors=part.errors / unit[:, None])
@@ -256,5 +236,5 @@ def _put_speed(tracks: xr.Dataset, row: int, speed: int, readings: Readings, *, 
         else:
             made = by_energy([coherent_mean(part.of(np.flatnonzero(part.owner == name))) for name in names])
         for name, values in made.items():
-            scale = unit if name in _SCALED else 1.0
+            scale = unit if name in SCALED else 1.0
             tracks[name].values[channels, row, speed] = scale * values

@@ -21,7 +21,17 @@ from crankorder.orders.method import (
 )
 from crankorder.orders.spectra import DENSER, achieved_error, spectra, spectra_by_angle
 from crankorder.orders.true_angle import stated_errors
-from crankorder.quantities import Complexes, Floats, QualityFlag, channel_coords, flags_of, unindexed, with_flags
+from crankorder.quantities import (
+    Complexes,
+    Floats,
+    QualityFlag,
+    channel_coords,
+    described,
+    flags_of,
+    remark,
+    unindexed,
+    with_flags,
+)
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import SpeedCourse, knots_of, speed_at_angle, speed_course, time_at
 
@@ -90,7 +100,7 @@ def order_frames(band: xr.Dataset, shaft: xr.Dataset, *, settings: OrderSettings
         raise _no_whole_frame(band, layout, speed)
     order = np.arange(spectrum.shape[2]) / layout.revs
     spectrum[:, order[None, :] > limit[:, None] * (1.0 + 1e-9)] = np.nan
-    frames = _dataset(band, shaft, layout, spectrum, order, speed, density=density)
+    frames = _dataset(band, shaft, layout, spectrum, speed, density)
     frames.attrs |= {
         "largest_sweep": _largest_sweep(shaft, layout, speed),
         "swept": int(swept),
@@ -121,11 +131,10 @@ def _no_whole_frame(band: xr.Dataset, layout: FrameLayout, speed_rpm: Floats) ->
 def _no_orders(band: xr.Dataset, shaft: xr.Dataset, settings: OrderSettings) -> xr.Dataset:
     """OrderFrames of a recording without a shaft: one frame in which nothing is known."""
     layout = FrameLayout(OrderMethod("no shaft", 0.0, 0, 0.0), settings.revs_per_frame, 1, np.zeros(1))
-    order = np.arange(math.floor(settings.max_order * layout.revs) + 1) / layout.revs
-    spectrum = np.full((band.sizes["channel"], 1, len(order)), np.nan, dtype=np.complex128)
-    frames = _dataset(band, shaft, layout, spectrum, order, np.full(1, np.nan))
-    known = {"largest_sweep": 0.0, "tolerance": settings.tolerance, "predicted_error": 0.0, "achieved_error": 0.0}
-    frames.attrs |= known
+    shape = (band.sizes["channel"], 1, math.floor(settings.max_order * layout.revs) + 1)
+    frames = _dataset(band, shaft, layout, np.full(shape, np.nan, dtype=np.complex128), np.full(1, np.nan))
+    errors = {"largest_sweep": 0.0, "tolerance": settings.tolerance, "predicted_error": 0.0, "achieved_error": 0.0}
+    frames.attrs |= errors
     return with_flags(frames, flags_of(shaft))
 
 
@@ -151,18 +160,11 @@ def _largest_sweep(shaft: xr.Dataset, layout: FrameLayout, speed_rpm: Floats) ->
 
 
 def _dataset(
-    band: xr.Dataset,
-    shaft: xr.Dataset,
-    layout: FrameLayout,
-    spectrum: Complexes,
-    order: Floats,
-    speed: Floats,
-    *,
-    density: int = 1,
+    band: xr.Dataset, shaft: xr.Dataset, layout: FrameLayout, spectrum: Complexes, speed: Floats, density: int = 1
 ) -> xr.Dataset:
     """OrderFrames with the attributes that all recordings have; phases and frames are those of ``layout``."""
     kept = {key: band.attrs[key] for key in ("recording", "history", "quality", "samples_per_rev") if key in band.attrs}
-    kernel = layout.method.kernel
+    kernel, order = layout.method.kernel, np.arange(spectrum.shape[2]) / layout.revs
     dense = f", {density} times as dense" if density > 1 else ""
     window = hann(layout.revs * 16)  # a Hann window's noise bandwidth is that of any length
     attrs = {
@@ -176,14 +178,14 @@ def _dataset(
         "overlap": 1.0 - layout.hop_rev / layout.revs,
         "method": layout.method.name if kernel is None else f"{layout.method.name} ({kernel.name}{dense})",
     }
-    words = {"units": "see unit", "long_name": "complex peak amplitude by order"}
+    dims, text = ("channel", "frame", "order"), "complex peak amplitude by order"
     return xr.Dataset(
-        {"spectrum": (("channel", "frame", "order"), spectrum, words)},
+        {"spectrum": described(dims, spectrum, "see unit", text)},
         coords=unindexed(
             **channel_coords(band),
             order=("order", order, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
-            speed=("frame", speed, {"units": "min-1", "long_name": "mean speed of the frame"}),
-            crank_angle=("frame", layout.begin_rev, {"units": "rev", "long_name": "crank angle at the start"}),
+            speed=described("frame", speed, "min-1", "mean speed of the frame"),
+            crank_angle=described("frame", layout.begin_rev, "rev", "crank angle at the start"),
         ),
         attrs=kept | attrs,
     )
@@ -193,6 +195,7 @@ def _flags(
     frames: xr.Dataset, layout: FrameLayout, settings: OrderSettings, course: SpeedCourse | None
 ) -> list[QualityFlag]:
     remarks = []
+    recording = str(frames.attrs["recording"])
     cycle = int(frames.attrs["revs_per_cycle"])
     wanted = settings.revs_per_frame // cycle * cycle
     if layout.shortened:
@@ -208,9 +211,8 @@ def _flags(
         detail = f"frames of {layout.revs} instead of {settings.revs_per_frame} revolutions"
         remarks.append(("short_recording", detail))
     if frames.attrs["achieved_error"] > settings.tolerance:
-        detail = (
-            f"{frames.attrs['method']}: {frames.attrs['achieved_error']:.1e} of amplitude, asked {settings.tolerance:g}"
-        )
+        achieved = f"{frames.attrs['achieved_error']:.1e}"
+        detail = f"{frames.attrs['method']}: {achieved} of amplitude, asked {settings.tolerance:g}"
         remarks.append(("tolerance_missed", detail))
     if frames.attrs["largest_sweep"] > SWEPT_SHARE:
         sweep = f"{frames.attrs['largest_sweep']:.0%}"
@@ -219,7 +221,4 @@ def _flags(
             "that; through sharp resonances follow orders by track_method"
         )
         remarks.append(("frames_swept", detail))
-    return [
-        {"recording": frames.attrs["recording"], "flag": name, "severity": "info", "detail": detail}
-        for name, detail in remarks
-    ]
+    return [remark(recording, name, detail) for name, detail in remarks]

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import xarray as xr
 
-from crankorder.orders.averages import median_beside, median_of_known
-from crankorder.quantities import WHICH_IS_RIGHT, Floats, QualityFlag
+from crankorder.orders.averages import cycle_bins, median_beside, median_of_known
+from crankorder.quantities import WHICH_IS_RIGHT, Floats, QualityFlag, remark
 from crankorder.settings import STANDARD_GRAVITY_M_S2
 
 _STAYS = 0.25
@@ -55,8 +55,6 @@ _UNIT_FACTORS = (
 _UNIT_NEAR = 0.05
 """Share by which a factor may lie off that of two units, and channels off each other."""
 
-_EVIDENCE = ("blocks", "lines")
-
 _ENDS = ((0, (1, 2)), (-1, (-2, -3)))
 """Places of the slowest and the fastest recording, and of the two next to each."""
 
@@ -89,34 +87,30 @@ def gain_steps(speed_rpm: Floats, blocks: Floats, lines: Floats, *, ratio: float
         rest[step, channel] = False
     sigma = max(_LEAST_SIGMA, _MAD_TO_SIGMA * float(np.median(np.abs(whole[rest])))) if rest.any() else np.inf
     moved = {step for step, _ in candidates}
-    told = {at: _told_by_orders(lines, *at, whole[at], moved) for at in candidates}
+    shown = {at: _shown_by_orders(lines, *at, whole[at], moved) for at in candidates}
     proven = [
         GainStep(channel, step + 1, float(whole[step, channel]))
         for step, channel in candidates
         if abs(whole[step, channel]) > _SIGMAS * sigma
         and _is_common(moves[step, channel], whole[step, channel])
         and _others_stay(whole, step, channel)
-        and sum(told.get(at, 0.0) for at in _there_and_back(whole, step, channel)) > math.log(_ODDS)
+        and sum(shown.get(at, 0.0) for at in _there_and_back(whole, step, channel)) > math.log(_ODDS)
     ]
-    return [one for one in proven if _stays_elsewhere(whole, one, proven)]
+    return [step for step in proven if _stays_elsewhere(whole, step, proven)]
 
 
 def line_sizes(frames: xr.Dataset | None, names: list[str]) -> dict[str, Floats]:
     """Amplitudes in ``frames`` of the cycle's orders in the channels ``names``, by name; NaN where none stands out."""
     if frames is None or "spectrum" not in frames or frames.sizes["order"] <= 2 * _HALF:
         return {}
-    order = frames["order"].values
-    per_order = 1.0 / float(order[1] - order[0])
-    step = 1.0 / int(frames.attrs["revs_per_cycle"])
-    at = np.rint(np.arange(1.0, np.floor(order[-1] / step) + 1.0) * step * per_order).astype(np.int64)
-    made = {}
+    at, sizes = cycle_bins(frames), {}
     for name, spectrum in zip(frames["channel"].values.tolist(), frames["spectrum"].values, strict=True):
         power = np.abs(spectrum) ** 2
         known = np.isfinite(power)
         mean = np.where(known, power, 0.0).sum(axis=0) / np.maximum(1, known.sum(axis=0))
         stands = mean[at] > _STANDS * median_beside(mean, _HALF)[at]
-        made[name] = np.where(stands, np.sqrt(mean[at]), np.nan)
-    return {name: made[name] for name in names if name in made}
+        sizes[name] = np.where(stands, np.sqrt(mean[at]), np.nan)
+    return {name: sizes[name] for name in names if name in sizes}
 
 
 def left_out(steps: Sequence[GainStep], n_recordings: int, channel: int) -> tuple[dict[int, float], bool]:
@@ -126,12 +120,12 @@ def left_out(steps: Sequence[GainStep], n_recordings: int, channel: int) -> tupl
     its two was meant, unless one recording alone has the other.
     """
     level = np.zeros(n_recordings)
-    own = sorted((one for one in steps if one.channel == channel), key=lambda one: one.after)
-    for one in own:
-        level[one.after :] += one.log
+    own = sorted((step for step in steps if step.channel == channel), key=lambda step: step.after)
     if not own:
         return {}, False
-    near = 0.5 * min(abs(one.log) for one in own)
+    for step in own:
+        level[step.after :] += step.log
+    near = 0.5 * min(abs(step.log) for step in own)
     count = [int(np.count_nonzero(np.abs(level - here) < near)) for here in level]
     most = int(np.argmax(count))
     alike = np.abs(level - level[most]) < near
@@ -170,25 +164,21 @@ def _others_stay(whole: Floats, step: int, channel: int) -> bool:
     return bool(np.abs(np.delete(whole[step], channel)).max() <= _STAYS * abs(whole[step, channel]))
 
 
-def _stays_elsewhere(whole: Floats, one: GainStep, proven: Sequence[GainStep]) -> bool:
+def _stays_elsewhere(whole: Floats, gain: GainStep, proven: Sequence[GainStep]) -> bool:
     """Whether the channel's floor stays between all other recordings, but for other proven jumps: none creeps."""
-    own = {other.after - 1 for other in proven if other.channel == one.channel}
-    rest = [whole[step, one.channel] for step in range(len(whole)) if step not in own]
-    return not rest or bool(np.nanmax(np.abs(rest)) <= _STAYS * abs(one.log))
+    own = {other.after - 1 for other in proven if other.channel == gain.channel}
+    rest = [whole[step, gain.channel] for step in range(len(whole)) if step not in own]
+    return not rest or bool(np.nanmax(np.abs(rest)) <= _STAYS * abs(gain.log))
 
 
 def _there_and_back(whole: Floats, step: int, channel: int) -> list[tuple[int, int]]:
     """The ``step``, and that beside in which the floor moves back: where the gain of one recording is another."""
-    back = [
-        beside
-        for beside in (step - 1, step + 1)
-        if 0 <= beside < len(whole)
-        and abs(whole[beside, channel] + whole[step, channel]) <= _STAYS * abs(whole[step, channel])
-    ]
-    return [(step, channel), *((beside, channel) for beside in back if len(back) == 1)]
+    jump, beside = whole[step, channel], [at for at in (step - 1, step + 1) if 0 <= at < len(whole)]
+    back = [(at, channel) for at in beside if abs(whole[at, channel] + jump) <= _STAYS * abs(jump)]
+    return [(step, channel), *(back if len(back) == 1 else [])]
 
 
-def _told_by_orders(lines: Floats, step: int, channel: int, jump: float, moved: set[int]) -> float:
+def _shown_by_orders(lines: Floats, step: int, channel: int, jump: float, moved: set[int]) -> float:
     """Logarithm of how much better the orders of ``channel`` at a ``step`` fit the ``jump`` than none.
 
     How orders move beside those of other channels is told by the steps without jumps (not ``moved``), and by how these
@@ -236,24 +226,29 @@ def level_jumps(levels: Sequence[RecordedLevel], *, ratio: float, proven_ratio: 
     The other channels (one at least) must stay. Where no majority of the recordings at like speed agrees, nor those
     next in speed, nobody knows which is wrong: all are named.
     """
-    found: dict[tuple[str, str], QualityFlag] = {}
-    steady = sorted((one for one in levels if one.is_steady), key=lambda one: one.speed_rpm)
+    flags: dict[tuple[str, str], QualityFlag] = {}
+    steady = sorted((level for level in levels if level.is_steady), key=lambda level: level.speed_rpm)
     by_floor = {(flag["recording"], flag["channel"]): flag for flag in _floor_jumps(steady, ratio=ratio)}
     for group in _groups(steady):
-        names = [name for name in group[0].rms if all(one.rms.get(name, 0.0) > 0.0 for one in group)]
+        names = [name for name in group[0].rms if all(level.rms.get(name, 0.0) > 0.0 for level in group)]
         if len(names) < 2 or len(group) < 2:
             continue
-        logs = np.log([[one.rms[name] for name in names] for one in group])
+        logs = np.log([[level.rms[name] for name in names] for level in group])
+        # off the lower of two middle ones: between two halves that differ nothing lies
+        apart = logs - np.sort(logs, axis=0)[(len(logs) - 1) // 2]
+        jumping = [
+            (row, at) for row, at in np.argwhere(np.abs(apart) > math.log(ratio)) if _others_stay(apart, row, at)
+        ]
         for column, name in enumerate(names):
-            rows = {row: jump for row, at, jump in _outliers(logs, math.log(ratio)) if at == column}
-            beside = [row for row, one in enumerate(group) if (one.recording, name) in by_floor]
+            rows = {int(row): float(apart[row, at]) for row, at in jumping if at == column}
+            beside = [row for row, level in enumerate(group) if (level.recording, name) in by_floor]
             for row, jump, undecided in _wrong_of(rows, beside, len(group)):
-                one = group[row]
                 what = f"its level is {math.exp(jump):.3g} times that of the other recordings"
-                what += f" at {np.mean(one.speed_rpm):.4g} rpm{_unit_doubt(math.exp(jump))}"
-                found[one.recording, name] = _flag(one.recording, name, what, undecided=undecided)
+                what += f" at {np.mean(group[row].speed_rpm):.4g} rpm{_unit_doubt(math.exp(jump))}"
+                recording = group[row].recording
+                flags[recording, name] = _flag(recording, name, what, undecided=undecided)
     proven = _proven(steady, ratio=proven_ratio)
-    return [*(proven | by_floor | found).values(), *_unit_jumps(steady)]
+    return [*(proven | by_floor | flags).values(), *_unit_jumps(steady)]
 
 
 def _unit_doubt(factor: float, near: float = 0.0) -> str:
@@ -275,19 +270,20 @@ def _unit_jumps(steady: Sequence[RecordedLevel]) -> list[QualityFlag]:
         stands = np.abs(least).min() > max(3.0 * near, (1.0 - _STAYS) * abs(jump))
         if doubt and stands and float(np.ptp(logs)) < 2.0 * _UNIT_NEAR:
             detail = f"all floors are {math.exp(jump):.3g} times those of the recordings next in speed{doubt}"
-            flags.append(QualityFlag(recording=each.recording, flag="unit_doubt", severity="suspect", detail=detail))
+            flags.append(remark(each.recording, "unit_doubt", detail, "suspect"))
     return flags
 
 
 def _proven(steady: Sequence[RecordedLevel], *, ratio: float) -> dict[tuple[str, str], QualityFlag]:
     """Flags by recording and channel of those of the ``steady`` ones whose floors and orders prove another gain."""
     names = list(steady[0].blocks) if steady else []
-    alike = [one for one in steady if list(one.blocks) == names and list(one.lines) == names]
-    sizes = {(len(one.blocks[name]), len(one.lines[name])) for one in alike for name in names}
+    alike = [level for level in steady if list(level.blocks) == list(level.lines) == names]
+    sizes = {(len(level.blocks[name]), len(level.lines[name])) for level in alike for name in names}
     if len(names) < 2 or len(sizes) != 1:
         return {}
-    speed = np.array([np.mean(one.speed_rpm) for one in alike])
-    blocks, lines = (np.array([[getattr(one, key)[name] for name in names] for one in alike]) for key in _EVIDENCE)
+    speed = np.array([np.mean(level.speed_rpm) for level in alike])
+    blocks = np.array([[level.blocks[name] for name in names] for level in alike])
+    lines = np.array([[level.lines[name] for name in names] for level in alike])
     steps = gain_steps(speed, blocks, lines, ratio=ratio)
     flags = {}
     for column, name in enumerate(names):
@@ -307,14 +303,14 @@ def _wrong_of(rows: dict[int, float], beside: list[int], count: int) -> list[tup
     if 2 * len(rows) < count:
         return [(row, jump, False) for row, jump in rows.items()]
     back = -float(np.mean(list(rows.values())))
-    told = 0 < 2 * len(beside) <= count
-    return [(row, rows.get(row, back), not told) for row in (beside if told else range(count))]
+    known = 0 < 2 * len(beside) <= count
+    return [(row, rows.get(row, back), not known) for row in (beside if known else range(count))]
 
 
 def _flag(recording: str, channel: str, what: str, *, undecided: bool = False) -> QualityFlag:
     but = f", and nothing tells {WHICH_IS_RIGHT}" if undecided else ""
     detail = f"channel {channel}: {what}, while the other channels stay: a gain or a range was changed{but}"
-    flag = QualityFlag(recording=recording, flag="level_jump", severity="suspect", detail=detail)
+    flag = remark(recording, "level_jump", detail, "suspect")
     flag["channel"], flag["left_out"] = channel, "channel"
     return flag
 
@@ -342,15 +338,14 @@ def _floors_apart(steady: Sequence[RecordedLevel]) -> tuple[list[str], Floats, F
 
     Logarithms; 0 where the two next in speed do not agree. Last by how much the other recordings scatter about theirs.
     """
-    names = [
-        name for name in (steady[0].floor if steady else ()) if all(one.floor.get(name, 0.0) > 0.0 for one in steady)
-    ]
+    first = steady[0].floor if steady else {}
+    names = [name for name in first if all(level.floor.get(name, 0.0) > 0.0 for level in steady)]
     if not names or len(steady) < 3:
         return names, (none := np.empty((0, len(names)))), none, none
-    logs = np.log([[one.floor[name] for name in names] for one in steady])
+    logs = np.log([[level.floor[name] for name in names] for level in steady])
     below, above = logs[1:-1] - logs[:-2], logs[1:-1] - logs[2:]
     # at either end two neighbours on one side must agree, and what grows from the one to the other must not explain it
-    speed = np.log([np.mean(one.speed_rpm) for one in steady])
+    speed = np.log([np.mean(level.speed_rpm) for level in steady])
     ends = [np.stack([logs[at] - logs[k] for k in near] + [_beyond(logs, speed, at, near)]) for at, near in _ENDS]
     inner = np.stack([below, above, 0.5 * (below + above)])
     parts = np.concatenate([ends[0][:, None], inner, ends[1][:, None]], axis=1)
@@ -358,15 +353,11 @@ def _floors_apart(steady: Sequence[RecordedLevel]) -> tuple[list[str], Floats, F
     for at in (0, -1):
         agree[at] &= np.abs(parts[0, at] - parts[1, at]) < 0.5 * np.abs(parts[:2, at]).max(axis=0)
     least = np.where(agree, np.sign(parts[0]) * np.abs(parts).min(axis=0), 0.0)
-    rest = np.array([_scatter(np.delete(logs, row, axis=0)) for row in range(len(logs))])
+    moves = [np.diff(np.delete(logs, row, axis=0), axis=0) for row in range(len(logs))]
+    # how far floors of the others move from one to the next beyond their growth; of two nothing parts the two
+    beyond = [np.abs(own - (np.median(own, axis=0) if len(own) > 1 else 0.0)) for own in moves]
+    rest = np.array([np.median(own, axis=0) for own in beyond])
     return names, least, np.where(agree, parts[2], 0.0), np.maximum(_LEAST_SIGMA, _MAD_TO_SIGMA * rest)
-
-
-def _scatter(logs: Floats) -> Floats:
-    """Median (channels,) of how far floors (recording, channel) move from one to the next beyond their growth."""
-    moves = np.diff(logs, axis=0)
-    # of two recordings nothing parts scatter and growth
-    return np.asarray(np.median(np.abs(moves - (np.median(moves, axis=0) if len(moves) > 1 else 0.0)), axis=0))
 
 
 def _beyond(logs: Floats, speed: Floats, at: int, near: tuple[int, int]) -> Floats:
@@ -379,16 +370,8 @@ def _beyond(logs: Floats, speed: Floats, at: int, near: tuple[int, int]) -> Floa
 
 def _groups(steady: Sequence[RecordedLevel]) -> list[list[RecordedLevel]]:
     groups: list[list[RecordedLevel]] = []
-    for one in steady:
-        if not groups or one.speed_rpm[1] > groups[-1][0].speed_rpm[0] * (1.0 + _LIKE_SPEED):
+    for level in steady:
+        if not groups or level.speed_rpm[1] > groups[-1][0].speed_rpm[0] * (1.0 + _LIKE_SPEED):
             groups.append([])
-        groups[-1].append(one)
+        groups[-1].append(level)
     return groups
-
-
-def _outliers(logs: Floats, least: float) -> list[tuple[int, int, float]]:
-    """Recording, channel and logarithm of the factor of the ``logs`` (recording, channel) that jump."""
-    # the lower of two middle ones: between two halves that differ nothing lies
-    apart = logs - np.sort(logs, axis=0)[(len(logs) - 1) // 2]
-    jumps = [(int(row), int(column)) for row, column in zip(*np.nonzero(np.abs(apart) > least), strict=True)]
-    return [(row, column, float(apart[row, column])) for row, column in jumps if _others_stay(apart, row, column)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import xarray as xr
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from crankorder.fft.windows import hann
 from crankorder.orders.averages import (
+    Contrasts,
     contrasts,
     helped_by_beside,
     neighbour_correlation,
@@ -20,7 +21,7 @@ from crankorder.orders.averages import (
     steepest_noise_beside,
 )
 from crankorder.orders.intervals import beyond_chance
-from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, Severity, with_flags
+from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, remark, with_flags
 from crankorder.shaft.speed_groups import Indices, held_speeds, speed_groups
 
 LEAST_WINDOW = 0.1
@@ -56,9 +57,7 @@ def common_frames(frames: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], list[
     there, and the remark is "info".
     """
     lengths = [int(item.attrs["revs_per_frame"]) for item in frames]
-    swept = [
-        length for item, length in zip(frames, lengths, strict=True) if item.attrs.get("frame_length_by") == "sweep"
-    ]
+    swept = [int(item.attrs["revs_per_frame"]) for item in frames if item.attrs.get("frame_length_by") == "sweep"]
     common = min(swept) if swept else max(set(lengths), key=lambda length: (lengths.count(length), length))
     used, flags = [], []
     for item, length in zip(frames, lengths, strict=True):
@@ -72,7 +71,9 @@ def common_frames(frames: Sequence[xr.Dataset]) -> tuple[list[xr.Dataset], list[
     for item in used:
         if item.sizes["order"] > fewest:
             ends = f"orders from {item['order'].values[fewest]:g} to {item['order'].values[-1]:g} left out"
-            flags.append(_remark(item, "orders_cut", f"{ends}: another recording of the test ends there"))
+            flags.append(
+                remark(item.attrs["recording"], "orders_cut", f"{ends}: another recording of the test ends there")
+            )
     return [item if item.sizes["order"] == fewest else item.isel(order=slice(fewest)) for item in used], flags
 
 
@@ -81,12 +82,14 @@ def _at_length(item: xr.Dataset, revs: int, *, by_sweep: bool) -> tuple[xr.Datas
     length = int(item.attrs["revs_per_frame"])
     if length > revs and length % revs == 0 and (cut := reframed(item, revs)) is not None:
         why = "the fastest sweep of the test asks for" if by_sweep else "most others have"
-        return cut, _remark(item, "frames_cut", f"frames of {length} revolutions are cut into {revs}, as {why}")
+        return cut, remark(
+            item.attrs["recording"], "frames_cut", f"frames of {length} revolutions are cut into {revs}, as {why}"
+        )
     if not by_sweep and NEARLY <= length / revs <= 1.0 / NEARLY and item.attrs["window"] == "hann":
         detail = f"frames of {length} revolutions are shown on the orders of {revs}, which most others have"
-        return at_orders_of(item, revs), _remark(item, "frames_on_common_orders", detail)
+        return at_orders_of(item, revs), remark(item.attrs["recording"], "frames_on_common_orders", detail)
     detail = f"frames of {length} revolutions where most others have {revs}: left out"
-    return None, _remark(item, "frame_length_differs", detail, "bad")
+    return None, remark(item.attrs["recording"], "frame_length_differs", detail, "bad")
 
 
 def at_orders_of(item: xr.Dataset, revs: int) -> xr.Dataset:
@@ -103,7 +106,7 @@ def at_orders_of(item: xr.Dataset, revs: int) -> xr.Dataset:
     turn = np.exp(-2j * np.pi * (np.outer(np.arange(pieces.shape[2]) / per_rev, order) % 1.0))
     made = (pieces @ turn) * (2.0 / window.sum()) * np.exp(-2j * np.pi * (np.outer(begin, order) % 1.0))
     made[:, order > limit[:, None] + 1e-9] = np.nan
-    return _dataset(item, made, begin, item["speed"].values, revs, overlap=float(item.attrs["overlap"]))
+    return _dataset(item, made, begin, item["speed"].values, revs, float(item.attrs["overlap"]))
 
 
 def reframed(item: xr.Dataset, revs: int) -> xr.Dataset | None:
@@ -126,7 +129,11 @@ def reframed(item: xr.Dataset, revs: int) -> xr.Dataset | None:
         made, angle = _cut(spectrum, begin[run], (length, revs), hop, per_rev, n_orders)
         spectra.append(made)
         starts.append(angle)
-        speeds.append(_speeds_at(angle + 0.5 * revs, begin[run] + 0.5 * length, item["speed"].values[run]))
+        # beyond the ends the speed goes on as there
+        known, speed = begin[run] + 0.5 * length, item["speed"].values[run]
+        at = np.clip(np.searchsorted(known, angle + 0.5 * revs), 1, max(len(known) - 1, 1))
+        slope = (speed[at] - speed[at - 1]) / (known[at] - known[at - 1]) if len(known) > 1 else 0.0
+        speeds.append(speed[at - 1] + slope * (angle + 0.5 * revs - known[at - 1]))
     place = np.concatenate(starts)
     joined = spectra[0] if len(spectra) == 1 else np.concatenate(spectra, axis=1)
     return _dataset(item, joined, place, np.concatenate(speeds), revs) if len(place) else None
@@ -198,23 +205,8 @@ def _cut(
     return made, angle
 
 
-def _speeds_at(middle_rev: Floats, known_rev: Floats, speed_rpm: Floats) -> Floats:
-    """Speeds at ``middle_rev`` from those of longer frames at ``known_rev``; beyond the ends they go on as there."""
-    if len(known_rev) < 2:
-        return np.full(len(middle_rev), speed_rpm[0])
-    at = np.clip(np.searchsorted(known_rev, middle_rev), 1, len(known_rev) - 1)
-    slope = (speed_rpm[at] - speed_rpm[at - 1]) / (known_rev[at] - known_rev[at - 1])
-    return np.asarray(speed_rpm[at - 1] + slope * (middle_rev - known_rev[at - 1]))
-
-
 def _dataset(
-    item: xr.Dataset,
-    spectrum: Complexes,
-    begin_rev: Floats,
-    speed_rpm: Floats,
-    revs: int,
-    *,
-    overlap: float = CUT_OVERLAP,
+    item: xr.Dataset, spectrum: Complexes, begin_rev: Floats, speed_rpm: Floats, revs: int, overlap: float = CUT_OVERLAP
 ) -> xr.Dataset:
     order = np.arange(spectrum.shape[2]) / revs
     made = xr.Dataset(
@@ -228,11 +220,6 @@ def _dataset(
         attrs=item.attrs | {"revs_per_frame": revs, "overlap": overlap},
     )
     return with_flags(made, [])
-
-
-def _remark(item: xr.Dataset, flag: str, detail: str, severity: Severity = "info") -> QualityFlag:
-    """Flag of the recording of ``item``, whose frames ``detail`` tells of."""
-    return QualityFlag(recording=item.attrs["recording"], flag=flag, severity=severity, detail=detail)
 
 
 @dataclass(frozen=True)
@@ -267,16 +254,9 @@ def like_speed_frames(frames: list[xr.Dataset], *, speed_bin_rpm: float) -> Like
     window = hann(SHAPE_SAMPLES)
     hop = max(1, round(SHAPE_SAMPLES * (1.0 - float(used[0].attrs["overlap"]))))
     worth = [[window.independent_frames(hop, len(group), power=power) for group in groups] for power in (True, False)]
-    return LikeSpeedFrames(
-        spectrum=np.concatenate([item["spectrum"].values for item in used], axis=1),
-        owner=owner,
-        groups=groups,
-        speed_rpm=np.array([speed[group].mean() for group in groups]),
-        n_power=np.array(worth[0]),
-        n_complex=np.array(worth[1]),
-        used=used,
-        remarks=remarks,
-    )
+    spectrum = np.concatenate([item["spectrum"].values for item in used], axis=1)
+    mean_rpm = np.array([speed[group].mean() for group in groups])
+    return LikeSpeedFrames(spectrum, owner, groups, mean_rpm, np.array(worth[0]), np.array(worth[1]), used, remarks)
 
 
 @dataclass(frozen=True)
@@ -348,6 +328,22 @@ def _largest(spectrum: Complexes) -> Floats:
 
 
 @dataclass(frozen=True)
+class Framing:
+    """Length [rev] and window of the frames; speeds that differ by over ``swept_rpm`` may change amplitudes."""
+
+    revs: float
+    window: str
+    swept_rpm: float
+
+    def contrasts_of(self, frames: Frames) -> Contrasts:
+        """Contrasts of ``frames`` by their overlap, along their speeds too where these are swept."""
+        begin, owner = frames.begin_rev, frames.owner
+        correlation = neighbour_correlation(begin, owner, revs_per_frame=self.revs, window=self.window)
+        swept = float(np.ptp(frames.speed_rpm)) > self.swept_rpm  # False where unknown
+        return contrasts(correlation, frames.speed_rpm if swept else None)
+
+
+@dataclass(frozen=True)
 class Bins:
     """``beside`` (orders, several) the bins whose noise is that of each, ``worth`` (orders,) so many independent ones.
 
@@ -376,12 +372,12 @@ class AtSpeed:
     freedom: Floats
 
 
-def rows(every: AllFrames, *, bins: Bins, revs_per_frame: float, window: str, speed_bin_rpm: float) -> list[Indices]:
+def rows(every: AllFrames, bins: Bins, framing: Framing, *, speed_bin_rpm: float) -> list[Indices]:
     """Frames of ``every`` recording that share a row of the map, slowest first; those of unknown speed by recording.
 
     Frames of a sweep fall into bins of ``speed_bin_rpm``. Speeds that are held, as in a stepped test, share a row
     within that width only where all that they show agrees; nothing says that two of unknown speed ran alike.
-    ``bins`` say what noise is told from; ``revs_per_frame`` and ``window`` are those of the frames.
+    ``bins`` say what noise is told from, ``framing`` is that of the frames.
     """
     speed, owner = every.speed_rpm, every.owner
     groups = _unknown_apart(speed_groups(speed, width_rpm=speed_bin_rpm, owner=owner), speed, owner)
@@ -395,7 +391,7 @@ def rows(every: AllFrames, *, bins: Bins, revs_per_frame: float, window: str, sp
         if len(steps) < 2 or steps[0] < 0:
             made.append(group)
             continue
-        shown = [(held[k], _at_speed(every.of(held[k]), bins, revs_per_frame, window)) for k in steps.tolist()]
+        shown = [(held[k], _at_speed(every.of(held[k]), bins, framing)) for k in steps.tolist()]
         made += _agreeing(shown, bins)
     return made
 
@@ -411,18 +407,16 @@ def _unknown_apart(groups: list[Indices], speed: Floats, owner: Ints) -> list[In
 def _agreeing(shown: list[tuple[Indices, AtSpeed]], bins: Bins) -> list[Indices]:
     """The speeds ``shown``, each joined to the next slower row if all speeds of that row agree with it."""
     joined = [[shown[0]]]
-    for one in shown[1:]:
-        if all(agree(other[1], one[1], with_phase=bins.with_phase) for other in joined[-1]):
-            joined[-1].append(one)
-        else:
-            joined.append([one])
+    for part, at_speed in shown[1:]:
+        if not all(agree(other, at_speed, with_phase=bins.with_phase) for _, other in joined[-1]):
+            joined.append([])
+        joined[-1].append((part, at_speed))
     return [np.sort(np.concatenate([part for part, _ in row])) for row in joined]
 
 
-def _at_speed(frames: Frames, bins: Bins, revs_per_frame: float, window: str) -> AtSpeed:
+def _at_speed(frames: Frames, bins: Bins, framing: Framing) -> AtSpeed:
     """What ``frames`` held at one speed show."""
-    correlation = neighbour_correlation(frames.begin_rev, frames.owner, revs_per_frame=revs_per_frame, window=window)
-    shape, spectrum = contrasts(correlation), frames.spectrum
+    shape, spectrum = replace(framing, swept_rpm=np.inf).contrasts_of(frames), frames.spectrum
     mean, energy = spectrum.mean(axis=1), np.square(np.abs(spectrum)).mean(axis=1)
     own = np.full(energy.shape, 0.5 * shape.dof)
     powers = np.full(energy.shape, shape.independent_powers)

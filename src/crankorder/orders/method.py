@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -14,6 +14,7 @@ from scipy.fft import next_fast_len
 from crankorder.errors import InputError, RequestError
 from crankorder.fft.plans import can_transform_uneven
 from crankorder.fft.resampling import Kernel, cheapest_kernel, kernel_named, values_at
+from crankorder.fft.transforms import counted
 from crankorder.quantities import Bools, Floats
 from crankorder.scratch import BLOCK_SAMPLES
 from crankorder.settings import LEAST_TOLERANCE, OrderSettings
@@ -83,7 +84,7 @@ def time_samples(band: xr.Dataset, *, tolerance: float) -> TimeSamples:
 
 
 class SignalsByAngle(NamedTuple):
-    """Signals (channels, samples) at even crank angles (samples,) in rev, and what the resampling may err by.
+    """Signals (channels, samples) at even crank angles (samples,) in rev.
 
     ``usable`` (channels, samples) is False where a gap of the recording reaches; None where there is none.
     """
@@ -92,7 +93,6 @@ class SignalsByAngle(NamedTuple):
     angle_rev: Floats
     samples_per_rev: int
     usable: Bools | None
-    predicted_error: float
 
 
 def is_by_angle(band: xr.Dataset) -> bool:
@@ -148,16 +148,8 @@ def signals_at(
     values = values_at(samples.signals, positions, kernel=kernel)
     if samples.usable is None:
         return values, None
-    return values, ~touches_gap(samples.usable, positions - kernel.margin, positions + kernel.margin)
-
-
-def touches_gap(usable: Bools, begin: NDArray[Any], end: NDArray[Any]) -> Bools:
-    """Whether (channels, spans) a sample from ``begin`` to ``end`` (spans,) is not ``usable`` (channels, samples)."""
-    before = np.zeros((len(usable), usable.shape[1] + 1), dtype=np.int64)
-    np.cumsum(~usable, axis=1, out=before[:, 1:])
-    low = np.clip(np.floor(begin).astype(np.int64), 0, usable.shape[1])
-    high = np.clip(np.ceil(end).astype(np.int64) + 1, 0, usable.shape[1])
-    return np.asarray(before[:, high] > before[:, low])
+    first, last = np.floor(positions - kernel.margin), np.ceil(positions + kernel.margin)
+    return values, counted(~samples.usable, first, last + 1) == 0
 
 
 def samples_per_rev_for(samples: TimeSamples, kernel: Kernel, *, slowest_hz: float, max_order: float) -> int:
@@ -186,17 +178,17 @@ def signals_by_angle(band: xr.Dataset, shaft: xr.Dataset, *, max_order: float, t
         samples_per_rev = int(band.attrs["samples_per_rev"])
         angle = float(shaft["crank_angle"].values[0]) + np.arange(band["signal"].shape[1]) / samples_per_rev
         usable = band["usable"].values if "usable" in band else None
-        return SignalsByAngle(band["signal"].values, angle, samples_per_rev, usable, 0.0)
+        return SignalsByAngle(band["signal"].values, angle, samples_per_rev, usable)
     samples = time_samples(band, tolerance=tolerance)
     kernel = kernel_for(samples, tolerance)
     first, last = covered_angles(samples, shaft, margin=kernel.margin)
     if last <= first:
-        return SignalsByAngle(samples.signals[:, :0], np.empty(0), 1, None, kernel.predicted_error)
+        return SignalsByAngle(samples.signals[:, :0], np.empty(0), 1, None)
     slowest_hz = float(rev_frequencies(shaft, np.append(np.arange(first, last), last)).min())
     samples_per_rev = samples_per_rev_for(samples, kernel, slowest_hz=slowest_hz, max_order=max_order)
     angle = np.arange(math.ceil(first * samples_per_rev), math.floor(last * samples_per_rev) + 1) / samples_per_rev
     values, usable = signals_at(samples, shaft, angle, kernel)
-    return SignalsByAngle(values, angle, samples_per_rev, usable, kernel.predicted_error)
+    return SignalsByAngle(values, angle, samples_per_rev, usable)
 
 
 @dataclass(frozen=True)
@@ -277,7 +269,13 @@ def frame_layout(
             found=f"{held:.2f} revolutions",
             allowed=f"at least {cycle}",
         )
-    chosen = _first_that_serves(candidates, revs, band, shaft, settings)
+    chosen = 0
+    if not is_by_angle(band):  # the first that gives frames as long, and orders as high, as any other
+        top = settings.max_order * float(np.nanmax(shaft["speed"].values)) / 60.0 / float(band.attrs["rate_hz"])
+        carried = [min(method.highest, top) for method, _, _ in candidates]
+        best = (max(revs), max(carried))
+        serves = (k for k, each in enumerate(zip(revs, carried, strict=True)) if each >= best)
+        chosen = next(serves, int(np.argmax(revs)))
     method, first, last = candidates[chosen]
     overlap = settings.overlap if wanted == asked else max(settings.overlap, SWEPT_OVERLAP)
     hop = max(1, round(revs[chosen] * (1.0 - overlap)))
@@ -325,20 +323,3 @@ def order_methods(samples: TimeSamples, *, settings: OrderSettings) -> list[Orde
     if uneven:
         methods.append(OrderMethod("nufft", max(tolerance, LEAST_TOLERANCE), 0, MOST_CARRIED))
     return methods
-
-
-def _first_that_serves(
-    candidates: list[tuple[OrderMethod, float, float]],
-    revs: list[int],
-    band: xr.Dataset,
-    shaft: xr.Dataset,
-    settings: OrderSettings,
-) -> int:
-    """Position of the first of ``candidates`` that gives frames as long, and orders as high, as any other."""
-    if is_by_angle(band):
-        return 0
-    fastest_hz = float(np.nanmax(shaft["speed"].values)) / 60.0
-    top = settings.max_order * fastest_hz / float(band.attrs["rate_hz"])
-    carried = [min(method.highest, top) for method, _, _ in candidates]
-    best = (max(revs), max(carried))
-    return next((k for k in range(len(candidates)) if (revs[k], carried[k]) >= best), int(np.argmax(revs)))

@@ -24,7 +24,16 @@ from crankorder.orders.intervals import (
     wider_of,
 )
 from crankorder.orders.like_speed import LikeSpeedFrames, like_speed_frames
-from crankorder.quantities import Bools, Complexes, Floats, Ints, channel_coords, flags_of, with_flags
+from crankorder.quantities import (
+    Bools,
+    Complexes,
+    Floats,
+    Ints,
+    channel_coords,
+    described,
+    flags_of,
+    with_flags,
+)
 from crankorder.settings import OrderSettings
 
 LEAST_FRAMES = 2.0
@@ -79,12 +88,12 @@ def unbiased_coherence(estimate: Floats, *, n_frames: Floats) -> Floats:
 
     ``estimate`` magnitude-squared, any shape; ``n_frames`` independent frames, broadcast against it.
     """
-    found, n = np.broadcast_arrays(np.asarray(estimate, dtype=np.float64), np.asarray(n_frames, dtype=np.float64))
-    made = np.full(found.shape, np.nan)
+    biased, n = np.broadcast_arrays(np.asarray(estimate, dtype=np.float64), np.asarray(n_frames, dtype=np.float64))
+    coherence = np.full(biased.shape, np.nan)
     for each in np.unique(n[n >= LEAST_FRAMES]):
         here = n == each
-        made[here] = np.interp(found[here], *_expected_table(float(each)))
-    return np.where(np.isnan(found), np.nan, made)
+        coherence[here] = np.interp(biased[here], *_expected_table(float(each)))
+    return np.where(np.isnan(biased), np.nan, coherence)
 
 
 @lru_cache(maxsize=256)
@@ -96,16 +105,8 @@ def _expected_table(n_frames: float) -> tuple[Floats, Floats]:
     return expected, true
 
 
-@dataclass(frozen=True)
-class _Estimate:
-    """Amplitudes and phases of all orders at one speed: every field is (channels, orders)."""
-
-    amplitude: Floats
-    low: Floats
-    high: Floats
-    phase_deg: Floats
-    half_phase_deg: Floats
-    coherence: Floats
+ESTIMATES = ("amplitude", "low", "high", "phase_deg", "half_phase_deg", "coherence")
+"""What is told of all channels and orders at one speed, each (channels, orders)."""
 
 
 def operating_shapes(
@@ -146,16 +147,18 @@ def operating_shapes(
     else:
         origin = np.full(len(wanted), place_of(reference, names))
     shape = (len(names), len(grouped.groups), len(wanted))
-    made = {name: np.full(shape, np.nan) for name in _Estimate.__dataclass_fields__}
+    estimates = {name: np.full(shape, np.nan) for name in ESTIMATES}
     for row in range(len(grouped.groups)):
         estimate = _estimate(lines, origin, off <= ON_BIN, grouped, row, _Beside(grouped, wanted, scale))
-        for name, values in made.items():
-            values[:, row] = getattr(estimate, name)
+        for values, at_speed in zip(estimates.values(), estimate, strict=True):
+            values[:, row] = at_speed
     for name in ("amplitude", "low", "high"):
-        made[name] *= scale
+        estimates[name] *= scale
     crank = phase_reference_of(grouped.used)
     phase_from = [crank if place == CRANK else names[place] for place in origin]
-    return _dataset(grouped, wanted, made, phase_from, reference=reference, speed_bin_rpm=settings.speed_bin_rpm)
+    shapes = _dataset(grouped, wanted, estimates, phase_from)
+    shapes.attrs |= {"reference": reference or "", "speed_bin_rpm": settings.speed_bin_rpm}
+    return with_flags(shapes, [flag for item in grouped.used for flag in flags_of(item)] + grouped.remarks)
 
 
 def _lines(grouped: LikeSpeedFrames, orders: Floats, scale: Floats) -> tuple[Complexes, Floats]:
@@ -184,8 +187,8 @@ def _strongest(lines: Complexes, scale: Floats, units: list[str]) -> Ints:
 
 def _estimate(
     lines: Complexes, origin: Ints, on_bin: Bools, grouped: LikeSpeedFrames, row: int, beside: _Beside
-) -> _Estimate:
-    """Mean phasors of ``lines`` (channels, frames, orders) of one group, from the crank or from a channel's phase."""
+) -> tuple[Floats, ...]:
+    """ESTIMATES of ``lines`` (channels, frames, orders) of one group, from the crank or from a channel's phase."""
     group = grouped.groups[row]
     lines, owner = lines[:, group], grouped.owner[group]
     measured_from = _steady(_from_channel(lines, origin), owner, on_bin, grouped.n_complex[row])
@@ -204,17 +207,20 @@ def _estimate(
     parts = [(along, freedom), (across, freedom), (both, 2.0 * freedom)]
     if (n_power < FEW_FRAMES).any():
         noise, worth = beside.noise_of_mean(row, share)
-        of_channel = np.where(origin == CRANK, 0.0, _relative(noise, amplitude, origin))
+        # the channel that phases are from errs in phase as well
+        at = np.maximum(origin, 0)[None, :]
+        power, size = (np.take_along_axis(values, at, axis=0) for values in (noise, np.nan_to_num(amplitude)))
+        relative = np.divide(power, size**2, out=np.zeros_like(power), where=size > 0.0)
+        of_channel = np.where(origin == CRANK, 0.0, relative)
         helped = (noise, noise + of_channel * amplitude**2, noise)
-        parts = [
-            pooled(*own, power, worth, where=n_power < FEW_FRAMES) for own, power in zip(parts, helped, strict=True)
-        ]
+        few = n_power < FEW_FRAMES
+        parts = [pooled(*own, more, worth, where=few) for own, more in zip(parts, helped, strict=True)]
     between = between_recordings(turned, owner, mean)
     seen = is_seen(amplitude, *parts[2]) & is_seen(amplitude, *wider_of(*parts[2], between.both, between, parts=2))
     low, high = amplitude_interval(amplitude, *wider_of(*parts[0], between.along, between), seen=seen)
     half_phase = phase_interval_deg(amplitude, *wider_of(*parts[1], between.across, between), seen=seen)
     coherence = _coherence(lines, mean, kept, origin, n_power)
-    return _Estimate(amplitude, low, high, np.degrees(np.angle(mean)), half_phase, coherence)
+    return amplitude, low, high, np.degrees(np.angle(mean)), half_phase, coherence
 
 
 def _steady(of_channel: Complexes, owner: Ints, on_bin: Bools, n_complex: float) -> Complexes:
@@ -224,8 +230,8 @@ def _steady(of_channel: Complexes, owner: Ints, on_bin: Bools, n_complex: float)
     noise as well: amplitudes from it are those of line and noise together, too large beside a natural frequency.
     """
     made = of_channel.copy()
-    for one in np.unique(owner):
-        own = of_channel[:, owner == one]
+    for number in np.unique(owner):
+        own = of_channel[:, owner == number]
         kept = ~np.isnan(own)
         count = np.count_nonzero(kept, axis=1)
         mean = np.where(kept, own, 0.0).sum(axis=1) / np.maximum(count, 1)
@@ -234,7 +240,7 @@ def _steady(of_channel: Complexes, owner: Ints, on_bin: Bools, n_complex: float)
         along, across = _errors(scatter, count, np.zeros(own.shape[1], dtype=np.int64), n_own)
         spare = np.where(np.isfinite(along), 2.0 * np.maximum(n_own - 1.0, 0.0), 0.0)
         seen = on_bin & is_seen(np.abs(mean), 0.5 * (along + across), spare)
-        made[:, owner == one] = np.where(kept & seen[:, None], mean[:, None], own)
+        made[:, owner == number] = np.where(kept & seen[:, None], mean[:, None], own)
     return made
 
 
@@ -301,13 +307,6 @@ class _Beside:
         return noise / np.maximum(grouped.n_complex[row] * share, 1.0), freedom
 
 
-def _relative(noise: Floats, amplitude: Floats, origin: Ints) -> Floats:
-    """Noise power over squared amplitude (1, orders) of the channel that phases are from: its phase errs as well."""
-    at = np.maximum(origin, 0)[None, :]
-    power, size = (np.take_along_axis(values, at, axis=0) for values in (noise, np.nan_to_num(amplitude)))
-    return np.asarray(np.divide(power, size**2, out=np.zeros_like(power), where=size > 0.0))
-
-
 def _coherence(lines: Complexes, mean: Complexes, kept: Bools, origin: Ints, n_power: Floats) -> Floats:
     """Share (channels, orders) of the power of ``lines`` that is locked to the crank, or to a channel."""
     filled = np.where(kept, lines, 0.0)
@@ -329,18 +328,12 @@ def _coherence(lines: Complexes, mean: Complexes, kept: Bools, origin: Ints, n_p
 
 
 def _dataset(
-    grouped: LikeSpeedFrames,
-    orders: Floats,
-    made: dict[str, Floats],
-    phase_from: list[str],
-    *,
-    reference: str | None,
-    speed_bin_rpm: float,
+    grouped: LikeSpeedFrames, orders: Floats, estimates: dict[str, Floats], phase_from: list[str]
 ) -> xr.Dataset:
-    """OperatingShapes from estimates ``made`` (channels, speeds, orders)."""
+    """OperatingShapes, without flags, from ``estimates`` (channels, speeds, orders)."""
     first = grouped.used[0]
-    amplitude, phase, low, high = (made[name] for name in ("amplitude", "phase_deg", "low", "high"))
-    turn = np.stack([phase - made["half_phase_deg"], phase + made["half_phase_deg"]], axis=-1)
+    amplitude, low, high, phase, half, coherence = (estimates[name] for name in ESTIMATES)
+    turn = np.stack([phase - half, phase + half], axis=-1)
     dims = ("channel", "speed", "order")
     count = np.array([len(group) for group in grouped.groups], dtype=np.int64)
     level = coherence_level(grouped.n_power)
@@ -349,25 +342,21 @@ def _dataset(
         ("amplitude_ci95", (*dims, "bound"), np.stack([low, high], axis=-1), "see unit", "95 % interval of amplitude"),
         ("phase", dims, phase, "degree", "phase from phase_from"),
         ("phase_ci95", (*dims, "bound"), turn, "degree", "95 % interval of phase"),
-        ("coherence", dims, made["coherence"], "1", "share of the power that is locked to phase_from"),
+        ("coherence", dims, coherence, "1", "share of the power that is locked to phase_from"),
         ("coherence_level", ("speed",), level, "1", "95 % level of what is not locked, before bias is taken off"),
         ("phase_from", ("order",), np.array(phase_from, dtype=object), "1", "mark or channel that phases are from"),
         ("n_frames", ("speed",), count, "1", "frames"),
         ("n_independent", ("speed",), grouped.n_power, "1", "independent frames"),
     )
     shapes = xr.Dataset(
-        {name: (over, values, {"units": units, "long_name": said}) for name, over, values, units, said in variables},
+        {name: described(over, values, units, text) for name, over, values, units, text in variables},
         coords={
             **channel_coords(first),
             "order": ("order", orders, {"units": "1", "long_name": "order", "order_reference": "crankshaft"}),
-            "speed": ("speed", grouped.speed_rpm, {"units": "min-1", "long_name": "speed"}),
+            "speed": described("speed", grouped.speed_rpm, "min-1", "speed"),
         },
     )
     kept = ("window", "revs_per_frame", "overlap", "amplitude_scaling", "cycle_known", "phase_reference")
     shapes.attrs = {key: first.attrs[key] for key in kept}
-    shapes.attrs |= {
-        "phase_reference": phase_reference_of(grouped.used),
-        "reference": reference or "",
-        "speed_bin_rpm": speed_bin_rpm,
-    }
-    return with_flags(shapes, [flag for item in grouped.used for flag in flags_of(item)] + grouped.remarks)
+    shapes.attrs["phase_reference"] = phase_reference_of(grouped.used)
+    return shapes

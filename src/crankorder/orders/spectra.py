@@ -24,7 +24,7 @@ from crankorder.fft.nonuniform import (
     upsampling,
 )
 from crankorder.fft.resampling import cheapest_kernel
-from crankorder.fft.transforms import FrameTransform
+from crankorder.fft.transforms import FrameTransform, whole_frames
 from crankorder.fft.windows import hann
 from crankorder.orders.method import (
     FrameLayout,
@@ -34,7 +34,6 @@ from crankorder.orders.method import (
     rev_frequencies,
     samples_per_rev_for,
     signals_at,
-    touches_gap,
 )
 from crankorder.quantities import Bools, Complexes, Floats
 from crankorder.settings import LARGEST_TOLERANCE, LEAST_TOLERANCE
@@ -333,7 +332,7 @@ def spectra_by_angle(
     turn = np.exp(-2j * np.pi * (np.outer(begin_rev, np.arange(made.shape[2]) / revs) % 1.0))
     spectrum = np.asarray(made * turn)
     if usable is not None:
-        spectrum[touches_gap(usable, starts, starts + length - 1)] = np.nan
+        spectrum[~whole_frames(usable, starts, length)] = np.nan
     return spectrum
 
 

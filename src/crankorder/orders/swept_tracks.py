@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
 from crankorder.errors import RequestError
 from crankorder.fft.decimation import band_limited, sound_samples
+from crankorder.fft.transforms import counted
 from crankorder.orders.averages import POLES, median_of_known
 from crankorder.orders.fixed_lines import steady_flag, without_steady_lines
 from crankorder.orders.intervals import NORMAL, amplitude_interval, phase_interval_deg
@@ -26,7 +29,18 @@ from crankorder.orders.vold_kalman.bandwidth import (
     taken_in_truth,
 )
 from crankorder.orders.vold_kalman.filter import FEWEST_SAMPLES, VoldKalmanTracks, vold_kalman
-from crankorder.quantities import Bools, Complexes, Floats, Ints, QualityFlag, channel_coords, flags_of, with_flags
+from crankorder.quantities import (
+    Bools,
+    Complexes,
+    Floats,
+    Ints,
+    QualityFlag,
+    channel_coords,
+    described,
+    flags_of,
+    remark,
+    with_flags,
+)
 from crankorder.shaft.angle import SpeedCourse, angle_at, knots_of, smoothed_speed, speed_course, time_at
 
 RESOLVED_DAMPING = 0.01
@@ -116,7 +130,11 @@ class _Plan:
 
     def widths(self, time_s: Floats) -> Floats:
         """Bandwidth [Hz] (orders, times) at ``time_s``."""
-        return np.array([np.interp(time_s, self.course.time_s, one) for one in self.bandwidth_hz])
+        return np.array([np.interp(time_s, self.course.time_s, width) for width in self.bandwidth_hz])
+
+
+_Part = tuple[_Plan, Complexes, Floats]
+"""Plan, amplitudes and their standard errors (channels, orders, rows) of a part of a recording."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +174,7 @@ class NoiseSpectrum:
         free = np.count_nonzero(~near, axis=1) >= FEWEST_PIECES
         typical = np.full((len(signals), len(hertz)), np.nan)
         for channel, row in enumerate(typical):
-            seen = np.stack([one[channel] for one in power], axis=1)
+            seen = np.stack([piece[channel] for piece in power], axis=1)
             seen[near] = np.nan
             row[free] = median_of_known(seen[free], axis=1)
         return cls(hertz, typical)
@@ -172,7 +190,7 @@ class NoiseSpectrum:
         both = []
         for offset in (inside, np.concatenate([-outside, outside])):
             at = hertz[..., None] + offset * width_hz[..., None]
-            both.append(np.array([np.interp(at, self.frequency_hz, one) for one in self.power]))
+            both.append(np.array([np.interp(at, self.frequency_hz, row) for row in self.power]))
         lowest = np.sort(both[1].reshape(*both[1].shape[:-1], 2, -1), axis=-1)[..., : int(LOWER * len(outside))]
         with np.errstate(invalid="ignore", divide="ignore"):
             ratio = (both[0] @ weight) / weight.sum() / lowest.mean(axis=(-1, -2))
@@ -197,7 +215,7 @@ def swept_tracks(
     spectrum = NoiseSpectrum.of(band, course, named)
     width = bandwidths_hz(named, course)
     first, last = _covered(band, shaft)
-    made: list[tuple[_Plan, Complexes, Floats]] = []
+    parts: list[_Part] = []
     notes: list[str] = []
     for begin, end in course.parts():
         span = (max(begin, first), min(end, last))
@@ -207,11 +225,14 @@ def swept_tracks(
             try:
                 amplitude, beside = _followed(band, shaft, plan)
                 hertz = named[:, None] * np.interp(rows, course.time_s, course.speed_rpm) / 60.0
-                made.append((plan, amplitude, beside * spectrum.under_over_beside(hertz, plan.widths(rows))))
+                parts.append((plan, amplitude, beside * spectrum.under_over_beside(hertz, plan.widths(rows))))
             except RequestError as error:
                 notes.append(f"{span[0]:.3g} to {span[1]:.3g} s: {error}")
-    found = _dataset(band, shaft, named, course, made, notes)
-    return with_flags(found, [*flags_of(found), steady_flag(str(band.attrs["recording"]), lines)]) if lines else found
+    tracks = _dataset(band, shaft, named, course, parts)
+    with_flags(tracks, [*flags_of(shaft), *_flags(tracks, notes)])
+    if lines:
+        with_flags(tracks, [*flags_of(tracks), steady_flag(str(band.attrs["recording"]), lines)])
+    return tracks
 
 
 def bandwidths_hz(orders: Floats, course: SpeedCourse) -> Floats:
@@ -281,18 +302,16 @@ def _followed(band: xr.Dataset, shaft: xr.Dataset, plan: _Plan) -> tuple[Complex
         low, high = max(plan.span_s[0], near[0]), min(plan.span_s[1], near[1])
         last = band["signal"].shape[1]
         piece = slice(max(0, int(np.ceil((low - start) * rate))), min(last, int((high - start) * rate) + 1))
-        found = _piece(band, shaft, plan, piece, carried)
-        if found is None:
+        tracks_of_piece = _piece(band, shaft, plan, piece, carried)
+        if tracks_of_piece is None:
             continue
-        tracks, channels = found
-        place = np.clip(np.round((plan.rows_s[rows] - start) * rate).astype(int) - piece.start, 0, None)
-        place = np.minimum(place, tracks.amplitude.shape[2] - 1)
+        tracks, channels = tracks_of_piece
+        place = np.round((plan.rows_s[rows] - start) * rate).astype(int) - piece.start
+        place = np.clip(place, 0, tracks.amplitude.shape[2] - 1)
         at = np.ix_(channels, carried, rows)
-        flat = tracks.error.reshape(-1, len(tracks.error_place))
-        errors = np.array([np.interp(place, tracks.error_place, one) for one in flat])
-        amplitude[at], error[at] = tracks.amplitude[..., place], errors.reshape(*tracks.error.shape[:2], len(rows))
-    hidden = ~_usable_rows(band, plan)
-    amplitude[np.broadcast_to(hidden[:, None], shape)], error[np.broadcast_to(hidden[:, None], shape)] = np.nan, np.nan
+        amplitude[at], error[at] = tracks.amplitude[..., place], tracks.error_at(place)
+    hidden = np.broadcast_to(~_usable_rows(band, plan)[:, None], shape)
+    amplitude[hidden], error[hidden] = np.nan, np.nan
     return amplitude, error
 
 
@@ -328,9 +347,8 @@ def _left_taken(amplitude: Complexes, taken: Complexes, error: Floats, plan: _Pl
     if not amplitude.shape[2]:
         return np.zeros(amplitude.shape), np.zeros(amplitude.shape)
     width = plan.widths(plan.rows_s)
-    speed, rate = (
-        np.interp(plan.rows_s, plan.course.time_s, one) for one in (plan.course.speed_rpm, plan.course.rate_rpm_per_s)
-    )
+    course = plan.course
+    speed, rate = (np.interp(plan.rows_s, course.time_s, row) for row in (course.speed_rpm, course.rate_rpm_per_s))
     # over so many hertz the spectrum of what the lightest mode leaves falls by e
     widest = 2.0 * rate / (2.0 * np.pi * LIGHTEST_DAMPING * speed) / width
     sure = np.abs(taken) > SURE_SIGMAS * np.nan_to_num(error, nan=np.inf)
@@ -383,46 +401,41 @@ def _usable_rows(band: xr.Dataset, plan: _Plan) -> Bools:
         return np.ones((len(usable), len(plan.rows_s)), dtype=bool)
     rate, start = float(band.attrs["rate_hz"]), float(band.attrs.get("start_s", 0.0))
     half = 0.5 / plan.widths(plan.rows_s).max(axis=0)
-    total = np.concatenate([np.zeros((len(usable), 1), dtype=np.int64), np.cumsum(usable, axis=1)], axis=1)
-    ends = [
-        np.clip(np.round((plan.rows_s + way * half - start) * rate).astype(int), 0, usable.shape[1]) for way in (-1, 1)
-    ]
-    return np.asarray(total[:, ends[1]] - total[:, ends[0]] >= 0.5 * (ends[1] - ends[0]))
+    ends = np.round((plan.rows_s + np.array([[-1], [1]]) * half - start) * rate).astype(int)
+    first, last = np.clip(ends, 0, usable.shape[1])
+    return np.asarray(counted(usable, first, last) >= 0.5 * (last - first))
 
 
 def _dataset(
-    band: xr.Dataset,
-    shaft: xr.Dataset,
-    orders: Floats,
-    course: SpeedCourse,
-    made: list[tuple[_Plan, Complexes, Floats]],
-    notes: list[str],
+    band: xr.Dataset, shaft: xr.Dataset, orders: Floats, course: SpeedCourse, parts: list[_Part]
 ) -> xr.Dataset:
+    """RecordingTracks of the ``parts`` of a recording: plan, amplitudes and standard errors of each."""
     shape = (band.sizes["channel"], len(orders), 0)
-    time_s = np.concatenate([plan.rows_s for plan, _, _ in made] or [np.empty(0)])
-    width = np.concatenate([plan.widths(plan.rows_s) for plan, _, _ in made] or [np.empty((len(orders), 0))], axis=1)
-    amplitude = np.concatenate([found for _, found, _ in made] or [np.empty(shape, dtype=complex)], axis=2)
-    error = np.concatenate([found for _, _, found in made] or [np.empty(shape)], axis=2)
-    found = filtered_tracks(band, shaft, orders, amplitude, error, freedom=level_dof(FRAME_BANDWIDTHS))
-    _put_places(found, shaft, time_s, width)
-    parts = [(one, _smoothing(one, plan), one_error, plan) for plan, one, one_error in made]
-    taken = np.concatenate([part[1] for part in parts] or [np.empty(shape, dtype=complex)], axis=2)
-    beyond = [_left_taken(*part) for part in parts]
-    words = {"units": "see unit", "long_name": "what the filter takes of amplitude once more: nearly its bias"}
-    found["smoothing"] = (("channel", "order", "frame"), taken, words)
-    for number, (name, said) in enumerate(
-        (("smoothing_more", "took beyond that"), ("smoothing_error", "of other orders may have left here"))
+    taken = [_smoothing(amplitude, plan) for plan, amplitude, _ in parts]
+    beyond = [_left_taken(part[1], own, part[2], part[0]) for part, own in zip(parts, taken, strict=True)]
+
+    def joined(values: Sequence[NDArray[Any]], kind: type = float) -> NDArray[Any]:
+        return np.concatenate([*values] or [np.empty(shape, dtype=kind)], axis=-1)
+
+    time_s = np.concatenate([plan.rows_s for plan, _, _ in parts] or [np.empty(0)])
+    width = np.concatenate([plan.widths(plan.rows_s) for plan, _, _ in parts] or [np.empty((len(orders), 0))], axis=1)
+    amplitude, error = joined([part[1] for part in parts], complex), joined([part[2] for part in parts])
+    tracks = filtered_tracks(band, shaft, orders, amplitude, error, freedom=level_dof(FRAME_BANDWIDTHS))
+    _put_places(tracks, shaft, time_s, width)
+    more = "standard error of what the filter"
+    for name, values, text in (
+        ("smoothing", joined(taken, complex), "what the filter takes of amplitude once more: nearly its bias"),
+        ("smoothing_more", joined([own for own, _ in beyond]), f"{more} took beyond that"),
+        ("smoothing_error", joined([others for _, others in beyond]), f"{more} of other orders may have left here"),
     ):
-        errors = np.concatenate([both[number] for both in beyond] or [np.empty(shape)], axis=2)
-        words = {"units": "see unit", "long_name": f"standard error of what the filter {said}"}
-        found[name] = (("channel", "order", "frame"), errors, words)
+        tracks[name] = described(("channel", "order", "frame"), values, "see unit", text)
     usual_rate = float(np.median(course.rate_rpm_per_s[course.runs])) if course.runs.any() else 0.0
-    found.attrs |= {"swept": 1, "poles": POLES, "sweep_rpm_per_s": usual_rate}
+    tracks.attrs |= {"swept": 1, "poles": POLES, "sweep_rpm_per_s": usual_rate}
     angle_error = shaft["standard_error"].values
     angle_error = angle_error[np.isfinite(angle_error)]
-    found.attrs["crank_angle_error_rev"] = float(np.median(angle_error)) if len(angle_error) else 0.0
-    _put_waveform(found, band, shaft, course)
-    return with_flags(found, [*flags_of(shaft), *_flags(found, notes)])
+    tracks.attrs["crank_angle_error_rev"] = float(np.median(angle_error)) if len(angle_error) else 0.0
+    _put_waveform(tracks, band, shaft, course)
+    return tracks
 
 
 def filtered_tracks(
@@ -440,22 +453,22 @@ def filtered_tracks(
     half = phase_interval_deg(magnitude, power, known)
     given = (amplitude, error, known, *amplitude_interval(magnitude, power, known), half)
     variables = {
-        name: (("channel", "order", "frame"), values, {"units": units, "long_name": said})
-        for (name, units, said), values in zip(_VARIABLES, given, strict=True)
+        name: described(("channel", "order", "frame"), values, units, text)
+        for (name, units, text), values in zip(_VARIABLES, given, strict=True)
     }
-    coords = {**channel_coords(band), "order": ("order", orders, {"units": "1", "long_name": "order"})}
+    coords = {**channel_coords(band), "order": described("order", orders, "1", "order")}
     attrs = {"recording": band.attrs["recording"], "amplitude_scaling": "peak", "track_method": "vold_kalman"}
     attrs |= {key: shaft.attrs[key] for key in ("phase_reference", "cycle_known", "revs_per_cycle")}
     return xr.Dataset(variables, coords=coords, attrs=attrs)
 
 
-def _put_waveform(found: xr.Dataset, band: xr.Dataset, shaft: xr.Dataset, course: SpeedCourse) -> None:
-    """Put the longest sound stretch of the signals into ``found``, in the band of its orders, with angle and speed.
+def _put_waveform(tracks: xr.Dataset, band: xr.Dataset, shaft: xr.Dataset, course: SpeedCourse) -> None:
+    """Put the longest sound stretch of the signals into ``tracks``, in the band of its orders, with angle and speed.
 
     What rings of a mode while the next order passes it is told in the signals only, not in any one track.
     """
     fastest_hz = float(course.speed_rpm.max()) / 60.0
-    top = WAVEFORM_BAND * float(found["order"].values.max(initial=WAVEFORM_ORDER)) * fastest_hz
+    top = WAVEFORM_BAND * float(tracks["order"].values.max(initial=WAVEFORM_ORDER)) * fastest_hz
     seconds = band.sizes["time"] / float(band.attrs["rate_hz"])
     top = min(top, MOST_WAVEFORM / seconds / RATE_PER_BAND)
     if top < 0.8 * float(band.attrs.get("band_hz", np.inf)):
@@ -468,12 +481,11 @@ def _put_waveform(found: xr.Dataset, band: xr.Dataset, shaft: xr.Dataset, course
     first, last = edges[np.argmax(edges[:, 1] - edges[:, 0])] if len(edges) else (0, 0)
     speed = np.interp(time_s[first:last], course.time_s, course.speed_rpm)
     values = band["signal"].values[:, first:last].astype(np.float32)
-    words = {"units": "see unit", "long_name": "signal in the band of the orders"}
-    found["waveform"] = (("channel", "sample"), values, words)
-    for name, given, units in (("waveform_angle", angle[first:last], "rev"), ("waveform_speed", speed, "min-1")):
-        found[name] = ("sample", given, {"units": units, "long_name": f"{name.split('_')[1]} of the shaft at a sample"})
-    found.attrs |= {"waveform_rate_hz": rate, "waveform_start_s": float(time_s[first]) if len(time_s) else start}
-    found.attrs["waveform_band_hz"] = min(top, float(band.attrs.get("band_hz", 0.5 * rate)))
+    tracks["waveform"] = described(("channel", "sample"), values, "see unit", "signal in the band of the orders")
+    tracks["waveform_angle"] = described("sample", angle[first:last], "rev", "angle of the shaft at a sample")
+    tracks["waveform_speed"] = described("sample", speed, "min-1", "speed of the shaft at a sample")
+    tracks.attrs |= {"waveform_rate_hz": rate, "waveform_start_s": float(time_s[first]) if len(time_s) else start}
+    tracks.attrs["waveform_band_hz"] = min(top, float(band.attrs.get("band_hz", 0.5 * rate)))
 
 
 def _speed_of_rows(shaft: xr.Dataset, time_s: Floats, stretch_s: Floats) -> tuple[Floats, Floats]:
@@ -493,15 +505,14 @@ def _speed_of_rows(shaft: xr.Dataset, time_s: Floats, stretch_s: Floats) -> tupl
     return speed, np.sqrt(np.convolve(np.pad(apart, 2, mode="edge"), np.full(5, 0.2), mode="valid"))
 
 
-def _put_places(found: xr.Dataset, shaft: xr.Dataset, time_s: Floats, width_hz: Floats) -> None:
-    """Put time, speed and crank angle of each row into ``found``, and the bandwidths (orders, rows) that made them."""
-    empty = not len(time_s)
-    errors, angle = AngleErrors(time_s, time_s), time_s
-    speed, speed_error = (time_s, time_s) if empty else _speed_of_rows(shaft, time_s, 1.0 / width_hz.max(axis=0))
-    if not empty:
+def _put_places(tracks: xr.Dataset, shaft: xr.Dataset, time_s: Floats, width_hz: Floats) -> None:
+    """Put time, speed and crank angle of each row into ``tracks``, and the bandwidths (orders, rows) that made them."""
+    errors, angle, speed, speed_error = AngleErrors(time_s, time_s), time_s, time_s, time_s
+    if len(time_s):
+        speed, speed_error = _speed_of_rows(shaft, time_s, 1.0 / width_hz.max(axis=0))
         errors = errors_along(shaft, time_s, speed / 60.0 / width_hz.max(axis=0))
         angle = angle_at(time_s, **knots_of(shaft))
-    for name, given, units, said in (
+    for name, given, units, text in (
         ("time", time_s, "s", "time of the row"),
         ("speed", speed, "min-1", "speed at the row, over a reciprocal bandwidth"),
         ("speed_error", speed_error, "min-1", "standard error of the speed"),
@@ -509,16 +520,14 @@ def _put_places(found: xr.Dataset, shaft: xr.Dataset, time_s: Floats, width_hz: 
         ("angle_scatter", errors.random, "rev", "standard error of the crank angle, beside that of its mean"),
         ("angle_error", errors.mean, "rev", "standard error of the crank angle's mean over a reciprocal bandwidth"),
     ):
-        found.coords[name] = ("frame", given, {"units": units, "long_name": said})
-    words = {"units": "Hz", "long_name": "bandwidth of the filter, between its half-power points"}
-    found.coords["bandwidth_hz"] = (("order", "frame"), width_hz, words)
+        tracks.coords[name] = described("frame", given, units, text)
+    between = "bandwidth of the filter, between its half-power points"
+    tracks.coords["bandwidth_hz"] = described(("order", "frame"), width_hz, "Hz", between)
 
 
 def not_tracked_flags(recording: str, remarks: Sequence[str]) -> list[QualityFlag]:
     """Flags that say of orders of ``recording`` why they were not tracked, one for each of ``remarks``."""
-    return [
-        {"recording": recording, "flag": "order_not_tracked", "severity": "suspect", "detail": text} for text in remarks
-    ]
+    return [remark(recording, "order_not_tracked", text, "suspect") for text in remarks]
 
 
 def beyond_remark(order: float) -> str:
@@ -526,19 +535,18 @@ def beyond_remark(order: float) -> str:
     return f"order {order:g} is beyond half the sample rate at the highest speed"
 
 
-def _flags(found: xr.Dataset, notes: list[str]) -> list[QualityFlag]:
+def _flags(tracks: xr.Dataset, notes: list[str]) -> list[QualityFlag]:
     """How the orders were followed, and which were not."""
-    recording, order = str(found.attrs["recording"]), found["order"].values
-    if not found.sizes["frame"]:
+    recording, order = str(tracks.attrs["recording"]), tracks["order"].values
+    if not tracks.sizes["frame"]:
         return not_tracked_flags(recording, notes or ["too short to follow orders through its sweep"])
-    width, speed_hz = found["bandwidth_hz"].values, found["speed"].values / 60.0
+    width, speed_hz = tracks["bandwidth_hz"].values, tracks["speed"].values / 60.0
     detail = (
-        f"the speed sweeps by {found.attrs['sweep_rpm_per_s']:.3g} rpm/s in the middle: orders "
+        f"the speed sweeps by {tracks.attrs['sweep_rpm_per_s']:.3g} rpm/s in the middle: orders "
         f"{', '.join(f'{one:g}' for one in order)} are followed jointly by Vold–Kalman with {POLES} poles and a "
         f"bandwidth of {width.min():.2g} to {width.max():.2g} Hz, {(width / speed_hz).min():.2g} to "
         f"{(width / speed_hz).max():.2g} orders"
     )
-    nowhere = ~np.isfinite(found["standard_error"].values).any(axis=(0, 2))
+    nowhere = ~np.isfinite(tracks["standard_error"].values).any(axis=(0, 2))
     remarks = [*notes, *(beyond_remark(one) for one in order[nowhere])]
-    said: QualityFlag = {"recording": recording, "flag": "followed_in_sweep", "severity": "info", "detail": detail}
-    return [said, *not_tracked_flags(recording, remarks)]
+    return [remark(recording, "followed_in_sweep", detail), *not_tracked_flags(recording, remarks)]

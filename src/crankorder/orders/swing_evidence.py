@@ -16,7 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xarray as xr
 
-from crankorder.quantities import Bools, Complexes, Floats, Ints
+from crankorder.orders.averages import median_of_known
+from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.settings import OrderSettings
 
 HARMONICS = (1, 2, 3, 4, 5, 6)
@@ -214,13 +215,15 @@ def rows_of(frames: Sequence[xr.Dataset]) -> Rows | None:
         if revs % 2 or revs < LEAST_REVS or not spectrum.shape[1]:
             continue
         half = revs // 2
-        between = spectrum[..., _between(half, spectrum.shape[2])]
-        n = between.shape[2] // _per_half(half) + 1
-        grid = np.asarray(spectrum[..., : n * half : half], dtype=np.complex128)
+        # bins between the half orders, group by group, above each half order
+        first = max(2, half // 4) if half > 4 else half // 2
+        groups = np.arange(0, spectrum.shape[2], half)[:, None] + first + np.arange(_per_half(half))
+        between = spectrum[..., groups[groups.max(axis=1) < spectrum.shape[2]].ravel()]
+        grid = np.asarray(spectrum[..., ::half], dtype=np.complex128)
         power = np.square(np.abs(between.reshape(*between.shape[:2], -1, _per_half(half))))
         if not power.size:
             continue
-        noise = _median(power)
+        noise = median_of_known(power, axis=-1) / np.log(2.0)  # mean of exponential powers
         n = min(grid.shape[2], noise.shape[2])
         grid, noise = grid[..., :n], noise[..., :n]
         if not item.attrs.get("swept", 0):
@@ -231,16 +234,6 @@ def rows_of(frames: Sequence[xr.Dataset]) -> Rows | None:
         return None
     n = min(value.shape[1] for value in values)
     return Rows(np.concatenate([v[:, :n] for v in values]), np.concatenate([v[:, :n] for v in noises]))
-
-
-def _median(power: Floats) -> Floats:
-    """Mean of noise by the median of its ``power`` over the last axis; infinite where nothing is known."""
-    known = np.isfinite(power)
-    count = known.sum(axis=-1, keepdims=True)
-    # sorted, for np.nanmedian takes ten times as long where so few are in a row
-    ordered = np.sort(np.where(known, power, np.inf), axis=-1)
-    lower, upper = (np.take_along_axis(ordered, place // 2, axis=-1) for place in (np.maximum(count - 1, 0), count))
-    return np.asarray(0.5 * (lower + upper)[..., 0] / np.log(2.0))
 
 
 def _mean_of_frames(grid: Complexes, noise: Floats) -> tuple[Complexes, Floats]:
@@ -258,13 +251,6 @@ def _per_half(half: int) -> int:
     return max(1, half - 2 * max(2, half // 4) + 1)
 
 
-def _between(half: int, n: int) -> Ints:
-    """Bins (of ``n``) between the half orders, ``half`` bins apart, group by group; above each half order."""
-    first = max(2, half // 4) if half > 4 else half // 2
-    groups = np.arange(0, n, half)[:, None] + first + np.arange(_per_half(half))
-    return np.asarray(groups[groups.max(axis=1) < n].ravel())
-
-
 def swings_of(rows: Rows, expected: Expected, by_pulses: Mapping[int, tuple[complex, float]]) -> tuple[Swing, ...]:
     """The error of the angle by harmonic, from the ``rows`` of a test and what is ``expected`` of its encoder.
 
@@ -272,7 +258,7 @@ def swings_of(rows: Rows, expected: Expected, by_pulses: Mapping[int, tuple[comp
     bound: modes make like sidebands of a shaft that really swings.
     """
     taken: dict[int, complex] = {}
-    found: dict[int, Swing] = {}
+    swings: dict[int, Swing] = {}
     for _ in range(ROUNDS):
         for harmonic in HARMONICS:
             size, error = by_pulses.get(harmonic, (0j, np.inf))
@@ -280,14 +266,14 @@ def swings_of(rows: Rows, expected: Expected, by_pulses: Mapping[int, tuple[comp
             reach = LIKELY * math.hypot(error, swing.error_rev, expected.settings.sideband_slack * abs(size))
             alike = abs(size) > LIKELY * error and abs(size - swing.size) < reach
             lacking = _lacking(rows, harmonic, taken, expected, size) if abs(size) > LIKELY * error else (0, 0)
-            found[harmonic] = replace(swing, proved=swing.proved and alike, lacking=lacking)
+            swings[harmonic] = replace(swing, proved=swing.proved and alike, lacking=lacking)
             taken.pop(harmonic, None)
             # what is likely but not proved is taken out on trial: sidebands of sidebands hide others' proof
             if abs(swing.size) > LIKELY * swing.error_rev and abs(swing.size) <= expected.largest_rev(harmonic):
                 taken[harmonic] = swing.size
         if not taken:
             break
-    return tuple(found[k] for k in HARMONICS)
+    return tuple(swings[k] for k in HARMONICS)
 
 
 def alike_at_all_speeds(shown: Complexes, *, slack: float) -> dict[int, tuple[complex, float]]:
@@ -318,9 +304,7 @@ def _swing(rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expec
     """
     value = in_true_angle(rows.value, bins_per_order=2, swings=taken) if taken else rows.value
     known = taken.get(harmonic, 0j)
-    sums = _sums(value, rows.noise, harmonic, expected)
-    # sidebands as measured: what was taken out already is put back into the targets to first order
-    sums = _put_back(sums, known)
+    sums = _put_back(_sums(value, rows.noise, harmonic, expected), known)
     radius = RADII * expected.largest_rev(harmonic)
     grid = (radius[:, None] * PHASES).ravel()
     settings = expected.settings
@@ -356,7 +340,9 @@ def _sides(
     order = np.arange(n) / 2.0
     seen = np.where(np.isfinite(value.real), value, 0.0)
     # noise is no line: it lies in the angle shown as it does in the true one, and has no sidebands
-    line = np.where(_is_line(value, noise, expected.settings.carrier_over_noise), seen, 0.0)
+    known = np.isfinite(value.real) & np.isfinite(noise)
+    power, least = (np.where(known, size, 0.0).sum(axis=0) for size in (np.square(np.abs(value)), noise))
+    line = np.where(power > expected.settings.carrier_over_noise * least, seen, 0.0)
     u, v = np.zeros_like(seen), np.zeros_like(seen)
     u[:, step:] = line[:, :room] * order[:room]
     # order m - k below 0 is the line above it, turned the other way
@@ -364,8 +350,7 @@ def _sides(
         u[:, place] = -order[step - place] * line[:, step - place].conj() if step - place < n else 0.0
     v[:, :room] = line[:, step:] * order[step:]
     weight = np.where(np.isfinite(value.real) & (noise > 0.0), 1.0 / np.where(noise > 0.0, noise, 1.0), 0.0)
-    weight[:, room:] = 0.0  # what lies above is not known
-    weight[:, 0] = 0.0
+    weight[:, room:] = weight[:, :1] = 0.0  # what lies above is not known
     return seen, -1j * np.pi * u, -1j * np.pi * v, weight
 
 
@@ -373,11 +358,11 @@ def _sums(value: Complexes, noise: Floats, harmonic: int, expected: Expected) ->
     """Sums over the rows for every target that ``value`` (rows, half orders) has a neighbour for, as ``expected``."""
     seen, u, v, weight = _sides(value, noise, harmonic, expected)
     order = np.arange(value.shape[1]) / 2.0
-    below, above, own = (np.asarray((weight * np.abs(one) ** 2).sum(axis=0)) for one in (u, v, seen))
+    below, above, own = (np.asarray((weight * np.abs(part) ** 2).sum(axis=0)) for part in (u, v, seen))
     kept = (below + above) * expected.largest_rev(harmonic) ** 2 > 10.0
     carrier = np.where(below > above, np.abs(order - harmonic), order + harmonic)
     products = (u * v.conj(), u.conj() * seen, v.conj() * seen)
-    both, low, high = ((weight * one).sum(axis=0)[kept] for one in products)
+    both, low, high = ((weight * part).sum(axis=0)[kept] for part in products)
     count = (weight > 0.0).sum(axis=0).astype(np.float64)
     return _Sums(below[kept], above[kept], both, low, high, own[kept], count[kept], carrier[kept])
 
@@ -385,17 +370,17 @@ def _sums(value: Complexes, noise: Floats, harmonic: int, expected: Expected) ->
 def _lacking(
     rows: Rows, harmonic: int, taken: dict[int, complex], expected: Expected, size: complex
 ) -> tuple[int, int]:
-    """Of the sidebands that E_k of ``size`` makes clear of the noise, how many lack by half; and with those as told.
+    """Of the sidebands that E_k of ``size`` makes clear of the noise, how many lack by half; and with those alike.
 
     Row by row. Other swings that are ``taken`` are out.
     """
     others = {k: other for k, other in taken.items() if k != harmonic}
     value = in_true_angle(rows.value, bins_per_order=2, swings=others) if others else rows.value
     seen, u, v, weight = _sides(value, rows.noise, harmonic, expected)
-    told = size * u + np.conj(size) * v
-    clear = np.square(np.abs(told)) * weight > CLEAR_SIDEBAND
-    alike = clear & (np.abs(seen - told) < 0.5 * np.abs(told))
-    lacking = clear & (np.abs(seen) < 0.5 * np.abs(told))
+    sideband = size * u + np.conj(size) * v
+    clear = np.square(np.abs(sideband)) * weight > CLEAR_SIDEBAND
+    alike = clear & (np.abs(seen - sideband) < 0.5 * np.abs(sideband))
+    lacking = clear & (np.abs(seen) < 0.5 * np.abs(sideband))
     return int(lacking.sum()), int((alike | lacking).sum())
 
 
@@ -404,27 +389,20 @@ def unless_lines_lack(of: Mapping[str, tuple[Swing, ...]]) -> dict[str, tuple[Sw
 
     An error of the encoder spares no line; what a swing of the shaft turns comes through the modes as they let it.
     """
-    counts = np.array([[one.lacking for one in own] for own in of.values()]).reshape(len(of), -1, 2).sum(axis=0)
+    counts = np.array([[swing.lacking for swing in own] for own in of.values()]).reshape(len(of), -1, 2).sum(axis=0)
     spares = counts[:, 0] > MOST_LACKING * counts[:, 1]
     return {
-        name: tuple(replace(one, proved=one.proved and not no) for one, no in zip(own, spares.tolist(), strict=True))
+        name: tuple(replace(s, proved=s.proved and not no) for s, no in zip(own, spares.tolist(), strict=True))
         for name, own in of.items()
     }
 
 
-def _is_line(value: Complexes, noise: Floats, ratio: float) -> Bools:
-    """Which of the half orders of ``value`` (rows, half orders) have ``ratio`` times the power of their ``noise``."""
-    known = np.isfinite(value.real) & np.isfinite(noise)
-    power, least = (np.where(known, one, 0.0).sum(axis=0) for one in (np.square(np.abs(value)), noise))
-    return np.asarray(power > ratio * least)
-
-
 def _put_back(sums: _Sums, known: complex) -> _Sums:
-    """``sums`` whose targets have the sidebands of ``known`` again, to first order."""
+    """``sums`` with sidebands as measured: targets have those of ``known``, taken out before, again to first order."""
     low = sums.low + known * sums.below + np.conj(known) * np.conj(sums.both)
     high = sums.high + known * sums.both + np.conj(known) * sums.above
     own = sums.own + _power(sums, known) + 2.0 * _product(sums, known).real
-    return _Sums(sums.below, sums.above, sums.both, low, high, own, sums.count, sums.carrier)
+    return replace(sums, low=low, high=high, own=own)
 
 
 def _power(sums: _Sums, size: complex | Complexes) -> Floats:
@@ -451,13 +429,14 @@ def _gains(sums: _Sums, grid: Complexes, settings: OrderSettings, *, slack: floa
     # beside the rows' own noise, what is of second order and how coarse the grid is
     variance = spread / power + slack**2
 
-    def odds(off: Complexes) -> Floats:
-        square = np.abs(off) ** 2
-        alone = np.exp(-np.minimum(square / variance, 700.0)) / (np.pi * variance)
-        other = 1.0 / (2.0 * np.pi * (square + variance) * settings.own_line_range)
-        return np.asarray(0.5 * alone + 0.5 * other)
+    sideband, nothing = (_densities(np.abs(off) ** 2, variance, settings) for off in (ratio - 1.0, ratio))
+    return np.asarray(np.log(0.5 * sideband[0] + 0.5 * sideband[1]) - np.log(0.5 * nothing[0] + 0.5 * nothing[1]))
 
-    return np.asarray(np.log(odds(ratio - 1.0)) - np.log(odds(ratio)))
+
+def _densities(square: Floats, variance: Floats, settings: OrderSettings) -> tuple[Floats, Floats]:
+    """Densities of a ratio whose ``square`` is off what is looked for: of that alone, and of a line of its own."""
+    alone = np.exp(-np.minimum(square / variance, 700.0)) / (np.pi * variance)
+    return alone, 1.0 / (2.0 * np.pi * (square + variance) * settings.own_line_range)
 
 
 def _refined(sums: _Sums, start: complex, settings: OrderSettings) -> tuple[complex, float, Floats]:
@@ -467,9 +446,8 @@ def _refined(sums: _Sums, start: complex, settings: OrderSettings) -> tuple[comp
     for slack in (*SLACKS, *(settings.sideband_slack,) * LAST_STEPS):
         power, ratio, spread = _seen_of(sums, size)
         square = np.abs(ratio - 1.0) ** 2
-        variance = spread / power + slack**2
-        alone = np.exp(-np.minimum(square / variance, 700.0)) / (np.pi * variance)
-        weights = alone / (alone + 1.0 / (2.0 * np.pi * (square + variance) * settings.own_line_range))
+        alone, other = _densities(square, spread / power + slack**2, settings)
+        weights = alone / (alone + other)
         share = weights / (spread + slack**2 * power)
         a, b, c = float(share @ sides), complex(share @ sums.both), complex(share @ straight)
         # normal equation of |y - E u - conj(E) v|²: a E + 2 conj(b E) = c

@@ -24,7 +24,7 @@ from crankorder.orders.swing_evidence import (
     swings_of,
     unless_lines_lack,
 )
-from crankorder.quantities import Attribute, Complexes, Floats, Ints, QualityFlag, with_flags
+from crankorder.quantities import Attribute, Complexes, Floats, Ints, QualityFlag, remark, with_flags
 from crankorder.settings import OrderSettings
 from crankorder.shaft.angle import knots_of
 from crankorder.shaft.audit import reference_of
@@ -86,9 +86,8 @@ class AngleErrors:
         All have shapes that follow from (rows,) by broadcasting; unknown phases stay so.
         """
         turned = NORMAL * 360.0 * order * self.mean
-        return np.asarray(
-            np.where(half_deg < UNKNOWN_DEG, np.minimum(np.hypot(half_deg, turned), UNKNOWN_DEG), half_deg)
-        )
+        wider = np.minimum(np.hypot(half_deg, turned), UNKNOWN_DEG)
+        return np.asarray(np.where(half_deg < UNKNOWN_DEG, wider, half_deg))
 
     def kept(self, order: Floats) -> Floats:
         """Share of its amplitude, 0 to 1, that a line at each ``order`` keeps; shapes as of :meth:`phase_half_deg`."""
@@ -108,7 +107,11 @@ def stated_errors(shaft: xr.Dataset, *, revs_per_frame: float) -> dict[str, Attr
     own = TOOTH_PRINT in shaft.attrs and float(shaft.attrs[TOOTH_ORDER]) == 1.0
     teeth = {name: shaft.attrs[name] for name in (TOOTH_LEVEL, TOOTH_KEPT, TOOTH_PRINT)} if own else {}
     shown = {SHOWN: rows} if (rows := _swing_by_speed(shaft)) else {}
-    return {ERROR: error, OF_ONE_REV: of_one, LINES: _lines_per_rev(shaft), **shown, **taken, **teeth}
+    # a recording by crank angle has many lines, how many is not looked for
+    pulses = int(shaft.attrs.get("n_pulses", 0))
+    lines = float(shaft.attrs.get("teeth_per_rev", 0.0)) if pulses > 0 else 0.0
+    lines = MANY_LINES if shaft.attrs.get("domain") == "crank_angle" else lines
+    return {ERROR: error, OF_ONE_REV: of_one, LINES: lines, **shown, **taken, **teeth}
 
 
 def _swing_by_speed(shaft: xr.Dataset) -> list[float]:
@@ -141,14 +144,7 @@ def same_teeth(frames: Sequence[xr.Dataset]) -> bool:
     What was taken out of them with the teeth may have been motion, which is another in each recording.
     """
     stated = [item.attrs for item in frames if TOOTH_PRINT in item.attrs]
-    return not stated or (all(int(one[TOOTH_KEPT]) for one in stated) and same_wheel(stated))
-
-
-def _lines_per_rev(shaft: xr.Dataset) -> float:
-    """Lines of the encoder per revolution; a recording by crank angle has many, how many is not looked for."""
-    if shaft.attrs.get("domain") == "crank_angle":
-        return MANY_LINES
-    return float(shaft.attrs.get("teeth_per_rev", 0.0)) if int(shaft.attrs.get("n_pulses", 0)) > 0 else 0.0
+    return not stated or (all(int(attrs[TOOTH_KEPT]) for attrs in stated) and same_wheel(stated))
 
 
 def errors_of_rows(frames: Sequence[xr.Dataset], owner: Ints, rows: Sequence[Ints]) -> AngleErrors:
@@ -157,10 +153,12 @@ def errors_of_rows(frames: Sequence[xr.Dataset], owner: Ints, rows: Sequence[Int
     ``owner`` (frames of all,) is the number of the recording of each, ``rows`` the frames of each row.
     """
     error, of_one = (np.array([float(item.attrs.get(name, 0.0)) for item in frames]) for name in (ERROR, OF_ONE_REV))
+    length = np.array([float(item.attrs["revs_per_frame"]) for item in frames])
+    overlap = np.array([float(item.attrs.get("overlap", 0.0)) for item in frames])
     random, mean = np.zeros(len(rows)), np.zeros(len(rows))
     for place, row in enumerate(rows):
         names, count = np.unique(owner[row], return_counts=True)
-        revs = np.array([_revs_of(frames[name], int(n)) for name, n in zip(names, count, strict=True)])
+        revs = length[names] * (1.0 + (count - 1.0) * (1.0 - overlap[names]))  # that the frames reach over
         share = count / count.sum()
         own = np.minimum(error[names], of_one[names] / np.sqrt(revs))
         random[place] = np.sqrt(np.sum(share * np.maximum(error[names] ** 2 - own**2, 0.0)))
@@ -176,13 +174,6 @@ def errors_along(shaft: xr.Dataset, time_s: Floats, revs: Floats) -> AngleErrors
     here = np.interp(time_s, knots_of(shaft)["knot_time_s"], np.nan_to_num(shaft["standard_error"].values))
     mean = np.minimum(here, here * (of_one / overall) / np.sqrt(revs))
     return AngleErrors(np.sqrt(np.maximum(here**2 - mean**2, 0.0)), mean)
-
-
-def _revs_of(frames: xr.Dataset, count: int) -> float:
-    """Revolutions that ``count`` frames reach over."""
-    return float(frames.attrs["revs_per_frame"]) * (
-        1.0 + (count - 1.0) * (1.0 - float(frames.attrs.get("overlap", 0.0)))
-    )
 
 
 def _errors(shaft: xr.Dataset, revs_per_frame: float) -> tuple[float, float]:
@@ -214,7 +205,7 @@ def swings_of_test(frames: Sequence[xr.Dataset], *, settings: OrderSettings) -> 
     """
     used = [item for item in frames if float(item.attrs.get(LINES, 0.0)) > 0.0]
     shared = bool(used) and one_phase_reference(used) and same_teeth(used)
-    made: dict[str, tuple[Swing, ...]] = {}
+    of: dict[str, tuple[Swing, ...]] = {}
     for group in [used] if shared else [[item] for item in used]:
         rows = rows_of(group)
         if rows is None:
@@ -227,8 +218,8 @@ def swings_of_test(frames: Sequence[xr.Dataset], *, settings: OrderSettings) -> 
         alike = alike_at_all_speeds(shown, slack=settings.sideband_slack)
         may = {k: part for k, part in alike.items() if lines >= LINES_PER_HARMONIC * k}
         swings = swings_of(rows, expected, may)
-        made |= {str(item.attrs["recording"]): swings for item in group}
-    return Swings(unless_lines_lack(made) if made else {}, shared)
+        of |= {str(item.attrs["recording"]): swings for item in group}
+    return Swings(unless_lines_lack(of) if of else {}, shared)
 
 
 def angle_in_truth(shown: xr.Dataset, frames: xr.Dataset, *, settings: OrderSettings) -> xr.Dataset:
@@ -246,12 +237,11 @@ def angle_in_truth(shown: xr.Dataset, frames: xr.Dataset, *, settings: OrderSett
     for _ in range(STEPS):
         true = angle - _error(taken, true)
     speed = shown["speed"].values / (1.0 + _error(taken, true, slope=True))
-    left = np.sqrt(0.5 * sum(one.error_rev**2 for one in own if one.proved))
+    left = np.sqrt(0.5 * sum(swing.error_rev**2 for swing in own if swing.proved))
     put_right = {"crank_angle": true, "speed": speed, "standard_error": np.hypot(shown["standard_error"].values, left)}
-    made = shown.assign({name: shown[name].copy(data=values) for name, values in put_right.items()})
-    made = made.assign_attrs({TAKEN: _stated(own)[TAKEN]})
-    recording = str(frames.attrs["recording"])
-    return with_flags(made, [_flag(recording, one, "the angle") for one in own if one.proved])
+    angle_true = shown.assign({name: shown[name].copy(data=values) for name, values in put_right.items()})
+    flags = [_flag(str(frames.attrs["recording"]), swing, "the angle") for swing in own if swing.proved]
+    return with_flags(angle_true.assign_attrs({TAKEN: _stated(own)[TAKEN]}), flags)
 
 
 def _error(taken: dict[int, complex], angle: Floats, *, slope: bool = False) -> Floats:
@@ -294,10 +284,8 @@ def tracks_in_true_angle(followed: Sequence[xr.Dataset], swings: Swings) -> list
         values = _brought_back(amplitude.values, order, _taken(own))
         given = _given(np.abs(values), order, {one.harmonic: one.left_rev for one in own})
         words = {"units": "see unit", "long_name": "largest amplitude that the rest of the angle's swing gives"}
-        item = item.assign(
-            {"amplitude": (amplitude.dims, values, amplitude.attrs), GIVEN: (amplitude.dims, given, words)}
-        )
-        made.append(item.assign_attrs(_stated(own, item)))
+        true = {"amplitude": (amplitude.dims, values, amplitude.attrs), GIVEN: (amplitude.dims, given, words)}
+        made.append(item.assign(true).assign_attrs(_stated(own, item)))
     return made
 
 
@@ -318,7 +306,7 @@ def given_to(amplitude: Floats, frames: Sequence[xr.Dataset]) -> Floats:
 def swing_flags(swings: Swings) -> list[QualityFlag]:
     """What ``swings`` say of the encoder: once for a test whose recordings have one mark, else for each."""
     of = list(swings.of.items())[: 1 if swings.shared else None]
-    return [_flag("all" if swings.shared else name, one) for name, own in of for one in own if one.proved]
+    return [_flag("all" if swings.shared else name, swing) for name, own in of for swing in own if swing.proved]
 
 
 def _flag(recording: str, swing: Swing, taken_from: str = "orders and tracks") -> QualityFlag:
@@ -333,8 +321,7 @@ def _flag(recording: str, swing: Swing, taken_from: str = "orders and tracks") -
         f"their order times one and the same error of the angle (chance {swing.chance:.1g}); pulses show it alike at "
         f"all speeds. They are no machine part and are taken out of {taken_from}; what may be left is in the intervals"
     )
-    flag = f"encoder_{NAMES.get(swing.harmonic, 'uneven_lines')}"
-    return {"recording": recording, "flag": flag, "severity": "info", "detail": detail}
+    return remark(recording, f"encoder_{NAMES.get(swing.harmonic, 'uneven_lines')}", detail)
 
 
 def _taken(own: Sequence[Swing]) -> dict[int, complex]:
@@ -344,8 +331,8 @@ def _taken(own: Sequence[Swing]) -> dict[int, complex]:
 def _stated(own: Sequence[Swing], item: xr.Dataset | None = None) -> dict[str, list[float]]:
     """Attributes that state the swings ``own``, beside what was taken from the angle of ``item`` before."""
     before = np.zeros(len(own)) if item is None else np.atleast_1d(item.attrs.get(TAKEN, np.zeros(len(own))))
-    now = np.array([abs(one.size) if one.proved else 0.0 for one in own])
-    return {LEFT: [one.left_rev for one in own], TAKEN: np.maximum(before, now).tolist()}
+    now = np.array([abs(swing.size) if swing.proved else 0.0 for swing in own])
+    return {LEFT: [swing.left_rev for swing in own], TAKEN: np.maximum(before, now).tolist()}
 
 
 def _brought_back(values: Complexes, order: Floats, taken: dict[int, complex]) -> Complexes:

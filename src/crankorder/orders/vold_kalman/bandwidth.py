@@ -164,7 +164,10 @@ def local_level(
     bins = _flanks(length, sums_per_bandwidth)
     spectrum = np.fft.fft(sliding_window_view(turned, length, axis=1)[:, starts] * window, axis=2)[:, :, bins]
     left = _left_by_filters(bins / length, others, starts, length, sums_per_bandwidth, poles)
-    power = np.abs(spectrum) ** 2 / (_spread(bins / length, correlation) * left)
+    # power of white noise in the sums at each offset [cycles per place]
+    lags = np.arange(1, len(correlation))
+    white = correlation[0] + 2.0 * np.cos(2.0 * np.pi * np.outer(bins / length, lags)) @ correlation[1:]
+    power = np.abs(spectrum) ** 2 / (white * left)
     free = left >= np.minimum(LEAST_LEFT, np.sort(left, axis=1)[:, -min(FEWEST_BINS, len(bins)), None])
     usable = held > 0.5 * held.max()
     level = _level(power[:, usable], free[usable]) / held[usable]
@@ -176,14 +179,8 @@ def _flanks(length: int, sums_per_bandwidth: float) -> Ints:
     first = max(LEAST_BINS[0], math.ceil(FLANK[0] * length / sums_per_bandwidth))
     last = max(first + LEAST_BINS[1], int(FLANK[1] * length / sums_per_bandwidth))
     last = max(LEAST_BINS[0], min(last, int(WIDEST * length)))
-    one = np.arange(min(first, last), last + 1)
-    return np.concatenate([-one, one])
-
-
-def _spread(offset: Floats, correlation: Floats) -> Floats:
-    """Power of white noise in the sums at each offset [cycles per place], by the ``correlation`` of neighbours."""
-    lags = np.arange(1, len(correlation))
-    return np.asarray(correlation[0] + 2.0 * np.cos(2.0 * np.pi * np.outer(offset, lags)) @ correlation[1:])
+    above = np.arange(min(first, last), last + 1)
+    return np.concatenate([-above, above])
 
 
 def _left_by_filters(

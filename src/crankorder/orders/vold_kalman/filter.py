@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import binom
 
 from crankorder.errors import InputError, RequestError
 from crankorder.orders.vold_kalman.banded import cos_sin, factorise, inverse_band, solve
@@ -18,8 +19,8 @@ from crankorder.orders.vold_kalman.bandwidth import (
     noise_bandwidth_share,
     structural_weight,
 )
-from crankorder.orders.vold_kalman.system import KNOTS_PER_BANDWIDTH, EnvelopeSystem, Solution
-from crankorder.quantities import Bools, Complexes, Floats
+from crankorder.orders.vold_kalman.system import KNOTS_PER_BANDWIDTH, LEAST_CONSTANT, EnvelopeSystem, Solution
+from crankorder.quantities import Bools, Complexes, Floats, Ints
 
 BLOCK = 65_536
 """Samples solved for at a time, beside the margins that are thrown away."""
@@ -29,9 +30,6 @@ MARGIN_BANDWIDTHS = 48.0
 
 HEAVIEST = 1e12
 """Largest eigenvalue 4^poles r² of the structure beyond which refinement does not restore the digits that are lost."""
-
-LEAST_CONSTANT = 1e-6
-"""Share of a constant that the orders must leave unexplained for it to be told from them."""
 
 REFINEMENTS = 2
 """Steps of iterative refinement."""
@@ -65,41 +63,33 @@ def closest(
     frequency = np.diff(phase_rev, axis=1) * rate_hz
     width = np.median(bandwidth_hz, axis=1)
     called = [f"component {k}" for k in range(len(frequency))] if names is None else list(names)
-    found = []
+    pairs = []
     for i in range(len(frequency)):
         for j in range(i, len(frequency)):
             wide = float(width[i] * width[j]) ** 0.5
             if i != j:
                 apart = _distance(frequency[i] - frequency[j], rate_hz)
                 both = f"components {i} and {j}" if names is None else f"{called[i]} and {called[j]}"
-                found.append((apart / wide, both, apart))
+                pairs.append((apart / wide, both, apart))
             apart = _distance(frequency[i] + frequency[j], rate_hz)
             image = "its own image" if i == j else f"the image of {called[j]}"
-            found.append((apart / wide, f"{called[i]} and {image} at minus the frequency", apart))
-    _, name, apart = min(found)
-    return name, apart
+            pairs.append((apart / wide, f"{called[i]} and {image} at minus the frequency", apart))
+    return min(pairs)[1:]
 
 
 def _distance(difference_hz: Floats, rate_hz: float) -> float:
     return float(np.median(np.abs(difference_hz - rate_hz * np.round(difference_hz / rate_hz))))
 
 
-@dataclass(frozen=True)
-class SampleEnvelopes:
-    """``values`` (channels + 1, samples, rows) of cosines and sines, the last channel for a signal of ones, and
-    ``variance`` (samples, rows) per unit of white noise variance."""
-
-    values: Floats
-    variance: Floats
-
-
 def envelopes_at_samples(
     signals: Floats, phase_rev: Floats, usable: Bools, *, weight: Floats, poles: int, margin: int
-) -> SampleEnvelopes:
-    """Envelopes of all orders jointly, in blocks with ``margin`` samples on both sides.
+) -> tuple[Floats, Floats]:
+    """Envelopes of all orders jointly, and their variance, in blocks with ``margin`` samples on both sides.
 
     ``signals`` (channels, samples) finite, ``phase_rev`` (orders, samples), ``usable`` (samples,), ``weight`` (orders,
-    samples) the structural weight r², ``poles`` of the filter. Raises RequestError where a block is not definite.
+    samples) the structural weight r², ``poles`` of the filter. Envelopes (channels + 1, samples, rows) are those of
+    cosines and sines, the last channel for a signal of ones; the variance (samples, rows) is per unit of white noise
+    variance. Raises RequestError where a block is not definite.
     """
     n_samples, rows = signals.shape[1], 2 * len(phase_rev)
     values = np.empty((len(signals) + 1, n_samples, rows))
@@ -107,23 +97,19 @@ def envelopes_at_samples(
     for begin in range(0, n_samples, BLOCK):
         end = min(n_samples, begin + BLOCK)
         low, high = max(0, begin - margin), min(n_samples, end + margin)
-        near = slice(low, high)
-        kept, inside = slice(begin, end), slice(begin - low, end - low)
+        near, inside = slice(low, high), slice(begin - low, end - low)
         waves = np.empty((rows, high - low))
         for k, phase in enumerate(phase_rev):
             cos_sin(phase[near], waves[k], waves[len(phase_rev) + k])
         waves *= usable[near]
-        found, diagonal = _solved(signals[:, near], waves, weight[:, near], poles)
-        values[:, kept], variance[kept] = found[:, inside], diagonal[inside]
-    return SampleEnvelopes(values, variance)
+        envelopes, diagonal = _solved(signals[:, near], waves, weight[:, near], poles)
+        values[:, begin:end], variance[begin:end] = envelopes[:, inside], diagonal[inside]
+    return values, variance
 
 
 def _solved(signals: Floats, waves: Floats, weight: Floats, poles: int) -> tuple[Floats, Floats]:
     rows, n = waves.shape
-    steps = np.zeros(poles + 1)
-    steps[0] = 1.0
-    for _ in range(poles):
-        steps[1:] -= steps[:-1].copy()
+    steps = (-1.0) ** np.arange(poles + 1) * binom(poles, np.arange(poles + 1))
     band = np.zeros((n * rows, rows * poles + 1))
     _assemble(waves, weight, steps, band)
     if factorise(band) >= 0:
@@ -147,8 +133,8 @@ def _solved(signals: Floats, waves: Floats, weight: Floats, poles: int) -> tuple
 def with_offset(values: Floats, signals: Floats, phase_rev: Floats, usable: Bools) -> tuple[Complexes, Floats, Floats]:
     """Amplitudes (channels, orders, samples), residual (channels, samples) and constant part (channels,).
 
-    ``values`` of SampleEnvelopes, the last for a signal of ones; ``signals``, ``phase_rev`` and ``usable`` as given to
-    ``envelopes_at_samples``. The constant is fitted jointly: what of the ones the orders do not explain.
+    ``values`` are envelopes of ``envelopes_at_samples``; ``signals``, ``phase_rev`` and ``usable`` as given to
+    it. The constant is fitted jointly: what of the ones the orders do not explain.
     """
     k = len(phase_rev)
     turn = np.exp(2j * np.pi * (phase_rev - np.floor(phase_rev)))
@@ -163,6 +149,18 @@ def with_offset(values: Floats, signals: Floats, phase_rev: Floats, usable: Bool
     return np.ascontiguousarray(amplitude), residual, offset
 
 
+def _errors_beside(
+    sums: Complexes, weight: Floats, others: Floats, spread: Floats, place: NDArray[Any], **reading: Any
+) -> Floats:
+    """Standard errors (channels, places) of one order from the noise that residual ``sums`` hold beside it.
+
+    ``spread`` (places, rows) is the variance of cosine and sine per unit of white noise at each ``place``; ``sums``,
+    ``weight``, ``others`` and the ``reading`` are those of :func:`local_level`.
+    """
+    at, level = local_level(sums, weight, others, **reading)
+    return np.array([np.sqrt(np.interp(place, at, row) * (0.5 * (spread[:, 0] + spread[:, 1]))) for row in level])
+
+
 def sample_errors(
     remaining: Floats, phase_rev: Floats, usable: Bools, variance: Floats, samples_per_bandwidth: Floats, poles: int
 ) -> Floats:
@@ -171,24 +169,15 @@ def sample_errors(
     ``remaining`` (channels, samples) residual without constant, ``phase_rev`` (orders, samples), ``usable`` (samples,),
     ``variance`` (samples, rows) per unit of white noise, ``samples_per_bandwidth`` (orders,), ``poles`` of the filter.
     """
-    n_orders, n_samples = phase_rev.shape
-    at = np.arange(n_samples)
-    found = np.empty((len(remaining), n_orders, n_samples))
+    weight, at = usable.astype(np.float64), np.arange(len(usable))
+    reading = {"poles": poles, "correlation": np.ones(1)}
+    errors = np.empty((len(remaining), *phase_rev.shape))
     for k, phase in enumerate(phase_rev):
         others = np.gradient(np.delete(phase_rev, k, axis=0) - phase, axis=1)
         turned = np.where(usable, remaining, 0.0) * np.exp(-2j * np.pi * (phase - np.floor(phase)))
-        places, level = local_level(
-            turned,
-            usable.astype(np.float64),
-            others,
-            sums_per_bandwidth=float(samples_per_bandwidth[k]),
-            poles=poles,
-            correlation=np.ones(1),
-        )
-        spread = 0.5 * (variance[:, k] + variance[:, n_orders + k])
-        for channel in range(len(remaining)):
-            found[channel, k] = np.sqrt(np.interp(at, places, level[channel]) * spread)
-    return found
+        reading["sums_per_bandwidth"] = float(samples_per_bandwidth[k])
+        errors[:, k] = _errors_beside(turned, weight, others, variance[:, k :: len(phase_rev)], at, **reading)
+    return errors
 
 
 @njit(cache=True, nogil=True)
@@ -230,10 +219,12 @@ class VoldKalmanTracks:
     @property
     def standard_error(self) -> Floats:
         """Standard error (channels, orders, samples) at every sample, linear between ``error_place``."""
-        at = np.arange(self.residual.shape[1])
-        flat = self.error.reshape(-1, len(self.error_place))
-        found = [np.interp(at, self.error_place, one) for one in flat]
-        return np.array(found).reshape(*self.error.shape[:2], len(at))
+        return self.error_at(np.arange(self.residual.shape[1]))
+
+    def error_at(self, place: Ints) -> Floats:
+        """Standard error (channels, orders, places) at the samples ``place``, linear between ``error_place``."""
+        rows = [np.interp(place, self.error_place, row) for row in self.error.reshape(-1, len(self.error_place))]
+        return np.array(rows).reshape(*self.error.shape[:2], len(place))
 
 
 def vold_kalman(
@@ -284,7 +275,14 @@ def vold_kalman(
             raise _indistinguishable(phase, bandwidth, rate_hz, error.magnification, names) from error
     if len(parts) == 1:
         return parts[0]
-    return _together(parts, list(groups.values()))
+    # tracks of all channels from those of groups with equal gaps
+    order = np.argsort([channel for group in groups.values() for channel in group])
+    worst = max(parts, key=lambda part: part.condition)
+    of_channels: dict[str, Any] = {
+        name: np.concatenate([getattr(part, name) for part in parts])[order]
+        for name in ("amplitude", "residual", "offset", "error")
+    }
+    return replace(worst, **of_channels, notes=tuple(dict.fromkeys(note for part in parts for note in part.notes)))
 
 
 def _checked(
@@ -361,14 +359,9 @@ def _scales(values: NDArray[np.floating], mask: Bools) -> Floats:
 
 
 def _by_knots(
-    values: NDArray[np.floating],
-    phase: Floats,
-    bandwidth: Floats,
-    mask: Bools,
-    rate_hz: float,
-    poles: int,
-    knots_per_bandwidth: int,
+    values: NDArray[np.floating], phase: Floats, bandwidth: Floats, mask: Bools, rate_hz: float, poles: int, knots: int
 ) -> VoldKalmanTracks:
+    """VoldKalmanTracks by so many ``knots`` in a reciprocal bandwidth."""
     system = EnvelopeSystem(
         n_samples=values.shape[1],
         n_channels=len(values),
@@ -376,7 +369,7 @@ def _by_knots(
         rate_hz=rate_hz,
         poles=poles,
         scale=_scales(values, mask),
-        knots_per_bandwidth=knots_per_bandwidth,
+        knots_per_bandwidth=knots,
     )
     system.add(values, phase, mask, begin=0)
     try:
@@ -405,20 +398,13 @@ def standard_errors(system: EnvelopeSystem, solution: Solution) -> Floats:
     """
     sums, weight = system.residual_sums()
     place = np.arange(system.knots.intervals) + 0.5 * (weight.shape[1] - system.knots.intervals)
-    found = np.empty((len(sums), system.n_orders, system.knots.intervals))
+    reading = {"poles": system.poles, "correlation": SPLINE_CORRELATION}
+    errors = np.empty((len(sums), system.n_orders, system.knots.intervals))
     for k in range(system.n_orders):
-        at, level = local_level(
-            sums[:, k],
-            weight[k],
-            system.distances(k),
-            sums_per_bandwidth=system.sums_per_bandwidth[k],
-            poles=system.poles,
-            correlation=SPLINE_CORRELATION,
-        )
-        spread = 0.5 * (solution.variance[:, k] + solution.variance[:, system.n_orders + k])
-        for channel in range(len(sums)):
-            found[channel, k] = np.sqrt(np.interp(place, at, level[channel]) * spread) / system.scale[channel]
-    return found
+        reading["sums_per_bandwidth"] = system.sums_per_bandwidth[k]
+        spread = solution.variance[:, k :: system.n_orders]
+        errors[:, k] = _errors_beside(sums[:, k], weight[k], system.distances(k), spread, place, **reading)
+    return errors / system.scale[:, None, None]
 
 
 def _by_samples(
@@ -428,23 +414,22 @@ def _by_samples(
     scale = _scales(values, mask)
     signals = np.where(mask, values, 0.0) * scale[:, None]
     at, points = np.arange(n_samples, dtype=np.float64), np.linspace(0.0, n_samples - 1.0, bandwidth.shape[1])
-    widths = np.array([np.interp(at, points, one) for one in bandwidth])
+    widths = np.array([np.interp(at, points, of_order) for of_order in bandwidth])
     weight = structural_weight(widths, rate_hz=rate_hz, poles=poles)
     margin = int(np.ceil(MARGIN_BANDWIDTHS * rate_hz / bandwidth.min()))
     try:
-        found = envelopes_at_samples(signals, phase, mask, weight=weight, poles=poles, margin=margin)
+        values, variance = envelopes_at_samples(signals, phase, mask, weight=weight, poles=poles, margin=margin)
     except RequestError as not_definite:
         raise _TooCloseError(np.inf) from not_definite
-    variance = found.variance * (1.0 - 0.5 / poles)
+    variance *= 1.0 - 0.5 / poles
     magnification = _magnification(variance, mask.astype(np.float64), at, bandwidth, n_samples, rate_hz, poles)
     if magnification > MOST_MAGNIFICATION:
         raise _TooCloseError(magnification)
-    amplitude, remaining, offset = with_offset(found.values, signals, phase, mask)
-    errors = sample_errors(
-        remaining - offset[:, None], phase, mask, variance, rate_hz / np.median(bandwidth, axis=1), poles
-    )
-    amplitude /= scale[:, None, None]
+    amplitude, remaining, offset = with_offset(values, signals, phase, mask)
+    per_bandwidth = rate_hz / np.median(bandwidth, axis=1)
+    errors = sample_errors(remaining - offset[:, None], phase, mask, variance, per_bandwidth, poles)
     errors /= scale[:, None, None]
+    amplitude /= scale[:, None, None]
     residual = np.where(mask, remaining, np.nan) / scale[:, None]
     notes = ("envelopes at every sample; constant part fitted with the orders",)
     return VoldKalmanTracks(amplitude, residual, offset / scale, at, errors, magnification, "samples", notes)
@@ -454,16 +439,15 @@ def _magnification(
     variance: Floats, usable_share: Floats, place: Floats, bandwidth: Floats, n_samples: int, rate_hz: float, poles: int
 ) -> float:
     """Largest noise power of an order over that of the order alone, median over the usable places."""
-    n_orders = len(bandwidth)
     points = np.linspace(0.0, n_samples, bandwidth.shape[1])
     seen = usable_share > 0.5 if np.any(usable_share > 0.5) else usable_share > 0.0
-    found = []
-    for k in range(n_orders):
-        width = np.interp(place, points, bandwidth[k])
+    magnified = []
+    for k, of_order in enumerate(bandwidth):
+        width = np.interp(place, points, of_order)
         alone = 2.0 * noise_bandwidth_share(poles) * width / rate_hz + 2.0 * poles / n_samples
-        both = 0.5 * (variance[:, k] + variance[:, n_orders + k])
-        found.append(float(np.median((both / alone)[seen])))
-    return float(np.max(found))
+        both = 0.5 * (variance[:, k] + variance[:, len(bandwidth) + k])
+        magnified.append(float(np.median((both / alone)[seen])))
+    return float(np.max(magnified))
 
 
 class _TooCloseError(Exception):
@@ -485,15 +469,3 @@ def _indistinguishable(
         allowed=f"a noise power up to {MOST_MAGNIFICATION:g} times that of each order alone",
         remedy=f"ask for a bandwidth below {max(distance_hz, 1e-300):.2g} Hz, take a longer recording, or fewer orders",
     )
-
-
-def _together(parts: list[VoldKalmanTracks], groups: list[list[int]]) -> VoldKalmanTracks:
-    """Tracks of all channels from those of groups with equal gaps."""
-    order = np.argsort([channel for group in groups for channel in group])
-    worst = max(parts, key=lambda part: part.condition)
-    amplitude, residual, offset, error = (
-        np.concatenate([getattr(part, name) for part in parts])[order]
-        for name in ("amplitude", "residual", "offset", "error")
-    )
-    notes = tuple(dict.fromkeys(note for part in parts for note in part.notes))
-    return replace(worst, amplitude=amplitude, residual=residual, offset=offset, error=error, notes=notes)

@@ -275,29 +275,22 @@ class EnvelopeSystem:
         places_hz = rate_hz * self.knots.intervals / n_samples
         self.sums_per_bandwidth = places_hz / np.median(bandwidth_hz, axis=1)
         intervals, rows = self.knots.intervals, 2 * self.n_orders
-        self.weight = self._weights(bandwidth_hz, rate_hz, n_samples)
-        self._place_splines()
+        middle = 0.5 * (self.knots.starts[1:] + self.knots.starts[:-1])
+        points = np.linspace(0.0, n_samples, bandwidth_hz.shape[1])
+        at_knots = np.array([np.interp(middle, points, of_order) for of_order in bandwidth_hz])
+        self.weight = np.ascontiguousarray(structural_weight(at_knots, rate_hz=rate_hz, poles=poles).T)
+        runs = self.knots.runs
+        self.kind = np.searchsorted(runs, np.arange(intervals), side="right") - 1
+        self.splines = spline_pieces(self.knots.extended, runs, DEGREE)
+        self.forms, self.slopes = roughness(self.knots, runs, poles), difference_slopes(self.knots, poles)
+        steep = local_differences(self.knots, runs, poles)
+        self.stiffness = np.ascontiguousarray(steep.transpose(0, 2, 1) @ self.forms @ steep)
         self.gram = np.zeros((intervals, rows * (rows + 1) // 2, 2 * DEGREE + 1))
         self.data = np.zeros((intervals, n_channels + 1, rows, DEGREE + 1))
         self.residual_data = np.zeros((intervals, n_channels, rows, DEGREE + 1))
         self.totals = np.zeros(n_channels + 1)
         self.knot_phase_rev = np.zeros((self.n_orders, intervals + 1))
         self.data_band = np.empty((0, 0))
-
-    def _weights(self, bandwidth_hz: Floats, rate_hz: float, n_samples: int) -> Floats:
-        middle = 0.5 * (self.knots.starts[1:] + self.knots.starts[:-1])
-        points = np.linspace(0.0, n_samples, bandwidth_hz.shape[1])
-        at_knots = np.array([np.interp(middle, points, one) for one in bandwidth_hz])
-        return np.ascontiguousarray(structural_weight(at_knots, rate_hz=rate_hz, poles=self.poles).T)
-
-    def _place_splines(self) -> None:
-        runs, knots = self.knots.runs, self.knots
-        self.kind = np.searchsorted(runs, np.arange(knots.intervals), side="right") - 1
-        self.splines = spline_pieces(knots.extended, runs, DEGREE)
-        self.forms = roughness(knots, runs, self.poles)
-        self.slopes = difference_slopes(knots, self.poles)
-        steep = local_differences(knots, runs, self.poles)
-        self.stiffness = np.ascontiguousarray(steep.transpose(0, 2, 1) @ self.forms @ steep)
 
     def add(self, signals: NDArray[np.floating], phase_rev: Floats, usable: Bools, *, begin: int) -> None:
         """Take in the samples from number ``begin`` on.
@@ -325,12 +318,18 @@ class EnvelopeSystem:
         gather(self.data, self.splines, self.kind, wanted)
         if self.knots.intervals <= FEWEST_INTERVALS:
             forms = self.forms[self.kind]
-            found, covariance = solve_short(self.data_band, forms, self.weight, self.slopes, wanted)
-            inverse = _band_of(covariance, self.data_band.shape[1] - 1)
+            solved, covariance = solve_short(self.data_band, forms, self.weight, self.slopes, wanted)
+            # lower band of the full matrix, stored as the banded kernels do
+            lags = range(self.data_band.shape[1] - 1, -1, -1)
+            inverse = np.array([[row[max(i - k, 0)] for k in lags] for i, row in enumerate(covariance)])
         else:
-            found, inverse = self._solve_long(wanted)
-        offset = self._offset(found, wanted)
-        values = found[:-1] - found[-1] * offset[:, None, None]
+            solved, inverse = self._solve_long(wanted)
+        # constant part of each channel, jointly with the orders: the last channel is a signal of ones
+        offset, n_usable = np.zeros(len(self.scale)), self.totals[-1]
+        left = n_usable - float(np.sum(solved[-1] * wanted[-1]))
+        if left > LEAST_CONSTANT * n_usable:
+            offset = (self.totals[:-1] - np.einsum("csr,sr->c", solved[:-1], wanted[-1])) / left
+        values = solved[:-1] - solved[-1] * offset[:, None, None]
         pieces = np.empty((self.knots.intervals, len(self.scale), rows, DEGREE + 1))
         scatter(values, self.splines, self.kind, pieces)
         return Solution(pieces, offset, variance_at_middles(inverse, self.splines, self.kind, rows))
@@ -350,37 +349,22 @@ class EnvelopeSystem:
                 found=f"coefficient {failed} of {len(factor)}",
                 remedy="two of the orders move together, or the usable samples do not determine them",
             )
-        return self._refined(factor, wanted), inverse_band(factor) * (1.0 - 0.5 / self.poles)
-
-    def _refined(self, factor: Floats, wanted: Floats) -> Floats:
-        found = wanted.copy()
-        solve(factor, found.reshape(len(found), -1))
+        values = wanted.copy()
+        solve(factor, values.reshape(len(values), -1))
         last = np.inf
         for _ in range(REFINEMENTS):
-            step = wanted - self._applied(found)
+            # the normal equations applied, roughness by differences: exact where envelopes are smooth
+            applied = np.zeros_like(values)
+            product(self.data_band, values.reshape(len(values), -1), applied.reshape(len(values), -1))
+            apply_roughness(self.forms, self.kind, self.weight, self.slopes, values, applied)
+            step = wanted - applied
             solve(factor, step.reshape(len(step), -1))
-            found += step
-            change = float(np.abs(step).max()) / max(float(np.abs(found).max()), 1e-300)
+            values += step
+            change = float(np.abs(step).max()) / max(float(np.abs(values).max()), 1e-300)
             if change < ENOUGH or change > 0.5 * last:
                 break
             last = change
-        return found
-
-    def _applied(self, values: Floats) -> Floats:
-        """The normal equations applied to ``values``, roughness by differences: exact where envelopes are smooth."""
-        found = np.zeros_like(values)
-        product(self.data_band, values.reshape(len(values), -1), found.reshape(len(values), -1))
-        apply_roughness(self.forms, self.kind, self.weight, self.slopes, values, found)
-        return found
-
-    def _offset(self, found: Floats, wanted: Floats) -> Floats:
-        """Constant part of each channel, jointly with the orders: the last channel is a signal of ones."""
-        n_usable = self.totals[-1]
-        left = n_usable - float(np.sum(found[-1] * wanted[-1]))
-        if not left > LEAST_CONSTANT * n_usable:
-            return np.zeros(len(self.scale))
-        explained = np.einsum("csr,sr->c", found[:-1], wanted[-1])
-        return np.asarray((self.totals[:-1] - explained) / left)
+        return values, inverse_band(factor) * (1.0 - 0.5 / self.poles)
 
     def read(
         self, solution: Solution, signals: NDArray[np.floating], phase_rev: Floats, usable: Bools, *, begin: int
@@ -416,9 +400,3 @@ class EnvelopeSystem:
         k = self.n_orders
         sums = (values[:, :, :k] - 1j * values[:, :, k:]).transpose(0, 2, 1)
         return sums, (weight[:, :k] + weight[:, k:]).T
-
-
-def _band_of(matrix: Floats, width: int) -> Floats:
-    """Lower band of a full symmetric ``matrix``, stored as the banded kernels do."""
-    n = len(matrix)
-    return np.array([[matrix[i, max(i - k, 0)] for k in range(width, -1, -1)] for i in range(n)])
