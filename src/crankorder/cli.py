@@ -175,7 +175,12 @@ def run(
     as_json: bool,
     quiet: bool,
     verbose: bool,
-    **of_plans: Any,
+    manifest: Path | None,
+    name: str | None,
+    recipe: str | None,
+    tolerance: float | None,
+    max_memory_mb: int | None,
+    report: ReportOptions,
 ) -> None:
     """Analyse test-run folders.
 
@@ -189,7 +194,10 @@ def run(
     if shard is not None and reduce:
         raise click.UsageError("--shard keeps what recordings give, --reduce makes the results of it: not both at once")
 
-    planned = plan_tests(list(folders), out, **of_plans)
+    planned = plan_tests(
+        list(folders), out, manifest=manifest, recipe=recipe, tolerance=tolerance, max_memory_mb=max_memory_mb,
+        name=name, report=report,
+    )  # fmt: skip
     plans = planned.tests if shard is None else [Shard.parse(shard).of(plan) for plan in planned.tests]
     for fault in planned.refused:
         click.echo(f"crankorder: not analysed: {fault}", err=True)
@@ -201,13 +209,17 @@ def run(
             for fault in plan.faults:
                 click.echo(f"  {fault}", err=True)
         sys.exit(3 if planned.refused else 0)
-    how: dict[str, Any] = {"jobs": jobs, "strict": strict, "scheduler": scheduler}
-    options = RunOptions(**how, fresh=fresh and not reduce, timeout_s=timeout_s, keep_only=shard is not None)
+    options = RunOptions(
+        jobs=jobs, fresh=fresh and not reduce, strict=strict, timeout_s=timeout_s, keep_only=shard is not None,
+        scheduler=scheduler,
+    )  # fmt: skip
     from crankorder.batch.run_log import logged, tell
 
     with logged(out, as_json=log_json):
-        asked: dict[str, Any] = {"jobs": jobs, "fresh": fresh, "strict": strict, "shard": shard, "scheduler": scheduler}
-        tell("run begun", out=out, tests=len(plans), **asked)
+        tell(
+            "run begun", out=out, tests=len(plans), jobs=jobs, fresh=fresh, strict=strict, shard=shard,
+            scheduler=scheduler,
+        )  # fmt: skip
         for fault in planned.refused:
             tell("not analysed", why=fault)
         status = _run_plans(plans, out, options, as_json, quiet, verbose)

@@ -536,7 +536,8 @@ def nothing_sought(
 
     ``channels``, ``speed_range_rpm`` and ``quality`` are those of its recordings.
     """
-    of_recordings: Document = {"channels": channels, "speed_range_rpm": speed_range_rpm, "quality": quality}
-    nothing: Document = dict.fromkeys(("orders", "modes", "crossings", "bearings", "lines"), ())
-    nothing |= {"unexplained_energy_fraction": None, "balance": None, "balance_reason": reason}
-    return Findings(schema_version=SCHEMA_VERSION, test=test, not_asked_for=reason, **of_recordings, **nothing)
+    return Findings(
+        schema_version=SCHEMA_VERSION, test=test, not_asked_for=reason, channels=channels,
+        speed_range_rpm=speed_range_rpm, unexplained_energy_fraction=None, balance=None, balance_reason=reason,
+        quality=quality, orders=(), modes=(), crossings=(), bearings=(), lines=(),
+    )  # fmt: skip

@@ -343,7 +343,7 @@ def _each_once(plan: CampaignPlan, hashes: dict[Path, HashedFile]) -> tuple[list
     alike = {
         path: " ".join(str(file.sha256) for file in files)
         for path, files in hashed.items()
-        if all(file.state is not None and file.state[0] for file in files)
+        if all(file.size for file in files)
     }
     first_of: dict[str, Path] = {}
     wanted = [path for path in plan.recordings if first_of.setdefault(alike.get(path) or str(path), path) == path]
@@ -487,7 +487,7 @@ def _provenance(
 def _size(path: Path, hashed: HashedFile) -> int | None:
     """Bytes of the file at ``path`` as it was ``hashed``; as it is where it could not be, None where it is gone."""
     if hashed.state is not None:
-        return hashed.state[0]
+        return hashed.size
     with contextlib.suppress(OSError):
         return path.stat().st_size
     return None

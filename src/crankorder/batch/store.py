@@ -78,7 +78,7 @@ def _state(stat: os.stat_result) -> tuple[int, ...]:
 
 @dataclass(frozen=True)
 class HashedFile:
-    """A file as it was hashed: SHA-256, state with its size first, or the ``fault`` for which it could not be read.
+    """A file as it was hashed: SHA-256, state and ``size`` (bytes), or the ``fault`` for which it could not be read.
 
     A file that was written just before may change again within one tick of the clock of its disk: ``just_written``.
     """
@@ -87,6 +87,7 @@ class HashedFile:
     state: tuple[int, ...] | None
     fault: str = ""
     just_written: bool = False
+    size: int = 0
 
     @classmethod
     def of(cls, path: Path) -> HashedFile:
@@ -99,7 +100,8 @@ class HashedFile:
                 return cls(None, None, CHANGED)
         except OSError as error:
             return cls(None, None, str(error.strerror))
-        return cls(digest, _state(before), just_written=time.time_ns() - before.st_ctime_ns < SETTLED_NS)
+        recent = time.time_ns() - before.st_ctime_ns < SETTLED_NS
+        return cls(digest, _state(before), just_written=recent, size=before.st_size)
 
     def is_still_at(self, path: Path) -> bool:
         """Whether the file at ``path`` is the one that was hashed, untouched since."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import errno
 import fnmatch
 import glob
 import hashlib
@@ -188,6 +189,9 @@ def _matches(folder: Path, pattern: str) -> list[Path]:
     except (OSError, ValueError, NotImplementedError) as error:  # glob: too long, a bad pattern, an absolute one
         if isinstance(error, CrankorderError):
             raise
+        if isinstance(error, OSError) and error.errno not in (errno.ENAMETOOLONG, errno.EINVAL):
+            problem, remedy = f"the folder cannot be read ({error.strerror or error})", "Check its disk, or copy it"
+            raise EnvironmentFailure(problem, file=folder, remedy=remedy) from error
         raise InputError("not a usable name", file=folder, place="recordings.files", found=repr(pattern)) from None
 
 
