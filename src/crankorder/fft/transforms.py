@@ -138,10 +138,12 @@ def counted(mask: Bools, begin: ArrayLike, end: ArrayLike) -> Ints:
 
     ``begin`` and ``end`` (spans,) are cut at the ends of the record.
     """
-    before = np.zeros((len(mask), mask.shape[1] + 1), dtype=np.int64)
-    np.cumsum(mask, axis=1, out=before[:, 1:])
-    first, last = np.clip(np.array([begin, end], dtype=np.int64), 0, mask.shape[1])
-    return np.asarray(before[:, last] - before[:, first])
+    spans = np.clip(np.array([begin, end], dtype=np.int64), 0, mask.shape[1])
+    counts = np.empty((len(mask), spans.shape[1]), dtype=np.int64)
+    for row, out in zip(mask, counts, strict=True):  # one channel's places at a time: a record may be large
+        before = np.searchsorted(np.flatnonzero(row), spans)
+        out[:] = before[1] - before[0]
+    return counts
 
 
 def whole_frames(usable: Bools, starts: Ints, n_frame: int) -> Bools:
