@@ -139,11 +139,9 @@ def counted(mask: Bools, begin: ArrayLike, end: ArrayLike) -> Ints:
     ``begin`` and ``end`` (spans,) are cut at the ends of the record.
     """
     spans = np.clip(np.array([begin, end], dtype=np.int64), 0, mask.shape[1])
-    counts = np.empty((len(mask), spans.shape[1]), dtype=np.int64)
-    for row, out in zip(mask, counts, strict=True):  # one channel's places at a time: a record may be large
-        before = np.searchsorted(np.flatnonzero(row), spans)
-        out[:] = before[1] - before[0]
-    return counts
+    # one channel's places at a time: a record may be large
+    counts = [np.diff(np.searchsorted(np.flatnonzero(row), spans), axis=0)[0] for row in mask]
+    return np.array(counts, dtype=np.int64).reshape(len(mask), spans.shape[1])
 
 
 def whole_frames(usable: Bools, starts: Ints, n_frame: int) -> Bools:
