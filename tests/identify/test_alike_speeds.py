@@ -13,8 +13,8 @@ from crankorder.findings import Findings, FreeBand, OpenBand
 from crankorder.identify.findings import IN_DOUBT, speed_doubt, undecided_orders, without_free
 from crankorder.identify.found import AgreedOrder, ModalFit, SpeedVerdicts, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.known_lines import Held
 from crankorder.identify.modes.alike_speeds import with_lines_of_recordings
+from crankorder.orders.joint_lines import HeldFrames
 from crankorder.report.sentences.story import headline, story_of
 from crankorder.settings import load_settings
 from made.command import analysed
@@ -25,7 +25,9 @@ from made.recordings import manifest
 SETTINGS = load_settings().identify
 
 
-def recorded(speeds: list[float], fixed: dict[float, float], orders: dict[float, float], *, seed: int) -> list[Held]:
+def recorded(
+    speeds: list[float], fixed: dict[float, float], orders: dict[float, float], *, seed: int
+) -> list[HeldFrames]:
     """Recordings at the ``speeds``, with lines at ``fixed`` Hz and at ``orders``, each with its amplitude."""
     rng, made = np.random.default_rng([seed, 5]), []
     for rpm in speeds:
@@ -35,7 +37,7 @@ def recorded(speeds: list[float], fixed: dict[float, float], orders: dict[float,
 
 
 def told(
-    held: list[Held], tones: list[float], orders: tuple[AgreedOrder, ...] = ()
+    held: list[HeldFrames], tones: list[float], orders: tuple[AgreedOrder, ...] = ()
 ) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
     """What is made of ``tones`` of the map that are one with others."""
     made = tuple(Tone(hertz, 0.002, "order", {"A": (0.7, 0.001)}, "lies on an order") for hertz in tones)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from crankorder.engine.machine_parts import Motor
-from crankorder.identify.lines.known_lines import Held
 from crankorder.identify.lines.mains import motor_seen
+from crankorder.orders.joint_lines import HeldFrames
 from crankorder.settings import load_settings
 from made.command import analysed
 from made.contradictions import contradictions
@@ -19,7 +19,7 @@ from made.recordings import manifest
 SETTINGS = load_settings().identify
 
 
-def recorded(stated_rpm: float, *lines: tuple[float, float], noise: float = 0.3, seed: int = 0) -> list[Held]:
+def recorded(stated_rpm: float, *lines: tuple[float, float], noise: float = 0.3, seed: int = 0) -> list[HeldFrames]:
     """A recording in frames of the ``stated_rpm``, with ``lines`` (Hz, amplitude) in noise."""
     return held_at(np.random.default_rng(seed), stated_rpm, lines, noise=noise)
 

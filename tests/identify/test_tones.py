@@ -11,12 +11,12 @@ from crankorder.identify.causes.explain import explained
 from crankorder.identify.findings import going_with_speed
 from crankorder.identify.found import AgreedOrder, ModalFit, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.known_lines import Held
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.alike_speeds import UNPARTED, with_tones_parted, without_absent_mains
 from crankorder.identify.modes.floor import Floor
 from crankorder.identify.modes.tones import kind_of, with_one_mains
+from crankorder.orders.joint_lines import HeldFrames
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line
@@ -26,7 +26,7 @@ SETTINGS = load_settings().identify
 RPM = 1777.0
 
 
-def recorded(*lines: tuple[float, float], seed: int = 0) -> list[Held]:
+def recorded(*lines: tuple[float, float], seed: int = 0) -> list[HeldFrames]:
     """A recording at RPM with ``lines`` (Hz, amplitude) and order 1 in noise."""
     return held_at(np.random.default_rng(seed), RPM, [*lines, (RPM / 60.0, 1.0)])
 

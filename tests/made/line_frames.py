@@ -8,9 +8,10 @@ import xarray as xr
 
 from crankorder.identify.found import AgreedOrder
 from crankorder.identify.lines.agreed_orders import orders_agreed
-from crankorder.identify.lines.known_lines import Held, held_recordings
+from crankorder.identify.lines.known_lines import held_recordings
 from crankorder.identify.lines.line_phasors import recordings_of
 from crankorder.identify.lines.order_lines import order_lines
+from crankorder.orders.joint_lines import HeldFrames
 from crankorder.orders.map import order_map
 from crankorder.orders.spectra import spectra_by_angle
 from crankorder.settings import load_settings
@@ -69,12 +70,12 @@ def rung(noise: np.ndarray, order: float, damping: float) -> np.ndarray:
 
 def held_at(
     rng: np.random.Generator, rpm: float, lines: Iterable[tuple[float, float]], *, noise: float = 0.3
-) -> list[Held]:
+) -> list[HeldFrames]:
     """A recording of 20 s at ``rpm`` with ``lines`` (Hz, amplitude) of drawn phases in noise of that size."""
     angle = angle_of(round(20.0 * rpm / 60.0))
     orders = [(60.0 * hertz / rpm, size) for hertz, size in lines]
     frames = frames_of([noise * rng.standard_normal(len(angle)) + waves(rng, angle, orders)], speed_rpm=rpm)
-    return held_recordings(recordings_of([frames]), frames["order"].values, ["A"])
+    return held_recordings(recordings_of([frames]), ["A"])
 
 
 def agreed_in(frames: Sequence[xr.Dataset], *, followed: Sequence[xr.Dataset] = ()) -> tuple[AgreedOrder, ...]:

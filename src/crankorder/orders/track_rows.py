@@ -34,6 +34,7 @@ from crankorder.orders.intervals import (
     one_phase_reference,
     phase_interval_deg,
 )
+from crankorder.orders.joint_lines import hann_lobe
 from crankorder.orders.like_speed import common_frames
 from crankorder.orders.swept_tracks import followed_error
 from crankorder.orders.true_angle import GIVEN, AngleErrors
@@ -386,14 +387,6 @@ class TrackReader:
         centre = item["crank_angle"].values + 0.5 * revs
         values = item["spectrum"].values[:, :, used] * np.exp(2j * np.pi * (np.outer(centre, used) / revs % 1.0))
         return np.asarray((values @ solve) / self._unit)
-
-
-def hann_lobe(off_bins: Floats) -> Floats:
-    """What a Hann window shows ``off_bins`` beside a line of amplitude 1, phases counted from the window's middle."""
-    edge = np.abs(np.abs(off_bins) - 1.0) < 1e-9
-    with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.sinc(off_bins) / (1.0 - off_bins**2)
-    return np.asarray(np.where(edge, 0.5, found))
 
 
 def _place_in(item: xr.Dataset, order: float) -> int:

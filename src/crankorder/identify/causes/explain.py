@@ -25,11 +25,11 @@ from crankorder.identify.causes.sidebands import (
 from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Mode, OrderLine, Tone
 from crankorder.identify.intervals import half_width
 from crankorder.identify.lines.growth import is_motion, largest, order_one
-from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
 from crankorder.identify.lines.known_lines import LineSeen, named_by
 from crankorder.identify.lines.mains import mains_orders, multiple_on, multiples_near, supply_told
 from crankorder.identify.machine_model import MachineModel, PartsAt, StatedPart, parts_at
 from crankorder.identify.modes.tones import NUMBERS as TONES
+from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
 from crankorder.settings import IdentifySettings, MethodNumbers
 
 NUMBERS = MethodNumbers("5-identify-explain.toml", "explain")
@@ -191,7 +191,7 @@ def _unparted(agreed: AgreedOrder, revs_per_cycle: int, longest_rev: float) -> f
     if multiple is not None or agreed.lock != "undecided" or not np.isfinite(longest_rev):
         return multiple
     nearest = max(1, round(agreed.order * revs_per_cycle)) / revs_per_cycle
-    return nearest if abs(agreed.order - nearest) * longest_rev < KNOWN_LINES.apart_cycles else None
+    return nearest if abs(agreed.order - nearest) * longest_rev < JOINT_LINES.apart_cycles else None
 
 
 def multiple_of_cycle(agreed: AgreedOrder, revs_per_cycle: int) -> float | None:

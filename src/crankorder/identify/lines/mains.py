@@ -16,17 +16,11 @@ from crankorder.findings import MotorSpeed
 from crankorder.identify.found import AgreedOrder, AgreedOrders, ModalFit, Mode, Tone
 from crankorder.identify.intervals import Z95, positive_interval
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
-from crankorder.identify.lines.known_lines import (
-    Held,
-    LineSeen,
-    Place,
-    Sighting,
-    found_near,
-    named_by,
-    sightings,
-)
+from crankorder.identify.lines.known_lines import LineSeen, found_near, named_by, sightings
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.lines.line_phasors import LOCK_NUMBERS as ORDER_LOCK
+from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
+from crankorder.orders.joint_lines import HeldFrames, Place, Sighting
 from crankorder.quantities import Bools, Floats
 from crankorder.settings import IdentifySettings, MethodNumbers
 
@@ -192,7 +186,7 @@ def _fixed_hz(agreed: AgreedOrder) -> tuple[float, float] | None:
     return agreed.order * rpm / 60.0, error / 60.0
 
 
-def mains_seen(held: Sequence[Held], *, settings: IdentifySettings) -> tuple[LineSeen, ...]:
+def mains_seen(held: Sequence[HeldFrames], *, settings: IdentifySettings) -> tuple[LineSeen, ...]:
     """Mains and twice mains, where several recordings of ``held`` at different speeds show one and the same frequency.
 
     ``settings``: the mains frequencies and how far they wander.
@@ -214,12 +208,14 @@ def mains_seen(held: Sequence[Held], *, settings: IdentifySettings) -> tuple[Lin
             lines += [
                 LineSeen(line, recording, hertz, sighting)
                 for recording, hertz in places
-                if (sighting := sightings(recording, [(hertz, 0.0)])[0]) is not None
+                if (sighting := sightings(recording, [Place(hertz)])[0]) is not None
             ]
     return tuple(lines)
 
 
-def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz: float) -> list[tuple[Held, float]]:
+def _one_frequency(
+    held: Sequence[HeldFrames], low_hz: float, high_hz: float, same_hz: float
+) -> list[tuple[HeldFrames, float]]:
     """Recordings, with the frequency, that show a line at one and the same one, where orders of the shaft move.
 
     None where as many others, or more, would show the least of these and do not: a supply is there at every speed.
@@ -228,11 +224,11 @@ def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz:
     places = [(recording, line[0]) for recording, line in lines if line is not None]
     middle = float(np.median([hertz for _, hertz in places])) if places else 0.0
     places = [(recording, hertz) for recording, hertz in places if abs(hertz - middle) <= same_hz]
-    seen = [(recording.order_of((middle, 0.0)), recording.span_rev) for recording, _ in places]
+    seen = [(recording.order_of(Place(middle)), recording.span_rev) for recording, _ in places]
     moves = any(abs(a - b) * min(span, other) > NUMBERS.moved_cycles for (a, span), (b, other) in combinations(seen, 2))
     if len(places) < NUMBERS.least_speeds or not moves:
         return []
-    sighted = [sightings(recording, [(hertz, 0.0)])[0] for recording, hertz in places]
+    sighted = [sightings(recording, [Place(hertz)])[0] for recording, hertz in places]
     shown = [sighting for sighting in sighted if sighting is not None]
     if not shown:
         return places
@@ -241,10 +237,10 @@ def _one_frequency(held: Sequence[Held], low_hz: float, high_hz: float, same_hz:
     return places if absent < len(places) else []
 
 
-def _excludes(held: Held, hertz: float, least: Floats) -> bool:
+def _excludes(held: HeldFrames, hertz: float, least: Floats) -> bool:
     """Whether ``held`` would show a line at ``hertz`` of the amplitudes ``least`` (channels,), and does not."""
-    there = None if held.hides(hertz) else sightings(held, [(hertz, 0.0)])[0]
-    return there is not None and bool(np.any(there.amplitude + KNOWN_LINES.seen_sigmas * there.error < least))
+    there = None if held.is_half(held.order_of(Place(hertz))) else sightings(held, [Place(hertz)])[0]
+    return there is not None and bool(np.any(there.amplitude + JOINT_LINES.seen_sigmas * there.error < least))
 
 
 def without_ringing(known: Sequence[LineSeen], modes: Sequence[Mode]) -> tuple[LineSeen, ...]:
@@ -337,7 +333,7 @@ class MotorSeen:
     speed_doubt: str | None
 
 
-def motor_seen(motor: Motor, held: Sequence[Held], *, by_shaft: bool, settings: IdentifySettings) -> MotorSeen:
+def motor_seen(motor: Motor, held: Sequence[HeldFrames], *, by_shaft: bool, settings: IdentifySettings) -> MotorSeen:
     """The ``motor`` and its lines that stand in the recordings ``held``.
 
     The supply is measured by its own line or its double, near what is stated. The slip of a recording is 1 - n p / f
@@ -396,7 +392,7 @@ def _doubt(doubts: Sequence[tuple[float, float]]) -> str | None:
     return f"{stated} rpm is stated, and the line just below the motor's field tells {read} rpm{where}"
 
 
-def _supply(motor: Motor, held: Held, by_shaft: bool, settings: IdentifySettings) -> Measured | None:
+def _supply(motor: Motor, held: HeldFrames, by_shaft: bool, settings: IdentifySettings) -> Measured | None:
     """Supply frequency by its double or itself; None where neither is there.
 
     A stated speed is often the field's, whose multiples are at the mains: they are no orders of the shaft.
@@ -410,7 +406,7 @@ def _supply(motor: Motor, held: Held, by_shaft: bool, settings: IdentifySettings
     return None
 
 
-def _speed(motor: Motor, held: Held, supply: Measured, *, by_shaft: bool) -> MotorSpeed | None:
+def _speed(motor: Motor, held: HeldFrames, supply: Measured, *, by_shaft: bool) -> MotorSpeed | None:
     """What the motor does in one recording; None without poles, or where nothing tells its speed."""
     if motor.poles is None:
         return None
@@ -430,7 +426,7 @@ def _speed(motor: Motor, held: Held, supply: Measured, *, by_shaft: bool) -> Mot
     )
 
 
-def _line_below_field(motor: Motor, held: Held, supply_hz: float) -> Measured | None:
+def _line_below_field(motor: Motor, held: HeldFrames, supply_hz: float) -> Measured | None:
     """The line between the slowest rotor and its field that is the motor's shaft; None: none, or several.
 
     That at the stated speed is, where there is one, whatever another machine adds; else the only one.
@@ -438,17 +434,17 @@ def _line_below_field(motor: Motor, held: Held, supply_hz: float) -> Measured | 
     field_hz = motor.synchronous_rpm(supply_hz) / 60.0
     slowest_hz, stated_hz = (1.0 - USUAL_SLIP) * field_hz, held.rpm * motor.shaft_ratio / 60.0
     near = max(slowest_hz, stated_hz * (1.0 - STATED_REACH)), min(field_hz, stated_hz * (1.0 + STATED_REACH))
-    mains: list[Place] = [(supply_hz, 0.0)]
+    mains = [Place(supply_hz)]
     line = found_near(held, slowest_hz, field_hz, known=mains)
     if line is None or near[0] <= line[0] <= near[1]:
         return line
-    known = [*mains, (line[0], 0.0)]
+    known = [*mains, Place(line[0])]
     stated = found_near(held, *near, known=known) if near[0] < near[1] else None
     if stated is not None:
         return stated
     other = found_near(held, slowest_hz, field_hz, known=known)
     if other is not None:
-        pair = sightings(held, [(line[0], 0.0), (other[0], 0.0), *mains])[:2]
+        pair = sightings(held, [Place(line[0]), Place(other[0]), *mains])[:2]
         first, second = (0.0 if sighting is None else float(sighting.amplitude.max()) for sighting in pair)
         if second * MOTOR_NUMBERS.stands_out_ratio > first:
             return None
@@ -466,9 +462,9 @@ def _misfit(motor: Motor, speeds: Sequence[MotorSpeed], supply_hz: float) -> str
     )
 
 
-def _seen_in(held: Held, lines: Sequence[MotorLine], supply_hz: float) -> list[LineSeen]:
+def _seen_in(held: HeldFrames, lines: Sequence[MotorLine], supply_hz: float) -> list[LineSeen]:
     """Those of the ``lines`` that stand in the recording ``held``, with what else may stand there."""
-    places: list[Place] = [(line.mains * supply_hz, line.turns) for line in lines]
+    places = [Place(line.mains * supply_hz, line.turns) for line in lines]
     at_places = sightings(held, places)
     shown = {
         number: LineSeen(
@@ -490,7 +486,11 @@ def _seen_in(held: Held, lines: Sequence[MotorLine], supply_hz: float) -> list[L
 
 
 def _also(
-    held: Held, number: int, lines: Sequence[MotorLine], places: Sequence[Place], at_places: Sequence[Sighting | None]
+    held: HeldFrames,
+    number: int,
+    lines: Sequence[MotorLine],
+    places: Sequence[Place],
+    at_places: Sequence[Sighting | None],
 ) -> tuple[tuple[MotorLine, ...], float | None]:
     """Other lines, and the order of the shaft, so near to line ``number`` that the recording does not part them."""
     order = held.order_of(places[number])
@@ -500,11 +500,11 @@ def _also(
         if other != number
         and line.of != lines[number].name
         and at_places[other] is not None
-        and abs(held.order_of(places[other]) - order) * held.span_rev < KNOWN_LINES.apart_cycles
+        and abs(held.order_of(places[other]) - order) * held.span_rev < JOINT_LINES.apart_cycles
     )
     whole = round(order)
     fixed = lines[number].mains != 0 or lines[number].of != ""
-    on_order = fixed and whole >= 1 and abs(order - whole) * held.span_rev < KNOWN_LINES.apart_cycles
+    on_order = fixed and whole >= 1 and abs(order - whole) * held.span_rev < JOINT_LINES.apart_cycles
     return near, float(whole) if on_order else None
 
 

@@ -28,9 +28,9 @@ from crankorder.identify.lines.line_evidence import (
 from crankorder.identify.lines.line_phasors import Phasors, Recording, any_swept, phasors_at, recordings_of, zooms
 from crankorder.identify.lines.zoom import left_of_slow_waves
 from crankorder.orders.averages import HeldSizes, SizeRows
+from crankorder.orders.joint_lines import hann_lobe
 from crankorder.orders.like_speed import reframed
 from crankorder.orders.map import order_map
-from crankorder.orders.track_rows import hann_lobe
 from crankorder.quantities import Complexes, Floats, Ints
 from crankorder.scratch import give_back
 from crankorder.settings import IdentifySettings, MethodNumbers, OrderSettings, Settings

@@ -10,8 +10,8 @@ import xarray as xr
 
 from crankorder.identify.found import AgreedOrder, AgreedOrders, Doubt, ModalFit, OrderLine, Tone
 from crankorder.identify.intervals import Z95
-from crankorder.identify.lines.known_lines import LOBE_BINS, Held, LineSeen, Sighting, found_near
 from crankorder.identify.lines.known_lines import NUMBERS as KNOWN_LINES
+from crankorder.identify.lines.known_lines import LineSeen, found_near
 from crankorder.identify.lines.line_phasors import lock_of, nearest_multiple
 from crankorder.identify.lines.mains import NUMBERS as MAINS
 from crankorder.identify.lines.mains import multiples_near, shown_amplitudes, with_mains_tones
@@ -22,6 +22,8 @@ from crankorder.identify.lines.several_orders import (
     unparted_reach,
 )
 from crankorder.identify.modes.tones import NEAR_BINS, times_mains, with_one_mains
+from crankorder.orders.joint_lines import LOBE_BINS, HeldFrames, Place, Sighting
+from crankorder.orders.joint_lines import NUMBERS as JOINT_LINES
 from crankorder.settings import IdentifySettings
 
 PARTED = "parted by each of {} recordings, in which the orders of the shaft move and it does not"
@@ -32,7 +34,7 @@ class _Parted:
     """One line of a test as several recordings hold it: at ``hertz`` (at the speed of each) or at an ``order``."""
 
     fixed: bool
-    seen: tuple[tuple[Held, Sighting], ...]
+    seen: tuple[tuple[HeldFrames, Sighting], ...]
 
     @property
     def places(self) -> np.ndarray:
@@ -50,11 +52,11 @@ class _Parted:
 def with_tones_settled(
     orders: AgreedOrders,
     modal: ModalFit,
-    held: Sequence[Held],
+    held: Sequence[HeldFrames],
     known: Sequence[LineSeen],
     order_map: xr.Dataset,
     *,
-    parted: Sequence[Held],
+    parted: Sequence[HeldFrames],
     settings: IdentifySettings,
 ) -> tuple[AgreedOrders, ModalFit]:
     """``orders`` and ``modal`` with each tone as the recordings hold it: one line or several, mains, or an order.
@@ -69,7 +71,12 @@ def with_tones_settled(
 
 
 def with_lines_of_recordings(
-    orders: AgreedOrders, modal: ModalFit, held: Sequence[Held], order_map: xr.Dataset, *, settings: IdentifySettings
+    orders: AgreedOrders,
+    modal: ModalFit,
+    held: Sequence[HeldFrames],
+    order_map: xr.Dataset,
+    *,
+    settings: IdentifySettings,
 ) -> tuple[AgreedOrders, ModalFit]:
     """``orders`` and ``modal`` where tones stand that the map holds as one with others, or that may be orders.
 
@@ -118,7 +125,7 @@ def _regions(tones: Sequence[Tone], reach_hz: float) -> list[tuple[float, float]
     return bands
 
 
-def _parted(held: Sequence[Held], low_hz: float, high_hz: float) -> list[_Parted]:
+def _parted(held: Sequence[HeldFrames], low_hz: float, high_hz: float) -> list[_Parted]:
     """Lines between both frequencies as the recordings agree on them; none where they do not, or do not tell."""
     solved = [
         (run, lines)
@@ -142,7 +149,7 @@ def _parted(held: Sequence[Held], low_hz: float, high_hz: float) -> list[_Parted
 
 
 def _chain(
-    solved: Sequence[tuple[Held, list[Sighting]]],
+    solved: Sequence[tuple[HeldFrames, list[Sighting]]],
     first: tuple[int, int],
     free: Iterable[tuple[int, int]],
     band_hz: tuple[float, float],
@@ -160,11 +167,11 @@ def _chain(
         if k == first[0]:
             continue
         wanted = line.order * own.rpm / held.rpm if fixed else line.order
-        room = 0.5 * KNOWN_LINES.apart_cycles / min(held.span_rev, own.span_rev)
+        room = 0.5 * JOINT_LINES.apart_cycles / min(held.span_rev, own.span_rev)
         if fixed:
             room = max(room, KNOWN_LINES.same_hz * 60.0 / held.rpm)
         near = [n for n in range(len(lines)) if (k, n) in free and abs(lines[n].order - wanted) <= room]
-        hidden = any(abs(other.order - wanted) * held.span_rev < 2.0 * KNOWN_LINES.apart_cycles for other in lines)
+        hidden = any(abs(other.order - wanted) * held.span_rev < 2.0 * JOINT_LINES.apart_cycles for other in lines)
         low, high = (wanted - room) * held.rpm / 60.0, (wanted + 2.0 * room) * held.rpm / 60.0
         outside = not band_hz[0] < low < high < band_hz[1]
         if near:
@@ -189,13 +196,13 @@ def _with_orders(
     orders: list[AgreedOrder],
     parted: Sequence[_Parted],
     band_hz: tuple[float, float],
-    held: Sequence[Held],
+    held: Sequence[HeldFrames],
     order_map: xr.Dataset,
 ) -> list[AgreedOrder]:
     """``orders`` and those ``parted`` in the band that are not among them, without those that no recording has."""
     kept: list[AgreedOrder] = []
     places = [float(line.places.mean()) for line in parted]
-    room = KNOWN_LINES.apart_cycles / min(recording.span_rev for recording in held)
+    room = JOINT_LINES.apart_cycles / min(recording.span_rev for recording in held)
     for agreed in orders:
         in_band = all(band_hz[0] <= agreed.order * recording.rpm / 60.0 <= band_hz[1] for recording in held)
         if not in_band or any(abs(agreed.order - place) < room for place in places):
@@ -240,7 +247,7 @@ UNPARTED = "several lines that the recordings are too short to part, or one that
 """What is said of a tone that is no single steady line."""
 
 
-def with_tones_parted(modal: ModalFit, held: Sequence[Held]) -> ModalFit:
+def with_tones_parted(modal: ModalFit, held: Sequence[HeldFrames]) -> ModalFit:
     """``modal`` without tones that are the flank of a stronger one, and with intervals that hold all lines of a tone.
 
     Lines closer than the main lobe of the map's window are one there; what the fit of the stronger leaves beside it is
@@ -269,7 +276,7 @@ def with_tones_parted(modal: ModalFit, held: Sequence[Held]) -> ModalFit:
     return replace(modal, tones=tuple(tones))
 
 
-def without_absent_mains(modal: ModalFit, held: Sequence[Held], *, settings: IdentifySettings) -> ModalFit:
+def without_absent_mains(modal: ModalFit, held: Sequence[HeldFrames], *, settings: IdentifySettings) -> ModalFit:
     """``modal`` with higher multiples of the mains called tones where one of the recordings ``held`` has none there.
 
     A supply is there at every speed; what stands near one of its many multiples at some speeds is something else, but
@@ -300,14 +307,14 @@ def _is_multiple(tone: Tone, supply: Tone, settings: IdentifySettings) -> bool:
     return False
 
 
-def _unless_absent(tone: Tone, held: Sequence[Held], reach_hz: float) -> Tone:
+def _unless_absent(tone: Tone, held: Sequence[HeldFrames], reach_hz: float) -> Tone:
     """``tone``, or no mains where a recording has none there although no order of its shaft hides the place.
 
     What may be an order as well is no mains where most of such recordings have none.
     """
     place = tone.frequency_hz
-    inside = [run for run in held if run.order_of((place + reach_hz, 0.0)) + LOBE_BINS / run.revs < run.axis[-1]]
-    inside = [run for run in inside if not run.hides(place)]
+    inside = [run for run in held if run.reaches(1.0, run.order_of(Place(place + reach_hz)))]
+    inside = [run for run in inside if not run.is_half(run.order_of(Place(place)))]
     shown = sum(found_near(run, place - reach_hz, place + reach_hz) is not None for run in inside)
     either = tone.kind == "mains or order"
     if not inside or shown >= (0.5 if either else 1.0) * len(inside):
@@ -321,20 +328,20 @@ def _is_flank(tone: Tone, other: Tone, reach_hz: float) -> bool:
     return size < more and abs(tone.frequency_hz - other.frequency_hz) < reach_hz
 
 
-def _unless_several(tone: Tone, centres_hz: Sequence[float], held: Held | None, reach_hz: float) -> Tone:
+def _unless_several(tone: Tone, centres_hz: Sequence[float], held: HeldFrames | None, reach_hz: float) -> Tone:
     """``tone``, or with wide intervals where ``held`` shows several lines there that it does not part.
 
     ``centres_hz``: all tones, which take part where they are within ``reach_hz``.
     """
     if held is None:
         return tone
-    turn_hz, beyond = held.rpm / 60.0, LOBE_BINS / held.revs
+    turn_hz = held.rpm / 60.0
     low, high = (tone.frequency_hz - reach_hz) / turn_hz, (tone.frequency_hz + reach_hz) / turn_hz
-    if low - beyond <= 0.0 or high + beyond >= held.axis[-1] or several_lines(held, low, high, beyond=beyond):
+    if not held.reaches(low, high) or several_lines(held, low, high, beyond=LOBE_BINS / held.revs):
         return tone
     orders = [hertz / turn_hz for hertz in centres_hz if abs(hertz - tone.frequency_hz) <= reach_hz]
     halves = 0.5 * np.arange(np.ceil(2.0 * low), np.floor(2.0 * high) + 1.0)
-    orders += [half for half in halves.tolist() if _beside(half, orders) * held.span_rev > KNOWN_LINES.apart_cycles]
+    orders += [half for half in halves.tolist() if _beside(half, orders) * held.span_rev > JOINT_LINES.apart_cycles]
     ends = unparted_reach(held, low, high, orders)
     if ends is None:
         return tone
@@ -349,7 +356,7 @@ def _beside(order: float, orders: Sequence[float]) -> float:
     return min(abs(order - other) for other in orders)
 
 
-def _lines_near(held: Held | None, hertz: float, reach_hz: float) -> list[float]:
+def _lines_near(held: HeldFrames | None, hertz: float, reach_hz: float) -> list[float]:
     """Frequencies in Hz of the lines of ``held`` within ``reach_hz`` that are no half orders of its shaft."""
     if held is None:
         return []
