@@ -36,19 +36,21 @@ def recordings(rng: np.random.Generator) -> list[xr.Dataset]:
 
 
 def test_an_order_is_not_told_with_the_mains_that_it_meets_and_multiples_are_of_the_supply_that_is_there():
-    settings = front_door._settings("findings", "order_tracks", recipe=None)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        groups, told = front_door._analysed(
-            recordings(np.random.default_rng(1)), settings, tables={}, engine=None, test="made"
-        )
-    tracks, held = groups["order_tracks"].sel(channel="A"), []
-    for order, true in ORDERS.items():
-        one = tracks.sel(order=order, method="nearest")
-        close = [abs(order * one["speed"].values / 60.0 - k * MAINS_HZ) < CLOSE_HZ for k in MAINS]
-        inside = (one["amplitude_low"].values <= true) & (true <= one["amplitude_high"].values)
-        held += inside[np.any(close, axis=0) & np.isfinite(one["amplitude"].values)].tolist()
-    assert len(held) == 5 and np.mean(held) >= 0.92
+    settings, held = front_door._settings("findings", "order_tracks", recipe=None), []
+    for seed in range(8):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            groups, told = front_door._analysed(
+                recordings(np.random.default_rng(seed)), settings, tables={}, engine=None, test="made"
+            )
+        tracks = groups["order_tracks"].sel(channel="A")
+        for order, true in ORDERS.items():
+            one = tracks.sel(order=order, method="nearest")
+            close = [abs(order * one["speed"].values / 60.0 - k * MAINS_HZ) < CLOSE_HZ for k in MAINS]
+            inside = (one["amplitude_low"].values <= true) & (true <= one["amplitude_high"].values)
+            held += inside[np.any(close, axis=0) & np.isfinite(one["amplitude"].values)].tolist()
+    # of 40 rows fewer than 33 are inside with a chance of 1e-3 where it is 95 %
+    assert len(held) == 40 and np.sum(held) >= 33
     (third,) = [one for one in told.as_dict()["orders"] if round(one["order"]) == 3]
     assert third["amplitude"] == pytest.approx(0.4, rel=0.01)
     assert "mains of 60.02 Hz meets it at 1200 rpm, where its own share is" in third["evidence"]

@@ -184,9 +184,10 @@ class Band:
         """The band of ``held`` that holds lines from the order ``low`` to ``high``; None where no bin is there."""
         first = max(int(np.floor(low * held.revs)) - REACH_BINS, 0)
         last = min(int(np.ceil(high * held.revs)) + REACH_BINS, held.spectrum.shape[2] - 1)
-        bins = np.arange(first, last + 1)
+        known = np.isfinite(held.spectrum[:, :, first : last + 1]).all(axis=(0, 1))
+        bins = first + np.flatnonzero(known)
         count = len(bins)
-        if count <= 2 * REACH_BINS or not len(held.turn):
+        if count <= 2 * LOBE_BINS or count <= bins[-1] - bins[0] or not len(held.turn):
             return None
         begin = (held.turn - 0.5 * held.revs) * count / held.revs
         sample = np.ceil(begin - 1e-9).astype(np.int64)[:, None] + np.arange(count)
@@ -229,14 +230,11 @@ class Band:
         place = order * self.held.revs
         return bool(self.bins[0] + LOBE_BINS <= place <= self.bins[-1] - LOBE_BINS)
 
-    def frame_power(self, left: Complexes) -> Floats:
-        """Mean power (bins, channels) over the frames of what is ``left`` (samples, channels), by bin of a frame."""
+    def spectra(self, left: Complexes) -> Complexes:
+        """Spectra (frames, bins, channels) of what is ``left`` (samples, channels), as the recording's are made."""
         padded = np.concatenate([left, np.zeros((1, left.shape[1]))])[self._column] * self._window[:, :, None]
-        order = np.argsort(self._residue, axis=1)
-        spectrum = np.einsum(
-            "frx,br->fbx", np.take_along_axis(padded, order[:, :, None], axis=1), self._table.conj(), optimize=True
-        )
-        return np.asarray(np.square(np.abs(spectrum / len(self.bins))).mean(axis=0))
+        padded = np.take_along_axis(padded, np.argsort(self._residue, axis=1)[:, :, None], axis=1)
+        return np.asarray(np.einsum("frx,br->fbx", padded, self._table.conj(), optimize=True) / len(self.bins))
 
     def periodogram(self, left: Complexes, low: float, high: float) -> tuple[Floats, Floats]:
         """Trial orders (trials,) from ``low`` to ``high``, and the share of what is ``left`` that a line at each takes.
@@ -312,7 +310,7 @@ class JointLines:
     def number_covariance(self) -> Floats:
         """Covariance (free, free) of the orders that were solved for; channels may share noise."""
         noise = np.array([self.noise(line)[0] for line in np.flatnonzero(self.free).tolist()])
-        weight, normal = 1.0 / noise.mean(axis=0), self._normal(1.0 / noise.mean(axis=0))
+        weight, normal = 1.0 / noise.mean(axis=0), self._scores(1.0 / noise.mean(axis=0))[0]
         scale = np.sqrt(1.0 / (weight * self.white))
         shared = (self.left.conj().T @ self.left) / max(len(self.left) - len(self.places), 1) * np.outer(scale, scale)
         weighed = self.moved * weight
@@ -321,14 +319,20 @@ class JointLines:
         ratio = np.sqrt(np.median(noise * weight, axis=1))
         return np.asarray(inverse @ score @ inverse * np.outer(ratio, ratio))
 
-    def _normal(self, weight: Floats) -> Floats:
-        """Normal matrix (free, free) of the numbers, channels by ``weight`` (channels,)."""
-        return np.asarray(np.einsum("nlc,nmc,c->lm", self.moved.conj(), self.moved, weight, optimize=True).real)
+    @cached_property
+    def information(self) -> tuple[Floats, Floats]:
+        """What the data say of the numbers (free,): Fisher's information (free, free), and the score (free,)."""
+        return self._scores(2.0 / np.mean([self.noise(line)[0] for line in np.flatnonzero(self.free).tolist()], axis=0))
+
+    def _scores(self, weight: Floats) -> tuple[Floats, Floats]:
+        """Normal matrix (free, free) and score (free,) of the numbers, channels by ``weight`` (channels,)."""
+        normal = np.einsum("nlc,nmc,c->lm", self.moved.conj(), self.moved, weight, optimize=True).real
+        score = np.einsum("nlc,nc,c->l", self.moved.conj(), self.left, weight, optimize=True).real
+        return np.asarray(normal), np.asarray(score)
 
     def step(self) -> Floats:
         """Gauss-Newton step (free,) of the orders."""
-        normal = self._normal(1.0 / self.white)
-        score = np.einsum("nlc,nc,c->l", self.moved.conj(), self.left, 1.0 / self.white, optimize=True).real
+        normal, score = self._scores(1.0 / self.white)
         return np.asarray(np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(len(normal)), score))
 
     def doubt(self, line: int, covariance: Floats) -> tuple[Floats, Floats]:
@@ -359,6 +363,7 @@ def joint_lines(
     free: bool | Sequence[bool] = False,
     power: Floats | None = None,
     crowded: bool = False,
+    settled: bool = True,
 ) -> JointLines:
     """The lines at ``places`` of a ``band`` that leave least of it, all of them together.
 
@@ -371,11 +376,12 @@ def joint_lines(
     power : (lines, channels), mean squared amplitude that is known of each line, infinite where nothing is; a line of
         known power and unknown phase takes no more of the data than that (numbers are then known)
     crowded : whether more lines than these may stand there, so that the noise is the median of the places beside
+    settled : whether free numbers are moved to where least is left; else it is only told what the data say of them
     """
     places, span = tuple(places), band.held.span_rev
     is_free = np.full(len(places), free) if isinstance(free, bool) else np.asarray(free, dtype=np.bool_)
     lines = _solved(band, places, is_free, power, crowded)
-    for _ in range(STEPS if is_free.any() else 0):
+    for _ in range(STEPS if settled and is_free.any() else 0):
         moves = lines.step()
         if np.abs(moves).max() * span < SETTLED:
             break

@@ -74,7 +74,8 @@ def _is_noise(lines: JointLines, bins: Ints) -> bool:
     """
     band, size = lines.band, np.abs(lines.phasor) * lines.band.unit
     floor, shown = _floor(band.held, bins), _shown(band.held, bins, size)
-    left = lines.band.frame_power(lines.left)[np.isin(band.bins, bins)].max(axis=0) * np.square(band.unit) / floor
+    power = np.square(np.abs(band.spectra(lines.left)[:, np.isin(band.bins, bins)])).mean(axis=0)
+    left = power.max(axis=0) * np.square(band.unit) / floor
     most = NUMBERS.left_ratio + NUMBERS.left_share**2 * np.square(size).max(axis=0) / floor
     return bool(shown.any() and (left < most)[shown].all())
 
