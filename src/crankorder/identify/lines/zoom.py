@@ -9,7 +9,6 @@ import numpy as np
 from scipy.fft import fft
 from scipy.special import gammainccinv
 
-from crankorder.orders.averages import whitening
 from crankorder.quantities import Complexes, Floats
 from crankorder.settings import MethodNumbers
 
@@ -56,11 +55,6 @@ class Frames:
     swept: bool
     drift: float = 0.0
 
-    @property
-    def drift_turn_rev(self) -> float:
-        """Revolutions by which a speed that drifts unseen may turn the phase."""
-        return float(min(NUMBERS.most_drift_turn_rev, NUMBERS.turn_per_drift * self.drift))
-
     def noise_of(self, rows: Floats, offset: float) -> Floats:
         """Noise amplitude of each of ``rows`` (rows, frames) of a line at ``offset`` in white noise of unit power.
 
@@ -77,6 +71,11 @@ class Frames:
             alike = alike * np.cos(2.0 * np.pi * offset * apart * self.revs)
             power += 2.0 * (rows[:, lag:] * rows[:, :-lag]) @ alike
         return np.asarray(np.sqrt(np.maximum(power, 1e-3)))
+
+
+def drift_turn_rev(drift: float) -> float:
+    """Revolutions by which a speed that drifts by the share ``drift`` unseen may turn the phase."""
+    return float(min(NUMBERS.most_drift_turn_rev, NUMBERS.turn_per_drift * drift))
 
 
 def zoomed(
@@ -133,8 +132,6 @@ def zoomed(
         second = _followed(phasors - _waves(line, turn), frames, second.offset)
         if second.snr < NUMBERS.seen_squared:
             second = None
-        elif not swept:
-            line, second = _solved_together(phasors, frames, line, second)
     course = course_of(given, turn, noise) if swept and noise is not None and second is None else None
     if line.snr < NUMBERS.seen_squared and course is None:
         return None
@@ -227,7 +224,7 @@ def _followed(phasors: Complexes, frames: Frames, offset: float) -> Zoomed:
     dof = max(1.0, len(kept) - len(phasors) + 1.0)  # the weights of the channels were fitted to the same waves
     power = float(kept @ kept) / dof
     variance = power * level[1] ** 2 / (2.0 * np.pi * slope) ** 2
-    unknown = NUMBERS.swept_turn_rev if frames.swept else frames.drift_turn_rev
+    unknown = NUMBERS.swept_turn_rev if frames.swept else drift_turn_rev(frames.drift)
     variance += (unknown / float(np.ptp(turn))) ** 2
     snr = len(turn) / max(power * level[0] ** 2, 1e-24)
     error = level[0] * np.sqrt(held / len(kept) / len(turn))
@@ -278,23 +275,6 @@ def _second(phasors: Complexes, frames: Frames, line: Zoomed, hop_rev: float) ->
     if np.linalg.norm(mirror) > NUMBERS.mirrored_share * np.linalg.norm(second.amplitude):
         return None
     return second if _in_both_halves(phasors, turn, line, second) else None
-
-
-def _solved_together(phasors: Complexes, frames: Frames, line: Zoomed, second: Zoomed) -> tuple[Zoomed, Zoomed]:
-    """``line`` and ``second`` as the least squares of both say; as they are where these do not settle."""
-    pair = solved_pair(phasors, frames.turn, revs=frames.revs, offset=(line.offset, second.offset))
-    if pair is None:
-        return line, second
-    drift = (frames.drift_turn_rev / line.span_rev) ** 2
-
-    def solved(k: int, started: Zoomed) -> Zoomed:
-        size, error = pair.amplitude[:, k], pair.error[:, k]
-        snr = min(float(np.max(np.square(np.abs(size) / np.maximum(error, 1e-300)))), 1e24)
-        offset, variance = float(pair.offset[k]), float(pair.variance[k]) + drift
-        started = replace(started, offset=offset, variance=variance, dof=pair.degrees_of_freedom)
-        return replace(started, amplitude=size, error=error, snr=snr)
-
-    return solved(0, line), solved(1, second)
 
 
 def _in_both_halves(phasors: Complexes, turn: Floats, line: Zoomed, second: Zoomed) -> bool:
@@ -384,149 +364,3 @@ def course_of(phasors: Complexes, turn: Floats, noise: Floats) -> Course | None:
     half = 0.5 * float(spans[first]) + NUMBERS.sure_sigmas * noise_of_slope / float(np.sqrt(independent)) + tails
     reach = NUMBERS.sure_sigmas * noise_of_slope + tails
     return Course(offset, half, slopes, reach, float(along[-1]), alike, len(step))
-
-
-PAIR_NUMBERS = MethodNumbers("5-identify-lines.toml", "close_pair")
-
-STEPS = 12
-"""Gauss-Newton steps: a start within half a cycle of the recording needs six."""
-
-SETTLED = 1e-9
-"""Cycles over the recording by which a step moves lines that are found."""
-
-LONGEST_STEP = 0.25
-"""Cycles over the recording by which a step moves a line at most."""
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Two lines: their ``offset`` and ``variance`` (2,) [orders], amplitudes and errors (channels, 2).
-
-    ``amplitude`` is complex, at the middle of the recording; ``error``, with ``degrees_of_freedom``, is its standard
-    error along one axis.
-    """
-
-    offset: Floats
-    variance: Floats
-    amplitude: Complexes
-    error: Floats
-    degrees_of_freedom: float
-
-
-def solved_pair(phasors: Complexes, turn: Floats, *, revs: float, offset: tuple[float, float]) -> Pair | None:
-    """The two lines near ``offset`` that leave least of ``phasors``; None where these do not settle apart.
-
-    Both turn by exact steps from frame to frame; amplitudes follow linearly from the orders and are eliminated (Golub
-    and Pereyra 1973). Frames that overlap share noise and are made white first. Channels may share noise too: the
-    errors allow for what is left of them together.
-
-    Parameters
-    ----------
-    phasors : (channels, frames), complex amplitudes in one bin
-    turn : (frames,), rev, crank angle of the middle of each frame from that of the recording
-    revs : rev, length of a frame
-    offset : orders from the bin at which the search begins
-    """
-    span, white = float(np.ptp(turn)), whitening(turn, revs_per_frame=revs)
-    data, at = white @ phasors.T, np.array(offset)
-    for _ in range(STEPS):
-        basis, slopes = _bases(white, turn, at)
-        amplitude, left, inverse = _linear(basis, data)
-        noise = np.maximum(np.square(np.abs(left)).sum(axis=0), 1e-24 * np.square(np.abs(data)).sum(axis=0))
-        score, normal = _normal(_residual_change(basis, slopes, amplitude, inverse), left, 1.0 / noise)
-        step = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(2), score)
-        if np.abs(step).max() * span < SETTLED:
-            break
-        at = at + np.clip(step, -LONGEST_STEP / span, LONGEST_STEP / span)
-        if abs(at[1] - at[0]) * span < LONGEST_STEP:
-            return None
-    basis, slopes = _bases(white, turn, at)
-    return _with_errors(basis, slopes, data, turn, at)
-
-
-def _bases(white: Floats, turn: Floats, at: Floats) -> tuple[Complexes, Complexes]:
-    """White waves (frames, 2) of lines ``at`` (2,) and their derivatives by it."""
-    waves = np.exp(2j * np.pi * np.outer(turn, at))
-    return white @ waves, white @ (2j * np.pi * turn[:, None] * waves)
-
-
-def _linear(basis: Complexes, data: Complexes) -> tuple[Complexes, Complexes, Complexes]:
-    """Amplitudes (2, channels) of ``basis`` in ``data`` (frames, channels), what is left, and the inverse."""
-    back = basis.conj().T
-    inverse = np.asarray(np.linalg.solve(back @ basis, back), dtype=np.complex128)
-    amplitude = inverse @ data
-    return amplitude, data - basis @ amplitude, inverse
-
-
-def _residual_change(basis: Complexes, slopes: Complexes, amplitude: Complexes, inverse: Complexes) -> Complexes:
-    """What moving each line changes beyond its amplitude: (2, channels, frames)."""
-    change = slopes.T[:, None, :] * amplitude[:, :, None]
-    return np.asarray(change - (change @ inverse.T) @ basis.T)
-
-
-def _normal(moved: Complexes, left: Complexes, weight: Floats) -> tuple[Floats, Floats]:
-    """Score (2,) and normal matrix (2, 2) of the orders from how these have ``moved``, channels by ``weight``."""
-    rows = (moved * np.sqrt(weight)[None, :, None]).reshape(2, -1)
-    score = (rows.conj() @ (left.T * np.sqrt(weight)[:, None]).ravel()).real
-    return score, np.asarray((rows.conj() @ rows.T).real)
-
-
-def _with_errors(basis: Complexes, slopes: Complexes, data: Complexes, turn: Floats, at: Floats) -> Pair:
-    """The two lines solved ``at`` (2,), with the standard errors of their orders and amplitudes."""
-    amplitude, left, inverse = _linear(basis, data)
-    degrees_of_freedom = max(2.0 * len(left) - 4.0 - 2.0, 1.0)
-    shared = left.conj().T @ left * (2.0 / degrees_of_freedom)  # noise power of the channels and what they share
-    power = np.maximum(np.diag(shared).real, 1e-24 * np.square(np.abs(data)).mean(axis=0))
-    weight = 1.0 / power
-    moved = _residual_change(basis, slopes, amplitude, inverse)
-    _, normal = _normal(moved, left, weight)
-    back = np.linalg.inv(normal)
-    middle = 0.5 * np.einsum("lcf,mdf,dc,c,d->lm", moved.conj(), moved, shared, weight, weight).real
-    covariance = back @ middle @ back
-    louder = np.array([_slow_noise_ratio(left, turn, offset) for offset in at])
-    turned = -np.einsum("bf,fl,lc->bcl", inverse, slopes, amplitude)  # how amplitudes follow the orders
-    unit = amplitude / np.maximum(np.abs(amplitude), 1e-300)
-    along = np.square((turned * unit.conj()[:, :, None]).real) @ np.diag(covariance)
-    own = 0.5 * np.square(np.abs(inverse)).sum(axis=1)[:, None] * power[None, :]
-    error = np.sqrt((own + along) * louder[:, None])
-    return Pair(at, np.diag(covariance) * louder, np.asarray(amplitude.T), np.asarray(error.T), degrees_of_freedom)
-
-
-def _slow_noise_ratio(left: Complexes, turn: Floats, at: float) -> float:
-    """Ratio (≥ 1) of the noise power close to the line ``at`` to that of all that is ``left`` (frames, channels)."""
-    n = len(turn)
-    if n < 4 * PAIR_NUMBERS.slow_waves:
-        return 1.0
-    cycles = [k for k in range(-PAIR_NUMBERS.slow_waves, PAIR_NUMBERS.slow_waves + 1) if k]
-    near = np.array(cycles) / float(np.ptp(turn)) + at
-    waves = np.exp(-2j * np.pi * np.outer(near, turn))
-    slow = np.square(np.abs(waves @ left)).mean(axis=0) / n
-    return float(max(1.0, np.median(slow / np.maximum(np.square(np.abs(left)).mean(axis=0), 1e-300))))
-
-
-def unaliased(
-    phasors: Complexes, turn: Floats, *, offsets: tuple[float, float], resolution: float, hop_rev: float
-) -> float:
-    """The second of two ``offsets``, moved by whole turns a step to where the bins beside say that it is.
-
-    From frame to frame the phase of a line tells its order but for multiples of 1 / ``hop_rev``; the share that each
-    bin holds of it tells which.
-
-    Parameters
-    ----------
-    phasors : (channels, bins, frames) in ``side_bins`` bins on each side of that of the lines and in itself
-    turn : (frames,), rev, crank angle of the middle of each frame from that of the recording
-    offsets : orders from the bin, of the first line and the second
-    resolution : orders, from bin to bin
-    hop_rev : rev, from frame to frame
-    """
-    places = np.arange(phasors.shape[1]) - PAIR_NUMBERS.side_bins
-    back = phasors * np.exp(2j * np.pi * resolution * np.outer(places, turn))
-    basis = np.exp(2j * np.pi * np.outer(turn, offsets))
-    share = np.abs(np.einsum("f,cbf->cb", np.linalg.pinv(basis)[1], back))
-    candidates = [offsets[1] + k / hop_rev for k in (-1, 0, 1)]
-    scores = []
-    for candidate in candidates:
-        lobe = np.abs(np.sinc(candidate / resolution - places) / (1.0 - (candidate / resolution - places) ** 2 + 1e-9))
-        scores.append(float((share @ lobe).sum() / np.linalg.norm(lobe)))
-    return candidates[int(np.argmax(scores))]
