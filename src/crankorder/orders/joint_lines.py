@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline, PPoly
 from scipy.sparse import csr_array
 
 from crankorder.fft.windows import power_of_two
@@ -67,15 +68,14 @@ class Place(NamedTuple):
 class HeldFrames:
     """Frames of a recording at one speed: ``spectrum`` (channels, frames, bins) of the orders ``axis`` (bins,).
 
-    ``turn`` (frames,) is the crank angle in rev of the middle of each, ``time_s`` when that was and ``pace_s`` how long
-    a revolution took; ``revs`` their length; ``rpm`` the mean speed; ``channels`` names.
+    ``turn`` (frames,) is the crank angle in rev of the middle of each, ``clock`` the time [s] by crank angle; ``revs``
+    their length; ``rpm`` the mean speed; ``channels`` names.
     """
 
     spectrum: NDArray[np.complexfloating]
     axis: Floats
     turn: Floats
-    time_s: Floats
-    pace_s: Floats
+    clock: PPoly
     revs: float
     rpm: float
     channels: tuple[str, ...] = ()
@@ -90,12 +90,28 @@ class HeldFrames:
         revs: float,
         channels: Sequence[str] = (),
     ) -> HeldFrames:
-        """Frames with the middles ``turn`` [rev], at ``speed_rpm``; both (frames,), finite, ``turn`` rising."""
-        pace = 60.0 / speed_rpm
-        time_s = np.concatenate([[0.0], np.cumsum(0.5 * (pace[1:] + pace[:-1]) * np.diff(turn))])
-        rpm = 60.0 * float(np.ptp(turn)) / float(time_s[-1]) if len(turn) > 1 else float(speed_rpm[0])
-        axis = np.arange(spectrum.shape[2]) / revs
-        return cls(spectrum, axis, turn, time_s, pace, revs, rpm, tuple(channels))
+        """Frames with the middles ``turn`` [rev], rising, at ``speed_rpm``; both (frames,), finite, one frame or more.
+
+        A speed is the mean over a frame: that of its middle differs by how it bends (to the fourth order).
+        """
+        pace, axis = 60.0 / speed_rpm, np.arange(spectrum.shape[2]) / revs
+        if len(turn) < 2:
+            clock = PPoly(np.array([[pace[0]], [0.0]]), np.array([turn[0], turn[0] + revs]))
+            return cls(spectrum, axis, turn, clock, revs, float(speed_rpm[0]), tuple(channels))
+        pace = pace - revs**2 / 24.0 * CubicSpline(turn, pace)(turn, 2)
+        clock = CubicSpline(turn, pace).antiderivative()
+        rpm = 60.0 * float(np.ptp(turn)) / float(clock(turn[-1]) - clock(turn[0]))
+        return cls(spectrum, axis, turn, clock, revs, rpm, tuple(channels))
+
+    @cached_property
+    def time_s(self) -> Floats:
+        """Time (frames,) of the middle of each frame from that of the first."""
+        return np.asarray(self.clock(self.turn) - self.clock(self.turn[0]))
+
+    @cached_property
+    def pace_s(self) -> Floats:
+        """Seconds that a revolution takes in the middle of each frame (frames,)."""
+        return np.asarray(self.clock(self.turn, 1))
 
     @cached_property
     def span_rev(self) -> float:
@@ -122,12 +138,6 @@ class HeldFrames:
         """Bins that lines between the orders ``low`` and ``high`` reach."""
         reach = LOBE_BINS / self.revs
         return np.flatnonzero((self.axis >= low - reach) & (self.axis <= high + reach))
-
-    def in_rows(self, rows: Bools | Ints) -> HeldFrames:
-        """Those of the frames that ``rows`` picks."""
-        return HeldFrames.of(
-            self.spectrum[:, rows], self.turn[rows], 60.0 / self.pace_s[rows], revs=self.revs, channels=self.channels
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +233,15 @@ class Band:
         away = ((turns + hertz * held.pace_s[:, None])[:, None] - axis[:, None]) * held.revs
         phase, of_bin = turns * held.turn[:, None] + hertz * held.time_s[:, None], axis * held.turn[:, None]
         waves, back = (np.exp(2j * np.pi * (turned % 1.0)) for turned in (phase, of_bin))
-        return self._joined(hann_lobe(away) * (waves[:, None] * back.conj()[..., None]))
+        return self._joined(hann_lobe(away) * (waves[:, None] * back.conj()[..., None])) * self._late(hertz)
+
+    def _late(self, hertz: Floats) -> Complexes:
+        """How what stays at ``hertz`` (places,) turns (samples, places) as the speed changes within frames."""
+        held, turn = self.held, self.sample * self.held.revs / len(self.bins)
+        away = np.where(self._column >= 0, turn[self._column] - held.turn[:, None], 0.0)
+        even = self._gather @ (self._window * (held.time_s[:, None] + held.pace_s[:, None] * away)).ravel()
+        seconds = held.clock(turn) - held.clock(held.turn[0]) - even
+        return np.asarray(np.exp(2j * np.pi * np.outer(seconds, hertz)))
 
     def holds(self, order: float) -> bool:
         """Whether noise is white about ``order``."""
