@@ -53,15 +53,6 @@ def test_every_fault_of_a_folder_is_listed_at_once(tmp_path, limits):
     assert before == sorted((path.name, path.stat().st_mtime_ns, path.read_bytes()) for path in tmp_path.iterdir())
 
 
-def test_a_right_folder_has_no_faults(tmp_path, limits):
-    (tmp_path / "run.toml").write_text(
-        MANIFEST.replace(', "absent.h5", "../out.h5"', "").replace("h6", "h5")
-        + '[encoder]\nkind = "constant"\nspeed_rpm = 1000\n'
-    )
-    recorded(tmp_path / "good.h5", acc=np.arange(10.0))
-    assert check_folder(tmp_path, settings=limits) == []
-
-
 def test_a_wrong_manifest_is_all_that_is_checked(tmp_path, limits):
     (tmp_path / "run.toml").write_text(MANIFEST.replace("rate_hz", "rat_hz").replace('"m/s2"', '"G"'))
     faults = [str(fault) for fault in check_folder(tmp_path, settings=limits)]
@@ -120,18 +111,16 @@ def test_rates_of_two_places_that_differ_are_told(tmp_path, limits):
 
 
 def test_a_scale_as_text_is_taken_and_told(tmp_path, limits):
-    path = stored(tmp_path / "a.h5", TONE.astype("i2"), scale_factor="0.5", add_offset=b"3")
-    raw = read_file(path, sources=["a"], settings=limits)
-    np.testing.assert_allclose(raw.columns["a"], 0.5 * TONE + 3.0)
-    assert [flag["flag"] for flag in raw.flags] == ["scale_unusual"] * 2 and "text" in raw.flags[0]["detail"]
-
-
-def test_a_scale_for_each_column_is_taken_and_told(tmp_path, limits):
-    path = stored(tmp_path / "a.h5", np.column_stack([TONE, TONE]), scale_factor=[1.0, 3.0])
-    raw = read_file(path, sources=["a[1]", "a[0]"], settings=limits)
-    np.testing.assert_allclose(raw.columns["a[1]"], 3.0 * TONE)
-    np.testing.assert_allclose(raw.columns["a[0]"], TONE)
-    assert [flag["flag"] for flag in raw.flags] == ["scale_unusual"]
+    rows = [
+        (TONE.astype("i2"), {"scale_factor": "0.5", "add_offset": b"3"}, {"a": 0.5 * TONE + 3.0}, 2),
+        (np.column_stack([TONE, TONE]), {"scale_factor": [1.0, 3.0]}, {"a[1]": 3.0 * TONE, "a[0]": TONE}, 1),
+    ]
+    for values, attrs, columns, n_flags in rows:
+        raw = read_file(stored(tmp_path / "a.h5", values, **attrs), sources=list(columns), settings=limits)
+        for name, wanted in columns.items():
+            np.testing.assert_allclose(raw.columns[name], wanted)
+        assert [flag["flag"] for flag in raw.flags] == ["scale_unusual"] * n_flags
+        assert n_flags == 1 or "text" in raw.flags[0]["detail"]
 
 
 def test_a_scale_that_is_no_number_is_refused(tmp_path, limits):

@@ -39,17 +39,17 @@ def test_the_value_and_our_own_errors_come_back(path):
         in_child(refuse, path, n_bytes=0)
 
 
-def test_what_a_parser_raises_is_named_with_the_file(path):
-    with pytest.raises(InputError, match=r"a\.xyz: damaged: cannot be parsed; found ZeroDivisionError"):
-        in_child(lambda: 1 / 0, path, n_bytes=0)
-
-
-def test_memory_and_time_have_their_limits(path, monkeypatch):
-    with pytest.raises(UnsafeInputError, match="too much memory"):
-        in_child(lambda: np.ones(10**9), path, n_bytes=0)
-    monkeypatch.setattr(child, "LEAST_SECONDS", 0.3)
-    with pytest.raises(UnsafeInputError, match="too long"):
-        in_child(lambda: time.sleep(60), path, n_bytes=0)
+def test_what_a_parser_raises_and_takes_too_much_of_is_named_with_the_file(path, monkeypatch):
+    rows = [
+        (lambda: 1 / 0, InputError, r"a\.xyz: damaged: cannot be parsed; found ZeroDivisionError"),
+        (lambda: np.ones(10**9), UnsafeInputError, "too much memory"),
+        (lambda: time.sleep(60), UnsafeInputError, "too long"),
+    ]
+    for task, kind, words in rows:
+        if words == "too long":
+            monkeypatch.setattr(child, "LEAST_SECONDS", 0.3)
+        with pytest.raises(kind, match=words):
+            in_child(task, path, n_bytes=0)
 
 
 def test_a_crash_of_the_parser_ends_it_alone(path):

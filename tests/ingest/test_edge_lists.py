@@ -86,16 +86,6 @@ def test_edges_alone_are_a_test_of_the_shaft(tmp_path: Path) -> None:
     assert (tmp_path / "out" / "edges" / "speed.png").is_file()
 
 
-@pytest.mark.slow
-def test_times_of_pulses_alone_are_a_test_too(tmp_path: Path) -> None:
-    folder = tmp_path / "pulses"
-    folder.mkdir()
-    write_hdf5(folder / "a.h5", {"crank": edges_of(3)[0]})
-    table = f'[encoder]\nkind = "pulse_times"\nsource = "crank"\n{WHEEL}'
-    (folder / "run.toml").write_text(HEAD.format(name="pulses", files="a.h5") + table, encoding="utf-8")
-    assert analysed(folder, tmp_path / "out")["speed_swing"][0]["order"] == 2.0
-
-
 def test_a_test_without_channels_needs_pulses(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("1,2\n3,4\n", encoding="utf-8")
     (tmp_path / "run.toml").write_text(HEAD.format(name="none", files="a.csv"), encoding="utf-8")

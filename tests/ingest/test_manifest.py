@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from crankorder.engine.machine_parts import Motor, motor_lines
 from crankorder.errors import ManyErrors, RequestError
 from crankorder.ingest.manifest import Manifest, key_lines, load_manifest
 from crankorder.quantities import schema_of
@@ -278,23 +277,3 @@ def test_a_wrong_motor_is_refused_with_its_line(tmp_path: Path) -> None:
         with pytest.raises(ManyErrors) as caught:
             read_manifest(tmp_path, f"[motor]\n{text}")
         assert words in str(caught.value) and "run.toml:1" in str(caught.value)
-
-
-def test_lines_of_a_four_pole_motor_at_2_percent_slip() -> None:
-    """By hand: 1500 rpm less 2 % is 24.5 Hz; the pole pass is 4 x 0.5 = 2 Hz; 44 bars pass at 1078 Hz."""
-    motor = Motor(supply_hz=50.0, poles=4, rotor_bars=44)
-    found = {(line.name, line.side): line.hertz_at(50.0, 1470.0) for line in motor_lines(motor)}
-    assert motor.synchronous_rpm(50.0) == 1500.0
-    assert found == pytest.approx(
-        {
-            ("mains", ""): 50.0,
-            ("twice mains", ""): 100.0,
-            ("pole-pass sideband of order 1 of the motor", "below"): 22.5,
-            ("pole-pass sideband of order 1 of the motor", "above"): 26.5,
-            ("pole-pass sideband of twice mains", "below"): 98.0,
-            ("pole-pass sideband of twice mains", "above"): 102.0,
-            ("bar pass", ""): 1078.0,
-            ("sideband of bar pass at twice mains", "below"): 978.0,
-            ("sideband of bar pass at twice mains", "above"): 1178.0,
-        }
-    )

@@ -70,9 +70,7 @@ def test_columns_of_a_table_in_hdf5_are_the_same_on_disk(tmp_path, limits, acros
 @pytest.mark.parametrize("width", [3, 1, 2])
 def test_wav_channels_are_the_same_on_disk(tmp_path, limits, width):
     with wave.open(str(tmp_path / "a.wav"), "wb") as file:
-        file.setnchannels(3)
-        file.setsampwidth(width)
-        file.setframerate(48_000)
+        file.setparams((3, width, 48_000, 0, "NONE", ""))
         file.writeframes(np.random.default_rng(1).bytes(3 * width * N))
     assert_same(*both(tmp_path / "a.wav", ["2", "0"], limits))
 

@@ -7,12 +7,10 @@ import pytest
 from scipy.io import savemat
 
 from crankorder.errors import InputError
-from crankorder.ingest import recording as recording_module
 from crankorder.ingest.check import check_folder
 from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_parts, read_recording
-from crankorder.ingest.roles import read_checked
 from crankorder.quantities import flags_of
 from crankorder.shaft.angle import angle_at
 from crankorder.shaft.decode import shaft_angle
@@ -208,34 +206,12 @@ def test_a_recording_is_cut_to_the_time_of_its_speed(tmp_path, settings):
     assert flags["recording_cut"]["severity"] == "suspect"
 
 
-def test_channels_of_one_base_stay_where_the_reader_laid_them(tmp_path, settings, monkeypatch):
-    columns = [vibration("acc", 2000.0, 6.0), vibration("b", 2000.0, 6.0), tacho(2000.0, 6.0)]
-    read = []
-    monkeypatch.setattr(
-        recording_module, "read_checked", lambda *args, **how: read.append(read_checked(*args, **how)) or read[0]
-    )
-    recording, flags = joined(tmp_path, settings, columns, channels=("acc", "b"))
-    assert np.shares_memory(recording["signal"].values, read[0].columns["acc"])
-    assert not {"start_times", "channels_resampled", "recording_cut"} & set(flags)
-
-
 def test_parts_of_a_file_of_several_rates_are_the_whole_of_it(tmp_path, settings):
     how = {"settings": settings.ingest, "shaft": settings.shaft, "most_bytes": 60_000}
     for shaft, n_parts in ((tacho(2000.0, 8.0, 0.25), 3), (tacho(10_000.0, 8.0), 1)):
         joined(tmp_path, settings, [vibration("acc", 2000.0, 8.0), shaft])
         parts, _ = read_parts(tmp_path / "a.h5", load_manifest(tmp_path), **how)
         assert len(parts) == n_parts
-
-
-def test_order_and_phase_of_a_late_tacho_and_a_fast_encoder(tmp_path):
-    for shaft in (tacho(2000.0, 7.9, 0.1), tacho(24_000.0, 8.0)):
-        (tmp_path / "in").mkdir(exist_ok=True)
-        sources = as_hdf5(tmp_path / "in" / "a", [vibration("acc", 2000.0, 8.0), shaft])
-        manifest_in(tmp_path / "in", sources, ("acc",), "square")
-        orders = analysed(tmp_path / "in", tmp_path / "out", "--fresh")["orders"]
-        (order,) = [record for record in orders if round(record["order"]) == 1]
-        assert order["amplitude"] == pytest.approx(1.0, abs=0.01)
-        assert order["phase_deg"] == pytest.approx(-40.0, abs=1.0)
 
 
 # Recordings in pieces: a logger that stops for a while and says so, and buffers joined with turns lost between.
@@ -296,16 +272,6 @@ def test_stretches_shorter_than_a_frame_are_refused_with_the_frames_that_would_d
     refused = crankorder("run", folder, "--out", tmp_path / "out")
     assert refused.exit_code == 4, refused.output
     assert "revs_per_frame = 6" in refused.output and "13.5 between gaps" in refused.output
-
-
-def test_a_speed_goes_on_through_gaps(tmp_path):
-    times, rpm = polled(4)
-    signal, _ = turning(rpm / 60.0 * times, 4)
-    folder = written(tmp_path / "in", "csv", time_s=times, k=signal, tacho=np.full(times.size, rpm))
-    (folder / "run.toml").write_text(
-        f'{PIECES}[sampling]\ntime_source = "time_s"\n{CHANNEL}[encoder]\nkind = "speed"\nsource = "tacho"\n'
-    )
-    assert seen(analysed(folder, tmp_path / "out", "--no-pictures"))[1.0] == pytest.approx(1.0, rel=0.015)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "mat", "h5"])
