@@ -81,29 +81,25 @@ def test_a_lost_stretch_is_left_out_alone(tmp_path: Path) -> None:
         assert amplitude(order_map, 1500.0, channel) == pytest.approx(size, rel=0.01)
 
 
+SPOILT = [
+    ("dropout", spoilt(20_000, 23_000, 0.7), "channel", "bad"),  # much between sound stretches
+    ("dropout", spoilt(35_000, 50_000, 0.7), "stretch", "bad"),  # at the end
+    pytest.param("silence", spoilt(0, 15_000, 0.0), "stretch", "suspect", marks=pytest.mark.slow),
+    pytest.param("few_levels", np.round(signals(1500.0, 1)[0] / 3.0) * 3.0, "channel", "bad", marks=pytest.mark.slow),
+]
+
+
 @pytest.mark.cases(1)
-@pytest.mark.parametrize(("place", "left_out"), [((20_000, 23_000), "channel"), ((35_000, 50_000), "stretch")])
-def test_a_channel_goes_where_much_is_lost_between_sound_stretches_but_not_at_its_end(
-    tmp_path: Path, place: tuple[int, int], left_out: str
+@pytest.mark.parametrize(("kind", "row", "left_out", "severity"), SPOILT)
+def test_a_channel_goes_or_a_stretch_of_it_by_how_much_is_lost_and_where(
+    tmp_path: Path, kind: str, row: np.ndarray, left_out: str, severity: str
 ) -> None:
-    flag, order_map = flag_of(tmp_path, "dropout", spoilt(*place, 0.7))
-    assert (flag["left_out"], flag["severity"]) == (left_out, "bad")
-    assert np.isnan(amplitude(order_map, 1500.0, "X")) == (left_out == "channel")
+    flag, order_map = flag_of(tmp_path, kind, row)
+    assert (flag["left_out"], flag["severity"]) == (left_out, severity)
+    assert kind != "few_levels" or "-3, 0, 3 alone" in flag["detail"]
+    x = amplitude(order_map, 1500.0, "X")
+    assert np.isnan(x) if left_out == "channel" else x == pytest.approx(3.0, rel=0.01)
     assert amplitude(order_map, 1500.0, "Y") == pytest.approx(1.5, rel=0.01)
-
-
-@pytest.mark.slow
-def test_silence_before_the_recording_only_shortens_it(tmp_path: Path) -> None:
-    flag, order_map = flag_of(tmp_path, "silence", spoilt(0, 15_000, 0.0))
-    assert (flag["left_out"], flag["severity"]) == ("stretch", "suspect")
-    assert amplitude(order_map, 1500.0, "X") == pytest.approx(3.0, rel=0.01)
-
-
-@pytest.mark.slow
-def test_a_vibration_of_a_few_steps_of_its_converter_is_left_out(tmp_path: Path) -> None:
-    flag, _ = flag_of(tmp_path, "few_levels", np.round(signals(1500.0, 1)[0] / 3.0) * 3.0)
-    assert (flag["left_out"], flag["severity"]) == ("channel", "bad")
-    assert "-3, 0, 3 alone" in flag["detail"]
 
 
 @pytest.mark.slow

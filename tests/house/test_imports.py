@@ -88,26 +88,24 @@ def _loaded_by(*arguments: str) -> tuple[int, list[str], str]:
     return result.returncode, loaded, result.stdout
 
 
-@pytest.mark.parametrize("option", ["--help", "--version"])
-def test_help_and_version_load_no_heavy_package(option: str) -> None:
-    status, loaded, output = _loaded_by(option)
-    assert status == 0
-    assert "crankorder" in output
-    assert loaded == []
-
-
-def test_a_wrong_manifest_is_refused_before_a_heavy_package_is_loaded(tmp_path: Path) -> None:
+@pytest.mark.cases(4)
+@pytest.mark.parametrize(
+    ("arguments", "status", "spared"),
+    [
+        (["--help"], 0, HEAVY),
+        (["--version"], 0, HEAVY),
+        (["check", "."], 2, HEAVY),  # a wrong manifest
+        (["balance", "v8-cross", "--json"], 0, ["xarray", "pandas", "matplotlib", "h5py"]),  # the numbers take a tenth
+    ],
+)
+def test_what_needs_no_heavy_package_loads_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], status: int, spared: list[str]
+) -> None:
     (tmp_path / "run.toml").write_text("schema_version = 1\nwrong = 1\n")
-    status, loaded, _ = _loaded_by("check", str(tmp_path))
-    assert status == 2
-    assert loaded == []
-
-
-def test_numbers_of_a_balance_load_no_package_for_tables() -> None:
-    """They are two thirds of a second of the processor, beside a tenth that the numbers take."""
-    status, loaded, _ = _loaded_by("balance", "v8-cross", "--json")
-    assert status == 0
-    assert not {"xarray", "pandas", "matplotlib", "h5py"} & {*loaded}
+    monkeypatch.chdir(tmp_path)
+    ended, loaded, output = _loaded_by(*arguments)
+    assert ended == status and not set(spared) & set(loaded)
+    assert "--" not in arguments[0] or "crankorder" in output
 
 
 @pytest.mark.parametrize(

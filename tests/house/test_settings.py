@@ -7,7 +7,6 @@ import importlib.util
 import tomllib
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -29,13 +28,6 @@ def readmes(project_root: Path) -> ModuleType:
     return module
 
 
-def _fields(stage: str) -> dict[str, Any]:
-    kind = Settings.model_fields[stage].annotation
-    assert kind is not None
-    fields: dict[str, Any] = kind.model_fields  # type: ignore[attr-defined]
-    return fields
-
-
 def test_each_generated_page_and_schema_is_up_to_date(readmes: ModuleType) -> None:
     pages = readmes.pages()
     assert len(pages) == 9
@@ -53,27 +45,19 @@ def test_every_stage_has_one_file_and_every_file_is_a_stage(project_root: Path) 
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_every_setting_has_its_reason_on_its_line(stage: str, project_root: Path, readmes: ModuleType) -> None:
-    text = (project_root / "pipeline" / Settings.file_of[stage]).read_text(encoding="utf-8")
-    lines = readmes.settings_of(text)
-    assert [key for key, _, _ in lines] == list(tomllib.loads(text)[stage]), (
-        "one setting a line, value and reason on it"
-    )
+def test_every_setting_has_its_reason_on_its_line_and_no_other_home(
+    stage: str, project_root: Path, readmes: ModuleType
+) -> None:
+    file, fields = Settings.file_of[stage], Settings.model_fields[stage].annotation.model_fields
+    text = (project_root / "pipeline" / file).read_text(encoding="utf-8")
+    content, lines = tomllib.loads(text), readmes.settings_of(text)
+    assert list(content) == [stage], "one table, named as the stage"
+    assert [key for key, _, _ in lines] == list(content[stage]), "one setting a line, value and reason on it"
     without = [key for key, _, reason in lines if len(reason) < 5]
     assert not without, f"no reason: {', '.join(without)}"
-
-
-@pytest.mark.parametrize("stage", STAGES)
-def test_file_and_class_of_a_stage_name_the_same_settings(stage: str, project_root: Path) -> None:
-    content = tomllib.loads((project_root / "pipeline" / Settings.file_of[stage]).read_text(encoding="utf-8"))
-    assert list(content) == [stage], "one table, named as the stage"
-    assert set(content[stage]) == set(_fields(stage))
-
-
-@pytest.mark.parametrize("stage", STAGES)
-def test_the_file_is_the_only_home_of_a_default(stage: str) -> None:
-    with_default = [name for name, field in _fields(stage).items() if not field.is_required()]
-    assert not with_default, f"defaults belong into {Settings.file_of[stage]}: {', '.join(with_default)}"
+    assert set(content[stage]) == set(fields)
+    with_default = [name for name, field in fields.items() if not field.is_required()]
+    assert not with_default, f"defaults belong into {file}: {', '.join(with_default)}"
 
 
 def _numbers_read(package_files: list) -> tuple[list[tuple[str, str]], list[tuple[str, str, str]]]:

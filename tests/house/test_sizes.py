@@ -68,26 +68,17 @@ def test_a_line_of_code_is_no_comment_docstring_or_blank_line() -> None:
     assert code_lines(text, ast.parse(text)) == {3, 7, 10, 11}
 
 
-def test_a_room_may_grow_by_what_others_fell_and_no_more() -> None:
-    limits = {"lines": 30, "files": 2, "rooms": {"a": [10, 1], "b": [20, 1]}}
+def test_a_room_may_grow_by_what_others_fell_and_a_limit_far_above_is_to_be_lowered_with_its_reason_kept() -> None:
+    limits = {"lines": 100, "files": 2, "rooms": {"a": [40, 1], "b": [60, 1]}}
     files = Counter(a=1, b=1)
-    assert growth("src", Sizes(Counter(a=15, b=15), files), limits) == []
-    grown = growth("src", Sizes(Counter(a=15, b=16), files), limits)
-    assert grown == ["src: 31 lines, 1 more than 30", "  a: +5 lines"]
-
-
-def test_a_limit_far_above_what_is_there_is_to_be_lowered() -> None:
-    limits = {"lines": 100, "files": 2, "rooms": {}}
-    files = Counter(a=2)
+    assert growth("src", Sizes(Counter(a=50, b=50), files), limits) == []
+    grown = growth("src", Sizes(Counter(a=50, b=51), files), limits)
+    assert grown == ["src: 101 lines, 1 more than 100", "  a: +10 lines"]
     assert slack("src", Sizes(Counter(a=50), files), limits) == []
     (line,) = slack("src", Sizes(Counter(a=49), files), limits)
     assert line.startswith("src: 49 lines, 51 less than 100: run")
     assert len(slack("src", Sizes(Counter(a=100), Counter(a=1)), limits)) == 1
-
-
-def test_the_reason_of_a_raised_number_is_kept() -> None:
-    sizes = {"src": Sizes(Counter(a=3), Counter(a=1))}
-    reasons = {"src.lines": "  # a reader for another format"}
+    sizes, reasons = {"src": Sizes(Counter(a=3), Counter(a=1))}, {"src.lines": "  # a reader for another format"}
     text = as_text(sizes, reasons)
     assert reasons_of(text) == reasons
     assert tomllib.loads(text) == {"src": {"lines": 3, "files": 1, "rooms": {"a": [3, 1]}}}

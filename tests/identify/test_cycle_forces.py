@@ -68,46 +68,32 @@ def test_without_gas_or_the_firing_angles_nothing_is_said() -> None:
     assert cycle_forces(two, [(2.0, 1500.0), (0.5, 900.0)]) == (None, None)
 
 
-@pytest.mark.parametrize(
-    ("orders", "two_stroke", "doubted"),
-    [
-        ({0.5: "locked", 1.0: "locked", 1.5: "locked"}, True, True),
-        ({0.5: "locked", 1.0: "locked", 1.5: "locked"}, False, False),  # a four-stroke engine, or a rotor that rubs
-        ({0.5: "locked", 1.0: "locked", 2.0: "locked"}, True, False),
-        ({0.5: "locked", 1.5: "slips"}, True, False),
-        ({0.5: "undecided", 1.5: "undecided"}, True, False),
-        ({}, True, False),
-    ],
-)
-def test_d16_several_half_orders_put_a_stated_two_stroke_cycle_in_doubt(
-    orders: dict[float, str], two_stroke: bool, doubted: bool
-) -> None:
-    found = [record_of(OrderFinding, {"order": order, "lock": lock}) for order, lock in orders.items()]
-    flags = cycle_doubts([*found, *found], two_stroke=two_stroke)  # the same in a second channel
-    assert [one.flag for one in flags] == (["cycle_doubted"] if doubted else [])
-    assert all("0.5, 1.5" in one.detail and "four-stroke" in one.detail for one in flags)
+LOCKED_123 = {1.0: "locked", 2.0: "locked", 3.0: "locked"}
+HALVES = {0.5: "locked", 1.0: "locked", 1.5: "locked"}
+STATED = [
+    (HALVES, True, None, True), (HALVES, False, None, False),  # a four-stroke engine, or a rotor that rubs
+    ({0.5: "locked", 1.0: "locked", 2.0: "locked"}, True, None, False),
+    ({0.5: "locked", 1.5: "slips"}, True, None, False), ({0.5: "undecided", 1.5: "undecided"}, True, None, False),
+    ({}, True, None, False), (LOCKED_123, False, FIRING, True), ({0.5: "locked", **LOCKED_123}, False, FIRING, False),
+    ({5.5: "locked", 1.0: "locked", 2.0: "locked"}, False, FIRING, False),
+    ({1.0: "locked"}, False, FIRING, False),  # too little is seen for the lack to say anything
+    ({1.0: "undecided", 2.0: "locked", 3.0: "slips"}, False, FIRING, False),
+    (LOCKED_123, False, load_engine("msu-optical-second"), False),  # without gas
+    (LOCKED_123, False, None, False),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("orders", "engine", "doubted"),
-    [
-        ({1.0: "locked", 2.0: "locked", 3.0: "locked"}, FIRING, True),
-        ({0.5: "locked", 1.0: "locked", 2.0: "locked", 3.0: "locked"}, FIRING, False),
-        ({5.5: "locked", 1.0: "locked", 2.0: "locked"}, FIRING, False),
-        ({1.0: "locked"}, FIRING, False),  # too little is seen for the lack to say anything
-        ({1.0: "undecided", 2.0: "locked", 3.0: "slips"}, FIRING, False),
-        ({1.0: "locked", 2.0: "locked", 3.0: "locked"}, load_engine("msu-optical-second"), False),  # without gas
-        ({1.0: "locked", 2.0: "locked", 3.0: "locked"}, None, False),
-    ],
-)
-def test_d16_no_half_order_puts_the_stated_cycle_of_a_fired_engine_in_doubt(
-    orders: dict[float, str], engine: Engine | None, doubted: bool
+@pytest.mark.cases(len(STATED))
+@pytest.mark.parametrize(("orders", "two_stroke", "engine", "doubted"), STATED)
+def test_d16_half_orders_put_a_stated_two_stroke_cycle_in_doubt_and_their_lack_that_of_a_fired_engine(
+    orders: dict[float, str], two_stroke: bool, engine: Engine | None, doubted: bool
 ) -> None:
     found = [record_of(OrderFinding, {"order": order, "lock": lock}) for order, lock in orders.items()]
-    flags = cycle_doubts(found, two_stroke=False, engine=engine)
+    flags = cycle_doubts([*found, *found], two_stroke=two_stroke, engine=engine)  # the same in a second channel
     assert [one.flag for one in flags] == (["cycle_doubted"] if doubted else [])
-    assert all("0.5, 1.5" in one.detail and "two-stroke" in one.detail for one in flags)
-    assert cycle_doubts(found, two_stroke=False, engine=engine, max_order=1.0) == []
+    other = "four-stroke" if two_stroke else "two-stroke"
+    assert all("0.5, 1.5" in one.detail and other in one.detail for one in flags)
+    assert two_stroke or cycle_doubts(found, two_stroke=False, engine=engine, max_order=1.0) == []
 
 
 def test_d16_four_even_cylinders_make_no_half_orders_to_miss() -> None:

@@ -60,10 +60,12 @@ def test_the_interval_of_the_mean_level_holds_it() -> None:
     assert 0.93 <= coverage(inside, 400) <= 0.985
 
 
-def test_laws_are_named() -> None:
+def test_laws_are_named_but_of_three_speeds_or_one() -> None:
     rng = np.random.default_rng(1)
     assert growth(line_of(rng, np.ones(35))).law == "keeps its size"
     assert growth(line_of(rng, (SPEEDS / 1000.0) ** 2)).law == "grows with speed^n"
+    assert growth(line_of(rng, np.ones(3), speed=SPEEDS[:3])) is None
+    assert growth(line_of(rng, np.ones(5), speed=np.full(5, 900.0))) is None
 
 
 @pytest.mark.slow
@@ -81,12 +83,6 @@ def test_a_narrow_resonance_does_not_make_the_law_and_is_told() -> None:
     assert found.law == "grows with speed^n"
     assert found.exponent == pytest.approx(2.0, abs=0.05)
     assert 1300.0 in found.deviating_rpm and set(found.deviating_rpm) <= set(SPEEDS[(SPEEDS > 1100) & (SPEEDS < 1500)])
-
-
-def test_three_speeds_or_one_tell_no_law() -> None:
-    rng = np.random.default_rng(4)
-    assert growth(line_of(rng, np.ones(3), speed=SPEEDS[:3])) is None
-    assert growth(line_of(rng, np.ones(5), speed=np.full(5, 900.0))) is None
 
 
 def test_one_speed_has_students_interval_and_its_range() -> None:

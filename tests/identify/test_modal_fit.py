@@ -4,12 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import xarray as xr
 from tests.made.floors import Made, campbell_of, inside, no_orders, orders_of
 
 from crankorder.fft.windows import window_named
 from crankorder.identify.found import AgreedOrder, ModalFit
-from crankorder.identify.modes import surface_fit
 from crankorder.identify.modes.floor import quiet_floor
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.surface_fit import pole_columns, spectral_window
@@ -48,20 +46,17 @@ def test_close_modes_are_told_apart_with_their_damping() -> None:
         assert mode.frequency_hz == pytest.approx(f, rel=2e-3)
 
 
-def test_a_floor_that_grows_with_speed_moves_nothing() -> None:
-    made = replace(THREE, gains=tuple(np.linspace(1.0, 4.0, len(THREE.speed_rpm))))
-    assert inside(_fit(made), made)
+BESIDE = [
+    ({"gains": tuple(np.linspace(1.0, 4.0, len(THREE.speed_rpm)))}, ()),  # a floor that grows with speed
+    ({"lines": ((1.0, 3.0), (2.0, 5.0), (5.5, 1.0))}, (1.0, 2.0, 5.5)),  # lines far above the floor
+    ({"lines": ((2.5, 1.0),)}, ()),  # a line that nobody found
+]
 
 
-def test_order_lines_far_above_the_floor_leave_no_mode_behind() -> None:
-    made = replace(THREE, lines=((1.0, 3.0), (2.0, 5.0), (5.5, 1.0)))
-    assert inside(_fit(made, orders=(1.0, 2.0, 5.5)), made)
-
-
-@pytest.mark.slow
-def test_a_line_that_nobody_found_leaves_no_mode_behind() -> None:
-    made = replace(THREE, lines=((2.5, 1.0),))
-    assert inside(_fit(made), made)
+@pytest.mark.parametrize(("changes", "orders"), BESIDE)
+def test_a_floor_that_grows_and_order_lines_leave_no_other_mode_behind(changes: dict, orders: tuple) -> None:
+    made = replace(THREE, **changes)
+    assert inside(_fit(made, orders=orders), made)
 
 
 def test_white_noise_has_neither_modes_nor_tones() -> None:
@@ -140,40 +135,6 @@ def test_intervals_of_frequency_and_damping_cover_the_truth_as_often_as_they_say
     assert np.all(np.abs(covered - 0.95) <= 0.02), covered
 
 
-@pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True, reason="missed: 10 times the work for 4 times the bins, as candidates of noise are fitted"
-)
-def test_the_work_of_a_fit_grows_about_as_the_bins_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Counted: evaluations times bins times squared columns, which a step takes; four times the bins, as many modes."""
-    work = []
-    plain = surface_fit.evaluate
-
-    def counted(
-        problem: surface_fit.Problem, poles: surface_fit.Poles, weight_by: np.ndarray
-    ) -> surface_fit.SurfaceFit:
-        columns = 2 * len(poles) + len(problem.background)
-        work[-1] += len(problem.psd) * len(problem.frequency_hz) * columns**2
-        return plain(problem, poles, weight_by)
-
-    monkeypatch.setattr(surface_fit, "evaluate", counted)
-    template = campbell_of(replace(THREE, speed_rpm=(1000.0,)), 1)
-    for n_bins in (2500, 10_000):
-        work.append(0)
-        frequency = 0.5 * np.arange(n_bins)
-        natural = np.arange(60.0, 1200.0, 110.0)
-        power = 1.0 + sum(5.0 / (1.0 + ((frequency - f) / 1.5) ** 2) for f in natural)
-        psd = np.random.default_rng(1).gamma(200.0, 1.0 / 200.0, (2, 1, n_bins)) * power
-        campbell = xr.Dataset(
-            {"psd": (("channel", "speed", "frequency"), psd), "n_frames": ("speed", [400])},
-            coords={"channel": ["X", "Y"], "speed": [1000.0], "frequency": frequency},
-            attrs=template.attrs,
-        )
-        fit = modal_fit(campbell, no_orders(campbell), (), settings=SETTINGS)
-        assert len(fit.modes) >= 0.95 * len(natural)
-    assert work[1] < 6.0 * work[0]
-
-
 def test_bins_of_padded_frames_are_taken_no_closer_than_they_tell_of() -> None:
     campbell = campbell_of(replace(THREE, speed_rpm=(1000.0,)), 0)
     campbell["n_frames"][:] = 1  # of more than one spectrum the scatter is known bin by bin
@@ -211,18 +172,13 @@ def test_a_hump_in_sound_pressure_alone_is_undecided() -> None:
     assert mode.undecided == ""
 
 
-def test_a_mode_as_narrow_as_an_order_wanders_is_undecided_at_one_speed_and_a_mode_at_many() -> None:
-    narrow = replace(ONE, damping=(0.0008,), duration_s=120.0, resolution_hz=0.05)
-    (mode,) = _fit(replace(narrow, speed_rpm=(1010.0,)), 3).modes
+def test_a_mode_as_narrow_as_an_order_wanders_is_undecided_at_one_speed_and_else_a_mode() -> None:
+    narrow, one = replace(ONE, damping=(0.0008,), duration_s=120.0, resolution_hz=0.05), (1010.0,)
+    (mode,) = _fit(replace(narrow, speed_rpm=one), 3).modes
     assert "at one speed a modulated order looks so" in mode.undecided
-    (mode,) = _fit(replace(narrow, speed_rpm=(1010.0, 1300.0, 1800.0)), 3).modes
-    assert mode.undecided == ""
-
-
-@pytest.mark.slow
-def test_a_well_damped_mode_at_one_speed_is_a_mode() -> None:
-    (mode,) = _fit(replace(ONE, speed_rpm=(1010.0,), duration_s=120.0), 3).modes
-    assert mode.undecided == ""
+    for made in (replace(narrow, speed_rpm=(*one, 1300.0, 1800.0)), replace(ONE, speed_rpm=one, duration_s=120.0)):
+        (mode,) = _fit(made, 3).modes
+        assert mode.undecided == ""
 
 
 # What a window makes of a resonance: against numerical convolution and differences.

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
+from crankorder.identify.found import AgreedOrder, ModalFit, OrderResponse
 from crankorder.identify.lines.followed_orders import track_number
 from crankorder.identify.lines.line_evidence import is_steady
 from crankorder.identify.lines.order_lines import order_lines
@@ -19,6 +19,7 @@ from machines.draw import draw_machine
 from machines.folder import write_folder
 from machines.judge import Said
 from machines.score import run_program
+from made.found_lines import fit, made_response, mode
 from made.line_frames import PER_REV, agreed_in, angle_of, frames_of, wave
 
 SETTINGS = load_settings()
@@ -43,12 +44,6 @@ def test_a_line_at_one_speed_of_many_is_kept_with_its_doubt() -> None:
 def test_a_tone_of_fixed_frequency_is_no_order_though_it_meets_one() -> None:
     # 60 Hz is order 3 at 1200 rpm exactly, where it is as steady as an order
     assert lines_of(lambda angle, rpm: wave(angle, 3600.0 / rpm, 1.0)) == []
-
-
-def test_a_line_that_slips_is_seen_at_one_speed_by_the_turn_of_its_phase() -> None:
-    (line,) = lines_of(lambda angle, rpm: wave(angle, 4.013, 0.5), speeds=[1500.0], revs=300)
-    assert line.evidence == "steady, not locked"
-    assert line.order == pytest.approx(4.013, abs=0.01)
 
 
 def one_speed(signal, *, channels: int = 1):
@@ -93,23 +88,6 @@ def test_no_resonance_that_noise_excites_is_as_steady_as_a_line_at_one_speed(dam
     peak = int(np.argmin(np.abs(made["order"].values - 15.0625)))
     steady = sum(is_steady(made, k, peak, np.array([0]), 1e-3) for k in range(100))
     assert steady <= 1
-
-
-def test_a_line_that_slips_by_less_than_a_percent_is_found_at_eight_speeds_of_eight_seconds() -> None:
-    """5.5 with a slip of 0.8 %: off every bin of its frames, never locked, and no resonance."""
-    speeds = np.arange(600.0, 2001.0, 200.0)
-    rng, frames = np.random.default_rng(3), []
-    for rpm in speeds:
-        angle = angle_of(int(8.0 * rpm / 60.0))
-        signal = wave(angle, 5.456, 0.5, rng.uniform(0, 6)) + wave(angle, 1.0, 2.0) + rng.standard_normal(len(angle))
-        frames.append(frames_of([signal], speed_rpm=rpm))
-    made = order_map(frames, settings=SETTINGS.orders)
-    first, slipping = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
-    assert first.evidence == "locked to the shaft"
-    assert slipping.evidence == "steady, not locked"
-    assert slipping.order == pytest.approx(5.456, abs=0.006)
-    assert slipping.amplitude == pytest.approx(0.5, rel=0.15)
-    assert len(slipping.seen) == len(speeds)
 
 
 @pytest.mark.slow
@@ -175,21 +153,15 @@ def found(order: float, how: str, factor: float, speeds: tuple[float, ...]):
 @pytest.mark.parametrize("speeds", [ONE, SEVERAL])
 @pytest.mark.parametrize(("how", "factor"), [("step", 1.2), ("step", 2.0), ("step", 10.0), ("early step", 3.0)])
 @pytest.mark.parametrize("order", [1.0, 5.5, 5.467])
-def test_an_order_whose_amplitude_changes_is_found(order: float, how: str, factor: float, speeds) -> None:
+def test_an_order_whose_amplitude_changes_is_found_and_its_interval_reaches_over_what_it_held(
+    order: float, how: str, factor: float, speeds
+) -> None:
     (agreed,) = found(order, how, factor, speeds)
     assert agreed.order == pytest.approx(order, abs=0.02)
     assert agreed.lock == "slips" if order == 5.467 else agreed.lock != "slips"
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("speeds", [ONE, SEVERAL])
-@pytest.mark.parametrize("order", [1.0, 5.5])
-@pytest.mark.parametrize("factor", [2.0, 5.0])
-def test_its_interval_reaches_over_the_amplitudes_that_it_held(order: float, factor: float, speeds) -> None:
-    (agreed,) = found(order, "step", factor, speeds)
-    (line,) = agreed.lines
-    assert line.ends is not None
-    assert (line.ends[:, 0] < 1.03 * 3.0).all() and (line.ends[:, 1] > 0.97 * 3.0 * factor).all()
+    if order != 5.467 and (how, factor) == ("step", 2.0):
+        (line,) = agreed.lines
+        assert (line.ends[:, 0] < 1.03 * 3.0).all() and (line.ends[:, 1] > 0.97 * 3.0 * factor).all()
 
 
 # Findings and tracks: one number for both, at the order that was found; how large a held speed would make it.
@@ -238,28 +210,13 @@ def test_a_line_between_multiples_is_read_where_it_stands_however_little_is_know
 
 
 def _response(*, recording: str = "r1", fits: bool = True, error: float = 0.01) -> OrderResponse:
-    one, covariance = np.array([1.0 + 0j]), np.diag([error**2, error**2]).astype(complex)
-    return OrderResponse(
-        2.0,
-        "X",
-        0.0,
-        (),
-        1800.0,
-        (900.0, 3000.0),
-        0.0 * one,
-        one,
-        np.array([0]),
-        covariance,
-        40,
-        error,
-        fits,
-        recording,
-    )
+    made = made_response(2.0, fit(mode(60.0, 0.01)), smooth=0.0, residue=[1.0], channel="X")
+    covariance = np.diag([error**2, error**2]).astype(complex)
+    return replace(made, exponent=0.0, covariance=covariance, error=error, fits=fits, recording=recording)
 
 
 def _held(*responses: OrderResponse, error: float = 0.0, order: float = 2.0, channel: str = "X") -> HeldPeak | None:
-    mode = Mode(60.0, 0.1, 0.01, error, ("X",), 20.0, "")
-    modal = ModalFit((mode,), (), np.diag([0.0, error**2]), responses or (_response(),))
+    modal = ModalFit((mode(60.0, 0.01),), (), np.diag([0.0, error**2]), responses or (_response(),))
     return held_peak(modal, order, channel, largest_rpm=1800.0)
 
 

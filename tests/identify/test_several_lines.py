@@ -53,15 +53,6 @@ def test_a_resonance_that_noise_excites_is_no_set_of_lines(damping: float) -> No
         assert not solved(signal, order - 0.25, order + 0.25)
 
 
-def test_order_1_between_the_mains_and_both_sidebands_is_an_order_at_one_speed() -> None:
-    """49.7 Hz of a motor of two poles, mains at 50 Hz and pole-pass sidebands 0.6 Hz off, in 6 s."""
-    rng, angle = np.random.default_rng(4), angle_of(298)
-    noise, places = 0.3 * rng.standard_normal(len(angle)), {0.98793: 0.5, 1.0: 2.0, 1.00604: 0.3, 1.01207: 0.5}
-    found = agreed_in([frames_of([noise + waves(rng, angle, places.items())], speed_rpm=2982.0)])
-    assert [one.order for one in found] == pytest.approx(list(places), abs=1e-4)
-    assert [one.lock for one in found] == ["slips", "locked", "slips", "slips"]
-
-
 @pytest.mark.slow
 def test_a_locked_line_that_the_energy_of_its_bin_hides_is_found_by_its_phase() -> None:
     hidden = 0

@@ -36,20 +36,23 @@ def told(*tones: tuple[float, float]) -> ModalFit:
     return replace(fit(), tones=made, frequency_hz=np.arange(1.0, 400.0, 0.5))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("flank", [149.41, 149.58, 150.76])
-def test_the_flank_of_a_strong_tone_is_none(flank: float) -> None:
-    made = with_tones_parted(told((150.03, 3.0), (flank, 1.6)), recorded((150.03, 3.0)))
-    assert [tone.frequency_hz for tone in made.tones] == [150.03]
-    assert len(with_tones_parted(told((150.03, 3.0), (flank, 1.6)), []).tones) == 1
+STRONG = (150.03, 3.0)
+BESIDE = [
+    *(((STRONG, (hertz, 1.6)), (STRONG,), 1) for hertz in (149.41, 149.58, 150.76)),  # its flanks
+    *(((STRONG, (hertz, 0.8)), (STRONG, (hertz, 0.8)), 2) for hertz in (149.4, 150.8)),  # lines of a recording
+    (((50.01, 1.0),), ((50.01, 1.0),), 1),
+    (((95.3, 0.5),), ((150.0, 1.0),), 1),  # what the longest recording does not have
+]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("beside", [149.4, 150.8])
-def test_a_line_that_a_recording_shows_beside_a_stronger_tone_stays(beside: float) -> None:
-    held = recorded((150.03, 3.0), (beside, 0.8))
-    made = with_tones_parted(told((150.03, 3.0), (beside, 0.8)), held)
-    assert len(made.tones) == 2
+@pytest.mark.parametrize(("tones", "lines", "count"), BESIDE)
+def test_the_flank_of_a_strong_tone_is_none_and_other_tones_stay_as_they_are(tones, lines, count: int) -> None:
+    modal = told(*tones)
+    for held in (recorded(*lines), [])[: 3 - count]:
+        made = with_tones_parted(modal, held).tones
+        assert {tone.frequency_hz for tone in made} == {hertz for hertz, _ in tones[:count]}
+    assert len(tones) == 2 or with_tones_parted(modal, recorded(*lines)).tones == modal.tones
 
 
 @pytest.mark.slow
@@ -62,12 +65,6 @@ def test_the_interval_of_a_tone_that_is_two_lines_holds_both(seed: int) -> None:
     (tone,) = with_tones_parted(told((between, 1.3)), recorded((first, 1.0), (first + apart, size), seed=seed)).tones
     low, high = (between + side * Z95 * tone.frequency_error_hz for side in (-1, 1))
     assert low <= first and first + apart <= high and "more than one line" in tone.evidence
-
-
-@pytest.mark.slow
-def test_a_tone_of_one_line_stays_as_it_is() -> None:
-    modal = told((50.01, 1.0))
-    assert with_tones_parted(modal, recorded((50.01, 1.0))).tones == modal.tones
 
 
 @pytest.mark.slow
@@ -103,12 +100,6 @@ def test_a_weak_multiple_of_a_supply_that_is_seen_stays_mains_where_it_fits(hert
     mains = tuple(replace(tone, kind="mains") for tone in tones.tones)
     _, high = without_absent_mains(replace(tones, tones=mains), recorded((50.04, 1.0)), settings=SETTINGS).tones
     assert high.kind == kind
-
-
-@pytest.mark.slow
-def test_what_the_longest_recording_does_not_have_is_not_called_several_lines() -> None:
-    (tone,) = with_tones_parted(told((95.3, 0.5)), recorded((150.0, 1.0))).tones
-    assert UNPARTED not in tone.evidence and tone.amplitude["A"] == (0.5, 0.01)
 
 
 @pytest.mark.slow
@@ -201,42 +192,31 @@ def said(*orders: AgreedOrder, longest_rev: float = np.inf) -> list[str]:
     return [causes.orders["A", one.order].text for one in orders]
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("mains", [50.0, 60.0])
-@pytest.mark.parametrize(("multiple", "words"), [(1, "mains"), (2, "twice mains")])
-@pytest.mark.parametrize("off", [-0.004, 0.0, 0.004])
-def test_one_line_at_the_mains_or_its_double_is_mains(mains: float, multiple: int, words: str, off: float) -> None:
-    rpm = 1713.0
-    assert said(at_speed(60.0 * multiple * mains * (1.0 + off) / rpm, rpm)) == [words]
+def at_1713(*hertz: float) -> list[AgreedOrder]:
+    return [at_speed(60.0 * one / 1713.0, 1713.0) for one in hertz]
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("hertz", [49.2, 51.0, 58.9, 98.6, 121.5, 48.35])
-def test_a_tone_beside_the_mains_is_none(hertz: float) -> None:
-    assert said(at_speed(60.0 * hertz / 1713.0, 1713.0)) == ["unexplained"]
+NAMED = [
+    *(
+        (at_1713(multiple * mains * (1.0 + off)), [words])
+        for mains in (50.0, 60.0)
+        for multiple, words in ((1, "mains"), (2, "twice mains"))
+        for off in (-0.004, 0.0, 0.004)
+    ),
+    *((at_1713(hertz), ["unexplained"]) for hertz in (49.2, 51.0, 58.9, 98.6, 121.5, 48.35, 150.06)),
+    (at_1713(50.02, 150.06), ["mains", "3 x mains"]),
+    (at_1713(50.0, 60.0), ["mains or another tone"] * 2),
+    ([at_speed(2.0, 1500.0, lock="locked")], ["shaft harmonic or mains"]),
+    ([at_speed(4.0, 1500.0, lock="locked")], ["shaft harmonic or twice mains"]),
+    ([at_speed(1.0, 3000.0, lock="locked")], [f"{LIKE_UNBALANCE} or mains"]),
+    ([agreed(2.0, line(2.0))], ["shaft harmonic"]),  # at many speeds
+]
 
 
-def test_a_third_multiple_alone_is_not_called_mains_and_beside_the_first_it_is() -> None:
-    rpm = 1713.0
-    third, first = at_speed(60.0 * 150.06 / rpm, rpm), at_speed(60.0 * 50.02 / rpm, rpm)
-    assert said(third) == ["unexplained"]
-    assert said(first, third) == ["mains", "3 x mains"]
-
-
-def test_at_one_speed_an_order_on_the_mains_is_said_with_them() -> None:
-    assert said(at_speed(2.0, 1500.0, lock="locked")) == ["shaft harmonic or mains"]
-    assert said(at_speed(4.0, 1500.0, lock="locked")) == ["shaft harmonic or twice mains"]
-    assert said(at_speed(1.0, 3000.0, lock="locked")) == [f"{LIKE_UNBALANCE} or mains"]
-
-
-@pytest.mark.slow
-def test_lines_on_two_mains_frequencies_are_said_to_be_one_or_a_tone() -> None:
-    rpm = 1713.0
-    assert said(at_speed(60.0 * 50.0 / rpm, rpm), at_speed(60.0 * 60.0 / rpm, rpm)) == ["mains or another tone"] * 2
-
-
-def test_an_order_at_many_speeds_is_no_mains() -> None:
-    assert said(agreed(2.0, line(2.0))) == ["shaft harmonic"]
+@pytest.mark.cases(len(NAMED))
+@pytest.mark.parametrize(("orders", "words"), NAMED)
+def test_a_line_at_the_mains_is_mains_alone_and_on_an_order_both(orders: list[AgreedOrder], words: list[str]) -> None:
+    assert said(*orders) == words
 
 
 @pytest.mark.slow

@@ -113,15 +113,6 @@ def test_the_forms_of_a_path_agree_with_one_another():
     assert np.isnan(accelerance_of(table, np.array([4.9, 50.1]))).all()
 
 
-@pytest.mark.slow
-def test_a_path_has_one_form_and_says_where_it_holds():
-    for form in ({}, {"apparent_mass_kg": 1.0, "table": "a.csv"}, {"apparent_mass_kg": 1.0, "rigid_per_kg": 1.0}):
-        with pytest.raises(ValueError, match=r"one of|goes with"):
-            stated("Z", "Z", **form)
-    with pytest.raises(ValueError, match="where the path holds"):
-        StatedPath(channel="Z", direction="Z", apparent_mass_kg=1.0)
-
-
 def test_only_accelerometers_are_read_and_missing_values_count_for_nothing():
     item = made_orders(np.random.default_rng(0), residual_kg=0.1).order_map
     item["quantity"] = ("channel", ["acceleration", "pressure", "acceleration"])

@@ -164,29 +164,18 @@ def test_forward_and_backward_whirl_of_one_mode_are_told_beside_modes_that_stay(
     assert not any(mode.undecided for mode in fit.modes)
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("growth", [0.0, 2.0])
-def test_modes_that_stay_make_no_whirl_however_their_level_grows(growth: float) -> None:
-    for seed in range(8):
-        assert not _whirls(Rotor(modes=STAYS, growth=growth), seed)
-
-
-@pytest.mark.slow
-def test_drawn_modes_that_stay_while_their_levels_change_make_no_whirl() -> None:
-    for seed in range(60):
+@pytest.mark.parametrize("seeds", [range(6), pytest.param(range(6, 60), marks=pytest.mark.slow)])
+def test_drawn_modes_that_stay_while_their_levels_change_make_no_whirl(seeds: range) -> None:
+    for seed in seeds:
         random = np.random.default_rng([seed, 77])
-        modes = tuple(
-            Moving(
-                hz=float(random.uniform(20.0, 190.0)),
-                slope=0.0,
-                damping=float(np.exp(random.uniform(np.log(0.002), np.log(0.08)))),
-                gain=tuple(random.uniform(0.2, 1.0, 2)),
-            )
-            for _ in range(int(random.integers(2, 6)))
-        )
+        modes = []
+        for _ in range(int(random.integers(2, 6))):
+            hz, damping = float(random.uniform(20.0, 190.0)), float(np.exp(random.uniform(np.log(0.002), np.log(0.08))))
+            modes.append(Moving(hz=hz, slope=0.0, damping=damping, gain=tuple(random.uniform(0.2, 1.0, 2))))
         growth, noise = float(random.uniform(-1.0, 4.0)), float(random.uniform(0.02, 0.3))
         speeds = tuple(np.linspace(1000.0, 4000.0, int(random.integers(6, 30))))
-        assert not _whirls(Rotor(modes=modes, growth=growth, noise=noise, speed_rpm=speeds, duration_s=8.0), seed), seed
+        rotor = Rotor(modes=tuple(modes), growth=growth, noise=noise, speed_rpm=speeds, duration_s=8.0)
+        assert not _whirls(rotor, seed), seed
 
 
 def test_noise_alone_makes_no_whirl() -> None:

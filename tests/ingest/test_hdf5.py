@@ -114,7 +114,7 @@ def test_an_impossible_size_a_bomb_and_missing_blocks_are_refused_before_allocat
         file.create_dataset("b", (2**60,), "f8", chunks=(10**6,))
         file.create_dataset("c", (4000,), "f4", chunks=(1000,))[:2000] = 1.0  # what was not written is no zeros
         file.create_dataset("d", data=np.zeros(10**6), compression="gzip")
-    assert (tmp_path / "a.h5").stat().st_size < 30_000
+    assert (tmp_path / "a.h5").stat().st_size < 50_000
     for name, kind, words, most_bytes in (
         ("a", InputError, "missing data: 0 of 1000000 blocks were written", limits.max_bytes),
         ("b", UnsafeInputError, "claims 9223372036854775808 bytes of samples; allowed: 8000000000", limits.max_bytes),

@@ -1,7 +1,7 @@
 """The pictures show what the findings hold, at the right place, legibly, and with the same bytes each time."""
 
 import io
-import struct
+import re
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -75,24 +75,18 @@ def _words(drawing: Drawing) -> set[str]:
     return {words.text for words in drawing.words}
 
 
-def test_order_lines_lie_at_order_times_speed_over_sixty(campaign: Any, settings: Any) -> None:
-    figure = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
-    found = _lines(figure, "order-")
-    assert sorted(found) == sorted(f"order-{name}" for name in ("1", "2", "3", "4", "5.5", "8", "10"))
-    for name, lines in found.items():
-        for frequency, speed in lines:
-            np.testing.assert_allclose(frequency, float(name.removeprefix("order-")) * speed / 60)
-
-
-def test_a_line_is_drawn_where_its_values_stand_on_the_ticks(campaign: Any, settings: Any) -> None:
+def test_order_lines_lie_at_order_times_speed_over_sixty_where_the_ticks_say_so(campaign: Any, settings: Any) -> None:
     figure = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
     places = {words.text: words for words in figure.words if words.name == "tick" and words.along != "left"}
     inch_per_hz = (places["400"].x - places["100"].x) / 300
     inch_per_rpm = (places["1500"].y - places["500"].y) / 1000
-    for stroke in figure.strokes("order-"):
-        frequency, speed = stroke.values
-        np.testing.assert_allclose(stroke.points[:, 0], places["100"].x + inch_per_hz * (frequency - 100), atol=1e-9)
-        np.testing.assert_allclose(stroke.points[:, 1], places["500"].y + inch_per_rpm * (speed - 500), atol=1e-9)
+    lines = figure.strokes("order-")
+    assert {line.name for line in lines} == {f"order-{name}" for name in ("1", "2", "3", "4", "5.5", "8", "10")}
+    for line in lines:
+        frequency, speed = line.values
+        np.testing.assert_allclose(frequency, float(line.name.removeprefix("order-")) * speed / 60)
+        np.testing.assert_allclose(line.points[:, 0], places["100"].x + inch_per_hz * (frequency - 100), atol=1e-9)
+        np.testing.assert_allclose(line.points[:, 1], places["500"].y + inch_per_rpm * (speed - 500), atol=1e-9)
 
 
 def test_the_map_shows_every_line_at_its_place_in_the_png(campaign: Any, settings: Any) -> None:
@@ -229,19 +223,12 @@ def test_the_median_spectrum_drops_what_moves_with_speed(campaign: Any, settings
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("name", ["campaign", *HARD])
-def test_no_two_texts_of_any_picture_overlap(name: str, campaign: Any, hard: Any, settings: Any) -> None:
+def test_every_picture_has_the_set_width_and_no_text_on_another(
+    name: str, campaign: Any, hard: Any, settings: Any
+) -> None:
     for figure in _figures(campaign if name == "campaign" else hard[name], settings):
         assert _overlaps(figure) == []
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("name", HARD)
-def test_every_awkward_test_becomes_pictures_of_the_set_width(name: str, hard: Any, settings: Any) -> None:
-    for figure in _figures(hard[name], settings):
-        data = picture_bytes(figure, dpi=60)
-        Image.open(io.BytesIO(data)).load()
-        assert data.startswith(b"\x89PNG\r\n\x1a\n")
-        assert struct.unpack(">I", data[16:20])[0] == round(60 * settings.width_in)
+        assert Image.open(io.BytesIO(picture_bytes(figure, dpi=60))).width == round(60 * settings.width_in)
 
 
 def test_hostile_text_is_shown_literally_and_cut(hard: Any, settings: Any) -> None:
@@ -254,10 +241,7 @@ def test_hostile_text_is_shown_literally_and_cut(hard: Any, settings: Any) -> No
 def test_the_bytes_are_the_same_each_time_and_carry_no_date(campaign: Any, settings: Any) -> None:
     first, again = ([picture_bytes(figure, dpi=60) for figure in _figures(campaign, settings)] for _ in range(2))
     assert first == again
-    for data in first:
-        assert b"Software\x00crankorder" in data
-        assert b"tIME" not in data
-        assert b"Creation" not in data
+    assert all(b"Software\x00crankorder" in data and not re.search(b"tIME|Creation", data) for data in first)
 
 
 @pytest.mark.slow
@@ -293,7 +277,6 @@ def test_one_speed_or_none_has_spectra_in_place_of_campbell_diagrams_and_says_wh
     assert bool(marked) is bool(rpm > 0) and not _overlaps(figure)
 
 
-@pytest.mark.slow
 def test_two_close_orders_have_different_names_in_every_picture(make_test: Any, settings: Any) -> None:
     drawn = make_test(np.arange(600.0, 1001.0, 100.0), channels=("Z",), gains=(1.0,), orders=(1.0, 1.005, 2.0))
     for record in drawn.findings["orders"]:
@@ -381,6 +364,9 @@ def test_the_strip_holds_the_ranges_of_the_findings_at_their_speeds(campaign: An
         np.testing.assert_allclose(stroke.points[:, 1], bottom + height * (stroke.values[1] - 300) / 1700)
     words = _words(figure)
     assert {"1800", "1725", "speed to avoid", "free speeds"} <= words
+    without = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
+    assert not [*without.strokes("avoid-"), *without.strokes("free-")]
+    assert not {"speed to avoid", "free speeds"} & _words(without)
 
 
 def test_a_crossing_that_was_not_judged_leaves_its_speed_neither_free_nor_to_avoid(
@@ -394,13 +380,6 @@ def test_a_crossing_that_was_not_judged_leaves_its_speed_neither_free_nor_to_avo
     assert "not free, or not known" in _words(figure)
 
 
-@pytest.mark.slow
-def test_without_such_lists_there_is_no_strip(campaign: Any, settings: Any) -> None:
-    figure = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
-    assert not [*figure.strokes("avoid-"), *figure.strokes("free-")]
-    assert not {"speed to avoid", "free speeds"} & _words(figure)
-
-
 def test_decided_undecided_and_tones_look_different(campaign: Any, full: Any, settings: Any) -> None:
     figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
     (doubt,) = figure.strokes("doubt")
@@ -409,16 +388,6 @@ def test_decided_undecided_and_tones_look_different(campaign: Any, full: Any, se
     looks = {(line.color, line.dashes) for kind in ("mode", "doubt", "tone") for line in figure.strokes(kind)}
     assert len(looks) == 3
     assert {"265? Hz", "58.3 Hz", "not decided"} <= _words(figure)
-
-
-def test_orders_that_are_close_have_different_labels(campaign: Any, full: Any, settings: Any) -> None:
-    for record in full["orders"]:
-        if record["order"] == 2.0:
-            record |= {"order": 1.005, "order_ci95": [1.0049, 1.0051], "lock": "slips"}
-    figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
-    labels = [words.text for words in figure.words if words.name.startswith("label-")]
-    assert {"1", "1.005"} <= set(labels)
-    assert labels.count("1") == 1
 
 
 @pytest.mark.cases(1)
@@ -473,14 +442,9 @@ def test_nothing_found_is_said(full: Any, make_envelope: Any, settings: Any) -> 
     full["bearings"] = [record for record in full["bearings"] if record["seen_in"] == "vibration"]
     figure = envelope_figure(envelope, full, settings=settings)
     assert not _rings(figure)
-    (subtitle,) = (words.text for words in figure.words if words.name == "subtitle")
-    assert "No bearing line stands over the floor." in subtitle
-    assert "speeds" not in subtitle
-    full["bearings"] = []
-    (subtitle,) = (
-        words.text for words in envelope_figure(envelope, full, settings=settings).words if words.name == "subtitle"
-    )
-    assert "No bearing was named, or none" in subtitle
+    assert "speeds" not in str(figure.words) and "No bearing line stands over the floor." in str(figure.words)
+    none = envelope_figure(envelope, full | {"bearings": []}, settings=settings)
+    assert "No bearing was named, or none" in str(none.words)
 
 
 @pytest.mark.cases(1)

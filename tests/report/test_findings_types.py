@@ -62,6 +62,7 @@ WRONG = (
     ("orders", "amplitude_ci95", [1.0], "orders[0].amplitude_ci95: .*allowed: a list of 2 or null"),
     ("modes", "channels", "X", "modes[0].channels: .*allowed: a list"),
     ("quality", "severity", None, "quality[0].severity: .*allowed: info, suspect, bad"),
+    ("orders", "unit", ..., "orders[0].unit: is missing; allowed: unit of amplitude"),
 )
 
 
@@ -69,15 +70,10 @@ def test_a_wrong_value_is_refused_by_file_place_and_what_is_allowed(campaign: An
     for table, key, value, told in WRONG:
         wrong = copy.deepcopy(campaign.findings)
         wrong[table][0][key] = value
+        if value is ...:
+            del wrong[table][0][key]
         with pytest.raises(InputError, match="old.json: " + told.replace("[", r"\[", 1).replace("]", r"\]", 1)):
             Findings.from_dict(wrong, file="old.json")
-
-
-def test_a_missing_key_is_refused_by_its_place(campaign: Any) -> None:
-    wrong = copy.deepcopy(campaign.findings)
-    del wrong["orders"][0]["unit"]
-    with pytest.raises(InputError, match=r"old.json: orders\[0\].unit: is missing; allowed: unit of amplitude"):
-        Findings.from_dict(wrong, file="old.json")
 
 
 # The schemas of findings.json and run.json take what design.md names and refuse what it forbids.
@@ -85,26 +81,6 @@ def test_a_missing_key_is_refused_by_its_place(campaign: Any) -> None:
 
 def _faults(document: Any, schema: str) -> list[str]:
     return [error.message for error in jsonschema.Draft202012Validator(schema_of(schema)).iter_errors(document)]
-
-
-def test_the_findings_of_the_design_are_accepted_and_so_are_more_keys(campaign: Any) -> None:
-    assert _faults(campaign.findings, "findings") == []
-    more = copy.deepcopy(campaign.findings)
-    more["orders"][0]["locked"] = True
-    more["later"] = {}
-    assert _faults(more, "findings") == []
-
-
-def test_everything_that_identification_may_give_is_accepted_and_wrong_values_are_refused(full: Any) -> None:
-    assert _faults(full, "findings") == []
-    assert _faults({**full, "free_bands": [{"low_rpm": 300.0}]}, "findings") != []
-    still_open = {"low_rpm": 900.0, "high_rpm": 1200.0, "remark": "not tested between"}
-    assert _faults({**full, "open_bands": [still_open]}, "findings") == []
-    for key in still_open:  # a speed is never open without the reason
-        lacking = {name: value for name, value in still_open.items() if name != key}
-        assert any(key in fault for fault in _faults({**full, "open_bands": [lacking]}, "findings"))
-    assert _faults({**full, "orders": [{**full["orders"][0], "lock": "perhaps"}]}, "findings") != []
-    assert _faults({**full, "energy": {"channels": [{"channel": "X", "orders": 1.5}]}}, "findings") != []
 
 
 NEEDED = (
@@ -123,22 +99,30 @@ def test_a_record_without_a_key_of_the_design_is_refused(campaign: Any) -> None:
     assert taken == []
 
 
-def test_no_balance_needs_a_reason(campaign: Any) -> None:
-    assert _faults({**campaign.findings, "balance": None}, "findings") != []
-    assert _faults({**campaign.findings, "balance": None, "balance_reason": "no engine named"}, "findings") == []
+RUN = {
+    "schema_version": 1, "test": "t", "versions": {"crankorder": "0.1.0"}, "quality": [],
+    "inputs": [{"name": "rpm_0300.h5", "sha256": "0" * 64, "bytes": 12}], "settings": {"report": {"dpi": 130}},
+}  # fmt: skip
+OPEN = {"low_rpm": 900.0, "high_rpm": 1200.0, "remark": "not tested between"}
 
 
-def test_a_line_has_a_frequency_or_an_order_and_an_interval_has_two_ends(campaign: Any) -> None:
-    homeless = {**campaign.findings, "lines": [{"channel": "X", "explained_by": None, "amplitude": 1.0}]}
-    assert _faults(homeless, "findings") != []
-    lopsided = copy.deepcopy(campaign.findings)
-    lopsided["orders"][0]["amplitude_ci95"] = [1.0]
-    assert _faults(lopsided, "findings") != []
-
-
-def test_a_run_names_its_inputs_by_hash() -> None:
-    run = {"schema_version": 1, "test": "t", "versions": {"crankorder": "0.1.0"}, "quality": []}
-    run |= {"inputs": [{"name": "rpm_0300.h5", "sha256": "0" * 64, "bytes": 12}], "settings": {"report": {"dpi": 130}}}
-    assert _faults(run, "run") == []
-    assert _faults({**run, "inputs": [{"name": "a", "sha256": "12"}]}, "run") != []
-    assert _faults({key: value for key, value in run.items() if key != "versions"}, "run") != []
+def test_what_identification_may_give_is_accepted_and_what_the_design_forbids_is_refused(
+    full: Any, campaign: Any
+) -> None:
+    plain, order = campaign.findings, full["orders"][0]
+    for taken in (
+        plain, full, plain | {"orders": [{**plain["orders"][0], "locked": True}], "later": {}},
+        full | {"open_bands": [OPEN]}, plain | {"balance": None, "balance_reason": "no engine named"},
+    ):  # fmt: skip
+        assert _faults(taken, "findings") == []
+    for wrong in (
+        {"free_bands": [{"low_rpm": 300.0}]}, {"orders": [{**order, "lock": "perhaps"}]},
+        {"energy": {"channels": [{"channel": "X", "orders": 1.5}]}}, {"balance": None, "balance_reason": None},
+        {"lines": [{"channel": "X", "explained_by": None, "amplitude": 1.0}]},  # neither frequency nor order
+        {"orders": [{**order, "amplitude_ci95": [1.0]}]},
+        *({"open_bands": [{name: OPEN[name] for name in OPEN if name != key}]} for key in OPEN),  # open for no reason
+    ):  # fmt: skip
+        assert _faults(full | wrong, "findings") != []
+    assert _faults(RUN, "run") == []
+    assert _faults({**RUN, "inputs": [{"name": "a", "sha256": "12"}]}, "run") != []
+    assert _faults({key: value for key, value in RUN.items() if key != "versions"}, "run") != []

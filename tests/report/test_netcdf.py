@@ -278,32 +278,32 @@ def mixed(*channels: tuple[str, str, str]) -> xr.Dataset:
     )
 
 
-def test_channels_of_one_unit_keep_the_name_and_get_the_unit() -> None:
-    made = with_real_units(mixed(("X", "acceleration", "m/s2"), ("Z", "acceleration", "m/s2")))
-    assert made["amplitude"].attrs["units"] == "m/s2"
-    assert made["psd"].attrs["units"] == "(m/s2)2 Hz-1"
+UNITS = (
+    ([("X", "acceleration", "m/s2"), ("Z", "acceleration", "m/s2")], {"psd": "(m/s2)2 Hz-1"}),
+    (
+        [("X", "acceleration", "m/s2"), ("p", "cylinder pressure", "bar")],
+        {"psd_acceleration": "(m/s2)2 Hz-1", "psd_cylinder_pressure": "bar2 Hz-1"},
+    ),
+    (  # two units of one quantity are told apart, and the gram is no acceleration
+        [("X", "acceleration", "g"), ("Z", "acceleration", "m/s2"), ("W", "", "µm")],
+        {"psd_acceleration_g": "(standard_free_fall)2 Hz-1", "psd_acceleration_m_s2": "(m/s2)2 Hz-1",
+         "psd_um": "(um)2 Hz-1"},
+    ),
+)  # fmt: skip
 
 
-def test_channels_of_several_quantities_have_a_variable_for_each() -> None:
+@pytest.mark.cases(3)
+@pytest.mark.parametrize(("channels", "units"), UNITS)
+def test_channels_of_several_units_have_a_variable_for_each(channels: Any, units: dict[str, str]) -> None:
+    made = with_real_units(mixed(*channels))
+    assert {str(name): made[name].attrs["units"] for name in made if str(name).startswith("psd")} == units
+
+
+def test_a_variable_of_one_quantity_holds_its_channels_alone_and_names_its_interval() -> None:
     given = mixed(("X", "acceleration", "m/s2"), ("p", "cylinder pressure", "bar"), ("Z", "acceleration", "m/s2"))
-    made = with_real_units(given)
-    assert {str(name) for name in made if "ampl" in str(name)} == {
-        "amplitude_acceleration", "amplitude_cylinder_pressure",
-        "amplitude_low_acceleration", "amplitude_low_cylinder_pressure",
-    }  # fmt: skip
-    assert made["amplitude_cylinder_pressure"].attrs["units"] == "bar"
-    assert np.isnan(made["amplitude_acceleration"].sel(channel="p")).all()
-    assert (made["amplitude_acceleration"].sel(channel="Z") == 3.0).all()
-    assert published(given)["amplitude_acceleration"].attrs["ancillary_variables"] == "amplitude_low_acceleration"
-
-
-def test_two_units_of_one_quantity_are_told_apart_and_the_gram_is_no_acceleration() -> None:
-    made = with_real_units(mixed(("X", "acceleration", "g"), ("Z", "acceleration", "m/s2"), ("W", "", "µm")))
-    units = {str(name): made[name].attrs["units"] for name in made if str(name).startswith("psd")}
-    assert units == {
-        "psd_acceleration_g": "(standard_free_fall)2 Hz-1", "psd_acceleration_m_s2": "(m/s2)2 Hz-1",
-        "psd_um": "(um)2 Hz-1",
-    }  # fmt: skip
+    made = published(given)["amplitude_acceleration"]
+    assert np.isnan(made.sel(channel="p")).all() and (made.sel(channel="Z") == 3.0).all()
+    assert made.attrs["ancillary_variables"] == "amplitude_low_acceleration"
 
 
 @pytest.mark.cases(1)
@@ -329,20 +329,15 @@ def test_what_was_parted_is_joined_again(channels: list[tuple[str, str, str]], t
     np.testing.assert_array_equal(by_channel(part)["amplitude"].values, given["amplitude"].values[:1])
 
 
-def test_tables_say_what_a_column_is_and_a_missing_number_is_no_text(campaign: Any) -> None:
+def test_columns_say_what_they_are_and_every_ancillary_variable_is_there(campaign: Any) -> None:
     tables = findings_datasets(Findings.from_dict(campaign.findings))
-    for name, table in tables.items():
-        for key, column in table.variables.items():
-            assert column.attrs.get("long_name"), f"{name}/{key}"
+    assert all(column.attrs.get("long_name") for table in tables.values() for column in table.variables.values())
     orders = published(tables["findings/orders"])
-    assert orders["amplitude"].attrs["units"] == "m/s2"
-    assert orders["amplitude"].attrs["ancillary_variables"] == "amplitude_ci95"
-    assert orders["amplitude_held"].dtype == np.float64
-    assert orders["speed_rpm_at_max"].attrs["units"] == "min-1"
-
-
-def test_every_ancillary_variable_is_there(campaign: Any) -> None:
-    tables = findings_datasets(Findings.from_dict(campaign.findings))
+    assert orders["amplitude_held"].dtype == np.float64  # a missing number is no text
+    units = [orders[name].attrs["units"] for name in ("amplitude", "speed_rpm_at_max")]
+    assert units == ["m/s2", "min-1"]
+    phase = published(campaign.order_map.assign_attrs(phase_reference="index"))["phase"]
+    assert phase.attrs["phase_convention"].endswith("crank_angle in revolutions from the index mark")
     links = 0
     for dataset in (campaign.order_map, campaign.tracks, campaign.campbell, *tables.values()):
         made = published(dataset)
@@ -351,12 +346,6 @@ def test_every_ancillary_variable_is_there(campaign: Any) -> None:
                 assert name in made
                 links += 1
     assert links > 20
-
-
-def test_conventions_stand_beside_the_numbers(campaign: Any) -> None:
-    made = published(campaign.order_map.assign_attrs(phase_reference="index", window="hann"))
-    assert made["phase"].attrs["phase_convention"].endswith("crank_angle in revolutions from the index mark")
-    assert made["amplitude"].attrs["window"] == "hann"
 
 
 def checked(file: Path, work: Path) -> dict[str, list[str]]:
@@ -370,7 +359,7 @@ def checked(file: Path, work: Path) -> dict[str, list[str]]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(find_spec("compliance_checker") is None, reason="compliance-checker is a development dependency")
-def test_the_compliance_checker_finds_nothing_in_results(tmp_path: Path) -> None:
+def test_the_compliance_checker_finds_nothing_in_results_and_would_find_a_wrong_unit(tmp_path: Path) -> None:
     time = np.arange(100_000) / 10_000.0
     noise = np.random.default_rng(1).standard_normal((4, len(time)))
     signals = dict(zip(("a", "b", "c", "d"), 2.0 * np.cos(2 * np.pi * 75.0 * time) + 0.1 * noise, strict=True))
@@ -383,12 +372,6 @@ def test_the_compliance_checker_finds_nothing_in_results(tmp_path: Path) -> None
     said = checked(file, tmp_path)
     assert {"/order_map", "/envelope_map", "/findings/orders", "/findings/quality", "/shaft"} <= set(said)
     assert {group: problems for group, problems in said.items() if problems} == {}
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(find_spec("compliance_checker") is None, reason="compliance-checker is a development dependency")
-def test_the_compliance_checker_would_find_a_unit_that_is_none(tmp_path: Path) -> None:
-    file = tmp_path / "results.nc"
     wrong = xr.Dataset({"amplitude": ("speed", [1.0], {"units": "see unit", "long_name": "a"})})
     file.write_bytes(results_bytes({"order_map": wrong}, attrs={"title": "t", "history": "h"}))
     assert any("see unit" in text for text in checked(file, tmp_path)["/order_map"])
