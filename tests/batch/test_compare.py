@@ -1,7 +1,5 @@
 """The command `compare`, end to end: one document, whole folders, clear faults, the same bytes."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

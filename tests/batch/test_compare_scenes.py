@@ -1,7 +1,5 @@
 """The reference campaign beside one with a heavier spacer."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

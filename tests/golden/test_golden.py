@@ -3,8 +3,6 @@
 ``python tests/golden/make.py`` says what moved and keeps it.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

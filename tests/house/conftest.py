@@ -1,7 +1,5 @@
 """The project's own files, as the house tests read them."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 from dataclasses import dataclass

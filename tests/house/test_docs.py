@@ -1,7 +1,5 @@
 """What the documentation says is true of the program: keys, rooms, numbers."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

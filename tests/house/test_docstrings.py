@@ -1,7 +1,5 @@
 """Everything public says what it is, and names each of its parameters."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

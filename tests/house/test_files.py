@@ -1,7 +1,5 @@
 """What is committed can be installed anywhere, says nothing of the machine it came from, and is written up."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

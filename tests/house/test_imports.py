@@ -1,7 +1,5 @@
 """Imports go down only, drawing stays in its room, and the command line starts light."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import json

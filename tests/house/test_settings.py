@@ -1,7 +1,5 @@
 """Each default has one home and one reason; recipes hold only what differs."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import tomllib

@@ -1,7 +1,5 @@
 """Files and functions stay short enough to be read at once, and the house does not grow."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The change of mass from one closed balance and the ratio of an order covers the true one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

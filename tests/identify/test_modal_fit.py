@@ -16,12 +16,9 @@ from made.found_lines import agreed, line
 
 SETTINGS = load_settings().identify
 THREE = Made(
-    natural_hz=(60.0, 172.0, 187.0),
-    damping=(0.02, 0.01, 0.01),
-    sensor=((0.006, 0.010), (0.008, 0.004), (0.004, 0.009)),
-    drive=((0.2, 1.7), (0.8, 0.7), (-0.6, -0.9)),
-    rate_hz=640.0,
-)
+    natural_hz=(60.0, 172.0, 187.0), damping=(0.02, 0.01, 0.01),
+    sensor=((0.006, 0.010), (0.008, 0.004), (0.004, 0.009)), drive=((0.2, 1.7), (0.8, 0.7), (-0.6, -0.9)), rate_hz=640.0
+)  # fmt: skip
 
 
 def _agreed(orders: tuple[float, ...], made: Made) -> tuple[AgreedOrder, ...]:

@@ -21,15 +21,12 @@ from made.swept_machines import SweptMachine, drawn, recorded
 
 SETTINGS = load_settings()
 SWEEPS = {
-    "up in 8 s": {},
-    "down in 8 s": {"rpm": (6000.0, 600.0)},
+    "up in 8 s": {}, "down in 8 s": {"rpm": (6000.0, 600.0)},
     "down in 5 s past eight modes": {"modes": 8, "rpm": (6000.0, 800.0), "duration_s": 5.0},
-    "up in 60 s": {"rpm": (600.0, 4000.0), "duration_s": 60.0},
-    "up, 0.3 % slip": {"slip": 0.003, "duration_s": 20.0},
-    "up past eight modes, 0.3 % slip": {"slip": 0.003, "modes": 8, "duration_s": 20.0},
-    "up, 1 % slip": {"slip": 0.01},
+    "up in 60 s": {"rpm": (600.0, 4000.0), "duration_s": 60.0}, "up, 0.3 % slip": {"slip": 0.003, "duration_s": 20.0},
+    "up past eight modes, 0.3 % slip": {"slip": 0.003, "modes": 8, "duration_s": 20.0}, "up, 1 % slip": {"slip": 0.01},
     "down, 2 % slip": {"slip": 0.02, "rpm": (5000.0, 800.0), "duration_s": 20.0},
-}
+}  # fmt: skip
 
 
 def judged(name: str, seed: int) -> tuple[Counter[tuple[str, str]], bool]:
@@ -85,12 +82,9 @@ def pair(seed: int) -> tuple[SweptMachine, np.random.Generator, float, float]:
     base, slip = float(rng.integers(4, 13)) / 2.0, float(rng.choice([-1.0, 1.0]) * rng.uniform(0.007, 0.015))
     machine = drawn(rng, rpm=(800.0, 4200.0) if seed % 2 else (4200.0, 800.0), duration_s=20.0)
     made = replace(
-        machine,
-        orders=np.array([base, base]),
-        size=np.exp(rng.uniform(np.log(0.3), 0.0, 2)),
-        slip=np.array([0.0, slip]),
-        noise=0.05,
-    )
+        machine, orders=np.array([base, base]), size=np.exp(rng.uniform(np.log(0.3), 0.0, 2)),
+        slip=np.array([0.0, slip]), noise=0.05,
+    )  # fmt: skip
     return made, rng, base, base * (1.0 - slip)
 
 
@@ -129,11 +123,8 @@ def test_a_mode_that_rings_on_at_its_own_frequency_is_no_second_order() -> None:
 
 
 MANIFEST = manifest(
-    "*.csv",
-    channels={"Z": {"source": "z"}},
-    sampling={"time_source": "t"},
-    encoder={"source": "rpm", "kind": "speed"},
-)
+    "*.csv", channels={"Z": {"source": "z"}}, sampling={"time_source": "t"}, encoder={"source": "rpm", "kind": "speed"},
+)  # fmt: skip
 
 
 def folder_of(folder: Path, lines: dict[float, float], *, rate_hz: float, rpm: np.ndarray, noise: float = 0.0) -> Path:

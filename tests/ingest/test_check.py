@@ -135,15 +135,12 @@ MANIFEST_TOLD = '[sampling]\nrate_hz = 1000.0\n[[channels]]\nname = "a"\nunit = 
 
 def test_whole_numbers_without_a_unit_are_asked_about(tmp_path, manifest_of, settings):
     rows = [
-        (TONE.astype("i2"), {}, "m/s2", "", True),
-        (TONE, {}, "g", "", True),
-        (TONE.astype("i2"), {}, "counts", "", False),
-        (TONE.astype("i2"), {"units": "m/s2"}, "m/s2", "", False),
+        (TONE.astype("i2"), {}, "m/s2", "", True), (TONE, {}, "g", "", True),
+        (TONE.astype("i2"), {}, "counts", "", False), (TONE.astype("i2"), {"units": "m/s2"}, "m/s2", "", False),
         (TONE.astype("i2"), {"scale_factor": 0.01}, "m/s2", "", False),
         (TONE.astype("i2"), {"units": "mV"}, "m/s2", 'sensitivity = "100 mV/g"', False),
-        (0.37 * TONE, {}, "m/s2", "", False),
-        (np.sign(TONE), {}, "m/s2", "", False),
-    ]
+        (0.37 * TONE, {}, "m/s2", "", False), (np.sign(TONE), {}, "m/s2", "", False),
+    ]  # fmt: skip
     for values, attrs, unit, more, told in rows:
         path = stored(tmp_path / "a.h5", values, **attrs)
         manifest = manifest_of(MANIFEST_TOLD.format(unit=unit, more=more), head=_HEAD)

@@ -309,13 +309,10 @@ def test_a_draft_takes_no_slow_recording_for_pulses(tmp_path, other):
 
 def test_parts_of_names_are_any_number_and_may_come_again():
     rows = [
-        ("ACC_{a}_{b}.csv", "ACC_1_x2.csv", {"a": "1", "b": "x2"}),
-        ("{a}/ACC_{a}.csv", "q/ACC_q.csv", {"a": "q"}),
-        ("{a}/ACC_{a}.csv", "q/ACC_r.csv", None),
-        ("**/M_{s}[12].csv", "u/v/M_52.csv", {"s": "5"}),
-        ("**/M_{s}.csv", "M_5.csv", {"s": "5"}),
-        ("*_{a}_*.csv", "x_y_z.csv", {"a": "y"}),
-    ]
+        ("ACC_{a}_{b}.csv", "ACC_1_x2.csv", {"a": "1", "b": "x2"}), ("{a}/ACC_{a}.csv", "q/ACC_q.csv", {"a": "q"}),
+        ("{a}/ACC_{a}.csv", "q/ACC_r.csv", None), ("**/M_{s}[12].csv", "u/v/M_52.csv", {"s": "5"}),
+        ("**/M_{s}.csv", "M_5.csv", {"s": "5"}), ("*_{a}_*.csv", "x_y_z.csv", {"a": "y"}),
+    ]  # fmt: skip
     for pattern, name, parts in rows:
         assert parts_of(pattern, name) == parts
 

@@ -211,14 +211,11 @@ def test_a_table_is_read_from_beside_the_manifest(tmp_path):
 
 def test_a_table_with_a_fault_is_refused_by_name(tmp_path):
     rows = [
-        ("f,r,i\n1,2,3\n", "frequency_hz, real, imag"),
-        ("", "wrong columns"),
-        ("frequency_hz,real,imag\n1,2\n3,4,5\n", "line 2"),
-        ("frequency_hz,real,imag\n1,2,x\n", "line 2"),
+        ("f,r,i\n1,2,3\n", "frequency_hz, real, imag"), ("", "wrong columns"),
+        ("frequency_hz,real,imag\n1,2\n3,4,5\n", "line 2"), ("frequency_hz,real,imag\n1,2,x\n", "line 2"),
         ("frequency_hz,real,imag\n1,2,3\n", "two or more rows"),
-        ("frequency_hz,real,imag\n2,2,3\n1,2,3\n", "ascending"),
-        ("frequency_hz,real,imag\n1,nan,3\n2,2,3\n", "finite"),
-    ]
+        ("frequency_hz,real,imag\n2,2,3\n1,2,3\n", "ascending"), ("frequency_hz,real,imag\n1,nan,3\n2,2,3\n", "finite"),
+    ]  # fmt: skip
     for text, words in rows:
         (tmp_path / "z.csv").write_text(text, encoding="utf-8")
         message = faults(tmp_path, PATH + 'table = "z.csv"\n')

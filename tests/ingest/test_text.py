@@ -53,12 +53,9 @@ def test_units_come_from_a_row_of_units_or_from_brackets(read):
 
 def test_a_rate_in_the_comments_is_found(read):
     rows = [
-        ('# {"puls_freq": 10, "sample_freq": 952} commit 95729455', 952.0),
-        ("# fs = 51.2 kHz", 51_200.0),
-        ("% Sample rate: 100", None),
-        ("# sample_rate: 4.0e3", 4000.0),
-        ("# offset = 7", None),
-    ]
+        ('# {"puls_freq": 10, "sample_freq": 952} commit 95729455', 952.0), ("# fs = 51.2 kHz", 51_200.0),
+        ("% Sample rate: 100", None), ("# sample_rate: 4.0e3", 4000.0), ("# offset = 7", None),
+    ]  # fmt: skip
     for comment, rate in rows:
         assert read(f"{comment}\na,b\n1,2\n3,4\n", "a").rates_hz.get("a") == rate
 

@@ -1,7 +1,5 @@
 """Faults of a record: none made up in sound ones of many kinds, and each found from a stated size on."""
 
-from __future__ import annotations
-
 import math
 import secrets
 from collections import Counter
@@ -19,16 +17,9 @@ from machines.faulty_records import FAULTS, Drawn, healthy
 
 SETTINGS = load_settings().ingest
 LARGE = {
-    "clipped": 0.2,
-    "spikes": 30.0,
-    "iepe_overload": 10.0,
-    "start_transient": 5.0,
-    "drift": 3.0,
-    "dead_sensor": 1000.0,
-    "copied_channel": 0.5,
-    "mains_only": 5.0,
-    "level_step": 2.5,
-}
+    "clipped": 0.2, "spikes": 30.0, "iepe_overload": 10.0, "start_transient": 5.0, "drift": 3.0, "dead_sensor": 1000.0,
+    "copied_channel": 0.5, "mains_only": 5.0, "level_step": 2.5,
+}  # fmt: skip
 """Size from which on a fault is asked for."""
 FOUND = {"clipped": 0.6, "spikes": 0.95, "mains_only": 0.7, "level_step": 0.6, "iepe_overload": 0.9}
 """Share of the large faults that must be found; of those not named here 0.95."""

@@ -1,7 +1,5 @@
 """The drawn machines obey physics that is known otherwise: closed forms, an ODE solver, a hand calculation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Seeds are drawn afresh in the accuracy test; RIGS_SEED gives the same rigs again.
 """
 
-from __future__ import annotations
-
 import os
 import secrets
 from dataclasses import replace

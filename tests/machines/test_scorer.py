@@ -1,7 +1,5 @@
 """The scorer sees what is wrong: truths known by hand, and findings in which one fault was planted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fractions import Fraction
 from typing import Any

@@ -439,14 +439,11 @@ WRONG: dict[str, Any] = {
     "no channel": (lambda made: co.plot.spectra(made.campbell, channel="Z"), "found Z; allowed: block, cylinder"),
     "no order": (lambda made: co.plot.orders(made.orders, orders=[7.0]), r"found 7.0; allowed: 0.5, 1, 2, 4"),
     "findings": (lambda made: co.plot.campbell(made.campbell, made.orders), "as crankorder.diagnose returns it"),
-    "part of findings": (
-        lambda made: co.plot.campbell(made.campbell, {"orders": []}),
-        "no findings: is missing",
-    ),
+    "part of findings": (lambda made: co.plot.campbell(made.campbell, {"orders": []}), "no findings: is missing"),
     "axes": (lambda made: co.plot.campbell(made.campbell, ax=Figure()), "not axes; found Figure"),
     "depth": (lambda made: co.plot.campbell(made.campbell, dynamic_range_db=-3.0), "a number > 0"),
     "speed": (lambda made: co.plot.speed(made.order_map), "found an OrderMap; allowed: a ShaftAngle"),
-}
+}  # fmt: skip
 
 
 def test_a_wrong_request_is_told_with_what_is_there_and_allowed(steady: SimpleNamespace) -> None:

@@ -1,7 +1,5 @@
 """A real rotor without and with a balance weight: the weight is recognised as the cause, and weighs the unbalance."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

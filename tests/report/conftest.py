@@ -221,15 +221,10 @@ def _findings(tracks: xr.Dataset, channels: tuple[str, ...], unit: str, quantity
 
 
 def drawn_test(
-    speeds: np.ndarray,
-    *,
-    channels: tuple[str, ...] = ("X", "Y", "Z"),
-    orders: tuple[float, ...] = ORDERS,
-    unit: str = "m/s2",
-    quantity: str = "acceleration",
-    name: str = "second configuration, motoring",
+    speeds: np.ndarray, *, channels: tuple[str, ...] = ("X", "Y", "Z"), orders: tuple[float, ...] = ORDERS,
+    unit: str = "m/s2", quantity: str = "acceleration", name: str = "second configuration, motoring",
     gains: tuple[float, ...] = (0.25, 0.5, 1.0),
-) -> DrawnTest:
+) -> DrawnTest:  # fmt: skip
     """A test with the given lines and the modes above; gains scale the channels (0 makes an all-zero one)."""
     speeds = np.asarray(speeds, dtype=float)
     gain = np.resize(np.array(gains), len(channels))

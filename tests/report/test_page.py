@@ -20,12 +20,8 @@ report_page, headline, story_of, tables_of = map(from_dicts, (report_page, headl
 
 PNG = b"\x89PNG picture"
 HOSTILE = (
-    "</script><script>alert(1)</script>",
-    '" onload="alert(1)',
-    "javascript:alert(1)",
-    "{{ 7*7 }}",
-    "a\x00\x1b[2J",
-)
+    "</script><script>alert(1)</script>", '" onload="alert(1)', "javascript:alert(1)", "{{ 7*7 }}", "a\x00\x1b[2J",
+)  # fmt: skip
 
 
 class _Reader(HTMLParser):

@@ -43,15 +43,11 @@ UNTESTED = {
 
 
 ESTIMATES = (
-    (0.83, [0.81, 0.85], "0.83 (0.81…0.85) m/s²"),
-    (1.898, [1.860, 1.937], "1.90 (1.86…1.94) m/s²"),
-    (116.0, [110.0, 122.0], "116 (110…122) m/s²"),
-    (-42.0, [-44.0, -40.0], "−42 (−44…−40) m/s²"),
-    (3.0e-9, [2.0e-9, 4.0e-9], "3.00e-9 (2.00e-9…4.00e-9) m/s²"),
-    (5.0, None, "5.00 m/s²"),
-    (None, None, "–"),
+    (0.83, [0.81, 0.85], "0.83 (0.81…0.85) m/s²"), (1.898, [1.860, 1.937], "1.90 (1.86…1.94) m/s²"),
+    (116.0, [110.0, 122.0], "116 (110…122) m/s²"), (-42.0, [-44.0, -40.0], "−42 (−44…−40) m/s²"),
+    (3.0e-9, [2.0e-9, 4.0e-9], "3.00e-9 (2.00e-9…4.00e-9) m/s²"), (5.0, None, "5.00 m/s²"), (None, None, "–"),
     (math.nan, None, "–"),
-)
+)  # fmt: skip
 
 
 def test_an_estimate_is_written_with_the_digits_that_its_interval_earns() -> None:
@@ -377,11 +373,8 @@ def test_a_stronger_line_above_the_band_goes_first_and_the_other_says_how_far_it
 def test_balancing_is_asked_for_in_the_channels_in_which_unbalance_leads(full) -> None:
     first, second = ({**full["orders"][0], "order": order, "amplitude": 5.0} for order in (1.0, 4.0))
     led = {
-        **full,
-        "speed_doubt": None,
-        "levels": [],
-        "orders": [{**first, "channel": "Z", "explained_by": "unbalance"}],
-    }
+        **full, "speed_doubt": None, "levels": [], "orders": [{**first, "channel": "Z", "explained_by": "unbalance"}],
+    }  # fmt: skip
     assert "Balance it: the strongest order is that of an unbalanced mass." in story_of(led)["what_to_do"]
     led["orders"].append({**second, "channel": "X", "explained_by": "gear mesh"})
     assert "Balance it: the strongest order in Z is that of an unbalanced mass." in story_of(led)["what_to_do"]
