@@ -84,14 +84,6 @@ def test_a_broad_mode_that_fills_a_narrow_range_is_not_excluded(share: float) ->
     assert len(excluded) <= 0.05 * dangerous, excluded
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_fine_steps_and_small_errors_exclude(seed: int) -> None:
-    machine = drawn_machine(seed, n_modes=(0, 0), n_speeds=(400, 400), error=1e-4, scatter=(0.0005,))
-    for bound in _bounds(blocks_from(machine, seed)):
-        inside = bound.amplification[8:-8]
-        assert np.mean(inside < FACTOR) > 0.95
-
-
 def test_two_speeds_exclude_nothing_between_them() -> None:
     machine = drawn_machine(1, n_modes=(0, 0), n_orders=(1, 1), n_speeds=(2, 2))
     (bound,) = _bounds(blocks_from(machine, 1))

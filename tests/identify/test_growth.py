@@ -39,18 +39,6 @@ def test_the_interval_of_the_exponent_holds_it_as_often_as_it_says(exponent: flo
     assert 0.93 <= coverage(inside, 400) <= 0.985
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("exponent", [2.0, 0.5, 0.0])
-def test_the_interval_of_the_largest_amplitude_holds_that_of_its_speed(exponent: float) -> None:
-    true = (SPEEDS / 1000.0) ** exponent
-
-    def inside(rng: np.random.Generator) -> bool:
-        found = largest(line_of(rng, true))
-        return found.low <= true[found.at] <= found.high
-
-    assert 0.93 <= coverage(inside, 2000) <= 0.97
-
-
 @pytest.mark.slow
 def test_the_interval_of_the_mean_level_holds_it() -> None:
     def inside(rng: np.random.Generator) -> bool:

@@ -282,7 +282,7 @@ UNITS = (
     ([("X", "acceleration", "m/s2"), ("Z", "acceleration", "m/s2")], {"psd": "(m/s2)2 Hz-1"}),
     (
         [("X", "acceleration", "m/s2"), ("p", "cylinder pressure", "bar")],
-        {"psd_acceleration": "(m/s2)2 Hz-1", "psd_cylinder_pressure": "bar2 Hz-1"},
+        {"psd_acceleration": "(m/s2)2 Hz-1", "psd_cylinder_pressure": "(bar)2 Hz-1"},
     ),
     (  # two units of one quantity are told apart, and the gram is no acceleration
         [("X", "acceleration", "g"), ("Z", "acceleration", "m/s2"), ("W", "", "µm")],

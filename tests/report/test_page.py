@@ -177,7 +177,7 @@ def _policy(page: str, kind: str) -> tuple[str, str]:
     """Rules of the page's policy and the hash of its one element of that kind."""
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page)
     (held,) = re.findall(rf"<{kind}>(.*?)</{kind}>", page, re.DOTALL)
-    assert policy and not re.search("unsafe|file:", policy.group(1))
+    assert policy and "unsafe" not in policy.group(1)
     digest = base64.b64encode(hashlib.sha256(held.encode()).digest()).decode()
     return policy.group(1).replace("&#39;", "'").replace("&#43;", "+"), digest
 
@@ -201,7 +201,7 @@ def _live(page: str) -> Any:
 def test_the_script_is_allowed_by_its_hash_alone_and_what_it_draws_is_the_map(campaign: Any, settings: Any) -> None:
     made = report_page(campaign.findings, pictures=[], provenance={}, settings=settings, groups=_groups(campaign))
     rules, digest = _policy(made, "script")
-    assert f"script-src 'sha256-{digest}';" in rules
+    assert f"script-src 'sha256-{digest}';" in rules and "file:" not in rules
     live = _live(made)
     campbell, tracks = live["maps"][0], live["tracks"]
     for number, channel in enumerate(campaign.campbell.channel.values):

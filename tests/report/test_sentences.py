@@ -276,7 +276,7 @@ SAID = (
     ({"unexplained_energy_fraction": 1e-7}, ["< 0.01 % " + EXPLAINED], []),
     ({"unexplained_energy_fraction": 0.0}, ["All " + EXPLAINED + " is explained by orders and tones"], []),
     ({"unexplained_energy_fraction": 0.0, "energy": None}, ["All of the energy of the lines that were found"], []),
-    ({"unexplained_energy_fraction": 0.0, "lines": [], "orders": []}, [], ["All of the energy"]),
+    ({"unexplained_energy_fraction": 0.0, "lines": [], "orders": [], "energy": None}, [], ["All of the energy"]),
 )  # fmt: skip
 
 
