@@ -2,13 +2,10 @@
 
 import json
 import tomllib
-from pathlib import Path
-from typing import Any
 
 import jsonschema
 import numpy as np
 import pytest
-from click.testing import Result
 
 from crankorder.batch.result_folder import DONE, finished_with
 from crankorder.quantities import schema_of
@@ -20,15 +17,15 @@ KEYS = ("engine", "lambda", "harmonics", "force_g_mm", "strategies", "shafts", "
 EXACT = 1e-12
 
 
-def balance(*arguments: object) -> Result:
+def balance(*arguments):
     return crankorder("balance", *arguments)
 
 
-def document(*arguments: object) -> dict[str, Any]:
+def document(*arguments):
     return json.loads(done("balance", *arguments, "--json").stdout)
 
 
-def engine_file(folder: Path, name: str = "task5", **values: Any) -> Path:
+def engine_file(folder, name="task5", **values):
     """A file of a shipped engine's top-level numbers, with other values; None leaves a key out."""
     table = {**tomllib.loads(shipped("engines")[name]), **values}
     table.pop("balance", None)
@@ -38,7 +35,7 @@ def engine_file(folder: Path, name: str = "task5", **values: Any) -> Path:
 
 
 @pytest.fixture(scope="module")
-def task5() -> dict[str, Any]:
+def task5():
     return document("task5")
 
 

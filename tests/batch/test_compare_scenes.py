@@ -10,7 +10,7 @@ from made.command import done
 PIPELINE = Path(__file__).parents[2] / "pipeline"
 
 
-def changed(text: str, *changes: tuple[str, str]) -> str:
+def changed(text, *changes):
     for old, new in changes:
         assert text.count(old) == 1
         text = text.replace(old, new)
@@ -18,7 +18,7 @@ def changed(text: str, *changes: tuple[str, str]) -> str:
 
 
 @pytest.mark.slow
-def test_a_heavier_spacer_is_weighed(tmp_path: Path) -> None:
+def test_a_heavier_spacer_is_weighed(tmp_path):
     engine = (PIPELINE / "engines" / "msu-optical-second.toml").read_text()
     heavier = changed(engine, ("unbalanced_mass_kg = 0.116", "unbalanced_mass_kg = 0.216"))
     (tmp_path / "heavier.toml").write_text(heavier)

@@ -15,11 +15,11 @@ from crankorder.quantities import schema_of
 from made.command import crankorder, done, findings_in, results_in
 
 
-def run(*arguments: object):
+def run(*arguments):
     return crankorder("run", *arguments, "--recipe", "maps", "--no-pictures")
 
 
-def speeds_in(out: Path) -> list[int]:
+def speeds_in(out):
     made = xr.load_dataset(next(out.glob("*/results.nc")), group="order_map", engine="h5netcdf")
     return [round(speed) for speed in made["speed"].values]
 

@@ -30,7 +30,7 @@ main()
 """
 
 
-def _imported(files: list) -> list[tuple[Path, str, str]]:
+def _imported(files):
     """File, place and name of all that ``files`` import."""
     found = []
     for source in files:
@@ -42,14 +42,14 @@ def _imported(files: list) -> list[tuple[Path, str, str]]:
     return found
 
 
-def test_the_import_contract_holds(project_root: Path) -> None:
+def test_the_import_contract_holds(project_root):
     command = [sys.executable, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"]
     result = subprocess.run([*command, "--no-cache"], cwd=project_root, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout + result.stderr
     assert "0 broken" in result.stdout
 
 
-def test_matplotlib_is_imported_only_where_pictures_are_drawn(package_files: list) -> None:
+def test_matplotlib_is_imported_only_where_pictures_are_drawn(package_files):
     offenders = [
         place
         for path, place, name in _imported(package_files)
@@ -58,7 +58,7 @@ def test_matplotlib_is_imported_only_where_pictures_are_drawn(package_files: lis
     assert not offenders, "\n".join(offenders)
 
 
-def test_no_file_uses_the_global_state_of_pyplot(python_files: list) -> None:
+def test_no_file_uses_the_global_state_of_pyplot(python_files):
     offenders = [
         place
         for path, place, name in _imported(python_files)
@@ -67,7 +67,7 @@ def test_no_file_uses_the_global_state_of_pyplot(python_files: list) -> None:
     assert not offenders, "\n".join(offenders)
 
 
-def test_no_module_is_named_for_nothing_in_particular(python_files: list) -> None:
+def test_no_module_is_named_for_nothing_in_particular(python_files):
     offenders = [
         str(source.path)
         for source in python_files
@@ -76,7 +76,7 @@ def test_no_module_is_named_for_nothing_in_particular(python_files: list) -> Non
     assert not offenders, "a function lives in the room whose noun it makes:\n" + "\n".join(offenders)
 
 
-def _loaded_by(*arguments: str) -> tuple[int, list[str], str]:
+def _loaded_by(*arguments):
     command = [sys.executable, "-c", PROBE.format(heavy=HEAVY), *arguments]
     surroundings = {name: value for name, value in os.environ.items() if "THREADS" not in name}
     result = subprocess.run(command, capture_output=True, text=True, env=surroundings)
@@ -96,9 +96,7 @@ def _loaded_by(*arguments: str) -> tuple[int, list[str], str]:
         (["balance", "v8-cross", "--json"], 0, ["xarray", "pandas", "matplotlib", "h5py"]),  # the numbers take a tenth
     ],
 )
-def test_what_needs_no_heavy_package_loads_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], status: int, spared: list[str]
-) -> None:
+def test_what_needs_no_heavy_package_loads_none(tmp_path, monkeypatch, arguments, status, spared):
     (tmp_path / "run.toml").write_text("schema_version = 1\nwrong = 1\n")
     monkeypatch.chdir(tmp_path)
     ended, loaded, output = _loaded_by(*arguments)
@@ -114,7 +112,7 @@ def test_what_needs_no_heavy_package_loads_none(
         ("import crankorder.batch.execute", "crankorder.identify.lines crankorder.identify.modes crankorder.plot"),
     ],
 )
-def test_processes_of_a_run_load_what_they_need(loaded: str, spared: str) -> None:
+def test_processes_of_a_run_load_what_they_need(loaded, spared):
     """Pages and pictures are made beside the analysis, and maps need not what finds: what loads is paid for."""
     if importlib.util.find_spec("dask"):
         pytest.skip("dask is installed (extra dist): xarray loads it, and it loads scipy, with the first dataset")

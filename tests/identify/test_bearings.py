@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from crankorder.engine.machine_parts import Bearing, bearing_orders
 from crankorder.identify.bearings.records import bearing_records, races_words
@@ -28,11 +27,11 @@ def records(orders=(), envelope=None, *, bearings=(NINE,), revs_per_cycle=1, lev
     return bearing_records(tuple(orders), envelope, bearings=bearings, revs_per_cycle=revs_per_cycle, settings=settings)
 
 
-def map_of(*made: tuple[xr.Dataset, xr.Dataset]) -> xr.Dataset:
+def map_of(*made):
     return envelope_map([recording_envelope(*one, settings=SETTINGS.orders) for one in made], speed_bin_rpm=25.0)
 
 
-def struck(shown: float, *, slip_percent: float, seed: int, size: float, **more) -> xr.Dataset:
+def struck(shown, *, slip_percent, seed, size, **more):
     order = shown * (1.0 - slip_percent / 100.0)
     return map_of(*(strikes(order=order, size=size, speed_rpm=rpm, seed=seed, **more) for rpm in (1500.0, 2000.0)))
 
@@ -144,7 +143,7 @@ def test_without_bearings_orders_or_envelope_there_is_nothing():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("off_percent", [0.0, 0.7, 1.4])
-def test_a_line_that_both_found_races_do_not_add_up_to_is_no_rolling_element_count(off_percent: float) -> None:
+def test_a_line_that_both_found_races_do_not_add_up_to_is_no_rolling_element_count(off_percent):
     races = [agreed(ORDERS[name] * 0.997, line(ORDERS[name] * 0.997), lock="slips") for name in ("BPFO", "BPFI")]
     count = 0.997 * (ORDERS["BPFO"] + ORDERS["BPFI"]) * (1.0 - off_percent / 100.0)
     found = {one["line"] for one in records([*races, agreed(count, line(count), lock="slips")])}

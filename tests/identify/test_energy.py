@@ -1,7 +1,5 @@
 """Where the energy of a made test lies, against what was put in."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -13,7 +11,7 @@ from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line
 
 
-def told_shares(*args: Any, **kwargs: Any) -> dict[str, Any]:
+def told_shares(*args, **kwargs):
     """The shares as JSON has them, with the fraction that nothing explains."""
     energy, fraction = energy_shares(*args, **kwargs)
     told = energy.as_dict()

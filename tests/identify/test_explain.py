@@ -42,7 +42,7 @@ def texts(orders, sources, **given):
     return {order: cause.text for (_, order), cause in causes(orders, sources, **given).orders.items()}
 
 
-def tone(hertz: float, kind: str, size: float = 1.0) -> Tone:
+def tone(hertz, kind, size=1.0):
     return Tone(hertz, 0.005, kind, {"A": (size, 0.01)}, "")  # type: ignore[arg-type]
 
 
@@ -245,7 +245,7 @@ def test_harmonics_of_a_drawn_race_and_their_sidebands_are_told_from_other_lines
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("times", "words"), [(3.0, "bearing jack shaft BPFO, harmonic 3"), (3.3, "undecided")])
-def test_at_one_speed_what_may_be_a_mode_on_a_harmonic_of_a_struck_race_is_that(times: float, words: str) -> None:
+def test_at_one_speed_what_may_be_a_mode_on_a_harmonic_of_a_struck_race_is_that(times, words):
     """Strikes that wander make their third harmonic as wide as a natural frequency of little damping."""
     rpm, bearing = 1772.0, JACK_SHAFT.model_copy(update={"shaft_ratio": 1.0})
     shaft = agreed(1.0, line(1.0, speed_rpm=[rpm]))
@@ -258,7 +258,7 @@ def test_at_one_speed_what_may_be_a_mode_on_a_harmonic_of_a_struck_race_is_that(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("has_first", [False, True])
-def test_a_comb_beside_a_speed_that_was_only_stated_is_the_shaft_itself_perhaps(has_first: bool) -> None:
+def test_a_comb_beside_a_speed_that_was_only_stated_is_the_shaft_itself_perhaps(has_first):
     """A shaft at 1480 rpm of which 1400 was stated: 1.057 and its multiples, and nothing at order 1."""
     found = [dataclasses.replace(agreed(k * 1.0571, lock="slips"), doubts=(NO_PULSES,)) for k in (1, 2, 7)]
     found += [dataclasses.replace(agreed(1.0), doubts=(NO_PULSES,))] if has_first else []
@@ -338,7 +338,7 @@ def test_a_struck_race_of_a_slow_shaft_is_as_near_in_its_own_turns():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
-def test_a_tone_on_the_flank_of_a_stronger_one_is_not_told(seed: int) -> None:
+def test_a_tone_on_the_flank_of_a_stronger_one_is_not_told(seed):
     rng = np.random.default_rng(seed)
     hertz, away = rng.uniform(60.0, 150.0), rng.choice([-1.0, 1.0]) * rng.uniform(0.3, 0.9)
     strong, flank, apart = tone(hertz, "mains"), tone(hertz + away, "order", 0.7), tone(hertz + 3.0, "order", 0.7)
@@ -347,7 +347,7 @@ def test_a_tone_on_the_flank_of_a_stronger_one_is_not_told(seed: int) -> None:
     assert found.tones == (strong, apart, other)
 
 
-def test_at_one_speed_it_names_the_order_that_stands_there() -> None:
+def test_at_one_speed_it_names_the_order_that_stands_there():
     rpm = 1713.0
     one = agreed(3.0, line(3.0, speed_rpm=[rpm]))
     beside = fit(mode(3.0 * rpm / 60.0 + 0.01, undecided="at one speed its modulation looks the same"))

@@ -21,7 +21,7 @@ MODES = {115.0: 0.012, 172.0: 0.01, 187.0: 0.01, 350.0: 0.008}
 RATE_HZ = 2000.0
 
 
-def shaken(seed: int):
+def shaken(seed):
     """White noise seen through the acceleration response of MODES."""
 
     def signal(time_s, _):

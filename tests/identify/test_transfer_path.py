@@ -123,7 +123,7 @@ def test_only_accelerometers_are_read_and_missing_values_count_for_nothing():
     assert np.isfinite(found.amplitude).all()
 
 
-def test_the_combination_of_channels_almost_without_noise_is_found_beside_noise_that_they_share() -> None:
+def test_the_combination_of_channels_almost_without_noise_is_found_beside_noise_that_they_share():
     frequency_hz = np.linspace(300.0, 2000.0, 35)[:, None] / 60.0 * np.arange(4, 200) / 16.0
     for seed in range(3):
         rng = np.random.default_rng(seed)

@@ -1,7 +1,6 @@
 """``check`` lists every fault of a folder at once."""
 
 import hashlib
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -85,7 +84,7 @@ N = 5000
 TONE = np.round(1000.0 * np.sin(np.arange(N) / 7.0))
 
 
-def stored(path: Path, values: np.ndarray, file_attrs: dict | None = None, **attrs) -> Path:
+def stored(path, values, file_attrs=None, **attrs):
     with h5py.File(path, "w") as file:
         file.attrs.update(file_attrs or {})
         file.create_dataset("a", data=values).attrs.update(attrs)
@@ -158,12 +157,12 @@ def test_a_draft_calls_whole_numbers_counts(tmp_path):
     assert 'unit = "counts"                   # ? whole numbers without a unit' in draft_manifest(tmp_path)
 
 
-def digest_of(path: Path, kind: str = "sha256") -> str:
+def digest_of(path, kind="sha256"):
     return hashlib.new(kind, path.read_bytes()).hexdigest()
 
 
 @pytest.fixture
-def campaign(tmp_path) -> Path:
+def campaign(tmp_path):
     folder = tmp_path / "bag" / "data"
     folder.mkdir(parents=True)
     for number, name in enumerate(("a.h5", "b.h5", "c d.h5")):
@@ -173,7 +172,7 @@ def campaign(tmp_path) -> Path:
     return folder
 
 
-def listed(folder: Path, style: str, kind: str = "sha256") -> None:
+def listed(folder, style, kind="sha256"):
     """A list of the recordings of ``folder`` as programs write it."""
     paths = sorted(folder.glob("*.h5"))
     if style == "bag":

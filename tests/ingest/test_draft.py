@@ -1,7 +1,5 @@
 """``init`` drafts a manifest that reads, and asks for what the files do not say."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -228,7 +226,7 @@ def test_drafts_are_saved_into_each_folder_of_recordings_and_over_none(tmp_path)
 
 
 @pytest.mark.slow
-def test_a_last_row_of_zeros_hides_no_time_and_no_wheel(tmp_path: Path) -> None:
+def test_a_last_row_of_zeros_hides_no_time_and_no_wheel(tmp_path):
     at = np.arange(20_000) / 5000.0
     rows = np.stack([at, np.cos(2 * np.pi * 40.0 * at), ((at * 20.0 * 36.0) % 1.0 < 0.5) * 5.0], axis=1)
     table = np.vstack([rows, np.zeros((1, 3))])
@@ -239,7 +237,7 @@ def test_a_last_row_of_zeros_hides_no_time_and_no_wheel(tmp_path: Path) -> None:
     assert "pulses_per_rev = 36" in text
 
 
-def test_a_file_of_times_alone_is_drafted_as_pulses(tmp_path: Path) -> None:
+def test_a_file_of_times_alone_is_drafted_as_pulses(tmp_path):
     for number, (first, last) in enumerate(((700.0, 900.0), (600.0, 1500.0))):
         at = np.arange(0.0, 4.0, 1e-5)
         turns = np.cumsum(np.linspace(first, last, at.size)) / 60.0 * 1e-5
@@ -251,7 +249,7 @@ def test_a_file_of_times_alone_is_drafted_as_pulses(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_recordings_in_a_folder_beside_others_are_asked_about(tmp_path: Path) -> None:
+def test_recordings_in_a_folder_beside_others_are_asked_about(tmp_path):
     for name in ("x.csv", "b/x.csv", "notes/read.me", "done/y.csv", "done/run.toml"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         rows = "\n".join(f"{0.001 * k:.3f},{np.sin(0.3 * k):.4f}" for k in range(64))

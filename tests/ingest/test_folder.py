@@ -17,14 +17,14 @@ CHANNEL = '[[channels]]\nname = "a"\nunit = "V"\n'
 
 @pytest.fixture
 def found_in(manifest_of):
-    def find(folder: Path, *files: str):
+    def find(folder, *files):
         names = "[" + ", ".join("'" + name + "'" if "\0" not in name else '"a\\u0000b"' for name in files) + "]"
         return recordings_of(folder, manifest_of(CHANNEL, HEAD.format(names)))
 
     return find
 
 
-def touched(folder: Path, *names: str) -> None:
+def touched(folder, *names):
     for name in names:
         (folder / name).write_bytes(b"1\n")
 

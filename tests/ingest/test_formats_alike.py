@@ -19,7 +19,6 @@ from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.formats import FORMATS, TEXT, contents_of, read_file
 from crankorder.ingest.manifest import load_manifest
 from crankorder.scratch import is_on_disk
-from crankorder.settings import IngestSettings
 from made.recordings import write_hdf5
 from made.time_bases import LVM_HEAD
 
@@ -28,7 +27,7 @@ RATE_HZ, LENGTH_S, REVS_PER_S, TEETH = 8192.0, 1.2, 20.5, 36
 Columns = dict[str, np.ndarray]
 
 
-def columns(seed: int) -> Columns:
+def columns(seed):
     """Time, acceleration in g, and the pulses of a wheel of 36-2 teeth."""
     time_s = np.arange(int(RATE_HZ * LENGTH_S)) / RATE_HZ
     turns = REVS_PER_S * time_s
@@ -38,12 +37,12 @@ def columns(seed: int) -> Columns:
     return {"time": time_s, "acc": acc, "crank": pulses}
 
 
-def as_csv(folder: Path, made: Columns) -> None:
+def as_csv(folder, made):
     table = np.column_stack(list(made.values()))
     np.savetxt(folder / "a.csv", table, delimiter=";", header="Time [s];acc [g];crank", comments="", fmt="%.9g")
 
 
-def as_xlsx(folder: Path, made: Columns) -> None:
+def as_xlsx(folder, made):
     openpyxl = pytest.importorskip("openpyxl", reason="the package openpyxl (extra xlsx) is not installed")
     book = openpyxl.Workbook()
     book.active.append(["Test bench 7, exported by hand"])
@@ -53,16 +52,16 @@ def as_xlsx(folder: Path, made: Columns) -> None:
     book.save(folder / "a.xlsx")
 
 
-def as_hdf5(folder: Path, made: Columns) -> None:
+def as_hdf5(folder, made):
     columns = {name: made[name] for name in ("acc", "crank")}
     write_hdf5(folder / "a.h5", columns, unit={"acc": "g"}, **{"Sample Rate": RATE_HZ})
 
 
-def as_npy(folder: Path, made: Columns) -> None:
+def as_npy(folder, made):
     np.save(folder / "a.npy", np.column_stack([made["acc"], made["crank"]]))
 
 
-def as_wav(folder: Path, made: Columns) -> None:
+def as_wav(folder, made):
     with wave.open(str(folder / "a.wav"), "wb") as file:
         file.setnchannels(2)
         file.setsampwidth(4)
@@ -71,11 +70,11 @@ def as_wav(folder: Path, made: Columns) -> None:
         file.writeframes(np.clip(scaled, -(2.0**31), 2.0**31 - 1).astype("<i4").tobytes())
 
 
-def as_mat5(folder: Path, made: Columns) -> None:
+def as_mat5(folder, made):
     scipy.io.savemat(folder / "a.mat", {"acc": made["acc"], "crank": made["crank"], "fs": RATE_HZ})
 
 
-def as_mat73(folder: Path, made: Columns) -> None:
+def as_mat73(folder, made):
     with h5py.File(folder / "a.mat", "w", userblock_size=512) as file:
         for key in ("acc", "crank"):
             file[key] = made[key][:, None].T  # MATLAB's columns lie the other way round
@@ -85,7 +84,7 @@ def as_mat73(folder: Path, made: Columns) -> None:
     path.write_bytes(head.ljust(512, b"\0") + path.read_bytes()[512:])
 
 
-def as_tdms(folder: Path, made: Columns) -> None:
+def as_tdms(folder, made):
     nptdms = pytest.importorskip("nptdms", reason="the package nptdms (extra tdms) is not installed")
     step = {"wf_increment": 1.0 / RATE_HZ, "wf_start_offset": 0.0, "wf_samples": made["acc"].size}
     with nptdms.TdmsWriter(str(folder / "a.tdms")) as file:
@@ -94,7 +93,7 @@ def as_tdms(folder: Path, made: Columns) -> None:
             file.write_segment([nptdms.ChannelObject("bench", name, made[name], properties=properties)])
 
 
-def as_mdf4(folder: Path, made: Columns) -> None:
+def as_mdf4(folder, made):
     asammdf = pytest.importorskip("asammdf", reason="the package asammdf (extra mdf) is not installed")
     with asammdf.MDF(version="4.10") as file:
         stamps = made["time"]
@@ -105,7 +104,7 @@ def as_mdf4(folder: Path, made: Columns) -> None:
         file.save(folder / "a.mf4")
 
 
-def as_uff(folder: Path, made: Columns) -> None:
+def as_uff(folder, made):
     pyuff = pytest.importorskip("pyuff", reason="pyuff, which writes the file, is not installed")
     file = pyuff.UFF(str(folder / "a.uff"))
     for number, (name, unit) in enumerate((("acc", "g"), ("crank", "V")), start=1):
@@ -118,7 +117,7 @@ def as_uff(folder: Path, made: Columns) -> None:
         file.write_sets(one, mode="add")
 
 
-def as_lvm(folder: Path, made: Columns) -> None:
+def as_lvm(folder, made):
     n = made["acc"].size
     lines = [*LVM_HEAD, "Multi_Headings\tYes", "X_Columns\tOne", "***End_of_Header***\t", "\t"]
     lines += ["Channels\t2", f"Samples\t{n}\t{n}", "Y_Unit_Label\tg\tV"]
@@ -147,7 +146,7 @@ class Sound:
 
 
 @pytest.fixture(scope="module")
-def sound(tmp_path_factory: pytest.TempPathFactory, limits: IngestSettings) -> dict[str, Sound]:
+def sound(tmp_path_factory, limits):
     """A short file of every format."""
     made, found = {name: values[:2000] for name, values in columns(1).items()}, {}
     for kind in HERE:
@@ -241,7 +240,7 @@ def test_what_cannot_be_read_is_told_with_how_to_export_it(tmp_path, limits):
             contents_of(tmp_path / name, settings=limits)
 
 
-def test_a_cut_file_is_refused_or_told_and_never_silently_short(tmp_path, limits, sound) -> None:
+def test_a_cut_file_is_refused_or_told_and_never_silently_short(tmp_path, limits, sound):
     for kind, one in sound.items():
         whole, path, refused = one.path.read_bytes(), tmp_path / one.path.name, 0
         for size in (8, *(round(share * len(whole)) for share in (0.05, 0.5, 0.8, 0.97)), len(whole) - 3):
@@ -261,13 +260,13 @@ def test_a_cut_file_is_refused_or_told_and_never_silently_short(tmp_path, limits
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 10), pytest.param(15, 165, marks=pytest.mark.slow)])
-def test_a_mutation_ends_in_data_or_in_an_error_of_ours(tmp_path, limits, sound, first, last) -> None:
+def test_a_mutation_ends_in_data_or_in_an_error_of_ours(tmp_path, limits, sound, first, last):
     for kind, one in sound.items():
         most = 3 if first == 0 and kind in ("TDMS", "MDF4") else last  # these are read in processes of their own
         check_mutations(one.path, tmp_path / one.path.name, limits, range(first, most))
 
 
-def check_mutations(whole: Path, path: Path, limits: IngestSettings, seeds: range, *, head: int = 4000) -> int:
+def check_mutations(whole, path, limits, seeds, *, head=4000):
     """Read copies of a file with bytes changed at random, every other in its ``head``, of which some are cut too.
 
     Returns how many were read; the others must be refused by the name of the file.
@@ -290,7 +289,7 @@ def check_mutations(whole: Path, path: Path, limits: IngestSettings, seeds: rang
     return n_read
 
 
-def test_a_channel_that_is_absent_is_named_with_those_that_are_there(limits, sound) -> None:
+def test_a_channel_that_is_absent_is_named_with_those_that_are_there(limits, sound):
     for one in sound.values():
         there = contents_of(one.path, settings=limits).names
         with pytest.raises(InputError) as error:
@@ -298,13 +297,13 @@ def test_a_channel_that_is_absent_is_named_with_those_that_are_there(limits, sou
         assert f"{one.path.name}: channel nobody not in file; has {there[0]}" in str(error.value)
 
 
-def test_what_a_file_claims_beyond_the_budget_is_refused(limits: IngestSettings, sound: dict[str, Sound]) -> None:
+def test_what_a_file_claims_beyond_the_budget_is_refused(limits, sound):
     for one in sound.values():
         with pytest.raises(UnsafeInputError, match=rf"{one.path.name}: .*allowed: 1000 bytes"):
             read_file(one.path, sources=[one.source], settings=limits.model_copy(update={"max_bytes": 1000}))
 
 
-def test_samples_on_disk_are_those_in_memory(limits: IngestSettings, sound: dict[str, Sound]) -> None:
+def test_samples_on_disk_are_those_in_memory(limits, sound):
     on_disk = limits.model_copy(update={"in_memory_bytes": 0})
     for kind, one in sound.items():
         column = read_file(one.path, sources=[one.source], settings=on_disk).columns[one.source]
@@ -313,7 +312,7 @@ def test_samples_on_disk_are_those_in_memory(limits: IngestSettings, sound: dict
         assert is_on_disk(column) == (kind not in ("XLSX", "TDMS", "MDF4", "UFF")), kind  # these are read at once
 
 
-def test_contents_are_those_of_what_is_read_and_reading_changes_nothing(limits, sound) -> None:
+def test_contents_are_those_of_what_is_read_and_reading_changes_nothing(limits, sound):
     for kind, one in sound.items():
         before = (one.path.read_bytes(), one.path.stat().st_mtime_ns, sorted(one.path.parent.iterdir()))
         told = contents_of(one.path, settings=limits)
@@ -323,7 +322,7 @@ def test_contents_are_those_of_what_is_read_and_reading_changes_nothing(limits, 
         assert before == (one.path.read_bytes(), one.path.stat().st_mtime_ns, sorted(one.path.parent.iterdir())), kind
 
 
-def test_every_format_that_is_read_is_held_to_these_laws() -> None:
+def test_every_format_that_is_read_is_held_to_these_laws():
     assert {format_of_kind.name for format_of_kind in (*FORMATS, TEXT)} == {
         {"CSV": "text", "MATLAB 5": "MATLAB", "MATLAB 7.3": "HDF5"}.get(kind, kind) for kind in WRITERS
     } | {"IDE"}  # which nothing writes: its real files are read in test_ide.py

@@ -1,7 +1,5 @@
 """IDE recordings: what idelib, the format's own library, reads; blocks that are missing; files that are none."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ FILES = ("SSX66115.IDE", "XS5E25D40.IDE")
 
 
 @pytest.fixture(params=[FILES[0], pytest.param(FILES[1], marks=pytest.mark.slow)])
-def path(request, shared_data) -> Path:
+def path(request, shared_data):
     return shared_data / "formats" / "ide" / request.param
 
 

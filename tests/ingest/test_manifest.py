@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -45,12 +44,12 @@ ball_over_pitch = 0.2
 """
 
 
-def written(folder: Path, text: str) -> Path:
+def written(folder, text):
     (folder / "run.toml").write_text(text, encoding="utf-8")
     return folder
 
 
-def faults_of(folder: Path, text: str) -> list[str]:
+def faults_of(folder, text):
     with pytest.raises(ManyErrors) as caught:
         load_manifest(written(folder, text))
     return [str(fault) for fault in caught.value.faults]
@@ -185,7 +184,7 @@ PATH = '[[transfer_paths]]\nchannel = "Z"\ndirection = "Z"\n'
 RIGID = PATH + "apparent_mass_kg = 330.0\nfrequency_range_hz = [5.0, 50.0]\nuncertainty_percent = 5\n"
 
 
-def faults(folder: Path, text: str) -> str:
+def faults(folder, text):
     with pytest.raises(ManyErrors) as caught:
         read_manifest(folder, '[[channels]]\nname = "P"\nunit = "bar"\n' + text)
     return str(caught.value)
@@ -255,13 +254,13 @@ def test_what_is_wrong_is_said_with_its_key(tmp_path):
 # The motor of a manifest is checked, and its lines stand where supply, poles and speed put them.
 
 
-def test_a_motor_is_read(tmp_path: Path) -> None:
+def test_a_motor_is_read(tmp_path):
     motor = read_manifest(tmp_path, "[motor]\nsupply_hz = 50.0\npoles = 4\nrotor_bars = 44\n").motor
     assert motor is not None and (motor.supply_hz, motor.poles, motor.rotor_bars, motor.shaft_ratio) == (50.0, 4, 44, 1)
     assert read_manifest(tmp_path, "").motor is None
 
 
-def test_a_wrong_motor_is_refused_with_its_line(tmp_path: Path) -> None:
+def test_a_wrong_motor_is_refused_with_its_line(tmp_path):
     rows = [
         ("supply_hz = 50.0\npoles = 3\n", "poles come in pairs"),
         ("supply_hz = 50.0\npoles = 0\n", "greater than 0"),

@@ -6,7 +6,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-import xarray as xr
 
 from crankorder.errors import InputError
 from crankorder.ingest.check import check_folder
@@ -25,7 +24,7 @@ CHANNEL = '[[channels]]\nname = "Z"\nsource = "acc"\nunit = "m/s2"\n'
 ENCODER = '[encoder]\nkind = "square"\nsource = "enc"\npulses_per_rev = 36\nindex = "idx"\n'
 
 
-def turned(rpm: float, per_rev: int) -> np.ndarray:
+def turned(rpm, per_rev):
     """A square trace of ``per_rev`` pulses per revolution."""
     return ((TIME * rpm / 60 * per_rev + 0.25) % 1.0 < 0.5).astype(np.float32) * 5
 
@@ -40,7 +39,7 @@ def write(tmp_path):
 
 @pytest.fixture
 def read(manifest_of, read_in):
-    def read_it(path, tables=CHANNEL) -> xr.Dataset:
+    def read_it(path, tables=CHANNEL):
         recording = read_in(path, manifest_of(tables))
         check_dataset(recording, "recording")
         return recording
@@ -48,7 +47,7 @@ def read(manifest_of, read_in):
     return read_it
 
 
-def flagged(recording) -> list[tuple[str, str]]:
+def flagged(recording):
     return [(flag["flag"], flag["severity"]) for flag in flags_of(recording)]
 
 

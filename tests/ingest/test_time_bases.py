@@ -1,7 +1,5 @@
 """Columns of one file with rates and starts of their own: angle, speed and signals at one time belong together."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -228,7 +226,7 @@ CHANNEL = '[[channels]]\nname = "k"\nsource = "k"\nunit = "m/s2"\n'
 ENCODER = '[encoder]\nkind = "square"\nsource = "tacho"\npulses_per_rev = 1\n'
 
 
-def written(folder: Path, suffix: str, **columns: np.ndarray) -> Path:
+def written(folder, suffix, **columns):
     folder.mkdir(exist_ok=True)
     path = folder / f"a.{suffix}"
     if suffix == "mat":
@@ -241,22 +239,22 @@ def written(folder: Path, suffix: str, **columns: np.ndarray) -> Path:
     return folder
 
 
-def turning(turns: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def turning(turns, seed):
     """A signal of orders 1, 2 and 2.5 (1.0, 0.5 and 0.4) and a mark once a turn."""
     noise = 0.02 * np.random.default_rng(seed).standard_normal(turns.size)
     signal = np.cos(2 * np.pi * turns) + 0.5 * np.cos(4 * np.pi * turns + 1.0) + 0.4 * np.cos(5 * np.pi * turns)
     return signal + noise, np.where(turns % 1.0 < 0.2, 3.3, 0.0)
 
 
-def seen(findings: dict) -> dict[int, float]:
+def seen(findings):
     return {round(order["order"], 1): order["amplitude"] for order in findings["orders"]}
 
 
-def flagged(findings: dict) -> dict[str, str]:
+def flagged(findings):
     return {one["flag"]: one["detail"] for one in findings["quality"]}
 
 
-def polled(seed: int) -> tuple[np.ndarray, float]:
+def polled(seed):
     """Times of a logger at 615 Hz that stops by some samples and a part of one, another part each time; the speed."""
     rng = np.random.default_rng(seed)
     steps = np.full(9000, 1.0)
@@ -296,7 +294,7 @@ def test_a_draft_takes_times_with_gaps_for_times_and_no_wheel_from_them(tmp_path
     assert not any(line.startswith(("pulses_per_rev", "pattern", "tooth_angles")) for line in draft.splitlines())
 
 
-def turns_of_buffers(seed: int, blocks: int) -> np.ndarray:
+def turns_of_buffers(seed, blocks):
     """Turns at the samples (2560 Hz) of buffers of 1.6 s, parts of a turn lost between them."""
     rng = np.random.default_rng(seed)
     lost = np.cumsum(np.append(0.0, rng.uniform(3.2, 3.8, blocks - 1)))

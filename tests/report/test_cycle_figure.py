@@ -1,11 +1,9 @@
 """The picture of the average cycle: true values, named marks, legible with one channel and with twelve."""
 
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from crankorder.orders.cycle_average import cycle_average, cycle_averages
 from crankorder.orders.shapes import operating_shapes
@@ -23,11 +21,11 @@ ORDERS = load_settings().orders
 HOSTILE = "Ba$$in <script>alert(1)</script>"
 
 
-def noise(sigma: float):
+def noise(sigma):
     return lambda time_s, _: sigma * np.random.default_rng(len(time_s)).standard_normal(len(time_s))
 
 
-def cycles_of(speeds: list[float], channels: int = 3, sigma: float = 0.3, size: float = 1.0) -> xr.Dataset:
+def cycles_of(speeds, channels=3, sigma=0.3, size=1.0):
     signals = [
         total(line(2.0, size * (1 + k), 0.3), line(5.5, 0.3 * size), noise(sigma * size)) for k in range(channels)
     ]
@@ -39,11 +37,11 @@ def cycles_of(speeds: list[float], channels: int = 3, sigma: float = 0.3, size: 
 
 
 @pytest.fixture(scope="module")
-def cycles() -> xr.Dataset:
+def cycles():
     return cycles_of([500.0, 800.0, 1100.0, 1400.0, 1700.0])
 
 
-def lines(axes: Any, gid: str) -> list[Any]:
+def lines(axes, gid):
     return [one for one in axes.lines if one.get_gid() == gid]
 
 
@@ -141,7 +139,7 @@ shapes_figure = from_dicts(shapes_figure)
 ALL = tuple(np.arange(1, 17) / 2)
 
 
-def shapes_of(channels: int = 3, orders=ALL, speeds=(600.0, 1200.0), sigma: float = 0.02, **attrs: Any) -> xr.Dataset:
+def shapes_of(channels=3, orders=ALL, speeds=(600.0, 1200.0), sigma=0.02, **attrs):
     rng = np.random.default_rng(channels)
     frames = []
     for rpm in speeds:
@@ -152,7 +150,7 @@ def shapes_of(channels: int = 3, orders=ALL, speeds=(600.0, 1200.0), sigma: floa
     return operating_shapes(frames, orders, settings=ORDERS)
 
 
-def hands(figure: Any) -> list[Any]:
+def hands(figure):
     return [one for one in figure.axes[0].lines if one.get_gid() == "hand"]
 
 

@@ -1,7 +1,6 @@
 """Findings are types: JSON goes in and out of them unchanged, and a wrong file is refused by file, place and value."""
 
 import copy
-from typing import Any
 
 import jsonschema
 import pytest
@@ -11,20 +10,20 @@ from crankorder.findings import Findings, LineFinding, Motor
 from crankorder.quantities import schema_of
 
 
-def test_findings_go_to_json_and_back_unchanged(full: dict[str, Any]) -> None:
+def test_findings_go_to_json_and_back_unchanged(full):
     findings = Findings.from_dict(full)
     assert Findings.from_dict(findings.as_dict()) == findings
     assert findings.orders[0].amplitude == full["orders"][0]["amplitude"]
 
 
-def test_keys_of_a_later_version_are_passed_over_and_those_of_an_older_one_are_empty(campaign: Any) -> None:
+def test_keys_of_a_later_version_are_passed_over_and_those_of_an_older_one_are_empty(campaign):
     later = {**campaign.findings, "later": {"a": 1}}
     assert Findings.from_dict(later) == Findings.from_dict(campaign.findings)
     assert Findings.from_dict(campaign.findings).free_bands == ()
     assert Findings.from_dict(campaign.findings).motor is None
 
 
-def test_a_key_that_python_keeps_for_itself_has_another_name_in_the_type() -> None:
+def test_a_key_that_python_keeps_for_itself_has_another_name_in_the_type():
     line = {
         "name": "n", "side": "", "channel": "Z", "frequency_hz": 50.0, "order": 2.0, "speed_rpm": 1500.0,
         "amplitude": 1.0, "amplitude_ci95": [0.5, 1.5], "or": ["mains"], "n_recordings": 1,
@@ -37,7 +36,7 @@ def test_a_key_that_python_keeps_for_itself_has_another_name_in_the_type() -> No
     assert Motor.from_dict(motor).as_dict() == motor
 
 
-def test_what_a_record_leaves_out_has_no_key() -> None:
+def test_what_a_record_leaves_out_has_no_key():
     line = LineFinding(
         channel="Z", frequency_hz=50.0, frequency_hz_ci95=(49.9, None), explained_by=None, amplitude=None
     )
@@ -47,7 +46,7 @@ def test_what_a_record_leaves_out_has_no_key() -> None:
     }  # fmt: skip
 
 
-def test_findings_that_nobody_asked_for_leave_out_what_was_not_sought(campaign: Any) -> None:
+def test_findings_that_nobody_asked_for_leave_out_what_was_not_sought(campaign):
     document = campaign.findings | {table: [] for table in ("orders", "modes", "crossings", "bearings", "lines")}
     document |= {"balance": None, "balance_reason": "maps only", "not_asked_for": "maps only"}
     assert "free_bands" in Findings.from_dict(campaign.findings).as_dict()
@@ -66,7 +65,7 @@ WRONG = (
 )
 
 
-def test_a_wrong_value_is_refused_by_file_place_and_what_is_allowed(campaign: Any) -> None:
+def test_a_wrong_value_is_refused_by_file_place_and_what_is_allowed(campaign):
     for table, key, value, told in WRONG:
         wrong = copy.deepcopy(campaign.findings)
         wrong[table][0][key] = value
@@ -79,7 +78,7 @@ def test_a_wrong_value_is_refused_by_file_place_and_what_is_allowed(campaign: An
 # The schemas of findings.json and run.json take what design.md names and refuse what it forbids.
 
 
-def _faults(document: Any, schema: str) -> list[str]:
+def _faults(document, schema):
     return [error.message for error in jsonschema.Draft202012Validator(schema_of(schema)).iter_errors(document)]
 
 
@@ -89,7 +88,7 @@ NEEDED = (
 )  # fmt: skip
 
 
-def test_a_record_without_a_key_of_the_design_is_refused(campaign: Any) -> None:
+def test_a_record_without_a_key_of_the_design_is_refused(campaign):
     taken = []
     for table, key in NEEDED:
         lacking = copy.deepcopy(campaign.findings)
@@ -106,9 +105,7 @@ RUN = {
 OPEN = {"low_rpm": 900.0, "high_rpm": 1200.0, "remark": "not tested between"}
 
 
-def test_what_identification_may_give_is_accepted_and_what_the_design_forbids_is_refused(
-    full: Any, campaign: Any
-) -> None:
+def test_what_identification_may_give_is_accepted_and_what_the_design_forbids_is_refused(full, campaign):
     plain, order = campaign.findings, full["orders"][0]
     for taken in (
         plain, full, plain | {"orders": [{**plain["orders"][0], "locked": True}], "later": {}},

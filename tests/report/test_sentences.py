@@ -50,13 +50,13 @@ ESTIMATES = (
 )  # fmt: skip
 
 
-def test_an_estimate_is_written_with_the_digits_that_its_interval_earns() -> None:
+def test_an_estimate_is_written_with_the_digits_that_its_interval_earns():
     for value, interval, text in ESTIMATES:
         assert estimate_text({"x": value, "x_ci95": interval}, "x", unit="m/s²") == text
 
 
 @given(st.floats(min_value=1e-12, max_value=1e12), st.floats(min_value=1e-3, max_value=0.5))
-def test_a_written_interval_is_never_off_by_more_than_a_quarter_of_its_width(value: float, share: float) -> None:
+def test_a_written_interval_is_never_off_by_more_than_a_quarter_of_its_width(value, share):
     low, high = value * (1 - share), value * (1 + share)
     text = estimate_text({"x": value, "x_ci95": [low, high]}, "x").replace("−", "-")
     written = [float(part) for part in text.replace("(", " ").replace(")", " ").replace("…", " ").split()]
@@ -64,7 +64,7 @@ def test_a_written_interval_is_never_off_by_more_than_a_quarter_of_its_width(val
     assert written == pytest.approx([value, low, high], abs=tolerance)
 
 
-def test_an_order_is_not_called_by_a_half_order_outside_its_interval() -> None:
+def test_an_order_is_not_called_by_a_half_order_outside_its_interval():
     assert nominal_order({"order": 1.004, "order_ci95": [1.0039, 1.0041]}) == 1.004
     assert nominal_order({"order": 1.004, "order_ci95": [1.0039, 1.0041], "lock": "locked"}) == 1.0
     assert nominal_order(1.004) == 1.0
@@ -80,9 +80,7 @@ def test_an_order_is_not_called_by_a_half_order_outside_its_interval() -> None:
         (5.4873, 1e-3, "5.487"),
     ],
 )
-def test_an_order_is_called_by_the_digits_that_its_interval_carries_in_every_sentence(
-    order: float, half: float, text: str, campaign: Any
-) -> None:
+def test_an_order_is_called_by_the_digits_that_its_interval_carries_in_every_sentence(order, half, text, campaign):
     findings = copy.deepcopy(campaign.findings)
     record = next(one for one in findings["orders"] if (one["channel"], one["order"]) == ("Z", 2.0))
     record |= {"order": order, "order_ci95": [order - half, order + half], "lock": "slips", "amplitude": 1e3}
@@ -91,20 +89,20 @@ def test_an_order_is_called_by_the_digits_that_its_interval_carries_in_every_sen
 
 
 @given(st.lists(st.integers(1, 20_000_000), min_size=1, max_size=12, unique=True))
-def test_different_orders_have_different_texts_that_are_their_values(millionths: list[int]) -> None:
+def test_different_orders_have_different_texts_that_are_their_values(millionths):
     orders = [number / 1e6 for number in millionths]
     texts = order_texts(orders)
     assert len(set(texts)) == len(orders)
     assert [float(text) for text in texts] == pytest.approx(orders, abs=0.0051)
 
 
-def test_a_share_is_never_written_as_nothing_when_there_is_something() -> None:
+def test_a_share_is_never_written_as_nothing_when_there_is_something():
     assert [percent_text(share) for share in (0.0, 1e-9, 0.031, 0.7, 0.9999, 1.0)] == [
         "0 %", "< 0.01 %", "3.1 %", "70 %", "100 %", "100 %",
     ]  # fmt: skip
 
 
-def test_levels_refer_to_iso_1683_in_the_unit_of_the_channel(settings: Any) -> None:
+def test_levels_refer_to_iso_1683_in_the_unit_of_the_channel(settings):
     assert level_reference("acceleration", "m/s2", settings=settings) == (1e-6, "dB re 1e-6 m/s² (peak)")
     reference, text = level_reference("acceleration", "g", settings=settings)
     assert (reference * 9.80665, text) == (pytest.approx(1e-6), "dB re 1e-6 m/s² (peak)")
@@ -114,9 +112,7 @@ def test_levels_refer_to_iso_1683_in_the_unit_of_the_channel(settings: Any) -> N
     assert level_reference("other", "counts", settings=settings) == (1.0, "dB re 1 counts (peak)")
 
 
-def test_the_headline_names_the_strongest_order_the_frequency_that_it_meets_and_what_is_unresolved(
-    campaign: Any,
-) -> None:
+def test_the_headline_names_the_strongest_order_the_frequency_that_it_meets_and_what_is_unresolved(campaign):
     findings = copy.deepcopy(campaign.findings)
     record = next(one for one in findings["orders"] if (one["channel"], one["order"]) == ("Z", 2.0))
     record |= {"amplitude": 2.83, "amplitude_ci95": [2.81, 2.85], "speed_rpm_at_max": 1800.0}
@@ -133,7 +129,7 @@ def test_the_headline_names_the_strongest_order_the_frequency_that_it_meets_and_
     assert strongest_sentence(findings, "Y").startswith("Order 2")
 
 
-def test_a_fixed_tone_stronger_than_any_order_is_named_first(full: Any) -> None:
+def test_a_fixed_tone_stronger_than_any_order_is_named_first(full):
     assert strongest_sentence(full, "Z") == (
         "A fixed tone of 58.3 Hz is the strongest line in Z: 5.00 m/s² (4.90…5.10); the strongest order is 2: "
         "1.90 m/s² (1.86…1.94) at 1800 rpm."
@@ -146,7 +142,7 @@ def test_a_fixed_tone_stronger_than_any_order_is_named_first(full: Any) -> None:
     assert strongest_sentence(full, "Y").startswith("Order 2")
 
 
-def test_the_headline_has_line_bearing_speed_balance_and_unexplained_share(full: Any) -> None:
+def test_the_headline_has_line_bearing_speed_balance_and_unexplained_share(full):
     bearing, line, speed, balance, energy = headline(full)  # what strikes goes first
     assert "58.3 Hz" in line
     assert "outer-race (BPFO)" in bearing and "slip −0.80 (−0.90…−0.70) %" in bearing and "2000–4000 Hz" in bearing
@@ -158,7 +154,7 @@ def test_the_headline_has_line_bearing_speed_balance_and_unexplained_share(full:
     assert energy == "3.1 % of the energy that is not broadband has no known cause."
 
 
-def test_speeds_to_avoid_come_from_their_own_list_and_never_from_crossings_beside_it(full: Any) -> None:
+def test_speeds_to_avoid_come_from_their_own_list_and_never_from_crossings_beside_it(full):
     two = avoid_sentences(full)
     assert len(two) == 2
     assert "1690 to 1760" in two[1] and "order 4" in two[1] and "order 8" in two[1]
@@ -169,7 +165,7 @@ def test_speeds_to_avoid_come_from_their_own_list_and_never_from_crossings_besid
     assert wanted in story_of(full)["what_to_do"] and wanted in headline(full)
 
 
-def test_nothing_is_all_clear_while_speeds_are_open(full: Any) -> None:
+def test_nothing_is_all_clear_while_speeds_are_open(full):
     quiet: dict[str, Any] = {"orders": [], "modes": [], "crossings": [], "bearings": [], "quality": []}
     quiet |= {"orders": full["orders"], "speeds_to_avoid": [], "speed_range_rpm": [300.0, 2000.0]}
     for free, still_open in (([], [UNTESTED]), ([{"low_rpm": 300.0, "high_rpm": 900.0}], [UNTESTED]), ([], [])):
@@ -181,7 +177,7 @@ def test_nothing_is_all_clear_while_speeds_are_open(full: Any) -> None:
 
 
 @pytest.mark.slow
-def test_a_mode_in_doubt_is_not_called_a_natural_frequency_where_an_order_peaks(full: Any) -> None:
+def test_a_mode_in_doubt_is_not_called_a_natural_frequency_where_an_order_peaks(full):
     met = {**full["speeds_to_avoid"][0], "mode_hz": 265.0, "orders": [2.0], "modes_hz": [265.0]}
     (said,) = avoid_sentences({**full, "speeds_to_avoid": [met]})
     assert "order 2 peaks at 265 Hz, which may be a natural frequency" in said and "excites" not in said
@@ -191,7 +187,7 @@ def test_a_mode_in_doubt_is_not_called_a_natural_frequency_where_an_order_peaks(
 
 
 @pytest.mark.slow
-def test_a_speed_to_avoid_states_no_peak_that_is_not_known_and_no_factor_above_its_bound(full: Any) -> None:
+def test_a_speed_to_avoid_states_no_peak_that_is_not_known_and_no_factor_above_its_bound(full):
     one = full["speeds_to_avoid"][0]
     for nothing in (0.0, None):
         (said,) = avoid_sentences({**full, "speeds_to_avoid": [{**one, "amplitude": nothing, "amplification": None}]})
@@ -206,7 +202,7 @@ def test_a_speed_to_avoid_states_no_peak_that_is_not_known_and_no_factor_above_i
 
 
 @pytest.mark.slow
-def test_whether_an_order_is_locked_is_said_with_the_record_that_would_tell(full: Any) -> None:
+def test_whether_an_order_is_locked_is_said_with_the_record_that_would_tell(full):
     said = "Order 5.5: whether it is locked to the shaft cannot be told yet; recordings of 420 revolutions would tell."
     assert said in story_of(full)["how_sure"]
     for record in full["orders"]:
@@ -216,7 +212,7 @@ def test_whether_an_order_is_locked_is_said_with_the_record_that_would_tell(full
     assert said.startswith("Order 5.48") and "is no exact multiple of the half revolution: what makes it slips" in said
 
 
-def test_channels_of_different_units_are_not_ranked_against_each_other(full: Any) -> None:
+def test_channels_of_different_units_are_not_ranked_against_each_other(full):
     full["lines"] = []
     full["channels"][0]["unit"] = "Pa"
     for record in full["orders"]:
@@ -225,12 +221,12 @@ def test_channels_of_different_units_are_not_ranked_against_each_other(full: Any
     assert [one.split(" in ")[1][0] for one in story_of(full)["what"][:3]] == ["X", "Z", "Y"]
 
 
-def each(table: str, **values: Any) -> Any:
+def each(table, **values):
     """The table of the findings with these values in each record."""
     return lambda given: {table: [record | values for record in given[table]]}
 
 
-def inside(table: str, **values: Any) -> Any:
+def inside(table, **values):
     """The object of the findings with these values."""
     return lambda given: {table: given[table] | values}
 
@@ -282,14 +278,14 @@ SAID = (
 
 @pytest.mark.cases(20)
 @pytest.mark.parametrize(("changed", "said", "unsaid"), SAID)
-def test_what_the_findings_hold_is_said_and_nothing_else(changed: Any, said: Any, unsaid: Any, full: Any) -> None:
+def test_what_the_findings_hold_is_said_and_nothing_else(changed, said, unsaid, full):
     full |= changed(full) if callable(changed) else changed
     text = " ".join(sentence for answer in (*story_of(full).values(), headline(full)) for sentence in answer)
     assert [one for one in said if one not in text] == []
     assert [one for one in unsaid if one in text] == []
 
 
-def test_without_a_law_an_exponent_near_two_with_a_narrow_interval_is_called_unbalance(campaign: Any) -> None:
+def test_without_a_law_an_exponent_near_two_with_a_narrow_interval_is_called_unbalance(campaign):
     why = story_of(campaign.findings)["why"]
     assert any("unbalanced mass" in one and "Orders 1 and 2" in one for one in why)
     assert not any("its size" in one for one in why)  # an exponent alone does not tell
@@ -301,7 +297,7 @@ def test_without_a_law_an_exponent_near_two_with_a_narrow_interval_is_called_unb
         assert not any("unbalanced mass does" in one for one in story_of(given)["why"]), wide
 
 
-def test_nothing_found_is_said_and_an_all_clear_covers_what_was_looked_for_and_needs_revolutions() -> None:
+def test_nothing_found_is_said_and_an_all_clear_covers_what_was_looked_for_and_needs_revolutions():
     nothing: dict[str, Any] = {"orders": [], "modes": [], "crossings": [], "bearings": [], "quality": []}
     assert headline(nothing) == ["No order stands above the noise."]
     assert story_of(nothing)["what_to_do"] == [ALL_CLEAR]
@@ -312,7 +308,7 @@ def test_nothing_found_is_said_and_an_all_clear_covers_what_was_looked_for_and_n
 
 
 @pytest.mark.slow
-def test_of_what_does_not_turn_the_natural_frequencies_go_first_and_nothing_is_said_of_shafts(full: Any) -> None:
+def test_of_what_does_not_turn_the_natural_frequencies_go_first_and_nothing_is_said_of_shafts(full):
     still = {**full, "orders": [], "bearings": [], "crossings": [], "speed_range_rpm": [None, None]}
     still |= {"speeds_to_avoid": [], "free_bands": [], "balance": None, "balance_reason": "no index pulse"}
     assert headline(still)[0].startswith("Natural frequencies: 60 Hz, 115 Hz")
@@ -322,7 +318,7 @@ def test_of_what_does_not_turn_the_natural_frequencies_go_first_and_nothing_is_s
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize(("speeds", "words"), [((1800.0, 1800.0), "one speed"), ((900.0, 1800.0), "so few speeds")])
-def test_order_one_at_few_speeds_may_be_unbalance_and_asks_for_more(full: Any, speeds: Any, words: str) -> None:
+def test_order_one_at_few_speeds_may_be_unbalance_and_asks_for_more(full, speeds, words):
     one = {**full["orders"][0], "order": 1.0, "explained_by": LIKE_UNBALANCE, "amplitude": 99.0}
     full |= {"orders": [one | {"doubts": ["few speeds"]}], "speed_range_rpm": list(speeds)}
     assert any(f"Cause: {LIKE_UNBALANCE}; {words} cannot tell which." in said for said in headline(full))
@@ -331,7 +327,7 @@ def test_order_one_at_few_speeds_may_be_unbalance_and_asks_for_more(full: Any, s
 
 
 @pytest.mark.slow
-def test_grams_are_told_under_the_condition_that_their_evidence_states(full: Any) -> None:
+def test_grams_are_told_under_the_condition_that_their_evidence_states(full):
     balance = {"residual_rotating_gmm": 12.0, "residual_rotating_gmm_ci95": [11.0, 13.0], "if_unbalance": True}
     assert balance_sentences({"balance": balance})[0].startswith("Rotating unbalance, if order 1 is unbalance: ")
     assert if_unbalance(balance, [Cause("shaft harmonic", doubt="slower than unbalance")])[0] is None
@@ -344,13 +340,13 @@ def test_grams_are_told_under_the_condition_that_their_evidence_states(full: Any
 @pytest.mark.parametrize(
     ("order", "named"), [(23.0, "`--recipe gear-mesh`"), (59.5, "`max_order = 70`"), (151.0, "`max_order = 200`")]
 )
-def test_what_lies_above_the_band_is_told_how_to_reach(full: Any, order: float, named: str) -> None:
+def test_what_lies_above_the_band_is_told_how_to_reach(full, order, named):
     mesh = {"amplitude_above": 1e6, "frequency_hz_above": 30 * order, "order_above": order, "speed_rpm_above": 1800.0}
     (asked,) = [said for said in story_of(with_levels(full, **mesh))["what_to_do"] if said.startswith("Run it again")]
     assert named in asked
 
 
-def with_levels(findings: dict[str, Any], **of_z: Any) -> dict[str, Any]:
+def with_levels(findings, **of_z):
     """``findings`` with a record of the levels of channel Z: nothing above the band but what is given."""
     record = {"channel": "Z", "unit": "m/s2", "rms_max": 1.0, "band_hz": 500.0, "share_above": 0.001}
     above = dict.fromkeys(("amplitude_above", "frequency_hz_above", "order_above", "speed_rpm_above"))
@@ -358,7 +354,7 @@ def with_levels(findings: dict[str, Any], **of_z: Any) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_a_stronger_line_above_the_band_goes_first_and_the_other_says_how_far_it_was_looked(full: Any) -> None:
+def test_a_stronger_line_above_the_band_goes_first_and_the_other_says_how_far_it_was_looked(full):
     mesh = {"amplitude_above": 12.0, "frequency_hz_above": 575.0, "order_above": 23.0, "speed_rpm_above": 1500.0}
     full["bearings"] = []
     said = headline(with_levels(full, **mesh))
@@ -370,7 +366,7 @@ def test_a_stronger_line_above_the_band_goes_first_and_the_other_says_how_far_it
     assert "maps-full-band" in headline(with_levels(full, **(mesh | {"order_above": 83.0})))[0]
 
 
-def test_balancing_is_asked_for_in_the_channels_in_which_unbalance_leads(full) -> None:
+def test_balancing_is_asked_for_in_the_channels_in_which_unbalance_leads(full):
     first, second = ({**full["orders"][0], "order": order, "amplitude": 5.0} for order in (1.0, 4.0))
     led = {
         **full, "speed_doubt": None, "levels": [], "orders": [{**first, "channel": "Z", "explained_by": "unbalance"}],
@@ -380,8 +376,8 @@ def test_balancing_is_asked_for_in_the_channels_in_which_unbalance_leads(full) -
     assert "Balance it: the strongest order in Z is that of an unbalanced mass." in story_of(led)["what_to_do"]
 
 
-def test_a_swing_of_one_share_at_all_speeds_may_be_the_encoders() -> None:
-    def said(*swings: tuple[float, float, float]) -> str:
+def test_a_swing_of_one_share_at_all_speeds_may_be_the_encoders():
+    def said(*swings):
         keys = ("speed_rpm", "order", "amplitude_rpm")
         also = {"may_be_encoder": all(row[2] < 0.03 * row[0] for row in swings)}
         records = [{"recording": f"{row[0]:.0f}", **dict(zip(keys, row, strict=True)), **also} for row in swings]
@@ -397,7 +393,7 @@ def test_a_swing_of_one_share_at_all_speeds_may_be_the_encoders() -> None:
     assert "encoder would" not in said((1500.0, 2.0, 150.0))  # ten percent: no encoder is so far off
 
 
-def test_statements_that_exclude_each_other_are_told_and_sound_ones_give_none(full: dict[str, Any]) -> None:
+def test_statements_that_exclude_each_other_are_told_and_sound_ones_give_none(full):
     assert contradictions(full) == []
     full["modes"][0].update(explained_by="mode", undecided="at one speed its modulation looks the same")
     low, high = full["speeds_to_avoid"][0]["rpm_range"]
@@ -407,7 +403,7 @@ def test_statements_that_exclude_each_other_are_told_and_sound_ones_give_none(fu
 
 
 @pytest.mark.parametrize("where", ["lines", "bearings", "speeds_to_avoid"])
-def test_an_amplitude_of_an_order_that_is_told_in_two_ways_is_told_of(full: dict[str, Any], where: str) -> None:
+def test_an_amplitude_of_an_order_that_is_told_in_two_ways_is_told_of(full, where):
     order = next(one for one in full["orders"] if one["channel"] == "Z" and one["order"] == 5.5)
     told = {key: order[key] for key in ("channel", "order", "amplitude", "amplitude_ci95")}
     told |= {"orders": [5.5], "modes_hz": [60.0], "mode_hz": 60.0, "rpm_range": [order["speed_rpm_at_max"]] * 2}
@@ -421,14 +417,14 @@ def test_an_amplitude_of_an_order_that_is_told_in_two_ways_is_told_of(full: dict
 # What a page says of a motor and of lines at one speed: the frequency first, doubts said, no share of another line.
 
 
-def line(name: str, hertz: float, size: float, *, side: str = "", others: tuple[str, ...] = ()) -> dict[str, Any]:
+def line(name, hertz, size, *, side="", others=()):
     return {
         "name": name, "side": side, "channel": "Z", "frequency_hz": hertz, "order": hertz / 24.5, "speed_rpm": 1470.0,
         "amplitude": size, "amplitude_ci95": [size, size], "or": list(others), "n_recordings": 1,
     }  # fmt: skip
 
 
-def order(number: float, size: float, *, lock: str, cause: str) -> dict[str, Any]:
+def order(number, size, *, lock, cause):
     return {
         "channel": "Z", "order": number, "order_ci95": [number - 1e-4, number + 1e-4], "lock": lock, "amplitude": size,
         "amplitude_ci95": [size, size], "unit": "m/s2", "speed_rpm_at_max": 1470.0, "explained_by": cause,
@@ -436,7 +432,7 @@ def order(number: float, size: float, *, lock: str, cause: str) -> dict[str, Any
     }  # fmt: skip
 
 
-def findings(*lines: dict[str, Any], orders: tuple[dict[str, Any], ...] = (), **more: Any) -> dict[str, Any]:
+def findings(*lines, orders=(), **more):
     motor = {
         "supply_hz": 50.0, "supply_hz_ci95": [50.0, 50.0], "supply_measured": True, "poles": 4, "rotor_bars": 44,
         "misfit": "", "lines": list(lines),
@@ -447,21 +443,21 @@ def findings(*lines: dict[str, Any], orders: tuple[dict[str, Any], ...] = (), **
     return {"channels": channels, "orders": list(orders), "motor": motor | more, "speed_range_rpm": [1470.0, 1470.0]}
 
 
-def test_the_slip_and_the_pole_pass_are_said() -> None:
+def test_the_slip_and_the_pole_pass_are_said():
     assert motor_sentences(findings())[0] == (
         "The motor (4 poles at 50 Hz, as its own lines measure) slips by 2 % at 1470 rpm; "
         "its pole-pass frequency is 2 Hz."
     )
 
 
-def test_sidebands_are_said_with_their_share_and_with_what_they_speak_for() -> None:
+def test_sidebands_are_said_with_their_share_and_with_what_they_speak_for():
     sides = (line(SHAFT_SIDES, 22.5, 0.1, side="below"), line(SHAFT_SIDES, 26.5, 0.12, side="above"))
     one = order(1.0, 2.0, lock="locked", cause="unbalance")
     (text,) = [text for text in motor_sentences(findings(*sides, orders=(one,))) if "Beside" in text]
     assert "22.50 Hz and 26.50 Hz are its pole-pass sidebands" in text and "6.0 % of it" in text and "rotor bar" in text
 
 
-def test_a_line_at_one_speed_leads_with_its_frequency() -> None:
+def test_a_line_at_one_speed_leads_with_its_frequency():
     loose = order(5.492, 1.0, lock="slips", cause="unexplained")
     said = findings(orders=(loose,))
     assert strongest_sentence(said, "Z").startswith("A line at 134.55 Hz (order 5.492) is the strongest line in Z: 1")
@@ -469,7 +465,7 @@ def test_a_line_at_one_speed_leads_with_its_frequency() -> None:
     assert text.startswith("134.55 Hz (order 5.492") and text.endswith("nothing tells whether it follows the shaft.")
 
 
-def test_mains_among_the_orders_are_told_as_mains_and_as_nothing_else() -> None:
+def test_mains_among_the_orders_are_told_as_mains_and_as_nothing_else():
     said = findings(orders=(order(4.0816, 1.0, lock="slips", cause="twice mains"),))
     del said["motor"]
     assert "99.999 Hz" not in str(lock_sentences(said)) and lock_sentences(said) == [] and law_sentences(said) == []
