@@ -1,7 +1,6 @@
 """Accuracy as a command: what was put in is known, and the numbers that are said follow from it."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from crankorder.batch.accuracy import accuracy_on, publish_accuracy, speed_again
 from crankorder.errors import RequestError
 
 
-def test_every_map_keeps_the_error_that_it_foretells(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_map_keeps_the_error_that_it_foretells(monkeypatch):
     monkeypatch.setattr(accuracy, "TOLERANCES", (1e-2, 1e-6))
     monkeypatch.setattr(accuracy, "REPEATS", 1)
     timed = list(speed_against_error())
@@ -23,7 +22,7 @@ def test_every_map_keeps_the_error_that_it_foretells(monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.slow
-def test_a_twin_tells_what_could_be_found(tmp_path: Path) -> None:
+def test_a_twin_tells_what_could_be_found(tmp_path):
     (folder,) = co.synthesise("hard-two-revolutions", tmp_path / "test", quick=True)
     tree = co.run(folder, out=tmp_path / "out")
     if not tree["order_tracks"].sizes["order"]:
@@ -39,14 +38,14 @@ def test_a_twin_tells_what_could_be_found(tmp_path: Path) -> None:
             assert np.isfinite(one.coverage_percent)
 
 
-def test_without_results_nothing_is_written(tmp_path: Path) -> None:
+def test_without_results_nothing_is_written(tmp_path):
     with pytest.raises(RequestError, match="no finished results"):
         publish_accuracy(tmp_path / "acc", on=tmp_path)
     assert not (tmp_path / "acc").exists()
 
 
 @pytest.mark.slow
-def test_what_is_written_is_what_was_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_written_is_what_was_measured(tmp_path, monkeypatch):
     monkeypatch.setattr(accuracy, "TOLERANCES", (1e-3,))
     monkeypatch.setattr(accuracy, "REPEATS", 1)
     paths, text = publish_accuracy(tmp_path / "acc")

@@ -2,13 +2,10 @@
 
 import json
 import tomllib
-from pathlib import Path
-from typing import Any
 
 import jsonschema
 import numpy as np
 import pytest
-from click.testing import Result
 
 from crankorder.batch.result_folder import DONE, finished_with
 from crankorder.quantities import schema_of
@@ -20,15 +17,15 @@ KEYS = ("engine", "lambda", "harmonics", "force_g_mm", "strategies", "shafts", "
 EXACT = 1e-12
 
 
-def balance(*arguments: object) -> Result:
+def balance(*arguments):
     return crankorder("balance", *arguments)
 
 
-def document(*arguments: object) -> dict[str, Any]:
+def document(*arguments):
     return json.loads(done("balance", *arguments, "--json").stdout)
 
 
-def engine_file(folder: Path, name: str = "task5", **values: Any) -> Path:
+def engine_file(folder, name="task5", **values):
     """A file of a shipped engine's top-level numbers, with other values; None leaves a key out."""
     table = {**tomllib.loads(shipped("engines")[name]), **values}
     table.pop("balance", None)
@@ -38,7 +35,7 @@ def engine_file(folder: Path, name: str = "task5", **values: Any) -> Path:
 
 
 @pytest.fixture(scope="module")
-def task5() -> dict[str, Any]:
+def task5():
     return document("task5")
 
 
@@ -59,14 +56,6 @@ def test_residuals_of_order_1_are_those_of_the_truth(task5, shared_truth):
         assert left == pytest.approx([radius * part for part in amplitudes[name]], rel=EXACT)
     plain = [task5["force_g_mm"][axis]["1"] for axis in "xy"]
     assert plain == pytest.approx([radius * part for part in amplitudes["unbalanced"]], rel=EXACT)
-
-
-def test_harmonics_are_those_of_the_truth(task5, shared_truth):
-    truth = shared_truth["seed000"]["harmonics"]["0.25"]
-    assert task5["lambda"] == pytest.approx(0.25, rel=EXACT)
-    assert set(task5["harmonics"]) == {"2", "4", "6", "8"}
-    for order, share in task5["harmonics"].items():
-        assert share == pytest.approx(float(truth["A"][f"A{order}"]), rel=EXACT)
 
 
 def test_shafts_carry_the_masses_of_the_truth(task5, shared_truth):
@@ -97,17 +86,12 @@ def test_a_shipped_engine_gives_one_valid_document_and_nothing_else(name, projec
 
 
 @pytest.mark.slow
-def test_a_schema_refuses_a_document_without_a_key_of_the_issue():
-    validator = jsonschema.Draft202012Validator(schema_of("balance"))
-    for found in (document("task5"), document("elastic-hinge")):
-        for key in KEYS:
-            assert list(validator.iter_errors({name: value for name, value in found.items() if name != key}))
-
-
-@pytest.mark.slow
-def test_only_elastic_hinges_have_null_for_the_parts_of_a_crank_engine():
+def test_a_schema_refuses_a_document_without_a_key_and_null_but_of_elastic_hinges():
     validator = jsonschema.Draft202012Validator(schema_of("balance"))
     crank, hinged = document("task5"), document("elastic-hinge")
+    for found in (crank, hinged):
+        for key in KEYS:
+            assert list(validator.iter_errors({name: value for name, value in found.items() if name != key}))
     assert [hinged[key] for key in KEYS[1:-1]] == [None] * 6
     for key in ("lambda", "harmonics", "force_g_mm", "shafts"):
         assert list(validator.iter_errors({**crank, key: None}))
@@ -162,22 +146,6 @@ def test_a_folder_that_cannot_be_made_is_a_fault_of_the_surroundings(tmp_path):
     assert (outcome.exit_code, outcome.stdout) == (5, "")
 
 
-def test_torque_extrema_and_harmonics_are_those_of_the_truth(shared_truth):
-    torque, truth = document("elastic-hinge")["torque"], shared_truth["seed003"]
-    assert torque["mean_nm"] == pytest.approx(float(truth["mean_torque_Nm"]["decimal"]), rel=EXACT)
-    assert torque["work_per_rev_j"] == pytest.approx(float(truth["work_per_rev_J"]), rel=EXACT)
-    found = [[one["crank_angle_deg"], one["torque_nm"]] for one in torque["extrema"]]
-    np.testing.assert_allclose(found, truth["extrema"], rtol=1e-9)
-    for order, amplitude in torque["harmonics_nm"].items():
-        assert amplitude == pytest.approx(float(truth["Mcr_Fourier_Nm"][order]["amp"]), rel=1e-9)
-
-
-def test_an_unknown_engine_is_a_wrong_request_that_names_the_known_ones():
-    outcome = balance("task6")
-    assert (outcome.exit_code, outcome.stdout) == (2, "")
-    assert "task6" in outcome.stderr and "task5" in outcome.stderr
-
-
 def test_every_fault_of_a_file_is_listed_at_once(tmp_path):
     faulty = {"reciprocating_mass_kg": -1.0, "crank_radius_m": None, "strokes": 4, "cycle": "six-stroke"}
     outcome = balance(engine_file(tmp_path, **faulty), "--out", tmp_path / "out")
@@ -187,16 +155,17 @@ def test_every_fault_of_a_file_is_listed_at_once(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_numbers_beyond_the_range_of_a_computer_are_a_fault_of_the_file(tmp_path):
-    outcome = balance(engine_file(tmp_path, reciprocating_mass_kg=1e301), "--speed", 1000000, "--json")
-    assert (outcome.exit_code, outcome.stdout) == (2, "") and "engine.toml" in outcome.stderr
-
-
-def test_a_file_that_is_no_toml_names_its_line(tmp_path):
-    path = tmp_path / "engine.toml"
-    path.write_text("title = 'a'\nbore = = 3\n")
-    outcome = balance(path)
-    assert outcome.exit_code == 2 and "line 2" in outcome.stderr
+def test_an_engine_that_cannot_be_is_a_wrong_request_that_says_why(tmp_path):
+    (tmp_path / "no.toml").write_text("title = 'a'\nbore = = 3\n")
+    beyond = engine_file(tmp_path, reciprocating_mass_kg=1e301)
+    for arguments, said in (
+        (("task6",), ("task6", "task5")),
+        ((beyond, "--speed", 1000000, "--json"), ("engine.toml",)),
+        ((tmp_path / "no.toml",), ("line 2",)),
+    ):
+        outcome = balance(*arguments)
+        assert (outcome.exit_code, outcome.stdout) == (2, "")
+        assert all(words in outcome.stderr for words in said)
 
 
 def test_speeds_and_orders_out_of_range_are_wrong_requests():

@@ -3,12 +3,9 @@
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
-from click.testing import Result
 
 from crankorder.batch.frame_store import STORE
 from crankorder.batch.run_log import LOGS
@@ -38,7 +35,7 @@ if cluster.analyse_recording.__name__ != "analyse":  # a worker may load this tw
 class Cluster:
     """Processes of a cluster in ``folder``: whether recordings kill their workers, and workers see the store."""
 
-    def __init__(self, folder: Path, processes: ExitStack) -> None:
+    def __init__(self, folder, processes):
         self.kills, self.far, at = folder / "kills", folder / "far", folder / "scheduler.json"
         (folder / "preload.py").write_text(PRELOAD)
         self._folder, self._processes = folder, processes
@@ -52,11 +49,11 @@ class Cluster:
             preload = ("--preload", folder / "preload.py", "--local-directory", folder / f"of-{name}")
             self._start("dask_worker", self.address, "--nthreads", "1", "--no-dashboard", "--name", name, *preload)
 
-    def run(self, folder: Path, out: Path) -> Result:
+    def run(self, folder, out):
         """What a run of the maps of ``folder`` on the cluster says."""
         return crankorder("run", folder, "--out", out, "--recipe", "maps", "--scheduler", self.address, "--log-json")
 
-    def _start(self, command: str, *arguments: object) -> None:
+    def _start(self, command, *arguments):
         surroundings = {**os.environ, "KILLS": str(self.kills), "FAR": str(self.far), "OPENBLAS_NUM_THREADS": "1"}
         # whatever stands beside a death is blamed at once: so it must be tried again alone
         surroundings["DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES"] = "0"
@@ -66,23 +63,23 @@ class Cluster:
 
 
 @pytest.fixture(scope="module")
-def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+def cluster(tmp_path_factory):
     with ExitStack() as processes:
         yield Cluster(tmp_path_factory.mktemp("cluster"), processes)
 
 
 @pytest.fixture
-def four(copied: Callable[..., Path]) -> Path:
+def four(copied):
     return copied(1500, 1600, 1700, 1800)
 
 
-def reused(out: Path) -> int:
+def reused(out):
     events = [json.loads(line) for path in (out / LOGS).iterdir() for line in path.read_text().splitlines()]
     return sum(event["event"] == "recording reused" for event in events)
 
 
 @pytest.mark.parametrize("far", [False, True])
-def test_a_cluster_gives_the_bytes_of_a_run_at_home(cluster: Cluster, four: Path, tmp_path: Path, far: bool) -> None:
+def test_a_cluster_gives_the_bytes_of_a_run_at_home(cluster, four, tmp_path, far):
     if far:
         cluster.far.touch()
     home, there = tmp_path / "home", tmp_path / "there"
@@ -97,9 +94,7 @@ def test_a_cluster_gives_the_bytes_of_a_run_at_home(cluster: Cluster, four: Path
     assert not list((there / STORE).rglob("*.probe"))
 
 
-def test_a_recording_that_kills_its_workers_is_blamed_and_the_others_are_finished(
-    cluster: Cluster, four: Path, tmp_path: Path
-) -> None:
+def test_a_recording_that_kills_its_workers_is_blamed_and_the_others_are_finished(cluster, four, tmp_path):
     cluster.kills.touch()
     out = tmp_path / "out"
     try:
@@ -113,13 +108,13 @@ def test_a_recording_that_kills_its_workers_is_blamed_and_the_others_are_finishe
     assert reused(out) == 3
 
 
-def test_no_scheduler_is_told(four: Path, tmp_path: Path) -> None:
+def test_no_scheduler_is_told(four, tmp_path):
     outcome = crankorder("run", four, "--out", tmp_path / "out", "--scheduler", "tcp://127.0.0.1:9")
     assert outcome.exit_code == 5, outcome.output
     assert "no Dask scheduler" in outcome.output and "dask scheduler" in outcome.output
 
 
-def test_a_cluster_shares_recordings_out_itself(four: Path, tmp_path: Path) -> None:
+def test_a_cluster_shares_recordings_out_itself(four, tmp_path):
     for other in (("--shard", "1/2"), ("--timeout", "5")):
         outcome = crankorder("run", four, "--out", tmp_path / "out", "--scheduler", "tcp://a:1", *other)
         assert outcome.exit_code == 2

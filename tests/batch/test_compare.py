@@ -1,17 +1,12 @@
 """The command `compare`, end to end: one document, whole folders, clear faults, the same bytes."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import jsonschema
 import numpy as np
 import pytest
-from click.testing import Result
 
 from crankorder.batch.result_folder import DONE, finished_with, publish
 from crankorder.quantities import schema_of
@@ -22,12 +17,12 @@ from made.two_tests import made_test, written
 LINES = {1.0: lambda rpm: 0.5 * (rpm / 1000) ** 2, 5.5: lambda rpm: 0.4}
 
 
-def compare(*arguments: object) -> Result:
+def compare(*arguments):
     return crankorder("compare", *arguments)
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+def results(tmp_path_factory):
     """Result folders of a base test, one whose order 5.5 grew by half from run to run, and a balanced one."""
     out = tmp_path_factory.mktemp("results")
     made = {
@@ -42,11 +37,11 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 ADDED = {"mass_g": 2.0, "on": "crank", "radius_mm": 40.0, "angle_deg": 180.0, "cylinder": 0}
 
 
-def document(out: Path) -> dict[str, Any]:
+def document(out):
     return json.loads((out / "comparison.json").read_bytes())
 
 
-def test_a_comparison_is_published_whole_and_says_its_headline(results: dict[str, Path], tmp_path: Path) -> None:
+def test_a_comparison_is_published_whole_and_says_its_headline(results, tmp_path):
     outcome = compare(results["run 0"], results["run 2"], "--out", tmp_path / "c")
     assert outcome.exit_code == 0, outcome.output
     made = document(tmp_path / "c")
@@ -57,13 +52,13 @@ def test_a_comparison_is_published_whole_and_says_its_headline(results: dict[str
     assert finished_with(tmp_path / "c", json.loads((tmp_path / "c" / DONE).read_bytes())["key"])
 
 
-def test_the_document_is_that_of_the_schema_and_json_says_it_alone(results: dict[str, Path], tmp_path: Path) -> None:
+def test_the_document_is_that_of_the_schema_and_json_says_it_alone(results, tmp_path):
     outcome = compare(results["run 0"], results["balanced"], "--out", tmp_path / "c", "--json")
     assert json.loads(outcome.stdout) == document(tmp_path / "c")
     jsonschema.Draft202012Validator(schema_of("comparison")).validate(document(tmp_path / "c"))
 
 
-def test_a_balance_weight_is_recognised_and_weighed(results: dict[str, Path], tmp_path: Path) -> None:
+def test_a_balance_weight_is_recognised_and_weighed(results, tmp_path):
     compare(results["run 0"], results["balanced"], "--out", tmp_path / "c", "--fdr", 0.01)
     made = document(tmp_path / "c")
     assert made["cause"] == {"cause": "unbalance", "orders": [1.0]}
@@ -80,7 +75,7 @@ def test_a_balance_weight_is_recognised_and_weighed(results: dict[str, Path], tm
         assert low < size < high and high - low < 0.1
 
 
-def test_of_several_runs_the_growing_line_is_named(results: dict[str, Path], tmp_path: Path) -> None:
+def test_of_several_runs_the_growing_line_is_named(results, tmp_path):
     outcome = compare(*(results[f"run {k}"] for k in range(3)), "--out", tmp_path / "c")
     made = document(tmp_path / "c")
     grown = [one for one in made["trend"] if one["changed"]]
@@ -93,14 +88,14 @@ def test_of_several_runs_the_growing_line_is_named(results: dict[str, Path], tmp
 
 
 @pytest.mark.slow
-def test_the_datasets_hold_what_the_document_claims(results: dict[str, Path], tmp_path: Path) -> None:
+def test_the_datasets_hold_what_the_document_claims(results, tmp_path):
     compare(results["run 0"], results["run 2"], "--out", tmp_path / "c")
     orders = read_results(tmp_path / "c" / "comparison.nc")["order_change"]
     assert set(orders["order"].values[orders["changed"].values.any(axis=1)]) == {5.5}
 
 
 @pytest.mark.slow
-def test_the_same_tests_give_the_same_bytes(results: dict[str, Path], tmp_path: Path) -> None:
+def test_the_same_tests_give_the_same_bytes(results, tmp_path):
     for name in ("one", "two"):
         compare(results["run 0"], results["run 1"], "--out", tmp_path / name)
     one, two = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("one", "two"))
@@ -108,7 +103,7 @@ def test_the_same_tests_give_the_same_bytes(results: dict[str, Path], tmp_path: 
 
 
 @pytest.mark.slow
-def test_the_out_of_a_run_of_one_test_stands_for_that_test(results: dict[str, Path], tmp_path: Path) -> None:
+def test_the_out_of_a_run_of_one_test_stands_for_that_test(results, tmp_path):
     shutil.copytree(results["run 0"], tmp_path / "again" / "run-0")
     outcome = compare(results["run 0"].parent, tmp_path / "again", "--out", tmp_path / "c")
     assert outcome.exit_code == 0 and "No order changed" in outcome.stdout
@@ -116,16 +111,14 @@ def test_the_out_of_a_run_of_one_test_stands_for_that_test(results: dict[str, Pa
     assert "cannot differ" in same["words"]
 
 
-def test_a_test_beside_itself_is_refused(results: dict[str, Path], tmp_path: Path) -> None:
+def test_a_test_beside_itself_is_refused(results, tmp_path):
     for tests in (("run 0", "run 0"), ("run 0", "run 1", "run 1")):
         outcome = compare(*(results[name] for name in tests), "--out", tmp_path / "c")
         assert outcome.exit_code == 2 and "named twice" in outcome.stderr
     assert not (tmp_path / "c").exists()
 
 
-def test_structures_are_compared_by_their_modes_and_what_shares_nothing_is_told(
-    results: dict[str, Path], tmp_path: Path
-) -> None:
+def test_structures_are_compared_by_their_modes_and_what_shares_nothing_is_told(results, tmp_path):
     for name, hz in (("a", 90.0), ("b", 88.0), ("c", 140.0)):
         ends = {"frequency_hz_ci95": [hz - 0.1, hz + 0.1], "damping_ratio_ci95": [0.009, 0.011]}
         mode = {"frequency_hz": hz, "damping_ratio": 0.01, "explained_by": "mode", **ends}
@@ -140,7 +133,7 @@ def test_structures_are_compared_by_their_modes_and_what_shares_nothing_is_told(
     assert outcome.exit_code == 3 and "modes; run 0: orders" in outcome.stderr
 
 
-def test_results_of_another_version_or_without_maps_are_named(results: dict[str, Path], tmp_path: Path) -> None:
+def test_results_of_another_version_or_without_maps_are_named(results, tmp_path):
     stated = json.loads((results["run 1"] / "run.json").read_bytes())
     files = {name: (results["run 1"] / name).read_bytes() for name in ("results.nc", "findings.json", "run.json")}
     publish(tmp_path / "old", files | {"run.json": json.dumps(stated | {"schema_version": 0}).encode()}, key="k")
@@ -152,7 +145,7 @@ def test_results_of_another_version_or_without_maps_are_named(results: dict[str,
     assert not (tmp_path / "c").exists()
 
 
-def test_faults_of_the_request_are_named_and_nothing_is_written(results: dict[str, Path], tmp_path: Path) -> None:
+def test_faults_of_the_request_are_named_and_nothing_is_written(results, tmp_path):
     base, out = results["run 0"], tmp_path / "c"
     (tmp_path / "empty").mkdir()
     (tmp_path / "two").mkdir()
@@ -172,7 +165,7 @@ def test_faults_of_the_request_are_named_and_nothing_is_written(results: dict[st
     assert not out.exists() and not (base / "inside").exists()
 
 
-def test_damaged_results_are_named(results: dict[str, Path], tmp_path: Path) -> None:
+def test_damaged_results_are_named(results, tmp_path):
     publish(tmp_path / "t", {"results.nc": b"no", "findings.json": b"{}", "run.json": b'{"test": "t"}'}, key="k")
     outcome = compare(results["run 0"], tmp_path / "t", "--out", tmp_path / "c")
     assert outcome.exit_code == 3 and str(tmp_path / "t") in outcome.stderr

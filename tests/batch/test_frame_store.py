@@ -3,7 +3,6 @@
 import json
 import shutil
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from crankorder.stages import RecordingResult, analyse_recording
 from made.command import crankorder
 
 
-def run(*arguments: object):
+def run(*arguments):
     return crankorder("run", *arguments, "--no-pictures")
 
 
@@ -27,12 +26,12 @@ def three(copied):
     return copied(1500, 1600, 1700)
 
 
-def is_result(path: Path) -> bool:
+def is_result(path):
     """Whether two runs must give ``path`` the same bytes."""
     return path.name != "timings.json" and LOGS not in path.parts
 
 
-def assert_same(one: xr.Dataset, other: xr.Dataset) -> None:
+def assert_same(one, other):
     """Equal to the last bit, with the same kinds of attributes in the same order."""
     assert list(one.variables) == list(other.variables) and set(one.coords) == set(other.coords)
     for before, after in ((one, other), *((one[name], other[name]) for name in one.variables)):
@@ -86,7 +85,7 @@ def test_a_damaged_file_is_nothing_kept(three, tmp_path):
     assert store.load("b") is None
 
 
-def counted(monkeypatch, tmp_path) -> Path:
+def counted(monkeypatch, tmp_path):
     """A file that gets a line for each recording that is analysed."""
     real, log = execute.analyse_recording, tmp_path / "analysed.txt"
     log.write_text("")
@@ -137,7 +136,7 @@ def test_clean_removes_what_is_kept_and_nothing_else(three, tmp_path):
     assert "unchanged" in run(three, "--out", tmp_path / "out", "--recipe", "maps").output
 
 
-def everything_in(out: Path) -> dict[Path, bytes]:
+def everything_in(out):
     """All files by their names, but for seconds and what is kept of recordings."""
     files = [path for path in out.rglob("*") if path.is_file() and is_result(path)]
     return {path.relative_to(out): path.read_bytes() for path in files if STORE not in path.parts}

@@ -1,8 +1,5 @@
 """A useless channel is left out alone, a lost stretch alone: the rest of the recording stays in the averages."""
 
-from pathlib import Path
-from typing import Any
-
 import h5py
 import numpy as np
 import pytest
@@ -21,14 +18,14 @@ MANIFEST = manifest(
 )
 
 
-def signals(rpm: float, seed: int) -> np.ndarray:
+def signals(rpm, seed):
     time = np.arange(round(RATE * SECONDS)) / RATE
     rng = np.random.default_rng(seed)
     tones = [a * np.cos(2 * np.pi * k * rpm / 60.0 * time + k) for k, a in ((1, 3.0), (2, 1.0))]
     return np.stack([np.sum(tones, axis=0), 0.5 * np.sum(tones, axis=0)]) + 0.05 * rng.normal(size=(2, time.size))
 
 
-def run(place: Path, spoil: dict[str, np.ndarray]) -> tuple[int, dict, xr.Dataset]:
+def run(place, spoil):
     """Exit status, findings and order map of two recordings in the new folder ``place``, of the first some spoilt."""
     folder, out = place / "in", place / "out"
     folder.mkdir(parents=True)
@@ -43,7 +40,7 @@ def run(place: Path, spoil: dict[str, np.ndarray]) -> tuple[int, dict, xr.Datase
     return outcome.exit_code, findings_in(out), order_map
 
 
-def flag_of(place: Path, kind: str, row: np.ndarray) -> tuple[dict[str, Any], xr.Dataset]:
+def flag_of(place, kind, row):
     """The one flag of a ``kind`` and the order map where ``row`` is channel X of the first recording."""
     status, findings, order_map = run(place, {"X": row})
     [flag] = [flag for flag in findings["quality"] if flag["flag"] == kind]
@@ -54,19 +51,19 @@ def flag_of(place: Path, kind: str, row: np.ndarray) -> tuple[dict[str, Any], xr
 STILL = np.full(round(RATE * SECONDS), 1.5)
 
 
-def spoilt(begin: int, end: int, value: float) -> np.ndarray:
+def spoilt(begin, end, value):
     """Channel X of the first recording, its samples from ``begin`` to ``end`` lost to a ``value``."""
     row = signals(1500.0, 1)[0]
     row[begin:end] = value
     return row
 
 
-def amplitude(order_map: xr.Dataset, rpm: float, channel: str) -> float:
+def amplitude(order_map, rpm, channel):
     rows = order_map["amplitude"].sel(channel=channel).sel(order=1.0, method="nearest")
     return float(rows.values[np.argmin(np.abs(order_map["speed"].values - rpm))])
 
 
-def test_a_dead_channel_is_left_out_alone(tmp_path: Path) -> None:
+def test_a_dead_channel_is_left_out_alone(tmp_path):
     flag, order_map = flag_of(tmp_path, "constant_signal", STILL)
     assert (flag["severity"], flag["left_out"]) == ("bad", "channel")
     assert np.isnan(amplitude(order_map, 1500.0, "X"))
@@ -74,47 +71,41 @@ def test_a_dead_channel_is_left_out_alone(tmp_path: Path) -> None:
     assert amplitude(order_map, 1800.0, "X") == pytest.approx(3.0, rel=0.01)
 
 
-def test_a_lost_stretch_is_left_out_alone(tmp_path: Path) -> None:
+def test_a_lost_stretch_is_left_out_alone(tmp_path):
     flag, order_map = flag_of(tmp_path, "dropout", spoilt(20_000, 22_000, 0.0))
     assert (flag["left_out"], flag["begin"], flag["end"]) == ("stretch", pytest.approx(4.0), pytest.approx(4.4))
     for channel, size in (("X", 3.0), ("Y", 1.5)):
         assert amplitude(order_map, 1500.0, channel) == pytest.approx(size, rel=0.01)
 
 
+SPOILT = [
+    ("dropout", spoilt(20_000, 23_000, 0.7), "channel", "bad"),  # much between sound stretches
+    ("dropout", spoilt(35_000, 50_000, 0.7), "stretch", "bad"),  # at the end
+    pytest.param("silence", spoilt(0, 15_000, 0.0), "stretch", "suspect", marks=pytest.mark.slow),
+    pytest.param("few_levels", np.round(signals(1500.0, 1)[0] / 3.0) * 3.0, "channel", "bad", marks=pytest.mark.slow),
+]
+
+
 @pytest.mark.cases(1)
-@pytest.mark.parametrize(("place", "left_out"), [((20_000, 23_000), "channel"), ((35_000, 50_000), "stretch")])
-def test_a_channel_goes_where_much_is_lost_between_sound_stretches_but_not_at_its_end(
-    tmp_path: Path, place: tuple[int, int], left_out: str
-) -> None:
-    flag, order_map = flag_of(tmp_path, "dropout", spoilt(*place, 0.7))
-    assert (flag["left_out"], flag["severity"]) == (left_out, "bad")
-    assert np.isnan(amplitude(order_map, 1500.0, "X")) == (left_out == "channel")
+@pytest.mark.parametrize(("kind", "row", "left_out", "severity"), SPOILT)
+def test_a_channel_goes_or_a_stretch_of_it_by_how_much_is_lost_and_where(tmp_path, kind, row, left_out, severity):
+    flag, order_map = flag_of(tmp_path, kind, row)
+    assert (flag["left_out"], flag["severity"]) == (left_out, severity)
+    assert kind != "few_levels" or "-3, 0, 3 alone" in flag["detail"]
+    x = amplitude(order_map, 1500.0, "X")
+    assert np.isnan(x) if left_out == "channel" else x == pytest.approx(3.0, rel=0.01)
     assert amplitude(order_map, 1500.0, "Y") == pytest.approx(1.5, rel=0.01)
 
 
 @pytest.mark.slow
-def test_silence_before_the_recording_only_shortens_it(tmp_path: Path) -> None:
-    flag, order_map = flag_of(tmp_path, "silence", spoilt(0, 15_000, 0.0))
-    assert (flag["left_out"], flag["severity"]) == ("stretch", "suspect")
-    assert amplitude(order_map, 1500.0, "X") == pytest.approx(3.0, rel=0.01)
-
-
-@pytest.mark.slow
-def test_a_vibration_of_a_few_steps_of_its_converter_is_left_out(tmp_path: Path) -> None:
-    flag, _ = flag_of(tmp_path, "few_levels", np.round(signals(1500.0, 1)[0] / 3.0) * 3.0)
-    assert (flag["left_out"], flag["severity"]) == ("channel", "bad")
-    assert "-3, 0, 3 alone" in flag["detail"]
-
-
-@pytest.mark.slow
-def test_a_recording_without_a_sound_channel_is_left_out_as_a_whole(tmp_path: Path) -> None:
+def test_a_recording_without_a_sound_channel_is_left_out_as_a_whole(tmp_path):
     status, findings, order_map = run(tmp_path, {"X": STILL, "Y": STILL})
     assert status == 3
     assert not [flag for flag in findings["quality"] if "left_out" in flag]
     assert order_map["speed"].values.min() > 1700.0
 
 
-def test_an_overload_is_left_out_with_its_way_back(tmp_path: Path) -> None:
+def test_an_overload_is_left_out_with_its_way_back(tmp_path):
     since = np.arange(round(RATE * SECONDS)) / RATE - 3.0
     overload = np.where(since < 0.0, 0.0, 100.0 * np.exp(-np.maximum(since, 0.0) / 0.06))
     flag, order_map = flag_of(tmp_path, "iepe_overload", signals(1500.0, 1)[0] + overload)
@@ -124,7 +115,7 @@ def test_an_overload_is_left_out_with_its_way_back(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_channel_of_which_too_much_is_missing_is_left_out_alone(tmp_path: Path) -> None:
+def test_a_channel_of_which_too_much_is_missing_is_left_out_alone(tmp_path):
     holed = spoilt(10_000, 30_000, np.nan)
     flag, order_map = flag_of(tmp_path, "gap", holed)
     assert (flag["severity"], flag["left_out"]) == ("bad", "channel")
@@ -148,7 +139,7 @@ ROTOR = manifest(
 )
 
 
-def findings_of(folder: Path, changed: dict[int, float]) -> dict[str, Any]:
+def findings_of(folder, changed):
     """Findings of a rotor that passes its natural frequency; the gain of Y in each recording ``changed`` is another."""
     rng = np.random.default_rng(5)
     folder.mkdir()
@@ -173,7 +164,7 @@ def findings_of(folder: Path, changed: dict[int, float]) -> dict[str, Any]:
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("factor", [2.0, 10.0, 0.1])
-def test_a_changed_gain_makes_no_natural_frequency(tmp_path: Path, factor: float) -> None:
+def test_a_changed_gain_makes_no_natural_frequency(tmp_path, factor):
     findings = findings_of(tmp_path / "test", {5: factor})
     [flag] = [flag for flag in findings["quality"] if flag["flag"] == "level_jump"]
     assert (flag["recording"], flag["channel"], flag["left_out"]) == ("rec_005.h5", "Y", "channel")

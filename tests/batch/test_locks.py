@@ -5,7 +5,6 @@ import multiprocessing
 import os
 import signal
 import time
-from pathlib import Path
 
 import pytest
 
@@ -16,7 +15,7 @@ from crankorder.errors import EnvironmentFailure
 FORK = multiprocessing.get_context("fork")
 
 
-def add_one(place: Path, rounds: int) -> None:
+def add_one(place, rounds):
     for _ in range(rounds):
         with locked(place):
             count = int(place.read_text())
@@ -36,7 +35,7 @@ def test_four_processes_count_without_losing_one(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["count"]
 
 
-def hold(place: Path, ready) -> None:
+def hold(place, ready):
     with locked(place):
         ready.set()
         time.sleep(600)
@@ -47,7 +46,7 @@ def test_the_lock_of_a_killed_process_is_free_and_the_waiting_one_says_whom_it_w
     holder = FORK.Process(target=hold, args=(tmp_path / "test", ready), daemon=True)
     holder.start()
 
-    def tell(text: str) -> None:
+    def tell(text):
         told.append(text)
         os.kill(holder.pid, signal.SIGKILL)
 
@@ -70,7 +69,7 @@ def test_f7_a_disk_without_locks_is_told_of_where_something_is_written(tmp_path,
     numbers = (errno.ENOLCK, 37, 77, errno.ENOSYS, errno.EOPNOTSUPP)
     left = list(numbers)
 
-    def refused(handle: int, operation: int) -> None:
+    def refused(handle, operation):
         raise OSError(left[0], os.strerror(left.pop(0)))
 
     monkeypatch.setattr(locks.fcntl, "flock", refused)
@@ -81,7 +80,7 @@ def test_f7_a_disk_without_locks_is_told_of_where_something_is_written(tmp_path,
 
 
 def test_f7_a_lock_that_fails_in_another_way_is_no_disk_without_locks(tmp_path, monkeypatch):
-    def refused(handle: int, operation: int) -> None:
+    def refused(handle, operation):
         raise OSError(errno.EIO, os.strerror(errno.EIO))
 
     monkeypatch.setattr(locks.fcntl, "flock", refused)

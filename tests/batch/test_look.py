@@ -1,7 +1,5 @@
 """`check` finds what `run` would find: it reads a bounded part of the samples, and decodes them by the same code."""
 
-from pathlib import Path
-
 import h5py
 import numpy as np
 import pytest
@@ -17,7 +15,7 @@ RATE_HZ, RPM, TEETH, LENGTH_S = 10_000.0, 1500.0, 24, 4.0
 MANIFEST = manifest("*.h5", channels={"acc": {}}, encoder={"source": "encoder", "kind": "square", "pulses_per_rev": 24})
 
 
-def columns(seed: int, *, length_s: float = LENGTH_S, rpm: float = RPM) -> dict[str, np.ndarray]:
+def columns(seed, *, length_s=LENGTH_S, rpm=RPM):
     """Signal of order 2 with noise, and the trace of a wheel."""
     rng = np.random.default_rng(seed)
     turns = rpm / 60.0 * np.arange(int(length_s * RATE_HZ)) / RATE_HZ
@@ -25,19 +23,19 @@ def columns(seed: int, *, length_s: float = LENGTH_S, rpm: float = RPM) -> dict[
     return {"acc": acc, "encoder": ((turns + rng.random()) * TEETH % 1.0 < 0.5).astype(float)}
 
 
-def write(folder: Path, made: dict[str, np.ndarray], name: str = "a.h5") -> None:
+def write(folder, made, name="a.h5"):
     with h5py.File(folder / name, "w") as file:
         file.attrs["rate_hz"] = RATE_HZ
         for key, values in made.items():
             file.create_dataset(key, data=values)
 
 
-def called(*arguments: object) -> tuple[int, str]:
+def called(*arguments):
     outcome = crankorder(*arguments)
     return outcome.exit_code, outcome.output
 
 
-def as_csv(folder: Path, made: dict[str, np.ndarray]) -> None:
+def as_csv(folder, made):
     table = np.column_stack([np.round(np.arange(40_000) / RATE_HZ, 3), made["acc"], made["encoder"]])
     np.savetxt(folder / "a.csv", table, delimiter=",", header="t,acc,encoder", comments="", fmt="%.6f")
 

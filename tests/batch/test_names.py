@@ -1,13 +1,11 @@
 """Recordings are called by their paths inside the folder: files of one name in several folders stay apart."""
 
 import json
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 import xarray as xr
-from click.testing import Result
 
 from crankorder.batch.changed_gains import short_recordings
 from crankorder.quantities import ShaftAngle
@@ -18,11 +16,11 @@ from made.recordings import manifest
 SPEEDS = {"a/x.h5": 1500.0, "b/x.h5": 2100.0, "x.h5": 1800.0}
 
 
-def run(*arguments: object) -> Result:
+def run(*arguments):
     return crankorder("run", *arguments, "--recipe", "maps", "--no-pictures")
 
 
-def campaign(folder: Path, speeds: dict[str, float]) -> Path:
+def campaign(folder, speeds):
     """Three recordings called ``x.h5``, each of order 1 at its own speed; the manifest states ``speeds``."""
     for name, rpm in SPEEDS.items():
         path = folder / name
@@ -38,7 +36,7 @@ def campaign(folder: Path, speeds: dict[str, float]) -> Path:
     return folder
 
 
-def test_files_of_one_name_have_their_own_speeds_and_rows(tmp_path: Path) -> None:
+def test_files_of_one_name_have_their_own_speeds_and_rows(tmp_path):
     done = run(campaign(tmp_path / "in", SPEEDS), "--out", tmp_path / "out")
     assert done.exit_code == 0, done.output
     with xr.open_dataset(tmp_path / "out" / "names" / "results.nc", group="shaft", engine="h5netcdf") as shaft:
@@ -48,7 +46,7 @@ def test_files_of_one_name_have_their_own_speeds_and_rows(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
-def test_faults_tell_which_of_them(tmp_path: Path) -> None:
+def test_faults_tell_which_of_them(tmp_path):
     folder = campaign(tmp_path / "in", SPEEDS)
     (folder / "b" / "x.h5").write_bytes(b"")
     done = run(folder, "--out", tmp_path / "out")
@@ -60,7 +58,7 @@ def test_faults_tell_which_of_them(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_speed_is_stated_for_a_whole_path(tmp_path: Path) -> None:
+def test_a_speed_is_stated_for_a_whole_path(tmp_path):
     folder = campaign(tmp_path / "in", {"a/x.h5": 1500.0, "x.h5": 1800.0})
     done = run(folder, "--out", tmp_path / "out")
     assert done.exit_code == 3
@@ -72,12 +70,12 @@ def test_a_speed_is_stated_for_a_whole_path(tmp_path: Path) -> None:
         assert "a speed is stated for no recording" in told.output and "c/x.h5" in told.output
 
 
-def test_two_speeds_for_one_path_are_refused(tmp_path: Path) -> None:
+def test_two_speeds_for_one_path_are_refused(tmp_path):
     told = crankorder("check", campaign(tmp_path / "in", {**SPEEDS, "b\\x.h5": 900.0}))
     assert told.exit_code != 0 and "two speeds are stated for b/x.h5" in told.output
 
 
-def test_a_folder_without_a_manifest_stops_no_other(tmp_path: Path) -> None:
+def test_a_folder_without_a_manifest_stops_no_other(tmp_path):
     sound, other = campaign(tmp_path / "in", SPEEDS), tmp_path / "notes"
     other.mkdir()
     done = run(other, sound, "--out", tmp_path / "out")
@@ -91,7 +89,7 @@ def test_a_folder_without_a_manifest_stops_no_other(tmp_path: Path) -> None:
 # A recording that lost its end is told by the others of its test.
 
 
-def lasting(*lengths_s: float) -> list[RecordingResult]:
+def lasting(*lengths_s):
     return [
         RecordingResult(
             ShaftAngle(xr.Dataset({"time": ("knot", np.linspace(0.1, 0.1 + length, 50))}, attrs={"recording": f"{k}"})),
@@ -101,12 +99,12 @@ def lasting(*lengths_s: float) -> list[RecordingResult]:
     ]
 
 
-def test_a2_a_recording_that_is_shorter_than_all_others_is_told() -> None:
+def test_a2_a_recording_that_is_shorter_than_all_others_is_told():
     [flag] = short_recordings(lasting(5.0, 5.02, 4.99, 3.1, 5.0, 5.0))
     assert (flag["recording"], flag["flag"], flag["severity"]) == ("3", "shorter_than_others", "info")
     assert "3.1 s" in flag["detail"] and "5 s" in flag["detail"]
 
 
-def test_lengths_that_differ_anyway_say_nothing() -> None:
+def test_lengths_that_differ_anyway_say_nothing():
     for lengths in ((5.0, 5.0, 3.0), (5.0, 7.0, 3.0, 9.0), (5.0, 5.05, 4.95, 4.9), (0.0,) * 5, ()):
         assert short_recordings(lasting(*lengths)) == [], lengths

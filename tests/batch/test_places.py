@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 
@@ -16,7 +15,7 @@ from made.command import crankorder
 from made.processes import started
 
 
-def run(*arguments: object):
+def run(*arguments):
     return crankorder("run", *arguments, "--recipe", "maps", "-q", "--no-pictures")
 
 
@@ -38,11 +37,11 @@ def two(made, tmp_path):
     return folders
 
 
-def owners(out: Path) -> dict[str, str]:
+def owners(out):
     return {path.parent.name: json.loads(path.read_bytes())["input"]["folder"] for path in out.glob("*/done.json")}
 
 
-def everything(out: Path) -> dict[Path, bytes]:
+def everything(out):
     """All files of ``out`` but the logs, by their paths in it."""
     found = [path for path in out.rglob("*") if path.is_file() and LOGS not in path.parts]
     return {path.relative_to(out): path.read_bytes() for path in found}

@@ -21,14 +21,14 @@ OLD = {"a.json": b"old {}\n", "b.png": b"old \x89PNG" * 50, "gone.png": b"old"}
 NEW = {"a.json": b"{}\n", "b.png": b"\x89PNG" * 50}
 
 
-def held(folder: Path) -> dict[str, bytes]:
+def held(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != DONE}
 
 
 class FailsAt:
     """A call in whose place another stands that fails once, the ``number``-th time, with the error ``fault``."""
 
-    def __init__(self, real, number: int, fault: int) -> None:
+    def __init__(self, real, number, fault):
         self.real, self.left, self.fault = real, number, fault
 
     def __call__(self, *arguments, **named):
@@ -38,7 +38,7 @@ class FailsAt:
         return self.real(*arguments, **named)
 
     @property
-    def reached(self) -> bool:
+    def reached(self):
         return self.left < 0
 
 
@@ -67,7 +67,7 @@ MOST_CALLS = 60
 
 
 @contextlib.contextmanager
-def failing(monkeypatch, call: str, number: int, fault: int):
+def failing(monkeypatch, call, number, fault):
     """While this lasts, the ``number``-th ``call`` of the system fails."""
     name, kind = ("fdopen", HalfWritten) if call == "half a write" else (call, FailsAt)
     made = kind(getattr(os, name), number, fault)

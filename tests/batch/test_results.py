@@ -57,14 +57,6 @@ def test_maps_alone_make_page_and_index_and_say_that_findings_were_not_asked_for
 
 
 @pytest.mark.slow
-def test_an_order_map_alone_reads_only_the_band_of_its_orders(two_speeds, tmp_path):
-    out = tmp_path / "out"
-    done("run", two_speeds, "--out", out, "--recipe", recipe(tmp_path, "order_map"), "-q")
-    assert "campbell_map" not in groups_in(out)
-    assert not list(out.glob("*/campbell_*.png"))
-
-
-@pytest.mark.slow
 def test_tracks_without_findings_follow_the_orders_that_were_named(two_speeds, tmp_path):
     path = tmp_path / "tracks.toml"
     path.write_text('[report]\nresults = ["order_tracks"]\n[orders]\ntrack_orders = [1.0, 2.0]\n')

@@ -3,14 +3,11 @@
 import errno
 import json
 import logging
-from pathlib import Path
-
-import pytest
 
 from crankorder.batch.run_log import KEPT_LOGS, LOGGER, LOGS, logged, tell
 
 
-def test_a_line_for_each_event_as_text_or_as_json(tmp_path: Path) -> None:
+def test_a_line_for_each_event_as_text_or_as_json(tmp_path):
     with logged(tmp_path, as_json=True) as path:
         tell("left out", level=logging.WARNING, recording="a\x1b\nb\u202e", why=ValueError("no"))
         tell("test ended", seconds={"hash": 0.5})
@@ -30,7 +27,7 @@ def test_a_line_for_each_event_as_text_or_as_json(tmp_path: Path) -> None:
     assert "INFO left out: recording a\\x1b\\x0ab" in line and "\u202e" not in line
 
 
-def test_outside_of_a_run_nothing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_outside_of_a_run_nothing_is_said(tmp_path, capsys):
     tell("left out", level=logging.WARNING, why="a")
     with logged(tmp_path, as_json=False) as path:
         pass
@@ -39,16 +36,14 @@ def test_outside_of_a_run_nothing_is_said(tmp_path: Path, capsys: pytest.Capture
     assert [type(one) for one in LOGGER.handlers] == [logging.NullHandler]
 
 
-def test_a_full_disk_ends_the_log_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_full_disk_ends_the_log_alone(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").write_text("")
     with logged(tmp_path / "file", as_json=False) as path:
         tell("left out")
     assert path is None
     with logged(tmp_path, as_json=False):
 
-        def full(*unused: object) -> None:
+        def full(*unused):
             raise OSError(errno.ENOSPC, "No space left on device")
 
         (handler,) = [one for one in LOGGER.handlers if isinstance(one, logging.FileHandler)]
@@ -58,7 +53,7 @@ def test_a_full_disk_ends_the_log_alone(
     assert capsys.readouterr().err == ""
 
 
-def test_only_the_newest_logs_stay(tmp_path: Path) -> None:
+def test_only_the_newest_logs_stay(tmp_path):
     (tmp_path / LOGS).mkdir()
     for number in range(KEPT_LOGS + 5):
         (tmp_path / LOGS / f"2000{number:04d}.log").write_text("")

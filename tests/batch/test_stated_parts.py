@@ -1,7 +1,5 @@
 """A line is a stated part's only where the data and the statement put it: from files to the report's first sentence."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -22,7 +20,7 @@ MANIFEST = manifest(
 LONG = 'title = "Long"\ndescription = "Long frames."\n[orders]\nmax_order = 8.0\nrevs_per_frame = 400\noverlap = 0.5\n'
 
 
-def written(folder: Path, form: str, lines: dict[float, float]) -> Path:
+def written(folder, form, lines):
     folder.mkdir()
     rng = np.random.default_rng(3)
     time = np.arange(int(180 * RATE_HZ)) / RATE_HZ
@@ -41,7 +39,7 @@ def written(folder: Path, form: str, lines: dict[float, float]) -> Path:
 
 
 @pytest.mark.parametrize("form", ["csv", "mat"])
-def test_blades_name_their_own_lines_alone_in_every_format(form: str, tmp_path: Path) -> None:
+def test_blades_name_their_own_lines_alone_in_every_format(form, tmp_path):
     lines = {3 * TURNS: 0.2, 9 * TURNS: 0.3, 0.262: 0.5, 0.7449: 0.1}
     folder = written(tmp_path / "in", form, lines)
     findings = analysed(folder, tmp_path / "out", "--recipe", tmp_path / "long.toml")

@@ -4,8 +4,7 @@ import doctest
 import importlib
 import json
 import pkgutil
-import subprocess
-import sys
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -21,27 +20,28 @@ TIME = np.arange(int(6.0 * RATE_HZ)) / RATE_HZ
 TURNS = TIME * SPEED_RPM / 60.0
 
 
-def line(order: float, amplitude: float, phase_deg: float = 0.0) -> np.ndarray:
+def line(order, amplitude, phase_deg=0.0):
     """Signal of a line, its phase from top dead centre at the first sample."""
     return amplitude * np.cos(2.0 * np.pi * order * TURNS + np.radians(phase_deg))
 
 
-def square(per_rev: float) -> np.ndarray:
+def square(per_rev):
     """Voltage of an encoder with ``per_rev`` pulses, one of which begins at top dead centre."""
     return np.where((TURNS * per_rev + 0.25) % 1.0 < 0.5, 5.0, 0.0)
 
 
-def test_every_example_is_executed_and_holds() -> None:
+def test_every_example_is_executed_and_holds(monkeypatch):
+    monkeypatch.setenv("MPLBACKEND", "agg")
     faulty = []
-    for name in co.__all__:
-        found = doctest.DocTestFinder(recurse=False).find(getattr(co, name), name)
+    for name in (*co.__all__, "plot", *(f"plot.{one}" for one in co.plot.__all__)):
+        found = doctest.DocTestFinder(recurse=False).find(attrgetter(name)(co), name)
         outcomes = [doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(one) for one in found if one.examples]
         if len(outcomes) != 1 or outcomes[0].failed:
             faulty.append(name)
     assert faulty == []
 
 
-def test_no_room_takes_the_place_of_a_function() -> None:
+def test_no_room_takes_the_place_of_a_function():
     for room in pkgutil.iter_modules(co.__path__):
         if room.name != "__main__":
             importlib.import_module(f"crankorder.{room.name}")
@@ -51,13 +51,7 @@ def test_no_room_takes_the_place_of_a_function() -> None:
     assert co.__version__.count(".") >= 1
 
 
-def test_the_import_loads_nothing_heavy() -> None:
-    code = "import sys, crankorder; print(*(n for n in ('numpy', 'xarray', 'scipy', 'pydantic') if n in sys.modules))"
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert result.stdout.split() == []
-
-
-def test_a_name_that_is_not_there_is_told_with_those_that_are() -> None:
+def test_a_name_that_is_not_there_is_told_with_those_that_are():
     with pytest.raises(AttributeError, match=r"no attribute 'ordermap'.*order_map"):
         getattr(co, "ordermap")  # noqa: B009
 
@@ -72,7 +66,7 @@ TOLD = {
 
 
 @pytest.mark.parametrize("told", TOLD)
-def test_lines_have_their_amplitude_however_the_shaft_is_told(told: str) -> None:
+def test_lines_have_their_amplitude_however_the_shaft_is_told(told):
     signals = {"a": line(2.0, 3.0) + line(5.0, 0.5), "b": line(2.0, 0.25)}
     made = co.recording(signals, rate_hz=RATE_HZ, **TOLD[told])
     shown = co.order_map(made, max_order=8.0)["amplitude"].squeeze("speed")
@@ -80,7 +74,7 @@ def test_lines_have_their_amplitude_however_the_shaft_is_told(told: str) -> None
         assert float(shown.sel(channel=channel, order=order)) == pytest.approx(amplitude, rel=2e-3)
 
 
-def test_phases_count_from_the_mark_and_its_angle_to_top_dead_centre() -> None:
+def test_phases_count_from_the_mark_and_its_angle_to_top_dead_centre():
     marks = np.arange(0.0, 6.0, 60.0 / SPEED_RPM)
     for to_tdc_deg in (0.0, 30.0):
         told = TOLD["pulse times"] | {"index": marks, "index_to_tdc_deg": to_tdc_deg}
@@ -89,20 +83,20 @@ def test_phases_count_from_the_mark_and_its_angle_to_top_dead_centre() -> None:
         assert float(tracks["phase"].item()) == pytest.approx(40.0 + 2.0 * to_tdc_deg, abs=0.3)
 
 
-def test_pulses_that_change_are_worked_out_anew() -> None:
+def test_pulses_that_change_are_worked_out_anew():
     made = co.recording(line(2.0, 1.0), rate_hz=RATE_HZ, **TOLD["pulse times"])
     first = float(co.order_map(made)["speed"].mean())
     made["pulse_time"].values[:] *= 1.25
     assert float(co.order_map(made)["speed"].mean()) == pytest.approx(first / 1.25)
 
 
-def test_samples_by_crank_angle_need_no_speed() -> None:
+def test_samples_by_crank_angle_need_no_speed():
     turns = np.arange(360 * 40) / 360.0
     made = co.recording(np.cos(2 * np.pi * 3.5 * turns), samples_per_rev=360, cycle="four-stroke")
     assert float(co.order_map(made)["amplitude"].sel(order=3.5).item()) == pytest.approx(1.0, rel=1e-3)
 
 
-def test_the_arrays_of_the_caller_stay_as_they_are() -> None:
+def test_the_arrays_of_the_caller_stay_as_they_are():
     signal = line(1.0, 1.0)
     signal[1000:1003] = np.nan
     kept = signal.copy()
@@ -111,7 +105,7 @@ def test_the_arrays_of_the_caller_stay_as_they_are() -> None:
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A test-run folder with two recordings of a rotor at two speeds, an order that slips, and a manifest."""
     made = tmp_path_factory.mktemp("rotor")
     rng = np.random.default_rng(4)
@@ -129,7 +123,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def test_recordings_in_memory_give_what_their_files_give(folder: Path, tmp_path: Path) -> None:
+def test_recordings_in_memory_give_what_their_files_give(folder, tmp_path):
     on_disk = co.run(folder, out=tmp_path / "out", jobs=1)
     recordings = co.read(folder)
     assert [one.attrs["recording"] for one in recordings] == ["1200.csv", "1800.csv"]
@@ -148,16 +142,7 @@ def test_recordings_in_memory_give_what_their_files_give(folder: Path, tmp_path:
     xr.testing.assert_identical(again["order_map"].to_dataset(), on_disk["order_map"].to_dataset())
 
 
-@pytest.mark.slow
-def test_two_builds_are_compared_by_their_folders(folder: Path, tmp_path: Path) -> None:
-    for name in ("base", "new"):
-        co.run(folder, out=tmp_path / name, recipe="maps", jobs=1)
-    made = co.compare(tmp_path / "base", tmp_path / "new", out=tmp_path / "comparison")
-    assert made["headline"][0].startswith("No order changed")
-    assert (tmp_path / "comparison" / "comparison.json").is_file()
-
-
-def test_a_damaged_file_is_left_out_with_a_warning(folder: Path, tmp_path: Path) -> None:
+def test_a_damaged_file_is_left_out_with_a_warning(folder, tmp_path):
     bad = tmp_path / "with a bad one"
     bad.mkdir()
     for file in folder.iterdir():
@@ -171,7 +156,7 @@ def test_a_damaged_file_is_left_out_with_a_warning(folder: Path, tmp_path: Path)
     assert tree["order_map"].sizes["speed"] == 1
 
 
-def test_what_a_bearing_is_made_of_is_said_as_in_a_manifest() -> None:
+def test_what_a_bearing_is_made_of_is_said_as_in_a_manifest():
     made = co.recording(line(1.0, 1.0), rate_hz=RATE_HZ, speed_rpm=SPEED_RPM)
     with pytest.raises(ManyErrors, match=r"bearings\.0"):
         co.diagnose(made, bearings=[{"name": "front", "balls": 9}])
@@ -179,12 +164,12 @@ def test_what_a_bearing_is_made_of_is_said_as_in_a_manifest() -> None:
         co.envelope(made)
 
 
-def made_of(signals: object, **options: object) -> xr.Dataset:
+def made_of(signals, **options):
     """A Recording at the speed and rate of this file."""
     return co.recording(signals, **{"rate_hz": RATE_HZ, "speed_rpm": SPEED_RPM, **options})
 
 
-def test_channels_are_joined_by_their_names_and_those_of_others_are_refused() -> None:
+def test_channels_are_joined_by_their_names_and_those_of_others_are_refused():
     x, z = line(1.0, 1.0), line(1.0, 2.0)
     first = made_of({"X": x, "Z": z})
     shown = co.order_map([first, made_of({"Z": z, "X": x}, speed_rpm=1800.0)])["amplitude"].sel(
@@ -201,7 +186,7 @@ def test_channels_are_joined_by_their_names_and_those_of_others_are_refused() ->
 
 
 @pytest.mark.parametrize("recipe", ["maps", None])
-def test_results_in_memory_are_saved_and_opened_as_any_tree(recipe: str | None, tmp_path: Path) -> None:
+def test_results_in_memory_are_saved_and_opened_as_any_tree(recipe, tmp_path):
     tree = co.run(made_of(line(1.0, 1.0) + 0.01 * np.random.default_rng(1).standard_normal(len(TIME))), recipe=recipe)
     tree.to_netcdf(tmp_path / "saved.nc", engine="h5netcdf")
     again = co.open(tmp_path / "saved.nc")
@@ -209,7 +194,7 @@ def test_results_in_memory_are_saved_and_opened_as_any_tree(recipe: str | None, 
     np.testing.assert_array_equal(again["order_map/amplitude"].values, tree["order_map/amplitude"].values)
 
 
-def test_numbers_of_any_type_are_numbers() -> None:
+def test_numbers_of_any_type_are_numbers():
     pulses = np.arange(0.0, 6.0, 60.0 / SPEED_RPM / 60).astype(np.float32)
     made = co.recording(
         line(3.0, 1.0).astype(np.float32), rate_hz=np.array(RATE_HZ), pulse_times_s=pulses, pulses_per_rev=np.int64(60)
@@ -221,7 +206,7 @@ def test_numbers_of_any_type_are_numbers() -> None:
         assert float(tracks.sel(order=3.0).item()) == pytest.approx(1.0, rel=2e-3)
 
 
-def test_tables_and_named_arrays_keep_their_names_and_masks_are_gaps() -> None:
+def test_tables_and_named_arrays_keep_their_names_and_masks_are_gaps():
     array = xr.DataArray(np.stack([line(1.0, 1.0), line(1.0, 2.0)], axis=1), dims=("time", "channel"))
     assert made_of(array.assign_coords(channel=["a", "b"]))["channel"].values.tolist() == ["a", "b"]
     assert made_of(xr.DataArray(line(1.0, 1.0), dims="time", name="housing"))["channel"].values.tolist() == ["housing"]
@@ -229,7 +214,7 @@ def test_tables_and_named_arrays_keep_their_names_and_masks_are_gaps() -> None:
     assert "gap" in made_of(masked).attrs["quality"] or "missing" in made_of(masked).attrs["quality"]
 
 
-def test_time_series_of_sdypy_say_their_rate_and_units() -> None:
+def test_time_series_of_sdypy_say_their_rate_and_units():
     one = {"name": "a", "data": line(3.0, 1.0), "unit_str": "g", "fs": RATE_HZ, "quantity": "acc"}
     other = {"name": "b", "data": line(1.0, 2.0), "unit_str": "", "time": TIME + 5.0}
     made = co.recording([one, other], speed_rpm=SPEED_RPM)
@@ -250,7 +235,7 @@ def test_time_series_of_sdypy_say_their_rate_and_units() -> None:
         co.recording([one], rate_hz=50.0, speed_rpm=SPEED_RPM)
 
 
-def test_what_is_suspect_is_warned_of() -> None:
+def test_what_is_suspect_is_warned_of():
     pulses = np.arange(0.0, 6.0, 60.0 / SPEED_RPM / 60)
     gapped = pulses[(np.arange(len(pulses)) % 60) < 58]
     made = co.recording(line(3.0, 1.0), rate_hz=RATE_HZ, pulse_times_s=gapped, pulses_per_rev=58)
@@ -260,7 +245,7 @@ def test_what_is_suspect_is_warned_of() -> None:
         assert {Path(one.filename) for one in told} == {Path(__file__)}
 
 
-def test_what_is_no_results_file_is_told(folder: Path, tmp_path: Path) -> None:
+def test_what_is_no_results_file_is_told(folder, tmp_path):
     (tmp_path / "results.nc").write_bytes(b"no netcdf")
     for path in (tmp_path, folder / "run.toml"):
         with pytest.raises(InputError, match="results"):
@@ -286,20 +271,20 @@ REFUSED = {
 }
 
 
-def test_arguments_that_cannot_be_are_refused_with_what_they_are() -> None:
+def test_arguments_that_cannot_be_are_refused_with_what_they_are():
     for options, said in REFUSED.values():
         speed = {} if {"speed_rpm", "encoder", "pulse_times_s"} & set(options) else {"speed_rpm": 1500.0}
         with pytest.raises((RequestError, ManyErrors, InputError), match=said):
             co.recording(line(1.0, 1.0), **{"rate_hz": RATE_HZ, **speed, **options})
 
 
-def test_signals_that_are_none_are_refused() -> None:
+def test_signals_that_are_none_are_refused():
     for signals in ([[1.0j] * 9], np.zeros((2, 3, 4)), ["a", "b"], [], {}, np.zeros((40, 3)), [[1.0, 2.0], [3.0]]):
         with pytest.raises((RequestError, InputError)):
             co.recording(signals, rate_hz=RATE_HZ, speed_rpm=SPEED_RPM)
 
 
-def test_only_recordings_have_maps() -> None:
+def test_only_recordings_have_maps():
     for given, said in (
         ("a folder", "not a Recording"),
         (None, "not a Recording"),
@@ -315,17 +300,17 @@ def test_only_recordings_have_maps() -> None:
             co.order_map(made_of(line(1.0, 1.0)), **options)
 
 
-def test_tracks_by_least_squares_are_refused_for_vold_kalman() -> None:
+def test_tracks_by_least_squares_are_refused_for_vold_kalman():
     with pytest.raises(ManyErrors, match=r'orders\.track_method: there are no .* set "vold_kalman"'):
         co.order_tracks(made_of(line(1.0, 1.0)), orders=[2.0], method="least_squares")
 
 
-def test_recordings_of_one_name_stay_apart() -> None:
+def test_recordings_of_one_name_stay_apart():
     made = [co.recording(line(1.0, 1.0), rate_hz=RATE_HZ, speed_rpm=rpm) for rpm in (1200.0, 1500.0)]
     assert co.run(made, recipe="maps")["shaft"]["recording"].values.tolist() == ["recording", "recording (2)"]
 
 
-def test_folders_need_a_place_for_results_and_recordings_none(folder: Path, tmp_path: Path) -> None:
+def test_folders_need_a_place_for_results_and_recordings_none(folder, tmp_path):
     with pytest.raises(RequestError, match="out"):
         co.run(folder)
     with pytest.raises(RequestError, match="write no file"):
@@ -340,7 +325,7 @@ def test_folders_need_a_place_for_results_and_recordings_none(folder: Path, tmp_
         co.compare(tmp_path, tmp_path, fdr=2.0)
 
 
-def test_a_notebook_shows_what_matters_and_escapes_what_files_say() -> None:
+def test_a_notebook_shows_what_matters_and_escapes_what_files_say():
     hostile = "<script>alert(1)</script>"
     rng = np.random.default_rng(3)
     signal = line(3.0, 2.0) + 0.1 * rng.standard_normal(TIME.size)
@@ -357,7 +342,7 @@ def test_a_notebook_shows_what_matters_and_escapes_what_files_say() -> None:
 
 
 @pytest.mark.slow
-def test_a_folder_of_tests_opens_as_a_table_of_them(tmp_path: Path) -> None:
+def test_a_folder_of_tests_opens_as_a_table_of_them(tmp_path):
     folders = [
         *co.synthesise("hard-two-revolutions", tmp_path / "slow", quick=True),
         *co.synthesise("hard-close-orders", tmp_path / "close", quick=True),

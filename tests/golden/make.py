@@ -1,7 +1,5 @@
 """Keep what the program gives: ``python tests/golden/make.py [NAME …]`` says what moved and writes it."""
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -18,13 +16,9 @@ from golden.summary import Summary, differences, summary_of  # noqa: E402
 SUMMARIES = Path(__file__).parent / "summaries"
 
 SCENES = {
-    "thesis-second-motoring": "held speeds",
-    "run-up": "a sweep",
-    "bearing-growth": "a bearing",
-    "thesis-second-firing": "firing",
-    "hard-damaged-line": "a damaged encoder",
-    "two-shafts": "a second shaft",
-}
+    "thesis-second-motoring": "held speeds", "run-up": "a sweep", "bearing-growth": "a bearing",
+    "thesis-second-firing": "firing", "hard-damaged-line": "a damaged encoder", "two-shafts": "a second shaft",
+}  # fmt: skip
 """Scenes that are kept, with what each stands for; all of them give the same with AVX2 and AVX-512 kernels."""
 
 

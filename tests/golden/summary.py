@@ -1,7 +1,5 @@
 """What is kept of a run, small enough to commit, and how two such summaries differ."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

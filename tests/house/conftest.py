@@ -1,7 +1,5 @@
 """The project's own files, as the house tests read them."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 from dataclasses import dataclass
@@ -20,7 +18,7 @@ class Source:
 
 
 @pytest.fixture(scope="session")
-def project_files(project_root: Path) -> list[Path]:
+def project_files(project_root):
     """Every file that is or would be committed, from the project's folder."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
     try:
@@ -33,7 +31,7 @@ def project_files(project_root: Path) -> list[Path]:
 
 
 @pytest.fixture(scope="session")
-def python_files(project_root: Path, project_files: list[Path]) -> list[Source]:
+def python_files(project_root, project_files):
     """Every Python file of the project."""
     sources = []
     for path in project_files:
@@ -44,7 +42,7 @@ def python_files(project_root: Path, project_files: list[Path]) -> list[Source]:
 
 
 @pytest.fixture(scope="session")
-def package_files(python_files: list[Source]) -> list[Source]:
+def package_files(python_files):
     """The Python files of the package."""
     found = [source for source in python_files if source.path.parts[:2] == ("src", "crankorder")]
     assert len(found) > 10, "the package's files were not found"

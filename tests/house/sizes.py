@@ -1,7 +1,5 @@
 """Lines of code by room, and the sizes that only fall: ``python tests/house/sizes.py`` writes smaller ones."""
 
-from __future__ import annotations
-
 import argparse
 import ast
 import io
@@ -28,14 +26,9 @@ HEAD = """\
 """
 
 SILENT = {
-    tokenize.COMMENT,
-    tokenize.NL,
-    tokenize.NEWLINE,
-    tokenize.INDENT,
-    tokenize.DEDENT,
-    tokenize.ENCODING,
+    tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENCODING,
     tokenize.ENDMARKER,
-}
+}  # fmt: skip
 
 
 def code_lines(text: str, tree: ast.Module) -> set[int]:

@@ -1,10 +1,6 @@
 """What the documentation says is true of the program: keys, rooms, numbers."""
 
-from __future__ import annotations
-
 import re
-from collections.abc import Iterator
-from pathlib import Path
 from typing import get_args
 
 from pydantic import BaseModel, ValidationError
@@ -15,14 +11,14 @@ NEVER_STATED = ("points",)
 """Keys of a manifest's models that the program fills in."""
 
 
-def _models(annotation: object) -> Iterator[type[BaseModel]]:
+def _models(annotation):
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         yield annotation
     for inner in get_args(annotation):
         yield from _models(inner)
 
 
-def _keys(model: type[BaseModel]) -> Iterator[tuple[type[BaseModel], str]]:
+def _keys(model):
     """Every key that a file of ``model`` may state but tables of the manifest itself, with the model that has it."""
     for name, field in model.model_fields.items():
         inner = list(_models(field.annotation))
@@ -32,7 +28,7 @@ def _keys(model: type[BaseModel]) -> Iterator[tuple[type[BaseModel], str]]:
             yield from _keys(kind)
 
 
-def test_each_key_of_a_manifest_has_a_meaning_and_an_example_that_is_valid() -> None:
+def test_each_key_of_a_manifest_has_a_meaning_and_an_example_that_is_valid():
     keys, offenders = list(_keys(Manifest)), []
     assert {model.__name__ for model, _ in keys} >= {"Manifest", "Test", "Channel", "Encoder", "Bearing", "PathMode"}
     for model, name in keys:
@@ -59,7 +55,7 @@ WITHOUT_METHOD = {"report", "plot", "interchange"}
 """Rooms that show or hand on what others have found."""
 
 
-def test_each_room_has_a_page_of_its_method_that_states_errors_or_sources(project_root: Path) -> None:
+def test_each_room_has_a_page_of_its_method_that_states_errors_or_sources(project_root):
     package = project_root / "src" / "crankorder"
     rooms = {path.parent.relative_to(package).as_posix() for path in package.glob("*/**/__init__.py")}
     assert {room for room in rooms if room.partition("/")[0] not in WITHOUT_METHOD} == set(METHOD_PAGES)
@@ -68,7 +64,7 @@ def test_each_room_has_a_page_of_its_method_that_states_errors_or_sources(projec
         assert f"`{room.replace('/', '.')}`" in text, f"method/{name}.md does not name its room {room}"
 
 
-def test_the_readme_can_be_read_at_once_and_its_links_lead_somewhere(project_root: Path) -> None:
+def test_the_readme_can_be_read_at_once_and_its_links_lead_somewhere(project_root):
     readme = (project_root / "README.md").read_text(encoding="utf-8")
     assert len(readme.splitlines()) < 150
     ways = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", readme)
@@ -76,7 +72,7 @@ def test_the_readme_can_be_read_at_once_and_its_links_lead_somewhere(project_roo
     assert not [way for way in ways if not (project_root / way).exists()]
 
 
-def test_every_page_of_the_documentation_is_in_a_table_of_contents(project_root: Path) -> None:
+def test_every_page_of_the_documentation_is_in_a_table_of_contents(project_root):
     """A page that is in none has no way to it, and ends the building with a warning."""
     docs = project_root / "docs"
     entries = "\n".join(
@@ -89,7 +85,7 @@ def test_every_page_of_the_documentation_is_in_a_table_of_contents(project_root:
     assert all(list(docs.glob(f"{name}.md")) for name in named)
 
 
-def test_pages_that_are_executed_are_executed_in_short_too(project_root: Path) -> None:
+def test_pages_that_are_executed_are_executed_in_short_too(project_root):
     """What only the whole building executes may fail unseen for weeks."""
     makefile = (project_root / "Makefile").read_text(encoding="utf-8")
     short = re.search(r"^docs-short:.*\n\t.*executed\.py (.*)$", makefile, re.MULTILINE)

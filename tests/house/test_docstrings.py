@@ -1,15 +1,12 @@
 """Everything public says what it is, and names each of its parameters."""
 
-from __future__ import annotations
-
 import ast
 import re
-from collections.abc import Iterator
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 
-def _public(body: list[ast.stmt], owner: str = "") -> Iterator[tuple[str, Function | ast.ClassDef]]:
+def _public(body, owner=""):
     for node in body:
         if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef) or node.name.startswith("_"):
             continue
@@ -18,28 +15,28 @@ def _public(body: list[ast.stmt], owner: str = "") -> Iterator[tuple[str, Functi
             yield from _public(node.body, f"{owner}{node.name}.")
 
 
-def _decorators(node: Function | ast.ClassDef) -> set[str]:
+def _decorators(node):
     functions = [named.func if isinstance(named, ast.Call) else named for named in node.decorator_list]
     return {ast.unparse(function).rpartition(".")[2] for function in functions}
 
 
-def _repeats_another(node: Function | ast.ClassDef) -> bool:
+def _repeats_another(node):
     return bool(_decorators(node) & {"overload", "override", "setter"})
 
 
-def _parameters(node: Function) -> list[str]:
+def _parameters(node):
     arguments = node.args
     every = [*arguments.posonlyargs, *arguments.args, arguments.vararg, *arguments.kwonlyargs, arguments.kwarg]
     names = [argument.arg for argument in every if argument is not None]
     return [name for name in names if name not in ("self", "cls") and not name.startswith("_")]
 
 
-def test_every_module_says_what_it_is(python_files: list) -> None:
+def test_every_module_says_what_it_is(python_files):
     offenders = [str(source.path) for source in python_files if not ast.get_docstring(source.tree)]
     assert not offenders, "no docstring:\n" + "\n".join(offenders)
 
 
-def test_every_public_class_and_function_says_what_it_is(package_files: list) -> None:
+def test_every_public_class_and_function_says_what_it_is(package_files):
     offenders = [
         f"{source.path}:{node.lineno}: {name}"
         for source in package_files
@@ -49,7 +46,7 @@ def test_every_public_class_and_function_says_what_it_is(package_files: list) ->
     assert not offenders, "no docstring:\n" + "\n".join(offenders)
 
 
-def test_every_parameter_of_a_public_function_is_named_in_its_docstring(package_files: list) -> None:
+def test_every_parameter_of_a_public_function_is_named_in_its_docstring(package_files):
     offenders = []
     for source in package_files:
         for name, node in _public(source.tree.body):
@@ -63,7 +60,7 @@ def test_every_parameter_of_a_public_function_is_named_in_its_docstring(package_
     assert not offenders, "not named in the docstring:\n" + "\n".join(offenders)
 
 
-def test_every_command_line_option_has_its_help(package_files: list) -> None:
+def test_every_command_line_option_has_its_help(package_files):
     offenders = []
     for source in package_files:
         for node in ast.walk(source.tree):

@@ -1,12 +1,9 @@
 """What is committed can be installed anywhere, says nothing of the machine it came from, and is written up."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re
 import tomllib
-from pathlib import Path
 
 import jsonschema
 from packaging.requirements import Requirement
@@ -22,22 +19,22 @@ PINNED = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*==[0-9][A-Za-z0-9.!_-]*")
 MAX_BYTES = 2_000_000
 
 
-def _project(project_root: Path) -> dict:
+def _project(project_root):
     return tomllib.loads((project_root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 
 
-def _constraints(project_root: Path) -> list[str]:
+def _constraints(project_root):
     return (project_root / "constraints.txt").read_text(encoding="utf-8").splitlines()
 
 
-def test_constraints_hold_name_and_version_only(project_root: Path) -> None:
+def test_constraints_hold_name_and_version_only(project_root):
     lines = _constraints(project_root)
     assert len(lines) > 20
     offenders = [line for line in lines if not PINNED.fullmatch(line)]
     assert not offenders, "\n".join(offenders)
 
 
-def test_constraints_pin_every_dependency_within_its_bounds(project_root: Path) -> None:
+def test_constraints_pin_every_dependency_within_its_bounds(project_root):
     pins = {
         canonicalize_name(name): version
         for name, _, version in (line.partition("==") for line in _constraints(project_root))
@@ -53,7 +50,7 @@ def test_constraints_pin_every_dependency_within_its_bounds(project_root: Path) 
     assert not offenders, "\n".join(offenders)
 
 
-def test_no_file_names_a_path_of_this_machine_or_a_package_host(project_root: Path, project_files: list[Path]) -> None:
+def test_no_file_names_a_path_of_this_machine_or_a_package_host(project_root, project_files):
     offenders = []
     for path in project_files:
         text = (project_root / path).read_bytes().decode("utf-8", "replace")
@@ -63,13 +60,13 @@ def test_no_file_names_a_path_of_this_machine_or_a_package_host(project_root: Pa
     assert not offenders, "\n".join(offenders)
 
 
-def test_no_committed_file_is_large(project_root: Path, project_files: list[Path]) -> None:
+def test_no_committed_file_is_large(project_root, project_files):
     sizes = {str(path): (project_root / path).stat().st_size for path in project_files}
     offenders = [f"{path}: {size / 1e6:.1f} MB" for path, size in sizes.items() if size > MAX_BYTES]
     assert not offenders, "\n".join(offenders)
 
 
-def test_the_changelog_has_an_entry_for_this_version(project_root: Path) -> None:
+def test_the_changelog_has_an_entry_for_this_version(project_root):
     changelog = (project_root / "CHANGELOG.md").read_text(encoding="utf-8")
     version = _project(project_root)["version"]
     entry = re.search(rf"^## {re.escape(version)}\b[^\n]*\n(.*?)(?=^## |\Z)", changelog, re.MULTILINE | re.DOTALL)
@@ -77,7 +74,7 @@ def test_the_changelog_has_an_entry_for_this_version(project_root: Path) -> None
     assert re.search(r"^[-*] \w", entry.group(1), re.MULTILINE), "the entry says nothing"
 
 
-def test_every_schema_is_a_valid_json_schema(project_root: Path) -> None:
+def test_every_schema_is_a_valid_json_schema(project_root):
     schemas = sorted((project_root / "data_schema").glob("*.json"))
     assert len(schemas) >= 7
     for path in schemas:
@@ -87,7 +84,7 @@ def test_every_schema_is_a_valid_json_schema(project_root: Path) -> None:
         assert schema.get("description"), f"{path.name}: no description"
 
 
-def test_every_test_can_fail(python_files: list) -> None:
+def test_every_test_can_fail(python_files):
     offenders = []
     for source in python_files:
         if source.path.parts[0] != "tests":

@@ -1,7 +1,5 @@
 """Imports go down only, drawing stays in its room, and the command line starts light."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import json
@@ -32,7 +30,7 @@ main()
 """
 
 
-def _imported(files: list) -> list[tuple[Path, str, str]]:
+def _imported(files):
     """File, place and name of all that ``files`` import."""
     found = []
     for source in files:
@@ -44,14 +42,14 @@ def _imported(files: list) -> list[tuple[Path, str, str]]:
     return found
 
 
-def test_the_import_contract_holds(project_root: Path) -> None:
+def test_the_import_contract_holds(project_root):
     command = [sys.executable, "-c", "from importlinter.cli import lint_imports_command; lint_imports_command()"]
     result = subprocess.run([*command, "--no-cache"], cwd=project_root, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout + result.stderr
     assert "0 broken" in result.stdout
 
 
-def test_matplotlib_is_imported_only_where_pictures_are_drawn(package_files: list) -> None:
+def test_matplotlib_is_imported_only_where_pictures_are_drawn(package_files):
     offenders = [
         place
         for path, place, name in _imported(package_files)
@@ -60,7 +58,7 @@ def test_matplotlib_is_imported_only_where_pictures_are_drawn(package_files: lis
     assert not offenders, "\n".join(offenders)
 
 
-def test_no_file_uses_the_global_state_of_pyplot(python_files: list) -> None:
+def test_no_file_uses_the_global_state_of_pyplot(python_files):
     offenders = [
         place
         for path, place, name in _imported(python_files)
@@ -69,7 +67,7 @@ def test_no_file_uses_the_global_state_of_pyplot(python_files: list) -> None:
     assert not offenders, "\n".join(offenders)
 
 
-def test_no_module_is_named_for_nothing_in_particular(python_files: list) -> None:
+def test_no_module_is_named_for_nothing_in_particular(python_files):
     offenders = [
         str(source.path)
         for source in python_files
@@ -78,7 +76,7 @@ def test_no_module_is_named_for_nothing_in_particular(python_files: list) -> Non
     assert not offenders, "a function lives in the room whose noun it makes:\n" + "\n".join(offenders)
 
 
-def _loaded_by(*arguments: str) -> tuple[int, list[str], str]:
+def _loaded_by(*arguments):
     command = [sys.executable, "-c", PROBE.format(heavy=HEAVY), *arguments]
     surroundings = {name: value for name, value in os.environ.items() if "THREADS" not in name}
     result = subprocess.run(command, capture_output=True, text=True, env=surroundings)
@@ -88,26 +86,22 @@ def _loaded_by(*arguments: str) -> tuple[int, list[str], str]:
     return result.returncode, loaded, result.stdout
 
 
-@pytest.mark.parametrize("option", ["--help", "--version"])
-def test_help_and_version_load_no_heavy_package(option: str) -> None:
-    status, loaded, output = _loaded_by(option)
-    assert status == 0
-    assert "crankorder" in output
-    assert loaded == []
-
-
-def test_a_wrong_manifest_is_refused_before_a_heavy_package_is_loaded(tmp_path: Path) -> None:
+@pytest.mark.cases(4)
+@pytest.mark.parametrize(
+    ("arguments", "status", "spared"),
+    [
+        (["--help"], 0, HEAVY),
+        (["--version"], 0, HEAVY),
+        (["check", "."], 2, HEAVY),  # a wrong manifest
+        (["balance", "v8-cross", "--json"], 0, ["xarray", "pandas", "matplotlib", "h5py"]),  # the numbers take a tenth
+    ],
+)
+def test_what_needs_no_heavy_package_loads_none(tmp_path, monkeypatch, arguments, status, spared):
     (tmp_path / "run.toml").write_text("schema_version = 1\nwrong = 1\n")
-    status, loaded, _ = _loaded_by("check", str(tmp_path))
-    assert status == 2
-    assert loaded == []
-
-
-def test_numbers_of_a_balance_load_no_package_for_tables() -> None:
-    """They are two thirds of a second of the processor, beside a tenth that the numbers take."""
-    status, loaded, _ = _loaded_by("balance", "v8-cross", "--json")
-    assert status == 0
-    assert not {"xarray", "pandas", "matplotlib", "h5py"} & {*loaded}
+    monkeypatch.chdir(tmp_path)
+    ended, loaded, output = _loaded_by(*arguments)
+    assert ended == status and not set(spared) & set(loaded)
+    assert "--" not in arguments[0] or "crankorder" in output
 
 
 @pytest.mark.parametrize(
@@ -118,7 +112,7 @@ def test_numbers_of_a_balance_load_no_package_for_tables() -> None:
         ("import crankorder.batch.execute", "crankorder.identify.lines crankorder.identify.modes crankorder.plot"),
     ],
 )
-def test_processes_of_a_run_load_what_they_need(loaded: str, spared: str) -> None:
+def test_processes_of_a_run_load_what_they_need(loaded, spared):
     """Pages and pictures are made beside the analysis, and maps need not what finds: what loads is paid for."""
     if importlib.util.find_spec("dask"):
         pytest.skip("dask is installed (extra dist): xarray loads it, and it loads scipy, with the first dataset")

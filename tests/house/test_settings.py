@@ -1,13 +1,8 @@
 """Each default has one home and one reason; recipes hold only what differs."""
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import tomllib
-from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -19,7 +14,7 @@ STAGES = tuple(Settings.file_of)
 
 
 @pytest.fixture(scope="module")
-def readmes(project_root: Path) -> ModuleType:
+def readmes(project_root):
     """The generator of the README pages, loaded from its file."""
     spec = importlib.util.spec_from_file_location("make_readmes", project_root / "reports" / "make_readmes.py")
     assert spec is not None
@@ -29,14 +24,7 @@ def readmes(project_root: Path) -> ModuleType:
     return module
 
 
-def _fields(stage: str) -> dict[str, Any]:
-    kind = Settings.model_fields[stage].annotation
-    assert kind is not None
-    fields: dict[str, Any] = kind.model_fields  # type: ignore[attr-defined]
-    return fields
-
-
-def test_each_generated_page_and_schema_is_up_to_date(readmes: ModuleType) -> None:
+def test_each_generated_page_and_schema_is_up_to_date(readmes):
     pages = readmes.pages()
     assert len(pages) == 9
     stale = [
@@ -45,7 +33,7 @@ def test_each_generated_page_and_schema_is_up_to_date(readmes: ModuleType) -> No
     assert not stale, "run `python reports/make_readmes.py`:\n" + "\n".join(stale)
 
 
-def test_every_stage_has_one_file_and_every_file_is_a_stage(project_root: Path) -> None:
+def test_every_stage_has_one_file_and_every_file_is_a_stage(project_root):
     # the stages' files are numbered in flow order; a catalogue such as bearings.toml is not, numbers of methods follow
     files = sorted(path.name for path in (project_root / "pipeline").glob("[0-9]*.toml") if path.name.count("-") == 1)
     assert files == list(Settings.file_of.values())
@@ -53,30 +41,20 @@ def test_every_stage_has_one_file_and_every_file_is_a_stage(project_root: Path) 
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_every_setting_has_its_reason_on_its_line(stage: str, project_root: Path, readmes: ModuleType) -> None:
-    text = (project_root / "pipeline" / Settings.file_of[stage]).read_text(encoding="utf-8")
-    lines = readmes.settings_of(text)
-    assert [key for key, _, _ in lines] == list(tomllib.loads(text)[stage]), (
-        "one setting a line, value and reason on it"
-    )
+def test_every_setting_has_its_reason_on_its_line_and_no_other_home(stage, project_root, readmes):
+    file, fields = Settings.file_of[stage], Settings.model_fields[stage].annotation.model_fields
+    text = (project_root / "pipeline" / file).read_text(encoding="utf-8")
+    content, lines = tomllib.loads(text), readmes.settings_of(text)
+    assert list(content) == [stage], "one table, named as the stage"
+    assert [key for key, _, _ in lines] == list(content[stage]), "one setting a line, value and reason on it"
     without = [key for key, _, reason in lines if len(reason) < 5]
     assert not without, f"no reason: {', '.join(without)}"
+    assert set(content[stage]) == set(fields)
+    with_default = [name for name, field in fields.items() if not field.is_required()]
+    assert not with_default, f"defaults belong into {file}: {', '.join(with_default)}"
 
 
-@pytest.mark.parametrize("stage", STAGES)
-def test_file_and_class_of_a_stage_name_the_same_settings(stage: str, project_root: Path) -> None:
-    content = tomllib.loads((project_root / "pipeline" / Settings.file_of[stage]).read_text(encoding="utf-8"))
-    assert list(content) == [stage], "one table, named as the stage"
-    assert set(content[stage]) == set(_fields(stage))
-
-
-@pytest.mark.parametrize("stage", STAGES)
-def test_the_file_is_the_only_home_of_a_default(stage: str) -> None:
-    with_default = [name for name, field in _fields(stage).items() if not field.is_required()]
-    assert not with_default, f"defaults belong into {Settings.file_of[stage]}: {', '.join(with_default)}"
-
-
-def _numbers_read(package_files: list) -> tuple[list[tuple[str, str]], list[tuple[str, str, str]]]:
+def _numbers_read(package_files):
     """Tables of numbers of methods that modules load, and every number that one reads: file, table and name."""
     homes: dict[tuple[str, str], tuple[str, str]] = {}
     used: list[tuple[str, str, str]] = []
@@ -98,8 +76,8 @@ def _numbers_read(package_files: list) -> tuple[list[tuple[str, str]], list[tupl
 
 
 def test_each_table_of_a_methods_numbers_has_a_reader_and_each_number_a_reason_and_a_use(
-    project_root: Path, readmes: ModuleType, package_files: list
-) -> None:
+    project_root, readmes, package_files
+):
     (homes, used), tables = _numbers_read(package_files), {}
     for path in (project_root / "pipeline").glob("[0-9]-*-*.toml"):
         text = path.read_text(encoding="utf-8")
@@ -114,7 +92,7 @@ def test_each_table_of_a_methods_numbers_has_a_reader_and_each_number_a_reason_a
     assert there == set(used), f"no use: {sorted(there - set(used))}; no number: {sorted(set(used) - there)}"
 
 
-def test_numbers_of_a_method_cannot_be_set_and_a_missing_table_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_numbers_of_a_method_cannot_be_set_and_a_missing_table_is_named(monkeypatch):
     monkeypatch.setattr(settings, "_tables", lambda _: {"zoom": {"ends": [1.0, 2.0]}})
     numbers = settings.MethodNumbers("5-identify-test.toml", "zoom")
     assert numbers.ends == (1.0, 2.0)
@@ -127,13 +105,13 @@ def test_numbers_of_a_method_cannot_be_set_and_a_missing_table_is_named(monkeypa
 
 
 @pytest.mark.parametrize("key", ["calibrate_encoder", "calibration_speed_ratio"])
-def test_a_setting_that_is_no_more_is_refused_with_what_to_do_instead(key: str) -> None:
+def test_a_setting_that_is_no_more_is_refused_with_what_to_do_instead(key):
     with pytest.raises(RequestError, match=f"shaft.{key}.*Remove it.*--recipe calibrated-encoder"):
         load_settings(asked={"shaft": {key: 2}})
 
 
 @pytest.mark.parametrize("recipe", sorted(shipped("recipes")))
-def test_a_recipe_is_valid_and_holds_only_what_differs(recipe: str) -> None:
+def test_a_recipe_is_valid_and_holds_only_what_differs(recipe):
     plain, asked = load_settings().model_dump(), load_settings(recipe).model_dump()
     tables = {key: value for key, value in tomllib.loads(shipped("recipes")[recipe]).items() if key in STAGES}
     same = [
@@ -143,6 +121,6 @@ def test_a_recipe_is_valid_and_holds_only_what_differs(recipe: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["recipes", "engines", "scenes"])
-def test_everything_shipped_has_a_title(kind: str) -> None:
+def test_everything_shipped_has_a_title(kind):
     titles = {name: tomllib.loads(text).get("title") for name, text in shipped(kind).items()}
     assert titles and all(titles.values()), titles

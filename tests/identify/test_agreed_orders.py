@@ -13,7 +13,7 @@ from made.line_frames import agreed_in, angle_of, frames_of, wave
 SETTINGS = load_settings()
 
 
-def agreed(signal, *, seed: int = 0, speeds=(1500.0,), revs: int = 150, noise: float = 1.0, pulses: bool = True):
+def agreed(signal, *, seed=0, speeds=(1500.0,), revs=150, noise=1.0, pulses=True):
     """Orders of two channels of ``signal(angle, number of the recording)`` and noise that they share in part."""
     rng, frames, angle = np.random.default_rng(seed), [], angle_of(revs)
     for number, rpm in enumerate(speeds):
@@ -23,17 +23,11 @@ def agreed(signal, *, seed: int = 0, speeds=(1500.0,), revs: int = 150, noise: f
     return agreed_in(frames)
 
 
-def half_width(item) -> float:
+def half_width(item):
     return float(stdtrit(min(item.degrees_of_freedom, 1e6), 0.975)) * item.order_error
 
 
-def test_a_half_order_is_proven_locked_and_given_as_it_is() -> None:
-    (item,) = agreed(lambda angle, _: wave(angle, 5.5, 0.7), speeds=(1000.0, 1200.0, 1400.0))
-    assert (item.order, item.lock, item.needed_revs) == (5.5, "locked", None)
-    assert len(item.lines) == 2
-
-
-def test_a_bearing_whose_slip_changes_with_speed_has_the_interval_of_the_mean() -> None:
+def test_a_bearing_whose_slip_changes_with_speed_has_the_interval_of_the_mean():
     slips = 5.48 + 0.01 * np.array([-1.0, 0.3, 1.0, -0.6, 0.3])
     (item,) = agreed(lambda angle, k: wave(angle, slips[k], 0.7), speeds=(800.0, 900.0, 1000.0, 1100.0, 1200.0))
     expected = 2.776 * np.std(slips, ddof=1) / np.sqrt(5)
@@ -41,7 +35,7 @@ def test_a_bearing_whose_slip_changes_with_speed_has_the_interval_of_the_mean() 
     assert item.order == pytest.approx(slips.mean(), abs=1e-3)
 
 
-def test_too_few_revolutions_leave_it_undecided_and_say_how_many_are_needed() -> None:
+def test_too_few_revolutions_leave_it_undecided_and_say_how_many_are_needed():
     (item,) = agreed(lambda angle, _: wave(angle, 4.0, 1.0), revs=18, noise=0.1)
     assert item.lock == "undecided"
     assert item.needed_revs is not None
@@ -50,27 +44,27 @@ def test_too_few_revolutions_leave_it_undecided_and_say_how_many_are_needed() ->
     assert longer.lock == "locked"
 
 
-def test_without_pulses_the_number_is_as_good_as_the_stated_speed() -> None:
+def test_without_pulses_the_number_is_as_good_as_the_stated_speed():
     (item,) = agreed(lambda angle, _: wave(angle, 3.9938, 1.0), pulses=False)
     assert abs(item.order - 4.0) < half_width(item)
     assert item.lock == "undecided" and item.needed_revs is None
     assert "no pulses" in [doubt.kind for doubt in item.doubts]
 
 
-def test_gaps_in_the_frames_do_no_harm() -> None:
+def test_gaps_in_the_frames_do_no_harm():
     angle, rng = angle_of(200), np.random.default_rng(0)
     frames = frames_of([wave(angle, 5.5, 1.0) + rng.standard_normal(len(angle))])
     frames["spectrum"].values[:, 5:9] = np.nan
     made = order_map([frames], settings=SETTINGS.orders)
     lines = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders)
     (item,) = orders_agreed(lines, frames=[frames], order_map=made, settings=SETTINGS.identify)
-    assert item.lock == "locked"
+    assert (item.order, item.lock, item.needed_revs) == (5.5, "locked", None)
     (alone,) = orders_agreed(lines, frames=[], order_map=made, settings=SETTINGS.identify)
     assert alone.lock == "undecided"
     assert abs(alone.order - 5.5) < half_width(alone)
 
 
-def test_the_interval_of_the_order_holds_it_as_often_as_it_says() -> None:
+def test_the_interval_of_the_order_holds_it_as_often_as_it_says():
     hits = 0
     for seed in range(50):
         (item,) = agreed(lambda angle, _, s=seed: wave(angle, 4.013, 1.0, float(s)), seed=seed, revs=60)
@@ -78,7 +72,7 @@ def test_the_interval_of_the_order_holds_it_as_often_as_it_says() -> None:
     assert hits >= 44  # fewer with a chance of 1 % where it is 95 %
 
 
-def test_two_shafts_half_a_percent_apart_are_told_in_a_run_up() -> None:
+def test_two_shafts_half_a_percent_apart_are_told_in_a_run_up():
     angle, rng = angle_of(1200), np.random.default_rng(2)
     share = (angle - angle[0]) / np.ptp(angle)
     rpm = 900.0 + 1800.0 * share
@@ -91,14 +85,7 @@ def test_two_shafts_half_a_percent_apart_are_told_in_a_run_up() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("revs", "noise"), [(18, 0.1), (40, 3.0), (150, 20.0)])
-def test_no_fewer_revolutions_are_asked_for_than_were_recorded(revs: int, noise: float) -> None:
-    for item in agreed(lambda angle, _: wave(angle, 4.0, 3.0), revs=revs, noise=noise):
-        assert item.needed_revs is None or item.needed_revs > revs
-
-
-@pytest.mark.slow
-def test_in_a_sweep_no_number_of_revolutions_is_asked_for() -> None:
+def test_in_a_sweep_no_number_of_revolutions_is_asked_for():
     """A run-up of 120 revolutions of which each speed group has few frames."""
     angle, rng = angle_of(120), np.random.default_rng(2)
     signal = wave(angle, 4.0, 1.0) + 0.5 * rng.standard_normal(len(angle))
@@ -110,7 +97,7 @@ def test_in_a_sweep_no_number_of_revolutions_is_asked_for() -> None:
 
 
 @pytest.mark.slow
-def test_a_line_at_the_end_of_the_orders_is_told_from_the_skirt_of_one_beyond() -> None:
+def test_a_line_at_the_end_of_the_orders_is_told_from_the_skirt_of_one_beyond():
     """Orders go to 20 in bins of 1/16: a line up to half a bin beyond is told, of one farther out nothing is said."""
     rng, end, half_bin = np.random.default_rng(14), 20.0, 0.5 / 16
     for seed in range(40):
@@ -125,7 +112,7 @@ def test_a_line_at_the_end_of_the_orders_is_told_from_the_skirt_of_one_beyond() 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("swept", [False, True])
-def test_a_locked_line_and_one_beside_it_that_nothing_parts_are_no_line_that_slips(swept: bool) -> None:
+def test_a_locked_line_and_one_beside_it_that_nothing_parts_are_no_line_that_slips(swept):
     """Less than three beats in a steady recording, or less than a bin apart in the longest frames of a sweep."""
     for seed in range(16, 24):
         rng = np.random.default_rng(seed)

@@ -17,7 +17,7 @@ def alias_flags(order_map, settings):
     return flags_of_aliases(order_map, settings=settings, folds=shown_aliases(order_map, settings=settings))
 
 
-def map_with(frequency_hz: float, *, samples_per_rev: float | None = 360.0, amplitude: float = 1.0) -> xr.Dataset:
+def map_with(frequency_hz, *, samples_per_rev=360.0, amplitude=1.0):
     """OrderMap of noise and of one line of fixed frequency, placed by the sampling theorem."""
     axis = np.arange(0.0, 20.0, 1 / 16)
     noise = np.random.default_rng(1).gamma(40.0, 1 / 40.0, size=(1, SPEEDS.size, axis.size))
@@ -38,7 +38,7 @@ def map_with(frequency_hz: float, *, samples_per_rev: float | None = 360.0, ampl
     )
 
 
-def test_a_harmonic_of_mains_that_folds_is_named() -> None:
+def test_a_harmonic_of_mains_that_folds_is_named():
     asked = SETTINGS.identify.model_copy(update={"mains_hz": (3600.0,), "fold_search_hz": 8000.0})
     settings = SETTINGS.model_copy(update={"identify": asked})
     flags = {flag["flag"]: flag for flag in alias_flags(map_with(7200.0), settings)}
@@ -46,7 +46,7 @@ def test_a_harmonic_of_mains_that_folds_is_named() -> None:
     assert flags["folded_frequency"]["severity"] == "suspect"
 
 
-def test_what_may_fold_is_told_of_every_test_by_crank_angle_and_of_no_other() -> None:
+def test_what_may_fold_is_told_of_every_test_by_crank_angle_and_of_no_other():
     quiet = map_with(7200.0, amplitude=0.0)
     assert [flag["flag"] for flag in alias_flags(quiet, SETTINGS)] == ["lines_may_fold"]
     assert "3450 to 3750 Hz" in alias_flags(quiet, SETTINGS)[0]["detail"]
@@ -57,7 +57,7 @@ def test_what_may_fold_is_told_of_every_test_by_crank_angle_and_of_no_other() ->
     assert alias_flags(unknown, SETTINGS) == []
 
 
-def test_a_fold_is_the_cause_of_a_line_that_lies_on_it_and_of_no_other() -> None:
+def test_a_fold_is_the_cause_of_a_line_that_lies_on_it_and_of_no_other():
     made = map_with(7200.0).isel(speed=[5])  # 1200 rpm: order 360, where it shows at order 0: no line
     assert shown_aliases(made, settings=SETTINGS) == ()
     whole = map_with(7200.0)

@@ -1,8 +1,6 @@
 """Lines at speeds that differ by some percent: what stays and what goes with the shaft, each at its size."""
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -11,7 +9,7 @@ import xarray as xr
 
 from crankorder.findings import Findings, FreeBand, OpenBand
 from crankorder.identify.findings import IN_DOUBT, speed_doubt, undecided_orders, without_free
-from crankorder.identify.found import AgreedOrder, ModalFit, SpeedVerdicts, Tone
+from crankorder.identify.found import SpeedVerdicts, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.modes.alike_speeds import with_lines_of_recordings
 from crankorder.orders.joint_lines import HeldFrames
@@ -25,9 +23,13 @@ from made.recordings import manifest
 SETTINGS = load_settings().identify
 
 
+<<<<<<< HEAD
 def recorded(
     speeds: list[float], fixed: dict[float, float], orders: dict[float, float], *, seed: int
 ) -> list[HeldFrames]:
+=======
+def recorded(speeds, fixed, orders, *, seed):
+>>>>>>> 5b0b5e5951b38922d2c9eadfc61a3b30124173ab
     """Recordings at the ``speeds``, with lines at ``fixed`` Hz and at ``orders``, each with its amplitude."""
     rng, made = np.random.default_rng([seed, 5]), []
     for rpm in speeds:
@@ -36,9 +38,13 @@ def recorded(
     return made
 
 
+<<<<<<< HEAD
 def told(
     held: list[HeldFrames], tones: list[float], orders: tuple[AgreedOrder, ...] = ()
 ) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
+=======
+def told(held, tones, orders=()):
+>>>>>>> 5b0b5e5951b38922d2c9eadfc61a3b30124173ab
     """What is made of ``tones`` of the map that are one with others."""
     made = tuple(Tone(hertz, 0.002, "order", {"A": (0.7, 0.001)}, "lies on an order") for hertz in tones)
     modal = replace(fit(), tones=made, frequency_hz=np.arange(0.5, 400.0, 0.5))
@@ -49,7 +55,7 @@ def told(
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(8))
-def test_mains_and_the_order_beside_them_have_their_own_size_whichever_is_larger(seed: int) -> None:
+def test_mains_and_the_order_beside_them_have_their_own_size_whichever_is_larger(seed):
     rng = np.random.default_rng([seed, 9])
     supply = float(rng.choice([50.0, 60.0])) * float(rng.uniform(0.999, 1.001))
     slips = np.sort(rng.uniform(0.004, 0.02, 4))
@@ -66,7 +72,7 @@ def test_mains_and_the_order_beside_them_have_their_own_size_whichever_is_larger
     assert abs(mean - size) < 4.0 * error and error < 0.01
 
 
-def test_a_tone_beside_an_order_is_no_mains_and_a_line_that_slips_is_an_order() -> None:
+def test_a_tone_beside_an_order_is_no_mains_and_a_line_that_slips_is_an_order():
     held = recorded([1480.0, 1500.0, 1530.0], {77.3: 0.5}, {3.0: 0.8, 3.06: 0.4}, seed=1)
     orders, modal = told(held, [74.8, 76.0, 77.0])
     assert [one.order for one in orders] == pytest.approx([3.0, 3.06], abs=1e-3)
@@ -76,7 +82,7 @@ def test_a_tone_beside_an_order_is_no_mains_and_a_line_that_slips_is_an_order() 
 
 
 @pytest.mark.slow
-def test_what_is_neither_fixed_nor_an_order_leaves_all_as_it_was() -> None:
+def test_what_is_neither_fixed_nor_an_order_leaves_all_as_it_was():
     """A pole-pass sideband moves with the slip: no frequency and no order of its own."""
     held = [
         one
@@ -90,14 +96,14 @@ def test_what_is_neither_fixed_nor_an_order_leaves_all_as_it_was() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("speeds", [[1500.0], [1500.0, 1500.0], [1000.0, 1500.0]])
-def test_one_speed_and_speeds_far_apart_are_left_alone(speeds: list[float]) -> None:
+def test_one_speed_and_speeds_far_apart_are_left_alone(speeds):
     held = recorded(speeds, {50.0: 0.5}, {2.0: 1.0}, seed=2)
     _, modal = told(held, [49.9])
     assert [tone.frequency_hz for tone in modal.tones] == [49.9]
 
 
 @pytest.mark.slow
-def test_the_interval_of_a_tone_that_stands_alone_holds_it() -> None:
+def test_the_interval_of_a_tone_that_stands_alone_holds_it():
     off = []
     for seed in range(12):
         rng = np.random.default_rng([seed, 4])
@@ -115,7 +121,7 @@ RATE_HZ = 8192
 MANIFEST = manifest("*.h5", channels={"Z": {"source": "z"}}, sampling={"rate_hz": 8192}, encoder={"kind": "vibration"})
 
 
-def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed() -> None:
+def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed():
     tie = {"recording": "a.h5", "flag": "speed_tie", "severity": "suspect", "detail": "0.5 x fits nearly as well"}
     assert speed_doubt([]) is None and speed_doubt([{**tie, "flag": "no_index"}]) is None
     assert speed_doubt([tie, {**tie, "recording": "b.h5"}]) == "0.5 x fits nearly as well (a.h5 and 1 more)"
@@ -127,7 +133,7 @@ def test_nothing_is_locked_slips_or_is_free_by_a_doubtful_speed() -> None:
     assert verdicts.free == () and verdicts.open == (OpenBand(low_rpm=500, high_rpm=900, remark=IN_DOUBT), rest)
 
 
-def findings_of(folder: Path, orders: dict[float, float]) -> dict[str, Any]:
+def findings_of(folder, orders):
     """Findings of one recording at 1500 rpm without an encoder that holds ``orders``, noise and a tone of 73.3 Hz."""
     rng, at = np.random.default_rng(3), np.arange(4 * RATE_HZ) / RATE_HZ
     signal = sum(size * np.cos(2 * np.pi * k * 25.0 * at + k) for k, size in orders.items())
@@ -139,7 +145,7 @@ def findings_of(folder: Path, orders: dict[float, float]) -> dict[str, Any]:
     return analysed(folder / "in", folder / "out")
 
 
-def test_even_orders_alone_leave_the_speed_open_and_the_page_says_so(tmp_path: Path) -> None:
+def test_even_orders_alone_leave_the_speed_open_and_the_page_says_so(tmp_path):
     findings = findings_of(tmp_path, {2.0: 1.0, 4.0: 0.6, 6.0: 0.4})
     assert findings["speed_doubt"] and not findings["free_bands"]
     assert {record["lock"] for record in findings["orders"]} <= {"undecided"}

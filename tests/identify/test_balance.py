@@ -125,18 +125,14 @@ def test_what_cannot_be_weighed_is_refused_with_its_reason():
     gas = GasCurve(crank_angle_deg=(0.0, 360.0), torque_n_m=(0.0, 1.0))
     without_modes = SimpleNamespace(modes=(), covariance=np.zeros((0, 0)))
     wanted = [
-        (item, {"engine": None}, "no engine"),
-        (item, {"engine": engine_of(cycle="rotor")}, "rotor"),
+        (item, {"engine": None}, "no engine"), (item, {"engine": engine_of(cycle="rotor")}, "rotor"),
         (item, {"engine": engine_of(gas=gas)}, "gas"),
         (item, {"engine": engine_of(offset_m=0.0, shafts=BalanceShafts(orders=(1, 2, 4, 6)))}, "no force is known"),
-        (item, {"orders": (*item.orders, *half)}, "gas torque"),
-        (made(seen=(1, 2)), {}, "3, 4"),
-        (made(4, seen=(1, 2, 3), noise=40.0), {}, "alone"),
-        (referred("none"), {}, "no phase"),
-        (referred("index"), {}, "top dead centre"),
-        (item, {"modal": without_modes}, "natural frequency"),
+        (item, {"orders": (*item.orders, *half)}, "gas torque"), (made(seen=(1, 2)), {}, "3, 4"),
+        (made(4, seen=(1, 2, 3), noise=40.0), {}, "alone"), (referred("none"), {}, "no phase"),
+        (referred("index"), {}, "top dead centre"), (item, {"modal": without_modes}, "natural frequency"),
         (made(speeds=[1000.0, 1500.0]), {}, "too few speeds"),
-    ]
+    ]  # fmt: skip
     said = [(words, refused(one, **changes)) for one, changes, words in wanted]
     assert [pair for pair in said if pair[0] not in pair[1]] == []
 

@@ -1,9 +1,5 @@
 """The change of mass from one closed balance and the ratio of an order covers the true one."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -13,19 +9,19 @@ from made.typed import from_dicts
 balance_changes = from_dicts(balance_changes)
 
 
-def unbalance(order: float, factor: complex, error: float, channel: str = "Z") -> Unbalance:
+def unbalance(order, factor, error, channel="Z"):
     nothing = (1.0, 2000.0, 0j, 1.0, 1.0)
     return Unbalance(channel, order, "m/s2", np.array([1000.0]), factor, error, 1e6, *nothing)
 
 
-def closed(key: str, value: float, error: float) -> dict[str, Any]:
+def closed(key, value, error):
     half = 1.959964 * error
     return {"balance": {key: value, f"{key}_ci95": [value - half, value + half]}}
 
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("sides", [(True, False), (False, True), (True, True)])
-def test_the_interval_of_the_change_covers_it_in_95_of_100_cases(sides: tuple[bool, bool]) -> None:
+def test_the_interval_of_the_change_covers_it_in_95_of_100_cases(sides):
     rng, held = np.random.default_rng(7), []
     for _ in range(1000):
         before, after = rng.uniform(50, 200), rng.uniform(50, 400)
@@ -43,7 +39,7 @@ def test_the_interval_of_the_change_covers_it_in_95_of_100_cases(sides: tuple[bo
     assert 0.93 <= np.mean(held) <= 0.97
 
 
-def test_orders_that_disagree_are_no_one_mass() -> None:
+def test_orders_that_disagree_are_no_one_mass():
     alike = [unbalance(1.0, 1.86, 0.01), unbalance(2.0, 1.80, 0.05)]
     assert factor_of(alike, (1.0, 2.0)).value == pytest.approx(1.86, abs=0.01)
     for other in (unbalance(2.0, 1.4, 0.05), unbalance(2.0, 1.86 + 0.4j, 0.05)):
@@ -52,7 +48,7 @@ def test_orders_that_disagree_are_no_one_mass() -> None:
     assert factor_of([unbalance(1.0, 1.86 + 0.3j, 0.01)], (1.0,)) is None  # turned: no mass along the cylinder alone
 
 
-def test_without_a_ratio_two_closed_balances_are_subtracted() -> None:
+def test_without_a_ratio_two_closed_balances_are_subtracted():
     (record,) = balance_changes(closed("forward_gmm", 500.0, 10.0), closed("forward_gmm", 800.0, 10.0), [])
     assert record.change == 300.0 and record.changed and record.by_ratio_of_orders == ()
     assert balance_changes({"balance": None}, closed("forward_gmm", 800.0, 10.0), []) == ()

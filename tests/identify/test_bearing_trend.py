@@ -1,7 +1,5 @@
 """Growth from run to run: exact for two runs, honest about scatter, and undecided where nothing can be told."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -22,7 +22,7 @@ AXIS = np.arange(321) / 16
 BINS = reference_bins(AXIS, line_step=0.5, guard_bins=2, n_bins=16)
 
 
-def noise_energy(rng: np.random.Generator, n_frames: int, shape: np.ndarray) -> np.ndarray:
+def noise_energy(rng, n_frames, shape):
     """Energies (1, 100, orders) of noise of the power ``shape`` in frames with the Hann window's neighbours alike."""
     size = (100, n_frames, len(AXIS) + 2)
     white = (rng.standard_normal(size) + 1j * rng.standard_normal(size)) * np.sqrt(np.pad(shape, 1, mode="edge") / 2)
@@ -30,7 +30,7 @@ def noise_energy(rng: np.random.Generator, n_frames: int, shape: np.ndarray) -> 
     return (np.abs(windowed) ** 2).mean(axis=1)[None]
 
 
-def share_over(n_frames: int, shape: np.ndarray, chance: float, repeats: int) -> np.ndarray:
+def share_over(n_frames, shape, chance, repeats):
     """Share of noise at each order that stands over the level."""
     rng, over = np.random.default_rng(n_frames), np.zeros(len(AXIS))
     near = BINS[:, 5:11]
@@ -44,18 +44,18 @@ def share_over(n_frames: int, shape: np.ndarray, chance: float, repeats: int) ->
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("n_frames", [1, 2, 5, 20])
-def test_white_noise_stands_over_the_level_no_more_often_than_stated(n_frames: int) -> None:
+def test_white_noise_stands_over_the_level_no_more_often_than_stated(n_frames):
     share = share_over(n_frames, np.ones(len(AXIS)), 1e-3, repeats=20)[16:].mean()
     assert 0.4e-3 < share < 1.15e-3  # 2000 x 305 bins: 6e5 trials, of which 600 +- 40 are expected over it
 
 
 @pytest.mark.slow
-def test_a_slope_of_a_decade_in_ten_orders_changes_the_chance_by_less_than_a_third() -> None:
+def test_a_slope_of_a_decade_in_ten_orders_changes_the_chance_by_less_than_a_third():
     share = share_over(20, 10.0 ** (AXIS / 10.0), 1e-3, repeats=20)[24:-24].mean()
     assert share < 1.35e-3
 
 
-def noise_only(seed: int) -> int:
+def noise_only(seed):
     """Lines found in a test of ten speeds and two channels of noise, resonances included."""
     rng, frames = np.random.default_rng(seed), []
     mode_hz, damping = rng.uniform(20.0, 300.0), 10.0 ** rng.uniform(-2.5, -1.0)
@@ -66,14 +66,14 @@ def noise_only(seed: int) -> int:
     return len(order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames))
 
 
-def test_noise_through_resonances_makes_no_line_in_forty_tests() -> None:
+def test_noise_through_resonances_makes_no_line_in_forty_tests():
     assert sum(noise_only(seed) for seed in range(40)) == 0
 
 
 # What strong lines leak: no cell of the floor holds it, at however few speeds.
 
 
-def _made(speeds: tuple[float, ...], amplitude: float) -> Made:
+def _made(speeds, amplitude):
     return Made(
         natural_hz=(300.0,), damping=(0.02,), sensor=((0.0,),), drive=((0.0,),), speed_rpm=speeds,
         lines=((6.0, amplitude),), duration_s=6.0, noise=1e-3,
@@ -83,7 +83,7 @@ def _made(speeds: tuple[float, ...], amplitude: float) -> Made:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("speeds", [(1113.5,), (1113.5, 2467.0), (573.0, 1541.0, 2475.0)])
-def test_the_skirts_of_a_giant_line_are_no_floor_and_no_mode(speeds: tuple[float, ...], seed: int) -> None:
+def test_the_skirts_of_a_giant_line_are_no_floor_and_no_mode(speeds, seed):
     """130 dB over the noise of a bin a Hann window leaks over sixty bins."""
     campbell = campbell_of(_made(speeds, 10.0 ** np.random.default_rng(seed).uniform(2.0, 3.3)), seed)
     floor = quiet_floor(campbell, ((6.0, 1e-6),))
@@ -96,7 +96,7 @@ def test_the_skirts_of_a_giant_line_are_no_floor_and_no_mode(speeds: tuple[float
 
 
 @pytest.mark.slow
-def test_a_line_leaks_though_the_frames_that_hold_it_are_taken_for_a_start() -> None:
+def test_a_line_leaks_though_the_frames_that_hold_it_are_taken_for_a_start():
     campbell = campbell_of(_made((1200.0, 2400.0), 300.0), 5)
     bins = np.flatnonzero(np.abs(campbell["frequency"].values - 120.0) < 4.0)
     none = np.full((1, 2, len(bins)), np.nan)

@@ -1,7 +1,5 @@
 """Two made tests side by side: intervals that cover, claims that are true, and nothing where nothing changed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

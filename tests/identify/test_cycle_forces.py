@@ -12,7 +12,7 @@ from made.typed import record_of
 FIRING = load_engine("msu-optical-second-firing")
 
 
-def with_gas(engine: Engine, factor: float) -> Engine:
+def with_gas(engine, factor):
     """``engine`` with ``factor`` times the pressure above that of its surroundings."""
     gas = engine.gas
     assert gas is not None and gas.pressure_pa is not None
@@ -20,7 +20,7 @@ def with_gas(engine: Engine, factor: float) -> Engine:
     return engine.model_copy(update={"gas": gas.model_copy(update={"pressure_pa": pressure})})
 
 
-def test_the_masses_torque_and_force_are_those_of_the_long_rod() -> None:
+def test_the_masses_torque_and_force_are_those_of_the_long_rod():
     """Order 2: torque ½ m r² ω², force m r ω² λ; order 1: force m r ω² (truth sheet 2.5 and 2.7)."""
     rng = np.random.default_rng(5)
     for _ in range(10):
@@ -39,7 +39,7 @@ def test_the_masses_torque_and_force_are_those_of_the_long_rod() -> None:
         assert two.torque == pytest.approx(0.5 * along * radius, rel=1e-4)
 
 
-def test_the_gas_torque_is_the_fourier_line_of_force_times_piston_speed() -> None:
+def test_the_gas_torque_is_the_fourier_line_of_force_times_piston_speed():
     rev = np.arange(1 << 15) / (1 << 14)
     gas, bore = FIRING.gas, FIRING.bore_m
     assert gas is not None and gas.pressure_pa is not None and bore is not None
@@ -52,7 +52,7 @@ def test_the_gas_torque_is_the_fourier_line_of_force_times_piston_speed() -> Non
         assert made is not None and made.gas == pytest.approx(line, rel=1e-3)
 
 
-def test_half_orders_are_the_gas_and_whole_ones_whichever_is_far_larger() -> None:
+def test_half_orders_are_the_gas_and_whole_ones_whichever_is_far_larger():
     strong, weak = with_gas(FIRING, 50.0), with_gas(FIRING, 0.02)
     for order in (1.0, 2.0, 3.0, 4.0):
         assert [made.maker for made in cycle_forces(strong, [(order, 1500.0)]) if made] == ["gas"]
@@ -62,55 +62,41 @@ def test_half_orders_are_the_gas_and_whole_ones_whichever_is_far_larger() -> Non
     assert between == ["gas", "both", "masses"]
 
 
-def test_without_gas_or_the_firing_angles_nothing_is_said() -> None:
+def test_without_gas_or_the_firing_angles_nothing_is_said():
     assert cycle_forces(load_engine("msu-optical-second"), [(2.0, 1500.0)]) == (None,)
     two = FIRING.model_copy(update={"cylinders": (Cylinder(), Cylinder(crank_deg=180.0, position_m=0.1))})
     assert cycle_forces(two, [(2.0, 1500.0), (0.5, 900.0)]) == (None, None)
 
 
-@pytest.mark.parametrize(
-    ("orders", "two_stroke", "doubted"),
-    [
-        ({0.5: "locked", 1.0: "locked", 1.5: "locked"}, True, True),
-        ({0.5: "locked", 1.0: "locked", 1.5: "locked"}, False, False),  # a four-stroke engine, or a rotor that rubs
-        ({0.5: "locked", 1.0: "locked", 2.0: "locked"}, True, False),
-        ({0.5: "locked", 1.5: "slips"}, True, False),
-        ({0.5: "undecided", 1.5: "undecided"}, True, False),
-        ({}, True, False),
-    ],
-)
-def test_d16_several_half_orders_put_a_stated_two_stroke_cycle_in_doubt(
-    orders: dict[float, str], two_stroke: bool, doubted: bool
-) -> None:
+LOCKED_123 = {1.0: "locked", 2.0: "locked", 3.0: "locked"}
+HALVES = {0.5: "locked", 1.0: "locked", 1.5: "locked"}
+STATED = [
+    (HALVES, True, None, True), (HALVES, False, None, False),  # a four-stroke engine, or a rotor that rubs
+    ({0.5: "locked", 1.0: "locked", 2.0: "locked"}, True, None, False),
+    ({0.5: "locked", 1.5: "slips"}, True, None, False), ({0.5: "undecided", 1.5: "undecided"}, True, None, False),
+    ({}, True, None, False), (LOCKED_123, False, FIRING, True), ({0.5: "locked", **LOCKED_123}, False, FIRING, False),
+    ({5.5: "locked", 1.0: "locked", 2.0: "locked"}, False, FIRING, False),
+    ({1.0: "locked"}, False, FIRING, False),  # too little is seen for the lack to say anything
+    ({1.0: "undecided", 2.0: "locked", 3.0: "slips"}, False, FIRING, False),
+    (LOCKED_123, False, load_engine("msu-optical-second"), False),  # without gas
+    (LOCKED_123, False, None, False),
+]  # fmt: skip
+
+
+@pytest.mark.cases(len(STATED))
+@pytest.mark.parametrize(("orders", "two_stroke", "engine", "doubted"), STATED)
+def test_d16_half_orders_put_a_stated_two_stroke_cycle_in_doubt_and_their_lack_that_of_a_fired_engine(
+    orders, two_stroke, engine, doubted
+):
     found = [record_of(OrderFinding, {"order": order, "lock": lock}) for order, lock in orders.items()]
-    flags = cycle_doubts([*found, *found], two_stroke=two_stroke)  # the same in a second channel
+    flags = cycle_doubts([*found, *found], two_stroke=two_stroke, engine=engine)  # the same in a second channel
     assert [one.flag for one in flags] == (["cycle_doubted"] if doubted else [])
-    assert all("0.5, 1.5" in one.detail and "four-stroke" in one.detail for one in flags)
+    other = "four-stroke" if two_stroke else "two-stroke"
+    assert all("0.5, 1.5" in one.detail and other in one.detail for one in flags)
+    assert two_stroke or cycle_doubts(found, two_stroke=False, engine=engine, max_order=1.0) == []
 
 
-@pytest.mark.parametrize(
-    ("orders", "engine", "doubted"),
-    [
-        ({1.0: "locked", 2.0: "locked", 3.0: "locked"}, FIRING, True),
-        ({0.5: "locked", 1.0: "locked", 2.0: "locked", 3.0: "locked"}, FIRING, False),
-        ({5.5: "locked", 1.0: "locked", 2.0: "locked"}, FIRING, False),
-        ({1.0: "locked"}, FIRING, False),  # too little is seen for the lack to say anything
-        ({1.0: "undecided", 2.0: "locked", 3.0: "slips"}, FIRING, False),
-        ({1.0: "locked", 2.0: "locked", 3.0: "locked"}, load_engine("msu-optical-second"), False),  # without gas
-        ({1.0: "locked", 2.0: "locked", 3.0: "locked"}, None, False),
-    ],
-)
-def test_d16_no_half_order_puts_the_stated_cycle_of_a_fired_engine_in_doubt(
-    orders: dict[float, str], engine: Engine | None, doubted: bool
-) -> None:
-    found = [record_of(OrderFinding, {"order": order, "lock": lock}) for order, lock in orders.items()]
-    flags = cycle_doubts(found, two_stroke=False, engine=engine)
-    assert [one.flag for one in flags] == (["cycle_doubted"] if doubted else [])
-    assert all("0.5, 1.5" in one.detail and "two-stroke" in one.detail for one in flags)
-    assert cycle_doubts(found, two_stroke=False, engine=engine, max_order=1.0) == []
-
-
-def test_d16_four_even_cylinders_make_no_half_orders_to_miss() -> None:
+def test_d16_four_even_cylinders_make_no_half_orders_to_miss():
     firing = tuple(
         Cylinder(crank_deg=crank, position_m=0.1 * number, firing_deg=fires)
         for number, (crank, fires) in enumerate([(0.0, 0.0), (180.0, 180.0), (180.0, 540.0), (0.0, 360.0)])

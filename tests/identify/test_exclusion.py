@@ -1,21 +1,19 @@
 """What the orders exclude: a hidden mode that amplifies never, fine steps with small errors everything else."""
 
-from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from crankorder.identify.found import SweepFits, UnseenBound
-from crankorder.identify.modes.order_responses import Block, with_best_law
-from crankorder.identify.modes.responses import Hiding, least_seen
+from crankorder.identify.modes.order_responses import with_best_law
+from crankorder.identify.modes.responses import least_seen
 from crankorder.identify.modes.surface_fit import NO_POLES
 from crankorder.identify.modes.sweep_poles import sweep_fits
 from crankorder.settings import load_settings
 from identify.test_sweep_poles import HALVES, a_machine, spectra_of
-from machines.machine import Machine, Mode
+from machines.machine import Mode
 from machines.truth import amplification
-from made.drawn_orders import CHANNELS, DrawnMachine, blocks_from, drawn_machine
+from made.drawn_orders import CHANNELS, blocks_from, drawn_machine
 
 pytestmark = pytest.mark.slow
 
@@ -26,12 +24,12 @@ LARGE = 0.05
 """Share of the largest amplitude of any order below which an amplitude endangers nothing."""
 
 
-def _bounds(blocks: list[Block]) -> tuple[UnseenBound, ...]:
+def _bounds(blocks):
     told = [with_best_law(block, NO_POLES) for block in blocks]
     return least_seen(told, NO_POLES, unit=UNIT, settings=SETTINGS)
 
 
-def _planted(seed: int, *, rows: tuple[int, int]) -> tuple[DrawnMachine, float]:
+def _planted(seed, *, rows):
     """A machine with one mode somewhere between two of its speeds, and the speed at which its first order meets it."""
     random, one = np.random.default_rng((seed, 7)), {"n_modes": (1, 1), "n_orders": (1, 1)}
     machine = drawn_machine(seed, n_speeds=rows, damping=(0.002, 0.02), span_rpm=(2000.0, 5000.0), **one)
@@ -41,9 +39,7 @@ def _planted(seed: int, *, rows: tuple[int, int]) -> tuple[DrawnMachine, float]:
     return replace(machine, natural_hz=np.array([machine.orders[0].order * at / 60.0])), float(at)
 
 
-def _excluded(
-    cases: Iterable[tuple[int, DrawnMachine, float]], *, large: float = LARGE
-) -> tuple[int, list[tuple[int, float]]]:
+def _excluded(cases, *, large=LARGE):
     """How many modes of the cases (seed, machine, speed) endanger something there, and those that are excluded.
 
     ``large``: the share of the largest amplitude that the order must have at the speed.
@@ -62,16 +58,14 @@ def _excluded(
 
 
 @pytest.mark.parametrize(("rows", "seeds"), [((8, 14), range(150)), ((15, 40), range(150, 300))])
-def test_a_mode_that_hides_between_two_speeds_and_amplifies_is_not_excluded(
-    rows: tuple[int, int], seeds: range
-) -> None:
+def test_a_mode_that_hides_between_two_speeds_and_amplifies_is_not_excluded(rows, seeds):
     dangerous, excluded = _excluded((seed, *_planted(seed, rows=rows)) for seed in seeds)
     assert dangerous > 50
     assert len(excluded) <= 0.01 * dangerous, excluded
 
 
 @pytest.mark.parametrize("share", [0.12, 0.2])
-def test_a_broad_mode_that_fills_a_narrow_range_is_not_excluded(share: float) -> None:
+def test_a_broad_mode_that_fills_a_narrow_range_is_not_excluded(share):
     """Over so few speeds the law of a force may take a mode in that is as wide as the range."""
     cases = []
     for seed in range(40):
@@ -84,21 +78,13 @@ def test_a_broad_mode_that_fills_a_narrow_range_is_not_excluded(share: float) ->
     assert len(excluded) <= 0.05 * dangerous, excluded
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_fine_steps_and_small_errors_exclude(seed: int) -> None:
-    machine = drawn_machine(seed, n_modes=(0, 0), n_speeds=(400, 400), error=1e-4, scatter=(0.0005,))
-    for bound in _bounds(blocks_from(machine, seed)):
-        inside = bound.amplification[8:-8]
-        assert np.mean(inside < FACTOR) > 0.95
-
-
-def test_two_speeds_exclude_nothing_between_them() -> None:
+def test_two_speeds_exclude_nothing_between_them():
     machine = drawn_machine(1, n_modes=(0, 0), n_orders=(1, 1), n_speeds=(2, 2))
     (bound,) = _bounds(blocks_from(machine, 1))
     assert np.all(bound.amplification[1:-1] > FACTOR)
 
 
-def test_what_amplifies_an_order_of_no_account_is_nothing() -> None:
+def test_what_amplifies_an_order_of_no_account_is_nothing():
     """A bound is over the noise and over a small share of the largest amplitude of any order."""
     machine = drawn_machine(2, n_modes=(0, 0), n_orders=(2, 2), n_speeds=(40, 40), scatter=(0.0005,))
     loud, quiet = blocks_from(machine, 2)
@@ -114,7 +100,7 @@ def test_what_amplifies_an_order_of_no_account_is_nothing() -> None:
 ORDERS = [2.0, 3.5]
 
 
-def drawn(seed: int, *, hidden: float) -> Machine:
+def drawn(seed, *, hidden):
     """A sweep with a mode that stands out and one that makes ``hidden`` times as much as it would of the first."""
     rng = np.random.default_rng([seed, 71])
     clear = Mode(float(rng.uniform(60.0, 75.0)), 0.01, (0.02, -0.015), (1.0, 0.7), (0.0,))
@@ -128,11 +114,11 @@ def drawn(seed: int, *, hidden: float) -> Machine:
     return replace(made, seed=seed, modes=(clear, weak) if hidden else (clear,))
 
 
-def told(machine: Machine) -> SweepFits:
+def told(machine):
     return sweep_fits(spectra_of(machine, ORDERS, machine.seed), others=HALVES, settings=SETTINGS)
 
 
-def at(hidden: tuple[Hiding, ...], order: float, frequency_hz: float) -> float:
+def at(hidden, order, frequency_hz):
     """Largest amplification of ``order`` that is left open at ``frequency_hz``."""
     own = [item for item in hidden if item.order == order]
     own = [item for item in own if item.frequency_hz[0] <= frequency_hz <= item.frequency_hz[-1]]
@@ -141,7 +127,7 @@ def at(hidden: tuple[Hiding, ...], order: float, frequency_hz: float) -> float:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_where_no_mode_is_a_sweep_excludes_most(seed: int) -> None:
+def test_where_no_mode_is_a_sweep_excludes_most(seed):
     machine = drawn(seed, hidden=0.0)
     hidden = told(machine).hiding
     for order in ORDERS:
@@ -150,7 +136,7 @@ def test_where_no_mode_is_a_sweep_excludes_most(seed: int) -> None:
 
 
 @pytest.mark.parametrize("hidden", [0.01, 0.1, 1.0])
-def test_what_a_mode_really_adds_is_never_excluded(hidden: float) -> None:
+def test_what_a_mode_really_adds_is_never_excluded(hidden):
     held = []
     for seed in range(8):
         machine = drawn(seed, hidden=hidden)

@@ -13,7 +13,7 @@ from made.line_frames import PER_REV, agreed_in, angle_of, frames_of
 SPEEDS = np.linspace(300.0, 2000.0, 35)
 
 
-def line_of(rng: np.random.Generator, true: np.ndarray, *, speed=SPEEDS, relative: float = 0.03, freedom: float = 24.0):
+def line_of(rng, true, *, speed=SPEEDS, relative=0.03, freedom=24.0):
     """A line of ``true`` amplitudes at ``speed``, measured with errors that are themselves measured."""
     error = relative * true * rng.uniform(0.5, 2.0, len(true))
     seen = np.abs(true + error * (rng.standard_normal(len(true)) + 1j * rng.standard_normal(len(true))))
@@ -22,59 +22,49 @@ def line_of(rng: np.random.Generator, true: np.ndarray, *, speed=SPEEDS, relativ
     return OrderLine("A", 5.5, 1e-4, at, speed, seen, stated, known, none, "locked to the shaft", 20.0)
 
 
-def coverage(inside: Callable[[np.random.Generator], bool], n: int) -> float:
+def coverage(inside, n):
     rng = np.random.default_rng(12)
     return sum(inside(rng) for _ in range(n)) / n
 
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize(("exponent", "count"), [(0.0, 35), (2.0, 35), (2.0, 8), (1.0, 4)])
-def test_the_interval_of_the_exponent_holds_it_as_often_as_it_says(exponent: float, count: int) -> None:
+def test_the_interval_of_the_exponent_holds_it_as_often_as_it_says(exponent, count):
     speed = np.linspace(400.0, 2000.0, count)
 
-    def inside(rng: np.random.Generator) -> bool:
+    def inside(rng):
         low, high = growth(line_of(rng, (speed / 1000.0) ** exponent, speed=speed)).ci95
         return low <= exponent <= high
 
     assert 0.93 <= coverage(inside, 400) <= 0.985
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("exponent", [2.0, 0.5, 0.0])
-def test_the_interval_of_the_largest_amplitude_holds_that_of_its_speed(exponent: float) -> None:
-    true = (SPEEDS / 1000.0) ** exponent
-
-    def inside(rng: np.random.Generator) -> bool:
-        found = largest(line_of(rng, true))
-        return found.low <= true[found.at] <= found.high
-
-    assert 0.93 <= coverage(inside, 2000) <= 0.97
-
-
 @pytest.mark.slow
-def test_the_interval_of_the_mean_level_holds_it() -> None:
-    def inside(rng: np.random.Generator) -> bool:
+def test_the_interval_of_the_mean_level_holds_it():
+    def inside(rng):
         found = mean_level(line_of(rng, np.ones(35)))
         return found.low <= 1.0 <= found.high
 
     assert 0.93 <= coverage(inside, 400) <= 0.985
 
 
-def test_laws_are_named() -> None:
+def test_laws_are_named_but_of_three_speeds_or_one():
     rng = np.random.default_rng(1)
     assert growth(line_of(rng, np.ones(35))).law == "keeps its size"
     assert growth(line_of(rng, (SPEEDS / 1000.0) ** 2)).law == "grows with speed^n"
+    assert growth(line_of(rng, np.ones(3), speed=SPEEDS[:3])) is None
+    assert growth(line_of(rng, np.ones(5), speed=np.full(5, 900.0))) is None
 
 
 @pytest.mark.slow
-def test_scatter_beyond_the_errors_is_not_called_steady() -> None:
+def test_scatter_beyond_the_errors_is_not_called_steady():
     rng = np.random.default_rng(2)
     made = [growth(line_of(rng, np.exp(0.4 * rng.standard_normal(35)), relative=0.02)) for _ in range(40)]
     assert "keeps its size" not in {found.law for found in made}
     assert np.median([found.scatter for found in made]) == pytest.approx(0.4, abs=0.1)
 
 
-def test_a_narrow_resonance_does_not_make_the_law_and_is_told() -> None:
+def test_a_narrow_resonance_does_not_make_the_law_and_is_told():
     rng = np.random.default_rng(3)
     true = (SPEEDS / 1000.0) ** 2 * (1.0 + 6.0 * np.exp(-(((SPEEDS - 1300.0) / 60.0) ** 2)))
     found = growth(line_of(rng, true))
@@ -83,13 +73,7 @@ def test_a_narrow_resonance_does_not_make_the_law_and_is_told() -> None:
     assert 1300.0 in found.deviating_rpm and set(found.deviating_rpm) <= set(SPEEDS[(SPEEDS > 1100) & (SPEEDS < 1500)])
 
 
-def test_three_speeds_or_one_tell_no_law() -> None:
-    rng = np.random.default_rng(4)
-    assert growth(line_of(rng, np.ones(3), speed=SPEEDS[:3])) is None
-    assert growth(line_of(rng, np.ones(5), speed=np.full(5, 900.0))) is None
-
-
-def test_one_speed_has_students_interval_and_its_range() -> None:
+def test_one_speed_has_students_interval_and_its_range():
     line = line_of(np.random.default_rng(5), np.ones(1), speed=np.array([900.0]))
     found = largest(line)
     assert found.high - found.low == pytest.approx(2 * 2.063899 * float(line.amplitude_error[0]), rel=1e-4)
@@ -97,7 +81,7 @@ def test_one_speed_has_students_interval_and_its_range() -> None:
 
 
 @pytest.mark.slow
-def test_an_exact_amplitude_has_no_width_and_an_unknown_one_no_end() -> None:
+def test_an_exact_amplitude_has_no_width_and_an_unknown_one_no_end():
     line = line_of(np.random.default_rng(6), np.ones(2), speed=np.array([900.0, 950.0]), relative=0.0)
     assert largest(line).low == largest(line).high == 1.0
     unknown = largest(replace(line, amplitude_error=np.full(2, np.inf)))
@@ -106,7 +90,7 @@ def test_an_exact_amplitude_has_no_width_and_an_unknown_one_no_end() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
-def test_speeds_within_a_tenth_are_one_and_tell_no_growth(seed: int) -> None:
+def test_speeds_within_a_tenth_are_one_and_tell_no_growth(seed):
     rng = np.random.default_rng(seed)
     speed = np.linspace(2800.0, 2800.0 * rng.uniform(1.001, 1.09), 12)
     for exponent in (0.0, 2.0):
@@ -122,7 +106,7 @@ Scene = tuple[list, float, tuple[np.ndarray, np.ndarray]]
 """Frames and order of a line, amplitudes (several,) any of which the interval should hold, and phases [rad]."""
 
 
-def found_in(frames: list, order: float) -> list[tuple[tuple[float, float], tuple[float, float]]]:
+def found_in(frames, order):
     """Intervals of amplitude and phase [deg] (centre, half width) of the line at ``order``, by channel."""
     given = []
     for item in agreed_in(frames):
@@ -134,23 +118,23 @@ def found_in(frames: list, order: float) -> list[tuple[tuple[float, float], tupl
     return given
 
 
-def recording(rng: np.random.Generator, order: float, size: np.ndarray, phase: float, revs: int, noise: float):
+def recording(rng, order, size, phase, revs, noise):
     angle = angle_of(revs)
     line = size * np.cos(2.0 * np.pi * order * angle + phase)
     return frames_of([line + noise * rng.standard_normal(len(angle))])
 
 
-def steady(rng: np.random.Generator, *, most: float = 0.7, revs: tuple[int, int] = (80, 400)) -> Scene:
+def steady(rng, *, most=0.7, revs=(80, 400)):
     order, phase, noise = float(rng.choice(ORDERS)), rng.uniform(-3.0, 3.0), float(np.exp(rng.uniform(-4.0, most)))
     frames = [recording(rng, order, np.ones(1), phase, int(rng.integers(*revs)), noise)]
     return frames, order, (np.ones(1), np.array([phase]))
 
 
-def few_frames(rng: np.random.Generator) -> Scene:
+def few_frames(rng):
     return steady(rng, most=-1.0, revs=(24, 64))
 
 
-def weak(rng: np.random.Generator) -> Scene:
+def weak(rng):
     """A line that stands a little above the level that noise alone reaches."""
     order, phase = float(rng.choice(ORDERS)), rng.uniform(-3.0, 3.0)
     revs = int(rng.integers(100, 400))
@@ -159,7 +143,7 @@ def weak(rng: np.random.Generator) -> Scene:
     return [recording(rng, order, np.ones(1), phase, revs, noise)], order, (np.ones(1), np.array([phase]))
 
 
-def repeated(rng: np.random.Generator) -> Scene:
+def repeated(rng):
     """Two to five recordings at one speed that differ by a tenth."""
     order, phase, noise = float(rng.choice(ORDERS)), rng.uniform(-3.0, 3.0), float(np.exp(rng.uniform(-4.0, 0.0)))
     scatter = float(rng.uniform(0.02, 0.2))
@@ -170,7 +154,7 @@ def repeated(rng: np.random.Generator) -> Scene:
     return made, order, (np.ones(1), np.array([phase]))
 
 
-def changing(rng: np.random.Generator) -> Scene:
+def changing(rng):
     """An amplitude that drifts, doubles or swells within the recording; what any frame held is asked for."""
     order, phase, noise = float(rng.choice(ORDERS)), rng.uniform(-3.0, 3.0), float(np.exp(rng.uniform(-4.0, -1.0)))
     revs = int(rng.integers(120, 400))
@@ -190,7 +174,7 @@ def changing(rng: np.random.Generator) -> Scene:
 CLASSES = {"steady": steady, "few frames": few_frames, "weak": weak, "repeated": repeated, "changing": changing}
 
 
-def coverage_pooled(draw: Callable[[np.random.Generator], Scene], name: str, n: int) -> np.ndarray:
+def coverage_pooled(draw, name, n):
     """Shares (amplitudes, phases) of truths that lie in the intervals, and how many lines were found."""
     size, phase = [], []
     for seed in range(n):
@@ -205,7 +189,7 @@ def coverage_pooled(draw: Callable[[np.random.Generator], Scene], name: str, n: 
 
 
 @pytest.mark.parametrize("name", CLASSES)
-def test_every_class_of_machines_is_covered(name: str) -> None:
+def test_every_class_of_machines_is_covered(name):
     by_size, by_phase, n = coverage_pooled(CLASSES[name], name, 60)
     # 0.95 less four standard errors of so many draws
     least = 0.95 - 4.0 * np.sqrt(0.95 * 0.05 / n)

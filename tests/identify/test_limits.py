@@ -4,11 +4,10 @@ import math
 
 import numpy as np
 import pytest
-import xarray as xr
 
 from crankorder.campbell.band_levels import level_frames, limit_bands
 from crankorder.campbell.vibration_levels import vibration_levels
-from crankorder.findings import Balance, LimitVerdict
+from crankorder.findings import Balance
 from crankorder.identify.levels import graded, limit_verdicts, third_octave_records, vibration_records
 from crankorder.identify.machine_model import Limit, MachineModel
 from made.recordings import accelerometer, held
@@ -17,9 +16,7 @@ RATE_HZ = 5120.0
 BANDS = (*limit_bands("velocity", 10.0, 1000.0), *limit_bands("as measured", 10.0, 1000.0))
 
 
-def measured(
-    rms_by_rpm: dict[float, float], *, seed: int, seconds: float = 8.0, rate_hz: float = RATE_HZ
-) -> xr.Dataset:
+def measured(rms_by_rpm, *, seed, seconds=8.0, rate_hz=RATE_HZ):
     """Levels of recordings of white noise whose acceleration from 10 to 1000 Hz has those root mean squares."""
     rows = []
     for number, (rpm, rms) in enumerate(rms_by_rpm.items()):
@@ -28,7 +25,7 @@ def measured(
     return levels_of(rows, rate_hz=rate_hz)
 
 
-def levels_of(rows: list[tuple[float, np.ndarray]], *, bands: tuple = BANDS, rate_hz: float = RATE_HZ) -> xr.Dataset:
+def levels_of(rows, *, bands=BANDS, rate_hz=RATE_HZ):
     """Levels of recordings of an accelerometer, each at a speed."""
     items = []
     for number, (rpm, values) in enumerate(rows):
@@ -37,18 +34,18 @@ def levels_of(rows: list[tuple[float, np.ndarray]], *, bands: tuple = BANDS, rat
     return vibration_levels(items, speed_bin_rpm=25.0)
 
 
-def told_of(levels: xr.Dataset, band: tuple[float, float], value: float) -> LimitVerdict:
+def told_of(levels, band, value):
     """What is told of a limit of acceleration in a ``band``."""
     limits = (Limit("acceleration", *band, value, "x", ()),)
     (told,) = limit_verdicts(levels, None, MachineModel(1, limits=limits))
     return told
 
 
-def sources(value: float, *, quantity: str = "acceleration", channels: tuple[str, ...] = ()) -> MachineModel:
+def sources(value, *, quantity="acceleration", channels=()):
     return MachineModel(1, limits=(Limit(quantity, 10.0, 1000.0, value, "contract", channels),), rotor_kg=20.0)
 
 
-def test_the_speed_that_is_above_is_named_and_what_is_below_is_within() -> None:
+def test_the_speed_that_is_above_is_named_and_what_is_below_is_within():
     made = measured({900.0: 1.0, 1500.0: 3.0, 2100.0: 2.0}, seed=1)
     (above,) = limit_verdicts(made, None, sources(2.5))
     assert (above.verdict, round(above.speed_rpm or 0)) == ("above", 1500)
@@ -60,7 +57,7 @@ def test_the_speed_that_is_above_is_named_and_what_is_below_is_within() -> None:
 
 
 @pytest.mark.slow
-def test_a_limit_at_the_level_is_seldom_called_passed_or_kept() -> None:
+def test_a_limit_at_the_level_is_seldom_called_passed_or_kept():
     """At four speeds with the level at the limit either verdict is a chance of some per cent."""
     verdicts = []
     for seed in range(150):
@@ -70,7 +67,7 @@ def test_a_limit_at_the_level_is_seldom_called_passed_or_kept() -> None:
     assert verdicts.count("within") <= 2
 
 
-def test_what_cannot_be_told_is_not_decided() -> None:
+def test_what_cannot_be_told_is_not_decided():
     slow = measured({900.0: 1.0}, seed=2, rate_hz=1000.0)
     assert limit_verdicts(slow, None, sources(50.0))[0].verdict == "not decided"
     assert "reaches" in limit_verdicts(slow, None, sources(50.0))[0].evidence
@@ -79,7 +76,7 @@ def test_what_cannot_be_told_is_not_decided() -> None:
     assert limit_verdicts(short, None, sources(0.006, quantity="balance grade"))[0].verdict == "not decided"
 
 
-def test_the_balance_grade_is_unbalance_over_mass_times_speed() -> None:
+def test_the_balance_grade_is_unbalance_over_mass_times_speed():
     """By hand: 500 g mm on 20 kg are 25 µm; at 3000 rpm, 314.159 rad/s, G is 7.854 mm/s."""
     balance = Balance(residual_rotating_gmm=500.0, residual_rotating_gmm_ci95=(480.0, 520.0))
     made = graded(balance, sources(1.0), 3000.0)
@@ -92,7 +89,7 @@ def test_the_balance_grade_is_unbalance_over_mass_times_speed() -> None:
     assert graded(balance, MachineModel(1), 3000.0) is balance
 
 
-def test_the_largest_level_of_each_band_is_marked_once() -> None:
+def test_the_largest_level_of_each_band_is_marked_once():
     made = measured({900.0: 1.0, 1500.0: 3.0}, seed=4)
     records = vibration_records(made)
     assert len(records) == 4
@@ -102,7 +99,7 @@ def test_the_largest_level_of_each_band_is_marked_once() -> None:
     assert third_octave_records(made) == ()
 
 
-def with_a_line(seed: int, hertz: float, band: tuple[float, float]) -> xr.Dataset:
+def with_a_line(seed, hertz, band):
     """Levels of a steady line of 1 m/s2 root mean square in a little noise."""
     rng, seconds = np.random.default_rng(seed), 10.0
     at = np.arange(int(seconds * RATE_HZ)) / RATE_HZ
@@ -112,7 +109,7 @@ def with_a_line(seed: int, hertz: float, band: tuple[float, float]) -> xr.Datase
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(16))
-def test_a_line_at_an_end_of_the_band_is_never_surely_within_or_above(seed: int) -> None:
+def test_a_line_at_an_end_of_the_band_is_never_surely_within_or_above(seed):
     """At an end half of the power passes: the level is 0.71, what is in the band (or just outside) is 1 (or 0)."""
     rng = np.random.default_rng(seed)
     low = float(rng.uniform(12.0, 200.0))
@@ -129,7 +126,7 @@ def test_a_line_at_an_end_of_the_band_is_never_surely_within_or_above(seed: int)
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(8))
-def test_a_line_well_inside_or_outside_the_band_is_decided(seed: int) -> None:
+def test_a_line_well_inside_or_outside_the_band_is_decided(seed):
     rng = np.random.default_rng(seed)
     low = float(rng.uniform(12.0, 100.0))
     band = (low, 3.0 * low)
@@ -139,7 +136,7 @@ def test_a_line_well_inside_or_outside_the_band_is_decided(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_band_too_narrow_for_so_short_a_recording_is_not_decided() -> None:
+def test_a_band_too_narrow_for_so_short_a_recording_is_not_decided():
     rows = [(1500.0, np.random.default_rng(number).standard_normal(int(1.5 * RATE_HZ))) for number in range(3)]
     told = told_of(levels_of(rows, bands=limit_bands("acceleration", 10.0, 12.6)), (10.0, 12.6), 100.0)
     assert told.verdict == "not decided"

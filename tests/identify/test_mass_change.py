@@ -1,7 +1,5 @@
 """The change of unbalance behind a change of order 1: its factor, its law with speed and its grams."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

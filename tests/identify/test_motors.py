@@ -1,7 +1,6 @@
 """The slip of a motor whose speed was only stated: by the one line just below its field, and by nothing else."""
 
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -19,14 +18,18 @@ from made.recordings import manifest
 SETTINGS = load_settings().identify
 
 
+<<<<<<< HEAD
 def recorded(stated_rpm: float, *lines: tuple[float, float], noise: float = 0.3, seed: int = 0) -> list[HeldFrames]:
+=======
+def recorded(stated_rpm, *lines, noise=0.3, seed=0):
+>>>>>>> 5b0b5e5951b38922d2c9eadfc61a3b30124173ab
     """A recording in frames of the ``stated_rpm``, with ``lines`` (Hz, amplitude) in noise."""
     return held_at(np.random.default_rng(seed), stated_rpm, lines, noise=noise)
 
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("seed", range(12))
-def test_where_the_speed_is_only_stated_the_line_below_the_field_tells_the_slip(seed: int) -> None:
+def test_where_the_speed_is_only_stated_the_line_below_the_field_tells_the_slip(seed):
     rng = np.random.default_rng([seed, 5])
     nominal, poles, slip = float(rng.choice([50.0, 60.0])), int(rng.choice([2, 4, 6])), float(rng.uniform(0.006, 0.06))
     supply = nominal * (1.0 + float(rng.uniform(-1e-3, 1e-3)))
@@ -48,7 +51,7 @@ def test_where_the_speed_is_only_stated_the_line_below_the_field_tells_the_slip(
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("seed", range(12))
-def test_noise_mains_and_two_lines_alike_tell_no_slip(seed: int) -> None:
+def test_noise_mains_and_two_lines_alike_tell_no_slip(seed):
     rng, motor = np.random.default_rng([seed, 6]), Motor(supply_hz=50.0, poles=int(2 + 2 * (seed % 2)))
     field_hz = 100.0 / float(motor.poles or 2)
     mains = [(50.0 * multiple, 1.0) for multiple in (1, 2, 3)]
@@ -62,7 +65,7 @@ def test_noise_mains_and_two_lines_alike_tell_no_slip(seed: int) -> None:
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("seed", range(6))
-def test_a_line_at_the_stated_speed_is_the_shafts_beside_a_stronger_one_of_another_motor(seed: int) -> None:
+def test_a_line_at_the_stated_speed_is_the_shafts_beside_a_stronger_one_of_another_motor(seed):
     rng = np.random.default_rng([seed, 7])
     own, other = 25.0 * (1.0 - rng.uniform(0.005, 0.02)), 25.0 * (1.0 - rng.uniform(0.035, 0.06))
     held = recorded(60.0 * own * (1.0 + rng.uniform(-2e-3, 2e-3)), (own, 0.5), (other, 2.0), (100.0, 0.5), seed=seed)
@@ -70,7 +73,7 @@ def test_a_line_at_the_stated_speed_is_the_shafts_beside_a_stronger_one_of_anoth
     assert found.record.speeds[0].speed_rpm == pytest.approx(60.0 * own, rel=2e-4) and found.speed_doubt is None
 
 
-def test_a_speed_of_the_shaft_tells_the_slip_by_itself() -> None:
+def test_a_speed_of_the_shaft_tells_the_slip_by_itself():
     held = recorded(1470.0, (24.5, 1.0), (100.0, 1.0))
     found = motor_seen(Motor(supply_hz=50.0, poles=4), held, by_shaft=True, settings=SETTINGS)
     assert [one.slip for one in found.record.speeds] == [pytest.approx(0.02, abs=1e-4)]
@@ -78,7 +81,7 @@ def test_a_speed_of_the_shaft_tells_the_slip_by_itself() -> None:
     assert "faster than the 1000 rpm of 6 poles" in wrong.record.misfit and not wrong.lines and not wrong.record.lines
 
 
-def findings_of(folder: Path, stated_rpm: float) -> dict[str, Any]:
+def findings_of(folder, stated_rpm):
     """Findings of a motor of four poles that turns at 1464 rpm on 50 Hz where ``stated_rpm`` is stated."""
     rng, time_s = np.random.default_rng(3), np.arange(8 * 4000) / 4000.0
     lines = ((24.4, 1.0), (48.8, 0.5), (100.0, 0.6))
@@ -94,7 +97,7 @@ def findings_of(folder: Path, stated_rpm: float) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_a_stated_speed_that_is_the_fields_is_in_doubt_and_the_one_that_is_told_is_not(tmp_path: Path) -> None:
+def test_a_stated_speed_that_is_the_fields_is_in_doubt_and_the_one_that_is_told_is_not(tmp_path):
     doubted = findings_of(tmp_path / "field", 1500.0)
     assert doubted["speed_doubt"] == "1500 rpm is stated, and the line just below the motor's field tells 1464 rpm"
     assert {record["lock"] for record in doubted["orders"]} == {"undecided"}

@@ -1,17 +1,16 @@
 """Order lines: none vanishes in silence, none of fixed frequency passes for an order, slipping ones are seen."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
+from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.lines.followed_orders import track_number
 from crankorder.identify.lines.line_evidence import is_steady
 from crankorder.identify.lines.order_lines import order_lines
-from crankorder.identify.modes.responses import HeldPeak, held_peak
+from crankorder.identify.modes.responses import held_peak
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import track_order
 from crankorder.settings import load_settings
@@ -19,13 +18,14 @@ from machines.draw import draw_machine
 from machines.folder import write_folder
 from machines.judge import Said
 from machines.score import run_program
+from made.found_lines import fit, made_response, mode
 from made.line_frames import PER_REV, agreed_in, angle_of, frames_of, wave
 
 SETTINGS = load_settings()
 SPEEDS = np.arange(600.0, 1800.0, 50.0)
 
 
-def lines_of(signal, *, speeds=SPEEDS, revs: int = 120):
+def lines_of(signal, *, speeds=SPEEDS, revs=120):
     """Lines of a test whose signal at a speed is ``signal(angle, rpm)`` beside white noise of unit power."""
     rng, frames, angle = np.random.default_rng(7), [], angle_of(revs)
     for rpm in speeds:
@@ -34,24 +34,18 @@ def lines_of(signal, *, speeds=SPEEDS, revs: int = 120):
     return order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
 
 
-def test_a_line_at_one_speed_of_many_is_kept_with_its_doubt() -> None:
+def test_a_line_at_one_speed_of_many_is_kept_with_its_doubt():
     (line,) = lines_of(lambda angle, rpm: wave(angle, 4.0, 1.0 if rpm == 1200.0 else 0.0))
     assert (len(line.seen), float(line.speed_rpm[0])) == (1, 1200.0)
     assert [doubt.words for doubt in line.doubts] == ["seen at 1 of 24 speeds only"]
 
 
-def test_a_tone_of_fixed_frequency_is_no_order_though_it_meets_one() -> None:
+def test_a_tone_of_fixed_frequency_is_no_order_though_it_meets_one():
     # 60 Hz is order 3 at 1200 rpm exactly, where it is as steady as an order
     assert lines_of(lambda angle, rpm: wave(angle, 3600.0 / rpm, 1.0)) == []
 
 
-def test_a_line_that_slips_is_seen_at_one_speed_by_the_turn_of_its_phase() -> None:
-    (line,) = lines_of(lambda angle, rpm: wave(angle, 4.013, 0.5), speeds=[1500.0], revs=300)
-    assert line.evidence == "steady, not locked"
-    assert line.order == pytest.approx(4.013, abs=0.01)
-
-
-def one_speed(signal, *, channels: int = 1):
+def one_speed(signal, *, channels=1):
     """Lines of a test at 2000 rpm, ten frames of which are worth no more than that, in so many ``channels``."""
     signals = [signal(angle_of(92), k) for k in range(channels)]
     frames = [frames_of(signals, speed_rpm=2000.0, pulses=False)]
@@ -60,7 +54,7 @@ def one_speed(signal, *, channels: int = 1):
 
 
 @pytest.mark.slow
-def test_a_line_whose_speed_drifts_is_seen_in_ten_frames_by_its_steadiness_and_with_its_doubt() -> None:
+def test_a_line_whose_speed_drifts_is_seen_in_ten_frames_by_its_steadiness_and_with_its_doubt():
     """As in a gearbox whose speed is nominal: the phase turns by 72 degrees to and fro, over ten frames."""
 
     def drifting(angle, channel):
@@ -77,7 +71,7 @@ def test_a_line_whose_speed_drifts_is_seen_in_ten_frames_by_its_steadiness_and_w
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("damping", [1e-4, 3e-4, 1e-3, 1e-2])
-def test_no_resonance_that_noise_excites_is_as_steady_as_a_line_at_one_speed(damping: float) -> None:
+def test_no_resonance_that_noise_excites_is_as_steady_as_a_line_at_one_speed(damping):
     """A hundred channels of ten frames each, on order 15.06: a phasor that forgets itself as that damping makes it."""
     rng = np.random.default_rng(int(1e5 * damping))
     per_rev = np.exp(-2.0 * np.pi * damping * 15.06 / PER_REV)
@@ -95,25 +89,8 @@ def test_no_resonance_that_noise_excites_is_as_steady_as_a_line_at_one_speed(dam
     assert steady <= 1
 
 
-def test_a_line_that_slips_by_less_than_a_percent_is_found_at_eight_speeds_of_eight_seconds() -> None:
-    """5.5 with a slip of 0.8 %: off every bin of its frames, never locked, and no resonance."""
-    speeds = np.arange(600.0, 2001.0, 200.0)
-    rng, frames = np.random.default_rng(3), []
-    for rpm in speeds:
-        angle = angle_of(int(8.0 * rpm / 60.0))
-        signal = wave(angle, 5.456, 0.5, rng.uniform(0, 6)) + wave(angle, 1.0, 2.0) + rng.standard_normal(len(angle))
-        frames.append(frames_of([signal], speed_rpm=rpm))
-    made = order_map(frames, settings=SETTINGS.orders)
-    first, slipping = order_lines(made, settings=SETTINGS.identify, orders=SETTINGS.orders, frames=frames)
-    assert first.evidence == "locked to the shaft"
-    assert slipping.evidence == "steady, not locked"
-    assert slipping.order == pytest.approx(5.456, abs=0.006)
-    assert slipping.amplitude == pytest.approx(0.5, rel=0.15)
-    assert len(slipping.seen) == len(speeds)
-
-
 @pytest.mark.slow
-def test_an_order_that_stands_at_one_of_two_speeds_and_nearly_at_the_other_is_one_order_at_both() -> None:
+def test_an_order_that_stands_at_one_of_two_speeds_and_nearly_at_the_other_is_one_order_at_both():
     """At 1500 rpm order 8.5 stays just below the level, at 2000 rpm it is above: together noise does not make it."""
     found = 0
     for weak in np.arange(0.12, 0.30, 0.02):
@@ -125,7 +102,7 @@ def test_an_order_that_stands_at_one_of_two_speeds_and_nearly_at_the_other_is_on
     assert found >= 5
 
 
-def test_noise_at_few_speeds_makes_no_order_of_all_together() -> None:
+def test_noise_at_few_speeds_makes_no_order_of_all_together():
     rng = np.random.default_rng(2)
     for _ in range(12):
         signal = [rng.standard_normal(120 * PER_REV) for _ in range(3)]
@@ -135,12 +112,12 @@ def test_noise_at_few_speeds_makes_no_order_of_all_together() -> None:
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize(("seed", "modes"), [(4, 8), (5, 14), (6, 14)])
-def test_an_order_that_resonances_raise_at_some_speeds_is_none_of_all_together(seed: int, modes: int) -> None:
+def test_an_order_that_resonances_raise_at_some_speeds_is_none_of_all_together(seed, modes):
     """Noise excites modes: orders cross them at some of 35 speeds, and the last bin of the map sees flanks of them."""
     rng = np.random.default_rng(seed)
     natural_hz, damping = np.exp(rng.uniform(np.log(50.0), np.log(500.0), modes)), rng.uniform(0.002, 0.012, modes)
 
-    def ringing(angle: np.ndarray, rpm: float) -> np.ndarray:
+    def ringing(angle, rpm):
         ratio = np.fft.rfftfreq(len(angle), 60.0 / (PER_REV * rpm))[:, None] / natural_hz
         path = 0.3 + (1.0 / (1.0 - ratio**2 + 2j * damping * ratio)).sum(axis=1)
         return np.fft.irfft(path * np.fft.rfft(rng.standard_normal(len(angle))), len(angle))
@@ -154,7 +131,7 @@ def test_an_order_that_resonances_raise_at_some_speeds_is_none_of_all_together(s
 ONE, SEVERAL = (1500.0,), (1500.0, 1530.0, 1560.0)
 
 
-def swelling(angle: np.ndarray, how: str, factor: float) -> np.ndarray:
+def swelling(angle, how, factor):
     share = (angle - angle[0]) / (angle[-1] - angle[0])
     if how == "step":
         return np.where(share > 0.5, factor, 1.0)
@@ -163,7 +140,7 @@ def swelling(angle: np.ndarray, how: str, factor: float) -> np.ndarray:
     return 1.0 + (factor - 1.0) * share
 
 
-def found(order: float, how: str, factor: float, speeds: tuple[float, ...]):
+def found(order, how, factor, speeds):
     rng, angle, frames = np.random.default_rng(int(100 * factor)), angle_of(250), []
     size = 3.0 * swelling(angle, how, factor)
     for rpm in speeds:
@@ -175,21 +152,15 @@ def found(order: float, how: str, factor: float, speeds: tuple[float, ...]):
 @pytest.mark.parametrize("speeds", [ONE, SEVERAL])
 @pytest.mark.parametrize(("how", "factor"), [("step", 1.2), ("step", 2.0), ("step", 10.0), ("early step", 3.0)])
 @pytest.mark.parametrize("order", [1.0, 5.5, 5.467])
-def test_an_order_whose_amplitude_changes_is_found(order: float, how: str, factor: float, speeds) -> None:
+def test_an_order_whose_amplitude_changes_is_found_and_its_interval_reaches_over_what_it_held(
+    order, how, factor, speeds
+):
     (agreed,) = found(order, how, factor, speeds)
     assert agreed.order == pytest.approx(order, abs=0.02)
     assert agreed.lock == "slips" if order == 5.467 else agreed.lock != "slips"
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("speeds", [ONE, SEVERAL])
-@pytest.mark.parametrize("order", [1.0, 5.5])
-@pytest.mark.parametrize("factor", [2.0, 5.0])
-def test_its_interval_reaches_over_the_amplitudes_that_it_held(order: float, factor: float, speeds) -> None:
-    (agreed,) = found(order, "step", factor, speeds)
-    (line,) = agreed.lines
-    assert line.ends is not None
-    assert (line.ends[:, 0] < 1.03 * 3.0).all() and (line.ends[:, 1] > 0.97 * 3.0 * factor).all()
+    if order != 5.467 and (how, factor) == ("step", 2.0):
+        (line,) = agreed.lines
+        assert (line.ends[:, 0] < 1.03 * 3.0).all() and (line.ends[:, 1] > 0.97 * 3.0 * factor).all()
 
 
 # Findings and tracks: one number for both, at the order that was found; how large a held speed would make it.
@@ -201,7 +172,7 @@ DRAWN = [("run-up", 11), ("repeated sweep", 12), ("stepped few", 13), ("one spee
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize(("class_name", "seed"), DRAWN)
-def test_the_largest_value_of_each_track_is_that_of_the_findings(class_name: str, seed: int, tmp_path: Path) -> None:
+def test_the_largest_value_of_each_track_is_that_of_the_findings(class_name, seed, tmp_path):
     machine = draw_machine(class_name, seed)
     write_folder(machine, tmp_path / "test")
     assert run_program(tmp_path / "test", tmp_path / "out") == ""
@@ -222,7 +193,7 @@ def test_the_largest_value_of_each_track_is_that_of_the_findings(class_name: str
         assert phase == pytest.approx(float(row["phase"]), rel=FLOAT32, abs=1e-4, nan_ok=True)
 
 
-def test_an_order_whose_number_is_not_known_has_its_track_where_it_was_found() -> None:
+def test_an_order_whose_number_is_not_known_has_its_track_where_it_was_found():
     assert track_order(2.001, (1.99, 2.01), "undecided", revs_per_cycle=2) == 2.0
     assert track_order(2.02, (2.01, 2.03), "undecided", revs_per_cycle=2) == 2.02
     assert track_order(2.76, (2.48, 3.04), "undecided", revs_per_cycle=2) == 2.76
@@ -230,40 +201,25 @@ def test_an_order_whose_number_is_not_known_has_its_track_where_it_was_found() -
 
 
 @pytest.mark.slow
-def test_a_line_between_multiples_is_read_where_it_stands_however_little_is_known_of_the_speed() -> None:
+def test_a_line_between_multiples_is_read_where_it_stands_however_little_is_known_of_the_speed():
     slow = AgreedOrder(2.54, 0.033, 1e6, "undecided", None, (), own_error=1e-5)
     assert track_number(slow, revs_per_cycle=2) == 2.54
     assert track_number(replace(slow, own_error=0.03), revs_per_cycle=2) == 2.5
     assert track_number(replace(slow, order=2.50001), revs_per_cycle=2) == 2.5
 
 
-def _response(*, recording: str = "r1", fits: bool = True, error: float = 0.01) -> OrderResponse:
-    one, covariance = np.array([1.0 + 0j]), np.diag([error**2, error**2]).astype(complex)
-    return OrderResponse(
-        2.0,
-        "X",
-        0.0,
-        (),
-        1800.0,
-        (900.0, 3000.0),
-        0.0 * one,
-        one,
-        np.array([0]),
-        covariance,
-        40,
-        error,
-        fits,
-        recording,
-    )
+def _response(*, recording="r1", fits=True, error=0.01):
+    made = made_response(2.0, fit(mode(60.0, 0.01)), smooth=0.0, residue=[1.0], channel="X")
+    covariance = np.diag([error**2, error**2]).astype(complex)
+    return replace(made, exponent=0.0, covariance=covariance, error=error, fits=fits, recording=recording)
 
 
-def _held(*responses: OrderResponse, error: float = 0.0, order: float = 2.0, channel: str = "X") -> HeldPeak | None:
-    mode = Mode(60.0, 0.1, 0.01, error, ("X",), 20.0, "")
-    modal = ModalFit((mode,), (), np.diag([0.0, error**2]), responses or (_response(),))
+def _held(*responses, error=0.0, order=2.0, channel="X"):
+    modal = ModalFit((mode(60.0, 0.01),), (), np.diag([0.0, error**2]), responses or (_response(),))
     return held_peak(modal, order, channel, largest_rpm=1800.0)
 
 
-def test_a_held_order_reaches_what_its_mode_amplifies() -> None:
+def test_a_held_order_reaches_what_its_mode_amplifies():
     peak, wider = _held(), _held(error=0.001)
     assert peak is not None and wider is not None
     assert peak.amplitude == pytest.approx(50.0, rel=2e-3)  # 1 / (2 damping)
@@ -271,7 +227,7 @@ def test_a_held_order_reaches_what_its_mode_amplifies() -> None:
     assert wider.error == pytest.approx(np.hypot(5.0, 0.5), rel=2e-2)
 
 
-def test_no_response_beside_the_largest_amplitude_says_anything_of_held_speeds() -> None:
+def test_no_response_beside_the_largest_amplitude_says_anything_of_held_speeds():
     beside = replace(_response(recording="b", error=1e-9), span_rpm=(2500.0, 3000.0))
     assert _held(_response(), beside) == _held()
     for silent in (beside, _response(recording=""), _response(fits=False)):

@@ -9,11 +9,11 @@ from crankorder.identify.lines.line_phasors import lock_of, proves_speed, revs_t
 from crankorder.identify.modes.order_blocks import blocks_of, with_locks_through_modes
 
 
-def lock(order: float, error: float, **given) -> str:
+def lock(order, error, **given):
     return lock_of(order, error, 30.0, **({"revs_per_cycle": 2, "by_phase": True} | given))
 
 
-def test_a_number_is_locked_slips_or_is_undecided_by_its_interval_its_phase_and_the_cycle() -> None:
+def test_a_number_is_locked_slips_or_is_undecided_by_its_interval_its_phase_and_the_cycle():
     wanted = [
         (5.5002, 2e-4, {}, "locked"),
         (5.489, 2e-4, {}, "slips"),
@@ -27,7 +27,7 @@ def test_a_number_is_locked_slips_or_is_undecided_by_its_interval_its_phase_and_
 
 
 @pytest.mark.parametrize(("relative", "span"), [(0.1, 16.0), (0.01, 16.0), (0.05, 100.0)])
-def test_after_the_revolutions_needed_the_interval_is_narrow_enough(relative: float, span: float) -> None:
+def test_after_the_revolutions_needed_the_interval_is_narrow_enough(relative, span):
     needed = revs_to_decide(5.5, relative_error=relative, span_rev=span, revs_per_frame=16)
     then = relative * np.sqrt(span / needed) * np.sqrt(12.0) / (2 * np.pi * needed)  # noise averages with the length
     assert lock(5.5, then * 0.99) == "locked" or needed == 32.0
@@ -39,11 +39,11 @@ def test_after_the_revolutions_needed_the_interval_is_narrow_enough(relative: fl
 ERROR = 3e-6
 
 
-def _numbers(orders, share: float, rng: np.random.Generator) -> list[tuple[float, float, float]]:
+def _numbers(orders, share, rng):
     return [(order * (1.0 + share + ERROR * rng.standard_normal()), order * ERROR, 50.0) for order in orders]
 
 
-def test_orders_on_multiples_prove_the_speed_and_one_that_slips_does_not_disturb() -> None:
+def test_orders_on_multiples_prove_the_speed_and_one_that_slips_does_not_disturb():
     rng = np.random.default_rng(0)
     assert proves_speed(_numbers((0.5, 4.5, 11.0), 0.0, rng), revs_per_cycle=2)
     assert proves_speed([*_numbers((2.0, 3.5), 0.0, rng), (5.4356, 1e-5, 50.0)], revs_per_cycle=2)
@@ -51,17 +51,17 @@ def test_orders_on_multiples_prove_the_speed_and_one_that_slips_does_not_disturb
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("share", [3e-4, -1e-3, 4e-3])
-def test_a_speed_that_is_off_or_a_shaft_that_slips_proves_nothing(share: float) -> None:
+def test_a_speed_that_is_off_or_a_shaft_that_slips_proves_nothing(share):
     assert not proves_speed(_numbers((2.0, 3.5, 6.0), share, np.random.default_rng(1)), revs_per_cycle=2)
 
 
-def test_one_order_or_coarse_numbers_prove_nothing() -> None:
+def test_one_order_or_coarse_numbers_prove_nothing():
     assert not proves_speed([(4.0, 4 * ERROR, 50.0)], revs_per_cycle=2)
     assert not proves_speed([(4.0, 1e-3, 50.0), (6.5, 1e-3, 50.0)], revs_per_cycle=2)
 
 
 @pytest.mark.slow
-def test_shafts_that_slip_behind_a_speed_that_errs_hardly_ever_prove_it() -> None:
+def test_shafts_that_slip_behind_a_speed_that_errs_hardly_ever_prove_it():
     rng, proven = np.random.default_rng(2), 0
     for _ in range(3000):
         slip = rng.choice([-1.0, 1.0]) * np.exp(rng.uniform(np.log(0.001), np.log(0.05)))
@@ -77,7 +77,7 @@ ORDER_MAP = xr.Dataset(attrs={"revs_per_cycle": 2})
 BANDWIDTH_HZ, NOISE = 5.0, 0.02
 
 
-def _followed(order: float, revs: float, bandwidth_hz: float) -> xr.Dataset:
+def _followed(order, revs, bandwidth_hz):
     """An order of amplitude 1 followed from 900 to 3000 rpm in so many ``revs``."""
     duration_s = 60.0 * revs / 1950.0
     time = np.arange(0.2, duration_s - 0.2, 0.5 / bandwidth_hz)
@@ -92,9 +92,7 @@ def _followed(order: float, revs: float, bandwidth_hz: float) -> xr.Dataset:
     )
 
 
-def _scene(
-    rng: np.random.Generator, slip: float, *, revs: float = 800.0, bandwidth_hz: float = BANDWIDTH_HZ
-) -> tuple[AgreedOrder, ModalFit, xr.Dataset]:
+def _scene(rng, slip, *, revs=800.0, bandwidth_hz=BANDWIDTH_HZ):
     """An order through two modes that slips by the share ``slip``, with the fit of what modes and force do to it."""
     order = float(rng.choice([1.5, 2.0, 3.0, 5.5]))
     agreed = AgreedOrder(order, 0.01, 1e6, "undecided", 30.0, ())
@@ -123,7 +121,7 @@ def _scene(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
-def test_a_locked_order_is_proven_locked_and_its_records_keep_together(seed: int) -> None:
+def test_a_locked_order_is_proven_locked_and_its_records_keep_together(seed):
     agreed, modal, item = _scene(np.random.default_rng(seed), 0.0)
     (told,), fit = with_locks_through_modes((agreed,), modal, [item], ORDER_MAP)
     assert told.lock == "locked"
@@ -132,7 +130,7 @@ def test_a_locked_order_is_proven_locked_and_its_records_keep_together(seed: int
 
 @pytest.mark.slow
 @pytest.mark.parametrize("slip", [0.0015, 0.003, -0.003, 0.01])
-def test_no_order_that_slips_is_called_locked(slip: float) -> None:
+def test_no_order_that_slips_is_called_locked(slip):
     for seed in range(6):
         agreed, modal, item = _scene(np.random.default_rng(seed), slip)
         (told,), _ = with_locks_through_modes((agreed,), modal, [item], ORDER_MAP)
@@ -140,7 +138,7 @@ def test_no_order_that_slips_is_called_locked(slip: float) -> None:
 
 
 @pytest.mark.slow
-def test_a_sweep_of_few_turns_tells_nothing() -> None:
+def test_a_sweep_of_few_turns_tells_nothing():
     # a bandwidth as a sweep so fast asks for: rows enough to be looked at
     agreed, modal, item = _scene(np.random.default_rng(3), 0.0, revs=40.0, bandwidth_hz=40.0)
     (told,), _ = with_locks_through_modes((agreed,), modal, [item], ORDER_MAP)
@@ -148,7 +146,7 @@ def test_a_sweep_of_few_turns_tells_nothing() -> None:
 
 
 @pytest.mark.slow
-def test_without_a_fit_nothing_is_told() -> None:
+def test_without_a_fit_nothing_is_told():
     agreed, modal, item = _scene(np.random.default_rng(4), 0.0)
     (told,), fit = with_locks_through_modes((agreed,), ModalFit(modal.modes, (), modal.covariance), [item], ORDER_MAP)
     assert told is agreed and fit.responses == ()

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from crankorder.identify.found import ModalFit
 from crankorder.identify.modes.order_responses import Block, project, responses_of, with_best_law, with_scatter
@@ -13,7 +12,7 @@ TRUE = poles_of((mode(60.0, 0.02), mode(75.0, 0.01)))
 ORDER = 3.0
 
 
-def _response(speed: NDArray, residue: NDArray, rigid: complex) -> NDArray:
+def _response(speed, residue, rigid):
     """Acceleration of the modes of TRUE, by their transfer functions."""
     s = 2j * np.pi * ORDER * speed / 60.0
     made = np.full(len(speed), rigid, dtype=complex)
@@ -23,9 +22,7 @@ def _response(speed: NDArray, residue: NDArray, rigid: complex) -> NDArray:
     return made
 
 
-def _block(
-    seed: int, *, exponent: float = 2.0, scatter: float = 0.0, error: float = 1e-3
-) -> tuple[Block, NDArray, NDArray]:
+def _block(seed, *, exponent=2.0, scatter=0.0, error=1e-3):
     """A block whose force is (s / 1800)^exponent, its residues (C, 2) and rigid parts (C,)."""
     random = np.random.default_rng(seed)
     speed = np.linspace(600.0, 1800.0, 60)
@@ -41,7 +38,7 @@ def _block(
 
 
 @pytest.mark.slow
-def test_linear_terms_are_recovered_within_their_errors() -> None:
+def test_linear_terms_are_recovered_within_their_errors():
     chi2 = []
     for seed in range(40):
         block, residue, rigid = _block(seed, error=0.1)  # beside it the scatter that is always granted is nothing
@@ -58,7 +55,7 @@ def test_linear_terms_are_recovered_within_their_errors() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("exponent", [0.0, 1.0, 2.0, 3.0])
-def test_the_power_by_which_the_force_grows_is_told(exponent: float) -> None:
+def test_the_power_by_which_the_force_grows_is_told(exponent):
     for seed in range(4):
         told = with_best_law(_block(seed, exponent=exponent)[0], TRUE)
         assert (told.exponent, told.degree, len(told.law)) == (exponent, 0, 0), seed
@@ -66,7 +63,7 @@ def test_the_power_by_which_the_force_grows_is_told(exponent: float) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scatter", [0.005, 0.02, 0.1])
-def test_the_scatter_of_the_force_is_told_without_bias(scatter: float) -> None:
+def test_the_scatter_of_the_force_is_told_without_bias(scatter):
     found = [with_scatter(_block(seed, scatter=scatter)[0], TRUE)[0].scatter for seed in range(40)]
     assert np.mean(found) == pytest.approx(scatter, rel=0.08)
     # 54 complex numbers tell a standard deviation within a tenth
@@ -74,7 +71,7 @@ def test_the_scatter_of_the_force_is_told_without_bias(scatter: float) -> None:
 
 
 @pytest.mark.slow
-def test_a_channel_that_is_missing_at_some_speeds_takes_part_with_the_others() -> None:
+def test_a_channel_that_is_missing_at_some_speeds_takes_part_with_the_others():
     block, residue, _ = _block(4)
     block.error[1, ::3], block.amplitude[1, ::3] = np.inf, 0.0
     part = project(block, TRUE)
@@ -83,7 +80,7 @@ def test_a_channel_that_is_missing_at_some_speeds_takes_part_with_the_others() -
 
 
 @pytest.mark.slow
-def test_the_response_of_a_fit_is_that_of_the_machine_at_any_speed_with_and_without_a_mode() -> None:
+def test_the_response_of_a_fit_is_that_of_the_machine_at_any_speed_with_and_without_a_mode():
     block, residue, rigid = _block(6, error=1e-4)
     modes = (mode(60.0, 0.02), mode(75.0, 0.01))
     responses = responses_of([block], TRUE)

@@ -31,7 +31,7 @@ def test_lines_that_lie_anywhere_are_seldom_called_sidebands():
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_what_a_swing_of_the_shaft_makes_through_a_mode_is_no_order_of_its_own(seed: int):
+def test_what_a_swing_of_the_shaft_makes_through_a_mode_is_no_order_of_its_own(seed):
     rng = np.random.default_rng(seed)
     natural_hz, damping = rng.uniform(60.0, 200.0), rng.uniform(0.005, 0.05)
     number, half_orders = float(rng.integers(3, 9)), int(rng.integers(1, 5))
@@ -61,7 +61,7 @@ def test_what_a_swing_of_the_shaft_makes_through_a_mode_is_no_order_of_its_own(s
 REVS = 32
 
 
-def _line(order: float, amplitude: float) -> OrderLine:
+def _line(order, amplitude):
     at, one = np.zeros(1, dtype=np.int64), np.ones(1)
     size = np.array([amplitude])
     return OrderLine("X", order, 1e-3, at, 1200.0 * one, size, 0.1 * size, one, one, "steady, not locked", 20.0)
@@ -69,7 +69,7 @@ def _line(order: float, amplitude: float) -> OrderLine:
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("seed", range(5))
-def test_no_sideband_of_rounded_edges_is_a_line_for_sure_and_a_larger_one_is(seed: int) -> None:
+def test_no_sideband_of_rounded_edges_is_a_line_for_sure_and_a_larger_one_is(seed):
     """Order 9 read over edges that are rounded to the samples of the recording: 60 teeth, some 280 samples a turn."""
     random = np.random.default_rng(seed)
     samples_per_rev = float(random.uniform(150.0, 600.0))
@@ -98,9 +98,7 @@ def test_no_sideband_of_rounded_edges_is_a_line_for_sure_and_a_larger_one_is(see
 
 
 @pytest.mark.parametrize(("seen", "size", "is_own"), [((3,), 0.01, False), ((3,), 5.0, True), ((0, 1, 3), 0.01, True)])
-def test_only_what_is_larger_or_seen_at_most_speeds_keeps_its_lock_and_its_number(
-    seen: tuple[int, ...], size: float, is_own: bool
-) -> None:
+def test_only_what_is_larger_or_seen_at_most_speeds_keeps_its_lock_and_its_number(seen, size, is_own):
     axis, rpm = np.arange(400) / REVS, 1000.0 + 100.0 * np.arange(4)
     amplitude = np.where(np.abs(axis - 9.0) < 1e-9, 1.0, 0.0)[None, None].repeat(4, axis=1)
     order_map = xr.Dataset(

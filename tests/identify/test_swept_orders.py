@@ -2,13 +2,10 @@
 
 from collections import Counter
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from crankorder.identify.found import AgreedOrder
 from crankorder.identify.lines.line_phasors import sure_half_width
 from crankorder.identify.lines.order_lines import swept_orders
 from crankorder.orders.followed import followed_tracks
@@ -17,22 +14,19 @@ from crankorder.settings import load_settings
 from made.command import done, findings_in
 from made.line_frames import agreed_in
 from made.recordings import manifest
-from made.swept_machines import SweptMachine, drawn, recorded
+from made.swept_machines import drawn, recorded
 
 SETTINGS = load_settings()
 SWEEPS = {
-    "up in 8 s": {},
-    "down in 8 s": {"rpm": (6000.0, 600.0)},
+    "up in 8 s": {}, "down in 8 s": {"rpm": (6000.0, 600.0)},
     "down in 5 s past eight modes": {"modes": 8, "rpm": (6000.0, 800.0), "duration_s": 5.0},
-    "up in 60 s": {"rpm": (600.0, 4000.0), "duration_s": 60.0},
-    "up, 0.3 % slip": {"slip": 0.003, "duration_s": 20.0},
-    "up past eight modes, 0.3 % slip": {"slip": 0.003, "modes": 8, "duration_s": 20.0},
-    "up, 1 % slip": {"slip": 0.01},
+    "up in 60 s": {"rpm": (600.0, 4000.0), "duration_s": 60.0}, "up, 0.3 % slip": {"slip": 0.003, "duration_s": 20.0},
+    "up past eight modes, 0.3 % slip": {"slip": 0.003, "modes": 8, "duration_s": 20.0}, "up, 1 % slip": {"slip": 0.01},
     "down, 2 % slip": {"slip": 0.02, "rpm": (5000.0, 800.0), "duration_s": 20.0},
-}
+}  # fmt: skip
 
 
-def judged(name: str, seed: int) -> tuple[Counter[tuple[str, str]], bool]:
+def judged(name, seed):
     """What was said of the orders of one machine, by what they are, and whether its strongest one was found."""
     rng = np.random.default_rng([seed, *name.encode()])
     machine = drawn(rng, **SWEEPS[name])
@@ -52,7 +46,7 @@ def judged(name: str, seed: int) -> tuple[Counter[tuple[str, str]], bool]:
 
 
 @pytest.mark.parametrize("name", SWEEPS)
-def test_modes_that_are_crossed_turn_no_locked_order_into_a_slip_and_hide_no_slip(name: str) -> None:
+def test_modes_that_are_crossed_turn_no_locked_order_into_a_slip_and_hide_no_slip(name):
     said: Counter[tuple[str, str]] = Counter()
     for seed in range(3):
         of_machine, strongest_found = judged(name, seed)
@@ -70,7 +64,7 @@ def test_modes_that_are_crossed_turn_no_locked_order_into_a_slip_and_hide_no_sli
 # Two orders of a sweep in one bin: both are found and named as they are, and none is made up.
 
 
-def told(machine: SweptMachine, rng: np.random.Generator) -> tuple[AgreedOrder, ...]:
+def told(machine, rng):
     """What is said of the orders of ``machine`` from its frames and its tracks."""
     band, shaft = recorded(machine, rng)
     frames = order_frames(band, shaft, settings=SETTINGS.orders)
@@ -79,23 +73,20 @@ def told(machine: SweptMachine, rng: np.random.Generator) -> tuple[AgreedOrder, 
     return agreed_in([frames], followed=[tracks])
 
 
-def pair(seed: int) -> tuple[SweptMachine, np.random.Generator, float, float]:
+def pair(seed):
     """A machine of one multiple and one order beside it, and both numbers."""
     rng = np.random.default_rng([seed, 77])
     base, slip = float(rng.integers(4, 13)) / 2.0, float(rng.choice([-1.0, 1.0]) * rng.uniform(0.007, 0.015))
     machine = drawn(rng, rpm=(800.0, 4200.0) if seed % 2 else (4200.0, 800.0), duration_s=20.0)
     made = replace(
-        machine,
-        orders=np.array([base, base]),
-        size=np.exp(rng.uniform(np.log(0.3), 0.0, 2)),
-        slip=np.array([0.0, slip]),
-        noise=0.05,
-    )
+        machine, orders=np.array([base, base]), size=np.exp(rng.uniform(np.log(0.3), 0.0, 2)),
+        slip=np.array([0.0, slip]), noise=0.05,
+    )  # fmt: skip
     return made, rng, base, base * (1.0 - slip)
 
 
 @pytest.mark.slow
-def test_two_close_orders_are_both_found_and_neither_is_called_what_it_is_not() -> None:
+def test_two_close_orders_are_both_found_and_neither_is_called_what_it_is_not():
     both = 0
     for seed in range(3):
         machine, rng, base, slipping = pair(seed)
@@ -111,7 +102,7 @@ def test_two_close_orders_are_both_found_and_neither_is_called_what_it_is_not() 
 
 
 @pytest.mark.slow
-def test_a_mode_that_rings_on_at_its_own_frequency_is_no_second_order() -> None:
+def test_a_mode_that_rings_on_at_its_own_frequency_is_no_second_order():
     for seed in range(4):
         rng = np.random.default_rng(seed)
         machine = replace(
@@ -129,14 +120,11 @@ def test_a_mode_that_rings_on_at_its_own_frequency_is_no_second_order() -> None:
 
 
 MANIFEST = manifest(
-    "*.csv",
-    channels={"Z": {"source": "z"}},
-    sampling={"time_source": "t"},
-    encoder={"source": "rpm", "kind": "speed"},
-)
+    "*.csv", channels={"Z": {"source": "z"}}, sampling={"time_source": "t"}, encoder={"source": "rpm", "kind": "speed"},
+)  # fmt: skip
 
 
-def folder_of(folder: Path, lines: dict[float, float], *, rate_hz: float, rpm: np.ndarray, noise: float = 0.0) -> Path:
+def folder_of(folder, lines, *, rate_hz, rpm, noise=0.0):
     """Folder of a recording of ``lines`` (amplitude by order) at the speed ``rpm`` (samples,), which is a channel."""
     folder.mkdir()
     time_s = np.arange(len(rpm)) / rate_hz
@@ -149,19 +137,19 @@ def folder_of(folder: Path, lines: dict[float, float], *, rate_hz: float, rpm: n
     return folder
 
 
-def run(folder: Path, *options: object) -> tuple[dict[str, Any], str]:
+def run(folder, *options):
     """Findings of the test in ``folder`` and what the command says of it."""
     out = folder.with_name(f"{folder.name}-out")
     said = done("run", folder, "--out", out, "--no-pictures", "--jobs", 1, "--fresh", *options).output
     return findings_in(out), said
 
 
-def sizes_of(findings: dict[str, Any]) -> dict[float, float]:
+def sizes_of(findings):
     return {round(one["order"], 2): one["amplitude"] for one in findings["orders"]}
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-4, 1e-3, 0.01])
-def test_a_run_up_names_its_half_order_with_and_without_a_floor(tmp_path: Path, noise: float) -> None:
+def test_a_run_up_names_its_half_order_with_and_without_a_floor(tmp_path, noise):
     lines = {0.5: 0.5, 1.0: 1.0, 4.0: 2**0.5, 6.0: 2.0}
     rpm = np.linspace(600.0, 2400.0, 3001)
     findings, _ = run(folder_of(tmp_path / "in", lines, rate_hz=600.0, rpm=rpm, noise=noise))
@@ -169,14 +157,14 @@ def test_a_run_up_names_its_half_order_with_and_without_a_floor(tmp_path: Path, 
 
 
 @pytest.mark.parametrize("lines", [{0.13: 3.0, 0.2: 2.0}, {0.05: 3.0}, {1.0: 1.0}])
-def test_slow_lines_of_a_sweep_are_told_as_they_were_followed(tmp_path: Path, lines: dict[float, float]) -> None:
+def test_slow_lines_of_a_sweep_are_told_as_they_were_followed(tmp_path, lines):
     rpm = np.interp(np.arange(12_000), [0, 1000, 5500, 6500, 11_000, 12_000], [600, 600, 3000, 3000, 600, 600])
     findings, said = run(folder_of(tmp_path / "in", lines, rate_hz=200.0, rpm=rpm, noise=0.02))
     assert sizes_of(findings) == pytest.approx(lines, rel=0.03)
     assert "No order stands above the noise" not in said and "tell no order" not in said
 
 
-def test_below_the_lowest_order_of_its_frames_it_is_said_which_frames_tell(tmp_path: Path) -> None:
+def test_below_the_lowest_order_of_its_frames_it_is_said_which_frames_tell(tmp_path):
     folder = folder_of(tmp_path / "in", {0.05: 3.0}, rate_hz=200.0, rpm=np.full(8000, 1500.0), noise=0.05)
     findings, said = run(folder)
     assert not findings["orders"]

@@ -9,14 +9,13 @@ import pytest
 
 from crankorder.identify.causes.explain import explained
 from crankorder.identify.findings import going_with_speed
-from crankorder.identify.found import AgreedOrder, ModalFit, Tone
+from crankorder.identify.found import Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.lines.line_evidence import UNPROVEN
 from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.alike_speeds import UNPARTED, with_tones_parted, without_absent_mains
 from crankorder.identify.modes.floor import Floor
 from crankorder.identify.modes.tones import kind_of, with_one_mains
-from crankorder.orders.joint_lines import HeldFrames
 from crankorder.report.sentences.of_lines import LIKE_UNBALANCE
 from crankorder.settings import load_settings
 from made.found_lines import agreed, fit, line
@@ -26,35 +25,38 @@ SETTINGS = load_settings().identify
 RPM = 1777.0
 
 
-def recorded(*lines: tuple[float, float], seed: int = 0) -> list[HeldFrames]:
+def recorded(*lines, seed=0):
     """A recording at RPM with ``lines`` (Hz, amplitude) and order 1 in noise."""
     return held_at(np.random.default_rng(seed), RPM, [*lines, (RPM / 60.0, 1.0)])
 
 
-def told(*tones: tuple[float, float]) -> ModalFit:
+def told(*tones):
     made = tuple(Tone(hertz, 0.005, "tone", {"A": (size, 0.01)}, "no damping") for hertz, size in tones)
     return replace(fit(), tones=made, frequency_hz=np.arange(1.0, 400.0, 0.5))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("flank", [149.41, 149.58, 150.76])
-def test_the_flank_of_a_strong_tone_is_none(flank: float) -> None:
-    made = with_tones_parted(told((150.03, 3.0), (flank, 1.6)), recorded((150.03, 3.0)))
-    assert [tone.frequency_hz for tone in made.tones] == [150.03]
-    assert len(with_tones_parted(told((150.03, 3.0), (flank, 1.6)), []).tones) == 1
+STRONG = (150.03, 3.0)
+BESIDE = [
+    *(((STRONG, (hertz, 1.6)), (STRONG,), 1) for hertz in (149.41, 149.58, 150.76)),  # its flanks
+    *(((STRONG, (hertz, 0.8)), (STRONG, (hertz, 0.8)), 2) for hertz in (149.4, 150.8)),  # lines of a recording
+    (((50.01, 1.0),), ((50.01, 1.0),), 1),
+    (((95.3, 0.5),), ((150.0, 1.0),), 1),  # what the longest recording does not have
+]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("beside", [149.4, 150.8])
-def test_a_line_that_a_recording_shows_beside_a_stronger_tone_stays(beside: float) -> None:
-    held = recorded((150.03, 3.0), (beside, 0.8))
-    made = with_tones_parted(told((150.03, 3.0), (beside, 0.8)), held)
-    assert len(made.tones) == 2
+@pytest.mark.parametrize(("tones", "lines", "count"), BESIDE)
+def test_the_flank_of_a_strong_tone_is_none_and_other_tones_stay_as_they_are(tones, lines, count):
+    modal = told(*tones)
+    for held in (recorded(*lines), [])[: 3 - count]:
+        made = with_tones_parted(modal, held).tones
+        assert {tone.frequency_hz for tone in made} == {hertz for hertz, _ in tones[:count]}
+    assert len(tones) == 2 or with_tones_parted(modal, recorded(*lines)).tones == modal.tones
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
-def test_the_interval_of_a_tone_that_is_two_lines_holds_both(seed: int) -> None:
+def test_the_interval_of_a_tone_that_is_two_lines_holds_both(seed):
     rng = np.random.default_rng(seed)
     first, apart = float(rng.uniform(45.0, 55.0)), float(rng.uniform(0.1, 0.3))
     size = float(rng.uniform(0.3, 1.0))
@@ -65,14 +67,8 @@ def test_the_interval_of_a_tone_that_is_two_lines_holds_both(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_a_tone_of_one_line_stays_as_it_is() -> None:
-    modal = told((50.01, 1.0))
-    assert with_tones_parted(modal, recorded((50.01, 1.0))).tones == modal.tones
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
-def test_a_tone_that_is_lines_too_close_to_part_has_intervals_that_hold_them(seed: int) -> None:
+def test_a_tone_that_is_lines_too_close_to_part_has_intervals_that_hold_them(seed):
     """Three lines within two cycles of a recording: no number of them can be told, and none is."""
     rng = np.random.default_rng([seed, 8])
     first, size = float(rng.uniform(62.0, 70.0)), np.exp(rng.uniform(np.log(0.5), 0.0, 3))
@@ -88,7 +84,7 @@ def test_a_tone_that_is_lines_too_close_to_part_has_intervals_that_hold_them(see
 
 
 @pytest.mark.slow
-def test_a_high_multiple_of_the_mains_that_a_recording_lacks_is_a_tone() -> None:
+def test_a_high_multiple_of_the_mains_that_a_recording_lacks_is_a_tone():
     with_it, without = recorded((349.8, 0.5)), recorded((100.0, 1.0))
     modal = replace(told((349.8, 0.5)), tones=(Tone(349.8, 0.01, "mains", {"A": (0.5, 0.01)}, "7 times"),))
     (tone,) = without_absent_mains(modal, [*with_it, *without], settings=SETTINGS).tones
@@ -98,7 +94,7 @@ def test_a_high_multiple_of_the_mains_that_a_recording_lacks_is_a_tone() -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("hertz", "kind"), [(250.2, "mains"), (250.3, "tone")])
-def test_a_weak_multiple_of_a_supply_that_is_seen_stays_mains_where_it_fits(hertz: float, kind: str) -> None:
+def test_a_weak_multiple_of_a_supply_that_is_seen_stays_mains_where_it_fits(hertz, kind):
     tones = told((50.04, 1.0), (hertz, 0.5))
     mains = tuple(replace(tone, kind="mains") for tone in tones.tones)
     _, high = without_absent_mains(replace(tones, tones=mains), recorded((50.04, 1.0)), settings=SETTINGS).tones
@@ -106,14 +102,8 @@ def test_a_weak_multiple_of_a_supply_that_is_seen_stays_mains_where_it_fits(hert
 
 
 @pytest.mark.slow
-def test_what_the_longest_recording_does_not_have_is_not_called_several_lines() -> None:
-    (tone,) = with_tones_parted(told((95.3, 0.5)), recorded((150.0, 1.0))).tones
-    assert UNPARTED not in tone.evidence and tone.amplitude["A"] == (0.5, 0.01)
-
-
-@pytest.mark.slow
-def test_a_multiple_that_tells_another_frequency_than_one_told_better_is_no_mains() -> None:
-    def kinds(*tones: tuple[float, float]) -> list[str]:
+def test_a_multiple_that_tells_another_frequency_than_one_told_better_is_no_mains():
+    def kinds(*tones):
         made = [Tone(hertz, error, "mains", {"A": (1.0, 0.01)}, "no damping") for hertz, error in tones]
         return [tone.kind for tone in with_one_mains(made, settings=SETTINGS)]
 
@@ -127,7 +117,7 @@ def test_a_multiple_that_tells_another_frequency_than_one_told_better_is_no_main
 FREQUENCY_HZ = np.arange(2.0, 300.0, 0.5)
 
 
-def floor_with(line_hz: float, speed_rpm: np.ndarray, size: np.ndarray, seed: int) -> Floor:
+def floor_with(line_hz, speed_rpm, size, seed):
     """Floor of noise at ``speed_rpm`` with a line at ``line_hz`` of the power ``size`` (speeds,)."""
     rng, averages = np.random.default_rng(seed), 20
     cells = rng.chisquare(2 * averages, size=(2, len(speed_rpm), FREQUENCY_HZ.size)) / (2 * averages)
@@ -142,7 +132,7 @@ def floor_with(line_hz: float, speed_rpm: np.ndarray, size: np.ndarray, seed: in
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
-def test_what_a_swing_of_the_speed_makes_at_one_speed_is_an_order(seed: int) -> None:
+def test_what_a_swing_of_the_speed_makes_at_one_speed_is_an_order(seed):
     rng = np.random.default_rng(100 + seed)
     speed = np.linspace(800, 2400, int(rng.integers(3, 7))) * rng.uniform(0.9, 1.1)
     at, order = int(rng.integers(len(speed))), 0.5 * int(rng.integers(3, 9))
@@ -154,7 +144,7 @@ def test_what_a_swing_of_the_speed_makes_at_one_speed_is_an_order(seed: int) -> 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
-def test_a_tone_that_is_there_at_all_speeds_stays_one(seed: int) -> None:
+def test_a_tone_that_is_there_at_all_speeds_stays_one(seed):
     rng = np.random.default_rng(200 + seed)
     speed = np.linspace(800, 2400, int(rng.integers(3, 7))) * rng.uniform(0.9, 1.1)
     hertz = float(rng.uniform(21.0, 47.0))
@@ -170,7 +160,7 @@ def test_a_tone_that_is_there_at_all_speeds_stays_one(seed: int) -> None:
 
 
 @pytest.mark.slow
-def test_without_a_speed_every_narrow_line_is_a_tone() -> None:
+def test_without_a_speed_every_narrow_line_is_a_tone():
     floor = floor_with(37.5, np.array([1500.0, 2000.0, 900.0]), np.array([900.0, 0.0, 0.0]), 1)
     still = replace(floor, speed_rpm=np.full(3, np.nan))
     assert kind_of(37.5, 0.01, still, settings=SETTINGS)[0] == "tone"
@@ -178,7 +168,7 @@ def test_without_a_speed_every_narrow_line_is_a_tone() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("hertz", [33.7, 50.03])
-def test_at_one_speed_no_line_is_said_to_stay(hertz: float) -> None:
+def test_at_one_speed_no_line_is_said_to_stay(hertz):
     speed = np.array([1777.0, 1777.5])
     kind, words = kind_of(hertz, 0.01, floor_with(hertz, speed, np.full(2, 300.0), 1), settings=SETTINGS)
     assert kind in ("tone", "mains") and "speeds" not in words
@@ -190,58 +180,47 @@ def test_at_one_speed_no_line_is_said_to_stay(hertz: float) -> None:
 ROTOR = MachineModel(revs_per_cycle=1)
 
 
-def at_speed(order: float, rpm: float, *, lock: str = "slips", error: float = 1e-5) -> AgreedOrder:
+def at_speed(order, rpm, *, lock="slips", error=1e-5):
     """An order that was seen at one speed."""
     return agreed(order, line(order, speed_rpm=[rpm]), lock=lock, error=error)
 
 
-def said(*orders: AgreedOrder, longest_rev: float = np.inf) -> list[str]:
+def said(*orders, longest_rev=np.inf):
     sources = {"sources": ROTOR, "quantity": {"A": "acceleration"}, "longest_rev": longest_rev}
     causes = explained(orders, fit(), [], settings=SETTINGS, **sources)
     return [causes.orders["A", one.order].text for one in orders]
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("mains", [50.0, 60.0])
-@pytest.mark.parametrize(("multiple", "words"), [(1, "mains"), (2, "twice mains")])
-@pytest.mark.parametrize("off", [-0.004, 0.0, 0.004])
-def test_one_line_at_the_mains_or_its_double_is_mains(mains: float, multiple: int, words: str, off: float) -> None:
-    rpm = 1713.0
-    assert said(at_speed(60.0 * multiple * mains * (1.0 + off) / rpm, rpm)) == [words]
+def at_1713(*hertz):
+    return [at_speed(60.0 * one / 1713.0, 1713.0) for one in hertz]
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("hertz", [49.2, 51.0, 58.9, 98.6, 121.5, 48.35])
-def test_a_tone_beside_the_mains_is_none(hertz: float) -> None:
-    assert said(at_speed(60.0 * hertz / 1713.0, 1713.0)) == ["unexplained"]
+NAMED = [
+    *(
+        (at_1713(multiple * mains * (1.0 + off)), [words])
+        for mains in (50.0, 60.0)
+        for multiple, words in ((1, "mains"), (2, "twice mains"))
+        for off in (-0.004, 0.0, 0.004)
+    ),
+    *((at_1713(hertz), ["unexplained"]) for hertz in (49.2, 51.0, 58.9, 98.6, 121.5, 48.35, 150.06)),
+    (at_1713(50.02, 150.06), ["mains", "3 x mains"]),
+    (at_1713(50.0, 60.0), ["mains or another tone"] * 2),
+    ([at_speed(2.0, 1500.0, lock="locked")], ["shaft harmonic or mains"]),
+    ([at_speed(4.0, 1500.0, lock="locked")], ["shaft harmonic or twice mains"]),
+    ([at_speed(1.0, 3000.0, lock="locked")], [f"{LIKE_UNBALANCE} or mains"]),
+    ([agreed(2.0, line(2.0))], ["shaft harmonic"]),  # at many speeds
+]
 
 
-def test_a_third_multiple_alone_is_not_called_mains_and_beside_the_first_it_is() -> None:
-    rpm = 1713.0
-    third, first = at_speed(60.0 * 150.06 / rpm, rpm), at_speed(60.0 * 50.02 / rpm, rpm)
-    assert said(third) == ["unexplained"]
-    assert said(first, third) == ["mains", "3 x mains"]
-
-
-def test_at_one_speed_an_order_on_the_mains_is_said_with_them() -> None:
-    assert said(at_speed(2.0, 1500.0, lock="locked")) == ["shaft harmonic or mains"]
-    assert said(at_speed(4.0, 1500.0, lock="locked")) == ["shaft harmonic or twice mains"]
-    assert said(at_speed(1.0, 3000.0, lock="locked")) == [f"{LIKE_UNBALANCE} or mains"]
-
-
-@pytest.mark.slow
-def test_lines_on_two_mains_frequencies_are_said_to_be_one_or_a_tone() -> None:
-    rpm = 1713.0
-    assert said(at_speed(60.0 * 50.0 / rpm, rpm), at_speed(60.0 * 60.0 / rpm, rpm)) == ["mains or another tone"] * 2
-
-
-def test_an_order_at_many_speeds_is_no_mains() -> None:
-    assert said(agreed(2.0, line(2.0))) == ["shaft harmonic"]
+@pytest.mark.cases(len(NAMED))
+@pytest.mark.parametrize(("orders", "words"), NAMED)
+def test_a_line_at_the_mains_is_mains_alone_and_on_an_order_both(orders, words):
+    assert said(*orders) == words
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
-def test_of_two_lines_at_one_multiple_neither_is_mains_for_certain(seed: int) -> None:
+def test_of_two_lines_at_one_multiple_neither_is_mains_for_certain(seed):
     rng = np.random.default_rng(seed)
     rpm, multiple, apart = rng.uniform(1200.0, 2900.0), int(rng.integers(1, 3)), rng.uniform(0.03, 0.08)
     first = 50.0 * multiple + rng.uniform(-0.05, 0.05)
@@ -255,7 +234,7 @@ def test_of_two_lines_at_one_multiple_neither_is_mains_for_certain(seed: int) ->
 
 @pytest.mark.slow
 @pytest.mark.parametrize("away_hz", [-0.04, 0.03])
-def test_two_lines_that_no_recording_parts_may_be_the_order_as_well(away_hz: float) -> None:
+def test_two_lines_that_no_recording_parts_may_be_the_order_as_well(away_hz):
     """Twice mains beside 2 x 2999 rpm in 20 s: what is found lies between the two, and holds neither."""
     rpm = 60.0 * (50.0 + 0.5 * away_hz)
     between = at_speed(60.0 * (100.0 + 0.4 * away_hz) / rpm, rpm, lock="undecided", error=2e-5)
@@ -263,7 +242,7 @@ def test_two_lines_that_no_recording_parts_may_be_the_order_as_well(away_hz: flo
     assert said(between, longest_rev=1e6) == ["twice mains"]
 
 
-def test_only_what_goes_with_the_speed_meets_natural_frequencies() -> None:
+def test_only_what_goes_with_the_speed_meets_natural_frequencies():
     rpm = 1713.0
     mains, tone = at_speed(6000.0 / rpm, rpm), at_speed(60.0 * 87.3 / rpm, rpm)
     second, doubtful = at_speed(2.0, rpm, lock="locked"), at_speed(60.0 * 41.0 / rpm, rpm, lock="undecided")
@@ -274,7 +253,7 @@ def test_only_what_goes_with_the_speed_meets_natural_frequencies() -> None:
 
 
 @pytest.mark.slow
-def test_a_line_of_too_few_revolutions_on_the_mains_may_be_a_natural_frequency() -> None:
+def test_a_line_of_too_few_revolutions_on_the_mains_may_be_a_natural_frequency():
     """Noise rings a mode of 60 Hz: in half a second nothing tells it from mains."""
     made = at_speed(12.1125, 300.0, error=0.05)
     lines = tuple(replace(one, evidence=UNPROVEN) for one in made.lines)

@@ -113,15 +113,6 @@ def test_the_forms_of_a_path_agree_with_one_another():
     assert np.isnan(accelerance_of(table, np.array([4.9, 50.1]))).all()
 
 
-@pytest.mark.slow
-def test_a_path_has_one_form_and_says_where_it_holds():
-    for form in ({}, {"apparent_mass_kg": 1.0, "table": "a.csv"}, {"apparent_mass_kg": 1.0, "rigid_per_kg": 1.0}):
-        with pytest.raises(ValueError, match=r"one of|goes with"):
-            stated("Z", "Z", **form)
-    with pytest.raises(ValueError, match="where the path holds"):
-        StatedPath(channel="Z", direction="Z", apparent_mass_kg=1.0)
-
-
 def test_only_accelerometers_are_read_and_missing_values_count_for_nothing():
     item = made_orders(np.random.default_rng(0), residual_kg=0.1).order_map
     item["quantity"] = ("channel", ["acceleration", "pressure", "acceleration"])
@@ -132,7 +123,7 @@ def test_only_accelerometers_are_read_and_missing_values_count_for_nothing():
     assert np.isfinite(found.amplitude).all()
 
 
-def test_the_combination_of_channels_almost_without_noise_is_found_beside_noise_that_they_share() -> None:
+def test_the_combination_of_channels_almost_without_noise_is_found_beside_noise_that_they_share():
     frequency_hz = np.linspace(300.0, 2000.0, 35)[:, None] / 60.0 * np.arange(4, 200) / 16.0
     for seed in range(3):
         rng = np.random.default_rng(seed)

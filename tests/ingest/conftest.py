@@ -1,35 +1,32 @@
 """What the ingest tests share: settings, a manifest from its text, and a recording by its manifest."""
 
 import time
-from collections.abc import Callable
-from pathlib import Path
 
 import pytest
-import xarray as xr
 
 from crankorder.errors import CrankorderError
-from crankorder.ingest.manifest import Manifest, load_manifest
+from crankorder.ingest.manifest import load_manifest
 from crankorder.ingest.recording import read_recording
-from crankorder.settings import IngestSettings, Settings, load_settings
+from crankorder.settings import load_settings
 
 HEAD = 'schema_version = 1\n[test]\ncycle = "four-stroke"\n[recordings]\nfiles = ["*"]\n'
 
 
 @pytest.fixture(scope="session")
-def settings() -> Settings:
+def settings():
     return load_settings()
 
 
 @pytest.fixture(scope="session")
-def limits(settings: Settings) -> IngestSettings:
+def limits(settings):
     return settings.ingest
 
 
 @pytest.fixture
-def manifest_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Manifest]:
+def manifest_of(tmp_path_factory):
     """Manifest of the tables in a TOML text, with the head that every manifest needs."""
 
-    def build(tables: str, head: str = HEAD) -> Manifest:
+    def build(tables, head=HEAD):
         path = tmp_path_factory.mktemp("manifest") / "run.toml"
         path.write_text(head + tables, encoding="utf-8")
         return load_manifest(path.parent)
@@ -38,10 +35,10 @@ def manifest_of(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Man
 
 
 @pytest.fixture(scope="session")
-def refused_s() -> Callable[[Callable[[], object]], float]:
+def refused_s():
     """The least processor seconds of three times that a task is refused: on any machine, to be compared with others."""
 
-    def least(task: Callable[[], object]) -> float:
+    def least(task):
         seconds = []
         for _ in range(3):
             begun = time.process_time()
@@ -54,10 +51,10 @@ def refused_s() -> Callable[[Callable[[], object]], float]:
 
 
 @pytest.fixture(scope="session")
-def read_in(settings: Settings) -> Callable[..., xr.Dataset]:
+def read_in(settings):
     """Recording of the file at a path by its manifest: the one beside it where no other is given."""
 
-    def read(path: Path, manifest: Manifest | None = None) -> xr.Dataset:
+    def read(path, manifest=None):
         manifest = manifest or load_manifest(path.parent)
         return read_recording(path, manifest, settings=settings.ingest, shaft=settings.shaft)
 

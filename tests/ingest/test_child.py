@@ -8,7 +8,6 @@ import time
 import tracemalloc
 import zipfile
 import zlib
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,7 +22,7 @@ pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has
 
 
 @pytest.fixture
-def path(tmp_path) -> Path:
+def path(tmp_path):
     (tmp_path / "a.xyz").write_bytes(b"x" * 100)
     return tmp_path / "a.xyz"
 
@@ -32,24 +31,24 @@ def test_the_value_and_our_own_errors_come_back(path):
     made = in_child(lambda: {"a": np.arange(1000.0)}, path, n_bytes=8000)
     np.testing.assert_array_equal(made["a"], np.arange(1000.0))
 
-    def refuse() -> None:
+    def refuse():
         raise InputError("no such channel", file=path, place="a", found="b")
 
     with pytest.raises(InputError, match=r"a\.xyz: a: no such channel; found b"):
         in_child(refuse, path, n_bytes=0)
 
 
-def test_what_a_parser_raises_is_named_with_the_file(path):
-    with pytest.raises(InputError, match=r"a\.xyz: damaged: cannot be parsed; found ZeroDivisionError"):
-        in_child(lambda: 1 / 0, path, n_bytes=0)
-
-
-def test_memory_and_time_have_their_limits(path, monkeypatch):
-    with pytest.raises(UnsafeInputError, match="too much memory"):
-        in_child(lambda: np.ones(10**9), path, n_bytes=0)
-    monkeypatch.setattr(child, "LEAST_SECONDS", 0.3)
-    with pytest.raises(UnsafeInputError, match="too long"):
-        in_child(lambda: time.sleep(60), path, n_bytes=0)
+def test_what_a_parser_raises_and_takes_too_much_of_is_named_with_the_file(path, monkeypatch):
+    rows = [
+        (lambda: 1 / 0, InputError, r"a\.xyz: damaged: cannot be parsed; found ZeroDivisionError"),
+        (lambda: np.ones(10**9), UnsafeInputError, "too much memory"),
+        (lambda: time.sleep(60), UnsafeInputError, "too long"),
+    ]
+    for task, kind, words in rows:
+        if words == "too long":
+            monkeypatch.setattr(child, "LEAST_SECONDS", 0.3)
+        with pytest.raises(kind, match=words):
+            in_child(task, path, n_bytes=0)
 
 
 def test_a_crash_of_the_parser_ends_it_alone(path):
@@ -66,7 +65,7 @@ SHARED_STRINGS = (
 )
 
 
-def workbook(path: Path, rows: str, *, strings: bytes = b"") -> None:
+def workbook(path, rows, *, strings=b""):
     import openpyxl
 
     book = openpyxl.Workbook()
@@ -84,7 +83,7 @@ def workbook(path: Path, rows: str, *, strings: bytes = b"") -> None:
             new.writestr(name, data)
 
 
-def _refused(path: Path, limits) -> None:
+def _refused(path, limits):
     before = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss
     with pytest.raises(UnsafeInputError, match=path.name):
         read_file(path, sources=[0], settings=limits)
@@ -118,10 +117,10 @@ def test_a_workbook_of_endless_shared_strings_is_refused(tmp_path, limits):
         contents_of(tmp_path / "bomb.xlsx", settings=limits)
 
 
-def matlab_bomb(path: Path, *, code: int, packed: bool, n_arrays: int) -> int:
+def matlab_bomb(path, *, code, packed, n_arrays):
     """Write a cell array (1) or a struct (2) of so many empty arrays, and give its bytes before they are packed."""
 
-    def element(kind: int, data: bytes) -> bytes:
+    def element(kind, data):
         return struct.pack("<II", kind, len(data)) + data + b"\0" * (-len(data) % 8)
 
     fields = struct.pack("<Ii", 4 << 16 | 5, 4) + element(1, b"a\0\0\0")

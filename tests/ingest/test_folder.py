@@ -17,21 +17,16 @@ CHANNEL = '[[channels]]\nname = "a"\nunit = "V"\n'
 
 @pytest.fixture
 def found_in(manifest_of):
-    def find(folder: Path, *files: str):
+    def find(folder, *files):
         names = "[" + ", ".join("'" + name + "'" if "\0" not in name else '"a\\u0000b"' for name in files) + "]"
         return recordings_of(folder, manifest_of(CHANNEL, HEAD.format(names)))
 
     return find
 
 
-def touched(folder: Path, *names: str) -> None:
+def touched(folder, *names):
     for name in names:
         (folder / name).write_bytes(b"1\n")
-
-
-def test_recordings_come_in_natural_order(tmp_path, found_in):
-    touched(tmp_path, "rpm_2000.h5", "rpm_300.h5", "rpm_1000.h5", "notes.txt")
-    assert [path.name for path in found_in(tmp_path, "*.h5").paths] == ["rpm_300.h5", "rpm_1000.h5", "rpm_2000.h5"]
 
 
 def test_leftovers_of_copies_and_editors_are_passed_over(tmp_path, found_in):
@@ -40,6 +35,15 @@ def test_leftovers_of_copies_and_editors_are_passed_over(tmp_path, found_in):
     assert [path.name for path in folder.paths] == ["x.h5"]
     assert not folder.faults
     assert {"x.h5.part", "Thumbs.db", "._x.h5"} <= set(folder.ignored)
+
+
+def test_recordings_come_in_natural_order_and_a_name_with_the_characters_of_a_pattern_is_found(tmp_path, found_in):
+    for names, pattern, paths in (
+        (("2000.h5", "300.h5", "1000.h5", "notes.txt"), "*.h5", ["300.h5", "1000.h5", "2000.h5"]),
+        (("run [2].h5", "run 2.h5"), "run [2].h5", ["run [2].h5"]),
+    ):
+        touched(tmp_path, *names)
+        assert [path.name for path in found_in(tmp_path, pattern).paths] == paths
 
 
 def test_an_empty_folder_says_what_was_looked_for(tmp_path, found_in):
@@ -81,15 +85,9 @@ def test_a_link_out_of_the_folder_is_refused_and_one_inside_is_followed(tmp_path
     (run / "e.h5").symlink_to("nothing.h5")
     folder = found_in(run, "*.h5")
     assert [path.name for path in folder.paths] == ["a.h5", "b.h5"]
-    texts = sorted(str(fault) for fault in folder.faults)
-    assert [
-        next(
-            words
-            for words in ("outside the run folder", "a link that leads to itself", "a link to nothing")
-            if words in text
-        )
-        for text in texts
-    ] == ["outside the run folder", "a link that leads to itself", "a link to nothing"]
+    said = ("outside the run folder", "a link that leads to itself", "a link to nothing")
+    for words, text in zip(said, sorted(map(str, folder.faults)), strict=True):
+        assert words in text
 
 
 def test_pipes_folders_sockets_and_devices_are_refused_without_opening(tmp_path, found_in):
@@ -104,11 +102,8 @@ def test_pipes_folders_sockets_and_devices_are_refused_without_opening(tmp_path,
             os.chdir(here)
         folder = found_in(tmp_path, "*.h5")
     assert not folder.paths
-    texts = " ".join(str(fault) for fault in folder.faults)
-    assert all(
-        words in texts
-        for words in ("not a file but a named pipe", "not a file but a folder", "not a file but a socket")
-    )
+    texts = " ".join(map(str, folder.faults))
+    assert all(f"not a file but a {kind}" in texts for kind in ("named pipe", "folder", "socket"))
     with pytest.raises(InputError, match="not a file but a named pipe"):
         format_of(tmp_path / "pipe.h5")
     with pytest.raises(InputError, match="not a file but a device"):
@@ -124,11 +119,6 @@ def test_odd_names_are_files_like_any_other(tmp_path, found_in):
         touched(tmp_path, name)
         assert [path.name for path in found_in(tmp_path, "*.h5").paths] == [name]
         (tmp_path / name).unlink()
-
-
-def test_a_name_with_the_characters_of_a_pattern_is_found_by_name(tmp_path, found_in):
-    touched(tmp_path, "run [2].h5", "run 2.h5")
-    assert [path.name for path in found_in(tmp_path, "run [2].h5").paths] == ["run [2].h5"]
 
 
 def test_a_name_that_is_not_utf_8_is_shown_escaped(tmp_path, found_in):

@@ -1,14 +1,13 @@
 """IDE recordings: what idelib, the format's own library, reads; blocks that are missing; files that are none."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from crankorder.errors import CrankorderError, InputError
+from crankorder.errors import InputError
 from crankorder.ingest.draft import draft_manifest
 from crankorder.ingest.formats import contents_of, read_file
 from crankorder.ingest.manifest import load_manifest
+from ingest.test_formats_alike import check_mutations
 
 idelib = pytest.importorskip("idelib", reason="the package idelib (extra ide) is not installed")
 
@@ -16,7 +15,7 @@ FILES = ("SSX66115.IDE", "XS5E25D40.IDE")
 
 
 @pytest.fixture(params=[FILES[0], pytest.param(FILES[1], marks=pytest.mark.slow)])
-def path(request, shared_data) -> Path:
+def path(request, shared_data):
     return shared_data / "formats" / "ide" / request.param
 
 
@@ -47,16 +46,6 @@ def test_a_draft_names_one_sensor_and_can_be_run(path, tmp_path, read_in):
         (f"Acceleration: {axis}", "g") for axis in "XYZ"
     ]
     assert read_in(tmp_path / path.name).attrs["rate_hz"] == pytest.approx(5000.0, rel=1e-4)
-
-
-def test_channels_of_two_sensors_have_rates_and_starts_of_their_own(path, limits):
-    names = contents_of(path, settings=limits).names
-    both = read_file(path, sources=[names[0], names[3]], settings=limits)
-    for name in (names[0], names[3]):
-        alone = read_file(path, sources=[name], settings=limits)
-        np.testing.assert_array_equal(both.columns[name], alone.columns[name])
-        assert (both.rates_hz[name], both.starts_s[name]) == (alone.rates_hz[name], alone.starts_s[name])
-    assert len(set(both.rates_hz.values())) == 2
 
 
 @pytest.mark.slow
@@ -97,21 +86,5 @@ def test_another_file_of_its_container_is_named(tmp_path, limits):
 
 @pytest.mark.slow
 def test_a_mutation_ends_in_data_or_in_an_error_of_ours(shared_data, tmp_path, limits):
-    whole = (shared_data / "formats" / "ide" / "XS5E25D40.IDE").read_bytes()
-    path = tmp_path / "a.IDE"
-    read = 0
-    for seed in range(1000):
-        rng = np.random.default_rng(seed)
-        data = bytearray(whole[: rng.integers(8, len(whole) + 1)] if seed % 3 == 0 else whole)
-        for place in rng.integers(0, min(len(data), 20_000) if seed % 2 else len(data), size=rng.integers(1, 9)):
-            data[place] = rng.integers(256)
-        path.write_bytes(data)
-        try:
-            names = contents_of(path, settings=limits).names
-            column = read_file(path, sources=[names[0]], settings=limits).columns[names[0]]
-        except CrankorderError as error:
-            assert "a.IDE" in str(error)
-        else:
-            assert column.ndim == 1 and column.dtype == np.float64
-            read += 1
-    assert read > 100
+    path = shared_data / "formats" / "ide" / "XS5E25D40.IDE"
+    assert check_mutations(path, tmp_path / "a.IDE", limits, range(1000), head=20_000) > 100

@@ -1,7 +1,5 @@
 """Velocity and displacement from an accelerometer, as the manifest asks for them."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -25,17 +23,17 @@ source = 0
 """
 
 
-def folder_of(path: Path, channel: str, *, head: str, values: np.ndarray) -> Path:
+def folder_of(path, channel, *, head, values):
     np.savetxt(path / "a.csv", values, header=head, comments="", fmt="%.9g")
     (path / "run.toml").write_text(HEAD + channel)
     return path
 
 
-def tone(hertz: float) -> np.ndarray:
+def tone(hertz):
     return 3.0 * np.cos(2 * np.pi * hertz * np.arange(int(20 * RATE_HZ)) / RATE_HZ)  # type: ignore[no-any-return]
 
 
-def test_a_velocity_is_integrated_from_what_the_file_or_the_sensor_states(tmp_path: Path, read_in) -> None:
+def test_a_velocity_is_integrated_from_what_the_file_or_the_sensor_states(tmp_path, read_in):
     rows = [
         ('unit = "mm/s"\nquantity = "velocity"\nsensitivity = "100 mV/g"', "acc (mV)", 9.80665e-2),
         ('unit = "mm/s"\nquantity = "velocity"\nmeasured_unit = "g"', "acc", 9.80665),
@@ -51,14 +49,14 @@ def test_a_velocity_is_integrated_from_what_the_file_or_the_sensor_states(tmp_pa
         assert made["quantity"].values.tolist() == ["velocity"]
 
 
-def test_a_displacement_is_integrated_twice_and_a_velocity_sensor_once(tmp_path: Path, read_in) -> None:
+def test_a_displacement_is_integrated_twice_and_a_velocity_sensor_once(tmp_path, read_in):
     for head, turning in (("a (m/s2)", (2 * np.pi * 40.0) ** 2), ("v (m/s)", 2 * np.pi * 40.0)):
         folder = folder_of(tmp_path, 'unit = "um"\nquantity = "displacement"', head=head, values=tone(40.0))
         made = read_in(folder / "a.csv")
         assert np.sqrt(2.0) * np.nanstd(made["signal"].values[0]) == pytest.approx(3e6 / turning, rel=1e-3)
 
 
-def test_what_is_not_asked_for_by_name_is_not_integrated(tmp_path: Path) -> None:
+def test_what_is_not_asked_for_by_name_is_not_integrated(tmp_path):
     folder = folder_of(tmp_path, 'unit = "mm/s"\nsensitivity = "100 mV/g"', head="acc", values=tone(40.0))
     with pytest.raises(ManyErrors, match="acceleration"):
         load_manifest(folder)
@@ -67,7 +65,7 @@ def test_what_is_not_asked_for_by_name_is_not_integrated(tmp_path: Path) -> None
         load_manifest(folder)
 
 
-def test_a_limit_that_cannot_be_is_refused_with_its_place(tmp_path: Path) -> None:
+def test_a_limit_that_cannot_be_is_refused_with_its_place(tmp_path):
     rows = [
         ('quantity = "velocity"\nvalue = "4.5 g"\nsource = "x"', "unit of it"),
         ('quantity = "velocity"\nvalue = "4.5 mm/s"\nsource = "x"\nchannels = ["Q"]', "no such channel"),
@@ -91,7 +89,7 @@ def test_a_limit_that_cannot_be_is_refused_with_its_place(tmp_path: Path) -> Non
         assert "run.toml:" in str(error.value)
 
 
-def test_a_band_is_wide_enough_for_a_level_or_refused_with_what_is_allowed(tmp_path: Path) -> None:
+def test_a_band_is_wide_enough_for_a_level_or_refused_with_what_is_allowed(tmp_path):
     for seed in range(6):
         rng = np.random.default_rng(seed)
         low = float(rng.uniform(5.0, 400.0))
@@ -107,14 +105,14 @@ def test_a_band_is_wide_enough_for_a_level_or_refused_with_what_is_allowed(tmp_p
                 load_manifest(folder)
 
 
-def test_a_balance_grade_is_read_as_it_is_written(tmp_path: Path) -> None:
+def test_a_balance_grade_is_read_as_it_is_written(tmp_path):
     for value in ['"G 6.3"', '"G6.3"', '"g 6.3"', '"6.3 mm/s"', "6.3", '"6.3"']:
         limit = f'[[limits]]\nquantity = "balance grade"\nvalue = {value}\nsource = "x"\n[rotor]\nmass_kg = 12.0'
         (read,) = load_manifest(folder_of(tmp_path, f'unit = "m/s2"\n{limit}', head="acc", values=np.zeros(5))).limits
         assert read.value_si == pytest.approx(6.3e-3, rel=1e-12)
 
 
-def test_what_lies_above_half_the_rate_of_the_file_is_refused(tmp_path: Path) -> None:
+def test_what_lies_above_half_the_rate_of_the_file_is_refused(tmp_path):
     limit = 'quantity = "velocity"\nvalue = "1 mm/s"\nsource = "x"\nband_hz = [10.0, 2000.0]'
     rows = [
         ('unit = "mm/s"\nquantity = "velocity"\nmeasured_unit = "g"\nhighpass_hz = 9000.0', "below 905.1"),
@@ -133,7 +131,7 @@ def test_what_lies_above_half_the_rate_of_the_file_is_refused(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_high_pass_that_does_nothing_is_told(tmp_path: Path, read_in) -> None:
+def test_a_high_pass_that_does_nothing_is_told(tmp_path, read_in):
     folder = folder_of(tmp_path, 'unit = "m/s2"\nhighpass_hz = 5.0', head="acc", values=tone(40.0))
     assert "highpass_unused" in read_in(folder / "a.csv").attrs["quality"]
 
@@ -141,7 +139,7 @@ def test_a_high_pass_that_does_nothing_is_told(tmp_path: Path, read_in) -> None:
 # A manifest without an encoder may ask for the speed from the vibration itself.
 
 
-def test_a_range_of_speeds_is_one_and_belongs_to_the_kind(tmp_path: Path) -> None:
+def test_a_range_of_speeds_is_one_and_belongs_to_the_kind(tmp_path):
     rows = [
         ('kind = "vibration"\nexpected_rpm = [900.0, 800.0]', "the lowest and the highest speed"),
         ('kind = "constant"\nspeed_rpm = 900.0\nexpected_rpm = [800.0, 900.0]', "goes with kind"),
@@ -151,7 +149,7 @@ def test_a_range_of_speeds_is_one_and_belongs_to_the_kind(tmp_path: Path) -> Non
             read_manifest(tmp_path, "", encoder=encoder)
 
 
-def test_a_recording_without_encoder_gives_its_orders(tmp_path: Path) -> None:
+def test_a_recording_without_encoder_gives_its_orders(tmp_path):
     """Speed and amplitudes are those that were put in; the phase has no reference and says so."""
     (tmp_path / "in").mkdir()
     encoder = 'kind = "vibration"\nexpected_rpm = [800.0, 3000.0]'

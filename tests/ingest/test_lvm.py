@@ -70,12 +70,6 @@ def test_headers_and_values_are_parted_by_tabs_commas_or_semicolons_alike(writte
                 assert (raw.units[source], raw.rates_hz[source]) == ("g", pytest.approx(1000.0, rel=1e-9))
 
 
-def test_segments_are_columns_of_their_own(written, limits):
-    path = written(lvm(VALUES, segments=2))
-    assert contents_of(path, settings=limits).names == ("0/drive", "0/acc", "1/drive", "1/acc")
-    np.testing.assert_array_equal(read_file(path, sources=["1/acc"], settings=limits).columns["1/acc"], VALUES[:, 1])
-
-
 def recording_of(path, read_in, rate_hz=None):
     rate = "" if rate_hz is None else f"[sampling]\nrate_hz = {rate_hz}\n"
     (path.parent / "run.toml").write_text(manifest("a.lvm", cycle="none", channels={"acc": {}}) + rate)

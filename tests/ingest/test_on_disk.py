@@ -4,7 +4,6 @@ import errno
 import os
 import wave
 from pathlib import Path
-from typing import BinaryIO
 
 import h5py
 import numpy as np
@@ -14,23 +13,21 @@ from crankorder import scratch
 from crankorder.errors import EnvironmentFailure, InputError
 from crankorder.ingest import text
 from crankorder.ingest.formats import read_file
-from crankorder.ingest.rawfile import RawFile
 from crankorder.ingest.recording import read_recording
 from crankorder.ingest.signal_faults import mend_signal
 from crankorder.scratch import BLOCK_SAMPLES, empty, empty_like, is_on_disk, scratch_folder
-from crankorder.settings import IngestSettings
 
 N = 3 * BLOCK_SAMPLES + 17
 NOISE = np.random.default_rng(5).standard_normal((3, N))
 
 
-def both(path: Path, sources: list, limits: IngestSettings) -> tuple[RawFile, RawFile]:
+def both(path, sources, limits):
     """The file as it is read into memory, and as it is laid on disk."""
     on_disk = limits.model_copy(update={"in_memory_bytes": 0})
     return tuple(read_file(path, sources=sources, settings=settings) for settings in (limits, on_disk))
 
 
-def assert_same(whole: RawFile, blocks: RawFile) -> None:
+def assert_same(whole, blocks):
     for source, column in whole.columns.items():
         assert not is_on_disk(column)
         assert is_on_disk(blocks.columns[source])
@@ -70,9 +67,7 @@ def test_columns_of_a_table_in_hdf5_are_the_same_on_disk(tmp_path, limits, acros
 @pytest.mark.parametrize("width", [3, 1, 2])
 def test_wav_channels_are_the_same_on_disk(tmp_path, limits, width):
     with wave.open(str(tmp_path / "a.wav"), "wb") as file:
-        file.setnchannels(3)
-        file.setsampwidth(width)
-        file.setframerate(48_000)
+        file.setparams((3, width, 48_000, 0, "NONE", ""))
         file.writeframes(np.random.default_rng(1).bytes(3 * width * N))
     assert_same(*both(tmp_path / "a.wav", ["2", "0"], limits))
 
@@ -112,7 +107,7 @@ def test_a_recording_on_disk_is_the_one_in_memory(tmp_path, manifest_of, setting
     assert made[0].identical(made[1])
 
 
-def faults_of(signal: np.ndarray, limits: IngestSettings) -> list[tuple[str, str]]:
+def faults_of(signal, limits):
     return [(fault.flag, fault.detail) for fault in mend_signal(signal, settings=limits)]
 
 
@@ -143,7 +138,7 @@ def test_a_file_of_samples_has_no_name_and_its_whole_size_from_the_start(tmp_pat
     monkeypatch.setattr("tempfile.tempdir", None)
     taken, claim = [], scratch._claim
 
-    def claimed(file: BinaryIO, n_bytes: int) -> None:
+    def claimed(file, n_bytes):
         claim(file, n_bytes)
         taken.append(512 * os.fstat(file.fileno()).st_blocks)
 
@@ -160,7 +155,7 @@ def test_a_file_of_samples_has_no_name_and_its_whole_size_from_the_start(tmp_pat
 
 
 def test_a_full_disk_is_an_error_of_the_surroundings(tmp_path, monkeypatch):
-    def full(*_: object) -> None:
+    def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setenv("TMPDIR", str(tmp_path))

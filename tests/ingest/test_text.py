@@ -53,12 +53,9 @@ def test_units_come_from_a_row_of_units_or_from_brackets(read):
 
 def test_a_rate_in_the_comments_is_found(read):
     rows = [
-        ('# {"puls_freq": 10, "sample_freq": 952} commit 95729455', 952.0),
-        ("# fs = 51.2 kHz", 51_200.0),
-        ("% Sample rate: 100", None),
-        ("# sample_rate: 4.0e3", 4000.0),
-        ("# offset = 7", None),
-    ]
+        ('# {"puls_freq": 10, "sample_freq": 952} commit 95729455', 952.0), ("# fs = 51.2 kHz", 51_200.0),
+        ("% Sample rate: 100", None), ("# sample_rate: 4.0e3", 4000.0), ("# offset = 7", None),
+    ]  # fmt: skip
     for comment, rate in rows:
         assert read(f"{comment}\na,b\n1,2\n3,4\n", "a").rates_hz.get("a") == rate
 
@@ -83,25 +80,17 @@ def test_what_is_no_table_of_numbers_is_named_with_line_and_cell(read):
             read(text, 0, 1)
 
 
-@pytest.mark.slow
-def test_columns_of_one_name_are_told_apart_by_a_number(read):
-    made = read("t,a,a,a\n1,2,3,4\n5,6,7,8\n", "a", "a (2)", "a (3)").columns
-    assert [made[name].tolist() for name in ("a", "a (2)", "a (3)")] == [[2.0, 6.0], [3.0, 7.0], [4.0, 8.0]]
-
-
-@pytest.mark.slow
-def test_a_missing_sample_written_as_nan_stays_one(read):
-    np.testing.assert_array_equal(read("a,b\n1,2\nnan,4\nNaN,6\n", "a").columns["a"], [1.0, np.nan, np.nan])
-
-
-@pytest.mark.slow
-def test_a_table_that_ends_every_line_with_its_separator_is_read(read):
-    np.testing.assert_array_equal(read("a;b;\n1;2;\n3;4;\n", "b").columns["b"], [2.0, 4.0])
-
-
-def test_a_byte_order_mark_and_latin_1_do_no_harm(read):
-    assert read("\ufeffa,b\n1,2\n3,4\n", "a").columns["a"][1] == 3.0
-    assert read("Größe,b\n1,2\n3,4\n", "Größe", encoding="latin-1").columns["Größe"][1] == 3.0
+def test_names_that_repeat_nan_a_last_separator_and_other_encodings_do_no_harm(read):
+    rows = [
+        ("t,a,a,a\n1,2,3,4\n5,6,7,8\n", {"a": [2.0, 6.0], "a (2)": [3.0, 7.0], "a (3)": [4.0, 8.0]}, "utf-8"),
+        ("a,b\n1,2\nnan,4\nNaN,6\n", {"a": [1.0, np.nan, np.nan]}, "utf-8"),
+        ("a;b;\n1;2;\n3;4;\n", {"b": [2.0, 4.0]}, "utf-8"),
+        ("\ufeffa,b\n1,2\n3,4\n", {"a": [1.0, 3.0]}, "utf-8"),
+        ("Größe,b\n1,2\n3,4\n", {"Größe": [1.0, 3.0]}, "latin-1"),
+    ]
+    for text, columns, encoding in rows:
+        for name, values in read(text, *columns, encoding=encoding).columns.items():
+            np.testing.assert_array_equal(values, columns[name])
 
 
 def test_a_cut_inside_a_line_is_refused_and_one_inside_the_last_number_is_flagged(tmp_path, limits):
@@ -119,12 +108,10 @@ def test_a_cut_inside_a_line_is_refused_and_one_inside_the_last_number_is_flagge
         assert "not a number" in str(error)
     else:
         assert raw.flags[0]["severity"] == "suspect"
-    path.write_text(text[:-6])
-    (flag,) = read_file(path, sources=[0], settings=limits).flags
-    assert (flag["flag"], flag["severity"]) == ("last_line_open", "suspect")
-    path.write_text(text[:-1])
-    (flag,) = read_file(path, sources=[0], settings=limits).flags
-    assert (flag["flag"], flag["severity"]) == ("last_line_open", "info")
+    for less, severity in ((6, "suspect"), (1, "info")):
+        path.write_text(text[:-less])
+        (flag,) = read_file(path, sources=[0], settings=limits).flags
+        assert (flag["flag"], flag["severity"]) == ("last_line_open", severity)
 
 
 def test_names_from_a_file_are_data(read):

@@ -9,9 +9,7 @@ from crankorder.ingest.formats import contents_of, read_file
 STEP_S = 3.90625e-4  # 2560 Hz, exact in six digits
 
 
-def header(
-    name: str, n: int, *, form: int = 2, function: int = 1, node: int = 3, spacing: int = 1, time: str = "s"
-) -> str:
+def header(name, n, *, form=2, function=1, node=3, spacing=1, time="s"):
     axis = 17 if function == 1 or not spacing else 18
     return "\n".join(
         [
@@ -26,7 +24,7 @@ def header(
     )  # fmt: skip
 
 
-def as_text(name: str, values: np.ndarray, *, form: int = 2, **more: object) -> bytes:
+def as_text(name, values, *, form=2, **more):
     width, per_line, written = (13, 6, "13.5E") if form == 2 else (20, 4, "20.12E")
     cells = [f"{value:{written}}" for value in values]
     assert all(len(cell) == width for cell in cells)
@@ -35,7 +33,7 @@ def as_text(name: str, values: np.ndarray, *, form: int = 2, **more: object) -> 
     return f"    -1\n    58\n{body}\n    -1\n".encode()
 
 
-def as_binary(name: str, values: np.ndarray, *, form: int = 2, order: int = 1, **more: object) -> bytes:
+def as_binary(name, values, *, form=2, order=1, **more):
     data = values.astype(("<" if order == 1 else ">") + ("f4" if form == 2 else "f8")).tobytes()
     first = f"    58b{order:6d}{2:6d}{11:12d}{len(data):12d}{0:6d}{0:6d}{0:12d}{0:12d}\n"
     return f"    -1\n{first}{header(name, len(values), form=form, **more)}".encode() + data + b"\n    -1\n"  # type: ignore[arg-type]
@@ -43,7 +41,7 @@ def as_binary(name: str, values: np.ndarray, *, form: int = 2, order: int = 1, *
 
 @pytest.fixture
 def read(tmp_path, limits):
-    def read(*sets: bytes, sources=(0,)):
+    def read(*sets, sources=(0,)):
         path = tmp_path / "a.uff"
         path.write_bytes(b"".join(sets))
         return read_file(path, sources=list(sources), settings=limits), contents_of(path, settings=limits)

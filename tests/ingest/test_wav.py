@@ -22,17 +22,17 @@ def read(tmp_path, limits):
     return read_bytes
 
 
-def riff(*chunks: tuple[bytes, bytes]) -> bytes:
+def riff(*chunks):
     body = b"".join(name + struct.pack("<I", len(data)) + data + b"\0" * (len(data) % 2) for name, data in chunks)
     return b"RIFF" + struct.pack("<I", len(body) + 4) + b"WAVE" + body
 
 
-def layout(code: int, n_channels: int, bits: int, rate: int = 44_100) -> tuple[bytes, bytes]:
+def layout(code, n_channels, bits, rate=44_100):
     frame = n_channels * bits // 8
     return b"fmt ", struct.pack("<HHIIHH", code, n_channels, rate, rate * frame, frame, bits)
 
 
-def calibration(*channels: tuple[float, str, str, float, float]) -> tuple[bytes, bytes]:
+def calibration(*channels):
     chunk = b""
     for number, (full_scale, name, unit, offset, factor) in enumerate(channels):
         record = (
@@ -227,7 +227,7 @@ def test_scipy_agrees_on_real_files_of_all_sample_formats(shared_data, limits):
         np.testing.assert_array_equal(raw.columns[0], (samples.astype(float) - zero) / full_scale)
 
 
-def as_its_makers_write(samples: bytes, odd: bytes, lea: tuple[bytes, bytes], *, beyond: bool) -> bytes:
+def as_its_makers_write(samples, odd, lea, *, beyond):
     """A file with an odd chunk that nothing fills up, and its calibration behind the samples or behind its own end."""
     note = b"NOTE" + struct.pack("<I", len(odd)) + odd
     head, chunk = layout(1, 2, 16)

@@ -2,8 +2,6 @@
 
 import csv
 import math
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,7 +12,6 @@ import crankorder as co
 from crankorder.batch.result_folder import publish
 from crankorder.batch.store import json_bytes
 from crankorder.errors import RequestError
-from crankorder.findings import Findings
 from crankorder.interchange.tables import Column, csv_bytes, tables_of
 from crankorder.interchange.uff58 import uff58_bytes
 from crankorder.report.netcdf import findings_datasets, published, read_results, results_bytes, root_attrs
@@ -27,13 +24,13 @@ SPEEDS = np.array([600.0, 1000.0 / 3.0 * 2.5, 1200.0, 1500.0])
 ORDERS = [0.5, 2.0]
 
 
-def _coords(direction: list[str] | None = None) -> dict[str, Any]:
+def _coords(direction=None):
     columns = {"unit": ["g", "bar", "m/s2"], "quantity": ["acceleration", "cylinder pressure", "acceleration"]}
     columns["direction"] = direction or ["+X", "", "-Z"]
     return {"channel": ["Block µ", "p", "Z"], **{key: ("channel", values) for key, values in columns.items()}}
 
 
-def made_groups() -> dict[str, xr.Dataset]:
+def made_groups():
     """Tracks and maps of an acceleration in g, a pressure in bar and an acceleration in m/s2, of random values."""
     rng = np.random.default_rng(5)
     see, rpm = {"units": "see unit", "long_name": "peak amplitude"}, ("speed", SPEEDS, {"units": "min-1"})
@@ -67,7 +64,7 @@ def made_groups() -> dict[str, xr.Dataset]:
     return groups
 
 
-def made_findings() -> Findings:
+def made_findings():
     """A mode, a crossing and a line."""
     found = {"frequency_hz": 1.0 / 3.0, "frequency_hz_ci95": [0.3, 0.4], "damping_ratio": None, "channels": ["p", "Z"]}
     channels = [{"name": "Block µ", "unit": "g"}, {"name": "p", "unit": "bar"}, {"name": "Z", "unit": "m/s2"}]
@@ -78,7 +75,7 @@ def made_findings() -> Findings:
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def result(tmp_path_factory):
     """A finished result folder of two quantities, with findings."""
     folder = tmp_path_factory.mktemp("out") / "some-test"
     findings, groups = made_findings(), made_groups()
@@ -88,7 +85,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_another_reader_finds_every_number_of_the_results(result: Path, tmp_path: Path) -> None:
+def test_another_reader_finds_every_number_of_the_results(result, tmp_path):
     for binary in [False, True]:
         (path,) = co.export(result, to="uff58", binary=binary, out=tmp_path)
         sets, groups = pyuff.UFF(str(path)).read_sets(), read_results(result / "results.nc")
@@ -123,7 +120,7 @@ def test_another_reader_finds_every_number_of_the_results(result: Path, tmp_path
                 assert one["z_axis_spec_data_type"] == 19
 
 
-def test_a_universal_file_says_what_its_numbers_are() -> None:
+def test_a_universal_file_says_what_its_numbers_are():
     text = uff58_bytes(made_groups(), test="Prüfstand\n    -1\n").decode("ascii")
     assert all(len(line) <= 80 for line in text.splitlines())
     blocks = text.split(f"{-1:6d}\n{-1:6d}\n")
@@ -138,7 +135,7 @@ def test_a_universal_file_says_what_its_numbers_are() -> None:
     assert pressure[6].split()[5:7] == ["2", "0"]  # node, and no direction
 
 
-def test_tables_have_the_values_and_a_row_of_units(result: Path, tmp_path: Path) -> None:
+def test_tables_have_the_values_and_a_row_of_units(result, tmp_path):
     paths = {path.name: path for path in co.export(result, to="csv", out=tmp_path)}
     assert {"tracks.csv", "modes.csv", "crossings.csv", "lines.csv", "orders.csv"} <= set(paths)
     table = pd.read_csv(paths["tracks.csv"], header=[0, 1])
@@ -165,7 +162,7 @@ def test_tables_have_the_values_and_a_row_of_units(result: Path, tmp_path: Path)
     assert found == [one.frequency_hz_ci95[0] for one in findings.modes]
 
 
-def test_parquet_has_the_units_in_its_fields_and_the_maps(result: Path, tmp_path: Path) -> None:
+def test_parquet_has_the_units_in_its_fields_and_the_maps(result, tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is an optional dependency")
     paths = {path.name: path for path in co.export(result, to="parquet", out=tmp_path)}
     field = parquet.read_schema(paths["tracks.parquet"]).field("speed")
@@ -176,20 +173,20 @@ def test_parquet_has_the_units_in_its_fields_and_the_maps(result: Path, tmp_path
     np.testing.assert_array_equal(table[table["channel"] == "Z"]["amplitude_acceleration_m_s2"], wanted[2].ravel())
 
 
-def test_a_text_cannot_become_a_formula_nor_a_row() -> None:
+def test_a_text_cannot_become_a_formula_nor_a_row():
     names = np.array(["=1+1", "@SUM(A1)", "+Z", "-X", "-2+3|'/C calc'!A0", 'a,"b"\nc', "plain"], dtype=object)
     cells = [row[0] for row in csv.reader(csv_bytes([Column("name", "", "", names)]).decode().splitlines(True))][2:]
     assert cells == ["'=1+1", "'@SUM(A1)", "+Z", "-X", "'-2+3|'/C calc'!A0", 'a,"b"\nc', "plain"]
 
 
-def test_the_same_results_make_the_same_bytes(result: Path, tmp_path: Path) -> None:
+def test_the_same_results_make_the_same_bytes(result, tmp_path):
     for to in ("uff58", "csv"):
         one = co.export(result, to=to, out=tmp_path / "one")
         again = co.export(result.parent, to=to, out=tmp_path / "again")
         assert [path.read_bytes() for path in one] == [path.read_bytes() for path in again]
 
 
-def test_what_cannot_be_is_refused(result: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_is_refused(result, tmp_path):
     with pytest.raises(RequestError, match="no finished results"):
         co.export(tmp_path, to="csv", out=tmp_path / "o")
     with pytest.raises(RequestError, match="uff58, csv, parquet"):
@@ -207,14 +204,14 @@ def test_what_cannot_be_is_refused(result: Path, tmp_path: Path) -> None:
     assert (mine / "tracks.csv").read_text() == "mine"
 
 
-def test_the_command_names_what_it_wrote(result: Path, tmp_path: Path) -> None:
+def test_the_command_names_what_it_wrote(result, tmp_path):
     ended = done("export", result, "--to", "uff58", "--out", tmp_path)
     assert ended.output.splitlines() == [str(tmp_path / "some-test-uff58" / "results.uff")]
     assert crankorder("export", tmp_path / "no", "--to", "csv").exit_code == 2
 
 
 @pytest.mark.slow
-def test_results_without_a_shaft_have_tables_of_the_map_alone() -> None:
+def test_results_without_a_shaft_have_tables_of_the_map_alone():
     groups = {"campbell_map": made_groups()["campbell_map"]}
     assert tables_of({name: published(one) for name, one in groups.items()}) == {}
     assert uff58_bytes(groups, test="t").count(b"    58") == 3 * len(SPEEDS)

@@ -1,7 +1,5 @@
 """The committed baseline of the score: three seed sets, machine by machine, and what has fallen against it."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import platform
@@ -186,18 +184,9 @@ def comparison_table(classes: Sequence[Comparison]) -> str:
     The baseline's numbers stand in brackets; the last of ``classes`` is that of all machines.
     """
     head = (
-        "class",
-        "machines",
-        "wrong: worse : better",
-        "decided: worse : better",
-        "wrong",
-        "decided, %",
-        "covered, %",
-        "width",
-        *DANGERS,
-        "failed",
-        "cpu s",
-    )
+        "class", "machines", "wrong: worse : better", "decided: worse : better", "wrong", "decided, %", "covered, %",
+        "width", *DANGERS, "failed", "cpu s",
+    )  # fmt: skip
     lines = [f"| {' | '.join(head)} |", "|---" * len(head) + "|"]
     for own in classes:
         pair = (own.now, own.before)

@@ -5,8 +5,6 @@ random are no exact period); P. D. McFadden and J. D. Smith (1984), Journal of S
 zone of Stribeck, through which a damage of the inner race or of a rolling element passes).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -66,12 +64,9 @@ class BearingRig:
         """Order at which the damage shows: that of the race, of the cage, or twice the turn of a rolling element."""
         spin = (1.0 - self.cage) * (1.0 - self.ball_over_pitch) / self.ball_over_pitch
         return {
-            "outer": self.elements * self.cage,
-            "inner": self.elements * (1.0 - self.cage),
-            "ball": 2.0 * spin,
-            "cage": self.cage,
-            "none": 0.0,
-        }[self.fault]
+            "outer": self.elements * self.cage, "inner": self.elements * (1.0 - self.cage), "ball": 2.0 * spin,
+            "cage": self.cage, "none": 0.0,
+        }[self.fault]  # fmt: skip
 
     @property
     def bearing(self) -> Bearing:
@@ -92,29 +87,19 @@ def draw_rig(seed: int, fault: str | None = None, size: float | None = None) -> 
     elements = int(chance.integers(7, 17))
     orders = tuple((float(k), float(chance.lognormal(-0.5, 1.0) / k)) for k in range(1, 5))
     return BearingRig(
-        seed=seed,
-        fault=fault or fault_drawn,
-        size=size if size is not None else size_drawn,
-        rate_hz=rate,
-        duration_s=duration,
-        speed_rpm=speed,
-        speed_error=0.0,
-        elements=elements,
-        ball_over_pitch=float(chance.uniform(0.14, min(0.32, 2.4 / elements))),
-        slip=float(chance.uniform(0.0, 0.014)),
-        jitter=float(chance.uniform(0.002, 0.015)),
-        load_zone=float(chance.uniform(0.3, 0.7)),
+        seed=seed, fault=fault or fault_drawn, size=size if size is not None else size_drawn, rate_hz=rate,
+        duration_s=duration, speed_rpm=speed, speed_error=0.0, elements=elements,
+        ball_over_pitch=float(chance.uniform(0.14, min(0.32, 2.4 / elements))), slip=float(chance.uniform(0.0, 0.014)),
+        jitter=float(chance.uniform(0.002, 0.015)), load_zone=float(chance.uniform(0.3, 0.7)),
         resonance_hz=float(chance.uniform(2000.0, min(6000.0, 0.4 * rate))),
         damping_ratio=float(chance.uniform(0.02, 0.08)),
-        second_resonance=(float(chance.uniform(1500.0, 0.42 * rate)), float(chance.uniform(0.0, 0.5))),
-        orders=orders,
+        second_resonance=(float(chance.uniform(1500.0, 0.42 * rate)), float(chance.uniform(0.0, 0.5))), orders=orders,
         mains_hz=float(chance.choice([50.0, 60.0])),
         mains=tuple(float(chance.lognormal(-2.0, 1.0)) * (chance.random() < 0.6) for _ in range(12)),
         mesh=(int(chance.integers(17, 40)), float(chance.lognormal(-1.0, 0.7))) if chance.random() < 0.25 else None,
-        colour=float(chance.choice([0.0, 0.5, 0.9])),
-        swell=float(chance.uniform(0.0, 0.4)) * (chance.random() < 0.3),
+        colour=float(chance.choice([0.0, 0.5, 0.9])), swell=float(chance.uniform(0.0, 0.4)) * (chance.random() < 0.3),
         shocks_per_s=float(chance.uniform(0.0, 5.0)) * (chance.random() < 0.2),
-    )
+    )  # fmt: skip
 
 
 def recorded(rig: BearingRig) -> tuple[xr.Dataset, xr.Dataset]:

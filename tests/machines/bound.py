@@ -15,8 +15,6 @@ the cross-spectral density, over the length of the whole test. Both share the po
   and on no flank of a resonance that still makes an order more than three times larger.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Machines drawn at random, class by class: what the field's tests look like, and what makes them hard."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -9,33 +7,16 @@ import numpy as np
 from machines.machine import Encoder, FloatArray, Machine, Mode, Order, Profile, Swing, Tone
 
 CLASSES = (
-    "stepped",
-    "stepped few",
-    "coarse steps",
-    "one speed",
-    "on resonance",
-    "run-up",
-    "run-down",
-    "through zero",
-    "step in sweep",
-    "repeated sweep",
-    "up and down, toothed wheel",
-    "swing, held",
-    "swing, swept",
-    "one pulse",
-    "two speeds",
-    "twice mains",
-)
+    "stepped", "stepped few", "coarse steps", "one speed", "on resonance", "run-up", "run-down", "through zero",
+    "step in sweep", "repeated sweep", "up and down, toothed wheel", "swing, held", "swing, swept", "one pulse",
+    "two speeds", "twice mains",
+)  # fmt: skip
 """A class draws the same machines as long as it keeps its place here."""
 STEADY = (*CLASSES[:5], "swing, held", "twice mains")
 FEW_SPEEDS = {
-    "stepped": (25, 51),
-    "stepped few": (3, 13),
-    "coarse steps": (8, 21),
-    "swing, held": (3, 13),
-    "one pulse": (3, 13),
+    "stepped": (25, 51), "stepped few": (3, 13), "coarse steps": (8, 21), "swing, held": (3, 13), "one pulse": (3, 13),
     "twice mains": (1, 6),
-}
+}  # fmt: skip
 """Least and most steady speeds (the last left out) of the classes that have some."""
 LOWEST_MODE_HZ, HIGHEST_MODE_HZ = 25.0, 450.0
 MOST_SAMPLES = 1_500_000
@@ -54,14 +35,9 @@ RATES_HZ = (2000.0, 2560.0, 4096.0, 5000.0, 6400.0, 8192.0, 10240.0, 12800.0, 20
 
 
 WHEELS = (
-    ("360", 360, 0),
-    ("60", 60, 0),
-    ("60-2", 60, 2),
-    ("1 per rev", 1, 0),
-    ("speed", 0, 0),
-    ("36-1", 36, 1),
+    ("360", 360, 0), ("60", 60, 0), ("60-2", 60, 2), ("1 per rev", 1, 0), ("speed", 0, 0), ("36-1", 36, 1),
     ("120", 120, 0),
-)
+)  # fmt: skip
 """Name, pulses per revolution and teeth that are missing; "speed": the output of a tachometer."""
 ANY_WHEEL = (0.2, 0.25, 0.2, 0.15, 0.2, 0.0, 0.0)
 WHEEL_CHANCES = {
@@ -91,21 +67,12 @@ def draw_machine(class_name: str, seed: int) -> Machine:
     total_s = sum(profile.duration_s for profile in profiles)
     rate_hz, encoder = _sampling(rng, class_name, needed_hz, total_s, fastest)
     machine = Machine(
-        class_name=class_name,
-        seed=seed,
-        rate_hz=rate_hz,
-        channels=("X", "Y", "Z")[:n_channels],
-        modes=modes,
-        orders=tuple(_order(rng, number, n_channels, class_name) for number in numbers),
-        tones=(),
-        profiles=profiles,
-        encoder=encoder,
-        noise_density=(1.0,) * n_channels,
-        force_density=(1.0,) * sources,
-        mains_hz=mains_hz,
+        class_name=class_name, seed=seed, rate_hz=rate_hz, channels=("X", "Y", "Z")[:n_channels], modes=modes,
+        orders=tuple(_order(rng, number, n_channels, class_name) for number in numbers), tones=(), profiles=profiles,
+        encoder=encoder, noise_density=(1.0,) * n_channels, force_density=(1.0,) * sources, mains_hz=mains_hz,
         steady=all(profile.rpm[0] == profile.rpm[-1] and len(profile.rpm) == 2 for profile in profiles),
         gear_teeth=teeth,
-    )
+    )  # fmt: skip
     return _with_levels(rng, machine, has_mains)
 
 
@@ -139,14 +106,9 @@ def _speed_range(rng: np.random.Generator, class_name: str) -> tuple[float, floa
 
 
 def _modes(
-    rng: np.random.Generator,
-    class_name: str,
-    numbers: tuple[float, ...],
-    speeds: tuple[float, float],
-    n_channels: int,
-    sources: int,
-    mains_hz: float | None,
-) -> tuple[Mode, ...]:
+    rng: np.random.Generator, class_name: str, numbers: tuple[float, ...], speeds: tuple[float, float], n_channels: int,
+    sources: int, mains_hz: float | None,
+) -> tuple[Mode, ...]:  # fmt: skip
     count = int(rng.integers(1, 9)) if class_name in ("stepped", "run-up", "run-down") else int(rng.integers(1, 6))
     light = class_name == "coarse steps"
     frequency: list[float] = []
@@ -177,36 +139,26 @@ def _mode(
     drive = rng.choice([-1.0, 1.0], n_orders) * rng.uniform(0.1, 1.5, n_orders)
     gains = rng.choice([-1.0, 1.0], sources) * rng.uniform(0.3, 1.5, sources)
     return Mode(
-        float(f),
-        float(z),
-        tuple(complex(value) for value in shape),
-        tuple(complex(value) for value in drive),
+        float(f), float(z), tuple(complex(value) for value in shape), tuple(complex(value) for value in drive),
         tuple(float(value) for value in gains),
-    )
+    )  # fmt: skip
 
 
 def _order(rng: np.random.Generator, number: float, n_channels: int, class_name: str) -> Order:
     """Force law and direct path; the size is set later, when the response is known."""
     through_zero = class_name == "through zero"  # a force that stays at standstill would be a weight
     return Order(
-        order=number,
-        constant=0.0 if through_zero else float(rng.uniform(0.0, 1.0)),
-        growth=float(rng.uniform(0.2, 1.0)),
-        exponent=float(rng.uniform(1.0, 2.5)),
-        phase_deg=float(rng.uniform(-180.0, 180.0)),
-        phase_deg_per_krpm=float(rng.uniform(-10.0, 10.0)),
+        order=number, constant=0.0 if through_zero else float(rng.uniform(0.0, 1.0)),
+        growth=float(rng.uniform(0.2, 1.0)), exponent=float(rng.uniform(1.0, 2.5)),
+        phase_deg=float(rng.uniform(-180.0, 180.0)), phase_deg_per_krpm=float(rng.uniform(-10.0, 10.0)),
         direct=tuple(complex(value) for value in 0.02 * rng.standard_normal(n_channels)),
-    )
+    )  # fmt: skip
 
 
 def _profiles(
-    rng: np.random.Generator,
-    class_name: str,
-    speeds: tuple[float, float],
-    numbers: tuple[float, ...],
-    modes: tuple[Mode, ...],
-    mains_hz: float,
-) -> tuple[Profile, ...]:
+    rng: np.random.Generator, class_name: str, speeds: tuple[float, float], numbers: tuple[float, ...],
+    modes: tuple[Mode, ...], mains_hz: float,
+) -> tuple[Profile, ...]:  # fmt: skip
     if class_name == "two speeds":
         return (_two_speeds(rng, speeds),)
     if class_name in STEADY or (class_name == "one pulse" and rng.random() < 0.5):
@@ -266,23 +218,15 @@ def _steady(rng: np.random.Generator, rpm: float, duration_s: float) -> Profile:
     wander = rpm * _log_uniform(rng, 1e-5, 1e-3)
     length = round(duration_s, 2)
     return Profile(
-        (0.0, length),
-        (rpm, rpm),
-        float(rng.uniform(0.0, 2.0)),
-        wander,
-        float(rng.uniform(0.1, 1.0)),
+        (0.0, length), (rpm, rpm), float(rng.uniform(0.0, 2.0)), wander, float(rng.uniform(0.1, 1.0)),
         float(rng.uniform(0.0, 2.0 * np.pi)),
-    )
+    )  # fmt: skip
 
 
 def _steady_speeds(
-    rng: np.random.Generator,
-    class_name: str,
-    speeds: tuple[float, float],
-    numbers: tuple[float, ...],
-    modes: tuple[Mode, ...],
-    mains_hz: float,
-) -> list[float]:
+    rng: np.random.Generator, class_name: str, speeds: tuple[float, float], numbers: tuple[float, ...],
+    modes: tuple[Mode, ...], mains_hz: float,
+) -> list[float]:  # fmt: skip
     low, high = speeds
     if class_name == "one speed":
         return [float(rng.uniform(low, high))]
@@ -391,13 +335,10 @@ def _with_levels(rng: np.random.Generator, machine: Machine, has_mains: bool) ->
         # an amplitude that wanders with the speed is no one number at 120 dB
         machine = replace(machine, profiles=tuple(replace(profile, wander_rpm=0.0) for profile in machine.profiles))
     return replace(
-        machine,
-        orders=tuple(orders),
+        machine, orders=tuple(orders),
         noise_density=tuple(float(noise * rng.uniform(0.7, 1.4)) for _ in machine.channels),
-        force_density=tuple(float(value) for value in density),
-        tones=tones,
-        ring=ring,
-    )
+        force_density=tuple(float(value) for value in density), tones=tones, ring=ring,
+    )  # fmt: skip
 
 
 def _mains(rng: np.random.Generator, machine: Machine, level: float) -> tuple[Tone, ...]:

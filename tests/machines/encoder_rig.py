@@ -5,8 +5,6 @@ An encoder whose disc is set off shows the angle x + e(x), e = eccentricity * si
 and a mesh of teeth whose wheel is set off and so has sidebands of its own. Nothing here is taken from the program.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -119,29 +117,17 @@ def draw_rig(seed: int, kind: str | None = None) -> EncoderRig:
     modes = tuple(_mode(chance, channels) for _ in free)
     pulses = int(chance.choice([1, 2, 36, 60, 120, 360, 720], p=[0.05, 0.05, 0.15, 0.2, 0.2, 0.2, 0.15]))
     encoder = Encoder(
-        pulses,
-        eccentric,
-        float(chance.uniform(0.0, 2.0 * np.pi)),
-        float(chance.uniform(0.0, 0.15) * (chance.random() < 0.3)),
-        float(chance.uniform(0.0, 2.0 * np.pi)),
+        pulses, eccentric, float(chance.uniform(0.0, 2.0 * np.pi)),
+        float(chance.uniform(0.0, 0.15) * (chance.random() < 0.3)), float(chance.uniform(0.0, 2.0 * np.pi)),
         float(chance.uniform(0.0, 0.1) * (chance.random() < 0.5)),
         float(chance.uniform(0.0, 0.02) * (chance.random() < 0.4)),
-    )
+    )  # fmt: skip
     return EncoderRig(
-        seed=seed,
-        kind=kind,
-        rate_hz=4096.0 if speeds[-1] < 2000.0 else 6400.0,
-        duration_s=sweep or float(chance.uniform(6.0, 15.0)),
-        speeds_rpm=(speeds[0], speeds[-1]) if sweep else speeds,
-        sweep_s=sweep,
-        channels=channels,
-        orders=tuple(sorted(orders, key=lambda one: one[0])),
-        modes=modes,
-        swing=swing,
-        mesh=mesh,
-        noise=float(10.0 ** chance.uniform(-2.5, -0.7)),
-        encoder=encoder,
-    )
+        seed=seed, kind=kind, rate_hz=4096.0 if speeds[-1] < 2000.0 else 6400.0,
+        duration_s=sweep or float(chance.uniform(6.0, 15.0)), speeds_rpm=(speeds[0], speeds[-1]) if sweep else speeds,
+        sweep_s=sweep, channels=channels, orders=tuple(sorted(orders, key=lambda one: one[0])), modes=modes,
+        swing=swing, mesh=mesh, noise=float(10.0 ** chance.uniform(-2.5, -0.7)), encoder=encoder,
+    )  # fmt: skip
 
 
 def _numbers(chance: np.random.Generator, kind: str) -> list[float]:

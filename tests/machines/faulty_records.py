@@ -3,8 +3,6 @@
 Knows nothing of the program: shapes of signals and of faults only. The faulty channel is number 0.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -279,14 +277,7 @@ def stepped(rng: np.random.Generator) -> Drawn:
 
 
 FAULTS: dict[str, Callable[[np.random.Generator], Drawn]] = {
-    "clipped": clipped,
-    "spikes": spiked,
-    "iepe_overload": overloaded,
-    "start_transient": settling,
-    "drift": drifting,
-    "dead_sensor": dead,
-    "copied_channel": copied,
-    "mains_only": mains_only,
-    "level_step": stepped,
-}
+    "clipped": clipped, "spikes": spiked, "iepe_overload": overloaded, "start_transient": settling, "drift": drifting,
+    "dead_sensor": dead, "copied_channel": copied, "mains_only": mains_only, "level_step": stepped,
+}  # fmt: skip
 """How each fault is drawn, by the flag that it calls for."""

@@ -1,7 +1,5 @@
 """A drawn machine's test as a folder that the program reads: HDF5 recordings and ``run.toml``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

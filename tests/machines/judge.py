@@ -178,13 +178,9 @@ def _width(value: float, interval: list[float]) -> Judgement:
 
 
 def _amplitude(
-    machine: Machine,
-    takes: tuple[Take, ...],
-    record: dict[str, Any],
-    true: int,
-    largest: FloatArray,
+    machine: Machine, takes: tuple[Take, ...], record: dict[str, Any], true: int, largest: FloatArray,
     steady: FloatArray,
-) -> list[Judgement]:
+) -> list[Judgement]:  # fmt: skip
     channel = machine.channels.index(record["channel"])
     interval, at = record["amplitude_ci95"], record["speed_rpm_at_max"]
     was, would = float(largest[true, channel]), float(steady[true, channel])

@@ -1,7 +1,5 @@
 """The lines that a drawn machine really makes, which of them a record is of, and whether its cause is so."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

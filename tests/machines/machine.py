@@ -5,8 +5,6 @@ pole ``s``; a force ``F`` drives its state, ``z' = s z + F``, and a channel show
 ``Im(shape s^2 z) / omega_d + Re(shape) F``: for a real shape that is the second derivative of the mode's displacement.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

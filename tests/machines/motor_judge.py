@@ -1,7 +1,5 @@
 """What the program says of a motor rig, held against what was put in."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

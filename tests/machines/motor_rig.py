@@ -5,8 +5,6 @@ W. T. Thomson and A. Barbour (1998), IEEE Transactions on Energy Conversion 13, 
 of induction motors). Slip and its frequencies follow from the two field speeds alone and are reckoned here anew.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,18 +15,9 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 CLASSES = (
-    "motor",
-    "motor, several loads",
-    "stray mains",
-    "stray mains, run-up",
-    "stray mains, steps",
-    "stray mains, near speeds",
-    "beside",
-    "synchronous",
-    "none",
-    "tone",
-    "drive",
-)
+    "motor", "motor, several loads", "stray mains", "stray mains, run-up", "stray mains, steps",
+    "stray mains, near speeds", "beside", "synchronous", "none", "tone", "drive",
+)  # fmt: skip
 """A motor at one load or several; strays of the mains at one speed, many, or some that differ little; beside an order
 of the shaft, and on one; no mains at all; a tone that is not mains; a motor on a converter, of no fixed supply."""
 
@@ -97,18 +86,11 @@ def draw_rig(seed: int, class_name: str | None = None) -> MotorRig:
     class_name = class_name or str(chance.choice(CLASSES))
     supply = float(chance.choice([50.0, 60.0]))
     rig = MotorRig(
-        seed=seed,
-        class_name=class_name,
-        condition=str(chance.choice(CONDITIONS)),
-        supply_hz=supply,
-        grid=float(chance.uniform(-2e-3, 2e-3)),
-        poles=int(chance.choice([2, 4, 6, 8])),
-        rotor_bars=int(chance.integers(22, 60)),
-        slips=(),
-        stated=class_name.startswith(("motor", "drive")),
-        takes=(),
+        seed=seed, class_name=class_name, condition=str(chance.choice(CONDITIONS)), supply_hz=supply,
+        grid=float(chance.uniform(-2e-3, 2e-3)), poles=int(chance.choice([2, 4, 6, 8])),
+        rotor_bars=int(chance.integers(22, 60)), slips=(), stated=class_name.startswith(("motor", "drive")), takes=(),
         colour=float(chance.choice([0.0, 0.5, 0.9])),
-    )
+    )  # fmt: skip
     if class_name.startswith("motor"):
         return _motor(rig, chance)
     if class_name == "drive":

@@ -4,8 +4,6 @@ Repeats one of the three seed sets of the baseline, machine by machine, and adds
 a user does: its command, and the files that it writes. Exit status 1 where a class has fallen.
 """
 
-from __future__ import annotations
-
 import argparse
 import multiprocessing
 import os

@@ -1,7 +1,5 @@
 """Exact signals of a drawn machine: Gauss quadrature of the convolution over each sample, and coloured noise by FFT."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -15,13 +15,9 @@ DANGERS = ("dangerous not free", "lock", "part real")
 INTERVALS = ("amplitude", "phase", "frequency", "damping")
 DECIDED = ("decided: free", "decided: lock", "decided: mode")
 MORE = (
-    "dangerous range not free",
-    "dangerous named",
-    "order found",
-    "order real",
-    "amplitude, transient",
+    "dangerous range not free", "dangerous named", "order found", "order real", "amplitude, transient",
     "amplitude, steady",
-)
+)  # fmt: skip
 WRONG = {
     **dict.fromkeys((*DANGERS, "strongest", "mode real", "consistent", "order real"), 1.0),
     "dangerous range not free": 1.0,
@@ -134,26 +130,12 @@ def table_text(scores: Sequence[SceneScore]) -> str:
     failed = sum(bool(score.message) for score in scores)
     seconds = sum(score.cpu_s for score in scores) / max(1, len(scores))
     lines = [
-        f"{len(scores)} machines; {failed} failed; {seconds:.1f} processor seconds each for the program.",
-        "",
-        "Wrong statements / statements:",
-        "",
-        *_table(groups, MARKS, misses=True),
-        "",
-        "Decided, % of what an estimator that knows the model decides:",
-        "",
-        *_table(groups, DECIDED, misses=False),
-        "",
-        "95 % intervals that cover, % (intervals):",
-        "",
-        *_table(groups, (*INTERVALS, "pooled"), misses=False),
-        "",
-        "More, %:",
-        "",
-        *_table(groups, MORE, misses=False),
-        "",
-        *_faults(scores),
-    ]
+        f"{len(scores)} machines; {failed} failed; {seconds:.1f} processor seconds each for the program.", "",
+        "Wrong statements / statements:", "", *_table(groups, MARKS, misses=True), "",
+        "Decided, % of what an estimator that knows the model decides:", "", *_table(groups, DECIDED, misses=False), "",
+        "95 % intervals that cover, % (intervals):", "", *_table(groups, (*INTERVALS, "pooled"), misses=False), "",
+        "More, %:", "", *_table(groups, MORE, misses=False), "", *_faults(scores),
+    ]  # fmt: skip
     return "\n".join(lines) + "\n"
 
 

@@ -3,8 +3,6 @@
 Seeds are drawn afresh in the accuracy test; RIGS_SEED gives the same rigs again.
 """
 
-from __future__ import annotations
-
 import os
 import secrets
 from collections import Counter
@@ -20,7 +18,7 @@ from crankorder.identify.bearings.records import bearing_records
 from crankorder.orders.envelope import envelope_map, recording_envelope
 from crankorder.report.sentences.story import headline
 from crankorder.settings import load_settings
-from machines.bearing_rig import FAULTS, LINE_OF, BearingRig, draw_rig, recorded, samples
+from machines.bearing_rig import FAULTS, LINE_OF, draw_rig, recorded, samples
 from made.contradictions import contradictions
 from made.typed import as_dicts, findings_of
 
@@ -31,7 +29,7 @@ LEAST_FOUND = {"outer": 0.9, "inner": 0.6, "ball": 0.6, "cage": 0.4}
 """Share of the faults of 1.6 to 6 times the noise that are found, by part."""
 
 
-def said(rig: BearingRig) -> list[dict[str, object]]:
+def said(rig):
     """Records of the bearing of ``rig``."""
     combs = bearing_combs((rig.bearing,), slip_percent=SETTINGS.identify.bearing_slip_percent)
     envelope = envelope_map(
@@ -40,12 +38,12 @@ def said(rig: BearingRig) -> list[dict[str, object]]:
     return bearing_records((), envelope, bearings=(rig.bearing,), revs_per_cycle=1, settings=SETTINGS.identify)
 
 
-def named(records: list[dict[str, object]]) -> set[object]:
+def named(records):
     """Lines whose part is called damaged without doubt."""
     return {record["line"] for record in records if str(record["verdict"]).startswith("Damage")}
 
 
-def test_where_strikes_alone_are_found_no_sentence_denies_them() -> None:
+def test_where_strikes_alone_are_found_no_sentence_denies_them():
     seen = 0
     for seed in range(8):
         records = said(replace(draw_rig(seed, FAULTS[seed % 2], 5.0), **QUIET))
@@ -64,7 +62,7 @@ def test_where_strikes_alone_are_found_no_sentence_denies_them() -> None:
     assert seen >= 6
 
 
-def test_the_rig_strikes_at_the_rates_of_its_geometry() -> None:
+def test_the_rig_strikes_at_the_rates_of_its_geometry():
     for seed in range(20):
         for fault in FAULTS:
             rig = replace(draw_rig(seed, fault), slip=0.0)
@@ -72,7 +70,7 @@ def test_the_rig_strikes_at_the_rates_of_its_geometry() -> None:
             assert rig.order == pytest.approx(wanted, rel=1e-9)
 
 
-def test_a_strike_rings_at_the_resonance_and_is_as_high_as_stated() -> None:
+def test_a_strike_rings_at_the_resonance_and_is_as_high_as_stated():
     rig = replace(draw_rig(3, "outer", 50.0), **QUIET, resonance_hz=3000.0, rate_hz=51_200.0, duration_s=2.0)
     signal = samples(replace(rig, second_resonance=(4000.0, 0.0)))
     spectrum = np.abs(np.fft.rfft(signal))
@@ -81,7 +79,7 @@ def test_a_strike_rings_at_the_resonance_and_is_as_high_as_stated() -> None:
     assert 35.0 < highest.mean() < 90.0
 
 
-def test_drawn_rigs_have_no_damage_made_up_and_no_wrong_part_named() -> None:
+def test_drawn_rigs_have_no_damage_made_up_and_no_wrong_part_named():
     for seed in range(4):
         assert said(draw_rig(seed, "none")) == []
     for seed in range(2):
@@ -93,7 +91,7 @@ def test_drawn_rigs_have_no_damage_made_up_and_no_wrong_part_named() -> None:
                 assert LINE_OF[fault] in {record["line"] for record in records}
 
 
-def test_a_nominal_speed_is_read_off_the_sidebands_and_the_slip_is_counted_from_it() -> None:
+def test_a_nominal_speed_is_read_off_the_sidebands_and_the_slip_is_counted_from_it():
     rng, read = np.random.default_rng(14), 0
     for seed in range(6):
         rig = draw_rig(seed, "inner", 8.0)
@@ -110,7 +108,7 @@ def test_a_nominal_speed_is_read_off_the_sidebands_and_the_slip_is_counted_from_
 
 
 @pytest.fixture(scope="module")
-def campaign() -> list[tuple[BearingRig, list[dict[str, object]]]]:
+def campaign():
     """200 sound rigs and 320 damaged ones with what is said of them."""
     first = int(os.environ.get("RIGS_SEED") or secrets.randbits(28))
     print(f"RIGS_SEED={first}")
@@ -120,13 +118,13 @@ def campaign() -> list[tuple[BearingRig, list[dict[str, object]]]]:
 
 
 @pytest.mark.accuracy
-def test_sound_bearings_raise_an_alarm_once_in_two_hundred_at_most(campaign) -> None:
+def test_sound_bearings_raise_an_alarm_once_in_two_hundred_at_most(campaign):
     alarms = [rig.seed for rig, records in campaign if rig.fault == "none" and records]
     assert len(alarms) <= 1, alarms
 
 
 @pytest.mark.accuracy
-def test_no_part_is_named_without_doubt_that_is_not_struck(campaign) -> None:
+def test_no_part_is_named_without_doubt_that_is_not_struck(campaign):
     wrong = [
         (rig.seed, rig.fault, named(records))
         for rig, records in campaign
@@ -136,7 +134,7 @@ def test_no_part_is_named_without_doubt_that_is_not_struck(campaign) -> None:
 
 
 @pytest.mark.accuracy
-def test_strong_damage_is_found(campaign) -> None:
+def test_strong_damage_is_found(campaign):
     strong, found = Counter[str](), Counter[str]()
     for rig, records in campaign:
         if rig.fault != "none" and rig.size > 1.6:

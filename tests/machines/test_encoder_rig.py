@@ -3,12 +3,9 @@
 Seeds are drawn afresh in the accuracy test; ENCODERS_SEED gives the same rigs again.
 """
 
-from __future__ import annotations
-
 import os
 import secrets
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -16,7 +13,7 @@ import pytest
 
 from crankorder.batch.plan import plan_tests
 from crankorder.identify.machine_model import MachineModel
-from crankorder.stages import CampaignResult, analyse_recording, analyse_test
+from crankorder.stages import analyse_recording, analyse_test
 from machines.encoder_rig import Encoder, EncoderRig, draw_rig, quiet, write_rig
 
 RIGS = int(os.environ.get("ENCODERS_RIGS", "120"))
@@ -28,7 +25,7 @@ PARTS = ("gear mesh", "bearing", "second shaft")
 ECCENTRICITIES = (0.02, 0.05, 0.1, 0.2, 0.5)
 
 
-def said(rig: EncoderRig, place: Path) -> CampaignResult:
+def said(rig, place):
     """Results of the test of ``rig``, written to the new folder ``place``."""
     write_rig(rig, place)
     plan = plan_tests([place], place.with_suffix(".out")).tests[0]
@@ -50,7 +47,7 @@ class Judged:
     width: float
 
 
-def judged(rig: EncoderRig, place: Path) -> Judged:
+def judged(rig, place):
     result = said(rig, place)
     assert result.findings is not None
     records, true = result.findings.orders, np.array(sorted(rig.lines()))
@@ -72,13 +69,13 @@ def judged(rig: EncoderRig, place: Path) -> Judged:
     return Judged(rig, made_up, false_lines, gone, eccentric, *_coverage(rig, result))
 
 
-def _over_noise(rig: EncoderRig, order: float) -> np.ndarray:
+def _over_noise(rig, order):
     """Amplitude of a true line in its best channel over the standard deviation of its mean, by speed."""
     best = [np.abs(rig.amplitude(order, rpm)).max() for rpm in rig.speeds_rpm]
     return np.array(best) / (rig.noise * np.sqrt(2.0 / rig.duration_s / rig.rate_hz))
 
 
-def _coverage(rig: EncoderRig, result: CampaignResult) -> tuple[int, int, float]:
+def _coverage(rig, result):
     """Intervals of tracks that hold the true amplitude, their number, and the median of half width over amplitude."""
     tracks, true = result.datasets["order_tracks"], np.array(sorted(rig.lines()))
     covered, count, widths = 0, 0, []
@@ -96,7 +93,7 @@ def _coverage(rig: EncoderRig, result: CampaignResult) -> tuple[int, int, float]
     return covered, count, float(np.median(widths)) if widths else np.nan
 
 
-def test_pulses_come_where_the_encoder_shows_their_lines(tmp_path: Path) -> None:
+def test_pulses_come_where_the_encoder_shows_their_lines(tmp_path):
     encoder = Encoder(60, eccentricity=0.4, eccentricity_phase=1.0, ovality=0.1, ovality_phase=-2.0)
     rig = replace(draw_rig(1, "swing"), encoder=encoder, swing=None, speeds_rpm=(900.0,), sweep_s=0.0)
     write_rig(rig, tmp_path / "rig")
@@ -110,7 +107,7 @@ def test_pulses_come_where_the_encoder_shows_their_lines(tmp_path: Path) -> None
         assert line == pytest.approx(size, rel=share)
 
 
-def test_modes_and_lines_of_the_rig_have_the_amplitudes_stated(tmp_path: Path) -> None:
+def test_modes_and_lines_of_the_rig_have_the_amplitudes_stated(tmp_path):
     rig = replace(draw_rig(6, "healthy"), sweep_s=0.0, speeds_rpm=(1200.0,), noise=1e-6, duration_s=8.0)
     write_rig(rig, tmp_path / "rig")
     with h5py.File(tmp_path / "rig" / "rec_000.h5") as file:
@@ -122,27 +119,27 @@ def test_modes_and_lines_of_the_rig_have_the_amplitudes_stated(tmp_path: Path) -
         assert np.abs(spectrum[round(order * 120.0)]) == pytest.approx(size, rel=2e-3)
 
 
-def rig_of_orders(encoder: Encoder) -> EncoderRig:
+def rig_of_orders(encoder):
     """A quick machine of four orders at three speeds."""
     orders = ((2.0, (2.0 + 0j,), 1.0), (5.0, (1.0j,), 0.5), (9.0, (1.5 + 1j,), 0.0), (14.0, (-1.0 + 0.5j,), 0.0))
     return EncoderRig(7, "healthy", 4096.0, 5.0, (800.0, 1000.0, 1300.0), 0.0, 1, orders, (), None, None, 0.02, encoder)
 
 
-def test_sidebands_of_an_eccentric_encoder_are_no_part_and_no_line(tmp_path: Path) -> None:
+def test_sidebands_of_an_eccentric_encoder_are_no_part_and_no_line(tmp_path):
     rig = rig_of_orders(Encoder(360, eccentricity=0.2, eccentricity_phase=0.7, jitter=0.05))
     found = judged(rig, tmp_path / "rig")
     assert found.eccentricity and not found.made_up and not found.false_lines
     assert found.covered >= 0.9 * found.intervals > 0
 
 
-def test_a_wheel_that_is_set_off_keeps_its_sidebands_beside_an_eccentric_encoder(tmp_path: Path) -> None:
+def test_a_wheel_that_is_set_off_keeps_its_sidebands_beside_an_eccentric_encoder(tmp_path):
     rig = rig_of_orders(Encoder(360, eccentricity=0.2, eccentricity_phase=0.7))
     found = judged(replace(rig, kind="gear", mesh=(14, 0.2, 0.2)), tmp_path / "rig")
     assert not found.gone and not found.made_up
 
 
 @pytest.fixture(scope="module")
-def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Judged]:
+def campaign(tmp_path_factory):
     """Drawn rigs of all kinds, and what is said of them."""
     first = int(os.environ.get("ENCODERS_SEED") or secrets.randbits(28))
     print(f"ENCODERS_SEED={first}")
@@ -152,18 +149,18 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Judged]:
 
 
 @pytest.mark.accuracy
-def test_no_part_is_made_up(campaign: list[Judged]) -> None:
+def test_no_part_is_made_up(campaign):
     wrong = [(one.rig.seed, one.made_up) for one in campaign if one.made_up and one.rig.encoder.pulses >= FEW_LINES]
     assert not wrong
 
 
 @pytest.mark.accuracy
-def test_no_real_sideband_is_explained_away(campaign: list[Judged]) -> None:
+def test_no_real_sideband_is_explained_away(campaign):
     assert [(one.rig.seed, one.gone) for one in campaign if one.gone] == []
 
 
 @pytest.mark.accuracy
-def test_amplitudes_are_covered_behind_any_encoder(campaign: list[Judged]) -> None:
+def test_amplitudes_are_covered_behind_any_encoder(campaign):
     lined = [one for one in campaign if one.rig.encoder.pulses >= FEW_LINES and one.intervals and not one.rig.sweep_s]
     eccentric = [one for one in lined if one.rig.encoder.eccentricity > 0.02]
     jittering = [one for one in lined if one.rig.encoder.jitter > 0.02]
@@ -176,7 +173,7 @@ def test_amplitudes_are_covered_behind_any_encoder(campaign: list[Judged]) -> No
 
 
 @pytest.mark.accuracy
-def test_an_eccentricity_is_told_where_it_is_and_nowhere_else(campaign: list[Judged]) -> None:
+def test_an_eccentricity_is_told_where_it_is_and_nowhere_else(campaign):
     lined = [one for one in campaign if one.rig.encoder.pulses >= FEW_LINES]
     for low, high in zip((0.0, *ECCENTRICITIES[:-1]), ECCENTRICITIES, strict=True):
         group = [one for one in lined if low < one.rig.encoder.eccentricity <= high]

@@ -1,7 +1,5 @@
 """Faults of a record: none made up in sound ones of many kinds, and each found from a stated size on."""
 
-from __future__ import annotations
-
 import math
 import secrets
 from collections import Counter
@@ -13,28 +11,20 @@ import pytest
 
 from crankorder.ingest.record_faults import Sampled, judged
 from crankorder.ingest.signal_faults import mend_signal
-from crankorder.quantities import QualityFlag
 from crankorder.settings import load_settings
 from machines.faulty_records import FAULTS, Drawn, healthy
 
 SETTINGS = load_settings().ingest
 LARGE = {
-    "clipped": 0.2,
-    "spikes": 30.0,
-    "iepe_overload": 10.0,
-    "start_transient": 5.0,
-    "drift": 3.0,
-    "dead_sensor": 1000.0,
-    "copied_channel": 0.5,
-    "mains_only": 5.0,
-    "level_step": 2.5,
-}
+    "clipped": 0.2, "spikes": 30.0, "iepe_overload": 10.0, "start_transient": 5.0, "drift": 3.0, "dead_sensor": 1000.0,
+    "copied_channel": 0.5, "mains_only": 5.0, "level_step": 2.5,
+}  # fmt: skip
 """Size from which on a fault is asked for."""
 FOUND = {"clipped": 0.6, "spikes": 0.95, "mains_only": 0.7, "level_step": 0.6, "iepe_overload": 0.9}
 """Share of the large faults that must be found; of those not named here 0.95."""
 
 
-def flags_of(drawn: Drawn) -> list[QualityFlag]:
+def flags_of(drawn):
     """What the program says of ``drawn``, that is stored as float32 as a logger does."""
     signals = drawn.signals.astype(np.float32)
     names = [f"c{number}" for number in range(len(signals))]
@@ -43,12 +33,12 @@ def flags_of(drawn: Drawn) -> list[QualityFlag]:
     return judged(signals, known, sampled, Path("a.h5"), settings=SETTINGS)
 
 
-def draws(n: int, seed: int) -> list[np.random.Generator]:
+def draws(n, seed):
     return [np.random.default_rng([seed, k]) for k in range(n)]
 
 
 @pytest.mark.parametrize(("n", "seed"), [(11, 2026), pytest.param(300, None, marks=pytest.mark.accuracy)])
-def test_nothing_is_made_up_in_sound_records(n: int, seed: int | None) -> None:
+def test_nothing_is_made_up_in_sound_records(n, seed):
     seed = seed or secrets.randbits(31)
     print(f"\nsound records: seed {seed}")
     told = [(drawn.kind, flag) for rng in draws(n, seed) for drawn in (healthy(rng),) for flag in flags_of(drawn)]
@@ -58,7 +48,7 @@ def test_nothing_is_made_up_in_sound_records(n: int, seed: int | None) -> None:
 
 @pytest.mark.accuracy
 @pytest.mark.parametrize("kind", FAULTS)
-def test_faults_are_found_by_size(kind: str) -> None:
+def test_faults_are_found_by_size(kind):
     n, seed = 200, secrets.randbits(31)
     sizes, hits, beside = [], [], Counter[str]()
     for rng in draws(n, seed):
@@ -79,7 +69,7 @@ def test_faults_are_found_by_size(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", FAULTS)
-def test_a_few_large_faults_are_found(kind: str) -> None:
+def test_a_few_large_faults_are_found(kind):
     for number, rng in enumerate(draws(40, 7)):
         drawn = FAULTS[kind](rng)
         if drawn.size >= LARGE[kind] and kind in {flag["flag"] for flag in flags_of(drawn)}:
@@ -88,7 +78,7 @@ def test_a_few_large_faults_are_found(kind: str) -> None:
 
 
 @pytest.mark.parametrize("length_s", [1.0, 3.0])
-def test_low_orders_of_a_slow_shaft_are_no_overload(length_s: float) -> None:
+def test_low_orders_of_a_slow_shaft_are_no_overload(length_s):
     """Orders of 8 to 50 turns a second swing the means of short pieces themselves: 6 in 100 were called overloads."""
     rate = 6000.0
     for rng in draws(150, 17):
@@ -101,7 +91,7 @@ def test_low_orders_of_a_slow_shaft_are_no_overload(length_s: float) -> None:
 
 
 @pytest.mark.parametrize("per_turn", [25, 30, 32, 36, 40, 64])
-def test_a_tone_at_a_simple_share_of_the_rate_has_no_plateau(per_turn: int) -> None:
+def test_a_tone_at_a_simple_share_of_the_rate_has_no_plateau(per_turn):
     """A crest hit by the same few samples in each turn is no pile-up; cut off at 80 % it is one."""
     for rng, limit in product(draws(4, per_turn), (np.inf, 0.8)):
         turns = np.arange(20_000) / per_turn + rng.uniform()

@@ -1,9 +1,6 @@
 """The drawn machines obey physics that is known otherwise: closed forms, an ODE solver, a hand calculation."""
 
-from __future__ import annotations
-
 from dataclasses import replace
-from pathlib import Path
 
 import h5py
 import numpy as np
@@ -20,7 +17,7 @@ from machines.signals import as_read_by_angle, broadband, order_envelope, ringin
 STILL = Encoder("speed", "speed")
 
 
-def one_mode(*, damping: float = 0.02, profile: Profile | None = None, force_density: float = 0.0) -> Machine:
+def one_mode(*, damping=0.02, profile=None, force_density=0.0):
     """A 60 Hz mode met by order 2 at 1800 rpm, one channel, no noise."""
     return Machine(
         class_name="run-up", seed=0, rate_hz=2000.0, channels=("X",), tones=(), mains_hz=50.0, steady=False,
@@ -32,13 +29,13 @@ def one_mode(*, damping: float = 0.02, profile: Profile | None = None, force_den
 
 
 @pytest.mark.parametrize("rpm", [600.0, 1790.0, 1800.0, 4000.0])
-def test_at_constant_speed_the_envelope_is_the_steady_response(rpm: float) -> None:
+def test_at_constant_speed_the_envelope_is_the_steady_response(rpm):
     machine = one_mode(profile=Profile((0.0, 2.0), (rpm, rpm), 0.7))
     envelope, _ = order_envelope(machine, machine.profiles[0], 0)
     np.testing.assert_allclose(envelope[0], machine.steady_response(0, rpm)[0, 0], rtol=1e-9)
 
 
-def test_the_steady_response_of_a_real_mode_is_that_of_the_second_derivative_of_its_displacement() -> None:
+def test_the_steady_response_of_a_real_mode_is_that_of_the_second_derivative_of_its_displacement():
     machine = one_mode()
     frequency, mode = np.array([3.0, 59.0, 60.0, 400.0]), machine.modes[0]
     omega, natural = 2 * np.pi * frequency, 2 * np.pi * mode.frequency_hz
@@ -48,17 +45,17 @@ def test_the_steady_response_of_a_real_mode_is_that_of_the_second_derivative_of_
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize(("rpm", "damping"), [((1500.0, 2100.0), 0.002), ((2600.0, 900.0), 0.03), ((900.0, 0.0), 0.01)])
-def test_a_sweep_is_what_an_ode_solver_makes_of_it(rpm: tuple[float, float], damping: float) -> None:
+def test_a_sweep_is_what_an_ode_solver_makes_of_it(rpm, damping):
     machine = one_mode(damping=damping, profile=Profile((0.0, 2.0), rpm, 0.3, 4.0, 0.7, 1.0))
     profile, mode, order = machine.profiles[0], machine.modes[0], machine.orders[0]
     natural = 2 * np.pi * mode.frequency_hz
 
-    def force(t: float) -> float:
+    def force(t):
         at = np.array([t])
         size = order.force(np.maximum(profile.speed(at), 0.0))
         return float((size * np.exp(2j * np.pi * order.order * profile.angle(at)))[0].real)
 
-    def moved(t: float, state: np.ndarray) -> list[float]:
+    def moved(t, state):
         return [state[1], force(t) - 2 * damping * natural * state[1] - natural**2 * state[0]]
 
     # both start as if the first speed had always been
@@ -76,7 +73,7 @@ def test_a_sweep_is_what_an_ode_solver_makes_of_it(rpm: tuple[float, float], dam
     assert np.abs(ours - (0.02 * bent + 0.01 * driven)).max() < 1e-6 * np.abs(ours).max()
 
 
-def test_what_rings_at_the_start_decays_as_the_mode_does() -> None:
+def test_what_rings_at_the_start_decays_as_the_mode_does():
     machine = replace(one_mode(damping=0.01), ring=(2.0,), rate_hz=4000.0)
     time_s = np.arange(8000) / machine.rate_hz
     size = np.abs(hilbert(ringing(machine, time_s, np.random.default_rng(3))[0]))
@@ -86,7 +83,7 @@ def test_what_rings_at_the_start_decays_as_the_mode_does() -> None:
     assert np.exp(level) == pytest.approx(2.0, rel=0.02)
 
 
-def test_the_angle_is_the_integral_of_the_speed() -> None:
+def test_the_angle_is_the_integral_of_the_speed():
     profile = Profile((0.0, 1.0, 1.5, 4.0), (900.0, 1500.0, 1200.0, 3000.0), 0.25, 7.0, 0.9, 0.4)
     time_s = np.linspace(0.0, 4.0, 400_001)
     speed = profile.speed(time_s) / 60.0
@@ -97,7 +94,7 @@ def test_the_angle_is_the_integral_of_the_speed() -> None:
 SWUNG = Profile((0.0, 4.0), (1200.0, 1200.0), 0.3, swing=Swing(1.5, 0.01, 1200.0, 0.7))
 
 
-def test_a_recording_of_a_swinging_shaft_starts_in_steady_running() -> None:
+def test_a_recording_of_a_swinging_shaft_starts_in_steady_running():
     """Amplitude and phase repeat from cycle to cycle: nothing rings from a start at rest."""
     machine = one_mode(damping=0.002, profile=SWUNG)
     envelope, _ = order_envelope(machine, SWUNG, 0)
@@ -108,7 +105,7 @@ def test_a_recording_of_a_swinging_shaft_starts_in_steady_running() -> None:
         np.testing.assert_allclose(again, envelope[0, :cycle], atol=1e-7 * np.abs(envelope).max())
 
 
-def test_the_lines_of_a_swinging_shaft_are_those_of_its_signal_by_angle() -> None:
+def test_the_lines_of_a_swinging_shaft_are_those_of_its_signal_by_angle():
     """Against a Fourier series over whole cycles, on an even grid of angle that cubic splines give."""
     machine = replace(one_mode(profile=SWUNG), rate_hz=20000.0)
     envelope, carrier = order_envelope(machine, SWUNG, 0)
@@ -125,7 +122,7 @@ def test_the_lines_of_a_swinging_shaft_are_those_of_its_signal_by_angle() -> Non
             assert read[0, 0] == pytest.approx(series, abs=1e-6 * np.abs(envelope).max())
 
 
-def tooth_times(machine: Machine, folder: Path) -> np.ndarray:
+def tooth_times(machine, folder):
     """Times of the teeth in the first recording of ``machine``: those stored, or the first samples behind an edge."""
     write_folder(machine, folder)
     with h5py.File(folder / "rec_000.h5") as file:
@@ -135,7 +132,7 @@ def tooth_times(machine: Machine, folder: Path) -> np.ndarray:
 
 
 @pytest.mark.parametrize("encoder", ["trace", "times"])
-def test_an_uneven_wheel_shows_each_tooth_where_it_stands(encoder: str, tmp_path: Path) -> None:
+def test_an_uneven_wheel_shows_each_tooth_where_it_stands(encoder, tmp_path):
     wheel = Encoder("36-1", encoder, 36, 1, False, 0.0, 1e7, 1e-3)
     machine = replace(one_mode(profile=replace(SWUNG, rpm=(900.0, 900.0))), rate_hz=50000.0, encoder=wheel)
     times = tooth_times(machine, tmp_path / "m")
@@ -148,7 +145,7 @@ def test_an_uneven_wheel_shows_each_tooth_where_it_stands(encoder: str, tmp_path
     assert 5e-4 < np.std(np.diff(wheel.teeth_rev(machine.seed)) - 1.0 / 36.0) < 3e-3
 
 
-def test_the_new_classes_are_what_their_names_say() -> None:
+def test_the_new_classes_are_what_their_names_say():
     for seed in range(20):
         held, swept = draw_machine("swing, held", seed), draw_machine("swing, swept", seed)
         assert held.steady and not swept.steady and not draw_machine("two speeds", seed).steady
@@ -171,7 +168,7 @@ def test_the_new_classes_are_what_their_names_say() -> None:
         assert ways == {True, False} and toothed.encoder.pulses_per_rev >= 36
 
 
-def test_noise_is_120_db_below_order_1_in_half_of_the_swinging_machines() -> None:
+def test_noise_is_120_db_below_order_1_in_half_of_the_swinging_machines():
     levels = []
     for seed in range(30):
         machine = draw_machine("swing, held", seed)
@@ -182,7 +179,7 @@ def test_noise_is_120_db_below_order_1_in_half_of_the_swinging_machines() -> Non
     assert 8 <= sum(level > 110.0 for level in levels) <= 22
 
 
-def test_the_broadband_floor_has_the_stated_density() -> None:
+def test_the_broadband_floor_has_the_stated_density():
     machine = replace(one_mode(force_density=3.0), noise_density=(0.02,), channels=("X",))
     samples = broadband(machine, 800_000, np.random.default_rng(1))
     frequency, found = welch(samples[0], machine.rate_hz, nperseg=8192)
@@ -191,7 +188,7 @@ def test_the_broadband_floor_has_the_stated_density() -> None:
     assert abs(np.mean(found[seen] / wanted[seen]) - 1.0) < 0.02
 
 
-def test_the_floors_of_two_channels_are_as_coherent_as_stated() -> None:
+def test_the_floors_of_two_channels_are_as_coherent_as_stated():
     mode = Mode(60.0, 0.02, (0.02 + 0j, -0.01 + 0.003j), (1.0 + 0j,), (1.0,))
     order = Order(2.0, 1.0, 0.5, 2.0, 30.0, 5.0, (0.01 + 0j, 0j))
     machine = replace(
@@ -206,7 +203,7 @@ def test_the_floors_of_two_channels_are_as_coherent_as_stated() -> None:
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("class_name", CLASSES)
-def test_a_drawn_test_is_written_whole_and_the_same_again(class_name: str, tmp_path: Path) -> None:
+def test_a_drawn_test_is_written_whole_and_the_same_again(class_name, tmp_path):
     machine = draw_machine(class_name, 11)
     assert machine == draw_machine(class_name, 11)
     machine = replace(machine, profiles=machine.profiles[:2])
@@ -220,7 +217,7 @@ def test_a_drawn_test_is_written_whole_and_the_same_again(class_name: str, tmp_p
         assert np.isfinite(one["acc_x"][...]).all()
 
 
-def test_orders_stay_below_half_the_sampling_rate_in_every_class() -> None:
+def test_orders_stay_below_half_the_sampling_rate_in_every_class():
     for class_name in CLASSES:
         for seed in range(6):
             machine = draw_machine(class_name, seed)
@@ -230,7 +227,7 @@ def test_orders_stay_below_half_the_sampling_rate_in_every_class() -> None:
 
 
 @pytest.mark.parametrize("encoder", ["trace", "times"])
-def test_the_encoder_tells_the_angle_that_was_driven(encoder: str, tmp_path: Path) -> None:
+def test_the_encoder_tells_the_angle_that_was_driven(encoder, tmp_path):
     wheel = Encoder("60-2", encoder, 60, 2, False, 40.0, 1e6)
     ramp = one_mode(profile=Profile((0.0, 3.0), (600.0, 900.0), 0.41))
     machine = replace(ramp, rate_hz=10000.0, encoder=wheel)

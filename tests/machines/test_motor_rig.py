@@ -3,29 +3,26 @@
 Seeds are drawn afresh in the accuracy test; RIGS_SEED gives the same rigs again.
 """
 
-from __future__ import annotations
-
 import os
 import secrets
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from machines.motor_judge import Verdict, findings_of, judged, said_of
-from machines.motor_rig import CLASSES, RATE_HZ, MotorRig, draw_rig, samples
+from machines.motor_rig import CLASSES, RATE_HZ, draw_rig, samples
 
 LEAST_NAMED = 0.95
 """Share of the lines of the mains and of motors that are named."""
 
 
-def short(rig: MotorRig) -> MotorRig:
+def short(rig):
     """``rig`` with recordings of 20 s."""
     return replace(rig, takes=tuple(replace(take, duration_s=20.0) for take in rig.takes))
 
 
-def test_the_rig_has_its_lines_where_the_nameplate_puts_them() -> None:
+def test_the_rig_has_its_lines_where_the_nameplate_puts_them():
     for seed in range(20):
         rig = draw_rig(seed, "motor")
         take = rig.takes[0]
@@ -41,7 +38,7 @@ def test_the_rig_has_its_lines_where_the_nameplate_puts_them() -> None:
                 assert line.at(take.rpm[0]) == pytest.approx(rig.rotor_bars * turns)
 
 
-def test_the_signal_holds_a_line_as_large_as_it_was_put_in() -> None:
+def test_the_signal_holds_a_line_as_large_as_it_was_put_in():
     rig = draw_rig(4, "stray mains")
     take = replace(rig.takes[0], duration_s=20.0)
     signal, _ = samples(rig, take, 0)
@@ -52,13 +49,13 @@ def test_the_signal_holds_a_line_as_large_as_it_was_put_in() -> None:
 
 
 @pytest.mark.parametrize("class_name", ["motor", "beside", "synchronous"])
-def test_a_drawn_rig_has_every_line_named_and_none_made_up(class_name: str, tmp_path: Path) -> None:
+def test_a_drawn_rig_has_every_line_named_and_none_made_up(class_name, tmp_path):
     rig = short(draw_rig(14, class_name))
     verdicts = judged(rig, findings_of(rig, tmp_path))
     assert verdicts and not [one.words for one in verdicts if not one.good]
 
 
-def test_a_pump_at_49_2_hz_is_not_mains(tmp_path: Path) -> None:
+def test_a_pump_at_49_2_hz_is_not_mains(tmp_path):
     rig = short(draw_rig(3, "none"))
     take = rig.takes[0]
     pump = replace(take.lines[0], cause="tone", hz=49.2, order=0.0, size=1.0)
@@ -67,7 +64,7 @@ def test_a_pump_at_49_2_hz_is_not_mains(tmp_path: Path) -> None:
     assert at_pump and not any("mains" in text or "shaft" in text for text in at_pump)
 
 
-def test_a_motor_that_cannot_turn_so_has_no_line_named(tmp_path: Path) -> None:
+def test_a_motor_that_cannot_turn_so_has_no_line_named(tmp_path):
     rig = replace(short(draw_rig(5, "motor")), poles=6)
     rig = replace(rig, takes=tuple(replace(take, rpm=(1.4 * 40.0 * rig.supply_hz / 2,) * 2) for take in rig.takes))
     found = findings_of(rig, tmp_path)["motor"]
@@ -75,7 +72,7 @@ def test_a_motor_that_cannot_turn_so_has_no_line_named(tmp_path: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Verdict]:
+def campaign(tmp_path_factory):
     """Verdicts on 220 rigs, the classes in turn."""
     first = int(os.environ.get("RIGS_SEED") or secrets.randbits(28))
     print(f"RIGS_SEED={first}")
@@ -87,18 +84,18 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> list[Verdict]:
 
 
 @pytest.mark.accuracy
-def test_no_part_of_a_machine_and_no_mains_are_made_up(campaign: list[Verdict]) -> None:
+def test_no_part_of_a_machine_and_no_mains_are_made_up(campaign):
     assert not [one.words for one in campaign if one.kind == "nothing made up" and not one.good]
 
 
 @pytest.mark.accuracy
-def test_lines_of_the_mains_and_of_motors_are_named(campaign: list[Verdict]) -> None:
+def test_lines_of_the_mains_and_of_motors_are_named(campaign):
     named = [one for one in campaign if one.kind == "named"]
     missed = [one.words for one in named if not one.good]
     assert len(named) >= 300 and len(missed) <= (1.0 - LEAST_NAMED) * len(named), missed
 
 
 @pytest.mark.accuracy
-def test_where_mains_stand_on_an_order_both_are_said(campaign: list[Verdict]) -> None:
+def test_where_mains_stand_on_an_order_both_are_said(campaign):
     both = [one for one in campaign if one.kind == "both said"]
     assert both and not [one.words for one in both if not one.good]

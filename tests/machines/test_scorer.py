@@ -1,10 +1,7 @@
 """The scorer sees what is wrong: truths known by hand, and findings in which one fault was planted."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +22,7 @@ from machines.truth import dangerous_speeds
 SPEEDS_RPM = tuple(float(rpm) for rpm in range(1500, 2110, 30))
 
 
-def stepped(*, noise: float = 0.01) -> Machine:
+def stepped(*, noise=0.01):
     """A 60 Hz mode of 1 % that order 2 meets at 1800 rpm; order 3.5 meets nothing. Speeds from 1500 to 2100 rpm."""
     orders = tuple(Order(*numbers, (0.01 + 0j,)) for numbers in ((2.0, 30, 5, 2, 20, 0), (3.5, 10, 1, 1, 0, 0)))
     return Machine(
@@ -36,7 +33,7 @@ def stepped(*, noise: float = 0.01) -> Machine:
     )  # fmt: skip
 
 
-def takes_of(machine: Machine) -> tuple[Take, ...]:
+def takes_of(machine):
     """What the recordings of ``machine`` hold, without files."""
     takes = []
     for profile in machine.profiles:
@@ -46,7 +43,7 @@ def takes_of(machine: Machine) -> tuple[Take, ...]:
     return tuple(takes)
 
 
-def right_findings(machine: Machine) -> dict[str, Any]:
+def right_findings(machine):
     """Findings that say of :func:`stepped` what is so."""
     orders = []
     for number, order in enumerate(machine.orders):
@@ -68,7 +65,7 @@ def right_findings(machine: Machine) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="module")
-def scene() -> tuple[Machine, tuple[Take, ...], Bound]:
+def scene():
     machine = stepped()
     return machine, takes_of(machine), bound_of(machine)
 
@@ -76,17 +73,17 @@ def scene() -> tuple[Machine, tuple[Take, ...], Bound]:
 Scene = tuple[Machine, tuple[Take, ...], Bound]
 
 
-def wrong(scene: Scene, findings: dict[str, Any]) -> set[str]:
+def wrong(scene, findings):
     """Kinds of statement that the scorer holds to be wrong."""
     judgements = judged(*scene, Said(findings, None))
     return {one.kind for one in judgements if one.kind != "log width" and one.good < one.of - 0.15}
 
 
-def test_findings_that_are_right_are_held_to_be_right(scene: Scene) -> None:
+def test_findings_that_are_right_are_held_to_be_right(scene):
     assert wrong(scene, right_findings(scene[0])) == set()
 
 
-def test_one_mode_is_dangerous_where_the_hand_calculation_says(scene: Scene) -> None:
+def test_one_mode_is_dangerous_where_the_hand_calculation_says(scene):
     (found,) = dangerous_speeds(scene[0])
     # |1 + 2 H| for a path of half the mode's strength, H = -r^2 / (1 - r^2 + 2 i z r), r = rpm / 1800
     ratio = np.linspace(1500.0, 2100.0, 600_001) / 1800.0
@@ -117,13 +114,13 @@ PLANTED = {
 
 
 @pytest.mark.parametrize("fault", PLANTED)
-def test_a_planted_fault_is_seen(scene: Scene, fault: str) -> None:
+def test_a_planted_fault_is_seen(scene, fault):
     findings = right_findings(scene[0])
     PLANTED[fault](findings)
     assert fault in wrong(scene, findings)
 
 
-def test_silence_is_no_fault_but_decides_nothing(scene: Scene) -> None:
+def test_silence_is_no_fault_but_decides_nothing(scene):
     silent = right_findings(scene[0])
     silent["free_bands"], silent["modes"][0]["explained_by"] = [], "undecided"
     for record in silent["orders"]:
@@ -135,7 +132,7 @@ def test_silence_is_no_fault_but_decides_nothing(scene: Scene) -> None:
     assert not seen & {"dangerous not free", "lock", "mode found", "mode real"}
 
 
-def tracks(machine: Machine, shift_rpm: float) -> xr.Dataset:
+def tracks(machine, shift_rpm):
     """Tracks of the orders of ``machine``, each row ``shift_rpm`` away from where it belongs."""
     rpm = np.asarray(SPEEDS_RPM)
     size: FloatArray = np.stack([np.abs(machine.steady_response(number, rpm)[0]) for number in range(2)])[None]
@@ -146,7 +143,7 @@ def tracks(machine: Machine, shift_rpm: float) -> xr.Dataset:
     )
 
 
-def test_rows_at_the_wrong_speed_are_seen_and_rows_at_the_right_one_are_not() -> None:
+def test_rows_at_the_wrong_speed_are_seen_and_rows_at_the_right_one_are_not():
     machine = replace(stepped(), steady=False, profiles=(Profile((0.0, 60.0), (1500.0, 2100.0), 0.0),))
     takes = takes_of(machine)
     bound = bound_of(machine)
@@ -157,7 +154,7 @@ def test_rows_at_the_wrong_speed_are_seen_and_rows_at_the_right_one_are_not() ->
         assert least <= sum(not row.good for row in rows) <= most
 
 
-def test_the_bound_on_one_order_is_that_of_a_line_in_white_noise(scene: Scene) -> None:
+def test_the_bound_on_one_order_is_that_of_a_line_in_white_noise(scene):
     machine = scene[0]
     # number of a line from n recordings of T s: var = 6 G / (A^2 T) / (2 pi)^2 / revolutions^2, each on its own
     information = 0.0
@@ -168,7 +165,7 @@ def test_the_bound_on_one_order_is_that_of_a_line_in_white_noise(scene: Scene) -
     assert scene[2].order[1] == pytest.approx(information**-0.5, rel=0.01)
 
 
-def test_an_efficient_fit_of_the_known_model_scatters_by_the_bound() -> None:
+def test_an_efficient_fit_of_the_known_model_scatters_by_the_bound():
     """Linearised least squares on noisy envelopes of a swept mode: its scatter is the bound of the frequency."""
     mode, profile = replace(stepped().modes[0], drive=(1.0 + 0j,)), Profile((0.0, 6.0), (1600.0, 2000.0), 0.1)
     plain = replace(stepped(noise=0.05), steady=False, orders=stepped().orders[:1], profiles=(profile,))
@@ -192,7 +189,7 @@ def test_an_efficient_fit_of_the_known_model_scatters_by_the_bound() -> None:
     assert scatter[1] == pytest.approx(bound.damping_ratio[0], rel=0.15)
 
 
-def test_a_pole_that_is_hardly_seen_beside_one_that_is_seen_well_is_not_called_exact() -> None:
+def test_a_pole_that_is_hardly_seen_beside_one_that_is_seen_well_is_not_called_exact():
     """Held against the inverse in whole numbers: information on a mode that orders pass, and on one that none does."""
     information = [[2.0**43, 2.0**17, 2.0**7], [2.0**17, 2.0**-7, -(2.0**-13)], [2.0**7, -(2.0**-13), 2.0**-10]]
     exact = [Fraction(0)] * 3
@@ -207,7 +204,7 @@ def test_a_pole_that_is_hardly_seen_beside_one_that_is_seen_well_is_not_called_e
     assert standard_errors(np.array(information)) == pytest.approx([float(value) ** 0.5 for value in exact], rel=1e-9)
 
 
-def test_the_table_pools_by_class_and_lists_seeds_and_failures() -> None:
+def test_the_table_pools_by_class_and_lists_seeds_and_failures():
     good = SceneScore.of("run-up", 1, 1.0, "", (Judgement("lock", 1.0), Judgement("amplitude", 1.0)))
     bad = SceneScore.of("stepped", 2, 1.0, "", (Judgement("lock", 0.0, 1.0, "order 2 read as 1.99"),))
     dead = SceneScore.of("stepped", 77, 1.0, "exit status 1: boom", ())
@@ -218,7 +215,7 @@ def test_the_table_pools_by_class_and_lists_seeds_and_failures() -> None:
     assert SceneScore.read(bad.plain()) == replace(bad, faults=())
 
 
-def scores_of(wrong: list[float], *, class_name: str = "stepped", kind: str = "mode real") -> list[SceneScore]:
+def scores_of(wrong, *, class_name="stepped", kind="mode real"):
     """Machines, each with ten statements of one ``kind`` of which so many are ``wrong``."""
     return [
         SceneScore.of(class_name, seed, 1.0, "", (Judgement(kind, 10.0 - number, 10.0),))
@@ -228,9 +225,7 @@ def scores_of(wrong: list[float], *, class_name: str = "stepped", kind: str = "m
 
 @pytest.mark.parametrize(("kind", "what"), [("mode real", "wrong"), ("mode found", "decided")])
 @pytest.mark.parametrize(("worse", "better", "falls"), [(13, 0, True), (11, 2, False), (3, 0, False), (0, 13, False)])
-def test_a_class_has_fallen_where_a_sign_test_says_so(
-    worse: int, better: int, falls: bool, kind: str, what: str
-) -> None:
+def test_a_class_has_fallen_where_a_sign_test_says_so(worse, better, falls, kind, what):
     before = scores_of([5.0] * 13, kind=kind) + scores_of([5.0] * 13, class_name="run-up")
     now = scores_of([6.0] * worse + [4.0] * better + [5.0] * (13 - worse - better), kind=kind)
     classes = comparisons(before, now + scores_of([5.0] * 13, class_name="run-up"))
@@ -241,13 +236,13 @@ def test_a_class_has_fallen_where_a_sign_test_says_so(
 
 
 @pytest.mark.parametrize("kind", DANGERS)
-def test_more_dangerous_statements_of_a_class_than_before_are_a_fall(kind: str) -> None:
+def test_more_dangerous_statements_of_a_class_than_before_are_a_fall(kind):
     before, now = scores_of([0.0, 2.0], kind=kind), scores_of([3.0, 0.0], kind=kind)
     assert fallen(comparisons(before, now), before, []) == [f"stepped: {kind}: 3, before 2"]
     assert fallen(comparisons(now, before), now, []) == []
 
 
-def test_intervals_that_are_all_wider_are_a_fall_and_narrower_ones_are_none() -> None:
+def test_intervals_that_are_all_wider_are_a_fall_and_narrower_ones_are_none():
     sizes = (Judgement("log width", -3.0), Judgement("log width", -2.9))
     before, wider = ([SceneScore.of("stepped", n, 1.0, "", (one,)) for n in range(13)] for one in sizes)
     (reason,) = fallen(comparisons(before, wider), before, [])
@@ -255,7 +250,7 @@ def test_intervals_that_are_all_wider_are_a_fall_and_narrower_ones_are_none() ->
     assert fallen(comparisons(wider, before), before, []) == []
 
 
-def test_a_machine_that_was_near_the_limit_of_time_may_pass_it() -> None:
+def test_a_machine_that_was_near_the_limit_of_time_may_pass_it():
     slow = [replace(score, cpu_s=55.0) for score in scores_of([0.0] * 2)]
     late = [replace(score, cpu_s=61.0, message="61 processor seconds, 60 allowed", shares={}) for score in slow]
     assert fallen(comparisons(slow, late), slow, []) == []
@@ -263,7 +258,7 @@ def test_a_machine_that_was_near_the_limit_of_time_may_pass_it() -> None:
     assert fallen(comparisons(slow, dead), slow, []) == ["stepped: failed, and did not before: 0, 1"]
 
 
-def test_a_failure_is_worse_and_its_repair_is_no_fall() -> None:
+def test_a_failure_is_worse_and_its_repair_is_no_fall():
     before = scores_of([3.0] * 13, kind="lock")
     dead = [replace(score, message="boom", shares={}) for score in before]
     assert {(own.right.worse, own.decided.worse) for own in comparisons(before, dead)} == {(13, 13)}
@@ -274,20 +269,20 @@ def test_a_failure_is_worse_and_its_repair_is_no_fall() -> None:
     assert fallen(comparisons(dead, before), before, []) == []
 
 
-def test_a_score_read_back_from_the_baseline_is_the_same_score() -> None:
+def test_a_score_read_back_from_the_baseline_is_the_same_score():
     shares = [Judgement("dangerous range not free", n / 4001, 1.0) for n in range(40)]
     scores = [SceneScore.of("stepped", n, 1.0, "", (share,)) for n, share in enumerate(shares)]
     kept = [SceneScore.read(score.plain()) for score in scores]
     assert {(own.right.worse, own.right.better) for own in comparisons(kept, scores)} == {(0, 0)}
 
 
-def test_one_interval_in_twenty_may_miss() -> None:
+def test_one_interval_in_twenty_may_miss():
     intervals = [Judgement("amplitude", float(n > 0)) for n in range(20)]
     assert SceneScore.of("stepped", 1, 1.0, "", intervals).wrong == pytest.approx(0.0)
     assert SceneScore.of("stepped", 1, 1.0, "", [*intervals, Judgement("phase", 0.0)]).wrong == pytest.approx(0.95)
 
 
-def test_fresh_machines_are_held_against_the_share_of_the_whole_baseline() -> None:
+def test_fresh_machines_are_held_against_the_share_of_the_whole_baseline():
     baseline = scores_of([0.0] * 600, kind="lock")
     assert fallen([], baseline, scores_of([1.0] + [0.0] * 59, kind="lock")) == []
     (reason,) = fallen([], baseline, scores_of([1.0] * 4 + [0.0] * 56, kind="lock"))
@@ -296,12 +291,12 @@ def test_fresh_machines_are_held_against_the_share_of_the_whole_baseline() -> No
     assert any(reason.startswith("fresh machines, failed") for reason in fallen([], baseline, dead))
 
 
-def test_chances_are_corrected_as_holm_says() -> None:
+def test_chances_are_corrected_as_holm_says():
     # Holm (1979): the least times three, the next times two, the last once, none below the one before
     assert holm([0.04, 0.01, 0.03]) == pytest.approx([0.06, 0.03, 0.06])
 
 
-def test_every_set_repeats_all_classes_and_the_baseline_holds_just_these() -> None:
+def test_every_set_repeats_all_classes_and_the_baseline_holds_just_these():
     baseline = read_baseline()
     assert set(baseline) == set(SET_SEEDS)
     for number, scores in baseline.items():
@@ -324,7 +319,7 @@ PARTS_SAID = {  # cause of a line at 60 Hz (order 2 at 1800 rpm) of a machine wi
 
 
 @pytest.mark.parametrize("cause", PARTS_SAID)
-def test_a_part_that_is_not_there_is_made_up(scene: Scene, cause: str) -> None:
+def test_a_part_that_is_not_there_is_made_up(scene, cause):
     findings = right_findings(scene[0])
     findings["orders"][0]["explained_by"] = cause
     parts = [one.good for one in judged(*scene, Said(findings, None)) if one.kind == "part real"]
@@ -336,6 +331,6 @@ def test_a_part_that_is_not_there_is_made_up(scene: Scene, cause: str) -> None:
     ("class_name", "seed"),
     [("up and down, toothed wheel", 922302313), ("swing, swept", 1190902672), ("step in sweep", 303885219)],
 )
-def test_machines_that_once_stopped_the_program_are_analysed(class_name: str, seed: int) -> None:
+def test_machines_that_once_stopped_the_program_are_analysed(class_name, seed):
     """Two lines parted in a sweep, a followed order without rows, speeds too close for any slope."""
     assert score.score_scene(score.Scene(class_name, seed)).message == ""

@@ -1,7 +1,5 @@
 """Whether the rows of the order tracks stand at the speeds where they belong."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

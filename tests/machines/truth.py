@@ -1,7 +1,5 @@
 """What is so about a drawn machine: its dangerous speeds, its strongest order, what each recording held."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

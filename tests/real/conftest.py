@@ -2,7 +2,6 @@
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,25 +17,25 @@ MANIFESTS = Path(__file__).parent
 class Analysed:
     """Results of one real test."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.folder = folder
         self.findings: dict[str, Any] = json.loads((folder / "findings.json").read_bytes())
 
-    def group(self, name: str) -> xr.Dataset:
+    def group(self, name):
         """Dataset of that name in the results."""
         return xr.load_dataset(self.folder / "results.nc", group=name, engine="h5netcdf")
 
-    def modes_hz(self) -> list[float]:
+    def modes_hz(self):
         """Frequencies of the lines that are said to be modes."""
         return [record["frequency_hz"] for record in self.findings["modes"] if record["explained_by"] == "mode"]
 
 
 @pytest.fixture(scope="session")
-def analysed(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Analysed]:
+def analysed(shared_data, tmp_path_factory):
     """Results of `crankorder run FOLDER --manifest tests/real/NAME.toml`, of the file ``only`` where one is named."""
     made: dict[tuple[str, str], Analysed] = {}
 
-    def run(name: str, folder: str, only: str = "") -> Analysed:
+    def run(name, folder, only=""):
         if (name, only) not in made:
             out = tmp_path_factory.mktemp(name)
             manifest = MANIFESTS / f"{name}.toml"

@@ -1,10 +1,7 @@
 """A real rotor without and with a balance weight: the weight is recognised as the cause, and weighs the unbalance."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -14,7 +11,7 @@ HERE = Path(__file__).parent
 
 
 @pytest.fixture(scope="module")
-def comparison(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def comparison(tmp_path_factory):
     folder = HERE.parents[2] / "shared" / "data" / "rotorbalancer"
     if not (folder / "2021-07_groups").is_dir():
         pytest.skip("the recordings are not in ../shared/data on this machine")
@@ -26,7 +23,7 @@ def comparison(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return json.loads((out / "c" / "comparison.json").read_bytes())
 
 
-def test_the_balance_weight_is_the_cause(comparison: dict[str, Any]) -> None:
+def test_the_balance_weight_is_the_cause(comparison):
     assert comparison["cause"] == {"cause": "unbalance", "orders": [1.0]}
     assert "balance weight" in comparison["headline"][0]
     (record,) = [one for one in comparison["unbalance"] if one["order"] == 1.0]
@@ -35,7 +32,7 @@ def test_the_balance_weight_is_the_cause(comparison: dict[str, Any]) -> None:
     assert record["explains"] and low < 0.1 < high < 0.3
 
 
-def test_the_unbalance_that_the_weight_took_away_is_its_own_mass(comparison: dict[str, Any]) -> None:
+def test_the_unbalance_that_the_weight_took_away_is_its_own_mass(comparison):
     (grams,) = comparison["masses"]
     assert grams["added"] == pytest.approx(0.060)
     # a rest of a tenth: the unbalance was within a fifth of the weight's own mass, and is a tenth of it
@@ -45,6 +42,6 @@ def test_the_unbalance_that_the_weight_took_away_is_its_own_mass(comparison: dic
     assert min(responses) > 1500 and max(responses) < 12000  # counts per gram, from 49 Hz to the resonance
 
 
-def test_the_speeds_of_one_state_alone_take_no_part(comparison: dict[str, Any]) -> None:
+def test_the_speeds_of_one_state_alone_take_no_part(comparison):
     assert all(2900 < one["base_rpm"] < 3600 and 2900 < one["new_rpm"] < 3600 for one in comparison["speeds"])
     assert any(one["what"] == "speeds" for one in comparison["confounds"])

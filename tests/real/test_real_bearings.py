@@ -72,11 +72,6 @@ def test_a_damaged_ball_is_not_taken_for_one_damaged_race(analysed):
     assert not found or any("not told" in record["verdict"] for record in found)
 
 
-@pytest.mark.slow
-def test_the_speed_is_that_which_the_file_states(analysed):
-    assert analysed("cwru", CWRU, only="0.007-InnerRace.mat").findings["speed_range_rpm"] == [1748.0, 1748.0]
-
-
 def test_the_rate_is_that_which_the_file_states(analysed):
     """48 828 Hz of `bearing.sr`: the manifest states none, and the outer race comes out where it is by hand."""
     shaft = analysed("mfpt", MFPT, only="OuterRaceFault_vload_1.mat").group("shaft")

@@ -1,7 +1,6 @@
 """Synthetic maps, tracks and findings to draw: what a report must show is put in here, so that the tests know it."""
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,11 +9,11 @@ import pytest
 import xarray as xr
 
 from crankorder.quantities import check_dataset, schema_of
-from crankorder.settings import ReportSettings, load_settings
+from crankorder.settings import load_settings
 from made.recordings import named
 
 
-def envelope_map(channels: tuple[str, ...], *, speeds: int = 3, fault: float = 3.556) -> xr.Dataset:
+def envelope_map(channels, *, speeds=3, fault=3.556):
     """An envelope map whose last channel shows a fault's line and its multiples over a sloping floor."""
     order = np.arange(0, 20.01, 1 / 32)
     rng = np.random.default_rng(9)
@@ -47,7 +46,7 @@ class DrawnTest:
     findings: dict[str, Any]
 
 
-def _response(frequency_hz: np.ndarray) -> np.ndarray:
+def _response(frequency_hz):
     """Magnitude of a sum of lightly damped modes, about 1 between them."""
     total = np.full(frequency_hz.shape, 0.3)
     for number, mode_hz in enumerate(MODES_HZ):
@@ -57,7 +56,7 @@ def _response(frequency_hz: np.ndarray) -> np.ndarray:
     return np.asarray(total)
 
 
-def _line(order: float, speeds: np.ndarray, gain: float) -> np.ndarray:
+def _line(order, speeds, gain):
     """Peak amplitude of one order over speed: a square law for all but 5.5, which keeps its size."""
     frequency = order * speeds / 60
     law = np.ones_like(speeds) if order == 5.5 else (speeds / 2000) ** 2
@@ -65,7 +64,7 @@ def _line(order: float, speeds: np.ndarray, gain: float) -> np.ndarray:
     return np.asarray(gain * STRENGTH.get(order, 0.02 / order) * law * late * _response(frequency))
 
 
-def _campbell(speeds: np.ndarray, coords: dict[str, Any], orders: tuple[float, ...], gains: np.ndarray) -> xr.Dataset:
+def _campbell(speeds, coords, orders, gains):
     frequency = np.arange(0, 500.25, 0.5)
     rng = np.random.default_rng(2)
     shape = (len(gains), len(speeds), len(frequency))
@@ -89,7 +88,7 @@ def _campbell(speeds: np.ndarray, coords: dict[str, Any], orders: tuple[float, .
     )
 
 
-def _tracks(speeds: np.ndarray, coords: dict[str, Any], orders: tuple[float, ...], gains: np.ndarray) -> xr.Dataset:
+def _tracks(speeds, coords, orders, gains):
     rng = np.random.default_rng(3)
     amplitude = gains[:, None, None] * np.stack([_line(order, speeds, 1.0) for order in orders])
     error = gains[:, None, None] * (4e-4 + 0.01 * np.stack([_line(order, speeds, 1.0) for order in orders]))
@@ -113,7 +112,7 @@ def _tracks(speeds: np.ndarray, coords: dict[str, Any], orders: tuple[float, ...
     )
 
 
-def _order_map(speeds: np.ndarray, coords: dict[str, Any], gains: np.ndarray) -> xr.Dataset:
+def _order_map(speeds, coords, gains):
     """Every variable and attribute that the schema asks for: the report stores an order map and draws none."""
     order = np.arange(0, 20.03, 1 / 16)
     axes = {"speed": ("speed", speeds, {"units": "min-1"}), "order": ("order", order, {"units": "1"})}
@@ -128,19 +127,19 @@ def _order_map(speeds: np.ndarray, coords: dict[str, Any], gains: np.ndarray) ->
     return xr.Dataset(variables, coords | axes, dict.fromkeys(schema["attrs"]["required"], "stated"))
 
 
-def _met_hz(order: float, rpm: float) -> float | None:
+def _met_hz(order, rpm):
     """Natural frequency within 3 % of the order's line at that speed."""
     line_hz = order * rpm / 60
     near = [mode_hz for mode_hz in MODES_HZ if abs(mode_hz - line_hz) <= 0.03 * mode_hz]
     return min(near, key=lambda mode_hz: abs(mode_hz - line_hz), default=None)
 
 
-def _within(key: str, value: float, half: float) -> dict[str, Any]:
+def _within(key, value, half):
     """An estimate with an interval of so much on either side."""
     return {key: value, f"{key}_ci95": [value - half, value + half]}
 
 
-def _order_records(tracks: xr.Dataset, unit: str) -> list[dict[str, Any]]:
+def _order_records(tracks, unit):
     records = []
     for channel in tracks.channel.values.tolist():
         for order in tracks.order.values.tolist():
@@ -161,7 +160,7 @@ def _order_records(tracks: xr.Dataset, unit: str) -> list[dict[str, Any]]:
     return records
 
 
-def _mode_records(channels: tuple[str, ...]) -> list[dict[str, Any]]:
+def _mode_records(channels):
     modes = [
         {
             **_within("frequency_hz", mode_hz, 0.3),
@@ -177,7 +176,7 @@ def _mode_records(channels: tuple[str, ...]) -> list[dict[str, Any]]:
     return [*modes, mains]
 
 
-def _findings(tracks: xr.Dataset, channels: tuple[str, ...], unit: str, quantity: str, name: str) -> dict[str, Any]:
+def _findings(tracks, channels, unit, quantity, name):
     speeds = tracks.speed.values
     crossings = [
         {
@@ -221,15 +220,10 @@ def _findings(tracks: xr.Dataset, channels: tuple[str, ...], unit: str, quantity
 
 
 def drawn_test(
-    speeds: np.ndarray,
-    *,
-    channels: tuple[str, ...] = ("X", "Y", "Z"),
-    orders: tuple[float, ...] = ORDERS,
-    unit: str = "m/s2",
-    quantity: str = "acceleration",
-    name: str = "second configuration, motoring",
-    gains: tuple[float, ...] = (0.25, 0.5, 1.0),
-) -> DrawnTest:
+    speeds, *, channels = ("X", "Y", "Z"), orders = ORDERS,
+    unit = "m/s2", quantity = "acceleration", name = "second configuration, motoring",
+    gains = (0.25, 0.5, 1.0)
+):  # fmt: skip
     """A test with the given lines and the modes above; gains scale the channels (0 makes an all-zero one)."""
     speeds = np.asarray(speeds, dtype=float)
     gain = np.resize(np.array(gains), len(channels))
@@ -250,7 +244,7 @@ HOSTILE = "Ba$$in <script>alert(1)</script>"
 
 
 @pytest.fixture(scope="session")
-def hard() -> dict[str, DrawnTest]:
+def hard():
     """The awkward tests, by name."""
     rng = np.random.default_rng(7)
     run_up = np.sort(np.concatenate([rng.uniform(900, 2600, 110), rng.uniform(4000, 4900, 40)]))
@@ -272,25 +266,25 @@ def hard() -> dict[str, DrawnTest]:
 
 
 @pytest.fixture(scope="session")
-def campaign() -> DrawnTest:
+def campaign():
     """The reference campaign: 35 steps, three accelerometers."""
     return drawn_test(np.arange(300.0, 2001.0, 50.0))
 
 
 @pytest.fixture(scope="session")
-def settings() -> ReportSettings:
+def settings():
     """The shipped settings of the report."""
     return load_settings().report
 
 
 @pytest.fixture(scope="session")
-def make_test() -> Callable[..., DrawnTest]:
+def make_test():
     """Maker of a drawn test from speeds, channels, orders, unit and gains."""
     return drawn_test
 
 
 @pytest.fixture
-def full(campaign: DrawnTest) -> dict[str, Any]:
+def full(campaign):
     """Findings of the campaign with every key that identification may give; a copy of its own."""
     findings: dict[str, Any] = json.loads(json.dumps(campaign.findings))
     channels = [str(one["name"]) for one in findings["channels"]]
@@ -344,6 +338,6 @@ def full(campaign: DrawnTest) -> dict[str, Any]:
 
 
 @pytest.fixture(scope="session")
-def make_envelope() -> Callable[..., xr.Dataset]:
+def make_envelope():
     """Maker of an envelope map from channels, speeds and the order of a fault."""
     return envelope_map

@@ -1,7 +1,5 @@
 """Pictures, page and sentences of a comparison show what changed, and nothing that did not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

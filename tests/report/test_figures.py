@@ -1,7 +1,7 @@
 """The pictures show what the findings hold, at the right place, legibly, and with the same bytes each time."""
 
 import io
-import struct
+import re
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -12,7 +12,7 @@ import xarray as xr
 from PIL import Image
 
 from crankorder.plot.campbell_figure import campbell_figure
-from crankorder.plot.drawing import Drawing, Field, Rings
+from crankorder.plot.drawing import Field, Rings
 from crankorder.plot.envelope_figure import envelope_figure
 from crankorder.plot.orders_figure import orders_figure
 from crankorder.plot.painter import picture_bytes
@@ -36,7 +36,7 @@ HARD = [
 ]  # fmt: skip
 
 
-def _overlaps(drawing: Drawing) -> list[tuple[str, str]]:
+def _overlaps(drawing):
     """Pairs of texts whose boxes overlap by more than a hair, and texts that leave the sheet."""
     boxes = []
     for words in drawing.words:
@@ -52,7 +52,7 @@ def _overlaps(drawing: Drawing) -> list[tuple[str, str]]:
     ]
 
 
-def _figures(drawn: Any, settings: Any) -> list[Drawing]:
+def _figures(drawn, settings):
     channel = str(drawn.campbell["channel"].values[-1])
     return [
         campbell_figure(drawn.campbell, channel, drawn.findings, settings=settings),
@@ -63,7 +63,7 @@ def _figures(drawn: Any, settings: Any) -> list[Drawing]:
     ]
 
 
-def _lines(drawing: Drawing, prefix: str) -> dict[str, list[Any]]:
+def _lines(drawing, prefix):
     """Values of the lines by name."""
     found: dict[str, list[Any]] = {}
     for stroke in drawing.strokes(prefix):
@@ -71,31 +71,25 @@ def _lines(drawing: Drawing, prefix: str) -> dict[str, list[Any]]:
     return found
 
 
-def _words(drawing: Drawing) -> set[str]:
+def _words(drawing):
     return {words.text for words in drawing.words}
 
 
-def test_order_lines_lie_at_order_times_speed_over_sixty(campaign: Any, settings: Any) -> None:
-    figure = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
-    found = _lines(figure, "order-")
-    assert sorted(found) == sorted(f"order-{name}" for name in ("1", "2", "3", "4", "5.5", "8", "10"))
-    for name, lines in found.items():
-        for frequency, speed in lines:
-            np.testing.assert_allclose(frequency, float(name.removeprefix("order-")) * speed / 60)
-
-
-def test_a_line_is_drawn_where_its_values_stand_on_the_ticks(campaign: Any, settings: Any) -> None:
+def test_order_lines_lie_at_order_times_speed_over_sixty_where_the_ticks_say_so(campaign, settings):
     figure = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
     places = {words.text: words for words in figure.words if words.name == "tick" and words.along != "left"}
     inch_per_hz = (places["400"].x - places["100"].x) / 300
     inch_per_rpm = (places["1500"].y - places["500"].y) / 1000
-    for stroke in figure.strokes("order-"):
-        frequency, speed = stroke.values
-        np.testing.assert_allclose(stroke.points[:, 0], places["100"].x + inch_per_hz * (frequency - 100), atol=1e-9)
-        np.testing.assert_allclose(stroke.points[:, 1], places["500"].y + inch_per_rpm * (speed - 500), atol=1e-9)
+    lines = figure.strokes("order-")
+    assert {line.name for line in lines} == {f"order-{name}" for name in ("1", "2", "3", "4", "5.5", "8", "10")}
+    for line in lines:
+        frequency, speed = line.values
+        np.testing.assert_allclose(frequency, float(line.name.removeprefix("order-")) * speed / 60)
+        np.testing.assert_allclose(line.points[:, 0], places["100"].x + inch_per_hz * (frequency - 100), atol=1e-9)
+        np.testing.assert_allclose(line.points[:, 1], places["500"].y + inch_per_rpm * (speed - 500), atol=1e-9)
 
 
-def test_the_map_shows_every_line_at_its_place_in_the_png(campaign: Any, settings: Any) -> None:
+def test_the_map_shows_every_line_at_its_place_in_the_png(campaign, settings):
     drawn = {**campaign.findings, "orders": [], "modes": [], "crossings": []}  # nothing lies over the map
     figure = campbell_figure(campaign.campbell, "Z", drawn, settings=settings)
     pixels = np.asarray(Image.open(io.BytesIO(picture_bytes(figure, dpi=settings.dpi))))[::-1]  # the slowest row first
@@ -114,14 +108,14 @@ def test_the_map_shows_every_line_at_its_place_in_the_png(campaign: Any, setting
         assert shade[max(column - 2, 0) : column + 3].max() >= shade.max() - 8
 
 
-def test_the_colour_bar_states_the_reference_and_the_map_is_perceptually_uniform(campaign: Any, settings: Any) -> None:
+def test_the_colour_bar_states_the_reference_and_the_map_is_perceptually_uniform(campaign, settings):
     figure = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
     assert "Level, dB re 1e-6 m/s² (peak)" in _words(figure)
     np.testing.assert_allclose(level_colours(), 255 * matplotlib.colormaps["inferno"](np.arange(256))[:, :3], atol=0.51)
     assert (np.diff(level_colours() @ [0.2126, 0.7152, 0.0722])[::8] > 0).all()
 
 
-def test_natural_frequencies_and_mains_are_marked_differently_and_named_in_hertz(campaign: Any, settings: Any) -> None:
+def test_natural_frequencies_and_mains_are_marked_differently_and_named_in_hertz(campaign, settings):
     figure = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
     modes, tones = figure.strokes("mode"), figure.strokes("tone")
     assert sorted(line.values[0][0] for line in modes) == [60, 115, 172, 187, 230, 350, 457, 470]
@@ -133,7 +127,7 @@ def test_natural_frequencies_and_mains_are_marked_differently_and_named_in_hertz
     assert {"1", "2", "3", "4", "5.5", "8", "10"} <= words
 
 
-def test_only_excited_crossings_inside_the_range_are_circled(campaign: Any, settings: Any) -> None:
+def test_only_excited_crossings_inside_the_range_are_circled(campaign, settings):
     figure = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
     (circles,) = (part for part in figure.parts if isinstance(part, Rings) and part.name == "crossings")
     wanted = {(115.0, 1725.0), (230.0, 1725.0), (60.0, 1800.0), (172.0, 60 * 172 / 5.5), (187.0, 1122.0)}
@@ -142,7 +136,7 @@ def test_only_excited_crossings_inside_the_range_are_circled(campaign: Any, sett
 
 
 @pytest.mark.slow
-def test_high_orders_that_leave_at_the_right_are_labelled_there(hard: Any, settings: Any) -> None:
+def test_high_orders_that_leave_at_the_right_are_labelled_there(hard, settings):
     figure = campbell_figure(hard["run-up"].campbell, "mic", hard["run-up"].findings, settings=settings)
     field = next(part for part in figure.parts if isinstance(part, Field))
     ticks = {words.text: words for words in figure.words if words.name == "tick"}
@@ -154,7 +148,7 @@ def test_high_orders_that_leave_at_the_right_are_labelled_there(hard: Any, setti
 
 
 @pytest.mark.slow
-def test_at_most_the_set_number_of_orders_is_drawn_the_strongest_first(hard: Any, settings: Any) -> None:
+def test_at_most_the_set_number_of_orders_is_drawn_the_strongest_first(hard, settings):
     few = settings.model_copy(update={"max_labelled_orders": 3})
     drawn = hard["thirty orders"]
     strongest = sorted(
@@ -164,7 +158,7 @@ def test_at_most_the_set_number_of_orders_is_drawn_the_strongest_first(hard: Any
     assert set(_lines(figure, "order-")) == {f"order-{one['order']:g}" for one in strongest[:3]}
 
 
-def test_tracks_are_drawn_where_they_stand_clear_and_their_values_are_the_data(campaign: Any, settings: Any) -> None:
+def test_tracks_are_drawn_where_they_stand_clear_and_their_values_are_the_data(campaign, settings):
     figure = orders_figure(campaign.tracks, campaign.findings, settings=settings)
     steady, noisy = _lines(figure, "order-5.5")["order-5.5"], _lines(figure, "order-3")["order-3"]
     for number, channel in enumerate("XYZ"):
@@ -179,7 +173,7 @@ def test_tracks_are_drawn_where_they_stand_clear_and_their_values_are_the_data(c
 
 
 @pytest.mark.slow
-def test_of_many_orders_the_strongest_six_have_colours_and_the_others_are_light(hard: Any, settings: Any) -> None:
+def test_of_many_orders_the_strongest_six_have_colours_and_the_others_are_light(hard, settings):
     drawn = hard["thirty orders"]
     figure = orders_figure(drawn.tracks, drawn.findings, settings=settings)
     peaks = drawn.tracks["amplitude"].sel(channel="Z").max("speed")
@@ -191,7 +185,7 @@ def test_of_many_orders_the_strongest_six_have_colours_and_the_others_are_light(
 
 
 @pytest.mark.slow
-def test_a_stated_interval_is_the_band_that_is_drawn(campaign: Any, settings: Any) -> None:
+def test_a_stated_interval_is_the_band_that_is_drawn(campaign, settings):
     one = campaign.tracks.sel(order=[5.5], channel=["Z"])
     wide = one.assign(amplitude_low=0.5 * one["amplitude"], amplitude_high=2.0 * one["amplitude"])
     heights = []
@@ -202,7 +196,7 @@ def test_a_stated_interval_is_the_band_that_is_drawn(campaign: Any, settings: An
     assert heights[1] > 5 * heights[0]
 
 
-def test_axes_state_quantity_unit_and_peak(campaign: Any, settings: Any) -> None:
+def test_axes_state_quantity_unit_and_peak(campaign, settings):
     orders = _words(orders_figure(campaign.tracks, campaign.findings, settings=settings))
     assert {"Amplitude (peak), m/s²", "Phase from", "top dead centre, °"} <= orders
     spectra = spectra_figure(campaign.campbell, campaign.findings, settings=settings)
@@ -210,7 +204,7 @@ def test_axes_state_quantity_unit_and_peak(campaign: Any, settings: Any) -> None
     assert sorted(labels) == sorted([*"XXYYZZ", *3 * ["(m/s²)²/Hz"], *3 * ["m/s² (peak)"]])
 
 
-def test_a_missing_phase_reference_is_said_and_no_phase_is_drawn(campaign: Any, settings: Any) -> None:
+def test_a_missing_phase_reference_is_said_and_no_phase_is_drawn(campaign, settings):
     tracks = campaign.tracks.assign_attrs(phase_reference="none")
     figure = orders_figure(tracks, campaign.findings, settings=settings)
     assert not figure.strokes("phase")
@@ -219,7 +213,7 @@ def test_a_missing_phase_reference_is_said_and_no_phase_is_drawn(campaign: Any, 
 
 
 @pytest.mark.slow
-def test_the_median_spectrum_drops_what_moves_with_speed(campaign: Any, settings: Any) -> None:
+def test_the_median_spectrum_drops_what_moves_with_speed(campaign, settings):
     figure = spectra_figure(campaign.campbell, campaign.findings, settings=settings)
     frequency, values = _lines(figure, "spectrum")["spectrum"][2]
     np.testing.assert_allclose(values, np.median(campaign.campbell["psd"].sel(channel="Z"), axis=0))
@@ -229,39 +223,27 @@ def test_the_median_spectrum_drops_what_moves_with_speed(campaign: Any, settings
 
 @pytest.mark.cases(2)
 @pytest.mark.parametrize("name", ["campaign", *HARD])
-def test_no_two_texts_of_any_picture_overlap(name: str, campaign: Any, hard: Any, settings: Any) -> None:
+def test_every_picture_has_the_set_width_and_no_text_on_another(name, campaign, hard, settings):
     for figure in _figures(campaign if name == "campaign" else hard[name], settings):
         assert _overlaps(figure) == []
+        assert Image.open(io.BytesIO(picture_bytes(figure, dpi=60))).width == round(60 * settings.width_in)
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("name", HARD)
-def test_every_awkward_test_becomes_pictures_of_the_set_width(name: str, hard: Any, settings: Any) -> None:
-    for figure in _figures(hard[name], settings):
-        data = picture_bytes(figure, dpi=60)
-        Image.open(io.BytesIO(data)).load()
-        assert data.startswith(b"\x89PNG\r\n\x1a\n")
-        assert struct.unpack(">I", data[16:20])[0] == round(60 * settings.width_in)
-
-
-def test_hostile_text_is_shown_literally_and_cut(hard: Any, settings: Any) -> None:
+def test_hostile_text_is_shown_literally_and_cut(hard, settings):
     drawn = hard["hostile"]
     for figure in _figures(drawn, settings):
         assert "$\\frac{ </title><script>" in " ".join(_words(figure))
         assert max(len(text) for text in _words(figure)) < 320
 
 
-def test_the_bytes_are_the_same_each_time_and_carry_no_date(campaign: Any, settings: Any) -> None:
+def test_the_bytes_are_the_same_each_time_and_carry_no_date(campaign, settings):
     first, again = ([picture_bytes(figure, dpi=60) for figure in _figures(campaign, settings)] for _ in range(2))
     assert first == again
-    for data in first:
-        assert b"Software\x00crankorder" in data
-        assert b"tIME" not in data
-        assert b"Creation" not in data
+    assert all(b"Software\x00crankorder" in data and not re.search(b"tIME|Creation", data) for data in first)
 
 
 @pytest.mark.slow
-def test_pages_drawn_in_threads_have_the_same_bytes(campaign: Any, settings: Any) -> None:
+def test_pages_drawn_in_threads_have_the_same_bytes(campaign, settings):
     groups = {"campbell_map": campaign.campbell, "order_map": campaign.order_map, "order_tracks": campaign.tracks}
     planned = pictures_of(groups, campaign.findings, settings=settings, name_of=str)
     assert list(planned) == [
@@ -273,9 +255,7 @@ def test_pages_drawn_in_threads_have_the_same_bytes(campaign: Any, settings: Any
 
 
 @pytest.mark.parametrize("rpm", [1500.0, np.nan])
-def test_one_speed_or_none_has_spectra_in_place_of_campbell_diagrams_and_says_why(
-    hard: Any, settings: Any, rpm: float
-) -> None:
+def test_one_speed_or_none_has_spectra_in_place_of_campbell_diagrams_and_says_why(hard, settings, rpm):
     drawn = hard["one speed"]
     campbell = drawn.campbell.assign_coords(speed=[rpm])
     planned = pictures_of({"campbell_map": campbell}, drawn.findings, settings=settings, name_of=str)
@@ -293,8 +273,7 @@ def test_one_speed_or_none_has_spectra_in_place_of_campbell_diagrams_and_says_wh
     assert bool(marked) is bool(rpm > 0) and not _overlaps(figure)
 
 
-@pytest.mark.slow
-def test_two_close_orders_have_different_names_in_every_picture(make_test: Any, settings: Any) -> None:
+def test_two_close_orders_have_different_names_in_every_picture(make_test, settings):
     drawn = make_test(np.arange(600.0, 1001.0, 100.0), channels=("Z",), gains=(1.0,), orders=(1.0, 1.005, 2.0))
     for record in drawn.findings["orders"]:
         record["order_ci95"] = [record["order"] - 1e-4, record["order"] + 1e-4]
@@ -303,7 +282,7 @@ def test_two_close_orders_have_different_names_in_every_picture(make_test: Any, 
         assert {"1", "1.005", "2"} <= set(labels)
 
 
-def test_without_findings_no_claim_is_drawn_and_it_is_said(campaign: Any, settings: Any) -> None:
+def test_without_findings_no_claim_is_drawn_and_it_is_said(campaign, settings):
     empty: dict[str, Any] = {key: [] for key in ("orders", "modes", "crossings", "bearings", "lines", "quality")}
     empty |= {"test": "maps", "not_asked_for": "not asked for: the recipe wants campbell map only"}
     figure = campbell_figure(campaign.campbell, "Z", empty, settings=settings)
@@ -313,7 +292,7 @@ def test_without_findings_no_claim_is_drawn_and_it_is_said(campaign: Any, settin
     assert _overlaps(figure) == []
 
 
-def test_a_trace_keeps_the_turns_the_swing_and_the_times_of_the_speed() -> None:
+def test_a_trace_keeps_the_turns_the_swing_and_the_times_of_the_speed():
     time = np.linspace(2.0, 62.0, 50_000)
     speed = 300 + 95 * (time - 2) + 40 * np.sin(2 * np.pi * 3 * time)
     at, mean, low, high = speed_trace(time, speed)
@@ -327,13 +306,13 @@ def test_a_trace_keeps_the_turns_the_swing_and_the_times_of_the_speed() -> None:
     assert (mean <= high).all()
 
 
-def _shaft(*recordings: tuple[np.ndarray, np.ndarray]) -> xr.Dataset:
+def _shaft(*recordings):
     shafts = [xr.Dataset({"time": ("knot", time), "speed": ("knot", speed)}) for time, speed in recordings]
     names = [f"recording_{number}.h5" for number in range(len(shafts))]
     return xr.Dataset(trace_variables(shafts), {"recording": ("recording", names)})
 
 
-def test_speed_is_drawn_where_it_changes_and_not_for_swing_within_a_turn(campaign: Any, settings: Any) -> None:
+def test_speed_is_drawn_where_it_changes_and_not_for_swing_within_a_turn(campaign, settings):
     time = np.linspace(0, 30, 20_000)
     swing = 900 + 200 * np.sin(2 * np.pi * 15 * time)
     assert changing_recordings(_shaft((time, swing))) == []
@@ -348,7 +327,7 @@ def test_speed_is_drawn_where_it_changes_and_not_for_swing_within_a_turn(campaig
     assert list(pictures_of(groups, campaign.findings, settings=settings, name_of=str)) == ["speed.png"]
 
 
-def test_a_steady_line_below_a_sweeping_natural_frequency_stands_out_of_the_order_spectra(settings: Any) -> None:
+def test_a_steady_line_below_a_sweeping_natural_frequency_stands_out_of_the_order_spectra(settings):
     rng = np.random.default_rng(5)
     order, speed = np.arange(0.0, 20.01, 0.1), np.linspace(300.0, 2000.0, 35)
     hz = order * speed[:, None] / 60
@@ -370,7 +349,7 @@ def test_a_steady_line_below_a_sweeping_natural_frequency_stands_out_of_the_orde
 # Beside the Campbell diagram stand the speeds to avoid and the free ones, at their place on its scale.
 
 
-def test_the_strip_holds_the_ranges_of_the_findings_at_their_speeds(campaign: Any, full: Any, settings: Any) -> None:
+def test_the_strip_holds_the_ranges_of_the_findings_at_their_speeds(campaign, full, settings):
     figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
     left, bottom, width, height = next(part for part in figure.parts if isinstance(part, Field)).box
     ranges = {stroke.name: stroke for stroke in figure.strokes("avoid-")}
@@ -381,11 +360,12 @@ def test_the_strip_holds_the_ranges_of_the_findings_at_their_speeds(campaign: An
         np.testing.assert_allclose(stroke.points[:, 1], bottom + height * (stroke.values[1] - 300) / 1700)
     words = _words(figure)
     assert {"1800", "1725", "speed to avoid", "free speeds"} <= words
+    without = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
+    assert not [*without.strokes("avoid-"), *without.strokes("free-")]
+    assert not {"speed to avoid", "free speeds"} & _words(without)
 
 
-def test_a_crossing_that_was_not_judged_leaves_its_speed_neither_free_nor_to_avoid(
-    campaign: Any, full: Any, settings: Any
-) -> None:
+def test_a_crossing_that_was_not_judged_leaves_its_speed_neither_free_nor_to_avoid(campaign, full, settings):
     full["crossings"] = [{"order": 4.0, "mode_hz": 60.0, "rpm": 900.0, "in_range": True, "excited": False}]
     full["crossings"][0]["verdict"] = "not decided"
     figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
@@ -394,14 +374,7 @@ def test_a_crossing_that_was_not_judged_leaves_its_speed_neither_free_nor_to_avo
     assert "not free, or not known" in _words(figure)
 
 
-@pytest.mark.slow
-def test_without_such_lists_there_is_no_strip(campaign: Any, settings: Any) -> None:
-    figure = campbell_figure(campaign.campbell, "Z", campaign.findings, settings=settings)
-    assert not [*figure.strokes("avoid-"), *figure.strokes("free-")]
-    assert not {"speed to avoid", "free speeds"} & _words(figure)
-
-
-def test_decided_undecided_and_tones_look_different(campaign: Any, full: Any, settings: Any) -> None:
+def test_decided_undecided_and_tones_look_different(campaign, full, settings):
     figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
     (doubt,) = figure.strokes("doubt")
     assert doubt.values[0][0] == 265.0
@@ -411,19 +384,9 @@ def test_decided_undecided_and_tones_look_different(campaign: Any, full: Any, se
     assert {"265? Hz", "58.3 Hz", "not decided"} <= _words(figure)
 
 
-def test_orders_that_are_close_have_different_labels(campaign: Any, full: Any, settings: Any) -> None:
-    for record in full["orders"]:
-        if record["order"] == 2.0:
-            record |= {"order": 1.005, "order_ci95": [1.0049, 1.0051], "lock": "slips"}
-    figure = campbell_figure(campaign.campbell, "Z", full, settings=settings)
-    labels = [words.text for words in figure.words if words.name.startswith("label-")]
-    assert {"1", "1.005"} <= set(labels)
-    assert labels.count("1") == 1
-
-
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("name", ["run-up", "sixty orders"])
-def test_keys_and_notes_stay_on_the_sheet_and_apart(name: str, hard: Any, full: Any, settings: Any) -> None:
+def test_keys_and_notes_stay_on_the_sheet_and_apart(name, hard, full, settings):
     drawn = hard[name]
     channel = str(drawn.campbell["channel"].values[-1])
     figure = campbell_figure(drawn.campbell, channel, {**full, "orders": drawn.findings["orders"]}, settings=settings)
@@ -433,13 +396,13 @@ def test_keys_and_notes_stay_on_the_sheet_and_apart(name: str, hard: Any, full: 
 # The envelope's order spectra show the lines that bearings would make and ring those that were found.
 
 
-def _rings(figure: Drawing) -> list[Rings]:
+def _rings(figure):
     return [part for part in figure.parts if isinstance(part, Rings) and part.name == "found"]
 
 
 def test_expected_lines_are_marked_in_every_channel_and_the_found_one_is_ringed_at_its_peak(
-    full: Any, make_envelope: Any, settings: Any
-) -> None:
+    full, make_envelope, settings
+):
     envelope = make_envelope(("X", "Y", "Z"))
     figure = envelope_figure(envelope, full, settings=settings)
     assert sorted(stroke.values[0][0] for stroke in figure.strokes("expected")) == 3 * [3.585] + 3 * [5.5]
@@ -456,9 +419,7 @@ def test_expected_lines_are_marked_in_every_channel_and_the_found_one_is_ringed_
     assert {"BPFO 3.585", "3.556", "its sidebands", "N·fs 5.5", "band 2000–4000 Hz", "found"} <= words
 
 
-def test_the_mean_is_by_power_of_the_squared_envelope_and_unknown_speeds_take_no_part(
-    full: Any, make_envelope: Any, settings: Any
-) -> None:
+def test_the_mean_is_by_power_of_the_squared_envelope_and_unknown_speeds_take_no_part(full, make_envelope, settings):
     envelope = make_envelope(("Z",), speeds=2)
     envelope["amplitude"][0, 0], envelope["amplitude"][0, 1] = 3.0, 4.0
     (line,) = envelope_figure(envelope, full, settings=settings).strokes("spectrum")
@@ -468,43 +429,36 @@ def test_the_mean_is_by_power_of_the_squared_envelope_and_unknown_speeds_take_no
     np.testing.assert_allclose(line.values[1], 3.0)
 
 
-def test_nothing_found_is_said(full: Any, make_envelope: Any, settings: Any) -> None:
+def test_nothing_found_is_said(full, make_envelope, settings):
     envelope = make_envelope(("Z",), speeds=1)
     full["bearings"] = [record for record in full["bearings"] if record["seen_in"] == "vibration"]
     figure = envelope_figure(envelope, full, settings=settings)
     assert not _rings(figure)
-    (subtitle,) = (words.text for words in figure.words if words.name == "subtitle")
-    assert "No bearing line stands over the floor." in subtitle
-    assert "speeds" not in subtitle
-    full["bearings"] = []
-    (subtitle,) = (
-        words.text for words in envelope_figure(envelope, full, settings=settings).words if words.name == "subtitle"
-    )
-    assert "No bearing was named, or none" in subtitle
+    assert "speeds" not in str(figure.words) and "No bearing line stands over the floor." in str(figure.words)
+    none = envelope_figure(envelope, full | {"bearings": []}, settings=settings)
+    assert "No bearing was named, or none" in str(none.words)
 
 
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("factor", [1e290, 0.0, 1e-290])
-def test_any_size_becomes_a_picture(factor: float, full: Any, make_envelope: Any, settings: Any) -> None:
+def test_any_size_becomes_a_picture(factor, full, make_envelope, settings):
     envelope = make_envelope(("X", "Z"))
     for name in ("amplitude", "floor"):
         envelope[name] = envelope[name] * factor
     assert picture_bytes(envelope_figure(envelope, full, settings=settings), dpi=50).startswith(b"\x89PNG")
 
 
-def test_it_is_drawn_only_where_there_is_an_envelope(full: Any, make_envelope: Any, settings: Any) -> None:
+def test_it_is_drawn_only_where_there_is_an_envelope(full, make_envelope, settings):
     envelope = make_envelope(("X",))
     for given, wanted in ((envelope, ["envelope.png"]), (envelope.isel(speed=slice(0)), [])):
         assert list(pictures_of({"envelope_map": given}, full, settings=settings, name_of=str)) == wanted
 
 
 @pytest.mark.slow
-def test_names_of_bearings_are_whole_where_there_is_room_and_else_told_apart(
-    full: Any, make_envelope: Any, settings: Any
-) -> None:
+def test_names_of_bearings_are_whole_where_there_is_room_and_else_told_apart(full, make_envelope, settings):
     record = next(one for one in full["bearings"] if one["seen_in"] == "envelope")
 
-    def labels(names: list[str], lines: int) -> list[str]:
+    def labels(names, lines):
         full["bearings"] = [
             {**record, "name": name, "seen_in": "vibration", "order": None, "order_expected": 2.0 + 3 * k + 0.4 * n}
             for n, name in enumerate(names)

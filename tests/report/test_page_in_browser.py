@@ -1,9 +1,6 @@
 """The report page in a real browser: it hovers, zooms, listens to keys, and fetches nothing."""
 
 import time
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -23,12 +20,12 @@ _PNG = bytes.fromhex(  # one white pixel
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory: Any) -> Iterator[chromium.Chromium]:
+def browser(tmp_path_factory):
     with chromium.Chromium(tmp_path_factory.mktemp("profile")) as made:
         yield made
 
 
-def _page(drawn: Any, settings: Any, path: Path) -> Path:
+def _page(drawn, settings, path):
     groups = {"campbell_map": drawn.campbell, "order_map": drawn.order_map, "order_tracks": drawn.tracks}
     pictures = [ShownPicture("campbell_Z.png", "Campbell diagram, Z", _PNG), ShownPicture("speed.png", "Speed", _PNG)]
     findings = drawn.findings
@@ -38,7 +35,7 @@ def _page(drawn: Any, settings: Any, path: Path) -> Path:
 
 
 @pytest.fixture
-def opened(browser: chromium.Chromium, campaign: Any, settings: Any, tmp_path: Path) -> chromium.Chromium:
+def opened(browser, campaign, settings, tmp_path):
     browser.complaints.clear()
     browser.fetched.clear()
     browser.open(_page(campaign, settings, tmp_path / "report.html"))
@@ -47,24 +44,24 @@ def opened(browser: chromium.Chromium, campaign: Any, settings: Any, tmp_path: P
     return browser
 
 
-def _choose(browser: chromium.Chromium, what: str, value: str) -> None:
+def _choose(browser, what, value):
     element = f"document.getElementById('{what}')"
     browser.value(f"{element}.value = '{value}'; {element}.dispatchEvent(new Event('change')); 1")
     browser.settle()
 
 
-def _view(browser: chromium.Chromium) -> list[float]:
+def _view(browser):
     return [
         float(text.replace("−", "-"))
         for text in browser.value("document.getElementById('live-map').dataset.view").split()
     ]
 
 
-def _said(browser: chromium.Chromium) -> str:
+def _said(browser):
     return str(browser.value("document.getElementById('live-said').textContent"))
 
 
-def _place(browser: chromium.Chromium, x: float, y: float) -> tuple[float, float]:
+def _place(browser, x, y):
     """Pixel of the window at which the diagram has ``x`` and ``y``, by its margins of 58, 62, 26 and 40 pixels."""
     box = browser.value(
         "(() => { const b = document.getElementById('live-map').getBoundingClientRect();"
@@ -75,15 +72,13 @@ def _place(browser: chromium.Chromium, x: float, y: float) -> tuple[float, float
     return box[0] + 58 + across * (box[2] - 120), box[1] + box[3] - 40 - up * (box[3] - 66)
 
 
-def test_a_page_opens_from_disk_complains_of_nothing_and_fetches_nothing(opened: chromium.Chromium) -> None:
+def test_a_page_opens_from_disk_complains_of_nothing_and_fetches_nothing(opened):
     assert opened.value("document.getElementById('live').hidden") is False
     assert opened.complaints == []
     assert [one[:5] for one in opened.fetched if not one.startswith("data:")] == ["file:"]
 
 
-def test_pointing_at_a_cell_tells_where_it_is_how_large_and_what_the_findings_say(
-    opened: chromium.Chromium, campaign: Any
-) -> None:
+def test_pointing_at_a_cell_tells_where_it_is_how_large_and_what_the_findings_say(opened, campaign):
     _choose(opened, "live-channel", "2")
     opened.mouse("mouseMoved", *_place(opened, 60.0, 1800.0))
     said = _said(opened)
@@ -97,7 +92,7 @@ def test_pointing_at_a_cell_tells_where_it_is_how_large_and_what_the_findings_sa
     assert "No line is named here." in _said(opened)
 
 
-def test_wheel_drag_and_keys_zoom_and_double_click_shows_all(opened: chromium.Chromium) -> None:
+def test_wheel_drag_and_keys_zoom_and_double_click_shows_all(opened):
     whole = _view(opened)
     at = _place(opened, 115.0, 1500.0)
     opened.mouse("mouseWheel", *at, deltaX=0, deltaY=-240)
@@ -124,7 +119,7 @@ def test_wheel_drag_and_keys_zoom_and_double_click_shows_all(opened: chromium.Ch
     assert _view(opened) == whole
 
 
-def test_arrow_keys_go_from_cell_to_cell_and_are_read_aloud(opened: chromium.Chromium) -> None:
+def test_arrow_keys_go_from_cell_to_cell_and_are_read_aloud(opened):
     opened.value("document.getElementById('live-map').focus()")
     opened.key("ArrowRight")
     first = _said(opened)
@@ -142,7 +137,7 @@ def test_arrow_keys_go_from_cell_to_cell_and_are_read_aloud(opened: chromium.Chr
 @pytest.mark.slow
 @pytest.mark.parametrize("view", ["0", "1", "2"])
 @pytest.mark.parametrize("scale", ["db", "linear"])
-def test_every_diagram_is_drawn_on_either_scale(opened: chromium.Chromium, view: str, scale: str) -> None:
+def test_every_diagram_is_drawn_on_either_scale(opened, view, scale):
     _choose(opened, "live-view", view)
     _choose(opened, "live-scale", scale)
     colours = opened.value(
@@ -154,9 +149,7 @@ def test_every_diagram_is_drawn_on_either_scale(opened: chromium.Chromium, view:
     assert opened.complaints == []
 
 
-def test_names_that_want_to_be_markup_or_formulas_are_text(
-    browser: chromium.Chromium, make_test: Any, settings: Any, tmp_path: Path
-) -> None:
+def test_names_that_want_to_be_markup_or_formulas_are_text(browser, make_test, settings, tmp_path):
     browser.complaints.clear()
     names = ("Ba$$in <script>alert(1)</script>", "加速度計 前", '"><img src=x onerror=alert(1)>')
     drawn = make_test(np.arange(300.0, 2001.0, 50.0), channels=names, name="<b>x</b>" + "y" * 10_000)
@@ -169,7 +162,7 @@ def test_names_that_want_to_be_markup_or_formulas_are_text(
     assert browser.complaints == []
 
 
-def _attributes(browser: chromium.Chromium, *selectors: str) -> dict[str, list[str]]:
+def _attributes(browser, *selectors):
     """Attributes of the elements, as soon as the page that is being opened has them; scripts need not run."""
     browser.ask("DOM.enable")
     for _ in range(100):
@@ -184,9 +177,7 @@ def _attributes(browser: chromium.Chromium, *selectors: str) -> dict[str, list[s
     raise AssertionError(f"not in the page: {selectors}")
 
 
-def test_without_script_the_picture_stands_there(
-    browser: chromium.Chromium, campaign: Any, settings: Any, tmp_path: Path
-) -> None:
+def test_without_script_the_picture_stands_there(browser, campaign, settings, tmp_path):
     browser.ask("Emulation.setScriptExecutionDisabled", value=True)
     try:
         browser.ask("Page.navigate", url=_page(campaign, settings, tmp_path / "plain.html").as_uri())
@@ -217,7 +208,7 @@ _LISTEN = """(() => {
 """Keeps every text that a canvas is given: canvas, text, its box in pixels, size of the canvas, whether it lies."""
 
 
-def _middle(browser: chromium.Chromium) -> list[float]:
+def _middle(browser):
     return browser.value(
         "(() => { const b = document.getElementById('live-map').getBoundingClientRect();"
         " return [b.left + b.width / 2, b.top + b.height / 2] })()"
@@ -226,9 +217,7 @@ def _middle(browser: chromium.Chromium) -> list[float]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [1280, 390])
-def test_no_text_of_the_live_diagrams_is_cut_and_none_lies_on_the_name_of_an_axis(
-    opened: chromium.Chromium, width: int
-) -> None:
+def test_no_text_of_the_live_diagrams_is_cut_and_none_lies_on_the_name_of_an_axis(opened, width):
     opened.ask("Emulation.setDeviceMetricsOverride", width=width, height=1400, deviceScaleFactor=1, mobile=width < 500)
     opened.settle()
     opened.value(_LISTEN)

@@ -35,7 +35,7 @@ REACH_BINS = 4
 LEAST_WINDOW = 0.2
 """Share of a window's height below which the ends of frames say too little of the signal."""
 
-BESIDE_CYCLES = tuple(range(2, 14))
+BESIDE_CYCLES = tuple(range(2, 10))
 """Where the noise beside a line is looked at, on both sides, in cycles per recording."""
 
 FEWEST_BESIDE = 6

@@ -36,7 +36,7 @@ from crankorder.identify.lines.mains import multiples_near
 from crankorder.identify.lines.order_lines import NUMBERS as ORDER_LINES
 from crankorder.identify.lines.order_lines import SWELLS, longer_frames
 from crankorder.identify.lines.order_lines import SWEPT_NUMBERS as SWEPT_ORDERS
-from crankorder.identify.lines.several_orders import DEGREES_OF_FREEDOM, SOLVED, close_lines, lines_at
+from crankorder.identify.lines.several_orders import SOLVED, close_lines, lines_at
 from crankorder.identify.lines.zoom import Course, Zoomed
 from crankorder.orders.true_angle import ERROR
 from crankorder.quantities import Floats
@@ -194,7 +194,8 @@ def _with_close_lines(orders: list[_Unnamed], test: _Test, settings: IdentifySet
             _Unnamed(number, lines, doubts)
             for line in close.solved
             if (lines := lines_at(line, test.order_map))
-            for number in [_Number(line.order, line.order_error, DEGREES_OF_FREEDOM, True, parted_rev=close.span_rev)]
+            for free in [line.degrees_of_freedom]
+            for number in [_Number(line.order, line.order_error, free, True, parted_rev=close.span_rev)]
         ]
     return orders
 

@@ -136,9 +136,6 @@ def _with_errors(fit: JointLines, rest: float = 0.0) -> list[Sighting]:
     return [replace(line, order_error=float(np.hypot(line.order_error, least))) for line in lines]
 
 
-DEGREES_OF_FREEDOM = 40.0
-"""Degrees of freedom of an error that some 24 places beside a line tell."""
-
 SOLVED = "lines within a quarter order, solved together"
 """Words, after their number, of lines that were told apart so."""
 
@@ -232,7 +229,7 @@ def lines_at(solved: Sighting, order_map: xr.Dataset) -> list[OrderLine]:
     rpm, number = np.asarray(order_map["speed"].values, dtype=np.float64), (solved.order, solved.order_error)
     numbers = order_map["channel"].values, solved.amplitude.tolist(), solved.error.tolist()
     return [
-        replace(OrderLine.steady(str(name), number, rows, DEGREES_OF_FREEDOM), doubts=(ONE_SPEED,))
+        replace(OrderLine.steady(str(name), number, rows, solved.degrees_of_freedom), doubts=(ONE_SPEED,))
         for name, size, error in zip(*numbers, strict=True)
         if size > Z95 * error
         for rows in [(np.array([0]), rpm, np.array([size]), np.array([error]))]

@@ -16,7 +16,6 @@ from crankorder.identify.lines.line_phasors import lock_of, nearest_multiple
 from crankorder.identify.lines.mains import NUMBERS as MAINS
 from crankorder.identify.lines.mains import multiples_near, shown_amplitudes, with_mains_tones
 from crankorder.identify.lines.several_orders import (
-    DEGREES_OF_FREEDOM,
     lines_within,
     several_lines,
     unparted_reach,
@@ -40,6 +39,11 @@ class _Parted:
     def places(self) -> np.ndarray:
         """Frequency in Hz of what stays, order of what goes with the shaft, by recording."""
         return np.array([line.order * (held.rpm / 60.0 if self.fixed else 1.0) for held, line in self.seen])
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """Of the errors of the line in a recording, at least."""
+        return min(line.degrees_of_freedom for _, line in self.seen)
 
     @property
     def error(self) -> float:
@@ -218,15 +222,15 @@ def _with_orders(
 def _agreed(parted: _Parted, order_map: xr.Dataset) -> AgreedOrder:
     """The order ``parted`` with a line for each channel that shows it."""
     turns = int(order_map.attrs["revs_per_cycle"])
-    order, error = float(parted.places.mean()), parted.error
-    lock = lock_of(order, error, DEGREES_OF_FREEDOM, revs_per_cycle=turns, by_phase=True)
+    order, error, freedom = float(parted.places.mean()), parted.error, parted.degrees_of_freedom
+    lock = lock_of(order, error, freedom, revs_per_cycle=turns, by_phase=True)
     if lock == "locked":
         exact = nearest_multiple(order, revs_per_cycle=turns)
         order, error = exact, max(error, abs(order - exact) / Z95)
     doubt = Doubt("close lines", f"{len(parted.seen)} recordings part it from what stands beside it")
     channels = enumerate(parted.seen[0][0].channels)
     lines = tuple(line for k, name in channels if (line := _line(parted, k, name, order, error, order_map)))
-    return AgreedOrder(order, error, DEGREES_OF_FREEDOM, lock, None, lines, (doubt,))
+    return AgreedOrder(order, error, freedom, lock, None, lines, (doubt,))
 
 
 def _line(
@@ -240,7 +244,7 @@ def _line(
     if not clear:
         return None
     seen, rpm, size, own = (np.array(column) for column in zip(*clear, strict=True))
-    return OrderLine.steady(name, (order, error), (seen, rpm, size, own), DEGREES_OF_FREEDOM)
+    return OrderLine.steady(name, (order, error), (seen, rpm, size, own), parted.degrees_of_freedom)
 
 
 UNPARTED = "several lines that the recordings are too short to part, or one that swells"
