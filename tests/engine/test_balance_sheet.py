@@ -168,22 +168,6 @@ def test_parts_that_do_not_add_up_to_the_engine_are_refused() -> None:
         assert key in str(caught.value)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ({"counterweights": ["Counterweight 1", "Counterweight 3"]}, "Counterweight 3"),
-        ({"counterweights": ["Counterweight 1", "Balance Hole 1"]}, "one plane"),
-        ({"sections": []}, "crankshaft.sections"),
-    ],
-)
-def test_a_crankshaft_without_two_planes_is_refused(table: dict[str, Any], message: str) -> None:
-    content = tomllib.loads(shipped("engines")["msu-shafts"])
-    content["balance"]["crankshaft"] |= table
-    with pytest.raises(ManyErrors, match=message):
-        balanced_engine(content, name="spoilt", source="spoilt.toml")
-
-
 def test_a_users_file_is_found_beside_its_folder(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(
         "crank_radius_m = 0.04\nrod_length_m = 0.14\nreciprocating_mass_kg = 0.5\n"

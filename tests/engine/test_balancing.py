@@ -174,12 +174,3 @@ def test_the_offset_does_what_the_truth_sheet_says(name: str, shared_truth: dict
     assert effects.amplitude_ratio == pytest.approx(float(known["amplitude"]["1"]), rel=1e-12)
     assert effects.rephasing_deg == pytest.approx(known["phase_first_order_deg"], rel=1e-12)
     assert effects.third_over_fourth == pytest.approx(known["third_over_fourth"], rel=1e-12)
-
-
-def test_analytic_shafts_that_lag_by_the_rephasing_leave_no_first_order() -> None:
-    effects = offset_by_10_mm("r=44.9,l=152")
-    angle = 2 * np.pi * np.arange(360) / 360
-    first = np.cos(angle) + effects.quadrature_x_g_mm / 44900 * np.sin(angle)
-    shafts = effects.amplitude_ratio * np.cos(angle - np.radians(effects.rephasing_deg))
-    assert np.abs(first - shafts).max() < 1e-14
-    assert round(effects.rephasing_deg, 1) == 3.9

@@ -167,19 +167,24 @@ def test_the_rod_as_cut_and_as_weighed_takes_the_place_of_the_bob_weight() -> No
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("name", "change", "message"),
     [
-        ({"bob_weight": "Bob"}, "Bob"),
-        ({"counterweights": ["Cheek 1"]}, "two counterweights or more"),
-        ({"slugs": [{"into": "Cheek 1", "diameter_mm": 1.0, "length_mm": 1.0, "radius_mm": 9.0,
+        ("msu-crankshaft", {"bob_weight": "Bob"}, "Bob"),
+        ("msu-crankshaft", {"counterweights": ["Cheek 1"]}, "two counterweights or more"),
+        ("msu-crankshaft", {"slugs": [{"into": "Cheek 1", "diameter_mm": 1.0, "length_mm": 1.0, "radius_mm": 9.0,
                      "density_kg_m3": 17600.0}]}, "one of the counterweights"),
-        ({"slugs": [{"into": "Counterweight 1", "diameter_mm": 1.0, "length_mm": 31.0, "radius_mm": 9.0,
+        ("msu-crankshaft", {"slugs": [{"into": "Counterweight 1", "diameter_mm": 1.0, "length_mm": 31.0, "radius_mm": 9.0,
                      "density_kg_m3": 17600.0}]}, "longer than"),
-        ({"slugs": [{"into": "Counterweight 1", "diameter_mm": 40.0, "length_mm": 3.0, "radius_mm": 70.0,
+        ("msu-crankshaft", {"slugs": [{"into": "Counterweight 1", "diameter_mm": 40.0, "length_mm": 3.0, "radius_mm": 70.0,
                      "density_kg_m3": 17600.0}]}, "stands out"),
-        ({"counterweights": [{"shape": "cube"}, "Cheek 2"]}, "shape"),
+        ("msu-crankshaft", {"counterweights": [{"shape": "cube"}, "Cheek 2"]}, "shape"),
+        ("msu-shafts", {"counterweights": ["Counterweight 1", "Counterweight 3"]}, "Counterweight 3"),
+        ("msu-shafts", {"counterweights": ["Counterweight 1", "Balance Hole 1"]}, "one plane"),
+        ("msu-shafts", {"sections": []}, "crankshaft.sections"),
     ],
 )  # fmt: skip
-def test_a_crankshaft_that_cannot_be_is_refused_by_name(change: dict[str, Any], message: str) -> None:
+def test_a_crankshaft_that_cannot_be_is_refused_by_name(name: str, change: dict[str, Any], message: str) -> None:
+    content = tomllib.loads(shipped("engines")[name])
+    content["balance"]["crankshaft"] |= change
     with pytest.raises(ManyErrors, match=message):
-        balanced_engine(fan_crankshaft(**change), name="spoilt", source="spoilt.toml")
+        balanced_engine(content, name="spoilt", source="spoilt.toml")

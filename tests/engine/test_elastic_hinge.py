@@ -102,15 +102,6 @@ def test_only_the_corrected_characteristic_does_no_work_over_its_own_angle(
     assert over_hinge == pytest.approx(pin_hinge_work(crank, CURVE, pin_hinge=pin_hinge), abs=scale)
 
 
-def test_with_the_centre_of_mass_at_the_pin_the_full_moment_is_a_springs_and_no_side_force_is_left() -> None:
-    crank = CRANKS["fig3_bd"]
-    assert crank.static_moment_nm == 0
-    assert pin_hinge_work(crank, CURVE, pin_hinge="full") == 0
-    assert np.abs(side_force(HALF_DEGREES, crank, CURVE, pin_hinge="potential")).max() == 0
-    printed = side_force(HALF_DEGREES, crank, CURVE, pin_hinge="printed")
-    assert np.abs(printed).max() == pytest.approx(114.9639526786055, rel=1e-12)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("gap", [1.0, 1e-2, 1e-6, 1e-12])
 def test_a_mean_over_the_revolution_is_exact_however_short_the_rod(gap: float) -> None:

@@ -168,11 +168,10 @@ def test_a_stated_pair_between_cylinders_stands_against_the_sum_and_makes_a_mome
 
 
 def test_a_pair_with_nothing_to_stand_against_is_refused() -> None:
-    model = Engine.model_validate(
-        {**SINGLE, "cylinders": INLINE_4, "shafts": {"pairs": [{"order": 1, "unbalance_g_mm": 100.0}]}}
-    )
-    with pytest.raises(RequestError, match=r"shafts.pairs: the pistons make no force along Z.*found order 1"):
-        crankcase_forces(model, 1000, max_order=2)
+    for shafts, place in (({"orders": [1]}, "shafts"), ({"pairs": [{"order": 1, "unbalance_g_mm": 100.0}]}, "pairs")):
+        model = Engine.model_validate({**SINGLE, "cylinders": INLINE_4, "shafts": shafts})
+        with pytest.raises(RequestError, match=rf"{place}.*the pistons make no force along Z.*found order 1"):
+            crankcase_forces(model, 1000, max_order=2)
     with pytest.raises(RequestError, match="order 3"):
         crankcase_forces(stated((3, 1.0)), 1000, max_order=4)
     assert np.isfinite(crankcase_forces(stated((3, 1.0)), 1000, max_order=2)).all()  # above what is asked for
@@ -219,16 +218,6 @@ def test_a_pair_that_cannot_be_is_told_once(tmp_path: Path, shafts: str, place: 
     (fault,) = caught.value.faults
     assert fault.place == place
     assert problem in fault.problem.lower()
-
-
-@pytest.mark.slow
-def test_the_firing_engine_is_the_motored_one_with_gas() -> None:
-    firing, motored = load_engine("msu-optical-second-firing"), load_engine("msu-optical-second")
-    assert firing.gas is not None
-    assert (
-        firing.model_copy(update={"title": motored.title, "bore_m": None, "gas": None, "flywheel_inertia_kg_m2": None})
-        == motored
-    )
 
 
 # What errors leave of a balanced engine, against closed forms of the same chances.
