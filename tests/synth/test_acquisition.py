@@ -11,7 +11,7 @@ from crankorder.errors import RequestError
 from crankorder.ingest import hdf5
 from crankorder.ingest.units import parse_sensitivity, unit_of
 from crankorder.settings import load_settings
-from crankorder.synth.analogue import analogue_filter, high_pass, in_series, low_pass, recorded, true_rate_hz
+from crankorder.synth.analogue import analogue_filter, high_pass, low_pass, recorded, true_rate_hz
 from crankorder.synth.parts import Acquisition
 
 RNG = np.random.default_rng(5)
@@ -105,16 +105,6 @@ def test_ac_coupling_takes_a_constant_away_and_has_3_db_at_its_corner() -> None:
     assert at_zero == 0
     assert corner == pytest.approx(0.5 + 0.5j, abs=1e-14)
     assert above == pytest.approx(1 + 1e-4j, abs=1e-7)
-
-
-def test_filters_in_series_have_the_product_of_their_gains_everywhere() -> None:
-    frequency = np.concatenate([[0.0], np.geomspace(1e-3, 1e6, 300)])
-    anywhere = np.array([-300.0 + 9000j, 1e5 - 3e4j, 40.0 + 0j])
-    for order in (1, 4, 9, 12):
-        a, b = low_pass(order, 20e3), high_pass(0.7)
-        both = in_series(a, b)
-        assert both.response(frequency) == pytest.approx(a.response(frequency) * b.response(frequency), abs=1e-12)
-        assert both.at(anywhere) == pytest.approx(a.at(anywhere) * b.at(anywhere), abs=1e-12)
 
 
 def test_white_noise_folds_to_the_sum_of_all_images() -> None:

@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.errors import RequestError
 from crankorder.synth import driven
-from crankorder.synth.analogue import low_pass
 from crankorder.synth.driven import (
     STENCILS,
     Integration,
@@ -169,38 +168,6 @@ def test_at_a_constant_speed_the_response_is_the_accelerance_to_round_off(rpm: f
     assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
 
 
-@pytest.mark.slow
-def test_a_filter_in_a_run_up_is_the_filter_equation_driven_by_the_unfiltered_response() -> None:
-    """v̈ + √2 ω v̇ + ω² v = ω² a, a two-pole Butterworth filter, integrated with the modes as further states."""
-    corners, corner = ((0.0, 300.0), (0.15, 5000.0)), 2 * np.pi * 700.0
-    at = profile(corners, 0.2)
-    times = np.arange(700) / RATE_HZ
-
-    def motion(time: float, state: np.ndarray) -> np.ndarray:
-        force = plain_force(*at(time))
-        acceleration = DRIVE @ force - 2 * ZETA * OMEGA * state[3:6] - OMEGA**2 * state[:3]
-        rates = np.concatenate([state[3:6], acceleration])
-        sensed = channels(rates, state[:6], force)
-        filtered, rate = state[6:8], state[8:10]
-        return np.concatenate([rates, rate, corner**2 * (sensed - filtered) - np.sqrt(2) * corner * rate])
-
-    frequency = ORDERS * 5.0
-    gain = accelerance(STRUCTURE, frequency) * low_pass(2, 700.0).response(frequency)
-    tone = np.einsum("cal,al->cl", gain, lines().at_speed(300.0)) * np.exp(2j * np.pi * ORDERS * 0.2)
-    begin = np.concatenate(
-        [steady_start(300.0, 0.4 * np.pi), tone.real.sum(axis=1), (2j * np.pi * frequency * tone).real.sum(axis=1)]
-    )
-    solved = solve_ivp(motion, (0, times[-1]), begin, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-16)
-    found = driven_signal(
-        poles_of(STRUCTURE, low_pass(2, 700.0)),
-        [(lines(), Motion(start_rev=0.2, corners=corners))],
-        rate_hz=RATE_HZ,
-        n_samples=700,
-        tolerance=1e-12,
-    )
-    assert np.abs(found - solved.y[6:8]).max() < 1e-11 * np.abs(found).max()
-
-
 def wobbling(time: float) -> tuple[float, float, float]:
     rpm, slope = 1500 + 60 * np.cos(2 * np.pi * 7 * time + 1), -60 * 14 * np.pi * np.sin(14 * np.pi * time + 1)
     turned = 1500 * time + 60 * (np.sin(14 * np.pi * time + 1) - np.sin(1)) / (14 * np.pi)
@@ -300,13 +267,6 @@ def test_blocks_leave_no_seam(gain: Callable[[np.ndarray], np.ndarray] | None) -
 # The compiled integration against plain NumPy, its error against its own bound, and its drift.
 
 
-RNG = np.random.default_rng(8)
-INTEGRATED_POLES = Poles(
-    pole_per_s=np.array([-3 + 380j, -0.4 + 1500j, -900 + 0j, -4e4 + 5e4j, -2 + 0j]),
-    input=RNG.normal(size=(5, 6)),
-    output=RNG.normal(size=(2, 5)) + 1j * RNG.normal(size=(2, 5)),
-    direct=RNG.normal(size=(2, 6)),
-)
 STEP_RATE_HZ = 8192.0
 
 
@@ -314,33 +274,6 @@ def advance(poles, force, *, step_s, integration, state):
     """Signal and state of the compiled integration with the weights of its step."""
     growth, taps = step_weights(poles.pole_per_s, step_s, integration)
     return driven.advance(poles, force, growth=growth, taps=taps, integration=integration, state=state)
-
-
-def plain_advance(force: np.ndarray, integration: Integration, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One step of the grid after the other, each of them the integral of a polynomial through the samples about it."""
-    margin, substeps = integration.margin, integration.substeps
-    step = 1 / (STEP_RATE_HZ * substeps)
-    grow, taps = step_weights(INTEGRATED_POLES.pole_per_s, step, Integration(integration.stencil, 1))
-    signal, state = [], state.copy()
-    for number in range(force.shape[1] - 2 * margin):
-        if number % substeps == 0:
-            signal.append((INTEGRATED_POLES.output @ state).real + INTEGRATED_POLES.direct @ force[:, margin + number])
-        about = force[:, number + 1 : number + 1 + integration.stencil]
-        state += grow * state + (taps * (INTEGRATED_POLES.input @ about)).sum(axis=1)
-    return np.array(signal).T, state
-
-
-@pytest.mark.parametrize("integration", [Integration(2, 1), Integration(8, 1), Integration(12, 3), Integration(4, 2)])
-def test_the_compiled_integration_is_the_plain_one(integration: Integration) -> None:
-    n_samples = 1100  # three blocks, the last not full
-    force = RNG.normal(size=(6, n_samples * integration.substeps + 2 * integration.margin))
-    start = RNG.normal(size=5) + 1j * RNG.normal(size=5)
-    step = 1 / (STEP_RATE_HZ * integration.substeps)
-    signal, after = advance(INTEGRATED_POLES, force, step_s=step, integration=integration, state=start)
-    expected, expected_after = plain_advance(force, integration, start)
-    assert signal.shape == (2, n_samples)
-    assert np.abs(signal - expected).max() < 1e-13 * np.abs(expected).max()
-    assert np.abs(after - expected_after).max() < 1e-13 * np.abs(expected_after).max()
 
 
 def tone_error(pole_per_step: complex, phase_rad: float, integration: Integration) -> float:

@@ -18,7 +18,6 @@ from crankorder.synth.encoder import (
     Pulses,
     encoder_signals,
     encoder_turn,
-    index_wheel,
     passed_pulses,
     sampled_encoder,
     wheel_of,
@@ -120,18 +119,6 @@ def test_the_decoder_finds_the_angle_from_top_dead_centre(motion: Motion, wheel:
     assert np.abs(error.mean()) < 0.15
 
 
-def test_the_index_comes_once_per_turn_of_the_encoder_with_its_first_line() -> None:
-    encoder = Encoder(pulses_per_rev=60, ratio=2.0, line_error_deg=0.1)
-    wheel = wheel_of(encoder, seed=1)
-    pulses, index = (passed_pulses(part, RUN_UP, encoder, duration_s=5.0) for part in (wheel, index_wheel(wheel)))
-    pulse_s, index_s = (part.rise_s[np.isfinite(part.rise_s)] for part in (pulses, index))
-    assert np.isin(index_s, pulse_s).all()
-    assert set(np.diff(np.searchsorted(pulse_s, index_s))) == {60}
-    turn = encoder_turn(RUN_UP.at(index_s)[0], encoder)
-    np.testing.assert_allclose(turn - np.rint(turn), wheel.rise[0], atol=1e-11)
-    np.testing.assert_array_equal(np.rint(turn), np.arange(1, 259))
-
-
 def test_a_shaft_that_stands_still_keeps_its_level() -> None:
     stop = Motion(start_rev=0.3, corners=((1.0, 600.0), (2.0, 0.0)))
     trace = signals(stop, Encoder(pulses_per_rev=60)).trace
@@ -184,21 +171,6 @@ def test_errors_of_lines_are_those_of_the_wheel_and_have_their_spread() -> None:
     assert error_deg.std() == pytest.approx(0.01, rel=0.05)
     np.testing.assert_array_equal(wheel.rise, again.rise)
     assert np.abs(np.corrcoef(error_deg, (other.nominal - other.rise) * 360)[0, 1]) < 0.05
-
-
-def test_a_shaft_that_turns_back_passes_its_lines_in_reverse() -> None:
-    encoder = Encoder(pulses_per_rev=60, missing_teeth=2, ratio=2.0, index_to_tdc_deg=10.0)
-    pulses = pulses_of(encoder, THERE_AND_BACK)
-    inside = np.isfinite(pulses.rise_s)
-    rise_s, number = pulses.rise_s[inside], pulses.number[inside]
-    assert (np.diff(rise_s) > 0).all()
-    backwards = THERE_AND_BACK.at(rise_s)[1] < 0
-    assert backwards.sum() > 500
-    turns = turn_at(rise_s, THERE_AND_BACK, encoder)
-    place = turns * 60 - np.where(backwards, 0.5, 0.0)
-    np.testing.assert_allclose(place, np.rint(place), atol=1e-8)
-    assert (np.rint(place) % 60 < 58).all()
-    assert set(np.diff(number[backwards])) == {-1}
 
 
 # Faults of the encoder: what was put in is what the decoder of the analysis finds, in number and place.
