@@ -49,24 +49,6 @@ def test_forces_of_the_sheet_are_those_of_the_crankcase_without_shafts(name: str
         assert [stated.get(str(k), 0.0) for k in range(1, 9)] == pytest.approx(known[1:], rel=1e-12, abs=round_off_n)
 
 
-def test_literature_task_5_shows_its_strategies_side_by_side() -> None:
-    sheet = sheet_of("task5")
-    rows = {name: (row["counterweight_g"], row["rotation"]) for name, row in sheet["strategies"].items()}
-    assert rows == {"a": (962.5, "line"), "b": (562.5, "line"), "c": (762.5, "against crank"), "d": (1962.5, "none")}
-    assert sheet["strategies"]["d"]["total_g"] == 2762.5
-    assert sheet["masses_g"] == {
-        "reciprocating": 320,
-        "rotating_at_crank_radius": 450,
-        "rod_at_crank_pin": 210,
-        "rod_at_piston_pin": 140,
-    }
-    residuals = {name: (row["residual_x_g_mm"], row["residual_y_g_mm"]) for name, row in sheet["strategies"].items()}
-    assert residuals == {"a": (0, 8000), "b": (8000, 0), "c": (4000, 4000), "d": (0, 0)}
-    assert sheet["crankshaft"] is None
-    assert sheet["lambda"] == 0.25
-    assert any("Chosen" in note for note in sheet["notes"])
-
-
 def test_literature_the_optical_engine_shows_table_1_and_what_is_left(shared_truth: dict[str, Any]) -> None:
     sheet = sheet_of("msu-optical", speeds_rpm=[2000.0])
     for row in shared_truth["seed001"]["table1"]["rows_g_mm"]["optical"]:
@@ -78,29 +60,6 @@ def test_literature_the_optical_engine_shows_table_1_and_what_is_left(shared_tru
     said = " ".join(sheet["sentences"])
     for fact in ("1299 g·mm (56.98 N", "11068 g·mm (485.5 N", "3338.4 g·mm (146.4 N", "(228.5 N", "(578.4 N", "3.90°"):
         assert fact in said
-
-
-def test_literature_the_shaft_set_shows_both_scenarios_and_the_rocking_couple() -> None:
-    sheet = sheet_of("msu-shafts")
-    assert sheet["crankshaft"]["couple_Nm_at_rpm"]["2000"] == pytest.approx(59.4, abs=0.02)
-    assert abs(sheet["crankshaft"]["static_kg_mm"]["y"]) < 0.011
-    pair = sheet["shafts"]["pairs"][1]
-    assert pair["scenarios"]["literal"]["residual_x_g_mm"] == pytest.approx(-44973.8, rel=1e-12)
-    assert pair["scenarios"]["physical"]["class"] == "professional racing"
-    assert pair["scenarios"]["literal"]["class"] is None
-    said = " ".join(sheet["sentences"])
-    for fact in ("3.998 times", "44974 g·mm (1973 N at 2000 rpm) too much", "1354.3 kg·mm² (59.41 N·m", "7.6 g·mm"):
-        assert fact in said
-
-
-def test_reverse_cranks_leave_nothing_across_and_the_fourth_order_along() -> None:
-    table = sheet_of("reverse-cranks")["reverse_cranks"]
-    assert table["transverse_g_mm"] < 1e-11
-    assert table["couple_g_mm2"] == 0
-    first = table["pair_moments_g_mm"]["exact"]["1"]
-    assert table["residual_x_g_mm"]["exact"] / first == pytest.approx(0.004173847, rel=1e-6)
-    assert table["residual_x_g_mm"]["leading"] / first == pytest.approx(0.008198890, rel=1e-6)
-    assert 0 < table["tolerances"]["across_g_mm"]["1"]["median"] < table["tolerances"]["across_g_mm"]["1"]["95 %"]
 
 
 def test_an_engine_with_its_own_shafts_shows_what_these_leave() -> None:

@@ -329,12 +329,6 @@ def test_the_work_of_the_strut_hinge_is_the_closed_form_at_every_speed(name: str
 NO_TORQUE = CrankTorque(branches=(TorqueBranch(angle_deg=(0.0, 360.0), torque_nm=(0.0, 0.0)),))
 
 
-FIGURE_4: list[tuple[str, Weight, str]] = [
-    ("fig4_a", "rod_weight_n", "a: P2 given P3=79"),
-    ("fig4_b", "piston_weight_n", "b: P3 given P2=10,P4=10,l0=0.1"),
-]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("weight", ["rod_counterweight_n", "rod_weight_n", "piston_weight_n"])
 def test_a_weight_for_the_corrected_characteristic_brings_the_centre_of_mass_to_the_pin(weight: Weight) -> None:
@@ -355,8 +349,6 @@ def test_a_weight_that_would_be_negative_or_has_no_arm_is_refused() -> None:
 def test_equation_12_gives_the_printed_counterweights_with_the_radius_mended() -> None:
     a, b = CRANKS["fig5_a"], CRANKS["fig5_bcd"]
     assert vertical_counterweight(a) == pytest.approx(47.50, rel=1e-14)
-    assert vertical_counterweight(changed(a, crank_counterweight_radius_m=0.1)) == pytest.approx(95.0, rel=1e-14)
-    assert round(vertical_counterweight(b), 2) == 31.47
     assert vertical_counterweight(b) == pytest.approx(31.47058823529411764705882, rel=1e-14)
     for crank in (a, b):
         held = changed(crank, crank_counterweight_n=vertical_counterweight(crank))
@@ -475,15 +467,8 @@ def test_a_spring_that_cannot_be_is_refused(change: dict[str, float], key: str) 
         GuideData(**(SPRING.model_dump() | change))
 
 
-def test_the_sheet_has_the_truncated_weights_of_figure_4_and_the_curves_of_figure_3(
-    shared_truth: dict[str, Any],
-) -> None:
+def test_the_sheet_has_the_curves_of_figure_3() -> None:
     found = {one["name"]: one for one in hinge_sheet(ENGINE, max_order=4).as_dict()["mechanisms"]}
-    known = shared_truth["seed003"]["fig4_solutions"]
-    for name, weight, key in FIGURE_4:
-        kinds = found[name]["solutions"]["weight_without_side_force"][weight]
-        assert kinds["printed_truncated"] == pytest.approx(float(known[key]["truncated"]), rel=1e-12)
-        assert kinds["printed"] == pytest.approx(float(known[key]["exact"]), rel=1e-12)
     crank = CRANKS["fig3_ac"]
     for speed, curves in found["fig3_ac"]["curves"].items():
         angles = np.array(curves["crank_angle_deg"]) / 360
