@@ -108,13 +108,6 @@ def stated(*pairs: tuple[int, float], **differences: Any) -> Engine:
     return Engine.model_validate({**SINGLE, **differences, "shafts": {"pairs": listed, "timed_to": timed_to}})
 
 
-def test_what_remains_falls_straight_with_the_stated_unbalance_and_turns_round() -> None:
-    bare = along_g_mm(stated(offset_m=0.01))
-    for share in (0.25, 1.0, 3.0):
-        left = along_g_mm(stated((1, share * abs(bare[1])), offset_m=0.01))
-        assert left[1] == pytest.approx((1 - share) * bare[1], abs=1e-9 * abs(bare[1]))
-
-
 @pytest.mark.slow
 def test_a_stated_pair_between_cylinders_stands_against_the_sum_and_makes_a_moment() -> None:
     second = abs(along_g_mm(stated())[2])
@@ -154,10 +147,7 @@ def test_cancelled_orders_and_stated_pairs_stand_side_by_side() -> None:
     ("shafts", "place", "problem"),
     [
         ("pairs = [{ order = 1 }]", "shafts.pairs.0.unbalance_g_mm", "required"),
-        ("pairs = [{ order = 0, unbalance_g_mm = 1.0 }]", "shafts.pairs.0.order", "greater than or equal to 1"),
         ("pairs = [{ order = 1, unbalance_g_mm = -1.0 }]", "shafts.pairs.0.unbalance_g_mm", "greater than 0"),
-        ("pairs = [{ order = 1, unbalance_g_mm = nan }]", "shafts.pairs.0.unbalance_g_mm", "finite"),
-        ("pairs = [{ order = 1, unbalance_g_mm = 1.0, mass = 1 }]", "shafts.pairs.0.mass", "unknown key"),
         (
             "pairs = [{ order = 1, unbalance_g_mm = 1.0 }, { order = 1, unbalance_g_mm = 2.0 }]",
             "shafts.pairs",

@@ -343,14 +343,3 @@ def test_forces_and_moments_of_the_sheet_leave_shafts_out_and_its_own_shafts_hav
     assert own["residual_g_mm"]["x"]["1"] == pytest.approx(6e4)
     assert own["residual_moment_g_mm2"]["about_crankshaft"]["1"] == pytest.approx(6e4 * 100)
     assert own["residual_moment_g_mm2"]["about_y"] != plain["moment_g_mm2"]["about_y"]
-
-
-@pytest.mark.slow
-def test_one_cylinder_has_its_roll_moment_and_the_couple_of_shafts_off_its_plane() -> None:
-    found = sheet(engine(ENGINES["inline-1"][0], shafts={"orders": [1, 2], "position_m": 0.05}))
-    force = found["force_g_mm"]["x"]
-    assert found["moment_g_mm2"]["about_crankshaft"]["2"] > 0
-    assert found["moment_g_mm2"]["about_y"] is None
-    left = found["shafts"]["own"]["residual_moment_g_mm2"]["about_y"]
-    assert left == pytest.approx({order: 50 * force[order] for order in ("1", "2")}, rel=1e-12)
-    assert any("rocking couple about X" in sentence for sentence in found["sentences"])

@@ -8,10 +8,9 @@ import xarray as xr
 
 from crankorder.errors import InputError, RequestError
 from crankorder.fft.decimation import band_limited
-from crankorder.fft.nonuniform import folding_error
 from crankorder.orders.frames import order_frames
 from crankorder.orders.method import frame_layout, time_samples
-from crankorder.orders.spectra import frame_factor, order_frames_nufft, spectra
+from crankorder.orders.spectra import order_frames_nufft, spectra
 from crankorder.quantities import flags_of
 from crankorder.settings import load_settings
 from crankorder.shaft.angle import knots_of
@@ -164,8 +163,8 @@ def test_a_turned_shaft_turns_every_phase_and_nothing_else():
 
 def test_the_energy_of_frames_is_that_of_the_signal():
     """Parseval: noise below the highest order, half of the sum of squared bins over the noise bandwidth."""
-    band, angle = steady([SIGNAL], speed_rpm=1500.0, duration_s=60.0, rate_hz=1000.0)
-    frames = order_frames(band, angle, settings=asked(max_order=20.0))
+    band, angle = steady([SIGNAL], speed_rpm=1500.0, duration_s=60.0, rate_hz=2000.0)
+    frames = order_frames(band, angle, settings=asked(max_order=24.0))
     power = (np.abs(frames["spectrum"].values[0]) ** 2).sum(axis=1).mean() / (2.0 * frames.attrs["enbw_bins"])
     assert power == pytest.approx(sum(a**2 for a, _ in PARTS.values()) / 2.0, rel=1e-6)
 
@@ -332,19 +331,6 @@ def test_two_revolutions_give_amplitude_and_phase_to_the_tolerance_up_to_the_nyq
     assert errors(band, angle, truth, begin_rev=begin, revs=2.0, tolerance=tolerance) < tolerance
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("speed_rpm", [300.0, 2000.0])
-def test_without_neighbours_the_error_is_that_of_folding(speed_rpm):
-    order = np.floor(2 * 0.487 * 1785.0 * 60.0 / speed_rpm) / 2
-    truth = {2.0: 1.0 + 0j, order: 1j}
-    band, angle = steady([parts(truth)], speed_rpm=speed_rpm, duration_s=2.05 * 60 / speed_rpm, rate_hz=1785.0)
-    begin = angle["crank_angle"].values[0] + np.array([1e-9, 0.03])
-    samples = 2.0 * 60.0 / speed_rpm * 1785.0
-    worst = errors(band, angle, truth, begin_rev=begin, revs=2.0, tolerance=1e-9)
-    assert worst < folding_error(samples * (1.0 - 2 * 0.487))
-    assert frame_factor(samples_per_frame=samples, highest_share=0.487, tolerance=1e-9) > 1
-
-
 @pytest.mark.slow
 def test_ramps_of_10_krpm_per_second_over_a_minute():
     """60 s between 1500 and 6500 rpm, up and down, order 4 of 2 m/s2 and smaller ones beside it."""
@@ -397,22 +383,10 @@ def test_a_mean_a_million_times_the_signal_does_not_leak():
     np.testing.assert_allclose(np.abs(mean[0]), np.tile([2e6, 1e6], (3, 1)), rtol=1e-6)
 
 
-def test_bins_at_the_edges_of_the_grid_are_as_right_as_others():
-    n_orders = 41
-    for revs in (1.0, 2.0, 3.5, 16.0):
-        for edge in (1, 2, n_orders - 2, n_orders - 1):
-            truth = {edge / revs: np.exp(0.5j)}
-            # order 1 / revs of a tone lies beside its own mirror image: with the same bins apart the answer is exact
-            band, angle = steady([parts(truth)], speed_rpm=600.0, duration_s=4.0, rate_hz=5000.0)
-            asked = request(band, angle, begin_rev=[6.3, 7.0], revs=revs, tolerance=1e-9)
-            found = order_frames_nufft(band["signal"].values, n_orders=n_orders, **asked)
-            np.testing.assert_allclose(found[0, :, edge], np.exp(0.5j), atol=1e-9)
-
-
 def test_frames_outside_the_record_and_what_cannot_be_are_refused():
     band, angle = steady([line(2.0, 1.0)], speed_rpm=2000.0, duration_s=2.0, rate_hz=1785.0)
     wrong = ({"tolerance": 1e-13}, {"tolerance": 0.5}, {"revs": 0.0}, {"rate_hz": np.nan}, {"n_orders": 0})
     for given in (*({"begin_rev": [10.0, begin]} for begin in (-2.0, 64.0, np.nan)), *wrong):
         asked = {"tolerance": 1e-9, "n_orders": 9, **request(band, angle, begin_rev=[10.0], revs=4.0), **given}
-        with pytest.raises(RequestError, match="outside" if "begin_rev" in given else ""):
+        with pytest.raises(RequestError, match="outside" if "begin_rev" in given else "."):
             order_frames_nufft(band["signal"].values, **asked)

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,9 +15,8 @@ from crankorder.settings import load_settings
 from crankorder.shaft.angle import angle_at, angle_knots, time_at
 from crankorder.shaft.pattern import pattern_of
 from crankorder.shaft.pulses import find_pulses
-from crankorder.shaft.smoother import Smoother, penalty_of
 from crankorder.shaft.wheel import number_teeth
-from made.recordings import manifest
+from made.recordings import manifest, write_hdf5
 
 SETTINGS = load_settings().shaft
 
@@ -230,11 +228,10 @@ def flags(folder: Path, turns: np.ndarray, *, edge: str = "rising", second: np.n
     folder.mkdir(exist_ok=True)
     text = manifest("*.h5", channels={"Z": {"source": "z"}}, encoder=ENCODER | {"edge": edge})
     (folder / "run.toml").write_text(text, encoding="utf-8")
-    with h5py.File(folder / "a.h5", "w") as file:
-        file.attrs["rate_hz"] = RATE_HZ
-        file["z"] = np.random.default_rng(1).standard_normal(turns.size)
-        file["a"] = ((turns * LINES) % 1.0 < 0.5).astype(np.float32)
-        file["b"] = ((turns * LINES - 0.25) % 1.0 < 0.5).astype(np.float32) if second is None else second
+    first, behind = (((turns * LINES - late) % 1.0 < 0.5).astype(np.float32) for late in (0.0, 0.25))
+    noise = np.random.default_rng(1).standard_normal(turns.size)
+    columns = {"z": noise, "a": first, "b": behind if second is None else second}
+    write_hdf5(folder / "a.h5", columns, rate_hz=RATE_HZ)
     read = read_recording(
         folder / "a.h5", load_manifest(folder), settings=SETTINGS_DIRECTION.ingest, shaft=SETTINGS_DIRECTION.shaft
     )
@@ -369,20 +366,3 @@ def test_angle_and_time_between_knots_are_those_of_the_cubics_of_scipy():
             wanted = np.sort(rng.uniform(0.0, 0.59, 60 * per_knot))
             np.testing.assert_allclose(angle_at(wanted, time_s, angle, 60.0 * rate), cubic(wanted), rtol=0, atol=3e-14)
             np.testing.assert_allclose(time_at(cubic(wanted), time_s, angle, 60.0 * rate), wanted, rtol=0, atol=1e-15)
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize(("cut_off", "holes"), [(0.011, 2), (0.011, 0), (0.05, 3), (0.3, 20)])
-def test_settled_factors_give_the_solution_of_all_equations(cut_off, holes):
-    rng = np.random.default_rng(3)
-    n = 1500
-    weight = np.ones(n)
-    weight[rng.integers(10, n - 10, holes)] = 0.0
-    value, penalty = np.sin(np.arange(n) / 70.0) + 0.05 * rng.standard_normal(n), penalty_of(cut_off)
-    third = np.diff(np.eye(n), n=3, axis=0)
-    system = np.diag(weight) + penalty * third.T @ third
-    found = Smoother(weight, penalty).smoothed(value)
-    direct = value - np.linalg.solve(system, penalty * third.T @ (third @ value))
-    np.testing.assert_allclose(found, direct, rtol=0, atol=2e-6)
-    np.testing.assert_allclose(Smoother(weight, penalty).leverage(), np.diag(np.linalg.inv(system)), rtol=1e-4)
-    assert len(Smoother(weight, penalty).table) < 0.7 * n

@@ -76,17 +76,6 @@ def test_lost_and_false_pulses_of_every_wheel_are_repaired_and_counted():
         assert_true_angles(teeth, pulse_s, true_rev)
 
 
-def test_the_angle_of_an_uneven_wheel_is_that_of_the_shaft(recording_of):
-    for name, irregularity in [("36-2-1", 0.01), ("gm-24x", 0.01), ("12+1", 0.002)]:
-        pulse_s, true_rev = pulses_of(name, irregularity=irregularity)
-        recording = recording_of(pulse_s, tooth_angles_deg=list(pattern_of(name).angles_deg), pulse_noise_s=1e-8)
-        angle = shaft_angle(recording, settings=SETTINGS)
-        reached = angle_at(pulse_s, angle["time"].values, angle["crank_angle"].values, angle["speed"].values)
-        away = reached - true_rev
-        np.testing.assert_allclose(away[8:-8], np.round(away[8]), atol=3e-5)
-        assert angle.attrs["phase_reference"] == "index"
-
-
 @pytest.mark.slow
 def test_angles_off_every_grid_are_kept_exactly():
     angles = (0.0, 31.07, 60.003, 88.9, 121.31, 149.5, 181.77, 240.29, 270.011, 301.3, 329.87)

@@ -42,13 +42,6 @@ def test_float32_and_float64_and_integers_and_booleans_agree(known_shaft):
         np.testing.assert_array_equal(pulses(trace.astype(kind)).time_s, wanted)
 
 
-def test_a_falling_edge_is_half_a_pulse_after_the_rising_one(known_shaft):
-    trace = known_shaft(700.0, irregularity={}).square(60)
-    rising, falling = pulses(trace).time_s, pulses(trace, edge="falling").time_s
-    after = falling[np.searchsorted(falling, rising[:-1])] - rising[:-1]
-    np.testing.assert_allclose(after, 0.5 / (60 * 700 / 60), atol=1.01 / 50_000.0)
-
-
 def test_noise_on_a_square_wave_makes_no_false_pulse(known_shaft):
     shaft = known_shaft(400.0)
     noisy = 5.0 * shaft.square(60) + 0.08 * np.random.default_rng(1).standard_normal(shaft.time_s.size)

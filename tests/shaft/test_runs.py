@@ -3,7 +3,6 @@
 from itertools import product
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -15,6 +14,7 @@ from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.repair import running_parts
 from crankorder.shaft.standstill import ShaftRun, joined, silent_ends
 from made.command import analysed
+from made.recordings import manifest, write_hdf5
 
 
 def test_the_angle_goes_on_rightly_after_a_standstill():
@@ -68,19 +68,17 @@ def written(folder: Path, kind: str, speed: np.ndarray, angle: np.ndarray) -> Pa
     folder.mkdir()
     turns = 2.0 * np.cos(2 * np.pi * angle) + np.cos(8 * np.pi * angle)
     random = np.random.default_rng(1)
-    table = {"speed": 'source = "speed"\n', "pulse_times": 'source = "pulses"\npulses_per_rev = 60\n'}[kind]
-    with h5py.File(folder / "a.h5", "w") as file:
-        file["a"] = turns * (speed > 0.0) + 0.05 * random.standard_normal(speed.size)
-        file["speed"] = speed + 0.5 * random.standard_normal(speed.size)
-        rising = np.flatnonzero(np.diff(angle, prepend=-1.0) > 0.0)
-        tooth = np.arange(1, int(angle[-1] * 60)) / 60.0
-        file["pulses"] = np.interp(tooth, angle[rising], rising / RATE_HZ)
-        for name in ("a", "speed"):
-            file[name].attrs["rate_hz"] = RATE_HZ
-        file["speed"].attrs["unit"] = "rpm"
-    head = 'schema_version = 1\n[test]\nname = "t"\ncycle = "rotor"\n[recordings]\nfiles = ["*.h5"]\n'
-    head += f'[[channels]]\nname = "A"\nsource = "a"\nunit = "m/s2"\n[encoder]\nkind = "{kind}"\n{table}'
-    (folder / "run.toml").write_text(head, encoding="utf-8")
+    encoder = {"speed": {"source": "speed"}, "pulse_times": {"source": "pulses", "pulses_per_rev": 60}}[kind]
+    rising = np.flatnonzero(np.diff(angle, prepend=-1.0) > 0.0)
+    tooth = np.arange(1, int(angle[-1] * 60)) / 60.0
+    columns = {
+        "a": turns * (speed > 0.0) + 0.05 * random.standard_normal(speed.size),
+        "speed": speed + 0.5 * random.standard_normal(speed.size),
+        "pulses": np.interp(tooth, angle[rising], rising / RATE_HZ),
+    }
+    write_hdf5(folder / "a.h5", columns, unit={"speed": "rpm"}, rate_hz=RATE_HZ)
+    text = manifest("*.h5", name="t", channels={"A": {"source": "a"}}, encoder=encoder | {"kind": kind})
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     return folder
 
 

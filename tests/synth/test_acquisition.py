@@ -28,14 +28,6 @@ def test_a_clock_that_runs_fast_takes_more_samples_per_second_than_its_label_say
     assert true_rate_hz(Acquisition(), 51_200.0) == 51_200.0
 
 
-def test_nothing_between_sensor_and_file_leaves_the_signal_as_float32() -> None:
-    signal = RNG.normal(size=(3, 1000))
-    made = recorded(signal, Acquisition())
-    assert made.samples.dtype == np.float32
-    assert (made.samples == signal.astype(np.float32)).all()
-    assert (made.scale, made.unit, made.clipped_share.tolist()) == (None, "m/s2", [0.0, 0.0, 0.0])
-
-
 def test_volts_come_back_as_m_s2_through_the_sensitivity_that_ingest_reads() -> None:
     signal = RNG.normal(size=(1, 100))
     made = recorded(signal, Acquisition(sensitivity_mv_per_g=100.0, stored_as="float64"))

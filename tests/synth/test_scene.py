@@ -33,11 +33,6 @@ def test_every_shipped_scene_loads_with_its_first_look(name: str) -> None:
     assert quick.n_samples * len(quick.runs) < scene.n_samples * len(scene.runs)
 
 
-def test_speeds_that_come_again_or_are_broken_get_names_of_their_own(small_scene: Path) -> None:
-    scene = load_scene(small_scene.name, small_scene.parent)
-    assert [run.name for run in scene.runs] == ["rpm_0600", "rpm_0612.5", "rpm_0600_2"]
-
-
 def test_all_faults_of_a_scene_are_told_at_once(small_scene: Path) -> None:
     text = small_scene.read_text()
     text = text.replace("list_rpm = [600.0, 612.5, 600.0]", "list_rpm = [600.0, 5000.0, 60000.0]")
