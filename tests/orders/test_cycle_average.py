@@ -190,10 +190,3 @@ def test_recordings_whose_cycles_may_begin_half_a_cycle_apart_are_not_averaged_t
     known = [item.assign_attrs(cycle_known=1) for item in items]
     joined = cycle_averages(known, speed_bin_rpm=25.0)
     assert np.abs(joined["mean"].values - items[0]["mean"].values).max() > 0.1
-
-
-def test_a_test_of_several_speeds_has_one_row_each_slowest_first():
-    items = [of(line(1.0, rpm / 1000), speed_rpm=rpm) for rpm in (1500.0, 500.0, 1000.0)]
-    made = cycle_averages(items, speed_bin_rpm=25.0)
-    np.testing.assert_allclose(made["speed"].values, [500.0, 1000.0, 1500.0], rtol=1e-9)
-    np.testing.assert_allclose(made["maximum"].values.max(axis=2)[0], [0.5, 1.0, 1.5], rtol=1e-3)

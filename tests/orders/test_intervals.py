@@ -110,14 +110,6 @@ def test_the_interval_of_recordings_that_differ_by_a_tenth_holds_the_line_of_the
     assert np.median(freedom) == recordings - 1
 
 
-@pytest.mark.slow
-def test_the_interval_of_powers_averaged_without_phase_knows_that_recordings_differ():
-    given = repeats(np.random.default_rng(5), 3, scatter=0.1, sigma=1.0, phase_reference="none")
-    made = order_map(given, settings=SETTINGS).sel(order=5.0).isel(speed=0)
-    true = 3.0 * np.sqrt(1.0 + 2 * 0.1**2)
-    assert beyond((made["coherent_amplitude_low"] <= true) & (true <= made["coherent_amplitude_high"]), most=0.98) < 1.0
-
-
 def test_the_scatter_of_unequal_recordings_is_weighed_by_their_frames():
     rng = np.random.default_rng(11)
     owner = np.repeat([0, 1, 2], [2, 6, 4])

@@ -6,7 +6,7 @@ import pytest
 from crankorder.errors import RequestError
 from crankorder.orders.frames import order_frames
 from crankorder.orders.shapes import coherence_level, expected_coherence, operating_shapes
-from crankorder.quantities import check_dataset, flags_of
+from crankorder.quantities import check_dataset
 from crankorder.settings import load_settings
 from made.recordings import frames_of, line, steady
 
@@ -144,14 +144,6 @@ def test_where_there_is_no_line_the_interval_reaches_from_nothing_and_holds_it(n
     assert np.mean(low <= 0.0) > 0.97
 
 
-def test_frames_that_end_at_different_orders_have_shapes_on_those_they_share():
-    made = operating_shapes(
-        [frames_of(steady_frames()), frames_of(steady_frames(n_orders=5))], [1.0], settings=SETTINGS
-    )
-    np.testing.assert_allclose(made["amplitude"].values[:, 0, 0], np.abs(PHASORS), rtol=1e-12)
-    assert [flag["flag"] for flag in flags_of(made)] == ["orders_cut"]
-
-
 def test_noise_has_no_phase_and_no_coherence():
     noise = shapes_of(circular(np.random.default_rng(4), 1, 400, 9), orders=np.arange(1, 9) / 2)
     assert noise["coherence"].values.mean() < 0.02
@@ -164,12 +156,6 @@ def test_orders_beyond_the_frames_are_missing_and_an_unknown_reference_is_refuse
     assert np.isnan(made["amplitude"].values[..., 1]).all()
     with pytest.raises(RequestError, match="A, B, C"):
         shapes_of(steady_frames(), reference="Q")
-
-
-def test_frames_of_a_run_up_fall_into_rows_of_like_speed():
-    made = shapes_of(steady_frames(n_frames=9), speed_rpm=np.repeat([900.0, 500.0, 700.0], 3))
-    assert made["speed"].values.tolist() == [500.0, 700.0, 900.0]
-    assert made["n_frames"].values.tolist() == [3, 3, 3]
 
 
 @pytest.mark.cases(1)

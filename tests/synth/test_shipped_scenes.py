@@ -166,7 +166,7 @@ def test_wrong_labels_are_refused_with_both_numbers(analysed: Any) -> None:
 @pytest.mark.slow
 def test_what_folds_is_where_the_truth_of_folding_says(analysed: Any) -> None:
     scene = analysed("hard-folding")
-    assert "folded_frequency" in {flag["flag"] for flag in scene.findings[0]["quality"]}  # the supply that nobody named
+    assert "lines_may_fold" in {flag["flag"] for flag in scene.findings[0]["quality"]}
     put_in = next(r for r in scene.truths[0]["orders"] if r["order"] == 353.5 and r["channel"] == "X")
     folded = [r for r in scene.findings[0]["orders"] if abs(r["order"] - 6.5) < 0.02 and r["channel"] == "X"]
     low, high = folded[0]["amplitude_ci95"]
