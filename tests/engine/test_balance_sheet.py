@@ -3,13 +3,12 @@
 import copy
 import json
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from crankorder.engine.balance_data import balanced_engine, load_balanced_engine, reduced_masses
+from crankorder.engine.balance_data import balanced_engine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces
@@ -125,23 +124,3 @@ def test_parts_that_do_not_add_up_to_the_engine_are_refused() -> None:
         with pytest.raises(ManyErrors, match="does not agree") as caught:
             balanced_engine(table, name="spoilt", source="spoilt.toml")
         assert key in str(caught.value)
-
-
-def test_a_users_file_is_found_beside_its_folder(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text(
-        "crank_radius_m = 0.04\nrod_length_m = 0.14\nreciprocating_mass_kg = 0.5\n"
-        "rotating_unbalance_kg_m = 0.01\nrotating_unbalance_deg = 90.0\n",
-        encoding="utf-8",
-    )
-    subject = load_balanced_engine("mine.toml", beside=tmp_path)
-    assert subject.name == "mine"
-    assert reduced_masses(subject).rotating_g == pytest.approx(250j, rel=1e-12)
-
-
-def test_an_engine_of_another_kind_is_refused_by_name() -> None:
-    others = [name for name in shipped("engines") if name not in CRANK_ENGINES]
-    for name in [*others, "nowhere"]:
-        with pytest.raises(RequestError) as caught:
-            load_balanced_engine(name)
-        assert name in str(caught.value)
-        assert caught.value.exit_status == 2

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from crankorder.engine.balance_data import load_balanced_engine
 from crankorder.engine.definition import load_engine
 from crankorder.engine.machine_parts import Bearing, bearing_catalogue, bearing_orders
 from crankorder.errors import ManyErrors, RequestError
@@ -24,8 +25,14 @@ def test_a_users_engine_is_found_beside_the_manifest(tmp_path: Path) -> None:
 
 def test_another_kind_of_engine_is_refused_by_name(tmp_path: Path) -> None:
     (tmp_path / "other.toml").write_text("kind = 'elastic-hinge'\n")
-    with pytest.raises(RequestError, match=r"other.toml: kind: not an engine of cranks.*found elastic-hinge"):
-        load_engine("other.toml", tmp_path)
+    for load in (load_engine, load_balanced_engine):
+        with pytest.raises(
+            RequestError, match=r"other.toml: kind: not an engine of cranks.*found elastic-hinge"
+        ) as told:
+            load("other.toml", tmp_path)
+        assert told.value.exit_status == 2
+        with pytest.raises(RequestError, match="nowhere"):
+            load("nowhere", tmp_path)
 
 
 def test_faults_of_lengths_masses_keys_and_parts_are_all_told_at_once(tmp_path: Path) -> None:

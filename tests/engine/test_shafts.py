@@ -58,13 +58,6 @@ def test_literature_each_possibility_cancels_what_task_5_says(possibility: Any, 
     assert sorted({force.order for force in without} | {force.order for force in left}) == [1, 2, 4, 6, 8]
 
 
-@pytest.mark.slow
-def test_one_shaft_against_the_crank_does_the_work_of_a_pair_and_a_counterweight() -> None:
-    four = shaft_layout(task5(), "4", max_order=6)
-    assert (four.strategy, [shaft.speed_ratio for shaft in four.shafts]) == ("c", [-1])
-    assert four.residual == shaft_layout(task5(), "1", max_order=6).residual
-
-
 @given(k=st.floats(0.25, 8), phase=st.floats(-180, 180), size=st.floats(0.1, 1e5))
 def test_analytic_a_pair_makes_its_unbalance_times_the_squared_speed_ratio(k: float, phase: float, size: float) -> None:
     pair = [Shaft(speed_ratio=sign * k, unbalance_g_mm=size, phase_deg=sign * phase) for sign in (1, -1)]

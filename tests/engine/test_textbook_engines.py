@@ -329,17 +329,3 @@ def test_shafts_at_different_heights_take_the_second_order_roll_moment_too(name:
 
 def sheet(model: Engine, **options: Any) -> dict[str, Any]:
     return balance_sheet(BalancedEngine(name="it", engine=model, balance=BalanceData()), **options).as_dict()
-
-
-@pytest.mark.slow
-def test_forces_and_moments_of_the_sheet_leave_shafts_out_and_its_own_shafts_have_both() -> None:
-    weights = [{"unbalance_g_mm": 3e4, "angle_deg": 10.0, "position_m": place} for place in (-0.1, 0.06)]
-    shafts = {"single": [{"speed_ratio": -1, "weights": weights, "z_m": 0.1}]}
-    plain = sheet(engine(ENGINES["inline-3"][0]))
-    with_shafts = sheet(engine(ENGINES["inline-3"][0], shafts=shafts))
-    for key in ("force_g_mm", "moment_g_mm2", "design"):
-        assert with_shafts[key] == plain[key]
-    own = with_shafts["shafts"]["own"]
-    assert own["residual_g_mm"]["x"]["1"] == pytest.approx(6e4)
-    assert own["residual_moment_g_mm2"]["about_crankshaft"]["1"] == pytest.approx(6e4 * 100)
-    assert own["residual_moment_g_mm2"]["about_y"] != plain["moment_g_mm2"]["about_y"]

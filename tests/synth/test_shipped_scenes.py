@@ -1,7 +1,6 @@
 """Every shipped scene through the whole analysis: what it put in is found, what it made faulty is told."""
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -116,32 +115,6 @@ def test_a_damaged_line_costs_nothing_of_order_5_5(analysed: Any) -> None:
 
 
 @pytest.mark.slow
-def test_an_eccentric_encoder_is_told_and_its_sidebands_are_gone(analysed: Any) -> None:
-    scene = analysed("hard-eccentric-encoder")
-    assert all(scene.holds(channel, order) for channel, order in (("X", 5.5), ("Y", 13.0), ("Z", 17.0)))
-    assert not {12.0, 14.0, 16.0, 18.0} & {round(record["order"], 1) for record in scene.findings[0]["orders"]}
-    detail = {flag["flag"]: flag["detail"] for flag in scene.findings[0]["quality"]}["encoder_eccentricity"]
-    low, high, phase = map(float, re.findall(r"interval ([\d.]+) to ([\d.]+)°\) at (-?\d+)°", detail)[0])
-    encoder = scene.truths[0]["encoder"]
-    assert low < encoder["eccentricity_deg"] < high
-    assert high - low < 0.1
-    assert phase == pytest.approx(encoder["eccentricity_phase_deg"], abs=15.0)
-
-
-@pytest.mark.slow
-def test_one_pulse_per_revolution_shows_low_orders_and_says_what_it_cannot(analysed: Any) -> None:
-    scene = analysed("one-pulse-per-rev")
-    assert scene.status == [0]
-    for recording in ("rpm_1000.h5", "rpm_1500.h5", "rpm_2000.h5"):
-        assert {"reference_limits_orders", "cycle_phase_unknown"} <= scene.flags(recording)
-    for order in (1.5, 2.5, 3.5):
-        put_in, found = scene.line("Z", order)
-        assert found["amplitude"] == pytest.approx(put_in["amplitude"], rel=0.05)
-        turn = (found["phase_deg"] - put_in["phase_deg"]) % 180  # which dead centre fires is not known
-        assert min(turn, 180 - turn) < 5
-
-
-@pytest.mark.slow
 def test_every_fault_of_a_signal_is_told_and_takes_no_other_recording_along(analysed: Any) -> None:
     scene = analysed("hard-faulty-signals")
     assert scene.status == [0]
@@ -154,13 +127,6 @@ def test_every_fault_of_a_signal_is_told_and_takes_no_other_recording_along(anal
     assert {"rpm_1000.h5", "rpm_1200.h5", "rpm_1400.h5", "rpm_1600.h5", "rpm_1800.h5", "rpm_2000.h5"} == {
         recording for recording, _ in told
     }
-
-
-@pytest.mark.slow
-def test_wrong_labels_are_refused_with_both_numbers(analysed: Any) -> None:
-    scene = analysed("hard-wrong-labels")
-    assert scene.status == [4]
-    assert "360 pulses per index measured, 720 configured" in scene.said[0]
 
 
 @pytest.mark.slow
