@@ -29,10 +29,10 @@ def test_another_kind_of_engine_is_refused_by_name(tmp_path: Path) -> None:
         with pytest.raises(
             RequestError, match=r"other.toml: kind: not an engine of cranks.*found elastic-hinge"
         ) as told:
-            load("other.toml", tmp_path)
+            load("other.toml", beside=tmp_path)
         assert told.value.exit_status == 2
         with pytest.raises(RequestError, match="nowhere"):
-            load("nowhere", tmp_path)
+            load("nowhere", beside=tmp_path)
 
 
 def test_faults_of_lengths_masses_keys_and_parts_are_all_told_at_once(tmp_path: Path) -> None:
