@@ -408,8 +408,8 @@ def swinging(
     )
     time = np.linspace(0.0, seconds, int(seconds * rpm / 60 * per_rev))
     angle, speed, _ = motion.at(time)
-    speed = speed + noise_rpm * rng.standard_normal(time.size)
-    columns = {"time": ("knot", time), "crank_angle": ("knot", angle), "speed": ("knot", speed)}
+    noise = noise_rpm * rng.standard_normal(time.size)
+    columns = {"time": ("knot", time), "crank_angle": ("knot", angle), "speed": ("knot", speed + noise)}
     return xr.Dataset(columns, attrs={"n_pulses": 1000, "revs_per_cycle": 2})
 
 
