@@ -1,7 +1,7 @@
 """The hard cases of the order rooms, each with its error, its mark and a picture of it.
 
 Usage: python benchmarks/hard_cases.py
-Writes `reports/speed-error/hard-cases.{png,md,json}`. The cases are those of `tests/hard`.
+Writes `reports/speed-error/hard-cases.{png,md,json}`. Their laws are held by `tests/{hard,orders,fft}`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from published import publish, table
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 
-from made.hard_cases import CASES, HardCase
+from hard_case_list import CASES, HardCase
 
 COLUMNS = 3
 COLOURS = ("#1f77b4", "#d95f02", "#7570b3")
@@ -71,7 +71,7 @@ def main() -> None:
             "# Hard cases of order analysis",
             "",
             "Errors are relative to the amplitude asked for, against analytic truth.",
-            "Made by `benchmarks/hard_cases.py`, held by `tests/hard`.",
+            "Made by `benchmarks/hard_cases.py`; the laws are held by `tests/hard`, `tests/orders` and `tests/fft`.",
             "",
             table(["case", "asked", "error", "mark"], lines),
             "",

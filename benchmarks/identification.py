@@ -30,7 +30,7 @@ from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from made.scenes import made_scene, scene_named, without_orders
+from made_scenes import made_scene, scene_named, without_orders
 
 SETTINGS = load_settings()
 ENGINE = load_engine("msu-optical-second")

@@ -10,7 +10,7 @@ from crankorder.campbell.levels import recording_levels
 from crankorder.identify.levels import level_records
 from crankorder.quantities import check_dataset
 from crankorder.settings import load_settings
-from made.recordings import sampled, shaft
+from made.recordings import held, sampled, shaft
 from made.typed import as_dicts
 
 level_records = as_dicts(level_records)
@@ -32,9 +32,7 @@ def by_angle(signals: np.ndarray, *, samples_per_rev: int, speed_rpm: float) -> 
 
 def levels(recording: xr.Dataset, speed_rpm: float) -> xr.Dataset:
     duration = recording["signal"].shape[1] / float(recording.attrs.get("rate_hz", RATE_HZ))
-    knots = np.linspace(0.0, duration, 50)
-    angle = shaft(knots, knots * speed_rpm / 60.0, np.full(50, speed_rpm))
-    made = recording_levels(recording, angle, orders=SETTINGS.orders, campbell=SETTINGS.campbell)
+    made = recording_levels(recording, held(speed_rpm, duration), orders=SETTINGS.orders, campbell=SETTINGS.campbell)
     check_dataset(made, "recording_levels")
     return made
 

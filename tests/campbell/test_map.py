@@ -13,7 +13,7 @@ from crankorder.fft.decimation import band_limited
 from crankorder.fft.windows import window_named
 from crankorder.quantities import check_dataset, flags_of
 from crankorder.settings import load_settings
-from made.recordings import line, named, run_up, sampled, shaft, steady
+from made.recordings import held, line, run_up, sampled, shaft, steady
 
 SETTINGS = load_settings().campbell
 
@@ -94,24 +94,10 @@ RATE_HZ, BINS = 1024, 400
 
 
 def frames_of(signal: NDArray[np.float64], *, name: str, rpm: float = 1200.0) -> xr.Dataset:
-    """FrequencyFrames of ``signal`` (channels, samples): Hann frames of 1 s, half overlapping."""
-    starts = np.arange(0, signal.shape[1] - RATE_HZ + 1, RATE_HZ // 2)
-    window = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(RATE_HZ) / RATE_HZ)
-    pieces = np.stack([signal[:, at : at + RATE_HZ] * window for at in starts], axis=1)
-    power = np.abs(np.fft.rfft(pieces, axis=2)[:, :, :BINS] * 4.0 / RATE_HZ) ** 2
-    return xr.Dataset(
-        {"power": (("channel", "frame", "frequency"), power)},
-        coords={
-            **named(len(signal)),
-            "frequency": ("frequency", np.arange(BINS, dtype=np.float64), {"units": "Hz"}),
-            "speed": ("frame", np.full(len(starts), rpm)),
-        },
-        attrs={
-            "recording": name, "resolution_hz": 1.0, "grid_hz": 1.0, "highest_hz": BINS - 1.0, "rate_hz": RATE_HZ,
-            "window": "hann", "enbw_bins": 1.5, "overlap": 0.5, "amplitude_scaling": "peak", "tone_weight": 1.0,
-            "tone_neighbour_weight": 0.0, "tone_spacing_bins": 1, "sweep_hz_per_order": 0.0, "quality": "[]",
-        },
-    )  # fmt: skip
+    """FrequencyFrames of ``signal`` (channels, samples): Hann frames of 1 s."""
+    settings = SETTINGS.model_copy(update={"resolution_hz": 1.0, "max_frequency_hz": BINS - 1.0})
+    recording = sampled(signal, rate_hz=float(RATE_HZ), recording=name)
+    return frequency_frames(recording, held(rpm, signal.shape[1] / RATE_HZ), settings=settings)
 
 
 def recordings(seed: int, *, ring: float) -> list[xr.Dataset]:
@@ -161,39 +147,6 @@ def test_what_does_not_turn_keeps_its_start() -> None:
 
 
 # Frames by time and what they become on the map: precision, windows, gaps, sweeps, extremes.
-
-
-def test_frames_keep_the_precision_of_the_recording_and_agree():
-    rng = np.random.default_rng(3)
-    band, knots = steady(
-        [line(1.0, 1.0), lambda t, _: 1e-3 * rng.standard_normal(len(t))],
-        speed_rpm=700.0,
-        duration_s=9.0,
-        rate_hz=2000.0,
-    )
-    double = frequency_frames(band, knots, settings=SETTINGS)
-    band["signal"] = band["signal"].astype(np.float32)
-    single = frequency_frames(band, knots, settings=SETTINGS)
-    check_dataset(double, "frequency_frames")
-    assert (single["power"].dtype, double["power"].dtype) == (np.float32, np.float64)
-    maps = [campbell_map([frames], speed_bin_rpm=25.0)["amplitude"].values for frames in (single, double)]
-    assert np.abs(maps[0] - maps[1]).max() < 1e-6
-
-
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("window", ["hann", "flat-top", "blackman-harris", "kaiser"])
-@pytest.mark.parametrize(("duration_s", "largest_db"), [(12.0, 0.0125), (1.3, 0.025)], ids=["long", "short record"])
-def test_order_1_reads_alike_at_the_35_speeds_with_every_window(window, duration_s, largest_db):
-    # with bins of 5/9 Hz order 1 lies half-way between two of them at 17 of the 35 speeds
-    settings = SETTINGS.model_copy(update={"window": window, "resolution_hz": 5.0 / 9.0})
-    level_db = []
-    for rpm in range(300, 2050, 50):
-        band, knots = steady([line(1.0, 0.3)], speed_rpm=rpm, duration_s=duration_s, rate_hz=2000.0)
-        made = campbell_map([frequency_frames(band, knots, settings=settings)], speed_bin_rpm=25.0)
-        level_db.append(20 * np.log10(made["amplitude"].max().item() / 0.3))
-    # at 300 rpm the mirror image of order 1 lies 20 bins away: far for every window, but not in a short record
-    shown = level_db if duration_s > 2.0 else level_db[8:]
-    assert np.abs(shown).max() < (0.01 if window in ("flat-top", "hann") and duration_s > 2.0 else largest_db)
 
 
 def test_rms_is_the_peak_over_the_square_root_of_two():

@@ -3,13 +3,12 @@
 import copy
 import json
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from crankorder.engine.balance_data import balanced_engine, load_balanced_engine, reduced_masses
+from crankorder.engine.balance_data import balanced_engine, load_balanced_engine
 from crankorder.engine.balance_sheet import balance_sheet
 from crankorder.engine.definition import BalanceShafts
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces
@@ -49,24 +48,6 @@ def test_forces_of_the_sheet_are_those_of_the_crankcase_without_shafts(name: str
         assert [stated.get(str(k), 0.0) for k in range(1, 9)] == pytest.approx(known[1:], rel=1e-12, abs=round_off_n)
 
 
-def test_literature_task_5_shows_its_strategies_side_by_side() -> None:
-    sheet = sheet_of("task5")
-    rows = {name: (row["counterweight_g"], row["rotation"]) for name, row in sheet["strategies"].items()}
-    assert rows == {"a": (962.5, "line"), "b": (562.5, "line"), "c": (762.5, "against crank"), "d": (1962.5, "none")}
-    assert sheet["strategies"]["d"]["total_g"] == 2762.5
-    assert sheet["masses_g"] == {
-        "reciprocating": 320,
-        "rotating_at_crank_radius": 450,
-        "rod_at_crank_pin": 210,
-        "rod_at_piston_pin": 140,
-    }
-    residuals = {name: (row["residual_x_g_mm"], row["residual_y_g_mm"]) for name, row in sheet["strategies"].items()}
-    assert residuals == {"a": (0, 8000), "b": (8000, 0), "c": (4000, 4000), "d": (0, 0)}
-    assert sheet["crankshaft"] is None
-    assert sheet["lambda"] == 0.25
-    assert any("Chosen" in note for note in sheet["notes"])
-
-
 def test_literature_the_optical_engine_shows_table_1_and_what_is_left(shared_truth: dict[str, Any]) -> None:
     sheet = sheet_of("msu-optical", speeds_rpm=[2000.0])
     for row in shared_truth["seed001"]["table1"]["rows_g_mm"]["optical"]:
@@ -78,29 +59,6 @@ def test_literature_the_optical_engine_shows_table_1_and_what_is_left(shared_tru
     said = " ".join(sheet["sentences"])
     for fact in ("1299 g·mm (56.98 N", "11068 g·mm (485.5 N", "3338.4 g·mm (146.4 N", "(228.5 N", "(578.4 N", "3.90°"):
         assert fact in said
-
-
-def test_literature_the_shaft_set_shows_both_scenarios_and_the_rocking_couple() -> None:
-    sheet = sheet_of("msu-shafts")
-    assert sheet["crankshaft"]["couple_Nm_at_rpm"]["2000"] == pytest.approx(59.4, abs=0.02)
-    assert abs(sheet["crankshaft"]["static_kg_mm"]["y"]) < 0.011
-    pair = sheet["shafts"]["pairs"][1]
-    assert pair["scenarios"]["literal"]["residual_x_g_mm"] == pytest.approx(-44973.8, rel=1e-12)
-    assert pair["scenarios"]["physical"]["class"] == "professional racing"
-    assert pair["scenarios"]["literal"]["class"] is None
-    said = " ".join(sheet["sentences"])
-    for fact in ("3.998 times", "44974 g·mm (1973 N at 2000 rpm) too much", "1354.3 kg·mm² (59.41 N·m", "7.6 g·mm"):
-        assert fact in said
-
-
-def test_reverse_cranks_leave_nothing_across_and_the_fourth_order_along() -> None:
-    table = sheet_of("reverse-cranks")["reverse_cranks"]
-    assert table["transverse_g_mm"] < 1e-11
-    assert table["couple_g_mm2"] == 0
-    first = table["pair_moments_g_mm"]["exact"]["1"]
-    assert table["residual_x_g_mm"]["exact"] / first == pytest.approx(0.004173847, rel=1e-6)
-    assert table["residual_x_g_mm"]["leading"] / first == pytest.approx(0.008198890, rel=1e-6)
-    assert 0 < table["tolerances"]["across_g_mm"]["1"]["median"] < table["tolerances"]["across_g_mm"]["1"]["95 %"]
 
 
 def test_an_engine_with_its_own_shafts_shows_what_these_leave() -> None:
@@ -166,39 +124,3 @@ def test_parts_that_do_not_add_up_to_the_engine_are_refused() -> None:
         with pytest.raises(ManyErrors, match="does not agree") as caught:
             balanced_engine(table, name="spoilt", source="spoilt.toml")
         assert key in str(caught.value)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ({"counterweights": ["Counterweight 1", "Counterweight 3"]}, "Counterweight 3"),
-        ({"counterweights": ["Counterweight 1", "Balance Hole 1"]}, "one plane"),
-        ({"sections": []}, "crankshaft.sections"),
-    ],
-)
-def test_a_crankshaft_without_two_planes_is_refused(table: dict[str, Any], message: str) -> None:
-    content = tomllib.loads(shipped("engines")["msu-shafts"])
-    content["balance"]["crankshaft"] |= table
-    with pytest.raises(ManyErrors, match=message):
-        balanced_engine(content, name="spoilt", source="spoilt.toml")
-
-
-def test_a_users_file_is_found_beside_its_folder(tmp_path: Path) -> None:
-    (tmp_path / "mine.toml").write_text(
-        "crank_radius_m = 0.04\nrod_length_m = 0.14\nreciprocating_mass_kg = 0.5\n"
-        "rotating_unbalance_kg_m = 0.01\nrotating_unbalance_deg = 90.0\n",
-        encoding="utf-8",
-    )
-    subject = load_balanced_engine("mine.toml", beside=tmp_path)
-    assert subject.name == "mine"
-    assert reduced_masses(subject).rotating_g == pytest.approx(250j, rel=1e-12)
-
-
-def test_an_engine_of_another_kind_is_refused_by_name() -> None:
-    others = [name for name in shipped("engines") if name not in CRANK_ENGINES]
-    for name in [*others, "nowhere"]:
-        with pytest.raises(RequestError) as caught:
-            load_balanced_engine(name)
-        assert name in str(caught.value)
-        assert caught.value.exit_status == 2

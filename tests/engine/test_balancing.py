@@ -8,12 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crankorder.engine.balance_data import (
-    BalanceData,
-    BalancedEngine,
-    OffsetBalance,
     leading_harmonics,
     load_balanced_engine,
-    offset_balance,
     reduced_masses,
 )
 from crankorder.engine.balancing import (
@@ -28,7 +24,6 @@ from crankorder.engine.balancing import (
     rod_counterweight_couple,
     sum_by_order,
 )
-from crankorder.engine.definition import Engine
 from crankorder.engine.slider_crank import SliderCrank, even_harmonics, plain_piston_acceleration
 from crankorder.errors import RequestError
 
@@ -143,43 +138,6 @@ def test_what_cancels_to_round_off_is_zero_and_what_does_not_is_kept() -> None:
 # What stays unbalanced in the thesis engines: leading terms, spacer and offset.
 
 
-CONFIGURATIONS = {
-    "r=44.9,l=152": SliderCrank(crank_radius_m=0.0449, rod_length_m=0.152),
-    "r=47.3,lambda=15001.4/49822.3": SliderCrank(crank_radius_m=0.0473, rod_length_m=0.0473 * 49822.3 / 15001.4),
-}
-
-
-def offset_by_10_mm(name: str) -> OffsetBalance:
-    """A configuration of 1000 g with the offset of the thesis."""
-    straight = CONFIGURATIONS[name]
-    lengths = {"crank_radius_m": straight.crank_radius_m, "rod_length_m": straight.rod_length_m}
-    engine = Engine(**lengths, offset_m=0.01, reciprocating_mass_kg=1.0)
-    effects = offset_balance(BalancedEngine(name=name, engine=engine, balance=BalanceData()), [1000.0])
-    assert effects is not None
-    return effects
-
-
 def test_analytic_leading_harmonics_are_the_limit_of_the_exact_ones() -> None:
     assert leading_harmonics(4, 0.5) == pytest.approx([0.5, 0.5**3 / 4, 9 * 0.5**5 / 128, 5 * 0.5**7 / 256], rel=1e-15)
     assert leading_harmonics(6, 1e-4) == pytest.approx(even_harmonics(6, 1e-4), rel=1e-6)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CONFIGURATIONS)
-def test_the_offset_does_what_the_truth_sheet_says(name: str, shared_truth: dict[str, Any]) -> None:
-    known = shared_truth["seed001"]["offset_10mm"][name]
-    effects = offset_by_10_mm(name)
-    first_g_mm = 1e6 * CONFIGURATIONS[name].crank_radius_m
-    assert effects.quadrature_x_g_mm / first_g_mm == pytest.approx(float(known["sin"]["1"]), rel=1e-12)
-    assert effects.amplitude_ratio == pytest.approx(float(known["amplitude"]["1"]), rel=1e-12)
-    assert effects.rephasing_deg == pytest.approx(known["phase_first_order_deg"], rel=1e-12)
-    assert effects.third_over_fourth == pytest.approx(known["third_over_fourth"], rel=1e-12)
-
-
-def test_analytic_shafts_that_lag_by_the_rephasing_leave_no_first_order() -> None:
-    effects = offset_by_10_mm("r=44.9,l=152")
-    angle = 2 * np.pi * np.arange(360) / 360
-    first = np.cos(angle) + effects.quadrature_x_g_mm / 44900 * np.sin(angle)
-    shafts = effects.amplitude_ratio * np.cos(angle - np.radians(effects.rephasing_deg))
-    assert np.abs(first - shafts).max() < 1e-14
-    assert round(effects.rephasing_deg, 1) == 3.9

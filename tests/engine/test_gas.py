@@ -20,70 +20,11 @@ from crankorder.engine.forces import (
     main_bearing_loads,
 )
 from crankorder.engine.gas import firing_angle_deg, firing_intervals_deg, gas_force, gas_torque, gas_torque_by_order
-from crankorder.engine.slider_crank import piston_drop, rod_angle
+from crankorder.engine.slider_crank import rod_angle
 from crankorder.errors import RequestError
 
-DATA = {"crank_radius_m": 0.0275, "rod_length_m": 0.0842, "reciprocating_mass_kg": 0.3, "bore_m": 0.0677}
-
-
-def genset(**differences: Any) -> Engine:
-    return Engine.model_validate({**DATA, **differences})
-
-
-def test_the_work_of_the_torque_is_the_area_of_the_indicator_diagram() -> None:
-    """A gas spring, compressed and expanded adiabatically, with half as much pressure again while it expands."""
-    degrees = np.arange(-360.0, 360.0, 2.0)
-    swept = piston_drop(degrees / 360, genset().mechanism)
-    clearance = swept.max() / 7.5
-    burnt = 1e5 * ((clearance + swept.max()) / (clearance + swept)) ** 1.35
-    burnt[np.abs(degrees) > 180] = 1e5
-    burnt[(degrees > 0) & (degrees < 180)] *= 1.5
-    curve = {"crank_angle_deg": degrees.tolist(), "pressure_pa": burnt.tolist(), "surroundings_pa": 1e5}
-    model = genset(gas=curve)
-    angles = np.arange(1 << 17) / (1 << 16)
-    volume = np.pi / 4 * 0.0677**2 * piston_drop(angles, model.mechanism)
-    pressure = gas_force(model, angles) / (np.pi / 4 * 0.0677**2)
-    area = np.sum(0.5 * (pressure + np.roll(pressure, -1)) * (np.roll(volume, -1) - volume))
-    _, torque = gas_torque_by_order(model, 4)
-    assert torque[0].imag == 0
-    assert 4 * np.pi * torque[0].real == pytest.approx(area, rel=1e-6)
-    assert area > 30
-
-
-def test_a_torque_curve_is_taken_as_it_is() -> None:
-    curve = {"crank_angle_deg": [-30.0, 0.0, 90.0, 300.0], "torque_n_m": [1.0, 4.0, -2.0, 0.5]}
-    model = genset(gas=curve)
-    assert gas_torque(model, np.array([0, 0.25, 2.25, -1 / 12, 45 / 360])) == pytest.approx([4, -2, -2, 1, 1])
-    with pytest.raises(RequestError, match="no gas force"):
-        gas_force(model, 0.1)
-
-
-def test_the_orders_of_a_straight_line_curve_are_exact() -> None:
-    # a triangle over the cycle: height 1 at dead centre, 8/pi^2 / n^2 at odd half orders
-    model = genset(gas={"crank_angle_deg": [0.0, 360.0], "torque_n_m": [1.0, -1.0]})
-    orders, torque = gas_torque_by_order(model, 5)
-    known = np.where(np.arange(11) % 2, 8 / np.pi**2 / np.maximum(np.arange(11), 1) ** 2, 0)
-    assert orders[1] == 0.5
-    assert np.abs(torque - known).max() < 1e-8
-
-
-def test_a_single_cylinder_fires_where_it_stands() -> None:
-    model = genset(cylinders=[{"crank_deg": 30.0, "bank_deg": 10.0}])
-    assert firing_angle_deg(model, model.cylinders[0]) == 340
-    two_stroke = genset(cycle="two-stroke", cylinders=[{}, {"crank_deg": 180.0}])
-    assert firing_angle_deg(two_stroke, two_stroke.cylinders[1]) == 180
-
-
-def test_without_gas_there_is_no_force() -> None:
-    assert not gas_force(genset(), np.linspace(0, 2, 9)).any()
-    assert not gas_torque(genset(), np.linspace(0, 2, 9)).any()
-
-
-# Gas, turning moment and loads of any engine, against quadrature, closed forms and Newton and Euler by hand.
-
-
 IDEAL = {"compression_ratio": 9.5, "intake_pa": 8e4, "heat_j": 900.0, "exponent": 1.35, "exhaust_pa": 1.1e5}
-DATA_CYCLE: dict[str, Any] = {
+DATA: dict[str, Any] = {
     "crank_radius_m": 0.043,
     "rod_length_m": 0.141,
     "reciprocating_mass_kg": 0.6,
@@ -96,7 +37,36 @@ DATA_CYCLE: dict[str, Any] = {
 
 
 def engine(**differences: Any) -> Engine:
-    return Engine.model_validate({**DATA_CYCLE, **differences})
+    return Engine.model_validate({**DATA, **differences})
+
+
+def test_a_torque_curve_is_taken_as_it_is() -> None:
+    curve = {"crank_angle_deg": [-30.0, 0.0, 90.0, 300.0], "torque_n_m": [1.0, 4.0, -2.0, 0.5]}
+    model = engine(gas=curve)
+    assert gas_torque(model, np.array([0, 0.25, 2.25, -1 / 12, 45 / 360])) == pytest.approx([4, -2, -2, 1, 1])
+    with pytest.raises(RequestError, match="no gas force"):
+        gas_force(model, 0.1)
+
+
+def test_the_orders_of_a_straight_line_curve_are_exact() -> None:
+    # a triangle over the cycle: height 1 at dead centre, 8/pi^2 / n^2 at odd half orders
+    model = engine(gas={"crank_angle_deg": [0.0, 360.0], "torque_n_m": [1.0, -1.0]})
+    orders, torque = gas_torque_by_order(model, 5)
+    known = np.where(np.arange(11) % 2, 8 / np.pi**2 / np.maximum(np.arange(11), 1) ** 2, 0)
+    assert orders[1] == 0.5
+    assert np.abs(torque - known).max() < 1e-8
+
+
+def test_a_single_cylinder_fires_where_it_stands() -> None:
+    model = engine(cylinders=[{"crank_deg": 30.0, "bank_deg": 10.0}])
+    assert firing_angle_deg(model, model.cylinders[0]) == 340
+    two_stroke = engine(cycle="two-stroke", gas=None, cylinders=[{}, {"crank_deg": 180.0}])
+    assert firing_angle_deg(two_stroke, two_stroke.cylinders[1]) == 180
+
+
+def test_without_gas_there_is_no_force() -> None:
+    assert not gas_force(engine(gas=None), np.linspace(0, 2, 9)).any()
+    assert not gas_torque(engine(gas=None), np.linspace(0, 2, 9)).any()
 
 
 def volume(model: Engine, turned: Any, ratio: float) -> Any:
@@ -304,20 +274,11 @@ X, Y, Z = (DIRECTIONS.index(name) for name in ("X", "Y", "Z"))
 SPEED_RPM = 1500.0
 OMEGA = SPEED_RPM * np.pi / 30
 ANGLES = np.linspace(0, 2, 361)
-DATA_LOADS = {
-    "crank_radius_m": 0.0449,
-    "rod_length_m": 0.152,
-    "reciprocating_mass_kg": 1.2,
-    "rotating_unbalance_kg_m": 0.02,
-    "rotating_unbalance_deg": 30.0,
-    "rod": {"mass_kg": 1.6, "centre_from_big_end_m": 0.04, "inertia_kg_m2": 0.004},
-    "bore_m": 0.09,
-    "gas": {"crank_angle_deg": [0.0, 20.0, 90.0, 360.0, 600.0], "pressure_pa": [3e6, 5e6, 4e5, 1e5, 1.5e5]},
-}
+PRESSURE = {"crank_angle_deg": [0.0, 20.0, 90.0, 360.0, 600.0], "pressure_pa": [3e6, 5e6, 4e5, 1e5, 1.5e5]}
 
 
 def loaded_engine(**differences: Any) -> Engine:
-    return Engine.model_validate({**DATA_LOADS, **differences})
+    return engine(**{"gas": PRESSURE, **differences})
 
 
 def summed(by_order: np.ndarray, angles: np.ndarray = ANGLES) -> np.ndarray:
@@ -326,32 +287,22 @@ def summed(by_order: np.ndarray, angles: np.ndarray = ANGLES) -> np.ndarray:
 
 
 @pytest.mark.parametrize("offset_m", [0.0, 0.01, -0.02])
-def test_what_the_parts_put_on_the_crankcase_is_its_inertia_force(offset_m: float) -> None:
+def test_loads_add_up_to_the_inertia_force_the_rolling_moment_and_the_torque(offset_m: float) -> None:
     model = loaded_engine(offset_m=offset_m)
     loads = cylinder_loads(model, ANGLES, SPEED_RPM)
     forces = summed(crankcase_forces(model, SPEED_RPM, max_order=70))
     scale = np.abs(loads.main_n).max()
     assert np.abs(loads.main_n[0] + loads.head_n - forces[Z]).max() < 1e-13 * scale
     assert np.abs(loads.main_n[1] + loads.side_thrust_n - forces[X]).max() < 1e-13 * scale
-
-
-@pytest.mark.parametrize("offset_m", [0.0, 0.01, -0.02])
-def test_the_rolling_moment_is_side_thrust_on_its_lever_and_gas_on_its_offset(offset_m: float) -> None:
-    model = loaded_engine(offset_m=offset_m)
-    loads = cylinder_loads(model, ANGLES, SPEED_RPM)
+    # side thrust on its lever and gas on its offset
     psi, _, _ = rod_angle(ANGLES, model.mechanism)
     height = model.crank_radius_m * np.cos(2 * np.pi * ANGLES) + model.rod_length_m * np.cos(psi)
     moment = height * loads.side_thrust_n - offset_m * loads.head_n
-    inertia = summed(crankcase_moments(model, SPEED_RPM, max_order=70))[Y]
-    assert np.abs(moment - (inertia - gas_torque(model, ANGLES))).max() < 1e-12 * np.abs(moment).max()
-
-
-@pytest.mark.parametrize("offset_m", [0.0, 0.01])
-def test_the_torque_of_the_rod_is_the_work_of_gas_and_inertia(offset_m: float) -> None:
-    model = loaded_engine(offset_m=offset_m)
-    torque = cylinder_loads(model, ANGLES, SPEED_RPM).torque_n_m
+    gas = gas_torque(model, ANGLES)
+    rolling = summed(crankcase_moments(model, SPEED_RPM, max_order=70))[Y] - gas
+    assert np.abs(moment - rolling).max() < 1e-12 * np.abs(moment).max()
     inertia = summed(inertia_torque_by_order(model, 70) * OMEGA**2)
-    assert np.abs(torque - gas_torque(model, ANGLES) - inertia).max() < 1e-12 * np.abs(torque).max()
+    assert np.abs(loads.torque_n_m - gas - inertia).max() < 1e-12 * np.abs(loads.torque_n_m).max()
 
 
 def test_the_main_bearings_together_carry_throws_of_their_own_masses_and_webs_in_force_and_moment() -> None:

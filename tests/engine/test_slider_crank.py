@@ -8,8 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crankorder.engine.balance_data import load_balanced_engine, rod_balance
-from crankorder.engine.balancing import unbalance_force_n
 from crankorder.engine.definition import Engine
 from crankorder.engine.forces import two_masses
 from crankorder.engine.slider_crank import (
@@ -22,7 +20,6 @@ from crankorder.engine.slider_crank import (
     piston_acceleration,
     piston_drop,
     piston_velocity,
-    plain_piston_acceleration,
     rod_acceleration_harmonics,
     rod_angle,
 )
@@ -54,21 +51,13 @@ def decimal_acceleration(revolutions: float, mechanism: SliderCrank) -> Decimal:
     return radius * cosine + (slope**2 - across * radius * sine) / along + across**2 * slope**2 / along**3
 
 
-@pytest.mark.parametrize("slack", [0.7, 1e-2, 1e-6, 1e-9, 1e-12])
-def test_the_acceleration_keeps_its_digits_however_short_the_rod(slack: float) -> None:
-    mechanism = SliderCrank(crank_radius_m=1 - slack, rod_length_m=1.0)
+@pytest.mark.parametrize(
+    ("slack", "offset"), [(0.7, 0.0), (0.7, 0.07), (1e-2, 0.0), (1e-6, 0.0), (0.7, -0.2), (1e-9, 0.0), (1e-12, 0.0)]
+)
+def test_the_acceleration_keeps_its_digits_with_offset_and_however_short_the_rod(slack: float, offset: float) -> None:
+    mechanism = SliderCrank(crank_radius_m=1 - slack, rod_length_m=1.0, offset_m=offset)
     kappa = np.sqrt(slack * (2 - slack))
-    angles = np.concatenate([np.linspace(0, 1, 41), 0.25 + kappa * np.linspace(-1, 1, 21), [0.75 + 3 * kappa / 7]])
-    exact = np.array([float(decimal_acceleration(float(angle), mechanism)) for angle in angles])
-    peak = max(2 - slack, (1 - slack) / kappa)
-    assert np.abs(piston_acceleration(angles, mechanism) - exact).max() <= 1e-15 * peak
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("offset", [0.01, -0.03])
-def test_the_acceleration_with_offset_agrees_with_sixty_digits(offset: float) -> None:
-    mechanism = SliderCrank(crank_radius_m=0.0449, rod_length_m=0.152, offset_m=offset)
-    angles = np.linspace(-1, 2, 61)
+    angles = np.concatenate([np.linspace(-1, 2, 61), 0.25 + kappa * np.linspace(-1, 1, 21), [0.75 + 3 * kappa / 7]])
     exact = np.array([float(decimal_acceleration(float(angle), mechanism)) for angle in angles])
     assert np.abs(piston_acceleration(angles, mechanism) - exact).max() <= 1e-15 * np.abs(exact).max()
 
@@ -110,13 +99,6 @@ def test_position_velocity_and_rod_angle_keep_their_own_digits_however_short_the
         assert np.abs((values - known) / sizes).max() < (2e-15 if share == 0 else 5e-15), name
 
 
-@given(SHAPES, st.floats(-1e4, 1e4))
-def test_the_compiled_acceleration_is_that_of_plain_numpy(mechanism: SliderCrank, start: float) -> None:
-    angles = start + np.linspace(0, 1.5, 997)
-    plain = plain_piston_acceleration(angles, mechanism)
-    assert np.abs(piston_acceleration(angles, mechanism) - plain).max() <= 2e-15 * np.abs(plain).max()
-
-
 @given(SHAPES)
 def test_the_piston_turns_at_its_dead_centres_a_stroke_apart(mechanism: SliderCrank) -> None:
     turns = dead_centres(mechanism)
@@ -147,24 +129,11 @@ def test_a_crank_that_cannot_turn_is_refused() -> None:
 
 LENGTH_M, MASS_KG = 0.152, 1.6738
 SCALE_CENTRE_M = 0.4114 / MASS_KG * LENGTH_M
-OPTICAL = load_balanced_engine("msu-optical")
-SPLITS = OPTICAL.balance.rod_split
-assert SPLITS is not None
 
 
 def engine(**rod: float) -> Engine:
     data = {"crank_radius_m": 0.0449, "rod_length_m": LENGTH_M, "reciprocating_mass_kg": 4.304}
     return Engine.model_validate({**data, "rod": {"mass_kg": MASS_KG, "centre_from_big_end_m": SCALE_CENTRE_M, **rod}})
-
-
-def test_two_masses_have_the_inertia_of_the_truth_sheet(shared_truth: dict[str, Any]) -> None:
-    known = shared_truth["seed001"]["rod_inertia"]
-    of_two = known["two_mass_J_about_cg_kg_m2 (m a b, scale split, l=152)"]
-    assert 1 - two_masses(engine(inertia_kg_m2=1.0)).missing_inertia_kg_m2 == pytest.approx(of_two, rel=1e-12)
-    uniform = known["uniform_rod_m_l2/12"]
-    assert uniform == pytest.approx(MASS_KG * LENGTH_M**2 / 12, rel=1e-14)
-    missing = two_masses(engine(inertia_kg_m2=uniform)).missing_inertia_kg_m2
-    assert missing == pytest.approx(uniform - of_two, rel=1e-12)
 
 
 def test_the_couple_has_the_sine_harmonics_of_the_truth_sheet(shared_truth: dict[str, Any]) -> None:
@@ -174,29 +143,6 @@ def test_the_couple_has_the_sine_harmonics_of_the_truth_sheet(shared_truth: dict
     couple = missing * omega_squared * rod_acceleration_harmonics(model.mechanism, 40)
     for order, known in shared_truth["seed001"]["rod_inertia"]["sine_harmonics_at_44.9/152"].items():
         assert couple[int(order)] == pytest.approx(-1j * missing * omega_squared * float(known), rel=1e-12)
-    angles = np.arange(64) / 64
-    summed = (couple[:, None] * np.exp(2j * np.pi * np.arange(41)[:, None] * angles)).real.sum(axis=0)
-    exact = -missing * omega_squared * rod_angle(angles, model.mechanism)[2]
-    assert np.abs(summed - exact).max() < 1e-13 * np.abs(summed).max()
-
-
-def test_what_the_cut_implies_is_that_of_the_truth_sheet(shared_truth: dict[str, Any]) -> None:
-    known = shared_truth["seed001"]["rod_split"]
-    left = rod_balance(OPTICAL, [2000.0])
-    assert SPLITS.cut.centroid_fraction == pytest.approx(known["implied_cg_from_big_end_fraction_cad"], rel=1e-12)
-    assert SPLITS.scale.centroid_fraction == pytest.approx(known["implied_cg_from_big_end_fraction_scale"], rel=1e-12)
-    assert left.centroid_shift_mm == pytest.approx(known["cg_shift_mm_if_l_152"], rel=1e-12)
-    assert left.rotating_deficit_g == pytest.approx(known["rotating_deficit_g"], rel=1e-12)
-    assert left.reciprocating_excess_g == pytest.approx(known["reciprocating_excess_g"], rel=1e-12)
-    assert left.residual_y_g_mm["1"] == pytest.approx(known["X_first_order_residual_g_mm(44.9)"], rel=1e-12)
-    # a difference of 0.4 g between numbers near 250 g: 1e-12 of these
-    assert left.residual_x_g_mm["1"] == pytest.approx(known["Z_first_order_residual_g_mm(44.9)"], abs=1e-12 * 11068)
-    assert left.residual_x_g_mm["2"] == pytest.approx(known["Z_second_order_overbalance_g_mm(44.9,A2)"], rel=1e-12)
-    assert unbalance_force_n(left.residual_y_g_mm["1"], 2000) == pytest.approx(
-        known["X_first_order_N_2000rpm(44.9)"], rel=1e-12
-    )
-    second_n = unbalance_force_n(left.residual_x_g_mm["2"], 2000)
-    assert second_n == pytest.approx(known["Z_second_order_N_2000rpm(44.9,A2)"], rel=1e-12)
 
 
 # Harmonics against the truth sheet's 25 digits and against the exact acceleration.
@@ -241,24 +187,14 @@ def decimal_harmonic(order: int, ratio: float) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("ratio", [1e-3, 0.3, 0.9, 0.99, 0.999])
-def test_harmonics_up_to_order_800_have_twelve_digits(ratio: float) -> None:
-    every = {order: decimal_harmonic(order, ratio) for order in (2, 4, 10, 40, 180, 400, 600, 800)}
+@pytest.mark.parametrize("ratio", [1e-3, 0.3, 0.9, 0.99, 0.999, 0.9997, 0.9999, 1 - 1e-6])
+def test_harmonics_have_twelve_digits_up_to_order_2000_however_short_the_rod(ratio: float) -> None:
+    every = {order: decimal_harmonic(order, ratio) for order in (2, 4, 10, 40, 180, 300, 344, 360, 600, 800, 2000)}
     orders = [order for order, size in every.items() if size > 1e-290]  # smaller ones have no double with all digits
     known = np.array([every[order] for order in orders])
-    found = even_harmonics(400, ratio)[np.array(orders) // 2 - 1]
-    assert np.abs(found / known - 1).max() < 1e-12
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("ratio", [0.99, 0.9997, 0.9999, 1 - 1e-6])
-def test_harmonics_of_the_shortest_rods_have_twelve_digits_up_to_order_2000(ratio: float) -> None:
-    orders = (2, 4, 300, 344, 360, 1000, 2000)
-    known = np.array([decimal_harmonic(order, ratio) for order in orders])
     found = even_harmonics(1000, ratio)
     assert np.abs(found[np.array(orders) // 2 - 1] / known - 1).max() < 1e-12
     assert np.isfinite(found).all()
-    assert (found > 0).all()
 
 
 @pytest.mark.slow

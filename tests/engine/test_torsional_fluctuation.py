@@ -39,15 +39,15 @@ def _torque(engine: Engine, angle: np.ndarray, omega: float, highest: int, with_
 
 @pytest.mark.parametrize("cylinders", [(Cylinder(firing_deg=0.0),), TWIN])
 @pytest.mark.parametrize("with_gas", [True, False])
-@pytest.mark.parametrize("inertia", [0.05, 0.5])
+@pytest.mark.parametrize(("inertia", "rpm"), [(0.05, 900.0), (0.5, 1600.0), (0.5, 900.0)])
 def test_flywheel_times_acceleration_is_the_torque(
-    cylinders: tuple[Cylinder, ...], with_gas: bool, inertia: float
+    cylinders: tuple[Cylinder, ...], with_gas: bool, inertia: float, rpm: float
 ) -> None:
     engine = _engine(*cylinders)
-    lag = lag_from_torque(engine, flywheel_inertia_kg_m2=inertia, speed_rpm=900.0, highest_order=12, with_gas=with_gas)
-    motion = Motion(start_rev=0.13, corners=((0.0, 900.0),), lag=lag)
-    angle, speed, acceleration = motion.at(np.linspace(0, 2 * 60 / 900.0, 4001))
-    torque = _torque(engine, angle, 900 * math.pi / 30, 12, with_gas)
+    lag = lag_from_torque(engine, flywheel_inertia_kg_m2=inertia, speed_rpm=rpm, highest_order=12, with_gas=with_gas)
+    motion = Motion(start_rev=0.13, corners=((0.0, rpm),), lag=lag)
+    angle, speed, acceleration = motion.at(np.linspace(0, 2 * 60 / rpm, 4001))
+    torque = _torque(engine, angle, rpm * math.pi / 30, 12, with_gas)
     np.testing.assert_allclose(inertia * acceleration * math.pi / 30, torque, atol=1e-11 * np.abs(torque).max())
     assert angle[-1] - angle[0] == pytest.approx(2, abs=1e-14)
     assert speed[-1] == pytest.approx(speed[0], rel=1e-13)
@@ -55,31 +55,10 @@ def test_flywheel_times_acceleration_is_the_torque(
 
 
 @pytest.mark.slow
-def test_masses_swing_the_shaft_alike_at_every_speed_and_gas_less_at_high_speed() -> None:
-    engine = _engine()
-    at = {
-        rpm: lag_from_torque(engine, flywheel_inertia_kg_m2=2.0, speed_rpm=rpm, highest_order=10, with_gas=True)
-        for rpm in (800.0, 1600.0)
-    }
-    alone = lag_from_torque(engine, flywheel_inertia_kg_m2=2.0, speed_rpm=500.0, highest_order=10, with_gas=False)
-    of_masses = at[800.0].inertia[np.isin(at[800.0].order, alone.order)]
-    np.testing.assert_allclose(of_masses[:10], alone.inertia[:10], rtol=1e-9, atol=1e-17)
-    low, high = at[800.0].by_order(1600.0), at[1600.0].by_order(1600.0)
-    irregularity = 4 * np.pi * np.abs(at[800.0].order * at[800.0].by_order(800.0)).sum()
-    np.testing.assert_allclose(low[:20], high[:20], atol=irregularity * np.abs(high).max())
-    assert irregularity < 0.1
-    np.testing.assert_allclose(at[800.0].gas[:6] / at[1600.0].gas[:6], 4, rtol=0.1)
-
-
-@pytest.mark.slow
 def test_half_orders_come_with_gas_only() -> None:
     kinds = {"speed_rpm": 900.0, "flywheel_inertia_kg_m2": 0.5, "highest_order": 8}
     assert lag_from_torque(_engine(), with_gas=False, **kinds).step == 1.0
     assert lag_from_torque(_engine(), with_gas=True, **kinds).step == 0.5
-    even = Cylinder(crank_deg=0.0), Cylinder(crank_deg=180.0)
-    lag = lag_from_torque(_engine(*even, gas=False), with_gas=False, **kinds)
-    odd = lag.order % 2 == 1
-    assert not odd.any() or np.abs(lag.inertia[odd]).max() < 1e-15
 
 
 def test_a_flywheel_too_small_is_refused() -> None:

@@ -25,13 +25,6 @@ def noise(channels: int, seed: int = 6) -> np.ndarray:
     return np.random.default_rng(seed).standard_normal((channels, N_SAMPLES))
 
 
-def test_without_a_kernel_tones_up_to_two_fifths_of_the_rate_are_within_a_ten_millionth():
-    at = places(4000, margin())
-    for share_of_rate in (0.02, 0.2, 0.4):
-        values = values_at(tones(share_of_rate, np.arange(4000.0)), at)
-        assert np.abs(values - tones(share_of_rate, at)).max() < 1e-7
-
-
 @pytest.mark.parametrize("delay", [0.0, 0.434, -0.434, 3.0, -7.25, 1e-3])
 @pytest.mark.parametrize("dtype", ["f4", "f8"])
 def test_a_shifted_signal_is_the_signal_at_earlier_samples_and_nan_where_it_has_no_neighbours(delay, dtype):
@@ -106,18 +99,6 @@ def test_a_block_and_the_whole_record_agree_bit_for_bit():
     at = np.floor(np.linspace(200.0, 300.0, 500) * 4096) / 4096
     block = values_at(signals[:, 150:350], at - 150.0, kernel=kernel)
     np.testing.assert_array_equal(block, values_at(signals, at, kernel=kernel))
-
-
-def test_both_precisions_agree_within_what_single_precision_states():
-    for name in SHORT_KERNELS:
-        for content in (0.02, 0.2, 0.4):
-            single = kernel_named(name, pass_band=content, double=False)
-            stated = single.predicted_error - kernel_named(name, pass_band=content).predicted_error
-            assert 1e-7 < stated < 3e-6
-            at = places(N_SAMPLES, single.margin)
-            signals = tones(content, np.arange(float(N_SAMPLES)), "f4")
-            in_double = values_at(signals.astype("f8"), at, kernel=kernel_named(name, pass_band=content))
-            assert np.abs(values_at(signals, at, kernel=single) - in_double).max() < stated, (name, content)
 
 
 def test_far_amplitudes_survive_and_a_constant_a_million_times_the_signal_costs_only_its_own_rounding():
@@ -234,20 +215,6 @@ def test_what_is_asked_for_is_met(tolerance, content, double):
     assert kernel.predicted_error <= 20.0 * measured  # the ripple of a window varies with length
 
 
-@pytest.mark.cases(2)
-@pytest.mark.parametrize("content", [0.1, 0.3, 0.4])
-@pytest.mark.parametrize("tolerance", [1e-3, 1e-6, 1e-9])
-def test_a_kernel_leaves_one_image_of_what_lies_above_its_band(tolerance, content):
-    kernel = cheapest_kernel(tolerance, content=content)
-    at = np.arange(400.0, 3500.0, 0.6724)
-    for share in (0.3, 0.42, 0.45, 0.48, 0.499):
-        values = values_at(np.cos(2.0 * np.pi * share * np.arange(4000.0))[None], at, kernel=kernel)[0]
-        angle = 2.0 * np.pi * np.outer(at, [share, 1.0 - share])
-        known = np.hstack([np.cos(angle), np.sin(angle)])
-        rest = values - known @ np.linalg.lstsq(known, values, rcond=None)[0]
-        assert np.abs(rest).max() < tolerance
-
-
 @pytest.mark.cases(1)
 @pytest.mark.parametrize("content", [0.05, 0.25, 0.4])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
@@ -255,12 +222,6 @@ def test_no_shorter_kernel_meets_the_tolerance(tolerance, content):
     chosen = cheapest_kernel(tolerance, content=content)
     for taps in LENGTHS[: LENGTHS.index(chosen.taps)]:
         assert kernel_named(f"kaiser-{taps}", pass_band=content).predicted_error > tolerance
-
-
-def test_content_near_half_of_the_rate_is_met_by_a_long_kernel():
-    kernel = cheapest_kernel(1e-6, content=0.49)
-    assert kernel.taps > 300
-    assert measured_error(kernel, 0.49) < 1e-6
 
 
 def test_what_no_kernel_reaches_is_refused_with_what_is_reached():

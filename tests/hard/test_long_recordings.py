@@ -1,7 +1,6 @@
 """A recording larger than memory is analysed in blocks; what comes out is what comes out of memory."""
 
 import gc
-import json
 import os
 import resource
 import subprocess
@@ -9,7 +8,6 @@ import sys
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -92,15 +90,6 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
     assert list(scratch.iterdir()) == []
     assert not (tmp_path / "out" / "long" / "results.nc").exists()
-
-
-@pytest.mark.slow
-def test_the_memory_asked_for_is_said_in_the_results(tmp_path: Path) -> None:
-    folder = write_long(tmp_path / "data", 6.0)
-    done = run(folder, "--recipe", "maps", "--max-memory", "1", before=lambda: None)
-    assert done.returncode == 0, done.stderr
-    stated: dict[str, Any] = json.loads((tmp_path / "out" / "long" / "run.json").read_text())
-    assert stated["settings"]["ingest"]["in_memory_bytes"] == 1_000_000
 
 
 def peak_of_reading(folder: Path) -> int:

@@ -2,9 +2,8 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
-from tests.made.floors import Made, campbell_of, inside, no_orders, orders_of
+from tests.made.floors import Made, campbell_of, inside, no_orders
 
 from crankorder.identify.found import AgreedOrder, ModalFit
 from crankorder.identify.modes.joint_fit import modal_fit
@@ -59,14 +58,6 @@ def test_a_mode_exactly_on_an_order_at_constant_speed_keeps_its_frequency() -> N
 
 
 @pytest.mark.slow
-def test_a_line_on_an_order_at_one_speed_is_not_called_mode_or_mains() -> None:
-    made = replace(ONE, speed_rpm=(1500.0,), duration_s=60.0, lines=((2.0, 0.5),))  # 50 Hz: as mains would be
-    fit = _fit(made)
-    assert [tone.kind for tone in fit.tones] == ["order"]
-    assert inside(fit, made)
-
-
-@pytest.mark.slow
 def test_a_mode_at_twice_the_frequency_of_another_is_a_mode_and_one_channel_is_enough() -> None:
     octave = {"natural_hz": (115.0, 230.0), "damping": (0.016, 0.014), "drive": ((0.5, -0.7), (0.6, 0.9))}
     for sensor in (((0.008, 0.010), (0.006, 0.012)), ((0.008,), (0.006,))):
@@ -74,12 +65,3 @@ def test_a_mode_at_twice_the_frequency_of_another_is_a_mode_and_one_channel_is_e
         fit = _fit(made)
         assert inside(fit, made)
         assert not any(mode.undecided for mode in fit.modes)
-
-
-@pytest.mark.slow
-def test_orders_far_from_any_mode_invent_none() -> None:
-    campbell = campbell_of(ONE, 1)
-    by_order = orders_of(ONE, ((1.0, 5.0),), error=0.001, seed=1)
-    agreed = (AgreedOrder(1.0, 1e-5, 30.0, "locked", None, ()),)
-    fit = modal_fit(campbell, by_order, agreed, settings=load_settings().identify)
-    assert np.allclose([mode.frequency_hz for mode in fit.modes], [115.0], rtol=1e-2)

@@ -16,7 +16,7 @@ from crankorder.orders.joint_lines import HeldFrames, Place
 from crankorder.orders.map import order_map
 from crankorder.orders.spectra import spectra_by_angle
 from crankorder.settings import load_settings
-from made.recordings import named
+from made import recordings
 
 PER_REV, REVS, HOP, START_REV = 48, 16, 8, 3.25
 SETTINGS = load_settings()
@@ -31,20 +31,8 @@ def frames_of(
     begin = START_REV + HOP * np.arange(count, dtype=np.float64)
     spectrum = spectra_by_angle(values, None, PER_REV, REVS, HOP, begin, 20 * REVS + 1)
     flag = {"recording": "made", "flag": "no_index", "severity": "suspect", "detail": "no encoder pulses: made so"}
-    return xr.Dataset(
-        {"spectrum": (("channel", "frame", "order"), spectrum)},
-        coords={
-            **named(len(values)),
-            "order": np.arange(spectrum.shape[2]) / REVS,
-            "speed": ("frame", np.broadcast_to(np.asarray(speed_rpm, dtype=float), (count,)).copy()),
-            "crank_angle": ("frame", begin),
-        },
-        attrs={
-            "recording": "made", "window": "hann", "enbw_bins": 1.5, "revs_per_frame": REVS, "overlap": 0.5,
-            "amplitude_scaling": "peak", "phase_reference": "tdc", "cycle_known": 1, "revs_per_cycle": 2,
-            "quality": json.dumps([] if pulses else [flag]),
-        },
-    )  # fmt: skip
+    quality = json.dumps([] if pulses else [flag])
+    return recordings.frames_of(spectrum, speed_rpm=speed_rpm, revs=REVS, start_rev=START_REV, quality=quality)
 
 
 def angle_of(revs: int) -> np.ndarray:

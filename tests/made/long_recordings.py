@@ -8,28 +8,13 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from made.recordings import manifest
+
 NAMES = ("x", "y", "z", "encoder", "index")
 AMPLITUDES = {1.0: 1.0, 2.0: 0.5, 4.5: 0.2}
 """Peak amplitude of each order in the first channel; the second has twice, the third three times as much."""
 MEAN_RPM, SWING_RPM, SWING_S = 1000.0, 100.0, 60.0
 BLOCK = 1 << 20
-MANIFEST = """schema_version = 1
-[test]
-name = "long"
-cycle = "four-stroke"
-[recordings]
-files = ["*.h5"]
-[sampling]
-domain = "time"
-rate_hz = {rate_hz}
-[encoder]
-source = "encoder"
-kind = "square"
-pulses_per_rev = {pulses_per_rev}
-index = "index"
-index_to_tdc_deg = 0.0
-"""
-CHANNEL = '[[channels]]\nname = "{upper}"\nsource = "{name}"\nquantity = "acceleration"\nunit = "m/s2"\n'
 
 
 def turns(time_s: np.ndarray) -> np.ndarray:
@@ -43,8 +28,11 @@ def write_long(
 ) -> Path:
     """A test-run folder with one recording of ``seconds``; never more than a block of it is in memory."""
     folder.mkdir(parents=True)
-    head = MANIFEST.format(rate_hz=rate_hz, pulses_per_rev=pulses_per_rev)
-    (folder / "run.toml").write_text(head + "".join(CHANNEL.format(upper=n.upper(), name=n) for n in NAMES[:3]))
+    sampling = {"domain": "time", "rate_hz": rate_hz}
+    encoder = {"source": "encoder", "kind": "square", "pulses_per_rev": pulses_per_rev, "index": "index"}
+    channels = {name.upper(): {"source": name, "quantity": "acceleration"} for name in NAMES[:3]}
+    stated = {"channels": channels, "sampling": sampling, "encoder": encoder | {"index_to_tdc_deg": 0.0}}
+    (folder / "run.toml").write_text(manifest("*.h5", name="long", cycle="four-stroke", **stated))
     n_samples = round(seconds * rate_hz)
     with h5py.File(folder / "long.h5", "w") as file:
         file.attrs["rate_hz"] = rate_hz

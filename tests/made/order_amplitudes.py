@@ -114,10 +114,10 @@ def made_orders(
     )
 
 
-def swept(item: MadeOrders, rng, *, residual_kg, rpm=(300.0, 2000.0), span_s=20.0) -> xr.Dataset:
+def swept(item: MadeOrders, rng, *, residual_kg, rpm=(300.0, 2000.0)) -> xr.Dataset:
     """RecordingTracks of orders 1 to 4 of ``item`` while its speed sweeps, among the noise of the map's bins."""
-    time, path = np.arange(0.0, span_s, 0.08), item.path
-    speed, width, poles = np.interp(time, [0.0, span_s], rpm), np.full(time.size, 4.0), [path.natural, path.damping]
+    time, path = np.arange(0.0, 20.0, 0.08), item.path
+    speed, width, poles = np.interp(time, [0.0, 20.0], rpm), np.full(time.size, 4.0), [path.natural, path.damping]
     angle, orders = np.cumsum(speed) * 0.08 / 60.0, range(1, 5)
     shafts = item.engine.shafts.model_copy(update={"unbalanced_mass_kg": residual_kg})
     force = crankcase_forces(item.engine.model_copy(update={"shafts": shafts}), 30.0 / np.pi, max_order=4)[2]

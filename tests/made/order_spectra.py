@@ -7,7 +7,7 @@ from crankorder.orders.followed import followed_tracks, with_followed
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import order_tracks
 from crankorder.settings import load_settings
-from made.recordings import named
+from made.recordings import frames_of
 
 SAMPLES_PER_REV, REVS = 32, 16
 HIGHEST = 8
@@ -39,20 +39,7 @@ def angle_frames(signals: np.ndarray, *, speed: np.ndarray | float = 1200.0, nam
     begin = np.arange(0, signals.shape[1] // SAMPLES_PER_REV - REVS + 1, REVS // 2)
     pieces = [signals[:, k * SAMPLES_PER_REV : (k + REVS) * SAMPLES_PER_REV] * window for k in begin]
     spectra = np.stack([np.fft.rfft(piece)[:, : HIGHEST * REVS + 1] * 2 / window.sum() for piece in pieces], axis=1)
-    made = xr.Dataset(
-        {"spectrum": (("channel", "frame", "order"), spectra, {"units": "see unit"})},
-        coords={
-            **named([str(k) for k in range(len(signals))]),
-            "order": ("order", np.arange(HIGHEST * REVS + 1) / REVS, {"units": "1"}),
-            "speed": ("frame", np.broadcast_to(np.asarray(speed, dtype=float), len(begin)), {"units": "min-1"}),
-            "crank_angle": ("frame", begin.astype(float), {"units": "rev"}),
-        },
-    )
-    made.attrs = {
-        "recording": name, "amplitude_scaling": "peak", "phase_reference": "tdc", "cycle_known": 1,
-        "revs_per_cycle": 2, "window": "hann", "enbw_bins": 1.5, "revs_per_frame": REVS, "overlap": 0.5,
-    }  # fmt: skip
-    return made
+    return frames_of(spectra, speed_rpm=speed, revs=REVS, recording=name)
 
 
 def filtered(signals: np.ndarray, orders: tuple[float, ...], *, bandwidth: float) -> xr.Dataset:

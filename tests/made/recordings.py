@@ -83,9 +83,8 @@ def steady(
     """BandRecording and ShaftAngle at constant speed; crank angle is ``start_rev`` at time 0."""
     time_s = np.arange(round(duration_s * rate_hz)) / rate_hz
     angle = start_rev + time_s * speed_rpm / 60.0
-    knots = np.linspace(0.0, duration_s, 50)
     band = sampled(np.stack([signal(time_s, angle) for signal in signals]), rate_hz=rate_hz)
-    return band, shaft(knots, start_rev + knots * speed_rpm / 60.0, np.full(50, speed_rpm))
+    return band, held(speed_rpm, duration_s, start_rev=start_rev)
 
 
 def run_up(
@@ -120,10 +119,11 @@ def accelerometer(values: np.ndarray, rate_hz: float, name: str = "a") -> xr.Dat
     return made.assign(si_per_unit=("channel", [1.0], {"units": "1"}))
 
 
-def held(speed_rpm: float, seconds: float) -> xr.Dataset:
+def held(speed_rpm: float, seconds: float, *, start_rev: float = 0.0, revs_per_cycle: int = 2) -> xr.Dataset:
     """ShaftAngle of so many ``seconds`` at one speed."""
     knots = np.linspace(0.0, seconds, 50)
-    return shaft(knots, knots * speed_rpm / 60.0, np.full(50, speed_rpm))
+    angle = start_rev + knots * speed_rpm / 60.0
+    return shaft(knots, angle, np.full(50, speed_rpm), revs_per_cycle=revs_per_cycle)
 
 
 def line(order: float, amplitude: float, phase_rad: float = 0.0) -> Signal:
@@ -142,6 +142,7 @@ def frames_of(
     speed_rpm: float | np.ndarray = 1000.0,
     revs: int = 2,
     overlap: float = 0.5,
+    start_rev: float = 0.0,
     **attrs: object,
 ) -> xr.Dataset:
     """OrderFrames with the complex ``spectrum`` (channels, frames, orders) on bins from 0, ``revs`` bins an order."""
@@ -152,7 +153,7 @@ def frames_of(
             **named(len(spectrum)),
             "order": ("order", np.arange(spectrum.shape[2]) / revs, {"units": "1"}),
             "speed": ("frame", np.broadcast_to(speed_rpm, n_frames).astype(float), {"units": "min-1"}),
-            "crank_angle": ("frame", np.arange(n_frames) * revs * (1.0 - overlap), {"units": "rev"}),
+            "crank_angle": ("frame", start_rev + np.arange(n_frames) * revs * (1.0 - overlap), {"units": "rev"}),
         },
         attrs={
             "recording": "made", "window": "hann", "enbw_bins": 1.5, "revs_per_frame": revs, "overlap": overlap,

@@ -3,7 +3,7 @@
 import numpy as np
 import xarray as xr
 
-from made.recordings import sampled, shaft
+from made.recordings import held, sampled
 
 
 def strikes(
@@ -51,6 +51,4 @@ def recording(
     name = f"made_{speed_rpm:g}"
     attrs = {"recording": name, "encoder_kind": "square", "revs_per_cycle": revs_per_cycle}
     made = sampled(signal.astype(np.float32), rate_hz=rate_hz, **attrs)
-    knots = np.linspace(0.0, (signal.shape[1] - 1) / rate_hz, 50)
-    angle = shaft(knots, knots * speed_rpm / 60.0, np.full(50, speed_rpm), revs_per_cycle=revs_per_cycle)
-    return made, angle
+    return made, held(speed_rpm, (signal.shape[1] - 1) / rate_hz, revs_per_cycle=revs_per_cycle)

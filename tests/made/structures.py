@@ -144,10 +144,9 @@ def drawn(
     lowest_hz: float = 25.0,
     highest_hz: float = 450.0,
     damping: tuple[float, float] = (0.002, 0.1),
-    apart: float = 6.0,
     orders: str = "some",
 ) -> Structure:
-    """Random structure of ``seed``: modes no nearer than ``apart`` times the mean of their half widths.
+    """Random structure of ``seed``: modes no nearer than six times the mean of their half widths.
 
     ``orders``: "none", "some" or, as an engine's, "all" half orders up to 12.
     """
@@ -157,7 +156,7 @@ def drawn(
         f = np.sort(np.exp(random.uniform(np.log(lowest_hz), np.log(highest_hz), count)))
         zeta = np.exp(random.uniform(*np.log(damping), count))
         half = zeta * f
-        if np.all(np.diff(f) > np.maximum(apart * 0.5 * (half[1:] + half[:-1]), 3.0)):
+        if np.all(np.diff(f) > np.maximum(3.0 * (half[1:] + half[:-1]), 3.0)):
             break
     n_channels = int(random.integers(1, 4))
     shape = random.uniform(0.3, 1.0, (count, n_channels)) * random.choice([-1.0, 1.0], (count, n_channels))

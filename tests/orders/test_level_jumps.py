@@ -191,20 +191,3 @@ def test_a_recording_in_another_unit_is_asked_about() -> None:
         [flag] = [flag for flag in level_jumps(levels, ratio=3.0, proven_ratio=1.4) if flag["flag"] == "unit_doubt"]
         assert (flag["recording"], flag["severity"]) == (chosen.recording, "suspect")
         assert "unit?" in flag["detail"] and said in flag["detail"] and "left_out" not in flag
-
-
-@pytest.mark.parametrize("factor", [9.80665, 1.0 / 25.4, 1e3])
-def test_a_lone_channel_in_another_unit_is_asked_about_as_well_as_its_floor_repeats(factor: float) -> None:
-    asked = 0
-    for seed in range(40):
-        rng = np.random.default_rng([4, seed])
-        levels = [
-            RecordedLevel(one.recording, one.speed_rpm, {"X": 1.0}, {"X": one.floor["X"]}) for one in stepped(rng)
-        ]
-        assert level_jumps(levels, ratio=3.0, proven_ratio=1.4) == []
-        chosen = levels[rng.integers(1, len(levels) - 1)]
-        chosen.floor["X"] *= factor
-        flags = level_jumps(levels, ratio=3.0, proven_ratio=1.4)
-        assert {flag["recording"] for flag in flags} <= {chosen.recording}
-        asked += len(flags)
-    assert asked >= 28

@@ -207,30 +207,6 @@ def test_a_phase_that_turns_widens_the_interval_of_the_phase_and_not_of_the_ampl
     assert np.median(line["coherent_amplitude_high"] - line["coherent_amplitude_low"]) < lost
 
 
-@pytest.mark.slow
-def test_a_steady_line_is_seldom_taken_for_one_that_changes():
-    line = mapped(lambda share: 2.0, frames=20, sigma=1.0, draws=2000)
-    wide = line["coherent_amplitude_high"] - line["coherent_amplitude_low"]
-    reach = 2.0 * 2.306 * line["standard_error"]  # Student's t of 8 degrees of freedom
-    assert float((wide > 1.2 * reach).mean()) < 0.01
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("recordings", [2, 3])
-def test_a_line_that_is_seen_has_a_lower_end_above_zero_however_recordings_differ(recordings):
-    rng = np.random.default_rng(recordings)
-    given = []
-    for number in range(recordings):
-        noise = 0.1 * coloured(rng, 300, revs=48, colour="white")
-        size = np.exp(0.3 * rng.standard_normal((300, 1)))
-        given.append(angle_frames(noise + size * lines(noise.shape[1], [(2.0, 1.0, 0.3)]), name=str(number)))
-    line = order_map(given, settings=SETTINGS).sel(order=2.0).isel(speed=0)
-    low, high = line["coherent_amplitude_low"].values, line["coherent_amplitude_high"].values
-    assert (low > 0.0).all()
-    true = np.exp(0.5 * 0.3**2)
-    assert np.mean((low <= true) & (true <= high)) > 0.93
-
-
 def test_the_lower_end_leaves_zero_where_the_line_is_seen_and_grows_without_a_step():
     amplitude = np.linspace(0.0, 12.0, 5001)
     for dof in (2.0, 4.0, 8.0, 30.0, 400.0):

@@ -206,17 +206,6 @@ def test_one_pulse_per_revolution_carries_few_orders_and_says_so(known_shaft):
     assert below.remarks == ()
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("pulses_per_rev", [60, 360])
-def test_a_good_encoder_carries_the_orders_of_an_engine(known_shaft, pulses_per_rev):
-    true = known_shaft(1113.7)
-    dataset = decoded(rounded(true.pulse_time_s(pulses_per_rev)), pulses_per_rev, noise_s=12**-0.5 / RATE_HZ)
-    audit = audit_of(dataset)
-    assert audit.highest_carried_order > 100
-    assert np.all(achieved(dataset, true, pulses_per_rev)["loss"] < 0.001)
-    assert audit.remarks == ()
-
-
 def test_an_angle_without_an_error_of_its_own_is_not_vouched_for(recording_of):
     rows = [
         ({"encoder_kind": "constant", "speed_rpm": 1500.0}, ["reference_unproven"]),

@@ -5,34 +5,10 @@ import pytest
 
 from crankorder.errors import RequestError
 from crankorder.shaft.aliasing import aliased_lines, aliased_order, find_aliases
-from crankorder.synth.load import load_scene
-from crankorder.synth.noise import floor_of
-from crankorder.synth.recording import sensed
 
 SPEEDS = np.array([800.0, 1000.0, 1500.0, 2000.0])
-
-
-def peaks(signal: np.ndarray, samples_per_rev: int) -> np.ndarray:
-    """Orders at which a Hann spectrum of the whole record stands eight times over the median of its surroundings."""
-    window = np.hanning(signal.size + 1)[:-1]
-    level = np.abs(np.fft.rfft((signal - signal.mean()) * window))
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(level, 50, mode="reflect"), 101)
-    floor = np.median(around, axis=1)[1:-1]
-    at = 1 + np.flatnonzero((level[1:-1] > level[:-2]) & (level[1:-1] >= level[2:]) & (level[1:-1] > 8 * floor))
-    left, right = level[at - 1] / level[at], level[at + 1] / level[at]
-    off = 0.5 * ((2 * right - 1) / (1 + right) + (1 - 2 * left) / (1 + left))
-    return (at + off) * samples_per_rev / signal.size
-
-
-@pytest.fixture(scope="module")
-def scene_points() -> tuple[np.ndarray, np.ndarray]:
-    """Speed and order of every line in the X channel of the scene of folding."""
-    scene = load_scene("hard-folding")
-    found = [
-        (run.speed_rpm, peaks(sensed(scene, run, floor_of(scene, scene.rate_hz(run.speed_rpm)))[0], 360))
-        for run in scene.runs
-    ]
-    return np.concatenate([np.full(o.size, s) for s, o in found]), np.concatenate([o for _, o in found])
+SOUGHT = {"samples_per_rev": 360, "order_error": 0.01, "shown_to_order": 20.0, "highest_hz": 50e3}
+WIDELY = SOUGHT | {"shown_to_order": 180.0}
 
 
 def test_a_sampled_line_and_its_fold_are_the_same_samples():
@@ -52,26 +28,10 @@ def test_frequencies_fold_at_the_speeds_that_are_too_slow_for_them():
     assert "172.5 (800 rpm)" in str(mains)
 
 
-def test_the_scene_of_folding_shows_its_lines_where_they_are_foretold(scene_points):
-    speed, order = scene_points
-    (tone,) = aliased_lines(360, np.unique(speed), frequencies_hz=(16_000.0,))
-    for rpm, shown in zip(tone.speed_rpm, tone.shown_order, strict=True):
-        assert np.abs(order[speed == rpm] - shown).min() < 0.003
-
-
-def test_the_switched_supply_of_the_scene_is_found_though_nobody_named_it(scene_points):
-    speed, order = scene_points
-    (fold,) = find_aliases(speed, order, samples_per_rev=360, order_error=0.004, shown_to_order=180.0, highest_hz=50e3)
-    assert fold.frequency_hz == pytest.approx(16_000.0, abs=0.1)
-    assert set(np.round(order[fold.points], 1)) == {13.3, 18.5, 155.3}
-    assert fold.remark[:2] == ("folded_frequency", "suspect")
-
-
 def test_a_named_frequency_needs_fewer_speeds_than_an_unnamed_one():
     speed, order = np.repeat([900.0, 1300.0], 4), np.array([1.3, 13.333, 7.9, 4.4, 2.2, 18.4615, 11.2, 9.1])
-    same = {"samples_per_rev": 360, "order_error": 0.01, "shown_to_order": 20.0, "highest_hz": 50e3}
-    assert find_aliases(speed, order, **same) == []
-    (fold,) = find_aliases(speed, order, **same, frequencies_hz=(16_000.0,))
+    assert find_aliases(speed, order, **SOUGHT) == []
+    (fold,) = find_aliases(speed, order, **SOUGHT, frequencies_hz=(16_000.0,))
     np.testing.assert_array_equal(fold.points, [1, 5])
 
 
@@ -84,20 +44,21 @@ def test_a_tone_is_found_among_lines_of_the_shaft_and_strays(tone_hz):
     lines = [
         np.concatenate(([2.0, 4.0, 5.5, s], rng.uniform(0, 180, 6))) + 0.003 * rng.standard_normal(10) for s in shown
     ]
-    folds = find_aliases(
-        np.repeat(rpm, 10), np.concatenate(lines), samples_per_rev=360, order_error=0.01, shown_to_order=180.0,
-        highest_hz=50e3,
-    )  # fmt: skip
-    (fold,) = folds
-    assert fold.frequency_hz == pytest.approx(tone_hz, abs=0.2)
+    (fold,) = find_aliases(np.repeat(rpm, 10), np.concatenate(lines), **WIDELY)
+    assert fold.frequency_hz == pytest.approx(tone_hz, abs=0.2) and fold.remark[:2] == ("folded_frequency", "suspect")
     np.testing.assert_array_equal(fold.points, 3 + 10 * np.flatnonzero(60.0 * tone_hz / rpm > 180.0))
 
 
-def test_strays_alone_make_no_fold():
+def test_strays_alone_lines_of_the_shaft_and_no_lines_make_no_fold_and_lines_without_a_speed_are_refused():
     rng = np.random.default_rng(6)
     rpm = np.repeat(np.arange(600.0, 2000.0, 170.0), 8)
-    same = {"samples_per_rev": 360, "order_error": 0.01, "shown_to_order": 180.0, "highest_hz": 50e3}
-    assert [find_aliases(rpm, rng.uniform(0, 180, rpm.size), **same) for _ in range(40)] == [[]] * 40
+    assert [find_aliases(rpm, rng.uniform(0, 180, rpm.size), **WIDELY) for _ in range(40)] == [[]] * 40
+    assert find_aliases(np.repeat(SPEEDS, 4), np.tile([0.5, 2.0, 5.5, 11.0], SPEEDS.size), **SOUGHT) == []
+    assert find_aliases(np.empty(0), np.empty(0), **SOUGHT) == []
+    with pytest.raises(RequestError):
+        find_aliases(np.array([np.nan]), np.array([1.0]), **SOUGHT)
+    with pytest.raises(RequestError):
+        aliased_lines(360, [0.0], frequencies_hz=(50.0,))
 
 
 def test_speeds_in_simple_ratios_leave_two_frequencies_and_both_are_named():
@@ -106,19 +67,3 @@ def test_speeds_in_simple_ratios_leave_two_frequencies_and_both_are_named():
     (fold,) = find_aliases(rpm, order, samples_per_rev=360, order_error=0.002, shown_to_order=180.0, highest_hz=30e3)
     assert {round(fold.frequency_hz), 36_000 - round(fold.frequency_hz)} == {16_000, 20_000}
     assert f"{36_000 - fold.frequency_hz:.5g} Hz would fold alike" in fold.evidence
-
-
-def test_lines_of_the_shaft_are_no_folds():
-    rpm = np.repeat(SPEEDS, 4)
-    order = np.tile([0.5, 2.0, 5.5, 11.0], SPEEDS.size)
-    same = {"samples_per_rev": 360, "order_error": 0.01, "shown_to_order": 20.0, "highest_hz": 50e3}
-    assert find_aliases(rpm, order, **same) == []
-
-
-def test_no_lines_have_no_folds_and_lines_without_a_speed_are_refused():
-    same = {"samples_per_rev": 360, "order_error": 0.01, "shown_to_order": 20.0, "highest_hz": 50e3}
-    assert find_aliases(np.empty(0), np.empty(0), **same) == []
-    with pytest.raises(RequestError):
-        find_aliases(np.array([np.nan]), np.array([1.0]), **same)
-    with pytest.raises(RequestError):
-        aliased_lines(360, [0.0], frequencies_hz=(50.0,))

@@ -171,34 +171,11 @@ def test_a_start_from_standstill_is_left_out_and_what_follows_ends_at_1695_rpm(t
     assert angle["time"].values[0] > 2.7
 
 
-@pytest.mark.cases(1)
-@pytest.mark.parametrize("edge", ["falling", "rising"])
-def test_a_slow_analogue_trace_reads_322_rpm_on_the_camshaft_it_stands_for(trace, recording_of, edge):
-    found = analogue_pulses(trace("trigger_adc_real1.csv")[:, 1], edge)
-    attrs = {"pulses_per_rev": 60, "missing_teeth": 2, "ratio": 0.5, "pulse_noise_s": found.noise_s}
-    angle = decoded(recording_of, found.time_s, **attrs)
-    assert not COUNT_FAULTS & names(angle)
-    assert mean_rpm(angle, 3.0, 2.0) == pytest.approx(322.0, rel=0.005)
-
-
 @pytest.mark.slow
 def test_a_trace_whose_converter_overflows_is_refused_by_the_count(trace, recording_of):
     found = analogue_pulses(trace("trigger_adc_real2.csv")[:, 1], "falling")
     with pytest.raises(InputError, match="false of 2800: the count is not certain"):
         decoded(recording_of, found.time_s, pulses_per_rev=60, missing_teeth=2)
-
-
-@pytest.mark.slow
-def test_a_false_pulse_in_the_gap_of_every_revolution_is_removed(trace, recording_of):
-    """Before its converter overflows, that pickup crosses its level once too often at the end of each gap."""
-    found = analogue_pulses(trace("trigger_adc_real2.csv")[:, 1], "falling")
-    times = found.time_s[found.time_s < 4.5]
-    angle = decoded(recording_of, times, pulses_per_rev=60, missing_teeth=2, pulse_noise_s=found.noise_s)
-    assert "encoder_missing_pulse" not in names(angle)
-    per_rev = np.diff(angle_at(times[long_steps(times)], *knots_of(angle)))
-    np.testing.assert_allclose(per_rev, 1.0, atol=0.01)
-    speed = [mean_rpm(angle, until_s, 1.0) for until_s in np.arange(0.5, 4.4, 0.5)]
-    assert (np.diff(speed) > 0.0).all()
 
 
 def test_real_wheels_are_found_by_themselves(trace):
@@ -271,16 +248,6 @@ def test_a_coasting_genset_slows_down_without_a_repair(genset_pickup, recording_
     assert not {"encoder_missing_pulse", "encoder_double_pulse"} & {item["flag"] for item in flags_of(angle)}
 
 
-@pytest.mark.slow
-def test_in_cycle_motion_of_the_genset_is_kept(genset_pickup, recording_of):
-    found = genset_pulses(genset_pickup("E0FULLOAD1.txt"))
-    angle = genset_angle(genset_pickup("E0FULLOAD1.txt"), recording_of)
-    reached = angle_at(found.time_s, *knots_of(angle)) * 60.0
-    whole = reached - np.round(reached)
-    beside_gap = np.isin(np.round(reached) % 60, (0, 57))
-    assert np.abs(whole[~beside_gap]).max() < 0.05
-
-
 def rotor_files(data: Path) -> list[Path]:
     return sorted((data / "rotorbalancer").glob("*/*.csv"))
 
@@ -307,18 +274,3 @@ def test_every_rotor_coast_down_gives_a_smoothly_falling_speed(shared_data, reco
         sample_rev = 1.0 / 952.0 / np.diff(found.time_s).min()
         assert revs == pytest.approx(found.time_s.size - 1, abs=sample_rev), path
         assert not {"encoder_missing_pulse", "encoder_double_pulse"} & {item["flag"] for item in flags_of(angle)}
-
-
-@pytest.mark.slow
-def test_every_rotor_group_file_decodes_to_the_speed_of_its_pulses(shared_data, recording_of):
-    paths = [path for path in rotor_files(shared_data) if "groups" in str(path)]
-    assert len(paths) == 18
-    for path in paths:
-        angle, found = rotor_angle(path, recording_of)
-        speed = angle["speed"].values
-        interval_rpm = 60.0 / np.diff(found.time_s)
-        mean_rpm = 60.0 * (found.time_s.size - 1) / np.ptp(found.time_s)
-        assert 1800 < mean_rpm < 3600
-        assert np.median(speed) == pytest.approx(mean_rpm, rel=0.02), path
-        inner = speed[2:-2] if speed.size > 8 else speed
-        assert 0.97 * interval_rpm.min() < inner.min() < inner.max() < 1.03 * interval_rpm.max(), path

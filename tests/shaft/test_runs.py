@@ -1,8 +1,8 @@
 """A test that stops and starts again: both runs stand on one angle."""
 
+from itertools import product
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pytest
 import xarray as xr
@@ -14,6 +14,7 @@ from crankorder.shaft.decode import shaft_angle
 from crankorder.shaft.repair import running_parts
 from crankorder.shaft.standstill import ShaftRun, joined, silent_ends
 from made.command import analysed
+from made.recordings import manifest, write_hdf5
 
 
 def test_the_angle_goes_on_rightly_after_a_standstill():
@@ -67,19 +68,17 @@ def written(folder: Path, kind: str, speed: np.ndarray, angle: np.ndarray) -> Pa
     folder.mkdir()
     turns = 2.0 * np.cos(2 * np.pi * angle) + np.cos(8 * np.pi * angle)
     random = np.random.default_rng(1)
-    table = {"speed": 'source = "speed"\n', "pulse_times": 'source = "pulses"\npulses_per_rev = 60\n'}[kind]
-    with h5py.File(folder / "a.h5", "w") as file:
-        file["a"] = turns * (speed > 0.0) + 0.05 * random.standard_normal(speed.size)
-        file["speed"] = speed + 0.5 * random.standard_normal(speed.size)
-        rising = np.flatnonzero(np.diff(angle, prepend=-1.0) > 0.0)
-        tooth = np.arange(1, int(angle[-1] * 60)) / 60.0
-        file["pulses"] = np.interp(tooth, angle[rising], rising / RATE_HZ)
-        for name in ("a", "speed"):
-            file[name].attrs["rate_hz"] = RATE_HZ
-        file["speed"].attrs["unit"] = "rpm"
-    head = 'schema_version = 1\n[test]\nname = "t"\ncycle = "rotor"\n[recordings]\nfiles = ["*.h5"]\n'
-    head += f'[[channels]]\nname = "A"\nsource = "a"\nunit = "m/s2"\n[encoder]\nkind = "{kind}"\n{table}'
-    (folder / "run.toml").write_text(head, encoding="utf-8")
+    encoder = {"speed": {"source": "speed"}, "pulse_times": {"source": "pulses", "pulses_per_rev": 60}}[kind]
+    rising = np.flatnonzero(np.diff(angle, prepend=-1.0) > 0.0)
+    tooth = np.arange(1, int(angle[-1] * 60)) / 60.0
+    columns = {
+        "a": turns * (speed > 0.0) + 0.05 * random.standard_normal(speed.size),
+        "speed": speed + 0.5 * random.standard_normal(speed.size),
+        "pulses": np.interp(tooth, angle[rising], rising / RATE_HZ),
+    }
+    write_hdf5(folder / "a.h5", columns, unit={"speed": "rpm"}, rate_hz=RATE_HZ)
+    text = manifest("*.h5", name="t", channels={"A": {"source": "a"}}, encoder=encoder | {"kind": kind})
+    (folder / "run.toml").write_text(text, encoding="utf-8")
     return folder
 
 
@@ -155,30 +154,17 @@ def to_rest(time_s):
     return np.maximum(1800.0 - 150.0 * time_s, 0.0)
 
 
-def test_an_encoder_that_dies_is_suspect_and_the_lost_time_is_told() -> None:
-    for teeth in [1, 60]:
-        for rpm_of in [steady, run_up]:
-            ((name, severity, detail),) = remarks(rpm_of, last_s=6.0, teeth=teeth)
-            assert (name, severity) == ("no_pulses", "suspect")
-            assert "to the end at 20 s" in detail and "encoder lost while the machine ran" in detail and "14" in detail
-
-
-def test_an_encoder_that_starts_late_is_suspect() -> None:
+def test_an_encoder_that_dies_or_starts_late_is_suspect_and_the_lost_time_is_told() -> None:
+    for teeth, rpm_of in product([1, 60], [steady, run_up]):
+        ((name, severity, detail),) = remarks(rpm_of, last_s=6.0, teeth=teeth)
+        assert (name, severity) == ("no_pulses", "suspect")
+        assert "to the end at 20 s" in detail and "encoder lost while the machine ran" in detail and "14" in detail
+        assert remarks(rpm_of, teeth=teeth) == []
     ((name, severity, detail),) = remarks(steady, first_s=5.0)
     assert (name, severity) == ("no_pulses", "suspect") and detail.startswith("no pulses from 0 s to 5")
 
 
-def test_a_machine_that_comes_to_rest_is_no_fault_of_the_encoder_for_certain() -> None:
-    for made in (remarks(to_rest), remarks(to_rest, teeth=1)):
+def test_a_machine_that_comes_to_rest_or_starts_from_it_is_no_fault_of_the_encoder_for_certain() -> None:
+    from_rest = remarks(lambda time_s: to_rest(LENGTH_S - time_s))
+    for made in (remarks(to_rest), remarks(to_rest, teeth=1), from_rest):
         assert all(severity == "info" and "standstill or encoder lost" in detail for _, severity, detail in made)
-
-
-def test_a_machine_that_starts_from_rest_is_no_fault_of_the_encoder_for_certain() -> None:
-    made = remarks(lambda time_s: to_rest(LENGTH_S - time_s))
-    assert all(severity == "info" and "standstill or encoder lost" in detail for _, severity, detail in made)
-
-
-def test_whole_pulse_trains_raise_nothing() -> None:
-    for teeth in [1, 60]:
-        for rpm_of in [steady, run_up]:
-            assert remarks(rpm_of, teeth=teeth) == []

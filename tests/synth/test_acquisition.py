@@ -11,7 +11,7 @@ from crankorder.errors import RequestError
 from crankorder.ingest import hdf5
 from crankorder.ingest.units import parse_sensitivity, unit_of
 from crankorder.settings import load_settings
-from crankorder.synth.analogue import analogue_filter, high_pass, in_series, low_pass, recorded, true_rate_hz
+from crankorder.synth.analogue import analogue_filter, high_pass, low_pass, recorded, true_rate_hz
 from crankorder.synth.parts import Acquisition
 
 RNG = np.random.default_rng(5)
@@ -26,14 +26,6 @@ def sine(peak: float, *, n: int = 20_000) -> np.ndarray:
 def test_a_clock_that_runs_fast_takes_more_samples_per_second_than_its_label_says() -> None:
     assert true_rate_hz(Acquisition(clock_error_ppm=100.0), 50_000.0) == pytest.approx(50_005.0, rel=1e-15)
     assert true_rate_hz(Acquisition(), 51_200.0) == 51_200.0
-
-
-def test_nothing_between_sensor_and_file_leaves_the_signal_as_float32() -> None:
-    signal = RNG.normal(size=(3, 1000))
-    made = recorded(signal, Acquisition())
-    assert made.samples.dtype == np.float32
-    assert (made.samples == signal.astype(np.float32)).all()
-    assert (made.scale, made.unit, made.clipped_share.tolist()) == (None, "m/s2", [0.0, 0.0, 0.0])
 
 
 def test_volts_come_back_as_m_s2_through_the_sensitivity_that_ingest_reads() -> None:
@@ -105,16 +97,6 @@ def test_ac_coupling_takes_a_constant_away_and_has_3_db_at_its_corner() -> None:
     assert at_zero == 0
     assert corner == pytest.approx(0.5 + 0.5j, abs=1e-14)
     assert above == pytest.approx(1 + 1e-4j, abs=1e-7)
-
-
-def test_filters_in_series_have_the_product_of_their_gains_everywhere() -> None:
-    frequency = np.concatenate([[0.0], np.geomspace(1e-3, 1e6, 300)])
-    anywhere = np.array([-300.0 + 9000j, 1e5 - 3e4j, 40.0 + 0j])
-    for order in (1, 4, 9, 12):
-        a, b = low_pass(order, 20e3), high_pass(0.7)
-        both = in_series(a, b)
-        assert both.response(frequency) == pytest.approx(a.response(frequency) * b.response(frequency), abs=1e-12)
-        assert both.at(anywhere) == pytest.approx(a.at(anywhere) * b.at(anywhere), abs=1e-12)
 
 
 def test_white_noise_folds_to_the_sum_of_all_images() -> None:

@@ -10,7 +10,6 @@ from scipy.integrate import solve_ivp
 from crankorder.engine.torsional_fluctuation import Lag
 from crankorder.errors import RequestError
 from crankorder.synth import driven
-from crankorder.synth.analogue import low_pass
 from crankorder.synth.driven import (
     STENCILS,
     Integration,
@@ -114,21 +113,12 @@ def steady_start(rpm: float, phi: float) -> np.ndarray:
     return state
 
 
-def profile(
-    corners: tuple[tuple[float, float], ...], start_rev: float
-) -> Callable[[float], tuple[float, float, float]]:
-    """Angle (rad), speed (rad/s) and acceleration (rad/s²) of a speed that runs straight from corner to corner."""
+def course(motion: Motion) -> Callable[[float], tuple[float, float, float]]:
+    """Angle (rad), speed (rad/s) and acceleration (rad/s²) of a motion at one time."""
 
     def at(time: float) -> tuple[float, float, float]:
-        rev, before_s, before = start_rev, 0.0, corners[0][1]
-        for corner_s, rpm in (*corners, (np.inf, corners[-1][1])):
-            slope = (rpm - before) / (corner_s - before_s) if before_s < corner_s < np.inf else 0.0
-            run = min(time, corner_s) - before_s
-            rev += (before * run + slope * run**2 / 2) / 60
-            if time < corner_s:
-                return 2 * np.pi * rev, (before + slope * run) * np.pi / 30, slope * np.pi / 30
-            before_s, before = corner_s, rpm
-        raise AssertionError
+        rev, rpm, rpm_per_s = (float(part[0]) for part in motion.at(np.array([time])))
+        return 2 * np.pi * rev, rpm * np.pi / 30, rpm_per_s * np.pi / 30
 
     return at
 
@@ -146,12 +136,12 @@ PROFILES = {
 @pytest.mark.parametrize("name", PROFILES)
 def test_a_run_up_is_what_a_precise_integration_gives(name: str) -> None:
     corners, start_rev, n_samples = PROFILES[name], 0.3, 1300
-    at = profile(corners, start_rev)
-    times = np.arange(n_samples) / RATE_HZ
+    motion = Motion(start_rev=start_rev, corners=corners)
+    at, times = course(motion), np.arange(n_samples) / RATE_HZ
     borders = tuple(sorted({0.0, *(time for time, _ in corners), times[-1] + 0.5 / RATE_HZ}))
     start = steady_start(corners[0][1], 2 * np.pi * start_rev)
     expected = integrated(lambda time: plain_force(*at(time)), times, borders_s=borders, start=start)
-    sources = [(lines(), Motion(start_rev=start_rev, corners=corners))]
+    sources = [(lines(), motion)]
     for tolerance, allowed in ((1e-9, 1e-11), (1e-12, 1e-12)):
         found = driven_signal(POLES, sources, rate_hz=RATE_HZ, n_samples=n_samples, tolerance=tolerance)
         error = np.abs(found - expected).max() / np.abs(expected).max()
@@ -169,71 +159,17 @@ def test_at_a_constant_speed_the_response_is_the_accelerance_to_round_off(rpm: f
     assert np.abs(found - expected).max() < 1e-12 * np.abs(expected).max()
 
 
-@pytest.mark.slow
-def test_a_filter_in_a_run_up_is_the_filter_equation_driven_by_the_unfiltered_response() -> None:
-    """v̈ + √2 ω v̇ + ω² v = ω² a, a two-pole Butterworth filter, integrated with the modes as further states."""
-    corners, corner = ((0.0, 300.0), (0.15, 5000.0)), 2 * np.pi * 700.0
-    at = profile(corners, 0.2)
-    times = np.arange(700) / RATE_HZ
-
-    def motion(time: float, state: np.ndarray) -> np.ndarray:
-        force = plain_force(*at(time))
-        acceleration = DRIVE @ force - 2 * ZETA * OMEGA * state[3:6] - OMEGA**2 * state[:3]
-        rates = np.concatenate([state[3:6], acceleration])
-        sensed = channels(rates, state[:6], force)
-        filtered, rate = state[6:8], state[8:10]
-        return np.concatenate([rates, rate, corner**2 * (sensed - filtered) - np.sqrt(2) * corner * rate])
-
-    frequency = ORDERS * 5.0
-    gain = accelerance(STRUCTURE, frequency) * low_pass(2, 700.0).response(frequency)
-    tone = np.einsum("cal,al->cl", gain, lines().at_speed(300.0)) * np.exp(2j * np.pi * ORDERS * 0.2)
-    begin = np.concatenate(
-        [steady_start(300.0, 0.4 * np.pi), tone.real.sum(axis=1), (2j * np.pi * frequency * tone).real.sum(axis=1)]
-    )
-    solved = solve_ivp(motion, (0, times[-1]), begin, method="DOP853", t_eval=times, rtol=1e-13, atol=1e-16)
-    found = driven_signal(
-        poles_of(STRUCTURE, low_pass(2, 700.0)),
-        [(lines(), Motion(start_rev=0.2, corners=corners))],
-        rate_hz=RATE_HZ,
-        n_samples=700,
-        tolerance=1e-12,
-    )
-    assert np.abs(found - solved.y[6:8]).max() < 1e-11 * np.abs(found).max()
-
-
-def wobbling(time: float) -> tuple[float, float, float]:
-    rpm, slope = 1500 + 60 * np.cos(2 * np.pi * 7 * time + 1), -60 * 14 * np.pi * np.sin(14 * np.pi * time + 1)
-    turned = 1500 * time + 60 * (np.sin(14 * np.pi * time + 1) - np.sin(1)) / (14 * np.pi)
-    return 2 * np.pi * (0.3 + turned / 60), rpm * np.pi / 30, slope * np.pi / 30
-
-
-def lagging(time: float) -> tuple[float, float, float]:
-    """The angle θ whose θ + 2π·lag(θ) turns evenly, by Newton's method; lag of order 2, 0.01 rev."""
-    even = 2 * np.pi * (25 * time + 0.3 + 0.01 * np.cos(2 * 0.6 * np.pi))
-    theta = even
-    for _ in range(7):
-        theta -= (theta + 0.02 * np.pi * np.cos(2 * theta) - even) / (1 - 0.04 * np.pi * np.sin(2 * theta))
-    omega = 50 * np.pi / (1 - 0.04 * np.pi * np.sin(2 * theta))
-    return theta, omega, omega**3 / (50 * np.pi) * 0.08 * np.pi * np.cos(2 * theta)
-
-
+LAG = Lag(order=np.array([2.0]), inertia=np.array([0.01 + 0j]), gas=np.zeros(1, dtype=complex))
 UNEVEN = {
-    "wobble": (Motion(start_rev=0.3, corners=((0.0, 1500.0),), wobbles=((7.0, 60.0, np.degrees(1)),)), wobbling),
-    "lag": (
-        Motion(
-            start_rev=0.3,
-            corners=((0.0, 1500.0),),
-            lag=Lag(order=np.array([2.0]), inertia=np.array([0.01 + 0j]), gas=np.zeros(1, dtype=complex)),
-        ),
-        lagging,
-    ),
+    "wobble": Motion(start_rev=0.3, corners=((0.0, 1500.0),), wobbles=((7.0, 60.0, 50.0),)),
+    "lag": Motion(start_rev=0.3, corners=((0.0, 1500.0),), lag=LAG),
 }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", UNEVEN)
 def test_an_uneven_rotation_has_its_past(name: str) -> None:
-    motion, at = UNEVEN[name]
+    motion, at = UNEVEN[name], course(UNEVEN[name])
     times, past_s = np.arange(300) / RATE_HZ, 0.5
     expected = integrated(
         lambda time: plain_force(*at(time)),
@@ -253,7 +189,8 @@ def factor(cycle: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("corners", [((0.02, 1500.0), (0.0801, 4000.0)), ((0.01, 1200.0), (0.1, -2400.0))])
 def test_gains_step_between_cycles_to_the_very_angle(corners: tuple[tuple[float, float], ...]) -> None:
     times, past_s, start_rev = np.arange(600) / RATE_HZ, 0.5, 0.3017
-    at = profile(corners, start_rev)
+    motion = Motion(start_rev=start_rev, corners=corners)
+    at = course(motion)
     inner = [-past_s, *(time for time, _ in corners), times[-1] + 0.5 / RATE_HZ]
     fine = np.linspace(-past_s, times[-1] + 0.5 / RATE_HZ, 5001)
     cycle = np.floor([at(time)[0] / (4 * np.pi) for time in fine])
@@ -274,7 +211,7 @@ def test_gains_step_between_cycles_to_the_very_angle(corners: tuple[tuple[float,
     )
     found = driven_signal(
         POLES,
-        [(lines(gas=True), Motion(start_rev=start_rev, corners=corners))],
+        [(lines(gas=True), motion)],
         rate_hz=RATE_HZ,
         n_samples=600,
         gain_of_cycle=factor,
@@ -300,13 +237,6 @@ def test_blocks_leave_no_seam(gain: Callable[[np.ndarray], np.ndarray] | None) -
 # The compiled integration against plain NumPy, its error against its own bound, and its drift.
 
 
-RNG = np.random.default_rng(8)
-INTEGRATED_POLES = Poles(
-    pole_per_s=np.array([-3 + 380j, -0.4 + 1500j, -900 + 0j, -4e4 + 5e4j, -2 + 0j]),
-    input=RNG.normal(size=(5, 6)),
-    output=RNG.normal(size=(2, 5)) + 1j * RNG.normal(size=(2, 5)),
-    direct=RNG.normal(size=(2, 6)),
-)
 STEP_RATE_HZ = 8192.0
 
 
@@ -314,33 +244,6 @@ def advance(poles, force, *, step_s, integration, state):
     """Signal and state of the compiled integration with the weights of its step."""
     growth, taps = step_weights(poles.pole_per_s, step_s, integration)
     return driven.advance(poles, force, growth=growth, taps=taps, integration=integration, state=state)
-
-
-def plain_advance(force: np.ndarray, integration: Integration, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One step of the grid after the other, each of them the integral of a polynomial through the samples about it."""
-    margin, substeps = integration.margin, integration.substeps
-    step = 1 / (STEP_RATE_HZ * substeps)
-    grow, taps = step_weights(INTEGRATED_POLES.pole_per_s, step, Integration(integration.stencil, 1))
-    signal, state = [], state.copy()
-    for number in range(force.shape[1] - 2 * margin):
-        if number % substeps == 0:
-            signal.append((INTEGRATED_POLES.output @ state).real + INTEGRATED_POLES.direct @ force[:, margin + number])
-        about = force[:, number + 1 : number + 1 + integration.stencil]
-        state += grow * state + (taps * (INTEGRATED_POLES.input @ about)).sum(axis=1)
-    return np.array(signal).T, state
-
-
-@pytest.mark.parametrize("integration", [Integration(2, 1), Integration(8, 1), Integration(12, 3), Integration(4, 2)])
-def test_the_compiled_integration_is_the_plain_one(integration: Integration) -> None:
-    n_samples = 1100  # three blocks, the last not full
-    force = RNG.normal(size=(6, n_samples * integration.substeps + 2 * integration.margin))
-    start = RNG.normal(size=5) + 1j * RNG.normal(size=5)
-    step = 1 / (STEP_RATE_HZ * integration.substeps)
-    signal, after = advance(INTEGRATED_POLES, force, step_s=step, integration=integration, state=start)
-    expected, expected_after = plain_advance(force, integration, start)
-    assert signal.shape == (2, n_samples)
-    assert np.abs(signal - expected).max() < 1e-13 * np.abs(expected).max()
-    assert np.abs(after - expected_after).max() < 1e-13 * np.abs(expected_after).max()
 
 
 def tone_error(pole_per_step: complex, phase_rad: float, integration: Integration) -> float:

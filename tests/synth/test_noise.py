@@ -64,19 +64,6 @@ def test_noise_behind_a_response_has_its_density() -> None:
     assert not noise[1].any()
 
 
-@pytest.mark.slow
-def test_shaped_noise_has_the_density_of_its_bins_and_no_mean() -> None:
-    n_samples = 1_600_000
-    n_padded = padded_length(n_samples, 4000)
-    frequency = np.arange(n_padded // 2 + 1) * RATE_HZ / n_padded
-    density = 0.3 * (1 + np.sin(frequency / 300.0) ** 2)
-    noise = shaped_noise(seed_stream(4, "x"), density, rate_hz=RATE_HZ, n_samples=n_samples)
-    assert noise.dtype == np.float32
-    bins = np.arange(401) * 10.0
-    assert density_of(noise)[2:-2] == pytest.approx(0.3 * (1 + np.sin(bins / 300.0) ** 2)[2:-2], rel=0.1)
-    assert abs(noise.mean()) < 0.01 * noise.std()
-
-
 def test_shaped_noise_with_too_few_bins_is_refused() -> None:
     with pytest.raises(ValueError, match="51 bins make 100 samples"):
         shaped_noise(seed_stream(4, "x"), np.ones(51), rate_hz=RATE_HZ, n_samples=101)

@@ -7,11 +7,10 @@ import pytest
 
 from crankorder.engine.forces import DIRECTIONS, crankcase_forces
 from crankorder.synth.crank import crank_motion, start_angle_rev
-from crankorder.synth.lines import order_lines
 from crankorder.synth.load import load_scene
 from crankorder.synth.noise import floor_of
 from crankorder.synth.parts import Acquisition, InCycleSpeed, SpeedOrder, SpeedProfile, Wander
-from crankorder.synth.recording import sensed, synthesise
+from crankorder.synth.recording import sensed
 from crankorder.synth.scene import Run, Scene
 from crankorder.synth.truth import truth_of
 
@@ -106,18 +105,6 @@ def test_the_broadband_floor_has_the_density_that_the_truth_states(scene_with: S
     for channel, name in enumerate(long.channel_names):
         measured = np.sqrt(np.mean(density[channel, at - 1 : at + 2] ** 2))
         assert measured == pytest.approx(stated[name], rel=0.15)
-
-
-def test_samples_by_crank_angle_are_the_lines_at_their_angles() -> None:
-    scene = load_scene("thesis-first-motoring").first_look()
-    quiet = scene.model_copy(update={"broadband": None, "sensor_noise": None})
-    run = quiet.runs[2]
-    lines = order_lines(quiet, run)
-    turn = np.arange(quiet.n_samples) / 360
-    expected = (lines.amplitude @ np.exp(2j * np.pi * lines.order[:, None] * turn)).real
-    recording = synthesise(quiet, run, floor_of(quiet, quiet.rate_hz(run.speed_rpm)))
-    assert np.abs(recording.recorded.samples - expected).max() < 6e-8 * np.abs(expected).max()
-    assert recording.encoder is None
 
 
 @pytest.mark.parametrize("motion", ["steady", "in cycle"])

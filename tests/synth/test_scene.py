@@ -33,11 +33,6 @@ def test_every_shipped_scene_loads_with_its_first_look(name: str) -> None:
     assert quick.n_samples * len(quick.runs) < scene.n_samples * len(scene.runs)
 
 
-def test_speeds_that_come_again_or_are_broken_get_names_of_their_own(small_scene: Path) -> None:
-    scene = load_scene(small_scene.name, small_scene.parent)
-    assert [run.name for run in scene.runs] == ["rpm_0600", "rpm_0612.5", "rpm_0600_2"]
-
-
 def test_all_faults_of_a_scene_are_told_at_once(small_scene: Path) -> None:
     text = small_scene.read_text()
     text = text.replace("list_rpm = [600.0, 612.5, 600.0]", "list_rpm = [600.0, 5000.0, 60000.0]")
@@ -255,6 +250,8 @@ def test_a_scene_becomes_an_ordinary_test_run_folder(small_scene: Path, tmp_path
         assert dict(file.attrs) == {"rate_hz": 8000.0, "speed_rpm": 612.5}
         assert dict(file["acc_z"].attrs) == {"rate_hz": 8000.0, "unit": "m/s2"}
         assert np.isfinite(file["acc_z"][()]).all()
+    scene = load_scene(small_scene.name, small_scene.parent)
+    assert json.loads((tmp_path / "run" / "truth.json").read_text()) == json.loads(json.dumps(write.truth_of(scene)))
 
 
 @pytest.mark.slow
@@ -267,23 +264,6 @@ def test_crank_angle_files_need_no_encoder(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "run" / "rpm_0800.h5") as file:
         assert set(file) == {"acc_x", "acc_y", "acc_z"}
         assert dict(file.attrs) == {"samples_per_rev": 360, "start_deg": 0.0, "speed_rpm": 800.0}
-
-
-def test_the_truth_tells_what_was_put_in(tmp_path: Path) -> None:
-    write_scene("thesis-first-motoring", tmp_path / "run", quick=True)
-    truth = json.loads((tmp_path / "run" / "truth.json").read_text())
-    with h5py.File(tmp_path / "run" / "rpm_2000.h5") as file:
-        turns = np.arange(50 * 360) / 360
-        measured = {o: 2 * np.mean(file["acc_z"][()] * np.exp(-2j * np.pi * o * turns)) for o in (1.0, 2.0, 5.5)}
-    lines = {record["order"]: record for record in truth["orders"] if record["channel"] == "Z"}
-    for order, found in measured.items():
-        record, last = lines[order], truth["recordings"].index({"name": "rpm_2000.h5", "speed_rpm": 2000.0})
-        noise = 5 * record["floor_density_by_speed"][last] / np.sqrt(50 * 60 / 2000)
-        put_in = record["amplitude_by_speed"][last] * np.exp(1j * np.radians(record["phase_deg_by_speed"][last]))
-        assert abs(found - put_in) < noise
-        assert order != 2 or 5 * noise < abs(put_in)
-    assert [mode["frequency_hz"] for mode in truth["modes"]] == [60, 115, 172, 187, 230, 350, 457, 470]
-    assert truth["balance"]["residual_reciprocating_g"] == pytest.approx(534)
 
 
 @pytest.mark.slow

@@ -1,7 +1,6 @@
 """Every shipped scene through the whole analysis: what it put in is found, what it made faulty is told."""
 
 import json
-import re
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +44,12 @@ class Analysed:
         put_in = [r for r in self.truths[0]["orders"] if r["channel"] == channel and r["order"] == order]
         assert found, self.said
         return put_in[0], found[0]
+
+    def holds(self, channel: str, order: float) -> bool:
+        """Whether the interval of an order's amplitude holds what was put in."""
+        put_in, found = self.line(channel, order)
+        low, high = found["amplitude_ci95"]
+        return bool(low < put_in["amplitude"] < high)
 
     def flags(self, recording: str) -> set[str]:
         """Flags of one recording."""
@@ -103,40 +108,10 @@ def test_every_run_of_a_growing_damage_is_a_test_of_its_own_and_names_the_race(a
 
 def test_a_damaged_line_costs_nothing_of_order_5_5(analysed: Any) -> None:
     scene = analysed("hard-damaged-line")
-    put_in, found = scene.line("X", 5.5)
-    low, high = found["amplitude_ci95"]
-    assert low < put_in["amplitude"] < high
+    assert scene.holds("X", 5.5)
     assert "encoder_damaged_line" in scene.flags("rpm_1000.h5")
     lost = next(r for r in scene.truths[0]["quality"] if r["flag"] == "encoder_double_pulse")
     assert f"{lost['count']} false pulses" in json.dumps(scene.findings[0]["quality"])
-
-
-@pytest.mark.slow
-def test_an_eccentric_encoder_is_told_and_its_sidebands_are_gone(analysed: Any) -> None:
-    scene = analysed("hard-eccentric-encoder")
-    for channel, order in (("X", 5.5), ("Y", 13.0), ("Z", 17.0)):
-        put_in, found = scene.line(channel, order)
-        assert found["amplitude_ci95"][0] < put_in["amplitude"] < found["amplitude_ci95"][1]
-    assert not {12.0, 14.0, 16.0, 18.0} & {round(record["order"], 1) for record in scene.findings[0]["orders"]}
-    detail = {flag["flag"]: flag["detail"] for flag in scene.findings[0]["quality"]}["encoder_eccentricity"]
-    low, high, phase = map(float, re.findall(r"interval ([\d.]+) to ([\d.]+)°\) at (-?\d+)°", detail)[0])
-    encoder = scene.truths[0]["encoder"]
-    assert low < encoder["eccentricity_deg"] < high
-    assert high - low < 0.1
-    assert phase == pytest.approx(encoder["eccentricity_phase_deg"], abs=15.0)
-
-
-@pytest.mark.slow
-def test_one_pulse_per_revolution_shows_low_orders_and_says_what_it_cannot(analysed: Any) -> None:
-    scene = analysed("one-pulse-per-rev")
-    assert scene.status == [0]
-    for recording in ("rpm_1000.h5", "rpm_1500.h5", "rpm_2000.h5"):
-        assert {"reference_limits_orders", "cycle_phase_unknown"} <= scene.flags(recording)
-    for order in (1.5, 2.5, 3.5):
-        put_in, found = scene.line("Z", order)
-        assert found["amplitude"] == pytest.approx(put_in["amplitude"], rel=0.05)
-        turn = (found["phase_deg"] - put_in["phase_deg"]) % 180  # which dead centre fires is not known
-        assert min(turn, 180 - turn) < 5
 
 
 @pytest.mark.slow
@@ -155,15 +130,9 @@ def test_every_fault_of_a_signal_is_told_and_takes_no_other_recording_along(anal
 
 
 @pytest.mark.slow
-def test_wrong_labels_are_refused_with_both_numbers(analysed: Any) -> None:
-    scene = analysed("hard-wrong-labels")
-    assert scene.status == [4]
-    assert "360 pulses per index measured, 720 configured" in scene.said[0]
-
-
-@pytest.mark.slow
 def test_what_folds_is_where_the_truth_of_folding_says(analysed: Any) -> None:
     scene = analysed("hard-folding")
+    assert "lines_may_fold" in {flag["flag"] for flag in scene.findings[0]["quality"]}
     put_in = next(r for r in scene.truths[0]["orders"] if r["order"] == 353.5 and r["channel"] == "X")
     folded = [r for r in scene.findings[0]["orders"] if abs(r["order"] - 6.5) < 0.02 and r["channel"] == "X"]
     low, high = folded[0]["amplitude_ci95"]
@@ -174,9 +143,7 @@ def test_what_folds_is_where_the_truth_of_folding_says(analysed: Any) -> None:
 def test_volts_of_a_late_fast_and_filtered_chain_come_back_as_acceleration(analysed: Any) -> None:
     scene = analysed("hard-acquisition")
     assert scene.status == [0]
-    for channel in "XYZ":
-        put_in, found = scene.line(channel, 5.5)
-        assert found["amplitude_ci95"][0] < put_in["amplitude"] < found["amplitude_ci95"][1]
+    assert all(scene.holds(channel, 5.5) for channel in "XYZ")
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
 from crankorder.campbell.frames import frequency_frames
@@ -16,7 +15,7 @@ from crankorder.synth.parts import Speeds, TimeSampling
 from crankorder.synth.recording import sensed
 from crankorder.synth.scene import Scene
 from crankorder.synth.truth import truth_of
-from made.recordings import sampled, shaft
+from made.recordings import held, sampled
 
 
 @dataclass(frozen=True)
@@ -52,9 +51,8 @@ def made_scene(scene: Scene, settings: Settings) -> MadeScene:
         signals = sensed(scene, run, floor)
         recording = sampled(signals, rate_hz=scene.rate_hz(scene.runs[0].speed_rpm))
         recording = recording.assign_coords(channel=list(scene.channel_names))
-        knots = np.linspace(0.0, scene.n_samples / scene.rate_hz(run.speed_rpm), 50)
-        angle = start_angle_rev(scene, run) + knots * run.speed_rpm / 60.0
-        known = shaft(knots, angle, np.full(len(knots), run.speed_rpm))
+        seconds = scene.n_samples / scene.rate_hz(run.speed_rpm)
+        known = held(run.speed_rpm, seconds, start_rev=start_angle_rev(scene, run))
         by_order.append(order_frames(recording, known, settings=settings.orders))
         by_frequency.append(frequency_frames(recording, known, settings=settings.campbell))
     return MadeScene(by_order, by_frequency, dict(truth_of(scene)))

@@ -1,7 +1,4 @@
-"""The hard cases of the order rooms: what is asked, what comes out, and what to draw of it.
-
-``tests/hard`` holds each to its mark; ``benchmarks/hard_cases.py`` draws them.
-"""
+"""The hard cases of the order rooms: what is asked, what comes out, and what is drawn of it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
