@@ -38,8 +38,6 @@ from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.alike_speeds import with_tones_settled
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.order_blocks import with_locks_through_modes
-from crankorder.identify.modes.order_modes import without_swings
-from crankorder.identify.modes.sweep_modes import with_rows_of_fits
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import as_avoided, speeds_to_avoid
@@ -75,8 +73,9 @@ def find(
     ``order_map`` and ``campbell`` (without speeds where none is known) are the maps of the test named ``test``,
     ``frames`` the OrderFrames of its recordings and ``envelope`` its EnvelopeMap (None where none was made);
     ``sources`` says what the machine is made of; ``settings`` are those of all stages; ``followed`` are the
-    RecordingTracks of the recordings (without variables where the speed does not sweep), ``levels`` their
-    RecordingLevels, ``swept`` what the signals of sweeps tell of modes; ``vibration`` the VibrationLevels of the test.
+    RecordingTracks of the recordings (without variables where the speed does not sweep) with the rows of ``swept``,
+    what the signals of sweeps tell of modes; ``levels`` are their RecordingLevels, ``vibration`` the VibrationLevels
+    of the test.
     """
     asked, turns = settings.identify, sources.revs_per_cycle
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
@@ -100,7 +99,7 @@ def find(
     meetings = as_avoided(met, speeds.avoid)
     speeds = speeds if doubt is None else without_free(speeds)
 
-    fit = partial(unbalance_fit, order_map, orders, modal, followed=lines.followed)
+    fit = partial(unbalance_fit, order_map, orders, modal, followed=followed)
     balance, reason = _balance(fit, order_map, sources, causes)
     energy, unexplained = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
     of_channels = level_records(levels)
@@ -153,15 +152,14 @@ def _balance(
 class _Lines:
     """Orders as the map shows them (``in_map``) and with the amplitudes of their tracks; modes and tones.
 
-    ``known`` lines of the motor and the mains; tracks ``followed`` less what rings on; the ``motor``; why the speed is
-    in ``doubt``, or None; revolutions of the longest recording at one speed.
+    ``known`` lines of the motor and the mains; the ``motor``; why the speed is in ``doubt``, or None; revolutions of
+    the longest recording at one speed.
     """
 
     in_map: tuple[AgreedOrder, ...]
     orders: tuple[AgreedOrder, ...]
     modal: ModalFit
     known: tuple[LineSeen, ...]
-    followed: Sequence[xr.Dataset]
     motor: MotorRecord | None
     doubt: str | None
     longest_rev: float
@@ -196,13 +194,11 @@ def _lines(
     parted = held if speed_source([*frames, order_map]) == "pulses" else ()
     in_map, modal = with_tones_settled(in_map, modal, held, known, order_map, parted=parted, settings=asked)
     in_map = in_map if doubt is None else undecided_orders(in_map)
-    without = without_swings(followed, modal.swings)
-    rows_of_fits, fixed = with_rows_of_fits(without, swept), fixed_lines(modal.tones)
-    reader = TrackReader(order_map, frames=frames, followed=rows_of_fits, fixed=fixed)
+    reader = TrackReader(order_map, frames=frames, followed=followed, fixed=fixed_lines(modal.tones))
     orders = with_track_rows(in_map, reader, settings=settings.orders)
     longest = max((recording.span_rev for recording in held), default=np.inf)
     record = None if seen_motor is None else seen_motor.record
-    return _Lines(in_map, orders, modal, known, without, record, doubt, longest)
+    return _Lines(in_map, orders, modal, known, record, doubt, longest)
 
 
 def _by_channel(order_map: xr.Dataset, name: str) -> dict[str, str]:

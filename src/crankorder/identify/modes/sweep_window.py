@@ -221,9 +221,9 @@ class Window:
     @cached_property
     def powers(self) -> Floats:
         """Polynomials (B, degree + 1) of the frequency."""
-        return self.powers_at(self.frequency_hz)
+        return self._powers_at(self.frequency_hz)
 
-    def powers_at(self, frequency_hz: Floats) -> Floats:
+    def _powers_at(self, frequency_hz: Floats) -> Floats:
         """Polynomials (G, degree + 1) of ``frequency_hz`` (G,)."""
         place = (2.0 * frequency_hz - self.low_hz - self.high_hz) / (self.high_hz - self.low_hz)
         return np.asarray(legendre.legvander(place, self.degree))
@@ -330,9 +330,15 @@ class Window:
         columns = [self.force(order)[0][:, None] * basis for order in self.orders]
         return np.concatenate([*columns, self.ringing(natural_hz, damping), self.powers[:, :2] + 0j], axis=1)
 
-    def paths(self, natural_hz: Floats, damping: Floats) -> Complexes:
-        """How the channels may answer an order: polynomials (B, degree + 1 + M), then ``natural_hz``, ``damping``."""
-        return np.concatenate([self.powers, resonance(self.frequency_hz, natural_hz, damping)], axis=1)
+    def paths(self, natural_hz: Floats, damping: Floats, frequency_hz: Floats | None = None) -> Complexes:
+        """How the channels may answer an order: polynomials (G, degree + 1 + M), then the modes.
+
+        ``natural_hz`` and ``damping`` (M,): of these; ``frequency_hz`` (G,): where, at the bins if left out.
+        """
+        at, powers = self.frequency_hz, self.powers
+        if frequency_hz is not None:
+            at, powers = frequency_hz, self._powers_at(frequency_hz)
+        return np.concatenate([powers, resonance(at, natural_hz, damping)], axis=1)
 
     def solved(self, natural_hz: Floats, damping: Floats) -> Solved:
         """Least-squares amplitudes of all columns in all channels behind the modes ``natural_hz``, ``damping`` (M,)."""
@@ -477,6 +483,13 @@ class Solved:
             slope = self._slope_of_envelope(order, turn, seen)
             variance = variance + 2.0 * np.sum((slope @ covariance) * slope.conj(), axis=2).real
         return value, np.asarray(variance)
+
+    def held(self, order: float, frequency_hz: Floats) -> Complexes:
+        """Complex amplitude (T, C) that ``order`` would have if it were held at ``frequency_hz`` (T,)."""
+        path = self.window.paths(self.natural_hz, self.damping, frequency_hz)
+        return np.asarray(
+            self.window.force_at(order, frequency_hz)[:, None] * (path @ self.by_order[self.window.orders.index(order)])
+        )
 
     def line(self, order: float, angle_rev: Floats) -> Complexes:
         """Amplitude (T, C) of ``order`` about each ``angle_rev`` (T,) as an analysis by crank angle reads it.
