@@ -11,6 +11,7 @@ from crankorder.identify.found import AgreedOrder, ModalFit, Mode, OrderResponse
 from crankorder.identify.lines.followed_orders import track_number
 from crankorder.identify.lines.line_evidence import is_steady
 from crankorder.identify.lines.order_lines import order_lines
+from crankorder.identify.modes.order_terms import Force
 from crankorder.identify.modes.responses import HeldPeak, held_peak
 from crankorder.orders.map import order_map
 from crankorder.orders.track_rows import track_order
@@ -242,10 +243,7 @@ def _response(*, recording: str = "r1", fits: bool = True, error: float = 0.01) 
     return OrderResponse(
         2.0,
         "X",
-        0.0,
-        (),
-        1800.0,
-        (900.0, 3000.0),
+        Force(1800.0, (900.0, 3000.0), 0.0),
         0.0 * one,
         one,
         np.array([0]),
@@ -272,7 +270,7 @@ def test_a_held_order_reaches_what_its_mode_amplifies() -> None:
 
 
 def test_no_response_beside_the_largest_amplitude_says_anything_of_held_speeds() -> None:
-    beside = replace(_response(recording="b", error=1e-9), span_rpm=(2500.0, 3000.0))
+    beside = replace(_response(recording="b", error=1e-9), force=Force(1800.0, (2500.0, 3000.0), 0.0))
     assert _held(_response(), beside) == _held()
     for silent in (beside, _response(recording=""), _response(fits=False)):
         assert _held(silent) is None
