@@ -349,11 +349,13 @@ def findings(
     with what lies above the band; ``vibration``: levels in bands.
     ``settings``: of identify, and of orders for the floor.
     """
-    from crankorder.identify.findings import find  # half of the program: where no findings are wanted it is not loaded
+    from crankorder.identify.findings import (  # half of the program: where no findings are wanted it is not loaded
+        Measured,
+        find,
+    )
 
-    maps = (order_map, campbell, frames, envelope)
-    of_recordings = functools.partial(find, followed=followed, levels=levels, vibration=vibration, swept=modes)
-    return of_recordings(*maps, test=test, sources=sources, settings=settings)
+    measured = Measured(order_map, campbell, frames, envelope, followed, modes, levels, vibration)
+    return find(measured, test=test, sources=sources, settings=settings)
 
 
 @stage

@@ -5,7 +5,7 @@ import pytest
 
 from crankorder.campbell.map import campbell_map
 from crankorder.engine.definition import load_engine
-from crankorder.identify.findings import find
+from crankorder.identify.findings import Measured, find
 from crankorder.identify.machine_model import MachineModel
 from crankorder.orders.map import order_map
 from crankorder.settings import load_settings
@@ -26,7 +26,7 @@ def found(seed, orders=True):
         campbell_map(made.by_frequency, speed_bin_rpm=settings.orders.speed_bin_rpm),
     )
     sources = MachineModel(revs_per_cycle=2, engine=engine, bearings=engine.bearings)
-    findings = find(*maps, made.by_order, None, test="made", sources=sources, settings=settings)
+    findings = find(Measured(*maps, made.by_order), test="made", sources=sources, settings=settings)
     return findings.as_dict(), made.truth
 
 

@@ -197,16 +197,19 @@ class _Search:
         strong = tuple(
             window.with_strong(natural, damping, NUMBERS.strong_share, NUMBERS.most_orders) for window in windows
         )
-        fit, shown = self._with_orders(LocalFit(strong, natural, damping).settled(**ROUGHLY))
+        fit, shown = LocalFit(strong, natural, damping).settled(**ROUGHLY), set[float]()
         tried, most = 0, min(NUMBERS.most_poles, most_starts)
         while tried < most:
             starts = Starts.of(fit, low, high)
+            if starts.saves.max() >= starts.limit(self.settings.false_alarm_probability):
+                # what asks for a pole may be an order that nobody followed
+                fit, again = self._with_orders(fit)
+                starts, shown = Starts.of(fit, low, high) if again else starts, shown | again
             trial = None if starts.beyond and starts.beyond not in back else self._with_pole(fit, starts.inside)
             tried += 1
             if trial is None:
                 break
-            fit, again = self._with_orders(trial)
-            shown |= again
+            fit = trial
         others = [pole for pole in poles if not ends[0] < pole[0] < ends[1]]
         poles = others + fit.poles
         return TileLooked(poles, shown, fit.bare if trial is None else None, tried, sent=starts.beyond)
