@@ -164,14 +164,7 @@ def _with_order(
     near &= (tracks["time"].values >= window.sweep.start_s) & (tracks["time"].values <= last)
     if not near.any():
         return tracks
-    turn = 2.0 * np.pi * order * float(tracks.attrs["crank_angle_error_rev"])
-
-    def told(tracks: xr.Dataset, near: Bools) -> tuple[Complexes, Floats]:
-        places = tracks["time"].values[near], tracks["crank_angle"].values[near]
-        value, error = _values(group, fit, less, order, *places)
-        return value, np.hypot(error, turn * np.abs(value))
-
-    value, error = told(tracks, near)
+    value, error = _values(group, fit, less, order, tracks["time"].values[near], tracks["crank_angle"].values[near])
     if alone:
         better = _rung(tracks, place, near, fit) | (error < followed_error(tracks, place)[:, near].T).all(axis=1)
         near[near], value, error = better, value[better], error[better]
@@ -181,7 +174,7 @@ def _with_order(
     if peak is not None:
         tracks, at = _with_row(tracks, peak, fit)
         near = np.insert(near, at, True)
-        value, error = told(tracks, near)
+        value, error = _values(group, fit, less, order, tracks["time"].values[near], tracks["crank_angle"].values[near])
     held = fit.held(order, order * tracks["speed"].values[near] / 60.0) - value
     value, error = _with_witness(tracks, place, near, value, error, rung=_rung(tracks, place, near, fit))
     usable = np.isfinite(tracks["amplitude"].values[:, place][:, near].real).any(axis=1)
