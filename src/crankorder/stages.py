@@ -310,7 +310,7 @@ def modes_of_sweeps(filtered: FilteredTracks, settings: Settings) -> SweepModes:
 @stage
 def tracks_of_test(filtered: FilteredTracks, modes: SweepModes) -> AllRecordingTracks:
     """Tracks of all recordings: ``filtered``, and beside the ``modes`` of sweeps as their signals tell them."""
-    if not modes.groups:
+    if not any("waveform" in item for item in filtered):
         return AllRecordingTracks(filtered)
     from crankorder.identify.modes.sweep_modes import with_rows_of_fits
 
@@ -335,7 +335,7 @@ def findings(
     campbell: CampbellMap,
     frames: AllOrderFrames,
     envelope: EnvelopeMap,
-    filtered: FilteredTracks,
+    followed: AllRecordingTracks,
     levels: AllRecordingLevels,
     vibration: VibrationLevels,
     modes: SweepModes,
@@ -345,15 +345,17 @@ def findings(
 ) -> Findings:
     """What ``order_map``, ``campbell``, ``frames``, ``envelope`` show of ``test``, explained by ``sources``.
 
-    ``filtered``: orders through each sweep; ``modes``: what the signals of sweeps tell; ``levels``: of each recording,
+    ``followed``: orders through each sweep; ``modes``: what the signals of sweeps tell; ``levels``: of each recording,
     with what lies above the band; ``vibration``: levels in bands.
     ``settings``: of identify, and of orders for the floor.
     """
-    from crankorder.identify.findings import find  # half of the program: where no findings are wanted it is not loaded
+    from crankorder.identify.findings import (  # half of the program: where no findings are wanted it is not loaded
+        Measured,
+        find,
+    )
 
-    maps = (order_map, campbell, frames, envelope)
-    of_recordings = functools.partial(find, followed=filtered, levels=levels, vibration=vibration, swept=modes)
-    return of_recordings(*maps, test=test, sources=sources, settings=settings)
+    measured = Measured(order_map, campbell, frames, envelope, followed, modes, levels, vibration)
+    return find(measured, test=test, sources=sources, settings=settings)
 
 
 @stage

@@ -12,7 +12,6 @@ from crankorder.identify.findings import IN_DOUBT, speed_doubt, undecided_orders
 from crankorder.identify.found import SpeedVerdicts, Tone
 from crankorder.identify.intervals import Z95
 from crankorder.identify.modes.alike_speeds import with_lines_of_recordings
-from crankorder.orders.joint_lines import HeldFrames
 from crankorder.report.sentences.story import headline, story_of
 from crankorder.settings import load_settings
 from made.command import analysed
@@ -23,13 +22,7 @@ from made.recordings import manifest
 SETTINGS = load_settings().identify
 
 
-<<<<<<< HEAD
-def recorded(
-    speeds: list[float], fixed: dict[float, float], orders: dict[float, float], *, seed: int
-) -> list[HeldFrames]:
-=======
 def recorded(speeds, fixed, orders, *, seed):
->>>>>>> 5b0b5e5951b38922d2c9eadfc61a3b30124173ab
     """Recordings at the ``speeds``, with lines at ``fixed`` Hz and at ``orders``, each with its amplitude."""
     rng, made = np.random.default_rng([seed, 5]), []
     for rpm in speeds:
@@ -38,13 +31,7 @@ def recorded(speeds, fixed, orders, *, seed):
     return made
 
 
-<<<<<<< HEAD
-def told(
-    held: list[HeldFrames], tones: list[float], orders: tuple[AgreedOrder, ...] = ()
-) -> tuple[tuple[AgreedOrder, ...], ModalFit]:
-=======
 def told(held, tones, orders=()):
->>>>>>> 5b0b5e5951b38922d2c9eadfc61a3b30124173ab
     """What is made of ``tones`` of the map that are one with others."""
     made = tuple(Tone(hertz, 0.002, "order", {"A": (0.7, 0.001)}, "lies on an order") for hertz in tones)
     modal = replace(fit(), tones=made, frequency_hz=np.arange(0.5, 400.0, 0.5))

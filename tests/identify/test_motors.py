@@ -8,7 +8,6 @@ import pytest
 
 from crankorder.engine.machine_parts import Motor
 from crankorder.identify.lines.mains import motor_seen
-from crankorder.orders.joint_lines import HeldFrames
 from crankorder.settings import load_settings
 from made.command import analysed
 from made.contradictions import contradictions
@@ -18,11 +17,7 @@ from made.recordings import manifest
 SETTINGS = load_settings().identify
 
 
-<<<<<<< HEAD
-def recorded(stated_rpm: float, *lines: tuple[float, float], noise: float = 0.3, seed: int = 0) -> list[HeldFrames]:
-=======
 def recorded(stated_rpm, *lines, noise=0.3, seed=0):
->>>>>>> 5b0b5e5951b38922d2c9eadfc61a3b30124173ab
     """A recording in frames of the ``stated_rpm``, with ``lines`` (Hz, amplitude) in noise."""
     return held_at(np.random.default_rng(seed), stated_rpm, lines, noise=noise)
 

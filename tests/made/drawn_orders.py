@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from crankorder.identify.found import AgreedOrder, Crossing, ModalFit, OrderLine, SpeedVerdicts
 from crankorder.identify.modes.joint_fit import modal_fit
-from crankorder.identify.modes.order_responses import Block
+from crankorder.identify.modes.order_responses import Block, Rows
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import speeds_to_avoid
 from crankorder.settings import load_settings
@@ -152,12 +152,8 @@ def blocks_from(machine: DrawnMachine, seed: int, *, power: bool = False) -> lis
         if power:
             errors = 2.0 * error * np.maximum(np.abs(amplitude), error)
             amplitude = np.abs(amplitude) ** 2 - 2.0 * error**2 + 0j
-        blocks.append(
-            Block(
-                item.order, CHANNELS, item.order * speed / 60.0, speed, amplitude, errors, float(speed.max()),
-                power=power,
-            )
-        )  # fmt: skip
+        rows = Rows(item.order, CHANNELS, item.order * speed / 60.0, speed, amplitude, errors, power=power)
+        blocks.append(Block.of(rows))
     return blocks
 
 

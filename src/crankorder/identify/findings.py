@@ -38,8 +38,6 @@ from crankorder.identify.machine_model import MachineModel
 from crankorder.identify.modes.alike_speeds import with_tones_settled
 from crankorder.identify.modes.joint_fit import modal_fit
 from crankorder.identify.modes.order_blocks import with_locks_through_modes
-from crankorder.identify.modes.order_modes import without_swings
-from crankorder.identify.modes.sweep_modes import with_rows_of_fits
 from crankorder.identify.records import line_records, mode_records, order_records
 from crankorder.identify.speeds.crossings import crossings
 from crankorder.identify.speeds.speeds_to_avoid import as_avoided, speeds_to_avoid
@@ -56,33 +54,39 @@ SEARCHES = {"floor": "the floor", "orders": "orders over the speeds", "sweeps": 
 IN_DOUBT = "the speed is in doubt"
 
 
-def find(
-    order_map: xr.Dataset,
-    campbell: xr.Dataset,
-    frames: Sequence[xr.Dataset],
-    envelope: xr.Dataset | None,
-    *,
-    test: str,
-    sources: MachineModel,
-    settings: Settings,
-    followed: Sequence[xr.Dataset] = (),
-    levels: Sequence[xr.Dataset] = (),
-    swept: SweepFits = NO_FITS,
-    vibration: xr.Dataset | None = None,
-) -> Findings:
-    """Findings of a test.
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What the stages before made of a test, to be explained.
 
-    ``order_map`` and ``campbell`` (without speeds where none is known) are the maps of the test named ``test``,
-    ``frames`` the OrderFrames of its recordings and ``envelope`` its EnvelopeMap (None where none was made);
-    ``sources`` says what the machine is made of; ``settings`` are those of all stages; ``followed`` are the
-    RecordingTracks of the recordings (without variables where the speed does not sweep), ``levels`` their
-    RecordingLevels, ``swept`` what the signals of sweeps tell of modes; ``vibration`` the VibrationLevels of the test.
+    ``order_map`` (OrderMap) and ``campbell`` (CampbellMap) are its maps, without speeds where none is known; ``frames``
+    the OrderFrames of its recordings, ``envelope`` its EnvelopeMap (None where none was made); ``followed`` the
+    RecordingTracks of the recordings (without variables where the speed does not sweep) with the rows of ``swept``,
+    what the signals of sweeps tell of modes; ``levels`` are their RecordingLevels, ``vibration`` the VibrationLevels of
+    the test.
     """
+
+    order_map: xr.Dataset
+    campbell: xr.Dataset
+    frames: Sequence[xr.Dataset]
+    envelope: xr.Dataset | None = None
+    followed: Sequence[xr.Dataset] = ()
+    swept: SweepFits = NO_FITS
+    levels: Sequence[xr.Dataset] = ()
+    vibration: xr.Dataset | None = None
+
+
+def find(measured: Measured, *, test: str, sources: MachineModel, settings: Settings) -> Findings:
+    """Findings of the test named ``test``, as it was ``measured``.
+
+    ``sources`` says what the machine is made of; ``settings`` are those of all stages.
+    """
+    order_map, campbell, frames, envelope = measured.order_map, measured.campbell, measured.frames, measured.envelope
+    vibration, followed = measured.vibration, measured.followed
     asked, turns = settings.identify, sources.revs_per_cycle
     quantity, unit = _by_channel(order_map, "quantity"), _by_channel(order_map, "unit")
     flags = [*flags_of(order_map)]
     flags += [flag for flag in flags_of(campbell) if flag not in flags]
-    lines = _lines(order_map, campbell, frames, followed, swept, speed_doubt(flags), sources.motor, settings)
+    lines = _lines(measured, speed_doubt(flags), sources.motor, settings)
     modal, in_map, orders, doubt = lines.modal, lines.in_map, lines.orders, lines.doubt
     bearings = bearing_records(orders, envelope, bearings=sources.bearings, revs_per_cycle=turns, settings=asked)
     folds = shown_aliases(order_map, settings=settings)
@@ -100,10 +104,10 @@ def find(
     meetings = as_avoided(met, speeds.avoid)
     speeds = speeds if doubt is None else without_free(speeds)
 
-    fit = partial(unbalance_fit, order_map, orders, modal, followed=lines.followed)
+    fit = partial(unbalance_fit, order_map, orders, modal, followed=followed)
     balance, reason = _balance(fit, order_map, sources, causes)
     energy, unexplained = energy_shares(campbell, order_map, in_map, modal, causes, settings=asked)
-    of_channels = level_records(levels)
+    of_channels = level_records(measured.levels)
     above = {level.channel: level.share_above for level in of_channels}
     shares = tuple(replace(share, above_band=above.get(share.channel)) for share in energy.channels)
     records = order_records(orders, causes, meetings, modal, unit=unit)
@@ -153,34 +157,25 @@ def _balance(
 class _Lines:
     """Orders as the map shows them (``in_map``) and with the amplitudes of their tracks; modes and tones.
 
-    ``known`` lines of the motor and the mains; tracks ``followed`` less what rings on; the ``motor``; why the speed is
-    in ``doubt``, or None; revolutions of the longest recording at one speed.
+    ``known`` lines of the motor and the mains; the ``motor``; why the speed is in ``doubt``, or None; revolutions of
+    the longest recording at one speed.
     """
 
     in_map: tuple[AgreedOrder, ...]
     orders: tuple[AgreedOrder, ...]
     modal: ModalFit
     known: tuple[LineSeen, ...]
-    followed: Sequence[xr.Dataset]
     motor: MotorRecord | None
     doubt: str | None
     longest_rev: float
 
 
-def _lines(
-    order_map: xr.Dataset,
-    campbell: xr.Dataset,
-    frames: Sequence[xr.Dataset],
-    followed: Sequence[xr.Dataset],
-    swept: SweepFits,
-    doubt: str | None,
-    motor: Motor | None,
-    settings: Settings,
-) -> _Lines:
+def _lines(measured: Measured, doubt: str | None, motor: Motor | None, settings: Settings) -> _Lines:
     """Lines of a test: which stand, the modes that they cross, their locks, and what stays at its frequency.
 
     With a ``doubt`` about the speed no order is locked or slips.
     """
+    order_map, frames, followed = measured.order_map, measured.frames, measured.followed
     asked, held = settings.identify, held_of(frames, order_map)
     by_shaft = doubt is None and speed_source([order_map]) != "stated"
     seen_motor = None if motor is None else motor_seen(motor, held, by_shaft=by_shaft, settings=asked)
@@ -190,19 +185,17 @@ def _lines(
     agreed = orders_agreed(in_channels, frames=frames, order_map=order_map, settings=asked, followed=followed)
     numbered = with_followed(numbered_as_followed(agreed, followed), followed, order_map)
     in_map = unless_sidebands(numbered, order_map, frames)
-    fitted = modal_fit(campbell, order_map, in_map, settings=asked, followed=followed, swept=swept)
+    fitted = modal_fit(measured.campbell, order_map, in_map, settings=asked, followed=followed, swept=measured.swept)
     known = without_ringing(seen, fitted.modes)
     in_map, modal = with_locks_through_modes(in_map, without_known(fitted, known), followed, order_map)
     parted = held if speed_source([*frames, order_map]) == "pulses" else ()
     in_map, modal = with_tones_settled(in_map, modal, held, known, order_map, parted=parted, settings=asked)
     in_map = in_map if doubt is None else undecided_orders(in_map)
-    without = without_swings(followed, modal.swings)
-    rows_of_fits, fixed = with_rows_of_fits(without, swept), fixed_lines(modal.tones)
-    reader = TrackReader(order_map, frames=frames, followed=rows_of_fits, fixed=fixed)
+    reader = TrackReader(order_map, frames=frames, followed=followed, fixed=fixed_lines(modal.tones))
     orders = with_track_rows(in_map, reader, settings=settings.orders)
     longest = max((recording.span_rev for recording in held), default=np.inf)
     record = None if seen_motor is None else seen_motor.record
-    return _Lines(in_map, orders, modal, known, without, record, doubt, longest)
+    return _Lines(in_map, orders, modal, known, record, doubt, longest)
 
 
 def _by_channel(order_map: xr.Dataset, name: str) -> dict[str, str]:

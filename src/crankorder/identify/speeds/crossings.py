@@ -342,7 +342,7 @@ def _measured(
     resolved = bool(len(tested)) and bool(np.abs(tested - rpm).min() <= 2.0 * mode.damping_ratio * rpm)
     quiet = resolved and bool(trends) and max(excess.ratio_high for excess in trends) < least
     quiet &= all(seen_all_around(line, rpm, tested) for line in agreed.lines)
-    known = [fit for fit in fitted if number in fit.reached and fit.span_rpm[0] <= rpm <= fit.span_rpm[1]]
+    known = [fit for fit in fitted if number in fit.reached and fit.force.span_rpm[0] <= rpm <= fit.force.span_rpm[1]]
     if {fit.channel for fit in known} >= {line.channel for line in agreed.lines} and known:
         ends = [_beside_mode(fit, number, modal).ends(half_width(float(fit.degrees_of_freedom)))[1] for fit in known]
         quiet |= max(float(high.max()) for high in ends) < least
@@ -370,7 +370,11 @@ def fitted_excess(response: OrderResponse, number: int, modal: ModalFit) -> Seen
     if mode.damping_error > ORDER_MODES.known_share * mode.damping_ratio:
         return None
     rpm = 60.0 * mode.frequency_hz / response.order
-    if not response.fits or number not in response.reached or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
+    if (
+        not response.fits
+        or number not in response.reached
+        or not response.force.span_rpm[0] <= rpm <= response.force.span_rpm[1]
+    ):
         return None
     both = _beside_mode(response, number, modal)
     sigmas, least = half_width(float(response.degrees_of_freedom)), float(both.least[0])

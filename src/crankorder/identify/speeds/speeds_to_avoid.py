@@ -42,10 +42,6 @@ def _open(low: float, high: float, why: str, *, amplified: bool = False) -> Open
     return OpenBand(low_rpm=low, high_rpm=high, remark=why, amplified=amplified)
 
 
-RINGING = "{0.mode_hz:.4g} Hz rings on there from order {0.rung_by:.4g}: another order that met it would be hidden"
-"""Why HiddenSpeeds are not free."""
-
-
 @dataclass(frozen=True)
 class _Peak:
     """Peak ``amplitude`` of an order in a channel with its 95 % interval: as recorded, or what it would be if held.
@@ -113,7 +109,6 @@ def speeds_to_avoid(
         *(_open(min(_range(a)[0], a.rpm * least), max(_range(a)[1], a.rpm * most), "") for a in avoid),
         *_by_modes(found, modal, unit, largest, settings),
         *_by_unseen(orders, modal, speed_rpm, settings),
-        *(_open(ringing.low_rpm, ringing.high_rpm, RINGING.format(ringing)) for ringing in modal.hidden),
         *_by_shown(orders, modal, settings),
     ]
     free, rest = _split(opened, speed_rpm, settings)
@@ -247,7 +242,7 @@ def _peaks(
 def _fitted_peak(response: OrderResponse, rpm: float, rpm_range: Ends, modal: ModalFit, mode: Mode) -> HeldPeak | None:
     """Peak that ``mode`` makes at ``rpm`` by the fit ``response``; None where that does not know it."""
     is_known = response.fits and mode.damping_error <= ORDER_MODES.known_share * mode.damping_ratio
-    if not is_known or not response.span_rpm[0] <= rpm <= response.span_rpm[1]:
+    if not is_known or not response.force.span_rpm[0] <= rpm <= response.force.span_rpm[1]:
         return None
     peak = peak_of(response, modal, rpm_range)
     if peak.rpm in rpm_range:  # the flank of another mode, which is larger than this peak
@@ -301,9 +296,9 @@ def _by_modes(
             low, high = finding.rpm - slower * (finding.rpm - low), finding.rpm + slower * (high - finding.rpm)
             says = finding.verdict if finding.in_range else "beside the tested range, so that its flank may reach in"
             bands.append(_open(low, high, f"{what}: {says}"))
-        alike = {(fit.recording, unit[fit.channel], fit.span_rpm) for fit in fits}
+        alike = {(fit.recording, unit[fit.channel], fit.force.span_rpm) for fit in fits}
         for key in sorted(alike):
-            group = [fit for fit in fits if (fit.recording, unit[fit.channel], fit.span_rpm) == key]
+            group = [fit for fit in fits if (fit.recording, unit[fit.channel], fit.force.span_rpm) == key]
             matters = EXCLUSION.matters_share * max(largest.get(fit.channel, 0.0) for fit in group)
             bands += _amplified(group, number, modal, what, matters=matters, settings=settings)
     return bands
@@ -321,7 +316,8 @@ def _amplified(
     rpm = 60.0 * mode.frequency_hz / group[0].order
     beside = NUMBERS.beside_share + sigmas * mode.frequency_error_hz / mode.frequency_hz
     near = max(NUMBERS.near_dampings * mode.damping_ratio, beside)
-    low, high = group[0].span_rpm  # all of it: what a flank adds to little is more than a resonance alone would make
+    # all of it: what a flank adds to little is more than a resonance alone would make
+    low, high = group[0].force.span_rpm
     turn = np.sinh(np.linspace(-3.0, 3.0, 41)) / np.sinh(3.0)
     grid = np.unique(np.clip(np.append(rpm * (1.0 + near * turn), np.geomspace(low, high, FLANKS)), low, high))
     both = together([with_and_without(fit, number, grid, modal) for fit in group])
