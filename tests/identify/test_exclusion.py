@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from crankorder.identify.modes.order_responses import with_best_law
+from crankorder.identify.modes.order_responses import Block, with_best_law
 from crankorder.identify.modes.responses import least_seen
 from crankorder.identify.modes.surface_fit import NO_POLES
 from crankorder.identify.modes.sweep_poles import sweep_fits
