@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from crankorder.identify.causes.explain import explained
+from crankorder.identify.causes.explain import Beside, explained
 from crankorder.identify.findings import going_with_speed
 from crankorder.identify.found import AgreedOrder, ModalFit, Tone
 from crankorder.identify.intervals import Z95
@@ -196,7 +196,7 @@ def at_speed(order: float, rpm: float, *, lock: str = "slips", error: float = 1e
 
 
 def said(*orders: AgreedOrder, longest_rev: float = np.inf) -> list[str]:
-    sources = {"sources": ROTOR, "quantity": {"A": "acceleration"}, "longest_rev": longest_rev}
+    sources = {"sources": ROTOR, "quantity": {"A": "acceleration"}, "beside": Beside(longest_rev=longest_rev)}
     causes = explained(orders, fit(), [], settings=SETTINGS, **sources)
     return [causes.orders["A", one.order].text for one in orders]
 
